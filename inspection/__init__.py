@@ -1,0 +1,1 @@
+"""The task: a deputy spacecraft inspects a passive chief, thousands of episodes as one batch of tensors."""

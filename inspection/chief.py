@@ -1,0 +1,114 @@
+"""The chief's inspection points: weights, visibility, illumination and the nearest uninspected cluster.
+
+Points are unit normals n (3, N) on a sphere of radius r_c; per-point masks are (N, B) (Sec. RL Environment).
+"""
+
+import math
+
+import torch
+from torch import Tensor
+
+from inspection.attitude import dot, norm, rotation_matrix, unit
+from inspection.dynamics import sun_direction
+from inspection.parameters import InspectionParameters
+from inspection.state import THETA_S, P, Q
+
+LLOYD_ITERATIONS = 5
+
+
+def fibonacci_sphere(count: int, dtype: torch.dtype = torch.float64, device: str = "cpu") -> Tensor:
+    """`count` nearly equidistant unit vectors, (3, count): the golden-angle spiral."""
+    i = torch.arange(count, dtype=dtype, device=device)
+    z = 1 - (2 * i + 1) / count
+    azimuth = i * math.pi * (3 - math.sqrt(5.0))
+    radius = (1 - z**2).sqrt()
+    return torch.stack((radius * azimuth.cos(), radius * azimuth.sin(), z))
+
+
+def point_weights(normals: Tensor, priority: Tensor) -> Tensor:
+    """Weights (N, B), summing to 1 over the points: the angle to the opposite of priority (3, B)."""
+    angle = (-(normals.T @ priority)).clamp(-1.0, 1.0).arccos()
+    return angle / angle.sum(0)
+
+
+def illuminated(normals: Tensor, theta_s: Tensor) -> Tensor:
+    """(N, B) bool: the point faces the Sun, which for a sphere is what a ray towards it decides."""
+    return normals.T @ sun_direction(theta_s) > 0.0
+
+
+def visible(normals: Tensor, x: Tensor, c: InspectionParameters) -> Tensor:
+    """(N, B) bool: within the camera's cone about +n_x, above the near-side horizon, and lit."""
+    p, r = x[P], c.chief_radius
+    boresight = rotation_matrix(x[Q])[:, 0]
+    height = normals.T @ p  # p . n
+    to_point = (r**2 + dot(p, p) - 2 * r * height).sqrt()
+    along_boresight = r * (normals.T @ boresight) - dot(p, boresight)
+    in_view = along_boresight >= math.cos(c.field_of_view / 2) * to_point
+    return in_view & (height > r) & illuminated(normals, x[THETA_S])
+
+
+def max_clusters(normals: Tensor, c: InspectionParameters) -> int:
+    """Largest k = ceil(n / points_per_cluster) that any lit hemisphere of the Sun's circle can need."""
+    sun = torch.linspace(0.0, 2 * math.pi, 3600, dtype=normals.dtype, device=normals.device)
+    most = int(illuminated(normals, sun).sum(0).max())
+    return -(-min(most + 1, normals.shape[1]) // c.points_per_cluster)
+
+
+def seed_clusters(
+    points: Tensor, wanted: Tensor, centres: Tensor, alive: Tensor, count: Tensor
+) -> tuple[Tensor, Tensor]:
+    """Puts every missing one of the first `count` centres on the wanted point farthest from the others.
+
+    Args and returns as in `cluster`; deterministic, ties go to the lowest point index.
+    """
+    slots = torch.arange(alive.shape[0], device=alive.device)[:, None]
+    missing = (slots < count) & ~alive
+    gap = distance_squared(points, centres).masked_fill(~alive, math.inf).amin(1)  # (N, B)
+    for j in torch.nonzero(missing.any(1)).flatten().tolist():
+        farthest = gap.masked_fill(~wanted, -1.0).argmax(0)
+        seed = points[:, farthest]
+        centres = torch.where(missing[j] & (slots == j), seed[:, None], centres)
+        gap = torch.where(missing[j], torch.minimum(gap, distance_squared(points, seed[:, None])[:, 0]), gap)
+    return centres, (alive | missing) & (slots < count)
+
+
+def distance_squared(points: Tensor, centres: Tensor) -> Tensor:
+    """|point - centre|^2 for points (3, N) and centres (3, k, B): (N, k, B)."""
+    k, batch = centres.shape[1:]
+    inner = (points.T @ centres.reshape(3, -1)).reshape(-1, k, batch)
+    return dot(points, points)[:, None, None] + dot(centres, centres) - 2 * inner
+
+
+def cluster(
+    points: Tensor, wanted: Tensor, centres: Tensor, alive: Tensor, per_cluster: int
+) -> tuple[Tensor, Tensor]:
+    """Batched k-means (Lloyd) of the wanted points, warm-started from the previous step's centres.
+
+    Args:
+        points: (3, N) positions.
+        wanted: (N, B) bool, the points to cluster; k = ceil(wanted / per_cluster) per column.
+        centres, alive: (3, K, B) and (K, B) bool, the previous centres and which of them hold a cluster.
+
+    Returns:
+        The new centres (3, K, B) and alive (K, B).
+    """
+    count = -(-wanted.sum(0) // per_cluster)
+    slots = torch.arange(alive.shape[0], device=alive.device)[:, None]
+    alive = alive & (slots < count)
+    if (alive.sum(0) < count).any():
+        centres, alive = seed_clusters(points, wanted, centres, alive, count)
+    for _ in range(LLOYD_ITERATIONS):
+        gap = distance_squared(points, centres).masked_fill(~alive, math.inf)
+        member = ((gap == gap.amin(1, keepdim=True)) & wanted[:, None] & alive).to(points.dtype)
+        size = member.sum(0)
+        total = (points @ member.reshape(points.shape[1], -1)).reshape(centres.shape)
+        centres = torch.where(size > 0, total / size.clamp(min=1.0), centres)
+    return centres, alive & (size > 0)
+
+
+def nearest_cluster(centres: Tensor, alive: Tensor, p: Tensor) -> Tensor:
+    """r_UPS: unit vector (3, B) from the chief to the living centre nearest to p (3, B); zeros if none."""
+    gap = norm(centres - p[:, None]).masked_fill(~alive, math.inf)
+    nearest = gap.argmin(0)
+    centre = centres.gather(1, nearest.expand(3, 1, -1))[:, 0]
+    return torch.where(alive.any(0), unit(centre), 0.0)

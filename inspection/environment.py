@@ -1,0 +1,277 @@
+"""InspectionEnv: the whole batch of episodes as one set of tensors, with autoreset."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import torch
+from torch import Tensor
+
+from inspection import chief
+from inspection.dynamics import step
+from inspection.initial_state import InitialStates
+from inspection.observation import observe, scales
+from inspection.parameters import InspectionParameters
+from inspection.reward import REWARDS, rewards
+from inspection.state import SIZE, THETA_S, THRUST, TORQUE, P
+from inspection.termination import OUTCOMES, terminal_conditions
+
+METRICS = ("inspected_score", "reward", "episode_length_s", "delta_v_m_s", "torque_n_m", "violation_percent")
+
+
+class Correction(Protocol):
+    """What a control filter returns: at least the control to apply, (6, B) in N and N m."""
+
+    control: Tensor
+
+
+@dataclass(frozen=True)
+class Safety:
+    """What the task is told about safety; any functions of the state will do.
+
+    Attributes:
+        names: one name per constraint.
+        values: maps states (16, B) to constraint values (len(names), B), negative where violated.
+        is_safe: maps states (16, B) to (B,) bool, whether an episode may start there.
+        correct: maps states and desired controls (6, B) to a `Correction`; None applies what is desired.
+        period: s between two calls of `correct`.
+    """
+
+    names: tuple[str, ...] = ()
+    values: Callable[[Tensor], Tensor] | None = None
+    is_safe: Callable[[Tensor], Tensor] | None = None
+    correct: Callable[[Tensor, Tensor], Correction] | None = None
+    period: float = 1.0
+
+
+@dataclass
+class Transition:
+    """The outcome of one interaction, before autoreset; tensors over the batch B.
+
+    Attributes:
+        observation: (B, 26) float32, of the next episode where one ended.
+        final_observation: (B, 26) float32, of the state that the action led to (terminal where it ended).
+        state: (16, B) that the action led to.
+        reward: (B,); reward_terms: the nine terms by name.
+        terminated, truncated: (B,) bool, true end or time limit.
+        violated: (constraints, B) bool at the end of the step.
+        corrections: the filter's answers, one per filter call of the step.
+        outcome: (B,) index into OUTCOMES, -1 while running.
+        metrics: (6, B) the episode so far in the order of METRICS.
+        violation_steps: (constraints, B) and steps (B,): violated and all steps of the episode so far.
+    """
+
+    observation: Tensor
+    final_observation: Tensor
+    state: Tensor
+    reward: Tensor
+    reward_terms: dict[str, Tensor]
+    terminated: Tensor
+    truncated: Tensor
+    violated: Tensor
+    corrections: list[Correction]
+    outcome: Tensor
+    metrics: Tensor
+    violation_steps: Tensor
+    steps: Tensor
+
+    @property
+    def done(self) -> Tensor:
+        """(B,) bool: the episode ended."""
+        return self.terminated | self.truncated
+
+
+class InspectionEnv:
+    """A batch of inspection episodes.
+
+    Seed k owns the columns k E to (k+1) E, and all draws for them come from generators[k], so that its
+    episodes do not depend on how many other seeds run beside it.
+
+    Args:
+        num_envs: episodes per seed, E.
+        parameters: the task's constants.
+        generators: one per seed, on the device of the batch.
+        safety: constraint values, admissible starts and the control filter.
+
+    Attributes:
+        x: states (16, B); priority: (3, B); inspected: (N, B) bool; time: (B,) s.
+    """
+
+    def __init__(
+        self,
+        num_envs: int,
+        parameters: InspectionParameters,
+        generators: Sequence[torch.Generator],
+        safety: Safety | None = None,
+    ) -> None:
+        self.c = parameters
+        self.safety = safety or Safety()
+        self.starts = [InitialStates(generator, parameters, self.safety.is_safe) for generator in generators]
+        self.num_envs = num_envs
+        batch = num_envs * len(generators)
+        device = generators[0].device
+        self.normals = chief.fibonacci_sphere(parameters.num_points, device=device)
+        self.points = (parameters.chief_radius * self.normals).float()
+        points = parameters.num_points
+        clusters = chief.max_clusters(self.normals, parameters)
+        self.limit = torch.tensor(parameters.control_limit, dtype=torch.float64, device=device)[:, None]
+
+        def zeros(*shape: int, dtype: torch.dtype = torch.float64) -> Tensor:
+            return torch.zeros(*shape, batch, dtype=dtype, device=device)
+
+        self.x = zeros(SIZE)
+        self.priority = zeros(3)
+        self.weights = zeros(points)
+        self.inspected = zeros(points, dtype=torch.bool)
+        self.centres = zeros(3, clusters, dtype=torch.float32)  # m; k-means needs no more precision
+        self.alive = zeros(clusters, dtype=torch.bool)
+        self.uninspected = zeros(3)
+        self.time = zeros()
+        self.steps = zeros(dtype=torch.int64)
+        self.totals = zeros(3)  # reward, delta v, torque
+        self.violation_steps = zeros(len(self.safety.names), dtype=torch.int64)
+        self.any_violation_steps = zeros(dtype=torch.int64)
+
+    STATE = ["x", "priority", "weights", "inspected", "centres", "alive", "uninspected", "time", "steps", "totals", "violation_steps", "any_violation_steps"]
+
+    def state_dict(self) -> dict[str, Any]:
+        """Everything a resumed run needs, as tensors."""
+        own = {name: getattr(self, name).clone() for name in self.STATE}
+        return own | {"pools": [starts.pool.clone() for starts in self.starts]}
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Restores `state_dict`."""
+        for name in self.STATE:
+            setattr(self, name, state[name].clone())
+        for starts, pool in zip(self.starts, state["pools"], strict=True):
+            starts.pool = pool.clone()
+
+    @property
+    def score(self) -> Tensor:
+        """w_p, inspected weight (B,)."""
+        return (self.weights * self.inspected).sum(0)
+
+    def reset(self) -> Tensor:
+        """Starts every episode anew from the initial distribution; returns observations (B, 26) float32."""
+        self._restart(torch.ones_like(self.time, dtype=torch.bool))
+        return self.observation()
+
+    def start(self, x: Tensor, priority: Tensor) -> Tensor:
+        """Starts every episode from given states (16, B) and priority vectors (3, B)."""
+        self._begin(torch.arange(self.time.numel(), device=x.device), x, priority)
+        return self.observation()
+
+    def observation(self) -> Tensor:
+        """Normalised observations (B, 26) float32 of the present states."""
+        o = observe(self.x, self.priority, self.uninspected, self.score)
+        return (o / scales(o)).T.float()
+
+    def step(self, action: Tensor) -> Transition:
+        """Holds one action for one action period.
+
+        Args:
+            action: (B, 6), thrust and torque in units of the actuators' limits; clipped to [-1, 1].
+        """
+        c = self.c
+        desired = action.T.to(self.x.dtype).clamp(-1.0, 1.0) * self.limit
+        corrections, delta_v, torque = self._advance(desired)
+        self.time += c.action_period
+        self.steps += 1
+
+        before = self.score
+        self._look()
+        score = self.score
+        ended = terminal_conditions(self.x, score, self.time, c)
+        terms = rewards(self.x, score - before, delta_v, torque, self.time, ended, c)
+        reward = torch.stack([terms[name] for name in REWARDS]).sum(0)
+        self.totals += torch.stack((reward, delta_v, torque))
+        violated = self._count_violations()
+
+        truncated = ended["timeout"]
+        terminated = ended["crash"] | ended["out_of_bounds"] | ended["out_of_power"] | ended["success"]
+        truncated = truncated & ~terminated
+        outcome = torch.full_like(self.steps, -1)
+        for i in reversed(range(len(OUTCOMES))):
+            outcome[ended[OUTCOMES[i]]] = i
+        final_observation = self.observation()
+        transition = Transition(
+            observation=final_observation,
+            final_observation=final_observation,
+            state=self.x,
+            reward=reward,
+            reward_terms=terms,
+            terminated=terminated,
+            truncated=truncated,
+            violated=violated,
+            corrections=corrections,
+            outcome=outcome,
+            metrics=self._metrics(score),
+            violation_steps=self.violation_steps.clone(),
+            steps=self.steps.clone(),
+        )
+        if transition.done.any():
+            self._restart(transition.done)
+            transition.observation = self.observation()
+        return transition
+
+    def _advance(self, desired: Tensor) -> tuple[list[Correction], Tensor, Tensor]:
+        """Integrates one action period; the filter's last control is its next desired one (Sec. RL Control Loop)."""
+        c, safety = self.c, self.safety
+        interval = min(c.substep, safety.period) if safety.correct else c.substep
+        substeps = round(c.action_period / interval)
+        calls_every = round(safety.period / interval)
+        u, corrections = desired, []
+        delta_v = torch.zeros_like(self.time)
+        torque = torch.zeros_like(self.time)
+        for i in range(substeps):
+            if safety.correct and i % calls_every == 0:
+                corrections.append(safety.correct(self.x, u))
+                u = corrections[-1].control
+            self.x = step(self.x, u, interval, c)
+            delta_v += u[THRUST].abs().sum(0) / c.mass * interval
+            torque += u[TORQUE].abs().sum(0) / substeps
+        return corrections, delta_v, torque
+
+    def _look(self, columns: Tensor | slice = slice(None)) -> None:
+        """Marks the points in view and points r_UPS at the nearest cluster of those lit and left."""
+        x = self.x[:, columns]
+        inspected = self.inspected[:, columns] | chief.visible(self.normals, x, self.c)
+        wanted = chief.illuminated(self.normals, x[THETA_S]) & ~inspected
+        centres, alive = chief.cluster(
+            self.points, wanted, self.centres[..., columns], self.alive[:, columns], self.c.points_per_cluster
+        )
+        self.inspected[:, columns] = inspected
+        self.centres[..., columns] = centres
+        self.alive[:, columns] = alive
+        self.uninspected[:, columns] = chief.nearest_cluster(centres.to(x.dtype), alive, x[P])
+
+    def _count_violations(self) -> Tensor:
+        """(constraints, B) bool at this step, added to the episode's counts."""
+        if self.safety.values is None:
+            return torch.zeros_like(self.violation_steps, dtype=torch.bool)
+        violated = self.safety.values(self.x) < 0.0
+        self.violation_steps += violated
+        self.any_violation_steps += violated.any(0)
+        return violated
+
+    def _metrics(self, score: Tensor) -> Tensor:
+        """(6, B) in the order of METRICS."""
+        percent = 100.0 * self.any_violation_steps / self.steps
+        return torch.stack((score, self.totals[0], self.time, self.totals[1], self.totals[2], percent))
+
+    def _restart(self, mask: Tensor) -> None:
+        """Draws new initial conditions where mask (B,) is set, each seed's from its own generator."""
+        for k, starts in enumerate(self.starts):
+            columns = torch.nonzero(mask[k * self.num_envs : (k + 1) * self.num_envs]).flatten()
+            if columns.numel():
+                self._begin(columns + k * self.num_envs, *starts.take(columns.numel()))
+
+    def _begin(self, columns: Tensor, x: Tensor, priority: Tensor) -> None:
+        """Puts fresh episodes into the given columns; points visible at the start count as inspected."""
+        self.x = self.x.clone()  # the finished step's Transition still holds the old one
+        for name in self.STATE:
+            getattr(self, name)[..., columns] = 0
+        self.x[:, columns] = x
+        self.priority[:, columns] = priority
+        self.weights[:, columns] = chief.point_weights(self.normals, priority)
+        self._look(columns)

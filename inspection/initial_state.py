@@ -1,0 +1,98 @@
+"""The paper's initial distribution (Sec. Initial and Terminal Conditions), with attitude resampling."""
+
+import math
+from collections.abc import Callable
+
+import torch
+from torch import Tensor
+
+from inspection.attitude import random_quaternion
+from inspection.parameters import InspectionParameters
+from inspection.state import SIZE, THETA_S, E, P, Q, T
+
+MAX_ATTEMPTS = 1000
+POOL = 256
+
+
+def uniform(low: float, high: float, count: int, generator: torch.Generator) -> Tensor:
+    """(count,) float64 draws from [low, high)."""
+    draw = torch.rand(count, generator=generator, device=generator.device, dtype=torch.float64)
+    return low + (high - low) * draw
+
+
+def spherical(radius: Tensor, azimuth: Tensor, elevation: Tensor) -> Tensor:
+    """Eq. (init): (k,) m, (k,) rad, (k,) rad to (3, k) m."""
+    return radius * torch.stack(
+        (azimuth.cos() * elevation.cos(), azimuth.sin() * elevation.cos(), elevation.sin())
+    )
+
+
+def sample_initial_state(
+    count: int,
+    generator: torch.Generator,
+    c: InspectionParameters,
+    is_safe: Callable[[Tensor], Tensor] | None = None,
+) -> tuple[Tensor, Tensor]:
+    """Draws states at rest and priority vectors; attitudes are redrawn until `is_safe` accepts them.
+
+    Args:
+        count: number of states.
+        generator: source of every draw; its device is the result's.
+        is_safe: maps states (16, k) to (k,) bool; None accepts any attitude.
+
+    Returns:
+        States (16, count) and priority unit vectors (3, count), float64.
+
+    Raises:
+        RuntimeError: some state found no safe attitude in 1000 draws.
+    """
+
+    def angles() -> tuple[Tensor, Tensor]:
+        return (
+            uniform(0.0, 2 * math.pi, count, generator),
+            uniform(-math.pi / 2, math.pi / 2, count, generator),
+        )
+
+    x = torch.zeros(SIZE, count, dtype=torch.float64, device=generator.device)
+    x[P] = spherical(uniform(*c.initial_radius, count, generator), *angles())
+    x[E] = uniform(*c.initial_energy, count, generator)
+    x[T] = uniform(*c.initial_temperature, count, generator)
+    x[THETA_S] = uniform(0.0, 2 * math.pi, count, generator)
+    priority = spherical(torch.ones_like(x[T]), *angles())
+
+    x[Q] = random_quaternion(count, generator, x.dtype)
+    if is_safe is None:
+        return x, priority
+    for _ in range(MAX_ATTEMPTS):
+        rejected = torch.nonzero(~is_safe(x)).flatten()
+        if rejected.numel() == 0:
+            return x, priority
+        x[Q, rejected] = random_quaternion(rejected.numel(), generator, x.dtype)
+    raise RuntimeError(
+        f"no safe initial attitude in {MAX_ATTEMPTS} draws for the state {x[:, rejected[0]].tolist()}"
+    )
+
+
+class InitialStates:
+    """A seed's endless supply of initial states, drawn POOL at a time because few are needed at once.
+
+    Attributes:
+        pool: (16 + 3, k) states and priority vectors not handed out yet.
+    """
+
+    def __init__(
+        self,
+        generator: torch.Generator,
+        c: InspectionParameters,
+        is_safe: Callable[[Tensor], Tensor] | None = None,
+    ) -> None:
+        self.generator, self.c, self.is_safe = generator, c, is_safe
+        self.pool = torch.zeros(SIZE + 3, 0, dtype=torch.float64, device=generator.device)
+
+    def take(self, count: int) -> tuple[Tensor, Tensor]:
+        """The next `count` states (16, count) and priority vectors (3, count)."""
+        while self.pool.shape[1] < count:
+            drawn = torch.cat(sample_initial_state(POOL, self.generator, self.c, self.is_safe))
+            self.pool = torch.cat((self.pool, drawn), 1)
+        taken, self.pool = self.pool[:, :count], self.pool[:, count:]
+        return taken[:SIZE], taken[SIZE:]

@@ -1,0 +1,134 @@
+"""Every constant of the inspection task, with its unit and its source, as one frozen dataclass.
+
+"Sec." and "Eq." refer to Dunlap et al., AFRL-2024-3223. Entries marked (decision) fill a gap or a
+contradiction in the paper; the README's "Differences from the paper" gives the reason for each.
+"""
+
+import math
+from dataclasses import dataclass
+
+AXES = {"+x": (0, 1.0), "-x": (0, -1.0), "+y": (1, 1.0), "-y": (1, -1.0), "+z": (2, 1.0), "-z": (2, -1.0)}
+
+
+@dataclass(frozen=True)
+class InspectionParameters:
+    """Constants of dynamics, limits, chief, episode and reward; values are the paper's unless marked."""
+
+    # Orbit and translation (Sec. Dynamics, Translational Motion)
+    mean_motion: float = 0.001027  # rad/s
+    mass: float = 12.0  # kg
+    max_thrust: float = 1.0  # N, per body axis
+
+    # Attitude (Sec. Dynamics, Attitude)
+    inertia: tuple[float, float, float] = (0.0573, 0.0573, 0.0573)  # kg m^2, principal moments
+    wheel_inertia: float = 4.1e-5  # kg m^2, D
+    max_angular_acceleration: float = 0.017453  # rad/s^2
+    max_wheel_acceleration: float = 181.3  # rad/s^2
+    saturate_rates: bool = True  # (decision) the plant holds each body rate within max_rate
+
+    # Temperature of the -n_y side (Sec. Dynamics, Temperature)
+    thermal_axis: str = "-y"  # body axis of the tracked surface
+    absorptivity: float = 0.13
+    emissivity: float = 0.06
+    surface_area: float = 0.03  # m^2, also the solar panels' area
+    node_mass: float = 2.0  # kg
+    specific_heat: float = 900.0  # J/(kg K)
+    solar_constant: float = 1367.0  # W/m^2
+    albedo: float = 0.27
+    view_factor: float = 0.8  # F_E = 0.8 cos(theta_EI)
+    earth_temperature: float = 255.0  # K
+    stefan_boltzmann: float = 5.67051e-8  # W/(m^2 K^4)
+    zero_celsius: float = 273.15  # K
+
+    # Energy (Sec. Dynamics, Energy)
+    solar_panel_axis: str = "-x"  # (decision) the paper's text says +x; see the README
+    panel_performance: float = 983.3  # W/m^2, P_I
+    panel_degradation: float = 0.77  # I_d
+    power_draw: float = 15.0  # W, P_out
+
+    # Safety limits (Sec. Safety Constraints)
+    deputy_radius: float = 5.0  # m, r_d
+    chief_radius: float = 10.0  # m, r_c
+    max_distance: float = 800.0  # m, r_max
+    docking_speed: float = 0.2  # m/s, nu_0
+    speed_slope: float = 7.5 * 0.001027  # 1/s, nu_1 = 7.5 n
+    max_speed: float = 5.0  # m/s per Hill axis, v_max
+    passive_safety_horizon: float = 500.0  # s, T_f
+    field_of_view: float = math.radians(60.0)  # rad, alpha_FOV, full cone angle
+    exclusion_buffer: float = math.radians(10.0)  # rad, beta
+    max_temperature: float = 10.0  # deg C
+    temperature_sun_slope: float = 0.05  # deg C/rad, delta_0
+    temperature_earth_slope: float = 0.01  # deg C/rad, delta_1
+    min_energy: float = 1.0  # kJ
+    energy_sun_slope: float = 0.05  # kJ/rad, delta_2
+    max_rate: float = math.radians(2.0)  # rad/s, omega_max
+
+    # Episode (Sec. RL Environment)
+    num_points: int = 100
+    points_per_cluster: int = 10  # (decision) k = ceil(n / 10)
+    success_score: float = 0.95
+    action_period: float = 10.0  # s between two actions of the agent
+    substep: float = 1.0  # s, longest integration step
+    max_time: float = 12236.0  # s, two orbits
+    initial_radius: tuple[float, float] = (50.0, 100.0)  # m
+    initial_energy: tuple[float, float] = (5.0, 7.0)  # kJ
+    initial_temperature: tuple[float, float] = (3.0, 7.0)  # deg C
+
+    # Reward (Sec. Rewards)
+    points_reward: float = 1.0
+    delta_v_reward: float = -0.02  # per m/s
+    torque_reward: float = -0.1  # per N m
+    orientation_reward: float = 0.0005
+    orientation_width: float = 0.15
+    time_reward: float = 0.001
+    time_reward_until: float = 3000.0  # s
+    terminal_reward: float = 1.0  # magnitude of success, crash, distance and energy terms
+    free_flight_horizon: float = 172800.0  # s, two days
+
+    def __post_init__(self) -> None:
+        for name in ("solar_panel_axis", "thermal_axis"):
+            if getattr(self, name) not in AXES:
+                raise ValueError(f"{name} = {getattr(self, name)!r}: allowed are {', '.join(AXES)}")
+        positive = (
+            "mean_motion mass max_thrust wheel_inertia max_angular_acceleration max_wheel_acceleration "
+            "surface_area node_mass specific_heat deputy_radius chief_radius max_distance max_speed "
+            "passive_safety_horizon field_of_view max_rate num_points points_per_cluster success_score "
+            "action_period substep max_time orientation_width free_flight_horizon"
+        )
+        for name in positive.split():
+            if not 0 < getattr(self, name) < math.inf:
+                raise ValueError(f"{name} = {getattr(self, name)!r}: must be a positive number")
+        if min(self.inertia) <= 0:
+            raise ValueError(f"inertia = {self.inertia!r}: must be three positive moments in kg m^2")
+        for name in ("initial_radius", "initial_energy", "initial_temperature"):
+            low, high = getattr(self, name)
+            if low > high:
+                raise ValueError(f"{name} = {[low, high]!r}: must be [low, high] with low <= high")
+
+    @property
+    def collision_radius(self) -> float:
+        """r_d + r_c in m."""
+        return self.deputy_radius + self.chief_radius
+
+    @property
+    def max_torque(self) -> float:
+        """tau_max = min(J domega_max, D dpsi_max) in N m, the smallest over the axes."""
+        return min(
+            min(self.inertia) * self.max_angular_acceleration,
+            self.wheel_inertia * self.max_wheel_acceleration,
+        )
+
+    @property
+    def control_limit(self) -> tuple[float, ...]:
+        """Actuator limits of the six controls: N, N, N, N m, N m, N m."""
+        return (self.max_thrust,) * 3 + (self.max_torque,) * 3
+
+    @property
+    def max_acceleration(self) -> float:
+        """a_max of the collision and keep-in constraints in m/s^2 (decision): thrust less the worst drift.
+
+        F_max / m - 3 n^2 r_max - 2 n v_max with v_max = min(max_speed, nu_0 + nu_1 r_max).
+        """
+        n = self.mean_motion
+        speed = min(self.max_speed, self.docking_speed + self.speed_slope * self.max_distance)
+        return self.max_thrust / self.mass - 3 * n**2 * self.max_distance - 2 * n * speed

@@ -1,0 +1,61 @@
+"""The nine reward terms by name (Sec. Rewards)."""
+
+import torch
+from torch import Tensor
+
+from inspection.attitude import conjugate, rotate, unit
+from inspection.dynamics import free_flight_clearance
+from inspection.parameters import InspectionParameters
+from inspection.state import P, Q, V
+
+REWARDS = ("points", "delta_v", "torque", "orientation", "time", "success", "crash", "distance", "energy")
+
+
+def orientation(x: Tensor, c: InspectionParameters) -> Tensor:
+    """R_orient: Gaussian-like decay of the boresight's misalignment with the chief, (16, B) to (B,)."""
+    to_chief = rotate(conjugate(x[Q]), -unit(x[P]))
+    misalignment = (to_chief[0] - 1.0).abs()
+    reward = c.orientation_reward * (-misalignment / c.orientation_width).exp()
+    return torch.where(misalignment <= 1.0, reward, 0.0)
+
+
+def success(x: Tensor, succeeded: Tensor, c: InspectionParameters) -> Tensor:
+    """R_success: +1 if two days of free flight after the last inspection stay clear of the chief, else -1."""
+    reward = x.new_zeros(x.shape[1:])
+    if succeeded.any():
+        done = x[:, succeeded]
+        clearance = free_flight_clearance(done[P], done[V], c.free_flight_horizon, c.mean_motion)
+        safe = clearance >= c.collision_radius
+        reward[succeeded] = c.terminal_reward * torch.where(safe, 1.0, -1.0).to(x.dtype)
+    return reward
+
+
+def rewards(
+    x: Tensor,
+    new_score: Tensor,
+    delta_v: Tensor,
+    torque: Tensor,
+    time: Tensor,
+    ended: dict[str, Tensor],
+    c: InspectionParameters,
+) -> dict[str, Tensor]:
+    """Every term as (B,) for the state x (16, B) after the interaction.
+
+    Args:
+        new_score: weight inspected in this interaction.
+        delta_v: m/s spent by the applied control; torque: N m, |tau| summed over axes, mean over substeps.
+        time: s since the episode began.
+        ended: `terminal_conditions`.
+    """
+    failed = -c.terminal_reward
+    return {
+        "points": c.points_reward * new_score,
+        "delta_v": c.delta_v_reward * delta_v,
+        "torque": c.torque_reward * torque,
+        "orientation": orientation(x, c),
+        "time": torch.where(time <= c.time_reward_until, c.time_reward, 0.0).to(x.dtype),
+        "success": success(x, ended["success"], c),
+        "crash": failed * ended["crash"].to(x.dtype),
+        "distance": failed * ended["out_of_bounds"].to(x.dtype),
+        "energy": failed * ended["out_of_power"].to(x.dtype),
+    }

@@ -1,0 +1,1 @@
+"""Proximal policy optimisation over a leading seed axis: networks, advantage estimation and the learner."""

@@ -1,0 +1,40 @@
+"""Checkpoints: tensors and plain values only, written atomically."""
+
+import os
+from pathlib import Path
+from typing import Any
+
+import torch
+
+
+class CheckpointError(ValueError):
+    """The file is missing, damaged or not a checkpoint of this program."""
+
+
+def save(path: Path, content: dict[str, Any]) -> None:
+    """Writes beside `path`, flushes to disk and renames, so a kill at any moment leaves a whole file."""
+    temporary = path.with_suffix(path.suffix + ".tmp")
+    with open(temporary, "wb") as file:
+        torch.save(content, file)
+        file.flush()
+        os.fsync(file.fileno())
+    os.replace(temporary, path)
+
+
+def load(path: str | Path, keys: tuple[str, ...], device: str | torch.device = "cpu") -> dict[str, Any]:
+    """Reads a checkpoint with weights_only=True and checks that it holds `keys`.
+
+    Raises:
+        CheckpointError: with a one-line reason.
+    """
+    if not Path(path).is_file():
+        raise CheckpointError(f"{path}: no such checkpoint file")
+    try:
+        content = torch.load(path, map_location=device, weights_only=True)
+    except Exception as error:  # torch reports damage through many exception types
+        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+        raise CheckpointError(f"{path}: not a readable checkpoint ({reason[:120]})") from None
+    missing = [key for key in keys if not isinstance(content, dict) or key not in content]
+    if missing:
+        raise CheckpointError(f"{path}: not a checkpoint of this program: it lacks {', '.join(missing)}")
+    return content

@@ -1,0 +1,189 @@
+"""Proximal policy optimisation (Schulman et al. 2017) of S independent seeds as one tensor program."""
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from ppo.network import Policy, Value, log_std_bias
+
+TRAINED_ON = ("observation", "action", "log_prob", "advantage", "return_")
+
+
+class NonFiniteError(ArithmeticError):
+    """A loss, statistic or gradient became NaN or infinite; the message names it, its seed and minibatch."""
+
+
+@dataclass(frozen=True)
+class PPOParameters:
+    """Settings of the learner; raises ValueError, naming the setting, for values that make no sense."""
+
+    gamma: float = 0.997  # discount per step
+    gae_lambda: float = 0.97  # GAE's lambda: 0 trusts the value network, 1 the observed returns
+    epochs: int = 10  # passes over each batch
+    minibatch_size: int = 1024  # samples per seed; the largest allowed, see PPO.update
+    learning_rate: float = 5e-4  # Adam's step size at progress 0, annealed linearly to 0 at progress 1
+    clip: float = 0.2  # largest rewarded change of the probability ratio from 1
+    value_coefficient: float = 0.5  # weight of the mean squared value error in the loss
+    entropy_coefficient: float = 0.0  # weight of the entropy bonus, per nat
+    max_grad_norm: float = 0.5  # largest Euclidean gradient norm, per seed, policy and value together
+    initial_std: float = 0.5  # standard deviation of each control before training, in action units
+    log_std_bounds: tuple[float, float] = (-4.0, 0.0)  # range of the log standard deviation, in nats
+
+    def __post_init__(self) -> None:
+        allowed = {
+            "gamma": (0 < self.gamma <= 1, "in (0, 1]"),
+            "gae_lambda": (0 <= self.gae_lambda <= 1, "in [0, 1]"),
+            "epochs": (isinstance(self.epochs, int) and self.epochs >= 1, "an integer >= 1"),
+            "minibatch_size": (
+                isinstance(self.minibatch_size, int) and self.minibatch_size >= 2,
+                "an integer >= 2, since advantages are normalised within a minibatch",
+            ),
+            "learning_rate": (0 < self.learning_rate < math.inf, "a finite number > 0"),
+            "clip": (0 < self.clip < 1, "in (0, 1)"),
+            "value_coefficient": (0 <= self.value_coefficient < math.inf, "a finite number >= 0"),
+            "entropy_coefficient": (0 <= self.entropy_coefficient < math.inf, "a finite number >= 0"),
+            "max_grad_norm": (self.max_grad_norm > 0, "> 0 (infinity: no clipping)"),
+        }
+        for name, (fine, rule) in allowed.items():
+            if not fine:
+                raise ValueError(f"{name} is {getattr(self, name)}: it must be {rule}")
+        log_std_bias(self.initial_std, self.log_std_bounds)  # raises where the two do not fit together
+
+
+def explained_variance(value: Tensor, return_: Tensor) -> Tensor:
+    """Return 1 - Var[return - value] / Var[return], (S,) from (S, N); not finite where returns are equal."""
+    return 1.0 - (return_ - value).var(1) / return_.var(1)
+
+
+class PPO:
+    """Learner of S seeds: `policy`, `value` and `generators` (one per seed) must all have the same S.
+
+    generators[k] orders the minibatches of seed k. Raises ValueError if the numbers of seeds differ.
+    """
+
+    def __init__(
+        self, policy: Policy, value: Value, parameters: PPOParameters, generators: Sequence[torch.Generator]
+    ) -> None:
+        self.policy = policy
+        self.value = value
+        self.parameters = parameters
+        self.generators = generators
+        self._named = {f"policy.{name}": weight for name, weight in policy.named_parameters()}
+        self._named |= {f"value.{name}": weight for name, weight in value.named_parameters()}
+        for name, weight in self._named.items():
+            if len(weight) != len(generators):
+                raise ValueError(f"{name} holds {len(weight)} seeds, but {len(generators)} generators came")
+        self.optimiser = torch.optim.Adam(
+            self._named.values(), lr=parameters.learning_rate, eps=1e-5, fused=True
+        )
+
+    def update(self, batch: dict[str, Tensor], progress: float) -> dict[str, Tensor]:
+        """Train on one batch and return per-seed statistics (S,), averaged over the minibatches.
+
+        `batch` holds float32 tensors: observation (S, N, observation_size), action (S, N, A), and log_prob,
+        advantage, return_ and value (S, N), the latter four as of the collecting policy. `progress` in [0, 1]
+        is the share of training done. An epoch is ceil(N / minibatch_size) minibatches of equal size; the
+        remainder of that division, fewer samples than there are minibatches, sits that epoch out.
+
+        The statistics: policy_loss, value_loss (mean squared error), entropy (nats), approx_kl (nats),
+        clip_fraction, grad_norm (before clipping) and explained_variance (before the update).
+
+        Raises ValueError for a progress outside [0, 1], and NonFiniteError at the end of an update in which a
+        loss or gradient was not finite: the weights are then spoilt, and training must restart from a
+        checkpoint.
+        """
+        if not 0.0 <= progress <= 1.0:
+            raise ValueError(f"progress is {progress}: it must be in [0, 1]")
+        self.optimiser.param_groups[0]["lr"] = self.parameters.learning_rate * (1.0 - progress)
+        rows = {name: batch[name].flatten(0, 1) for name in TRAINED_ON}
+        history: list[Tensor] = []
+        for index in self._minibatches(batch["log_prob"].shape[1], batch["log_prob"].device):
+            loss, statistics = self._loss({name: tensor[index] for name, tensor in rows.items()})
+            self.optimiser.zero_grad()
+            # the sum over seeds leaves each seed the gradient it would have alone
+            loss.sum().backward()
+            statistics |= self._clip_gradients()
+            self.optimiser.step()
+            history.append(torch.stack(list(statistics.values())))
+        mean = _finite_mean(torch.stack(history), list(statistics))
+        reported = {name: tensor for name, tensor in mean.items() if name not in self._named}
+        return reported | {"explained_variance": explained_variance(batch["value"], batch["return_"])}
+
+    def state_dict(self) -> dict[str, Any]:
+        """Return all that training changes, except the generators; tensors are shared, as PyTorch's are."""
+        return {
+            "policy": self.policy.state_dict(),
+            "value": self.value.state_dict(),
+            "optimiser": self.optimiser.state_dict(),
+        }
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Restore what state_dict returned; training then continues bit for bit."""
+        self.policy.load_state_dict(state["policy"])
+        self.value.load_state_dict(state["value"])
+        self.optimiser.load_state_dict(state["optimiser"])
+
+    def _minibatches(self, samples: int, device: torch.device) -> Iterator[Tensor]:
+        """Yield for every minibatch of every epoch its rows (S, M) in a batch flattened to (S * N, ...)."""
+        count = math.ceil(samples / self.parameters.minibatch_size)
+        size = samples // count
+        for _ in range(self.parameters.epochs):
+            orders = [
+                torch.randperm(samples, generator=generator, device=generator.device) + seed * samples
+                for seed, generator in enumerate(self.generators)
+            ]
+            yield from torch.stack(orders).to(device)[:, : count * size].split(size, dim=1)
+
+    def _loss(self, batch: dict[str, Tensor]) -> tuple[Tensor, dict[str, Tensor]]:
+        """Return the loss (S,) of a minibatch and its statistics (S,), which carry no gradient."""
+        clip = self.parameters.clip
+        log_prob, entropy = self.policy.log_prob_and_entropy(batch["observation"], batch["action"])
+        log_ratio = log_prob - batch["log_prob"]
+        ratio = log_ratio.exp()
+        variance, mean = torch.var_mean(batch["advantage"], dim=1, correction=0, keepdim=True)
+        advantage = (batch["advantage"] - mean) / (variance.sqrt() + 1e-8)
+        # L_clip = -E[min(ratio A, clip(ratio, 1 - epsilon, 1 + epsilon) A)]   (2017, eq. 7)
+        surrogate = torch.minimum(ratio * advantage, ratio.clamp(1.0 - clip, 1.0 + clip) * advantage)
+        losses = {
+            "policy_loss": -surrogate.mean(1),
+            "value_loss": (self.value(batch["observation"]) - batch["return_"]).square().mean(1),
+            "entropy": entropy.mean(1),
+        }
+        # L = L_clip + c_v L_value - c_e H   (2017, eq. 9)
+        loss = (
+            losses["policy_loss"]
+            + self.parameters.value_coefficient * losses["value_loss"]
+            - self.parameters.entropy_coefficient * losses["entropy"]
+        )
+        with torch.no_grad():
+            statistics = {name: tensor.detach() for name, tensor in losses.items()}
+            # KL(old || new) = E[(ratio - 1) - log ratio], unbiased and never negative
+            statistics["approx_kl"] = (ratio - 1.0 - log_ratio).mean(1)
+            statistics["clip_fraction"] = ((ratio - 1.0).abs() > clip).float().mean(1)
+        return loss, statistics
+
+    def _clip_gradients(self) -> dict[str, Tensor]:
+        """Scale each seed's gradient to at most max_grad_norm; return the norms (S,) before scaling."""
+        norms = {
+            name: torch.linalg.vector_norm(weight.grad, dim=(1, 2)) for name, weight in self._named.items()
+        }
+        total = torch.linalg.vector_norm(torch.stack(list(norms.values())), dim=0)
+        scale = (self.parameters.max_grad_norm / (total + 1e-6)).clamp(max=1.0)
+        for weight in self._named.values():
+            weight.grad.mul_(scale[:, None, None])
+        return norms | {"grad_norm": total}
+
+
+def _finite_mean(history: Tensor, names: list[str]) -> dict[str, Tensor]:
+    """Average (minibatches, names, S) over the minibatches; raise NonFiniteError at the first bad number."""
+    bad = ~torch.isfinite(history)
+    if bad.any():  # the only point of an update where the host waits for the device
+        minibatch, name, seed = bad.nonzero()[0].tolist()
+        raise NonFiniteError(
+            f"{names[name]} is not finite (seed {seed}, minibatch {minibatch} of the update)"
+        )
+    return dict(zip(names, history.mean(0), strict=True))

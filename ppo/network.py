@@ -1,0 +1,159 @@
+"""Gaussian policy and value networks whose parameters carry a leading seed axis S.
+
+Seed k of a stacked network is exactly the network that seed k alone would have: every draw for seed k comes
+from generators[k], and no operation mixes seeds.
+"""
+
+import math
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor, nn
+
+HIDDEN_GAIN = math.sqrt(2.0)
+POLICY_GAIN = 0.01  # small, so that the first policy hardly depends on the observation
+VALUE_GAIN = 1.0
+
+
+class StackedLinear(nn.Module):
+    """S independent affine maps: weight (S, inputs, outputs), bias (S, 1, outputs).
+
+    The weight of seed k is orthogonal, scaled by `gain` and drawn from generators[k]; the bias is zero.
+    """
+
+    def __init__(self, inputs: int, outputs: int, generators: Sequence[torch.Generator], gain: float) -> None:
+        super().__init__()
+        weights = [torch.empty(inputs, outputs, device=generator.device) for generator in generators]
+        for weight, generator in zip(weights, generators, strict=True):
+            nn.init.orthogonal_(weight, gain, generator=generator)
+        self.weight = nn.Parameter(torch.stack(weights))
+        self.bias = nn.Parameter(torch.zeros_like(self.weight[:, :1]))
+
+    def forward(self, x: Tensor) -> Tensor:
+        """Map (S, B, inputs) to (S, B, outputs)."""
+        return torch.baddbmm(self.bias, x, self.weight)
+
+
+class StackedMLP(nn.Module):
+    """S independent perceptrons: tanh after every hidden layer, a linear last layer.
+
+    `sizes` lists the widths from input to output and `gains` the orthogonal gain of each layer, one fewer.
+    Parameters start on the generators' device.
+    """
+
+    def __init__(
+        self, sizes: Sequence[int], generators: Sequence[torch.Generator], gains: Sequence[float]
+    ) -> None:
+        super().__init__()
+        self.layers = nn.ModuleList(
+            StackedLinear(inputs, outputs, generators, gain)
+            for inputs, outputs, gain in zip(sizes[:-1], sizes[1:], gains, strict=True)
+        )
+
+    def forward(self, x: Tensor) -> Tensor:
+        """Map (S, B, sizes[0]) to (S, B, sizes[-1])."""
+        *hidden, last = self.layers
+        for layer in hidden:
+            x = torch.tanh(layer(x))
+        return last(x)
+
+
+def draw_noise(generators: Sequence[torch.Generator], shape: Sequence[int], device: torch.device) -> Tensor:
+    """Return standard normal noise (S, *shape) on `device`, slice k drawn from generators[k] only."""
+    draws = [torch.randn(shape, generator=generator, device=generator.device) for generator in generators]
+    return torch.stack(draws).to(device)
+
+
+def log_std_bias(std: float, log_std_bounds: Sequence[float]) -> float:
+    """Return the output bias b at which the bounded log-std equals log(std).
+
+    Raises ValueError unless the bounds are finite and exp(low) < std < exp(high).
+    """
+    low, high = log_std_bounds
+    if not -math.inf < low < high < math.inf:
+        raise ValueError(f"log_std_bounds is {(low, high)}: it must be two finite numbers, low < high")
+    if not math.exp(low) < std < math.exp(high):
+        raise ValueError(
+            f"initial_std is {std}: it must lie strictly between exp(log_std_bounds), "
+            f"here {math.exp(low):.4g} and {math.exp(high):.4g}"
+        )
+    # log std = low + (high - low) (1 + tanh b) / 2, solved for b
+    return math.atanh(2.0 * (math.log(std) - low) / (high - low) - 1.0)
+
+
+def gaussian_log_prob(action: Tensor, mean: Tensor, log_std: Tensor) -> Tensor:
+    """Return the log-density (S, B) of actions (S, B, A) under independent Gaussians, summed over A."""
+    z = (action - mean) * torch.exp(-log_std)
+    # log N(a; mu, sigma) = -z^2 / 2 - log sigma - log(2 pi) / 2
+    return (-0.5 * z.square() - log_std - 0.5 * math.log(2.0 * math.pi)).sum(-1)
+
+
+class Policy(nn.Module):
+    """Diagonal Gaussian policy with state-dependent mean in (-1, 1) and log-std within `log_std_bounds`.
+
+    Every layer, the last included, ends in a tanh. `initial_std` is the standard deviation that the untrained
+    policy gives a zero observation. Raises ValueError if `initial_std` is not inside the bounds.
+    """
+
+    def __init__(
+        self,
+        observation_size: int,
+        action_size: int,
+        generators: Sequence[torch.Generator],
+        hidden: Sequence[int] = (256, 256),
+        log_std_bounds: tuple[float, float] = (-4.0, 0.0),
+        initial_std: float = 0.5,
+    ) -> None:
+        super().__init__()
+        bias = log_std_bias(initial_std, log_std_bounds)
+        self.log_std_bounds = log_std_bounds
+        gains = [HIDDEN_GAIN] * len(hidden) + [POLICY_GAIN]
+        self.network = StackedMLP((observation_size, *hidden, 2 * action_size), generators, gains)
+        with torch.no_grad():
+            self.network.layers[-1].bias[..., action_size:] = bias
+
+    def forward(self, observation: Tensor) -> tuple[Tensor, Tensor]:
+        """Return mean and log-std, each (S, B, A), at observations (S, B, observation_size)."""
+        mean, level = torch.tanh(self.network(observation)).chunk(2, dim=-1)
+        low, high = self.log_std_bounds
+        # log std = low + (high - low) (1 + tanh) / 2: unlike a clamp, never without gradient
+        return mean, low + (high - low) * 0.5 * (1.0 + level)
+
+    @torch.no_grad()
+    def sample(self, observation: Tensor, generators: Sequence[torch.Generator]) -> tuple[Tensor, Tensor]:
+        """Draw actions (S, B, A), not clipped, with their log-probabilities (S, B); carries no gradient."""
+        mean, log_std = self(observation)
+        noise = draw_noise(generators, mean.shape[1:], mean.device)
+        action = mean + log_std.exp() * noise
+        # from the action, not the noise: the learner then recomputes the same number and starts at ratio one
+        return action, gaussian_log_prob(action, mean, log_std)
+
+    def log_prob_and_entropy(self, observation: Tensor, action: Tensor) -> tuple[Tensor, Tensor]:
+        """Return log-probability and differential entropy in nats, each (S, B), of actions (S, B, A)."""
+        mean, log_std = self(observation)
+        # H = sum over controls of log sigma + (1 + log(2 pi)) / 2
+        entropy = (log_std + 0.5 * (1.0 + math.log(2.0 * math.pi))).sum(-1)
+        return gaussian_log_prob(action, mean, log_std), entropy
+
+    @torch.no_grad()
+    def mean_action(self, observation: Tensor) -> Tensor:
+        """Return the deterministic action (S, B, A), the mean; carries no gradient."""
+        return self(observation)[0]
+
+
+class Value(nn.Module):
+    """State-value network; the value is in units of discounted reward."""
+
+    def __init__(
+        self,
+        observation_size: int,
+        generators: Sequence[torch.Generator],
+        hidden: Sequence[int] = (256, 256),
+    ) -> None:
+        super().__init__()
+        gains = [HIDDEN_GAIN] * len(hidden) + [VALUE_GAIN]
+        self.network = StackedMLP((observation_size, *hidden, 1), generators, gains)
+
+    def forward(self, observation: Tensor) -> Tensor:
+        """Return values (S, B) at observations (S, B, observation_size)."""
+        return self.network(observation).squeeze(-1)

@@ -1,0 +1,83 @@
+"""Collecting a batch of experience and turning it into what the learner trains on."""
+
+from collections.abc import Callable, Sequence
+from typing import Any, Protocol
+
+import torch
+from torch import Tensor
+
+from ppo.gae import generalized_advantage
+from ppo.learner import PPO
+
+
+class Transition(Protocol):
+    """One step of a batch of B = S * E episodes with autoreset; final_observation precedes the reset."""
+
+    observation: Tensor
+    final_observation: Tensor
+    reward: Tensor
+    terminated: Tensor
+    truncated: Tensor
+
+
+class Environment(Protocol):
+    """A vector environment whose columns k E to (k+1) E belong to seed k."""
+
+    def step(self, action: Tensor) -> Transition: ...
+    def observation(self) -> Tensor: ...
+    def state_dict(self) -> dict[str, Any]: ...
+    def load_state_dict(self, state: dict[str, Any]) -> None: ...
+
+
+@torch.no_grad()
+def collect(
+    env: Environment,
+    learner: PPO,
+    steps: int,
+    generators: Sequence[torch.Generator],
+    watch: Callable[[Any], None] = lambda transition: None,
+) -> dict[str, Tensor]:
+    """Acts for `steps` steps and returns the learner's batch, (S, N, ...) with N = steps * E.
+
+    The action kept is the one the agent desired, whatever a filter in the environment made of it.
+
+    Args:
+        watch: is shown every transition, for statistics.
+    """
+    seeds = len(generators)
+    kept: list[dict[str, Tensor]] = []
+    observation = env.observation().unflatten(0, (seeds, -1))
+    value = learner.value(observation)
+    for _ in range(steps):
+        action, log_prob = learner.policy.sample(observation, generators)
+        transition = env.step(action.flatten(0, 1))
+        following = transition.observation.unflatten(0, (seeds, -1))
+        following_value = learner.value(following)
+        done = transition.terminated | transition.truncated
+        next_value = following_value
+        if done.any():
+            final = transition.final_observation.unflatten(0, (seeds, -1))
+            next_value = torch.where(done.unflatten(0, (seeds, -1)), learner.value(final), following_value)
+        kept.append(
+            {
+                "observation": observation,
+                "action": action,
+                "log_prob": log_prob,
+                "value": value,
+                "next_value": next_value,
+                "reward": transition.reward.unflatten(0, (seeds, -1)).float(),
+                "terminated": transition.terminated.unflatten(0, (seeds, -1)),
+                "done": done.unflatten(0, (seeds, -1)),
+            }
+        )
+        watch(transition)
+        observation, value = following, following_value
+    rollout = {name: torch.stack([step[name] for step in kept]) for name in kept[0]}  # (T, S, E, ...)
+    advantage, return_ = generalized_advantage(
+        *(rollout[name] for name in ("reward", "value", "next_value", "terminated", "done")),
+        learner.parameters.gamma,
+        learner.parameters.gae_lambda,
+    )
+    batch = {name: rollout[name] for name in ("observation", "action", "log_prob", "value")}
+    batch |= {"advantage": advantage, "return_": return_}
+    return {name: tensor.transpose(0, 1).flatten(1, 2) for name, tensor in batch.items()}

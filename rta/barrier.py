@@ -1,0 +1,43 @@
+"""Lie derivatives and high-order barrier functions, as functions of functions (Sec. Run Time Assurance).
+
+A barrier is any function of states (16, ...) whose trailing axes are independent spacecraft. A directional
+derivative by forward mode is then the same for one spacecraft and for a batch.
+"""
+
+from collections.abc import Callable
+
+import torch
+from torch import Tensor
+
+Function = Callable[[Tensor], Tensor]
+
+
+def lie_derivative(h: Function, x: Tensor, direction: Tensor) -> tuple[Tensor, Tensor]:
+    """h(x) and its derivative along a direction (16, ...), by one forward-mode pass."""
+    return torch.func.jvp(h, (x,), (direction,))
+
+
+def lie_derivatives(h: Function, x: Tensor, f: Tensor, g: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """h, L_f h and L_g h.
+
+    Args:
+        h: barriers, states (16, ...) to (rows, ...).
+        x: states (16, B).
+        f, g: drift (16, B) and m control directions (16, m, B).
+
+    Returns:
+        h (rows, B), L_f h (rows, B), L_g h (rows, m, B).
+    """
+    directions = torch.cat((f[:, None], g), 1)
+    values, slopes = lie_derivative(h, x[:, None].repeat(1, directions.shape[1], 1), directions)
+    return values[:, 0], slopes[:, 0], slopes[:, 1:]
+
+
+def high_order(h: Function, alpha: Function, f: Function) -> Function:
+    """Psi_1(x) = L_f h(x) + alpha(h(x)), Eq. (HOCBF), itself a function that can be differentiated."""
+
+    def psi(x: Tensor) -> Tensor:
+        value, slope = lie_derivative(h, x, f(x))
+        return slope + alpha(value)
+
+    return psi

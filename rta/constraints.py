@@ -1,0 +1,171 @@
+"""The 13 safety constraints, each a short function h(x) >= 0 of one spacecraft (Sec. Safety Constraints).
+
+States have the component axis first; trailing axes are independent spacecraft. Where the paper transforms
+a constraint to lower its relative degree, the function is the transformed, final form.
+"""
+
+import math
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from inspection.attitude import dot, norm
+from inspection.dynamics import cosine_to, free_flight, sun_and_earth_in_body
+from inspection.parameters import InspectionParameters
+from inspection.state import OMEGA, E, P, T, V
+
+# In the order of the paper's Table 3: seven that only thrust can influence, six that only torque can.
+TRANSLATIONAL = (
+    "collision",
+    "dynamic_speed",
+    "keep_in_zone",
+    "passive_safety",
+    "velocity_x",
+    "velocity_y",
+    "velocity_z",
+)
+ATTITUDE = (
+    "attitude_exclusion",
+    "temperature",
+    "battery",
+    "angular_velocity_x",
+    "angular_velocity_y",
+    "angular_velocity_z",
+)
+CONSTRAINTS = TRANSLATIONAL + ATTITUDE
+PASSES = 13  # grid points per segment of the free flight: at most 12 s apart in the default segments
+
+
+@dataclass(frozen=True)
+class Smoothing:
+    """Where a slope would be infinite, it is continued as a constant; zero means exact.
+
+    Attributes:
+        distance: m; below it sqrt(2 a z) becomes its chord through 0.
+        angle: rad; nearer than this to 0 or pi, arccos becomes its tangent.
+    """
+
+    distance: float = 0.0
+    angle: float = 0.0
+
+
+EXACT = Smoothing()
+
+
+def arccos(cosine: Tensor, smoothing: Smoothing) -> Tensor:
+    """arccos, within `smoothing.angle` of its poles the tangent that starts there."""
+    edge = math.cos(smoothing.angle)
+    inside = cosine.clamp(-edge, edge)
+    if smoothing.angle == 0.0:
+        return inside.arccos()
+    return inside.arccos() - (cosine - inside) / math.sin(smoothing.angle)
+
+
+def signed_sqrt(z: Tensor, smoothing: Smoothing) -> Tensor:
+    """sign(z) sqrt(|z|), linear where |z| is below smoothing.distance (spec: also for negative distances)."""
+    floor = max(smoothing.distance, 1e-300)
+    return torch.where(z.abs() < floor, z / math.sqrt(floor), z.sign() * z.abs().clamp(min=floor).sqrt())
+
+
+def radial_speed(x: Tensor) -> Tensor:
+    """v_pr = <v, p> / |p| in m/s."""
+    return dot(x[V], x[P]) / norm(x[P])
+
+
+def collision(x: Tensor, c: InspectionParameters, smoothing: Smoothing = EXACT) -> Tensor:
+    """sqrt(2 a_max (|p| - r_d - r_c)) + v_pr, in m/s: the speed from which braking still suffices."""
+    distance = norm(x[P]) - c.collision_radius
+    return math.sqrt(2 * c.max_acceleration) * signed_sqrt(distance, smoothing) + radial_speed(x)
+
+
+def dynamic_speed(x: Tensor, c: InspectionParameters) -> Tensor:
+    """nu_0 + nu_1 |p| - |v|, in m/s."""
+    # The floor keeps the slope of |v| finite at rest, far below any speed that matters.
+    speed = (dot(x[V], x[V]) + 1e-24).sqrt()
+    return c.docking_speed + c.speed_slope * norm(x[P]) - speed
+
+
+def keep_in_zone(x: Tensor, c: InspectionParameters, smoothing: Smoothing = EXACT) -> Tensor:
+    """sqrt(2 a_max (r_max - |p|)) - v_pr, in m/s."""
+    distance = c.max_distance - norm(x[P])
+    return math.sqrt(2 * c.max_acceleration) * signed_sqrt(distance, smoothing) - radial_speed(x)
+
+
+def closest_times(x: Tensor, segments: tuple[float, ...], c: InspectionParameters) -> Tensor:
+    """When the free flight is nearest to the chief within each time segment: (16, ...) to (segments, ...) s.
+
+    The best of a grid, refined by the parabola of |p(t)|^2 through it and its neighbours (exact for a
+    straight path, which the path is over two grid steps to a few centimetres).
+    """
+    edges = x.new_tensor(segments)
+    start, spacing = edges[:-1], edges.diff() / (PASSES - 1)
+    shape = (-1, *(1,) * (x.dim() - 1))
+    grid = start[:, None] + spacing[:, None] * torch.arange(PASSES, dtype=x.dtype, device=x.device)
+    path = free_flight(x[P], x[V], grid.reshape(*grid.shape, *shape[1:]), c.mean_motion)
+    squared = dot(path, path)  # (segments, PASSES, ...)
+    best = squared.argmin(1, keepdim=True)
+    centre = best.clamp(1, PASSES - 2)
+    before, middle, after = (squared.gather(1, centre + i)[:, 0] for i in (-1, 0, 1))
+    bend = before - 2 * middle + after
+    offset = torch.where(bend > 0, 0.5 * (before - after) / bend, (best - centre)[:, 0].to(x.dtype))
+    return start.reshape(shape) + spacing.reshape(shape) * (centre[:, 0] + offset.clamp(-1.0, 1.0))
+
+
+def clearance_at(x: Tensor, times: Tensor, c: InspectionParameters) -> Tensor:
+    """|p(t)| - r_d - r_c in m after coasting for each of times (k, ...), (16, ...) to (k, ...).
+
+    With times = `closest_times` its gradient is that of the infimum (envelope theorem).
+    """
+    return norm(free_flight(x[P], x[V], times, c.mean_motion)) - c.collision_radius
+
+
+def velocity(x: Tensor, c: InspectionParameters) -> Tensor:
+    """v_max^2 - v_i^2 for the three Hill axes, (3, ...) in m^2/s^2."""
+    return c.max_speed**2 - x[V] ** 2
+
+
+def attitude_exclusion(x: Tensor, c: InspectionParameters, smoothing: Smoothing = EXACT) -> Tensor:
+    """theta_EZ - alpha_FOV / 2 - beta in rad: the angle of the boresight +n_x from the Sun."""
+    sun, _ = sun_and_earth_in_body(x)
+    angle = arccos(sun[0], smoothing)
+    return angle - c.field_of_view / 2 - c.exclusion_buffer
+
+
+def temperature(x: Tensor, c: InspectionParameters, smoothing: Smoothing = EXACT) -> Tensor:
+    """T_max - T - delta_0 (pi/2 - theta_SI)^+ - delta_1 (pi/2 - theta_EI)^+ in deg C.
+
+    Incidence angles are defined on [0, pi/2], hence the positive parts.
+    """
+    sun, earth = (
+        (math.pi / 2 - arccos(cosine_to(c.thermal_axis, direction), smoothing)).clamp(min=0.0)
+        for direction in sun_and_earth_in_body(x)
+    )
+    incidence = c.temperature_sun_slope * sun + c.temperature_earth_slope * earth
+    return c.max_temperature - x[T] - incidence
+
+
+def battery(x: Tensor, c: InspectionParameters, smoothing: Smoothing = EXACT) -> Tensor:
+    """E - E_min - delta_2 theta_SI in kJ, theta_SI from the solar panels' normal on [0, pi]."""
+    sun, _ = sun_and_earth_in_body(x)
+    angle = arccos(cosine_to(c.solar_panel_axis, sun), smoothing)
+    return x[E] - c.min_energy - c.energy_sun_slope * angle
+
+
+def angular_velocity(x: Tensor, c: InspectionParameters) -> Tensor:
+    """omega_max^2 - omega_i^2 for the three body axes, (3, ...) in rad^2/s^2."""
+    return c.max_rate**2 - x[OMEGA] ** 2
+
+
+def values(x: Tensor, c: InspectionParameters) -> Tensor:
+    """All 13 constraints exactly as in the paper, in the order of CONSTRAINTS: (16, ...) to (13, ...)."""
+    segments = tuple(c.passive_safety_horizon * i / 5 for i in range(6))
+    clearance = clearance_at(x, closest_times(x, segments, c), c).amin(0)
+    return torch.cat(
+        (
+            torch.stack((collision(x, c), dynamic_speed(x, c), keep_in_zone(x, c), clearance)),
+            velocity(x, c),
+            torch.stack((attitude_exclusion(x, c), temperature(x, c), battery(x, c))),
+            angular_velocity(x, c),
+        )
+    )

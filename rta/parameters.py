@@ -1,0 +1,72 @@
+"""Gains, margins and weights of the filter. The paper publishes none of them for 6-DoF; each has its reason here."""
+
+from dataclasses import dataclass
+
+PERIODS = (1.0, 5.0, 10.0)
+
+
+@dataclass(frozen=True)
+class RtaParameters:
+    """Class-kappa gains (alpha(h) = gain * h), margins subtracted from h, and the slack's weights.
+
+    A gain above 1 / period overshoots when its decay is sampled, so `gain` caps each at half of that.
+    """
+
+    # relative degree one, 1/s
+    collision_gain: float = 0.1
+    speed_gain: float = 0.2
+    keep_in_gain: float = 0.1
+    passive_safety_gain: float = 0.03  # the nearest pass is minutes away: a slow approach is enough
+    velocity_gain: float = 0.2
+    rate_gain: float = 0.5
+
+    # HOCBF, Psi_1 = dh/dt + k1 h and dPsi_1/dt + k2 Psi_1 >= 0, 1/s
+    exclusion_gains: tuple[float, float] = (0.05, 0.2)
+    temperature_gains: tuple[float, float] = (
+        0.0015,
+        0.2,
+    )  # k1: act while a 90 deg turn at 2 deg/s still helps
+    battery_gains: tuple[float, float] = (0.004, 0.1)  # 15 W of draw is balanced 3.75 kJ above the limit
+
+    # margins in the unit of each h
+    collision_margin: float = 0.02  # m/s
+    speed_margin: float = 0.02  # m/s
+    keep_in_margin: float = 0.02  # m/s
+    passive_safety_margin: float = 0.5  # m
+    velocity_margin: float = 0.05  # m^2/s^2
+    exclusion_margin: float = 0.005  # rad
+    temperature_margin: float = 0.02  # deg C
+    battery_margin: float = 0.005  # kJ
+    rate_margin: float = 0.0  # rad^2/s^2; the plant saturates at the limit itself
+
+    # The free flight's closest approach is enforced once per segment, so that a second close pass is
+    # held off while the first one is being corrected.
+    passive_safety_segments: tuple[float, ...] = (0.0, 60.0, 160.0, 300.0, 420.0, 500.0)  # s
+
+    # Bounded slopes of sqrt at 0 and arccos at +-1 in the filter's derivatives; reported values are exact.
+    distance_floor: float = 0.05  # m
+    pole_angle: float = 0.035  # rad, 2 deg
+
+    # Slack weights on rows of unit length, highest priority first. Safe separation has no slack at all.
+    # The paper's 1e12 is beyond what an interior-point solver resolves; of 255 infeasible programs recorded
+    # with random actions, PIQP solved 249 at 1e6 and all at 1e5.
+    slack_weight_critical: float = 1e5  # keep-in zone, passive safety, attitude exclusion
+    slack_weight_resource: float = 1e4  # temperature, battery
+    slack_weight_motion: float = 1e3  # dynamic speed, velocity and rate limits
+
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            if min(value if isinstance(value, tuple) else (value,)) < 0:
+                raise ValueError(f"{name} = {value!r}: must not be negative")
+        segments = self.passive_safety_segments
+        if (
+            len(segments) < 2
+            or segments[0] != 0
+            or any(a >= b for a, b in zip(segments, segments[1:], strict=False))
+        ):
+            raise ValueError(f"passive_safety_segments = {segments!r}: must rise from 0 s to the horizon")
+
+    @staticmethod
+    def gain(value: float, period: float) -> float:
+        """The gain in 1/s as used at a filter period in s."""
+        return min(value, 0.5 / period)

@@ -1,0 +1,85 @@
+"""The filter's programs solved one at a time by PIQP (Schwan et al. 2023), a proximal interior-point method."""
+
+import numpy as np
+import piqp
+
+from rta.qp import FEASIBLE, Problems, Status, least_violating, residual
+
+UNBOUNDED = 1e30  # PIQP's infinity
+
+
+class PiqpSolver:
+    """Hard with margins, hard without, with slack: each stage takes what the one before left infeasible.
+
+    PIQP keeps its workspace between calls of the same shape, so workspaces are cached.
+    """
+
+    def __init__(self) -> None:
+        self._workspaces: dict[tuple[int, int], piqp.DenseSolver] = {}
+
+    def solve(self, problems: Problems) -> tuple[np.ndarray, np.ndarray]:
+        """See `Solver`."""
+        desired, a, weight = problems.desired, problems.a, problems.weight
+        must = np.isinf(weight)
+        nothing = np.full_like(weight, np.inf)  # no row has slack
+        candidates = [desired.copy()]
+        control, status = desired.copy(), np.full(len(desired), Status.UNSOLVED)
+
+        stages = (
+            (problems.b, nothing, np.ones_like(must), Status.HARD),
+            (problems.b_bare, nothing, np.ones_like(must), Status.HARD),
+            (problems.b_bare, weight, must, Status.SLACK),
+        )
+        for b, slack_weight, held, outcome in stages:
+            reachable = (np.abs(a).sum(2) + b >= 0.0)[:, held].all(1)  # by some control inside the box
+            left = np.flatnonzero((status == Status.UNSOLVED) & reachable)
+            u = np.clip(self._solve_all(desired[left], a[left], b[left], slack_weight), -1.0, 1.0)
+            feasible = (residual(u, a[left], b[left])[:, held] >= -FEASIBLE).all(1)
+            kept = feasible & np.isfinite(u).all(1)
+            control[left[kept]] = u[kept]
+            status[left[kept]] = outcome
+            answers = desired.copy()
+            answers[left] = np.where(np.isfinite(u), u, desired[left])
+            candidates.append(answers)
+
+        for i in np.flatnonzero(status == Status.UNSOLVED):
+            control[i] = least_violating([u[i] for u in candidates], a[i], problems.b_bare[i], weight)
+        return control, status
+
+    def _solve_all(self, desired: np.ndarray, a: np.ndarray, b: np.ndarray, weight: np.ndarray) -> np.ndarray:
+        """Controls (N, 3); NaN where PIQP does not call the program solved."""
+        soft = np.isfinite(weight)
+        count, rows, slacks = len(desired), len(weight), int(soft.sum())
+        c = np.hstack((-desired, np.zeros((count, slacks))))
+        # slack in units of 1 / sqrt(weight) makes the cost the identity
+        relief = np.eye(rows)[:, soft] / np.sqrt(weight[soft])
+        g = np.concatenate((a, np.broadcast_to(relief, (count, rows, slacks))), 2)
+        lower = -b
+        u = np.full((count, 3), np.nan)
+        solver = self._workspace(rows, slacks)
+        # PIQP has no batch call: this loop is the filter's largest cost, so it holds nothing but the solver.
+        for i in range(count):
+            solver.update(c=c[i], G=g[i], h_l=lower[i])
+            if solver.solve() == piqp.PIQP_SOLVED:
+                u[i] = solver.result.x[:3]
+        return u
+
+    def _workspace(self, rows: int, slacks: int) -> piqp.DenseSolver:
+        """PIQP for min |x|^2 / 2 + c' x subject to g x >= lower, the first three x in [-1, 1]."""
+        if (rows, slacks) not in self._workspaces:
+            solver = piqp.DenseSolver()
+            solver.settings.eps_abs = 1e-9
+            solver.settings.eps_rel = 1e-9
+            solver.settings.max_iter = 60
+            # Without slack a program is often infeasible and should be given up early; with it, hardly ever.
+            solver.settings.infeasibility_threshold = 0.9 if slacks else 1e-3
+            variables = 3 + slacks
+            bound = np.full(variables, UNBOUNDED)
+            bound[:3] = 1.0
+            g, lower = np.ones((rows, variables)), np.zeros(rows)  # shapes only; data comes with update
+            infinite = np.full(rows, UNBOUNDED)
+            solver.setup(
+                np.eye(variables), np.zeros(variables), None, None, g, lower, infinite, -bound, bound
+            )
+            self._workspaces[rows, slacks] = solver
+        return self._workspaces[rows, slacks]

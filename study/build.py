@@ -1,0 +1,71 @@
+"""From a configuration to the objects of an experiment."""
+
+import dataclasses
+import shutil
+import sys
+
+import torch
+
+from inspection.environment import InspectionEnv, Safety
+from inspection.observation import SIZE as OBSERVATION_SIZE
+from inspection.state import CONTROL_SIZE
+from ppo.network import Policy
+from rta.filter import SafetyFilter
+from study.config import Config
+from study.errors import InputError
+
+# Compiling the barrier rows takes about a minute; it repays itself after about this many filter calls.
+WORTH_COMPILING = 1000
+
+
+def resolve_device(name: str) -> torch.device:
+    """The device for auto, cpu or cuda."""
+    if name == "cuda" and not torch.cuda.is_available():
+        raise InputError("--device cuda: no CUDA device is available here; allowed are auto and cpu")
+    return torch.device(
+        "cuda" if name == "auto" and torch.cuda.is_available() else name.replace("auto", "cpu")
+    )
+
+
+def wants_compile(choice: str, filter_calls: int) -> bool:
+    """Whether to compile for a run of about so many filter calls (of a batch each)."""
+    if choice == "off" or (choice == "auto" and filter_calls < WORTH_COMPILING):
+        return False
+    if shutil.which("g++") or shutil.which("clang++") or torch.cuda.is_available():
+        return True
+    print("no C++ compiler found: the filter runs uncompiled, which is slower", file=sys.stderr)
+    return False
+
+
+def make_safety(config: Config, enabled: bool, period: float, compiled: bool = False) -> Safety:
+    """Constraints, admissible starts and, if enabled, the filter."""
+    try:
+        safety_filter = SafetyFilter(config.inspection, config.rta, period)
+    except ValueError as error:
+        raise InputError(f"[rta] {error}") from None
+    if compiled and enabled:
+        safety_filter.compile()
+    return safety_filter.safety(enabled)
+
+
+def make_env(
+    config: Config, num_envs: int, generators: list[torch.Generator], safety: Safety
+) -> InspectionEnv:
+    """A batch of num_envs episodes per generator."""
+    return InspectionEnv(num_envs, config.inspection, generators, safety)
+
+
+def make_policy(config: Config, generators: list[torch.Generator]) -> Policy:
+    """A freshly initialised policy, one seed per generator."""
+    return Policy(
+        OBSERVATION_SIZE,
+        CONTROL_SIZE,
+        generators,
+        log_std_bounds=config.ppo.log_std_bounds,
+        initial_std=config.ppo.initial_std,
+    )
+
+
+def with_train(config: Config, **changes: object) -> Config:
+    """The configuration with settings of its [train] table replaced."""
+    return dataclasses.replace(config, train=dataclasses.replace(config.train, **changes))

@@ -1,0 +1,141 @@
+"""The configuration of an experiment: four frozen dataclasses, one TOML table each."""
+
+import dataclasses
+import tomllib
+import typing
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import tomli_w
+
+from inspection.parameters import InspectionParameters
+from ppo.learner import PPOParameters
+from rta.parameters import PERIODS, RtaParameters
+from study.errors import InputError
+
+
+@dataclass(frozen=True)
+class TrainParameters:
+    """Settings of a training run."""
+
+    rta: bool = True  # filter the agent's actions
+    rta_period: float = 1.0  # s between two calls of the filter
+    seed: int = 0
+    interactions: int = 5_000_000  # agent steps in all; rounded up to whole updates
+    num_envs: int = 256  # episodes simulated at once
+    rollout_steps: int = 64  # interactions of each episode between two updates
+    device: str = "auto"  # auto, cpu or cuda
+    compile: str = "auto"  # torch.compile the filter and the dynamics: auto, on or off
+    evaluation_interval: int = 500_000  # interactions between two evaluations
+    evaluation_episodes: int = 20
+    checkpoint_interval: int = 160_000  # interactions between two checkpoints
+
+    def __post_init__(self) -> None:
+        if self.rta_period not in PERIODS:
+            raise ValueError(f"rta_period = {self.rta_period:g}: must be 1, 5 or 10 s")
+        for name in ["interactions", "num_envs", "rollout_steps", "evaluation_interval", "evaluation_episodes", "checkpoint_interval"]:
+            if getattr(self, name) <= 0:
+                raise ValueError(f"{name} = {getattr(self, name)}: must be a positive integer")
+        if self.seed < 0:
+            raise ValueError(f"seed = {self.seed}: must be 0 or a positive integer")
+        for name, allowed in (("device", ("auto", "cpu", "cuda")), ("compile", ("auto", "on", "off"))):
+            if getattr(self, name) not in allowed:
+                raise ValueError(f"{name} = {getattr(self, name)!r}: must be one of {', '.join(allowed)}")
+
+    @property
+    def updates(self) -> int:
+        """Number of PPO updates."""
+        return -(-self.interactions // self.batch)
+
+    @property
+    def batch(self) -> int:
+        """Interactions per update."""
+        return self.num_envs * self.rollout_steps
+
+
+@dataclass(frozen=True)
+class Config:
+    """Everything that determines a run; each field is a TOML table."""
+
+    train: TrainParameters = field(default_factory=TrainParameters)
+    inspection: InspectionParameters = field(default_factory=InspectionParameters)
+    rta: RtaParameters = field(default_factory=RtaParameters)
+    ppo: PPOParameters = field(default_factory=PPOParameters)
+
+    def to_toml(self) -> str:
+        """The complete configuration as TOML text that `from_toml` reads back."""
+        return tomli_w.dumps(dataclasses.asdict(self))
+
+
+def from_toml(text: str, source: str) -> Config:
+    """Parses and checks TOML text.
+
+    Args:
+        source: what to call the text in an error, usually the file's path.
+
+    Raises:
+        InputError: not TOML, or an unknown table or key, a wrong type or an impossible value.
+    """
+    try:
+        tables = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(f"{source}: not valid TOML: {error}") from None
+    return override(Config(), tables, source)
+
+
+def load(path: str | Path) -> Config:
+    """Reads a TOML file over the defaults."""
+    try:
+        text = Path(path).read_text(encoding="utf-8")
+    except OSError as error:
+        raise InputError(f"{path}: cannot read the configuration: {error.strerror}") from None
+    except UnicodeDecodeError:
+        raise InputError(f"{path}: cannot read the configuration: not UTF-8 text") from None
+    return from_toml(text, str(path))
+
+
+def override(config: Config, tables: dict[str, Any], source: str) -> Config:
+    """A configuration with the given tables' keys replaced, every one checked."""
+    known = {f.name: f for f in dataclasses.fields(Config)}
+    parts = {}
+    for table, entries in tables.items():
+        if table not in known:
+            raise InputError(f"{source}: unknown table [{table}]; allowed are {', '.join(known)}")
+        if not isinstance(entries, dict):
+            raise InputError(f"{source}: {table} = {entries!r}: must be a table, [{table}]")
+        parts[table] = override_table(getattr(config, table), entries, f"{source}: [{table}]")
+    return dataclasses.replace(config, **parts)
+
+
+def override_table(part: Any, entries: dict[str, Any], where: str) -> Any:
+    """One of the four dataclasses with entries replaced."""
+    types = typing.get_type_hints(type(part))
+    values = {}
+    for key, value in entries.items():
+        if key not in types:
+            raise InputError(f"{where} unknown key {key!r}; allowed are {', '.join(sorted(types))}")
+        values[key] = convert(value, types[key], f"{where} {key}")
+    try:
+        return dataclasses.replace(part, **values)
+    except ValueError as error:
+        raise InputError(f"{where} {error}") from None
+
+
+def convert(value: Any, wanted: Any, where: str) -> Any:
+    """A TOML value as the annotated type, or an InputError naming what is allowed."""
+    if typing.get_origin(wanted) is tuple:
+        element, *rest = typing.get_args(wanted)
+        length = None if rest == [...] else 1 + len(rest)
+        if not isinstance(value, list) or (length is not None and len(value) != length):
+            raise InputError(
+                f"{where} = {value!r}: must be a list of {length or 'several'} {element.__name__}s"
+            )
+        return tuple(convert(item, element, where) for item in value)
+    is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
+    if wanted is float and is_number:
+        return float(value)
+    if type(value) is wanted:
+        return value
+    names = {bool: "true or false", int: "an integer", float: "a number", str: "a string"}
+    raise InputError(f"{where} = {value!r}: must be {names[wanted]}")

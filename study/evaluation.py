@@ -1,0 +1,168 @@
+"""Deterministic evaluation over common test cases, in the paper's metrics (Sec. Final Model Performance)."""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from inspection.attitude import norm
+from inspection.dynamics import sun_and_earth_in_body
+from inspection.environment import METRICS, OUTCOMES, InspectionEnv, Safety, Transition
+from inspection.initial_state import sample_initial_state
+from inspection.state import OMEGA, E, P, T, V
+from ppo.network import Policy
+from rta.constraints import CONSTRAINTS
+from rta.qp import Status
+from study import build
+from study.config import Config
+from study.statistics import summary
+
+Actor = Callable[[Tensor], Tensor]  # observations (B, 26) to actions (B, 6)
+
+
+def policy_actor(policy: Policy) -> Actor:
+    """Deterministic actions of a single-seed policy."""
+    return lambda observation: policy.mean_action(observation[None])[0]
+
+
+def test_cases(config: Config, episodes: int, seed: int, safety: Safety) -> tuple[Tensor, Tensor]:
+    """Initial states (16, episodes) and priority vectors (3, episodes), the same for every agent and device."""
+    generator = torch.Generator().manual_seed(seed)
+    return sample_initial_state(episodes, generator, config.inspection, safety.is_safe)
+
+
+@dataclass
+class Episodes:
+    """Each episode's record; first axes as named, last axis the episodes.
+
+    Attributes:
+        metrics: (6, episodes) in the order of METRICS.
+        violations: (13 + 1, episodes) percent of its steps, "any" last.
+        outcome: (episodes,) index into OUTCOMES.
+        filter_calls, interventions, failures: (episodes,) counts.
+        filter_violations: (13, episodes) filter calls at which the constraint was violated.
+        worst: (13, episodes) smallest constraint value at the end of a step.
+        extremes: name to (episodes,), raw quantities at the end of a step.
+    """
+
+    metrics: Tensor
+    violations: Tensor
+    outcome: Tensor
+    filter_calls: Tensor
+    interventions: Tensor
+    failures: Tensor
+    filter_violations: Tensor
+    worst: Tensor
+    extremes: dict[str, Tensor]
+
+
+def raw_quantities(x: Tensor) -> dict[str, Tensor]:
+    """What a person would check on states (16, B): each (B,), signed so that the smallest is the worst."""
+    sun, _ = sun_and_earth_in_body(x)
+    return {
+        "min_distance_m": norm(x[P]),
+        "max_distance_m": -norm(x[P]),
+        "max_speed_m_s": -norm(x[V]),
+        "max_axis_speed_m_s": -x[V].abs().amax(0),
+        "min_sun_angle_deg": sun[0].clamp(-1.0, 1.0).arccos().rad2deg(),
+        "max_temperature_deg_c": -x[T],
+        "min_energy_kj": x[E],
+        "max_rate_deg_s": -x[OMEGA].abs().amax(0).rad2deg(),
+    }
+
+
+@torch.no_grad()
+def run_episodes(env: InspectionEnv, actor: Actor, x: Tensor, priority: Tensor) -> Episodes:
+    """Plays one episode per column of the environment from the given states."""
+    device = env.x.device
+    observation = env.start(x.to(device), priority.to(device))
+    running = torch.ones_like(env.time, dtype=torch.bool)
+    zeros = torch.zeros_like(env.time)
+    constraints = len(env.safety.names)
+    record = Episodes(
+        metrics=torch.full((len(METRICS), running.numel()), math.nan, dtype=zeros.dtype, device=device),
+        violations=zeros.repeat(constraints + 1, 1),
+        outcome=torch.full_like(env.steps, -1),
+        filter_calls=zeros.clone(),
+        interventions=zeros.clone(),
+        failures=zeros.clone(),
+        filter_violations=zeros.repeat(constraints, 1),
+        worst=torch.full((constraints, running.numel()), math.inf, dtype=zeros.dtype, device=device),
+        extremes={name: torch.full_like(zeros, math.inf) for name in raw_quantities(env.x)},
+    )
+    while running.any():
+        transition = env.step(actor(observation))
+        note(record, transition, running, env.safety)
+        running = running & ~transition.done
+        observation = transition.observation
+    record.extremes = {n: -v if n.startswith("max") else v for n, v in record.extremes.items()}
+    return record
+
+
+def note(record: Episodes, transition: Transition, running: Tensor, safety: Safety) -> None:
+    """Adds one step of the episodes still running, in place."""
+    for correction in transition.corrections:
+        record.filter_calls += running
+        record.interventions += running & correction.intervened
+        record.failures += running & (correction.status == Status.UNSOLVED)
+        record.filter_violations += running & (correction.h < 0.0)
+    h = torch.where(running, safety.values(transition.state), math.inf)
+    record.worst = torch.minimum(record.worst, h)
+    for name, value in raw_quantities(transition.state).items():
+        record.extremes[name] = torch.minimum(record.extremes[name], torch.where(running, value, math.inf))
+    ending = running & transition.done
+    any_steps = transition.metrics[METRICS.index("violation_percent")]
+    percent = torch.cat((100.0 * transition.violation_steps / transition.steps, any_steps[None]))
+    record.metrics = torch.where(ending, transition.metrics, record.metrics)
+    record.violations = torch.where(ending, percent, record.violations)
+    record.outcome = torch.where(ending, transition.outcome, record.outcome)
+
+
+def report(record: Episodes, config: Config, rta: bool, period: float, seed: int) -> dict[str, Any]:
+    """The content of `evaluate --json`."""
+    percent = dict(zip((*CONSTRAINTS, "any"), record.violations.mean(1).tolist(), strict=True))
+    calls = record.filter_calls.sum().item()
+    results = {
+        "metrics": {
+            name: summary(values.cpu().numpy()) for name, values in zip(METRICS, record.metrics, strict=True)
+        },
+        "violations_percent": {"any": percent.pop("any")} | percent,
+        "outcomes": {
+            name: (record.outcome == OUTCOMES.index(name)).double().mean().item()
+            for name in ("success", "crash", "out_of_bounds", "out_of_power", "timeout")
+        },
+        "rta": {
+            "period_s": period if rta else None,
+            "intervention_percent": 100.0 * record.interventions.sum().item() / calls if calls else 0.0,
+            "qp_failures": int(record.failures.sum().item()),
+        },
+        "worst_constraint_value": dict(zip(CONSTRAINTS, record.worst.amin(1).tolist(), strict=True)),
+        "extremes": {
+            name: (values.amax() if name.startswith("max") else values.amin()).item()
+            for name, values in record.extremes.items()
+        },
+        "episodes": record.outcome.numel(),
+        "seed": seed,
+    }
+    if calls:
+        filter_steps = (100.0 * record.filter_violations.sum(1) / calls).tolist()
+        results["rta"]["filter_step_violations_percent"] = dict(zip(CONSTRAINTS, filter_steps, strict=True))
+    return results
+
+
+def evaluate(
+    policy: Policy,
+    config: Config,
+    episodes: int,
+    seed: int,
+    device: torch.device,
+    safety: Safety,
+) -> dict[str, Any]:
+    """Plays the common test cases with deterministic actions and reports them."""
+    generator = torch.Generator(device).manual_seed(seed + 1)  # restarts of ended columns, which nobody sees
+    env = build.make_env(config, episodes, [generator], safety)
+    record = run_episodes(env, policy_actor(policy), *test_cases(config, episodes, seed, safety))
+    return report(record, config, safety.correct is not None, safety.period, seed)

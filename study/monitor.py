@@ -1,0 +1,65 @@
+"""What a training run reports of its environment: one set of scalars per update."""
+
+from collections import defaultdict
+
+import torch
+from torch import Tensor
+
+from inspection.environment import METRICS, OUTCOMES, Transition
+from rta.qp import Status
+
+
+class Monitor:
+    """Accumulates transitions; `scalars` empties it. Tags are TensorBoard's."""
+
+    def __init__(self, constraints: tuple[str, ...]) -> None:
+        self.constraints = constraints
+        self._clear()
+
+    def _clear(self) -> None:
+        self.steps = 0
+        self.filter_calls = 0
+        self.sums: dict[str, Tensor] = defaultdict(lambda: torch.zeros(()))
+        self.episodes: list[Tensor] = []
+
+    def __call__(self, transition: Transition) -> None:
+        """Takes in one interaction of the batch."""
+        self.steps += transition.reward.numel()
+        for name, term in transition.reward_terms.items():
+            self.sums[f"reward/{name}"] = self.sums[f"reward/{name}"] + term.sum()
+        self.sums["violated"] = self.sums["violated"] + transition.violated.sum(1)
+        for correction in transition.corrections:
+            self.filter_calls += correction.status.numel()
+            for name, value in (
+                ("intervention", correction.intervened.sum()),
+                ("slack", (correction.slack.amax(0) > 0.0).sum()),
+                ("failures", (correction.status == Status.UNSOLVED).sum()),
+                ("rta_violated", (correction.h < 0.0).sum(1)),
+            ):
+                self.sums[name] = self.sums[name] + value
+        done = transition.done
+        if done.any():
+            success = (transition.outcome == OUTCOMES.index("success")).to(transition.metrics.dtype)
+            self.episodes.append(torch.cat((transition.metrics, success[None]))[:, done])
+
+    def scalars(self) -> dict[str, float]:
+        """Means since the last call: per episode ended, per interaction and per filter call."""
+        out = {}
+        if self.episodes:
+            means = torch.cat(self.episodes, 1).mean(1).tolist()
+            out |= {f"charts/{name}": mean for name, mean in zip((*METRICS, "success"), means, strict=True)}
+        for name, total in self.sums.items():
+            if name.startswith("reward/"):
+                out[name] = total.item() / self.steps
+        violated = (100.0 * self.sums["violated"] / self.steps).tolist()
+        out |= {f"rta/violation_percent_{n}": v for n, v in zip(self.constraints, violated, strict=True)}
+        if self.filter_calls:
+            percent = 100.0 / self.filter_calls
+            out["rta/intervention_percent"] = self.sums["intervention"].item() * percent
+            out["rta/slack_percent"] = self.sums["slack"].item() * percent
+            out["rta/failures"] = self.sums["failures"].item()
+            every_call = (self.sums["rta_violated"] * percent).tolist()
+            for name, value in zip(self.constraints, every_call, strict=True):
+                out[f"rta/filter_step_violation_percent_{name}"] = value
+        self._clear()
+        return out

@@ -1,0 +1,264 @@
+"""A training run on disk: configuration, checkpoints, TensorBoard, periodic evaluation, clean interruption."""
+
+import importlib.metadata
+import json
+import platform
+import signal
+import subprocess
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor
+from torch.utils.tensorboard import SummaryWriter
+from tqdm import tqdm
+
+from inspection.environment import Correction
+from inspection.observation import SIZE as OBSERVATION_SIZE
+from ppo import checkpoint
+from ppo.learner import PPO, NonFiniteError
+from ppo.network import Policy, Value
+from ppo.trainer import Trainer
+from rta.constraints import CONSTRAINTS
+from study import build
+from study import config as configuration
+from study.config import Config
+from study.errors import InputError
+from study.evaluation import evaluate
+from study.monitor import Monitor
+
+PACKAGES = ("torch", "numpy", "piqp", "scipy", "tensorboard")
+EVALUATION_SEED = 1_000_000  # periodic test cases, apart from those of the final evaluation
+
+
+class Stopped(Exception):
+    """Training ended early on a signal; the run directory holds what --resume needs."""
+
+
+class Timed:
+    """A filter that adds up the seconds spent in it."""
+
+    def __init__(self, correct: Any) -> None:
+        self.correct = correct
+        self.seconds = 0.0
+
+    def __call__(self, x: Tensor, desired: Tensor) -> Correction:
+        started = time.perf_counter()
+        result = self.correct(x, desired)
+        self.seconds += time.perf_counter() - started
+        return result
+
+
+@contextmanager
+def stop_requested() -> Iterator[list[int]]:
+    """Yields a list that SIGINT and SIGTERM fill, so that the update under way can end first."""
+    received: list[int] = []
+    previous = {
+        number: signal.signal(number, lambda n, _: received.append(n))
+        for number in (signal.SIGINT, signal.SIGTERM)
+    }
+    try:
+        yield received
+    finally:
+        for number, handler in previous.items():
+            signal.signal(number, handler)
+
+
+def git_revision() -> str:
+    """The commit of the source tree, marked if modified; "unknown" outside a repository."""
+    try:
+        described = subprocess.run(
+            ["git", "describe", "--always", "--dirty", "--abbrev=40"],
+            cwd=Path(__file__).parent,
+            capture_output=True,
+            text=True,
+            check=True,
+        )
+        return described.stdout.strip()
+    except (OSError, subprocess.CalledProcessError):
+        return "unknown"
+
+
+def provenance(config: Config, device: torch.device) -> dict[str, Any]:
+    """What else determines a run's numbers, beside its configuration."""
+    return {
+        "git_revision": git_revision(),
+        "python": platform.python_version(),
+        "packages": {name: importlib.metadata.version(name) for name in PACKAGES},
+        "device": torch.cuda.get_device_name(device)
+        if device.type == "cuda"
+        else platform.processor() or "cpu",
+        "threads": torch.get_num_threads(),
+    }
+
+
+class Run:
+    """One training run and its directory.
+
+    Args:
+        config: resolved configuration; directory: where everything is written.
+    """
+
+    def __init__(self, config: Config, directory: Path) -> None:
+        train = config.train
+        self.config, self.directory = config, directory
+        self.device = build.resolve_device(train.device)
+        generators = [torch.Generator(self.device).manual_seed(train.seed)]
+        self.compiled = train.rta and build.wants_compile(
+            train.compile, train.updates * train.rollout_steps * round(10.0 / train.rta_period)
+        )
+        self.safety = build.make_safety(config, train.rta, train.rta_period, self.compiled)
+        self.timer = Timed(self.safety.correct)
+        timed = replace(self.safety, correct=self.timer) if train.rta else self.safety
+        env = build.make_env(config, train.num_envs, generators, timed)
+        policy = build.make_policy(config, generators)
+        value = Value(OBSERVATION_SIZE, generators)
+        learner = PPO(policy, value, config.ppo, generators)
+        self.policy: Policy = policy
+        self.trainer = Trainer(env, learner, train.rollout_steps, train.updates, generators)
+        self.monitor = Monitor(CONSTRAINTS)
+        self.env = env
+
+    @property
+    def checkpoint_path(self) -> Path:
+        return self.directory / "checkpoint.pt"
+
+    @property
+    def interactions(self) -> int:
+        """Interactions so far."""
+        return self.trainer.update * self.config.train.batch
+
+    def create(self) -> None:
+        """Starts a fresh run in an empty directory."""
+        if self.checkpoint_path.exists():
+            raise InputError(f"--run-dir {self.directory}: holds a run already; continue it with --resume")
+        try:
+            self.directory.mkdir(parents=True, exist_ok=True)
+            (self.directory / "config.toml").write_text(self.config.to_toml(), encoding="utf-8")
+            about = json.dumps(provenance(self.config, self.device), indent=2)
+            (self.directory / "provenance.json").write_text(about + "\n", encoding="utf-8")
+        except OSError as error:
+            raise InputError(f"--run-dir {self.directory}: cannot write there: {error.strerror}") from None
+        self.env.reset()
+        self.save()
+
+    def resume(self) -> None:
+        """Continues from the directory's checkpoint."""
+        saved = checkpoint.load(
+            self.checkpoint_path, ("env", "generators", "update", "optimiser"), self.device
+        )
+        self.trainer.load_state_dict(saved)
+
+    def save(self) -> None:
+        """Writes the checkpoint and, beside it, the policy alone."""
+        config = self.config.to_toml()
+        checkpoint.save(self.checkpoint_path, self.trainer.state_dict() | {"config": config})
+        checkpoint.save(self.directory / "policy.pt", {"policy": self.policy.state_dict(), "config": config})
+
+    def train(self) -> None:
+        """Trains to the end; raises Stopped where a signal came first, NonFiniteError where numbers went bad."""
+        train = self.config.train
+        self.writer = SummaryWriter(str(self.directory), purge_step=self.interactions or None)
+        total = train.updates * train.batch
+        columns = (
+            "{desc}{percentage:3.0f}%|{bar}| {n:,}/{total:,} [{elapsed}<{remaining}, {rate_fmt}{postfix}]"
+        )
+        with (
+            stop_requested() as stop,
+            tqdm(
+                total=total,
+                initial=self.interactions,
+                unit=" interactions",
+                bar_format=columns,
+                dynamic_ncols=True,
+                mininterval=1.0,
+            ) as self.bar,
+        ):
+            try:
+                self.trainer.run(self.monitor, self.after_update, lambda: bool(stop))
+            except NonFiniteError as error:
+                raise NonFiniteError(
+                    f"update {self.trainer.update + 1}: {error}; last good checkpoint: {self.checkpoint_path}"
+                ) from None
+            finally:
+                self.writer.close()
+        self.save()
+        if self.trainer.update < train.updates:
+            raise Stopped(
+                f"stopped after {self.interactions:,} interactions; continue with --resume {self.directory}"
+            )
+
+    def after_update(self, statistics: dict[str, float]) -> None:
+        """Logs the update; checkpoints and evaluates when due."""
+        train = self.config.train
+        seconds = statistics["time/rollout_s"] + statistics["time/learning_s"]
+        statistics |= self.monitor.scalars()
+        statistics["charts/SPS"] = train.batch / seconds
+        statistics["time/filter_s"] = self.timer.seconds
+        statistics["time/simulation_s"] = statistics["time/rollout_s"] - self.timer.seconds
+        self.timer.seconds = 0.0
+        for name, interval, action in (
+            ("time/evaluation_s", train.evaluation_interval, self.evaluate),
+            ("time/checkpoint_s", train.checkpoint_interval, self.save),
+        ):
+            if self.interactions // interval > (self.interactions - train.batch) // interval:
+                started = time.perf_counter()
+                action()
+                statistics[name] = time.perf_counter() - started
+        for tag, value in statistics.items():
+            self.writer.add_scalar(tag, value, self.interactions)
+        shown = {
+            label: f"{statistics[tag]:.{digits}f}"
+            for label, tag, digits in (
+                ("success", "charts/success", 2),
+                ("reward", "charts/reward", 2),
+                ("dv", "charts/delta_v_m_s", 1),
+                ("violation", "charts/violation_percent", 2),
+            )
+            if tag in statistics
+        }
+        self.bar.set_postfix(shown, refresh=False)
+        self.bar.update(train.batch)
+
+    def evaluate(self) -> None:
+        """Periodic deterministic evaluation in the configuration of training."""
+        train = self.config.train
+        results = evaluate(
+            self.policy, self.config, train.evaluation_episodes, EVALUATION_SEED, self.device, self.safety
+        )
+        for name, value in results["metrics"].items():
+            self.writer.add_scalar(f"evaluation/{name}", value["iqm"], self.interactions)
+        self.writer.add_scalar("evaluation/success", results["outcomes"]["success"], self.interactions)
+        line = {"interactions": self.interactions, "seconds": self.trainer.seconds} | results
+        with open(self.directory / "evaluations.jsonl", "a", encoding="utf-8") as file:
+            file.write(json.dumps(line) + "\n")
+
+
+def start(config: Config, directory: Path) -> Run:
+    """A fresh run."""
+    run = Run(config, directory)
+    run.create()
+    return run
+
+
+def resume(directory: Path) -> Run:
+    """The run in a directory, as its checkpoint left it."""
+    if not (directory / "config.toml").is_file():
+        raise InputError(f"--resume {directory}: no run there (it lacks config.toml)")
+    run = Run(configuration.load(directory / "config.toml"), directory)
+    run.resume()
+    return run
+
+
+def describe(run: Run) -> str:
+    """The first line a person sees."""
+    train = run.config.train
+    arm = f"RTA at {train.rta_period:g} s{', compiled' if run.compiled else ''}" if train.rta else "no RTA"
+    return f"{run.directory}: {arm}, seed {train.seed}, {train.num_envs} episodes at once on {run.device}"
+
+
+__all__ = ["Run", "Stopped", "describe", "resume", "start"]

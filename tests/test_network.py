@@ -1,0 +1,96 @@
+"""The stacked networks against torch.distributions and against each seed alone."""
+
+import math
+
+import pytest
+import torch
+from torch import Tensor, nn
+
+from ppo.network import Policy, StackedMLP, Value, draw_noise
+
+SEEDS = (3, 11, 7)
+
+
+def generators(*seeds: int) -> list[torch.Generator]:
+    return [torch.Generator().manual_seed(seed) for seed in seeds]
+
+
+def observations(count: int = 5) -> Tensor:
+    return torch.randn(len(SEEDS), count, 26, generator=torch.Generator().manual_seed(0))
+
+
+def excited_policy() -> Policy:
+    """A policy whose last layer is scaled up, so that its outputs depend on the observation."""
+    policy = Policy(26, 6, generators(*SEEDS))
+    with torch.no_grad():
+        policy.network.layers[-1].weight.mul_(300.0)
+    return policy
+
+
+@pytest.mark.parametrize("k", range(len(SEEDS)))
+def test_each_stacked_seed_equals_that_seed_alone(k: int) -> None:
+    x = observations()
+    together, alone = generators(*SEEDS), generators(SEEDS[k])
+    for build in (lambda g: Policy(26, 6, g), lambda g: Value(26, g)):
+        stacked, single = build(together), build(alone)
+        for a, b in zip(stacked.parameters(), single.parameters(), strict=True):
+            assert torch.equal(a[k : k + 1], b)
+        output, expected = stacked(x), single(x[k : k + 1])
+        torch.testing.assert_close(
+            [t[k : k + 1] for t in output] if isinstance(output, tuple) else output[k : k + 1],
+            list(expected) if isinstance(expected, tuple) else expected,
+        )
+    assert torch.equal(draw_noise(together, (4, 6), x.device)[k], draw_noise(alone, (4, 6), x.device)[0])
+
+
+def test_mlp_equals_unstacked_layers_and_is_orthogonal() -> None:
+    mlp = StackedMLP((26, 32, 3), generators(*SEEDS), (math.sqrt(2.0), 0.5))
+    x = observations()
+    first, last = mlp.layers
+    for k in range(len(SEEDS)):
+        expected = nn.functional.linear(torch.tanh(x[k] @ first.weight[k]), last.weight[k].T)
+        torch.testing.assert_close(mlp(x)[k], expected)
+        torch.testing.assert_close(first.weight[k] @ first.weight[k].T, 2.0 * torch.eye(26))
+        torch.testing.assert_close(last.weight[k].T @ last.weight[k], 0.25 * torch.eye(3))
+    assert not first.bias.any() and not last.bias.any()
+
+
+def test_log_prob_and_entropy_equal_torch_distributions() -> None:
+    policy, x = excited_policy(), observations()
+    action, log_prob = policy.sample(x, generators(1, 2, 3))
+    mean, log_std = policy(x)
+    reference = torch.distributions.Normal(mean, log_std.exp())
+    again, entropy = policy.log_prob_and_entropy(x, action)
+    torch.testing.assert_close(again, reference.log_prob(action).sum(-1))
+    torch.testing.assert_close(entropy, reference.entropy().sum(-1))
+    torch.testing.assert_close(log_prob, again.detach())
+    assert torch.equal(policy.mean_action(x), mean)
+
+
+def test_sample_has_the_mean_and_std_of_the_policy() -> None:
+    policy = excited_policy()
+    x = observations(1).expand(-1, 20000, -1)
+    action, _ = policy.sample(x, generators(1, 2, 3))
+    mean, log_std = policy(x[:, :1])
+    std = log_std.exp()
+    assert ((action.mean(1, keepdim=True) - mean).abs() < 4.0 * std / math.sqrt(20000)).all()
+    torch.testing.assert_close(action.std(1, keepdim=True), std, rtol=0.03, atol=0.0)
+
+
+@pytest.mark.parametrize("std", [0.05, 0.5, 0.9])
+def test_initial_std_and_mean_at_zero_observation(std: float) -> None:
+    mean, log_std = Policy(26, 6, generators(*SEEDS), initial_std=std)(torch.zeros(3, 1, 26))
+    torch.testing.assert_close(log_std.exp(), torch.full((3, 1, 6), std))
+    assert not mean.any()
+
+
+def test_outputs_stay_within_their_bounds() -> None:
+    mean, log_std = excited_policy()(1e3 * observations(200))
+    assert mean.abs().max() <= 1.0
+    assert -4.0 <= log_std.min() < -3.9 and -0.1 < log_std.max() <= 0.0
+
+
+@pytest.mark.parametrize(("std", "bounds"), [(1.0, (-4.0, 0.0)), (0.0, (-4.0, 0.0)), (0.5, (0.0, -4.0))])
+def test_impossible_initial_std_is_refused(std: float, bounds: tuple[float, float]) -> None:
+    with pytest.raises(ValueError, match="std"):
+        Policy(26, 6, generators(1), log_std_bounds=bounds, initial_std=std)
