@@ -132,7 +132,20 @@ class InspectionEnv:
         self.violation_steps = zeros(len(self.safety.names), dtype=torch.int64)
         self.any_violation_steps = zeros(dtype=torch.int64)
 
-    STATE = ["x", "priority", "weights", "inspected", "centres", "alive", "uninspected", "time", "steps", "totals", "violation_steps", "any_violation_steps"]
+    STATE = (
+        "x",
+        "priority",
+        "weights",
+        "inspected",
+        "centres",
+        "alive",
+        "uninspected",
+        "time",
+        "steps",
+        "totals",
+        "violation_steps",
+        "any_violation_steps",
+    )
 
     def state_dict(self) -> dict[str, Any]:
         """Everything a resumed run needs, as tensors."""
@@ -179,7 +192,7 @@ class InspectionEnv:
         self.steps += 1
 
         before = self.score
-        self._look()
+        self.look()
         score = self.score
         ended = terminal_conditions(self.x, score, self.time, c)
         terms = rewards(self.x, score - before, delta_v, torque, self.time, ended, c)
@@ -232,7 +245,7 @@ class InspectionEnv:
             torque += u[TORQUE].abs().sum(0) / substeps
         return corrections, delta_v, torque
 
-    def _look(self, columns: Tensor | slice = slice(None)) -> None:
+    def look(self, columns: Tensor | slice = slice(None)) -> None:
         """Marks the points in view and points r_UPS at the nearest cluster of those lit and left."""
         x = self.x[:, columns]
         inspected = self.inspected[:, columns] | chief.visible(self.normals, x, self.c)
@@ -274,4 +287,4 @@ class InspectionEnv:
         self.x[:, columns] = x
         self.priority[:, columns] = priority
         self.weights[:, columns] = chief.point_weights(self.normals, priority)
-        self._look(columns)
+        self.look(columns)

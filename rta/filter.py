@@ -236,7 +236,7 @@ class SafetyFilter:
         u = desired / limit
 
         status = torch.zeros(u.shape[1], dtype=torch.int64, device=u.device)
-        unsafe = torch.nonzero(((a * u).sum(1) + b).amin(0) < 0.0).flatten()
+        unsafe = torch.nonzero(~(((a * u).sum(1) + b).amin(0) >= 0.0)).flatten()
         if unsafe.numel():
             problems = Problems(
                 desired=numpy(u[:, unsafe].T),

@@ -1,6 +1,7 @@
 """Gains, margins and weights of the filter. The paper publishes none of them for 6-DoF; each has its reason here."""
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 PERIODS = (1.0, 5.0, 10.0)
 
@@ -59,11 +60,7 @@ class RtaParameters:
             if min(value if isinstance(value, tuple) else (value,)) < 0:
                 raise ValueError(f"{name} = {value!r}: must not be negative")
         segments = self.passive_safety_segments
-        if (
-            len(segments) < 2
-            or segments[0] != 0
-            or any(a >= b for a, b in zip(segments, segments[1:], strict=False))
-        ):
+        if len(segments) < 2 or segments[0] != 0 or any(a >= b for a, b in pairwise(segments)):
             raise ValueError(f"passive_safety_segments = {segments!r}: must rise from 0 s to the horizon")
 
     @staticmethod

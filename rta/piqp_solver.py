@@ -22,7 +22,7 @@ class PiqpSolver:
         desired, a, weight = problems.desired, problems.a, problems.weight
         must = np.isinf(weight)
         nothing = np.full_like(weight, np.inf)  # no row has slack
-        candidates = [desired.copy()]
+        candidates = [desired, np.zeros_like(desired)]
         control, status = desired.copy(), np.full(len(desired), Status.UNSOLVED)
 
         stages = (

@@ -1,6 +1,5 @@
 """From a configuration to the objects of an experiment."""
 
-import dataclasses
 import shutil
 import sys
 
@@ -9,8 +8,11 @@ import torch
 from inspection.environment import InspectionEnv, Safety
 from inspection.observation import SIZE as OBSERVATION_SIZE
 from inspection.state import CONTROL_SIZE
+from ppo import checkpoint
+from ppo.checkpoint import CheckpointError
 from ppo.network import Policy
 from rta.filter import SafetyFilter
+from study import config as configuration
 from study.config import Config
 from study.errors import InputError
 
@@ -66,6 +68,31 @@ def make_policy(config: Config, generators: list[torch.Generator]) -> Policy:
     )
 
 
-def with_train(config: Config, **changes: object) -> Config:
-    """The configuration with settings of its [train] table replaced."""
-    return dataclasses.replace(config, train=dataclasses.replace(config.train, **changes))
+def load_policy(path: str) -> tuple[Policy, Config]:
+    """A trained policy on the CPU and the configuration it was trained in.
+
+    Raises:
+        CheckpointError, InputError: the file is missing, damaged or not a checkpoint.
+    """
+    content = checkpoint.load(path, ("policy", "config"))
+    config = configuration.from_toml(content["config"], path)
+    policy = make_policy(config, [torch.Generator()])
+    try:
+        policy.load_state_dict(content["policy"])
+    except RuntimeError as error:
+        reason = str(error).splitlines()[-1].strip()
+        raise CheckpointError(f"{path}: its weights do not fit this program: {reason}") from None
+    return policy, config
+
+
+def for_command(config: Config, filter_calls: int) -> tuple[Safety, torch.device]:
+    """What a command of about so many filter calls needs beside its configuration."""
+    train = config.train
+    device = resolve_device(train.device)
+    compiled = train.rta and wants_compile(train.compile, filter_calls)
+    return make_safety(config, train.rta, train.rta_period, compiled), device
+
+
+def one_episode(config: Config, safety: Safety, device: torch.device) -> InspectionEnv:
+    """An environment of a single episode, to be started from a given state."""
+    return make_env(config, 1, [torch.Generator(device).manual_seed(0)], safety)

@@ -29,12 +29,14 @@ class TrainParameters:
     compile: str = "auto"  # torch.compile the filter and the dynamics: auto, on or off
     evaluation_interval: int = 500_000  # interactions between two evaluations
     evaluation_episodes: int = 20
+    final_episodes: int = 100  # of the evaluation after training
     checkpoint_interval: int = 160_000  # interactions between two checkpoints
 
     def __post_init__(self) -> None:
         if self.rta_period not in PERIODS:
             raise ValueError(f"rta_period = {self.rta_period:g}: must be 1, 5 or 10 s")
-        for name in ["interactions", "num_envs", "rollout_steps", "evaluation_interval", "evaluation_episodes", "checkpoint_interval"]:
+        counts = [f.name for f in dataclasses.fields(self) if f.type is int and f.name != "seed"]
+        for name in counts:
             if getattr(self, name) <= 0:
                 raise ValueError(f"{name} = {getattr(self, name)}: must be a positive integer")
         if self.seed < 0:
@@ -68,11 +70,12 @@ class Config:
         return tomli_w.dumps(dataclasses.asdict(self))
 
 
-def from_toml(text: str, source: str) -> Config:
+def from_toml(text: str, source: str, base: Config | None = None) -> Config:
     """Parses and checks TOML text.
 
     Args:
         source: what to call the text in an error, usually the file's path.
+        base: what the text's keys replace; None means the defaults.
 
     Raises:
         InputError: not TOML, or an unknown table or key, a wrong type or an impossible value.
@@ -81,18 +84,18 @@ def from_toml(text: str, source: str) -> Config:
         tables = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         raise InputError(f"{source}: not valid TOML: {error}") from None
-    return override(Config(), tables, source)
+    return override(base or Config(), tables, source)
 
 
-def load(path: str | Path) -> Config:
-    """Reads a TOML file over the defaults."""
+def load(path: str | Path, base: Config | None = None) -> Config:
+    """Reads a TOML file over a base configuration, by default the defaults."""
     try:
         text = Path(path).read_text(encoding="utf-8")
     except OSError as error:
         raise InputError(f"{path}: cannot read the configuration: {error.strerror}") from None
     except UnicodeDecodeError:
         raise InputError(f"{path}: cannot read the configuration: not UTF-8 text") from None
-    return from_toml(text, str(path))
+    return from_toml(text, str(path), base)
 
 
 def override(config: Config, tables: dict[str, Any], source: str) -> Config:

@@ -28,8 +28,11 @@ from study import build
 from study import config as configuration
 from study.config import Config
 from study.errors import InputError
-from study.evaluation import evaluate
+from study.evaluation import evaluate, test_cases
+from study.figures import episode_figure
 from study.monitor import Monitor
+from study.simulation import policy_controller, simulate
+from study.tables import tables
 
 PACKAGES = ("torch", "numpy", "piqp", "scipy", "tensorboard")
 EVALUATION_SEED = 1_000_000  # periodic test cases, apart from those of the final evaluation
@@ -223,6 +226,28 @@ class Run:
         }
         self.bar.set_postfix(shown, refresh=False)
         self.bar.update(train.batch)
+
+    def conclude(self) -> str:
+        """Evaluates the trained policy, writes evaluation.json and episode.png; returns the paper's tables."""
+        config, train = self.config, self.config.train
+        results = evaluate(self.policy, config, train.final_episodes, 0, self.device, self.safety)
+        (self.directory / "evaluation.json").write_text(
+            json.dumps(results, indent=2) + "\n", encoding="utf-8"
+        )
+        x, priority = test_cases(config, 1, 0, self.safety)
+        env = build.one_episode(config, self.safety, self.device)
+        episode = simulate(
+            env,
+            policy_controller(self.policy, env),
+            x.to(self.device),
+            priority.to(self.device),
+            duration=config.inspection.max_time,
+            step=config.inspection.action_period,
+            decide_every=config.inspection.action_period,
+            until_ended=True,
+        )
+        episode_figure(episode, config.inspection, self.directory / "episode.png")
+        return f"{tables(results)}\nWritten to {self.directory}: policy.pt, evaluation.json, episode.png"
 
     def evaluate(self) -> None:
         """Periodic deterministic evaluation in the configuration of training."""

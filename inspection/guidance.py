@@ -1,0 +1,108 @@
+"""Classical controllers: functions of time and state that return a control, to compare agents with.
+
+A controller maps (t in s, x (16, B)) to u (6, B) in N and N m, within the actuators' limits.
+"""
+
+from collections.abc import Callable
+
+import numpy as np
+import scipy.linalg
+import torch
+from torch import Tensor
+
+from inspection.attitude import conjugate, cross, rotate, unit
+from inspection.dynamics import sun_direction
+from inspection.parameters import InspectionParameters
+from inspection.state import CONTROL_SIZE, OMEGA, THETA_S, P, Q, V
+
+Controller = Callable[[float, Tensor], Tensor]
+
+POINTING_FREQUENCY = 0.1  # rad/s, of the critically damped pointing law
+TRACKING_FREQUENCY = 0.008  # rad/s, of the critically damped tracking law
+ELLIPSE = 40.0  # m, semi-minor axis b of the Sun-following relative orbit
+
+
+def limited(thrust_hill: Tensor, torque: Tensor, x: Tensor, c: InspectionParameters) -> Tensor:
+    """Thrust (3, B) turned into the body frame beside torque (3, B), both clipped to the actuators' limits."""
+    limit = x.new_tensor(c.control_limit)[:, None]
+    u = torch.cat((rotate(conjugate(x[Q]), thrust_hill), torque))
+    return torch.maximum(torch.minimum(u, limit), -limit)
+
+
+def point_boresight(x: Tensor, direction: Tensor, c: InspectionParameters) -> Tensor:
+    """PD torque (3, B) that turns the boresight +n_x towards a unit vector (3, B) in Hill's frame."""
+    target = rotate(conjugate(x[Q]), direction)
+    boresight = torch.zeros_like(target)
+    boresight[0] = 1.0
+    error = cross(boresight, target)
+    inertia = x.new_tensor(c.inertia)[:, None]
+    return inertia * (POINTING_FREQUENCY**2 * error - 2.0 * POINTING_FREQUENCY * x[OMEGA])
+
+
+def lqr_gain(c: InspectionParameters) -> np.ndarray:
+    """K (3, 6) of u = -K [p, v]: minimal integral of |p|^2 / (100 m)^2 + |v|^2 / (1 m/s)^2 + |F|^2 / F_max^2."""
+    n = c.mean_motion
+    a = np.zeros((6, 6))
+    a[:3, 3:] = np.eye(3)
+    a[3, 0], a[3, 4], a[4, 3], a[5, 2] = 3 * n**2, 2 * n, -2 * n, -(n**2)
+    b = np.vstack((np.zeros((3, 3)), np.eye(3) / c.mass))
+    r = np.eye(3) / c.max_thrust**2
+    riccati = scipy.linalg.solve_continuous_are(a, b, np.diag([1e-4] * 3 + [1.0] * 3), r)
+    return np.linalg.solve(r, b.T @ riccati)
+
+
+def lqr_pd(c: InspectionParameters) -> Controller:
+    """LQR to the chief's centre and a boresight turned into the Sun: it pushes against the constraints."""
+    gain = torch.from_numpy(lqr_gain(c))
+
+    def control(t: float, x: Tensor) -> Tensor:
+        thrust = -gain.to(x) @ torch.cat((x[P], x[V]))
+        return limited(thrust, point_boresight(x, sun_direction(x[THETA_S]), c), x, c)
+
+    return control
+
+
+def natural_motion(c: InspectionParameters) -> Controller:
+    """PD law towards the relative ellipse x = b cos(theta_S), y = 2 b sin(theta_S), camera on the chief.
+
+    The ellipse is a free motion of the Clohessy-Wiltshire equations that turns with the Sun, so that holding
+    it costs almost no fuel.
+    """
+    n, b = c.mean_motion, ELLIPSE
+
+    def control(t: float, x: Tensor) -> Tensor:
+        cos, sin = x[THETA_S].cos(), x[THETA_S].sin()
+        zero = torch.zeros_like(cos)
+        position = torch.stack((b * cos, 2 * b * sin, zero))
+        velocity = n * torch.stack((b * sin, -2 * b * cos, zero))
+        w = TRACKING_FREQUENCY
+        thrust = c.mass * (w**2 * (position - x[P]) + 2 * w * (velocity - x[V]))
+        return limited(thrust, point_boresight(x, -unit(x[P]), c), x, c)
+
+    return control
+
+
+def recorded(actions: np.ndarray, step: float) -> Controller:
+    """Replays controls (N, 6) in N and N m, one per `step` s; the last one is held."""
+    controls = torch.from_numpy(np.ascontiguousarray(actions, dtype=np.float64))
+
+    def control(t: float, x: Tensor) -> Tensor:
+        row = min(round(t / step), len(controls) - 1)
+        return controls[row].to(x)[:, None].expand(-1, x.shape[1])
+
+    return control
+
+
+def zero(c: InspectionParameters) -> Controller:
+    """No control at all."""
+    return lambda t, x: x.new_zeros(CONTROL_SIZE, x.shape[1])
+
+
+def random(c: InspectionParameters, generator: torch.Generator) -> Controller:
+    """Uniformly random controls, drawn anew at every call."""
+
+    def control(t: float, x: Tensor) -> Tensor:
+        draw = torch.rand(CONTROL_SIZE, x.shape[1], generator=generator, dtype=x.dtype)
+        return (2.0 * draw - 1.0).to(x) * x.new_tensor(c.control_limit)[:, None]
+
+    return control

@@ -1,0 +1,320 @@
+#!/usr/bin/env python
+"""Run-time-assured reinforcement learning for spacecraft inspection: the command line.
+
+Settings come from defaults, then from --config FILE.toml, then from flags.
+"""
+
+import argparse
+import json
+import sys
+import time
+from pathlib import Path
+from typing import Any, NoReturn
+
+from inspection.parameters import AXES, InspectionParameters
+from ppo.checkpoint import CheckpointError
+from ppo.learner import NonFiniteError, PPOParameters
+from rta.parameters import PERIODS
+from study import config as configuration
+from study.config import Config, TrainParameters
+from study.errors import InputError
+
+# flag: (TOML table, key, type, help); a flag's default is that of its key
+TRAIN, PPO, TASK = TrainParameters(), PPOParameters(), InspectionParameters()
+CONTROLLERS = ("lqr-pd", "natural-motion", "policy", "recorded", "zero", "random")
+
+
+class Parser(argparse.ArgumentParser):
+    """Bad usage ends with one line and exit code 2."""
+
+    def error(self, message: str) -> NoReturn:
+        self.exit(2, f"error: {self.prog}: {message} (see --help)\n")
+
+
+def positive_integer(text: str) -> int:
+    """A count for argparse."""
+    try:
+        value = int(text.replace("_", ""))
+    except ValueError:
+        value = 0
+    if value <= 0:
+        raise argparse.ArgumentTypeError(f"{text!r}: must be a positive integer")
+    return value
+
+
+def seed_number(text: str) -> int:
+    """A seed for argparse."""
+    if not text.isdecimal() or int(text) >= 2**63:
+        raise argparse.ArgumentTypeError(f"{text!r}: must be an integer from 0 to 2^63 - 1")
+    return int(text)
+
+
+def positive_number(text: str) -> float:
+    """A positive finite number for argparse."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = 0.0
+    if not 0.0 < value < float("inf"):
+        raise argparse.ArgumentTypeError(f"{text!r}: must be a positive number")
+    return value
+
+
+def period(text: str) -> float:
+    """A filter period for argparse."""
+    if text not in {f"{p:g}" for p in PERIODS} | {f"{p:.1f}" for p in PERIODS}:
+        raise argparse.ArgumentTypeError(f"{text!r}: must be 1, 5 or 10 (s)")
+    return float(text)
+
+
+def add_common(parser: Parser) -> None:
+    """Flags that every sub-command shares."""
+    parser.add_argument(
+        "--config", metavar="FILE", help="TOML file with settings, under the flags (default: none)"
+    )
+    parser.add_argument(
+        "--rta",
+        action=argparse.BooleanOptionalAction,
+        help="filter every control by run time assurance (default: on; with --checkpoint as it was trained)",
+    )
+    parser.add_argument(
+        "--rta-period",
+        type=period,
+        metavar="S",
+        help=f"seconds between two calls of the filter: 1, 5 or 10 (default: {TRAIN.rta_period:g})",
+    )
+    parser.add_argument(
+        "--solar-panel-axis",
+        choices=tuple(AXES),
+        help="body axis that the solar panels face; written with = for a minus, "
+        f"--solar-panel-axis=-x (default: {TASK.solar_panel_axis})",
+    )
+    parser.add_argument(
+        "--compile",
+        choices=("auto", "on", "off"),
+        help=f"torch.compile the filter; auto: for runs long enough to repay it (default: {TRAIN.compile})",
+    )
+    parser.add_argument(
+        "--device", choices=("auto", "cpu", "cuda"), help=f"where tensors live (default: {TRAIN.device})"
+    )
+
+
+def build_parser() -> Parser:
+    """The whole command line."""
+    parser = Parser(prog="main.py", description=__doc__)
+    commands = parser.add_subparsers(dest="command", required=True, metavar="train | evaluate | simulate")
+
+    train = commands.add_parser("train", help="train an agent with or without run time assurance")
+    add_common(train)
+    counts = (
+        ("interactions", TRAIN.interactions, "agent steps of 10 s in all, rounded up to whole updates"),
+        ("num-envs", TRAIN.num_envs, "episodes simulated at once"),
+        ("rollout-steps", TRAIN.rollout_steps, "interactions of each episode between two updates"),
+        ("evaluation-interval", TRAIN.evaluation_interval, "interactions between two evaluations"),
+        ("evaluation-episodes", TRAIN.evaluation_episodes, "episodes of each periodic evaluation"),
+        ("final-episodes", TRAIN.final_episodes, "episodes of the evaluation after training"),
+        ("epochs", PPO.epochs, "passes over each batch of experience"),
+        ("minibatch-size", PPO.minibatch_size, "interactions per gradient step"),
+    )
+    for name, default, text in counts:
+        train.add_argument(
+            f"--{name}", type=positive_integer, metavar="N", help=f"{text} (default: {default:,})"
+        )
+    train.add_argument(
+        "--learning-rate",
+        type=positive_number,
+        metavar="X",
+        help=f"of Adam, annealed to 0 (default: {PPO.learning_rate:g})",
+    )
+    train.add_argument(
+        "--seed", type=seed_number, metavar="N", help=f"of everything random (default: {TRAIN.seed})"
+    )
+    train.add_argument(
+        "--run-dir", metavar="D", help="directory to create (default: runs/<arm>__<seed>__<time>)"
+    )
+    train.add_argument(
+        "--resume", metavar="D", help="continue the run in D exactly where it stopped (default: none)"
+    )
+    train.set_defaults(run=run_train)
+
+    evaluate = commands.add_parser(
+        "evaluate", help="report an agent in the metrics of the paper's Tables 2 and 3"
+    )
+    add_common(evaluate)
+    evaluate.add_argument(
+        "--checkpoint", required=True, metavar="F", help="policy.pt or checkpoint.pt of a run"
+    )
+    evaluate.add_argument(
+        "--episodes", type=positive_integer, default=100, metavar="N", help="test cases (default: 100)"
+    )
+    evaluate.add_argument(
+        "--seed", type=seed_number, default=0, metavar="N", help="of the test cases (default: 0)"
+    )
+    evaluate.add_argument("--json", metavar="F", help="also write the results there (default: none)")
+    evaluate.set_defaults(run=run_evaluate)
+
+    simulate = commands.add_parser("simulate", help="simulate one spacecraft and write everything over time")
+    add_common(simulate)
+    simulate.add_argument(
+        "--controller", required=True, choices=CONTROLLERS, help="who commands the spacecraft"
+    )
+    simulate.add_argument(
+        "--checkpoint", metavar="F", help="the agent, for --controller policy (default: none)"
+    )
+    simulate.add_argument(
+        "--actions",
+        metavar="F.npy",
+        help="N x 6 controls in N and N m, a row per --step, for --controller recorded (default: none)",
+    )
+    simulate.add_argument("--initial-state", metavar="F.json", help="state file (default: drawn from --seed)")
+    simulate.add_argument(
+        "--seed", type=seed_number, default=0, metavar="N", help="of what is drawn (default: 0)"
+    )
+    simulate.add_argument("--duration", type=positive_number, required=True, metavar="S", help="seconds")
+    simulate.add_argument(
+        "--step",
+        type=positive_number,
+        default=1.0,
+        metavar="S",
+        help="seconds between two rows of the output, two decisions of a classical controller and two rows of "
+        "--actions; a policy decides every 10 s (default: 1)",
+    )
+    simulate.add_argument("--out", required=True, metavar="F.npz", help="file to write")
+    simulate.set_defaults(run=run_simulate)
+    return parser
+
+
+def resolve(arguments: argparse.Namespace, base: Config) -> Config:
+    """The base configuration under --config under the flags."""
+    if arguments.config:
+        base = configuration.load(arguments.config, base)
+    places = {
+        "solar_panel_axis": "inspection",
+        "learning_rate": "ppo",
+        "epochs": "ppo",
+        "minibatch_size": "ppo",
+    }
+    keys = set(vars(TRAIN)) - {"seed"} | set(places) | ({"seed"} if arguments.command == "train" else set())
+    tables: dict[str, dict[str, Any]] = {}
+    for key, value in vars(arguments).items():
+        if key in keys and value is not None:
+            tables.setdefault(places.get(key, "train"), {})[key] = value
+    return configuration.override(base, tables, "command line")
+
+
+def run_train(arguments: argparse.Namespace) -> None:
+    """main.py train"""
+    from study import training
+
+    if arguments.resume:
+        given = [
+            f"--{key.replace('_', '-')}"
+            for key, value in vars(arguments).items()
+            if value is not None and key not in ("command", "run", "resume")
+        ]
+        if given:
+            raise InputError(f"--resume takes its settings from the run; drop {', '.join(given)}")
+        run = training.resume(Path(arguments.resume))
+    else:
+        config = resolve(arguments, Config())
+        train = config.train
+        arm = f"rta_{train.rta_period:g}s" if train.rta else "no_rta"
+        name = f"{arm}__{train.seed}__{time.strftime('%Y%m%d-%H%M%S')}"
+        run = training.start(config, Path(arguments.run_dir or Path("runs") / name))
+    print(training.describe(run), flush=True)
+    try:
+        run.train()
+    except training.Stopped as stopped:
+        print(stopped)
+        return
+    print(run.conclude())
+
+
+def run_evaluate(arguments: argparse.Namespace) -> None:
+    """main.py evaluate"""
+    from study import build, evaluation
+    from study.tables import tables
+
+    policy, trained = build.load_policy(arguments.checkpoint)
+    config = resolve(arguments, trained)
+    safety, device = build.for_command(config, filter_calls=arguments.episodes * 30)
+    if arguments.json:
+        check_writable(arguments.json, "--json")
+    results = evaluation.evaluate(
+        policy.to(device), config, arguments.episodes, arguments.seed, device, safety
+    )
+    print(tables(results))
+    if arguments.json:
+        Path(arguments.json).write_text(json.dumps(results, indent=2) + "\n", encoding="utf-8")
+
+
+def run_simulate(arguments: argparse.Namespace) -> None:
+    """main.py simulate"""
+    import numpy as np
+
+    from study import build, simulation
+
+    check_writable(arguments.out, "--out")
+    base, policy = Config(), None
+    if (arguments.controller == "policy") != bool(arguments.checkpoint):
+        raise InputError("--checkpoint F is needed by --controller policy and by no other")
+    if (arguments.controller == "recorded") != bool(arguments.actions):
+        raise InputError("--actions F.npy is needed by --controller recorded and by no other")
+    if arguments.checkpoint:
+        policy, base = build.load_policy(arguments.checkpoint)
+    config = resolve(arguments, base)
+    train, step = config.train, arguments.step
+    simulation.check_step(
+        step, arguments.duration, train.rta_period if train.rta else None, config.inspection
+    )
+    safety, device = build.for_command(config, filter_calls=round(arguments.duration / train.rta_period))
+    given = simulation.read_state(arguments.initial_state) if arguments.initial_state else None
+    x, priority = simulation.starting_point(given, config, arguments.seed, safety)
+    env = build.one_episode(config, safety, device)
+    if policy is not None:
+        controller, decide_every = (
+            simulation.policy_controller(policy.to(device), env),
+            config.inspection.action_period,
+        )
+    else:
+        controller = simulation.classical(
+            arguments.controller, arguments.actions, config, step, arguments.seed
+        )
+        decide_every = step
+    result = simulation.simulate(
+        env, controller, x.to(device), priority.to(device), arguments.duration, step, decide_every
+    )
+    with open(arguments.out, "wb") as file:
+        np.savez_compressed(file, **result)
+    worst = min((float(values.min()), name) for name, values in result.items() if name.startswith("h_"))
+    print(
+        f"{arguments.out}: {len(result['time'])} rows over {result['time'][-1]:g} s, "
+        f"inspected {result['inspected_score'][-1]:.3f}, smallest constraint value {worst[0]:.4g} ({worst[1][2:]})"
+    )
+
+
+def check_writable(path: str, flag: str) -> None:
+    """Refuses an output file that cannot be written before any work is done."""
+    parent = Path(path).parent
+    if not parent.is_dir():
+        raise InputError(f"{flag} {path}: there is no directory {parent}")
+    if Path(path).is_dir():
+        raise InputError(f"{flag} {path}: is a directory, must be a file")
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Parses and dispatches; returns the exit code."""
+    arguments = build_parser().parse_args(argv)
+    try:
+        arguments.run(arguments)
+    except (InputError, CheckpointError) as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+    except NonFiniteError as error:
+        print(f"error: training stopped at {error}", file=sys.stderr)
+        return 1
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
