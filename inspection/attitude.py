@@ -1,5 +1,7 @@
 """Quaternion helpers; scalar last, component axis first, batch axes trailing (Sec. Dynamics, Attitude)."""
 
+import math
+
 import torch
 from torch import Tensor
 
@@ -45,11 +47,11 @@ def rotate(q: Tensor, a: Tensor) -> Tensor:
 
 def rotation_matrix(q: Tensor) -> Tensor:
     """R (3, 3, ...) with R a = q a q*: columns are the body axes in Hill's frame, rows Hill's in the body's."""
-    q1, q2, q3, q4 = q
+    q1, q2, q3, q4 = math.sqrt(2.0) * q  # products then carry the factor 2 of the usual formula
     rows = (
-        (1 - 2 * (q2 * q2 + q3 * q3), 2 * (q1 * q2 - q3 * q4), 2 * (q1 * q3 + q2 * q4)),
-        (2 * (q1 * q2 + q3 * q4), 1 - 2 * (q1 * q1 + q3 * q3), 2 * (q2 * q3 - q1 * q4)),
-        (2 * (q1 * q3 - q2 * q4), 2 * (q2 * q3 + q1 * q4), 1 - 2 * (q1 * q1 + q2 * q2)),
+        (1 - (q2 * q2 + q3 * q3), q1 * q2 - q3 * q4, q1 * q3 + q2 * q4),
+        (q1 * q2 + q3 * q4, 1 - (q1 * q1 + q3 * q3), q2 * q3 - q1 * q4),
+        (q1 * q3 - q2 * q4, q2 * q3 + q1 * q4, 1 - (q1 * q1 + q2 * q2)),
     )
     return torch.stack([torch.stack(row) for row in rows])
 

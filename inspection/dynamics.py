@@ -26,7 +26,7 @@ def sun_and_earth_in_body(x: Tensor) -> tuple[Tensor, Tensor]:
 def cosine_to(axis: str, direction: Tensor) -> Tensor:
     """n . r for a body axis such as "-y" and a unit vector in the body frame, (3, ...) to (...)."""
     index, sign = AXES[axis]
-    return sign * direction[index]
+    return direction[index] if sign > 0 else -direction[index]
 
 
 def clohessy_wiltshire(p: Tensor, v: Tensor, n: float) -> Tensor:

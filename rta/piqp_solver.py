@@ -71,6 +71,8 @@ class PiqpSolver:
             solver.settings.eps_abs = 1e-9
             solver.settings.eps_rel = 1e-9
             solver.settings.max_iter = 60
+            if not slacks:
+                solver.settings.preconditioner_iter = 0  # rows have unit length already
             # Without slack a program is often infeasible and should be given up early; with it, hardly ever.
             solver.settings.infeasibility_threshold = 0.9 if slacks else 1e-3
             variables = 3 + slacks

@@ -1,0 +1,291 @@
+"""The batch of episodes: ends, autoreset, statistics, determinism and resuming."""
+
+import math
+from dataclasses import replace
+from itertools import combinations
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import torch
+
+from inspection import initial_state
+from inspection.environment import METRICS, InspectionEnv, Safety
+from inspection.initial_state import InitialStates
+from inspection.reward import REWARDS
+from inspection.state import THETA_S, E, P, Q, T, V
+from inspection.termination import OUTCOMES, terminal_conditions
+
+
+def seeded(seed):
+    return torch.Generator().manual_seed(seed)
+
+
+def make(c, num_envs=1, seeds=(0,), safety=None):
+    return InspectionEnv(num_envs, c, [seeded(seed) for seed in seeds], safety)
+
+
+def idle(batch):
+    """States at rest 60 m ahead of the chief, an equilibrium; n_x looks away and the panels are lit."""
+    x = torch.zeros(16, batch, dtype=torch.float64)
+    x[1], x[9], x[T], x[E], x[THETA_S] = 60.0, 1.0, 5.0, 6.0, math.pi
+    priority = torch.zeros(3, batch, dtype=torch.float64)
+    priority[0] = 1.0
+    return x, priority
+
+
+def started(c, batch=1, safety=None):
+    env = make(c, batch, safety=safety)
+    env.start(*idle(batch))
+    return env
+
+
+def force(env, column, end):
+    """Puts a column where the next idle step meets the given end."""
+    if end == "crash":
+        env.x[P, column], env.x[V, column] = torch.tensor([[0, 16, 0], [0, -0.3, 0]]).double()
+    elif end == "out_of_bounds":
+        env.x[P, column], env.x[V, column] = torch.tensor([[0, 799, 0], [0, 0.3, 0]]).double()
+    elif end == "out_of_power":
+        env.x[E, column], env.x[THETA_S, column] = 0.14, 0.0  # -15 W for 10 s takes 0.15 kJ
+    elif end == "success":
+        env.inspected[:, column] = True
+    else:
+        env.time[column] = 12230.0
+
+
+def coast(env, steps=1):
+    for _ in range(steps):
+        transition = env.step(torch.zeros(env.time.numel(), 6))
+    return transition
+
+
+def play(env, actions):
+    """What steps with the actions (steps, B, 6) return, by name and with the batch last, one dict per step."""
+    names, history = ("state", "reward", "done", "outcome", "metrics"), []
+    for action in actions:
+        step = env.step(action)
+        seen = {"observation": step.observation.T, "final_observation": step.final_observation.T}
+        history.append(seen | {name: getattr(step, name) for name in names} | step.reward_terms)
+    return history
+
+
+def random_actions(steps, batch, seed=9):
+    return torch.rand(steps, batch, 6, generator=seeded(seed)) * 2.4 - 1.2
+
+
+def check_equal(one, other):
+    for a, b in zip(one, other, strict=True):
+        assert all(torch.equal(a[name], b[name]) for name in a)
+
+
+def test_conditions_hold_from_their_thresholds_on(c):
+    x, _ = idle(4)
+    x[1], x[E] = torch.tensor([15.0, 14.999, 800.0, 800.001]), torch.tensor([0.001, 0.0, -0.1, 1.0])
+    score = torch.tensor([0.9499, 0.95, 1.0, 0.0], dtype=torch.float64)
+    time = torch.tensor([12235.0, 12236.0, 12240.0, 0.0], dtype=torch.float64)
+    expected = {
+        "crash": [False, True, False, False],
+        "out_of_bounds": [False, False, False, True],
+        "out_of_power": [False, True, True, False],
+        "success": [False, True, True, False],
+        "timeout": [False, True, True, False],
+    }
+    found = terminal_conditions(x, score, time, c)
+    assert {name: end.tolist() for name, end in found.items()} == expected
+
+
+def test_each_end_names_its_outcome_and_only_the_timeout_truncates(c):
+    env = started(c, 6)
+    for column, end in enumerate(OUTCOMES):
+        force(env, column, end)
+    end = coast(env)
+    assert end.outcome.tolist() == [0, 1, 2, 3, 4, -1]
+    assert end.terminated.tolist() == [True] * 4 + [False] * 2
+    assert end.truncated.tolist() == [False] * 4 + [True, False]
+    assert end.done.tolist() == [True] * 5 + [False]
+
+
+def test_the_first_of_several_ends_names_the_outcome(c):
+    pairs = [pair for pair in combinations(range(5), 2) if pair != (0, 1)]
+    env = started(c, len(pairs))
+    for column, pair in enumerate(pairs):
+        for end in pair:
+            force(env, column, OUTCOMES[end])
+    end = coast(env)
+    assert end.outcome.tolist() == [first for first, _ in pairs]
+    assert end.terminated.all() and not end.truncated.any()
+
+
+def test_terminal_rewards_arrive_with_the_end(c):
+    env = started(c, 6)
+    for column, end in enumerate(OUTCOMES):
+        force(env, column, end)
+    terms = coast(env).reward_terms
+    assert terms["crash"].tolist() == [-1, 0, 0, 0, 0, 0]
+    assert terms["distance"].tolist() == [0, -1, 0, 0, 0, 0]
+    assert terms["energy"].tolist() == [0, 0, -1, 0, 0, 0]
+    assert terms["success"].tolist() == [0, 0, 0, 1, 0, 0]
+
+
+def test_final_observation_is_of_the_terminal_state(c):
+    endless = replace(c, max_distance=1e6)
+    envs = started(c, 2), started(endless, 2)
+    for env in envs:
+        force(env, 0, "out_of_bounds")
+    ended, going_on = map(coast, envs)
+    assert ended.terminated.tolist() == [True, False] and not going_on.done.any()
+    assert torch.equal(ended.final_observation, going_on.observation)
+    assert torch.equal(ended.state, going_on.state)
+    assert torch.equal(ended.observation[1], going_on.observation[1])
+
+
+def test_an_ended_column_shows_the_start_of_a_new_episode(c):
+    env = started(c, 2)
+    force(env, 0, "out_of_bounds")
+    end = coast(env)
+    x, priority = InitialStates(seeded(0), c).take(1)
+    assert torch.equal(env.x[:, :1], x) and torch.equal(env.priority[:, :1], priority)
+    np.testing.assert_allclose(end.observation[0, 0], x[P].norm() / 100.0, rtol=1e-6)
+    np.testing.assert_allclose(end.observation[0, 11:13], x[[E, T], 0] / 10.0, rtol=1e-6)
+    assert torch.equal(end.observation, env.observation())
+
+
+def test_statistics_restart_with_the_episode(c):
+    safety = Safety(names=("always",), values=lambda x: -torch.ones_like(x[:1]))
+    env = started(c, 2, safety)
+    for _ in range(2):
+        env.step(torch.ones(2, 6))
+    force(env, 0, "out_of_power")
+    end = coast(env)
+    assert end.done.tolist() == [True, False]
+    assert end.steps.tolist() == [3, 3] and end.metrics[2].tolist() == [30.0, 30.0]
+    first = coast(env)
+    assert first.steps.tolist() == [1, 4] and first.metrics[2].tolist() == [10.0, 40.0]
+    assert first.violation_steps.tolist() == [[1, 4]]
+    assert first.metrics[3, 0] == 0.0 and first.metrics[1, 0] == first.reward[0]
+
+
+def test_metrics_of_a_constant_action(c):
+    env = started(c)
+    for _ in range(3):
+        end = env.step(torch.tensor([[0.5, -1.0, 0.0, 0.2, 0.0, -7.0]]))
+    metrics = dict(zip(METRICS, end.metrics[:, 0].tolist(), strict=True))
+    assert metrics["delta_v_m_s"] == pytest.approx(3 * 1.5 / 12.0 * 10.0)
+    assert metrics["torque_n_m"] == pytest.approx(3 * 1.2 * 0.0573 * 0.017453)  # -7 is clipped to -1
+    assert metrics["episode_length_s"] == 30.0 and metrics["violation_percent"] == 0.0
+    assert end.reward_terms["delta_v"].item() == pytest.approx(-0.02 * 1.5 / 12.0 * 10.0)
+    assert end.reward_terms["torque"].item() == pytest.approx(-0.1 * 1.2 * 0.0573 * 0.017453)
+
+
+def test_reward_is_the_sum_of_its_terms_and_its_metric_the_sum_over_steps(c):
+    env, total = started(c, 3), 0.0
+    for action in random_actions(4, 3):
+        step = env.step(action)
+        total += torch.stack([step.reward_terms[name] for name in REWARDS]).sum(0)
+    assert step.reward.shape == (3,) and len(step.reward_terms) == 9
+    torch.testing.assert_close(step.metrics[1], total, rtol=1e-14, atol=1e-15)
+
+
+def test_violations_are_counted_per_constraint_and_together(c):
+    safety = Safety(names=("late", "never"), values=lambda x: torch.stack((0.5 - x[14], x[14])))
+    env = started(c, 2, safety)
+    env.x[E] = torch.tensor([0.6, 0.6])
+    env.x[THETA_S, 1] = 0.0  # the second column drains 0.15 kJ per step and so ends its violation
+    end = coast(env, 2)
+    assert end.violation_steps.tolist() == [[2, 0], [0, 0]]
+    assert end.metrics[5].tolist() == [100.0, 0.0]
+    assert end.violated.tolist() == [[True, False], [False, False]]
+
+
+@pytest.mark.parametrize(("period", "calls"), [(0.5, 20), (1.0, 10), (5.0, 2), (10.0, 1)])
+def test_the_filters_last_control_is_its_next_desired_one(c, period, calls):
+    def halve(x, desired):
+        return SimpleNamespace(control=desired / 2)
+
+    env = started(c, safety=Safety(correct=halve, period=period))
+    env.step(torch.zeros(1, 6))
+    end = env.step(torch.tensor([[1.0, 0, 0, 0, 0, -1.0]]))
+    halvings = 1 - 0.5**calls  # sum of 2^-k over the calls
+    assert len(end.corrections) == calls
+    assert end.metrics[3].item() == pytest.approx(halvings * period / 12.0)
+    assert end.metrics[4].item() == pytest.approx(halvings * period / 10.0 * c.max_torque)
+
+
+def test_points_in_view_at_the_start_are_inspected_at_once(c):
+    x, priority = idle(1)
+    x[Q, 0] = torch.tensor([0.0, 0.0, -math.sqrt(0.5), math.sqrt(0.5)]).double()  # n_x at the chief
+    x[THETA_S] = math.pi / 2
+    env = make(c)
+    start = env.start(x, priority)
+    assert 0.2 < env.score.item() < 0.5 and start[0, 25].item() == pytest.approx(env.score.item())
+    assert coast(env).reward_terms["points"].item() == 0.0  # nothing new in view
+
+
+def test_observation_points_at_uninspected_lit_points_until_none_is_left(c):
+    env = started(c)
+    sun = torch.tensor([-1.0, 0.0, 0.0])
+    assert env.observation()[0, 21:24] @ sun > 0.0  # identity attitude: body is Hill
+    env.inspected[:] = True
+    env.inspected[env.normals[0] > 0.5] = False  # left, but dark
+    assert (coast(env).final_observation[0, 21:25] == 0.0).all()
+
+
+def test_reset_starts_every_column_from_the_distribution(c):
+    env = make(c, 4, seeds=(3,))
+    o = env.reset()
+    assert o.shape == (4, 26) and o.dtype == torch.float32
+    assert torch.equal(env.x, InitialStates(seeded(3), c).take(4)[0])
+
+
+def test_a_transition_keeps_its_values_when_the_env_moves_on(c):
+    env = started(replace(c, max_time=20.0), 2)
+    first = env.step(torch.ones(2, 6))
+    tensors = [value for value in vars(first).values() if isinstance(value, torch.Tensor)]
+    kept = [tensor.clone() for tensor in tensors]
+    coast(env, 3)
+    assert all(torch.equal(*pair) for pair in zip(kept, tensors, strict=True))
+
+
+@pytest.fixture
+def short(c, monkeypatch):
+    """Episodes of 50 s and small pools, so that 20 steps meet resets and fresh draws."""
+    monkeypatch.setattr(initial_state, "POOL", 5)
+    return replace(c, max_time=50.0)
+
+
+def test_a_seed_decides_everything(short):
+    histories = []
+    for _ in range(2):
+        env = make(short, 3, seeds=(5,))
+        env.reset()
+        histories.append(play(env, random_actions(20, 3)))
+    check_equal(*histories)
+
+
+@pytest.mark.parametrize(
+    "names",
+    [("state", "reward", "done", "outcome", "metrics", *REWARDS), ("observation", "final_observation")],
+)
+def test_seeds_side_by_side_equal_each_alone(short, names):
+    actions, together = random_actions(20, 6), make(short, 3, seeds=(5, 8))
+    together.reset()
+    history = play(together, actions)
+    for k, seed in enumerate((5, 8)):
+        columns, alone = slice(3 * k, 3 * k + 3), make(short, 3, seeds=(seed,))
+        alone.reset()
+        for both, one in zip(history, play(alone, actions[:, columns]), strict=True):
+            for name in names:
+                torch.testing.assert_close(both[name][..., columns], one[name], rtol=1e-12, atol=1e-12)
+
+
+def test_a_resumed_run_continues_bit_identically(short):
+    actions, env = random_actions(20, 6), make(short, 3, seeds=(5, 8))
+    env.reset()
+    play(env, actions[:10])
+    saved = env.state_dict()
+    generators = [seeded(0).set_state(starts.generator.get_state()) for starts in env.starts]
+    expected = play(env, actions[10:])
+    resumed = InspectionEnv(3, short, generators)
+    resumed.load_state_dict(saved)
+    check_equal(play(resumed, actions[10:]), expected)

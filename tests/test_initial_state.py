@@ -1,0 +1,97 @@
+"""The initial distribution: the paper's ranges, safe attitudes and determinism."""
+
+import math
+
+import numpy as np
+import pytest
+import torch
+
+from inspection import initial_state
+from inspection.initial_state import InitialStates, sample_initial_state, spherical
+from inspection.state import OMEGA, THETA_S, E, P, Q, T, V
+
+
+def seeded(seed):
+    return torch.Generator().manual_seed(seed)
+
+
+@pytest.fixture(scope="module")
+def sample(c):
+    return sample_initial_state(20_000, seeded(1), c)
+
+
+def test_starts_at_rest(sample):
+    x, _ = sample
+    assert (x[V] == 0.0).all() and (x[OMEGA] == 0.0).all()
+
+
+def test_quaternions_and_priorities_are_unit(sample):
+    x, priority = sample
+    np.testing.assert_allclose(x[Q].norm(dim=0), 1.0, rtol=0, atol=1e-14)
+    np.testing.assert_allclose(priority.norm(dim=0), 1.0, rtol=0, atol=1e-14)
+
+
+@pytest.mark.parametrize(
+    ("quantity", "low", "high"),
+    [
+        (lambda x, r: x[P].norm(dim=0), 50.0, 100.0),
+        (lambda x, r: torch.atan2(x[1], x[0]) % (2 * math.pi), 0.0, 2 * math.pi),
+        (lambda x, r: (x[2] / x[P].norm(dim=0)).asin(), -math.pi / 2, math.pi / 2),
+        (lambda x, r: x[E], 5.0, 7.0),
+        (lambda x, r: x[T], 3.0, 7.0),
+        (lambda x, r: x[THETA_S], 0.0, 2 * math.pi),
+        (lambda x, r: torch.atan2(r[1], r[0]) % (2 * math.pi), 0.0, 2 * math.pi),
+        (lambda x, r: r[2].asin(), -math.pi / 2, math.pi / 2),
+    ],
+    ids=["radius", "azimuth", "elevation", "E", "T", "theta_S", "priority_azimuth", "priority_elevation"],
+)
+def test_uniform_over_the_papers_range(sample, quantity, low, high):
+    fraction = ((quantity(*sample) - low) / (high - low)).sort().values
+    assert fraction[0] >= -1e-12 and fraction[-1] <= 1 + 1e-12
+    uniform = (torch.arange(20_000, dtype=torch.float64) + 0.5) / 20_000
+    assert (fraction - uniform).abs().max() < 1.95 / math.sqrt(20_000)  # Kolmogorov-Smirnov at 0.1 %
+
+
+def test_azimuth_and_elevation_are_the_papers():
+    one = torch.ones(1, dtype=torch.float64)
+    p = spherical(80.0 * one, math.radians(30) * one, math.radians(60) * one)[:, 0]
+    np.testing.assert_allclose(p, [80 * math.sqrt(3) / 4, 20.0, 40 * math.sqrt(3)], rtol=1e-14)
+
+
+def test_only_safe_attitudes_are_drawn_and_nothing_else_changes(c):
+    free, priority = sample_initial_state(200, seeded(2), c)
+    safe, same_priority = sample_initial_state(200, seeded(2), c, lambda x: x[Q][3] > 0.5)
+    assert (safe[Q][3] > 0.5).all() and not (free[Q][3] > 0.5).all()
+    others = [*range(6), *range(10, 16)]
+    assert torch.equal(safe[others], free[others]) and torch.equal(priority, same_priority)
+
+
+def test_attitudes_that_were_safe_are_kept(c):
+    free, _ = sample_initial_state(200, seeded(3), c)
+    safe, _ = sample_initial_state(200, seeded(3), c, lambda x: x[Q][3] > 0.0)
+    kept = free[Q][3] > 0.0
+    assert torch.equal(safe[:, kept], free[:, kept])
+
+
+def test_a_seed_decides_everything(c):
+    for a, b in zip(*(sample_initial_state(50, seeded(4), c) for _ in range(2)), strict=True):
+        assert torch.equal(a, b)
+    assert not torch.equal(*(sample_initial_state(50, seeded(seed), c)[0] for seed in (4, 5)))
+
+
+def test_no_safe_attitude_is_an_error(c, monkeypatch):
+    monkeypatch.setattr(initial_state, "MAX_ATTEMPTS", 3)
+    with pytest.raises(RuntimeError, match="no safe initial attitude in 3 draws"):
+        sample_initial_state(5, seeded(0), c, lambda x: torch.zeros(x.shape[1], dtype=torch.bool))
+
+
+def test_supply_does_not_depend_on_how_it_is_taken(c, monkeypatch):
+    monkeypatch.setattr(initial_state, "POOL", 7)
+    one, other = InitialStates(seeded(6), c), InitialStates(seeded(6), c)
+    pieces = [torch.cat(one.take(count)) for count in (1, 0, 12, 7)]
+    assert torch.equal(torch.cat(pieces, 1), torch.cat(other.take(20)))
+
+
+def test_supply_asks_for_safe_attitudes(c):
+    x, _ = InitialStates(seeded(7), c, lambda x: x[Q][0] > 0.0).take(300)
+    assert (x[Q][0] > 0.0).all()
