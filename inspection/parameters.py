@@ -5,7 +5,7 @@ contradiction in the paper; the README's "Differences from the paper" gives the 
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 AXES = {"+x": (0, 1.0), "-x": (0, -1.0), "+y": (1, 1.0), "-y": (1, -1.0), "+z": (2, 1.0), "-z": (2, -1.0)}
 
@@ -98,6 +98,11 @@ class InspectionParameters:
         for name in positive.split():
             if not 0 < getattr(self, name) < math.inf:
                 raise ValueError(f"{name} = {getattr(self, name)!r}: must be a positive number")
+        for field in fields(self):
+            value = getattr(self, field.name)
+            numbers = value if isinstance(value, tuple) else (value,)
+            if any(isinstance(number, float) and not math.isfinite(number) for number in numbers):
+                raise ValueError(f"{field.name} = {value!r}: must be finite")
         if min(self.inertia) <= 0:
             raise ValueError(f"inertia = {self.inertia!r}: must be three positive moments in kg m^2")
         for name in ("initial_radius", "initial_energy", "initial_temperature"):

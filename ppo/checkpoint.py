@@ -1,6 +1,7 @@
 """Checkpoints: tensors and plain values only, written atomically."""
 
 import os
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -30,7 +31,9 @@ def load(path: str | Path, keys: tuple[str, ...], device: str | torch.device = "
     if not Path(path).is_file():
         raise CheckpointError(f"{path}: no such checkpoint file")
     try:
-        content = torch.load(path, map_location=device, weights_only=True)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # damage is reported below, in one line
+            content = torch.load(path, map_location=device, weights_only=True)
     except Exception as error:  # torch reports damage through many exception types
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise CheckpointError(f"{path}: not a readable checkpoint ({reason[:120]})") from None

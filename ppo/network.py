@@ -101,8 +101,8 @@ class Policy(nn.Module):
         action_size: int,
         generators: Sequence[torch.Generator],
         hidden: Sequence[int] = (256, 256),
-        log_std_bounds: tuple[float, float] = (-4.0, 0.0),
-        initial_std: float = 0.5,
+        log_std_bounds: tuple[float, float] = (-5.0, 0.0),
+        initial_std: float = 0.1,
     ) -> None:
         super().__init__()
         bias = log_std_bias(initial_std, log_std_bounds)

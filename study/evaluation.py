@@ -1,5 +1,6 @@
 """Deterministic evaluation over common test cases, in the paper's metrics (Sec. Final Model Performance)."""
 
+import dataclasses
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -146,6 +147,7 @@ def report(record: Episodes, config: Config, rta: bool, period: float, seed: int
         },
         "episodes": record.outcome.numel(),
         "seed": seed,
+        "config": dataclasses.asdict(config),
     }
     if calls:
         filter_steps = (100.0 * record.filter_violations.sum(1) / calls).tolist()

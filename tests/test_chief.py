@@ -187,6 +187,19 @@ def test_warm_started_clusters_match_loop_based_lloyd(normals, generator):
         old = check_against_lloyd(points, wanted, old, centres, alive)
 
 
+def test_a_cluster_that_lost_its_points_dies_and_is_seeded_anew(normals):
+    points, wanted = RADIUS * normals, (normals[0] > 0.7)[:, None]
+    assert PER_CLUSTER < wanted.sum() <= 2 * PER_CLUSTER
+    centres = torch.tensor([[9.0, 0.0, 0.0], [-9.0, 0.0, 0.0]]).double().T[..., None]
+    old = [list(centres[..., 0].T.numpy().copy())]
+    centres, alive = chief.cluster(points, wanted, centres, torch.ones(2, 1, dtype=torch.bool), PER_CLUSTER)
+    old = check_against_lloyd(points, wanted, old, centres, alive)
+    assert alive[:, 0].tolist() == [True, False]  # all points were nearer to the first centre
+    centres, alive = chief.cluster(points, wanted, centres, alive, PER_CLUSTER)
+    check_against_lloyd(points, wanted, old, centres, alive)
+    assert alive.all()
+
+
 def test_settled_clusters_stay_put(normals):
     points, lit = RADIUS * normals, chief.illuminated(normals, torch.zeros(1, dtype=torch.float64))
     centres, alive = torch.zeros(3, 6, 1, dtype=torch.float64), torch.zeros(6, 1, dtype=torch.bool)

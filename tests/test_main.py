@@ -1,0 +1,283 @@
+"""The command line: every bad input ends in one line and exit code 2; good input writes what is promised."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+import main
+from inspection.environment import METRICS
+from rta.constraints import CONSTRAINTS
+from study import training
+from study.config import Config, override
+
+STATE: dict[str, Any] = {
+    "position": [60.0, 10.0, -20.0],
+    "velocity": [0.0, 0.0, 0.0],
+    "quaternion": [0.0, 0.0, 0.0, 1.0],
+    "angular_velocity": [0.0, 0.0, 0.0],
+    "temperature": 5.0,
+    "energy": 6.0,
+    "sun_angle": 3.0,
+}
+
+
+def call(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> tuple[int, str, str]:
+    """Exit code, stdout and stderr."""
+    try:
+        code = main.main(arguments)
+    except SystemExit as stop:
+        code = stop.code
+    out, err = capsys.readouterr()
+    return code, out, err
+
+
+def assert_refused(arguments: list[str], words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    code, _, err = call(arguments, capsys)
+    assert code == 2, err
+    assert err.count("\n") == 1, err
+    assert err.startswith("error: ")
+    for word in words:
+        assert word in err
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The directory of a run that was never trained."""
+    directory = tmp_path_factory.mktemp("runs") / "run"
+    train = {"rta": False, "num_envs": 4, "rollout_steps": 4, "interactions": 32, "device": "cpu"}
+    training.start(override(Config(), {"train": train}, "test"), directory)
+    return directory
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["train", "--rta-period", "2"], ["--rta-period", "'2'", "1, 5 or 10"]),
+        (["train", "--num-envs", "0"], ["--num-envs", "'0'", "positive integer"]),
+        (["train", "--interactions", "-5"], ["--interactions", "'-5'", "positive integer"]),
+        (["train", "--interactions", "many"], ["--interactions", "'many'", "positive integer"]),
+        (["train", "--learning-rate", "nan"], ["--learning-rate", "'nan'", "positive"]),
+        (["train", "--seed", "-1"], ["--seed", "'-1'", "integer"]),
+        (["train", "--device", "tpu"], ["--device", "'tpu'", "cuda"]),
+        (["train", "--solar-panel-axis", "x"], ["--solar-panel-axis", "'x'", "+x"]),
+        (["train", "--config", "nowhere.toml"], ["nowhere.toml", "No such file"]),
+        (["train", "--resume", "nowhere"], ["nowhere", "no run there"]),
+        (["train", "--resume", "nowhere", "--seed", "3"], ["--resume", "--seed"]),
+        (["train", "--unknown"], ["--unknown"]),
+        (["evaluate"], ["--checkpoint"]),
+        (["evaluate", "--checkpoint", "nowhere.pt"], ["nowhere.pt", "no such checkpoint"]),
+        (["evaluate", "--checkpoint", "x.pt", "--episodes", "0"], ["--episodes", "'0'", "positive"]),
+        (["simulate", "--controller", "pid"], ["--controller", "'pid'", "lqr-pd"]),
+        (["simulate", "--controller", "zero", "--duration", "0", "--out", "x"], ["--duration", "'0'"]),
+        (
+            ["simulate", "--controller", "policy", "--duration", "10", "--out", "x"],
+            ["--checkpoint", "--controller policy"],
+        ),
+        (
+            ["simulate", "--controller", "recorded", "--duration", "10", "--out", "x"],
+            ["--actions", "--controller recorded"],
+        ),
+        (
+            ["simulate", "--controller", "zero", "--duration", "10", "--step", "3", "--out", "x"],
+            ["--step 3", "10 s"],
+        ),
+        (
+            ["simulate", "--controller", "zero", "--duration", "15", "--step", "10", "--out", "x"],
+            ["--duration 15", "--step"],
+        ),
+        (
+            ["simulate", "--controller", "zero", "--duration", "10", "--out", "nowhere/x.npz"],
+            ["--out", "no directory"],
+        ),
+        ([], ["train | evaluate | simulate"]),
+    ],
+)
+def test_bad_flags_are_refused(
+    arguments: list[str], words: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert_refused(arguments, words, capsys)
+
+
+@pytest.mark.skipif(torch.cuda.is_available(), reason="there is a CUDA device here")
+def test_absent_cuda_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["cuda", "no CUDA device"]
+    assert_refused(["train", "--device", "cuda", "--run-dir", str(tmp_path / "r")], words, capsys)
+
+
+def test_an_existing_run_is_not_overwritten(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert_refused(["train", "--run-dir", str(run)], ["--run-dir", "--resume"], capsys)
+
+
+def test_corrupt_checkpoints_are_refused(
+    tmp_path: Path, run: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    whole = (run / "policy.pt").read_bytes()
+    other = tmp_path / "other.pt"
+    torch.save({"weights": torch.zeros(3)}, other)
+    for name, content in (("empty", b""), ("garbage", b"\x80garbage"), ("half", whole[: len(whole) // 2])):
+        path = tmp_path / f"{name}.pt"
+        path.write_bytes(content)
+        assert_refused(["evaluate", "--checkpoint", str(path)], [str(path), "not a readable"], capsys)
+    assert_refused(["evaluate", "--checkpoint", str(other)], [str(other), "lacks policy"], capsys)
+    assert_refused(["evaluate", "--checkpoint", str(tmp_path)], [str(tmp_path), "no such"], capsys)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"position": [1.0, 2.0]}, ["position", "3 numbers"]),
+        ({"position": [0.0, 0.0, 0.0]}, ["position", "centre"]),
+        ({"velocity": [0.0, float("nan"), 0.0]}, ["velocity", "finite"]),
+        ({"energy": float("inf")}, ["energy", "finite"]),
+        ({"temperature": "warm"}, ["temperature", "number"]),
+        ({"quaternion": [0.0, 0.0, 0.0, 2.0]}, ["quaternion", "length 1"]),
+        ({"quaternion": [1.0, 0.0, 0.0]}, ["quaternion", "4 numbers"]),
+        ({"priority_vector": [0.0, 0.0, 0.0]}, ["priority_vector", "zero"]),
+        ({"colour": 1}, ["'colour'", "position"]),
+        ({"sun_angle": None}, ["sun_angle", "number"]),
+    ],
+)
+def test_bad_state_files_are_refused(
+    change: dict[str, Any], words: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "state.json"
+    path.write_text(json.dumps(STATE | change))
+    arguments = ["simulate", "--controller", "zero", "--duration", "10", "--initial-state", str(path)]
+    assert_refused([*arguments, "--out", str(tmp_path / "x.npz")], [str(path), *words], capsys)
+
+
+@pytest.mark.parametrize("text", ["[1, 2]", "{", '{"position": [1, 2, 3]}'])
+def test_malformed_state_files_are_refused(
+    text: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "state.json"
+    path.write_text(text)
+    arguments = ["simulate", "--controller", "zero", "--duration", "10", "--initial-state", str(path)]
+    assert_refused([*arguments, "--out", str(tmp_path / "x.npz")], [str(path)], capsys)
+
+
+@pytest.mark.parametrize(
+    ("actions", "words"),
+    [
+        (np.zeros((3, 5)), ["(3, 5)", "(N, 6)"]),
+        (np.full((3, 6), np.nan), ["finite"]),
+        (np.full((3, 6), 0.5), ["0.5", "0.001"]),
+        (np.array(["a"]), ["(N, 6)"]),
+    ],
+)
+def test_bad_actions_are_refused(
+    actions: np.ndarray, words: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "actions.npy"
+    np.save(path, actions)
+    arguments = [
+        "simulate",
+        "--controller",
+        "recorded",
+        "--actions",
+        str(path),
+        "--duration",
+        "10",
+        "--no-rta",
+    ]
+    assert_refused([*arguments, "--out", str(tmp_path / "x.npz")], [str(path), *words], capsys)
+
+
+def test_evaluate_writes_the_promised_json(
+    run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "results.json"
+    arguments = ["evaluate", "--checkpoint", str(run / "policy.pt"), "--episodes", "6", "--json", str(path)]
+    code, out, err = call(arguments, capsys)
+    assert code == 0, err
+    assert "Table 2" in out
+    assert "Table 3" in out
+    results = json.loads(path.read_text())
+    assert set(results["metrics"]) == set(METRICS)
+    assert all(set(metric) == {"iqm", "mean", "ci95"} for metric in results["metrics"].values())
+    assert set(results["violations_percent"]) == {"any", *CONSTRAINTS}
+    assert sum(results["outcomes"].values()) == pytest.approx(1.0)
+    assert set(results["outcomes"]) == {"success", "crash", "out_of_bounds", "out_of_power", "timeout"}
+    assert {"period_s", "intervention_percent", "qp_failures"} <= set(results["rta"])
+    assert (results["episodes"], results["seed"]) == (6, 0)
+    assert results["config"]["train"]["num_envs"] == 4
+
+
+def test_evaluate_is_the_same_for_policy_and_checkpoint_file(
+    run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    texts = []
+    for name in ("policy.pt", "checkpoint.pt"):
+        path = tmp_path / f"{name}.json"
+        call(["evaluate", "--checkpoint", str(run / name), "--episodes", "3", "--json", str(path)], capsys)
+        texts.append(path.read_text())
+    assert texts[0] == texts[1]
+
+
+def test_simulate_replays_recorded_controls_from_a_state(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rng = np.random.default_rng(0)
+    actions = rng.uniform(-1, 1, (8, 6)) * [1.0, 1.0, 1.0, 1e-3, 1e-3, 1e-3]
+    np.save(tmp_path / "actions.npy", actions)
+    (tmp_path / "state.json").write_text(json.dumps(STATE))
+    out = tmp_path / "run.npz"
+    arguments = [
+        "simulate",
+        "--controller",
+        "recorded",
+        "--actions",
+        str(tmp_path / "actions.npy"),
+        "--no-rta",
+    ]
+    arguments += ["--initial-state", str(tmp_path / "state.json"), "--duration", "40", "--step", "5"]
+    code, _, err = call([*arguments, "--out", str(out)], capsys)
+    assert code == 0, err
+    result = np.load(out)
+    names = "time position velocity quaternion angular_velocity temperature energy sun_angle"
+    names += " control_desired control_applied inspected_score"
+    assert set(result.files) == {*names.split(), *(f"h_{name}" for name in CONSTRAINTS)}
+    np.testing.assert_allclose(result["time"], np.arange(0, 41, 5))
+    np.testing.assert_array_equal(result["position"][0], STATE["position"])
+    np.testing.assert_allclose(result["control_applied"][:-1], actions, atol=1e-15)
+    np.testing.assert_allclose(np.linalg.norm(result["quaternion"], axis=1), 1.0, atol=1e-12)
+    assert result["temperature"].shape == result["h_battery"].shape == (9,)
+
+
+@pytest.mark.parametrize("controller", ["lqr-pd", "natural-motion", "zero", "random"])
+def test_simulate_runs_every_classical_controller_within_the_actuators_limits(
+    controller: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "run.npz"
+    arguments = ["simulate", "--controller", controller, "--no-rta", "--duration", "30", "--out", str(out)]
+    code, _, err = call(arguments, capsys)
+    assert code == 0, err
+    limit = np.array([1.0, 1.0, 1.0, 1e-3, 1e-3, 1e-3])
+    assert (np.abs(np.load(out)["control_desired"]) <= limit * (1 + 1e-9)).all()
+
+
+def test_simulate_filters_a_policy_at_the_rta_period(
+    run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "run.npz"
+    arguments = ["simulate", "--controller", "policy", "--checkpoint", str(run / "policy.pt"), "--rta"]
+    arguments += ["--rta-period", "5", "--duration", "20", "--step", "1", "--out", str(out)]
+    code, _, err = call(arguments, capsys)
+    assert code == 0, err
+    applied = np.load(out)["control_applied"]
+    changes = np.flatnonzero((np.diff(applied, axis=0) != 0).any(1)) + 1
+    assert set(changes) <= {5, 10, 15}
+
+
+def test_help_gives_every_flag_a_default_or_says_it_is_required(capsys: pytest.CaptureFixture[str]) -> None:
+    for command in ("train", "evaluate", "simulate"):
+        parser = main.build_parser()._subparsers._group_actions[0].choices[command]
+        for action in parser._actions:
+            if action.dest == "help":
+                continue
+            assert action.help, action.dest
+            assert action.required or "default" in action.help, action.dest
