@@ -86,8 +86,7 @@ def add_common(parser: Parser) -> None:
     parser.add_argument(
         "--solar-panel-axis",
         choices=tuple(AXES),
-        help="body axis that the solar panels face; written with = for a minus, "
-        f"--solar-panel-axis=-x (default: {TASK.solar_panel_axis})",
+        help=f"body axis that the solar panels face (default: {TASK.solar_panel_axis})",
     )
     parser.add_argument(
         "--compile",
@@ -302,9 +301,20 @@ def check_writable(path: str, flag: str) -> None:
         raise InputError(f"{flag} {path}: is a directory, must be a file")
 
 
+def join_axis(argv: list[str]) -> list[str]:
+    """Writes "--solar-panel-axis -x" with an equals sign, since argparse takes a lone -x for a flag."""
+    joined: list[str] = []
+    for word in argv:
+        if joined and joined[-1] == "--solar-panel-axis":
+            joined[-1] += f"={word}"
+        else:
+            joined.append(word)
+    return joined
+
+
 def main(argv: list[str] | None = None) -> int:
     """Parses and dispatches; returns the exit code."""
-    arguments = build_parser().parse_args(argv)
+    arguments = build_parser().parse_args(join_axis(sys.argv[1:] if argv is None else argv))
     try:
         arguments.run(arguments)
     except (InputError, CheckpointError) as error:

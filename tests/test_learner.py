@@ -17,7 +17,9 @@ ONE_MINIBATCH = PPOParameters(epochs=1, minibatch_size=64, max_grad_norm=math.in
 
 def learner(seeds: tuple[int, ...], parameters: PPOParameters) -> PPO:
     generators = [torch.Generator().manual_seed(seed) for seed in seeds]
-    policy = Policy(OBSERVATION, ACTION, generators, hidden=(16, 16))
+    policy = Policy(
+        OBSERVATION, ACTION, generators, hidden=(16, 16), log_std_bounds=(-4.0, 0.0), initial_std=0.5
+    )
     return PPO(policy, Value(OBSERVATION, generators, hidden=(16, 16)), parameters, generators)
 
 
