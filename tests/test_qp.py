@@ -1,12 +1,15 @@
 """The solver against exact enumeration, optimality certificates and hand-made conflicts of rows."""
 
+import dataclasses
 import itertools
 
 import numpy as np
+import pytest
 from numpy import ndarray
 from scipy.optimize import nnls
 
-from rta.qp import Problems, residual
+from rta.piqp_solver import PiqpSolver
+from rta.qp import FEASIBLE, Problems, Status, least_violating, residual
 
 INF = np.inf
 
@@ -85,7 +88,176 @@ def least_distance(desired: ndarray, a: ndarray, b: ndarray, weight: ndarray) ->
     return desired - r[:3] / r[-1]
 
 
-def reference(problems: Problems) -> ndarray:
-    """The controls (N, 3) with slack."""
-    triples = zip(problems.desired, problems.a, problems.b, strict=True)
+def with_slack(problems: Problems) -> ndarray:
+    """The reference's controls (N, 3)."""
+    triples = zip(problems.desired, problems.a, problems.b_bare, strict=True)
     return np.array([least_distance(*triple, problems.weight) for triple in triples])
+
+
+def cost(problems: Problems, u: ndarray) -> ndarray:
+    """Squared distance plus the weighted squared slack of the soft rows, (N,)."""
+    soft = np.isfinite(problems.weight)
+    slack = np.minimum(0, residual(u, problems.a, problems.b_bare))[:, soft]
+    return ((u - problems.desired) ** 2).sum(1) + (problems.weight[soft] * slack**2).sum(1)
+
+
+WEIGHT = np.array([1e5, 1e5, 1e4, 1e4, 1e3, 1e3, 1e3, 1e3])
+ONE_MUST_HOLD = np.array([INF, *WEIGHT[1:]])
+SLACK_CASES = {
+    "high_weights_agree": WEIGHT,
+    "high_weights_conflict": WEIGHT[::-1].copy(),
+    "one_must_hold": ONE_MUST_HOLD,
+    "one_must_hold_and_high_weights_conflict": np.array([INF, *WEIGHT[:0:-1]]),
+}
+
+
+def slack_problems(weight: ndarray) -> Problems:
+    problems = infeasible_problems(300, 8, 1, weight)
+    must = np.isinf(weight)
+    problems.b[:, must] = problems.b_bare[:, must] = np.abs(problems.b[:, must])  # satisfied by u = 0
+    return problems
+
+
+def test_references_agree() -> None:
+    problems = dataclasses.replace(feasible_problems(300, 6, 0), weight=np.full(6, INF))
+    exact = with_slack(dataclasses.replace(problems, b_bare=problems.b))
+    np.testing.assert_allclose(exact, projection(problems), rtol=0, atol=1e-11)
+
+
+@pytest.mark.parametrize("rows", [6, 11])
+def test_feasible_program_equals_enumeration(rows: int) -> None:
+    problems = feasible_problems(400, rows, rows)
+    expected = projection(problems)
+    control, status = PiqpSolver().solve(problems)
+    assert (status == Status.HARD).all()
+    assert np.abs(expected - problems.desired).max(1).mean() > 0.1
+    np.testing.assert_allclose(control, expected, rtol=0, atol=1e-6)
+
+
+@pytest.mark.parametrize("weight", SLACK_CASES.values(), ids=SLACK_CASES)
+def test_slack_program_equals_least_distance(weight: ndarray) -> None:
+    problems = slack_problems(weight)
+    control, status = PiqpSolver().solve(problems)
+    assert (status == Status.SLACK).all()
+    np.testing.assert_allclose(control, with_slack(problems), rtol=0, atol=1e-4)
+
+
+@pytest.mark.parametrize("weight", SLACK_CASES.values(), ids=SLACK_CASES)
+def test_slack_program_has_the_least_cost(weight: ndarray) -> None:
+    problems = slack_problems(weight)
+    control, _ = PiqpSolver().solve(problems)
+    np.testing.assert_allclose(cost(problems, control), cost(problems, with_slack(problems)), rtol=1e-8)
+
+
+@pytest.mark.parametrize("weight", SLACK_CASES.values(), ids=SLACK_CASES)
+def test_slack_program_satisfies_kkt(weight: ndarray) -> None:
+    # stationarity: what is left of u - desired - sum w delta a after non-negative multipliers of the rows that
+    # must hold and of the bounds, where they are active, in units of the largest force w delta
+    problems = slack_problems(weight)
+    control, _ = PiqpSolver().solve(problems)
+    soft = np.isfinite(weight)
+    for u, desired, a, b in zip(control, problems.desired, problems.a, problems.b_bare, strict=True):
+        rest = residual(u, a, b)
+        force = weight[soft] * np.maximum(0, -rest[soft])
+        normals = np.concatenate((a[~soft], np.eye(3), -np.eye(3)))
+        active = np.concatenate((rest[~soft], 1 + u, 1 - u)) < 1e-6
+        _, left = nnls((normals * active[:, None]).T, u - desired - force @ a[soft])
+        assert left <= 1e-6 * max(1.0, force.max())
+
+
+def test_row_that_must_hold_is_never_violated() -> None:
+    problems = slack_problems(ONE_MUST_HOLD)
+    control, _ = PiqpSolver().solve(problems)
+    assert residual(control, problems.a, problems.b_bare)[:, 0].min() >= -FEASIBLE
+
+
+def test_controls_stay_in_the_box() -> None:
+    for problems in (slack_problems(WEIGHT), feasible_problems(300, 6, 0)):
+        assert np.abs(PiqpSolver().solve(problems)[0]).max() <= 1.0
+
+
+def test_margins_are_spent_before_slack() -> None:
+    # u1 >= 0.5 and u1 <= 0.3 with margins of 0.2: nothing but u1 in [0.3, 0.5] satisfies both without
+    problems = problem([0.9, 0.1, 0.0], [[1, 0, 0, -0.5], [-1, 0, 0, 0.3]], [1e3, 1e3], spare=0.2)
+    control, status = PiqpSolver().solve(problems)
+    assert status == [Status.HARD]
+    np.testing.assert_allclose(control, [[0.5, 0.1, 0.0]], atol=1e-6)
+
+
+def test_margins_are_kept_where_they_can_be() -> None:
+    problems = problem([0.9, 0.1, 0.0], [[-1, 0, 0, 0.3]], [1e3], spare=0.2)
+    control, status = PiqpSolver().solve(problems)
+    assert status == [Status.HARD]
+    np.testing.assert_allclose(control, [[0.3, 0.1, 0.0]], atol=1e-6)
+
+
+@pytest.mark.parametrize("weight", [[1e5, 1e3], [1e3, 1e5], [1e4, 1e4]])
+def test_lower_weight_yields(weight: list[float]) -> None:
+    # u1 >= 0.5 and u1 <= -0.5: the minimum of (u1 - 0.2)^2 + w1 (0.5 - u1)^2 + w2 (0.5 + u1)^2
+    control, status = PiqpSolver().solve(problem([0.2, 0, 0], [[1, 0, 0, -0.5], [-1, 0, 0, -0.5]], weight))
+    expected = (0.2 + 0.5 * weight[0] - 0.5 * weight[1]) / (1 + sum(weight))
+    assert status == [Status.SLACK]
+    np.testing.assert_allclose(control, [[expected, 0, 0]], atol=1e-6)
+
+
+def test_row_that_must_hold_wins_over_any_weight() -> None:
+    problems = problem([0.2, 0, 0], [[1, 0, 0, -0.5], [-1, 0, 0, -0.5]], [INF, 1e5])
+    control, status = PiqpSolver().solve(problems)
+    assert status == [Status.SLACK]
+    np.testing.assert_allclose(control, [[0.5, 0, 0]], atol=1e-6)
+
+
+UNSOLVABLE = {
+    "must_hold_beyond_the_box": [[1, 0, 0, -1.5], [0, 1, 0, 0.5]],
+    "nan_row_that_must_hold": [[np.nan, 0, 0, 0.5], [0, 1, 0, 0.5]],
+    "nan_soft_row": [[1, 0, 0, 0.5], [0, np.nan, 0, 0.5]],
+    "nan_b": [[1, 0, 0, np.nan], [0, 1, 0, np.nan]],
+    "infinite_row": [[np.inf, 0, 0, 0.5], [0, 1, 0, -np.inf]],
+}
+
+
+@pytest.mark.parametrize("rows", UNSOLVABLE.values(), ids=UNSOLVABLE)
+def test_unsolvable_program_says_so_and_stays_finite(rows: list[list[float]]) -> None:
+    control, status = PiqpSolver().solve(problem([0.9, 0.1, 0.0], rows, [INF, 1e3]))
+    assert status == [Status.UNSOLVED]
+    assert (np.abs(control) <= 1).all()
+
+
+@pytest.mark.parametrize("before", ["feasible", "slack", *UNSOLVABLE])
+def test_answer_does_not_depend_on_what_was_solved_before(before: str) -> None:
+    solver, weight = PiqpSolver(), np.array([INF, 1e3])
+    feasible = dataclasses.replace(feasible_problems(100, 2, 5), weight=weight)
+    conflict = problem([0.2, 0, 0], [[1, 0, 0, -0.5], [-1, 0, 0, -0.5]], weight)
+    known = {"feasible": feasible, "slack": infeasible_problems(100, 2, 6, weight)}
+    other = known.get(before) or problem([0.9, 0.1, 0.0], UNSOLVABLE[before], weight)
+    first = PiqpSolver().solve(feasible)[0], PiqpSolver().solve(conflict)[0]
+    solver.solve(other)
+    assert (solver.solve(feasible)[0] == first[0]).all()
+    assert (solver.solve(conflict)[0] == first[1]).all()
+
+
+def test_problems_of_a_batch_do_not_touch_each_other() -> None:
+    batch = slack_problems(ONE_MUST_HOLD)
+    arrays = (batch.desired, batch.a, batch.b, batch.b_bare)
+    alone = [PiqpSolver().solve(Problems(*(x[[i]] for x in arrays), batch.weight))[0] for i in range(20)]
+    assert (PiqpSolver().solve(batch)[0][:20] == np.concatenate(alone)).all()
+
+
+def test_least_violating_satisfies_first_what_must_hold() -> None:
+    a, b = np.eye(3)[:2], np.array([-0.5, -0.5])  # u1 >= 0.5 must hold, u2 >= 0.5 is soft
+    breaks_soft, breaks_must = np.array([0.4, -1.0, 0.0]), np.array([0.3, 1.0, 0.0])
+    chosen = least_violating([breaks_must, breaks_soft], a, b, np.array([INF, 1e5]))
+    assert (chosen == breaks_soft).all()
+
+
+def test_least_violating_weighs_soft_rows() -> None:
+    a, b = np.eye(3)[:2], np.array([-0.5, -0.5])
+    breaks_light, breaks_heavy = np.array([0.5, 0.0, 0.0]), np.array([0.3, 0.5, 0.0])
+    chosen = least_violating([breaks_heavy, breaks_light], a, b, np.array([1e5, 1e3]))
+    assert (chosen == breaks_light).all()
+
+
+def test_least_violating_passes_over_what_is_not_finite() -> None:
+    candidates = [np.full(3, np.nan), np.array([2.0, 0.0, 0.0])]
+    chosen = least_violating(candidates, np.eye(3)[:1], np.zeros(1), np.array([1e3]))
+    assert chosen.tolist() == [1.0, 0.0, 0.0]

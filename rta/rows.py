@@ -1,0 +1,148 @@
+"""The barrier conditions a u + b >= 0 of all constraints at a batch of states."""
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from inspection.dynamics import control_matrix, drift
+from inspection.parameters import InspectionParameters
+from inspection.state import THRUST, TORQUE
+from rta import constraints
+from rta.barrier import high_order, lie_derivatives
+from rta.constraints import Smoothing
+from rta.parameters import RtaParameters
+
+
+class Row(NamedTuple):
+    """What is fixed about one row: its constraint, alpha(psi) = gain * (psi - margin), and its slack weight.
+
+    `lead` is what the margin of h inside Psi_1 takes away from Psi_1, zero at relative degree one.
+    """
+
+    constraint: str
+    gain: float
+    margin: float
+    weight: float
+    lead: float = 0.0
+
+
+@dataclass
+class Rows:
+    """Conditions of one actuator group on u in N or N m.
+
+    Attributes:
+        h: (R, B) constraint values; psi: (R, B) Psi_1 where the relative degree is two, else h.
+        a: (R, 3, B); b: (R, B) with margins; b_bare: (R, B) without.
+    """
+
+    h: Tensor
+    psi: Tensor
+    a: Tensor
+    b: Tensor
+    b_bare: Tensor
+
+
+class Barriers:
+    """Builds the rows of a filter that is called every `period` s; raises ValueError where parameters disagree.
+
+    Attributes:
+        thrust, torque: what is fixed about each row of the two actuator groups, in the rows' order.
+    """
+
+    def __init__(self, c: InspectionParameters, r: RtaParameters, period: float) -> None:
+        if r.passive_safety_segments[-1] != c.passive_safety_horizon:
+            raise ValueError(
+                f"passive_safety_segments end at {r.passive_safety_segments[-1]} s: "
+                f"must be the passive_safety_horizon, {c.passive_safety_horizon} s"
+            )
+        self.c, self.r = c, r
+        self.smoothing = Smoothing(r.distance_floor, r.pole_angle)
+        critical, resource, motion = r.slack_weight_critical, r.slack_weight_resource, r.slack_weight_motion
+
+        def gain(value: float) -> float:
+            return r.gain(value, period)
+
+        passes = len(r.passive_safety_segments) - 1
+        self.thrust = [
+            Row("collision", gain(r.collision_gain), r.collision_margin, math.inf),
+            Row("dynamic_speed", gain(r.speed_gain), r.speed_margin, motion),
+            Row("keep_in_zone", gain(r.keep_in_gain), r.keep_in_margin, critical),
+            *[Row("passive_safety", gain(r.passive_safety_gain), r.passive_safety_margin, critical)] * passes,
+            *[Row(f"velocity_{i}", gain(r.velocity_gain), r.velocity_margin, motion) for i in "xyz"],
+        ]
+        # constraint, (k1, k2), margin of h, slack weight
+        high_order_table = (
+            ("attitude_exclusion", r.exclusion_gains, r.exclusion_margin, critical),
+            ("temperature", r.temperature_gains, r.temperature_margin, resource),
+            ("battery", r.battery_gains, r.battery_margin, resource),
+        )
+        self.first = [(gain(k1), margin) for _, (k1, _), margin, _ in high_order_table]
+        self.torque = [
+            *[
+                Row(name, gain(k2), 0.0, weight, lead=gain(k1) * margin)
+                for name, (k1, k2), margin, weight in high_order_table
+            ],
+            *[Row(f"angular_velocity_{i}", gain(r.rate_gain), r.rate_margin, motion) for i in "xyz"],
+        ]
+
+    def translational(self, x: Tensor, times: Tensor) -> Tensor:
+        """h of the thrust rows, (16, ...) and pass times (segments, ...) to (R, ...)."""
+        c, s = self.c, self.smoothing
+        speeds = (
+            constraints.collision(x, c, s),
+            constraints.dynamic_speed(x, c),
+            constraints.keep_in_zone(x, c, s),
+        )
+        return torch.cat(
+            (torch.stack(speeds), constraints.clearance_at(x, times, c), constraints.velocity(x, c))
+        )
+
+    def orientation(self, x: Tensor) -> Tensor:
+        """h of relative degree two, (16, ...) to (3, ...)."""
+        c, s = self.c, self.smoothing
+        return torch.stack(
+            (
+                constraints.attitude_exclusion(x, c, s),
+                constraints.temperature(x, c, s),
+                constraints.battery(x, c, s),
+            )
+        )
+
+    def first_psi(self, x: Tensor) -> Tensor:
+        """Psi_1 = dh/dt + k1 (h - margin) of the constraints of relative degree two, (16, ...) to (3, ...)."""
+
+        def alpha(h: Tensor) -> Tensor:
+            return torch.stack([k1 * (h[i] - margin) for i, (k1, margin) in enumerate(self.first)])
+
+        return high_order(self.orientation, alpha, lambda y: drift(y, self.c))(x)
+
+    def __call__(self, x: Tensor) -> tuple[Rows, Rows]:
+        """The conditions on thrust and on torque at states (16, B)."""
+        c = self.c
+        f, g = drift(x, c), control_matrix(x, c)
+        times = constraints.closest_times(x, self.r.passive_safety_segments, c)
+        times = times[:, None].expand(-1, 4, -1)  # the same for f and each of three controls
+        h, lf, lg = lie_derivatives(lambda y: self.translational(y, times), x, f, g[:, THRUST])
+        thrust = condition(self.thrust, h, h, lf, lg)
+
+        def psi_and_rates(y: Tensor) -> Tensor:
+            return torch.cat((self.first_psi(y), constraints.angular_velocity(y, c)))
+
+        psi, lf, lg = lie_derivatives(psi_and_rates, x, f, g[:, TORQUE])
+        h = torch.cat((self.orientation(x), psi[3:]))
+        return thrust, condition(self.torque, h, psi, lf, lg)
+
+    def is_safe(self, x: Tensor) -> Tensor:
+        """(B,) bool: every h and every Psi_1 is non-negative, so the filter can keep it so."""
+        return (constraints.values(x, self.c) >= 0.0).all(0) & (self.first_psi(x) >= 0.0).all(0)
+
+
+def condition(rows: list[Row], h: Tensor, psi: Tensor, lf: Tensor, lg: Tensor) -> Rows:
+    """BC: L_f psi + L_g psi u + alpha(psi) >= 0, with margins and without."""
+    gain, margin, lead = (
+        psi.new_tensor([getattr(row, name) for row in rows])[:, None] for name in ("gain", "margin", "lead")
+    )
+    return Rows(h, psi, lg, lf + gain * (psi - margin), lf + gain * (psi + lead))

@@ -1,0 +1,78 @@
+"""Classical controllers against what defines them."""
+
+import numpy as np
+import scipy.linalg
+import torch
+
+from inspection import guidance
+from inspection.dynamics import free_flight, step
+from inspection.parameters import InspectionParameters
+from inspection.state import OMEGA, SIZE, THETA_S, P, Q, V
+
+C = InspectionParameters()
+
+
+def at_rest(batch: int = 1) -> torch.Tensor:
+    x = torch.zeros(SIZE, batch, dtype=torch.float64)
+    x[P] = torch.tensor([[70.0], [-30.0], [20.0]], dtype=torch.float64)
+    x[Q.start + 3] = 1.0
+    x[THETA_S] = 0.4
+    return x
+
+
+def test_lqr_gain_solves_the_riccati_equation_and_stabilises() -> None:
+    n = C.mean_motion
+    gain = guidance.lqr_gain(C)
+    a = np.array(
+        [
+            [0, 0, 0, 1, 0, 0],
+            [0, 0, 0, 0, 1, 0],
+            [0, 0, 0, 0, 0, 1],
+            [3 * n**2, 0, 0, 0, 2 * n, 0],
+            [0, 0, 0, -2 * n, 0, 0],
+            [0, 0, -(n**2), 0, 0, 0],
+        ]
+    )
+    b = np.vstack((np.zeros((3, 3)), np.eye(3) / C.mass))
+    assert np.linalg.eigvals(a - b @ gain).real.max() < 0
+    # with R = I the optimal cost matrix S gives K = B' S, and A' S + S A - K' K + Q = 0
+    cost = scipy.linalg.solve_continuous_lyapunov(
+        (a - b @ gain).T, -(np.diag([1e-4] * 3 + [1.0] * 3) + gain.T @ gain)
+    )
+    np.testing.assert_allclose(b.T @ cost, gain, rtol=1e-6, atol=1e-9)
+
+
+def test_the_sun_following_ellipse_is_a_free_motion() -> None:
+    b, n, theta = guidance.ELLIPSE, C.mean_motion, 0.7
+    p = torch.tensor([b * np.cos(theta), 2 * b * np.sin(theta), 0.0], dtype=torch.float64)
+    v = n * torch.tensor([b * np.sin(theta), -2 * b * np.cos(theta), 0.0], dtype=torch.float64)
+    t = torch.tensor(1500.0, dtype=torch.float64)
+    later = theta - n * t
+    expected = torch.stack((b * later.cos(), 2 * b * later.sin(), torch.zeros_like(later)))
+    torch.testing.assert_close(free_flight(p, v, t, n), expected)
+
+
+def test_natural_motion_needs_no_thrust_on_its_ellipse() -> None:
+    x = at_rest()
+    b, n, theta = guidance.ELLIPSE, C.mean_motion, x[THETA_S]
+    x[P] = torch.stack((b * theta.cos(), 2 * b * theta.sin(), torch.zeros(1)))
+    x[V] = n * torch.stack((b * theta.sin(), -2 * b * theta.cos(), torch.zeros(1)))
+    assert guidance.natural_motion(C)(0.0, x)[:3].abs().max() < 1e-12
+
+
+def test_pointing_turns_the_boresight_to_its_target() -> None:
+    x = at_rest()
+    target = torch.tensor([[0.0], [0.6], [0.8]], dtype=torch.float64)
+    for _ in range(200):
+        torque = guidance.point_boresight(x, target, C)
+        x = step(x, guidance.limited(torch.zeros_like(torque), torque, x, C), 1.0, C)
+    boresight = guidance.rotate(x[Q], torch.tensor([[1.0], [0.0], [0.0]], dtype=torch.float64))
+    torch.testing.assert_close(boresight, target, atol=1e-6, rtol=0.0)
+    assert x[OMEGA].abs().max() < 1e-6
+
+
+def test_recorded_holds_each_row_for_a_step_and_the_last_one_on() -> None:
+    actions = np.arange(18.0).reshape(3, 6)
+    control = guidance.recorded(actions, step=5.0)
+    rows = [control(t, at_rest())[0, 0].item() / 6 for t in (0.0, 5.0, 10.0, 15.0, 100.0)]
+    assert rows == [0.0, 1.0, 2.0, 2.0, 2.0]
