@@ -111,7 +111,8 @@ class InspectionEnv:
         batch = num_envs * len(generators)
         device = generators[0].device
         self.normals = chief.fibonacci_sphere(parameters.num_points, device=device)
-        self.points = (parameters.chief_radius * self.normals).float()
+        # k-means in float32 on coordinates rounded to 2^-13 m, which sum exactly in any order
+        self.points = (parameters.chief_radius * self.normals * 2**13).round().div(2**13).float()
         points = parameters.num_points
         clusters = chief.max_clusters(self.normals, parameters)
         self.limit = torch.tensor(parameters.control_limit, dtype=torch.float64, device=device)[:, None]
@@ -123,7 +124,7 @@ class InspectionEnv:
         self.priority = zeros(3)
         self.weights = zeros(points)
         self.inspected = zeros(points, dtype=torch.bool)
-        self.centres = zeros(3, clusters, dtype=torch.float32)  # m; k-means needs no more precision
+        self.centres = zeros(3, clusters, dtype=torch.float32)
         self.alive = zeros(clusters, dtype=torch.bool)
         self.uninspected = zeros(3)
         self.time = zeros()

@@ -53,7 +53,7 @@ def rewards(
         "delta_v": c.delta_v_reward * delta_v,
         "torque": c.torque_reward * torque,
         "orientation": orientation(x, c),
-        "time": torch.where(time <= c.time_reward_until, c.time_reward, 0.0).to(x.dtype),
+        "time": c.time_reward * (time <= c.time_reward_until).to(x.dtype),
         "success": success(x, ended["success"], c),
         "crash": failed * ended["crash"].to(x.dtype),
         "distance": failed * ended["out_of_bounds"].to(x.dtype),

@@ -6,6 +6,7 @@ a constraint to lower its relative degree, the function is the transformed, fina
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -51,6 +52,15 @@ class Smoothing:
 
 
 EXACT = Smoothing()
+
+
+class Angles(NamedTuple):
+    """Angles in rad: camera to Sun (theta_EZ), tracked surface to Sun and Earth, solar panels to Sun."""
+
+    boresight_sun: Tensor
+    surface_sun: Tensor
+    surface_earth: Tensor
+    panel_sun: Tensor
 
 
 def arccos(cosine: Tensor, smoothing: Smoothing) -> Tensor:
@@ -125,31 +135,42 @@ def velocity(x: Tensor, c: InspectionParameters) -> Tensor:
     return c.max_speed**2 - x[V] ** 2
 
 
-def attitude_exclusion(x: Tensor, c: InspectionParameters, smoothing: Smoothing = EXACT) -> Tensor:
-    """theta_EZ - alpha_FOV / 2 - beta in rad: the angle of the boresight +n_x from the Sun."""
-    sun, _ = sun_and_earth_in_body(x)
-    angle = arccos(sun[0], smoothing)
-    return angle - c.field_of_view / 2 - c.exclusion_buffer
+def incidence_angles(x: Tensor, c: InspectionParameters, smoothing: Smoothing = EXACT) -> Angles:
+    """The angles that the attitude constraints are made of, each on [0, pi], from states (16, ...)."""
+    sun, earth = sun_and_earth_in_body(x)
+    cosines = (
+        sun[0],
+        cosine_to(c.thermal_axis, sun),
+        cosine_to(c.thermal_axis, earth),
+        cosine_to(c.solar_panel_axis, sun),
+    )
+    return Angles(*arccos(torch.stack(cosines), smoothing))
 
 
-def temperature(x: Tensor, c: InspectionParameters, smoothing: Smoothing = EXACT) -> Tensor:
+def attitude_exclusion(angles: Angles, c: InspectionParameters) -> Tensor:
+    """theta_EZ - alpha_FOV / 2 - beta in rad."""
+    return angles.boresight_sun - c.field_of_view / 2 - c.exclusion_buffer
+
+
+def temperature(x: Tensor, angles: Angles, c: InspectionParameters) -> Tensor:
     """T_max - T - delta_0 (pi/2 - theta_SI)^+ - delta_1 (pi/2 - theta_EI)^+ in deg C.
 
     Incidence angles are defined on [0, pi/2], hence the positive parts.
     """
-    sun, earth = (
-        (math.pi / 2 - arccos(cosine_to(c.thermal_axis, direction), smoothing)).clamp(min=0.0)
-        for direction in sun_and_earth_in_body(x)
-    )
-    incidence = c.temperature_sun_slope * sun + c.temperature_earth_slope * earth
-    return c.max_temperature - x[T] - incidence
+    sun = (math.pi / 2 - angles.surface_sun).clamp(min=0.0)
+    earth = (math.pi / 2 - angles.surface_earth).clamp(min=0.0)
+    return c.max_temperature - x[T] - c.temperature_sun_slope * sun - c.temperature_earth_slope * earth
 
 
-def battery(x: Tensor, c: InspectionParameters, smoothing: Smoothing = EXACT) -> Tensor:
-    """E - E_min - delta_2 theta_SI in kJ, theta_SI from the solar panels' normal on [0, pi]."""
-    sun, _ = sun_and_earth_in_body(x)
-    angle = arccos(cosine_to(c.solar_panel_axis, sun), smoothing)
-    return x[E] - c.min_energy - c.energy_sun_slope * angle
+def battery(x: Tensor, angles: Angles, c: InspectionParameters) -> Tensor:
+    """E - E_min - delta_2 theta_SI in kJ."""
+    return x[E] - c.min_energy - c.energy_sun_slope * angles.panel_sun
+
+
+def orientation(x: Tensor, c: InspectionParameters, smoothing: Smoothing = EXACT) -> Tensor:
+    """Attitude exclusion, temperature and battery, all of relative degree two: (16, ...) to (3, ...)."""
+    angles = incidence_angles(x, c, smoothing)
+    return torch.stack((attitude_exclusion(angles, c), temperature(x, angles, c), battery(x, angles, c)))
 
 
 def angular_velocity(x: Tensor, c: InspectionParameters) -> Tensor:
@@ -165,7 +186,7 @@ def values(x: Tensor, c: InspectionParameters) -> Tensor:
         (
             torch.stack((collision(x, c), dynamic_speed(x, c), keep_in_zone(x, c), clearance)),
             velocity(x, c),
-            torch.stack((attitude_exclusion(x, c), temperature(x, c), battery(x, c))),
+            orientation(x, c),
             angular_velocity(x, c),
         )
     )

@@ -102,14 +102,7 @@ class Barriers:
 
     def orientation(self, x: Tensor) -> Tensor:
         """h of relative degree two, (16, ...) to (3, ...)."""
-        c, s = self.c, self.smoothing
-        return torch.stack(
-            (
-                constraints.attitude_exclusion(x, c, s),
-                constraints.temperature(x, c, s),
-                constraints.battery(x, c, s),
-            )
-        )
+        return constraints.orientation(x, self.c, self.smoothing)
 
     def first_psi(self, x: Tensor) -> Tensor:
         """Psi_1 = dh/dt + k1 (h - margin) of the constraints of relative degree two, (16, ...) to (3, ...)."""
