@@ -1,5 +1,6 @@
 """Gains, margins and weights of the filter. The paper publishes none of them for 6-DoF; each has its reason here."""
 
+import math
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -15,7 +16,7 @@ class RtaParameters:
 
     # relative degree one, 1/s
     collision_gain: float = 0.1
-    speed_gain: float = 0.2
+    speed_gain: float = 0.5
     keep_in_gain: float = 0.1
     passive_safety_gain: float = 0.03  # the nearest pass is minutes away: a slow approach is enough
     velocity_gain: float = 0.2
@@ -31,7 +32,7 @@ class RtaParameters:
 
     # margins in the unit of each h
     collision_margin: float = 0.02  # m/s
-    speed_margin: float = 0.02  # m/s
+    speed_margin: float = 0.05  # m/s; a control held for 1 s across v adds up to a^2 T / (2 |v|) to |v|
     keep_in_margin: float = 0.02  # m/s
     passive_safety_margin: float = 0.5  # m
     velocity_margin: float = 0.05  # m^2/s^2
@@ -57,8 +58,10 @@ class RtaParameters:
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
-            if min(value if isinstance(value, tuple) else (value,)) < 0:
-                raise ValueError(f"{name} = {value!r}: must not be negative")
+            if not all(
+                0 <= number < math.inf for number in (value if isinstance(value, tuple) else (value,))
+            ):
+                raise ValueError(f"{name} = {value!r}: must be finite and not negative")
         segments = self.passive_safety_segments
         if len(segments) < 2 or segments[0] != 0 or any(a >= b for a, b in pairwise(segments)):
             raise ValueError(f"passive_safety_segments = {segments!r}: must rise from 0 s to the horizon")

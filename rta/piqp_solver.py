@@ -25,6 +25,9 @@ class PiqpSolver:
         candidates = [desired, np.zeros_like(desired)]
         control, status = desired.copy(), np.full(len(desired), Status.UNSOLVED)
 
+        # PIQP's workspace would keep a NaN, and spoil every program after it
+        finite = np.isfinite(desired).all(1) & np.isfinite(a).all((1, 2))
+        finite &= np.isfinite(problems.b + problems.b_bare).all(1)
         stages = (
             (problems.b, nothing, np.ones_like(must), Status.HARD),
             (problems.b_bare, nothing, np.ones_like(must), Status.HARD),
@@ -32,7 +35,7 @@ class PiqpSolver:
         )
         for b, slack_weight, held, outcome in stages:
             reachable = (np.abs(a).sum(2) + b >= 0.0)[:, held].all(1)  # by some control inside the box
-            left = np.flatnonzero((status == Status.UNSOLVED) & reachable)
+            left = np.flatnonzero((status == Status.UNSOLVED) & finite & reachable)
             u = np.clip(self._solve_all(desired[left], a[left], b[left], slack_weight), -1.0, 1.0)
             feasible = (residual(u, a[left], b[left])[:, held] >= -FEASIBLE).all(1)
             kept = feasible & np.isfinite(u).all(1)
@@ -70,6 +73,8 @@ class PiqpSolver:
             solver = piqp.DenseSolver()
             solver.settings.eps_abs = 1e-9
             solver.settings.eps_rel = 1e-9
+            # at its default of 1e-8 the gap leaves errors of 3e-5 in the control; below 1e-13 some fail
+            solver.settings.eps_duality_gap_abs = solver.settings.eps_duality_gap_rel = 1e-13
             solver.settings.max_iter = 60
             if not slacks:
                 solver.settings.preconditioner_iter = 0  # rows have unit length already

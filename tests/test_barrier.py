@@ -17,8 +17,8 @@ from inspection.dynamics import drift as torch_drift
 from inspection.parameters import InspectionParameters
 from rta import constraints
 from rta.barrier import high_order, lie_derivatives
-from rta.filter import Rows, SafetyFilter
 from rta.parameters import RtaParameters
+from rta.rows import Barriers, Rows
 from tests.test_constraints import (
     MEAN_MOTION,
     body_axis,
@@ -152,7 +152,7 @@ X = flying()
 @pytest.fixture(scope="module", params=SPACECRAFT)
 def case(request: pytest.FixtureRequest) -> tuple[InspectionParameters, Rows, Rows]:
     c = SPACECRAFT[request.param]
-    return c, *SafetyFilter(c, R).rows(tensor(X))
+    return c, *Barriers(c, R, period=1.0)(tensor(X))
 
 
 def near(actual: Tensor, expected: ndarray, tolerance: float = TOLERANCE) -> None:
@@ -214,7 +214,9 @@ def test_torque_rows_without_control_equal_finite_differences(case: tuple) -> No
 
 def test_margins_are_what_they_add_to_the_rows(case: tuple) -> None:
     for rows, (gain, margin) in zip(case[1:], (THRUST, TORQUE), strict=True):
-        np.testing.assert_allclose(rows.margin, gain * margin, rtol=1e-12)
+        np.testing.assert_allclose(
+            rows.b_bare - rows.b, np.broadcast_to(gain * margin, rows.b.shape), atol=1e-14
+        )
 
 
 def test_first_psi_has_its_margin_spent(case: tuple) -> None:
@@ -224,10 +226,10 @@ def test_first_psi_has_its_margin_spent(case: tuple) -> None:
 
 def test_translational_barriers_ignore_torque() -> None:
     c = SPACECRAFT["unequal_moments"]
-    x, safety = tensor(X), SafetyFilter(c, R)
+    x, barriers = tensor(X), Barriers(c, R, period=1.0)
     times = constraints.closest_times(x, R.passive_safety_segments, c)[:, None].expand(-1, 7, -1)
     _, _, along = lie_derivatives(
-        lambda y: safety.translational(y, times), x, torch_drift(x, c), control_matrix(x, c)
+        lambda y: barriers.translational(y, times), x, torch_drift(x, c), control_matrix(x, c)
     )
     assert (along[:, 3:] == 0).all()
     assert (along[:, :3].abs().amax((1, 2)) > 0).all()
@@ -235,10 +237,10 @@ def test_translational_barriers_ignore_torque() -> None:
 
 def test_attitude_barriers_ignore_thrust() -> None:
     c = SPACECRAFT["unequal_moments"]
-    x, safety = tensor(X), SafetyFilter(c, R)
+    x, barriers = tensor(X), Barriers(c, R, period=1.0)
 
     def attitude(y: Tensor) -> Tensor:
-        return torch.cat((safety.first_psi(y), constraints.angular_velocity(y, c)))
+        return torch.cat((barriers.first_psi(y), constraints.angular_velocity(y, c)))
 
     _, _, along = lie_derivatives(attitude, x, torch_drift(x, c), control_matrix(x, c))
     assert (along[:, :3] == 0).all()

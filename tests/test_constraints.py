@@ -167,9 +167,7 @@ FUNCTIONS = {
     "dynamic_speed": 1,
     "keep_in_zone": 2,
     "velocity": slice(4, 7),
-    "attitude_exclusion": 7,
-    "temperature": 8,
-    "battery": 9,
+    "orientation": slice(7, 10),
     "angular_velocity": slice(10, 13),
 }
 
@@ -200,8 +198,8 @@ def test_every_constraint_is_tested_on_both_sides() -> None:
 
 def test_panels_on_the_other_side_see_the_opposite_angle() -> None:
     x = states(100)
-    flipped = constraints.battery(tensor(x), InspectionParameters(solar_panel_axis="+x"))
-    np.testing.assert_allclose(flipped, orientation(x, panel=1.0)[2], rtol=0, atol=1e-12)
+    flipped = constraints.orientation(tensor(x), InspectionParameters(solar_panel_axis="+x"))
+    np.testing.assert_allclose(flipped, orientation(x, panel=1.0), rtol=0, atol=1e-12)
 
 
 @pytest.mark.parametrize("miss", [0.0, 20.0, 300.0])
@@ -296,5 +294,5 @@ def test_smoothing_of_a_resource_is_covered_by_its_margin(row: int, margin: floa
     x = states(1, seed=7).repeat(2001, 1)
     half = np.linspace(0, np.pi / 2, 2001)  # turn about z: boresight and -n_y sweep from the Sun away
     x[6:10], x[15] = np.stack((0 * half, 0 * half, np.sin(half), np.cos(half))), 0.0
-    smooth = getattr(constraints, TABLE_3[row])(tensor(x), C, SMOOTH).numpy()
+    smooth = constraints.orientation(tensor(x), C, SMOOTH)[row - 7].numpy()
     assert 1e-4 < (smooth - paper(x)[row]).max() < margin

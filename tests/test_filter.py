@@ -1,0 +1,242 @@
+"""The filter: settings, untouched and corrected controls, reports, faulty states and the closed loop."""
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+import torch
+from numpy import ndarray
+from torch import Tensor
+
+from inspection.environment import InspectionEnv
+from inspection.parameters import InspectionParameters
+from rta import constraints
+from rta.constraints import CONSTRAINTS
+from rta.filter import FilterResult, SafetyFilter
+from rta.parameters import PERIODS, RtaParameters
+from rta.qp import FEASIBLE, Status
+from rta.rows import Barriers, Rows
+from tests.test_barrier import K1, first_psi
+from tests.test_constraints import cosines, length, paper, tensor
+
+C = InspectionParameters()
+R = RtaParameters()
+MAX_TORQUE = 0.0573 * 0.017453  # N m, below D times the wheels' 181.3 rad/s^2
+LIMIT = torch.tensor([[1.0]] * 3 + [[MAX_TORQUE]] * 3, dtype=torch.float64)
+THRUST, TORQUE = slice(0, 3), slice(3, 6)
+
+
+def near_the_limits(count: int, seed: int = 0) -> ndarray:
+    """(16, count) states within some limits and beyond others, at up to 1.1 times the dynamic speed limit."""
+    rng = np.random.default_rng(seed)
+    p, v, q = rng.standard_normal((3, 4, count))
+    p = p[:3] / length(p[:3]) * rng.choice((18.0, 50.0, 200.0, 790.0), count) * rng.uniform(1, 1.01, count)
+    v = v[:3] / length(v[:3]) * rng.uniform(0, 1.1, count) * (0.2 + 7.5 * 0.001027 * length(p))
+    omega = rng.uniform(-1, 1, (3, count)) * math.radians(2)
+    rest = rng.uniform(3, 10, count), rng.uniform(1, 5, count), rng.uniform(0, 2 * np.pi, count)
+    return np.vstack((p, v, q / length(q), omega, *rest))
+
+
+def commands(count: int, seed: int = 0) -> Tensor:
+    """(6, count) uniform within the actuators' limits."""
+    return tensor(np.random.default_rng(seed).uniform(-1, 1, (6, count))) * LIMIT
+
+
+X = tensor(near_the_limits(1000))
+U = commands(1000)
+
+
+@pytest.fixture(scope="module")
+def safety() -> SafetyFilter:
+    return SafetyFilter(C, R)
+
+
+@pytest.fixture(scope="module")
+def result(safety: SafetyFilter) -> FilterResult:
+    return safety(X, U)
+
+
+@pytest.fixture(scope="module")
+def conditions(safety: SafetyFilter) -> tuple[Rows, Rows]:
+    """The rows that tests/test_barrier.py checks against finite differences."""
+    return safety.barriers(X)
+
+
+def left_hand_sides(conditions: tuple[Rows, Rows], u: Tensor) -> Tensor:
+    """a u + b of all rows with margins, over the length of the row per actuator limit, (17, B)."""
+    parts = []
+    for rows, group in zip(conditions, (THRUST, TORQUE), strict=True):
+        length_of_row = (rows.a * LIMIT[group]).norm(dim=1)
+        parts.append(((rows.a * u[group]).sum(1) + rows.b) / length_of_row)
+    return torch.cat(parts)
+
+
+@pytest.mark.parametrize("period", PERIODS)
+def test_gains_are_capped_at_half_the_calls_per_second(period: float) -> None:
+    barriers = Barriers(C, dataclasses.replace(R, speed_gain=3.0, battery_gains=(2.0, 4.0)), period)
+    rows = {row.constraint: row for row in (*barriers.thrust, *barriers.torque)}
+    cap = 0.5 / period
+    assert rows["dynamic_speed"].gain == rows["battery"].gain == barriers.first[2][0] == cap
+    assert rows["collision"].gain == min(R.collision_gain, cap)
+    assert rows["attitude_exclusion"].gain == min(R.exclusion_gains[1], cap)
+
+
+@pytest.mark.parametrize(
+    "segments", [(), (0.0,), (1.0, 500.0), (0.0, 300.0, 300.0, 500.0), (0.0, 300.0, 200.0, 500.0)]
+)
+def test_passive_safety_segments_must_rise_from_zero(segments: tuple[float, ...]) -> None:
+    with pytest.raises(ValueError, match="passive_safety_segments"):
+        RtaParameters(passive_safety_segments=segments)
+
+
+def test_passive_safety_segments_must_end_at_the_horizon() -> None:
+    with pytest.raises(ValueError, match="horizon"):
+        SafetyFilter(C, RtaParameters(passive_safety_segments=(0.0, 400.0)))
+
+
+@pytest.mark.parametrize("field", [f.name for f in dataclasses.fields(RtaParameters)])
+def test_negative_numbers_are_refused(field: str) -> None:
+    default = getattr(R, field)
+    value = (default[0], -0.1, *default[2:]) if isinstance(default, tuple) else -0.1
+    with pytest.raises(ValueError, match=field):
+        dataclasses.replace(R, **{field: value})
+
+
+def test_safe_control_is_returned_untouched(conditions: tuple[Rows, Rows], result: FilterResult) -> None:
+    safe = (left_hand_sides(conditions, U) > 1e-9).all(0)
+    assert safe.sum() > 20
+    assert (result.control[:, safe] == U[:, safe]).all()
+    assert (result.status[safe] == Status.UNTOUCHED).all()
+    assert not result.intervened[safe].any()
+
+
+def test_unsafe_control_is_corrected(conditions: tuple[Rows, Rows], result: FilterResult) -> None:
+    unsafe = (left_hand_sides(conditions, U) < -1e-9).any(0)
+    assert result.intervened[unsafe].all()
+    assert ((result.control - U)[:, unsafe].abs() > 0).any(0).all()
+
+
+def test_corrected_control_satisfies_every_row(conditions: tuple[Rows, Rows], result: FilterResult) -> None:
+    for rows, group in zip(conditions, (THRUST, TORQUE), strict=True):
+        bare = (rows.a * result.control[group]).sum(1) + rows.b_bare
+        assert (bare >= -FEASIBLE * (rows.a * LIMIT[group]).norm(dim=1))[
+            :, result.status <= Status.HARD
+        ].all()
+
+
+def test_filtering_twice_changes_nothing(safety: SafetyFilter, result: FilterResult) -> None:
+    again = safety(X, result.control)
+    hard = result.status <= Status.HARD  # what is soft gives way a little more each time
+    assert hard.sum() > 300
+    assert ((again.control - result.control) / LIMIT)[:, hard].abs().max() < 1e-6
+
+
+def test_controls_stay_within_the_actuators(result: FilterResult) -> None:
+    assert (result.control.abs() <= LIMIT * (1 + 1e-15)).all()
+
+
+def test_every_status_but_unsolved_occurs(result: FilterResult) -> None:
+    assert sorted(result.status.unique().tolist()) == [Status.UNTOUCHED, Status.HARD, Status.SLACK]
+
+
+def test_reported_values_are_the_papers(result: FilterResult) -> None:
+    smooth = (np.abs(cosines(X.numpy())) > 0.999).any(0)
+    np.testing.assert_allclose(result.h[:, ~smooth], paper(X.numpy())[:, ~smooth], rtol=0, atol=1e-4)
+
+
+def test_slack_is_the_shortfall_of_the_bare_condition(
+    safety: SafetyFilter, conditions: tuple[Rows, Rows], result: FilterResult
+) -> None:
+    expected = torch.zeros(13, X.shape[1], dtype=torch.float64)
+    tables = safety.barriers.thrust, safety.barriers.torque
+    for rows, table, group in zip(conditions, tables, (THRUST, TORQUE), strict=True):
+        short = -((rows.a * result.control[group]).sum(1) + rows.b_bare)
+        for k, row in enumerate(table):
+            i = CONSTRAINTS.index(row.constraint)
+            expected[i] = torch.maximum(expected[i], short[k])
+    slack = result.status == Status.SLACK
+    torch.testing.assert_close(result.slack[:, slack], expected[:, slack], rtol=1e-6, atol=1e-6)
+    assert (result.slack[:, ~slack] == 0).all()
+
+
+def hovering_outward() -> Tensor:
+    """One state 100 m out that flies away at 0.95 m/s, spins about n_x and has the Sun behind it."""
+    x = torch.zeros(16, 1, dtype=torch.float64)
+    x[0], x[3], x[9], x[10], x[13], x[14], x[15] = 100.0, 0.95, 1.0, 0.99 * math.radians(2), 5.0, 6.0, math.pi
+    return x
+
+
+def test_corrections_equal_the_closed_form(safety: SafetyFilter) -> None:
+    # -(3 n^2 x + F / m) + 7.5 n v + k (h - margin) = 0 and -2 w tau / J + k (w_max^2 - w^2) = 0
+    n, w_max = 0.001027, math.radians(2)
+    h = 0.2 + 7.5 * n * 100 - 0.95
+    thrust = 12 * (7.5 * n * 0.95 + R.speed_gain * (h - R.speed_margin) - 3 * n**2 * 100)
+    torque = 0.0573 * R.rate_gain * w_max**2 * (1 - 0.99**2) / (2 * 0.99 * w_max)
+    control = safety(hovering_outward(), LIMIT * tensor(np.array([[1, 0, 0, 1, 0, 0.0]]).T)).control
+    np.testing.assert_allclose(control.T, [[thrust, 0, 0, torque, 0, 0]], atol=1e-6 * MAX_TORQUE)
+
+
+def test_active_names_the_constraints_that_bind(safety: SafetyFilter) -> None:
+    active = safety(hovering_outward(), LIMIT * tensor(np.array([[1, 0, 0, 1, 0, 0.0]]).T)).active[:, 0]
+    bound = [name for name, flag in zip(CONSTRAINTS, active, strict=True) if flag]
+    assert bound == ["dynamic_speed", "angular_velocity_x"]
+
+
+@pytest.mark.parametrize("component", [0, 6, 13])
+def test_nan_state_is_unsolved_and_leaves_its_neighbours_alone(
+    safety: SafetyFilter, result: FilterResult, component: int
+) -> None:
+    x = X.clone()
+    x[component, 500] = math.nan
+    faulty = safety(x, U)
+    others = torch.arange(X.shape[1]) != 500
+    assert faulty.status[500] == Status.UNSOLVED
+    assert (faulty.control[:, 500].abs() <= LIMIT[:, 0] * (1 + 1e-15)).all()
+    for field in dataclasses.fields(FilterResult):
+        assert (getattr(faulty, field.name)[..., others] == getattr(result, field.name)[..., others]).all()
+
+
+def test_start_is_safe_exactly_where_every_h_and_psi_is(safety: SafetyFilter) -> None:
+    x = near_the_limits(5000, seed=1)
+    spent = [[R.exclusion_margin], [R.temperature_margin], [R.battery_margin]]
+    lowest = np.concatenate((paper(x), first_psi(x, C) - K1[:, None] * np.array(spent))).min(0)
+    clear = (np.abs(cosines(x)) < 0.999).all(0) & (np.abs(lowest) > 1e-4)
+    is_safe = safety.barriers.is_safe(tensor(x)).numpy()
+    assert 0.1 < is_safe.mean() < 0.9
+    assert (is_safe[clear] == (lowest[clear] >= 0)).all()
+
+
+def fly(period: float, episodes: int, actions: int) -> tuple[Tensor, Tensor]:
+    """Random held actions: the lowest value of each constraint and the statuses of all filter calls."""
+    safety, generator = SafetyFilter(C, R, period), torch.Generator().manual_seed(0)
+    lowest, statuses = torch.full((13,), math.inf, dtype=torch.float64), []
+
+    def watched(x: Tensor, desired: Tensor) -> FilterResult:
+        nonlocal lowest
+        lowest = torch.minimum(lowest, constraints.values(x, C).amin(1))
+        answer = safety(x, desired)
+        statuses.append(answer.status)
+        return answer
+
+    env = InspectionEnv(episodes, C, [generator], dataclasses.replace(safety.safety(), correct=watched))
+    env.reset()
+    for _ in range(actions):
+        env.step(2 * torch.rand(episodes, 6, generator=generator, dtype=torch.float64) - 1)
+    return torch.minimum(lowest, constraints.values(env.x, C).amin(1)), torch.stack(statuses)
+
+
+def test_random_flight_at_1_s_never_leaves_the_safe_set() -> None:
+    lowest, statuses = fly(1.0, episodes=64, actions=20)
+    crossed = {
+        name: value for name, value in zip(CONSTRAINTS, lowest.tolist(), strict=True) if not value >= 0
+    }
+    assert not crossed
+    assert (statuses != Status.UNSOLVED).all()
+
+
+@pytest.mark.parametrize(("period", "calls"), [(5.0, 10), (10.0, 5)])
+def test_slower_filters_solve_every_program(period: float, calls: int) -> None:
+    _, statuses = fly(period, episodes=64, actions=5)
+    assert statuses.shape == (calls, 64)
+    assert (statuses != Status.UNSOLVED).all()
