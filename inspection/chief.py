@@ -99,7 +99,7 @@ def cluster(
         centres, alive = seed_clusters(points, wanted, centres, alive, count)
     for _ in range(LLOYD_ITERATIONS):
         gap = distance_squared(points, centres).masked_fill(~alive, math.inf)
-        member = ((gap == gap.amin(1, keepdim=True)) & wanted[:, None] & alive).to(points.dtype)
+        member = ((gap == gap.amin(1, keepdim=True)) & wanted[:, None]).to(points.dtype)
         size = member.sum(0)
         total = (points @ member.reshape(points.shape[1], -1)).reshape(centres.shape)
         centres = torch.where(size > 0, total / size.clamp(min=1.0), centres)

@@ -3,6 +3,8 @@
 Every function is written for one spacecraft with the component axis first; batch axes trail and broadcast.
 """
 
+import math
+
 import torch
 from torch import Tensor
 
@@ -133,7 +135,8 @@ def free_flight_clearance(p: Tensor, v: Tensor, horizon: float, n: float, spacin
     The path is sampled every `spacing` s and joined by straight chords, so that a fast pass between two
     samples is not missed; a chord strays from the arc by at most |a| spacing^2 / 8 (0.1 m at 0.01 m/s^2).
     """
-    t = torch.linspace(0.0, horizon, int(horizon / spacing) + 1, dtype=p.dtype, device=p.device)
+    chords = math.ceil(horizon / spacing)
+    t = torch.linspace(0.0, horizon, chords + 1, dtype=p.dtype, device=p.device)
     path = free_flight(p[:, None], v[:, None], t[:, None], n)  # (3, times, k)
     start, chord = path[:, :-1], path[:, 1:] - path[:, :-1]
     along = (-dot(start, chord) / dot(chord, chord).clamp(min=1e-30)).clamp(0.0, 1.0)

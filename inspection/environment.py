@@ -13,7 +13,7 @@ from inspection.initial_state import InitialStates
 from inspection.observation import observe, scales
 from inspection.parameters import InspectionParameters
 from inspection.reward import REWARDS, rewards
-from inspection.state import SIZE, THETA_S, THRUST, TORQUE, P
+from inspection.state import CONTROL_SIZE, SIZE, THETA_S, THRUST, TORQUE, P
 from inspection.termination import OUTCOMES, terminal_conditions
 
 METRICS = ("inspected_score", "reward", "episode_length_s", "delta_v_m_s", "torque_n_m", "violation_percent")
@@ -108,6 +108,16 @@ class InspectionEnv:
         self.safety = safety or Safety()
         self.starts = [InitialStates(generator, parameters, self.safety.is_safe) for generator in generators]
         self.num_envs = num_envs
+        self.interval = parameters.substep
+        if self.safety.correct:
+            self.interval = min(self.interval, self.safety.period)
+        for name, longer, shorter in (
+            ("action_period", parameters.action_period, self.interval),
+            ("action_period", parameters.action_period, self.safety.period),
+            ("the filter's period", self.safety.period, self.interval),
+        ):
+            if self.safety.correct and abs(longer / shorter - round(longer / shorter)) > 1e-9:
+                raise ValueError(f"{name} = {longer:g} s: must be a multiple of {shorter:g} s")
         batch = num_envs * len(generators)
         device = generators[0].device
         self.normals = chief.fibonacci_sphere(parameters.num_points, device=device)
@@ -149,7 +159,7 @@ class InspectionEnv:
     )
 
     def state_dict(self) -> dict[str, Any]:
-        """Everything a resumed run needs, as tensors."""
+        """Everything a resumed run needs beside the generators' states, as tensors."""
         own = {name: getattr(self, name).clone() for name in self.STATE}
         return own | {"pools": [starts.pool.clone() for starts in self.starts]}
 
@@ -185,8 +195,15 @@ class InspectionEnv:
 
         Args:
             action: (B, 6), thrust and torque in units of the actuators' limits; clipped to [-1, 1].
+
+        Raises:
+            ValueError: wrong shape.
         """
         c = self.c
+        if action.shape != (self.time.numel(), CONTROL_SIZE):
+            raise ValueError(
+                f"action has shape {tuple(action.shape)}: must be ({self.time.numel()}, {CONTROL_SIZE})"
+            )
         desired = action.T.to(self.x.dtype).clamp(-1.0, 1.0) * self.limit
         corrections, delta_v, torque = self._advance(desired)
         self.time += c.action_period
@@ -231,9 +248,8 @@ class InspectionEnv:
     def _advance(self, desired: Tensor) -> tuple[list[Correction], Tensor, Tensor]:
         """Integrates one action period; the filter's last control is its next desired one (Sec. RL Control Loop)."""
         c, safety = self.c, self.safety
-        interval = min(c.substep, safety.period) if safety.correct else c.substep
-        substeps = round(c.action_period / interval)
-        calls_every = round(safety.period / interval)
+        interval = self.interval
+        substeps, calls_every = round(c.action_period / interval), round(safety.period / interval)
         u, corrections = desired, []
         delta_v = torch.zeros_like(self.time)
         torque = torch.zeros_like(self.time)

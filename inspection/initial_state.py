@@ -63,11 +63,12 @@ def sample_initial_state(
     x[Q] = random_quaternion(count, generator, x.dtype)
     if is_safe is None:
         return x, priority
+    rejected = torch.nonzero(~is_safe(x)).flatten()
     for _ in range(MAX_ATTEMPTS):
-        rejected = torch.nonzero(~is_safe(x)).flatten()
         if rejected.numel() == 0:
             return x, priority
         x[Q, rejected] = random_quaternion(rejected.numel(), generator, x.dtype)
+        rejected = rejected[~is_safe(x[:, rejected])]
     raise RuntimeError(
         f"no safe initial attitude in {MAX_ATTEMPTS} draws for the state {x[:, rejected[0]].tolist()}"
     )

@@ -98,6 +98,11 @@ class InspectionParameters:
         for name in positive.split():
             if not 0 < getattr(self, name) < math.inf:
                 raise ValueError(f"{name} = {getattr(self, name)!r}: must be a positive number")
+        steps = self.action_period / self.substep
+        if round(steps) < 1 or abs(steps - round(steps)) > 1e-9:
+            raise ValueError(
+                f"substep = {self.substep:g}: must divide action_period, {self.action_period:g} s"
+            )
         for field in fields(self):
             value = getattr(self, field.name)
             numbers = value if isinstance(value, tuple) else (value,)

@@ -8,6 +8,7 @@ from inspection.dynamics import free_flight_clearance
 from inspection.parameters import InspectionParameters
 from inspection.state import P, Q, V
 
+AT_ONCE = 64  # free flights sampled at once: two days are 17,281 positions each
 REWARDS = ("points", "delta_v", "torque", "orientation", "time", "success", "crash", "distance", "energy")
 
 
@@ -23,8 +24,12 @@ def success(x: Tensor, succeeded: Tensor, c: InspectionParameters) -> Tensor:
     """R_success: +1 if two days of free flight after the last inspection stay clear of the chief, else -1."""
     reward = x.new_zeros(x.shape[1:])
     if succeeded.any():
-        done = x[:, succeeded]
-        clearance = free_flight_clearance(done[P], done[V], c.free_flight_horizon, c.mean_motion)
+        clearance = torch.cat(
+            [
+                free_flight_clearance(part[P], part[V], c.free_flight_horizon, c.mean_motion)
+                for part in x[:, succeeded].split(AT_ONCE, 1)
+            ]
+        )
         safe = clearance >= c.collision_radius
         reward[succeeded] = c.terminal_reward * torch.where(safe, 1.0, -1.0).to(x.dtype)
     return reward
