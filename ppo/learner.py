@@ -30,7 +30,7 @@ class PPOParameters:
     value_coefficient: float = 0.5  # weight of the mean squared value error in the loss
     entropy_coefficient: float = 0.0  # weight of the entropy bonus, per nat
     max_grad_norm: float = 0.5  # largest Euclidean gradient norm, per seed, policy and value together
-    initial_std: float = 0.03  # standard deviation of each control before training, in action units
+    initial_std: float = 0.1  # standard deviation of each control before training, in action units
     log_std_bounds: tuple[float, float] = (-5.0, 0.0)  # range of the log standard deviation, in nats
 
     def __post_init__(self) -> None:
