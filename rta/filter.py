@@ -19,6 +19,7 @@ from rta.rows import Barriers, Row, Rows
 # Below this length (rate of h per actuator limit, in h's unit per s) a row counts as beyond the actuators'
 # influence: it keeps its direction but not its claim to a full unit of slack.
 SHORTEST_ROW = 1e-6
+COMPILED_BATCH = 256
 
 
 @dataclass
@@ -66,15 +67,18 @@ class SafetyFilter:
         self.rows = self.barriers.__call__
 
     def compile(self) -> None:
-        """Compiles the barrier rows, once for all batch sizes."""
-        compiled = torch.compile(self.barriers.__call__, dynamic=True)
+        """Compiles the barrier rows for one batch size; others are cut into and filled up to such batches.
+
+        torch.compile would otherwise compile anew for every size, each time for about half a minute.
+        """
+        compiled = torch.compile(self.barriers.__call__, dynamic=False)
 
         def rows(x: Tensor) -> tuple[Rows, Rows]:
-            if x.shape[1] > 1:
-                return compiled(x)
-            # torch.compile would specialise on a batch of one and compile again
-            thrust, torque = compiled(x.repeat(1, 2))
-            return first_column(thrust), first_column(torque)
+            batch = x.shape[1]
+            filled = torch.arange(-(-batch // COMPILED_BATCH) * COMPILED_BATCH, device=x.device) % batch
+            parts = [compiled(part.contiguous()) for part in x[:, filled].split(COMPILED_BATCH, 1)]
+            thrust, torque = zip(*parts, strict=True)
+            return join(thrust, batch), join(torque, batch)
 
         self.rows = rows
 
@@ -151,9 +155,11 @@ class SafetyFilter:
         )
 
 
-def first_column(rows: Rows) -> Rows:
-    """The rows of the first spacecraft alone."""
-    return Rows(*(getattr(rows, field.name)[..., :1] for field in fields(Rows)))
+def join(parts: tuple[Rows, ...], batch: int) -> Rows:
+    """The rows of consecutive parts, cut to the first `batch` spacecraft."""
+    return Rows(
+        *(torch.cat([getattr(part, field.name) for part in parts], -1)[..., :batch] for field in fields(Rows))
+    )
 
 
 def numpy(a: Tensor) -> np.ndarray:

@@ -16,7 +16,7 @@ from study import config as configuration
 from study.config import Config
 from study.errors import InputError
 
-# Compiling the barrier rows takes about a minute; it repays itself after about this many filter calls.
+# Compiling the barrier rows takes about half a minute; it repays itself after about this many filter calls.
 WORTH_COMPILING = 1000
 
 
