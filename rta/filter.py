@@ -71,7 +71,8 @@ class SafetyFilter:
 
         torch.compile would otherwise compile anew for every size, each time for about half a minute.
         """
-        compiled = torch.compile(self.barriers.__call__, dynamic=False)
+        # dynamic=True, because torch 2.13 generates a CPU kernel that crashes when told that shapes are static
+        compiled = torch.compile(self.barriers.__call__, dynamic=True)
 
         def rows(x: Tensor) -> tuple[Rows, Rows]:
             batch = x.shape[1]
