@@ -46,10 +46,12 @@ def trajectory(ax: Axes, episode: Episode, c: InspectionParameters) -> None:
         ax.plot(*zip(np.zeros(3), sun, strict=True), color=ORANGE, lw=1.2, ls="-" if index == 0 else "--")
         ax.text(*(1.08 * sun), label, color="#8A5A00", fontsize=8, ha="center")
     ax.scatter(*p[0], color="black", marker="o", s=28)
-    ax.text(*p[0], "  start", fontsize=8)
+    ax.text(*(p[0] + [0.0, 0.0, 0.06 * span]), "start", fontsize=8, ha="center")
     ax.set(xlabel="x (m)", ylabel="y (m)", zlabel="z (m)")
     ax.set_aspect("equal")
-    ax.figure.colorbar(path, ax=ax, shrink=0.6, pad=0.13, label="speed (m/s)")
+    ax.locator_params(nbins=6)
+    ax.locator_params(axis="z", nbins=3)
+    ax.figure.colorbar(path, ax=ax, shrink=0.7, pad=0.08, label="speed (m/s)")
 
 
 def band(ax: Axes, limit: float, safe: str) -> None:
@@ -75,8 +77,8 @@ def episode_figure(episode: Episode, c: InspectionParameters, path: Path) -> Non
     # a row's control acts until the next row
     delta_v = np.cumsum(np.roll(applied[:, :3].sum(1), 1) / c.mass * step)
 
-    figure = Figure(figsize=(13, 7.6), layout="constrained")
-    grid = figure.add_gridspec(3, 4)
+    figure = Figure(figsize=(13, 7.6))
+    grid = figure.add_gridspec(3, 4, left=0.05, right=0.955, bottom=0.07, top=0.98, wspace=0.34, hspace=0.22)
     trajectory(figure.add_subplot(grid[:2, :2], projection="3d"), episode, c)
 
     def panel(row: int, column: int, label: str) -> Axes:
