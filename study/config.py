@@ -24,7 +24,7 @@ class TrainParameters:
     seed: int = 0
     interactions: int = 5_000_000  # agent steps in all; rounded up to whole updates
     num_envs: int = 256  # episodes simulated at once
-    rollout_steps: int = 16  # interactions of each episode between two updates
+    rollout_steps: int = 64  # interactions of each episode between two updates
     device: str = "auto"  # auto, cpu or cuda
     compile: str = "auto"  # torch.compile the filter and the dynamics: auto, on or off
     evaluation_interval: int = 500_000  # interactions between two evaluations
