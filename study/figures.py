@@ -51,7 +51,7 @@ def trajectory(ax: Axes, episode: Episode, c: InspectionParameters) -> None:
     ax.set_aspect("equal")
     ax.locator_params(nbins=6)
     ax.locator_params(axis="z", nbins=3)
-    ax.figure.colorbar(path, ax=ax, shrink=0.7, pad=0.08, label="speed (m/s)")
+    ax.figure.colorbar(path, ax=ax, shrink=0.65, pad=0.12, label="speed (m/s)")
 
 
 def band(ax: Axes, limit: float, safe: str) -> None:
