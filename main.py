@@ -236,7 +236,7 @@ def run_evaluate(arguments: argparse.Namespace) -> None:
 
     policy, trained = build.load_policy(arguments.checkpoint)
     config = resolve(arguments, trained)
-    safety, device = build.for_command(config, filter_calls=arguments.episodes * 30)
+    safety, device = build.for_command(config, build.TYPICAL_EPISODE)
     if arguments.json:
         check_writable(arguments.json, "--json")
     results = evaluation.evaluate(
@@ -266,7 +266,7 @@ def run_simulate(arguments: argparse.Namespace) -> None:
     simulation.check_step(
         step, arguments.duration, train.rta_period if train.rta else None, config.inspection
     )
-    safety, device = build.for_command(config, filter_calls=round(arguments.duration / train.rta_period))
+    safety, device = build.for_command(config, arguments.duration)
     given = simulation.read_state(arguments.initial_state) if arguments.initial_state else None
     x, priority = simulation.starting_point(given, config, arguments.seed, safety)
     env = build.one_episode(config, safety, device)

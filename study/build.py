@@ -18,6 +18,7 @@ from study.errors import InputError
 
 # Compiling the barrier rows takes about half a minute; it repays itself after about this many filter calls.
 WORTH_COMPILING = 1000
+TYPICAL_EPISODE = 3000.0  # s
 
 
 def resolve_device(name: str) -> torch.device:
@@ -85,11 +86,11 @@ def load_policy(path: str) -> tuple[Policy, Config]:
     return policy, config
 
 
-def for_command(config: Config, filter_calls: int) -> tuple[Safety, torch.device]:
-    """What a command of about so many filter calls needs beside its configuration."""
+def for_command(config: Config, simulated: float) -> tuple[Safety, torch.device]:
+    """What a command that simulates about so many s needs beside its configuration."""
     train = config.train
     device = resolve_device(train.device)
-    compiled = train.rta and wants_compile(train.compile, filter_calls)
+    compiled = train.rta and wants_compile(train.compile, round(simulated / train.rta_period))
     return make_safety(config, train.rta, train.rta_period, compiled), device
 
 
