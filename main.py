@@ -17,7 +17,7 @@ from ppo.learner import NonFiniteError, PPOParameters
 from rta.parameters import PERIODS
 from study import config as configuration
 from study.config import Config, TrainParameters
-from study.errors import InputError
+from study.errors import InputError, refusing
 
 # flag: (TOML table, key, type, help); a flag's default is that of its key
 TRAIN, PPO, TASK = TrainParameters(), PPOParameters(), InspectionParameters()
@@ -37,15 +37,17 @@ def positive_integer(text: str) -> int:
         value = int(text.replace("_", ""))
     except ValueError:
         value = 0
-    if value <= 0:
-        raise argparse.ArgumentTypeError(f"{text!r}: must be a positive integer")
+    if not 0 < value <= configuration.MAX_COUNT:
+        raise argparse.ArgumentTypeError(
+            f"{text[:40]!r}: must be a positive integer up to {configuration.MAX_COUNT:,}"
+        )
     return value
 
 
 def seed_number(text: str) -> int:
     """A seed for argparse."""
-    if not text.isdecimal() or int(text) >= 2**63:
-        raise argparse.ArgumentTypeError(f"{text!r}: must be an integer from 0 to 2^63 - 1")
+    if not (text.isascii() and text.isdecimal() and len(text) < 20) or int(text) >= 2**63:
+        raise argparse.ArgumentTypeError(f"{text[:40]!r}: must be an integer from 0 to 2^63 - 1")
     return int(text)
 
 
@@ -100,10 +102,12 @@ def add_common(parser: Parser) -> None:
 
 def build_parser() -> Parser:
     """The whole command line."""
-    parser = Parser(prog="main.py", description=__doc__)
+    parser = Parser(prog="main.py", description=__doc__, allow_abbrev=False)
     commands = parser.add_subparsers(dest="command", required=True, metavar="train | evaluate | simulate")
 
-    train = commands.add_parser("train", help="train an agent with or without run time assurance")
+    train = commands.add_parser(
+        "train", allow_abbrev=False, help="train an agent with or without run time assurance"
+    )
     add_common(train)
     counts = (
         ("interactions", TRAIN.interactions, "agent steps of 10 s in all, rounded up to whole updates"),
@@ -152,7 +156,9 @@ def build_parser() -> Parser:
     evaluate.add_argument("--json", metavar="F", help="also write the results there (default: none)")
     evaluate.set_defaults(run=run_evaluate)
 
-    simulate = commands.add_parser("simulate", help="simulate one spacecraft and write everything over time")
+    simulate = commands.add_parser(
+        "simulate", allow_abbrev=False, help="simulate one spacecraft and write everything over time"
+    )
     add_common(simulate)
     simulate.add_argument(
         "--controller", required=True, choices=CONTROLLERS, help="who commands the spacecraft"
@@ -244,7 +250,8 @@ def run_evaluate(arguments: argparse.Namespace) -> None:
     )
     print(tables(results))
     if arguments.json:
-        Path(arguments.json).write_text(json.dumps(results, indent=2) + "\n", encoding="utf-8")
+        with refusing(f"--json {arguments.json}: cannot write it", OSError):
+            Path(arguments.json).write_text(json.dumps(results, indent=2) + "\n", encoding="utf-8")
 
 
 def run_simulate(arguments: argparse.Namespace) -> None:
@@ -268,7 +275,7 @@ def run_simulate(arguments: argparse.Namespace) -> None:
     )
     safety, device = build.for_command(config, arguments.duration)
     given = simulation.read_state(arguments.initial_state) if arguments.initial_state else None
-    x, priority = simulation.starting_point(given, config, arguments.seed, safety)
+    x, priority = simulation.starting_point(given, config, arguments.seed)
     env = build.one_episode(config, safety, device)
     if policy is not None:
         controller, decide_every = (
@@ -283,22 +290,21 @@ def run_simulate(arguments: argparse.Namespace) -> None:
     result = simulation.simulate(
         env, controller, x.to(device), priority.to(device), arguments.duration, step, decide_every
     )
-    with open(arguments.out, "wb") as file:
+    with refusing(f"--out {arguments.out}: cannot write it", OSError), open(arguments.out, "wb") as file:
         np.savez_compressed(file, **result)
-    worst = min((float(values.min()), name) for name, values in result.items() if name.startswith("h_"))
+    violated = [
+        name[2:] for name, values in result.items() if name.startswith("h_") and not (values >= 0).all()
+    ]
     print(
         f"{arguments.out}: {len(result['time'])} rows over {result['time'][-1]:g} s, "
-        f"inspected {result['inspected_score'][-1]:.3f}, smallest constraint value {worst[0]:.4g} ({worst[1][2:]})"
+        f"inspected {result['inspected_score'][-1]:.3f}, violated constraints: {', '.join(violated) or 'none'}"
     )
 
 
 def check_writable(path: str, flag: str) -> None:
     """Refuses an output file that cannot be written before any work is done."""
-    parent = Path(path).parent
-    if not parent.is_dir():
-        raise InputError(f"{flag} {path}: there is no directory {parent}")
-    if Path(path).is_dir():
-        raise InputError(f"{flag} {path}: is a directory, must be a file")
+    with refusing(f"{flag} {path!r}: cannot write it", OSError, ValueError), open(path, "ab"):
+        pass
 
 
 def join_axis(argv: list[str]) -> list[str]:
@@ -320,6 +326,9 @@ def main(argv: list[str] | None = None) -> int:
     except (InputError, CheckpointError) as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
+    except KeyboardInterrupt:
+        print("interrupted", file=sys.stderr)
+        return 130
     except NonFiniteError as error:
         print(f"error: training stopped at {error}", file=sys.stderr)
         return 1

@@ -164,9 +164,14 @@ class InspectionEnv:
         return own | {"pools": [starts.pool.clone() for starts in self.starts]}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Restores `state_dict`."""
+        """Restores `state_dict`; raises KeyError or ValueError where it does not fit."""
         for name in self.STATE:
-            setattr(self, name, state[name].clone())
+            own, saved = getattr(self, name), state[name]
+            if (own.shape, own.dtype) != (saved.shape, saved.dtype):
+                raise ValueError(
+                    f"{name} is {saved.dtype} {tuple(saved.shape)}, not {own.dtype} {tuple(own.shape)}"
+                )
+            setattr(self, name, saved.clone())
         for starts, pool in zip(self.starts, state["pools"], strict=True):
             starts.pool = pool.clone()
 

@@ -93,7 +93,7 @@ def recorded(actions: np.ndarray, step: float) -> Controller:
     return control
 
 
-def zero(c: InspectionParameters) -> Controller:
+def zero() -> Controller:
     """No control at all."""
     return lambda t, x: x.new_zeros(CONTROL_SIZE, x.shape[1])
 

@@ -99,6 +99,8 @@ class PPO:
         if not 0.0 <= progress <= 1.0:
             raise ValueError(f"progress is {progress}: it must be in [0, 1]")
         self.optimiser.param_groups[0]["lr"] = self.parameters.learning_rate * (1.0 - progress)
+        for name in TRAINED_ON:
+            require_finite(f"the batch's {name}", batch[name])
         rows = {name: batch[name].flatten(0, 1) for name in TRAINED_ON}
         history: list[Tensor] = []
         for index in self._minibatches(batch["log_prob"].shape[1], batch["log_prob"].device):
@@ -110,6 +112,8 @@ class PPO:
             self.optimiser.step()
             history.append(torch.stack(list(statistics.values())))
         mean = _finite_mean(torch.stack(history), list(statistics))
+        for name, weight in self._named.items():
+            require_finite(name, weight)
         reported = {name: tensor for name, tensor in mean.items() if name not in self._named}
         return reported | {"explained_variance": explained_variance(batch["value"], batch["return_"])}
 
@@ -176,6 +180,13 @@ class PPO:
         for weight in self._named.values():
             weight.grad.mul_(scale[:, None, None])
         return norms | {"grad_norm": total}
+
+
+def require_finite(name: str, tensor: Tensor) -> None:
+    """Raise NonFiniteError, naming the tensor (S, ...) and the first bad seed, unless all of it is finite."""
+    bad = ~torch.isfinite(tensor.flatten(1)).all(1)
+    if bad.any():
+        raise NonFiniteError(f"{name} is not finite (seed {bad.nonzero()[0].item()})")
 
 
 def _finite_mean(history: Tensor, names: list[str]) -> dict[str, Tensor]:

@@ -71,5 +71,5 @@ class Trainer:
         self.env.load_state_dict(state["env"])
         for generator, saved in zip(self.generators, state["generators"], strict=True):
             generator.set_state(saved.cpu())
-        self.update = state["update"]
-        self.seconds = state["seconds"]
+        self.update = int(state["update"])
+        self.seconds = float(state["seconds"])

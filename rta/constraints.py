@@ -73,7 +73,7 @@ def arccos(cosine: Tensor, smoothing: Smoothing) -> Tensor:
 
 
 def signed_sqrt(z: Tensor, smoothing: Smoothing) -> Tensor:
-    """sign(z) sqrt(|z|), linear where |z| is below smoothing.distance (spec: also for negative distances)."""
+    """sign(z) sqrt(|z|), linear where |z| is below smoothing.distance (also for negative distances)."""
     floor = max(smoothing.distance, 1e-300)
     return torch.where(z.abs() < floor, z / math.sqrt(floor), z.sign() * z.abs().clamp(min=floor).sqrt())
 

@@ -8,7 +8,7 @@ from torch import Tensor
 
 from inspection.environment import Safety
 from inspection.parameters import InspectionParameters
-from inspection.state import THRUST, TORQUE
+from inspection.state import SIZE, THRUST, TORQUE, P, Q
 from rta import constraints
 from rta.constraints import ATTITUDE, CONSTRAINTS, TRANSLATIONAL
 from rta.parameters import RtaParameters
@@ -67,9 +67,10 @@ class SafetyFilter:
         self.rows = self.barriers.__call__
 
     def compile(self) -> None:
-        """Compiles the barrier rows for one batch size; others are cut into and filled up to such batches.
+        """Compiles the barrier rows, in batches of COMPILED_BATCH: others are cut into and filled up to such.
 
-        torch.compile would otherwise compile anew for every size, each time for about half a minute.
+        torch.compile would otherwise compile anew for every size, each time for about half a minute. Raises
+        whatever torch.compile raises where there is no working C++ compiler.
         """
         # dynamic=True, because torch 2.13 generates a CPU kernel that crashes when told that shapes are static
         compiled = torch.compile(self.barriers.__call__, dynamic=True)
@@ -81,6 +82,9 @@ class SafetyFilter:
             thrust, torque = zip(*parts, strict=True)
             return join(thrust, batch), join(torque, batch)
 
+        probe = torch.zeros(SIZE, COMPILED_BATCH, dtype=torch.float64)
+        probe[P.start], probe[Q.stop - 1] = self.c.max_distance / 2, 1.0
+        compiled(probe)
         self.rows = rows
 
     def safety(self, enabled: bool = True) -> Safety:

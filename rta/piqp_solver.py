@@ -46,7 +46,8 @@ class PiqpSolver:
             candidates.append(answers)
 
         for i in np.flatnonzero(status == Status.UNSOLVED):
-            control[i] = least_violating([u[i] for u in candidates], a[i], problems.b_bare[i], weight)
+            known = [u[i] for u in candidates]
+            control[i] = least_violating(known, a[i], problems.b_bare[i], weight) if finite[i] else 0.0
         return control, status
 
     def _solve_all(self, desired: np.ndarray, a: np.ndarray, b: np.ndarray, weight: np.ndarray) -> np.ndarray:

@@ -23,9 +23,9 @@ class Status(IntEnum):
     """How a control came about, in rising order of trouble."""
 
     UNTOUCHED = 0  # the desired control satisfies every row
-    HARD = 1  # corrected, every row satisfied
+    HARD = 1  # corrected, every row satisfied, at worst without its margin
     SLACK = 2  # no control satisfies every row: the weighted slack decided
-    UNSOLVED = 3  # no solver call succeeded: the least-violating control known
+    UNSOLVED = 3  # no solver call succeeded: the least-violating control known, zero if rows are not finite
 
 
 @dataclass(frozen=True)

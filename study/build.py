@@ -1,6 +1,5 @@
 """From a configuration to the objects of an experiment."""
 
-import shutil
 import sys
 
 import torch
@@ -14,7 +13,7 @@ from ppo.network import Policy
 from rta.filter import SafetyFilter
 from study import config as configuration
 from study.config import Config
-from study.errors import InputError
+from study.errors import InputError, refusing
 
 # Compiling the barrier rows takes about half a minute; it repays itself after about this many filter calls.
 WORTH_COMPILING = 1000
@@ -24,7 +23,9 @@ TYPICAL_EPISODE = 3000.0  # s
 def resolve_device(name: str) -> torch.device:
     """The device for auto, cpu or cuda."""
     if name == "cuda" and not torch.cuda.is_available():
-        raise InputError("--device cuda: no CUDA device is available here; allowed are auto and cpu")
+        raise InputError(
+            "device cuda: no CUDA device is available here; allowed are auto and cpu (--device cpu)"
+        )
     return torch.device(
         "cuda" if name == "auto" and torch.cuda.is_available() else name.replace("auto", "cpu")
     )
@@ -32,22 +33,19 @@ def resolve_device(name: str) -> torch.device:
 
 def wants_compile(choice: str, filter_calls: int) -> bool:
     """Whether to compile for a run of about so many filter calls (of a batch each)."""
-    if choice == "off" or (choice == "auto" and filter_calls < WORTH_COMPILING):
-        return False
-    if shutil.which("g++") or shutil.which("clang++") or torch.cuda.is_available():
-        return True
-    print("no C++ compiler found: the filter runs uncompiled, which is slower", file=sys.stderr)
-    return False
+    return choice == "on" or (choice == "auto" and filter_calls >= WORTH_COMPILING)
 
 
 def make_safety(config: Config, enabled: bool, period: float, compiled: bool = False) -> Safety:
     """Constraints, admissible starts and, if enabled, the filter."""
-    try:
+    with refusing("[rta] and [inspection]", ValueError, OverflowError):
         safety_filter = SafetyFilter(config.inspection, config.rta, period)
-    except ValueError as error:
-        raise InputError(f"[rta] {error}") from None
     if compiled and enabled:
-        safety_filter.compile()
+        try:
+            safety_filter.compile()
+        except Exception as error:  # a missing or broken compiler shows itself in many ways
+            reason = type(error).__name__
+            print(f"the filter could not be compiled ({reason}); it runs uncompiled, slower", file=sys.stderr)
     return safety_filter.safety(enabled)
 
 
@@ -55,7 +53,10 @@ def make_env(
     config: Config, num_envs: int, generators: list[torch.Generator], safety: Safety
 ) -> InspectionEnv:
     """A batch of num_envs episodes per generator."""
-    return InspectionEnv(num_envs, config.inspection, generators, safety)
+    with refusing(
+        f"[inspection], {num_envs:,} episodes", ValueError, RuntimeError, OverflowError, MemoryError
+    ):
+        return InspectionEnv(num_envs, config.inspection, generators, safety)
 
 
 def make_policy(config: Config, generators: list[torch.Generator]) -> Policy:
@@ -76,13 +77,12 @@ def load_policy(path: str) -> tuple[Policy, Config]:
         CheckpointError, InputError: the file is missing, damaged or not a checkpoint.
     """
     content = checkpoint.load(path, ("policy", "config"))
-    config = configuration.from_toml(content["config"], path)
-    policy = make_policy(config, [torch.Generator()])
-    try:
+    with refusing(f"{path}: not a checkpoint of this program", AttributeError, TypeError, RuntimeError):
+        config = configuration.from_toml(content["config"], path)
+        policy = make_policy(config, [torch.Generator()])
         policy.load_state_dict(content["policy"])
-    except RuntimeError as error:
-        reason = str(error).splitlines()[-1].strip()
-        raise CheckpointError(f"{path}: its weights do not fit this program: {reason}") from None
+    if not all(torch.isfinite(weight).all() for weight in policy.parameters()):
+        raise CheckpointError(f"{path}: its policy holds weights that are not finite")
     return policy, config
 
 

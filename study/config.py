@@ -12,7 +12,9 @@ import tomli_w
 from inspection.parameters import InspectionParameters
 from ppo.learner import PPOParameters
 from rta.parameters import PERIODS, RtaParameters
-from study.errors import InputError
+from study.errors import InputError, refusing
+
+MAX_COUNT = 10**12
 
 
 @dataclass(frozen=True)
@@ -26,7 +28,7 @@ class TrainParameters:
     num_envs: int = 256  # episodes simulated at once
     rollout_steps: int = 64  # interactions of each episode between two updates
     device: str = "auto"  # auto, cpu or cuda
-    compile: str = "auto"  # torch.compile the filter and the dynamics: auto, on or off
+    compile: str = "auto"  # torch.compile the filter's rows: auto, on or off
     evaluation_interval: int = 500_000  # interactions between two evaluations
     evaluation_episodes: int = 20
     final_episodes: int = 100  # of the evaluation after training
@@ -37,10 +39,14 @@ class TrainParameters:
             raise ValueError(f"rta_period = {self.rta_period:g}: must be 1, 5 or 10 s")
         counts = [f.name for f in dataclasses.fields(self) if f.type is int and f.name != "seed"]
         for name in counts:
-            if getattr(self, name) <= 0:
-                raise ValueError(f"{name} = {getattr(self, name)}: must be a positive integer")
-        if self.seed < 0:
-            raise ValueError(f"seed = {self.seed}: must be 0 or a positive integer")
+            if not 0 < getattr(self, name) <= MAX_COUNT:
+                raise ValueError(
+                    f"{name} = {getattr(self, name)}: must be a positive integer up to {MAX_COUNT:,}"
+                )
+        if self.batch < 2:
+            raise ValueError("num_envs * rollout_steps = 1: must be at least 2")
+        if not 0 <= self.seed < 2**63:
+            raise ValueError(f"seed = {self.seed}: must be an integer from 0 to 2^63 - 1")
         for name, allowed in (("device", ("auto", "cpu", "cuda")), ("compile", ("auto", "on", "off"))):
             if getattr(self, name) not in allowed:
                 raise ValueError(f"{name} = {getattr(self, name)!r}: must be one of {', '.join(allowed)}")
@@ -93,8 +99,8 @@ def load(path: str | Path, base: Config | None = None) -> Config:
         text = Path(path).read_text(encoding="utf-8")
     except OSError as error:
         raise InputError(f"{path}: cannot read the configuration: {error.strerror}") from None
-    except UnicodeDecodeError:
-        raise InputError(f"{path}: cannot read the configuration: not UTF-8 text") from None
+    except ValueError as error:
+        raise InputError(f"{path!r}: cannot read the configuration: {error}") from None
     return from_toml(text, str(path), base)
 
 
@@ -121,7 +127,7 @@ def override_table(part: Any, entries: dict[str, Any], where: str) -> Any:
         values[key] = convert(value, types[key], f"{where} {key}")
     try:
         return dataclasses.replace(part, **values)
-    except ValueError as error:
+    except (ValueError, OverflowError) as error:
         raise InputError(f"{where} {error}") from None
 
 
@@ -137,7 +143,8 @@ def convert(value: Any, wanted: Any, where: str) -> Any:
         return tuple(convert(item, element, where) for item in value)
     is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
     if wanted is float and is_number:
-        return float(value)
+        with refusing(f"{where} is too large", OverflowError):
+            return float(value)
     if type(value) is wanted:
         return value
     names = {bool: "true or false", int: "an integer", float: "a number", str: "a string"}

@@ -1,5 +1,23 @@
-"""The one exception that the command line turns into a line on stderr and exit code 2."""
+"""Bad input: the exception that the command line turns into one line on stderr and exit code 2."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 
 class InputError(ValueError):
     """Bad input from a person: the message says what was wrong, where, and what is allowed."""
+
+
+@contextmanager
+def refusing(where: str, *exceptions: type[BaseException]) -> Iterator[None]:
+    """Turns the given exceptions into an InputError that begins with `where`."""
+    try:
+        yield
+    except InputError:
+        raise
+    except exceptions as error:
+        if isinstance(error, OSError) and error.strerror:
+            reason = error.strerror
+        else:
+            reason = (str(error) or type(error).__name__).splitlines()[0]
+        raise InputError(f"{where}: {reason[:200]}") from None

@@ -12,13 +12,16 @@ from torch import Tensor
 from inspection.attitude import norm
 from inspection.dynamics import sun_and_earth_in_body
 from inspection.environment import METRICS, OUTCOMES, InspectionEnv, Safety, Transition
-from inspection.initial_state import sample_initial_state
+from inspection.initial_state import InitialStates
 from inspection.state import OMEGA, E, P, T, V
 from ppo.network import Policy
 from rta.constraints import CONSTRAINTS
+from rta.filter import SafetyFilter
+from rta.parameters import RtaParameters
 from rta.qp import Status
 from study import build
 from study.config import Config
+from study.errors import refusing
 from study.statistics import summary
 
 Actor = Callable[[Tensor], Tensor]  # observations (B, 26) to actions (B, 6)
@@ -29,10 +32,16 @@ def policy_actor(policy: Policy) -> Actor:
     return lambda observation: policy.mean_action(observation[None])[0]
 
 
-def test_cases(config: Config, episodes: int, seed: int, safety: Safety) -> tuple[Tensor, Tensor]:
-    """Initial states (16, episodes) and priority vectors (3, episodes), the same for every agent and device."""
-    generator = torch.Generator().manual_seed(seed)
-    return sample_initial_state(episodes, generator, config.inspection, safety.is_safe)
+def test_cases(config: Config, episodes: int, seed: int) -> tuple[Tensor, Tensor]:
+    """Initial states (16, episodes) and priority vectors (3, episodes), the same for every agent and device.
+
+    Case i does not depend on how many cases there are.
+    """
+    # default gains, so that agents trained behind different filters meet the same cases
+    gains = RtaParameters(passive_safety_segments=config.rta.passive_safety_segments)
+    is_safe = SafetyFilter(config.inspection, gains).barriers.is_safe
+    with refusing("[inspection]", RuntimeError):
+        return InitialStates(torch.Generator().manual_seed(seed), config.inspection, is_safe).take(episodes)
 
 
 @dataclass
@@ -166,5 +175,5 @@ def evaluate(
     """Plays the common test cases with deterministic actions and reports them."""
     generator = torch.Generator(device).manual_seed(seed + 1)  # restarts of ended columns, which nobody sees
     env = build.make_env(config, episodes, [generator], safety)
-    record = run_episodes(env, policy_actor(policy), *test_cases(config, episodes, seed, safety))
+    record = run_episodes(env, policy_actor(policy), *test_cases(config, episodes, seed))
     return report(record, config, safety.correct is not None, safety.period, seed)

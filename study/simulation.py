@@ -1,7 +1,6 @@
 """Simulating one spacecraft under any controller, and the files that go in and out."""
 
 import json
-import math
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +11,7 @@ from torch import Tensor
 from inspection import guidance
 from inspection.attitude import unit
 from inspection.dynamics import step as integrate
-from inspection.environment import InspectionEnv, Safety
+from inspection.environment import InspectionEnv
 from inspection.guidance import Controller
 from inspection.parameters import InspectionParameters
 from inspection.state import CONTROL_SIZE, OMEGA, SIZE, THETA_S, E, P, Q, T, V
@@ -22,6 +21,9 @@ from rta.constraints import CONSTRAINTS
 from study.config import Config
 from study.errors import InputError
 from study.evaluation import test_cases
+
+LARGEST = 1e6  # of any number in a state file
+MAX_ROWS = 10**7
 
 STATE_FIELDS: dict[str, tuple[Any, int]] = {
     "position": (P, 3),
@@ -44,7 +46,7 @@ def read_state(path: str) -> tuple[Tensor, Tensor | None]:
         content = json.loads(Path(path).read_text(encoding="utf-8"))
     except OSError as error:
         raise InputError(f"{path}: cannot read the state file: {error.strerror}") from None
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise InputError(f"{path}: not a JSON file: {error}") from None
     if not isinstance(content, dict):
         raise InputError(f"{path}: must hold one JSON object with {', '.join(STATE_FIELDS)}")
@@ -63,6 +65,10 @@ def read_state(path: str) -> tuple[Tensor, Tensor | None]:
         raise InputError(
             f"{path}: quaternion = {content['quaternion']}: must have length 1 (scalar last), has {x[Q].norm():.6g}"
         )
+    if x[T].item() <= -273.15:
+        raise InputError(f"{path}: temperature = {content['temperature']}: must be above -273.15 deg C")
+    if x[E].item() < 0.0:
+        raise InputError(f"{path}: energy = {content['energy']}: must not be negative")
     if x[P].norm() == 0.0:
         raise InputError(f"{path}: position = {content['position']}: must not be the chief's centre")
     x[Q] = unit(x[Q])
@@ -82,8 +88,8 @@ def numbers(value: Any, length: int, where: str) -> Tensor:
         raise InputError(
             f"{where} = {value!r}: must be {f'a list of {length} numbers' if length > 1 else 'a number'}"
         )
-    if not all(math.isfinite(i) for i in items):
-        raise InputError(f"{where} = {value!r}: must be finite")
+    if not all(abs(i) <= LARGEST for i in items):  # False for NaN
+        raise InputError(f"{where} = {str(value)[:80]}: must be finite, at most {LARGEST:g} in size")
     return torch.tensor(items, dtype=torch.float64)
 
 
@@ -91,8 +97,10 @@ def read_actions(path: str, limit: tuple[float, ...]) -> np.ndarray:
     """Reads an N x 6 array of controls in N and N m; refuses what the actuators cannot do."""
     try:
         actions = np.load(path, allow_pickle=False)
-    except (OSError, ValueError, EOFError) as error:
-        raise InputError(f"{path}: cannot read the actions: {str(error).splitlines()[0]}") from None
+    except FileNotFoundError:
+        raise InputError(f"{path}: cannot read the actions: no such file") from None
+    except (Exception, MemoryError):  # numpy reports damage through many exception types
+        raise InputError(f"{path}: cannot read the actions: not a .npy file of numbers") from None
     if (
         not isinstance(actions, np.ndarray)
         or actions.ndim != 2
@@ -114,6 +122,10 @@ def read_actions(path: str, limit: tuple[float, ...]) -> np.ndarray:
 
 def check_step(step: float, duration: float, rta_period: float | None, c: InspectionParameters) -> None:
     """Refuses steps that do not fit the other clocks of a simulation."""
+    if step < 1e-3 or duration / min(step, c.substep) > MAX_ROWS:
+        raise InputError(
+            f"--duration {duration:g} at --step {step:g}: at most {MAX_ROWS:,} steps of at least 1 ms"
+        )
     for name, other in (("--rta-period", rta_period), ("the agent's period", c.action_period)):
         if other is not None and not (is_multiple(step, other) or is_multiple(other, step)):
             raise InputError(f"--step {step:g}: must divide {name}, {other:g} s, or be a multiple of it")
@@ -129,10 +141,10 @@ def is_multiple(a: float, b: float) -> bool:
 
 
 def starting_point(
-    given: tuple[Tensor, Tensor | None] | None, config: Config, seed: int, safety: Safety
+    given: tuple[Tensor, Tensor | None] | None, config: Config, seed: int
 ) -> tuple[Tensor, Tensor]:
     """The given state and priority vector; what is not given is drawn from the seed."""
-    drawn = test_cases(config, 1, seed, safety)
+    drawn = test_cases(config, 1, seed)
     if given is None:
         return drawn
     return given[0], drawn[1] if given[1] is None else given[1]
@@ -146,7 +158,7 @@ def classical(name: str, actions: str | None, config: Config, step: float, seed:
     return {
         "lqr-pd": lambda: guidance.lqr_pd(c),
         "natural-motion": lambda: guidance.natural_motion(c),
-        "zero": lambda: guidance.zero(c),
+        "zero": guidance.zero,
         "random": lambda: guidance.random(c, torch.Generator().manual_seed(seed)),
     }[name]()
 

@@ -27,7 +27,7 @@ from rta.constraints import CONSTRAINTS
 from study import build
 from study import config as configuration
 from study.config import Config
-from study.errors import InputError
+from study.errors import InputError, refusing
 from study.evaluation import evaluate, test_cases
 from study.figures import episode_figure
 from study.monitor import Monitor
@@ -35,6 +35,8 @@ from study.simulation import policy_controller, simulate
 from study.tables import tables
 
 PACKAGES = ("torch", "numpy", "piqp", "scipy", "tensorboard")
+RESUMABLE = ("policy", "value", "optimiser", "env", "generators", "update", "seconds", "config")
+MALFORMED = (KeyError, TypeError, ValueError, RuntimeError, AttributeError)  # what damaged contents raise
 EVALUATION_SEED = 1_000_000  # periodic test cases, apart from those of the final evaluation
 
 
@@ -111,9 +113,9 @@ class Run:
         self.config, self.directory = config, directory
         self.device = build.resolve_device(train.device)
         generators = [torch.Generator(self.device).manual_seed(train.seed)]
-        self.compiled = train.rta and build.wants_compile(
-            train.compile, train.updates * train.rollout_steps * round(10.0 / train.rta_period)
-        )
+        calls_per_step = round(config.inspection.action_period / train.rta_period)
+        calls = train.updates * train.rollout_steps * calls_per_step
+        self.compiled = train.rta and build.wants_compile(train.compile, calls)
         self.safety = build.make_safety(config, train.rta, train.rta_period, self.compiled)
         self.timer = Timed(self.safety.correct)
         timed = replace(self.safety, correct=self.timer) if train.rta else self.safety
@@ -136,25 +138,37 @@ class Run:
         return self.trainer.update * self.config.train.batch
 
     def create(self) -> None:
-        """Starts a fresh run in an empty directory."""
-        if self.checkpoint_path.exists():
-            raise InputError(f"--run-dir {self.directory}: holds a run already; continue it with --resume")
-        try:
+        """Starts a fresh run in a directory that holds none."""
+        with refusing(f"--run-dir {self.directory}: cannot write there", OSError, ValueError):
+            if any(
+                (self.directory / name).exists() for name in ("config.toml", "policy.pt", "checkpoint.pt")
+            ):
+                raise InputError(
+                    f"--run-dir {self.directory}: holds a run already; continue it with --resume"
+                )
             self.directory.mkdir(parents=True, exist_ok=True)
             (self.directory / "config.toml").write_text(self.config.to_toml(), encoding="utf-8")
             about = json.dumps(provenance(self.config, self.device), indent=2)
             (self.directory / "provenance.json").write_text(about + "\n", encoding="utf-8")
-        except OSError as error:
-            raise InputError(f"--run-dir {self.directory}: cannot write there: {error.strerror}") from None
-        self.env.reset()
-        self.save()
+        with refusing("[inspection]", RuntimeError):
+            self.env.reset()
+        with refusing(f"--run-dir {self.directory}: cannot write there", OSError):
+            self.save()
 
     def resume(self) -> None:
         """Continues from the directory's checkpoint."""
-        saved = checkpoint.load(
-            self.checkpoint_path, ("env", "generators", "update", "optimiser"), self.device
-        )
-        self.trainer.load_state_dict(saved)
+        saved = checkpoint.load(self.checkpoint_path, RESUMABLE, self.device)
+        with refusing(f"{self.checkpoint_path}: does not fit this run", *MALFORMED):
+            self.trainer.load_state_dict(saved)
+        self.forget_later_evaluations()
+
+    def forget_later_evaluations(self) -> None:
+        """Drops what a run that was killed had evaluated after its last checkpoint."""
+        path = self.directory / "evaluations.jsonl"
+        if path.is_file():
+            lines = path.read_text(encoding="utf-8").splitlines()
+            kept = [line for line in lines if json.loads(line)["interactions"] <= self.interactions]
+            path.write_text("".join(f"{line}\n" for line in kept), encoding="utf-8")
 
     def save(self) -> None:
         """Writes the checkpoint and, beside it, the policy alone."""
@@ -165,7 +179,7 @@ class Run:
     def train(self) -> None:
         """Trains to the end; raises Stopped where a signal came first, NonFiniteError where numbers went bad."""
         train = self.config.train
-        self.writer = SummaryWriter(str(self.directory), purge_step=self.interactions or None)
+        self.writer = SummaryWriter(str(self.directory), purge_step=self.interactions + 1)
         total = train.updates * train.batch
         columns = (
             "{desc}{percentage:3.0f}%|{bar}| {n:,}/{total:,} [{elapsed}<{remaining}, {rate_fmt}{postfix}]"
@@ -234,7 +248,7 @@ class Run:
         (self.directory / "evaluation.json").write_text(
             json.dumps(results, indent=2) + "\n", encoding="utf-8"
         )
-        x, priority = test_cases(config, 1, 0, self.safety)
+        x, priority = test_cases(config, 1, 0)
         env = build.one_episode(config, self.safety, self.device)
         episode = simulate(
             env,
@@ -242,7 +256,7 @@ class Run:
             x.to(self.device),
             priority.to(self.device),
             duration=config.inspection.max_time,
-            step=config.inspection.action_period,
+            step=min(train.rta_period, config.inspection.substep),
             decide_every=config.inspection.action_period,
             until_ended=True,
         )
@@ -274,7 +288,13 @@ def resume(directory: Path) -> Run:
     """The run in a directory, as its checkpoint left it."""
     if not (directory / "config.toml").is_file():
         raise InputError(f"--resume {directory}: no run there (it lacks config.toml)")
-    run = Run(configuration.load(directory / "config.toml"), directory)
+    config = configuration.load(directory / "config.toml")
+    path = directory / "checkpoint.pt"
+    with refusing(str(path), KeyError, TypeError, AttributeError):
+        trained = configuration.from_toml(checkpoint.load(path, RESUMABLE)["config"], str(path))
+    if config != trained:
+        raise InputError(f"--resume {directory}: config.toml is not what {path.name} was trained with")
+    run = Run(config, directory)
     run.resume()
     return run
 
