@@ -107,8 +107,6 @@ class InspectionParameters:
             raise ValueError(f"substep = {self.substep:g}: must be at most 5 s")
         if self.field_of_view > math.pi or self.num_points > 100_000:
             raise ValueError("field_of_view must be at most pi rad and num_points at most 100,000")
-        if self.max_acceleration <= 0:
-            raise ValueError("max_thrust / mass must exceed the natural acceleration within max_distance")
         for field in fields(self):
             value = getattr(self, field.name)
             numbers = value if isinstance(value, tuple) else (value,)

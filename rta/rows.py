@@ -58,6 +58,8 @@ class Barriers:
                 f"passive_safety_segments end at {r.passive_safety_segments[-1]} s: "
                 f"must be the passive_safety_horizon, {c.passive_safety_horizon} s"
             )
+        if c.max_acceleration <= 0.0:
+            raise ValueError("max_thrust / mass must exceed the natural acceleration within max_distance")
         self.c, self.r = c, r
         self.smoothing = Smoothing(r.distance_floor, r.pole_angle)
         critical, resource, motion = r.slack_weight_critical, r.slack_weight_resource, r.slack_weight_motion

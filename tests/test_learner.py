@@ -161,13 +161,19 @@ def test_resumed_training_is_bit_identical() -> None:
     torch.testing.assert_close(weights(resumed), weights(ppo), rtol=0.0, atol=0.0)
 
 
-@pytest.mark.parametrize(("name", "blamed"), [("advantage", "policy_loss"), ("return_", "value_loss")])
-def test_nan_in_the_batch_names_the_loss(name: str, blamed: str) -> None:
+@pytest.mark.parametrize("name", ["observation", "action", "log_prob", "advantage", "return_"])
+def test_nan_in_the_batch_is_named(name: str) -> None:
     ppo = learner((1, 2), PPOParameters(epochs=2, minibatch_size=16))
     batch = batch_of(ppo)
     batch[name][1, 5] = math.nan
-    with pytest.raises(NonFiniteError, match=rf"{blamed} is not finite \(seed 1"):
+    with pytest.raises(NonFiniteError, match=rf"batch's {name} is not finite \(seed 1"):
         ppo.update(batch, 0.0)
+
+
+def test_weights_spoilt_by_the_last_step_are_named() -> None:
+    ppo = learner((1, 2), PPOParameters(epochs=1, minibatch_size=64, learning_rate=1e300))
+    with pytest.raises(NonFiniteError, match=r"(policy|value)\.network\.layers\.0\.weight is not finite"):
+        ppo.update(batch_of(ppo), 0.0)
 
 
 def test_nan_gradient_names_the_tensor() -> None:

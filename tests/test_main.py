@@ -13,6 +13,7 @@ from inspection.environment import METRICS
 from rta.constraints import CONSTRAINTS
 from study import training
 from study.config import Config, override
+from study.evaluation import test_cases as common_cases
 
 STATE: dict[str, Any] = {
     "position": [60.0, 10.0, -20.0],
@@ -91,7 +92,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
         ),
         (
             ["simulate", "--controller", "zero", "--duration", "10", "--out", "nowhere/x.npz"],
-            ["--out", "no directory"],
+            ["--out", "cannot write"],
         ),
         ([], ["train | evaluate | simulate"]),
     ],
@@ -281,3 +282,103 @@ def test_help_gives_every_flag_a_default_or_says_it_is_required(capsys: pytest.C
                 continue
             assert action.help, action.dest
             assert action.required or "default" in action.help, action.dest
+
+
+def test_a_finished_run_without_its_checkpoint_is_not_overwritten(
+    run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    shipped = tmp_path / "shipped"
+    shipped.mkdir()
+    (shipped / "policy.pt").write_bytes((run / "policy.pt").read_bytes())
+    assert_refused(["train", "--run-dir", str(shipped)], ["--run-dir", "holds a run"], capsys)
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        lambda content: content.pop("value"),
+        lambda content: content["env"].pop("x"),
+        lambda content: content["env"].update(x=torch.zeros(16, 3)),
+        lambda content: content.update(update="many"),
+        lambda content: content.update(generators=[]),
+        lambda content: content.update(config=3),
+    ],
+)
+def test_a_damaged_run_is_not_resumed(
+    damage: Any, run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    content = torch.load(run / "checkpoint.pt", weights_only=True)
+    damage(content)
+    torch.save(content, tmp_path / "checkpoint.pt")
+    (tmp_path / "config.toml").write_text((run / "config.toml").read_text())
+    assert_refused(["train", "--resume", str(tmp_path)], [str(tmp_path / "checkpoint.pt")], capsys)
+
+
+def test_a_run_whose_configuration_was_edited_is_not_resumed(
+    run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "checkpoint.pt").write_bytes((run / "checkpoint.pt").read_bytes())
+    text = (run / "config.toml").read_text().replace("mass = 12.0", "mass = 20.0")
+    (tmp_path / "config.toml").write_text(text)
+    assert_refused(["train", "--resume", str(tmp_path)], ["config.toml", "trained with"], capsys)
+
+
+def test_a_policy_with_nan_weights_is_refused(
+    run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    content = torch.load(run / "policy.pt", weights_only=True)
+    next(iter(content["policy"].values()))[0, 0] = torch.nan
+    torch.save(content, tmp_path / "policy.pt")
+    words = [str(tmp_path / "policy.pt"), "not finite"]
+    assert_refused(["evaluate", "--checkpoint", str(tmp_path / "policy.pt")], words, capsys)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "[inspection]\nsubstep = 0.3",
+        "[inspection]\nmax_distance = 10.0",
+        "[inspection]\ninitial_temperature = [50.0, 60.0]",
+        "[inspection]\nmax_thrust = 1e-4",
+        "[ppo]\nlog_std_bounds = [-1e5, 1e5]",
+        "[train]\nseed = 99999999999999999999",
+        "[rta]\npassive_safety_segments = [0.0, 400.0]",
+    ],
+)
+def test_impossible_settings_are_refused(
+    text: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "bad.toml"
+    path.write_text(text)
+    arguments = ["train", "--config", str(path), "--run-dir", str(tmp_path / "run"), "--num-envs", "2"]
+    assert_refused([*arguments, "--compile", "off", "--device", "cpu"], ["["], capsys)
+
+
+def test_flags_override_the_file(tmp_path: Path) -> None:
+    path = tmp_path / "some.toml"
+    path.write_text("[train]\nseed = 5\nnum_envs = 8\n")
+    arguments = main.build_parser().parse_args(["train", "--config", str(path), "--seed", "6", "--no-rta"])
+    train = main.resolve(arguments, Config()).train
+    assert (train.seed, train.num_envs, train.rta) == (6, 8, False)
+
+
+@pytest.mark.parametrize("out", ["/proc/nothing.npz", "x" * 300])
+def test_unwritable_output_is_refused_before_the_work(
+    out: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert_refused(["simulate", "--controller", "zero", "--duration", "10", "--out", out], ["--out"], capsys)
+
+
+@pytest.mark.parametrize(("duration", "step"), [("1e300", "1"), ("10", "1e-12"), ("1e8", "1")])
+def test_endless_simulations_are_refused(
+    duration: str, step: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    arguments = ["simulate", "--controller", "zero", "--duration", duration, "--step", step]
+    assert_refused([*arguments, "--out", str(tmp_path / "x.npz")], ["--duration", "--step"], capsys)
+
+
+def test_test_cases_do_not_depend_on_their_number_or_on_the_filter() -> None:
+    few, _ = common_cases(Config(), 2, 0)
+    gains = {"exclusion_margin": 0.1, "battery_gains": [0.001, 0.1]}
+    many, _ = common_cases(override(Config(), {"rta": gains}, "test"), 300, 0)
+    assert torch.equal(few, many[:, :2])
