@@ -6,6 +6,7 @@ Settings come from defaults, then from --config FILE.toml, then from flags.
 
 import argparse
 import json
+import os
 import sys
 import time
 from pathlib import Path
@@ -326,6 +327,8 @@ def main(argv: list[str] | None = None) -> int:
     except (InputError, CheckpointError) as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
+    except BrokenPipeError:  # the reader of our output, such as head, has left
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)
         return 130
