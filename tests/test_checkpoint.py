@@ -10,9 +10,13 @@ from pathlib import Path
 
 import pytest
 import torch
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
+from inspection.environment import METRICS
+from inspection.reward import REWARDS
 from ppo import checkpoint
 from ppo.learner import NonFiniteError
+from rta.constraints import CONSTRAINTS
 from study import config as configuration
 from study import training
 from study.config import Config
@@ -139,3 +143,26 @@ def test_a_signal_ends_training_cleanly_and_resume_continues(tmp_path: Path, num
     assert "--resume" in out
     assert "Traceback" not in err
     assert checkpoint.load(run / "checkpoint.pt", ("update",))["update"] >= 1
+
+
+def test_tensorboard_holds_what_is_promised(tmp_path: Path) -> None:
+    config = tiny(
+        rta=True, rta_period=10.0, interactions=32 * 4, evaluation_interval=32 * 4, evaluation_episodes=1
+    )
+    inspection = dataclasses.replace(config.inspection, max_time=20.0)  # episodes end within the run
+    run = training.start(dataclasses.replace(config, inspection=inspection), tmp_path)
+    run.train()
+    events = EventAccumulator(str(tmp_path))
+    events.Reload()
+    tags = set(events.Tags()["scalars"])
+    losses = ("policy_loss", "value_loss", "entropy", "approx_kl", "clip_fraction", "explained_variance")
+    rta = ("intervention_percent", "slack_percent", "failures")
+    for group, names in (
+        ("charts", (*METRICS, "success", "SPS", "learning_rate")),
+        ("losses", losses),
+        ("reward", REWARDS),
+        ("rta", (*rta, *(f"violation_percent_{name}" for name in CONSTRAINTS))),
+        ("time", ("simulation_s", "filter_s", "rollout_s", "learning_s", "evaluation_s")),
+        ("evaluation", (*METRICS, "success")),
+    ):
+        assert {f"{group}/{name}" for name in names} <= tags
