@@ -152,13 +152,14 @@ def attitude_exclusion(angles: Angles, c: InspectionParameters) -> Tensor:
     return angles.boresight_sun - c.field_of_view / 2 - c.exclusion_buffer
 
 
-def temperature(x: Tensor, angles: Angles, c: InspectionParameters) -> Tensor:
+def temperature(x: Tensor, angles: Angles, c: InspectionParameters, lead: float = 0.0) -> Tensor:
     """T_max - T - delta_0 (pi/2 - theta_SI)^+ - delta_1 (pi/2 - theta_EI)^+ in deg C.
 
-    Incidence angles are defined on [0, pi/2], hence the positive parts.
+    Incidence angles are defined on [0, pi/2], hence the positive parts. A filter may have them begin `lead`
+    rad before the surface is lit; zero is the paper's form.
     """
-    sun = (math.pi / 2 - angles.surface_sun).clamp(min=0.0)
-    earth = (math.pi / 2 - angles.surface_earth).clamp(min=0.0)
+    sun = (math.pi / 2 + lead - angles.surface_sun).clamp(min=0.0)
+    earth = (math.pi / 2 + lead - angles.surface_earth).clamp(min=0.0)
     return c.max_temperature - x[T] - c.temperature_sun_slope * sun - c.temperature_earth_slope * earth
 
 
@@ -167,10 +168,14 @@ def battery(x: Tensor, angles: Angles, c: InspectionParameters) -> Tensor:
     return x[E] - c.min_energy - c.energy_sun_slope * angles.panel_sun
 
 
-def orientation(x: Tensor, c: InspectionParameters, smoothing: Smoothing = EXACT) -> Tensor:
+def orientation(
+    x: Tensor, c: InspectionParameters, smoothing: Smoothing = EXACT, lead: float = 0.0
+) -> Tensor:
     """Attitude exclusion, temperature and battery, all of relative degree two: (16, ...) to (3, ...)."""
     angles = incidence_angles(x, c, smoothing)
-    return torch.stack((attitude_exclusion(angles, c), temperature(x, angles, c), battery(x, angles, c)))
+    return torch.stack(
+        (attitude_exclusion(angles, c), temperature(x, angles, c, lead), battery(x, angles, c))
+    )
 
 
 def angular_velocity(x: Tensor, c: InspectionParameters) -> Tensor:

@@ -41,6 +41,11 @@ class RtaParameters:
     battery_margin: float = 0.005  # kJ
     rate_margin: float = 0.0  # rad^2/s^2; the plant saturates at the limit itself
 
+    # The temperature row feels the light this much before it arrives. In the dark the constraint's gradient is
+    # zero, and Psi_1 drops by delta_0 omega at its edge; 1 / k2 = 5 s of turning at 2 deg/s, in which it
+    # recovers, are 0.17 rad.
+    incidence_lead: float = 0.3  # rad
+
     # The free flight's closest approach is enforced once per segment, so that a second close pass is
     # held off while the first one is being corrected.
     passive_safety_segments: tuple[float, ...] = (0.0, 60.0, 160.0, 300.0, 420.0, 500.0)  # s

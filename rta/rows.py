@@ -104,7 +104,7 @@ class Barriers:
 
     def orientation(self, x: Tensor) -> Tensor:
         """h of relative degree two, (16, ...) to (3, ...)."""
-        return constraints.orientation(x, self.c, self.smoothing)
+        return constraints.orientation(x, self.c, self.smoothing, self.r.incidence_lead)
 
     def first_psi(self, x: Tensor) -> Tensor:
         """Psi_1 = dh/dt + k1 (h - margin) of the constraints of relative degree two, (16, ...) to (3, ...)."""
@@ -127,7 +127,8 @@ class Barriers:
             return torch.cat((self.first_psi(y), constraints.angular_velocity(y, c)))
 
         psi, lf, lg = lie_derivatives(psi_and_rates, x, f, g[:, TORQUE])
-        h = torch.cat((self.orientation(x), psi[3:]))
+        reported = constraints.orientation(x, c, self.smoothing)  # without the lead
+        h = torch.cat((reported, psi[3:]))
         return thrust, condition(self.torque, h, psi, lf, lg)
 
     def is_safe(self, x: Tensor) -> Tensor:

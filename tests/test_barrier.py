@@ -31,7 +31,7 @@ from tests.test_constraints import (
     tensor,
 )
 
-R = RtaParameters()
+R = RtaParameters(incidence_lead=0.0)  # the rows of the paper's own form
 SEGMENTS = tuple(itertools.pairwise(R.passive_safety_segments))
 SPACECRAFT = {
     "paper": InspectionParameters(),

@@ -192,19 +192,31 @@ def test_nan_state_is_unsolved_and_leaves_its_neighbours_alone(
     faulty = safety(x, U)
     others = torch.arange(X.shape[1]) != 500
     assert faulty.status[500] == Status.UNSOLVED
+    assert (faulty.control[:3, 500] == 0.0).all() or (faulty.control[3:, 500] == 0.0).all()
     assert (faulty.control[:, 500].abs() <= LIMIT[:, 0] * (1 + 1e-15)).all()
     for field in dataclasses.fields(FilterResult):
         assert (getattr(faulty, field.name)[..., others] == getattr(result, field.name)[..., others]).all()
 
 
-def test_start_is_safe_exactly_where_every_h_and_psi_is(safety: SafetyFilter) -> None:
+def test_start_is_safe_exactly_where_every_h_and_psi_is() -> None:
     x = near_the_limits(5000, seed=1)
     spent = [[R.exclusion_margin], [R.temperature_margin], [R.battery_margin]]
     lowest = np.concatenate((paper(x), first_psi(x, C) - K1[:, None] * np.array(spent))).min(0)
     clear = (np.abs(cosines(x)) < 0.999).all(0) & (np.abs(lowest) > 1e-4)
-    is_safe = safety.barriers.is_safe(tensor(x)).numpy()
+    is_safe = Barriers(C, RtaParameters(incidence_lead=0.0), 1.0).is_safe(tensor(x)).numpy()
     assert 0.1 < is_safe.mean() < 0.9
     assert (is_safe[clear] == (lowest[clear] >= 0)).all()
+
+
+def test_temperature_is_felt_before_the_surface_is_lit() -> None:
+    x = tensor(near_the_limits(5000, seed=2))
+    early, exact = (
+        Barriers(C, RtaParameters(incidence_lead=lead), 1.0).orientation(x)[1] for lead in (0.3, 0.0)
+    )
+    most = 0.3 * (C.temperature_sun_slope + C.temperature_earth_slope)
+    assert (early <= exact).all() and (early >= exact - most - 1e-12).all()
+    edge = (exact - (C.max_temperature - x[13])).abs() < 1e-12  # dark on both sides
+    assert (early[edge] < exact[edge]).any()
 
 
 def fly(period: float, episodes: int, actions: int) -> tuple[Tensor, Tensor]:
