@@ -138,15 +138,8 @@ class Run:
         return self.trainer.update * self.config.train.batch
 
     def create(self) -> None:
-        """Starts a fresh run in a directory that holds none."""
-        with refusing(f"--run-dir {self.directory}: cannot write there", OSError, ValueError):
-            if any(
-                (self.directory / name).exists() for name in ("config.toml", "policy.pt", "checkpoint.pt")
-            ):
-                raise InputError(
-                    f"--run-dir {self.directory}: holds a run already; continue it with --resume"
-                )
-            self.directory.mkdir(parents=True, exist_ok=True)
+        """Writes what describes the run, and its first checkpoint."""
+        with refusing(f"--run-dir {self.directory}: cannot write there", OSError):
             (self.directory / "config.toml").write_text(self.config.to_toml(), encoding="utf-8")
             about = json.dumps(provenance(self.config, self.device), indent=2)
             (self.directory / "provenance.json").write_text(about + "\n", encoding="utf-8")
@@ -278,7 +271,11 @@ class Run:
 
 
 def start(config: Config, directory: Path) -> Run:
-    """A fresh run."""
+    """A fresh run in a directory that holds none."""
+    with refusing(f"--run-dir {directory}: cannot write there", OSError, ValueError):
+        if any((directory / name).exists() for name in ("config.toml", "policy.pt", "checkpoint.pt")):
+            raise InputError(f"--run-dir {directory}: holds a run already; continue it with --resume")
+        directory.mkdir(parents=True, exist_ok=True)
     run = Run(config, directory)
     run.create()
     return run
