@@ -303,9 +303,13 @@ def run_simulate(arguments: argparse.Namespace) -> None:
 
 
 def check_writable(path: str, flag: str) -> None:
-    """Refuses an output file that cannot be written before any work is done."""
-    with refusing(f"{flag} {path!r}: cannot write it", OSError, ValueError), open(path, "ab"):
-        pass
+    """Refuses an output file that cannot be written before any work is done; leaves nothing behind."""
+    with refusing(f"{flag} {path!r}: cannot write it", OSError, ValueError):
+        existed = Path(path).exists()
+        with open(path, "ab"):
+            pass
+        if not existed:
+            Path(path).unlink()
 
 
 def join_axis(argv: list[str]) -> list[str]:

@@ -16,9 +16,9 @@ from inspection.initial_state import InitialStates
 from inspection.state import OMEGA, E, P, T, V
 from ppo.network import Policy
 from rta.constraints import CONSTRAINTS
-from rta.filter import SafetyFilter
 from rta.parameters import RtaParameters
 from rta.qp import Status
+from rta.rows import Barriers
 from study import build
 from study.config import Config
 from study.errors import refusing
@@ -39,7 +39,7 @@ def test_cases(config: Config, episodes: int, seed: int) -> tuple[Tensor, Tensor
     """
     # default gains, so that agents trained behind different filters meet the same cases
     gains = RtaParameters(passive_safety_segments=config.rta.passive_safety_segments)
-    is_safe = SafetyFilter(config.inspection, gains).barriers.is_safe
+    is_safe = Barriers(config.inspection, gains, period=1.0).is_safe
     with refusing("[inspection]", RuntimeError):
         return InitialStates(torch.Generator().manual_seed(seed), config.inspection, is_safe).take(episodes)
 

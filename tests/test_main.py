@@ -37,8 +37,10 @@ def call(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> tuple[int,
 
 
 def assert_refused(arguments: list[str], words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    before = set(Path.cwd().iterdir())
     code, _, err = call(arguments, capsys)
     assert code == 2, err
+    assert set(Path.cwd().iterdir()) == before
     assert err.count("\n") == 1, err
     assert err.startswith("error: ")
     for word in words:
