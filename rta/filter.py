@@ -2,7 +2,6 @@
 
 from dataclasses import dataclass, fields
 
-import numpy as np
 import torch
 from torch import Tensor
 
@@ -10,6 +9,7 @@ from inspection.environment import Safety
 from inspection.parameters import InspectionParameters
 from inspection.state import SIZE, THRUST, TORQUE, P, Q
 from rta import constraints
+from rta.batched_solver import BatchedSolver
 from rta.constraints import ATTITUDE, CONSTRAINTS, TRANSLATIONAL
 from rta.parameters import RtaParameters
 from rta.piqp_solver import PiqpSolver
@@ -20,6 +20,8 @@ from rta.rows import Barriers, Row, Rows
 # influence: it keeps its direction but not its claim to a full unit of slack.
 SHORTEST_ROW = 1e-6
 COMPILED_BATCH = 256
+
+SOLVERS: dict[str, type[Solver]] = {"piqp": PiqpSolver, "batched": BatchedSolver}
 
 
 @dataclass
@@ -86,6 +88,7 @@ class SafetyFilter:
         probe[P.start], probe[Q.stop - 1] = self.c.max_distance / 2, 1.0
         compiled(probe)
         self.rows = rows
+        self.solver.compile()
 
     def safety(self, enabled: bool = True) -> Safety:
         """What the environment needs: constraint values, admissible starts and, if enabled, this filter."""
@@ -135,17 +138,10 @@ class SafetyFilter:
         safe = ((a * u).sum(1) + b).amin(0) >= 0.0  # False for NaN, which must not pass
         unsafe = torch.nonzero(~safe).flatten()
         if unsafe.numel():
-            problems = Problems(
-                desired=numpy(u[:, unsafe].T),
-                a=numpy(a[:, :, unsafe].permute(2, 0, 1)),
-                b=numpy(b[:, unsafe].T),
-                b_bare=numpy(b_bare[:, unsafe].T),
-                weight=np.array([row.weight for row in fixed]),
-            )
-            solved, outcome = self.solver.solve(problems)
-            u = u.clone()
-            u[:, unsafe] = torch.from_numpy(solved.T).to(u)
-            status[unsafe] = torch.from_numpy(outcome).to(status.device)
+            weight = u.new_tensor([row.weight for row in fixed])
+            solutions = self.solver.solve(Problems(u, a, b, b_bare, weight)[unsafe])
+            u = u.index_copy(1, unsafe, solutions.control)
+            status[unsafe] = solutions.status
 
         reached = (a * u).sum(1)
         binding = (reached + b <= FEASIBLE) & (status > Status.UNTOUCHED)
@@ -160,16 +156,16 @@ class SafetyFilter:
         )
 
 
+def make_solver(name: str) -> Solver:
+    """A new solver; raises KeyError for a name that is not in SOLVERS."""
+    return SOLVERS[name]()
+
+
 def join(parts: tuple[Rows, ...], batch: int) -> Rows:
     """The rows of consecutive parts, cut to the first `batch` spacecraft."""
     return Rows(
         *(torch.cat([getattr(part, field.name) for part in parts], -1)[..., :batch] for field in fields(Rows))
     )
-
-
-def numpy(a: Tensor) -> np.ndarray:
-    """A contiguous array on the CPU."""
-    return a.contiguous().cpu().numpy()
 
 
 def by_constraint(rows: Tensor, index: Tensor, count: int, reduce: str) -> Tensor:

@@ -2,8 +2,11 @@
 
 import numpy as np
 import piqp
+import torch
+from numpy import ndarray
+from torch import Tensor
 
-from rta.qp import FEASIBLE, Problems, Status, least_violating, residual
+from rta.qp import FEASIBLE, Problems, Solutions, Status, kkt_residual
 
 UNBOUNDED = 1e30  # PIQP's infinity
 
@@ -11,47 +14,66 @@ UNBOUNDED = 1e30  # PIQP's infinity
 class PiqpSolver:
     """Hard with margins, hard without, with slack: each stage takes what the one before left infeasible.
 
-    PIQP keeps its workspace between calls of the same shape, so workspaces are cached.
+    PIQP works on the CPU; it keeps its workspace between calls of the same shape, so workspaces are cached.
     """
 
     def __init__(self) -> None:
         self._workspaces: dict[tuple[int, int], piqp.DenseSolver] = {}
 
-    def solve(self, problems: Problems) -> tuple[np.ndarray, np.ndarray]:
+    def compile(self) -> None:
+        """Nothing is compiled: PIQP is a library already."""
+
+    def solve(self, problems: Problems) -> Solutions:
         """See `Solver`."""
-        desired, a, weight = problems.desired, problems.a, problems.weight
+        # batch first: PIQP reads one contiguous program after the other
+        desired, a, b, b_bare = (
+            part.movedim(-1, 0).contiguous().cpu().numpy()
+            for part in (problems.desired, problems.a, problems.b, problems.b_bare)
+        )
+        weight = problems.weight.cpu().numpy()
         must = np.isinf(weight)
         nothing = np.full_like(weight, np.inf)  # no row has slack
         candidates = [desired, np.zeros_like(desired)]
         control, status = desired.copy(), np.full(len(desired), Status.UNSOLVED)
+        residual = np.full(len(desired), np.inf)
 
         # PIQP's workspace would keep a NaN, and spoil every program after it
-        finite = np.isfinite(desired).all(1) & np.isfinite(a).all((1, 2))
-        finite &= np.isfinite(problems.b + problems.b_bare).all(1)
+        finite = problems.finite.cpu().numpy()
         stages = (
-            (problems.b, nothing, np.ones_like(must), Status.HARD),
-            (problems.b_bare, nothing, np.ones_like(must), Status.HARD),
-            (problems.b_bare, weight, must, Status.SLACK),
+            (b, nothing, np.ones_like(must), Status.HARD),
+            (b_bare, nothing, np.ones_like(must), Status.HARD),
+            (b_bare, weight, must, Status.SLACK),
         )
-        for b, slack_weight, held, outcome in stages:
-            reachable = (np.abs(a).sum(2) + b >= 0.0)[:, held].all(1)  # by some control inside the box
+        for side, slack_weight, held, outcome in stages:
+            reachable = (np.abs(a).sum(2) + side >= 0.0)[:, held].all(1)  # by some control inside the box
             left = np.flatnonzero((status == Status.UNSOLVED) & finite & reachable)
-            u = np.clip(self._solve_all(desired[left], a[left], b[left], slack_weight), -1.0, 1.0)
-            feasible = (residual(u, a[left], b[left])[:, held] >= -FEASIBLE).all(1)
+            u, multiplier = self._solve_all(desired[left], a[left], side[left], slack_weight)
+            u = np.clip(u, -1.0, 1.0)
+            feasible = (lhs(u, a[left], side[left])[:, held] >= -FEASIBLE).all(1)
             kept = feasible & np.isfinite(u).all(1)
-            control[left[kept]] = u[kept]
-            status[left[kept]] = outcome
+            solved = left[kept]
+            control[solved] = u[kept]
+            status[solved] = outcome
+            parts = (u[kept], multiplier[kept], desired[solved], a[solved], side[solved])
+            residual[solved] = kkt_residual(*map(columns, parts), torch.from_numpy(slack_weight)).numpy()
             answers = desired.copy()
             answers[left] = np.where(np.isfinite(u), u, desired[left])
             candidates.append(answers)
 
         for i in np.flatnonzero(status == Status.UNSOLVED):
             known = [u[i] for u in candidates]
-            control[i] = least_violating(known, a[i], problems.b_bare[i], weight) if finite[i] else 0.0
-        return control, status
+            control[i] = least_violating(known, a[i], b_bare[i], weight) if finite[i] else 0.0
+        device = problems.desired.device
+        return Solutions(
+            columns(control).contiguous().to(device),
+            torch.from_numpy(status).to(device),
+            torch.from_numpy(residual).to(device),
+        )
 
-    def _solve_all(self, desired: np.ndarray, a: np.ndarray, b: np.ndarray, weight: np.ndarray) -> np.ndarray:
-        """Controls (N, 3); NaN where PIQP does not call the program solved."""
+    def _solve_all(
+        self, desired: ndarray, a: ndarray, b: ndarray, weight: ndarray
+    ) -> tuple[ndarray, ndarray]:
+        """Controls (N, 3) and multipliers (N, R); NaN where PIQP does not call the program solved."""
         soft = np.isfinite(weight)
         count, rows, slacks = len(desired), len(weight), int(soft.sum())
         c = np.hstack((-desired, np.zeros((count, slacks))))
@@ -59,14 +81,14 @@ class PiqpSolver:
         relief = np.eye(rows)[:, soft] / np.sqrt(weight[soft])
         g = np.concatenate((a, np.broadcast_to(relief, (count, rows, slacks))), 2)
         lower = -b
-        u = np.full((count, 3), np.nan)
+        u, multiplier = np.full((count, 3), np.nan), np.full((count, rows), np.nan)
         solver = self._workspace(rows, slacks)
         # PIQP has no batch call: this loop is the filter's largest cost, so it holds nothing but the solver.
         for i in range(count):
             solver.update(c=c[i], G=g[i], h_l=lower[i])
             if solver.solve() == piqp.PIQP_SOLVED:
-                u[i] = solver.result.x[:3]
-        return u
+                u[i], multiplier[i] = solver.result.x[:3], solver.result.z_l
+        return u, multiplier
 
     def _workspace(self, rows: int, slacks: int) -> piqp.DenseSolver:
         """PIQP for min |x|^2 / 2 + c' x subject to g x >= lower, the first three x in [-1, 1]."""
@@ -91,3 +113,25 @@ class PiqpSolver:
             )
             self._workspaces[rows, slacks] = solver
         return self._workspaces[rows, slacks]
+
+
+def columns(array: ndarray) -> Tensor:
+    """(N, ...) as a tensor (..., N)."""
+    return torch.from_numpy(array).movedim(0, -1)
+
+
+def lhs(u: ndarray, a: ndarray, b: ndarray) -> ndarray:
+    """a u + b: (..., 3), (..., R, 3), (..., R) to (..., R); negative where a row is violated."""
+    return (a @ u[..., None])[..., 0] + b
+
+
+def least_violating(candidates: list[ndarray], a: ndarray, b: ndarray, weight: ndarray) -> ndarray:
+    """The candidate (3,) with the smallest weighted violation; rows that must hold decide first."""
+    clipped = [np.clip(u, -1.0, 1.0) for u in candidates if np.isfinite(u).all()]
+    must = np.isinf(weight)
+
+    def violation(u: ndarray) -> tuple[float, float]:
+        short = np.maximum(0.0, -lhs(u, a, b))
+        return float((short[must] ** 2).sum()), float((weight[~must] * short[~must] ** 2).sum())
+
+    return min(clipped, key=violation)

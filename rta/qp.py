@@ -10,9 +10,11 @@ Rows are scaled to unit length, which makes b and delta multiples of the actuato
 
 from dataclasses import dataclass
 from enum import IntEnum
+from functools import reduce
 from typing import Protocol
 
-import numpy as np
+import torch
+from torch import Tensor
 
 FEASIBLE = 1e-7  # largest row violation of an accepted solution, in units of the actuators' limits
 REDUNDANT = 2.0  # |A_i u| <= sqrt(3) inside the box, so a row with b >= 2 can never bind
@@ -30,42 +32,82 @@ class Status(IntEnum):
 
 @dataclass(frozen=True)
 class Problems:
-    """N programs of R rows each, float64.
+    """N programs of R rows each, float64, on any device.
 
     Attributes:
-        desired: (N, 3) within [-1, 1].
-        a: (N, R, 3) rows, of unit length or shorter.
-        b: (N, R) with the margins; b_bare: (N, R) without, never smaller. Margins are spent before a limit is.
+        desired: (3, N) within [-1, 1].
+        a: (R, 3, N) rows, of unit length or shorter.
+        b: (R, N) with the margins; b_bare: (R, N) without, never smaller. Margins are spent before a limit is.
         weight: (R,) slack weights, infinite for a row that must hold.
     """
 
-    desired: np.ndarray
-    a: np.ndarray
-    b: np.ndarray
-    b_bare: np.ndarray
-    weight: np.ndarray
+    desired: Tensor
+    a: Tensor
+    b: Tensor
+    b_bare: Tensor
+    weight: Tensor
+
+    def __getitem__(self, columns: Tensor) -> "Problems":
+        """The programs at these indices (M,)."""
+        parts = (part.index_select(-1, columns) for part in (self.desired, self.a, self.b, self.b_bare))
+        return Problems(*parts, self.weight)
+
+    @property
+    def finite(self) -> Tensor:
+        """(N,) bool: the program holds neither NaN nor infinity."""
+        rows = torch.cat((self.desired, self.a.flatten(0, 1), self.b, self.b_bare))
+        return rows.isfinite().all(0)
+
+
+@dataclass(frozen=True)
+class Solutions:
+    """What a solver answers, on the problems' device.
+
+    Attributes:
+        control: (3, N) within [-1, 1].
+        status: (N,) int64, a `Status`.
+        residual: (N,) `kkt_residual` of the program that was solved, infinite where none was.
+    """
+
+    control: Tensor
+    status: Tensor
+    residual: Tensor
 
 
 class Solver(Protocol):
-    """Solves `Problems`: returns controls (N, 3) within [-1, 1] and statuses (N,) int64."""
+    """Solves `Problems`: hard with margins, then without, then with slack, whichever is feasible first."""
 
-    def solve(self, problems: Problems) -> tuple[np.ndarray, np.ndarray]: ...
+    def solve(self, problems: Problems) -> Solutions: ...
 
-
-def residual(u: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """a u + b: (..., 3), (..., R, 3), (..., R) to (..., R); negative where a row is violated."""
-    return (a @ u[..., None])[..., 0] + b
+    def compile(self) -> None:
+        """Compiles what can be; raises whatever torch.compile raises where there is no working compiler."""
 
 
-def least_violating(
-    candidates: list[np.ndarray], a: np.ndarray, b: np.ndarray, weight: np.ndarray
-) -> np.ndarray:
-    """The candidate (3,) with the smallest weighted violation; rows that must hold decide first."""
-    clipped = [np.clip(u, -1.0, 1.0) for u in candidates if np.isfinite(u).all()]
-    must = np.isinf(weight)
+def total(x: Tensor, dim: int) -> Tensor:
+    """The sum over a short dimension, added up in order: Tensor.sum rounds differently in another batch."""
+    return reduce(torch.add, x.unbind(dim))
 
-    def violation(u: np.ndarray) -> tuple[float, float]:
-        short = np.maximum(0.0, -residual(u, a, b))
-        return float((short[must] ** 2).sum()), float((weight[~must] * short[~must] ** 2).sum())
 
-    return min(clipped, key=violation)
+def kkt_residual(
+    u: Tensor, multiplier: Tensor, desired: Tensor, a: Tensor, b: Tensor, weight: Tensor
+) -> Tensor:
+    """The largest violation of the optimality conditions of min |u - u_des|^2 / 2 + sum_i w_i delta_i^2 / 2.
+
+    With multipliers lambda of the rows, delta_i = lambda_i / w_i and s_i = A_i u + b_i + delta_i, they are
+
+        stationarity       u = clip(u_des + sum_i lambda_i A_i, -1, 1), the bounds' multipliers eliminated
+        primal             s_i >= 0
+        dual               lambda_i >= 0
+        complementarity    min(lambda_i, 1) s_i = 0, since rounding of s_i times a large lambda_i says little
+
+    Args:
+        u, desired: (3, N); multiplier, b: (R, N); a: (R, 3, N).
+        weight: (R,), infinite for rows without slack.
+
+    Returns:
+        (N,) in units of the actuators' limits; NaN where an argument is.
+    """
+    s = total(a * u, 1) + b + multiplier / weight[:, None]
+    stationarity = u - (desired + total(a * multiplier[:, None], 0)).clamp(-1.0, 1.0)
+    complementarity = multiplier.clamp(max=1.0) * s
+    return torch.cat((stationarity.abs(), -s, -multiplier, complementarity.abs())).amax(0)

@@ -1,17 +1,49 @@
-"""The solver against exact enumeration, optimality certificates and hand-made conflicts of rows."""
+"""Both solvers against exact enumeration, optimality certificates and hand-made conflicts of rows."""
 
 import dataclasses
 import itertools
+from dataclasses import dataclass
 
 import numpy as np
 import pytest
+import torch
 from numpy import ndarray
 from scipy.optimize import nnls
 
-from rta.piqp_solver import PiqpSolver
-from rta.qp import FEASIBLE, Problems, Status, least_violating, residual
+from rta import qp
+from rta.filter import SOLVERS, make_solver
+from rta.piqp_solver import least_violating, lhs
+from rta.qp import FEASIBLE, Solver, Status
 
 INF = np.inf
+
+
+@dataclass(frozen=True)
+class Problems:
+    """`qp.Problems` as arrays with the batch first: (N, 3), (N, R, 3), (N, R), (N, R), (R,)."""
+
+    desired: ndarray
+    a: ndarray
+    b: ndarray
+    b_bare: ndarray
+    weight: ndarray
+
+    def tensors(self) -> qp.Problems:
+        parts = (self.desired, self.a, self.b, self.b_bare)
+        return qp.Problems(
+            *(torch.tensor(x).movedim(0, -1).contiguous() for x in parts), torch.tensor(self.weight)
+        )
+
+
+@pytest.fixture(params=SOLVERS)
+def solver(request: pytest.FixtureRequest) -> Solver:
+    return make_solver(request.param)
+
+
+def solve(solver: Solver, problems: Problems) -> tuple[ndarray, ndarray]:
+    """Controls (N, 3) and statuses (N,)."""
+    answer = solver.solve(problems.tensors())
+    return answer.control.T.numpy(), answer.status.numpy()
 
 
 def unit_rows(rng: np.random.Generator, *shape: int) -> ndarray:
@@ -60,14 +92,14 @@ def projection(problems: Problems) -> ndarray:
     best, nearest = np.full(count, np.inf), np.full((count, 3), np.nan)
     for size in range(4):
         for active in itertools.combinations(range(a.shape[1]), size):
-            normals, short = a[:, active], residual(problems.desired, a[:, active], b[:, active])
+            normals, short = a[:, active], lhs(problems.desired, a[:, active], b[:, active])
             gram = normals @ normals.transpose(0, 2, 1)
             independent = np.abs(np.linalg.det(gram)) > 1e-12
             gram[~independent] = np.eye(size)
             shift = np.linalg.solve(gram, short[..., None])
             u = problems.desired - (normals.transpose(0, 2, 1) @ shift)[..., 0]
             distance = ((u - problems.desired) ** 2).sum(1)
-            better = independent & (distance < best) & (residual(u, a, b) >= -1e-10).all(1)
+            better = independent & (distance < best) & (lhs(u, a, b) >= -1e-10).all(1)
             best[better], nearest[better] = distance[better], u[better]
     return nearest
 
@@ -81,7 +113,7 @@ def least_distance(desired: ndarray, a: ndarray, b: ndarray, weight: ndarray) ->
     relief = np.eye(len(weight))[:, soft] / np.sqrt(weight[soft])
     box = np.concatenate((np.eye(3), -np.eye(3)))
     g = np.block([[a, relief], [box, np.zeros((6, soft.sum()))]])
-    h = -np.concatenate((residual(desired, a, b), 1 + box @ desired))
+    h = -np.concatenate((lhs(desired, a, b), 1 + box @ desired))
     e = np.concatenate((g.T, h[None]))
     f = np.append(np.zeros(g.shape[1]), 1.0)
     r = e @ nnls(e, f)[0] - f
@@ -97,7 +129,7 @@ def with_slack(problems: Problems) -> ndarray:
 def cost(problems: Problems, u: ndarray) -> ndarray:
     """Squared distance plus the weighted squared slack of the soft rows, (N,)."""
     soft = np.isfinite(problems.weight)
-    slack = np.minimum(0, residual(u, problems.a, problems.b_bare))[:, soft]
+    slack = np.minimum(0, lhs(u, problems.a, problems.b_bare))[:, soft]
     return ((u - problems.desired) ** 2).sum(1) + (problems.weight[soft] * slack**2).sum(1)
 
 
@@ -125,39 +157,39 @@ def test_references_agree() -> None:
 
 
 @pytest.mark.parametrize("rows", [6, 11])
-def test_feasible_program_equals_enumeration(rows: int) -> None:
+def test_feasible_program_equals_enumeration(solver: Solver, rows: int) -> None:
     problems = feasible_problems(400, rows, rows)
     expected = projection(problems)
-    control, status = PiqpSolver().solve(problems)
+    control, status = solve(solver, problems)
     assert (status == Status.HARD).all()
     assert np.abs(expected - problems.desired).max(1).mean() > 0.1
     np.testing.assert_allclose(control, expected, rtol=0, atol=1e-6)
 
 
 @pytest.mark.parametrize("weight", SLACK_CASES.values(), ids=SLACK_CASES)
-def test_slack_program_equals_least_distance(weight: ndarray) -> None:
+def test_slack_program_equals_least_distance(solver: Solver, weight: ndarray) -> None:
     problems = slack_problems(weight)
-    control, status = PiqpSolver().solve(problems)
+    control, status = solve(solver, problems)
     assert (status == Status.SLACK).all()
     np.testing.assert_allclose(control, with_slack(problems), rtol=0, atol=1e-4)
 
 
 @pytest.mark.parametrize("weight", SLACK_CASES.values(), ids=SLACK_CASES)
-def test_slack_program_has_the_least_cost(weight: ndarray) -> None:
+def test_slack_program_has_the_least_cost(solver: Solver, weight: ndarray) -> None:
     problems = slack_problems(weight)
-    control, _ = PiqpSolver().solve(problems)
+    control, _ = solve(solver, problems)
     np.testing.assert_allclose(cost(problems, control), cost(problems, with_slack(problems)), rtol=1e-8)
 
 
 @pytest.mark.parametrize("weight", SLACK_CASES.values(), ids=SLACK_CASES)
-def test_slack_program_satisfies_kkt(weight: ndarray) -> None:
+def test_slack_program_satisfies_kkt(solver: Solver, weight: ndarray) -> None:
     # what is left of u - desired - sum w delta a after non-negative multipliers of the active bounds and rows
     # that must hold; a residual that is off by FEASIBLE changes it by FEASIBLE times the weight
     problems = slack_problems(weight)
-    control, _ = PiqpSolver().solve(problems)
+    control, _ = solve(solver, problems)
     soft = np.isfinite(weight)
     for u, desired, a, b in zip(control, problems.desired, problems.a, problems.b_bare, strict=True):
-        rest = residual(u, a, b)
+        rest = lhs(u, a, b)
         force = weight[soft] * np.maximum(0, -rest[soft])
         normals = np.concatenate((a[~soft], np.eye(3), -np.eye(3)))
         active = np.concatenate((rest[~soft], 1 + u, 1 - u)) < 1e-6
@@ -165,44 +197,44 @@ def test_slack_program_satisfies_kkt(weight: ndarray) -> None:
         assert left <= FEASIBLE * weight[soft].max()
 
 
-def test_row_that_must_hold_is_never_violated() -> None:
+def test_row_that_must_hold_is_never_violated(solver: Solver) -> None:
     problems = slack_problems(ONE_MUST_HOLD)
-    control, _ = PiqpSolver().solve(problems)
-    assert residual(control, problems.a, problems.b_bare)[:, 0].min() >= -FEASIBLE
+    control, _ = solve(solver, problems)
+    assert lhs(control, problems.a, problems.b_bare)[:, 0].min() >= -FEASIBLE
 
 
-def test_controls_stay_in_the_box() -> None:
+def test_controls_stay_in_the_box(solver: Solver) -> None:
     for problems in (slack_problems(WEIGHT), feasible_problems(300, 6, 0)):
-        assert np.abs(PiqpSolver().solve(problems)[0]).max() <= 1.0
+        assert np.abs(solve(solver, problems)[0]).max() <= 1.0
 
 
-def test_margins_are_spent_before_slack() -> None:
+def test_margins_are_spent_before_slack(solver: Solver) -> None:
     # u1 >= 0.5 and u1 <= 0.3 with margins of 0.2: nothing but u1 in [0.3, 0.5] satisfies both without
     problems = problem([0.9, 0.1, 0.0], [[1, 0, 0, -0.5], [-1, 0, 0, 0.3]], [1e3, 1e3], spare=0.2)
-    control, status = PiqpSolver().solve(problems)
+    control, status = solve(solver, problems)
     assert status == [Status.HARD]
     np.testing.assert_allclose(control, [[0.5, 0.1, 0.0]], atol=1e-6)
 
 
-def test_margins_are_kept_where_they_can_be() -> None:
+def test_margins_are_kept_where_they_can_be(solver: Solver) -> None:
     problems = problem([0.9, 0.1, 0.0], [[-1, 0, 0, 0.3]], [1e3], spare=0.2)
-    control, status = PiqpSolver().solve(problems)
+    control, status = solve(solver, problems)
     assert status == [Status.HARD]
     np.testing.assert_allclose(control, [[0.3, 0.1, 0.0]], atol=1e-6)
 
 
 @pytest.mark.parametrize("weight", [[1e5, 1e3], [1e3, 1e5], [1e4, 1e4]])
-def test_lower_weight_yields(weight: list[float]) -> None:
+def test_lower_weight_yields(solver: Solver, weight: list[float]) -> None:
     # u1 >= 0.5 and u1 <= -0.5: the minimum of (u1 - 0.2)^2 + w1 (0.5 - u1)^2 + w2 (0.5 + u1)^2
-    control, status = PiqpSolver().solve(problem([0.2, 0, 0], [[1, 0, 0, -0.5], [-1, 0, 0, -0.5]], weight))
+    control, status = solve(solver, problem([0.2, 0, 0], [[1, 0, 0, -0.5], [-1, 0, 0, -0.5]], weight))
     expected = (0.2 + 0.5 * weight[0] - 0.5 * weight[1]) / (1 + sum(weight))
     assert status == [Status.SLACK]
     np.testing.assert_allclose(control, [[expected, 0, 0]], atol=1e-6)
 
 
-def test_row_that_must_hold_wins_over_any_weight() -> None:
+def test_row_that_must_hold_wins_over_any_weight(solver: Solver) -> None:
     problems = problem([0.2, 0, 0], [[1, 0, 0, -0.5], [-1, 0, 0, -0.5]], [INF, 1e5])
-    control, status = PiqpSolver().solve(problems)
+    control, status = solve(solver, problems)
     assert status == [Status.SLACK]
     np.testing.assert_allclose(control, [[0.5, 0, 0]], atol=1e-6)
 
@@ -217,33 +249,35 @@ UNSOLVABLE = {
 
 
 @pytest.mark.parametrize("rows", UNSOLVABLE.values(), ids=UNSOLVABLE)
-def test_unsolvable_program_says_so_and_stays_finite(rows: list[list[float]]) -> None:
-    control, status = PiqpSolver().solve(problem([0.9, 0.1, 0.0], rows, [INF, 1e3]))
+def test_unsolvable_program_says_so_and_stays_finite(solver: Solver, rows: list[list[float]]) -> None:
+    control, status = solve(solver, problem([0.9, 0.1, 0.0], rows, [INF, 1e3]))
     assert status == [Status.UNSOLVED]
     assert (np.abs(control) <= 1).all()
 
 
 @pytest.mark.parametrize("before", ["other_problems", "nan_row", "nan_b", "nan_desired"])
 @pytest.mark.parametrize("outcome", [Status.HARD, Status.SLACK])
-def test_answer_does_not_depend_on_what_was_solved_before(before: str, outcome: Status) -> None:
+@pytest.mark.parametrize("name", SOLVERS)
+def test_answer_does_not_depend_on_what_was_solved_before(name: str, before: str, outcome: Status) -> None:
     feasible = dataclasses.replace(feasible_problems(50, 8, 5), weight=WEIGHT)
     problems = feasible if outcome == Status.HARD else slack_problems(WEIGHT)
     others = infeasible_problems(100, 8, 6, WEIGHT)
     faulty = {"nan_row": others.a[:1, 2], "nan_b": others.b_bare[:1, 2], "nan_desired": others.desired[:1]}
     if before in faulty:
         faulty[before][:] = np.nan
-    solver = PiqpSolver()
-    solver.solve(others)
-    control, status = solver.solve(problems)
+    untouched, _ = solve(make_solver(name), problems)
+    used = make_solver(name)
+    solve(used, others)
+    control, status = solve(used, problems)
     assert (status == outcome).all()
-    assert (control == PiqpSolver().solve(problems)[0]).all()
+    assert (control == untouched).all()
 
 
-def test_problems_of_a_batch_do_not_touch_each_other() -> None:
+def test_problems_of_a_batch_do_not_touch_each_other(solver: Solver) -> None:
     batch = slack_problems(ONE_MUST_HOLD)
     arrays = (batch.desired, batch.a, batch.b, batch.b_bare)
-    alone = [PiqpSolver().solve(Problems(*(x[[i]] for x in arrays), batch.weight))[0] for i in range(20)]
-    assert (PiqpSolver().solve(batch)[0][:20] == np.concatenate(alone)).all()
+    alone = [solve(solver, Problems(*(x[[i]] for x in arrays), batch.weight))[0] for i in range(20)]
+    assert (solve(solver, batch)[0][:20] == np.concatenate(alone)).all()
 
 
 def test_least_violating_satisfies_first_what_must_hold() -> None:
