@@ -89,17 +89,35 @@ def collision(x: Tensor, c: InspectionParameters, smoothing: Smoothing = EXACT) 
     return math.sqrt(2 * c.max_acceleration) * signed_sqrt(distance, smoothing) + radial_speed(x)
 
 
+def speed_limit(x: Tensor, c: InspectionParameters) -> Tensor:
+    """nu_0 + nu_1 |p|, in m/s."""
+    return c.docking_speed + c.speed_slope * norm(x[P])
+
+
 def dynamic_speed(x: Tensor, c: InspectionParameters) -> Tensor:
     """nu_0 + nu_1 |p| - |v|, in m/s."""
     # The floor keeps the slope of |v| finite at rest, far below any speed that matters.
     speed = (dot(x[V], x[V]) + 1e-24).sqrt()
-    return c.docking_speed + c.speed_slope * norm(x[P]) - speed
+    return speed_limit(x, c) - speed
 
 
 def keep_in_zone(x: Tensor, c: InspectionParameters, smoothing: Smoothing = EXACT) -> Tensor:
     """sqrt(2 a_max (r_max - |p|)) - v_pr, in m/s."""
     distance = c.max_distance - norm(x[P])
     return math.sqrt(2 * c.max_acceleration) * signed_sqrt(distance, smoothing) - radial_speed(x)
+
+
+def keep_in_curve(x: Tensor, c: InspectionParameters, smoothing: Smoothing = EXACT) -> Tensor:
+    """The keep-in zone as thrust can hold it, never above `keep_in_zone`, in m/s: with a_max - v_t^2 / |p|.
+
+    d v_pr / dt holds the centrifugal v_t^2 / |p|, v_t the speed across p, which a_max leaves out: up to
+    0.051 m/s^2 at the speed limit of 800 m, of a_max's 0.0705. Where h is zero and v_t is not, no thrust
+    keeps h there; where this barrier is zero, full thrust inwards does.
+    """
+    across = dot(x[V], x[V]) - radial_speed(x) ** 2
+    braking = (c.max_acceleration - across / norm(x[P])).clamp(min=0.1 * c.max_acceleration)
+    distance = c.max_distance - norm(x[P])
+    return (2 * braking).sqrt() * signed_sqrt(distance, smoothing) - radial_speed(x)
 
 
 def closest_times(x: Tensor, segments: tuple[float, ...], c: InspectionParameters) -> Tensor:

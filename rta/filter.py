@@ -67,7 +67,13 @@ class SafetyFilter:
         self.solver = solver or PiqpSolver()
         self.barriers = Barriers(c, parameters, period)
         self.rows = self.barriers.__call__
+        self.limits = c.control_limit[0], c.control_limit[3]  # N, N m
 
+    def values(self, x: Tensor) -> Tensor:
+        """All 13 constraints exactly as in the paper, (16, B) to (13, B)."""
+        return constraints.values(x, self.c)
+
+    @torch.no_grad()  # a mode that compiled code is specialised to
     def compile(self) -> None:
         """Compiles the barrier rows, in batches of COMPILED_BATCH: others are cut into and filled up to such.
 

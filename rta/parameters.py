@@ -16,9 +16,11 @@ class RtaParameters:
 
     # relative degree one, 1/s
     collision_gain: float = 0.1
-    speed_gain: float = 0.2
+    speed_gain: float = 0.5
     keep_in_gain: float = 0.1
     passive_safety_gain: float = 0.03  # the nearest pass is minutes away: a slow approach is enough
+    # ... but a pass 100 m clear must not keep a spacecraft from braking: the gain doubles there and quadruples ...
+    passive_safety_doubling: float = 30.0  # m
     velocity_gain: float = 0.2
     rate_gain: float = 0.5
 
@@ -32,10 +34,8 @@ class RtaParameters:
 
     # margins in the unit of each h
     collision_margin: float = 0.02  # m/s
-    speed_margin: float = 0.08  # m/s; a control held for 1 s across v adds up to a^2 T / (2 |v|) to |v|
     keep_in_margin: float = 0.02  # m/s
     passive_safety_margin: float = 0.5  # m
-    velocity_margin: float = 0.05  # m^2/s^2
     exclusion_margin: float = 0.005  # rad
     temperature_margin: float = 0.02  # deg C
     battery_margin: float = 0.005  # kJ

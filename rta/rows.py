@@ -19,7 +19,10 @@ from rta.parameters import RtaParameters
 class Row(NamedTuple):
     """What is fixed about one row: its constraint, alpha(psi) = gain * (psi - margin), and its slack weight.
 
-    `lead` is what the margin of h inside Psi_1 takes away from Psi_1, zero at relative degree one.
+    `lead` is what the margin of h inside Psi_1 takes away from Psi_1, zero at relative degree one. `fall` is
+    how far psi can fall within one period below its linear prediction, over the period: half the period times
+    the largest second derivative. Without it a state on the boundary could leave the safe set in one period.
+    `doubling` is the psi at which the gain has doubled, gain * (1 + (psi / doubling)^2): alpha is then an odd cubic.
     """
 
     constraint: str
@@ -27,6 +30,8 @@ class Row(NamedTuple):
     margin: float
     weight: float
     lead: float = 0.0
+    fall: float = 0.0
+    doubling: float = math.inf
 
 
 @dataclass
@@ -60,21 +65,45 @@ class Barriers:
             )
         if c.max_acceleration <= 0.0:
             raise ValueError("max_thrust / mass must exceed the natural acceleration within max_distance")
-        self.c, self.r = c, r
-        self.smoothing = Smoothing(r.distance_floor, r.pole_angle)
+        self.c, self.r, self.period = c, r, period
+        # near its boundary sqrt(2 a z) must not change by more than its own argument's rate in one period
+        floor = max(r.distance_floor, 2 * c.max_acceleration * period**2)
+        self.smoothing = Smoothing(floor, r.pole_angle)
         critical, resource, motion = r.slack_weight_critical, r.slack_weight_resource, r.slack_weight_motion
 
         def gain(value: float) -> float:
             return r.gain(value, period)
 
+        # In a period T an acceleration a changes v_i^2 by 2 a v_i T + a^2 T^2, and |v| by a . v T / |v| and at most
+        # a^2 T^2 / (2 |v|). The latter counts near the limit, which then takes the place of |v| in `fall`.
+        # Besides, thrust turns with the body at up to sqrt(3) omega_max, and v_t^2 / |p| grows with thrust along v.
+        thrust = math.sqrt(3.0) * c.max_thrust / c.mass
+        acceleration = thrust + (c.max_thrust / c.mass - c.max_acceleration)
+        bend = acceleration**2 * period
+        turn = 0.5 * math.sqrt(3.0) * c.max_rate * thrust * period
+        fastest = c.docking_speed + c.speed_slope * c.max_distance
+        swing = fastest * thrust / c.max_distance * period
         passes = len(r.passive_safety_segments) - 1
         self.thrust = [
-            Row("collision", gain(r.collision_gain), r.collision_margin, math.inf),
-            Row("dynamic_speed", gain(r.speed_gain), r.speed_margin, motion),
-            Row("keep_in_zone", gain(r.keep_in_gain), r.keep_in_margin, critical),
-            *[Row("passive_safety", gain(r.passive_safety_gain), r.passive_safety_margin, critical)] * passes,
-            *[Row(f"velocity_{i}", gain(r.velocity_gain), r.velocity_margin, motion) for i in "xyz"],
+            Row("collision", gain(r.collision_gain), r.collision_margin, math.inf, fall=turn),
+            Row("dynamic_speed", gain(r.speed_gain), 0.0, motion, fall=turn),
+            Row("keep_in_zone", gain(r.keep_in_gain), r.keep_in_margin, critical, fall=turn + swing),
+            *[
+                Row(
+                    "passive_safety",
+                    gain(r.passive_safety_gain),
+                    r.passive_safety_margin,
+                    critical,
+                    doubling=r.passive_safety_doubling,
+                )
+            ]
+            * passes,
+            *[
+                Row(f"velocity_{i}", gain(r.velocity_gain), 0.0, motion, fall=bend + 2 * c.max_speed * turn)
+                for i in "xyz"
+            ],
         ]
+        self.bend = bend
         # constraint, (k1, k2), margin of h, slack weight
         high_order_table = (
             ("attitude_exclusion", r.exclusion_gains, r.exclusion_margin, critical),
@@ -91,12 +120,12 @@ class Barriers:
         ]
 
     def translational(self, x: Tensor, times: Tensor) -> Tensor:
-        """h of the thrust rows, (16, ...) and pass times (segments, ...) to (R, ...)."""
+        """Barriers of the thrust rows, (16, ...) and pass times (segments, ...) to (R, ...)."""
         c, s = self.c, self.smoothing
         speeds = (
             constraints.collision(x, c, s),
             constraints.dynamic_speed(x, c),
-            constraints.keep_in_zone(x, c, s),
+            constraints.keep_in_curve(x, c, s),
         )
         return torch.cat(
             (torch.stack(speeds), constraints.clearance_at(x, times, c), constraints.velocity(x, c))
@@ -120,8 +149,9 @@ class Barriers:
         f, g = drift(x, c), control_matrix(x, c)
         times = constraints.closest_times(x, self.r.passive_safety_segments, c)
         times = times[:, None].expand(-1, 4, -1)  # the same for f and each of three controls
-        h, lf, lg = lie_derivatives(lambda y: self.translational(y, times), x, f, g[:, THRUST])
-        thrust = condition(self.thrust, h, h, lf, lg)
+        psi, lf, lg = lie_derivatives(lambda y: self.translational(y, times), x, f, g[:, THRUST])
+        h = torch.cat((psi[:2], constraints.keep_in_zone(x, c, self.smoothing)[None], psi[3:]))
+        thrust = self.condition(self.thrust, h, psi, lf, lg, self.thrust_fall(x))
 
         def psi_and_rates(y: Tensor) -> Tensor:
             return torch.cat((self.first_psi(y), constraints.angular_velocity(y, c)))
@@ -129,16 +159,32 @@ class Barriers:
         psi, lf, lg = lie_derivatives(psi_and_rates, x, f, g[:, TORQUE])
         reported = constraints.orientation(x, c, self.smoothing)  # without the lead
         h = torch.cat((reported, psi[3:]))
-        return thrust, condition(self.torque, h, psi, lf, lg)
+        return thrust, self.condition(self.torque, h, psi, lf, lg, torch.zeros_like(psi))
 
-    def is_safe(self, x: Tensor) -> Tensor:
-        """(B,) bool: every h and every Psi_1 is non-negative, so the filter can keep it so."""
+    def condition(
+        self, rows: list[Row], h: Tensor, psi: Tensor, lf: Tensor, lg: Tensor, fall: Tensor
+    ) -> Rows:
+        """BC: L_f psi + L_g psi u + alpha(psi) >= 0, with margins and without."""
+        gain, margin, lead, doubling = (
+            psi.new_tensor([getattr(row, name) for row in rows])[:, None]
+            for name in ("gain", "margin", "lead", "doubling")
+        )
+        gain = (gain * (1 + (psi / doubling) ** 2)).clamp(max=self.r.gain(math.inf, self.period))
+        return Rows(h, psi, lg, lf + gain * (psi - margin) - fall, lf + gain * (psi + lead) - fall)
+
+    def thrust_fall(self, x: Tensor) -> Tensor:
+        """`Row.fall` of the thrust rows at states (16, B): (R, B) in psi's unit per s."""
+        fall = x.new_tensor([row.fall for row in self.thrust])[:, None].expand(-1, x.shape[1])
+        speed_limit = constraints.speed_limit(x, self.c)
+        # at 5 and 10 s it would exceed what a spacecraft at rest can satisfy
+        speed = fall[1] + (self.bend / (2 * speed_limit)).minimum(0.4 * self.thrust[1].gain * speed_limit)
+        return torch.cat((fall[:1], speed[None], fall[2:]))
+
+    def is_in_literal_set(self, x: Tensor) -> Tensor:
+        """(B,) bool: every h and every Psi_1 is non-negative."""
         return (constraints.values(x, self.c) >= 0.0).all(0) & (self.first_psi(x) >= 0.0).all(0)
 
+    def is_safe(self, x: Tensor) -> Tensor:
+        """(B,) bool: every h and every Psi_1 is non-negative and thrust can keep the zone, so the filter can too."""
+        return self.is_in_literal_set(x) & (constraints.keep_in_curve(x, self.c, self.smoothing) >= 0.0)
 
-def condition(rows: list[Row], h: Tensor, psi: Tensor, lf: Tensor, lg: Tensor) -> Rows:
-    """BC: L_f psi + L_g psi u + alpha(psi) >= 0, with margins and without."""
-    gain, margin, lead = (
-        psi.new_tensor([getattr(row, name) for row in rows])[:, None] for name in ("gain", "margin", "lead")
-    )
-    return Rows(h, psi, lg, lf + gain * (psi - margin), lf + gain * (psi + lead))
