@@ -13,7 +13,7 @@ from rta.batched_solver import BatchedSolver
 from rta.constraints import ATTITUDE, CONSTRAINTS, TRANSLATIONAL
 from rta.parameters import RtaParameters
 from rta.piqp_solver import PiqpSolver
-from rta.qp import FEASIBLE, HOPELESS, REDUNDANT, Problems, Solver, Status
+from rta.qp import FEASIBLE, HOPELESS, REDUNDANT, Problems, Solver, Status, put
 from rta.rows import Barriers, Row, Rows
 
 # Below this length (rate of h per actuator limit, in h's unit per s) a row counts as beyond the actuators'
@@ -140,8 +140,9 @@ class SafetyFilter:
         if unsafe.numel():
             weight = u.new_tensor([row.weight for row in fixed])
             solutions = self.solver.solve(Problems(u, a, b, b_bare, weight)[unsafe])
-            u = u.index_copy(1, unsafe, solutions.control)
-            status[unsafe] = solutions.status
+            u = u.clone()
+            put(u, unsafe, solutions.control)
+            put(status, unsafe, solutions.status)
 
         reached = (a * u).sum(1)
         binding = (reached + b <= FEASIBLE) & (status > Status.UNTOUCHED)
