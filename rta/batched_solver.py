@@ -16,12 +16,12 @@ from torch import Tensor
 from rta.piqp_solver import PiqpSolver
 from rta.qp import Problems, Solutions, Status, kkt_residual, pick, put, total
 
-VIOLATED = 1e-10  # a row is violated below minus this, in units of the actuators' limits
+VIOLATED = 1e-12  # a row is violated below minus this, in units of the actuators' limits
 DEPENDENT = 1e-16  # |z|^2 / |a|^2 up to which a row counts as a combination of the active ones
 BLOCKING = 1e-12  # fall of a multiplier per unit of pressure that counts as none
 ACCURATE = 1e-8  # largest KKT residual that is not solved again by PIQP
 ROUND = 2  # steps between two looks at which programs are unfinished: what most programs take
-MAX_ROUNDS = 50  # beyond which PIQP takes over; the hardest recorded program takes TODO
+MAX_ROUNDS = 50  # beyond which PIQP takes over; recorded programs take up to 5, with slack up to 8
 
 RUNNING, OPTIMAL, INFEASIBLE = 0, 1, 2
 
@@ -139,7 +139,7 @@ def project(
 
 def with_bounds_and_slack(a: Tensor, b: Tensor, weight: Tensor) -> tuple[Tensor, Tensor]:
     """Rows (R + 6, D, N) and offsets (R + 6, N) in D variables: controls and sqrt(w_i) delta_i of soft rows i."""
-    rows, batch = b.shape
+    batch = b.shape[1]
     soft = torch.nonzero(weight.isfinite()).flatten()
     eye = torch.eye(3, dtype=a.dtype, device=a.device)
     bounds = torch.cat((eye, -eye))[..., None].expand(-1, -1, batch)
@@ -166,48 +166,58 @@ def start(x: Tensor) -> State:
 
 
 def step(a: Tensor, b: Tensor, state: State) -> State:
-    """One step: the entering row becomes active, or an active row that blocks its way leaves."""
-    x, multiplier, row, inverse, entering, pressure, outcome = state
-    slots = torch.arange(len(row), device=row.device)[:, None]
-    s = total(a * x, 1) + b
-    shortest, worst = s.min(0)
-    optimal = (shortest >= -VIOLATED) & (pressure == 0.0)
-    entering = torch.where(pressure > 0.0, entering, worst)
-    normal = take(a, entering)
-    active = a.gather(0, row.clamp(min=0)[:, None].expand_as(inverse))
+    """One step of running programs: a row becomes active, or an active row that blocks its way leaves.
 
-    # the multipliers of the active rows change by -r, and x moves along z, per unit of pressure
-    r = total(inverse * normal, 1)
-    z = normal - total(active * r[:, None], 0)
-    z2 = total(z * z, 0)
+    Args:
+        a: rows (R, D, N). b: offsets (R, N).
+    """
+    x, multiplier, row, inverse, entering, pressure, outcome = state
+    s = total(a * x, 1) + b
+    lowest, violated_most = s.min(0)
+    entering = torch.where(pressure > 0.0, entering, violated_most)
+    active = a.gather(0, row.clamp(min=0)[:, None].expand_as(inverse))
+    normal = take(a, entering)
+    r, z, z2 = directions(active, inverse, normal)
+
+    # how far until the entering row holds with equality, and until the multiplier of an active one is zero
     free = (z2 > DEPENDENT * total(normal * normal, 0)) & (row.amin(0) < 0)
     full = torch.where(free, -take(s, entering) / z2, torch.inf)
     partial, blocking = torch.where(r > BLOCKING, multiplier / r, torch.inf).min(0)
     length = torch.minimum(full, partial)
-    outcome = torch.where(
-        outcome == RUNNING,
-        torch.where(optimal, OPTIMAL, torch.where(length.isinf(), INFEASIBLE, RUNNING)),
-        outcome,
-    )
+
+    optimal = (lowest >= -VIOLATED) & (pressure == 0.0)
+    now = torch.where(optimal, OPTIMAL, torch.where(length.isinf(), INFEASIBLE, RUNNING))
+    outcome = torch.where(outcome == RUNNING, now, outcome)
     length = torch.where(outcome == RUNNING, length, 0.0)
     x = x + torch.where(free, length, 0.0) * z
     multiplier = multiplier - length * r
     pressure = pressure + length
 
-    enters = (outcome == RUNNING) & (full <= partial)
-    leaves = (outcome == RUNNING) & (full > partial)
-    enters_here = enters & (slots == row.argmin(0))
-    leaves_here = leaves & (slots == blocking)
-    # rank-one update of the pseudo-inverse
-    left = take(inverse, blocking)
-    shed = total(inverse * left, 1) / total(left * left, 0)
-    direction = torch.where(enters, z / z2, left)
-    share = torch.where(enters, torch.where(enters_here, -1.0, r), torch.where(leaves, shed, 0.0))
+    slots = torch.arange(len(row), device=row.device)[:, None]
+    enters, leaves = (outcome == RUNNING) & (full <= partial), (outcome == RUNNING) & (full > partial)
+    enters_here, leaves_here = enters & (slots == row.argmin(0)), leaves & (slots == blocking)
+    # the pseudo-inverse stays one of the rows still active: its entries for other rows lose a share of one direction
+    lost = take(inverse, blocking)
+    direction = torch.where(enters, z / z2, lost)
+    share = torch.where(enters, r, torch.where(leaves, total(inverse * lost, 1) / total(lost * lost, 0), 0.0))
+    share = torch.where(enters_here, -1.0, share)
     inverse = torch.where(leaves_here[:, None], 0.0, inverse - share[:, None] * direction)
     multiplier = torch.where(enters_here, pressure, torch.where(leaves_here, 0.0, multiplier))
     row = torch.where(enters_here, entering, torch.where(leaves_here, -1, row))
     pressure = torch.where(enters, 0.0, pressure)
     return State(x, multiplier, row, inverse, entering, pressure, outcome)
+
+
+def directions(active: Tensor, inverse: Tensor, normal: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """The entering row (D, N) as a combination r (K, N) of the active ones and a rest z (D, N); also |z|^2.
+
+    Per unit of the entering row's multiplier, those of the active rows change by -r and x moves along z.
+    """
+    r = total(inverse * normal, 1)
+    z = normal - total(active * r[:, None], 0)
+    more = total(inverse * z, 1)  # once is not enough where rows are nearly parallel
+    r, z = r + more, z - total(active * more[:, None], 0)
+    return r, z, total(z * z, 0)
 
 
 def take(rows: Tensor, index: Tensor) -> Tensor:
