@@ -119,7 +119,7 @@ def project(
     normals, offsets = with_bounds_and_slack(a, b, weight)
     slacks = normals.shape[1] - 3
     every = part = start(torch.cat((desired, desired.new_zeros(slacks, batch))))
-    running = columns = torch.arange(batch, device=a.device)
+    running = torch.arange(batch, device=a.device)
     for _ in range(MAX_ROUNDS):
         for _ in range(ROUND):
             part = advance(normals, offsets, part)
@@ -132,7 +132,7 @@ def project(
         normals, offsets = pick(normals, columns), pick(offsets, columns)
         part = State(*(pick(x, columns) for x in part))
 
-    multiplier = torch.zeros_like(offsets.new_zeros(rows + 6, batch))
+    multiplier = b.new_zeros(rows + 6, batch)
     multiplier.scatter_add_(0, every.row.clamp(min=0), every.multiplier)
     return every.x[:3].clamp(-1.0, 1.0), multiplier[:rows], every.outcome
 

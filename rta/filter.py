@@ -69,7 +69,7 @@ class SafetyFilter:
         self.rows = self.barriers.__call__
 
     def compile(self) -> None:
-        """Compiles the barrier rows, in batches of COMPILED_BATCH: others are cut into and filled up to such.
+        """Compiles the solver, and the barrier rows in batches of COMPILED_BATCH: others are cut and filled up.
 
         torch.compile would otherwise compile anew for every size, each time for about half a minute. Raises
         whatever torch.compile raises where there is no working C++ compiler.
