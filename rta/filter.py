@@ -13,7 +13,7 @@ from rta.batched_solver import BatchedSolver
 from rta.constraints import ATTITUDE, CONSTRAINTS, TRANSLATIONAL
 from rta.parameters import RtaParameters
 from rta.piqp_solver import PiqpSolver
-from rta.qp import FEASIBLE, HOPELESS, REDUNDANT, Problems, Solver, Status, put
+from rta.qp import FEASIBLE, HOPELESS, REDUNDANT, Problems, Solver, Status, put, total
 from rta.rows import Barriers, Row, Rows
 
 # Below this length (rate of h per actuator limit, in h's unit per s) a row counts as beyond the actuators'
@@ -129,7 +129,7 @@ class SafetyFilter:
     ) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
         """Scales, screens and solves one group; returns control, active, slack, status and h by constraint."""
         a = rows.a * limit
-        length = a.norm(dim=1).clamp(min=SHORTEST_ROW)
+        length = total(a * a, 1).sqrt().clamp(min=SHORTEST_ROW)  # thirty times as fast as Tensor.norm
         a = a / length[:, None]
         b, b_bare = ((side / length).clamp(HOPELESS, REDUNDANT) for side in (rows.b, rows.b_bare))
         u = desired / limit
