@@ -45,8 +45,13 @@ class PiqpSolver:
             (b_bare, weight, must, Status.SLACK),
         )
         for side, slack_weight, held, outcome in stages:
-            reachable = (np.abs(a).sum(2) + side >= 0.0)[:, held].all(1)  # by some control inside the box
-            left = np.flatnonzero((status == Status.UNSOLVED) & finite & reachable)
+            left = np.flatnonzero((status == Status.UNSOLVED) & finite)
+            if not left.size:
+                break
+            reachable = (np.abs(a[left]).sum(2) + side[left] >= 0.0)[:, held].all(
+                1
+            )  # by a control in the box
+            left = left[reachable]
             u, multiplier = self._solve_all(desired[left], a[left], side[left], slack_weight)
             u = np.clip(u, -1.0, 1.0)
             feasible = (lhs(u, a[left], side[left])[:, held] >= -FEASIBLE).all(1)

@@ -9,8 +9,11 @@ from inspection.parameters import InspectionParameters
 from ppo.learner import PPO, PPOParameters
 from ppo.network import Policy, Value
 from ppo.rollout import collect
+from rta.batched_solver import BatchedSolver
 from rta.filter import SafetyFilter
 from rta.parameters import RtaParameters
+from rta.qp import Problems
+from tests.test_batched_solver import synthetic
 
 pytestmark = pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a CUDA device")
 C = InspectionParameters()
@@ -37,6 +40,15 @@ def test_an_episode_is_the_same_on_both_devices(rta: bool) -> None:
         observations.append(transition.final_observation.cpu())
     torch.testing.assert_close(states[0], states[1], rtol=1e-7, atol=1e-7)
     torch.testing.assert_close(observations[0], observations[1], rtol=1e-5, atol=1e-5)
+
+
+def test_batched_solver_gives_the_same_answers_on_both_devices() -> None:
+    problems = synthetic(300, 11, seed=0)
+    parts = (problems.desired, problems.a, problems.b, problems.b_bare, problems.weight)
+    answers = [BatchedSolver().solve(Problems(*(x.to(device) for x in parts))) for device in DEVICES]
+    assert answers[1].control.is_cuda
+    assert (answers[0].status == answers[1].status.cpu()).all()
+    torch.testing.assert_close(answers[0].control, answers[1].control.cpu(), rtol=0, atol=1e-6)
 
 
 def test_the_learner_trains_on_the_gpu() -> None:

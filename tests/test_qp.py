@@ -280,6 +280,49 @@ def test_problems_of_a_batch_do_not_touch_each_other(solver: Solver) -> None:
     assert (solve(solver, batch)[0][:20] == np.concatenate(alone)).all()
 
 
+# u1 + u2 >= 0.4 from the origin with a slack weight of 10: u = lambda (1, 1, 0) and 2 lambda + lambda / 10 = 0.4.
+# The second row, 0.5 >= 0, can do nothing.
+BEST = 0.4 / 2.1
+RESIDUALS = {
+    "optimum": ([BEST, BEST, 0.0], [BEST, 0.0], 0.0),
+    "not_stationary": ([BEST, BEST, 0.01], [BEST, 0.0], 0.01),
+    "row_violated": ([BEST - 0.01, BEST - 0.01, 0.0], [BEST - 0.01, 0.0], 0.021),
+    "negative_multiplier": ([BEST, BEST, 0.0], [BEST, -0.3], 0.3),
+    "idle_row_has_multiplier": ([BEST, BEST, 0.0], [BEST, 0.2], 0.1),
+    "idle_row_has_large_multiplier": ([BEST, BEST, 0.0], [BEST, 7.0], 0.5),
+}
+
+
+def kkt_residual(
+    u: list[float],
+    multiplier: list[float],
+    desired: list[float],
+    rows: list[list[float]],
+    weight: list[float],
+) -> float:
+    """Of one program with rows (a1, a2, a3, b)."""
+    u, multiplier, desired, table, weight = (
+        torch.tensor(x, dtype=torch.float64) for x in (u, multiplier, desired, rows, weight)
+    )
+    a, b = table[:, :3, None], table[:, 3:]
+    return qp.kkt_residual(u[:, None], multiplier[:, None], desired[:, None], a, b, weight).item()
+
+
+@pytest.mark.parametrize(("u", "multiplier", "expected"), RESIDUALS.values(), ids=RESIDUALS)
+def test_kkt_residual_measures_what_is_wrong(
+    u: list[float], multiplier: list[float], expected: float
+) -> None:
+    found = kkt_residual(u, multiplier, [0, 0, 0], [[1, 1, 0, -0.4], [0, 0, 0, 0.5]], [10, INF])
+    assert found == pytest.approx(expected, abs=1e-15)
+
+
+@pytest.mark.parametrize(("desired", "u", "expected"), [(0.9, 1.0, 0.0), (0.9, 0.98, 0.02), (0.3, 0.8, 0.0)])
+def test_kkt_residual_knows_the_bounds(desired: float, u: float, expected: float) -> None:
+    # a multiplier of 0.5 pushes u1 up, at most to its bound
+    found = kkt_residual([u, 0, 0], [0.5], [desired, 0, 0], [[1, 0, 0, -u]], [INF])
+    assert found == pytest.approx(expected, abs=1e-15)
+
+
 def test_least_violating_satisfies_first_what_must_hold() -> None:
     a, b = np.eye(3)[:2], np.array([-0.5, -0.5])  # u1 >= 0.5 must hold, u2 >= 0.5 is soft
     breaks_soft, breaks_must = np.array([0.4, -1.0, 0.0]), np.array([0.3, 1.0, 0.0])
