@@ -96,7 +96,10 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
             ["simulate", "--controller", "zero", "--duration", "10", "--out", "nowhere/x.npz"],
             ["--out", "cannot write"],
         ),
-        ([], ["train | evaluate | simulate"]),
+        (["filter", "--out", "x"], ["--states"]),
+        (["filter", "--states", "nowhere.npz", "--out", "x"], ["nowhere.npz", "no such file"]),
+        (["filter", "--states", "x", "--out", "x", "--no-rta"], ["--no-rta"]),
+        ([], ["train | evaluate | simulate | filter"]),
     ],
 )
 def test_bad_flags_are_refused(
@@ -277,7 +280,7 @@ def test_simulate_filters_a_policy_at_the_rta_period(
 
 
 def test_help_gives_every_flag_a_default_or_says_it_is_required(capsys: pytest.CaptureFixture[str]) -> None:
-    for command in ("train", "evaluate", "simulate"):
+    for command in ("train", "evaluate", "simulate", "filter"):
         parser = main.build_parser()._subparsers._group_actions[0].choices[command]
         for action in parser._actions:
             if action.dest == "help":
