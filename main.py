@@ -195,6 +195,9 @@ def build_parser() -> Parser:
         "--actions; a policy decides every 10 s (default: 1)",
     )
     simulate.add_argument("--out", required=True, metavar="F.npz", help="file to write")
+    simulate.add_argument(
+        "--figure", metavar="F.png", help="also draw limits and controls over time there (default: none)"
+    )
     simulate.set_defaults(run=run_simulate)
 
     offline = commands.add_parser(
@@ -286,6 +289,8 @@ def run_simulate(arguments: argparse.Namespace) -> None:
     from study import build, simulation
 
     check_writable(arguments.out, "--out")
+    if arguments.figure:
+        check_writable(arguments.figure, "--figure")
     base, policy = Config(), None
     if (arguments.controller == "policy") != bool(arguments.checkpoint):
         raise InputError("--checkpoint F is needed by --controller policy and by no other")
@@ -317,6 +322,11 @@ def run_simulate(arguments: argparse.Namespace) -> None:
     )
     with refusing(f"--out {arguments.out}: cannot write it", OSError), open(arguments.out, "wb") as file:
         np.savez_compressed(file, **result)
+    if arguments.figure:
+        from study.figures import constraint_figure
+
+        with refusing(f"--figure {arguments.figure}: cannot write it", OSError):
+            constraint_figure(result, config.inspection, Path(arguments.figure))
     violated = [
         name[2:] for name, values in result.items() if name.startswith("h_") and not (values >= 0).all()
     ]

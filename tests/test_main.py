@@ -4,6 +4,7 @@ import json
 from pathlib import Path
 from typing import Any
 
+import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 import torch
@@ -95,6 +96,10 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
         (
             ["simulate", "--controller", "zero", "--duration", "10", "--out", "nowhere/x.npz"],
             ["--out", "cannot write"],
+        ),
+        (
+            ["simulate", "--controller", "zero", "--duration", "10", "--out", "x", "--figure", "no/x.png"],
+            ["--figure", "cannot write"],
         ),
         (["filter", "--out", "x"], ["--states"]),
         (["filter", "--states", "nowhere.npz", "--out", "x"], ["nowhere.npz", "no such file"]),
@@ -264,6 +269,18 @@ def test_simulate_runs_every_classical_controller_within_the_actuators_limits(
     assert code == 0, err
     limit = np.array([1.0, 1.0, 1.0, 1e-3, 1e-3, 1e-3])
     assert (np.abs(np.load(out)["control_desired"]) <= limit * (1 + 1e-9)).all()
+
+
+@pytest.mark.parametrize("controller", ["lqr-pd", "zero"])
+def test_simulate_draws_the_constraints(
+    controller: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    figure = tmp_path / "constraints"  # a PNG whatever its name
+    arguments = ["simulate", "--controller", controller, "--no-rta", "--duration", "20"]
+    code, _, err = call([*arguments, "--out", str(tmp_path / "x.npz"), "--figure", str(figure)], capsys)
+    assert code == 0, err
+    height, width, _ = plt.imread(figure, format="png").shape
+    assert (width, height) == (1200, 840)
 
 
 def test_simulate_filters_a_policy_at_the_rta_period(
