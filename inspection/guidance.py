@@ -74,7 +74,7 @@ def lqr_pd(c: InspectionParameters) -> Controller:
     It stands for the primary controller of the paper's RTA demonstration, of which no more is published.
     """
     gain = torch.from_numpy(lqr_gain(c))
-    # blinds the camera, turns over, heats the thermal side; all three leave the panels in the dark
+    # turns over, blinds the camera, heats the thermal side; all three leave the panels in the dark
     sunward = ((0.0, "+z"), (40.0, "+x"), (150.0, c.thermal_axis))
 
     def control(t: float, x: Tensor) -> Tensor:
