@@ -76,11 +76,6 @@ def add_common(parser: Parser) -> None:
         "--config", metavar="FILE", help="TOML file with settings, under the flags (default: none)"
     )
     parser.add_argument(
-        "--rta",
-        action=argparse.BooleanOptionalAction,
-        help="filter every control by run time assurance (default: on; with --checkpoint as it was trained)",
-    )
-    parser.add_argument(
         "--rta-period",
         type=period,
         metavar="S",
@@ -101,14 +96,26 @@ def add_common(parser: Parser) -> None:
     )
 
 
+def add_rta(parser: Parser) -> None:
+    """The switch of the filter."""
+    parser.add_argument(
+        "--rta",
+        action=argparse.BooleanOptionalAction,
+        help="filter every control by run time assurance (default: on; with --checkpoint as it was trained)",
+    )
+
+
 def build_parser() -> Parser:
     """The whole command line."""
     parser = Parser(prog="main.py", description=__doc__, allow_abbrev=False)
-    commands = parser.add_subparsers(dest="command", required=True, metavar="train | evaluate | simulate")
+    commands = parser.add_subparsers(
+        dest="command", required=True, metavar="train | evaluate | simulate | filter"
+    )
 
     train = commands.add_parser(
         "train", allow_abbrev=False, help="train an agent with or without run time assurance"
     )
+    add_rta(train)
     add_common(train)
     counts = (
         ("interactions", TRAIN.interactions, "agent steps of 10 s in all, rounded up to whole updates"),
@@ -144,6 +151,7 @@ def build_parser() -> Parser:
     evaluate = commands.add_parser(
         "evaluate", help="report an agent in the metrics of the paper's Tables 2 and 3"
     )
+    add_rta(evaluate)
     add_common(evaluate)
     evaluate.add_argument(
         "--checkpoint", required=True, metavar="F", help="policy.pt or checkpoint.pt of a run"
@@ -160,6 +168,7 @@ def build_parser() -> Parser:
     simulate = commands.add_parser(
         "simulate", allow_abbrev=False, help="simulate one spacecraft and write everything over time"
     )
+    add_rta(simulate)
     add_common(simulate)
     simulate.add_argument(
         "--controller", required=True, choices=CONTROLLERS, help="who commands the spacecraft"
@@ -186,7 +195,25 @@ def build_parser() -> Parser:
         "--actions; a policy decides every 10 s (default: 1)",
     )
     simulate.add_argument("--out", required=True, metavar="F.npz", help="file to write")
+    simulate.add_argument(
+        "--figure", metavar="F.png", help="also draw limits and controls over time there (default: none)"
+    )
     simulate.set_defaults(run=run_simulate)
+
+    offline = commands.add_parser(
+        "filter",
+        allow_abbrev=False,
+        help="filter a batch of states from elsewhere and write out the quadratic programs",
+    )
+    add_common(offline)
+    offline.add_argument(
+        "--states",
+        required=True,
+        metavar="F.npz",
+        help="file with state (N x 16, the order of inspection/state.py) and control_desired (N x 6, N and N m)",
+    )
+    offline.add_argument("--out", required=True, metavar="G.npz", help="file to write")
+    offline.set_defaults(run=run_filter, rta=True)
     return parser
 
 
@@ -262,6 +289,8 @@ def run_simulate(arguments: argparse.Namespace) -> None:
     from study import build, simulation
 
     check_writable(arguments.out, "--out")
+    if arguments.figure:
+        check_writable(arguments.figure, "--figure")
     base, policy = Config(), None
     if (arguments.controller == "policy") != bool(arguments.checkpoint):
         raise InputError("--checkpoint F is needed by --controller policy and by no other")
@@ -293,6 +322,11 @@ def run_simulate(arguments: argparse.Namespace) -> None:
     )
     with refusing(f"--out {arguments.out}: cannot write it", OSError), open(arguments.out, "wb") as file:
         np.savez_compressed(file, **result)
+    if arguments.figure:
+        from study.figures import constraint_figure
+
+        with refusing(f"--figure {arguments.figure}: cannot write it", OSError):
+            constraint_figure(result, config.inspection, Path(arguments.figure))
     violated = [
         name[2:] for name, values in result.items() if name.startswith("h_") and not (values >= 0).all()
     ]
@@ -300,6 +334,25 @@ def run_simulate(arguments: argparse.Namespace) -> None:
         f"{arguments.out}: {len(result['time'])} rows over {result['time'][-1]:g} s, "
         f"inspected {result['inspected_score'][-1]:.3f}, violated constraints: {', '.join(violated) or 'none'}"
     )
+
+
+def run_filter(arguments: argparse.Namespace) -> None:
+    """main.py filter"""
+    import numpy as np
+
+    from rta.qp import Status
+    from study import build, offline
+
+    config = resolve(arguments, Config())
+    x, desired = offline.read_states(arguments.states, config.inspection)
+    check_writable(arguments.out, "--out")
+    calls = -(-x.shape[1] // offline.CHUNK)
+    safety, device = build.for_command(config, calls * config.train.rta_period)
+    result = offline.filter_states(safety.correct, x.to(device), desired.to(device))
+    with refusing(f"--out {arguments.out}: cannot write it", OSError), open(arguments.out, "wb") as file:
+        np.savez_compressed(file, **result)
+    counts = [f"{(result['status'] == status).sum():,} {status.name.lower()}" for status in Status]
+    print(f"{arguments.out}: {len(result['status']):,} states, {', '.join(counts)}")
 
 
 def check_writable(path: str, flag: str) -> None:

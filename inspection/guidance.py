@@ -3,7 +3,8 @@
 A controller maps (t in s, x (16, B)) to u (6, B) in N and N m, within the actuators' limits.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 import scipy.linalg
@@ -12,7 +13,7 @@ from torch import Tensor
 
 from inspection.attitude import conjugate, cross, rotate, unit
 from inspection.dynamics import sun_direction
-from inspection.parameters import InspectionParameters
+from inspection.parameters import AXES, InspectionParameters
 from inspection.state import CONTROL_SIZE, OMEGA, THETA_S, P, Q, V
 
 Controller = Callable[[float, Tensor], Tensor]
@@ -20,6 +21,16 @@ Controller = Callable[[float, Tensor], Tensor]
 POINTING_FREQUENCY = 0.1  # rad/s, of the critically damped pointing law
 TRACKING_FREQUENCY = 0.008  # rad/s, of the critically damped tracking law
 ELLIPSE = 40.0  # m, semi-minor axis b of the Sun-following relative orbit
+
+# A tour of every boundary in 2,000 s: from when (s) the LQR's set point is where (m, Hill's frame). Axis velocities
+# reach their limit only beyond 623 m, where the dynamic speed limit is higher; hence the chords.
+SET_POINTS = (
+    (0.0, (750.0, -440.0, 0.0)),  # outside the keep-in zone
+    (400.0, (720.0, 640.0, 0.0)),  # along y
+    (650.0, (350.0, 150.0, 900.0)),  # along z
+    (850.0, (-700.0, 240.0, 500.0)),  # along x
+    (1100.0, (0.0, 0.0, 0.0)),  # into the chief
+)
 
 
 def limited(thrust_hill: Tensor, torque: Tensor, x: Tensor, c: InspectionParameters) -> Tensor:
@@ -29,12 +40,13 @@ def limited(thrust_hill: Tensor, torque: Tensor, x: Tensor, c: InspectionParamet
     return torch.maximum(torch.minimum(u, limit), -limit)
 
 
-def point_boresight(x: Tensor, direction: Tensor, c: InspectionParameters) -> Tensor:
-    """PD torque (3, B) that turns the boresight +n_x towards a unit vector (3, B) in Hill's frame."""
+def point(x: Tensor, axis: str, direction: Tensor, c: InspectionParameters) -> Tensor:
+    """PD torque (3, B) that turns a body axis such as "-y" towards a unit vector (3, B) in Hill's frame."""
     target = rotate(conjugate(x[Q]), direction)
-    boresight = torch.zeros_like(target)
-    boresight[0] = 1.0
-    error = cross(boresight, target)
+    index, sign = AXES[axis]
+    pointed = torch.zeros_like(target)
+    pointed[index] = sign
+    error = cross(pointed, target)
     inertia = x.new_tensor(c.inertia)[:, None]
     return inertia * (POINTING_FREQUENCY**2 * error - 2.0 * POINTING_FREQUENCY * x[OMEGA])
 
@@ -51,13 +63,25 @@ def lqr_gain(c: InspectionParameters) -> np.ndarray:
     return np.linalg.solve(r, b.T @ riccati)
 
 
+def scheduled(schedule: Sequence[tuple[float, Any]], t: float) -> Any:
+    """The value of the last entry (start in s, value) that has started at t."""
+    return [value for start, value in schedule if start <= t][-1]
+
+
 def lqr_pd(c: InspectionParameters) -> Controller:
-    """LQR to the chief's centre and a boresight turned into the Sun: it pushes against the constraints."""
+    """LQR from set point to set point, PD that turns side after side into the Sun: past every boundary in turn.
+
+    It stands for the primary controller of the paper's RTA demonstration, of which no more is published.
+    """
     gain = torch.from_numpy(lqr_gain(c))
+    # turns over, blinds the camera, heats the thermal side; all three leave the panels in the dark
+    sunward = ((0.0, "+z"), (40.0, "+x"), (150.0, c.thermal_axis))
 
     def control(t: float, x: Tensor) -> Tensor:
-        thrust = -gain.to(x) @ torch.cat((x[P], x[V]))
-        return limited(thrust, point_boresight(x, sun_direction(x[THETA_S]), c), x, c)
+        target = x.new_tensor(scheduled(SET_POINTS, t))[:, None]
+        thrust = -gain.to(x) @ torch.cat((x[P] - target, x[V]))
+        torque = point(x, scheduled(sunward, t), sun_direction(x[THETA_S]), c)
+        return limited(thrust, torque, x, c)
 
     return control
 
@@ -77,7 +101,7 @@ def natural_motion(c: InspectionParameters) -> Controller:
         velocity = n * torch.stack((b * sin, -2 * b * cos, zero))
         w = TRACKING_FREQUENCY
         thrust = c.mass * (w**2 * (position - x[P]) + 2 * w * (velocity - x[V]))
-        return limited(thrust, point_boresight(x, -unit(x[P]), c), x, c)
+        return limited(thrust, point(x, "+x", -unit(x[P]), c), x, c)
 
     return control
 

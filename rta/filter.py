@@ -35,6 +35,7 @@ class FilterResult:
         slack: (13, B) shortfall of the barrier condition without margin, in h's unit per s (per s^2 where
             the relative degree is two).
         status: (B,) int64, the worse `Status` of the thrust and the torque program.
+        program_status: (2, B) int64, both of them.
         h: (13, B) constraint values without margin, slopes bounded at their poles.
     """
 
@@ -43,6 +44,7 @@ class FilterResult:
     active: Tensor
     slack: Tensor
     status: Tensor
+    program_status: Tensor
     h: Tensor
 
 
@@ -120,13 +122,15 @@ class SafetyFilter:
             self._solve(torque, self.barriers.torque, desired[TORQUE], limit[3], ATTITUDE),
         )
         control, active, slack, statuses, h = zip(*parts, strict=True)
-        status = torch.stack(statuses).amax(0)
+        program_status = torch.stack(statuses)
+        status = program_status.amax(0)
         return FilterResult(
             control=torch.cat(control),
             intervened=status > Status.UNTOUCHED,
             active=torch.cat(active),
             slack=torch.cat(slack),
             status=status,
+            program_status=program_status,
             h=torch.cat(h),
         )
 

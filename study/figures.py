@@ -15,7 +15,7 @@ matplotlib.use("Agg")
 
 # Colours that differ in lightness too (Okabe and Ito's palette)
 BLUE, ORANGE, GREEN, GREY = "#0072B2", "#E69F00", "#009E73", "#666666"
-SAFE, UNSAFE = "#DDF1E4", "#F6DCD6"
+SAFE, UNSAFE = "#DDF1E4", "#F2C4B8"
 Episode = dict[str, np.ndarray]
 
 
@@ -54,24 +54,118 @@ def trajectory(ax: Axes, episode: Episode, c: InspectionParameters) -> None:
     ax.figure.colorbar(path, ax=ax, shrink=0.65, pad=0.12, label="speed (m/s)")
 
 
-def band(ax: Axes, limit: float, safe: str) -> None:
-    """Shades the safe side ("above" or "below") of a limit green and the other red."""
-    low, high = ax.get_ylim()
-    low, high = min(low, limit - 0.05 * (high - low)), max(high, limit + 0.05 * (high - low))
-    above, below = (SAFE, UNSAFE) if safe == "above" else (UNSAFE, SAFE)
-    ax.axhspan(limit, high, color=above, lw=0, zorder=0)
-    ax.axhspan(low, limit, color=below, lw=0, zorder=0)
-    ax.axhline(limit, color="black", ls=":", lw=1)
-    ax.set_ylim(low, high)
+def band(ax: Axes, low: float = -math.inf, high: float = math.inf) -> None:
+    """Shades what lies between two limits green and the rest red, each finite limit in view and dotted."""
+    scale = ax.yaxis.get_transform()
+    bottom, top = scale.transform(np.array(ax.get_ylim()))
+    limits = [limit for limit in (low, high) if math.isfinite(limit)]
+    room = 0.05 * (top - bottom)
+    inside = scale.transform(np.array(limits))
+    bottom, top = scale.inverted().transform(
+        np.array([min(bottom, inside.min() - room), max(top, inside.max() + room)])
+    )
+    ax.axhspan(bottom, top, color=UNSAFE, lw=0, zorder=-1)
+    ax.axhspan(max(low, bottom), min(high, top), color=SAFE, lw=0, zorder=0)
+    for limit in limits:
+        ax.axhline(limit, color="black", ls=":", lw=1)
+    ax.set_ylim(bottom, top)
+
+
+def speed_panel(ax: Axes, episode: Episode, c: InspectionParameters) -> None:
+    """|v| and the limit that grows with the distance."""
+    t, speed = episode["time"], np.linalg.norm(episode["velocity"], axis=1)
+    limit = c.docking_speed + c.speed_slope * np.linalg.norm(episode["position"], axis=1)
+    ax.plot(t, speed, color=BLUE)
+    ax.plot(t, limit, color="black", ls=":", lw=1)
+    ax.set(ylabel="speed (m/s)", ylim=(0, 1.15 * max(limit.max(), speed.max())))
+    ax.fill_between(t, 0, limit, color=SAFE, lw=0, zorder=0)
+    ax.fill_between(t, limit, ax.get_ylim()[1], color=UNSAFE, lw=0, zorder=0)
+
+
+def sun_panel(ax: Axes, episode: Episode, c: InspectionParameters) -> None:
+    """Angle between boresight and Sun."""
+    boresight = rotate(episode["quaternion"], np.array([1.0, 0.0, 0.0]))
+    theta = episode["sun_angle"]
+    sun = np.stack((np.cos(theta), np.sin(theta), np.zeros_like(theta)), 1)
+    ax.plot(episode["time"], angle_deg(boresight, sun), color=BLUE)
+    ax.set(ylabel="Sun off boresight (deg)", ylim=(0, 182))
+    band(ax, low=math.degrees(c.field_of_view / 2 + c.exclusion_buffer))
+
+
+def temperature_panel(ax: Axes, episode: Episode, c: InspectionParameters) -> None:
+    """Temperature of the tracked surface."""
+    ax.plot(episode["time"], episode["temperature"], color=BLUE)
+    ax.set(ylabel="temperature (°C)")
+    band(ax, high=c.max_temperature)
+
+
+def energy_panel(ax: Axes, episode: Episode, c: InspectionParameters) -> None:
+    """Battery charge; the axis ends at an empty battery."""
+    ax.plot(episode["time"], episode["energy"], color=BLUE)
+    ax.set(ylabel="energy (kJ)", ylim=(0, 1.05 * max(episode["energy"].max(), c.min_energy)))
+    band(ax, low=c.min_energy)
+
+
+def components(ax: Axes, t: np.ndarray, values: np.ndarray, limit: float, label: str) -> None:
+    """Three components (k, 3) that share a limit of either sign."""
+    for name, line, colour in zip("xyz", values.T, (BLUE, ORANGE, "black"), strict=True):
+        ax.plot(t, line, color=colour, lw=0.9, label=name)
+    extent = max(limit, abs(values).max())
+    ax.set(ylabel=label, ylim=(-1.35 * extent, 1.1 * extent))  # room for the legend
+    band(ax, -limit, limit)
+    ax.legend(loc="lower right", ncols=3, fontsize=8, frameon=False, handlelength=1.3)
+
+
+def constraint_figure(episode: Episode, c: InspectionParameters, path: Path) -> None:
+    """The paper's figure of the filter: what each constraint limits and both controls over time, as a PNG."""
+    t, distance = episode["time"], np.linalg.norm(episode["position"], axis=1)
+    figure = Figure(figsize=(10, 7), layout="constrained")
+    axes = figure.subplots(3, 3, sharex=True)
+    titles = (
+        "Collision, keep in zone and PSM",
+        "Dynamic speed",
+        "Axial velocity",
+        "Sun avoidance",
+        "Temperature limit",
+        "Energy limit",
+        "Angular velocity",
+        "Control: thrust",
+        "Control: torque",
+    )
+    for ax, letter, title in zip(axes.flat, "abcdefghi", titles, strict=True):
+        ax.set_title(f"({letter}) {title}", loc="left", fontsize=10)
+        ax.set_xlim(t[0], t[-1])
+    for ax in axes[-1]:
+        ax.set_xlabel("time (s)")
+
+    ax = axes[0, 0]
+    closest = episode["h_passive_safety"] + c.collision_radius
+    ax.plot(t, closest, color=ORANGE, lw=0.9, label="nearest if coasting")
+    ax.plot(t, distance, color=BLUE, label="distance")
+    ax.set(ylabel="distance (m)", yscale="log", ylim=(2.5, 1300))
+    ax.yaxis.set_major_formatter("{x:g}")
+    band(ax, c.collision_radius, c.max_distance)
+    ax.legend(loc="lower left", fontsize=8, frameon=False, handlelength=1.3)
+
+    speed_panel(axes[0, 1], episode, c)
+    components(axes[0, 2], t, episode["velocity"], c.max_speed, "velocity (m/s)")
+    sun_panel(axes[1, 0], episode, c)
+    temperature_panel(axes[1, 1], episode, c)
+    energy_panel(axes[1, 2], episode, c)
+    rates = np.degrees(episode["angular_velocity"])
+    components(axes[2, 0], t, rates, math.degrees(c.max_rate), "body rate (deg/s)")
+    applied = episode["control_applied"]
+    components(axes[2, 1], t, applied[:, :3], c.max_thrust, "thrust (N)")
+    components(axes[2, 2], t, 1e3 * applied[:, 3:], 1e3 * c.max_torque, "torque (mN m)")
+    figure.align_ylabels()
+    figure.savefig(path, dpi=120, format="png")
 
 
 def episode_figure(episode: Episode, c: InspectionParameters, path: Path) -> None:
     """Trajectory, inspection, pointing, effort and the limits of one episode as a PNG."""
-    t, p, v = episode["time"], episode["position"], episode["velocity"]
-    distance, speed = np.linalg.norm(p, axis=1), np.linalg.norm(v, axis=1)
+    t, p = episode["time"], episode["position"]
+    distance = np.linalg.norm(p, axis=1)
     boresight = rotate(episode["quaternion"], np.array([1.0, 0.0, 0.0]))
-    theta = episode["sun_angle"]
-    sun = np.stack((np.cos(theta), np.sin(theta), np.zeros_like(theta)), 1)
     step = np.diff(t, prepend=t[0])
     applied = np.abs(episode["control_applied"])
     # a row's control acts until the next row
@@ -81,7 +175,7 @@ def episode_figure(episode: Episode, c: InspectionParameters, path: Path) -> Non
     grid = figure.add_gridspec(3, 4, left=0.05, right=0.955, bottom=0.07, top=0.98, wspace=0.34, hspace=0.22)
     trajectory(figure.add_subplot(grid[:2, :2], projection="3d"), episode, c)
 
-    def panel(row: int, column: int, label: str) -> Axes:
+    def panel(row: int, column: int, label: str = "") -> Axes:
         ax = figure.add_subplot(grid[row, column])
         ax.set(xlabel="time (s)" if row == 2 else "", ylabel=label, xlim=(t[0], t[-1]))
         return ax
@@ -98,29 +192,12 @@ def episode_figure(episode: Episode, c: InspectionParameters, path: Path) -> Non
     ax = panel(1, 2, "distance (m)")
     ax.plot(t, distance, color=BLUE)
     ax.set_ylim(0, None)
-    band(ax, c.collision_radius, "above")
+    band(ax, low=c.collision_radius)
 
-    ax = panel(1, 3, "speed (m/s)")
-    limit = c.docking_speed + c.speed_slope * distance
-    ax.plot(t, speed, color=BLUE)
-    ax.plot(t, limit, color="black", ls=":", lw=1)
-    ax.set_ylim(0, 1.15 * max(limit.max(), speed.max()))
-    ax.fill_between(t, 0, limit, color=SAFE, lw=0, zorder=0)
-    ax.fill_between(t, limit, ax.get_ylim()[1], color=UNSAFE, lw=0, zorder=0)
-
-    ax = panel(2, 0, "Sun off boresight (deg)")
-    ax.plot(t, angle_deg(boresight, sun), color=BLUE)
-    ax.set_ylim(0, 182)
-    band(ax, math.degrees(c.field_of_view / 2 + c.exclusion_buffer), "above")
-
-    ax = panel(2, 1, "temperature (°C)")
-    ax.plot(t, episode["temperature"], color=BLUE)
-    band(ax, c.max_temperature, "below")
-
-    ax = panel(2, 2, "energy (kJ)")
-    ax.plot(t, episode["energy"], color=BLUE)
-    ax.set_ylim(0, None)
-    band(ax, c.min_energy, "above")
+    speed_panel(panel(1, 3), episode, c)
+    sun_panel(panel(2, 0), episode, c)
+    temperature_panel(panel(2, 1), episode, c)
+    energy_panel(panel(2, 2), episode, c)
 
     ax = panel(2, 3, "Δv (m/s)")
     ax.plot(t, delta_v, color=BLUE)

@@ -108,16 +108,21 @@ def read_actions(path: str, limit: tuple[float, ...]) -> np.ndarray:
         or not len(actions)
     ):
         raise InputError(f"{path}: shape {getattr(actions, 'shape', None)}: must be (N, 6), in N and N m")
-    if actions.dtype.kind not in "fiu" or not np.isfinite(actions).all():
-        raise InputError(f"{path}: must hold finite numbers only")
-    excess = np.abs(actions) > np.array(limit) * (1.0 + 1e-9)
+    check_controls(actions, limit, path)
+    return actions
+
+
+def check_controls(controls: np.ndarray, limit: tuple[float, ...], where: str) -> None:
+    """Refuses controls (N, 6) in N and N m that are not finite or beyond what the actuators can do."""
+    if controls.dtype.kind not in "fiu" or not np.isfinite(controls).all():
+        raise InputError(f"{where}: must hold finite numbers only")
+    excess = np.abs(controls) > np.array(limit) * (1.0 + 1e-9)
     if excess.any():
         row, column = np.argwhere(excess)[0]
         raise InputError(
-            f"{path}: row {row}, column {column} = {actions[row, column]:g}: "
+            f"{where}: row {row}, column {column} = {controls[row, column]:g}: "
             f"must be within +-{limit[column]:g} {'N' if column < 3 else 'N m'}"
         )
-    return actions
 
 
 def check_step(step: float, duration: float, rta_period: float | None, c: InspectionParameters) -> None:

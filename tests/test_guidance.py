@@ -1,6 +1,10 @@
 """Classical controllers against what defines them."""
 
+import math
+from pathlib import Path
+
 import numpy as np
+import pytest
 import scipy.linalg
 import torch
 
@@ -8,8 +12,13 @@ from inspection import guidance
 from inspection.dynamics import free_flight, step
 from inspection.parameters import InspectionParameters
 from inspection.state import OMEGA, SIZE, THETA_S, P, Q, V
+from rta.constraints import CONSTRAINTS, values
+from rta.filter import SafetyFilter
+from rta.parameters import RtaParameters
+from study.simulation import read_state
 
 C = InspectionParameters()
+DEMONSTRATION = str(Path(__file__).parents[1] / "configs" / "demonstration.json")
 
 
 def at_rest(batch: int = 1) -> torch.Tensor:
@@ -60,15 +69,58 @@ def test_natural_motion_needs_no_thrust_on_its_ellipse() -> None:
     assert guidance.natural_motion(C)(0.0, x)[:3].abs().max() < 1e-12
 
 
-def test_pointing_turns_the_boresight_to_its_target() -> None:
+@pytest.mark.parametrize("axis", ["+x", "-y"])
+def test_pointing_turns_a_body_axis_to_its_target(axis: str) -> None:
     x = at_rest()
-    target = torch.tensor([[0.0], [0.6], [0.8]], dtype=torch.float64)
-    for _ in range(200):
-        torque = guidance.point_boresight(x, target, C)
+    target = torch.tensor([[0.48], [-0.36], [0.8]], dtype=torch.float64)
+    for _ in range(250):
+        torque = guidance.point(x, axis, target, C)
         x = step(x, guidance.limited(torch.zeros_like(torque), torque, x, C), 1.0, C)
-    boresight = guidance.rotate(x[Q], torch.tensor([[1.0], [0.0], [0.0]], dtype=torch.float64))
-    torch.testing.assert_close(boresight, target, atol=1e-6, rtol=0.0)
+    body = {"+x": [[1.0], [0.0], [0.0]], "-y": [[0.0], [-1.0], [0.0]]}[axis]
+    pointed = guidance.rotate(x[Q], torch.tensor(body, dtype=torch.float64))
+    torch.testing.assert_close(pointed, target, atol=1e-6, rtol=0.0)
     assert x[OMEGA].abs().max() < 1e-6
+
+
+def tour(duration: float, interval: float, safety: SafetyFilter | None = None) -> torch.Tensor:
+    """States (16, steps + 1) of the demonstration, from its state file."""
+    x, _ = read_state(DEMONSTRATION)
+    control, states = guidance.lqr_pd(C), [x]
+    for i in range(round(duration / interval)):
+        u = control(i * interval, x)
+        x = step(x, safety(x, u).control if safety else u, interval, C)
+        states.append(x)
+    return torch.cat(states, 1)
+
+
+def test_the_demonstration_starts_in_the_filters_safe_set() -> None:
+    x, _ = read_state(DEMONSTRATION)
+    assert SafetyFilter(C, RtaParameters()).barriers.is_safe(x).all()
+
+
+def test_the_demonstration_crosses_every_boundary_without_the_filter() -> None:
+    states = tour(2000.0, 2.0)
+    crossed = (values(states, C) < 0.0).any(1).tolist()
+    assert crossed == [True] * 10 + [False] * 3  # the plant saturates body rates at their limits
+    assert (states[OMEGA].abs().amax(1) == C.max_rate).all()
+
+
+def test_the_filter_holds_the_demonstration_at_its_first_boundaries() -> None:
+    states = tour(140.0, 1.0, SafetyFilter(C, RtaParameters()))
+    h = dict(zip(CONSTRAINTS, values(states, C), strict=True))
+    assert min(h[name].min() for name in CONSTRAINTS) >= 0.0
+    assert h["dynamic_speed"].min() < 0.2  # m/s
+    assert h["attitude_exclusion"].min() < math.radians(3)
+
+
+def test_lqr_pd_rests_at_its_set_point_with_the_thermal_side_in_the_sun() -> None:
+    start, position = guidance.SET_POINTS[1]
+    x = at_rest()
+    x[P] = torch.tensor(position, dtype=torch.float64)[:, None]
+    x[THETA_S] = -math.pi / 2  # of the unturned body, -n_y faces it
+    assert guidance.lqr_pd(C)(start, x).abs().max() < 1e-12
+    before = guidance.lqr_pd(C)(start - 1.0, x)[:3, 0]
+    assert before @ (torch.tensor(guidance.SET_POINTS[0][1]) - x[P, 0]) > 0.0
 
 
 def test_recorded_holds_each_row_for_a_step_and_the_last_one_on() -> None:

@@ -4,6 +4,7 @@ import json
 from pathlib import Path
 from typing import Any
 
+import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 import torch
@@ -96,7 +97,14 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
             ["simulate", "--controller", "zero", "--duration", "10", "--out", "nowhere/x.npz"],
             ["--out", "cannot write"],
         ),
-        ([], ["train | evaluate | simulate"]),
+        (
+            ["simulate", "--controller", "zero", "--duration", "10", "--out", "x", "--figure", "no/x.png"],
+            ["--figure", "cannot write"],
+        ),
+        (["filter", "--out", "x"], ["--states"]),
+        (["filter", "--states", "nowhere.npz", "--out", "x"], ["nowhere.npz", "no such file"]),
+        (["filter", "--states", "x", "--out", "x", "--no-rta"], ["--no-rta"]),
+        ([], ["train | evaluate | simulate | filter"]),
     ],
 )
 def test_bad_flags_are_refused(
@@ -263,6 +271,18 @@ def test_simulate_runs_every_classical_controller_within_the_actuators_limits(
     assert (np.abs(np.load(out)["control_desired"]) <= limit * (1 + 1e-9)).all()
 
 
+@pytest.mark.parametrize("controller", ["lqr-pd", "zero"])
+def test_simulate_draws_the_constraints(
+    controller: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    figure = tmp_path / "constraints"  # a PNG whatever its name
+    arguments = ["simulate", "--controller", controller, "--no-rta", "--duration", "20"]
+    code, _, err = call([*arguments, "--out", str(tmp_path / "x.npz"), "--figure", str(figure)], capsys)
+    assert code == 0, err
+    height, width, _ = plt.imread(figure, format="png").shape
+    assert (width, height) == (1200, 840)
+
+
 def test_simulate_filters_a_policy_at_the_rta_period(
     run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -277,7 +297,7 @@ def test_simulate_filters_a_policy_at_the_rta_period(
 
 
 def test_help_gives_every_flag_a_default_or_says_it_is_required(capsys: pytest.CaptureFixture[str]) -> None:
-    for command in ("train", "evaluate", "simulate"):
+    for command in ("train", "evaluate", "simulate", "filter"):
         parser = main.build_parser()._subparsers._group_actions[0].choices[command]
         for action in parser._actions:
             if action.dest == "help":
