@@ -34,7 +34,7 @@ def point_boresight(x: Tensor, direction: Tensor, c: InspectionParameters) -> Te
     target = rotate(conjugate(x[Q]), direction)
     boresight = torch.zeros_like(target)
     boresight[0] = 1.0
-    error = cross(boresight, target)
+    error = torch.stack(cross(boresight, target))
     inertia = x.new_tensor(c.inertia)[:, None]
     return inertia * (POINTING_FREQUENCY**2 * error - 2.0 * POINTING_FREQUENCY * x[OMEGA])
 
