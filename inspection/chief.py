@@ -8,7 +8,7 @@ import math
 import torch
 from torch import Tensor
 
-from inspection.attitude import dot, norm, rotation_matrix, unit
+from inspection.attitude import body_axis, dot, norm, unit
 from inspection.dynamics import sun_direction
 from inspection.parameters import InspectionParameters
 from inspection.state import THETA_S, P, Q
@@ -36,15 +36,19 @@ def illuminated(normals: Tensor, theta_s: Tensor) -> Tensor:
     return normals.T @ sun_direction(theta_s) > 0.0
 
 
-def visible(normals: Tensor, x: Tensor, c: InspectionParameters) -> Tensor:
-    """(N, B) bool: within the camera's cone about +n_x, above the near-side horizon, and lit."""
+def in_view(normals: Tensor, x: Tensor, c: InspectionParameters) -> Tensor:
+    """(N, B) bool: within the camera's cone about +n_x and above the near-side horizon."""
     p, r = x[P], c.chief_radius
-    boresight = rotation_matrix(x[Q])[:, 0]
+    boresight = torch.stack(body_axis(x[Q], 0))
     height = normals.T @ p  # p . n
     to_point = (r**2 + dot(p, p) - 2 * r * height).sqrt()
     along_boresight = r * (normals.T @ boresight) - dot(p, boresight)
-    in_view = along_boresight >= math.cos(c.field_of_view / 2) * to_point
-    return in_view & (height > r) & illuminated(normals, x[THETA_S])
+    return (along_boresight >= math.cos(c.field_of_view / 2) * to_point) & (height > r)
+
+
+def visible(normals: Tensor, x: Tensor, c: InspectionParameters) -> Tensor:
+    """(N, B) bool: in view and lit."""
+    return in_view(normals, x, c) & illuminated(normals, x[THETA_S])
 
 
 def max_clusters(normals: Tensor, c: InspectionParameters) -> int:
