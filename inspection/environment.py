@@ -179,20 +179,24 @@ class InspectionEnv:
             starts.pool = pool.clone()
 
     def compile(self) -> None:
-        """Compiles integration, observation and constraint values; what torch.compile raises is raised.
+        """Compiles integration, observation and constraint values: in chunks on a CPU, else for any batch.
 
-        A CPU is given fixed chunks of the batch, a GPU all of it.
+        Raises whatever torch.compile raises where there is no working C++ compiler, and changes nothing then.
         """
+        uncompiled = dict(vars(self))
         self.chunked = self.x.device.type == "cpu"
         dynamic = not self.chunked
         self._step = torch.compile(step, dynamic=dynamic)
         self._normalised = torch.compile(normalised, dynamic=dynamic)
         if self.safety.values:
             self._values = torch.compile(self.safety.values, dynamic=dynamic)
-        # compiles now what the first step would
-        self._integrate(self.x, torch.zeros_like(self.x[:CONTROL_SIZE]), 1)
-        self.observation()
-        self._constraint_values()
+        try:  # compiles now what the first step would
+            self._integrate(self.x, torch.zeros_like(self.x[:CONTROL_SIZE]), 1)
+            self.observation()
+            self._constraint_values()
+        except Exception:
+            vars(self).update(uncompiled)
+            raise
 
     @property
     def score(self) -> Tensor:
@@ -302,8 +306,9 @@ class InspectionEnv:
 
         return self._by_chunks(integrate, x, u)
 
+    @torch.no_grad()  # torch.compile would compile anew with gradients
     def _by_chunks(self, function: Callable[..., Tensor], *tensors: Tensor) -> Tensor:
-        """function(*tensors), which is compiled for chunks where `chunked`."""
+        """function(*tensors), in chunks where it is compiled for those."""
         return in_chunks(function, *tensors) if self.chunked else function(*tensors)
 
     def look(self) -> None:
