@@ -89,7 +89,8 @@ def add_common(parser: Parser) -> None:
     parser.add_argument(
         "--compile",
         choices=("auto", "on", "off"),
-        help=f"torch.compile the filter; auto: for runs long enough to repay it (default: {TRAIN.compile})",
+        help="torch.compile filter, simulator and learner; auto: for runs long enough to repay it "
+        f"(default: {TRAIN.compile})",
     )
     parser.add_argument(
         "--device", choices=("auto", "cpu", "cuda"), help=f"where tensors live (default: {TRAIN.device})"

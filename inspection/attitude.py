@@ -1,7 +1,15 @@
-"""Quaternion helpers; scalar last, component axis first, batch axes trailing (Sec. Dynamics, Attitude)."""
+"""Quaternion helpers; scalar last, component axis first, batch axes trailing (Sec. Dynamics, Attitude).
+
+Functions that take and return sequences of components are those of the equations of motion: torch.compile fuses
+arithmetic on separate components into a single loop, but not across a stack of them.
+"""
+
+from collections.abc import Sequence
 
 import torch
 from torch import Tensor
+
+Vector = tuple[Tensor, Tensor, Tensor]
 
 
 def dot(a: Tensor, b: Tensor) -> Tensor:
@@ -14,12 +22,10 @@ def norm(a: Tensor) -> Tensor:
     return dot(a, a).sqrt()
 
 
-def cross(a: Tensor, b: Tensor) -> Tensor:
-    """a x b over the component axis: (3, ...) and (3, ...) to (3, ...).
-
-    Written with rolls because the derivative of torch.linalg.cross does not trace under torch.compile.
-    """
-    return a.roll(-1, 0) * b.roll(1, 0) - a.roll(1, 0) * b.roll(-1, 0)
+def cross(a: Sequence[Tensor], b: Sequence[Tensor]) -> Vector:
+    """a x b of three components each, as three components (...)."""
+    (a1, a2, a3), (b1, b2, b3) = a, b
+    return a2 * b3 - a3 * b2, a3 * b1 - a1 * b3, a1 * b2 - a2 * b1
 
 
 def unit(a: Tensor) -> Tensor:
@@ -33,14 +39,31 @@ def conjugate(q: Tensor) -> Tensor:
     return torch.cat((-q[:3], q[3:]))
 
 
-def rotate(q: Tensor, a: Tensor) -> Tensor:
-    """q a q*: turns a (3, ...) from the body frame into Hill's frame (with q* the other way).
+def turned(q: Sequence[Tensor], a: Sequence[Tensor]) -> Vector:
+    """The components of q a q*, from those of q and a.
 
     Expanded Hamilton product: a + 2 q4 (q_v x a) + 2 q_v x (q_v x a).
     """
-    q_v, q_4 = q[:3], q[3]
-    t = 2.0 * cross(q_v, a)
-    return a + q_4 * t + cross(q_v, t)
+    *q_v, q_4 = q
+    t = [2.0 * component for component in cross(q_v, a)]
+    a1, a2, a3 = (a_i + q_4 * t_i + qt_i for a_i, t_i, qt_i in zip(a, t, cross(q_v, t), strict=True))
+    return a1, a2, a3
+
+
+def rotate(q: Tensor, a: Tensor) -> Tensor:
+    """q a q*: turns a (3, ...) from the body frame into Hill's frame (with q* the other way)."""
+    return torch.stack(turned(q, a))
+
+
+def body_axis(q: Sequence[Tensor], i: int) -> Vector:
+    """The i-th body axis in Hill's frame, column i of `rotation_matrix`, from the components of q."""
+    j, k = (i + 1) % 3, (i + 2) % 3
+    column = {
+        i: q[3] ** 2 + q[i] ** 2 - q[j] ** 2 - q[k] ** 2,
+        j: 2.0 * (q[i] * q[j] + q[k] * q[3]),
+        k: 2.0 * (q[i] * q[k] - q[j] * q[3]),
+    }
+    return column[0], column[1], column[2]
 
 
 def _rotation_coefficients() -> Tensor:
@@ -67,10 +90,15 @@ def rotation_matrix(q: Tensor) -> Tensor:
     return torch.tensordot(ROTATION.to(q), q[:, None] * q[None], dims=2)
 
 
-def quaternion_rate(q: Tensor, omega: Tensor) -> Tensor:
-    """dq/dt = Xi(q) omega / 2, the paper's Eq. (dQuat1): (4, ...), (3, ...) to (4, ...)."""
-    q_v, q_4 = q[:3], q[3]
-    return 0.5 * torch.cat((q_4 * omega + cross(q_v, omega), -dot(q_v, omega)[None]))
+def quaternion_rate(q: Sequence[Tensor], omega: Sequence[Tensor]) -> tuple[Tensor, ...]:
+    """The four components of dq/dt = Xi(q) omega / 2, the paper's Eq. (dQuat1)."""
+    (q1, q2, q3, q4), (w1, w2, w3) = q, omega
+    return (
+        0.5 * (q4 * w1 + q2 * w3 - q3 * w2),
+        0.5 * (q4 * w2 + q3 * w1 - q1 * w3),
+        0.5 * (q4 * w3 + q1 * w2 - q2 * w1),
+        -0.5 * (q1 * w1 + q2 * w2 + q3 * w3),
+    )
 
 
 def random_quaternion(count: int, generator: torch.Generator, dtype: torch.dtype) -> Tensor:

@@ -8,7 +8,7 @@ import math
 import torch
 from torch import Tensor
 
-from inspection.attitude import dot, norm, rotation_matrix, unit
+from inspection.attitude import body_axis, dot, norm, unit
 from inspection.dynamics import sun_direction
 from inspection.parameters import InspectionParameters
 from inspection.state import THETA_S, P, Q
@@ -36,15 +36,19 @@ def illuminated(normals: Tensor, theta_s: Tensor) -> Tensor:
     return normals.T @ sun_direction(theta_s) > 0.0
 
 
-def visible(normals: Tensor, x: Tensor, c: InspectionParameters) -> Tensor:
-    """(N, B) bool: within the camera's cone about +n_x, above the near-side horizon, and lit."""
+def in_view(normals: Tensor, x: Tensor, c: InspectionParameters) -> Tensor:
+    """(N, B) bool: within the camera's cone about +n_x and above the near-side horizon."""
     p, r = x[P], c.chief_radius
-    boresight = rotation_matrix(x[Q])[:, 0]
+    boresight = torch.stack(body_axis(x[Q], 0))
     height = normals.T @ p  # p . n
     to_point = (r**2 + dot(p, p) - 2 * r * height).sqrt()
     along_boresight = r * (normals.T @ boresight) - dot(p, boresight)
-    in_view = along_boresight >= math.cos(c.field_of_view / 2) * to_point
-    return in_view & (height > r) & illuminated(normals, x[THETA_S])
+    return (along_boresight >= math.cos(c.field_of_view / 2) * to_point) & (height > r)
+
+
+def visible(normals: Tensor, x: Tensor, c: InspectionParameters) -> Tensor:
+    """(N, B) bool: in view and lit."""
+    return in_view(normals, x, c) & illuminated(normals, x[THETA_S])
 
 
 def max_clusters(normals: Tensor, c: InspectionParameters) -> int:
@@ -79,8 +83,28 @@ def distance_squared(points: Tensor, centres: Tensor) -> Tensor:
     return dot(points, points)[:, None, None] + dot(centres, centres) - 2 * inner
 
 
+def lloyd(points: Tensor, wanted: Tensor, centres: Tensor, alive: Tensor) -> tuple[Tensor, Tensor]:
+    """One iteration of Lloyd's: every living centre moves to the mean of the wanted points nearest to it.
+
+    Args as in `cluster`. Returns the centres (3, K, B) and which of them have points (K, B). Matrix products
+    in homogeneous coordinates [p, 1] find the nearest centres and add up their points.
+    """
+    homogeneous = torch.cat((points, torch.ones_like(points[:1])))
+    offset = torch.where(alive, dot(centres, centres), math.inf)
+    # |p - m|^2 - |p|^2 = [p, 1] . [-2 m, |m|^2], (N, K, B)
+    gap = (homogeneous.T @ torch.cat((-2.0 * centres, offset[None])).flatten(1)).unflatten(1, alive.shape)
+    least = torch.where(wanted, gap.amin(1), -math.inf)
+    member = (gap == least[:, None]).to(points.dtype)
+    *total, size = (homogeneous @ member.flatten(1)).unflatten(1, alive.shape)
+    return torch.where(size > 0, torch.stack(total) / size.clamp(min=1.0), centres), size > 0
+
+
 def cluster(
-    points: Tensor, wanted: Tensor, centres: Tensor, alive: Tensor, per_cluster: int
+    points: Tensor,
+    wanted: Tensor,
+    centres: Tensor,
+    alive: Tensor,
+    per_cluster: int,
 ) -> tuple[Tensor, Tensor]:
     """Batched k-means (Lloyd) of the wanted points, warm-started from the previous step's centres.
 
@@ -95,15 +119,23 @@ def cluster(
     count = -(-wanted.sum(0) // per_cluster)
     slots = torch.arange(alive.shape[0], device=alive.device)[:, None]
     alive = alive & (slots < count)
-    if (alive.sum(0) < count).any():
-        centres, alive = seed_clusters(points, wanted, centres, alive, count)
-    for _ in range(LLOYD_ITERATIONS):
-        gap = distance_squared(points, centres).masked_fill(~alive, math.inf)
-        member = ((gap == gap.amin(1, keepdim=True)) & wanted[:, None]).to(points.dtype)
-        size = member.sum(0)
-        total = (points @ member.reshape(points.shape[1], -1)).reshape(centres.shape)
-        centres = torch.where(size > 0, total / size.clamp(min=1.0), centres)
-    return centres, alive & (size > 0)
+    short = torch.nonzero(alive.sum(0) < count).flatten()
+    if short.numel():
+        centres, alive = centres.clone(), alive.clone()
+        centres[..., short], alive[:, short] = seed_clusters(
+            points, wanted[:, short], centres[..., short], alive[:, short], count[short]
+        )
+    before, (centres, occupied) = centres, lloyd(points, wanted, centres, alive)
+    moving = torch.nonzero((centres != before).any(0).any(0)).flatten()
+    for _ in range(LLOYD_ITERATIONS - 1):
+        if not moving.numel():
+            break
+        # a column that one iteration leaves as it was, every further one would
+        before = centres[..., moving]
+        after, occupied[:, moving] = lloyd(points, wanted[:, moving], before, alive[:, moving])
+        centres[..., moving] = after
+        moving = moving[(after != before).any(0).any(0)]
+    return centres, alive & occupied
 
 
 def nearest_cluster(centres: Tensor, alive: Tensor, p: Tensor) -> Tensor:

@@ -4,11 +4,12 @@ Every function is written for one spacecraft with the component axis first; batc
 """
 
 import math
+from collections.abc import Sequence
 
 import torch
 from torch import Tensor
 
-from inspection.attitude import dot, quaternion_rate, rotate, rotation_matrix, unit
+from inspection.attitude import Vector, body_axis, dot, quaternion_rate, rotation_matrix, turned, unit
 from inspection.parameters import AXES, InspectionParameters
 from inspection.state import CONTROL_SIZE, OMEGA, THETA_S, THRUST, TORQUE, P, Q, T, V
 
@@ -31,15 +32,15 @@ def cosine_to(axis: str, direction: Tensor) -> Tensor:
     return direction[index] if sign > 0 else -direction[index]
 
 
-def clohessy_wiltshire(p: Tensor, v: Tensor, n: float) -> Tensor:
-    """Natural acceleration in Hill's frame in m/s^2, (3, ...)."""
-    return torch.stack((3 * n**2 * p[0] + 2 * n * v[1], -2 * n * v[0], -(n**2) * p[2]))
+def clohessy_wiltshire(p: Sequence[Tensor], v: Sequence[Tensor], n: float) -> Vector:
+    """Components of the natural acceleration in Hill's frame in m/s^2."""
+    return 3 * n**2 * p[0] + 2 * n * v[1], -2 * n * v[0], -(n**2) * p[2]
 
 
-def euler(omega: Tensor, c: InspectionParameters) -> Tensor:
-    """Gyroscopic angular acceleration J^-1 (-omega x J omega) in rad/s^2, (3, ...)."""
+def euler(omega: Sequence[Tensor], c: InspectionParameters) -> Vector:
+    """Components of the gyroscopic angular acceleration J^-1 (-omega x J omega) in rad/s^2."""
     (w1, w2, w3), (j1, j2, j3) = omega, c.inertia
-    return torch.stack(((j2 - j3) / j1 * w2 * w3, (j3 - j1) / j2 * w1 * w3, (j1 - j2) / j3 * w1 * w2))
+    return (j2 - j3) / j1 * w2 * w3, (j3 - j1) / j2 * w1 * w3, (j1 - j2) / j3 * w1 * w2
 
 
 def temperature_rate(
@@ -61,21 +62,33 @@ def energy_rate(cos_panel: Tensor, c: InspectionParameters) -> Tensor:
     return (power_in - c.power_draw) / 1000.0
 
 
+def natural_rates(x: Sequence[Tensor], c: InspectionParameters) -> list[Tensor]:
+    """f(x), the 16 components of the state (...) to their rates in the state's units per second."""
+    p, v, q, omega, theta_s = x[P], x[V], x[Q], x[OMEGA], x[THETA_S]
+    cos, sin = theta_s.cos(), theta_s.sin()
+
+    def cosines(axis: str) -> tuple[Tensor, Tensor]:
+        """n . r_S and n . r_E of a body axis."""
+        index, sign = AXES[axis]
+        n_x, n_y, _ = body_axis(q, index)
+        return sign * (cos * n_x + sin * n_y), -sign * n_x
+
+    cos_sun, cos_earth = cosines(c.thermal_axis)
+    cos_panel, _ = cosines(c.solar_panel_axis)
+    return [
+        *v,
+        *clohessy_wiltshire(p, v, c.mean_motion),
+        *quaternion_rate(q, omega),
+        *euler(omega, c),
+        temperature_rate(cos_sun, cos_earth, x[T], c),
+        energy_rate(cos_panel, c),
+        torch.full_like(theta_s, -c.mean_motion),
+    ]
+
+
 def drift(x: Tensor, c: InspectionParameters) -> Tensor:
     """f(x), (16, ...) to (16, ...) in the state's units per second."""
-    sun, earth = sun_and_earth_in_body(x)
-    temperature = temperature_rate(cosine_to(c.thermal_axis, sun), cosine_to(c.thermal_axis, earth), x[T], c)
-    energy = energy_rate(cosine_to(c.solar_panel_axis, sun), c)
-    sun_rate = torch.full_like(x[THETA_S], -c.mean_motion)
-    return torch.cat(
-        (
-            x[V],
-            clohessy_wiltshire(x[P], x[V], c.mean_motion),
-            quaternion_rate(x[Q], x[OMEGA]),
-            euler(x[OMEGA], c),
-            torch.stack((temperature, energy, sun_rate)),
-        )
-    )
+    return torch.stack(natural_rates(x.unbind(0), c))
 
 
 def control_matrix(x: Tensor, c: InspectionParameters) -> Tensor:
@@ -89,10 +102,12 @@ def control_matrix(x: Tensor, c: InspectionParameters) -> Tensor:
 
 def derivative(x: Tensor, u: Tensor, c: InspectionParameters) -> Tensor:
     """f(x) + g(x) u for u (6, ...) in N and N m."""
-    rate = drift(x, c)
-    rate[V] += rotate(x[Q], u[THRUST]) / c.mass
-    rate[OMEGA] += torch.stack([u[TORQUE][i] / moment for i, moment in enumerate(c.inertia)])
-    return rate
+    x, u = x.unbind(0), u.unbind(0)
+    rate = natural_rates(x, c)
+    force, torque = turned(x[Q], u[THRUST]), u[TORQUE]
+    rate[V] = [f_i + force_i / c.mass for f_i, force_i in zip(rate[V], force, strict=True)]
+    rate[OMEGA] = [f_i + t_i / j_i for f_i, t_i, j_i in zip(rate[OMEGA], torque, c.inertia, strict=True)]
+    return torch.stack(rate)
 
 
 def step(x: Tensor, u: Tensor, duration: float, c: InspectionParameters) -> Tensor:
@@ -102,10 +117,8 @@ def step(x: Tensor, u: Tensor, duration: float, c: InspectionParameters) -> Tens
     k3 = derivative(x + 0.5 * duration * k2, u, c)
     k4 = derivative(x + duration * k3, u, c)
     x = x + (duration / 6.0) * (k1 + 2.0 * (k2 + k3) + k4)
-    x[Q] = unit(x[Q])
-    if c.saturate_rates:
-        x[OMEGA] = x[OMEGA].clamp(-c.max_rate, c.max_rate)
-    return x
+    omega = x[OMEGA].clamp(-c.max_rate, c.max_rate) if c.saturate_rates else x[OMEGA]
+    return torch.cat((x[: Q.start], unit(x[Q]), omega, x[OMEGA.stop :]))
 
 
 def free_flight(p: Tensor, v: Tensor, t: Tensor, n: float) -> Tensor:

@@ -8,9 +8,10 @@ import torch
 from torch import Tensor
 
 from inspection import chief
+from inspection.chunks import CHUNK, in_chunks
 from inspection.dynamics import step
 from inspection.initial_state import InitialStates
-from inspection.observation import observe, scales
+from inspection.observation import normalised
 from inspection.parameters import InspectionParameters
 from inspection.reward import REWARDS, rewards
 from inspection.state import CONTROL_SIZE, SIZE, THETA_S, THRUST, TORQUE, P
@@ -142,6 +143,8 @@ class InspectionEnv:
         self.totals = zeros(3)  # reward, delta v, torque
         self.violation_steps = zeros(len(self.safety.names), dtype=torch.int64)
         self.any_violation_steps = zeros(dtype=torch.int64)
+        self.chunked = False
+        self._step, self._normalised, self._values = step, normalised, self.safety.values
 
     STATE = (
         "x",
@@ -175,6 +178,26 @@ class InspectionEnv:
         for starts, pool in zip(self.starts, state["pools"], strict=True):
             starts.pool = pool.clone()
 
+    def compile(self) -> None:
+        """Compiles integration, observation and constraint values: in chunks on a CPU, else for any batch.
+
+        Raises whatever torch.compile raises where there is no working C++ compiler, and changes nothing then.
+        """
+        uncompiled = dict(vars(self))
+        self.chunked = self.x.device.type == "cpu"
+        dynamic = not self.chunked
+        self._step = torch.compile(step, dynamic=dynamic)
+        self._normalised = torch.compile(normalised, dynamic=dynamic)
+        if self.safety.values:
+            self._values = torch.compile(self.safety.values, dynamic=dynamic)
+        try:  # compiles now what the first step would
+            self._integrate(self.x, torch.zeros_like(self.x[:CONTROL_SIZE]), 1)
+            self.observation()
+            self._constraint_values()
+        except Exception:
+            vars(self).update(uncompiled)
+            raise
+
     @property
     def score(self) -> Tensor:
         """w_p, inspected weight (B,)."""
@@ -192,8 +215,13 @@ class InspectionEnv:
 
     def observation(self) -> Tensor:
         """Normalised observations (B, 26) float32 of the present states."""
-        o = observe(self.x, self.priority, self.uninspected, self.score)
-        return (o / scales(o)).T.float()
+        return self._observe(slice(None))
+
+    def _observe(self, columns: Tensor | slice) -> Tensor:
+        """Observations (k, 26) of the given columns."""
+        score = (self.weights[:, columns] * self.inspected[:, columns]).sum(0)
+        state = (part[:, columns] for part in (self.x, self.priority, self.uninspected))
+        return self._by_chunks(self._normalised, *state, score).T
 
     def step(self, action: Tensor) -> Transition:
         """Holds one action for one action period.
@@ -245,46 +273,77 @@ class InspectionEnv:
             violation_steps=self.violation_steps.clone(),
             steps=self.steps.clone(),
         )
-        if transition.done.any():
+        ended = torch.nonzero(transition.done).flatten()
+        if ended.numel():
             self._restart(transition.done)
-            transition.observation = self.observation()
+            transition.observation = final_observation.clone()
+            transition.observation[ended] = self._observe(ended)
         return transition
 
     def _advance(self, desired: Tensor) -> tuple[list[Correction], Tensor, Tensor]:
         """Integrates one action period; the filter's last control is its next desired one (Sec. RL Control Loop)."""
         c, safety = self.c, self.safety
-        interval = self.interval
-        substeps, calls_every = round(c.action_period / interval), round(safety.period / interval)
+        held = safety.period if safety.correct else c.action_period  # s between two changes of control
         u, corrections = desired, []
         delta_v = torch.zeros_like(self.time)
         torque = torch.zeros_like(self.time)
-        for i in range(substeps):
-            if safety.correct and i % calls_every == 0:
+        for _ in range(round(c.action_period / held)):
+            if safety.correct:
                 corrections.append(safety.correct(self.x, u))
                 u = corrections[-1].control
-            self.x = step(self.x, u, interval, c)
-            delta_v += u[THRUST].abs().sum(0) / c.mass * interval
-            torque += u[TORQUE].abs().sum(0) / substeps
+            self.x = self._integrate(self.x, u, round(held / self.interval))
+            delta_v += u[THRUST].abs().sum(0) / c.mass * held
+            torque += u[TORQUE].abs().sum(0) * (held / c.action_period)
         return corrections, delta_v, torque
 
-    def look(self, columns: Tensor | slice = slice(None)) -> None:
+    def _integrate(self, x: Tensor, u: Tensor, steps: int) -> Tensor:
+        """The states (16, B) after so many integration steps with u held."""
+
+        def integrate(x: Tensor, u: Tensor) -> Tensor:
+            for _ in range(steps):
+                x = self._step(x, u, self.interval, self.c)
+            return x
+
+        return self._by_chunks(integrate, x, u)
+
+    @torch.no_grad()  # torch.compile would compile anew with gradients
+    def _by_chunks(self, function: Callable[..., Tensor], *tensors: Tensor) -> Tensor:
+        """function(*tensors), in chunks where it is compiled for those."""
+        return in_chunks(function, *tensors) if self.chunked else function(*tensors)
+
+    def look(self) -> None:
         """Marks the points in view and points r_UPS at the nearest cluster of those lit and left."""
+        batch = self.time.numel()
+        size = CHUNK if self.x.device.type == "cpu" else batch  # a CPU's caches hold the points of a chunk
+        for start in range(0, batch, size):
+            self._look(slice(start, start + size))
+
+    def _look(self, columns: Tensor | slice) -> None:
+        """`look` of the given columns."""
         x = self.x[:, columns]
-        inspected = self.inspected[:, columns] | chief.visible(self.normals, x, self.c)
-        wanted = chief.illuminated(self.normals, x[THETA_S]) & ~inspected
+        lit = chief.illuminated(self.normals, x[THETA_S])
+        inspected = self.inspected[:, columns] | (lit & chief.in_view(self.normals, x, self.c))
         centres, alive = chief.cluster(
-            self.points, wanted, self.centres[..., columns], self.alive[:, columns], self.c.points_per_cluster
+            self.points,
+            lit & ~inspected,
+            self.centres[..., columns],
+            self.alive[:, columns],
+            self.c.points_per_cluster,
         )
         self.inspected[:, columns] = inspected
         self.centres[..., columns] = centres
         self.alive[:, columns] = alive
         self.uninspected[:, columns] = chief.nearest_cluster(centres.to(x.dtype), alive, x[P])
 
+    def _constraint_values(self) -> Tensor:
+        """(constraints, B) at the present states."""
+        if self._values is None:
+            return self.x.new_zeros(self.violation_steps.shape)
+        return self._by_chunks(self._values, self.x)
+
     def _count_violations(self) -> Tensor:
         """(constraints, B) bool at this step, added to the episode's counts."""
-        if self.safety.values is None:
-            return torch.zeros_like(self.violation_steps, dtype=torch.bool)
-        violated = self.safety.values(self.x) < 0.0
+        violated = self._constraint_values() < 0.0
         self.violation_steps += violated
         self.any_violation_steps += violated.any(0)
         return violated
@@ -309,4 +368,4 @@ class InspectionEnv:
         self.x[:, columns] = x
         self.priority[:, columns] = priority
         self.weights[:, columns] = chief.point_weights(self.normals, priority)
-        self.look(columns)
+        self._look(columns)

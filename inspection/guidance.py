@@ -46,7 +46,7 @@ def point(x: Tensor, axis: str, direction: Tensor, c: InspectionParameters) -> T
     index, sign = AXES[axis]
     pointed = torch.zeros_like(target)
     pointed[index] = sign
-    error = cross(pointed, target)
+    error = torch.stack(cross(pointed, target))
     inertia = x.new_tensor(c.inertia)[:, None]
     return inertia * (POINTING_FREQUENCY**2 * error - 2.0 * POINTING_FREQUENCY * x[OMEGA])
 

@@ -11,7 +11,7 @@ from inspection.parameters import InspectionParameters
 from inspection.state import SIZE, THETA_S, E, P, Q, T
 
 MAX_ATTEMPTS = 1000
-POOL = 256
+POOL = 2048
 
 
 def uniform(low: float, high: float, count: int, generator: torch.Generator) -> Tensor:

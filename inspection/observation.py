@@ -47,3 +47,9 @@ def observe(x: Tensor, priority: Tensor, uninspected: Tensor, score: Tensor) -> 
 def scales(like: Tensor) -> Tensor:
     """Divisors (26, 1) on the device and in the precision of `like`."""
     return like.new_tensor([scale for _, scale in OBSERVATIONS])[:, None]
+
+
+def normalised(x: Tensor, priority: Tensor, uninspected: Tensor, score: Tensor) -> Tensor:
+    """`observe` divided by `scales`, in float32 for the network."""
+    o = observe(x, priority, uninspected, score)
+    return (o / scales(o)).float()

@@ -81,6 +81,21 @@ class PPO:
             self._named.values(), lr=parameters.learning_rate, eps=1e-5, fused=True
         )
 
+    def compile(self, samples: int) -> None:
+        """Compile the loss and its gradient for batches of `samples` per seed.
+
+        Raises whatever torch.compile raises where there is no working C++ compiler, and changes nothing then.
+        """
+        compiled = torch.compile(self._loss, dynamic=False)
+        first, *_, last = self.policy.network.layers
+        shape = (len(self.generators), self._minibatch(samples)[1])
+        rows = {name: first.weight.new_zeros(shape) for name in TRAINED_ON}
+        rows["observation"] = first.weight.new_zeros(*shape, first.weight.shape[1])
+        rows["action"] = last.weight.new_zeros(*shape, last.weight.shape[2] // 2)
+        compiled(rows)[0].sum().backward()  # compiles now what the first update would
+        self.optimiser.zero_grad()
+        self._loss = compiled
+
     def update(self, batch: dict[str, Tensor], progress: float) -> dict[str, Tensor]:
         """Train on one batch and return per-seed statistics (S,), averaged over the minibatches.
 
@@ -131,10 +146,14 @@ class PPO:
         self.value.load_state_dict(state["value"])
         self.optimiser.load_state_dict(state["optimiser"])
 
+    def _minibatch(self, samples: int) -> tuple[int, int]:
+        """Return how many minibatches an epoch has, and the samples of each."""
+        count = math.ceil(samples / self.parameters.minibatch_size)
+        return count, samples // count
+
     def _minibatches(self, samples: int, device: torch.device) -> Iterator[Tensor]:
         """Yield for every minibatch of every epoch its rows (S, M) in a batch flattened to (S * N, ...)."""
-        count = math.ceil(samples / self.parameters.minibatch_size)
-        size = samples // count
+        count, size = self._minibatch(samples)
         for _ in range(self.parameters.epochs):
             orders = [
                 torch.randperm(samples, generator=generator, device=generator.device) + seed * samples

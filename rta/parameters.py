@@ -52,7 +52,7 @@ class RtaParameters:
 
     # Bounded slopes of sqrt at 0 and arccos at +-1 in the filter's derivatives; reported values are exact.
     distance_floor: float = 0.05  # m
-    pole_angle: float = 0.035  # rad, 2 deg
+    pole_angle: float = 0.2  # rad
 
     # Slack weights on rows of unit length, highest priority first. Safe separation has no slack at all.
     # The paper's 1e12 is beyond what an interior-point solver resolves; of 255 infeasible programs recorded

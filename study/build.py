@@ -1,6 +1,7 @@
 """From a configuration to the objects of an experiment."""
 
 import sys
+from collections.abc import Callable
 
 import torch
 
@@ -15,8 +16,9 @@ from study import config as configuration
 from study.config import Config
 from study.errors import InputError, refusing
 
-# Compiling the barrier rows takes about half a minute; it repays itself after about this many filter calls.
-WORTH_COMPILING = 1000
+# Compiling takes about half a minute, which as many filter calls or steps (of a batch each) repay.
+WORTH_COMPILING_FILTER = 1000
+WORTH_COMPILING_SIMULATOR = 3000
 TYPICAL_EPISODE = 3000.0  # s
 
 
@@ -31,9 +33,22 @@ def resolve_device(name: str) -> torch.device:
     )
 
 
-def wants_compile(choice: str, filter_calls: int) -> bool:
-    """Whether to compile for a run of about so many filter calls (of a batch each)."""
-    return choice == "on" or (choice == "auto" and filter_calls >= WORTH_COMPILING)
+def wants_compile(choice: str, repaid: bool) -> bool:
+    """Whether to compile for --compile auto, on or off, given whether the run is long enough to repay it."""
+    return choice == "on" or (choice == "auto" and repaid)
+
+
+def compile_or_explain(what: str, compile: Callable[[], None]) -> bool:
+    """Compiles; where that fails, says so in a line. Returns whether it went well."""
+    try:
+        compile()
+    except Exception as error:  # a missing or broken compiler shows itself in many ways
+        print(
+            f"the {what} could not be compiled ({type(error).__name__}); uncompiled, it is slower",
+            file=sys.stderr,
+        )
+        return False
+    return True
 
 
 def make_safety(config: Config, enabled: bool, period: float, compiled: bool = False) -> Safety:
@@ -41,22 +56,25 @@ def make_safety(config: Config, enabled: bool, period: float, compiled: bool = F
     with refusing("[rta] and [inspection]", ValueError, OverflowError):
         safety_filter = SafetyFilter(config.inspection, config.rta, period)
     if compiled and enabled:
-        try:
-            safety_filter.compile()
-        except Exception as error:  # a missing or broken compiler shows itself in many ways
-            reason = type(error).__name__
-            print(f"the filter could not be compiled ({reason}); it runs uncompiled, slower", file=sys.stderr)
+        compile_or_explain("filter", safety_filter.compile)
     return safety_filter.safety(enabled)
 
 
 def make_env(
-    config: Config, num_envs: int, generators: list[torch.Generator], safety: Safety
+    config: Config,
+    num_envs: int,
+    generators: list[torch.Generator],
+    safety: Safety,
+    compiled: bool = False,
 ) -> InspectionEnv:
-    """A batch of num_envs episodes per generator."""
+    """A batch of num_envs episodes per generator, compiled if wanted and possible."""
     with refusing(
         f"[inspection], {num_envs:,} episodes", ValueError, RuntimeError, OverflowError, MemoryError
     ):
-        return InspectionEnv(num_envs, config.inspection, generators, safety)
+        env = InspectionEnv(num_envs, config.inspection, generators, safety)
+    if compiled:
+        compile_or_explain("simulator", env.compile)
+    return env
 
 
 def make_policy(config: Config, generators: list[torch.Generator]) -> Policy:
@@ -90,7 +108,8 @@ def for_command(config: Config, simulated: float) -> tuple[Safety, torch.device]
     """What a command that simulates about so many s needs beside its configuration."""
     train = config.train
     device = resolve_device(train.device)
-    compiled = train.rta and wants_compile(train.compile, round(simulated / train.rta_period))
+    repaid = simulated / train.rta_period >= WORTH_COMPILING_FILTER
+    compiled = train.rta and wants_compile(train.compile, repaid)
     return make_safety(config, train.rta, train.rta_period, compiled), device
 
 

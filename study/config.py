@@ -28,7 +28,7 @@ class TrainParameters:
     num_envs: int = 256  # episodes simulated at once
     rollout_steps: int = 64  # interactions of each episode between two updates
     device: str = "auto"  # auto, cpu or cuda
-    compile: str = "auto"  # torch.compile the filter's rows: auto, on or off
+    compile: str = "auto"  # torch.compile the filter, simulator and learner: auto, on or off
     evaluation_interval: int = 500_000  # interactions between two evaluations
     evaluation_episodes: int = 20
     final_episodes: int = 100  # of the evaluation after training

@@ -171,9 +171,10 @@ def evaluate(
     seed: int,
     device: torch.device,
     safety: Safety,
+    compiled: bool = False,
 ) -> dict[str, Any]:
     """Plays the common test cases with deterministic actions and reports them."""
     generator = torch.Generator(device).manual_seed(seed + 1)  # restarts of ended columns, which nobody sees
-    env = build.make_env(config, episodes, [generator], safety)
+    env = build.make_env(config, episodes, [generator], safety, compiled)
     record = run_episodes(env, policy_actor(policy), *test_cases(config, episodes, seed))
     return report(record, config, safety.correct is not None, safety.period, seed)

@@ -114,15 +114,21 @@ class Run:
         self.device = build.resolve_device(train.device)
         generators = [torch.Generator(self.device).manual_seed(train.seed)]
         calls_per_step = round(config.inspection.action_period / train.rta_period)
-        calls = train.updates * train.rollout_steps * calls_per_step
-        self.compiled = train.rta and build.wants_compile(train.compile, calls)
-        self.safety = build.make_safety(config, train.rta, train.rta_period, self.compiled)
+        steps = train.updates * train.rollout_steps
+        self.filter_compiled = train.rta and build.wants_compile(
+            train.compile, steps * calls_per_step >= build.WORTH_COMPILING_FILTER
+        )
+        self.compiled = build.wants_compile(train.compile, steps >= build.WORTH_COMPILING_SIMULATOR)
+        self.safety = build.make_safety(config, train.rta, train.rta_period, self.filter_compiled)
         self.timer = Timed(self.safety.correct)
         timed = replace(self.safety, correct=self.timer) if train.rta else self.safety
-        env = build.make_env(config, train.num_envs, generators, timed)
+        env = build.make_env(config, train.num_envs, generators, timed, self.compiled)
         policy = build.make_policy(config, generators)
         value = Value(OBSERVATION_SIZE, generators)
         learner = PPO(policy, value, config.ppo, generators)
+        if self.compiled:
+            samples = train.num_envs * train.rollout_steps
+            build.compile_or_explain("learner", lambda: learner.compile(samples))
         self.policy: Policy = policy
         self.trainer = Trainer(env, learner, train.rollout_steps, train.updates, generators)
         self.monitor = Monitor(CONSTRAINTS)
@@ -237,7 +243,9 @@ class Run:
     def conclude(self) -> str:
         """Evaluates the trained policy, writes evaluation.json and episode.png; returns the paper's tables."""
         config, train = self.config, self.config.train
-        results = evaluate(self.policy, config, train.final_episodes, 0, self.device, self.safety)
+        results = evaluate(
+            self.policy, config, train.final_episodes, 0, self.device, self.safety, self.compiled
+        )
         (self.directory / "evaluation.json").write_text(
             json.dumps(results, indent=2) + "\n", encoding="utf-8"
         )
@@ -260,7 +268,13 @@ class Run:
         """Periodic deterministic evaluation in the configuration of training."""
         train = self.config.train
         results = evaluate(
-            self.policy, self.config, train.evaluation_episodes, EVALUATION_SEED, self.device, self.safety
+            self.policy,
+            self.config,
+            train.evaluation_episodes,
+            EVALUATION_SEED,
+            self.device,
+            self.safety,
+            self.compiled,
         )
         for name, value in results["metrics"].items():
             self.writer.add_scalar(f"evaluation/{name}", value["iqm"], self.interactions)
@@ -299,7 +313,8 @@ def resume(directory: Path) -> Run:
 def describe(run: Run) -> str:
     """The first line a person sees."""
     train = run.config.train
-    arm = f"RTA at {train.rta_period:g} s{', compiled' if run.compiled else ''}" if train.rta else "no RTA"
+    arm = f"RTA at {train.rta_period:g} s" if train.rta else "no RTA"
+    arm += ", compiled" if run.compiled or run.filter_compiled else ""
     return f"{run.directory}: {arm}, seed {train.seed}, {train.num_envs} episodes at once on {run.device}"
 
 

@@ -60,19 +60,25 @@ def test_opposite_quaternions_are_the_same_rotation(q):
     close(attitude.rotation_matrix(torch.tensor(-q)), Rotation.from_quat(q).as_matrix())
 
 
+@given(quaternions)
+def test_body_axes_are_the_columns_of_the_rotation(q):
+    axes = torch.stack([torch.stack(attitude.body_axis(torch.tensor(q), i)) for i in range(3)], 1)
+    close(axes, Rotation.from_quat(q).as_matrix())
+
+
 @given(quaternions, vectors(3))
 def test_quaternion_rate_is_half_xi_omega(q, omega):
-    close(attitude.quaternion_rate(torch.tensor(q), torch.tensor(omega)), 0.5 * xi(q) @ omega)
+    close(torch.stack(attitude.quaternion_rate(torch.tensor(q), torch.tensor(omega))), 0.5 * xi(q) @ omega)
 
 
 @given(quaternions, vectors(3))
 def test_quaternion_rate_is_tangent_to_the_unit_sphere(q, omega):
-    assert abs(q @ attitude.quaternion_rate(torch.tensor(q), torch.tensor(omega)).numpy()) < 1e-12
+    assert abs(q @ np.array(attitude.quaternion_rate(torch.tensor(q), torch.tensor(omega)))) < 1e-12
 
 
 @given(vectors(3), vectors(3))
 def test_cross_dot_and_norm_agree_with_numpy(a, b):
-    close(attitude.cross(torch.tensor(a), torch.tensor(b)), np.cross(a, b), atol=1e-9)
+    close(torch.stack(attitude.cross(torch.tensor(a), torch.tensor(b))), np.cross(a, b), atol=1e-9)
     close(attitude.dot(torch.tensor(a), torch.tensor(b)), a @ b, atol=1e-9)
     close(attitude.norm(torch.tensor(a)), np.linalg.norm(a))
 

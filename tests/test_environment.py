@@ -1,6 +1,7 @@
 """The batch of episodes: ends, autoreset, statistics, determinism and resuming."""
 
 import math
+import shutil
 from dataclasses import replace
 from itertools import combinations
 from types import SimpleNamespace
@@ -262,6 +263,27 @@ def test_a_seed_decides_everything(short):
         env.reset()
         histories.append(play(env, random_actions(20, 3)))
     check_equal(*histories)
+
+
+@pytest.mark.skipif(not shutil.which("c++"), reason="torch.compile needs a C++ compiler")
+def test_compiled_steps_equal_the_others(short):
+    """Over a chunk and a filled-up one, with a filter call between substeps and with resets."""
+    safety = Safety(
+        names=("energy", "speed"),
+        values=lambda x: torch.stack((x[E] - 6.0, 0.1 - x[V].norm(dim=0))),
+        correct=lambda x, desired: SimpleNamespace(control=desired / 2),
+        period=5.0,
+    )
+    actions, histories = random_actions(8, 520), []
+    for compiled in (False, True):
+        env = make(short, 520, safety=safety)
+        if compiled:
+            env.compile()
+        env.reset()
+        histories.append(play(env, actions))
+    for plain, compiled in zip(*histories, strict=True):
+        for name in plain:
+            torch.testing.assert_close(plain[name], compiled[name], rtol=1e-6, atol=1e-6)
 
 
 @pytest.mark.parametrize(

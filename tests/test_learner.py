@@ -3,6 +3,7 @@
 import copy
 import io
 import math
+import shutil
 
 import pytest
 import torch
@@ -46,6 +47,17 @@ def weights(ppo: PPO) -> dict[str, Tensor]:
 
 def gradients(ppo: PPO) -> list[Tensor]:
     return [weight.grad for module in (ppo.policy, ppo.value) for weight in module.parameters()]
+
+
+@pytest.mark.skipif(not shutil.which("c++"), reason="torch.compile needs a C++ compiler")
+def test_compiled_updates_equal_the_others() -> None:
+    parameters = PPOParameters(epochs=3, minibatch_size=16)
+    plain, compiled = learner((4, 9), parameters), learner((4, 9), parameters)
+    batch = batch_of(plain, 70)
+    batch_of(compiled, 70)  # moves its generators as far
+    compiled.compile(70)
+    torch.testing.assert_close(plain.update(batch, 0.25), compiled.update(batch, 0.25), rtol=1e-4, atol=1e-6)
+    torch.testing.assert_close(weights(plain), weights(compiled), rtol=1e-4, atol=1e-6)
 
 
 def test_stacked_seeds_equal_each_seed_alone() -> None:
