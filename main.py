@@ -70,6 +70,13 @@ def period(text: str) -> float:
     return float(text)
 
 
+def verified_policy(text: str) -> str:
+    """A policy of verify for argparse."""
+    if text not in ("random", "adversarial") and not text.startswith("checkpoint:"):
+        raise argparse.ArgumentTypeError(f"{text!r}: must be random, adversarial or checkpoint:F")
+    return text
+
+
 def add_common(parser: Parser) -> None:
     """Flags that every sub-command shares."""
     parser.add_argument(
@@ -110,7 +117,7 @@ def build_parser() -> Parser:
     """The whole command line."""
     parser = Parser(prog="main.py", description=__doc__, allow_abbrev=False)
     commands = parser.add_subparsers(
-        dest="command", required=True, metavar="train | evaluate | simulate | filter"
+        dest="command", required=True, metavar="train | evaluate | simulate | filter | verify"
     )
 
     train = commands.add_parser(
@@ -215,6 +222,39 @@ def build_parser() -> Parser:
     )
     offline.add_argument("--out", required=True, metavar="G.npz", help="file to write")
     offline.set_defaults(run=run_filter, rta=True)
+
+    verify = commands.add_parser(
+        "verify", allow_abbrev=False, help="count violations behind the filter over many random episodes"
+    )
+    add_common(verify)
+    verify.add_argument(
+        "--episodes", type=positive_integer, default=1000, metavar="N", help="in all (default: 1,000)"
+    )
+    verify.add_argument(
+        "--policy",
+        type=verified_policy,
+        default="random",
+        metavar="P",
+        help="random actions held for random times, adversarial (down the worst constraint's slope) or "
+        "checkpoint:F (default: random)",
+    )
+    verify.add_argument(
+        "--duration",
+        type=positive_integer,
+        default=2000,
+        metavar="S",
+        help="whole seconds of each episode, every one of them checked (default: 2,000)",
+    )
+    verify.add_argument(
+        "--seed", type=seed_number, default=0, metavar="N", help="of everything random (default: 0)"
+    )
+    verify.add_argument(
+        "--json", metavar="F", help="write the report there, and continue the one it holds (default: none)"
+    )
+    verify.add_argument(
+        "--replay", metavar="F.npz", help="fly the counter-example in a file instead (default: none)"
+    )
+    verify.set_defaults(run=run_verify, rta=True)
     return parser
 
 
@@ -354,6 +394,28 @@ def run_filter(arguments: argparse.Namespace) -> None:
         np.savez_compressed(file, **result)
     counts = [f"{(result['status'] == status).sum():,} {status.name.lower()}" for status in Status]
     print(f"{arguments.out}: {len(result['status']):,} states, {', '.join(counts)}")
+
+
+def run_verify(arguments: argparse.Namespace) -> None:
+    """main.py verify"""
+    from study import verification
+
+    if not arguments.rta:
+        raise InputError("--no-rta: verify counts violations behind the filter; evaluate takes --no-rta")
+    if arguments.json:
+        check_writable(arguments.json, "--json")
+    if arguments.replay:
+        print(verification.replay_file(arguments.replay, resolve(arguments, Config())))
+        return
+    report = verification.verify(
+        arguments.policy,
+        arguments.episodes,
+        arguments.duration,
+        arguments.seed,
+        lambda base: resolve(arguments, base),
+        Path(arguments.json) if arguments.json else None,
+    )
+    print(verification.table(report))
 
 
 def check_writable(path: str, flag: str) -> None:

@@ -191,9 +191,9 @@ class InspectionEnv:
         if self.safety.values:
             self._values = torch.compile(self.safety.values, dynamic=dynamic)
         try:  # compiles now what the first step would
-            self._integrate(self.x, torch.zeros_like(self.x[:CONTROL_SIZE]), 1)
+            self.integrate(self.x, torch.zeros_like(self.x[:CONTROL_SIZE]), 1)
             self.observation()
-            self._constraint_values()
+            self.constraint_values(self.x)
         except Exception:
             vars(self).update(uncompiled)
             raise
@@ -291,12 +291,12 @@ class InspectionEnv:
             if safety.correct:
                 corrections.append(safety.correct(self.x, u))
                 u = corrections[-1].control
-            self.x = self._integrate(self.x, u, round(held / self.interval))
+            self.x = self.integrate(self.x, u, round(held / self.interval))
             delta_v += u[THRUST].abs().sum(0) / c.mass * held
             torque += u[TORQUE].abs().sum(0) * (held / c.action_period)
         return corrections, delta_v, torque
 
-    def _integrate(self, x: Tensor, u: Tensor, steps: int) -> Tensor:
+    def integrate(self, x: Tensor, u: Tensor, steps: int) -> Tensor:
         """The states (16, B) after so many integration steps with u held."""
 
         def integrate(x: Tensor, u: Tensor) -> Tensor:
@@ -335,15 +335,15 @@ class InspectionEnv:
         self.alive[:, columns] = alive
         self.uninspected[:, columns] = chief.nearest_cluster(centres.to(x.dtype), alive, x[P])
 
-    def _constraint_values(self) -> Tensor:
-        """(constraints, B) at the present states."""
+    def constraint_values(self, x: Tensor) -> Tensor:
+        """Constraint values (constraints, B) at states (16, B)."""
         if self._values is None:
             return self.x.new_zeros(self.violation_steps.shape)
-        return self._by_chunks(self._values, self.x)
+        return self._by_chunks(self._values, x)
 
     def _count_violations(self) -> Tensor:
         """(constraints, B) bool at this step, added to the episode's counts."""
-        violated = self._constraint_values() < 0.0
+        violated = self.constraint_values(self.x) < 0.0
         self.violation_steps += violated
         self.any_violation_steps += violated.any(0)
         return violated

@@ -180,11 +180,14 @@ class Barriers:
         speed = fall[1] + (self.bend / (2 * speed_limit)).minimum(0.4 * self.thrust[1].gain * speed_limit)
         return torch.cat((fall[:1], speed[None], fall[2:]))
 
-    def is_in_literal_set(self, x: Tensor) -> Tensor:
+    def is_in_safe_set(self, x: Tensor) -> Tensor:
         """(B,) bool: every h and every Psi_1 is non-negative."""
         return (constraints.values(x, self.c) >= 0.0).all(0) & (self.first_psi(x) >= 0.0).all(0)
 
-    def is_safe(self, x: Tensor) -> Tensor:
-        """(B,) bool: every h and every Psi_1 is non-negative and thrust can keep the zone, so the filter can too."""
-        return self.is_in_literal_set(x) & (constraints.keep_in_curve(x, self.c, self.smoothing) >= 0.0)
+    def can_brake(self, x: Tensor) -> Tensor:
+        """(B,) bool: thrust can keep the spacecraft in its zone, see `constraints.keep_in_curve`."""
+        return constraints.keep_in_curve(x, self.c, self.smoothing) >= 0.0
 
+    def is_safe(self, x: Tensor) -> Tensor:
+        """(B,) bool: the filter can keep every constraint from here on."""
+        return self.is_in_safe_set(x) & self.can_brake(x)
