@@ -177,7 +177,7 @@ class Barriers:
         fall = x.new_tensor([row.fall for row in self.thrust])[:, None].expand(-1, x.shape[1])
         speed_limit = constraints.speed_limit(x, self.c)
         # at 5 and 10 s it would exceed what a spacecraft at rest can satisfy
-        speed = fall[1] + (self.bend / (2 * speed_limit)).minimum(0.4 * self.thrust[1].gain * speed_limit)
+        speed = (fall[1] + self.bend / (2 * speed_limit)).minimum(0.5 * self.thrust[1].gain * speed_limit)
         return torch.cat((fall[:1], speed[None], fall[2:]))
 
     def is_in_safe_set(self, x: Tensor) -> Tensor:
