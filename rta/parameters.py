@@ -11,7 +11,10 @@ PERIODS = (1.0, 5.0, 10.0)
 class RtaParameters:
     """Class-kappa gains (alpha(h) = gain * h), margins subtracted from h, and the slack's weights.
 
-    A gain above 1 / period overshoots when its decay is sampled, so `gain` caps each at half of that.
+    A gain above 1 / period overshoots when its decay is sampled, so `gain` caps each at half of that. What
+    a barrier can lose within one period beyond its linear prediction is derived in `rta.rows.Barriers` and
+    needs no parameter; the margins here come on top, for what that leaves out (the rows' own rounding, and
+    for passive safety the shift of the closest time).
     """
 
     # relative degree one, 1/s
@@ -19,23 +22,24 @@ class RtaParameters:
     speed_gain: float = 0.5
     keep_in_gain: float = 0.1
     passive_safety_gain: float = 0.03  # the nearest pass is minutes away: a slow approach is enough
-    # ... but a pass 100 m clear must not keep a spacecraft from braking: the gain doubles there and quadruples ...
+    # Braking moves the path's far end by up to 480 m per m/s. With 3 % of the clearance a second as the only
+    # allowance, an end 165 m clear kept a spacecraft from braking for its dynamic speed limit. So the gain is
+    # gain * (1 + (clearance / doubling)^2), and far passes do not bind.
     passive_safety_doubling: float = 30.0  # m
     velocity_gain: float = 0.2
     rate_gain: float = 0.5
 
     # HOCBF, Psi_1 = dh/dt + k1 h and dPsi_1/dt + k2 Psi_1 >= 0, 1/s
     exclusion_gains: tuple[float, float] = (0.05, 0.2)
-    temperature_gains: tuple[float, float] = (
-        0.0015,
-        0.2,
-    )  # k1: act while a 90 deg turn at 2 deg/s still helps
+    temperature_gains: tuple[float, float] = (0.0015, 0.2)  # k1: act while a 90 deg turn still helps
     battery_gains: tuple[float, float] = (0.004, 0.1)  # 15 W of draw is balanced 3.75 kJ above the limit
 
     # margins in the unit of each h
     collision_margin: float = 0.02  # m/s
     keep_in_margin: float = 0.02  # m/s
-    passive_safety_margin: float = 0.5  # m
+    # Torque turns the thrust by up to alpha_max T^2 / 6 = 0.005 rad more than the rates do; thrust of 0.25 N that far
+    # off moves a pass 2 minutes ahead by 0.015 m in a second, which the gain makes up for at 0.5 m.
+    passive_safety_margin: float = 1.0  # m
     exclusion_margin: float = 0.005  # rad
     temperature_margin: float = 0.02  # deg C
     battery_margin: float = 0.005  # kJ
@@ -52,6 +56,8 @@ class RtaParameters:
 
     # Bounded slopes of sqrt at 0 and arccos at +-1 in the filter's derivatives; reported values are exact.
     distance_floor: float = 0.05  # m
+    # Nearer to a pole, the angle's second derivative omega^2 / tan(angle) at three rates of 2 deg/s would
+    # exceed the 1 deg/s^2 that torque gives.
     pole_angle: float = 0.2  # rad
 
     # Slack weights on rows of unit length, highest priority first. Safe separation has no slack at all.
