@@ -4,16 +4,20 @@ Points are unit normals n (3, N) on a sphere of radius r_c; per-point masks are 
 """
 
 import math
+from collections.abc import Callable
+from functools import partial
 
 import torch
 from torch import Tensor
 
 from inspection.attitude import body_axis, dot, norm, unit
+from inspection.chunks import in_chunks
 from inspection.dynamics import sun_direction
 from inspection.parameters import InspectionParameters
 from inspection.state import THETA_S, P, Q
 
 LLOYD_ITERATIONS = 5
+CHUNK = 256  # columns whose per-point values fit into the caches of a CPU
 
 
 def fibonacci_sphere(count: int, dtype: torch.dtype = torch.float64, device: str = "cpu") -> Tensor:
@@ -36,19 +40,15 @@ def illuminated(normals: Tensor, theta_s: Tensor) -> Tensor:
     return normals.T @ sun_direction(theta_s) > 0.0
 
 
-def in_view(normals: Tensor, x: Tensor, c: InspectionParameters) -> Tensor:
-    """(N, B) bool: within the camera's cone about +n_x and above the near-side horizon."""
+def visible(normals: Tensor, x: Tensor, c: InspectionParameters) -> Tensor:
+    """(N, B) bool: within the camera's cone about +n_x, above the near-side horizon, and lit."""
     p, r = x[P], c.chief_radius
     boresight = torch.stack(body_axis(x[Q], 0))
     height = normals.T @ p  # p . n
     to_point = (r**2 + dot(p, p) - 2 * r * height).sqrt()
     along_boresight = r * (normals.T @ boresight) - dot(p, boresight)
-    return (along_boresight >= math.cos(c.field_of_view / 2) * to_point) & (height > r)
-
-
-def visible(normals: Tensor, x: Tensor, c: InspectionParameters) -> Tensor:
-    """(N, B) bool: in view and lit."""
-    return in_view(normals, x, c) & illuminated(normals, x[THETA_S])
+    in_view = along_boresight >= math.cos(c.field_of_view / 2) * to_point
+    return in_view & (height > r) & illuminated(normals, x[THETA_S])
 
 
 def max_clusters(normals: Tensor, c: InspectionParameters) -> int:
@@ -83,11 +83,11 @@ def distance_squared(points: Tensor, centres: Tensor) -> Tensor:
     return dot(points, points)[:, None, None] + dot(centres, centres) - 2 * inner
 
 
-def lloyd(points: Tensor, wanted: Tensor, centres: Tensor, alive: Tensor) -> tuple[Tensor, Tensor]:
+def lloyd(points: Tensor, wanted: Tensor, centres: Tensor, alive: Tensor) -> Tensor:
     """One iteration of Lloyd's: every living centre moves to the mean of the wanted points nearest to it.
 
-    Args as in `cluster`. Returns the centres (3, K, B) and which of them have points (K, B). Matrix products
-    in homogeneous coordinates [p, 1] find the nearest centres and add up their points.
+    Args as in `cluster`. Returns (4, K, B), the centres and how many points each has. Matrix products in
+    homogeneous coordinates [p, 1] find the nearest centres and add up their points.
     """
     homogeneous = torch.cat((points, torch.ones_like(points[:1])))
     offset = torch.where(alive, dot(centres, centres), math.inf)
@@ -95,8 +95,9 @@ def lloyd(points: Tensor, wanted: Tensor, centres: Tensor, alive: Tensor) -> tup
     gap = (homogeneous.T @ torch.cat((-2.0 * centres, offset[None])).flatten(1)).unflatten(1, alive.shape)
     least = torch.where(wanted, gap.amin(1), -math.inf)
     member = (gap == least[:, None]).to(points.dtype)
-    *total, size = (homogeneous @ member.flatten(1)).unflatten(1, alive.shape)
-    return torch.where(size > 0, torch.stack(total) / size.clamp(min=1.0), centres), size > 0
+    total = (homogeneous @ member.flatten(1)).unflatten(1, alive.shape)
+    size = total[3]
+    return torch.cat((torch.where(size > 0, total[:3] / size.clamp(min=1.0), centres), size[None]))
 
 
 def cluster(
@@ -125,17 +126,23 @@ def cluster(
         centres[..., short], alive[:, short] = seed_clusters(
             points, wanted[:, short], centres[..., short], alive[:, short], count[short]
         )
-    before, (centres, occupied) = centres, lloyd(points, wanted, centres, alive)
-    moving = torch.nonzero((centres != before).any(0).any(0)).flatten()
+    new = by_chunks(partial(lloyd, points), wanted, centres, alive)
+    moving = torch.nonzero((new[:3] != centres).any(0).any(0)).flatten()
     for _ in range(LLOYD_ITERATIONS - 1):
         if not moving.numel():
             break
         # a column that one iteration leaves as it was, every further one would
-        before = centres[..., moving]
-        after, occupied[:, moving] = lloyd(points, wanted[:, moving], before, alive[:, moving])
-        centres[..., moving] = after
-        moving = moving[(after != before).any(0).any(0)]
-    return centres, alive & occupied
+        before = new[:3, :, moving]
+        after = by_chunks(partial(lloyd, points), wanted[:, moving], before, alive[:, moving])
+        new[..., moving] = after
+        moving = moving[(after[:3] != before).any(0).any(0)]
+    return new[:3], alive & (new[3] > 0)
+
+
+def by_chunks(function: Callable[..., Tensor], *tensors: Tensor) -> Tensor:
+    """function(*tensors) of tensors whose last axis is the batch, a few columns at once on a CPU."""
+    on_cpu = tensors[0].device.type == "cpu"
+    return in_chunks(function, CHUNK, *tensors) if on_cpu else function(*tensors)
 
 
 def nearest_cluster(centres: Tensor, alive: Tensor, p: Tensor) -> Tensor:

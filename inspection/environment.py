@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from inspection import chief
-from inspection.chunks import CHUNK, in_chunks
+from inspection.chunks import in_chunks
 from inspection.dynamics import step
 from inspection.initial_state import InitialStates
 from inspection.observation import normalised
@@ -18,6 +18,7 @@ from inspection.state import CONTROL_SIZE, SIZE, THETA_S, THRUST, TORQUE, P
 from inspection.termination import OUTCOMES, terminal_conditions
 
 METRICS = ("inspected_score", "reward", "episode_length_s", "delta_v_m_s", "torque_n_m", "violation_percent")
+CHUNKS = (512, 2048)  # columns that functions compiled for a CPU take at once
 
 
 class Correction(Protocol):
@@ -143,7 +144,7 @@ class InspectionEnv:
         self.totals = zeros(3)  # reward, delta v, torque
         self.violation_steps = zeros(len(self.safety.names), dtype=torch.int64)
         self.any_violation_steps = zeros(dtype=torch.int64)
-        self.chunked = False
+        self.chunk = 0  # columns that compiled functions take at once; 0: all
         self._step, self._normalised, self._values = step, normalised, self.safety.values
 
     STATE = (
@@ -184,8 +185,9 @@ class InspectionEnv:
         Raises whatever torch.compile raises where there is no working C++ compiler, and changes nothing then.
         """
         uncompiled = dict(vars(self))
-        self.chunked = self.x.device.type == "cpu"
-        dynamic = not self.chunked
+        if self.x.device.type == "cpu":
+            self.chunk = max(size for size in CHUNKS if size <= max(self.time.numel(), CHUNKS[0]))
+        dynamic = not self.chunk
         self._step = torch.compile(step, dynamic=dynamic)
         self._normalised = torch.compile(normalised, dynamic=dynamic)
         if self.safety.values:
@@ -309,26 +311,16 @@ class InspectionEnv:
     @torch.no_grad()  # torch.compile would compile anew with gradients
     def _by_chunks(self, function: Callable[..., Tensor], *tensors: Tensor) -> Tensor:
         """function(*tensors), in chunks where it is compiled for those."""
-        return in_chunks(function, *tensors) if self.chunked else function(*tensors)
+        return in_chunks(function, self.chunk, *tensors, filled=True) if self.chunk else function(*tensors)
 
-    def look(self) -> None:
+    def look(self, columns: Tensor | slice = slice(None)) -> None:
         """Marks the points in view and points r_UPS at the nearest cluster of those lit and left."""
-        batch = self.time.numel()
-        size = CHUNK if self.x.device.type == "cpu" else batch  # a CPU's caches hold the points of a chunk
-        for start in range(0, batch, size):
-            self._look(slice(start, start + size))
-
-    def _look(self, columns: Tensor | slice) -> None:
-        """`look` of the given columns."""
         x = self.x[:, columns]
-        lit = chief.illuminated(self.normals, x[THETA_S])
-        inspected = self.inspected[:, columns] | (lit & chief.in_view(self.normals, x, self.c))
+        seen = chief.by_chunks(lambda x: chief.visible(self.normals, x, self.c), x)
+        inspected = self.inspected[:, columns] | seen
+        wanted = chief.illuminated(self.normals, x[THETA_S]) & ~inspected
         centres, alive = chief.cluster(
-            self.points,
-            lit & ~inspected,
-            self.centres[..., columns],
-            self.alive[:, columns],
-            self.c.points_per_cluster,
+            self.points, wanted, self.centres[..., columns], self.alive[:, columns], self.c.points_per_cluster
         )
         self.inspected[:, columns] = inspected
         self.centres[..., columns] = centres
@@ -368,4 +360,4 @@ class InspectionEnv:
         self.x[:, columns] = x
         self.priority[:, columns] = priority
         self.weights[:, columns] = chief.point_weights(self.normals, priority)
-        self._look(columns)
+        self.look(columns)
