@@ -15,6 +15,7 @@ from typing import Any, NoReturn
 from inspection.parameters import AXES, InspectionParameters
 from ppo.checkpoint import CheckpointError
 from ppo.learner import NonFiniteError, PPOParameters
+from rta.filter import SOLVERS
 from rta.parameters import PERIODS
 from study import config as configuration
 from study.config import Config, TrainParameters
@@ -22,6 +23,7 @@ from study.errors import InputError, refusing
 
 # flag: (TOML table, key, type, help); a flag's default is that of its key
 TRAIN, PPO, TASK = TrainParameters(), PPOParameters(), InspectionParameters()
+DEFAULT_SOLVER = "piqp"  # of every command but train
 CONTROLLERS = ("lqr-pd", "natural-motion", "policy", "recorded", "zero", "random")
 
 
@@ -97,6 +99,16 @@ def add_common(parser: Parser) -> None:
     )
 
 
+def add_solver(parser: Parser, default: str = DEFAULT_SOLVER) -> None:
+    """The choice of the filter's solver; only a training run may choose for itself."""
+    parser.add_argument(
+        "--qp-solver",
+        choices=tuple(dict.fromkeys((default, *SOLVERS))),
+        help=f"solver of the filter's quadratic programs (default: {default}"
+        + ("; the faster one for the device and --num-envs)" if default == "auto" else ")"),
+    )
+
+
 def add_rta(parser: Parser) -> None:
     """The switch of the filter."""
     parser.add_argument(
@@ -118,6 +130,7 @@ def build_parser() -> Parser:
     )
     add_rta(train)
     add_common(train)
+    add_solver(train, TRAIN.qp_solver)
     counts = (
         ("interactions", TRAIN.interactions, "agent steps of 10 s in all, rounded up to whole updates"),
         ("num-envs", TRAIN.num_envs, "episodes simulated at once"),
@@ -154,6 +167,7 @@ def build_parser() -> Parser:
     )
     add_rta(evaluate)
     add_common(evaluate)
+    add_solver(evaluate)
     evaluate.add_argument(
         "--checkpoint", required=True, metavar="F", help="policy.pt or checkpoint.pt of a run"
     )
@@ -171,6 +185,7 @@ def build_parser() -> Parser:
     )
     add_rta(simulate)
     add_common(simulate)
+    add_solver(simulate)
     simulate.add_argument(
         "--controller", required=True, choices=CONTROLLERS, help="who commands the spacecraft"
     )
@@ -207,6 +222,7 @@ def build_parser() -> Parser:
         help="filter a batch of states from elsewhere and write out the quadratic programs",
     )
     add_common(offline)
+    add_solver(offline)
     offline.add_argument(
         "--states",
         required=True,
@@ -220,6 +236,8 @@ def build_parser() -> Parser:
 
 def resolve(arguments: argparse.Namespace, base: Config) -> Config:
     """The base configuration under --config under the flags."""
+    if arguments.command != "train":
+        base = configuration.override(base, {"train": {"qp_solver": DEFAULT_SOLVER}}, "default")
     if arguments.config:
         base = configuration.load(arguments.config, base)
     places = {
