@@ -65,6 +65,11 @@ def positive_number(text: str) -> float:
     return value
 
 
+def batch_list(text: str) -> tuple[int, ...]:
+    """Comma-separated counts for argparse."""
+    return tuple(positive_integer(word) for word in text.split(","))
+
+
 def period(text: str) -> float:
     """A filter period for argparse."""
     if text not in {f"{p:g}" for p in PERIODS} | {f"{p:.1f}" for p in PERIODS}:
@@ -122,7 +127,7 @@ def build_parser() -> Parser:
     """The whole command line."""
     parser = Parser(prog="main.py", description=__doc__, allow_abbrev=False)
     commands = parser.add_subparsers(
-        dest="command", required=True, metavar="train | evaluate | simulate | filter"
+        dest="command", required=True, metavar="train | evaluate | simulate | filter | benchmark"
     )
 
     train = commands.add_parser(
@@ -231,6 +236,28 @@ def build_parser() -> Parser:
     )
     offline.add_argument("--out", required=True, metavar="G.npz", help="file to write")
     offline.set_defaults(run=run_filter, rta=True)
+
+    bench = commands.add_parser(
+        "benchmark", allow_abbrev=False, help="measure the speed of simulator, filter, solvers and learner"
+    )
+    bench.add_argument(
+        "--device", choices=("auto", "cpu", "cuda"), help=f"where tensors live (default: {TRAIN.device})"
+    )
+    bench.add_argument(
+        "--compile",
+        choices=("on", "off"),
+        default="on",
+        help="torch.compile filter, simulator and learner (default: on)",
+    )
+    bench.add_argument(
+        "--batches",
+        type=batch_list,
+        metavar="N,N,...",
+        help="episodes, spacecraft and samples at once (default: 256 to 65,536 in powers of 4)",
+    )
+    bench.add_argument("--json", metavar="F", help="also write the results there (default: none)")
+    bench.add_argument("--figure", metavar="F.png", help="also draw rates over batches there (default: none)")
+    bench.set_defaults(run=run_benchmark, config=None)
     return parser
 
 
@@ -372,6 +399,24 @@ def run_filter(arguments: argparse.Namespace) -> None:
         np.savez_compressed(file, **result)
     counts = [f"{(result['status'] == status).sum():,} {status.name.lower()}" for status in Status]
     print(f"{arguments.out}: {len(result['status']):,} states, {', '.join(counts)}")
+
+
+def run_benchmark(arguments: argparse.Namespace) -> None:
+    """main.py benchmark"""
+    from study import benchmark
+
+    config = resolve(arguments, Config())
+    for flag in ("json", "figure"):
+        if path := getattr(arguments, flag):
+            check_writable(path, f"--{flag}")
+    results = benchmark.benchmark(config, arguments.batches or benchmark.BATCHES)
+    print(benchmark.table(results))
+    if arguments.json:
+        with refusing(f"--json {arguments.json}: cannot write it", OSError):
+            Path(arguments.json).write_text(json.dumps(results, indent=2) + "\n", encoding="utf-8")
+    if arguments.figure:
+        with refusing(f"--figure {arguments.figure}: cannot write it", OSError):
+            benchmark.figure(results, Path(arguments.figure))
 
 
 def check_writable(path: str, flag: str) -> None:

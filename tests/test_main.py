@@ -73,6 +73,8 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
         (["train", "--resume", "nowhere"], ["nowhere", "no run there"]),
         (["train", "--resume", "nowhere", "--seed", "3"], ["--resume", "--seed"]),
         (["train", "--unknown"], ["--unknown"]),
+        (["benchmark", "--batches", "256,none"], ["--batches", "'none'", "positive integer"]),
+        (["benchmark", "--json", "nowhere/x.json"], ["--json", "cannot write"]),
         (["train", "--qp-solver", "osqp"], ["--qp-solver", "'osqp'", "auto", "piqp", "batched"]),
         (["evaluate", "--checkpoint", "x.pt", "--qp-solver", "auto"], ["--qp-solver", "'auto'", "piqp"]),
         (["evaluate"], ["--checkpoint"]),
@@ -107,7 +109,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
         (["filter", "--out", "x"], ["--states"]),
         (["filter", "--states", "nowhere.npz", "--out", "x"], ["nowhere.npz", "no such file"]),
         (["filter", "--states", "x", "--out", "x", "--no-rta"], ["--no-rta"]),
-        ([], ["train | evaluate | simulate | filter"]),
+        ([], ["train | evaluate | simulate | filter | benchmark"]),
     ],
 )
 def test_bad_flags_are_refused(
@@ -300,7 +302,7 @@ def test_simulate_filters_a_policy_at_the_rta_period(
 
 
 def test_help_gives_every_flag_a_default_or_says_it_is_required(capsys: pytest.CaptureFixture[str]) -> None:
-    for command in ("train", "evaluate", "simulate", "filter"):
+    for command in ("train", "evaluate", "simulate", "filter", "benchmark"):
         parser = main.build_parser()._subparsers._group_actions[0].choices[command]
         for action in parser._actions:
             if action.dest == "help":
