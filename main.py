@@ -15,6 +15,7 @@ from typing import Any, NoReturn
 from inspection.parameters import AXES, InspectionParameters
 from ppo.checkpoint import CheckpointError
 from ppo.learner import NonFiniteError, PPOParameters
+from rta.filter import SOLVERS
 from rta.parameters import PERIODS
 from study import config as configuration
 from study.config import Config, TrainParameters
@@ -22,6 +23,7 @@ from study.errors import InputError, refusing
 
 # flag: (TOML table, key, type, help); a flag's default is that of its key
 TRAIN, PPO, TASK = TrainParameters(), PPOParameters(), InspectionParameters()
+DEFAULT_SOLVER = "piqp"  # of every command but train
 CONTROLLERS = ("lqr-pd", "natural-motion", "policy", "recorded", "zero", "random")
 
 
@@ -61,6 +63,11 @@ def positive_number(text: str) -> float:
     if not 0.0 < value < float("inf"):
         raise argparse.ArgumentTypeError(f"{text!r}: must be a positive number")
     return value
+
+
+def batch_list(text: str) -> tuple[int, ...]:
+    """Comma-separated counts for argparse."""
+    return tuple(positive_integer(word) for word in text.split(","))
 
 
 def period(text: str) -> float:
@@ -104,6 +111,16 @@ def add_common(parser: Parser) -> None:
     )
 
 
+def add_solver(parser: Parser, default: str = DEFAULT_SOLVER) -> None:
+    """The choice of the filter's solver; only a training run may choose for itself."""
+    parser.add_argument(
+        "--qp-solver",
+        choices=tuple(dict.fromkeys((default, *SOLVERS))),
+        help=f"solver of the filter's quadratic programs (default: {default}"
+        + ("; the faster one for the device and --num-envs)" if default == "auto" else ")"),
+    )
+
+
 def add_rta(parser: Parser) -> None:
     """The switch of the filter."""
     parser.add_argument(
@@ -117,7 +134,7 @@ def build_parser() -> Parser:
     """The whole command line."""
     parser = Parser(prog="main.py", description=__doc__, allow_abbrev=False)
     commands = parser.add_subparsers(
-        dest="command", required=True, metavar="train | evaluate | simulate | filter | verify"
+        dest="command", required=True, metavar="train | evaluate | simulate | filter | verify | benchmark"
     )
 
     train = commands.add_parser(
@@ -125,6 +142,7 @@ def build_parser() -> Parser:
     )
     add_rta(train)
     add_common(train)
+    add_solver(train, TRAIN.qp_solver)
     counts = (
         ("interactions", TRAIN.interactions, "agent steps of 10 s in all, rounded up to whole updates"),
         ("num-envs", TRAIN.num_envs, "episodes simulated at once"),
@@ -161,6 +179,7 @@ def build_parser() -> Parser:
     )
     add_rta(evaluate)
     add_common(evaluate)
+    add_solver(evaluate)
     evaluate.add_argument(
         "--checkpoint", required=True, metavar="F", help="policy.pt or checkpoint.pt of a run"
     )
@@ -178,6 +197,7 @@ def build_parser() -> Parser:
     )
     add_rta(simulate)
     add_common(simulate)
+    add_solver(simulate)
     simulate.add_argument(
         "--controller", required=True, choices=CONTROLLERS, help="who commands the spacecraft"
     )
@@ -214,6 +234,7 @@ def build_parser() -> Parser:
         help="filter a batch of states from elsewhere and write out the quadratic programs",
     )
     add_common(offline)
+    add_solver(offline)
     offline.add_argument(
         "--states",
         required=True,
@@ -255,11 +276,35 @@ def build_parser() -> Parser:
         "--replay", metavar="F.npz", help="fly the counter-example in a file instead (default: none)"
     )
     verify.set_defaults(run=run_verify, rta=True)
+
+    bench = commands.add_parser(
+        "benchmark", allow_abbrev=False, help="measure the speed of simulator, filter, solvers and learner"
+    )
+    bench.add_argument(
+        "--device", choices=("auto", "cpu", "cuda"), help=f"where tensors live (default: {TRAIN.device})"
+    )
+    bench.add_argument(
+        "--compile",
+        choices=("on", "off"),
+        default="on",
+        help="torch.compile filter, simulator and learner (default: on)",
+    )
+    bench.add_argument(
+        "--batches",
+        type=batch_list,
+        metavar="N,N,...",
+        help="episodes, spacecraft and samples at once (default: 256 to 65,536 in powers of 4)",
+    )
+    bench.add_argument("--json", metavar="F", help="also write the results there (default: none)")
+    bench.add_argument("--figure", metavar="F.png", help="also draw rates over batches there (default: none)")
+    bench.set_defaults(run=run_benchmark, config=None)
     return parser
 
 
 def resolve(arguments: argparse.Namespace, base: Config) -> Config:
     """The base configuration under --config under the flags."""
+    if arguments.command != "train":
+        base = configuration.override(base, {"train": {"qp_solver": DEFAULT_SOLVER}}, "default")
     if arguments.config:
         base = configuration.load(arguments.config, base)
     places = {
@@ -416,6 +461,24 @@ def run_verify(arguments: argparse.Namespace) -> None:
         Path(arguments.json) if arguments.json else None,
     )
     print(verification.table(report))
+
+
+def run_benchmark(arguments: argparse.Namespace) -> None:
+    """main.py benchmark"""
+    from study import benchmark
+
+    config = resolve(arguments, Config())
+    for flag in ("json", "figure"):
+        if path := getattr(arguments, flag):
+            check_writable(path, f"--{flag}")
+    results = benchmark.benchmark(config, arguments.batches or benchmark.BATCHES)
+    print(benchmark.table(results))
+    if arguments.json:
+        with refusing(f"--json {arguments.json}: cannot write it", OSError):
+            Path(arguments.json).write_text(json.dumps(results, indent=2) + "\n", encoding="utf-8")
+    if arguments.figure:
+        with refusing(f"--figure {arguments.figure}: cannot write it", OSError):
+            benchmark.figure(results, Path(arguments.figure))
 
 
 def check_writable(path: str, flag: str) -> None:

@@ -11,15 +11,18 @@ from inspection.state import CONTROL_SIZE
 from ppo import checkpoint
 from ppo.checkpoint import CheckpointError
 from ppo.network import Policy
-from rta.filter import SafetyFilter
+from rta.filter import SafetyFilter, make_solver
 from study import config as configuration
-from study.config import Config
+from study.config import Config, TrainParameters
 from study.errors import InputError, refusing
 
 # Compiling takes about half a minute, which as many filter calls or steps (of a batch each) repay.
 WORTH_COMPILING_FILTER = 1000
 WORTH_COMPILING_SIMULATOR = 3000
 TYPICAL_EPISODE = 3000.0  # s
+
+# Spacecraft from which the batched solver is the faster one on a CPU.
+WORTH_BATCHING = 16
 
 
 def resolve_device(name: str) -> torch.device:
@@ -38,6 +41,17 @@ def wants_compile(choice: str, repaid: bool) -> bool:
     return choice == "on" or (choice == "auto" and repaid)
 
 
+def faster_solver(train: TrainParameters) -> str:
+    """The solver for --qp-solver auto in a training run: piqp or batched."""
+    on_cpu = resolve_device(train.device).type == "cpu"
+    return "piqp" if on_cpu and train.num_envs < WORTH_BATCHING else "batched"
+
+
+def qp_solver(train: TrainParameters) -> str:
+    """The name of the filter's solver, with auto resolved."""
+    return faster_solver(train) if train.qp_solver == "auto" else train.qp_solver
+
+
 def compile_or_explain(what: str, compile: Callable[[], None]) -> bool:
     """Compiles; where that fails, says so in a line. Returns whether it went well."""
     try:
@@ -54,7 +68,8 @@ def compile_or_explain(what: str, compile: Callable[[], None]) -> bool:
 def make_safety(config: Config, enabled: bool, period: float, compiled: bool = False) -> Safety:
     """Constraints, admissible starts and, if enabled, the filter."""
     with refusing("[rta] and [inspection]", ValueError, OverflowError):
-        safety_filter = SafetyFilter(config.inspection, config.rta, period)
+        solver = make_solver(qp_solver(config.train))
+        safety_filter = SafetyFilter(config.inspection, config.rta, period, solver)
     if compiled and enabled:
         compile_or_explain("filter", safety_filter.compile)
     return safety_filter.safety(enabled)

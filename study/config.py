@@ -11,6 +11,7 @@ import tomli_w
 
 from inspection.parameters import InspectionParameters
 from ppo.learner import PPOParameters
+from rta.filter import SOLVERS
 from rta.parameters import PERIODS, RtaParameters
 from study.errors import InputError, refusing
 
@@ -29,6 +30,7 @@ class TrainParameters:
     rollout_steps: int = 64  # interactions of each episode between two updates
     device: str = "auto"  # auto, cpu or cuda
     compile: str = "auto"  # torch.compile the filter, simulator and learner: auto, on or off
+    qp_solver: str = "auto"  # of the filter: auto (the faster one in training), piqp or batched
     evaluation_interval: int = 500_000  # interactions between two evaluations
     evaluation_episodes: int = 20
     final_episodes: int = 100  # of the evaluation after training
@@ -47,7 +49,11 @@ class TrainParameters:
             raise ValueError("num_envs * rollout_steps = 1: must be at least 2")
         if not 0 <= self.seed < 2**63:
             raise ValueError(f"seed = {self.seed}: must be an integer from 0 to 2^63 - 1")
-        for name, allowed in (("device", ("auto", "cpu", "cuda")), ("compile", ("auto", "on", "off"))):
+        for name, allowed in (
+            ("device", ("auto", "cpu", "cuda")),
+            ("compile", ("auto", "on", "off")),
+            ("qp_solver", ("auto", *SOLVERS)),
+        ):
             if getattr(self, name) not in allowed:
                 raise ValueError(f"{name} = {getattr(self, name)!r}: must be one of {', '.join(allowed)}")
 

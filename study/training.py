@@ -285,7 +285,8 @@ class Run:
 
 
 def start(config: Config, directory: Path) -> Run:
-    """A fresh run in a directory that holds none."""
+    """A fresh run in a directory that holds none; its solver is part of its configuration from here on."""
+    config = replace(config, train=replace(config.train, qp_solver=build.qp_solver(config.train)))
     with refusing(f"--run-dir {directory}: cannot write there", OSError, ValueError):
         if any((directory / name).exists() for name in ("config.toml", "policy.pt", "checkpoint.pt")):
             raise InputError(f"--run-dir {directory}: holds a run already; continue it with --resume")
@@ -313,7 +314,7 @@ def resume(directory: Path) -> Run:
 def describe(run: Run) -> str:
     """The first line a person sees."""
     train = run.config.train
-    arm = f"RTA at {train.rta_period:g} s" if train.rta else "no RTA"
+    arm = f"RTA at {train.rta_period:g} s by {build.qp_solver(train)}" if train.rta else "no RTA"
     arm += ", compiled" if run.compiled or run.filter_compiled else ""
     return f"{run.directory}: {arm}, seed {train.seed}, {train.num_envs} episodes at once on {run.device}"
 

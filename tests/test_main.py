@@ -12,7 +12,8 @@ import torch
 import main
 from inspection.environment import METRICS
 from rta.constraints import CONSTRAINTS
-from study import training
+from rta.filter import SOLVERS
+from study import build, training
 from study.config import Config, override
 from study.evaluation import test_cases as common_cases
 
@@ -72,6 +73,10 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
         (["train", "--resume", "nowhere"], ["nowhere", "no run there"]),
         (["train", "--resume", "nowhere", "--seed", "3"], ["--resume", "--seed"]),
         (["train", "--unknown"], ["--unknown"]),
+        (["benchmark", "--batches", "256,none"], ["--batches", "'none'", "positive integer"]),
+        (["benchmark", "--json", "nowhere/x.json"], ["--json", "cannot write"]),
+        (["train", "--qp-solver", "osqp"], ["--qp-solver", "'osqp'", "auto", "piqp", "batched"]),
+        (["evaluate", "--checkpoint", "x.pt", "--qp-solver", "auto"], ["--qp-solver", "'auto'", "piqp"]),
         (["evaluate"], ["--checkpoint"]),
         (["evaluate", "--checkpoint", "nowhere.pt"], ["nowhere.pt", "no such checkpoint"]),
         (["evaluate", "--checkpoint", "x.pt", "--episodes", "0"], ["--episodes", "'0'", "positive"]),
@@ -104,7 +109,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
         (["filter", "--out", "x"], ["--states"]),
         (["filter", "--states", "nowhere.npz", "--out", "x"], ["nowhere.npz", "no such file"]),
         (["filter", "--states", "x", "--out", "x", "--no-rta"], ["--no-rta"]),
-        ([], ["train | evaluate | simulate | filter"]),
+        ([], ["train | evaluate | simulate | filter | benchmark"]),
     ],
 )
 def test_bad_flags_are_refused(
@@ -297,7 +302,7 @@ def test_simulate_filters_a_policy_at_the_rta_period(
 
 
 def test_help_gives_every_flag_a_default_or_says_it_is_required(capsys: pytest.CaptureFixture[str]) -> None:
-    for command in ("train", "evaluate", "simulate", "filter"):
+    for command in ("train", "evaluate", "simulate", "filter", "benchmark"):
         parser = main.build_parser()._subparsers._group_actions[0].choices[command]
         for action in parser._actions:
             if action.dest == "help":
@@ -364,6 +369,7 @@ def test_a_policy_with_nan_weights_is_refused(
         "[inspection]\nmax_thrust = 1e-4",
         "[ppo]\nlog_std_bounds = [-1e5, 1e5]",
         "[train]\nseed = 99999999999999999999",
+        '[train]\nqp_solver = "osqp"',
         "[rta]\npassive_safety_segments = [0.0, 400.0]",
     ],
 )
@@ -382,6 +388,30 @@ def test_flags_override_the_file(tmp_path: Path) -> None:
     arguments = main.build_parser().parse_args(["train", "--config", str(path), "--seed", "6", "--no-rta"])
     train = main.resolve(arguments, Config()).train
     assert (train.seed, train.num_envs, train.rta) == (6, 8, False)
+
+
+@pytest.mark.parametrize(
+    ("envs", "wanted", "used"), [(2, "auto", "piqp"), (512, "auto", "batched"), (2, "batched", "batched")]
+)
+def test_a_run_says_which_solver_it_uses_and_keeps_it(
+    envs: int, wanted: str, used: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    train = {"num_envs": envs, "rollout_steps": 2, "interactions": 4, "device": "cpu", "compile": "off"}
+    directory = tmp_path / "run"
+    run = training.start(override(Config(), {"train": train | {"qp_solver": wanted}}, "test"), directory)
+    assert f"by {used}" in training.describe(run)
+    assert type(run.safety.correct.solver) is SOLVERS[used]
+    monkeypatch.setattr(
+        build, "faster_solver", lambda train: "neither"
+    )  # on another device, or in another version
+    assert type(training.resume(directory).safety.correct.solver) is SOLVERS[used]
+
+
+@pytest.mark.parametrize(("flags", "used"), [([], "piqp"), (["--qp-solver", "batched"], "batched")])
+def test_evaluate_uses_piqp_however_the_agent_was_trained(flags: list[str], used: str) -> None:
+    trained = override(Config(), {"train": {"qp_solver": "batched"}}, "test")
+    arguments = main.build_parser().parse_args(["evaluate", "--checkpoint", "x.pt", *flags])
+    assert main.resolve(arguments, trained).train.qp_solver == used
 
 
 @pytest.mark.parametrize("out", ["/proc/nothing.npz", "x" * 300])

@@ -1,0 +1,458 @@
+"""How fast everything is on this machine: simulator, filter, solvers and learner, by batch."""
+
+import platform
+import resource
+import sys
+import time
+from collections.abc import Callable
+from copy import copy
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from statistics import median
+from typing import Any, NamedTuple
+
+import torch
+from torch import Tensor
+
+from inspection.environment import Correction, InspectionEnv
+from inspection.observation import SIZE as OBSERVATION_SIZE
+from inspection.state import CONTROL_SIZE
+from ppo.checkpoint import CheckpointError
+from ppo.learner import PPO
+from ppo.network import Value
+from rta.filter import SafetyFilter, make_solver
+from rta.parameters import PERIODS
+from rta.qp import Problems, Solutions, Solver
+from study import build
+from study.config import Config
+from study.errors import InputError
+from study.evaluation import Actor, policy_actor
+
+TRAINED = Path(__file__).parent.parent / "runs/reference/rta/seed0/policy.pt"
+BATCHES = (256, 1024, 4096, 16384, 65536)
+TYPICAL = {"cpu": 4096, "cuda": 65536}  # the batch of the headline numbers
+REPEATS = 5
+SHORTEST = 0.05  # s that a repeat lasts at least, for a clock's and a scheduler's sake
+EPISODES, STEPS = 256, 60  # flown to record states, controls and programs, from a typical half of them on
+PROGRAMS = (1, 16, 64, 256, 1024, 4096)  # solved at once
+TYPICAL_PROGRAMS = 1024
+SINGLE_CALLS = 1000
+MATRIX = 1024
+PALETTE = (
+    "#0072B2",
+    "#000000",
+    "#D55E00",
+    "#E69F00",
+    "#CC79A7",
+    "#009E73",
+    "#56B4E9",
+    "#666666",
+)  # Okabe and Ito
+Rates = list[float]  # per s, one per repeat
+Spread = dict[str, float]
+
+
+class Flight(NamedTuple):
+    """What a closed loop met, shuffled: states (16, N), desired controls (6, N), programs by actuator group."""
+
+    x: Tensor
+    desired: Tensor
+    programs: list[Problems]
+
+
+class Recorder:
+    """A solver that keeps what it is asked."""
+
+    def __init__(self, solver: Solver) -> None:
+        self.solver = solver
+        self.asked: dict[int, list[Problems]] = {}
+
+    def solve(self, problems: Problems) -> Solutions:
+        """See `Solver`."""
+        self.asked.setdefault(len(problems.a), []).append(problems)
+        return self.solver.solve(problems)
+
+    def compile(self) -> None:
+        """See `Solver`."""
+        self.solver.compile()
+
+
+def repeated(function: Callable[[], Any], work: float, device: torch.device) -> Rates:
+    """`work` per second of REPEATS repeats, warmed up; each calls the function as often as SHORTEST needs."""
+
+    def seconds(calls: int) -> float:
+        wait(device)
+        started = time.perf_counter()
+        for _ in range(calls):
+            function()
+        wait(device)
+        return time.perf_counter() - started
+
+    seconds(1)
+    calls = max(1, round(SHORTEST / seconds(1)))
+    return [work * calls / seconds(calls) for _ in range(REPEATS)]
+
+
+def wait(device: torch.device) -> None:
+    """Until the device has done what it was asked."""
+    if device.type == "cuda":
+        torch.cuda.synchronize(device)
+
+
+def untrained(config: Config, device: torch.device) -> Actor:
+    """A policy as training begins with it, exploring."""
+    generator = torch.Generator(device).manual_seed(0)
+    policy = build.make_policy(config, [generator])
+    return lambda observation: policy.sample(observation[None], [generator])[0][0]
+
+
+def fly(config: Config, safety_filter: SafetyFilter, actor: Actor, device: torch.device) -> Flight:
+    """Plays EPISODES from the initial distribution, and keeps what the filter meets in the later half of STEPS."""
+    met: list[tuple[Tensor, Tensor]] = []
+    recorder = Recorder(safety_filter.solver)
+
+    def correct(x: Tensor, desired: Tensor) -> Correction:
+        met.append((x, desired))
+        return safety_filter(x, desired)
+
+    safety = replace(safety_filter.safety(), correct=correct)
+    env = build.make_env(config, EPISODES, [torch.Generator(device).manual_seed(0)], safety)
+    observation = env.reset()
+    for i in range(STEPS):
+        if i == STEPS // 2:
+            met.clear()
+            safety_filter.solver = recorder
+        observation = env.step(actor(observation)).observation
+    safety_filter.solver = recorder.solver
+    x, desired = (torch.cat(parts, 1) for parts in zip(*met, strict=True))
+    order = torch.randperm(x.shape[1], generator=torch.Generator().manual_seed(0)).to(device)
+    return Flight(x[:, order], desired[:, order], [join(parts) for parts in recorder.asked.values()])
+
+
+def join(parts: list[Problems]) -> Problems:
+    """One batch of the programs of several, shuffled."""
+    fields = ("desired", "a", "b", "b_bare")
+    every = Problems(
+        *(torch.cat([getattr(part, name) for part in parts], -1) for name in fields), parts[0].weight
+    )
+    count = every.desired.shape[1]
+    order = torch.randperm(count, generator=torch.Generator().manual_seed(0))
+    return every[order.to(every.a.device)]
+
+
+def first(x: Tensor, count: int) -> Tensor:
+    """The first `count` columns of x, repeated as often as needed."""
+    return x[..., torch.arange(count, device=x.device) % x.shape[-1]].contiguous()
+
+
+def simulator_rate(env: InspectionEnv, flight: Flight) -> Rates:
+    """Environment steps per s under small random actions, those of an untrained policy."""
+    batch, device = env.time.numel(), env.x.device
+    begin(env, flight)
+    generator = torch.Generator(device).manual_seed(0)
+    action = 0.1 * torch.randn(batch, CONTROL_SIZE, generator=generator, device=device)
+    return repeated(lambda: env.step(action), batch, device)
+
+
+def closed_loop_rate(env: InspectionEnv, flight: Flight, actor: Actor) -> Rates:
+    """Environment steps per s, each of them observation, policy, filter calls and simulation."""
+    begin(env, flight)
+    observation = env.observation()
+
+    def step() -> None:
+        nonlocal observation
+        observation = env.step(actor(observation)).observation
+
+    return repeated(step, env.time.numel(), env.x.device)
+
+
+def begin(env: InspectionEnv, flight: Flight) -> None:
+    """Puts states met in flight into every episode."""
+    x = first(flight.x, env.time.numel())
+    env.start(x, first(torch.eye(3, dtype=x.dtype, device=x.device), env.time.numel()))
+
+
+def filter_rate(safety_filter: SafetyFilter, flight: Flight, batch: int) -> Rates:
+    """Filter calls per s, one call being one spacecraft's."""
+    x, desired = first(flight.x, batch), first(flight.desired, batch)
+    return repeated(lambda: safety_filter(x, desired), batch, x.device)
+
+
+def solver_rate(solver: Solver, programs: list[Problems], batch: int) -> Rates:
+    """Programs per s where each call of the solver is given `batch` of one actuator group."""
+    parts = [part[torch.arange(batch, device=part.a.device) % part.desired.shape[1]] for part in programs]
+
+    def solve() -> None:
+        for part in parts:
+            solver.solve(part)
+
+    return repeated(solve, batch * len(parts), parts[0].a.device)
+
+
+def single_latencies(safety_filter: SafetyFilter, flight: Flight) -> list[float]:
+    """ms of SINGLE_CALLS filter calls, each of another single spacecraft, sorted."""
+    milliseconds = []
+    for i in range(50 + SINGLE_CALLS):
+        k = i % flight.x.shape[1]
+        x, desired = flight.x[:, k : k + 1].contiguous(), flight.desired[:, k : k + 1].contiguous()
+        wait(x.device)
+        started = time.perf_counter()
+        safety_filter(x, desired)
+        wait(x.device)
+        milliseconds.append(1e3 * (time.perf_counter() - started))
+    return sorted(milliseconds[50:])
+
+
+def learner_rate(config: Config, minibatch: int, device: torch.device, compiled: bool) -> Rates:
+    """Samples per s of PPO updates: a sample counts once per epoch that trains on it."""
+    generators = [torch.Generator(device).manual_seed(0)]
+    policy, value = build.make_policy(config, generators), Value(OBSERVATION_SIZE, generators)
+    learner = PPO(policy, value, replace(config.ppo, epochs=1, minibatch_size=minibatch), generators)
+    samples = max(16384, minibatch)
+    if compiled:
+        build.compile_or_explain("learner", lambda: learner.compile(samples))
+    noise = partial(torch.randn, generator=generators[0], device=device)
+    batch = {"observation": noise(1, samples, OBSERVATION_SIZE)}
+    batch["action"], batch["log_prob"] = policy.sample(batch["observation"], generators)
+    batch |= {name: noise(1, samples) for name in ("advantage", "return_", "value")}
+    return repeated(lambda: learner.update(batch, 0.5), samples, device)
+
+
+def learner_flops(config: Config) -> float:
+    """Matrix-product flop per sample of an update.
+
+    A layer of n x m weights takes 2 n m flop forward, as many for the weights' gradient and, but in the first
+    layer, as many for its input's. With 26 inputs, two hidden layers of 256 and 12 + 1 outputs that is
+    6 (2 (26 + 256) 256 + 256 (12 + 1)) - 4 (26) 256 = 859,648.
+    """
+    flops, generators = 0, [torch.Generator()]
+    for network in (
+        build.make_policy(config, generators).network,
+        Value(OBSERVATION_SIZE, generators).network,
+    ):
+        for i, layer in enumerate(network.layers):
+            flops += (4 if i == 0 else 6) * layer.weight[0].numel()
+    return float(flops)
+
+
+def matmul_rate(device: torch.device) -> Rates:
+    """Flop per s of a square float32 matrix product."""
+    a, b = torch.randn(2, MATRIX, MATRIX, device=device)
+    out = torch.empty_like(a)
+    return repeated(lambda: torch.mm(a, b, out=out), 2.0 * MATRIX**3, device)
+
+
+def peak_memory_mb(device: torch.device) -> float:
+    """Most memory of the process so far; on a GPU, of PyTorch's tensors there."""
+    if device.type == "cuda":
+        return torch.cuda.max_memory_allocated(device) / 2**20
+    unit = 1 if sys.platform == "darwin" else 1024  # bytes, elsewhere KiB
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit / 2**20
+
+
+def trained_actor(device: torch.device) -> Actor | None:
+    """The shipped agent; None, and a line that says so, where it cannot be loaded."""
+    try:
+        policy, _ = build.load_policy(str(TRAINED))
+    except (CheckpointError, InputError) as error:
+        print(f"no trained agent, so only programs of the untrained one are solved: {error}", flush=True)
+        return None
+    return policy_actor(policy.to(device))
+
+
+def spread(rates: Rates) -> Spread:
+    """Median, smallest and largest."""
+    return {"median": median(rates), "min": min(rates), "max": max(rates)}
+
+
+def us(rate: Spread) -> Spread:
+    """Microseconds per program from programs per s."""
+    return {"median": 1e6 / rate["median"], "min": 1e6 / rate["max"], "max": 1e6 / rate["min"]}
+
+
+@torch.no_grad()
+def benchmark(config: Config, batches: tuple[int, ...]) -> dict[str, Any]:
+    """Measures everything, compiled unless config.train.compile is "off".
+
+    Returns:
+        The content of `benchmark --json`. Headline numbers are medians, rates those at the batch of `batches`
+        next to TYPICAL, the learner's at that next to its minibatch. `min_max` has the smallest and largest
+        measurement of each under the same key; `scaling` has all three by batch: environments, spacecraft or
+        samples at once, or programs for `qp_us`.
+    """
+    device = build.resolve_device(config.train.device)
+    compiled = build.wants_compile(config.train.compile, True)
+    say = partial(print, file=sys.stderr, flush=True)
+
+    say("learner and matrix products")
+    matmul = spread(matmul_rate(device))
+    with torch.enable_grad():
+        learner = {n: spread(learner_rate(config, n, device, compiled)) for n in batches}
+
+    say("filter")
+    filters = {f"{period:g}": make_filter(config, period, compiled) for period in PERIODS}
+    safety_filter, actor = filters["1"], untrained(config, device)
+    flight = fly(config, safety_filter, actor, device)
+    filtering = {n: spread(filter_rate(safety_filter, flight, n)) for n in batches}
+    onboard = copy(safety_filter)
+    onboard.solver = make_solver("piqp")
+    latencies = single_latencies(onboard, flight)
+
+    simulator: dict[int, Spread] = {}
+    closed: dict[str, dict[int, Spread]] = {name: {} for name in filters}
+    for n in batches:
+        say(f"{n:,} episodes at once")
+        env = build.make_env(config, n, [torch.Generator(device)], safety_filter.safety(False), compiled)
+        simulator[n] = spread(simulator_rate(env, flight))
+        for name, filter_at_period in filters.items():
+            env.safety = filter_at_period.safety()
+            closed[name][n] = spread(closed_loop_rate(env, flight, actor))
+
+    say("solvers")
+    flights = [flight]
+    if shipped := trained_actor(device):
+        flights.append(fly(config, safety_filter, shipped, device))
+    programs = [program for flown in flights for program in flown.programs]
+    solvers = {"piqp": onboard.solver, "batched": safety_filter.solver}
+    qp = {
+        name: {n: us(spread(solver_rate(solver, programs, n))) for n in PROGRAMS}
+        for name, solver in solvers.items()
+    }
+
+    typical = min(batches, key=lambda n: abs(n - TYPICAL[device.type]))
+    minibatch = min(batches, key=lambda n: abs(n - config.ppo.minibatch_size))
+    headline: dict[str, Any] = {
+        "simulator_steps_per_s": simulator[typical],
+        "closed_loop_steps_per_s": {name: rates[typical] for name, rates in closed.items()},
+        "filter_calls_per_s": filtering[typical],
+        "qp_us": {name: times[TYPICAL_PROGRAMS] for name, times in qp.items()},
+        "learner_samples_per_s": learner[minibatch],
+        "matmul_gflops": {key: rate / 1e9 for key, rate in matmul.items()},
+    }
+    flops = learner[minibatch]["median"] * learner_flops(config)
+    return pick_out(headline, lambda s: s["median"]) | {
+        "single_filter_latency_ms": {
+            "median": median(latencies),
+            "p99": latencies[int(0.99 * len(latencies))],
+        },
+        "learner_matmul_share": flops / matmul["median"],
+        "peak_memory_mb": peak_memory_mb(device),
+        "scaling": {
+            "simulator_steps_per_s": simulator,
+            "closed_loop_steps_per_s": closed,
+            "filter_calls_per_s": filtering,
+            "learner_samples_per_s": learner,
+            "qp_us": qp,
+        },
+        "min_max": pick_out(headline, lambda s: [s["min"], s["max"]])
+        | {"single_filter_latency_ms": [latencies[0], latencies[-1]]},
+        "batch": typical,
+        "threads": torch.get_num_threads(),
+        "device": device_name(device),
+        "compiled": compiled,
+    }
+
+
+def pick_out(headline: dict[str, Any], choose: Callable[[Spread], Any]) -> dict[str, Any]:
+    """The same nested dictionary with `choose` of every Spread in it."""
+    return {
+        name: choose(value) if "median" in value else pick_out(value, choose)
+        for name, value in headline.items()
+    }
+
+
+def make_filter(config: Config, period: float, compiled: bool) -> SafetyFilter:
+    """The filter at a period with the batched solver."""
+    train = replace(config.train, qp_solver="batched")
+    return build.make_safety(replace(config, train=train), True, period, compiled).correct
+
+
+def device_name(device: torch.device) -> str:
+    """The GPU's name, else the processor's."""
+    if device.type == "cuda":
+        return torch.cuda.get_device_name(device)
+    return f"cpu ({platform.processor() or platform.machine()})"
+
+
+def table(results: dict[str, Any]) -> str:
+    """The results for a person."""
+    low_high = results["min_max"]
+    lines = [
+        f"{results['device']}, {results['threads']} threads, {'compiled' if results['compiled'] else 'eager'}; "
+        f"medians of {REPEATS} repeats [min, max], {results['batch']:,} episodes or spacecraft at once",
+        "",
+    ]
+
+    def line(label: str, value: float, extremes: list[float], unit: str) -> None:
+        digits = 0 if value >= 1000 else 3
+        low, high = extremes
+        lines.append(
+            f"{label:44}{value:>14,.{digits}f}  [{low:,.{digits}f}, {high:,.{digits}f}] {unit}".rstrip()
+        )
+
+    line("simulator", results["simulator_steps_per_s"], low_high["simulator_steps_per_s"], "steps/s")
+    for name, rate in results["closed_loop_steps_per_s"].items():
+        line(f"closed loop, RTA at {name} s", rate, low_high["closed_loop_steps_per_s"][name], "steps/s")
+    line("filter", results["filter_calls_per_s"], low_high["filter_calls_per_s"], "calls/s")
+    for name, time_us in results["qp_us"].items():
+        line(f"{name}, {TYPICAL_PROGRAMS:,} programs at once", time_us, low_high["qp_us"][name], "us per QP")
+    latency = results["single_filter_latency_ms"]
+    line(
+        "single filter call",
+        latency["median"],
+        low_high["single_filter_latency_ms"],
+        f"ms, p99 {latency['p99']:.3f}",
+    )
+    line("learner", results["learner_samples_per_s"], low_high["learner_samples_per_s"], "samples/s")
+    line("float32 matrix product", results["matmul_gflops"], low_high["matmul_gflops"], "Gflop/s")
+    lines.append(
+        f"{'learner, share of the matrix product rate':44}{100 * results['learner_matmul_share']:>14.1f}  %"
+    )
+    lines.append(f"{'peak memory':44}{results['peak_memory_mb']:>14,.0f}  MB")
+    curves = scaling_curves(results)
+    batches = sorted({n for rates in curves.values() for n in rates})
+    lines += ["", f"{'median by batch, per s':28}" + "".join(f"{n:>12,}" for n in batches)]
+    for label, rates in curves.items():
+        lines.append(
+            f"{label:28}" + "".join(f"{rates[n]:>12,.0f}" if n in rates else f"{'':12}" for n in batches)
+        )
+    return "\n".join(lines)
+
+
+def scaling_curves(results: dict[str, Any]) -> dict[str, dict[int, float]]:
+    """Medians per s by what is done at once, by label."""
+    scaling = results["scaling"]
+    curves = {
+        "filter calls": scaling["filter_calls_per_s"],
+        "simulator steps": scaling["simulator_steps_per_s"],
+        **{f"closed-loop steps, {p} s": rates for p, rates in scaling["closed_loop_steps_per_s"].items()},
+        "learner samples": scaling["learner_samples_per_s"],
+        **{
+            f"{name} programs": {n: us(t) for n, t in times.items()}
+            for name, times in scaling["qp_us"].items()
+        },
+    }
+    return {label: {n: rate["median"] for n, rate in rates.items()} for label, rates in curves.items()}
+
+
+def figure(results: dict[str, Any], path: Path) -> None:
+    """Every rate over the batch as a log-log plot, a PNG."""
+    from matplotlib.figure import Figure
+
+    drawing = Figure(figsize=(8, 5.2), layout="constrained")
+    ax = drawing.subplots()
+    for (label, rates), marker, colour in zip(
+        scaling_curves(results).items(), "os^v<D*P", PALETTE, strict=True
+    ):
+        ax.plot(list(rates), list(rates.values()), marker=marker, color=colour, label=label)
+    ax.set(
+        xscale="log",
+        yscale="log",
+        xlabel="at once (episodes, spacecraft, samples, programs)",
+        ylabel="per second",
+    )
+    ax.grid(True, which="major", alpha=0.4)
+    ax.set_title(f"{results['device']}, {results['threads']} threads", fontsize=10)
+    drawing.legend(loc="outside right upper", frameon=False, fontsize=9)
+    drawing.savefig(path, dpi=120, format="png")
