@@ -248,6 +248,7 @@ def build_parser() -> Parser:
         "verify", allow_abbrev=False, help="count violations behind the filter over many random episodes"
     )
     add_common(verify)
+    add_solver(verify, "batched")
     verify.add_argument(
         "--episodes", type=positive_integer, default=1000, metavar="N", help="in all (default: 1,000)"
     )
@@ -275,7 +276,7 @@ def build_parser() -> Parser:
     verify.add_argument(
         "--replay", metavar="F.npz", help="fly the counter-example in a file instead (default: none)"
     )
-    verify.set_defaults(run=run_verify, rta=True)
+    verify.set_defaults(run=run_verify, rta=True, qp_solver="batched")
 
     bench = commands.add_parser(
         "benchmark", allow_abbrev=False, help="measure the speed of simulator, filter, solvers and learner"
@@ -445,8 +446,6 @@ def run_verify(arguments: argparse.Namespace) -> None:
     """main.py verify"""
     from study import verification
 
-    if not arguments.rta:
-        raise InputError("--no-rta: verify counts violations behind the filter; evaluate takes --no-rta")
     if arguments.json:
         check_writable(arguments.json, "--json")
     if arguments.replay:

@@ -427,7 +427,8 @@ def verify(
         train.compile, episodes // BATCH * duration >= build.WORTH_COMPILING_FILTER
     )
     with refusing("[rta] and [inspection]", ValueError, OverflowError):
-        safety_filter = SafetyFilter(config.inspection, config.rta, train.rta_period, make_solver("batched"))
+        solver = make_solver(train.qp_solver)
+        safety_filter = SafetyFilter(config.inspection, config.rta, train.rta_period, solver)
     if compiled:
         build.compile_or_explain("filter", safety_filter.compile)
     safety_filter.rows = remembered(safety_filter.rows)
