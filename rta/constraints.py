@@ -45,10 +45,13 @@ class Smoothing:
     Attributes:
         distance: m; below it sqrt(2 a z) becomes its chord through 0.
         angle: rad; nearer than this to 0 or pi, arccos becomes its tangent.
+        incidence: rad; nearer than this to 0, the positive part of an angle becomes the parabola above it that
+            continues its slopes, 0 and 1.
     """
 
     distance: float = 0.0
     angle: float = 0.0
+    incidence: float = 0.0
 
 
 EXACT = Smoothing()
@@ -70,6 +73,15 @@ def arccos(cosine: Tensor, smoothing: Smoothing) -> Tensor:
     if smoothing.angle == 0.0:
         return inside.arccos()
     return inside.arccos() - (cosine - inside) / math.sin(smoothing.angle)
+
+
+def positive_part(angle: Tensor, smoothing: Smoothing) -> Tensor:
+    """max(angle, 0), within `smoothing.incidence` of zero the parabola (angle + w)^2 / (4 w)."""
+    w = smoothing.incidence
+    if w == 0.0:
+        return angle.clamp(min=0.0)
+    # inside, the square of a clamped number; beyond, what is left over
+    return (angle + w).clamp(0.0, 2 * w) ** 2 / (4 * w) + (angle - w).clamp(min=0.0)
 
 
 def signed_sqrt(z: Tensor, smoothing: Smoothing) -> Tensor:
@@ -170,14 +182,13 @@ def attitude_exclusion(angles: Angles, c: InspectionParameters) -> Tensor:
     return angles.boresight_sun - c.field_of_view / 2 - c.exclusion_buffer
 
 
-def temperature(x: Tensor, angles: Angles, c: InspectionParameters, lead: float = 0.0) -> Tensor:
+def temperature(x: Tensor, angles: Angles, c: InspectionParameters, smoothing: Smoothing = EXACT) -> Tensor:
     """T_max - T - delta_0 (pi/2 - theta_SI)^+ - delta_1 (pi/2 - theta_EI)^+ in deg C.
 
-    Incidence angles are defined on [0, pi/2], hence the positive parts. A filter may have them begin `lead`
-    rad before the surface is lit; zero is the paper's form.
+    Incidence angles are defined on [0, pi/2], hence the positive parts.
     """
-    sun = (math.pi / 2 + lead - angles.surface_sun).clamp(min=0.0)
-    earth = (math.pi / 2 + lead - angles.surface_earth).clamp(min=0.0)
+    sun = positive_part(math.pi / 2 - angles.surface_sun, smoothing)
+    earth = positive_part(math.pi / 2 - angles.surface_earth, smoothing)
     return c.max_temperature - x[T] - c.temperature_sun_slope * sun - c.temperature_earth_slope * earth
 
 
@@ -186,13 +197,11 @@ def battery(x: Tensor, angles: Angles, c: InspectionParameters) -> Tensor:
     return x[E] - c.min_energy - c.energy_sun_slope * angles.panel_sun
 
 
-def orientation(
-    x: Tensor, c: InspectionParameters, smoothing: Smoothing = EXACT, lead: float = 0.0
-) -> Tensor:
+def orientation(x: Tensor, c: InspectionParameters, smoothing: Smoothing = EXACT) -> Tensor:
     """Attitude exclusion, temperature and battery, all of relative degree two: (16, ...) to (3, ...)."""
     angles = incidence_angles(x, c, smoothing)
     return torch.stack(
-        (attitude_exclusion(angles, c), temperature(x, angles, c, lead), battery(x, angles, c))
+        (attitude_exclusion(angles, c), temperature(x, angles, c, smoothing), battery(x, angles, c))
     )
 
 

@@ -40,15 +40,16 @@ class RtaParameters:
     # Torque turns the thrust by up to alpha_max T^2 / 6 = 0.005 rad more than the rates do; thrust of 0.25 N that far
     # off moves a pass 2 minutes ahead by 0.015 m in a second, which the gain makes up for at 0.5 m.
     passive_safety_margin: float = 1.0  # m
-    exclusion_margin: float = 0.005  # rad
-    temperature_margin: float = 0.02  # deg C
-    battery_margin: float = 0.005  # kJ
+    exclusion_margin: float = 0.01  # rad
+    temperature_margin: float = 0.05  # deg C
+    battery_margin: float = 0.02  # kJ
     rate_margin: float = 0.0  # rad^2/s^2; the plant saturates at the limit itself
 
-    # The temperature row feels the light this much before it arrives. In the dark the constraint's gradient is
-    # zero, and Psi_1 drops by delta_0 omega at its edge; 1 / k2 = 5 s of turning at 2 deg/s, in which it
-    # recovers, are 0.17 rad.
-    incidence_lead: float = 0.3  # rad
+    # Where the surface turns into the light, the slope of (pi/2 - theta_SI)^+ jumps, and Psi_1 drops by
+    # delta_0 omega, up to 0.0017 deg C/s, which torque cannot prevent, having no influence in the dark. A terminator
+    # crossed again and again ate up every margin. Torque stops 2 deg/s within 0.035 rad, so the filter rounds
+    # the edge off over several times that angle.
+    incidence_rounding: float = 0.3  # rad, to either side
 
     # The free flight's closest approach is enforced once per segment, so that a second close pass is
     # held off while the first one is being corrected.

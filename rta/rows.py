@@ -1,7 +1,7 @@
 """The barrier conditions a u + b >= 0 of all constraints at a batch of states."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import torch
@@ -69,7 +69,7 @@ class Barriers:
         self.c, self.r, self.period = c, r, period
         # the slope of sqrt(2 a z) is at most sqrt(2 a / floor) = 1 / T, else it could overshoot within one period
         floor = max(r.distance_floor, 2 * c.max_acceleration * period**2)
-        self.smoothing = Smoothing(floor, r.pole_angle)
+        self.smoothing = Smoothing(floor, r.pole_angle, r.incidence_rounding)
         critical, resource, motion = r.slack_weight_critical, r.slack_weight_resource, r.slack_weight_motion
 
         def gain(value: float) -> float:
@@ -136,7 +136,7 @@ class Barriers:
 
     def orientation(self, x: Tensor) -> Tensor:
         """h of relative degree two, (16, ...) to (3, ...)."""
-        return constraints.orientation(x, self.c, self.smoothing, self.r.incidence_lead)
+        return constraints.orientation(x, self.c, self.smoothing)
 
     def first_psi(self, x: Tensor) -> Tensor:
         """Psi_1 = dh/dt + k1 (h - margin) of the constraints of relative degree two, (16, ...) to (3, ...)."""
@@ -160,7 +160,7 @@ class Barriers:
             return torch.cat((self.first_psi(y), constraints.angular_velocity(y, c)))
 
         psi, lf, lg = lie_derivatives(psi_and_rates, x, f, g[:, TORQUE])
-        reported = constraints.orientation(x, c, self.smoothing)  # without the lead
+        reported = constraints.orientation(x, c, replace(self.smoothing, incidence=0.0))
         h = torch.cat((reported, psi[3:]))
         return thrust, self.condition(self.torque, h, psi, lf, lg, torch.zeros_like(psi))
 
