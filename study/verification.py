@@ -16,7 +16,7 @@ from tqdm import tqdm
 
 from inspection.environment import InspectionEnv
 from inspection.guidance import Controller
-from inspection.initial_state import sample_initial_state, spherical
+from inspection.initial_state import MAX_ATTEMPTS, sample_initial_state, spherical
 from inspection.parameters import InspectionParameters
 from inspection.state import CONTROL_SIZE, OMEGA, SIZE, THETA_S, E, P, Q, T, V
 from ppo.network import Policy
@@ -46,11 +46,16 @@ def safe_set(count: int, seed: int, barriers: Barriers) -> tuple[Tensor, Tensor,
 
     Returns:
         States (16, count), priority vectors (3, count) and how many states were left out.
+
+    Raises:
+        RuntimeError: fewer were found in 1000 hypercubes.
     """
     c = barriers.c
     sampler = qmc.LatinHypercube(16, rng=np.random.default_rng(seed))
     kept, left_out = torch.zeros(SIZE + 3, 0, dtype=torch.float64), 0
-    while kept.shape[1] < count:
+    for _ in range(MAX_ATTEMPTS):
+        if kept.shape[1] >= count:
+            return kept[:SIZE, :count], kept[SIZE:, :count], left_out
         s = torch.from_numpy(sampler.random(4 * count).T.copy())
         turn, lean = 2 * math.pi * s, (2 * s - 1).arcsin()  # azimuth, and elevation uniform on the sphere
         distance = c.collision_radius + (FARTHEST - c.collision_radius) * s[0]
@@ -71,7 +76,7 @@ def safe_set(count: int, seed: int, barriers: Barriers) -> tuple[Tensor, Tensor,
         can_brake = barriers.can_brake(safe[:SIZE])
         kept = torch.cat((kept, safe[:, can_brake]), 1)
         left_out += int((~can_brake).sum())
-    return kept[:SIZE, :count], kept[SIZE:, :count], left_out
+    raise RuntimeError(f"only {kept.shape[1]} of {count} initial states found in the safe set")
 
 
 def initial_states(count: int, seed: int, barriers: Barriers) -> tuple[Tensor, Tensor, int]:
@@ -339,7 +344,8 @@ def run(
     while report["episodes"] < episodes:
         batch = min(BATCH, episodes - report["episodes"])
         seed = campaign.batch_seed(report["episodes"])
-        x, priority, left_out = initial_states(batch, seed, safety_filter.barriers)
+        with refusing("[inspection] and [rta]", RuntimeError):
+            x, priority, left_out = initial_states(batch, seed, safety_filter.barriers)
         if env is None or env.time.numel() != batch:
             env = make_env(batch)
         controller, decide = controller_of(campaign.policy, safety_filter, env, network, seed)
@@ -429,8 +435,10 @@ def verify(
 
     campaign = Campaign(policy, train.rta_period, duration, seed)
     network = network.to(device) if network else None
-    with tqdm(total=episodes, unit=" episodes", dynamic_ncols=True) as bar:
-        for report in run(campaign, episodes, safety_filter, make_env, network, path, config):
+    reports = run(campaign, episodes, safety_filter, make_env, network, path, config)
+    report = next(reports)  # refuses a file before there is a bar
+    with tqdm(total=episodes, initial=report["episodes"], unit=" episodes", dynamic_ncols=True) as bar:
+        for report in reports:
             bar.update(report["episodes"] - bar.n)
             bar.set_postfix(violating=report["violating_episodes"]["any"])
     return report
@@ -444,7 +452,9 @@ def replay_file(path: str, resolve: Callable[[Config], Config]) -> str:
     """
     names = ("state", "priority", "control_desired", "constraint", "value", "period", "config")
     example = read_arrays(path, names)
-    with refusing(f"{path}: not a counter-example of verify", ValueError, TypeError, RuntimeError):
+    with refusing(
+        f"{path}: not a counter-example of verify", ValueError, TypeError, RuntimeError, IndexError
+    ):
         config = resolve(from_toml(str(example["config"]), path))
         solver = make_solver("batched")  # that of `verify`; PIQP's controls differ in the last digits
         safety_filter = SafetyFilter(config.inspection, config.rta, float(example["period"]), solver)
