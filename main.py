@@ -446,11 +446,11 @@ def run_verify(arguments: argparse.Namespace) -> None:
     """main.py verify"""
     from study import verification
 
+    if arguments.replay:
+        print(verification.replay_file(arguments.replay, lambda base: resolve(arguments, base)))
+        return
     if arguments.json:
         check_writable(arguments.json, "--json")
-    if arguments.replay:
-        print(verification.replay_file(arguments.replay, resolve(arguments, Config())))
-        return
     report = verification.verify(
         arguments.policy,
         arguments.episodes,

@@ -16,7 +16,7 @@ from tqdm import tqdm
 
 from inspection.environment import InspectionEnv
 from inspection.guidance import Controller
-from inspection.initial_state import sample_initial_state, spherical
+from inspection.initial_state import MAX_ATTEMPTS, sample_initial_state, spherical
 from inspection.parameters import InspectionParameters
 from inspection.state import CONTROL_SIZE, OMEGA, SIZE, THETA_S, E, P, Q, T, V
 from ppo.network import Policy
@@ -25,7 +25,7 @@ from rta.filter import SafetyFilter, make_solver
 from rta.qp import Status
 from rta.rows import Barriers, Rows
 from study import build
-from study.config import Config
+from study.config import Config, from_toml
 from study.errors import InputError, refusing
 from study.offline import read_arrays
 
@@ -40,16 +40,22 @@ def safe_set(count: int, seed: int, barriers: Barriers) -> tuple[Tensor, Tensor,
     """Initial states from the whole safe set: every h and every Psi_1 is non-negative.
 
     A Latin hypercube over distance up to FARTHEST, speed up to the limit there, all directions and attitudes,
-    body rates, temperature and energy down to their limits and the Sun's angle. States in which no thrust can
-    keep the spacecraft in its zone (`Barriers.can_brake`) are left out and counted.
+    body rates, temperature and energy down to their limits and the Sun's angle. States beyond the filter's own
+    keep-in barrier, where not every attitude has the thrust to follow it (`Barriers.can_brake`), are left out
+    and counted.
 
     Returns:
         States (16, count), priority vectors (3, count) and how many states were left out.
+
+    Raises:
+        RuntimeError: fewer were found in 1000 hypercubes.
     """
     c = barriers.c
     sampler = qmc.LatinHypercube(16, rng=np.random.default_rng(seed))
     kept, left_out = torch.zeros(SIZE + 3, 0, dtype=torch.float64), 0
-    while kept.shape[1] < count:
+    for _ in range(MAX_ATTEMPTS):
+        if kept.shape[1] >= count:
+            return kept[:SIZE, :count], kept[SIZE:, :count], left_out
         s = torch.from_numpy(sampler.random(4 * count).T.copy())
         turn, lean = 2 * math.pi * s, (2 * s - 1).arcsin()  # azimuth, and elevation uniform on the sphere
         distance = c.collision_radius + (FARTHEST - c.collision_radius) * s[0]
@@ -70,7 +76,7 @@ def safe_set(count: int, seed: int, barriers: Barriers) -> tuple[Tensor, Tensor,
         can_brake = barriers.can_brake(safe[:SIZE])
         kept = torch.cat((kept, safe[:, can_brake]), 1)
         left_out += int((~can_brake).sum())
-    return kept[:SIZE, :count], kept[SIZE:, :count], left_out
+    raise RuntimeError(f"only {kept.shape[1]} of {count} initial states found in the safe set")
 
 
 def initial_states(count: int, seed: int, barriers: Barriers) -> tuple[Tensor, Tensor, int]:
@@ -209,8 +215,9 @@ def fly(
 
 
 def note_state(flight: Flight, h: Tensor, t: float) -> None:
-    """Adds the constraint values (13, B) at t s, in place. NaN counts as violated."""
-    broken = ~(h >= 0.0)
+    """Adds the constraint values (13, B) at t s, in place. NaN counts as violated without end."""
+    h = torch.where(h.isnan(), -torch.inf, h)
+    broken = h < 0.0
     flight.violating += torch.cat((broken, broken.any(0)[None]))
     flight.when = torch.where(h < flight.worst, t, flight.when)
     flight.worst = torch.minimum(flight.worst, h)
@@ -287,8 +294,10 @@ def add(report: dict[str, Any], flight: Flight) -> None:
     report["upper_bound_95"] = upper_bound(report["violating_episodes"]["any"], report["episodes"])
 
 
-def counter_example(flight: Flight, constraint: int, campaign: Campaign) -> dict[str, np.ndarray]:
-    """The batch's worst episode for a constraint, up to its worst moment: what `replay` needs."""
+def counter_example(
+    flight: Flight, constraint: int, campaign: Campaign, config: Config
+) -> dict[str, np.ndarray]:
+    """The batch's worst episode for a constraint, up to its worst moment: all that `replay_file` needs."""
     column = int(flight.worst[constraint].argmin())
     steps = int(flight.when[constraint, column])
     return {
@@ -298,6 +307,7 @@ def counter_example(flight: Flight, constraint: int, campaign: Campaign) -> dict
         "constraint": np.array(CONSTRAINTS[constraint]),
         "value": flight.worst[constraint, column].cpu().numpy(),
         "period": np.array(campaign.period),
+        "config": np.array(config.to_toml()),
     }
 
 
@@ -328,7 +338,7 @@ def run(
     make_env: Callable[[int], InspectionEnv],
     network: Policy | None,
     path: Path | None,
-    config: dict[str, Any],
+    config: Config,
 ) -> Iterator[dict[str, Any]]:
     """Flies batch after batch and yields the report so far, which `path` holds too and is resumed from.
 
@@ -336,9 +346,9 @@ def run(
         make_env: an environment of so many episodes behind the filter.
         network: of --policy checkpoint, else None.
         path: a JSON file; beside it a violated constraint leaves its worst episode, FILE.CONSTRAINT.npz.
-        config: the configuration, for the report.
+        config: the configuration, for the report and for the counter-examples.
     """
-    report = empty_report(campaign, config)
+    report = empty_report(campaign, dataclasses.asdict(config))
     if path is not None and path.is_file() and path.stat().st_size:
         report = continued(path, report)
     yield report
@@ -346,7 +356,8 @@ def run(
     while report["episodes"] < episodes:
         batch = min(BATCH, episodes - report["episodes"])
         seed = campaign.batch_seed(report["episodes"])
-        x, priority, left_out = initial_states(batch, seed, safety_filter.barriers)
+        with refusing("[inspection] and [rta]", RuntimeError):
+            x, priority, left_out = initial_states(batch, seed, safety_filter.barriers)
         if env is None or env.time.numel() != batch:
             env = make_env(batch)
         controller, decide = controller_of(campaign.policy, safety_filter, env, network, seed)
@@ -357,7 +368,7 @@ def run(
         if path is not None:
             for i, name in enumerate(CONSTRAINTS):
                 if report["worst_value"][name] < min(0.0, before[name]):
-                    np.savez_compressed(f"{path}.{name}.npz", **counter_example(flight, i, campaign))
+                    np.savez_compressed(f"{path}.{name}.npz", **counter_example(flight, i, campaign, config))
             part = path.with_name(path.name + ".part")
             part.write_text(json.dumps(report, indent=2) + "\n", encoding="utf-8")
             os.replace(part, path)
@@ -394,8 +405,8 @@ def table(report: dict[str, Any]) -> str:
         f"{report['upper_bound_95']:.2e} (95 %)",
         f"{total:,} filter calls, {corrected:.1f} % corrected, {calls['slack']:,} with slack, "
         f"{report['unsolved']:,} unsolved; controls outside their bounds in "
-        f"{report['controls_outside_bounds']:,} episodes; {report['starts_left_out']:,} starts left out: no thrust "
-        "could keep them in the zone",
+        f"{report['controls_outside_bounds']:,} episodes; {report['starts_left_out']:,} starts left out: beyond "
+        "the filter's keep-in barrier",
     ]
     return "\n".join(lines)
 
@@ -423,9 +434,8 @@ def verify(
     decide = config.inspection.action_period if network else train.rta_period
     if duration % decide:
         raise InputError(f"--duration {duration}: must be a multiple of {decide:g} s, the policy's period")
-    compiled = build.wants_compile(
-        train.compile, episodes // BATCH * duration >= build.WORTH_COMPILING_FILTER
-    )
+    calls = -(-episodes // BATCH) * duration / train.rta_period
+    compiled = build.wants_compile(train.compile, calls >= build.WORTH_COMPILING_FILTER)
     with refusing("[rta] and [inspection]", ValueError, OverflowError):
         solver = make_solver(train.qp_solver)
         safety_filter = SafetyFilter(config.inspection, config.rta, train.rta_period, solver)
@@ -439,21 +449,29 @@ def verify(
 
     campaign = Campaign(policy, train.rta_period, duration, seed)
     network = network.to(device) if network else None
-    with tqdm(total=episodes, unit=" episodes", dynamic_ncols=True) as bar:
-        for report in run(
-            campaign, episodes, safety_filter, make_env, network, path, dataclasses.asdict(config)
-        ):
+    reports = run(campaign, episodes, safety_filter, make_env, network, path, config)
+    report = next(reports)  # refuses a file before there is a bar
+    with tqdm(total=episodes, initial=report["episodes"], unit=" episodes", dynamic_ncols=True) as bar:
+        for report in reports:
             bar.update(report["episodes"] - bar.n)
             bar.set_postfix(violating=report["violating_episodes"]["any"])
     return report
 
 
-def replay_file(path: str, config: Config) -> str:
-    """Flies the counter-example in a file and says what came of it."""
-    names = ("state", "priority", "control_desired", "constraint", "value", "period")
+def replay_file(path: str, resolve: Callable[[Config], Config]) -> str:
+    """Flies the counter-example in a file and says what came of it.
+
+    Args:
+        resolve: puts the command line over the configuration in the file.
+    """
+    names = ("state", "priority", "control_desired", "constraint", "value", "period", "config")
     example = read_arrays(path, names)
-    with refusing(f"{path}: not a counter-example of verify", ValueError, TypeError, RuntimeError):
-        safety_filter = SafetyFilter(config.inspection, config.rta, float(example["period"]))
+    with refusing(
+        f"{path}: not a counter-example of verify", ValueError, TypeError, RuntimeError, IndexError
+    ):
+        config = resolve(from_toml(str(example["config"]), path))
+        solver = make_solver("batched")  # that of `verify`; PIQP's controls differ in the last digits
+        safety_filter = SafetyFilter(config.inspection, config.rta, float(example["period"]), solver)
         env = build.make_env(config, 1, [torch.Generator().manual_seed(0)], safety_filter.safety())
         value, when = replay(env, example)
     return (

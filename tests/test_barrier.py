@@ -4,6 +4,7 @@ Rows of relative degree two difference Psi_1, whose own L_f h is an exact comple
 """
 
 import itertools
+import math
 from collections.abc import Callable
 
 import numpy as np
@@ -23,11 +24,13 @@ from tests.test_constraints import (
     MEAN_MOTION,
     body_axis,
     cosines,
+    keep_in_curve,
     length,
     orientation,
     paper,
     passive_safety,
     positive,
+    speed_limit,
     tensor,
 )
 
@@ -38,14 +41,20 @@ SPACECRAFT = {
     "unequal_moments": InspectionParameters(inertia=(0.04, 0.06, 0.09), solar_panel_axis="+x"),
 }
 K1 = np.array([*R.exclusion_gains[:1], *R.temperature_gains[:1], *R.battery_gains[:1]])
-# (gain in 1/s, margin) of each row at a period of 1 s; passive safety has one row per segment
+# m/s^2 and m/s^3: all thrusters at once, the same with the worst natural acceleration, and a thrust that turns
+# about a body diagonal, at 2 deg/s about each axis
+THRUST_MOST, OMEGA_MOST = math.sqrt(3) / 12, math.sqrt(3) * math.radians(2)
+MOST = THRUST_MOST + 3 * MEAN_MOTION**2 * 800 + 2 * MEAN_MOTION * 5
+JERK = OMEGA_MOST * THRUST_MOST
+# (gain in 1/s, margin, what h can fall in 1 s below its linear prediction) of each row at a period of 1 s; passive
+# safety has one row per segment. At the limit v^2 falls by |a|^2 t^2 + v da/dt t^2.
 THRUST = np.array(
     [
-        (R.collision_gain, R.collision_margin),
-        (R.speed_gain, R.speed_margin),
-        (R.keep_in_gain, R.keep_in_margin),
-        *[(R.passive_safety_gain, R.passive_safety_margin)] * 5,
-        *[(R.velocity_gain, R.velocity_margin)] * 3,
+        (R.collision_gain, R.collision_margin, JERK / 2),
+        (R.speed_gain, 0.0, JERK / 2),  # and what `speed_fall` adds
+        (R.keep_in_gain, R.keep_in_margin, JERK / 2 + (0.2 + 7.5 * MEAN_MOTION * 800) * THRUST_MOST / 800),
+        *[(R.passive_safety_gain, R.passive_safety_margin, 0.0)] * 5,
+        *[(R.velocity_gain, 0.0, MOST**2 + 5 * JERK)] * 3,
     ]
 ).T[..., None]
 TORQUE = np.array(
@@ -113,9 +122,23 @@ def slope(h: Callable[[ndarray], ndarray], x: ndarray, direction: ndarray, step:
 
 
 def thrust_barriers(x: ndarray) -> ndarray:
-    """(11, B), one passive safety row per segment."""
+    """(11, B), the keep-in zone by the thrust left, one passive safety row per segment."""
     h = paper(x)
-    return np.stack((*h[:3], *(passive_safety(x, *span) for span in SEGMENTS), *h[4:7]))
+    return np.stack((*h[:2], keep_in_curve(x), *(passive_safety(x, *span) for span in SEGMENTS), *h[4:7]))
+
+
+def thrust_gain(psi: ndarray) -> ndarray:
+    """alpha's factor, (11, B): that of passive safety doubles at 30 m, and none exceeds half a call per second."""
+    rising = np.zeros_like(psi)
+    rising[PSM] = (psi[PSM] / R.passive_safety_doubling) ** 2
+    return np.minimum(THRUST[0] * (1 + rising), 0.5)
+
+
+def thrust_fall(x: ndarray) -> ndarray:
+    """(11, B). |v| curves by |a|^2 / (2 |v|); of that no more counts than 0.4 of alpha at rest."""
+    fall = np.broadcast_to(THRUST[2], (11, x.shape[1])).copy()
+    fall[1] += np.minimum(MOST**2 / (2 * speed_limit(x)), 0.4 * R.speed_gain * speed_limit(x))
+    return fall
 
 
 def first_psi(x: ndarray, c: InspectionParameters) -> ndarray:
@@ -142,7 +165,7 @@ def flying(count: int = 100) -> ndarray:
     )
     x = np.vstack((p, v, q / length(q), *rest))
     angle = np.abs(cosines(x))
-    clear = (angle > 0.02).all(0) & (angle < 0.99).all(0) & (passive_safety(x) > -13)
+    clear = (angle > 0.02).all(0) & (angle < 0.97).all(0) & (passive_safety(x) > -13)
     return x[:, clear][:, :count]
 
 
@@ -172,6 +195,8 @@ def test_control_matrix_equals_the_papers() -> None:
 
 def test_values_of_thrust_rows_equal_the_papers(case: tuple) -> None:
     expected = thrust_barriers(X)
+    near(case[1].psi[2], expected[2])
+    expected[2] = paper(X)[2]
     near(case[1].h[PSM], expected[PSM], 1e-4)
     expected[PSM] = case[1].h[PSM]
     near(case[1].h, expected)
@@ -198,8 +223,9 @@ def test_torque_rows_equal_finite_differences(case: tuple, axis: int) -> None:
 
 def test_thrust_rows_without_control_equal_finite_differences(case: tuple) -> None:
     c, thrust, _ = case
-    gain, margin = THRUST
-    expected = slope(thrust_barriers, X, drift(X, c), 1e-3) + gain * (thrust_barriers(X) - margin)
+    psi = thrust_barriers(X)
+    alpha = thrust_gain(psi) * (psi - THRUST[1])
+    expected = slope(thrust_barriers, X, drift(X, c), 3e-4) + alpha - thrust_fall(X)
     near(thrust.b[PSM], expected[PSM], PSM_DRIFT_TOLERANCE)
     expected[PSM] = thrust.b[PSM]
     near(thrust.b, expected)
@@ -213,9 +239,10 @@ def test_torque_rows_without_control_equal_finite_differences(case: tuple) -> No
 
 
 def test_margins_are_what_they_add_to_the_rows(case: tuple) -> None:
-    for rows, (gain, margin) in zip(case[1:], (THRUST, TORQUE), strict=True):
+    gains = thrust_gain(case[1].psi.numpy()), TORQUE[0]
+    for rows, gain, margin in zip(case[1:], gains, (THRUST[1], TORQUE[1]), strict=True):
         np.testing.assert_allclose(
-            rows.b_bare - rows.b, np.broadcast_to(gain * margin, rows.b.shape), atol=1e-14
+            rows.b_bare - rows.b, np.broadcast_to(gain * margin, rows.b.shape), atol=1e-12
         )
 
 

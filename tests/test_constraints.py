@@ -7,6 +7,7 @@ with the paper's numbers, and most of it also takes complex states, for derivati
 import functools
 import itertools
 import math
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -99,6 +100,20 @@ def coast(x: ndarray, t: ndarray) -> ndarray:
     )
 
 
+def speed_limit(x: ndarray) -> ndarray:
+    return 0.2 + 7.5 * MEAN_MOTION * length(x[:3])
+
+
+def keep_in_curve(x: ndarray) -> ndarray:
+    """sqrt(2 (a_max - v_t^2 / |p|) (800 - |p|)) - v_pr, at least a tenth of a_max left to brake."""
+    distance = length(x[:3])
+    radial = (x[:3] * x[3:6]).sum(0) / distance
+    across = np.cross(x[:3], x[3:6], axis=0) / distance
+    braking = np.maximum(A_MAX - (across**2).sum(0) / distance, A_MAX / 10)
+    z = 800 - distance
+    return np.sign(z) * np.sqrt(2 * braking * np.abs(z)) - radial
+
+
 def passive_safety(x: ndarray, start: float = 0.0, end: float = 500.0) -> ndarray:
     """inf |p(t)| - 15 m over [start, end] s, (B,): dense samples, then ever denser ones about the best."""
     low, high = np.full(x.shape[1], start), np.full(x.shape[1], end)
@@ -120,7 +135,7 @@ def paper(x: ndarray) -> ndarray:
     return np.stack(
         (
             root(distance - 15) + radial,
-            0.2 + 7.5 * MEAN_MOTION * distance - speed,
+            speed_limit(x) - speed,
             root(800 - distance) - radial,
             passive_safety(x),
             *(25 - x[3:6] ** 2),
@@ -170,6 +185,13 @@ FUNCTIONS = {
     "orientation": slice(7, 10),
     "angular_velocity": slice(10, 13),
 }
+
+
+@pytest.mark.parametrize("reference", [speed_limit, keep_in_curve], ids=["speed_limit", "keep_in_curve"])
+def test_helper_equals_numpy(reference: Callable[[ndarray], ndarray]) -> None:
+    x = states(1000)
+    value = getattr(constraints, reference.__name__)(tensor(x), C)
+    np.testing.assert_allclose(value, reference(x), rtol=0, atol=2e-12)
 
 
 def test_names_are_in_the_order_of_table_3() -> None:
@@ -258,7 +280,7 @@ def test_smooth_arccos_is_the_tangent_inside_its_zone(pole: float) -> None:
 def test_smooth_arccos_has_a_continuous_slope() -> None:
     cosine = np.linspace(-1, 1, 2_000_001)
     slope = np.diff(arccos(tensor(cosine), SMOOTH).numpy()) / np.diff(cosine)
-    # the largest curvature, 1 / sin(edge)^3 at the edge, over one step; a kink would jump by 1 / sin(edge) = 29
+    # the largest curvature, 1 / sin(edge)^3 at the edge, over one step; a kink would jump by 1 / sin(edge) = 5
     assert np.abs(np.diff(slope)).max() < 1.1 * 1e-6 / math.sin(R.pole_angle) ** 3
 
 
