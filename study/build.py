@@ -71,7 +71,8 @@ def make_safety(config: Config, enabled: bool, period: float, compiled: bool = F
         solver = make_solver(qp_solver(config.train))
         safety_filter = SafetyFilter(config.inspection, config.rta, period, solver)
     if compiled and enabled:
-        compile_or_explain("filter", safety_filter.compile)
+        device = resolve_device(config.train.device)
+        compile_or_explain("filter", lambda: safety_filter.compile(device))
     return safety_filter.safety(enabled)
 
 
