@@ -27,7 +27,7 @@ from rta.qp import Status
 from rta.rows import Barriers
 from study import verification
 from study.verification import LONGEST_HOLD, upper_bound
-from tests.test_barrier import drift, push, slope, thrust_fall, turn
+from tests.test_barrier import drift, held, push, slope, thrust_fall, turn
 from tests.test_constraints import (
     MEAN_MOTION,
     PSM_TOLERANCE,
@@ -52,6 +52,11 @@ COUNT = 1500
 def rate(x: ndarray, u: ndarray) -> ndarray:
     """f + g u, (16, B), of the paper's equations."""
     return drift(x, C) + sum(u[i] * push(x, i) + u[3 + i] * turn(x, i, C) for i in range(3))
+
+
+def expected_rate(x: ndarray, u: ndarray) -> ndarray:
+    """f + g u as the rows have it: with thrust along the attitude of mid-period."""
+    return rate(x, u) + sum(u[i] * (push(held(x), i) - push(x, i)) for i in range(3))
 
 
 def fly(x: ndarray, u: ndarray, steps: int = 20) -> ndarray:
@@ -112,9 +117,10 @@ def drawn() -> tuple[ndarray, ndarray]:
 
 
 def oriented(x: ndarray) -> ndarray:
-    """Attitude exclusion, temperature and battery, (3, B); the light is felt `incidence_lead` early."""
+    """Attitude exclusion, temperature and battery, (3, B), the light's edge a parabola 2 w wide."""
     boresight, panel, *side = (np.arccos(cosine.clip(-1, 1)) for cosine in cosines(x))
-    sun, earth = (positive(np.pi / 2 + R.incidence_lead - angle) for angle in side)
+    w, height = R.incidence_rounding, [np.pi / 2 - angle for angle in side]
+    sun, earth = (np.where(np.abs(z) < w, (z + w) ** 2 / (4 * w), positive(z)) for z in height)
     return np.stack(
         (boresight - np.pi / 6 - np.pi / 18, 10 - x[13] - 0.05 * sun - 0.01 * earth, x[14] - 1 - 0.05 * panel)
     )
@@ -292,7 +298,7 @@ def test_speed_and_velocity_fall_no_further_than_their_rows_expect() -> None:
         return np.concatenate(((speed_limit(y) - length(y[3:6]))[None], 25 - y[3:6] ** 2))
 
     within = (np.abs(x[3:6]) <= 5).all(0)
-    excess = h(x) + slope(h, x, rate(x, u), 1e-4) - h(fly(x, u))
+    excess = h(x) + slope(h, x, expected_rate(x, u), 1e-4) - h(fly(x, u))
     share = (excess / thrust_fall(x)[[1, 8, 9, 10]])[:, within]
     assert share.max() < 1.0
     assert share[0].max() > 0.8  # the bound is no larger than it must be
@@ -365,9 +371,9 @@ def test_adversary_descends_the_row_that_zero_control_comes_closest_to_breaking(
     for row, h in barriers.items():
         y = x[:, worst == row]
         if y.size:
-            gradient = np.stack([slope(h, y, push(y, i), 1e-3) for i in range(3)])
+            gradient = np.stack([slope(h, y, push(held(y), i), 1e-3) for i in range(3)])
             np.testing.assert_allclose(u[:3, worst == row], -gradient / np.abs(gradient).max(0), atol=1e-6)
-            assert (h(y + 1e-3 * sum(u[i, worst == row] * push(y, i) for i in range(3))) < h(y)).all()
+            assert (h(y + 1e-3 * sum(u[i, worst == row] * push(held(y), i) for i in range(3))) < h(y)).all()
             seen += y.shape[1]
     assert seen > 300
 
