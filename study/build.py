@@ -21,8 +21,9 @@ WORTH_COMPILING_FILTER = 1000
 WORTH_COMPILING_SIMULATOR = 3000
 TYPICAL_EPISODE = 3000.0  # s
 
-# Spacecraft from which the batched solver is the faster one on a CPU.
-WORTH_BATCHING = 16
+# Spacecraft from which the batched solver is the faster one on a CPU: about half of them have a program to solve, and
+# `python main.py benchmark` shows both solvers by the number of programs at once, which cross at some 16 (22 us each).
+WORTH_BATCHING = 32
 
 
 def resolve_device(name: str) -> torch.device:
