@@ -474,9 +474,8 @@ def replay_file(path: str, resolve: Callable[[Config], Config]) -> str:
     """
     names = ("state", "control_desired", "control_applied", "constraint", "value", "period", "config")
     example = read_arrays(path, names)
-    with refusing(
-        f"{path}: not a counter-example of verify", ValueError, TypeError, RuntimeError, IndexError
-    ):
+    mistakes = ValueError, TypeError, RuntimeError, LookupError, ArithmeticError
+    with refusing(f"{path}: not a counter-example of verify", *mistakes):
         config = resolve(from_toml(str(example["config"]), path))
         solver = make_solver("batched")  # that of `verify`
         safety_filter = SafetyFilter(config.inspection, config.rta, float(example["period"]), solver)
