@@ -123,8 +123,8 @@ def keep_in_curve(x: Tensor, c: InspectionParameters, smoothing: Smoothing = EXA
     """The keep-in zone as thrust can hold it, never above `keep_in_zone`, in m/s: with a_max - v_t^2 / |p|.
 
     d v_pr / dt holds the centrifugal v_t^2 / |p|, v_t the speed across p, which a_max leaves out: up to
-    0.051 m/s^2 at the speed limit of 800 m, of a_max's 0.0705. Where h is zero and v_t is not, no thrust
-    keeps h there; where this barrier is zero, full thrust inwards does.
+    0.051 m/s^2 at the speed limit of 800 m, of a_max's 0.0705. Flying fast across where h is zero, 1 N does not
+    keep h there; where this barrier is zero, 1 N inwards does, which every attitude can give.
     """
     across = dot(x[V], x[V]) - radial_speed(x) ** 2
     braking = (c.max_acceleration - across / norm(x[P])).clamp(min=0.1 * c.max_acceleration)

@@ -198,7 +198,7 @@ class Barriers:
         return (constraints.values(x, self.c) >= 0.0).all(0) & (self.first_psi(x) >= 0.0).all(0)
 
     def can_brake(self, x: Tensor) -> Tensor:
-        """(B,) bool: thrust can keep the spacecraft in its zone, see `constraints.keep_in_curve`."""
+        """(B,) bool: in any attitude thrust can keep the zone, see `constraints.keep_in_curve`."""
         return constraints.keep_in_curve(x, self.c, self.smoothing) >= 0.0
 
     def is_safe(self, x: Tensor) -> Tensor:

@@ -302,7 +302,7 @@ def test_simulate_filters_a_policy_at_the_rta_period(
 
 
 def test_help_gives_every_flag_a_default_or_says_it_is_required(capsys: pytest.CaptureFixture[str]) -> None:
-    for command in ("train", "evaluate", "simulate", "filter", "benchmark"):
+    for command in ("train", "evaluate", "simulate", "filter", "verify", "benchmark"):
         parser = main.build_parser()._subparsers._group_actions[0].choices[command]
         for action in parser._actions:
             if action.dest == "help":
