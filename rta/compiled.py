@@ -42,7 +42,9 @@ class Compiled:
             self.of_size(SIZES[-1])
         else:
             self.whole = torch.compile(packed, dynamic=True)
+            self(*(example.expand(*example.shape[:-1], SIZES[-1]) for example in examples))
 
+    @torch.no_grad()  # a mode that torch.compile's code is specialised to
     def __call__(self, *tensors: Tensor) -> Parts:
         """What `function` returns."""
         batch = tensors[0].shape[-1]
