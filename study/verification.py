@@ -23,7 +23,7 @@ from ppo.network import Policy
 from rta.constraints import CONSTRAINTS
 from rta.filter import SafetyFilter, make_solver
 from rta.qp import Status
-from rta.rows import Barriers, Rows
+from rta.rows import Barriers
 from study import build
 from study.config import Config, from_toml
 from study.errors import InputError, refusing
@@ -103,18 +103,6 @@ def held_at_random(c: InspectionParameters, generator: torch.Generator) -> Contr
         return fresh
 
     return control
-
-
-def remembered(rows: Callable[[Tensor], tuple[Rows, Rows]]) -> Callable[[Tensor], tuple[Rows, Rows]]:
-    """The same function, which remembers its last answer: adversary and filter ask about the same state."""
-    last: list[Any] = [None, None]
-
-    def ask(x: Tensor) -> tuple[Rows, Rows]:
-        if x is not last[0]:
-            last[:] = x, rows(x)
-        return last[1]
-
-    return ask
 
 
 def adversarial(safety_filter: SafetyFilter) -> Controller:
@@ -463,7 +451,6 @@ def verify(
         safety_filter = SafetyFilter(config.inspection, config.rta, train.rta_period, solver)
     if compiled:
         build.compile_or_explain("filter", safety_filter.compile)
-    safety_filter.rows = remembered(safety_filter.rows)
     safety = safety_filter.safety()
 
     def make_env(count: int) -> InspectionEnv:
