@@ -46,7 +46,7 @@ K1 = np.array([*R.exclusion_gains[:1], *R.temperature_gains[:1], *R.battery_gain
 # 1 s: |omega|^2 t^2 / 24 and |alpha| t^2 / 6
 THRUST_MOST = math.sqrt(3) / 12
 MOST = THRUST_MOST + 3 * MEAN_MOTION**2 * 800 + 2 * MEAN_MOTION * 5
-ASTRAY = THRUST_MOST * (3 * math.radians(2) ** 2 / 24 + math.sqrt(3) * (0.001 / 0.0573) / 6)
+ASTRAY = THRUST_MOST * (3 * math.radians(2) ** 2 / 24 + math.sqrt(3) * 0.017453 / 6)
 # (gain in 1/s, margin, what h can fall in 1 s below its linear prediction) of each row at a period of 1 s; passive
 # safety has one row per segment. At the limit v^2 falls by |a|^2 t^2 + 2 v t times what the thrust goes astray.
 THRUST = np.array(

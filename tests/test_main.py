@@ -109,7 +109,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
         (["filter", "--out", "x"], ["--states"]),
         (["filter", "--states", "nowhere.npz", "--out", "x"], ["nowhere.npz", "no such file"]),
         (["filter", "--states", "x", "--out", "x", "--no-rta"], ["--no-rta"]),
-        ([], ["train | evaluate | simulate | filter | benchmark"]),
+        ([], ["train | evaluate | simulate | filter | verify | benchmark"]),
     ],
 )
 def test_bad_flags_are_refused(
