@@ -1,15 +1,17 @@
 """Functions of a batch, compiled: ahead of time and by chunks on a CPU, kept across runs."""
 
+import ctypes
 import hashlib
 import os
+import warnings
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import reduce
 from pathlib import Path
+from zipfile import ZipFile
 
 import torch
 from torch import Tensor
-from torch._inductor.package import load_package
 from torch.fx import GraphModule
 from torch.fx.experimental.proxy_tensor import make_fx
 
@@ -42,7 +44,7 @@ class Compiled:
             self.of_size(SIZES[-1])
         else:
             self.whole = torch.compile(packed, dynamic=True)
-            self(*(example.expand(*example.shape[:-1], SIZES[-1]) for example in examples))
+            self(*(example.expand(*example.shape[:-1], SIZES[-1]).contiguous() for example in examples))
 
     @torch.no_grad()  # a mode that torch.compile's code is specialised to
     def __call__(self, *tensors: Tensor) -> Parts:
@@ -50,7 +52,7 @@ class Compiled:
         batch = tensors[0].shape[-1]
         packed = self.by_chunks(*tensors) if self.device.type == "cpu" else self.whole(*tensors)
         parts = packed[:, :batch].split([shape.numel() for shape in self.shapes])
-        return [part.unflatten(0, shape) for part, shape in zip(parts, self.shapes, strict=True)]
+        return [part.view(*shape, batch) for part, shape in zip(parts, self.shapes, strict=True)]
 
     def by_chunks(self, *tensors: Tensor) -> Tensor:
         """The packed parts (K, >= B), computed by chunks of a fixed size, the last one filled up with copies."""
@@ -59,14 +61,12 @@ class Compiled:
         run = self.of_size(size)
 
         def chunk(start: int) -> Tensor:
-            part = [tensor[..., start : start + size] for tensor in tensors]
-            if batch - start < size:
-                filled = torch.arange(size) % (batch - start)
-                part = [tensor[..., filled] for tensor in part]
-            return run(*(tensor.contiguous() for tensor in part))
+            return run(*(filled(tensor[..., start : start + size], size) for tensor in tensors))
 
         starts = range(0, batch, size)
-        threads = torch.get_num_threads() if len(starts) > 1 else 1
+        threads = torch.get_num_threads()
+        if len(starts) == 1:
+            return chunk(0)
         return torch.cat(list(pool(threads).map(chunk, starts) if threads > 1 else map(chunk, starts)), 1)
 
     def of_size(self, size: int) -> Callable[..., Tensor]:
@@ -75,6 +75,12 @@ class Compiled:
             examples = [example.expand(*example.shape[:-1], size).contiguous() for example in self.examples]
             self.by_size[size] = ahead_of_time(self.packed, *examples)
         return self.by_size[size]
+
+
+def filled(x: Tensor, size: int) -> Tensor:
+    """x (..., n) with its first column repeated at the end, contiguous (..., size)."""
+    missing = size - x.shape[-1]
+    return torch.cat((x, x[..., :1].expand(*x.shape[:-1], missing)), -1) if missing else x.contiguous()
 
 
 POOLS: dict[int, ThreadPoolExecutor] = {}
@@ -95,15 +101,62 @@ def ahead_of_time(function: Callable[..., Tensor], *examples: Tensor) -> Callabl
         graph = make_fx(function, decomposition_table={torch.ops.aten.mm.default: small_product})(*examples)
     graph.graph.eliminate_dead_code()
     graph.recompile()
-    path = Path(cache_dir()) / "filter" / f"{fingerprint(graph, examples)}.pt2"
+    path = Path(cache_dir()) / "filter" / f"{fingerprint(graph, examples)}.so"
     if not path.exists():
         path.parent.mkdir(parents=True, exist_ok=True)
-        program = torch.export.export(graph, examples)
         own = path.with_suffix(f".{os.getpid()}.pt2")  # another process may be compiling the same
-        options = {"cpp.threads": 1}
-        torch._inductor.aoti_compile_and_package(program, package_path=str(own), inductor_configs=options)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # PyTorch's, about its own code
+            program = torch.export.export(graph, examples)
+            torch._inductor.aoti_compile_and_package(
+                program, package_path=str(own), inductor_configs={"cpp.threads": 1}
+            )
+        with ZipFile(own) as package:
+            library = next(name for name in package.namelist() if name.endswith(".so"))
+            own.write_bytes(package.read(library))
         os.replace(own, path)
-    return load_package(str(path), num_runners=torch.get_num_threads())
+    return Library(path, torch.get_num_threads())
+
+
+class Library:
+    """A compiled function of contiguous tensors to one tensor, called through AOTInductor's C interface.
+
+    That is torch/csrc/inductor/aoti_runtime/interface.h. PyTorch's own binding holds Python's global lock while the
+    code runs (pytorch/pytorch#197516), so that threads would wait for each other.
+
+    Args:
+        path: the shared library; runners: how many threads may be in it at once.
+    """
+
+    def __init__(self, path: Path, runners: int) -> None:
+        library = ctypes.CDLL(str(path))
+        self.container = ctypes.c_void_p()
+        self.check(
+            library.AOTInductorModelContainerCreateWithDevice(
+                ctypes.byref(self.container), ctypes.c_size_t(runners), b"cpu", None
+            )
+        )
+        self.run = library.AOTInductorModelContainerRun
+
+    @staticmethod
+    def check(error: int) -> None:
+        if error:
+            raise RuntimeError("AOTInductor's code failed; the reason stands above")
+
+    def __call__(self, *tensors: Tensor) -> Tensor:
+        """What the function returns."""
+        capsules = torch._C._aoti.unsafe_alloc_void_ptrs_from_tensors(list(tensors))
+        inputs = (ctypes.c_void_p * len(tensors))(*(pointer(each, None) for each in capsules))
+        output = ctypes.c_void_p()
+        count, one = ctypes.c_size_t(len(tensors)), ctypes.c_size_t(1)
+        self.check(self.run(self.container, inputs, count, ctypes.byref(output), one, None, None))
+        return torch._C._aoti.alloc_tensors_by_stealing_from_void_ptrs([capsule(output, None, None)])[0]
+
+
+pointer = ctypes.pythonapi.PyCapsule_GetPointer
+pointer.argtypes, pointer.restype = [ctypes.py_object, ctypes.c_char_p], ctypes.c_void_p
+capsule = ctypes.pythonapi.PyCapsule_New
+capsule.argtypes, capsule.restype = [ctypes.c_void_p, ctypes.c_char_p, ctypes.c_void_p], ctypes.py_object
 
 
 def small_product(a: Tensor, b: Tensor) -> Tensor:
