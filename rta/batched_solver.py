@@ -13,15 +13,18 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from rta.compiled import Compiled
 from rta.piqp_solver import PiqpSolver
-from rta.qp import Problems, Solutions, Status, kkt_residual, pick, put, total
+from rta.qp import REDUNDANT, Problems, Solutions, Status, kkt_residual, pick, put, total
 
+ACCURATE = 1e-8  # largest KKT residual that is not solved again by PIQP
 VIOLATED = 1e-12  # a row is violated below minus this, in units of the actuators' limits
 DEPENDENT = 1e-16  # |z|^2 / |a|^2 up to which a row counts as a combination of the active ones
 BLOCKING = 1e-12  # fall of a multiplier per unit of pressure that counts as none
-ACCURATE = 1e-8  # largest KKT residual that is not solved again by PIQP
-ROUND = 2  # steps between two looks at which programs are unfinished: what most programs take
+STEPS = 3  # of the attempt, one for each row that becomes active or leaves
+ROUND = 2  # steps between two looks at which programs are unfinished
 MAX_ROUNDS = 50  # beyond which PIQP takes over; recorded programs take up to 5, with slack up to 8
+LEFT_TO_PIQP = ("cpu",)  # devices where PIQP solves what the attempt leaves, faster than steps uncompiled
 
 RUNNING, OPTIMAL, INFEASIBLE = 0, 1, 2
 
@@ -45,8 +48,10 @@ class State(NamedTuple):
     pressure: Tensor
     outcome: Tensor
 
-
-Step = Callable[[Tensor, Tensor, State], State]
+    def multipliers(self, rows: int) -> Tensor:
+        """Of the first so many rows, active or not: (rows, N)."""
+        index = torch.arange(rows, device=self.row.device)[:, None, None]
+        return total(torch.where(self.row == index, self.multiplier, 0.0), 1)
 
 
 class BatchedSolver:
@@ -54,39 +59,57 @@ class BatchedSolver:
 
     def __init__(self) -> None:
         self.fallback = PiqpSolver()
-        self._step: Step = step
+        self._attempt: Callable[..., list[Tensor]] = attempt
 
-    def compile(self) -> None:
-        """Compiles the step for programs without slack; those with slack are rare and keep the eager one."""
-        compiled = torch.compile(step, dynamic=True)
+    def compile(self, rows: int, device: torch.device | str = "cpu") -> None:
+        """See `Solver`. Few programs go beyond the attempt, and these are not compiled."""
+        probe = torch.zeros(rows, 3, 1, dtype=torch.float64, device=device)
+        compiled = Compiled(attempt, probe[0], probe, probe[:, 0])
 
-        def several(a: Tensor, b: Tensor, state: State) -> State:
-            # torch.compile would compile anew for a batch of one
-            return compiled(a, b, state) if a.shape[-1] > 1 else step(a, b, state)
+        def padded(desired: Tensor, a: Tensor, b: Tensor) -> list[Tensor]:
+            missing = rows - len(a)
+            if missing:
+                a = torch.cat((a, a.new_zeros(missing, *a.shape[1:])))
+                b = torch.cat((b, b.new_full((missing, b.shape[1]), REDUNDANT)))
+            return compiled(desired, a, b)
 
-        probe = torch.zeros(3, 64, dtype=torch.float64)
-        several(probe.new_zeros(17, 3, 64), probe.new_ones(17, 64), start(probe))
-        self._step = several
+        self._attempt = padded
 
     def solve(self, problems: Problems) -> Solutions:
         """See `Solver`."""
+        control, residual = self._attempt(problems.desired, problems.a, problems.b)
+        residual = residual[0]
+        # NaN is unsolved; the attempt does not look at b_bare
+        solved = (residual <= ACCURATE) & problems.b_bare.sum(0).isfinite()
+        status = torch.where(solved, Status.HARD, Status.UNSOLVED)
+        left = torch.nonzero(status == Status.UNSOLVED).flatten()
+        if left.numel():
+            answer = self._rest(problems[left])
+            control, residual = control.clone(), residual.clone()
+            put(control, left, answer.control)
+            put(status, left, answer.status)
+            put(residual, left, answer.residual)
+        return Solutions(control, status, residual)
+
+    def _rest(self, problems: Problems) -> Solutions:
+        """Whatever the attempt leaves, stage by stage."""
         control = torch.zeros_like(problems.desired)
         status = torch.full_like(control[0], Status.UNSOLVED, dtype=torch.int64)
         residual = torch.full_like(control[0], torch.inf)
         finite = problems.finite
 
-        none = torch.full_like(problems.weight, torch.inf)  # no row has slack
+        nothing = torch.full_like(problems.weight, torch.inf)  # no row has slack
         stages = (
-            (problems.b, none, self._step, Status.HARD),
-            (problems.b_bare, none, self._step, Status.HARD),
-            (problems.b_bare, problems.weight, step, Status.SLACK),
+            (problems.b, nothing, Status.HARD),
+            (problems.b_bare, nothing, Status.HARD),
+            (problems.b_bare, problems.weight, Status.SLACK),
         )
-        left = torch.nonzero(finite).flatten()
-        for side, weight, advance, solved in stages:
+        left = torch.nonzero(finite & (control.device.type not in LEFT_TO_PIQP)).flatten()
+        for side, weight, solved in stages:
             if not left.numel():
                 break
             desired, a, b = (pick(x, left) for x in (problems.desired, problems.a, side))
-            u, multiplier, outcome = project(desired, a, b, weight, advance)
+            u, multiplier, outcome = project(desired, a, b, weight)
             error = kkt_residual(u, multiplier, desired, a, b, weight)
             accurate = (outcome == OPTIMAL) & (error <= ACCURATE)
             put(control, left, u)
@@ -103,26 +126,42 @@ class BatchedSolver:
         return Solutions(control, status, residual)
 
 
-def project(
-    desired: Tensor, a: Tensor, b: Tensor, weight: Tensor, advance: Step
-) -> tuple[Tensor, Tensor, Tensor]:
+def attempt(desired: Tensor, a: Tensor, b: Tensor) -> list[Tensor]:
+    """STEPS steps of hard programs, enough for nearly every one that is feasible, without looking at a value.
+
+    Args:
+        desired: (3, N); a: (R, 3, N); b: (R, N).
+
+    Returns:
+        Controls (3, N) and residuals (1, N), NaN where an argument is.
+    """
+    nothing = torch.full_like(b[:, 0], torch.inf)  # no row has slack
+    normals, offsets = with_bounds(a, b)
+    state = start(desired)
+    for _ in range(STEPS):
+        state = step(normals, offsets, state)
+    u = state.x.clamp(-1.0, 1.0)
+    return [u, kkt_residual(u, state.multipliers(len(b)), desired, a, b, nothing)[None]]
+
+
+def project(desired: Tensor, a: Tensor, b: Tensor, weight: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """Solves the programs with these slack weights.
 
     Args:
         desired: (3, N); a: (R, 3, N); b: (R, N); weight: (R,).
-        advance: `step` or its compiled form.
 
     Returns:
         Controls (3, N), multipliers of the rows (R, N) and outcomes (N,).
     """
     rows, batch = b.shape
-    normals, offsets = with_bounds_and_slack(a, b, weight)
+    normals, offsets = with_bounds(a, b)
+    normals = with_slack(normals, weight)
     slacks = normals.shape[1] - 3
     every = part = start(torch.cat((desired, desired.new_zeros(slacks, batch))))
     running = torch.arange(batch, device=a.device)
     for _ in range(MAX_ROUNDS):
         for _ in range(ROUND):
-            part = advance(normals, offsets, part)
+            part = step(normals, offsets, part)
         for old, new in zip(every, part, strict=True):
             put(old, running, new)
         columns = torch.nonzero(part.outcome == RUNNING).flatten()
@@ -131,24 +170,23 @@ def project(
         running = running[columns]
         normals, offsets = pick(normals, columns), pick(offsets, columns)
         part = State(*(pick(x, columns) for x in part))
-
-    multiplier = b.new_zeros(rows + 6, batch)
-    multiplier.scatter_add_(0, every.row.clamp(min=0), every.multiplier)
-    return every.x[:3].clamp(-1.0, 1.0), multiplier[:rows], every.outcome
+    return every.x[:3].clamp(-1.0, 1.0), every.multipliers(rows), every.outcome
 
 
-def with_bounds_and_slack(a: Tensor, b: Tensor, weight: Tensor) -> tuple[Tensor, Tensor]:
-    """Rows (R + 6, D, N) and offsets (R + 6, N) in D variables: controls and sqrt(w_i) delta_i of soft rows i."""
+def with_bounds(a: Tensor, b: Tensor) -> tuple[Tensor, Tensor]:
+    """Rows (R + 6, 3, N) and offsets (R + 6, N), those of the actuators' limits last."""
     batch = b.shape[1]
-    soft = torch.nonzero(weight.isfinite()).flatten()
     eye = torch.eye(3, dtype=a.dtype, device=a.device)
     bounds = torch.cat((eye, -eye))[..., None].expand(-1, -1, batch)
-    normals, offsets = torch.cat((a, bounds)), torch.cat((b, b.new_ones(6, batch)))
-    if soft.numel():
-        slack = torch.diag(weight.rsqrt())[:, soft]
-        slack = torch.cat((slack, slack.new_zeros(6, soft.numel())))
-        normals = torch.cat((normals, slack[..., None].expand(-1, -1, batch)), 1)
-    return normals, offsets
+    return torch.cat((a, bounds)), torch.cat((b, b.new_ones(6, batch)))
+
+
+def with_slack(normals: Tensor, weight: Tensor) -> Tensor:
+    """Rows (R + 6, 3, N) in D variables: controls and sqrt(w_i) delta_i of soft rows i, of R weights."""
+    soft = torch.nonzero(weight.isfinite()).flatten()
+    slack = torch.diag(weight.rsqrt())[:, soft]
+    slack = torch.cat((slack, slack.new_zeros(6, soft.numel())))
+    return torch.cat((normals, slack[..., None].expand(-1, -1, normals.shape[2])), 1)
 
 
 def start(x: Tensor) -> State:

@@ -2,7 +2,8 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, fields
-from functools import reduce
+from functools import partial, reduce
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -52,6 +53,27 @@ class FilterResult:
     h: Tensor
 
 
+class Prepared(NamedTuple):
+    """What is computed for every spacecraft, corrected or not, for one actuator group.
+
+    Attributes:
+        h, psi, a, b, b_bare: the fields of `Rows`.
+        length: (R, B) of the rows per actuator limit.
+        lowest: (1, B) left-hand side of the scaled rows under the desired control; negative or NaN where it must
+            be corrected.
+        values: h by constraint, (constraints, B).
+    """
+
+    h: Tensor
+    psi: Tensor
+    a: Tensor
+    b: Tensor
+    b_bare: Tensor
+    length: Tensor
+    lowest: Tensor
+    values: Tensor
+
+
 class Group:
     """What is fixed about one actuator group.
 
@@ -62,12 +84,15 @@ class Group:
 
     def __init__(self, controls: slice, limit: float, rows: list[Row], constraints: tuple[str, ...]) -> None:
         self.controls, self.limit = controls, limit
+        first = CONSTRAINTS.index(constraints[0])
+        self.place = slice(first, first + len(constraints))  # among all constraints
         self.weights = [row.weight for row in rows]
-        self.members = [[i for i, row in enumerate(rows) if row.constraint == name] for name in constraints]
+        self.counts = [sum(row.constraint == name for row in rows) for name in constraints]
 
-    def by_constraint(self, rows: Tensor, join: Callable[[Tensor, Tensor], Tensor]) -> Tensor:
-        """Joins the rows (R, B) of each constraint, to (constraints, B)."""
-        return torch.stack([reduce(join, (rows[i] for i in members)) for members in self.members])
+    def by_constraint(self, rows: Tensor, join: Callable[[Tensor], Tensor]) -> Tensor:
+        """Joins the rows (R, B) of each constraint that has several, (k, B) to (B,); returns (constraints, B)."""
+        parts = rows.split(self.counts)
+        return torch.cat([part if len(part) == 1 else join(part)[None] for part in parts])
 
 
 class SafetyFilter:
@@ -102,14 +127,14 @@ class SafetyFilter:
         return constraints.values(x, self.c)
 
     def compile(self, device: torch.device | str = "cpu") -> None:
-        """Compiles the solver and `prepare` for tensors on this device.
+        """Compiles `prepare` and the solver for tensors on this device.
 
         Raises whatever PyTorch raises where there is no working C++ compiler, and changes nothing then.
         """
         probe = torch.zeros(SIZE, 1, dtype=torch.float64, device=device)
         probe[P.start], probe[Q.stop - 1] = self.c.max_distance / 2, 1.0
         compiled = Compiled(self.prepare, probe, torch.zeros_like(probe[:CONTROL_SIZE]))
-        self.solver.compile()
+        self.solver.compile(max(len(group.weights) for group in self.groups), device)
         self._prepare = compiled
 
     def safety(self, enabled: bool = True) -> Safety:
@@ -124,30 +149,28 @@ class SafetyFilter:
 
     def rows(self, x: Tensor) -> tuple[Rows, Rows]:
         """The conditions on thrust and on torque at states (16, B), as `Barriers` has them."""
-        parts = self._prepare(x, torch.zeros_like(x[:CONTROL_SIZE]))
-        thrust, torque = (
-            Rows(*part[:ROW_FIELDS]) for part in (parts[: len(parts) // 2], parts[len(parts) // 2 :])
-        )
-        return thrust, torque
+        thrust, torque = self._prepared(x, torch.zeros_like(x[:CONTROL_SIZE]))
+        return Rows(*thrust[:ROW_FIELDS]), Rows(*torque[:ROW_FIELDS])
 
     def prepare(self, x: Tensor, desired: Tensor) -> list[Tensor]:
-        """All that is computed for every spacecraft, corrected or not: for thrust, then for torque,
-
-        the fields of Rows, the rows' length per actuator limit (R, B), the lowest left-hand side of the scaled
-        rows under the desired control (1, B), negative or NaN where it must be corrected, and h by constraint.
-        """
-        parts = []
+        """`Prepared` for thrust, then for torque, as one list: (16, B) and (6, B) to fields (..., B)."""
+        parts: list[Tensor] = []
         for rows, group in zip(self.barriers(x), self.groups, strict=True):
             a = rows.a * group.limit
             length = total(a * a, 1).sqrt().clamp(min=SHORTEST_ROW)  # thirty times as fast as Tensor.norm
             left = (total(a * (desired[group.controls] / group.limit), 1) + rows.b) / length
-            parts += [getattr(rows, field.name) for field in fields(Rows)]
-            parts += [
-                length,
-                reduce(torch.minimum, left.unbind())[None],
-                group.by_constraint(rows.h, torch.minimum),
-            ]
+            parts += Prepared(
+                *(getattr(rows, field.name) for field in fields(Rows)),
+                length=length,
+                lowest=smallest(left)[None],
+                values=group.by_constraint(rows.h, smallest),
+            )
         return parts
+
+    def _prepared(self, x: Tensor, desired: Tensor) -> tuple[Prepared, Prepared]:
+        parts = self._prepare(x, desired)
+        half = len(parts) // 2
+        return Prepared(*parts[:half]), Prepared(*parts[half:])
 
     @torch.no_grad()
     def __call__(self, x: Tensor, desired: Tensor) -> FilterResult:
@@ -157,51 +180,56 @@ class SafetyFilter:
             x: states (16, B), float64.
             desired: controls (6, B) in N and N m, within the actuators' limits.
         """
-        parts = self._prepare(x, desired)
-        half = len(parts) // 2
-        groups = zip(self.groups, (parts[:half], parts[half:]), strict=True)
-        control, active, slack, statuses, h = zip(
-            *(self._solve(group, part, desired[group.controls]) for group, part in groups), strict=True
-        )
-        program_status = torch.stack(statuses)
+        both = self._prepared(x, desired)
+        control = desired.clone()
+        program_status = torch.zeros_like(x[:2], dtype=torch.int64)
+        active = torch.zeros(len(CONSTRAINTS), x.shape[1], dtype=torch.bool, device=x.device)
+        slack = torch.zeros_like(active, dtype=x.dtype)
+        for i, (group, prepared) in enumerate(zip(self.groups, both, strict=True)):
+            unsafe = torch.nonzero(~(prepared.lowest[0] >= 0.0)).flatten()  # NaN must not pass
+            if unsafe.numel():
+                wholes = control[group.controls], program_status[i], active[group.place], slack[group.place]
+                parts = self._correct(group, prepared, desired[group.controls], unsafe)
+                for whole, part in zip(wholes, parts, strict=True):
+                    put(whole, unsafe, part)
         status = program_status.amax(0)
         return FilterResult(
-            control=torch.cat(control),
+            control=control,
             intervened=status > Status.UNTOUCHED,
-            active=torch.cat(active),
-            slack=torch.cat(slack),
+            active=active,
+            slack=slack,
             status=status,
             program_status=program_status,
-            h=torch.cat(h),
+            h=torch.cat([prepared.values for prepared in both]),
         )
 
-    def _solve(
-        self, group: Group, prepared: list[Tensor], desired: Tensor
-    ) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
-        """Scales and solves what must be corrected; returns control, active, slack, status and h by constraint."""
-        rows = Rows(*prepared[:ROW_FIELDS])
-        length, lowest, h = prepared[ROW_FIELDS:]
-        control = desired.clone()
-        status = torch.zeros_like(lowest[0], dtype=torch.int64)
-        active, slack = torch.zeros_like(h, dtype=torch.bool), torch.zeros_like(h)
-        unsafe = torch.nonzero(~(lowest[0] >= 0.0)).flatten()  # NaN must not pass
-        if unsafe.numel():
-            length = pick(length, unsafe)
-            a = pick(rows.a, unsafe) * (group.limit / length[:, None])
-            b, b_bare = (
-                (pick(side, unsafe) / length).clamp(HOPELESS, REDUNDANT) for side in (rows.b, rows.b_bare)
-            )
-            u = pick(desired, unsafe) / group.limit
-            answer = self.solver.solve(Problems(u, a, b, b_bare, u.new_tensor(group.weights)))
-            reached = total(a * answer.control, 1)
-            short = torch.where(
-                answer.status >= Status.SLACK, -(reached + b_bare).clamp(max=0.0) * length, 0.0
-            )
-            put(control, unsafe, answer.control * group.limit)
-            put(status, unsafe, answer.status)
-            put(active, unsafe, group.by_constraint(reached + b <= FEASIBLE, torch.logical_or))
-            put(slack, unsafe, group.by_constraint(short, torch.maximum))
-        return control, active, slack, status, h
+    def _correct(
+        self, group: Group, prepared: Prepared, desired: Tensor, unsafe: Tensor
+    ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """Scales and solves the programs of these columns (M,); returns control, status, active and slack."""
+        length = pick(prepared.length, unsafe)
+        a = pick(prepared.a, unsafe) * (group.limit / length[:, None])
+        b, b_bare = (
+            (pick(side, unsafe) / length).clamp(HOPELESS, REDUNDANT) for side in (prepared.b, prepared.b_bare)
+        )
+        u = pick(desired, unsafe) / group.limit
+        answer = self.solver.solve(Problems(u, a, b, b_bare, u.new_tensor(group.weights)))
+        reached = total(a * answer.control, 1)
+        with_margins = (reached + b).amin(0) >= -FEASIBLE
+        binding = reached + torch.where(with_margins, b, b_bare) <= FEASIBLE
+        short = -(reached + b_bare).clamp(max=0.0) * length
+        short = short.masked_fill(answer.status < Status.SLACK, 0.0)
+        return (
+            answer.control * group.limit,
+            answer.status,
+            group.by_constraint(binding, partial(torch.any, dim=0)),
+            group.by_constraint(short, partial(torch.amax, dim=0)),
+        )
+
+
+def smallest(rows: Tensor) -> Tensor:
+    """(R, B) to (B,), in operations that fuse with those around."""
+    return reduce(torch.minimum, rows.unbind())
 
 
 def make_solver(name: str) -> Solver:

@@ -20,7 +20,7 @@ class PiqpSolver:
     def __init__(self) -> None:
         self._workspaces: dict[tuple[int, int], piqp.DenseSolver] = {}
 
-    def compile(self) -> None:
+    def compile(self, rows: int, device: torch.device | str) -> None:
         """Nothing is compiled: PIQP is a library already."""
 
     def solve(self, problems: Problems) -> Solutions:
@@ -38,7 +38,7 @@ class PiqpSolver:
         residual = np.full(len(desired), np.inf)
 
         # PIQP's workspace would keep a NaN, and spoil every program after it
-        finite = problems.finite.cpu().numpy()
+        finite = np.isfinite(desired.sum(1) + a.sum((1, 2)) + b.sum(1) + b_bare.sum(1))
         stages = (
             (b, nothing, np.ones_like(must), Status.HARD),
             (b_bare, nothing, np.ones_like(must), Status.HARD),

@@ -79,8 +79,8 @@ class Solver(Protocol):
 
     def solve(self, problems: Problems) -> Solutions: ...
 
-    def compile(self) -> None:
-        """Compiles what can be; raises whatever torch.compile raises where there is no working compiler."""
+    def compile(self, rows: int, device: torch.device | str) -> None:
+        """Compiles what can be, for programs of up to so many rows; raises what `Compiled` raises."""
 
 
 def pick(x: Tensor, columns: Tensor) -> Tensor:
@@ -117,7 +117,7 @@ def kkt_residual(
     Returns:
         (N,) in units of the actuators' limits; NaN where an argument is.
     """
-    s = total(a * u, 1) + b + multiplier / weight[:, None]
-    stationarity = u - (desired + total(a * multiplier[:, None], 0)).clamp(-1.0, 1.0)
+    s = (a * u).sum(1) + b + multiplier / weight[:, None]
+    stationarity = u - (desired + (a * multiplier[:, None]).sum(0)).clamp(-1.0, 1.0)
     complementarity = multiplier.clamp(max=1.0) * s
     return torch.cat((stationarity.abs(), -s, -multiplier, complementarity.abs())).amax(0)

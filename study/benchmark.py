@@ -73,9 +73,9 @@ class Recorder:
         self.asked.setdefault(len(problems.a), []).append(problems)
         return self.solver.solve(problems)
 
-    def compile(self) -> None:
+    def compile(self, rows: int, device: torch.device | str) -> None:
         """See `Solver`."""
-        self.solver.compile()
+        self.solver.compile(rows, device)
 
 
 def repeated(function: Callable[[], Any], work: float, device: torch.device) -> Rates:

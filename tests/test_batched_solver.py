@@ -6,6 +6,7 @@ Cases that both solvers must pass stand in tests/test_qp.py.
 import dataclasses
 import math
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
@@ -39,8 +40,8 @@ class Recorder:
         self.asked.append(problems)
         return self.solver.solve(problems)
 
-    def compile(self) -> None:
-        self.solver.compile()
+    def compile(self, rows: int, device: torch.device | str) -> None:
+        self.solver.compile(rows, device)
 
 
 def fly(period: float, actions: int, start: ndarray | None, r: RtaParameters = R) -> list[Problems]:
@@ -60,6 +61,12 @@ def join(parts: list[Problems]) -> Problems:
     return Problems(
         *(torch.cat([getattr(part, name) for part in parts], -1) for name in FIELDS), parts[0].weight
     )
+
+
+@pytest.fixture(autouse=True)
+def steps_on_the_cpu(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Takes the steps for every program, as on a GPU, and leaves PIQP only what they do not solve accurately."""
+    monkeypatch.setattr(batched_solver, "LEFT_TO_PIQP", ())
 
 
 @pytest.fixture(scope="module", params=["thrust", "torque"])
@@ -177,10 +184,12 @@ def test_faulty_program_leaves_its_neighbours_alone(recorded: Problems, field: s
 
 
 @pytest.mark.parametrize(
-    "limit", [{"MAX_ROUNDS": 1, "ROUND": 1}, {"ACCURATE": -1.0}], ids=["steps", "residual"]
+    "limit",
+    [{"STEPS": 0, "MAX_ROUNDS": 1, "ROUND": 1}, {"ACCURATE": -1.0}, {"STEPS": 0, "LEFT_TO_PIQP": ("cpu",)}],
+    ids=["steps", "residual", "cpu"],
 )
 def test_what_is_not_solved_accurately_is_piqps(
-    solver: BatchedSolver, recorded: Problems, monkeypatch: pytest.MonkeyPatch, limit: dict[str, float]
+    solver: BatchedSolver, recorded: Problems, monkeypatch: pytest.MonkeyPatch, limit: dict[str, Any]
 ) -> None:
     for name, value in limit.items():
         monkeypatch.setattr(batched_solver, name, value)
@@ -320,7 +329,7 @@ def test_degenerate_rows_change_nothing(
 
 def test_compiled_solver_gives_the_same_answers(flights: tuple[Problems, ...]) -> None:
     eager, compiled = BatchedSolver(), BatchedSolver()
-    compiled.compile()
+    compiled.compile(max(len(part.a) for part in flights))
     for part in flights[:2]:  # one of thrust, one of torque
         for count in (1, 2, len(part.desired[0])):
             sample = part[torch.arange(count)]
