@@ -276,7 +276,7 @@ def build_parser() -> Parser:
     verify.add_argument(
         "--replay", metavar="F.npz", help="fly the counter-example in a file instead (default: none)"
     )
-    verify.set_defaults(run=run_verify, rta=True, qp_solver="batched")
+    verify.set_defaults(run=run_verify, rta=True)
 
     bench = commands.add_parser(
         "benchmark", allow_abbrev=False, help="measure the speed of simulator, filter, solvers and learner"
@@ -304,10 +304,12 @@ def build_parser() -> Parser:
 
 def resolve(arguments: argparse.Namespace, base: Config) -> Config:
     """The base configuration under --config under the flags."""
-    if arguments.command != "train":
-        base = configuration.override(base, {"train": {"qp_solver": DEFAULT_SOLVER}}, "default")
+    solver = {"train": "auto", "verify": "batched"}.get(arguments.command, DEFAULT_SOLVER)
+    base = configuration.override(base, {"train": {"qp_solver": solver}}, "default")
     if arguments.config:
         base = configuration.load(arguments.config, base)
+        if base.train.qp_solver == "auto":  # a choice for training
+            base = configuration.override(base, {"train": {"qp_solver": solver}}, "default")
     places = {
         "solar_panel_axis": "inspection",
         "learning_rate": "ppo",
@@ -357,7 +359,7 @@ def run_evaluate(arguments: argparse.Namespace) -> None:
 
     policy, trained = build.load_policy(arguments.checkpoint)
     config = resolve(arguments, trained)
-    safety, device = build.for_command(config, build.TYPICAL_EPISODE)
+    safety, device = build.for_command(config, build.TYPICAL_EPISODE, arguments.episodes)
     if arguments.json:
         check_writable(arguments.json, "--json")
     results = evaluation.evaluate(
@@ -390,7 +392,7 @@ def run_simulate(arguments: argparse.Namespace) -> None:
     simulation.check_step(
         step, arguments.duration, train.rta_period if train.rta else None, config.inspection
     )
-    safety, device = build.for_command(config, arguments.duration)
+    safety, device = build.for_command(config, arguments.duration, 1)
     given = simulation.read_state(arguments.initial_state) if arguments.initial_state else None
     x, priority = simulation.starting_point(given, config, arguments.seed)
     env = build.one_episode(config, safety, device)
@@ -434,7 +436,7 @@ def run_filter(arguments: argparse.Namespace) -> None:
     x, desired = offline.read_states(arguments.states, config.inspection)
     check_writable(arguments.out, "--out")
     calls = -(-x.shape[1] // offline.CHUNK)
-    safety, device = build.for_command(config, calls * config.train.rta_period)
+    safety, device = build.for_command(config, calls * config.train.rta_period, x.shape[1])
     result = offline.filter_states(safety.correct, x.to(device), desired.to(device))
     with refusing(f"--out {arguments.out}: cannot write it", OSError), open(arguments.out, "wb") as file:
         np.savez_compressed(file, **result)

@@ -61,10 +61,10 @@ class BatchedSolver:
         self.fallback = PiqpSolver()
         self._attempt: Callable[..., list[Tensor]] = attempt
 
-    def compile(self, rows: int, device: torch.device | str = "cpu") -> None:
+    def compile(self, rows: int, batch: int, device: torch.device | str) -> None:
         """See `Solver`. Few programs go beyond the attempt, and these are not compiled."""
         probe = torch.zeros(rows, 3, 1, dtype=torch.float64, device=device)
-        compiled = Compiled(attempt, probe[0], probe, probe[:, 0])
+        compiled = Compiled(attempt, probe[0], probe, probe[:, 0], batch=batch)
 
         def padded(desired: Tensor, a: Tensor, b: Tensor) -> list[Tensor]:
             missing = rows - len(a)

@@ -26,55 +26,48 @@ class Compiled:
     Args:
         function: what to compile; without control flow that depends on values.
         examples: arguments of one column, on the device to compile for.
+        batch: how many columns a call will usually have; any number is allowed.
 
     Raises:
         whatever PyTorch's compiler raises where there is no working C++ compiler.
     """
 
-    def __init__(self, function: Callable[..., Parts], *examples: Tensor) -> None:
+    def __init__(self, function: Callable[..., Parts], *examples: Tensor, batch: int = SIZES[-1]) -> None:
         self.shapes = [part.shape[:-1] for part in function(*examples)]
         self.device = examples[0].device
 
         def packed(*tensors: Tensor) -> Tensor:
             return torch.cat([part.flatten(0, -2) for part in function(*tensors)])
 
-        self.packed, self.examples = packed, examples
-        self.by_size: dict[int, Callable[..., Tensor]] = {}
+        self.size = next((size for size in SIZES if batch <= size), SIZES[-1])
+        columns = [example.expand(*example.shape[:-1], self.size).contiguous() for example in examples]
         if self.device.type == "cpu":
-            self.of_size(SIZES[-1])
+            self.run = ahead_of_time(packed, *columns)
         else:
-            self.whole = torch.compile(packed, dynamic=True)
-            self(*(example.expand(*example.shape[:-1], SIZES[-1]).contiguous() for example in examples))
+            self.run = torch.compile(packed, dynamic=True)
+            self(*columns)
 
     @torch.no_grad()  # a mode that torch.compile's code is specialised to
     def __call__(self, *tensors: Tensor) -> Parts:
         """What `function` returns."""
         batch = tensors[0].shape[-1]
-        packed = self.by_chunks(*tensors) if self.device.type == "cpu" else self.whole(*tensors)
+        packed = self.by_chunks(*tensors) if self.device.type == "cpu" else self.run(*tensors)
         parts = packed[:, :batch].split([shape.numel() for shape in self.shapes])
         return [part.view(*shape, batch) for part, shape in zip(parts, self.shapes, strict=True)]
 
     def by_chunks(self, *tensors: Tensor) -> Tensor:
         """The packed parts (K, >= B), computed by chunks of a fixed size, the last one filled up with copies."""
-        batch = tensors[0].shape[-1]
-        size = next((size for size in SIZES if batch <= size), SIZES[-1])
-        run = self.of_size(size)
 
         def chunk(start: int) -> Tensor:
-            return run(*(filled(tensor[..., start : start + size], size) for tensor in tensors))
+            return self.run(
+                *(filled(tensor[..., start : start + self.size], self.size) for tensor in tensors)
+            )
 
-        starts = range(0, batch, size)
+        starts = range(0, tensors[0].shape[-1], self.size)
         threads = torch.get_num_threads()
         if len(starts) == 1:
             return chunk(0)
         return torch.cat(list(pool(threads).map(chunk, starts) if threads > 1 else map(chunk, starts)), 1)
-
-    def of_size(self, size: int) -> Callable[..., Tensor]:
-        """The function compiled for chunks of a size."""
-        if size not in self.by_size:
-            examples = [example.expand(*example.shape[:-1], size).contiguous() for example in self.examples]
-            self.by_size[size] = ahead_of_time(self.packed, *examples)
-        return self.by_size[size]
 
 
 def filled(x: Tensor, size: int) -> Tensor:

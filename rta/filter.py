@@ -126,15 +126,15 @@ class SafetyFilter:
         """All 13 constraints exactly as in the paper, (16, B) to (13, B)."""
         return constraints.values(x, self.c)
 
-    def compile(self, device: torch.device | str = "cpu") -> None:
-        """Compiles `prepare` and the solver for tensors on this device.
+    def compile(self, device: torch.device | str, batch: int) -> None:
+        """Compiles `prepare` and the solver for tensors on this device and calls of about so many spacecraft.
 
         Raises whatever PyTorch raises where there is no working C++ compiler, and changes nothing then.
         """
         probe = torch.zeros(SIZE, 1, dtype=torch.float64, device=device)
         probe[P.start], probe[Q.stop - 1] = self.c.max_distance / 2, 1.0
-        compiled = Compiled(self.prepare, probe, torch.zeros_like(probe[:CONTROL_SIZE]))
-        self.solver.compile(max(len(group.weights) for group in self.groups), device)
+        compiled = Compiled(self.prepare, probe, torch.zeros_like(probe[:CONTROL_SIZE]), batch=batch)
+        self.solver.compile(max(len(group.weights) for group in self.groups), batch, device)
         self._prepare = compiled
 
     def safety(self, enabled: bool = True) -> Safety:

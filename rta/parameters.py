@@ -74,6 +74,16 @@ class RtaParameters:
                 0 <= number < math.inf for number in (value if isinstance(value, tuple) else (value,))
             ):
                 raise ValueError(f"{name} = {value!r}: must be finite and not negative")
+        for name in (
+            "passive_safety_doubling",
+            "slack_weight_critical",
+            "slack_weight_resource",
+            "slack_weight_motion",
+        ):
+            if getattr(self, name) == 0:
+                raise ValueError(f"{name} = 0: must be positive")
+        if self.pole_angle >= math.pi / 2:
+            raise ValueError(f"pole_angle = {self.pole_angle:g}: must be below pi / 2 rad")
         segments = self.passive_safety_segments
         if len(segments) < 2 or segments[0] != 0 or any(a >= b for a, b in pairwise(segments)):
             raise ValueError(f"passive_safety_segments = {segments!r}: must rise from 0 s to the horizon")

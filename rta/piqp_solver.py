@@ -20,7 +20,7 @@ class PiqpSolver:
     def __init__(self) -> None:
         self._workspaces: dict[tuple[int, int], piqp.DenseSolver] = {}
 
-    def compile(self, rows: int, device: torch.device | str) -> None:
+    def compile(self, rows: int, batch: int, device: torch.device | str) -> None:
         """Nothing is compiled: PIQP is a library already."""
 
     def solve(self, problems: Problems) -> Solutions:

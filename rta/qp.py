@@ -79,8 +79,8 @@ class Solver(Protocol):
 
     def solve(self, problems: Problems) -> Solutions: ...
 
-    def compile(self, rows: int, device: torch.device | str) -> None:
-        """Compiles what can be, for programs of up to so many rows; raises what `Compiled` raises."""
+    def compile(self, rows: int, batch: int, device: torch.device | str) -> None:
+        """Compiles what can be, for up to so many rows and about so many programs; raises as `Compiled`."""
 
 
 def pick(x: Tensor, columns: Tensor) -> Tensor:

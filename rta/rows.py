@@ -41,7 +41,7 @@ class Rows:
 
     Attributes:
         h: (R, B) constraint values; psi: (R, B) Psi_1 where the relative degree is two, else h.
-        a: (R, 3, B); b: (R, B) with margins; b_bare: (R, B) without.
+        a: (R, 3, B); b: (R, B) with margins and `Row.fall`; b_bare: (R, B) without margins, but with `fall`.
     """
 
     h: Tensor

@@ -5,7 +5,6 @@ import resource
 import sys
 import time
 from collections.abc import Callable
-from copy import copy
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -21,7 +20,7 @@ from inspection.state import CONTROL_SIZE
 from ppo.checkpoint import CheckpointError
 from ppo.learner import PPO
 from ppo.network import Value
-from rta.filter import SafetyFilter, make_solver
+from rta.filter import SafetyFilter
 from rta.parameters import PERIODS
 from rta.qp import Problems, Solutions, Solver
 from study import build
@@ -73,9 +72,9 @@ class Recorder:
         self.asked.setdefault(len(problems.a), []).append(problems)
         return self.solver.solve(problems)
 
-    def compile(self, rows: int, device: torch.device | str) -> None:
+    def compile(self, rows: int, batch: int, device: torch.device | str) -> None:
         """See `Solver`."""
-        self.solver.compile(rows, device)
+        self.solver.compile(rows, batch, device)
 
 
 def repeated(function: Callable[[], Any], work: float, device: torch.device) -> Rates:
@@ -291,12 +290,11 @@ def benchmark(config: Config, batches: tuple[int, ...]) -> dict[str, Any]:
         learner = {n: spread(learner_rate(config, n, device, compiled)) for n in batches}
 
     say("filter")
-    filters = {f"{period:g}": make_filter(config, period, compiled) for period in PERIODS}
+    filters = {f"{period:g}": make_filter(config, period, compiled, max(batches)) for period in PERIODS}
     safety_filter, actor = filters["1"], untrained(config, device)
     flight = fly(config, safety_filter, actor, device)
     filtering = {n: spread(filter_rate(safety_filter, flight, n)) for n in batches}
-    onboard = copy(safety_filter)
-    onboard.solver = make_solver("piqp")
+    onboard = make_filter(config, 1.0, compiled, 1, "piqp")
     latencies = single_latencies(onboard, flight)
 
     simulator: dict[int, Spread] = {}
@@ -362,10 +360,12 @@ def pick_out(headline: dict[str, Any], choose: Callable[[Spread], Any]) -> dict[
     }
 
 
-def make_filter(config: Config, period: float, compiled: bool) -> SafetyFilter:
-    """The filter at a period with the batched solver."""
-    train = replace(config.train, qp_solver="batched")
-    return build.make_safety(replace(config, train=train), True, period, compiled).correct
+def make_filter(
+    config: Config, period: float, compiled: bool, batch: int, solver: str = "batched"
+) -> SafetyFilter:
+    """The filter at a period, for about so many spacecraft at once."""
+    train = replace(config.train, qp_solver=solver)
+    return build.make_safety(replace(config, train=train), True, period, compiled, batch).correct
 
 
 def device_name(device: torch.device) -> str:

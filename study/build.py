@@ -1,9 +1,11 @@
 """From a configuration to the objects of an experiment."""
 
+import functools
 import sys
 from collections.abc import Callable
 
 import torch
+from torch._inductor.cpp_builder import get_cpp_compiler
 
 from inspection.environment import InspectionEnv, Safety
 from inspection.observation import SIZE as OBSERVATION_SIZE
@@ -39,7 +41,20 @@ def resolve_device(name: str) -> torch.device:
 
 def wants_compile(choice: str, repaid: bool) -> bool:
     """Whether to compile for --compile auto, on or off, given whether the run is long enough to repay it."""
-    return choice == "on" or (choice == "auto" and repaid)
+    return (choice == "on" or (choice == "auto" and repaid)) and finds_compiler()
+
+
+@functools.cache
+def finds_compiler() -> bool:
+    """Whether there is a C++ compiler; if not, says so, once."""
+    try:
+        get_cpp_compiler()
+    except Exception as error:  # no compiler, or a broken one: PyTorch's exceptions differ by version
+        print(
+            f"no C++ compiler was found ({type(error).__name__}); uncompiled, this is slower", file=sys.stderr
+        )
+        return False
+    return True
 
 
 def faster_solver(train: TrainParameters) -> str:
@@ -66,14 +81,16 @@ def compile_or_explain(what: str, compile: Callable[[], None]) -> bool:
     return True
 
 
-def make_safety(config: Config, enabled: bool, period: float, compiled: bool = False) -> Safety:
-    """Constraints, admissible starts and, if enabled, the filter."""
+def make_safety(
+    config: Config, enabled: bool, period: float, compiled: bool = False, batch: int = 1
+) -> Safety:
+    """Constraints, admissible starts and, if enabled, the filter, compiled for about so many episodes."""
     with refusing("[rta] and [inspection]", ValueError, OverflowError):
         solver = make_solver(qp_solver(config.train))
         safety_filter = SafetyFilter(config.inspection, config.rta, period, solver)
     if compiled and enabled:
         device = resolve_device(config.train.device)
-        compile_or_explain("filter", lambda: safety_filter.compile(device))
+        compile_or_explain("filter", lambda: safety_filter.compile(device, batch))
     return safety_filter.safety(enabled)
 
 
@@ -121,13 +138,13 @@ def load_policy(path: str) -> tuple[Policy, Config]:
     return policy, config
 
 
-def for_command(config: Config, simulated: float) -> tuple[Safety, torch.device]:
-    """What a command that simulates about so many s needs beside its configuration."""
+def for_command(config: Config, simulated: float, batch: int) -> tuple[Safety, torch.device]:
+    """What a command that simulates `batch` episodes for about so many s needs beside its configuration."""
     train = config.train
     device = resolve_device(train.device)
     repaid = simulated / train.rta_period >= WORTH_COMPILING_FILTER
     compiled = train.rta and wants_compile(train.compile, repaid)
-    return make_safety(config, train.rta, train.rta_period, compiled), device
+    return make_safety(config, train.rta, train.rta_period, compiled, batch), device
 
 
 def one_episode(config: Config, safety: Safety, device: torch.device) -> InspectionEnv:

@@ -119,7 +119,9 @@ class Run:
             train.compile, steps * calls_per_step >= build.WORTH_COMPILING_FILTER
         )
         self.compiled = build.wants_compile(train.compile, steps >= build.WORTH_COMPILING_SIMULATOR)
-        self.safety = build.make_safety(config, train.rta, train.rta_period, self.filter_compiled)
+        self.safety = build.make_safety(
+            config, train.rta, train.rta_period, self.filter_compiled, train.num_envs
+        )
         self.timer = Timed(self.safety.correct)
         timed = replace(self.safety, correct=self.timer) if train.rta else self.safety
         env = build.make_env(config, train.num_envs, generators, timed, self.compiled)

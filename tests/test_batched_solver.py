@@ -40,8 +40,8 @@ class Recorder:
         self.asked.append(problems)
         return self.solver.solve(problems)
 
-    def compile(self, rows: int, device: torch.device | str) -> None:
-        self.solver.compile(rows, device)
+    def compile(self, rows: int, batch: int, device: torch.device | str) -> None:
+        self.solver.compile(rows, batch, device)
 
 
 def fly(period: float, actions: int, start: ndarray | None, r: RtaParameters = R) -> list[Problems]:
@@ -329,7 +329,7 @@ def test_degenerate_rows_change_nothing(
 
 def test_compiled_solver_gives_the_same_answers(flights: tuple[Problems, ...]) -> None:
     eager, compiled = BatchedSolver(), BatchedSolver()
-    compiled.compile(max(len(part.a) for part in flights))
+    compiled.compile(max(len(part.a) for part in flights), 256, "cpu")
     for part in flights[:2]:  # one of thrust, one of torque
         for count in (1, 2, len(part.desired[0])):
             sample = part[torch.arange(count)]

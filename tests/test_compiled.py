@@ -16,6 +16,7 @@ from rta.compiled import Compiled
 from rta.filter import FilterResult, SafetyFilter
 from rta.parameters import RtaParameters
 from rta.qp import Status
+from study import build
 
 C = InspectionParameters()
 
@@ -70,9 +71,8 @@ def test_compiled_filter_equals_the_eager_one(
     generator: torch.Generator,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(compiled, "SIZES", (16,))  # one compilation
     eager, fast = SafetyFilter(C, RtaParameters()), SafetyFilter(C, RtaParameters())
-    fast.compile()
+    fast.compile("cpu", 16)
     x = random_states(300)
     x[5, 7] = x[13, 8] = math.nan
     x[0, 9] = math.inf
@@ -90,3 +90,20 @@ def test_compiled_filter_equals_the_eager_one(
             torch.testing.assert_close(
                 found, getattr(expected, field.name), rtol=1e-9, atol=1e-9, equal_nan=True
             )
+
+
+def test_without_a_compiler_nothing_is_compiled_and_one_line_says_so(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def missing() -> str:
+        raise RuntimeError
+
+    monkeypatch.setattr(build, "get_cpp_compiler", missing)
+    build.finds_compiler.cache_clear()
+    try:
+        assert not build.wants_compile("on", True)
+        assert not build.wants_compile("auto", True)
+    finally:
+        build.finds_compiler.cache_clear()
+    message = capsys.readouterr().err
+    assert message.count("\n") == 1 and "compiler" in message

@@ -103,6 +103,15 @@ def test_negative_numbers_are_refused(field: str) -> None:
         dataclasses.replace(R, **{field: value})
 
 
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [("passive_safety_doubling", 0.0), ("slack_weight_motion", 0.0), ("pole_angle", 1.6)],
+)
+def test_numbers_that_would_spoil_every_program_are_refused(field: str, value: float) -> None:
+    with pytest.raises(ValueError, match=field):
+        dataclasses.replace(R, **{field: value})
+
+
 def test_safe_control_is_returned_untouched(conditions: tuple[Rows, Rows], result: FilterResult) -> None:
     safe = (left_hand_sides(conditions, U) > 1e-9).all(0)
     assert safe.sum() > 20
