@@ -59,8 +59,8 @@ class PiqpSolver:
             solved = left[kept]
             control[solved] = u[kept]
             status[solved] = outcome
-            parts = (u[kept], multiplier[kept], desired[solved], a[solved], side[solved])
-            residual[solved] = kkt_residual(*map(columns, parts), torch.from_numpy(slack_weight)).numpy()
+            parts = (u[kept], multiplier[kept], desired[solved], a[solved].swapaxes(1, 2), side[solved])
+            residual[solved] = kkt_residual(*(part.T for part in parts), slack_weight)
             answers = desired.copy()
             answers[left] = np.where(np.isfinite(u), u, desired[left])
             candidates.append(answers)
@@ -81,11 +81,12 @@ class PiqpSolver:
         """Controls (N, 3) and multipliers (N, R); NaN where PIQP does not call the program solved."""
         soft = np.isfinite(weight)
         count, rows, slacks = len(desired), len(weight), int(soft.sum())
-        c = np.hstack((-desired, np.zeros((count, slacks))))
-        # slack in units of 1 / sqrt(weight) makes the cost the identity
-        relief = np.eye(rows)[:, soft] / np.sqrt(weight[soft])
-        g = np.concatenate((a, np.broadcast_to(relief, (count, rows, slacks))), 2)
-        lower = -b
+        c, g, lower = -desired, a, -b
+        if slacks:
+            c = np.hstack((c, np.zeros((count, slacks))))
+            # slack in units of 1 / sqrt(weight) makes the cost the identity
+            relief = np.eye(rows)[:, soft] / np.sqrt(weight[soft])
+            g = np.concatenate((g, np.broadcast_to(relief, (count, rows, slacks))), 2)
         u, multiplier = np.full((count, 3), np.nan), np.full((count, rows), np.nan)
         solver = self._workspace(rows, slacks)
         # PIQP has no batch call: this loop is the filter's largest cost, so it holds nothing but the solver.

@@ -11,10 +11,13 @@ Rows are scaled to unit length, which makes b and delta multiples of the actuato
 from dataclasses import dataclass
 from enum import IntEnum
 from functools import reduce
-from typing import Protocol
+from typing import Protocol, TypeVar
 
+import numpy as np
 import torch
 from torch import Tensor
+
+Array = TypeVar("Array", Tensor, np.ndarray)
 
 FEASIBLE = 1e-7  # largest row violation of an accepted solution, in units of the actuators' limits
 REDUNDANT = 2.0  # |A_i u| <= sqrt(3) inside the box, so a row with b >= 2 can never bind
@@ -98,9 +101,7 @@ def total(x: Tensor, dim: int) -> Tensor:
     return reduce(torch.add, x.unbind(dim))
 
 
-def kkt_residual(
-    u: Tensor, multiplier: Tensor, desired: Tensor, a: Tensor, b: Tensor, weight: Tensor
-) -> Tensor:
+def kkt_residual(u: Array, multiplier: Array, desired: Array, a: Array, b: Array, weight: Array) -> Array:
     """The largest violation of the optimality conditions of min |u - u_des|^2 / 2 + sum_i w_i delta_i^2 / 2.
 
     With multipliers lambda of the rows, delta_i = lambda_i / w_i and s_i = A_i u + b_i + delta_i, they are
@@ -111,13 +112,14 @@ def kkt_residual(
         complementarity    min(lambda_i, 1) s_i = 0, since rounding of s_i times a large lambda_i says little
 
     Args:
-        u, desired: (3, N); multiplier, b: (R, N); a: (R, 3, N).
+        u, desired: (3, N); multiplier, b: (R, N); a: (R, 3, N). All NumPy's, or all PyTorch's.
         weight: (R,), infinite for rows without slack.
 
     Returns:
         (N,) in units of the actuators' limits; NaN where an argument is.
     """
+    xp = torch if isinstance(u, Tensor) else np
     s = (a * u).sum(1) + b + multiplier / weight[:, None]
-    stationarity = u - (desired + (a * multiplier[:, None]).sum(0)).clamp(-1.0, 1.0)
-    complementarity = multiplier.clamp(max=1.0) * s
-    return torch.cat((stationarity.abs(), -s, -multiplier, complementarity.abs())).amax(0)
+    stationarity = u - (desired + (a * multiplier[:, None]).sum(0)).clip(-1.0, 1.0)
+    complementarity = multiplier.clip(max=1.0) * s
+    return xp.amax(xp.concatenate((abs(stationarity), -s, -multiplier, abs(complementarity))), 0)
