@@ -21,16 +21,16 @@ class NonFiniteError(ArithmeticError):
 class PPOParameters:
     """Settings of the learner; raises ValueError, naming the setting, for values that make no sense."""
 
-    gamma: float = 0.997  # discount per step
+    gamma: float = 0.999  # discount per step
     gae_lambda: float = 0.97  # GAE's lambda: 0 trusts the value network, 1 the observed returns
-    epochs: int = 10  # passes over each batch
+    epochs: int = 4  # passes over each batch
     minibatch_size: int = 1024  # samples per seed; the largest allowed, see PPO.update
     learning_rate: float = 5e-4  # Adam's step size at progress 0, annealed linearly to 0 at progress 1
     clip: float = 0.2  # largest rewarded change of the probability ratio from 1
     value_coefficient: float = 0.5  # weight of the mean squared value error in the loss
     entropy_coefficient: float = 0.0  # weight of the entropy bonus, per nat
     max_grad_norm: float = 0.5  # largest Euclidean gradient norm, per seed, policy and value together
-    initial_std: float = 0.1  # standard deviation of each control before training, in action units
+    initial_std: float = 0.03  # standard deviation of each control before training, in action units
     log_std_bounds: tuple[float, float] = (-5.0, 0.0)  # range of the log standard deviation, in nats
 
     def __post_init__(self) -> None:

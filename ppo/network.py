@@ -102,7 +102,7 @@ class Policy(nn.Module):
         generators: Sequence[torch.Generator],
         hidden: Sequence[int] = (256, 256),
         log_std_bounds: tuple[float, float] = (-5.0, 0.0),
-        initial_std: float = 0.1,
+        initial_std: float = 0.03,
     ) -> None:
         super().__init__()
         bias = log_std_bias(initial_std, log_std_bounds)
