@@ -24,6 +24,7 @@ from rta.filter import SafetyFilter
 from rta.parameters import PERIODS
 from rta.qp import Problems, Solutions, Solver
 from study import build
+from study.breakdown import breakdown
 from study.config import Config
 from study.errors import InputError
 from study.evaluation import Actor, policy_actor
@@ -278,7 +279,7 @@ def benchmark(config: Config, batches: tuple[int, ...]) -> dict[str, Any]:
         The content of `benchmark --json`. Headline numbers are medians, rates those at the batch of `batches`
         next to TYPICAL, the learner's at that next to its minibatch. `min_max` has the smallest and largest
         measurement of each under the same key; `scaling` has all three by batch: environments, spacecraft or
-        samples at once, or programs for `qp_us`.
+        samples at once, or programs for `qp_us`. `closed_loop_us` has `breakdown` by batch.
     """
     device = build.resolve_device(config.train.device)
     compiled = build.wants_compile(config.train.compile, True)
@@ -298,6 +299,7 @@ def benchmark(config: Config, batches: tuple[int, ...]) -> dict[str, Any]:
     latencies = single_latencies(onboard, flight)
 
     simulator: dict[int, Spread] = {}
+    parts: dict[int, dict[str, float]] = {}
     closed: dict[str, dict[int, Spread]] = {name: {} for name in filters}
     for n in batches:
         say(f"{n:,} episodes at once")
@@ -306,6 +308,8 @@ def benchmark(config: Config, batches: tuple[int, ...]) -> dict[str, Any]:
         for name, filter_at_period in filters.items():
             env.safety = filter_at_period.safety()
             closed[name][n] = spread(closed_loop_rate(env, flight, actor))
+        begin(env, flight)
+        parts[n] = breakdown(env, safety_filter, actor)
 
     say("solvers")
     flights = [flight]
@@ -333,6 +337,9 @@ def benchmark(config: Config, batches: tuple[int, ...]) -> dict[str, Any]:
         "single_filter_latency_ms": {
             "median": median(latencies),
             "p99": latencies[int(0.99 * len(latencies))],
+        },
+        "closed_loop_us": {
+            name: {n: by_name[name] for n, by_name in parts.items()} for name in parts[typical]
         },
         "learner_matmul_share": flops / matmul["median"],
         "peak_memory_mb": peak_memory_mb(device),
@@ -417,6 +424,10 @@ def table(results: dict[str, Any]) -> str:
         lines.append(
             f"{label:28}" + "".join(f"{rates[n]:>12,.0f}" if n in rates else f"{'':12}" for n in batches)
         )
+    parts = results["closed_loop_us"]
+    lines += ["", f"{'us per step, RTA at 1 s':28}" + "".join(f"{n:>12,}" for n in parts["total"])]
+    for name, by_batch in parts.items():
+        lines.append(f"{name:28}" + "".join(f"{us:>12,.2f}" for us in by_batch.values()))
     return "\n".join(lines)
 
 

@@ -24,6 +24,7 @@ KEYS = {
     "qp_us",
     "learner_samples_per_s",
     "matmul_gflops",
+    "closed_loop_us",
     "learner_matmul_share",
     "peak_memory_mb",
     "scaling",
@@ -46,6 +47,9 @@ def test_benchmark_writes_the_promised_json_and_figure(
     assert set(found["single_filter_latency_ms"]) == {"median", "p99"}
     assert set(found["qp_us"]) == {"piqp", "batched"}
     assert set(found["scaling"]["filter_calls_per_s"]) == {"16", "64"}
+    parts = {name: us["64"] for name, us in found["closed_loop_us"].items()}
+    assert parts.pop("total") == pytest.approx(sum(parts.values()))
+    assert all(us > 0.0 for us in parts.values())
     for name in ("simulator_steps_per_s", "filter_calls_per_s", "learner_samples_per_s", "matmul_gflops"):
         low, high = found["min_max"][name]
         assert 0 < low <= found[name] <= high
