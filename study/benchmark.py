@@ -279,7 +279,8 @@ def benchmark(config: Config, batches: tuple[int, ...]) -> dict[str, Any]:
         The content of `benchmark --json`. Headline numbers are medians, rates those at the batch of `batches`
         next to TYPICAL, the learner's at that next to its minibatch. `min_max` has the smallest and largest
         measurement of each under the same key; `scaling` has all three by batch: environments, spacecraft or
-        samples at once, or programs for `qp_us`. `closed_loop_us` has `breakdown` by batch.
+        samples at once, or programs for `qp_us`. `closed_loop_us` has `breakdown` by batch, and
+        `compile_s` what `compile_times` says, before anything else is compiled.
     """
     device = build.resolve_device(config.train.device)
     compiled = build.wants_compile(config.train.compile, True)
@@ -287,6 +288,7 @@ def benchmark(config: Config, batches: tuple[int, ...]) -> dict[str, Any]:
 
     say("learner and matrix products")
     matmul = spread(matmul_rate(device))
+    compile_s = compile_times(config, max(batches)) if compiled else {}
     with torch.enable_grad():
         learner = {n: spread(learner_rate(config, n, device, compiled)) for n in batches}
 
@@ -343,6 +345,7 @@ def benchmark(config: Config, batches: tuple[int, ...]) -> dict[str, Any]:
         },
         "learner_matmul_share": flops / matmul["median"],
         "peak_memory_mb": peak_memory_mb(device),
+        "compile_s": compile_s,
         "scaling": {
             "simulator_steps_per_s": simulator,
             "closed_loop_steps_per_s": closed,
@@ -357,6 +360,28 @@ def benchmark(config: Config, batches: tuple[int, ...]) -> dict[str, Any]:
         "device": device_name(device),
         "compiled": compiled,
     }
+
+
+def compile_times(config: Config, batch: int) -> dict[str, float]:
+    """s until filter, simulator and learner are compiled for a training run, less where the cache holds them."""
+    device = build.resolve_device(config.train.device)
+    generators = [torch.Generator(device).manual_seed(0)]
+    safety_filter = make_filter(config, 1.0, False, batch)
+    env = build.make_env(config, batch, generators, safety_filter.safety(False))
+    learner = PPO(
+        build.make_policy(config, generators), Value(OBSERVATION_SIZE, generators), config.ppo, generators
+    )
+    seconds = {}
+    for name, compile in (
+        ("filter", lambda: safety_filter.compile(device, batch)),
+        ("simulator", env.compile),
+        ("learner", lambda: learner.compile(config.train.batch)),
+    ):
+        started = time.perf_counter()
+        with torch.enable_grad():
+            build.compile_or_explain(name, compile)
+        seconds[name] = time.perf_counter() - started
+    return seconds
 
 
 def pick_out(headline: dict[str, Any], choose: Callable[[Spread], Any]) -> dict[str, Any]:
@@ -424,6 +449,8 @@ def table(results: dict[str, Any]) -> str:
         lines.append(
             f"{label:28}" + "".join(f"{rates[n]:>12,.0f}" if n in rates else f"{'':12}" for n in batches)
         )
+    for name, seconds in results["compile_s"].items():
+        lines.append(f"{f'to compile the {name}':44}{seconds:>14,.1f}  s")
     parts = results["closed_loop_us"]
     lines += ["", f"{'us per step, RTA at 1 s':28}" + "".join(f"{n:>12,}" for n in parts["total"])]
     for name, by_batch in parts.items():
