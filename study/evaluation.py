@@ -22,14 +22,15 @@ from rta.rows import Barriers
 from study import build
 from study.config import Config
 from study.errors import refusing
-from study.statistics import summary
+from study.statistics import stratified_summary, summary
 
 Actor = Callable[[Tensor], Tensor]  # observations (B, 26) to actions (B, 6)
 
 
 def policy_actor(policy: Policy) -> Actor:
-    """Deterministic actions of a single-seed policy."""
-    return lambda observation: policy.mean_action(observation[None])[0]
+    """Deterministic actions of a policy of S seeds, whose columns follow one another as the environment's do."""
+    seeds = policy.network.layers[0].weight.shape[0]
+    return lambda observation: policy.mean_action(observation.unflatten(0, (seeds, -1))).flatten(0, 1)
 
 
 def test_cases(config: Config, episodes: int, seed: int) -> tuple[Tensor, Tensor]:
@@ -67,6 +68,19 @@ class Episodes:
     filter_violations: Tensor
     worst: Tensor
     extremes: dict[str, Tensor]
+
+    def split(self, seeds: int) -> list["Episodes"]:
+        """The episodes of each seed, where those of all follow one another."""
+        names = [field.name for field in dataclasses.fields(self) if field.name != "extremes"]
+        arrays = {name: getattr(self, name).chunk(seeds, -1) for name in names}
+        extremes = {name: values.chunk(seeds) for name, values in self.extremes.items()}
+        return [
+            Episodes(
+                **{name: parts[k] for name, parts in arrays.items()},
+                extremes={name: parts[k] for name, parts in extremes.items()},
+            )
+            for k in range(seeds)
+        ]
 
 
 def raw_quantities(x: Tensor) -> dict[str, Tensor]:
@@ -131,13 +145,20 @@ def note(record: Episodes, transition: Transition, running: Tensor, safety: Safe
     record.outcome = torch.where(ending, transition.outcome, record.outcome)
 
 
-def report(record: Episodes, config: Config, rta: bool, period: float, seed: int) -> dict[str, Any]:
-    """The content of `evaluate --json`."""
+def report(
+    record: Episodes, config: Config, rta: bool, period: float, seed: int, seeds: int = 1
+) -> dict[str, Any]:
+    """The content of `evaluate --json`.
+
+    Args:
+        seed: of the test cases; seeds: trained seeds whose episodes of the same cases follow one another.
+    """
     percent = dict(zip((*CONSTRAINTS, "any"), record.violations.mean(1).tolist(), strict=True))
     calls = record.filter_calls.sum().item()
     results = {
         "metrics": {
-            name: summary(values.cpu().numpy()) for name, values in zip(METRICS, record.metrics, strict=True)
+            name: summary(values) if seeds == 1 else stratified_summary(values.reshape(seeds, -1))
+            for name, values in zip(METRICS, record.metrics.cpu().numpy(), strict=True)
         },
         "violations_percent": {"any": percent.pop("any")} | percent,
         "outcomes": {
@@ -164,6 +185,24 @@ def report(record: Episodes, config: Config, rta: bool, period: float, seed: int
     return results
 
 
+def play(
+    policy: Policy,
+    config: Config,
+    episodes: int,
+    seed: int,
+    device: torch.device,
+    safety: Safety,
+    compiled: bool = False,
+) -> Episodes:
+    """Plays the same common test cases with every seed of a policy at once, deterministically, seed after seed."""
+    seeds = policy.network.layers[0].weight.shape[0]
+    # for restarts of ended columns, which nobody sees
+    generators = [torch.Generator(device).manual_seed(seed + 1) for _ in range(seeds)]
+    env = build.make_env(config, episodes, generators, safety, compiled)
+    x, priority = test_cases(config, episodes, seed)
+    return run_episodes(env, policy_actor(policy), x.repeat(1, seeds), priority.repeat(1, seeds))
+
+
 def evaluate(
     policy: Policy,
     config: Config,
@@ -173,8 +212,6 @@ def evaluate(
     safety: Safety,
     compiled: bool = False,
 ) -> dict[str, Any]:
-    """Plays the common test cases with deterministic actions and reports them."""
-    generator = torch.Generator(device).manual_seed(seed + 1)  # restarts of ended columns, which nobody sees
-    env = build.make_env(config, episodes, [generator], safety, compiled)
-    record = run_episodes(env, policy_actor(policy), *test_cases(config, episodes, seed))
+    """Plays the common test cases with a policy of one seed and reports them."""
+    record = play(policy, config, episodes, seed, device, safety, compiled)
     return report(record, config, safety.correct is not None, safety.period, seed)

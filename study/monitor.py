@@ -10,17 +10,22 @@ from rta.qp import Status
 
 
 class Monitor:
-    """Accumulates transitions; `scalars` empties it. Tags are TensorBoard's."""
+    """Accumulates transitions; `scalars` empties it. Tags are TensorBoard's.
 
-    def __init__(self, constraints: tuple[str, ...]) -> None:
-        self.constraints = constraints
+    Args:
+        constraints: their names; seeds: that share the batch in equal parts, one after another.
+    """
+
+    def __init__(self, constraints: tuple[str, ...], seeds: int = 1) -> None:
+        self.constraints, self.seeds = constraints, seeds
         self._clear()
 
     def _clear(self) -> None:
         self.steps = 0
         self.filter_calls = 0
         self.sums: dict[str, Tensor] = defaultdict(lambda: torch.zeros(()))
-        self.episodes: list[Tensor] = []
+        self.episodes: list[Tensor] = []  # (7, k) of those that ended: metrics and success
+        self.owners: list[Tensor] = []  # (k,) their seeds
 
     def __call__(self, transition: Transition) -> None:
         """Takes in one interaction of the batch."""
@@ -41,13 +46,23 @@ class Monitor:
         if done.any():
             success = (transition.outcome == OUTCOMES.index("success")).to(transition.metrics.dtype)
             self.episodes.append(torch.cat((transition.metrics, success[None]))[:, done])
+            self.owners.append(torch.nonzero(done).flatten() * self.seeds // done.numel())
+
+    def charts(self, seed: int | None = None) -> dict[str, float]:
+        """Means over the episodes that ended since the last `scalars`, of one seed (counted from 0) or of all."""
+        if not self.episodes:
+            return {}
+        episodes = torch.cat(self.episodes, 1)
+        if seed is not None:
+            episodes = episodes[:, torch.cat(self.owners) == seed]
+        if not episodes.numel():
+            return {}
+        names = (*METRICS, "success")
+        return {f"charts/{name}": mean for name, mean in zip(names, episodes.mean(1).tolist(), strict=True)}
 
     def scalars(self) -> dict[str, float]:
         """Means since the last call: per episode ended, per interaction and per filter call."""
-        out = {}
-        if self.episodes:
-            means = torch.cat(self.episodes, 1).mean(1).tolist()
-            out |= {f"charts/{name}": mean for name, mean in zip((*METRICS, "success"), means, strict=True)}
+        out = self.charts()
         for name, total in self.sums.items():
             if name.startswith("reward/"):
                 out[name] = total.item() / self.steps

@@ -1,9 +1,11 @@
-"""Robust summaries over episodes (Agarwal et al. 2021): the interquartile mean and its bootstrap interval."""
+"""Robust summaries over episodes (Agarwal et al. 2021): the interquartile mean and its bootstrap intervals."""
 
 import numpy as np
 from scipy import stats
 
 RESAMPLES = 10_000
+STRATIFIED_RESAMPLES = 50_000
+AT_ONCE = 2**21  # scores of the resamples held in memory
 
 
 def iqm(values: np.ndarray, axis: int = -1) -> np.ndarray:
@@ -26,3 +28,30 @@ def summary(values: np.ndarray, seed: int = 0) -> dict[str, float | list[float]]
         )
         interval = [float(bound) for bound in result.confidence_interval]
     return {"iqm": float(iqm(values)), "mean": float(values.mean()), "ci95": interval}
+
+
+def stratified_bootstrap(
+    scores: np.ndarray, rng: np.random.Generator, resamples: int = STRATIFIED_RESAMPLES
+) -> np.ndarray:
+    """IQMs (resamples,) of stratified bootstrap resamples of scores (runs, tasks).
+
+    As Agarwal et al. define it (2021, Sec. 4): each task is a stratum, whose runs are drawn with replacement
+    independently of the other tasks'.
+    """
+    size = max(1, AT_ONCE // scores.size)
+    iqms = []
+    for start in range(0, resamples, size):
+        drawn = rng.integers(len(scores), size=(min(size, resamples - start), *scores.shape))
+        resampled = np.take_along_axis(scores[None], drawn, axis=1)
+        iqms.append(iqm(resampled.reshape(len(drawn), -1)))
+    return np.concatenate(iqms)
+
+
+def stratified_summary(scores: np.ndarray, seed: int = 0) -> dict[str, float | list[float]]:
+    """`iqm` and `mean` over all of the scores (runs, tasks), and `ci95`, the stratified bootstrap's interval."""
+    low, high = np.percentile(stratified_bootstrap(scores, np.random.default_rng(seed)), [2.5, 97.5])
+    return {
+        "iqm": float(iqm(scores, axis=None)),
+        "mean": float(scores.mean()),
+        "ci95": [float(low), float(high)],
+    }

@@ -2,11 +2,12 @@
 
 import importlib.metadata
 import json
+import os
 import platform
 import signal
 import subprocess
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -17,7 +18,7 @@ from torch import Tensor
 from torch.utils.tensorboard import SummaryWriter
 from tqdm import tqdm
 
-from inspection.environment import Correction
+from inspection.environment import METRICS, OUTCOMES, Correction
 from inspection.observation import SIZE as OBSERVATION_SIZE
 from ppo import checkpoint
 from ppo.learner import PPO, NonFiniteError
@@ -28,10 +29,11 @@ from study import build
 from study import config as configuration
 from study.config import Config
 from study.errors import InputError, refusing
-from study.evaluation import evaluate, test_cases
+from study.evaluation import Episodes, evaluate, play, report, test_cases
 from study.figures import episode_figure
 from study.monitor import Monitor
 from study.simulation import policy_controller, simulate
+from study.statistics import iqm
 from study.tables import tables
 
 PACKAGES = ("torch", "numpy", "piqp", "scipy", "tensorboard")
@@ -59,18 +61,28 @@ class Timed:
 
 
 @contextmanager
-def stop_requested() -> Iterator[list[int]]:
-    """Yields a list that SIGINT and SIGTERM fill, so that the update under way can end first."""
-    received: list[int] = []
+def on_signal(react: Callable[[], None]) -> Iterator[None]:
+    """Lets SIGINT and SIGTERM call `react`."""
     previous = {
-        number: signal.signal(number, lambda n, _: received.append(n))
-        for number in (signal.SIGINT, signal.SIGTERM)
+        number: signal.signal(number, lambda *_: react()) for number in (signal.SIGINT, signal.SIGTERM)
     }
     try:
-        yield received
+        yield
     finally:
         for number, handler in previous.items():
             signal.signal(number, handler)
+
+
+def write_text(path: Path, text: str) -> None:
+    """Writes beside `path` and renames, so that a kill at any moment leaves the old file or the new one."""
+    temporary = path.with_name(path.name + ".tmp")
+    temporary.write_text(text, encoding="utf-8")
+    os.replace(temporary, path)
+
+
+def write_json(path: Path, content: dict[str, Any]) -> None:
+    """Writes content as indented JSON, whole or not at all."""
+    write_text(path, json.dumps(content, indent=2) + "\n")
 
 
 def git_revision() -> str:
@@ -101,18 +113,31 @@ def provenance(config: Config, device: torch.device) -> dict[str, Any]:
     }
 
 
+def write_settings(config: Config, directory: Path) -> None:
+    """Writes what describes a run or a study: config.toml and provenance.json."""
+    write_text(directory / "config.toml", config.to_toml())
+    write_json(directory / "provenance.json", provenance(config, build.resolve_device(config.train.device)))
+
+
 class Run:
-    """One training run and its directory.
+    """The training of one seed, or of several side by side as one batch, and its directory.
 
     Args:
         config: resolved configuration; directory: where everything is written.
+        seeds: trained side by side, each with a directory of its own in `directory`; None: the configuration's
+            only, in `directory` itself.
+
+    Attributes:
+        homes: each seed's own directory.
     """
 
-    def __init__(self, config: Config, directory: Path) -> None:
+    def __init__(self, config: Config, directory: Path, seeds: Sequence[int] | None = None) -> None:
         train = config.train
         self.config, self.directory = config, directory
+        self.seeds = (train.seed,) if seeds is None else tuple(seeds)
+        self.homes = [directory if seeds is None else directory / f"seed{seed}" for seed in self.seeds]
         self.device = build.resolve_device(train.device)
-        generators = [torch.Generator(self.device).manual_seed(train.seed)]
+        generators = [torch.Generator(self.device).manual_seed(seed) for seed in self.seeds]
         calls_per_step = round(config.inspection.action_period / train.rta_period)
         steps = train.updates * train.rollout_steps
         self.filter_compiled = train.rta and build.wants_compile(
@@ -120,7 +145,7 @@ class Run:
         )
         self.compiled = build.wants_compile(train.compile, steps >= build.WORTH_COMPILING_SIMULATOR)
         self.safety = build.make_safety(
-            config, train.rta, train.rta_period, self.filter_compiled, train.num_envs
+            config, train.rta, train.rta_period, self.filter_compiled, train.num_envs * len(self.seeds)
         )
         self.timer = Timed(self.safety.correct)
         timed = replace(self.safety, correct=self.timer) if train.rta else self.safety
@@ -133,7 +158,7 @@ class Run:
             build.compile_or_explain("learner", lambda: learner.compile(samples))
         self.policy: Policy = policy
         self.trainer = Trainer(env, learner, train.rollout_steps, train.updates, generators)
-        self.monitor = Monitor(CONSTRAINTS)
+        self.monitor = Monitor(CONSTRAINTS, len(self.seeds))
         self.env = env
 
     @property
@@ -142,18 +167,16 @@ class Run:
 
     @property
     def interactions(self) -> int:
-        """Interactions so far."""
+        """Interactions of each seed so far."""
         return self.trainer.update * self.config.train.batch
 
     def create(self) -> None:
-        """Writes what describes the run, and its first checkpoint."""
-        with refusing(f"--run-dir {self.directory}: cannot write there", OSError):
-            (self.directory / "config.toml").write_text(self.config.to_toml(), encoding="utf-8")
-            about = json.dumps(provenance(self.config, self.device), indent=2)
-            (self.directory / "provenance.json").write_text(about + "\n", encoding="utf-8")
+        """Starts the episodes and writes the first checkpoint."""
         with refusing("[inspection]", RuntimeError):
             self.env.reset()
-        with refusing(f"--run-dir {self.directory}: cannot write there", OSError):
+        with refusing(f"{self.directory}: cannot write there", OSError):
+            for home in self.homes:
+                home.mkdir(parents=True, exist_ok=True)
             self.save()
 
     def resume(self) -> None:
@@ -167,26 +190,39 @@ class Run:
         """Drops what a run that was killed had evaluated after its last checkpoint."""
         path = self.directory / "evaluations.jsonl"
         if path.is_file():
-            lines = path.read_text(encoding="utf-8").splitlines()
-            kept = [line for line in lines if json.loads(line)["interactions"] <= self.interactions]
-            path.write_text("".join(f"{line}\n" for line in kept), encoding="utf-8")
+            lines = path.read_text(encoding="utf-8").splitlines(keepends=True)
+            whole = [line for line in lines if line.endswith("\n")]
+            kept = [line for line in whole if json.loads(line)["interactions"] <= self.interactions]
+            write_text(path, "".join(kept))
+
+    def config_of(self, seed: int) -> Config:
+        """The configuration with which `train` trains this seed alone."""
+        return replace(self.config, train=replace(self.config.train, seed=seed))
 
     def save(self) -> None:
-        """Writes the checkpoint and, beside it, the policy alone."""
-        config = self.config.to_toml()
-        checkpoint.save(self.checkpoint_path, self.trainer.state_dict() | {"config": config})
-        checkpoint.save(self.directory / "policy.pt", {"policy": self.policy.state_dict(), "config": config})
+        """Writes the checkpoint and each seed's policy alone."""
+        checkpoint.save(self.checkpoint_path, self.trainer.state_dict() | {"config": self.config.to_toml()})
+        weights = self.policy.state_dict()
+        for k, (seed, home) in enumerate(zip(self.seeds, self.homes, strict=True)):
+            own = {name: stacked[k : k + 1].clone() for name, stacked in weights.items()}
+            checkpoint.save(
+                home / "policy.pt", {"policy": own, "config": self.config_of(seed).to_toml()}
+            )
 
     def train(self) -> None:
         """Trains to the end; raises Stopped where a signal came first, NonFiniteError where numbers went bad."""
         train = self.config.train
-        self.writer = SummaryWriter(str(self.directory), purge_step=self.interactions + 1)
+        folders = [self.directory, *self.homes] if len(self.homes) > 1 else [self.directory]
+        self.writer, *self.seed_writers = (
+            SummaryWriter(str(folder), purge_step=self.interactions + 1) for folder in folders
+        )
+        stop: list[bool] = []
         total = train.updates * train.batch
         columns = (
             "{desc}{percentage:3.0f}%|{bar}| {n:,}/{total:,} [{elapsed}<{remaining}, {rate_fmt}{postfix}]"
         )
         with (
-            stop_requested() as stop,
+            on_signal(lambda: stop.append(True)),  # so that the update under way can end first
             tqdm(
                 total=total,
                 initial=self.interactions,
@@ -203,7 +239,8 @@ class Run:
                     f"update {self.trainer.update + 1}: {error}; last good checkpoint: {self.checkpoint_path}"
                 ) from None
             finally:
-                self.writer.close()
+                for writer in (self.writer, *self.seed_writers):
+                    writer.close()
         self.save()
         if self.trainer.update < train.updates:
             raise Stopped(
@@ -214,8 +251,11 @@ class Run:
         """Logs the update; checkpoints and evaluates when due."""
         train = self.config.train
         seconds = statistics["time/rollout_s"] + statistics["time/learning_s"]
+        for k, writer in enumerate(self.seed_writers):
+            for tag, value in self.monitor.charts(k).items():
+                writer.add_scalar(tag, value, self.interactions)
         statistics |= self.monitor.scalars()
-        statistics["charts/SPS"] = train.batch / seconds
+        statistics["charts/SPS"] = len(self.seeds) * train.batch / seconds
         statistics["time/filter_s"] = self.timer.seconds
         statistics["time/simulation_s"] = statistics["time/rollout_s"] - self.timer.seconds
         self.timer.seconds = 0.0
@@ -248,9 +288,7 @@ class Run:
         results = evaluate(
             self.policy, config, train.final_episodes, 0, self.device, self.safety, self.compiled
         )
-        (self.directory / "evaluation.json").write_text(
-            json.dumps(results, indent=2) + "\n", encoding="utf-8"
-        )
+        write_json(self.directory / "evaluation.json", results)
         x, priority = test_cases(config, 1, 0)
         env = build.one_episode(config, self.safety, self.device)
         episode = simulate(
@@ -266,34 +304,64 @@ class Run:
         episode_figure(episode, config.inspection, self.directory / "episode.png")
         return f"{tables(results)}\nWritten to {self.directory}: policy.pt, evaluation.json, episode.png"
 
-    def evaluate(self) -> None:
-        """Periodic deterministic evaluation in the configuration of training."""
+    def play(self, episodes: int, seed: int) -> Episodes:
+        """Deterministic episodes of every seed, in the configuration of training, from test cases drawn by `seed`."""
+        return play(self.policy, self.config, episodes, seed, self.device, self.safety, self.compiled)
+
+    def report(self, record: Episodes, seed: int) -> list[dict[str, Any]]:
+        """Each seed's episodes in the form of `evaluate --json`."""
         train = self.config.train
-        results = evaluate(
-            self.policy,
-            self.config,
-            train.evaluation_episodes,
-            EVALUATION_SEED,
-            self.device,
-            self.safety,
-            self.compiled,
-        )
-        for name, value in results["metrics"].items():
-            self.writer.add_scalar(f"evaluation/{name}", value["iqm"], self.interactions)
-        self.writer.add_scalar("evaluation/success", results["outcomes"]["success"], self.interactions)
-        line = {"interactions": self.interactions, "seconds": self.trainer.seconds} | results
+        return [
+            report(own, self.config_of(trained), train.rta, train.rta_period, seed)
+            for trained, own in zip(self.seeds, record.split(len(self.seeds)), strict=True)
+        ]
+
+    def evaluate(self) -> None:
+        """Periodic evaluation; a line per seed in evaluations.jsonl, with the metrics of every case."""
+        record = self.play(self.config.train.evaluation_episodes, EVALUATION_SEED)
+        self.log(self.writer, record)
+        episodes = record.split(len(self.seeds))
+        for writer, own in zip(self.seed_writers, episodes, strict=False):
+            self.log(writer, own)
+        lines = []
+        for own, results in zip(episodes, self.report(record, EVALUATION_SEED), strict=True):
+            cases = dict(zip(METRICS, own.metrics.tolist(), strict=True))
+            line = {"interactions": self.interactions, "seconds": self.trainer.seconds} | results
+            lines.append(json.dumps(line | {"cases": cases}) + "\n")
         with open(self.directory / "evaluations.jsonl", "a", encoding="utf-8") as file:
-            file.write(json.dumps(line) + "\n")
+            file.writelines(lines)
+
+    def log(self, writer: SummaryWriter, record: Episodes) -> None:
+        """Shows episodes in TensorBoard."""
+        for name, values in zip(METRICS, record.metrics.cpu().numpy(), strict=True):
+            writer.add_scalar(f"evaluation/{name}", float(iqm(values)), self.interactions)
+        success = (record.outcome == OUTCOMES.index("success")).double().mean().item()
+        writer.add_scalar("evaluation/success", success, self.interactions)
+
+
+def check_trained_with(config: Config, path: Path) -> None:
+    """Refuses a checkpoint that was trained in another configuration than config.toml's."""
+    with refusing(str(path), KeyError, TypeError, AttributeError):
+        trained = configuration.from_toml(checkpoint.load(path, RESUMABLE)["config"], str(path))
+    if config != trained:
+        raise InputError(f"{path.parent}: config.toml is not what {path.name} was trained with")
+
+
+def with_solver(config: Config) -> Config:
+    """The configuration with the solver settled, which is part of what determines a run's numbers."""
+    return replace(config, train=replace(config.train, qp_solver=build.qp_solver(config.train)))
 
 
 def start(config: Config, directory: Path) -> Run:
     """A fresh run in a directory that holds none; its solver is part of its configuration from here on."""
-    config = replace(config, train=replace(config.train, qp_solver=build.qp_solver(config.train)))
+    config = with_solver(config)
     with refusing(f"--run-dir {directory}: cannot write there", OSError, ValueError):
         if any((directory / name).exists() for name in ("config.toml", "policy.pt", "checkpoint.pt")):
             raise InputError(f"--run-dir {directory}: holds a run already; continue it with --resume")
         directory.mkdir(parents=True, exist_ok=True)
     run = Run(config, directory)
+    with refusing(f"--run-dir {directory}: cannot write there", OSError):
+        write_settings(config, directory)
     run.create()
     return run
 
@@ -303,11 +371,7 @@ def resume(directory: Path) -> Run:
     if not (directory / "config.toml").is_file():
         raise InputError(f"--resume {directory}: no run there (it lacks config.toml)")
     config = configuration.load(directory / "config.toml")
-    path = directory / "checkpoint.pt"
-    with refusing(str(path), KeyError, TypeError, AttributeError):
-        trained = configuration.from_toml(checkpoint.load(path, RESUMABLE)["config"], str(path))
-    if config != trained:
-        raise InputError(f"--resume {directory}: config.toml is not what {path.name} was trained with")
+    check_trained_with(config, directory / "checkpoint.pt")
     run = Run(config, directory)
     run.resume()
     return run
@@ -318,7 +382,8 @@ def describe(run: Run) -> str:
     train = run.config.train
     arm = f"RTA at {train.rta_period:g} s by {build.qp_solver(train)}" if train.rta else "no RTA"
     arm += ", compiled" if run.compiled or run.filter_compiled else ""
-    return f"{run.directory}: {arm}, seed {train.seed}, {train.num_envs} episodes at once on {run.device}"
+    which = f"seed {run.seeds[0]}" + (f" to {run.seeds[-1]}" if len(run.seeds) > 1 else "")
+    return f"{run.directory}: {arm}, {which}, {run.env.time.numel()} episodes at once on {run.device}"
 
 
 __all__ = ["Run", "Stopped", "describe", "resume", "start"]
