@@ -31,7 +31,11 @@ class StackedLinear(nn.Module):
 
     def forward(self, x: Tensor) -> Tensor:
         """Map (S, B, inputs) to (S, B, outputs)."""
-        return torch.baddbmm(self.bias, x, self.weight)
+        outputs = self.weight.shape[2]
+        if outputs > 1:
+            return torch.baddbmm(self.bias, x, self.weight)
+        # a lone seed's matrix-vector product is added up in another order than a stack's; two columns are not
+        return torch.baddbmm(self.bias, x, nn.functional.pad(self.weight, (0, 1)))[..., :1]
 
 
 class StackedMLP(nn.Module):
