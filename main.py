@@ -18,12 +18,13 @@ from ppo.learner import NonFiniteError, PPOParameters
 from rta.filter import SOLVERS
 from rta.parameters import PERIODS
 from study import config as configuration
-from study.config import Config, TrainParameters
+from study.config import ARMS, AnyConfig, Config, StudyConfig, StudyParameters, TrainParameters
 from study.errors import InputError, refusing
 
 # flag: (TOML table, key, type, help); a flag's default is that of its key
 TRAIN, PPO, TASK = TrainParameters(), PPOParameters(), InspectionParameters()
-DEFAULT_SOLVER = "piqp"  # of every command but train
+STUDY = StudyParameters()
+DEFAULT_SOLVER = "piqp"  # of the commands that train nothing
 CONTROLLERS = ("lqr-pd", "natural-motion", "policy", "recorded", "zero", "random")
 
 
@@ -68,6 +69,14 @@ def positive_number(text: str) -> float:
 def batch_list(text: str) -> tuple[int, ...]:
     """Comma-separated counts for argparse."""
     return tuple(positive_integer(word) for word in text.split(","))
+
+
+def arm_list(text: str) -> list[str]:
+    """Comma-separated arms of a study for argparse."""
+    names = text.split(",")
+    if not set(names) <= set(ARMS) or len(set(names)) < len(names):
+        raise argparse.ArgumentTypeError(f"{text[:40]!r}: must be {','.join(ARMS)} or one of the two")
+    return names
 
 
 def period(text: str) -> float:
@@ -134,7 +143,9 @@ def build_parser() -> Parser:
     """The whole command line."""
     parser = Parser(prog="main.py", description=__doc__, allow_abbrev=False)
     commands = parser.add_subparsers(
-        dest="command", required=True, metavar="train | evaluate | simulate | filter | verify | benchmark"
+        dest="command",
+        required=True,
+        metavar="train | study | evaluate | simulate | filter | verify | benchmark",
     )
 
     train = commands.add_parser(
@@ -173,6 +184,46 @@ def build_parser() -> Parser:
         "--resume", metavar="D", help="continue the run in D exactly where it stopped (default: none)"
     )
     train.set_defaults(run=run_train)
+
+    study = commands.add_parser(
+        "study",
+        allow_abbrev=False,
+        help="train many seeds of both arms and evaluate them; the same command continues an interrupted study",
+    )
+    add_common(study)
+    add_solver(study, TRAIN.qp_solver)
+    study.add_argument(
+        "--seeds",
+        type=positive_integer,
+        metavar="N",
+        help=f"agents of each arm, trained as one batch (default: {STUDY.seeds})",
+    )
+    study.add_argument(
+        "--arms",
+        type=arm_list,
+        metavar="A,A",
+        help=f"no_rta, rta or both, in this order (default: {','.join(STUDY.arms)})",
+    )
+    study.add_argument(
+        "--interactions",
+        type=positive_integer,
+        metavar="N",
+        help=f"agent steps of 10 s of each seed in each arm, rounded up to whole updates "
+        f"(default: {TRAIN.interactions:,})",
+    )
+    study.add_argument(
+        "--num-envs",
+        type=positive_integer,
+        metavar="N",
+        help=f"episodes of each seed simulated at once (default: {TRAIN.num_envs})",
+    )
+    study.add_argument(
+        "--study-dir",
+        default="runs/study",
+        metavar="D",
+        help="directory to create, or of the study to continue (default: runs/study)",
+    )
+    study.set_defaults(run=run_study)
 
     evaluate = commands.add_parser(
         "evaluate", help="report an agent in the metrics of the paper's Tables 2 and 3"
@@ -302,9 +353,10 @@ def build_parser() -> Parser:
     return parser
 
 
-def resolve(arguments: argparse.Namespace, base: Config) -> Config:
+def resolve(arguments: argparse.Namespace, base: AnyConfig) -> AnyConfig:
     """The base configuration under --config under the flags."""
-    solver = {"train": "auto", "verify": "batched"}.get(arguments.command, DEFAULT_SOLVER)
+    own = base.train.qp_solver
+    solver = {"train": own, "study": own, "verify": "batched"}.get(arguments.command, DEFAULT_SOLVER)
     base = configuration.override(base, {"train": {"qp_solver": solver}}, "default")
     if arguments.config:
         base = configuration.load(arguments.config, base)
@@ -315,6 +367,8 @@ def resolve(arguments: argparse.Namespace, base: Config) -> Config:
         "learning_rate": "ppo",
         "epochs": "ppo",
         "minibatch_size": "ppo",
+        "seeds": "study",
+        "arms": "study",
     }
     keys = set(vars(TRAIN)) - {"seed"} | set(places) | ({"seed"} if arguments.command == "train" else set())
     tables: dict[str, dict[str, Any]] = {}
@@ -350,6 +404,18 @@ def run_train(arguments: argparse.Namespace) -> None:
         print(stopped)
         return
     print(run.conclude())
+
+
+def run_study(arguments: argparse.Namespace) -> None:
+    """main.py study"""
+    from study import arms, training
+
+    directory = Path(arguments.study_dir)
+    config = resolve(arguments, arms.settings(directory) or StudyConfig())
+    try:
+        print(arms.run(config, directory))
+    except training.Stopped as stopped:
+        print(stopped)
 
 
 def run_evaluate(arguments: argparse.Namespace) -> None:

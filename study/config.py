@@ -5,7 +5,7 @@ import tomllib
 import typing
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import tomli_w
 
@@ -16,6 +16,8 @@ from rta.parameters import PERIODS, RtaParameters
 from study.errors import InputError, refusing
 
 MAX_COUNT = 10**12
+MAX_SEEDS = 1000  # of a study; they share the memory
+ARMS = {"no_rta": False, "rta": True}  # of the study: its name, whether the filter corrects the agent
 
 
 @dataclass(frozen=True)
@@ -69,6 +71,20 @@ class TrainParameters:
 
 
 @dataclass(frozen=True)
+class StudyParameters:
+    """What a study trains."""
+
+    seeds: int = 10  # of each arm, counted up from [train] seed
+    arms: tuple[str, ...] = tuple(ARMS)  # no_rta, rta or both; they replace [train] rta
+
+    def __post_init__(self) -> None:
+        if not 0 < self.seeds <= MAX_SEEDS:
+            raise ValueError(f"seeds = {self.seeds}: must be a positive integer up to {MAX_SEEDS:,}")
+        if not self.arms or len(set(self.arms)) < len(self.arms) or not set(self.arms) <= set(ARMS):
+            raise ValueError(f"arms = {list(self.arms)}: must be one or more of {', '.join(ARMS)}, each once")
+
+
+@dataclass(frozen=True)
 class Config:
     """Everything that determines a run; each field is a TOML table."""
 
@@ -82,7 +98,31 @@ class Config:
         return tomli_w.dumps(dataclasses.asdict(self))
 
 
-def from_toml(text: str, source: str, base: Config | None = None) -> Config:
+@dataclass(frozen=True)
+class StudyConfig(Config):
+    """Everything that determines a study."""
+
+    study: StudyParameters = field(default_factory=StudyParameters)
+
+    def __post_init__(self) -> None:
+        if self.train.seed + self.study.seeds > 2**63:
+            raise InputError(f"[train] seed = {self.train.seed}: too large for {self.study.seeds} seeds")
+
+    @property
+    def seeds(self) -> range:
+        """The seeds of each arm."""
+        return range(self.train.seed, self.train.seed + self.study.seeds)
+
+    def of_arm(self, name: str) -> Config:
+        """The configuration of a training run of the arm's first seed."""
+        train = dataclasses.replace(self.train, rta=ARMS[name])
+        return Config(train, self.inspection, self.rta, self.ppo)
+
+
+AnyConfig = TypeVar("AnyConfig", bound=Config)
+
+
+def from_toml(text: str, source: str, base: AnyConfig | None = None) -> AnyConfig:
     """Parses and checks TOML text.
 
     Args:
@@ -99,7 +139,7 @@ def from_toml(text: str, source: str, base: Config | None = None) -> Config:
     return override(base or Config(), tables, source)
 
 
-def load(path: str | Path, base: Config | None = None) -> Config:
+def load(path: str | Path, base: AnyConfig | None = None) -> AnyConfig:
     """Reads a TOML file over a base configuration, by default the defaults."""
     try:
         text = Path(path).read_text(encoding="utf-8")
@@ -110,9 +150,9 @@ def load(path: str | Path, base: Config | None = None) -> Config:
     return from_toml(text, str(path), base)
 
 
-def override(config: Config, tables: dict[str, Any], source: str) -> Config:
+def override(config: AnyConfig, tables: dict[str, Any], source: str) -> AnyConfig:
     """A configuration with the given tables' keys replaced, every one checked."""
-    known = {f.name: f for f in dataclasses.fields(Config)}
+    known = {f.name: f for f in dataclasses.fields(config)}
     parts = {}
     for table, entries in tables.items():
         if table not in known:

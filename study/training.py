@@ -42,8 +42,11 @@ MALFORMED = (KeyError, TypeError, ValueError, RuntimeError, AttributeError)  # w
 EVALUATION_SEED = 1_000_000  # periodic test cases, apart from those of the final evaluation
 
 
-class Stopped(Exception):
-    """Training ended early on a signal; the run directory holds what --resume needs."""
+class Stopped(BaseException):
+    """A signal ended the work early; the directory holds what is needed to continue.
+
+    Like KeyboardInterrupt it can be raised anywhere, and nothing that handles an Exception may swallow it.
+    """
 
 
 class Timed:
@@ -115,8 +118,8 @@ def provenance(config: Config, device: torch.device) -> dict[str, Any]:
 
 def write_settings(config: Config, directory: Path) -> None:
     """Writes what describes a run or a study: config.toml and provenance.json."""
-    write_text(directory / "config.toml", config.to_toml())
     write_json(directory / "provenance.json", provenance(config, build.resolve_device(config.train.device)))
+    write_text(directory / "config.toml", config.to_toml())
 
 
 class Run:
@@ -205,9 +208,7 @@ class Run:
         weights = self.policy.state_dict()
         for k, (seed, home) in enumerate(zip(self.seeds, self.homes, strict=True)):
             own = {name: stacked[k : k + 1].clone() for name, stacked in weights.items()}
-            checkpoint.save(
-                home / "policy.pt", {"policy": own, "config": self.config_of(seed).to_toml()}
-            )
+            checkpoint.save(home / "policy.pt", {"policy": own, "config": self.config_of(seed).to_toml()})
 
     def train(self) -> None:
         """Trains to the end; raises Stopped where a signal came first, NonFiniteError where numbers went bad."""
@@ -382,7 +383,8 @@ def describe(run: Run) -> str:
     train = run.config.train
     arm = f"RTA at {train.rta_period:g} s by {build.qp_solver(train)}" if train.rta else "no RTA"
     arm += ", compiled" if run.compiled or run.filter_compiled else ""
-    which = f"seed {run.seeds[0]}" + (f" to {run.seeds[-1]}" if len(run.seeds) > 1 else "")
+    first, *rest = run.seeds
+    which = f"seeds {first} to {rest[-1]}" if rest else f"seed {first}"
     return f"{run.directory}: {arm}, {which}, {run.env.time.numel()} episodes at once on {run.device}"
 
 
