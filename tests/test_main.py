@@ -73,6 +73,16 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
         (["train", "--resume", "nowhere"], ["nowhere", "no run there"]),
         (["train", "--resume", "nowhere", "--seed", "3"], ["--resume", "--seed"]),
         (["train", "--unknown"], ["--unknown"]),
+        (["study", "--seeds", "0"], ["--seeds", "'0'", "positive integer"]),
+        (["study", "--seeds", "9999"], ["seeds = 9999", "up to 1,000"]),
+        (["study", "--arms", "rta,both"], ["--arms", "'rta,both'", "no_rta,rta"]),
+        (["study", "--arms", "rta,rta"], ["--arms", "'rta,rta'", "no_rta,rta"]),
+        (["study", "--config", "nowhere.toml"], ["nowhere.toml", "No such file"]),
+        (["study", "--study-dir", "/proc/nowhere"], ["--study-dir", "cannot write there"]),
+        (
+            ["train", "--config", str(Path(main.__file__).parent / "configs" / "study.toml")],
+            ["unknown table [study]"],
+        ),
         (["benchmark", "--batches", "256,none"], ["--batches", "'none'", "positive integer"]),
         (["benchmark", "--json", "nowhere/x.json"], ["--json", "cannot write"]),
         (["train", "--qp-solver", "osqp"], ["--qp-solver", "'osqp'", "auto", "piqp", "batched"]),
@@ -109,7 +119,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
         (["filter", "--out", "x"], ["--states"]),
         (["filter", "--states", "nowhere.npz", "--out", "x"], ["nowhere.npz", "no such file"]),
         (["filter", "--states", "x", "--out", "x", "--no-rta"], ["--no-rta"]),
-        ([], ["train | evaluate | simulate | filter | verify | benchmark"]),
+        ([], ["train | study | evaluate | simulate | filter | verify | benchmark"]),
     ],
 )
 def test_bad_flags_are_refused(
@@ -302,7 +312,7 @@ def test_simulate_filters_a_policy_at_the_rta_period(
 
 
 def test_help_gives_every_flag_a_default_or_says_it_is_required(capsys: pytest.CaptureFixture[str]) -> None:
-    for command in ("train", "evaluate", "simulate", "filter", "verify", "benchmark"):
+    for command in ("train", "study", "evaluate", "simulate", "filter", "verify", "benchmark"):
         parser = main.build_parser()._subparsers._group_actions[0].choices[command]
         for action in parser._actions:
             if action.dest == "help":

@@ -1,9 +1,12 @@
 """Interquartile mean and its interval against hand-computed cases."""
 
+import itertools
+
 import numpy as np
 import pytest
 
-from study.statistics import iqm, summary
+from study import statistics
+from study.statistics import iqm, stratified_bootstrap, stratified_summary, summary
 
 
 def test_iqm_is_the_mean_of_the_middle_half() -> None:
@@ -25,3 +28,44 @@ def test_interval_agrees_with_a_plain_bootstrap_loop() -> None:
 def test_summary_is_deterministic() -> None:
     values = np.random.default_rng(5).exponential(size=50)
     assert summary(values) == summary(values)
+
+
+def test_stratified_bootstrap_draws_every_resample_equally_often() -> None:
+    scores = np.array(
+        [[0.0, 3.0], [1.0, 8.0]]
+    )  # 2 runs x 2 tasks: 16 resamples, whose IQM is that of 4 scores
+    exact: dict[float, float] = {}
+    for a, b, c, d in itertools.product((0.0, 1.0), (0.0, 1.0), (3.0, 8.0), (3.0, 8.0)):
+        middle = sum(sorted((a, b, c, d))[1:3]) / 2
+        exact[middle] = exact.get(middle, 0.0) + 1 / 16
+    drawn = stratified_bootstrap(scores, np.random.default_rng(0))
+    assert drawn.shape == (50_000,)
+    values, counts = np.unique(drawn, return_counts=True)
+    assert dict(zip(values, counts / len(drawn), strict=True)) == pytest.approx(exact, abs=0.01)
+
+
+def test_stratified_bootstrap_never_mixes_tasks() -> None:
+    scores = np.tile(np.arange(8.0), (5, 1))  # runs agree on every task, so that resamples are all the same
+    assert stratified_summary(scores) == {"iqm": 3.5, "mean": 3.5, "ci95": [3.5, 3.5]}
+
+
+def test_stratified_interval_agrees_with_a_plain_loop() -> None:
+    rng = np.random.default_rng(6)
+    scores = rng.normal(2.0, 0.3, (4, 6)) + rng.normal(0.0, 2.0, 6)
+    means = []
+    for _ in range(20_000):
+        tasks = [scores[rng.choice(4, 4), task] for task in range(6)]
+        means.append(np.sort(np.concatenate(tasks))[6:18].mean())
+    result = stratified_summary(scores)
+    assert result["ci95"] == pytest.approx(np.percentile(means, [2.5, 97.5]), abs=0.01)
+    assert result["iqm"] == pytest.approx(np.sort(scores.ravel())[6:18].mean())
+    assert result["mean"] == pytest.approx(scores.mean())
+
+
+def test_stratified_interval_does_not_depend_on_how_many_resamples_fit_into_memory(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    scores = np.random.default_rng(7).normal(size=(3, 5))
+    at_once = stratified_summary(scores)
+    monkeypatch.setattr(statistics, "AT_ONCE", 15 * 1234)
+    assert stratified_summary(scores) == at_once
