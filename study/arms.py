@@ -100,7 +100,10 @@ def train(config: StudyConfig, name: str, directory: Path) -> Run:
 
 
 def finish(run: Run) -> None:
-    """Plays the common test cases with every seed of a trained arm; writes episodes.npz, then results.json."""
+    """Plays the common test cases with every seed of a trained arm; writes episodes.npz, then results.json.
+
+    `interactions` are those of each seed, `wall_clock_s` the rollouts and updates of all of them together.
+    """
     train = run.config.train
     record = run.play(train.final_episodes, TEST_CASES)
     save_episodes(record, run.seeds, run.directory / "episodes.npz")

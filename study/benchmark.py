@@ -223,8 +223,8 @@ def learner_flops(config: Config) -> float:
     """Matrix-product flop per sample of an update.
 
     A layer of n x m weights takes 2 n m flop forward, as many for the weights' gradient and, but in the first
-    layer, as many for its input's. With 26 inputs, two hidden layers of 256 and 12 + 1 outputs that is
-    6 (2 (26 + 256) 256 + 256 (12 + 1)) - 4 (26) 256 = 859,648.
+    layer, as many for its input's. With 26 inputs, two hidden layers of 256 and 12 + 2 outputs (the value is
+    multiplied as two columns, see StackedLinear) that is 6 (2 (26 + 256) 256 + 256 (12 + 2)) - 4 (26) 256 = 861,184.
     """
     flops, generators = 0, [torch.Generator()]
     for network in (
@@ -232,7 +232,8 @@ def learner_flops(config: Config) -> float:
         Value(OBSERVATION_SIZE, generators).network,
     ):
         for i, layer in enumerate(network.layers):
-            flops += (4 if i == 0 else 6) * layer.weight[0].numel()
+            inputs, outputs = layer.weight.shape[1:]
+            flops += (4 if i == 0 else 6) * inputs * max(outputs, 2)
     return float(flops)
 
 

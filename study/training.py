@@ -243,7 +243,7 @@ class Run:
                 for writer in (self.writer, *self.seed_writers):
                     writer.close()
         self.save()
-        if self.trainer.update < train.updates:
+        if stop:
             raise Stopped(
                 f"stopped after {self.interactions:,} interactions; continue with --resume {self.directory}"
             )

@@ -196,9 +196,10 @@ def test_interruptions_change_nothing(
     with pytest.MonkeyPatch.context() as patch:  # among the second arm's first episodes
         kill_after(patch, training.Run, "create", 1, signal.SIGTERM)
         assert main.main(arguments) == 0
-    with pytest.MonkeyPatch.context() as patch:  # in the second arm's training, after its second update
-        kill_after(patch, training.Run, "after_update", 2, signal.SIGTERM)
+    with pytest.MonkeyPatch.context() as patch:  # in the second arm's training, after its last update
+        kill_after(patch, training.Run, "after_update", 3, signal.SIGTERM)
         assert main.main(arguments) == 0
+    assert not (second / "episodes.npz").exists()
     assert capsys.readouterr().out.count("the same command continues") == 5
     assert not (tmp_path / "results.json").exists()
 
