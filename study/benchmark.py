@@ -291,7 +291,8 @@ def benchmark(config: Config, batches: tuple[int, ...]) -> dict[str, Any]:
         learner = {n: spread(learner_rate(config, n, device, compiled)) for n in batches}
 
     say("filter")
-    filters = {f"{period:g}": make_filter(config, period, compiled) for period in PERIODS}
+    batched = replace(config, train=replace(config.train, qp_solver="batched"))
+    filters = {f"{period:g}": build.make_filter(batched, period, compiled) for period in PERIODS}
     safety_filter, actor = filters["1"], untrained(config, device)
     flight = fly(config, safety_filter, actor, device)
     filtering = {n: spread(filter_rate(safety_filter, flight, n)) for n in batches}
@@ -360,12 +361,6 @@ def pick_out(headline: dict[str, Any], choose: Callable[[Spread], Any]) -> dict[
         name: choose(value) if "median" in value else pick_out(value, choose)
         for name, value in headline.items()
     }
-
-
-def make_filter(config: Config, period: float, compiled: bool) -> SafetyFilter:
-    """The filter at a period with the batched solver."""
-    train = replace(config.train, qp_solver="batched")
-    return build.make_safety(replace(config, train=train), True, period, compiled).correct
 
 
 def device_name(device: torch.device) -> str:

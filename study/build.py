@@ -66,15 +66,20 @@ def compile_or_explain(what: str, compile: Callable[[], None]) -> bool:
     return True
 
 
-def make_safety(config: Config, enabled: bool, period: float, compiled: bool = False) -> Safety:
-    """Constraints, admissible starts and, if enabled, the filter."""
+def make_filter(config: Config, period: float, compiled: bool = False) -> SafetyFilter:
+    """The filter called every `period` s, with the configuration's solver; compiled for its device if possible."""
     with refusing("[rta] and [inspection]", ValueError, OverflowError):
         solver = make_solver(qp_solver(config.train))
         safety_filter = SafetyFilter(config.inspection, config.rta, period, solver)
-    if compiled and enabled:
+    if compiled:
         device = resolve_device(config.train.device)
         compile_or_explain("filter", lambda: safety_filter.compile(device))
-    return safety_filter.safety(enabled)
+    return safety_filter
+
+
+def make_safety(config: Config, enabled: bool, period: float, compiled: bool = False) -> Safety:
+    """Constraints, admissible starts and, if enabled, the filter."""
+    return make_filter(config, period, compiled and enabled).safety(enabled)
 
 
 def make_env(
