@@ -757,7 +757,7 @@ def test_starts_beyond_braking_are_told_apart(monkeypatch: pytest.MonkeyPatch, t
 
 def test_the_filter_is_compiled_for_the_device(monkeypatch: pytest.MonkeyPatch) -> None:
     used, elsewhere = [], torch.device("meta")
-    monkeypatch.setattr(SafetyFilter, "compile", lambda _, device: used.append(device))
+    monkeypatch.setattr(SafetyFilter, "compile", lambda _, device, batch: used.append(device))
     monkeypatch.setattr(build, "resolve_device", lambda _: elsewhere)
     build.make_filter(Config(), 1.0, compiled=True)
     assert used == [elsewhere]
