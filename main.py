@@ -19,12 +19,13 @@ from rta.filter import SOLVERS
 from rta.parameters import PERIODS
 from study import config as configuration
 from study.config import ARMS, AnyConfig, Config, StudyConfig, StudyParameters, TrainParameters
-from study.errors import InputError, refusing
+from study.errors import InputError, ReplayError, refusing
 
 # flag: (TOML table, key, type, help); a flag's default is that of its key
 TRAIN, PPO, TASK = TrainParameters(), PPOParameters(), InspectionParameters()
 STUDY = StudyParameters()
-DEFAULT_SOLVER = "piqp"  # of the commands that train nothing
+DEFAULT_SOLVER = "piqp"  # of every command but train, study and verify
+VERIFY = {"episodes": 1000, "policy": "random", "duration": 2000, "seed": 0}  # where no flag says otherwise
 CONTROLLERS = ("lqr-pd", "natural-motion", "policy", "recorded", "zero", "random")
 
 
@@ -301,33 +302,37 @@ def build_parser() -> Parser:
     add_common(verify)
     add_solver(verify, "batched")
     verify.add_argument(
-        "--episodes", type=positive_integer, default=1000, metavar="N", help="in all (default: 1,000)"
+        "--episodes",
+        type=positive_integer,
+        metavar="N",
+        help="in all, from starts that the filter can hold; the others met on the way are reported beside them "
+        f"(default: {VERIFY['episodes']:,})",
     )
     verify.add_argument(
         "--policy",
         type=verified_policy,
-        default="random",
         metavar="P",
         help="random actions held for random times, adversarial (down the worst constraint's slope) or "
-        "checkpoint:F (default: random)",
+        f"checkpoint:F (default: {VERIFY['policy']})",
     )
     verify.add_argument(
         "--duration",
         type=positive_integer,
-        default=2000,
         metavar="S",
-        help="whole seconds of each episode, every one of them checked (default: 2,000)",
+        help=f"whole seconds of each episode, every one of them checked (default: {VERIFY['duration']:,})",
     )
     verify.add_argument(
-        "--seed", type=seed_number, default=0, metavar="N", help="of everything random (default: 0)"
+        "--seed", type=seed_number, metavar="N", help=f"of everything random (default: {VERIFY['seed']})"
     )
     verify.add_argument(
         "--json", metavar="F", help="write the report there, and continue the one it holds (default: none)"
     )
     verify.add_argument(
-        "--replay", metavar="F.npz", help="fly the counter-example in a file instead (default: none)"
+        "--replay",
+        metavar="F.npz",
+        help="fly the counter-example in a file instead, which holds all settings (default: none)",
     )
-    verify.set_defaults(run=run_verify, rta=True)
+    verify.set_defaults(run=run_verify)
 
     bench = commands.add_parser(
         "benchmark", allow_abbrev=False, help="measure the speed of simulator, filter, solvers and learner"
@@ -378,18 +383,23 @@ def resolve(arguments: argparse.Namespace, base: AnyConfig) -> AnyConfig:
     return configuration.override(base, tables, "command line")
 
 
+def refuse_other_flags(arguments: argparse.Namespace, flag: str, source: str) -> None:
+    """Refuses every flag beside one that names where all settings come from."""
+    given = [
+        f"--{key.replace('_', '-')}"
+        for key, value in vars(arguments).items()
+        if value is not None and key not in ("command", "run", flag)
+    ]
+    if given:
+        raise InputError(f"--{flag} takes its settings from the {source}; drop {', '.join(given)}")
+
+
 def run_train(arguments: argparse.Namespace) -> None:
     """main.py train"""
     from study import training
 
     if arguments.resume:
-        given = [
-            f"--{key.replace('_', '-')}"
-            for key, value in vars(arguments).items()
-            if value is not None and key not in ("command", "run", "resume")
-        ]
-        if given:
-            raise InputError(f"--resume takes its settings from the run; drop {', '.join(given)}")
+        refuse_other_flags(arguments, "resume", "run")
         run = training.resume(Path(arguments.resume))
     else:
         config = resolve(arguments, Config())
@@ -515,8 +525,11 @@ def run_verify(arguments: argparse.Namespace) -> None:
     from study import verification
 
     if arguments.replay:
-        print(verification.replay_file(arguments.replay, lambda base: resolve(arguments, base)))
+        refuse_other_flags(arguments, "replay", "file")
+        print(verification.replay_file(arguments.replay))
         return
+    missing = {key: value for key, value in VERIFY.items() if getattr(arguments, key) is None}
+    vars(arguments).update(missing, rta=True)
     if arguments.json:
         check_writable(arguments.json, "--json")
     report = verification.verify(
@@ -582,6 +595,9 @@ def main(argv: list[str] | None = None) -> int:
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)
         return 130
+    except ReplayError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 1
     except NonFiniteError as error:
         print(f"error: training stopped at {error}", file=sys.stderr)
         return 1

@@ -398,7 +398,7 @@ def make_filter(
 ) -> SafetyFilter:
     """The filter at a period, for about so many spacecraft at once."""
     train = replace(config.train, qp_solver=solver)
-    return build.make_safety(replace(config, train=train), True, period, compiled, batch).correct
+    return build.make_filter(replace(config, train=train), period, compiled, batch)
 
 
 def device_name(device: torch.device) -> str:

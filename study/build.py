@@ -81,17 +81,26 @@ def compile_or_explain(what: str, compile: Callable[[], None]) -> bool:
     return True
 
 
+def make_filter(config: Config, period: float, compiled: bool = False, batch: int = 1) -> SafetyFilter:
+    """The filter called every `period` s, with the configuration's solver; compiled for its device if possible.
+
+    Args:
+        batch: about how many spacecraft a call will have.
+    """
+    with refusing("[rta] and [inspection]", ValueError, OverflowError):
+        solver = make_solver(qp_solver(config.train))
+        safety_filter = SafetyFilter(config.inspection, config.rta, period, solver)
+    if compiled:
+        device = resolve_device(config.train.device)
+        compile_or_explain("filter", lambda: safety_filter.compile(device, batch))
+    return safety_filter
+
+
 def make_safety(
     config: Config, enabled: bool, period: float, compiled: bool = False, batch: int = 1
 ) -> Safety:
     """Constraints, admissible starts and, if enabled, the filter, compiled for about so many episodes."""
-    with refusing("[rta] and [inspection]", ValueError, OverflowError):
-        solver = make_solver(qp_solver(config.train))
-        safety_filter = SafetyFilter(config.inspection, config.rta, period, solver)
-    if compiled and enabled:
-        device = resolve_device(config.train.device)
-        compile_or_explain("filter", lambda: safety_filter.compile(device, batch))
-    return safety_filter.safety(enabled)
+    return make_filter(config, period, compiled and enabled, batch).safety(enabled)
 
 
 def make_env(

@@ -8,6 +8,10 @@ class InputError(ValueError):
     """Bad input from a person: the message says what was wrong, where, and what is allowed."""
 
 
+class ReplayError(Exception):
+    """A counter-example does not come out as recorded: one line on stderr and exit code 1."""
+
+
 @contextmanager
 def refusing(where: str, *exceptions: type[BaseException]) -> Iterator[None]:
     """Turns the given exceptions into an InputError that begins with `where`."""

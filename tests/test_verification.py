@@ -25,8 +25,8 @@ from rta.filter import SafetyFilter, make_solver
 from rta.parameters import RtaParameters
 from rta.qp import Status
 from rta.rows import Barriers
-from study import verification
-from study.config import Config
+from study import build, verification
+from study.config import Config, from_toml
 from study.verification import LONGEST_HOLD, upper_bound
 from tests.test_barrier import drift, held, push, slope, thrust_fall, turn
 from tests.test_constraints import (
@@ -94,15 +94,14 @@ def flights(count: int, distance: tuple[float, float], speed: tuple[float, float
 # The safe set's initial states
 
 
-class Everything:
+class Everything(Barriers):
     """Barriers that keep every state, to see what is drawn."""
 
-    c = C
+    def __init__(self) -> None:
+        super().__init__(C, R, 1.0)
 
     def is_in_safe_set(self, x: Tensor) -> Tensor:
         return torch.ones(x.shape[1], dtype=torch.bool)
-
-    can_brake = is_in_safe_set
 
 
 @pytest.fixture(scope="module")
@@ -132,8 +131,43 @@ def test_every_start_satisfies_every_constraint(start: tuple[ndarray, ndarray]) 
     assert x.shape == (16, COUNT)
     assert paper(x).min() >= -PSM_TOLERANCE
     assert np.delete(paper(x), 3, 0).min() >= 0.0
-    assert keep_in_curve(x).min() >= 0.0
     np.testing.assert_allclose(length(x[6:10]), 1.0, atol=1e-12)
+
+
+def test_starts_beyond_braking_belong_to_the_safe_set() -> None:
+    """Seldom: far out and fast across, with the keep-in zone's h positive and its curve negative."""
+    x = verification.safe_set(6000, 0, BARRIERS)[0].numpy()
+    beyond = x[:, keep_in_curve(x) < 0]
+    assert 5 < beyond.shape[1] < 60
+    assert zone(beyond).min() >= 0 and length(beyond[:3]).min() > 600
+
+
+def test_states_that_only_the_margins_reject_are_counted_up_to_the_last_one_taken(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    drawn = []
+
+    class Recording(Barriers):
+        def is_in_safe_set(self, x: Tensor) -> Tensor:
+            drawn.append(x.numpy())
+            return super().is_in_safe_set(x)
+
+    x, _, rejected = verification.safe_set(500, 3, Recording(C, R, 1.0))
+    every = np.hstack(drawn)
+    last = np.flatnonzero((every == x[:, -1:].numpy()).all(0))[0]
+    every = every[:, : last + 1]
+
+    def exact(y: ndarray) -> ndarray:
+        return paper(y)[[7, 8, 9]]
+
+    k1 = np.array([[R.exclusion_gains[0]], [R.temperature_gains[0]], [R.battery_gains[0]]])
+    psi = slope(exact, every, drift(every, C), 1e-4) + k1 * exact(every)
+    expected = ((paper(every) >= 0).all(0) & (psi >= 0).all(0)).sum() - 500
+    both = (
+        ~(psi >= 0).all(0)[np.isin(every[0], x[0].numpy())]
+    ).sum()  # the rounded terminator also admits states
+    assert rejected > 0
+    assert abs(rejected - expected - both) <= 1  # a difference across the edge of the light
 
 
 def test_every_start_satisfies_every_first_psi(start: tuple[ndarray, ndarray]) -> None:
@@ -174,6 +208,51 @@ def test_attitudes_are_uniform_before_rejection(drawn: tuple[ndarray, ndarray]) 
     np.testing.assert_allclose(second, np.eye(4) / 4, atol=4 * 0.25 / math.sqrt(q.shape[1]))
 
 
+def test_all_drawn_quantities_are_independent(drawn: tuple[ndarray, ndarray]) -> None:
+    """Rank correlations of uniform shares, also of their distance from the middle."""
+    x, priority = drawn
+    p, v = x[:3] / length(x[:3]), x[3:6] / length(x[3:6])
+    azimuths = [np.arctan2(side[1], side[0]) for side in (p, v, priority)]
+    attitude = [np.arctan2(x[6], x[7]), np.arctan2(x[8], x[9]), np.hypot(x[6], x[7])]
+    columns = [length(x[:3]), length(x[3:6]) / speed_limit(x), p[2], v[2], priority[2]]
+    columns = np.stack([*columns, *azimuths, *attitude, *x[10:16]])
+    assert columns.shape[0] == 17
+    rank = columns.argsort(1).argsort(1) / COUNT - 0.5
+    folded = np.abs(rank) - 0.25
+    correlation = np.corrcoef(np.vstack((rank, folded))) - np.eye(34)
+    assert np.abs(correlation).max() < 5 / math.sqrt(COUNT)
+
+
+class Flown(Exception):
+    """Raised in place of a flight."""
+
+
+def test_starts_and_first_controls_share_no_number(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every random number that a batch draws, compared with every other."""
+    drawn: list[ndarray] = []
+    rand = torch.rand
+
+    def recorded(*arguments: Any, **more: Any) -> Tensor:
+        drawn.append(rand(*arguments, **more))
+        return drawn[-1]
+
+    def first_control(env: InspectionEnv, controller: Any, x: Tensor, *_: Any) -> None:
+        before = len(drawn)
+        controller(0.0, x)
+        assert len(drawn) > before
+        raise Flown
+
+    monkeypatch.setattr(torch, "rand", recorded)
+    monkeypatch.setattr(verification, "fly", first_control)
+    safety = SafetyFilter(C, R)
+    env = InspectionEnv(64, C, [torch.Generator()], safety.safety())
+    campaign = verification.Campaign("random", 1.0, 10, 0, 64)
+    with pytest.raises(Flown):
+        list(verification.run(campaign, 64, safety, lambda _: env, None, None, Config()))
+    numbers = np.concatenate([part.flatten().numpy() for part in drawn])
+    assert numbers.size > 10 * 64 and np.unique(numbers).size == numbers.size
+
+
 def test_rejection_leaves_starts_near_every_limit(start: tuple[ndarray, ndarray]) -> None:
     x = start[0]
     assert length(x[:3]).min() < 60 and length(x[:3]).max() > 780
@@ -197,7 +276,7 @@ def test_an_empty_safe_set_is_refused() -> None:
 
 def test_half_of_the_starts_are_the_papers() -> None:
     x, priority, _ = verification.initial_states(101, 0, BARRIERS)
-    first, second = x[:, :51], x[:, 51:]
+    first, second = x[:, ::2], x[:, 1::2]
     distance = first[:3].norm(dim=0)
     assert ((distance >= 50) & (distance <= 100)).all() and (first[3:6] == 0).all()
     assert second.shape == (16, 50) and (second[3:6].norm(dim=0) > 0).all()
@@ -344,11 +423,11 @@ def test_a_control_that_satisfies_its_row_keeps_the_barrier_for_a_period(name: s
 
 def test_random_controls_are_held_for_up_to_a_minute() -> None:
     count, steps = 50, 400
-    policy = verification.held_at_random(C, torch.Generator().manual_seed(3))
-    again = verification.held_at_random(C, torch.Generator().manual_seed(3))
+    policy = verification.held_at_random(C, torch.Generator().manual_seed(3), count)
+    part = verification.held_at_random(C, torch.Generator().manual_seed(3), count, 10)
     x = torch.zeros(16, count, dtype=torch.float64)
     u = torch.stack([policy(float(t), x) for t in range(steps)]).numpy()
-    assert all((again(float(t), x).numpy() == u[t]).all() for t in range(steps))
+    assert all((part(float(t), x[:, :5]).numpy() == u[t][:, 10:15]).all() for t in range(steps))
     assert (np.abs(u) <= LIMIT).all() and (np.abs(u).max((0, 2)) > 0.99 * LIMIT[:, 0]).all()
     changes = (np.diff(u, axis=0) != 0).any(1)
     assert (changes == (np.diff(u, axis=0) != 0).all(1)).all()  # all six at once
@@ -395,9 +474,9 @@ def flight() -> verification.Flight:
     """Six episodes of 60 s that decide every 10 s and are filtered every 5 s."""
     safety = Safety(CONSTRAINTS, lambda x: constraints.values(x, C), None, lax(), 5.0)
     env = InspectionEnv(6, C, [torch.Generator().manual_seed(0)], safety)
-    x, priority, _ = verification.safe_set(6, 5, BARRIERS)
+    x, priority, _ = verification.safe_set(6, 32, BARRIERS)
     x[13], x[14] = 9.9, 1.1
-    policy = verification.held_at_random(C, torch.Generator().manual_seed(0))
+    policy = verification.held_at_random(C, torch.Generator().manual_seed(0), 6)
     return verification.fly(env, policy, x, priority, 60, 10)
 
 
@@ -453,9 +532,9 @@ def test_a_flight_counts_what_a_loop_of_its_own_counts(
 def test_a_report_adds_its_flights_up(
     flight: verification.Flight, recounted: list[dict[str, ndarray]]
 ) -> None:
-    report = verification.empty_report(verification.Campaign("random", 5.0, 60, 0), {})
-    verification.add(report, flight)
-    verification.add(report, flight)
+    report = verification.empty_tally()
+    verification.add(report, flight, verification.Origin(17, 20, 3))
+    verification.add(report, flight, verification.Origin(18, 20, 9))
     violating = np.array([one["violating"] for one in recounted])
     worst = np.array([one["worst"] for one in recounted])
     assert (report["episodes"], report["steps"]) == (12, 12 * 61)
@@ -466,14 +545,64 @@ def test_a_report_adds_its_flights_up(
     for i, name in enumerate(CONSTRAINTS):
         assert report["worst_value"][name] == pytest.approx(worst[:, i].min(), abs=PSM_TOLERANCE)
         case = report["worst_case"][name]
-        assert case["episode"] < 6  # the first of equals
-        np.testing.assert_array_equal(case["initial_state"], flight.start[:16, case["episode"]])
+        assert (case["batch_seed"], case["batch_size"]) == (17, 20)  # the first of equals
+        start = flight.start[:, case["column"] - 3]
+        np.testing.assert_array_equal(case["initial_state"] + case["priority"], start)
         assert report["yielded_calls"][name] == 2 * sum(one["yielded"][i] for one in recounted)
     calls = 2 * sum(one["status"] for one in recounted)
     assert list(report["filter_calls"].values()) == list(calls)
     assert report["unsolved"] == calls[Status.UNSOLVED] and report["controls_outside_bounds"] == 0
-    bad = report["violating_episodes"]["any"]
-    assert report["upper_bound_95"] == pytest.approx(clopper_pearson(bad, 12), rel=1e-9)
+
+
+def test_chosen_episodes_are_those_of_the_flight(flight: verification.Flight) -> None:
+    chosen = torch.tensor([False, True, False, True, True, False])
+    part = flight[chosen]
+    assert part.column.tolist() == [1, 3, 4]
+    assert part.applied.shape == (60, 6, 3) and (part.worst == flight.worst[:, [1, 3, 4]]).all()
+    yielded = flight.yielded[:, chosen].sum()
+    assert (part.conflicts.slack > 0).sum() == yielded
+
+
+def test_calls_with_slack_are_shown_and_counted(
+    flight: verification.Flight, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Asked again, the filter has the same slack in each of them."""
+    monkeypatch.setattr(verification, "SHOWN", 2)
+    tally = verification.empty_tally()
+    verification.add(tally, flight, verification.Origin(17, 20, 3))
+    together = tally["slack_together"]
+    programs = sum(int((slack > 0).any(0).sum()) for slack in flight.conflicts.slack.split((7, 6)))
+    assert sum(same["calls"] for same in together.values()) == programs > 5
+    for i, name in enumerate(CONSTRAINTS):
+        mine = [same for key, same in together.items() if name in key.split(" + ")]
+        assert sum(same["calls"] for same in mine) == tally["yielded_calls"][name]
+        assert max((same["largest_slack"][name] for same in mine), default=0.0) == flight.slack[i].max()
+        shown = sum(name in one["slack"] for one in tally["conflicts"])
+        assert shown >= min(tally["yielded_calls"][name], verification.SHOWN)
+    assert len(tally["conflicts"]) < flight.conflicts.column.numel()
+    for one in tally["conflicts"]:
+        x, u = (np.array(one[key])[:, None] for key in ("state", "control_desired"))
+        again = lax()(tensor(x), tensor(u))
+        expected = [one["slack"].get(name, 0.0) for name in CONSTRAINTS]
+        np.testing.assert_allclose(again.slack[:, 0], expected, rtol=0, atol=1e-9)
+        np.testing.assert_allclose(list(one["h"].values()), paper(x)[:, 0], rtol=0, atol=PSM_TOLERANCE)
+        second, column = int(one["time_s"]), one["column"] - 3
+        wanted = flight.applied[second - 1] if second % 10 else flight.desired[second]
+        np.testing.assert_array_equal(one["control_desired"], wanted[:, column])
+
+
+def test_the_calls_shown_do_not_depend_on_how_episodes_are_divided(
+    flight: verification.Flight, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(verification, "SHOWN", 2)
+    whole, parts = verification.empty_tally(), verification.empty_tally()
+    origin = verification.Origin(17, 20, 3)
+    verification.add(whole, flight, origin)
+    for chosen in ([0, 1], [2, 3, 4, 5]):
+        mask = torch.zeros(6, dtype=torch.bool)
+        mask[chosen] = True
+        verification.add(parts, flight[mask], origin)
+    assert whole == parts
 
 
 def test_nan_is_a_violation_without_end(flight: verification.Flight) -> None:
@@ -544,7 +673,17 @@ def test_verify_writes_the_promised_json(finished: Path) -> None:
     assert sum(report["filter_calls"].values()) == 16 * 20
     assert report["violating_steps"]["any"] == 0
     assert report["upper_bound_95"] == pytest.approx(1 - 0.05 ** (1 / 16))
+    assert report["starts_beyond_braking"]["episodes"] == 0
     assert list(finished.parent.iterdir()) == [finished]
+
+
+def test_a_worst_case_is_found_again_from_its_seed(finished: Path) -> None:
+    report = json.loads(finished.read_text())
+    for case in report["worst_case"].values():
+        x, priority, _ = verification.initial_states(case["batch_size"], case["batch_seed"], BARRIERS)
+        np.testing.assert_array_equal(x[:, case["column"]], case["initial_state"])
+        np.testing.assert_array_equal(priority[:, case["column"]], case["priority"])
+    assert len({case["column"] for case in report["worst_case"].values()}) > 3
 
 
 def test_a_finished_report_flies_nothing_more(
@@ -558,18 +697,79 @@ def test_a_finished_report_flies_nothing_more(
     assert finished.read_bytes() == before
 
 
-def test_a_longer_campaign_goes_on_where_the_report_ends(
-    finished: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+def test_a_report_that_holds_more_than_asked_for_says_so(
+    finished: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Batch for batch the same as at once."""
+    before = finished.read_bytes()
+    code, out, err = call(verify(finished, "--episodes", "8"), capsys)
+    assert code == 0 and "16 episodes" in out
+    assert f"{finished}: holds 16 episodes already, more than asked for" in err
+    assert finished.read_bytes() == before
+
+
+def test_a_longer_campaign_goes_on_where_the_report_ends(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """In the middle of a batch, over the next one's beginning and past starts beyond braking."""
     monkeypatch.setattr(verification, "BATCH", 16)
+    monkeypatch.setattr(Barriers, "can_brake", lambda _, x: x[6].abs() < 0.6)
     texts = []
-    for path, beginning in ((tmp_path / "on.json", finished.read_text()), (tmp_path / "once.json", "")):
-        path.write_text(beginning)
-        assert call(verify(path, "--episodes", "24"), capsys)[0] == 0
-        texts.append(path.read_text())
+    for path, counts in ((tmp_path / "on.json", (5, 9, 18)), (tmp_path / "once.json", (18,))):
+        for count in counts:
+            assert call(verify(path, "--episodes", str(count)), capsys)[0] == 0
+            assert json.loads(path.read_text())["episodes"] == count
+        texts.append(json.loads(path.read_text()))
+    beyond = texts[0]["starts_beyond_braking"]
+    assert beyond["episodes"] > 0 and beyond["steps"] == 21 * beyond["episodes"]
+    # the rounding of other batch sizes
+    for name in CONSTRAINTS:
+        for tally in ("worst_value", "largest_slack"):
+            assert texts[0][tally].pop(name) == pytest.approx(texts[1][tally].pop(name), rel=1e-9, abs=1e-9)
     assert texts[0] == texts[1]
-    assert json.loads(texts[0])["episodes"] == 24
+
+
+def test_starts_beyond_braking_are_told_apart(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Recounted from the starts of the batch."""
+    monkeypatch.setattr(verification, "BATCH", 32)
+    monkeypatch.setattr(Barriers, "can_brake", lambda _, x: x[6].abs() < 0.6)
+    campaign = verification.Campaign("random", 1.0, 20, 4, 32)
+    safety = SafetyFilter(C, R)
+    reports = verification.run(
+        campaign,
+        12,
+        safety,
+        lambda count: InspectionEnv(count, C, [torch.Generator()], safety.safety()),
+        None,
+        None,
+        Config(),
+    )
+    report = list(reports)[-1]
+    case = report["worst_case"]["collision"]
+    x, _, rejected = verification.initial_states(32, case["batch_seed"], safety.barriers)
+    held = x[6].abs().numpy() < 0.6
+    flown = int(np.flatnonzero(held)[11]) + 1
+    assert report["starts_beyond_braking"]["episodes"] == (~held[:flown]).sum() > 0
+    assert report["starts_rejected_by_margin"] == rejected
+    for tally, theirs in ((report, held), (report["starts_beyond_braking"], ~held)):
+        assert all(theirs[case["column"]] and case["column"] < flown for case in tally["worst_case"].values())
+    assert report["upper_bound_95"] == pytest.approx(1 - 0.05 ** (1 / 12))
+
+
+def test_the_filter_is_compiled_for_the_device(monkeypatch: pytest.MonkeyPatch) -> None:
+    used, elsewhere = [], torch.device("meta")
+    monkeypatch.setattr(SafetyFilter, "compile", lambda _, device, batch: used.append(device))
+    monkeypatch.setattr(build, "resolve_device", lambda _: elsewhere)
+    build.make_filter(Config(), 1.0, compiled=True)
+    assert used == [elsewhere]
+
+
+def test_a_retrained_policy_is_another_campaign() -> None:
+    policies = [build.make_policy(Config(), [torch.Generator().manual_seed(seed)]) for seed in (0, 0, 1)]
+    first, same, other = (verification.digest(policy) for policy in policies)
+    assert first == same != other
+    with torch.no_grad():
+        next(policies[1].parameters()).flatten()[0] += 1e-6
+    assert verification.digest(policies[1]) != first
 
 
 @pytest.mark.parametrize(
@@ -601,6 +801,10 @@ def test_what_is_no_report_is_refused(text: str, tmp_path: Path, capsys: pytest.
         (["--no-rta"], ["--no-rta"]),
         (["--json", "nowhere/x.json"], ["--json", "cannot write"]),
         (["--replay", "nowhere.npz"], ["nowhere.npz", "no such file"]),
+        (["--replay", "x.npz", "--qp-solver", "piqp"], ["--replay", "drop --qp-solver"]),
+        (["--replay", "x.npz", "--rta-period", "1", "--seed", "0"], ["drop --rta-period, --seed"]),
+        (["--replay", "x.npz", "--policy", "random", "--episodes", "5"], ["--policy", "--episodes"]),
+        (["--replay", "x.npz", "--json", "x.json", "--duration", "9"], ["--duration", "--json"]),
     ],
 )
 def test_bad_flags_are_refused(
@@ -618,6 +822,7 @@ def violated(tmp_path_factory: pytest.TempPathFactory) -> Path:
     config = path.with_name("weak.toml")
     config.write_text("[inspection]\nmax_thrust = 1.5\n")
     arguments = ["--policy", "adversarial", "--rta-period", "10", "--duration", "60", "--episodes", "128"]
+    arguments += ["--qp-solver", "piqp"]
     assert main.main(verify(path, *arguments, "--config", str(config))) == 0
     return path
 
@@ -646,6 +851,29 @@ def test_a_violation_leaves_a_counter_example_that_replays_exactly(
         assert when == case["time_s"]
 
 
+def test_replay_uses_the_solver_of_the_campaign(
+    violated: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = next(violated.parent.glob("*.npz"))
+    assert from_toml(str(np.load(path)["config"]), "it").train.qp_solver == "piqp"
+    used = []
+    monkeypatch.setattr(build, "make_solver", lambda name: used.append(name) or make_solver(name))
+    assert call(["verify", "--replay", str(path)], capsys)[0] == 0
+    assert used == ["piqp"]
+
+
+@pytest.mark.parametrize("factor", [1 + 1e-6, np.nan, np.inf])
+def test_a_replay_that_comes_out_otherwise_fails(
+    factor: float, violated: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    example = dict(np.load(next(violated.parent.glob("*.npz"))))
+    path = tmp_path / "example.npz"
+    np.savez(path, **(example | {"value": factor * example["value"]}))
+    code, out, err = call(["verify", "--replay", str(path)], capsys)
+    assert (code, out) == (1, "") and err.count("\n") == 1
+    assert "not what was recorded" in err and str(path) in err
+
+
 def test_replay_does_not_depend_on_the_solvers_last_digits() -> None:
     """At 10 s the closed loop can multiply any rounding by some 20 per call."""
     first, second = (SafetyFilter(C, R, 10.0, make_solver(name)) for name in ("batched", "piqp"))
@@ -656,7 +884,7 @@ def test_replay_does_not_depend_on_the_solvers_last_digits() -> None:
     x, priority, _ = verification.initial_states(200, 3, BARRIERS_10_S)
     flight = verification.fly(env, verification.adversarial(first), x, priority, 200, 10)
     constraint = CONSTRAINTS.index("dynamic_speed")
-    campaign = verification.Campaign("adversarial", 10.0, 200, 0)
+    campaign = verification.Campaign("adversarial", 10.0, 200, 0, 200)
     example = verification.counter_example(flight, constraint, campaign, Config())
     value, when, difference = verification.replay(other, example)
     assert example["value"] < 0
