@@ -16,15 +16,24 @@ from study.evaluation import Episodes, report
 from study.tables import tables
 from study.training import Run, Stopped, on_signal, write_json, write_settings
 
+SETTINGS = (
+    "provenance.json",
+    "provenance.json.tmp",
+    "config.toml.tmp",
+)  # all that a kill at the start leaves
 TEST_CASES = 0  # seed of the final evaluation's cases, the default of `evaluate`
 
 
 def prepare(config: StudyConfig, directory: Path) -> None:
-    """Makes the directory of a new study, or refuses the one of a study with other settings."""
+    """Makes the directory of a new study; refuses one that holds other things or a study with other settings."""
     before = settings(directory)
     if before is None:
         with refusing(f"--study-dir {directory}: cannot write there", OSError, ValueError):
             directory.mkdir(parents=True, exist_ok=True)
+            if other := sorted(path.name for path in directory.iterdir() if path.name not in SETTINGS):
+                raise InputError(
+                    f"--study-dir {directory}: holds no study but {other[0]}; name a new directory"
+                )
             write_settings(config, directory)
     elif before != config:
         raise InputError(f"--study-dir {directory}: holds a study with {first_difference(before, config)}")

@@ -258,15 +258,19 @@ def test_directories_of_others_are_refused(
     (swapped / "no_rta" / "checkpoint.pt").write_bytes((whole / "rta" / "checkpoint.pt").read_bytes())
     file = tmp_path / "file"
     file.touch()
+    shipped = tmp_path / "shipped"
+    (shipped / "seed0").mkdir(parents=True)  # runs of train below, none of them in it
     for directory, word in (
         (whole / "rta" / "seed5", "a run of train"),
         (swapped, "trained with"),
         (file, "cannot write"),
+        (shipped, "holds no study but seed0"),
     ):
         assert main.main(["study", "--config", str(settings), "--study-dir", str(directory)]) == 2
         err = capsys.readouterr().err
         assert err.count("\n") == 1
         assert word in err
+    assert [path.name for path in shipped.iterdir()] == ["seed0"]
 
 
 def test_the_shipped_configuration_is_the_papers_study() -> None:
