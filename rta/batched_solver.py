@@ -24,7 +24,7 @@ BLOCKING = 1e-12  # fall of a multiplier per unit of pressure that counts as non
 STEPS = 3  # of the attempt, one for each row that becomes active or leaves
 ROUND = 2  # steps between two looks at which programs are unfinished
 MAX_ROUNDS = 50  # beyond which PIQP takes over; recorded programs take up to 5, with slack up to 8
-LEFT_TO_PIQP = ("cpu",)  # devices where PIQP solves what the attempt leaves, faster than steps uncompiled
+PIQP_FIRST = ("cpu",)  # devices where PIQP solves what the attempt leaves faster than steps uncompiled
 
 RUNNING, OPTIMAL, INFEASIBLE = 0, 1, 2
 
@@ -92,19 +92,35 @@ class BatchedSolver:
         return Solutions(control, status, residual)
 
     def _rest(self, problems: Problems) -> Solutions:
-        """Whatever the attempt leaves, stage by stage."""
+        """Whatever the attempt leaves: by steps and, where these are not accurate, by PIQP, or the other way round."""
+        piqp_first = problems.desired.device.type in PIQP_FIRST
+        one, other = (self.fallback.solve, self._steps) if piqp_first else (self._steps, self.fallback.solve)
+        answer = one(problems)
+        again = torch.nonzero(problems.finite & (answer.status == Status.UNSOLVED)).flatten()
+        if again.numel():
+            second = other(problems[again])
+            # what neither solves keeps PIQP's least-violating control
+            taken = torch.nonzero((second.status != Status.UNSOLVED) | (not piqp_first)).flatten()
+            for whole, part in (
+                (answer.control, second.control),
+                (answer.status, second.status),
+                (answer.residual, second.residual),
+            ):
+                put(whole, again[taken], pick(part, taken))
+        return answer
+
+    def _steps(self, problems: Problems) -> Solutions:
+        """Stage by stage, each until every program is optimal or infeasible."""
         control = torch.zeros_like(problems.desired)
         status = torch.full_like(control[0], Status.UNSOLVED, dtype=torch.int64)
         residual = torch.full_like(control[0], torch.inf)
-        finite = problems.finite
-
         nothing = torch.full_like(problems.weight, torch.inf)  # no row has slack
         stages = (
             (problems.b, nothing, Status.HARD),
             (problems.b_bare, nothing, Status.HARD),
             (problems.b_bare, problems.weight, Status.SLACK),
         )
-        left = torch.nonzero(finite & (control.device.type not in LEFT_TO_PIQP)).flatten()
+        left = torch.nonzero(problems.finite).flatten()
         for side, weight, solved in stages:
             if not left.numel():
                 break
@@ -116,13 +132,6 @@ class BatchedSolver:
             put(status, left, torch.where(accurate, solved, Status.UNSOLVED))
             put(residual, left, error)
             left = left[outcome == INFEASIBLE]
-
-        again = torch.nonzero(finite & (status == Status.UNSOLVED)).flatten()
-        if again.numel():
-            answer = self.fallback.solve(problems[again])
-            put(control, again, answer.control)
-            put(status, again, answer.status)
-            put(residual, again, answer.residual)
         return Solutions(control, status, residual)
 
 

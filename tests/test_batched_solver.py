@@ -66,7 +66,7 @@ def join(parts: list[Problems]) -> Problems:
 @pytest.fixture(autouse=True)
 def steps_on_the_cpu(monkeypatch: pytest.MonkeyPatch) -> None:
     """Takes the steps for every program, as on a GPU, and leaves PIQP only what they do not solve accurately."""
-    monkeypatch.setattr(batched_solver, "LEFT_TO_PIQP", ())
+    monkeypatch.setattr(batched_solver, "PIQP_FIRST", ())
 
 
 @pytest.fixture(scope="module", params=["thrust", "torque"])
@@ -185,7 +185,7 @@ def test_faulty_program_leaves_its_neighbours_alone(recorded: Problems, field: s
 
 @pytest.mark.parametrize(
     "limit",
-    [{"STEPS": 0, "MAX_ROUNDS": 1, "ROUND": 1}, {"ACCURATE": -1.0}, {"STEPS": 0, "LEFT_TO_PIQP": ("cpu",)}],
+    [{"STEPS": 0, "MAX_ROUNDS": 1, "ROUND": 1}, {"ACCURATE": -1.0}, {"STEPS": 0, "PIQP_FIRST": ("cpu",)}],
     ids=["steps", "residual", "cpu"],
 )
 def test_what_is_not_solved_accurately_is_piqps(
@@ -198,6 +198,24 @@ def test_what_is_not_solved_accurately_is_piqps(
     assert solver.resolved == 300
     assert (ours.control == piqp.control).all() and (ours.status == piqp.status).all()
     assert (ours.residual == piqp.residual).all()
+
+
+def test_what_piqp_leaves_is_solved_by_steps(
+    solver: BatchedSolver, recorded: Problems, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(batched_solver, "PIQP_FIRST", ("cpu",))
+    sample = recorded[torch.arange(300)]
+    expected = BatchedSolver().solve(sample)
+
+    def gives_up(problems: Problems) -> Solutions:
+        unsolved = torch.full_like(problems.desired[0], Status.UNSOLVED, dtype=torch.int64)
+        return Solutions(problems.desired.clone(), unsolved, problems.desired[0] + math.inf)
+
+    monkeypatch.setattr(solver.fallback, "solve", gives_up)
+    monkeypatch.setattr(batched_solver, "STEPS", 0)
+    found = solver.solve(sample)
+    assert (found.status == expected.status).all() and (found.residual <= ACCURATE).all()
+    torch.testing.assert_close(found.control, expected.control, rtol=0, atol=1e-6)
 
 
 def synthetic(count: int, rows: int, seed: int) -> Problems:
