@@ -227,13 +227,20 @@ def build_parser() -> Parser:
     study.set_defaults(run=run_study)
 
     evaluate = commands.add_parser(
-        "evaluate", help="report an agent in the metrics of the paper's Tables 2 and 3"
+        "evaluate", help="report an agent or a controller in the metrics of the paper's Tables 2 and 3"
     )
     add_rta(evaluate)
     add_common(evaluate)
     add_solver(evaluate)
-    evaluate.add_argument(
-        "--checkpoint", required=True, metavar="F", help="policy.pt or checkpoint.pt of a run"
+    flown = evaluate.add_mutually_exclusive_group(required=True)
+    flown.add_argument(
+        "--checkpoint", metavar="F", help="the agent: policy.pt or checkpoint.pt of a run (default: none)"
+    )
+    flown.add_argument(
+        "--controller",
+        choices=("natural-motion",),
+        help="a classical controller, which decides at every call of the filter, without it every second, "
+        "instead of an agent (default: none)",
     )
     evaluate.add_argument(
         "--episodes", type=positive_integer, default=100, metavar="N", help="test cases (default: 100)"
@@ -433,14 +440,16 @@ def run_evaluate(arguments: argparse.Namespace) -> None:
     from study import build, evaluation
     from study.tables import tables
 
-    policy, trained = build.load_policy(arguments.checkpoint)
-    config = resolve(arguments, trained)
+    policy, base = None, Config()
+    if arguments.checkpoint:
+        policy, base = build.load_policy(arguments.checkpoint)
+    config = resolve(arguments, base)
     safety, device = build.for_command(config, build.TYPICAL_EPISODE, arguments.episodes)
     if arguments.json:
         check_writable(arguments.json, "--json")
-    results = evaluation.evaluate(
-        policy.to(device), config, arguments.episodes, arguments.seed, device, safety
-    )
+    cases = config, arguments.episodes, arguments.seed, device, safety
+    record = evaluation.play(policy.to(device), *cases) if policy else evaluation.play_guidance(*cases)
+    results = evaluation.report(record, config, config.train.rta, config.train.rta_period, arguments.seed)
     print(tables(results))
     if arguments.json:
         with refusing(f"--json {arguments.json}: cannot write it", OSError):

@@ -97,6 +97,8 @@ class InspectionEnv:
 
     Attributes:
         x: states (16, B); priority: (3, B); inspected: (N, B) bool; time: (B,) s.
+        command: a classical controller that flies instead of the actions, from states (16, B) to controls (6, B) in N
+            and N m, asked at every call of the filter, or at every integration step where there is none.
     """
 
     def __init__(
@@ -144,6 +146,7 @@ class InspectionEnv:
         self.totals = zeros(3)  # reward, delta v, torque
         self.violation_steps = zeros(len(self.safety.names), dtype=torch.int64)
         self.any_violation_steps = zeros(dtype=torch.int64)
+        self.command: Callable[[Tensor], Tensor] | None = None
         self.chunk = 0  # columns that compiled functions take at once; 0: all
         self._step, self._normalised, self._values = step, normalised, self.safety.values
 
@@ -285,11 +288,14 @@ class InspectionEnv:
     def _advance(self, desired: Tensor) -> tuple[list[Correction], Tensor, Tensor]:
         """Integrates one action period; the filter's last control is its next desired one (Sec. RL Control Loop)."""
         c, safety = self.c, self.safety
-        held = safety.period if safety.correct else c.action_period  # s between two changes of control
+        unfiltered = self.interval if self.command else c.action_period
+        held = safety.period if safety.correct else unfiltered  # s between two changes of control
         u, corrections = desired, []
         delta_v = torch.zeros_like(self.time)
         torque = torch.zeros_like(self.time)
         for _ in range(round(c.action_period / held)):
+            if self.command:
+                u = self.command(self.x)
             if safety.correct:
                 corrections.append(safety.correct(self.x, u))
                 u = corrections[-1].control

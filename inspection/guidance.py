@@ -3,6 +3,7 @@
 A controller maps (t in s, x (16, B)) to u (6, B) in N and N m, within the actuators' limits.
 """
 
+import math
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -11,7 +12,7 @@ import scipy.linalg
 import torch
 from torch import Tensor
 
-from inspection.attitude import conjugate, cross, rotate, unit
+from inspection.attitude import conjugate, cross, dot, rotate, unit
 from inspection.dynamics import sun_direction
 from inspection.parameters import AXES, InspectionParameters
 from inspection.state import CONTROL_SIZE, OMEGA, THETA_S, P, Q, V
@@ -19,8 +20,9 @@ from inspection.state import CONTROL_SIZE, OMEGA, THETA_S, P, Q, V
 Controller = Callable[[float, Tensor], Tensor]
 
 POINTING_FREQUENCY = 0.1  # rad/s, of the critically damped pointing law
-TRACKING_FREQUENCY = 0.008  # rad/s, of the critically damped tracking law
+TRACKING_FREQUENCY = 0.006  # rad/s, of the critically damped tracking law
 ELLIPSE = 40.0  # m, semi-minor axis b of the Sun-following relative orbit
+LOOK_AHEAD = math.pi / 3  # rad of phase; the chord between two points so far apart keeps 35 m from the chief
 
 # A tour of every boundary in 2,000 s: from when (s) the LQR's set point is where (m, Hill's frame). Axis velocities
 # reach their limit only beyond 623 m, where the dynamic speed limit is higher; hence the chords.
@@ -87,21 +89,27 @@ def lqr_pd(c: InspectionParameters) -> Controller:
 
 
 def natural_motion(c: InspectionParameters) -> Controller:
-    """PD law towards the relative ellipse x = b cos(theta_S), y = 2 b sin(theta_S), camera on the chief.
+    """PD law towards the relative ellipse x = b cos(phi), y = 2 b sin(phi) at phi = theta_S, camera on the chief.
 
     The ellipse is a free motion of the Clohessy-Wiltshire equations that turns with the Sun, so that holding
-    it costs almost no fuel.
+    it costs almost no fuel. Away from the Sun's phase the target is a point of the ellipse a little ahead, so that
+    the way leads around the chief. The camera is on the chief where panels on its back then make the power drawn,
+    and elsewhere turned away from the Sun, which charges the battery.
     """
-    n, b = c.mean_motion, ELLIPSE
+    n, b, w = c.mean_motion, ELLIPSE, TRACKING_FREQUENCY
+    brightest = c.panel_performance * c.panel_degradation * c.surface_area  # W
 
     def control(t: float, x: Tensor) -> Tensor:
-        cos, sin = x[THETA_S].cos(), x[THETA_S].sin()
-        zero = torch.zeros_like(cos)
+        sun, outward = sun_direction(x[THETA_S]), unit(x[P])
+        phase = torch.atan2(x[1] / 2, x[0])
+        lag = torch.remainder(x[THETA_S] - phase + math.pi, 2 * math.pi) - math.pi
+        phase = phase + lag.clamp(-LOOK_AHEAD, LOOK_AHEAD)
+        cos, sin, zero = phase.cos(), phase.sin(), torch.zeros_like(phase)
         position = torch.stack((b * cos, 2 * b * sin, zero))
         velocity = n * torch.stack((b * sin, -2 * b * cos, zero))
-        w = TRACKING_FREQUENCY
         thrust = c.mass * (w**2 * (position - x[P]) + 2 * w * (velocity - x[V]))
-        return limited(thrust, point(x, "+x", -unit(x[P]), c), x, c)
+        away = torch.where(brightest * dot(outward, sun) > c.power_draw, outward, sun)
+        return limited(thrust, point(x, "+x", -away, c), x, c)
 
     return control
 

@@ -9,11 +9,12 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from inspection import guidance
 from inspection.attitude import norm
 from inspection.dynamics import sun_and_earth_in_body
 from inspection.environment import METRICS, OUTCOMES, InspectionEnv, Safety, Transition
 from inspection.initial_state import InitialStates
-from inspection.state import OMEGA, E, P, T, V
+from inspection.state import CONTROL_SIZE, OMEGA, E, P, T, V
 from ppo.network import Policy
 from rta.constraints import CONSTRAINTS
 from rta.parameters import RtaParameters
@@ -201,6 +202,19 @@ def play(
     env = build.make_env(config, episodes, generators, safety, compiled)
     x, priority = test_cases(config, episodes, seed)
     return run_episodes(env, policy_actor(policy), x.repeat(1, seeds), priority.repeat(1, seeds))
+
+
+def play_guidance(
+    config: Config, episodes: int, seed: int, device: torch.device, safety: Safety, compiled: bool = False
+) -> Episodes:
+    """Plays the common test cases with the natural-motion controller, asked as `InspectionEnv.command` is."""
+    generators = [torch.Generator(device).manual_seed(seed + 1)]
+    env = build.make_env(config, episodes, generators, safety, compiled)
+    controller = guidance.natural_motion(config.inspection)
+    env.command = lambda x: controller(0.0, x)  # a function of the state alone
+    x, priority = test_cases(config, episodes, seed)
+    idle = torch.zeros(episodes, CONTROL_SIZE, device=device)
+    return run_episodes(env, lambda observation: idle, x, priority)
 
 
 def evaluate(

@@ -11,7 +11,7 @@ import torch
 from inspection import guidance
 from inspection.dynamics import free_flight, step
 from inspection.parameters import InspectionParameters
-from inspection.state import OMEGA, SIZE, THETA_S, P, Q, V
+from inspection.state import OMEGA, SIZE, THETA_S, E, P, Q, V
 from rta.constraints import CONSTRAINTS, values
 from rta.filter import SafetyFilter
 from rta.parameters import RtaParameters
@@ -67,6 +67,28 @@ def test_natural_motion_needs_no_thrust_on_its_ellipse() -> None:
     x[P] = torch.stack((b * theta.cos(), 2 * b * theta.sin(), torch.zeros(1)))
     x[V] = n * torch.stack((b * theta.sin(), -2 * b * theta.cos(), torch.zeros(1)))
     assert guidance.natural_motion(C)(0.0, x)[:3].abs().max() < 1e-12
+
+
+def test_natural_motion_leads_around_the_chief_to_its_sunlit_side() -> None:
+    x = at_rest(5)
+    azimuth = torch.tensor([0.0, 0.5, 1.5, 2.5, 3.1]).double()  # from the far side of the Sun to the near one
+    azimuth, elevation = azimuth + x[THETA_S] + math.pi, torch.tensor([0.0, -0.5, 0.3, 0.1, 1.2]).double()
+    across = elevation.cos()
+    x[P] = 60.0 * torch.stack((azimuth.cos() * across, azimuth.sin() * across, elevation.sin()))
+    x[E] = 5.0
+    control, states = guidance.natural_motion(C), [x]
+    for i in range(1000):
+        x = step(x, control(2.0 * i, x), 2.0, C)
+        states.append(x)
+    way = torch.stack(states)
+    assert way[:, P].norm(dim=1).min() > C.collision_radius
+    half_a_turn = math.pi / C.max_rate  # s, in the dark at most, until the panels face the Sun
+    assert way[:, E].min() > 5.0 - C.power_draw / 1000.0 * half_a_turn
+    b, theta = guidance.ELLIPSE, x[THETA_S]
+    ellipse = torch.stack((b * theta.cos(), 2 * b * theta.sin(), torch.zeros(5)))
+    torch.testing.assert_close(x[P], ellipse, atol=2.0, rtol=0.0)
+    camera = guidance.rotate(x[Q], torch.eye(3, dtype=torch.float64)[:, :1])
+    assert (-camera * x[P] / x[P].norm(dim=0)).sum(0).min() > math.cos(0.05)
 
 
 @pytest.mark.parametrize("axis", ["+x", "-y"])

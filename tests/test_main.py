@@ -88,6 +88,11 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
         (["train", "--qp-solver", "osqp"], ["--qp-solver", "'osqp'", "auto", "piqp", "batched"]),
         (["evaluate", "--checkpoint", "x.pt", "--qp-solver", "auto"], ["--qp-solver", "'auto'", "piqp"]),
         (["evaluate"], ["--checkpoint"]),
+        (["evaluate", "--controller", "lqr-pd"], ["--controller", "'lqr-pd'", "natural-motion"]),
+        (
+            ["evaluate", "--controller", "natural-motion", "--checkpoint", "x.pt"],
+            ["--checkpoint", "not allowed", "--controller"],
+        ),
         (["evaluate", "--checkpoint", "nowhere.pt"], ["nowhere.pt", "no such checkpoint"]),
         (["evaluate", "--checkpoint", "x.pt", "--episodes", "0"], ["--episodes", "'0'", "positive"]),
         (["simulate", "--controller", "pid"], ["--controller", "'pid'", "lqr-pd"]),
@@ -231,6 +236,19 @@ def test_evaluate_writes_the_promised_json(
     assert {"period_s", "intervention_percent", "qp_failures"} <= set(results["rta"])
     assert (results["episodes"], results["seed"]) == (6, 0)
     assert results["config"]["train"]["num_envs"] == 4
+
+
+def test_evaluate_flies_a_classical_controller(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "short.toml").write_text("[inspection]\nmax_time = 20.0")
+    path = tmp_path / "results.json"
+    arguments = ["evaluate", "--controller", "natural-motion", "--no-rta", "--episodes", "4"]
+    code, out, err = call([*arguments, "--config", str(tmp_path / "short.toml"), "--json", str(path)], capsys)
+    assert code == 0, err
+    assert "Table 2" in out
+    results = json.loads(path.read_text())
+    assert results["metrics"]["episode_length_s"]["mean"] == 20.0
+    assert results["metrics"]["delta_v_m_s"]["mean"] > 0.0
+    assert results["rta"] == {"period_s": None, "intervention_percent": 0.0, "qp_failures": 0}
 
 
 def test_evaluate_is_the_same_for_policy_and_checkpoint_file(
