@@ -7,6 +7,7 @@ import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator, MultipleLocator
 
 from inspection.chief import fibonacci_sphere
 from inspection.parameters import InspectionParameters
@@ -66,13 +67,17 @@ def trajectory(ax: Axes, episode: Episode, c: InspectionParameters, top_speed: f
         theta = episode["sun_angle"][index]
         sun = np.array([math.cos(theta), math.sin(theta), 0.0]) * (chief.max() + 0.35 * span)
         ax.plot(*zip(np.zeros(3), sun, strict=True), color=ORANGE, lw=1.2, ls="-" if index == 0 else "--")
-        ax.text(*(1.08 * sun), label, color="#8A5A00", fontsize=8, ha="center")
+        ax.text(*sun[:2], 0.05 * span, label, color="#8A5A00", fontsize=8, ha="center")
     ax.scatter(*p[0], color="black", marker="o", s=28)
     ax.text(*(p[0] + [0.0, 0.0, 0.06 * span]), "start", fontsize=8, ha="center")
     ax.set(xlabel="x (m)", ylabel="y (m)", zlabel="z (m)")
-    ax.set_aspect("equal")
-    ax.locator_params(nbins=6)
-    ax.locator_params(axis="z", nbins=3)
+    extents = np.ptp((ax.get_xlim(), ax.get_ylim(), ax.get_zlim()), axis=1)
+    ax.set_box_aspect(tuple(extents))
+    # the same distance between ticks on every axis, so that those of a short one do not overlap
+    ticks = MaxNLocator(6).tick_values(0.0, extents.max())
+    for axis in (ax.xaxis, ax.yaxis, ax.zaxis):
+        axis.set_major_locator(MultipleLocator(ticks[1]))
+    ax.xaxis.labelpad = 9
     ax.figure.colorbar(path, ax=ax, shrink=0.65, pad=0.12, label="speed (m/s)")
 
 

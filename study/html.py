@@ -25,30 +25,28 @@ PAPER = {
 PAPER_PERCENT = {
     name: dict(zip(ARMS, published, strict=True)) for name, (_, *published) in PAPER_VIOLATIONS.items()
 }
-# what a reader may want to open, below the study's directory, and what it holds
-FILES = {
-    "config.toml": "every setting of the study",
-    "provenance.json": "revision, packages and device",
-    "results.json": "final evaluation of both arms, all seeds together and each alone",
-    "report/table2.csv": "Table 2",
-    "report/table3.csv": "Table 3",
-    "report/training.csv": "the training curves",
-    "report/training.png": "the six training figures in one",
-    "report/training.svg": "the same, scalable",
-    "report/guidance.json": "the classical guidance",
-    "report/cross.json": "every agent with the filter off and on",
-    "report/cross.csv": "the same as a table",
-    "report/frequency.json": "the filter called every 1, 5 and 10 s",
-    "report/frequency.csv": "the same as a table",
-    "report/throughput.json": "wall-clock time and rates of training",
-    **{
-        f"report/episode_{arm}.npz": f"the common episode over time, {label}"
-        for arm, label in ARM_LABELS.items()
-    },
-    **{
-        f"report/demonstration_{arm}.npz": f"the demonstration over time, {label}"
-        for arm, label in ARM_LABELS.items()
-    },
+# what the files below a study's directory hold, by the command that writes them
+STUDY_FILES = {
+    "settings, revision and device": ("config.toml", "provenance.json"),
+    "final evaluation, all seeds together and each alone": ("results.json", "*/results.json"),
+    "its episodes": ("*/episodes.npz",),
+    "evaluations during training": ("*/evaluations.jsonl",),
+    "agents": ("*/seed*/policy.pt",),
+}
+REPORT_FILES = {
+    "Tables 2 and 3": ("report/table*.csv",),
+    "classical guidance": ("report/guidance.json",),
+    "training curves": ("report/training.csv", "report/training*.png", "report/training*.svg"),
+    "common episode": (
+        "report/episode_*.npz",
+        "report/trajectory_*.png",
+        "report/behaviour.*",
+        "report/constraints_*.png",
+    ),
+    "demonstration": ("report/demonstration_*",),
+    "filter every 1, 5 and 10 s": ("report/frequency.*",),
+    "filter off and on": ("report/cross.*",),
+    "wall-clock time": ("report/throughput.*",),
 }
 
 
@@ -76,13 +74,13 @@ def document(inputs: Inputs) -> str:
         "speed": ("Wall-clock time and throughput", throughput),
         "files": ("Files, and how to make them again", files),
     }
-    links = "\n".join(f'<a href="#{name}">{escape(title)}</a>' for name, (title, _) in sections.items())
+    contents = "\n".join(f'<a href="#{name}">{escape(title)}</a>' for name, (title, _) in sections.items())
     missing = [
         page.missing(f"This study has no arm {arm}: what it would show is missing below.")
         for arm in inputs.missing_arms
     ]
     body = [page.section(name, title, *show(inputs)) for name, (title, show) in sections.items()]
-    return page.page(TITLE, "\n".join((*summary(inputs), *missing, f"<nav>{links}</nav>", *body)))
+    return page.page(TITLE, "\n".join((*summary(inputs), *missing, f"<nav>{contents}</nav>", *body)))
 
 
 def percent(value: float) -> str:
@@ -92,10 +90,11 @@ def percent(value: float) -> str:
 
 def summary(inputs: Inputs) -> list[str]:
     """The headline and a paragraph, in numbers."""
-    violated = [
-        f"{AGENTS[arm]} {percent(results['violations_percent']['any'])} % (paper: {PAPER_PERCENT['any'][arm]} %)"
+    headline = "; ".join(
+        f"{AGENTS[arm]} violate a constraint in {percent(results['violations_percent']['any'])} % of their steps "
+        f"(paper: {PAPER_PERCENT['any'][arm]} %)"
         for arm, results in inputs.arms.items()
-    ]
+    )
     text = [arm_summary(arm, results) for arm, results in inputs.arms.items()]
     if inputs.guidance:
         text.append(
@@ -104,7 +103,7 @@ def summary(inputs: Inputs) -> list[str]:
             f"and a reward of {metric(inputs.guidance, 'reward')}."
         )
     return [
-        f'<p class="lead">{escape("Steps that violate any constraint: " + "; ".join(violated) + ".")}</p>',
+        f'<p class="lead">{escape(f"In the final evaluation {headline}.")}</p>',
         page.paragraph(" ".join(text)),
     ]
 
@@ -113,19 +112,19 @@ def arm_summary(arm: str, results: Results) -> str:
     """An arm's final performance beside the paper's."""
     seeds = len(results["seeds"])
     values = ", ".join(
-        f"{text} {metric(results, name)} (paper: {PAPER[name][arm][0]:.{PAPER_METRICS[name][1]}f})"
-        for name, text in (
-            ("reward", "reward"),
-            ("episode_length_s", "length in s"),
-            ("delta_v_m_s", "delta v in m/s"),
-            ("torque_n_m", "torque in N m"),
+        f"{text} {metric(results, name)}{unit} (paper: {PAPER[name][arm][0]:.{PAPER_METRICS[name][1]}f}{unit})"
+        for name, text, unit in (
+            ("reward", "a reward of", ""),
+            ("episode_length_s", "a length of", " s"),
+            ("delta_v_m_s", "a delta v of", " m/s"),
+            ("torque_n_m", "a torque of", " N m"),
         )
     )
     return (
         f"The {AGENTS[arm]}, {seeds} {'seed' if seeds == 1 else 'seeds'} of "
         f"{1e-6 * results['interactions']:.3g} million interactions each, succeed in {success(results)} % of "
-        f"{results['episodes']:,} episodes ({results['episodes'] // seeds} common test cases); "
-        f"interquartile means: {values}."
+        f"{results['episodes']:,} episodes ({results['episodes'] // seeds} common test cases), with "
+        f"{values} in the interquartile mean."
     )
 
 
@@ -237,10 +236,10 @@ def training_performance(inputs: Inputs) -> list[str]:
 
 def training_figure(inputs: Inputs, name: str) -> str:
     """One training figure."""
-    label, *paper = TRAINING[name]
+    label, digits, *paper = TRAINING[name]
     published = dict(zip(ARMS, paper, strict=True))
     ends = "; ".join(
-        f"{ARM_LABELS[arm]} ends at {rows[-1, 1]:.4g} (paper {published[arm]:.4g})"
+        f"{ARM_LABELS[arm]} ends at {rows[-1, 1]:.{digits}f} (paper: {published[arm]:.{digits}f})"
         for arm, rows in inputs.training[name].items()
     )
     return page.figure(
@@ -434,30 +433,38 @@ def throughput(inputs: Inputs) -> list[str]:
 def files(inputs: Inputs) -> list[str]:
     """Links to everything behind the page, and the commands that write it."""
     study = shlex.quote(inputs.study.as_posix())
-    commands = [
-        f"python main.py study --config {study}/config.toml --study-dir {study}",
-        f"python main.py report --study {study}",
-    ]
-    items = [
-        f"<li>{page.link(name)}: {escape(what)}</li>"
-        for name, what in FILES.items()
-        if (inputs.study / name).exists()
-    ]
     first = inputs.config.train.seed
     single = [
         f"python main.py evaluate --checkpoint {study}/{arm}/seed{first}/policy.pt --{other} --json evaluation.json"
-        for arm, other in (("rta", "no-rta"), ("no_rta", "rta"))
+        for arm, other in (("no_rta", "rta"), ("rta", "no-rta"))
         if arm in inputs.arms
     ]
     single += [
         f"python main.py simulate --controller lqr-pd --{switch} --initial-state configs/demonstration.json "
-        f"--duration 2000 --out demonstration.npz --figure demonstration.png"
+        "--duration 2000 --out demonstration.npz --figure demonstration.png"
         for switch in ("rta", "no-rta")
     ]
     return [
-        page.paragraph("Two commands write everything; the first continues where it was interrupted:"),
-        page.commands(commands),
-        page.paragraph("One piece alone: an agent with the other setting of the filter, the demonstration:"),
+        page.paragraph("The study, which the same command continues after an interruption, writes"),
+        page.commands([f"python main.py study --config {study}/config.toml --study-dir {study}"]),
+        links(inputs.study, STUDY_FILES),
+        page.paragraph("and the report, this page and"),
+        page.commands([f"python main.py report --study {study}"]),
+        links(inputs.study, REPORT_FILES),
+        page.paragraph("One agent alone with the other setting of the filter, and the demonstration alone:"),
         page.commands(single),
-        f"<ul>{''.join(items)}</ul>",
     ]
+
+
+def links(study: Path, contents: dict[str, tuple[str, ...]]) -> str:
+    """A list of the files that match the patterns, by what they hold."""
+    found = {
+        what: [path for pattern in patterns for path in sorted(study.glob(pattern))]
+        for what, patterns in contents.items()
+    }
+    items = [
+        f"<li>{escape(what)}: {', '.join(page.link(path.relative_to(study).as_posix()) for path in paths)}</li>"
+        for what, paths in found.items()
+        if paths
+    ]
+    return f"<ul>{''.join(items)}</ul>"

@@ -19,18 +19,17 @@ nav a { display: inline-block; margin-right: 1rem; }
 .lead { font-size: 1.15rem; font-weight: 600; }
 .missing { border-left: 4px solid #e69f00; padding-left: 0.7rem; }
 .scroll { overflow-x: auto; margin: 0.8rem 0; }
-table { border-collapse: collapse; font-size: 0.9rem; font-variant-numeric: tabular-nums; }
+table { border-collapse: separate; border-spacing: 0; font-size: 0.9rem; font-variant-numeric: tabular-nums; }
 caption { text-align: left; font-weight: 600; padding-bottom: 0.3rem; }
 th, td { padding: 0.25rem 0.7rem; border-bottom: 1px solid #d8d8d8; text-align: right; white-space: nowrap;
   vertical-align: top; }
-th:first-child { text-align: left; }
+th:first-child { text-align: left; position: sticky; left: 0; background: #fff; }
 thead th { border-bottom: 1px solid #444; }
 thead th[colspan] { text-align: center; }
 td small { display: block; color: #555; }
-tbody tr:hover { background: #f2f7fb; }
 code { font-size: 0.88em; background: #f3f3f3; padding: 0 0.2em; overflow-wrap: anywhere; }
-pre { background: #f3f3f3; padding: 0.7rem; overflow-x: auto; }
-pre code { overflow-wrap: normal; padding: 0; }
+pre { background: #f3f3f3; padding: 0.7rem; white-space: pre-wrap; }
+pre code { padding: 0; }
 figure { margin: 1rem 0; break-inside: avoid; }
 figure img { max-width: 100%; height: auto; display: block; }
 figcaption { font-size: 0.9rem; color: #333; margin-top: 0.3rem; }

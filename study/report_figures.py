@@ -29,10 +29,13 @@ COLOURS = {"no_rta": BLUE, "rta": ORANGE}
 MARKERS = {"no_rta": "o", "rta": "s"}
 DPI = 120
 
-# metric of the training curves: its axis and the paper's final values without and with RTA
+# metric of the training curves: its axis, digits and the paper's final values without and with RTA
 TRAINING = {
-    **{name: (label, no_rta[0], rta[0]) for name, (label, _, no_rta, rta) in PAPER_METRICS.items()},
-    "violation_percent": ("Violation (% of steps)", *PAPER_VIOLATIONS["any"][1:]),
+    **{
+        name: (label, digits, no_rta[0], rta[0])
+        for name, (label, digits, no_rta, rta) in PAPER_METRICS.items()
+    },
+    "violation_percent": ("Violation (% of steps)", 3, *PAPER_VIOLATIONS["any"][1:]),
 }
 # panels of the cross evaluation: axis, and the value with its interval of one evaluation
 CROSS: dict[str, Callable[[Results], tuple[float, float, float]]] = {
@@ -70,10 +73,15 @@ def draw_training(curves: Curves, directory: Path) -> None:
     figure = Figure(figsize=(11, 6), layout="constrained")
     for ax, metric in zip(figure.subplots(2, 3).flat, TRAINING, strict=True):
         training_panel(ax, curves[metric], metric)
+    figure.legend(*ax.get_legend_handles_labels(), loc="outside upper center", ncols=4, frameon=False)
     save(figure, directory / "training")
     for metric in TRAINING:
         figure = Figure(figsize=(4.4, 3.1), layout="constrained")
-        training_panel(figure.subplots(), curves[metric], metric)
+        ax = figure.subplots()
+        training_panel(ax, curves[metric], metric)
+        figure.legend(
+            *ax.get_legend_handles_labels(), loc="outside upper center", ncols=2, frameon=False, fontsize=8
+        )
         save(figure, directory / f"training_{metric}")
 
 
@@ -86,7 +94,7 @@ def save(figure: Figure, stem: Path) -> None:
 
 def training_panel(ax: Axes, curves: dict[str, np.ndarray], metric: str) -> None:
     """By arm: IQM with its 95 % band over the interactions of each seed, and the paper's final values dotted."""
-    label, *paper = TRAINING[metric]
+    label, _, *paper = TRAINING[metric]
     final = dict(zip(ARM_LABELS, paper, strict=True))
     for arm, rows in curves.items():
         interactions, iqm, low, high = rows[rows[:, 0].argsort()].T
@@ -96,12 +104,11 @@ def training_panel(ax: Axes, curves: dict[str, np.ndarray], metric: str) -> None
         ax.axhline(final[arm], color=COLOURS[arm], ls=":", lw=1.1, label=f"paper, {ARM_LABELS[arm]}")
     ax.set(xlabel="interactions of a seed (millions)", ylabel=label, xlim=(0, None))
     ax.grid(alpha=0.3)
-    ax.legend(fontsize=8, frameon=False, ncols=2, loc="lower center", bbox_to_anchor=(0.5, 1.0))
 
 
 def trajectory_figure(episode: Episode, c: InspectionParameters, top_speed: float, path: Path) -> None:
     """One episode's path around the chief as a PNG, coloured by speed up to `top_speed` in m/s."""
-    figure = Figure(figsize=(6, 4.8), layout="constrained")
+    figure = Figure(figsize=(6, 4.2), layout="constrained")
     trajectory(figure.add_subplot(projection="3d"), episode, c, top_speed)
     figure.savefig(path, dpi=DPI)
 
@@ -121,12 +128,13 @@ def behaviour_figure(episodes: dict[str, Episode], c: InspectionParameters) -> F
     score.axhline(c.success_score, color=GREEN, ls="--", lw=1, label="success")
     score.set(ylabel="Inspected weight", ylim=(0, 1.02))
     score.legend(fontsize=9, frameon=False, loc="lower right")
-    dot.set(ylabel="Dot product, boresight and chief", ylim=(-1.05, 1.05))
+    dot.set(ylabel="Dot product", ylim=(-1.05, 1.05))
     delta_v.set(xlabel="time (s)", ylabel="Delta v used (m/s)", ylim=(0, None))
     torque.set(xlabel="time (s)", ylabel="Torque used (N m)", ylim=(0, None))
     for ax in axes.flat:
         ax.grid(alpha=0.3)
         ax.set_xlim(0, None)
+    figure.align_ylabels()
     return figure
 
 
