@@ -7,6 +7,7 @@ import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator, MultipleLocator
 
 from inspection.chief import fibonacci_sphere
 from inspection.parameters import InspectionParameters
@@ -30,12 +31,34 @@ def angle_deg(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return np.degrees(np.arccos(np.clip((a * b).sum(1), -1.0, 1.0)))
 
 
-def trajectory(ax: Axes, episode: Episode, c: InspectionParameters) -> None:
-    """3-D path coloured by speed, with chief, camera directions and the Sun at both ends."""
-    p, speed = episode["position"], np.linalg.norm(episode["velocity"], axis=1)
+def speeds(episode: Episode) -> np.ndarray:
+    """|v| (k,) in m/s."""
+    return np.linalg.norm(episode["velocity"], axis=1)
+
+
+def pointing(episode: Episode) -> np.ndarray:
+    """The paper's dot product: boresight times the direction to the chief (k,), 1 where the camera is on it."""
+    boresight = rotate(episode["quaternion"], np.array([1.0, 0.0, 0.0]))
+    direction = -episode["position"] / np.linalg.norm(episode["position"], axis=1, keepdims=True)
+    return (boresight * direction).sum(1)
+
+
+def effort(episode: Episode, c: InspectionParameters) -> tuple[np.ndarray, np.ndarray]:
+    """Delta v in m/s and torque in N m spent until each row (k,), as the metrics of an episode count them."""
+    # a row's control acts until the next row
+    held = np.diff(episode["time"], prepend=episode["time"][0])[:, None]
+    spent = np.cumsum(np.abs(np.roll(episode["control_applied"], 1, axis=0)) * held, axis=0)
+    return spent[:, :3].sum(1) / c.mass, spent[:, 3:].sum(1) / c.action_period
+
+
+def trajectory(ax: Axes, episode: Episode, c: InspectionParameters, top_speed: float) -> None:
+    """3-D path coloured by speed up to `top_speed` in m/s, with chief, camera directions and the Sun at both ends."""
+    p = episode["position"]
     chief = c.chief_radius * fibonacci_sphere(c.num_points).numpy()
     ax.scatter(*chief, s=3, color=GREY, depthshade=False)
-    path = ax.scatter(*p.T, c=speed, s=6, cmap="viridis_r", depthshade=False)
+    path = ax.scatter(
+        *p.T, c=speeds(episode), s=6, cmap="viridis_r", vmin=0.0, vmax=top_speed, depthshade=False
+    )
     every = max(1, len(p) // 16)
     boresight = rotate(episode["quaternion"], np.array([1.0, 0.0, 0.0]))[::every]
     span = np.ptp(p, axis=0).max()
@@ -44,13 +67,17 @@ def trajectory(ax: Axes, episode: Episode, c: InspectionParameters) -> None:
         theta = episode["sun_angle"][index]
         sun = np.array([math.cos(theta), math.sin(theta), 0.0]) * (chief.max() + 0.35 * span)
         ax.plot(*zip(np.zeros(3), sun, strict=True), color=ORANGE, lw=1.2, ls="-" if index == 0 else "--")
-        ax.text(*(1.08 * sun), label, color="#8A5A00", fontsize=8, ha="center")
+        ax.text(*sun[:2], 0.05 * span, label, color="#8A5A00", fontsize=8, ha="center")
     ax.scatter(*p[0], color="black", marker="o", s=28)
     ax.text(*(p[0] + [0.0, 0.0, 0.06 * span]), "start", fontsize=8, ha="center")
     ax.set(xlabel="x (m)", ylabel="y (m)", zlabel="z (m)")
-    ax.set_aspect("equal")
-    ax.locator_params(nbins=6)
-    ax.locator_params(axis="z", nbins=3)
+    extents = np.ptp((ax.get_xlim(), ax.get_ylim(), ax.get_zlim()), axis=1)
+    ax.set_box_aspect(tuple(extents))
+    # the same distance between ticks on every axis, so that those of a short one do not overlap
+    ticks = MaxNLocator(6).tick_values(0.0, extents.max())
+    for axis in (ax.xaxis, ax.yaxis, ax.zaxis):
+        axis.set_major_locator(MultipleLocator(ticks[1]))
+    ax.xaxis.labelpad = 9
     ax.figure.colorbar(path, ax=ax, shrink=0.65, pad=0.12, label="speed (m/s)")
 
 
@@ -73,7 +100,7 @@ def band(ax: Axes, low: float = -math.inf, high: float = math.inf) -> None:
 
 def speed_panel(ax: Axes, episode: Episode, c: InspectionParameters) -> None:
     """|v| and the limit that grows with the distance."""
-    t, speed = episode["time"], np.linalg.norm(episode["velocity"], axis=1)
+    t, speed = episode["time"], speeds(episode)
     limit = c.docking_speed + c.speed_slope * np.linalg.norm(episode["position"], axis=1)
     ax.plot(t, speed, color=BLUE)
     ax.plot(t, limit, color="black", ls=":", lw=1)
@@ -163,17 +190,10 @@ def constraint_figure(episode: Episode, c: InspectionParameters, path: Path) -> 
 
 def episode_figure(episode: Episode, c: InspectionParameters, path: Path) -> None:
     """Trajectory, inspection, pointing, effort and the limits of one episode as a PNG."""
-    t, p = episode["time"], episode["position"]
-    distance = np.linalg.norm(p, axis=1)
-    boresight = rotate(episode["quaternion"], np.array([1.0, 0.0, 0.0]))
-    step = np.diff(t, prepend=t[0])
-    applied = np.abs(episode["control_applied"])
-    # a row's control acts until the next row
-    delta_v = np.cumsum(np.roll(applied[:, :3].sum(1), 1) / c.mass * step)
-
+    t, distance = episode["time"], np.linalg.norm(episode["position"], axis=1)
     figure = Figure(figsize=(13, 7.6))
     grid = figure.add_gridspec(3, 4, left=0.05, right=0.955, bottom=0.07, top=0.98, wspace=0.34, hspace=0.22)
-    trajectory(figure.add_subplot(grid[:2, :2], projection="3d"), episode, c)
+    trajectory(figure.add_subplot(grid[:2, :2], projection="3d"), episode, c, speeds(episode).max())
 
     def panel(row: int, column: int, label: str = "") -> Axes:
         ax = figure.add_subplot(grid[row, column])
@@ -186,7 +206,7 @@ def episode_figure(episode: Episode, c: InspectionParameters, path: Path) -> Non
     ax.axhline(c.success_score, color=GREEN, ls="--", lw=1)
 
     ax = panel(0, 3, "boresight · chief direction")
-    ax.plot(t, -(boresight * p).sum(1) / distance, color=BLUE)
+    ax.plot(t, pointing(episode), color=BLUE)
     ax.set_ylim(-1.05, 1.05)
 
     ax = panel(1, 2, "distance (m)")
@@ -200,10 +220,10 @@ def episode_figure(episode: Episode, c: InspectionParameters, path: Path) -> Non
     energy_panel(panel(2, 2), episode, c)
 
     ax = panel(2, 3, "Δv (m/s)")
-    ax.plot(t, delta_v, color=BLUE)
+    ax.plot(t, effort(episode, c)[0], color=BLUE)
     ax.set_ylim(0, None)
     torque = ax.twinx()
-    torque.plot(t, 1e3 * applied[:, 3:].sum(1), color=ORANGE, lw=0.8)
+    torque.plot(t, 1e3 * np.abs(episode["control_applied"][:, 3:]).sum(1), color=ORANGE, lw=0.8)
     torque.set_ylabel("Σ|torque| (mN m)", color="#8A5A00")
     torque.set_ylim(0, None)
 

@@ -1,13 +1,21 @@
-"""Fixtures shared by all tests: the paper's parameters, a seeded generator and random plausible states."""
+"""Fixtures shared by all tests: the paper's parameters, a seeded generator, random states, a made-up study."""
 
+import itertools
+import json
 import math
+from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 import torch
 from hypothesis import settings
 
+from inspection.environment import METRICS
 from inspection.parameters import InspectionParameters
 from inspection.state import OMEGA, SIZE, THETA_S, E, P, Q, T, V
+from rta.constraints import CONSTRAINTS
+from study.config import ARMS, StudyConfig
 
 torch.set_num_threads(1)
 settings.register_profile("project", deadline=None, derandomize=True, max_examples=40, database=None)
@@ -48,3 +56,85 @@ def random_states(generator):
         return x
 
     return draw
+
+
+def made_up_evaluation(rng: np.random.Generator, period: float | None, episodes: int = 300) -> dict[str, Any]:
+    """Random numbers in the form of `evaluate --json`, less what no report shows."""
+
+    def metric() -> dict[str, Any]:
+        low, middle, high = np.sort(rng.uniform(0.5, 30.0, 3)).tolist()
+        return {"iqm": middle, "mean": middle, "ci95": [low, high]}
+
+    return {
+        "metrics": {name: metric() for name in METRICS},
+        "violations_percent": {name: rng.uniform(0.001, 9.0) for name in ("any", *CONSTRAINTS)},
+        "outcomes": {"success": rng.uniform(0.5, 1.0)},
+        "rta": {"period_s": period, "intervention_percent": rng.uniform(1.0, 99.0), "qp_failures": 0},
+        "episodes": episodes,
+        "digest": "of no interest",
+    }
+
+
+def made_up_episode(rng: np.random.Generator) -> dict[str, np.ndarray]:
+    """A tour around the chief in the form of `simulate`, every value within its limit."""
+    t = np.arange(0.0, 300.0, 10.0)
+    ones, turn = np.ones_like(t), 2.0 * np.pi * t / t[-1]
+    control = rng.uniform(-5e-4, 5e-4, (len(t), 6))
+    return {
+        "time": t,
+        "position": rng.uniform(50.0, 90.0) * np.stack((np.cos(turn), np.sin(turn), 0.1 * ones), 1),
+        "velocity": 0.3 * np.stack((-np.sin(turn), np.cos(turn), 0.0 * ones), 1),
+        "quaternion": np.stack((0.0 * t, 0.0 * t, np.sin(turn / 2), np.cos(turn / 2)), 1),
+        "angular_velocity": rng.uniform(-0.02, 0.02, (len(t), 3)),
+        "temperature": 5.0 * ones,
+        "energy": 6.0 * ones,
+        "sun_angle": 0.001 * t,
+        "control_desired": control,
+        "control_applied": control,
+        "inspected_score": t / t[-1],
+        **{f"h_{name}": ones for name in CONSTRAINTS},
+    }
+
+
+@pytest.fixture(scope="session")
+def made_up_study(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A directory with every file that a report shows, full of random numbers."""
+    study = tmp_path_factory.mktemp("made_up") / "study"
+    report = study / "report"
+    report.mkdir(parents=True)
+    rng = np.random.default_rng(0)
+    arms = {
+        arm: made_up_evaluation(rng, 1.0 if rta else None) | {"seeds": [0, 1, 2], "interactions": 5_013_504}
+        for arm, rta in ARMS.items()
+    }
+    contents = {
+        "results.json": {"arms": arms},
+        "provenance.json": {},
+        "report/guidance.json": made_up_evaluation(rng, 1.0, episodes=1000),
+        "report/cross.json": {
+            arm: {"off": made_up_evaluation(rng, None), "on": made_up_evaluation(rng, 1.0)} for arm in ARMS
+        },
+        "report/frequency.json": {f"{period}": made_up_evaluation(rng, period) for period in (1, 5, 10)},
+        "report/throughput.json": {
+            arm: {
+                "seeds": 3,
+                "interactions": 5_013_504,
+                "wall_clock_s": 4321.0,
+                "interactions_per_s": 3480.8,
+                "device": "cpu",
+                "threads": 2,
+            }
+            for arm in ARMS
+        },
+    }
+    for name, content in contents.items():
+        (study / name).write_text(json.dumps(content))
+    (study / "config.toml").write_text(StudyConfig().to_toml())
+    lines = ["interactions,arm,metric,iqm,low,high"]
+    for interactions, arm, metric in itertools.product((500_000, 1_000_000, 1_500_000), ARMS, METRICS):
+        low, middle, high = np.sort(rng.uniform(0.0, 5.0, 3))
+        lines.append(f"{interactions},{arm},{metric},{middle},{low},{high}")
+    (report / "training.csv").write_text("\n".join(lines) + "\n")
+    for name, arm in itertools.product(("episode", "demonstration"), ARMS):
+        np.savez(report / f"{name}_{arm}.npz", **made_up_episode(rng))
+    return study
