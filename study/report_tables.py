@@ -32,9 +32,10 @@ def write(study: Path) -> None:
     directory = study / "report"
     with refusing(f"--study {study}: cannot read what its tables are made from", OSError, *MALFORMED):
         arms = read(study / "results.json")["arms"]
+        columns = arms | {"guidance": read(directory / "guidance.json")}
         tables = {
-            "table2": table2(arms),
-            "table3": table3(arms),
+            "table2": table2(columns),
+            "table3": table3(columns),
             "cross": cross(read(directory / "cross.json")),
             "throughput": throughput(arms, read(study / "provenance.json")),
         }

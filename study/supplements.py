@@ -1,4 +1,4 @@
-"""What a report shows beside a study's own results: its agents behind other filters, and single episodes."""
+"""What a report shows beside a study's own results: other filters, classical guidance and single episodes."""
 
 import hashlib
 import json
@@ -19,12 +19,14 @@ from study import build, report_tables
 from study.arms import TEST_CASES
 from study.config import ARMS, Config
 from study.errors import InputError, refusing
-from study.evaluation import play, report
+from study.evaluation import play, play_guidance, report
 from study.simulation import classical, common_episode, read_state, simulate, starting_point
 from study.training import MALFORMED, write_json, write_text
 
 DEMONSTRATION = Path(__file__).parent.parent / "configs/demonstration.json"
 DEMONSTRATION_DURATION = 2000.0  # s
+GUIDANCE_CASES = 1000
+GUIDANCE_PERIOD = 1.0  # s between two calls of the filter
 Results = dict[str, Any]  # in the form of `evaluate --json`
 Arrays = dict[str, np.ndarray]
 Work = dict[str, tuple[str, Callable[[], Results | Arrays | str]]]  # by file: what it is, what computes it
@@ -133,6 +135,8 @@ def work(study: Path, arms: dict[str, Arm]) -> Work:
         periods = ", ".join(f"{period:g}" for period in PERIODS)
         what = f"the agents trained with RTA, the filter called every {periods} s"
         todo["frequency.json"] = (what, partial(frequency, arms["rta"]))
+    what = f"the natural-motion guidance with RTA over {GUIDANCE_CASES:,} cases"
+    todo["guidance.json"] = (what, partial(guidance, config))
     for name, arm in arms.items():
         todo[f"episode_{name}.npz"] = (f"an episode of {name}", partial(episode, arm))
     todo["training.csv"] = ("intervals of the training curves", partial(training, study, tuple(arms)))
@@ -179,6 +183,14 @@ def evaluate(arm: Arm, rta: bool, period: float) -> Results:
     safety, device = build.for_command(config, build.TYPICAL_EPISODE, seeds * episodes)
     record = play(arm.policy.to(device), config, episodes, TEST_CASES, device, safety)
     return report(record, config, rta, period, TEST_CASES, seeds)
+
+
+def guidance(config: Config) -> Results:
+    """The classical natural-motion guidance behind the filter."""
+    config = with_rta(config, True, GUIDANCE_PERIOD)
+    safety, device = build.for_command(config, build.TYPICAL_EPISODE, GUIDANCE_CASES)
+    record = play_guidance(config, GUIDANCE_CASES, TEST_CASES, device, safety)
+    return report(record, config, True, GUIDANCE_PERIOD, TEST_CASES)
 
 
 def episode(arm: Arm) -> Arrays:

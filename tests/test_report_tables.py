@@ -39,6 +39,7 @@ def study(tmp_path: Path) -> Path:
         tmp_path / "results.json": {"arms": arms},
         tmp_path / "provenance.json": {"device": "abacus", "threads": 2},
         report / "cross.json": {name: {"off": evaluation(1.0), "on": own} for name, own in arms.items()},
+        report / "guidance.json": evaluation(4.0),
         report / "frequency.json": {"1": arms["rta"], "5": evaluation(5.0), "10": evaluation(6.0)},
     }
     (tmp_path / "rta").mkdir()
@@ -144,8 +145,8 @@ def test_files_hold_a_row_per_evaluation(study: Path) -> None:
         }
         == frequency[1]
     )
-    assert len(rows(report / "table2.csv")) == 5
-    assert len(rows(report / "table3.csv")) == 14
+    assert [row["guidance_iqm"] for row in rows(report / "table2.csv")] == ["4.0"] * 5
+    assert [row["guidance_percent"] for row in rows(report / "table3.csv")] == ["0.4"] * 14
     assert json.loads((report / "throughput.json").read_text())["no_rta"]["interactions_per_s"] == 40.0
     assert [row["arm"] for row in rows(report / "throughput.csv")] == ["no_rta", "rta"]
 

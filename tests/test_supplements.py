@@ -38,6 +38,7 @@ minibatch_size = 8
 FILES = {
     "cross.json",
     "frequency.json",
+    "guidance.json",
     "training.csv",
     "episode_no_rta.npz",
     "episode_rta.npz",
@@ -48,9 +49,10 @@ FILES = {
 
 @pytest.fixture(scope="module", autouse=True)
 def brief() -> Any:
-    """Demonstrations of a few seconds."""
+    """Short demonstrations and few cases of the guidance."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(supplements, "DEMONSTRATION_DURATION", DURATION)
+        patch.setattr(supplements, "GUIDANCE_CASES", CASES)
         yield
 
 
@@ -117,6 +119,11 @@ def test_the_studys_own_filter_gives_the_studys_own_results(study: Path) -> None
     cross = read(study / "report" / "cross.json")
     assert cross["no_rta"]["off"] == arms["no_rta"]
     assert cross["rta"]["on"] == arms["rta"] == read(study / "report" / "frequency.json")["10"]
+
+
+def test_guidance_meets_the_common_cases_behind_the_filter(study: Path) -> None:
+    guidance = read(study / "report" / "guidance.json")
+    assert (guidance["episodes"], guidance["seed"], guidance["rta"]["period_s"]) == (CASES, 0, 1.0)
 
 
 @pytest.mark.parametrize("rta", [False, True])
