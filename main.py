@@ -229,7 +229,7 @@ def build_parser() -> Parser:
     report = commands.add_parser(
         "report",
         allow_abbrev=False,
-        help="compute what a finished study's report shows beside its results, and write its tables",
+        help="write a finished study's results as one page, with its figures and the data behind them",
     )
     report.add_argument("--study", required=True, metavar="D", help="directory of a finished study")
     report.add_argument(
@@ -443,12 +443,13 @@ def run_study(arguments: argparse.Namespace) -> None:
 
 def run_report(arguments: argparse.Namespace) -> None:
     """main.py report"""
-    from study import report_tables, supplements
+    from study import html, report_tables, supplements
 
     directory = Path(arguments.study)
     supplements.compute(directory, arguments.device)
     report_tables.write(directory)
-    print(f"Written to {directory / 'report'}")
+    html.write(directory)
+    print(f"Written to {directory}: report.html and, in report, its figures and the data behind them")
 
 
 def run_evaluate(arguments: argparse.Namespace) -> None:
