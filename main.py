@@ -146,7 +146,7 @@ def build_parser() -> Parser:
     commands = parser.add_subparsers(
         dest="command",
         required=True,
-        metavar="train | study | evaluate | simulate | filter | verify | benchmark",
+        metavar="train | study | report | evaluate | simulate | filter | verify | benchmark",
     )
 
     train = commands.add_parser(
@@ -225,6 +225,19 @@ def build_parser() -> Parser:
         help="directory to create, or of the study to continue (default: runs/study)",
     )
     study.set_defaults(run=run_study)
+
+    report = commands.add_parser(
+        "report",
+        allow_abbrev=False,
+        help="write a finished study's results as one page, with its figures and the data behind them",
+    )
+    report.add_argument("--study", required=True, metavar="D", help="directory of a finished study")
+    report.add_argument(
+        "--device",
+        choices=("auto", "cpu", "cuda"),
+        help="where tensors live (default: as in the study)",
+    )
+    report.set_defaults(run=run_report)
 
     evaluate = commands.add_parser(
         "evaluate", help="report an agent or a controller in the metrics of the paper's Tables 2 and 3"
@@ -433,6 +446,17 @@ def run_study(arguments: argparse.Namespace) -> None:
         print(arms.run(config, directory))
     except training.Stopped as stopped:
         print(stopped)
+
+
+def run_report(arguments: argparse.Namespace) -> None:
+    """main.py report"""
+    from study import html, report_tables, supplements
+
+    directory = Path(arguments.study)
+    supplements.compute(directory, arguments.device)
+    report_tables.write(directory)
+    html.write(directory)
+    print(f"Written to {directory}: report.html and, in report, its figures and the data behind them")
 
 
 def run_evaluate(arguments: argparse.Namespace) -> None:

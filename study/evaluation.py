@@ -23,7 +23,7 @@ from rta.rows import Barriers
 from study import build
 from study.config import Config
 from study.errors import refusing
-from study.statistics import stratified_summary, summary
+from study.statistics import summary_of_runs
 
 Actor = Callable[[Tensor], Tensor]  # observations (B, 26) to actions (B, 6)
 
@@ -158,7 +158,7 @@ def report(
     calls = record.filter_calls.sum().item()
     results = {
         "metrics": {
-            name: summary(values) if seeds == 1 else stratified_summary(values.reshape(seeds, -1))
+            name: summary_of_runs(values.reshape(seeds, -1))
             for name, values in zip(METRICS, record.metrics.cpu().numpy(), strict=True)
         },
         "violations_percent": {"any": percent.pop("any")} | percent,

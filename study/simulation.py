@@ -11,13 +11,14 @@ from torch import Tensor
 from inspection import guidance
 from inspection.attitude import unit
 from inspection.dynamics import step as integrate
-from inspection.environment import InspectionEnv
+from inspection.environment import InspectionEnv, Safety
 from inspection.guidance import Controller
 from inspection.parameters import InspectionParameters
 from inspection.state import CONTROL_SIZE, OMEGA, SIZE, THETA_S, E, P, Q, T, V
 from inspection.termination import terminal_conditions
 from ppo.network import Policy
 from rta.constraints import CONSTRAINTS
+from study import build
 from study.config import Config
 from study.errors import InputError
 from study.evaluation import test_cases
@@ -249,3 +250,21 @@ def simulate(
     arrays |= {f"h_{name}": h[:, i] for i, name in enumerate(CONSTRAINTS)}
     scalars = ("time", "inspected_score", "temperature", "energy", "sun_angle")
     return {name: array[:, 0] if name in scalars else array for name, array in arrays.items()}
+
+
+def common_episode(
+    policy: Policy, config: Config, safety: Safety, device: torch.device
+) -> dict[str, np.ndarray]:
+    """`simulate` of the agent from the first common test case until the episode ends, a row per integration step."""
+    x, priority = test_cases(config, 1, 0)
+    env = build.one_episode(config, safety, device)
+    return simulate(
+        env,
+        policy_controller(policy, env),
+        x.to(device),
+        priority.to(device),
+        duration=config.inspection.max_time,
+        step=min(config.train.rta_period, config.inspection.substep),
+        decide_every=config.inspection.action_period,
+        until_ended=True,
+    )

@@ -55,3 +55,8 @@ def stratified_summary(scores: np.ndarray, seed: int = 0) -> dict[str, float | l
         "mean": float(scores.mean()),
         "ci95": [float(low), float(high)],
     }
+
+
+def summary_of_runs(scores: np.ndarray) -> dict[str, float | list[float]]:
+    """`stratified_summary` of scores (runs, tasks); of a lone run, `summary` over its tasks."""
+    return summary(scores[0]) if len(scores) == 1 else stratified_summary(scores)

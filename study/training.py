@@ -29,10 +29,10 @@ from study import build
 from study import config as configuration
 from study.config import Config
 from study.errors import InputError, refusing
-from study.evaluation import Episodes, evaluate, play, report, test_cases
+from study.evaluation import Episodes, evaluate, play, report
 from study.figures import episode_figure
 from study.monitor import Monitor
-from study.simulation import policy_controller, simulate
+from study.simulation import common_episode
 from study.statistics import iqm
 from study.tables import tables
 
@@ -290,18 +290,7 @@ class Run:
             self.policy, config, train.final_episodes, 0, self.device, self.safety, self.compiled
         )
         write_json(self.directory / "evaluation.json", results)
-        x, priority = test_cases(config, 1, 0)
-        env = build.one_episode(config, self.safety, self.device)
-        episode = simulate(
-            env,
-            policy_controller(self.policy, env),
-            x.to(self.device),
-            priority.to(self.device),
-            duration=config.inspection.max_time,
-            step=min(train.rta_period, config.inspection.substep),
-            decide_every=config.inspection.action_period,
-            until_ended=True,
-        )
+        episode = common_episode(self.policy, config, self.safety, self.device)
         episode_figure(episode, config.inspection, self.directory / "episode.png")
         return f"{tables(results)}\nWritten to {self.directory}: policy.pt, evaluation.json, episode.png"
 

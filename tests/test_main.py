@@ -124,7 +124,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
         (["filter", "--out", "x"], ["--states"]),
         (["filter", "--states", "nowhere.npz", "--out", "x"], ["nowhere.npz", "no such file"]),
         (["filter", "--states", "x", "--out", "x", "--no-rta"], ["--no-rta"]),
-        ([], ["train | study | evaluate | simulate | filter | verify | benchmark"]),
+        ([], ["train | study | report | evaluate | simulate | filter | verify | benchmark"]),
     ],
 )
 def test_bad_flags_are_refused(

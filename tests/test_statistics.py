@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from study import statistics
-from study.statistics import iqm, stratified_bootstrap, stratified_summary, summary
+from study.statistics import iqm, stratified_bootstrap, stratified_summary, summary, summary_of_runs
 
 
 def test_iqm_is_the_mean_of_the_middle_half() -> None:
@@ -69,3 +69,9 @@ def test_stratified_interval_does_not_depend_on_how_many_resamples_fit_into_memo
     at_once = stratified_summary(scores)
     monkeypatch.setattr(statistics, "AT_ONCE", 15 * 1234)
     assert stratified_summary(scores) == at_once
+
+
+def test_a_lone_run_is_resampled_over_its_tasks() -> None:
+    scores = np.random.default_rng(8).normal(size=(2, 9))
+    assert summary_of_runs(scores[:1]) == summary(scores[0])
+    assert summary_of_runs(scores) == stratified_summary(scores)
