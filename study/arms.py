@@ -74,7 +74,7 @@ def run(config: StudyConfig, directory: Path) -> str:
                 finish(train(config, name, directory / name))
             with refusing(f"{path}: not the results of this program", OSError, ValueError):
                 results[name] = json.loads(path.read_text(encoding="utf-8"))
-        write_json(directory / "results.json", {"arms": results})
+            write_json(directory / "results.json", {"arms": results})  # of the arms so far, for `report`
     shown = [f"{name}\n{tables(arm)}\n" for name, arm in results.items()]
     return "\n".join(
         (*shown, f"Written to {directory}: results.json and, for each arm, policies and episodes")
