@@ -78,7 +78,7 @@ def trajectory(ax: Axes, episode: Episode, c: InspectionParameters, top_speed: f
     for axis in (ax.xaxis, ax.yaxis, ax.zaxis):
         axis.set_major_locator(MultipleLocator(ticks[1]))
     ax.xaxis.labelpad = 9
-    ax.figure.colorbar(path, ax=ax, shrink=0.65, pad=0.12, label="speed (m/s)")
+    ax.figure.colorbar(path, ax=ax, shrink=0.65, pad=0.15, label="speed (m/s)")
 
 
 def band(ax: Axes, low: float = -math.inf, high: float = math.inf) -> None:
