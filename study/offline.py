@@ -125,13 +125,14 @@ def filter_chunk(safety_filter: SafetyFilter, x: Tensor, desired: Tensor) -> dic
         b = torch.where(with_margins, rows.b, rows.b_bare)
         a = rows.a.new_zeros(len(fixed), len(limit), x.shape[1])
         a[:, group] = rows.a
-        weight = rows.a.new_tensor([row.weight for row in fixed])[:, None] / length**2
-        soft = status >= Status.SLACK
+        weight = rows.a.new_tensor([row.weight for row in fixed])[:, None]
+        short = (reached + b < -FEASIBLE * length) & weight.isfinite() & (status >= Status.SLACK)
+        soft = weight <= torch.where(short, weight, 0.0).amax(0)  # as far up as a row had to yield
         programs.append(
             {
                 "A_all": a,
                 "b_all": b,
-                "slack_weight": torch.where(soft, weight, torch.inf),
+                "slack_weight": torch.where(soft, weight / length**2, torch.inf),
                 "delta": torch.where(soft, (reached + b).clamp(max=0.0), 0.0),
                 "with_margins": with_margins[None],
             }
