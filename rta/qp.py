@@ -5,7 +5,8 @@ For three controls u in units of their actuators' limits,
     minimise |u - u_des|^2 + sum_i w_i delta_i^2   subject to   A_i u + b_i + delta_i >= 0,  -1 <= u <= 1.
 
 Rows are first held with margins, then without. Where both are infeasible, slack is given by priority: to the rows of
-the lowest weight alone, then to those of the next as well, and so on: a row yields only where it cannot be held.
+the lowest weight alone, then to those of the next as well, and so on, until some control satisfies the rest. So the
+rows of a weight are held wherever they and those above can be; rows that have slack share it by their weights.
 
 Thrust and torque enter disjoint constraints, so the paper's six-variable program is exactly two of these.
 Rows are scaled to unit length, which makes b and delta multiples of the actuators' limits.

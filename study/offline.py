@@ -78,7 +78,8 @@ def filter_states(safety_filter: SafetyFilter, x: Tensor, desired: Tensor) -> di
 
         |(u - control_desired) / limit|^2 + sum slack_weight delta^2
 
-    subject to A_all u + b_all >= delta and |u| <= limit, with delta = 0 where slack_weight is infinite.
+    subject to A_all u + b_all >= delta and |u| <= limit, with delta = 0 where slack_weight is infinite. That it is in
+    a class of rows, equal in weight, wherever some control holds the class and those of larger weight.
 
     Returns:
         control_safe: (N, 6).
