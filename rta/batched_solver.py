@@ -15,7 +15,7 @@ from torch import Tensor
 
 from rta.compiled import Compiled
 from rta.piqp_solver import PiqpSolver
-from rta.qp import REDUNDANT, Problems, Solutions, Status, kkt_residual, pick, put, total
+from rta.qp import REDUNDANT, Problems, Solutions, Status, kkt_residual, pick, put, stages, total
 
 ACCURATE = 1e-8  # largest KKT residual that is not solved again by PIQP
 VIOLATED = 1e-12  # a row is violated below minus this, in units of the actuators' limits
@@ -114,14 +114,8 @@ class BatchedSolver:
         control = torch.zeros_like(problems.desired)
         status = torch.full_like(control[0], Status.UNSOLVED, dtype=torch.int64)
         residual = torch.full_like(control[0], torch.inf)
-        nothing = torch.full_like(problems.weight, torch.inf)  # no row has slack
-        stages = (
-            (problems.b, nothing, Status.HARD),
-            (problems.b_bare, nothing, Status.HARD),
-            (problems.b_bare, problems.weight, Status.SLACK),
-        )
         left = torch.nonzero(problems.finite).flatten()
-        for side, weight, solved in stages:
+        for side, weight, solved in stages(problems):
             if not left.numel():
                 break
             desired, a, b = (pick(x, left) for x in (problems.desired, problems.a, side))

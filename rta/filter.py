@@ -1,4 +1,7 @@
-"""SafetyFilter: barrier rows, screening, two small programs per spacecraft, report (Sec. ASIF)."""
+"""SafetyFilter: barrier rows, screening, two small programs per spacecraft, report (Sec. ASIF).
+
+Where the rows of a program conflict, slack is given class after class of their weights, see `rta.qp.stages`.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass, fields
@@ -38,7 +41,7 @@ class FilterResult:
         intervened: (B,) bool, the desired control violated a row and was corrected.
         active: (13, B) bool, a row of the constraint binds a corrected control.
         slack: (13, B) shortfall of the barrier condition without margin, in h's unit per s (per s^2 where
-            the relative degree is two).
+            the relative degree is two); zero unless a program needed slack.
         status: (B,) int64, the worse `Status` of the thrust and the torque program.
         program_status: (2, B) int64, both of them.
         h: (13, B) constraint values without margin, slopes bounded at their poles.

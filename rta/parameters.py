@@ -61,7 +61,8 @@ class RtaParameters:
     # exceed the 1 deg/s^2 that torque gives.
     pole_angle: float = 0.2  # rad
 
-    # Slack weights on rows of unit length, highest priority first. Safe separation has no slack at all.
+    # Slack weights on rows of unit length, highest priority first: the rows of a class are given slack only where they
+    # cannot all be held although lower classes yield (`rta.qp.stages`). Safe separation has no slack at all.
     # The paper's 1e12 is beyond what an interior-point solver resolves; of 255 infeasible programs recorded
     # with random actions, PIQP solved 249 at 1e6 and all at 1e5.
     slack_weight_critical: float = 1e5  # keep-in zone, passive safety, attitude exclusion

@@ -6,13 +6,13 @@ import torch
 from numpy import ndarray
 from torch import Tensor
 
-from rta.qp import FEASIBLE, Problems, Solutions, Status, kkt_residual
+from rta.qp import FEASIBLE, Problems, Solutions, Status, kkt_residual, stages
 
 UNBOUNDED = 1e30  # PIQP's infinity
 
 
 class PiqpSolver:
-    """Hard with margins, hard without, with slack: each stage takes what the one before left infeasible.
+    """Each of the `stages` takes what the one before left infeasible.
 
     PIQP works on the CPU; it keeps its workspace between calls of the same shape, so workspaces are cached.
     """
@@ -31,27 +31,20 @@ class PiqpSolver:
             for part in (problems.desired, problems.a, problems.b, problems.b_bare)
         )
         weight = problems.weight.cpu().numpy()
-        must = np.isinf(weight)
-        nothing = np.full_like(weight, np.inf)  # no row has slack
         candidates = [desired, np.zeros_like(desired)]
         control, status = desired.copy(), np.full(len(desired), Status.UNSOLVED)
         residual = np.full(len(desired), np.inf)
 
         # PIQP's workspace would keep a NaN, and spoil every program after it
         finite = np.isfinite(desired.sum(1) + a.sum((1, 2)) + b.sum(1) + b_bare.sum(1))
-        stages = (
-            (b, nothing, np.ones_like(must), Status.HARD),
-            (b_bare, nothing, np.ones_like(must), Status.HARD),
-            (b_bare, weight, must, Status.SLACK),
-        )
-        for side, slack_weight, held, outcome in stages:
+        for side, slack_weight, outcome in stages(problems):
             left = np.flatnonzero((status == Status.UNSOLVED) & finite)
             if not left.size:
                 break
-            reachable = (np.abs(a[left]).sum(2) + side[left] >= 0.0)[:, held].all(
-                1
-            )  # by a control in the box
-            left = left[reachable]
+            side, slack_weight = side.movedim(-1, 0).cpu().numpy(), slack_weight.cpu().numpy()
+            held = np.isinf(slack_weight)
+            within_box = np.abs(a[left]).sum(2) + side[left] >= 0.0  # some control satisfies the row
+            left = left[within_box[:, held].all(1)]
             u, multiplier = self._solve_all(desired[left], a[left], side[left], slack_weight)
             u = np.clip(u, -1.0, 1.0)
             feasible = (lhs(u, a[left], side[left])[:, held] >= -FEASIBLE).all(1)

@@ -4,10 +4,15 @@ For three controls u in units of their actuators' limits,
 
     minimise |u - u_des|^2 + sum_i w_i delta_i^2   subject to   A_i u + b_i + delta_i >= 0,  -1 <= u <= 1.
 
+Rows are first held with margins, then without. Where both are infeasible, slack is given by priority: to the rows of
+the lowest weight alone, then to those of the next as well, and so on, until some control satisfies the rest. So the
+rows of a weight are held wherever they and those above can be; rows that have slack share it by their weights.
+
 Thrust and torque enter disjoint constraints, so the paper's six-variable program is exactly two of these.
 Rows are scaled to unit length, which makes b and delta multiples of the actuators' limits.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from enum import IntEnum
 from functools import reduce
@@ -29,7 +34,7 @@ class Status(IntEnum):
 
     UNTOUCHED = 0  # the desired control satisfies every row
     HARD = 1  # corrected, every row satisfied, at worst without its margin
-    SLACK = 2  # no control satisfies every row: the weighted slack decided
+    SLACK = 2  # no control satisfies every row: some yielded, by their slack
     UNSOLVED = 3  # no solver call succeeded: the least-violating control known, zero if rows are not finite
 
 
@@ -41,7 +46,7 @@ class Problems:
         desired: (3, N) within [-1, 1].
         a: (R, 3, N) rows, of unit length or shorter.
         b: (R, N) with the margins; b_bare: (R, N) without, never smaller. Margins are spent before a limit is.
-        weight: (R,) slack weights, infinite for a row that must hold.
+        weight: (R,) slack weights and priorities, infinite for a row that must hold.
     """
 
     desired: Tensor
@@ -77,8 +82,17 @@ class Solutions:
     residual: Tensor
 
 
+def stages(problems: Problems) -> Iterator[tuple[Tensor, Tensor, Status]]:
+    """What is tried in turn, until it is feasible: sides b (R, N), slack weights (R,) and what a solution is then."""
+    held = torch.full_like(problems.weight, torch.inf)
+    yield problems.b, held, Status.HARD
+    yield problems.b_bare, held, Status.HARD
+    for highest in problems.weight[problems.weight.isfinite()].unique():  # in ascending order
+        yield problems.b_bare, torch.where(problems.weight <= highest, problems.weight, held), Status.SLACK
+
+
 class Solver(Protocol):
-    """Solves `Problems`: hard with margins, then without, then with slack, whichever is feasible first."""
+    """Solves `Problems` by `stages`."""
 
     def solve(self, problems: Problems) -> Solutions: ...
 

@@ -78,7 +78,8 @@ def filter_states(safety_filter: SafetyFilter, x: Tensor, desired: Tensor) -> di
 
         |(u - control_desired) / limit|^2 + sum slack_weight delta^2
 
-    subject to A_all u + b_all >= delta and |u| <= limit, with delta = 0 where slack_weight is infinite.
+    subject to A_all u + b_all >= delta and |u| <= limit, with delta = 0 where slack_weight is infinite. That it is in
+    a class of rows, equal in weight, wherever some control holds the class and those of larger weight.
 
     Returns:
         control_safe: (N, 6).
@@ -125,13 +126,14 @@ def filter_chunk(safety_filter: SafetyFilter, x: Tensor, desired: Tensor) -> dic
         b = torch.where(with_margins, rows.b, rows.b_bare)
         a = rows.a.new_zeros(len(fixed), len(limit), x.shape[1])
         a[:, group] = rows.a
-        weight = rows.a.new_tensor([row.weight for row in fixed])[:, None] / length**2
-        soft = status >= Status.SLACK
+        weight = rows.a.new_tensor([row.weight for row in fixed])[:, None]
+        short = (reached + b < -FEASIBLE * length) & weight.isfinite() & (status >= Status.SLACK)
+        soft = weight <= torch.where(short, weight, 0.0).amax(0)  # as far up as a row had to yield
         programs.append(
             {
                 "A_all": a,
                 "b_all": b,
-                "slack_weight": torch.where(soft, weight, torch.inf),
+                "slack_weight": torch.where(soft, weight / length**2, torch.inf),
                 "delta": torch.where(soft, (reached + b).clamp(max=0.0), 0.0),
                 "with_margins": with_margins[None],
             }

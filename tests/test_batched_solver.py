@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import torch
 from numpy import ndarray
-from scipy.optimize import linprog, nnls
+from scipy.optimize import nnls
 from torch import Tensor
 
 from inspection.environment import InspectionEnv
@@ -21,11 +21,11 @@ from rta.batched_solver import ACCURATE, BatchedSolver
 from rta.filter import SafetyFilter
 from rta.parameters import RtaParameters
 from rta.piqp_solver import PiqpSolver
-from rta.qp import Problems, Solutions, Status
+from rta.qp import FEASIBLE, Problems, Solutions, Status
 from tests.test_constraints import tensor
 from tests.test_filter import C, R, near_the_limits
 from tests.test_qp import Problems as Arrays
-from tests.test_qp import projection, with_slack
+from tests.test_qp import feasible, given_slack, projection, with_slack
 
 FIELDS = ("desired", "a", "b", "b_bare")
 
@@ -109,11 +109,11 @@ def left_hand_sides(u: Tensor, a: Tensor, b: Tensor) -> Tensor:
     return torch.einsum("rcn,cn->rn", a, u) + b
 
 
-def objective(problems: Problems, u: Tensor) -> Tensor:
-    """Squared distance and weighted squared shortfall of the soft rows, (N,)."""
-    soft = problems.weight.isfinite()
-    short = left_hand_sides(u, problems.a, problems.b_bare).clamp(max=0.0)[soft]
-    return ((u - problems.desired) ** 2).sum(0) + (problems.weight[soft, None] * short**2).sum(0)
+def objective(problems: Problems, u: Tensor, weight: Tensor) -> Tensor:
+    """Squared distance and squared shortfall under these weights (R, N), infinite for rows that are held; (N,)."""
+    short = left_hand_sides(u, problems.a, problems.b_bare).clamp(max=0.0)
+    weight = torch.where(weight.isfinite(), weight, 0.0)
+    return ((u - problems.desired) ** 2).sum(0) + (weight * short**2).sum(0)
 
 
 def arrays(problems: Problems) -> Arrays:
@@ -145,14 +145,18 @@ def test_hard_programs_equal_piqp(solver: BatchedSolver, recorded: Problems) -> 
 def test_slack_programs_equal_piqp_or_the_exact_answer(solver: BatchedSolver, recorded: Problems) -> None:
     # Slack weights of 1e5 turn PIQP's residuals into errors of up to 1e-3 in the control. Where the two differ,
     # objectives are compared, and non-negative least squares has the last word.
-    ours, piqp = solver.solve(recorded), PiqpSolver().solve(recorded)
-    slack = ours.status == Status.SLACK
-    best, other = objective(recorded, ours.control), objective(recorded, piqp.control)
-    assert (best <= other * (1 + 1e-9) + 1e-9)[slack].all()
-    far = torch.nonzero(slack & ((ours.control - piqp.control).abs().amax(0) > 1e-6)).flatten()
-    assert len(far) < 0.2 * slack.sum()
-    exact = with_slack(arrays(recorded[far])).reshape(-1, 3)
-    np.testing.assert_allclose(ours.control[:, far].T, exact, rtol=0, atol=1e-6)
+    slack = recorded[torch.nonzero(solver.solve(recorded).status == Status.SLACK).flatten()]
+    ours, piqp = solver.solve(slack).control, PiqpSolver().solve(slack).control
+    given = torch.from_numpy(given_slack(arrays(slack)).T)
+    for control in (ours, piqp):
+        held = left_hand_sides(control, slack.a, slack.b_bare)[given.isinf()]
+        assert held.numel() == 0 or held.min() >= -FEASIBLE
+    best, other = objective(slack, ours, given), objective(slack, piqp, given)
+    assert (best <= other * (1 + 1e-9) + 1e-9).all()
+    far = torch.nonzero((ours - piqp).abs().amax(0) > 1e-6).flatten()
+    assert len(far) < 0.2 * len(slack.desired[0])
+    exact = with_slack(arrays(slack[far]), given.T.numpy()[far]).reshape(-1, 3)
+    np.testing.assert_allclose(ours[:, far].T, exact, rtol=0, atol=1e-6)
 
 
 def test_recorded_problems_never_need_piqp(solver: BatchedSolver, recorded: Problems) -> None:
@@ -233,14 +237,6 @@ def synthetic(count: int, rows: int, seed: int) -> Problems:
     return Problems(tensor(desired), tensor(a), tensor(b), tensor(b + 0.1), weight)
 
 
-def feasible(a: ndarray, b: ndarray) -> bool:
-    """Whether a control inside the box satisfies a u + b >= 0, rows (R, 3), by linear programming."""
-    tallest = linprog(
-        [0, 0, 0, -1], np.column_stack((-a, np.ones(len(a)))), b, bounds=[(-1, 1)] * 3 + [(None, None)]
-    )
-    return tallest.x[3] >= 0.0
-
-
 def force_left(u: ndarray, desired: ndarray, a: ndarray, b: ndarray, weight: ndarray) -> float:
     """What stationarity leaves of u - desired after slack forces and the best multipliers of what is active."""
     rest, soft = a @ u + b, np.isfinite(weight)
@@ -257,27 +253,23 @@ def test_random_programs_satisfy_kkt(solver: BatchedSolver, rows: int) -> None:
     slack = answer.status == Status.SLACK
     assert slack.sum() >= 300 and solver.resolved < 10
     assert (answer.control.abs() <= 1.0).all()
-    hold = np.full(rows, math.inf)
+    given, with_margins = given_slack(programs), feasible(programs.a, programs.b)
     for i, (u, desired, a, b, b_bare) in enumerate(
         zip(answer.control.T.numpy(), programs.desired, programs.a, programs.b, programs.b_bare, strict=True)
     ):
-        if slack[i]:
-            assert not feasible(a, b_bare)
-            assert a[0] @ u + b_bare[0] >= -1e-9
-            # a residual that is off by 1e-11 changes the force by that times the weight
-            assert force_left(u, desired, a, b_bare, programs.weight) <= 1e-11 * 1e5
-        else:
-            side = b if feasible(a, b) else b_bare
-            assert answer.status[i] == Status.HARD
-            assert (a @ u + side).min() >= -1e-9
-            assert force_left(u, desired, a, side, hold) <= 1e-8
+        held = np.isinf(given[i])
+        assert answer.status[i] == (Status.HARD if held.all() else Status.SLACK)
+        side = b if with_margins[i] else b_bare
+        assert (a @ u + side)[held].min() >= -1e-9
+        # a residual that is off by 1e-11 changes the force by that times the weight
+        assert force_left(u, desired, a, side, given[i]) <= (1e-8 if held.all() else 1e-11 * 1e5)
 
 
 def test_unsolvable_programs_are_proved_to_be(solver: BatchedSolver) -> None:
     problems = synthetic(200, 6, seed=1)
     problems.weight[:] = math.inf  # what was soft must hold
     answer, programs = solver.solve(problems), arrays(problems)
-    expected = [feasible(a, b_bare) for a, b_bare in zip(programs.a, programs.b_bare, strict=True)]
+    expected = feasible(programs.a, programs.b_bare)
     assert ((answer.status == Status.HARD).numpy() == expected).all()
     unsolved = answer.status == Status.UNSOLVED
     assert solver.resolved == unsolved.sum() > 50

@@ -1,19 +1,22 @@
-"""The filter: settings, untouched and corrected controls, reports, faulty states and the closed loop."""
+"""The filter: settings, untouched and corrected controls, conflicts, reports, faulty states and the closed loop."""
 
 import dataclasses
+import json
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
 from numpy import ndarray
+from scipy.optimize import linprog
 from torch import Tensor
 
 from inspection.environment import InspectionEnv
 from inspection.parameters import InspectionParameters
 from rta import constraints
 from rta.constraints import CONSTRAINTS
-from rta.filter import FilterResult, SafetyFilter
+from rta.filter import SOLVERS, FilterResult, SafetyFilter, make_solver
 from rta.parameters import PERIODS, RtaParameters
 from rta.qp import FEASIBLE, Status
 from rta.rows import Barriers, Rows
@@ -25,6 +28,14 @@ R = RtaParameters()
 MAX_TORQUE = 0.0573 * 0.017453  # N m, below D times the wheels' 181.3 rad/s^2
 LIMIT = torch.tensor([[1.0]] * 3 + [[MAX_TORQUE]] * 3, dtype=torch.float64)
 THRUST, TORQUE = slice(0, 3), slice(3, 6)
+# Slack weights, safe separation has none; 1e3 for velocity and rate limits and dynamic speed, which yield first.
+PRIORITY = {
+    "collision": math.inf,
+    **dict.fromkeys(("keep_in_zone", "passive_safety", "attitude_exclusion"), 1e5),
+    **dict.fromkeys(("temperature", "battery"), 1e4),
+}
+# Calls out of verification campaigns: random controls 0, 2, 50, 58 and 71, adversarial ones 0, 42, 49, 55 and 58.
+CONFLICTS = json.loads(Path(__file__).with_name("conflicts.json").read_text())
 
 
 def near_the_limits(count: int, seed: int = 0) -> ndarray:
@@ -168,6 +179,40 @@ def test_slack_is_the_shortfall_of_the_bare_condition(
     slack = result.status == Status.SLACK
     torch.testing.assert_close(result.slack[:, slack], expected[:, slack], rtol=1e-6, atol=1e-6)
     assert (result.slack[:, ~slack] == 0).all()
+
+
+def least_shortfall(a: ndarray, b: ndarray, must: ndarray) -> float:
+    """The smallest t with a u + b >= -t, where it must hold >= 0, for some u in the box, by linear programming."""
+    rows = np.column_stack((-a, must - 1.0))
+    return linprog([0, 0, 0, 1], rows, b, bounds=[(-1, 1)] * 3 + [(0, None)]).fun
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_rows_yield_only_where_no_control_holds_their_class(solver: str) -> None:
+    """In recorded conflicts; shortfalls are in units of what full control moves a row by."""
+    x, u = (tensor(np.array([call[key] for call in CONFLICTS]).T) for key in ("state", "control_desired"))
+    safety = SafetyFilter(C, R, solver=make_solver(solver))
+    control = safety(x, u).control
+    held, yielded = set(), set()
+    for rows, table, group in zip(
+        safety.rows(x), (safety.barriers.thrust, safety.barriers.torque), (THRUST, TORQUE), strict=True
+    ):
+        weight = np.array([PRIORITY.get(row.constraint, 1e3) for row in table])
+        authority = (rows.a * LIMIT[group]).abs().sum(1)
+        authority[authority == 0.0] = 1.0
+        a = (rows.a * LIMIT[group] / authority[:, None]).numpy()
+        b = (rows.b_bare / authority).numpy()
+        for k in range(x.shape[1]):
+            reached = a[..., k] @ (control[group] / LIMIT[group])[:, k].numpy() + b[:, k]
+            for lowest in (1e3, 1e4, 1e5):
+                above = weight >= lowest
+                least = least_shortfall(a[above, :, k], b[above, k], np.isinf(weight[above]))
+                if least <= 1e-9:
+                    assert reached[above].min() >= -1e-6
+                elif lowest == 1e5:
+                    assert -reached[above].min() <= least + 1e-3
+                (held if least <= 1e-9 else yielded).add(lowest)
+    assert held == yielded == {1e3, 1e4, 1e5}
 
 
 def hovering_outward() -> Tensor:

@@ -20,8 +20,9 @@ from rta.qp import Status
 from study.offline import CHUNK, filter_states
 from tests.test_barrier import held, thrust_fall
 from tests.test_constraints import paper
-from tests.test_filter import commands, near_the_limits
+from tests.test_filter import PRIORITY, commands, near_the_limits
 from tests.test_main import assert_refused, call
+from tests.test_qp import Problems, given_slack
 
 C = InspectionParameters()
 LIMIT = np.array(C.control_limit)
@@ -98,6 +99,25 @@ def test_another_solver_finds_the_same_controls(
         floor = np.maximum(b, -100.0 * np.maximum(np.linalg.norm(a * LIMIT, axis=1), 1e-6))
         again = optimum(given["control_desired"][i], a, floor, weight)
         np.testing.assert_allclose(again / LIMIT, result["control_safe"][i] / LIMIT, atol=1e-6)
+
+
+def test_slack_weights_are_those_of_the_stage_used(result: dict[str, ndarray]) -> None:
+    """Of the rows that must be given slack for some control to satisfy the others, by linear programming."""
+    yielded = result["status"] == Status.SLACK
+    assert np.isinf(result["slack_weight"][result["status"] < Status.SLACK]).all()
+    names = result["constraints"][result["constraint_of_row"]]
+    weight = np.array([PRIORITY.get(name, 1e3) for name in names])
+    stages = set()
+    for group in (slice(0, 3), slice(3, 6)):
+        own = np.array([name in (CONSTRAINTS[:7] if group.start == 0 else CONSTRAINTS[7:]) for name in names])
+        a, b, found = (result[name][yielded][:, own] for name in ("A_all", "b_all", "slack_weight"))
+        a = a[..., group] * LIMIT[group]
+        length = np.linalg.norm(a, axis=2).clip(1e-6)
+        a, b = a / length[..., None], (b / length).clip(-100.0, 2.0)
+        given = given_slack(Problems(np.zeros((len(a), 3)), a, b, b, weight[own]))
+        np.testing.assert_allclose(found, given / length**2, rtol=1e-9)
+        stages |= {(group.start, *np.unique(row[np.isfinite(row)])) for row in given}
+    assert {(0,), (0, 1e3), (3,), (3, 1e3), (3, 1e3, 1e4)} <= stages
 
 
 def test_each_constraints_row_is_the_one_that_binds(result: dict[str, ndarray]) -> None:

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 import torch
 from numpy import ndarray
-from scipy.optimize import nnls
+from scipy.optimize import linprog, nnls
+from scipy.sparse import block_diag
 
 from rta import qp
 from rta.filter import SOLVERS, make_solver
@@ -120,17 +121,43 @@ def least_distance(desired: ndarray, a: ndarray, b: ndarray, weight: ndarray) ->
     return desired - r[:3] / r[-1]
 
 
-def with_slack(problems: Problems) -> ndarray:
-    """The reference's controls (N, 3)."""
-    triples = zip(problems.desired, problems.a, problems.b_bare, strict=True)
-    return np.array([least_distance(*triple, problems.weight) for triple in triples])
+def feasible(a: ndarray, b: ndarray) -> ndarray:
+    """(N,) bool: some control in the box satisfies a u + b >= 0, (N, R, 3) and (N, R), by linear programming.
+
+    One program for all: the sum of the largest t <= 1 with a u + b >= t.
+    """
+    count = len(b)
+    rows = block_diag(np.concatenate((-a, np.ones((*b.shape, 1))), 2), format="csr")
+    tallest = linprog(
+        np.tile([0, 0, 0, -1], count), rows, b.ravel(), bounds=([(-1, 1)] * 3 + [(None, 1)]) * count
+    )
+    return tallest.x[3::4] >= 0.0
 
 
-def cost(problems: Problems, u: ndarray) -> ndarray:
-    """Squared distance plus the weighted squared slack of the soft rows, (N,)."""
-    soft = np.isfinite(problems.weight)
-    slack = np.minimum(0, lhs(u, problems.a, problems.b_bare))[:, soft]
-    return ((u - problems.desired) ** 2).sum(1) + (problems.weight[soft] * slack**2).sum(1)
+def given_slack(problems: Problems) -> ndarray:
+    """Slack weights (N, R), infinite where a row is held: as few of the lowest weights as leave a program feasible."""
+    given = np.full(problems.b.shape, np.nan)
+    for highest in (0.0, *np.unique(problems.weight[np.isfinite(problems.weight)])):
+        left = np.flatnonzero(np.isnan(given[:, 0]))
+        held = problems.weight > highest
+        if left.size and held.any():
+            left = left[feasible(problems.a[left][:, held], problems.b_bare[left][:, held])]
+        given[left] = np.where(held, INF, problems.weight)
+    return given
+
+
+def with_slack(problems: Problems, given: ndarray | None = None) -> ndarray:
+    """The reference's controls (N, 3), with `given_slack` unless that is known."""
+    given = given_slack(problems) if given is None else given
+    programs = zip(problems.desired, problems.a, problems.b_bare, given, strict=True)
+    return np.array([least_distance(*program) for program in programs])
+
+
+def cost(problems: Problems, u: ndarray, given: ndarray) -> ndarray:
+    """Squared distance plus the squared slack under these weights (N, R), (N,)."""
+    soft = np.isfinite(given)
+    slack = np.minimum(0, lhs(u, problems.a, problems.b_bare))
+    return ((u - problems.desired) ** 2).sum(1) + (np.where(soft, given, 0.0) * slack**2).sum(1)
 
 
 WEIGHT = np.array([1e5, 1e5, 1e4, 1e4, 1e3, 1e3, 1e3, 1e3])
@@ -150,6 +177,14 @@ def slack_problems(weight: ndarray) -> Problems:
     return problems
 
 
+@pytest.fixture(scope="module", params=SLACK_CASES)
+def case(request: pytest.FixtureRequest) -> tuple[Problems, ndarray, ndarray]:
+    """Programs, the reference's slack weights (N, R) and controls (N, 3)."""
+    problems = slack_problems(SLACK_CASES[request.param])
+    given = given_slack(problems)
+    return problems, given, with_slack(problems, given)
+
+
 def test_references_agree() -> None:
     problems = dataclasses.replace(feasible_problems(300, 6, 0), weight=np.full(6, INF))
     exact = with_slack(dataclasses.replace(problems, b_bare=problems.b))
@@ -166,29 +201,36 @@ def test_feasible_program_equals_enumeration(solver: Solver, rows: int) -> None:
     np.testing.assert_allclose(control, expected, rtol=0, atol=1e-6)
 
 
-@pytest.mark.parametrize("weight", SLACK_CASES.values(), ids=SLACK_CASES)
-def test_slack_program_equals_least_distance(solver: Solver, weight: ndarray) -> None:
-    problems = slack_problems(weight)
+def test_reference_gives_slack_up_to_the_lower_of_the_rows_in_conflict(
+    case: tuple[Problems, ndarray, ndarray],
+) -> None:
+    problems, given, _ = case
+    highest, needed = np.where(np.isfinite(given), given, 0.0).max(1), problems.weight[-2:].min()
+    assert (highest >= needed).all()  # others may conflict besides
+    assert (highest == needed).mean() > 0.5
+
+
+def test_slack_program_equals_least_distance(solver: Solver, case: tuple[Problems, ndarray, ndarray]) -> None:
+    problems, _, expected = case
     control, status = solve(solver, problems)
     assert (status == Status.SLACK).all()
-    np.testing.assert_allclose(control, with_slack(problems), rtol=0, atol=1e-4)
+    np.testing.assert_allclose(control, expected, rtol=0, atol=1e-4)
 
 
-@pytest.mark.parametrize("weight", SLACK_CASES.values(), ids=SLACK_CASES)
-def test_slack_program_has_the_least_cost(solver: Solver, weight: ndarray) -> None:
-    problems = slack_problems(weight)
+def test_slack_program_has_the_least_cost(solver: Solver, case: tuple[Problems, ndarray, ndarray]) -> None:
+    problems, given, expected = case
     control, _ = solve(solver, problems)
-    np.testing.assert_allclose(cost(problems, control), cost(problems, with_slack(problems)), rtol=1e-8)
+    np.testing.assert_allclose(cost(problems, control, given), cost(problems, expected, given), rtol=1e-8)
 
 
-@pytest.mark.parametrize("weight", SLACK_CASES.values(), ids=SLACK_CASES)
-def test_slack_program_satisfies_kkt(solver: Solver, weight: ndarray) -> None:
+def test_slack_program_satisfies_kkt(solver: Solver, case: tuple[Problems, ndarray, ndarray]) -> None:
     # what is left of u - desired - sum w delta a after non-negative multipliers of the active bounds and rows
-    # that must hold; a residual that is off by FEASIBLE changes it by FEASIBLE times the weight
-    problems = slack_problems(weight)
+    # that are held; a residual that is off by FEASIBLE changes it by FEASIBLE times the weight
+    problems, given, _ = case
     control, _ = solve(solver, problems)
-    soft = np.isfinite(weight)
-    for u, desired, a, b in zip(control, problems.desired, problems.a, problems.b_bare, strict=True):
+    programs = zip(control, problems.desired, problems.a, problems.b_bare, given, strict=True)
+    for u, desired, a, b, weight in programs:
+        soft = np.isfinite(weight)
         rest = lhs(u, a, b)
         force = weight[soft] * np.maximum(0, -rest[soft])
         normals = np.concatenate((a[~soft], np.eye(3), -np.eye(3)))
@@ -223,13 +265,47 @@ def test_margins_are_kept_where_they_can_be(solver: Solver) -> None:
     np.testing.assert_allclose(control, [[0.3, 0.1, 0.0]], atol=1e-6)
 
 
-@pytest.mark.parametrize("weight", [[1e5, 1e3], [1e3, 1e5], [1e4, 1e4]])
-def test_lower_weight_yields(solver: Solver, weight: list[float]) -> None:
-    # u1 >= 0.5 and u1 <= -0.5: the minimum of (u1 - 0.2)^2 + w1 (0.5 - u1)^2 + w2 (0.5 + u1)^2
-    control, status = solve(solver, problem([0.2, 0, 0], [[1, 0, 0, -0.5], [-1, 0, 0, -0.5]], weight))
-    expected = (0.2 + 0.5 * weight[0] - 0.5 * weight[1]) / (1 + sum(weight))
+# Rows and weights, and what is left of the desired control (0.2, 0, 0), worked out by hand.
+AT_LEAST_HALF, AT_MOST_MINUS_HALF = [1, 0, 0, -0.5], [-1, 0, 0, -0.5]
+SECOND_AT_LEAST_HALF, SECOND_AT_MOST_MINUS_HALF = [0, 1, 0, -0.5], [0, -1, 0, -0.5]
+PRIORITIES = {
+    "the_lower_yields_entirely": ([AT_LEAST_HALF, AT_MOST_MINUS_HALF], [1e5, 1e3], [0.5, 0, 0]),
+    "in_either_order": ([AT_LEAST_HALF, AT_MOST_MINUS_HALF], [1e3, 1e5], [-0.5, 0, 0]),
+    # the minimum of (u1 - 0.2)^2 + w (0.5 - u1)^2 + w (0.5 + u1)^2
+    "equals_share": ([AT_LEAST_HALF, AT_MOST_MINUS_HALF], [1e4, 1e4], [0.2 / (1 + 2e4), 0, 0]),
+    "the_lowest_of_three_yields_to_both": (
+        [[1, 0, 0, -0.1], AT_LEAST_HALF, AT_MOST_MINUS_HALF],
+        [1e5, 1e4, 1e3],
+        [0.5, 0, 0],
+    ),
+    # at most 0.3; the lower two would meet at (0.2 + 0.5e4 - 0.5e3) / (1 + 1e4 + 1e3) = 0.41
+    "the_lower_two_of_three_yield": (
+        [[-1, 0, 0, 0.3], AT_LEAST_HALF, AT_MOST_MINUS_HALF],
+        [1e5, 1e4, 1e3],
+        [0.3, 0, 0],
+    ),
+    # no control in the box has u1 >= 1.5; u2 >= 0.5 is held; u3 >= 0.3, given slack too, costs 1e3 delta^2
+    "beyond_the_box_only_it_and_lower_ones_yield": (
+        [[1, 0, 0, -1.5], SECOND_AT_LEAST_HALF, SECOND_AT_MOST_MINUS_HALF, [0, 0, 1, -0.3]],
+        [1e4, 1e5, 1e3, 1e3],
+        [1, 0.5, 0.3e3 / (1 + 1e3)],
+    ),
+    # with slack for the highest all have it: the lower two meet where their weights decide
+    "within_a_stage_weights_decide": (
+        [[1, 0, 0, -1.5], SECOND_AT_LEAST_HALF, SECOND_AT_MOST_MINUS_HALF],
+        [1e5, 1e4, 1e3],
+        [1, (0.5e4 - 0.5e3) / (1 + 1e4 + 1e3), 0],
+    ),
+}
+
+
+@pytest.mark.parametrize(("rows", "weight", "expected"), PRIORITIES.values(), ids=PRIORITIES)
+def test_lower_weights_yield_first(
+    solver: Solver, rows: list[list[float]], weight: list[float], expected: list[float]
+) -> None:
+    control, status = solve(solver, problem([0.2, 0, 0], rows, weight))
     assert status == [Status.SLACK]
-    np.testing.assert_allclose(control, [[expected, 0, 0]], atol=1e-6)
+    np.testing.assert_allclose(control, [expected], atol=1e-6)
 
 
 def test_row_that_must_hold_wins_over_any_weight(solver: Solver) -> None:
