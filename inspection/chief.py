@@ -5,13 +5,12 @@ Points are unit normals n (3, N) on a sphere of radius r_c; per-point masks are 
 
 import math
 from collections.abc import Callable
-from functools import partial
+from functools import partial, reduce
 
 import torch
 from torch import Tensor
 
 from inspection.attitude import body_axis, dot, norm, unit
-from inspection.chunks import in_chunks
 from inspection.dynamics import sun_direction
 from inspection.parameters import InspectionParameters
 from inspection.state import THETA_S, P, Q
@@ -51,6 +50,12 @@ def visible(normals: Tensor, x: Tensor, c: InspectionParameters) -> Tensor:
     return in_view & (height > r) & illuminated(normals, x[THETA_S])
 
 
+def survey(normals: Tensor, x: Tensor, inspected: Tensor, c: InspectionParameters) -> Tensor:
+    """(2, N, B) bool: the points inspected now that x (16, B) is reached, and those lit and left."""
+    inspected = inspected | visible(normals, x, c)
+    return torch.stack((inspected, illuminated(normals, x[THETA_S]) & ~inspected))
+
+
 def max_clusters(normals: Tensor, c: InspectionParameters) -> int:
     """Largest k = ceil(n / points_per_cluster) that any lit hemisphere of the Sun's circle can need."""
     sun = torch.linspace(0.0, 2 * math.pi, 3600, dtype=normals.dtype, device=normals.device)
@@ -87,15 +92,14 @@ def lloyd(points: Tensor, wanted: Tensor, centres: Tensor, alive: Tensor) -> Ten
     """One iteration of Lloyd's: every living centre moves to the mean of the wanted points nearest to it.
 
     Args as in `cluster`. Returns (4, K, B), the centres and how many points each has. Matrix products in
-    homogeneous coordinates [p, 1] find the nearest centres and add up their points.
+    homogeneous coordinates [p, 1] find the nearest centres and add up their points, one slot after the other.
     """
     homogeneous = torch.cat((points, torch.ones_like(points[:1])))
     offset = torch.where(alive, dot(centres, centres), math.inf)
-    # |p - m|^2 - |p|^2 = [p, 1] . [-2 m, |m|^2], (N, K, B)
-    gap = (homogeneous.T @ torch.cat((-2.0 * centres, offset[None])).flatten(1)).unflatten(1, alive.shape)
-    least = torch.where(wanted, gap.amin(1), -math.inf)
-    member = (gap == least[:, None]).to(points.dtype)
-    total = (homogeneous @ member.flatten(1)).unflatten(1, alive.shape)
+    # |p - m|^2 - |p|^2 = [p, 1] . [-2 m, |m|^2], (N, B) per slot
+    gaps = [homogeneous.T @ slot for slot in torch.cat((-2.0 * centres, offset[None])).unbind(1)]
+    least = torch.where(wanted, reduce(torch.minimum, gaps), -math.inf)
+    total = torch.stack([homogeneous @ (gap == least).to(points.dtype) for gap in gaps], 1)
     size = total[3]
     return torch.cat((torch.where(size > 0, total[:3] / size.clamp(min=1.0), centres), size[None]))
 
@@ -106,6 +110,7 @@ def cluster(
     centres: Tensor,
     alive: Tensor,
     per_cluster: int,
+    iterate: Callable[[Tensor, Tensor, Tensor], Tensor] | None = None,
 ) -> tuple[Tensor, Tensor]:
     """Batched k-means (Lloyd) of the wanted points, warm-started from the previous step's centres.
 
@@ -113,10 +118,12 @@ def cluster(
         points: (3, N) positions.
         wanted: (N, B) bool, the points to cluster; k = ceil(wanted / per_cluster) per column.
         centres, alive: (3, K, B) and (K, B) bool, the previous centres and which of them hold a cluster.
+        iterate: what computes `lloyd` of these points.
 
     Returns:
         The new centres (3, K, B) and alive (K, B).
     """
+    iterate = iterate or partial(lloyd, points)
     count = -(-wanted.sum(0) // per_cluster)
     slots = torch.arange(alive.shape[0], device=alive.device)[:, None]
     alive = alive & (slots < count)
@@ -126,14 +133,14 @@ def cluster(
         centres[..., short], alive[:, short] = seed_clusters(
             points, wanted[:, short], centres[..., short], alive[:, short], count[short]
         )
-    new = by_chunks(partial(lloyd, points), wanted, centres, alive)
+    new = iterate(wanted, centres, alive)
     moving = torch.nonzero((new[:3] != centres).any(0).any(0)).flatten()
     for _ in range(LLOYD_ITERATIONS - 1):
         if not moving.numel():
             break
         # a column that one iteration leaves as it was, every further one would
         before = new[:3, :, moving]
-        after = by_chunks(partial(lloyd, points), wanted[:, moving], before, alive[:, moving])
+        after = iterate(wanted[:, moving], before, alive[:, moving])
         new[..., moving] = after
         moving = moving[(after[:3] != before).any(0).any(0)]
     return new[:3], alive & (new[3] > 0)
@@ -141,8 +148,10 @@ def cluster(
 
 def by_chunks(function: Callable[..., Tensor], *tensors: Tensor) -> Tensor:
     """function(*tensors) of tensors whose last axis is the batch, a few columns at once on a CPU."""
-    on_cpu = tensors[0].device.type == "cpu"
-    return in_chunks(function, CHUNK, *tensors) if on_cpu else function(*tensors)
+    if tensors[0].device.type != "cpu":
+        return function(*tensors)
+    chunks = zip(*(tensor.split(CHUNK, -1) for tensor in tensors), strict=True)
+    return torch.cat([function(*(part.contiguous() for part in chunk)) for chunk in chunks], -1)
 
 
 def nearest_cluster(centres: Tensor, alive: Tensor, p: Tensor) -> Tensor:

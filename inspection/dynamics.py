@@ -100,25 +100,39 @@ def control_matrix(x: Tensor, c: InspectionParameters) -> Tensor:
     return g
 
 
-def derivative(x: Tensor, u: Tensor, c: InspectionParameters) -> Tensor:
-    """f(x) + g(x) u for u (6, ...) in N and N m."""
-    x, u = x.unbind(0), u.unbind(0)
+def derivative(x: Sequence[Tensor], u: Sequence[Tensor], c: InspectionParameters) -> list[Tensor]:
+    """The components of f(x) + g(x) u, from those of x and of u in N and N m."""
     rate = natural_rates(x, c)
     force, torque = turned(x[Q], u[THRUST]), u[TORQUE]
     rate[V] = [f_i + force_i / c.mass for f_i, force_i in zip(rate[V], force, strict=True)]
     rate[OMEGA] = [f_i + t_i / j_i for f_i, t_i, j_i in zip(rate[OMEGA], torque, c.inertia, strict=True)]
-    return torch.stack(rate)
+    return rate
 
 
 def step(x: Tensor, u: Tensor, duration: float, c: InspectionParameters) -> Tensor:
     """One RK4 step of `duration` s with u held; renormalises q and saturates the body rates if asked to."""
-    k1 = derivative(x, u, c)
-    k2 = derivative(x + 0.5 * duration * k1, u, c)
-    k3 = derivative(x + 0.5 * duration * k2, u, c)
-    k4 = derivative(x + duration * k3, u, c)
-    x = x + (duration / 6.0) * (k1 + 2.0 * (k2 + k3) + k4)
-    omega = x[OMEGA].clamp(-c.max_rate, c.max_rate) if c.saturate_rates else x[OMEGA]
-    return torch.cat((x[: Q.start], unit(x[Q]), omega, x[OMEGA.stop :]))
+    start, u = x.unbind(0), u.unbind(0)
+
+    def after(seconds: float, rate: list[Tensor]) -> list[Tensor]:
+        return [x_i + seconds * rate_i for x_i, rate_i in zip(start, rate, strict=True)]
+
+    k1 = derivative(start, u, c)
+    k2 = derivative(after(duration / 2, k1), u, c)
+    k3 = derivative(after(duration / 2, k2), u, c)
+    k4 = derivative(after(duration, k3), u, c)
+    mean = [k1_i + 2.0 * (k2_i + k3_i) + k4_i for k1_i, k2_i, k3_i, k4_i in zip(k1, k2, k3, k4, strict=True)]
+    end = after(duration / 6.0, mean)
+    if c.saturate_rates:
+        end[OMEGA] = [omega_i.clamp(-c.max_rate, c.max_rate) for omega_i in end[OMEGA]]
+    end[Q] = unit(torch.stack(end[Q]))
+    return torch.stack(end)
+
+
+def integrate(x: Tensor, u: Tensor, duration: float, c: InspectionParameters, times: int = 1) -> Tensor:
+    """The state after so many `step`s."""
+    for _ in range(times):
+        x = step(x, u, duration, c)
+    return x
 
 
 def free_flight(p: Tensor, v: Tensor, t: Tensor, n: float) -> Tensor:

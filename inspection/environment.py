@@ -2,23 +2,23 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Protocol
 
 import torch
 from torch import Tensor
 
 from inspection import chief
-from inspection.chunks import in_chunks
-from inspection.dynamics import step
+from inspection.compiled import Compiled
+from inspection.dynamics import integrate
 from inspection.initial_state import InitialStates
 from inspection.observation import normalised
 from inspection.parameters import InspectionParameters
 from inspection.reward import REWARDS, rewards
-from inspection.state import CONTROL_SIZE, SIZE, THETA_S, THRUST, TORQUE, P
+from inspection.state import CONTROL_SIZE, SIZE, THRUST, TORQUE, P
 from inspection.termination import OUTCOMES, terminal_conditions
 
 METRICS = ("inspected_score", "reward", "episode_length_s", "delta_v_m_s", "torque_n_m", "violation_percent")
-CHUNKS = (512, 2048)  # columns that functions compiled for a CPU take at once
 
 
 class Correction(Protocol):
@@ -147,8 +147,11 @@ class InspectionEnv:
         self.violation_steps = zeros(len(self.safety.names), dtype=torch.int64)
         self.any_violation_steps = zeros(dtype=torch.int64)
         self.command: Callable[[Tensor], Tensor] | None = None
-        self.chunk = 0  # columns that compiled functions take at once; 0: all
-        self._step, self._normalised, self._values = step, normalised, self.safety.values
+        # functions of states column by column, which `compile` replaces
+        self._integrate = partial(integrate, duration=self.interval, c=parameters)
+        self._normalised, self._values = normalised, self.safety.values
+        self._survey = partial(chief.by_chunks, partial(chief.survey, self.normals, c=parameters))
+        self._lloyd = partial(chief.by_chunks, partial(chief.lloyd, self.points))
 
     STATE = (
         "x",
@@ -183,25 +186,26 @@ class InspectionEnv:
             starts.pool = pool.clone()
 
     def compile(self) -> None:
-        """Compiles integration, observation and constraint values: in chunks on a CPU, else for any batch.
+        """Compiles integration, observation, constraint values, visibility and k-means for about as many episodes.
 
-        Raises whatever torch.compile raises where there is no working C++ compiler, and changes nothing then.
+        Raises whatever PyTorch raises where there is no working C++ compiler, and changes nothing then.
         """
-        uncompiled = dict(vars(self))
-        if self.x.device.type == "cpu":
-            self.chunk = max(size for size in CHUNKS if size <= max(self.time.numel(), CHUNKS[0]))
-        dynamic = not self.chunk
-        self._step = torch.compile(step, dynamic=dynamic)
-        self._normalised = torch.compile(normalised, dynamic=dynamic)
+        examples = {
+            "_integrate": (self.x, self.x[:CONTROL_SIZE]),
+            "_normalised": (self.x, self.priority, self.uninspected, self.time),
+            "_survey": (self.x, self.inspected),
+            "_lloyd": (self.inspected, self.centres, self.alive),
+        }
         if self.safety.values:
-            self._values = torch.compile(self.safety.values, dynamic=dynamic)
-        try:  # compiles now what the first step would
-            self.integrate(self.x, torch.zeros_like(self.x[:CONTROL_SIZE]), 1)
-            self.observation()
-            self.constraint_values(self.x)
-        except Exception:
-            vars(self).update(uncompiled)
-            raise
+            examples["_values"] = (self.x,)
+        own = {name: self._compiled(getattr(self, name), *given) for name, given in examples.items()}
+        vars(self).update(own)
+
+    def _compiled(self, function: Callable[..., Tensor], *examples: Tensor) -> Callable[..., Tensor]:
+        """A function to one tensor, compiled for tensors like the examples."""
+        columns = [example[..., :1] for example in examples]
+        run = Compiled(lambda *tensors: [function(*tensors)], *columns, batch=self.time.numel())
+        return lambda *tensors, **times: run(*tensors, **times)[0]
 
     @property
     def score(self) -> Tensor:
@@ -226,7 +230,7 @@ class InspectionEnv:
         """Observations (k, 26) of the given columns."""
         score = (self.weights[:, columns] * self.inspected[:, columns]).sum(0)
         state = (part[:, columns] for part in (self.x, self.priority, self.uninspected))
-        return self._by_chunks(self._normalised, *state, score).T
+        return self._normalised(*state, score).T
 
     def step(self, action: Tensor) -> Transition:
         """Holds one action for one action period.
@@ -306,27 +310,19 @@ class InspectionEnv:
 
     def integrate(self, x: Tensor, u: Tensor, steps: int) -> Tensor:
         """The states (16, B) after so many integration steps with u held."""
-
-        def integrate(x: Tensor, u: Tensor) -> Tensor:
-            for _ in range(steps):
-                x = self._step(x, u, self.interval, self.c)
-            return x
-
-        return self._by_chunks(integrate, x, u)
-
-    @torch.no_grad()  # torch.compile would compile anew with gradients
-    def _by_chunks(self, function: Callable[..., Tensor], *tensors: Tensor) -> Tensor:
-        """function(*tensors), in chunks where it is compiled for those."""
-        return in_chunks(function, self.chunk, *tensors, filled=True) if self.chunk else function(*tensors)
+        return self._integrate(x, u, times=steps)
 
     def look(self, columns: Tensor | slice = slice(None)) -> None:
         """Marks the points in view and points r_UPS at the nearest cluster of those lit and left."""
         x = self.x[:, columns]
-        seen = chief.by_chunks(lambda x: chief.visible(self.normals, x, self.c), x)
-        inspected = self.inspected[:, columns] | seen
-        wanted = chief.illuminated(self.normals, x[THETA_S]) & ~inspected
+        inspected, wanted = self._survey(x, self.inspected[:, columns])
         centres, alive = chief.cluster(
-            self.points, wanted, self.centres[..., columns], self.alive[:, columns], self.c.points_per_cluster
+            self.points,
+            wanted,
+            self.centres[..., columns],
+            self.alive[:, columns],
+            self.c.points_per_cluster,
+            self._lloyd,
         )
         self.inspected[:, columns] = inspected
         self.centres[..., columns] = centres
@@ -337,7 +333,7 @@ class InspectionEnv:
         """Constraint values (constraints, B) at states (16, B)."""
         if self._values is None:
             return self.x.new_zeros(self.violation_steps.shape)
-        return self._by_chunks(self._values, x)
+        return self._values(x)
 
     def _count_violations(self) -> Tensor:
         """(constraints, B) bool at this step, added to the episode's counts."""

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from rta.compiled import Compiled
+from inspection.compiled import Compiled
 from rta.piqp_solver import PiqpSolver
 from rta.qp import REDUNDANT, Problems, Solutions, Status, kkt_residual, pick, put, stages, total
 

@@ -11,12 +11,12 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from inspection.compiled import Compiled
 from inspection.environment import Safety
 from inspection.parameters import InspectionParameters
 from inspection.state import CONTROL_SIZE, SIZE, THRUST, TORQUE, P, Q
 from rta import constraints
 from rta.batched_solver import BatchedSolver
-from rta.compiled import Compiled
 from rta.constraints import ATTITUDE, CONSTRAINTS, TRANSLATIONAL
 from rta.parameters import RtaParameters
 from rta.piqp_solver import PiqpSolver

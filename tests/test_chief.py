@@ -231,3 +231,15 @@ def test_nearest_cluster_is_zero_when_none_is_left():
     found = chief.nearest_cluster(centres, alive, p)
     assert found[:, 0].tolist() == [0.0, 0.0, 0.0]
     np.testing.assert_allclose(found[:, 1], 1 / math.sqrt(3), rtol=1e-15)
+
+
+@pytest.mark.parametrize("batch", [1, chief.CHUNK, 2 * chief.CHUNK + 3])
+def test_chunks_join_to_the_whole(batch):
+    x, y, sizes = torch.randn(3, 2, batch), torch.randn(2, batch), []
+
+    def function(x, y):
+        sizes.append(x.shape[-1])
+        return (x * y).sum(0)
+
+    assert torch.equal(chief.by_chunks(function, x, y), (x * y).sum(0))
+    assert sum(sizes) == batch and max(sizes) <= chief.CHUNK

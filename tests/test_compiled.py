@@ -10,9 +10,9 @@ import pytest
 import torch
 from torch import Tensor
 
+from inspection import compiled
+from inspection.compiled import Compiled
 from inspection.parameters import InspectionParameters
-from rta import compiled
-from rta.compiled import Compiled
 from rta.filter import FilterResult, SafetyFilter
 from rta.parameters import RtaParameters
 from rta.qp import Status

@@ -114,7 +114,7 @@ def test_rate_of_change_is_the_papers(c, random_states):
     c = replace(c, inertia=UNEQUAL)
     x, u = random_states(20), torch.linspace(-1.0, 1.0, 120, dtype=torch.float64).reshape(6, 20)
     expected = [paper_rate(x[:, i].numpy(), u[:, i].numpy(), UNEQUAL) for i in range(20)]
-    np.testing.assert_allclose(dynamics.derivative(x, u, c).T, expected, rtol=1e-11, atol=1e-13)
+    np.testing.assert_allclose(torch.stack(dynamics.derivative(x, u, c)).T, expected, rtol=1e-11, atol=1e-13)
 
 
 def test_control_matrix_is_the_slope_of_the_papers_rate(c, random_states):
@@ -128,7 +128,7 @@ def test_control_matrix_is_the_slope_of_the_papers_rate(c, random_states):
 def test_drift_and_control_matrix_give_the_rate(c, random_states):
     x, u = random_states(6), torch.ones(6, 6, dtype=torch.float64)
     affine = dynamics.drift(x, c) + torch.einsum("ijb,jb->ib", dynamics.control_matrix(x, c), u)
-    torch.testing.assert_close(dynamics.derivative(x, u, c), affine, rtol=1e-13, atol=1e-13)
+    torch.testing.assert_close(torch.stack(dynamics.derivative(x, u, c)), affine, rtol=1e-13, atol=1e-13)
 
 
 def dop853(x, u, seconds):

@@ -274,13 +274,16 @@ def test_compiled_steps_equal_the_others(short):
         correct=lambda x, desired: SimpleNamespace(control=desired / 2),
         period=5.0,
     )
-    actions, histories = random_actions(8, 520), []
+    actions, histories, envs = random_actions(8, 520), [], []
     for compiled in (False, True):
         env = make(short, 520, safety=safety)
         if compiled:
             env.compile()
         env.reset()
         histories.append(play(env, actions))
+        envs.append(env)
+    for name in ("inspected", "alive", "centres"):
+        assert torch.equal(*(getattr(env, name) for env in envs))
     for plain, compiled in zip(*histories, strict=True):
         for name in plain:
             torch.testing.assert_close(plain[name], compiled[name], rtol=1e-6, atol=1e-6)

@@ -16,6 +16,7 @@ from torch.fx import GraphModule
 from torch.fx.experimental.proxy_tensor import make_fx
 
 SIZES = (16, 256)  # of a chunk: for few spacecraft, for many; a CPU's caches hold the latter
+UNROLLED = 32  # terms of an inner product up to which they are written out
 
 Parts = list[Tensor]
 
@@ -48,20 +49,26 @@ class Compiled:
             self(*columns)
 
     @torch.no_grad()  # a mode that torch.compile's code is specialised to
-    def __call__(self, *tensors: Tensor) -> Parts:
-        """What `function` returns."""
+    def __call__(self, *tensors: Tensor, times: int = 1) -> Parts:
+        """What `function` returns, or after `times` calls in a row, each with the last result for its first tensor."""
         batch = tensors[0].shape[-1]
-        packed = self.by_chunks(*tensors) if self.device.type == "cpu" else self.run(*tensors)
+        run = self.by_chunks if self.device.type == "cpu" else self.in_a_row
+        packed = run(times, *tensors)
         parts = packed[:, :batch].split([shape.numel() for shape in self.shapes])
         return [part.view(*shape, batch) for part, shape in zip(parts, self.shapes, strict=True)]
 
-    def by_chunks(self, *tensors: Tensor) -> Tensor:
+    def in_a_row(self, times: int, first: Tensor, *others: Tensor) -> Tensor:
+        """The packed parts (K, B) after `times` calls."""
+        for _ in range(times):
+            first = self.run(first, *others)
+        return first
+
+    def by_chunks(self, times: int, *tensors: Tensor) -> Tensor:
         """The packed parts (K, >= B), computed by chunks of a fixed size, the last one filled up with copies."""
 
         def chunk(start: int) -> Tensor:
-            return self.run(
-                *(filled(tensor[..., start : start + self.size], self.size) for tensor in tensors)
-            )
+            columns = (filled(tensor[..., start : start + self.size], self.size) for tensor in tensors)
+            return self.in_a_row(times, *columns)
 
         starts = range(0, tensors[0].shape[-1], self.size)
         threads = torch.get_num_threads()
@@ -91,10 +98,10 @@ def ahead_of_time(function: Callable[..., Tensor], *examples: Tensor) -> Callabl
     torch.compile takes twelve in every process and its code ran 2.5 times as long.
     """
     with torch.no_grad():
-        graph = make_fx(function, decomposition_table={torch.ops.aten.mm.default: small_product})(*examples)
+        graph = make_fx(function, decomposition_table={torch.ops.aten.mm.default: product})(*examples)
     graph.graph.eliminate_dead_code()
     graph.recompile()
-    path = Path(cache_dir()) / "filter" / f"{fingerprint(graph, examples)}.so"
+    path = Path(cache_dir()) / "columns" / f"{fingerprint(graph, examples)}.so"
     if not path.exists():
         path.parent.mkdir(parents=True, exist_ok=True)
         own = path.with_suffix(f".{os.getpid()}.pt2")  # another process may be compiling the same
@@ -152,8 +159,10 @@ capsule = ctypes.pythonapi.PyCapsule_New
 capsule.argtypes, capsule.restype = [ctypes.c_void_p, ctypes.c_char_p, ctypes.c_void_p], ctypes.py_object
 
 
-def small_product(a: Tensor, b: Tensor) -> Tensor:
+def product(a: Tensor, b: Tensor) -> Tensor:
     """a @ b in operations that fuse with those around: a library's product of such small matrices takes longer."""
+    if a.shape[1] > UNROLLED:
+        return (a.T[..., None] * b[:, None]).sum(0)
     return reduce(
         torch.add, (column[:, None] * row for column, row in zip(a.unbind(1), b.unbind(0), strict=True))
     )
