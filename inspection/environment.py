@@ -150,7 +150,7 @@ class InspectionEnv:
         # functions of states column by column, which `compile` replaces
         self._integrate = partial(integrate, duration=self.interval, c=parameters)
         self._normalised, self._values = normalised, self.safety.values
-        self._survey = partial(chief.by_chunks, partial(chief.survey, self.normals, c=parameters))
+        self._margins = partial(chief.by_chunks, partial(chief.margins, self.normals, c=parameters))
         self._lloyd = partial(chief.by_chunks, partial(chief.lloyd, self.points))
 
     STATE = (
@@ -193,7 +193,7 @@ class InspectionEnv:
         examples = {
             "_integrate": (self.x, self.x[:CONTROL_SIZE]),
             "_normalised": (self.x, self.priority, self.uninspected, self.time),
-            "_survey": (self.x, self.inspected),
+            "_margins": (self.x,),
             "_lloyd": (self.inspected, self.centres, self.alive),
         }
         if self.safety.values:
@@ -210,7 +210,11 @@ class InspectionEnv:
     @property
     def score(self) -> Tensor:
         """w_p, inspected weight (B,)."""
-        return (self.weights * self.inspected).sum(0)
+        return self._score(slice(None))
+
+    def _score(self, columns: Tensor | slice) -> Tensor:
+        """w_p (k,) of the given columns."""
+        return (self.weights[:, columns] * self.inspected[:, columns]).sum(0)
 
     def reset(self) -> Tensor:
         """Starts every episode anew from the initial distribution; returns observations (B, 26) float32."""
@@ -224,11 +228,10 @@ class InspectionEnv:
 
     def observation(self) -> Tensor:
         """Normalised observations (B, 26) float32 of the present states."""
-        return self._observe(slice(None))
+        return self._observe(slice(None), self.score)
 
-    def _observe(self, columns: Tensor | slice) -> Tensor:
-        """Observations (k, 26) of the given columns."""
-        score = (self.weights[:, columns] * self.inspected[:, columns]).sum(0)
+    def _observe(self, columns: Tensor | slice, score: Tensor) -> Tensor:
+        """Observations (k, 26) of the given columns, whose inspected weights are score (k,)."""
         state = (part[:, columns] for part in (self.x, self.priority, self.uninspected))
         return self._normalised(*state, score).T
 
@@ -266,7 +269,7 @@ class InspectionEnv:
         outcome = torch.full_like(self.steps, -1)
         for i in reversed(range(len(OUTCOMES))):
             outcome[ended[OUTCOMES[i]]] = i
-        final_observation = self.observation()
+        final_observation = self._observe(slice(None), score)
         transition = Transition(
             observation=final_observation,
             final_observation=final_observation,
@@ -286,7 +289,7 @@ class InspectionEnv:
         if ended.numel():
             self._restart(transition.done)
             transition.observation = final_observation.clone()
-            transition.observation[ended] = self._observe(ended)
+            transition.observation[ended] = self._observe(ended, self._score(ended))
         return transition
 
     def _advance(self, desired: Tensor) -> tuple[list[Correction], Tensor, Tensor]:
@@ -315,7 +318,9 @@ class InspectionEnv:
     def look(self, columns: Tensor | slice = slice(None)) -> None:
         """Marks the points in view and points r_UPS at the nearest cluster of those lit and left."""
         x = self.x[:, columns]
-        inspected, wanted = self._survey(x, self.inspected[:, columns])
+        lit, seen = self._margins(x) > 0.0
+        inspected = self.inspected[:, columns] | seen
+        wanted = lit & ~inspected
         centres, alive = chief.cluster(
             self.points,
             wanted,

@@ -48,6 +48,11 @@ def is_seen(normal, p, boresight, sun):
     return in_cone and unobstructed and is_lit(point, sun)
 
 
+def visible(normals, x, c):
+    """(N, B) bool."""
+    return chief.margins(normals, x, c)[1] > 0
+
+
 def is_lit(point, sun):
     return all(t < 1e-6 for t in ray_hits(point, sun))
 
@@ -131,8 +136,13 @@ def test_lit_points_are_those_whose_ray_to_the_sun_is_free(normals):
         assert lit[:, i].tolist() == [is_lit(RADIUS * n, sun) for n in normals.T.numpy()]
 
 
+def test_margins_are_positive_where_the_sun_shines(normals, looking, c):
+    lit = chief.margins(normals, looking, c)[0] > 0
+    assert torch.equal(lit, chief.illuminated(normals, looking[THETA_S]))
+
+
 def test_visible_points_are_those_a_free_ray_reaches_in_the_cone(normals, looking, c):
-    seen = chief.visible(normals, looking, c)
+    seen = visible(normals, looking, c)
     for i, x in enumerate(looking.T.numpy()):
         sun = np.array([math.cos(x[THETA_S]), math.sin(x[THETA_S]), 0.0])
         boresight = Rotation.from_quat(x[Q]).apply([1.0, 0.0, 0.0])
@@ -150,16 +160,16 @@ def camera(distance, theta_s):
 
 
 def test_from_far_in_the_suns_direction_the_whole_near_side_is_seen(normals, c):
-    seen = chief.visible(normals, camera(200.0, 0.0), c)[:, 0]
+    seen = visible(normals, camera(200.0, 0.0), c)[:, 0]
     assert torch.equal(seen, normals[0] > RADIUS / 200.0)  # the horizon is where p . n = r
 
 
 def test_nothing_is_seen_against_the_sun(normals, c):
-    assert not chief.visible(normals, camera(200.0, math.pi), c).any()
+    assert not visible(normals, camera(200.0, math.pi), c).any()
 
 
 def test_a_narrow_cone_sees_only_what_is_in_front(normals, c):
-    seen = chief.visible(normals, camera(40.0, 0.0), replace(c, field_of_view=math.radians(10.0)))[:, 0]
+    seen = visible(normals, camera(40.0, 0.0), replace(c, field_of_view=math.radians(10.0)))[:, 0]
     # 5 degrees at 30 to 40 m: at least 2.6 m and at most 3.0 m off the axis
     off_axis = RADIUS * normals[1:].norm(dim=0)
     front = normals[0] > 0
