@@ -3,11 +3,13 @@
 import ctypes
 import hashlib
 import os
+import time
 import warnings
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import reduce
 from pathlib import Path
+from typing import Any
 from zipfile import ZipFile
 
 import torch
@@ -16,6 +18,7 @@ from torch.fx import GraphModule
 from torch.fx.experimental.proxy_tensor import make_fx
 
 SIZES = (16, 256)  # of a chunk: for few spacecraft, for many; a CPU's caches hold the latter
+WORTH_A_THREAD = 3e-4  # s of computing that repay handing a chunk to a thread, which waits for Python's lock
 UNROLLED = 32  # terms of an inner product up to which they are written out
 
 Parts = list[Tensor]
@@ -44,6 +47,7 @@ class Compiled:
         columns = [example.expand(*example.shape[:-1], self.size).contiguous() for example in examples]
         if self.device.type == "cpu":
             self.run = ahead_of_time(packed, *columns)
+            self.on_threads = min(timed(self.run, *columns) for _ in range(3)) > WORTH_A_THREAD
         else:
             self.run = torch.compile(packed, dynamic=True)
             self(*columns)
@@ -71,10 +75,17 @@ class Compiled:
             return self.in_a_row(times, *columns)
 
         starts = range(0, tensors[0].shape[-1], self.size)
-        threads = torch.get_num_threads()
         if len(starts) == 1:
             return chunk(0)
+        threads = torch.get_num_threads() if self.on_threads else 1
         return torch.cat(list(pool(threads).map(chunk, starts) if threads > 1 else map(chunk, starts)), 1)
+
+
+def timed(function: Callable[..., Any], *arguments: Any) -> float:
+    """s that a call takes."""
+    started = time.perf_counter()
+    function(*arguments)
+    return time.perf_counter() - started
 
 
 def filled(x: Tensor, size: int) -> Tensor:
