@@ -18,7 +18,7 @@ from study import config as configuration
 from study.config import Config, TrainParameters
 from study.errors import InputError, refusing
 
-# Compiling takes about a minute where nothing is kept of it, which as many filter calls or steps (of a batch each) repay.
+# Compiling takes about a minute the first time, which as many filter calls or steps (of a batch each) repay.
 WORTH_COMPILING_FILTER = 1000
 WORTH_COMPILING_SIMULATOR = 3000
 TYPICAL_EPISODE = 3000.0  # s
