@@ -240,7 +240,9 @@ def build_parser() -> Parser:
     report.set_defaults(run=run_report)
 
     evaluate = commands.add_parser(
-        "evaluate", help="report an agent or a controller in the metrics of the paper's Tables 2 and 3"
+        "evaluate",
+        allow_abbrev=False,
+        help="report an agent or a controller in the metrics of the paper's Tables 2 and 3",
     )
     add_rta(evaluate)
     add_common(evaluate)

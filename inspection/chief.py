@@ -88,7 +88,8 @@ def distance_squared(points: Tensor, centres: Tensor) -> Tensor:
 
 
 def lloyd(points: Tensor, wanted: Tensor, centres: Tensor, alive: Tensor) -> Tensor:
-    """One iteration of Lloyd's: every living centre moves to the mean of the wanted points nearest to it.
+    """One iteration of Lloyd's: every living centre moves to the mean of the wanted points nearest to it (of equally
+    near centres, to each).
 
     Args as in `cluster`. Returns (4, K, B), the centres and how many points each has. Matrix products in
     homogeneous coordinates [p, 1] find the nearest centres and add up their points, one slot after the other.

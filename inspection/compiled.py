@@ -3,10 +3,12 @@
 import ctypes
 import hashlib
 import os
+import platform
 import time
 import warnings
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from functools import reduce
 from pathlib import Path
 from typing import Any
@@ -113,20 +115,27 @@ def ahead_of_time(function: Callable[..., Tensor], *examples: Tensor) -> Callabl
     graph.graph.eliminate_dead_code()
     graph.recompile()
     path = Path(cache_dir()) / "columns" / f"{fingerprint(graph, examples)}.so"
-    if not path.exists():
-        path.parent.mkdir(parents=True, exist_ok=True)
-        own = path.with_suffix(f".{os.getpid()}.pt2")  # another process may be compiling the same
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # PyTorch's, about its own code
-            program = torch.export.export(graph, examples)
-            torch._inductor.aoti_compile_and_package(
-                program, package_path=str(own), inductor_configs={"cpp.threads": 1}
-            )
-        with ZipFile(own) as package:
-            library = next(name for name in package.namelist() if name.endswith(".so"))
-            own.write_bytes(package.read(library))
-        os.replace(own, path)
+    if path.exists():
+        with suppress(OSError):  # damaged: compiled anew
+            return Library(path, torch.get_num_threads())
+    compile_to(path, graph, examples)
     return Library(path, torch.get_num_threads())
+
+
+def compile_to(path: Path, graph: GraphModule, examples: tuple[Tensor, ...]) -> None:
+    """Compiles a graph for tensors like the examples into a shared library."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    own = path.with_suffix(f".{os.getpid()}.pt2")  # another process may be compiling the same
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # PyTorch's, about its own code
+        program = torch.export.export(graph, examples)
+        torch._inductor.aoti_compile_and_package(
+            program, package_path=str(own), inductor_configs={"cpp.threads": 1}
+        )
+    with ZipFile(own) as package:
+        library = next(name for name in package.namelist() if name.endswith(".so"))
+        own.write_bytes(package.read(library))
+    os.replace(own, path)
 
 
 class Library:
@@ -193,5 +202,12 @@ def fingerprint(graph: GraphModule, examples: tuple[Tensor, ...]) -> str:
         if node.op == "get_attr":
             digest.update(getattr(graph, node.target).numpy().tobytes())
     about = [(tuple(example.shape), example.dtype) for example in examples]
-    digest.update(repr((about, torch.__version__, torch.backends.cpu.get_cpu_capability())).encode())
+    digest.update(repr((about, torch.__version__, processor())).encode())
     return digest.hexdigest()[:32]
+
+
+def processor() -> str:
+    """What compiled code may rely on: the processor's instructions, or its name where Linux does not list them."""
+    with suppress(OSError), open("/proc/cpuinfo", encoding="utf-8") as file:
+        return next((line for line in file if line.startswith(("flags", "Features"))), platform.machine())
+    return platform.processor()

@@ -285,11 +285,11 @@ class InspectionEnv:
             violation_steps=self.violation_steps.clone(),
             steps=self.steps.clone(),
         )
-        ended = torch.nonzero(transition.done).flatten()
-        if ended.numel():
+        fresh = torch.nonzero(transition.done).flatten()
+        if fresh.numel():
             self._restart(transition.done)
             transition.observation = final_observation.clone()
-            transition.observation[ended] = self._observe(ended, self._score(ended))
+            transition.observation[fresh] = self._observe(fresh, self._score(fresh))
         return transition
 
     def _advance(self, desired: Tensor) -> tuple[list[Correction], Tensor, Tensor]:

@@ -144,7 +144,7 @@ class SafetyFilter:
         """What the environment needs: constraint values, admissible starts and, if enabled, this filter."""
         return Safety(
             names=CONSTRAINTS,
-            values=lambda x: constraints.values(x, self.c),
+            values=self.values,
             is_safe=self.barriers.is_safe,
             correct=self if enabled else None,
             period=self.period,

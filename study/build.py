@@ -24,7 +24,7 @@ WORTH_COMPILING_SIMULATOR = 3000
 TYPICAL_EPISODE = 3000.0  # s
 
 # Spacecraft from which the batched solver is the faster one on a CPU: about half of them have a program to solve, and
-# `python main.py benchmark` shows both solvers by the number of programs at once, which cross at some 16 (22 us each).
+# `python main.py benchmark` shows both solvers by the number of programs at once, which cross below 16.
 WORTH_BATCHING = 32
 
 

@@ -164,7 +164,7 @@ def override(config: AnyConfig, tables: dict[str, Any], source: str) -> AnyConfi
 
 
 def override_table(part: Any, entries: dict[str, Any], where: str) -> Any:
-    """One of the four dataclasses with entries replaced."""
+    """A table's dataclass with entries replaced."""
     types = typing.get_type_hints(type(part))
     values = {}
     for key, value in entries.items():

@@ -440,7 +440,8 @@ def files(inputs: Inputs) -> list[str]:
         if arm in inputs.arms
     ]
     single += [
-        f"python main.py simulate --controller lqr-pd --{switch} --initial-state configs/demonstration.json "
+        f"python main.py simulate --controller lqr-pd --{switch} --rta-period {inputs.config.train.rta_period:g} "
+        f"--solar-panel-axis {inputs.config.inspection.solar_panel_axis} --initial-state configs/demonstration.json "
         "--duration 2000 --out demonstration.npz --figure demonstration.png"
         for switch in ("rta", "no-rta")
     ]

@@ -13,7 +13,7 @@ from inspection.observation import SIZE as OBSERVATION_SIZE
 from inspection.state import CONTROL_SIZE
 from ppo.learner import PPO
 from ppo.network import Value
-from study import benchmark, build
+from study import benchmark, breakdown, build
 from study.config import Config
 
 KEYS = {
@@ -35,8 +35,10 @@ CPU = torch.device("cpu")
 def test_benchmark_writes_the_promised_json_and_figure(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    for name, value in (("SHORTEST", 0.0), ("STEPS", 4), ("EPISODES", 64), ("SINGLE_CALLS", 5)):
+    few = {"SHORTEST": 0.0, "STEPS": 4, "EPISODES": 64, "SINGLE_CALLS": 5, "PROGRAMS": (1, 64)}
+    for name, value in (few | {"TYPICAL_PROGRAMS": 64}).items():
         monkeypatch.setattr(benchmark, name, value)
+    monkeypatch.setattr(breakdown, "STEPS", 2)
     results, drawing = tmp_path / "b.json", tmp_path / "b.png"
     arguments = ["benchmark", "--device", "cpu", "--compile", "off", "--batches", "16,64"]
     assert main.main([*arguments, "--json", str(results), "--figure", str(drawing)]) == 0
