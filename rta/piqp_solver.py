@@ -26,9 +26,9 @@ class PiqpSolver:
     def solve(self, problems: Problems) -> Solutions:
         """See `Solver`."""
         # batch first: PIQP reads one contiguous program after the other
-        desired, a, b, b_bare = (
+        desired, a, b_bare = (
             part.movedim(-1, 0).contiguous().cpu().numpy()
-            for part in (problems.desired, problems.a, problems.b, problems.b_bare)
+            for part in (problems.desired, problems.a, problems.b_bare)
         )
         weight = problems.weight.cpu().numpy()
         candidates = [desired, np.zeros_like(desired)]
@@ -36,7 +36,7 @@ class PiqpSolver:
         residual = np.full(len(desired), np.inf)
 
         # PIQP's workspace would keep a NaN, and spoil every program after it
-        finite = np.isfinite(desired.sum(1) + a.sum((1, 2)) + b.sum(1) + b_bare.sum(1))
+        finite = problems.finite.cpu().numpy()
         for side, slack_weight, outcome in stages(problems):
             left = np.flatnonzero((status == Status.UNSOLVED) & finite)
             if not left.size:

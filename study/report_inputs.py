@@ -1,7 +1,6 @@
 """What a report shows: the files of a study that `study` and `report` wrote."""
 
 import csv
-import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -10,11 +9,12 @@ from zipfile import BadZipFile
 import numpy as np
 
 from study import config as configuration
+from study import report_tables
 from study.config import ARMS, StudyConfig
 from study.errors import refusing
 from study.figures import Episode
+from study.report_tables import Results
 
-Results = dict[str, Any]  # in the form of `evaluate --json`
 Curves = dict[str, dict[str, np.ndarray]]  # by metric and arm: (k, 4) interactions, IQM, low, high
 
 
@@ -74,7 +74,7 @@ def read(study: Path) -> Inputs:
 def read_json(path: Path) -> dict[str, Any]:
     """Content of a JSON file."""
     with refusing(f"{path}: cannot read it", OSError, ValueError):
-        return json.loads(path.read_text(encoding="utf-8"))
+        return report_tables.read(path)
 
 
 def read_curves(path: Path) -> Curves:

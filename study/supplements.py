@@ -8,7 +8,6 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
@@ -20,6 +19,7 @@ from study.arms import TEST_CASES
 from study.config import ARMS, Config
 from study.errors import InputError, refusing
 from study.evaluation import play, play_guidance, report
+from study.report_tables import Results
 from study.simulation import classical, common_episode, read_state, simulate, starting_point
 from study.training import MALFORMED, write_json, write_text
 
@@ -27,7 +27,6 @@ DEMONSTRATION = Path(__file__).parent.parent / "configs/demonstration.json"
 DEMONSTRATION_DURATION = 2000.0  # s
 GUIDANCE_CASES = 1000
 GUIDANCE_PERIOD = 1.0  # s between two calls of the filter
-Results = dict[str, Any]  # in the form of `evaluate --json`
 Arrays = dict[str, np.ndarray]
 Work = dict[str, tuple[str, Callable[[], Results | Arrays | str]]]  # by file: what it is, what computes it
 
@@ -76,7 +75,7 @@ def load(study: Path, device: str | None) -> dict[str, Arm]:
     if not path.is_file():
         raise InputError(f"--study {study}: no finished study there (it lacks results.json)")
     with refusing(f"{path}: not the results of a study", OSError, *MALFORMED):
-        results = json.loads(path.read_text(encoding="utf-8"))["arms"]
+        results = report_tables.read(path)["arms"]
         seeds = {name: results[name]["seeds"] for name in ARMS if name in results}
     if not seeds:
         raise InputError(f"{path}: holds none of the arms {', '.join(ARMS)}")
