@@ -201,17 +201,19 @@ def run_filter(arguments: argparse.Namespace) -> None:
 
 def run_verify(arguments: argparse.Namespace) -> None:
     """main.py verify"""
-    from study import verification
+    from study.verification.campaign import verify
+    from study.verification.replay import replay_file
+    from study.verification.report import table
 
     if arguments.replay:
         refuse_other_flags(arguments, "replay", "file")
-        print(verification.replay_file(arguments.replay))
+        print(replay_file(arguments.replay))
         return
     missing = {key: value for key, value in VERIFY.items() if getattr(arguments, key) is None}
     vars(arguments).update(missing, rta=True)
     if arguments.json:
         check_writable(arguments.json, "--json")
-    report = verification.verify(
+    report = verify(
         arguments.policy,
         arguments.episodes,
         arguments.duration,
@@ -219,7 +221,7 @@ def run_verify(arguments: argparse.Namespace) -> None:
         lambda base: resolve(arguments, base),
         Path(arguments.json) if arguments.json else None,
     )
-    print(verification.table(report))
+    print(table(report))
 
 
 def run_benchmark(arguments: argparse.Namespace) -> None:

@@ -1,4 +1,4 @@
-"""Robust summaries over episodes (Agarwal et al. 2021): the interquartile mean and its bootstrap intervals."""
+"""Statistics over episodes: robust summaries (Agarwal et al. 2021) and the bound on a rare event's probability."""
 
 import numpy as np
 from scipy import stats
@@ -6,6 +6,7 @@ from scipy import stats
 RESAMPLES = 10_000
 STRATIFIED_RESAMPLES = 50_000
 AT_ONCE = 2**21  # scores of the resamples held in memory
+CONFIDENCE = 0.95  # of the bound
 
 
 def iqm(values: np.ndarray, axis: int = -1) -> np.ndarray:
@@ -60,3 +61,8 @@ def stratified_summary(scores: np.ndarray, seed: int = 0) -> dict[str, float | l
 def summary_of_runs(scores: np.ndarray) -> dict[str, float | list[float]]:
     """`stratified_summary` of scores (runs, tasks); of a lone run, `summary` over its tasks."""
     return summary(scores[0]) if len(scores) == 1 else stratified_summary(scores)
+
+
+def upper_bound(events: int, trials: int) -> float:
+    """Clopper and Pearson's one-sided bound: the probability at which so few events had a chance of 5 %."""
+    return 1.0 if events >= trials else float(stats.beta.ppf(CONFIDENCE, events + 1, trials - events))

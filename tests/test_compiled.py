@@ -17,6 +17,7 @@ from rta.filter import FilterResult, SafetyFilter
 from rta.parameters import RtaParameters
 from rta.qp import Status
 from study import build
+from study.config import Config
 
 C = InspectionParameters()
 
@@ -107,3 +108,11 @@ def test_without_a_compiler_nothing_is_compiled_and_one_line_says_so(
         build.finds_compiler.cache_clear()
     message = capsys.readouterr().err
     assert message.count("\n") == 1 and "compiler" in message
+
+
+def test_the_filter_is_compiled_for_the_device(monkeypatch: pytest.MonkeyPatch) -> None:
+    used, elsewhere = [], torch.device("meta")
+    monkeypatch.setattr(SafetyFilter, "compile", lambda _, device, batch: used.append(device))
+    monkeypatch.setattr(build, "resolve_device", lambda _: elsewhere)
+    build.make_filter(Config(), 1.0, compiled=True)
+    assert used == [elsewhere]

@@ -1,12 +1,21 @@
-"""Interquartile mean and its interval against hand-computed cases."""
+"""Interquartile mean and its interval against hand-computed cases, the bound against its definition."""
 
 import itertools
 
 import numpy as np
 import pytest
+from scipy.optimize import brentq
+from scipy.stats import binom
 
 from study import statistics
-from study.statistics import iqm, stratified_bootstrap, stratified_summary, summary, summary_of_runs
+from study.statistics import (
+    iqm,
+    stratified_bootstrap,
+    stratified_summary,
+    summary,
+    summary_of_runs,
+    upper_bound,
+)
 
 
 def test_iqm_is_the_mean_of_the_middle_half() -> None:
@@ -75,3 +84,25 @@ def test_a_lone_run_is_resampled_over_its_tasks() -> None:
     scores = np.random.default_rng(8).normal(size=(2, 9))
     assert summary_of_runs(scores[:1]) == summary(scores[0])
     assert summary_of_runs(scores) == stratified_summary(scores)
+
+
+def clopper_pearson(events: int, trials: int) -> float:
+    """p at which so few events have a chance of 5 %."""
+    if events == trials:
+        return 1.0
+    return brentq(lambda p: binom.cdf(events, trials, p) - 0.05, 0.0, 1.0, xtol=1e-16)
+
+
+@pytest.mark.parametrize("trials", [1, 10, 1000, 30_000])
+def test_bound_without_events_is_the_closed_form(trials: int) -> None:
+    assert upper_bound(0, trials) == pytest.approx(1 - 0.05 ** (1 / trials), rel=1e-9)
+    assert upper_bound(trials, trials) == 1.0
+
+
+def test_thirty_thousand_safe_episodes_bound_a_violation_below_one_in_ten_thousand() -> None:
+    assert upper_bound(0, 30_000) == pytest.approx(9.985e-5, rel=1e-4)
+
+
+@pytest.mark.parametrize(("events", "trials"), [(1, 10), (3, 100), (99, 100), (7, 30_000)])
+def test_bound_solves_the_binomial_tail(events: int, trials: int) -> None:
+    assert upper_bound(events, trials) == pytest.approx(clopper_pearson(events, trials), rel=1e-9)

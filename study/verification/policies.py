@@ -1,0 +1,68 @@
+"""What a campaign puts behind the filter: random controls, an adversary, an agent."""
+
+import torch
+from torch import Tensor
+
+from inspection.environment import InspectionEnv
+from inspection.guidance import Controller
+from inspection.parameters import InspectionParameters
+from inspection.state import CONTROL_SIZE
+from ppo.network import Policy
+from rta.filter import SafetyFilter
+
+LONGEST_HOLD = 60  # s that the random policy holds an action
+
+
+def held_at_random(
+    c: InspectionParameters, generator: torch.Generator, batch: int, first: int = 0
+) -> Controller:
+    """Uniformly random controls, each held for a uniformly random time of whole seconds.
+
+    Numbers are drawn for a whole batch, of which the states are the columns from `first` on.
+    """
+    held: dict[str, Tensor] = {}
+
+    def control(t: float, x: Tensor) -> Tensor:
+        draw = torch.rand(CONTROL_SIZE + 1, batch, generator=generator, dtype=torch.float64)
+        draw = draw[:, first : first + x.shape[1]].to(x)
+        fresh = (2.0 * draw[:CONTROL_SIZE] - 1.0) * x.new_tensor(c.control_limit)[:, None]
+        until = t + (draw[CONTROL_SIZE] * LONGEST_HOLD).ceil()
+        if held:
+            keep = held["until"] > t
+            fresh = torch.where(keep, held["u"], fresh)
+            until = torch.where(keep, held["until"], until)
+        held.update(u=fresh, until=until)
+        return fresh
+
+    return control
+
+
+def adversarial(safety_filter: SafetyFilter) -> Controller:
+    """Full control along the steepest descent of the worst thrust row and of the worst torque row.
+
+    The worst row is the one that zero control comes closest to breaking, in units of the actuators' limits.
+    """
+
+    def control(t: float, x: Tensor) -> Tensor:
+        halves = []
+        for rows, limit in zip(safety_filter.rows(x), safety_filter.limits, strict=True):
+            a = rows.a * limit
+            worst = (rows.b / a.norm(dim=1).clamp(min=1e-9)).argmin(0)
+            descent = -a.gather(0, worst.expand(1, 3, -1))[0]
+            halves.append(limit * descent / descent.abs().amax(0).clamp(min=1e-12))
+        return torch.cat(halves)
+
+    return control
+
+
+def agent(policy: Policy, env: InspectionEnv) -> Controller:
+    """The agent's mean action once per action period; `env` keeps what has been inspected."""
+
+    def control(t: float, x: Tensor) -> Tensor:
+        env.x = x
+        if t > 0.0:
+            env.look()
+        action = policy.mean_action(env.observation()[None])[0]
+        return action.T.to(x.dtype).clamp(-1.0, 1.0) * env.limit
+
+    return control

@@ -1,0 +1,87 @@
+"""Where a campaign's episodes start: the paper's distribution and a Latin hypercube of the whole safe set."""
+
+import dataclasses
+import math
+
+import numpy as np
+import torch
+from scipy.stats import qmc
+from torch import Tensor
+
+from inspection.initial_state import sample_initial_state, spherical
+from inspection.state import OMEGA, SIZE, THETA_S, E, P, Q, T, V
+from rta.rows import Barriers
+
+FARTHEST = 795.0  # m, of the safe set's initial states
+HYPERCUBES = 100  # drawn before a safe set counts as empty
+
+
+def spawned(seed: int, count: int) -> list[int]:
+    """Seeds of independent streams of random numbers."""
+    streams = np.random.SeedSequence(seed).spawn(count)
+    return [int(stream.generate_state(1, np.uint64)[0]) for stream in streams]
+
+
+def without_margins(barriers: Barriers) -> Barriers:
+    """The same barriers with the exact h and Psi_1 of attitude exclusion, temperature and battery."""
+    margins = ("exclusion_margin", "temperature_margin", "battery_margin", "pole_angle", "incidence_rounding")
+    return Barriers(
+        barriers.c, dataclasses.replace(barriers.r, **dict.fromkeys(margins, 0.0)), barriers.period
+    )
+
+
+def safe_set(count: int, seed: int, barriers: Barriers) -> tuple[Tensor, Tensor, int]:
+    """Initial states from the whole safe set: every h and every Psi_1 is non-negative.
+
+    A Latin hypercube over distance up to FARTHEST, speed up to the limit there, all directions and attitudes,
+    body rates, temperature and energy down to their limits and the Sun's angle. h is exact; Psi_1 is the filter's,
+    with the margins of h inside it and the terminator rounded off (`RtaParameters.incidence_rounding`). States beyond
+    the filter's own keep-in barrier (`Barriers.can_brake`) belong to the set.
+
+    Returns:
+        States (16, count), priority vectors (3, count) and how many other states of the hypercubes, up to the last
+        one taken, are safe by the exact Psi_1 without margins alone.
+
+    Raises:
+        RuntimeError: fewer were found in HYPERCUBES hypercubes.
+    """
+    c, exact = barriers.c, without_margins(barriers)
+    sampler = qmc.LatinHypercube(17, rng=np.random.default_rng(seed))
+    kept, rejected = torch.zeros(SIZE + 3, 0, dtype=torch.float64), 0
+    for _ in range(HYPERCUBES):
+        s = torch.from_numpy(sampler.random(4 * count).T.copy())
+        turn, lean = 2 * math.pi * s, (2 * s - 1).arcsin()  # azimuth, and elevation uniform on the sphere
+        distance = c.collision_radius + (FARTHEST - c.collision_radius) * s[0]
+        x = torch.zeros(SIZE, 4 * count, dtype=torch.float64)
+        x[P] = spherical(distance, turn[1], lean[2])
+        x[V] = spherical((c.docking_speed + c.speed_slope * distance) * s[3], turn[4], lean[5])
+        # uniform rotations from three uniform numbers (Shoemake 1992)
+        low, high = (1 - s[6]).sqrt(), s[6].sqrt()
+        x[Q] = torch.stack(
+            (low * turn[7].sin(), low * turn[7].cos(), high * turn[8].sin(), high * turn[8].cos())
+        )
+        x[OMEGA] = c.max_rate * (2 * s[9:12] - 1)
+        x[T] = c.initial_temperature[0] + (c.max_temperature - c.initial_temperature[0]) * s[12]
+        x[E] = c.min_energy + (c.initial_energy[1] - c.min_energy) * s[13]
+        x[THETA_S] = turn[14]
+        priority = spherical(torch.ones_like(distance), turn[15], lean[16])
+        safe = barriers.is_in_safe_set(x)
+        missing = count - kept.shape[1]
+        taken = torch.nonzero(safe).flatten()[:missing]
+        seen = int(taken[-1]) + 1 if taken.numel() == missing else safe.numel()
+        rejected += int((exact.is_in_safe_set(x) & ~safe)[:seen].sum())
+        kept = torch.cat((kept, torch.cat((x, priority))[:, taken]), 1)
+        if kept.shape[1] == count:
+            return kept[:SIZE], kept[SIZE:], rejected
+    raise RuntimeError(f"only {kept.shape[1]} of {count} initial states found in the safe set")
+
+
+def initial_states(count: int, seed: int, barriers: Barriers) -> tuple[Tensor, Tensor, int]:
+    """The paper's distribution and the safe set in turns; returns as `safe_set`."""
+    first, second = spawned(seed, 2)
+    generator = torch.Generator().manual_seed(first)
+    both = torch.zeros(SIZE + 3, count, dtype=torch.float64)
+    paper = sample_initial_state(count - count // 2, generator, barriers.c, barriers.is_safe)
+    x, priority, rejected = safe_set(count // 2, second, barriers)
+    both[:, ::2], both[:, 1::2] = torch.cat(paper), torch.cat((x, priority))
+    return both[:SIZE], both[SIZE:], rejected
