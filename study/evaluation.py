@@ -186,6 +186,27 @@ def report(
     return results
 
 
+def common_start(
+    config: Config,
+    episodes: int,
+    seed: int,
+    device: torch.device,
+    safety: Safety,
+    compiled: bool = False,
+    agents: int = 1,
+) -> tuple[InspectionEnv, Tensor, Tensor]:
+    """An environment for the common test cases of so many agents at once, and what to start its columns from.
+
+    Returns:
+        The environment, its states (16, agents * episodes) and its priority vectors (3, agents * episodes).
+    """
+    # for restarts of ended columns, which nobody sees
+    generators = [torch.Generator(device).manual_seed(seed + 1) for _ in range(agents)]
+    env = build.make_env(config, episodes, generators, safety, compiled)
+    x, priority = test_cases(config, episodes, seed)
+    return env, x.repeat(1, agents), priority.repeat(1, agents)
+
+
 def play(
     policy: Policy,
     config: Config,
@@ -197,22 +218,15 @@ def play(
 ) -> Episodes:
     """Plays the same common test cases with every seed of a policy at once, deterministically, seed after seed."""
     seeds = policy.network.layers[0].weight.shape[0]
-    # for restarts of ended columns, which nobody sees
-    generators = [torch.Generator(device).manual_seed(seed + 1) for _ in range(seeds)]
-    env = build.make_env(config, episodes, generators, safety, compiled)
-    x, priority = test_cases(config, episodes, seed)
-    return run_episodes(env, policy_actor(policy), x.repeat(1, seeds), priority.repeat(1, seeds))
+    env, x, priority = common_start(config, episodes, seed, device, safety, compiled, seeds)
+    return run_episodes(env, policy_actor(policy), x, priority)
 
 
-def play_guidance(
-    config: Config, episodes: int, seed: int, device: torch.device, safety: Safety, compiled: bool = False
-) -> Episodes:
+def play_guidance(config: Config, episodes: int, seed: int, device: torch.device, safety: Safety) -> Episodes:
     """Plays the common test cases with the natural-motion controller, asked as `InspectionEnv.command` is."""
-    generators = [torch.Generator(device).manual_seed(seed + 1)]
-    env = build.make_env(config, episodes, generators, safety, compiled)
+    env, x, priority = common_start(config, episodes, seed, device, safety)
     controller = guidance.natural_motion(config.inspection)
     env.command = lambda x: controller(0.0, x)  # a function of the state alone
-    x, priority = test_cases(config, episodes, seed)
     idle = torch.zeros(episodes, CONTROL_SIZE, device=device)
     return run_episodes(env, lambda observation: idle, x, priority)
 
