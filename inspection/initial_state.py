@@ -90,6 +90,11 @@ class InitialStates:
         self.generator, self.c, self.is_safe = generator, c, is_safe
         self.pool = torch.zeros(SIZE + 3, 0, dtype=torch.float64, device=generator.device)
 
+    def seed(self, seed: int) -> None:
+        """Makes the states to come those that follow from a seed (0 to 2^63 - 1)."""
+        self.generator.manual_seed(seed)
+        self.pool = self.pool[:, :0]
+
     def take(self, count: int) -> tuple[Tensor, Tensor]:
         """The next `count` states (16, count) and priority vectors (3, count)."""
         while self.pool.shape[1] < count:

@@ -1,0 +1,152 @@
+"""The batch of episodes as a Gymnasium vector environment."""
+
+import warnings
+from pathlib import Path
+from typing import Any, ClassVar
+
+import gymnasium
+import numpy as np
+import torch
+from gymnasium import spaces
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space
+
+from inspection.environment import METRICS, Safety, Transition
+from inspection.observation import SIZE as OBSERVATION_SIZE
+from inspection.state import CONTROL_SIZE
+from inspection.termination import OUTCOMES
+from rta.constraints import CONSTRAINTS
+from study import build
+from study import config as configuration
+from study.config import Config
+from study.errors import refusing
+
+LARGEST = float(np.finfo(np.float32).max)  # no observation has a limit, and Gymnasium warns of infinite ones
+OBSERVATION_SPACE = spaces.Box(-LARGEST, LARGEST, (OBSERVATION_SIZE,), np.float32)
+ACTION_SPACE = spaces.Box(-1.0, 1.0, (CONTROL_SIZE,), np.float32)
+
+with warnings.catch_warnings():
+    warnings.simplefilter(
+        "ignore"
+    )  # PyTorch's, about its own code, when forward-mode differentiation is first used
+    torch.func.jvp(torch.sin, (torch.zeros(1),), (torch.ones(1),))
+
+
+class VectorInspection6DoF(VectorEnv):
+    """num_envs episodes as one `InspectionEnv`; without the filter unless `VectorRunTimeAssurance` is around it.
+
+    Args:
+        num_envs: episodes at once, B.
+        config: a configuration or the path of a TOML file, of which [inspection], [rta], and of [train] the filter's
+            period and solver count; None means the defaults.
+        device: cpu, cuda or auto.
+        compile: compile the simulator, and the filter if there is one, which takes about a minute the first time.
+        tensors: `reset` returns tensors on the device; `step` answers in the kind of its actions.
+
+    Raises:
+        InputError: an option or the configuration is wrong.
+    """
+
+    metadata: ClassVar[dict[str, Any]] = {
+        "render_modes": [],
+        "autoreset_mode": AutoresetMode.SAME_STEP,
+        "constraints": CONSTRAINTS,
+        "outcomes": OUTCOMES,
+    }
+
+    def __init__(
+        self,
+        num_envs: int = 1,
+        config: Config | str | Path | None = None,
+        device: str = "cpu",
+        compile: bool = False,
+        tensors: bool = False,
+    ) -> None:
+        base = config if isinstance(config, Config) else configuration.load(config) if config else Config()
+        source = "Inspection6DoF-v0"
+        here = {"train": {"num_envs": num_envs, "device": device}}
+        self.config = configuration.override(base, here, source)
+        self.compiled = configuration.convert(compile, bool, f"{source}: compile") and build.finds_compiler()
+        self.tensors = configuration.convert(tensors, bool, f"{source}: tensors")
+        self.num_envs = num_envs
+        self.single_observation_space, self.single_action_space = OBSERVATION_SPACE, ACTION_SPACE
+        self.observation_space = batch_space(OBSERVATION_SPACE, num_envs)
+        self.action_space = batch_space(ACTION_SPACE, num_envs)
+        self.device = build.resolve_device(device)
+        self.simulate(build.make_safety(self.config, False, self.config.train.rta_period))
+
+    def simulate(self, safety: Safety) -> None:
+        """Makes the simulator anew, with these constraints and this filter; `reset` must follow."""
+        generators = [torch.Generator(self.device)]
+        self.simulator = build.make_env(self.config, self.num_envs, generators, safety, self.compiled)
+        self.seeded = self.started = False
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict]:
+        """Starts every episode anew; without a seed the draws go on, at first from a random one.
+
+        Returns:
+            Observations (B, 26) float32 and an empty info.
+        """
+        super().reset(seed=seed)
+        if seed is not None or not self.seeded:
+            for starts in self.simulator.starts:
+                starts.seed(self.np_random_seed % 2**63)  # a random one of NumPy's has 128 bits
+        self.seeded = self.started = True
+        with refusing("[inspection]", RuntimeError):  # no start within the constraints
+            observation = self.simulator.reset()
+        return in_kind(observation, self.tensors), {}
+
+    def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
+        """Holds one action for one action period (10 s); what ends begins anew at once.
+
+        Args:
+            actions: (B, 6) array or tensor, thrust and torque in units of the actuators' limits; clipped to [-1, 1].
+
+        Returns:
+            Observations (B, 26) float32, rewards (B,), terminated and truncated (B,) bool, and an info about the
+            step: reward_terms by name (B,), violated (B, 13) bool at its end, outcome (B,) index into OUTCOMES or
+            -1, metrics of the episode so far by name (B,). Where an episode ended, info also has final_obs
+            (B, 26) and final_info, the same entries and `episode` with return r and steps l; their masks (B,) are
+            _final_obs, _final_info and _episode.
+
+        Raises:
+            ResetNeeded: `reset` was not called. ValueError: wrong shape, or actions that are not finite.
+        """
+        if not self.started:
+            raise gymnasium.error.ResetNeeded("Inspection6DoF-v0: call reset() before step()")
+        tensors = torch.is_tensor(actions)
+        given = actions.detach() if tensors else torch.from_numpy(np.array(actions, dtype=np.float64))
+        if not given.isfinite().all():
+            raise ValueError("actions contain NaN or infinity: must be finite")
+        transition = self.simulator.step(given.to(self.device))
+        info = about(transition)
+        done = transition.done
+        if done.any():
+            episode = {"r": info["metrics"]["reward"], "l": transition.steps}
+            final_info = info | {"episode": episode, "_episode": done}
+            info |= {"final_info": final_info, "_final_info": done}
+            info |= {"final_obs": transition.final_observation, "_final_obs": done}
+        return (
+            in_kind(transition.observation, tensors),
+            in_kind(transition.reward, tensors),
+            in_kind(transition.terminated, tensors),
+            in_kind(transition.truncated, tensors),
+            in_kind(info, tensors),
+        )
+
+
+def about(transition: Transition) -> dict[str, Any]:
+    """The step's info, tensors with the batch first."""
+    return {
+        "reward_terms": transition.reward_terms,
+        "violated": transition.violated.T,
+        "outcome": transition.outcome,
+        "metrics": dict(zip(METRICS, transition.metrics, strict=True)),
+    }
+
+
+def in_kind(value: Any, tensors: bool) -> Any:
+    """A tensor, or every one of a dictionary, as it is or as a NumPy array."""
+    if isinstance(value, dict):
+        return {name: in_kind(part, tensors) for name, part in value.items()}
+    return value if tensors else value.cpu().numpy()

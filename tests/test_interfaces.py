@@ -1,0 +1,189 @@
+"""Inspection6DoF-v0: Gymnasium's own check, and the same numbers as the simulator's, step by step."""
+
+import math
+import warnings
+from dataclasses import replace
+
+import gymnasium
+import numpy as np
+import pytest
+import torch
+from gymnasium.utils.env_checker import check_env
+from gymnasium.vector import AutoresetMode
+from gymnasium.wrappers.vector import DictInfoToList, RecordEpisodeStatistics
+
+import interfaces
+from inspection.environment import METRICS, InspectionEnv
+from inspection.reward import REWARDS
+from inspection.termination import OUTCOMES
+from rta.constraints import CONSTRAINTS
+from rta.filter import SafetyFilter
+from study.config import Config
+from study.errors import InputError
+
+gymnasium.register_envs(interfaces)
+ID = "interfaces:Inspection6DoF-v0"
+EPISODES, STEPS, SEED = 5, 12, 7
+
+
+@pytest.fixture
+def short(c):
+    """Episodes of 50 s, which succeed as soon as a few points were seen."""
+    return Config(inspection=replace(c, max_time=50.0, success_score=0.05))
+
+
+def simulator(config, episodes):
+    """The simulator that the interface should agree with."""
+    safety = SafetyFilter(config.inspection, config.rta).safety(enabled=False)
+    return InspectionEnv(episodes, config.inspection, [torch.Generator().manual_seed(SEED)], safety)
+
+
+def actions(*shape):
+    return torch.rand(STEPS, *shape, generator=torch.Generator().manual_seed(1)) * 2.0 - 1.0
+
+
+def leaves(value):
+    """Every array of a nested dictionary."""
+    return [leaf for part in value.values() for leaf in leaves(part)] if isinstance(value, dict) else [value]
+
+
+def test_gymnasium_finds_nothing_to_complain_about():
+    env = gymnasium.make(ID)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        check_env(env.unwrapped)
+    assert [str(warning.message) for warning in caught] == []
+
+
+def test_make_vec_gives_the_batched_form():
+    env = gymnasium.make_vec("Inspection6DoF-v0", num_envs=3)
+    assert type(env).__name__ == "VectorInspection6DoF"
+    assert env.metadata["autoreset_mode"] is AutoresetMode.SAME_STEP
+    assert (env.observation_space.shape, env.action_space.shape) == ((3, 26), (3, 6))
+    assert env.single_observation_space.dtype == env.single_action_space.dtype == np.float32
+    assert env.metadata["constraints"] == CONSTRAINTS and env.metadata["outcomes"] == OUTCOMES
+
+
+@pytest.mark.parametrize("tensors", [False, True])
+def test_the_vector_form_has_the_simulators_numbers_in_the_kind_of_the_actions(short, tensors):
+    native = simulator(short, EPISODES)
+    env = gymnasium.make_vec(ID, num_envs=EPISODES, config=short, tensors=tensors)
+    kind, ended = torch.Tensor if tensors else np.ndarray, set()
+
+    def check(found, expected):
+        assert isinstance(found, kind)
+        np.testing.assert_array_equal(found, expected)
+
+    check(env.reset(seed=SEED)[0], native.reset())
+    for action in actions(EPISODES, 6):
+        expected = native.step(action)
+        observation, reward, terminated, truncated, info = env.step(action if tensors else action.numpy())
+        check(observation, expected.observation)
+        check(reward, expected.reward)
+        check(terminated, expected.terminated)
+        check(truncated, expected.truncated)
+        check(info["violated"], expected.violated.T)
+        check(info["outcome"], expected.outcome)
+        for i, name in enumerate(METRICS):
+            check(info["metrics"][name], expected.metrics[i])
+        for name in REWARDS:
+            check(info["reward_terms"][name], expected.reward_terms[name])
+        assert ("final_obs" in info) == ("final_info" in info) == bool(expected.done.any())
+        if expected.done.any():
+            check(info["final_obs"], expected.final_observation)
+            check(info["_final_obs"], expected.done)
+            check(info["_final_info"], expected.done)
+            check(info["final_info"]["outcome"], expected.outcome)
+            check(info["final_info"]["episode"]["r"], expected.metrics[1])
+            check(info["final_info"]["episode"]["l"], expected.steps)
+            assert not np.array_equal(info["final_obs"], observation)
+        assert all(isinstance(leaf, kind) for leaf in leaves(info))
+        ended |= {OUTCOMES[i] for i in expected.outcome.tolist() if i >= 0}
+    assert ended == {"success", "timeout"}
+
+
+def test_the_single_form_has_the_simulators_numbers(short):
+    native, env = simulator(short, 1), gymnasium.make(ID, config=short)
+    lasted, lengths = 0, []
+    np.testing.assert_array_equal(env.reset(seed=SEED)[0], native.reset()[0])
+    for action in actions(1, 6):
+        expected, lasted = native.step(action), lasted + 1
+        observation, reward, terminated, truncated, info = env.step(action[0].numpy())
+        np.testing.assert_array_equal(observation, expected.final_observation[0])
+        assert (reward, terminated, truncated) == (
+            expected.reward.item(),
+            expected.terminated.item(),
+            expected.truncated.item(),
+        )
+        assert info["metrics"] == dict(zip(METRICS, expected.metrics[:, 0].tolist(), strict=True))
+        assert sum(info["reward_terms"].values()) == pytest.approx(reward)
+        assert info["violated"].shape == (13,) and "final_obs" not in info
+        if terminated or truncated:
+            lengths.append(lasted)
+            assert OUTCOMES[info["outcome"]] == ("timeout" if truncated else "success")
+            np.testing.assert_array_equal(env.reset()[0], native.reset()[0])
+            lasted = 0
+    assert 5 in lengths
+
+
+def test_a_seed_decides_the_draws_and_without_one_they_differ():
+    one, other = (gymnasium.make_vec(ID, num_envs=2) for _ in range(2))
+    assert not np.array_equal(one.reset()[0], other.reset()[0])
+    draws = [[env.reset(seed=3)[0], env.reset()[0], env.reset(seed=3)[0]] for env in (one, other)]
+    np.testing.assert_array_equal(draws[0], draws[1])
+    np.testing.assert_array_equal(draws[0][0], draws[0][2])
+    assert not np.array_equal(draws[0][0], draws[0][1])
+
+
+def test_gymnasiums_statistics_and_lists_agree_with_the_info(short):
+    env = RecordEpisodeStatistics(gymnasium.make_vec(ID, num_envs=EPISODES, config=short))
+    env.reset(seed=SEED)
+    for action in actions(EPISODES, 6):
+        *_, info = env.step(action.numpy())
+        if "_episode" in info:
+            own = info["final_info"]["episode"]
+            done = info["_episode"]
+            np.testing.assert_array_equal(info["episode"]["l"][done], own["l"][done])
+            np.testing.assert_allclose(info["episode"]["r"][done], own["r"][done], rtol=1e-12)
+    listed = DictInfoToList(gymnasium.make_vec(ID, num_envs=2, config=short))
+    listed.reset(seed=SEED)
+    *_, infos = listed.step(np.zeros((2, 6)))
+    assert [set(info["metrics"]) for info in infos] == [set(METRICS)] * 2
+
+
+def test_gymnasiums_own_vector_form_takes_the_single_form():
+    env = gymnasium.make_vec(ID, num_envs=2, vectorization_mode="sync")
+    env.reset(seed=0)
+    observation, *_, info = env.step(np.zeros((2, 6), dtype=np.float32))
+    assert observation.shape == (2, 26) and info["metrics"]["episode_length_s"].tolist() == [10.0, 10.0]
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"num_envs": 0}, "num_envs = 0: must be a positive integer"),
+        ({"device": "gpu"}, "device = 'gpu': must be one of auto, cpu, cuda"),
+        ({"compile": "on"}, "compile = 'on': must be true or false"),
+        ({"config": "no/such.toml"}, "no/such.toml: cannot read the configuration"),
+    ],
+)
+def test_wrong_options_are_named(options, message):
+    with pytest.raises(InputError, match=message):
+        gymnasium.make_vec(ID, **options)
+
+
+def test_wrong_actions_and_the_wrong_order_are_refused(short):
+    env = gymnasium.make_vec(ID, num_envs=2)
+    with pytest.raises(gymnasium.error.ResetNeeded):
+        env.step(np.zeros((2, 6)))
+    env.reset()
+    with pytest.raises(ValueError, match=r"shape \(2, 5\): must be \(2, 6\)"):
+        env.step(np.zeros((2, 5)))
+    with pytest.raises(ValueError, match="NaN or infinity"):
+        env.step(np.full((2, 6), math.nan))
+    single = gymnasium.make(ID, config=short).unwrapped
+    single.reset()
+    while single.running:
+        single.step(np.zeros(6))
+    with pytest.raises(gymnasium.error.ResetNeeded):
+        single.step(np.zeros(6))
