@@ -1,0 +1,94 @@
+"""The filter as a wrapper: it corrects the controls within each step, and reports every call in `info`."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import gymnasium
+import torch
+from gymnasium.utils import RecordConstructorArgs
+from gymnasium.vector import VectorEnv, VectorWrapper
+from torch import Tensor
+
+from interfaces.environment import Inspection6DoF
+from interfaces.vector import VectorInspection6DoF, in_kind
+from rta.filter import FilterResult
+from study import build
+from study import config as configuration
+
+
+class VectorRunTimeAssurance(VectorWrapper):
+    """Puts the filter between actions and actuators; `reset` must follow.
+
+    The filter is called every `period` s of the action period and its last control is its next desired one, so it
+    works inside the wrapped environment. To its info `step` adds, per episode and call,
+
+        u_des, u_safe: (B, calls, 6), desired and applied control in N and N m,
+        intervened: (B, calls) bool, u_safe is a correction,
+        active: (B, calls, 13) bool, a row of the constraint binds it,
+        status: (B, calls), `rta.qp.Status` of the solver.
+
+    Args:
+        env: a `VectorInspection6DoF`, wrapped or not.
+        period: s between two calls, 1, 5 or 10; None takes the configuration's.
+
+    Raises:
+        TypeError: another environment. InputError: another period. ValueError: there is a filter already.
+    """
+
+    def __init__(self, env: VectorEnv, period: float | None = None) -> None:
+        super().__init__(env)
+        base = env.unwrapped
+        if not isinstance(base, VectorInspection6DoF):
+            raise TypeError(f"{type(base).__name__}: must be a VectorInspection6DoF")
+        if base.simulator.safety.correct:
+            raise ValueError("the environment is behind a filter already")
+        own = {} if period is None else {"rta_period": period}
+        config = configuration.override(base.config, {"train": own}, "RunTimeAssurance")
+        self.filter = build.make_filter(config, config.train.rta_period, base.compiled, base.num_envs)
+        self.calls: list[tuple[Tensor, FilterResult]] = []
+        base.simulate(replace(self.filter.safety(), correct=self.correct))
+
+    def correct(self, x: Tensor, desired: Tensor) -> FilterResult:
+        """Calls the filter and keeps what it was asked and what it answered."""
+        self.calls.append((desired, self.filter(x, desired)))
+        return self.calls[-1][1]
+
+    def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
+        """See `VectorInspection6DoF.step`."""
+        self.calls.clear()
+        *rest, info = self.env.step(actions)
+        report = in_kind(self.report(), torch.is_tensor(actions))
+        info |= report
+        if "final_info" in info:
+            info["final_info"] |= report
+        return *rest, info
+
+    def report(self) -> dict[str, Tensor]:
+        """What the calls of the last step were asked and answered."""
+        desired, results = zip(*self.calls, strict=True)
+        return {
+            "u_des": by_call(desired),
+            "u_safe": by_call([result.control for result in results]),
+            "intervened": by_call([result.intervened for result in results]),
+            "active": by_call([result.active for result in results]),
+            "status": by_call([result.status for result in results]),
+        }
+
+
+def by_call(parts: Sequence[Tensor]) -> Tensor:
+    """One tensor (..., B) per call as (B, calls, ...)."""
+    return torch.stack(list(parts)).movedim(-1, 0)
+
+
+class RunTimeAssurance(gymnasium.Wrapper, RecordConstructorArgs):
+    """`VectorRunTimeAssurance` for an `Inspection6DoF`, whose info has no axis B."""
+
+    def __init__(self, env: gymnasium.Env, period: float | None = None) -> None:
+        RecordConstructorArgs.__init__(self, period=period)
+        gymnasium.Wrapper.__init__(self, env)
+        base = env.unwrapped
+        if not isinstance(base, Inspection6DoF):
+            raise TypeError(f"{type(base).__name__}: must be an Inspection6DoF")
+        base.batch = VectorRunTimeAssurance(base.batch, period)
+        base.running = False
