@@ -7,7 +7,7 @@ import gymnasium
 import numpy as np
 from gymnasium.vector import VectorEnv
 
-from interfaces.vector import ACTION_SPACE, OBSERVATION_SPACE, VectorInspection6DoF
+from interfaces.vector import VectorInspection6DoF
 from study.config import Config
 
 
@@ -26,7 +26,8 @@ class Inspection6DoF(gymnasium.Env):
         self, config: Config | str | Path | None = None, device: str = "cpu", compile: bool = False
     ) -> None:
         self.batch: VectorEnv = VectorInspection6DoF(1, config, device, compile)
-        self.observation_space, self.action_space = OBSERVATION_SPACE, ACTION_SPACE
+        self.observation_space = self.batch.single_observation_space
+        self.action_space = self.batch.single_action_space
         self.running = False
 
     def reset(

@@ -22,13 +22,9 @@ from study.config import Config
 from study.errors import refusing
 
 LARGEST = float(np.finfo(np.float32).max)  # no observation has a limit, and Gymnasium warns of infinite ones
-OBSERVATION_SPACE = spaces.Box(-LARGEST, LARGEST, (OBSERVATION_SIZE,), np.float32)
-ACTION_SPACE = spaces.Box(-1.0, 1.0, (CONTROL_SIZE,), np.float32)
 
 with warnings.catch_warnings():
-    warnings.simplefilter(
-        "ignore"
-    )  # PyTorch's, about its own code, when forward-mode differentiation is first used
+    warnings.simplefilter("ignore")  # PyTorch's, about its own code, when it first differentiates forward
     torch.func.jvp(torch.sin, (torch.zeros(1),), (torch.ones(1),))
 
 
@@ -69,9 +65,10 @@ class VectorInspection6DoF(VectorEnv):
         self.compiled = configuration.convert(compile, bool, f"{source}: compile") and build.finds_compiler()
         self.tensors = configuration.convert(tensors, bool, f"{source}: tensors")
         self.num_envs = num_envs
-        self.single_observation_space, self.single_action_space = OBSERVATION_SPACE, ACTION_SPACE
-        self.observation_space = batch_space(OBSERVATION_SPACE, num_envs)
-        self.action_space = batch_space(ACTION_SPACE, num_envs)
+        self.single_observation_space = spaces.Box(-LARGEST, LARGEST, (OBSERVATION_SIZE,), np.float32)
+        self.single_action_space = spaces.Box(-1.0, 1.0, (CONTROL_SIZE,), np.float32)
+        self.observation_space = batch_space(self.single_observation_space, num_envs)
+        self.action_space = batch_space(self.single_action_space, num_envs)
         self.device = build.resolve_device(device)
         self.simulate(build.make_safety(self.config, False, self.config.train.rta_period))
 
@@ -79,7 +76,7 @@ class VectorInspection6DoF(VectorEnv):
         """Makes the simulator anew, with these constraints and this filter; `reset` must follow."""
         generators = [torch.Generator(self.device)]
         self.simulator = build.make_env(self.config, self.num_envs, generators, safety, self.compiled)
-        self.seeded = self.started = False
+        self.started = False
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict]:
         """Starts every episode anew; without a seed the draws go on, at first from a random one.
@@ -88,12 +85,12 @@ class VectorInspection6DoF(VectorEnv):
             Observations (B, 26) float32 and an empty info.
         """
         super().reset(seed=seed)
-        if seed is not None or not self.seeded:
+        if seed is not None or not self.started:
             for starts in self.simulator.starts:
                 starts.seed(self.np_random_seed % 2**63)  # a random one of NumPy's has 128 bits
-        self.seeded = self.started = True
         with refusing("[inspection]", RuntimeError):  # no start within the constraints
             observation = self.simulator.reset()
+        self.started = True
         return in_kind(observation, self.tensors), {}
 
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
@@ -126,13 +123,8 @@ class VectorInspection6DoF(VectorEnv):
             final_info = info | {"episode": episode, "_episode": done}
             info |= {"final_info": final_info, "_final_info": done}
             info |= {"final_obs": transition.final_observation, "_final_obs": done}
-        return (
-            in_kind(transition.observation, tensors),
-            in_kind(transition.reward, tensors),
-            in_kind(transition.terminated, tensors),
-            in_kind(transition.truncated, tensors),
-            in_kind(info, tensors),
-        )
+        answer = transition.observation, transition.reward, transition.terminated, transition.truncated, info
+        return tuple(in_kind(part, tensors) for part in answer)
 
 
 def about(transition: Transition) -> dict[str, Any]:

@@ -133,6 +133,8 @@ def test_a_seed_decides_the_draws_and_without_one_they_differ():
     np.testing.assert_array_equal(draws[0], draws[1])
     np.testing.assert_array_equal(draws[0][0], draws[0][2])
     assert not np.array_equal(draws[0][0], draws[0][1])
+    one.action_space.seed(4), other.action_space.seed(4)
+    np.testing.assert_array_equal(one.action_space.sample(), other.action_space.sample())
 
 
 def test_gymnasiums_statistics_and_lists_agree_with_the_info(short):
