@@ -17,6 +17,7 @@ from torch import Tensor
 from inspection.environment import Correction, InspectionEnv
 from inspection.observation import SIZE as OBSERVATION_SIZE
 from inspection.state import CONTROL_SIZE
+from interfaces.vector import VectorInspection6DoF
 from ppo.checkpoint import CheckpointError
 from ppo.learner import PPO
 from ppo.network import Value
@@ -39,6 +40,7 @@ PROGRAMS = (1, 16, 64, 256, 1024, 4096)  # solved at once
 TYPICAL_PROGRAMS = 1024
 SINGLE_CALLS = 1000
 MATRIX = 1024
+KINDS = {"numpy": "NumPy", "torch": "PyTorch"}  # of arrays that Gymnasium's interface takes and gives
 PALETTE = (
     "#0072B2",
     "#000000",
@@ -80,8 +82,13 @@ class Recorder:
 
 def repeated(function: Callable[[], Any], work: float, device: torch.device) -> Rates:
     """`work` per second of REPEATS repeats, warmed up; each calls the function as often as SHORTEST needs."""
+    return in_turn({"": function}, work, device)[""]
 
-    def seconds(calls: int) -> float:
+
+def in_turn(functions: dict[str, Callable[[], Any]], work: float, device: torch.device) -> dict[str, Rates]:
+    """`repeated` of several functions, a repeat of each after the other, so that all meet the same disturbances."""
+
+    def seconds(function: Callable[[], Any], calls: int) -> float:
         wait(device)
         started = time.perf_counter()
         for _ in range(calls):
@@ -89,9 +96,15 @@ def repeated(function: Callable[[], Any], work: float, device: torch.device) -> 
         wait(device)
         return time.perf_counter() - started
 
-    seconds(1)
-    calls = max(1, round(SHORTEST / seconds(1)))
-    return [work * calls / seconds(calls) for _ in range(REPEATS)]
+    calls = {}
+    for name, function in functions.items():
+        seconds(function, 1)
+        calls[name] = max(1, round(SHORTEST / seconds(function, 1)))
+    rates: dict[str, Rates] = {name: [] for name in functions}
+    for _ in range(REPEATS):
+        for name, function in functions.items():
+            rates[name].append(work * calls[name] / seconds(function, calls[name]))
+    return rates
 
 
 def wait(device: torch.device) -> None:
@@ -146,13 +159,24 @@ def first(x: Tensor, count: int) -> Tensor:
     return x[..., torch.arange(count, device=x.device) % x.shape[-1]].contiguous()
 
 
-def simulator_rate(env: InspectionEnv, flight: Flight) -> Rates:
-    """Environment steps per s under small random actions, those of an untrained policy."""
-    batch, device = env.time.numel(), env.x.device
+def simulator_rates(gym_env: VectorInspection6DoF, flight: Flight) -> dict[str, Rates]:
+    """Environment steps per s under small random actions, those of an untrained policy.
+
+    Returns:
+        "native", of the simulator itself, and "numpy" and "torch", of the same through Gymnasium's interface.
+    """
+    env, device = gym_env.simulator, gym_env.device
+    gym_env.reset(seed=0)
     begin(env, flight)
     generator = torch.Generator(device).manual_seed(0)
-    action = 0.1 * torch.randn(batch, CONTROL_SIZE, generator=generator, device=device)
-    return repeated(lambda: env.step(action), batch, device)
+    action = 0.1 * torch.randn(gym_env.num_envs, CONTROL_SIZE, generator=generator, device=device)
+    array = action.cpu().numpy()
+    functions = {
+        "native": lambda: env.step(action),
+        "numpy": lambda: gym_env.step(array),
+        "torch": lambda: gym_env.step(action),
+    }
+    return in_turn(functions, gym_env.num_envs, device)
 
 
 def closed_loop_rate(env: InspectionEnv, flight: Flight, actor: Actor) -> Rates:
@@ -301,13 +325,15 @@ def benchmark(config: Config, batches: tuple[int, ...]) -> dict[str, Any]:
     onboard = make_filter(config, 1.0, compiled, 1, "piqp")
     latencies = single_latencies(onboard, flight)
 
-    simulator: dict[int, Spread] = {}
+    simulator: dict[str, dict[int, Spread]] = {name: {} for name in ("native", *KINDS)}
     parts: dict[int, dict[str, float]] = {}
     closed: dict[str, dict[int, Spread]] = {name: {} for name in filters}
     for n in batches:
         say(f"{n:,} episodes at once")
-        env = build.make_env(config, n, [torch.Generator(device)], safety_filter.safety(False), compiled)
-        simulator[n] = spread(simulator_rate(env, flight))
+        gym_env = VectorInspection6DoF(n, config, config.train.device, compiled)
+        for name, rates in simulator_rates(gym_env, flight).items():
+            simulator[name][n] = spread(rates)
+        env = gym_env.simulator
         for name, filter_at_period in filters.items():
             env.safety = filter_at_period.safety()
             closed[name][n] = spread(closed_loop_rate(env, flight, actor))
@@ -328,7 +354,8 @@ def benchmark(config: Config, batches: tuple[int, ...]) -> dict[str, Any]:
     typical = min(batches, key=lambda n: abs(n - TYPICAL[device.type]))
     minibatch = min(batches, key=lambda n: abs(n - config.ppo.minibatch_size))
     headline: dict[str, Any] = {
-        "simulator_steps_per_s": simulator[typical],
+        "simulator_steps_per_s": simulator["native"][typical],
+        "gymnasium_steps_per_s": {kind: simulator[kind][typical] for kind in KINDS},
         "closed_loop_steps_per_s": {name: rates[typical] for name, rates in closed.items()},
         "filter_calls_per_s": filtering[typical],
         "qp_us": {name: times[TYPICAL_PROGRAMS] for name, times in qp.items()},
@@ -348,7 +375,8 @@ def benchmark(config: Config, batches: tuple[int, ...]) -> dict[str, Any]:
         "peak_memory_mb": peak_memory_mb(device),
         "compile_s": compile_s,
         "scaling": {
-            "simulator_steps_per_s": simulator,
+            "simulator_steps_per_s": simulator["native"],
+            "gymnasium_steps_per_s": {kind: simulator[kind] for kind in KINDS},
             "closed_loop_steps_per_s": closed,
             "filter_calls_per_s": filtering,
             "learner_samples_per_s": learner,
@@ -424,7 +452,13 @@ def table(results: dict[str, Any]) -> str:
             f"{label:44}{value:>14,.{digits}f}  [{low:,.{digits}f}, {high:,.{digits}f}] {unit}".rstrip()
         )
 
-    line("simulator", results["simulator_steps_per_s"], low_high["simulator_steps_per_s"], "steps/s")
+    native = results["simulator_steps_per_s"]
+    line("simulator", native, low_high["simulator_steps_per_s"], "steps/s")
+    for kind, rate in results["gymnasium_steps_per_s"].items():
+        unit = f"steps/s, {100 * rate / native:.0f} % of the simulator's"
+        line(
+            f"simulator through Gymnasium, {KINDS[kind]}", rate, low_high["gymnasium_steps_per_s"][kind], unit
+        )
     for name, rate in results["closed_loop_steps_per_s"].items():
         line(f"closed loop, RTA at {name} s", rate, low_high["closed_loop_steps_per_s"][name], "steps/s")
     line("filter", results["filter_calls_per_s"], low_high["filter_calls_per_s"], "calls/s")
@@ -444,6 +478,8 @@ def table(results: dict[str, Any]) -> str:
     )
     lines.append(f"{'peak memory':44}{results['peak_memory_mb']:>14,.0f}  MB")
     curves = scaling_curves(results)
+    for kind, rates in results["scaling"]["gymnasium_steps_per_s"].items():
+        curves[f"through Gymnasium, {KINDS[kind]}"] = medians(rates)
     batches = sorted({n for rates in curves.values() for n in rates})
     lines += ["", f"{'median by batch, per s':28}" + "".join(f"{n:>12,}" for n in batches)]
     for label, rates in curves.items():
@@ -472,7 +508,12 @@ def scaling_curves(results: dict[str, Any]) -> dict[str, dict[int, float]]:
             for name, times in scaling["qp_us"].items()
         },
     }
-    return {label: {n: rate["median"] for n, rate in rates.items()} for label, rates in curves.items()}
+    return {label: medians(rates) for label, rates in curves.items()}
+
+
+def medians(rates: dict[int, Spread]) -> dict[int, float]:
+    """The medians alone."""
+    return {n: rate["median"] for n, rate in rates.items()}
 
 
 def figure(results: dict[str, Any], path: Path) -> None:

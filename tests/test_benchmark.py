@@ -18,6 +18,7 @@ from study.config import Config
 
 KEYS = {
     "simulator_steps_per_s",
+    "gymnasium_steps_per_s",
     "closed_loop_steps_per_s",
     "filter_calls_per_s",
     "single_filter_latency_ms",
@@ -46,6 +47,8 @@ def test_benchmark_writes_the_promised_json_and_figure(
     found = json.loads(results.read_text())
     assert set(found) >= KEYS
     assert set(found["closed_loop_steps_per_s"]) == {"1", "5", "10"}
+    assert set(found["gymnasium_steps_per_s"]) == {"numpy", "torch"}
+    assert set(found["scaling"]["gymnasium_steps_per_s"]["numpy"]) == {"16", "64"}
     assert set(found["single_filter_latency_ms"]) == {"median", "p99"}
     assert set(found["qp_us"]) == {"piqp", "batched"}
     assert set(found["scaling"]["filter_calls_per_s"]) == {"16", "64"}
@@ -55,7 +58,7 @@ def test_benchmark_writes_the_promised_json_and_figure(
     for name in ("simulator_steps_per_s", "filter_calls_per_s", "learner_samples_per_s", "matmul_gflops"):
         low, high = found["min_max"][name]
         assert 0 < low <= found[name] <= high
-    assert "closed loop, RTA at 10 s" in out and "peak memory" in out
+    assert "closed loop, RTA at 10 s" in out and "through Gymnasium, NumPy" in out and "peak memory" in out
     assert drawing.read_bytes().startswith(b"\x89PNG")
 
 
