@@ -226,20 +226,20 @@ def run_verify(arguments: argparse.Namespace) -> None:
 
 def run_benchmark(arguments: argparse.Namespace) -> None:
     """main.py benchmark"""
-    from study import benchmark
+    from study import benchmark, benchmark_report
 
     config = resolve(arguments, Config())
     for flag in ("json", "figure"):
         if path := getattr(arguments, flag):
             check_writable(path, f"--{flag}")
     results = benchmark.benchmark(config, arguments.batches or benchmark.BATCHES)
-    print(benchmark.table(results))
+    print(benchmark_report.table(results))
     if arguments.json:
         with refusing(f"--json {arguments.json}: cannot write it", OSError):
             Path(arguments.json).write_text(json.dumps(results, indent=2) + "\n", encoding="utf-8")
     if arguments.figure:
         with refusing(f"--figure {arguments.figure}: cannot write it", OSError):
-            benchmark.figure(results, Path(arguments.figure))
+            benchmark_report.figure(results, Path(arguments.figure))
 
 
 def check_writable(path: str, flag: str) -> None:
