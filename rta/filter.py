@@ -3,7 +3,7 @@
 Where the rows of a program conflict, slack is given class after class of their weights, see `rta.qp.stages`.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
 from functools import partial, reduce
 from typing import NamedTuple
@@ -18,6 +18,7 @@ from inspection.state import CONTROL_SIZE, SIZE, THRUST, TORQUE, P, Q
 from rta import constraints
 from rta.batched_solver import BatchedSolver
 from rta.constraints import ATTITUDE, CONSTRAINTS, TRANSLATIONAL
+from rta.extra import ACTUATORS, Constraint, ExtraBarriers
 from rta.parameters import RtaParameters
 from rta.piqp_solver import PiqpSolver
 from rta.qp import FEASIBLE, HOPELESS, REDUNDANT, Problems, Solver, Status, pick, put, total
@@ -34,17 +35,17 @@ SOLVERS: dict[str, type[Solver]] = {"piqp": PiqpSolver, "batched": BatchedSolver
 
 @dataclass
 class FilterResult:
-    """What the filter did, per spacecraft; constraints in the order of CONSTRAINTS.
+    """What the filter did, per spacecraft; constraints in the order of `SafetyFilter.names`.
 
     Attributes:
         control: (6, B) safe control in N and N m.
         intervened: (B,) bool, the desired control violated a row and was corrected.
-        active: (13, B) bool, a row of the constraint binds a corrected control.
-        slack: (13, B) shortfall of the barrier condition without margin, in h's unit per s (per s^2 where
+        active: (constraints, B) bool, a row of the constraint binds a corrected control.
+        slack: (constraints, B) shortfall of the barrier condition without margin, in h's unit per s (per s^2 where
             the relative degree is two); zero unless a program needed slack.
         status: (B,) int64, the worse `Status` of the thrust and the torque program.
         program_status: (2, B) int64, both of them.
-        h: (13, B) constraint values without margin, slopes bounded at their poles.
+        h: (constraints, B) values without margin, slopes bounded at their poles.
     """
 
     control: Tensor
@@ -87,8 +88,6 @@ class Group:
 
     def __init__(self, controls: slice, limit: float, rows: list[Row], constraints: tuple[str, ...]) -> None:
         self.controls, self.limit = controls, limit
-        first = CONSTRAINTS.index(constraints[0])
-        self.place = slice(first, first + len(constraints))  # among all constraints
         self.weights = [row.weight for row in rows]
         self.counts = [sum(row.constraint == name for row in rows) for name in constraints]
 
@@ -106,6 +105,13 @@ class SafetyFilter:
         parameters: gains, margins and weights.
         period: s between calls.
         solver: of the quadratic programs.
+        extra: constraints of your own.
+
+    Attributes:
+        names: of all constraints: Table 3's, then those of your own that thrust holds, then those that torque holds.
+
+    Raises:
+        ValueError: parameters or constraints that do not fit together.
     """
 
     def __init__(
@@ -114,20 +120,30 @@ class SafetyFilter:
         parameters: RtaParameters,
         period: float = 1.0,
         solver: Solver | None = None,
+        extra: Sequence[Constraint] = (),
     ) -> None:
         self.c, self.period = c, period
         self.solver = solver or PiqpSolver()
         self.barriers = Barriers(c, parameters, period)
         self._prepare: Callable[[Tensor, Tensor], list[Tensor]] = self.prepare
         self.limits = c.control_limit[0], c.control_limit[3]  # N, N m
+        thrust, torque = self.extra = tuple(ExtraBarriers(extra, by, self.barriers) for by in ACTUATORS)
+        self.names = CONSTRAINTS + thrust.names + torque.names
+        if len(set(self.names)) < len(self.names):
+            raise ValueError(f"constraints {', '.join(self.names)}: each name must be there once")
         self.groups = (
-            Group(THRUST, self.limits[0], self.barriers.thrust, TRANSLATIONAL),
-            Group(TORQUE, self.limits[1], self.barriers.torque, ATTITUDE),
+            Group(THRUST, self.limits[0], self.barriers.thrust + thrust.rows, TRANSLATIONAL + thrust.names),
+            Group(TORQUE, self.limits[1], self.barriers.torque + torque.rows, ATTITUDE + torque.names),
         )
 
     def values(self, x: Tensor) -> Tensor:
-        """All 13 constraints exactly as in the paper, (16, B) to (13, B)."""
-        return constraints.values(x, self.c)
+        """All constraints, the 13 exactly as in the paper: (16, B) to (constraints, B)."""
+        return torch.cat((constraints.values(x, self.c), *(extra.values(x) for extra in self.extra)))
+
+    def is_safe(self, x: Tensor) -> Tensor:
+        """(B,) bool: the filter can keep every constraint from here on."""
+        thrust, torque = self.extra
+        return self.barriers.is_safe(x) & thrust.is_safe(x) & torque.is_safe(x)
 
     def compile(self, device: torch.device | str, batch: int) -> None:
         """Compiles `prepare` and the solver for tensors on this device and calls of about so many spacecraft.
@@ -143,9 +159,9 @@ class SafetyFilter:
     def safety(self, enabled: bool = True) -> Safety:
         """What the environment needs: constraint values, admissible starts and, if enabled, this filter."""
         return Safety(
-            names=CONSTRAINTS,
+            names=self.names,
             values=self.values,
-            is_safe=self.barriers.is_safe,
+            is_safe=self.is_safe,
             correct=self if enabled else None,
             period=self.period,
         )
@@ -158,7 +174,9 @@ class SafetyFilter:
     def prepare(self, x: Tensor, desired: Tensor) -> list[Tensor]:
         """`Prepared` for thrust, then for torque, as one list: (16, B) and (6, B) to fields (..., B)."""
         parts: list[Tensor] = []
-        for rows, group in zip(self.barriers(x), self.groups, strict=True):
+        for rows, extra, group in zip(self.barriers(x), self.extra, self.groups, strict=True):
+            if extra.rows:
+                rows = rows.followed_by(extra(x))
             a = rows.a * group.limit
             length = total(a * a, 1).sqrt().clamp(min=SHORTEST_ROW)  # thirty times as fast as Tensor.norm
             left = (total(a * (desired[group.controls] / group.limit), 1) + rows.b) / length
@@ -186,12 +204,12 @@ class SafetyFilter:
         both = self._prepared(x, desired)
         control = desired.clone()
         program_status = torch.zeros_like(x[:2], dtype=torch.int64)
-        active = torch.zeros(len(CONSTRAINTS), x.shape[1], dtype=torch.bool, device=x.device)
-        slack = torch.zeros_like(active, dtype=x.dtype)
+        active = [torch.zeros_like(prepared.values, dtype=torch.bool) for prepared in both]
+        slack = [torch.zeros_like(prepared.values) for prepared in both]
         for i, (group, prepared) in enumerate(zip(self.groups, both, strict=True)):
             unsafe = torch.nonzero(~(prepared.lowest[0] >= 0.0)).flatten()  # NaN must not pass
             if unsafe.numel():
-                wholes = control[group.controls], program_status[i], active[group.place], slack[group.place]
+                wholes = control[group.controls], program_status[i], active[i], slack[i]
                 parts = self._correct(group, prepared, desired[group.controls], unsafe)
                 for whole, part in zip(wholes, parts, strict=True):
                     put(whole, unsafe, part)
@@ -199,11 +217,11 @@ class SafetyFilter:
         return FilterResult(
             control=control,
             intervened=status > Status.UNTOUCHED,
-            active=active,
-            slack=slack,
+            active=in_order(*active),
+            slack=in_order(*slack),
             status=status,
             program_status=program_status,
-            h=torch.cat([prepared.values for prepared in both]),
+            h=in_order(*(prepared.values for prepared in both)),
         )
 
     def _correct(
@@ -228,6 +246,12 @@ class SafetyFilter:
             group.by_constraint(binding, partial(torch.any, dim=0)),
             group.by_constraint(short, partial(torch.amax, dim=0)),
         )
+
+
+def in_order(thrust: Tensor, torque: Tensor) -> Tensor:
+    """Joins what is known of the constraints of both groups, (k, B) and (m, B), in the order of the filter's names."""
+    m, n = len(TRANSLATIONAL), len(ATTITUDE)
+    return torch.cat((thrust[:m], torque[:n], thrust[m:], torque[n:]))
 
 
 def smallest(rows: Tensor) -> Tensor:

@@ -50,6 +50,10 @@ class Rows:
     b: Tensor
     b_bare: Tensor
 
+    def followed_by(self, others: "Rows") -> "Rows":
+        """These rows and, after them, others of the same actuator group."""
+        return Rows(*(torch.cat((part, getattr(others, name))) for name, part in vars(self).items()))
+
 
 class Barriers:
     """Builds the rows of a filter that is called every `period` s; raises ValueError where parameters disagree.

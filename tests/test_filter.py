@@ -16,12 +16,15 @@ from inspection.environment import InspectionEnv
 from inspection.parameters import InspectionParameters
 from rta import constraints
 from rta.constraints import CONSTRAINTS
+from rta.extra import Constraint
 from rta.filter import SOLVERS, FilterResult, SafetyFilter, make_solver
 from rta.parameters import PERIODS, RtaParameters
 from rta.qp import FEASIBLE, Status
 from rta.rows import Barriers, Rows
 from tests.test_barrier import K1, first_psi, thrust_fall
 from tests.test_constraints import cosines, keep_in_curve, length, paper, tensor
+from tests.test_extra import CONSTRAINTS as OWN
+from tests.test_extra import numpy_cone, sphere
 
 C = InspectionParameters()
 R = RtaParameters()
@@ -310,3 +313,29 @@ def test_slower_filters_solve_every_program(period: float, calls: int) -> None:
     _, statuses = fly(period, episodes=64, actions=5)
     assert statuses.shape == (calls, 64)
     assert (statuses != Status.UNSOLVED).all()
+
+
+def test_own_constraints_come_after_the_papers(result: FilterResult) -> None:
+    cone, ball = OWN["cone"][0], OWN["sphere"][0]
+    safety = SafetyFilter(C, R, extra=(cone, ball))
+    assert safety.safety().names == (*CONSTRAINTS, "sphere", "cone")
+    answer = safety(X, U)
+    h = torch.stack((sphere(X), tensor(numpy_cone(X.numpy()))))
+    torch.testing.assert_close(answer.h, torch.cat((result.h, h)))
+    torch.testing.assert_close(safety.values(X), torch.cat((constraints.values(X, C), h)))
+    assert (safety.is_safe(X) <= (Barriers(C, R, 1.0).is_safe(X) & (h >= 0).all(0))).all()
+    torque, hard = safety.rows(X)[1], answer.status <= Status.HARD
+    reached = (torque.a[-1] * answer.control[TORQUE]).sum(0)
+    sides = torch.stack((reached + torque.b[-1], reached + torque.b_bare[-1]))
+    assert (sides[1, hard] >= -1e-9).all()
+    binds = hard & answer.active[-1]
+    assert binds.sum() > 20
+    assert (sides[:, binds].abs().amin(0) < 1e-9).all()
+    alone = sides[0] > 1e-6  # the cone would not have mattered
+    assert alone.sum() > 200
+    torch.testing.assert_close(answer.control[:, alone], result.control[:, alone], rtol=0, atol=1e-6)
+
+
+def test_the_same_name_twice_is_refused() -> None:
+    with pytest.raises(ValueError, match="battery: each name must be there once"):
+        SafetyFilter(C, R, extra=[Constraint("battery", sphere, "thrust", (0.1, 0.1))])
