@@ -1,5 +1,7 @@
 """The agent's 26 observations in the paper's order, all vectors in the body frame (Sec. State and Observation)."""
 
+from typing import NamedTuple
+
 import torch
 from torch import Tensor
 
@@ -7,22 +9,36 @@ from inspection.attitude import conjugate, dot, norm, rotate, unit
 from inspection.dynamics import sun_direction
 from inspection.state import OMEGA, THETA_S, E, P, Q, T, V
 
-# name, and the value that brings it into roughly [-1, 1] (decision: the paper does not give its scales)
-OBSERVATIONS: tuple[tuple[str, float], ...] = (
-    ("position_norm", 100.0),  # m
-    *((f"position_{i}", 1.0) for i in "xyz"),
-    ("velocity_norm", 0.866),  # m/s
-    *((f"velocity_{i}", 1.0) for i in "xyz"),
-    *((f"angular_velocity_{i}", 0.035) for i in "xyz"),  # rad/s
-    ("energy", 10.0),  # kJ
-    ("temperature", 10.0),  # deg C
-    *((f"sun_{i}", 1.0) for i in "xyz"),
-    ("sun_alignment", 1.0),
-    *((f"priority_{i}", 1.0) for i in "xyz"),
-    ("priority_alignment", 1.0),
-    *((f"uninspected_{i}", 1.0) for i in "xyz"),
-    ("uninspected_alignment", 1.0),
-    ("inspected_score", 1.0),
+
+class Component(NamedTuple):
+    """One number that the agent observes or commands; `scale`, in its unit, brings it into roughly [-1, 1]."""
+
+    name: str
+    unit: str
+    scale: float
+
+
+def vector(name: str, unit: str = "1", scale: float = 1.0) -> list[Component]:
+    """The three components of a vector."""
+    return [Component(f"{name}_{i}", unit, scale) for i in "xyz"]
+
+
+# (decision: the paper does not give its scales)
+OBSERVATIONS: tuple[Component, ...] = (
+    Component("position_norm", "m", 100.0),
+    *vector("position"),
+    Component("velocity_norm", "m/s", 0.866),
+    *vector("velocity"),
+    *vector("angular_velocity", "rad/s", 0.035),
+    Component("energy", "kJ", 10.0),
+    Component("temperature", "deg C", 10.0),
+    *vector("sun"),
+    Component("sun_alignment", "1", 1.0),
+    *vector("priority"),
+    Component("priority_alignment", "1", 1.0),
+    *vector("uninspected"),
+    Component("uninspected_alignment", "1", 1.0),
+    Component("inspected_score", "1", 1.0),
 )
 SIZE = len(OBSERVATIONS)
 
@@ -46,7 +62,7 @@ def observe(x: Tensor, priority: Tensor, uninspected: Tensor, score: Tensor) -> 
 
 def scales(like: Tensor) -> Tensor:
     """Divisors (26, 1) on the device and in the precision of `like`."""
-    return like.new_tensor([scale for _, scale in OBSERVATIONS])[:, None]
+    return like.new_tensor([scale for _, _, scale in OBSERVATIONS])[:, None]
 
 
 def normalised(x: Tensor, priority: Tensor, uninspected: Tensor, score: Tensor) -> Tensor:

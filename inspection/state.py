@@ -22,4 +22,5 @@ SIZE = 16
 
 THRUST = slice(0, 3)
 TORQUE = slice(3, 6)
-CONTROL_SIZE = 6
+CONTROLS = (*(f"thrust_{i}" for i in "xyz"), *(f"torque_{i}" for i in "xyz"))  # body axes, N and N m
+CONTROL_SIZE = len(CONTROLS)

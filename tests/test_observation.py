@@ -67,11 +67,18 @@ def test_alignment_is_one_where_the_deputy_is_under_the_sun(random_states, gener
 
 def test_names_are_in_the_papers_order():
     assert SIZE == 26
-    names = [name for name, _ in OBSERVATIONS]
+    names = [name for name, _, _ in OBSERVATIONS]
     assert names[0] == "position_norm" and names[4] == "velocity_norm"
     assert names[8:13] == [*(f"angular_velocity_{i}" for i in "xyz"), "energy", "temperature"]
     alignments = ["sun_alignment", "priority_alignment", "uninspected_alignment"]
     assert [names[i] for i in (16, 20, 24)] == alignments and names[25] == "inspected_score"
+
+
+def test_units_are_those_of_the_state():
+    units = dict.fromkeys((name for name, _, _ in OBSERVATIONS), "1")
+    units |= {"position_norm": "m", "velocity_norm": "m/s", "energy": "kJ", "temperature": "deg C"}
+    units |= {f"angular_velocity_{i}": "rad/s" for i in "xyz"}
+    assert {name: unit for name, unit, _ in OBSERVATIONS} == units
 
 
 def test_scales_divide_by_the_size_of_each_quantity():
