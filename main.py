@@ -17,7 +17,7 @@ from ppo.learner import NonFiniteError
 from study import config as configuration
 from study.arguments import DEFAULT_SOLVER, VERIFY, build_parser
 from study.config import AnyConfig, Config, StudyConfig, TrainParameters
-from study.errors import InputError, ReplayError, refusing
+from study.errors import ExportError, InputError, ReplayError, refusing
 
 
 def resolve(arguments: argparse.Namespace, base: AnyConfig) -> AnyConfig:
@@ -224,6 +224,24 @@ def run_verify(arguments: argparse.Namespace) -> None:
     print(table(report))
 
 
+def run_export(arguments: argparse.Namespace) -> None:
+    """main.py export"""
+    from study import build
+
+    with refusing("export needs the packages onnx and onnxruntime of requirements.txt", ImportError):
+        from study import export
+    check_writable(arguments.out, "--out")
+    policy, config = build.load_policy(arguments.checkpoint)
+    model = export.to_onnx(policy, config.inspection)
+    difference = export.check(model, policy)
+    with refusing(f"--out {arguments.out}: cannot write it", OSError):
+        Path(arguments.out).write_bytes(model)
+    print(
+        f"{arguments.out}: {len(model):,} bytes, at most {difference:.1g} from PyTorch's controls "
+        f"over {export.SAMPLES:,} observations"
+    )
+
+
 def run_benchmark(arguments: argparse.Namespace) -> None:
     """main.py benchmark"""
     from study import benchmark, benchmark_report
@@ -272,6 +290,7 @@ COMMANDS = {
     "filter": run_filter,
     "verify": run_verify,
     "benchmark": run_benchmark,
+    "export": run_export,
 }
 
 
@@ -288,7 +307,7 @@ def main(argv: list[str] | None = None) -> int:
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)
         return 130
-    except ReplayError as error:
+    except (ReplayError, ExportError) as error:
         print(f"error: {error}", file=sys.stderr)
         return 1
     except NonFiniteError as error:

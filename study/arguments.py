@@ -380,6 +380,17 @@ def add_benchmark(commands: Commands) -> None:
     parser.set_defaults(config=None)
 
 
+def add_export(commands: Commands) -> None:
+    """main.py export"""
+    parser = commands.add_parser(
+        "export", allow_abbrev=False, help="write an agent as an ONNX file, checked against PyTorch"
+    )
+    parser.add_argument(
+        "--checkpoint", required=True, metavar="F", help="the agent: policy.pt or checkpoint.pt of a run"
+    )
+    parser.add_argument("--out", required=True, metavar="F.onnx", help="file to write")
+
+
 COMMANDS = {
     "train": add_train,
     "study": add_study,
@@ -389,6 +400,7 @@ COMMANDS = {
     "filter": add_filter,
     "verify": add_verify,
     "benchmark": add_benchmark,
+    "export": add_export,
 }
 
 

@@ -12,6 +12,10 @@ class ReplayError(Exception):
     """A counter-example does not come out as recorded: one line on stderr and exit code 1."""
 
 
+class ExportError(Exception):
+    """An exported agent does not act as the original: one line on stderr and exit code 1."""
+
+
 @contextmanager
 def refusing(where: str, *exceptions: type[BaseException]) -> Iterator[None]:
     """Turns the given exceptions into an InputError that begins with `where`."""

@@ -124,7 +124,10 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
         (["filter", "--out", "x"], ["--states"]),
         (["filter", "--states", "nowhere.npz", "--out", "x"], ["nowhere.npz", "no such file"]),
         (["filter", "--states", "x", "--out", "x", "--no-rta"], ["--no-rta"]),
-        ([], ["train | study | report | evaluate | simulate | filter | verify | benchmark"]),
+        (["export", "--checkpoint", "x.pt"], ["--out"]),
+        (["export", "--checkpoint", "nowhere.pt", "--out", "x"], ["nowhere.pt", "no such checkpoint"]),
+        (["export", "--checkpoint", "x.pt", "--out", "nowhere/x.onnx"], ["--out", "cannot write"]),
+        ([], ["train | study | report | evaluate | simulate | filter | verify | benchmark | export"]),
     ],
 )
 def test_bad_flags_are_refused(

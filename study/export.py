@@ -1,0 +1,77 @@
+"""An agent as an ONNX file: normalised observation in, normalised control out, checked against PyTorch."""
+
+import json
+
+import numpy as np
+import onnx
+import onnxruntime
+import torch
+from onnx import TensorProto, helper, numpy_helper
+
+from inspection.observation import OBSERVATIONS, Component
+from inspection.parameters import InspectionParameters
+from inspection.state import CONTROL_SIZE, CONTROLS
+from ppo.network import Policy
+from study.errors import ExportError
+
+# what runtimes of the last years read; tanh and affine maps need nothing newer
+OPSET, IR_VERSION = 17, 8
+SAMPLES = 1000  # observations of the check
+TOLERANCE = 1e-5
+
+
+def to_onnx(policy: Policy, c: InspectionParameters) -> bytes:
+    """The network of a policy of one seed, written layer by layer: its mean action, as `Policy.mean_action`.
+
+    The input `observation` (batch, 26) and the output `control` (batch, 6) are float32 and divided by their scales. The
+    metadata hold both components' names, units and scales as JSON lists, and action_period, in s.
+    """
+    layers = list(policy.network.layers)
+    weights, nodes = [], []
+    for i, layer in enumerate(layers):
+        last = i == len(layers) - 1
+        columns = slice(CONTROL_SIZE if last else None)  # the last layer's others are the log-std's
+        for name, value in (("weight", layer.weight[0, :, columns]), ("bias", layer.bias[0, 0, columns])):
+            weights.append(numpy_helper.from_array(value.detach().cpu().numpy(), f"{name}_{i}"))
+        inputs = "observation" if i == 0 else f"hidden_{i}"
+        output = "control" if last else f"hidden_{i + 1}"
+        nodes.append(helper.make_node("Gemm", [inputs, f"weight_{i}", f"bias_{i}"], [f"affine_{i}"]))
+        nodes.append(helper.make_node("Tanh", [f"affine_{i}"], [output]))
+    batches = [
+        helper.make_tensor_value_info(name, TensorProto.FLOAT, ["batch", size])
+        for name, size in (("observation", len(OBSERVATIONS)), ("control", CONTROL_SIZE))
+    ]
+    graph = helper.make_graph(nodes, "policy", batches[:1], batches[1:], weights)
+    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", OPSET)], ir_version=IR_VERSION)
+    helper.set_model_props(model, metadata(c))
+    onnx.checker.check_model(model, full_check=True)
+    return model.SerializeToString()
+
+
+def metadata(c: InspectionParameters) -> dict[str, str]:
+    """What a file says of its numbers: component = number * scale, in unit."""
+    controls = [
+        Component(name, "N" if name.startswith("thrust") else "N m", limit)
+        for name, limit in zip(CONTROLS, c.control_limit, strict=True)
+    ]
+    return {
+        "observation": json.dumps([component._asdict() for component in OBSERVATIONS]),
+        "control": json.dumps([component._asdict() for component in controls]),
+        "action_period": json.dumps(c.action_period),
+    }
+
+
+def check(model: bytes, policy: Policy) -> float:
+    """The largest difference between ONNX Runtime's controls and PyTorch's, at observations of unit variance.
+
+    Raises:
+        ExportError: it exceeds TOLERANCE.
+    """
+    session = onnxruntime.InferenceSession(model, providers=["CPUExecutionProvider"])
+    shape = SAMPLES, len(OBSERVATIONS)
+    observation = torch.randn(shape, generator=torch.Generator().manual_seed(0))
+    (control,) = session.run(None, {"observation": observation.numpy()})
+    difference = float(np.abs(control - policy.mean_action(observation[None])[0].numpy()).max())
+    if not difference <= TOLERANCE:
+        raise ExportError(f"the exported controls differ from PyTorch's by {difference:.1g}")
+    return difference
