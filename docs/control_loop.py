@@ -1,0 +1,82 @@
+"""An exported agent and the filter in the control loop of one spacecraft, and how long their calls take.
+
+    python main.py export --checkpoint runs/reference/rta/seed0/policy.pt --out policy.onnx
+    python -m docs.control_loop policy.onnx
+
+Every 10 s the agent observes and decides, every second the filter corrects, in between the spacecraft flies. The agent
+runs in ONNX Runtime, the filter in PyTorch, both on one thread.
+"""
+
+import argparse
+import json
+import time
+
+import numpy as np
+import onnxruntime
+import torch
+
+from inspection.dynamics import step
+from inspection.environment import InspectionEnv
+from inspection.parameters import InspectionParameters
+from rta.filter import SafetyFilter
+from rta.parameters import RtaParameters
+
+
+def load(path: str) -> onnxruntime.InferenceSession:
+    """An ONNX file as a single-threaded session."""
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = options.inter_op_num_threads = 1
+    return onnxruntime.InferenceSession(path, options, providers=["CPUExecutionProvider"])
+
+
+def control_loop(
+    session: onnxruntime.InferenceSession, safety: SafetyFilter, seconds: int
+) -> tuple[dict[str, list[float]], int]:
+    """Flies from a random start; returns the s that each call took, and after how many seconds any h was below 0."""
+    about = session.get_modelmeta().custom_metadata_map
+    scale = torch.tensor([[component["scale"]] for component in json.loads(about["control"])]).double()
+    action_period = round(json.loads(about["action_period"]))
+    env = InspectionEnv(1, safety.c, [torch.Generator().manual_seed(0)], safety.safety())
+    env.reset()
+    latency: dict[str, list[float]] = {"policy": [], "filter": []}
+    violated = 0
+    for second in range(seconds):
+        if second % action_period == 0:
+            env.look()  # which points of the chief the camera sees
+            observation = env.observation().numpy()
+            started = time.perf_counter()
+            (action,) = session.run(None, {"observation": observation})
+            latency["policy"].append(time.perf_counter() - started)
+            u = torch.from_numpy(action.T) * scale
+        started = time.perf_counter()
+        result = safety(env.x, u)
+        latency["filter"].append(time.perf_counter() - started)
+        u = result.control
+        env.x = step(env.x, u, 1.0, safety.c)
+        violated += bool((safety.values(env.x) < 0.0).any())
+    return latency, violated
+
+
+def main(argv: list[str] | None = None) -> None:
+    parser = argparse.ArgumentParser(prog="python -m docs.control_loop")
+    parser.add_argument("policy", help="ONNX file")
+    parser.add_argument("--seconds", type=int, default=1000, help="to fly (default: 1000)")
+    parser.add_argument(
+        "--compile", action="store_true", help="compile the filter, which takes a minute the first time"
+    )
+    arguments = parser.parse_args(argv)
+    torch.set_num_threads(1)
+    safety = SafetyFilter(InspectionParameters(), RtaParameters())
+    if arguments.compile:
+        safety.compile("cpu", 1)
+    session = load(arguments.policy)
+    control_loop(session, safety, 2)  # the first calls take longer
+    latency, violated = control_loop(session, safety, arguments.seconds)
+    for name, calls in latency.items():
+        median, slow = 1e3 * np.percentile(calls, (50, 99))
+        print(f"{name}: median {median:.3f} ms, 99th percentile {slow:.3f} ms of {len(calls):,} calls")
+    print(f"a constraint was violated in {violated:,} of {arguments.seconds:,} seconds")
+
+
+if __name__ == "__main__":
+    main()

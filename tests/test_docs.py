@@ -1,0 +1,72 @@
+"""The pages under docs/ are programs: each runs from top to bottom and prints what it says it prints."""
+
+import contextlib
+import io
+import re
+import shlex
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import main
+from docs import control_loop
+
+ROOT = Path(main.__file__).parent
+PAGES = ("your_own_policy", "your_own_constraint", "your_own_reward")
+NUMBER = re.compile(r"-?\d[\d,]*\.?\d*")
+COMMANDS = {"python main.py ": main.main, "python -m docs.control_loop ": control_loop.main}
+
+
+def blocks(page: str) -> list[tuple[str, str, str]]:
+    """(language, content, the text before it) of each fenced block."""
+    text = (ROOT / "docs" / f"{page}.md").read_text(encoding="utf-8")
+    return [(match[2], match[3], match[1]) for match in re.finditer(r"(?s)(.*?)```(\w+)\n(.*?)```", text)]
+
+
+def run(page: str) -> tuple[str, str]:
+    """Runs a page in the working directory: what it printed, and what it says it prints."""
+    names: dict[str, object] = {}
+    printed, promised = io.StringIO(), ""
+    with contextlib.redirect_stdout(printed):
+        for language, content, before in blocks(page):
+            if language == "python":
+                exec(compile(content, f"docs/{page}.md", "exec"), names)
+            elif language == "shell":
+                for line in content.splitlines():
+                    command = next(prefix for prefix in COMMANDS if line.startswith(prefix))
+                    assert not COMMANDS[command](shlex.split(line.removeprefix(command))), line
+            elif language == "text":
+                promised += content
+            else:  # a file, which the text names last
+                Path(re.findall(r"`([\w.]+)`", before)[-1]).write_text(content, encoding="utf-8")
+    return printed.getvalue(), promised
+
+
+def numbers(text: str) -> list[float]:
+    return [float(word.replace(",", "")) for word in NUMBER.findall(text)]
+
+
+@pytest.fixture(autouse=True)
+def elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A directory that holds what a checkout has, to write in."""
+    (tmp_path / "runs").mkdir()
+    (tmp_path / "runs" / "reference").symlink_to(ROOT / "runs" / "reference")
+    monkeypatch.chdir(tmp_path)
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_a_page_prints_what_it_says(page: str) -> None:
+    printed, promised = run(page)
+    assert NUMBER.sub("#", printed).split() == NUMBER.sub("#", promised).split()
+    # another processor rounds otherwise; zero violations are zero everywhere
+    np.testing.assert_allclose(numbers(printed), numbers(promised), rtol=0.03, atol=1e-9)
+
+
+def test_the_control_loop_reports_latencies() -> None:
+    line = re.compile(r"(\w+): median ([\d.]+) ms, 99th percentile ([\d.]+) ms of (\d+) calls")
+    for text in run("export"):
+        calls = {name: int(count) for name, _, _, count in line.findall(text)}
+        assert calls == {"policy": 3, "filter": 30}
+        assert all(0.0 < float(median) <= float(slow) for _, median, slow, _ in line.findall(text))
+        assert "policy.onnx: 299," in text and "violated in 0 of 30 seconds" in text
