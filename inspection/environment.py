@@ -285,9 +285,8 @@ class InspectionEnv:
             violation_steps=self.violation_steps.clone(),
             steps=self.steps.clone(),
         )
-        fresh = torch.nonzero(transition.done).flatten()
+        fresh = self._restart(transition.done)
         if fresh.numel():
-            self._restart(transition.done)
             transition.observation = final_observation.clone()
             transition.observation[fresh] = self._observe(fresh, self._score(fresh))
         return transition
@@ -352,12 +351,15 @@ class InspectionEnv:
         percent = 100.0 * self.any_violation_steps / self.steps
         return torch.stack((score, self.totals[0], self.time, self.totals[1], self.totals[2], percent))
 
-    def _restart(self, mask: Tensor) -> None:
-        """Draws new initial conditions where mask (B,) is set, each seed's from its own generator."""
-        for k, starts in enumerate(self.starts):
-            columns = torch.nonzero(mask[k * self.num_envs : (k + 1) * self.num_envs]).flatten()
-            if columns.numel():
-                self._begin(columns + k * self.num_envs, *starts.take(columns.numel()))
+    def _restart(self, mask: Tensor) -> Tensor:
+        """Draws new initial conditions where mask (B,) is set, each seed's from its own generator; returns where."""
+        columns = torch.nonzero(mask).flatten()
+        counts = torch.bincount(columns // self.num_envs, minlength=len(self.starts)).tolist()
+        for starts, own in zip(self.starts, columns.split(counts), strict=True):
+            states = starts.take(own.numel())  # none, too: others may be taking theirs
+            if own.numel():
+                self._begin(own, *states)
+        return columns
 
     def _begin(self, columns: Tensor, x: Tensor, priority: Tensor) -> None:
         """Puts fresh episodes into the given columns; points visible at the start count as inspected."""

@@ -79,6 +79,8 @@ class InitialStates:
 
     Attributes:
         pool: (16 + 3, k) states and priority vectors not handed out yet.
+        turn: where several supplies with equal generators hand out one row of states in turns, each a part: says for
+            a count how many the supplies before this one hand out first, and all of them together.
     """
 
     def __init__(
@@ -89,6 +91,7 @@ class InitialStates:
     ) -> None:
         self.generator, self.c, self.is_safe = generator, c, is_safe
         self.pool = torch.zeros(SIZE + 3, 0, dtype=torch.float64, device=generator.device)
+        self.turn: Callable[[int], tuple[int, int]] = lambda count: (0, count)
 
     def seed(self, seed: int) -> None:
         """Makes the states to come those that follow from a seed (0 to 2^63 - 1)."""
@@ -97,8 +100,9 @@ class InitialStates:
 
     def take(self, count: int) -> tuple[Tensor, Tensor]:
         """The next `count` states (16, count) and priority vectors (3, count)."""
-        while self.pool.shape[1] < count:
+        before, together = self.turn(count)
+        while self.pool.shape[1] < together:
             drawn = torch.cat(sample_initial_state(POOL, self.generator, self.c, self.is_safe))
             self.pool = torch.cat((self.pool, drawn), 1)
-        taken, self.pool = self.pool[:, :count], self.pool[:, count:]
+        taken, self.pool = self.pool[:, before : before + count], self.pool[:, together:]
         return taken[:SIZE], taken[SIZE:]

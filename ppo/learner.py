@@ -8,6 +8,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from ppo.distributed import ALONE, Ranks
 from ppo.network import Policy, Value, log_std_bias
 
 TRAINED_ON = ("observation", "action", "log_prob", "advantage", "return_")
@@ -62,16 +63,24 @@ def explained_variance(value: Tensor, return_: Tensor) -> Tensor:
 class PPO:
     """Learner of S seeds: `policy`, `value` and `generators` (one per seed) must all have the same S.
 
-    generators[k] orders the minibatches of seed k. Raises ValueError if the numbers of seeds differ.
+    generators[k] orders the minibatches of seed k. Of many `ranks`, all with equal networks, generators and
+    batches, each computes the gradient on its share of every minibatch, and all take the step of the whole.
+    Raises ValueError if the numbers of seeds differ.
     """
 
     def __init__(
-        self, policy: Policy, value: Value, parameters: PPOParameters, generators: Sequence[torch.Generator]
+        self,
+        policy: Policy,
+        value: Value,
+        parameters: PPOParameters,
+        generators: Sequence[torch.Generator],
+        ranks: Ranks = ALONE,
     ) -> None:
         self.policy = policy
         self.value = value
         self.parameters = parameters
         self.generators = generators
+        self.ranks = ranks
         self._named = {f"policy.{name}": weight for name, weight in policy.named_parameters()}
         self._named |= {f"value.{name}": weight for name, weight in value.named_parameters()}
         for name, weight in self._named.items():
@@ -118,15 +127,20 @@ class PPO:
             require_finite(f"the batch's {name}", batch[name])
         rows = {name: batch[name].flatten(0, 1) for name in TRAINED_ON}
         history: list[Tensor] = []
-        for index in self._minibatches(batch["log_prob"].shape[1], batch["log_prob"].device):
+        samples = batch["log_prob"].shape[1]
+        size = self._minibatch(samples)[1]
+        for index in self._minibatches(samples, batch["log_prob"].device):
             loss, statistics = self._loss({name: tensor[index] for name, tensor in rows.items()})
             self.optimiser.zero_grad()
             # the sum over seeds leaves each seed the gradient it would have alone
             loss.sum().backward()
+            self.ranks.average([weight.grad for weight in self._named.values()], size)
             statistics |= self._clip_gradients()
             self.optimiser.step()
             history.append(torch.stack(list(statistics.values())))
-        mean = _finite_mean(torch.stack(history), list(statistics))
+        steps = torch.stack(history)
+        self.ranks.average([steps], size)
+        mean = _finite_mean(steps, list(statistics))
         for name, weight in self._named.items():
             require_finite(name, weight)
         reported = {name: tensor for name, tensor in mean.items() if name not in self._named}
@@ -162,18 +176,19 @@ class PPO:
             yield from torch.stack(orders).to(device)[:, : count * size].split(size, dim=1)
 
     def _loss(self, batch: dict[str, Tensor]) -> tuple[Tensor, dict[str, Tensor]]:
-        """Return the loss (S,) of a minibatch and its statistics (S,), which carry no gradient."""
+        """Return the loss (S,) and statistics (S,), which carry no gradient, of this rank's share of a minibatch."""
         clip = self.parameters.clip
-        log_prob, entropy = self.policy.log_prob_and_entropy(batch["observation"], batch["action"])
-        log_ratio = log_prob - batch["log_prob"]
+        own = {name: self.ranks.own(tensor, 1) for name, tensor in batch.items()}
+        log_prob, entropy = self.policy.log_prob_and_entropy(own["observation"], own["action"])
+        log_ratio = log_prob - own["log_prob"]
         ratio = log_ratio.exp()
         variance, mean = torch.var_mean(batch["advantage"], dim=1, correction=0, keepdim=True)
-        advantage = (batch["advantage"] - mean) / (variance.sqrt() + 1e-8)
+        advantage = self.ranks.own((batch["advantage"] - mean) / (variance.sqrt() + 1e-8), 1)
         # L_clip = -E[min(ratio A, clip(ratio, 1 - epsilon, 1 + epsilon) A)]   (2017, eq. 7)
         surrogate = torch.minimum(ratio * advantage, ratio.clamp(1.0 - clip, 1.0 + clip) * advantage)
         losses = {
             "policy_loss": -surrogate.mean(1),
-            "value_loss": (self.value(batch["observation"]) - batch["return_"]).square().mean(1),
+            "value_loss": (self.value(own["observation"]) - own["return_"]).square().mean(1),
             "entropy": entropy.mean(1),
         }
         # L = L_clip + c_v L_value - c_e H   (2017, eq. 9)

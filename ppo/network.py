@@ -10,6 +10,8 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor, nn
 
+from ppo.distributed import ALONE, Ranks
+
 HIDDEN_GAIN = math.sqrt(2.0)
 POLICY_GAIN = 0.01  # small, so that the first policy hardly depends on the observation
 VALUE_GAIN = 1.0
@@ -124,10 +126,16 @@ class Policy(nn.Module):
         return mean, low + (high - low) * 0.5 * (1.0 + level)
 
     @torch.no_grad()
-    def sample(self, observation: Tensor, generators: Sequence[torch.Generator]) -> tuple[Tensor, Tensor]:
-        """Draw actions (S, B, A), not clipped, with their log-probabilities (S, B); carries no gradient."""
+    def sample(
+        self, observation: Tensor, generators: Sequence[torch.Generator], ranks: Ranks = ALONE
+    ) -> tuple[Tensor, Tensor]:
+        """Draw actions (S, B, A), not clipped, with their log-probabilities (S, B); carries no gradient.
+
+        Of many ranks each draws the noise of all and takes its share, so that their generators stay equal.
+        """
         mean, log_std = self(observation)
-        noise = draw_noise(generators, mean.shape[1:], mean.device)
+        _, batch, controls = mean.shape
+        noise = ranks.own(draw_noise(generators, (batch * ranks.size, controls), mean.device), 1)
         action = mean + log_std.exp() * noise
         # from the action, not the noise: the learner then recomputes the same number and starts at ratio one
         return action, gaussian_log_prob(action, mean, log_std)

@@ -39,7 +39,8 @@ def collect(
 ) -> dict[str, Tensor]:
     """Acts for `steps` steps and returns the learner's batch, (S, N, ...) with N = steps * E.
 
-    The action kept is the one the agent desired, whatever a filter in the environment made of it.
+    The action kept is the one the agent desired, whatever a filter in the environment made of it. Of many ranks
+    (learner.ranks), each steps its share of the episodes, and the batch returned is that of all.
 
     Args:
         watch: is shown every transition, for statistics.
@@ -49,7 +50,7 @@ def collect(
     observation = env.observation().unflatten(0, (seeds, -1))
     value = learner.value(observation)
     for _ in range(steps):
-        action, log_prob = learner.policy.sample(observation, generators)
+        action, log_prob = learner.policy.sample(observation, generators, learner.ranks)
         transition = env.step(action.flatten(0, 1))
         following = transition.observation.unflatten(0, (seeds, -1))
         following_value = learner.value(following)
@@ -80,4 +81,5 @@ def collect(
     )
     batch = {name: rollout[name] for name in ("observation", "action", "log_prob", "value")}
     batch |= {"advantage": advantage, "return_": return_}
-    return {name: tensor.transpose(0, 1).flatten(1, 2) for name, tensor in batch.items()}
+    by_seed = {name: tensor.transpose(0, 1) for name, tensor in batch.items()}  # (S, T, E, ...)
+    return {name: learner.ranks.whole(tensor, 2).flatten(1, 2) for name, tensor in by_seed.items()}

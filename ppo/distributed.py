@@ -1,0 +1,159 @@
+"""The processes that torchrun started, called ranks, and what they tell each other.
+
+The only file that knows torch.distributed. A process that runs alone is rank 0 of 1: its exchanges return what they
+were given and cost nothing.
+"""
+
+import functools
+import io
+import os
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from datetime import timedelta
+from typing import Any
+
+import torch
+import torch.distributed as dist
+from torch import Tensor
+
+PATIENCE = timedelta(hours=1)  # with the others, which wait while the first rank evaluates
+
+
+class RankLostError(Exception):
+    """Another rank ended while this one counted on it."""
+
+
+@contextmanager
+def counting_on_others() -> Iterator[None]:
+    """Turns the failure of an exchange into a RankLostError."""
+    try:
+        yield
+    except RuntimeError as error:  # what every backend raises where a connection closes or stays silent
+        reason = str(error).splitlines()[0]
+        raise RankLostError(f"another rank ended ({reason[:120]})") from None
+
+
+class Ranks:
+    """This process among all that take part.
+
+    Attributes:
+        rank: its number, from 0; size: how many there are.
+    """
+
+    def __init__(self, rank: int = 0, size: int = 1, store: dist.Store | None = None) -> None:
+        self.rank, self.size, self.store = rank, size, store
+
+    @property
+    def first(self) -> bool:
+        """Whether this is rank 0, which writes and speaks for all."""
+        return self.rank == 0
+
+    def share(self, count: int) -> slice:
+        """Which of `count` things in a row are this rank's; the ranks' shares differ by one at most.
+
+        Raises ValueError where there are not enough for all.
+        """
+        if count < self.size:
+            raise ValueError(f"{count} cannot be shared by {self.size} ranks")
+        return slice(self.rank * count // self.size, (self.rank + 1) * count // self.size)
+
+    def own(self, tensor: Tensor, dim: int) -> Tensor:
+        """This rank's share of a tensor that every rank has, along an axis."""
+        if self.size == 1:
+            return tensor
+        share = self.share(tensor.shape[dim])
+        return tensor.narrow(dim, share.start, share.stop - share.start)
+
+    @counting_on_others()
+    def whole(self, tensor: Tensor, dim: int) -> Tensor:
+        """The ranks' tensors, of one shape, put together along an axis; the same on every rank."""
+        if self.size == 1:
+            return tensor
+        parts = [torch.empty_like(tensor, memory_format=torch.contiguous_format) for _ in range(self.size)]
+        dist.all_gather(parts, tensor.contiguous())
+        return torch.cat(parts, dim)
+
+    @counting_on_others()
+    def average(self, tensors: Sequence[Tensor], samples: int) -> None:
+        """Replaces each rank's means over its share of `samples` by those over all of them, in one exchange."""
+        if self.size == 1:
+            return
+        share = self.share(samples)
+        flat = torch.cat([tensor.flatten() for tensor in tensors]) * ((share.stop - share.start) / samples)
+        dist.all_reduce(flat)
+        for tensor, mean in zip(tensors, flat.split([tensor.numel() for tensor in tensors]), strict=True):
+            tensor.copy_(mean.view_as(tensor))
+
+    @counting_on_others()
+    def turn(self, count: int) -> tuple[int, int]:
+        """How many things in a row the ranks before this one take if it takes `count`, and all ranks together."""
+        counts = [torch.zeros(1, dtype=torch.int64) for _ in range(self.size)]
+        dist.all_gather(counts, torch.tensor([count]))
+        taken = torch.cat(counts).tolist()
+        return sum(taken[: self.rank]), sum(taken)
+
+    @counting_on_others()
+    def any(self, flag: bool) -> bool:
+        """Whether any rank's flag is set."""
+        if self.size == 1:
+            return flag
+        flags = torch.tensor(int(flag))
+        dist.all_reduce(flags, dist.ReduceOp.MAX)
+        return bool(flags)
+
+    @counting_on_others()
+    def collect(self, thing: Any, device: torch.device) -> list[Any]:
+        """On the first rank every rank's thing, with its tensors on `device`; elsewhere nothing."""
+        if self.size == 1:
+            return [thing]
+        buffer = io.BytesIO()
+        torch.save(thing, buffer)
+        sent: list[Any] | None = [None] * self.size if self.first else None
+        dist.gather_object(buffer.getvalue(), sent)
+        return [torch.load(io.BytesIO(each), device, weights_only=False) for each in sent or ()]
+
+    @counting_on_others()
+    def agree(self, thing: Any) -> Any:
+        """The first rank's thing."""
+        if self.size == 1:
+            return thing
+        things = [thing]
+        dist.broadcast_object_list(things)
+        return things[0]
+
+    def first_does(self, deed: Callable[[], None]) -> None:
+        """Lets the first rank do it and the others wait; what it raises, all raise."""
+        refusal = None
+        if self.first:
+            try:
+                deed()
+            except Exception as error:
+                refusal = error
+        if refusal := self.agree(refusal):
+            raise refusal
+
+    def first_to_say(self, line: str) -> bool:
+        """Whether no other rank said so; torchrun keeps the record, which outlives every rank."""
+        try:
+            return self.store is None or self.store.add(line, 1) == 1
+        except RuntimeError:  # torchrun itself has ended
+            return True
+
+
+ALONE = Ranks()
+
+
+@functools.cache
+def ranks() -> Ranks:
+    """The ranks of this job; the first call meets the others."""
+    if not dist.is_torchelastic_launched() or os.environ["WORLD_SIZE"] == "1":
+        return ALONE
+    store, rank, size = next(dist.rendezvous("env://", timeout=PATIENCE))
+    backend = "cpu:gloo,cuda:nccl" if torch.cuda.is_available() else "gloo"
+    dist.init_process_group(backend, store=store, rank=rank, world_size=size, timeout=PATIENCE)
+    return Ranks(rank, size, store)
+
+
+def local_rank() -> int:
+    """The number of this process on its machine, from 0."""
+    return int(os.environ.get("LOCAL_RANK", 0))
