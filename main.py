@@ -9,10 +9,12 @@ import json
 import os
 import sys
 import time
+from contextlib import redirect_stdout
 from pathlib import Path
 from typing import Any
 
 from ppo.checkpoint import CheckpointError
+from ppo.distributed import RankLostError, ranks
 from ppo.learner import NonFiniteError
 from study import config as configuration
 from study.arguments import DEFAULT_SOLVER, VERIFY, build_parser
@@ -72,14 +74,15 @@ def run_train(arguments: argparse.Namespace) -> None:
         train = config.train
         arm = f"rta_{train.rta_period:g}s" if train.rta else "no_rta"
         name = f"{arm}__{train.seed}__{time.strftime('%Y%m%d-%H%M%S')}"
-        run = training.start(config, Path(arguments.run_dir or Path("runs") / name))
+        run = training.start(config, Path(arguments.run_dir or Path("runs") / ranks().agree(name)))
     print(training.describe(run), flush=True)
     try:
         run.train()
     except training.Stopped as stopped:
         print(stopped)
         return
-    print(run.conclude())
+    if run.ranks.first:
+        print(run.conclude())
 
 
 def run_study(arguments: argparse.Namespace) -> None:
@@ -298,22 +301,31 @@ def main(argv: list[str] | None = None) -> int:
     """Parses and dispatches; returns the exit code."""
     arguments = build_parser(__doc__).parse_args(join_axis(sys.argv[1:] if argv is None else argv))
     try:
-        COMMANDS[arguments.command](arguments)
+        with redirect_stdout(sys.stdout if ranks().first else None):  # one of many ranks speaks for all
+            if ranks().size > 1 and arguments.command not in ("train", "study"):
+                raise InputError(
+                    f"torchrun: {arguments.command} runs in one process; only train and study in many"
+                )
+            COMMANDS[arguments.command](arguments)
     except (InputError, CheckpointError) as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 2
+        return complain(f"{error}", 2)
     except BrokenPipeError:  # the reader of our output, such as head, has left
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)
         return 130
-    except (ReplayError, ExportError) as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 1
+    except (ReplayError, ExportError, RankLostError) as error:
+        return complain(f"{error}", 1)
     except NonFiniteError as error:
-        print(f"error: training stopped at {error}", file=sys.stderr)
-        return 1
+        return complain(f"training stopped at {error}", 1)
     return 0
+
+
+def complain(reason: str, code: int) -> int:
+    """One line on stderr, of ranks that would say the same from one; returns the exit code."""
+    if ranks().first_to_say(reason):
+        print(f"error: {reason}", file=sys.stderr)
+    return code
 
 
 if __name__ == "__main__":

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from inspection.environment import METRICS, OUTCOMES
+from ppo.distributed import ranks
 from rta.constraints import CONSTRAINTS
 from study import config as configuration
 from study import training
@@ -61,17 +62,21 @@ def first_difference(one: StudyConfig, other: StudyConfig) -> str:
 def run(config: StudyConfig, directory: Path) -> str:
     """Trains and evaluates what is left of a study; returns the paper's tables.
 
+    Of many ranks, each trains some of the seeds, as it would without the others; the first one writes and returns.
+
     Raises:
         InputError: the directory holds a study with other settings; Stopped: a signal came first.
     """
     config = dataclasses.replace(config, train=training.with_solver(config).train)
-    prepare(config, directory)
+    ranks().first_does(lambda: prepare(config, directory))
     results = {}
     with on_signal(stop):  # outside an update, where nothing half done is kept
         for name in config.study.arms:
             path = directory / name / "results.json"
             if not path.exists():
                 finish(train(config, name, directory / name))
+            if not ranks().first:
+                continue
             with refusing(f"{path}: not the results of this program", OSError, ValueError):
                 results[name] = json.loads(path.read_text(encoding="utf-8"))
             write_json(directory / "results.json", {"arms": results})  # of the arms so far, for `report`
@@ -115,6 +120,8 @@ def finish(run: Run) -> None:
     """
     train = run.config.train
     record = run.play(train.final_episodes, TEST_CASES)
+    if not record:
+        return
     save_episodes(record, run.seeds, run.directory / "episodes.npz")
     together = report(record, run.config, train.rta, train.rta_period, TEST_CASES, len(run.seeds))
     about = {

@@ -12,6 +12,7 @@ from inspection.observation import SIZE as OBSERVATION_SIZE
 from inspection.state import CONTROL_SIZE
 from ppo import checkpoint
 from ppo.checkpoint import CheckpointError
+from ppo.distributed import local_rank
 from ppo.network import Policy
 from rta.filter import SafetyFilter, make_solver
 from study import config as configuration
@@ -34,9 +35,16 @@ def resolve_device(name: str) -> torch.device:
         raise InputError(
             "device cuda: no CUDA device is available here; allowed are auto and cpu (--device cpu)"
         )
-    return torch.device(
+    device = torch.device(
         "cuda" if name == "auto" and torch.cuda.is_available() else name.replace("auto", "cpu")
     )
+    if device.type == "cuda":  # each rank of a machine has one of its own
+        if local_rank() >= torch.cuda.device_count():
+            raise InputError(
+                f"device cuda: rank {local_rank()} of this machine finds {torch.cuda.device_count()} devices"
+            )
+        torch.cuda.set_device(local_rank())
+    return device
 
 
 def wants_compile(choice: str, repaid: bool) -> bool:

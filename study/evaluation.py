@@ -83,6 +83,19 @@ class Episodes:
             for k in range(seeds)
         ]
 
+    @classmethod
+    def join(cls, records: list["Episodes"]) -> "Episodes":
+        """The episodes of several records, one after another."""
+        if len(records) == 1:
+            return records[0]
+        names = [field.name for field in dataclasses.fields(cls) if field.name != "extremes"]
+        return cls(
+            **{name: torch.cat([getattr(record, name) for record in records], -1) for name in names},
+            extremes={
+                name: torch.cat([record.extremes[name] for record in records]) for name in records[0].extremes
+            },
+        )
+
 
 def raw_quantities(x: Tensor) -> dict[str, Tensor]:
     """What a person would check on states (16, B): each (B,), signed so that the smallest is the worst."""

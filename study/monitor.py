@@ -1,6 +1,7 @@
 """What a training run reports of its environment: one set of scalars per update."""
 
 from collections import defaultdict
+from functools import partial
 
 import torch
 from torch import Tensor
@@ -14,16 +15,18 @@ class Monitor:
 
     Args:
         constraints: their names; seeds: that share the batch in equal parts, one after another.
+        first_seed: the number of the first of them, counted from 0.
     """
 
-    def __init__(self, constraints: tuple[str, ...], seeds: int = 1) -> None:
-        self.constraints, self.seeds = constraints, seeds
-        self._clear()
+    def __init__(self, constraints: tuple[str, ...], seeds: int = 1, first_seed: int = 0) -> None:
+        self.constraints, self.seeds, self.first_seed = constraints, seeds, first_seed
+        self.clear()
 
-    def _clear(self) -> None:
+    def clear(self) -> None:
+        """Forgets all transitions."""
         self.steps = 0
         self.filter_calls = 0
-        self.sums: dict[str, Tensor] = defaultdict(lambda: torch.zeros(()))
+        self.sums: dict[str, Tensor] = defaultdict(partial(torch.zeros, ()))
         self.episodes: list[Tensor] = []  # (7, k) of those that ended: metrics and success
         self.owners: list[Tensor] = []  # (k,) their seeds
 
@@ -46,7 +49,17 @@ class Monitor:
         if done.any():
             success = (transition.outcome == OUTCOMES.index("success")).to(transition.metrics.dtype)
             self.episodes.append(torch.cat((transition.metrics, success[None]))[:, done])
-            self.owners.append(torch.nonzero(done).flatten() * self.seeds // done.numel())
+            own_seed = torch.nonzero(done).flatten() * self.seeds // done.numel()
+            self.owners.append(self.first_seed + own_seed)
+
+    def add(self, other: "Monitor") -> None:
+        """Takes in what another monitor has."""
+        self.steps += other.steps
+        self.filter_calls += other.filter_calls
+        for name, total in other.sums.items():
+            self.sums[name] = self.sums[name] + total
+        self.episodes += other.episodes
+        self.owners += other.owners
 
     def charts(self, seed: int | None = None) -> dict[str, float]:
         """Means over the episodes that ended since the last `scalars`, of one seed (counted from 0) or of all."""
@@ -76,5 +89,5 @@ class Monitor:
             every_call = (self.sums["rta_violated"] * percent).tolist()
             for name, value in zip(self.constraints, every_call, strict=True):
                 out[f"rta/filter_step_violation_percent_{name}"] = value
-        self._clear()
+        self.clear()
         return out

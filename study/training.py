@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
+from statistics import fmean
 from typing import Any
 
 import torch
@@ -21,11 +22,12 @@ from tqdm import tqdm
 from inspection.environment import METRICS, OUTCOMES, Correction
 from inspection.observation import SIZE as OBSERVATION_SIZE
 from ppo import checkpoint
+from ppo.distributed import RankLostError, ranks
 from ppo.learner import PPO, NonFiniteError
 from ppo.network import Policy, Value
 from ppo.trainer import Trainer
 from rta.constraints import CONSTRAINTS
-from study import build
+from study import build, shard
 from study import config as configuration
 from study.config import Config
 from study.errors import InputError, refusing
@@ -113,6 +115,7 @@ def provenance(config: Config, device: torch.device) -> dict[str, Any]:
         if device.type == "cuda"
         else platform.processor() or "cpu",
         "threads": torch.get_num_threads(),
+        "ranks": ranks().size,
     }
 
 
@@ -125,6 +128,8 @@ def write_settings(config: Config, directory: Path) -> None:
 class Run:
     """The training of one seed, or of several side by side as one batch, and its directory.
 
+    Of many ranks, each has a part of the episodes of one seed, or some of several seeds; the first one writes.
+
     Args:
         config: resolved configuration; directory: where everything is written.
         seeds: trained side by side, each with a directory of its own in `directory`; None: the configuration's
@@ -132,6 +137,7 @@ class Run:
 
     Attributes:
         homes: each seed's own directory.
+        shard: what of it is this rank's; env, policy and trainer are those of this part.
     """
 
     def __init__(self, config: Config, directory: Path, seeds: Sequence[int] | None = None) -> None:
@@ -140,7 +146,13 @@ class Run:
         self.seeds = (train.seed,) if seeds is None else tuple(seeds)
         self.homes = [directory if seeds is None else directory / f"seed{seed}" for seed in self.seeds]
         self.device = build.resolve_device(train.device)
-        generators = [torch.Generator(self.device).manual_seed(seed) for seed in self.seeds]
+        self.ranks = ranks()
+        if seeds is None:
+            self.shard = shard.of_episodes(config, self.ranks)
+        else:
+            self.shard = shard.of_seeds(config, self.ranks, len(self.seeds))
+        own_seeds, num_envs = self.seeds[self.shard.seeds], self.shard.num_envs
+        generators = [torch.Generator(self.device).manual_seed(seed) for seed in own_seeds]
         calls_per_step = round(config.inspection.action_period / train.rta_period)
         steps = train.updates * train.rollout_steps
         self.filter_compiled = train.rta and build.wants_compile(
@@ -148,20 +160,23 @@ class Run:
         )
         self.compiled = build.wants_compile(train.compile, steps >= build.WORTH_COMPILING_SIMULATOR)
         self.safety = build.make_safety(
-            config, train.rta, train.rta_period, self.filter_compiled, train.num_envs * len(self.seeds)
+            config, train.rta, train.rta_period, self.filter_compiled, num_envs * len(own_seeds)
         )
         self.timer = Timed(self.safety.correct)
         timed = replace(self.safety, correct=self.timer) if train.rta else self.safety
-        env = build.make_env(config, train.num_envs, generators, timed, self.compiled)
+        env = build.make_env(config, num_envs, generators, timed, self.compiled)
+        if self.shard.learners.size > 1:
+            for starts in env.starts:
+                starts.turn = self.shard.learners.turn
         policy = build.make_policy(config, generators)
         value = Value(OBSERVATION_SIZE, generators)
-        learner = PPO(policy, value, config.ppo, generators)
+        learner = PPO(policy, value, config.ppo, generators, self.shard.learners)
         if self.compiled:
             samples = train.num_envs * train.rollout_steps
             build.compile_or_explain("learner", lambda: learner.compile(samples))
         self.policy: Policy = policy
         self.trainer = Trainer(env, learner, train.rollout_steps, train.updates, generators)
-        self.monitor = Monitor(CONSTRAINTS, len(self.seeds))
+        self.monitor = Monitor(CONSTRAINTS, len(own_seeds), self.shard.seeds.start)
         self.env = env
 
     @property
@@ -186,8 +201,9 @@ class Run:
         """Continues from the directory's checkpoint."""
         saved = checkpoint.load(self.checkpoint_path, RESUMABLE, self.device)
         with refusing(f"{self.checkpoint_path}: does not fit this run", *MALFORMED):
-            self.trainer.load_state_dict(saved)
-        self.forget_later_evaluations()
+            self.trainer.load_state_dict(self.shard.split(saved))
+        if self.ranks.first:
+            self.forget_later_evaluations()
 
     def forget_later_evaluations(self) -> None:
         """Drops what a run that was killed had evaluated after its last checkpoint."""
@@ -203,20 +219,28 @@ class Run:
         return replace(self.config, train=replace(self.config.train, seed=seed))
 
     def save(self) -> None:
-        """Writes the checkpoint and each seed's policy alone."""
-        checkpoint.save(self.checkpoint_path, self.trainer.state_dict() | {"config": self.config.to_toml()})
-        weights = self.policy.state_dict()
+        """Writes the checkpoint of all ranks and each seed's policy alone."""
+        states = self.ranks.collect(self.trainer.state_dict(), self.device)
+        if not states:
+            return
+        state = self.shard.join(states)
+        checkpoint.save(self.checkpoint_path, state | {"config": self.config.to_toml()})
         for k, (seed, home) in enumerate(zip(self.seeds, self.homes, strict=True)):
-            own = {name: stacked[k : k + 1].clone() for name, stacked in weights.items()}
+            own = {name: stacked[k : k + 1].clone() for name, stacked in state["policy"].items()}
             checkpoint.save(home / "policy.pt", {"policy": own, "config": self.config_of(seed).to_toml()})
 
     def train(self) -> None:
-        """Trains to the end; raises Stopped where a signal came first, NonFiniteError where numbers went bad."""
+        """Trains to the end.
+
+        Raises:
+            Stopped: a signal came first; NonFiniteError: numbers went bad; RankLostError: another rank ended.
+        """
         train = self.config.train
         folders = [self.directory, *self.homes] if len(self.homes) > 1 else [self.directory]
-        self.writer, *self.seed_writers = (
-            SummaryWriter(str(folder), purge_step=self.interactions + 1) for folder in folders
-        )
+        self.writers = [
+            SummaryWriter(str(folder), purge_step=self.interactions + 1)
+            for folder in (folders if self.ranks.first else ())
+        ]
         stop: list[bool] = []
         total = train.updates * train.batch
         columns = (
@@ -231,32 +255,27 @@ class Run:
                 bar_format=columns,
                 dynamic_ncols=True,
                 mininterval=1.0,
+                disable=not self.ranks.first,
             ) as self.bar,
         ):
             try:
-                self.trainer.run(self.monitor, self.after_update, lambda: bool(stop))
-            except NonFiniteError as error:
-                raise NonFiniteError(
+                self.trainer.run(self.monitor, self.after_update, lambda: self.ranks.any(bool(stop)))
+            except (NonFiniteError, RankLostError) as error:
+                raise type(error)(
                     f"update {self.trainer.update + 1}: {error}; last good checkpoint: {self.checkpoint_path}"
                 ) from None
             finally:
-                for writer in (self.writer, *self.seed_writers):
+                for writer in self.writers:
                     writer.close()
         self.save()
-        if stop:
+        if self.ranks.any(bool(stop)):
             raise Stopped(
                 f"stopped after {self.interactions:,} interactions; continue with --resume {self.directory}"
             )
 
     def after_update(self, statistics: dict[str, float]) -> None:
-        """Logs the update; checkpoints and evaluates when due."""
+        """Checkpoints and evaluates when due; logs the update."""
         train = self.config.train
-        seconds = statistics["time/rollout_s"] + statistics["time/learning_s"]
-        for k, writer in enumerate(self.seed_writers):
-            for tag, value in self.monitor.charts(k).items():
-                writer.add_scalar(tag, value, self.interactions)
-        statistics |= self.monitor.scalars()
-        statistics["charts/SPS"] = len(self.seeds) * train.batch / seconds
         statistics["time/filter_s"] = self.timer.seconds
         statistics["time/simulation_s"] = statistics["time/rollout_s"] - self.timer.seconds
         self.timer.seconds = 0.0
@@ -268,8 +287,26 @@ class Run:
                 started = time.perf_counter()
                 action()
                 statistics[name] = time.perf_counter() - started
+        if reports := self.ranks.collect((statistics, self.monitor), self.device):
+            self.log_update(reports)
+        self.monitor.clear()
+
+    def log_update(self, reports: list[tuple[dict[str, float], Monitor]]) -> None:
+        """Shows the statistics and transitions of all ranks in TensorBoard and on the screen."""
+        train = self.config.train
+        parts, (monitor, *others) = zip(*reports, strict=True)
+        for other in others:
+            monitor.add(other)
+        seeds = [monitor.seeds for _, monitor in reports]
+        statistics = {tag: fmean((part[tag] for part in parts), seeds) for tag in parts[0]}
+        for k, writer in enumerate(self.writers[1:]):
+            for tag, value in monitor.charts(k).items():
+                writer.add_scalar(tag, value, self.interactions)
+        statistics |= monitor.scalars()
+        seconds = statistics["time/rollout_s"] + statistics["time/learning_s"]
+        statistics["charts/SPS"] = len(self.seeds) * train.batch / seconds
         for tag, value in statistics.items():
-            self.writer.add_scalar(tag, value, self.interactions)
+            self.writers[0].add_scalar(tag, value, self.interactions)
         shown = {
             label: f"{statistics[tag]:.{digits}f}"
             for label, tag, digits in (
@@ -294,9 +331,16 @@ class Run:
         episode_figure(episode, config.inspection, self.directory / "episode.png")
         return f"{tables(results)}\nWritten to {self.directory}: policy.pt, evaluation.json, episode.png"
 
-    def play(self, episodes: int, seed: int) -> Episodes:
-        """Deterministic episodes of every seed, in the configuration of training, from test cases drawn by `seed`."""
-        return play(self.policy, self.config, episodes, seed, self.device, self.safety, self.compiled)
+    def play(self, episodes: int, seed: int) -> Episodes | None:
+        """Deterministic episodes of every seed, in the configuration of training, from test cases drawn by `seed`.
+
+        Of many ranks, each plays its own seeds, the first one a seed that they share; it alone gets the episodes.
+        """
+        record = None
+        if self.shard.learners.first:
+            record = play(self.policy, self.config, episodes, seed, self.device, self.safety, self.compiled)
+        records = [each for each in self.ranks.collect(record, self.device) if each]
+        return Episodes.join(records) if records else None
 
     def report(self, record: Episodes, seed: int) -> list[dict[str, Any]]:
         """Each seed's episodes in the form of `evaluate --json`."""
@@ -309,9 +353,11 @@ class Run:
     def evaluate(self) -> None:
         """Periodic evaluation; a line per seed in evaluations.jsonl, with the metrics of every case."""
         record = self.play(self.config.train.evaluation_episodes, EVALUATION_SEED)
-        self.log(self.writer, record)
+        if not record:
+            return
+        self.log(self.writers[0], record)
         episodes = record.split(len(self.seeds))
-        for writer, own in zip(self.seed_writers, episodes, strict=False):
+        for writer, own in zip(self.writers[1:], episodes, strict=False):
             self.log(writer, own)
         lines = []
         for own, results in zip(episodes, self.report(record, EVALUATION_SEED), strict=True):
@@ -345,15 +391,21 @@ def with_solver(config: Config) -> Config:
 def start(config: Config, directory: Path) -> Run:
     """A fresh run in a directory that holds none; its solver is part of its configuration from here on."""
     config = with_solver(config)
+    ranks().first_does(lambda: make_directory(directory))
+    run = Run(config, directory)
+    if run.ranks.first:
+        with refusing(f"--run-dir {directory}: cannot write there", OSError):
+            write_settings(config, directory)
+    run.create()
+    return run
+
+
+def make_directory(directory: Path) -> None:
+    """Makes the directory of a new run; refuses one that holds a run."""
     with refusing(f"--run-dir {directory}: cannot write there", OSError, ValueError):
         if any((directory / name).exists() for name in ("config.toml", "policy.pt", "checkpoint.pt")):
             raise InputError(f"--run-dir {directory}: holds a run already; continue it with --resume")
         directory.mkdir(parents=True, exist_ok=True)
-    run = Run(config, directory)
-    with refusing(f"--run-dir {directory}: cannot write there", OSError):
-        write_settings(config, directory)
-    run.create()
-    return run
 
 
 def resume(directory: Path) -> Run:
@@ -374,7 +426,9 @@ def describe(run: Run) -> str:
     arm += ", compiled" if run.compiled or run.filter_compiled else ""
     first, *rest = run.seeds
     which = f"seeds {first} to {rest[-1]}" if rest else f"seed {first}"
-    return f"{run.directory}: {arm}, {which}, {run.env.time.numel()} episodes at once on {run.device}"
+    where = f"{run.ranks.size} ranks, {run.device.type}" if run.ranks.size > 1 else f"{run.device}"
+    episodes = len(run.seeds) * train.num_envs
+    return f"{run.directory}: {arm}, {which}, {episodes} episodes at once on {where}"
 
 
 __all__ = ["Run", "Stopped", "describe", "resume", "start"]
