@@ -7,6 +7,7 @@ Settings come from defaults, then from --config FILE.toml, then from flags.
 import argparse
 import json
 import os
+import signal
 import sys
 import time
 from contextlib import redirect_stdout
@@ -314,7 +315,10 @@ def main(argv: list[str] | None = None) -> int:
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)
         return 130
-    except (ReplayError, ExportError, RankLostError) as error:
+    except (ReplayError, ExportError) as error:
+        return complain(f"{error}", 1)
+    except RankLostError as error:
+        signal.signal(signal.SIGTERM, signal.SIG_IGN)  # from torchrun, which has noticed, too; we are leaving
         return complain(f"{error}", 1)
     except NonFiniteError as error:
         return complain(f"training stopped at {error}", 1)

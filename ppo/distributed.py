@@ -29,7 +29,8 @@ def counting_on_others() -> Iterator[None]:
     try:
         yield
     except RuntimeError as error:  # what every backend raises where a connection closes or stays silent
-        reason = str(error).splitlines()[0]
+        said = str(error).splitlines()[0]
+        reason = said.partition("] ")[2] or said  # without the place in the backend's source
         raise RankLostError(f"another rank ended ({reason[:120]})") from None
 
 
