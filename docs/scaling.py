@@ -31,7 +31,12 @@ from study.config import Config  # noqa: E402
 from study.training import Run, provenance, write_json  # noqa: E402
 
 RANKS = (1, 2, 4, 8, 16, 32)  # of the projection
-LINKS = {"this machine": None, "1 Gb/s": 1.25e8, "10 Gb/s": 1.25e9, "100 Gb/s": 1.25e10}  # bytes per s
+LINKS = {
+    "local": None,
+    "1 Gb/s": 1.25e8,
+    "10 Gb/s": 1.25e9,
+    "100 Gb/s": 1.25e10,
+}  # bytes per s; None: as measured
 FLOATS = OBSERVATION_SIZE + CONTROL_SIZE + 4  # of an interaction in a batch
 UPDATES = 3  # timed after one that is not
 REPEATS = 100
@@ -171,22 +176,16 @@ def tables(one: dict[str, Any], two: dict[str, Any]) -> str:
     lines += [f"| {name} | {1e3 * value:.2f} |" for name, value in two["exchange_s"].items()]
     lines += [
         "",
-        "| ranks, projected | rollout (s) | gradients (s) "
-        + "".join(f"| exchanges, {link} (s) " for link in LINKS)
-        + "| interactions per s, "
-        + " / ".join(LINKS)
+        "| ranks, projected | rollout (s) | gradients (s) | exchanges, local (s) | interactions per s, local | "
+        + " | ".join(name for name in LINKS if name != "local")
         + " |",
-        "|---|---|---|" + "---|" * (len(LINKS) + 1),
+        "|---|---|---|---|" + "---|" * len(LINKS),
     ]
     for count in RANKS:
-        parts = [update(one, two, count, rate) for rate in LINKS.values()]
-        lines.append(
-            f"| {count} | {parts[0]['rollout']:.2f} | {parts[0]['gradients']:.2f} | "
-            + " | ".join(f"{part['exchanges']:.2f}" for part in parts)
-            + " | "
-            + " / ".join(f"{batch / sum(part.values()):,.0f}" for part in parts)
-            + " |"
-        )
+        here, *others = (update(one, two, count, rate) for rate in LINKS.values())
+        rates = (f"{batch / sum(part.values()):,.0f}" for part in (here, *others))
+        lines.append(f"| {count} | " + " | ".join(f"{value:.2f}" for value in here.values()))
+        lines[-1] += f" | {' | '.join(rates)} |"
     return "\n".join(lines)
 
 

@@ -30,7 +30,9 @@ def counting_on_others() -> Iterator[None]:
         yield
     except RuntimeError as error:  # what every backend raises where a connection closes or stays silent
         said = str(error).splitlines()[0]
-        reason = said.partition("] ")[2] or said  # without the place in the backend's source
+        reason = (said.partition("] ")[2] or said).partition(". ")[
+            0
+        ]  # neither the place in the source nor advice
         raise RankLostError(f"another rank ended ({reason[:120]})") from None
 
 

@@ -95,3 +95,14 @@ def test_supply_does_not_depend_on_how_it_is_taken(c, monkeypatch):
 def test_supply_asks_for_safe_attitudes(c):
     x, _ = InitialStates(seeded(7), c, lambda x: x[Q][0] > 0.0).take(300)
     assert (x[Q][0] > 0.0).all()
+
+
+def test_supplies_that_take_turns_hand_out_one_row(c, monkeypatch):
+    monkeypatch.setattr(initial_state, "POOL", 7)
+    row = InitialStates(seeded(8), c)
+    first, second = InitialStates(seeded(8), c), InitialStates(seeded(8), c)
+    for one, other in ((3, 2), (0, 4), (9, 0)):
+        first.turn, second.turn = lambda n, k=other: (0, n + k), lambda n, k=one: (k, k + n)
+        taken = torch.cat((torch.cat(first.take(one)), torch.cat(second.take(other))), 1)
+        assert torch.equal(taken, torch.cat(row.take(one + other)))
+        assert torch.equal(first.generator.get_state(), row.generator.get_state())

@@ -66,4 +66,4 @@ def test_projection_adds_up(scaling: dict[str, Any], capsys: pytest.CaptureFixtu
     assert four == pytest.approx(10 * (6 * 0.05 + 6 * 1.0) + 3 * 0.05 + 3 * 2.0)
     text = scaling["tables"](one, two)
     assert "| 1 | 5.00 | 1.00 | 20 | 200 |" in text
-    assert "| 1 | 5.00 | 10.00 | 0.00 | 0.00 | 0.00 | 0.00 | 7 / 7 / 7 / 7 |" in text
+    assert "| 1 | 5.00 | 10.00 | 0.00 | 7 | 7 | 7 | 7 |" in text
