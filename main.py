@@ -328,7 +328,8 @@ def main(argv: list[str] | None = None) -> int:
 def complain(reason: str, code: int) -> int:
     """One line on stderr, of ranks that would say the same from one; returns the exit code."""
     if ranks().first_to_say(reason):
-        print(f"error: {reason}", file=sys.stderr)
+        unfinished = "" if ranks().first else "\n"  # the first rank's progress bar, where it ended midway
+        print(f"{unfinished}error: {reason}", file=sys.stderr)
     return code
 
 

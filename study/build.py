@@ -38,11 +38,10 @@ def resolve_device(name: str) -> torch.device:
     device = torch.device(
         "cuda" if name == "auto" and torch.cuda.is_available() else name.replace("auto", "cpu")
     )
-    if device.type == "cuda":  # each rank of a machine has one of its own
-        if local_rank() >= torch.cuda.device_count():
-            raise InputError(
-                f"device cuda: rank {local_rank()} of this machine finds {torch.cuda.device_count()} devices"
-            )
+    if device.type == "cuda" and local_rank() > 0:  # each rank of a machine has a device of its own
+        devices = torch.cuda.device_count()
+        if local_rank() >= devices:
+            raise InputError(f"device cuda: {devices} here, too few for rank {local_rank()} of this machine")
         torch.cuda.set_device(local_rank())
     return device
 

@@ -33,19 +33,27 @@ class Shard:
         """This rank's part of the state of a whole run."""
         if self.ranks.size == 1:
             return state
-        env = {name: values[..., self.columns] for name, values in state["env"].items() if name != "pools"}
-        env["pools"] = state["env"]["pools"][self.seeds]
-        return each(lambda values: values[self.seeds], state | {"env": {}}) | {"env": env}
+        columns, others = parted(state)
+        own = each(lambda values: values[self.seeds], others)
+        own["env"] |= {name: values[..., self.columns] for name, values in columns.items()}
+        return own
 
     def join(self, states: list[State]) -> State:
         """The state of the whole run from those of all ranks in order."""
         if len(states) == 1:
             return states[0]
-        envs = [state["env"] for state in states]
-        holders = slice(1) if self.learners.size > 1 else slice(None)  # ranks that differ in their seeds
-        env = {name: torch.cat([env[name] for env in envs], -1) for name in envs[0] if name != "pools"}
-        env["pools"] = concatenated(*(env["pools"] for env in envs[holders]))
-        return each(concatenated, *(state | {"env": {}} for state in states[holders])) | {"env": env}
+        columns, others = zip(*map(parted, states), strict=True)
+        shared = self.learners.size > 1  # the seed: all ranks have the same but for the episodes
+        whole = each(concatenated, *(others[:1] if shared else others))
+        whole["env"] |= {name: torch.cat([part[name] for part in columns], -1) for name in columns[0]}
+        return whole
+
+
+def parted(state: State) -> tuple[dict[str, torch.Tensor], State]:
+    """What has a column per episode, and the rest, of which a part has a place per seed."""
+    env = state["env"]
+    columns = {name: values for name, values in env.items() if isinstance(values, torch.Tensor)}
+    return columns, state | {"env": {name: env[name] for name in env.keys() - columns.keys()}}
 
 
 def each(function: Callable[..., Any], *states: Any) -> Any:
