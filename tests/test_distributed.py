@@ -6,6 +6,7 @@ import os
 import signal
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ import torch
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 import main
+from inspection import initial_state
 from ppo import checkpoint
 from ppo.distributed import ALONE, Ranks, ranks
 from study import config as configuration
@@ -44,12 +46,14 @@ max_time = 30.0 # s; every episode ends within each update
 epochs = 4
 minibatch_size = 9
 """
-STUDY = '[study]\nseeds = 3\narms = ["no_rta"]\n' + SETTINGS
+STUDY = '[study]\nseeds = 3\narms = ["no_rta"]\n' + SETTINGS.replace("72", "48")
+POOL = 16  # initial states drawn at once, so that more are drawn in the midst of a run
 
 
 def job(directory: Path) -> None:
     """What each of two ranks does under torchrun; rank 1 does not live to see the end."""
     torch.set_num_threads(1)
+    initial_state.POOL = POOL
     settings, after_update = directory / "train.toml", training.Run.after_update
     config = configuration.load(settings)
     training.start(config, directory / "whole").train()
@@ -80,6 +84,14 @@ def job(directory: Path) -> None:
     say([*train, str(directory / "lost")], 1)
     (directory / "survived").touch()
     sys.exit(1)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def small_pools() -> Iterator[None]:
+    """The job's pools for the runs of this process, too."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(initial_state, "POOL", POOL)
+        yield
 
 
 @pytest.fixture(scope="module")
