@@ -1,10 +1,12 @@
 """Simulating one spacecraft under any controller, and the files that go in and out."""
 
 import json
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import tomli_w
 import torch
 from torch import Tensor
 
@@ -202,7 +204,8 @@ def simulate(
 
     Returns:
         Arrays by name over time, the initial state first; `control_applied` is the control from the row's
-        time on, and the last row repeats the one before it.
+        time on, and the last row repeats the one before it. `inspected` is (rows, points) bool. `parameters`,
+        the only one not over time, is the task's table of a configuration file.
     """
     c, safety = env.c, env.safety
     env.start(x, priority)
@@ -220,6 +223,7 @@ def simulate(
             "control_desired": desired[:, 0],
             "control_applied": applied[:, 0],
             "inspected_score": env.score,
+            "inspected": env.inspected[:, 0].clone(),  # `look` writes in place
             "h": safety.values(x)[:, 0],
         }
 
@@ -249,7 +253,8 @@ def simulate(
     h = arrays.pop("h")
     arrays |= {f"h_{name}": h[:, i] for i, name in enumerate(CONSTRAINTS)}
     scalars = ("time", "inspected_score", "temperature", "energy", "sun_angle")
-    return {name: array[:, 0] if name in scalars else array for name, array in arrays.items()}
+    arrays = {name: array[:, 0] if name in scalars else array for name, array in arrays.items()}
+    return arrays | {"parameters": np.array(tomli_w.dumps({"inspection": asdict(c)}))}
 
 
 def common_episode(

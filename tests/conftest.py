@@ -15,7 +15,7 @@ from inspection.environment import METRICS
 from inspection.parameters import InspectionParameters
 from inspection.state import OMEGA, SIZE, THETA_S, E, P, Q, T, V
 from rta.constraints import CONSTRAINTS
-from study.config import ARMS, StudyConfig
+from study.config import ARMS, Config, StudyConfig
 
 torch.set_num_threads(1)
 settings.register_profile("project", deadline=None, derandomize=True, max_examples=40, database=None)
@@ -92,6 +92,8 @@ def made_up_episode(rng: np.random.Generator) -> dict[str, np.ndarray]:
         "control_desired": control,
         "control_applied": control,
         "inspected_score": t / t[-1],
+        "inspected": t[:, None] >= rng.uniform(0.0, 1.3 * t[-1], 100),
+        "parameters": np.array(Config().to_toml()),
         **{f"h_{name}": ones for name in CONSTRAINTS},
     }
 

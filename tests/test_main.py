@@ -14,7 +14,7 @@ from inspection.environment import METRICS
 from rta.constraints import CONSTRAINTS
 from rta.filter import SOLVERS
 from study import build, training
-from study.config import Config, override
+from study.config import Config, from_toml, override
 from study.evaluation import test_cases as common_cases
 
 STATE: dict[str, Any] = {
@@ -286,13 +286,15 @@ def test_simulate_replays_recorded_controls_from_a_state(
     assert code == 0, err
     result = np.load(out)
     names = "time position velocity quaternion angular_velocity temperature energy sun_angle"
-    names += " control_desired control_applied inspected_score"
+    names += " control_desired control_applied inspected_score inspected parameters"
     assert set(result.files) == {*names.split(), *(f"h_{name}" for name in CONSTRAINTS)}
     np.testing.assert_allclose(result["time"], np.arange(0, 41, 5))
     np.testing.assert_array_equal(result["position"][0], STATE["position"])
     np.testing.assert_allclose(result["control_applied"][:-1], actions, atol=1e-15)
     np.testing.assert_allclose(np.linalg.norm(result["quaternion"], axis=1), 1.0, atol=1e-12)
     assert result["temperature"].shape == result["h_battery"].shape == (9,)
+    assert from_toml(str(result["parameters"]), "it").inspection == Config().inspection
+    assert result["inspected"].shape == (9, Config().inspection.num_points)
 
 
 @pytest.mark.parametrize("controller", ["lqr-pd", "natural-motion", "zero", "random"])
