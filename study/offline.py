@@ -11,6 +11,7 @@ from rta import constraints
 from rta.constraints import CONSTRAINTS
 from rta.filter import SHORTEST_ROW, SafetyFilter
 from rta.qp import FEASIBLE, Status
+from study import arrays
 from study.errors import InputError
 from study.simulation import LARGEST, check_controls
 
@@ -25,8 +26,8 @@ def read_states(path: str, c: InspectionParameters) -> tuple[Tensor, Tensor]:
         InputError: unreadable, a key is missing, wrong shapes, not finite, a quaternion that is not of unit
             length, a state that does not exist, a control beyond the actuators.
     """
-    arrays = read_arrays(path, ("state", "control_desired"))
-    state, desired = arrays["state"], arrays["control_desired"]
+    given = read_arrays(path, ("state", "control_desired"))
+    state, desired = given["state"], given["control_desired"]
     count = state.shape[0] if state.ndim else 0
     for name, array, width in (("state", state, SIZE), ("control_desired", desired, CONTROL_SIZE)):
         if array.shape != (count, width) or not 0 < count <= MAX_STATES:
@@ -50,17 +51,11 @@ def read_states(path: str, c: InspectionParameters) -> tuple[Tensor, Tensor]:
 
 def read_arrays(path: str, names: tuple[str, ...]) -> dict[str, np.ndarray]:
     """The named arrays of a .npz file."""
-    try:
-        with np.load(path, allow_pickle=False) as file:
-            missing = [name for name in names if name not in file.files]
-            arrays = {name: file[name] for name in names if name not in missing}
-    except FileNotFoundError:
-        raise InputError(f"{path}: cannot read the states: no such file") from None
-    except (Exception, MemoryError):  # numpy reports damage through many exception types
-        raise InputError(f"{path}: cannot read the states: not a .npz file of numbers") from None
-    if missing:
-        raise InputError(f"{path}: {missing[0]} is missing; the file must hold {' and '.join(names)}")
-    return arrays
+    found = arrays.load(path, names, "states")
+    for name in names:
+        if name not in found:
+            raise InputError(f"{path}: {name} is missing; the file must hold {' and '.join(names)}")
+    return found
 
 
 def refuse_rows(path: str, what: str, wrong: Tensor, allowed: str) -> None:
@@ -101,11 +96,11 @@ def filter_states(safety_filter: SafetyFilter, x: Tensor, desired: Tensor) -> di
         filter_chunk(safety_filter, *part)
         for part in zip(x.split(CHUNK, 1), desired.split(CHUNK, 1), strict=True)
     ]
-    arrays = {name: torch.cat([chunk[name] for chunk in chunks]).cpu().numpy() for name in chunks[0]}
+    result = {name: torch.cat([chunk[name] for chunk in chunks]).cpu().numpy() for name in chunks[0]}
     fixed = (*safety_filter.barriers.thrust, *safety_filter.barriers.torque)
-    arrays["constraints"] = np.array(CONSTRAINTS)
-    arrays["constraint_of_row"] = np.array([CONSTRAINTS.index(row.constraint) for row in fixed])
-    return arrays
+    result["constraints"] = np.array(CONSTRAINTS)
+    result["constraint_of_row"] = np.array([CONSTRAINTS.index(row.constraint) for row in fixed])
+    return result
 
 
 def filter_chunk(safety_filter: SafetyFilter, x: Tensor, desired: Tensor) -> dict[str, Tensor]:
