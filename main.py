@@ -184,6 +184,17 @@ def run_simulate(arguments: argparse.Namespace) -> None:
     )
 
 
+def run_replay(arguments: argparse.Namespace) -> None:
+    """main.py replay"""
+    from study import replay
+
+    if len(arguments.runs) > 2:
+        raise InputError(f"{len(arguments.runs)} runs: at most two are shown side by side")
+    check_writable(arguments.out, "--out")
+    size = replay.write(arguments.runs, Path(arguments.out))
+    print(f"{arguments.out}: {1e-6 * size:.1f} MB, opens in a browser without a network")
+
+
 def run_filter(arguments: argparse.Namespace) -> None:
     """main.py filter"""
     import numpy as np
@@ -291,6 +302,7 @@ COMMANDS = {
     "report": run_report,
     "evaluate": run_evaluate,
     "simulate": run_simulate,
+    "replay": run_replay,
     "filter": run_filter,
     "verify": run_verify,
     "benchmark": run_benchmark,

@@ -294,6 +294,17 @@ def add_simulate(commands: Commands) -> None:
     )
 
 
+def add_replay(commands: Commands) -> None:
+    """main.py replay"""
+    parser = commands.add_parser(
+        "replay", allow_abbrev=False, help="write a page that plays one or two simulated runs in 3-D"
+    )
+    parser.add_argument(
+        "runs", nargs="+", metavar="RUN.npz", help="a file of simulate, or two, side by side (required)"
+    )
+    parser.add_argument("--out", required=True, metavar="F.html", help="page to write")
+
+
 def add_filter(commands: Commands) -> None:
     """main.py filter"""
     parser = commands.add_parser(
@@ -397,6 +408,7 @@ COMMANDS = {
     "report": add_report,
     "evaluate": add_evaluate,
     "simulate": add_simulate,
+    "replay": add_replay,
     "filter": add_filter,
     "verify": add_verify,
     "benchmark": add_benchmark,

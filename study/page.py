@@ -48,7 +48,7 @@ figcaption { font-size: 0.9rem; color: #333; margin-top: 0.3rem; }
 """
 
 
-def page(title: str, body: str) -> str:
+def page(title: str, body: str, style: str = STYLE) -> str:
     """A whole document."""
     return f"""<!DOCTYPE html>
 <html lang="en">
@@ -56,7 +56,7 @@ def page(title: str, body: str) -> str:
 <meta charset="utf-8">
 <meta name="viewport" content="width=device-width, initial-scale=1">
 <title>{escape(title)}</title>
-<style>{STYLE}</style>
+<style>{style}</style>
 </head>
 <body>
 <h1>{escape(title)}</h1>

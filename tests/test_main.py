@@ -127,7 +127,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
         (["export", "--checkpoint", "x.pt"], ["--out"]),
         (["export", "--checkpoint", "nowhere.pt", "--out", "x"], ["nowhere.pt", "no such checkpoint"]),
         (["export", "--checkpoint", "x.pt", "--out", "nowhere/x.onnx"], ["--out", "cannot write"]),
-        ([], ["train | study | report | evaluate | simulate | filter | verify | benchmark | export"]),
+        ([], ["train | study | report | evaluate | simulate | replay | filter | verify | benchmark | export"]),
     ],
 )
 def test_bad_flags_are_refused(
@@ -335,7 +335,7 @@ def test_simulate_filters_a_policy_at_the_rta_period(
 
 
 def test_help_gives_every_flag_a_default_or_says_it_is_required(capsys: pytest.CaptureFixture[str]) -> None:
-    for command in ("train", "study", "evaluate", "simulate", "filter", "verify", "benchmark"):
+    for command in ("train", "study", "evaluate", "simulate", "replay", "filter", "verify", "benchmark"):
         parser = main.build_parser()._subparsers._group_actions[0].choices[command]
         for action in parser._actions:
             if action.dest == "help":

@@ -1,0 +1,340 @@
+"""The replay: its data against the run's file by other formulas, and the page as a browser shows it."""
+
+import json
+import math
+import re
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from scipy.spatial.transform import Rotation
+
+import main
+from inspection.chief import fibonacci_sphere, point_weights
+from rta.constraints import CONSTRAINTS
+from study import replay, replay_data
+from tests.conftest import made_up_episode
+
+
+@pytest.fixture(scope="module")
+def episode() -> dict[str, np.ndarray]:
+    """A run of 290 s in rows of 10 s, tumbling, whose controls are corrected now and then."""
+    rng = np.random.default_rng(1)
+    made_up = made_up_episode(rng)
+    rows = len(made_up["time"])
+    corrected = made_up["control_desired"].copy()
+    corrected[[2, 3, 7], 1] += 1e-4  # thrust
+    corrected[[7, 20], 5] -= 1e-6  # torque
+    return made_up | {
+        "quaternion": Rotation.random(rows, rng).as_quat(),
+        "sun_angle": np.linspace(1.0, -2.0, rows),
+        "control_applied": corrected,
+        **{f"h_{name}": rng.uniform(-1.0, 9.0, rows) for name in CONSTRAINTS},
+    }
+
+
+@pytest.fixture(scope="module")
+def files(episode: dict[str, np.ndarray], tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    """The run, and another that ends sooner."""
+    directory = tmp_path_factory.mktemp("runs")
+    paths = directory / "one.npz", directory / "two.npz"
+    np.savez(paths[0], **episode)
+    np.savez(paths[1], **{name: array[:20] if array.ndim else array for name, array in episode.items()})
+    return paths
+
+
+@pytest.fixture(scope="module")
+def shown(files: tuple[Path, Path]) -> dict[str, Any]:
+    """What the page holds of the run."""
+    return embedded(replay.document([replay_data.read(str(files[0]))]))
+
+
+def embedded(page: str) -> dict[str, Any]:
+    """A page's data."""
+    found = re.search(r'<script type="application/json" id="data">(.*?)</script>', page, re.DOTALL)
+    assert found
+    return json.loads(found[1])
+
+
+def test_body_axes_are_the_columns_of_the_rotation(
+    episode: dict[str, np.ndarray], shown: dict[str, Any]
+) -> None:
+    expected = Rotation.from_quat(episode["quaternion"]).as_matrix()
+    np.testing.assert_allclose(shown["runs"][0]["axes"], expected.transpose(0, 2, 1), atol=1e-4)
+
+
+def test_the_cone_lies_half_the_field_of_view_about_the_camera(shown: dict[str, Any]) -> None:
+    rim = np.array(shown["runs"][0]["rim"])
+    np.testing.assert_allclose(np.linalg.norm(rim, axis=1), 1.0, atol=1e-3)
+    np.testing.assert_allclose(np.degrees(np.arccos(rim[:, 0])), 30.0, atol=0.01)
+    np.testing.assert_allclose(rim[:, 1:].sum(0), 0.0, atol=1e-3)
+
+
+def test_interventions_are_where_the_applied_control_is_not_the_desired_one(shown: dict[str, Any]) -> None:
+    expected = {"thrust": [[20.0, 40.0], [70.0, 80.0]], "torque": [[70.0, 80.0], [200.0, 210.0]]}
+    assert shown["runs"][0]["interventions"] == expected
+
+
+def test_points_become_inspected_when_the_file_says_so(
+    episode: dict[str, np.ndarray], shown: dict[str, Any]
+) -> None:
+    since = np.array([math.inf if t is None else t for t in shown["runs"][0]["inspected"]])
+    assert np.isinf(since).any()
+    np.testing.assert_array_equal(since <= episode["time"][:, None], episode["inspected"])
+
+
+def test_panels_hold_every_constraint_and_both_controls_within_their_range(
+    episode: dict[str, np.ndarray], shown: dict[str, Any]
+) -> None:
+    panels = [panel for section in shown["sections"].values() for panel in section]
+    lines = [line for panel in panels for line in panel["runs"][0]["lines"]]
+    for panel in panels:
+        values = np.array([line["values"] for line in panel["runs"][0]["lines"]])
+        assert panel["range"][0] < values.min() <= values.max() < panel["range"][1]
+    degrees = {"attitude_exclusion": math.degrees(1.0)}
+    degrees |= {f"angular_velocity_{axis}": math.degrees(1.0) ** 2 for axis in "xyz"}
+    expected = [degrees.get(name, 1.0) * episode[f"h_{name}"] for name in CONSTRAINTS]
+    expected += [episode["energy"], episode["temperature"], episode["inspected_score"]]
+    for kind in ("desired", "applied"):
+        expected += list((episode[f"control_{kind}"] * [1.0, 1.0, 1.0, 1e3, 1e3, 1e3]).T)
+    assert len(lines) == len(expected)
+    for values in expected:
+        assert any(np.allclose(line["values"], values, rtol=1e-3) for line in lines)
+
+
+def test_a_long_run_is_thinned_but_no_violation_or_intervention_is_lost(
+    files: tuple[Path, Path],
+    episode: dict[str, np.ndarray],
+    shown: dict[str, Any],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(replay_data, "MAX_ROWS", 8)
+    page = replay.document([replay_data.read(str(files[0]))])
+    thin = embedded(page)
+    assert "one row in 4" in page
+    assert thin["runs"][0]["time"] == episode["time"][::4].tolist()
+    assert thin["runs"][0]["interventions"] == shown["runs"][0]["interventions"]
+    assert thin["runs"][0]["inspected"] == shown["runs"][0]["inspected"]
+    separation = thin["sections"]["Constraints, safe where h ≥ 0"][0]["runs"][0]["lines"][0]["values"]
+    blocks = np.array_split(episode["h_collision"], range(4, 30, 4))
+    np.testing.assert_allclose(separation, [block.min() for block in blocks], rtol=1e-3)
+
+
+def test_simulate_writes_what_replay_needs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    run, out = tmp_path / "run.npz", tmp_path / "page.html"
+    state = {
+        "position": [
+            -40.0,
+            0.0,
+            0.0,
+        ],  # the Sun behind it, the camera turning towards the chief from 30 deg off
+        "velocity": [0.0, 0.0, 0.0],
+        "quaternion": [0.0, 0.0, -math.sin(math.radians(15.0)), math.cos(math.radians(15.0))],
+        "angular_velocity": [0.0, 0.0, 0.01],
+        "temperature": 5.0,
+        "energy": 6.0,
+        "sun_angle": 3.0,
+        "priority_vector": [0.0, 0.6, 0.8],
+    }
+    (tmp_path / "state.json").write_text(json.dumps(state))
+    flags = ["--initial-state", str(tmp_path / "state.json"), "--no-rta", "--step", "5", "--duration", "60"]
+    assert main.main(["simulate", "--controller", "zero", *flags, "--out", str(run)]) == 0
+    assert main.main(["replay", str(run), "--out", str(out)]) == 0
+    assert f"{out}: " in capsys.readouterr().out
+    arrays = np.load(run)
+    priority = torch.tensor(state["priority_vector"], dtype=torch.float64)[:, None]
+    weights = point_weights(fibonacci_sphere(100), priority)[:, 0].numpy()
+    assert 0 < arrays["inspected"][0].sum() < arrays["inspected"][-1].sum()
+    np.testing.assert_allclose(arrays["inspected"] @ weights, arrays["inspected_score"], atol=1e-9)
+    times = {t for t in embedded(out.read_text(encoding="utf-8"))["runs"][0]["inspected"] if t is not None}
+    assert times <= {0.0, 10.0, 20.0, 30.0, 40.0, 50.0, 60.0}  # as often as the agent looks
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"inspected": None}, ["inspected is missing", "older"]),
+        ({"parameters": None}, ["parameters is missing", "older"]),
+        ({"parameters": np.array("[inspection]\nmass = -1.0")}, ["parameters", "mass"]),
+        ({"quaternion": np.zeros((30, 3))}, ["quaternion", "(30, 3)", "(30, 4)"]),
+        ({"inspected": np.zeros((30, 100))}, ["inspected", "float64"]),
+        ({"energy": np.full(30, np.nan)}, ["energy", "finite"]),
+        ({"time": np.zeros(30)}, ["time", "rise"]),
+    ],
+)
+def test_other_files_are_refused(
+    change: dict[str, np.ndarray | None],
+    words: list[str],
+    episode: dict[str, np.ndarray],
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    path = tmp_path / "run.npz"
+    np.savez(path, **{name: array for name, array in (episode | change).items() if array is not None})
+    refused([str(path)], [str(path), *words], tmp_path, capsys)
+
+
+@pytest.mark.parametrize(
+    ("runs", "words"),
+    [(["nowhere.npz"], ["nowhere.npz", "no such file"]), (["a", "b", "c"], ["3 runs", "at most two"])],
+)
+def test_bad_arguments_are_refused(
+    runs: list[str], words: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    refused(runs, words, tmp_path, capsys)
+
+
+def refused(runs: list[str], words: list[str], directory: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """One line, exit code 2, no page."""
+    out = directory / "page.html"
+    assert main.main(["replay", *runs, "--out", str(out)]) == 2
+    err = capsys.readouterr().err
+    assert not out.exists()
+    assert err.startswith("error: ")
+    assert err.count("\n") == 1
+    for word in words:
+        assert word in err
+
+
+class Browser:
+    """A page in headless Chromium, what it printed and what it asked for."""
+
+    def __init__(self, chromium: Any, path: Path, width: int, height: int) -> None:
+        self.page = chromium.new_page(viewport={"width": width, "height": height})
+        self.errors: list[str] = []
+        self.requests: list[str] = []
+        self.page.on("console", lambda message: message.type == "error" and self.errors.append(message.text))
+        self.page.on("pageerror", lambda error: self.errors.append(str(error)))
+        self.page.on("request", lambda request: self.requests.append(request.url))
+        self.page.goto(path.as_uri())
+
+    def scrub(self, t: float) -> None:
+        """Moves the slider as a hand would."""
+        self.page.locator("#scrub").evaluate(
+            "(scrub, t) => { scrub.value = t; scrub.dispatchEvent(new Event('input')); }", t
+        )
+
+    def clock(self) -> float:
+        return float(self.page.locator("#scrub").input_value())
+
+    def scene(self, i: int = 0) -> dict[str, np.ndarray]:
+        """Corners (k, 3) of the traces of a scene by name."""
+        traces = (
+            self.page.locator(".scene")
+            .nth(i)
+            .evaluate(
+                "scene => scene.data.map(({ name, x, y, z }) => [name, x.map((_, k) => [x[k], y[k], z[k]])])"
+            )
+        )
+        return {name: np.array(corners, dtype=float) for name, corners in traces}
+
+
+@pytest.fixture(scope="module")
+def chromium() -> Iterator[Any]:
+    """A browser, where there is one."""
+    playwright = pytest.importorskip(
+        "playwright.sync_api", reason="playwright is not installed (requirements-optional.txt)"
+    )
+    path = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+    if path is None:
+        pytest.skip("there is no Chromium here")
+    with playwright.sync_playwright() as started:
+        # drawn in software: a machine without a display has no other WebGL
+        flags = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
+        browser = started.chromium.launch(executable_path=path, args=flags)
+        yield browser
+        browser.close()
+
+
+@pytest.fixture(scope="module")
+def one(chromium: Any, files: tuple[Path, Path]) -> Browser:
+    """One run at desktop width."""
+    out = files[0].with_suffix(".html")
+    replay.write([str(files[0])], out)
+    return Browser(chromium, out, 1280, 900)
+
+
+def test_the_page_asks_for_nothing_and_has_no_error(one: Browser) -> None:
+    assert one.errors == []
+    assert len(one.requests) == 1  # the page itself
+    assert one.page.title().endswith("Replay of one.npz")
+
+
+@pytest.mark.parametrize("row", [7, 21])
+def test_scrubbing_moves_the_scene(row: int, one: Browser, episode: dict[str, np.ndarray]) -> None:
+    one.scrub(episode["time"][row] + 3.0)
+    scene = one.scene()
+    p = episode["position"][row]
+    x, y, z = Rotation.from_quat(episode["quaternion"][row]).as_matrix().T
+    np.testing.assert_allclose(scene["deputy"], [p], rtol=1e-3)
+    np.testing.assert_allclose(scene["flown"][-1], p, rtol=1e-3)
+    assert len(scene["flown"]) == row + 1
+    for name, axis in (("x", x), ("y", y), ("z", z)):
+        drawn = scene[name][1] - scene[name][0]
+        np.testing.assert_allclose(drawn / np.linalg.norm(drawn), axis, atol=1e-3)
+    edges = scene["cone"][1:] - scene["cone"][0]
+    cosines = edges @ x / np.linalg.norm(edges, axis=1)
+    np.testing.assert_allclose(np.degrees(np.arccos(cosines)), 30.0, atol=0.1)
+    theta = episode["sun_angle"][row]
+    sun = scene["sun"][1] / np.linalg.norm(scene["sun"][1])
+    np.testing.assert_allclose(sun, [math.cos(theta), math.sin(theta), 0.0], atol=1e-3)
+    assert scene["earth"][1][0] < 0.0
+    assert not scene["earth"][:, 1:].any()
+
+
+def test_points_are_told_apart(one: Browser, episode: dict[str, np.ndarray]) -> None:
+    row = 15
+    one.scrub(episode["time"][row])
+    scene = one.scene()
+    theta, inspected = episode["sun_angle"][row], episode["inspected"][row]
+    normals = fibonacci_sphere(100).numpy().T
+    lit = normals @ [math.cos(theta), math.sin(theta), 0.0] > 0.0
+    for name, chosen in (("inspected", inspected), ("lit", lit & ~inspected), ("dark", ~lit & ~inspected)):
+        assert chosen.any()
+        np.testing.assert_allclose(scene[name], 10.0 * normals[chosen], atol=0.01)
+
+
+def test_values_and_filter_at_the_cursor(one: Browser, episode: dict[str, np.ndarray]) -> None:
+    one.scrub(75.0)
+    assert "filter corrects thrust and torque" in one.page.locator(".status").inner_text()
+    caption = one.page.locator(".panel figcaption", has_text="Energy").inner_text()
+    assert f"{episode['energy'][7]:.1f}" in caption
+    one.scrub(85.0)
+    assert "control applied as desired" in one.page.locator(".status").inner_text()
+
+
+def test_space_plays_and_pauses_and_arrows_step(one: Browser) -> None:
+    one.page.locator("#speed").select_option("60")
+    one.page.locator("h1").click()  # the keyboard's focus leaves the list
+    one.scrub(100.0)
+    one.page.keyboard.press("ArrowRight")
+    assert one.clock() == 110.0
+    one.page.keyboard.press("ArrowLeft")
+    one.page.keyboard.press("ArrowLeft")
+    assert one.clock() == 90.0
+    before = one.scene()["deputy"]
+    one.page.keyboard.press(" ")
+    one.page.wait_for_function("Number(document.getElementById('scrub').value) > 105")
+    one.page.keyboard.press(" ")
+    assert (one.scene()["deputy"] != before).any()
+    stopped = one.clock()
+    one.page.wait_for_timeout(200)
+    assert one.clock() == stopped
+    assert one.errors == []
+
+
+def test_two_runs_share_a_clock_on_a_phone(chromium: Any, files: tuple[Path, Path]) -> None:
+    out = files[0].with_name("both.html")
+    replay.write([str(path) for path in files], out)
+    both = Browser(chromium, out, 390, 844)
+    both.scrub(150.0)
+    np.testing.assert_array_equal(both.scene(0)["deputy"], both.scene(1)["deputy"])
+    both.scrub(250.0)
+    assert "ends at 190 s" in both.page.locator(".status").nth(1).inner_text()
+    assert (both.scene(0)["deputy"] != both.scene(1)["deputy"]).any()
+    assert both.page.evaluate("document.documentElement.scrollWidth") == 390
+    assert both.errors == []
