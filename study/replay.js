@@ -6,6 +6,7 @@ const { runs, colours } = data;
 const FRAME = 1000 / 30; // ms between two drawings while playing
 const MARGIN = { l: 56, r: 10, t: 6, b: 24 }; // px around a plot
 const MAX_PATH = 500; // corners of the flown path
+const VIEW = [1.15, 1.15, 0.65]; // from the chief to the camera, in plotly's units
 
 const byId = (name) => document.getElementById(name);
 const end = Math.max(...runs.map((run) => run.end)); // s
@@ -37,7 +38,7 @@ function rowAt(run, t) {
 
 const scaled = (a, factor) => a.map((component) => factor * component);
 const sum = (a, b) => a.map((component, i) => component + b[i]);
-const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+const inner = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
 const chief = (run, scale) => run.normals.map((normal) => scaled(normal, scale * run.chief_radius));
 
 // Corners of the traces that change with the row, by name, each [x, y, z] in m in Hill's frame.
@@ -48,7 +49,7 @@ function moving(run, row) {
   const points = { inspected: [], lit: [], dark: [] };
   run.normals.forEach((normal, i) => {
     const inspected = run.inspected[i] !== null && run.inspected[i] <= run.time[row];
-    const kind = inspected ? "inspected" : dot(normal, sun) > 0 ? "lit" : "dark";
+    const kind = inspected ? "inspected" : inner(normal, sun) > 0 ? "lit" : "dark";
     points[kind].push(scaled(normal, run.chief_radius));
   });
   const stride = Math.ceil(run.position.length / MAX_PATH);
@@ -67,13 +68,15 @@ function moving(run, row) {
   };
 }
 
+const place = ([x, y, z]) => ({ x, y, z });
+
 // What a trace of no point needs to be drawn later: one that is nowhere.
 const columns = (corners) => {
   const drawn = corners.length ? corners : [[null, null, null]];
   return { x: drawn.map((p) => p[0]), y: drawn.map((p) => p[1]), z: drawn.map((p) => p[2]) };
 };
 
-function style(name, run) {
+function style(name, run, dot) {
   const line = (width, text) => ({
     type: "scatter3d",
     mode: text ? "lines+text" : "lines",
@@ -92,9 +95,9 @@ function style(name, run) {
     chief: { type: "mesh3d", alphahull: 0, color: colours.chief, flatshading: true },
     path: line(2),
     earth: line(5, "Earth"),
-    inspected: markers("circle", 3),
-    lit: markers("diamond", 3),
-    dark: markers("square", 2.5),
+    inspected: markers("circle", dot),
+    lit: markers("diamond", dot),
+    dark: markers("square", 0.8 * dot),
     flown: line(4),
     deputy: markers("circle", 5),
     sun: line(5, "Sun"),
@@ -121,7 +124,7 @@ function drawScene(run, i) {
   const traces = Object.entries({ ...fixed, ...moving(run, 0) }).map(([name, corners]) => ({
     name,
     hoverinfo: "skip",
-    ...style(name, run),
+    ...style(name, run, data.dot * Math.min(1, plot.clientWidth / 550)),
     ...columns(corners),
   }));
   const axis = (name, k) => ({
@@ -139,15 +142,13 @@ function drawScene(run, i) {
     scene: {
       aspectmode: "data",
       dragmode: "turntable",
-      camera: { eye: { x: 1.15, y: 1.15, z: 0.65 }, center: { x: 0, y: 0, z: -0.05 } },
+      camera: { eye: place(sum(data.centre, VIEW)), center: place(data.centre) },
       xaxis: axis("x", 0),
       yaxis: axis("y", 1),
       zaxis: axis("z", 2),
     },
   };
   Plotly.newPlot(plot, traces, layout, { responsive: true, displaylogo: false });
-  // drawing resets the camera to where the last drag ended, so none is done during a drag
-  plot.addEventListener("pointerdown", () => (dragged = true));
   const first = Object.keys(fixed).length;
   const indices = traces.map((_, k) => k).slice(first);
   let shown = 0;
@@ -163,10 +164,12 @@ function drawScene(run, i) {
       corrected.length ? `filter corrects ${corrected.join(" and ")}` : "control applied as desired",
       ...(t >= run.end && run.end < end ? [`ends at ${run.end} s`] : []),
     ].join(" · ");
-    if (row === shown || dragged) return;
+    if (row === shown) return;
     shown = row;
     const now = Object.values(moving(run, row)).map(columns);
     const update = Object.fromEntries(["x", "y", "z"].map((name) => [name, now.map((c) => c[name])]));
+    // restyle puts the camera where the layout has it, which does not follow a hand before it lets go
+    plot.layout.scene.camera = plot._fullLayout.scene._scene.getCamera();
     Plotly.restyle(plot, update, indices);
   };
 }
@@ -256,7 +259,6 @@ function drawSection(title, panels) {
 const title = document.title;
 let time = 0;
 let playing = false;
-let dragged = false;
 let lastFrame = 0;
 
 function show(t) {
@@ -289,13 +291,6 @@ function frame(now) {
 byId("scrub").max = end;
 byId("scrub").addEventListener("input", (event) => show(Number(event.target.value)));
 byId("play").addEventListener("click", () => play(!playing));
-for (const release of ["pointerup", "pointercancel"]) {
-  window.addEventListener(release, () => {
-    if (!dragged) return;
-    dragged = false;
-    show(time);
-  });
-}
 document.addEventListener("keydown", (event) => {
   const steps = { ArrowLeft: -data.step, ArrowRight: data.step };
   if (event.target.matches("select") || event.ctrlKey || event.altKey || event.metaKey) return;

@@ -37,7 +37,7 @@ LEGEND = {
     "inspected": "point inspected",
     "lit": "lit, not inspected",
     "dark": "dark, not inspected",
-    "flown": "path flown",
+    "flown": "deputy and the path it flew",
     "path": "path ahead",
     "x": "camera (body x) and its field of view",
     "y": "body y",
@@ -107,8 +107,9 @@ def notes(runs: Sequence[Run]) -> list[str]:
     lines = [
         "Hill's frame, the chief at its centre: x points away from the Earth, y along the orbit, z across it. "
         f"On the deputy the camera faces body +x, the solar panels {c.solar_panel_axis}, the surface whose "
-        f"temperature is limited {c.thermal_axis}. Space plays and pauses, the arrow keys step by "
-        f"{c.action_period:g} s, a click into a plot goes there."
+        f"temperature is limited {c.thermal_axis}.",
+        "Dragging turns a scene, the wheel zooms towards the chief. Space plays and pauses, the arrow keys step by "
+        f"{c.action_period:g} s, a click into a plot goes there.",
     ]
     for run in runs:
         if run.stride > 1:

@@ -239,7 +239,11 @@ def run_data(run: Run) -> dict[str, Any]:
 
 
 def box(runs: Sequence[Run]) -> dict[str, Any]:
-    """The scene's [low, high] along each of Hill's axes and the lengths of what is drawn in it, in m."""
+    """The scenes, which have one scale: [low, high] of each of Hill's axes and the lengths of what is drawn, in m.
+
+    `centre` is the chief's place in the units of plotly's camera; `dot` is a point's size in px on a
+    large screen.
+    """
     positions = np.concatenate([run.episode["position"] for run in runs])
     radius = max(run.c.chief_radius for run in runs)
     size = max(np.ptp(positions, axis=0).max(), 4.0 * radius)
@@ -250,6 +254,8 @@ def box(runs: Sequence[Run]) -> dict[str, Any]:
     return {
         "ranges": np.stack((low, high), 1),
         "lengths": {"axis": 0.12 * size, "cone": 0.25 * size, "direction": direction},
+        "centre": -(low + high) / 2 / np.prod(high - low) ** (1 / 3),
+        "dot": min(4.0, max(1.5, 48.0 * radius / size)),
     }
 
 

@@ -210,6 +210,7 @@ class Browser:
         self.page.on("console", lambda message: message.type == "error" and self.errors.append(message.text))
         self.page.on("pageerror", lambda error: self.errors.append(str(error)))
         self.page.on("request", lambda request: self.requests.append(request.url))
+        self.page.set_default_timeout(120_000)  # ms; a busy machine draws slowly
         self.page.goto(path.as_uri())
 
     def scrub(self, t: float) -> None:
@@ -325,6 +326,21 @@ def test_space_plays_and_pauses_and_arrows_step(one: Browser) -> None:
     one.page.wait_for_timeout(200)
     assert one.clock() == stopped
     assert one.errors == []
+
+
+def test_a_turned_scene_stays_turned(one: Browser) -> None:
+    eye = "document.querySelector('.scene').layout.scene.camera.eye"
+    before = one.page.evaluate(eye)
+    box = one.page.locator(".scene").bounding_box()
+    one.page.mouse.move(box["x"] + 0.3 * box["width"], box["y"] + 0.3 * box["height"])
+    one.page.mouse.down()
+    one.page.mouse.move(box["x"] + 0.5 * box["width"], box["y"] + 0.4 * box["height"])
+    one.scrub(one.clock() + 50.0)  # as while playing
+    turned = one.page.evaluate(eye)
+    one.page.mouse.up()
+    one.scrub(0.0)
+    assert turned != before
+    assert one.page.evaluate(eye) == pytest.approx(turned, abs=1e-6)
 
 
 def test_two_runs_share_a_clock_on_a_phone(chromium: Any, files: tuple[Path, Path]) -> None:
