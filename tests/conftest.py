@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import torch
 from hypothesis import settings
+from scipy.spatial.transform import Rotation
 
 from inspection.environment import METRICS
 from inspection.parameters import InspectionParameters
@@ -140,3 +141,30 @@ def made_up_study(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for name, arm in itertools.product(("episode", "demonstration"), ARMS):
         np.savez(report / f"{name}_{arm}.npz", **made_up_episode(rng))
     return study
+
+
+@pytest.fixture(scope="session")
+def flown() -> dict[str, np.ndarray]:
+    """A run of 290 s in rows of 10 s, tumbling, whose controls are corrected now and then."""
+    rng = np.random.default_rng(1)
+    made_up = made_up_episode(rng)
+    rows = len(made_up["time"])
+    corrected = made_up["control_desired"].copy()
+    corrected[[2, 3, 7], 1] += 1e-4  # thrust
+    corrected[[7, 20], 5] -= 1e-6  # torque
+    return made_up | {
+        "quaternion": Rotation.random(rows, rng).as_quat(),
+        "sun_angle": np.linspace(1.0, -2.0, rows),
+        "control_applied": corrected,
+        **{f"h_{name}": rng.uniform(-1.0, 9.0, rows) for name in CONSTRAINTS},
+    }
+
+
+@pytest.fixture(scope="session")
+def flown_files(flown: dict[str, np.ndarray], tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    """The run, and another that ends sooner."""
+    directory = tmp_path_factory.mktemp("runs")
+    paths = directory / "one.npz", directory / "two.npz"
+    np.savez(paths[0], **flown)
+    np.savez(paths[1], **{name: array[:20] if array.ndim else array for name, array in flown.items()})
+    return paths

@@ -1,4 +1,4 @@
-"""The replay: its data against the run's file by other formulas, and the page as a browser shows it."""
+"""The replay's command, and its page as a browser shows it."""
 
 import json
 import math
@@ -15,42 +15,7 @@ from scipy.spatial.transform import Rotation
 
 import main
 from inspection.chief import fibonacci_sphere, point_weights
-from rta.constraints import CONSTRAINTS
-from study import replay, replay_data
-from tests.conftest import made_up_episode
-
-
-@pytest.fixture(scope="module")
-def episode() -> dict[str, np.ndarray]:
-    """A run of 290 s in rows of 10 s, tumbling, whose controls are corrected now and then."""
-    rng = np.random.default_rng(1)
-    made_up = made_up_episode(rng)
-    rows = len(made_up["time"])
-    corrected = made_up["control_desired"].copy()
-    corrected[[2, 3, 7], 1] += 1e-4  # thrust
-    corrected[[7, 20], 5] -= 1e-6  # torque
-    return made_up | {
-        "quaternion": Rotation.random(rows, rng).as_quat(),
-        "sun_angle": np.linspace(1.0, -2.0, rows),
-        "control_applied": corrected,
-        **{f"h_{name}": rng.uniform(-1.0, 9.0, rows) for name in CONSTRAINTS},
-    }
-
-
-@pytest.fixture(scope="module")
-def files(episode: dict[str, np.ndarray], tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
-    """The run, and another that ends sooner."""
-    directory = tmp_path_factory.mktemp("runs")
-    paths = directory / "one.npz", directory / "two.npz"
-    np.savez(paths[0], **episode)
-    np.savez(paths[1], **{name: array[:20] if array.ndim else array for name, array in episode.items()})
-    return paths
-
-
-@pytest.fixture(scope="module")
-def shown(files: tuple[Path, Path]) -> dict[str, Any]:
-    """What the page holds of the run."""
-    return embedded(replay.document([replay_data.read(str(files[0]))]))
+from study import replay
 
 
 def embedded(page: str) -> dict[str, Any]:
@@ -58,70 +23,6 @@ def embedded(page: str) -> dict[str, Any]:
     found = re.search(r'<script type="application/json" id="data">(.*?)</script>', page, re.DOTALL)
     assert found
     return json.loads(found[1])
-
-
-def test_body_axes_are_the_columns_of_the_rotation(
-    episode: dict[str, np.ndarray], shown: dict[str, Any]
-) -> None:
-    expected = Rotation.from_quat(episode["quaternion"]).as_matrix()
-    np.testing.assert_allclose(shown["runs"][0]["axes"], expected.transpose(0, 2, 1), atol=1e-4)
-
-
-def test_the_cone_lies_half_the_field_of_view_about_the_camera(shown: dict[str, Any]) -> None:
-    rim = np.array(shown["runs"][0]["rim"])
-    np.testing.assert_allclose(np.linalg.norm(rim, axis=1), 1.0, atol=1e-3)
-    np.testing.assert_allclose(np.degrees(np.arccos(rim[:, 0])), 30.0, atol=0.01)
-    np.testing.assert_allclose(rim[:, 1:].sum(0), 0.0, atol=1e-3)
-
-
-def test_interventions_are_where_the_applied_control_is_not_the_desired_one(shown: dict[str, Any]) -> None:
-    expected = {"thrust": [[20.0, 40.0], [70.0, 80.0]], "torque": [[70.0, 80.0], [200.0, 210.0]]}
-    assert shown["runs"][0]["interventions"] == expected
-
-
-def test_points_become_inspected_when_the_file_says_so(
-    episode: dict[str, np.ndarray], shown: dict[str, Any]
-) -> None:
-    since = np.array([math.inf if t is None else t for t in shown["runs"][0]["inspected"]])
-    assert np.isinf(since).any()
-    np.testing.assert_array_equal(since <= episode["time"][:, None], episode["inspected"])
-
-
-def test_panels_hold_every_constraint_and_both_controls_within_their_range(
-    episode: dict[str, np.ndarray], shown: dict[str, Any]
-) -> None:
-    panels = [panel for section in shown["sections"].values() for panel in section]
-    lines = [line for panel in panels for line in panel["runs"][0]["lines"]]
-    for panel in panels:
-        values = np.array([line["values"] for line in panel["runs"][0]["lines"]])
-        assert panel["range"][0] < values.min() <= values.max() < panel["range"][1]
-    degrees = {"attitude_exclusion": math.degrees(1.0)}
-    degrees |= {f"angular_velocity_{axis}": math.degrees(1.0) ** 2 for axis in "xyz"}
-    expected = [degrees.get(name, 1.0) * episode[f"h_{name}"] for name in CONSTRAINTS]
-    expected += [episode["energy"], episode["temperature"], episode["inspected_score"]]
-    for kind in ("desired", "applied"):
-        expected += list((episode[f"control_{kind}"] * [1.0, 1.0, 1.0, 1e3, 1e3, 1e3]).T)
-    assert len(lines) == len(expected)
-    for values in expected:
-        assert any(np.allclose(line["values"], values, rtol=1e-3) for line in lines)
-
-
-def test_a_long_run_is_thinned_but_no_violation_or_intervention_is_lost(
-    files: tuple[Path, Path],
-    episode: dict[str, np.ndarray],
-    shown: dict[str, Any],
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.setattr(replay_data, "MAX_ROWS", 8)
-    page = replay.document([replay_data.read(str(files[0]))])
-    thin = embedded(page)
-    assert "one row in 4" in page
-    assert thin["runs"][0]["time"] == episode["time"][::4].tolist()
-    assert thin["runs"][0]["interventions"] == shown["runs"][0]["interventions"]
-    assert thin["runs"][0]["inspected"] == shown["runs"][0]["inspected"]
-    separation = thin["sections"]["Constraints, safe where h ≥ 0"][0]["runs"][0]["lines"][0]["values"]
-    blocks = np.array_split(episode["h_collision"], range(4, 30, 4))
-    np.testing.assert_allclose(separation, [block.min() for block in blocks], rtol=1e-3)
 
 
 def test_simulate_writes_what_replay_needs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -169,12 +70,12 @@ def test_simulate_writes_what_replay_needs(tmp_path: Path, capsys: pytest.Captur
 def test_other_files_are_refused(
     change: dict[str, np.ndarray | None],
     words: list[str],
-    episode: dict[str, np.ndarray],
+    flown: dict[str, np.ndarray],
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     path = tmp_path / "run.npz"
-    np.savez(path, **{name: array for name, array in (episode | change).items() if array is not None})
+    np.savez(path, **{name: array for name, array in (flown | change).items() if array is not None})
     refused([str(path)], [str(path), *words], tmp_path, capsys)
 
 
@@ -252,10 +153,10 @@ def chromium() -> Iterator[Any]:
 
 
 @pytest.fixture(scope="module")
-def one(chromium: Any, files: tuple[Path, Path]) -> Browser:
+def one(chromium: Any, flown_files: tuple[Path, Path]) -> Browser:
     """One run at desktop width."""
-    out = files[0].with_suffix(".html")
-    replay.write([str(files[0])], out)
+    out = flown_files[0].with_suffix(".html")
+    replay.write([str(flown_files[0])], out)
     return Browser(chromium, out, 1280, 900)
 
 
@@ -266,11 +167,11 @@ def test_the_page_asks_for_nothing_and_has_no_error(one: Browser) -> None:
 
 
 @pytest.mark.parametrize("row", [7, 21])
-def test_scrubbing_moves_the_scene(row: int, one: Browser, episode: dict[str, np.ndarray]) -> None:
-    one.scrub(episode["time"][row] + 3.0)
+def test_scrubbing_moves_the_scene(row: int, one: Browser, flown: dict[str, np.ndarray]) -> None:
+    one.scrub(flown["time"][row] + 3.0)
     scene = one.scene()
-    p = episode["position"][row]
-    x, y, z = Rotation.from_quat(episode["quaternion"][row]).as_matrix().T
+    p = flown["position"][row]
+    x, y, z = Rotation.from_quat(flown["quaternion"][row]).as_matrix().T
     np.testing.assert_allclose(scene["deputy"], [p], rtol=1e-3)
     np.testing.assert_allclose(scene["flown"][-1], p, rtol=1e-3)
     assert len(scene["flown"]) == row + 1
@@ -280,18 +181,18 @@ def test_scrubbing_moves_the_scene(row: int, one: Browser, episode: dict[str, np
     edges = scene["cone"][1:] - scene["cone"][0]
     cosines = edges @ x / np.linalg.norm(edges, axis=1)
     np.testing.assert_allclose(np.degrees(np.arccos(cosines)), 30.0, atol=0.1)
-    theta = episode["sun_angle"][row]
+    theta = flown["sun_angle"][row]
     sun = scene["sun"][1] / np.linalg.norm(scene["sun"][1])
     np.testing.assert_allclose(sun, [math.cos(theta), math.sin(theta), 0.0], atol=1e-3)
     assert scene["earth"][1][0] < 0.0
     assert not scene["earth"][:, 1:].any()
 
 
-def test_points_are_told_apart(one: Browser, episode: dict[str, np.ndarray]) -> None:
+def test_points_are_told_apart(one: Browser, flown: dict[str, np.ndarray]) -> None:
     row = 15
-    one.scrub(episode["time"][row])
+    one.scrub(flown["time"][row])
     scene = one.scene()
-    theta, inspected = episode["sun_angle"][row], episode["inspected"][row]
+    theta, inspected = flown["sun_angle"][row], flown["inspected"][row]
     normals = fibonacci_sphere(100).numpy().T
     lit = normals @ [math.cos(theta), math.sin(theta), 0.0] > 0.0
     for name, chosen in (("inspected", inspected), ("lit", lit & ~inspected), ("dark", ~lit & ~inspected)):
@@ -299,11 +200,11 @@ def test_points_are_told_apart(one: Browser, episode: dict[str, np.ndarray]) -> 
         np.testing.assert_allclose(scene[name], 10.0 * normals[chosen], atol=0.01)
 
 
-def test_values_and_filter_at_the_cursor(one: Browser, episode: dict[str, np.ndarray]) -> None:
+def test_values_and_filter_at_the_cursor(one: Browser, flown: dict[str, np.ndarray]) -> None:
     one.scrub(75.0)
     assert "filter corrects thrust and torque" in one.page.locator(".status").inner_text()
     caption = one.page.locator(".panel figcaption", has_text="Energy").inner_text()
-    assert f"{episode['energy'][7]:.1f}" in caption
+    assert f"{flown['energy'][7]:.1f}" in caption
     one.scrub(85.0)
     assert "control applied as desired" in one.page.locator(".status").inner_text()
 
@@ -343,9 +244,9 @@ def test_a_turned_scene_stays_turned(one: Browser) -> None:
     assert one.page.evaluate(eye) == pytest.approx(turned, abs=1e-6)
 
 
-def test_two_runs_share_a_clock_on_a_phone(chromium: Any, files: tuple[Path, Path]) -> None:
-    out = files[0].with_name("both.html")
-    replay.write([str(path) for path in files], out)
+def test_two_runs_share_a_clock_on_a_phone(chromium: Any, flown_files: tuple[Path, Path]) -> None:
+    out = flown_files[0].with_name("both.html")
+    replay.write([str(path) for path in flown_files], out)
     both = Browser(chromium, out, 390, 844)
     both.scrub(150.0)
     np.testing.assert_array_equal(both.scene(0)["deputy"], both.scene(1)["deputy"])
