@@ -131,6 +131,9 @@ def test_episodes_are_those_of_simulate(rta: bool, study: Path, tmp_path: Path) 
     arm = "rta" if rta else "no_rta"
     agent = ["--controller", "policy", "--checkpoint", str(study / arm / "seed5" / "policy.pt")]
     classical = ["--controller", "lqr-pd", "--initial-state", str(supplements.DEMONSTRATION)]
+    settings = tmp_path / "settings.toml"  # as the study has them
+    settings.write_text(f"[inspection]\nmax_time = {DURATION}")
+    classical += ["--config", str(settings)]
     filtered = ["--rta" if rta else "--no-rta", "--rta-period", "10", "--qp-solver", "batched"]
     for name, flags in (("episode", agent), ("demonstration", classical)):
         arguments = ["simulate", *flags, *filtered, "--duration", str(DURATION), "--out"]
