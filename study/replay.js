@@ -152,6 +152,8 @@ function drawScene(run, i) {
   const first = Object.keys(fixed).length;
   const indices = traces.map((_, k) => k).slice(first);
   let shown = 0;
+  let turned = false;
+  plot.addEventListener("pointerdown", () => (turned = true));
 
   return (t) => {
     const row = rowAt(run, t);
@@ -169,7 +171,7 @@ function drawScene(run, i) {
     const now = Object.values(moving(run, row)).map(columns);
     const update = Object.fromEntries(["x", "y", "z"].map((name) => [name, now.map((c) => c[name])]));
     // restyle puts the camera where the layout has it, which does not follow a hand before it lets go
-    plot.layout.scene.camera = plot._fullLayout.scene._scene.getCamera();
+    if (turned) plot.layout.scene.camera = plot._fullLayout.scene._scene.getCamera();
     Plotly.restyle(plot, update, indices);
   };
 }

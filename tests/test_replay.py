@@ -253,5 +253,9 @@ def test_two_runs_share_a_clock_on_a_phone(chromium: Any, flown_files: tuple[Pat
     both.scrub(250.0)
     assert "ends at 190 s" in both.page.locator(".status").nth(1).inner_text()
     assert (both.scene(0)["deputy"] != both.scene(1)["deputy"]).any()
+    cameras = [
+        both.page.locator(".scene").nth(i).evaluate("scene => scene.layout.scene.camera") for i in (0, 1)
+    ]
+    assert cameras[0] == cameras[1]
     assert both.page.evaluate("document.documentElement.scrollWidth") == 390
     assert both.errors == []
