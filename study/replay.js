@@ -140,7 +140,8 @@ function drawScene(run, i) {
     showlegend: false,
     hovermode: false,
     scene: {
-      aspectmode: "data",
+      aspectmode: "manual",
+      aspectratio: place(data.aspect),
       dragmode: "turntable",
       camera: { eye: place(sum(data.centre, VIEW)), center: place(data.centre) },
       xaxis: axis("x", 0),

@@ -241,7 +241,7 @@ def run_data(run: Run) -> dict[str, Any]:
 def box(runs: Sequence[Run]) -> dict[str, Any]:
     """The scenes, which have one scale: [low, high] of each of Hill's axes and the lengths of what is drawn, in m.
 
-    `centre` is the chief's place in the units of plotly's camera; `dot` is a point's size in px on a
+    `aspect` and `centre`, the chief's place, are in the units of plotly's camera; `dot` is a point's size in px on a
     large screen.
     """
     positions = np.concatenate([run.episode["position"] for run in runs])
@@ -251,10 +251,12 @@ def box(runs: Sequence[Run]) -> dict[str, Any]:
     inside = np.array([direction, direction, 1.5 * radius])
     low = np.minimum(positions.min(0), -inside) - 0.08 * size
     high = np.maximum(positions.max(0), inside) + 0.08 * size
+    unit = np.prod(high - low) ** (1 / 3)
     return {
         "ranges": np.stack((low, high), 1),
         "lengths": {"axis": 0.12 * size, "cone": 0.25 * size, "direction": direction},
-        "centre": -(low + high) / 2 / np.prod(high - low) ** (1 / 3),
+        "aspect": (high - low) / unit,
+        "centre": -(low + high) / 2 / unit,
         "dot": min(4.0, max(1.5, 48.0 * radius / size)),
     }
 
