@@ -127,7 +127,10 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
         (["export", "--checkpoint", "x.pt"], ["--out"]),
         (["export", "--checkpoint", "nowhere.pt", "--out", "x"], ["nowhere.pt", "no such checkpoint"]),
         (["export", "--checkpoint", "x.pt", "--out", "nowhere/x.onnx"], ["--out", "cannot write"]),
-        ([], ["train | study | report | evaluate | simulate | replay | filter | verify | benchmark | export"]),
+        (
+            [],
+            ["train | study | report | evaluate | simulate | replay | filter | verify | benchmark | export"],
+        ),
     ],
 )
 def test_bad_flags_are_refused(
