@@ -36,6 +36,7 @@ STUDY_FILES = {
 REPORT_FILES = {
     "Tables 2 and 3": ("report/table*.csv",),
     "classical guidance": ("report/guidance.json",),
+    "earliest success that the Sun allows": ("report/sunlight.json",),
     "training curves": ("report/training.csv", "report/training*.png", "report/training*.svg"),
     "common episode": (
         "report/episode_*.npz",
@@ -170,6 +171,16 @@ def final_performance(inputs: Inputs) -> list[str]:
             "A step violates a constraint if the constraint's h is negative at its end, every 10 s, without margin."
         ),
     ]
+    if inputs.sunlight:
+        earliest = inputs.sunlight["earliest_success_s"]
+        low, high = earliest["ci95"]
+        parts.append(
+            page.paragraph(
+                "A point counts only while the Sun lights it. In these test cases the points lit so far first weigh "
+                f"enough for success after {earliest['iqm']:.0f} s [{low:.0f}, {high:.0f}], whatever one does: "
+                "no agent can finish earlier."
+            )
+        )
     if inputs.guidance:
         parts.append(
             page.paragraph(

@@ -25,6 +25,7 @@ class Inputs:
     Attributes:
         arms: final evaluation of each arm, with `seeds`, `interactions` and `wall_clock_s`.
         guidance: evaluation of the classical guidance behind the filter; empty if there is none.
+        sunlight: the earliest success that the Sun allows in the test cases; empty if it is not known.
         cross: by arm, then "off" and "on": its agents without and with the filter.
         frequency: by period in s: the agents trained behind the filter.
         throughput: by arm: `seeds`, `interactions`, `wall_clock_s`, `interactions_per_s`, `device` and `threads`.
@@ -36,6 +37,7 @@ class Inputs:
     config: StudyConfig
     arms: dict[str, Results]
     guidance: Results
+    sunlight: dict[str, Any]
     cross: dict[str, dict[str, Results]]
     frequency: dict[str, Results]
     throughput: dict[str, dict[str, Any]]
@@ -66,7 +68,7 @@ def read(study: Path) -> Inputs:
         demonstrations=read_episodes(report, "demonstration"),
         **{
             name: read_json(report / f"{name}.json") if (report / f"{name}.json").exists() else {}
-            for name in ("guidance", "cross", "frequency", "throughput")
+            for name in ("guidance", "sunlight", "cross", "frequency", "throughput")
         },
     )
 

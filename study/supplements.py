@@ -21,6 +21,7 @@ from study.errors import InputError, refusing
 from study.evaluation import play, play_guidance, report
 from study.report_tables import Results
 from study.simulation import classical, common_episode, read_state, simulate, starting_point
+from study.sunlight import shortest_episodes
 from study.training import MALFORMED, write_json, write_text
 
 DEMONSTRATION = Path(__file__).parent.parent / "configs/demonstration.json"
@@ -136,6 +137,10 @@ def work(study: Path, arms: dict[str, Arm]) -> Work:
         todo["frequency.json"] = (what, partial(frequency, arms["rta"]))
     what = f"the natural-motion guidance with RTA over {GUIDANCE_CASES:,} cases"
     todo["guidance.json"] = (what, partial(guidance, config))
+    todo["sunlight.json"] = (
+        "when the Sun has lit enough of the chief",
+        lambda: shortest_episodes(config, config.train.final_episodes, TEST_CASES),
+    )
     for name, arm in arms.items():
         todo[f"episode_{name}.npz"] = (f"an episode of {name}", partial(episode, arm))
     todo["training.csv"] = ("intervals of the training curves", partial(training, study, tuple(arms)))

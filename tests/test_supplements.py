@@ -39,6 +39,7 @@ FILES = {
     "cross.json",
     "frequency.json",
     "guidance.json",
+    "sunlight.json",
     "training.csv",
     "episode_no_rta.npz",
     "episode_rta.npz",
