@@ -115,16 +115,21 @@ def begin(directory: Path, digests: dict[str, dict[str, str]], todo: Work) -> No
 
 
 def write(path: Path, content: Results | Arrays | str) -> None:
-    """Writes results as .json, arrays as .npz or text, whole or not at all."""
+    """Writes results as .json, arrays as .npz (in single precision) or text, whole or not at all."""
     if path.suffix == ".json":
         write_json(path, content)
     elif path.suffix == ".npz":
         temporary = path.with_name(path.name + ".tmp")
         with open(temporary, "wb") as file:
-            np.savez_compressed(file, **content)
+            np.savez_compressed(file, **{name: single(values) for name, values in content.items()})
         os.replace(temporary, path)
     else:
         write_text(path, content)
+
+
+def single(values: np.ndarray) -> np.ndarray:
+    """The array with floats of half the size, which is enough for figures and replays."""
+    return values.astype(np.float32) if values.dtype == np.float64 else values
 
 
 def work(study: Path, arms: dict[str, Arm]) -> Work:
