@@ -72,7 +72,7 @@ def trajectory(ax: Axes, episode: Episode, c: InspectionParameters, top_speed: f
     ax.text(*(p[0] + [0.0, 0.0, 0.06 * span]), "start", fontsize=8, ha="center")
     ax.set(xlabel="x (m)", ylabel="y (m)", zlabel="z (m)")
     extents = np.ptp((ax.get_xlim(), ax.get_ylim(), ax.get_zlim()), axis=1)
-    ax.set_box_aspect(tuple(extents))
+    ax.set_box_aspect(tuple(extents), zoom=0.88)  # room for the labels below
     # the same distance between ticks on every axis, so that those of a short one do not overlap
     ticks = MaxNLocator(6).tick_values(0.0, extents.max())
     for axis in (ax.xaxis, ax.yaxis, ax.zaxis):
