@@ -13,7 +13,7 @@ import main
 from docs import control_loop
 
 ROOT = Path(main.__file__).parent
-PAGES = ("your_own_policy", "your_own_constraint", "your_own_reward")
+PAGES = ("your_own_policy", "your_own_constraint", "your_own_reward", "gymnasium")
 NUMBER = re.compile(r"-?\d[\d,]*\.?\d*")
 COMMAND = "python main.py "
 
