@@ -72,7 +72,7 @@ class Run:
 
 
 def read(path: str) -> Run:
-    """Reads and checks a file of `simulate`."""
+    """Reads and checks a file of `simulate`, or an episode of a study's report in single precision."""
     names = (*COLUMNS, "inspected", "parameters")
     episode = arrays.load(path, names, "run")
     for name in names:
@@ -91,7 +91,7 @@ def read(path: str) -> Run:
             raise InputError(f"{path}: {name} must hold finite numbers only")
     if rows < 2 or not (np.diff(episode["time"]) > 0.0).all():
         raise InputError(f"{path}: time must rise over at least two rows")
-    return Run(path, episode, c)
+    return Run(path, episode | {name: episode[name].astype(np.float64) for name in COLUMNS}, c)
 
 
 def thinned(run: Run) -> Episode:

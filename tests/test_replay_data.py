@@ -87,3 +87,13 @@ def test_a_long_run_is_thinned_but_no_violation_or_intervention_is_lost(
     separation = thin["sections"]["Constraints, safe where h ≥ 0"][0]["runs"][0]["lines"][0]["values"]
     blocks = np.array_split(flown["h_collision"], range(4, 30, 4))
     np.testing.assert_allclose(separation, [block.min() for block in blocks], rtol=1e-3)
+
+
+def test_single_precision_shows_the_same(
+    flown: dict[str, np.ndarray], shown: dict[str, Any], tmp_path: Path
+) -> None:
+    single = {name: a.astype(np.float32) if a.dtype == np.float64 else a for name, a in flown.items()}
+    np.savez(tmp_path / "single.npz", **single)
+    (run,), (expected,) = as_written(replay_data.read(str(tmp_path / "single.npz")))["runs"], shown["runs"]
+    for name in ("time", "position", "axes"):
+        np.testing.assert_allclose(run[name], expected[name], rtol=1e-4, atol=1e-4)
