@@ -36,7 +36,9 @@ def load(path: str | Path, keys: tuple[str, ...], device: str | torch.device = "
             content = torch.load(path, map_location=device, weights_only=True)
     except Exception as error:  # torch reports damage through many exception types
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise CheckpointError(f"{path}: not a readable checkpoint ({reason[:120]})") from None
+        raise CheckpointError(
+            f"{path}: not a readable checkpoint ({reason.partition('. ')[0][:120]})"
+        ) from None
     missing = [key for key in keys if not isinstance(content, dict) or key not in content]
     if missing:
         raise CheckpointError(f"{path}: not a checkpoint of this program: it lacks {', '.join(missing)}")

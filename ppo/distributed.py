@@ -28,11 +28,12 @@ def counting_on_others() -> Iterator[None]:
     """Turns the failure of an exchange into a RankLostError."""
     try:
         yield
+    except torch.OutOfMemoryError:  # a RuntimeError, too, but this rank's own
+        raise
     except RuntimeError as error:  # what every backend raises where a connection closes or stays silent
         said = str(error).splitlines()[0]
-        reason = (said.partition("] ")[2] or said).partition(". ")[
-            0
-        ]  # neither the place in the source nor advice
+        # neither the place in the source nor advice
+        reason = (said.partition("] ")[2] or said).partition(". ")[0]
         raise RankLostError(f"another rank ended ({reason[:120]})") from None
 
 

@@ -73,6 +73,7 @@ class ExtraBarriers:
 
     @property
     def names(self) -> tuple[str, ...]:
+        """Of the group's constraints."""
         return tuple(each.name for each in self.constraints)
 
     def gain(self, value: float) -> float:
@@ -80,6 +81,7 @@ class ExtraBarriers:
         return self.barriers.r.gain(value, self.barriers.period)
 
     def row(self, each: Constraint) -> Row:
+        """What is fixed about a constraint's row: the last gain, the margin, which Psi_1 holds already, the weight."""
         *first, last = map(self.gain, each.gains)
         if first:
             return Row(each.name, last, 0.0, each.weight, lead=first[0] * each.margin)

@@ -73,7 +73,7 @@ def run(config: StudyConfig, directory: Path) -> str:
     with on_signal(stop):  # outside an update, where nothing half done is kept
         for name in config.study.arms:
             path = directory / name / "results.json"
-            if not path.exists():
+            if not ranks().agree(path.exists()):
                 finish(train(config, name, directory / name))
             if not ranks().first:
                 continue

@@ -178,7 +178,7 @@ def final_performance(inputs: Inputs) -> list[str]:
             page.paragraph(
                 "A point counts only while the Sun lights it. In these test cases the points lit so far first weigh "
                 f"enough for success after {earliest['iqm']:.0f} s [{low:.0f}, {high:.0f}], whatever one does: "
-                "no agent can finish earlier."
+                "no interquartile mean of episode lengths can be smaller."
             )
         )
     if inputs.guidance:

@@ -263,6 +263,7 @@ const title = document.title;
 let time = 0;
 let playing = false;
 let lastFrame = 0;
+let nextFrame = 0;
 
 function show(t) {
   time = Math.min(Math.max(t, 0), end);
@@ -277,7 +278,8 @@ function play(wanted) {
   if (!playing) return;
   if (time >= end) show(0);
   lastFrame = performance.now();
-  requestAnimationFrame(frame);
+  cancelAnimationFrame(nextFrame); // of a play that was paused within the same frame
+  nextFrame = requestAnimationFrame(frame);
 }
 
 function frame(now) {
@@ -288,7 +290,7 @@ function frame(now) {
     show(time + elapsed * Number(byId("speed").value));
     if (time >= end) play(false);
   }
-  requestAnimationFrame(frame);
+  nextFrame = requestAnimationFrame(frame);
 }
 
 byId("scrub").max = end;

@@ -4,7 +4,7 @@ import hashlib
 import json
 import os
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -148,7 +148,7 @@ def work(study: Path, arms: dict[str, Arm]) -> Work:
     )
     for name, arm in arms.items():
         todo[f"episode_{name}.npz"] = (f"an episode of {name}", partial(episode, arm))
-    todo["training.csv"] = ("intervals of the training curves", partial(training, study, tuple(arms)))
+    todo["training.csv"] = ("intervals of the training curves", partial(training, study, arms))
     for name, rta in ARMS.items():
         what = f"the LQR+PD demonstration {'with' if rta else 'without'} RTA"
         todo[f"demonstration_{name}.npz"] = (what, partial(demonstration, config, rta))
@@ -171,8 +171,12 @@ def frequency(arm: Arm) -> dict[str, Results]:
     return {f"{period:g}": evaluate(arm, rta=True, period=period) for period in PERIODS}
 
 
-def training(study: Path, arms: Iterable[str]) -> str:
+def training(study: Path, arms: dict[str, Arm]) -> str:
     """The table of the periodic evaluations."""
+    for name, arm in arms.items():
+        path = study / name / "evaluations.jsonl"
+        if arm.results["interactions"] >= arm.config.train.evaluation_interval and not path.exists():
+            raise InputError(f"{path}: missing, and with it the training curves of {name}")
     with refusing(f"--study {study}: cannot read its evaluations.jsonl", OSError, *MALFORMED):
         rows = [row for name in arms for row in report_tables.training(name, study / name)]
     return report_tables.text(rows, report_tables.TRAINING)

@@ -28,11 +28,8 @@ def embedded(page: str) -> dict[str, Any]:
 def test_simulate_writes_what_replay_needs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     run, out = tmp_path / "run.npz", tmp_path / "page.html"
     state = {
-        "position": [
-            -40.0,
-            0.0,
-            0.0,
-        ],  # the Sun behind it, the camera turning towards the chief from 30 deg off
+        # the Sun behind it, the camera turning towards the chief from 30 deg off
+        "position": [-40.0, 0.0, 0.0],
         "velocity": [0.0, 0.0, 0.0],
         "quaternion": [0.0, 0.0, -math.sin(math.radians(15.0)), math.cos(math.radians(15.0))],
         "angular_velocity": [0.0, 0.0, 0.01],
