@@ -12,6 +12,7 @@ from numpy import ndarray
 from scipy.optimize import linprog
 from torch import Tensor
 
+from inspection.attitude import norm
 from inspection.environment import InspectionEnv
 from inspection.parameters import InspectionParameters
 from rta import constraints
@@ -334,6 +335,33 @@ def test_own_constraints_come_after_the_papers(result: FilterResult) -> None:
     alone = sides[0] > 1e-6  # the cone would not have mattered
     assert alone.sum() > 200
     torch.testing.assert_close(answer.control[:, alone], result.control[:, alone], rtol=0, atol=1e-6)
+
+
+def clear_of_a_ball(x: Tensor) -> Tensor:
+    """m outside 70 m around a place where episodes start."""
+    return norm(torch.stack((x[0], x[1] - 80.0, x[2]))) - 70.0
+
+
+@pytest.mark.parametrize("filtered", [False, True])
+def test_random_flight_violates_an_own_constraint_only_without_the_filter(filtered: bool) -> None:
+    ball = Constraint("ball", clear_of_a_ball, "thrust", (0.05, 0.2), 1.0)
+    safety = SafetyFilter(C, R, extra=[ball])
+    generator = torch.Generator().manual_seed(0)
+    env = InspectionEnv(48, C, [generator], safety.safety(filtered))
+    env.reset()
+    lowest, binds = safety.values(env.x), torch.zeros(48, dtype=torch.bool)
+    assert (lowest >= 0.0).all()
+    for _ in range(5):
+        step = env.step(2 * torch.rand(48, 6, generator=generator, dtype=torch.float64) - 1)
+        lowest = lowest.minimum(safety.values(step.state))
+        for correction in step.corrections:
+            lowest = lowest.minimum(correction.h)
+            binds |= correction.active[-1]
+    if filtered:
+        assert (lowest >= 0.0).all()
+        assert binds.any()
+    else:
+        assert (lowest[-1] < 0.0).sum() >= 5
 
 
 def test_the_same_name_twice_is_refused() -> None:

@@ -79,9 +79,26 @@ def test_a_seed_decides_everything(c):
     assert not torch.equal(*(sample_initial_state(50, seeded(seed), c)[0] for seed in (4, 5)))
 
 
-def test_no_safe_attitude_is_an_error(c, monkeypatch):
-    monkeypatch.setattr(initial_state, "MAX_ATTEMPTS", 3)
-    with pytest.raises(RuntimeError, match="no safe initial attitude in 3 draws"):
+def test_states_without_a_safe_attitude_are_redrawn_as_a_whole(c):
+    def is_safe(x):
+        return (x[0] > 0.0) & (x[Q][3] > 0.5)
+
+    free, priority = sample_initial_state(200, seeded(9), c)
+    x, new_priority = sample_initial_state(200, seeded(9), c, is_safe)
+    cured = free[0] > 0.0
+    others = [*range(6), *range(10, 16)]
+    assert is_safe(x).all() and 80 < cured.sum() < 120
+    assert torch.equal(x[others][:, cured], free[others][:, cured])
+    assert torch.equal(new_priority[:, cured], priority[:, cured])
+    again = x[:, ~cured]
+    assert (again[P] != free[P][:, ~cured]).all() and (again[[*range(3, 6), *range(10, 13)]] == 0.0).all()
+    assert ((again[P].norm(dim=0) >= 50.0) & (again[P].norm(dim=0) <= 100.0)).all()
+
+
+def test_no_safe_state_is_an_error(c, monkeypatch):
+    monkeypatch.setattr(initial_state, "MAX_ATTITUDES", 3)
+    monkeypatch.setattr(initial_state, "MAX_STATES", 4)
+    with pytest.raises(RuntimeError, match="in 3 draws of an attitude and 4 of a whole state"):
         sample_initial_state(5, seeded(0), c, lambda x: torch.zeros(x.shape[1], dtype=torch.bool))
 
 
