@@ -19,7 +19,6 @@ from inspection.parameters import InspectionParameters
 from inspection.state import CONTROL_SIZE, OMEGA, SIZE, THETA_S, E, P, Q, T, V
 from inspection.termination import terminal_conditions
 from ppo.network import Policy
-from rta.constraints import CONSTRAINTS
 from study import build
 from study.config import Config
 from study.errors import InputError
@@ -251,7 +250,7 @@ def simulate(
             x = integrate(x, applied, interval, c)
     arrays = {name: torch.stack([r[name] for r in rows]).cpu().numpy() for name in rows[0]}
     h = arrays.pop("h")
-    arrays |= {f"h_{name}": h[:, i] for i, name in enumerate(CONSTRAINTS)}
+    arrays |= {f"h_{name}": h[:, i] for i, name in enumerate(safety.names)}
     scalars = ("time", "inspected_score", "temperature", "energy", "sun_angle")
     arrays = {name: array[:, 0] if name in scalars else array for name, array in arrays.items()}
     return arrays | {"parameters": np.array(tomli_w.dumps({"inspection": asdict(c)}))}

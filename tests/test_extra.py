@@ -10,11 +10,16 @@ from numpy import ndarray
 from torch import Tensor
 
 from inspection.attitude import body_axis, dot, norm, unit
+from inspection.environment import InspectionEnv
+from inspection.guidance import natural_motion
+from inspection.initial_state import sample_initial_state
 from inspection.parameters import InspectionParameters
 from inspection.state import P, Q
 from rta.extra import ACTUATORS, Constraint, ExtraBarriers
+from rta.filter import SafetyFilter
 from rta.parameters import RtaParameters
 from rta.rows import Barriers
+from study.simulation import simulate
 from tests import test_constraints as reference
 from tests.test_barrier import X, drift, held, near, push, slope, turn
 from tests.test_constraints import length, tensor
@@ -125,3 +130,16 @@ def test_what_does_not_fit_is_refused(arguments: dict, words: str) -> None:
     given = {"name": "mine", "h": cone, "held_by": "torque", "gains": (0.05, 0.2)}
     with pytest.raises(ValueError, match=f"^mine: .*{words}"):
         barriers_of(Constraint(**given | arguments))
+
+
+def test_simulation_of_one_spacecraft_returns_every_h() -> None:
+    safety = SafetyFilter(C, RtaParameters(), extra=[constraint for constraint, _ in CONSTRAINTS.values()])
+    generator = torch.Generator().manual_seed(0)
+    env = InspectionEnv(1, C, [generator], safety.safety(enabled=False))
+    start = sample_initial_state(1, generator, C)
+    flight = simulate(env, natural_motion(C), *start, duration=20.0, step=10.0, decide_every=10.0)
+    components = ("position", "velocity", "quaternion", "angular_velocity")
+    x = np.concatenate([flight[name] for name in components], 1).T
+    for name, (_, h) in CONSTRAINTS.items():
+        np.testing.assert_allclose(flight[f"h_{name}"], h(x), rtol=1e-9, atol=1e-12)
+    assert sum(name.startswith("h_") for name in flight) == len(safety.names)
