@@ -9,9 +9,8 @@ from torch import Tensor
 
 from inspection.attitude import unit
 from inspection.dynamics import control_matrix, drift
-from inspection.state import SIZE, THRUST, TORQUE, P, Q
+from inspection.state import CONTROL_SIZE, SIZE, THRUST, TORQUE, P, Q
 from rta.barrier import Function, high_order, lie_derivatives
-from rta.parameters import RtaParameters
 from rta.rows import Barriers, Row, Rows
 
 ACTUATORS = {"thrust": THRUST, "torque": TORQUE}
@@ -28,7 +27,8 @@ class Constraint:
         gains: class-kappa gains in 1/s: one where these controls change dh/dt (relative degree one), two where
             they change its derivative (HOCBF: Psi_1 = dh/dt + k1 h and dPsi_1/dt + k2 Psi_1 >= 0).
         margin: subtracted from h, in its unit, for what h loses within one period beyond its linear prediction.
-        weight: of its slack and so its priority in a conflict, see `rta.qp`; infinite where it must hold.
+        weight: of its slack and so its priority in a conflict, see `rta.qp`; infinite where it must hold, None for the
+            filter's own `slack_weight_critical`.
     """
 
     name: str
@@ -36,15 +36,37 @@ class Constraint:
     held_by: str
     gains: tuple[float, ...]
     margin: float = 0.0
-    weight: float = RtaParameters.slack_weight_critical
+    weight: float | None = None
 
     def __post_init__(self) -> None:
         if self.held_by not in ACTUATORS:
             raise ValueError(f"{self.name}: held_by = {self.held_by!r}: must be {' or '.join(ACTUATORS)}")
         if len(self.gains) not in (1, 2) or not all(0 < gain < math.inf for gain in self.gains):
             raise ValueError(f"{self.name}: gains = {self.gains!r}: must be one or two positive numbers, 1/s")
-        if not 0 <= self.margin < math.inf or not self.weight > 0:
+        if not 0 <= self.margin < math.inf or not (self.weight is None or self.weight > 0):
             raise ValueError(f"{self.name}: margin must be finite and not negative, weight positive")
+
+
+def check_values(each: Constraint, x: Tensor) -> None:
+    """Raises ValueError where h of states (16, B), or with an axis of directions between, is not as it must be."""
+    h = each.h(x)
+    if not h.isfinite().all():
+        raise ValueError(
+            f"{each.name}: h is not finite: must be at every state, beyond other constraints too"
+        )
+    if h.shape != x.shape[1:]:
+        raise ValueError(f"{each.name}: h of states (16, B) has shape {tuple(h.shape)}: must be (B,)")
+    directions = 1 + CONTROL_SIZE  # the middle axis of `lie_derivatives`
+    wide = x[:, None].expand(-1, directions, -1)
+    try:
+        fits = each.h(wide).shape == wide.shape[1:]
+    except RuntimeError:
+        fits = False
+    if not fits:
+        raise ValueError(
+            f"{each.name}: h of states (16, {directions}, B) must have shape ({directions}, B): "
+            "constants in h must broadcast over all trailing axes"
+        )
 
 
 class ExtraBarriers:
@@ -61,7 +83,8 @@ class ExtraBarriers:
         rows: what is fixed about each row, one per constraint.
 
     Raises:
-        ValueError: an h has the wrong shape, or a relative degree other than its number of gains.
+        ValueError: an h or its derivative is not finite, h has the wrong shape or does not broadcast over several
+            trailing axes, or its relative degree is other than its number of gains.
     """
 
     def __init__(self, constraints: Sequence[Constraint], held_by: str, barriers: Barriers) -> None:
@@ -83,9 +106,10 @@ class ExtraBarriers:
     def row(self, each: Constraint) -> Row:
         """What is fixed about a constraint's row: the last gain, the margin, which Psi_1 holds already, the weight."""
         *first, last = map(self.gain, each.gains)
+        weight = self.barriers.r.slack_weight_critical if each.weight is None else each.weight
         if first:
-            return Row(each.name, last, 0.0, each.weight, lead=first[0] * each.margin)
-        return Row(each.name, last, each.margin, each.weight)
+            return Row(each.name, last, 0.0, weight, lead=first[0] * each.margin)
+        return Row(each.name, last, each.margin, weight)
 
     def values(self, x: Tensor) -> Tensor:
         """h, states (16, ...) to (constraints, ...)."""
@@ -126,11 +150,12 @@ class ExtraBarriers:
         x = torch.randn(SIZE, 64, generator=generator, dtype=torch.float64)
         x[P], x[Q] = 100.0 * x[P], unit(x[Q])
         for each in self.constraints:
-            if (shape := each.h(x).shape) != x.shape[1:]:
-                raise ValueError(f"{each.name}: h of states (16, B) has shape {tuple(shape)}: must be (B,)")
+            check_values(each, x)
         _, _, first = self.along_flow(self.values, x)
         _, _, last = self.along_flow(self.psi, x)
         for each, at_once, at_last in zip(self.constraints, first, last, strict=True):
+            if not (at_once.isfinite() & at_last.isfinite()).all():
+                raise ValueError(f"{each.name}: a derivative of h is not finite: must be at every state")
             too_many = len(each.gains) == 2 and (at_once != 0.0).any()
             if too_many or not (at_last[ACTUATORS[self.held_by]] != 0.0).any():
                 raise ValueError(

@@ -43,6 +43,11 @@ def sphere(x: Tensor) -> Tensor:
     return norm(to_second(x)) - 50.0
 
 
+def over_one_axis(x: Tensor) -> Tensor:
+    """`sphere` with a constant that fits states (16, B) only."""
+    return (x[P] - tensor(SECOND)).square().sum(0) - 50.0**2
+
+
 def slow_turn(x: Tensor) -> Tensor:
     """1e-3 rad^2/s^2 less the squared rate."""
     return 1e-3 - dot(x[10:13], x[10:13])
@@ -70,16 +75,22 @@ def barriers_of(*constraints: Constraint, period: float = 1.0) -> ExtraBarriers:
     return ExtraBarriers(constraints, constraints[0].held_by, Barriers(C, RtaParameters(), period))
 
 
+def numpy_psi(x: ndarray, constraint: Constraint, h: Callable[[ndarray], ndarray]) -> ndarray:
+    """h or Psi_1, with an exact complex-step derivative of h along f."""
+    *first, _ = constraint.gains
+    if not first:
+        return h(x)
+    along = h(x + 1e-30j * drift(x, C)).imag / 1e-30
+    return along + first[0] * (h(x) - constraint.margin)
+
+
 @pytest.mark.parametrize("name", CONSTRAINTS)
 def test_rows_equal_finite_differences(name: str) -> None:
     constraint, h = CONSTRAINTS[name]
     *first, last = constraint.gains
 
     def psi(x: ndarray) -> ndarray:
-        if not first:
-            return h(x)
-        along = h(x + 1e-30j * drift(x, C)).imag / 1e-30
-        return along + first[0] * (h(x) - constraint.margin)
+        return numpy_psi(x, constraint, h)
 
     rows = barriers_of(constraint)(tensor(X))
     columns = [push(held(X), i) for i in range(3)] + [turn(X, i, C) for i in range(3)]
@@ -105,11 +116,20 @@ def test_gains_are_capped_as_the_papers() -> None:
 
 
 def test_safe_is_where_h_and_psi_are_not_negative() -> None:
-    barriers = barriers_of(CONSTRAINTS["cone"][0])
-    x = tensor(X)
-    safe = barriers.is_safe(x)
-    assert 0.5 < safe.double().mean() < 1.0
-    assert (safe == ((cone(x) >= 0.0) & (barriers(x).psi[0] >= 0.0))).all()
+    constraint, h = CONSTRAINTS["cone"]
+    safe = barriers_of(constraint).is_safe(tensor(X)).numpy()
+    fulfilled, holds = h(X) >= 0, numpy_psi(X, constraint, h) >= 0
+    assert 0.5 < safe.mean() < 1.0
+    assert (fulfilled != holds).any()
+    assert (safe == (fulfilled & holds)).all()
+
+
+def test_weight_is_the_filters_own_unless_given() -> None:
+    barriers = Barriers(C, RtaParameters(slack_weight_critical=2e5), 1.0)
+    mine = (
+        Constraint("mine", cone, "torque", (0.05, 0.2), weight=weight) for weight in (None, 7.0, math.inf)
+    )
+    assert [row.weight for row in ExtraBarriers(list(mine), "torque", barriers).rows] == [2e5, 7.0, math.inf]
 
 
 @pytest.mark.parametrize(
@@ -124,6 +144,9 @@ def test_safe_is_where_h_and_psi_are_not_negative() -> None:
         ({"h": slow_turn}, "torque does not first enter derivative 2"),
         ({"h": sphere}, "torque does not first enter derivative 2"),
         ({"h": lambda x: x[P]}, r"shape \(3, 64\)"),
+        ({"h": lambda x: cone(x) - (x[0] - 1e4).sqrt()}, "h is not finite"),
+        ({"h": lambda x: cone(x) - x[0].clamp(min=0.0).sqrt()}, "a derivative of h is not finite"),
+        ({"h": over_one_axis}, "must broadcast over all trailing axes"),
     ],
 )
 def test_what_does_not_fit_is_refused(arguments: dict, words: str) -> None:
