@@ -68,44 +68,50 @@ class Ranks:
         share = self.share(tensor.shape[dim])
         return tensor.narrow(dim, share.start, share.stop - share.start)
 
-    @counting_on_others()
     def whole(self, tensor: Tensor, dim: int) -> Tensor:
         """The ranks' tensors, of one shape, put together along an axis; the same on every rank."""
         if self.size == 1:
             return tensor
         parts = [torch.empty_like(tensor, memory_format=torch.contiguous_format) for _ in range(self.size)]
-        dist.all_gather(parts, tensor.contiguous())
+        own = tensor.contiguous()
+        with counting_on_others():
+            dist.all_gather(parts, own)
         return torch.cat(parts, dim)
 
-    @counting_on_others()
     def average(self, tensors: Sequence[Tensor], samples: int) -> None:
         """Replaces each rank's means over its share of `samples` by those over all of them, in one exchange."""
         if self.size == 1:
             return
         share = self.share(samples)
         flat = torch.cat([tensor.flatten() for tensor in tensors]) * ((share.stop - share.start) / samples)
-        dist.all_reduce(flat)
+        with counting_on_others():
+            dist.all_reduce(flat)
         for tensor, mean in zip(tensors, flat.split([tensor.numel() for tensor in tensors]), strict=True):
             tensor.copy_(mean.view_as(tensor))
 
-    @counting_on_others()
     def turn(self, count: int) -> tuple[int, int]:
         """How many things in a row the ranks before this one take if it takes `count`, and all ranks together."""
+        if self.size == 1:
+            return 0, count
         counts = [torch.zeros(1, dtype=torch.int64) for _ in range(self.size)]
-        dist.all_gather(counts, torch.tensor([count]))
+        with counting_on_others():
+            dist.all_gather(counts, torch.tensor([count]))
         taken = torch.cat(counts).tolist()
         return sum(taken[: self.rank]), sum(taken)
 
-    @counting_on_others()
+    def most(self, number: float) -> float:
+        """The largest of the ranks' numbers."""
+        if self.size == 1:
+            return number
+        largest = torch.tensor(number, dtype=torch.float64)
+        with counting_on_others():
+            dist.all_reduce(largest, dist.ReduceOp.MAX)
+        return largest.item()
+
     def any(self, flag: bool) -> bool:
         """Whether any rank's flag is set."""
-        if self.size == 1:
-            return flag
-        flags = torch.tensor(int(flag))
-        dist.all_reduce(flags, dist.ReduceOp.MAX)
-        return bool(flags)
+        return bool(self.most(flag))
 
-    @counting_on_others()
     def collect(self, thing: Any, device: torch.device) -> list[Any]:
         """On the first rank every rank's thing, with its tensors on `device`; elsewhere nothing."""
         if self.size == 1:
@@ -113,16 +119,17 @@ class Ranks:
         buffer = io.BytesIO()
         torch.save(thing, buffer)
         sent: list[Any] | None = [None] * self.size if self.first else None
-        dist.gather_object(buffer.getvalue(), sent)
+        with counting_on_others():
+            dist.gather_object(buffer.getvalue(), sent)
         return [torch.load(io.BytesIO(each), device, weights_only=False) for each in sent or ()]
 
-    @counting_on_others()
     def agree(self, thing: Any) -> Any:
         """The first rank's thing."""
         if self.size == 1:
             return thing
         things = [thing]
-        dist.broadcast_object_list(things)
+        with counting_on_others():
+            dist.broadcast_object_list(things)
         return things[0]
 
     def first_does(self, deed: Callable[[], None]) -> None:

@@ -17,11 +17,8 @@ from study.evaluation import Episodes, report
 from study.tables import tables
 from study.training import Run, Stopped, on_signal, write_json, write_settings
 
-SETTINGS = (
-    "provenance.json",
-    "provenance.json.tmp",
-    "config.toml.tmp",
-)  # all that a kill at the start leaves
+# All that a kill at the start leaves.
+SETTINGS = ("provenance.json", "provenance.json.tmp", "config.toml.tmp")
 TEST_CASES = 0  # seed of the final evaluation's cases, the default of `evaluate`
 
 
