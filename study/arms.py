@@ -113,10 +113,11 @@ def train(config: StudyConfig, name: str, directory: Path) -> Run:
 def finish(run: Run) -> None:
     """Plays the common test cases with every seed of a trained arm; writes episodes.npz, then results.json.
 
-    `interactions` are those of each seed, `wall_clock_s` the rollouts and updates of all of them together.
+    `interactions` are those of each seed, `wall_clock_s` the rollouts and updates of all of them together, by the
+    rank that took longest.
     """
     train = run.config.train
-    record = run.play(train.final_episodes, TEST_CASES)
+    record, seconds = run.play(train.final_episodes, TEST_CASES), run.seconds()
     if not record:
         return
     save_episodes(record, run.seeds, run.directory / "episodes.npz")
@@ -124,7 +125,7 @@ def finish(run: Run) -> None:
     about = {
         "seeds": list(run.seeds),
         "interactions": run.interactions,
-        "wall_clock_s": run.trainer.seconds,
+        "wall_clock_s": seconds,
         "per_seed": run.report(record, TEST_CASES),
     }
     write_json(run.directory / "results.json", together | about)

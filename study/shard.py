@@ -46,6 +46,7 @@ class Shard:
         shared = self.learners.size > 1  # the seed: all ranks have the same but for the episodes
         whole = each(concatenated, *(others[:1] if shared else others))
         whole["env"] |= {name: torch.cat([part[name] for part in columns], -1) for name in columns[0]}
+        whole["seconds"] = max(state["seconds"] for state in states)  # the others waited
         return whole
 
 

@@ -188,6 +188,10 @@ class Run:
         """Interactions of each seed so far."""
         return self.trainer.update * self.config.train.batch
 
+    def seconds(self) -> float:
+        """Wall-clock s of training so far, of the rank that took longest; all ranks ask together."""
+        return self.ranks.most(self.trainer.seconds)
+
     def create(self) -> None:
         """Starts the episodes and writes the first checkpoint."""
         with refusing("[inspection]", RuntimeError):
@@ -303,8 +307,8 @@ class Run:
             for tag, value in monitor.charts(k).items():
                 writer.add_scalar(tag, value, self.interactions)
         statistics |= monitor.scalars()
-        seconds = statistics["time/rollout_s"] + statistics["time/learning_s"]
-        statistics["charts/SPS"] = len(self.seeds) * train.batch / seconds
+        slowest = max(part["time/rollout_s"] + part["time/learning_s"] for part in parts)
+        statistics["charts/SPS"] = len(self.seeds) * train.batch / slowest
         for tag, value in statistics.items():
             self.writers[0].add_scalar(tag, value, self.interactions)
         shown = {
@@ -352,7 +356,7 @@ class Run:
 
     def evaluate(self) -> None:
         """Periodic evaluation; a line per seed in evaluations.jsonl, with the metrics of every case."""
-        record = self.play(self.config.train.evaluation_episodes, EVALUATION_SEED)
+        record, seconds = self.play(self.config.train.evaluation_episodes, EVALUATION_SEED), self.seconds()
         if not record:
             return
         self.log(self.writers[0], record)
@@ -362,7 +366,7 @@ class Run:
         lines = []
         for own, results in zip(episodes, self.report(record, EVALUATION_SEED), strict=True):
             cases = dict(zip(METRICS, own.metrics.tolist(), strict=True))
-            line = {"interactions": self.interactions, "seconds": self.trainer.seconds} | results
+            line = {"interactions": self.interactions, "seconds": seconds} | results
             lines.append(json.dumps(line | {"cases": cases}) + "\n")
         with open(self.directory / "evaluations.jsonl", "a", encoding="utf-8") as file:
             file.writelines(lines)

@@ -198,6 +198,7 @@ def test_a_study_on_two_ranks_is_that_of_one_process(
     assert_close(state(own), state(shared), TOLERANCE)
     one, other = (json.loads((d / "results.json").read_text()) for d in (own, shared))
     assert (one["seeds"], one["episodes"]) == (other["seeds"], other["episodes"]) == ([0, 1, 2], 6)
+    assert other["wall_clock_s"] == state(shared)["seconds"]
     one, other = (np.load(d / "episodes.npz") for d in (own, shared))
     for name in one.files:
         assert one[name].shape == other[name].shape
@@ -234,6 +235,12 @@ def test_states_split_and_joined_are_the_same(size: int, alone: Path, tmp_path: 
     parts = [shard.of_seeds(config, Ranks(rank, size), 3) for rank in range(size)]
     assert parts[1].split(whole)["env"]["x"].shape[1] == 6 * len(study.seeds[parts[1].seeds])
     assert_close(whole, parts[0].join([part.split(whole) for part in parts]), 0.0)
+
+
+def test_a_study_took_as_long_as_its_slowest_rank(alone: Path) -> None:
+    part = shard.of_seeds(configuration.load(alone / "config.toml"), Ranks(0, 3), 3)
+    states = [state(alone) | {"seconds": seconds} for seconds in (1.0, 3.0, 2.0)]
+    assert part.join(states)["seconds"] == 3.0
 
 
 def test_too_many_ranks_are_refused() -> None:
