@@ -65,6 +65,7 @@ class PPO:
 
     generators[k] orders the minibatches of seed k. Of many `ranks`, all with equal networks, generators and
     batches, each computes the gradient on its share of every minibatch, and all take the step of the whole.
+    `first_seed` is the number, from 0, by which errors name the first seed.
     Raises ValueError if the numbers of seeds differ.
     """
 
@@ -75,12 +76,14 @@ class PPO:
         parameters: PPOParameters,
         generators: Sequence[torch.Generator],
         ranks: Ranks = ALONE,
+        first_seed: int = 0,
     ) -> None:
         self.policy = policy
         self.value = value
         self.parameters = parameters
         self.generators = generators
         self.ranks = ranks
+        self.first_seed = first_seed
         self._named = {f"policy.{name}": weight for name, weight in policy.named_parameters()}
         self._named |= {f"value.{name}": weight for name, weight in value.named_parameters()}
         for name, weight in self._named.items():
@@ -124,7 +127,7 @@ class PPO:
             raise ValueError(f"progress is {progress}: it must be in [0, 1]")
         self.optimiser.param_groups[0]["lr"] = self.parameters.learning_rate * (1.0 - progress)
         for name in TRAINED_ON:
-            require_finite(f"the batch's {name}", batch[name])
+            require_finite(f"the batch's {name}", batch[name], self.first_seed)
         rows = {name: batch[name].flatten(0, 1) for name in TRAINED_ON}
         history: list[Tensor] = []
         samples = batch["log_prob"].shape[1]
@@ -140,9 +143,9 @@ class PPO:
             history.append(torch.stack(list(statistics.values())))
         steps = torch.stack(history)
         self.ranks.average([steps], size)
-        mean = _finite_mean(steps, list(statistics))
+        mean = _finite_mean(steps, list(statistics), self.first_seed)
         for name, weight in self._named.items():
-            require_finite(name, weight)
+            require_finite(name, weight, self.first_seed)
         reported = {name: tensor for name, tensor in mean.items() if name not in self._named}
         return reported | {"explained_variance": explained_variance(batch["value"], batch["return_"])}
 
@@ -216,19 +219,19 @@ class PPO:
         return norms | {"grad_norm": total}
 
 
-def require_finite(name: str, tensor: Tensor) -> None:
+def require_finite(name: str, tensor: Tensor, first_seed: int) -> None:
     """Raise NonFiniteError, naming the tensor (S, ...) and the first bad seed, unless all of it is finite."""
     bad = ~torch.isfinite(tensor.flatten(1)).all(1)
     if bad.any():
-        raise NonFiniteError(f"{name} is not finite (seed {bad.nonzero()[0].item()})")
+        raise NonFiniteError(f"{name} is not finite (seed {first_seed + bad.nonzero()[0].item()})")
 
 
-def _finite_mean(history: Tensor, names: list[str]) -> dict[str, Tensor]:
+def _finite_mean(history: Tensor, names: list[str], first_seed: int) -> dict[str, Tensor]:
     """Average (minibatches, names, S) over the minibatches; raise NonFiniteError at the first bad number."""
     bad = ~torch.isfinite(history)
     if bad.any():  # the only point of an update where the host waits for the device
         minibatch, name, seed = bad.nonzero()[0].tolist()
         raise NonFiniteError(
-            f"{names[name]} is not finite (seed {seed}, minibatch {minibatch} of the update)"
+            f"{names[name]} is not finite (seed {first_seed + seed}, minibatch {minibatch} of the update)"
         )
     return dict(zip(names, history.mean(0), strict=True))

@@ -170,7 +170,7 @@ class Run:
                 starts.turn = self.shard.learners.turn
         policy = build.make_policy(config, generators)
         value = Value(OBSERVATION_SIZE, generators)
-        learner = PPO(policy, value, config.ppo, generators, self.shard.learners)
+        learner = PPO(policy, value, config.ppo, generators, self.shard.learners, self.shard.seeds.start)
         if self.compiled:
             samples = train.num_envs * train.rollout_steps
             build.compile_or_explain("learner", lambda: learner.compile(samples))

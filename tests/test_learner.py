@@ -182,6 +182,18 @@ def test_nan_in_the_batch_is_named(name: str) -> None:
         ppo.update(batch, 0.0)
 
 
+def test_a_bad_seed_is_named_by_its_number_in_the_study() -> None:
+    ppo = learner((1, 2), ONE_MINIBATCH)
+    ppo.first_seed = 3  # of a rank that trains the fourth and fifth
+    batch = batch_of(ppo)
+    batch["advantage"][1, 5] = math.nan
+    with pytest.raises(NonFiniteError, match=r"\(seed 4\)"):
+        ppo.update(batch, 0.0)
+    ppo.policy.network.layers[1].weight.register_hook(lambda gradient: gradient * math.nan)
+    with pytest.raises(NonFiniteError, match=r"\(seed 3, minibatch 0"):
+        ppo.update(batch_of(ppo), 0.0)
+
+
 def test_weights_spoilt_by_the_last_step_are_named() -> None:
     ppo = learner((1, 2), PPOParameters(epochs=1, minibatch_size=64, learning_rate=1e300))
     with pytest.raises(NonFiniteError, match=r"(policy|value)\.network\.layers\.0\.weight is not finite"):
