@@ -10,12 +10,12 @@ import os
 import signal
 import sys
 import time
-from contextlib import redirect_stdout
+from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
 from typing import Any
 
 from ppo.checkpoint import CheckpointError
-from ppo.distributed import RankLostError, ranks
+from ppo.distributed import RankLostError, is_first, ranks
 from ppo.learner import NonFiniteError
 from study import config as configuration
 from study.arguments import DEFAULT_SOLVER, VERIFY, build_parser
@@ -312,9 +312,11 @@ COMMANDS = {
 
 def main(argv: list[str] | None = None) -> int:
     """Parses and dispatches; returns the exit code."""
-    arguments = build_parser(__doc__).parse_args(join_axis(sys.argv[1:] if argv is None else argv))
+    out, err = (sys.stdout, sys.stderr) if is_first() else (None, None)  # one of many ranks speaks for all
+    with redirect_stdout(out), redirect_stderr(err):
+        arguments = build_parser(__doc__).parse_args(join_axis(sys.argv[1:] if argv is None else argv))
     try:
-        with redirect_stdout(sys.stdout if ranks().first else None):  # one of many ranks speaks for all
+        with redirect_stdout(out):
             if ranks().size > 1 and arguments.command not in ("train", "study"):
                 raise InputError(
                     f"torchrun: {arguments.command} runs in one process; only train and study in many"
@@ -331,15 +333,15 @@ def main(argv: list[str] | None = None) -> int:
         return complain(f"{error}", 1)
     except RankLostError as error:
         signal.signal(signal.SIGTERM, signal.SIG_IGN)  # from torchrun, which has noticed, too; we are leaving
-        return complain(f"{error}", 1)
+        return complain(f"{error}", 1, "end")
     except NonFiniteError as error:
-        return complain(f"training stopped at {error}", 1)
+        return complain(f"training stopped at {error}", 1, "end")
     return 0
 
 
-def complain(reason: str, code: int) -> int:
-    """One line on stderr, of ranks that would say the same from one; returns the exit code."""
-    if ranks().first_to_say(reason):
+def complain(reason: str, code: int, event: str = "") -> int:
+    """One line on stderr, of ranks with the same reason, or of the same event, from one; returns the exit code."""
+    if ranks().first_to_say(event or reason):
         unfinished = "" if ranks().first else "\n"  # the first rank's progress bar, where it ended midway
         print(f"{unfinished}error: {reason}", file=sys.stderr)
     return code

@@ -143,10 +143,10 @@ class Ranks:
         if refusal := self.agree(refusal):
             raise refusal
 
-    def first_to_say(self, line: str) -> bool:
+    def first_to_say(self, what: str) -> bool:
         """Whether no other rank said so; torchrun keeps the record, which outlives every rank."""
         try:
-            return self.store is None or self.store.add(line, 1) == 1
+            return self.store is None or self.store.add(what, 1) == 1
         except RuntimeError:  # torchrun itself has ended
             return True
 
@@ -163,6 +163,11 @@ def ranks() -> Ranks:
     backend = "cpu:gloo,cuda:nccl" if torch.cuda.is_available() else "gloo"
     dist.init_process_group(backend, store=store, rank=rank, world_size=size, timeout=PATIENCE)
     return Ranks(rank, size, store)
+
+
+def is_first() -> bool:
+    """Whether this process is rank 0, without a meeting of the ranks."""
+    return not dist.is_torchelastic_launched() or os.environ["RANK"] == "0"
 
 
 def local_rank() -> int:

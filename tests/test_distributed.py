@@ -9,16 +9,19 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
 import torch
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+from torch.distributed import HashStore
 
 import main
 from inspection import initial_state
 from ppo import checkpoint
-from ppo.distributed import ALONE, Ranks, ranks
+from ppo.distributed import ALONE, RankLostError, Ranks, ranks
+from ppo.learner import NonFiniteError
 from study import config as configuration
 from study import shard, training
 from study.config import Config, StudyConfig
@@ -254,10 +257,41 @@ def test_too_many_ranks_are_refused() -> None:
         shard.of_seeds(config, Ranks(0, 3), 2)
 
 
+def test_the_first_rank_to_notice_an_end_speaks_for_all(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    store = HashStore()
+
+    def train(rank: int, error: Exception) -> int:
+        """Exit code of a rank that stops so."""
+        monkeypatch.setattr(main, "ranks", lambda: Ranks(rank, 3, store))
+        monkeypatch.setitem(main.COMMANDS, "train", Mock(side_effect=error))
+        return main.main(["train"])
+
+    previous = signal.getsignal(signal.SIGTERM)
+    assert train(2, NonFiniteError("update 3: loss is not finite (seed 7)")) == 1
+    assert [train(rank, RankLostError(f"another rank ended ([::1]:{rank})")) for rank in (0, 1)] == [1, 1]
+    signal.signal(signal.SIGTERM, previous)
+    assert capsys.readouterr().err == "\nerror: training stopped at update 3: loss is not finite (seed 7)\n"
+
+
+@pytest.mark.parametrize(("rank", "lines"), [(0, 1), (1, 0)])
+def test_a_bad_flag_is_named_once(
+    rank: int, lines: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("TORCHELASTIC_RUN_ID", "test")
+    monkeypatch.setenv("RANK", f"{rank}")
+    with pytest.raises(SystemExit) as refusal:
+        main.main(["train", "--num-envs", "0"])
+    assert refusal.value.code == 2
+    assert capsys.readouterr().err.count("\n") == lines
+
+
 def test_a_process_without_torchrun_is_alone() -> None:
     assert ranks() is ALONE
     x = torch.zeros(2, 3)
     assert ALONE.own(x, 1) is x and ALONE.whole(x, 1) is x
+    assert ALONE.turn(5) == (0, 5) and ALONE.most(2.5) == 2.5
     assert ALONE.collect(x, x.device) == [x] and ALONE.agree(x) is x
 
 
