@@ -7,7 +7,6 @@ Every 10 s the agent observes and decides, every second the filter corrects, in 
 runs in ONNX Runtime, the filter in PyTorch, both on one thread.
 """
 
-import argparse
 import json
 import time
 
@@ -20,13 +19,17 @@ from inspection.environment import InspectionEnv
 from inspection.parameters import InspectionParameters
 from rta.filter import SafetyFilter
 from rta.parameters import RtaParameters
+from study.arguments import Parser, positive_integer
 
 
 def load(path: str) -> onnxruntime.InferenceSession:
-    """An ONNX file as a single-threaded session."""
+    """An ONNX file as a single-threaded session; raises ValueError if it holds no agent, else ONNX Runtime's errors."""
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = options.inter_op_num_threads = 1
-    return onnxruntime.InferenceSession(path, options, providers=["CPUExecutionProvider"])
+    session = onnxruntime.InferenceSession(path, options, providers=["CPUExecutionProvider"])
+    if "action_period" not in session.get_modelmeta().custom_metadata_map:
+        raise ValueError("not an agent that main.py export wrote")
+    return session
 
 
 def control_loop(
@@ -58,18 +61,21 @@ def control_loop(
 
 
 def main(argv: list[str] | None = None) -> None:
-    parser = argparse.ArgumentParser(prog="python -m docs.control_loop")
+    parser = Parser(prog="python -m docs.control_loop")
     parser.add_argument("policy", help="ONNX file")
-    parser.add_argument("--seconds", type=int, default=1000, help="to fly (default: 1000)")
+    parser.add_argument("--seconds", type=positive_integer, default=1000, help="to fly (default: 1000)")
     parser.add_argument(
         "--compile", action="store_true", help="compile the filter, which takes a minute the first time"
     )
     arguments = parser.parse_args(argv)
+    try:
+        session = load(arguments.policy)
+    except Exception as error:  # ONNX Runtime's have nothing else in common
+        parser.error(f"{arguments.policy}: {str(error).splitlines()[0]}")
     torch.set_num_threads(1)
     safety = SafetyFilter(InspectionParameters(), RtaParameters())
     if arguments.compile:
         safety.compile("cpu", 1)
-    session = load(arguments.policy)
     control_loop(session, safety, 2)  # the first calls take longer
     latency, violated = control_loop(session, safety, arguments.seconds)
     for name, calls in latency.items():

@@ -27,6 +27,7 @@ from inspection.state import CONTROL_SIZE  # noqa: E402
 from ppo.distributed import ranks  # noqa: E402
 from ppo.rollout import collect  # noqa: E402
 from study import config as configuration  # noqa: E402
+from study.arguments import Parser  # noqa: E402
 from study.config import Config  # noqa: E402
 from study.training import Run, provenance, write_json  # noqa: E402
 
@@ -202,5 +203,8 @@ def main(directory: Path, config: Config) -> None:
 
 
 if __name__ == "__main__":
+    parser = Parser(description=__doc__.splitlines()[0])
+    parser.add_argument("directory", type=Path, metavar="DIR", help="for the measurements")
+    directory = parser.parse_args().directory
     settings = configuration.load(ROOT / "configs" / "rta.toml")
-    main(Path(sys.argv[1]), configuration.override(settings, {"train": {"compile": "on"}}, "docs/scaling.py"))
+    main(directory, configuration.override(settings, {"train": {"compile": "on"}}, "docs/scaling.py"))

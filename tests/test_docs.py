@@ -72,3 +72,14 @@ def test_the_exported_agent_flies_in_the_control_loop(capsys: pytest.CaptureFixt
     assert {name: int(count) for name, _, _, count in lines} == {"policy": 3, "filter": 30}
     assert all(0.0 < float(median) <= float(slow) for _, median, slow, _ in lines)
     assert "violated in 0 of 30 seconds" in out
+
+
+@pytest.mark.parametrize("arguments", [["absent.onnx"], ["damaged.onnx"], ["damaged.onnx", "--seconds", "0"]])
+def test_the_control_loop_refuses_in_one_line(
+    arguments: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    Path("damaged.onnx").write_bytes(b"not a model")
+    with pytest.raises(SystemExit) as refusal:
+        control_loop.main(arguments)
+    assert refusal.value.code == 2
+    assert re.fullmatch(r"error: python -m docs\.control_loop: .+\n", capsys.readouterr().err)
