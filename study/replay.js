@@ -164,7 +164,7 @@ function drawScene(run, i) {
     status.textContent = [
       `distance ${Math.hypot(...run.position[row]).toFixed(1)} m`,
       `speed ${run.speed[row].toFixed(2)} m/s`,
-      corrected.length ? `filter corrects ${corrected.join(" and ")}` : "control applied as desired",
+      corrected.length ? `filter corrects ${corrected.join(" and ")}` : "no correction",
       ...(t >= run.end && run.end < end ? [`ends at ${run.end} s`] : []),
     ].join(" · ");
     if (row === shown) return;

@@ -42,7 +42,7 @@ LEGEND = {
     "x": "camera (body x) and its field of view",
     "y": "body y",
     "z": "body z",
-    "intervention": "at the foot of a plot: the applied control is not the desired one",
+    "intervention": "at the foot of a plot: the filter corrects the control",
     "safe": "safe",
     "unsafe": "not safe",
 }

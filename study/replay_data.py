@@ -21,7 +21,7 @@ DIGITS, TIME_DIGITS = 4, 8  # significant ones of the page's numbers
 Line = dict[str, Any]
 Panel = dict[str, Any]
 
-# columns of every array that is needed; None: one number a row
+# columns of every array of numbers that is needed; None: one number a row
 COLUMNS: dict[str, int | None] = {
     "time": None,
     "position": 3,
@@ -73,7 +73,7 @@ class Run:
 
 def read(path: str) -> Run:
     """Reads and checks a file of `simulate`, or an episode of a study's report in single precision."""
-    names = (*COLUMNS, "inspected", "parameters")
+    names = (*COLUMNS, "inspected", "intervened", "parameters")
     episode = arrays.load(path, names, "run")
     for name in names:
         if name not in episode:
@@ -83,10 +83,12 @@ def read(path: str) -> Run:
     c = configuration.from_toml(str(episode["parameters"]), f"{path}: parameters").inspection
     rows = episode["time"].size
     shapes = {name: (rows,) if width is None else (rows, width) for name, width in COLUMNS.items()}
-    for name, shape in (shapes | {"inspected": (rows, c.num_points)}).items():
+    flags = {"inspected": (rows, c.num_points), "intervened": (rows, 2)}
+    for name, shape in (shapes | flags).items():
         array = episode[name]
-        if array.shape != shape or array.dtype.kind != ("b" if name == "inspected" else "f"):
-            raise InputError(f"{path}: {name} is {array.dtype} {array.shape}: must be numbers {shape}")
+        if array.shape != shape or array.dtype.kind != ("b" if name in flags else "f"):
+            kind = "bool" if name in flags else "numbers"
+            raise InputError(f"{path}: {name} is {array.dtype} {array.shape}: must be {kind} {shape}")
         if not np.isfinite(array).all():
             raise InputError(f"{path}: {name} must hold finite numbers only")
     if rows < 2 or not (np.diff(episode["time"]) > 0.0).all():
@@ -105,13 +107,11 @@ def thinned(run: Run) -> Episode:
     }
 
 
-def interventions(episode: Episode, group: slice) -> list[list[float]]:
-    """The intervals [start, end] in s in which the applied controls of a group are not the desired ones."""
-    t = episode["time"]
-    differs = (episode["control_desired"] != episode["control_applied"])[:-1, group].any(1)
-    edges = np.flatnonzero(np.diff(differs, prepend=False, append=False))
-    # a row's control acts until the next row
-    return rounded(t[edges].reshape(-1, 2), TIME_DIGITS)
+def interventions(episode: Episode, program: int) -> list[list[float]]:
+    """The intervals [start, end] in s of rows in which the filter's program, 0 for thrust, 1 for torque, corrected."""
+    intervened = episode["intervened"][:-1, program]  # a row reports until the next
+    edges = np.flatnonzero(np.diff(intervened, prepend=False, append=False))
+    return rounded(episode["time"][edges].reshape(-1, 2), TIME_DIGITS)
 
 
 def inspection_times(episode: Episode) -> list[float | None]:
@@ -232,8 +232,8 @@ def run_data(run: Run) -> dict[str, Any]:
         "inspected": inspection_times(run.episode),
         "rim": cone_rim(c),
         "interventions": {
-            "thrust": interventions(run.episode, slice(0, 3)),
-            "torque": interventions(run.episode, slice(3, 6)),
+            "thrust": interventions(run.episode, 0),
+            "torque": interventions(run.episode, 1),
         },
     }
 

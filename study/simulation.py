@@ -19,6 +19,7 @@ from inspection.parameters import InspectionParameters
 from inspection.state import CONTROL_SIZE, OMEGA, SIZE, THETA_S, E, P, Q, T, V
 from inspection.termination import terminal_conditions
 from ppo.network import Policy
+from rta.qp import Status
 from study import build
 from study.config import Config
 from study.errors import InputError
@@ -203,8 +204,9 @@ def simulate(
 
     Returns:
         Arrays by name over time, the initial state first; `control_applied` is the control from the row's
-        time on, and the last row repeats the one before it. `inspected` is (rows, points) bool. `parameters`,
-        the only one not over time, is the task's table of a configuration file.
+        time on, and the last row repeats the one before it. `inspected` is (rows, points) bool. `intervened`
+        is (rows, 2) bool, whether a call of the filter from the row up to the next corrected thrust, torque.
+        `parameters`, the only one not over time, is the task's table of a configuration file.
     """
     c, safety = env.c, env.safety
     env.start(x, priority)
@@ -223,6 +225,7 @@ def simulate(
             "control_applied": applied[:, 0],
             "inspected_score": env.score,
             "inspected": env.inspected[:, 0].clone(),  # `look` writes in place
+            "intervened": intervened,  # calls before the next row write into it
             "h": safety.values(x)[:, 0],
         }
 
@@ -234,6 +237,9 @@ def simulate(
             env.look()
             conditions = terminal_conditions(x, env.score, x.new_tensor([i * interval]), c)
             ended = until_ended and any(bool(condition) for condition in conditions.values())
+        recorded = due(i, step) or i == steps or ended
+        if recorded:
+            intervened = torch.zeros_like(x[:2, 0], dtype=torch.bool)
         if i < steps:
             fresh = due(i, decide_every)
             if fresh:
@@ -241,8 +247,10 @@ def simulate(
             if safety.correct is None:
                 applied = desired
             elif due(i, safety.period):
-                applied = safety.correct(x, desired if fresh else applied).control
-        if due(i, step) or i == steps or ended:
+                correction = safety.correct(x, desired if fresh else applied)
+                applied = correction.control
+                intervened |= correction.program_status[:, 0] > Status.UNTOUCHED
+        if recorded:
             rows.append(row(i))
         if ended:
             break

@@ -95,6 +95,7 @@ def made_up_episode(rng: np.random.Generator) -> dict[str, np.ndarray]:
         "inspected_score": t / t[-1],
         "inspected": t[:, None] >= rng.uniform(0.0, 1.3 * t[-1], 100),
         "parameters": np.array(Config().to_toml()),
+        "intervened": np.zeros((len(t), 2), dtype=bool),
         **{f"h_{name}": ones for name in CONSTRAINTS},
     }
 
@@ -145,17 +146,23 @@ def made_up_study(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="session")
 def flown() -> dict[str, np.ndarray]:
-    """A run of 290 s in rows of 10 s, tumbling, whose controls are corrected now and then."""
+    """A run of 290 s in rows of 10 s, tumbling, whose controls are corrected now and then.
+
+    Its torque keeps a correction for a row in which the filter has nothing more to correct.
+    """
     rng = np.random.default_rng(1)
     made_up = made_up_episode(rng)
     rows = len(made_up["time"])
     corrected = made_up["control_desired"].copy()
     corrected[[2, 3, 7], 1] += 1e-4  # thrust
-    corrected[[7, 20], 5] -= 1e-6  # torque
+    corrected[[7, 20, 21], 5] -= 1e-6  # torque
+    intervened = np.zeros((rows, 2), dtype=bool)
+    intervened[[2, 3, 7], 0] = intervened[[7, 20], 1] = True
     return made_up | {
         "quaternion": Rotation.random(rows, rng).as_quat(),
         "sun_angle": np.linspace(1.0, -2.0, rows),
         "control_applied": corrected,
+        "intervened": intervened,
         **{f"h_{name}": rng.uniform(-1.0, 9.0, rows) for name in CONSTRAINTS},
     }
 

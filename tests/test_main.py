@@ -289,7 +289,7 @@ def test_simulate_replays_recorded_controls_from_a_state(
     assert code == 0, err
     result = np.load(out)
     names = "time position velocity quaternion angular_velocity temperature energy sun_angle"
-    names += " control_desired control_applied inspected_score inspected parameters"
+    names += " control_desired control_applied inspected_score inspected intervened parameters"
     assert set(result.files) == {*names.split(), *(f"h_{name}" for name in CONSTRAINTS)}
     np.testing.assert_allclose(result["time"], np.arange(0, 41, 5))
     np.testing.assert_array_equal(result["position"][0], STATE["position"])
@@ -298,6 +298,7 @@ def test_simulate_replays_recorded_controls_from_a_state(
     assert result["temperature"].shape == result["h_battery"].shape == (9,)
     assert from_toml(str(result["parameters"]), "it").inspection == Config().inspection
     assert result["inspected"].shape == (9, Config().inspection.num_points)
+    assert result["intervened"].shape == (9, 2) and not result["intervened"].any()  # there is no filter
 
 
 @pytest.mark.parametrize("controller", ["lqr-pd", "natural-motion", "zero", "random"])

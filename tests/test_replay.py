@@ -56,10 +56,12 @@ def test_simulate_writes_what_replay_needs(tmp_path: Path, capsys: pytest.Captur
     ("change", "words"),
     [
         ({"inspected": None}, ["inspected is missing", "older"]),
+        ({"intervened": None}, ["intervened is missing", "older"]),
         ({"parameters": None}, ["parameters is missing", "older"]),
         ({"parameters": np.array("[inspection]\nmass = -1.0")}, ["parameters", "mass"]),
         ({"quaternion": np.zeros((30, 3))}, ["quaternion", "(30, 3)", "(30, 4)"]),
-        ({"inspected": np.zeros((30, 100))}, ["inspected", "float64"]),
+        ({"inspected": np.zeros((30, 100))}, ["inspected", "float64", "bool"]),
+        ({"intervened": np.zeros((30, 6), dtype=bool)}, ["intervened", "(30, 6)", "(30, 2)"]),
         ({"energy": np.full(30, np.nan)}, ["energy", "finite"]),
         ({"time": np.zeros(30)}, ["time", "rise"]),
     ],
@@ -203,7 +205,7 @@ def test_values_and_filter_at_the_cursor(one: Browser, flown: dict[str, np.ndarr
     caption = one.page.locator(".panel figcaption", has_text="Energy").inner_text()
     assert f"{flown['energy'][7]:.1f}" in caption
     one.scrub(85.0)
-    assert "control applied as desired" in one.page.locator(".status").inner_text()
+    assert "no correction" in one.page.locator(".status").inner_text()
 
 
 def test_space_plays_and_pauses_and_arrows_step(one: Browser) -> None:
