@@ -186,13 +186,14 @@ def run_simulate(arguments: argparse.Namespace) -> None:
 
 def run_replay(arguments: argparse.Namespace) -> None:
     """main.py replay"""
-    from study import replay
+    from study import replay, replay_data
 
     if len(arguments.runs) > 2:
         raise InputError(f"{len(arguments.runs)} runs: at most two are shown side by side")
     check_writable(arguments.out, "--out")
     size = replay.write(arguments.runs, Path(arguments.out))
-    print(f"{arguments.out}: {1e-6 * size:.1f} MB, opens in a browser without a network")
+    out = replay_data.printable(arguments.out)
+    print(f"{out}: {1e-6 * size:.1f} MB, opens in a browser without a network")
 
 
 def run_filter(arguments: argparse.Namespace) -> None:

@@ -9,7 +9,7 @@ from plotly.offline import get_plotlyjs
 from study import page, replay_data
 from study.errors import refusing
 from study.figures import BLUE, GREEN, GREY, ORANGE, SAFE, UNSAFE
-from study.replay_data import Run
+from study.replay_data import Replayed
 from study.training import write_text
 
 HERE = Path(__file__).parent
@@ -62,10 +62,11 @@ def write(paths: Sequence[str], out: Path) -> int:
     return len(text.encode())
 
 
-def document(runs: Sequence[Run]) -> str:
+def document(runs: Sequence[Replayed]) -> str:
     """The whole page."""
     content = replay_data.content(runs) | {"colours": COLOURS}
-    data = json.dumps(content, separators=(",", ":"), default=replay_data.rounded).replace("</", "<\\/")
+    data = json.dumps(content, separators=(",", ":"), default=replay_data.rounded)
+    data = data.replace("<", "\\u003c")  # a file's name may hold any tag
     body = "\n".join(
         (
             controls(),
@@ -101,7 +102,7 @@ def legend() -> str:
     return f'<ul id="legend">{"".join(items)}</ul>'
 
 
-def notes(runs: Sequence[Run]) -> list[str]:
+def notes(runs: Sequence[Replayed]) -> list[str]:
     """What the pictures do not say."""
     c = runs[0].c
     lines = [

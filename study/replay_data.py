@@ -1,6 +1,7 @@
 """What a replay shows: runs of `simulate`, read, checked and turned into what `replay.js` draws."""
 
 import math
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -58,8 +59,8 @@ CONSTRAINT_PANELS = (
 
 
 @dataclass(frozen=True)
-class Run:
-    """A file of `simulate`: where it lies, its arrays over time and the task's parameters."""
+class Replayed:
+    """A file of `simulate`: its path as it is shown, its arrays over time and the task's parameters."""
 
     path: str
     episode: Episode
@@ -71,7 +72,7 @@ class Run:
         return -(-len(self.episode["time"]) // MAX_ROWS)
 
 
-def read(path: str) -> Run:
+def read(path: str) -> Replayed:
     """Reads and checks a file of `simulate`, or an episode of a study's report in single precision."""
     names = (*COLUMNS, "inspected", "intervened", "parameters")
     episode = arrays.load(path, names, "run")
@@ -93,10 +94,17 @@ def read(path: str) -> Run:
             raise InputError(f"{path}: {name} must hold finite numbers only")
     if rows < 2 or not (np.diff(episode["time"]) > 0.0).all():
         raise InputError(f"{path}: time must rise over at least two rows")
-    return Run(path, episode | {name: episode[name].astype(np.float64) for name in COLUMNS}, c)
+    return Replayed(
+        printable(path), episode | {name: episode[name].astype(np.float64) for name in COLUMNS}, c
+    )
 
 
-def thinned(run: Run) -> Episode:
+def printable(path: str) -> str:
+    """A path with a replacement character for each byte that is not UTF-8, which no page and no terminal takes."""
+    return os.fsencode(path).decode("utf-8", errors="replace")
+
+
+def thinned(run: Replayed) -> Episode:
     """At most MAX_ROWS rows: each the first of its block, but with the block's smallest h."""
     starts = np.arange(0, len(run.episode["time"]), run.stride)
     return {
@@ -216,9 +224,12 @@ def common_range(same: Sequence[Panel]) -> np.ndarray:
     return np.array([shown.min() - 2.0 * room, shown.max() + room])  # the strip of interventions is below
 
 
-def run_data(run: Run) -> dict[str, Any]:
-    """What the page knows of a run beside its panels; arrays are (rows, ...), times in s, places in m."""
-    episode, c = thinned(run), run.c
+def run_data(run: Replayed, episode: Episode) -> dict[str, Any]:
+    """What the page knows of a run, thinned to `episode`, beside its panels.
+
+    Arrays are (rows, ...), times in s, places in m.
+    """
+    c = run.c
     return {
         "path": run.path,
         "time": rounded(episode["time"], TIME_DIGITS),
@@ -238,7 +249,7 @@ def run_data(run: Run) -> dict[str, Any]:
     }
 
 
-def box(runs: Sequence[Run]) -> dict[str, Any]:
+def box(runs: Sequence[Replayed]) -> dict[str, Any]:
     """The scenes, which have one scale: [low, high] of each of Hill's axes and the lengths of what is drawn, in m.
 
     `aspect` and `centre`, the chief's place, are in the units of plotly's camera; `dot` is a point's size in px on a
@@ -261,9 +272,10 @@ def box(runs: Sequence[Run]) -> dict[str, Any]:
     }
 
 
-def content(runs: Sequence[Run]) -> dict[str, Any]:
+def content(runs: Sequence[Replayed]) -> dict[str, Any]:
     """Everything that `replay.js` shows."""
-    of_runs = [panels(thinned(run), run.c) for run in runs]
+    episodes = [thinned(run) for run in runs]
+    of_runs = [panels(episode, run.c) for run, episode in zip(runs, episodes, strict=True)]
     sections = {
         title: [
             {"range": common_range(same), "runs": same}
@@ -272,7 +284,7 @@ def content(runs: Sequence[Run]) -> dict[str, Any]:
         for title in of_runs[0]
     }
     return {
-        "runs": [run_data(run) for run in runs],
+        "runs": [run_data(run, episode) for run, episode in zip(runs, episodes, strict=True)],
         "sections": sections,
         **box(runs),
         "step": runs[0].c.action_period,

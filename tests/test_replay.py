@@ -2,6 +2,7 @@
 
 import json
 import math
+import os
 import re
 import shutil
 from collections.abc import Iterator
@@ -98,6 +99,32 @@ def refused(runs: list[str], words: list[str], directory: Path, capsys: pytest.C
     assert err.count("\n") == 1
     for word in words:
         assert word in err
+
+
+def test_a_tag_in_a_files_name_stays_text(flown_files: tuple[Path, Path], tmp_path: Path) -> None:
+    run, out = tmp_path / "<!--<script>.npz", tmp_path / "page.html"
+    shutil.copy(flown_files[0], run)
+    replay.write([str(run)], out)
+    page = out.read_text(encoding="utf-8")
+    assert embedded(page)["runs"][0]["path"] == str(run)
+    data = re.search(r'id="data">(.*?)</script>', page, re.DOTALL)
+    assert data and "<" not in data[1]
+    assert run.name not in page and "Replay of &lt;!--&lt;script&gt;.npz" in page
+
+
+def test_a_files_name_that_is_not_utf_8_is_shown_with_replacements(
+    flown_files: tuple[Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run, out = (Path(os.fsdecode(os.fsencode(tmp_path) + name)) for name in (b"/\xff.npz", b"/\xff.html"))
+    try:
+        shutil.copy(flown_files[0], run)
+    except OSError:
+        pytest.skip("file names are UTF-8 here")
+    assert main.main(["replay", str(run), "--out", str(out)]) == 0
+    assert f"{tmp_path}/\ufffd.html: " in capsys.readouterr().out
+    page = out.read_text(encoding="utf-8")
+    assert "Replay of \ufffd.npz" in page
+    assert embedded(page)["runs"][0]["path"] == f"{tmp_path}/\ufffd.npz"
 
 
 class Browser:

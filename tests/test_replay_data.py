@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from rta.constraints import CONSTRAINTS
 from study import replay, replay_data
-from study.replay_data import Run
+from study.replay_data import Replayed
 
 
 @pytest.fixture(scope="module")
@@ -20,7 +20,7 @@ def shown(flown_files: tuple[Path, Path]) -> dict[str, Any]:
     return as_written(replay_data.read(str(flown_files[0])))
 
 
-def as_written(run: Run) -> dict[str, Any]:
+def as_written(run: Replayed) -> dict[str, Any]:
     """The content after a journey through JSON."""
     return json.loads(json.dumps(replay_data.content([run]), default=replay_data.rounded))
 
