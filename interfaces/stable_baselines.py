@@ -15,11 +15,18 @@ class StableBaselinesEnv(VecEnv):
     Both begin an ended episode anew in the same step. An info is empty but for the steps that end an episode: these
     have terminal_observation, TimeLimit.truncated, and episode with the return r and the steps l. The episodes
     share one simulator, so its attributes and methods are those of all, whatever `indices` says.
+
+    Raises:
+        TypeError: another environment. ValueError: it returns tensors.
     """
 
     def __init__(self, env: VectorEnv) -> None:
         if not isinstance(env.unwrapped, VectorInspection6DoF):
             raise TypeError(f"{type(env.unwrapped).__name__}: must be a VectorInspection6DoF")
+        if env.unwrapped.tensors:
+            raise ValueError(
+                "tensors=True: Stable-Baselines3 takes NumPy arrays, make the environment without it"
+            )
         self.env = env
         super().__init__(env.num_envs, env.single_observation_space, env.single_action_space)
 

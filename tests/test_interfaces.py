@@ -153,6 +153,17 @@ def test_gymnasiums_statistics_and_lists_agree_with_the_info(short):
     assert [set(info["metrics"]) for info in infos] == [set(METRICS)] * 2
 
 
+def test_gymnasiums_statistics_of_one_episode_agree_with_its_metrics(short):
+    env = gymnasium.wrappers.RecordEpisodeStatistics(gymnasium.make(ID, config=short))
+    env.reset(seed=SEED)
+    for action in actions(6):
+        *_, terminated, truncated, info = env.step(action.numpy())
+        if terminated or truncated:
+            break
+    assert info["episode"]["r"] == pytest.approx(info["metrics"]["reward"], rel=1e-12)
+    assert 10.0 * info["episode"]["l"] == info["metrics"]["episode_length_s"]
+
+
 def test_gymnasiums_own_vector_form_takes_the_single_form():
     env = gymnasium.make_vec(ID, num_envs=2, vectorization_mode="sync")
     env.reset(seed=0)

@@ -54,3 +54,8 @@ def test_ends_are_told_as_stable_baselines_wants_them(c):
             assert infos[i]["episode"]["r"] == info["final_info"]["episode"]["r"][i]
             ended.add(bool(truncated[i]))
     assert ended == {False, True}
+
+
+def test_an_environment_of_tensors_is_refused():
+    with pytest.raises(ValueError, match="tensors=True"):
+        StableBaselinesEnv(gymnasium.make_vec(ID, num_envs=2, tensors=True))
