@@ -51,11 +51,7 @@ def read_states(path: str, c: InspectionParameters) -> tuple[Tensor, Tensor]:
 
 def read_arrays(path: str, names: tuple[str, ...]) -> dict[str, np.ndarray]:
     """The named arrays of a .npz file."""
-    found = arrays.load(path, names, "states")
-    for name in names:
-        if name not in found:
-            raise InputError(f"{path}: {name} is missing; the file must hold {' and '.join(names)}")
-    return found
+    return arrays.load(path, names, "states", where_missing=f"; the file must hold {' and '.join(names)}")
 
 
 def refuse_rows(path: str, what: str, wrong: Tensor, allowed: str) -> None:

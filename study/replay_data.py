@@ -75,12 +75,9 @@ class Replayed:
 def read(path: str) -> Replayed:
     """Reads and checks a file of `simulate`, or an episode of a study's report in single precision."""
     names = (*COLUMNS, "inspected", "intervened", "parameters")
-    episode = arrays.load(path, names, "run")
-    for name in names:
-        if name not in episode:
-            raise InputError(
-                f"{path}: {name} is missing: not a file that simulate wrote, or one of an older version"
-            )
+    episode = arrays.load(
+        path, names, "run", where_missing=": not a file that simulate wrote, or one of an older version"
+    )
     c = configuration.from_toml(str(episode["parameters"]), f"{path}: parameters").inspection
     rows = episode["time"].size
     shapes = {name: (rows,) if width is None else (rows, width) for name, width in COLUMNS.items()}
