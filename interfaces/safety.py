@@ -41,13 +41,13 @@ class VectorRunTimeAssurance(VectorWrapper):
         base = env.unwrapped
         if not isinstance(base, VectorInspection6DoF):
             raise TypeError(f"{type(base).__name__}: must be a VectorInspection6DoF")
-        if base.simulator.safety.correct:
+        if base.safety.correct:
             raise ValueError("the environment is behind a filter already")
         own = {} if period is None else {"rta_period": period}
         config = configuration.override(base.config, {"train": own}, "RunTimeAssurance")
         self.filter = build.make_filter(config, config.train.rta_period, base.compiled, base.num_envs)
         self.calls: list[tuple[Tensor, FilterResult]] = []
-        base.simulate(replace(self.filter.safety(), correct=self.correct))
+        base.put_behind(replace(self.filter.safety(), correct=self.correct))
 
     def correct(self, x: Tensor, desired: Tensor) -> FilterResult:
         """Calls the filter and keeps what it was asked and what it answered."""

@@ -1,6 +1,7 @@
 """The batch of episodes as a Gymnasium vector environment."""
 
 import warnings
+from functools import cached_property
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -11,7 +12,7 @@ from gymnasium import spaces
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
-from inspection.environment import METRICS, Safety, Transition
+from inspection.environment import METRICS, InspectionEnv, Safety, Transition
 from inspection.observation import SIZE as OBSERVATION_SIZE
 from inspection.state import CONTROL_SIZE
 from inspection.termination import OUTCOMES
@@ -70,19 +71,28 @@ class VectorInspection6DoF(VectorEnv):
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self.device = build.resolve_device(device)
-        self.simulate(build.make_safety(self.config, False, self.config.train.rta_period))
+        self.put_behind(build.make_safety(self.config, False, self.config.train.rta_period))
 
-    def simulate(self, safety: Safety) -> None:
-        """Makes the simulator anew, with these constraints and this filter; `reset` must follow."""
-        generators = [torch.Generator(self.device)]
-        self.simulator = build.make_env(self.config, self.num_envs, generators, safety, self.compiled)
+    def put_behind(self, safety: Safety) -> None:
+        """Gives a simulator that is yet to be made these constraints and this filter; `reset` must follow."""
+        self.safety = safety
         self.started = False
+        self.__dict__.pop("simulator", None)
+
+    @cached_property
+    def simulator(self) -> InspectionEnv:
+        """Made when first needed, by when the filter is around it: compiling takes long."""
+        generators = [torch.Generator(self.device)]
+        return build.make_env(self.config, self.num_envs, generators, self.safety, self.compiled)
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict]:
         """Starts every episode anew; without a seed the draws go on, at first from a random one.
 
         Returns:
             Observations (B, 26) float32 and an empty info.
+
+        Raises:
+            InputError: the configuration leaves no start within the constraints, or so many episodes no memory.
         """
         super().reset(seed=seed)
         if seed is not None or not self.started:
