@@ -29,7 +29,8 @@ from ppo.rollout import collect  # noqa: E402
 from study import config as configuration  # noqa: E402
 from study.arguments import Parser  # noqa: E402
 from study.config import Config  # noqa: E402
-from study.training import Run, provenance, write_json  # noqa: E402
+from study.files import provenance, write_json  # noqa: E402
+from study.training import Run  # noqa: E402
 
 RANKS = (1, 2, 4, 8, 16, 32)  # of the projection
 LINKS = {

@@ -14,8 +14,9 @@ from study import training
 from study.config import StudyConfig
 from study.errors import InputError, refusing
 from study.evaluation import Episodes, report
+from study.files import write_json, write_settings
 from study.tables import tables
-from study.training import Run, Stopped, on_signal, write_json, write_settings
+from study.training import Run, Stopped, on_signal
 
 # All that a kill at the start leaves.
 SETTINGS = ("provenance.json", "provenance.json.tmp", "config.toml.tmp")

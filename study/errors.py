@@ -3,6 +3,8 @@
 from collections.abc import Iterator
 from contextlib import contextmanager
 
+MALFORMED = (KeyError, TypeError, ValueError, RuntimeError, AttributeError)  # what damaged contents raise
+
 
 class InputError(ValueError):
     """Bad input from a person: the message says what was wrong, where, and what is allowed."""

@@ -9,8 +9,8 @@ from plotly.offline import get_plotlyjs
 from study import page, replay_data
 from study.errors import refusing
 from study.figures import BLUE, GREEN, GREY, ORANGE, SAFE, UNSAFE
+from study.files import write_text
 from study.replay_data import Replayed
-from study.training import write_text
 
 HERE = Path(__file__).parent
 # of what `replay.js` draws; those that `figures` lacks are of Okabe and Ito's palette as well

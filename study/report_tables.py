@@ -13,10 +13,10 @@ import numpy as np
 from inspection.environment import METRICS
 from rta.constraints import CONSTRAINTS
 from study.config import ARMS
-from study.errors import refusing
+from study.errors import MALFORMED, refusing
+from study.files import write_json, write_text
 from study.statistics import summary_of_runs
 from study.tables import PAPER_METRICS, PAPER_VIOLATIONS
-from study.training import MALFORMED, write_json, write_text
 
 Results = dict[str, Any]  # in the form of `evaluate --json`
 Row = dict[str, Any]

@@ -17,12 +17,12 @@ from rta.parameters import PERIODS
 from study import build, report_tables
 from study.arms import TEST_CASES
 from study.config import ARMS, Config
-from study.errors import InputError, refusing
+from study.errors import MALFORMED, InputError, refusing
 from study.evaluation import play, play_guidance, report
+from study.files import write_json, write_text
 from study.report_tables import Results
 from study.simulation import classical, common_episode, read_state, simulate, starting_point
 from study.sunlight import shortest_episodes
-from study.training import MALFORMED, write_json, write_text
 
 DEMONSTRATION = Path(__file__).parent.parent / "configs/demonstration.json"
 DEMONSTRATION_DURATION = 2000.0  # s

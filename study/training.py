@@ -1,11 +1,7 @@
 """A training run on disk: configuration, checkpoints, TensorBoard, periodic evaluation, clean interruption."""
 
-import importlib.metadata
 import json
-import os
-import platform
 import signal
-import subprocess
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -30,17 +26,16 @@ from rta.constraints import CONSTRAINTS
 from study import build, shard
 from study import config as configuration
 from study.config import Config
-from study.errors import InputError, refusing
+from study.errors import MALFORMED, InputError, refusing
 from study.evaluation import Episodes, evaluate, play, report
 from study.figures import episode_figure
+from study.files import write_json, write_settings, write_text
 from study.monitor import Monitor
 from study.simulation import common_episode
 from study.statistics import iqm
 from study.tables import tables
 
-PACKAGES = ("torch", "numpy", "piqp", "scipy", "tensorboard")
 RESUMABLE = ("policy", "value", "optimiser", "env", "generators", "update", "seconds", "config")
-MALFORMED = (KeyError, TypeError, ValueError, RuntimeError, AttributeError)  # what damaged contents raise
 EVALUATION_SEED = 1_000_000  # periodic test cases, apart from those of the final evaluation
 
 
@@ -76,53 +71,6 @@ def on_signal(react: Callable[[], None]) -> Iterator[None]:
     finally:
         for number, handler in previous.items():
             signal.signal(number, handler)
-
-
-def write_text(path: Path, text: str) -> None:
-    """Writes beside `path` and renames, so that a kill at any moment leaves the old file or the new one."""
-    temporary = path.with_name(path.name + ".tmp")
-    temporary.write_text(text, encoding="utf-8")
-    os.replace(temporary, path)
-
-
-def write_json(path: Path, content: dict[str, Any]) -> None:
-    """Writes content as indented JSON, whole or not at all."""
-    write_text(path, json.dumps(content, indent=2) + "\n")
-
-
-def git_revision() -> str:
-    """The commit of the source tree, marked if modified; "unknown" outside a repository."""
-    try:
-        described = subprocess.run(
-            ["git", "describe", "--always", "--dirty", "--abbrev=40"],
-            cwd=Path(__file__).parent,
-            capture_output=True,
-            text=True,
-            check=True,
-        )
-        return described.stdout.strip()
-    except (OSError, subprocess.CalledProcessError):
-        return "unknown"
-
-
-def provenance(config: Config, device: torch.device) -> dict[str, Any]:
-    """What else determines a run's numbers, beside its configuration."""
-    return {
-        "git_revision": git_revision(),
-        "python": platform.python_version(),
-        "packages": {name: importlib.metadata.version(name) for name in PACKAGES},
-        "device": torch.cuda.get_device_name(device)
-        if device.type == "cuda"
-        else platform.processor() or "cpu",
-        "threads": torch.get_num_threads(),
-        "ranks": ranks().size,
-    }
-
-
-def write_settings(config: Config, directory: Path) -> None:
-    """Writes what describes a run or a study: config.toml and provenance.json."""
-    write_json(directory / "provenance.json", provenance(config, build.resolve_device(config.train.device)))
-    write_text(directory / "config.toml", config.to_toml())
 
 
 class Run:
@@ -433,6 +381,3 @@ def describe(run: Run) -> str:
     where = f"{run.ranks.size} ranks, {run.device.type}" if run.ranks.size > 1 else f"{run.device}"
     episodes = len(run.seeds) * train.num_envs
     return f"{run.directory}: {arm}, {which}, {episodes} episodes at once on {where}"
-
-
-__all__ = ["Run", "Stopped", "describe", "resume", "start"]

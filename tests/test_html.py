@@ -11,7 +11,7 @@ import pytest
 
 from study import html, report_inputs
 from study.errors import InputError
-from study.html import difference, percent
+from study.html_tables import difference, percent
 from study.tables import PAPER_METRICS, PAPER_VIOLATIONS
 
 VOID = {"meta", "img", "br"}
