@@ -331,7 +331,8 @@ def throughput(inputs: Inputs) -> list[str]:
                 "wall-clock (s)",
                 "interactions of all per s",
                 "device",
-                "threads",
+                "ranks",
+                "threads of each",
             ],
             [
                 [
@@ -341,6 +342,7 @@ def throughput(inputs: Inputs) -> list[str]:
                     f"{row['wall_clock_s']:,.0f}",
                     f"{row['interactions_per_s']:,.0f}",
                     escape(row["device"]),
+                    str(row["ranks"]),
                     str(row["threads"]),
                 ]
                 for arm, row in inputs.throughput.items()

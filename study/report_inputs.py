@@ -28,7 +28,7 @@ class Inputs:
         sunlight: the earliest success that the Sun allows in the test cases; empty if it is not known.
         cross: by arm, then "off" and "on": its agents without and with the filter.
         frequency: by period in s: the agents trained behind the filter.
-        throughput: by arm: `seeds`, `interactions`, `wall_clock_s`, `interactions_per_s`, `device` and `threads`.
+        throughput: by arm: `seeds`, `interactions`, `wall_clock_s`, `interactions_per_s`, `device`, `ranks`, `threads`.
         training: empty where training was shorter than the interval of its evaluations.
         episodes, demonstrations: by arm, in the form of `simulate`.
     """

@@ -156,6 +156,7 @@ def throughput(arms: dict[str, Results], provenance: dict[str, Any]) -> list[Row
             "wall_clock_s": arm["wall_clock_s"],
             "interactions_per_s": len(arm["seeds"]) * arm["interactions"] / arm["wall_clock_s"],
             "device": provenance["device"],
+            "ranks": provenance["ranks"],
             "threads": provenance["threads"],
         }
         for name, arm in arms.items()

@@ -126,6 +126,7 @@ def made_up_study(tmp_path_factory: pytest.TempPathFactory) -> Path:
                 "wall_clock_s": 4321.0,
                 "interactions_per_s": 3480.8,
                 "device": "cpu",
+                "ranks": 1,
                 "threads": 2,
             }
             for arm in ARMS

@@ -37,7 +37,7 @@ def study(tmp_path: Path) -> Path:
     report = tmp_path / "report"
     files = {
         tmp_path / "results.json": {"arms": arms},
-        tmp_path / "provenance.json": {"device": "abacus", "threads": 2},
+        tmp_path / "provenance.json": {"device": "abacus", "ranks": 3, "threads": 2},
         report / "cross.json": {name: {"off": evaluation(1.0), "on": own} for name, own in arms.items()},
         report / "guidance.json": evaluation(4.0),
         report / "frequency.json": {"1": arms["rta"], "5": evaluation(5.0), "10": evaluation(6.0)},
@@ -107,7 +107,7 @@ def test_training_summarises_seeds_and_cases_at_every_point(study: Path) -> None
 
 
 def test_throughput_counts_the_interactions_of_all_seeds() -> None:
-    assert report_tables.throughput({"rta": arm(3.0)}, {"device": "abacus", "threads": 2}) == [
+    assert report_tables.throughput({"rta": arm(3.0)}, {"device": "abacus", "ranks": 3, "threads": 2}) == [
         {
             "arm": "rta",
             "seeds": 2,
@@ -115,6 +115,7 @@ def test_throughput_counts_the_interactions_of_all_seeds() -> None:
             "wall_clock_s": 30.0,
             "interactions_per_s": 40.0,
             "device": "abacus",
+            "ranks": 3,
             "threads": 2,
         }
     ]
