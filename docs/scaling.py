@@ -123,7 +123,7 @@ def measure(config: Config) -> dict[str, Any]:
         "rollout_steps": config.train.rollout_steps,
         "interactions_per_update": config.train.batch,
         "epochs": config.ppo.epochs,
-        "provenance": provenance(config, run.device),
+        "provenance": provenance(run.device),
         "update_s": time_updates(run),
     }
     if run.ranks.size > 1:

@@ -37,7 +37,8 @@ class VectorInspection6DoF(VectorEnv):
         config: a configuration or the path of a TOML file, of which [inspection], [rta], and of [train] the filter's
             period and solver count; None means the defaults.
         device: cpu, cuda or auto.
-        compile: compile the simulator, and the filter if there is one, which takes about a minute the first time.
+        compile: compile the simulator, at the first `reset`, and the filter if there is one, which takes about a minute
+            the first time.
         tensors: `reset` returns tensors on the device; `step` answers in the kind of its actions.
 
     Raises:
@@ -74,10 +75,10 @@ class VectorInspection6DoF(VectorEnv):
         self.put_behind(build.make_safety(self.config, False, self.config.train.rta_period))
 
     def put_behind(self, safety: Safety) -> None:
-        """Gives a simulator that is yet to be made these constraints and this filter; `reset` must follow."""
+        """Has the simulator made anew, with these constraints and this filter; `reset` must follow."""
         self.safety = safety
         self.started = False
-        self.__dict__.pop("simulator", None)
+        vars(self).pop("simulator", None)
 
     @cached_property
     def simulator(self) -> InspectionEnv:

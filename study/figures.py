@@ -72,7 +72,9 @@ def trajectory(ax: Axes, episode: Episode, c: InspectionParameters, top_speed: f
         above = (*sun[:2], 0.04 * span)
         ax.text(*above, label, color="#8A5A00", fontsize=8, ha="center", path_effects=[OUTLINE], zorder=10)
     ax.scatter(*p[0], color="black", marker="o", s=28)
-    ax.text(*(p[0] + [0.0, 0.0, 0.06 * span]), "start", fontsize=8, ha="center", path_effects=[OUTLINE])
+    ax.text(
+        *(p[0] + [0.0, 0.0, 0.06 * span]), "start", fontsize=8, ha="center", path_effects=[OUTLINE], zorder=10
+    )
     ax.set(xlabel="x (m)", ylabel="y (m)", zlabel="z (m)")
     extents = np.ptp((ax.get_xlim(), ax.get_ylim(), ax.get_zlim()), axis=1)
     ax.set_box_aspect(tuple(extents), zoom=0.88)  # room for the labels below
@@ -195,7 +197,7 @@ def episode_figure(episode: Episode, c: InspectionParameters, path: Path) -> Non
     """Trajectory, inspection, pointing, effort and the limits of one episode as a PNG."""
     t, distance = episode["time"], np.linalg.norm(episode["position"], axis=1)
     figure = Figure(figsize=(13, 7.6))
-    grid = figure.add_gridspec(3, 4, left=0.05, right=0.955, bottom=0.07, top=0.98, wspace=0.34, hspace=0.22)
+    grid = figure.add_gridspec(3, 4, left=0.05, right=0.94, bottom=0.07, top=0.98, wspace=0.34, hspace=0.22)
     trajectory(figure.add_subplot(grid[:2, :2], projection="3d"), episode, c, speeds(episode).max())
 
     def panel(row: int, column: int, label: str = "") -> Axes:

@@ -44,7 +44,7 @@ def git_revision() -> str:
         return "unknown"
 
 
-def provenance(config: Config, device: torch.device) -> dict[str, Any]:
+def provenance(device: torch.device) -> dict[str, Any]:
     """What else determines a run's numbers, beside its configuration."""
     return {
         "git_revision": git_revision(),
@@ -60,5 +60,5 @@ def provenance(config: Config, device: torch.device) -> dict[str, Any]:
 
 def write_settings(config: Config, directory: Path) -> None:
     """Writes what describes a run or a study: config.toml and provenance.json."""
-    write_json(directory / "provenance.json", provenance(config, build.resolve_device(config.train.device)))
+    write_json(directory / "provenance.json", provenance(build.resolve_device(config.train.device)))
     write_text(directory / "config.toml", config.to_toml())

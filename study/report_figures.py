@@ -128,7 +128,7 @@ def behaviour_figure(episodes: dict[str, Episode], c: InspectionParameters) -> F
     score.axhline(c.success_score, color=GREEN, ls="--", lw=1, label="success")
     score.set(ylabel="Inspected weight", ylim=(0, 1.02))
     score.legend(fontsize=9, frameon=False, loc="lower right")
-    dot.set(ylabel="Dot product", ylim=(-1.05, 1.05))
+    dot.set(ylabel="Boresight · chief direction", ylim=(-1.05, 1.05))
     delta_v.set(xlabel="time (s)", ylabel="Delta v used (m/s)", ylim=(0, None))
     torque.set(xlabel="time (s)", ylabel="Torque used (N m)", ylim=(0, None))
     for ax in axes.flat:
