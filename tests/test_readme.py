@@ -1,4 +1,4 @@
-"""The README's results are those of the study's files."""
+"""The results in the README and in docs are those of the study's files."""
 
 import json
 from pathlib import Path
@@ -12,12 +12,15 @@ from study.tables import PAPER_METRICS, PAPER_VIOLATIONS
 ROOT = Path(main.__file__).parent
 STUDY = ROOT / "runs/reference/study"
 ARMS = json.loads((STUDY / "results.json").read_text(encoding="utf-8"))["arms"]
-GUIDANCE = json.loads((STUDY / "report/guidance.json").read_text(encoding="utf-8"))
+GUIDANCE, CROSS, FREQUENCY = (
+    json.loads((STUDY / f"report/{name}.json").read_text(encoding="utf-8"))
+    for name in ("guidance", "cross", "frequency")
+)
 
 
-def row(label: str) -> list[str]:
-    """The cells of the README's row that begins with the label."""
-    lines = (ROOT / "README.md").read_text(encoding="utf-8").splitlines()
+def row(label: str, page: str = "README.md") -> list[str]:
+    """The cells of the page's row that begins with the label."""
+    lines = (ROOT / page).read_text(encoding="utf-8").splitlines()
     (line,) = (line for line in lines if line.startswith(f"| {label} |"))
     return [cell.strip() for cell in line.strip("|").split("|")[1:]]
 
@@ -41,3 +44,54 @@ def test_table_3_is_the_studys(constraint: str) -> None:
     label, *paper = PAPER_VIOLATIONS[constraint]
     ours = [f"{arm['violations_percent'][constraint]:.3f}" for arm in ARMS.values()]
     assert row(label) == [ours[0], f"{paper[0]:.3f}", ours[1], f"{paper[1]:.3f}"]
+
+
+def test_success_and_violations_are_the_studys() -> None:
+    columns = (*ARMS.values(), GUIDANCE)
+    paper = [f"{value:.3f}" for value in PAPER_VIOLATIONS["any"][1:]]
+    no_rta, rta, guidance = (success(each) for each in columns)
+    assert row("Success (%)") == [no_rta, "", rta, "", guidance]
+    no_rta, rta, guidance = (violation(each) for each in columns)
+    assert row("Any violation (mean % of steps)") == [no_rta, paper[0], rta, paper[1], guidance]
+
+
+def success(results: dict[str, Any]) -> str:
+    return f"{100.0 * results['outcomes']['success']:.1f}"
+
+
+def violation(results: dict[str, Any]) -> str:
+    return f"{results['violations_percent']['any']:.3f}"
+
+
+def corrected(results: dict[str, Any]) -> str:
+    return f"{results['rta']['intervention_percent']:.1f}" if results["rta"]["period_s"] else "-"
+
+
+@pytest.mark.parametrize("arm", ["no_rta", "rta"])
+@pytest.mark.parametrize("switch", ["off", "on"])
+def test_the_cross_evaluation_is_the_studys(arm: str, switch: str) -> None:
+    results = CROSS[arm][switch]
+    words = {"no_rta": "without RTA", "rta": "with RTA", "off": "without", "on": "with"}
+    assert row(f"{words[arm]} | {words[switch]}", "docs/results.md")[1:] == [
+        violation(results),
+        corrected(results),
+        success(results),
+        interval(results, "reward", 4),
+        interval(results, "delta_v_m_s", 3),
+        interval(results, "episode_length_s", 1),
+    ]
+
+
+@pytest.mark.parametrize("period", FREQUENCY)
+def test_the_filters_periods_are_the_studys(period: str) -> None:
+    results = FREQUENCY[period]
+    lines = (ROOT / "docs/safety.md").read_text(encoding="utf-8").splitlines()
+    cells = [
+        period,
+        violation(results),
+        corrected(results),
+        interval(results, "delta_v_m_s", 3),
+        interval(results, "torque_n_m", 4),
+        interval(results, "reward", 4),
+    ]
+    assert f"| {' | '.join(cells)} |" in lines
