@@ -18,7 +18,13 @@ matplotlib.use("Agg")
 # Colours that differ in lightness too (Okabe and Ito's palette)
 BLUE, ORANGE, GREEN, GREY = "#0072B2", "#E69F00", "#009E73", "#666666"
 SAFE, UNSAFE = "#DDF1E4", "#F2C4B8"
-OUTLINE = withStroke(linewidth=3, foreground="white")  # of text above lines
+# small text that stays readable where lines cross it
+OUTLINED = {
+    "fontsize": 8,
+    "ha": "center",
+    "path_effects": [withStroke(linewidth=3, foreground="white")],
+    "zorder": 10,
+}
 Episode = dict[str, np.ndarray]
 
 
@@ -69,12 +75,9 @@ def trajectory(ax: Axes, episode: Episode, c: InspectionParameters, top_speed: f
         theta = episode["sun_angle"][index]
         sun = np.array([math.cos(theta), math.sin(theta), 0.0]) * (chief.max() + 0.35 * span)
         ax.plot(*zip(np.zeros(3), sun, strict=True), color=ORANGE, lw=1.2, ls="-" if index == 0 else "--")
-        above = (*sun[:2], 0.04 * span)
-        ax.text(*above, label, color="#8A5A00", fontsize=8, ha="center", path_effects=[OUTLINE], zorder=10)
+        ax.text(*sun[:2], 0.04 * span, label, color="#8A5A00", **OUTLINED)
     ax.scatter(*p[0], color="black", marker="o", s=28)
-    ax.text(
-        *(p[0] + [0.0, 0.0, 0.06 * span]), "start", fontsize=8, ha="center", path_effects=[OUTLINE], zorder=10
-    )
+    ax.text(*(p[0] + [0.0, 0.0, 0.06 * span]), "start", **OUTLINED)
     ax.set(xlabel="x (m)", ylabel="y (m)", zlabel="z (m)")
     extents = np.ptp((ax.get_xlim(), ax.get_ylim(), ax.get_zlim()), axis=1)
     ax.set_box_aspect(tuple(extents), zoom=0.88)  # room for the labels below

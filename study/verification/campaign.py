@@ -19,11 +19,12 @@ from rta.filter import SafetyFilter
 from study import build
 from study.config import Config
 from study.errors import InputError, refusing
+from study.files import write_json
 from study.statistics import upper_bound
 from study.verification.flight import fly
 from study.verification.policies import adversarial, agent, held_at_random
 from study.verification.replay import counter_example
-from study.verification.report import continued, empty_report, write
+from study.verification.report import continued, empty_report
 from study.verification.starts import initial_states, spawned
 from study.verification.tally import Origin, add
 
@@ -124,7 +125,7 @@ def run(
                     np.savez_compressed(
                         f"{path}.{name}.npz", **counter_example(flight, i, campaign.period, config)
                     )
-            write(report, path)
+            write_json(path, report)
     yield report
 
 

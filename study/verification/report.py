@@ -1,7 +1,6 @@
 """A campaign's report: what it holds, its JSON file and its text."""
 
 import json
-import os
 from pathlib import Path
 from typing import Any
 
@@ -37,13 +36,6 @@ def continued(path: Path, fresh: dict[str, Any]) -> dict[str, Any]:
     if not same:
         raise InputError(f"--json {path}: holds another campaign or configuration; name another file")
     return report
-
-
-def write(report: dict[str, Any], path: Path) -> None:
-    """Writes a report at once, so that an interrupted campaign leaves the one before."""
-    part = path.with_name(path.name + ".part")
-    part.write_text(json.dumps(report, indent=2) + "\n", encoding="utf-8")
-    os.replace(part, path)
 
 
 def table(report: dict[str, Any]) -> str:
