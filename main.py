@@ -65,7 +65,7 @@ def refuse_other_flags(arguments: argparse.Namespace, flag: str, source: str) ->
 
 def run_train(arguments: argparse.Namespace) -> None:
     """main.py train"""
-    from study import training
+    from study.training import run as training
 
     if arguments.resume:
         refuse_other_flags(arguments, "resume", "run")
@@ -88,7 +88,8 @@ def run_train(arguments: argparse.Namespace) -> None:
 
 def run_study(arguments: argparse.Namespace) -> None:
     """main.py study"""
-    from study import arms, training
+    from study.training import run as training
+    from study.training import study as arms
 
     directory = Path(arguments.study_dir)
     config = resolve(arguments, arms.settings(directory) or StudyConfig())
@@ -100,7 +101,9 @@ def run_study(arguments: argparse.Namespace) -> None:
 
 def run_report(arguments: argparse.Namespace) -> None:
     """main.py report"""
-    from study import html, report_tables, supplements
+    from study.report import compute as supplements
+    from study.report import document as html
+    from study.report import tables as report_tables
 
     directory = Path(arguments.study)
     supplements.compute(directory, arguments.device)
@@ -111,8 +114,9 @@ def run_report(arguments: argparse.Namespace) -> None:
 
 def run_evaluate(arguments: argparse.Namespace) -> None:
     """main.py evaluate"""
-    from study import build, evaluation
-    from study.tables import tables
+    from study import experiment as build
+    from study.flight import evaluation
+    from study.paper import tables
 
     policy, base = None, Config()
     if arguments.checkpoint:
@@ -134,7 +138,8 @@ def run_simulate(arguments: argparse.Namespace) -> None:
     """main.py simulate"""
     import numpy as np
 
-    from study import build, simulation
+    from study import experiment as build
+    from study.flight import simulation
 
     check_writable(arguments.out, "--out")
     if arguments.figure:
@@ -171,7 +176,7 @@ def run_simulate(arguments: argparse.Namespace) -> None:
     with refusing(f"--out {arguments.out}: cannot write it", OSError), open(arguments.out, "wb") as file:
         np.savez_compressed(file, **result)
     if arguments.figure:
-        from study.figures import constraint_figure
+        from study.flight.figures import constraint_figure
 
         with refusing(f"--figure {arguments.figure}: cannot write it", OSError):
             constraint_figure(result, config.inspection, Path(arguments.figure))
@@ -186,7 +191,8 @@ def run_simulate(arguments: argparse.Namespace) -> None:
 
 def run_replay(arguments: argparse.Namespace) -> None:
     """main.py replay"""
-    from study import replay, replay_data
+    from study.replay import page as replay
+    from study.replay import scene as replay_data
 
     if len(arguments.runs) > 2:
         raise InputError(f"{len(arguments.runs)} runs: at most two are shown side by side")
@@ -201,7 +207,8 @@ def run_filter(arguments: argparse.Namespace) -> None:
     import numpy as np
 
     from rta.qp import Status
-    from study import build, offline
+    from study import experiment as build
+    from study.flight import offline_filter as offline
 
     config = resolve(arguments, Config())
     x, desired = offline.read_states(arguments.states, config.inspection)
@@ -218,8 +225,8 @@ def run_filter(arguments: argparse.Namespace) -> None:
 def run_verify(arguments: argparse.Namespace) -> None:
     """main.py verify"""
     from study.verification.campaign import verify
-    from study.verification.replay import replay_file
-    from study.verification.report import table
+    from study.verification.counter_examples import replay_file
+    from study.verification.findings import table
 
     if arguments.replay:
         refuse_other_flags(arguments, "replay", "file")
@@ -242,7 +249,7 @@ def run_verify(arguments: argparse.Namespace) -> None:
 
 def run_export(arguments: argparse.Namespace) -> None:
     """main.py export"""
-    from study import build
+    from study import experiment as build
 
     with refusing("export needs the packages onnx and onnxruntime of requirements.txt", ImportError):
         from study import export
@@ -260,7 +267,8 @@ def run_export(arguments: argparse.Namespace) -> None:
 
 def run_benchmark(arguments: argparse.Namespace) -> None:
     """main.py benchmark"""
-    from study import benchmark, benchmark_report
+    from study.benchmark import measure as benchmark
+    from study.benchmark import presentation as benchmark_report
 
     config = resolve(arguments, Config())
     for flag in ("json", "figure"):

@@ -13,8 +13,8 @@ from torch import Tensor
 from interfaces.environment import Inspection6DoF
 from interfaces.vector import VectorInspection6DoF, in_kind
 from rta.filter import FilterResult
-from study import build
 from study import config as configuration
+from study import experiment as build
 
 
 class VectorRunTimeAssurance(VectorWrapper):

@@ -17,8 +17,8 @@ from inspection.observation import SIZE as OBSERVATION_SIZE
 from inspection.state import CONTROL_SIZE
 from inspection.termination import OUTCOMES
 from rta.constraints import CONSTRAINTS
-from study import build
 from study import config as configuration
+from study import experiment as build
 from study.config import Config
 from study.errors import refusing
 

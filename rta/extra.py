@@ -10,7 +10,7 @@ from torch import Tensor
 from inspection.attitude import unit
 from inspection.dynamics import control_matrix, drift
 from inspection.state import CONTROL_SIZE, SIZE, THRUST, TORQUE, P, Q
-from rta.barrier import Function, high_order, lie_derivatives
+from rta.lie_derivatives import Function, high_order, lie_derivatives
 from rta.rows import Barriers, Row, Rows
 
 ACTUATORS = {"thrust": THRUST, "torque": TORQUE}

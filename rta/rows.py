@@ -12,8 +12,8 @@ from inspection.dynamics import control_matrix, drift
 from inspection.parameters import InspectionParameters
 from inspection.state import OMEGA, THRUST, TORQUE, Q
 from rta import constraints
-from rta.barrier import high_order, lie_derivatives
 from rta.constraints import Smoothing
+from rta.lie_derivatives import high_order, lie_derivatives
 from rta.parameters import RtaParameters
 
 

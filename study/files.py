@@ -11,9 +11,10 @@ from typing import Any
 import torch
 
 from ppo.distributed import ranks
-from study import build
+from study import experiment as build
 from study.config import Config
 
+ROOT = Path(__file__).parent.parent  # of the repository
 PACKAGES = ("torch", "numpy", "piqp", "scipy", "tensorboard")
 
 
@@ -34,7 +35,7 @@ def git_revision() -> str:
     try:
         described = subprocess.run(
             ["git", "describe", "--always", "--dirty", "--abbrev=40"],
-            cwd=Path(__file__).parent,
+            cwd=ROOT,
             capture_output=True,
             text=True,
             check=True,

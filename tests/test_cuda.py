@@ -13,7 +13,7 @@ from rta.batched_solver import BatchedSolver
 from rta.filter import SafetyFilter
 from rta.parameters import RtaParameters
 from rta.qp import Problems
-from tests.test_batched_solver import synthetic
+from tests.rta.test_batched_solver import synthetic
 
 pytestmark = pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a CUDA device")
 C = InspectionParameters()

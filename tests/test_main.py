@@ -13,9 +13,10 @@ import main
 from inspection.environment import METRICS
 from rta.constraints import CONSTRAINTS
 from rta.filter import SOLVERS
-from study import build, training
+from study import experiment as build
 from study.config import Config, from_toml, override
-from study.evaluation import test_cases as common_cases
+from study.flight.evaluation import test_cases as common_cases
+from study.training import run as training
 
 STATE: dict[str, Any] = {
     "position": [60.0, 10.0, -20.0],

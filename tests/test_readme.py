@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 import main
-from study.tables import PAPER_METRICS, PAPER_VIOLATIONS
+from study.paper import PAPER_METRICS, PAPER_VIOLATIONS
 
 ROOT = Path(main.__file__).parent
 STUDY = ROOT / "runs/reference/study"

@@ -16,15 +16,15 @@ from inspection.guidance import Controller
 from ppo.network import Policy
 from rta.constraints import CONSTRAINTS
 from rta.filter import SafetyFilter
-from study import build
+from study import experiment as build
 from study.config import Config
 from study.errors import InputError, refusing
 from study.files import write_json
-from study.statistics import upper_bound
+from study.flight.summary import upper_bound
+from study.verification.adversaries import adversarial, agent, held_at_random
+from study.verification.counter_examples import counter_example
+from study.verification.findings import continued, empty_report
 from study.verification.flight import fly
-from study.verification.policies import adversarial, agent, held_at_random
-from study.verification.replay import counter_example
-from study.verification.report import continued, empty_report
 from study.verification.starts import initial_states, spawned
 from study.verification.tally import Origin, add
 

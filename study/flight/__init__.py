@@ -1,0 +1,1 @@
+"""Flying: evaluation, simulation, state files, offline filtering, and figures of episodes."""

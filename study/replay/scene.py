@@ -1,0 +1,288 @@
+"""What a replay shows: runs of `simulate`, read, checked and turned into what `replay.js` draws."""
+
+import math
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from inspection.chief import fibonacci_sphere
+from inspection.parameters import InspectionParameters
+from rta.constraints import CONSTRAINTS
+from study import arrays
+from study import config as configuration
+from study.errors import InputError
+from study.flight.figures import BLUE, GREY, ORANGE, Episode, rotate, speeds
+
+MAX_ROWS = 5000  # of a run in the page
+RIM = 24  # corners of the cone's rim
+DIGITS, TIME_DIGITS = 4, 8  # significant ones of the page's numbers
+Line = dict[str, Any]
+Panel = dict[str, Any]
+
+# columns of every array of numbers that is needed; None: one number a row
+COLUMNS: dict[str, int | None] = {
+    "time": None,
+    "position": 3,
+    "velocity": 3,
+    "quaternion": 4,
+    "temperature": None,
+    "energy": None,
+    "sun_angle": None,
+    "control_desired": 6,
+    "control_applied": 6,
+    "inspected_score": None,
+    **{f"h_{name}": None for name in CONSTRAINTS},
+}
+
+# panels of the constraints: title, unit, factor from the file's unit, constraints, the control that acts on them
+SQUARE_DEGREES = math.degrees(1.0) ** 2
+CONSTRAINT_PANELS = (
+    ("Safe separation", "m/s", 1.0, ("collision",), "thrust"),
+    ("Dynamic speed", "m/s", 1.0, ("dynamic_speed",), "thrust"),
+    ("Keep-in zone", "m/s", 1.0, ("keep_in_zone",), "thrust"),
+    ("Passive safety", "m", 1.0, ("passive_safety",), "thrust"),
+    ("Velocity", "m²/s²", 1.0, ("velocity_x", "velocity_y", "velocity_z"), "thrust"),
+    ("Sun exclusion", "deg", math.degrees(1.0), ("attitude_exclusion",), "torque"),
+    ("Temperature", "°C", 1.0, ("temperature",), "torque"),
+    ("Battery", "kJ", 1.0, ("battery",), "torque"),
+    (
+        "Body rates",
+        "deg²/s²",
+        SQUARE_DEGREES,
+        ("angular_velocity_x", "angular_velocity_y", "angular_velocity_z"),
+        "torque",
+    ),
+)
+
+
+@dataclass(frozen=True)
+class Replayed:
+    """A file of `simulate`: its path as it is shown, its arrays over time and the task's parameters."""
+
+    path: str
+    episode: Episode
+    c: InspectionParameters
+
+    @property
+    def stride(self) -> int:
+        """Rows of the file to a row of the page."""
+        return -(-len(self.episode["time"]) // MAX_ROWS)
+
+
+def read(path: str) -> Replayed:
+    """Reads and checks a file of `simulate`, or an episode of a study's report in single precision."""
+    names = (*COLUMNS, "inspected", "intervened", "parameters")
+    episode = arrays.load(
+        path, names, "run", where_missing=": not a file that simulate wrote, or one of an older version"
+    )
+    c = configuration.from_toml(str(episode["parameters"]), f"{path}: parameters").inspection
+    rows = episode["time"].size
+    shapes = {name: (rows,) if width is None else (rows, width) for name, width in COLUMNS.items()}
+    flags = {"inspected": (rows, c.num_points), "intervened": (rows, 2)}
+    for name, shape in (shapes | flags).items():
+        array = episode[name]
+        if array.shape != shape or array.dtype.kind != ("b" if name in flags else "f"):
+            kind = "bool" if name in flags else "numbers"
+            raise InputError(f"{path}: {name} is {array.dtype} {array.shape}: must be {kind} {shape}")
+        if not np.isfinite(array).all():
+            raise InputError(f"{path}: {name} must hold finite numbers only")
+    if rows < 2 or not (np.diff(episode["time"]) > 0.0).all():
+        raise InputError(f"{path}: time must rise over at least two rows")
+    return Replayed(
+        printable(path), episode | {name: episode[name].astype(np.float64) for name in COLUMNS}, c
+    )
+
+
+def printable(path: str) -> str:
+    """A path with a replacement character for each byte that is not UTF-8, which no page and no terminal takes."""
+    return os.fsencode(path).decode("utf-8", errors="replace")
+
+
+def thinned(run: Replayed) -> Episode:
+    """At most MAX_ROWS rows: each the first of its block, but with the block's smallest h."""
+    starts = np.arange(0, len(run.episode["time"]), run.stride)
+    return {
+        name: np.minimum.reduceat(run.episode[name], starts)
+        if name.startswith("h_")
+        else run.episode[name][starts]
+        for name in COLUMNS
+    }
+
+
+def interventions(episode: Episode, program: int) -> list[list[float]]:
+    """The intervals [start, end] in s of rows in which the filter's program, 0 for thrust, 1 for torque, corrected."""
+    intervened = episode["intervened"][:-1, program]  # a row reports until the next
+    edges = np.flatnonzero(np.diff(intervened, prepend=False, append=False))
+    return rounded(episode["time"][edges].reshape(-1, 2), TIME_DIGITS)
+
+
+def inspection_times(episode: Episode) -> list[float | None]:
+    """When each point was inspected in s, None if it never was."""
+    inspected = episode["inspected"]
+    first = rounded(episode["time"][inspected.argmax(0)], TIME_DIGITS)
+    return [t if ever else None for t, ever in zip(first, inspected.any(0).tolist(), strict=True)]
+
+
+def cone_rim(c: InspectionParameters) -> np.ndarray:
+    """Unit vectors (RIM, 3) in the body frame along the edge of the camera's field of view about +x."""
+    half, turn = c.field_of_view / 2, np.linspace(0.0, 2 * np.pi, RIM, endpoint=False)
+    across = math.sin(half) * np.stack((np.cos(turn), np.sin(turn)), 1)
+    return np.column_stack((np.full(RIM, math.cos(half)), across))
+
+
+def rounded(values: np.ndarray, digits: int = DIGITS) -> Any:
+    """Nested lists of numbers with so many significant digits, which keeps the page small."""
+    if values.ndim > 1:
+        return [rounded(row, digits) for row in values]
+    return [float(f"{value:.{digits}g}") for value in values.tolist()]
+
+
+def panel(
+    title: str,
+    unit: str,
+    lines: list[Line],
+    acts: str | None = None,
+    safe: tuple[float | None, float | None] = (None, None),
+) -> Panel:
+    """A plot over time.
+
+    Args:
+        acts: the control that changes it, thrust or torque, whose interventions are marked in it.
+        safe: lowest and highest safe value, None where there is no limit.
+    """
+    return {"title": title, "unit": unit, "lines": lines, "acts": acts, "safe": safe}
+
+
+def panels(episode: Episode, c: InspectionParameters) -> dict[str, list[Panel]]:
+    """Everything that is drawn over time, by section."""
+    return {
+        "Control, body frame": control_panels(episode),
+        "Battery, temperature and inspection": [
+            panel("Energy", "kJ", [one_line(episode["energy"])], "torque", (c.min_energy, None)),
+            panel(
+                "Temperature", "°C", [one_line(episode["temperature"])], "torque", (None, c.max_temperature)
+            ),
+            panel("Inspected weight", "", [one_line(episode["inspected_score"])]),
+        ],
+        "Constraints, safe where h ≥ 0": [
+            panel(title, unit, constraint_lines(episode, names, factor), acts, (0.0, None))
+            for title, unit, factor, names, acts in CONSTRAINT_PANELS
+        ],
+    }
+
+
+def control_panels(episode: Episode) -> list[Panel]:
+    """Desired and applied thrust and torque, an axis each."""
+    found = []
+    for acts, first, factor, unit in (("thrust", 0, 1.0, "N"), ("torque", 3, 1e3, "mN m")):
+        for i, axis in enumerate("xyz", start=first):
+            # the applied control lies on top, and hides the desired one where they are equal
+            lines: list[Line] = [
+                {
+                    "name": name,
+                    "colour": colour,
+                    "width": width,
+                    "held": True,
+                    "values": factor * values[:, i],
+                }
+                for name, colour, width, values in (
+                    ("desired", GREY, 2.5, episode["control_desired"]),
+                    ("applied", BLUE, 1.2, episode["control_applied"]),
+                )
+            ]
+            found.append(panel(f"{acts.capitalize()} {axis}", unit, lines, acts))
+    return found
+
+
+def one_line(values: np.ndarray, name: str = "", colour: str = BLUE) -> Line:
+    """A quantity that changes between two rows."""
+    return {"name": name, "colour": colour, "width": 1.4, "held": False, "values": values}
+
+
+def constraint_lines(episode: Episode, names: Sequence[str], factor: float) -> list[Line]:
+    """The values of one constraint, or of the three axes of one."""
+    if len(names) == 1:
+        return [one_line(factor * episode[f"h_{names[0]}"])]
+    return [
+        one_line(factor * episode[f"h_{name}"], name[-1], colour)
+        for name, colour in zip(names, (BLUE, ORANGE, "#000000"), strict=True)
+    ]
+
+
+def common_range(same: Sequence[Panel]) -> np.ndarray:
+    """Ends of the vertical axis of the same panel in every run: all values, all limits, and some room."""
+    values = [one["values"] for each in same for one in each["lines"]]
+    limits = [limit for each in same for limit in each["safe"] if limit is not None]
+    shown = np.concatenate((*values, limits))
+    room = 0.08 * np.ptp(shown) or 1.0
+    return np.array([shown.min() - 2.0 * room, shown.max() + room])  # the strip of interventions is below
+
+
+def run_data(run: Replayed, episode: Episode) -> dict[str, Any]:
+    """What the page knows of a run, thinned to `episode`, beside its panels.
+
+    Arrays are (rows, ...), times in s, places in m.
+    """
+    c = run.c
+    return {
+        "path": run.path,
+        "time": rounded(episode["time"], TIME_DIGITS),
+        "end": rounded(run.episode["time"][-1:], TIME_DIGITS)[0],
+        "position": episode["position"],
+        "axes": np.stack([rotate(episode["quaternion"], axis) for axis in np.eye(3)], 1),
+        "sun_angle": episode["sun_angle"],
+        "speed": speeds(episode),
+        "normals": fibonacci_sphere(c.num_points).numpy().T,
+        "chief_radius": c.chief_radius,
+        "inspected": inspection_times(run.episode),
+        "rim": cone_rim(c),
+        "interventions": {
+            "thrust": interventions(run.episode, 0),
+            "torque": interventions(run.episode, 1),
+        },
+    }
+
+
+def box(runs: Sequence[Replayed]) -> dict[str, Any]:
+    """The scenes, which have one scale: [low, high] of each of Hill's axes and the lengths of what is drawn, in m.
+
+    `aspect` and `centre`, the chief's place, are in the units of plotly's camera; `dot` is a point's size in px on a
+    large screen.
+    """
+    positions = np.concatenate([run.episode["position"] for run in runs])
+    radius = max(run.c.chief_radius for run in runs)
+    size = max(np.ptp(positions, axis=0).max(), 4.0 * radius)
+    direction = max(2.5 * radius, 0.3 * size)  # to the Sun and the Earth
+    inside = np.array([direction, direction, 1.5 * radius])
+    low = np.minimum(positions.min(0), -inside) - 0.08 * size
+    high = np.maximum(positions.max(0), inside) + 0.08 * size
+    unit = np.prod(high - low) ** (1 / 3)
+    return {
+        "ranges": np.stack((low, high), 1),
+        "lengths": {"axis": 0.12 * size, "cone": 0.25 * size, "direction": direction},
+        "aspect": (high - low) / unit,
+        "centre": -(low + high) / 2 / unit,
+        "dot": min(4.0, max(1.5, 48.0 * radius / size)),
+    }
+
+
+def content(runs: Sequence[Replayed]) -> dict[str, Any]:
+    """Everything that `replay.js` shows."""
+    episodes = [thinned(run) for run in runs]
+    of_runs = [panels(episode, run.c) for run, episode in zip(runs, episodes, strict=True)]
+    sections = {
+        title: [
+            {"range": common_range(same), "runs": same}
+            for same in zip(*(sections[title] for sections in of_runs), strict=True)
+        ]
+        for title in of_runs[0]
+    }
+    return {
+        "runs": [run_data(run, episode) for run, episode in zip(runs, episodes, strict=True)],
+        "sections": sections,
+        **box(runs),
+        "step": runs[0].c.action_period,
+    }

@@ -1,0 +1,1 @@
+"""The study's report: what it computes, its tables, figures and page."""

@@ -1,0 +1,230 @@
+"""What a report shows beside a study's own results: other filters, classical guidance and single episodes."""
+
+import hashlib
+import json
+import os
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from ppo.network import Policy
+from rta.parameters import PERIODS
+from study import experiment as build
+from study.config import ARMS, Config
+from study.errors import MALFORMED, InputError, refusing
+from study.files import ROOT, write_json, write_text
+from study.flight.evaluation import play, play_guidance, report
+from study.flight.simulation import classical, common_episode, read_state, simulate, starting_point
+from study.report import tables as report_tables
+from study.report.sunlight import shortest_episodes
+from study.report.tables import Results
+from study.training.study import TEST_CASES
+
+DEMONSTRATION = ROOT / "configs" / "demonstration.json"
+DEMONSTRATION_DURATION = 2000.0  # s
+GUIDANCE_CASES = 1000
+GUIDANCE_PERIOD = 1.0  # s between two calls of the filter
+Arrays = dict[str, np.ndarray]
+Work = dict[str, tuple[str, Callable[[], Results | Arrays | str]]]  # by file: what it is, what computes it
+
+
+@dataclass(frozen=True)
+class Arm:
+    """The agents of a finished arm.
+
+    Attributes:
+        config: of its first seed; policy: of all seeds; first: of the first.
+        results: of the study; digests: SHA-256 of each seed's file.
+    """
+
+    config: Config
+    policy: Policy
+    first: Policy
+    results: Results
+    digests: dict[str, str]
+
+
+def compute(study: Path, device: str | None = None) -> None:
+    """Writes what the directory's `report` lacks; what an earlier call has computed for the same policies is kept.
+
+    Args:
+        study: directory of a finished study, of one arm or both; device: auto, cpu or cuda; None: the study's.
+
+    Raises:
+        InputError, CheckpointError: there is no finished study, it is damaged, or nothing can be written there.
+    """
+    arms = load(study, device)
+    directory = study / "report"
+    todo = work(study, arms)
+    with refusing(f"--study {study}: cannot write there", OSError):
+        begin(directory, {name: arm.digests for name, arm in arms.items()}, todo)
+        for name, (what, make) in todo.items():
+            if not (directory / name).exists():
+                print(f"{directory / name}: {what} ...", end="", flush=True)
+                started = time.perf_counter()
+                write(directory / name, make())
+                print(f" {time.perf_counter() - started:.0f} s", flush=True)
+
+
+def load(study: Path, device: str | None) -> dict[str, Arm]:
+    """The arms of a finished study by name."""
+    path = study / "results.json"
+    if not path.is_file():
+        raise InputError(f"--study {study}: no finished study there (it lacks results.json)")
+    with refusing(f"{path}: not the results of a study", OSError, *MALFORMED):
+        results = report_tables.read(path)["arms"]
+        seeds = {name: results[name]["seeds"] for name in ARMS if name in results}
+    if not seeds:
+        raise InputError(f"{path}: holds none of the arms {', '.join(ARMS)}")
+    return {
+        name: load_arm([study / name / f"seed{seed}" / "policy.pt" for seed in of_arm], results[name], device)
+        for name, of_arm in seeds.items()
+    }
+
+
+def load_arm(paths: list[Path], results: Results, device: str | None) -> Arm:
+    """An arm from its seeds' policies."""
+    loaded = [build.load_policy(str(path)) for path in paths]
+    policies = [policy for policy, _ in loaded]
+    config = loaded[0][1]
+    weights = [policy.state_dict() for policy in policies]
+    together = build.make_policy(config, [torch.Generator() for _ in policies])
+    together.load_state_dict({name: torch.cat([own[name] for own in weights]) for name in weights[0]})
+    return Arm(
+        config=replace(config, train=replace(config.train, device=device or config.train.device)),
+        policy=together,
+        first=policies[0],
+        results=results,
+        digests={path.parent.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in paths},
+    )
+
+
+def begin(directory: Path, digests: dict[str, dict[str, str]], todo: Work) -> None:
+    """Drops what was computed for other policies than those with the given digests."""
+    directory.mkdir(exist_ok=True)
+    path = directory / "policies.json"
+    text = json.dumps(digests, indent=2) + "\n"
+    if not path.exists() or path.read_bytes() != text.encode():
+        for name in todo:
+            (directory / name).unlink(missing_ok=True)
+        write_text(path, text)
+
+
+def write(path: Path, content: Results | Arrays | str) -> None:
+    """Writes results as .json, arrays as .npz (in single precision) or text, whole or not at all."""
+    if path.suffix == ".json":
+        write_json(path, content)
+    elif path.suffix == ".npz":
+        temporary = path.with_name(path.name + ".tmp")
+        with open(temporary, "wb") as file:
+            np.savez_compressed(file, **{name: single(values) for name, values in content.items()})
+        os.replace(temporary, path)
+    else:
+        write_text(path, content)
+
+
+def single(values: np.ndarray) -> np.ndarray:
+    """The array with floats of half the size, which is enough for figures and replays."""
+    return values.astype(np.float32) if values.dtype == np.float64 else values
+
+
+def work(study: Path, arms: dict[str, Arm]) -> Work:
+    """Everything that a report on these arms needs beside the study's own results."""
+    config = next(iter(arms.values())).config
+    todo: Work = {"cross.json": ("every agent with the filter off and on", partial(cross, arms))}
+    if "rta" in arms:
+        periods = ", ".join(f"{period:g}" for period in PERIODS)
+        what = f"the agents trained with RTA, the filter called every {periods} s"
+        todo["frequency.json"] = (what, partial(frequency, arms["rta"]))
+    what = f"the natural-motion guidance with RTA over {GUIDANCE_CASES:,} cases"
+    todo["guidance.json"] = (what, partial(guidance, config))
+    todo["sunlight.json"] = (
+        "when the Sun has lit enough of the chief",
+        lambda: shortest_episodes(config, config.train.final_episodes, TEST_CASES),
+    )
+    for name, arm in arms.items():
+        todo[f"episode_{name}.npz"] = (f"an episode of {name}", partial(episode, arm))
+    todo["training.csv"] = ("intervals of the training curves", partial(training, study, arms))
+    for name, rta in ARMS.items():
+        what = f"the LQR+PD demonstration {'with' if rta else 'without'} RTA"
+        todo[f"demonstration_{name}.npz"] = (what, partial(demonstration, config, rta))
+    return todo
+
+
+def cross(arms: dict[str, Arm]) -> dict[str, dict[str, Results]]:
+    """Each arm's agents without filter and behind it, called as in the study."""
+    return {
+        name: {
+            "off": evaluate(arm, rta=False, period=arm.config.train.rta_period),
+            "on": evaluate(arm, rta=True, period=arm.config.train.rta_period),
+        }
+        for name, arm in arms.items()
+    }
+
+
+def frequency(arm: Arm) -> dict[str, Results]:
+    """An arm's agents behind the filter called every 1, 5 and 10 s."""
+    return {f"{period:g}": evaluate(arm, rta=True, period=period) for period in PERIODS}
+
+
+def training(study: Path, arms: dict[str, Arm]) -> str:
+    """The table of the periodic evaluations."""
+    for name, arm in arms.items():
+        path = study / name / "evaluations.jsonl"
+        if arm.results["interactions"] >= arm.config.train.evaluation_interval and not path.exists():
+            raise InputError(f"{path}: missing, and with it the training curves of {name}")
+    with refusing(f"--study {study}: cannot read its evaluations.jsonl", OSError, *MALFORMED):
+        rows = [row for name in arms for row in report_tables.training(name, study / name)]
+    return report_tables.text(rows, report_tables.TRAINING)
+
+
+def with_rta(config: Config, rta: bool, period: float) -> Config:
+    """The configuration with the filter off or called every `period` s."""
+    return replace(config, train=replace(config.train, rta=rta, rta_period=period))
+
+
+def evaluate(arm: Arm, rta: bool, period: float) -> Results:
+    """The arm's agents on the study's test cases; the study's own results where it had the same filter."""
+    config = with_rta(arm.config, rta, period)
+    if config == arm.config:
+        return arm.results
+    seeds, episodes = len(arm.digests), config.train.final_episodes
+    safety, device = build.for_command(config, build.TYPICAL_EPISODE, seeds * episodes)
+    record = play(arm.policy.to(device), config, episodes, TEST_CASES, device, safety)
+    return report(record, config, rta, period, TEST_CASES, seeds)
+
+
+def guidance(config: Config) -> Results:
+    """The classical natural-motion guidance behind the filter."""
+    config = with_rta(config, True, GUIDANCE_PERIOD)
+    safety, device = build.for_command(config, build.TYPICAL_EPISODE, GUIDANCE_CASES)
+    record = play_guidance(config, GUIDANCE_CASES, TEST_CASES, device, safety)
+    return report(record, config, True, GUIDANCE_PERIOD, TEST_CASES)
+
+
+def episode(arm: Arm) -> Arrays:
+    """The first seed's episode from the first test case, in the configuration of training."""
+    safety, device = build.for_command(arm.config, build.TYPICAL_EPISODE, 1)
+    return common_episode(arm.first.to(device), arm.config, safety, device)
+
+
+def demonstration(config: Config, rta: bool) -> Arrays:
+    """A classical controller that heads for the limits, with or without the filter."""
+    config = with_rta(config, rta, config.train.rta_period)
+    step = config.inspection.substep
+    safety, device = build.for_command(config, DEMONSTRATION_DURATION, 1)
+    x, priority = starting_point(read_state(str(DEMONSTRATION)), config, TEST_CASES)
+    return simulate(
+        build.one_episode(config, safety, device),
+        classical("lqr-pd", None, config, step, TEST_CASES),
+        x.to(device),
+        priority.to(device),
+        DEMONSTRATION_DURATION,
+        step,
+        decide_every=step,
+    )

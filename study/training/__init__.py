@@ -1,0 +1,1 @@
+"""Training: one run on disk, and the study of many."""

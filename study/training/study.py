@@ -1,0 +1,148 @@
+"""The study: all seeds of each arm trained as one batch, evaluated, and continued wherever it was interrupted."""
+
+import dataclasses
+import json
+from pathlib import Path
+
+import numpy as np
+
+from inspection.environment import METRICS, OUTCOMES
+from ppo.distributed import ranks
+from rta.constraints import CONSTRAINTS
+from study import config as configuration
+from study.config import StudyConfig
+from study.errors import InputError, refusing
+from study.files import write_json, write_settings
+from study.flight.evaluation import Episodes, report
+from study.paper import tables
+from study.training import run as training
+from study.training.run import Run, Stopped, on_signal
+
+# All that a kill at the start leaves.
+SETTINGS = ("provenance.json", "provenance.json.tmp", "config.toml.tmp")
+TEST_CASES = 0  # seed of the final evaluation's cases, the default of `evaluate`
+
+
+def prepare(config: StudyConfig, directory: Path) -> None:
+    """Makes the directory of a new study; refuses one that holds other things or a study with other settings."""
+    before = settings(directory)
+    if before is None:
+        with refusing(f"--study-dir {directory}: cannot write there", OSError, ValueError):
+            directory.mkdir(parents=True, exist_ok=True)
+            if other := sorted(path.name for path in directory.iterdir() if path.name not in SETTINGS):
+                raise InputError(
+                    f"--study-dir {directory}: holds no study but {other[0]}; name a new directory"
+                )
+            write_settings(config, directory)
+    elif before != config:
+        raise InputError(f"--study-dir {directory}: holds a study with {first_difference(before, config)}")
+
+
+def settings(directory: Path) -> StudyConfig | None:
+    """The configuration of the study in a directory; None where none was begun."""
+    with refusing(f"--study-dir {directory}: cannot read it", OSError, ValueError):
+        if (directory / "checkpoint.pt").exists() or (directory / "policy.pt").exists():
+            raise InputError(f"--study-dir {directory}: holds a run of train, not a study")
+        begun = (directory / "config.toml").exists()
+    return configuration.load(directory / "config.toml", StudyConfig()) if begun else None
+
+
+def first_difference(one: StudyConfig, other: StudyConfig) -> str:
+    """The first setting in which two configurations differ, with both values."""
+    return next(
+        f"[{table.name}] {key} = {value!r}, not {getattr(getattr(other, table.name), key)!r}"
+        for table in dataclasses.fields(one)
+        for key, value in vars(getattr(one, table.name)).items()
+        if value != getattr(getattr(other, table.name), key)
+    )
+
+
+def run(config: StudyConfig, directory: Path) -> str:
+    """Trains and evaluates what is left of a study; returns the paper's tables.
+
+    Of many ranks, each trains some of the seeds, as it would without the others; the first one writes and returns.
+
+    Raises:
+        InputError: the directory holds a study with other settings; Stopped: a signal came first.
+    """
+    config = dataclasses.replace(config, train=training.with_solver(config).train)
+    ranks().first_does(lambda: prepare(config, directory))
+    results = {}
+    with on_signal(stop):  # outside an update, where nothing half done is kept
+        for name in config.study.arms:
+            path = directory / name / "results.json"
+            if not ranks().agree(path.exists()):
+                finish(train(config, name, directory / name))
+            if not ranks().first:
+                continue
+            with refusing(f"{path}: not the results of this program", OSError, ValueError):
+                results[name] = json.loads(path.read_text(encoding="utf-8"))
+            write_json(directory / "results.json", {"arms": results})  # of the arms so far, for `report`
+    shown = [f"{name}\n{tables(arm)}\n" for name, arm in results.items()]
+    return "\n".join(
+        (*shown, f"Written to {directory}: results.json and, for each arm, policies and episodes")
+    )
+
+
+def stop() -> None:
+    """Ends the study where it is."""
+    raise Stopped("stopped; the same command continues")
+
+
+def train(config: StudyConfig, name: str, directory: Path) -> Run:
+    """All seeds of an arm, trained to the end from where they were left."""
+    of_arm = config.of_arm(name)
+    path = directory / "checkpoint.pt"
+    begun = path.exists()
+    if begun:
+        training.check_trained_with(of_arm, path)
+    run = Run(of_arm, directory, config.seeds)
+    if begun:
+        run.resume()
+    else:
+        run.create()
+    print(training.describe(run), flush=True)
+    try:
+        run.train()
+    except Stopped:
+        raise Stopped(
+            f"{name} stopped after {run.interactions:,} interactions of each seed; the same command continues"
+        ) from None
+    return run
+
+
+def finish(run: Run) -> None:
+    """Plays the common test cases with every seed of a trained arm; writes episodes.npz, then results.json.
+
+    `interactions` are those of each seed, `wall_clock_s` the rollouts and updates of all of them together, by the
+    rank that took longest.
+    """
+    train = run.config.train
+    record, seconds = run.play(train.final_episodes, TEST_CASES), run.seconds()
+    if not record:
+        return
+    save_episodes(record, run.seeds, run.directory / "episodes.npz")
+    together = report(record, run.config, train.rta, train.rta_period, TEST_CASES, len(run.seeds))
+    about = {
+        "seeds": list(run.seeds),
+        "interactions": run.interactions,
+        "wall_clock_s": seconds,
+        "per_seed": run.report(record, TEST_CASES),
+    }
+    write_json(run.directory / "results.json", together | about)
+
+
+def save_episodes(record: Episodes, seeds: tuple[int, ...], path: Path) -> None:
+    """Every field of the episodes with the last axis split in two, seeds and cases; and what the rows are."""
+    fields = {f.name: getattr(record, f.name) for f in dataclasses.fields(record) if f.name != "extremes"}
+    arrays = {
+        name: values.unflatten(-1, (len(seeds), -1)).cpu().numpy()
+        for name, values in (fields | record.extremes).items()
+    }
+    labels = {
+        "seeds": seeds,
+        "metric_names": METRICS,
+        "constraint_names": (*CONSTRAINTS, "any"),
+        "outcome_names": OUTCOMES,
+    }
+    np.savez_compressed(path, **arrays, **{name: np.array(values) for name, values in labels.items()})

@@ -1,0 +1,118 @@
+"""Compiled code gives what uncompiled code gives, in batches of any size, in any process."""
+
+import math
+from collections.abc import Callable
+from dataclasses import fields
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from inspection import compiled
+from inspection.compiled import Compiled
+from inspection.parameters import InspectionParameters
+from rta.filter import FilterResult, SafetyFilter
+from rta.parameters import RtaParameters
+from rta.qp import Status
+from study import experiment as build
+from study.config import Config
+
+C = InspectionParameters()
+
+
+def polynomial(x: Tensor, y: Tensor) -> list[Tensor]:
+    """Parts of different shapes, one of them a derivative and one a matrix product."""
+    value, slope = torch.func.jvp(lambda z: z**3, (x,), (torch.ones_like(x),))
+    return [value, torch.stack((slope, 2 * slope)), y.new_tensor([[1.0, 2.0], [3.0, 4.0]]) @ y]
+
+
+def arguments(batch: int) -> tuple[Tensor, Tensor]:
+    x = torch.from_numpy(np.random.default_rng(batch).standard_normal((5, batch)))
+    return x[:3], x[3:]
+
+
+@pytest.fixture(scope="module")
+def cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("cache")
+
+
+@pytest.fixture(autouse=True)
+def own_cache(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    if "cache" in request.fixturenames:
+        monkeypatch.setattr(compiled, "cache_dir", lambda: str(request.getfixturevalue("cache")))
+
+
+@pytest.mark.parametrize("batch", [1, 16, 17, 256, 700])
+@pytest.mark.parametrize("threads", [1, 2])
+def test_any_batch_on_any_number_of_threads(batch: int, threads: int, cache: Path) -> None:
+    torch.set_num_threads(threads)
+    try:
+        x, y = arguments(batch)
+        value, slopes, product = Compiled(polynomial, *arguments(1))(x, y)
+    finally:
+        torch.set_num_threads(1)
+    np.testing.assert_allclose(value, x**3, rtol=1e-14)
+    np.testing.assert_allclose(slopes, np.stack((3 * x**2, 6 * x**2)), rtol=1e-14)
+    np.testing.assert_allclose(product, np.array([[1, 2], [3, 4]]) @ y.numpy(), rtol=1e-13)
+
+
+def test_what_was_compiled_is_not_compiled_again(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    x, y = arguments(20)
+    Compiled(polynomial, *arguments(1))(x, y)
+    monkeypatch.setattr(torch._inductor, "aoti_compile_and_package", None)  # cannot be called
+    Compiled(polynomial, *arguments(1))(x, y)
+    with pytest.raises(TypeError):  # another constant
+        Compiled(lambda x, y: [x + 1.5, *polynomial(x, y)], *arguments(1))
+
+
+def test_compiled_filter_equals_the_eager_one(
+    random_states: Callable[[int], Tensor],
+    generator: torch.Generator,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    eager, fast = SafetyFilter(C, RtaParameters()), SafetyFilter(C, RtaParameters())
+    fast.compile("cpu", 16)
+    x = random_states(300)
+    x[5, 7] = x[13, 8] = math.nan
+    x[0, 9] = math.inf
+    limit = x.new_tensor(C.control_limit)[:, None]
+    desired = (2 * torch.rand(6, 300, generator=generator, dtype=torch.float64) - 1) * limit
+    for batch in (1, 300):
+        one, other = eager(x[:, :batch], desired[:, :batch]), fast(x[:, :batch], desired[:, :batch])
+        for field in fields(FilterResult):
+            expected, found = getattr(one, field.name), getattr(other, field.name)
+            torch.testing.assert_close(found, expected, rtol=1e-9, atol=1e-9, equal_nan=True)
+    assert one.status.unique().tolist() == list(Status)
+    for rows, expected in zip(fast.rows(x), eager.barriers(x), strict=True):
+        for field in fields(rows):
+            found = getattr(rows, field.name)
+            torch.testing.assert_close(
+                found, getattr(expected, field.name), rtol=1e-9, atol=1e-9, equal_nan=True
+            )
+
+
+def test_without_a_compiler_nothing_is_compiled_and_one_line_says_so(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def missing() -> str:
+        raise RuntimeError
+
+    monkeypatch.setattr(build, "get_cpp_compiler", missing)
+    build.finds_compiler.cache_clear()
+    try:
+        assert not build.wants_compile("on", True)
+        assert not build.wants_compile("auto", True)
+    finally:
+        build.finds_compiler.cache_clear()
+    message = capsys.readouterr().err
+    assert message.count("\n") == 1 and "compiler" in message
+
+
+def test_the_filter_is_compiled_for_the_device(monkeypatch: pytest.MonkeyPatch) -> None:
+    used, elsewhere = [], torch.device("meta")
+    monkeypatch.setattr(SafetyFilter, "compile", lambda _, device, batch: used.append(device))
+    monkeypatch.setattr(build, "resolve_device", lambda _: elsewhere)
+    build.make_filter(Config(), 1.0, compiled=True)
+    assert used == [elsewhere]

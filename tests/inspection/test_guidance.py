@@ -1,0 +1,152 @@
+"""Classical controllers against what defines them."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+import scipy.linalg
+import torch
+
+from inspection import guidance
+from inspection.dynamics import free_flight, step
+from inspection.parameters import InspectionParameters
+from inspection.state import OMEGA, SIZE, THETA_S, E, P, Q, V
+from rta.constraints import CONSTRAINTS, values
+from rta.filter import SafetyFilter
+from rta.parameters import RtaParameters
+from study.flight.simulation import read_state
+
+C = InspectionParameters()
+DEMONSTRATION = str(Path(__file__).parents[2] / "configs" / "demonstration.json")
+
+
+def at_rest(batch: int = 1) -> torch.Tensor:
+    x = torch.zeros(SIZE, batch, dtype=torch.float64)
+    x[P] = torch.tensor([[70.0], [-30.0], [20.0]], dtype=torch.float64)
+    x[Q.start + 3] = 1.0
+    x[THETA_S] = 0.4
+    return x
+
+
+def test_lqr_gain_solves_the_riccati_equation_and_stabilises() -> None:
+    n = C.mean_motion
+    gain = guidance.lqr_gain(C)
+    a = np.array(
+        [
+            [0, 0, 0, 1, 0, 0],
+            [0, 0, 0, 0, 1, 0],
+            [0, 0, 0, 0, 0, 1],
+            [3 * n**2, 0, 0, 0, 2 * n, 0],
+            [0, 0, 0, -2 * n, 0, 0],
+            [0, 0, -(n**2), 0, 0, 0],
+        ]
+    )
+    b = np.vstack((np.zeros((3, 3)), np.eye(3) / C.mass))
+    assert np.linalg.eigvals(a - b @ gain).real.max() < 0
+    # with R = I the optimal cost matrix S gives K = B' S, and A' S + S A - K' K + Q = 0
+    cost = scipy.linalg.solve_continuous_lyapunov(
+        (a - b @ gain).T, -(np.diag([1e-4] * 3 + [1.0] * 3) + gain.T @ gain)
+    )
+    np.testing.assert_allclose(b.T @ cost, gain, rtol=1e-6, atol=1e-9)
+
+
+def test_the_sun_following_ellipse_is_a_free_motion() -> None:
+    b, n, theta = guidance.ELLIPSE, C.mean_motion, 0.7
+    p = torch.tensor([b * np.cos(theta), 2 * b * np.sin(theta), 0.0], dtype=torch.float64)
+    v = n * torch.tensor([b * np.sin(theta), -2 * b * np.cos(theta), 0.0], dtype=torch.float64)
+    t = torch.tensor(1500.0, dtype=torch.float64)
+    later = theta - n * t
+    expected = torch.stack((b * later.cos(), 2 * b * later.sin(), torch.zeros_like(later)))
+    torch.testing.assert_close(free_flight(p, v, t, n), expected)
+
+
+def test_natural_motion_needs_no_thrust_on_its_ellipse() -> None:
+    x = at_rest()
+    b, n, theta = guidance.ELLIPSE, C.mean_motion, x[THETA_S]
+    x[P] = torch.stack((b * theta.cos(), 2 * b * theta.sin(), torch.zeros(1)))
+    x[V] = n * torch.stack((b * theta.sin(), -2 * b * theta.cos(), torch.zeros(1)))
+    assert guidance.natural_motion(C)(0.0, x)[:3].abs().max() < 1e-12
+
+
+def test_natural_motion_leads_around_the_chief_to_its_sunlit_side() -> None:
+    x = at_rest(5)
+    azimuth = torch.tensor([0.0, 0.5, 1.5, 2.5, 3.1]).double()  # from the far side of the Sun to the near one
+    azimuth, elevation = azimuth + x[THETA_S] + math.pi, torch.tensor([0.0, -0.5, 0.3, 0.1, 1.2]).double()
+    across = elevation.cos()
+    x[P] = 60.0 * torch.stack((azimuth.cos() * across, azimuth.sin() * across, elevation.sin()))
+    x[E] = 5.0
+    control, states = guidance.natural_motion(C), [x]
+    for i in range(1000):
+        x = step(x, control(2.0 * i, x), 2.0, C)
+        states.append(x)
+    way = torch.stack(states)
+    assert way[:, P].norm(dim=1).min() > C.collision_radius
+    half_a_turn = math.pi / C.max_rate  # s, in the dark at most, until the panels face the Sun
+    assert way[:, E].min() > 5.0 - C.power_draw / 1000.0 * half_a_turn
+    b, theta = guidance.ELLIPSE, x[THETA_S]
+    ellipse = torch.stack((b * theta.cos(), 2 * b * theta.sin(), torch.zeros(5)))
+    torch.testing.assert_close(x[P], ellipse, atol=2.0, rtol=0.0)
+    camera = guidance.rotate(x[Q], torch.eye(3, dtype=torch.float64)[:, :1])
+    assert (-camera * x[P] / x[P].norm(dim=0)).sum(0).min() > math.cos(0.05)
+
+
+@pytest.mark.parametrize("axis", ["+x", "-y"])
+def test_pointing_turns_a_body_axis_to_its_target(axis: str) -> None:
+    x = at_rest()
+    target = torch.tensor([[0.48], [-0.36], [0.8]], dtype=torch.float64)
+    for _ in range(250):
+        torque = guidance.point(x, axis, target, C)
+        x = step(x, guidance.limited(torch.zeros_like(torque), torque, x, C), 1.0, C)
+    body = {"+x": [[1.0], [0.0], [0.0]], "-y": [[0.0], [-1.0], [0.0]]}[axis]
+    pointed = guidance.rotate(x[Q], torch.tensor(body, dtype=torch.float64))
+    torch.testing.assert_close(pointed, target, atol=1e-6, rtol=0.0)
+    assert x[OMEGA].abs().max() < 1e-6
+
+
+def tour(duration: float, interval: float, safety: SafetyFilter | None = None) -> torch.Tensor:
+    """States (16, steps + 1) of the demonstration, from its state file."""
+    x, _ = read_state(DEMONSTRATION)
+    control, states = guidance.lqr_pd(C), [x]
+    for i in range(round(duration / interval)):
+        u = control(i * interval, x)
+        x = step(x, safety(x, u).control if safety else u, interval, C)
+        states.append(x)
+    return torch.cat(states, 1)
+
+
+def test_the_demonstration_starts_in_the_filters_safe_set() -> None:
+    x, _ = read_state(DEMONSTRATION)
+    assert SafetyFilter(C, RtaParameters()).barriers.is_safe(x).all()
+
+
+def test_the_demonstration_crosses_every_boundary_without_the_filter() -> None:
+    states = tour(2000.0, 2.0)
+    crossed = (values(states, C) < 0.0).any(1).tolist()
+    assert crossed == [True] * 10 + [False] * 3  # the plant saturates body rates at their limits
+    assert (states[OMEGA].abs().amax(1) == C.max_rate).all()
+
+
+def test_the_filter_holds_the_demonstration_at_its_first_boundaries() -> None:
+    states = tour(140.0, 1.0, SafetyFilter(C, RtaParameters()))
+    h = dict(zip(CONSTRAINTS, values(states, C), strict=True))
+    assert min(h[name].min() for name in CONSTRAINTS) >= 0.0
+    assert h["dynamic_speed"].min() < 0.2  # m/s
+    assert h["attitude_exclusion"].min() < math.radians(3)
+
+
+def test_lqr_pd_rests_at_its_set_point_with_the_thermal_side_in_the_sun() -> None:
+    start, position = guidance.SET_POINTS[1]
+    x = at_rest()
+    x[P] = torch.tensor(position, dtype=torch.float64)[:, None]
+    x[THETA_S] = -math.pi / 2  # of the unturned body, -n_y faces it
+    assert guidance.lqr_pd(C)(start, x).abs().max() < 1e-12
+    before = guidance.lqr_pd(C)(start - 1.0, x)[:3, 0]
+    assert before @ (torch.tensor(guidance.SET_POINTS[0][1]) - x[P, 0]) > 0.0
+
+
+def test_recorded_holds_each_row_for_a_step_and_the_last_one_on() -> None:
+    actions = np.arange(18.0).reshape(3, 6)
+    control = guidance.recorded(actions, step=5.0)
+    rows = [control(t, at_rest())[0, 0].item() / 6 for t in (0.0, 5.0, 10.0, 15.0, 100.0)]
+    assert rows == [0.0, 1.0, 2.0, 2.0, 2.0]

@@ -1,0 +1,300 @@
+"""Two ranks under torchrun: they follow one, stop together, continue bit for bit, and survive one another's end."""
+
+import itertools
+import json
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+from unittest.mock import Mock
+
+import numpy as np
+import pytest
+import torch
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+from torch.distributed import HashStore
+
+import main
+from inspection import initial_state
+from ppo import checkpoint
+from ppo.distributed import ALONE, RankLostError, Ranks, ranks
+from ppo.learner import NonFiniteError
+from study import config as configuration
+from study.config import Config, StudyConfig
+from study.errors import InputError
+from study.training import run as training
+from study.training import shards as shard
+
+ROOT = Path(main.__file__).parent
+# Weights of 2 ranks from those of 1 after 3 updates of 12 gradient steps: the order of sums alone differs.
+TOLERANCE = 1e-6
+SETTINGS = """
+[train]
+num_envs = 6
+rollout_steps = 4
+interactions = 72
+evaluation_interval = 48
+evaluation_episodes = 2
+checkpoint_interval = 24
+final_episodes = 2
+rta_period = 10.0
+compile = "off"
+device = "cpu"
+qp_solver = "batched"
+[inspection]
+max_time = 30.0 # s; every episode ends within each update
+[ppo]
+epochs = 4
+minibatch_size = 9
+"""
+STUDY = '[study]\nseeds = 3\narms = ["no_rta"]\n' + SETTINGS.replace("72", "48")
+POOL = 16  # initial states drawn at once, so that more are drawn in the midst of a run
+
+
+def job(directory: Path) -> None:
+    """What each of two ranks does under torchrun; rank 1 does not live to see the end."""
+    torch.set_num_threads(1)
+    initial_state.POOL = POOL
+    settings, after_update = directory / "train.toml", training.Run.after_update
+    config = configuration.load(settings)
+    training.start(config, directory / "whole").train()
+
+    def end(signal_number: int, update: int) -> None:
+        """Lets rank 1 signal itself at the end of an update."""
+
+        def ending(self: training.Run, statistics: dict[str, float]) -> None:
+            after_update(self, statistics)
+            if ranks().rank == 1 and self.trainer.update == update:
+                os.kill(os.getpid(), signal_number)
+
+        training.Run.after_update = ending
+
+    def say(arguments: list[str], expected: int) -> None:
+        assert main.main(arguments) == expected
+
+    train = ["train", "--config", str(settings), "--run-dir"]
+    end(signal.SIGTERM, update=1)
+    say([*train, str(directory / "stopped")], 0)
+    training.Run.after_update = after_update
+    training.resume(directory / "stopped").train()
+    say([*train, str(directory / "stopped")], 2)
+    say([*train, str(directory / "odd"), "--num-envs", "5"], 2)
+    say(["verify", "--episodes", "1"], 2)
+    say(["study", "--config", str(directory / "study.toml"), "--study-dir", str(directory / "study")], 0)
+    end(signal.SIGKILL, update=2)
+    say([*train, str(directory / "lost")], 1)
+    (directory / "survived").touch()
+    sys.exit(1)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def small_pools() -> Iterator[None]:
+    """The job's pools for the runs of this process, too."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(initial_state, "POOL", POOL)
+        yield
+
+
+@pytest.fixture(scope="module")
+def done(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str, list[str]]:
+    """The job's directory, what its ranks printed and each rank's stderr."""
+    directory = tmp_path_factory.mktemp("ranks")
+    (directory / "train.toml").write_text(SETTINGS)
+    (directory / "study.toml").write_text(STUDY)
+    torchrun = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc_per_node=2"]
+    command = [*torchrun, "--log-dir", str(directory / "logs"), "--redirects", "3", __file__, str(directory)]
+    environment = os.environ | {"PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
+    process = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=300)
+    logs = next((directory / "logs").glob("*/attempt_0"))
+    out, *err = (
+        "".join((logs / str(rank) / f"{name}.log").read_text() for rank in on)
+        for name, on in (("stdout", (0, 1)), ("stderr", (0,)), ("stderr", (1,)))
+    )
+    assert process.returncode == 1, err
+    assert (directory / "survived").exists(), err
+    return directory, out, err
+
+
+def state(directory: Path) -> dict[str, Any]:
+    return checkpoint.load(directory / "checkpoint.pt", training.RESUMABLE)
+
+
+def assert_close(one: Any, other: Any, tolerance: float) -> None:
+    """Equal keys, shapes and, within the tolerance, numbers."""
+    one, other = ({name: part for name, part in state.items() if name != "seconds"} for state in (one, other))
+    assert one.pop("config") == other.pop("config")
+    torch.testing.assert_close(one, other, rtol=tolerance, atol=tolerance)
+
+
+@pytest.fixture(scope="module")
+def alone(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The directory of the same run by one process."""
+    directory = tmp_path_factory.mktemp("alone") / "run"
+    training.start(configuration.from_toml(SETTINGS, "test"), directory).train()
+    return directory
+
+
+def scalars(directory: Path) -> dict[str, list[float]]:
+    """What TensorBoard shows, but for the time it took."""
+    events = EventAccumulator(str(directory))
+    events.Reload()
+    tags = [tag for tag in events.Tags()["scalars"] if not tag.startswith("time/") and tag != "charts/SPS"]
+    return {tag: [event.value for event in events.Scalars(tag)] for tag in tags}
+
+
+def test_two_ranks_follow_one(done: tuple[Path, str, list[str]], alone: Path) -> None:
+    directory = done[0] / "whole"
+    one, other = state(alone), state(directory)
+    assert all(torch.equal(a, b) for a, b in zip(one["generators"], other["generators"], strict=True))
+    assert_close(one, other, TOLERANCE)
+    assert scalars(alone) == {
+        tag: pytest.approx(values, rel=1e-4, abs=1e-5) for tag, values in scalars(directory).items()
+    }
+    ours, theirs = ((d / "evaluations.jsonl").read_text().splitlines() for d in (directory, alone))
+    assert [json.loads(line)["interactions"] for line in ours] == [48]
+    assert len(ours) == len(theirs)
+
+
+def test_a_signal_to_one_rank_stops_all_and_they_continue_bit_for_bit(
+    done: tuple[Path, str, list[str]],
+) -> None:
+    directory, out, _ = done
+    assert out.count("stopped after 24 interactions") == 1
+    assert_close(state(directory / "whole"), state(directory / "stopped"), 0.0)
+    assert scalars(directory / "whole") == scalars(directory / "stopped")
+
+
+def test_a_lost_rank_leaves_one_line_and_a_checkpoint_that_one_process_continues(
+    done: tuple[Path, str, list[str]], alone: Path
+) -> None:
+    directory, _, (err, _) = done
+    path = directory / "lost" / "checkpoint.pt"
+    line = err.splitlines()[-1]
+    assert line.startswith("error: update 3: another rank ended (")
+    assert line.endswith(f"; last good checkpoint: {path}")
+    assert "Traceback" not in err
+    run = training.resume(directory / "lost")
+    assert run.trainer.update == 2
+    run.train()
+    assert_close(state(alone), state(run.directory), TOLERANCE)
+
+
+def test_ranks_refuse_in_one_line(done: tuple[Path, str, list[str]]) -> None:
+    directory, _, err = done
+    for words in (
+        "stopped: holds a run already; continue it with --resume",
+        "[train] num_envs = 5: must be a multiple of the 2 ranks",
+        "torchrun: verify runs in one process",
+    ):
+        assert "".join(err).count(words) == 1, err
+    assert not list((directory / "odd").iterdir())
+
+
+def test_a_study_on_two_ranks_is_that_of_one_process(
+    done: tuple[Path, str, list[str]], tmp_path: Path
+) -> None:
+    settings, shared = done[0] / "study.toml", done[0] / "study" / "no_rta"
+    assert main.main(["study", "--config", str(settings), "--study-dir", str(tmp_path)]) == 0
+    own = tmp_path / "no_rta"
+    assert_close(state(own), state(shared), TOLERANCE)
+    one, other = (json.loads((d / "results.json").read_text()) for d in (own, shared))
+    assert (one["seeds"], one["episodes"]) == (other["seeds"], other["episodes"]) == ([0, 1, 2], 6)
+    assert other["wall_clock_s"] == state(shared)["seconds"]
+    one, other = (np.load(d / "episodes.npz") for d in (own, shared))
+    for name in one.files:
+        assert one[name].shape == other[name].shape
+    np.testing.assert_allclose(other["metrics"], one["metrics"], rtol=1e-5, atol=1e-6)
+    lines = [(d / "evaluations.jsonl").read_text().splitlines() for d in (own, shared)]
+    seeds, expected = ([json.loads(line)["config"]["train"]["seed"] for line in each] for each in lines)
+    assert seeds == expected == [0, 1, 2]
+    for folder in (".", "seed0", "seed2"):
+        shown = scalars(shared / folder)
+        assert scalars(own / folder) == {
+            tag: pytest.approx(values, rel=1e-4, abs=1e-5) for tag, values in shown.items()
+        }
+
+
+def test_shares_cover_everything_once() -> None:
+    for size in (1, 2, 3, 7):
+        shares = [list(range(10))[Ranks(rank, size).share(10)] for rank in range(size)]
+        assert list(itertools.chain(*shares)) == list(range(10))
+        assert max(map(len, shares)) - min(map(len, shares)) <= 1
+    with pytest.raises(ValueError, match="10 cannot be shared by 11 ranks"):
+        Ranks(0, 11).share(10)
+
+
+@pytest.mark.parametrize("size", [2, 3])
+def test_states_split_and_joined_are_the_same(size: int, alone: Path, tmp_path: Path) -> None:
+    config = configuration.load(alone / "config.toml")
+    whole = state(alone)
+    parts = [shard.of_episodes(config, Ranks(rank, size)) for rank in range(size)]
+    assert_close(whole, parts[0].join([part.split(whole) for part in parts]), 0.0)
+    study = configuration.from_toml(STUDY, "test", StudyConfig())
+    run = training.Run(study.of_arm("no_rta"), tmp_path, study.seeds)
+    run.create()
+    whole = state(tmp_path)
+    parts = [shard.of_seeds(config, Ranks(rank, size), 3) for rank in range(size)]
+    assert parts[1].split(whole)["env"]["x"].shape[1] == 6 * len(study.seeds[parts[1].seeds])
+    assert_close(whole, parts[0].join([part.split(whole) for part in parts]), 0.0)
+
+
+def test_a_study_took_as_long_as_its_slowest_rank(alone: Path) -> None:
+    part = shard.of_seeds(configuration.load(alone / "config.toml"), Ranks(0, 3), 3)
+    states = [state(alone) | {"seconds": seconds} for seconds in (1.0, 3.0, 2.0)]
+    assert part.join(states)["seconds"] == 3.0
+
+
+def test_too_many_ranks_are_refused() -> None:
+    config = configuration.override(Config(), {"train": {"num_envs": 6}}, "test")
+    with pytest.raises(InputError, match="num_envs = 6: must be a multiple of the 4 ranks"):
+        shard.of_episodes(config, Ranks(0, 4))
+    config = configuration.override(config, {"ppo": {"minibatch_size": 2}}, "test")
+    with pytest.raises(InputError, match=r"minibatch_size = 2: .*3 ranks"):
+        shard.of_episodes(config, Ranks(0, 3))
+    with pytest.raises(InputError, match=r"seeds = 2: .*3 ranks"):
+        shard.of_seeds(config, Ranks(0, 3), 2)
+
+
+def test_the_first_rank_to_notice_an_end_speaks_for_all(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    store = HashStore()
+
+    def train(rank: int, error: Exception) -> int:
+        """Exit code of a rank that stops so."""
+        monkeypatch.setattr(main, "ranks", lambda: Ranks(rank, 3, store))
+        monkeypatch.setitem(main.COMMANDS, "train", Mock(side_effect=error))
+        return main.main(["train"])
+
+    previous = signal.getsignal(signal.SIGTERM)
+    assert train(2, NonFiniteError("update 3: loss is not finite (seed 7)")) == 1
+    assert [train(rank, RankLostError(f"another rank ended ([::1]:{rank})")) for rank in (0, 1)] == [1, 1]
+    signal.signal(signal.SIGTERM, previous)
+    assert capsys.readouterr().err == "\nerror: training stopped at update 3: loss is not finite (seed 7)\n"
+
+
+@pytest.mark.parametrize(("rank", "lines"), [(0, 1), (1, 0)])
+def test_a_bad_flag_is_named_once(
+    rank: int, lines: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("TORCHELASTIC_RUN_ID", "test")
+    monkeypatch.setenv("RANK", f"{rank}")
+    with pytest.raises(SystemExit) as refusal:
+        main.main(["train", "--num-envs", "0"])
+    assert refusal.value.code == 2
+    assert capsys.readouterr().err.count("\n") == lines
+
+
+def test_a_process_without_torchrun_is_alone() -> None:
+    assert ranks() is ALONE
+    x = torch.zeros(2, 3)
+    assert ALONE.own(x, 1) is x and ALONE.whole(x, 1) is x
+    assert ALONE.turn(5) == (0, 5) and ALONE.most(2.5) == 2.5
+    assert ALONE.collect(x, x.device) == [x] and ALONE.agree(x) is x
+
+
+if __name__ == "__main__":
+    job(Path(sys.argv[1]))

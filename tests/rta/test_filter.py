@@ -1,0 +1,369 @@
+"""The filter: settings, untouched and corrected controls, conflicts, reports, faulty states and the closed loop."""
+
+import dataclasses
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from numpy import ndarray
+from scipy.optimize import linprog
+from torch import Tensor
+
+from inspection.attitude import norm
+from inspection.environment import InspectionEnv
+from inspection.parameters import InspectionParameters
+from rta import constraints
+from rta.constraints import CONSTRAINTS
+from rta.extra import Constraint
+from rta.filter import SOLVERS, FilterResult, SafetyFilter, make_solver
+from rta.parameters import PERIODS, RtaParameters
+from rta.qp import FEASIBLE, Status
+from rta.rows import Barriers, Rows
+from tests.rta.test_constraints import cosines, keep_in_curve, length, paper, tensor
+from tests.rta.test_extra import CONSTRAINTS as OWN
+from tests.rta.test_extra import numpy_cone, sphere
+from tests.rta.test_lie_derivatives import K1, first_psi, thrust_fall
+
+C = InspectionParameters()
+R = RtaParameters()
+MAX_TORQUE = 0.0573 * 0.017453  # N m, below D times the wheels' 181.3 rad/s^2
+LIMIT = torch.tensor([[1.0]] * 3 + [[MAX_TORQUE]] * 3, dtype=torch.float64)
+THRUST, TORQUE = slice(0, 3), slice(3, 6)
+# Slack weights, safe separation has none; 1e3 for velocity and rate limits and dynamic speed, which yield first.
+PRIORITY = {
+    "collision": math.inf,
+    **dict.fromkeys(("keep_in_zone", "passive_safety", "attitude_exclusion"), 1e5),
+    **dict.fromkeys(("temperature", "battery"), 1e4),
+}
+# Calls out of verification campaigns: random controls 0, 2, 50, 58 and 71, adversarial ones 0, 42, 49, 55 and 58.
+CONFLICTS = json.loads(Path(__file__).with_name("conflicts.json").read_text())
+
+
+def near_the_limits(count: int, seed: int = 0) -> ndarray:
+    """(16, count) states within some limits and beyond others, at up to 1.1 times the dynamic speed limit."""
+    rng = np.random.default_rng(seed)
+    p, v, q = rng.standard_normal((3, 4, count))
+    p = p[:3] / length(p[:3]) * rng.choice((18.0, 50.0, 200.0, 790.0), count) * rng.uniform(1, 1.01, count)
+    v = v[:3] / length(v[:3]) * rng.uniform(0, 1.1, count) * (0.2 + 7.5 * 0.001027 * length(p))
+    omega = rng.uniform(-1, 1, (3, count)) * math.radians(2)
+    rest = rng.uniform(3, 10, count), rng.uniform(1, 5, count), rng.uniform(0, 2 * np.pi, count)
+    return np.vstack((p, v, q / length(q), omega, *rest))
+
+
+def commands(count: int, seed: int = 0) -> Tensor:
+    """(6, count) uniform within the actuators' limits."""
+    return tensor(np.random.default_rng(seed).uniform(-1, 1, (6, count))) * LIMIT
+
+
+X = tensor(near_the_limits(1000))
+U = commands(1000)
+
+
+@pytest.fixture(scope="module")
+def safety() -> SafetyFilter:
+    return SafetyFilter(C, R)
+
+
+@pytest.fixture(scope="module")
+def result(safety: SafetyFilter) -> FilterResult:
+    return safety(X, U)
+
+
+@pytest.fixture(scope="module")
+def conditions(safety: SafetyFilter) -> tuple[Rows, Rows]:
+    """The rows that tests/test_barrier.py checks against finite differences."""
+    return safety.barriers(X)
+
+
+def left_hand_sides(conditions: tuple[Rows, Rows], u: Tensor) -> Tensor:
+    """a u + b of all rows with margins, over the length of the row per actuator limit, (17, B)."""
+    parts = []
+    for rows, group in zip(conditions, (THRUST, TORQUE), strict=True):
+        length_of_row = (rows.a * LIMIT[group]).norm(dim=1)
+        parts.append(((rows.a * u[group]).sum(1) + rows.b) / length_of_row)
+    return torch.cat(parts)
+
+
+@pytest.mark.parametrize("period", PERIODS)
+def test_gains_are_capped_at_half_the_calls_per_second(period: float) -> None:
+    barriers = Barriers(C, dataclasses.replace(R, speed_gain=3.0, battery_gains=(2.0, 4.0)), period)
+    rows = {row.constraint: row for row in (*barriers.thrust, *barriers.torque)}
+    cap = 0.5 / period
+    assert rows["dynamic_speed"].gain == rows["battery"].gain == barriers.first[2][0] == cap
+    assert rows["collision"].gain == min(R.collision_gain, cap)
+    assert rows["attitude_exclusion"].gain == min(R.exclusion_gains[1], cap)
+
+
+@pytest.mark.parametrize(
+    "segments", [(), (0.0,), (1.0, 500.0), (0.0, 300.0, 300.0, 500.0), (0.0, 300.0, 200.0, 500.0)]
+)
+def test_passive_safety_segments_must_rise_from_zero(segments: tuple[float, ...]) -> None:
+    with pytest.raises(ValueError, match="passive_safety_segments"):
+        RtaParameters(passive_safety_segments=segments)
+
+
+def test_passive_safety_segments_must_end_at_the_horizon() -> None:
+    with pytest.raises(ValueError, match="horizon"):
+        SafetyFilter(C, RtaParameters(passive_safety_segments=(0.0, 400.0)))
+
+
+@pytest.mark.parametrize("field", [f.name for f in dataclasses.fields(RtaParameters)])
+def test_negative_numbers_are_refused(field: str) -> None:
+    default = getattr(R, field)
+    value = (default[0], -0.1, *default[2:]) if isinstance(default, tuple) else -0.1
+    with pytest.raises(ValueError, match=field):
+        dataclasses.replace(R, **{field: value})
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [("passive_safety_doubling", 0.0), ("slack_weight_motion", 0.0), ("pole_angle", 1.6)],
+)
+def test_numbers_that_would_spoil_every_program_are_refused(field: str, value: float) -> None:
+    with pytest.raises(ValueError, match=field):
+        dataclasses.replace(R, **{field: value})
+
+
+def test_safe_control_is_returned_untouched(conditions: tuple[Rows, Rows], result: FilterResult) -> None:
+    safe = (left_hand_sides(conditions, U) > 1e-9).all(0)
+    assert safe.sum() > 20
+    assert (result.control[:, safe] == U[:, safe]).all()
+    assert (result.status[safe] == Status.UNTOUCHED).all()
+    assert not result.intervened[safe].any()
+
+
+def test_unsafe_control_is_corrected(conditions: tuple[Rows, Rows], result: FilterResult) -> None:
+    unsafe = (left_hand_sides(conditions, U) < -1e-9).any(0)
+    assert result.intervened[unsafe].all()
+    assert ((result.control - U)[:, unsafe].abs() > 0).any(0).all()
+
+
+def test_corrected_control_satisfies_every_row(conditions: tuple[Rows, Rows], result: FilterResult) -> None:
+    for rows, group in zip(conditions, (THRUST, TORQUE), strict=True):
+        bare = (rows.a * result.control[group]).sum(1) + rows.b_bare
+        assert (bare >= -FEASIBLE * (rows.a * LIMIT[group]).norm(dim=1))[
+            :, result.status <= Status.HARD
+        ].all()
+
+
+def test_filtering_twice_changes_nothing(safety: SafetyFilter, result: FilterResult) -> None:
+    again = safety(X, result.control)
+    hard = result.status <= Status.HARD  # what is soft gives way a little more each time
+    assert hard.sum() > 300
+    assert ((again.control - result.control) / LIMIT)[:, hard].abs().max() < 1e-6
+
+
+def test_controls_stay_within_the_actuators(result: FilterResult) -> None:
+    assert (result.control.abs() <= LIMIT * (1 + 1e-15)).all()
+
+
+def test_every_status_but_unsolved_occurs(result: FilterResult) -> None:
+    assert sorted(result.status.unique().tolist()) == [Status.UNTOUCHED, Status.HARD, Status.SLACK]
+
+
+def test_reported_values_are_the_papers(result: FilterResult) -> None:
+    smooth = (np.abs(cosines(X.numpy())) > math.cos(R.pole_angle)).any(0)
+    assert smooth.mean() < 0.15
+    np.testing.assert_allclose(result.h[:, ~smooth], paper(X.numpy())[:, ~smooth], rtol=0, atol=1e-4)
+
+
+def test_slack_is_the_shortfall_of_the_bare_condition(
+    safety: SafetyFilter, conditions: tuple[Rows, Rows], result: FilterResult
+) -> None:
+    expected = torch.zeros(13, X.shape[1], dtype=torch.float64)
+    tables = safety.barriers.thrust, safety.barriers.torque
+    for rows, table, group in zip(conditions, tables, (THRUST, TORQUE), strict=True):
+        short = -((rows.a * result.control[group]).sum(1) + rows.b_bare)
+        for k, row in enumerate(table):
+            i = CONSTRAINTS.index(row.constraint)
+            expected[i] = torch.maximum(expected[i], short[k])
+    slack = result.status == Status.SLACK
+    torch.testing.assert_close(result.slack[:, slack], expected[:, slack], rtol=1e-6, atol=1e-6)
+    assert (result.slack[:, ~slack] == 0).all()
+
+
+def least_shortfall(a: ndarray, b: ndarray, must: ndarray) -> float:
+    """The smallest t with a u + b >= -t, where it must hold >= 0, for some u in the box, by linear programming."""
+    rows = np.column_stack((-a, must - 1.0))
+    return linprog([0, 0, 0, 1], rows, b, bounds=[(-1, 1)] * 3 + [(0, None)]).fun
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_rows_yield_only_where_no_control_holds_their_class(solver: str) -> None:
+    """In recorded conflicts; shortfalls are in units of what full control moves a row by."""
+    x, u = (tensor(np.array([call[key] for call in CONFLICTS]).T) for key in ("state", "control_desired"))
+    safety = SafetyFilter(C, R, solver=make_solver(solver))
+    control = safety(x, u).control
+    held, yielded = set(), set()
+    for rows, table, group in zip(
+        safety.rows(x), (safety.barriers.thrust, safety.barriers.torque), (THRUST, TORQUE), strict=True
+    ):
+        weight = np.array([PRIORITY.get(row.constraint, 1e3) for row in table])
+        authority = (rows.a * LIMIT[group]).abs().sum(1)
+        authority[authority == 0.0] = 1.0
+        a = (rows.a * LIMIT[group] / authority[:, None]).numpy()
+        b = (rows.b_bare / authority).numpy()
+        for k in range(x.shape[1]):
+            reached = a[..., k] @ (control[group] / LIMIT[group])[:, k].numpy() + b[:, k]
+            for lowest in (1e3, 1e4, 1e5):
+                above = weight >= lowest
+                least = least_shortfall(a[above, :, k], b[above, k], np.isinf(weight[above]))
+                if least <= 1e-9:
+                    assert reached[above].min() >= -1e-6
+                elif lowest == 1e5:
+                    assert -reached[above].min() <= least + 1e-3
+                (held if least <= 1e-9 else yielded).add(lowest)
+    assert held == yielded == {1e3, 1e4, 1e5}
+
+
+def hovering_outward() -> Tensor:
+    """One state 100 m out that flies away at 0.95 m/s, spins about n_x and has the Sun behind it."""
+    x = torch.zeros(16, 1, dtype=torch.float64)
+    x[0], x[3], x[9], x[10], x[13], x[14], x[15] = 100.0, 0.95, 1.0, 0.99 * math.radians(2), 5.0, 6.0, math.pi
+    return x
+
+
+def test_corrections_equal_the_closed_form(safety: SafetyFilter) -> None:
+    # -(3 n^2 x + F / m) + 7.5 n v + k h - fall = 0 and -2 w tau / J + k (w_max^2 - w^2) = 0
+    n, w_max = 0.001027, math.radians(2)
+    h = 0.2 + 7.5 * n * 100 - 0.95
+    fall = thrust_fall(hovering_outward().numpy())[1, 0]
+    thrust = 12 * (7.5 * n * 0.95 + R.speed_gain * h - fall - 3 * n**2 * 100)
+    torque = 0.0573 * R.rate_gain * w_max**2 * (1 - 0.99**2) / (2 * 0.99 * w_max)
+    control = safety(hovering_outward(), LIMIT * tensor(np.array([[1, 0, 0, 1, 0, 0.0]]).T)).control
+    np.testing.assert_allclose(control.T, [[thrust, 0, 0, torque, 0, 0]], atol=1e-6 * MAX_TORQUE)
+
+
+def test_active_names_the_constraints_that_bind(safety: SafetyFilter) -> None:
+    active = safety(hovering_outward(), LIMIT * tensor(np.array([[1, 0, 0, 1, 0, 0.0]]).T)).active[:, 0]
+    bound = [name for name, flag in zip(CONSTRAINTS, active, strict=True) if flag]
+    assert bound == ["dynamic_speed", "angular_velocity_x"]
+
+
+@pytest.mark.parametrize("component", [0, 6, 13])
+def test_nan_state_is_unsolved_and_leaves_its_neighbours_alone(
+    safety: SafetyFilter, result: FilterResult, component: int
+) -> None:
+    x = X.clone()
+    x[component, 500] = math.nan
+    faulty = safety(x, U)
+    others = torch.arange(X.shape[1]) != 500
+    assert faulty.status[500] == Status.UNSOLVED
+    assert (faulty.control[:3, 500] == 0.0).all() or (faulty.control[3:, 500] == 0.0).all()
+    assert (faulty.control[:, 500].abs() <= LIMIT[:, 0] * (1 + 1e-15)).all()
+    for field in dataclasses.fields(FilterResult):
+        assert (getattr(faulty, field.name)[..., others] == getattr(result, field.name)[..., others]).all()
+
+
+def test_start_is_safe_exactly_where_every_h_and_psi_is() -> None:
+    x = near_the_limits(5000, seed=1)
+    spent = [[R.exclusion_margin], [R.temperature_margin], [R.battery_margin]]
+    every = paper(x), keep_in_curve(x)[None], first_psi(x, C) - K1[:, None] * np.array(spent)
+    lowest = np.concatenate(every).min(0)
+    clear = (np.abs(cosines(x)) < math.cos(R.pole_angle)).all(0) & (np.abs(lowest) > 1e-4)
+    is_safe = Barriers(C, RtaParameters(incidence_rounding=0.0), 1.0).is_safe(tensor(x)).numpy()
+    assert 0.1 < is_safe.mean() < 0.9
+    assert (is_safe[clear] == (lowest[clear] >= 0)).all()
+
+
+def test_temperature_is_felt_before_the_surface_is_lit() -> None:
+    x = tensor(near_the_limits(5000, seed=2))
+    early, exact = (
+        Barriers(C, RtaParameters(incidence_rounding=width), 1.0).orientation(x)[1] for width in (0.3, 0.0)
+    )
+    # the parabola (z + w)^2 / (4 w) is highest above max(z, 0) at z = 0, by w / 4
+    most = 0.3 / 4 * (C.temperature_sun_slope + C.temperature_earth_slope)
+    assert (early <= exact + 1e-12).all() and (early >= exact - most - 1e-12).all()
+    edge = (exact - (C.max_temperature - x[13])).abs() < 1e-12  # dark on both sides
+    assert (early[edge] < exact[edge]).any()
+
+
+def fly(period: float, episodes: int, actions: int) -> tuple[Tensor, Tensor]:
+    """Random held actions: the lowest value of each constraint and the statuses of all filter calls."""
+    safety, generator = SafetyFilter(C, R, period), torch.Generator().manual_seed(0)
+    lowest, statuses = torch.full((13,), math.inf, dtype=torch.float64), []
+
+    def watched(x: Tensor, desired: Tensor) -> FilterResult:
+        nonlocal lowest
+        lowest = torch.minimum(lowest, constraints.values(x, C).amin(1))
+        answer = safety(x, desired)
+        statuses.append(answer.status)
+        return answer
+
+    env = InspectionEnv(episodes, C, [generator], dataclasses.replace(safety.safety(), correct=watched))
+    env.reset()
+    for _ in range(actions):
+        env.step(2 * torch.rand(episodes, 6, generator=generator, dtype=torch.float64) - 1)
+    return torch.minimum(lowest, constraints.values(env.x, C).amin(1)), torch.stack(statuses)
+
+
+def test_random_flight_at_1_s_never_leaves_the_safe_set() -> None:
+    lowest, statuses = fly(1.0, episodes=64, actions=20)
+    crossed = {
+        name: value for name, value in zip(CONSTRAINTS, lowest.tolist(), strict=True) if not value >= 0
+    }
+    assert not crossed
+    assert (statuses != Status.UNSOLVED).all()
+
+
+@pytest.mark.parametrize(("period", "calls"), [(5.0, 10), (10.0, 5)])
+def test_slower_filters_solve_every_program(period: float, calls: int) -> None:
+    _, statuses = fly(period, episodes=64, actions=5)
+    assert statuses.shape == (calls, 64)
+    assert (statuses != Status.UNSOLVED).all()
+
+
+def test_own_constraints_come_after_the_papers(result: FilterResult) -> None:
+    cone, ball = OWN["cone"][0], OWN["sphere"][0]
+    safety = SafetyFilter(C, R, extra=(cone, ball))
+    assert safety.safety().names == (*CONSTRAINTS, "sphere", "cone")
+    answer = safety(X, U)
+    h = torch.stack((sphere(X), tensor(numpy_cone(X.numpy()))))
+    torch.testing.assert_close(answer.h, torch.cat((result.h, h)))
+    torch.testing.assert_close(safety.values(X), torch.cat((constraints.values(X, C), h)))
+    assert (safety.is_safe(X) <= (Barriers(C, R, 1.0).is_safe(X) & (h >= 0).all(0))).all()
+    torque, hard = safety.rows(X)[1], answer.status <= Status.HARD
+    reached = (torque.a[-1] * answer.control[TORQUE]).sum(0)
+    sides = torch.stack((reached + torque.b[-1], reached + torque.b_bare[-1]))
+    assert (sides[1, hard] >= -1e-9).all()
+    binds = hard & answer.active[-1]
+    assert binds.sum() > 20
+    assert (sides[:, binds].abs().amin(0) < 1e-9).all()
+    alone = sides[0] > 1e-6  # the cone would not have mattered
+    assert alone.sum() > 200
+    torch.testing.assert_close(answer.control[:, alone], result.control[:, alone], rtol=0, atol=1e-6)
+
+
+def clear_of_a_ball(x: Tensor) -> Tensor:
+    """m outside 70 m around a place where episodes start."""
+    return norm(torch.stack((x[0], x[1] - 80.0, x[2]))) - 70.0
+
+
+@pytest.mark.parametrize("filtered", [False, True])
+def test_random_flight_violates_an_own_constraint_only_without_the_filter(filtered: bool) -> None:
+    ball = Constraint("ball", clear_of_a_ball, "thrust", (0.05, 0.2), 1.0)
+    safety = SafetyFilter(C, R, extra=[ball])
+    generator = torch.Generator().manual_seed(0)
+    env = InspectionEnv(48, C, [generator], safety.safety(filtered))
+    env.reset()
+    lowest, binds = safety.values(env.x), torch.zeros(48, dtype=torch.bool)
+    assert (lowest >= 0.0).all()
+    for _ in range(5):
+        step = env.step(2 * torch.rand(48, 6, generator=generator, dtype=torch.float64) - 1)
+        lowest = lowest.minimum(safety.values(step.state))
+        for correction in step.corrections:
+            lowest = lowest.minimum(correction.h)
+            binds |= correction.active[-1]
+    if filtered:
+        assert (lowest >= 0.0).all()
+        assert binds.any()
+    else:
+        assert (lowest[-1] < 0.0).sum() >= 5
+
+
+def test_the_same_name_twice_is_refused() -> None:
+    with pytest.raises(ValueError, match="battery: each name must be there once"):
+        SafetyFilter(C, R, extra=[Constraint("battery", sphere, "thrust", (0.1, 0.1))])

@@ -1,0 +1,310 @@
+"""Every barrier row against central finite differences of the paper's constraints along an independent f and g.
+
+Rows of relative degree two difference Psi_1, whose own L_f h is an exact complex-step derivative.
+"""
+
+import itertools
+import math
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+import torch
+from numpy import ndarray
+from torch import Tensor
+
+from inspection.dynamics import control_matrix
+from inspection.dynamics import drift as torch_drift
+from inspection.parameters import InspectionParameters
+from rta import constraints
+from rta.lie_derivatives import high_order, lie_derivatives
+from rta.parameters import RtaParameters
+from rta.rows import Barriers, Rows
+from tests.rta.test_constraints import (
+    MEAN_MOTION,
+    body_axis,
+    cosines,
+    keep_in_curve,
+    length,
+    orientation,
+    paper,
+    passive_safety,
+    positive,
+    speed_limit,
+    tensor,
+)
+
+R = RtaParameters(incidence_rounding=0.0)  # the rows of the paper's own form
+SEGMENTS = tuple(itertools.pairwise(R.passive_safety_segments))
+SPACECRAFT = {
+    "paper": InspectionParameters(),
+    "unequal_moments": InspectionParameters(inertia=(0.04, 0.06, 0.09), solar_panel_axis="+x"),
+}
+K1 = np.array([*R.exclusion_gains[:1], *R.temperature_gains[:1], *R.battery_gains[:1]])
+# m/s^2: all thrusters at once, the same with the worst natural acceleration, and how far from the attitude of
+# mid-period a turn at 2 deg/s about each axis, quickened by 1 deg/s^2 about each, takes the thrust in the mean over
+# 1 s: |omega|^2 t^2 / 24 and |alpha| t^2 / 6
+THRUST_MOST = math.sqrt(3) / 12
+MOST = THRUST_MOST + 3 * MEAN_MOTION**2 * 800 + 2 * MEAN_MOTION * 5
+ASTRAY = THRUST_MOST * (3 * math.radians(2) ** 2 / 24 + math.sqrt(3) * 0.017453 / 6)
+# (gain in 1/s, margin, what h can fall in 1 s below its linear prediction) of each row at a period of 1 s; passive
+# safety has one row per segment. At the limit v^2 falls by |a|^2 t^2 + 2 v t times what the thrust goes astray.
+THRUST = np.array(
+    [
+        (R.collision_gain, R.collision_margin, ASTRAY),
+        (R.speed_gain, 0.0, ASTRAY),  # and what `speed_fall` adds
+        (R.keep_in_gain, R.keep_in_margin, ASTRAY + (0.2 + 7.5 * MEAN_MOTION * 800) * THRUST_MOST / 800),
+        *[(R.passive_safety_gain, R.passive_safety_margin, 0.0)] * 5,
+        *[(R.velocity_gain, 0.0, MOST**2 + 10 * ASTRAY)] * 3,
+    ]
+).T[..., None]
+TORQUE = np.array(
+    [
+        (R.exclusion_gains[1], K1[0] * R.exclusion_margin),
+        (R.temperature_gains[1], K1[1] * R.temperature_margin),
+        (R.battery_gains[1], K1[2] * R.battery_margin),
+        *[(R.rate_gain, R.rate_margin)] * 3,
+    ]
+).T[..., None]
+# Measured on these states: 4e-8 everywhere but for passive safety, whose time of the closest pass is
+# refined to some ms: 6e-3 m/s per N of at most 41, and 3e-4 m/s along f of at most 6.
+TOLERANCE = 1e-7
+PSM_PUSH_TOLERANCE, PSM_DRIFT_TOLERANCE = 1e-2, 1e-3
+PSM = slice(3, 8)
+
+
+def panel(c: InspectionParameters) -> float:
+    return -1.0 if c.solar_panel_axis == "-x" else 1.0
+
+
+def drift(x: ndarray, c: InspectionParameters) -> ndarray:
+    """The paper's f(x), (16, B)."""
+    n, (q1, q2, q3, q4), (w1, w2, w3), (j1, j2, j3) = MEAN_MOTION, x[6:10], x[10:13], c.inertia
+    _, on_panel, sun, earth = cosines(x, panel(c))
+    view = 0.8 * positive(earth)
+    solar, albedo = 0.13 * 0.03 * 1367 * positive(sun), 0.13 * 0.03 * 1367 * 0.27 * view
+    infrared, rejected = 5.67051e-8 * 0.06 * 0.03 * np.stack((view * 255.0**4, (x[13] + 273.15) ** 4))
+    rates = (
+        *x[3:6],
+        3 * n**2 * x[0] + 2 * n * x[4],
+        -2 * n * x[3],
+        -(n**2) * x[2],
+        (q4 * w1 - q3 * w2 + q2 * w3) / 2,
+        (q3 * w1 + q4 * w2 - q1 * w3) / 2,
+        (-q2 * w1 + q1 * w2 + q4 * w3) / 2,
+        (-q1 * w1 - q2 * w2 - q3 * w3) / 2,
+        (j2 - j3) * w2 * w3 / j1,
+        (j3 - j1) * w1 * w3 / j2,
+        (j1 - j2) * w1 * w2 / j3,
+        (solar + albedo + infrared - rejected) / (2 * 900),
+        (983.3 * 0.77 * 0.03 * positive(on_panel) - 15) / 1000,
+        np.full(x.shape[1], -n),
+    )
+    return np.stack(rates)
+
+
+def push(x: ndarray, axis: int) -> ndarray:
+    """g's column of the thrust along a body axis, (16, B)."""
+    out = np.zeros_like(x)
+    out[3:6] = body_axis(x[6:10], axis) / 12
+    return out
+
+
+def held(x: ndarray) -> ndarray:
+    """The states with the attitude half a second later, along which a thrust held for 1 s acts in the mean."""
+    (q1, q2, q3, q4), (w1, w2, w3) = x[6:10], 0.25 * x[10:13]
+    ahead = x.copy()
+    ahead[6:10] += (
+        q4 * w1 - q3 * w2 + q2 * w3,
+        q3 * w1 + q4 * w2 - q1 * w3,
+        -q2 * w1 + q1 * w2 + q4 * w3,
+        -q1 * w1 - q2 * w2 - q3 * w3,
+    )
+    ahead[6:10] /= length(ahead[6:10])
+    return ahead
+
+
+def turn(x: ndarray, axis: int, c: InspectionParameters) -> ndarray:
+    """g's column of the torque about a body axis, (16, B)."""
+    out = np.zeros_like(x)
+    out[10 + axis] = 1 / c.inertia[axis]
+    return out
+
+
+def slope(h: Callable[[ndarray], ndarray], x: ndarray, direction: ndarray, step: float) -> ndarray:
+    """Central difference of h along a direction."""
+    return (h(x + step * direction) - h(x - step * direction)) / (2 * step)
+
+
+def thrust_barriers(x: ndarray) -> ndarray:
+    """(11, B), the keep-in zone by the thrust left, one passive safety row per segment."""
+    h = paper(x)
+    return np.stack((*h[:2], keep_in_curve(x), *(passive_safety(x, *span) for span in SEGMENTS), *h[4:7]))
+
+
+def thrust_gain(psi: ndarray) -> ndarray:
+    """alpha's factor, (11, B): that of passive safety doubles at 30 m, and none exceeds half a call per second."""
+    rising = np.zeros_like(psi)
+    rising[PSM] = (psi[PSM] / R.passive_safety_doubling) ** 2
+    return np.minimum(THRUST[0] * (1 + rising), 0.5)
+
+
+def thrust_fall(x: ndarray) -> ndarray:
+    """(11, B). |v| curves by |a|^2 / (2 |v|); no more of it all counts than half of alpha at rest."""
+    fall = np.broadcast_to(THRUST[2], (11, x.shape[1])).copy()
+    fall[1] = np.minimum(fall[1] + MOST**2 / (2 * speed_limit(x)), 0.5 * R.speed_gain * speed_limit(x))
+    return fall
+
+
+def first_psi(x: ndarray, c: InspectionParameters) -> ndarray:
+    """L_f h + k1 h without margins, (3, B), of exclusion, temperature and battery at a period of 1 s."""
+    along = orientation(x + 1e-30j * drift(x, c), panel(c)).imag / 1e-30
+    return along + K1[:, None] * orientation(x, panel(c))
+
+
+def torque_barriers(x: ndarray, c: InspectionParameters) -> ndarray:
+    """(6, B)."""
+    return np.concatenate((first_psi(x, c), np.radians(2) ** 2 - x[10:13] ** 2))
+
+
+def flying(count: int = 100) -> ndarray:
+    """(16, count) states in flight, clear of the kinks of the paper's constraints and of free falls into the centre."""
+    rng = np.random.default_rng(1)
+    p, v, q = rng.standard_normal((3, 4, 10 * count))
+    p, v = (a[:3] / length(a[:3]) for a in (p, v))
+    p *= rng.choice((20.0, 60.0, 300.0, 750.0), 10 * count) * rng.uniform(1, 1.06, 10 * count)
+    v *= rng.choice((0.1, 0.5, 5.0), 10 * count)
+    rest = (
+        rng.uniform(-0.035, 0.035, (3, 10 * count)),
+        rng.uniform((3, 1, 0), (11, 7, 6.28), (10 * count, 3)).T,
+    )
+    x = np.vstack((p, v, q / length(q), *rest))
+    angle = np.abs(cosines(x))
+    clear = (angle > 0.02).all(0) & (angle < 0.97).all(0) & (passive_safety(x) > -13)
+    return x[:, clear][:, :count]
+
+
+X = flying()
+
+
+@pytest.fixture(scope="module", params=SPACECRAFT)
+def case(request: pytest.FixtureRequest) -> tuple[InspectionParameters, Rows, Rows]:
+    c = SPACECRAFT[request.param]
+    return c, *Barriers(c, R, period=1.0)(tensor(X))
+
+
+def near(actual: Tensor, expected: ndarray, tolerance: float = TOLERANCE) -> None:
+    np.testing.assert_allclose(actual.numpy(), expected, rtol=0, atol=tolerance)
+
+
+def test_drift_equals_the_papers() -> None:
+    for c in SPACECRAFT.values():
+        near(torch_drift(tensor(X), c), drift(X, c), 1e-12)
+
+
+def test_control_matrix_equals_the_papers() -> None:
+    for c in SPACECRAFT.values():
+        columns = [push(X, i) for i in range(3)] + [turn(X, i, c) for i in range(3)]
+        near(control_matrix(tensor(X), c), np.stack(columns, 1), 1e-12)
+
+
+def test_values_of_thrust_rows_equal_the_papers(case: tuple) -> None:
+    expected = thrust_barriers(X)
+    near(case[1].psi[2], expected[2])
+    expected[2] = paper(X)[2]
+    near(case[1].h[PSM], expected[PSM], 1e-4)
+    expected[PSM] = case[1].h[PSM]
+    near(case[1].h, expected)
+
+
+def test_values_of_torque_rows_equal_the_papers(case: tuple) -> None:
+    c, _, torque = case
+    near(torque.h, np.concatenate((orientation(X, panel(c)), torque_barriers(X, c)[3:])))
+
+
+@pytest.mark.parametrize("axis", range(3))
+def test_thrust_rows_equal_finite_differences(case: tuple, axis: int) -> None:
+    expected = slope(thrust_barriers, X, push(held(X), axis), 1e-3)
+    near(case[1].a[PSM, axis], expected[PSM], PSM_PUSH_TOLERANCE)
+    expected[PSM] = case[1].a[PSM, axis]
+    near(case[1].a[:, axis], expected)
+
+
+@pytest.mark.parametrize("axis", range(3))
+def test_torque_rows_equal_finite_differences(case: tuple, axis: int) -> None:
+    c, _, torque = case
+    near(torque.a[:, axis], slope(lambda x: torque_barriers(x, c), X, turn(X, axis, c), 1e-4))
+
+
+def test_thrust_rows_without_control_equal_finite_differences(case: tuple) -> None:
+    c, thrust, _ = case
+    psi = thrust_barriers(X)
+    alpha = thrust_gain(psi) * (psi - THRUST[1])
+    expected = slope(thrust_barriers, X, drift(X, c), 3e-4) + alpha - thrust_fall(X)
+    near(thrust.b[PSM], expected[PSM], PSM_DRIFT_TOLERANCE)
+    expected[PSM] = thrust.b[PSM]
+    near(thrust.b, expected)
+
+
+def test_torque_rows_without_control_equal_finite_differences(case: tuple) -> None:
+    c, _, torque = case
+    gain, margin = TORQUE
+    along = slope(lambda x: torque_barriers(x, c), X, drift(X, c), 1e-3)
+    near(torque.b, along + gain * (torque_barriers(X, c) - margin))
+
+
+def test_margins_are_what_they_add_to_the_rows(case: tuple) -> None:
+    gains = thrust_gain(case[1].psi.numpy()), TORQUE[0]
+    for rows, gain, margin in zip(case[1:], gains, (THRUST[1], TORQUE[1]), strict=True):
+        np.testing.assert_allclose(
+            rows.b_bare - rows.b, np.broadcast_to(gain * margin, rows.b.shape), atol=1e-12
+        )
+
+
+def test_first_psi_has_its_margin_spent(case: tuple) -> None:
+    c, _, torque = case
+    near(torque.psi, torque_barriers(X, c) - TORQUE[1])
+
+
+def test_translational_barriers_ignore_torque() -> None:
+    c = SPACECRAFT["unequal_moments"]
+    x, barriers = tensor(X), Barriers(c, R, period=1.0)
+    times = constraints.closest_times(x, R.passive_safety_segments, c)[:, None].expand(-1, 7, -1)
+    _, _, along = lie_derivatives(
+        lambda y: barriers.translational(y, times), x, torch_drift(x, c), control_matrix(x, c)
+    )
+    assert (along[:, 3:] == 0).all()
+    assert (along[:, :3].abs().amax((1, 2)) > 0).all()
+
+
+def test_attitude_barriers_ignore_thrust() -> None:
+    c = SPACECRAFT["unequal_moments"]
+    x, barriers = tensor(X), Barriers(c, R, period=1.0)
+
+    def attitude(y: Tensor) -> Tensor:
+        return torch.cat((barriers.first_psi(y), constraints.angular_velocity(y, c)))
+
+    _, _, along = lie_derivatives(attitude, x, torch_drift(x, c), control_matrix(x, c))
+    assert (along[:, :3] == 0).all()
+    assert (along[:, 3:].abs().amax((1, 2)) > 0).all()
+
+
+def double_integrator(y: Tensor) -> Tensor:
+    return torch.stack((y[1], torch.zeros_like(y[0])))
+
+
+def test_high_order_on_a_double_integrator() -> None:
+    # h = 1 - p^2, p' = v: Psi_1 = -2 p v + 3 (1 - p^2)
+    p, v = y = torch.randn(2, 50, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
+    psi = high_order(lambda y: 1 - y[:1] ** 2, lambda h: 3 * h, double_integrator)
+    torch.testing.assert_close(psi(y), (-2 * p * v + 3 * (1 - p**2))[None])
+
+
+def test_lie_derivatives_of_a_high_order_barrier() -> None:
+    # L_f Psi_1 = (-2 v - 6 p) v and L_g Psi_1 = -2 p for v' = u
+    p, v = y = torch.randn(2, 50, generator=torch.Generator().manual_seed(1), dtype=torch.float64)
+    psi = high_order(lambda y: 1 - y[:1] ** 2, lambda h: 3 * h, double_integrator)
+    g = torch.stack((torch.zeros_like(p), torch.ones_like(p)))[:, None]
+    _, along_f, along_g = lie_derivatives(psi, y, double_integrator(y), g)
+    torch.testing.assert_close(along_f, ((-2 * v - 6 * p) * v)[None])
+    torch.testing.assert_close(along_g, (-2 * p)[None, None])

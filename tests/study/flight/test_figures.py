@@ -1,0 +1,53 @@
+"""What figures of episodes compute: pointing by hand, effort against the environment's own count."""
+
+import math
+
+import numpy as np
+import pytest
+import torch
+
+from inspection.environment import METRICS
+from inspection.guidance import recorded
+from study import experiment as build
+from study.config import Config, TrainParameters
+from study.flight.figures import effort, pointing
+from study.flight.simulation import simulate, starting_point
+
+QUARTER = math.sqrt(0.5)
+
+
+@pytest.mark.parametrize(
+    ("quaternion", "position", "expected"),
+    [
+        ([0.0, 0.0, 0.0, 1.0], [-20.0, 0.0, 0.0], 1.0),  # the chief is ahead along x
+        ([0.0, 0.0, 0.0, 1.0], [30.0, 0.0, 0.0], -1.0),
+        ([0.0, 0.0, 0.0, 1.0], [0.0, 0.0, 5.0], 0.0),
+        ([0.0, 0.0, QUARTER, QUARTER], [0.0, -40.0, 0.0], 1.0),  # turned by 90 deg about z: boresight along y
+        ([0.0, 0.0, QUARTER, QUARTER], [-40.0, -40.0, 0.0], QUARTER),
+    ],
+)
+def test_pointing(quaternion: list[float], position: list[float], expected: float) -> None:
+    episode = {"quaternion": np.array([quaternion]), "position": np.array([position])}
+    assert pointing(episode) == pytest.approx([expected], abs=1e-12)
+
+
+def test_effort_is_what_the_environment_counts() -> None:
+    config = Config(train=TrainParameters(rta=False, device="cpu", compile="off"))
+    safety, device = build.for_command(config, 60.0, 1)
+    x, priority = starting_point(None, config, seed=3)
+    actions = torch.rand(6, 6, generator=torch.Generator().manual_seed(0), dtype=torch.float64) * 2 - 1
+
+    env = build.one_episode(config, safety, device)
+    env.start(x, priority)
+    metrics = [env.step(action[None]).metrics[:, 0] for action in actions]
+
+    env = build.one_episode(config, safety, device)
+    controls = (actions * env.limit[:, 0]).numpy()
+    episode = simulate(env, recorded(controls, 10.0), x, priority, 60.0, 1.0, 10.0)
+    delta_v, torque = effort(episode, config.inspection)
+
+    at_steps = slice(10, None, 10)
+    counted = dict(zip(METRICS, torch.stack(metrics, 1), strict=True))
+    assert delta_v[at_steps] == pytest.approx(counted["delta_v_m_s"].numpy(), rel=1e-12)
+    assert torque[at_steps] == pytest.approx(counted["torque_n_m"].numpy(), rel=1e-12)
+    assert delta_v[0] == torque[0] == 0.0

@@ -1,0 +1,108 @@
+"""Interquartile mean and its interval against hand-computed cases, the bound against its definition."""
+
+import itertools
+
+import numpy as np
+import pytest
+from scipy.optimize import brentq
+from scipy.stats import binom
+
+from study.flight import summary as statistics
+from study.flight.summary import (
+    iqm,
+    stratified_bootstrap,
+    stratified_summary,
+    summary,
+    summary_of_runs,
+    upper_bound,
+)
+
+
+def test_iqm_is_the_mean_of_the_middle_half() -> None:
+    assert iqm(np.array([100.0, 1.0, 2.0, 3.0, 4.0, -50.0, 5.0, 6.0])) == pytest.approx((2 + 3 + 4 + 5) / 4)
+
+
+def test_summary_of_a_constant_has_an_interval_of_no_width() -> None:
+    assert summary(np.full(7, 2.5)) == {"iqm": 2.5, "mean": 2.5, "ci95": [2.5, 2.5]}
+
+
+def test_interval_agrees_with_a_plain_bootstrap_loop() -> None:
+    values = np.random.default_rng(3).normal(10.0, 2.0, 100)
+    rng = np.random.default_rng(4)
+    means = [np.sort(rng.choice(values, 100))[25:75].mean() for _ in range(4000)]
+    expected = np.percentile(means, [2.5, 97.5])
+    assert summary(values)["ci95"] == pytest.approx(expected, abs=0.05)
+
+
+def test_summary_is_deterministic() -> None:
+    values = np.random.default_rng(5).exponential(size=50)
+    assert summary(values) == summary(values)
+
+
+def test_stratified_bootstrap_draws_every_resample_equally_often() -> None:
+    scores = np.array(
+        [[0.0, 3.0], [1.0, 8.0]]
+    )  # 2 runs x 2 tasks: 16 resamples, whose IQM is that of 4 scores
+    exact: dict[float, float] = {}
+    for a, b, c, d in itertools.product((0.0, 1.0), (0.0, 1.0), (3.0, 8.0), (3.0, 8.0)):
+        middle = sum(sorted((a, b, c, d))[1:3]) / 2
+        exact[middle] = exact.get(middle, 0.0) + 1 / 16
+    drawn = stratified_bootstrap(scores, np.random.default_rng(0))
+    assert drawn.shape == (50_000,)
+    values, counts = np.unique(drawn, return_counts=True)
+    assert dict(zip(values, counts / len(drawn), strict=True)) == pytest.approx(exact, abs=0.01)
+
+
+def test_stratified_bootstrap_never_mixes_tasks() -> None:
+    scores = np.tile(np.arange(8.0), (5, 1))  # runs agree on every task, so that resamples are all the same
+    assert stratified_summary(scores) == {"iqm": 3.5, "mean": 3.5, "ci95": [3.5, 3.5]}
+
+
+def test_stratified_interval_agrees_with_a_plain_loop() -> None:
+    rng = np.random.default_rng(6)
+    scores = rng.normal(2.0, 0.3, (4, 6)) + rng.normal(0.0, 2.0, 6)
+    means = []
+    for _ in range(20_000):
+        tasks = [scores[rng.choice(4, 4), task] for task in range(6)]
+        means.append(np.sort(np.concatenate(tasks))[6:18].mean())
+    result = stratified_summary(scores)
+    assert result["ci95"] == pytest.approx(np.percentile(means, [2.5, 97.5]), abs=0.01)
+    assert result["iqm"] == pytest.approx(np.sort(scores.ravel())[6:18].mean())
+    assert result["mean"] == pytest.approx(scores.mean())
+
+
+def test_stratified_interval_does_not_depend_on_how_many_resamples_fit_into_memory(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    scores = np.random.default_rng(7).normal(size=(3, 5))
+    at_once = stratified_summary(scores)
+    monkeypatch.setattr(statistics, "AT_ONCE", 15 * 1234)
+    assert stratified_summary(scores) == at_once
+
+
+def test_a_lone_run_is_resampled_over_its_tasks() -> None:
+    scores = np.random.default_rng(8).normal(size=(2, 9))
+    assert summary_of_runs(scores[:1]) == summary(scores[0])
+    assert summary_of_runs(scores) == stratified_summary(scores)
+
+
+def clopper_pearson(events: int, trials: int) -> float:
+    """p at which so few events have a chance of 5 %."""
+    if events == trials:
+        return 1.0
+    return brentq(lambda p: binom.cdf(events, trials, p) - 0.05, 0.0, 1.0, xtol=1e-16)
+
+
+@pytest.mark.parametrize("trials", [1, 10, 1000, 30_000])
+def test_bound_without_events_is_the_closed_form(trials: int) -> None:
+    assert upper_bound(0, trials) == pytest.approx(1 - 0.05 ** (1 / trials), rel=1e-9)
+    assert upper_bound(trials, trials) == 1.0
+
+
+def test_thirty_thousand_safe_episodes_bound_a_violation_below_one_in_ten_thousand() -> None:
+    assert upper_bound(0, 30_000) == pytest.approx(9.985e-5, rel=1e-4)
+
+
+@pytest.mark.parametrize(("events", "trials"), [(1, 10), (3, 100), (99, 100), (7, 30_000)])
+def test_bound_solves_the_binomial_tail(events: int, trials: int) -> None:
+    assert upper_bound(events, trials) == pytest.approx(clopper_pearson(events, trials), rel=1e-9)

@@ -1,0 +1,106 @@
+"""What a replay shows, against the run's file by other formulas."""
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from rta.constraints import CONSTRAINTS
+from study.replay import page as replay
+from study.replay import scene as replay_data
+from study.replay.scene import Replayed
+
+
+@pytest.fixture(scope="module")
+def shown(flown_files: tuple[Path, Path]) -> dict[str, Any]:
+    """What the page holds of the run."""
+    return as_written(replay_data.read(str(flown_files[0])))
+
+
+def as_written(run: Replayed) -> dict[str, Any]:
+    """The content after a journey through JSON."""
+    return json.loads(json.dumps(replay_data.content([run]), default=replay_data.rounded))
+
+
+def test_body_axes_are_the_columns_of_the_rotation(
+    flown: dict[str, np.ndarray], shown: dict[str, Any]
+) -> None:
+    expected = Rotation.from_quat(flown["quaternion"]).as_matrix()
+    np.testing.assert_allclose(shown["runs"][0]["axes"], expected.transpose(0, 2, 1), atol=1e-4)
+
+
+def test_the_cone_lies_half_the_field_of_view_about_the_camera(shown: dict[str, Any]) -> None:
+    rim = np.array(shown["runs"][0]["rim"])
+    np.testing.assert_allclose(np.linalg.norm(rim, axis=1), 1.0, atol=1e-3)
+    np.testing.assert_allclose(np.degrees(np.arccos(rim[:, 0])), 30.0, atol=0.01)
+    np.testing.assert_allclose(rim[:, 1:].sum(0), 0.0, atol=1e-3)
+
+
+def test_interventions_are_where_the_filter_corrected_not_where_a_correction_is_kept(
+    flown: dict[str, np.ndarray], shown: dict[str, Any]
+) -> None:
+    interventions = shown["runs"][0]["interventions"]
+    for program, control in enumerate(("thrust", "torque")):
+        starts = np.array([start for start, _ in interventions[control]])[:, None]
+        ends = np.array([end for _, end in interventions[control]])[:, None]
+        marked = ((starts <= flown["time"]) & (flown["time"] < ends)).any(0)
+        np.testing.assert_array_equal(marked, flown["intervened"][:, program])
+
+
+def test_points_become_inspected_when_the_file_says_so(
+    flown: dict[str, np.ndarray], shown: dict[str, Any]
+) -> None:
+    since = np.array([math.inf if t is None else t for t in shown["runs"][0]["inspected"]])
+    assert np.isinf(since).any()
+    np.testing.assert_array_equal(since <= flown["time"][:, None], flown["inspected"])
+
+
+def test_panels_hold_every_constraint_and_both_controls_within_their_range(
+    flown: dict[str, np.ndarray], shown: dict[str, Any]
+) -> None:
+    panels = [panel for section in shown["sections"].values() for panel in section]
+    lines = [line for panel in panels for line in panel["runs"][0]["lines"]]
+    for panel in panels:
+        values = np.array([line["values"] for line in panel["runs"][0]["lines"]])
+        assert panel["range"][0] < values.min() <= values.max() < panel["range"][1]
+    degrees = {"attitude_exclusion": math.degrees(1.0)}
+    degrees |= {f"angular_velocity_{axis}": math.degrees(1.0) ** 2 for axis in "xyz"}
+    expected = [degrees.get(name, 1.0) * flown[f"h_{name}"] for name in CONSTRAINTS]
+    expected += [flown["energy"], flown["temperature"], flown["inspected_score"]]
+    for kind in ("desired", "applied"):
+        expected += list((flown[f"control_{kind}"] * [1.0, 1.0, 1.0, 1e3, 1e3, 1e3]).T)
+    assert len(lines) == len(expected)
+    for values in expected:
+        assert any(np.allclose(line["values"], values, rtol=1e-3) for line in lines)
+
+
+def test_a_long_run_is_thinned_but_no_violation_or_intervention_is_lost(
+    flown_files: tuple[Path, Path],
+    flown: dict[str, np.ndarray],
+    shown: dict[str, Any],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(replay_data, "MAX_ROWS", 8)
+    run = replay_data.read(str(flown_files[0]))
+    thin = as_written(run)
+    assert "one row in 4" in replay.document([run])
+    assert thin["runs"][0]["time"] == flown["time"][::4].tolist()
+    assert thin["runs"][0]["interventions"] == shown["runs"][0]["interventions"]
+    assert thin["runs"][0]["inspected"] == shown["runs"][0]["inspected"]
+    separation = thin["sections"]["Constraints, safe where h ≥ 0"][0]["runs"][0]["lines"][0]["values"]
+    blocks = np.array_split(flown["h_collision"], range(4, 30, 4))
+    np.testing.assert_allclose(separation, [block.min() for block in blocks], rtol=1e-3)
+
+
+def test_single_precision_shows_the_same(
+    flown: dict[str, np.ndarray], shown: dict[str, Any], tmp_path: Path
+) -> None:
+    single = {name: a.astype(np.float32) if a.dtype == np.float64 else a for name, a in flown.items()}
+    np.savez(tmp_path / "single.npz", **single)
+    (run,), (expected,) = as_written(replay_data.read(str(tmp_path / "single.npz")))["runs"], shown["runs"]
+    for name in ("time", "position", "axes"):
+        np.testing.assert_allclose(run[name], expected[name], rtol=1e-4, atol=1e-4)

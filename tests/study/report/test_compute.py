@@ -1,0 +1,238 @@
+"""A report's computations: what they give is what other commands give, and nothing is computed twice."""
+
+import json
+import shutil
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import main
+from study.report import compute as supplements
+from study.report import tables as report_tables
+
+SEEDS = (5, 6)
+CASES = 4
+DURATION = 10.0
+SETTINGS = f"""
+[study]
+seeds = 2
+[train]
+seed = 5
+num_envs = 3
+rollout_steps = 4
+interactions = 24
+evaluation_interval = 12
+evaluation_episodes = 2
+final_episodes = {CASES}
+rta_period = 10.0
+compile = "off"
+device = "cpu"
+qp_solver = "batched"
+[inspection]
+max_time = {DURATION} # every episode lasts one step
+[ppo]
+epochs = 2
+minibatch_size = 8
+"""
+FILES = {
+    "cross.json",
+    "frequency.json",
+    "guidance.json",
+    "sunlight.json",
+    "training.csv",
+    "episode_no_rta.npz",
+    "episode_rta.npz",
+    "demonstration_no_rta.npz",
+    "demonstration_rta.npz",
+}
+
+
+@pytest.fixture(scope="module", autouse=True)
+def brief() -> Any:
+    """Short demonstrations and few cases of the guidance."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(supplements, "DEMONSTRATION_DURATION", DURATION)
+        patch.setattr(supplements, "GUIDANCE_CASES", CASES)
+        yield
+
+
+@pytest.fixture(scope="module")
+def study(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The directory of a study of two updates and its report."""
+    directory = tmp_path_factory.mktemp("study") / "tiny"
+    settings = directory.with_suffix(".toml")
+    settings.write_text(SETTINGS)
+    assert main.main(["study", "--config", str(settings), "--study-dir", str(directory)]) == 0
+    assert main.main(["report", "--study", str(directory)]) == 0
+    return directory
+
+
+@pytest.fixture
+def copy(study: Path, tmp_path: Path) -> Path:
+    """A copy to work on."""
+    return Path(shutil.copytree(study, tmp_path / "copy"))
+
+
+def read(path: Path) -> dict[str, Any]:
+    return json.loads(path.read_text())
+
+
+def contents(directory: Path) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in directory.iterdir()}
+
+
+@pytest.mark.parametrize(
+    ("file", "keys", "arm", "flags"),
+    [
+        ("cross", ("no_rta", "on"), "no_rta", ["--rta"]),
+        ("cross", ("rta", "off"), "rta", ["--no-rta"]),
+        ("frequency", ("1",), "rta", ["--rta-period", "1"]),
+        ("frequency", ("5",), "rta", ["--rta-period", "5"]),
+    ],
+)
+def test_other_filters_give_what_evaluate_says_of_each_policy(
+    file: str, keys: tuple[str, ...], arm: str, flags: list[str], study: Path, tmp_path: Path
+) -> None:
+    results = read(study / "report" / f"{file}.json")
+    for key in keys:
+        results = results[key]
+    alone = []
+    for seed in SEEDS:
+        path = tmp_path / f"{seed}.json"
+        arguments = ["evaluate", "--checkpoint", str(study / arm / f"seed{seed}" / "policy.pt"), *flags]
+        arguments += ["--qp-solver", "batched", "--episodes", str(CASES), "--json", str(path)]
+        assert main.main(arguments) == 0
+        alone.append(read(path))
+    assert results["episodes"] == len(SEEDS) * CASES
+    assert results["rta"]["period_s"] == alone[0]["rta"]["period_s"]
+    assert results["config"] == alone[0]["config"]
+    for name, metric in results["metrics"].items():
+        assert metric["mean"] == pytest.approx(np.mean([own["metrics"][name]["mean"] for own in alone]))
+    for name, percent in results["violations_percent"].items():
+        assert percent == pytest.approx(np.mean([own["violations_percent"][name] for own in alone]))
+    for name, value in results["worst_constraint_value"].items():
+        assert value == pytest.approx(min(own["worst_constraint_value"][name] for own in alone))
+
+
+def test_the_studys_own_filter_gives_the_studys_own_results(study: Path) -> None:
+    arms = read(study / "results.json")["arms"]
+    cross = read(study / "report" / "cross.json")
+    assert cross["no_rta"]["off"] == arms["no_rta"]
+    assert cross["rta"]["on"] == arms["rta"] == read(study / "report" / "frequency.json")["10"]
+
+
+def test_guidance_meets_the_common_cases_behind_the_filter(study: Path) -> None:
+    guidance = read(study / "report" / "guidance.json")
+    assert (guidance["episodes"], guidance["seed"], guidance["rta"]["period_s"]) == (CASES, 0, 1.0)
+
+
+@pytest.mark.parametrize("rta", [False, True])
+def test_episodes_are_those_of_simulate(rta: bool, study: Path, tmp_path: Path) -> None:
+    arm = "rta" if rta else "no_rta"
+    agent = ["--controller", "policy", "--checkpoint", str(study / arm / "seed5" / "policy.pt")]
+    classical = ["--controller", "lqr-pd", "--initial-state", str(supplements.DEMONSTRATION)]
+    settings = tmp_path / "settings.toml"  # as the study has them
+    settings.write_text(f"[inspection]\nmax_time = {DURATION}")
+    classical += ["--config", str(settings)]
+    filtered = ["--rta" if rta else "--no-rta", "--rta-period", "10", "--qp-solver", "batched"]
+    for name, flags in (("episode", agent), ("demonstration", classical)):
+        arguments = ["simulate", *flags, *filtered, "--duration", str(DURATION), "--out"]
+        assert main.main([*arguments, str(tmp_path / "one.npz")]) == 0
+        expected, ours = np.load(tmp_path / "one.npz"), np.load(study / "report" / f"{name}_{arm}.npz")
+        assert ours.files == expected.files
+        assert (ours["time"] == np.arange(DURATION + 1)).all()
+        for array in ours.files:
+            kept = expected[array].astype(ours[array].dtype)  # single precision, where it is a float
+            np.testing.assert_array_equal(ours[array], kept, array)
+
+
+def test_an_interrupted_report_keeps_what_it_has_computed(
+    copy: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    report = copy / "report"
+    whole = contents(report)
+    absent = [name for name in FILES if name.startswith("demonstration")]
+    for name in (*absent, "episode_rta.npz"):
+        (report / name).unlink()
+
+    def interrupted(*_: Any) -> None:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(supplements, "demonstration", interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            supplements.compute(copy)
+    assert contents(report).keys() == whole.keys() - set(absent)
+    monkeypatch.setattr(supplements, "play", None)
+    monkeypatch.setattr(supplements, "common_episode", None)
+    supplements.compute(copy)
+    assert contents(report).keys() == whole.keys()
+
+
+def test_other_policies_are_computed_anew(copy: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(supplements, "PERIODS", (10.0,))
+    before = contents(copy / "report")
+    shutil.copy(copy / "rta" / "seed6" / "policy.pt", copy / "rta" / "seed5" / "policy.pt")
+    supplements.compute(copy)
+    after = contents(copy / "report")
+    for name in ("policies.json", "cross.json", "frequency.json", "episode_rta.npz"):
+        assert before[name] != after[name]
+    old, new = (json.loads(files["cross.json"]) for files in (before, after))
+    assert new["no_rta"] == old["no_rta"]
+    assert new["rta"]["off"]["metrics"] != old["rta"]["off"]["metrics"]
+
+
+@pytest.mark.parametrize("arm", ["no_rta", "rta"])
+def test_a_study_of_one_arm_has_a_report_of_one_arm(
+    arm: str, copy: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(supplements, "evaluate", lambda arm, rta, period: arm.results)
+    other = {"no_rta": "rta", "rta": "no_rta"}[arm]
+    for directory in ("report", other):
+        shutil.rmtree(copy / directory)
+    results = {"arms": {arm: read(copy / "results.json")["arms"][arm]}}
+    (copy / "results.json").write_text(json.dumps(results))
+    supplements.compute(copy)
+    report_tables.write(copy)
+    absent = {f"episode_{other}.npz"} | ({"frequency.json"} if arm == "no_rta" else set())
+    assert contents(copy / "report").keys() & FILES == FILES - absent
+    assert set(read(copy / "report" / "cross.json")) == {arm}
+
+
+def damage(directory: Path, name: str) -> None:
+    """Makes one of the ways in which a directory holds no finished study."""
+    if name == "unfinished":
+        (directory / "results.json").unlink()
+    elif name == "not results":
+        (directory / "results.json").write_text('{"arms": {"rta": 1}}')
+    elif name == "no arm":
+        (directory / "results.json").write_text('{"arms": {}}')
+    elif name == "no policy":
+        (directory / "rta" / "seed6" / "policy.pt").unlink()
+    elif name == "occupied":
+        shutil.rmtree(directory / "report")
+        (directory / "report").touch()
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("unfinished", "no finished study there"),
+        ("not results", "not the results of a study"),
+        ("no arm", "holds none of the arms"),
+        ("no policy", "no such checkpoint"),
+        ("occupied", "cannot write there"),
+    ],
+)
+def test_what_is_no_finished_study_is_refused(
+    name: str, words: str, copy: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    damage(copy, name)
+    capsys.readouterr()
+    assert main.main(["report", "--study", str(copy)]) == 2
+    err = capsys.readouterr().err
+    assert err.count("\n") == 1
+    assert words in err
+    assert str(copy) in err

@@ -1,0 +1,62 @@
+"""The report's figures draw what the files hold."""
+
+import csv
+from pathlib import Path
+
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+
+from study.paper import PAPER_METRICS, PAPER_VIOLATIONS
+from study.report import inputs as report_inputs
+from study.report.figures import COLOURS, TRAINING, behaviour_figure, cross_figure, save, training_panel
+from study.report.inputs import Inputs
+
+
+@pytest.fixture(scope="module")
+def inputs(made_up_study: Path) -> Inputs:
+    return report_inputs.read(made_up_study)
+
+
+@pytest.mark.parametrize("metric", TRAINING)
+def test_training_curves(made_up_study: Path, inputs: Inputs, metric: str) -> None:
+    ax = Figure().subplots()
+    training_panel(ax, inputs.training[metric], metric)
+    with (made_up_study / "report/training.csv").open(newline="") as file:
+        rows = [row for row in csv.DictReader(file) if row["metric"] == metric]
+    lines = {line.get_label(): line for line in ax.lines}
+    for column, arm, label in ((2, "no_rta", "no RTA"), (3, "rta", "RTA")):
+        own = [row for row in rows if row["arm"] == arm]
+        assert lines[label].get_xdata() == pytest.approx([float(row["interactions"]) / 1e6 for row in own])
+        assert lines[label].get_ydata() == pytest.approx([float(row["iqm"]) for row in own])
+        published = (
+            PAPER_VIOLATIONS["any"][column - 1]
+            if metric == "violation_percent"
+            else PAPER_METRICS[metric][column][0]
+        )
+        assert set(lines[f"paper, {label}"].get_ydata()) == {published}
+
+
+def test_arms_share_the_behaviour_figure(inputs: Inputs) -> None:
+    figure = behaviour_figure(inputs.episodes, inputs.config.inspection)
+    score, dot, *_ = figure.axes
+    curves = {line.get_label(): line.get_ydata() for line in score.lines}
+    assert (curves["RTA"] == inputs.episodes["rta"]["inspected_score"]).all()
+    assert (np.abs(dot.lines[0].get_ydata()) <= 1.0).all()
+
+
+def test_cross_figure_tells_off_from_on(inputs: Inputs) -> None:
+    reward = cross_figure(inputs.cross).axes[2]
+    dots = [line for line in reward.lines if len(line.get_xdata()) == 1]
+    faces = ["white", COLOURS["no_rta"], "white", COLOURS["rta"]]
+    values = [e["metrics"]["reward"]["iqm"] for switches in inputs.cross.values() for e in switches.values()]
+    assert [line.get_markerfacecolor() for line in dots] == faces
+    assert [line.get_ydata()[0] for line in dots] == values
+
+
+def test_equal_figures_are_equal_files(inputs: Inputs, tmp_path: Path) -> None:
+    for folder in ("one", "other"):
+        (tmp_path / folder).mkdir()
+        save(cross_figure(inputs.cross), tmp_path / folder / "cross")
+    for name in ("cross.png", "cross.svg"):
+        assert (tmp_path / "one" / name).read_bytes() == (tmp_path / "other" / name).read_bytes()

@@ -1,0 +1,167 @@
+"""The report's tables against numbers worked out by hand."""
+
+import csv
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from inspection.environment import METRICS
+from rta.constraints import CONSTRAINTS
+from study.errors import InputError
+from study.report import tables as report_tables
+
+
+def evaluation(value: float) -> dict[str, Any]:
+    """An evaluation whose every IQM is `value`, its interval one to either side, its percentages a tenth of it."""
+    summary = {"iqm": value, "mean": value, "ci95": [value - 1.0, value + 1.0]}
+    return {
+        "metrics": dict.fromkeys(METRICS, summary),
+        "violations_percent": dict.fromkeys(("any", *CONSTRAINTS), value / 10.0),
+        "outcomes": {"success": 0.75},
+        "rta": {"intervention_percent": 12.5, "qp_failures": 3},
+        "episodes": 8,
+    }
+
+
+def arm(value: float) -> dict[str, Any]:
+    """The results of an arm of two seeds."""
+    return evaluation(value) | {"seeds": [4, 5], "interactions": 600, "wall_clock_s": 30.0}
+
+
+@pytest.fixture
+def study(tmp_path: Path) -> Path:
+    """The files that the tables are made from."""
+    arms = {"no_rta": arm(2.0), "rta": arm(3.0)}
+    report = tmp_path / "report"
+    files = {
+        tmp_path / "results.json": {"arms": arms},
+        tmp_path / "provenance.json": {"device": "abacus", "ranks": 3, "threads": 2},
+        report / "cross.json": {name: {"off": evaluation(1.0), "on": own} for name, own in arms.items()},
+        report / "guidance.json": evaluation(4.0),
+        report / "frequency.json": {"1": arms["rta"], "5": evaluation(5.0), "10": evaluation(6.0)},
+    }
+    (tmp_path / "rta").mkdir()
+    report.mkdir()
+    for path, content in files.items():
+        path.write_text(json.dumps(content))
+    points = [(100, 0.0), (100, 4.0), (200, 1.0), (200, 1.0)]  # two seeds at either
+    lines = [
+        {"interactions": interactions, "cases": {name: [first, first + 1.0] for name in METRICS}}
+        for interactions, first in points
+    ]
+    (tmp_path / "rta" / "evaluations.jsonl").write_text("".join(json.dumps(line) + "\n" for line in lines))
+    return tmp_path
+
+
+def rows(path: Path) -> list[dict[str, str]]:
+    with open(path, newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def test_table_2_sets_the_papers_numbers_beside_ours() -> None:
+    table = {row["metric"]: row for row in report_tables.table2({"rta": arm(3.0), "other": evaluation(7.0)})}
+    assert list(table) == list(METRICS[:5])
+    assert table["delta_v_m_s"] == {
+        "metric": "delta_v_m_s",
+        "label": "Delta v (m/s)",
+        "rta_iqm": 3.0,
+        "rta_low": 2.0,
+        "rta_high": 4.0,
+        "rta_paper_iqm": 15.9381,
+        "rta_paper_low": 15.6616,
+        "rta_paper_high": 16.2219,
+        "rta_difference": pytest.approx(-12.9381),
+        "other_iqm": 7.0,
+        "other_low": 6.0,
+        "other_high": 8.0,
+    }
+
+
+def test_table_3_sets_the_papers_numbers_beside_ours() -> None:
+    table = report_tables.table3({"no_rta": arm(2.0), "rta": arm(3.0), "other": evaluation(7.0)})
+    assert {row["constraint"] for row in table} == {"any", *CONSTRAINTS}
+    assert table[0] == {
+        "constraint": "any",
+        "label": "Any constraint",
+        "no_rta_percent": 0.2,
+        "no_rta_paper_percent": 4.736,
+        "no_rta_difference": pytest.approx(-4.536),
+        "rta_percent": pytest.approx(0.3),
+        "rta_paper_percent": 0.215,
+        "rta_difference": pytest.approx(0.085),
+        "other_percent": 0.7,
+    }
+
+
+def test_training_summarises_seeds_and_cases_at_every_point(study: Path) -> None:
+    table = report_tables.training("rta", study / "rta")
+    assert [(row["interactions"], row["metric"]) for row in table] == [
+        (n, name) for n in (100, 200) for name in METRICS
+    ]
+    # the four scores 0, 1, 4, 5: resamples of the two seeds in either case range from 0.5 to 4.5
+    assert [table[0][key] for key in ("arm", "iqm", "low", "high")] == ["rta", 2.5, 0.5, 4.5]
+    # 1, 2, 1, 2: seeds agree
+    assert [table[6][key] for key in ("iqm", "low", "high")] == [1.5, 1.5, 1.5]
+
+
+def test_throughput_counts_the_interactions_of_all_seeds() -> None:
+    assert report_tables.throughput({"rta": arm(3.0)}, {"device": "abacus", "ranks": 3, "threads": 2}) == [
+        {
+            "arm": "rta",
+            "seeds": 2,
+            "interactions": 600,
+            "wall_clock_s": 30.0,
+            "interactions_per_s": 40.0,
+            "device": "abacus",
+            "ranks": 3,
+            "threads": 2,
+        }
+    ]
+
+
+def test_files_hold_a_row_per_evaluation(study: Path) -> None:
+    report_tables.write(study)
+    report = study / "report"
+    cross, frequency = rows(report / "cross.csv"), rows(report / "frequency.csv")
+    assert [(row["arm"], row["filter"], float(row["reward_iqm"])) for row in cross] == [
+        ("no_rta", "off", 1.0),
+        ("no_rta", "on", 2.0),
+        ("rta", "off", 1.0),
+        ("rta", "on", 3.0),
+    ]
+    assert [(row["period_s"], float(row["reward_high"])) for row in frequency] == [
+        ("1", 4.0),
+        ("5", 6.0),
+        ("10", 7.0),
+    ]
+    assert (
+        frequency[1]
+        | {
+            "collision_mean_percent": "0.5",
+            "success_percent": "75.0",
+            "intervention_percent": "12.5",
+            "unsolved_programs": "3",
+        }
+        == frequency[1]
+    )
+    assert [row["guidance_iqm"] for row in rows(report / "table2.csv")] == ["4.0"] * 5
+    assert [row["guidance_percent"] for row in rows(report / "table3.csv")] == ["0.4"] * 14
+    assert json.loads((report / "throughput.json").read_text())["no_rta"]["interactions_per_s"] == 40.0
+    assert [row["arm"] for row in rows(report / "throughput.csv")] == ["no_rta", "rta"]
+
+
+def test_training_too_short_for_an_evaluation_has_an_empty_table(study: Path) -> None:
+    assert report_tables.training("no_rta", study / "no_rta") == []
+    assert report_tables.text([], report_tables.TRAINING) == "interactions,arm,metric,iqm,low,high\n"
+
+
+@pytest.mark.parametrize("name", ["results.json", "provenance.json", "report/cross.json"])
+def test_missing_and_damaged_files_are_refused(name: str, study: Path) -> None:
+    (study / name).write_text("{")
+    with pytest.raises(InputError, match="cannot read"):
+        report_tables.write(study)
+    (study / name).unlink()
+    with pytest.raises(InputError, match="cannot read"):
+        report_tables.write(study)

@@ -1,0 +1,119 @@
+"""The exported agent: what it answers, what it says of itself, and when the command refuses."""
+
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+import onnxruntime
+import pytest
+import torch
+
+import main
+from inspection.environment import InspectionEnv
+from inspection.observation import observe
+from inspection.parameters import InspectionParameters
+from ppo.network import Policy
+from study import export
+from study.config import Config, override
+from study.errors import ExportError
+from study.experiment import make_policy
+from study.flight.simulation import policy_controller
+from tests.test_main import assert_refused, call
+
+C = InspectionParameters(max_thrust=2.0)
+SHIPPED = Path(main.__file__).parent / "runs" / "reference" / "study" / "rta" / "seed0" / "policy.pt"
+
+
+def agent(seed: int) -> Policy:
+    """An untrained agent whose actions are not small."""
+    policy = make_policy(Config(), [torch.Generator().manual_seed(seed)])
+    with torch.no_grad():
+        policy.network.layers[-1].weight *= 50
+        policy.network.layers[0].bias += 0.1
+    return policy
+
+
+def session_of(model: bytes) -> onnxruntime.InferenceSession:
+    return onnxruntime.InferenceSession(model, providers=["CPUExecutionProvider"])
+
+
+@pytest.mark.parametrize("batch", [1, 7, 256])
+def test_any_batch_is_answered_as_by_pytorch(batch: int) -> None:
+    policy = agent(0)
+    observation = torch.randn(batch, 26, generator=torch.Generator().manual_seed(1))
+    (control,) = session_of(export.to_onnx(policy, C)).run(None, {"observation": observation.numpy()})
+    assert control.dtype == np.float32 and control.shape == (batch, 6)
+    assert np.abs(control).max() > 0.5
+    np.testing.assert_allclose(control, policy.mean_action(observation[None])[0], atol=1e-5)
+
+
+def test_metadata_lead_from_a_state_to_newtons(random_states) -> None:
+    """Observed in physical units and scaled as the file says, a state gets the control that a simulation gives it."""
+    policy, session = agent(0), session_of(export.to_onnx(agent(0), C))
+    about = {key: json.loads(text) for key, text in session.get_modelmeta().custom_metadata_map.items()}
+    assert about["action_period"] == 10.0
+    env = InspectionEnv(5, C, [torch.Generator().manual_seed(0)])
+    env.reset()
+    env.x = random_states(5)
+    o = observe(env.x, env.priority, env.uninspected, env.score).T.numpy()
+    divisors = np.array([component["scale"] for component in about["observation"]])
+    (control,) = session.run(None, {"observation": (o / divisors).astype(np.float32)})
+    scaled = control * np.array([component["scale"] for component in about["control"]])
+    np.testing.assert_allclose(scaled.T, policy_controller(policy, env)(0.0, env.x), atol=2e-5)
+
+
+def test_metadata_name_every_component() -> None:
+    about = export.metadata(C)
+    observed, commanded = json.loads(about["observation"]), json.loads(about["control"])
+    assert [len(observed), len(commanded)] == [26, 6]
+    assert observed[0] == {"name": "position_norm", "unit": "m", "scale": 100.0}
+    assert observed[8] == {"name": "angular_velocity_x", "unit": "rad/s", "scale": 0.035}
+    assert commanded[0] == {"name": "thrust_x", "unit": "N", "scale": 2.0}
+    assert commanded[5] == {"name": "torque_z", "unit": "N m", "scale": pytest.approx(0.0573 * 0.017453)}
+
+
+@pytest.mark.parametrize("flaw", [1e-3, float("nan")])
+def test_another_network_is_not_passed(flaw: float) -> None:
+    policy = agent(0)
+    model = export.to_onnx(policy, C)
+    assert export.check(model, policy) <= 1e-5
+    policy.network.layers[1].weight.data[0, 3, 5] += flaw
+    with pytest.raises(ExportError, match="differ"):
+        export.check(model, policy)
+
+
+def test_a_difference_ends_in_one_line_and_exit_code_1(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    other = export.to_onnx(agent(1), C)
+    monkeypatch.setattr(export, "to_onnx", lambda *_: other)
+    out = tmp_path / "policy.onnx"
+    code, _, err = call(["export", "--checkpoint", str(SHIPPED), "--out", str(out)], capsys)
+    assert code == 1 and err.count("\n") == 1 and "differ from PyTorch's" in err
+    assert not out.exists()
+
+
+def test_limits_are_those_of_the_checkpoint(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    config = override(Config(), {"inspection": {"max_thrust": 0.5}}, "test")
+    content = {"policy": agent(0).state_dict(), "config": config.to_toml()}
+    torch.save(content, tmp_path / "policy.pt")
+    out = tmp_path / "policy.onnx"
+    arguments = ["export", "--checkpoint", str(tmp_path / "policy.pt"), "--out", str(out)]
+    code, text, err = call(arguments, capsys)
+    assert code == 0, err
+    assert "policy.onnx" in text and "1,000 observations" in text
+    about = session_of(out.read_bytes()).get_modelmeta().custom_metadata_map
+    assert json.loads(about["control"])[0]["scale"] == 0.5
+
+
+def test_a_missing_package_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setitem(sys.modules, "onnx", None)
+    monkeypatch.delitem(sys.modules, "study.export")
+    monkeypatch.delattr("study.export")
+    out = str(tmp_path / "policy.onnx")
+    assert_refused(
+        ["export", "--checkpoint", str(SHIPPED), "--out", out], ["onnx", "requirements.txt"], capsys
+    )

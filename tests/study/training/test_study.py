@@ -1,0 +1,282 @@
+"""The study: each seed equals that seed trained alone, interruptions change nothing, other settings are refused."""
+
+import json
+import os
+import signal
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+import main
+from inspection.environment import METRICS
+from ppo import checkpoint
+from study import config as configuration
+from study.config import StudyConfig
+from study.flight.summary import stratified_summary
+from study.training import run as training
+from study.training import study as arms
+
+SEEDS = (5, 6, 7)
+SETTINGS = """
+[study]
+seeds = 3
+[train]
+seed = 5
+num_envs = 3
+rollout_steps = 4
+interactions = 36
+evaluation_interval = 12
+evaluation_episodes = 2
+final_episodes = 4
+rta_period = 10.0
+compile = "off"
+device = "cpu"
+qp_solver = "batched"
+[inspection]
+max_time = 30.0 # every episode ends within each update
+[ppo]
+epochs = 2
+minibatch_size = 8
+"""
+
+
+@pytest.fixture(scope="module")
+def settings(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The configuration of a study of 3 updates that takes a few seconds."""
+    path = tmp_path_factory.mktemp("study") / "tiny.toml"
+    path.write_text(SETTINGS)
+    return path
+
+
+@pytest.fixture(scope="module")
+def whole(settings: Path) -> Path:
+    """The directory of a study that nothing interrupted."""
+    directory = settings.parent / "whole"
+    assert main.main(["study", "--config", str(settings), "--study-dir", str(directory)]) == 0
+    return directory
+
+
+def evaluations(directory: Path) -> list[dict[str, Any]]:
+    """The periodic evaluations, without the time they took."""
+    lines = (directory / "evaluations.jsonl").read_text().splitlines()
+    return [{name: value for name, value in json.loads(line).items() if name != "seconds"} for line in lines]
+
+
+def scalars(directory: Path) -> dict[str, list[tuple[int, float]]]:
+    """The episodes' charts that TensorBoard shows."""
+    events = EventAccumulator(str(directory))
+    events.Reload()
+    tags = [f"{group}/{name}" for group in ("charts", "evaluation") for name in (*METRICS, "success")]
+    return {tag: [(event.step, event.value) for event in events.Scalars(tag)] for tag in tags}
+
+
+def same(one: Any, other: Any) -> bool:
+    """Bit-for-bit equality of nested dictionaries and lists of tensors and plain values."""
+    if isinstance(one, dict):
+        return one.keys() == other.keys() and all(same(one[key], other[key]) for key in one)
+    if isinstance(one, list):
+        return len(one) == len(other) and all(map(same, one, other))
+    return torch.equal(one, other) if isinstance(one, torch.Tensor) else one == other
+
+
+@pytest.mark.parametrize("arm", ["no_rta", "rta"])
+def test_each_seed_of_an_arm_equals_that_seed_trained_alone(arm: str, whole: Path, tmp_path: Path) -> None:
+    config = arms.settings(whole).of_arm(arm)
+    together = checkpoint.load(whole / arm / "checkpoint.pt", training.RESUMABLE)
+    lines = evaluations(whole / arm)
+    for k, seed in enumerate(SEEDS):
+        directory = tmp_path / str(seed)
+        tables = {"train": {"seed": seed}}
+        training.start(configuration.override(config, tables, "test"), directory).train()
+        alone = checkpoint.load(directory / "checkpoint.pt", training.RESUMABLE)
+        for network in ("policy", "value"):
+            for name, weight in alone[network].items():
+                assert torch.equal(together[network][name][k : k + 1], weight), name
+        for name, values in alone["env"].items():
+            if name != "pools":
+                assert torch.equal(together["env"][name][..., 3 * k : 3 * k + 3], values), name
+        assert torch.equal(together["env"]["pools"][k], alone["env"]["pools"][0])
+        assert torch.equal(together["generators"][k], alone["generators"][0])
+        policy = whole / arm / f"seed{seed}" / "policy.pt"
+        assert same(
+            torch.load(policy, weights_only=True), torch.load(directory / "policy.pt", weights_only=True)
+        )
+        assert [line for line in lines if line["config"]["train"]["seed"] == seed] == evaluations(directory)
+        assert scalars(whole / arm / f"seed{seed}") == scalars(directory)
+
+
+@pytest.mark.parametrize("arm", ["no_rta", "rta"])
+def test_results_per_seed_are_what_evaluate_says_of_its_policy(arm: str, whole: Path, tmp_path: Path) -> None:
+    per_seed = json.loads((whole / arm / "results.json").read_text())["per_seed"]
+    assert len(per_seed) == 3
+    for seed, expected in zip(SEEDS, per_seed, strict=True):
+        arguments = ["evaluate", "--checkpoint", str(whole / arm / f"seed{seed}" / "policy.pt")]
+        arguments += ["--qp-solver", "batched", "--episodes", "4", "--json", str(tmp_path / "one.json")]
+        assert main.main(arguments) == 0
+        assert json.loads((tmp_path / "one.json").read_text()) == expected
+
+
+@pytest.mark.parametrize("arm", ["no_rta", "rta"])
+def test_results_of_an_arm_summarise_its_episodes(arm: str, whole: Path) -> None:
+    results = json.loads((whole / arm / "results.json").read_text())
+    assert json.loads((whole / "results.json").read_text())["arms"][arm] == results
+    assert (results["seeds"], results["interactions"], results["episodes"]) == ([5, 6, 7], 36, 12)
+    assert results["wall_clock_s"] > 0.0
+    assert (results["rta"]["period_s"] is None) == (arm == "no_rta")
+    episodes = np.load(whole / arm / "episodes.npz")
+    assert episodes["metrics"].shape == (6, 3, 4)
+    assert episodes["violations"].shape == (14, 3, 4)
+    assert episodes["min_distance_m"].shape == (3, 4)
+    assert tuple(episodes["metric_names"]) == METRICS
+    for name, scores in zip(METRICS, episodes["metrics"], strict=True):
+        assert results["metrics"][name] == stratified_summary(scores)
+        means = [own["metrics"][name]["mean"] for own in results["per_seed"]]
+        assert means == pytest.approx(scores.mean(1).tolist())
+    violations = dict(zip(episodes["constraint_names"], episodes["violations"].mean((1, 2)), strict=True))
+    assert results["violations_percent"] == pytest.approx(violations)
+
+
+def test_periodic_evaluations_hold_every_case_of_every_seed(whole: Path) -> None:
+    lines = evaluations(whole / "rta")
+    assert [line["interactions"] for line in lines] == [12, 12, 12, 24, 24, 24, 36, 36, 36]
+    for line in lines:
+        for name in METRICS:
+            assert len(line["cases"][name]) == 2
+            assert np.mean(line["cases"][name]) == pytest.approx(line["metrics"][name]["mean"])
+
+
+def kill_after(patch: pytest.MonkeyPatch, owner: Any, name: str, count: int, number: int) -> None:
+    """Sends this process a signal at the end of the count-th call of a function."""
+    original: Callable[..., Any] = getattr(owner, name)
+    calls = []
+
+    def killing(*arguments: Any, **keywords: Any) -> Any:
+        result = original(*arguments, **keywords)
+        calls.append(0)
+        if len(calls) == count:
+            os.kill(os.getpid(), number)
+        return result
+
+    patch.setattr(owner, name, killing)
+
+
+def test_interruptions_change_nothing(
+    settings: Path, whole: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    arguments = ["study", "--config", str(settings), "--study-dir", str(tmp_path)]
+    first, second = tmp_path / "no_rta", tmp_path / "rta"
+    with pytest.MonkeyPatch.context() as patch:  # in the first arm's training, after its first update
+        kill_after(patch, training.Run, "after_update", 1, signal.SIGINT)
+        assert main.main(arguments) == 0
+    assert checkpoint.load(first / "checkpoint.pt", ("update",))["update"] == 1
+
+    with pytest.MonkeyPatch.context() as patch:  # killed outright after an evaluation, before its checkpoint
+        patch.setattr(training.Run, "save", lambda self: (_ for _ in ()).throw(KeyboardInterrupt))
+        assert main.main(arguments) == 130
+    with open(first / "evaluations.jsonl", "a") as file:
+        file.write('{"interactions": 12, "seco')
+    assert checkpoint.load(first / "checkpoint.pt", ("update",))["update"] == 1
+
+    with pytest.MonkeyPatch.context() as patch:  # in the first arm's final evaluation
+        kill_after(patch, arms, "save_episodes", 1, signal.SIGTERM)
+        assert main.main(arguments) == 0
+    assert checkpoint.load(first / "checkpoint.pt", ("update",))["update"] == 3
+    assert not (first / "results.json").exists()
+
+    with pytest.MonkeyPatch.context() as patch:  # between the arms
+        kill_after(patch, arms, "finish", 1, signal.SIGTERM)
+        assert main.main(arguments) == 0
+    assert (first / "results.json").exists()
+    assert not second.exists()
+
+    with pytest.MonkeyPatch.context() as patch:  # among the second arm's first episodes
+        kill_after(patch, training.Run, "create", 1, signal.SIGTERM)
+        assert main.main(arguments) == 0
+    with pytest.MonkeyPatch.context() as patch:  # in the second arm's training, after its last update
+        kill_after(patch, training.Run, "after_update", 3, signal.SIGTERM)
+        assert main.main(arguments) == 0
+    assert not (second / "episodes.npz").exists()
+    assert capsys.readouterr().out.count("the same command continues") == 5
+    assert list(json.loads((tmp_path / "results.json").read_text())["arms"]) == [first.name]
+
+    assert main.main(arguments) == 0
+    for arm in ("no_rta", "rta"):
+        one, other = (json.loads((d / arm / "results.json").read_text()) for d in (whole, tmp_path))
+        assert one.pop("wall_clock_s") and other.pop("wall_clock_s")
+        assert one == other
+        assert evaluations(whole / arm) == evaluations(tmp_path / arm)
+        ours, theirs = (dict(np.load(d / arm / "episodes.npz")) for d in (tmp_path, whole))
+        assert ours.keys() == theirs.keys()
+        assert all(np.array_equal(ours[name], theirs[name]) for name in ours)
+        ours, theirs = (torch.load(d / arm / "checkpoint.pt", weights_only=True) for d in (tmp_path, whole))
+        assert ours.pop("seconds") and theirs.pop("seconds")
+        assert same(ours, theirs)
+        for seed in SEEDS:
+            path = Path(arm) / f"seed{seed}"
+            assert scalars(tmp_path / path) == scalars(whole / path)
+    assert {p.name for p in tmp_path.iterdir()} == {p.name for p in whole.iterdir()}
+
+
+def test_a_finished_study_is_shown_again_without_work(
+    whole: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    before = (whole / "results.json").read_bytes()
+    monkeypatch.setattr(arms, "Run", None)
+    assert main.main(["study", "--study-dir", str(whole)]) == 0
+    assert "Table 2" in capsys.readouterr().out
+    assert (whole / "results.json").read_bytes() == before
+
+
+@pytest.mark.parametrize(
+    ("flags", "words"),
+    [
+        (["--seeds", "4"], ["[study] seeds = 3, not 4"]),
+        (["--arms", "rta"], ["[study] arms", "not ('rta',)"]),
+        (["--interactions", "37"], ["[train] interactions = 36, not 37"]),
+        (["--solar-panel-axis", "+x"], ["[inspection] solar_panel_axis = '-x', not '+x'"]),
+    ],
+)
+def test_other_settings_are_refused(
+    flags: list[str], words: list[str], whole: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main.main(["study", "--study-dir", str(whole), *flags]) == 2
+    err = capsys.readouterr().err
+    assert err.count("\n") == 1
+    assert all(word in err for word in ("--study-dir", *words)), err
+
+
+def test_directories_of_others_are_refused(
+    settings: Path, whole: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    swapped = tmp_path / "swapped"
+    (swapped / "no_rta").mkdir(parents=True)
+    (swapped / "config.toml").write_bytes((whole / "config.toml").read_bytes())
+    (swapped / "no_rta" / "checkpoint.pt").write_bytes((whole / "rta" / "checkpoint.pt").read_bytes())
+    file = tmp_path / "file"
+    file.touch()
+    shipped = tmp_path / "shipped"
+    (shipped / "seed0").mkdir(parents=True)  # runs of train below, none of them in it
+    for directory, word in (
+        (whole / "rta" / "seed5", "a run of train"),
+        (swapped, "trained with"),
+        (file, "cannot write"),
+        (shipped, "holds no study but seed0"),
+    ):
+        assert main.main(["study", "--config", str(settings), "--study-dir", str(directory)]) == 2
+        err = capsys.readouterr().err
+        assert err.count("\n") == 1
+        assert word in err
+    assert [path.name for path in shipped.iterdir()] == ["seed0"]
+
+
+def test_the_shipped_configuration_is_the_papers_study() -> None:
+    config = configuration.load(Path(main.__file__).parent / "configs" / "study.toml", StudyConfig())
+    assert config.study.seeds == 10
+    assert config.study.arms == ("no_rta", "rta")
+    assert config.train.interactions == 5_000_000
+    assert [config.of_arm(name).train.rta for name in config.study.arms] == [False, True]

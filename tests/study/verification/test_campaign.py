@@ -1,0 +1,111 @@
+"""A campaign: its random numbers, its starts beyond braking, what tells it from another, and its flags."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from numpy import ndarray
+from torch import Tensor
+
+from inspection.environment import InspectionEnv
+from inspection.parameters import InspectionParameters
+from rta.filter import SafetyFilter
+from rta.parameters import RtaParameters
+from rta.rows import Barriers
+from study import experiment as build
+from study.config import Config
+from study.verification.campaign import Campaign, digest, run
+from study.verification.starts import initial_states
+from tests.test_main import assert_refused
+
+C = InspectionParameters()
+R = RtaParameters()
+
+
+class Flown(Exception):
+    """Raised in place of a flight."""
+
+
+def test_starts_and_first_controls_share_no_number(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every random number that a batch draws, compared with every other."""
+    drawn: list[ndarray] = []
+    rand = torch.rand
+
+    def recorded(*arguments: Any, **more: Any) -> Tensor:
+        drawn.append(rand(*arguments, **more))
+        return drawn[-1]
+
+    def first_control(env: InspectionEnv, controller: Any, x: Tensor, *_: Any) -> None:
+        before = len(drawn)
+        controller(0.0, x)
+        assert len(drawn) > before
+        raise Flown
+
+    monkeypatch.setattr(torch, "rand", recorded)
+    monkeypatch.setattr("study.verification.campaign.fly", first_control)
+    safety = SafetyFilter(C, R)
+    env = InspectionEnv(64, C, [torch.Generator()], safety.safety())
+    campaign = Campaign("random", 1.0, 10, 0, 64)
+    with pytest.raises(Flown):
+        list(run(campaign, 64, safety, lambda _: env, None, None, Config()))
+    numbers = np.concatenate([part.flatten().numpy() for part in drawn])
+    assert numbers.size > 10 * 64 and np.unique(numbers).size == numbers.size
+
+
+def test_starts_beyond_braking_are_told_apart(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Recounted from the starts of the batch."""
+    monkeypatch.setattr(Barriers, "can_brake", lambda _, x: x[6].abs() < 0.6)
+    campaign = Campaign("random", 1.0, 20, 4, 32)
+    safety = SafetyFilter(C, R)
+    reports = run(
+        campaign,
+        12,
+        safety,
+        lambda count: InspectionEnv(count, C, [torch.Generator()], safety.safety()),
+        None,
+        None,
+        Config(),
+    )
+    report = list(reports)[-1]
+    case = report["worst_case"]["collision"]
+    x, _, rejected = initial_states(32, case["batch_seed"], safety.barriers)
+    held = x[6].abs().numpy() < 0.6
+    flown = int(np.flatnonzero(held)[11]) + 1
+    assert report["starts_beyond_braking"]["episodes"] == (~held[:flown]).sum() > 0
+    assert report["starts_rejected_by_margin"] == rejected
+    for tally, theirs in ((report, held), (report["starts_beyond_braking"], ~held)):
+        assert all(theirs[case["column"]] and case["column"] < flown for case in tally["worst_case"].values())
+    assert report["upper_bound_95"] == pytest.approx(1 - 0.05 ** (1 / 12))
+
+
+def test_a_retrained_policy_is_another_campaign() -> None:
+    policies = [build.make_policy(Config(), [torch.Generator().manual_seed(seed)]) for seed in (0, 0, 1)]
+    first, same, other = (digest(policy) for policy in policies)
+    assert first == same != other
+    with torch.no_grad():
+        next(policies[1].parameters()).flatten()[0] += 1e-6
+    assert digest(policies[1]) != first
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--policy", "nobody"], ["--policy", "'nobody'", "checkpoint:F"]),
+        (["--policy", "checkpoint:nowhere.pt"], ["nowhere.pt", "no such checkpoint"]),
+        (["--duration", "25", "--rta-period", "10"], ["--duration 25", "10 s"]),
+        (["--duration", "0"], ["--duration", "'0'"]),
+        (["--episodes", "0"], ["--episodes", "'0'"]),
+        (["--no-rta"], ["--no-rta"]),
+        (["--json", "nowhere/x.json"], ["--json", "cannot write"]),
+        (["--replay", "nowhere.npz"], ["nowhere.npz", "no such file"]),
+        (["--replay", "x.npz", "--qp-solver", "piqp"], ["--replay", "drop --qp-solver"]),
+        (["--replay", "x.npz", "--rta-period", "1", "--seed", "0"], ["drop --rta-period, --seed"]),
+        (["--replay", "x.npz", "--policy", "random", "--episodes", "5"], ["--policy", "--episodes"]),
+        (["--replay", "x.npz", "--json", "x.json", "--duration", "9"], ["--duration", "--json"]),
+    ],
+)
+def test_bad_flags_are_refused(
+    arguments: list[str], words: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert_refused(["verify", *arguments], words, capsys)

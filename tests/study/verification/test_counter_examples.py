@@ -1,0 +1,125 @@
+"""Counter-examples and their replay."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from inspection.environment import InspectionEnv
+from inspection.parameters import InspectionParameters
+from rta.constraints import CONSTRAINTS
+from rta.filter import SafetyFilter, make_solver
+from rta.parameters import RtaParameters
+from rta.rows import Barriers
+from study import experiment as build
+from study.config import Config, from_toml
+from study.verification.adversaries import adversarial
+from study.verification.counter_examples import counter_example, replay
+from study.verification.flight import fly
+from study.verification.starts import initial_states
+from tests.study.verification.test_findings import verify
+from tests.test_main import assert_refused, call
+
+C = InspectionParameters()
+R = RtaParameters()
+
+
+@pytest.fixture(scope="module")
+def violated(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A report with violations: an adversary that a filter every 10 s cannot hold."""
+    import main
+
+    path = tmp_path_factory.mktemp("violated") / "report.json"
+    config = path.with_name("weak.toml")
+    config.write_text("[inspection]\nmax_thrust = 1.5\n")
+    arguments = ["--policy", "adversarial", "--rta-period", "10", "--duration", "60", "--episodes", "128"]
+    arguments += ["--qp-solver", "piqp"]
+    assert main.main(verify(path, *arguments, "--config", str(config))) == 0
+    return path
+
+
+def test_a_violation_leaves_a_counter_example_that_replays_exactly(
+    violated: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    report = json.loads(violated.read_text())
+    names = [name for name in CONSTRAINTS if report["violating_steps"][name]]
+    files = {path.name for path in violated.parent.glob("*.npz")}
+    assert names and files == {f"{violated.name}.{name}.npz" for name in names}
+    for name in names:
+        path = violated.with_name(f"{violated.name}.{name}.npz")
+        example: dict[str, Any] = dict(np.load(path))
+        case = report["worst_case"][name]
+        np.testing.assert_array_equal(example["state"], case["initial_state"])
+        assert example["value"] == report["worst_value"][name] < 0
+        assert len(example["control_desired"]) == case["time_s"]
+        assert np.abs(example["control_applied"]).max() <= 1.5
+        code, out, err = call(["verify", "--replay", str(path)], capsys)
+        assert code == 0, err
+        words = out.split()
+        value, when = float(words[words.index("to") + 1]), float(words[words.index("at") + 1])
+        assert value == pytest.approx(report["worst_value"][name], rel=0, abs=1e-9)
+        assert float(words[words.index("most") + 1]) < 1e-6
+        assert when == case["time_s"]
+
+
+def test_replay_uses_the_solver_of_the_campaign(
+    violated: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = next(violated.parent.glob("*.npz"))
+    assert from_toml(str(np.load(path)["config"]), "it").train.qp_solver == "piqp"
+    used = []
+    monkeypatch.setattr(build, "make_solver", lambda name: used.append(name) or make_solver(name))
+    assert call(["verify", "--replay", str(path)], capsys)[0] == 0
+    assert used == ["piqp"]
+
+
+@pytest.mark.parametrize("factor", [1 + 1e-6, np.nan, np.inf])
+def test_a_replay_that_comes_out_otherwise_fails(
+    factor: float, violated: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    example = dict(np.load(next(violated.parent.glob("*.npz"))))
+    path = tmp_path / "example.npz"
+    np.savez(path, **(example | {"value": factor * example["value"]}))
+    code, out, err = call(["verify", "--replay", str(path)], capsys)
+    assert (code, out) == (1, "") and err.count("\n") == 1
+    assert "not what was recorded" in err and str(path) in err
+
+
+def test_replay_does_not_depend_on_the_solvers_last_digits() -> None:
+    """At 10 s the closed loop can multiply any rounding by some 20 per call."""
+    first, second = (SafetyFilter(C, R, 10.0, make_solver(name)) for name in ("batched", "piqp"))
+    env, other = (
+        InspectionEnv(count, C, [torch.Generator()], safety.safety())
+        for count, safety in ((200, first), (1, second))
+    )
+    x, priority, _ = initial_states(200, 3, Barriers(C, R, 10.0))
+    flight = fly(env, adversarial(first), x, priority, 200, 10)
+    constraint = CONSTRAINTS.index("dynamic_speed")
+    example = counter_example(flight, constraint, 10.0, Config())
+    value, when, difference = replay(other, example)
+    assert example["value"] < 0
+    assert value == pytest.approx(float(example["value"]), abs=1e-9)
+    assert when == len(example["control_desired"])
+    assert difference < 1e-6
+
+
+def test_a_damaged_counter_example_is_refused(
+    violated: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    example = dict(np.load(next(violated.parent.glob("*.npz"))))
+    for change in (
+        {"state": np.zeros(3)},
+        {"control_desired": np.zeros((5, 2))},
+        {"control_desired": np.zeros(5)},
+        {"control_applied": np.zeros((5, 2))},
+        {"constraint": np.array("colour")},
+        {"period": np.array([1.0, 2.0])},
+        {"period": np.array(0.0)},
+        {"config": np.array("[")},
+    ):
+        path = tmp_path / "example.npz"
+        np.savez(path, **(example | change))
+        assert_refused(["verify", "--replay", str(path)], [str(path)], capsys)

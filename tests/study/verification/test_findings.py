@@ -1,0 +1,119 @@
+"""A report in its file: what it holds, how a longer campaign goes on with it, and what is refused."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rta.constraints import CONSTRAINTS
+from rta.rows import Barriers
+from study.verification import campaign
+from study.verification.starts import initial_states
+from tests.rta.test_rows import BARRIERS
+from tests.test_main import assert_refused, call
+
+
+def verify(path: Path, *more: str) -> list[str]:
+    flags = ["--compile", "off", "--device", "cpu", "--json", str(path)]
+    return ["verify", "--episodes", "16", "--duration", "20", *flags, *more]
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The report of a finished campaign."""
+    import main
+
+    path = tmp_path_factory.mktemp("verify") / "report.json"
+    assert main.main(verify(path)) == 0
+    return path
+
+
+def test_verify_writes_the_promised_json(finished: Path) -> None:
+    report = json.loads(finished.read_text())
+    promised = {
+        "episodes",
+        "violating_steps",
+        "violating_episodes",
+        "worst_value",
+        "upper_bound_95",
+        "unsolved",
+    }
+    assert promised <= set(report)
+    assert set(report["violating_steps"]) == set(report["violating_episodes"]) == {*CONSTRAINTS, "any"}
+    assert set(report["worst_value"]) == set(CONSTRAINTS)
+    assert (report["episodes"], report["steps"], report["unsolved"]) == (16, 16 * 21, 0)
+    assert sum(report["filter_calls"].values()) == 16 * 20
+    assert report["violating_steps"]["any"] == 0
+    assert report["upper_bound_95"] == pytest.approx(1 - 0.05 ** (1 / 16))
+    assert report["starts_beyond_braking"]["episodes"] == 0
+    assert list(finished.parent.iterdir()) == [finished]
+
+
+def test_a_worst_case_is_found_again_from_its_seed(finished: Path) -> None:
+    report = json.loads(finished.read_text())
+    for case in report["worst_case"].values():
+        x, priority, _ = initial_states(case["batch_size"], case["batch_seed"], BARRIERS)
+        np.testing.assert_array_equal(x[:, case["column"]], case["initial_state"])
+        np.testing.assert_array_equal(priority[:, case["column"]], case["priority"])
+    assert len({case["column"] for case in report["worst_case"].values()}) > 3
+
+
+def test_a_finished_report_flies_nothing_more(
+    finished: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    before = finished.read_bytes()
+    monkeypatch.setattr(campaign, "fly", lambda *_: pytest.fail("flew"))
+    code, out, err = call(verify(finished), capsys)
+    assert code == 0, err
+    assert "16 episodes, 336 steps" in out
+    assert finished.read_bytes() == before
+
+
+def test_a_report_that_holds_more_than_asked_for_says_so(
+    finished: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    before = finished.read_bytes()
+    code, out, err = call(verify(finished, "--episodes", "8"), capsys)
+    assert code == 0 and "16 episodes" in out
+    assert f"{finished}: holds 16 episodes already, more than asked for" in err
+    assert finished.read_bytes() == before
+
+
+def test_a_longer_campaign_goes_on_where_the_report_ends(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """In the middle of a batch, over the next one's beginning and past starts beyond braking."""
+    monkeypatch.setattr(campaign, "BATCH", 16)
+    monkeypatch.setattr(Barriers, "can_brake", lambda _, x: x[6].abs() < 0.6)
+    texts = []
+    for path, counts in ((tmp_path / "on.json", (5, 9, 18)), (tmp_path / "once.json", (18,))):
+        for count in counts:
+            assert call(verify(path, "--episodes", str(count)), capsys)[0] == 0
+            assert json.loads(path.read_text())["episodes"] == count
+        texts.append(json.loads(path.read_text()))
+    beyond = texts[0]["starts_beyond_braking"]
+    assert beyond["episodes"] > 0 and beyond["steps"] == 21 * beyond["episodes"]
+    # the rounding of other batch sizes
+    for name in CONSTRAINTS:
+        for tally in ("worst_value", "largest_slack"):
+            assert texts[0][tally].pop(name) == pytest.approx(texts[1][tally].pop(name), rel=1e-9, abs=1e-9)
+    assert texts[0] == texts[1]
+
+
+@pytest.mark.parametrize(
+    "other", [["--seed", "1"], ["--policy", "adversarial"], ["--rta-period", "10"], ["--duration", "30"]]
+)
+def test_another_campaigns_report_is_refused(
+    other: list[str], finished: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    before = finished.read_bytes()
+    assert_refused(verify(finished, *other), [str(finished), "another campaign"], capsys)
+    assert finished.read_bytes() == before
+
+
+@pytest.mark.parametrize("text", ["{", "[]", "{}", "3"])
+def test_what_is_no_report_is_refused(text: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "report.json"
+    path.write_text(text)
+    assert_refused(verify(path), [str(path), "no report"], capsys)

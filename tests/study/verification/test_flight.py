@@ -1,0 +1,116 @@
+"""A flight's record against a loop of the tests' own over the same episodes."""
+
+import dataclasses
+import functools
+
+import numpy as np
+import torch
+from numpy import ndarray
+
+from inspection.environment import InspectionEnv, Safety
+from inspection.parameters import InspectionParameters
+from rta import constraints
+from rta.constraints import CONSTRAINTS
+from rta.filter import SafetyFilter
+from rta.parameters import RtaParameters
+from study.verification.adversaries import held_at_random
+from study.verification.flight import Flight, fly, note_state
+from study.verification.starts import safe_set
+from tests.rta import test_rows
+from tests.rta.test_constraints import PSM_TOLERANCE, paper, tensor
+from tests.rta.test_rows import BARRIERS, LIMIT
+
+C = InspectionParameters()
+R = RtaParameters()
+
+
+def lax() -> SafetyFilter:
+    """A filter that believes in wider limits than those that are counted."""
+    wide = dataclasses.replace(
+        C, docking_speed=0.4, speed_slope=0.012, max_temperature=11.0, min_energy=0.5, field_of_view=0.5
+    )
+    return SafetyFilter(wide, R, 5.0)
+
+
+@functools.cache
+def six_episodes() -> Flight:
+    """Six episodes of 60 s that decide every 10 s and are filtered every 5 s."""
+    safety = Safety(CONSTRAINTS, lambda x: constraints.values(x, C), None, lax(), 5.0)
+    env = InspectionEnv(6, C, [torch.Generator().manual_seed(0)], safety)
+    x, priority, _ = safe_set(6, 32, BARRIERS)
+    x[13], x[14] = 9.9, 1.1
+    policy = held_at_random(C, torch.Generator().manual_seed(0), 6)
+    return fly(env, policy, x, priority, 60, 10)
+
+
+def recount(flight: Flight, column: int) -> dict[str, ndarray]:
+    """One episode again, second by second, from its start and what the policy desired every 10 s."""
+    safety, x = lax(), flight.start[:16, column : column + 1].numpy()
+    states, statuses, slacks, largest = [x], [], [], 0.0
+    u = np.zeros((6, 1))
+    for second in range(60):
+        if second % 10 == 0:
+            u = flight.desired[second, :, column : column + 1].numpy()
+        if second % 5 == 0:
+            result = safety(tensor(x), tensor(u))
+            u = result.control.numpy()
+            statuses.append(int(result.status))
+            slacks.append(result.slack[:, 0].numpy())
+            largest = max(largest, (np.abs(u) / LIMIT).max())
+        x = test_rows.fly(x, u, steps=1)
+        states.append(x)
+    h = paper(np.hstack(states)).T
+    violated = h < -1e-12  # a rate at its limit is rounded either way
+    return {
+        "violating": np.append(violated.sum(0), violated.any(1).sum()),
+        "worst": h.min(0),
+        "when": h.argmin(0),
+        "status": np.bincount(statuses, minlength=4),
+        "yielded": (np.array(slacks) > 0).sum(0),
+        "slack": np.max(slacks, 0),
+        "excess": largest,
+    }
+
+
+@functools.cache
+def recounted() -> list[dict[str, ndarray]]:
+    """Each of the six episodes."""
+    return [recount(six_episodes(), column) for column in range(6)]
+
+
+def test_a_flight_counts_what_a_loop_of_its_own_counts() -> None:
+    flight = six_episodes()
+    for column, expected in enumerate(recounted()):
+        actual = {name: getattr(flight, name)[..., column].numpy() for name in expected}
+        np.testing.assert_array_equal(actual["violating"], expected["violating"])
+        np.testing.assert_allclose(actual["worst"], expected["worst"], rtol=0, atol=PSM_TOLERANCE)
+        np.testing.assert_array_equal(actual["status"], expected["status"])
+        np.testing.assert_array_equal(actual["yielded"], expected["yielded"])
+        np.testing.assert_allclose(actual["slack"], expected["slack"], rtol=0, atol=1e-7)
+        np.testing.assert_allclose(actual["excess"], expected["excess"], rtol=0, atol=1e-9)
+        sharp = [i for i in range(13) if i != 3 and i < 10]
+        np.testing.assert_array_equal(actual["when"][sharp], expected["when"][sharp])
+
+
+def test_chosen_episodes_are_those_of_the_flight() -> None:
+    flight = six_episodes()
+    chosen = torch.tensor([False, True, False, True, True, False])
+    part = flight[chosen]
+    assert part.column.tolist() == [1, 3, 4]
+    assert part.applied.shape == (60, 6, 3) and (part.worst == flight.worst[:, [1, 3, 4]]).all()
+    yielded = flight.yielded[:, chosen].sum()
+    assert (part.conflicts.slack > 0).sum() == yielded
+
+
+def test_nan_is_a_violation_without_end() -> None:
+    one = dataclasses.replace(
+        six_episodes(),
+        violating=torch.zeros(14, 2),
+        worst=torch.full((13, 2), torch.inf),
+        when=torch.zeros(13, 2),
+    )
+    h = torch.ones(13, 2)
+    h[4, 1] = torch.nan
+    note_state(one, h, 3.0)
+    assert (one.violating[:, 0] == 0).all() and one.violating[[4, 13], 1].tolist() == [1, 1]
+    assert one.worst[4].tolist() == [1.0, -torch.inf] and one.when[4, 1] == 3.0

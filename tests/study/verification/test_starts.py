@@ -1,0 +1,189 @@
+"""Initial states of a verification: in the safe set, all over it, reproducible."""
+
+import math
+
+import numpy as np
+import pytest
+import torch
+from numpy import ndarray
+from scipy.stats import kstest
+from torch import Tensor
+
+from inspection.parameters import InspectionParameters
+from rta.parameters import RtaParameters
+from rta.rows import Barriers
+from study.verification.starts import initial_states, safe_set
+from tests.rta.test_constraints import (
+    PSM_TOLERANCE,
+    cosines,
+    keep_in_curve,
+    length,
+    paper,
+    positive,
+    speed_limit,
+)
+from tests.rta.test_lie_derivatives import drift, slope
+from tests.rta.test_rows import BARRIERS, zone
+
+C = InspectionParameters()
+R = RtaParameters()
+COUNT = 1500
+
+
+class Everything(Barriers):
+    """Barriers that keep every state, to see what is drawn."""
+
+    def __init__(self) -> None:
+        super().__init__(C, R, 1.0)
+
+    def is_in_safe_set(self, x: Tensor) -> Tensor:
+        return torch.ones(x.shape[1], dtype=torch.bool)
+
+
+@pytest.fixture(scope="module")
+def start() -> tuple[ndarray, ndarray]:
+    x, priority, _ = safe_set(COUNT, 0, BARRIERS)
+    return x.numpy(), priority.numpy()
+
+
+@pytest.fixture(scope="module")
+def drawn() -> tuple[ndarray, ndarray]:
+    x, priority, _ = safe_set(COUNT, 0, Everything())
+    return x.numpy(), priority.numpy()
+
+
+def oriented(x: ndarray) -> ndarray:
+    """Attitude exclusion, temperature and battery, (3, B), the light's edge a parabola 2 w wide."""
+    boresight, panel, *side = (np.arccos(cosine.clip(-1, 1)) for cosine in cosines(x))
+    w, height = R.incidence_rounding, [np.pi / 2 - angle for angle in side]
+    sun, earth = (np.where(np.abs(z) < w, (z + w) ** 2 / (4 * w), positive(z)) for z in height)
+    return np.stack(
+        (boresight - np.pi / 6 - np.pi / 18, 10 - x[13] - 0.05 * sun - 0.01 * earth, x[14] - 1 - 0.05 * panel)
+    )
+
+
+def test_every_start_satisfies_every_constraint(start: tuple[ndarray, ndarray]) -> None:
+    x = start[0]
+    assert x.shape == (16, COUNT)
+    assert paper(x).min() >= -PSM_TOLERANCE
+    assert np.delete(paper(x), 3, 0).min() >= 0.0
+    np.testing.assert_allclose(length(x[6:10]), 1.0, atol=1e-12)
+
+
+def test_starts_beyond_braking_belong_to_the_safe_set() -> None:
+    """Seldom: far out and fast across, with the keep-in zone's h positive and its curve negative."""
+    x = safe_set(6000, 0, BARRIERS)[0].numpy()
+    beyond = x[:, keep_in_curve(x) < 0]
+    assert 5 < beyond.shape[1] < 60
+    assert zone(beyond).min() >= 0 and length(beyond[:3]).min() > 600
+
+
+def test_states_that_only_the_margins_reject_are_counted_up_to_the_last_one_taken(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    drawn = []
+
+    class Recording(Barriers):
+        def is_in_safe_set(self, x: Tensor) -> Tensor:
+            drawn.append(x.numpy())
+            return super().is_in_safe_set(x)
+
+    x, _, rejected = safe_set(500, 3, Recording(C, R, 1.0))
+    every = np.hstack(drawn)
+    last = np.flatnonzero((every == x[:, -1:].numpy()).all(0))[0]
+    every = every[:, : last + 1]
+
+    def exact(y: ndarray) -> ndarray:
+        return paper(y)[[7, 8, 9]]
+
+    k1 = np.array([[R.exclusion_gains[0]], [R.temperature_gains[0]], [R.battery_gains[0]]])
+    psi = slope(exact, every, drift(every, C), 1e-4) + k1 * exact(every)
+    expected = ((paper(every) >= 0).all(0) & (psi >= 0).all(0)).sum() - 500
+    both = (
+        ~(psi >= 0).all(0)[np.isin(every[0], x[0].numpy())]
+    ).sum()  # the rounded terminator also admits states
+    assert rejected > 0
+    assert abs(rejected - expected - both) <= 1  # a difference across the edge of the light
+
+
+def test_every_start_satisfies_every_first_psi(start: tuple[ndarray, ndarray]) -> None:
+    x = start[0]
+    x = x[:, (np.abs(cosines(x)) < math.cos(R.pole_angle)).all(0)]
+    assert x.shape[1] > COUNT / 2
+    k1 = np.array([[R.exclusion_gains[0]], [R.temperature_gains[0]], [R.battery_gains[0]]])
+    margin = np.array([[R.exclusion_margin], [R.temperature_margin], [R.battery_margin]])
+    psi = slope(oriented, x, drift(x, C), 1e-4) + k1 * (oriented(x) - margin)
+    assert (psi.min(1) >= -1e-6).all()  # a difference across the edge of the light
+    assert ((psi >= 0).mean(1) > 0.999).all()
+
+
+def test_starts_fill_their_ranges_before_rejection(drawn: tuple[ndarray, ndarray]) -> None:
+    x, priority = drawn
+    sides = np.concatenate((x[:3] / length(x[:3]), x[3:6] / length(x[3:6]), priority))
+    shares = {
+        "distance": (length(x[:3]) - 15) / (795 - 15),
+        "speed": length(x[3:6]) / speed_limit(x),
+        "temperature": (x[13] - 3) / 7,
+        "energy": (x[14] - 1) / 6,
+        "sun": x[15] / (2 * np.pi),
+        **{f"rate {i}": x[10 + i] / C.max_rate / 2 + 0.5 for i in range(3)},
+        **{f"direction {i}": side / 2 + 0.5 for i, side in enumerate(sides)},  # Archimedes
+    }
+    for name, share in shares.items():
+        assert kstest(share, "uniform").pvalue > 1e-4, name
+
+
+def test_attitudes_are_uniform_before_rejection(drawn: tuple[ndarray, ndarray]) -> None:
+    q = drawn[0][6:10]
+    angle = 2 * np.arccos(np.abs(q[3]))  # of a uniform rotation: density (1 - cos) / pi
+    assert kstest((angle - np.sin(angle)) / np.pi, "uniform").pvalue > 1e-4
+    for component in q:  # of a uniform 4-D direction: density 2 sqrt(1 - q^2) / pi
+        share = 0.5 + (component * np.sqrt(1 - component**2) + np.arcsin(component)) / np.pi
+        assert kstest(share, "uniform").pvalue > 1e-4
+    second = q @ q.T / q.shape[1]
+    np.testing.assert_allclose(second, np.eye(4) / 4, atol=4 * 0.25 / math.sqrt(q.shape[1]))
+
+
+def test_all_drawn_quantities_are_independent(drawn: tuple[ndarray, ndarray]) -> None:
+    """Rank correlations of uniform shares, also of their distance from the middle."""
+    x, priority = drawn
+    p, v = x[:3] / length(x[:3]), x[3:6] / length(x[3:6])
+    azimuths = [np.arctan2(side[1], side[0]) for side in (p, v, priority)]
+    attitude = [np.arctan2(x[6], x[7]), np.arctan2(x[8], x[9]), np.hypot(x[6], x[7])]
+    columns = [length(x[:3]), length(x[3:6]) / speed_limit(x), p[2], v[2], priority[2]]
+    columns = np.stack([*columns, *azimuths, *attitude, *x[10:16]])
+    assert columns.shape[0] == 17
+    rank = columns.argsort(1).argsort(1) / COUNT - 0.5
+    folded = np.abs(rank) - 0.25
+    correlation = np.corrcoef(np.vstack((rank, folded))) - np.eye(34)
+    assert np.abs(correlation).max() < 5 / math.sqrt(COUNT)
+
+
+def test_rejection_leaves_starts_near_every_limit(start: tuple[ndarray, ndarray]) -> None:
+    x = start[0]
+    assert length(x[:3]).min() < 60 and length(x[:3]).max() > 780
+    assert (length(x[3:6]) / speed_limit(x)).max() > 0.97
+    assert x[13].max() > 9.8 and x[14].min() < 1.3
+    assert (np.abs(x[10:13]).max(1) > 0.99 * C.max_rate).all()
+
+
+def test_starts_depend_on_the_seed_alone(start: tuple[ndarray, ndarray]) -> None:
+    again, other = (safe_set(COUNT, seed, BARRIERS)[0].numpy() for seed in (0, 1))
+    np.testing.assert_array_equal(start[0], again)
+    assert not (start[0] == other).all(0).any()
+
+
+def test_an_empty_safe_set_is_refused() -> None:
+    nothing = Everything()
+    nothing.is_in_safe_set = lambda x: torch.zeros(x.shape[1], dtype=torch.bool)
+    with pytest.raises(RuntimeError, match="0 of 1 initial states"):
+        safe_set(1, 0, nothing)
+
+
+def test_half_of_the_starts_are_the_papers() -> None:
+    x, priority, _ = initial_states(101, 0, BARRIERS)
+    first, second = x[:, ::2], x[:, 1::2]
+    distance = first[:3].norm(dim=0)
+    assert ((distance >= 50) & (distance <= 100)).all() and (first[3:6] == 0).all()
+    assert second.shape == (16, 50) and (second[3:6].norm(dim=0) > 0).all()
+    np.testing.assert_allclose(priority.norm(dim=0), 1.0)

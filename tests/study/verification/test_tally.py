@@ -1,0 +1,75 @@
+"""Tallies of flights against sums over each episode's own recount."""
+
+import numpy as np
+import pytest
+import torch
+
+from rta.constraints import CONSTRAINTS
+from rta.qp import Status
+from study.verification import tally
+from tests.rta.test_constraints import PSM_TOLERANCE, paper, tensor
+from tests.study.verification.test_flight import lax, recounted, six_episodes
+
+
+def test_a_report_adds_its_flights_up() -> None:
+    flight, episodes = six_episodes(), recounted()
+    report = tally.empty_tally()
+    tally.add(report, flight, tally.Origin(17, 20, 3))
+    tally.add(report, flight, tally.Origin(18, 20, 9))
+    violating = np.array([one["violating"] for one in episodes])
+    worst = np.array([one["worst"] for one in episodes])
+    assert (report["episodes"], report["steps"]) == (12, 12 * 61)
+    assert (violating[:, -1] > 0).sum() > 0 and (violating.sum(0) > 0).sum() >= 3
+    for i, name in enumerate((*CONSTRAINTS, "any")):
+        assert report["violating_steps"][name] == 2 * violating[:, i].sum()
+        assert report["violating_episodes"][name] == 2 * (violating[:, i] > 0).sum()
+    for i, name in enumerate(CONSTRAINTS):
+        assert report["worst_value"][name] == pytest.approx(worst[:, i].min(), abs=PSM_TOLERANCE)
+        case = report["worst_case"][name]
+        assert (case["batch_seed"], case["batch_size"]) == (17, 20)  # the first of equals
+        start = flight.start[:, case["column"] - 3]
+        np.testing.assert_array_equal(case["initial_state"] + case["priority"], start)
+        assert report["yielded_calls"][name] == 2 * sum(one["yielded"][i] for one in episodes)
+    calls = 2 * sum(one["status"] for one in episodes)
+    assert list(report["filter_calls"].values()) == list(calls)
+    assert report["unsolved"] == calls[Status.UNSOLVED] and report["controls_outside_bounds"] == 0
+
+
+def test_calls_with_slack_are_shown_and_counted(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Asked again, the filter has the same slack in each of them."""
+    flight = six_episodes()
+    monkeypatch.setattr(tally, "SHOWN", 2)
+    total = tally.empty_tally()
+    tally.add(total, flight, tally.Origin(17, 20, 3))
+    together = total["slack_together"]
+    programs = sum(int((slack > 0).any(0).sum()) for slack in flight.conflicts.slack.split((7, 6)))
+    assert sum(same["calls"] for same in together.values()) == programs > 5
+    for i, name in enumerate(CONSTRAINTS):
+        mine = [same for key, same in together.items() if name in key.split(" + ")]
+        assert sum(same["calls"] for same in mine) == total["yielded_calls"][name]
+        assert max((same["largest_slack"][name] for same in mine), default=0.0) == flight.slack[i].max()
+        shown = sum(name in one["slack"] for one in total["conflicts"])
+        assert shown >= min(total["yielded_calls"][name], tally.SHOWN)
+    assert len(total["conflicts"]) < flight.conflicts.column.numel()
+    for one in total["conflicts"]:
+        x, u = (np.array(one[key])[:, None] for key in ("state", "control_desired"))
+        again = lax()(tensor(x), tensor(u))
+        expected = [one["slack"].get(name, 0.0) for name in CONSTRAINTS]
+        np.testing.assert_allclose(again.slack[:, 0], expected, rtol=0, atol=1e-9)
+        np.testing.assert_allclose(list(one["h"].values()), paper(x)[:, 0], rtol=0, atol=PSM_TOLERANCE)
+        second, column = int(one["time_s"]), one["column"] - 3
+        wanted = flight.applied[second - 1] if second % 10 else flight.desired[second]
+        np.testing.assert_array_equal(one["control_desired"], wanted[:, column])
+
+
+def test_the_calls_shown_do_not_depend_on_how_episodes_are_divided(monkeypatch: pytest.MonkeyPatch) -> None:
+    flight = six_episodes()
+    monkeypatch.setattr(tally, "SHOWN", 2)
+    whole, parts = tally.empty_tally(), tally.empty_tally()
+    origin = tally.Origin(17, 20, 3)
+    tally.add(whole, flight, origin)
+    for chosen in ([0, 1], [2, 3, 4, 5]):
+        mask = torch.zeros(6, dtype=torch.bool)
+        mask[chosen] = True
+        tally.add(parts, flight[mask], origin)
+    assert whole == parts
