@@ -11,6 +11,7 @@ from torch import Tensor
 from ppo.distributed import ALONE, Ranks
 from ppo.network import Policy, Value, log_std_bias
 
+MAX_WIDTH = 65_536  # of a hidden layer
 TRAINED_ON = ("observation", "action", "log_prob", "advantage", "return_")
 
 
@@ -33,6 +34,7 @@ class PPOParameters:
     max_grad_norm: float = 0.5  # largest Euclidean gradient norm, per seed, policy and value together
     initial_std: float = 0.03  # standard deviation of each control before training, in action units
     log_std_bounds: tuple[float, float] = (-5.0, 0.0)  # range of the log standard deviation, in nats
+    hidden: tuple[int, ...] = (256, 256)  # widths of the hidden layers of policy and value network
 
     def __post_init__(self) -> None:
         allowed = {
@@ -48,6 +50,10 @@ class PPOParameters:
             "value_coefficient": (0 <= self.value_coefficient < math.inf, "a finite number >= 0"),
             "entropy_coefficient": (0 <= self.entropy_coefficient < math.inf, "a finite number >= 0"),
             "max_grad_norm": (self.max_grad_norm > 0, "> 0 (infinity: no clipping)"),
+            "hidden": (
+                len(self.hidden) > 0 and all(0 < width <= MAX_WIDTH for width in self.hidden),
+                f"one or more widths from 1 to {MAX_WIDTH:,}",
+            ),
         }
         for name, (fine, rule) in allowed.items():
             if not fine:

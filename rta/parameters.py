@@ -5,17 +5,21 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 PERIODS = (1.0, 5.0, 10.0)
+QP_SOLVERS = ("auto", "piqp", "batched")
 
 
 @dataclass(frozen=True)
 class RtaParameters:
-    """Class-kappa gains (alpha(h) = gain * h), margins subtracted from h, and the slack's weights.
+    """When the filter is called, class-kappa gains (alpha(h) = gain * h), margins subtracted from h, the slack's weights.
 
     A gain above 1 / period overshoots when its decay is sampled, so `gain` caps each at half of that. What
-    a barrier can lose within one period beyond its linear prediction is derived in `rta.rows.Barriers` and
-    needs no parameter; the margins here come on top, for what that leaves out (the rows' own rounding, and
-    for passive safety the shift of the closest time).
+    a barrier can lose within one period beyond its linear prediction is derived beside the barrier
+    (`rta.thrust_constraints`) and needs no parameter; the margins here come on top, for what that leaves out (the rows'
+    own rounding, and for passive safety the shift of the closest time).
     """
+
+    period: float = 1.0  # s between two calls: 1, 5 or 10
+    qp_solver: str = "auto"  # of the quadratic programs: auto (the faster one for the batch), piqp or batched
 
     # relative degree one, 1/s
     collision_gain: float = 0.1
@@ -70,10 +74,13 @@ class RtaParameters:
     slack_weight_motion: float = 1e3  # dynamic speed, velocity and rate limits
 
     def __post_init__(self) -> None:
+        if self.period not in PERIODS:
+            raise ValueError(f"period = {self.period:g}: must be 1, 5 or 10 s")
+        if self.qp_solver not in QP_SOLVERS:
+            raise ValueError(f"qp_solver = {self.qp_solver!r}: must be one of {', '.join(QP_SOLVERS)}")
         for name, value in vars(self).items():
-            if not all(
-                0 <= number < math.inf for number in (value if isinstance(value, tuple) else (value,))
-            ):
+            numbers = value if isinstance(value, tuple) else () if isinstance(value, str) else (value,)
+            if not all(0 <= number < math.inf for number in numbers):
                 raise ValueError(f"{name} = {value!r}: must be finite and not negative")
         for name in (
             "passive_safety_doubling",
@@ -89,7 +96,6 @@ class RtaParameters:
         if len(segments) < 2 or segments[0] != 0 or any(a >= b for a, b in pairwise(segments)):
             raise ValueError(f"passive_safety_segments = {segments!r}: must rise from 0 s to the horizon")
 
-    @staticmethod
-    def gain(value: float, period: float) -> float:
-        """The gain in 1/s as used at a filter period in s."""
-        return min(value, 0.5 / period)
+    def gain(self, value: float) -> float:
+        """A gain in 1/s as used at the period."""
+        return min(value, 0.5 / self.period)

@@ -11,8 +11,7 @@ import tomli_w
 
 from inspection.parameters import InspectionParameters
 from ppo.learner import PPOParameters
-from rta.filter import SOLVERS
-from rta.parameters import PERIODS, RtaParameters
+from rta.parameters import RtaParameters
 from study.errors import InputError, refusing
 
 MAX_COUNT = 10**12
@@ -25,22 +24,18 @@ class TrainParameters:
     """Settings of a training run."""
 
     rta: bool = True  # filter the agent's actions
-    rta_period: float = 1.0  # s between two calls of the filter
     seed: int = 0
     interactions: int = 5_000_000  # agent steps in all; rounded up to whole updates
     num_envs: int = 256  # episodes simulated at once
     rollout_steps: int = 64  # interactions of each episode between two updates
     device: str = "auto"  # auto, cpu or cuda
     compile: str = "auto"  # torch.compile the filter, simulator and learner: auto, on or off
-    qp_solver: str = "auto"  # of the filter: auto (the faster one in training), piqp or batched
     evaluation_interval: int = 500_000  # interactions between two evaluations
     evaluation_episodes: int = 20
     final_episodes: int = 100  # of the evaluation after training
     checkpoint_interval: int = 160_000  # interactions between two checkpoints
 
     def __post_init__(self) -> None:
-        if self.rta_period not in PERIODS:
-            raise ValueError(f"rta_period = {self.rta_period:g}: must be 1, 5 or 10 s")
         counts = [f.name for f in dataclasses.fields(self) if f.type is int and f.name != "seed"]
         for name in counts:
             if not 0 < getattr(self, name) <= MAX_COUNT:
@@ -54,7 +49,6 @@ class TrainParameters:
         for name, allowed in (
             ("device", ("auto", "cpu", "cuda")),
             ("compile", ("auto", "on", "off")),
-            ("qp_solver", ("auto", *SOLVERS)),
         ):
             if getattr(self, name) not in allowed:
                 raise ValueError(f"{name} = {getattr(self, name)!r}: must be one of {', '.join(allowed)}")
