@@ -1,14 +1,15 @@
 """InspectionEnv: the whole batch of episodes as one set of tensors, with autoreset."""
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any, Protocol
+from typing import Any
 
 import torch
 from torch import Tensor
 
 from inspection import chief
+from inspection.closed_loop import Clocks, Controller, Correction, Hold, Safety, closed_loop
 from inspection.compiled import Compiled
 from inspection.dynamics import integrate
 from inspection.initial_state import InitialStates
@@ -19,31 +20,6 @@ from inspection.state import CONTROL_SIZE, SIZE, THRUST, TORQUE, P
 from inspection.termination import OUTCOMES, terminal_conditions
 
 METRICS = ("inspected_score", "reward", "episode_length_s", "delta_v_m_s", "torque_n_m", "violation_percent")
-
-
-class Correction(Protocol):
-    """What a control filter returns: at least the control to apply, (6, B) in N and N m."""
-
-    control: Tensor
-
-
-@dataclass(frozen=True)
-class Safety:
-    """What the task is told about safety; any functions of the state will do.
-
-    Attributes:
-        names: one name per constraint.
-        values: maps states (16, B) to constraint values (len(names), B), negative where violated.
-        is_safe: maps states (16, B) to (B,) bool, whether an episode may start there.
-        correct: maps states and desired controls (6, B) to a `Correction`; None applies what is desired.
-        period: s between two calls of `correct`.
-    """
-
-    names: tuple[str, ...] = ()
-    values: Callable[[Tensor], Tensor] | None = None
-    is_safe: Callable[[Tensor], Tensor] | None = None
-    correct: Callable[[Tensor, Tensor], Correction] | None = None
-    period: float = 1.0
 
 
 @dataclass
@@ -94,11 +70,14 @@ class InspectionEnv:
         parameters: the task's constants.
         generators: one per seed, on the device of the batch.
         safety: constraint values, admissible starts and the control filter.
+        decide_every, report_every: clocks of `fly` in s; None: the action period.
 
     Attributes:
         x: states (16, B); priority: (3, B); inspected: (N, B) bool; time: (B,) s.
-        command: a classical controller that flies instead of the actions, from states (16, B) to controls (6, B) in N
-            and N m, asked at every call of the filter, or at every integration step where there is none.
+        clocks: how often what happens.
+
+    Raises:
+        ValueError: the clocks do not divide.
     """
 
     def __init__(
@@ -107,21 +86,18 @@ class InspectionEnv:
         parameters: InspectionParameters,
         generators: Sequence[torch.Generator],
         safety: Safety | None = None,
+        decide_every: float | None = None,
+        report_every: float | None = None,
     ) -> None:
         self.c = parameters
-        self.safety = safety or Safety()
+        self.clocks = Clocks(
+            decide_every or parameters.action_period,
+            report_every or parameters.action_period,
+            parameters.substep,
+        )
+        self.put_behind(safety or Safety())
         self.starts = [InitialStates(generator, parameters, self.safety.is_safe) for generator in generators]
         self.num_envs = num_envs
-        self.interval = parameters.substep
-        if self.safety.correct:
-            self.interval = min(self.interval, self.safety.period)
-        for name, longer, shorter in (
-            ("action_period", parameters.action_period, self.interval),
-            ("action_period", parameters.action_period, self.safety.period),
-            ("the filter's period", self.safety.period, self.interval),
-        ):
-            if self.safety.correct and abs(longer / shorter - round(longer / shorter)) > 1e-9:
-                raise ValueError(f"{name} = {longer:g} s: must be a multiple of {shorter:g} s")
         batch = num_envs * len(generators)
         device = generators[0].device
         self.normals = chief.fibonacci_sphere(parameters.num_points, device=device)
@@ -146,12 +122,23 @@ class InspectionEnv:
         self.totals = zeros(3)  # reward, delta v, torque
         self.violation_steps = zeros(len(self.safety.names), dtype=torch.int64)
         self.any_violation_steps = zeros(dtype=torch.int64)
-        self.command: Callable[[Tensor], Tensor] | None = None
         # functions of states column by column, which `compile` replaces
-        self._integrate = partial(integrate, duration=self.interval, c=parameters)
+        self._integrate = partial(integrate, duration=self.clocks.step, c=parameters)
         self._normalised, self._values = normalised, self.safety.values
         self._margins = partial(chief.by_chunks, partial(chief.margins, self.normals, c=parameters))
         self._lloyd = partial(chief.by_chunks, partial(chief.lloyd, self.points))
+
+    def put_behind(self, safety: Safety) -> None:
+        """Has the episodes fly behind another filter of the same constraints.
+
+        Raises ValueError where its clock does not divide the others or would need a shorter integration step.
+        """
+        clocks = replace(self.clocks, filter=safety.period if safety.correct else None)
+        if "_integrate" in vars(self) and clocks.step != self.clocks.step:
+            raise ValueError(
+                f"a filter every {safety.period:g} s: the simulator takes {self.clocks.step:g} s a step"
+            )
+        self.safety, self.clocks = safety, clocks
 
     STATE = (
         "x",
@@ -244,18 +231,32 @@ class InspectionEnv:
         Raises:
             ValueError: wrong shape.
         """
-        c = self.c
         if action.shape != (self.time.numel(), CONTROL_SIZE):
             raise ValueError(
                 f"action has shape {tuple(action.shape)}: must be ({self.time.numel()}, {CONTROL_SIZE})"
             )
-        desired = action.T.to(self.x.dtype).clamp(-1.0, 1.0) * self.limit
-        corrections, delta_v, torque = self._advance(desired)
+        desired = self.control(action)
+        return self.advance(lambda t, x: desired)
+
+    def control(self, action: Tensor) -> Tensor:
+        """An action (B, 6) in units of the actuators' limits as a control (6, B) in N and N m, clipped to them."""
+        return action.T.to(self.x.dtype).clamp(-1.0, 1.0) * self.limit
+
+    def advance(self, controller: Controller) -> Transition:
+        """Flies every episode for one action period, at whose beginning the controller's time is 0 s."""
+        c = self.c
+        corrections: list[Correction] = []
+        delta_v, torque = torch.zeros_like(self.time), torch.zeros_like(self.time)
+        for hold in self.fly(controller, c.action_period):
+            if hold.correction is not None:
+                corrections.append(hold.correction)
+            delta_v += hold.applied[THRUST].abs().sum(0) / c.mass * hold.seconds
+            torque += hold.applied[TORQUE].abs().sum(0) * (hold.seconds / c.action_period)
         self.time += c.action_period
         self.steps += 1
 
         before = self.score
-        self.look()
+        self.see(hold.after)
         score = self.score
         ended = terminal_conditions(self.x, score, self.time, c)
         terms = rewards(self.x, score - before, delta_v, torque, self.time, ended, c)
@@ -291,28 +292,19 @@ class InspectionEnv:
             transition.observation[fresh] = self._observe(fresh, self._score(fresh))
         return transition
 
-    def _advance(self, desired: Tensor) -> tuple[list[Correction], Tensor, Tensor]:
-        """Integrates one action period; the filter's last control is its next desired one (Sec. RL Control Loop)."""
-        c, safety = self.c, self.safety
-        unfiltered = self.interval if self.command else c.action_period
-        held = safety.period if safety.correct else unfiltered  # s between two changes of control
-        u, corrections = desired, []
-        delta_v = torch.zeros_like(self.time)
-        torque = torch.zeros_like(self.time)
-        for _ in range(round(c.action_period / held)):
-            if self.command:
-                u = self.command(self.x)
-            if safety.correct:
-                corrections.append(safety.correct(self.x, u))
-                u = corrections[-1].control
-            self.x = self.integrate(self.x, u, round(held / self.interval))
-            delta_v += u[THRUST].abs().sum(0) / c.mass * held
-            torque += u[TORQUE].abs().sum(0) * (held / c.action_period)
-        return corrections, delta_v, torque
+    def fly(self, controller: Controller, duration: float) -> Iterator[Hold]:
+        """`closed_loop` from the present states, by the environment's clocks and behind its filter."""
+        return closed_loop(self.x, controller, self.safety.correct, self.integrate, self.clocks, duration)
 
-    def integrate(self, x: Tensor, u: Tensor, steps: int) -> Tensor:
-        """The states (16, B) after so many integration steps with u held."""
-        return self._integrate(x, u, times=steps)
+    def integrate(self, x: Tensor, u: Tensor, seconds: float) -> Tensor:
+        """The states (16, B) after holding u for some s."""
+        return self._integrate(x, u, times=round(seconds / self.clocks.step))
+
+    def see(self, x: Tensor) -> None:
+        """Puts every spacecraft into states x (16, B) and looks at the chief from there, unless it has."""
+        if x is not self.x:
+            self.x = x
+            self.look()
 
     def look(self, columns: Tensor | slice = slice(None)) -> None:
         """Marks the points in view and points r_UPS at the nearest cluster of those lit and left."""

@@ -1,10 +1,7 @@
-"""Classical controllers: functions of time and state that return a control, to compare agents with.
-
-A controller maps (t in s, x (16, B)) to u (6, B) in N and N m, within the actuators' limits.
-"""
+"""Classical controllers to compare agents with, within the actuators' limits."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -13,11 +10,10 @@ import torch
 from torch import Tensor
 
 from inspection.attitude import conjugate, cross, dot, rotate, unit
+from inspection.closed_loop import Controller
 from inspection.dynamics import sun_direction
 from inspection.parameters import AXES, InspectionParameters
 from inspection.state import CONTROL_SIZE, OMEGA, THETA_S, P, Q, V
-
-Controller = Callable[[float, Tensor], Tensor]
 
 POINTING_FREQUENCY = 0.1  # rad/s, of the critically damped pointing law
 TRACKING_FREQUENCY = 0.006  # rad/s, of the critically damped tracking law

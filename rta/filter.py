@@ -6,23 +6,23 @@ Where the rows of a program conflict, slack is given class after class of their 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
 from functools import partial, reduce
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
 
+from inspection.closed_loop import Safety
 from inspection.compiled import Compiled
-from inspection.environment import Safety
 from inspection.parameters import InspectionParameters
-from inspection.state import CONTROL_SIZE, SIZE, THRUST, TORQUE, P, Q
-from rta import constraints
+from inspection.state import CONTROL_SIZE, SIZE, P, Q
 from rta.batched_solver import BatchedSolver
-from rta.constraints import ATTITUDE, CONSTRAINTS, TRANSLATIONAL
-from rta.extra import ACTUATORS, Constraint, ExtraBarriers
+from rta.constraints import ACTUATORS, ATTITUDE, TRANSLATIONAL, Constraint
 from rta.parameters import RtaParameters
 from rta.piqp_solver import PiqpSolver
 from rta.qp import FEASIBLE, HOPELESS, REDUNDANT, Problems, Solver, Status, pick, put, total
-from rta.rows import Barriers, Row, Rows
+from rta.rows import ActuatorGroup, Rows
+from rta.thrust_constraints import thrust_constraints
+from rta.torque_constraints import torque_constraints
 
 # Below this length (rate of h per actuator limit, in h's unit per s) a row counts as beyond the actuators'
 # influence: it keeps its direction but not its claim to a full unit of slack.
@@ -45,7 +45,7 @@ class FilterResult:
             the relative degree is two); zero unless a program needed slack.
         status: (B,) int64, the worse `Status` of the thrust and the torque program.
         program_status: (2, B) int64, both of them.
-        h: (constraints, B) values without margin, slopes bounded at their poles.
+        h: (constraints, B) values without margin, exact; that of passive safety by the times of its rows.
     """
 
     control: Tensor
@@ -61,40 +61,19 @@ class Prepared(NamedTuple):
     """What is computed for every spacecraft, corrected or not, for one actuator group.
 
     Attributes:
-        h, psi, a, b, b_bare: the fields of `Rows`.
+        psi, a, b, b_bare, h: the fields of `Rows`.
         length: (R, B) of the rows per actuator limit.
         lowest: (1, B) left-hand side of the scaled rows under the desired control; negative or NaN where it must
             be corrected.
-        values: h by constraint, (constraints, B).
     """
 
-    h: Tensor
     psi: Tensor
     a: Tensor
     b: Tensor
     b_bare: Tensor
+    h: Tensor
     length: Tensor
     lowest: Tensor
-    values: Tensor
-
-
-class Group:
-    """What is fixed about one actuator group.
-
-    Args:
-        controls: its place in a control; limit: of each actuator in N or N m.
-        rows: of its program; constraints: that these belong to, in the same order.
-    """
-
-    def __init__(self, controls: slice, limit: float, rows: list[Row], constraints: tuple[str, ...]) -> None:
-        self.controls, self.limit = controls, limit
-        self.weights = [row.weight for row in rows]
-        self.counts = [sum(row.constraint == name for row in rows) for name in constraints]
-
-    def by_constraint(self, rows: Tensor, join: Callable[[Tensor], Tensor]) -> Tensor:
-        """Joins the rows (R, B) of each constraint that has several, (k, B) to (B,); returns (constraints, B)."""
-        parts = rows.split(self.counts)
-        return torch.cat([part if len(part) == 1 else join(part)[None] for part in parts])
 
 
 class SafetyFilter:
@@ -102,13 +81,13 @@ class SafetyFilter:
 
     Args:
         c: the task's constants.
-        parameters: gains, margins and weights.
-        period: s between calls.
-        solver: of the quadratic programs.
+        parameters: period, gains, margins and weights.
+        solver: of the quadratic programs; None: the one that the parameters name, PIQP for `auto`.
         extra: constraints of your own.
 
     Attributes:
         names: of all constraints: Table 3's, then those of your own that thrust holds, then those that torque holds.
+        groups: of thrust and of torque.
 
     Raises:
         ValueError: parameters or constraints that do not fit together.
@@ -118,32 +97,43 @@ class SafetyFilter:
         self,
         c: InspectionParameters,
         parameters: RtaParameters,
-        period: float = 1.0,
         solver: Solver | None = None,
         extra: Sequence[Constraint] = (),
     ) -> None:
-        self.c, self.period = c, period
-        self.solver = solver or PiqpSolver()
-        self.barriers = Barriers(c, parameters, period)
-        self._prepare: Callable[[Tensor, Tensor], list[Tensor]] = self.prepare
-        self.limits = c.control_limit[0], c.control_limit[3]  # N, N m
-        thrust, torque = self.extra = tuple(ExtraBarriers(extra, by, self.barriers) for by in ACTUATORS)
-        self.names = CONSTRAINTS + thrust.names + torque.names
+        if c.max_acceleration <= 0.0:
+            raise ValueError("max_thrust / mass must exceed the natural acceleration within max_distance")
+        self.c, self.parameters = c, parameters
+        self.solver = solver or make_solver(parameters.qp_solver.replace("auto", "piqp"))
+        constraints = (*thrust_constraints(c, parameters), *torque_constraints(c, parameters), *extra)
+        self.groups = tuple(ActuatorGroup(by, constraints, c, parameters) for by in ACTUATORS)
+        thrust, torque = (group.names for group in self.groups)
+        self.names = in_order(thrust, torque)
         if len(set(self.names)) < len(self.names):
             raise ValueError(f"constraints {', '.join(self.names)}: each name must be there once")
-        self.groups = (
-            Group(THRUST, self.limits[0], self.barriers.thrust + thrust.rows, TRANSLATIONAL + thrust.names),
-            Group(TORQUE, self.limits[1], self.barriers.torque + torque.rows, ATTITUDE + torque.names),
-        )
+        self._prepare: Callable[[Tensor, Tensor], list[Tensor]] = self.prepare
+
+    @property
+    def period(self) -> float:
+        """s between two calls."""
+        return self.parameters.period
 
     def values(self, x: Tensor) -> Tensor:
-        """All constraints, the 13 exactly as in the paper: (16, B) to (constraints, B)."""
-        return torch.cat((constraints.values(x, self.c), *(extra.values(x) for extra in self.extra)))
+        """Every constraint's h, the 13 exactly as in the paper: (16, B) to (constraints, B)."""
+        return torch.cat(in_order(*(group.values(x).split(1) for group in self.groups)))
+
+    def is_in_safe_set(self, x: Tensor) -> Tensor:
+        """(B,) bool: every h and every Psi_1 is non-negative."""
+        thrust, torque = self.groups
+        return (self.values(x) >= 0.0).all(0) & thrust.holds(x, degree=2) & torque.holds(x, degree=2)
+
+    def can_brake(self, x: Tensor) -> Tensor:
+        """(B,) bool: every barrier of relative degree one is non-negative; in any attitude thrust can keep the zone."""
+        thrust, torque = self.groups
+        return thrust.holds(x, degree=1) & torque.holds(x, degree=1)
 
     def is_safe(self, x: Tensor) -> Tensor:
         """(B,) bool: the filter can keep every constraint from here on."""
-        thrust, torque = self.extra
-        return self.barriers.is_safe(x) & thrust.is_safe(x) & torque.is_safe(x)
+        return self.is_in_safe_set(x) & self.can_brake(x)
 
     def compile(self, device: torch.device | str, batch: int) -> None:
         """Compiles `prepare` and the solver for tensors on this device and calls of about so many spacecraft.
@@ -167,16 +157,15 @@ class SafetyFilter:
         )
 
     def rows(self, x: Tensor) -> tuple[Rows, Rows]:
-        """The conditions on thrust and on torque at states (16, B), as `Barriers` has them."""
+        """The conditions on thrust and on torque at states (16, B)."""
         thrust, torque = self._prepared(x, torch.zeros_like(x[:CONTROL_SIZE]))
         return Rows(*thrust[:ROW_FIELDS]), Rows(*torque[:ROW_FIELDS])
 
     def prepare(self, x: Tensor, desired: Tensor) -> list[Tensor]:
         """`Prepared` for thrust, then for torque, as one list: (16, B) and (6, B) to fields (..., B)."""
         parts: list[Tensor] = []
-        for rows, extra, group in zip(self.barriers(x), self.extra, self.groups, strict=True):
-            if extra.rows:
-                rows = rows.followed_by(extra(x))
+        for group in self.groups:
+            rows = group(x)
             a = rows.a * group.limit
             length = total(a * a, 1).sqrt().clamp(min=SHORTEST_ROW)  # thirty times as fast as Tensor.norm
             left = (total(a * (desired[group.controls] / group.limit), 1) + rows.b) / length
@@ -184,7 +173,6 @@ class SafetyFilter:
                 *(getattr(rows, field.name) for field in fields(Rows)),
                 length=length,
                 lowest=smallest(left)[None],
-                values=group.by_constraint(rows.h, smallest),
             )
         return parts
 
@@ -204,8 +192,8 @@ class SafetyFilter:
         both = self._prepared(x, desired)
         control = desired.clone()
         program_status = torch.zeros_like(x[:2], dtype=torch.int64)
-        active = [torch.zeros_like(prepared.values, dtype=torch.bool) for prepared in both]
-        slack = [torch.zeros_like(prepared.values) for prepared in both]
+        active = [torch.zeros_like(prepared.h, dtype=torch.bool) for prepared in both]
+        slack = [torch.zeros_like(prepared.h) for prepared in both]
         for i, (group, prepared) in enumerate(zip(self.groups, both, strict=True)):
             unsafe = torch.nonzero(~(prepared.lowest[0] >= 0.0)).flatten()  # NaN must not pass
             if unsafe.numel():
@@ -217,15 +205,15 @@ class SafetyFilter:
         return FilterResult(
             control=control,
             intervened=status > Status.UNTOUCHED,
-            active=in_order(*active),
-            slack=in_order(*slack),
+            active=torch.cat(in_order(*(part.split(1) for part in active))),
+            slack=torch.cat(in_order(*(part.split(1) for part in slack))),
             status=status,
             program_status=program_status,
-            h=in_order(*(prepared.values for prepared in both)),
+            h=torch.cat(in_order(*(prepared.h.split(1) for prepared in both))),
         )
 
     def _correct(
-        self, group: Group, prepared: Prepared, desired: Tensor, unsafe: Tensor
+        self, group: ActuatorGroup, prepared: Prepared, desired: Tensor, unsafe: Tensor
     ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         """Scales and solves the programs of these columns (M,); returns control, status, active and slack."""
         length = pick(prepared.length, unsafe)
@@ -248,10 +236,10 @@ class SafetyFilter:
         )
 
 
-def in_order(thrust: Tensor, torque: Tensor) -> Tensor:
-    """Joins what is known of the constraints of both groups, (k, B) and (m, B), in the order of the filter's names."""
+def in_order(thrust: Sequence[Any], torque: Sequence[Any]) -> tuple[Any, ...]:
+    """Joins what is known of each constraint of both groups in the order of the filter's names."""
     m, n = len(TRANSLATIONAL), len(ATTITUDE)
-    return torch.cat((thrust[:m], torque[:n], thrust[m:], torque[n:]))
+    return (*thrust[:m], *torque[:n], *thrust[m:], *torque[n:])
 
 
 def smallest(rows: Tensor) -> Tensor:

@@ -1,4 +1,4 @@
-"""Lie derivatives and high-order barrier functions, as functions of functions (Sec. Run Time Assurance).
+"""Lie derivatives of barriers, as functions of functions (Sec. Run Time Assurance).
 
 A barrier is any function of states (16, ...) whose trailing axes are independent spacecraft. A directional
 derivative by forward mode is then the same for one spacecraft and for a batch.
@@ -31,13 +31,3 @@ def lie_derivatives(h: Function, x: Tensor, f: Tensor, g: Tensor) -> tuple[Tenso
     directions = torch.cat((f[:, None], g), 1)
     values, slopes = lie_derivative(h, x[:, None].repeat(1, directions.shape[1], 1), directions)
     return values[:, 0], slopes[:, 0], slopes[:, 1:]
-
-
-def high_order(h: Function, alpha: Function, f: Function) -> Function:
-    """Psi_1(x) = L_f h(x) + alpha(h(x)), Eq. (HOCBF), itself a function that can be differentiated."""
-
-    def psi(x: Tensor) -> Tensor:
-        value, slope = lie_derivative(h, x, f(x))
-        return slope + alpha(value)
-
-    return psi

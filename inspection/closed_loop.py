@@ -1,0 +1,148 @@
+"""The one closed loop (Sec. RL Control Loop with RTA): who commands, the filter, the plant, and their clocks."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import NamedTuple, Protocol
+
+from torch import Tensor
+
+from inspection.state import CONTROL_SIZE
+
+# Who commands: a function of time in s and states (16, B) to desired controls (6, B) in N and N m.
+Controller = Callable[[float, Tensor], Tensor]
+
+
+class Correction(Protocol):
+    """What a control filter returns: at least the control to apply, (6, B) in N and N m."""
+
+    control: Tensor
+
+
+@dataclass(frozen=True)
+class Safety:
+    """What the task is told about safety; any functions of the state will do.
+
+    Attributes:
+        names: one name per constraint.
+        values: maps states (16, B) to constraint values (len(names), B), negative where violated.
+        is_safe: maps states (16, B) to (B,) bool, whether an episode may start there.
+        correct: maps states and desired controls (6, B) to a `Correction`; None applies what is desired.
+        period: s between two calls of `correct`.
+    """
+
+    names: tuple[str, ...] = ()
+    values: Callable[[Tensor], Tensor] | None = None
+    is_safe: Callable[[Tensor], Tensor] | None = None
+    correct: Callable[[Tensor, Tensor], Correction] | None = None
+    period: float = 1.0
+
+
+@dataclass(frozen=True)
+class Clocks:
+    """What happens how often in a closed loop, in s.
+
+    Attributes:
+        decision: between two questions to who commands.
+        report: the longest time between two `Hold`s.
+        substep: the longest integration step.
+        filter: between two calls of the filter; None without one.
+
+    Raises:
+        ValueError: one of them is no multiple of another that is shorter.
+    """
+
+    decision: float
+    report: float
+    substep: float
+    filter: float | None = None
+
+    def __post_init__(self) -> None:
+        named = {"the controller's decisions": self.decision, "the loop's reports": self.report}
+        if self.filter is not None:
+            named["the filter's calls"] = self.filter
+        fastest = min(named, key=lambda name: named[name])
+        for name, period in named.items():
+            if not is_multiple(period, self.hold):
+                raise ValueError(
+                    f"{name} every {period:g} s: must be a multiple of {self.hold:g} s, the time between {fastest}"
+                )
+        if not is_multiple(self.hold, self.step):
+            raise ValueError(
+                f"substep = {self.substep:g} s: must divide {self.hold:g} s, the time between {fastest}"
+            )
+
+    @property
+    def hold(self) -> float:
+        """The longest time in which nothing but the plant acts."""
+        return min(self.decision, self.report, self.filter or self.decision)
+
+    @property
+    def step(self) -> float:
+        """Of the integration."""
+        return min(self.substep, self.hold)
+
+    def count(self, duration: float) -> int:
+        """How many holds fill a duration in s; raises ValueError where the reports do not end with it."""
+        if not is_multiple(duration, self.report):
+            raise ValueError(f"a duration of {duration:g} s: must be a multiple of {self.report:g} s")
+        return round(duration / self.hold)
+
+
+class Hold(NamedTuple):
+    """A time in which the control is held.
+
+    Attributes:
+        time: at which it begins, seconds: how long it is, in s.
+        state: (16, B) at its beginning; after: at its end.
+        desired: (6, B) who commands, or, between two of its decisions, the filter's last control.
+        applied: (6, B) by the actuators.
+        correction: the filter's answer, where it was called at `time`.
+        decided: who commands was asked at `time`.
+    """
+
+    time: float
+    seconds: float
+    state: Tensor
+    desired: Tensor
+    applied: Tensor
+    correction: Correction | None
+    decided: bool
+    after: Tensor
+
+
+def closed_loop(
+    x: Tensor,
+    controller: Controller,
+    correct: Callable[[Tensor, Tensor], Correction] | None,
+    integrate: Callable[[Tensor, Tensor, float], Tensor],
+    clocks: Clocks,
+    duration: float,
+) -> Iterator[Hold]:
+    """Flies from states x (16, B) for a duration in s.
+
+    Args:
+        controller: who commands.
+        correct: the filter; None applies what is desired.
+        integrate: states (16, B) after holding a control (6, B) for some s.
+    """
+    hold = clocks.hold
+    decisions, calls = (max(1, round((every or hold) / hold)) for every in (clocks.decision, clocks.filter))
+    applied = x.new_zeros(CONTROL_SIZE, *x.shape[1:])
+    for i in range(clocks.count(duration)):
+        time, decided = i * hold, i % decisions == 0
+        # the filter's last control is its next desired one
+        desired = controller(time, x) if decided else applied
+        correction = None
+        if correct is None:
+            applied = desired
+        elif i % calls == 0:
+            correction = correct(x, desired)
+            applied = correction.control
+        after = integrate(x, applied, hold)
+        yield Hold(time, hold, x, desired, applied, correction, decided, after)
+        x = after
+
+
+def is_multiple(a: float, b: float) -> bool:
+    """Whether a is a whole multiple of b, to rounding."""
+    return round(a / b) >= 1 and abs(a / b - round(a / b)) < 1e-9

@@ -1,0 +1,241 @@
+"""The seven constraints that thrust holds, each with all that the filter knows of it (Sec. Safety Constraints).
+
+Each is a function of the task's constants and the filter's parameters to its entry. States have the component axis
+first; trailing axes are independent spacecraft. Where the paper transforms a constraint to lower its relative degree,
+h is the transformed, final form.
+"""
+
+import math
+
+import torch
+from torch import Tensor
+
+from inspection.attitude import dot, norm
+from inspection.dynamics import free_flight
+from inspection.parameters import InspectionParameters
+from inspection.state import P, V
+from rta.constraints import Constraint
+from rta.lie_derivatives import Function
+from rta.parameters import RtaParameters
+
+PASSES = 13  # grid points per segment of the free flight: at most 12 s apart in the default segments
+SEGMENTS = 5  # of the free flight where its infimum is reported
+
+
+def thrust_constraints(c: InspectionParameters, r: RtaParameters) -> tuple[Constraint, ...]:
+    """All seven in the order of Table 3."""
+    return (
+        collision(c, r),
+        dynamic_speed(c, r),
+        keep_in_zone(c, r),
+        passive_safety(c, r),
+        *(velocity(i, c, r) for i in range(3)),
+    )
+
+
+def signed_sqrt(z: Tensor, floor: float = 0.0) -> Tensor:
+    """sign(z) sqrt(|z|), where |z| is below `floor` the chord through 0 (also for negative distances)."""
+    floor = max(floor, 1e-300)
+    return torch.where(z.abs() < floor, z / math.sqrt(floor), z.sign() * z.abs().clamp(min=floor).sqrt())
+
+
+def chord(c: InspectionParameters, r: RtaParameters) -> float:
+    """The floor in m of the enforced `signed_sqrt`.
+
+    The slope of sqrt(2 a z) is then at most sqrt(2 a / floor) = 1 / T, else it could overshoot within one period.
+    """
+    return max(r.distance_floor, 2 * c.max_acceleration * r.period**2)
+
+
+def radial_speed(x: Tensor) -> Tensor:
+    """v_pr = <v, p> / |p| in m/s."""
+    return dot(x[V], x[P]) / norm(x[P])
+
+
+def thrust_acceleration(c: InspectionParameters) -> float:
+    """The most that thrust along all three axes gives, in m/s^2."""
+    return math.sqrt(3.0) * c.max_thrust / c.mass
+
+
+def turn(c: InspectionParameters, r: RtaParameters) -> float:
+    """m/s^2 of thrust, averaged over a period, that may act elsewhere than the row says, since it turns with the body.
+
+    By alpha_max T^2 / 6 otherwise than the constant rates that `rta.rows.half_a_period_ahead` takes into account, and
+    by (omega T)^2 / 8 around the middle.
+    """
+    angular = math.sqrt(3.0) * c.max_torque / min(c.inertia)
+    return thrust_acceleration(c) * (angular / 6 + c.max_rate**2 / 8) * r.period**2
+
+
+def bend(c: InspectionParameters, r: RtaParameters) -> float:
+    """a^2 T in m^2/s^3 for the largest acceleration a: in a period T, a changes v_i^2 by 2 a v_i T and a^2 T^2."""
+    acceleration = thrust_acceleration(c) + (c.max_thrust / c.mass - c.max_acceleration)
+    return acceleration**2 * r.period
+
+
+def collision(c: InspectionParameters, r: RtaParameters) -> Constraint:
+    """Safe separation: sqrt(2 a_max (|p| - r_d - r_c)) + v_pr, in m/s, the speed from which braking still suffices."""
+
+    def h(x: Tensor, floor: float = 0.0) -> Tensor:
+        distance = norm(x[P]) - c.collision_radius
+        return math.sqrt(2 * c.max_acceleration) * signed_sqrt(distance, floor) + radial_speed(x)
+
+    floor = chord(c, r)
+    return Constraint(
+        "collision",
+        h,
+        "thrust",
+        gains=(r.collision_gain,),
+        margin=r.collision_margin,
+        weight=math.inf,
+        barrier=lambda x: lambda y: h(y, floor)[None],
+        loss=turn(c, r),
+        coupled=False,
+    )
+
+
+def speed_limit(x: Tensor, c: InspectionParameters) -> Tensor:
+    """nu_0 + nu_1 |p|, in m/s."""
+    return c.docking_speed + c.speed_slope * norm(x[P])
+
+
+def dynamic_speed(c: InspectionParameters, r: RtaParameters) -> Constraint:
+    """nu_0 + nu_1 |p| - |v|, in m/s."""
+
+    def h(x: Tensor) -> Tensor:
+        # The floor keeps the slope of |v| finite at rest, far below any speed that matters.
+        speed = (dot(x[V], x[V]) + 1e-24).sqrt()
+        return speed_limit(x, c) - speed
+
+    def loss(x: Tensor) -> Tensor:
+        """|v| rises by a . v T / |v| and at most a^2 T^2 / (2 |v|), which counts near the limit, for |v| the limit."""
+        limit = speed_limit(x, c)
+        # at 5 and 10 s it would exceed what a spacecraft at rest can satisfy
+        return (turned + bent / (2 * limit)).minimum(0.5 * r.gain(r.speed_gain) * limit)
+
+    turned, bent = turn(c, r), bend(c, r)
+    return Constraint(
+        "dynamic_speed",
+        h,
+        "thrust",
+        gains=(r.speed_gain,),
+        weight=r.slack_weight_motion,
+        loss=loss,
+        coupled=False,
+    )
+
+
+def keep_in_zone(c: InspectionParameters, r: RtaParameters) -> Constraint:
+    """sqrt(2 a_max (r_max - |p|)) - v_pr, in m/s."""
+
+    def h(x: Tensor) -> Tensor:
+        distance = c.max_distance - norm(x[P])
+        return math.sqrt(2 * c.max_acceleration) * signed_sqrt(distance) - radial_speed(x)
+
+    def curve(x: Tensor) -> Tensor:
+        """The zone as thrust can hold it, never above h, in m/s: with a_max - v_t^2 / |p|.
+
+        d v_pr / dt holds the centrifugal v_t^2 / |p|, v_t the speed across p, which a_max leaves out: up to
+        0.051 m/s^2 at the speed limit of 800 m, of a_max's 0.0705. Flying fast across where h is zero, 1 N does not
+        keep h there; where this barrier is zero, 1 N inwards does, which every attitude can give.
+        """
+        across = dot(x[V], x[V]) - radial_speed(x) ** 2
+        braking = (c.max_acceleration - across / norm(x[P])).clamp(min=0.1 * c.max_acceleration)
+        distance = c.max_distance - norm(x[P])
+        return (2 * braking).sqrt() * signed_sqrt(distance, floor) - radial_speed(x)
+
+    # v_t^2 / |p| grows with thrust along v
+    fastest = c.docking_speed + c.speed_slope * c.max_distance
+    swing = fastest * thrust_acceleration(c) / c.max_distance * r.period
+    floor = chord(c, r)
+    return Constraint(
+        "keep_in_zone",
+        h,
+        "thrust",
+        gains=(r.keep_in_gain,),
+        margin=r.keep_in_margin,
+        weight=r.slack_weight_critical,
+        barrier=lambda x: lambda y: curve(y)[None],
+        loss=turn(c, r) + swing,
+        coupled=False,
+    )
+
+
+def closest_times(x: Tensor, segments: tuple[float, ...], c: InspectionParameters) -> Tensor:
+    """When the free flight is nearest to the chief within each time segment: (16, ...) to (segments, ...) s.
+
+    The best of a grid, refined by the parabola of |p(t)|^2 through it and its neighbours (exact for a
+    straight path, which the path is over two grid steps to a few centimetres).
+    """
+    edges = x.new_tensor(segments)
+    start, spacing = edges[:-1], edges.diff() / (PASSES - 1)
+    shape = (-1, *(1,) * (x.dim() - 1))
+    grid = start[:, None] + spacing[:, None] * torch.arange(PASSES, dtype=x.dtype, device=x.device)
+    path = free_flight(x[P], x[V], grid.reshape(*grid.shape, *shape[1:]), c.mean_motion)
+    squared = dot(path, path)  # (segments, PASSES, ...)
+    best = squared.argmin(1, keepdim=True)
+    centre = best.clamp(1, PASSES - 2)
+    before, middle, after = (squared.gather(1, centre + i)[:, 0] for i in (-1, 0, 1))
+    bend = before - 2 * middle + after
+    offset = torch.where(bend > 0, 0.5 * (before - after) / bend, (best - centre)[:, 0].to(x.dtype))
+    return start.reshape(shape) + spacing.reshape(shape) * (centre[:, 0] + offset.clamp(-1.0, 1.0))
+
+
+def clearance_at(x: Tensor, times: Tensor, c: InspectionParameters) -> Tensor:
+    """|p(t)| - r_d - r_c in m after coasting for each of times (k, ...), (16, ...) to (k, ...).
+
+    With times = `closest_times` its gradient is that of the infimum (envelope theorem).
+    """
+    return norm(free_flight(x[P], x[V], times, c.mean_motion)) - c.collision_radius
+
+
+def passive_safety(c: InspectionParameters, r: RtaParameters) -> Constraint:
+    """inf |p(t)| - r_d - r_c in m over the free flight of the next T_f; a row per time segment of it.
+
+    Raises:
+        ValueError: the segments do not end with T_f.
+    """
+    if r.passive_safety_segments[-1] != c.passive_safety_horizon:
+        raise ValueError(
+            f"passive_safety_segments end at {r.passive_safety_segments[-1]} s: "
+            f"must be the passive_safety_horizon, {c.passive_safety_horizon} s"
+        )
+    reported = tuple(c.passive_safety_horizon * i / SEGMENTS for i in range(SEGMENTS + 1))
+
+    def h(x: Tensor) -> Tensor:
+        return clearance_at(x, closest_times(x, reported, c), c).amin(0)
+
+    def barrier(x: Tensor) -> Function:
+        times = closest_times(x, r.passive_safety_segments, c)
+
+        def at_those_times(y: Tensor) -> Tensor:
+            directions = (1,) * (y.dim() - x.dim())  # that y has before the batch
+            return clearance_at(y, times.reshape(-1, *directions, *x.shape[1:]), c)
+
+        return at_those_times
+
+    return Constraint(
+        "passive_safety",
+        h,
+        "thrust",
+        gains=(r.passive_safety_gain,),
+        margin=r.passive_safety_margin,
+        weight=r.slack_weight_critical,
+        barrier=barrier,
+        rows=len(r.passive_safety_segments) - 1,
+        doubling=r.passive_safety_doubling,
+        coupled=False,
+    )
+
+
+def velocity(axis: int, c: InspectionParameters, r: RtaParameters) -> Constraint:
+    """v_max^2 - v_i^2 for a Hill axis, in m^2/s^2."""
+    return Constraint(
+        f"velocity_{'xyz'[axis]}",
+        lambda x: c.max_speed**2 - x[V.start + axis] ** 2,
+        "thrust",
+        gains=(r.velocity_gain,),
+        weight=r.slack_weight_motion,
+        loss=bend(c, r) + 2 * c.max_speed * turn(c, r),
+        coupled=False,
+    )

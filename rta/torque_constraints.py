@@ -1,0 +1,119 @@
+"""The six constraints that torque holds, each with all that the filter knows of it (Sec. Safety Constraints).
+
+As in `rta.thrust_constraints`, each is a function of constants and parameters to its entry. The first three are of
+relative degree two. Reported values are exact; in what is enforced, slopes that would be infinite are continued as
+constants.
+"""
+
+import math
+
+import torch
+from torch import Tensor
+
+from inspection.dynamics import cosine_to, sun_and_earth_in_body
+from inspection.parameters import InspectionParameters
+from inspection.state import OMEGA, E, T
+from rta.constraints import Constraint
+from rta.parameters import RtaParameters
+
+
+def torque_constraints(c: InspectionParameters, r: RtaParameters) -> tuple[Constraint, ...]:
+    """All six in the order of Table 3."""
+    return (
+        attitude_exclusion(c, r),
+        temperature(c, r),
+        battery(c, r),
+        *(angular_velocity(i, c, r) for i in range(3)),
+    )
+
+
+def arccos(cosine: Tensor, pole: float = 0.0) -> Tensor:
+    """arccos, nearer than `pole` in rad to 0 or pi the tangent that starts there."""
+    edge = math.cos(pole)
+    inside = cosine.clamp(-edge, edge)
+    if pole == 0.0:
+        return inside.arccos()
+    return inside.arccos() - (cosine - inside) / math.sin(pole)
+
+
+def positive_part(angle: Tensor, width: float = 0.0) -> Tensor:
+    """max(angle, 0), within w = `width` of zero the parabola (angle + w)^2 / (4 w) that continues its slopes, 0 and 1."""
+    if width == 0.0:
+        return angle.clamp(min=0.0)
+    # inside, the square of a clamped number; beyond, what is left over
+    return (angle + width).clamp(0.0, 2 * width) ** 2 / (4 * width) + (angle - width).clamp(min=0.0)
+
+
+def attitude_exclusion(c: InspectionParameters, r: RtaParameters) -> Constraint:
+    """theta_EZ - alpha_FOV / 2 - beta in rad: the camera's boresight +n_x and the Sun."""
+
+    def h(x: Tensor, pole: float = 0.0) -> Tensor:
+        sun, _ = sun_and_earth_in_body(x)
+        return arccos(sun[0], pole) - c.field_of_view / 2 - c.exclusion_buffer
+
+    return Constraint(
+        "attitude_exclusion",
+        h,
+        "torque",
+        gains=r.exclusion_gains,
+        margin=r.exclusion_margin,
+        weight=r.slack_weight_critical,
+        barrier=lambda x: lambda y: h(y, r.pole_angle)[None],
+        coupled=False,
+    )
+
+
+def temperature(c: InspectionParameters, r: RtaParameters) -> Constraint:
+    """T_max - T - delta_0 (pi/2 - theta_SI)^+ - delta_1 (pi/2 - theta_EI)^+ in deg C.
+
+    Incidence angles are defined on [0, pi/2], hence the positive parts.
+    """
+
+    def h(x: Tensor, pole: float = 0.0, width: float = 0.0) -> Tensor:
+        directions = torch.stack([cosine_to(c.thermal_axis, body) for body in sun_and_earth_in_body(x)])
+        sun, earth = positive_part(math.pi / 2 - arccos(directions, pole), width)
+        return c.max_temperature - x[T] - c.temperature_sun_slope * sun - c.temperature_earth_slope * earth
+
+    return Constraint(
+        "temperature",
+        h,
+        "torque",
+        gains=r.temperature_gains,
+        margin=r.temperature_margin,
+        weight=r.slack_weight_resource,
+        barrier=lambda x: lambda y: h(y, r.pole_angle, r.incidence_rounding)[None],
+        coupled=False,
+    )
+
+
+def battery(c: InspectionParameters, r: RtaParameters) -> Constraint:
+    """E - E_min - delta_2 theta_SI in kJ: the solar panels and the Sun."""
+
+    def h(x: Tensor, pole: float = 0.0) -> Tensor:
+        sun, _ = sun_and_earth_in_body(x)
+        angle = arccos(cosine_to(c.solar_panel_axis, sun), pole)
+        return x[E] - c.min_energy - c.energy_sun_slope * angle
+
+    return Constraint(
+        "battery",
+        h,
+        "torque",
+        gains=r.battery_gains,
+        margin=r.battery_margin,
+        weight=r.slack_weight_resource,
+        barrier=lambda x: lambda y: h(y, r.pole_angle)[None],
+        coupled=False,
+    )
+
+
+def angular_velocity(axis: int, c: InspectionParameters, r: RtaParameters) -> Constraint:
+    """omega_max^2 - omega_i^2 for a body axis, in rad^2/s^2."""
+    return Constraint(
+        f"angular_velocity_{'xyz'[axis]}",
+        lambda x: c.max_rate**2 - x[OMEGA.start + axis] ** 2,
+        "torque",
+        gains=(r.rate_gain,),
+        margin=r.rate_margin,
+        weight=r.slack_weight_motion,
+        coupled=False,
+    )
