@@ -92,7 +92,7 @@ class Hold(NamedTuple):
     """A time in which the control is held.
 
     Attributes:
-        time: at which it begins, seconds: how long it is, in s.
+        time, end: at which it begins and ends, seconds: how long it is, in s.
         state: (16, B) at its beginning; after: at its end.
         desired: (6, B) who commands, or, between two of its decisions, the filter's last control.
         applied: (6, B) by the actuators.
@@ -101,6 +101,7 @@ class Hold(NamedTuple):
     """
 
     time: float
+    end: float
     seconds: float
     state: Tensor
     desired: Tensor
@@ -139,7 +140,7 @@ def closed_loop(
             correction = correct(x, desired)
             applied = correction.control
         after = integrate(x, applied, hold)
-        yield Hold(time, hold, x, desired, applied, correction, decided, after)
+        yield Hold(time, (i + 1) * hold, hold, x, desired, applied, correction, decided, after)
         x = after
 
 

@@ -118,6 +118,11 @@ class Policy(nn.Module):
         with torch.no_grad():
             self.network.layers[-1].bias[..., action_size:] = bias
 
+    @property
+    def seeds(self) -> int:
+        """S."""
+        return len(self.network.layers[0].weight)
+
     def forward(self, observation: Tensor) -> tuple[Tensor, Tensor]:
         """Return mean and log-std, each (S, B, A), at observations (S, B, observation_size)."""
         mean, level = torch.tanh(self.network(observation)).chunk(2, dim=-1)

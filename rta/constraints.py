@@ -34,7 +34,7 @@ ACTUATORS = {"thrust": THRUST, "torque": TORQUE}
 
 @dataclass(frozen=True)
 class Constraint:
-    """h(x) >= 0, to be held by one actuator group; functions of states are written for one spacecraft, (16, ...) to (...).
+    """h(x) >= 0, to be held by one actuator group; functions are written for one spacecraft, (16, ...) to (...).
 
     Attributes:
         name: in results.

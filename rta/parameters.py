@@ -10,7 +10,7 @@ QP_SOLVERS = ("auto", "piqp", "batched")
 
 @dataclass(frozen=True)
 class RtaParameters:
-    """The filter's period and solver, class-kappa gains (alpha(h) = gain * h), margins subtracted from h, slack weights.
+    """Period and solver, class-kappa gains (alpha(h) = gain * h), margins subtracted from h, slack weights.
 
     A gain above 1 / period overshoots when its decay is sampled, so `gain` caps each at half of that. What
     a barrier can lose within one period beyond its linear prediction is derived beside the barrier

@@ -68,7 +68,7 @@ class ActuatorGroup:
         return torch.stack([each.h(x) for each in self.constraints])
 
     def psi_at(self, x: Tensor, constraints: Sequence[Constraint]) -> Function:
-        """What is differentiated at states x (16, B), Psi_1 or the barrier of each constraint: (16, ...) to (R, ...)."""
+        """What is differentiated at states x (16, B), each Psi_1 or barrier: (16, ...) to (R, ...)."""
         barriers = [each.barrier_at(x) for each in constraints]
         second = [i for i, each in enumerate(constraints) if each.degree == 2]
 

@@ -37,7 +37,7 @@ def arccos(cosine: Tensor, pole: float = 0.0) -> Tensor:
 
 
 def positive_part(angle: Tensor, width: float = 0.0) -> Tensor:
-    """max(angle, 0), within w = `width` of zero the parabola (angle + w)^2 / (4 w) that continues its slopes, 0 and 1."""
+    """max(angle, 0), within w = `width` of zero the parabola (angle + w)^2 / (4 w), which continues its slopes."""
     if width == 0.0:
         return angle.clamp(min=0.0)
     # inside, the square of a clamped number; beyond, what is left over

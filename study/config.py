@@ -147,6 +147,12 @@ def load(path: str | Path, base: AnyConfig | None = None) -> AnyConfig:
 def override(config: AnyConfig, tables: dict[str, Any], source: str) -> AnyConfig:
     """A configuration with the given tables' keys replaced, every one checked."""
     known = {f.name: f for f in dataclasses.fields(config)}
+    tables = {
+        name: dict(entries) if isinstance(entries, dict) else entries for name, entries in tables.items()
+    }
+    for old, (table, key) in {"rta_period": ("rta", "period"), "qp_solver": ("rta", "qp_solver")}.items():
+        if old in tables.get("train", {}):
+            tables.setdefault(table, {})[key] = tables["train"].pop(old)
     parts = {}
     for table, entries in tables.items():
         if table not in known:

@@ -1,22 +1,27 @@
-"""From a configuration to the objects of an experiment."""
+"""An experiment, built once from its configuration: device, filter, environments and policies."""
 
 import functools
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
 
 import torch
+from torch import Tensor
 from torch._inductor.cpp_builder import get_cpp_compiler
 
-from inspection.environment import InspectionEnv, Safety
+from inspection.environment import InspectionEnv
+from inspection.initial_state import InitialStates
 from inspection.observation import SIZE as OBSERVATION_SIZE
 from inspection.state import CONTROL_SIZE
 from ppo import checkpoint
 from ppo.checkpoint import CheckpointError
 from ppo.distributed import local_rank
-from ppo.network import Policy
-from rta.filter import SafetyFilter, make_solver
+from ppo.network import Policy, Value
+from rta.filter import SafetyFilter
+from rta.parameters import RtaParameters
 from study import config as configuration
-from study.config import Config, TrainParameters
+from study.config import Config
 from study.errors import InputError, refusing
 
 # Compiling takes about a minute the first time, which as many filter calls or steps (of a batch each) repay.
@@ -27,6 +32,92 @@ TYPICAL_EPISODE = 3000.0  # s
 # Spacecraft from which the batched solver is the faster one on a CPU: about half of them have a program to solve, and
 # `python main.py benchmark` shows both solvers by the number of programs at once, which cross below 16.
 WORTH_BATCHING = 32
+
+
+class Experiment:
+    """What a configuration determines.
+
+    Args:
+        config: its `auto` solver is settled here.
+        batch: about how many spacecraft a call of the filter will have.
+        seconds: that the experiment simulates, and steps: of its environment, to judge whether compiling is repaid.
+
+    Attributes:
+        config: with the solver that is used; device; filter.
+        safety: constraints, admissible starts and, if the configuration wants it, the filter.
+        filter_compiled, compiled: the filter; simulator and learner are to be compiled.
+
+    Raises:
+        InputError: the configuration's parts do not fit together or the machine.
+    """
+
+    def __init__(self, config: Config, batch: int, seconds: float = TYPICAL_EPISODE, steps: int = 0) -> None:
+        self.device = resolve_device(config.train.device)
+        self.config = settled(config, batch, self.device)
+        choice, calls = config.train.compile, seconds / config.rta.period
+        self.filter_compiled = config.train.rta and wants_compile(choice, calls >= WORTH_COMPILING_FILTER)
+        self.compiled = wants_compile(choice, steps >= WORTH_COMPILING_SIMULATOR)
+        with refusing("[rta] and [inspection]", ValueError, OverflowError):
+            self.filter = SafetyFilter(config.inspection, self.config.rta)
+        if self.filter_compiled:
+            compile_or_explain("filter", lambda: self.filter.compile(self.device, batch))
+        self.safety = self.filter.safety(config.train.rta)
+
+    def generators(self, seeds: Sequence[int] = (0,)) -> list[torch.Generator]:
+        """One per seed, on the device."""
+        return [torch.Generator(self.device).manual_seed(seed) for seed in seeds]
+
+    def env(
+        self,
+        num_envs: int,
+        generators: Sequence[torch.Generator] | None = None,
+        decide_every: float | None = None,
+        report_every: float | None = None,
+        compiled: bool = False,
+    ) -> InspectionEnv:
+        """A batch of num_envs episodes per generator, compiled if wanted and possible; clocks as of `InspectionEnv`."""
+        with refusing(
+            f"[inspection], {num_envs:,} episodes", ValueError, RuntimeError, OverflowError, MemoryError
+        ):
+            env = InspectionEnv(
+                num_envs,
+                self.config.inspection,
+                generators or self.generators(),
+                self.safety,
+                decide_every,
+                report_every,
+            )
+        if compiled:
+            compile_or_explain("simulator", env.compile)
+        return env
+
+    def policy(self, generators: Sequence[torch.Generator]) -> Policy:
+        """A freshly initialised policy, one seed per generator."""
+        return make_policy(self.config, generators)
+
+    def value(self, generators: Sequence[torch.Generator]) -> Value:
+        """A freshly initialised value network, one seed per generator."""
+        return Value(OBSERVATION_SIZE, generators, self.config.ppo.hidden)
+
+    def test_cases(self, episodes: int, seed: int) -> tuple[Tensor, Tensor]:
+        """Initial states (16, episodes) and priority vectors (3, episodes), the same for every agent and device.
+
+        Case i does not depend on how many cases there are.
+        """
+        c = self.config.inspection
+        # default gains, so that agents trained behind different filters meet the same cases
+        gains = RtaParameters(passive_safety_segments=self.config.rta.passive_safety_segments)
+        with refusing("[inspection]", RuntimeError):
+            starts = InitialStates(torch.Generator().manual_seed(seed), c, SafetyFilter(c, gains).is_safe)
+            return starts.take(episodes)
+
+
+def settled(config: Config, batch: int, device: torch.device) -> Config:
+    """The configuration with the solver settled, which is part of what determines a run's numbers."""
+    if config.rta.qp_solver != "auto":
+        return config
+    solver = "piqp" if device.type == "cpu" and batch < WORTH_BATCHING else "batched"
+    return replace(config, rta=replace(config.rta, qp_solver=solver))
 
 
 def resolve_device(name: str) -> torch.device:
@@ -64,17 +155,6 @@ def finds_compiler() -> bool:
     return True
 
 
-def faster_solver(train: TrainParameters) -> str:
-    """The solver for --qp-solver auto in a training run: piqp or batched."""
-    on_cpu = resolve_device(train.device).type == "cpu"
-    return "piqp" if on_cpu and train.num_envs < WORTH_BATCHING else "batched"
-
-
-def qp_solver(train: TrainParameters) -> str:
-    """The name of the filter's solver, with auto resolved."""
-    return faster_solver(train) if train.qp_solver == "auto" else train.qp_solver
-
-
 def compile_or_explain(what: str, compile: Callable[[], None]) -> bool:
     """Compiles; where that fails, says so in a line. Returns whether it went well."""
     try:
@@ -88,57 +168,13 @@ def compile_or_explain(what: str, compile: Callable[[], None]) -> bool:
     return True
 
 
-def make_filter(config: Config, period: float, compiled: bool = False, batch: int = 1) -> SafetyFilter:
-    """The filter called every `period` s, with the configuration's solver; compiled for its device if possible.
-
-    Args:
-        batch: about how many spacecraft a call will have.
-    """
-    with refusing("[rta] and [inspection]", ValueError, OverflowError):
-        solver = make_solver(qp_solver(config.train))
-        safety_filter = SafetyFilter(config.inspection, config.rta, period, solver)
-    if compiled:
-        device = resolve_device(config.train.device)
-        compile_or_explain("filter", lambda: safety_filter.compile(device, batch))
-    return safety_filter
-
-
-def make_safety(
-    config: Config, enabled: bool, period: float, compiled: bool = False, batch: int = 1
-) -> Safety:
-    """Constraints, admissible starts and, if enabled, the filter, compiled for about so many episodes."""
-    return make_filter(config, period, compiled and enabled, batch).safety(enabled)
-
-
-def make_env(
-    config: Config,
-    num_envs: int,
-    generators: list[torch.Generator],
-    safety: Safety,
-    compiled: bool = False,
-) -> InspectionEnv:
-    """A batch of num_envs episodes per generator, compiled if wanted and possible."""
-    with refusing(
-        f"[inspection], {num_envs:,} episodes", ValueError, RuntimeError, OverflowError, MemoryError
-    ):
-        env = InspectionEnv(num_envs, config.inspection, generators, safety)
-    if compiled:
-        compile_or_explain("simulator", env.compile)
-    return env
-
-
-def make_policy(config: Config, generators: list[torch.Generator]) -> Policy:
+def make_policy(config: Config, generators: Sequence[torch.Generator]) -> Policy:
     """A freshly initialised policy, one seed per generator."""
-    return Policy(
-        OBSERVATION_SIZE,
-        CONTROL_SIZE,
-        generators,
-        log_std_bounds=config.ppo.log_std_bounds,
-        initial_std=config.ppo.initial_std,
-    )
+    ppo = config.ppo
+    return Policy(OBSERVATION_SIZE, CONTROL_SIZE, generators, ppo.hidden, ppo.log_std_bounds, ppo.initial_std)
 
 
-def load_policy(path: str) -> tuple[Policy, Config]:
+def load_policy(path: str | Path) -> tuple[Policy, Config]:
     """A trained policy on the CPU and the configuration it was trained in.
 
     Raises:
@@ -146,23 +182,9 @@ def load_policy(path: str) -> tuple[Policy, Config]:
     """
     content = checkpoint.load(path, ("policy", "config"))
     with refusing(f"{path}: not a checkpoint of this program", AttributeError, TypeError, RuntimeError):
-        config = configuration.from_toml(content["config"], path)
+        config = configuration.from_toml(content["config"], str(path))
         policy = make_policy(config, [torch.Generator()])
         policy.load_state_dict(content["policy"])
     if not all(torch.isfinite(weight).all() for weight in policy.parameters()):
         raise CheckpointError(f"{path}: its policy holds weights that are not finite")
     return policy, config
-
-
-def for_command(config: Config, simulated: float, batch: int) -> tuple[Safety, torch.device]:
-    """What a command that simulates `batch` episodes for about so many s needs beside its configuration."""
-    train = config.train
-    device = resolve_device(train.device)
-    repaid = simulated / train.rta_period >= WORTH_COMPILING_FILTER
-    compiled = train.rta and wants_compile(train.compile, repaid)
-    return make_safety(config, train.rta, train.rta_period, compiled, batch), device
-
-
-def one_episode(config: Config, safety: Safety, device: torch.device) -> InspectionEnv:
-    """An environment of a single episode, to be started from a given state."""
-    return make_env(config, 1, [torch.Generator(device).manual_seed(0)], safety)

@@ -1,0 +1,135 @@
+"""Files of states and controls from elsewhere, read and checked."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from inspection.attitude import norm, unit
+from inspection.parameters import InspectionParameters
+from inspection.state import CONTROL_SIZE, OMEGA, SIZE, THETA_S, E, P, Q, T, V
+from study import files
+from study.errors import InputError, refusing
+
+LARGEST = 1e6  # of any number in a state
+MAX_STATES = 10**6
+
+STATE_FIELDS: dict[str, tuple[Any, int]] = {
+    "position": (P, 3),
+    "velocity": (V, 3),
+    "quaternion": (Q, 4),
+    "angular_velocity": (OMEGA, 3),
+    "temperature": (T, 1),
+    "energy": (E, 1),
+    "sun_angle": (THETA_S, 1),
+}
+
+
+def check_states(x: Tensor, c: InspectionParameters, path: str) -> Tensor:
+    """States (16, N) with their quaternions at unit length exactly; refuses the first that no spacecraft can be in."""
+    rules = {
+        "state": (~(x.abs() <= LARGEST).all(0), f"must be finite, at most {LARGEST:g} in size"),
+        "quaternion": ((norm(x[Q]) - 1.0).abs() > 1e-6, "must have length 1 (scalar last)"),
+        "position": (norm(x[P]) == 0.0, "must not be the chief's centre"),
+        "temperature": (x[T] <= -c.zero_celsius, f"must be above {-c.zero_celsius:g} deg C"),
+        "energy": (x[E] < 0.0, "must not be negative"),
+    }
+    for what, (wrong, allowed) in rules.items():
+        if wrong.any():
+            raise InputError(f"{path}: {what} in row {torch.nonzero(wrong)[0].item()}: {allowed}")
+    return torch.cat((x[: Q.start], unit(x[Q]), x[Q.stop :]))
+
+
+def read_state(path: str, c: InspectionParameters) -> tuple[Tensor, Tensor | None]:
+    """Reads a state file: state (16, 1) and priority unit vector (3, 1), None where the file has none.
+
+    Raises:
+        InputError: unreadable, not JSON, unknown or missing keys, wrong shapes, or see `check_states`.
+    """
+    with refusing(f"{path}: cannot read the state file", OSError, ValueError, RecursionError):
+        content = json.loads(Path(path).read_text(encoding="utf-8"))
+    if not isinstance(content, dict):
+        raise InputError(f"{path}: must hold one JSON object with {', '.join(STATE_FIELDS)}")
+    if unknown := content.keys() - STATE_FIELDS.keys() - {"priority_vector"}:
+        raise InputError(
+            f"{path}: unknown key {min(unknown)!r}; allowed are {', '.join(STATE_FIELDS)}, priority_vector"
+        )
+    x = torch.zeros(SIZE, 1, dtype=torch.float64)
+    for key, (component, length) in STATE_FIELDS.items():
+        if key not in content:
+            raise InputError(f"{path}: {key} is missing")
+        x[component, 0] = numbers(content[key], length, f"{path}: {key}").reshape(x[component, 0].shape)
+    x = check_states(x, c, path)
+    if "priority_vector" not in content:
+        return x, None
+    priority = numbers(content["priority_vector"], 3, f"{path}: priority_vector")[:, None]
+    if priority.norm() == 0.0:
+        raise InputError(f"{path}: priority_vector = {content['priority_vector']}: must not be zero")
+    return x, unit(priority)
+
+
+def numbers(value: Any, length: int, where: str) -> Tensor:
+    """A finite number or a list of `length` finite numbers as (length,) float64."""
+    items = value if isinstance(value, list) else [value]
+    fine = isinstance(value, list) == (length > 1) and len(items) == length
+    if not fine or not all(isinstance(i, (int, float)) and not isinstance(i, bool) for i in items):
+        raise InputError(
+            f"{where} = {value!r}: must be {f'a list of {length} numbers' if length > 1 else 'a number'}"
+        )
+    if not all(abs(i) <= LARGEST for i in items):  # False for NaN
+        raise InputError(f"{where} = {str(value)[:80]}: must be finite, at most {LARGEST:g} in size")
+    return torch.tensor(items, dtype=torch.float64)
+
+
+def read_states(path: str, c: InspectionParameters) -> tuple[Tensor, Tensor]:
+    """Reads `state` (N, 16) and `control_desired` (N, 6) from a .npz file: x (16, N) and u (6, N), float64.
+
+    Raises:
+        InputError: unreadable, a key is missing, wrong shapes, or see `check_states` and `check_controls`.
+    """
+    names = ("state", "control_desired")
+    given = files.load_arrays(path, names, "states", f"; the file must hold {' and '.join(names)}")
+    count = given["state"].shape[0] if given["state"].ndim else 0
+    for name, width in zip(names, (SIZE, CONTROL_SIZE), strict=True):
+        array = given[name]
+        if array.shape != (count, width) or not 0 < count <= MAX_STATES:
+            raise InputError(
+                f"{path}: {name} has shape {array.shape}: must be (N, {width}), "
+                f"with the same N from 1 to {MAX_STATES:,} in state and control_desired"
+            )
+        if array.dtype.kind not in "fiu":
+            raise InputError(f"{path}: {name} is of type {array.dtype}: must hold numbers")
+    check_controls(given["control_desired"], c.control_limit, f"{path}: control_desired")
+    x, u = (torch.from_numpy(np.ascontiguousarray(given[name].T, dtype=np.float64)) for name in names)
+    return check_states(x, c, path), u
+
+
+def read_actions(path: str, limit: tuple[float, ...]) -> np.ndarray:
+    """Reads an N x 6 array of controls in N and N m; refuses what the actuators cannot do."""
+    try:
+        actions = np.load(path, allow_pickle=False)
+    except FileNotFoundError:
+        raise InputError(f"{path}: cannot read the actions: no such file") from None
+    except (Exception, MemoryError):  # numpy reports damage through many exception types
+        raise InputError(f"{path}: cannot read the actions: not a .npy file of numbers") from None
+    shape = getattr(actions, "shape", None)  # an archive has none
+    if shape is None or len(shape) != 2 or shape[1] != CONTROL_SIZE or not shape[0]:
+        raise InputError(f"{path}: shape {shape}: must be (N, 6), in N and N m")
+    check_controls(actions, limit, path)
+    return actions
+
+
+def check_controls(controls: np.ndarray, limit: tuple[float, ...], where: str) -> None:
+    """Refuses controls (N, 6) in N and N m that are not finite or beyond what the actuators can do."""
+    if controls.dtype.kind not in "fiu" or not np.isfinite(controls).all():
+        raise InputError(f"{where}: must hold finite numbers only")
+    excess = np.abs(controls) > np.array(limit) * (1.0 + 1e-9)
+    if excess.any():
+        row, column = np.argwhere(excess)[0]
+        raise InputError(
+            f"{where}: row {row}, column {column} = {controls[row, column]:g}: "
+            f"must be within +-{limit[column]:g} {'N' if column < 3 else 'N m'}"
+        )
