@@ -1,5 +1,6 @@
 """The benchmark's results for people: a table and a figure."""
 
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -51,17 +52,20 @@ def table(results: dict[str, Any]) -> str:
     for kind, rates in results["scaling"]["gymnasium_steps_per_s"].items():
         curves[f"through Gymnasium, {KINDS[kind]}"] = medians(rates)
     batches = sorted({n for rates in curves.values() for n in rates})
-    lines += ["", f"{'median by batch, per s':28}" + "".join(f"{n:>12,}" for n in batches)]
-    for label, rates in curves.items():
-        columns = (f"{rates[n]:>12,.0f}" if n in rates else f"{'':12}" for n in batches)
-        lines.append(f"{label:28}" + "".join(columns))
+    lines += grid("median by batch, per s", batches, curves, 0)
     for name, seconds in results["compile_s"].items():
         lines.append(f"{f'to compile the {name}':44}{seconds:>14,.1f}  s")
     parts = results["closed_loop_us"]
-    lines += ["", f"{'us per step, RTA at 1 s':28}" + "".join(f"{n:>12,}" for n in parts["total"])]
-    for name, by_batch in parts.items():
-        lines.append(f"{name:28}" + "".join(f"{time:>12,.2f}" for time in by_batch.values()))
-    return "\n".join(lines)
+    return "\n".join(lines + grid("us per step, RTA at 1 s", parts["total"], parts, 2))
+
+
+def grid(title: str, counts: Iterable[int], rows: dict[str, dict[int, float]], digits: int) -> list[str]:
+    """A line with the counts, and one for each row with what it has at each."""
+    lines = ["", f"{title:28}" + "".join(f"{n:>12,}" for n in counts)]
+    for label, row in rows.items():
+        cells = (f"{row[n]:>12,.{digits}f}" if n in row else f"{'':12}" for n in counts)
+        lines.append(f"{label:28}" + "".join(cells))
+    return lines
 
 
 def scaling_curves(results: dict[str, Any]) -> dict[str, dict[int, float]]:

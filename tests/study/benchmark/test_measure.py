@@ -30,7 +30,7 @@ def test_benchmark_writes_the_promised_json_and_figure(
     few = {
         timing: {"SHORTEST": 0.0},
         flights: {"STEPS": 4, "EPISODES": 64},
-        rates: {"SINGLE_CALLS": 5},
+        rates: {"WARM_CALLS": 1, "SINGLE_CALLS": 5, "SAMPLES": 256},
         measure: {"PROGRAMS": (1, 64), "TYPICAL_PROGRAMS": 64},
         presentation: {"TYPICAL_PROGRAMS": 64},
         breakdown: {"STEPS": 2},
