@@ -9,7 +9,10 @@ import numpy as np
 import pytest
 import torch
 from numpy import ndarray
+from rta.extra import Constraint
 from scipy.optimize import linprog
+from tests.rta.test_extra import CONSTRAINTS as OWN
+from tests.rta.test_extra import numpy_cone, sphere
 from torch import Tensor
 
 from inspection.attitude import norm
@@ -17,14 +20,11 @@ from inspection.environment import InspectionEnv
 from inspection.parameters import InspectionParameters
 from rta import constraints
 from rta.constraints import CONSTRAINTS
-from rta.extra import Constraint
 from rta.filter import SOLVERS, FilterResult, SafetyFilter, make_solver
 from rta.parameters import PERIODS, RtaParameters
 from rta.qp import FEASIBLE, Status
 from rta.rows import Barriers, Rows
 from tests.rta.test_constraints import cosines, keep_in_curve, length, paper, tensor
-from tests.rta.test_extra import CONSTRAINTS as OWN
-from tests.rta.test_extra import numpy_cone, sphere
 from tests.rta.test_lie_derivatives import K1, first_psi, thrust_fall
 
 C = InspectionParameters()
