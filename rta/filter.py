@@ -127,9 +127,9 @@ class SafetyFilter:
         return (self.values(x) >= 0.0).all(0) & thrust.holds(x, degree=2) & torque.holds(x, degree=2)
 
     def can_brake(self, x: Tensor) -> Tensor:
-        """(B,) bool: every barrier of relative degree one is non-negative; in any attitude thrust can keep the zone."""
-        thrust, torque = self.groups
-        return thrust.holds(x, degree=1) & torque.holds(x, degree=1)
+        """(B,) bool: in any attitude thrust can keep the zone, see `rta.thrust_constraints.keep_in_zone`."""
+        zone = next(each for each in self.groups[0].constraints if each.name == "keep_in_zone")
+        return (zone.barrier_at(x)(x) >= 0.0).all(0)
 
     def is_safe(self, x: Tensor) -> Tensor:
         """(B,) bool: the filter can keep every constraint from here on."""
