@@ -22,7 +22,7 @@ class Rows:
     Attributes:
         psi: (R, B) Psi_1 where the relative degree is two, else the barrier.
         a: (R, 3, B); b: (R, B) with margins; b_bare: (R, B) without. Both are less what Psi can lose in a period.
-        h: (constraints, B) values without margin, exact; of a constraint with several rows the smallest Psi.
+        h: (constraints, B) values without margin, exact; of several rows of relative degree one the smallest of them.
     """
 
     psi: Tensor
@@ -126,7 +126,7 @@ class ActuatorGroup:
         """h by constraint, (constraints, B), where Psi (R, B) already is h from there."""
         values = []
         for each, rows in zip(constraints, psi.split([each.rows for each in constraints]), strict=True):
-            if each.rows > 1:
+            if each.degree == 1 and each.rows > 1:
                 values.append(rows.amin(0))
             else:
                 values.append(rows[0] if each.degree == 1 and each.barrier is None else each.h(x))
