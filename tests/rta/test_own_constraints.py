@@ -19,6 +19,7 @@ from rta.constraints import ACTUATORS, Constraint
 from rta.filter import SafetyFilter
 from rta.parameters import RtaParameters
 from rta.rows import ActuatorGroup
+from study.flight.simulation import simulate
 from tests.rta import test_constraints as reference
 from tests.rta.test_constraints import length, tensor
 from tests.rta.test_lie_derivatives import X, drift, held, near, push, slope, turn
@@ -161,14 +162,13 @@ def test_what_does_not_fit_is_refused(arguments: dict, words: str) -> None:
         group_of(Constraint(**given | arguments))
 
 
-def test_flight_of_one_spacecraft_shows_every_h() -> None:
+def test_simulation_of_one_spacecraft_returns_every_h() -> None:
     safety = SafetyFilter(C, R, extra=[constraint for constraint, _ in CONSTRAINTS.values()])
     generator = torch.Generator().manual_seed(0)
     env = InspectionEnv(1, C, [generator], safety.safety(enabled=False))
-    env.start(*sample_initial_state(1, generator, C))
-    states = [env.x, *(hold.after for hold in env.fly(natural_motion(C), 20.0))]
-    values = dict(zip(safety.names, env.constraint_values(torch.cat(states, 1)), strict=True))
-    assert len(states) == 3
+    flight = simulate(env, natural_motion(C), *sample_initial_state(1, generator, C), duration=20.0)
+    components = ("position", "velocity", "quaternion", "angular_velocity")
+    x = np.concatenate([flight[name] for name in components], 1).T
     for name, (_, h) in CONSTRAINTS.items():
-        np.testing.assert_allclose(values[name], h(torch.cat(states, 1).numpy()), rtol=1e-9, atol=1e-12)
-    assert len(values) == 16
+        np.testing.assert_allclose(flight[f"h_{name}"], h(x), rtol=1e-9, atol=1e-12)
+    assert sum(name.startswith("h_") for name in flight) == len(safety.names)
