@@ -8,18 +8,19 @@ runs in ONNX Runtime, the filter in PyTorch, both on one thread.
 """
 
 import json
-import time
+from dataclasses import replace
 
 import numpy as np
 import onnxruntime
 import torch
+from torch import Tensor
 
-from inspection.dynamics import step
 from inspection.environment import InspectionEnv
 from inspection.parameters import InspectionParameters
 from rta.filter import SafetyFilter
 from rta.parameters import RtaParameters
 from study.arguments import Parser, positive_integer
+from study.benchmark.timing import Stopwatch
 
 
 def load(path: str) -> onnxruntime.InferenceSession:
@@ -33,31 +34,32 @@ def load(path: str) -> onnxruntime.InferenceSession:
 
 
 def control_loop(
-    session: onnxruntime.InferenceSession, safety: SafetyFilter, seconds: int
+    session: onnxruntime.InferenceSession, safety_filter: SafetyFilter, seconds: int
 ) -> tuple[dict[str, list[float]], int]:
     """Flies from a random start; returns the s that each call took, and after how many seconds any h was below 0."""
+    watch = Stopwatch(torch.device("cpu"))
     about = session.get_modelmeta().custom_metadata_map
     scale = torch.tensor([[component["scale"]] for component in json.loads(about["control"])]).double()
-    action_period = round(json.loads(about["action_period"]))
-    env = InspectionEnv(1, safety.c, [torch.Generator().manual_seed(0)], safety.safety())
+    decide = watch.timed("policy", session.run)
+    safety = replace(safety_filter.safety(), correct=watch.timed("filter", safety_filter))
+    env = InspectionEnv(
+        1,
+        safety_filter.c,
+        [torch.Generator().manual_seed(0)],
+        safety,
+        decide_every=json.loads(about["action_period"]),
+        report_every=1.0,
+    )
     env.reset()
-    latency: dict[str, list[float]] = {"policy": [], "filter": []}
-    violated = 0
-    for second in range(seconds):
-        if second % action_period == 0:
-            env.look()  # which points of the chief the camera sees
-            observation = env.observation().numpy()
-            started = time.perf_counter()
-            (action,) = session.run(None, {"observation": observation})
-            latency["policy"].append(time.perf_counter() - started)
-            u = torch.from_numpy(action.T) * scale
-        started = time.perf_counter()
-        result = safety(env.x, u)
-        latency["filter"].append(time.perf_counter() - started)
-        u = result.control
-        env.x = step(env.x, u, 1.0, safety.c)
-        violated += bool((safety.values(env.x) < 0.0).any())
-    return latency, violated
+
+    def agent(t: float, x: Tensor) -> Tensor:
+        """The control that follows from what the camera sees of the chief."""
+        env.see(x)
+        (action,) = decide(None, {"observation": env.observation().numpy()})
+        return torch.from_numpy(action.T) * scale
+
+    violated = [safety_filter.values(hold.after) < 0.0 for hold in env.fly(agent, seconds)]
+    return watch.calls, sum(bool(each.any()) for each in violated)
 
 
 def main(argv: list[str] | None = None) -> None:
@@ -73,11 +75,11 @@ def main(argv: list[str] | None = None) -> None:
     except Exception as error:  # ONNX Runtime's have nothing else in common
         parser.error(f"{arguments.policy}: {str(error).splitlines()[0]}")
     torch.set_num_threads(1)
-    safety = SafetyFilter(InspectionParameters(), RtaParameters())
+    safety_filter = SafetyFilter(InspectionParameters(), RtaParameters())
     if arguments.compile:
-        safety.compile("cpu", 1)
-    control_loop(session, safety, 2)  # the first calls take longer
-    latency, violated = control_loop(session, safety, arguments.seconds)
+        safety_filter.compile("cpu", 1)
+    control_loop(session, safety_filter, 2)  # the first calls take longer
+    latency, violated = control_loop(session, safety_filter, arguments.seconds)
     for name, calls in latency.items():
         median, slow = 1e3 * np.percentile(calls, (50, 99))
         print(f"{name}: median {median:.3f} ms, 99th percentile {slow:.3f} ms of {len(calls):,} calls")

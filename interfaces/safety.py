@@ -14,7 +14,7 @@ from interfaces.environment import Inspection6DoF
 from interfaces.vector import VectorInspection6DoF, in_kind
 from rta.filter import FilterResult
 from study import config as configuration
-from study import experiment as build
+from study.experiment import Experiment
 
 
 class VectorRunTimeAssurance(VectorWrapper):
@@ -41,13 +41,15 @@ class VectorRunTimeAssurance(VectorWrapper):
         base = env.unwrapped
         if not isinstance(base, VectorInspection6DoF):
             raise TypeError(f"{type(base).__name__}: must be a VectorInspection6DoF")
-        if base.safety.correct:
+        if base.experiment.safety.correct:
             raise ValueError("the environment is behind a filter already")
-        own = {} if period is None else {"rta_period": period}
-        config = configuration.override(base.config, {"train": own}, "RunTimeAssurance")
-        self.filter = build.make_filter(config, config.train.rta_period, base.compiled, base.num_envs)
+        own = {"train": {"rta": True}, "rta": {} if period is None else {"period": period}}
+        config = configuration.override(base.experiment.config, own, "RunTimeAssurance")
+        experiment = Experiment(config, base.num_envs)
+        self.filter = experiment.filter
         self.calls: list[tuple[Tensor, FilterResult]] = []
-        base.put_behind(replace(self.filter.safety(), correct=self.correct))
+        experiment.safety = replace(experiment.safety, correct=self.correct)
+        base.begin(experiment)
 
     def correct(self, x: Tensor, desired: Tensor) -> FilterResult:
         """Calls the filter and keeps what it was asked and what it answered."""

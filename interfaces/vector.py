@@ -12,15 +12,15 @@ from gymnasium import spaces
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
-from inspection.environment import METRICS, InspectionEnv, Safety, Transition
+from inspection.environment import METRICS, InspectionEnv, Transition
 from inspection.observation import SIZE as OBSERVATION_SIZE
 from inspection.state import CONTROL_SIZE
 from inspection.termination import OUTCOMES
 from rta.constraints import CONSTRAINTS
 from study import config as configuration
-from study import experiment as build
 from study.config import Config
 from study.errors import refusing
+from study.experiment import Experiment
 
 LARGEST = float(np.finfo(np.float32).max)  # no observation has a limit, and Gymnasium warns of infinite ones
 
@@ -34,12 +34,15 @@ class VectorInspection6DoF(VectorEnv):
 
     Args:
         num_envs: episodes at once, B.
-        config: a configuration or the path of a TOML file, of which [inspection], [rta], and of [train] the filter's
-            period and solver count; None means the defaults.
+        config: a configuration or the path of a TOML file, of which [inspection] and [rta] count; None means the
+            defaults.
         device: cpu, cuda or auto.
         compile: compile the simulator, at the first `reset`, and the filter if there is one, which takes about a minute
             the first time.
         tensors: `reset` returns tensors on the device; `step` answers in the kind of its actions.
+
+    Attributes:
+        experiment: what is flown, the filter included; simulator: the episodes.
 
     Raises:
         InputError: an option or the configuration is wrong.
@@ -62,29 +65,27 @@ class VectorInspection6DoF(VectorEnv):
     ) -> None:
         base = config if isinstance(config, Config) else configuration.load(config) if config else Config()
         source = "Inspection6DoF-v0"
-        here = {"train": {"num_envs": num_envs, "device": device}}
-        self.config = configuration.override(base, here, source)
-        self.compiled = configuration.convert(compile, bool, f"{source}: compile") and build.finds_compiler()
+        compiled = configuration.convert(compile, bool, f"{source}: compile")
+        here = {"num_envs": num_envs, "device": device, "rta": False, "compile": "on" if compiled else "off"}
+        config = configuration.override(base, {"train": here}, source)
         self.tensors = configuration.convert(tensors, bool, f"{source}: tensors")
         self.num_envs = num_envs
         self.single_observation_space = spaces.Box(-LARGEST, LARGEST, (OBSERVATION_SIZE,), np.float32)
         self.single_action_space = spaces.Box(-1.0, 1.0, (CONTROL_SIZE,), np.float32)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
-        self.device = build.resolve_device(device)
-        self.put_behind(build.make_safety(self.config, False, self.config.train.rta_period))
+        self.begin(Experiment(config, num_envs))
 
-    def put_behind(self, safety: Safety) -> None:
-        """Has the simulator made anew, with these constraints and this filter; `reset` must follow."""
-        self.safety = safety
+    def begin(self, experiment: Experiment) -> None:
+        """Has the simulator made anew for an experiment; `reset` must follow."""
+        self.experiment = experiment
         self.started = False
         vars(self).pop("simulator", None)
 
     @cached_property
     def simulator(self) -> InspectionEnv:
         """Made when first needed, by when the filter is around it: compiling takes long."""
-        generators = [torch.Generator(self.device)]
-        return build.make_env(self.config, self.num_envs, generators, self.safety, self.compiled)
+        return self.experiment.env(self.num_envs, compiled=self.experiment.compiled)
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict]:
         """Starts every episode anew; without a seed the draws go on, at first from a random one.
@@ -126,7 +127,7 @@ class VectorInspection6DoF(VectorEnv):
         given = actions.detach() if tensors else torch.from_numpy(np.array(actions, dtype=np.float64))
         if not given.isfinite().all():
             raise ValueError("actions contain NaN or infinity: must be finite")
-        transition = self.simulator.step(given.to(self.device))
+        transition = self.simulator.step(given.to(self.experiment.device))
         info = about(transition)
         done = transition.done
         if done.any():

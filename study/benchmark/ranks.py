@@ -9,8 +9,6 @@ Each writes DIR/ranks_<K>.json; once both are there, the tables are printed.
 import dataclasses
 import json
 import statistics
-import time
-from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -24,31 +22,17 @@ from ppo.distributed import ranks
 from ppo.rollout import collect
 from study import config as configuration
 from study.arguments import Parser
+from study.benchmark.timing import typical_seconds
 from study.config import Config
 from study.files import ROOT, provenance, write_json
 from study.training.run import Run
 
 RANKS = (1, 2, 4, 8, 16, 32)  # of the projection
-LINKS = {
-    "local": None,
-    "1 Gb/s": 1.25e8,
-    "10 Gb/s": 1.25e9,
-    "100 Gb/s": 1.25e10,
-}  # bytes per s; None: as measured
+# bytes per s; None: as measured
+LINKS = {"local": None, "1 Gb/s": 1.25e8, "10 Gb/s": 1.25e9, "100 Gb/s": 1.25e10}
 FLOATS = OBSERVATION_SIZE + CONTROL_SIZE + 4  # of an interaction in a batch
 UPDATES = 3  # timed after one that is not
 REPEATS = 100
-
-
-def seconds(action: Callable[[], Any], repeats: int) -> float:
-    """Median time of an action in s, after one call that is not timed."""
-    action()
-    times = []
-    for _ in range(repeats):
-        started = time.perf_counter()
-        action()
-        times.append(time.perf_counter() - started)
-    return statistics.median(times)
 
 
 def timed_run(config: Config, count: int = 1) -> Run:
@@ -77,8 +61,10 @@ def time_shares(config: Config) -> dict[str, dict[int, float]]:
         learner, rollout_steps = run.trainer.learner, config.train.rollout_steps
         batch = collect(run.env, learner, rollout_steps, run.trainer.generators)
         some = -(-rollout_steps // 4)
-        steps[count] = seconds(partial(collect, run.env, learner, some, run.trainer.generators), 3) / some
-        gradients[count] = seconds(partial(learner.update, batch, 0.0), 3) / gradient_steps(config)
+        act = partial(collect, run.env, learner, some, run.trainer.generators)
+        learn = partial(learner.update, batch, 0.0)
+        steps[count] = typical_seconds(act, run.device, 3) / some
+        gradients[count] = typical_seconds(learn, run.device, 3) / gradient_steps(config)
     return {"environment_step": steps, "gradient_step": gradients}
 
 
@@ -88,12 +74,13 @@ def time_exchanges(run: Run) -> dict[str, float]:
     gradient = [torch.zeros_like(weight) for weight in weights(run)]
     number = [torch.zeros(1, device=run.device)]
     share = torch.zeros(1, run.config.train.batch // everyone.size, FLOATS, device=run.device)
-    return {
-        "gradient": seconds(lambda: everyone.average(gradient, minibatch), REPEATS),
-        "latency": seconds(lambda: everyone.average(number, minibatch), REPEATS),
-        "batch": seconds(lambda: everyone.whole(share, 1), REPEATS),
-        "turn": seconds(lambda: everyone.turn(1), REPEATS),
+    exchanges = {
+        "gradient": lambda: everyone.average(gradient, minibatch),
+        "latency": lambda: everyone.average(number, minibatch),
+        "batch": lambda: everyone.whole(share, 1),
+        "turn": lambda: everyone.turn(1),
     }
+    return {name: typical_seconds(exchange, run.device, REPEATS) for name, exchange in exchanges.items()}
 
 
 def weights(run: Run) -> list[Tensor]:
@@ -172,18 +159,14 @@ def tables(one: dict[str, Any], two: dict[str, Any]) -> str:
         )
     lines += ["", "| exchange between 2 ranks, measured | ms |", "|---|---|"]
     lines += [f"| {name} | {1e3 * value:.2f} |" for name, value in two["exchange_s"].items()]
-    lines += [
-        "",
-        "| ranks, projected | rollout (s) | gradients (s) | exchanges, local (s) | interactions per s, local | "
-        + " | ".join(name for name in LINKS if name != "local")
-        + " |",
-        "|---|---|---|---|" + "---|" * len(LINKS),
-    ]
+    times = "rollout (s) | gradients (s) | exchanges, local (s)"
+    lines += ["", f"| ranks, projected | {times} | interactions per s, {' | '.join(LINKS)} |"]
+    lines.append("|---|---|---|---|" + "---|" * len(LINKS))
     for count in RANKS:
         here, *others = (update(one, two, count, rate) for rate in LINKS.values())
         rates = (f"{batch / sum(part.values()):,.0f}" for part in (here, *others))
-        lines.append(f"| {count} | " + " | ".join(f"{value:.2f}" for value in here.values()))
-        lines[-1] += f" | {' | '.join(rates)} |"
+        columns = (f"{count}", *(f"{value:.2f}" for value in here.values()), *rates)
+        lines.append(f"| {' | '.join(columns)} |")
     return "\n".join(lines)
 
 

@@ -185,7 +185,7 @@ def test_reward_is_the_sum_of_its_terms_and_its_metric_the_sum_over_steps(c):
     for action in random_actions(4, 3):
         step = env.step(action)
         total += torch.stack([step.reward_terms[name] for name in REWARDS]).sum(0)
-    assert step.reward.shape == (3,) and len(step.reward_terms) == 9
+    assert step.reward.shape == (3,) and tuple(step.reward_terms) == REWARDS
     torch.testing.assert_close(step.metrics[1], total, rtol=1e-14, atol=1e-15)
 
 

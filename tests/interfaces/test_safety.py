@@ -10,7 +10,7 @@ import torch
 from inspection.environment import InspectionEnv
 from interfaces.safety import RunTimeAssurance, VectorRunTimeAssurance
 from rta.constraints import CONSTRAINTS
-from rta.filter import SafetyFilter, make_solver
+from rta.filter import SafetyFilter
 from study.config import Config
 from study.errors import InputError
 
@@ -30,7 +30,7 @@ def actions(*shape):
 
 
 def direct_filter(config, period, solver="piqp"):
-    return SafetyFilter(config.inspection, config.rta, period, make_solver(solver))
+    return SafetyFilter(config.inspection, replace(config.rta, period=period, qp_solver=solver))
 
 
 def test_every_call_is_reported_as_the_filter_answers_it(c):
@@ -98,14 +98,14 @@ def test_the_single_form_reports_without_the_batchs_axis():
 def test_the_simulator_takes_steps_as_short_as_the_period(c):
     config = Config(inspection=replace(c, substep=2.0))
     env = gymnasium.make_vec(ID, config=config)
-    assert env.simulator.interval == 2.0
+    assert env.simulator.clocks.step == 2.0
     VectorRunTimeAssurance(env, period=1.0)
-    assert env.simulator.interval == 1.0
+    assert env.simulator.clocks.step == 1.0
 
 
 def test_what_cannot_be_filtered_is_refused():
     env = gymnasium.make_vec(ID)
-    with pytest.raises(InputError, match="rta_period = 2: must be 1, 5 or 10 s"):
+    with pytest.raises(InputError, match=r"\[rta\] period = 2: must be 1, 5 or 10 s"):
         VectorRunTimeAssurance(env, period=2.0)
     env.reset()
     filtered = VectorRunTimeAssurance(env)

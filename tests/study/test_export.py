@@ -18,14 +18,14 @@ from study import export
 from study.config import Config, override
 from study.errors import ExportError
 from study.experiment import make_policy
-from study.flight.simulation import policy_controller
+from study.flight.controllers import agent
 from tests.test_main import assert_refused, call
 
 C = InspectionParameters(max_thrust=2.0)
 SHIPPED = Path(main.__file__).parent / "runs" / "reference" / "study" / "rta" / "seed0" / "policy.pt"
 
 
-def agent(seed: int) -> Policy:
+def untrained(seed: int) -> Policy:
     """An untrained agent whose actions are not small."""
     policy = make_policy(Config(), [torch.Generator().manual_seed(seed)])
     with torch.no_grad():
@@ -40,7 +40,7 @@ def session_of(model: bytes) -> onnxruntime.InferenceSession:
 
 @pytest.mark.parametrize("batch", [1, 7, 256])
 def test_any_batch_is_answered_as_by_pytorch(batch: int) -> None:
-    policy = agent(0)
+    policy = untrained(0)
     observation = torch.randn(batch, 26, generator=torch.Generator().manual_seed(1))
     (control,) = session_of(export.to_onnx(policy, C)).run(None, {"observation": observation.numpy()})
     assert control.dtype == np.float32 and control.shape == (batch, 6)
@@ -50,7 +50,7 @@ def test_any_batch_is_answered_as_by_pytorch(batch: int) -> None:
 
 def test_metadata_lead_from_a_state_to_newtons(random_states) -> None:
     """Observed in physical units and scaled as the file says, a state gets the control that a simulation gives it."""
-    policy, session = agent(0), session_of(export.to_onnx(agent(0), C))
+    policy, session = untrained(0), session_of(export.to_onnx(untrained(0), C))
     about = {key: json.loads(text) for key, text in session.get_modelmeta().custom_metadata_map.items()}
     assert about["action_period"] == 10.0
     env = InspectionEnv(5, C, [torch.Generator().manual_seed(0)])
@@ -60,7 +60,7 @@ def test_metadata_lead_from_a_state_to_newtons(random_states) -> None:
     divisors = np.array([component["scale"] for component in about["observation"]])
     (control,) = session.run(None, {"observation": (o / divisors).astype(np.float32)})
     scaled = control * np.array([component["scale"] for component in about["control"]])
-    np.testing.assert_allclose(scaled.T, policy_controller(policy, env)(0.0, env.x), atol=2e-5)
+    np.testing.assert_allclose(scaled.T, agent(policy, env)(0.0, env.x), atol=2e-5)
 
 
 def test_metadata_name_every_component() -> None:
@@ -75,7 +75,7 @@ def test_metadata_name_every_component() -> None:
 
 @pytest.mark.parametrize("flaw", [1e-3, float("nan")])
 def test_another_network_is_not_passed(flaw: float) -> None:
-    policy = agent(0)
+    policy = untrained(0)
     model = export.to_onnx(policy, C)
     assert export.check(model, policy) <= 1e-5
     policy.network.layers[1].weight.data[0, 3, 5] += flaw
@@ -86,7 +86,7 @@ def test_another_network_is_not_passed(flaw: float) -> None:
 def test_a_difference_ends_in_one_line_and_exit_code_1(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    other = export.to_onnx(agent(1), C)
+    other = export.to_onnx(untrained(1), C)
     monkeypatch.setattr(export, "to_onnx", lambda *_: other)
     out = tmp_path / "policy.onnx"
     code, _, err = call(["export", "--checkpoint", str(SHIPPED), "--out", str(out)], capsys)
@@ -96,7 +96,7 @@ def test_a_difference_ends_in_one_line_and_exit_code_1(
 
 def test_limits_are_those_of_the_checkpoint(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     config = override(Config(), {"inspection": {"max_thrust": 0.5}}, "test")
-    content = {"policy": agent(0).state_dict(), "config": config.to_toml()}
+    content = {"policy": untrained(0).state_dict(), "config": config.to_toml()}
     torch.save(content, tmp_path / "policy.pt")
     out = tmp_path / "policy.onnx"
     arguments = ["export", "--checkpoint", str(tmp_path / "policy.pt"), "--out", str(out)]

@@ -1,22 +1,12 @@
-"""The benchmark: what it promises to report, and that its parts count what they claim to count."""
+"""The benchmark as a whole: what it promises to report."""
 
 import json
-import time
 from pathlib import Path
 
 import pytest
-import torch
-from torch.utils.flop_counter import FlopCounterMode
 
 import main
-from inspection.observation import SIZE as OBSERVATION_SIZE
-from inspection.state import CONTROL_SIZE
-from ppo.learner import PPO
-from ppo.network import Value
-from study import experiment as build
-from study.benchmark import breakdown
-from study.benchmark import measure as benchmark
-from study.config import Config
+from study.benchmark import breakdown, flights, measure, presentation, rates, timing
 
 KEYS = {
     "simulator_steps_per_s",
@@ -32,16 +22,22 @@ KEYS = {
     "peak_memory_mb",
     "scaling",
 }
-CPU = torch.device("cpu")
 
 
 def test_benchmark_writes_the_promised_json_and_figure(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    few = {"SHORTEST": 0.0, "STEPS": 4, "EPISODES": 64, "SINGLE_CALLS": 5, "PROGRAMS": (1, 64)}
-    for name, value in (few | {"TYPICAL_PROGRAMS": 64}).items():
-        monkeypatch.setattr(benchmark, name, value)
-    monkeypatch.setattr(breakdown, "STEPS", 2)
+    few = {
+        timing: {"SHORTEST": 0.0},
+        flights: {"STEPS": 4, "EPISODES": 64},
+        rates: {"SINGLE_CALLS": 5},
+        measure: {"PROGRAMS": (1, 64), "TYPICAL_PROGRAMS": 64},
+        presentation: {"TYPICAL_PROGRAMS": 64},
+        breakdown: {"STEPS": 2},
+    }
+    for module, settings in few.items():
+        for name, value in settings.items():
+            monkeypatch.setattr(module, name, value)
     results, drawing = tmp_path / "b.json", tmp_path / "b.png"
     arguments = ["benchmark", "--device", "cpu", "--compile", "off", "--batches", "16,64"]
     assert main.main([*arguments, "--json", str(results), "--figure", str(drawing)]) == 0
@@ -61,36 +57,18 @@ def test_benchmark_writes_the_promised_json_and_figure(
         low, high = found["min_max"][name]
         assert 0 < low <= found[name] <= high
     assert "closed loop, RTA at 10 s" in out and "through Gymnasium, NumPy" in out and "peak memory" in out
+    assert "64 programs at once" in out
     assert drawing.read_bytes().startswith(b"\x89PNG")
 
 
-def test_a_rate_is_work_over_time(monkeypatch: pytest.MonkeyPatch) -> None:
-    now = 0.0
-
-    def work() -> None:
-        nonlocal now
-        now += 0.01
-
-    monkeypatch.setattr(time, "perf_counter", lambda: now)
-    rates = benchmark.repeated(work, 5.0, CPU)
-    assert len(rates) >= 5
-    assert rates == pytest.approx([500.0] * len(rates))
-
-
-def test_learner_flops_are_those_that_pytorch_counts() -> None:
-    config, generators = Config(), [torch.Generator().manual_seed(0)]
-    policy, value = build.make_policy(config, generators), Value(OBSERVATION_SIZE, generators)
-    learner = PPO(policy, value, config.ppo, generators)
-    batch = {name: torch.randn(1, 64) for name in ("log_prob", "advantage", "return_")}
-    batch |= {"observation": torch.randn(1, 64, OBSERVATION_SIZE), "action": torch.randn(1, 64, CONTROL_SIZE)}
-    with FlopCounterMode(display=False) as counter:
-        learner._loss(batch)[0].sum().backward()
-    assert counter.get_total_flops() == 64 * benchmark.learner_flops(config)
-
-
-def test_a_missing_trained_agent_is_named(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr(benchmark, "TRAINED", tmp_path / "none.pt")
-    assert benchmark.trained_actor(CPU) is None
-    assert "none.pt" in capsys.readouterr().out
+def test_headline_numbers_are_those_at_a_count() -> None:
+    few, many = ({"median": middle, "min": middle - 1, "max": middle + 1} for middle in (10.0, 20.0))
+    curve = {16: few, 64: many}
+    assert measure.at(64, curve) == many
+    nested = measure.at(16, {"1": curve, "5": {16: many}})
+    assert nested == {"1": few, "5": many}
+    assert measure.pick_out({"loop": nested, "filter": few}, lambda spread: spread["max"]) == {
+        "loop": {"1": 11.0, "5": 21.0},
+        "filter": 11.0,
+    }
+    assert measure.nearest((256, 1024, 4096), 1000) == 1024

@@ -2,7 +2,6 @@
 
 import json
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -11,17 +10,12 @@ from study.benchmark import ranks
 from study.config import Config
 
 
-@pytest.fixture(scope="module")
-def scaling() -> dict[str, Any]:
-    return vars(ranks)
-
-
-def test_a_process_measures_itself(scaling: dict[str, Any], tmp_path: Path) -> None:
+def test_a_process_measures_itself(tmp_path: Path) -> None:
     train = {"rta": False, "num_envs": 32, "rollout_steps": 4, "device": "cpu", "compile": "off"}
     config = configuration.override(
         Config(), {"train": train, "ppo": {"minibatch_size": 64, "epochs": 1}}, "test"
     )
-    scaling["main"](tmp_path, config)
+    ranks.main(tmp_path, config)
     (file,) = tmp_path.iterdir()
     result = json.loads(file.read_text())
     assert (file.name, result["ranks"]) == ("ranks_1.json", 1)
@@ -31,11 +25,11 @@ def test_a_process_measures_itself(scaling: dict[str, Any], tmp_path: Path) -> N
     )
     assert result["gradient_steps_per_update"] == 2
     for times in result["share_s"].values():
-        assert list(times) == [str(count) for count in scaling["RANKS"]]
+        assert list(times) == [str(count) for count in ranks.RANKS]
         assert min(times.values()) > 0.0
 
 
-def test_projection_adds_up(scaling: dict[str, Any], capsys: pytest.CaptureFixture[str]) -> None:
+def test_projection_adds_up(capsys: pytest.CaptureFixture[str]) -> None:
     one = {
         "ranks": 1,
         "parameters": 1000,
@@ -47,20 +41,20 @@ def test_projection_adds_up(scaling: dict[str, Any], capsys: pytest.CaptureFixtu
         "epochs": 2,
         "update_s": {"rollout_s": 5.0, "learning_s": 1.0},
         "share_s": {
-            name: {str(count): 1.0 / count for count in scaling["RANKS"]}
+            name: {str(count): 1.0 / count for count in ranks.RANKS}
             for name in ("environment_step", "gradient_step")
         },
     }
     two = one | {"ranks": 2, "exchange_s": {"gradient": 0.5, "latency": 0.1, "batch": 0.4, "turn": 0.01}}
-    alone = scaling["update"](one, two, 1, None)
+    alone = ranks.update(one, two, 1, None)
     assert alone == {"rollout": 5.0, "gradients": 10.0, "exchanges": 0.0}
-    pair = scaling["update"](one, two, 2, None)
+    pair = ranks.update(one, two, 2, None)
     assert pair["rollout"] == pytest.approx(2.5 + 5 * 0.01)
     # ten gradients as measured; the batch in one message of half its bytes, at 4000 bytes in 0.4 s
     assert pair["exchanges"] == pytest.approx(10 * 0.5 + 0.05 + 4000 / 10_000)
     # in a ring of 4: per gradient 6 messages of a quarter each; for the batch 3
-    four = scaling["exchange"](two, 4, 1000.0)
+    four = ranks.exchange(two, 4, 1000.0)
     assert four == pytest.approx(10 * (6 * 0.05 + 6 * 1.0) + 3 * 0.05 + 3 * 2.0)
-    text = scaling["tables"](one, two)
+    text = ranks.tables(one, two)
     assert "| 1 | 5.00 | 1.00 | 20 | 200 |" in text
     assert "| 1 | 5.00 | 10.00 | 0.00 | 7 | 7 | 7 | 7 |" in text

@@ -1,0 +1,118 @@
+"""How fast each part is: simulator, closed loop, filter and solvers on what was met in flight, and the learner."""
+
+from dataclasses import replace
+from functools import partial
+from typing import Any
+
+import torch
+
+from inspection.environment import InspectionEnv
+from inspection.observation import SIZE as OBSERVATION_SIZE
+from inspection.state import CONTROL_SIZE
+from interfaces.vector import VectorInspection6DoF
+from ppo.learner import PPO
+from rta.filter import SafetyFilter
+from rta.qp import Problems, Solver
+from study.benchmark.flights import Agent, Flight
+from study.benchmark.timing import Spread, in_turn, per_second, seconds
+from study.experiment import Experiment, compile_or_explain
+
+KINDS = {"numpy": "NumPy", "torch": "PyTorch"}  # of arrays that Gymnasium's interface takes and gives
+WARM_CALLS, SINGLE_CALLS = 50, 1000
+SAMPLES = 16384  # of an update, at least
+MATRIX = 1024
+
+
+def simulator(gym_env: VectorInspection6DoF, flight: Flight) -> dict[str, Spread]:
+    """Environment steps per s under small random actions, those of an untrained policy.
+
+    Returns:
+        "native", of the simulator itself, and "numpy" and "torch", of the same through Gymnasium's interface.
+    """
+    env, device = gym_env.simulator, gym_env.simulator.x.device
+    gym_env.reset(seed=0)
+    flight.start(env)
+    generator = torch.Generator(device).manual_seed(0)
+    action = 0.1 * torch.randn(gym_env.num_envs, CONTROL_SIZE, generator=generator, device=device)
+    functions = {
+        "native": partial(env.step, action),
+        "numpy": partial(gym_env.step, action.cpu().numpy()),
+        "torch": partial(gym_env.step, action),
+    }
+    return in_turn(functions, gym_env.num_envs, device)
+
+
+def closed_loop(env: InspectionEnv, flight: Flight, agent: Agent) -> Spread:
+    """Environment steps per s, each of them observation, policy, filter calls and simulation."""
+    observation = flight.start(env)
+
+    def step() -> None:
+        nonlocal observation
+        observation = env.step(agent(observation)).observation
+
+    return per_second(step, env.time.numel(), env.x.device)
+
+
+def filter_calls(safety_filter: SafetyFilter, flight: Flight, batch: int) -> Spread:
+    """Filter calls per s, one call being one spacecraft's."""
+    return per_second(partial(safety_filter, *flight.take(batch)), batch, flight.x.device)
+
+
+def single_latencies(safety_filter: SafetyFilter, flight: Flight) -> list[float]:
+    """ms of SINGLE_CALLS filter calls, each of another single spacecraft, sorted."""
+    columns = (part.split(1, 1) for part in flight.take(WARM_CALLS + SINGLE_CALLS))
+    calls = [partial(safety_filter, x.contiguous(), u.contiguous()) for x, u in zip(*columns, strict=True)]
+    return sorted([1e3 * seconds(call, flight.x.device) for call in calls][WARM_CALLS:])
+
+
+def programs(solver: Solver, met: list[Problems], batch: int) -> Spread:
+    """Programs per s where each call of the solver is given `batch` of one actuator group."""
+    parts = [part[torch.arange(batch, device=part.a.device) % part.desired.shape[1]] for part in met]
+
+    def solve() -> None:
+        for part in parts:
+            solver.solve(part)
+
+    return per_second(solve, batch * len(parts), parts[0].a.device)
+
+
+def fresh_learner(experiment: Experiment, **settings: Any) -> PPO:
+    """A learner as training begins with it, with some of [ppo]'s settings replaced."""
+    generators = experiment.generators()
+    policy, value = experiment.policy(generators), experiment.value(generators)
+    return PPO(policy, value, replace(experiment.config.ppo, **settings), generators)
+
+
+@torch.enable_grad()
+def learner(experiment: Experiment, minibatch: int, compiled: bool) -> Spread:
+    """Samples per s of PPO updates: a sample counts once per epoch that trains on it."""
+    fresh = fresh_learner(experiment, epochs=1, minibatch_size=minibatch)
+    samples = max(SAMPLES, minibatch)
+    if compiled:
+        compile_or_explain("learner", partial(fresh.compile, samples))
+    noise = partial(torch.randn, generator=fresh.generators[0], device=experiment.device)
+    batch = {"observation": noise(1, samples, OBSERVATION_SIZE)}
+    batch["action"], batch["log_prob"] = fresh.policy.sample(batch["observation"], fresh.generators)
+    batch |= {name: noise(1, samples) for name in ("advantage", "return_", "value")}
+    return per_second(partial(fresh.update, batch, 0.5), samples, experiment.device)
+
+
+def learner_flops(learner: PPO) -> float:
+    """Matrix-product flop per sample of an update.
+
+    A layer of n x m weights takes 2 n m flop forward, as many for the weights' gradient and, but in the first
+    layer, as many for its input's. With 26 inputs, two hidden layers of 256 and 12 + 2 outputs (the value is
+    multiplied as two columns, see StackedLinear) that is 6 (2 (26 + 256) 256 + 256 (12 + 2)) - 4 (26) 256 = 861,184.
+    """
+    flops = 0
+    for network in (learner.policy.network, learner.value.network):
+        for i, layer in enumerate(network.layers):
+            inputs, outputs = layer.weight.shape[1:]
+            flops += (4 if i == 0 else 6) * inputs * max(outputs, 2)
+    return float(flops)
+
+
+def matrix_product(device: torch.device) -> Spread:
+    """Flop per s of a square float32 matrix product."""
+    a, b = torch.randn(2, MATRIX, MATRIX, device=device)
+    return per_second(partial(torch.mm, a, b, out=torch.empty_like(a)), 2.0 * MATRIX**3, device)

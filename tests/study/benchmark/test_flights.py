@@ -1,0 +1,83 @@
+"""What is recorded in flight: the filter's own questions, and all of them."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import torch
+
+from inspection.environment import InspectionEnv
+from inspection.parameters import InspectionParameters
+from rta.qp import Problems, Status
+from study.benchmark import flights
+from study.config import Config
+from study.experiment import Experiment
+
+CPU = torch.device("cpu")
+
+
+@pytest.fixture
+def experiment() -> Experiment:
+    train = replace(Config().train, device="cpu", compile="off")
+    return Experiment(replace(Config(), train=train), 8)
+
+
+def test_a_flight_holds_what_the_filter_met_in_the_later_half(
+    experiment: Experiment, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(flights, "EPISODES", 8)
+    monkeypatch.setattr(flights, "STEPS", 2)
+    generator = torch.Generator().manual_seed(1)
+    flight = flights.record(
+        experiment, lambda observation: 2.0 * torch.rand(len(observation), 6, generator=generator) - 1.0
+    )
+    assert flight.x.shape == (16, 80) and flight.desired.shape == (6, 80)  # ten calls of one step
+    result = experiment.filter(flight.x, flight.desired)  # every call, asked again
+    unsafe = result.program_status > Status.UNTOUCHED
+    assert sorted(part.desired.shape[1] for part in flight.programs) == sorted(unsafe.sum(1).tolist())
+    assert "solve" not in vars(experiment.filter.solver)  # the filter itself is as it was
+
+
+def test_columns_are_repeated_as_often_as_needed() -> None:
+    x = torch.arange(6.0).reshape(2, 3)
+    assert flights.cycled(x, 5).tolist() == [[0, 1, 2, 0, 1], [3, 4, 5, 3, 4]]
+    assert flights.cycled(x, 2).tolist() == [[0, 1], [3, 4]]
+
+
+def test_every_episode_starts_from_a_state_met() -> None:
+    env = InspectionEnv(5, InspectionParameters(), [torch.Generator().manual_seed(0)])
+    env.reset()
+    flight = flights.Flight(env.x[:, :2], torch.zeros(6, 2, dtype=torch.float64), [])
+    observation = flight.start(env)
+    assert torch.equal(env.x, flight.x[:, [0, 1, 0, 1, 0]]) and observation.shape == (5, 26)
+    assert torch.equal(env.priority, torch.eye(3, dtype=torch.float64)[:, [0, 1, 2, 0, 1]])
+
+
+def test_programs_of_several_calls_become_one_batch() -> None:
+    def numbered(first: int, count: int) -> Problems:
+        number = torch.arange(first, first + count, dtype=torch.float64)
+        return Problems(
+            number.expand(3, -1), number.expand(2, 3, -1), *2 * [number.expand(2, -1)], number[:2]
+        )
+
+    whole = flights.join([numbered(0, 4), numbered(4, 3)])
+    order = whole.desired[0].tolist()
+    assert sorted(order) == list(range(7)) and order != sorted(order)
+    for part in (whole.a, whole.b, whole.b_bare):
+        assert (part == whole.desired[0]).all()
+    assert whole.weight.tolist() == [0.0, 1.0]
+
+
+def test_a_missing_trained_agent_is_named(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(flights, "TRAINED", tmp_path / "none.pt")
+    assert flights.trained(CPU) is None
+    assert "none.pt" in capsys.readouterr().out
+
+
+def test_the_shipped_agent_acts() -> None:
+    agent = flights.trained(CPU)
+    assert agent is not None
+    with torch.no_grad():
+        assert agent(torch.zeros(3, 26)).shape == (3, 6)
