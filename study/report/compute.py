@@ -14,17 +14,17 @@ import torch
 
 from ppo.network import Policy
 from rta.parameters import PERIODS
-from study import experiment as build
 from study.config import ARMS, Config
 from study.errors import MALFORMED, InputError, refusing
+from study.experiment import Experiment, load_policy, make_policy
 from study.files import ROOT, write_json, write_text
-from study.flight.evaluation import play, play_guidance, report
-from study.flight.simulation import classical, common_episode, read_state, simulate, starting_point
+from study.flight.controllers import classical
+from study.flight.evaluation import TEST_CASES, play, play_guidance, report
+from study.flight.simulation import common_episode, simulate, starting_point
 from study.paper import Results
 from study.report import tables
 from study.report.inputs import read_arms
 from study.report.sunlight import shortest_episodes
-from study.training.study import TEST_CASES
 
 DEMONSTRATION = ROOT / "configs" / "demonstration.json"
 DEMONSTRATION_DURATION = 2000.0  # s
@@ -86,11 +86,11 @@ def load(study: Path, device: str | None) -> dict[str, Arm]:
 def load_arm(directory: Path, results: Results, device: str | None) -> Arm:
     """An arm from its seeds' policies."""
     paths = [directory / f"seed{seed}" / "policy.pt" for seed in results["seeds"]]
-    loaded = [build.load_policy(str(path)) for path in paths]
+    loaded = [load_policy(path) for path in paths]
     policies = [policy for policy, _ in loaded]
     config = loaded[0][1]
     weights = [policy.state_dict() for policy in policies]
-    together = build.make_policy(config, [torch.Generator() for _ in policies])
+    together = make_policy(config, [torch.Generator() for _ in policies])
     together.load_state_dict({name: torch.cat([own[name] for own in weights]) for name in weights[0]})
     return Arm(
         config=replace(config, train=replace(config.train, device=device or config.train.device)),
@@ -152,8 +152,8 @@ def cross(arms: dict[str, Arm]) -> dict[str, dict[str, Results]]:
     """Each arm's agents without filter and behind it, called as in the study."""
     return {
         name: {
-            "off": evaluate(arm, rta=False, period=arm.config.train.rta_period),
-            "on": evaluate(arm, rta=True, period=arm.config.train.rta_period),
+            "off": evaluate(arm, rta=False, period=arm.config.rta.period),
+            "on": evaluate(arm, rta=True, period=arm.config.rta.period),
         }
         for name, arm in arms.items()
     }
@@ -178,7 +178,7 @@ def training(study: Path, arms: dict[str, Arm]) -> str:
 
 def with_rta(config: Config, rta: bool, period: float) -> Config:
     """The configuration with the filter off or called every `period` s."""
-    return replace(config, train=replace(config.train, rta=rta, rta_period=period))
+    return replace(config, train=replace(config.train, rta=rta), rta=replace(config.rta, period=period))
 
 
 def evaluate(arm: Arm, rta: bool, period: float) -> Results:
@@ -187,37 +187,29 @@ def evaluate(arm: Arm, rta: bool, period: float) -> Results:
     if config == arm.config:
         return arm.results
     seeds, episodes = len(arm.digests), config.train.final_episodes
-    safety, device = build.for_command(config, build.TYPICAL_EPISODE, seeds * episodes)
-    record = play(arm.policy.to(device), config, episodes, TEST_CASES, device, safety)
-    return report(record, config, rta, period, TEST_CASES, seeds)
+    experiment = Experiment(config, seeds * episodes)
+    record = play(arm.policy.to(experiment.device), experiment, episodes, TEST_CASES)
+    return report(record, experiment.config, TEST_CASES, seeds)
 
 
 def guidance(config: Config) -> Results:
     """The classical natural-motion guidance behind the filter."""
-    config = with_rta(config, True, GUIDANCE_PERIOD)
-    safety, device = build.for_command(config, build.TYPICAL_EPISODE, GUIDANCE_CASES)
-    record = play_guidance(config, GUIDANCE_CASES, TEST_CASES, device, safety)
-    return report(record, config, True, GUIDANCE_PERIOD, TEST_CASES)
+    experiment = Experiment(with_rta(config, True, GUIDANCE_PERIOD), GUIDANCE_CASES)
+    record = play_guidance(experiment, GUIDANCE_CASES, TEST_CASES)
+    return report(record, experiment.config, TEST_CASES)
 
 
 def episode(arm: Arm) -> Arrays:
     """The first seed's episode from the first test case, in the configuration of training."""
-    safety, device = build.for_command(arm.config, build.TYPICAL_EPISODE, 1)
-    return common_episode(arm.first.to(device), arm.config, safety, device)
+    experiment = Experiment(arm.config, 1)
+    return common_episode(arm.first.to(experiment.device), experiment)
 
 
 def demonstration(config: Config, rta: bool) -> Arrays:
     """A classical controller that heads for the limits, with or without the filter."""
-    config = with_rta(config, rta, config.train.rta_period)
+    experiment = Experiment(with_rta(config, rta, config.rta.period), 1, DEMONSTRATION_DURATION)
     step = config.inspection.substep
-    safety, device = build.for_command(config, DEMONSTRATION_DURATION, 1)
-    x, priority = starting_point(read_state(str(DEMONSTRATION)), config, TEST_CASES)
-    return simulate(
-        build.one_episode(config, safety, device),
-        classical("lqr-pd", None, config, step, TEST_CASES),
-        x.to(device),
-        priority.to(device),
-        DEMONSTRATION_DURATION,
-        step,
-        decide_every=step,
-    )
+    start = starting_point(str(DEMONSTRATION), experiment, TEST_CASES)
+    env = experiment.env(1, decide_every=step, report_every=step)
+    controller = classical("lqr-pd", None, config, step, TEST_CASES)
+    return simulate(env, controller, *start, DEMONSTRATION_DURATION)

@@ -62,7 +62,7 @@ def document(inputs: Inputs) -> str:
         "report/page.html.j2",
         inputs=inputs,
         columns=inputs.columns,
-        period=f"{inputs.config.train.rta_period:g}",
+        period=f"{inputs.config.rta.period:g}",
         study=shlex.quote(inputs.study.as_posix()),
         labels=ARM_LABELS,
         metrics=PAPER_METRICS,
