@@ -101,14 +101,15 @@ def run_study(arguments: argparse.Namespace) -> None:
 
 def run_report(arguments: argparse.Namespace) -> None:
     """main.py report"""
-    from study.report import compute as supplements
-    from study.report import document as html
-    from study.report import tables as report_tables
+    from study.report import figures, inputs, page, tables
+    from study.report.compute import compute
 
     directory = Path(arguments.study)
-    supplements.compute(directory, arguments.device)
-    report_tables.write(directory)
-    html.write(directory)
+    compute(directory, arguments.device)
+    found = inputs.read(directory)
+    tables.write(found)
+    figures.draw(found)
+    page.write(found)
     print(f"Written to {directory}: report.html and, in report, its figures and the data behind them")
 
 

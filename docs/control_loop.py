@@ -1,6 +1,6 @@
 """An exported agent and the filter in the control loop of one spacecraft, and how long their calls take.
 
-    python main.py export --checkpoint runs/reference/rta/seed0/policy.pt --out policy.onnx
+    python main.py export --checkpoint runs/reference/study/rta/seed0/policy.pt --out policy.onnx
     python -m docs.control_loop policy.onnx
 
 Every 10 s the agent observes and decides, every second the filter corrects, in between the spacecraft flies. The agent

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from itertools import combinations
 from typing import NamedTuple, Protocol
 
 from torch import Tensor
@@ -60,15 +61,15 @@ class Clocks:
         named = {"the controller's decisions": self.decision, "the loop's reports": self.report}
         if self.filter is not None:
             named["the filter's calls"] = self.filter
-        fastest = min(named, key=lambda name: named[name])
-        for name, period in named.items():
-            if not is_multiple(period, self.hold):
+        rising = sorted(named.items(), key=lambda item: item[1])
+        for (short, shorter), (name, period) in combinations(rising, 2):
+            if not is_multiple(period, shorter):
                 raise ValueError(
-                    f"{name} every {period:g} s: must be a multiple of {self.hold:g} s, the time between {fastest}"
+                    f"{name} every {period:g} s: must be a multiple of {shorter:g} s, the time between {short}"
                 )
         if not is_multiple(self.hold, self.step):
             raise ValueError(
-                f"substep = {self.substep:g} s: must divide {self.hold:g} s, the time between {fastest}"
+                f"substep = {self.substep:g} s: must divide {self.hold:g} s, the time between {rising[0][0]}"
             )
 
     @property

@@ -16,7 +16,8 @@ from zipfile import ZipFile
 
 import torch
 from torch import Tensor
-from torch.fx import GraphModule
+from torch._functorch.compile_utils import fx_graph_cse
+from torch.fx import GraphModule, Node
 from torch.fx.experimental.proxy_tensor import make_fx
 
 SIZES = (16, 256)  # of a chunk: for few spacecraft, for many; a CPU's caches hold the latter
@@ -110,16 +111,29 @@ def ahead_of_time(function: Callable[..., Tensor], *examples: Tensor) -> Callabl
     Traced through make_fx, nested forward-mode differentiation becomes a flat list of operations in 3 s;
     torch.compile takes twelve in every process and its code ran 2.5 times as long.
     """
+    pure = torch.func.functionalize(function, remove="mutations")  # which would hide common subexpressions
     with torch.no_grad():
-        graph = make_fx(function, decomposition_table={torch.ops.aten.mm.default: product})(*examples)
-    graph.graph.eliminate_dead_code()
-    graph.recompile()
+        graph = make_fx(pure, decomposition_table={torch.ops.aten.mm.default: product})(*examples)
+    graph = without_repetitions(graph)
     path = Path(cache_dir()) / "columns" / f"{fingerprint(graph, examples)}.so"
     if path.exists():
         with suppress(OSError):  # damaged: compiled anew
             return Library(path, torch.get_num_threads())
     compile_to(path, graph, examples)
     return Library(path, torch.get_num_threads())
+
+
+def without_repetitions(graph: GraphModule) -> GraphModule:
+    """The graph with equal constants and common subexpressions computed once: several constraints begin alike."""
+    seen: dict[tuple[Any, ...], Node] = {}
+    for node in graph.graph.find_nodes(op="get_attr"):
+        constant = getattr(graph, node.target)
+        same = seen.setdefault((constant.dtype, constant.shape, constant.numpy().tobytes()), node)
+        if same is not node:
+            node.replace_all_uses_with(same)
+    short = fx_graph_cse(graph.graph)
+    short.eliminate_dead_code()
+    return GraphModule(graph, short)
 
 
 def compile_to(path: Path, graph: GraphModule, examples: tuple[Tensor, ...]) -> None:

@@ -53,6 +53,10 @@ class Constraint:
             or a function of states. Without it a state on the boundary could leave the safe set in one period.
         doubling: the Psi at which the gain has doubled, gain * (1 + (Psi / doubling)^2): alpha is then an odd cubic.
         coupled: the other group's controls change it, too; they are then taken to do their worst.
+        recovery: at relative degree two, how fast h is to rise at most on its way back from beyond the limit, in its
+            unit per s; None where the gains may ask for anything.
+        axis: of the one actuator of the group that changes it, so that its row is a bound of that actuator; None for
+            all others.
     """
 
     name: str
@@ -66,6 +70,8 @@ class Constraint:
     loss: float | Function = 0.0
     doubling: float = math.inf
     coupled: bool = True
+    recovery: float | None = None
+    axis: int | None = None
 
     def __post_init__(self) -> None:
         if self.held_by not in ACTUATORS:

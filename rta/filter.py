@@ -21,7 +21,7 @@ from rta.parameters import RtaParameters
 from rta.piqp_solver import PiqpSolver
 from rta.qp import FEASIBLE, HOPELESS, REDUNDANT, Problems, Solver, Status, pick, put, total
 from rta.rows import ActuatorGroup, Rows
-from rta.thrust_constraints import thrust_constraints
+from rta.thrust_constraints import keep_in_zone, thrust_constraints
 from rta.torque_constraints import torque_constraints
 
 # Below this length (rate of h per actuator limit, in h's unit per s) a row counts as beyond the actuators'
@@ -127,9 +127,8 @@ class SafetyFilter:
         return (self.values(x) >= 0.0).all(0) & thrust.holds(x, degree=2) & torque.holds(x, degree=2)
 
     def can_brake(self, x: Tensor) -> Tensor:
-        """(B,) bool: every barrier of relative degree one is non-negative; in any attitude thrust can keep the zone."""
-        thrust, torque = self.groups
-        return thrust.holds(x, degree=1) & torque.holds(x, degree=1)
+        """(B,) bool: in any attitude thrust can keep the zone, see `keep_in_zone`."""
+        return (keep_in_zone(self.c, self.parameters).barrier_at(x)(x) >= 0.0).all(0)
 
     def is_safe(self, x: Tensor) -> Tensor:
         """(B,) bool: the filter can keep every constraint from here on."""

@@ -1,7 +1,7 @@
 """The barrier conditions a u + b >= 0 of a list of constraints at a batch of states."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
@@ -13,6 +13,7 @@ from inspection.state import OMEGA, SIZE, P, Q
 from rta.constraints import ACTUATORS, Constraint, check
 from rta.lie_derivatives import Function, lie_derivative, lie_derivatives
 from rta.parameters import RtaParameters
+from rta.qp import total
 
 
 @dataclass
@@ -22,7 +23,7 @@ class Rows:
     Attributes:
         psi: (R, B) Psi_1 where the relative degree is two, else the barrier.
         a: (R, 3, B); b: (R, B) with margins; b_bare: (R, B) without. Both are less what Psi can lose in a period.
-        h: (constraints, B) values without margin, exact; of a constraint with several rows the smallest Psi.
+        h: (constraints, B) values without margin, exact; of several rows of relative degree one the smallest of them.
     """
 
     psi: Tensor
@@ -68,21 +69,33 @@ class ActuatorGroup:
         return torch.stack([each.h(x) for each in self.constraints])
 
     def psi_at(self, x: Tensor, constraints: Sequence[Constraint]) -> Function:
-        """What is differentiated at states x (16, B), each Psi_1 or barrier: (16, ...) to (R, ...)."""
+        """What is differentiated at states x (16, B), each Psi_1 or barrier: (16, ...) to (R, ...).
+
+        Psi_1 = L_f h + alpha(h) with alpha(h) = k1 (h - margin), Eq. (HOCBF), within the limit. Beyond it alpha(h) =
+        max(k2 h, -recovery) - k1 margin: k1 h would ask for faster cooling than there is in the dark (0.0015 of 1 deg C
+        a second, of 0.00036), so that the row could not be satisfied for half an hour, or for a small part of what
+        there is (battery). With k2 for k1 the way back is critically damped; -k1 margin, as within the limit, ends it
+        in finite time.
+        """
         barriers = [each.barrier_at(x) for each in constraints]
+        beyond = {i: each.h(x) < 0.0 for i, each in enumerate(constraints) if each.recovery is not None}
         second = [i for i, each in enumerate(constraints) if each.degree == 2]
 
         def psi(y: Tensor) -> Tensor:
             rows = {i: barrier(y) for i, barrier in enumerate(barriers) if i not in second}
             if second:
-                # Psi_1 = L_f h + k1 (h - margin), Eq. (HOCBF)
                 h, rate = lie_derivative(
                     lambda z: torch.cat([barriers[i](z) for i in second]), y, drift(y, self.c)
                 )
                 counts = [constraints[i].rows for i in second]
                 for i, h_i, rate_i in zip(second, h.split(counts), rate.split(counts), strict=True):
-                    k1 = self.r.gain(constraints[i].gains[0])
-                    rows[i] = rate_i + k1 * (h_i - constraints[i].margin)
+                    each = constraints[i]
+                    k1, k2 = map(self.r.gain, each.gains)
+                    alpha = k1 * (h_i - each.margin)
+                    if i in beyond:
+                        back = (k2 * h_i).clamp(min=-each.recovery) - k1 * each.margin
+                        alpha = torch.where(beyond[i], back, alpha)
+                    rows[i] = rate_i + alpha
             return torch.cat([rows[i] for i in range(len(constraints))])
 
         return psi
@@ -94,7 +107,9 @@ class ActuatorGroup:
             constraints = [each for each in self.constraints if each.coupled == coupled]
             if constraints:
                 parts.append(self.conditions(x, constraints, coupled))
-        return Rows(*(torch.cat([getattr(part, name) for part in parts]) for name in vars(parts[0])))
+        return self.attainable(
+            Rows(*(torch.cat([getattr(part, name) for part in parts]) for name in vars(parts[0])))
+        )
 
     def conditions(self, x: Tensor, constraints: Sequence[Constraint], coupled: bool) -> Rows:
         """BC: L_f psi + L_g psi u + alpha(psi) >= 0, less what psi can lose and the worst that others can do."""
@@ -126,11 +141,50 @@ class ActuatorGroup:
         """h by constraint, (constraints, B), where Psi (R, B) already is h from there."""
         values = []
         for each, rows in zip(constraints, psi.split([each.rows for each in constraints]), strict=True):
-            if each.rows > 1:
+            if each.degree == 1 and each.rows > 1:
                 values.append(rows.amin(0))
             else:
                 values.append(rows[0] if each.degree == 1 and each.barrier is None else each.h(x))
         return torch.stack(values)
+
+    def attainable(self, rows: Rows) -> Rows:
+        """Rows that ask, beyond their limits, for no more than the actuators can give.
+
+        There dpsi/dt + alpha(psi) >= 0 may exceed it many times: 5 m/s outwards just outside the zone ask for 30 N.
+        Such a row got slack, which drives all three thrusters to their limits, two of them across the way back, and
+        lets go of every row of its class and below. So -b is at most `limit` |a|, which every attitude can give along
+        a, and at most what is there on each axis, sum_j |a_j| room_j. It is zero where a is.
+
+        A row without slack may ask for all of the latter: 1 N may be too late to stay clear of the chief.
+        """
+        everything = total(rows.a.abs() * self.room(rows), 1)
+        along = (self.limit * total(rows.a * rows.a, 1).sqrt()).minimum(everything)
+        hard = rows.a.new_tensor(self.weights).isinf()[:, None]
+        least = -torch.where(hard, everything, along)
+        beyond = self.beyond(rows)
+        b, b_bare = (torch.where(beyond, side.maximum(least), side) for side in (rows.b, rows.b_bare))
+        return replace(rows, b=b, b_bare=b_bare)
+
+    def room(self, rows: Rows) -> Tensor:
+        """How much of each actuator can raise each row within the rows that are bounds: (R, 3, B) in N or N m.
+
+        An actuator at its bound gives no more, and a row that counted on it would not be held by those that are free.
+        """
+        room = list(torch.full_like(rows.a, self.limit).unbind(1))
+        for i, each in enumerate(self.of_row):
+            if each.axis is not None:
+                own = rows.a[i, each.axis]
+                left = (rows.b[i] / own.abs()).clamp(0.0, self.limit)
+                room[each.axis] = torch.where(rows.a[:, each.axis] * own < 0.0, left, self.limit)
+        return torch.stack(room, 1)
+
+    def beyond(self, rows: Rows) -> Tensor:
+        """(R, B) bool: the constraint is violated; of several rows of relative degree one, by that row."""
+        counts = [each.rows for each in self.constraints]
+        parts = zip(self.constraints, rows.psi.split(counts), rows.h, strict=True)
+        return torch.cat(
+            [(psi if each.degree == 1 < each.rows else h.expand_as(psi)) < 0.0 for each, psi, h in parts]
+        )
 
     def by_constraint(self, rows: Tensor, join: Callable[[Tensor], Tensor]) -> Tensor:
         """Joins the rows (R, B) of each constraint that has several, (k, B) to (B,); returns (constraints, B)."""

@@ -39,6 +39,11 @@ def signed_sqrt(z: Tensor, floor: float = 0.0) -> Tensor:
     return torch.where(z.abs() < floor, z / math.sqrt(floor), z.sign() * z.abs().clamp(min=floor).sqrt())
 
 
+def root_above(z: Tensor, floor: float) -> Tensor:
+    """sqrt(z) of z >= 0, below `floor` the tangent that starts there, which is nowhere below sqrt(z)."""
+    return torch.where(z < floor, (z + floor) / (2 * math.sqrt(floor)), z.clamp(min=floor).sqrt())
+
+
 def chord(c: InspectionParameters, r: RtaParameters) -> float:
     """The floor in m of the enforced `signed_sqrt`.
 
@@ -138,11 +143,18 @@ def keep_in_zone(c: InspectionParameters, r: RtaParameters) -> Constraint:
         d v_pr / dt holds the centrifugal v_t^2 / |p|, v_t the speed across p, which a_max leaves out: up to
         0.051 m/s^2 at the speed limit of 800 m, of a_max's 0.0705. Flying fast across where h is zero, 1 N does not
         keep h there; where this barrier is zero, 1 N inwards does, which every attitude can give.
+
+        Outside it is -sqrt(2 a_max (|p| - r_max)) - v_pr: zero where the way back, slowed down by a_max, ends at r_max.
+        The centrifugal acceleration helps to slow it down, so v_t must not enter: with a_max - v_t^2 / |p|, speed
+        across would raise it. Instead of the root's chord, which would end above h, it has the tangent. So it falls at
+        r_max, on the way out, by sqrt(a_max d / 2) with d for the floor.
         """
         across = dot(x[V], x[V]) - radial_speed(x) ** 2
         braking = (c.max_acceleration - across / norm(x[P])).clamp(min=0.1 * c.max_acceleration)
         distance = c.max_distance - norm(x[P])
-        return (2 * braking).sqrt() * signed_sqrt(distance, floor) - radial_speed(x)
+        inside = (2 * braking).sqrt() * signed_sqrt(distance, floor)
+        outside = -math.sqrt(2 * c.max_acceleration) * root_above(-distance, floor)
+        return torch.where(distance < 0.0, outside, inside) - radial_speed(x)
 
     # v_t^2 / |p| grows with thrust along v
     fastest = c.docking_speed + c.speed_slope * c.max_distance

@@ -10,7 +10,7 @@ import math
 import torch
 from torch import Tensor
 
-from inspection.dynamics import cosine_to, sun_and_earth_in_body
+from inspection.dynamics import cosine_to, energy_rate, sun_and_earth_in_body, temperature_rate
 from inspection.parameters import InspectionParameters
 from inspection.state import OMEGA, E, T
 from rta.constraints import Constraint
@@ -60,6 +60,7 @@ def attitude_exclusion(c: InspectionParameters, r: RtaParameters) -> Constraint:
         weight=r.slack_weight_critical,
         barrier=lambda x: lambda y: h(y, r.pole_angle)[None],
         coupled=False,
+        recovery=0.5 * c.max_rate,  # of a turn at full rate
     )
 
 
@@ -74,6 +75,9 @@ def temperature(c: InspectionParameters, r: RtaParameters) -> Constraint:
         sun, earth = positive_part(math.pi / 2 - arccos(directions, pole), width)
         return c.max_temperature - x[T] - c.temperature_sun_slope * sun - c.temperature_earth_slope * earth
 
+    none, hot = torch.tensor((0.0, c.max_temperature), dtype=torch.float64)
+    cooling = -temperature_rate(none, none, hot, c).item()  # in the dark
+
     return Constraint(
         "temperature",
         h,
@@ -83,6 +87,7 @@ def temperature(c: InspectionParameters, r: RtaParameters) -> Constraint:
         weight=r.slack_weight_resource,
         barrier=lambda x: lambda y: h(y, r.pole_angle, r.incidence_rounding)[None],
         coupled=False,
+        recovery=0.5 * cooling,
     )
 
 
@@ -94,6 +99,8 @@ def battery(c: InspectionParameters, r: RtaParameters) -> Constraint:
         angle = arccos(cosine_to(c.solar_panel_axis, sun), pole)
         return x[E] - c.min_energy - c.energy_sun_slope * angle
 
+    charging = energy_rate(torch.ones(()).double(), c).item()  # in full light
+
     return Constraint(
         "battery",
         h,
@@ -103,17 +110,27 @@ def battery(c: InspectionParameters, r: RtaParameters) -> Constraint:
         weight=r.slack_weight_resource,
         barrier=lambda x: lambda y: h(y, r.pole_angle)[None],
         coupled=False,
+        recovery=max(0.5 * charging, 0.0),
     )
 
 
 def angular_velocity(axis: int, c: InspectionParameters, r: RtaParameters) -> Constraint:
     """omega_max^2 - omega_i^2 for a body axis, in rad^2/s^2."""
+
+    def h(x: Tensor) -> Tensor:
+        return c.max_rate**2 - x[OMEGA.start + axis] ** 2
+
+    # in a period T an angular acceleration changes omega_i^2 by at most its square T^2 beyond linear
+    spin = (c.max_torque / min(c.inertia)) ** 2 * r.period
+    spin = min(spin, 0.5 * r.gain(r.rate_gain) * c.max_rate**2)
     return Constraint(
         f"angular_velocity_{'xyz'[axis]}",
-        lambda x: c.max_rate**2 - x[OMEGA.start + axis] ** 2,
+        h,
         "torque",
         gains=(r.rate_gain,),
         margin=r.rate_margin,
         weight=r.slack_weight_motion,
+        loss=lambda x: torch.where(h(x) < 0.0, spin, 0.0),  # within it the plant saturates
         coupled=False,
+        axis=axis,
     )

@@ -99,17 +99,19 @@ class Experiment:
         """A freshly initialised value network, one seed per generator."""
         return Value(OBSERVATION_SIZE, generators, self.config.ppo.hidden)
 
-    def test_cases(self, episodes: int, seed: int) -> tuple[Tensor, Tensor]:
-        """Initial states (16, episodes) and priority vectors (3, episodes), the same for every agent and device.
 
-        Case i does not depend on how many cases there are.
-        """
-        c = self.config.inspection
-        # default gains, so that agents trained behind different filters meet the same cases
-        gains = RtaParameters(passive_safety_segments=self.config.rta.passive_safety_segments)
-        with refusing("[inspection]", RuntimeError):
-            starts = InitialStates(torch.Generator().manual_seed(seed), c, SafetyFilter(c, gains).is_safe)
-            return starts.take(episodes)
+def test_cases(config: Config, episodes: int, seed: int) -> tuple[Tensor, Tensor]:
+    """Initial states (16, episodes) and priority vectors (3, episodes), the same for every agent and device.
+
+    Case i does not depend on how many cases there are.
+    """
+    c = config.inspection
+    # default gains, so that agents trained behind different filters meet the same cases
+    gains = RtaParameters(passive_safety_segments=config.rta.passive_safety_segments)
+    with refusing("[inspection]", RuntimeError):
+        return InitialStates(torch.Generator().manual_seed(seed), c, SafetyFilter(c, gains).is_safe).take(
+            episodes
+        )
 
 
 def settled(config: Config, batch: int, device: torch.device) -> Config:

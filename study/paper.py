@@ -1,55 +1,95 @@
-"""The paper's Tables 2 and 3 with its columns beside ours."""
+"""The paper's Tables 2 and 3, and what an evaluation of ours gives in their place."""
 
+from dataclasses import dataclass
 from typing import Any
 
-# Table 2, IQM [95 % confidence interval] over 10 seeds x 100 cases: label, digits, no RTA, RTA
+Results = dict[str, Any]  # in the form of `evaluate --json`
+Numbers = tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A number and, where it is known, its 95 % interval (low, high)."""
+
+    value: float
+    interval: tuple[float, float] | None = None
+
+    def text(self, digits: int) -> str:
+        """value [low, high], or the value alone."""
+        if self.interval is None:
+            return f"{self.value:.{digits}f}"
+        low, high = self.interval
+        return f"{self.value:.{digits}f} [{low:.{digits}f}, {high:.{digits}f}]"
+
+
+@dataclass(frozen=True)
+class Published:
+    """A row of Table 2 or 3: the paper's numbers, printed with so many digits."""
+
+    label: str
+    digits: int
+    by_arm: dict[str, Estimate]  # by the study's names of the arms
+
+
+def iqms(label: str, digits: int, no_rta: Numbers, rta: Numbers) -> Published:
+    """A row of Table 2 from the IQM, low and high of either arm."""
+    arms = {"no_rta": no_rta, "rta": rta}
+    return Published(
+        label, digits, {arm: Estimate(iqm, (low, high)) for arm, (iqm, low, high) in arms.items()}
+    )
+
+
+def means(label: str, no_rta: float, rta: float) -> Published:
+    """A row of Table 3."""
+    return Published(label, 3, {"no_rta": Estimate(no_rta), "rta": Estimate(rta)})
+
+
+# Table 2, IQM [95 % confidence interval] over 10 seeds x 100 cases: without RTA, with RTA
 PAPER_METRICS = {
-    "inspected_score": ("Inspected points score", 4, (0.9552, 0.9549, 0.9556), (0.9573, 0.9568, 0.9578)),
-    "reward": ("Total reward", 4, (2.1486, 2.1444, 2.1527), (2.0235, 2.0175, 2.0293)),
-    "episode_length_s": ("Episode length (s)", 1, (3031.3, 3018.34, 3044.86), (3263.76, 3237.74, 3291.22)),
-    "delta_v_m_s": ("Delta v (m/s)", 3, (10.8898, 10.7006, 11.086), (15.9381, 15.6616, 16.2219)),
-    "torque_n_m": ("Torque (N m)", 4, (0.019, 0.0186, 0.0194), (0.0607, 0.0591, 0.0623)),
+    "inspected_score": iqms("Inspected points score", 4, (0.9552, 0.9549, 0.9556), (0.9573, 0.9568, 0.9578)),
+    "reward": iqms("Total reward", 4, (2.1486, 2.1444, 2.1527), (2.0235, 2.0175, 2.0293)),
+    "episode_length_s": iqms(
+        "Episode length (s)", 1, (3031.3, 3018.34, 3044.86), (3263.76, 3237.74, 3291.22)
+    ),
+    "delta_v_m_s": iqms("Delta v (m/s)", 3, (10.8898, 10.7006, 11.086), (15.9381, 15.6616, 16.2219)),
+    "torque_n_m": iqms("Torque (N m)", 4, (0.019, 0.0186, 0.0194), (0.0607, 0.0591, 0.0623)),
 }
 
-# Table 3, mean percentage of steps: label, no RTA, RTA
+# Table 3, mean percentage of steps: without RTA, with RTA
 PAPER_VIOLATIONS = {
-    "any": ("Any constraint", 4.736, 0.215),
-    "collision": ("Safe separation", 0.144, 0.0),
-    "dynamic_speed": ("Dynamic speed", 4.242, 0.001),
-    "keep_in_zone": ("Keep in zone", 0.003, 0.0),
-    "passive_safety": ("PSM", 0.989, 0.0),
-    "velocity_x": ("x velocity limit", 0.0, 0.067),
-    "velocity_y": ("y velocity limit", 0.0, 0.079),
-    "velocity_z": ("z velocity limit", 0.0, 0.061),
-    "attitude_exclusion": ("Attitude exclusion", 0.496, 0.0),
-    "temperature": ("Temperature", 0.0, 0.007),
-    "battery": ("Power", 0.0, 0.0),
-    "angular_velocity_x": ("omega_x limit", 0.0, 0.0),
-    "angular_velocity_y": ("omega_y limit", 0.0, 0.0),
-    "angular_velocity_z": ("omega_z limit", 0.0, 0.0),
+    "any": means("Any constraint", 4.736, 0.215),
+    "collision": means("Safe separation", 0.144, 0.0),
+    "dynamic_speed": means("Dynamic speed", 4.242, 0.001),
+    "keep_in_zone": means("Keep in zone", 0.003, 0.0),
+    "passive_safety": means("PSM", 0.989, 0.0),
+    "velocity_x": means("x velocity limit", 0.0, 0.067),
+    "velocity_y": means("y velocity limit", 0.0, 0.079),
+    "velocity_z": means("z velocity limit", 0.0, 0.061),
+    "attitude_exclusion": means("Attitude exclusion", 0.496, 0.0),
+    "temperature": means("Temperature", 0.0, 0.007),
+    "battery": means("Power", 0.0, 0.0),
+    "angular_velocity_x": means("omega_x limit", 0.0, 0.0),
+    "angular_velocity_y": means("omega_y limit", 0.0, 0.0),
+    "angular_velocity_z": means("omega_z limit", 0.0, 0.0),
 }
 
 
-def interval(iqm: float, low: float, high: float, digits: int) -> str:
-    """iqm [low, high]."""
-    return f"{iqm:.{digits}f} [{low:.{digits}f}, {high:.{digits}f}]"
+def measured(results: Results, name: str) -> Estimate:
+    """What an evaluation gives for a metric (IQM), or in % for a violation (mean) or "success"."""
+    if name == "success":
+        return Estimate(100.0 * results["outcomes"]["success"])
+    if name in results["violations_percent"]:
+        return Estimate(results["violations_percent"][name])
+    summary = results["metrics"][name]
+    low, high = summary["ci95"]
+    return Estimate(summary["iqm"], (low, high))
 
 
-def tables(results: dict[str, Any]) -> str:
+def tables(results: Results) -> str:
     """Both tables as text for the results of one evaluation."""
-    lines = [
-        f"Table 2: IQM [95 % confidence interval] over {results['episodes']} episodes",
-        f"{'':24}{'this agent':>32}{'paper, no RTA':>32}{'paper, RTA':>32}",
-    ]
-    for name, (label, digits, *paper) in PAPER_METRICS.items():
-        metric = results["metrics"][name]
-        columns = [(metric["iqm"], *metric["ci95"]), *paper]
-        lines.append(f"{label:24}" + "".join(f"{interval(*column, digits):>32}" for column in columns))
-    lines += ["", "Table 3: mean safety violation, % of steps"]
-    lines.append(f"{'':24}{'this agent':>16}{'paper, no RTA':>16}{'paper, RTA':>16}")
-    for name, (label, *paper) in PAPER_VIOLATIONS.items():
-        columns = [results["violations_percent"][name], *paper]
-        lines.append(f"{label:24}" + "".join(f"{column:>16.3f}" for column in columns))
+    lines = [f"Table 2: IQM [95 % confidence interval] over {results['episodes']} episodes"]
+    lines += rows(results, PAPER_METRICS, 32)
+    lines += ["", "Table 3: mean safety violation, % of steps", *rows(results, PAPER_VIOLATIONS, 16)]
     outcomes = ", ".join(
         f"{100 * share:.0f} % {name.replace('_', ' ')}"
         for name, share in results["outcomes"].items()
@@ -65,3 +105,12 @@ def tables(results: dict[str, Any]) -> str:
     else:
         lines.append("RTA: off")
     return "\n".join(lines)
+
+
+def rows(results: Results, published: dict[str, Published], width: int) -> list[str]:
+    """A table's lines: its heading, and ours beside the paper's columns."""
+    lines = [("", "this agent", "paper, no RTA", "paper, RTA")]
+    for name, paper in published.items():
+        numbers = (measured(results, name), *paper.by_arm.values())
+        lines.append((paper.label, *(number.text(paper.digits) for number in numbers)))
+    return [f"{label:24}" + "".join(f"{text:>{width}}" for text in texts) for label, *texts in lines]

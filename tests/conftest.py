@@ -108,29 +108,18 @@ def made_up_study(tmp_path_factory: pytest.TempPathFactory) -> Path:
     report.mkdir(parents=True)
     rng = np.random.default_rng(0)
     arms = {
-        arm: made_up_evaluation(rng, 1.0 if rta else None) | {"seeds": [0, 1, 2], "interactions": 5_013_504}
+        arm: made_up_evaluation(rng, 1.0 if rta else None)
+        | {"seeds": [0, 1, 2], "interactions": 5_013_504, "wall_clock_s": 4321.0}
         for arm, rta in ARMS.items()
     }
     contents = {
         "results.json": {"arms": arms},
-        "provenance.json": {},
+        "provenance.json": {"device": "cpu", "ranks": 1, "threads": 2},
         "report/guidance.json": made_up_evaluation(rng, 1.0, episodes=1000),
         "report/cross.json": {
             arm: {"off": made_up_evaluation(rng, None), "on": made_up_evaluation(rng, 1.0)} for arm in ARMS
         },
         "report/frequency.json": {f"{period}": made_up_evaluation(rng, period) for period in (1, 5, 10)},
-        "report/throughput.json": {
-            arm: {
-                "seeds": 3,
-                "interactions": 5_013_504,
-                "wall_clock_s": 4321.0,
-                "interactions_per_s": 3480.8,
-                "device": "cpu",
-                "ranks": 1,
-                "threads": 2,
-            }
-            for arm in ARMS
-        },
     }
     for name, content in contents.items():
         (study / name).write_text(json.dumps(content))

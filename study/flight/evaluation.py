@@ -19,7 +19,7 @@ from ppo.network import Policy
 from rta.constraints import CONSTRAINTS
 from rta.qp import Status
 from study.config import Config
-from study.experiment import Experiment
+from study.experiment import Experiment, test_cases
 from study.flight.controllers import agent
 from study.flight.summary import summary_of_runs
 
@@ -183,7 +183,7 @@ def play(policy: Policy, experiment: Experiment, episodes: int, seed: int) -> Ep
     # for restarts of ended columns, which nobody sees
     generators = experiment.generators([seed + 1] * policy.seeds)
     env = experiment.env(episodes, generators, compiled=experiment.compiled)
-    x, priority = experiment.test_cases(episodes, seed)
+    x, priority = test_cases(experiment.config, episodes, seed)
     return run_episodes(env, agent(policy, env), x.repeat(1, policy.seeds), priority.repeat(1, policy.seeds))
 
 
@@ -195,7 +195,9 @@ def play_guidance(experiment: Experiment, episodes: int, seed: int) -> Episodes:
     config = experiment.config
     every = config.rta.period if config.train.rta else config.inspection.substep
     env = experiment.env(episodes, experiment.generators([seed + 1]), decide_every=every)
-    return run_episodes(env, natural_motion(config.inspection), *experiment.test_cases(episodes, seed))
+    return run_episodes(
+        env, natural_motion(config.inspection), *test_cases(experiment.config, episodes, seed)
+    )
 
 
 def evaluate(policy: Policy, experiment: Experiment, episodes: int, seed: int) -> dict[str, Any]:

@@ -13,10 +13,10 @@ from inspection.termination import terminal_conditions
 from ppo.network import Policy
 from rta.qp import Status
 from study.errors import InputError
-from study.experiment import Experiment
+from study.experiment import Experiment, test_cases
 from study.flight.controllers import agent
 from study.flight.evaluation import TEST_CASES
-from study.flight.state_files import STATE_FIELDS
+from study.flight.state_files import STATE_FIELDS, read_state
 
 MAX_ROWS = 10**7
 SCALARS = ("time", "inspected_score", "temperature", "energy", "sun_angle")
@@ -28,6 +28,15 @@ def check_length(duration: float, step: float) -> None:
         raise InputError(
             f"--duration {duration:g} at --step {step:g}: at most {MAX_ROWS:,} steps of at least 1 ms"
         )
+
+
+def starting_point(path: str | None, experiment: Experiment, seed: int) -> tuple[Tensor, Tensor]:
+    """State (16, 1) and priority vector (3, 1) on the device; what no state file gives is drawn from the seed."""
+    x, priority = test_cases(experiment.config, 1, seed)
+    if path is not None:
+        x, given = read_state(path, experiment.config.inspection)
+        priority = priority if given is None else given
+    return x.to(experiment.device), priority.to(experiment.device)
 
 
 @torch.no_grad()
@@ -96,8 +105,7 @@ def simulate(
 
 def common_episode(policy: Policy, experiment: Experiment) -> dict[str, np.ndarray]:
     """`simulate` of the agent from the first common test case until the episode ends, a row per integration step."""
-    c, device = experiment.config.inspection, experiment.device
-    x, priority = experiment.test_cases(1, TEST_CASES)
-    step = min(experiment.config.rta.period, c.substep)
-    env = experiment.env(1, report_every=step)
-    return simulate(env, agent(policy, env), x.to(device), priority.to(device), c.max_time, until_ended=True)
+    c = experiment.config.inspection
+    env = experiment.env(1, report_every=min(experiment.config.rta.period, c.substep))
+    start = starting_point(None, experiment, TEST_CASES)
+    return simulate(env, agent(policy, env), *start, c.max_time, until_ended=True)

@@ -22,19 +22,19 @@ DIGITS, TIME_DIGITS = 4, 8  # significant ones of the page's numbers
 Line = dict[str, Any]
 Panel = dict[str, Any]
 
-# columns of every array of numbers that is needed; None: one number a row
-COLUMNS: dict[str, int | None] = {
-    "time": None,
-    "position": 3,
-    "velocity": 3,
-    "quaternion": 4,
-    "temperature": None,
-    "energy": None,
-    "sun_angle": None,
-    "control_desired": 6,
-    "control_applied": 6,
-    "inspected_score": None,
-    **{f"h_{name}": None for name in CONSTRAINTS},
+# shape of a row of every array of numbers that is needed
+COLUMNS: dict[str, tuple[int, ...]] = {
+    "time": (),
+    "position": (3,),
+    "velocity": (3,),
+    "quaternion": (4,),
+    "temperature": (),
+    "energy": (),
+    "sun_angle": (),
+    "control_desired": (6,),
+    "control_applied": (6,),
+    "inspected_score": (),
+    **{f"h_{name}": () for name in CONSTRAINTS},
 }
 
 # panels of the constraints: title, unit, factor from the file's unit, constraints, the control that acts on them
@@ -44,17 +44,11 @@ CONSTRAINT_PANELS = (
     ("Dynamic speed", "m/s", 1.0, ("dynamic_speed",), "thrust"),
     ("Keep-in zone", "m/s", 1.0, ("keep_in_zone",), "thrust"),
     ("Passive safety", "m", 1.0, ("passive_safety",), "thrust"),
-    ("Velocity", "m²/s²", 1.0, ("velocity_x", "velocity_y", "velocity_z"), "thrust"),
+    ("Velocity", "m²/s²", 1.0, tuple(f"velocity_{axis}" for axis in "xyz"), "thrust"),
     ("Sun exclusion", "deg", math.degrees(1.0), ("attitude_exclusion",), "torque"),
     ("Temperature", "°C", 1.0, ("temperature",), "torque"),
     ("Battery", "kJ", 1.0, ("battery",), "torque"),
-    (
-        "Body rates",
-        "deg²/s²",
-        SQUARE_DEGREES,
-        ("angular_velocity_x", "angular_velocity_y", "angular_velocity_z"),
-        "torque",
-    ),
+    ("Body rates", "deg²/s²", SQUARE_DEGREES, tuple(f"angular_velocity_{axis}" for axis in "xyz"), "torque"),
 )
 
 
@@ -75,25 +69,21 @@ class Replayed:
 def read(path: str) -> Replayed:
     """Reads and checks a file of `simulate`, or an episode of a study's report in single precision."""
     names = (*COLUMNS, "inspected", "intervened", "parameters")
-    episode = arrays.load(
-        path, names, "run", where_missing=": not a file that simulate wrote, or one of an older version"
-    )
+    older = ": not a file that simulate wrote, or one of an older version"
+    episode = arrays.load(path, names, "run", where_missing=older)
     c = configuration.from_toml(str(episode["parameters"]), f"{path}: parameters").inspection
+    flags = {"inspected": (c.num_points,), "intervened": (2,)}
     rows = episode["time"].size
-    shapes = {name: (rows,) if width is None else (rows, width) for name, width in COLUMNS.items()}
-    flags = {"inspected": (rows, c.num_points), "intervened": (rows, 2)}
-    for name, shape in (shapes | flags).items():
-        array = episode[name]
-        if array.shape != shape or array.dtype.kind != ("b" if name in flags else "f"):
-            kind = "bool" if name in flags else "numbers"
-            raise InputError(f"{path}: {name} is {array.dtype} {array.shape}: must be {kind} {shape}")
+    for name, row in (COLUMNS | flags).items():
+        array, kind = episode[name], "bool" if name in flags else "numbers"
+        if array.shape != (rows, *row) or array.dtype.kind != ("b" if name in flags else "f"):
+            raise InputError(f"{path}: {name} is {array.dtype} {array.shape}: must be {kind} {(rows, *row)}")
         if not np.isfinite(array).all():
             raise InputError(f"{path}: {name} must hold finite numbers only")
     if rows < 2 or not (np.diff(episode["time"]) > 0.0).all():
         raise InputError(f"{path}: time must rise over at least two rows")
-    return Replayed(
-        printable(path), episode | {name: episode[name].astype(np.float64) for name in COLUMNS}, c
-    )
+    double = {name: episode[name].astype(np.float64) for name in COLUMNS}
+    return Replayed(printable(path), episode | double, c)
 
 
 def printable(path: str) -> str:
@@ -104,12 +94,11 @@ def printable(path: str) -> str:
 def thinned(run: Replayed) -> Episode:
     """At most MAX_ROWS rows: each the first of its block, but with the block's smallest h."""
     starts = np.arange(0, len(run.episode["time"]), run.stride)
-    return {
-        name: np.minimum.reduceat(run.episode[name], starts)
-        if name.startswith("h_")
-        else run.episode[name][starts]
-        for name in COLUMNS
-    }
+    thin: Episode = {}
+    for name in COLUMNS:
+        values = run.episode[name]
+        thin[name] = np.minimum.reduceat(values, starts) if name.startswith("h_") else values[starts]
+    return thin
 
 
 def interventions(episode: Episode, program: int) -> list[list[float]]:
@@ -140,6 +129,13 @@ def rounded(values: np.ndarray, digits: int = DIGITS) -> Any:
     return [float(f"{value:.{digits}g}") for value in values.tolist()]
 
 
+def line(
+    values: np.ndarray, name: str = "", colour: str = BLUE, width: float = 1.4, held: bool = False
+) -> Line:
+    """A quantity, which is held until the next row or changes evenly until then."""
+    return {"name": name, "colour": colour, "width": width, "held": held, "values": values}
+
+
 def panel(
     title: str,
     unit: str,
@@ -158,14 +154,15 @@ def panel(
 
 def panels(episode: Episode, c: InspectionParameters) -> dict[str, list[Panel]]:
     """Everything that is drawn over time, by section."""
+    energy, temperature, weight = (
+        [line(episode[name])] for name in ("energy", "temperature", "inspected_score")
+    )
     return {
         "Control, body frame": control_panels(episode),
         "Battery, temperature and inspection": [
-            panel("Energy", "kJ", [one_line(episode["energy"])], "torque", (c.min_energy, None)),
-            panel(
-                "Temperature", "°C", [one_line(episode["temperature"])], "torque", (None, c.max_temperature)
-            ),
-            panel("Inspected weight", "", [one_line(episode["inspected_score"])]),
+            panel("Energy", "kJ", energy, "torque", (c.min_energy, None)),
+            panel("Temperature", "°C", temperature, "torque", (None, c.max_temperature)),
+            panel("Inspected weight", "", weight),
         ],
         "Constraints, safe where h ≥ 0": [
             panel(title, unit, constraint_lines(episode, names, factor), acts, (0.0, None))
@@ -180,35 +177,20 @@ def control_panels(episode: Episode) -> list[Panel]:
     for acts, first, factor, unit in (("thrust", 0, 1.0, "N"), ("torque", 3, 1e3, "mN m")):
         for i, axis in enumerate("xyz", start=first):
             # the applied control lies on top, and hides the desired one where they are equal
-            lines: list[Line] = [
-                {
-                    "name": name,
-                    "colour": colour,
-                    "width": width,
-                    "held": True,
-                    "values": factor * values[:, i],
-                }
-                for name, colour, width, values in (
-                    ("desired", GREY, 2.5, episode["control_desired"]),
-                    ("applied", BLUE, 1.2, episode["control_applied"]),
-                )
+            lines = [
+                line(factor * episode[f"control_{name}"][:, i], name, colour, width, held=True)
+                for name, colour, width in (("desired", GREY, 2.5), ("applied", BLUE, 1.2))
             ]
             found.append(panel(f"{acts.capitalize()} {axis}", unit, lines, acts))
     return found
 
 
-def one_line(values: np.ndarray, name: str = "", colour: str = BLUE) -> Line:
-    """A quantity that changes between two rows."""
-    return {"name": name, "colour": colour, "width": 1.4, "held": False, "values": values}
-
-
 def constraint_lines(episode: Episode, names: Sequence[str], factor: float) -> list[Line]:
     """The values of one constraint, or of the three axes of one."""
-    if len(names) == 1:
-        return [one_line(factor * episode[f"h_{names[0]}"])]
+    axes = [name[-1] for name in names] if len(names) > 1 else [""]
     return [
-        one_line(factor * episode[f"h_{name}"], name[-1], colour)
-        for name, colour in zip(names, (BLUE, ORANGE, "#000000"), strict=True)
+        line(factor * episode[f"h_{name}"], axis, colour)
+        for name, axis, colour in zip(names, axes, (BLUE, ORANGE, "#000000"), strict=False)
     ]
 
 
@@ -240,8 +222,8 @@ def run_data(run: Replayed, episode: Episode) -> dict[str, Any]:
         "inspected": inspection_times(run.episode),
         "rim": cone_rim(c),
         "interventions": {
-            "thrust": interventions(run.episode, 0),
-            "torque": interventions(run.episode, 1),
+            control: interventions(run.episode, program)
+            for program, control in enumerate(("thrust", "torque"))
         },
     }
 

@@ -14,16 +14,17 @@ import torch
 
 from ppo.network import Policy
 from rta.parameters import PERIODS
-from study import experiment as build
 from study.config import ARMS, Config
 from study.errors import MALFORMED, InputError, refusing
+from study.experiment import Experiment, load_policy, make_policy
 from study.files import ROOT, write_json, write_text
-from study.flight.evaluation import play, play_guidance, report
-from study.flight.simulation import classical, common_episode, read_state, simulate, starting_point
-from study.report import tables as report_tables
+from study.flight.controllers import classical
+from study.flight.evaluation import TEST_CASES, play, play_guidance, report
+from study.flight.simulation import common_episode, simulate, starting_point
+from study.paper import Results
+from study.report import tables
+from study.report.inputs import read_arms
 from study.report.sunlight import shortest_episodes
-from study.report.tables import Results
-from study.training.study import TEST_CASES
 
 DEMONSTRATION = ROOT / "configs" / "demonstration.json"
 DEMONSTRATION_DURATION = 2000.0  # s
@@ -76,24 +77,20 @@ def load(study: Path, device: str | None) -> dict[str, Arm]:
     path = study / "results.json"
     if not path.is_file():
         raise InputError(f"--study {study}: no finished study there (it lacks results.json)")
-    with refusing(f"{path}: not the results of a study", OSError, *MALFORMED):
-        results = report_tables.read(path)["arms"]
-        seeds = {name: results[name]["seeds"] for name in ARMS if name in results}
-    if not seeds:
+    arms = read_arms(study)
+    if not arms:
         raise InputError(f"{path}: holds none of the arms {', '.join(ARMS)}")
-    return {
-        name: load_arm([study / name / f"seed{seed}" / "policy.pt" for seed in of_arm], results[name], device)
-        for name, of_arm in seeds.items()
-    }
+    return {name: load_arm(study / name, results, device) for name, results in arms.items()}
 
 
-def load_arm(paths: list[Path], results: Results, device: str | None) -> Arm:
+def load_arm(directory: Path, results: Results, device: str | None) -> Arm:
     """An arm from its seeds' policies."""
-    loaded = [build.load_policy(str(path)) for path in paths]
+    paths = [directory / f"seed{seed}" / "policy.pt" for seed in results["seeds"]]
+    loaded = [load_policy(path) for path in paths]
     policies = [policy for policy, _ in loaded]
     config = loaded[0][1]
     weights = [policy.state_dict() for policy in policies]
-    together = build.make_policy(config, [torch.Generator() for _ in policies])
+    together = make_policy(config, [torch.Generator() for _ in policies])
     together.load_state_dict({name: torch.cat([own[name] for own in weights]) for name in weights[0]})
     return Arm(
         config=replace(config, train=replace(config.train, device=device or config.train.device)),
@@ -120,33 +117,28 @@ def write(path: Path, content: Results | Arrays | str) -> None:
     if path.suffix == ".json":
         write_json(path, content)
     elif path.suffix == ".npz":
+        # single precision is enough for figures and replays
+        single = {name: a.astype(np.float32) if a.dtype == np.float64 else a for name, a in content.items()}
         temporary = path.with_name(path.name + ".tmp")
         with open(temporary, "wb") as file:
-            np.savez_compressed(file, **{name: single(values) for name, values in content.items()})
+            np.savez_compressed(file, **single)
         os.replace(temporary, path)
     else:
         write_text(path, content)
 
 
-def single(values: np.ndarray) -> np.ndarray:
-    """The array with floats of half the size, which is enough for figures and replays."""
-    return values.astype(np.float32) if values.dtype == np.float64 else values
-
-
 def work(study: Path, arms: dict[str, Arm]) -> Work:
     """Everything that a report on these arms needs beside the study's own results."""
     config = next(iter(arms.values())).config
+    periods = ", ".join(f"{period:g}" for period in PERIODS)
+    filtered = f"the agents trained with RTA, the filter called every {periods} s"
+    guided = f"the natural-motion guidance with RTA over {GUIDANCE_CASES:,} cases"
+    lit = partial(shortest_episodes, config, config.train.final_episodes, TEST_CASES)
     todo: Work = {"cross.json": ("every agent with the filter off and on", partial(cross, arms))}
     if "rta" in arms:
-        periods = ", ".join(f"{period:g}" for period in PERIODS)
-        what = f"the agents trained with RTA, the filter called every {periods} s"
-        todo["frequency.json"] = (what, partial(frequency, arms["rta"]))
-    what = f"the natural-motion guidance with RTA over {GUIDANCE_CASES:,} cases"
-    todo["guidance.json"] = (what, partial(guidance, config))
-    todo["sunlight.json"] = (
-        "when the Sun has lit enough of the chief",
-        lambda: shortest_episodes(config, config.train.final_episodes, TEST_CASES),
-    )
+        todo["frequency.json"] = (filtered, partial(frequency, arms["rta"]))
+    todo["guidance.json"] = (guided, partial(guidance, config))
+    todo["sunlight.json"] = ("when the Sun has lit enough of the chief", lit)
     for name, arm in arms.items():
         todo[f"episode_{name}.npz"] = (f"an episode of {name}", partial(episode, arm))
     todo["training.csv"] = ("intervals of the training curves", partial(training, study, arms))
@@ -160,8 +152,8 @@ def cross(arms: dict[str, Arm]) -> dict[str, dict[str, Results]]:
     """Each arm's agents without filter and behind it, called as in the study."""
     return {
         name: {
-            "off": evaluate(arm, rta=False, period=arm.config.train.rta_period),
-            "on": evaluate(arm, rta=True, period=arm.config.train.rta_period),
+            "off": evaluate(arm, rta=False, period=arm.config.rta.period),
+            "on": evaluate(arm, rta=True, period=arm.config.rta.period),
         }
         for name, arm in arms.items()
     }
@@ -174,18 +166,19 @@ def frequency(arm: Arm) -> dict[str, Results]:
 
 def training(study: Path, arms: dict[str, Arm]) -> str:
     """The table of the periodic evaluations."""
-    for name, arm in arms.items():
-        path = study / name / "evaluations.jsonl"
+    paths = {name: study / name / "evaluations.jsonl" for name in arms}
+    for name, path in paths.items():
+        arm = arms[name]
         if arm.results["interactions"] >= arm.config.train.evaluation_interval and not path.exists():
             raise InputError(f"{path}: missing, and with it the training curves of {name}")
     with refusing(f"--study {study}: cannot read its evaluations.jsonl", OSError, *MALFORMED):
-        rows = [row for name in arms for row in report_tables.training(name, study / name)]
-    return report_tables.text(rows, report_tables.TRAINING)
+        rows = [row for name, path in paths.items() for row in tables.training(name, path)]
+    return tables.text(rows, tables.TRAINING)
 
 
 def with_rta(config: Config, rta: bool, period: float) -> Config:
     """The configuration with the filter off or called every `period` s."""
-    return replace(config, train=replace(config.train, rta=rta, rta_period=period))
+    return replace(config, train=replace(config.train, rta=rta), rta=replace(config.rta, period=period))
 
 
 def evaluate(arm: Arm, rta: bool, period: float) -> Results:
@@ -194,37 +187,29 @@ def evaluate(arm: Arm, rta: bool, period: float) -> Results:
     if config == arm.config:
         return arm.results
     seeds, episodes = len(arm.digests), config.train.final_episodes
-    safety, device = build.for_command(config, build.TYPICAL_EPISODE, seeds * episodes)
-    record = play(arm.policy.to(device), config, episodes, TEST_CASES, device, safety)
-    return report(record, config, rta, period, TEST_CASES, seeds)
+    experiment = Experiment(config, seeds * episodes)
+    record = play(arm.policy.to(experiment.device), experiment, episodes, TEST_CASES)
+    return report(record, experiment.config, TEST_CASES, seeds)
 
 
 def guidance(config: Config) -> Results:
     """The classical natural-motion guidance behind the filter."""
-    config = with_rta(config, True, GUIDANCE_PERIOD)
-    safety, device = build.for_command(config, build.TYPICAL_EPISODE, GUIDANCE_CASES)
-    record = play_guidance(config, GUIDANCE_CASES, TEST_CASES, device, safety)
-    return report(record, config, True, GUIDANCE_PERIOD, TEST_CASES)
+    experiment = Experiment(with_rta(config, True, GUIDANCE_PERIOD), GUIDANCE_CASES)
+    record = play_guidance(experiment, GUIDANCE_CASES, TEST_CASES)
+    return report(record, experiment.config, TEST_CASES)
 
 
 def episode(arm: Arm) -> Arrays:
     """The first seed's episode from the first test case, in the configuration of training."""
-    safety, device = build.for_command(arm.config, build.TYPICAL_EPISODE, 1)
-    return common_episode(arm.first.to(device), arm.config, safety, device)
+    experiment = Experiment(arm.config, 1)
+    return common_episode(arm.first.to(experiment.device), experiment)
 
 
 def demonstration(config: Config, rta: bool) -> Arrays:
     """A classical controller that heads for the limits, with or without the filter."""
-    config = with_rta(config, rta, config.train.rta_period)
+    experiment = Experiment(with_rta(config, rta, config.rta.period), 1, DEMONSTRATION_DURATION)
     step = config.inspection.substep
-    safety, device = build.for_command(config, DEMONSTRATION_DURATION, 1)
-    x, priority = starting_point(read_state(str(DEMONSTRATION)), config, TEST_CASES)
-    return simulate(
-        build.one_episode(config, safety, device),
-        classical("lqr-pd", None, config, step, TEST_CASES),
-        x.to(device),
-        priority.to(device),
-        DEMONSTRATION_DURATION,
-        step,
-        decide_every=step,
-    )
+    start = starting_point(str(DEMONSTRATION), experiment, TEST_CASES)
+    env = experiment.env(1, decide_every=step, report_every=step)
+    controller = classical("lqr-pd", None, config, step, TEST_CASES)
+    return simulate(env, controller, *start, DEMONSTRATION_DURATION)

@@ -1,6 +1,6 @@
 """Figures of a study's report: training curves, one common episode of both arms, the cross evaluation."""
 
-from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import matplotlib
@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from inspection.parameters import InspectionParameters
+from study.errors import refusing
 from study.flight.figures import (
     BLUE,
     GREEN,
@@ -21,51 +22,50 @@ from study.flight.figures import (
     speeds,
     trajectory,
 )
-from study.paper import PAPER_METRICS, PAPER_VIOLATIONS
-from study.report.inputs import Curves, Inputs, Results
+from study.paper import PAPER_METRICS, PAPER_VIOLATIONS, Results, measured
+from study.report.inputs import Curves, Inputs
 
 ARM_LABELS = {"no_rta": "no RTA", "rta": "RTA"}
 COLOURS = {"no_rta": BLUE, "rta": ORANGE}
 MARKERS = {"no_rta": "o", "rta": "s"}
 DPI = 120
 
-# metric of the training curves: its axis, digits and the paper's final values without and with RTA
-TRAINING = {
-    **{
-        name: (label, digits, no_rta[0], rta[0])
-        for name, (label, digits, no_rta, rta) in PAPER_METRICS.items()
-    },
-    "violation_percent": ("Violation (% of steps)", 3, *PAPER_VIOLATIONS["any"][1:]),
+# what the training curves show; the paper's IQM of the violation is not printed, its mean is
+TRAINING = PAPER_METRICS | {
+    "violation_percent": replace(PAPER_VIOLATIONS["any"], label="Violation (% of steps)")
 }
-# panels of the cross evaluation: axis, and the value with its interval of one evaluation
-CROSS: dict[str, Callable[[Results], tuple[float, float, float]]] = {
-    "Any violation (% of steps)": lambda results: (results["violations_percent"]["any"],) * 3,
-    "Success (%)": lambda results: (100.0 * results["outcomes"]["success"],) * 3,
-    "Total reward": lambda results: measured(results, "reward"),
-    "Delta v (m/s)": lambda results: measured(results, "delta_v_m_s"),
+# panels of the cross evaluation: axis and what is measured
+CROSS = {
+    "Any violation (% of steps)": "any",
+    "Success (%)": "success",
+    "Total reward": "reward",
+    "Delta v (m/s)": "delta_v_m_s",
 }
 
 
-def measured(results: Results, metric: str) -> tuple[float, float, float]:
-    """IQM and the ends of its 95 % interval."""
-    return results["metrics"][metric]["iqm"], *results["metrics"][metric]["ci95"]
+def draw(inputs: Inputs) -> None:
+    """Draws every figure for which there is material into the report's directory.
+
+    Raises:
+        InputError: nothing can be written there.
+    """
+    with refusing(f"--study {inputs.study}: cannot write its report", OSError):
+        if inputs.training:
+            draw_training(inputs.training, inputs.directory)
+        draw_episodes(inputs)
+        save(cross_figure(inputs.cross), inputs.directory / "cross")
 
 
-def draw(inputs: Inputs, directory: Path) -> None:
-    """Draws every figure for which there is material into a directory."""
-    c = inputs.config.inspection
-    if inputs.training:
-        draw_training(inputs.training, directory)
-    if inputs.episodes:
-        top_speed = max(speeds(episode).max() for episode in inputs.episodes.values())
-        for arm, episode in inputs.episodes.items():
-            trajectory_figure(episode, c, top_speed, directory / f"trajectory_{arm}.png")
-            constraint_figure(episode, c, directory / f"constraints_{arm}.png")
-        save(behaviour_figure(inputs.episodes, c), directory / "behaviour")
+def draw_episodes(inputs: Inputs) -> None:
+    """The common episode of the arms, and the demonstrations."""
+    c, directory = inputs.config.inspection, inputs.directory
+    top_speed = max(speeds(episode).max() for episode in inputs.episodes.values())
+    for arm, episode in inputs.episodes.items():
+        trajectory_figure(episode, c, top_speed, directory / f"trajectory_{arm}.png")
+        constraint_figure(episode, c, directory / f"constraints_{arm}.png")
+    save(behaviour_figure(inputs.episodes, c), directory / "behaviour")
     for arm, episode in inputs.demonstrations.items():
         constraint_figure(episode, c, directory / f"demonstration_{arm}.png")
-    if inputs.cross:
-        save(cross_figure(inputs.cross), directory / "cross")
 
 
 def draw_training(curves: Curves, directory: Path) -> None:
@@ -94,15 +94,16 @@ def save(figure: Figure, stem: Path) -> None:
 
 def training_panel(ax: Axes, curves: dict[str, np.ndarray], metric: str) -> None:
     """By arm: IQM with its 95 % band over the interactions of each seed, and the paper's final values dotted."""
-    label, _, *paper = TRAINING[metric]
-    final = dict(zip(ARM_LABELS, paper, strict=True))
+    paper = TRAINING[metric]
     for arm, rows in curves.items():
         interactions, iqm, low, high = rows[rows[:, 0].argsort()].T
         style = {"color": COLOURS[arm], "marker": MARKERS[arm], "ms": 3.5, "lw": 1.4}
         ax.plot(1e-6 * interactions, iqm, label=ARM_LABELS[arm], **style)
         ax.fill_between(1e-6 * interactions, low, high, color=COLOURS[arm], alpha=0.25, lw=0)
-        ax.axhline(final[arm], color=COLOURS[arm], ls=":", lw=1.1, label=f"paper, {ARM_LABELS[arm]}")
-    ax.set(xlabel="interactions of a seed (millions)", ylabel=label, xlim=(0, None))
+        ax.axhline(
+            paper.by_arm[arm].value, color=COLOURS[arm], ls=":", lw=1.1, label=f"paper, {ARM_LABELS[arm]}"
+        )
+    ax.set(xlabel="interactions of a seed (millions)", ylabel=paper.label, xlim=(0, None))
     ax.grid(alpha=0.3)
 
 
@@ -141,14 +142,15 @@ def behaviour_figure(episodes: dict[str, Episode], c: InspectionParameters) -> F
 def cross_figure(cross: dict[str, dict[str, Results]]) -> Figure:
     """Each arm's agents with the filter off (hollow) and on (filled): values with 95 % intervals."""
     figure = Figure(figsize=(11, 2.9), layout="constrained")
-    for ax, (label, value) in zip(figure.subplots(1, len(CROSS)), CROSS.items(), strict=True):
+    for ax, (label, name) in zip(figure.subplots(1, len(CROSS)), CROSS.items(), strict=True):
         for place, (arm, evaluations) in enumerate(cross.items()):
             for shift, (switch, results) in zip((-0.15, 0.15), evaluations.items(), strict=True):
-                middle, low, high = value(results)
+                number = measured(results, name)
                 x, colour = place + shift, COLOURS[arm]
-                ax.plot([x, x], [low, high], color=colour, marker="_", ms=8, lw=1.4)
+                ends = number.interval or (number.value, number.value)
+                ax.plot([x, x], ends, color=colour, marker="_", ms=8, lw=1.4)
                 face = colour if switch == "on" else "white"
-                ax.plot(x, middle, color=colour, marker=MARKERS[arm], mfc=face, ms=7)
+                ax.plot(x, number.value, color=colour, marker=MARKERS[arm], mfc=face, ms=7)
         ax.set(xlabel="trained with", ylabel=label, xlim=(-0.5, len(cross) - 0.5))
         ax.set_xticks(range(len(cross)), [ARM_LABELS[arm] for arm in cross])
         ax.grid(axis="y", alpha=0.3)

@@ -1,6 +1,7 @@
 """What a report shows: the files of a study that `study` and `report` wrote."""
 
 import csv
+import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -10,10 +11,9 @@ import numpy as np
 
 from study import config as configuration
 from study.config import ARMS, StudyConfig
-from study.errors import refusing
+from study.errors import MALFORMED, refusing
 from study.flight.figures import Episode
-from study.report import tables as report_tables
-from study.report.tables import Results
+from study.paper import Results
 
 Curves = dict[str, dict[str, np.ndarray]]  # by metric and arm: (k, 4) interactions, IQM, low, high
 
@@ -24,11 +24,11 @@ class Inputs:
 
     Attributes:
         arms: final evaluation of each arm, with `seeds`, `interactions` and `wall_clock_s`.
+        provenance: where they were trained, with `device`, `ranks` and `threads`.
         guidance: evaluation of the classical guidance behind the filter; empty if there is none.
         sunlight: the earliest success that the Sun allows in the test cases; empty if it is not known.
         cross: by arm, then "off" and "on": its agents without and with the filter.
-        frequency: by period in s: the agents trained behind the filter.
-        throughput: by arm: `seeds`, `interactions`, `wall_clock_s`, `interactions_per_s`, `device`, `ranks`, `threads`.
+        frequency: by period in s: the agents trained behind the filter; empty if there are none.
         training: empty where training was shorter than the interval of its evaluations.
         episodes, demonstrations: by arm, in the form of `simulate`.
     """
@@ -36,19 +36,24 @@ class Inputs:
     study: Path
     config: StudyConfig
     arms: dict[str, Results]
+    provenance: dict[str, Any]
     guidance: Results
     sunlight: dict[str, Any]
     cross: dict[str, dict[str, Results]]
     frequency: dict[str, Results]
-    throughput: dict[str, dict[str, Any]]
     training: Curves
     episodes: dict[str, Episode]
     demonstrations: dict[str, Episode]
 
     @property
-    def missing_arms(self) -> list[str]:
-        """The arms that the study left out."""
-        return [arm for arm in ARMS if arm not in self.arms]
+    def directory(self) -> Path:
+        """Where the report's figures and data are."""
+        return self.study / "report"
+
+    @property
+    def columns(self) -> dict[str, Results]:
+        """Those of Tables 2 and 3: the arms and "guidance"."""
+        return self.arms | ({"guidance": self.guidance} if self.guidance else {})
 
 
 def read(study: Path) -> Inputs:
@@ -58,17 +63,19 @@ def read(study: Path) -> Inputs:
         InputError: a file cannot be read, or the study has no results yet.
     """
     report = study / "report"
-    arms = read_json(study / "results.json")["arms"]
+    arms = read_arms(study)
     return Inputs(
         study=study,
         config=configuration.load(study / "config.toml", StudyConfig()),
-        arms={arm: arms[arm] for arm in ARMS if arm in arms},
+        arms=arms,
+        provenance=read_json(study / "provenance.json"),
+        cross=read_json(report / "cross.json"),
         training=read_curves(report / "training.csv"),
-        episodes=read_episodes(report, "episode"),
-        demonstrations=read_episodes(report, "demonstration"),
+        episodes={arm: read_episode(report / f"episode_{arm}.npz") for arm in arms},
+        demonstrations={arm: read_episode(report / f"demonstration_{arm}.npz") for arm in ARMS},
         **{
             name: read_json(report / f"{name}.json") if (report / f"{name}.json").exists() else {}
-            for name in ("guidance", "sunlight", "cross", "frequency", "throughput")
+            for name in ("guidance", "sunlight", "frequency")
         },
     )
 
@@ -76,7 +83,15 @@ def read(study: Path) -> Inputs:
 def read_json(path: Path) -> dict[str, Any]:
     """Content of a JSON file."""
     with refusing(f"{path}: cannot read it", OSError, ValueError):
-        return report_tables.read(path)
+        return json.loads(path.read_text(encoding="utf-8"))
+
+
+def read_arms(study: Path) -> dict[str, Results]:
+    """The final evaluation of each arm that has seeds, in the order of ARMS."""
+    path = study / "results.json"
+    with refusing(f"{path}: not the results of a study", *MALFORMED):
+        arms = read_json(path)["arms"]
+        return {name: arms[name] for name in ARMS if name in arms and arms[name]["seeds"]}
 
 
 def read_curves(path: Path) -> Curves:
@@ -89,15 +104,8 @@ def read_curves(path: Path) -> Curves:
     return {metric: {arm: np.array(rows) for arm, rows in arms.items()} for metric, arms in points.items()}
 
 
-def read_episodes(report: Path, name: str) -> dict[str, Episode]:
-    """The arms' episodes of a name, those that are there."""
-    episodes = {}
-    for arm in ARMS:
-        path = report / f"{name}_{arm}.npz"
-        if path.exists():
-            with (
-                refusing(f"{path}: not an episode", OSError, ValueError, BadZipFile),
-                np.load(path) as arrays,
-            ):
-                episodes[arm] = dict(arrays)
-    return episodes
+def read_episode(path: Path) -> Episode:
+    """An episode in the form of `simulate`."""
+    damaged = (OSError, ValueError, EOFError, BadZipFile)
+    with refusing(f"{path}: not an episode", *damaged), np.load(path) as arrays:
+        return dict(arrays)

@@ -9,7 +9,7 @@ from inspection import chief
 from inspection.parameters import InspectionParameters
 from inspection.state import THETA_S
 from study.config import Config
-from study.flight.evaluation import test_cases
+from study.experiment import test_cases
 from study.flight.summary import summary
 
 

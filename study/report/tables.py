@@ -1,4 +1,4 @@
-"""The tables behind a study's report, one CSV file each, from the JSON files that the study and the report wrote."""
+"""The tables behind a study's report, one CSV file each."""
 
 import csv
 import io
@@ -16,41 +16,33 @@ from study.config import ARMS
 from study.errors import MALFORMED, refusing
 from study.files import write_json, write_text
 from study.flight.summary import summary_of_runs
-from study.paper import PAPER_METRICS, PAPER_VIOLATIONS
+from study.paper import PAPER_METRICS, PAPER_VIOLATIONS, Estimate, Published, Results, measured
+from study.report.inputs import Inputs
 
-Results = dict[str, Any]  # in the form of `evaluate --json`
 Row = dict[str, Any]
 TRAINING = ("interactions", "arm", "metric", "iqm", "low", "high")
 
 
-def write(study: Path) -> None:
-    """Writes the tables of a finished study into its `report`, those aside that take time (`study.supplements`).
+def write(inputs: Inputs) -> None:
+    """Writes the tables of a finished study, that of the training curves aside, which `compute` keeps.
 
     Raises:
-        InputError: a file that they are made from is missing or damaged, or they cannot be written.
+        InputError: what they are made from is damaged, or they cannot be written.
     """
-    directory = study / "report"
-    with refusing(f"--study {study}: cannot read what its tables are made from", OSError, *MALFORMED):
-        arms = read(study / "results.json")["arms"]
-        columns = arms | {"guidance": read(directory / "guidance.json")}
+    with refusing(f"--study {inputs.study}: cannot read what its tables are made from", *MALFORMED):
         tables = {
-            "table2": table2(columns),
-            "table3": table3(columns),
-            "cross": cross(read(directory / "cross.json")),
-            "throughput": throughput(arms, read(study / "provenance.json")),
+            "table2": comparison("metric", PAPER_METRICS, inputs.columns),
+            "table3": comparison("constraint", PAPER_VIOLATIONS, inputs.columns),
+            "cross": cross(inputs.cross),
+            "throughput": throughput(inputs.arms, inputs.provenance),
         }
-        if "rta" in arms:
-            tables["frequency"] = frequency(read(directory / "frequency.json"))
+        if inputs.frequency:
+            tables["frequency"] = frequency(inputs.frequency)
 
-    with refusing(f"--study {study}: cannot write its tables", OSError):
+    with refusing(f"--study {inputs.study}: cannot write its tables", OSError):
         for name, rows in tables.items():
-            write_text(directory / f"{name}.csv", text(rows, rows[0]))
-        write_json(directory / "throughput.json", {row["arm"]: row for row in tables["throughput"]})
-
-
-def read(path: Path) -> dict[str, Any]:
-    """The content of a JSON file."""
-    return json.loads(path.read_text(encoding="utf-8"))
+            write_text(inputs.directory / f"{name}.csv", text(rows, rows[0]))
+        write_json(inputs.directory / "throughput.json", {row["arm"]: row for row in tables["throughput"]})
 
 
 def text(rows: list[Row], columns: Iterable[str]) -> str:
@@ -62,51 +54,38 @@ def text(rows: list[Row], columns: Iterable[str]) -> str:
     return file.getvalue()
 
 
-def interval(name: str, iqm: float, low: float, high: float) -> Row:
-    """An IQM and its 95 % interval as three columns."""
-    return {f"{name}_iqm": iqm, f"{name}_low": low, f"{name}_high": high}
+def columns_of(name: str, number: Estimate) -> Row:
+    """An IQM and its 95 % interval as three columns, a percentage as one."""
+    if number.interval is None:
+        return {f"{name}_percent": number.value}
+    low, high = number.interval
+    return {f"{name}_iqm": number.value, f"{name}_low": low, f"{name}_high": high}
 
 
-def table2(columns: dict[str, Results]) -> list[Row]:
-    """Table 2: for each column IQM and interval; for an arm also the paper's, and ours less the paper's IQM."""
+def comparison(kind: str, published: dict[str, Published], columns: dict[str, Results]) -> list[Row]:
+    """Table 2 or 3, a row per metric or constraint: ours; for an arm also the paper's, and ours less the paper's."""
     rows = []
-    for metric, (label, _, *published) in PAPER_METRICS.items():
-        paper = dict(zip(ARMS, published, strict=True))
-        row: Row = {"metric": metric, "label": label}
+    for key, paper in published.items():
+        row: Row = {kind: key, "label": paper.label}
         for name, results in columns.items():
-            ours = results["metrics"][metric]
-            row |= interval(name, ours["iqm"], *ours["ci95"])
-            if name in paper:
-                row |= interval(f"{name}_paper", *paper[name])
-                row[f"{name}_difference"] = ours["iqm"] - paper[name][0]
+            ours = measured(results, key)
+            row |= columns_of(name, ours)
+            if name in ARMS:
+                theirs = paper.by_arm[name]
+                row |= columns_of(f"{name}_paper", theirs)
+                row[f"{name}_difference"] = ours.value - theirs.value
         rows.append(row)
     return rows
 
 
-def table3(columns: dict[str, Results]) -> list[Row]:
-    """Table 3: for each column the mean % of steps that violate; for an arm also the paper's, and the difference."""
-    rows = []
-    for constraint, (label, *published) in PAPER_VIOLATIONS.items():
-        paper = dict(zip(ARMS, published, strict=True))
-        row: Row = {"constraint": constraint, "label": label}
-        for name, results in columns.items():
-            ours = results["violations_percent"][constraint]
-            row[f"{name}_percent"] = ours
-            if name in paper:
-                row |= {f"{name}_paper_percent": paper[name], f"{name}_difference": ours - paper[name]}
-        rows.append(row)
-    return rows
-
-
-def summary_columns(results: Results) -> Row:
+def evaluation(results: Results) -> Row:
     """An evaluation as one row."""
     row: Row = {}
     for metric in METRICS:
-        summary = results["metrics"][metric]
-        row |= interval(metric, summary["iqm"], *summary["ci95"])
+        row |= columns_of(metric, measured(results, metric))
     row |= {f"{name}_mean_percent": results["violations_percent"][name] for name in ("any", *CONSTRAINTS)}
     return row | {
-        "success_percent": 100.0 * results["outcomes"]["success"],
+        "success_percent": measured(results, "success").value,
         "intervention_percent": results["rta"]["intervention_percent"],
         "unsolved_programs": results["rta"]["qp_failures"],
         "episodes": results["episodes"],
@@ -116,7 +95,7 @@ def summary_columns(results: Results) -> Row:
 def cross(evaluations: dict[str, dict[str, Results]]) -> list[Row]:
     """A row per arm and filter (off or on)."""
     return [
-        {"arm": arm, "filter": switch} | summary_columns(results)
+        {"arm": arm, "filter": switch} | evaluation(results)
         for arm, switches in evaluations.items()
         for switch, results in switches.items()
     ]
@@ -124,15 +103,14 @@ def cross(evaluations: dict[str, dict[str, Results]]) -> list[Row]:
 
 def frequency(evaluations: dict[str, Results]) -> list[Row]:
     """A row per filter period, in s."""
-    return [{"period_s": period} | summary_columns(results) for period, results in evaluations.items()]
+    return [{"period_s": period} | evaluation(results) for period, results in evaluations.items()]
 
 
-def training(arm: str, directory: Path) -> list[Row]:
-    """A row per periodic evaluation and metric of an arm: IQM and interval over seeds x cases.
+def training(arm: str, path: Path) -> list[Row]:
+    """A row per periodic evaluation in a file and metric of an arm: IQM and interval over seeds x cases.
 
-    None where its training was shorter than the evaluations' interval.
+    None where there is no file, since training was shorter than the evaluations' interval.
     """
-    path = directory / "evaluations.jsonl"
     if not path.exists():
         return []
     evaluations = [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
@@ -155,9 +133,7 @@ def throughput(arms: dict[str, Results], provenance: dict[str, Any]) -> list[Row
             "interactions": arm["interactions"],
             "wall_clock_s": arm["wall_clock_s"],
             "interactions_per_s": len(arm["seeds"]) * arm["interactions"] / arm["wall_clock_s"],
-            "device": provenance["device"],
-            "ranks": provenance["ranks"],
-            "threads": provenance["threads"],
+            **{name: provenance[name] for name in ("device", "ranks", "threads")},
         }
         for name, arm in arms.items()
     ]

@@ -1,11 +1,13 @@
 """What a training run reports of its environment: one set of scalars per update."""
 
-from collections import defaultdict
-from functools import partial
+import time
+from collections import Counter
+from dataclasses import replace
 
 import torch
 from torch import Tensor
 
+from inspection.closed_loop import Correction, Safety
 from inspection.environment import METRICS, OUTCOMES, Transition
 from rta.qp import Status
 
@@ -16,6 +18,9 @@ class Monitor:
     Args:
         constraints: their names; seeds: that share the batch in equal parts, one after another.
         first_seed: the number of the first of them, counted from 0.
+
+    Attributes:
+        filter_seconds: spent in the filter of `timed`.
     """
 
     def __init__(self, constraints: tuple[str, ...], seeds: int = 1, first_seed: int = 0) -> None:
@@ -24,42 +29,44 @@ class Monitor:
 
     def clear(self) -> None:
         """Forgets all transitions."""
-        self.steps = 0
-        self.filter_calls = 0
-        self.sums: dict[str, Tensor] = defaultdict(partial(torch.zeros, ()))
-        self.episodes: list[Tensor] = []  # (7, k) of those that ended: metrics and success
-        self.owners: list[Tensor] = []  # (k,) their seeds
+        self.filter_seconds = 0.0
+        self.sums: Counter[str] = Counter()  # of numbers and of tensors, a place per constraint
+        self.episodes: list[Tensor] = []  # (8, k) of those that ended: metrics, success and the seed's number
+
+    def timed(self, safety: Safety) -> Safety:
+        """The same with a filter, if there is one, whose time is added to `filter_seconds`."""
+
+        def correct(x: Tensor, desired: Tensor) -> Correction:
+            started = time.perf_counter()
+            correction = safety.correct(x, desired)
+            self.filter_seconds += time.perf_counter() - started
+            return correction
+
+        return replace(safety, correct=correct) if safety.correct else safety
 
     def __call__(self, transition: Transition) -> None:
         """Takes in one interaction of the batch."""
-        self.steps += transition.reward.numel()
-        for name, term in transition.reward_terms.items():
-            self.sums[f"reward/{name}"] = self.sums[f"reward/{name}"] + term.sum()
-        self.sums["violated"] = self.sums["violated"] + transition.violated.sum(1)
+        self.sums.update(steps=transition.reward.numel(), violated=transition.violated.sum(1))
+        self.sums.update({f"reward/{name}": term.sum() for name, term in transition.reward_terms.items()})
         for correction in transition.corrections:
-            self.filter_calls += correction.status.numel()
-            for name, value in (
-                ("intervention", correction.intervened.sum()),
-                ("slack", (correction.slack.amax(0) > 0.0).sum()),
-                ("failures", (correction.status == Status.UNSOLVED).sum()),
-                ("rta_violated", (correction.h < 0.0).sum(1)),
-            ):
-                self.sums[name] = self.sums[name] + value
+            self.sums.update(
+                calls=correction.status.numel(),
+                intervention=correction.intervened.sum(),
+                slack=(correction.slack.amax(0) > 0.0).sum(),
+                failures=(correction.status == Status.UNSOLVED).sum(),
+                rta_violated=(correction.h < 0.0).sum(1),
+            )
         done = transition.done
         if done.any():
-            success = (transition.outcome == OUTCOMES.index("success")).to(transition.metrics.dtype)
-            self.episodes.append(torch.cat((transition.metrics, success[None]))[:, done])
-            own_seed = torch.nonzero(done).flatten() * self.seeds // done.numel()
-            self.owners.append(self.first_seed + own_seed)
+            success = transition.outcome == OUTCOMES.index("success")
+            columns = torch.arange(done.numel(), device=done.device)
+            owner = self.first_seed + columns * self.seeds // done.numel()
+            self.episodes.append(torch.cat((transition.metrics, success[None], owner[None]))[:, done])
 
     def add(self, other: "Monitor") -> None:
-        """Takes in what another monitor has."""
-        self.steps += other.steps
-        self.filter_calls += other.filter_calls
-        for name, total in other.sums.items():
-            self.sums[name] = self.sums[name] + total
+        """Takes in the transitions of another monitor."""
+        self.sums.update(other.sums)
         self.episodes += other.episodes
-        self.owners += other.owners
 
     def charts(self, seed: int | None = None) -> dict[str, float]:
         """Means over the episodes that ended since the last `scalars`, of one seed (counted from 0) or of all."""
@@ -67,27 +74,27 @@ class Monitor:
             return {}
         episodes = torch.cat(self.episodes, 1)
         if seed is not None:
-            episodes = episodes[:, torch.cat(self.owners) == seed]
+            episodes = episodes[:, episodes[-1] == seed]
         if not episodes.numel():
             return {}
-        names = (*METRICS, "success")
-        return {f"charts/{name}": mean for name, mean in zip(names, episodes.mean(1).tolist(), strict=True)}
+        means = episodes[:-1].mean(1).tolist()
+        return {f"charts/{name}": mean for name, mean in zip((*METRICS, "success"), means, strict=True)}
 
     def scalars(self) -> dict[str, float]:
         """Means since the last call: per episode ended, per interaction and per filter call."""
+        sums, steps, calls = self.sums, self.sums["steps"], self.sums["calls"]
         out = self.charts()
-        for name, total in self.sums.items():
-            if name.startswith("reward/"):
-                out[name] = total.item() / self.steps
-        violated = (100.0 * self.sums["violated"] / self.steps).tolist()
-        out |= {f"rta/violation_percent_{n}": v for n, v in zip(self.constraints, violated, strict=True)}
-        if self.filter_calls:
-            percent = 100.0 / self.filter_calls
-            out["rta/intervention_percent"] = self.sums["intervention"].item() * percent
-            out["rta/slack_percent"] = self.sums["slack"].item() * percent
-            out["rta/failures"] = self.sums["failures"].item()
-            every_call = (self.sums["rta_violated"] * percent).tolist()
-            for name, value in zip(self.constraints, every_call, strict=True):
-                out[f"rta/filter_step_violation_percent_{name}"] = value
+        out |= {tag: total.item() / steps for tag, total in sums.items() if tag.startswith("reward/")}
+        out |= self.by_constraint("rta/violation_percent", 100.0 * sums["violated"] / steps)
+        if calls:
+            percent = 100.0 / calls
+            out["rta/intervention_percent"] = sums["intervention"].item() * percent
+            out["rta/slack_percent"] = sums["slack"].item() * percent
+            out["rta/failures"] = sums["failures"].item()
+            out |= self.by_constraint("rta/filter_step_violation_percent", sums["rta_violated"] * percent)
         self.clear()
         return out
+
+    def by_constraint(self, tag: str, values: Tensor) -> dict[str, float]:
+        """Values (constraints,) under the tag and the constraint's name."""
+        return {f"{tag}_{name}": v for name, v in zip(self.constraints, values.tolist(), strict=True)}

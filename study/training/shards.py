@@ -12,6 +12,7 @@ from study.config import Config
 from study.errors import InputError, refusing
 
 State = dict[str, Any]
+Stacked = torch.Tensor | list[torch.Tensor]
 
 
 @dataclass(frozen=True)
@@ -31,48 +32,43 @@ class Shard:
 
     def split(self, state: State) -> State:
         """This rank's part of the state of a whole run."""
-        if self.ranks.size == 1:
-            return state
-        columns, others = parted(state)
-        own = each(lambda values: values[self.seeds], others)
-        own["env"] |= {name: values[..., self.columns] for name, values in columns.items()}
-        return own
+
+        def part(axis: int, values: Stacked) -> Stacked:
+            return values[self.seeds] if axis == 0 else values[..., self.columns]
+
+        return state if self.ranks.size == 1 else each(part, state)
 
     def join(self, states: list[State]) -> State:
         """The state of the whole run from those of all ranks in order."""
+        shared = self.learners.size > 1  # the seed: all ranks have the same but for the episodes
+
+        def whole(axis: int, *parts: Stacked) -> Stacked:
+            if axis == 0 and shared:
+                return parts[0]
+            return list(chain(*parts)) if isinstance(parts[0], list) else torch.cat(parts, axis)
+
         if len(states) == 1:
             return states[0]
-        columns, others = zip(*map(parted, states), strict=True)
-        shared = self.learners.size > 1  # the seed: all ranks have the same but for the episodes
-        whole = each(concatenated, *(others[:1] if shared else others))
-        whole["env"] |= {name: torch.cat([part[name] for part in columns], -1) for name in columns[0]}
-        whole["seconds"] = max(state["seconds"] for state in states)  # the others waited
-        return whole
+        # the other ranks waited for the slowest
+        return each(whole, *states) | {"seconds": max(state["seconds"] for state in states)}
 
 
-def parted(state: State) -> tuple[dict[str, torch.Tensor], State]:
-    """What has a column per episode, and the rest, of which a part has a place per seed."""
-    env = state["env"]
-    columns = {name: values for name, values in env.items() if isinstance(values, torch.Tensor)}
-    return columns, state | {"env": {name: env[name] for name in env.keys() - columns.keys()}}
+def each(function: Callable[..., Stacked], *states: Any, axis: int = 0) -> Any:
+    """A function of all that has a place per seed or per episode in nested states; of the rest what the first has.
 
-
-def each(function: Callable[..., Any], *states: Any) -> Any:
-    """`function` of what has a seed axis, tensors and lists of tensors, in nested states; else what the first has."""
+    Args:
+        function: of the axis, 0 for seeds or -1 for the episodes of the environment, and what each state has there.
+    """
     first, *_ = states
     if isinstance(first, dict):
-        return {key: each(function, *(state[key] for state in states)) for key in first}
-    stacked = isinstance(first, torch.Tensor) and first.dim() > 0
-    listed = isinstance(first, list) and all(isinstance(item, torch.Tensor) for item in first)
-    return function(*states) if stacked or listed else first
+        axes = {"env": -1}
+        return {key: each(function, *(s[key] for s in states), axis=axes.get(key, axis)) for key in first}
+    if isinstance(first, list) and all(isinstance(item, torch.Tensor) for item in first):
+        return function(0, *states)
+    return function(axis, *states) if isinstance(first, torch.Tensor) and first.dim() > 0 else first
 
 
-def concatenated(*parts: Any) -> Any:
-    """Tensors or lists, one after another along the seed axis, which comes first."""
-    return list(chain(*parts)) if isinstance(parts[0], list) else torch.cat(parts)
-
-
-def of_episodes(config: Config, ranks: Ranks) -> Shard:
+def shard_of_episodes(config: Config, ranks: Ranks) -> Shard:
     """A rank's part of the episodes of the one seed that all ranks train."""
     num_envs = config.train.num_envs
     if num_envs % ranks.size:
@@ -82,7 +78,7 @@ def of_episodes(config: Config, ranks: Ranks) -> Shard:
     return Shard(ranks, slice(0, 1), ranks.share(num_envs), num_envs // ranks.size, ranks)
 
 
-def of_seeds(config: Config, ranks: Ranks, count: int) -> Shard:
+def shard_of_seeds(config: Config, ranks: Ranks, count: int) -> Shard:
     """A rank's part of so many seeds, which it trains by itself."""
     num_envs = config.train.num_envs
     with refusing(f"[study] seeds = {count}", ValueError):

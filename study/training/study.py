@@ -1,63 +1,27 @@
 """The study: all seeds of each arm trained as one batch, evaluated, and continued wherever it was interrupted."""
 
-import dataclasses
 import json
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
 
-from inspection.environment import METRICS, OUTCOMES
+from inspection.environment import METRICS
+from inspection.termination import OUTCOMES
 from ppo.distributed import ranks
 from rta.constraints import CONSTRAINTS
 from study import config as configuration
 from study.config import StudyConfig
 from study.errors import InputError, refusing
 from study.files import write_json, write_settings
-from study.flight.evaluation import Episodes, report
+from study.flight.evaluation import TEST_CASES, Episodes, report
 from study.paper import tables
-from study.training import run as training
-from study.training.run import Run, Stopped, on_signal
+from study.training.run import Run, Stopped, create, on_signal, resume, settled_for_a_seed
 
-# All that a kill at the start leaves.
-SETTINGS = ("provenance.json", "provenance.json.tmp", "config.toml.tmp")
-TEST_CASES = 0  # seed of the final evaluation's cases, the default of `evaluate`
+LEFT_BY_A_KILL = ("provenance.json", "provenance.json.tmp", "config.toml.tmp")  # at the start
 
 
-def prepare(config: StudyConfig, directory: Path) -> None:
-    """Makes the directory of a new study; refuses one that holds other things or a study with other settings."""
-    before = settings(directory)
-    if before is None:
-        with refusing(f"--study-dir {directory}: cannot write there", OSError, ValueError):
-            directory.mkdir(parents=True, exist_ok=True)
-            if other := sorted(path.name for path in directory.iterdir() if path.name not in SETTINGS):
-                raise InputError(
-                    f"--study-dir {directory}: holds no study but {other[0]}; name a new directory"
-                )
-            write_settings(config, directory)
-    elif before != config:
-        raise InputError(f"--study-dir {directory}: holds a study with {first_difference(before, config)}")
-
-
-def settings(directory: Path) -> StudyConfig | None:
-    """The configuration of the study in a directory; None where none was begun."""
-    with refusing(f"--study-dir {directory}: cannot read it", OSError, ValueError):
-        if (directory / "checkpoint.pt").exists() or (directory / "policy.pt").exists():
-            raise InputError(f"--study-dir {directory}: holds a run of train, not a study")
-        begun = (directory / "config.toml").exists()
-    return configuration.load(directory / "config.toml", StudyConfig()) if begun else None
-
-
-def first_difference(one: StudyConfig, other: StudyConfig) -> str:
-    """The first setting in which two configurations differ, with both values."""
-    return next(
-        f"[{table.name}] {key} = {value!r}, not {getattr(getattr(other, table.name), key)!r}"
-        for table in dataclasses.fields(one)
-        for key, value in vars(getattr(one, table.name)).items()
-        if value != getattr(getattr(other, table.name), key)
-    )
-
-
-def run(config: StudyConfig, directory: Path) -> str:
+def train_and_evaluate(config: StudyConfig, directory: Path) -> str:
     """Trains and evaluates what is left of a study; returns the paper's tables.
 
     Of many ranks, each trains some of the seeds, as it would without the others; the first one writes and returns.
@@ -65,14 +29,14 @@ def run(config: StudyConfig, directory: Path) -> str:
     Raises:
         InputError: the directory holds a study with other settings; Stopped: a signal came first.
     """
-    config = dataclasses.replace(config, train=training.with_solver(config).train)
-    ranks().first_does(lambda: prepare(config, directory))
+    config = settled_for_a_seed(config)
+    ranks().first_does(lambda: begin_or_continue(config, directory))
     results = {}
     with on_signal(stop):  # outside an update, where nothing half done is kept
         for name in config.study.arms:
             path = directory / name / "results.json"
             if not ranks().agree(path.exists()):
-                finish(train(config, name, directory / name))
+                evaluate_arm(train_arm(config, name, directory / name))
             if not ranks().first:
                 continue
             with refusing(f"{path}: not the results of this program", OSError, ValueError):
@@ -89,19 +53,47 @@ def stop() -> None:
     raise Stopped("stopped; the same command continues")
 
 
-def train(config: StudyConfig, name: str, directory: Path) -> Run:
+def begin_or_continue(config: StudyConfig, directory: Path) -> None:
+    """Makes the directory of a new study; refuses one that holds other things or a study with other settings."""
+    before = read_settings(directory)
+    if before is None:
+        with refusing(f"--study-dir {directory}: cannot write there", OSError, ValueError):
+            directory.mkdir(parents=True, exist_ok=True)
+            if other := sorted(path.name for path in directory.iterdir() if path.name not in LEFT_BY_A_KILL):
+                raise InputError(
+                    f"--study-dir {directory}: holds no study but {other[0]}; name a new directory"
+                )
+            write_settings(config, directory)
+    elif before != config:
+        raise InputError(f"--study-dir {directory}: holds a study with {first_difference(before, config)}")
+
+
+def read_settings(directory: Path) -> StudyConfig | None:
+    """The configuration of the study in a directory; None where none was begun."""
+    with refusing(f"--study-dir {directory}: cannot read it", OSError, ValueError):
+        if (directory / "checkpoint.pt").exists() or (directory / "policy.pt").exists():
+            raise InputError(f"--study-dir {directory}: holds a run of train, not a study")
+        begun = (directory / "config.toml").exists()
+    return configuration.load(directory / "config.toml", StudyConfig()) if begun else None
+
+
+def first_difference(one: StudyConfig, other: StudyConfig) -> str:
+    """The first setting in which two configurations differ, with both values."""
+    tables, others = asdict(one), asdict(other)
+    return next(
+        f"[{table}] {key} = {value!r}, not {others[table][key]!r}"
+        for table, entries in tables.items()
+        for key, value in entries.items()
+        if value != others[table][key]
+    )
+
+
+def train_arm(config: StudyConfig, name: str, directory: Path) -> Run:
     """All seeds of an arm, trained to the end from where they were left."""
     of_arm = config.of_arm(name)
-    path = directory / "checkpoint.pt"
-    begun = path.exists()
-    if begun:
-        training.check_trained_with(of_arm, path)
-    run = Run(of_arm, directory, config.seeds)
-    if begun:
-        run.resume()
-    else:
-        run.create()
-    print(training.describe(run), flush=True)
+    begun = (directory / "checkpoint.pt").exists()
+    run = resume(directory, of_arm, config.seeds) if begun else create(of_arm, directory, config.seeds)
+    print(run, flush=True)
     try:
         run.train()
     except Stopped:
@@ -111,38 +103,34 @@ def train(config: StudyConfig, name: str, directory: Path) -> Run:
     return run
 
 
-def finish(run: Run) -> None:
+def evaluate_arm(run: Run) -> None:
     """Plays the common test cases with every seed of a trained arm; writes episodes.npz, then results.json.
 
     `interactions` are those of each seed, `wall_clock_s` the rollouts and updates of all of them together, by the
     rank that took longest.
     """
-    train = run.config.train
-    record, seconds = run.play(train.final_episodes, TEST_CASES), run.seconds()
+    record, seconds = run.play(run.config.train.final_episodes, TEST_CASES), run.seconds()
     if not record:
         return
-    save_episodes(record, run.seeds, run.directory / "episodes.npz")
-    together = report(record, run.config, train.rta, train.rta_period, TEST_CASES, len(run.seeds))
+    write_episodes(record, run.seeds, run.directory / "episodes.npz")
     about = {
         "seeds": list(run.seeds),
         "interactions": run.interactions,
         "wall_clock_s": seconds,
-        "per_seed": run.report(record, TEST_CASES),
+        "per_seed": run.reports(record, TEST_CASES),
     }
+    together = report(record, run.config, TEST_CASES, len(run.seeds))
     write_json(run.directory / "results.json", together | about)
 
 
-def save_episodes(record: Episodes, seeds: tuple[int, ...], path: Path) -> None:
+def write_episodes(record: Episodes, seeds: tuple[int, ...], path: Path) -> None:
     """Every field of the episodes with the last axis split in two, seeds and cases; and what the rows are."""
-    fields = {f.name: getattr(record, f.name) for f in dataclasses.fields(record) if f.name != "extremes"}
+    fields = vars(record) | record.named_extremes()
     arrays = {
         name: values.unflatten(-1, (len(seeds), -1)).cpu().numpy()
-        for name, values in (fields | record.extremes).items()
+        for name, values in fields.items()
+        if name != "extremes"
     }
-    labels = {
-        "seeds": seeds,
-        "metric_names": METRICS,
-        "constraint_names": (*CONSTRAINTS, "any"),
-        "outcome_names": OUTCOMES,
-    }
-    np.savez_compressed(path, **arrays, **{name: np.array(values) for name, values in labels.items()})
+    constraints = (*CONSTRAINTS, "any")
+    labels = {"metric_names": METRICS, "constraint_names": constraints, "outcome_names": OUTCOMES}
+    np.savez_compressed(path, **arrays, seeds=seeds, **labels)

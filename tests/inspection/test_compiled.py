@@ -16,8 +16,8 @@ from inspection.parameters import InspectionParameters
 from rta.filter import FilterResult, SafetyFilter
 from rta.parameters import RtaParameters
 from rta.qp import Status
-from study import experiment as build
-from study.config import Config
+from study import experiment
+from study.config import Config, TrainParameters
 
 C = InspectionParameters()
 
@@ -85,7 +85,7 @@ def test_compiled_filter_equals_the_eager_one(
             expected, found = getattr(one, field.name), getattr(other, field.name)
             torch.testing.assert_close(found, expected, rtol=1e-9, atol=1e-9, equal_nan=True)
     assert one.status.unique().tolist() == list(Status)
-    for rows, expected in zip(fast.rows(x), eager.barriers(x), strict=True):
+    for rows, expected in zip(fast.rows(x), eager.rows(x), strict=True):
         for field in fields(rows):
             found = getattr(rows, field.name)
             torch.testing.assert_close(
@@ -99,20 +99,21 @@ def test_without_a_compiler_nothing_is_compiled_and_one_line_says_so(
     def missing() -> str:
         raise RuntimeError
 
-    monkeypatch.setattr(build, "get_cpp_compiler", missing)
-    build.finds_compiler.cache_clear()
+    monkeypatch.setattr(experiment, "get_cpp_compiler", missing)
+    experiment.finds_compiler.cache_clear()
     try:
-        assert not build.wants_compile("on", True)
-        assert not build.wants_compile("auto", True)
+        assert not experiment.wants_compile("on", True)
+        assert not experiment.wants_compile("auto", True)
     finally:
-        build.finds_compiler.cache_clear()
+        experiment.finds_compiler.cache_clear()
     message = capsys.readouterr().err
     assert message.count("\n") == 1 and "compiler" in message
 
 
 def test_the_filter_is_compiled_for_the_device(monkeypatch: pytest.MonkeyPatch) -> None:
     used, elsewhere = [], torch.device("meta")
-    monkeypatch.setattr(SafetyFilter, "compile", lambda _, device, batch: used.append(device))
-    monkeypatch.setattr(build, "resolve_device", lambda _: elsewhere)
-    build.make_filter(Config(), 1.0, compiled=True)
-    assert used == [elsewhere]
+    monkeypatch.setattr(SafetyFilter, "compile", lambda _, device, batch: used.append((device, batch)))
+    monkeypatch.setattr(experiment, "resolve_device", lambda _: elsewhere)
+    monkeypatch.setattr(experiment, "finds_compiler", lambda: True)
+    experiment.Experiment(Config(TrainParameters(compile="on")), batch=7)
+    assert used == [(elsewhere, 7)]

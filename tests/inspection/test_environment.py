@@ -11,7 +11,8 @@ import pytest
 import torch
 
 from inspection import initial_state
-from inspection.environment import METRICS, InspectionEnv, Safety
+from inspection.closed_loop import Safety
+from inspection.environment import METRICS, InspectionEnv
 from inspection.initial_state import InitialStates
 from inspection.reward import REWARDS
 from inspection.state import THETA_S, E, P, Q, T, V

@@ -12,12 +12,13 @@ from inspection import guidance
 from inspection.dynamics import free_flight, step
 from inspection.parameters import InspectionParameters
 from inspection.state import OMEGA, SIZE, THETA_S, E, P, Q, V
-from rta.constraints import CONSTRAINTS, values
+from rta.constraints import CONSTRAINTS
 from rta.filter import SafetyFilter
 from rta.parameters import RtaParameters
-from study.flight.simulation import read_state
+from study.flight.state_files import read_state
 
 C = InspectionParameters()
+FILTER = SafetyFilter(C, RtaParameters())
 DEMONSTRATION = str(Path(__file__).parents[2] / "configs" / "demonstration.json")
 
 
@@ -106,7 +107,7 @@ def test_pointing_turns_a_body_axis_to_its_target(axis: str) -> None:
 
 def tour(duration: float, interval: float, safety: SafetyFilter | None = None) -> torch.Tensor:
     """States (16, steps + 1) of the demonstration, from its state file."""
-    x, _ = read_state(DEMONSTRATION)
+    x, _ = read_state(DEMONSTRATION, C)
     control, states = guidance.lqr_pd(C), [x]
     for i in range(round(duration / interval)):
         u = control(i * interval, x)
@@ -116,20 +117,20 @@ def tour(duration: float, interval: float, safety: SafetyFilter | None = None) -
 
 
 def test_the_demonstration_starts_in_the_filters_safe_set() -> None:
-    x, _ = read_state(DEMONSTRATION)
-    assert SafetyFilter(C, RtaParameters()).barriers.is_safe(x).all()
+    x, _ = read_state(DEMONSTRATION, C)
+    assert FILTER.is_safe(x).all()
 
 
 def test_the_demonstration_crosses_every_boundary_without_the_filter() -> None:
     states = tour(2000.0, 2.0)
-    crossed = (values(states, C) < 0.0).any(1).tolist()
+    crossed = (FILTER.values(states) < 0.0).any(1).tolist()
     assert crossed == [True] * 10 + [False] * 3  # the plant saturates body rates at their limits
     assert (states[OMEGA].abs().amax(1) == C.max_rate).all()
 
 
 def test_the_filter_holds_the_demonstration_at_its_first_boundaries() -> None:
-    states = tour(140.0, 1.0, SafetyFilter(C, RtaParameters()))
-    h = dict(zip(CONSTRAINTS, values(states, C), strict=True))
+    states = tour(140.0, 1.0, FILTER)
+    h = dict(zip(CONSTRAINTS, FILTER.values(states), strict=True))
     assert min(h[name].min() for name in CONSTRAINTS) >= 0.0
     assert h["dynamic_speed"].min() < 0.2  # m/s
     assert h["attitude_exclusion"].min() < math.radians(3)

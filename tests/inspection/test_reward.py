@@ -48,7 +48,7 @@ def drifting(days):
 
 def test_the_papers_nine_terms_are_there_in_its_order(c):
     papers = STEP_BY_STEP + AT_THE_END
-    assert REWARDS == tuple(terms(c))
+    assert tuple(terms(c)) == REWARDS
     assert tuple(name for name in REWARDS if name in papers) == papers
 
 

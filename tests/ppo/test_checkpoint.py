@@ -1,89 +1,12 @@
-"""Training on disk: interrupted equals uninterrupted, atomic checkpoints, clean signals, NaN."""
+"""Checkpoints: whole or not at all, and what is no checkpoint is refused."""
 
-import dataclasses
-import os
-import signal
-import subprocess
-import sys
-import time
 from pathlib import Path
 
 import pytest
 import torch
-from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
-from inspection.environment import METRICS
-from inspection.reward import REWARDS
 from ppo import checkpoint
-from ppo.learner import NonFiniteError
-from rta.constraints import CONSTRAINTS
-from study import config as configuration
-from study.config import Config
-from study.training import run as training
-
-MAIN = Path(__file__).parents[2] / "main.py"
-
-
-def tiny(**train: object) -> Config:
-    """A run of 6 updates that takes a few seconds."""
-    tables = {
-        "train": {
-            "rta": False,
-            "interactions": 6 * 32 * 4,
-            "num_envs": 32,
-            "rollout_steps": 4,
-            "evaluation_interval": 10**9,
-            "compile": "off",
-            "device": "cpu",
-        }
-        | train,
-        "ppo": {"epochs": 2, "minibatch_size": 64},
-    }
-    return configuration.override(Config(), tables, "test")
-
-
-def stop_after(run: training.Run, updates: int) -> None:
-    """Makes the run ask itself to stop, as a signal would, once it has done so many updates."""
-    after_update = run.after_update
-
-    def interrupting(statistics: dict[str, float]) -> None:
-        after_update(statistics)
-        if run.trainer.update == updates:
-            os.kill(os.getpid(), signal.SIGTERM)
-
-    run.after_update = interrupting
-
-
-def weights(run: training.Run) -> list[torch.Tensor]:
-    return [*run.trainer.learner.policy.parameters(), *run.trainer.learner.value.parameters()]
-
-
-@pytest.mark.parametrize("rta", [False, True])
-def test_interrupted_and_resumed_equals_uninterrupted(tmp_path: Path, rta: bool) -> None:
-    config = tiny(rta=rta, rta_period=10.0, interactions=(2 if rta else 6) * 32 * 4)
-    whole = training.start(config, tmp_path / "whole")
-    whole.train()
-
-    first = training.start(config, tmp_path / "parts")
-    stop_after(first, 1 if rta else 3)
-    with pytest.raises(training.Stopped, match="--resume"):
-        first.train()
-    second = training.resume(tmp_path / "parts")
-    assert second.trainer.update == (1 if rta else 3)
-    second.train()
-
-    for a, b in zip(weights(whole), weights(second), strict=True):
-        assert torch.equal(a, b)
-    assert torch.equal(whole.env.x, second.env.x)
-
-
-def test_same_seed_gives_the_same_weights_and_another_seed_others(tmp_path: Path) -> None:
-    runs = [training.start(tiny(seed=seed), tmp_path / str(i)) for i, seed in enumerate((3, 3, 4))]
-    for run in runs:
-        run.train()
-    same, other = weights(runs[1]), weights(runs[2])
-    assert all(torch.equal(a, b) for a, b in zip(weights(runs[0]), same, strict=True))
-    assert not any(torch.equal(a, b) for a, b in zip(weights(runs[0])[::2], other[::2], strict=True))
+from ppo.checkpoint import CheckpointError
 
 
 def test_a_write_that_dies_leaves_the_previous_checkpoint(
@@ -103,66 +26,15 @@ def test_a_write_that_dies_leaves_the_previous_checkpoint(
     assert checkpoint.load(path, ("update",)) == {"update": 1}
 
 
-def test_checkpoint_holds_configuration_and_loads_weights_only(tmp_path: Path) -> None:
-    run = training.start(tiny(), tmp_path)
-    content = torch.load(tmp_path / "checkpoint.pt", weights_only=True)
-    assert configuration.from_toml(content["config"], "checkpoint") == run.config
-    assert configuration.load(tmp_path / "config.toml") == run.config
-
-
-def test_provenance_names_versions_and_revision(tmp_path: Path) -> None:
-    training.start(tiny(), tmp_path)
-    text = (tmp_path / "provenance.json").read_text()
-    assert torch.__version__ in text
-    assert "git_revision" in text
-
-
-def test_nan_stops_with_update_tensor_and_last_good_checkpoint(tmp_path: Path) -> None:
-    run = training.start(tiny(), tmp_path)
-    with torch.no_grad():
-        run.trainer.learner.value.network.layers[0].weight[0, 0, 0] = torch.nan
-    with pytest.raises(NonFiniteError, match=r"update 1: .*advantage is not finite.*checkpoint\.pt"):
-        run.train()
-    assert checkpoint.load(tmp_path / "checkpoint.pt", ("update",))["update"] == 0
-
-
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_signal_ends_training_cleanly_and_resume_continues(tmp_path: Path, number: int) -> None:
-    config = tmp_path / "tiny.toml"
-    config.write_text(dataclasses.replace(tiny(interactions=10**7)).to_toml())
-    run = tmp_path / "run"
-    command = [sys.executable, str(MAIN), "train", "--config", str(config), "--run-dir", str(run)]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    deadline = time.monotonic() + 60
-    while "events" not in " ".join(os.listdir(run) if run.is_dir() else []) and time.monotonic() < deadline:
-        time.sleep(0.1)
-    time.sleep(1.0)
-    process.send_signal(number)
-    out, err = process.communicate(timeout=60)
-    assert process.returncode == 0, err
-    assert "--resume" in out
-    assert "Traceback" not in err
-    assert checkpoint.load(run / "checkpoint.pt", ("update",))["update"] >= 1
-
-
-def test_tensorboard_holds_what_is_promised(tmp_path: Path) -> None:
-    config = tiny(
-        rta=True, rta_period=10.0, interactions=32 * 4, evaluation_interval=32 * 4, evaluation_episodes=1
-    )
-    inspection = dataclasses.replace(config.inspection, max_time=20.0)  # episodes end within the run
-    run = training.start(dataclasses.replace(config, inspection=inspection), tmp_path)
-    run.train()
-    events = EventAccumulator(str(tmp_path))
-    events.Reload()
-    tags = set(events.Tags()["scalars"])
-    losses = ("policy_loss", "value_loss", "entropy", "approx_kl", "clip_fraction", "explained_variance")
-    rta = ("intervention_percent", "slack_percent", "failures")
-    for group, names in (
-        ("charts", (*METRICS, "success", "SPS", "learning_rate")),
-        ("losses", losses),
-        ("reward", REWARDS),
-        ("rta", (*rta, *(f"violation_percent_{name}" for name in CONSTRAINTS))),
-        ("time", ("simulation_s", "filter_s", "rollout_s", "learning_s", "evaluation_s")),
-        ("evaluation", (*METRICS, "success")),
+def test_what_is_no_checkpoint_is_refused_in_one_line(tmp_path: Path) -> None:
+    damaged, other = tmp_path / "damaged.pt", tmp_path / "other.pt"
+    damaged.write_bytes(b"half a checkpo")
+    checkpoint.save(other, {"update": torch.tensor(1)})
+    for path, words in (
+        (tmp_path / "none.pt", "no such checkpoint file"),
+        (damaged, "not a readable checkpoint"),
+        (other, "it lacks policy, value"),
     ):
-        assert {f"{group}/{name}" for name in names} <= tags
+        with pytest.raises(CheckpointError, match=words) as refusal:
+            checkpoint.load(path, ("update", "policy", "value"))
+        assert str(refusal.value).startswith(str(path)) and "\n" not in str(refusal.value)

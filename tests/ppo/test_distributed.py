@@ -26,7 +26,7 @@ from study import config as configuration
 from study.config import Config, StudyConfig
 from study.errors import InputError
 from study.training import run as training
-from study.training import shards as shard
+from study.training import shards
 
 ROOT = Path(main.__file__).parent
 # Weights of 2 ranks from those of 1 after 3 updates of 12 gradient steps: the order of sums alone differs.
@@ -40,9 +40,10 @@ evaluation_interval = 48
 evaluation_episodes = 2
 checkpoint_interval = 24
 final_episodes = 2
-rta_period = 10.0
 compile = "off"
 device = "cpu"
+[rta]
+period = 10.0
 qp_solver = "batched"
 [inspection]
 max_time = 30.0 # s; every episode ends within each update
@@ -230,19 +231,18 @@ def test_shares_cover_everything_once() -> None:
 def test_states_split_and_joined_are_the_same(size: int, alone: Path, tmp_path: Path) -> None:
     config = configuration.load(alone / "config.toml")
     whole = state(alone)
-    parts = [shard.of_episodes(config, Ranks(rank, size)) for rank in range(size)]
+    parts = [shards.shard_of_episodes(config, Ranks(rank, size)) for rank in range(size)]
     assert_close(whole, parts[0].join([part.split(whole) for part in parts]), 0.0)
     study = configuration.from_toml(STUDY, "test", StudyConfig())
-    run = training.Run(study.of_arm("no_rta"), tmp_path, study.seeds)
-    run.create()
+    training.create(study.of_arm("no_rta"), tmp_path, study.seeds)
     whole = state(tmp_path)
-    parts = [shard.of_seeds(config, Ranks(rank, size), 3) for rank in range(size)]
+    parts = [shards.shard_of_seeds(config, Ranks(rank, size), 3) for rank in range(size)]
     assert parts[1].split(whole)["env"]["x"].shape[1] == 6 * len(study.seeds[parts[1].seeds])
     assert_close(whole, parts[0].join([part.split(whole) for part in parts]), 0.0)
 
 
 def test_a_study_took_as_long_as_its_slowest_rank(alone: Path) -> None:
-    part = shard.of_seeds(configuration.load(alone / "config.toml"), Ranks(0, 3), 3)
+    part = shards.shard_of_seeds(configuration.load(alone / "config.toml"), Ranks(0, 3), 3)
     states = [state(alone) | {"seconds": seconds} for seconds in (1.0, 3.0, 2.0)]
     assert part.join(states)["seconds"] == 3.0
 
@@ -250,12 +250,12 @@ def test_a_study_took_as_long_as_its_slowest_rank(alone: Path) -> None:
 def test_too_many_ranks_are_refused() -> None:
     config = configuration.override(Config(), {"train": {"num_envs": 6}}, "test")
     with pytest.raises(InputError, match="num_envs = 6: must be a multiple of the 4 ranks"):
-        shard.of_episodes(config, Ranks(0, 4))
+        shards.shard_of_episodes(config, Ranks(0, 4))
     config = configuration.override(config, {"ppo": {"minibatch_size": 2}}, "test")
     with pytest.raises(InputError, match=r"minibatch_size = 2: .*3 ranks"):
-        shard.of_episodes(config, Ranks(0, 3))
+        shards.shard_of_episodes(config, Ranks(0, 3))
     with pytest.raises(InputError, match=r"seeds = 2: .*3 ranks"):
-        shard.of_seeds(config, Ranks(0, 3), 2)
+        shards.shard_of_seeds(config, Ranks(0, 3), 2)
 
 
 def test_the_first_rank_to_notice_an_end_speaks_for_all(

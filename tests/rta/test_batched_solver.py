@@ -1,6 +1,6 @@
 """The batched solver against PIQP on recorded problems, enumeration, linear programs and optimality conditions.
 
-Cases that both solvers must pass stand in tests/test_qp.py.
+Cases that both solvers must pass stand in tests/rta/test_qp.py.
 """
 
 import dataclasses
@@ -47,7 +47,7 @@ class Recorder:
 def fly(period: float, actions: int, start: ndarray | None, r: RtaParameters = R) -> list[Problems]:
     """What the filter asks in a closed loop under random actions, thrust and torque in turn."""
     recorder, generator = Recorder(), torch.Generator().manual_seed(3)
-    safety = SafetyFilter(C, r, period, recorder).safety()
+    safety = SafetyFilter(C, dataclasses.replace(r, period=period), recorder).safety()
     env = InspectionEnv(256, C, [generator], safety)
     env.reset()
     if start is not None:

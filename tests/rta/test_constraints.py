@@ -1,4 +1,4 @@
-"""The 13 constraints against plain numpy re-computations from the paper's final forms, and their smoothing.
+"""The 13 constraints against plain numpy re-computations from the paper's final forms, and what is enforced of them.
 
 `paper` and what it calls are the reference of the other filter tests too. They are written from the paper's equations
 with the paper's numbers, and most of it also takes complex states, for derivatives by complex steps.
@@ -7,7 +7,6 @@ with the paper's numbers, and most of it also takes complex states, for derivati
 import functools
 import itertools
 import math
-from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -16,13 +15,15 @@ from numpy import ndarray
 from scipy.optimize import minimize_scalar
 
 from inspection.parameters import InspectionParameters
-from rta import constraints
-from rta.constraints import Smoothing, arccos, signed_sqrt
-from rta.parameters import RtaParameters
+from rta import constraints, thrust_constraints, torque_constraints
+from rta.constraints import Constraint
+from rta.filter import SafetyFilter
+from rta.parameters import PERIODS, RtaParameters
+from rta.thrust_constraints import chord, signed_sqrt
+from rta.torque_constraints import arccos
 
 C = InspectionParameters()
 R = RtaParameters()
-SMOOTH = Smoothing(distance=R.distance_floor, angle=R.pole_angle)
 MEAN_MOTION = 0.001027  # rad/s
 # thrust less the tide at 800 m less Coriolis at 5 m/s, below the dynamic speed limit there (spec, decision 6)
 A_MAX = 1 / 12 - 3 * MEAN_MOTION**2 * 800 - 2 * MEAN_MOTION * 5
@@ -65,9 +66,10 @@ def positive(a: ndarray) -> ndarray:
     return np.where(a.real > 0, a, 0.0)
 
 
-def root(z: ndarray) -> ndarray:
-    """sqrt(2 a_max z), continued oddly to negative distances."""
-    return np.sign(z) * np.sqrt(2 * A_MAX * np.abs(z))
+def root(z: ndarray, floor: float = 0.0) -> ndarray:
+    """sqrt(2 a_max z), continued oddly to negative distances; nearer to 0 than a floor its chord."""
+    straight = z / math.sqrt(floor or 1.0)
+    return math.sqrt(2 * A_MAX) * np.where(np.abs(z) < floor, straight, np.sign(z) * np.sqrt(np.abs(z)))
 
 
 def cosines(x: ndarray, panel: float = -1.0) -> tuple[ndarray, ndarray, ndarray, ndarray]:
@@ -104,14 +106,13 @@ def speed_limit(x: ndarray) -> ndarray:
     return 0.2 + 7.5 * MEAN_MOTION * length(x[:3])
 
 
-def keep_in_curve(x: ndarray) -> ndarray:
+def keep_in_curve(x: ndarray, floor: float = 0.0) -> ndarray:
     """sqrt(2 (a_max - v_t^2 / |p|) (800 - |p|)) - v_pr, at least a tenth of a_max left to brake."""
     distance = length(x[:3])
     radial = (x[:3] * x[3:6]).sum(0) / distance
     across = np.cross(x[:3], x[3:6], axis=0) / distance
     braking = np.maximum(A_MAX - (across**2).sum(0) / distance, A_MAX / 10)
-    z = 800 - distance
-    return np.sign(z) * np.sqrt(2 * braking * np.abs(z)) - radial
+    return np.sqrt(braking / A_MAX) * root(800 - distance, floor) - radial
 
 
 def passive_safety(x: ndarray, start: float = 0.0, end: float = 500.0) -> ndarray:
@@ -173,44 +174,80 @@ def approaching(speed: float, miss: float) -> ndarray:
 
 def clearance(x: ndarray, segments: tuple[float, ...] = R.passive_safety_segments) -> ndarray:
     """The constraint's own closest clearance in m per segment."""
-    times = constraints.closest_times(tensor(x), segments, C)
-    return constraints.clearance_at(tensor(x), times, C).numpy()
+    times = thrust_constraints.closest_times(tensor(x), segments, C)
+    return thrust_constraints.clearance_at(tensor(x), times, C).numpy()
 
 
-FUNCTIONS = {
-    "collision": 0,
-    "dynamic_speed": 1,
-    "keep_in_zone": 2,
-    "velocity": slice(4, 7),
-    "orientation": slice(7, 10),
-    "angular_velocity": slice(10, 13),
-}
+def entries(c: InspectionParameters = C, r: RtaParameters = R) -> dict[str, Constraint]:
+    """The 13 by name."""
+    thrust, torque = thrust_constraints.thrust_constraints(c, r), torque_constraints.torque_constraints(c, r)
+    return {each.name: each for each in (*thrust, *torque)}
 
 
-@pytest.mark.parametrize("reference", [speed_limit, keep_in_curve], ids=["speed_limit", "keep_in_curve"])
-def test_helper_equals_numpy(reference: Callable[[ndarray], ndarray]) -> None:
+def enforced(each: Constraint, x: ndarray) -> ndarray:
+    """The barrier, (rows, B)."""
+    return each.barrier_at(tensor(x))(tensor(x)).numpy()
+
+
+def test_speed_limit_equals_numpy() -> None:
     x = states(1000)
-    value = getattr(constraints, reference.__name__)(tensor(x), C)
-    np.testing.assert_allclose(value, reference(x), rtol=0, atol=2e-12)
+    value = thrust_constraints.speed_limit(tensor(x), C)
+    np.testing.assert_allclose(value, speed_limit(x), rtol=0, atol=2e-12)
+
+
+def at_the_edge(count: int, distance: float, within: float) -> ndarray:
+    """(16, count) states no further from a distance from the chief than `within`."""
+    x = states(count, seed=8)
+    x[:3] *= (distance + np.linspace(-within, within, count)) / length(x[:3])
+    return x
+
+
+@pytest.mark.parametrize("period", PERIODS)
+def test_keep_in_curve_equals_numpy(period: float) -> None:
+    """Which is exact but for a chord at the edge."""
+    r = RtaParameters(period=period)
+    floor, zone = chord(C, r), entries(C, r)["keep_in_zone"]
+    assert floor == max(0.05, 2 * A_MAX * period**2)
+    for x in (states(1000), at_the_edge(101, 800.0, 1.5 * floor)):
+        np.testing.assert_allclose(enforced(zone, x)[0], keep_in_curve(x, floor), rtol=0, atol=2e-12)
+    far = np.abs(800 - length(states(1000)[:3])) > floor
+    assert far.mean() > 0.9
+    x = states(1000)[:, far]
+    np.testing.assert_allclose(enforced(zone, x)[0], keep_in_curve(x), rtol=0, atol=2e-12)
+
+
+@pytest.mark.parametrize("period", PERIODS)
+def test_collision_barrier_equals_numpy(period: float) -> None:
+    r = RtaParameters(period=period)
+    floor = chord(C, r)
+    for x in (states(1000), at_the_edge(101, 15.0, min(1.5 * floor, 14.0))):
+        radial = (x[:3] * x[3:6]).sum(0) / length(x[:3])
+        expected = root(length(x[:3]) - 15, floor) + radial
+        np.testing.assert_allclose(enforced(entries(C, r)["collision"], x)[0], expected, rtol=0, atol=2e-12)
 
 
 def test_names_are_in_the_order_of_table_3() -> None:
     assert constraints.CONSTRAINTS == TABLE_3
 
 
-@pytest.mark.parametrize(("name", "rows"), FUNCTIONS.items(), ids=FUNCTIONS)
-def test_constraint_equals_the_paper(name: str, rows: int | slice) -> None:
+def test_entries_are_in_the_order_of_table_3() -> None:
+    assert tuple(entries()) == TABLE_3
+    assert [each.held_by for each in entries().values()] == ["thrust"] * 7 + ["torque"] * 6
+
+
+@pytest.mark.parametrize("name", [name for name in TABLE_3 if name != "passive_safety"])
+def test_constraint_equals_the_paper(name: str) -> None:
     x = states(1000)
-    value = getattr(constraints, name)(tensor(x), C)
-    np.testing.assert_allclose(value, paper(x)[rows], rtol=0, atol=2e-12)  # 1e-12 m/s floors |v| at rest
+    value = entries()[name].h(tensor(x))
+    expected = paper(x)[TABLE_3.index(name)]
+    np.testing.assert_allclose(value, expected, rtol=0, atol=2e-12)  # 1e-12 m/s floors |v| at rest
 
 
 @pytest.mark.parametrize("row", range(13), ids=TABLE_3)
 def test_values_are_in_the_order_of_table_3(row: int) -> None:
     x = states(1000, seed=1)
-    np.testing.assert_allclose(
-        constraints.values(tensor(x), C)[row], paper(x)[row], rtol=0, atol=PSM_TOLERANCE
-    )
+    values = SafetyFilter(C, R).values(tensor(x))
+    np.testing.assert_allclose(values[row], paper(x)[row], rtol=0, atol=PSM_TOLERANCE)
 
 
 def test_every_constraint_is_tested_on_both_sides() -> None:
@@ -220,7 +257,10 @@ def test_every_constraint_is_tested_on_both_sides() -> None:
 
 def test_panels_on_the_other_side_see_the_opposite_angle() -> None:
     x = states(100)
-    flipped = constraints.orientation(tensor(x), InspectionParameters(solar_panel_axis="+x"))
+    flipped = [
+        each.h(tensor(x))
+        for each in torque_constraints.torque_constraints(InspectionParameters(solar_panel_axis="+x"), R)[:3]
+    ]
     np.testing.assert_allclose(flipped, orientation(x, panel=1.0), rtol=0, atol=1e-12)
 
 
@@ -261,12 +301,12 @@ def test_root_of_a_negative_distance_is_odd() -> None:
     x[:3] *= np.random.default_rng(0).uniform(1, 15, 100) / length(x[:3])
     x[3:6] = 0
     expected = [-math.sqrt(2 * A_MAX * (15 - distance)) for distance in length(x[:3])]
-    np.testing.assert_allclose(constraints.collision(tensor(x), C), expected, rtol=1e-12)
+    np.testing.assert_allclose(entries()["collision"].h(tensor(x)), expected, rtol=1e-12)
 
 
 def test_smooth_arccos_is_exact_outside_its_zone() -> None:
     angle = np.linspace(R.pole_angle, np.pi - R.pole_angle, 1001)
-    np.testing.assert_allclose(arccos(tensor(np.cos(angle)), SMOOTH), angle, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(arccos(tensor(np.cos(angle)), R.pole_angle), angle, rtol=0, atol=1e-12)
 
 
 @pytest.mark.parametrize("pole", [-1.0, 1.0])
@@ -274,41 +314,43 @@ def test_smooth_arccos_is_the_tangent_inside_its_zone(pole: float) -> None:
     cosine = pole * np.linspace(math.cos(R.pole_angle), 1.0, 1001)
     edge = math.acos(pole * math.cos(R.pole_angle))
     tangent = edge - (cosine - math.cos(edge)) / math.sin(edge)
-    np.testing.assert_allclose(arccos(tensor(cosine), SMOOTH), tangent, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(arccos(tensor(cosine), R.pole_angle), tangent, rtol=0, atol=1e-12)
 
 
 def test_smooth_arccos_has_a_continuous_slope() -> None:
     cosine = np.linspace(-1, 1, 2_000_001)
-    slope = np.diff(arccos(tensor(cosine), SMOOTH).numpy()) / np.diff(cosine)
+    slope = np.diff(arccos(tensor(cosine), R.pole_angle).numpy()) / np.diff(cosine)
     # the largest curvature, 1 / sin(edge)^3 at the edge, over one step; a kink would jump by 1 / sin(edge) = 5
     assert np.abs(np.diff(slope)).max() < 1.1 * 1e-6 / math.sin(R.pole_angle) ** 3
 
 
 def test_smooth_arccos_strays_most_at_the_pole_by_half_its_zone() -> None:
     cosine = np.concatenate((np.cos(np.linspace(0, np.pi, 100_001)), [-1.0, 1.0]))
-    error = np.abs(arccos(tensor(cosine), SMOOTH).numpy() - np.arccos(cosine))
+    error = np.abs(arccos(tensor(cosine), R.pole_angle).numpy() - np.arccos(cosine))
     assert error.max() == pytest.approx(R.pole_angle - math.tan(R.pole_angle / 2), rel=1e-9)
 
 
 def test_smooth_root_is_exact_outside_its_zone() -> None:
     z = np.concatenate((np.linspace(-800, -R.distance_floor, 1001), np.linspace(R.distance_floor, 800, 1001)))
-    np.testing.assert_allclose(signed_sqrt(tensor(z), SMOOTH), np.sign(z) * np.sqrt(np.abs(z)), rtol=1e-14)
+    np.testing.assert_allclose(
+        signed_sqrt(tensor(z), R.distance_floor), np.sign(z) * np.sqrt(np.abs(z)), rtol=1e-14
+    )
 
 
 def test_smooth_root_is_continuous() -> None:
     z = np.linspace(-0.1, 0.1, 200_001)
-    jump = np.abs(np.diff(signed_sqrt(tensor(z), SMOOTH).numpy()))
+    jump = np.abs(np.diff(signed_sqrt(tensor(z), R.distance_floor).numpy()))
     assert jump.max() < 1.1 * 1e-6 / math.sqrt(R.distance_floor)
 
 
 def test_smooth_root_never_overstates_a_distance() -> None:
     z = np.linspace(0, 1, 100_001)
-    assert (signed_sqrt(tensor(z), SMOOTH).numpy() <= np.sqrt(z) + 1e-15).all()
+    assert (signed_sqrt(tensor(z), R.distance_floor).numpy() <= np.sqrt(z) + 1e-15).all()
 
 
 def test_smooth_root_keeps_the_sign() -> None:
     z = np.linspace(-1, 1, 100_001)
-    assert (np.sign(signed_sqrt(tensor(z), SMOOTH).numpy()) == np.sign(z)).all()
+    assert (np.sign(signed_sqrt(tensor(z), R.distance_floor).numpy()) == np.sign(z)).all()
 
 
 @pytest.mark.parametrize(("row", "margin"), [(8, R.temperature_margin), (9, R.battery_margin)])
@@ -316,5 +358,5 @@ def test_smoothing_of_a_resource_is_covered_by_its_margin(row: int, margin: floa
     x = states(1, seed=7).repeat(2001, 1)
     half = np.linspace(0, np.pi / 2, 2001)  # turn about z: boresight and -n_y sweep from the Sun away
     x[6:10], x[15] = np.stack((0 * half, 0 * half, np.sin(half), np.cos(half))), 0.0
-    smooth = constraints.orientation(tensor(x), C, SMOOTH)[row - 7].numpy()
+    smooth = enforced(entries(C, RtaParameters(incidence_rounding=0.0))[TABLE_3[row]], x)[0]
     assert 1e-4 < (smooth - paper(x)[row]).max() < margin

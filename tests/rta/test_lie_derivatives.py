@@ -16,10 +16,11 @@ from torch import Tensor
 from inspection.dynamics import control_matrix
 from inspection.dynamics import drift as torch_drift
 from inspection.parameters import InspectionParameters
-from rta import constraints
-from rta.lie_derivatives import high_order, lie_derivatives
+from rta.constraints import Constraint
+from rta.filter import SafetyFilter
+from rta.lie_derivatives import lie_derivative, lie_derivatives
 from rta.parameters import RtaParameters
-from rta.rows import Barriers, Rows
+from rta.rows import ActuatorGroup, Rows
 from tests.rta.test_constraints import (
     MEAN_MOTION,
     body_axis,
@@ -190,7 +191,7 @@ X = flying()
 @pytest.fixture(scope="module", params=SPACECRAFT)
 def case(request: pytest.FixtureRequest) -> tuple[InspectionParameters, Rows, Rows]:
     c = SPACECRAFT[request.param]
-    return c, *Barriers(c, R, period=1.0)(tensor(X))
+    return c, *(group(tensor(X)) for group in SafetyFilter(c, R).groups)
 
 
 def near(actual: Tensor, expected: ndarray, tolerance: float = TOLERANCE) -> None:
@@ -210,10 +211,12 @@ def test_control_matrix_equals_the_papers() -> None:
 
 def test_values_of_thrust_rows_equal_the_papers(case: tuple) -> None:
     expected = thrust_barriers(X)
-    near(case[1].psi[2], expected[2])
-    expected[2] = paper(X)[2]
-    near(case[1].h[PSM], expected[PSM], 1e-4)
-    expected[PSM] = case[1].h[PSM]
+    near(case[1].psi[PSM], expected[PSM], 1e-4)
+    expected[PSM] = case[1].psi[PSM]
+    near(case[1].psi, expected)
+    expected = paper(X)[:7]
+    near(case[1].h[3], expected[3], 1e-4)
+    expected[3] = case[1].h[3]
     near(case[1].h, expected)
 
 
@@ -266,45 +269,52 @@ def test_first_psi_has_its_margin_spent(case: tuple) -> None:
     near(torque.psi, torque_barriers(X, c) - TORQUE[1])
 
 
-def test_translational_barriers_ignore_torque() -> None:
+@pytest.mark.parametrize("held_by", ["thrust", "torque"])
+def test_barriers_ignore_the_other_groups_controls(held_by: str) -> None:
     c = SPACECRAFT["unequal_moments"]
-    x, barriers = tensor(X), Barriers(c, R, period=1.0)
-    times = constraints.closest_times(x, R.passive_safety_segments, c)[:, None].expand(-1, 7, -1)
-    _, _, along = lie_derivatives(
-        lambda y: barriers.translational(y, times), x, torch_drift(x, c), control_matrix(x, c)
-    )
-    assert (along[:, 3:] == 0).all()
-    assert (along[:, :3].abs().amax((1, 2)) > 0).all()
-
-
-def test_attitude_barriers_ignore_thrust() -> None:
-    c = SPACECRAFT["unequal_moments"]
-    x, barriers = tensor(X), Barriers(c, R, period=1.0)
-
-    def attitude(y: Tensor) -> Tensor:
-        return torch.cat((barriers.first_psi(y), constraints.angular_velocity(y, c)))
-
-    _, _, along = lie_derivatives(attitude, x, torch_drift(x, c), control_matrix(x, c))
-    assert (along[:, :3] == 0).all()
-    assert (along[:, 3:].abs().amax((1, 2)) > 0).all()
+    x, group = tensor(X), SafetyFilter(c, R).groups[held_by == "torque"]
+    psi = group.psi_at(x, group.constraints)
+    _, _, along = lie_derivatives(psi, x, torch_drift(x, c), control_matrix(x, c))
+    others = [i for i in range(6) if i not in range(6)[group.controls]]
+    assert (along[:, others] == 0).all()
+    assert (along[:, group.controls].abs().amax((1, 2)) > 0).all()
 
 
 def double_integrator(y: Tensor) -> Tensor:
     return torch.stack((y[1], torch.zeros_like(y[0])))
 
 
-def test_high_order_on_a_double_integrator() -> None:
+def high_order(y: Tensor) -> Tensor:
+    """Psi_1 = dh/dt + 3 h of h = 1 - p^2 along p' = v."""
+    h, rate = lie_derivative(lambda z: 1 - z[:1] ** 2, y, double_integrator(y))
+    return rate + 3 * h
+
+
+def test_lie_derivative_on_a_double_integrator() -> None:
     # h = 1 - p^2, p' = v: Psi_1 = -2 p v + 3 (1 - p^2)
     p, v = y = torch.randn(2, 50, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
-    psi = high_order(lambda y: 1 - y[:1] ** 2, lambda h: 3 * h, double_integrator)
-    torch.testing.assert_close(psi(y), (-2 * p * v + 3 * (1 - p**2))[None])
+    torch.testing.assert_close(high_order(y), (-2 * p * v + 3 * (1 - p**2))[None])
 
 
 def test_lie_derivatives_of_a_high_order_barrier() -> None:
     # L_f Psi_1 = (-2 v - 6 p) v and L_g Psi_1 = -2 p for v' = u
     p, v = y = torch.randn(2, 50, generator=torch.Generator().manual_seed(1), dtype=torch.float64)
-    psi = high_order(lambda y: 1 - y[:1] ** 2, lambda h: 3 * h, double_integrator)
     g = torch.stack((torch.zeros_like(p), torch.ones_like(p)))[:, None]
-    _, along_f, along_g = lie_derivatives(psi, y, double_integrator(y), g)
+    _, along_f, along_g = lie_derivatives(high_order, y, double_integrator(y), g)
     torch.testing.assert_close(along_f, ((-2 * v - 6 * p) * v)[None])
     torch.testing.assert_close(along_g, (-2 * p)[None, None])
+
+
+def test_psi_of_a_slab_is_its_closed_form() -> None:
+    # h = 1e4 - z^2 m^2 with z'' = -n^2 z + F_z / 12, less 50 m^2: Psi_1 = -2 z z' + k1 (h - 50)
+    k1, k2, margin = 0.05, 0.2, 50.0
+    slab = Constraint("slab", lambda x: 1e4 - x[2] ** 2, "thrust", (k1, k2), margin, coupled=False)
+    rows = ActuatorGroup("thrust", [slab], SPACECRAFT["paper"], R)(tensor(X))
+    z, rate = X[2], X[5]
+    h, fall = 1e4 - z**2, -2 * z * rate
+    psi = fall + k1 * (h - margin)
+    near(rows.h[0], h)
+    near(rows.psi[0], psi)
+    near(rows.b[0], -2 * rate**2 + 2 * MEAN_MOTION**2 * z**2 + k1 * fall + k2 * psi)
+    near(rows.b_bare[0] - rows.b[0], np.full_like(z, k1 * k2 * margin))
+    near(rows.a[0], np.stack([-2 * z * push(held(X), i)[5] for i in range(3)]))

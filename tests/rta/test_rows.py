@@ -9,15 +9,23 @@ from numpy import ndarray
 from scipy.integrate import solve_ivp
 
 from inspection.parameters import InspectionParameters
-from rta import constraints
+from rta.filter import SafetyFilter
 from rta.parameters import RtaParameters
-from rta.rows import Barriers
-from tests.rta.test_constraints import MEAN_MOTION, keep_in_curve, length, root, speed_limit, tensor
+from tests.rta.test_constraints import (
+    MEAN_MOTION,
+    enforced,
+    entries,
+    keep_in_curve,
+    length,
+    root,
+    speed_limit,
+    tensor,
+)
 from tests.rta.test_lie_derivatives import drift, held, push, slope, thrust_fall, turn
 
 C = InspectionParameters()
 R = RtaParameters()
-BARRIERS = Barriers(C, R, 1.0)
+FILTER = SafetyFilter(C, R)
 LIMIT = np.array(C.control_limit)[:, None]
 
 
@@ -110,7 +118,7 @@ def zone(y: ndarray) -> ndarray:
 
 def test_keep_in_curve_is_never_above_the_keep_in_zone() -> None:
     x = flights(5000, (15, 810), (0, 1.2))
-    curve = constraints.keep_in_curve(tensor(x), C).numpy()
+    curve = enforced(entries()["keep_in_zone"], x)[0]
     inside = length(x[:3]) <= 800
     assert (curve <= zone(x))[inside].all() and (curve < zone(x))[inside].mean() > 0.9
 
@@ -149,7 +157,7 @@ def test_on_the_papers_boundary_no_thrust_of_one_newton_outweighs_a_fast_curve()
 
 
 def test_speed_and_velocity_fall_no_further_than_their_rows_expect() -> None:
-    """At the speed limit, where the derivation of `Row.fall` begins."""
+    """At the speed limit, where the derivation of its `loss` begins."""
     x = flights(8000, (15.2, 795), (1.0, 1.0))
     u = controls(x.shape[1], np.random.default_rng(1))
 
@@ -176,7 +184,7 @@ def test_a_control_that_satisfies_its_row_keeps_the_barrier_for_a_period(name: s
     """The least correction of a random control, checked after one second of flight."""
     row, distance, speed, h, near = ROWS[name]
     x = flights(30_000, distance, speed)
-    rows, _ = BARRIERS(tensor(x))
+    rows, _ = FILTER.rows(tensor(x))
     psi, a, b = rows.psi[row].numpy(), rows.a[row].numpy(), rows.b[row].numpy()
     chosen = np.flatnonzero((psi >= 0) & (h(x) < near))[:4000]
     x, a, b = x[:, chosen], a[:, chosen], b[chosen]

@@ -10,20 +10,19 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from rta.constraints import CONSTRAINTS
-from study.replay import page as replay
-from study.replay import scene as replay_data
+from study.replay import page, scene
 from study.replay.scene import Replayed
 
 
 @pytest.fixture(scope="module")
 def shown(flown_files: tuple[Path, Path]) -> dict[str, Any]:
     """What the page holds of the run."""
-    return as_written(replay_data.read(str(flown_files[0])))
+    return as_written(scene.read(str(flown_files[0])))
 
 
 def as_written(run: Replayed) -> dict[str, Any]:
     """The content after a journey through JSON."""
-    return json.loads(json.dumps(replay_data.content([run]), default=replay_data.rounded))
+    return json.loads(json.dumps(scene.content([run]), default=scene.rounded))
 
 
 def test_body_axes_are_the_columns_of_the_rotation(
@@ -84,10 +83,10 @@ def test_a_long_run_is_thinned_but_no_violation_or_intervention_is_lost(
     shown: dict[str, Any],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(replay_data, "MAX_ROWS", 8)
-    run = replay_data.read(str(flown_files[0]))
+    monkeypatch.setattr(scene, "MAX_ROWS", 8)
+    run = scene.read(str(flown_files[0]))
     thin = as_written(run)
-    assert "one row in 4" in replay.document([run])
+    assert "one row in 4" in page.document([run])
     assert thin["runs"][0]["time"] == flown["time"][::4].tolist()
     assert thin["runs"][0]["interventions"] == shown["runs"][0]["interventions"]
     assert thin["runs"][0]["inspected"] == shown["runs"][0]["inspected"]
@@ -101,6 +100,6 @@ def test_single_precision_shows_the_same(
 ) -> None:
     single = {name: a.astype(np.float32) if a.dtype == np.float64 else a for name, a in flown.items()}
     np.savez(tmp_path / "single.npz", **single)
-    (run,), (expected,) = as_written(replay_data.read(str(tmp_path / "single.npz")))["runs"], shown["runs"]
+    (run,), (expected,) = as_written(scene.read(str(tmp_path / "single.npz")))["runs"], shown["runs"]
     for name in ("time", "position", "axes"):
         np.testing.assert_allclose(run[name], expected[name], rtol=1e-4, atol=1e-4)

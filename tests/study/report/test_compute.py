@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 import main
-from study.report import compute as supplements
-from study.report import tables as report_tables
+from study.report import compute, inputs, tables
 
 SEEDS = (5, 6)
 CASES = 4
@@ -53,8 +52,8 @@ FILES = {
 def brief() -> Any:
     """Short demonstrations and few cases of the guidance."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(supplements, "DEMONSTRATION_DURATION", DURATION)
-        patch.setattr(supplements, "GUIDANCE_CASES", CASES)
+        patch.setattr(compute, "DEMONSTRATION_DURATION", DURATION)
+        patch.setattr(compute, "GUIDANCE_CASES", CASES)
         yield
 
 
@@ -132,7 +131,7 @@ def test_guidance_meets_the_common_cases_behind_the_filter(study: Path) -> None:
 def test_episodes_are_those_of_simulate(rta: bool, study: Path, tmp_path: Path) -> None:
     arm = "rta" if rta else "no_rta"
     agent = ["--controller", "policy", "--checkpoint", str(study / arm / "seed5" / "policy.pt")]
-    classical = ["--controller", "lqr-pd", "--initial-state", str(supplements.DEMONSTRATION)]
+    classical = ["--controller", "lqr-pd", "--initial-state", str(compute.DEMONSTRATION)]
     settings = tmp_path / "settings.toml"  # as the study has them
     settings.write_text(f"[inspection]\nmax_time = {DURATION}")
     classical += ["--config", str(settings)]
@@ -161,21 +160,21 @@ def test_an_interrupted_report_keeps_what_it_has_computed(
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr(supplements, "demonstration", interrupted)
+        patch.setattr(compute, "demonstration", interrupted)
         with pytest.raises(KeyboardInterrupt):
-            supplements.compute(copy)
+            compute.compute(copy)
     assert contents(report).keys() == whole.keys() - set(absent)
-    monkeypatch.setattr(supplements, "play", None)
-    monkeypatch.setattr(supplements, "common_episode", None)
-    supplements.compute(copy)
+    monkeypatch.setattr(compute, "play", None)
+    monkeypatch.setattr(compute, "common_episode", None)
+    compute.compute(copy)
     assert contents(report).keys() == whole.keys()
 
 
 def test_other_policies_are_computed_anew(copy: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(supplements, "PERIODS", (10.0,))
+    monkeypatch.setattr(compute, "PERIODS", (10.0,))
     before = contents(copy / "report")
     shutil.copy(copy / "rta" / "seed6" / "policy.pt", copy / "rta" / "seed5" / "policy.pt")
-    supplements.compute(copy)
+    compute.compute(copy)
     after = contents(copy / "report")
     for name in ("policies.json", "cross.json", "frequency.json", "episode_rta.npz"):
         assert before[name] != after[name]
@@ -188,14 +187,14 @@ def test_other_policies_are_computed_anew(copy: Path, monkeypatch: pytest.Monkey
 def test_a_study_of_one_arm_has_a_report_of_one_arm(
     arm: str, copy: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(supplements, "evaluate", lambda arm, rta, period: arm.results)
+    monkeypatch.setattr(compute, "evaluate", lambda arm, rta, period: arm.results)
     other = {"no_rta": "rta", "rta": "no_rta"}[arm]
     for directory in ("report", other):
         shutil.rmtree(copy / directory)
     results = {"arms": {arm: read(copy / "results.json")["arms"][arm]}}
     (copy / "results.json").write_text(json.dumps(results))
-    supplements.compute(copy)
-    report_tables.write(copy)
+    compute.compute(copy)
+    tables.write(inputs.read(copy))
     absent = {f"episode_{other}.npz"} | ({"frequency.json"} if arm == "no_rta" else set())
     assert contents(copy / "report").keys() & FILES == FILES - absent
     assert set(read(copy / "report" / "cross.json")) == {arm}

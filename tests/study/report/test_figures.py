@@ -8,14 +8,14 @@ import pytest
 from matplotlib.figure import Figure
 
 from study.paper import PAPER_METRICS, PAPER_VIOLATIONS
-from study.report import inputs as report_inputs
+from study.report import inputs as files
 from study.report.figures import COLOURS, TRAINING, behaviour_figure, cross_figure, save, training_panel
 from study.report.inputs import Inputs
 
 
 @pytest.fixture(scope="module")
 def inputs(made_up_study: Path) -> Inputs:
-    return report_inputs.read(made_up_study)
+    return files.read(made_up_study)
 
 
 @pytest.mark.parametrize("metric", TRAINING)
@@ -25,16 +25,12 @@ def test_training_curves(made_up_study: Path, inputs: Inputs, metric: str) -> No
     with (made_up_study / "report/training.csv").open(newline="") as file:
         rows = [row for row in csv.DictReader(file) if row["metric"] == metric]
     lines = {line.get_label(): line for line in ax.lines}
-    for column, arm, label in ((2, "no_rta", "no RTA"), (3, "rta", "RTA")):
+    for arm, label in (("no_rta", "no RTA"), ("rta", "RTA")):
         own = [row for row in rows if row["arm"] == arm]
         assert lines[label].get_xdata() == pytest.approx([float(row["interactions"]) / 1e6 for row in own])
         assert lines[label].get_ydata() == pytest.approx([float(row["iqm"]) for row in own])
-        published = (
-            PAPER_VIOLATIONS["any"][column - 1]
-            if metric == "violation_percent"
-            else PAPER_METRICS[metric][column][0]
-        )
-        assert set(lines[f"paper, {label}"].get_ydata()) == {published}
+        published = PAPER_VIOLATIONS["any"] if metric == "violation_percent" else PAPER_METRICS[metric]
+        assert set(lines[f"paper, {label}"].get_ydata()) == {published.by_arm[arm].value}
 
 
 def test_arms_share_the_behaviour_figure(inputs: Inputs) -> None:

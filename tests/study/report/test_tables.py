@@ -9,8 +9,13 @@ import pytest
 
 from inspection.environment import METRICS
 from rta.constraints import CONSTRAINTS
+from study.config import StudyConfig
 from study.errors import InputError
-from study.report import tables as report_tables
+from study.paper import PAPER_METRICS, PAPER_VIOLATIONS
+from study.report import tables
+from study.report.inputs import Inputs
+
+PROVENANCE = {"device": "abacus", "ranks": 3, "threads": 2}
 
 
 def evaluation(value: float) -> dict[str, Any]:
@@ -31,28 +36,36 @@ def arm(value: float) -> dict[str, Any]:
 
 
 @pytest.fixture
-def study(tmp_path: Path) -> Path:
-    """The files that the tables are made from."""
+def inputs(tmp_path: Path) -> Inputs:
+    """What the tables are made from."""
+    (tmp_path / "report").mkdir()
     arms = {"no_rta": arm(2.0), "rta": arm(3.0)}
-    report = tmp_path / "report"
-    files = {
-        tmp_path / "results.json": {"arms": arms},
-        tmp_path / "provenance.json": {"device": "abacus", "ranks": 3, "threads": 2},
-        report / "cross.json": {name: {"off": evaluation(1.0), "on": own} for name, own in arms.items()},
-        report / "guidance.json": evaluation(4.0),
-        report / "frequency.json": {"1": arms["rta"], "5": evaluation(5.0), "10": evaluation(6.0)},
-    }
-    (tmp_path / "rta").mkdir()
-    report.mkdir()
-    for path, content in files.items():
-        path.write_text(json.dumps(content))
+    return Inputs(
+        study=tmp_path,
+        config=StudyConfig(),
+        arms=arms,
+        provenance=PROVENANCE,
+        guidance=evaluation(4.0),
+        sunlight={},
+        cross={name: {"off": evaluation(1.0), "on": own} for name, own in arms.items()},
+        frequency={"1": arms["rta"], "5": evaluation(5.0), "10": evaluation(6.0)},
+        training={},
+        episodes={},
+        demonstrations={},
+    )
+
+
+@pytest.fixture
+def evaluations(tmp_path: Path) -> Path:
+    """The file of two seeds' periodic evaluations."""
     points = [(100, 0.0), (100, 4.0), (200, 1.0), (200, 1.0)]  # two seeds at either
     lines = [
         {"interactions": interactions, "cases": {name: [first, first + 1.0] for name in METRICS}}
         for interactions, first in points
     ]
-    (tmp_path / "rta" / "evaluations.jsonl").write_text("".join(json.dumps(line) + "\n" for line in lines))
-    return tmp_path
+    path = tmp_path / "evaluations.jsonl"
+    path.write_text("".join(json.dumps(line) + "\n" for line in lines))
+    return path
 
 
 def rows(path: Path) -> list[dict[str, str]]:
@@ -61,7 +74,8 @@ def rows(path: Path) -> list[dict[str, str]]:
 
 
 def test_table_2_sets_the_papers_numbers_beside_ours() -> None:
-    table = {row["metric"]: row for row in report_tables.table2({"rta": arm(3.0), "other": evaluation(7.0)})}
+    columns = {"rta": arm(3.0), "other": evaluation(7.0)}
+    table = {row["metric"]: row for row in tables.comparison("metric", PAPER_METRICS, columns)}
     assert list(table) == list(METRICS[:5])
     assert table["delta_v_m_s"] == {
         "metric": "delta_v_m_s",
@@ -80,7 +94,8 @@ def test_table_2_sets_the_papers_numbers_beside_ours() -> None:
 
 
 def test_table_3_sets_the_papers_numbers_beside_ours() -> None:
-    table = report_tables.table3({"no_rta": arm(2.0), "rta": arm(3.0), "other": evaluation(7.0)})
+    columns = {"no_rta": arm(2.0), "rta": arm(3.0), "other": evaluation(7.0)}
+    table = tables.comparison("constraint", PAPER_VIOLATIONS, columns)
     assert {row["constraint"] for row in table} == {"any", *CONSTRAINTS}
     assert table[0] == {
         "constraint": "any",
@@ -95,8 +110,8 @@ def test_table_3_sets_the_papers_numbers_beside_ours() -> None:
     }
 
 
-def test_training_summarises_seeds_and_cases_at_every_point(study: Path) -> None:
-    table = report_tables.training("rta", study / "rta")
+def test_training_summarises_seeds_and_cases_at_every_point(evaluations: Path) -> None:
+    table = tables.training("rta", evaluations)
     assert [(row["interactions"], row["metric"]) for row in table] == [
         (n, name) for n in (100, 200) for name in METRICS
     ]
@@ -107,7 +122,7 @@ def test_training_summarises_seeds_and_cases_at_every_point(study: Path) -> None
 
 
 def test_throughput_counts_the_interactions_of_all_seeds() -> None:
-    assert report_tables.throughput({"rta": arm(3.0)}, {"device": "abacus", "ranks": 3, "threads": 2}) == [
+    assert tables.throughput({"rta": arm(3.0)}, PROVENANCE) == [
         {
             "arm": "rta",
             "seeds": 2,
@@ -121,9 +136,9 @@ def test_throughput_counts_the_interactions_of_all_seeds() -> None:
     ]
 
 
-def test_files_hold_a_row_per_evaluation(study: Path) -> None:
-    report_tables.write(study)
-    report = study / "report"
+def test_files_hold_a_row_per_evaluation(inputs: Inputs) -> None:
+    tables.write(inputs)
+    report = inputs.directory
     cross, frequency = rows(report / "cross.csv"), rows(report / "frequency.csv")
     assert [(row["arm"], row["filter"], float(row["reward_iqm"])) for row in cross] == [
         ("no_rta", "off", 1.0),
@@ -152,16 +167,12 @@ def test_files_hold_a_row_per_evaluation(study: Path) -> None:
     assert [row["arm"] for row in rows(report / "throughput.csv")] == ["no_rta", "rta"]
 
 
-def test_training_too_short_for_an_evaluation_has_an_empty_table(study: Path) -> None:
-    assert report_tables.training("no_rta", study / "no_rta") == []
-    assert report_tables.text([], report_tables.TRAINING) == "interactions,arm,metric,iqm,low,high\n"
+def test_training_too_short_for_an_evaluation_has_an_empty_table(tmp_path: Path) -> None:
+    assert tables.training("no_rta", tmp_path / "evaluations.jsonl") == []
+    assert tables.text([], tables.TRAINING) == "interactions,arm,metric,iqm,low,high\n"
 
 
-@pytest.mark.parametrize("name", ["results.json", "provenance.json", "report/cross.json"])
-def test_missing_and_damaged_files_are_refused(name: str, study: Path) -> None:
-    (study / name).write_text("{")
-    with pytest.raises(InputError, match="cannot read"):
-        report_tables.write(study)
-    (study / name).unlink()
-    with pytest.raises(InputError, match="cannot read"):
-        report_tables.write(study)
+def test_damaged_results_are_refused(inputs: Inputs) -> None:
+    del inputs.arms["rta"]["metrics"]
+    with pytest.raises(InputError, match="cannot read what its tables are made from"):
+        tables.write(inputs)

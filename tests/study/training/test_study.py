@@ -18,8 +18,8 @@ from ppo import checkpoint
 from study import config as configuration
 from study.config import StudyConfig
 from study.flight.summary import stratified_summary
-from study.training import run as training
 from study.training import study as arms
+from study.training.run import RESUMABLE, Run, start
 
 SEEDS = (5, 6, 7)
 SETTINGS = """
@@ -33,9 +33,10 @@ interactions = 36
 evaluation_interval = 12
 evaluation_episodes = 2
 final_episodes = 4
-rta_period = 10.0
 compile = "off"
 device = "cpu"
+[rta]
+period = 10.0
 qp_solver = "batched"
 [inspection]
 max_time = 30.0 # every episode ends within each update
@@ -86,14 +87,14 @@ def same(one: Any, other: Any) -> bool:
 
 @pytest.mark.parametrize("arm", ["no_rta", "rta"])
 def test_each_seed_of_an_arm_equals_that_seed_trained_alone(arm: str, whole: Path, tmp_path: Path) -> None:
-    config = arms.settings(whole).of_arm(arm)
-    together = checkpoint.load(whole / arm / "checkpoint.pt", training.RESUMABLE)
+    config = arms.read_settings(whole).of_arm(arm)
+    together = checkpoint.load(whole / arm / "checkpoint.pt", RESUMABLE)
     lines = evaluations(whole / arm)
     for k, seed in enumerate(SEEDS):
         directory = tmp_path / str(seed)
         tables = {"train": {"seed": seed}}
-        training.start(configuration.override(config, tables, "test"), directory).train()
-        alone = checkpoint.load(directory / "checkpoint.pt", training.RESUMABLE)
+        start(configuration.override(config, tables, "test"), directory).train()
+        alone = checkpoint.load(directory / "checkpoint.pt", RESUMABLE)
         for network in ("policy", "value"):
             for name, weight in alone[network].items():
                 assert torch.equal(together[network][name][k : k + 1], weight), name
@@ -171,34 +172,34 @@ def test_interruptions_change_nothing(
     arguments = ["study", "--config", str(settings), "--study-dir", str(tmp_path)]
     first, second = tmp_path / "no_rta", tmp_path / "rta"
     with pytest.MonkeyPatch.context() as patch:  # in the first arm's training, after its first update
-        kill_after(patch, training.Run, "after_update", 1, signal.SIGINT)
+        kill_after(patch, Run, "after_update", 1, signal.SIGINT)
         assert main.main(arguments) == 0
     assert checkpoint.load(first / "checkpoint.pt", ("update",))["update"] == 1
 
     with pytest.MonkeyPatch.context() as patch:  # killed outright after an evaluation, before its checkpoint
-        patch.setattr(training.Run, "save", lambda self: (_ for _ in ()).throw(KeyboardInterrupt))
+        patch.setattr(Run, "save", lambda self: (_ for _ in ()).throw(KeyboardInterrupt))
         assert main.main(arguments) == 130
     with open(first / "evaluations.jsonl", "a") as file:
         file.write('{"interactions": 12, "seco')
     assert checkpoint.load(first / "checkpoint.pt", ("update",))["update"] == 1
 
     with pytest.MonkeyPatch.context() as patch:  # in the first arm's final evaluation
-        kill_after(patch, arms, "save_episodes", 1, signal.SIGTERM)
+        kill_after(patch, arms, "write_episodes", 1, signal.SIGTERM)
         assert main.main(arguments) == 0
     assert checkpoint.load(first / "checkpoint.pt", ("update",))["update"] == 3
     assert not (first / "results.json").exists()
 
     with pytest.MonkeyPatch.context() as patch:  # between the arms
-        kill_after(patch, arms, "finish", 1, signal.SIGTERM)
+        kill_after(patch, arms, "evaluate_arm", 1, signal.SIGTERM)
         assert main.main(arguments) == 0
     assert (first / "results.json").exists()
     assert not second.exists()
 
     with pytest.MonkeyPatch.context() as patch:  # among the second arm's first episodes
-        kill_after(patch, training.Run, "create", 1, signal.SIGTERM)
+        kill_after(patch, arms, "create", 1, signal.SIGTERM)
         assert main.main(arguments) == 0
     with pytest.MonkeyPatch.context() as patch:  # in the second arm's training, after its last update
-        kill_after(patch, training.Run, "after_update", 3, signal.SIGTERM)
+        kill_after(patch, Run, "after_update", 3, signal.SIGTERM)
         assert main.main(arguments) == 0
     assert not (second / "episodes.npz").exists()
     assert capsys.readouterr().out.count("the same command continues") == 5
@@ -226,7 +227,7 @@ def test_a_finished_study_is_shown_again_without_work(
     whole: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     before = (whole / "results.json").read_bytes()
-    monkeypatch.setattr(arms, "Run", None)
+    monkeypatch.setattr(arms, "train_arm", None)
     assert main.main(["study", "--study-dir", str(whole)]) == 0
     assert "Table 2" in capsys.readouterr().out
     assert (whole / "results.json").read_bytes() == before

@@ -15,16 +15,17 @@ from inspection.guidance import natural_motion
 from inspection.initial_state import sample_initial_state
 from inspection.parameters import InspectionParameters
 from inspection.state import P, Q
-from rta.extra import ACTUATORS, Constraint, ExtraBarriers
+from rta.constraints import ACTUATORS, Constraint
 from rta.filter import SafetyFilter
 from rta.parameters import RtaParameters
-from rta.rows import Barriers
+from rta.rows import ActuatorGroup
 from study.flight.simulation import simulate
 from tests.rta import test_constraints as reference
 from tests.rta.test_constraints import length, tensor
 from tests.rta.test_lie_derivatives import X, drift, held, near, push, slope, turn
 
 C = InspectionParameters(inertia=(0.04, 0.06, 0.09))
+R = RtaParameters()
 SECOND = np.array([[0.0], [2000.0], [0.0]])  # m, where a second spacecraft is
 LIMIT = np.array([1.0] * 3 + [C.max_torque] * 3)
 
@@ -71,8 +72,9 @@ CONSTRAINTS: dict[str, tuple[Constraint, Callable[[ndarray], ndarray]]] = {
 }
 
 
-def barriers_of(*constraints: Constraint, period: float = 1.0) -> ExtraBarriers:
-    return ExtraBarriers(constraints, constraints[0].held_by, Barriers(C, RtaParameters(), period))
+def group_of(*constraints: Constraint, r: RtaParameters = R) -> ActuatorGroup:
+    """The group of the first one's actuators."""
+    return ActuatorGroup(constraints[0].held_by, constraints, C, r)
 
 
 def numpy_psi(x: ndarray, constraint: Constraint, h: Callable[[ndarray], ndarray]) -> ndarray:
@@ -92,7 +94,7 @@ def test_rows_equal_finite_differences(name: str) -> None:
     def psi(x: ndarray) -> ndarray:
         return numpy_psi(x, constraint, h)
 
-    rows = barriers_of(constraint)(tensor(X))
+    rows = group_of(constraint)(tensor(X))
     columns = [push(held(X), i) for i in range(3)] + [turn(X, i, C) for i in range(3)]
     pushed = np.stack([slope(psi, X, column, 1e-3) for column in columns])
     own = ACTUATORS[constraint.held_by]
@@ -108,28 +110,33 @@ def test_rows_equal_finite_differences(name: str) -> None:
 
 
 def test_gains_are_capped_as_the_papers() -> None:
-    rapid = Constraint("rapid", cone, "torque", (3.0, 4.0))
-    barriers = barriers_of(rapid, period=5.0)
-    assert barriers.rows[0].gain == 0.1
-    slow = barriers_of(Constraint("slow", cone, "torque", (0.1, 0.1)), period=5.0)
-    torch.testing.assert_close(barriers.psi(tensor(X)), slow.psi(tensor(X)))
+    slow, rapid = (
+        group_of(Constraint("mine", cone, "torque", gains), r=RtaParameters(period=5.0))
+        for gains in ((0.1, 0.1), (3.0, 4.0))
+    )
+    x = tensor(X)
+    for field, expected in vars(slow(x)).items():
+        torch.testing.assert_close(getattr(rapid(x), field), expected)
 
 
 def test_safe_is_where_h_and_psi_are_not_negative() -> None:
     constraint, h = CONSTRAINTS["cone"]
-    safe = barriers_of(constraint).is_safe(tensor(X)).numpy()
+    group = group_of(constraint)
+    safe = ((group.values(tensor(X)) >= 0).all(0) & group.holds(tensor(X), degree=2)).numpy()
     fulfilled, holds = h(X) >= 0, numpy_psi(X, constraint, h) >= 0
     assert 0.5 < safe.mean() < 1.0
     assert (fulfilled != holds).any()
     assert (safe == (fulfilled & holds)).all()
+    papers = SafetyFilter(C, R).is_safe(tensor(X)).numpy()
+    assert (SafetyFilter(C, R, extra=[constraint]).is_safe(tensor(X)).numpy() == (papers & safe)).all()
 
 
 def test_weight_is_the_filters_own_unless_given() -> None:
-    barriers = Barriers(C, RtaParameters(slack_weight_critical=2e5), 1.0)
     mine = (
         Constraint("mine", cone, "torque", (0.05, 0.2), weight=weight) for weight in (None, 7.0, math.inf)
     )
-    assert [row.weight for row in ExtraBarriers(list(mine), "torque", barriers).rows] == [2e5, 7.0, math.inf]
+    group = group_of(*mine, r=RtaParameters(slack_weight_critical=2e5))
+    assert group.weights == [2e5, 7.0, math.inf]
 
 
 @pytest.mark.parametrize(
@@ -152,15 +159,14 @@ def test_weight_is_the_filters_own_unless_given() -> None:
 def test_what_does_not_fit_is_refused(arguments: dict, words: str) -> None:
     given = {"name": "mine", "h": cone, "held_by": "torque", "gains": (0.05, 0.2)}
     with pytest.raises(ValueError, match=f"^mine: .*{words}"):
-        barriers_of(Constraint(**given | arguments))
+        group_of(Constraint(**given | arguments))
 
 
 def test_simulation_of_one_spacecraft_returns_every_h() -> None:
-    safety = SafetyFilter(C, RtaParameters(), extra=[constraint for constraint, _ in CONSTRAINTS.values()])
+    safety = SafetyFilter(C, R, extra=[constraint for constraint, _ in CONSTRAINTS.values()])
     generator = torch.Generator().manual_seed(0)
     env = InspectionEnv(1, C, [generator], safety.safety(enabled=False))
-    start = sample_initial_state(1, generator, C)
-    flight = simulate(env, natural_motion(C), *start, duration=20.0, step=10.0, decide_every=10.0)
+    flight = simulate(env, natural_motion(C), *sample_initial_state(1, generator, C), duration=20.0)
     components = ("position", "velocity", "quaternion", "angular_velocity")
     x = np.concatenate([flight[name] for name in components], 1).T
     for name, (_, h) in CONSTRAINTS.items():

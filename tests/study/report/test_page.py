@@ -8,12 +8,11 @@ from html.parser import HTMLParser
 from pathlib import Path
 
 import pytest
+from jinja2 import UndefinedError
 
 from study.errors import InputError
-from study.paper import PAPER_METRICS, PAPER_VIOLATIONS
-from study.report import document as html
-from study.report import inputs as report_inputs
-from study.report.html_tables import difference, percent
+from study.paper import PAPER_METRICS, PAPER_VIOLATIONS, Estimate
+from study.report import figures, inputs, page, tables
 
 VOID = {"meta", "img", "br"}
 
@@ -65,7 +64,10 @@ def study(made_up_study: Path, tmp_path_factory: pytest.TempPathFactory) -> Path
     """A study with its report."""
     directory = tmp_path_factory.mktemp("reported") / "study"
     shutil.copytree(made_up_study, directory)
-    html.write(directory)
+    found = inputs.read(directory)
+    tables.write(found)
+    figures.draw(found)
+    page.write(found)
     return directory
 
 
@@ -109,18 +111,18 @@ def test_table_2(study: Path, reader: Reader) -> None:
     guidance = json.loads((study / "report/guidance.json").read_text())
     rows = body(reader.tables[0], heads=2)
     assert len(rows) == len(PAPER_METRICS) + 1
-    for name, (label, digits, *paper) in PAPER_METRICS.items():
-        expected = []
-        for results, (middle, low, high) in zip(arms.values(), paper, strict=True):
-            ours = results["metrics"][name]
-            a, b = ours["ci95"]
+    for name, published in PAPER_METRICS.items():
+        expected, digits = [], published.digits
+        for arm, results in arms.items():
+            ours, paper = results["metrics"][name], published.by_arm[arm]
+            (a, b), middle, (low, high) = ours["ci95"], paper.value, paper.interval
             expected += [
                 f"{ours['iqm']:.{digits}f} [{a:.{digits}f}, {b:.{digits}f}]",
                 f"{middle:.{digits}f} [{low:.{digits}f}, {high:.{digits}f}]",
                 f"{ours['iqm'] - middle:+.{digits}f}",
             ]
         ours, (a, b) = guidance["metrics"][name]["iqm"], guidance["metrics"][name]["ci95"]
-        assert rows[label] == [*expected, f"{ours:.{digits}f} [{a:.{digits}f}, {b:.{digits}f}]"]
+        assert rows[published.label] == [*expected, f"{ours:.{digits}f} [{a:.{digits}f}, {b:.{digits}f}]"]
     shares = [100 * results["outcomes"]["success"] for results in (*arms.values(), guidance)]
     assert [cell for cell in rows["Success (%)"] if cell != "-"] == [f"{share:.1f}" for share in shares]
 
@@ -129,11 +131,11 @@ def test_table_3(study: Path, reader: Reader) -> None:
     arms = json.loads((study / "results.json").read_text())["arms"]
     rows = body(reader.tables[1], heads=2)
     assert len(rows) == len(PAPER_VIOLATIONS)
-    for name, (label, *paper) in PAPER_VIOLATIONS.items():
-        for i, (results, published) in enumerate(zip(arms.values(), paper, strict=True)):
-            ours = results["violations_percent"][name]
-            expected = [f"{ours:.3f}", f"{published:.3f}", f"{ours - published:+.3f}"]
-            assert rows[label][3 * i : 3 * i + 3] == expected
+    for name, published in PAPER_VIOLATIONS.items():
+        for i, (arm, results) in enumerate(arms.items()):
+            ours, paper = results["violations_percent"][name], published.by_arm[arm].value
+            expected = [f"{ours:.3f}", f"{paper:.3f}", f"{ours - paper:+.3f}"]
+            assert rows[published.label][3 * i : 3 * i + 3] == expected
 
 
 @pytest.mark.parametrize(("place", "name"), [(2, "frequency"), (3, "cross")])
@@ -161,32 +163,51 @@ def test_half_a_study(study: Path, tmp_path: Path) -> None:
     """One arm, whose training was too short for an evaluation, and no guidance."""
     half = tmp_path / "half"
     shutil.copytree(study, half)
-    for name in ("results", "report/cross", "report/throughput"):
+    for name in ("results", "report/cross"):
         content = json.loads((half / f"{name}.json").read_text())
         (content["arms"] if name == "results" else content).pop("rta")
         (half / f"{name}.json").write_text(json.dumps(content))
     (half / "report/training.csv").write_text("interactions,arm,metric,iqm,low,high\n")
     for name in ("guidance.json", "frequency.json", "episode_rta.npz"):
         (half / "report" / name).unlink()
-    text = html.document(report_inputs.read(half))
+    text = page.document(inputs.read(half))
     reader = Reader(text)
     assert text.count('class="missing"') == 4  # arm, training curves, guidance, frequency
     assert len(reader.images) == 6
     assert {len(row) for row in reader.tables[0][1:]} == {4}
 
 
-def test_damaged_files_are_refused(made_up_study: Path, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"results\.json: cannot read it"):
-        html.write(tmp_path)
-    damaged = tmp_path / "damaged"
-    shutil.copytree(made_up_study, damaged)
-    (damaged / "report/episode_rta.npz").write_bytes(b"PK\x03\x04")
-    with pytest.raises(InputError, match=r"episode_rta\.npz: not an episode"):
-        html.write(damaged)
+def test_what_files_say_stays_text(study: Path, tmp_path: Path) -> None:
+    tagged = tmp_path / "a <b> & 'c'"
+    shutil.copytree(study, tagged)
+    (tagged / "provenance.json").write_text(json.dumps({"device": "<i>x</i>", "ranks": 1, "threads": 2}))
+    (tagged / "report/demonstration_<s>.npz").touch()
+    text = page.document(inputs.read(tagged))
+    reader = Reader(text)
+    assert not any(tag in text for tag in ("<i>", "<b>", "<s>"))
+    assert "report/demonstration_<s>.npz" in reader.links
+    assert [row[5] for row in reader.tables[4][1:]] == ["<i>x</i>"] * 2
+    assert "python main.py report --study &#39;" in text
+
+
+def test_a_template_without_one_of_its_values_fails(study: Path) -> None:
+    with pytest.raises(UndefinedError, match="'title' is undefined"):
+        page.render("report/frame.html.j2")
+    with pytest.raises(UndefinedError, match="is undefined"):
+        page.render("report/page.html.j2", inputs=inputs.read(study))
+
+
+def test_a_page_that_cannot_be_written_is_refused(study: Path, tmp_path: Path) -> None:
+    occupied = tmp_path / "occupied"
+    shutil.copytree(study, occupied)
+    (occupied / "report.html").unlink()
+    (occupied / "report.html").mkdir()
+    with pytest.raises(InputError, match="cannot write its report"):
+        page.write(inputs.read(occupied))
 
 
 def test_small_violations_are_not_called_zero() -> None:
-    assert [percent(value) for value in (0.0, 0.0004, 0.0005, 4.2364)] == [
+    assert [page.percent(value) for value in (0.0, 0.0004, 0.0005, 4.2364)] == [
         "0.000",
         "< 0.001",
         "0.001",
@@ -195,8 +216,21 @@ def test_small_violations_are_not_called_zero() -> None:
 
 
 def test_differences_are_bold_where_intervals_do_not_overlap() -> None:
-    paper = (2.0, 1.9, 2.1)
-    assert difference((2.2, 2.05, 2.3), paper, 2) == "+0.20"
-    assert difference((2.2, 2.15, 2.3), paper, 2) == "<strong>+0.20</strong>"
-    assert difference((1.0, 0.9, 1.1), paper, 2) == "<strong>-1.00</strong>"
-    assert difference((1.999, 1.9, 2.1), paper, 2) == "+0.00"
+    paper = Estimate(2.0, (1.9, 2.1))
+    assert page.difference(Estimate(2.2, (2.05, 2.3)), paper, 2) == ("+0.20", False)
+    assert page.difference(Estimate(2.2, (2.15, 2.3)), paper, 2) == ("+0.20", True)
+    assert page.difference(Estimate(1.0, (0.9, 1.1)), paper, 2) == ("-1.00", True)
+    assert page.difference(Estimate(1.999, (1.9, 2.1)), paper, 2) == ("+0.00", False)
+    assert page.difference(Estimate(1.0), Estimate(2.0), 3) == ("-1.000", False)
+
+
+def test_differences_are_bold_on_the_page(study: Path, text: str) -> None:
+    arms = json.loads((study / "results.json").read_text())["arms"]
+    expected = []
+    for name, published in PAPER_METRICS.items():
+        for arm, results in arms.items():
+            ours, paper = results["metrics"][name], published.by_arm[arm]
+            if max(ours["ci95"][0], paper.interval[0]) > min(ours["ci95"][1], paper.interval[1]):
+                expected.append(f"{ours['iqm'] - paper.value:+.{published.digits}f}")
+    assert expected
+    assert re.findall("<strong>(.*?)</strong>", text) == expected

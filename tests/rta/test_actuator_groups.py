@@ -1,0 +1,198 @@
+"""Rows built entry by entry: in any order, of several rows, with losses, doubling gains and coupled controls."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from numpy import ndarray
+from torch import Tensor
+
+from inspection.parameters import InspectionParameters
+from rta.constraints import Constraint
+from rta.filter import SafetyFilter
+from rta.qp import Status
+from rta.rows import ActuatorGroup, Rows
+from tests.rta.test_constraints import entries, paper, tensor
+from tests.rta.test_lie_derivatives import (
+    PSM,
+    PSM_DRIFT_TOLERANCE,
+    PSM_PUSH_TOLERANCE,
+    THRUST,
+    TORQUE,
+    R,
+    X,
+    drift,
+    held,
+    near,
+    push,
+    slope,
+    thrust_barriers,
+    thrust_fall,
+    thrust_gain,
+    torque_barriers,
+    turn,
+)
+from tests.rta.test_own_constraints import cone, numpy_cone, sphere
+
+C = InspectionParameters()
+PAPERS = entries(C, R)
+STATES = tensor(X)
+SPHERE = Constraint("sphere", sphere, "thrust", (0.01, 0.1), 1.0)
+CONE = Constraint("cone", cone, "torque", (0.05, 0.2), 0.02)
+
+
+def group(*constraints: Constraint) -> ActuatorGroup:
+    return ActuatorGroup(constraints[0].held_by, constraints, C, R)
+
+
+def assert_equal(rows: Rows, expected: Rows) -> None:
+    for name, value in vars(expected).items():
+        torch.testing.assert_close(getattr(rows, name), value, rtol=1e-12, atol=1e-12)
+
+
+def joined(*parts: Rows) -> Rows:
+    return Rows(*(torch.cat([getattr(part, name) for part in parts]) for name in vars(parts[0])))
+
+
+def test_uncoupled_entries_come_first_each_kind_in_the_order_given() -> None:
+    own = replace(SPHERE, name="uncoupled", coupled=False), replace(SPHERE, name="ball")
+    given = SPHERE, PAPERS["velocity_y"], own[0], PAPERS["passive_safety"], own[1], PAPERS["collision"], CONE
+    thrust = group(*given)
+    assert thrust.names == ("velocity_y", "uncoupled", "passive_safety", "collision", "sphere", "ball")
+    assert [each.name for each in thrust.of_row] == [
+        "velocity_y", "uncoupled", *["passive_safety"] * 5, "collision", "sphere", "ball",
+    ]  # fmt: skip
+    assert thrust.weights == [1e3, 1e5, *[1e5] * 5, math.inf, 1e5, 1e5]
+    assert thrust.limit == 1.0 and thrust.controls == slice(0, 3)
+    rows = thrust(STATES)
+    assert rows.h.shape == (6, X.shape[1]) and rows.b.shape == (10, X.shape[1])
+    assert_equal(rows, joined(*(group(each)(STATES) for each in thrust.constraints)))
+    torch.testing.assert_close(rows.h[[0, 1, 3, 4, 5]], thrust.values(STATES)[[0, 1, 3, 4, 5]])
+
+
+def test_thrust_rows_in_another_order_equal_finite_differences() -> None:
+    names = ("velocity_z", "passive_safety", "dynamic_speed", "collision")
+    order = [10, *range(11)[PSM], 1, 0]
+    rows, is_psm = group(*(PAPERS[name] for name in names))(STATES), slice(1, 6)
+
+    def psi(x: ndarray) -> ndarray:
+        return thrust_barriers(x)[order]
+
+    def near_rows(actual: Tensor, expected: ndarray, tolerance: float) -> None:
+        near(actual[is_psm], expected[is_psm], tolerance)
+        expected[is_psm] = actual[is_psm]
+        near(actual, expected)
+
+    for axis in range(3):
+        near_rows(rows.a[:, axis], slope(psi, X, push(held(X), axis), 1e-3), PSM_PUSH_TOLERANCE)
+    alpha = thrust_gain(thrust_barriers(X)) * (thrust_barriers(X) - THRUST[1])
+    expected = slope(psi, X, drift(X, C), 3e-4) + (alpha - thrust_fall(X))[order]
+    near_rows(rows.b, expected, PSM_DRIFT_TOLERANCE)
+    near_rows(rows.psi, psi(X), 1e-4)
+    np.testing.assert_allclose(rows.h, paper(X)[[6, 3, 1, 0]], rtol=0, atol=1e-4)
+
+
+def test_torque_rows_of_both_degrees_in_another_order_equal_finite_differences() -> None:
+    names, order = ("angular_velocity_y", "battery", "angular_velocity_x", "attitude_exclusion"), [4, 2, 3, 0]
+    own = replace(CONE, coupled=False)  # whose a does not hold what thrust can do
+    rows = group(CONE, *(PAPERS[name] for name in names))(STATES)
+
+    def psi(x: ndarray) -> ndarray:
+        return torque_barriers(x, C)[order]
+
+    for axis in range(3):
+        near(rows.a[:4, axis], slope(psi, X, turn(X, axis, C), 1e-4))
+    gain, margin = TORQUE[:, order]
+    near(rows.b[:4], slope(psi, X, drift(X, C), 1e-3) + gain * (psi(X) - margin))
+    near(rows.psi[:4], psi(X) - margin)
+    near(rows.h[:4], paper(X)[[11, 9, 10, 7]])
+    near(rows.h[4], numpy_cone(X))
+    alone = group(own)(STATES)
+    assert torch.equal(alone.a, rows.a[4:])
+    assert (alone.b[0] > rows.b[4]).any() and (alone.b[0] >= rows.b[4]).all()
+
+
+def walls(x: Tensor) -> Tensor:
+    """m that two walls are away, (2, ...)."""
+    return torch.stack((900.0 - x[0], 850.0 + x[1]))
+
+
+def speeds(x: Tensor) -> Tensor:
+    """m^2/s^2 below two limits, (2, ...)."""
+    return torch.stack((30.0 - x[3] ** 2, 28.0 - x[4] ** 2))
+
+
+@pytest.mark.parametrize(("both", "gains"), [(walls, (0.05, 0.2)), (speeds, (0.1,))], ids=["walls", "speeds"])
+@pytest.mark.parametrize("coupled", [False, True])
+def test_entry_with_several_rows_has_those_of_several_entries(both, gains, coupled: bool) -> None:
+    several = Constraint(
+        "both", lambda x: both(x).amin(0), "thrust", gains, 2.0, 7.0, lambda x: both, rows=2, coupled=coupled
+    )
+    single = [
+        Constraint(f"{i}", lambda x, i=i: both(x)[i], "thrust", gains, 2.0, 7.0, coupled=coupled)
+        for i in range(2)
+    ]
+    one, two = group(PAPERS["collision"], several), group(PAPERS["collision"], *single)
+    rows, expected = one(STATES), two(STATES)
+    assert one.names == ("collision", "both") and one.weights == two.weights == [math.inf, 7.0, 7.0]
+    for name in ("psi", "a", "b", "b_bare"):
+        torch.testing.assert_close(getattr(rows, name), getattr(expected, name), rtol=1e-13, atol=1e-13)
+    assert (both(STATES).argmin(0) == 0).any() and (both(STATES).argmin(0) == 1).any()
+    assert torch.equal(rows.h[1], both(STATES).amin(0)) and torch.equal(rows.h, one.values(STATES))
+
+
+def test_result_joins_the_rows_of_an_entry() -> None:
+    """Of a limit of 0.05 m/s per axis, which most states exceed."""
+
+    def slow(x: Tensor) -> Tensor:
+        return 0.05**2 - x[3:6] ** 2
+
+    creeping = Constraint(
+        "creeping",
+        lambda x: slow(x).amin(0),
+        "thrust",
+        (0.2,),
+        0.0,
+        1.0,
+        lambda x: slow,
+        rows=3,
+        coupled=False,
+    )
+    safety = SafetyFilter(C, R, extra=[creeping])
+    answer, rows = safety(STATES, torch.zeros_like(STATES[:6])), safety.rows(STATES)[0]
+    assert answer.h.shape == answer.active.shape == answer.slack.shape == (14, X.shape[1])
+    assert torch.equal(answer.h[13], slow(STATES).amin(0))
+    reached = (rows.a * answer.control[:3]).sum(1) + rows.b_bare
+    slack = answer.program_status[0] >= Status.SLACK
+    assert slack.sum() > 20
+    expected = (-reached[-3:]).clamp(min=0.0).amax(0)
+    torch.testing.assert_close(answer.slack[13, slack], expected[slack], rtol=1e-6, atol=1e-6)
+    assert (answer.slack[13, ~slack] == 0.0).all()
+
+
+@pytest.mark.parametrize("loss", [0.03, lambda x: 0.001 * x[0].abs()], ids=["number", "function"])
+@pytest.mark.parametrize("name", ["collision", "passive_safety", "sphere", "battery"])
+def test_loss_is_taken_off_both_sides(name: str, loss) -> None:
+    entry = replace((PAPERS | {"sphere": SPHERE})[name], loss=0.0)
+    bare, rows = group(entry)(STATES), group(replace(entry, loss=loss))(STATES)
+    lost = loss(STATES) if callable(loss) else torch.full_like(STATES[0], loss)
+    assert (lost > 0).all()
+    assert_equal(rows, replace(bare, b=bare.b - lost, b_bare=bare.b_bare - lost))
+
+
+def test_gain_doubles_where_the_entry_says_so() -> None:
+    entry = replace(PAPERS["velocity_x"], doubling=math.inf, loss=0.0)
+    plain, rising = group(entry)(STATES), group(replace(entry, doubling=30.0))(STATES)
+    gain = (0.2 * (1 + (plain.psi / 30.0) ** 2)).clamp(max=0.5)
+    assert (gain > 0.3).any() and (gain < 0.5).any()
+    assert_equal(rising, replace(plain, b=plain.b + (gain - 0.2) * plain.psi, b_bare=rising.b))
+
+
+def test_barrier_takes_the_place_of_h_in_the_rows_alone() -> None:
+    half = replace(PAPERS["velocity_x"], barrier=lambda x: lambda y: 0.5 * PAPERS["velocity_x"].h(y)[None])
+    whole, rows = group(PAPERS["velocity_x"])(STATES), group(half)(STATES)
+    assert torch.equal(rows.h, whole.h)
+    torch.testing.assert_close(rows.psi, 0.5 * whole.psi)
+    torch.testing.assert_close(rows.a, 0.5 * whole.a)

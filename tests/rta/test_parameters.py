@@ -1,0 +1,92 @@
+"""The filter's settings: what is refused, and gains at the filter's period."""
+
+import dataclasses
+import math
+
+import pytest
+import torch
+
+from inspection.parameters import InspectionParameters
+from rta.batched_solver import BatchedSolver
+from rta.filter import SafetyFilter
+from rta.parameters import PERIODS, QP_SOLVERS, RtaParameters
+from rta.piqp_solver import PiqpSolver
+from tests.rta.test_constraints import states, tensor
+
+C = InspectionParameters()
+R = RtaParameters()
+X = tensor(states(50))
+
+
+@pytest.mark.parametrize("period", PERIODS)
+def test_gains_are_capped_at_half_the_calls_per_second(period: float) -> None:
+    cap = 0.5 / period
+    r = RtaParameters(period=period, speed_gain=3.0, battery_gains=(2.0, 4.0))
+    assert r.gain(3.0) == r.gain(math.inf) == cap
+    assert r.gain(R.collision_gain) == min(R.collision_gain, cap)
+    capped = RtaParameters(period=period, speed_gain=cap, battery_gains=(cap, cap))
+    for rows, expected in zip(SafetyFilter(C, r).rows(X), SafetyFilter(C, capped).rows(X), strict=True):
+        for name, value in vars(expected).items():
+            assert torch.equal(getattr(rows, name), value)
+    for rows, row, gains, margin in (
+        (SafetyFilter(C, r).rows(X)[0], 0, (R.collision_gain,), R.collision_margin),
+        (SafetyFilter(C, r).rows(X)[1], 0, R.exclusion_gains, R.exclusion_margin),
+        (SafetyFilter(C, r).rows(X)[1], 2, (cap, cap), R.battery_margin),
+    ):
+        spent = math.prod(min(gain, cap) for gain in gains) * margin
+        torch.testing.assert_close((rows.b_bare - rows.b)[row], torch.full_like(X[0], spent))
+
+
+@pytest.mark.parametrize(
+    "segments", [(), (0.0,), (1.0, 500.0), (0.0, 300.0, 300.0, 500.0), (0.0, 300.0, 200.0, 500.0)]
+)
+def test_passive_safety_segments_must_rise_from_zero(segments: tuple[float, ...]) -> None:
+    with pytest.raises(ValueError, match="passive_safety_segments"):
+        RtaParameters(passive_safety_segments=segments)
+
+
+def test_passive_safety_segments_must_end_at_the_horizon() -> None:
+    with pytest.raises(ValueError, match="horizon"):
+        SafetyFilter(C, RtaParameters(passive_safety_segments=(0.0, 400.0)))
+
+
+@pytest.mark.parametrize("field", [f.name for f in dataclasses.fields(RtaParameters)])
+def test_negative_numbers_are_refused(field: str) -> None:
+    default = getattr(R, field)
+    value = (default[0], -0.1, *default[2:]) if isinstance(default, tuple) else -0.1
+    with pytest.raises(ValueError, match=field):
+        dataclasses.replace(R, **{field: value})
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [("passive_safety_doubling", 0.0), ("slack_weight_motion", 0.0), ("pole_angle", 1.6)],
+)
+def test_numbers_that_would_spoil_every_program_are_refused(field: str, value: float) -> None:
+    with pytest.raises(ValueError, match=field):
+        dataclasses.replace(R, **{field: value})
+
+
+@pytest.mark.parametrize("period", [0.0, -1.0, 2.0, math.nan])
+def test_other_periods_are_refused(period: float) -> None:
+    with pytest.raises(ValueError, match=r"period = .*: must be 1, 5 or 10 s"):
+        RtaParameters(period=period)
+
+
+def test_unknown_solvers_are_refused_and_the_known_ones_are_used() -> None:
+    with pytest.raises(ValueError, match="qp_solver = 'simplex': must be one of auto, piqp, batched"):
+        RtaParameters(qp_solver="simplex")
+    solvers = [type(SafetyFilter(C, RtaParameters(qp_solver=name)).solver) for name in QP_SOLVERS]
+    assert solvers == [PiqpSolver, PiqpSolver, BatchedSolver]
+    given = BatchedSolver()
+    assert SafetyFilter(C, RtaParameters(qp_solver="piqp"), given).solver is given
+
+
+def test_a_thrust_that_nature_outweighs_is_refused() -> None:
+    with pytest.raises(ValueError, match="max_thrust / mass must exceed the natural acceleration"):
+        SafetyFilter(dataclasses.replace(C, max_thrust=0.1), R)
+
+
+def test_the_filters_period_is_its_parameters() -> None:
+    safety = SafetyFilter(C, RtaParameters(period=5.0))
+    assert safety.period == safety.safety().period == 5.0

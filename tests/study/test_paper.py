@@ -1,0 +1,58 @@
+"""The paper's tables as text: ours in the first column, the paper's beside it."""
+
+import dataclasses
+
+import pytest
+
+from rta.constraints import CONSTRAINTS
+from study.paper import PAPER_METRICS, PAPER_VIOLATIONS, Estimate, Results, measured, tables
+
+
+@pytest.fixture
+def results() -> Results:
+    return {
+        "metrics": {name: {"iqm": 2.0, "ci95": [1.25, 3.0]} for name in PAPER_METRICS},
+        "violations_percent": dict.fromkeys(PAPER_VIOLATIONS, 0.04),
+        "outcomes": {"success": 0.75, "crash": 0.25, "timeout": 0.0},
+        "rta": {"period_s": 5.0, "intervention_percent": 12.345, "qp_failures": 2},
+        "episodes": 300,
+    }
+
+
+def test_rows_hold_ours_and_the_papers(results: Results) -> None:
+    lines = tables(results).splitlines()
+    assert lines[0] == "Table 2: IQM [95 % confidence interval] over 300 episodes"
+    assert lines[1] == f"{'':24}{'this agent':>32}{'paper, no RTA':>32}{'paper, RTA':>32}"
+    reward = ("2.0000 [1.2500, 3.0000]", "2.1486 [2.1444, 2.1527]", "2.0235 [2.0175, 2.0293]")
+    assert lines[3] == f"{'Total reward':24}" + "".join(f"{text:>32}" for text in reward)
+    assert lines[8] == "Table 3: mean safety violation, % of steps"
+    assert lines[10] == f"{'Any constraint':24}{'0.040':>16}{'4.736':>16}{'0.215':>16}"
+    assert len(lines) == 2 + len(PAPER_METRICS) + 3 + len(PAPER_VIOLATIONS) + 3
+    assert lines[-2] == "Outcomes: 75 % success, 25 % crash"
+
+
+def test_the_filter_is_named(results: Results) -> None:
+    assert tables(results).endswith("RTA at 5 s: intervened at 12.35 % of its calls, 2 unsolved problems")
+    results["rta"]["period_s"] = None
+    assert tables(results).endswith("RTA: off")
+
+
+def test_what_is_measured_goes_by_name(results: Results) -> None:
+    assert measured(results, "reward") == Estimate(2.0, (1.25, 3.0))
+    assert measured(results, "any") == Estimate(0.04)
+    assert measured(results, "success") == Estimate(75.0)
+    with pytest.raises(KeyError):
+        measured(results, "comfort")
+
+
+def test_the_papers_numbers_are_complete_and_cannot_be_changed() -> None:
+    assert next(iter(PAPER_VIOLATIONS)) == "any"
+    assert set(PAPER_VIOLATIONS) == {"any", *CONSTRAINTS}
+    for published in (PAPER_METRICS | PAPER_VIOLATIONS).values():
+        assert list(published.by_arm) == ["no_rta", "rta"]
+    for published in PAPER_METRICS.values():
+        for number in published.by_arm.values():
+            low, high = number.interval
+            assert low < number.value < high
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        PAPER_METRICS["reward"].by_arm["rta"].value = 3.0

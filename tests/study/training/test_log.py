@@ -1,0 +1,133 @@
+"""The log: charts in TensorBoard, evaluations.jsonl, and what a killed run leaves of it."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+from inspection.environment import METRICS
+from inspection.termination import OUTCOMES
+from study.flight.evaluation import RAW_QUANTITIES, Episodes
+from study.flight.summary import iqm
+from study.training.log import Log
+from study.training.monitor import Monitor
+
+BATCH = 24
+
+
+def charts(directory: Path) -> dict[str, list[tuple[int, float]]]:
+    """What TensorBoard shows."""
+    events = EventAccumulator(str(directory))
+    events.Reload()
+    tags = events.Tags()["scalars"]
+    return {tag: [(event.step, pytest.approx(event.value)) for event in events.Scalars(tag)] for tag in tags}
+
+
+def record(seeds: int, cases: int, generator: torch.Generator) -> Episodes:
+    """Episodes with random metrics and outcomes, nothing else."""
+    count = seeds * cases
+    metrics = torch.rand(len(METRICS), count, generator=generator, dtype=torch.float64)
+    outcome = torch.randint(len(OUTCOMES), (count,), generator=generator)
+    nothing = torch.zeros(13, count)
+    zeros = torch.zeros(count)
+    extremes = torch.zeros(len(RAW_QUANTITIES), count)
+    return Episodes(metrics, torch.zeros(14, count), outcome, zeros, zeros, zeros, nothing, nothing, extremes)
+
+
+def ended(seed: int, reward: float) -> Monitor:
+    """A monitor of one seed that saw an episode end."""
+    monitor = Monitor(("near",), 1, seed)
+    monitor.sums.update(steps=BATCH, violated=torch.tensor([6 * (1 + seed)]))
+    metrics = torch.full((len(METRICS) + 2, 1), reward)
+    metrics[-2], metrics[-1] = 1.0, seed
+    monitor.episodes.append(metrics)
+    return monitor
+
+
+def test_an_update_is_shown_for_all_and_for_each_seed(tmp_path: Path) -> None:
+    homes = [tmp_path / "seed5", tmp_path / "seed6", tmp_path / "seed7"]
+    log = Log(tmp_path, homes, BATCH)
+    two = ended(1, 2.0)
+    two.seeds, two.episodes = 2, two.episodes + ended(2, 6.0).episodes
+    reports = [
+        ({"losses/x": 1.0, "time/rollout_s": 0.5, "time/learning_s": 1.0}, ended(0, 1.0)),
+        (
+            {"losses/x": 4.0, "time/rollout_s": 1.0, "time/learning_s": 2.0},
+            two,
+        ),  # a rank that trains two seeds
+    ]
+    with log.open(0, 2 * BATCH):
+        log.update(reports, BATCH)
+        assert (log.bar.n, log.bar.total) == (BATCH, 2 * BATCH)
+        assert log.bar.postfix == "success=1.00, reward=3.00, dv=3.0, violation=3.00"
+    shown = charts(tmp_path)
+    assert shown["losses/x"] == [(BATCH, 3.0)]
+    assert shown["charts/SPS"] == [(BATCH, 3 * BATCH / 3.0)]  # by the rank that took longest
+    assert shown["charts/reward"] == [(BATCH, 3.0)]
+    assert shown["rta/violation_percent_near"] == [(BATCH, 100.0 * 18 / (2 * BATCH))]
+    for home, reward in zip(homes, (1.0, 2.0, 6.0), strict=True):
+        shown = charts(home)
+        assert shown["charts/reward"] == [(BATCH, reward)]
+        assert set(shown) == {f"charts/{name}" for name in (*METRICS, "success")}
+
+
+def test_an_evaluation_is_a_line_and_a_chart_for_each_seed(
+    tmp_path: Path, generator: torch.Generator
+) -> None:
+    homes = [tmp_path / "seed5", tmp_path / "seed6"]
+    log, episodes = Log(tmp_path, homes, BATCH), record(2, 4, generator)
+    with log.open(0, BATCH):
+        log.evaluation(episodes, [{"seed": 5}, {"seed": 6}], BATCH, 1.5)
+    lines = [json.loads(line) for line in log.evaluations.read_text().splitlines()]
+    for k, (home, line) in enumerate(zip(homes, lines, strict=True)):
+        own = slice(4 * k, 4 * k + 4)
+        assert (line["interactions"], line["seconds"], line["seed"]) == (BATCH, 1.5, 5 + k)
+        assert np.array(list(line["cases"].values())) == pytest.approx(episodes.metrics[:, own].numpy())
+        success = (episodes.outcome[own] == OUTCOMES.index("success")).double().mean().item()
+        assert charts(home)["evaluation/success"] == [(BATCH, success)]
+    for name, values in zip(METRICS, episodes.metrics.numpy(), strict=True):
+        assert charts(tmp_path)[f"evaluation/{name}"] == [(BATCH, float(iqm(values)))]
+
+
+def test_one_seed_has_no_charts_of_its_own(tmp_path: Path, generator: torch.Generator) -> None:
+    log = Log(tmp_path, [tmp_path / "seed5"], BATCH)
+    with log.open(0, BATCH):
+        log.evaluation(record(1, 2, generator), [{}], BATCH, 0.0)
+    assert "evaluation/success" in charts(tmp_path)
+    assert not (tmp_path / "seed5").exists()
+
+
+@pytest.fixture
+def killed(tmp_path: Path) -> Log:
+    """The log of a run that was killed in the midst of its fourth evaluation."""
+    log = Log(tmp_path, [tmp_path], BATCH)
+    lines = [json.dumps({"interactions": k * BATCH, "seed": seed}) for k in (1, 2, 3) for seed in (0, 1)]
+    log.evaluations.write_text("\n".join(lines) + '\n{"interactions": 24, "se')
+    return log
+
+
+@pytest.mark.parametrize(("done", "kept"), [(0, 0), (1, 2), (2, 4), (3, 6), (9, 6)])
+def test_evaluations_after_the_last_checkpoint_are_forgotten(killed: Log, done: int, kept: int) -> None:
+    before = killed.evaluations.read_text().splitlines()
+    killed.forget_evaluations_after(done * BATCH)
+    assert killed.evaluations.read_text() == "".join(f"{line}\n" for line in before[:kept])
+
+
+def test_where_nothing_was_evaluated_there_is_nothing_to_forget(tmp_path: Path) -> None:
+    log = Log(tmp_path, [tmp_path], BATCH)
+    log.forget_evaluations_after(0)
+    assert not log.evaluations.exists()
+
+
+def test_charts_drawn_after_the_last_checkpoint_are_drawn_anew(
+    tmp_path: Path, generator: torch.Generator
+) -> None:
+    log, episodes = Log(tmp_path, [tmp_path], BATCH), record(1, 2, generator)
+    for first, last in ((1, 3), (2, 2)):  # killed, and resumed from the checkpoint after the first update
+        with log.open((first - 1) * BATCH, 3 * BATCH):
+            for k in range(first, last + 1):
+                log.evaluation(episodes, [{}], k * BATCH, 0.0)
+    assert [step for step, _ in charts(tmp_path)["evaluation/success"]] == [BATCH, 2 * BATCH]

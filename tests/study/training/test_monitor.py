@@ -1,0 +1,161 @@
+"""The monitor's scalars against a count of every transition, one column at a time."""
+
+from collections import defaultdict
+from dataclasses import replace
+from statistics import fmean
+
+import pytest
+import torch
+from torch import Tensor
+
+from inspection.closed_loop import Safety
+from inspection.environment import METRICS, Transition
+from inspection.termination import OUTCOMES
+from rta.filter import FilterResult
+from rta.qp import Status
+from study.training.monitor import Monitor
+
+NAMES = ("near", "fast", "hot")
+SEEDS, BATCH, CALLS = 2, 6, 3
+
+
+def correction(generator: torch.Generator) -> FilterResult:
+    """What a filter did at random."""
+    status = torch.randint(len(Status), (2, BATCH), generator=generator)
+    slack = torch.randn(len(NAMES), BATCH, generator=generator, dtype=torch.float64).clamp(min=0.0)
+    return FilterResult(
+        control=torch.zeros(6, BATCH),
+        intervened=status.amax(0) > Status.UNTOUCHED,
+        active=slack > 1.0,
+        slack=slack.masked_fill(torch.rand(BATCH, generator=generator) < 0.7, 0.0),
+        status=status.amax(0),
+        program_status=status,
+        h=torch.randn(len(NAMES), BATCH, generator=generator, dtype=torch.float64),
+    )
+
+
+def transition(generator: torch.Generator, ending: bool = True, filtered: bool = True) -> Transition:
+    """What the environment did at random."""
+    ended, truncated = torch.rand(2, BATCH, generator=generator) < (0.3 if ending else 0.0)
+    numbers = torch.randn(9, BATCH, generator=generator, dtype=torch.float64)
+    return Transition(
+        observation=torch.zeros(BATCH, 26),
+        final_observation=torch.zeros(BATCH, 26),
+        state=torch.zeros(16, BATCH),
+        reward=numbers[0],
+        reward_terms={"fuel": numbers[1], "time": numbers[2]},
+        terminated=ended,
+        truncated=truncated & ~ended,
+        violated=numbers[3:6] < 0.0,
+        corrections=[correction(generator) for _ in range(CALLS)] if filtered else [],
+        outcome=torch.randint(len(OUTCOMES), (BATCH,), generator=generator),
+        metrics=numbers[:6] + 3.0,
+        violation_steps=torch.zeros(len(NAMES), BATCH, dtype=torch.int64),
+        steps=torch.ones(BATCH, dtype=torch.int64),
+    )
+
+
+@pytest.fixture
+def seen(generator: torch.Generator) -> list[Transition]:
+    return [transition(generator) for _ in range(5)]
+
+
+def count(transitions: list[Transition], seed: int | None = None) -> dict[str, float]:
+    """The scalars, counted by hand; of one seed only the episodes' charts."""
+    episodes, shares = defaultdict(list), defaultdict(list)
+    for each in transitions:
+        for column in range(BATCH):
+            own = seed is None or column // (BATCH // SEEDS) == seed
+            if own and (each.terminated[column] or each.truncated[column]):
+                for i, name in enumerate(METRICS):
+                    episodes[f"charts/{name}"].append(float(each.metrics[i, column]))
+                episodes["charts/success"].append(float(OUTCOMES[each.outcome[column]] == "success"))
+            for name, term in each.reward_terms.items():
+                shares[f"reward/{name}"].append(float(term[column]))
+            for i, name in enumerate(NAMES):
+                shares[f"rta/violation_percent_{name}"].append(100.0 * bool(each.violated[i, column]))
+            for call in each.corrections:
+                shares["rta/intervention_percent"].append(100.0 * (call.status[column] > Status.UNTOUCHED))
+                shares["rta/slack_percent"].append(100.0 * any(call.slack[:, column] > 0.0))
+                shares["rta/failures"].append(float(call.status[column] == Status.UNSOLVED))
+                for i, name in enumerate(NAMES):
+                    tag = f"rta/filter_step_violation_percent_{name}"
+                    shares[tag].append(100.0 * bool(call.h[i, column] < 0.0))
+    counted = {tag: fmean(values) for tag, values in episodes.items()}
+    if seed is None:
+        counted |= {tag: fmean(values) for tag, values in shares.items()}
+        if "rta/failures" in counted:
+            counted["rta/failures"] = sum(shares["rta/failures"])
+    return counted
+
+
+def watching(transitions: list[Transition]) -> Monitor:
+    monitor = Monitor(NAMES, SEEDS)
+    for each in transitions:
+        monitor(each)
+    return monitor
+
+
+def test_scalars_are_those_of_a_count_by_hand(seen: list[Transition]) -> None:
+    monitor = watching(seen)
+    assert monitor.scalars() == pytest.approx(count(seen), rel=1e-6)
+    monitor(seen[0])  # they were forgotten
+    assert monitor.scalars() == pytest.approx(count(seen[:1]), rel=1e-6)
+
+
+def test_a_dropped_transition_shows(seen: list[Transition]) -> None:
+    assert watching(seen[:-1]).scalars() != pytest.approx(count(seen), rel=1e-6)
+
+
+def test_charts_are_those_of_each_seeds_episodes(seen: list[Transition]) -> None:
+    monitor = watching(seen)
+    for seed in range(SEEDS):
+        assert monitor.charts(seed) == pytest.approx(count(seen, seed))
+    assert monitor.charts(SEEDS) == {}
+
+
+def test_without_a_filter_or_an_ended_episode_there_is_less_to_show(generator: torch.Generator) -> None:
+    quiet = [transition(generator, ending=False, filtered=False)]
+    scalars = watching(quiet).scalars()
+    assert scalars == pytest.approx(count(quiet), rel=1e-6)
+    assert not any(tag.startswith("charts/") or "intervention" in tag for tag in scalars)
+    assert watching(quiet).charts(0) == {}
+
+
+def test_two_ranks_together_show_what_one_would(seen: list[Transition]) -> None:
+    whole = watching(seen)
+    parts = [Monitor(NAMES, 1, seed) for seed in range(SEEDS)]
+    for monitor, columns in zip(parts, torch.arange(BATCH).chunk(SEEDS), strict=True):
+        for each in seen:
+            monitor(of_columns(each, columns))
+    parts[0].add(parts[1])
+    for seed in (*range(SEEDS), None):
+        assert parts[0].charts(seed) == pytest.approx(whole.charts(seed))
+    assert parts[0].scalars() == pytest.approx(whole.scalars(), rel=1e-6)
+
+
+def of_columns(of: Transition, columns: Tensor) -> Transition:
+    """The same of some columns only."""
+    corrections = [
+        FilterResult(**{name: values[..., columns] for name, values in vars(call).items()})
+        for call in of.corrections
+    ]
+    own = {
+        name: getattr(of, name)[..., columns]
+        for name in ("reward", "terminated", "truncated", "violated", "outcome", "metrics")
+    }
+    terms = {name: term[columns] for name, term in of.reward_terms.items()}
+    return replace(of, **own, reward_terms=terms, corrections=corrections)
+
+
+def test_the_filters_time_is_added_up() -> None:
+    monitor = Monitor(NAMES)
+    result = object()
+    safety = monitor.timed(Safety(NAMES, correct=lambda x, desired: result))
+    assert safety.correct(torch.zeros(16, 1), torch.zeros(6, 1)) is result
+    first = monitor.filter_seconds
+    safety.correct(torch.zeros(16, 1), torch.zeros(6, 1))
+    assert 0.0 < first < monitor.filter_seconds
+    monitor.clear()
+    assert monitor.filter_seconds == 0.0
+    assert monitor.timed(Safety(NAMES)).correct is None
