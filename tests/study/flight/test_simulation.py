@@ -1,29 +1,29 @@
 """What `simulate` records, against the same flight step by step."""
 
 import numpy as np
-import torch
 
 from inspection.dynamics import step as integrate
 from inspection.guidance import recorded
-from study import experiment as build
-from study.config import Config
-from study.flight.evaluation import test_cases as draw_cases
+from rta.filter import SafetyFilter
+from rta.parameters import RtaParameters
+from study.config import Config, override
+from study.experiment import Experiment
+from study.experiment import test_cases as common_cases
 from study.flight.simulation import simulate
 
-CPU = torch.device("cpu")
 DURATION, DECIDE_EVERY, STEP = 60, 10, 5  # s, with a call of the filter each second
 
 
 def test_intervened_tells_which_calls_since_the_row_changed_the_control_they_were_given() -> None:
-    config = Config()
-    c = config.inspection
-    x, priority = draw_cases(config, 1, 0)
+    experiment = Experiment(override(Config(), {"train": {"device": "cpu"}}, "test"), 1, DURATION)
+    c = experiment.config.inspection
+    x, priority = common_cases(experiment.config, 1, 0)
     draws = np.random.default_rng(0).uniform(-1.0, 1.0, (DURATION // DECIDE_EVERY, 6))
-    env = build.one_episode(config, build.make_safety(config, True, 1.0), CPU)
+    env = experiment.env(1, decide_every=DECIDE_EVERY, report_every=STEP)
     decisions = recorded(draws * c.control_limit, DECIDE_EVERY)
-    run = simulate(env, decisions, x, priority, DURATION, STEP, DECIDE_EVERY)
+    run = simulate(env, decisions, x, priority, DURATION)
 
-    correct = build.make_filter(config, 1.0)
+    correct = SafetyFilter(c, RtaParameters())
     changed, applied = np.zeros((DURATION, 2), dtype=bool), x.new_zeros(6, 1)
     for t in range(DURATION):
         given = decisions(t, x) if t % DECIDE_EVERY == 0 else applied
