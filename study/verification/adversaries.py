@@ -1,13 +1,11 @@
-"""What a campaign puts behind the filter: random controls, an adversary, an agent."""
+"""What a campaign puts behind the filter, beside an agent: random controls and an adversary."""
 
 import torch
 from torch import Tensor
 
-from inspection.environment import InspectionEnv
-from inspection.guidance import Controller
+from inspection.closed_loop import Controller
 from inspection.parameters import InspectionParameters
 from inspection.state import CONTROL_SIZE
-from ppo.network import Policy
 from rta.filter import SafetyFilter
 
 LONGEST_HOLD = 60  # s that the random policy holds an action
@@ -45,24 +43,11 @@ def adversarial(safety_filter: SafetyFilter) -> Controller:
 
     def control(t: float, x: Tensor) -> Tensor:
         halves = []
-        for rows, limit in zip(safety_filter.rows(x), safety_filter.limits, strict=True):
-            a = rows.a * limit
+        for group, rows in zip(safety_filter.groups, safety_filter.rows(x), strict=True):
+            a = rows.a * group.limit
             worst = (rows.b / a.norm(dim=1).clamp(min=1e-9)).argmin(0)
             descent = -a.gather(0, worst.expand(1, 3, -1))[0]
-            halves.append(limit * descent / descent.abs().amax(0).clamp(min=1e-12))
+            halves.append(group.limit * descent / descent.abs().amax(0).clamp(min=1e-12))
         return torch.cat(halves)
-
-    return control
-
-
-def agent(policy: Policy, env: InspectionEnv) -> Controller:
-    """The agent's mean action once per action period; `env` keeps what has been inspected."""
-
-    def control(t: float, x: Tensor) -> Tensor:
-        env.x = x
-        if t > 0.0:
-            env.look()
-        action = policy.mean_action(env.observation()[None])[0]
-        return action.T.to(x.dtype).clamp(-1.0, 1.0) * env.limit
 
     return control

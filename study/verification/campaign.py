@@ -11,22 +11,20 @@ import numpy as np
 import torch
 from tqdm import tqdm
 
-from inspection.environment import InspectionEnv
-from inspection.guidance import Controller
 from ppo.network import Policy
 from rta.constraints import CONSTRAINTS
-from rta.filter import SafetyFilter
-from study import experiment as build
 from study.config import Config
 from study.errors import InputError, refusing
-from study.files import write_json
+from study.experiment import Experiment, load_policy
+from study.files import write_json, write_npz
+from study.flight.controllers import agent
 from study.flight.summary import upper_bound
-from study.verification.adversaries import adversarial, agent, held_at_random
+from study.verification.adversaries import adversarial, held_at_random
 from study.verification.counter_examples import counter_example
-from study.verification.findings import continued, empty_report
-from study.verification.flight import fly
+from study.verification.findings import report_in
+from study.verification.flight import CHECK_EVERY, fly
 from study.verification.starts import initial_states, spawned
-from study.verification.tally import Origin, add
+from study.verification.tally import add
 
 BATCH = 1024  # starts drawn at once
 
@@ -47,36 +45,9 @@ class Campaign:
     batch_size: int
     weights: str = ""
 
-    def batch_seed(self, batch: int) -> int:
-        """Of everything random in one batch of episodes."""
-        return int(np.random.SeedSequence((self.seed, batch)).generate_state(1)[0])
-
-
-def controller_of(
-    campaign: Campaign,
-    safety_filter: SafetyFilter,
-    env: InspectionEnv,
-    network: Policy | None,
-    seed: int,
-    first: int,
-) -> tuple[Controller, float]:
-    """A campaign's policy for the columns from `first` on of a batch, and how often it decides, in s."""
-    if network is not None:
-        return agent(network, env), env.c.action_period
-    if campaign.policy == "random":
-        generator = torch.Generator().manual_seed(seed)
-        return held_at_random(env.c, generator, campaign.batch_size, first), safety_filter.period
-    return adversarial(safety_filter), safety_filter.period
-
 
 def run(
-    campaign: Campaign,
-    episodes: int,
-    safety_filter: SafetyFilter,
-    make_env: Callable[[int], InspectionEnv],
-    network: Policy | None,
-    path: Path | None,
-    config: Config,
+    campaign: Campaign, episodes: int, experiment: Experiment, network: Policy | None, path: Path | None
 ) -> Iterator[dict[str, Any]]:
     """Flies batch after batch and yields the report so far, which `path` holds too and is resumed from.
 
@@ -85,46 +56,52 @@ def run(
 
     Args:
         episodes: from starts that the filter can hold.
-        make_env: an environment of so many episodes behind the filter.
         network: of --policy checkpoint, else None.
         path: a JSON file; beside it a violated constraint leaves its worst episode, FILE.CONSTRAINT.npz.
-        config: the configuration, for the report and for the counter-examples.
     """
-    report = empty_report(dataclasses.asdict(campaign), dataclasses.asdict(config))
-    if path is not None and path.is_file() and path.stat().st_size:
-        report = continued(path, report)
-    beyond, env = report["starts_beyond_braking"], None
+    config, env = experiment.config, None
+    # what is decided between two calls of the filter is not applied
+    decide_every = max(CHECK_EVERY, config.inspection.action_period) if network else config.rta.period
+    if campaign.duration % decide_every:
+        raise InputError(
+            f"--duration {campaign.duration}: must be a multiple of {decide_every:g} s, the policy's period"
+        )
+    report = report_in(path, dataclasses.asdict(campaign), config)
+    beyond = report["starts_beyond_braking"]
     while report["episodes"] < episodes:
         number, first = divmod(report["episodes"] + beyond["episodes"], campaign.batch_size)
-        seed = campaign.batch_seed(number)
-        seed_of_starts, seed_of_controls = spawned(seed, 2)
+        batch_seed = np.random.SeedSequence((campaign.seed, number)).generate_state(1)[0]
+        seed_of_starts, seed_of_controls = spawned(int(batch_seed), 2)
         with refusing("[inspection] and [rta]", RuntimeError):
-            x, priority, rejected = initial_states(
-                campaign.batch_size, seed_of_starts, safety_filter.barriers
-            )
-        held = safety_filter.barriers.can_brake(x)[first:]
+            x, priority, rejected = initial_states(campaign.batch_size, seed_of_starts, experiment.filter)
+        held = experiment.filter.can_brake(x)[first:]
         held = held[held.cumsum(0) - held.long() < episodes - report["episodes"]]
         count = held.numel()
         if env is None or env.time.numel() != count:
-            env = make_env(count)
-        controller, decide = controller_of(campaign, safety_filter, env, network, seed_of_controls, first)
+            env = experiment.env(count, None, decide_every, CHECK_EVERY, experiment.filter_compiled)
+        if network:
+            controller = agent(network, env)
+        elif campaign.policy == "random":
+            generator = torch.Generator().manual_seed(seed_of_controls)
+            controller = held_at_random(config.inspection, generator, campaign.batch_size, first)
+        else:
+            controller = adversarial(experiment.filter)
         yield report
 
         x, priority = (part[:, first : first + count].to(env.x) for part in (x, priority))
-        flight = fly(env, controller, x, priority, campaign.duration, decide)
-        held, origin = held.to(env.x.device), Origin(seed_of_starts, campaign.batch_size, first)
+        flight = fly(env, controller, x, priority, campaign.duration, first)
+        held, before = held.to(env.x.device), dict(report["worst_value"])
+        origin = {"batch_seed": seed_of_starts, "batch_size": campaign.batch_size}
         add(beyond, flight[~held], origin)
-        flight, before = flight[held], dict(report["worst_value"])
+        flight = flight[held]
         add(report, flight, origin)
         report["upper_bound_95"] = upper_bound(report["violating_episodes"]["any"], report["episodes"])
         if first == 0:
             report["starts_rejected_by_margin"] += rejected
         if path is not None:
-            for i, name in enumerate(CONSTRAINTS):
-                if report["worst_value"][name] < min(0.0, before[name] or 0.0):
-                    np.savez_compressed(
-                        f"{path}.{name}.npz", **counter_example(flight, i, campaign.period, config)
-                    )
+            for name in CONSTRAINTS:
+                if (report["worst_value"][name] or 0.0) < min(0.0, before[name] or 0.0):
+                    write_npz(f"{path}.{name}.npz", counter_example(flight, name, config))
             write_json(path, report)
     yield report
 
@@ -134,38 +111,24 @@ def verify(
     episodes: int,
     duration: int,
     seed: int,
-    resolve: Callable[[Config], Config],
+    configure: Callable[[Config], Config],
     path: Path | None,
 ) -> dict[str, Any]:
     """The whole campaign with a progress bar; returns the report.
 
     Args:
         policy: random, adversarial or checkpoint:F.
-        resolve: puts the command line over a base configuration, that of the checkpoint if there is one.
+        configure: puts the command line over a base configuration, that of the checkpoint if there is one.
         path: see `run`.
     """
     network, base, weights = None, Config(), ""
     if policy.startswith("checkpoint:"):
-        network, base = build.load_policy(policy.removeprefix("checkpoint:"))
+        network, base = load_policy(policy.removeprefix("checkpoint:"))
         weights = digest(network)
-    config = resolve(base)
-    solver = build.qp_solver(config.train)  # by name, so that a counter-example says which one it was
-    config = dataclasses.replace(config, train=dataclasses.replace(config.train, qp_solver=solver))
-    train, device = config.train, build.resolve_device(config.train.device)
-    decide = config.inspection.action_period if network else train.rta_period
-    if duration % decide:
-        raise InputError(f"--duration {duration}: must be a multiple of {decide:g} s, the policy's period")
-    calls = -(-episodes // BATCH) * duration / train.rta_period
-    compiled = build.wants_compile(train.compile, calls >= build.WORTH_COMPILING_FILTER)
-    safety_filter = build.make_filter(config, train.rta_period, compiled, BATCH)
-    safety = safety_filter.safety()
-
-    def make_env(count: int) -> InspectionEnv:
-        return build.make_env(config, count, [torch.Generator(device)], safety, compiled)
-
-    campaign = Campaign(policy, train.rta_period, duration, seed, BATCH, weights)
-    network = network.to(device) if network else None
-    reports = run(campaign, episodes, safety_filter, make_env, network, path, config)
+    experiment = Experiment(configure(base), BATCH, seconds=-(-episodes // BATCH) * duration)
+    campaign = Campaign(policy, experiment.filter.period, duration, seed, BATCH, weights)
+    network = network.to(experiment.device) if network else None
+    reports = run(campaign, episodes, experiment, network, path)
     report = next(reports)  # refuses before there is a bar
     if report["episodes"] > episodes:
         print(f"{path}: holds {report['episodes']:,} episodes already, more than asked for", file=sys.stderr)

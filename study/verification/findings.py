@@ -1,22 +1,24 @@
 """A campaign's report: what it holds, its JSON file and its text."""
 
+import dataclasses
 import json
 from pathlib import Path
 from typing import Any
 
 from rta.constraints import CONSTRAINTS
-from study.errors import InputError, refusing
+from study.config import Config, override
+from study.errors import MALFORMED, InputError, refusing
 from study.verification.tally import empty_tally
 
 LISTED = 12  # sets of constraints with slack together that the text lists
 
 
-def empty_report(campaign: dict[str, Any], config: dict[str, Any]) -> dict[str, Any]:
+def empty_report(campaign: dict[str, Any], config: Config) -> dict[str, Any]:
     """A report of no episodes, the form of `verify --json`.
 
     Its own tally and bound are over the starts that the filter can hold in any attitude. `starts_beyond_braking` has
-    the tally of the others (`Barriers.can_brake`), where keep-in zone and actuators can conflict from the start on.
-    `starts_rejected_by_margin` counts states left out as in `safe_set`.
+    the tally of the others (`SafetyFilter.can_brake`), where keep-in zone and actuators can conflict from the start
+    on. `starts_rejected_by_margin` counts states left out as in `safe_set`.
     """
     return {
         "campaign": campaign,
@@ -24,37 +26,40 @@ def empty_report(campaign: dict[str, Any], config: dict[str, Any]) -> dict[str, 
         "upper_bound_95": 1.0,
         "starts_beyond_braking": empty_tally(),
         "starts_rejected_by_margin": 0,
-        "config": config,
+        "config": dataclasses.asdict(config),
     }
 
 
-def continued(path: Path, fresh: dict[str, Any]) -> dict[str, Any]:
-    """The report in a file, which must be of the same campaign as a fresh one."""
-    with refusing(f"--json {path}: holds no report of verify", OSError, ValueError, TypeError, KeyError):
+def report_in(path: Path | None, campaign: dict[str, Any], config: Config) -> dict[str, Any]:
+    """The report that a file holds, of this campaign, to go on with, or one of no episodes.
+
+    Older files may have settings by other names; what is written has those of today.
+    """
+    fresh = empty_report(campaign, config)
+    if path is None or not path.is_file() or not path.stat().st_size:
+        return fresh
+    with refusing(f"--json {path}: holds no report of verify", OSError, *MALFORMED):
         report = json.loads(path.read_text(encoding="utf-8"))
-        same = all(report[key] == json.loads(json.dumps(fresh[key])) for key in ("campaign", "config"))
+        same = report["campaign"] == campaign and override(Config(), report["config"], str(path)) == config
     if not same:
         raise InputError(f"--json {path}: holds another campaign or configuration; name another file")
-    return report
+    return report | {"config": fresh["config"]}
 
 
 def table(report: dict[str, Any]) -> str:
     """A report as text."""
-    lines = [
-        f"{'constraint':20s} {'violating steps':>16s} {'episodes':>9s} {'worst value':>13s} "
-        f"{'calls with slack':>17s}"
-    ]
-    for name in CONSTRAINTS:
-        lines.append(
-            f"{name:20s} {report['violating_steps'][name]:16,d} {report['violating_episodes'][name]:9,d} "
-            f"{report['worst_value'][name]:13.5g} {report['yielded_calls'][name]:17,d}"
-        )
-    steps, bad = report["violating_steps"]["any"], report["violating_episodes"]["any"]
+    steps, episodes = report["violating_steps"], report["violating_episodes"]
     calls, beyond = report["filter_calls"], report["starts_beyond_braking"]
     total = sum(calls.values())
     corrected = 100.0 * (total - calls["untouched"]) / max(total, 1)
-    lines += [
-        f"{'any':20s} {steps:16,d} {bad:9,d}",
+    lines = [
+        f"{'constraint':20s} {'violating steps':>16s} {'episodes':>9s} {'worst value':>13s} {'calls with slack':>17s}",
+        *(
+            f"{name:20s} {steps[name]:16,d} {episodes[name]:9,d} "
+            f"{report['worst_value'][name]:13.5g} {report['yielded_calls'][name]:17,d}"
+            for name in CONSTRAINTS
+        ),
+        f"{'any':20s} {steps['any']:16,d} {episodes['any']:9,d}",
         f"{report['episodes']:,} episodes, {report['steps']:,} steps; violation probability per episode below "
         f"{report['upper_bound_95']:.2e} (95 %)",
         f"{total:,} filter calls, {corrected:.1f} % corrected, {calls['slack']:,} with slack, "
@@ -63,21 +68,18 @@ def table(report: dict[str, Any]) -> str:
         f"beside these {beyond['episodes']:,} starts beyond the filter's keep-in barrier: "
         f"{beyond['violating_episodes']['any']:,} with violations"
         + "".join(
-            f"; {name} {beyond['violating_steps'][name]:,} steps, down to {beyond['worst_value'][name]:.3g}"
-            for name in CONSTRAINTS
-            if beyond["violating_steps"][name]
+            f"; {name} {count:,} steps, down to {beyond['worst_value'][name]:.3g}"
+            for name, count in beyond["violating_steps"].items()
+            if count and name != "any"
         ),
         f"{report['starts_rejected_by_margin']:,} states left out that are safe but for the margins of Psi_1",
     ]
-    together = sorted(report["slack_together"].items(), key=lambda item: -item[1]["calls"])
+    together = sorted(report["slack_together"].values(), key=lambda same: -same["calls"])
     if together:
-        lines += [
-            "",
-            f"{'calls':>9s}  slack together, largest in h's unit per s (per s^2 at relative degree two)",
-        ]
-    for _, same in together[:LISTED]:
+        lines += ["", "    calls  slack together, largest in h's unit per s (per s^2 at relative degree two)"]
+    for same in together[:LISTED]:
         slack = ", ".join(f"{name} {value:.2g}" for name, value in same["largest_slack"].items())
         lines.append(f"{same['calls']:9,d}  {slack}")
     if more := together[LISTED:]:
-        lines.append(f"{sum(same['calls'] for _, same in more):9,d}  in {len(more):,} other combinations")
+        lines.append(f"{sum(same['calls'] for same in more):9,d}  in {len(more):,} other combinations")
     return "\n".join(lines)

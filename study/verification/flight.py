@@ -6,13 +6,12 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from inspection.closed_loop import Controller
 from inspection.environment import InspectionEnv
-from inspection.guidance import Controller
 from inspection.state import CONTROL_SIZE
-from rta.constraints import CONSTRAINTS
-from rta.filter import FilterResult
 from rta.qp import Status
 
+CHECK_EVERY = 1.0  # s
 ROUNDING = 1e-10  # slack that does not count, in units of h's rate; even rows that never yield reach 1e-12
 
 
@@ -20,7 +19,7 @@ class Conflicts(NamedTuple):
     """Filter calls with slack, in the order of time; last axis the calls.
 
     Attributes:
-        column: (N,) of the episode; time: (N,) s; state: (16, N); desired: (6, N); slack, h: (13, N).
+        column: (N,) the episode's number; time: (N,) s; state: (16, N); desired: (6, N); slack, h: (13, N).
     """
 
     column: Tensor
@@ -29,13 +28,6 @@ class Conflicts(NamedTuple):
     desired: Tensor
     slack: Tensor
     h: Tensor
-
-    @classmethod
-    def of(cls, t: float, x: Tensor, desired: Tensor, result: FilterResult, h: Tensor) -> "Conflicts":
-        """Those of one call of the filter at t s."""
-        column = torch.nonzero((result.slack > ROUNDING).any(0)).flatten()
-        parts = (part[:, column] for part in (x, desired, result.slack, h))
-        return cls(column, torch.full_like(column, t, dtype=x.dtype), *parts)
 
 
 @dataclasses.dataclass
@@ -49,7 +41,7 @@ class Flight:
         yielded: (13, B) calls at which a row had slack; slack: (13, B) its largest.
         excess: (B,) largest control in units of its actuator's limit.
         start: (16 + 3, B) initial states and priority vectors; desired, applied: (steps, 6, B) controls.
-        column: (B,) of the episode in the batch that was flown; conflicts: calls with slack, by that column.
+        column: (B,) the episode's number; conflicts: calls with slack, by that number.
     """
 
     violating: Tensor
@@ -63,7 +55,7 @@ class Flight:
     desired: Tensor
     applied: Tensor
     column: Tensor
-    conflicts: Conflicts
+    conflicts: Conflicts | None = None
 
     def __getitem__(self, chosen: Tensor) -> "Flight":
         """The episodes where `chosen` (B,) bool is set."""
@@ -74,51 +66,43 @@ class Flight:
 
 @torch.no_grad()
 def fly(
-    env: InspectionEnv, controller: Controller, x: Tensor, priority: Tensor, duration: float, decide: float
+    env: InspectionEnv, controller: Controller, x: Tensor, priority: Tensor, duration: float, first: int = 0
 ) -> Flight:
-    """Flies one episode per column behind the environment's filter, checked at every second.
+    """Flies one episode per column behind the environment's filter, checked at every report of its clocks.
 
     Args:
         x, priority: initial states (16, B) and priority vectors (3, B).
-        duration: s; decide: s between two desired controls. In between the filter is given its own last one.
+        duration: s; first: the number of the first column.
     """
     env.start(x, priority)
-    steps, period, batch = round(duration), round(env.safety.period), x.shape[1]
-    tally = x.new_zeros(len(CONSTRAINTS), batch)
+    constraints, batch, steps = len(env.safety.names), x.shape[1], env.clocks.count(duration)
     flight = Flight(
-        violating=x.new_zeros(len(CONSTRAINTS) + 1, batch),
-        worst=torch.full_like(tally, torch.inf),
-        when=tally.clone(),
+        violating=x.new_zeros(constraints + 1, batch),
+        worst=x.new_full((constraints, batch), torch.inf),
+        when=x.new_zeros(constraints, batch),
         status=x.new_zeros(len(Status), batch),
-        yielded=tally.clone(),
-        slack=tally.clone(),
+        yielded=x.new_zeros(constraints, batch),
+        slack=x.new_zeros(constraints, batch),
         excess=x.new_zeros(batch),
         start=torch.cat((x, priority)),
         desired=x.new_zeros(steps, CONTROL_SIZE, batch),
         applied=x.new_zeros(steps, CONTROL_SIZE, batch),
-        column=torch.arange(batch, device=x.device),
-        conflicts=Conflicts(*[x.new_zeros(0)] * len(Conflicts._fields)),
+        column=torch.arange(first, first + batch, device=x.device),
     )
-    h = env.constraint_values(x)
+    h, conflicts = env.constraint_values(x), []
     note_state(flight, h, 0.0)
-    u = x.new_zeros(CONTROL_SIZE, batch)
-    conflicts = []
-    for i in range(steps):
-        if i % decide == 0:
-            u = controller(float(i), x)
-        flight.desired[i] = u
-        if i % period == 0:
-            result = env.safety.correct(x, u)
-            conflicts.append(Conflicts.of(i, x, u, result, h))
-            u = result.control
+    for i, hold in enumerate(env.fly(controller, duration)):
+        flight.desired[i], flight.applied[i] = hold.desired, hold.applied
+        if (result := hold.correction) is not None:
+            yielded, time = result.slack > ROUNDING, torch.full_like(flight.excess, hold.time)
+            parts = flight.column, time, hold.state, hold.desired, result.slack, h
+            conflicts.append([part[..., yielded.any(0)] for part in parts])
             flight.status += torch.nn.functional.one_hot(result.status, len(Status)).T
-            flight.yielded += result.slack > ROUNDING
+            flight.yielded += yielded
             flight.slack = torch.maximum(flight.slack, result.slack)
-            flight.excess = torch.maximum(flight.excess, (u.abs() / env.limit).amax(0))
-        flight.applied[i] = u
-        x = env.integrate(x, u, round(1.0 / env.interval))
-        h = env.constraint_values(x)
-        note_state(flight, h, i + 1.0)
+            flight.excess = torch.maximum(flight.excess, (hold.applied.abs() / env.limit).amax(0))
+        h = env.constraint_values(hold.after)
+        note_state(flight, h, hold.end)
     flight.conflicts = Conflicts(*(torch.cat(parts, -1) for parts in zip(*conflicts, strict=True)))
     return flight
 

@@ -10,10 +10,12 @@ from torch import Tensor
 
 from inspection.initial_state import sample_initial_state, spherical
 from inspection.state import OMEGA, SIZE, THETA_S, E, P, Q, T, V
-from rta.rows import Barriers
+from rta.filter import SafetyFilter
 
 FARTHEST = 795.0  # m, of the safe set's initial states
 HYPERCUBES = 100  # drawn before a safe set counts as empty
+# what keeps the filter's Psi_1 from being exact
+MARGINS = ("exclusion_margin", "temperature_margin", "battery_margin", "pole_angle", "incidence_rounding")
 
 
 def spawned(seed: int, count: int) -> list[int]:
@@ -22,21 +24,13 @@ def spawned(seed: int, count: int) -> list[int]:
     return [int(stream.generate_state(1, np.uint64)[0]) for stream in streams]
 
 
-def without_margins(barriers: Barriers) -> Barriers:
-    """The same barriers with the exact h and Psi_1 of attitude exclusion, temperature and battery."""
-    margins = ("exclusion_margin", "temperature_margin", "battery_margin", "pole_angle", "incidence_rounding")
-    return Barriers(
-        barriers.c, dataclasses.replace(barriers.r, **dict.fromkeys(margins, 0.0)), barriers.period
-    )
-
-
-def safe_set(count: int, seed: int, barriers: Barriers) -> tuple[Tensor, Tensor, int]:
+def safe_set(count: int, seed: int, safety_filter: SafetyFilter) -> tuple[Tensor, Tensor, int]:
     """Initial states from the whole safe set: every h and every Psi_1 is non-negative.
 
     A Latin hypercube over distance up to FARTHEST, speed up to the limit there, all directions and attitudes,
     body rates, temperature and energy down to their limits and the Sun's angle. h is exact; Psi_1 is the filter's,
     with the margins of h inside it and the terminator rounded off (`RtaParameters.incidence_rounding`). States beyond
-    the filter's own keep-in barrier (`Barriers.can_brake`) belong to the set.
+    the filter's own keep-in barrier (`SafetyFilter.can_brake`) belong to the set.
 
     Returns:
         States (16, count), priority vectors (3, count) and how many other states of the hypercubes, up to the last
@@ -45,7 +39,8 @@ def safe_set(count: int, seed: int, barriers: Barriers) -> tuple[Tensor, Tensor,
     Raises:
         RuntimeError: fewer were found in HYPERCUBES hypercubes.
     """
-    c, exact = barriers.c, without_margins(barriers)
+    c, parameters = safety_filter.c, safety_filter.parameters
+    exact = SafetyFilter(c, dataclasses.replace(parameters, **dict.fromkeys(MARGINS, 0.0)))
     sampler = qmc.LatinHypercube(17, rng=np.random.default_rng(seed))
     kept, rejected = torch.zeros(SIZE + 3, 0, dtype=torch.float64), 0
     for _ in range(HYPERCUBES):
@@ -65,7 +60,7 @@ def safe_set(count: int, seed: int, barriers: Barriers) -> tuple[Tensor, Tensor,
         x[E] = c.min_energy + (c.initial_energy[1] - c.min_energy) * s[13]
         x[THETA_S] = turn[14]
         priority = spherical(torch.ones_like(distance), turn[15], lean[16])
-        safe = barriers.is_in_safe_set(x)
+        safe = safety_filter.is_in_safe_set(x)
         missing = count - kept.shape[1]
         taken = torch.nonzero(safe).flatten()[:missing]
         seen = int(taken[-1]) + 1 if taken.numel() == missing else safe.numel()
@@ -76,12 +71,12 @@ def safe_set(count: int, seed: int, barriers: Barriers) -> tuple[Tensor, Tensor,
     raise RuntimeError(f"only {kept.shape[1]} of {count} initial states found in the safe set")
 
 
-def initial_states(count: int, seed: int, barriers: Barriers) -> tuple[Tensor, Tensor, int]:
+def initial_states(count: int, seed: int, safety_filter: SafetyFilter) -> tuple[Tensor, Tensor, int]:
     """The paper's distribution and the safe set in turns; returns as `safe_set`."""
     first, second = spawned(seed, 2)
     generator = torch.Generator().manual_seed(first)
+    paper = sample_initial_state(count - count // 2, generator, safety_filter.c, safety_filter.is_safe)
+    x, priority, rejected = safe_set(count // 2, second, safety_filter)
     both = torch.zeros(SIZE + 3, count, dtype=torch.float64)
-    paper = sample_initial_state(count - count // 2, generator, barriers.c, barriers.is_safe)
-    x, priority, rejected = safe_set(count // 2, second, barriers)
     both[:, ::2], both[:, 1::2] = torch.cat(paper), torch.cat((x, priority))
     return both[:SIZE], both[SIZE:], rejected

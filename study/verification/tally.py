@@ -1,9 +1,9 @@
 """Counting what flights did: violations, worst cases, filter calls, and rows that had slack together."""
 
-from typing import Any, NamedTuple
+from collections import Counter
+from typing import Any
 
 import torch
-from torch import Tensor
 
 from inspection.state import SIZE
 from rta.constraints import ATTITUDE, CONSTRAINTS, TRANSLATIONAL
@@ -11,22 +11,6 @@ from rta.qp import Status
 from study.verification.flight import ROUNDING, Conflicts, Flight
 
 SHOWN = 20  # calls with slack that a report holds, per constraint
-
-
-class Origin(NamedTuple):
-    """Where a flight's starts come from: the columns from `first` on of `initial_states(batch_size, batch_seed)`."""
-
-    batch_seed: int
-    batch_size: int
-    first: int
-
-    def of(self, column: Tensor) -> dict[str, int]:
-        """A column of the flight in a report."""
-        return {
-            "batch_seed": self.batch_seed,
-            "batch_size": self.batch_size,
-            "column": self.first + int(column),
-        }
 
 
 def empty_tally() -> dict[str, Any]:
@@ -38,12 +22,11 @@ def empty_tally() -> dict[str, Any]:
     constraint had slack, and `slack_together` about the constraints of one program, of thrust or of torque.
     `conflicts` has the first SHOWN of these calls per constraint in full, in the order of the starts.
     """
-    counts = dict.fromkeys((*CONSTRAINTS, "any"), 0)
     return {
         "episodes": 0,
         "steps": 0,
-        "violating_steps": counts,
-        "violating_episodes": dict(counts),
+        "violating_steps": dict.fromkeys((*CONSTRAINTS, "any"), 0),
+        "violating_episodes": dict.fromkeys((*CONSTRAINTS, "any"), 0),
         "worst_value": dict.fromkeys(CONSTRAINTS),
         "worst_case": dict.fromkeys(CONSTRAINTS),
         "filter_calls": {status.name.lower(): 0 for status in Status},
@@ -56,62 +39,66 @@ def empty_tally() -> dict[str, Any]:
     }
 
 
-def add(tally: dict[str, Any], flight: Flight, origin: Origin) -> None:
-    """Adds episodes to a tally, in place."""
+def add(tally: dict[str, Any], flight: Flight, origin: dict[str, int]) -> None:
+    """Adds episodes to a tally, in place; their columns are those of `initial_states` of the origin's size and seed."""
     batch = flight.excess.numel()
     if batch == 0:
         return
     tally["episodes"] += batch
     tally["steps"] += batch * (len(flight.desired) + 1)
-    for i, name in enumerate((*CONSTRAINTS, "any")):
-        tally["violating_steps"][name] += int(flight.violating[i].sum())
-        tally["violating_episodes"][name] += int((flight.violating[i] > 0).sum())
-    for i, name in enumerate(CONSTRAINTS):
-        tally["yielded_calls"][name] += int(flight.yielded[i].sum())
-        tally["largest_slack"][name] = max(tally["largest_slack"][name], flight.slack[i].max().item())
-        value, k = flight.worst[i].min(0)
+    for name, steps in zip((*CONSTRAINTS, "any"), flight.violating, strict=True):
+        tally["violating_steps"][name] += int(steps.sum())
+        tally["violating_episodes"][name] += int((steps > 0).sum())
+    rows = zip(CONSTRAINTS, flight.worst, flight.when, flight.yielded, flight.slack, strict=True)
+    for name, worst, when, yielded, slack in rows:
+        tally["yielded_calls"][name] += int(yielded.sum())
+        tally["largest_slack"][name] = max(tally["largest_slack"][name], slack.max().item())
+        value, k = worst.min(0)
         if tally["worst_value"][name] is None or value.item() < tally["worst_value"][name]:
             tally["worst_value"][name] = value.item()
             tally["worst_case"][name] = {
-                **origin.of(flight.column[k]),
-                "time_s": flight.when[i, k].item(),
+                **origin,
+                "column": int(flight.column[k]),
+                "time_s": when[k].item(),
                 "initial_state": flight.start[:SIZE, k].tolist(),
                 "priority": flight.start[SIZE:, k].tolist(),
             }
-    for status in Status:
-        tally["filter_calls"][status.name.lower()] += int(flight.status[status].sum())
+    for status, calls in zip(Status, flight.status, strict=True):
+        tally["filter_calls"][status.name.lower()] += int(calls.sum())
     tally["unsolved"] = tally["filter_calls"]["unsolved"]
     tally["controls_outside_bounds"] += int((flight.excess > 1.0 + 1e-12).sum())
     add_conflicts(tally, flight.conflicts, origin)
 
 
-def add_conflicts(tally: dict[str, Any], conflicts: Conflicts, origin: Origin) -> None:
+def add_conflicts(tally: dict[str, Any], conflicts: Conflicts, origin: dict[str, int]) -> None:
     """Adds calls with slack to a tally, in place."""
     order = torch.argsort(conflicts.column, stable=True)  # so that a part of a batch comes first
-    conflicts = Conflicts(*(part[..., order].cpu() for part in conflicts))
-    together, recorded = tally["slack_together"], tally["conflicts"]
-    shown = {name: sum(name in call["slack"] for call in recorded) for name in CONSTRAINTS}
-    for k, slacks in enumerate(conflicts.slack.T.tolist()):
+    calls = (part[..., order].movedim(-1, 0).tolist() for part in conflicts)
+    recorded = tally["conflicts"]
+    shown = Counter(name for call in recorded for name in call["slack"])
+    for column, time, state, desired, slacks, h in zip(*calls, strict=True):
         slack = {name: value for name, value in zip(CONSTRAINTS, slacks, strict=True) if value > ROUNDING}
         for group in (TRANSLATIONAL, ATTITUDE):  # those of thrust and of torque do not conflict
-            names = [name for name in slack if name in group]
-            if not names:
-                continue
-            fresh = {"calls": 0, "largest_slack": dict.fromkeys(names, 0.0)}
-            same = together.setdefault(" + ".join(names), fresh)
-            same["calls"] += 1
-            for name in names:
-                same["largest_slack"][name] = max(same["largest_slack"][name], slack[name])
+            if theirs := {name: value for name, value in slack.items() if name in group}:
+                add_together(tally["slack_together"], theirs)
         if min(shown[name] for name in slack) < SHOWN:
-            for name in slack:
-                shown[name] += 1
+            shown.update(slack.keys())
             recorded.append(
                 {
-                    **origin.of(conflicts.column[k]),
-                    "time_s": conflicts.time[k].item(),
-                    "state": conflicts.state[:, k].tolist(),
-                    "control_desired": conflicts.desired[:, k].tolist(),
+                    **origin,
+                    "column": column,
+                    "time_s": time,
+                    "state": state,
+                    "control_desired": desired,
                     "slack": slack,
-                    "h": dict(zip(CONSTRAINTS, conflicts.h[:, k].tolist(), strict=True)),
+                    "h": dict(zip(CONSTRAINTS, h, strict=True)),
                 }
             )
+
+
+def add_together(together: dict[str, Any], slack: dict[str, float]) -> None:
+    """Adds one program's slack by constraint, in place."""
+    same = together.setdefault(" + ".join(slack), {"calls": 0, "largest_slack": dict.fromkeys(slack, 0.0)})
+    same["calls"] += 1
+    for name, value in slack.items():
+        same["largest_slack"][name] = max(same["largest_slack"][name], value)

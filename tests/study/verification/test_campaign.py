@@ -9,18 +9,14 @@ from numpy import ndarray
 from torch import Tensor
 
 from inspection.environment import InspectionEnv
-from inspection.parameters import InspectionParameters
 from rta.filter import SafetyFilter
-from rta.parameters import RtaParameters
-from rta.rows import Barriers
-from study import experiment as build
-from study.config import Config
+from study.config import Config, override
+from study.experiment import Experiment, make_policy
 from study.verification.campaign import Campaign, digest, run
 from study.verification.starts import initial_states
 from tests.test_main import assert_refused
 
-C = InspectionParameters()
-R = RtaParameters()
+EXPERIMENT = Experiment(override(Config(), {"train": {"compile": "off", "device": "cpu"}}, "test"), 64)
 
 
 class Flown(Exception):
@@ -44,32 +40,20 @@ def test_starts_and_first_controls_share_no_number(monkeypatch: pytest.MonkeyPat
 
     monkeypatch.setattr(torch, "rand", recorded)
     monkeypatch.setattr("study.verification.campaign.fly", first_control)
-    safety = SafetyFilter(C, R)
-    env = InspectionEnv(64, C, [torch.Generator()], safety.safety())
     campaign = Campaign("random", 1.0, 10, 0, 64)
     with pytest.raises(Flown):
-        list(run(campaign, 64, safety, lambda _: env, None, None, Config()))
+        list(run(campaign, 64, EXPERIMENT, None, None))
     numbers = np.concatenate([part.flatten().numpy() for part in drawn])
     assert numbers.size > 10 * 64 and np.unique(numbers).size == numbers.size
 
 
 def test_starts_beyond_braking_are_told_apart(monkeypatch: pytest.MonkeyPatch) -> None:
     """Recounted from the starts of the batch."""
-    monkeypatch.setattr(Barriers, "can_brake", lambda _, x: x[6].abs() < 0.6)
+    monkeypatch.setattr(SafetyFilter, "can_brake", lambda _, x: x[6].abs() < 0.6)
     campaign = Campaign("random", 1.0, 20, 4, 32)
-    safety = SafetyFilter(C, R)
-    reports = run(
-        campaign,
-        12,
-        safety,
-        lambda count: InspectionEnv(count, C, [torch.Generator()], safety.safety()),
-        None,
-        None,
-        Config(),
-    )
-    report = list(reports)[-1]
+    report = list(run(campaign, 12, EXPERIMENT, None, None))[-1]
     case = report["worst_case"]["collision"]
-    x, _, rejected = initial_states(32, case["batch_seed"], safety.barriers)
+    x, _, rejected = initial_states(32, case["batch_seed"], EXPERIMENT.filter)
     held = x[6].abs().numpy() < 0.6
     flown = int(np.flatnonzero(held)[11]) + 1
     assert report["starts_beyond_braking"]["episodes"] == (~held[:flown]).sum() > 0
@@ -80,7 +64,7 @@ def test_starts_beyond_braking_are_told_apart(monkeypatch: pytest.MonkeyPatch) -
 
 
 def test_a_retrained_policy_is_another_campaign() -> None:
-    policies = [build.make_policy(Config(), [torch.Generator().manual_seed(seed)]) for seed in (0, 0, 1)]
+    policies = [make_policy(Config(), [torch.Generator().manual_seed(seed)]) for seed in (0, 0, 1)]
     first, same, other = (digest(policy) for policy in policies)
     assert first == same != other
     with torch.no_grad():

@@ -1,30 +1,24 @@
 """Counter-examples and their replay."""
 
 import json
+import tomllib
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-import torch
+import tomli_w
 
-from inspection.environment import InspectionEnv
-from inspection.parameters import InspectionParameters
 from rta.constraints import CONSTRAINTS
-from rta.filter import SafetyFilter, make_solver
-from rta.parameters import RtaParameters
-from rta.rows import Barriers
-from study import experiment as build
-from study.config import Config, from_toml
+from rta.filter import make_solver
+from study.config import Config, from_toml, override
+from study.experiment import Experiment
 from study.verification.adversaries import adversarial
 from study.verification.counter_examples import counter_example, replay
 from study.verification.flight import fly
 from study.verification.starts import initial_states
 from tests.study.verification.test_findings import verify
 from tests.test_main import assert_refused, call
-
-C = InspectionParameters()
-R = RtaParameters()
 
 
 @pytest.fixture(scope="module")
@@ -69,11 +63,37 @@ def test_replay_uses_the_solver_of_the_campaign(
     violated: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = next(violated.parent.glob("*.npz"))
-    assert from_toml(str(np.load(path)["config"]), "it").train.qp_solver == "piqp"
+    assert from_toml(str(np.load(path)["config"]), "it").rta.qp_solver == "piqp"
     used = []
-    monkeypatch.setattr(build, "make_solver", lambda name: used.append(name) or make_solver(name))
+    monkeypatch.setattr("rta.filter.make_solver", lambda name: used.append(name) or make_solver(name))
     assert call(["verify", "--replay", str(path)], capsys)[0] == 0
     assert used == ["piqp"]
+
+
+def test_a_counter_example_of_older_keys_replays(
+    violated: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    example = dict(np.load(next(violated.parent.glob("*.npz"))))
+    config = tomllib.loads(str(example["config"]))
+    config["train"] |= {
+        "rta_period": config["rta"].pop("period"),
+        "qp_solver": config["rta"].pop("qp_solver"),
+    }
+    path = tmp_path / "example.npz"
+    np.savez(path, **(example | {"config": np.array(tomli_w.dumps(config))}))
+    code, out, err = call(["verify", "--replay", str(path)], capsys)
+    assert code == 0, err
+    assert f"recorded {example['value']:.12g}" in out
+
+
+def test_a_recorded_gpu_is_not_needed_for_a_replay(
+    violated: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    example = dict(np.load(next(violated.parent.glob("*.npz"))))
+    config = override(from_toml(str(example["config"]), "it"), {"train": {"device": "cuda"}}, "it")
+    path = tmp_path / "example.npz"
+    np.savez(path, **(example | {"config": np.array(config.to_toml())}))
+    assert call(["verify", "--replay", str(path)], capsys)[0] == 0
 
 
 @pytest.mark.parametrize("factor", [1 + 1e-6, np.nan, np.inf])
@@ -90,16 +110,17 @@ def test_a_replay_that_comes_out_otherwise_fails(
 
 def test_replay_does_not_depend_on_the_solvers_last_digits() -> None:
     """At 10 s the closed loop can multiply any rounding by some 20 per call."""
-    first, second = (SafetyFilter(C, R, 10.0, make_solver(name)) for name in ("batched", "piqp"))
-    env, other = (
-        InspectionEnv(count, C, [torch.Generator()], safety.safety())
-        for count, safety in ((200, first), (1, second))
+    first, second = (
+        Experiment(
+            override(Config(), {"train": {"rta": rta}, "rta": {"period": 10.0, "qp_solver": name}}, "it"), 1
+        )
+        for rta, name in ((True, "batched"), (False, "piqp"))
     )
-    x, priority, _ = initial_states(200, 3, Barriers(C, R, 10.0))
-    flight = fly(env, adversarial(first), x, priority, 200, 10)
-    constraint = CONSTRAINTS.index("dynamic_speed")
-    example = counter_example(flight, constraint, 10.0, Config())
-    value, when, difference = replay(other, example)
+    env = first.env(200, decide_every=10.0, report_every=1.0)
+    x, priority, _ = initial_states(200, 3, first.filter)
+    flight = fly(env, adversarial(first.filter), x, priority, 200)
+    example = counter_example(flight, "dynamic_speed", first.config)
+    value, when, difference = replay(second, example)
     assert example["value"] < 0
     assert value == pytest.approx(float(example["value"]), abs=1e-9)
     assert when == len(example["control_desired"])

@@ -1,17 +1,22 @@
 """A report in its file: what it holds, how a longer campaign goes on with it, and what is refused."""
 
 import json
+import shutil
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from rta.constraints import CONSTRAINTS
-from rta.rows import Barriers
+from rta.filter import SafetyFilter
+from study.files import ROOT
 from study.verification import campaign
 from study.verification.starts import initial_states
-from tests.rta.test_rows import BARRIERS
+from tests.rta.test_rows import FILTER
 from tests.test_main import assert_refused, call
+
+OLDER = {"rta_period": "period", "qp_solver": "qp_solver"}  # of [train], now of [rta]
 
 
 def verify(path: Path, *more: str) -> list[str]:
@@ -53,7 +58,7 @@ def test_verify_writes_the_promised_json(finished: Path) -> None:
 def test_a_worst_case_is_found_again_from_its_seed(finished: Path) -> None:
     report = json.loads(finished.read_text())
     for case in report["worst_case"].values():
-        x, priority, _ = initial_states(case["batch_size"], case["batch_seed"], BARRIERS)
+        x, priority, _ = initial_states(case["batch_size"], case["batch_seed"], FILTER)
         np.testing.assert_array_equal(x[:, case["column"]], case["initial_state"])
         np.testing.assert_array_equal(priority[:, case["column"]], case["priority"])
     assert len({case["column"] for case in report["worst_case"].values()}) > 3
@@ -85,7 +90,7 @@ def test_a_longer_campaign_goes_on_where_the_report_ends(
 ) -> None:
     """In the middle of a batch, over the next one's beginning and past starts beyond braking."""
     monkeypatch.setattr(campaign, "BATCH", 16)
-    monkeypatch.setattr(Barriers, "can_brake", lambda _, x: x[6].abs() < 0.6)
+    monkeypatch.setattr(SafetyFilter, "can_brake", lambda _, x: x[6].abs() < 0.6)
     texts = []
     for path, counts in ((tmp_path / "on.json", (5, 9, 18)), (tmp_path / "once.json", (18,))):
         for count in counts:
@@ -99,6 +104,48 @@ def test_a_longer_campaign_goes_on_where_the_report_ends(
         for tally in ("worst_value", "largest_slack"):
             assert texts[0][tally].pop(name) == pytest.approx(texts[1][tally].pop(name), rel=1e-9, abs=1e-9)
     assert texts[0] == texts[1]
+
+
+def with_older_keys(report: dict[str, Any]) -> dict[str, Any]:
+    """The report with its settings where they stood before."""
+    config = {table: dict(entries) for table, entries in report["config"].items()}
+    config["train"] |= {key: config["rta"].pop(name) for key, name in OLDER.items()}
+    del config["ppo"]["hidden"]
+    return report | {"config": config}
+
+
+def test_a_report_of_older_keys_is_continued_in_those_of_today(
+    finished: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "report.json"
+    report = with_older_keys(json.loads(finished.read_text()))
+    path.write_text(json.dumps(report))
+    assert_refused(verify(path, "--rta-period", "10"), [str(path), "another campaign"], capsys)
+    rta = report["config"]["rta"] | {"speed_gain": 0.4}
+    path.write_text(json.dumps(report | {"config": report["config"] | {"rta": rta}}))
+    code, _, err = call(verify(path), capsys)
+    assert code == 2 and f"{path}: holds another campaign or configuration" in err
+    path.write_text(json.dumps(report))
+    assert call(verify(path, "--episodes", "18"), capsys)[0] == 0
+    continued = json.loads(path.read_text())
+    assert continued["episodes"] == 18
+    assert continued["config"] == json.loads(finished.read_text())["config"]
+    assert not set(OLDER) & set(continued["config"]["train"])
+
+
+@pytest.mark.parametrize("policy", ["random", "adversarial"])
+def test_the_reference_reports_can_be_continued(
+    policy: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = Path(shutil.copy(ROOT / "runs" / "reference" / "verification" / f"{policy}.json", tmp_path))
+    config = tmp_path / "config.toml"
+    config.write_text("[ppo]\nlearning_rate = 5e-4\n")  # the default of then
+    monkeypatch.setattr("study.experiment.finds_compiler", lambda: False)
+    monkeypatch.setattr(campaign, "fly", lambda *_: pytest.fail("flew"))
+    arguments = ["--policy", policy, "--episodes", "100", "--json", str(path), "--config", str(config)]
+    code, out, err = call(["verify", *arguments], capsys)
+    assert code == 0, err
+    assert "30,000 episodes, " in out and "holds 30,000 episodes already" in err
 
 
 @pytest.mark.parametrize(

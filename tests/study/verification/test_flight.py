@@ -7,9 +7,9 @@ import numpy as np
 import torch
 from numpy import ndarray
 
-from inspection.environment import InspectionEnv, Safety
+from inspection.closed_loop import Safety
+from inspection.environment import InspectionEnv
 from inspection.parameters import InspectionParameters
-from rta import constraints
 from rta.constraints import CONSTRAINTS
 from rta.filter import SafetyFilter
 from rta.parameters import RtaParameters
@@ -18,10 +18,9 @@ from study.verification.flight import Flight, fly, note_state
 from study.verification.starts import safe_set
 from tests.rta import test_rows
 from tests.rta.test_constraints import PSM_TOLERANCE, paper, tensor
-from tests.rta.test_rows import BARRIERS, LIMIT
+from tests.rta.test_rows import FILTER, LIMIT
 
 C = InspectionParameters()
-R = RtaParameters()
 
 
 def lax() -> SafetyFilter:
@@ -29,18 +28,18 @@ def lax() -> SafetyFilter:
     wide = dataclasses.replace(
         C, docking_speed=0.4, speed_slope=0.012, max_temperature=11.0, min_energy=0.5, field_of_view=0.5
     )
-    return SafetyFilter(wide, R, 5.0)
+    return SafetyFilter(wide, RtaParameters(period=5.0))
 
 
 @functools.cache
 def six_episodes() -> Flight:
     """Six episodes of 60 s that decide every 10 s and are filtered every 5 s."""
-    safety = Safety(CONSTRAINTS, lambda x: constraints.values(x, C), None, lax(), 5.0)
-    env = InspectionEnv(6, C, [torch.Generator().manual_seed(0)], safety)
-    x, priority, _ = safe_set(6, 32, BARRIERS)
+    safety = Safety(CONSTRAINTS, FILTER.values, None, lax(), 5.0)
+    env = InspectionEnv(6, C, [torch.Generator().manual_seed(0)], safety, 10.0, 1.0)
+    x, priority, _ = safe_set(6, 32, FILTER)
     x[13], x[14] = 9.9, 1.1
     policy = held_at_random(C, torch.Generator().manual_seed(0), 6)
-    return fly(env, policy, x, priority, 60, 10)
+    return fly(env, policy, x, priority, 60)
 
 
 def recount(flight: Flight, column: int) -> dict[str, ndarray]:
@@ -114,3 +113,19 @@ def test_nan_is_a_violation_without_end() -> None:
     note_state(one, h, 3.0)
     assert (one.violating[:, 0] == 0).all() and one.violating[[4, 13], 1].tolist() == [1, 1]
     assert one.worst[4].tolist() == [1.0, -torch.inf] and one.when[4, 1] == 3.0
+
+
+def test_a_long_substep_is_cut_to_the_second_between_two_checks() -> None:
+    """At substep 5 and a filter every 5 s, as at substep 1."""
+    x, priority, _ = safe_set(4, 32, FILTER)
+    flights = []
+    for substep in (1.0, 5.0):
+        c = dataclasses.replace(C, substep=substep)
+        safety = SafetyFilter(c, RtaParameters(period=5.0)).safety()
+        env = InspectionEnv(4, c, [torch.Generator()], safety, 5.0, 1.0)
+        flights.append(fly(env, held_at_random(c, torch.Generator().manual_seed(0), 4), x, priority, 20))
+    short, long = flights
+    assert len(long.applied) == 20 and (long.status.sum(0) == 4).all()
+    for name in ("violating", "worst", "when", "applied"):
+        assert torch.equal(getattr(short, name), getattr(long, name)), name
+    assert (long.worst < env.constraint_values(x)).any(0).all() and (long.when > 0).any()  # they move

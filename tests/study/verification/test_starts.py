@@ -10,8 +10,8 @@ from scipy.stats import kstest
 from torch import Tensor
 
 from inspection.parameters import InspectionParameters
+from rta.filter import SafetyFilter
 from rta.parameters import RtaParameters
-from rta.rows import Barriers
 from study.verification.starts import initial_states, safe_set
 from tests.rta.test_constraints import (
     PSM_TOLERANCE,
@@ -23,18 +23,15 @@ from tests.rta.test_constraints import (
     speed_limit,
 )
 from tests.rta.test_lie_derivatives import drift, slope
-from tests.rta.test_rows import BARRIERS, zone
+from tests.rta.test_rows import FILTER, zone
 
 C = InspectionParameters()
 R = RtaParameters()
 COUNT = 1500
 
 
-class Everything(Barriers):
-    """Barriers that keep every state, to see what is drawn."""
-
-    def __init__(self) -> None:
-        super().__init__(C, R, 1.0)
+class Everything(SafetyFilter):
+    """A filter that keeps every state, to see what is drawn."""
 
     def is_in_safe_set(self, x: Tensor) -> Tensor:
         return torch.ones(x.shape[1], dtype=torch.bool)
@@ -42,13 +39,13 @@ class Everything(Barriers):
 
 @pytest.fixture(scope="module")
 def start() -> tuple[ndarray, ndarray]:
-    x, priority, _ = safe_set(COUNT, 0, BARRIERS)
+    x, priority, _ = safe_set(COUNT, 0, FILTER)
     return x.numpy(), priority.numpy()
 
 
 @pytest.fixture(scope="module")
 def drawn() -> tuple[ndarray, ndarray]:
-    x, priority, _ = safe_set(COUNT, 0, Everything())
+    x, priority, _ = safe_set(COUNT, 0, Everything(C, R))
     return x.numpy(), priority.numpy()
 
 
@@ -72,7 +69,7 @@ def test_every_start_satisfies_every_constraint(start: tuple[ndarray, ndarray]) 
 
 def test_starts_beyond_braking_belong_to_the_safe_set() -> None:
     """Seldom: far out and fast across, with the keep-in zone's h positive and its curve negative."""
-    x = safe_set(6000, 0, BARRIERS)[0].numpy()
+    x = safe_set(6000, 0, FILTER)[0].numpy()
     beyond = x[:, keep_in_curve(x) < 0]
     assert 5 < beyond.shape[1] < 60
     assert zone(beyond).min() >= 0 and length(beyond[:3]).min() > 600
@@ -83,12 +80,12 @@ def test_states_that_only_the_margins_reject_are_counted_up_to_the_last_one_take
 ) -> None:
     drawn = []
 
-    class Recording(Barriers):
+    class Recording(SafetyFilter):
         def is_in_safe_set(self, x: Tensor) -> Tensor:
             drawn.append(x.numpy())
             return super().is_in_safe_set(x)
 
-    x, _, rejected = safe_set(500, 3, Recording(C, R, 1.0))
+    x, _, rejected = safe_set(500, 3, Recording(C, R))
     every = np.hstack(drawn)
     last = np.flatnonzero((every == x[:, -1:].numpy()).all(0))[0]
     every = every[:, : last + 1]
@@ -168,20 +165,20 @@ def test_rejection_leaves_starts_near_every_limit(start: tuple[ndarray, ndarray]
 
 
 def test_starts_depend_on_the_seed_alone(start: tuple[ndarray, ndarray]) -> None:
-    again, other = (safe_set(COUNT, seed, BARRIERS)[0].numpy() for seed in (0, 1))
+    again, other = (safe_set(COUNT, seed, FILTER)[0].numpy() for seed in (0, 1))
     np.testing.assert_array_equal(start[0], again)
     assert not (start[0] == other).all(0).any()
 
 
 def test_an_empty_safe_set_is_refused() -> None:
-    nothing = Everything()
+    nothing = Everything(C, R)
     nothing.is_in_safe_set = lambda x: torch.zeros(x.shape[1], dtype=torch.bool)
     with pytest.raises(RuntimeError, match="0 of 1 initial states"):
         safe_set(1, 0, nothing)
 
 
 def test_half_of_the_starts_are_the_papers() -> None:
-    x, priority, _ = initial_states(101, 0, BARRIERS)
+    x, priority, _ = initial_states(101, 0, FILTER)
     first, second = x[:, ::2], x[:, 1::2]
     distance = first[:3].norm(dim=0)
     assert ((distance >= 50) & (distance <= 100)).all() and (first[3:6] == 0).all()

@@ -1,5 +1,7 @@
 """Tallies of flights against sums over each episode's own recount."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 import torch
@@ -7,15 +9,25 @@ import torch
 from rta.constraints import CONSTRAINTS
 from rta.qp import Status
 from study.verification import tally
+from study.verification.flight import Flight
 from tests.rta.test_constraints import PSM_TOLERANCE, paper, tensor
 from tests.study.verification.test_flight import lax, recounted, six_episodes
 
+ORIGIN = {"batch_seed": 17, "batch_size": 20}
+
+
+def from_the_third() -> Flight:
+    """The six episodes, of columns 3 to 8 of a batch."""
+    flight = six_episodes()
+    calls = flight.conflicts._replace(column=flight.conflicts.column + 3)
+    return dataclasses.replace(flight, column=flight.column + 3, conflicts=calls)
+
 
 def test_a_report_adds_its_flights_up() -> None:
-    flight, episodes = six_episodes(), recounted()
+    flight, episodes = from_the_third(), recounted()
     report = tally.empty_tally()
-    tally.add(report, flight, tally.Origin(17, 20, 3))
-    tally.add(report, flight, tally.Origin(18, 20, 9))
+    tally.add(report, flight, ORIGIN)
+    tally.add(report, flight, ORIGIN | {"batch_seed": 18})
     violating = np.array([one["violating"] for one in episodes])
     worst = np.array([one["worst"] for one in episodes])
     assert (report["episodes"], report["steps"]) == (12, 12 * 61)
@@ -37,10 +49,10 @@ def test_a_report_adds_its_flights_up() -> None:
 
 def test_calls_with_slack_are_shown_and_counted(monkeypatch: pytest.MonkeyPatch) -> None:
     """Asked again, the filter has the same slack in each of them."""
-    flight = six_episodes()
+    flight = from_the_third()
     monkeypatch.setattr(tally, "SHOWN", 2)
     total = tally.empty_tally()
-    tally.add(total, flight, tally.Origin(17, 20, 3))
+    tally.add(total, flight, ORIGIN)
     together = total["slack_together"]
     programs = sum(int((slack > 0).any(0).sum()) for slack in flight.conflicts.slack.split((7, 6)))
     assert sum(same["calls"] for same in together.values()) == programs > 5
@@ -63,13 +75,12 @@ def test_calls_with_slack_are_shown_and_counted(monkeypatch: pytest.MonkeyPatch)
 
 
 def test_the_calls_shown_do_not_depend_on_how_episodes_are_divided(monkeypatch: pytest.MonkeyPatch) -> None:
-    flight = six_episodes()
+    flight = from_the_third()
     monkeypatch.setattr(tally, "SHOWN", 2)
     whole, parts = tally.empty_tally(), tally.empty_tally()
-    origin = tally.Origin(17, 20, 3)
-    tally.add(whole, flight, origin)
+    tally.add(whole, flight, ORIGIN)
     for chosen in ([0, 1], [2, 3, 4, 5]):
         mask = torch.zeros(6, dtype=torch.bool)
         mask[chosen] = True
-        tally.add(parts, flight[mask], origin)
+        tally.add(parts, flight[mask], ORIGIN)
     assert whole == parts
