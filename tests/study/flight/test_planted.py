@@ -1,0 +1,232 @@
+"""`verify`, `simulate` and `evaluate` can fail: each reports a violation that was planted."""
+
+import dataclasses
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from numpy import ndarray
+
+from inspection.environment import InspectionEnv
+from inspection.state import CONTROL_SIZE
+from rta.constraints import CONSTRAINTS
+from rta.filter import FilterResult, SafetyFilter
+from study.config import Config, override
+from study.experiment import Experiment
+from study.flight.evaluation import report, run_episodes
+from study.flight.simulation import simulate
+from study.verification.starts import safe_set
+from tests.rta.test_constraints import PSM_TOLERANCE, paper, tensor
+from tests.test_main import STATE, assert_refused, call
+
+FILTERED = SafetyFilter.__call__
+UNCOMPILED = {"train": {"compile": "off", "device": "cpu"}}
+
+
+def let_pass(self: SafetyFilter, x: torch.Tensor, desired: torch.Tensor) -> FilterResult:
+    """The filter's answer, but for the control that it was given."""
+    return dataclasses.replace(FILTERED(self, x, desired), control=desired.clone())
+
+
+@pytest.fixture
+def passing_through(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A filter that corrects nothing."""
+    monkeypatch.setattr(SafetyFilter, "__call__", let_pass)
+
+
+def verified(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], substep: float, *more: str
+) -> dict[str, Any]:
+    """The report of a campaign of the adversary."""
+    config, path = tmp_path / "config.toml", tmp_path / "report.json"
+    config.write_text(f"[inspection]\nsubstep = {substep}\n")
+    arguments = ["--policy", "adversarial", "--episodes", "8", "--duration", "40", "--compile", "off"]
+    code, out, err = call(["verify", *arguments, "--config", str(config), "--json", str(path), *more], capsys)
+    assert code == 0, err
+    content = json.loads(path.read_text())
+    for name in CONSTRAINTS:
+        words = next(line for line in out.splitlines() if line.startswith(f"{name} ")).split()
+        counts = [int(word.replace(",", "")) for word in words[1:3]]
+        assert counts == [content["violating_steps"][name], content["violating_episodes"][name]]
+    return content
+
+
+@pytest.mark.parametrize(("substep", "period"), [(1.0, "1"), (5.0, "5")])
+def test_verify_reports_a_filter_that_corrects_nothing(
+    substep: float,
+    period: str,
+    passing_through: None,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    found = verified(tmp_path, capsys, substep, "--rta-period", period)
+    broken = [name for name in CONSTRAINTS if found["violating_steps"][name]]
+    assert len(broken) > 3 and found["violating_episodes"]["any"] > 4
+    assert found["upper_bound_95"] > 0.5
+    for name in broken:
+        assert found["worst_value"][name] < 0.0
+        example = np.load(tmp_path / f"report.json.{name}.npz")
+        assert (example["control_desired"] == example["control_applied"]).all()
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        ["verify", "--episodes", "16", "--duration", "10"],
+        ["simulate", "--controller", "zero", "--duration", "10", "--out", "x"],
+        ["evaluate", "--controller", "natural-motion", "--episodes", "2"],
+    ],
+)
+def test_a_substep_that_does_not_divide_the_clocks_is_refused(
+    command: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "config.toml"
+    path.write_text("[inspection]\nsubstep = 0.4\n")
+    config = ["--compile", "off", "--config", str(path)]
+    assert_refused([*command, *config], ["0.4 s"], capsys)
+    if command[0] != "evaluate":  # whose reports are 10 s apart
+        assert_refused([*command, *config, "--rta-period", "10"], ["0.4 s"], capsys)
+
+
+def simulated(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], state: dict[str, Any], *more: str
+) -> tuple[dict[str, ndarray], list[str]]:
+    """What `simulate` recorded of 30 s in full thrust and torque, and the constraints that it calls violated."""
+    paths = [str(tmp_path / name) for name in ("state.json", "actions.npy", "run.npz")]
+    Path(paths[0]).write_text(json.dumps(STATE | state))
+    np.save(paths[1], np.tile([1.0, 1.0, 1.0, 0.001, 0.001, 0.001], (30, 1)))
+    arguments = ["--controller", "recorded", "--initial-state", paths[0], "--actions", paths[1]]
+    code, out, err = call(["simulate", *arguments, "--duration", "30", "--out", paths[2], *more], capsys)
+    assert code == 0, err
+    run = dict(np.load(paths[2]))
+    violated = out.strip().split("violated constraints: ")[1].split(", ")
+    return run, [name for name in violated if name != "none"]
+
+
+def states_of(run: dict[str, ndarray]) -> ndarray:
+    """(16, rows)."""
+    parts = [run["position"], run["velocity"], run["quaternion"], run["angular_velocity"]]
+    return np.column_stack([*parts, run["temperature"], run["energy"], run["sun_angle"]]).T
+
+
+@pytest.mark.parametrize(
+    ("state", "flags"),
+    [
+        ({"velocity": [0.0, 0.7, 0.0]}, []),  # beyond the speed limit of 0.68 m/s there
+        ({"temperature": 10.1, "energy": 0.9}, []),
+        ({"position": [14.0, 0.0, 0.0]}, ["--no-rta"]),
+        ({"angular_velocity": [0.0, 0.05, 0.0]}, ["--no-rta"]),
+    ],
+)
+def test_simulate_reports_a_start_beyond_a_limit(
+    state: dict[str, Any], flags: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run, violated = simulated(tmp_path, capsys, state, *flags)
+    h = paper(states_of(run))
+    beyond = {name for name, first in zip(CONSTRAINTS, h[:, 0], strict=True) if first < -PSM_TOLERANCE}
+    assert beyond and beyond <= set(violated)
+    for name, expected in zip(CONSTRAINTS, h, strict=True):
+        np.testing.assert_allclose(run[f"h_{name}"], expected, rtol=0, atol=PSM_TOLERANCE)
+        assert (name in violated) == (run[f"h_{name}"] < 0.0).any()
+
+
+def test_simulate_reports_what_a_filter_that_corrects_nothing_lets_pass(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert simulated(tmp_path, capsys, {})[1] == []
+    monkeypatch.setattr(SafetyFilter, "__call__", let_pass)
+    run, violated = simulated(tmp_path, capsys, {})
+    h = paper(states_of(run))
+    assert "dynamic_speed" in violated
+    assert violated == [name for name, row in zip(CONSTRAINTS, h, strict=True) if row.min() < 0.0]
+
+
+def experiment(period: float, seconds: float) -> Experiment:
+    """Of episodes so many s long."""
+    tables = {"inspection": {"max_time": seconds}, "rta": {"period": period}}
+    return Experiment(override(Config(), UNCOMPILED | tables, "test"), 1)
+
+
+def coasting(t: float, x: torch.Tensor) -> torch.Tensor:
+    """No control."""
+    return torch.zeros_like(x[:CONTROL_SIZE])
+
+
+def fast_inwards(safety_filter: SafetyFilter, count: int) -> tuple[torch.Tensor, torch.Tensor]:
+    """The starts of the safe set that would soonest be too fast without braking."""
+    x, priority, _ = safe_set(2000, 0, safety_filter)
+    inwards = -(x[:3] * x[3:6]).sum(0) / x[:3].norm(dim=0)
+    speed = safety_filter.values(x)[CONSTRAINTS.index("dynamic_speed")]
+    chosen = (speed / inwards).where(inwards > 0.5, torch.inf).argsort()[:count]
+    return x[:, chosen], priority[:, chosen]
+
+
+@pytest.mark.parametrize("period", [1.0, 10.0])
+def test_evaluate_reports_what_a_weaker_plant_violates(period: float) -> None:
+    """Percent of the action periods' ends and of the filter's calls, against a simulation of every second."""
+    behind, count = experiment(period, 40.0), 3
+    # the filter believes in ten times the acceleration that there is
+    plant = dataclasses.replace(behind.config.inspection, mass=120.0)
+    x, priority = fast_inwards(behind.filter, count)
+
+    def env(columns: int, **clocks: float) -> InspectionEnv:
+        return InspectionEnv(columns, plant, behind.generators(), behind.safety, period, **clocks)
+
+    record = run_episodes(env(count), coasting, x, priority)
+    results = report(record, behind.config, 0)
+    ends, calls = [], []
+    for i, length in enumerate(record.metrics[2].tolist()):
+        case = (part[:, i : i + 1] for part in (x, priority))
+        run = simulate(env(1, report_every=1.0), coasting, *case, length)
+        h = paper(states_of(run)) < 0.0
+        ends.append(np.vstack((h, h.any(0)))[:, 10::10].mean(1))
+        calls.append(h[:, : -1 : round(period)])
+    expected = dict(zip((*CONSTRAINTS, "any"), 100.0 * np.mean(ends, 0), strict=True))
+    assert results["violations_percent"] == pytest.approx(expected)
+    assert expected["dynamic_speed"] > 0.0 and results["worst_constraint_value"]["dynamic_speed"] < 0.0
+    at_calls = dict(zip(CONSTRAINTS, 100.0 * np.hstack(calls).mean(1), strict=True))
+    assert results["rta"]["filter_step_violations_percent"] == pytest.approx(at_calls)
+    assert 0.0 < at_calls["dynamic_speed"] != expected["dynamic_speed"]
+
+
+def near_the_chief() -> ndarray:
+    """20 m away at 0.7 m/s inwards: what the filter enforces at 10 s in collision's place is negative, h is not."""
+    x = np.zeros((16, 1))
+    x[0], x[3], x[9], x[13:16, 0] = 20.0, -0.7, 1.0, (5.0, 6.0, 3.0)
+    return x
+
+
+def test_evaluate_counts_exact_values_at_the_filters_calls() -> None:
+    behind = experiment(10.0, 10.0)
+    enforced = {each.name: each.barrier_at for each in behind.filter.groups[0].constraints}
+    x = tensor(near_the_chief())
+    assert enforced["collision"](x)(x).item() < 0.0
+    priority = torch.tensor([[1.0], [0.0], [0.0]], dtype=torch.float64)
+    env = behind.env(1, decide_every=10.0)
+    results = report(run_episodes(env, coasting, x, priority), behind.config, 0)
+    h = dict(zip(CONSTRAINTS, paper(near_the_chief())[:, 0], strict=True))
+    assert h["collision"] > 0.1 and h["dynamic_speed"] < 0.0
+    percent = {name: 100.0 * (value < 0.0) for name, value in h.items()}
+    assert results["rta"]["filter_step_violations_percent"] == percent
+
+
+def test_the_values_of_a_filter_call_are_exact_where_the_enforced_barriers_are_smoothed() -> None:
+    filtered = experiment(10.0, 10.0).filter
+    rng = np.random.default_rng(0)
+    x, _, _ = safe_set(2000, 1, filtered)
+    x[:3] *= torch.from_numpy(rng.uniform(0.03, 1.0, 2000))
+    x[:3] *= (filtered.c.collision_radius / x[:3].norm(dim=0)).clamp(min=1.0)
+    h = filtered(x, x.new_zeros(CONTROL_SIZE, x.shape[1])).h
+    every = zip(filtered.names, h, filtered.values(x), paper(x.numpy()), strict=True)
+    for name, reported, values, expected in every:
+        tolerance = PSM_TOLERANCE if name == "passive_safety" else 0.0
+        np.testing.assert_allclose(reported, values, rtol=0, atol=tolerance)
+        np.testing.assert_allclose(reported, expected, rtol=0, atol=max(tolerance, 1e-9))
+    for group in filtered.groups:
+        for each in group.constraints:
+            if each.barrier and each.name != "passive_safety":
+                row = h[filtered.names.index(each.name)]
+                assert ((each.barrier_at(x)(x)[0] - row).abs() > 1e-3).any(), each.name
