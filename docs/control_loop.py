@@ -19,8 +19,8 @@ from inspection.environment import InspectionEnv
 from inspection.parameters import InspectionParameters
 from rta.filter import SafetyFilter
 from rta.parameters import RtaParameters
-from study.arguments import Parser, positive_integer
 from study.benchmark.timing import Stopwatch
+from study.flags import Parser, positive_integer
 
 
 def load(path: str) -> onnxruntime.InferenceSession:

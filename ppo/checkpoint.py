@@ -1,11 +1,12 @@
 """Checkpoints: tensors and plain values only, written atomically."""
 
-import os
 import warnings
 from pathlib import Path
 from typing import Any
 
 import torch
+
+from ppo.files import replacing
 
 
 class CheckpointError(ValueError):
@@ -13,13 +14,9 @@ class CheckpointError(ValueError):
 
 
 def save(path: Path, content: dict[str, Any]) -> None:
-    """Writes beside `path`, flushes to disk and renames, so a kill at any moment leaves a whole file."""
-    temporary = path.with_suffix(path.suffix + ".tmp")
-    with open(temporary, "wb") as file:
+    """Writes a checkpoint, so that a kill at any moment leaves a whole file."""
+    with replacing(path) as file:
         torch.save(content, file)
-        file.flush()
-        os.fsync(file.fileno())
-    os.replace(temporary, path)
 
 
 def load(path: str | Path, keys: tuple[str, ...], device: str | torch.device = "cpu") -> dict[str, Any]:

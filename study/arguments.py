@@ -1,425 +1,307 @@
-"""The flags of the command line: every sub-command's, with their units, defaults and limits."""
+"""The command line: every command's flags, each with the setting or parameter that it reaches."""
 
 import argparse
-from typing import NoReturn, TypeAlias
+import inspect
+from collections.abc import Callable, Mapping
+from functools import partial
+from typing import Any
 
-from inspection.parameters import AXES, InspectionParameters
-from ppo.learner import PPOParameters
-from rta.filter import SOLVERS
-from rta.parameters import PERIODS
+from inspection.parameters import AXES
+from rta.parameters import QP_SOLVERS
 from study import config as configuration
-from study.config import ARMS, StudyParameters, TrainParameters
+from study.config import AnyConfig, StudyConfig
+from study.errors import InputError
+from study.flags import (
+    Command,
+    Flag,
+    Parser,
+    arm_list,
+    batch_list,
+    count,
+    number,
+    path,
+    period,
+    seed,
+    verified_policy,
+)
 
-# a flag's default is that of its key
-TRAIN, PPO, TASK = TrainParameters(), PPOParameters(), InspectionParameters()
-STUDY = StudyParameters()
-DEFAULT_SOLVER = "piqp"  # of every command but train, study and verify
-VERIFY = {"episodes": 1000, "policy": "random", "duration": 2000, "seed": 0}  # where no flag says otherwise
-CONTROLLERS = ("lqr-pd", "natural-motion", "policy", "recorded", "zero", "random")
-
-Commands: TypeAlias = "argparse._SubParsersAction[Parser]"
-
-
-class Parser(argparse.ArgumentParser):
-    """Bad usage ends with one line and exit code 2."""
-
-    def error(self, message: str) -> NoReturn:
-        self.exit(2, f"error: {self.prog}: {message} (see --help)\n")
-
-
-def positive_integer(text: str) -> int:
-    """A count for argparse."""
-    try:
-        value = int(text.replace("_", ""))
-    except ValueError:
-        value = 0
-    if not 0 < value <= configuration.MAX_COUNT:
-        raise argparse.ArgumentTypeError(
-            f"{text[:40]!r}: must be a positive integer up to {configuration.MAX_COUNT:,}"
-        )
-    return value
+# What flags can set, and its value where nothing does: --config, and each key as "table.key".
+SETTINGS = {"config": None} | {
+    f"{table}.{key}": value
+    for table, part in vars(StudyConfig()).items()
+    for key, value in vars(part).items()
+}
+Configure = Callable[[AnyConfig], AnyConfig]  # puts --config and the flags over a configuration
+Handler = Callable[..., None]  # of a command; its parameters are `configure` and the flags that set nothing
 
 
-def seed_number(text: str) -> int:
-    """A seed for argparse."""
-    if not (text.isascii() and text.isdecimal() and len(text) < 20) or int(text) >= 2**63:
-        raise argparse.ArgumentTypeError(f"{text[:40]!r}: must be an integer from 0 to 2^63 - 1")
-    return int(text)
-
-
-def positive_number(text: str) -> float:
-    """A positive finite number for argparse."""
-    try:
-        value = float(text)
-    except ValueError:
-        value = 0.0
-    if not 0.0 < value < float("inf"):
-        raise argparse.ArgumentTypeError(f"{text!r}: must be a positive number")
-    return value
-
-
-def batch_list(text: str) -> tuple[int, ...]:
-    """Comma-separated counts for argparse."""
-    return tuple(positive_integer(word) for word in text.split(","))
-
-
-def arm_list(text: str) -> list[str]:
-    """Comma-separated arms of a study for argparse."""
-    names = text.split(",")
-    if not set(names) <= set(ARMS) or len(set(names)) < len(names):
-        raise argparse.ArgumentTypeError(f"{text[:40]!r}: must be {','.join(ARMS)} or one of the two")
-    return names
-
-
-def period(text: str) -> float:
-    """A filter period for argparse."""
-    if text not in {f"{p:g}" for p in PERIODS} | {f"{p:.1f}" for p in PERIODS}:
-        raise argparse.ArgumentTypeError(f"{text!r}: must be 1, 5 or 10 (s)")
-    return float(text)
-
-
-def verified_policy(text: str) -> str:
-    """A policy of verify for argparse."""
-    if text not in ("random", "adversarial") and not text.startswith("checkpoint:"):
-        raise argparse.ArgumentTypeError(f"{text!r}: must be random, adversarial or checkpoint:F")
-    return text
-
-
-def add_common(parser: Parser) -> None:
-    """Flags that every sub-command shares."""
-    parser.add_argument(
-        "--config", metavar="FILE", help="TOML file with settings, under the flags (default: none)"
-    )
-    parser.add_argument(
+# of several commands
+DEVICE = Flag("--device", "where tensors live", "train.device", choices=("auto", "cpu", "cuda"))
+COMMON = (
+    path("--config", "TOML file with settings, under the flags", metavar="FILE"),
+    Flag(
         "--rta-period",
+        "seconds between two calls of the filter: 1, 5 or 10",
+        "rta.period",
         type=period,
         metavar="S",
-        help=f"seconds between two calls of the filter: 1, 5 or 10 (default: {TRAIN.rta_period:g})",
-    )
-    parser.add_argument(
+    ),
+    Flag(
         "--solar-panel-axis",
+        "body axis that the solar panels face",
+        "inspection.solar_panel_axis",
         choices=tuple(AXES),
-        help=f"body axis that the solar panels face (default: {TASK.solar_panel_axis})",
-    )
-    parser.add_argument(
+    ),
+    Flag(
         "--compile",
+        "torch.compile filter, simulator and learner; auto: for runs long enough to repay it",
+        "train.compile",
         choices=("auto", "on", "off"),
-        help="torch.compile filter, simulator and learner; auto: for runs long enough to repay it "
-        f"(default: {TRAIN.compile})",
-    )
-    parser.add_argument(
-        "--device", choices=("auto", "cpu", "cuda"), help=f"where tensors live (default: {TRAIN.device})"
-    )
-
-
-def add_solver(parser: Parser, default: str = DEFAULT_SOLVER) -> None:
-    """The choice of the filter's solver; only a training run may choose for itself."""
-    parser.add_argument(
+    ),
+    DEVICE,
+    Flag(
         "--qp-solver",
-        choices=tuple(dict.fromkeys((default, *SOLVERS))),
-        help=f"solver of the filter's quadratic programs (default: {default}"
-        + ("; the faster one for the device and --num-envs)" if default == "auto" else ")"),
-    )
-
-
-def add_rta(parser: Parser) -> None:
-    """The switch of the filter."""
-    parser.add_argument(
-        "--rta",
-        action=argparse.BooleanOptionalAction,
-        help="filter every control by run time assurance (default: on; with --checkpoint as it was trained)",
-    )
-
-
-def add_train(commands: Commands) -> None:
-    """main.py train"""
-    parser = commands.add_parser(
-        "train", allow_abbrev=False, help="train an agent with or without run time assurance"
-    )
-    add_rta(parser)
-    add_common(parser)
-    add_solver(parser, TRAIN.qp_solver)
-    counts = (
-        ("interactions", TRAIN.interactions, "agent steps of 10 s in all, rounded up to whole updates"),
-        ("num-envs", TRAIN.num_envs, "episodes simulated at once"),
-        ("rollout-steps", TRAIN.rollout_steps, "interactions of each episode between two updates"),
-        ("evaluation-interval", TRAIN.evaluation_interval, "interactions between two evaluations"),
-        ("evaluation-episodes", TRAIN.evaluation_episodes, "episodes of each periodic evaluation"),
-        ("final-episodes", TRAIN.final_episodes, "episodes of the evaluation after training"),
-        ("epochs", PPO.epochs, "passes over each batch of experience"),
-        ("minibatch-size", PPO.minibatch_size, "interactions per gradient step"),
-    )
-    for name, default, text in counts:
-        parser.add_argument(
-            f"--{name}", type=positive_integer, metavar="N", help=f"{text} (default: {default:,})"
-        )
-    parser.add_argument(
-        "--learning-rate",
-        type=positive_number,
-        metavar="X",
-        help=f"of Adam, annealed to 0 (default: {PPO.learning_rate:g})",
-    )
-    parser.add_argument(
-        "--seed", type=seed_number, metavar="N", help=f"of everything random (default: {TRAIN.seed})"
-    )
-    parser.add_argument(
-        "--run-dir", metavar="D", help="directory to create (default: runs/<arm>__<seed>__<time>)"
-    )
-    parser.add_argument(
-        "--resume", metavar="D", help="continue the run in D exactly where it stopped (default: none)"
-    )
-
-
-def add_study(commands: Commands) -> None:
-    """main.py study"""
-    parser = commands.add_parser(
-        "study",
-        allow_abbrev=False,
-        help="train many seeds of both arms and evaluate them; the same command continues an interrupted study",
-    )
-    add_common(parser)
-    add_solver(parser, TRAIN.qp_solver)
-    parser.add_argument(
-        "--seeds",
-        type=positive_integer,
-        metavar="N",
-        help=f"agents of each arm, trained as one batch (default: {STUDY.seeds})",
-    )
-    parser.add_argument(
-        "--arms",
-        type=arm_list,
-        metavar="A,A",
-        help=f"no_rta, rta or both, in this order (default: {','.join(STUDY.arms)})",
-    )
-    parser.add_argument(
-        "--interactions",
-        type=positive_integer,
-        metavar="N",
-        help=f"agent steps of 10 s of each seed in each arm, rounded up to whole updates "
-        f"(default: {TRAIN.interactions:,})",
-    )
-    parser.add_argument(
-        "--num-envs",
-        type=positive_integer,
-        metavar="N",
-        help=f"episodes of each seed simulated at once (default: {TRAIN.num_envs})",
-    )
-    parser.add_argument(
-        "--study-dir",
-        default="runs/study",
-        metavar="D",
-        help="directory to create, or of the study to continue (default: runs/study)",
-    )
-
-
-def add_report(commands: Commands) -> None:
-    """main.py report"""
-    parser = commands.add_parser(
-        "report",
-        allow_abbrev=False,
-        help="write a finished study's results as one page, with its figures and the data behind them",
-    )
-    parser.add_argument("--study", required=True, metavar="D", help="directory of a finished study")
-    parser.add_argument(
-        "--device",
-        choices=("auto", "cpu", "cuda"),
-        help="where tensors live (default: as in the study)",
-    )
-
-
-def add_evaluate(commands: Commands) -> None:
-    """main.py evaluate"""
-    parser = commands.add_parser(
-        "evaluate",
-        allow_abbrev=False,
-        help="report an agent or a controller in the metrics of the paper's Tables 2 and 3",
-    )
-    add_rta(parser)
-    add_common(parser)
-    add_solver(parser)
-    flown = parser.add_mutually_exclusive_group(required=True)
-    flown.add_argument(
-        "--checkpoint", metavar="F", help="the agent: policy.pt or checkpoint.pt of a run (default: none)"
-    )
-    flown.add_argument(
-        "--controller",
-        choices=("natural-motion",),
-        help="a classical controller, which decides at every call of the filter, without it every second, "
-        "instead of an agent (default: none)",
-    )
-    parser.add_argument(
-        "--episodes", type=positive_integer, default=100, metavar="N", help="test cases (default: 100)"
-    )
-    parser.add_argument(
-        "--seed", type=seed_number, default=0, metavar="N", help="of the test cases (default: 0)"
-    )
-    parser.add_argument("--json", metavar="F", help="also write the results there (default: none)")
-
-
-def add_simulate(commands: Commands) -> None:
-    """main.py simulate"""
-    parser = commands.add_parser(
-        "simulate", allow_abbrev=False, help="simulate one spacecraft and write everything over time"
-    )
-    add_rta(parser)
-    add_common(parser)
-    add_solver(parser)
-    parser.add_argument(
-        "--controller", required=True, choices=CONTROLLERS, help="who commands the spacecraft"
-    )
-    parser.add_argument(
-        "--checkpoint", metavar="F", help="the agent, for --controller policy (default: none)"
-    )
-    parser.add_argument(
-        "--actions",
-        metavar="F.npy",
-        help="N x 6 controls in N and N m, a row per --step, for --controller recorded (default: none)",
-    )
-    parser.add_argument("--initial-state", metavar="F.json", help="state file (default: drawn from --seed)")
-    parser.add_argument(
-        "--seed", type=seed_number, default=0, metavar="N", help="of what is drawn (default: 0)"
-    )
-    parser.add_argument("--duration", type=positive_number, required=True, metavar="S", help="seconds")
-    parser.add_argument(
-        "--step",
-        type=positive_number,
-        default=1.0,
-        metavar="S",
-        help="seconds between two rows of the output, two decisions of a classical controller and two rows of "
-        "--actions; a policy decides every 10 s (default: 1)",
-    )
-    parser.add_argument("--out", required=True, metavar="F.npz", help="file to write")
-    parser.add_argument(
-        "--figure", metavar="F.png", help="also draw limits and controls over time there (default: none)"
-    )
-
-
-def add_replay(commands: Commands) -> None:
-    """main.py replay"""
-    parser = commands.add_parser(
-        "replay", allow_abbrev=False, help="write a page that plays one or two simulated runs in 3-D"
-    )
-    parser.add_argument(
-        "runs", nargs="+", metavar="RUN.npz", help="a file of simulate, or two, side by side (required)"
-    )
-    parser.add_argument("--out", required=True, metavar="F.html", help="page to write")
-
-
-def add_filter(commands: Commands) -> None:
-    """main.py filter"""
-    parser = commands.add_parser(
-        "filter",
-        allow_abbrev=False,
-        help="filter a batch of states from elsewhere and write out the quadratic programs",
-    )
-    add_common(parser)
-    add_solver(parser)
-    parser.add_argument(
-        "--states",
-        required=True,
-        metavar="F.npz",
-        help="file with state (N x 16, the order of inspection/state.py) and control_desired (N x 6, N and N m)",
-    )
-    parser.add_argument("--out", required=True, metavar="G.npz", help="file to write")
-    parser.set_defaults(rta=True)
-
-
-def add_verify(commands: Commands) -> None:
-    """main.py verify"""
-    parser = commands.add_parser(
-        "verify", allow_abbrev=False, help="count violations behind the filter over many random episodes"
-    )
-    add_common(parser)
-    add_solver(parser, "batched")
-    parser.add_argument(
-        "--episodes",
-        type=positive_integer,
-        metavar="N",
-        help="in all, from starts that the filter can hold; the others met on the way are reported beside them "
-        f"(default: {VERIFY['episodes']:,})",
-    )
-    parser.add_argument(
-        "--policy",
-        type=verified_policy,
-        metavar="P",
-        help="random actions held for random times, adversarial (down the worst constraint's slope) or "
-        f"checkpoint:F (default: {VERIFY['policy']})",
-    )
-    parser.add_argument(
-        "--duration",
-        type=positive_integer,
-        metavar="S",
-        help=f"whole seconds of each episode, every one of them checked (default: {VERIFY['duration']:,})",
-    )
-    parser.add_argument(
-        "--seed", type=seed_number, metavar="N", help=f"of everything random (default: {VERIFY['seed']})"
-    )
-    parser.add_argument(
-        "--json", metavar="F", help="write the report there, and continue the one it holds (default: none)"
-    )
-    parser.add_argument(
-        "--replay",
-        metavar="F.npz",
-        help="fly the counter-example in a file instead, which holds all settings (default: none)",
-    )
-
-
-def add_benchmark(commands: Commands) -> None:
-    """main.py benchmark"""
-    parser = commands.add_parser(
-        "benchmark", allow_abbrev=False, help="measure the speed of simulator, filter, solvers and learner"
-    )
-    parser.add_argument(
-        "--device", choices=("auto", "cpu", "cuda"), help=f"where tensors live (default: {TRAIN.device})"
-    )
-    parser.add_argument(
-        "--compile",
-        choices=("on", "off"),
-        default="on",
-        help="torch.compile filter, simulator and learner (default: on)",
-    )
-    parser.add_argument(
-        "--batches",
-        type=batch_list,
-        metavar="N,N,...",
-        help="episodes, spacecraft and samples at once (default: 256 to 65,536 in powers of 4)",
-    )
-    parser.add_argument("--json", metavar="F", help="also write the results there (default: none)")
-    parser.add_argument(
-        "--figure", metavar="F.png", help="also draw rates over batches there (default: none)"
-    )
-    parser.set_defaults(config=None)
-
-
-def add_export(commands: Commands) -> None:
-    """main.py export"""
-    parser = commands.add_parser(
-        "export", allow_abbrev=False, help="write an agent as an ONNX file, checked against PyTorch"
-    )
-    parser.add_argument(
-        "--checkpoint", required=True, metavar="F", help="the agent: policy.pt or checkpoint.pt of a run"
-    )
-    parser.add_argument("--out", required=True, metavar="F.onnx", help="file to write")
+        "solver of the filter's quadratic programs (default: {}; the faster one for the device and the spacecraft at "
+        "once)",
+        "rta.qp_solver",
+        choices=QP_SOLVERS,
+    ),
+)
+RTA = Flag(
+    "--rta",
+    "filter every control by run time assurance (default: {}; with --checkpoint as it was trained)",
+    "train.rta",
+    action=argparse.BooleanOptionalAction,
+)
+INTERACTIONS = count(
+    "--interactions", "agent steps of 10 s in all, rounded up to whole updates", "train.interactions"
+)
+NUM_ENVS = count("--num-envs", "episodes simulated at once", "train.num_envs")
+AGENT = path("--checkpoint", "the agent: policy.pt or checkpoint.pt of a run")
+JSON = path("--json", "also write the results there")
 
 
 COMMANDS = {
-    "train": add_train,
-    "study": add_study,
-    "report": add_report,
-    "evaluate": add_evaluate,
-    "simulate": add_simulate,
-    "replay": add_replay,
-    "filter": add_filter,
-    "verify": add_verify,
-    "benchmark": add_benchmark,
-    "export": add_export,
+    "train": Command(
+        "train an agent with or without run time assurance",
+        RTA,
+        *COMMON,
+        INTERACTIONS,
+        NUM_ENVS,
+        count("--rollout-steps", "interactions of each episode between two updates", "train.rollout_steps"),
+        count("--evaluation-interval", "interactions between two evaluations", "train.evaluation_interval"),
+        count("--evaluation-episodes", "episodes of each periodic evaluation", "train.evaluation_episodes"),
+        count("--final-episodes", "episodes of the evaluation after training", "train.final_episodes"),
+        count("--epochs", "passes over each batch of experience", "ppo.epochs"),
+        count("--minibatch-size", "interactions per gradient step", "ppo.minibatch_size"),
+        number("--learning-rate", "of Adam, annealed to 0", "ppo.learning_rate", metavar="X"),
+        seed("of everything random", "train.seed"),
+        path("--run-dir", "directory to create (default: runs/<arm>__<seed>__<time>)", metavar="D"),
+        path("--resume", "continue the run in D exactly where it stopped", alone="the run", metavar="D"),
+    ),
+    "study": Command(
+        "train many seeds of both arms and evaluate them; the same command continues an interrupted study",
+        *COMMON,
+        count("--seeds", "agents of each arm, trained as one batch", "study.seeds"),
+        Flag("--arms", "no_rta, rta or both, in this order", "study.arms", type=arm_list, metavar="A,A"),
+        INTERACTIONS.saying("agent steps of 10 s of each seed in each arm, rounded up to whole updates"),
+        NUM_ENVS.saying("episodes of each seed simulated at once"),
+        path("--study-dir", "directory to create, or of the study to continue", metavar="D"),
+    ),
+    "report": Command(
+        "write a finished study's results as one page, with its figures and the data behind them",
+        path("--study", "directory of a finished study", metavar="D"),
+        Flag("--device", "where tensors live (default: as in the study)", **DEVICE.options),
+    ),
+    "evaluate": Command(
+        "report an agent or a controller in the metrics of the paper's Tables 2 and 3",
+        RTA,
+        *COMMON,
+        count("--episodes", "test cases"),
+        seed("of the test cases"),
+        JSON,
+        one_of=(
+            AGENT,
+            Flag(
+                "--controller",
+                "a classical controller, which decides at every call of the filter, without it every second, "
+                "instead of an agent",
+                choices=("natural-motion",),
+            ),
+        ),
+    ),
+    "simulate": Command(
+        "simulate one spacecraft and write everything over time",
+        RTA,
+        *COMMON,
+        Flag(
+            "--controller",
+            "who commands the spacecraft",
+            choices=("lqr-pd", "natural-motion", "policy", "recorded", "zero", "random"),
+        ),
+        AGENT.saying("the agent, for --controller policy"),
+        path(
+            "--actions",
+            "N x 6 controls in N and N m, a row per --step, for --controller recorded",
+            metavar="F.npy",
+        ),
+        path("--initial-state", "state file (default: drawn from --seed)", metavar="F.json"),
+        seed("of what is drawn"),
+        number("--duration", "seconds", metavar="S"),
+        number(
+            "--step",
+            "seconds between two rows of the output, two decisions of a classical controller and two rows of "
+            "--actions; a policy decides every 10 s",
+            metavar="S",
+        ),
+        path("--out", "file to write", metavar="F.npz"),
+        path("--figure", "also draw limits and controls over time there", metavar="F.png"),
+    ),
+    "replay": Command(
+        "write a page that plays one or two simulated runs in 3-D",
+        path("runs", "a file of simulate, or two, side by side (required)", nargs="+", metavar="RUN.npz"),
+        path("--out", "page to write", metavar="F.html"),
+    ),
+    "filter": Command(
+        "filter a batch of states from elsewhere and write out the quadratic programs",
+        *COMMON,
+        path(
+            "--states",
+            "file with state (N x 16, the order of inspection/state.py) and control_desired (N x 6, N and N m)",
+            metavar="F.npz",
+        ),
+        path("--out", "file to write", metavar="G.npz"),
+        imposed={"train.rta": True},
+    ),
+    "verify": Command(
+        "count violations behind the filter over many random episodes",
+        *COMMON,
+        count(
+            "--episodes",
+            "in all, from starts that the filter can hold; the others met on the way are reported beside them",
+        ),
+        Flag(
+            "--policy",
+            "random actions held for random times, adversarial (down the worst constraint's slope) or "
+            "checkpoint:F",
+            type=verified_policy,
+            metavar="P",
+        ),
+        count("--duration", "whole seconds of each episode, every one of them checked", metavar="S"),
+        seed("of everything random"),
+        path("--json", "write the report there, and continue the one it holds"),
+        path(
+            "--replay",
+            "fly the counter-example in a file instead, which holds all settings",
+            alone="the file",
+            metavar="F.npz",
+        ),
+        imposed={"train.rta": True},
+    ),
+    "benchmark": Command(
+        "measure the speed of simulator, filter, solvers and learner",
+        DEVICE,
+        Flag(
+            "--compile", "torch.compile filter, simulator and learner", "train.compile", choices=("on", "off")
+        ),
+        Flag(
+            "--batches",
+            "episodes, spacecraft and samples at once (default: 256 to 65,536 in powers of 4)",
+            type=batch_list,
+            metavar="N,N,...",
+        ),
+        JSON,
+        path("--figure", "also draw rates over batches there", metavar="F.png"),
+        imposed={"train.compile": "on"},
+    ),
+    "export": Command(
+        "write an agent as an ONNX file, checked against PyTorch",
+        AGENT,
+        path("--out", "file to write", metavar="F.onnx"),
+    ),
 }
 
 
-def build_parser(description: str | None = None) -> Parser:
-    """The whole command line."""
+def build_parser(handlers: Mapping[str, Handler], description: str | None = None) -> Parser:
+    """The whole command line, for the commands' functions; raises ValueError if a flag reaches nothing."""
     parser = Parser(prog="main.py", description=description, allow_abbrev=False)
     commands = parser.add_subparsers(dest="command", required=True, metavar=" | ".join(COMMANDS))
-    for add in COMMANDS.values():
-        add(commands)
+    for name, command in COMMANDS.items():
+        add_flags(commands.add_parser(name, allow_abbrev=False, help=command.about), command, handlers[name])
     return parser
+
+
+def add_flags(parser: Parser, command: Command, handler: Handler) -> None:
+    """Gives a command's parser its flags; those not given stay out of the parsed arguments."""
+    wanted = {name: each.default for name, each in inspect.signature(handler).parameters.items()}
+    reached = (SETTINGS | command.imposed if "configure" in wanted else {}) | wanted
+    group = parser.add_mutually_exclusive_group(required=True) if command.one_of else parser
+    for each in command.flags:
+        if each.dest not in reached:
+            raise ValueError(f"{parser.prog} {each.name} reaches nothing: there is no {each.dest}")
+        default, options = reached[each.dest], dict(each.options)
+        required = default is inspect.Parameter.empty
+        if each.name.startswith("--"):
+            options |= {"dest": each.dest, "required": required}
+        (group if each in command.one_of else parser).add_argument(
+            each.name,
+            default=argparse.SUPPRESS,
+            help=each.text if required else with_default(each.text, default),
+            **options,
+        )
+    if idle := wanted.keys() - {"configure"} - {each.dest for each in command.flags}:
+        raise ValueError(f"{parser.prog}: no flag reaches {', '.join(sorted(idle))} of {handler.__name__}")
+    parser.set_defaults(**command.imposed)
+
+
+def with_default(text: str, default: Any) -> str:
+    """The help of a flag with its default."""
+    if default is None or isinstance(default, bool):
+        default = {None: "none", True: "on", False: "off"}[default]
+    elif isinstance(default, int):
+        default = f"{default:,}"
+    elif isinstance(default, float):
+        default = f"{default:g}"
+    elif isinstance(default, tuple):
+        default = ",".join(default)
+    return (text if "(default: " in text else text + " (default: {})").format(default)
+
+
+def join_axis(argv: list[str]) -> list[str]:
+    """Writes "--solar-panel-axis -x" with an equals sign, since argparse takes a lone -x for a flag."""
+    joined: list[str] = []
+    for word in argv:
+        if joined and joined[-1] == "--solar-panel-axis":
+            joined[-1] += f"={word}"
+        else:
+            joined.append(word)
+    return joined
+
+
+def parameters(arguments: argparse.Namespace) -> dict[str, Any]:
+    """What the command's function is called with, among it `configure` if the command has settings.
+
+    Raises:
+        InputError: there are other flags beside one that names where all settings come from.
+    """
+    values, command = vars(arguments), COMMANDS[arguments.command]
+    given = [each for each in command.flags if each.dest in values]
+    for each in given:
+        others = [other.name for other in given if other != each]
+        if each.alone and others:
+            raise InputError(f"{each.name} takes its settings from {each.alone}; drop {', '.join(others)}")
+    own = {each.dest: values[each.dest] for each in given if each.dest not in SETTINGS}
+    has_settings = any(each.dest in SETTINGS for each in command.flags)
+    return own | ({"configure": partial(resolve, arguments)} if has_settings else {})
+
+
+def resolve(arguments: argparse.Namespace, base: AnyConfig) -> AnyConfig:
+    """The base configuration under --config under the flags."""
+    values = {name: value for name, value in vars(arguments).items() if name in SETTINGS}
+    if file := values.pop("config", None):
+        base = configuration.load(file, base)
+    tables: dict[str, dict[str, Any]] = {}
+    for name, value in values.items():
+        table, key = name.split(".")
+        tables.setdefault(table, {})[key] = value
+    return configuration.override(base, tables, "command line")

@@ -1,6 +1,7 @@
 """The configuration of an experiment: four frozen dataclasses, one TOML table each."""
 
 import dataclasses
+import sys
 import tomllib
 import typing
 from dataclasses import dataclass, field
@@ -10,6 +11,7 @@ from typing import Any, TypeVar
 import tomli_w
 
 from inspection.parameters import InspectionParameters
+from ppo.distributed import is_first
 from ppo.learner import PPOParameters
 from rta.parameters import RtaParameters
 from study.errors import InputError, refusing
@@ -17,6 +19,11 @@ from study.errors import InputError, refusing
 MAX_COUNT = 10**12
 MAX_SEEDS = 1000  # of a study; they share the memory
 ARMS = {"no_rta": False, "rta": True}  # of the study: its name, whether the filter corrects the agent
+TEST_CASES = 0  # seed of the cases of every final evaluation
+
+# Settings of older files and checkpoints that have moved: the table and key of then, and those of now.
+MOVED = {("train", "rta_period"): ("rta", "period"), ("train", "qp_solver"): ("rta", "qp_solver")}
+announced: set[str] = set()  # the moves that this process has told of
 
 
 @dataclass(frozen=True)
@@ -91,6 +98,10 @@ class Config:
         """The complete configuration as TOML text that `from_toml` reads back."""
         return tomli_w.dumps(dataclasses.asdict(self))
 
+    def unsettled(self) -> "Config":
+        """The configuration with the solver, which a run settles for its own batch, to be chosen for another one."""
+        return dataclasses.replace(self, rta=dataclasses.replace(self.rta, qp_solver="auto"))
+
 
 @dataclass(frozen=True)
 class StudyConfig(Config):
@@ -145,22 +156,37 @@ def load(path: str | Path, base: AnyConfig | None = None) -> AnyConfig:
 
 
 def override(config: AnyConfig, tables: dict[str, Any], source: str) -> AnyConfig:
-    """A configuration with the given tables' keys replaced, every one checked."""
-    known = {f.name: f for f in dataclasses.fields(config)}
-    tables = {
-        name: dict(entries) if isinstance(entries, dict) else entries for name, entries in tables.items()
-    }
-    for old, (table, key) in {"rta_period": ("rta", "period"), "qp_solver": ("rta", "qp_solver")}.items():
-        if old in tables.get("train", {}):
-            tables.setdefault(table, {})[key] = tables["train"].pop(old)
-    parts = {}
+    """A configuration with the given tables' keys replaced, every one checked; older keys are read as today's."""
+    known = vars(config)
     for table, entries in tables.items():
         if table not in known:
             raise InputError(f"{source}: unknown table [{table}]; allowed are {', '.join(known)}")
         if not isinstance(entries, dict):
             raise InputError(f"{source}: {table} = {entries!r}: must be a table, [{table}]")
-        parts[table] = override_table(getattr(config, table), entries, f"{source}: [{table}]")
+    parts = {
+        table: override_table(known[table], entries, f"{source}: [{table}]")
+        for table, entries in with_keys_of_today(tables, source).items()
+    }
     return dataclasses.replace(config, **parts)
+
+
+def with_keys_of_today(tables: dict[str, dict[str, Any]], source: str) -> dict[str, dict[str, Any]]:
+    """The tables with what has moved where it is now; says so on stderr, once for the same keys."""
+    tables = {table: dict(entries) for table, entries in tables.items()}
+    moves = []
+    for (old_table, old), (table, key) in MOVED.items():
+        if old in tables.get(old_table, {}):
+            if key in tables.setdefault(table, {}):
+                raise InputError(
+                    f"{source}: [{old_table}] {old} is [{table}] {key} by now: give the latter alone"
+                )
+            tables[table][key] = tables[old_table].pop(old)
+            moves.append(f"[{old_table}] {old} read as [{table}] {key}")
+    line = ", ".join(moves)
+    if moves and line not in announced and is_first():
+        announced.add(line)
+        print(f"{source}: older keys: {line}", file=sys.stderr)
+    return tables
 
 
 def override_table(part: Any, entries: dict[str, Any], where: str) -> Any:

@@ -1,65 +1,77 @@
-"""Files written whole or not at all, and what describes a run: its settings and where its numbers come from."""
+"""Files: arrays that are read, and whatever is written, whole or not at all."""
 
-import importlib.metadata
 import json
-import os
-import platform
-import subprocess
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
-import torch
+import numpy as np
 
-from ppo.distributed import ranks
-from study import experiment as build
-from study.config import Config
+from ppo.files import is_written_in_place, replacing, temporary_beside
+from study.errors import InputError, refusing
 
 ROOT = Path(__file__).parent.parent  # of the repository
-PACKAGES = ("torch", "numpy", "piqp", "scipy", "tensorboard")
 
 
-def write_text(path: Path, text: str) -> None:
-    """Writes beside `path` and renames, so that a kill at any moment leaves the old file or the new one."""
-    temporary = path.with_name(path.name + ".tmp")
-    temporary.write_text(text, encoding="utf-8")
-    os.replace(temporary, path)
+def load_arrays(path: str, names: tuple[str, ...], what: str, where_missing: str) -> dict[str, np.ndarray]:
+    """The named arrays of a .npz file; errors say `what` it should have been, and `where_missing` of one it lacks.
+
+    Raises:
+        InputError: there is no such file, it cannot be read, or it lacks an array.
+    """
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            found = {name: file[name] for name in names if name in file.files}
+    except FileNotFoundError:
+        raise InputError(f"{path}: cannot read the {what}: no such file") from None
+    except Exception:  # numpy reports damage through many exception types
+        raise InputError(f"{path}: cannot read the {what}: not a .npz file of numbers") from None
+    for name in names:
+        if name not in found:
+            raise InputError(f"{path}: {name} is missing{where_missing}")
+    return found
 
 
-def write_json(path: Path, content: dict[str, Any]) -> None:
+def check_writable(path: str | None, flag: str) -> None:
+    """Refuses an output file that cannot be written, before any work is done; leaves nothing behind. None is fine."""
+    if path is None:
+        return
+    target = Path(path)
+    with refusing(f"{flag} {path!r}: cannot write it", OSError, ValueError):
+        if target.is_fifo():  # opened and closed, it would tell its reader that all was written
+            return
+        if target.exists():
+            target.open("ab").close()
+        if not is_written_in_place(target):
+            temporary_beside(target).open("wb").close()
+            temporary_beside(target).unlink()
+
+
+@contextmanager
+def writing(path: str | Path) -> Iterator[BinaryIO]:
+    """A file to write, see `ppo.files.replacing`; raises OSErrors that name the file, also for a full disk."""
+    try:
+        with replacing(Path(path)) as file:
+            yield file
+    except OSError as error:
+        if error.errno is None:  # not of the operating system
+            raise
+        raise OSError(error.errno, error.strerror, str(path)) from None
+
+
+def write_text(path: str | Path, text: str) -> None:
+    """Writes text in UTF-8, whole or not at all."""
+    with writing(path) as file:
+        file.write(text.encode())
+
+
+def write_json(path: str | Path, content: Mapping[str, Any]) -> None:
     """Writes content as indented JSON, whole or not at all."""
     write_text(path, json.dumps(content, indent=2) + "\n")
 
 
-def git_revision() -> str:
-    """The commit of the source tree, marked if modified; "unknown" outside a repository."""
-    try:
-        described = subprocess.run(
-            ["git", "describe", "--always", "--dirty", "--abbrev=40"],
-            cwd=ROOT,
-            capture_output=True,
-            text=True,
-            check=True,
-        )
-        return described.stdout.strip()
-    except (OSError, subprocess.CalledProcessError):
-        return "unknown"
-
-
-def provenance(device: torch.device) -> dict[str, Any]:
-    """What else determines a run's numbers, beside its configuration."""
-    return {
-        "git_revision": git_revision(),
-        "python": platform.python_version(),
-        "packages": {name: importlib.metadata.version(name) for name in PACKAGES},
-        "device": torch.cuda.get_device_name(device)
-        if device.type == "cuda"
-        else platform.processor() or "cpu",
-        "threads": torch.get_num_threads(),
-        "ranks": ranks().size,
-    }
-
-
-def write_settings(config: Config, directory: Path) -> None:
-    """Writes what describes a run or a study: config.toml and provenance.json."""
-    write_json(directory / "provenance.json", provenance(build.resolve_device(config.train.device)))
-    write_text(directory / "config.toml", config.to_toml())
+def write_npz(path: str | Path, arrays: Mapping[str, np.ndarray]) -> None:
+    """Writes named arrays as a compressed .npz file, whole or not at all."""
+    with writing(path) as file:
+        np.savez_compressed(file, **arrays)

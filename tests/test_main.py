@@ -1,6 +1,8 @@
 """The command line: every bad input ends in one line and exit code 2; good input writes what is promised."""
 
 import json
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -13,9 +15,9 @@ import main
 from inspection.environment import METRICS
 from rta.constraints import CONSTRAINTS
 from rta.filter import SOLVERS
-from study import experiment as build
+from study import experiment
+from study.arguments import build_parser, resolve
 from study.config import Config, from_toml, override
-from study.flight.evaluation import test_cases as common_cases
 from study.training import run as training
 
 STATE: dict[str, Any] = {
@@ -87,7 +89,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
         (["benchmark", "--batches", "256,none"], ["--batches", "'none'", "positive integer"]),
         (["benchmark", "--json", "nowhere/x.json"], ["--json", "cannot write"]),
         (["train", "--qp-solver", "osqp"], ["--qp-solver", "'osqp'", "auto", "piqp", "batched"]),
-        (["evaluate", "--checkpoint", "x.pt", "--qp-solver", "auto"], ["--qp-solver", "'auto'", "piqp"]),
+        (["verify", "--qp-solver", "osqp"], ["--qp-solver", "'osqp'", "auto", "piqp", "batched"]),
         (["evaluate"], ["--checkpoint"]),
         (["evaluate", "--controller", "lqr-pd"], ["--controller", "'lqr-pd'", "natural-motion"]),
         (
@@ -258,6 +260,23 @@ def test_evaluate_flies_a_classical_controller(tmp_path: Path, capsys: pytest.Ca
     assert results["rta"] == {"period_s": None, "intervention_percent": 0.0, "qp_failures": 0}
 
 
+def test_evaluate_writes_json_to_standard_output(run: Path) -> None:
+    arguments = [
+        "evaluate",
+        "--checkpoint",
+        str(run / "policy.pt"),
+        "--episodes",
+        "2",
+        "--json",
+        "/dev/stdout",
+    ]
+    done = subprocess.run([sys.executable, main.__file__, *arguments], capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (0, "")
+    tables, _, results = done.stdout.partition("\n{")
+    assert "Table 2" in tables
+    assert json.loads("{" + results)["episodes"] == 2
+
+
 def test_evaluate_is_the_same_for_policy_and_checkpoint_file(
     run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -339,16 +358,6 @@ def test_simulate_filters_a_policy_at_the_rta_period(
     assert set(changes) <= {5, 10, 15}
 
 
-def test_help_gives_every_flag_a_default_or_says_it_is_required(capsys: pytest.CaptureFixture[str]) -> None:
-    for command in ("train", "study", "evaluate", "simulate", "replay", "filter", "verify", "benchmark"):
-        parser = main.build_parser()._subparsers._group_actions[0].choices[command]
-        for action in parser._actions:
-            if action.dest == "help":
-                continue
-            assert action.help, action.dest
-            assert action.required or "default" in action.help, action.dest
-
-
 def test_a_finished_run_without_its_checkpoint_is_not_overwritten(
     run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -407,7 +416,7 @@ def test_a_policy_with_nan_weights_is_refused(
         "[inspection]\nmax_thrust = 1e-4",
         "[ppo]\nlog_std_bounds = [-1e5, 1e5]",
         "[train]\nseed = 99999999999999999999",
-        '[train]\nqp_solver = "osqp"',
+        '[rta]\nqp_solver = "osqp"',
         "[rta]\npassive_safety_segments = [0.0, 400.0]",
     ],
 )
@@ -423,8 +432,8 @@ def test_impossible_settings_are_refused(
 def test_flags_override_the_file(tmp_path: Path) -> None:
     path = tmp_path / "some.toml"
     path.write_text("[train]\nseed = 5\nnum_envs = 8\n")
-    arguments = main.build_parser().parse_args(["train", "--config", str(path), "--seed", "6", "--no-rta"])
-    train = main.resolve(arguments, Config()).train
+    words = ["train", "--config", str(path), "--seed", "6", "--no-rta"]
+    train = resolve(build_parser(main.HANDLERS).parse_args(words), Config()).train
     assert (train.seed, train.num_envs, train.rta) == (6, 8, False)
 
 
@@ -436,20 +445,21 @@ def test_a_run_says_which_solver_it_uses_and_keeps_it(
 ) -> None:
     train = {"num_envs": envs, "rollout_steps": 2, "interactions": 4, "device": "cpu", "compile": "off"}
     directory = tmp_path / "run"
-    run = training.start(override(Config(), {"train": train | {"qp_solver": wanted}}, "test"), directory)
-    assert f"by {used}" in training.describe(run)
-    assert type(run.safety.correct.solver) is SOLVERS[used]
-    monkeypatch.setattr(
-        build, "faster_solver", lambda train: "neither"
-    )  # on another device, or in another version
-    assert type(training.resume(directory).safety.correct.solver) is SOLVERS[used]
+    tables = {"train": train, "rta": {"qp_solver": wanted}}
+    run = training.start(override(Config(), tables, "test"), directory)
+    assert f"by {used}" in str(run)
+    assert type(run.experiment.filter.solver) is SOLVERS[used]
+    # another machine or version would choose the other one
+    monkeypatch.setattr(experiment, "WORTH_BATCHING", {"piqp": 0, "batched": 10**9}[used])
+    assert type(training.resume(directory).experiment.filter.solver) is SOLVERS[used]
 
 
-@pytest.mark.parametrize(("flags", "used"), [([], "piqp"), (["--qp-solver", "batched"], "batched")])
-def test_evaluate_uses_piqp_however_the_agent_was_trained(flags: list[str], used: str) -> None:
-    trained = override(Config(), {"train": {"qp_solver": "batched"}}, "test")
-    arguments = main.build_parser().parse_args(["evaluate", "--checkpoint", "x.pt", *flags])
-    assert main.resolve(arguments, trained).train.qp_solver == used
+@pytest.mark.parametrize(("flags", "used"), [([], "auto"), (["--qp-solver", "batched"], "batched")])
+def test_evaluate_chooses_its_solver_however_the_agent_was_trained(flags: list[str], used: str) -> None:
+    trained = override(Config(), {"rta": {"qp_solver": "batched", "period": 5.0}}, "test")
+    arguments = build_parser(main.HANDLERS).parse_args(["evaluate", "--checkpoint", "x.pt", *flags])
+    rta = resolve(arguments, trained.unsettled()).rta
+    assert (rta.qp_solver, rta.period) == (used, 5.0)
 
 
 @pytest.mark.parametrize("out", ["/proc/nothing.npz", "x" * 300])
@@ -457,6 +467,11 @@ def test_unwritable_output_is_refused_before_the_work(
     out: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert_refused(["simulate", "--controller", "zero", "--duration", "10", "--out", out], ["--out"], capsys)
+
+
+def test_a_full_disk_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:
+    arguments = ["simulate", "--controller", "zero", "--no-rta", "--duration", "10", "--out", "/dev/full"]
+    assert_refused(arguments, ["/dev/full: No space left on device"], capsys)
 
 
 @pytest.mark.parametrize(("duration", "step"), [("1e300", "1"), ("10", "1e-12"), ("1e8", "1")])
@@ -468,7 +483,7 @@ def test_endless_simulations_are_refused(
 
 
 def test_test_cases_do_not_depend_on_their_number_or_on_the_filter() -> None:
-    few, _ = common_cases(Config(), 2, 0)
+    few, _ = experiment.test_cases(Config(), 2, 0)
     gains = {"exclusion_margin": 0.1, "battery_gains": [0.001, 0.1]}
-    many, _ = common_cases(override(Config(), {"rta": gains}, "test"), 300, 0)
+    many, _ = experiment.test_cases(override(Config(), {"rta": gains}, "test"), 300, 0)
     assert torch.equal(few, many[:, :2])

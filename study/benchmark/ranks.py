@@ -21,10 +21,11 @@ from inspection.state import CONTROL_SIZE
 from ppo.distributed import ranks
 from ppo.rollout import collect
 from study import config as configuration
-from study.arguments import Parser
 from study.benchmark.timing import typical_seconds
 from study.config import Config
-from study.files import ROOT, provenance, write_json
+from study.files import ROOT, write_json
+from study.flags import Parser
+from study.training.provenance import provenance
 from study.training.run import Run
 
 RANKS = (1, 2, 4, 8, 16, 32)  # of the projection

@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,12 +19,10 @@ from inspection.termination import OUTCOMES
 from ppo.network import Policy
 from rta.constraints import CONSTRAINTS
 from rta.qp import Status
-from study.config import Config
-from study.experiment import Experiment, test_cases
+from study.config import TEST_CASES, Config
+from study.experiment import Experiment, load_policy, test_cases
 from study.flight.controllers import agent
 from study.flight.summary import summary_of_runs
-
-TEST_CASES = 0  # seed of the test cases that every agent meets
 
 
 @dataclass
@@ -203,3 +202,22 @@ def play_guidance(experiment: Experiment, episodes: int, seed: int) -> Episodes:
 def evaluate(policy: Policy, experiment: Experiment, episodes: int, seed: int) -> dict[str, Any]:
     """Plays the common test cases with a policy of one seed and reports them."""
     return report(play(policy, experiment, episodes, seed), experiment.config, seed)
+
+
+def run(
+    configure: Callable[[Config], Config],
+    episodes: int,
+    seed: int = TEST_CASES,
+    checkpoint: str | None = None,
+) -> dict[str, Any]:
+    """What `evaluate` of the command line reports, by the names of its flags.
+
+    Args:
+        configure: puts the command line over a configuration, that of the checkpoint if there is one.
+        checkpoint: the agent's file; None: the natural-motion controller.
+    """
+    policy, base = load_policy(checkpoint) if checkpoint else (None, Config())
+    experiment = Experiment(configure(base.unsettled()), episodes)
+    if policy:
+        return evaluate(policy.to(experiment.device), experiment, episodes, seed)
+    return report(play_guidance(experiment, episodes, seed), experiment.config, seed)

@@ -12,6 +12,7 @@ from matplotlib.ticker import MaxNLocator, MultipleLocator
 
 from inspection.chief import fibonacci_sphere
 from inspection.parameters import InspectionParameters
+from study.files import writing
 
 matplotlib.use("Agg")
 
@@ -193,7 +194,8 @@ def constraint_figure(episode: Episode, c: InspectionParameters, path: Path) -> 
     components(axes[2, 1], t, applied[:, :3], c.max_thrust, "thrust (N)")
     components(axes[2, 2], t, 1e3 * applied[:, 3:], 1e3 * c.max_torque, "torque (mN m)")
     figure.align_ylabels()
-    figure.savefig(path, dpi=120, format="png")
+    with writing(path) as file:
+        figure.savefig(file, dpi=120, format="png")
 
 
 def episode_figure(episode: Episode, c: InspectionParameters, path: Path) -> None:
@@ -235,4 +237,5 @@ def episode_figure(episode: Episode, c: InspectionParameters, path: Path) -> Non
     torque.set_ylabel("Σ|torque| (mN m)", color="#8A5A00")
     torque.set_ylim(0, None)
 
-    figure.savefig(path, dpi=110)
+    with writing(path) as file:
+        figure.savefig(file, dpi=110, format="png")

@@ -1,5 +1,7 @@
 """Filtering states from elsewhere, with every number of the quadratic programs, so that others can check them."""
 
+from collections.abc import Callable
+
 import numpy as np
 import torch
 from torch import Tensor
@@ -8,8 +10,20 @@ from rta.constraints import CONSTRAINTS
 from rta.filter import SHORTEST_ROW, SafetyFilter
 from rta.qp import FEASIBLE, Status
 from rta.rows import ActuatorGroup, Rows
+from study.config import Config
+from study.experiment import Experiment
+from study.flight.state_files import read_states
 
 CHUNK = 4096  # states filtered at once, so that memory does not grow with their number
+
+
+def run(configure: Callable[[Config], Config], states: str) -> dict[str, np.ndarray]:
+    """What `filter` of the command line writes, of the states in a file; `configure` has its other flags."""
+    config = configure(Config())
+    x, desired = read_states(states, config.inspection)
+    calls = -(-x.shape[1] // CHUNK)
+    experiment = Experiment(config, x.shape[1], calls * config.rta.period)
+    return filter_states(experiment.filter, x.to(experiment.device), desired.to(experiment.device))
 
 
 def filter_states(safety_filter: SafetyFilter, x: Tensor, desired: Tensor) -> dict[str, np.ndarray]:

@@ -1,5 +1,6 @@
 """Simulating one spacecraft under any controller, with everything over time."""
 
+from collections.abc import Callable
 from dataclasses import asdict
 
 import numpy as np
@@ -12,22 +13,33 @@ from inspection.environment import InspectionEnv
 from inspection.termination import terminal_conditions
 from ppo.network import Policy
 from rta.qp import Status
+from study.config import TEST_CASES, Config
 from study.errors import InputError
-from study.experiment import Experiment, test_cases
-from study.flight.controllers import agent
-from study.flight.evaluation import TEST_CASES
+from study.experiment import Experiment, load_policy, test_cases
+from study.flight.controllers import agent, classical
 from study.flight.state_files import STATE_FIELDS, read_state
 
 MAX_ROWS = 10**7
 SCALARS = ("time", "inspected_score", "temperature", "energy", "sun_angle")
 
 
-def check_length(duration: float, step: float) -> None:
-    """Refuses a simulation without end."""
-    if step < 1e-3 or duration / step > MAX_ROWS:
+def check_step(step: float, duration: float, config: Config) -> None:
+    """Refuses rows every `step` s that do not fit the other clocks of a simulation, or that have no end."""
+    c = config.inspection
+    if step < 1e-3 or duration / min(step, c.substep) > MAX_ROWS:
         raise InputError(
             f"--duration {duration:g} at --step {step:g}: at most {MAX_ROWS:,} steps of at least 1 ms"
         )
+    periods = {"the agent's period": c.action_period}
+    if config.train.rta:
+        periods = {"--rta-period": config.rta.period} | periods
+    for name, other in periods.items():
+        if not (is_multiple(step, other) or is_multiple(other, step)):
+            raise InputError(f"--step {step:g}: must divide {name}, {other:g} s, or be a multiple of it")
+    if step > c.substep and not is_multiple(step, c.substep):
+        raise InputError(f"--step {step:g}: must be a multiple of the integration step, {c.substep:g} s")
+    if not is_multiple(duration, step):
+        raise InputError(f"--duration {duration:g}: must be a multiple of --step, {step:g} s")
 
 
 def starting_point(path: str | None, experiment: Experiment, seed: int) -> tuple[Tensor, Tensor]:
@@ -46,14 +58,15 @@ def simulate(
     x: Tensor,
     priority: Tensor,
     duration: float,
+    step: float | None = None,
     until_ended: bool = False,
 ) -> dict[str, np.ndarray]:
-    """Simulates one spacecraft, with a row at every report of the environment's clocks.
+    """Simulates one spacecraft.
 
     Args:
         env: of one episode; its safety holds the filter, if any. Points are inspected every action period.
         x, priority: initial state (16, 1) and priority vector (3, 1).
-        duration: s.
+        duration: s; step: s between two rows; None: a row at every report of the environment's clocks.
         until_ended: stop at the first terminal condition of an episode.
 
     Returns:
@@ -63,6 +76,7 @@ def simulate(
         `parameters`, the only one not over time, is the task's table of a configuration file.
     """
     c = env.c
+    step = step or env.clocks.report
     env.start(x, priority)
     rows: list[dict[str, Tensor]] = []
 
@@ -85,7 +99,7 @@ def simulate(
     for hold in env.fly(controller, duration):
         if hold.decided:
             decision = hold.desired
-        if hold.time == 0.0 or is_multiple(hold.time, env.clocks.report):
+        if hold.time == 0.0 or is_multiple(hold.time, step):
             intervened = row(hold.time, hold.state, decision, hold.applied)
         if hold.correction is not None:
             intervened |= hold.correction.program_status[:, 0] > Status.UNTOUCHED
@@ -109,3 +123,49 @@ def common_episode(policy: Policy, experiment: Experiment) -> dict[str, np.ndarr
     env = experiment.env(1, report_every=min(experiment.config.rta.period, c.substep))
     start = starting_point(None, experiment, TEST_CASES)
     return simulate(env, agent(policy, env), *start, c.max_time, until_ended=True)
+
+
+def run(
+    configure: Callable[[Config], Config],
+    controller: str,
+    duration: float,
+    step: float,
+    seed: int,
+    checkpoint: str | None = None,
+    actions: str | None = None,
+    initial_state: str | None = None,
+) -> tuple[dict[str, np.ndarray], Config]:
+    """What `simulate` of the command line flies, by the names of its flags; and in which configuration.
+
+    Args:
+        configure: puts the command line over a configuration, that of the checkpoint if there is one.
+
+    Raises:
+        InputError, CheckpointError: a file is missing or damaged, or the flags do not fit together.
+    """
+    if (controller == "policy") != bool(checkpoint):
+        raise InputError("--checkpoint F is needed by --controller policy and by no other")
+    if (controller == "recorded") != bool(actions):
+        raise InputError("--actions F.npy is needed by --controller recorded and by no other")
+    policy, base = load_policy(checkpoint) if checkpoint else (None, Config())
+    config = configure(base.unsettled())
+    check_step(step, duration, config)
+    experiment = Experiment(config, 1, duration)
+    x, priority = starting_point(initial_state, experiment, seed)
+    report_every = min(step, config.inspection.action_period)
+    if policy:
+        env = experiment.env(1, report_every=report_every)
+        decide = agent(policy.to(experiment.device), env)
+    else:
+        env = experiment.env(1, decide_every=step, report_every=report_every)
+        decide = classical(controller, actions, config, step, seed)
+    return simulate(env, decide, x, priority, duration, step), config
+
+
+def described(episode: dict[str, np.ndarray]) -> str:
+    """A simulation in half a line."""
+    violated = [name[2:] for name in episode if name.startswith("h_") and not (episode[name] >= 0).all()]
+    return (
+        f"{len(episode['time'])} rows over {episode['time'][-1]:g} s, inspected "
+        f"{episode['inspected_score'][-1]:.3f}, violated constraints: {', '.join(violated) or 'none'}"
+    )

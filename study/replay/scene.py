@@ -11,9 +11,9 @@ import numpy as np
 from inspection.chief import fibonacci_sphere
 from inspection.parameters import InspectionParameters
 from rta.constraints import CONSTRAINTS
-from study import arrays
 from study import config as configuration
 from study.errors import InputError
+from study.files import load_arrays
 from study.flight.figures import BLUE, GREY, ORANGE, Episode, rotate, speeds
 
 MAX_ROWS = 5000  # of a run in the page
@@ -70,7 +70,7 @@ def read(path: str) -> Replayed:
     """Reads and checks a file of `simulate`, or an episode of a study's report in single precision."""
     names = (*COLUMNS, "inspected", "intervened", "parameters")
     older = ": not a file that simulate wrote, or one of an older version"
-    episode = arrays.load(path, names, "run", where_missing=older)
+    episode = load_arrays(path, names, "run", where_missing=older)
     c = configuration.from_toml(str(episode["parameters"]), f"{path}: parameters").inspection
     flags = {"inspected": (c.num_points,), "intervened": (2,)}
     rows = episode["time"].size

@@ -2,7 +2,6 @@
 
 import hashlib
 import json
-import os
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -17,7 +16,7 @@ from rta.parameters import PERIODS
 from study.config import ARMS, Config
 from study.errors import MALFORMED, InputError, refusing
 from study.experiment import Experiment, load_policy, make_policy
-from study.files import ROOT, write_json, write_text
+from study.files import ROOT, write_json, write_npz, write_text
 from study.flight.controllers import classical
 from study.flight.evaluation import TEST_CASES, play, play_guidance, report
 from study.flight.simulation import common_episode, simulate, starting_point
@@ -119,10 +118,7 @@ def write(path: Path, content: Results | Arrays | str) -> None:
     elif path.suffix == ".npz":
         # single precision is enough for figures and replays
         single = {name: a.astype(np.float32) if a.dtype == np.float64 else a for name, a in content.items()}
-        temporary = path.with_name(path.name + ".tmp")
-        with open(temporary, "wb") as file:
-            np.savez_compressed(file, **single)
-        os.replace(temporary, path)
+        write_npz(path, single)
     else:
         write_text(path, content)
 

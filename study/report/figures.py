@@ -11,6 +11,7 @@ from matplotlib.lines import Line2D
 
 from inspection.parameters import InspectionParameters
 from study.errors import refusing
+from study.files import writing
 from study.flight.figures import (
     BLUE,
     GREEN,
@@ -87,9 +88,10 @@ def draw_training(curves: Curves, directory: Path) -> None:
 
 def save(figure: Figure, stem: Path) -> None:
     """Writes a figure as PNG and as SVG; equal figures become equal files."""
-    figure.savefig(stem.with_suffix(".png"), dpi=DPI)
-    with matplotlib.rc_context({"svg.hashsalt": stem.name}):
-        figure.savefig(stem.with_suffix(".svg"), metadata={"Date": None})
+    with writing(stem.with_suffix(".png")) as file:
+        figure.savefig(file, dpi=DPI, format="png")
+    with writing(stem.with_suffix(".svg")) as file, matplotlib.rc_context({"svg.hashsalt": stem.name}):
+        figure.savefig(file, metadata={"Date": None}, format="svg")
 
 
 def training_panel(ax: Axes, curves: dict[str, np.ndarray], metric: str) -> None:
@@ -111,7 +113,8 @@ def trajectory_figure(episode: Episode, c: InspectionParameters, top_speed: floa
     """One episode's path around the chief as a PNG, coloured by speed up to `top_speed` in m/s."""
     figure = Figure(figsize=(6, 4.2), layout="constrained")
     trajectory(figure.add_subplot(projection="3d"), episode, c, top_speed)
-    figure.savefig(path, dpi=DPI)
+    with writing(path) as file:
+        figure.savefig(file, dpi=DPI, format="png")
 
 
 def behaviour_figure(episodes: dict[str, Episode], c: InspectionParameters) -> Figure:

@@ -16,13 +16,14 @@ from study import config as configuration
 from study.config import AnyConfig, Config
 from study.errors import MALFORMED, InputError, refusing
 from study.experiment import Experiment, compile_or_explain, resolve_device, settled
-from study.files import write_json, write_settings
+from study.files import write_json
 from study.flight.evaluation import TEST_CASES, Episodes, evaluate, play, report
 from study.flight.figures import episode_figure
 from study.flight.simulation import common_episode
 from study.paper import tables
 from study.training.log import Log
 from study.training.monitor import Monitor
+from study.training.provenance import write_settings
 from study.training.shards import shard_of_episodes, shard_of_seeds
 
 CHECKPOINT = "checkpoint.pt"

@@ -13,9 +13,10 @@ from rta.constraints import CONSTRAINTS
 from study import config as configuration
 from study.config import StudyConfig
 from study.errors import InputError, refusing
-from study.files import write_json, write_settings
+from study.files import write_json, write_npz
 from study.flight.evaluation import TEST_CASES, Episodes, report
 from study.paper import tables
+from study.training.provenance import write_settings
 from study.training.run import Run, Stopped, create, on_signal, resume, settled_for_a_seed
 
 LEFT_BY_A_KILL = ("provenance.json", "provenance.json.tmp", "config.toml.tmp")  # at the start
@@ -133,4 +134,4 @@ def write_episodes(record: Episodes, seeds: tuple[int, ...], path: Path) -> None
     }
     constraints = (*CONSTRAINTS, "any")
     labels = {"metric_names": METRICS, "constraint_names": constraints, "outcome_names": OUTCOMES}
-    np.savez_compressed(path, **arrays, seeds=seeds, **labels)
+    write_npz(path, arrays | labels | {"seeds": np.array(seeds)})

@@ -1,10 +1,15 @@
 """Configuration: TOML round trip and errors that name key, value and what is allowed."""
 
+from pathlib import Path
+
 import pytest
 
 from study import config as configuration
-from study.config import Config
+from study.config import Config, StudyConfig
 from study.errors import InputError
+
+CONFIGS = Path(configuration.__file__).parents[1] / "configs"
+OLDER = "[train]\nseed = 3\nrta_period = 5.0\nqp_solver = 'piqp'\n[rta]\nspeed_gain = 0.25\n"
 
 
 def test_defaults_survive_a_round_trip_through_toml() -> None:
@@ -26,8 +31,11 @@ def test_file_overrides_defaults_key_by_key() -> None:
         ("[train]\nseed = 1.5", ["seed = 1.5", "integer"]),
         ("[train]\nrta = 1", ["rta = 1", "true or false"]),
         ("[train]\nnum_envs = 0", ["num_envs = 0", "positive"]),
-        ("[train]\nrta_period = 2.0", ["rta_period = 2", "1, 5 or 10"]),
-        ("[train]\nrta_period = true", ["rta_period = True", "number"]),
+        ("[rta]\nperiod = 2.0", ["[rta] period = 2", "1, 5 or 10"]),
+        ("[rta]\nperiod = true", ["[rta] period = True", "number"]),
+        ("[train]\nrta_period = 2.0", ["[rta] period = 2", "1, 5 or 10"]),
+        ("[train]\nrta_period = 5.0\n[rta]\nperiod = 5.0", ["[train] rta_period", "[rta] period"]),
+        ("rta = 3\n[train]\nrta_period = 5.0", ["rta = 3", "table"]),
         ("[train]\ndevice = 'tpu'", ["device", "'tpu'", "cuda"]),
         ("[inspection]\nsolar_panel_axis = 'x'", ["solar_panel_axis", "'x'", "+x"]),
         ("[inspection]\ninertia = [1.0, 2.0]", ["inertia", "3"]),
@@ -46,3 +54,50 @@ def test_bad_configuration_is_named(text: str, words: list[str]) -> None:
     assert "\n" not in message
     for word in words:
         assert word in message
+
+
+@pytest.fixture
+def nothing_announced(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A process that has not told of older keys yet."""
+    monkeypatch.setattr(configuration, "announced", set())
+
+
+def test_older_keys_are_read_where_they_are_now(
+    nothing_announced: None, capsys: pytest.CaptureFixture[str]
+) -> None:
+    config = configuration.from_toml(OLDER, "runs/x/policy.pt")
+    rta = {"period": 5.0, "qp_solver": "piqp", "speed_gain": 0.25}
+    assert config == configuration.override(Config(), {"train": {"seed": 3}, "rta": rta}, "test")
+    assert capsys.readouterr().err == (
+        "runs/x/policy.pt: older keys: [train] rta_period read as [rta] period, "
+        "[train] qp_solver read as [rta] qp_solver\n"
+    )
+
+
+def test_older_keys_are_told_of_once(nothing_announced: None, capsys: pytest.CaptureFixture[str]) -> None:
+    for source in ("one.pt", "two.pt", "three.pt"):
+        assert configuration.from_toml(OLDER, source).rta.period == 5.0
+    configuration.from_toml("[train]\nrta_period = 10.0", "four.toml")  # other keys
+    told = capsys.readouterr().err.splitlines()
+    assert [line.partition(":")[0] for line in told] == ["one.pt", "four.toml"]
+
+
+def test_keys_of_today_are_told_of_never(nothing_announced: None, capsys: pytest.CaptureFixture[str]) -> None:
+    configuration.from_toml(Config().to_toml(), "text")
+    assert capsys.readouterr().err == ""
+
+
+@pytest.mark.parametrize("name", sorted(path.name for path in CONFIGS.glob("*.toml")))
+def test_the_shipped_configurations_have_the_keys_of_today(
+    name: str, nothing_announced: None, capsys: pytest.CaptureFixture[str]
+) -> None:
+    config = configuration.load(CONFIGS / name, StudyConfig())
+    assert config.rta.period == {"rta_5s.toml": 5.0, "rta_10s.toml": 10.0}.get(name, 1.0)
+    assert capsys.readouterr().err == ""
+
+
+def test_a_run_of_before_keeps_its_settings(nothing_announced: None) -> None:
+    """The shipped study was written with the older keys."""
+    study = configuration.load(CONFIGS.parent / "runs/reference/study/config.toml", StudyConfig())
+    assert (study.rta.period, study.rta.qp_solver) == (1.0, "batched")
+    assert configuration.from_toml(study.to_toml(), "text", StudyConfig()) == study

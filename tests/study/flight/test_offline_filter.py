@@ -41,7 +41,7 @@ def result(given: dict[str, ndarray], tmp_path_factory: pytest.TempPathFactory) 
     directory = tmp_path_factory.mktemp("offline")
     np.savez(directory / "states.npz", **given)
     arguments = ["--states", str(directory / "states.npz"), "--out", str(directory / "out.npz")]
-    assert main.main(["filter", *arguments, "--device", "cpu"]) == 0
+    assert main.main(["filter", *arguments, "--device", "cpu", "--qp-solver", "piqp"]) == 0
     return dict(np.load(directory / "out.npz"))
 
 

@@ -1,0 +1,109 @@
+"""What a flag is: the setting or parameter that it reaches, and how its text is read and checked."""
+
+import argparse
+from functools import partial
+from typing import Any, NoReturn
+
+from rta.parameters import PERIODS
+from study.config import ARMS, MAX_COUNT
+
+
+class Parser(argparse.ArgumentParser):
+    """Bad usage ends with one line and exit code 2."""
+
+    def error(self, message: str) -> NoReturn:
+        self.exit(2, f"error: {self.prog}: {message} (see --help)\n")
+
+
+def positive_integer(text: str) -> int:
+    """A count for argparse."""
+    try:
+        value = int(text.replace("_", ""))
+    except ValueError:
+        value = 0
+    if not 0 < value <= MAX_COUNT:
+        raise argparse.ArgumentTypeError(f"{text[:40]!r}: must be a positive integer up to {MAX_COUNT:,}")
+    return value
+
+
+def seed_number(text: str) -> int:
+    """A seed for argparse."""
+    if not (text.isascii() and text.isdecimal() and len(text) < 20) or int(text) >= 2**63:
+        raise argparse.ArgumentTypeError(f"{text[:40]!r}: must be an integer from 0 to 2^63 - 1")
+    return int(text)
+
+
+def positive_number(text: str) -> float:
+    """A positive finite number for argparse."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = 0.0
+    if not 0.0 < value < float("inf"):
+        raise argparse.ArgumentTypeError(f"{text!r}: must be a positive number")
+    return value
+
+
+def batch_list(text: str) -> tuple[int, ...]:
+    """Comma-separated counts for argparse."""
+    return tuple(positive_integer(word) for word in text.split(","))
+
+
+def arm_list(text: str) -> list[str]:
+    """Comma-separated arms of a study for argparse."""
+    names = text.split(",")
+    if not set(names) <= set(ARMS) or len(set(names)) < len(names):
+        raise argparse.ArgumentTypeError(f"{text[:40]!r}: must be {','.join(ARMS)} or one of the two")
+    return names
+
+
+def period(text: str) -> float:
+    """A filter period for argparse."""
+    if text not in {f"{p:g}" for p in PERIODS} | {f"{p:.1f}" for p in PERIODS}:
+        raise argparse.ArgumentTypeError(f"{text!r}: must be 1, 5 or 10 (s)")
+    return float(text)
+
+
+def verified_policy(text: str) -> str:
+    """A policy of verify for argparse."""
+    if text not in ("random", "adversarial") and not text.startswith("checkpoint:"):
+        raise argparse.ArgumentTypeError(f"{text!r}: must be random, adversarial or checkpoint:F")
+    return text
+
+
+class Flag:
+    """A flag: what it reaches, how it is read and what --help says.
+
+    Args:
+        name: as it is written; without dashes it is a positional argument.
+        text: of --help, which goes on with the default, unless the text has it or a {} for it.
+        sets: the setting it reaches, as "table.key"; without one, the parameter of the command's function by its name.
+        alone: what it names, if that holds all settings, so that no other flag is allowed beside it.
+        options: what else `add_argument` takes: type, choices, metavar, ...
+    """
+
+    def __init__(self, name: str, text: str, sets: str = "", alone: str = "", **options: Any) -> None:
+        self.name, self.text, self.alone, self.options = name, text, alone, options
+        self.dest = sets or name.removeprefix("--").replace("-", "_")
+
+    def saying(self, text: str) -> "Flag":
+        """The same flag with another text."""
+        return Flag(self.name, text, self.dest, self.alone, **self.options)
+
+
+class Command:
+    """A command: its line in the help, its flags and those of which exactly one must be given.
+
+    `imposed` holds settings, as "table.key", over those of --config and under the flags.
+    """
+
+    def __init__(
+        self, about: str, *flags: Flag, one_of: tuple[Flag, ...] = (), imposed: dict[str, Any] | None = None
+    ) -> None:
+        self.about, self.flags, self.one_of, self.imposed = about, (*flags, *one_of), one_of, imposed or {}
+
+
+count = partial(Flag, type=positive_integer, metavar="N")
+number = partial(Flag, type=positive_number)
+seed = partial(Flag, "--seed", type=seed_number, metavar="N")
+path = partial(Flag, metavar="F")
