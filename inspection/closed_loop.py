@@ -47,6 +47,7 @@ class Clocks:
         report: the longest time between two `Hold`s.
         substep: the longest integration step.
         filter: between two calls of the filter; None without one.
+        look: between two looks at what else changes with time; None: nothing is looked at.
 
     Raises:
         ValueError: one of them is no multiple of another that is shorter.
@@ -56,12 +57,16 @@ class Clocks:
     report: float
     substep: float
     filter: float | None = None
+    look: float | None = None
 
     def __post_init__(self) -> None:
-        named = {"the controller's decisions": self.decision, "the loop's reports": self.report}
-        if self.filter is not None:
-            named["the filter's calls"] = self.filter
-        rising = sorted(named.items(), key=lambda item: item[1])
+        named = {
+            "the controller's decisions": self.decision,
+            "the loop's reports": self.report,
+            "the filter's calls": self.filter,
+            "the looks at the chief": self.look,
+        }
+        rising = sorted((item for item in named.items() if item[1]), key=lambda item: item[1])
         for (short, shorter), (name, period) in combinations(rising, 2):
             if not is_multiple(period, shorter):
                 raise ValueError(
@@ -75,7 +80,7 @@ class Clocks:
     @property
     def hold(self) -> float:
         """The longest time in which nothing but the plant acts."""
-        return min(self.decision, self.report, self.filter or self.decision)
+        return min(self.decision, self.report, self.filter or self.decision, self.look or self.decision)
 
     @property
     def step(self) -> float:

@@ -22,6 +22,17 @@ from inspection.termination import OUTCOMES, terminal_conditions
 METRICS = ("inspected_score", "reward", "episode_length_s", "delta_v_m_s", "torque_n_m", "violation_percent")
 
 
+def clocks_of(
+    c: InspectionParameters,
+    filter_period: float | None,
+    decide_every: float | None = None,
+    report_every: float | None = None,
+) -> Clocks:
+    """The clocks of an `InspectionEnv` behind a filter of that period; the chief is looked at every action period."""
+    every = c.action_period
+    return Clocks(decide_every or every, report_every or every, c.substep, filter_period, look=every)
+
+
 @dataclass
 class Transition:
     """The outcome of one interaction, before autoreset; tensors over the batch B.
@@ -90,11 +101,7 @@ class InspectionEnv:
         report_every: float | None = None,
     ) -> None:
         self.c = parameters
-        self.clocks = Clocks(
-            decide_every or parameters.action_period,
-            report_every or parameters.action_period,
-            parameters.substep,
-        )
+        self.clocks = clocks_of(parameters, None, decide_every, report_every)
         self.put_behind(safety or Safety())
         self.starts = [InitialStates(generator, parameters, self.safety.is_safe) for generator in generators]
         self.num_envs = num_envs

@@ -9,12 +9,12 @@ import torch
 from torch import Tensor
 
 from inspection.closed_loop import Controller, is_multiple
-from inspection.environment import InspectionEnv
+from inspection.environment import InspectionEnv, clocks_of
 from inspection.termination import terminal_conditions
 from ppo.network import Policy
 from rta.qp import Status
 from study.config import TEST_CASES, Config
-from study.errors import InputError
+from study.errors import InputError, refusing
 from study.experiment import Experiment, load_policy, test_cases
 from study.flight.controllers import agent, classical
 from study.flight.state_files import STATE_FIELDS, read_state
@@ -23,23 +23,15 @@ MAX_ROWS = 10**7
 SCALARS = ("time", "inspected_score", "temperature", "energy", "sun_angle")
 
 
-def check_step(step: float, duration: float, config: Config) -> None:
-    """Refuses rows every `step` s that do not fit the other clocks of a simulation, or that have no end."""
-    c = config.inspection
-    if step < 1e-3 or duration / min(step, c.substep) > MAX_ROWS:
+def check_rows(step: float, duration: float, config: Config, decide_every: float) -> None:
+    """Refuses rows every `step` s without end, or that do not fit the other clocks."""
+    if step < 1e-3 or duration / min(step, config.inspection.substep) > MAX_ROWS:
         raise InputError(
             f"--duration {duration:g} at --step {step:g}: at most {MAX_ROWS:,} steps of at least 1 ms"
         )
-    periods = {"the agent's period": c.action_period}
-    if config.train.rta:
-        periods = {"--rta-period": config.rta.period} | periods
-    for name, other in periods.items():
-        if not (is_multiple(step, other) or is_multiple(other, step)):
-            raise InputError(f"--step {step:g}: must divide {name}, {other:g} s, or be a multiple of it")
-    if step > c.substep and not is_multiple(step, c.substep):
-        raise InputError(f"--step {step:g}: must be a multiple of the integration step, {c.substep:g} s")
-    if not is_multiple(duration, step):
-        raise InputError(f"--duration {duration:g}: must be a multiple of --step, {step:g} s")
+    with refusing(f"--step {step:g}, --duration {duration:g}", ValueError):
+        period = config.rta.period if config.train.rta else None
+        clocks_of(config.inspection, period, decide_every, step).count(duration)
 
 
 def starting_point(path: str | None, experiment: Experiment, seed: int) -> tuple[Tensor, Tensor]:
@@ -58,15 +50,14 @@ def simulate(
     x: Tensor,
     priority: Tensor,
     duration: float,
-    step: float | None = None,
     until_ended: bool = False,
 ) -> dict[str, np.ndarray]:
-    """Simulates one spacecraft.
+    """Simulates one spacecraft, with a row at every report of the environment's clocks.
 
     Args:
         env: of one episode; its safety holds the filter, if any. Points are inspected every action period.
         x, priority: initial state (16, 1) and priority vector (3, 1).
-        duration: s; step: s between two rows; None: a row at every report of the environment's clocks.
+        duration: s.
         until_ended: stop at the first terminal condition of an episode.
 
     Returns:
@@ -76,7 +67,6 @@ def simulate(
         `parameters`, the only one not over time, is the task's table of a configuration file.
     """
     c = env.c
-    step = step or env.clocks.report
     env.start(x, priority)
     rows: list[dict[str, Tensor]] = []
 
@@ -99,7 +89,7 @@ def simulate(
     for hold in env.fly(controller, duration):
         if hold.decided:
             decision = hold.desired
-        if hold.time == 0.0 or is_multiple(hold.time, step):
+        if hold.time == 0.0 or is_multiple(hold.time, env.clocks.report):
             intervened = row(hold.time, hold.state, decision, hold.applied)
         if hold.correction is not None:
             intervened |= hold.correction.program_status[:, 0] > Status.UNTOUCHED
@@ -149,17 +139,16 @@ def run(
         raise InputError("--actions F.npy is needed by --controller recorded and by no other")
     policy, base = load_policy(checkpoint) if checkpoint else (None, Config())
     config = configure(base.unsettled())
-    check_step(step, duration, config)
+    decide_every = config.inspection.action_period if policy else step
+    check_rows(step, duration, config, decide_every)
     experiment = Experiment(config, 1, duration)
-    x, priority = starting_point(initial_state, experiment, seed)
-    report_every = min(step, config.inspection.action_period)
+    start = starting_point(initial_state, experiment, seed)
+    env = experiment.env(1, decide_every=decide_every, report_every=step)
     if policy:
-        env = experiment.env(1, report_every=report_every)
-        decide = agent(policy.to(experiment.device), env)
+        commander = agent(policy.to(experiment.device), env)
     else:
-        env = experiment.env(1, decide_every=step, report_every=report_every)
-        decide = classical(controller, actions, config, step, seed)
-    return simulate(env, decide, x, priority, duration, step), config
+        commander = classical(controller, actions, config, step, seed)
+    return simulate(env, commander, *start, duration), config
 
 
 def described(episode: dict[str, np.ndarray]) -> str:

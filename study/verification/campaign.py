@@ -11,6 +11,7 @@ import numpy as np
 import torch
 from tqdm import tqdm
 
+from inspection.environment import clocks_of
 from ppo.network import Policy
 from rta.constraints import CONSTRAINTS
 from study.config import Config
@@ -125,7 +126,10 @@ def verify(
     if policy.startswith("checkpoint:"):
         network, base = load_policy(policy.removeprefix("checkpoint:"))
         weights = digest(network)
-    experiment = Experiment(configure(base), BATCH, seconds=-(-episodes // BATCH) * duration)
+    config = configure(base.unsettled())
+    with refusing(f"--duration {duration}", ValueError):
+        clocks_of(config.inspection, config.rta.period, None, CHECK_EVERY).count(duration)
+    experiment = Experiment(config, BATCH, seconds=-(-episodes // BATCH) * duration)
     campaign = Campaign(policy, experiment.filter.period, duration, seed, BATCH, weights)
     network = network.to(experiment.device) if network else None
     reports = run(campaign, episodes, experiment, network, path)
