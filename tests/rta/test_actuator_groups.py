@@ -10,19 +10,22 @@ from numpy import ndarray
 from torch import Tensor
 
 from inspection.parameters import InspectionParameters
-from rta.constraints import Constraint
+from rta.constraints import CONSTRAINTS, Constraint
 from rta.filter import SafetyFilter
 from rta.qp import Status
 from rta.rows import ActuatorGroup, Rows
-from tests.rta.test_constraints import entries, paper, tensor
+from tests.rta.test_constraints import entries, length, paper, tensor
 from tests.rta.test_lie_derivatives import (
     PSM,
     PSM_DRIFT_TOLERANCE,
     PSM_PUSH_TOLERANCE,
+    ROWS_OF_THRUST,
+    ROWS_OF_TORQUE,
     THRUST,
     TORQUE,
     R,
     X,
+    attainable,
     drift,
     held,
     near,
@@ -31,10 +34,13 @@ from tests.rta.test_lie_derivatives import (
     thrust_barriers,
     thrust_fall,
     thrust_gain,
+    thrust_values,
     torque_barriers,
+    torque_fall,
+    torque_values,
     turn,
 )
-from tests.rta.test_own_constraints import cone, numpy_cone, sphere
+from tests.rta.test_own_constraints import SECOND, cone, numpy_cone, sphere
 
 C = InspectionParameters()
 PAPERS = entries(C, R)
@@ -45,6 +51,10 @@ CONE = Constraint("cone", cone, "torque", (0.05, 0.2), 0.02)
 
 def group(*constraints: Constraint) -> ActuatorGroup:
     return ActuatorGroup(constraints[0].held_by, constraints, C, R)
+
+
+def names_in(names: tuple[str, ...], order: list[int]) -> tuple[str, ...]:
+    return tuple(names[i] for i in order)
 
 
 def assert_equal(rows: Rows, expected: Rows) -> None:
@@ -88,7 +98,9 @@ def test_thrust_rows_in_another_order_equal_finite_differences() -> None:
     for axis in range(3):
         near_rows(rows.a[:, axis], slope(psi, X, push(held(X), axis), 1e-3), PSM_PUSH_TOLERANCE)
     alpha = thrust_gain(thrust_barriers(X)) * (thrust_barriers(X) - THRUST[1])
-    expected = slope(psi, X, drift(X, C), 3e-4) + (alpha - thrust_fall(X))[order]
+    asked = slope(psi, X, drift(X, C), 3e-4) + (alpha - thrust_fall(X))[order]
+    of_row = names_in(ROWS_OF_THRUST, order)
+    expected = attainable(asked, rows.a.numpy(), thrust_values(X)[order], of_row, 1.0)
     near_rows(rows.b, expected, PSM_DRIFT_TOLERANCE)
     near_rows(rows.psi, psi(X), 1e-4)
     np.testing.assert_allclose(rows.h, paper(X)[[6, 3, 1, 0]], rtol=0, atol=1e-4)
@@ -105,7 +117,9 @@ def test_torque_rows_of_both_degrees_in_another_order_equal_finite_differences()
     for axis in range(3):
         near(rows.a[:4, axis], slope(psi, X, turn(X, axis, C), 1e-4))
     gain, margin = TORQUE[:, order]
-    near(rows.b[:4], slope(psi, X, drift(X, C), 1e-3) + gain * (psi(X) - margin))
+    asked = slope(psi, X, drift(X, C), 1e-3) + gain * (psi(X) - margin) - torque_fall(X, C)[order]
+    h, of_row = torque_values(X, C)[order], names_in(ROWS_OF_TORQUE, order)
+    near(rows.b[:4], attainable(asked, rows.a[:4].numpy(), h, of_row, C.max_torque))
     near(rows.psi[:4], psi(X) - margin)
     near(rows.h[:4], paper(X)[[11, 9, 10, 7]])
     near(rows.h[4], numpy_cone(X))
@@ -175,9 +189,13 @@ def test_result_joins_the_rows_of_an_entry() -> None:
 @pytest.mark.parametrize("loss", [0.03, lambda x: 0.001 * x[0].abs()], ids=["number", "function"])
 @pytest.mark.parametrize("name", ["collision", "passive_safety", "sphere", "battery"])
 def test_loss_is_taken_off_both_sides(name: str, loss) -> None:
+    """Within the limit; beyond it rows are held to what the actuators give."""
     entry = replace((PAPERS | {"sphere": SPHERE})[name], loss=0.0)
-    bare, rows = group(entry)(STATES), group(replace(entry, loss=loss))(STATES)
-    lost = loss(STATES) if callable(loss) else torch.full_like(STATES[0], loss)
+    h = length(SECOND - X[:3]) - 50 if name == "sphere" else paper(X)[CONSTRAINTS.index(name)]
+    x = STATES[:, torch.from_numpy(h >= 0)]
+    assert x.shape[1] >= 90
+    bare, rows = group(entry)(x), group(replace(entry, loss=loss))(x)
+    lost = loss(x) if callable(loss) else torch.full_like(x[0], loss)
     assert (lost > 0).all()
     assert_equal(rows, replace(bare, b=bare.b - lost, b_bare=bare.b_bare - lost))
 

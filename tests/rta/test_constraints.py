@@ -107,12 +107,18 @@ def speed_limit(x: ndarray) -> ndarray:
 
 
 def keep_in_curve(x: ndarray, floor: float = 0.0) -> ndarray:
-    """sqrt(2 (a_max - v_t^2 / |p|) (800 - |p|)) - v_pr, at least a tenth of a_max left to brake."""
+    """sqrt(2 (a_max - v_t^2 / |p|) (800 - |p|)) - v_pr, at least a tenth of a_max left to brake, all of it outside.
+
+    Nearer to 800 m than a floor the root is its chord, outside its tangent.
+    """
     distance = length(x[:3])
     radial = (x[:3] * x[3:6]).sum(0) / distance
     across = np.cross(x[:3], x[3:6], axis=0) / distance
     braking = np.maximum(A_MAX - (across**2).sum(0) / distance, A_MAX / 10)
-    return np.sqrt(braking / A_MAX) * root(800 - distance, floor) - radial
+    inside = np.sqrt(braking / A_MAX) * root(800 - distance, floor)
+    tangent = (distance - 800 + floor) / (2 * math.sqrt(floor or 1.0))
+    beyond = math.sqrt(2 * A_MAX) * np.where(distance - 800 < floor, tangent, np.sqrt(np.abs(800 - distance)))
+    return np.where(distance > 800, -beyond, inside) - radial
 
 
 def passive_safety(x: ndarray, start: float = 0.0, end: float = 500.0) -> ndarray:
@@ -204,7 +210,7 @@ def at_the_edge(count: int, distance: float, within: float) -> ndarray:
 
 @pytest.mark.parametrize("period", PERIODS)
 def test_keep_in_curve_equals_numpy(period: float) -> None:
-    """Which is exact but for a chord at the edge."""
+    """Which is exact but for a chord inside the edge and a tangent outside."""
     r = RtaParameters(period=period)
     floor, zone = chord(C, r), entries(C, r)["keep_in_zone"]
     assert floor == max(0.05, 2 * A_MAX * period**2)
@@ -214,6 +220,23 @@ def test_keep_in_curve_equals_numpy(period: float) -> None:
     assert far.mean() > 0.9
     x = states(1000)[:, far]
     np.testing.assert_allclose(enforced(zone, x)[0], keep_in_curve(x), rtol=0, atol=2e-12)
+
+
+@pytest.mark.parametrize("period", PERIODS)
+def test_neither_speed_across_nor_the_way_out_raises_the_keep_in_curve(period: float) -> None:
+    distance, across = np.meshgrid(np.linspace(780, 820, 4001), np.linspace(0, 7, 71), indexing="ij")
+    x = np.zeros((16, *distance.shape))
+    x[0], x[3], x[4] = distance, 0.5, across
+    r = RtaParameters(period=period)
+    zone = entries(C, r)["keep_in_zone"]
+    curve = enforced(zone, x)[0]
+    assert (np.diff(curve, axis=1) <= 1e-12).all()
+    assert (np.diff(curve, axis=0) <= 1e-12).all()
+    assert (curve <= zone.h(tensor(x)).numpy() + 1e-12).all()
+    x = x[:, 0, :2]
+    x[0] = 800, np.nextafter(800, 801)
+    inside, outside = enforced(zone, x)[0]
+    assert inside - outside == pytest.approx(math.sqrt(A_MAX * chord(C, r) / 2), abs=1e-9)
 
 
 @pytest.mark.parametrize("period", PERIODS)

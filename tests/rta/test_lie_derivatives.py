@@ -16,7 +16,7 @@ from torch import Tensor
 from inspection.dynamics import control_matrix
 from inspection.dynamics import drift as torch_drift
 from inspection.parameters import InspectionParameters
-from rta.constraints import Constraint
+from rta.constraints import CONSTRAINTS, Constraint
 from rta.filter import SafetyFilter
 from rta.lie_derivatives import lie_derivative, lie_derivatives
 from rta.parameters import RtaParameters
@@ -72,6 +72,8 @@ TORQUE = np.array(
 TOLERANCE = 1e-7
 PSM_PUSH_TOLERANCE, PSM_DRIFT_TOLERANCE = 1e-2, 1e-3
 PSM = slice(3, 8)
+ROWS_OF_THRUST = (*CONSTRAINTS[:3], *["passive_safety"] * 5, *CONSTRAINTS[4:7])
+ROWS_OF_TORQUE = CONSTRAINTS[7:]
 
 
 def panel(c: InspectionParameters) -> float:
@@ -137,10 +139,17 @@ def slope(h: Callable[[ndarray], ndarray], x: ndarray, direction: ndarray, step:
     return (h(x + step * direction) - h(x - step * direction)) / (2 * step)
 
 
-def thrust_barriers(x: ndarray) -> ndarray:
-    """(11, B), the keep-in zone by the thrust left, one passive safety row per segment."""
+def thrust_values(x: ndarray) -> ndarray:
+    """The paper's h of each row, (11, B), one passive safety row per segment."""
     h = paper(x)
-    return np.stack((*h[:2], keep_in_curve(x), *(passive_safety(x, *span) for span in SEGMENTS), *h[4:7]))
+    return np.stack((*h[:3], *(passive_safety(x, *span) for span in SEGMENTS), *h[4:7]))
+
+
+def thrust_barriers(x: ndarray) -> ndarray:
+    """(11, B), the keep-in zone by the thrust left."""
+    h = thrust_values(x)
+    h[2] = keep_in_curve(x)
+    return h
 
 
 def thrust_gain(psi: ndarray) -> ndarray:
@@ -158,14 +167,51 @@ def thrust_fall(x: ndarray) -> ndarray:
 
 
 def first_psi(x: ndarray, c: InspectionParameters) -> ndarray:
-    """L_f h + k1 h without margins, (3, B), of exclusion, temperature and battery at a period of 1 s."""
+    """L_f h + alpha(h) without margins, (3, B), of exclusion, temperature and battery at a period of 1 s.
+
+    k1 h, and beyond a limit k2 h, at most half of the rate of a turn, of cooling in the dark, of full charge.
+    """
     along = orientation(x + 1e-30j * drift(x, c), panel(c)).imag / 1e-30
-    return along + K1[:, None] * orientation(x, panel(c))
+    h = orientation(x, panel(c))
+    cooling, charge = 5.67051e-8 * 0.06 * 0.03 * 283.15**4 / 1800, (983.3 * 0.77 * 0.03 - 15) / 1000
+    half = np.array([[math.radians(2)], [cooling], [charge]]) / 2
+    return along + np.where(h < 0, np.maximum(TORQUE[0][:3] * h, -half), K1[:, None] * h)
+
+
+def torque_values(x: ndarray, c: InspectionParameters) -> ndarray:
+    """The paper's h, (6, B)."""
+    return np.concatenate((orientation(x, panel(c)), np.radians(2) ** 2 - x[10:13] ** 2))
 
 
 def torque_barriers(x: ndarray, c: InspectionParameters) -> ndarray:
     """(6, B)."""
-    return np.concatenate((first_psi(x, c), np.radians(2) ** 2 - x[10:13] ** 2))
+    return np.concatenate((first_psi(x, c), torque_values(x, c)[3:]))
+
+
+def torque_fall(x: ndarray, c: InspectionParameters) -> ndarray:
+    """(6, B): omega^2 bends by alpha^2 t^2 beyond its limit, within it the plant saturates."""
+    fall = np.zeros((6, x.shape[1]))
+    bent = min((c.max_torque / min(c.inertia)) ** 2, 0.5 * R.rate_gain * math.radians(2) ** 2)
+    fall[3:] = np.where(torque_values(x, c)[3:] < 0, bent, 0.0)
+    return fall
+
+
+def attainable(b: ndarray, a: ndarray, h: ndarray, names: tuple[str, ...], limit: float) -> ndarray:
+    """b (R, B), where a row's h (R, B) is negative no lower than what actuators of `limit` give along a (R, 3, B).
+
+    That is `limit` |a|, no more than what the rows of the body rates leave about each axis; for the chief all that
+    is there.
+    """
+    room = np.full_like(a, limit)
+    for i, name in enumerate(names):
+        if name.startswith("angular_velocity"):
+            axis = "xyz".index(name[-1])
+            left = np.clip(b[i] / np.abs(a[i, axis]), 0, limit)
+            room[:, axis] = np.where(a[:, axis] * a[i, axis] < 0, left, limit)
+    everything = (np.abs(a) * room).sum(1)
+    along = np.minimum(limit * np.sqrt((a**2).sum(1)), everything)
+    chief = np.array(names)[:, None] == "collision"
+    return np.where(h < 0, np.maximum(b, -np.where(chief, everything, along)), b)
 
 
 def flying(count: int = 100) -> ndarray:
@@ -185,7 +231,18 @@ def flying(count: int = 100) -> ndarray:
     return x[:, clear][:, :count]
 
 
-X = flying()
+def beyond_the_limits() -> ndarray:
+    """(16, 100) states in flight, outside the zone, many too fast, too hot, too low or turning too fast."""
+    rng, x = np.random.default_rng(2), flying()
+    count = x.shape[1]
+    x[:3] *= (800 + rng.uniform(1, 20, count)) / length(x[:3])
+    x[3:6] *= rng.uniform(1, 8, count) / length(x[3:6])
+    x[10:13] *= rng.uniform(0.5, 2, count)
+    x[13], x[14] = rng.uniform(9, 12, count), rng.uniform(0.5, 1.5, count)
+    return x
+
+
+X, BEYOND = flying(), beyond_the_limits()
 
 
 @pytest.fixture(scope="module", params=SPACECRAFT)
@@ -243,7 +300,9 @@ def test_thrust_rows_without_control_equal_finite_differences(case: tuple) -> No
     c, thrust, _ = case
     psi = thrust_barriers(X)
     alpha = thrust_gain(psi) * (psi - THRUST[1])
-    expected = slope(thrust_barriers, X, drift(X, c), 3e-4) + alpha - thrust_fall(X)
+    asked = slope(thrust_barriers, X, drift(X, c), 3e-4) + alpha - thrust_fall(X)
+    expected = attainable(asked, thrust.a.numpy(), thrust_values(X), ROWS_OF_THRUST, 1.0)
+    assert ((expected > asked).sum(1) > 0)[[0, 1]].all()
     near(thrust.b[PSM], expected[PSM], PSM_DRIFT_TOLERANCE)
     expected[PSM] = thrust.b[PSM]
     near(thrust.b, expected)
@@ -253,15 +312,56 @@ def test_torque_rows_without_control_equal_finite_differences(case: tuple) -> No
     c, _, torque = case
     gain, margin = TORQUE
     along = slope(lambda x: torque_barriers(x, c), X, drift(X, c), 1e-3)
-    near(torque.b, along + gain * (torque_barriers(X, c) - margin))
+    asked = along + gain * (torque_barriers(X, c) - margin) - torque_fall(X, c)
+    near(torque.b, attainable(asked, torque.a.numpy(), torque_values(X, c), ROWS_OF_TORQUE, c.max_torque))
+
+
+@pytest.mark.parametrize("name", SPACECRAFT)
+def test_thrust_rows_beyond_the_limits_equal_finite_differences(name: str) -> None:
+    c, x = SPACECRAFT[name], BEYOND
+    h, psi = thrust_values(x), thrust_barriers(x)
+    gain, (_, margin, _) = thrust_gain(psi), THRUST
+    asked = slope(thrust_barriers, x, drift(x, c), 3e-4) + gain * (psi - margin) - thrust_fall(x)
+    a = np.stack([slope(thrust_barriers, x, push(held(x), i), 1e-3) for i in range(3)], 1)
+    assert_rows_beyond(SafetyFilter(c, R).groups[0](tensor(x)), h, a, asked, gain * margin, 1.0)
+
+
+@pytest.mark.parametrize("name", SPACECRAFT)
+def test_torque_rows_beyond_the_limits_equal_finite_differences(name: str) -> None:
+    c, x, (gain, margin) = SPACECRAFT[name], BEYOND, TORQUE
+
+    def barriers(y: ndarray) -> ndarray:
+        return torque_barriers(y, c)
+
+    h = torque_values(x, c)
+    asked = slope(barriers, x, drift(x, c), 3e-4) + gain * (barriers(x) - margin) - torque_fall(x, c)
+    a = np.stack([slope(barriers, x, turn(x, i, c), 1e-4) for i in range(3)], 1)
+    assert_rows_beyond(SafetyFilter(c, R).groups[1](tensor(x)), h, a, asked, gain * margin, c.max_torque)
+
+
+def assert_rows_beyond(
+    rows: Rows, h: ndarray, a: ndarray, asked: ndarray, margin: ndarray, limit: float
+) -> None:
+    """All but those of the chief and of passive safety, which are fulfilled out there."""
+    names = ROWS_OF_THRUST if len(h) == len(ROWS_OF_THRUST) else ROWS_OF_TORQUE
+    chosen = [i for i, name in enumerate(names) if name not in ("collision", "passive_safety")]
+    assert ((h < 0).sum(1) >= 5)[chosen].all()
+    near(rows.a[chosen], a[chosen])
+    near(rows.b[chosen], attainable(asked, a, h, names, limit)[chosen])
+    near(rows.b_bare[chosen], attainable(asked + margin, a, h, names, limit)[chosen])
 
 
 def test_margins_are_what_they_add_to_the_rows(case: tuple) -> None:
-    gains = thrust_gain(case[1].psi.numpy()), TORQUE[0]
-    for rows, gain, margin in zip(case[1:], gains, (THRUST[1], TORQUE[1]), strict=True):
-        np.testing.assert_allclose(
-            rows.b_bare - rows.b, np.broadcast_to(gain * margin, rows.b.shape), atol=1e-12
-        )
+    """Beyond a limit at most: there both are held to what the actuators give."""
+    c, thrust, torque = case
+    kinds = (
+        (thrust, thrust_values(X), thrust_gain(thrust.psi.numpy()), THRUST[1]),
+        (torque, torque_values(X, c), *TORQUE),
+    )
+    for rows, h, gain, margin in kinds:
+        added, expected = (rows.b_bare - rows.b).numpy(), np.broadcast_to(gain * margin, rows.b.shape)
+        np.testing.assert_allclose(added[h >= 0], expected[h >= 0], atol=1e-12)
+        assert ((added >= 0) & (added <= expected + 1e-12))[h < 0].all()
 
 
 def test_first_psi_has_its_margin_spent(case: tuple) -> None:
@@ -315,6 +415,8 @@ def test_psi_of_a_slab_is_its_closed_form() -> None:
     psi = fall + k1 * (h - margin)
     near(rows.h[0], h)
     near(rows.psi[0], psi)
-    near(rows.b[0], -2 * rate**2 + 2 * MEAN_MOTION**2 * z**2 + k1 * fall + k2 * psi)
-    near(rows.b_bare[0] - rows.b[0], np.full_like(z, k1 * k2 * margin))
-    near(rows.a[0], np.stack([-2 * z * push(held(X), i)[5] for i in range(3)]))
+    a = np.stack([-2 * z * push(held(X), i)[5] for i in range(3)])
+    near(rows.a[0], a)
+    asked = -2 * rate**2 + 2 * MEAN_MOTION**2 * z**2 + k1 * fall + k2 * psi
+    for b, actual in ((asked, rows.b), (asked + k1 * k2 * margin, rows.b_bare)):
+        near(actual, attainable(b[None], a[None], h[None], ("slab",), 1.0))

@@ -121,8 +121,8 @@ def test_slack_weights_are_those_of_the_stage_used(result: dict[str, ndarray]) -
 
 
 def test_each_constraints_row_is_the_one_that_binds(result: dict[str, ndarray]) -> None:
-    left = (result["A_all"] @ result["control_safe"][..., None])[..., 0] + result["b_all"]
-    shown = (result["A"] @ result["control_safe"][..., None])[..., 0] + result["b"]
+    u = result["control_safe"][:, None]  # a product of matrices would round by their size
+    left, shown = ((result[a] * u).sum(2) + result[b] for a, b in (("A_all", "b_all"), ("A", "b")))
     for i in range(13):
         own = left[:, result["constraint_of_row"] == i]
         np.testing.assert_array_equal(shown[:, i], own.min(1))
@@ -142,14 +142,19 @@ def test_conditions_hold_to_within_the_slack(result: dict[str, ndarray]) -> None
 def test_rows_are_the_rates_of_the_papers_constraints(
     given: dict[str, ndarray], result: dict[str, ndarray]
 ) -> None:
-    """L_f h + L_g h u of dynamic speed against central differences along the simulated flight."""
+    """L_f h + L_g h u of dynamic speed against central differences along the simulated flight.
+
+    Beyond the limit the row asks for no more than the 1/12 m/s^2 that 1 N gives.
+    """
     i = CONSTRAINTS.index("dynamic_speed")
     x, u, dt = torch.from_numpy(given["state"].T), torch.from_numpy(result["control_safe"].T), 1e-3
     y = torch.from_numpy(held(x.numpy()))  # thrust acts along the attitude of mid-period
     ahead, behind = (paper(step(y, u, duration, C).numpy())[i] for duration in (dt, -dt))
     rate = (ahead - behind) / (2 * dt)
-    left = (result["A"][:, i] * result["control_safe"]).sum(1) + result["b"][:, i]
-    expected = rate + RtaParameters().speed_gain * result["h"][:, i] - thrust_fall(x.numpy())[i]
+    pushed, h = (result["A"][:, i] * result["control_safe"]).sum(1), paper(x.numpy())[i]
+    left = pushed + result["b"][:, i]
+    expected = rate + RtaParameters().speed_gain * h - thrust_fall(x.numpy())[i]
+    expected = np.where(h < 0.0, np.maximum(expected, pushed - 1 / 12), expected)
     fast = x[3:6].norm(dim=0).numpy() > 0.1  # |v| bends too much for differences at rest
     np.testing.assert_allclose(left[fast], expected[fast], atol=1e-6)
 
