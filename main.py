@@ -46,14 +46,14 @@ def run_train(configure: Configure, run_dir: str | None = None, resume: str | No
 
 def run_study(configure: Configure, study_dir: str = "runs/study") -> None:
     """main.py study"""
-    from study.training import run as training
-    from study.training import study as arms
+    from study.training.run import Stopped
+    from study.training.study import read_settings, train_and_evaluate
 
     directory = Path(study_dir)
-    config = configure(arms.read_settings(directory) or StudyConfig())
+    config = configure(read_settings(directory) or StudyConfig())
     try:
-        print(arms.train_and_evaluate(config, directory))
-    except training.Stopped as stopped:
+        print(train_and_evaluate(config, directory))
+    except Stopped as stopped:
         print(stopped)
 
 
@@ -120,14 +120,13 @@ def run_simulate(
 
 def run_replay(runs: list[str], out: str) -> None:
     """main.py replay"""
-    from study.replay import page as replay
-    from study.replay import scene as replay_data
+    from study.replay import page, scene
 
     if len(runs) > 2:
         raise InputError(f"{len(runs)} runs: at most two are shown side by side")
     check_writable(out, "--out")
-    size = replay.write(runs, Path(out))
-    print(f"{replay_data.printable(out)}: {1e-6 * size:.1f} MB, opens in a browser without a network")
+    size = page.write(runs, Path(out))
+    print(f"{scene.printable(out)}: {1e-6 * size:.1f} MB, opens in a browser without a network")
 
 
 def run_filter(configure: Configure, states: str, out: str) -> None:
@@ -170,28 +169,27 @@ def run_benchmark(
     figure: str | None = None,
 ) -> None:
     """main.py benchmark"""
-    from study.benchmark import measure as benchmark
-    from study.benchmark import presentation as benchmark_report
+    from study.benchmark import measure, presentation
 
     check_writable(json, "--json")
     check_writable(figure, "--figure")
-    results = benchmark.benchmark(configure(Config()), batches or benchmark.BATCHES)
-    print(benchmark_report.table(results))
+    results = measure.benchmark(configure(Config()), batches or measure.BATCHES)
+    print(presentation.table(results))
     if json:
         write_json(json, results)
     if figure:
         with writing(figure) as file:
-            benchmark_report.figure(results, file)
+            presentation.figure(results, file)
 
 
 def run_export(checkpoint: str, out: str) -> None:
     """main.py export"""
-    from study import experiment as build
+    from study.experiment import load_policy
 
     with refusing("export needs the packages onnx and onnxruntime of requirements.txt", ImportError):
         from study import export
     check_writable(out, "--out")
-    policy, config = build.load_policy(checkpoint)
+    policy, config = load_policy(checkpoint)
     model = export.to_onnx(policy, config.inspection)
     difference = export.check(model, policy)
     with writing(out) as file:

@@ -266,7 +266,7 @@ def test_the_first_rank_to_notice_an_end_speaks_for_all(
     def train(rank: int, error: Exception) -> int:
         """Exit code of a rank that stops so."""
         monkeypatch.setattr(main, "ranks", lambda: Ranks(rank, 3, store))
-        monkeypatch.setitem(main.COMMANDS, "train", Mock(side_effect=error))
+        monkeypatch.setitem(main.HANDLERS, "train", Mock(side_effect=error))
         return main.main(["train"])
 
     previous = signal.getsignal(signal.SIGTERM)

@@ -8,8 +8,8 @@ import torch
 
 from inspection.environment import METRICS
 from inspection.guidance import recorded
-from study import experiment as build
 from study.config import Config, TrainParameters
+from study.experiment import Experiment
 from study.flight.figures import effort, pointing
 from study.flight.simulation import simulate, starting_point
 
@@ -33,17 +33,17 @@ def test_pointing(quaternion: list[float], position: list[float], expected: floa
 
 def test_effort_is_what_the_environment_counts() -> None:
     config = Config(train=TrainParameters(rta=False, device="cpu", compile="off"))
-    safety, device = build.for_command(config, 60.0, 1)
-    x, priority = starting_point(None, config, seed=3)
+    experiment = Experiment(config, 1, 60.0)
+    start = starting_point(None, experiment, seed=3)
     actions = torch.rand(6, 6, generator=torch.Generator().manual_seed(0), dtype=torch.float64) * 2 - 1
 
-    env = build.one_episode(config, safety, device)
-    env.start(x, priority)
+    env = experiment.env(1)
+    env.start(*start)
     metrics = [env.step(action[None]).metrics[:, 0] for action in actions]
 
-    env = build.one_episode(config, safety, device)
+    env = experiment.env(1, report_every=1.0)
     controls = (actions * env.limit[:, 0]).numpy()
-    episode = simulate(env, recorded(controls, 10.0), x, priority, 60.0, 1.0, 10.0)
+    episode = simulate(env, recorded(controls, 10.0), *start, 60.0)
     delta_v, torque = effort(episode, config.inspection)
 
     at_steps = slice(10, None, 10)
