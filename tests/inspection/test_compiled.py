@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 import torch
 from torch import Tensor
+from torch.fx.experimental.proxy_tensor import make_fx
 
 from inspection import compiled
-from inspection.compiled import Compiled
+from inspection.compiled import Compiled, without_repetitions
 from inspection.parameters import InspectionParameters
 from rta.filter import FilterResult, SafetyFilter
 from rta.parameters import RtaParameters
@@ -65,6 +66,24 @@ def test_what_was_compiled_is_not_compiled_again(cache: Path, monkeypatch: pytes
     Compiled(polynomial, *arguments(1))(x, y)
     with pytest.raises(TypeError):  # another constant
         Compiled(lambda x, y: [x + 1.5, *polynomial(x, y)], *arguments(1))
+
+
+def test_what_is_written_twice_is_computed_once() -> None:
+    def twice(x: Tensor) -> Tensor:
+        first, second = (x * x.new_tensor([[2.0], [3.0]]) for _ in range(2))
+        other = x * x.new_tensor([[2.0], [4.0]])
+        return first.sin() + second.sin() + other.sin()
+
+    x, _ = arguments(4)
+    traced = make_fx(torch.func.functionalize(twice, remove="mutations"))(x[:2])
+    short = without_repetitions(traced)
+    operations = [
+        len(graph.graph.find_nodes(op="call_function", target=target))
+        for graph in (traced, short)
+        for target in (torch.ops.aten.mul.Tensor, torch.ops.aten.sin.default)
+    ]
+    assert operations == [3, 3, 2, 2]
+    assert torch.equal(short(x[:2]), twice(x[:2]))
 
 
 def test_compiled_filter_equals_the_eager_one(

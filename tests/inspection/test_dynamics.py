@@ -11,7 +11,6 @@ from scipy.linalg import expm
 from scipy.spatial.transform import Rotation
 
 from inspection import dynamics
-from inspection.parameters import InspectionParameters
 from inspection.state import OMEGA, THETA_S, E, P, Q, T, V
 
 N, MASS = 0.001027, 12.0
@@ -243,25 +242,6 @@ def test_battery_balance(c, axis, theta_s, watts):
     # full Sun: 983.3 * 0.77 * 0.03 - 15 W; behind the panels only the draw
     rate = dynamics.drift(still(theta_s=theta_s), replace(c, solar_panel_axis=axis))[E]
     np.testing.assert_allclose(1000.0 * rate, watts, rtol=1e-12)
-
-
-def test_actuator_limits_are_the_papers(c):
-    assert c.max_torque == pytest.approx(0.0573 * 0.017453) == pytest.approx(0.001, rel=1e-3)
-    assert replace(c, max_wheel_acceleration=10.0).max_torque == pytest.approx(4.1e-4)
-    assert replace(c, inertia=(0.05, 0.02, 0.03)).max_torque == pytest.approx(0.02 * 0.017453)
-    assert c.control_limit == (1.0,) * 3 + (c.max_torque,) * 3
-
-
-def test_max_acceleration_is_thrust_less_the_worst_drift(c):
-    # v_max = 0.2 + 7.5 n 800 = 6.362, cut to 5 m/s: 1/12 - 3 n^2 800 - 2 n 5
-    assert c.max_acceleration == pytest.approx(0.0833333 - 0.0025313 - 0.0102700, abs=1e-6)
-    assert c.max_acceleration == pytest.approx(0.0705, abs=5e-5)
-
-
-def test_parameters_name_what_is_wrong():
-    for wrong in ({"mass": -1.0}, {"solar_panel_axis": "x"}, {"inertia": (1.0, 0.0, 1.0)}):
-        with pytest.raises(ValueError, match=next(iter(wrong))):
-            InspectionParameters(**wrong)
 
 
 def test_free_flight_is_the_matrix_exponential(c, random_states):

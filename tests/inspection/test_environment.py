@@ -16,7 +16,7 @@ from inspection.environment import METRICS, InspectionEnv
 from inspection.initial_state import InitialStates
 from inspection.reward import REWARDS
 from inspection.state import THETA_S, E, P, Q, T, V
-from inspection.termination import OUTCOMES, terminal_conditions
+from inspection.termination import OUTCOMES
 
 
 def seeded(seed):
@@ -79,22 +79,6 @@ def random_actions(steps, batch, seed=9):
 def check_equal(one, other):
     for a, b in zip(one, other, strict=True):
         assert all(torch.equal(a[name], b[name]) for name in a)
-
-
-def test_conditions_hold_from_their_thresholds_on(c):
-    x, _ = idle(4)
-    x[1], x[E] = torch.tensor([15.0, 14.999, 800.0, 800.001]), torch.tensor([0.001, 0.0, -0.1, 1.0])
-    score = torch.tensor([0.9499, 0.95, 1.0, 0.0], dtype=torch.float64)
-    time = torch.tensor([12235.0, 12236.0, 12240.0, 0.0], dtype=torch.float64)
-    expected = {
-        "crash": [False, True, False, False],
-        "out_of_bounds": [False, False, False, True],
-        "out_of_power": [False, True, True, False],
-        "success": [False, True, True, False],
-        "timeout": [False, True, True, False],
-    }
-    found = terminal_conditions(x, score, time, c)
-    assert {name: end.tolist() for name, end in found.items()} == expected
 
 
 def test_each_end_names_its_outcome_and_only_the_timeout_truncates(c):
@@ -212,6 +196,75 @@ def test_the_filters_last_control_is_its_next_desired_one(c, period, calls):
     assert len(end.corrections) == calls
     assert end.metrics[3].item() == pytest.approx(halvings * period / 12.0)
     assert end.metrics[4].item() == pytest.approx(halvings * period / 10.0 * c.max_torque)
+
+
+def test_an_action_is_a_control_within_the_actuators_limits(c):
+    control = make(c, 2).control(torch.tensor([[0.5, -1.0, 7.0, 0.0, -0.25, -7.0], [0.0] * 6]))
+    assert control.dtype == torch.float64 and (control[:, 1] == 0.0).all()
+    expected = [0.5, -1.0, 1.0, 0.0, -0.25 * c.max_torque, -c.max_torque]
+    assert control[:, 0].tolist() == pytest.approx(expected)
+
+
+@pytest.mark.parametrize("shape", [(6,), (2, 6), (1, 5), (6, 1)])
+def test_an_action_of_another_shape_is_refused(c, shape):
+    with pytest.raises(ValueError, match=r"action has shape .*: must be \(1, 6\)"):
+        started(c).step(torch.zeros(shape))
+
+
+@pytest.mark.parametrize("decide_every", [None, 5.0, 2.0])
+def test_advancing_asks_the_controller_from_0_s_on_in_every_step(c, decide_every):
+    env, asked = InspectionEnv(1, c, [seeded(0)], decide_every=decide_every), []
+    env.start(*idle(1))
+
+    def controller(t, x):
+        asked.append((t, x[0].item()))
+        return env.limit * torch.tensor([[0.1 * (t + 1), 0, 0, 0, 0, 0]], dtype=torch.float64).T
+
+    first, second = env.advance(controller), env.advance(controller)
+    times = np.arange(0.0, 10.0, decide_every or 10.0)
+    assert [t for t, _ in asked] == [*times, *times]
+    assert asked[len(times)][1] == first.state[0].item() != 0.0
+    assert second.metrics[2].item() == 20.0
+    spent = 2 * (0.1 * (times + 1) * (decide_every or 10.0)).sum() / 12.0
+    assert second.metrics[3].item() == pytest.approx(spent)
+
+
+def test_a_constant_controller_does_what_its_action_does(c):
+    action, (one, other) = random_actions(1, 3)[0], (started(c, 3) for _ in range(2))
+    step, advanced = one.step(action), other.advance(lambda t, x: other.control(action))
+    for name in ("state", "reward", "metrics", "observation"):
+        assert torch.equal(getattr(step, name), getattr(advanced, name))
+
+
+def test_the_filter_is_exchanged_where_its_clock_fits(c):
+    def by(factor, period):
+        def scale(x, desired):
+            return SimpleNamespace(control=factor * desired)
+
+        return Safety(correct=scale, period=period)
+
+    env, action = started(c, safety=by(0.5, 1.0)), torch.tensor([[1.0, 0, 0, 0, 0, 0]])
+    first = env.step(action)
+    env.put_behind(by(0.25, 5.0))
+    second = env.step(action)
+    assert (len(first.corrections), len(second.corrections)) == (10, 2)
+    spent = [(1 - 0.5**10) / 12.0, (0.25 + 0.25**2) * 5.0 / 12.0]
+    assert second.metrics[3].item() == pytest.approx(sum(spent))
+    with pytest.raises(ValueError, match=r"a filter every 0.5 s: the simulator takes 1 s a step"):
+        env.put_behind(by(0.5, 0.5))
+    with pytest.raises(ValueError, match="must be a multiple of 3 s, the time between the filter's calls"):
+        env.put_behind(by(0.5, 3.0))
+    assert env.clocks.filter == env.safety.period == 5.0  # what is refused changes nothing
+
+
+def test_states_are_looked_at_once(c, monkeypatch):
+    env, looked = started(c), []
+    monkeypatch.setattr(env, "look", lambda: looked.append(env.x))
+    env.see(env.x)
+    assert not looked
+    x = env.x.clone()
+    env.see(x)
+    assert len(looked) == 1 and env.x is x
 
 
 def test_points_in_view_at_the_start_are_inspected_at_once(c):

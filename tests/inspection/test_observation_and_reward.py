@@ -1,0 +1,273 @@
+"""What the agent observes, earns and is ended by: against the paper's lists and numbers worked out by hand."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from scipy.linalg import expm
+from scipy.spatial.transform import Rotation
+
+from inspection.observation import OBSERVATIONS, SIZE, observe, scales
+from inspection.reward import REWARDS, rewards
+from inspection.state import E, P, Q, V
+from inspection.termination import OUTCOMES, terminal_conditions
+
+STEP_BY_STEP = ("points", "delta_v", "torque", "orientation", "time")
+AT_THE_END = ("success", "crash", "distance", "energy")
+ENDS = ("crash", "out_of_bounds", "out_of_power", "success", "timeout")
+
+# The 26 observations, recomputed one spacecraft at a time
+
+
+def recompute(x, priority, uninspected, score):
+    """The paper's o, in its order, for one spacecraft."""
+    p, v, omega, (temperature, energy, theta_s) = x[:3], x[3:6], x[10:13], x[13:]
+    to_body = Rotation.from_quat(x[6:10]).inv().apply
+    p_hat, sun = p / np.linalg.norm(p), np.array([math.cos(theta_s), math.sin(theta_s), 0.0])
+    return [
+        np.linalg.norm(p),
+        *to_body(p_hat),
+        np.linalg.norm(v),
+        *to_body(v / np.linalg.norm(v)),
+        *omega,
+        energy,
+        temperature,
+        *to_body(sun),
+        sun @ p_hat,
+        *to_body(priority),
+        priority @ p_hat,
+        *to_body(uninspected),
+        uninspected @ p_hat,
+        score,
+    ]
+
+
+def draw(random_states, generator, batch):
+    directions = torch.randn(2, 3, batch, generator=generator, dtype=torch.float64)
+    priority, uninspected = directions / directions.norm(dim=1, keepdim=True)
+    score = torch.rand(batch, generator=generator, dtype=torch.float64)
+    return random_states(batch), priority, uninspected, score
+
+
+def test_observations_are_the_papers(random_states, generator):
+    arguments = draw(random_states, generator, 8)
+    o = observe(*arguments)
+    expected = [recompute(*(a[..., i].numpy() for a in arguments)) for i in range(8)]
+    np.testing.assert_allclose(o.T, expected, rtol=1e-12, atol=1e-12)
+
+
+def test_at_rest_the_velocity_is_zero_and_nothing_is_nan(random_states, generator):
+    x, *rest = draw(random_states, generator, 3)
+    x[V] = 0.0
+    o = observe(x, *rest)
+    assert (o[4:8] == 0.0).all() and o.isfinite().all()
+
+
+def test_no_uninspected_points_are_seen_as_zeros(random_states, generator):
+    x, priority, _, score = draw(random_states, generator, 3)
+    assert (observe(x, priority, torch.zeros(3, 3).double(), score)[21:25] == 0.0).all()
+
+
+def test_alignment_is_one_where_the_deputy_is_under_the_sun(random_states, generator):
+    x, *rest = draw(random_states, generator, 1)
+    x[:3, 0] = 70.0 * torch.tensor([math.cos(x[15]), math.sin(x[15]), 0.0])
+    np.testing.assert_allclose(observe(x, *rest)[16], 1.0, rtol=1e-7)
+
+
+def test_names_are_in_the_papers_order():
+    assert SIZE == 26
+    names = [name for name, _, _ in OBSERVATIONS]
+    assert names[0] == "position_norm" and names[4] == "velocity_norm"
+    assert names[8:13] == [*(f"angular_velocity_{i}" for i in "xyz"), "energy", "temperature"]
+    alignments = ["sun_alignment", "priority_alignment", "uninspected_alignment"]
+    assert [names[i] for i in (16, 20, 24)] == alignments and names[25] == "inspected_score"
+
+
+def test_units_are_those_of_the_state():
+    units = dict.fromkeys((name for name, _, _ in OBSERVATIONS), "1")
+    units |= {"position_norm": "m", "velocity_norm": "m/s", "energy": "kJ", "temperature": "deg C"}
+    units |= {f"angular_velocity_{i}": "rad/s" for i in "xyz"}
+    assert {name: unit for name, unit, _ in OBSERVATIONS} == units
+
+
+def test_scales_divide_by_the_size_of_each_quantity():
+    divisors = scales(torch.zeros(1, dtype=torch.float64))[:, 0].tolist()
+    assert divisors == [100, 1, 1, 1, 0.866, 1, 1, 1, 0.035, 0.035, 0.035, 10, 10] + [1] * 13
+
+
+def test_normalised_observations_of_flight_are_within_a_few_units(random_states, generator):
+    o = observe(*draw(random_states, generator, 200))
+    assert (o / scales(o)).abs().max() <= 4.0  # at 400 m
+
+
+# The terms of the reward
+
+
+def as_column(numbers):
+    return torch.tensor(numbers, dtype=torch.float64)
+
+
+def at(p, v=(0.0, 0.0, 0.0), yaw=0.0):
+    """One state (16, 1) at p with n_x turned by `yaw` from +x towards +y."""
+    x = torch.zeros(16, 1, dtype=torch.float64)
+    x[P, 0], x[V, 0] = as_column(p), as_column(v)
+    x[Q, 0] = as_column([0.0, 0.0, math.sin(yaw / 2), math.cos(yaw / 2)])
+    return x
+
+
+def terms(c, x=None, new_score=0.0, delta_v=0.0, torque=0.0, time=10.0, ended=()):
+    """Every term as a float, for one spacecraft."""
+    numbers = [as_column([number]) for number in (new_score, delta_v, torque, time)]
+    flags = {name: torch.tensor([name in ended]) for name in ENDS}
+    x = at((60.0, 0.0, 0.0)) if x is None else x
+    return {name: term.item() for name, term in rewards(x, *numbers, flags, c).items()}
+
+
+def drifting(days):
+    """State after (or, negative, before) a pass through the chief's centre at 2 mm/s, drifting 37 m an orbit."""
+    n = 0.001027
+    A = np.zeros((6, 6))
+    A[:3, 3:] = np.eye(3)
+    A[3, 0], A[3, 4], A[4, 3], A[5, 2] = 3 * n**2, 2 * n, -2 * n, -(n**2)
+    state = expm(A * days * 86400.0) @ [0.0, 0.0, 0.0, 0.0, 0.002, 0.0]
+    return at(state[:3], state[3:])
+
+
+def test_the_papers_nine_terms_are_there_in_its_order(c):
+    papers = STEP_BY_STEP + AT_THE_END
+    assert tuple(terms(c)) == REWARDS
+    assert tuple(name for name in REWARDS if name in papers) == papers
+
+
+def test_nothing_is_earned_for_nothing(c):
+    earned = terms(c, time=3010.0)  # the boresight points away from the chief
+    assert {earned[name] for name in STEP_BY_STEP + AT_THE_END} == {0.0}
+
+
+def test_points_earn_their_weight(c):
+    assert terms(c, new_score=0.0375)["points"] == 0.0375
+
+
+def test_delta_v_costs_two_hundredths_per_metre_per_second(c):
+    assert terms(c, delta_v=2.5)["delta_v"] == pytest.approx(-0.05)
+
+
+def test_torque_costs_a_tenth_per_newton_metre(c):
+    assert terms(c, torque=0.003)["torque"] == pytest.approx(-0.0003)
+
+
+@pytest.mark.parametrize(
+    ("yaw", "expected"),  # the cosine between boresight and chief is -cos(yaw) for a deputy on +x
+    [
+        (math.pi, 0.0005),
+        (math.radians(120), 0.0005 * math.exp(-0.5 / 0.15)),
+        (math.radians(135), 0.0005 * math.exp(-(1 - math.sqrt(0.5)) / 0.15)),
+        (math.radians(90.1), 0.0005 * math.exp(-(1 - 0.00174533) / 0.15)),
+        (math.radians(89.9), 0.0),
+        (0.0, 0.0),
+    ],
+)
+def test_orientation_decays_with_misalignment(c, yaw, expected):
+    assert terms(c, at((60.0, 0.0, 0.0), yaw=yaw))["orientation"] == pytest.approx(
+        expected, rel=1e-6, abs=1e-12
+    )
+
+
+@pytest.mark.parametrize(("time", "expected"), [(10.0, 0.001), (3000.0, 0.001), (3010.0, 0.0)])
+def test_time_is_paid_until_3000_s(c, time, expected):
+    assert terms(c, time=time)["time"] == expected
+
+
+def test_success_is_rewarded_when_coasting_stays_clear_of_the_chief(c):
+    in_track = at((0.0, 60.0, 0.0))  # an equilibrium of the Clohessy-Wiltshire equations
+    n, b = c.mean_motion, 40.0
+    ellipse = at((b, 0.0, 0.0), (0.0, -2 * n * b, 0.0))  # closed, never nearer than 40 m
+    assert terms(c, in_track, ended={"success"})["success"] == 1.0
+    assert terms(c, ellipse, ended={"success"})["success"] == 1.0
+
+
+def test_success_is_punished_when_coasting_returns_to_the_chief(c):
+    leaving = at((0.0, 0.0, 60.0), (0.0, 0.0, 0.05))  # z'' = -n^2 z brings it back to the origin
+    assert terms(c, leaving, ended={"success"})["success"] == -1.0
+
+
+@pytest.mark.parametrize(("days", "expected"), [(-1.0, -1.0), (-1.99, -1.0), (-2.2, 1.0), (1.0, 1.0)])
+def test_success_looks_two_days_ahead(c, days, expected):
+    assert terms(c, drifting(days), ended={"success"})["success"] == expected
+
+
+def test_success_uses_both_radii(c):
+    in_track = at((0.0, 14.5, 0.0))
+    assert terms(c, in_track, ended={"success"})["success"] == -1.0
+    assert terms(replace(c, deputy_radius=4.0), in_track, ended={"success"})["success"] == 1.0
+
+
+def test_success_is_judged_per_column(c):
+    x = torch.cat((at((0.0, 60.0, 0.0)), at((0.0, 0.0, 60.0)), at((0.0, 60.0, 0.0))), 1)
+    zero, no = torch.zeros(3, dtype=torch.float64), torch.zeros(3, dtype=torch.bool)
+    ended = dict.fromkeys(ENDS, no) | {"success": torch.tensor([False, True, True])}
+    assert rewards(x, zero, zero, zero, zero, ended, c)["success"].tolist() == [0.0, -1.0, 1.0]
+
+
+@pytest.mark.parametrize(
+    ("term", "end"), [("crash", "crash"), ("distance", "out_of_bounds"), ("energy", "out_of_power")]
+)
+def test_a_failure_costs_one(c, term, end):
+    failed = terms(c, ended={end})
+    assert failed[term] == -1.0
+    assert sum(failed[name] for name in AT_THE_END) == -1.0
+
+
+def test_a_timeout_costs_nothing(c):
+    assert sum(terms(c, ended={"timeout"})[name] for name in AT_THE_END) == 0.0
+
+
+# The five terminal conditions
+
+
+def test_ends_are_named_in_the_order_of_their_priority():
+    assert OUTCOMES == ENDS
+
+
+def test_conditions_hold_from_their_thresholds_on(c):
+    x = torch.zeros(16, 4, dtype=torch.float64)
+    x[1], x[E] = torch.tensor([15.0, 14.999, 800.0, 800.001]), torch.tensor([0.001, 0.0, -0.1, 1.0])
+    score = torch.tensor([0.9499, 0.95, 1.0, 0.0], dtype=torch.float64)
+    time = torch.tensor([12235.0, 12236.0, 12240.0, 0.0], dtype=torch.float64)
+    expected = {
+        "crash": [False, True, False, False],
+        "out_of_bounds": [False, False, False, True],
+        "out_of_power": [False, True, True, False],
+        "success": [False, True, True, False],
+        "timeout": [False, True, True, False],
+    }
+    found = terminal_conditions(x, score, time, c)
+    assert {name: end.tolist() for name, end in found.items()} == expected
+
+
+@pytest.mark.parametrize(
+    ("changed", "end"),
+    [
+        ({"chief_radius": 56.0}, "crash"),
+        ({"max_distance": 50.0}, "out_of_bounds"),
+        ({"success_score": 0.4}, "success"),
+        ({"max_time": 90.0}, "timeout"),
+    ],
+)
+def test_thresholds_are_the_tasks_constants(c, changed, end):
+    x = at((0.0, 60.0, 0.0))
+    x[E] = 5.0
+    arguments = x, as_column([0.5]), as_column([100.0])
+    assert not any(terminal_conditions(*arguments, c).values())
+    found = terminal_conditions(*arguments, replace(c, **changed))
+    assert [name for name, holds in found.items() if holds] == [end]
+
+
+@pytest.mark.parametrize("direction", [(1, 0, 0), (0, -1, 0), (0, 0, 1), (0.6, 0, -0.8)])
+def test_distances_count_in_every_direction(c, direction):
+    x = torch.cat([at([r * i for i in direction]) for r in (14.999, 15.001, 799.999, 800.001)], 1)
+    found = terminal_conditions(x, x[0] * 0, x[0] * 0, c)
+    assert found["crash"].tolist() == [True, False, False, False]
+    assert found["out_of_bounds"].tolist() == [False, False, False, True]
