@@ -1,6 +1,10 @@
-"""Rows built entry by entry: in any order, of several rows, with losses, doubling gains and coupled controls."""
+"""Rows built entry by entry, of the paper's constraints and of one's own, and what is refused.
+
+In any order, of several rows, with losses, doubling gains and coupled controls.
+"""
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -9,12 +13,20 @@ import torch
 from numpy import ndarray
 from torch import Tensor
 
+from inspection.attitude import body_axis, dot, norm, unit
+from inspection.environment import InspectionEnv
+from inspection.guidance import natural_motion
+from inspection.initial_state import sample_initial_state
 from inspection.parameters import InspectionParameters
-from rta.constraints import CONSTRAINTS, Constraint
+from inspection.state import P, Q
+from rta.constraints import ACTUATORS, CONSTRAINTS, Constraint
 from rta.filter import SafetyFilter
+from rta.parameters import RtaParameters
 from rta.qp import Status
 from rta.rows import ActuatorGroup, Rows
-from tests.rta.test_constraints import entries, length, paper, tensor
+from study.flight.simulation import simulate
+from tests.rta import test_constraints as reference
+from tests.rta.test_constraints import MEAN_MOTION, entries, length, paper, tensor
 from tests.rta.test_lie_derivatives import (
     PSM,
     PSM_DRIFT_TOLERANCE,
@@ -40,17 +52,70 @@ from tests.rta.test_lie_derivatives import (
     torque_values,
     turn,
 )
-from tests.rta.test_own_constraints import SECOND, cone, numpy_cone, sphere
 
 C = InspectionParameters()
+UNEQUAL = InspectionParameters(inertia=(0.04, 0.06, 0.09))
 PAPERS = entries(C, R)
 STATES = tensor(X)
-SPHERE = Constraint("sphere", sphere, "thrust", (0.01, 0.1), 1.0)
-CONE = Constraint("cone", cone, "torque", (0.05, 0.2), 0.02)
+SECOND = np.array([[0.0], [2000.0], [0.0]])  # m, where a second spacecraft is
+LIMIT = np.array([1.0] * 3 + [UNEQUAL.max_torque] * 3)
 
 
-def group(*constraints: Constraint) -> ActuatorGroup:
-    return ActuatorGroup(constraints[0].held_by, constraints, C, R)
+def to_second(x: Tensor) -> Tensor:
+    return torch.stack((-x[0], 2000.0 - x[1], -x[2]))
+
+
+def cone(x: Tensor) -> Tensor:
+    """cos 25 deg less the cosine between camera and second spacecraft."""
+    return math.cos(math.radians(25)) - dot(torch.stack(body_axis(x[Q], 0)), unit(to_second(x)))
+
+
+def sphere(x: Tensor) -> Tensor:
+    """m outside 50 m around the second spacecraft."""
+    return norm(to_second(x)) - 50.0
+
+
+def over_one_axis(x: Tensor) -> Tensor:
+    """`sphere` with a constant that fits states (16, B) only."""
+    return (x[P] - tensor(SECOND)).square().sum(0) - 50.0**2
+
+
+def slow_turn(x: Tensor) -> Tensor:
+    """1e-3 rad^2/s^2 less the squared rate."""
+    return 1e-3 - dot(x[10:13], x[10:13])
+
+
+def numpy_cone(x: ndarray) -> ndarray:
+    line = SECOND - x[:3]
+    return math.cos(math.radians(25)) - (reference.body_axis(x[6:10], 0) * line).sum(0) / length(line)
+
+
+OWN: dict[str, tuple[Constraint, Callable[[ndarray], ndarray]]] = {
+    "cone": (Constraint("cone", cone, "torque", (0.05, 0.2), 0.02), numpy_cone),
+    "sphere": (
+        Constraint("sphere", sphere, "thrust", (0.01, 0.1), 1.0),
+        lambda x: length(SECOND - x[:3]) - 50,
+    ),
+    "slow_turn": (
+        Constraint("slow_turn", slow_turn, "torque", (0.3,), 1e-5),
+        lambda x: 1e-3 - (x[10:13] ** 2).sum(0),
+    ),
+}
+CONE, SPHERE = OWN["cone"][0], OWN["sphere"][0]
+
+
+def group(*constraints: Constraint, c: InspectionParameters = C, r: RtaParameters = R) -> ActuatorGroup:
+    """The group of the first one's actuators."""
+    return ActuatorGroup(constraints[0].held_by, constraints, c, r)
+
+
+def numpy_psi(x: ndarray, constraint: Constraint, h: Callable[[ndarray], ndarray]) -> ndarray:
+    """h or Psi_1, with an exact complex-step derivative of h along f."""
+    *first, _ = constraint.gains
+    if not first:
+        return h(x)
+    along = h(x + 1e-30j * drift(x, UNEQUAL)).imag / 1e-30
+    return along + first[0] * (h(x) - constraint.margin)
 
 
 def names_in(names: tuple[str, ...], order: list[int]) -> tuple[str, ...]:
@@ -214,3 +279,109 @@ def test_barrier_takes_the_place_of_h_in_the_rows_alone() -> None:
     assert torch.equal(rows.h, whole.h)
     torch.testing.assert_close(rows.psi, 0.5 * whole.psi)
     torch.testing.assert_close(rows.a, 0.5 * whole.a)
+
+
+def test_psi_of_a_slab_is_its_closed_form() -> None:
+    # h = 1e4 - z^2 m^2 with z'' = -n^2 z + F_z / 12, less 50 m^2: Psi_1 = -2 z z' + k1 (h - 50)
+    k1, k2, margin = 0.05, 0.2, 50.0
+    slab = Constraint("slab", lambda x: 1e4 - x[2] ** 2, "thrust", (k1, k2), margin, coupled=False)
+    rows = group(slab)(STATES)
+    z, rate = X[2], X[5]
+    h, fall = 1e4 - z**2, -2 * z * rate
+    psi = fall + k1 * (h - margin)
+    near(rows.h[0], h)
+    near(rows.psi[0], psi)
+    a = np.stack([-2 * z * push(held(X), i)[5] for i in range(3)])
+    near(rows.a[0], a)
+    asked = -2 * rate**2 + 2 * MEAN_MOTION**2 * z**2 + k1 * fall + k2 * psi
+    for b, actual in ((asked, rows.b), (asked + k1 * k2 * margin, rows.b_bare)):
+        near(actual, attainable(b[None], a[None], h[None], ("slab",), 1.0))
+
+
+@pytest.mark.parametrize("name", OWN)
+def test_rows_equal_finite_differences(name: str) -> None:
+    constraint, h = OWN[name]
+    *first, last = constraint.gains
+
+    def psi(x: ndarray) -> ndarray:
+        return numpy_psi(x, constraint, h)
+
+    rows = group(constraint, c=UNEQUAL)(STATES)
+    columns = [push(held(X), i) for i in range(3)] + [turn(X, i, UNEQUAL) for i in range(3)]
+    pushed = np.stack([slope(psi, X, column, 1e-3) for column in columns])
+    own = ACTUATORS[constraint.held_by]
+    others = [i for i in range(6) if i not in range(6)[own]]
+    worst = (np.abs(pushed[others]) * LIMIT[others, None]).sum(0)
+    margin = 0.0 if first else constraint.margin
+    near(rows.h[0], h(X))
+    near(rows.psi[0], psi(X))
+    near(rows.a[0], pushed[own])
+    near(rows.b[0], slope(psi, X, drift(X, UNEQUAL), 1e-3) + last * (psi(X) - margin) - worst)
+    near((rows.b_bare - rows.b)[0], np.full(X.shape[1], np.prod(constraint.gains) * constraint.margin))
+    assert (worst > 1e-6).any() == (name == "cone")
+
+
+def test_gains_are_capped_as_the_papers() -> None:
+    slow, rapid = (
+        group(Constraint("mine", cone, "torque", gains), c=UNEQUAL, r=RtaParameters(period=5.0))
+        for gains in ((0.1, 0.1), (3.0, 4.0))
+    )
+    for field, expected in vars(slow(STATES)).items():
+        torch.testing.assert_close(getattr(rapid(STATES), field), expected)
+
+
+def test_safe_is_where_h_and_psi_are_not_negative() -> None:
+    constraint, h = OWN["cone"]
+    mine = group(constraint, c=UNEQUAL)
+    safe = ((mine.values(STATES) >= 0).all(0) & mine.holds(STATES, degree=2)).numpy()
+    fulfilled, holds = h(X) >= 0, numpy_psi(X, constraint, h) >= 0
+    assert 0.5 < safe.mean() < 1.0
+    assert (fulfilled != holds).any()
+    assert (safe == (fulfilled & holds)).all()
+    papers = SafetyFilter(UNEQUAL, R).is_safe(STATES).numpy()
+    assert (SafetyFilter(UNEQUAL, R, extra=[constraint]).is_safe(STATES).numpy() == (papers & safe)).all()
+
+
+def test_weight_is_the_filters_own_unless_given() -> None:
+    mine = (
+        Constraint("mine", cone, "torque", (0.05, 0.2), weight=weight) for weight in (None, 7.0, math.inf)
+    )
+    weights = group(*mine, c=UNEQUAL, r=RtaParameters(slack_weight_critical=2e5)).weights
+    assert weights == [2e5, 7.0, math.inf]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ({"held_by": "wheels"}, "held_by = 'wheels': must be thrust or torque"),
+        ({"gains": ()}, "one or two positive"),
+        ({"gains": (0.1, -0.1)}, "one or two positive"),
+        ({"margin": math.nan}, "margin"),
+        ({"weight": 0.0}, "weight"),
+        ({"gains": (0.1,)}, "torque does not first enter derivative 1"),
+        ({"h": slow_turn}, "torque does not first enter derivative 2"),
+        ({"h": sphere}, "torque does not first enter derivative 2"),
+        ({"h": lambda x: x[P]}, r"shape \(3, 64\)"),
+        ({"h": lambda x: cone(x) - (x[0] - 1e4).sqrt()}, "h is not finite"),
+        ({"h": lambda x: cone(x) - x[0].clamp(min=0.0).sqrt()}, "a derivative of h is not finite"),
+        ({"h": over_one_axis}, "must broadcast over all trailing axes"),
+    ],
+)
+def test_what_does_not_fit_is_refused(arguments: dict, words: str) -> None:
+    given = {"name": "mine", "h": cone, "held_by": "torque", "gains": (0.05, 0.2)}
+    with pytest.raises(ValueError, match=f"^mine: .*{words}"):
+        group(Constraint(**given | arguments), c=UNEQUAL)
+
+
+def test_simulation_of_one_spacecraft_returns_every_h() -> None:
+    safety = SafetyFilter(UNEQUAL, R, extra=[constraint for constraint, _ in OWN.values()])
+    generator = torch.Generator().manual_seed(0)
+    env = InspectionEnv(1, UNEQUAL, [generator], safety.safety(enabled=False))
+    flight = simulate(
+        env, natural_motion(UNEQUAL), *sample_initial_state(1, generator, UNEQUAL), duration=20.0
+    )
+    components = ("position", "velocity", "quaternion", "angular_velocity")
+    x = np.concatenate([flight[name] for name in components], 1).T
+    for name, (_, h) in OWN.items():
+        np.testing.assert_allclose(flight[f"h_{name}"], h(x), rtol=1e-9, atol=1e-12)
+    assert sum(name.startswith("h_") for name in flight) == len(safety.names)

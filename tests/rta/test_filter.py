@@ -21,7 +21,7 @@ from rta.parameters import PERIODS, RtaParameters
 from rta.qp import FEASIBLE, Status
 from rta.rows import Rows
 from rta.thrust_constraints import chord
-from tests.rta import test_own_constraints as own
+from tests.rta import test_actuator_groups as own
 from tests.rta.test_constraints import (
     PSM_TOLERANCE,
     at_the_edge,
@@ -327,7 +327,7 @@ def test_slower_filters_solve_every_program(period: float, calls: int) -> None:
 
 
 def test_own_constraints_come_after_the_papers(safety: SafetyFilter, result: FilterResult) -> None:
-    papers, (cone, _), (ball, _) = safety, own.CONSTRAINTS["cone"], own.CONSTRAINTS["sphere"]
+    papers, (cone, _), (ball, _) = safety, own.OWN["cone"], own.OWN["sphere"]
     safety = SafetyFilter(C, R, extra=(cone, ball))
     assert safety.safety().names == (*CONSTRAINTS, "sphere", "cone")
     answer = safety(X, U)
