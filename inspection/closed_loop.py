@@ -50,7 +50,8 @@ class Clocks:
         look: between two looks at what else changes with time; None: nothing is looked at.
 
     Raises:
-        ValueError: one of them is no multiple of another that is shorter.
+        ValueError: one of them is no multiple of another that is shorter, or the filter is called less often than is
+            looked, where each step of an environment would call it anew.
     """
 
     decision: float
@@ -72,6 +73,11 @@ class Clocks:
                 raise ValueError(
                     f"{name} every {period:g} s: must be a multiple of {shorter:g} s, the time between {short}"
                 )
+        if self.filter and self.look and not is_multiple(self.look, self.filter):
+            raise ValueError(
+                f"the filter's calls every {self.filter:g} s: must divide {self.look:g} s, "
+                "the time between the looks at the chief"
+            )
         if not is_multiple(self.hold, self.step):
             raise ValueError(
                 f"substep = {self.substep:g} s: must divide {self.hold:g} s, the time between {rising[0][0]}"

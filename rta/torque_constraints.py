@@ -130,7 +130,7 @@ def angular_velocity(axis: int, c: InspectionParameters, r: RtaParameters) -> Co
         gains=(r.rate_gain,),
         margin=r.rate_margin,
         weight=r.slack_weight_motion,
-        loss=lambda x: torch.where(h(x) < 0.0, spin, 0.0),  # within it the plant saturates
+        loss=lambda x: spin * (h(x) < 0.0).to(x.dtype),  # within it the plant saturates
         coupled=False,
         axis=axis,
     )

@@ -61,8 +61,7 @@ def run(
         path: a JSON file; beside it a violated constraint leaves its worst episode, FILE.CONSTRAINT.npz.
     """
     config, env = experiment.config, None
-    # what is decided between two calls of the filter is not applied
-    decide_every = max(CHECK_EVERY, config.inspection.action_period) if network else config.rta.period
+    decide_every = config.inspection.action_period if network else config.rta.period
     if campaign.duration % decide_every:
         raise InputError(
             f"--duration {campaign.duration}: must be a multiple of {decide_every:g} s, the policy's period"

@@ -19,6 +19,7 @@ from inspection.state import OMEGA, E, P, Q, T, V
 from tests.inspection.test_dynamics import UNEQUAL, dop853, still
 
 DECISIONS, REPORTS, CALLS = "the controller's decisions", "the loop's reports", "the filter's calls"
+LOOKS = "the looks at the chief"
 
 
 @pytest.mark.parametrize(
@@ -34,12 +35,20 @@ DECISIONS, REPORTS, CALLS = "the controller's decisions", "the loop's reports", 
         ((10.0, 4.0, 1.0), f"{DECISIONS} every 10 s: must be a multiple of 4 s, the time between {REPORTS}"),
         ((10.0, 2.0, 1.0, 5.0), f"{CALLS} every 5 s: must be a multiple of 2 s, the time between {REPORTS}"),
         ((10.0, 10.0, 1.0, 20.5), f"{CALLS} every 20.5 s: must be a multiple of 10 s, the time between {DECISIONS}"),
+        ((1.0, 1.0, 1.0, 5.0, 1.0), f"{CALLS} every 5 s: must divide 1 s, the time between {LOOKS}"),
     ],
 )  # fmt: skip
 def test_clocks_that_do_not_divide_are_refused_and_both_are_named(clocks: tuple, message: str) -> None:
     with pytest.raises(ValueError) as error:
         Clocks(*clocks)
     assert str(error.value) == message
+
+
+def test_environment_refuses_a_filter_that_its_steps_would_call_too_often() -> None:
+    short, generator = InspectionParameters(action_period=1.0), torch.Generator()
+    behind = Safety(correct=lambda x, desired: SimpleNamespace(control=desired), period=5.0)
+    with pytest.raises(ValueError, match="the filter's calls every 5 s: must divide 1 s"):
+        InspectionEnv(1, short, [generator], behind)
 
 
 # decision, report, substep and filter in s, and the hold and integration step that follow
