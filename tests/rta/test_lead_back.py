@@ -1,4 +1,4 @@
-"""Beyond every limit the filter leads back: 50 random states of each kind, flown behind it at 1 s.
+"""Beyond every limit the filter leads back: 200 random states of each kind, flown behind it at 1 s.
 
 A state is one of the safe set's Latin hypercube (`safe_set`) with one quantity put beyond its limit:
 
@@ -12,7 +12,7 @@ A state is one of the safe set's Latin hypercube (`safe_set`) with one quantity 
     angular_velocity    3 deg/s about one body axis, in a plant that does not saturate rates
 
 All else is kept, and the state is taken if every other h and Psi_1 is non-negative and a state inside the zone can
-brake. All 50 fly with zero control desired; half of them again with random controls, the other half with an
+brake. All 200 fly with zero control desired; half of them again with random controls, the other half with an
 adversary that decides every 2 s.
 """
 
@@ -50,7 +50,7 @@ R = RtaParameters()
 ENTRIES = entries(C, R)
 _, TORQUE = FILTER.groups
 FREE = dataclasses.replace(C, saturate_rates=False)
-COUNT = 50
+COUNT = 200
 SEED = 9  # of the first kind's states, one more for each other: among the last kind's are conflicts
 COLUMNS = 2 * COUNT  # all with zero control desired, half of them with random and half with adversarial ones
 ROUNDING = 1e-9
