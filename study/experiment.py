@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 from torch._inductor.cpp_builder import get_cpp_compiler
 
-from inspection.environment import InspectionEnv
+from inspection.environment import InspectionEnv, clocks_of
 from inspection.initial_state import InitialStates
 from inspection.observation import SIZE as OBSERVATION_SIZE
 from inspection.state import CONTROL_SIZE
@@ -52,6 +52,7 @@ class Experiment:
     """
 
     def __init__(self, config: Config, batch: int, seconds: float = TYPICAL_EPISODE, steps: int = 0) -> None:
+        check_clocks(config)
         self.device = resolve_device(config.train.device)
         self.config = settled(config, batch, self.device)
         choice, calls = config.train.compile, seconds / config.rta.period
@@ -112,6 +113,19 @@ def test_cases(config: Config, episodes: int, seed: int) -> tuple[Tensor, Tensor
         return InitialStates(torch.Generator().manual_seed(seed), c, SafetyFilter(c, gains).is_safe).take(
             episodes
         )
+
+
+def check_clocks(
+    config: Config,
+    decide_every: float | None = None,
+    report_every: float | None = None,
+    duration: float | None = None,
+    where: str = "clocks that do not fit",
+) -> None:
+    """Refuses clocks of an environment that do not divide, before anything is built; `where` begins the message."""
+    c, period = config.inspection, config.rta.period if config.train.rta else None
+    with refusing(where, ValueError):
+        clocks_of(c, period, decide_every, report_every).count(duration or c.action_period)
 
 
 def settled(config: Config, batch: int, device: torch.device) -> Config:

@@ -9,13 +9,13 @@ import torch
 from torch import Tensor
 
 from inspection.closed_loop import Controller, is_multiple
-from inspection.environment import InspectionEnv, clocks_of
+from inspection.environment import InspectionEnv
 from inspection.termination import terminal_conditions
 from ppo.network import Policy
 from rta.qp import Status
 from study.config import TEST_CASES, Config
-from study.errors import InputError, refusing
-from study.experiment import Experiment, load_policy, test_cases
+from study.errors import InputError
+from study.experiment import Experiment, check_clocks, load_policy, test_cases
 from study.flight.controllers import agent, classical
 from study.flight.state_files import STATE_FIELDS, read_state
 
@@ -29,9 +29,7 @@ def check_rows(step: float, duration: float, config: Config, decide_every: float
         raise InputError(
             f"--duration {duration:g} at --step {step:g}: at most {MAX_ROWS:,} steps of at least 1 ms"
         )
-    with refusing(f"--step {step:g}, --duration {duration:g}", ValueError):
-        period = config.rta.period if config.train.rta else None
-        clocks_of(config.inspection, period, decide_every, step).count(duration)
+    check_clocks(config, decide_every, step, duration, f"--step {step:g}, --duration {duration:g}")
 
 
 def starting_point(path: str | None, experiment: Experiment, seed: int) -> tuple[Tensor, Tensor]:

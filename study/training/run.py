@@ -15,7 +15,7 @@ from ppo.trainer import Trainer
 from study import config as configuration
 from study.config import AnyConfig, Config
 from study.errors import MALFORMED, InputError, refusing
-from study.experiment import Experiment, compile_or_explain, resolve_device, settled
+from study.experiment import Experiment, check_clocks, compile_or_explain, resolve_device, settled
 from study.files import write_json
 from study.flight.evaluation import TEST_CASES, Episodes, evaluate, play, report
 from study.flight.figures import episode_figure
@@ -205,6 +205,7 @@ def settled_for_a_seed(config: AnyConfig) -> AnyConfig:
 def start(config: Config, directory: Path) -> Run:
     """A fresh run in a directory that holds none; its solver is part of its configuration from here on."""
     config = settled_for_a_seed(config)
+    check_clocks(config)
     ranks().first_does(lambda: make_directory(directory))
     run = create(config, directory)
     if run.ranks.first:

@@ -13,6 +13,7 @@ from rta.constraints import CONSTRAINTS
 from study import config as configuration
 from study.config import StudyConfig
 from study.errors import InputError, refusing
+from study.experiment import check_clocks
 from study.files import write_json, write_npz
 from study.flight.evaluation import TEST_CASES, Episodes, report
 from study.paper import tables
@@ -31,6 +32,8 @@ def train_and_evaluate(config: StudyConfig, directory: Path) -> str:
         InputError: the directory holds a study with other settings; Stopped: a signal came first.
     """
     config = settled_for_a_seed(config)
+    for name in config.study.arms:
+        check_clocks(config.of_arm(name))
     ranks().first_does(lambda: begin_or_continue(config, directory))
     results = {}
     with on_signal(stop):  # outside an update, where nothing half done is kept

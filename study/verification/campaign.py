@@ -11,12 +11,11 @@ import numpy as np
 import torch
 from tqdm import tqdm
 
-from inspection.environment import clocks_of
 from ppo.network import Policy
 from rta.constraints import CONSTRAINTS
 from study.config import Config
 from study.errors import InputError, refusing
-from study.experiment import Experiment, load_policy
+from study.experiment import Experiment, check_clocks, load_policy
 from study.files import write_json, write_npz
 from study.flight.controllers import agent
 from study.flight.summary import upper_bound
@@ -126,8 +125,7 @@ def verify(
         network, base = load_policy(policy.removeprefix("checkpoint:"))
         weights = digest(network)
     config = configure(base.unsettled())
-    with refusing(f"--duration {duration}", ValueError):
-        clocks_of(config.inspection, config.rta.period, None, CHECK_EVERY).count(duration)
+    check_clocks(config, None, CHECK_EVERY, duration, f"--duration {duration}, checked every second")
     experiment = Experiment(config, BATCH, seconds=-(-episodes // BATCH) * duration)
     campaign = Campaign(policy, experiment.filter.period, duration, seed, BATCH, weights)
     network = network.to(experiment.device) if network else None

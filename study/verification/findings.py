@@ -40,7 +40,13 @@ def report_in(path: Path | None, campaign: dict[str, Any], config: Config) -> di
         return fresh
     with refusing(f"--json {path}: holds no report of verify", OSError, *MALFORMED):
         report = json.loads(path.read_text(encoding="utf-8"))
-        same = report["campaign"] == campaign and override(Config(), report["config"], str(path)) == config
+        before = override(Config(), report["config"], str(path))
+        # what else a configuration holds is of training
+        same = (
+            report["campaign"] == campaign
+            and before.inspection == config.inspection
+            and before.rta == config.rta
+        )
     if not same:
         raise InputError(f"--json {path}: holds another campaign or configuration; name another file")
     return report | {"config": fresh["config"]}
