@@ -13,12 +13,12 @@ import torch
 
 from ppo.network import Policy
 from rta.parameters import PERIODS
-from study.config import ARMS, Config
+from study.config import ARMS, TEST_CASES, Config
 from study.errors import MALFORMED, InputError, refusing
 from study.experiment import Experiment, load_policy, make_policy
 from study.files import ROOT, write_json, write_npz, write_text
 from study.flight.controllers import classical
-from study.flight.evaluation import TEST_CASES, play, play_guidance, report
+from study.flight.evaluation import play, play_guidance, report
 from study.flight.simulation import common_episode, simulate, starting_point
 from study.paper import Results
 from study.report import tables

@@ -8,7 +8,8 @@ import torch
 from torch import Tensor
 
 from inspection.closed_loop import Correction, Safety
-from inspection.environment import METRICS, OUTCOMES, Transition
+from inspection.environment import METRICS, Transition
+from inspection.termination import OUTCOMES
 from rta.qp import Status
 
 

@@ -13,11 +13,11 @@ from ppo.distributed import RankLostError, ranks
 from ppo.learner import PPO, NonFiniteError
 from ppo.trainer import Trainer
 from study import config as configuration
-from study.config import AnyConfig, Config
+from study.config import TEST_CASES, AnyConfig, Config
 from study.errors import MALFORMED, InputError, refusing
 from study.experiment import Experiment, check_clocks, compile_or_explain, resolve_device, settled
 from study.files import write_json
-from study.flight.evaluation import TEST_CASES, Episodes, evaluate, play, report
+from study.flight.evaluation import Episodes, evaluate, play, report
 from study.flight.figures import episode_figure
 from study.flight.simulation import common_episode
 from study.paper import tables

@@ -11,11 +11,11 @@ from inspection.termination import OUTCOMES
 from ppo.distributed import ranks
 from rta.constraints import CONSTRAINTS
 from study import config as configuration
-from study.config import StudyConfig
+from study.config import TEST_CASES, StudyConfig
 from study.errors import InputError, refusing
 from study.experiment import check_clocks
 from study.files import write_json, write_npz
-from study.flight.evaluation import TEST_CASES, Episodes, report
+from study.flight.evaluation import Episodes, report
 from study.paper import tables
 from study.training.provenance import write_settings
 from study.training.run import Run, Stopped, create, on_signal, resume, settled_for_a_seed
