@@ -40,16 +40,16 @@ def report_in(path: Path | None, campaign: dict[str, Any], config: Config) -> di
         return fresh
     with refusing(f"--json {path}: holds no report of verify", OSError, *MALFORMED):
         report = json.loads(path.read_text(encoding="utf-8"))
-        before = override(Config(), report["config"], str(path))
-        # what else a configuration holds is of training
-        same = (
-            report["campaign"] == campaign
-            and before.inspection == config.inspection
-            and before.rta == config.rta
-        )
+        same = report["campaign"] == campaign and of_the_same(report["config"], config, path)
     if not same:
         raise InputError(f"--json {path}: holds another campaign or configuration; name another file")
     return report | {"config": fresh["config"]}
+
+
+def of_the_same(before: dict[str, Any], config: Config, path: Path) -> bool:
+    """Whether the tables of a file are of the same plant and filter; what else they hold is of training."""
+    held = override(Config(), before, str(path))
+    return (held.inspection, held.rta) == (config.inspection, config.rta)
 
 
 def table(report: dict[str, Any]) -> str:

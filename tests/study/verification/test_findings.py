@@ -138,11 +138,9 @@ def test_the_reference_reports_can_be_continued(
     policy: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = Path(shutil.copy(ROOT / "runs" / "reference" / "verification" / f"{policy}.json", tmp_path))
-    config = tmp_path / "config.toml"
-    config.write_text("[ppo]\nlearning_rate = 5e-4\n")  # the default of then
     monkeypatch.setattr("study.experiment.finds_compiler", lambda: False)
     monkeypatch.setattr(campaign, "fly", lambda *_: pytest.fail("flew"))
-    arguments = ["--policy", policy, "--episodes", "100", "--json", str(path), "--config", str(config)]
+    arguments = ["--policy", policy, "--episodes", "100", "--json", str(path)]
     code, out, err = call(["verify", *arguments], capsys)
     assert code == 0, err
     assert "30,000 episodes, " in out and "holds 30,000 episodes already" in err
