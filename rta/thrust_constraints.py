@@ -6,6 +6,7 @@ h is the transformed, final form.
 """
 
 import math
+from functools import partial
 
 import torch
 from torch import Tensor
@@ -20,6 +21,9 @@ from rta.parameters import RtaParameters
 
 PASSES = 13  # grid points per segment of the free flight: at most 12 s apart in the default segments
 SEGMENTS = 5  # of the free flight where its infimum is reported
+
+
+Entry = partial(Constraint, held_by="thrust", coupled=False)  # which no other actuator changes
 
 
 def thrust_constraints(c: InspectionParameters, r: RtaParameters) -> tuple[Constraint, ...]:
@@ -86,16 +90,14 @@ def collision(c: InspectionParameters, r: RtaParameters) -> Constraint:
         return math.sqrt(2 * c.max_acceleration) * signed_sqrt(distance, floor) + radial_speed(x)
 
     floor = chord(c, r)
-    return Constraint(
+    return Entry(
         "collision",
         h,
-        "thrust",
         gains=(r.collision_gain,),
         margin=r.collision_margin,
         weight=math.inf,
         barrier=lambda x: lambda y: h(y, floor)[None],
         loss=turn(c, r),
-        coupled=False,
     )
 
 
@@ -119,14 +121,12 @@ def dynamic_speed(c: InspectionParameters, r: RtaParameters) -> Constraint:
         return (turned + bent / (2 * limit)).minimum(0.5 * r.gain(r.speed_gain) * limit)
 
     turned, bent = turn(c, r), bend(c, r)
-    return Constraint(
+    return Entry(
         "dynamic_speed",
         h,
-        "thrust",
         gains=(r.speed_gain,),
         weight=r.slack_weight_motion,
         loss=loss,
-        coupled=False,
     )
 
 
@@ -160,16 +160,14 @@ def keep_in_zone(c: InspectionParameters, r: RtaParameters) -> Constraint:
     fastest = c.docking_speed + c.speed_slope * c.max_distance
     swing = fastest * thrust_acceleration(c) / c.max_distance * r.period
     floor = chord(c, r)
-    return Constraint(
+    return Entry(
         "keep_in_zone",
         h,
-        "thrust",
         gains=(r.keep_in_gain,),
         margin=r.keep_in_margin,
         weight=r.slack_weight_critical,
         barrier=lambda x: lambda y: curve(y)[None],
         loss=turn(c, r) + swing,
-        coupled=False,
     )
 
 
@@ -226,28 +224,24 @@ def passive_safety(c: InspectionParameters, r: RtaParameters) -> Constraint:
 
         return at_those_times
 
-    return Constraint(
+    return Entry(
         "passive_safety",
         h,
-        "thrust",
         gains=(r.passive_safety_gain,),
         margin=r.passive_safety_margin,
         weight=r.slack_weight_critical,
         barrier=barrier,
         rows=len(r.passive_safety_segments) - 1,
         doubling=r.passive_safety_doubling,
-        coupled=False,
     )
 
 
 def velocity(axis: int, c: InspectionParameters, r: RtaParameters) -> Constraint:
     """v_max^2 - v_i^2 for a Hill axis, in m^2/s^2."""
-    return Constraint(
+    return Entry(
         f"velocity_{'xyz'[axis]}",
         lambda x: c.max_speed**2 - x[V.start + axis] ** 2,
-        "thrust",
         gains=(r.velocity_gain,),
         weight=r.slack_weight_motion,
         loss=bend(c, r) + 2 * c.max_speed * turn(c, r),
-        coupled=False,
     )

@@ -6,6 +6,7 @@ constants.
 """
 
 import math
+from functools import partial
 
 import torch
 from torch import Tensor
@@ -15,6 +16,8 @@ from inspection.parameters import InspectionParameters
 from inspection.state import OMEGA, E, T
 from rta.constraints import Constraint
 from rta.parameters import RtaParameters
+
+Entry = partial(Constraint, held_by="torque", coupled=False)  # which no other actuator changes
 
 
 def torque_constraints(c: InspectionParameters, r: RtaParameters) -> tuple[Constraint, ...]:
@@ -51,15 +54,13 @@ def attitude_exclusion(c: InspectionParameters, r: RtaParameters) -> Constraint:
         sun, _ = sun_and_earth_in_body(x)
         return arccos(sun[0], pole) - c.field_of_view / 2 - c.exclusion_buffer
 
-    return Constraint(
+    return Entry(
         "attitude_exclusion",
         h,
-        "torque",
         gains=r.exclusion_gains,
         margin=r.exclusion_margin,
         weight=r.slack_weight_critical,
         barrier=lambda x: lambda y: h(y, r.pole_angle)[None],
-        coupled=False,
         recovery=0.5 * c.max_rate,  # of a turn at full rate
     )
 
@@ -78,15 +79,13 @@ def temperature(c: InspectionParameters, r: RtaParameters) -> Constraint:
     none, hot = torch.tensor((0.0, c.max_temperature), dtype=torch.float64)
     cooling = -temperature_rate(none, none, hot, c).item()  # in the dark
 
-    return Constraint(
+    return Entry(
         "temperature",
         h,
-        "torque",
         gains=r.temperature_gains,
         margin=r.temperature_margin,
         weight=r.slack_weight_resource,
         barrier=lambda x: lambda y: h(y, r.pole_angle, r.incidence_rounding)[None],
-        coupled=False,
         recovery=0.5 * cooling,
     )
 
@@ -101,15 +100,13 @@ def battery(c: InspectionParameters, r: RtaParameters) -> Constraint:
 
     charging = energy_rate(torch.ones(()).double(), c).item()  # in full light
 
-    return Constraint(
+    return Entry(
         "battery",
         h,
-        "torque",
         gains=r.battery_gains,
         margin=r.battery_margin,
         weight=r.slack_weight_resource,
         barrier=lambda x: lambda y: h(y, r.pole_angle)[None],
-        coupled=False,
         recovery=max(0.5 * charging, 0.0),
     )
 
@@ -123,14 +120,12 @@ def angular_velocity(axis: int, c: InspectionParameters, r: RtaParameters) -> Co
     # in a period T an angular acceleration changes omega_i^2 by at most its square T^2 beyond linear
     spin = (c.max_torque / min(c.inertia)) ** 2 * r.period
     spin = min(spin, 0.5 * r.gain(r.rate_gain) * c.max_rate**2)
-    return Constraint(
+    return Entry(
         f"angular_velocity_{'xyz'[axis]}",
         h,
-        "torque",
         gains=(r.rate_gain,),
         margin=r.rate_margin,
         weight=r.slack_weight_motion,
         loss=lambda x: spin * (h(x) < 0.0).to(x.dtype),  # within it the plant saturates
-        coupled=False,
         axis=axis,
     )

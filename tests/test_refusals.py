@@ -1,0 +1,271 @@
+"""Bad input ends with one line and exit code 2, and nothing is lost."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+import main
+from tests.test_main import STATE, assert_refused, run
+
+__all__ = ["run"]  # a fixture
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["train", "--rta-period", "2"], ["--rta-period", "'2'", "1, 5 or 10"]),
+        (["train", "--num-envs", "0"], ["--num-envs", "'0'", "positive integer"]),
+        (["train", "--interactions", "-5"], ["--interactions", "'-5'", "positive integer"]),
+        (["train", "--interactions", "many"], ["--interactions", "'many'", "positive integer"]),
+        (["train", "--learning-rate", "nan"], ["--learning-rate", "'nan'", "positive"]),
+        (["train", "--seed", "-1"], ["--seed", "'-1'", "integer"]),
+        (["train", "--device", "tpu"], ["--device", "'tpu'", "cuda"]),
+        (["train", "--solar-panel-axis", "x"], ["--solar-panel-axis", "'x'", "+x"]),
+        (["train", "--config", "nowhere.toml"], ["nowhere.toml", "No such file"]),
+        (["train", "--resume", "nowhere"], ["nowhere", "no run there"]),
+        (["train", "--resume", "nowhere", "--seed", "3"], ["--resume", "--seed"]),
+        (["train", "--unknown"], ["--unknown"]),
+        (["study", "--seeds", "0"], ["--seeds", "'0'", "positive integer"]),
+        (["study", "--seeds", "9999"], ["seeds = 9999", "up to 1,000"]),
+        (["study", "--arms", "rta,both"], ["--arms", "'rta,both'", "no_rta,rta"]),
+        (["study", "--arms", "rta,rta"], ["--arms", "'rta,rta'", "no_rta,rta"]),
+        (["study", "--config", "nowhere.toml"], ["nowhere.toml", "No such file"]),
+        (["study", "--study-dir", "/proc/nowhere"], ["--study-dir", "cannot write there"]),
+        (
+            ["train", "--config", str(Path(main.__file__).parent / "configs" / "study.toml")],
+            ["unknown table [study]"],
+        ),
+        (["benchmark", "--batches", "256,none"], ["--batches", "'none'", "positive integer"]),
+        (["benchmark", "--json", "nowhere/x.json"], ["--json", "cannot write"]),
+        (["train", "--qp-solver", "osqp"], ["--qp-solver", "'osqp'", "auto", "piqp", "batched"]),
+        (["verify", "--qp-solver", "osqp"], ["--qp-solver", "'osqp'", "auto", "piqp", "batched"]),
+        (["evaluate"], ["--checkpoint"]),
+        (["evaluate", "--controller", "lqr-pd"], ["--controller", "'lqr-pd'", "natural-motion"]),
+        (
+            ["evaluate", "--controller", "natural-motion", "--checkpoint", "x.pt"],
+            ["--checkpoint", "not allowed", "--controller"],
+        ),
+        (["evaluate", "--checkpoint", "nowhere.pt"], ["nowhere.pt", "no such checkpoint"]),
+        (["evaluate", "--checkpoint", "x.pt", "--episodes", "0"], ["--episodes", "'0'", "positive"]),
+        (["simulate", "--controller", "pid"], ["--controller", "'pid'", "lqr-pd"]),
+        (["simulate", "--controller", "zero", "--duration", "0", "--out", "x"], ["--duration", "'0'"]),
+        (
+            ["simulate", "--controller", "policy", "--duration", "10", "--out", "x"],
+            ["--checkpoint", "--controller policy"],
+        ),
+        (
+            ["simulate", "--controller", "recorded", "--duration", "10", "--out", "x"],
+            ["--actions", "--controller recorded"],
+        ),
+        (
+            ["simulate", "--controller", "zero", "--duration", "10", "--step", "3", "--out", "x"],
+            ["--step 3", "10 s"],
+        ),
+        (
+            ["simulate", "--controller", "zero", "--duration", "15", "--step", "10", "--out", "x"],
+            ["--duration 15", "--step"],
+        ),
+        (
+            ["simulate", "--controller", "zero", "--duration", "10", "--out", "nowhere/x.npz"],
+            ["--out", "cannot write"],
+        ),
+        (
+            ["simulate", "--controller", "zero", "--duration", "10", "--out", "x", "--figure", "no/x.png"],
+            ["--figure", "cannot write"],
+        ),
+        (["filter", "--out", "x"], ["--states"]),
+        (["filter", "--states", "nowhere.npz", "--out", "x"], ["nowhere.npz", "no such file"]),
+        (["filter", "--states", "x", "--out", "x", "--no-rta"], ["--no-rta"]),
+        (["export", "--checkpoint", "x.pt"], ["--out"]),
+        (["export", "--checkpoint", "nowhere.pt", "--out", "x"], ["nowhere.pt", "no such checkpoint"]),
+        (["export", "--checkpoint", "x.pt", "--out", "nowhere/x.onnx"], ["--out", "cannot write"]),
+        (
+            [],
+            ["train | study | report | evaluate | simulate | replay | filter | verify | benchmark | export"],
+        ),
+    ],
+)
+def test_bad_flags_are_refused(
+    arguments: list[str], words: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert_refused(arguments, words, capsys)
+
+
+@pytest.mark.skipif(torch.cuda.is_available(), reason="there is a CUDA device here")
+def test_absent_cuda_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["cuda", "no CUDA device"]
+    assert_refused(["train", "--device", "cuda", "--run-dir", str(tmp_path / "r")], words, capsys)
+
+
+def test_an_existing_run_is_not_overwritten(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert_refused(["train", "--run-dir", str(run)], ["--run-dir", "--resume"], capsys)
+
+
+def test_corrupt_checkpoints_are_refused(
+    tmp_path: Path, run: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    whole = (run / "policy.pt").read_bytes()
+    other = tmp_path / "other.pt"
+    torch.save({"weights": torch.zeros(3)}, other)
+    for name, content in (("empty", b""), ("garbage", b"\x80garbage"), ("half", whole[: len(whole) // 2])):
+        path = tmp_path / f"{name}.pt"
+        path.write_bytes(content)
+        assert_refused(["evaluate", "--checkpoint", str(path)], [str(path), "not a readable"], capsys)
+    assert_refused(["evaluate", "--checkpoint", str(other)], [str(other), "lacks policy"], capsys)
+    assert_refused(["evaluate", "--checkpoint", str(tmp_path)], [str(tmp_path), "no such"], capsys)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"position": [1.0, 2.0]}, ["position", "3 numbers"]),
+        ({"position": [0.0, 0.0, 0.0]}, ["position", "centre"]),
+        ({"velocity": [0.0, float("nan"), 0.0]}, ["velocity", "finite"]),
+        ({"energy": float("inf")}, ["energy", "finite"]),
+        ({"temperature": "warm"}, ["temperature", "number"]),
+        ({"quaternion": [0.0, 0.0, 0.0, 2.0]}, ["quaternion", "length 1"]),
+        ({"quaternion": [1.0, 0.0, 0.0]}, ["quaternion", "4 numbers"]),
+        ({"priority_vector": [0.0, 0.0, 0.0]}, ["priority_vector", "zero"]),
+        ({"colour": 1}, ["'colour'", "position"]),
+        ({"sun_angle": None}, ["sun_angle", "number"]),
+    ],
+)
+def test_bad_state_files_are_refused(
+    change: dict[str, Any], words: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "state.json"
+    path.write_text(json.dumps(STATE | change))
+    arguments = ["simulate", "--controller", "zero", "--duration", "10", "--initial-state", str(path)]
+    assert_refused([*arguments, "--out", str(tmp_path / "x.npz")], [str(path), *words], capsys)
+
+
+@pytest.mark.parametrize("text", ["[1, 2]", "{", '{"position": [1, 2, 3]}'])
+def test_malformed_state_files_are_refused(
+    text: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "state.json"
+    path.write_text(text)
+    arguments = ["simulate", "--controller", "zero", "--duration", "10", "--initial-state", str(path)]
+    assert_refused([*arguments, "--out", str(tmp_path / "x.npz")], [str(path)], capsys)
+
+
+@pytest.mark.parametrize(
+    ("actions", "words"),
+    [
+        (np.zeros((3, 5)), ["(3, 5)", "(N, 6)"]),
+        (np.full((3, 6), np.nan), ["finite"]),
+        (np.full((3, 6), 0.5), ["0.5", "0.001"]),
+        (np.array(["a"]), ["(N, 6)"]),
+    ],
+)
+def test_bad_actions_are_refused(
+    actions: np.ndarray, words: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "actions.npy"
+    np.save(path, actions)
+    arguments = [
+        "simulate",
+        "--controller",
+        "recorded",
+        "--actions",
+        str(path),
+        "--duration",
+        "10",
+        "--no-rta",
+    ]
+    assert_refused([*arguments, "--out", str(tmp_path / "x.npz")], [str(path), *words], capsys)
+
+
+def test_a_finished_run_without_its_checkpoint_is_not_overwritten(
+    run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    shipped = tmp_path / "shipped"
+    shipped.mkdir()
+    (shipped / "policy.pt").write_bytes((run / "policy.pt").read_bytes())
+    assert_refused(["train", "--run-dir", str(shipped)], ["--run-dir", "holds a run"], capsys)
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        lambda content: content.pop("value"),
+        lambda content: content["env"].pop("x"),
+        lambda content: content["env"].update(x=torch.zeros(16, 3)),
+        lambda content: content.update(update="many"),
+        lambda content: content.update(generators=[]),
+        lambda content: content.update(config=3),
+    ],
+)
+def test_a_damaged_run_is_not_resumed(
+    damage: Any, run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    content = torch.load(run / "checkpoint.pt", weights_only=True)
+    damage(content)
+    torch.save(content, tmp_path / "checkpoint.pt")
+    (tmp_path / "config.toml").write_text((run / "config.toml").read_text())
+    assert_refused(["train", "--resume", str(tmp_path)], [str(tmp_path / "checkpoint.pt")], capsys)
+
+
+def test_a_run_whose_configuration_was_edited_is_not_resumed(
+    run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "checkpoint.pt").write_bytes((run / "checkpoint.pt").read_bytes())
+    text = (run / "config.toml").read_text().replace("mass = 12.0", "mass = 20.0")
+    (tmp_path / "config.toml").write_text(text)
+    assert_refused(["train", "--resume", str(tmp_path)], ["config.toml", "trained with"], capsys)
+
+
+def test_a_policy_with_nan_weights_is_refused(
+    run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    content = torch.load(run / "policy.pt", weights_only=True)
+    next(iter(content["policy"].values()))[0, 0] = torch.nan
+    torch.save(content, tmp_path / "policy.pt")
+    words = [str(tmp_path / "policy.pt"), "not finite"]
+    assert_refused(["evaluate", "--checkpoint", str(tmp_path / "policy.pt")], words, capsys)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "[inspection]\nsubstep = 0.3",
+        "[inspection]\nmax_distance = 10.0",
+        "[inspection]\ninitial_temperature = [50.0, 60.0]",
+        "[inspection]\nmax_thrust = 1e-4",
+        "[ppo]\nlog_std_bounds = [-1e5, 1e5]",
+        "[train]\nseed = 99999999999999999999",
+        '[rta]\nqp_solver = "osqp"',
+        "[rta]\npassive_safety_segments = [0.0, 400.0]",
+    ],
+)
+def test_impossible_settings_are_refused(
+    text: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "bad.toml"
+    path.write_text(text)
+    arguments = ["train", "--config", str(path), "--run-dir", str(tmp_path / "run"), "--num-envs", "2"]
+    assert_refused([*arguments, "--compile", "off", "--device", "cpu"], ["["], capsys)
+
+
+@pytest.mark.parametrize("out", ["/proc/nothing.npz", "x" * 300])
+def test_unwritable_output_is_refused_before_the_work(
+    out: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert_refused(["simulate", "--controller", "zero", "--duration", "10", "--out", out], ["--out"], capsys)
+
+
+def test_a_full_disk_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:
+    arguments = ["simulate", "--controller", "zero", "--no-rta", "--duration", "10", "--out", "/dev/full"]
+    assert_refused(arguments, ["/dev/full: No space left on device"], capsys)
+
+
+@pytest.mark.parametrize(("duration", "step"), [("1e300", "1"), ("10", "1e-12"), ("1e8", "1")])
+def test_endless_simulations_are_refused(
+    duration: str, step: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    arguments = ["simulate", "--controller", "zero", "--duration", duration, "--step", step]
+    assert_refused([*arguments, "--out", str(tmp_path / "x.npz")], ["--duration", "--step"], capsys)
