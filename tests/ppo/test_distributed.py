@@ -1,5 +1,6 @@
 """Two ranks under torchrun: they follow one, stop together, continue bit for bit, and survive one another's end."""
 
+import functools
 import itertools
 import json
 import os
@@ -9,7 +10,6 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
-from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -265,8 +265,13 @@ def test_the_first_rank_to_notice_an_end_speaks_for_all(
 
     def train(rank: int, error: Exception) -> int:
         """Exit code of a rank that stops so."""
+
+        @functools.wraps(main.run_train)
+        def ended(**_: object) -> None:
+            raise error
+
         monkeypatch.setattr(main, "ranks", lambda: Ranks(rank, 3, store))
-        monkeypatch.setitem(main.HANDLERS, "train", Mock(side_effect=error))
+        monkeypatch.setitem(main.HANDLERS, "train", ended)
         return main.main(["train"])
 
     previous = signal.getsignal(signal.SIGTERM)
