@@ -119,7 +119,7 @@ class SafetyFilter:
 
     def values(self, x: Tensor) -> Tensor:
         """Every constraint's h, the 13 exactly as in the paper: (16, B) to (constraints, B)."""
-        return torch.cat(in_order(*(group.values(x).split(1) for group in self.groups)))
+        return joined(*(group.values(x) for group in self.groups))
 
     def is_in_safe_set(self, x: Tensor) -> Tensor:
         """(B,) bool: every h and every Psi_1 is non-negative."""
@@ -204,11 +204,11 @@ class SafetyFilter:
         return FilterResult(
             control=control,
             intervened=status > Status.UNTOUCHED,
-            active=torch.cat(in_order(*(part.split(1) for part in active))),
-            slack=torch.cat(in_order(*(part.split(1) for part in slack))),
+            active=joined(*active),
+            slack=joined(*slack),
             status=status,
             program_status=program_status,
-            h=torch.cat(in_order(*(prepared.h.split(1) for prepared in both))),
+            h=joined(*(prepared.h for prepared in both)),
         )
 
     def _correct(
@@ -239,6 +239,11 @@ def in_order(thrust: Sequence[Any], torque: Sequence[Any]) -> tuple[Any, ...]:
     """Joins what is known of each constraint of both groups in the order of the filter's names."""
     m, n = len(TRANSLATIONAL), len(ATTITUDE)
     return (*thrust[:m], *torque[:n], *thrust[m:], *torque[n:])
+
+
+def joined(thrust: Tensor, torque: Tensor) -> Tensor:
+    """`in_order` of tensors (k, B) and (m, B)."""
+    return torch.cat(in_order(thrust.split(1), torque.split(1)))
 
 
 def smallest(rows: Tensor) -> Tensor:
