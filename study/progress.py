@@ -1,0 +1,46 @@
+"""What a person sees of work that takes long: a line for a step, a bar where there is a count; from 2 s on."""
+
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from threading import Timer
+from typing import Any
+
+from tqdm import tqdm
+
+from ppo.distributed import is_first
+
+PATIENCE = 2.0  # s in which nobody wonders what is going on
+
+
+@contextmanager
+def step(what: str) -> Iterator[None]:
+    """Says on stderr what takes longer than PATIENCE, and at its end how long it took; of many ranks, the first one.
+
+    Args:
+        what: is done, and how long that takes: "compiling the filter, about a minute, once".
+    """
+    started, said = time.perf_counter(), []
+
+    def say(text: str, end: str) -> None:
+        said.append(text)
+        print(text, end=end, file=sys.stderr, flush=True)
+
+    timer = Timer(PATIENCE, say, (f"{what} ...", ""))
+    timer.daemon = True
+    if is_first():
+        timer.start()
+    try:
+        yield
+    finally:
+        timer.cancel()
+        if said:
+            say(f" {time.perf_counter() - started:.0f} s", "\n")
+
+
+def bar(total: int, unit: str, **options: Any) -> tqdm:
+    """A bar on stderr of so many units, shown from PATIENCE on; of many ranks the first one's."""
+    interval = 1.0 if sys.stderr.isatty() else 10.0  # s; a log shows every state of it
+    settings = {"dynamic_ncols": True, "delay": PATIENCE, "mininterval": interval, "disable": not is_first()}
+    return tqdm(total=total, unit=f" {unit}", **settings | options)

@@ -1,0 +1,22 @@
+"""What takes long says so, and what does not is silent."""
+
+import time
+
+import pytest
+
+from study import progress
+
+
+def test_a_long_step_says_what_it_does_and_how_long_it_took(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(progress, "PATIENCE", 0.05)
+    with progress.step("compiling, about a minute"):
+        time.sleep(0.4)
+    assert capsys.readouterr().err == "compiling, about a minute ... 0 s\n"
+
+
+def test_a_short_step_is_silent_even_where_it_fails(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(ValueError), progress.step("compiling"):
+        raise ValueError
+    assert capsys.readouterr().err == ""
