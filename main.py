@@ -8,16 +8,28 @@ import os
 import signal
 import sys
 import time
+
+
+def interrupted(*_: object) -> None:
+    """Ends the program in one line where nothing has begun: the imports below take seconds."""
+    print("interrupted", file=sys.stderr)
+    os._exit(130)
+
+
+if __name__ == "__main__":
+    signal.signal(signal.SIGINT, interrupted)
+
 from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
 
 from ppo.checkpoint import CheckpointError
 from ppo.distributed import RankLostError, is_first, ranks
 from ppo.learner import NonFiniteError
-from study.arguments import Configure, build_parser, join_axis, parameters
+from study.arguments import Configure, build_parser, check_files, join_axis, parameters
 from study.config import TEST_CASES, Config, StudyConfig
 from study.errors import ExportError, InputError, ReplayError, refusing
-from study.files import check_writable, write_json, write_npz, writing
+from study.files import write_json, write_npz, writing
+from study.threads import THREADS
 
 # A command's parameters are its flags: `study.arguments` has their help, limits and order. `configure` puts --config
 # and the other flags, those that set something, over a configuration.
@@ -26,8 +38,10 @@ from study.files import check_writable, write_json, write_npz, writing
 def run_train(configure: Configure, run_dir: str | None = None, resume: str | None = None) -> None:
     """main.py train"""
     from study.training import run as training
+    from study.training.provenance import recorded_threads
 
     if resume:
+        THREADS.recorded = recorded_threads(Path(resume))
         run = training.resume(Path(resume))
     else:
         config = configure(Config())
@@ -46,11 +60,13 @@ def run_train(configure: Configure, run_dir: str | None = None, resume: str | No
 
 def run_study(configure: Configure, study_dir: str = "runs/study") -> None:
     """main.py study"""
+    from study.training.provenance import recorded_threads
     from study.training.run import Stopped
     from study.training.study import read_settings, train_and_evaluate
 
     directory = Path(study_dir)
     config = configure(read_settings(directory) or StudyConfig())
+    THREADS.recorded = recorded_threads(directory)
     try:
         print(train_and_evaluate(config, directory))
     except Stopped as stopped:
@@ -83,7 +99,6 @@ def run_evaluate(
     from study.flight import evaluation
     from study.paper import tables
 
-    check_writable(json, "--json")
     # there is one --controller, which flies where no --checkpoint does
     results = evaluation.run(configure, episodes, seed, checkpoint)
     print(tables(results))
@@ -107,8 +122,6 @@ def run_simulate(
     from study.flight import simulation
     from study.flight.figures import constraint_figure
 
-    check_writable(out, "--out")
-    check_writable(figure, "--figure")
     flown, config = simulation.run(
         configure, controller, duration, step, seed, checkpoint, actions, initial_state
     )
@@ -124,7 +137,6 @@ def run_replay(runs: list[str], out: str) -> None:
 
     if len(runs) > 2:
         raise InputError(f"{len(runs)} runs: at most two are shown side by side")
-    check_writable(out, "--out")
     size = page.write(runs, Path(out))
     print(f"{scene.printable(out)}: {1e-6 * size:.1f} MB, opens in a browser without a network")
 
@@ -134,7 +146,6 @@ def run_filter(configure: Configure, states: str, out: str) -> None:
     from rta.qp import Status
     from study.flight import offline_filter
 
-    check_writable(out, "--out")
     result = offline_filter.run(configure, states)
     write_npz(out, result)
     counts = [f"{(result['status'] == status).sum():,} {status.name.lower()}" for status in Status]
@@ -158,7 +169,6 @@ def run_verify(
     if replay:
         print(replay_file(replay))
         return
-    check_writable(json, "--json")
     print(table(verify(policy, episodes, duration, seed, configure, Path(json) if json else None)))
 
 
@@ -171,8 +181,6 @@ def run_benchmark(
     """main.py benchmark"""
     from study.benchmark import measure, presentation
 
-    check_writable(json, "--json")
-    check_writable(figure, "--figure")
     results = measure.benchmark(configure(Config()), batches or measure.BATCHES)
     print(presentation.table(results))
     if json:
@@ -188,7 +196,6 @@ def run_export(checkpoint: str, out: str) -> None:
 
     with refusing("export needs the packages onnx and onnxruntime of requirements.txt", ImportError):
         from study import export
-    check_writable(out, "--out")
     policy, config = load_policy(checkpoint)
     model = export.to_onnx(policy, config.inspection)
     difference = export.check(model, policy)
@@ -227,6 +234,8 @@ def main(argv: list[str] | None = None) -> int:
                 raise InputError(
                     f"torchrun: {arguments.command} runs in one process; only train and study in many"
                 )
+            check_files(arguments)
+            THREADS.ask(getattr(arguments, "threads", None))
             HANDLERS[arguments.command](**parameters(arguments))
     except (InputError, CheckpointError) as error:
         return complain(f"{error}", 2)
@@ -258,4 +267,5 @@ def complain(reason: str, code: int, event: str = "") -> int:
 
 
 if __name__ == "__main__":
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     sys.exit(main())

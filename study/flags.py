@@ -7,6 +7,8 @@ from typing import Any, NoReturn
 from rta.parameters import PERIODS
 from study.config import ARMS, MAX_COUNT
 
+CHECKPOINT = "checkpoint:"  # begins the name of an agent's file where other policies have names
+
 
 class Parser(argparse.ArgumentParser):
     """Bad usage ends with one line and exit code 2."""
@@ -66,7 +68,8 @@ def period(text: str) -> float:
 
 def verified_policy(text: str) -> str:
     """A policy of verify for argparse."""
-    if text not in ("random", "adversarial") and not text.startswith("checkpoint:"):
+    names_file = text.startswith(CHECKPOINT) and text != CHECKPOINT
+    if text not in ("random", "adversarial") and not names_file:
         raise argparse.ArgumentTypeError(f"{text!r}: must be random, adversarial or checkpoint:F")
     return text
 
@@ -79,16 +82,27 @@ class Flag:
         text: of --help, which goes on with the default, unless the text has it or a {} for it.
         sets: the setting it reaches, as "table.key"; without one, the parameter of the command's function by its name.
         alone: what it names, if that holds all settings, so that no other flag is allowed beside it.
+        reads: it names a file that is read; writes: one that is written, which of `study.paths.KINDS`.
         options: what else `add_argument` takes: type, choices, metavar, ...
     """
 
-    def __init__(self, name: str, text: str, sets: str = "", alone: str = "", **options: Any) -> None:
+    def __init__(
+        self,
+        name: str,
+        text: str,
+        sets: str = "",
+        alone: str = "",
+        reads: bool = False,
+        writes: str = "",
+        **options: Any,
+    ) -> None:
         self.name, self.text, self.alone, self.options = name, text, alone, options
+        self.reads, self.writes = reads, writes
         self.dest = sets or name.removeprefix("--").replace("-", "_")
 
     def saying(self, text: str) -> "Flag":
         """The same flag with another text."""
-        return Flag(self.name, text, self.dest, self.alone, **self.options)
+        return Flag(self.name, text, self.dest, self.alone, self.reads, self.writes, **self.options)
 
 
 class Command:
@@ -106,4 +120,10 @@ class Command:
 count = partial(Flag, type=positive_integer, metavar="N")
 number = partial(Flag, type=positive_number)
 seed = partial(Flag, "--seed", type=seed_number, metavar="N")
-path = partial(Flag, metavar="F")
+directory = partial(Flag, metavar="D")
+read = partial(Flag, reads=True, metavar="F")
+
+
+def written(kind: str, name: str, text: str, metavar: str = "F") -> Flag:
+    """A flag for a file of one of `study.paths.KINDS` that is written."""
+    return Flag(name, text, writes=kind, metavar=metavar)

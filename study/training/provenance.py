@@ -49,3 +49,7 @@ def write_settings(config: Config, directory: Path) -> None:
     """Writes what describes a run or a study: provenance.json and config.toml."""
     write_json(directory / "provenance.json", provenance(resolve_device(config.train.device)))
     write_text(directory / "config.toml", config.to_toml())
+
+
+def recorded_threads(directory: Path) -> int | None:
+    return None
