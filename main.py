@@ -27,7 +27,7 @@ from ppo.distributed import RankLostError, is_first, ranks
 from ppo.learner import NonFiniteError
 from study.arguments import Configure, build_parser, check_files, join_axis, parameters
 from study.config import TEST_CASES, Config, StudyConfig
-from study.errors import ExportError, InputError, ReplayError, refusing
+from study.errors import ExportError, InputError, ReplayError, in_one_line, refusing
 from study.files import write_json, write_npz, writing
 from study.threads import THREADS
 
@@ -262,7 +262,7 @@ def complain(reason: str, code: int, event: str = "") -> int:
     """One line on stderr, of ranks with the same reason, or of the same event, from one; returns the exit code."""
     if ranks().first_to_say(event or reason):
         unfinished = "" if ranks().first else "\n"  # the first rank's progress bar, where it ended midway
-        print(f"{unfinished}error: {reason}", file=sys.stderr)
+        print(f"{unfinished}error: {in_one_line(reason)}", file=sys.stderr)
     return code
 
 

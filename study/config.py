@@ -139,7 +139,7 @@ def from_toml(text: str, source: str, base: AnyConfig | None = None) -> AnyConfi
     """
     try:
         tables = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
+    except (tomllib.TOMLDecodeError, RecursionError) as error:
         raise InputError(f"{source}: not valid TOML: {error}") from None
     return override(base or Config(), tables, source)
 

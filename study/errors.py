@@ -34,3 +34,8 @@ def refusing(where: str, *exceptions: type[BaseException]) -> Iterator[None]:
         else:
             reason = (str(error) or type(error).__name__).splitlines()[0]
         raise InputError(f"{where}: {reason[:200]}") from None
+
+
+def in_one_line(text: str) -> str:
+    """A message as one line, whatever the names in it hold."""
+    return "".join(each if each.isprintable() else repr(each)[1:-1] for each in text)

@@ -6,6 +6,7 @@ from typing import Any, NoReturn
 
 from rta.parameters import PERIODS
 from study.config import ARMS, MAX_COUNT
+from study.errors import in_one_line
 
 CHECKPOINT = "checkpoint:"  # begins the name of an agent's file where other policies have names
 
@@ -14,7 +15,7 @@ class Parser(argparse.ArgumentParser):
     """Bad usage ends with one line and exit code 2."""
 
     def error(self, message: str) -> NoReturn:
-        self.exit(2, f"error: {self.prog}: {message} (see --help)\n")
+        self.exit(2, f"error: {self.prog}: {in_one_line(message)} (see --help)\n")
 
 
 def positive_integer(text: str) -> int:
