@@ -103,7 +103,9 @@ def same(one: str, other: str) -> bool:
     """Whether two paths lead to one file, which need not exist."""
     with suppress(OSError, ValueError):
         return os.path.samefile(one, other)
-    return os.path.realpath(one) == os.path.realpath(other)
+    with suppress(OSError, ValueError):  # of a name that no file can have
+        return os.path.realpath(one) == os.path.realpath(other)
+    return False
 
 
 def would_be_lost(path: Path) -> bool:
