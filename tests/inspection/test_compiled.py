@@ -140,3 +140,32 @@ def test_the_filter_is_compiled_for_the_device(monkeypatch: pytest.MonkeyPatch) 
     monkeypatch.setattr(experiment, "finds_compiler", lambda: True)
     experiment.Experiment(Config(TrainParameters(compile="on")), batch=7)
     assert used == [(elsewhere, 7)]
+
+
+@pytest.mark.parametrize(
+    ("choice", "calls", "works", "expected"),
+    [
+        ("auto", 149, True, []),
+        ("auto", 150, True, ["trace"]),
+        ("auto", 1000, True, ["compile"]),
+        ("auto", 1000, False, ["compile", "trace"]),
+        ("on", 150, False, ["compile", "trace"]),
+        ("on", 1, True, ["compile"]),
+        ("off", 1000, True, []),
+    ],
+)
+def test_a_filter_that_is_not_compiled_is_traced_where_that_is_repaid(
+    choice: str, calls: int, works: bool, expected: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    done = []
+
+    def compile_(self: SafetyFilter, device: torch.device, batch: int) -> None:
+        done.append("compile")
+        if not works:
+            raise RuntimeError("no compiler")
+
+    monkeypatch.setattr(SafetyFilter, "compile", compile_)
+    monkeypatch.setattr(SafetyFilter, "trace", lambda *_: done.append("trace"))
+    monkeypatch.setattr(experiment, "finds_compiler", lambda: True)
+    made = experiment.Experiment(Config(TrainParameters(compile=choice, rta=True)), 7, float(calls))
+    assert done == expected and made.filter_compiled == (works and "compile" in expected)
