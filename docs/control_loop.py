@@ -41,7 +41,7 @@ def control_loop(
     about = session.get_modelmeta().custom_metadata_map
     scale = torch.tensor([[component["scale"]] for component in json.loads(about["control"])]).double()
     decide = watch.timed("policy", session.run)
-    safety = replace(safety_filter.safety(), correct=watch.timed("filter", safety_filter))
+    safety = replace(safety_filter.safety(), correct=watch.timed("filter", safety_filter.correct))
     env = InspectionEnv(
         1,
         safety_filter.c,
