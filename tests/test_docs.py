@@ -1,4 +1,4 @@
-"""The pages under docs/ are programs: each runs from top to bottom and prints what it says it prints."""
+"""The pages under docs/guides/ are programs: each runs from top to bottom and prints what it says it prints."""
 
 import contextlib
 import io
@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import main
-from docs import control_loop
+from docs.guides import control_loop
 
 ROOT = Path(main.__file__).parent
 PAGES = ("your_own_policy", "your_own_constraint", "your_own_reward", "gymnasium")
@@ -20,7 +20,7 @@ COMMAND = "python main.py "
 
 def blocks(page: str) -> list[tuple[str, str, str]]:
     """(language, content, the text before it) of each fenced block."""
-    text = (ROOT / "docs" / f"{page}.md").read_text(encoding="utf-8")
+    text = (ROOT / "docs/guides" / f"{page}.md").read_text(encoding="utf-8")
     return [(match[2], match[3], match[1]) for match in re.finditer(r"(?s)(.*?)```(\w+)\n(.*?)```", text)]
 
 
@@ -31,7 +31,7 @@ def run(page: str) -> tuple[str, str]:
     with contextlib.redirect_stdout(printed):
         for language, content, before in blocks(page):
             if language == "python":
-                exec(compile(content, f"docs/{page}.md", "exec"), names)
+                exec(compile(content, f"docs/guides/{page}.md", "exec"), names)
             elif language == "shell":
                 for line in content.splitlines():
                     assert line.startswith(COMMAND)
@@ -82,4 +82,4 @@ def test_the_control_loop_refuses_in_one_line(
     with pytest.raises(SystemExit) as refusal:
         control_loop.main(arguments)
     assert refusal.value.code == 2
-    assert re.fullmatch(r"error: python -m docs\.control_loop: .+\n", capsys.readouterr().err)
+    assert re.fullmatch(r"error: python -m docs\.guides\.control_loop: .+\n", capsys.readouterr().err)

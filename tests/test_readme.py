@@ -78,7 +78,7 @@ def corrected(results: dict[str, Any]) -> str:
 def test_the_cross_evaluation_is_the_studys(arm: str, switch: str) -> None:
     results = CROSS[arm][switch]
     words = {"no_rta": "without RTA", "rta": "with RTA", "off": "without", "on": "with"}
-    assert row(f"{words[arm]} | {words[switch]}", "docs/results.md")[1:] == [
+    assert row(f"{words[arm]} | {words[switch]}", "docs/results/results.md")[1:] == [
         violation(results),
         corrected(results),
         success(results),
@@ -91,7 +91,7 @@ def test_the_cross_evaluation_is_the_studys(arm: str, switch: str) -> None:
 @pytest.mark.parametrize("period", FREQUENCY)
 def test_the_filters_periods_are_the_studys(period: str) -> None:
     results = FREQUENCY[period]
-    lines = (ROOT / "docs/safety.md").read_text(encoding="utf-8").splitlines()
+    lines = (ROOT / "docs/results/safety.md").read_text(encoding="utf-8").splitlines()
     cells = [
         period,
         violation(results),
