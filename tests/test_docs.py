@@ -1,4 +1,4 @@
-"""The pages under docs/guides/ are programs: each runs from top to bottom and prints what it says it prints."""
+"""The programs in the pages of docs: each page runs from top to bottom and prints what it says it prints."""
 
 import contextlib
 import io
@@ -13,14 +13,20 @@ import main
 from docs.guides import control_loop
 
 ROOT = Path(main.__file__).parent
-PAGES = ("your_own_policy", "your_own_constraint", "your_own_reward", "gymnasium")
+COMMANDS_PAGE = "reference/commands"  # whose commands train for hours
+PAGES = sorted(
+    str(page.relative_to(ROOT / "docs").with_suffix(""))
+    for page in (ROOT / "docs").rglob("*.md")
+    if "```python" in page.read_text(encoding="utf-8")
+)
+PAGES.remove(COMMANDS_PAGE)
 NUMBER = re.compile(r"-?\d[\d,]*\.?\d*")
 COMMAND = "python main.py "
 
 
 def blocks(page: str) -> list[tuple[str, str, str]]:
     """(language, content, the text before it) of each fenced block."""
-    text = (ROOT / "docs/guides" / f"{page}.md").read_text(encoding="utf-8")
+    text = (ROOT / "docs" / f"{page}.md").read_text(encoding="utf-8")
     return [(match[2], match[3], match[1]) for match in re.finditer(r"(?s)(.*?)```(\w+)\n(.*?)```", text)]
 
 
@@ -31,7 +37,7 @@ def run(page: str) -> tuple[str, str]:
     with contextlib.redirect_stdout(printed):
         for language, content, before in blocks(page):
             if language == "python":
-                exec(compile(content, f"docs/guides/{page}.md", "exec"), names)
+                exec(compile(content, f"docs/{page}.md", "exec"), names)
             elif language == "shell":
                 for line in content.splitlines():
                     assert line.startswith(COMMAND)
@@ -51,7 +57,8 @@ def numbers(text: str) -> list[float]:
 def elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A directory that holds what a checkout has, to write in."""
     (tmp_path / "runs").mkdir()
-    (tmp_path / "runs" / "reference").symlink_to(ROOT / "runs" / "reference")
+    for name in ("runs/reference", "configs"):
+        (tmp_path / name).symlink_to(ROOT / name)
     monkeypatch.chdir(tmp_path)
 
 
@@ -63,8 +70,19 @@ def test_a_page_prints_what_it_says(page: str) -> None:
     np.testing.assert_allclose(numbers(printed), numbers(promised), rtol=0.03, atol=1e-9)
 
 
+def test_the_program_of_the_commands_writes_what_they_read() -> None:
+    (program,) = (content for language, content, _ in blocks(COMMANDS_PAGE) if language == "python")
+    fly = "simulate --controller zero --no-rta --duration 20 --out runs/agent.npz"
+    assert main.main(shlex.split(fly)) == 0
+    exec(program, {})
+    page = (ROOT / "docs" / f"{COMMANDS_PAGE}.md").read_text(encoding="utf-8")
+    for reader in ("filter --states", "simulate --controller recorded"):
+        (command,) = re.findall(rf"(?m)^{COMMAND}({reader} .*)$", page)
+        assert main.main(shlex.split(command)) == 0
+
+
 def test_the_exported_agent_flies_in_the_control_loop(capsys: pytest.CaptureFixture[str]) -> None:
-    printed, promised = run("export")
+    printed, promised = run("guides/export")
     assert printed.split(",")[0] == promised.split(",")[0]  # the size; the difference is another elsewhere
     control_loop.main(["policy.onnx", "--seconds", "30"])
     out = capsys.readouterr().out
