@@ -103,13 +103,18 @@ def test_the_papers_agents_on_the_front_page_are_the_papers(label: str, arm: str
     assert row(f"*the paper's agents {label}*", "README.md", "Results") == cells
 
 
-def test_random_controls_succeed_behind_the_filter() -> None:
-    assert read("study/report/baselines.json")["random"]["on"]["outcomes"]["success"] > 0.9
+def test_random_controls_succeed_behind_the_filter_with_a_hundred_times_the_fuel() -> None:
+    random = read("study/report/baselines.json")["random"]["on"]
+    assert random["outcomes"]["success"] == 1.0
+    most = max(arm["metrics"]["delta_v_m_s"]["iqm"] for arm in ARMS.values())
+    assert random["metrics"]["delta_v_m_s"]["iqm"] > 100.0 * most
 
 
 def test_the_sentences_of_the_front_page_have_the_files_numbers() -> None:
     said = " ".join(text("README.md").split())
-    fuel, time = (GUIDANCE["metrics"][name]["iqm"] for name in ("delta_v_m_s", "episode_length_s"))
+    baselines = read("study/report/baselines.json")
+    guidance = baselines["natural-motion"]["on"]["metrics"]
+    fuel, time = (guidance[name]["iqm"] for name in ("delta_v_m_s", "episode_length_s"))
     assert f"about {fuel:.1f} m/s and takes about {round(time, -2):,.0f} s" in said
     fuel, time = (ARMS["no_rta"]["metrics"][name]["iqm"] for name in ("delta_v_m_s", "episode_length_s"))
     assert f"spend {fuel:.1f} m/s and more, and take about {round(time, -2):,.0f} s" in said
@@ -196,6 +201,27 @@ def test_what_the_means_hide_is_in_the_episodes() -> None:
     )
     for label, *cells in zip(labels, tail("no_rta"), tail("rta"), strict=True):
         assert row(label, RESULTS, "What these numbers hide") == cells
+
+
+@pytest.mark.parametrize("switch", ["off", "on"])
+@pytest.mark.parametrize(
+    ("label", "controller"),
+    [
+        ("untrained agent", "untrained"),
+        ("random controls", "random"),
+        ("no control (coasting)", "zero"),
+        ("classical guidance", "natural-motion"),
+    ],
+)
+def test_the_baselines_are_the_reports(label: str, controller: str, switch: str) -> None:
+    results = read("study/report/baselines.json")[controller][switch]
+    assert row(f"{label} | {'with' if switch == 'on' else 'without'}", RESULTS, "Baselines") == [
+        success(results),
+        violation(results),
+        interval(results, "reward", 4),
+        interval(results, "delta_v_m_s", 3),
+        interval(results, "episode_length_s", 1),
+    ]
 
 
 @pytest.mark.parametrize("arm", ["no_rta", "rta"])
