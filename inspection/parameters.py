@@ -1,7 +1,7 @@
 """Every constant of the inspection task, with its unit and its source, as one frozen dataclass.
 
 "Sec." and "Eq." refer to Dunlap et al., AFRL-2024-3223. Entries marked (decision) fill a gap or a
-contradiction in the paper; the README's "Differences from the paper" gives the reason for each.
+contradiction in the paper; docs/reference/differences.md gives the reason for each.
 """
 
 import math
@@ -55,7 +55,7 @@ class InspectionParameters:
     zero_celsius: float = 273.15  # K
 
     # Energy (Sec. Dynamics, Energy)
-    solar_panel_axis: str = "-x"  # (decision) the paper's text says +x; see the README
+    solar_panel_axis: str = "-x"  # (decision) the paper's text says +x; see docs/reference/differences.md
     panel_performance: float = 983.3  # W/m^2, P_I
     panel_degradation: float = 0.77  # I_d
     power_draw: float = 15.0  # W, P_out
