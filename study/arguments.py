@@ -97,7 +97,17 @@ COMMANDS = {
         number("--learning-rate", "of Adam, annealed to 0", "ppo.learning_rate", metavar="X"),
         seed("of everything random", "train.seed"),
         path("--run-dir", "directory to create (default: runs/<arm>__<seed>__<time>)", metavar="D"),
-        path("--resume", "continue the run in D exactly where it stopped", alone="the run", metavar="D"),
+        path(
+            "--init-from",
+            "start from the agent in F, policy.pt or checkpoint.pt of a run, which gives its value network, too",
+        ),
+        path(
+            "--resume",
+            "continue the run in D exactly where it stopped; with --interactions N go on to N",
+            alone="the run",
+            beside=("--interactions",),
+            metavar="D",
+        ),
     ),
     "study": Command(
         "train many seeds of both arms and evaluate them; the same command continues an interrupted study",
@@ -287,7 +297,7 @@ def parameters(arguments: argparse.Namespace) -> dict[str, Any]:
     values, command = vars(arguments), COMMANDS[arguments.command]
     given = [each for each in command.flags if each.dest in values]
     for each in given:
-        others = [other.name for other in given if other != each]
+        others = [other.name for other in given if other != each and other.name not in each.beside]
         if each.alone and others:
             raise InputError(f"{each.name} takes its settings from {each.alone}; drop {', '.join(others)}")
     own = {each.dest: values[each.dest] for each in given if each.dest not in SETTINGS}

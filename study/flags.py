@@ -78,17 +78,25 @@ class Flag:
         name: as it is written; without dashes it is a positional argument.
         text: of --help, which goes on with the default, unless the text has it or a {} for it.
         sets: the setting it reaches, as "table.key"; without one, the parameter of the command's function by its name.
-        alone: what it names, if that holds all settings, so that no other flag is allowed beside it.
+        alone: what it names, if that holds all settings, so that no other flag is allowed beside it but those `beside`.
         options: what else `add_argument` takes: type, choices, metavar, ...
     """
 
-    def __init__(self, name: str, text: str, sets: str = "", alone: str = "", **options: Any) -> None:
-        self.name, self.text, self.alone, self.options = name, text, alone, options
+    def __init__(
+        self,
+        name: str,
+        text: str,
+        sets: str = "",
+        alone: str = "",
+        beside: tuple[str, ...] = (),
+        **options: Any,
+    ) -> None:
+        self.name, self.text, self.alone, self.beside, self.options = name, text, alone, beside, options
         self.dest = sets or name.removeprefix("--").replace("-", "_")
 
     def saying(self, text: str) -> "Flag":
         """The same flag with another text."""
-        return Flag(self.name, text, self.dest, self.alone, **self.options)
+        return Flag(self.name, text, self.dest, self.alone, self.beside, **self.options)
 
 
 class Command:

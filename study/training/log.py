@@ -19,7 +19,10 @@ from study.training.charts import Charts
 from study.training.monitor import EPISODE, Monitor
 
 BAR = "{percentage:3.0f}%|{bar}| {n:,}/{total:,} interactions [{elapsed}<{remaining}, {rate_fmt}{postfix}]"
-BESIDE = "beside the bar: means over the episodes that ended last; violation: share of their steps that broke a constraint"
+BESIDE = (
+    "beside the bar: means over the episodes that ended last; violation: share of their steps that broke a "
+    "constraint"
+)
 # The episode's number and how it is written beside the bar
 LATEST = {
     "success_percent": "success {:.0f} %",

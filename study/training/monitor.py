@@ -15,7 +15,6 @@ from inspection.environment import METRICS, Transition
 from inspection.termination import OUTCOMES
 from rta.qp import Status
 
-
 EPISODE = tuple(name.removeprefix("episode_") for name in (*METRICS, "success_percent"))
 
 
