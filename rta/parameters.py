@@ -42,7 +42,7 @@ class RtaParameters:
     battery_gains: tuple[float, float] = (
         0.004,
         0.1,
-    )  # 1/s, k1 and k2; 15 W of draw is balanced 3.75 kJ above the limit
+    )  # 1/s, k1 and k2; 15 W of draw is held 3.75 kJ above the limit
 
     # margins in the unit of each h
     collision_margin: float = 0.02  # m/s, safe separation

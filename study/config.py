@@ -100,7 +100,7 @@ class Config:
     ppo: PPOParameters = field(default_factory=PPOParameters)
 
     def to_toml(self) -> str:
-        """The complete configuration as TOML text that `from_toml` reads back, with what the sources say of each key."""
+        """The complete configuration as TOML text that `from_toml` reads back, each key with its source's comments."""
         return "\n".join(table_text(name, part) for name, part in vars(self).items())
 
     def unsettled(self) -> "Config":
