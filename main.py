@@ -35,27 +35,31 @@ from study.threads import THREADS
 # and the other flags, those that set something, over a configuration.
 
 
-def run_train(configure: Configure, run_dir: str | None = None, resume: str | None = None) -> None:
+def run_train(
+    configure: Configure, run_dir: str | None = None, init_from: str | None = None, resume: str | None = None
+) -> None:
     """main.py train"""
     from study.training import run as training
     from study.training.provenance import recorded_threads
 
     if resume:
         THREADS.recorded = recorded_threads(Path(resume))
-        run = training.resume(Path(resume))
+        session = training.resuming(Path(resume), configure)
     else:
         config = configure(Config())
         arm = f"rta_{config.rta.period:g}s" if config.train.rta else "no_rta"
         name = f"{arm}__{config.train.seed}__{time.strftime('%Y%m%d-%H%M%S')}"
-        run = training.start(config, Path(run_dir or Path("runs") / ranks().agree(name)))
-    print(run, flush=True)
-    try:
-        run.train()
-    except training.Stopped as stopped:
-        print(stopped)
-        return
-    if run.ranks.first:
-        print(run.conclude())
+        directory = Path(run_dir or Path("runs") / ranks().agree(name))
+        session = training.starting(config, directory, Path(init_from) if init_from else None)
+    with session as run:
+        print(run, flush=True)
+        try:
+            run.train()
+        except training.Stopped as stopped:
+            print(stopped)
+            return
+        if run.ranks.first:
+            print(run.conclude())
 
 
 def run_study(configure: Configure, study_dir: str = "runs/study") -> None:
@@ -244,7 +248,7 @@ def main(argv: list[str] | None = None) -> int:
     except OSError as error:
         if error.filename is None:
             raise
-        return complain(f"{error.filename}: {error.strerror}", 2)
+        return complain(f"{error.filename}: {error.strerror}", 2, "end")
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)
         return 130

@@ -108,7 +108,16 @@ COMMANDS = {
         number("--learning-rate", "of Adam, annealed to 0", "ppo.learning_rate", metavar="X"),
         seed("of everything random", "train.seed"),
         directory("--run-dir", "directory to create (default: runs/<arm>__<seed>__<time>)"),
-        directory("--resume", "continue the run in D exactly where it stopped", alone="the run"),
+        read(
+            "--init-from",
+            "start from the agent in F, policy.pt or checkpoint.pt of a run, which gives its value network, too",
+        ),
+        directory(
+            "--resume",
+            "continue the run in D exactly where it stopped; with --interactions N go on to N",
+            alone="the run",
+            beside=("--interactions",),
+        ),
     ),
     "study": Command(
         "train many seeds of both arms and evaluate them; the same command continues an interrupted study",
@@ -305,7 +314,10 @@ def parameters(arguments: argparse.Namespace) -> dict[str, Any]:
     values, command = vars(arguments), COMMANDS[arguments.command]
     given = [each for each in command.flags if each.dest in values]
     for each in given:
-        others = [other.name for other in given if other != each]
+        allowed = each.name, *each.beside
+        others = [
+            other.name for other in given if other.name not in allowed and other.dest not in OF_THE_PROCESS
+        ]
         if each.alone and others:
             raise InputError(f"{each.name} takes its settings from {each.alone}; drop {', '.join(others)}")
     own = {each.dest: values[each.dest] for each in given if each.dest not in SETTINGS | OF_THE_PROCESS}

@@ -1,6 +1,7 @@
 """What a flag is: the setting or parameter that it reaches, and how its text is read and checked."""
 
 import argparse
+from copy import copy
 from functools import partial
 from typing import Any, NoReturn
 
@@ -82,7 +83,7 @@ class Flag:
         name: as it is written; without dashes it is a positional argument.
         text: of --help, which goes on with the default, unless the text has it or a {} for it.
         sets: the setting it reaches, as "table.key"; without one, the parameter of the command's function by its name.
-        alone: what it names, if that holds all settings, so that no other flag is allowed beside it.
+        alone: what it names, if that holds all settings, so that no other flag is allowed beside it but those `beside`.
         reads: it names a file that is read; writes: one that is written, which of `study.paths.KINDS`.
         options: what else `add_argument` takes: type, choices, metavar, ...
     """
@@ -93,17 +94,20 @@ class Flag:
         text: str,
         sets: str = "",
         alone: str = "",
+        beside: tuple[str, ...] = (),
         reads: bool = False,
         writes: str = "",
         **options: Any,
     ) -> None:
-        self.name, self.text, self.alone, self.options = name, text, alone, options
+        self.name, self.text, self.alone, self.beside, self.options = name, text, alone, beside, options
         self.reads, self.writes = reads, writes
         self.dest = sets or name.removeprefix("--").replace("-", "_")
 
     def saying(self, text: str) -> "Flag":
         """The same flag with another text."""
-        return Flag(self.name, text, self.dest, self.alone, self.reads, self.writes, **self.options)
+        other = copy(self)
+        other.text = text
+        return other
 
 
 class Command:
