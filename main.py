@@ -84,8 +84,7 @@ def run_evaluate(
     from study.paper import tables
 
     check_writable(json, "--json")
-    # there is one --controller, which flies where no --checkpoint does
-    results = evaluation.run(configure, episodes, seed, checkpoint)
+    results = evaluation.run(configure, episodes, seed, checkpoint, controller)
     print(tables(results))
     if json:
         write_json(json, results)

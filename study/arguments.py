@@ -9,7 +9,7 @@ from typing import Any
 from inspection.parameters import AXES
 from rta.parameters import QP_SOLVERS
 from study import config as configuration
-from study.config import AnyConfig, StudyConfig
+from study.config import BASELINES, AnyConfig, StudyConfig
 from study.errors import InputError
 from study.flags import (
     Command,
@@ -118,15 +118,16 @@ COMMANDS = {
         RTA,
         *COMMON,
         count("--episodes", "test cases"),
-        seed("of the test cases"),
+        seed("of the test cases, of random controls and of an untrained agent"),
         JSON,
         one_of=(
             AGENT,
             Flag(
                 "--controller",
-                "a classical controller, which decides at every call of the filter, without it every second, "
-                "instead of an agent",
-                choices=("natural-motion",),
+                "instead of an agent: untrained (as training begins), random or zero controls, which decide every "
+                "10 s as an agent does, or natural-motion, a classical guidance that decides at every call of the "
+                "filter, without it every second",
+                choices=BASELINES,
             ),
         ),
     ),
@@ -137,7 +138,7 @@ COMMANDS = {
         Flag(
             "--controller",
             "who commands the spacecraft",
-            choices=("lqr-pd", "natural-motion", "policy", "recorded", "zero", "random"),
+            choices=("policy", "recorded", "lqr-pd", *BASELINES),
         ),
         AGENT.saying("the agent, for --controller policy"),
         path(
@@ -151,7 +152,7 @@ COMMANDS = {
         number(
             "--step",
             "seconds between two rows of the output, two decisions of a classical controller and two rows of "
-            "--actions; a policy decides every 10 s",
+            "--actions; an agent, trained or not, decides every 10 s",
             metavar="S",
         ),
         path("--out", "file to write", metavar="F.npz"),

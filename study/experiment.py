@@ -23,6 +23,7 @@ from rta.parameters import RtaParameters
 from study import config as configuration
 from study.config import Config
 from study.errors import InputError, refusing
+from study.progress import step
 
 # Compiling takes about a minute the first time, which as many filter calls or steps (of a batch each) repay.
 WORTH_COMPILING_FILTER = 1000
@@ -109,10 +110,9 @@ def test_cases(config: Config, episodes: int, seed: int) -> tuple[Tensor, Tensor
     c = config.inspection
     # default gains, so that agents trained behind different filters meet the same cases
     gains = RtaParameters(passive_safety_segments=config.rta.passive_safety_segments)
-    with refusing("[inspection]", RuntimeError):
-        return InitialStates(torch.Generator().manual_seed(seed), c, SafetyFilter(c, gains).is_safe).take(
-            episodes
-        )
+    starts = InitialStates(torch.Generator().manual_seed(seed), c, SafetyFilter(c, gains).is_safe)
+    with refusing("[inspection]", RuntimeError), step(f"drawing {episodes:,} test cases"):
+        return starts.take(episodes)
 
 
 def check_clocks(

@@ -16,7 +16,7 @@ from rta.qp import Status
 from study.config import TEST_CASES, Config
 from study.errors import InputError
 from study.experiment import Experiment, check_clocks, load_policy, test_cases
-from study.flight.controllers import agent, classical
+from study.flight.controllers import agent, classical, recorded, untrained
 from study.flight.state_files import STATE_FIELDS, read_state
 
 MAX_ROWS = 10**7
@@ -137,15 +137,19 @@ def run(
         raise InputError("--actions F.npy is needed by --controller recorded and by no other")
     policy, base = load_policy(checkpoint) if checkpoint else (None, Config())
     config = configure(base.unsettled())
-    decide_every = config.inspection.action_period if policy else step
+    decide_every = config.inspection.action_period if controller in ("policy", "untrained") else step
     check_rows(step, duration, config, decide_every)
     experiment = Experiment(config, 1, duration)
     start = starting_point(initial_state, experiment, seed)
     env = experiment.env(1, decide_every=decide_every, report_every=step)
+    if controller == "untrained":
+        policy = untrained(experiment, seed)
     if policy:
         commander = agent(policy.to(experiment.device), env)
+    elif actions:
+        commander = recorded(actions, config, step)
     else:
-        commander = classical(controller, actions, config, step, seed)
+        commander = classical(controller, config, seed)
     return simulate(env, commander, *start, duration), config
 
 
