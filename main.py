@@ -26,11 +26,14 @@ from study.files import check_writable, write_json, write_npz, writing
 def run_train(configure: Configure, run_dir: str | None = None, resume: str | None = None) -> None:
     """main.py train"""
     from study.training import run as training
+    from study.verification.verified import say_unless_verified
 
     if resume:
         run = training.resume(Path(resume))
+        say_unless_verified(run.config, Path(resume) / "config.toml")
     else:
         config = configure(Config())
+        say_unless_verified(config, configure.file)
         arm = f"rta_{config.rta.period:g}s" if config.train.rta else "no_rta"
         name = f"{arm}__{config.train.seed}__{time.strftime('%Y%m%d-%H%M%S')}"
         run = training.start(config, Path(run_dir or Path("runs") / ranks().agree(name)))
@@ -48,9 +51,12 @@ def run_study(configure: Configure, study_dir: str = "runs/study") -> None:
     """main.py study"""
     from study.training.run import Stopped
     from study.training.study import read_settings, train_and_evaluate
+    from study.verification.verified import say_unless_verified
 
     directory = Path(study_dir)
     config = configure(read_settings(directory) or StudyConfig())
+    if "rta" in config.study.arms:
+        say_unless_verified(config.of_arm("rta"), configure.file or directory / "config.toml")
     try:
         print(train_and_evaluate(config, directory))
     except Stopped as stopped:

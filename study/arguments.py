@@ -3,7 +3,7 @@
 import argparse
 import inspect
 from collections.abc import Callable, Mapping
-from functools import partial
+from dataclasses import dataclass
 from typing import Any
 
 from inspection.parameters import AXES
@@ -31,7 +31,6 @@ SETTINGS = {"config": None} | {
     for table, part in vars(StudyConfig()).items()
     for key, value in vars(part).items()
 }
-Configure = Callable[[AnyConfig], AnyConfig]  # puts --config and the flags over a configuration
 Handler = Callable[..., None]  # of a command; its parameters are `configure` and the flags that set nothing
 
 
@@ -293,7 +292,21 @@ def parameters(arguments: argparse.Namespace) -> dict[str, Any]:
             raise InputError(f"{each.name} takes its settings from {each.alone}; drop {', '.join(others)}")
     own = {each.dest: values[each.dest] for each in given if each.dest not in SETTINGS}
     has_settings = any(each.dest in SETTINGS for each in command.flags)
-    return own | ({"configure": partial(resolve, arguments)} if has_settings else {})
+    return own | ({"configure": Configure(arguments)} if has_settings else {})
+
+
+@dataclass(frozen=True)
+class Configure:
+    """Puts --config and the flags over a configuration; `file` is that of --config, if it was given."""
+
+    arguments: argparse.Namespace
+
+    def __call__(self, base: AnyConfig) -> AnyConfig:
+        return resolve(self.arguments, base)
+
+    @property
+    def file(self) -> str | None:
+        return getattr(self.arguments, "config", None)
 
 
 def resolve(arguments: argparse.Namespace, base: AnyConfig) -> AnyConfig:

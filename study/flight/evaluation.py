@@ -2,7 +2,6 @@
 
 import dataclasses
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,11 +17,13 @@ from inspection.termination import OUTCOMES
 from ppo.network import Policy
 from rta.constraints import CONSTRAINTS
 from rta.qp import Status
+from study.arguments import Configure
 from study.config import Config
 from study.experiment import Experiment, load_policy, test_cases
 from study.flight.controllers import agent, classical, untrained
 from study.flight.summary import summary_of_runs
 from study.progress import bar
+from study.verification.verified import say_unless_verified
 
 
 @dataclass
@@ -195,8 +196,8 @@ def play_controller(name: str, experiment: Experiment, episodes: int, seed: int)
     """Plays the common test cases with one of BASELINES.
 
     `natural-motion` decides at every call of the filter, without it at every integration step. The others decide as an
-    agent does, once an action period: `untrained` takes the mean actions of the policy with which `train --seed` begins,
-    `random` draws uniform controls anew each time, both from `seed`, and `zero` coasts.
+    agent does, once an action period: `untrained` takes the mean actions of the policy with which `train --seed`
+    begins, `random` draws uniform controls anew each time, both from `seed`, and `zero` coasts.
     """
     if name == "untrained":
         return play(untrained(experiment, seed), experiment, episodes, seed)
@@ -213,7 +214,7 @@ def evaluate(policy: Policy, experiment: Experiment, episodes: int, seed: int) -
 
 
 def run(
-    configure: Callable[[Config], Config],
+    configure: Configure,
     episodes: int,
     seed: int,
     checkpoint: str | None,
@@ -226,7 +227,9 @@ def run(
         checkpoint: the agent's file, or else controller: one of BASELINES.
     """
     policy, base = load_policy(checkpoint) if checkpoint else (None, Config())
-    experiment = Experiment(configure(base.unsettled()), episodes)
+    config = configure(base.unsettled())
+    say_unless_verified(config, configure.file, checkpoint)
+    experiment = Experiment(config, episodes)
     if policy:
         return evaluate(policy.to(experiment.device), experiment, episodes, seed)
     return report(play_controller(controller, experiment, episodes, seed), experiment.config, seed)

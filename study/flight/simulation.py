@@ -1,6 +1,5 @@
 """Simulating one spacecraft under any controller, with everything over time."""
 
-from collections.abc import Callable
 from dataclasses import asdict
 
 import numpy as np
@@ -13,11 +12,13 @@ from inspection.environment import InspectionEnv
 from inspection.termination import terminal_conditions
 from ppo.network import Policy
 from rta.qp import Status
+from study.arguments import Configure
 from study.config import TEST_CASES, Config
 from study.errors import InputError
 from study.experiment import Experiment, check_clocks, load_policy, test_cases
 from study.flight.controllers import agent, classical, recorded, untrained
 from study.flight.state_files import STATE_FIELDS, read_state
+from study.verification.verified import say_unless_verified
 
 MAX_ROWS = 10**7
 SCALARS = ("time", "inspected_score", "temperature", "energy", "sun_angle")
@@ -114,7 +115,7 @@ def common_episode(policy: Policy, experiment: Experiment) -> dict[str, np.ndarr
 
 
 def run(
-    configure: Callable[[Config], Config],
+    configure: Configure,
     controller: str,
     duration: float,
     step: float,
@@ -139,6 +140,7 @@ def run(
     config = configure(base.unsettled())
     decide_every = config.inspection.action_period if controller in ("policy", "untrained") else step
     check_rows(step, duration, config, decide_every)
+    say_unless_verified(config, configure.file, checkpoint)
     experiment = Experiment(config, 1, duration)
     start = starting_point(initial_state, experiment, seed)
     env = experiment.env(1, decide_every=decide_every, report_every=step)

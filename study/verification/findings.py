@@ -9,6 +9,7 @@ from rta.constraints import CONSTRAINTS
 from study.config import Config, override
 from study.errors import MALFORMED, InputError, refusing
 from study.verification.tally import empty_tally
+from study.verification.verified import fingerprint
 
 LISTED = 12  # sets of constraints with slack together that the text lists
 
@@ -18,7 +19,8 @@ def empty_report(campaign: dict[str, Any], config: Config) -> dict[str, Any]:
 
     Its own tally and bound are over the starts that the filter can hold in any attitude. `starts_beyond_braking` has
     the tally of the others (`SafetyFilter.can_brake`), where keep-in zone and actuators can conflict from the start
-    on. `starts_rejected_by_margin` counts states left out as in `safe_set`.
+    on. `starts_rejected_by_margin` counts states left out as in `safe_set`. `fingerprint` is that of the plant and the
+    filter (`study.verification.verified`).
     """
     return {
         "campaign": campaign,
@@ -26,6 +28,7 @@ def empty_report(campaign: dict[str, Any], config: Config) -> dict[str, Any]:
         "upper_bound_95": 1.0,
         "starts_beyond_braking": empty_tally(),
         "starts_rejected_by_margin": 0,
+        "fingerprint": fingerprint(config),
         "config": dataclasses.asdict(config),
     }
 
@@ -43,7 +46,7 @@ def report_in(path: Path | None, campaign: dict[str, Any], config: Config) -> di
         same = report["campaign"] == campaign and of_the_same(report["config"], config, path)
     if not same:
         raise InputError(f"--json {path}: holds another campaign or configuration; name another file")
-    return report | {"config": fresh["config"]}
+    return report | {name: fresh[name] for name in ("fingerprint", "config")}
 
 
 def of_the_same(before: dict[str, Any], config: Config, path: Path) -> bool:
