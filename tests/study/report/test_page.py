@@ -181,7 +181,7 @@ def test_baselines_stand_below_the_agents(study: Path, text: str, reader: Reader
             ),
             f"{results['violations_percent']['any']:.3f}",
         ]
-    random = flown[-3][2]
+    random = flown[-5][2]
     assert f"random controls succeed in\n{100 * random['outcomes']['success']:.1f} %" in text
 
 
