@@ -65,7 +65,7 @@ def run_study(configure: Configure, study_dir: str = "runs/study") -> None:
 
 def run_report(study: str, device: str | None = None) -> None:
     """main.py report"""
-    from study.report import figures, inputs, page, tables
+    from study.report import figures, inputs, page, replay, tables
     from study.report.compute import compute
 
     directory = Path(study)
@@ -73,6 +73,7 @@ def run_report(study: str, device: str | None = None) -> None:
     found = inputs.read(directory)
     tables.write(found)
     figures.draw(found)
+    replay.write(found)
     page.write(found)
     print(f"Written to {directory}: report.html and, in report, its figures and the data behind them")
 
