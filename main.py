@@ -76,6 +76,7 @@ def run_report(study: str, device: str | None = None) -> None:
     replay.write(found)
     page.write(found)
     print(f"Written to {directory}: report.html and, in report, its figures and the data behind them")
+    print(f"Open it in a browser: {(directory / 'report.html').absolute().as_uri()}")
 
 
 def run_evaluate(
@@ -95,6 +96,8 @@ def run_evaluate(
     print(tables(results))
     if json:
         write_json(json, results)
+        print(f"Written to {json}")
+    print(evaluation.how_to_watch(configure.words, checkpoint, controller))
 
 
 def run_simulate(
@@ -159,13 +162,16 @@ def run_verify(
     """main.py verify"""
     from study.verification.campaign import verify
     from study.verification.counter_examples import replay_file
-    from study.verification.findings import table
+    from study.verification.findings import table, what_next
 
     if replay:
         print(replay_file(replay))
         return
     check_writable(json, "--json")
-    print(table(verify(policy, episodes, duration, seed, configure, Path(json) if json else None)))
+    kept = Path(json) if json else None
+    report = verify(policy, episodes, duration, seed, configure, kept)
+    print(table(report))
+    print(what_next(report, kept))
 
 
 def run_benchmark(

@@ -4,6 +4,7 @@ import argparse
 import inspect
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from shlex import quote
 from typing import Any
 
 from inspection.parameters import AXES
@@ -307,6 +308,19 @@ class Configure:
     @property
     def file(self) -> str | None:
         return getattr(self.arguments, "config", None)
+
+    @property
+    def words(self) -> str:
+        """The flags of settings that were given, as they are written, each with a space before it."""
+        values, words = vars(self.arguments), ""
+        for each in COMMANDS[self.arguments.command].flags:
+            if each.dest in SETTINGS and each.dest in values:
+                value = values[each.dest]
+                if isinstance(value, bool):
+                    words += f" {each.name if value else each.name.replace('--', '--no-')}"
+                else:
+                    words += f" {each.name} {quote(f'{value:g}' if isinstance(value, float) else str(value))}"
+        return words
 
 
 def resolve(arguments: argparse.Namespace, base: AnyConfig) -> AnyConfig:

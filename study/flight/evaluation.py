@@ -3,6 +3,7 @@
 import dataclasses
 import math
 from dataclasses import dataclass
+from shlex import quote
 from typing import Any
 
 import torch
@@ -19,7 +20,7 @@ from rta.constraints import CONSTRAINTS
 from rta.qp import Status
 from study.arguments import Configure
 from study.config import Config
-from study.experiment import Experiment, load_policy, test_cases
+from study.experiment import TYPICAL_EPISODE, Experiment, load_policy, test_cases
 from study.flight.controllers import agent, classical, untrained
 from study.flight.summary import summary_of_runs
 from study.progress import bar
@@ -233,3 +234,12 @@ def run(
     if policy:
         return evaluate(policy.to(experiment.device), experiment, episodes, seed)
     return report(play_controller(controller, experiment, episodes, seed), experiment.config, seed)
+
+
+def how_to_watch(words: str, checkpoint: str | None, controller: str | None) -> str:
+    """The commands that show an episode of what `evaluate` flew; `words` are the flags of its settings."""
+    who = f"policy --checkpoint {quote(checkpoint)}" if checkpoint else controller
+    return (
+        f"Watch one: python main.py simulate --controller {who}{words} --duration {TYPICAL_EPISODE:.0f} --out run.npz "
+        "&& python main.py replay run.npz --out run.html"
+    )

@@ -82,7 +82,9 @@ def read(path: str, rows: int = MAX_ROWS) -> Replayed:
     for name, row in (COLUMNS | flags).items():
         array, kind = episode[name], "bool" if name in flags else "numbers"
         if array.shape != (length, *row) or array.dtype.kind != ("b" if name in flags else "f"):
-            raise InputError(f"{path}: {name} is {array.dtype} {array.shape}: must be {kind} {(length, *row)}")
+            raise InputError(
+                f"{path}: {name} is {array.dtype} {array.shape}: must be {kind} {(length, *row)}"
+            )
         if not np.isfinite(array).all():
             raise InputError(f"{path}: {name} must hold finite numbers only")
     if length < 2 or not (np.diff(episode["time"]) > 0.0).all():

@@ -127,20 +127,25 @@ def work(study: Path, arms: dict[str, Arm]) -> Work:
     """Everything that a report on these arms needs beside the study's own results."""
     config = next(iter(arms.values())).config
     periods = ", ".join(f"{period:g}" for period in PERIODS)
-    filtered = f"the agents trained with RTA, the filter called every {periods} s"
-    guided = f"the natural-motion guidance with RTA over {GUIDANCE_CASES:,} cases"
+    filtered = f"the agents trained with RTA, the filter called every {periods} s, a few minutes"
+    guided = f"the natural-motion guidance with RTA over {GUIDANCE_CASES:,} cases, a few minutes"
     lit = partial(shortest_episodes, config, config.train.final_episodes, TEST_CASES)
-    todo: Work = {"cross.json": ("every agent with the filter off and on", partial(cross, arms))}
+    todo: Work = {
+        "cross.json": ("every agent with the filter off and on, a few minutes", partial(cross, arms))
+    }
     if "rta" in arms:
         todo["frequency.json"] = (filtered, partial(frequency, arms["rta"]))
-    todo["baselines.json"] = (f"what is not trained, {', '.join(BASELINES)}", partial(baselines, config))
+    todo["baselines.json"] = (
+        f"what is not trained ({', '.join(BASELINES)}), a few minutes",
+        partial(baselines, config),
+    )
     todo["guidance.json"] = (guided, partial(guidance, config))
-    todo["sunlight.json"] = ("when the Sun has lit enough of the chief", lit)
+    todo["sunlight.json"] = ("when the Sun has lit enough of the chief, seconds", lit)
     for name, arm in arms.items():
-        todo[f"episode_{name}.npz"] = (f"an episode of {name}", partial(episode, arm))
-    todo["training.csv"] = ("intervals of the training curves", partial(training, study, arms))
+        todo[f"episode_{name}.npz"] = (f"an episode of {name}, seconds", partial(episode, arm))
+    todo["training.csv"] = ("intervals of the training curves, seconds", partial(training, study, arms))
     for name, rta in ARMS.items():
-        what = f"the LQR+PD demonstration {'with' if rta else 'without'} RTA"
+        what = f"the LQR+PD demonstration {'with' if rta else 'without'} RTA, seconds"
         todo[f"demonstration_{name}.npz"] = (what, partial(demonstration, config, rta))
     return todo
 

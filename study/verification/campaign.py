@@ -55,7 +55,7 @@ def run(
     experiment: Experiment,
     network: Policy | None,
     path: Path | None,
-    tell: Callable[[float, int], None] | None = None,
+    tell: Callable[[float, int, int], None] = lambda flown, violating, begun: None,
 ) -> Iterator[dict[str, Any]]:
     """Flies batch after batch and yields the report so far, which `path` holds too and is resumed from.
 
@@ -66,8 +66,8 @@ def run(
         episodes: from starts that the filter can hold.
         network: of --policy checkpoint, else None.
         path: a JSON file; beside it a violated constraint leaves its worst episode, FILE.CONSTRAINT.npz.
-        tell: is told, while a batch flies, how many episodes have been flown, also in part, and how many of them
-            violate a constraint.
+        tell: is told, while a batch flies, how many episodes have been flown, also in part, how many violate a
+            constraint, and of how many that have begun.
     """
     config, env = experiment.config, None
     decide_every = decides_every(config, network)
@@ -97,16 +97,7 @@ def run(
         x, priority = (part[:, first : first + count].to(env.x) for part in (x, priority))
         held, before = held.to(env.x.device), dict(report["worst_value"])
 
-        def progress(
-            time: float, violating: Tensor, done: dict[str, Any] = report, counted: Tensor = held
-        ) -> None:
-            if tell:
-                flown = int(counted.sum()) * time / campaign.duration
-                tell(
-                    done["episodes"] + flown,
-                    done["violating_episodes"]["any"] + int(violating[counted].sum()),
-                )
-
+        progress = telling(tell, report, held, campaign.duration)
         flight = fly(env, controller, x, priority, campaign.duration, first, progress)
         origin = {"batch_seed": seed_of_starts, "batch_size": campaign.batch_size}
         add(beyond, flight[~held], origin)
@@ -153,8 +144,8 @@ def verify(
     network = network.to(experiment.device) if network else None
     shown: tqdm
 
-    def tell(flown: float, violating: int) -> None:
-        shown.set_postfix(violating=violating, refresh=False)
+    def tell(flown: float, violating: int, begun: int) -> None:
+        shown.set_postfix_str(f"{violating:,} violating of {begun:,} begun", refresh=False)
         shown.update(flown - shown.n)
 
     reports = run(campaign, episodes, experiment, network, path, tell)
@@ -163,8 +154,21 @@ def verify(
         print(f"{path}: holds {report['episodes']:,} episodes already, more than asked for", file=sys.stderr)
     with bar(episodes, "episodes", initial=report["episodes"], bar_format=BAR) as shown:
         for report in reports:
-            tell(report["episodes"], report["violating_episodes"]["any"])
+            tell(report["episodes"], report["violating_episodes"]["any"], report["episodes"])
     return report
+
+
+def telling(
+    tell: Callable[[float, int, int], None], report: dict[str, Any], held: Tensor, duration: float
+) -> Callable[[float, Tensor], None]:
+    """What `fly` is to tell of a batch that goes into the report where `held` (B,) is set."""
+    before, violating_before, count = report["episodes"], report["violating_episodes"]["any"], int(held.sum())
+
+    def told(time: float, violating: Tensor) -> None:
+        now = violating_before + int(violating[held].sum())
+        tell(before + count * time / duration, now, before + count)
+
+    return told
 
 
 def decides_every(config: Config, network: Policy | None) -> float:

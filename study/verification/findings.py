@@ -3,6 +3,8 @@
 import dataclasses
 import json
 from pathlib import Path
+from shlex import quote
+from textwrap import fill
 from typing import Any
 
 from rta.constraints import CONSTRAINTS
@@ -11,6 +13,7 @@ from study.errors import MALFORMED, InputError, refusing
 from study.verification.tally import empty_tally
 from study.verification.verified import fingerprint
 
+WIDTH = 100  # of the text
 LISTED = 12  # sets of constraints with slack together that the text lists
 
 
@@ -56,7 +59,7 @@ def of_the_same(before: dict[str, Any], config: Config, path: Path) -> bool:
 
 
 def table(report: dict[str, Any]) -> str:
-    """A report as text."""
+    """A report as text, at most WIDTH columns wide."""
     steps, episodes = report["violating_steps"], report["violating_episodes"]
     calls, beyond = report["filter_calls"], report["starts_beyond_braking"]
     total = sum(calls.values())
@@ -68,7 +71,8 @@ def table(report: dict[str, Any]) -> str:
             f"{report['worst_value'][name]:13.5g} {report['yielded_calls'][name]:17,d}"
             for name in CONSTRAINTS
         ),
-        f"{'any':20s} {steps['any']:16,d} {episodes['any']:9,d}",
+        f"{'any of them':20s} {steps['any']:16,d} {episodes['any']:9,d}",
+        "slack: what a constraint's row gave way by, where not all of them could be held at once",
         f"{report['episodes']:,} episodes, {report['steps']:,} steps; violation probability per episode below "
         f"{report['upper_bound_95']:.2e} (95 %)",
         f"{total:,} filter calls, {corrected:.1f} % corrected, {calls['slack']:,} with slack, "
@@ -91,4 +95,19 @@ def table(report: dict[str, Any]) -> str:
         lines.append(f"{same['calls']:9,d}  {slack}")
     if more := together[LISTED:]:
         lines.append(f"{sum(same['calls'] for same in more):9,d}  in {len(more):,} other combinations")
+    return "\n".join(fill(line, WIDTH, subsequent_indent=" " * 11) for line in lines)
+
+
+def what_next(report: dict[str, Any], path: Path | None) -> str:
+    """Where the report and its counter-examples are, and how to fly one of them again."""
+    violated = [name for name in CONSTRAINTS if report["violating_episodes"][name]]
+    if path is None:
+        return (
+            "Nothing was kept: --json F keeps the report, and a counter-example of every constraint violated"
+        )
+    lines = [f"Written to {path}; a larger --episodes goes on from there"]
+    examples = [name for name in violated if Path(f"{path}.{name}.npz").is_file()]
+    if examples:
+        lines.append(f"Counter-examples, the worst episodes: {path}.CONSTRAINT.npz of {', '.join(examples)}")
+        lines.append(f"Fly one again: python main.py verify --replay {quote(f'{path}.{examples[0]}.npz')}")
     return "\n".join(lines)

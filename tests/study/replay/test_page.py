@@ -112,6 +112,15 @@ def test_a_tag_in_a_files_name_stays_text(flown_files: tuple[Path, Path], tmp_pa
     assert run.name not in page and "Replay of &lt;!--&lt;script&gt;.npz" in page
 
 
+def test_a_page_names_its_runs_without_their_folders(flown_files: tuple[Path, Path], tmp_path: Path) -> None:
+    out = tmp_path / "page.html"
+    replay.write([str(path) for path in flown_files], out, rows=5, report="../report.html")
+    page = out.read_text(encoding="utf-8")
+    assert str(flown_files[0].parent) not in page
+    assert "one.npz: one row in 6 is shown" in page
+    assert '<a href="../report.html">' in page
+
+
 def test_a_files_name_that_is_not_utf_8_is_shown_with_replacements(
     flown_files: tuple[Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
