@@ -41,6 +41,7 @@ def run_train(
     """main.py train"""
     from study.training import run as training
     from study.training.provenance import recorded_threads
+    from study.verification.verified import say_unless_verified
 
     if resume:
         THREADS.recorded = recorded_threads(Path(resume))
@@ -53,6 +54,7 @@ def run_train(
         session = training.starting(config, directory, Path(init_from) if init_from else None)
     with session as run:
         print(run, flush=True)
+        say_unless_verified(run.config, run.directory / "config.toml")
         try:
             run.train()
         except training.Stopped as stopped:
@@ -67,10 +69,13 @@ def run_study(configure: Configure, study_dir: str = "runs/study") -> None:
     from study.training.provenance import recorded_threads
     from study.training.run import Stopped
     from study.training.study import read_settings, train_and_evaluate
+    from study.verification.verified import say_unless_verified
 
     directory = Path(study_dir)
     config = configure(read_settings(directory) or StudyConfig())
     THREADS.recorded = recorded_threads(directory)
+    if "rta" in config.study.arms:
+        say_unless_verified(config.of_arm("rta"), configure.file or directory / "config.toml")
     try:
         print(train_and_evaluate(config, directory))
     except Stopped as stopped:
@@ -79,7 +84,7 @@ def run_study(configure: Configure, study_dir: str = "runs/study") -> None:
 
 def run_report(study: str, device: str | None = None) -> None:
     """main.py report"""
-    from study.report import figures, inputs, page, tables
+    from study.report import figures, inputs, page, replay, tables
     from study.report.compute import compute
 
     directory = Path(study)
@@ -87,8 +92,10 @@ def run_report(study: str, device: str | None = None) -> None:
     found = inputs.read(directory)
     tables.write(found)
     figures.draw(found)
+    replay.write(found)
     page.write(found)
     print(f"Written to {directory}: report.html and, in report, its figures and the data behind them")
+    print(f"Open it in a browser: {(directory / 'report.html').absolute().as_uri()}")
 
 
 def run_evaluate(
@@ -103,11 +110,12 @@ def run_evaluate(
     from study.flight import evaluation
     from study.paper import tables
 
-    # there is one --controller, which flies where no --checkpoint does
-    results = evaluation.run(configure, episodes, seed, checkpoint)
+    results = evaluation.run(configure, episodes, seed, checkpoint, controller)
     print(tables(results))
     if json:
         write_json(json, results)
+        print(f"Written to {json}")
+    print(evaluation.how_to_watch(configure.words, checkpoint, controller))
 
 
 def run_simulate(
@@ -168,12 +176,15 @@ def run_verify(
     """main.py verify"""
     from study.verification.campaign import verify
     from study.verification.counter_examples import replay_file
-    from study.verification.findings import table
+    from study.verification.findings import table, what_next
 
     if replay:
         print(replay_file(replay))
         return
-    print(table(verify(policy, episodes, duration, seed, configure, Path(json) if json else None)))
+    kept = Path(json) if json else None
+    report = verify(policy, episodes, duration, seed, configure, kept)
+    print(table(report))
+    print(what_next(report, kept))
 
 
 def run_benchmark(

@@ -3,13 +3,14 @@
 import argparse
 import inspect
 from collections.abc import Callable, Mapping
-from functools import partial
+from dataclasses import dataclass
+from shlex import quote
 from typing import Any
 
 from inspection.parameters import AXES
 from rta.parameters import QP_SOLVERS
 from study import config as configuration
-from study.config import AnyConfig, StudyConfig
+from study.config import BASELINES, AnyConfig, StudyConfig
 from study.errors import InputError
 from study.flags import (
     CHECKPOINT,
@@ -36,7 +37,6 @@ SETTINGS = {"config": None} | {
     for key, value in vars(part).items()
 }
 OF_THE_PROCESS = {"threads": None}  # what a flag can set that is no part of an experiment
-Configure = Callable[[AnyConfig], AnyConfig]  # puts --config and the flags over a configuration
 Handler = Callable[..., None]  # of a command; its parameters are `configure` and the flags that set nothing
 
 
@@ -141,15 +141,16 @@ COMMANDS = {
         *COMMON,
         THREADS,
         count("--episodes", "test cases"),
-        seed("of the test cases"),
+        seed("of the test cases, of random controls and of an untrained agent"),
         written("evaluation", "--json", "also write the results there"),
         one_of=(
             AGENT,
             Flag(
                 "--controller",
-                "a classical controller, which decides at every call of the filter, without it every second, "
-                "instead of an agent",
-                choices=("natural-motion",),
+                "instead of an agent: untrained (as training begins), random or zero controls, which decide every "
+                "10 s as an agent does, or natural-motion, a classical guidance that decides at every call of the "
+                "filter, without it every second",
+                choices=BASELINES,
             ),
         ),
     ),
@@ -161,7 +162,7 @@ COMMANDS = {
         Flag(
             "--controller",
             "who commands the spacecraft",
-            choices=("lqr-pd", "natural-motion", "policy", "recorded", "zero", "random"),
+            choices=("policy", "recorded", "lqr-pd", *BASELINES),
         ),
         AGENT.saying("the agent, for --controller policy"),
         read(
@@ -175,7 +176,7 @@ COMMANDS = {
         number(
             "--step",
             "seconds between two rows of the output, two decisions of a classical controller and two rows of "
-            "--actions; a policy decides every 10 s",
+            "--actions; an agent, trained or not, decides every 10 s",
             metavar="S",
         ),
         written("run of simulate", "--out", "file to write", "F.npz"),
@@ -322,7 +323,34 @@ def parameters(arguments: argparse.Namespace) -> dict[str, Any]:
             raise InputError(f"{each.name} takes its settings from {each.alone}; drop {', '.join(others)}")
     own = {each.dest: values[each.dest] for each in given if each.dest not in SETTINGS | OF_THE_PROCESS}
     has_settings = any(each.dest in SETTINGS for each in command.flags)
-    return own | ({"configure": partial(resolve, arguments)} if has_settings else {})
+    return own | ({"configure": Configure(arguments)} if has_settings else {})
+
+
+@dataclass(frozen=True)
+class Configure:
+    """Puts --config and the flags over a configuration; `file` is that of --config, if it was given."""
+
+    arguments: argparse.Namespace
+
+    def __call__(self, base: AnyConfig) -> AnyConfig:
+        return resolve(self.arguments, base)
+
+    @property
+    def file(self) -> str | None:
+        return getattr(self.arguments, "config", None)
+
+    @property
+    def words(self) -> str:
+        """The flags of settings that were given, as they are written, each with a space before it."""
+        values, words = vars(self.arguments), ""
+        for each in COMMANDS[self.arguments.command].flags:
+            if each.dest in SETTINGS and each.dest in values:
+                value = values[each.dest]
+                if isinstance(value, bool):
+                    words += f" {each.name if value else each.name.replace('--', '--no-')}"
+                else:
+                    words += f" {each.name} {quote(f'{value:g}' if isinstance(value, float) else str(value))}"
+        return words
 
 
 def check_files(arguments: argparse.Namespace) -> None:

@@ -122,10 +122,9 @@ def test_cases(config: Config, episodes: int, seed: int) -> tuple[Tensor, Tensor
     c = config.inspection
     # default gains, so that agents trained behind different filters meet the same cases
     gains = RtaParameters(passive_safety_segments=config.rta.passive_safety_segments)
-    with refusing("[inspection]", RuntimeError):
-        return InitialStates(torch.Generator().manual_seed(seed), c, SafetyFilter(c, gains).is_safe).take(
-            episodes
-        )
+    starts = InitialStates(torch.Generator().manual_seed(seed), c, SafetyFilter(c, gains).is_safe)
+    with refusing("[inspection]", RuntimeError), step(f"drawing {episodes:,} test cases"):
+        return starts.take(episodes)
 
 
 def check_clocks(
