@@ -81,7 +81,10 @@ __all__ = ["run"]  # a fixture
         (["filter", "--states", "nowhere.npz", "--out", "x"], ["nowhere.npz", "no such file"]),
         (["filter", "--states", "x", "--out", "x", "--no-rta"], ["--no-rta"]),
         (["verify", "--policy", "checkpoint:"], ["--policy", "checkpoint:F"]),
-        (["train", "--num-envs", "1_000_000_000"], ["1,000,000,000 episodes", "not enough memory"]),
+        (
+            ["train", "--num-envs", "1_000_000_000", "--no-rta", "--compile", "off"],
+            ["1,000,000,000 episodes", "not enough memory"],
+        ),
         (["train", "--config", "/dev/zero"], ["--config", "/dev/zero", "is a device"]),
         (["export", "--checkpoint", "x.pt"], ["--out"]),
         (["export", "--checkpoint", "nowhere.pt", "--out", "x"], ["nowhere.pt", "no such checkpoint"]),
@@ -163,6 +166,7 @@ def test_malformed_state_files_are_refused(
         (np.full((3, 6), np.nan), ["finite"]),
         (np.full((3, 6), 0.5), ["0.5", "0.001"]),
         (np.array(["a"]), ["(N, 6)"]),
+        (np.zeros((9, 6)), ["9 rows", "--duration", "10"]),
     ],
 )
 def test_bad_actions_are_refused(

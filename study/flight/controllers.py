@@ -41,6 +41,7 @@ def classical(name: str, config: Config, seed: int) -> Controller:
     }[name]()
 
 
-def recorded(path: str, config: Config, step: float) -> Controller:
-    """The controls in a file, one every `step` s."""
-    return guidance.recorded(read_actions(path, config.inspection.control_limit), step)
+def recorded(path: str, config: Config, step: float, duration: float) -> Controller:
+    """The controls in a file, one every `step` s, enough for the duration in s."""
+    actions = read_actions(path, config.inspection.control_limit, round(duration / step))
+    return guidance.recorded(actions, step)

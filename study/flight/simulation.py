@@ -149,7 +149,7 @@ def run(
     if policy:
         commander = agent(policy.to(experiment.device), env)
     elif actions:
-        commander = recorded(actions, config, step)
+        commander = recorded(actions, config, step, duration)
     else:
         commander = classical(controller, config, seed)
     return simulate(env, commander, *start, duration), config
