@@ -379,6 +379,16 @@ def test_the_index_has_every_page() -> None:
     assert pages - {"README.md"} <= linked
 
 
+def test_every_page_that_the_code_names_is_there() -> None:
+    folders = ("inspection", "rta", "ppo", "interfaces", "study", "configs", "docs", "tests")
+    for folder in folders:
+        for path in (ROOT / folder).rglob("*"):
+            if path.suffix in (".py", ".toml", ".j2", ".slurm"):
+                content = path.read_text(encoding="utf-8")
+                for page in re.findall(r"\bdocs/[\w/]+\.\w+", content):
+                    assert (ROOT / page).exists(), f"{path}: {page}"
+
+
 def commands(page: str) -> Iterator[list[str]]:
     """The words of every command on a page, and of every line of a program there, in their order."""
     for line in text(page).splitlines():
