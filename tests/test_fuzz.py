@@ -52,7 +52,7 @@ BASES = (
     "verify --replay x.npz",
     "report --study directory",
     "study --config c.toml --study-dir study --seeds 1",
-    "benchmark --batches 2,x",
+    "benchmark --batches 2,x --json directory",
 )
 TEXTS = (
     *(
