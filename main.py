@@ -8,53 +8,72 @@ import os
 import signal
 import sys
 import time
+
+
+def interrupted(*_: object) -> None:
+    """Ends the program in one line where nothing has begun: the imports below take seconds."""
+    print("interrupted", file=sys.stderr)
+    os._exit(130)
+
+
+if __name__ == "__main__":
+    signal.signal(signal.SIGINT, interrupted)
+
 from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
 
 from ppo.checkpoint import CheckpointError
 from ppo.distributed import RankLostError, is_first, ranks
 from ppo.learner import NonFiniteError
-from study.arguments import Configure, build_parser, join_axis, parameters
+from study.arguments import Configure, build_parser, check_files, join_axis, parameters
 from study.config import TEST_CASES, Config, StudyConfig
-from study.errors import ExportError, InputError, ReplayError, refusing
-from study.files import check_writable, write_json, write_npz, writing
+from study.errors import ExportError, InputError, ReplayError, in_one_line, refusing
+from study.files import write_json, write_npz, writing
+from study.threads import THREADS
 
 # A command's parameters are its flags: `study.arguments` has their help, limits and order. `configure` puts --config
 # and the other flags, those that set something, over a configuration.
 
 
-def run_train(configure: Configure, run_dir: str | None = None, resume: str | None = None) -> None:
+def run_train(
+    configure: Configure, run_dir: str | None = None, init_from: str | None = None, resume: str | None = None
+) -> None:
     """main.py train"""
     from study.training import run as training
+    from study.training.provenance import recorded_threads
     from study.verification.verified import say_unless_verified
 
     if resume:
-        run = training.resume(Path(resume))
-        say_unless_verified(run.config, Path(resume) / "config.toml")
+        THREADS.recorded = recorded_threads(Path(resume))
+        session = training.resuming(Path(resume), configure)
     else:
         config = configure(Config())
-        say_unless_verified(config, configure.file)
         arm = f"rta_{config.rta.period:g}s" if config.train.rta else "no_rta"
         name = f"{arm}__{config.train.seed}__{time.strftime('%Y%m%d-%H%M%S')}"
-        run = training.start(config, Path(run_dir or Path("runs") / ranks().agree(name)))
-    print(run, flush=True)
-    try:
-        run.train()
-    except training.Stopped as stopped:
-        print(stopped)
-        return
-    if run.ranks.first:
-        print(run.conclude())
+        directory = Path(run_dir or Path("runs") / ranks().agree(name))
+        session = training.starting(config, directory, Path(init_from) if init_from else None)
+    with session as run:
+        print(run, flush=True)
+        say_unless_verified(run.config, run.directory / "config.toml")
+        try:
+            run.train()
+        except training.Stopped as stopped:
+            print(stopped)
+            return
+        if run.ranks.first:
+            print(run.conclude())
 
 
 def run_study(configure: Configure, study_dir: str = "runs/study") -> None:
     """main.py study"""
+    from study.training.provenance import recorded_threads
     from study.training.run import Stopped
     from study.training.study import read_settings, train_and_evaluate
     from study.verification.verified import say_unless_verified
 
     directory = Path(study_dir)
     config = configure(read_settings(directory) or StudyConfig())
+    THREADS.recorded = recorded_threads(directory)
     if "rta" in config.study.arms:
         say_unless_verified(config.of_arm("rta"), configure.file or directory / "config.toml")
     try:
@@ -91,7 +110,6 @@ def run_evaluate(
     from study.flight import evaluation
     from study.paper import tables
 
-    check_writable(json, "--json")
     results = evaluation.run(configure, episodes, seed, checkpoint, controller)
     print(tables(results))
     if json:
@@ -116,8 +134,6 @@ def run_simulate(
     from study.flight import simulation
     from study.flight.figures import constraint_figure
 
-    check_writable(out, "--out")
-    check_writable(figure, "--figure")
     flown, config = simulation.run(
         configure, controller, duration, step, seed, checkpoint, actions, initial_state
     )
@@ -133,7 +149,6 @@ def run_replay(runs: list[str], out: str) -> None:
 
     if len(runs) > 2:
         raise InputError(f"{len(runs)} runs: at most two are shown side by side")
-    check_writable(out, "--out")
     size = page.write(runs, Path(out))
     print(f"{scene.printable(out)}: {1e-6 * size:.1f} MB, opens in a browser without a network")
 
@@ -143,7 +158,6 @@ def run_filter(configure: Configure, states: str, out: str) -> None:
     from rta.qp import Status
     from study.flight import offline_filter
 
-    check_writable(out, "--out")
     result = offline_filter.run(configure, states)
     write_npz(out, result)
     counts = [f"{(result['status'] == status).sum():,} {status.name.lower()}" for status in Status]
@@ -167,7 +181,6 @@ def run_verify(
     if replay:
         print(replay_file(replay))
         return
-    check_writable(json, "--json")
     kept = Path(json) if json else None
     report = verify(policy, episodes, duration, seed, configure, kept)
     print(table(report))
@@ -183,8 +196,6 @@ def run_benchmark(
     """main.py benchmark"""
     from study.benchmark import measure, presentation
 
-    check_writable(json, "--json")
-    check_writable(figure, "--figure")
     results = measure.benchmark(configure(Config()), batches or measure.BATCHES)
     print(presentation.table(results))
     if json:
@@ -200,7 +211,6 @@ def run_export(checkpoint: str, out: str) -> None:
 
     with refusing("export needs the packages onnx and onnxruntime of requirements.txt", ImportError):
         from study import export
-    check_writable(out, "--out")
     policy, config = load_policy(checkpoint)
     model = export.to_onnx(policy, config.inspection)
     difference = export.check(model, policy)
@@ -239,6 +249,8 @@ def main(argv: list[str] | None = None) -> int:
                 raise InputError(
                     f"torchrun: {arguments.command} runs in one process; only train and study in many"
                 )
+            check_files(arguments)
+            THREADS.ask(getattr(arguments, "threads", None))
             HANDLERS[arguments.command](**parameters(arguments))
     except (InputError, CheckpointError) as error:
         return complain(f"{error}", 2)
@@ -247,7 +259,7 @@ def main(argv: list[str] | None = None) -> int:
     except OSError as error:
         if error.filename is None:
             raise
-        return complain(f"{error.filename}: {error.strerror}", 2)
+        return complain(f"{error.filename}: {error.strerror}", 2, "end")
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)
         return 130
@@ -265,9 +277,10 @@ def complain(reason: str, code: int, event: str = "") -> int:
     """One line on stderr, of ranks with the same reason, or of the same event, from one; returns the exit code."""
     if ranks().first_to_say(event or reason):
         unfinished = "" if ranks().first else "\n"  # the first rank's progress bar, where it ended midway
-        print(f"{unfinished}error: {reason}", file=sys.stderr)
+        print(f"{unfinished}error: {in_one_line(reason)}", file=sys.stderr)
     return code
 
 
 if __name__ == "__main__":
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     sys.exit(main())

@@ -1,7 +1,7 @@
 """Every constant of the inspection task, with its unit and its source, as one frozen dataclass.
 
 "Sec." and "Eq." refer to Dunlap et al., AFRL-2024-3223. Entries marked (decision) fill a gap or a
-contradiction in the paper; the README's "Differences from the paper" gives the reason for each.
+contradiction in the paper; docs/reference/differences.md gives the reason for each.
 """
 
 import math
@@ -9,95 +9,121 @@ from dataclasses import dataclass, fields
 
 AXES = {"+x": (0, 1.0), "-x": (0, -1.0), "+y": (1, 1.0), "-y": (1, -1.0), "+z": (2, 1.0), "-z": (2, -1.0)}
 
+POSITIVE = (
+    "mean_motion mass max_thrust wheel_inertia max_angular_acceleration max_wheel_acceleration surface_area node_mass "
+    "specific_heat zero_celsius deputy_radius chief_radius max_distance max_speed passive_safety_horizon field_of_view "
+    "max_rate num_points points_per_cluster success_score action_period substep max_time orientation_width "
+    "free_flight_horizon"
+)
+# Zero is what is not there: a surface that absorbs nothing, a limit without slope. The rewards may have any sign.
+NOT_NEGATIVE = (
+    "absorptivity emissivity solar_constant albedo view_factor earth_temperature stefan_boltzmann panel_performance "
+    "panel_degradation power_draw docking_speed speed_slope exclusion_buffer temperature_sun_slope "
+    "temperature_earth_slope min_energy energy_sun_slope time_reward_until terminal_reward"
+)
+AT_MOST_ONE = "absorptivity emissivity albedo view_factor panel_degradation success_score"
+
 
 @dataclass(frozen=True)
 class InspectionParameters:
     """Constants of dynamics, limits, chief, episode and reward; values are the paper's unless marked."""
 
     # Orbit and translation (Sec. Dynamics, Translational Motion)
-    mean_motion: float = 0.001027  # rad/s
-    mass: float = 12.0  # kg
+    mean_motion: float = 0.001027  # rad/s, of the chief's circular orbit
+    mass: float = 12.0  # kg, of the deputy
     max_thrust: float = 1.0  # N, per body axis
 
     # Attitude (Sec. Dynamics, Attitude)
     inertia: tuple[float, float, float] = (0.0573, 0.0573, 0.0573)  # kg m^2, principal moments
-    wheel_inertia: float = 4.1e-5  # kg m^2, D
-    max_angular_acceleration: float = 0.017453  # rad/s^2
-    max_wheel_acceleration: float = 181.3  # rad/s^2
+    wheel_inertia: float = 4.1e-5  # kg m^2, D, of each reaction wheel
+    max_angular_acceleration: float = 0.017453  # rad/s^2, per body axis; limits the torque
+    max_wheel_acceleration: float = 181.3  # rad/s^2, of each reaction wheel; limits the torque
     saturate_rates: bool = True  # (decision) the plant holds each body rate within max_rate
 
     # Temperature of the -n_y side (Sec. Dynamics, Temperature)
     thermal_axis: str = "-y"  # body axis of the tracked surface
-    absorptivity: float = 0.13
-    emissivity: float = 0.06
+    absorptivity: float = 0.13  # of the surface for sunlight, no unit
+    emissivity: float = 0.06  # of the surface, no unit
     surface_area: float = 0.03  # m^2, also the solar panels' area
-    node_mass: float = 2.0  # kg
-    specific_heat: float = 900.0  # J/(kg K)
-    solar_constant: float = 1367.0  # W/m^2
-    albedo: float = 0.27
-    view_factor: float = 0.8  # F_E = 0.8 cos(theta_EI)
-    earth_temperature: float = 255.0  # K
-    stefan_boltzmann: float = 5.67051e-8  # W/(m^2 K^4)
-    zero_celsius: float = 273.15  # K
+    node_mass: float = 2.0  # kg, that is heated
+    specific_heat: float = 900.0  # J/(kg K), of that mass
+    solar_constant: float = 1367.0  # W/m^2, sunlight
+    albedo: float = 0.27  # share of the sunlight that the Earth reflects
+    view_factor: float = 0.8  # no unit, F_E = 0.8 cos(theta_EI)
+    earth_temperature: float = 255.0  # K, of the Earth as a radiator
+    stefan_boltzmann: float = 5.67051e-8  # W/(m^2 K^4), constant of radiation
+    zero_celsius: float = 273.15  # K, of 0 deg C
 
     # Energy (Sec. Dynamics, Energy)
-    solar_panel_axis: str = "-x"  # (decision) the paper's text says +x; see the README
-    panel_performance: float = 983.3  # W/m^2, P_I
-    panel_degradation: float = 0.77  # I_d
-    power_draw: float = 15.0  # W, P_out
+    solar_panel_axis: str = "-x"  # (decision) the paper's text says +x; see docs/reference/differences.md
+    panel_performance: float = 983.3  # W/m^2, P_I, in full sunlight
+    panel_degradation: float = 0.77  # share that degradation leaves, I_d
+    power_draw: float = 15.0  # W, P_out, of the spacecraft
 
     # Safety limits (Sec. Safety Constraints)
-    deputy_radius: float = 5.0  # m, r_d
-    chief_radius: float = 10.0  # m, r_c
-    max_distance: float = 800.0  # m, r_max
-    docking_speed: float = 0.2  # m/s, nu_0
-    speed_slope: float = 7.5 * 0.001027  # 1/s, nu_1 = 7.5 n
+    deputy_radius: float = 5.0  # m, r_d, of the deputy's sphere
+    chief_radius: float = 10.0  # m, r_c, of the chief's sphere
+    max_distance: float = 800.0  # m, r_max, keep-in zone
+    docking_speed: float = 0.2  # m/s, nu_0, speed limit at the chief
+    speed_slope: float = 7.5 * 0.001027  # 1/s, nu_1 = 7.5 n, by which that limit grows with distance
     max_speed: float = 5.0  # m/s per Hill axis, v_max
-    passive_safety_horizon: float = 500.0  # s, T_f
+    passive_safety_horizon: float = 500.0  # s, T_f, of free flight that stays clear of the chief
     field_of_view: float = math.radians(60.0)  # rad, alpha_FOV, full cone angle
-    exclusion_buffer: float = math.radians(10.0)  # rad, beta
-    max_temperature: float = 10.0  # deg C
+    exclusion_buffer: float = math.radians(10.0)  # rad, beta, kept beyond half the field of view
+    max_temperature: float = 10.0  # deg C, of the surface
     temperature_sun_slope: float = 0.05  # deg C/rad, delta_0
     temperature_earth_slope: float = 0.01  # deg C/rad, delta_1
-    min_energy: float = 1.0  # kJ
+    min_energy: float = 1.0  # kJ, in the battery
     energy_sun_slope: float = 0.05  # kJ/rad, delta_2
-    max_rate: float = math.radians(2.0)  # rad/s, omega_max
+    max_rate: float = math.radians(2.0)  # rad/s, omega_max, per body axis
 
     # Episode (Sec. RL Environment)
-    num_points: int = 100
+    num_points: int = 100  # points on the chief
     points_per_cluster: int = 10  # (decision) k = ceil(n / 10)
-    success_score: float = 0.95
+    success_score: float = 0.95  # inspected score, 0 to 1, that ends an episode
     action_period: float = 10.0  # s between two actions of the agent
     substep: float = 1.0  # s, longest integration step
-    max_time: float = 12236.0  # s, two orbits
-    initial_radius: tuple[float, float] = (50.0, 100.0)  # m
-    initial_energy: tuple[float, float] = (5.0, 7.0)  # kJ
-    initial_temperature: tuple[float, float] = (3.0, 7.0)  # deg C
+    max_time: float = 12236.0  # s, an episode at its longest: two orbits
+    initial_radius: tuple[float, float] = (50.0, 100.0)  # m, range of the first distance
+    initial_energy: tuple[float, float] = (5.0, 7.0)  # kJ, range of the first energy
+    initial_temperature: tuple[float, float] = (3.0, 7.0)  # deg C, range of the first temperature
 
     # Reward (Sec. Rewards)
-    points_reward: float = 1.0
+    points_reward: float = 1.0  # per score gained
     delta_v_reward: float = -0.02  # per m/s
     torque_reward: float = -0.1  # per N m
-    orientation_reward: float = 0.0005
-    orientation_width: float = 0.15
-    time_reward: float = 0.001
-    time_reward_until: float = 3000.0  # s
+    orientation_reward: float = 0.0005  # per action, at its most
+    orientation_width: float = 0.15  # misalignment, 1 - cos, of the decay by e
+    time_reward: float = 0.001  # per action
+    time_reward_until: float = 3000.0  # s, of the episode
     terminal_reward: float = 1.0  # magnitude of success, crash, distance and energy terms
-    free_flight_horizon: float = 172800.0  # s, two days
+    free_flight_horizon: float = 172800.0  # s, two days of free flight that decide the reward of success
 
     def __post_init__(self) -> None:
         for name in ("solar_panel_axis", "thermal_axis"):
             if getattr(self, name) not in AXES:
                 raise ValueError(f"{name} = {getattr(self, name)!r}: allowed are {', '.join(AXES)}")
-        positive = (
-            "mean_motion mass max_thrust wheel_inertia max_angular_acceleration max_wheel_acceleration "
-            "surface_area node_mass specific_heat deputy_radius chief_radius max_distance max_speed "
-            "passive_safety_horizon field_of_view max_rate num_points points_per_cluster success_score "
-            "action_period substep max_time orientation_width free_flight_horizon"
-        )
-        for name in positive.split():
+        for name in POSITIVE.split():
             if not 0 < getattr(self, name) < math.inf:
                 raise ValueError(f"{name} = {getattr(self, name)!r}: must be a positive number")
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if isinstance(value, str):
+                continue
+            numbers = value if isinstance(value, tuple) else (value,)
+            if isinstance(field.default, tuple) and len(numbers) != len(field.default):
+                raise ValueError(f"{field.name} = {value!r}: must be {len(field.default)} numbers")
+            if not all(math.isfinite(number) for number in numbers):
+                raise ValueError(f"{field.name} = {value!r}: must be finite")
+        for name in ("num_points", "points_per_cluster"):
+            if not isinstance(getattr(self, name), int):
+                raise ValueError(f"{name} = {getattr(self, name)!r}: must be an integer")
+        for name in NOT_NEGATIVE.split():
+            if getattr(self, name) < 0:
+                raise ValueError(f"{name} = {getattr(self, name)!r}: must not be negative")
+        for name in AT_MOST_ONE.split():
+            if getattr(self, name) > 1:
+                raise ValueError(f"{name} = {getattr(self, name)!r}: must be at most 1")
         steps = self.action_period / self.substep
         if round(steps) < 1 or abs(steps - round(steps)) > 1e-9:
             raise ValueError(
@@ -107,17 +133,33 @@ class InspectionParameters:
             raise ValueError(f"substep = {self.substep:g}: must be at most 5 s")
         if self.field_of_view > math.pi or self.num_points > 100_000:
             raise ValueError("field_of_view must be at most pi rad and num_points at most 100,000")
-        for field in fields(self):
-            value = getattr(self, field.name)
-            numbers = value if isinstance(value, tuple) else (value,)
-            if any(isinstance(number, float) and not math.isfinite(number) for number in numbers):
-                raise ValueError(f"{field.name} = {value!r}: must be finite")
+        if self.field_of_view / 2 + self.exclusion_buffer >= math.pi:
+            raise ValueError("field_of_view / 2 + exclusion_buffer must be below pi rad")
+        if self.max_distance <= self.collision_radius:
+            raise ValueError(
+                f"max_distance = {self.max_distance:g}: must exceed deputy_radius + chief_radius, "
+                f"{self.collision_radius:g} m"
+            )
         if min(self.inertia) <= 0:
             raise ValueError(f"inertia = {self.inertia!r}: must be three positive moments in kg m^2")
+        if 2 * max(self.inertia) > sum(self.inertia) * (
+            1 + 1e-9
+        ):  # a flat plate's are equal, but for rounding
+            raise ValueError(
+                f"inertia = {self.inertia!r}: no body has a moment above the sum of the other two"
+            )
         for name in ("initial_radius", "initial_energy", "initial_temperature"):
             low, high = getattr(self, name)
             if low > high:
                 raise ValueError(f"{name} = {[low, high]!r}: must be [low, high] with low <= high")
+        if self.initial_radius[0] <= 0:
+            raise ValueError(f"initial_radius = {list(self.initial_radius)!r}: must be positive, in m")
+        if self.initial_energy[0] < 0:
+            raise ValueError(f"initial_energy = {list(self.initial_energy)!r}: must not be negative, in kJ")
+        if self.initial_temperature[0] <= -self.zero_celsius:
+            raise ValueError(
+                f"initial_temperature = {list(self.initial_temperature)!r}: must be above absolute zero, in deg C"
+            )
 
     @property
     def collision_radius(self) -> float:

@@ -1,12 +1,13 @@
 """Checkpoints: tensors and plain values only, written atomically."""
 
+import io
 import warnings
 from pathlib import Path
 from typing import Any
 
 import torch
 
-from ppo.files import replacing
+from ppo.files import naming, replacing
 
 
 class CheckpointError(ValueError):
@@ -14,9 +15,15 @@ class CheckpointError(ValueError):
 
 
 def save(path: Path, content: dict[str, Any]) -> None:
-    """Writes a checkpoint, so that a kill at any moment leaves a whole file."""
-    with replacing(path) as file:
-        torch.save(content, file)
+    """Writes a checkpoint, so that a kill at any moment leaves a whole file.
+
+    Raises:
+        OSError: it cannot be written; names the file and leaves the old one, with nothing beside it.
+    """
+    buffer = io.BytesIO()
+    torch.save(content, buffer)  # onto a full disk, torch ends the process
+    with naming(path), replacing(path) as file:
+        file.write(buffer.getbuffer())
 
 
 def load(path: str | Path, keys: tuple[str, ...], device: str | torch.device = "cpu") -> dict[str, Any]:
@@ -25,6 +32,10 @@ def load(path: str | Path, keys: tuple[str, ...], device: str | torch.device = "
     Raises:
         CheckpointError: with a one-line reason.
     """
+    if Path(path).is_dir():
+        raise CheckpointError(
+            f"{path}: is a directory; name a file in it, such as {Path(path) / 'policy.pt'}"
+        )
     if not Path(path).is_file():
         raise CheckpointError(f"{path}: no such checkpoint file")
     try:

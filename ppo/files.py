@@ -3,9 +3,20 @@
 import os
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import BinaryIO
+
+
+@contextmanager
+def naming(path: str | Path) -> Iterator[None]:
+    """Lets every OSError of the operating system name the file, also that of a full disk, which names none."""
+    try:
+        yield
+    except OSError as error:
+        if error.errno is None:  # not of the operating system
+            raise
+        raise OSError(error.errno, error.strerror, str(path)) from None
 
 
 def is_written_in_place(path: Path) -> bool:
@@ -14,7 +25,7 @@ def is_written_in_place(path: Path) -> bool:
 
 
 def temporary_beside(path: Path) -> Path:
-    """The file that is to become `path`; a kill leaves no other one behind."""
+    """The file that is to become `path`; a kill leaves no other one behind, and the next write takes its place."""
     return path.with_name(path.name + ".tmp")
 
 
@@ -38,5 +49,6 @@ def replacing(path: Path) -> Iterator[BinaryIO]:
             os.fsync(file.fileno())
         os.replace(temporary, path)
     except BaseException:
-        temporary.unlink(missing_ok=True)
+        with suppress(OSError):  # the directory itself may be gone
+            temporary.unlink(missing_ok=True)
         raise

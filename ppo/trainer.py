@@ -51,7 +51,7 @@ class Trainer:
             self.update += 1
             self.seconds += learned - started
             statistics = {f"losses/{name}": value.mean().item() for name, value in losses.items()}
-            statistics["charts/learning_rate"] = self.learner.optimiser.param_groups[0]["lr"]
+            statistics["learner/learning_rate"] = self.learner.optimiser.param_groups[0]["lr"]
             statistics["time/rollout_s"] = collected - started
             statistics["time/learning_s"] = learned - collected
             after_update(statistics)

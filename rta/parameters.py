@@ -22,31 +22,37 @@ class RtaParameters:
     qp_solver: str = "auto"  # of the quadratic programs: auto (the faster one for the batch), piqp or batched
 
     # relative degree one, 1/s
-    collision_gain: float = 0.1
-    speed_gain: float = 0.5
-    keep_in_gain: float = 0.1
-    passive_safety_gain: float = 0.03  # the nearest pass is minutes away: a slow approach is enough
+    collision_gain: float = 0.1  # 1/s, safe separation
+    speed_gain: float = 0.5  # 1/s, dynamic speed limit
+    keep_in_gain: float = 0.1  # 1/s, keep-in zone
+    passive_safety_gain: float = 0.03  # 1/s; the nearest pass is minutes away: a slow approach is enough
     # Braking moves the path's far end by up to 480 m per m/s. With 3 % of the clearance a second as the only
     # allowance, an end 165 m clear kept a spacecraft from braking for its dynamic speed limit. So the gain is
     # gain * (1 + (clearance / doubling)^2), and far passes do not bind.
-    passive_safety_doubling: float = 30.0  # m
-    velocity_gain: float = 0.2
-    rate_gain: float = 0.5
+    passive_safety_doubling: float = 30.0  # m, clearance at which passive safety's gain has doubled
+    velocity_gain: float = 0.2  # 1/s, velocity limits
+    rate_gain: float = 0.5  # 1/s, rate limits
 
     # HOCBF, Psi_1 = dh/dt + k1 h and dPsi_1/dt + k2 Psi_1 >= 0, 1/s
-    exclusion_gains: tuple[float, float] = (0.05, 0.2)
-    temperature_gains: tuple[float, float] = (0.0015, 0.2)  # k1: act while a 90 deg turn still helps
-    battery_gains: tuple[float, float] = (0.004, 0.1)  # 15 W of draw is balanced 3.75 kJ above the limit
+    exclusion_gains: tuple[float, float] = (0.05, 0.2)  # 1/s, k1 and k2, attitude exclusion
+    temperature_gains: tuple[float, float] = (
+        0.0015,
+        0.2,
+    )  # 1/s, k1 and k2; k1: act while a 90 deg turn still helps
+    battery_gains: tuple[float, float] = (
+        0.004,
+        0.1,
+    )  # 1/s, k1 and k2; 15 W of draw is held 3.75 kJ above the limit
 
     # margins in the unit of each h
-    collision_margin: float = 0.02  # m/s
-    keep_in_margin: float = 0.02  # m/s
+    collision_margin: float = 0.02  # m/s, safe separation
+    keep_in_margin: float = 0.02  # m/s, keep-in zone
     # Torque turns the thrust by up to alpha_max T^2 / 6 = 0.005 rad more than the rates do; thrust of 0.25 N that far
     # off moves a pass 2 minutes ahead by 0.015 m in a second, which the gain makes up for at 0.5 m.
-    passive_safety_margin: float = 1.0  # m
-    exclusion_margin: float = 0.01  # rad
-    temperature_margin: float = 0.05  # deg C
-    battery_margin: float = 0.02  # kJ
+    passive_safety_margin: float = 1.0  # m, passive safety
+    exclusion_margin: float = 0.01  # rad, attitude exclusion
+    temperature_margin: float = 0.05  # deg C, temperature
+    battery_margin: float = 0.02  # kJ, battery
     rate_margin: float = 0.0  # rad^2/s^2; the plant saturates at the limit itself
 
     # Where the surface turns into the light, the slope of (pi/2 - theta_SI)^+ jumps, and Psi_1 drops by
@@ -57,21 +63,28 @@ class RtaParameters:
 
     # The free flight's closest approach is enforced once per segment, so that a second close pass is
     # held off while the first one is being corrected.
-    passive_safety_segments: tuple[float, ...] = (0.0, 60.0, 160.0, 300.0, 420.0, 500.0)  # s
+    passive_safety_segments: tuple[float, ...] = (
+        0.0,
+        60.0,
+        160.0,
+        300.0,
+        420.0,
+        500.0,
+    )  # s, bounds of the segments
 
     # Bounded slopes of sqrt at 0 and arccos at +-1 in the filter's derivatives; reported values are exact.
-    distance_floor: float = 0.05  # m
+    distance_floor: float = 0.05  # m, distances are taken as at least this
     # Nearer to a pole, the angle's second derivative omega^2 / tan(angle) at three rates of 2 deg/s would
     # exceed the 1 deg/s^2 that torque gives.
-    pole_angle: float = 0.2  # rad
+    pole_angle: float = 0.2  # rad, least angle to a pole
 
     # Slack weights on rows of unit length, highest priority first: the rows of a class are given slack only where they
     # cannot all be held although lower classes yield (`rta.qp.stages`). Safe separation has no slack at all.
     # The paper's 1e12 is beyond what an interior-point solver resolves; of 255 infeasible programs recorded
     # with random actions, PIQP solved 249 at 1e6 and all at 1e5.
-    slack_weight_critical: float = 1e5  # keep-in zone, passive safety, attitude exclusion
-    slack_weight_resource: float = 1e4  # temperature, battery
-    slack_weight_motion: float = 1e3  # dynamic speed, velocity and rate limits
+    slack_weight_critical: float = 1e5  # per slack squared: keep-in zone, passive safety, attitude exclusion
+    slack_weight_resource: float = 1e4  # per slack squared: temperature, battery
+    slack_weight_motion: float = 1e3  # per slack squared: dynamic speed, velocity and rate limits
 
     def __post_init__(self) -> None:
         if self.period not in PERIODS:

@@ -1,7 +1,12 @@
 """The configuration of an experiment: four frozen dataclasses, one TOML table each."""
 
+import ast
 import dataclasses
+import functools
+import inspect
+import io
 import sys
+import tokenize
 import tomllib
 import typing
 from dataclasses import dataclass, field
@@ -31,16 +36,16 @@ announced: set[str] = set()  # the moves that this process has told of
 class TrainParameters:
     """Settings of a training run."""
 
-    rta: bool = True  # filter the agent's actions
-    seed: int = 0
+    rta: bool = True  # whether the filter corrects the agent's actions
+    seed: int = 0  # of everything random; of a study, the first one
     interactions: int = 5_000_000  # agent steps in all; rounded up to whole updates
-    num_envs: int = 256  # episodes simulated at once
+    num_envs: int = 256  # episodes simulated at once, of each seed
     rollout_steps: int = 64  # interactions of each episode between two updates
-    device: str = "auto"  # auto, cpu or cuda
+    device: str = "auto"  # where tensors live: auto, cpu or cuda
     compile: str = "auto"  # torch.compile the filter, simulator and learner: auto, on or off
     evaluation_interval: int = 500_000  # interactions between two evaluations
-    evaluation_episodes: int = 20
-    final_episodes: int = 100  # of the evaluation after training
+    evaluation_episodes: int = 20  # common test cases of each of these evaluations
+    final_episodes: int = 100  # common test cases of the evaluation after training
     checkpoint_interval: int = 160_000  # interactions between two checkpoints
 
     def __post_init__(self) -> None:
@@ -96,8 +101,8 @@ class Config:
     ppo: PPOParameters = field(default_factory=PPOParameters)
 
     def to_toml(self) -> str:
-        """The complete configuration as TOML text that `from_toml` reads back."""
-        return tomli_w.dumps(dataclasses.asdict(self))
+        """The complete configuration as TOML text that `from_toml` reads back, each key with its source's comments."""
+        return "\n".join(table_text(name, part) for name, part in vars(self).items())
 
     def unsettled(self) -> "Config":
         """The configuration with the solver, which a run settles for its own batch, to be chosen for another one."""
@@ -128,6 +133,43 @@ class StudyConfig(Config):
 AnyConfig = TypeVar("AnyConfig", bound=Config)
 
 
+def table_text(name: str, part: Any) -> str:
+    """A dataclass as a TOML table; its source's comments stand above and beside the keys as they do there."""
+    lines, notes = [f"[{name}]"], comments(type(part))
+    for key, value in vars(part).items():
+        above, beside = notes.get(key, ([], ""))
+        items = [
+            tomli_w.dumps({key: item}).strip() for item in (value if isinstance(value, tuple) else [value])
+        ]
+        if isinstance(value, tuple):  # tomli_w gives each item a line
+            items = [f"{key} = [{', '.join(item.partition(' = ')[2] for item in items)}]"]
+        lines += ["", *above] if above else []
+        lines.append(f"{items[0]} {beside}".rstrip())
+    return "\n".join(lines) + "\n"
+
+
+@functools.cache
+def comments(table: type) -> dict[str, tuple[list[str], str]]:
+    """By a dataclass's fields, the comment lines above and the comment beside; none where there is no source."""
+    try:
+        source = inspect.getsource(table)
+    except (OSError, TypeError):
+        return {}
+    tokens = tokenize.generate_tokens(io.StringIO(source).readline)
+    found = {each.start[0]: each for each in tokens if each.type == tokenize.COMMENT}
+    own_lines = {row for row, each in found.items() if each.line.lstrip().startswith("#")}
+    notes = {}
+    for statement in ast.parse(source).body[0].body:
+        if isinstance(statement, ast.AnnAssign):
+            first = statement.lineno
+            while first - 1 in own_lines:
+                first -= 1
+            above = [found[row].string for row in range(first, statement.lineno)]
+            beside = found[statement.end_lineno].string if statement.end_lineno in found else ""
+            notes[statement.target.id] = above, beside
+    return notes
+
+
 def from_toml(text: str, source: str, base: AnyConfig | None = None) -> AnyConfig:
     """Parses and checks TOML text.
 
@@ -140,7 +182,7 @@ def from_toml(text: str, source: str, base: AnyConfig | None = None) -> AnyConfi
     """
     try:
         tables = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
+    except (tomllib.TOMLDecodeError, RecursionError) as error:
         raise InputError(f"{source}: not valid TOML: {error}") from None
     return override(base or Config(), tables, source)
 

@@ -8,7 +8,7 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
-from ppo.files import is_written_in_place, replacing, temporary_beside
+from ppo.files import is_written_in_place, naming, replacing, temporary_beside
 from study.errors import InputError, refusing
 
 ROOT = Path(__file__).parent.parent  # of the repository
@@ -51,13 +51,8 @@ def check_writable(path: str | None, flag: str) -> None:
 @contextmanager
 def writing(path: str | Path) -> Iterator[BinaryIO]:
     """A file to write, see `ppo.files.replacing`; raises OSErrors that name the file, also for a full disk."""
-    try:
-        with replacing(Path(path)) as file:
-            yield file
-    except OSError as error:
-        if error.errno is None:  # not of the operating system
-            raise
-        raise OSError(error.errno, error.strerror, str(path)) from None
+    with naming(path), replacing(Path(path)) as file:
+        yield file
 
 
 def write_text(path: str | Path, text: str) -> None:

@@ -57,7 +57,8 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The directory of a run that was never trained."""
     directory = tmp_path_factory.mktemp("runs") / "run"
     train = {"rta": False, "num_envs": 4, "rollout_steps": 4, "interactions": 32, "device": "cpu"}
-    training.start(override(Config(), {"train": train}, "test"), directory)
+    ppo = {"minibatch_size": 16}
+    training.start(override(Config(), {"train": train, "ppo": ppo}, "test"), directory)
     return directory
 
 
@@ -208,7 +209,7 @@ def test_a_run_says_which_solver_it_uses_and_keeps_it(
 ) -> None:
     train = {"num_envs": envs, "rollout_steps": 2, "interactions": 4, "device": "cpu", "compile": "off"}
     directory = tmp_path / "run"
-    tables = {"train": train, "rta": {"qp_solver": wanted}}
+    tables = {"train": train, "rta": {"qp_solver": wanted}, "ppo": {"minibatch_size": 4}}
     run = training.start(override(Config(), tables, "test"), directory)
     assert f"by {used}" in str(run)
     assert type(run.experiment.filter.solver) is SOLVERS[used]

@@ -1,35 +1,35 @@
 """What a training run shows and keeps of its course: TensorBoard, a progress bar, evaluations.jsonl."""
 
 import json
+import sys
 from collections.abc import Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager
 from pathlib import Path
 from statistics import fmean
 from typing import Any
 
-from torch.utils.tensorboard import SummaryWriter
-from tqdm import tqdm
-
 from inspection.environment import METRICS
 from inspection.termination import OUTCOMES
+from ppo.files import naming
 from study.files import write_text
 from study.flight.evaluation import Episodes
 from study.flight.summary import iqm
-from study.training.monitor import Monitor
+from study.progress import bar
+from study.training.charts import Charts
+from study.training.monitor import EPISODE, Monitor
 
-BAR = {
-    "bar_format": "{percentage:3.0f}%|{bar}| {n:,}/{total:,} [{elapsed}<{remaining}, {rate_fmt}{postfix}]",
-    "unit": " interactions",
-    "dynamic_ncols": True,
-    "mininterval": 1.0,  # s
-}
-# Beside the bar: label, tag and digits
-LATEST = (
-    ("success", "charts/success", 2),
-    ("reward", "charts/reward", 2),
-    ("dv", "charts/delta_v_m_s", 1),
-    ("violation", "charts/violation_percent", 2),
+BAR = "{percentage:3.0f}%|{bar}| {n:,}/{total:,} interactions [{elapsed}<{remaining}, {rate_fmt}{postfix}]"
+BESIDE = (
+    "beside the bar: means over the episodes that ended last; violation: share of their steps that broke a "
+    "constraint"
 )
+# The episode's number and how it is written beside the bar
+LATEST = {
+    "success_percent": "success {:.0f} %",
+    "reward": "reward {:.2f}",
+    "delta_v_m_s": "delta v {:.1f} m/s",
+    "violation_percent": "violation {:.1f} %",
+}
 
 
 class Log:
@@ -41,18 +41,26 @@ class Log:
 
     def __init__(self, directory: Path, homes: Sequence[Path], batch: int) -> None:
         self.evaluations = directory / "evaluations.jsonl"
-        self.folders = [directory, *homes] if len(homes) > 1 else [directory]
+        self.charts = [Charts(folder) for folder in ([directory, *homes] if len(homes) > 1 else [directory])]
         self.seeds, self.batch = len(homes), batch
+
+    def state(self) -> list[list[str]]:
+        """What a checkpoint keeps, so that a resumed run draws what one session would: the series that have begun."""
+        return [sorted(charts.begun) for charts in self.charts]
+
+    def load_state(self, state: list[list[str]]) -> None:
+        """Restores `state`; that of a run that kept none is empty, and every series begins anew."""
+        for charts, begun in zip(self.charts, state, strict=False):
+            charts.begun = set(begun)
 
     @contextmanager
     def open(self, interactions: int, total: int) -> Iterator[None]:
         """Shows training from so many interactions of each seed on."""
-        with ExitStack() as stack:
-            self.writers = [
-                stack.enter_context(SummaryWriter(str(folder), purge_step=interactions + 1))
-                for folder in self.folders
-            ]
-            self.bar = stack.enter_context(tqdm(total=total, initial=interactions, **BAR))
+        for charts in self.charts:
+            charts.open(interactions)
+        if interactions < total:
+            print(BESIDE, file=sys.stderr)
+        with bar(total, "interactions", initial=interactions, bar_format=BAR) as self.bar:
             yield
 
     def update(self, reports: Sequence[tuple[dict[str, float], Monitor]], interactions: int) -> None:
@@ -61,16 +69,18 @@ class Log:
         seeds = [each.seeds for _, each in reports]
         for other in others:
             monitor.add(other)
-        for k, writer in enumerate(self.writers[1:]):
-            show(writer, monitor.charts(k), interactions)
+        for k, charts in enumerate(self.charts[1:]):
+            charts.add(monitor.episode_means(k), interactions)
         statistics = {tag: fmean((part[tag] for part in parts), seeds) for tag in parts[0]}
         slowest = max(part["time/rollout_s"] + part["time/learning_s"] for part in parts)
-        statistics |= monitor.scalars() | {"charts/SPS": self.seeds * self.batch / slowest}
-        show(self.writers[0], statistics, interactions)
-        latest = {
-            label: f"{statistics[tag]:.{digits}f}" for label, tag, digits in LATEST if tag in statistics
-        }
-        self.bar.set_postfix(latest, refresh=False)
+        statistics |= monitor.scalars() | {"time/interactions_per_s": self.seeds * self.batch / slowest}
+        self.charts[0].add(statistics, interactions)
+        if latest := [
+            text.format(statistics[f"episode/{name}"])
+            for name, text in LATEST.items()
+            if f"episode/{name}" in statistics
+        ]:
+            self.bar.set_postfix_str(", ".join(latest), refresh=False)
         self.bar.update(self.batch)
 
     def evaluation(
@@ -82,14 +92,14 @@ class Log:
             record: episodes of all seeds; reports: of each seed's; seconds: wall-clock of training so far.
         """
         episodes = record.split(self.seeds)
-        for writer, shown in zip(self.writers, (record, *episodes), strict=False):
-            show(writer, evaluation_scalars(shown), interactions)
+        for charts, shown in zip(self.charts, (record, *episodes), strict=False):
+            charts.add(evaluation_scalars(shown), interactions)
         lines = []
         for own, results in zip(episodes, reports, strict=True):
             cases = dict(zip(METRICS, own.metrics.tolist(), strict=True))
             line = {"interactions": interactions, "seconds": seconds} | results | {"cases": cases}
             lines.append(json.dumps(line) + "\n")
-        with open(self.evaluations, "a", encoding="utf-8") as file:
+        with naming(self.evaluations), open(self.evaluations, "a", encoding="utf-8") as file:
             file.writelines(lines)
 
     def forget_evaluations_after(self, interactions: int) -> None:
@@ -98,19 +108,12 @@ class Log:
             lines = self.evaluations.read_text(encoding="utf-8").splitlines(keepends=True)
             whole = [line for line in lines if line.endswith("\n")]
             kept = [line for line in whole if json.loads(line)["interactions"] <= interactions]
-            write_text(self.evaluations, "".join(kept))
-
-
-def show(writer: SummaryWriter, scalars: dict[str, float], interactions: int) -> None:
-    """Adds a point to each chart."""
-    for tag, value in scalars.items():
-        writer.add_scalar(tag, value, interactions)
+            if kept != lines:
+                write_text(self.evaluations, "".join(kept))
 
 
 def evaluation_scalars(record: Episodes) -> dict[str, float]:
     """What TensorBoard shows of evaluated episodes."""
-    metrics = zip(METRICS, record.metrics.cpu().numpy(), strict=True)
-    success = (record.outcome == OUTCOMES.index("success")).double().mean().item()
-    return {f"evaluation/{name}": float(iqm(values)) for name, values in metrics} | {
-        "evaluation/success": success
-    }
+    success = 100.0 * (record.outcome == OUTCOMES.index("success")).double().mean().item()
+    values = *(float(iqm(metric)) for metric in record.metrics.cpu().numpy()), success
+    return {f"evaluation/{name}": value for name, value in zip(EPISODE, values, strict=True)}

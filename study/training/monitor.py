@@ -1,4 +1,7 @@
-"""What a training run reports of its environment: one set of scalars per update."""
+"""What a training run reports of its environment: one set of scalars per update.
+
+Every tag is explained in docs/reference/tensorboard.md.
+"""
 
 import time
 from collections import Counter
@@ -11,6 +14,8 @@ from inspection.closed_loop import Correction, Safety
 from inspection.environment import METRICS, Transition
 from inspection.termination import OUTCOMES
 from rta.qp import Status
+
+EPISODE = tuple(name.removeprefix("episode_") for name in (*METRICS, "success_percent"))
 
 
 class Monitor:
@@ -32,7 +37,7 @@ class Monitor:
         """Forgets all transitions."""
         self.filter_seconds = 0.0
         self.sums: Counter[str] = Counter()  # of numbers and of tensors, a place per constraint
-        self.episodes: list[Tensor] = []  # (8, k) of those that ended: metrics, success and the seed's number
+        self.episodes: list[Tensor] = []  # (8, k) of those that ended: EPISODE and the seed's number
 
     def timed(self, safety: Safety) -> Safety:
         """The same with a filter, if there is one, whose time is added to `filter_seconds`."""
@@ -48,7 +53,9 @@ class Monitor:
     def __call__(self, transition: Transition) -> None:
         """Takes in one interaction of the batch."""
         self.sums.update(steps=transition.reward.numel(), violated=transition.violated.sum(1))
-        self.sums.update({f"reward/{name}": term.sum() for name, term in transition.reward_terms.items()})
+        self.sums.update(
+            {f"step_reward/{name}": term.sum() for name, term in transition.reward_terms.items()}
+        )
         for correction in transition.corrections:
             self.sums.update(
                 calls=correction.status.numel(),
@@ -59,7 +66,7 @@ class Monitor:
             )
         done = transition.done
         if done.any():
-            success = transition.outcome == OUTCOMES.index("success")
+            success = 100.0 * (transition.outcome == OUTCOMES.index("success"))
             columns = torch.arange(done.numel(), device=done.device)
             owner = self.first_seed + columns * self.seeds // done.numel()
             self.episodes.append(torch.cat((transition.metrics, success[None], owner[None]))[:, done])
@@ -69,7 +76,7 @@ class Monitor:
         self.sums.update(other.sums)
         self.episodes += other.episodes
 
-    def charts(self, seed: int | None = None) -> dict[str, float]:
+    def episode_means(self, seed: int | None = None) -> dict[str, float]:
         """Means over the episodes that ended since the last `scalars`, of one seed (counted from 0) or of all."""
         if not self.episodes:
             return {}
@@ -79,23 +86,23 @@ class Monitor:
         if not episodes.numel():
             return {}
         means = episodes[:-1].mean(1).tolist()
-        return {f"charts/{name}": mean for name, mean in zip((*METRICS, "success"), means, strict=True)}
+        return {f"episode/{name}": mean for name, mean in zip(EPISODE, means, strict=True)}
 
     def scalars(self) -> dict[str, float]:
         """Means since the last call: per episode ended, per interaction and per filter call."""
         sums, steps, calls = self.sums, self.sums["steps"], self.sums["calls"]
-        out = self.charts()
-        out |= {tag: total.item() / steps for tag, total in sums.items() if tag.startswith("reward/")}
-        out |= self.by_constraint("rta/violation_percent", 100.0 * sums["violated"] / steps)
+        out = self.episode_means()
+        out |= {tag: total.item() / steps for tag, total in sums.items() if tag.startswith("step_reward/")}
+        out |= self.by_constraint("violation_percent/", 100.0 * sums["violated"] / steps)
         if calls:
             percent = 100.0 / calls
             out["rta/intervention_percent"] = sums["intervention"].item() * percent
             out["rta/slack_percent"] = sums["slack"].item() * percent
             out["rta/failures"] = sums["failures"].item()
-            out |= self.by_constraint("rta/filter_step_violation_percent", sums["rta_violated"] * percent)
+            out |= self.by_constraint("rta/filter_step_violation_percent_", sums["rta_violated"] * percent)
         self.clear()
         return out
 
     def by_constraint(self, tag: str, values: Tensor) -> dict[str, float]:
-        """Values (constraints,) under the tag and the constraint's name."""
-        return {f"{tag}_{name}": v for name, v in zip(self.constraints, values.tolist(), strict=True)}
+        """Values (constraints,) under the tag with the constraint's name after it."""
+        return {f"{tag}{name}": v for name, v in zip(self.constraints, values.tolist(), strict=True)}

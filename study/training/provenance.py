@@ -1,6 +1,8 @@
 """What describes a run: its settings and where its numbers come from."""
 
+import hashlib
 import importlib.metadata
+import json
 import platform
 import subprocess
 from pathlib import Path
@@ -45,7 +47,20 @@ def provenance(device: torch.device) -> dict[str, Any]:
     }
 
 
-def write_settings(config: Config, directory: Path) -> None:
-    """Writes what describes a run or a study: provenance.json and config.toml."""
-    write_json(directory / "provenance.json", provenance(resolve_device(config.train.device)))
+def write_settings(config: Config, directory: Path, init_from: Path | None = None) -> None:
+    """Writes what describes a run or a study: provenance.json, with the file it started from, then config.toml."""
+    about = provenance(resolve_device(config.train.device))
+    if init_from:
+        digest = hashlib.sha256(init_from.read_bytes()).hexdigest()
+        about["init_from"] = {"file": str(init_from), "sha256": digest}
+    write_json(directory / "provenance.json", about)
     write_text(directory / "config.toml", config.to_toml())
+
+
+def recorded_threads(directory: Path) -> int | None:
+    """The threads that provenance.json says a run or a study was begun with; None where it does not say."""
+    try:
+        recorded = json.loads((directory / "provenance.json").read_text(encoding="utf-8"))["threads"]
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
+    return recorded if type(recorded) is int and recorded > 0 else None

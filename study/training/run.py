@@ -1,32 +1,42 @@
 """One training run on disk: begun, checkpointed, interrupted, continued and concluded."""
 
+import shutil
 import signal
 import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, nullcontext
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from ppo import checkpoint
 from ppo.distributed import RankLostError, ranks
+from ppo.files import temporary_beside
 from ppo.learner import PPO, NonFiniteError
 from ppo.trainer import Trainer
 from study import config as configuration
 from study.config import TEST_CASES, AnyConfig, Config
 from study.errors import MALFORMED, InputError, refusing
 from study.experiment import Experiment, check_clocks, compile_or_explain, resolve_device, settled
-from study.files import write_json
+from study.files import write_json, write_text
 from study.flight.evaluation import Episodes, evaluate, play, report
 from study.flight.figures import episode_figure
 from study.flight.simulation import common_episode
 from study.paper import tables
+from study.training.commands import after_training, command
+from study.training.init import networks_of
+from study.training.lock import alone_in
 from study.training.log import Log
 from study.training.monitor import Monitor
 from study.training.provenance import write_settings
 from study.training.shards import shard_of_episodes, shard_of_seeds
 
 CHECKPOINT = "checkpoint.pt"
+BEGUN = (
+    "provenance.json",
+    "config.toml",
+    CHECKPOINT,
+)  # in this order; before the last one, there is no run yet
 RESUMABLE = ("policy", "value", "optimiser", "env", "generators", "update", "seconds", "config")
 EVALUATION_CASES = 1_000_000  # seed of the periodic test cases, apart from those of the final evaluation
 
@@ -63,7 +73,10 @@ class Run:
     Attributes:
         homes: each seed's own directory.
         shard: what of it is this rank's; experiment, env and trainer are those of this part.
+        annealing: what a person is told of the learning rate, if its end has moved.
     """
+
+    annealing = ""
 
     def __init__(self, config: Config, directory: Path, seeds: Sequence[int] | None = None) -> None:
         train = config.train
@@ -95,7 +108,7 @@ class Run:
         self.trainer = Trainer(self.env, learner, train.rollout_steps, train.updates, generators)
 
     def __str__(self) -> str:
-        """The first line a person sees."""
+        """The first lines a person sees."""
         config, experiment = self.config, self.experiment
         arm = f"RTA at {config.rta.period:g} s by {config.rta.qp_solver}" if config.train.rta else "no RTA"
         arm += ", compiled" if experiment.compiled or experiment.filter_compiled else ""
@@ -103,7 +116,7 @@ class Run:
         which = f"seeds {first} to {rest[-1]}" if rest else f"seed {first}"
         where = f"{self.ranks.size} ranks, {self.device.type}" if self.ranks.size > 1 else f"{self.device}"
         episodes = len(self.seeds) * config.train.num_envs
-        return f"{self.directory}: {arm}, {which}, {episodes} episodes at once on {where}"
+        return f"{self.directory}: {arm}, {which}, {episodes} episodes at once on {where}{self.annealing}"
 
     @property
     def interactions(self) -> int:
@@ -120,7 +133,8 @@ class Run:
         if not states:
             return
         state = self.shard.join(states)
-        checkpoint.save(self.directory / CHECKPOINT, state | {"config": self.config.to_toml()})
+        about = {"config": self.config.to_toml(), "charts": self.log.state()}
+        checkpoint.save(self.directory / CHECKPOINT, state | about)
         for k, (seed, home) in enumerate(zip(self.seeds, self.homes, strict=True)):
             own = {name: stacked[k : k + 1].clone() for name, stacked in state["policy"].items()}
             checkpoint.save(home / "policy.pt", {"policy": own, "config": self.config_of(seed).to_toml()})
@@ -129,25 +143,45 @@ class Run:
         """The configuration with which `train` trains this seed alone."""
         return replace(self.config, train=replace(self.config.train, seed=seed))
 
+    def written(self) -> Iterator[Path]:
+        """The files that are replaced again and again."""
+        yield from (self.directory / CHECKPOINT, *(home / "policy.pt" for home in self.homes))
+        yield from (self.directory / "config.toml", self.log.evaluations)
+
+    @contextmanager
+    def naming_the_checkpoint(self) -> Iterator[None]:
+        """Lets an OSError that names its file name the last good checkpoint, too."""
+        try:
+            yield
+        except OSError as error:
+            if error.filename is None:
+                raise
+            last = self.directory / CHECKPOINT
+            left = f"last good checkpoint: {last}" if last.is_file() else "no checkpoint is left"
+            raise OSError(error.errno, f"{error.strerror}; {left}", error.filename) from None
+
     def train(self) -> None:
         """Trains to the end.
 
         Raises:
-            Stopped: a signal came first; NonFiniteError: numbers went bad; RankLostError: another rank ended.
+            Stopped: a signal came first; NonFiniteError: numbers went bad; RankLostError: another rank ended;
+            OSError: something could not be written. All but the first name the last good checkpoint.
         """
         stop: list[bool] = []  # a signal comes during an update, which can end first
         total = self.config.train.updates * self.config.train.batch
         shown = self.log.open(self.interactions, total) if self.ranks.first else nullcontext()
-        with on_signal(lambda: stop.append(True)), shown:
-            try:
-                self.trainer.run(self.monitor, self.after_update, lambda: self.ranks.any(bool(stop)))
-            except (NonFiniteError, RankLostError) as error:
-                where, last = f"update {self.trainer.update + 1}", self.directory / CHECKPOINT
-                raise type(error)(f"{where}: {error}; last good checkpoint: {last}") from None
-        self.save()
+        with self.naming_the_checkpoint():
+            with on_signal(lambda: stop.append(True)), shown:
+                try:
+                    self.trainer.run(self.monitor, self.after_update, lambda: self.ranks.any(bool(stop)))
+                except (NonFiniteError, RankLostError) as error:
+                    where, last = f"update {self.trainer.update + 1}", self.directory / CHECKPOINT
+                    raise type(error)(f"{where}: {error}; last good checkpoint: {last}") from None
+            self.save()
         if self.ranks.any(bool(stop)):
             raise Stopped(
-                f"stopped after {self.interactions:,} interactions; continue with --resume {self.directory}"
+                f"stopped after {self.interactions:,} interactions; continue with\n"
+                f"  {command('train', '--resume', self.directory)}"
             )
 
     def after_update(self, statistics: dict[str, float]) -> None:
@@ -189,12 +223,14 @@ class Run:
         return [report(own, self.config_of(trained), seed) for trained, own in parts]
 
     def conclude(self) -> str:
-        """Evaluates the trained policy, writes evaluation.json and episode.png; returns the paper's tables."""
+        """Evaluates the trained policy, writes evaluation.json and episode.png; returns what a person sees last."""
         results = evaluate(self.policy, self.experiment, self.config.train.final_episodes, TEST_CASES)
-        write_json(self.directory / "evaluation.json", results)
         episode = common_episode(self.policy, self.experiment)
-        episode_figure(episode, self.config.inspection, self.directory / "episode.png")
-        return f"{tables(results)}\nWritten to {self.directory}: policy.pt, evaluation.json, episode.png"
+        with self.naming_the_checkpoint():
+            write_json(self.directory / "evaluation.json", results)
+            episode_figure(episode, self.config.inspection, self.directory / "episode.png")
+        written = f"Written to {self.directory}: policy.pt, evaluation.json, episode.png"
+        return "\n".join((tables(results), written, after_training(self.directory)))
 
 
 def settled_for_a_seed(config: AnyConfig) -> AnyConfig:
@@ -202,29 +238,102 @@ def settled_for_a_seed(config: AnyConfig) -> AnyConfig:
     return settled(config, config.train.num_envs, resolve_device(config.train.device))
 
 
-def start(config: Config, directory: Path) -> Run:
-    """A fresh run in a directory that holds none; its solver is part of its configuration from here on."""
+def check_minibatch(config: Config) -> None:
+    """Refuses a minibatch that an update has not enough interactions for."""
+    train, size = config.train, config.ppo.minibatch_size
+    if size > train.batch:
+        raise InputError(
+            f"[ppo] minibatch_size = {size:,}: must be at most the batch, [train] num_envs * rollout_steps = "
+            f"{train.num_envs:,} * {train.rollout_steps:,} = {train.batch:,}"
+        )
+
+
+@contextmanager
+def starting(config: Config, directory: Path, init_from: Path | None = None) -> Iterator[Run]:
+    """A fresh run, see `start`, with its directory to itself; leaves no directory where it comes to nothing."""
+    with made(directory), alone_in(directory, "--run-dir"):
+        yield start(config, directory, init_from)
+
+
+@contextmanager
+def resuming(directory: Path, configure: Callable[[Config], Config]) -> Iterator[Run]:
+    """A run that goes on, see `resume`, with its directory to itself; `configure` has the last word on its settings."""
+    path = directory / "config.toml"
+    if not path.is_file():
+        raise InputError(f"--resume {directory}: no run there (it lacks config.toml)")
+    with alone_in(directory, "--resume"):
+        yield resume(directory, configure(configuration.load(path)))
+
+
+def start(config: Config, directory: Path, init_from: Path | None = None) -> Run:
+    """A fresh run in a directory that holds none; its solver is part of its configuration from here on.
+
+    Args:
+        init_from: the file of an agent to start from, policy.pt or checkpoint.pt; None: from chance.
+    """
     config = settled_for_a_seed(config)
     check_clocks(config)
-    ranks().first_does(lambda: make_directory(directory))
-    run = create(config, directory)
-    if run.ranks.first:
-        with refusing(f"--run-dir {directory}: cannot write there", OSError):
-            write_settings(config, directory)
-    return run
+    check_minibatch(config)
+    networks = networks_of(init_from, config) if init_from else {}
+
+    def begin() -> None:
+        check_empty(directory)
+        with refusing(f"--run-dir {directory}: cannot write there", OSError, ValueError):
+            directory.mkdir(parents=True, exist_ok=True)
+            write_settings(config, directory, init_from)
+
+    ranks().first_does(begin)
+    return create(config, directory, networks=networks)
 
 
-def make_directory(directory: Path) -> None:
-    """Makes the directory of a new run; refuses one that holds a run."""
+@contextmanager
+def made(directory: Path) -> Iterator[None]:
+    """Makes a directory that is not there; takes it away again where an exception leaves no agent in it."""
+    mine: list[Path] = []
+
+    def make() -> None:
+        missing = [path for path in (directory, *directory.parents) if not path.exists()]
+        with suppress(FileExistsError):
+            directory.mkdir(parents=True)
+            mine.extend(missing)
+
     with refusing(f"--run-dir {directory}: cannot write there", OSError, ValueError):
-        if any((directory / name).exists() for name in ("config.toml", "policy.pt", CHECKPOINT)):
-            raise InputError(f"--run-dir {directory}: holds a run already; continue it with --resume")
-        directory.mkdir(parents=True, exist_ok=True)
+        ranks().first_does(make)
+    try:
+        yield
+    except BaseException:
+        if mine and not any((directory / name).exists() for name in (CHECKPOINT, "policy.pt")):
+            shutil.rmtree(directory, ignore_errors=True)
+            with suppress(OSError):  # of the directories above those that hold nothing else
+                for above in mine[1:]:
+                    above.rmdir()
+        raise
 
 
-def create(config: Config, directory: Path, seeds: Sequence[int] | None = None) -> Run:
-    """A fresh `Run`: starts the episodes and writes the first checkpoint."""
+def check_empty(directory: Path) -> None:
+    """Refuses the directory of a new run that holds one, or anything but what a kill at the start left."""
+    with refusing(f"--run-dir {directory}: cannot write there", OSError, ValueError):
+        found = {path.name for path in directory.iterdir()} if directory.exists() else set()
+    if found & {CHECKPOINT, "policy.pt"}:
+        raise InputError(f"--run-dir {directory}: holds a run already; continue it with --resume")
+    left = {name for name in BEGUN if name in found} | {f"{name}.tmp" for name in BEGUN}
+    if "provenance.json" not in found:  # which is written first
+        left.discard("config.toml")
+    if other := sorted(found - left):
+        raise InputError(f"--run-dir {directory}: holds no run but {other[0]}; name a new directory")
+
+
+def create(
+    config: Config,
+    directory: Path,
+    seeds: Sequence[int] | None = None,
+    networks: Mapping[str, dict[str, Any]] | None = None,
+) -> Run:
+    """A fresh `Run`: starts the episodes and writes the first checkpoint; `networks` are weights to start from."""
     run = Run(config, directory, seeds)
+    for name, weights in (networks or {}).items():
+        with refusing(f"--init-from: its {name} network does not fit this run", *MALFORMED):
+            getattr(run.trainer.learner, name).load_state_dict(weights)
     with refusing("[inspection]", RuntimeError):
         run.env.reset()
     with refusing(f"{directory}: cannot write there", OSError):
@@ -235,20 +344,40 @@ def create(config: Config, directory: Path, seeds: Sequence[int] | None = None) 
 
 
 def resume(directory: Path, config: Config | None = None, seeds: Sequence[int] | None = None) -> Run:
-    """A `Run` as the directory's checkpoint left it; without a configuration that of its config.toml."""
-    if config is None:
-        if not (directory / "config.toml").is_file():
-            raise InputError(f"--resume {directory}: no run there (it lacks config.toml)")
-        config = configuration.load(directory / "config.toml")
+    """A `Run` as the directory's checkpoint left it; without a configuration that of its config.toml.
+
+    The configuration of a run of one seed may want other interactions than the checkpoint's: they are then what
+    config.toml wants, too.
+    """
+    config = config or configuration.load(directory / "config.toml")
     path = directory / CHECKPOINT
     saved = checkpoint.load(path, RESUMABLE, resolve_device(config.train.device))
-    with refusing(str(path), KeyError, TypeError, AttributeError):
+    with refusing(str(path), KeyError, TypeError, ValueError, AttributeError):
         trained = configuration.from_toml(saved["config"], str(path))
-    if config != trained:
+        done, rate = int(saved["update"]), trained.ppo.learning_rate
+    before, total = trained.train, config.train.interactions
+    moved = seeds is None and total != before.interactions
+    if config != (replace(trained, train=replace(before, interactions=total)) if moved else trained):
         raise InputError(f"{directory}: config.toml is not what {path.name} was trained with")
+    if moved and config.train.updates <= done:
+        raise InputError(
+            f"--resume {directory}: {done * before.batch:,} interactions are done; --interactions must be more"
+        )
     run = Run(config, directory, seeds)
+    if moved:
+        run.annealing = (
+            f"\nlearning rate from {rate * (1 - done / before.updates):.3g} to "
+            f"{rate * (1 - done / config.train.updates):.3g}, since it is annealed to 0 at {total:,} interactions now, "
+            f"not at {before.interactions:,}"
+        )
     with refusing(f"{path}: does not fit this run", *MALFORMED):
         run.trainer.load_state_dict(run.shard.split(saved))
+        run.log.load_state(saved.get("charts", []))
     if run.ranks.first:
-        run.log.forget_evaluations_after(run.interactions)
+        with run.naming_the_checkpoint():
+            for file in run.written():  # what a kill left, which may be what fills the disk
+                temporary_beside(file).unlink(missing_ok=True)
+            run.log.forget_evaluations_after(run.interactions)
+            if moved:  # from here on, config.toml alone says so
+                write_text(directory / "config.toml", config.to_toml())
     return run

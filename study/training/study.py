@@ -17,8 +17,18 @@ from study.experiment import check_clocks
 from study.files import write_json, write_npz
 from study.flight.evaluation import Episodes, report
 from study.paper import tables
+from study.training.commands import command
+from study.training.lock import alone_in
 from study.training.provenance import write_settings
-from study.training.run import Run, Stopped, create, on_signal, resume, settled_for_a_seed
+from study.training.run import (
+    Run,
+    Stopped,
+    check_minibatch,
+    create,
+    on_signal,
+    resume,
+    settled_for_a_seed,
+)
 
 LEFT_BY_A_KILL = ("provenance.json", "provenance.json.tmp", "config.toml.tmp")  # at the start
 
@@ -34,27 +44,28 @@ def train_and_evaluate(config: StudyConfig, directory: Path) -> str:
     config = settled_for_a_seed(config)
     for name in config.study.arms:
         check_clocks(config.of_arm(name))
+    check_minibatch(config)
     ranks().first_does(lambda: begin_or_continue(config, directory))
     results = {}
-    with on_signal(stop):  # outside an update, where nothing half done is kept
+    again = f"continue with\n  {command('study', '--study-dir', directory)}"
+
+    def stop() -> None:
+        raise Stopped(f"stopped; {again}")
+
+    # signals: outside an update, where nothing half done is kept
+    with alone_in(directory, "--study-dir"), on_signal(stop):
         for name in config.study.arms:
             path = directory / name / "results.json"
             if not ranks().agree(path.exists()):
-                evaluate_arm(train_arm(config, name, directory / name))
+                evaluate_arm(train_arm(config, name, directory / name, again))
             if not ranks().first:
                 continue
             with refusing(f"{path}: not the results of this program", OSError, ValueError):
                 results[name] = json.loads(path.read_text(encoding="utf-8"))
             write_json(directory / "results.json", {"arms": results})  # of the arms so far, for `report`
     shown = [f"{name}\n{tables(arm)}\n" for name, arm in results.items()]
-    return "\n".join(
-        (*shown, f"Written to {directory}: results.json and, for each arm, policies and episodes")
-    )
-
-
-def stop() -> None:
-    """Ends the study where it is."""
-    raise Stopped("stopped; the same command continues")
+    written = f"Written to {directory}: results.json and, for each arm, policies and episodes"
+    return "\n".join((*shown, written, f"Next:\n  {command('report', '--study', directory)}"))
 
 
 def begin_or_continue(config: StudyConfig, directory: Path) -> None:
@@ -92,8 +103,8 @@ def first_difference(one: StudyConfig, other: StudyConfig) -> str:
     )
 
 
-def train_arm(config: StudyConfig, name: str, directory: Path) -> Run:
-    """All seeds of an arm, trained to the end from where they were left."""
+def train_arm(config: StudyConfig, name: str, directory: Path, again: str) -> Run:
+    """All seeds of an arm, trained to the end from where they were left; `again` says how to continue."""
     of_arm = config.of_arm(name)
     begun = (directory / "checkpoint.pt").exists()
     run = resume(directory, of_arm, config.seeds) if begun else create(of_arm, directory, config.seeds)
@@ -102,7 +113,7 @@ def train_arm(config: StudyConfig, name: str, directory: Path) -> Run:
         run.train()
     except Stopped:
         raise Stopped(
-            f"{name} stopped after {run.interactions:,} interactions of each seed; the same command continues"
+            f"{name} stopped after {run.interactions:,} interactions of each seed; {again}"
         ) from None
     return run
 
@@ -116,7 +127,6 @@ def evaluate_arm(run: Run) -> None:
     record, seconds = run.play(run.config.train.final_episodes, TEST_CASES), run.seconds()
     if not record:
         return
-    write_episodes(record, run.seeds, run.directory / "episodes.npz")
     about = {
         "seeds": list(run.seeds),
         "interactions": run.interactions,
@@ -124,7 +134,9 @@ def evaluate_arm(run: Run) -> None:
         "per_seed": run.reports(record, TEST_CASES),
     }
     together = report(record, run.config, TEST_CASES, len(run.seeds))
-    write_json(run.directory / "results.json", together | about)
+    with run.naming_the_checkpoint():
+        write_episodes(record, run.seeds, run.directory / "episodes.npz")
+        write_json(run.directory / "results.json", together | about)
 
 
 def write_episodes(record: Episodes, seeds: tuple[int, ...], path: Path) -> None:

@@ -33,7 +33,7 @@ def test_every_transition_is_watched_and_every_update_reported(make) -> None:
     trainer.run(watched.append, log.append, lambda: False)
     assert trainer.update == len(log) == UPDATES
     assert watched == trainer.env.seen and len(watched) == STEPS * UPDATES
-    rates = [statistics["charts/learning_rate"] for statistics in log]
+    rates = [statistics["learner/learning_rate"] for statistics in log]
     assert rates == pytest.approx([1e-2 * (1.0 - k / UPDATES) for k in range(UPDATES)])
     assert trainer.seconds == pytest.approx(
         sum(statistics["time/rollout_s"] + statistics["time/learning_s"] for statistics in log)

@@ -1,5 +1,7 @@
 """Configuration: TOML round trip and errors that name key, value and what is allowed."""
 
+import math
+import re
 from pathlib import Path
 
 import pytest
@@ -101,3 +103,26 @@ def test_a_run_of_before_keeps_its_settings(nothing_announced: None) -> None:
     study = configuration.load(CONFIGS.parent / "runs/reference/study/config.toml", StudyConfig())
     assert (study.rta.period, study.rta.qp_solver) == (1.0, "batched")
     assert configuration.from_toml(study.to_toml(), "text", StudyConfig()) == study
+
+
+def test_every_key_is_explained_and_read_back() -> None:
+    config = configuration.override(
+        StudyConfig(),
+        {"ppo": {"max_grad_norm": math.inf, "hidden": [64, 64, 64]}, "inspection": {"thermal_axis": "+z"}},
+        "test",
+    )
+    text = config.to_toml()
+    assert configuration.from_toml(text, "text", StudyConfig()) == config
+    keys = [line for line in text.splitlines() if " = " in line and not line.startswith("#")]
+    assert len(keys) == sum(len(vars(part)) for part in vars(config).values())
+    assert not [line for line in keys if not re.search(r" # \S+", line)]
+    assert "hidden = [64, 64, 64] # widths of the hidden layers of policy and value network\n" in text
+    assert "\n\n# Orbit and translation (Sec. Dynamics, Translational Motion)\nmean_motion = " in text
+
+
+def test_without_the_sources_the_keys_stand_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(configuration, "comments", configuration.comments.__wrapped__)
+    monkeypatch.setattr(configuration.inspect, "getsource", lambda _: (_ for _ in ()).throw(OSError))
+    text = StudyConfig().to_toml()
+    assert "#" not in text
+    assert configuration.from_toml(text, "text", StudyConfig()) == StudyConfig()

@@ -13,7 +13,7 @@ from inspection.termination import OUTCOMES
 from study.flight.evaluation import RAW_QUANTITIES, Episodes
 from study.flight.summary import iqm
 from study.training.log import Log
-from study.training.monitor import Monitor
+from study.training.monitor import EPISODE, Monitor
 
 BATCH = 24
 
@@ -42,13 +42,15 @@ def ended(seed: int, reward: float) -> Monitor:
     monitor = Monitor(("near",), 1, seed)
     monitor.sums.update(steps=BATCH, violated=torch.tensor([6 * (1 + seed)]))
     metrics = torch.full((len(METRICS) + 2, 1), reward)
-    metrics[-2], metrics[-1] = 1.0, seed
+    metrics[-2], metrics[-1] = 100.0, seed
     monitor.episodes.append(metrics)
     return monitor
 
 
 def test_an_update_is_shown_for_all_and_for_each_seed(tmp_path: Path) -> None:
     homes = [tmp_path / "seed5", tmp_path / "seed6", tmp_path / "seed7"]
+    for home in homes:
+        home.mkdir()
     log = Log(tmp_path, homes, BATCH)
     two = ended(1, 2.0)
     two.seeds, two.episodes = 2, two.episodes + ended(2, 6.0).episodes
@@ -62,22 +64,29 @@ def test_an_update_is_shown_for_all_and_for_each_seed(tmp_path: Path) -> None:
     with log.open(0, 2 * BATCH):
         log.update(reports, BATCH)
         assert (log.bar.n, log.bar.total) == (BATCH, 2 * BATCH)
-        assert log.bar.postfix == "success=1.00, reward=3.00, dv=3.0, violation=3.00"
+        expected = "success 100 %, reward 3.00, delta v 3.0 m/s, violation 3.0 %"
+        assert log.bar.postfix == expected
+        quiet = Monitor(("near",))  # no episode ended: the bar keeps what it shows
+        quiet.sums.update(steps=BATCH, violated=torch.tensor([0]))
+        log.update([({"time/rollout_s": 1.0, "time/learning_s": 1.0}, quiet)], 2 * BATCH)
+        assert log.bar.postfix == expected
     shown = charts(tmp_path)
     assert shown["losses/x"] == [(BATCH, 3.0)]
-    assert shown["charts/SPS"] == [(BATCH, 3 * BATCH / 3.0)]  # by the rank that took longest
-    assert shown["charts/reward"] == [(BATCH, 3.0)]
-    assert shown["rta/violation_percent_near"] == [(BATCH, 100.0 * 18 / (2 * BATCH))]
+    assert shown["time/interactions_per_s"][0] == (BATCH, 3 * BATCH / 3.0)  # by the rank that took longest
+    assert shown["episode/reward"] == [(BATCH, 3.0)]
+    assert shown["violation_percent/near"][0] == (BATCH, 100.0 * 18 / (2 * BATCH))
     for home, reward in zip(homes, (1.0, 2.0, 6.0), strict=True):
         shown = charts(home)
-        assert shown["charts/reward"] == [(BATCH, reward)]
-        assert set(shown) == {f"charts/{name}" for name in (*METRICS, "success")}
+        assert shown["episode/reward"] == [(BATCH, reward)]
+        assert set(shown) == {f"episode/{name}" for name in EPISODE}
 
 
 def test_an_evaluation_is_a_line_and_a_chart_for_each_seed(
     tmp_path: Path, generator: torch.Generator
 ) -> None:
     homes = [tmp_path / "seed5", tmp_path / "seed6"]
+    for home in homes:
+        home.mkdir()
     log, episodes = Log(tmp_path, homes, BATCH), record(2, 4, generator)
     with log.open(0, BATCH):
         log.evaluation(episodes, [{"seed": 5}, {"seed": 6}], BATCH, 1.5)
@@ -86,9 +95,10 @@ def test_an_evaluation_is_a_line_and_a_chart_for_each_seed(
         own = slice(4 * k, 4 * k + 4)
         assert (line["interactions"], line["seconds"], line["seed"]) == (BATCH, 1.5, 5 + k)
         assert np.array(list(line["cases"].values())) == pytest.approx(episodes.metrics[:, own].numpy())
-        success = (episodes.outcome[own] == OUTCOMES.index("success")).double().mean().item()
-        assert charts(home)["evaluation/success"] == [(BATCH, success)]
-    for name, values in zip(METRICS, episodes.metrics.numpy(), strict=True):
+        success = 100.0 * (episodes.outcome[own] == OUTCOMES.index("success")).double().mean().item()
+        shown = charts(home).get("evaluation/success_percent", [])  # a series begins where it is not zero
+        assert shown == ([(BATCH, success)] if success else [])
+    for name, values in zip(EPISODE, episodes.metrics.numpy(), strict=False):
         assert charts(tmp_path)[f"evaluation/{name}"] == [(BATCH, float(iqm(values)))]
 
 
@@ -96,7 +106,7 @@ def test_one_seed_has_no_charts_of_its_own(tmp_path: Path, generator: torch.Gene
     log = Log(tmp_path, [tmp_path / "seed5"], BATCH)
     with log.open(0, BATCH):
         log.evaluation(record(1, 2, generator), [{}], BATCH, 0.0)
-    assert "evaluation/success" in charts(tmp_path)
+    assert "evaluation/reward" in charts(tmp_path)
     assert not (tmp_path / "seed5").exists()
 
 
@@ -130,4 +140,4 @@ def test_charts_drawn_after_the_last_checkpoint_are_drawn_anew(
         with log.open((first - 1) * BATCH, 3 * BATCH):
             for k in range(first, last + 1):
                 log.evaluation(episodes, [{}], k * BATCH, 0.0)
-    assert [step for step, _ in charts(tmp_path)["evaluation/success"]] == [BATCH, 2 * BATCH]
+    assert [step for step, _ in charts(tmp_path)["evaluation/reward"]] == [BATCH, 2 * BATCH]

@@ -9,11 +9,11 @@ import torch
 from torch import Tensor
 
 from inspection.closed_loop import Safety
-from inspection.environment import METRICS, Transition
+from inspection.environment import Transition
 from inspection.termination import OUTCOMES
 from rta.filter import FilterResult
 from rta.qp import Status
-from study.training.monitor import Monitor
+from study.training.monitor import EPISODE, Monitor
 
 NAMES = ("near", "fast", "hot")
 SEEDS, BATCH, CALLS = 2, 6, 3
@@ -67,13 +67,14 @@ def count(transitions: list[Transition], seed: int | None = None) -> dict[str, f
         for column in range(BATCH):
             own = seed is None or column // (BATCH // SEEDS) == seed
             if own and (each.terminated[column] or each.truncated[column]):
-                for i, name in enumerate(METRICS):
-                    episodes[f"charts/{name}"].append(float(each.metrics[i, column]))
-                episodes["charts/success"].append(float(OUTCOMES[each.outcome[column]] == "success"))
+                for i, name in enumerate(EPISODE[:-1]):
+                    episodes[f"episode/{name}"].append(float(each.metrics[i, column]))
+                successful = OUTCOMES[each.outcome[column]] == "success"
+                episodes["episode/success_percent"].append(100.0 * successful)
             for name, term in each.reward_terms.items():
-                shares[f"reward/{name}"].append(float(term[column]))
+                shares[f"step_reward/{name}"].append(float(term[column]))
             for i, name in enumerate(NAMES):
-                shares[f"rta/violation_percent_{name}"].append(100.0 * bool(each.violated[i, column]))
+                shares[f"violation_percent/{name}"].append(100.0 * bool(each.violated[i, column]))
             for call in each.corrections:
                 shares["rta/intervention_percent"].append(100.0 * (call.status[column] > Status.UNTOUCHED))
                 shares["rta/slack_percent"].append(100.0 * any(call.slack[:, column] > 0.0))
@@ -110,16 +111,16 @@ def test_a_dropped_transition_shows(seen: list[Transition]) -> None:
 def test_charts_are_those_of_each_seeds_episodes(seen: list[Transition]) -> None:
     monitor = watching(seen)
     for seed in range(SEEDS):
-        assert monitor.charts(seed) == pytest.approx(count(seen, seed))
-    assert monitor.charts(SEEDS) == {}
+        assert monitor.episode_means(seed) == pytest.approx(count(seen, seed))
+    assert monitor.episode_means(SEEDS) == {}
 
 
 def test_without_a_filter_or_an_ended_episode_there_is_less_to_show(generator: torch.Generator) -> None:
     quiet = [transition(generator, ending=False, filtered=False)]
     scalars = watching(quiet).scalars()
     assert scalars == pytest.approx(count(quiet), rel=1e-6)
-    assert not any(tag.startswith("charts/") or "intervention" in tag for tag in scalars)
-    assert watching(quiet).charts(0) == {}
+    assert not any(tag.startswith(("episode/", "rta/")) for tag in scalars)
+    assert watching(quiet).episode_means(0) == {}
 
 
 def test_two_ranks_together_show_what_one_would(seen: list[Transition]) -> None:
@@ -130,7 +131,7 @@ def test_two_ranks_together_show_what_one_would(seen: list[Transition]) -> None:
             monitor(of_columns(each, columns))
     parts[0].add(parts[1])
     for seed in (*range(SEEDS), None):
-        assert parts[0].charts(seed) == pytest.approx(whole.charts(seed))
+        assert parts[0].episode_means(seed) == pytest.approx(whole.episode_means(seed))
     assert parts[0].scalars() == pytest.approx(whole.scalars(), rel=1e-6)
 
 

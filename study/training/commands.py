@@ -1,0 +1,27 @@
+"""Commands for a person to paste into a shell."""
+
+import shlex
+import sys
+from pathlib import Path
+
+
+def command(*words: str | Path) -> str:
+    """A call of this program as it was called, its words quoted."""
+    program = sys.argv[0] if Path(sys.argv[0]).name == "main.py" else "main.py"
+    return shlex.join(["python", program, *map(str, words)])
+
+
+def after_training(directory: Path) -> str:
+    """What to do with a trained agent: measure it, watch it fly, see its course."""
+    agent, flight, page = (directory / name for name in ("policy.pt", "flight.npz", "flight.html"))
+    fly = command(
+        "simulate", "--controller", "policy", "--checkpoint", agent, "--duration", "3000", "--out", flight
+    )
+    return "\n".join(
+        (
+            "Next:",
+            "  " + command("evaluate", "--checkpoint", agent, "--episodes", "1000"),
+            "  " + fly + " && " + command("replay", flight, "--out", page),
+            "  " + shlex.join(["tensorboard", "--logdir", str(directory)]),
+        )
+    )

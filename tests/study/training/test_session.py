@@ -1,0 +1,394 @@
+"""What ends a run early and what begins one: full disks, deleted directories, kills, locks, longer runs, agents."""
+
+import hashlib
+import json
+import os
+import resource
+import shlex
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+
+import main
+from ppo import checkpoint
+from ppo.learner import PPO
+from study import config as configuration
+from study.errors import InputError
+from study.experiment import load_policy
+from study.training import lock, provenance
+from study.training import run as training
+
+ROOT = Path(main.__file__).parent
+SETTINGS = """
+[train]
+rta = false
+interactions = 96
+num_envs = 4
+rollout_steps = 4
+evaluation_interval = 16
+evaluation_episodes = 1
+checkpoint_interval = 32
+final_episodes = 2
+compile = "off"
+device = "cpu"
+[inspection]
+max_time = 30.0 # every episode ends within each update
+[ppo]
+epochs = 1
+minibatch_size = 8
+hidden = [16, 16]
+"""
+CONCLUDE = training.Run.conclude
+
+
+@pytest.fixture(scope="module")
+def settings(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The configuration of a run of six updates, with a checkpoint after every other."""
+    path = tmp_path_factory.mktemp("session") / "tiny.toml"
+    path.write_text(SETTINGS)
+    return path
+
+
+@pytest.fixture(scope="module")
+def whole(settings: Path) -> Path:
+    """The directory of that run, which nothing interrupted."""
+    directory = settings.parent / "whole"
+    assert main.main(["train", "--config", str(settings), "--run-dir", str(directory)]) == 0
+    return directory
+
+
+@pytest.fixture(autouse=True)
+def nothing_concluded(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Spares a run its evaluation and figure, but where a test says otherwise."""
+    monkeypatch.setattr(training.Run, "conclude", lambda self: "")
+
+
+def weights(directory: Path) -> dict[str, torch.Tensor]:
+    content = checkpoint.load(directory / "checkpoint.pt", training.RESUMABLE)
+    return {f"{part}.{name}": value for part in ("policy", "value") for name, value in content[part].items()}
+
+
+def assert_same(one: Path, other: Path) -> None:
+    ours, theirs = weights(one), weights(other)
+    assert all(torch.equal(value, theirs[name]) for name, value in ours.items())
+
+
+def after(monkeypatch: pytest.MonkeyPatch, update: int, deed: Callable[[Path], Any]) -> None:
+    """Does something to the directory of a run at the beginning of what follows an update."""
+    original = training.Run.after_update
+
+    def after_update(self: training.Run, statistics: dict[str, float]) -> None:
+        if self.trainer.update == update:
+            deed(self.directory)
+        original(self, statistics)
+
+    monkeypatch.setattr(training.Run, "after_update", after_update)
+
+
+@pytest.fixture
+def limits() -> Iterator[None]:
+    """Lets a test limit the size of files, as a full disk would."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    yield
+    resource.setrlimit(resource.RLIMIT_FSIZE, before)
+
+
+def one_line(capsys: pytest.CaptureFixture[str], *words: str) -> str:
+    """The line of the error, which is the only one and the last."""
+    err = capsys.readouterr().err
+    line = err.splitlines()[-1]
+    assert line.startswith("error: ") and err.count("error: ") == 1 and "Traceback" not in err, err
+    assert all(word in line for word in words), line
+    return line
+
+
+@pytest.mark.parametrize(("size", "file"), [(700, "events.out"), (20_000, "checkpoint.pt: ")])
+def test_a_full_disk_ends_training_in_a_line_and_room_lets_it_go_on(
+    size: int,
+    file: str,
+    settings: Path,
+    whole: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    limits: None,
+) -> None:
+    run, (_, hard) = tmp_path / "run", resource.getrlimit(resource.RLIMIT_FSIZE)
+    with pytest.MonkeyPatch.context() as patch:
+        after(patch, 4, lambda _: resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard)))
+        assert main.main(["train", "--config", str(settings), "--run-dir", str(run)]) == 2
+    resource.setrlimit(resource.RLIMIT_FSIZE, (hard, hard))
+    one_line(capsys, file, "File too large", f"last good checkpoint: {run / 'checkpoint.pt'}")
+    assert not list(run.glob("*.tmp"))
+    assert checkpoint.load(run / "checkpoint.pt", ("update",))["update"] == 2
+    for name in ("checkpoint.pt", "policy.pt", "evaluations.jsonl", "config.toml"):  # by an earlier kill
+        (run / f"{name}.tmp").write_bytes(bytes(1000))
+    assert main.main(["train", "--resume", str(run)]) == 0
+    assert not list(run.glob("*.tmp"))
+    assert_same(run, whole)
+
+
+def test_a_deleted_directory_ends_training_in_a_line(
+    settings: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run = tmp_path / "run"
+    after(monkeypatch, 2, shutil.rmtree)
+    assert main.main(["train", "--config", str(settings), "--run-dir", str(run)]) == 2
+    one_line(capsys, str(run), "No such file or directory; no checkpoint is left")
+    assert not run.exists()
+
+
+JOB = """
+import os, signal, subprocess, sys, time
+import torch
+import main
+from pathlib import Path
+from study.training import run as training
+
+torch.set_num_threads(1)
+settings, directory = sys.argv[1:]
+original, update = os.fsync, training.Run.after_update
+
+def killing(descriptor):
+    os.kill(os.getpid(), signal.SIGKILL)  # all is written, nothing replaced
+
+def after_update(self, statistics):
+    if self.trainer.update == 2:
+        child = subprocess.Popen(["sleep", "60"], close_fds=False, stdout=subprocess.DEVNULL)
+        print(child.pid, flush=True)
+        sys.stdin.readline()  # until the others have tried
+    if self.trainer.update == 4:
+        os.fsync = killing
+    update(self, statistics)
+
+training.Run.after_update = after_update
+main.main(["train", "--config", settings, "--run-dir", directory])
+"""
+
+
+def test_a_live_run_is_nobody_elses_until_a_kill_in_the_midst_of_a_save(
+    settings: Path, whole: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run = tmp_path / "run"
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.DEVNULL}
+    job = subprocess.Popen([sys.executable, "-c", JOB, str(settings), str(run)], cwd=ROOT, text=True, **pipes)
+    job.stdout.readline()  # what is trained
+    child = int(job.stdout.readline())
+    try:
+        before = {path.name: path.read_bytes() for path in run.iterdir()}
+        for _ in range(2):
+            assert main.main(["train", "--resume", str(run)]) == 2
+            one_line(capsys, f"--resume {run}: is being trained by another process")
+        assert {path.name: path.read_bytes() for path in run.iterdir()} == before
+        job.communicate("\n", timeout=60)
+        assert job.returncode == -9 and (run / "checkpoint.pt.tmp").exists()
+        os.kill(child, 0)  # it lives on, and has not inherited the lock
+        assert main.main(["train", "--resume", str(run)]) == 0
+    finally:
+        job.kill()
+        os.kill(child, 9)
+    assert_same(run, whole)
+    assert not list(run.glob("*.tmp"))
+
+
+def test_where_there_are_no_locks_nothing_is_locked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with lock.alone_in(tmp_path, "--run-dir"):
+        with pytest.raises(InputError, match="another process"), lock.alone_in(tmp_path, "--run-dir"):
+            pass
+        monkeypatch.setattr(lock, "fcntl", None)
+        with lock.alone_in(tmp_path, "--run-dir"):
+            pass
+        monkeypatch.undo()
+    with lock.alone_in(tmp_path, "--run-dir"):
+        assert not list(tmp_path.iterdir())
+
+
+def test_a_study_has_its_directory_to_itself(
+    settings: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with lock.alone_in(tmp_path, "--study-dir"):
+        assert main.main(["study", "--config", str(settings), "--study-dir", str(tmp_path)]) == 2
+    one_line(capsys, f"--study-dir {tmp_path}: is being trained by another process")
+
+
+@pytest.mark.parametrize("moment", ["__init__", "save", "first of save"])
+@pytest.mark.parametrize("there", [False, True])
+def test_an_interrupt_before_the_first_checkpoint_leaves_nothing(
+    moment: str,
+    there: bool,
+    settings: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    run = tmp_path / "runs" / "run"
+    if there:
+        run.mkdir(parents=True)
+
+    def interrupted(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    owner, name = (checkpoint, "save") if moment == "first of save" else (training.Run, moment)
+    arguments = ["train", "--config", str(settings), "--run-dir", str(run)]
+    with monkeypatch.context() as patch:
+        patch.setattr(owner, name, interrupted)
+        assert main.main(arguments) == 130
+    assert capsys.readouterr().err == "interrupted\n"
+    assert run.exists() == there and (tmp_path / "runs").exists() == there
+    assert main.main([*arguments, "--interactions", "1"]) == 0  # and what is there hinders nobody
+
+
+def test_a_directory_of_other_things_is_refused(
+    settings: Path, whole: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    arguments = ["train", "--config", str(settings), "--run-dir", str(tmp_path)]
+    for name, words in (
+        ("notes.txt", "holds no run but notes.txt; name a new directory"),
+        ("config.toml", "holds no run but config.toml"),  # somebody's settings: no run writes them first
+    ):
+        (tmp_path / name).write_text("mine")
+        assert main.main(arguments) == 2
+        one_line(capsys, f"--run-dir {tmp_path}: {words}")
+        assert [path.read_text() for path in tmp_path.iterdir()] == ["mine"]
+        (tmp_path / name).unlink()
+    for name in ("provenance.json", "config.toml"):  # a run killed before its first checkpoint
+        shutil.copy(whole / name, tmp_path)
+    (tmp_path / "checkpoint.pt.tmp").write_text("half a")
+    assert main.main([*arguments, "--interactions", "1"]) == 0
+    assert not list(tmp_path.glob("*.tmp"))
+
+
+@pytest.mark.parametrize("command", ["train", "study"])
+def test_a_minibatch_beyond_the_batch_is_refused(
+    command: str, settings: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    large = tmp_path / "large.toml"
+    large.write_text(SETTINGS.replace("minibatch_size = 8", "minibatch_size = 17"))
+    directory = {"train": "--run-dir", "study": "--study-dir"}[command]
+    assert main.main([command, "--config", str(large), directory, str(tmp_path / "new")]) == 2
+    one_line(capsys, "[ppo] minibatch_size = 17", "num_envs * rollout_steps = 4 * 4 = 16")
+    assert not (tmp_path / "new").exists()
+
+
+def test_a_finished_run_goes_on_as_a_longer_one_but_for_the_annealing(
+    settings: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    update = PPO.update
+    monkeypatch.setattr(PPO, "update", lambda self, batch, progress: update(self, batch, 0.0))
+    train = ["train", "--config", str(settings), "--run-dir"]
+    assert main.main([*train, str(tmp_path / "long")]) == 0
+    assert main.main([*train, str(tmp_path / "short"), "--interactions", "32"]) == 0
+    for interactions in ("32", "17"):
+        arguments = ["train", "--resume", str(tmp_path / "short"), "--interactions", interactions]
+        assert main.main(arguments) == (0 if interactions == "32" else 2)
+    one_line(capsys, "32 interactions are done; --interactions must be more")
+    assert main.main(["train", "--resume", str(tmp_path / "short"), "--interactions", "96"]) == 0
+    line = "learning rate from 0 to 0.0002, since it is annealed to 0 at 96 interactions now, not at 32\n"
+    assert line in capsys.readouterr().out
+    assert_same(tmp_path / "long", tmp_path / "short")
+    assert configuration.load(tmp_path / "short" / "config.toml").train.interactions == 96
+    assert not (tmp_path / "short" / "config.toml.tmp").exists()
+
+
+def test_config_toml_says_how_far_a_run_goes(
+    whole: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    shutil.copytree(whole, tmp_path, dirs_exist_ok=True)
+    path = tmp_path / "config.toml"
+    path.write_text(path.read_text().replace("interactions = 96", "interactions = 128"))
+    run = training.resume(tmp_path)  # as after a kill before the next checkpoint
+    run.train()
+    assert run.interactions == 128
+    assert "learning rate from 0 to 7.5e-05" in str(run)
+    path.write_text(path.read_text().replace("minibatch_size = 8", "minibatch_size = 4"))
+    assert main.main(["train", "--resume", str(tmp_path), "--interactions", "500"]) == 2
+    one_line(capsys, "config.toml is not what checkpoint.pt was trained with")
+
+
+@pytest.mark.parametrize("name", ["policy.pt", "checkpoint.pt"])
+def test_a_run_starts_from_an_agent_and_goes_on_from_there(
+    name: str, settings: Path, whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    collected: list[dict[str, torch.Tensor]] = []
+    collect = training.Trainer.run.__globals__["collect"]
+
+    def watching(env: Any, learner: PPO, *rest: Any) -> dict[str, torch.Tensor]:
+        if not collected:
+            collected.append({key: value.clone() for key, value in learner.policy.state_dict().items()})
+            collected.append({key: value.clone() for key, value in learner.value.state_dict().items()})
+        return collect(env, learner, *rest)
+
+    monkeypatch.setitem(training.Trainer.run.__globals__, "collect", watching)
+    source = whole / name
+    arguments = ["train", "--config", str(settings), "--run-dir", str(tmp_path / "run"), "--seed", "9"]
+    assert main.main([*arguments, "--interactions", "16", "--init-from", str(source)]) == 0
+    trained = checkpoint.load(whole / "checkpoint.pt", training.RESUMABLE)
+    assert all(torch.equal(value, trained["policy"][key]) for key, value in collected[0].items())
+    values = [torch.equal(value, trained["value"][key]) for key, value in collected[1].items()]
+    assert all(values) == (name == "checkpoint.pt")
+    assert not torch.equal(
+        weights(tmp_path / "run")["policy.network.layers.0.weight"], next(iter(collected[0].values()))
+    )
+    about = json.loads((tmp_path / "run" / "provenance.json").read_text())["init_from"]
+    assert about == {"file": str(source), "sha256": hashlib.sha256(source.read_bytes()).hexdigest()}
+
+
+def test_an_agent_of_other_networks_is_refused(
+    settings: Path, whole: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    wide = tmp_path / "wide.toml"
+    arguments = ["train", "--run-dir", str(tmp_path / "run"), "--config", str(wide), "--init-from"]
+    for text, words in (
+        ("hidden = [16, 16]\n", ("[ppo] hidden = [16, 16], not [8, 8, 8]", "--config")),
+        ("log_std_bounds = [-4.0, 0.0]\n", ("[ppo] log_std_bounds = [-5.0, 0.0], not [-4.0, 0.0]",)),
+    ):
+        wide.write_text(
+            SETTINGS.replace(
+                "hidden = [16, 16]\n",
+                text.replace("16, 16", "8, 8, 8") + ("hidden = [16, 16]\n" if "log" in text else ""),
+            )
+        )
+        assert main.main([*arguments, str(whole / "policy.pt")]) == 2
+        one_line(capsys, str(whole / "policy.pt"), *words)
+    assert main.main([*arguments, str(tmp_path / "none.pt")]) == 2
+    one_line(capsys, "none.pt: no such checkpoint file")
+    assert not (tmp_path / "run").exists()
+
+
+def test_widths_are_keys_from_training_to_export_and_the_last_lines_can_be_pasted(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(training.Run, "conclude", CONCLUDE)
+    path = tmp_path / "deep.toml"
+    path.write_text(
+        SETTINGS.replace("[16, 16]", "[64, 64, 64]").replace("interactions = 96", "interactions = 16")
+    )
+    run, out = tmp_path / "my 'first' run", tmp_path / "agent.onnx"
+    assert main.main(["train", "--config", str(path), "--run-dir", str(run)]) == 0
+    said = capsys.readouterr().out
+    policy, config = load_policy(run / "policy.pt")
+    assert config.ppo.hidden == (64, 64, 64)
+    assert [layer.weight.shape[2] for layer in policy.network.layers] == [64, 64, 64, 12]
+    assert main.main(["export", "--checkpoint", str(run / "policy.pt"), "--out", str(out)]) == 0
+    assert f"\nWritten to {run}: " in said
+    evaluate, fly, show = (shlex.split(line) for line in said.partition("Next:\n")[2].splitlines())
+    simulate, replay = fly[: fly.index("&&")], fly[fly.index("&&") + 1 :]
+    assert show == ["tensorboard", "--logdir", str(run)]
+    for words in (evaluate, simulate, replay):
+        assert words[:2] == ["python", "main.py"]
+        shorter = {"1000": "2", "3000": "20"}
+        assert main.main([shorter.get(word, word) for word in words[2:]]) == 0
+    assert (run / "flight.html").exists()
+
+
+def test_the_threads_of_a_run_are_recorded(whole: Path, tmp_path: Path) -> None:
+    assert provenance.recorded_threads(whole) == torch.get_num_threads()
+    assert provenance.recorded_threads(tmp_path) is None
+    for text in ("{", "[]", "{}", '{"threads": "two"}', '{"threads": true}', '{"threads": 0}'):
+        (tmp_path / "provenance.json").write_text(text)
+        assert provenance.recorded_threads(tmp_path) is None
