@@ -11,7 +11,7 @@ from typing import Any
 
 from ppo import checkpoint
 from ppo.distributed import RankLostError, ranks
-from ppo.files import temporary_beside
+from ppo.files import naming, temporary_beside
 from ppo.learner import PPO, NonFiniteError
 from ppo.trainer import Trainer
 from study import config as configuration
@@ -376,7 +376,8 @@ def resume(directory: Path, config: Config | None = None, seeds: Sequence[int] |
     if run.ranks.first:
         with run.naming_the_checkpoint():
             for file in run.written():  # what a kill left, which may be what fills the disk
-                temporary_beside(file).unlink(missing_ok=True)
+                with naming(file):
+                    temporary_beside(file).unlink(missing_ok=True)
             run.log.forget_evaluations_after(run.interactions)
             if moved:  # from here on, config.toml alone says so
                 write_text(directory / "config.toml", config.to_toml())
