@@ -16,7 +16,7 @@ from study.training.charts import Charts
 PAGE = Path(main.__file__).parent / "docs" / "reference" / "tensorboard.md"
 SHORT = """
 [train]
-interactions = 4
+interactions = 8
 num_envs = 2
 rollout_steps = 2
 evaluation_interval = 4
