@@ -8,16 +8,28 @@ import os
 import signal
 import sys
 import time
+
+
+def interrupted(*_: object) -> None:
+    """Ends the program in one line where nothing has begun: the imports below take seconds."""
+    print("interrupted", file=sys.stderr)
+    os._exit(130)
+
+
+if __name__ == "__main__":
+    signal.signal(signal.SIGINT, interrupted)
+
 from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
 
 from ppo.checkpoint import CheckpointError
 from ppo.distributed import RankLostError, is_first, ranks
 from ppo.learner import NonFiniteError
-from study.arguments import Configure, build_parser, join_axis, parameters
+from study.arguments import Configure, build_parser, check_files, join_axis, parameters
 from study.config import TEST_CASES, Config, StudyConfig
-from study.errors import ExportError, InputError, ReplayError, refusing
-from study.files import check_writable, write_json, write_npz, writing
+from study.errors import ExportError, InputError, ReplayError, in_one_line, refusing
+from study.files import write_json, write_npz, writing
+from study.threads import THREADS
 
 # A command's parameters are its flags: `study.arguments` has their help, limits and order. `configure` puts --config
 # and the other flags, those that set something, over a configuration.
@@ -28,8 +40,11 @@ def run_train(
 ) -> None:
     """main.py train"""
     from study.training import run as training
+    from study.training.provenance import recorded_threads
+    from study.verification.verified import say_unless_verified
 
     if resume:
+        THREADS.recorded = recorded_threads(Path(resume))
         session = training.resuming(Path(resume), configure)
     else:
         config = configure(Config())
@@ -39,6 +54,7 @@ def run_train(
         session = training.starting(config, directory, Path(init_from) if init_from else None)
     with session as run:
         print(run, flush=True)
+        say_unless_verified(run.config, run.directory / "config.toml")
         try:
             run.train()
         except training.Stopped as stopped:
@@ -50,11 +66,16 @@ def run_train(
 
 def run_study(configure: Configure, study_dir: str = "runs/study") -> None:
     """main.py study"""
+    from study.training.provenance import recorded_threads
     from study.training.run import Stopped
     from study.training.study import read_settings, train_and_evaluate
+    from study.verification.verified import say_unless_verified
 
     directory = Path(study_dir)
     config = configure(read_settings(directory) or StudyConfig())
+    THREADS.recorded = recorded_threads(directory)
+    if "rta" in config.study.arms:
+        say_unless_verified(config.of_arm("rta"), configure.file or directory / "config.toml")
     try:
         print(train_and_evaluate(config, directory))
     except Stopped as stopped:
@@ -63,7 +84,7 @@ def run_study(configure: Configure, study_dir: str = "runs/study") -> None:
 
 def run_report(study: str, device: str | None = None) -> None:
     """main.py report"""
-    from study.report import figures, inputs, page, tables
+    from study.report import figures, inputs, page, replay, tables
     from study.report.compute import compute
 
     directory = Path(study)
@@ -71,8 +92,10 @@ def run_report(study: str, device: str | None = None) -> None:
     found = inputs.read(directory)
     tables.write(found)
     figures.draw(found)
+    replay.write(found)
     page.write(found)
     print(f"Written to {directory}: report.html and, in report, its figures and the data behind them")
+    print(f"Open it in a browser: {(directory / 'report.html').absolute().as_uri()}")
 
 
 def run_evaluate(
@@ -87,11 +110,10 @@ def run_evaluate(
     from study.flight import evaluation
     from study.paper import tables
 
-    check_writable(json, "--json")
-    # there is one --controller, which flies where no --checkpoint does
-    results = evaluation.run(configure, episodes, seed, checkpoint)
+    results = evaluation.run(configure, episodes, seed, checkpoint, controller)
     print(tables(results))
-    if json:
+    print(evaluation.how_to_watch(configure.words, checkpoint, controller))
+    if json:  # which may be standard output
         write_json(json, results)
 
 
@@ -111,8 +133,6 @@ def run_simulate(
     from study.flight import simulation
     from study.flight.figures import constraint_figure
 
-    check_writable(out, "--out")
-    check_writable(figure, "--figure")
     flown, config = simulation.run(
         configure, controller, duration, step, seed, checkpoint, actions, initial_state
     )
@@ -128,7 +148,6 @@ def run_replay(runs: list[str], out: str) -> None:
 
     if len(runs) > 2:
         raise InputError(f"{len(runs)} runs: at most two are shown side by side")
-    check_writable(out, "--out")
     size = page.write(runs, Path(out))
     print(f"{scene.printable(out)}: {1e-6 * size:.1f} MB, opens in a browser without a network")
 
@@ -138,7 +157,6 @@ def run_filter(configure: Configure, states: str, out: str) -> None:
     from rta.qp import Status
     from study.flight import offline_filter
 
-    check_writable(out, "--out")
     result = offline_filter.run(configure, states)
     write_npz(out, result)
     counts = [f"{(result['status'] == status).sum():,} {status.name.lower()}" for status in Status]
@@ -157,13 +175,15 @@ def run_verify(
     """main.py verify"""
     from study.verification.campaign import verify
     from study.verification.counter_examples import replay_file
-    from study.verification.findings import table
+    from study.verification.findings import table, what_next
 
     if replay:
         print(replay_file(replay))
         return
-    check_writable(json, "--json")
-    print(table(verify(policy, episodes, duration, seed, configure, Path(json) if json else None)))
+    kept = Path(json) if json else None
+    report = verify(policy, episodes, duration, seed, configure, kept)
+    print(table(report))
+    print(what_next(report, kept))
 
 
 def run_benchmark(
@@ -175,8 +195,6 @@ def run_benchmark(
     """main.py benchmark"""
     from study.benchmark import measure, presentation
 
-    check_writable(json, "--json")
-    check_writable(figure, "--figure")
     results = measure.benchmark(configure(Config()), batches or measure.BATCHES)
     print(presentation.table(results))
     if json:
@@ -192,7 +210,6 @@ def run_export(checkpoint: str, out: str) -> None:
 
     with refusing("export needs the packages onnx and onnxruntime of requirements.txt", ImportError):
         from study import export
-    check_writable(out, "--out")
     policy, config = load_policy(checkpoint)
     model = export.to_onnx(policy, config.inspection)
     difference = export.check(model, policy)
@@ -231,6 +248,8 @@ def main(argv: list[str] | None = None) -> int:
                 raise InputError(
                     f"torchrun: {arguments.command} runs in one process; only train and study in many"
                 )
+            check_files(arguments)
+            THREADS.ask(getattr(arguments, "threads", None))
             HANDLERS[arguments.command](**parameters(arguments))
     except (InputError, CheckpointError) as error:
         return complain(f"{error}", 2)
@@ -257,9 +276,10 @@ def complain(reason: str, code: int, event: str = "") -> int:
     """One line on stderr, of ranks with the same reason, or of the same event, from one; returns the exit code."""
     if ranks().first_to_say(event or reason):
         unfinished = "" if ranks().first else "\n"  # the first rank's progress bar, where it ended midway
-        print(f"{unfinished}error: {reason}", file=sys.stderr)
+        print(f"{unfinished}error: {in_one_line(reason)}", file=sys.stderr)
     return code
 
 
 if __name__ == "__main__":
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     sys.exit(main())

@@ -1,4 +1,4 @@
-"""Functions of a batch, compiled: ahead of time and by chunks on a CPU, kept across runs."""
+"""Functions of a batch, compiled: ahead of time and by chunks on a CPU, kept across runs. Or traced only."""
 
 import ctypes
 import hashlib
@@ -34,21 +34,31 @@ class Compiled:
         function: what to compile; without control flow that depends on values.
         examples: arguments of one column, on the device to compile for.
         batch: how many columns a call will usually have; any number is allowed.
+        trace_only: run the traced operations one by one, bit for bit what `function` does, without a compiler.
 
     Raises:
         whatever PyTorch's compiler raises where there is no working C++ compiler.
     """
 
-    def __init__(self, function: Callable[..., Parts], *examples: Tensor, batch: int = SIZES[-1]) -> None:
+    def __init__(
+        self,
+        function: Callable[..., Parts],
+        *examples: Tensor,
+        batch: int = SIZES[-1],
+        trace_only: bool = False,
+    ) -> None:
         self.shapes = [part.shape[:-1] for part in function(*examples)]
-        self.device = examples[0].device
+        self.by_size = trace_only or examples[0].device.type == "cpu"
+        self.on_threads = False
 
         def packed(*tensors: Tensor) -> Tensor:
             return torch.cat([part.flatten(0, -2) for part in function(*tensors)])
 
         self.size = next((size for size in SIZES if batch <= size), SIZES[-1])
         columns = [example.expand(*example.shape[:-1], self.size).contiguous() for example in examples]
-        if self.device.type == "cpu":
+        if trace_only:
+            self.run = traced(packed, *columns)
+        elif self.by_size:
             self.run = ahead_of_time(packed, *columns)
             self.on_threads = min(timed(self.run, *columns) for _ in range(3)) > WORTH_A_THREAD
         else:
@@ -59,7 +69,7 @@ class Compiled:
     def __call__(self, *tensors: Tensor, times: int = 1) -> Parts:
         """What `function` returns, or after `times` calls in a row, each with the last result for its first tensor."""
         batch = tensors[0].shape[-1]
-        run = self.by_chunks if self.device.type == "cpu" else self.in_a_row
+        run = self.by_chunks if self.by_size else self.in_a_row
         packed = run(times, *tensors)
         parts = packed[:, :batch].split([shape.numel() for shape in self.shapes])
         return [part.view(*shape, batch) for part, shape in zip(parts, self.shapes, strict=True)]
@@ -108,13 +118,9 @@ def pool(threads: int) -> ThreadPoolExecutor:
 def ahead_of_time(function: Callable[..., Tensor], *examples: Tensor) -> Callable[..., Tensor]:
     """`function` compiled for tensors like the examples, single-threaded, from the cache where it holds the same.
 
-    Traced through make_fx, nested forward-mode differentiation becomes a flat list of operations in 3 s;
-    torch.compile takes twelve in every process and its code ran 2.5 times as long.
+    Traced first: torch.compile takes twelve seconds in every process and its code ran 2.5 times as long.
     """
-    pure = torch.func.functionalize(function, remove="mutations")  # which would hide common subexpressions
-    with torch.no_grad():
-        graph = make_fx(pure, decomposition_table={torch.ops.aten.mm.default: product})(*examples)
-    graph = without_repetitions(graph)
+    graph = traced(function, *examples, decompositions={torch.ops.aten.mm.default: product})
     path = Path(cache_dir()) / "columns" / f"{fingerprint(graph, examples)}.so"
     if path.exists():
         with suppress(OSError):  # damaged: compiled anew
@@ -123,12 +129,24 @@ def ahead_of_time(function: Callable[..., Tensor], *examples: Tensor) -> Callabl
     return Library(path, torch.get_num_threads())
 
 
+def traced(
+    function: Callable[..., Tensor], *examples: Tensor, decompositions: dict[Any, Any] | None = None
+) -> GraphModule:
+    """`function` as a flat list of operations on tensors like the examples, which takes 3 s.
+
+    Nested forward-mode differentiation is most of the time of a call for few columns; make_fx does it once.
+    """
+    pure = torch.func.functionalize(function, remove="mutations")  # which would hide common subexpressions
+    with torch.no_grad():
+        return without_repetitions(make_fx(pure, decomposition_table=decompositions or {})(*examples))
+
+
 def without_repetitions(graph: GraphModule) -> GraphModule:
     """The graph with equal constants and common subexpressions computed once: several constraints begin alike."""
     seen: dict[tuple[Any, ...], Node] = {}
     for node in graph.graph.find_nodes(op="get_attr"):
         constant = getattr(graph, node.target)
-        same = seen.setdefault((constant.dtype, constant.shape, constant.numpy().tobytes()), node)
+        same = seen.setdefault((constant.dtype, constant.shape, constant.cpu().numpy().tobytes()), node)
         if same is not node:
             node.replace_all_uses_with(same)
     short = fx_graph_cse(graph.graph)

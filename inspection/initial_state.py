@@ -14,6 +14,9 @@ from inspection.state import SIZE, THETA_S, E, P, Q, T
 # constraint on position may reject them all.
 MAX_ATTITUDES = 100
 MAX_STATES = 1000
+# Where so many whole states in a row were rejected, the rest of MAX_STATES would be drawn in vain: below a chance of
+# 1e-20 for any distribution and number of states, a draw that would have found them all does not come that far.
+IN_VAIN = 20_000
 POOL = 2048
 
 
@@ -49,7 +52,7 @@ def sample_initial_state(
         States (16, count) and priority unit vectors (3, count), float64.
 
     Raises:
-        RuntimeError: none of MAX_STATES states was accepted either.
+        RuntimeError: none of MAX_STATES states was accepted either, or none of IN_VAIN in a row.
     """
 
     def angles() -> tuple[Tensor, Tensor]:
@@ -69,18 +72,21 @@ def sample_initial_state(
     if is_safe is None:
         return x, priority
     rejected = torch.nonzero(~is_safe(x)).flatten()
-    attempts = 0
+    attempts = in_vain = 0
     while rejected.numel():
-        if attempts == MAX_ATTITUDES + MAX_STATES:
+        if attempts == MAX_ATTITUDES + MAX_STATES or in_vain >= IN_VAIN:
             raise RuntimeError(
-                f"no safe initial state in {MAX_ATTITUDES} draws of an attitude and {MAX_STATES} of a whole state; "
-                f"the last one drawn is {x[:, rejected[0]].tolist()}"
+                f"no safe initial state in {MAX_ATTITUDES} draws of an attitude and {attempts - MAX_ATTITUDES} of a "
+                f"whole state, for {rejected.numel():,} spacecraft; the last one drawn is {x[:, rejected[0]].tolist()}"
             )
         if attempts < MAX_ATTITUDES:
             x[Q, rejected] = random_quaternion(rejected.numel(), generator, x.dtype)
         else:
             x[:, rejected], priority[:, rejected] = sample_initial_state(rejected.numel(), generator, c)
-        rejected = rejected[~is_safe(x[:, rejected])]
+        left = rejected[~is_safe(x[:, rejected])]
+        if attempts >= MAX_ATTITUDES:
+            in_vain = in_vain + rejected.numel() if left.numel() == rejected.numel() else 0
+        rejected = left
         attempts += 1
     return x, priority
 

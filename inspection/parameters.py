@@ -1,13 +1,27 @@
 """Every constant of the inspection task, with its unit and its source, as one frozen dataclass.
 
 "Sec." and "Eq." refer to Dunlap et al., AFRL-2024-3223. Entries marked (decision) fill a gap or a
-contradiction in the paper; the README's "Differences from the paper" gives the reason for each.
+contradiction in the paper; docs/reference/differences.md gives the reason for each.
 """
 
 import math
 from dataclasses import dataclass, fields
 
 AXES = {"+x": (0, 1.0), "-x": (0, -1.0), "+y": (1, 1.0), "-y": (1, -1.0), "+z": (2, 1.0), "-z": (2, -1.0)}
+
+POSITIVE = (
+    "mean_motion mass max_thrust wheel_inertia max_angular_acceleration max_wheel_acceleration surface_area node_mass "
+    "specific_heat zero_celsius deputy_radius chief_radius max_distance max_speed passive_safety_horizon field_of_view "
+    "max_rate num_points points_per_cluster success_score action_period substep max_time orientation_width "
+    "free_flight_horizon"
+)
+# Zero is what is not there: a surface that absorbs nothing, a limit without slope. The rewards may have any sign.
+NOT_NEGATIVE = (
+    "absorptivity emissivity solar_constant albedo view_factor earth_temperature stefan_boltzmann panel_performance "
+    "panel_degradation power_draw docking_speed speed_slope exclusion_buffer temperature_sun_slope "
+    "temperature_earth_slope min_energy energy_sun_slope time_reward_until terminal_reward"
+)
+AT_MOST_ONE = "absorptivity emissivity albedo view_factor panel_degradation success_score"
 
 
 @dataclass(frozen=True)
@@ -41,7 +55,7 @@ class InspectionParameters:
     zero_celsius: float = 273.15  # K, of 0 deg C
 
     # Energy (Sec. Dynamics, Energy)
-    solar_panel_axis: str = "-x"  # (decision) the paper's text says +x; see the README
+    solar_panel_axis: str = "-x"  # (decision) the paper's text says +x; see docs/reference/differences.md
     panel_performance: float = 983.3  # W/m^2, P_I, in full sunlight
     panel_degradation: float = 0.77  # share that degradation leaves, I_d
     power_draw: float = 15.0  # W, P_out, of the spacecraft
@@ -89,15 +103,27 @@ class InspectionParameters:
         for name in ("solar_panel_axis", "thermal_axis"):
             if getattr(self, name) not in AXES:
                 raise ValueError(f"{name} = {getattr(self, name)!r}: allowed are {', '.join(AXES)}")
-        positive = (
-            "mean_motion mass max_thrust wheel_inertia max_angular_acceleration max_wheel_acceleration "
-            "surface_area node_mass specific_heat deputy_radius chief_radius max_distance max_speed "
-            "passive_safety_horizon field_of_view max_rate num_points points_per_cluster success_score "
-            "action_period substep max_time orientation_width free_flight_horizon"
-        )
-        for name in positive.split():
+        for name in POSITIVE.split():
             if not 0 < getattr(self, name) < math.inf:
                 raise ValueError(f"{name} = {getattr(self, name)!r}: must be a positive number")
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if isinstance(value, str):
+                continue
+            numbers = value if isinstance(value, tuple) else (value,)
+            if isinstance(field.default, tuple) and len(numbers) != len(field.default):
+                raise ValueError(f"{field.name} = {value!r}: must be {len(field.default)} numbers")
+            if not all(math.isfinite(number) for number in numbers):
+                raise ValueError(f"{field.name} = {value!r}: must be finite")
+        for name in ("num_points", "points_per_cluster"):
+            if not isinstance(getattr(self, name), int):
+                raise ValueError(f"{name} = {getattr(self, name)!r}: must be an integer")
+        for name in NOT_NEGATIVE.split():
+            if getattr(self, name) < 0:
+                raise ValueError(f"{name} = {getattr(self, name)!r}: must not be negative")
+        for name in AT_MOST_ONE.split():
+            if getattr(self, name) > 1:
+                raise ValueError(f"{name} = {getattr(self, name)!r}: must be at most 1")
         steps = self.action_period / self.substep
         if round(steps) < 1 or abs(steps - round(steps)) > 1e-9:
             raise ValueError(
@@ -107,17 +133,33 @@ class InspectionParameters:
             raise ValueError(f"substep = {self.substep:g}: must be at most 5 s")
         if self.field_of_view > math.pi or self.num_points > 100_000:
             raise ValueError("field_of_view must be at most pi rad and num_points at most 100,000")
-        for field in fields(self):
-            value = getattr(self, field.name)
-            numbers = value if isinstance(value, tuple) else (value,)
-            if any(isinstance(number, float) and not math.isfinite(number) for number in numbers):
-                raise ValueError(f"{field.name} = {value!r}: must be finite")
+        if self.field_of_view / 2 + self.exclusion_buffer >= math.pi:
+            raise ValueError("field_of_view / 2 + exclusion_buffer must be below pi rad")
+        if self.max_distance <= self.collision_radius:
+            raise ValueError(
+                f"max_distance = {self.max_distance:g}: must exceed deputy_radius + chief_radius, "
+                f"{self.collision_radius:g} m"
+            )
         if min(self.inertia) <= 0:
             raise ValueError(f"inertia = {self.inertia!r}: must be three positive moments in kg m^2")
+        if 2 * max(self.inertia) > sum(self.inertia) * (
+            1 + 1e-9
+        ):  # a flat plate's are equal, but for rounding
+            raise ValueError(
+                f"inertia = {self.inertia!r}: no body has a moment above the sum of the other two"
+            )
         for name in ("initial_radius", "initial_energy", "initial_temperature"):
             low, high = getattr(self, name)
             if low > high:
                 raise ValueError(f"{name} = {[low, high]!r}: must be [low, high] with low <= high")
+        if self.initial_radius[0] <= 0:
+            raise ValueError(f"initial_radius = {list(self.initial_radius)!r}: must be positive, in m")
+        if self.initial_energy[0] < 0:
+            raise ValueError(f"initial_energy = {list(self.initial_energy)!r}: must not be negative, in kJ")
+        if self.initial_temperature[0] <= -self.zero_celsius:
+            raise ValueError(
+                f"initial_temperature = {list(self.initial_temperature)!r}: must be above absolute zero, in deg C"
+            )
 
     @property
     def collision_radius(self) -> float:

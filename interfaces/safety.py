@@ -53,7 +53,7 @@ class VectorRunTimeAssurance(VectorWrapper):
 
     def correct(self, x: Tensor, desired: Tensor) -> FilterResult:
         """Calls the filter and keeps what it was asked and what it answered."""
-        self.calls.append((desired, self.filter(x, desired)))
+        self.calls.append((desired, self.filter.correct(x, desired)))
         return self.calls[-1][1]
 
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:

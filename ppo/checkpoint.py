@@ -32,6 +32,10 @@ def load(path: str | Path, keys: tuple[str, ...], device: str | torch.device = "
     Raises:
         CheckpointError: with a one-line reason.
     """
+    if Path(path).is_dir():
+        raise CheckpointError(
+            f"{path}: is a directory; name a file in it, such as {Path(path) / 'policy.pt'}"
+        )
     if not Path(path).is_file():
         raise CheckpointError(f"{path}: no such checkpoint file")
     try:

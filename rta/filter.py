@@ -4,8 +4,9 @@ Where the rows of a program conflict, slack is given class after class of their 
 """
 
 from collections.abc import Callable, Sequence
+from copy import copy
 from dataclasses import dataclass, fields
-from functools import partial, reduce
+from functools import cached_property, partial, reduce
 from typing import Any, NamedTuple
 
 import torch
@@ -16,6 +17,7 @@ from inspection.compiled import Compiled
 from inspection.parameters import InspectionParameters
 from inspection.state import CONTROL_SIZE, SIZE, P, Q
 from rta.batched_solver import BatchedSolver
+from rta.boundary import Given
 from rta.constraints import ACTUATORS, ATTITUDE, TRANSLATIONAL, Constraint
 from rta.parameters import RtaParameters
 from rta.piqp_solver import PiqpSolver
@@ -37,9 +39,11 @@ SOLVERS: dict[str, type[Solver]] = {"piqp": PiqpSolver, "batched": BatchedSolver
 class FilterResult:
     """What the filter did, per spacecraft; constraints in the order of `SafetyFilter.names`.
 
+    For one spacecraft without the axis B, and in the kind of the desired control, see `SafetyFilter.__call__`.
+
     Attributes:
-        control: (6, B) safe control in N and N m.
-        intervened: (B,) bool, the desired control violated a row and was corrected.
+        control: (6, B) safe control in N and N m, within the actuators' limits whatever was desired.
+        intervened: (B,) bool, the desired control was beyond the limits or violated a row, and another is applied.
         active: (constraints, B) bool, a row of the constraint binds a corrected control.
         slack: (constraints, B) shortfall of the barrier condition without margin, in h's unit per s (per s^2 where
             the relative degree is two); zero unless a program needed slack.
@@ -79,9 +83,11 @@ class Prepared(NamedTuple):
 class SafetyFilter:
     """The minimally invasive correction of a desired control.
 
+    Call it as a function; `correct` is the same without its checks, for batches in float64.
+
     Args:
-        c: the task's constants.
-        parameters: period, gains, margins and weights.
+        c: the task's constants; None: the paper's.
+        parameters: period, gains, margins and weights; None: the defaults.
         solver: of the quadratic programs; None: the one that the parameters name, PIQP for `auto`.
         extra: constraints of your own.
 
@@ -95,11 +101,12 @@ class SafetyFilter:
 
     def __init__(
         self,
-        c: InspectionParameters,
-        parameters: RtaParameters,
+        c: InspectionParameters | None = None,
+        parameters: RtaParameters | None = None,
         solver: Solver | None = None,
         extra: Sequence[Constraint] = (),
     ) -> None:
+        c, parameters = c or InspectionParameters(), parameters or RtaParameters()
         if c.max_acceleration <= 0.0:
             raise ValueError("max_thrust / mass must exceed the natural acceleration within max_distance")
         self.c, self.parameters = c, parameters
@@ -137,13 +144,25 @@ class SafetyFilter:
     def compile(self, device: torch.device | str, batch: int) -> None:
         """Compiles `prepare` and the solver for tensors on this device and calls of about so many spacecraft.
 
-        Raises whatever PyTorch raises where there is no working C++ compiler, and changes nothing then.
+        Takes about a minute, once: what was compiled is kept across runs. Raises whatever PyTorch raises where there is
+        no working C++ compiler, and changes nothing then.
         """
-        probe = torch.zeros(SIZE, 1, dtype=torch.float64, device=device)
-        probe[P.start], probe[Q.stop - 1] = self.c.max_distance / 2, 1.0
-        compiled = Compiled(self.prepare, probe, torch.zeros_like(probe[:CONTROL_SIZE]), batch=batch)
+        compiled = Compiled(self.prepare, *self.probe(device), batch=batch)
         self.solver.compile(max(len(group.weights) for group in self.groups), batch, device)
         self._prepare = compiled
+
+    def trace(self, batch: int = 1, device: torch.device | str = "cpu") -> None:
+        """Traces `prepare` for tensors on this device and calls of about so many spacecraft.
+
+        Takes some seconds and no compiler; calls are then several times as fast, with the same bits in their results.
+        """
+        self._prepare = Compiled(self.prepare, *self.probe(device), batch=batch, trace_only=True)
+
+    def probe(self, device: torch.device | str) -> tuple[Tensor, Tensor]:
+        """A state (16, 1) and a control (6, 1) to try functions of the batch with."""
+        x = torch.zeros(SIZE, 1, dtype=torch.float64, device=device)
+        x[P.start], x[Q.stop - 1] = self.c.max_distance / 2, 1.0
+        return x, torch.zeros_like(x[:CONTROL_SIZE])
 
     def safety(self, enabled: bool = True) -> Safety:
         """What the environment needs: constraint values, admissible starts and, if enabled, this filter."""
@@ -151,7 +170,7 @@ class SafetyFilter:
             names=self.names,
             values=self.values,
             is_safe=self.is_safe,
-            correct=self if enabled else None,
+            correct=self.correct if enabled else None,
             period=self.period,
         )
 
@@ -180,24 +199,56 @@ class SafetyFilter:
         half = len(parts) // 2
         return Prepared(*parts[:half]), Prepared(*parts[half:])
 
+    def __call__(self, x: Any, desired: Any) -> FilterResult:
+        """Filters a desired control: of one spacecraft, or of each of a batch.
+
+        The first call for one spacecraft traces the filter, which takes some seconds; `compile` makes it faster still.
+
+        Args:
+            x: state (16,) or states (16, B), components in the order of `inspection.state`.
+            desired: control (6,) or controls (6, B) in N and N m in the body frame; clipped to the actuators' limits.
+
+        Both are NumPy arrays, PyTorch tensors or lists, of float64, float32 or integers.
+
+        Returns:
+            Everything in the kind (list: NumPy), precision (integers: float64) and shape (one spacecraft: no axis B) of
+            `desired`. The control is within the actuators' limits in float32, too.
+
+        Raises:
+            ValueError: another type or shape, a number that is not finite, or a quaternion that is not of length 1.
+        """
+        given = Given(x, desired)
+        tracing = given.single and given.x.device.type == "cpu" and not isinstance(self._prepare, Compiled)
+        result = (self._for_one if tracing else self).correct(given.x, given.desired)
+        return FilterResult(*(given.in_kind(getattr(result, field.name)) for field in fields(result)))
+
+    @cached_property
+    def _for_one(self) -> "SafetyFilter":
+        """This filter, traced for one spacecraft at a time."""
+        other = copy(self)
+        other.trace()
+        return other
+
     @torch.no_grad()
-    def __call__(self, x: Tensor, desired: Tensor) -> FilterResult:
-        """Filters one control per spacecraft.
+    def correct(self, x: Tensor, desired: Tensor) -> FilterResult:
+        """Filters one control per spacecraft, unchecked; what is not finite gets status UNSOLVED and zero control.
 
         Args:
             x: states (16, B), float64.
-            desired: controls (6, B) in N and N m, within the actuators' limits.
+            desired: controls (6, B) in N and N m, float64; what is beyond the actuators' limits is clipped first.
         """
-        both = self._prepared(x, desired)
-        control = desired.clone()
-        program_status = torch.zeros_like(x[:2], dtype=torch.int64)
+        x = x.masked_fill(x.isinf(), torch.nan)  # infinitely safe is no state either
+        control = torch.cat([desired[each.controls].clamp(-each.limit, each.limit) for each in self.groups])
+        clipped = torch.stack([(control != desired)[each.controls].any(0) for each in self.groups])
+        program_status = torch.where(clipped, Status.HARD, Status.UNTOUCHED)
+        both = self._prepared(x, control)
         active = [torch.zeros_like(prepared.h, dtype=torch.bool) for prepared in both]
         slack = [torch.zeros_like(prepared.h) for prepared in both]
         for i, (group, prepared) in enumerate(zip(self.groups, both, strict=True)):
             unsafe = torch.nonzero(~(prepared.lowest[0] >= 0.0)).flatten()  # NaN must not pass
             if unsafe.numel():
                 wholes = control[group.controls], program_status[i], active[i], slack[i]
-                parts = self._correct(group, prepared, desired[group.controls], unsafe)
+                parts = self._correct(group, prepared, control[group.controls], unsafe)
                 for whole, part in zip(wholes, parts, strict=True):
                     put(whole, unsafe, part)
         status = program_status.amax(0)

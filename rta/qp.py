@@ -32,10 +32,12 @@ HOPELESS = -100.0  # keeps the slack of a row that no control can satisfy in a r
 class Status(IntEnum):
     """How a control came about, in rising order of trouble."""
 
-    UNTOUCHED = 0  # the desired control satisfies every row
-    HARD = 1  # corrected, every row satisfied, at worst without its margin
+    UNTOUCHED = 0  # the desired control is within the actuators' limits and satisfies every row
+    HARD = 1  # clipped to the limits or corrected, every row satisfied, at worst without its margin
     SLACK = 2  # no control satisfies every row: some yielded, by their slack
-    UNSOLVED = 3  # no solver call succeeded: the least-violating control known, zero if rows are not finite
+    UNSOLVED = (
+        3  # no solver call succeeded: the least-violating control known, zero if a number is not finite
+    )
 
 
 @dataclass(frozen=True)

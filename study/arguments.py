@@ -3,27 +3,32 @@
 import argparse
 import inspect
 from collections.abc import Callable, Mapping
-from functools import partial
+from dataclasses import dataclass
+from shlex import quote
 from typing import Any
 
 from inspection.parameters import AXES
 from rta.parameters import QP_SOLVERS
 from study import config as configuration
-from study.config import AnyConfig, StudyConfig
+from study.config import BASELINES, AnyConfig, StudyConfig
 from study.errors import InputError
 from study.flags import (
+    CHECKPOINT,
     Command,
     Flag,
     Parser,
     arm_list,
     batch_list,
     count,
+    directory,
     number,
-    path,
     period,
+    read,
     seed,
     verified_policy,
+    written,
 )
+from study.paths import check_inputs, check_outputs
 
 # What flags can set, and its value where nothing does: --config, and each key as "table.key".
 SETTINGS = {"config": None} | {
@@ -31,14 +36,14 @@ SETTINGS = {"config": None} | {
     for table, part in vars(StudyConfig()).items()
     for key, value in vars(part).items()
 }
-Configure = Callable[[AnyConfig], AnyConfig]  # puts --config and the flags over a configuration
+OF_THE_PROCESS = {"threads": None}  # what a flag can set that is no part of an experiment
 Handler = Callable[..., None]  # of a command; its parameters are `configure` and the flags that set nothing
 
 
 # of several commands
 DEVICE = Flag("--device", "where tensors live", "train.device", choices=("auto", "cpu", "cuda"))
 COMMON = (
-    path("--config", "TOML file with settings, under the flags", metavar="FILE"),
+    read("--config", "TOML file with settings, under the flags", metavar="FILE"),
     Flag(
         "--rta-period",
         "seconds between two calls of the filter: 1, 5 or 10",
@@ -67,18 +72,23 @@ COMMON = (
         choices=QP_SOLVERS,
     ),
 )
+THREADS = count(
+    "--threads",
+    "processor threads (default: what a short measurement finds fastest, or OMP_NUM_THREADS; a run or a study that is "
+    "continued keeps its own)",
+)
 RTA = Flag(
     "--rta",
-    "filter every control by run time assurance (default: {}; with --checkpoint as it was trained)",
+    "filter every control by run time assurance",
     "train.rta",
     action=argparse.BooleanOptionalAction,
 )
+FLOWN_RTA = RTA.saying(f"{RTA.text} (default: {{}}; with --checkpoint as it was trained)")
 INTERACTIONS = count(
     "--interactions", "agent steps of 10 s in all, rounded up to whole updates", "train.interactions"
 )
 NUM_ENVS = count("--num-envs", "episodes simulated at once", "train.num_envs")
-AGENT = path("--checkpoint", "the agent: policy.pt or checkpoint.pt of a run")
-JSON = path("--json", "also write the results there")
+AGENT = read("--checkpoint", "the agent: policy.pt or checkpoint.pt of a run")
 
 
 COMMANDS = {
@@ -86,6 +96,7 @@ COMMANDS = {
         "train an agent with or without run time assurance",
         RTA,
         *COMMON,
+        THREADS,
         INTERACTIONS,
         NUM_ENVS,
         count("--rollout-steps", "interactions of each episode between two updates", "train.rollout_steps"),
@@ -96,96 +107,102 @@ COMMANDS = {
         count("--minibatch-size", "interactions per gradient step", "ppo.minibatch_size"),
         number("--learning-rate", "of Adam, annealed to 0", "ppo.learning_rate", metavar="X"),
         seed("of everything random", "train.seed"),
-        path("--run-dir", "directory to create (default: runs/<arm>__<seed>__<time>)", metavar="D"),
-        path(
+        directory("--run-dir", "directory to create (default: runs/<arm>__<seed>__<time>)"),
+        read(
             "--init-from",
             "start from the agent in F, policy.pt or checkpoint.pt of a run, which gives its value network, too",
         ),
-        path(
+        directory(
             "--resume",
             "continue the run in D exactly where it stopped; with --interactions N go on to N",
             alone="the run",
             beside=("--interactions",),
-            metavar="D",
         ),
     ),
     "study": Command(
         "train many seeds of both arms and evaluate them; the same command continues an interrupted study",
         *COMMON,
+        THREADS,
         count("--seeds", "agents of each arm, trained as one batch", "study.seeds"),
         Flag("--arms", "no_rta, rta or both, in this order", "study.arms", type=arm_list, metavar="A,A"),
         INTERACTIONS.saying("agent steps of 10 s of each seed in each arm, rounded up to whole updates"),
         NUM_ENVS.saying("episodes of each seed simulated at once"),
-        path("--study-dir", "directory to create, or of the study to continue", metavar="D"),
+        directory("--study-dir", "directory to create, or of the study to continue"),
     ),
     "report": Command(
         "write a finished study's results as one page, with its figures and the data behind them",
-        path("--study", "directory of a finished study", metavar="D"),
+        directory("--study", "directory of a finished study"),
         Flag("--device", "where tensors live (default: as in the study)", **DEVICE.options),
+        THREADS,
     ),
     "evaluate": Command(
         "report an agent or a controller in the metrics of the paper's Tables 2 and 3",
-        RTA,
+        FLOWN_RTA,
         *COMMON,
+        THREADS,
         count("--episodes", "test cases"),
-        seed("of the test cases"),
-        JSON,
+        seed("of the test cases, of random controls and of an untrained agent"),
+        written("evaluation", "--json", "also write the results there"),
         one_of=(
             AGENT,
             Flag(
                 "--controller",
-                "a classical controller, which decides at every call of the filter, without it every second, "
-                "instead of an agent",
-                choices=("natural-motion",),
+                "instead of an agent: untrained (as training begins), random or zero controls, which decide every "
+                "10 s as an agent does, or natural-motion, a classical guidance that decides at every call of the "
+                "filter, without it every second",
+                choices=BASELINES,
             ),
         ),
     ),
     "simulate": Command(
         "simulate one spacecraft and write everything over time",
-        RTA,
+        FLOWN_RTA,
         *COMMON,
+        THREADS,
         Flag(
             "--controller",
             "who commands the spacecraft",
-            choices=("lqr-pd", "natural-motion", "policy", "recorded", "zero", "random"),
+            choices=("policy", "recorded", "lqr-pd", *BASELINES),
         ),
         AGENT.saying("the agent, for --controller policy"),
-        path(
+        read(
             "--actions",
             "N x 6 controls in N and N m, a row per --step, for --controller recorded",
             metavar="F.npy",
         ),
-        path("--initial-state", "state file (default: drawn from --seed)", metavar="F.json"),
+        read("--initial-state", "state file (default: drawn from --seed)", metavar="F.json"),
         seed("of what is drawn"),
         number("--duration", "seconds", metavar="S"),
         number(
             "--step",
             "seconds between two rows of the output, two decisions of a classical controller and two rows of "
-            "--actions; a policy decides every 10 s",
+            "--actions; an agent, trained or not, decides every 10 s",
             metavar="S",
         ),
-        path("--out", "file to write", metavar="F.npz"),
-        path("--figure", "also draw limits and controls over time there", metavar="F.png"),
+        written("run of simulate", "--out", "file to write", "F.npz"),
+        written("figure in PNG format", "--figure", "also draw limits and controls over time there", "F.png"),
     ),
     "replay": Command(
         "write a page that plays one or two simulated runs in 3-D",
-        path("runs", "a file of simulate, or two, side by side (required)", nargs="+", metavar="RUN.npz"),
-        path("--out", "page to write", metavar="F.html"),
+        read("runs", "a file of simulate, or two, side by side (required)", nargs="+", metavar="RUN.npz"),
+        written("replay", "--out", "page to write", "F.html"),
     ),
     "filter": Command(
         "filter a batch of states from elsewhere and write out the quadratic programs",
         *COMMON,
-        path(
+        THREADS,
+        read(
             "--states",
             "file with state (N x 16, the order of inspection/state.py) and control_desired (N x 6, N and N m)",
             metavar="F.npz",
         ),
-        path("--out", "file to write", metavar="G.npz"),
+        written("result of filter", "--out", "file to write", "G.npz"),
         imposed={"train.rta": True},
     ),
     "verify": Command(
         "count violations behind the filter over many random episodes",
         *COMMON,
+        THREADS,
         count(
             "--episodes",
             "in all, from starts that the filter can hold; the others met on the way are reported beside them",
@@ -195,12 +212,13 @@ COMMANDS = {
             "random actions held for random times, adversarial (down the worst constraint's slope) or "
             "checkpoint:F",
             type=verified_policy,
+            reads=True,
             metavar="P",
         ),
         count("--duration", "whole seconds of each episode, every one of them checked", metavar="S"),
         seed("of everything random"),
-        path("--json", "write the report there, and continue the one it holds"),
-        path(
+        written("report of verify", "--json", "write the report there, and continue the one it holds"),
+        read(
             "--replay",
             "fly the counter-example in a file instead, which holds all settings",
             alone="the file",
@@ -220,14 +238,14 @@ COMMANDS = {
             type=batch_list,
             metavar="N,N,...",
         ),
-        JSON,
-        path("--figure", "also draw rates over batches there", metavar="F.png"),
+        written("benchmark", "--json", "also write the results there"),
+        written("figure in PNG format", "--figure", "also draw rates over batches there", "F.png"),
         imposed={"train.compile": "on"},
     ),
     "export": Command(
         "write an agent as an ONNX file, checked against PyTorch",
         AGENT,
-        path("--out", "file to write", metavar="F.onnx"),
+        written("exported agent", "--out", "file to write", "F.onnx"),
     ),
 }
 
@@ -244,7 +262,7 @@ def build_parser(handlers: Mapping[str, Handler], description: str | None = None
 def add_flags(parser: Parser, command: Command, handler: Handler) -> None:
     """Gives a command's parser its flags; those not given stay out of the parsed arguments."""
     wanted = {name: each.default for name, each in inspect.signature(handler).parameters.items()}
-    reached = (SETTINGS | command.imposed if "configure" in wanted else {}) | wanted
+    reached = OF_THE_PROCESS | (SETTINGS | command.imposed if "configure" in wanted else {}) | wanted
     group = parser.add_mutually_exclusive_group(required=True) if command.one_of else parser
     for each in command.flags:
         if each.dest not in reached:
@@ -297,12 +315,58 @@ def parameters(arguments: argparse.Namespace) -> dict[str, Any]:
     values, command = vars(arguments), COMMANDS[arguments.command]
     given = [each for each in command.flags if each.dest in values]
     for each in given:
-        others = [other.name for other in given if other != each and other.name not in each.beside]
+        allowed = each.name, *each.beside
+        others = [
+            other.name for other in given if other.name not in allowed and other.dest not in OF_THE_PROCESS
+        ]
         if each.alone and others:
             raise InputError(f"{each.name} takes its settings from {each.alone}; drop {', '.join(others)}")
-    own = {each.dest: values[each.dest] for each in given if each.dest not in SETTINGS}
+    own = {each.dest: values[each.dest] for each in given if each.dest not in SETTINGS | OF_THE_PROCESS}
     has_settings = any(each.dest in SETTINGS for each in command.flags)
-    return own | ({"configure": partial(resolve, arguments)} if has_settings else {})
+    return own | ({"configure": Configure(arguments)} if has_settings else {})
+
+
+@dataclass(frozen=True)
+class Configure:
+    """Puts --config and the flags over a configuration; `file` is that of --config, if it was given."""
+
+    arguments: argparse.Namespace
+
+    def __call__(self, base: AnyConfig) -> AnyConfig:
+        return resolve(self.arguments, base)
+
+    @property
+    def file(self) -> str | None:
+        return getattr(self.arguments, "config", None)
+
+    @property
+    def words(self) -> str:
+        """The flags of settings that were given, as they are written, each with a space before it."""
+        values, words = vars(self.arguments), ""
+        for each in COMMANDS[self.arguments.command].flags:
+            if each.dest in SETTINGS and each.dest in values:
+                value = values[each.dest]
+                if isinstance(value, bool):
+                    words += f" {each.name if value else each.name.replace('--', '--no-')}"
+                else:
+                    words += f" {each.name} {quote(f'{value:g}' if isinstance(value, float) else str(value))}"
+        return words
+
+
+def check_files(arguments: argparse.Namespace) -> None:
+    """Refuses files that the command would write in the place of what it reads, see `check_outputs`."""
+    given = [
+        (each, vars(arguments)[each.dest])
+        for each in COMMANDS[arguments.command].flags
+        if vars(arguments).get(each.dest) is not None
+    ]
+    inputs = {}
+    for each, value in given:
+        paths = value if isinstance(value, list) else [value]
+        if each.reads:
+            inputs |= {f"{each.name} {path}": path.removeprefix(CHECKPOINT) for path in paths}
+    check_inputs(inputs)
+    check_outputs({each.name: (value, each.writes) for each, value in given if each.writes}, inputs)
 
 
 def resolve(arguments: argparse.Namespace, base: AnyConfig) -> AnyConfig:

@@ -25,6 +25,7 @@ MAX_COUNT = 10**12
 MAX_SEEDS = 1000  # of a study; they share the memory
 ARMS = {"no_rta": False, "rta": True}  # of the study: its name, whether the filter corrects the agent
 TEST_CASES = 0  # seed of the cases of every final evaluation
+BASELINES = ("untrained", "random", "zero", "natural-motion")  # controllers that agents are compared with
 
 # Settings of older files and checkpoints that have moved: the table and key of then, and those of now.
 MOVED = {("train", "rta_period"): ("rta", "period"), ("train", "qp_solver"): ("rta", "qp_solver")}
@@ -181,7 +182,7 @@ def from_toml(text: str, source: str, base: AnyConfig | None = None) -> AnyConfi
     """
     try:
         tables = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
+    except (tomllib.TOMLDecodeError, RecursionError) as error:
         raise InputError(f"{source}: not valid TOML: {error}") from None
     return override(base or Config(), tables, source)
 

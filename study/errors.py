@@ -4,6 +4,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 MALFORMED = (KeyError, TypeError, ValueError, RuntimeError, AttributeError)  # what damaged contents raise
+NO_MEMORY = "can't allocate memory", "out of memory"  # in what PyTorch raises on a CPU and on a GPU
 
 
 class InputError(ValueError):
@@ -28,6 +29,13 @@ def refusing(where: str, *exceptions: type[BaseException]) -> Iterator[None]:
     except exceptions as error:
         if isinstance(error, OSError) and error.strerror:
             reason = error.strerror
+        elif isinstance(error, MemoryError) or any(words in str(error) for words in NO_MEMORY):
+            reason = "not enough memory"
         else:
             reason = (str(error) or type(error).__name__).splitlines()[0]
         raise InputError(f"{where}: {reason[:200]}") from None
+
+
+def in_one_line(text: str) -> str:
+    """A message as one line, whatever the names in it hold."""
+    return "".join(each if each.isprintable() else repr(each)[1:-1] for each in text)

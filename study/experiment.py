@@ -23,15 +23,21 @@ from rta.parameters import RtaParameters
 from study import config as configuration
 from study.config import Config
 from study.errors import InputError, refusing
+from study.progress import step
+from study.threads import THREADS
 
 # Compiling takes about a minute the first time, which as many filter calls or steps (of a batch each) repay.
 WORTH_COMPILING_FILTER = 1000
 WORTH_COMPILING_SIMULATOR = 3000
+# Tracing takes 5 s and saves 30 ms of a call's 40, for one spacecraft as for hundreds.
+WORTH_TRACING_FILTER = 150
 TYPICAL_EPISODE = 3000.0  # s
 
 # Spacecraft from which the batched solver is the faster one on a CPU: about half of them have a program to solve, and
 # `python main.py benchmark` shows both solvers by the number of programs at once, which cross below 16.
 WORTH_BATCHING = 32
+
+LARGEST_WEIGHT = 1e3  # of a policy; training leaves weights of 2 at most
 
 
 class Experiment:
@@ -45,7 +51,7 @@ class Experiment:
     Attributes:
         config: with the solver that is used; device; filter.
         safety: constraints, admissible starts and, if the configuration wants it, the filter.
-        filter_compiled, compiled: the filter; simulator and learner are to be compiled.
+        filter_compiled, compiled: the filter is compiled; simulator and learner are to be.
 
     Raises:
         InputError: the configuration's parts do not fit together or the machine.
@@ -54,6 +60,7 @@ class Experiment:
     def __init__(self, config: Config, batch: int, seconds: float = TYPICAL_EPISODE, steps: int = 0) -> None:
         check_clocks(config)
         self.device = resolve_device(config.train.device)
+        THREADS.settle()
         self.config = settled(config, batch, self.device)
         choice, calls = config.train.compile, seconds / config.rta.period
         self.filter_compiled = config.train.rta and wants_compile(choice, calls >= WORTH_COMPILING_FILTER)
@@ -61,7 +68,13 @@ class Experiment:
         with refusing("[rta] and [inspection]", ValueError, OverflowError):
             self.filter = SafetyFilter(config.inspection, self.config.rta)
         if self.filter_compiled:
-            compile_or_explain("filter", lambda: self.filter.compile(self.device, batch))
+            self.filter_compiled = compile_or_explain(
+                "filter", lambda: self.filter.compile(self.device, batch)
+            )
+        wanted = config.train.rta and choice != "off" and calls >= WORTH_TRACING_FILTER
+        if wanted and not self.filter_compiled:
+            with step("tracing the filter, some seconds"):
+                self.filter.trace(batch, self.device)
         self.safety = self.filter.safety(config.train.rta)
 
     def generators(self, seeds: Sequence[int] = (0,)) -> list[torch.Generator]:
@@ -109,10 +122,9 @@ def test_cases(config: Config, episodes: int, seed: int) -> tuple[Tensor, Tensor
     c = config.inspection
     # default gains, so that agents trained behind different filters meet the same cases
     gains = RtaParameters(passive_safety_segments=config.rta.passive_safety_segments)
-    with refusing("[inspection]", RuntimeError):
-        return InitialStates(torch.Generator().manual_seed(seed), c, SafetyFilter(c, gains).is_safe).take(
-            episodes
-        )
+    starts = InitialStates(torch.Generator().manual_seed(seed), c, SafetyFilter(c, gains).is_safe)
+    with refusing("[inspection]", RuntimeError), step(f"drawing {episodes:,} test cases"):
+        return starts.take(episodes)
 
 
 def check_clocks(
@@ -174,10 +186,15 @@ def finds_compiler() -> bool:
 def compile_or_explain(what: str, compile: Callable[[], None]) -> bool:
     """Compiles; where that fails, says so in a line. Returns whether it went well."""
     try:
-        compile()
-    except Exception as error:  # a missing or broken compiler shows itself in many ways
+        with step(f"compiling the {what}, up to a minute the first time, seconds from then on"):
+            compile()
+    except (
+        Exception
+    ) as error:  # a missing or broken compiler, a full or read-only cache show themselves in many ways
+        reason = error.strerror if isinstance(error, OSError) and error.strerror else type(error).__name__
+        where = f": {error.filename}" if isinstance(error, OSError) and error.filename else ""
         print(
-            f"the {what} could not be compiled ({type(error).__name__}); uncompiled, it is slower",
+            f"the {what} could not be compiled ({reason}{where}); uncompiled, it is slower",
             file=sys.stderr,
         )
         return False
@@ -200,7 +217,17 @@ def load_policy(path: str | Path) -> tuple[Policy, Config]:
     with refusing(f"{path}: not a checkpoint of this program", AttributeError, TypeError, RuntimeError):
         config = configuration.from_toml(content["config"], str(path))
         policy = make_policy(config, [torch.Generator()])
+        check_weights(content["policy"], path)
         policy.load_state_dict(content["policy"])
-    if not all(torch.isfinite(weight).all() for weight in policy.parameters()):
-        raise CheckpointError(f"{path}: its policy holds weights that are not finite")
     return policy, config
+
+
+def check_weights(weights: dict[str, Tensor], path: str | Path) -> None:
+    """Raises CheckpointError for weights that no training leaves."""
+    for name, weight in weights.items():
+        if weight.dtype != torch.float32:
+            raise CheckpointError(f"{path}: {name} is {weight.dtype}: must be torch.float32")
+        if not (weight.abs() <= LARGEST_WEIGHT).all():  # False for NaN
+            raise CheckpointError(
+                f"{path}: its policy holds weights that are not finite or beyond {LARGEST_WEIGHT:g}"
+            )

@@ -1,18 +1,22 @@
 """What a flag is: the setting or parameter that it reaches, and how its text is read and checked."""
 
 import argparse
+from copy import copy
 from functools import partial
 from typing import Any, NoReturn
 
 from rta.parameters import PERIODS
 from study.config import ARMS, MAX_COUNT
+from study.errors import in_one_line
+
+CHECKPOINT = "checkpoint:"  # begins the name of an agent's file where other policies have names
 
 
 class Parser(argparse.ArgumentParser):
     """Bad usage ends with one line and exit code 2."""
 
     def error(self, message: str) -> NoReturn:
-        self.exit(2, f"error: {self.prog}: {message} (see --help)\n")
+        self.exit(2, f"error: {self.prog}: {in_one_line(message)} (see --help)\n")
 
 
 def positive_integer(text: str) -> int:
@@ -66,7 +70,8 @@ def period(text: str) -> float:
 
 def verified_policy(text: str) -> str:
     """A policy of verify for argparse."""
-    if text not in ("random", "adversarial") and not text.startswith("checkpoint:"):
+    names_file = text.startswith(CHECKPOINT) and text != CHECKPOINT
+    if text not in ("random", "adversarial") and not names_file:
         raise argparse.ArgumentTypeError(f"{text!r}: must be random, adversarial or checkpoint:F")
     return text
 
@@ -79,6 +84,7 @@ class Flag:
         text: of --help, which goes on with the default, unless the text has it or a {} for it.
         sets: the setting it reaches, as "table.key"; without one, the parameter of the command's function by its name.
         alone: what it names, if that holds all settings, so that no other flag is allowed beside it but those `beside`.
+        reads: it names a file that is read; writes: one that is written, which of `study.paths.KINDS`.
         options: what else `add_argument` takes: type, choices, metavar, ...
     """
 
@@ -89,14 +95,19 @@ class Flag:
         sets: str = "",
         alone: str = "",
         beside: tuple[str, ...] = (),
+        reads: bool = False,
+        writes: str = "",
         **options: Any,
     ) -> None:
         self.name, self.text, self.alone, self.beside, self.options = name, text, alone, beside, options
+        self.reads, self.writes = reads, writes
         self.dest = sets or name.removeprefix("--").replace("-", "_")
 
     def saying(self, text: str) -> "Flag":
         """The same flag with another text."""
-        return Flag(self.name, text, self.dest, self.alone, self.beside, **self.options)
+        other = copy(self)
+        other.text = text
+        return other
 
 
 class Command:
@@ -114,4 +125,10 @@ class Command:
 count = partial(Flag, type=positive_integer, metavar="N")
 number = partial(Flag, type=positive_number)
 seed = partial(Flag, "--seed", type=seed_number, metavar="N")
-path = partial(Flag, metavar="F")
+directory = partial(Flag, metavar="D")
+read = partial(Flag, reads=True, metavar="F")
+
+
+def written(kind: str, name: str, text: str, metavar: str = "F") -> Flag:
+    """A flag for a file of one of `study.paths.KINDS` that is written."""
+    return Flag(name, text, writes=kind, metavar=metavar)

@@ -86,10 +86,15 @@ def measured(results: Results, name: str) -> Estimate:
 
 
 def tables(results: Results) -> str:
-    """Both tables as text for the results of one evaluation."""
-    lines = [f"Table 2: IQM [95 % confidence interval] over {results['episodes']} episodes"]
-    lines += rows(results, PAPER_METRICS, 32)
-    lines += ["", "Table 3: mean safety violation, % of steps", *rows(results, PAPER_VIOLATIONS, 16)]
+    """Both tables as text for the results of one evaluation, at most 100 columns wide."""
+    lines = [
+        f"Table 2: interquartile mean (the mean of the middle half) over {results['episodes']:,} episodes",
+        "[95 % confidence interval]",
+        *rows(results, PAPER_METRICS, (29, 24, 24)),
+        "",
+        "Table 3: mean safety violation, % of steps; PSM is passive safety",
+        *rows(results, PAPER_VIOLATIONS, (16, 16, 16)),
+    ]
     outcomes = ", ".join(
         f"{100 * share:.0f} % {name.replace('_', ' ')}"
         for name, share in results["outcomes"].items()
@@ -107,10 +112,13 @@ def tables(results: Results) -> str:
     return "\n".join(lines)
 
 
-def rows(results: Results, published: dict[str, Published], width: int) -> list[str]:
+def rows(results: Results, published: dict[str, Published], widths: tuple[int, int, int]) -> list[str]:
     """A table's lines: its heading, and ours beside the paper's columns."""
-    lines = [("", "this agent", "paper, no RTA", "paper, RTA")]
+    lines = [("", "this one", "paper, no RTA", "paper, RTA")]
     for name, paper in published.items():
         numbers = (measured(results, name), *paper.by_arm.values())
         lines.append((paper.label, *(number.text(paper.digits) for number in numbers)))
-    return [f"{label:24}" + "".join(f"{text:>{width}}" for text in texts) for label, *texts in lines]
+    return [
+        f"{label:23}" + "".join(f"{text:>{width}}" for text, width in zip(texts, widths, strict=True))
+        for label, *texts in lines
+    ]

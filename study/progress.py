@@ -40,7 +40,17 @@ def step(what: str) -> Iterator[None]:
 
 
 def bar(total: int, unit: str, **options: Any) -> tqdm:
-    """A bar on stderr of so many units, shown from PATIENCE on; of many ranks the first one's."""
+    """A bar on stderr of so many units, shown from PATIENCE on, also while only what stands beside it changes.
+
+    Of many ranks, the first one's. Within another bar it has a line of its own, which a log cannot have.
+    """
     interval = 1.0 if sys.stderr.isatty() else 10.0  # s; a log shows every state of it
-    settings = {"dynamic_ncols": True, "delay": PATIENCE, "mininterval": interval, "disable": not is_first()}
+    settings = {
+        "dynamic_ncols": True,
+        "delay": PATIENCE,
+        "mininterval": interval,
+        "miniters": 0,
+        "disable": not is_first(),
+        "position": None if sys.stderr.isatty() else 0,  # a log's lines cannot be gone back to
+    }
     return tqdm(total=total, unit=f" {unit}", **settings | options)

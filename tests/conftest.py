@@ -16,7 +16,7 @@ from inspection.environment import METRICS
 from inspection.parameters import InspectionParameters
 from inspection.state import OMEGA, SIZE, THETA_S, E, P, Q, T, V
 from rta.constraints import CONSTRAINTS
-from study.config import ARMS, Config, StudyConfig
+from study.config import ARMS, BASELINES, Config, StudyConfig
 
 torch.set_num_threads(1)
 settings.register_profile("project", deadline=None, derandomize=True, max_examples=40, database=None)
@@ -118,6 +118,10 @@ def made_up_study(tmp_path_factory: pytest.TempPathFactory) -> Path:
         "report/guidance.json": made_up_evaluation(rng, 1.0, episodes=1000),
         "report/cross.json": {
             arm: {"off": made_up_evaluation(rng, None), "on": made_up_evaluation(rng, 1.0)} for arm in ARMS
+        },
+        "report/baselines.json": {
+            name: {"off": made_up_evaluation(rng, None, 100), "on": made_up_evaluation(rng, 1.0, 100)}
+            for name in BASELINES
         },
         "report/frequency.json": {f"{period}": made_up_evaluation(rng, period) for period in (1, 5, 10)},
     }

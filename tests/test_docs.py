@@ -1,4 +1,4 @@
-"""The pages under docs/ are programs: each runs from top to bottom and prints what it says it prints."""
+"""The programs in the pages of docs: each page runs from top to bottom and prints what it says it prints."""
 
 import contextlib
 import io
@@ -10,10 +10,16 @@ import numpy as np
 import pytest
 
 import main
-from docs import control_loop
+from docs.guides import control_loop
 
 ROOT = Path(main.__file__).parent
-PAGES = ("your_own_policy", "your_own_constraint", "your_own_reward", "gymnasium")
+COMMANDS_PAGE = "reference/commands"  # whose commands train for hours
+PAGES = sorted(
+    str(page.relative_to(ROOT / "docs").with_suffix(""))
+    for page in (ROOT / "docs").rglob("*.md")
+    if "```python" in page.read_text(encoding="utf-8")
+)
+PAGES.remove(COMMANDS_PAGE)
 NUMBER = re.compile(r"-?\d[\d,]*\.?\d*")
 COMMAND = "python main.py "
 
@@ -51,7 +57,8 @@ def numbers(text: str) -> list[float]:
 def elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A directory that holds what a checkout has, to write in."""
     (tmp_path / "runs").mkdir()
-    (tmp_path / "runs" / "reference").symlink_to(ROOT / "runs" / "reference")
+    for name in ("runs/reference", "configs"):
+        (tmp_path / name).symlink_to(ROOT / name)
     monkeypatch.chdir(tmp_path)
 
 
@@ -63,8 +70,19 @@ def test_a_page_prints_what_it_says(page: str) -> None:
     np.testing.assert_allclose(numbers(printed), numbers(promised), rtol=0.03, atol=1e-9)
 
 
+def test_the_program_of_the_commands_writes_what_they_read() -> None:
+    (program,) = (content for language, content, _ in blocks(COMMANDS_PAGE) if language == "python")
+    fly = "simulate --controller zero --no-rta --duration 20 --out runs/agent.npz"
+    assert main.main(shlex.split(fly)) == 0
+    exec(program, {})
+    page = (ROOT / "docs" / f"{COMMANDS_PAGE}.md").read_text(encoding="utf-8")
+    for reader in ("filter --states", "simulate --controller recorded"):
+        (command,) = re.findall(rf"(?m)^{COMMAND}({reader} .*)$", page)
+        assert main.main(shlex.split(command)) == 0
+
+
 def test_the_exported_agent_flies_in_the_control_loop(capsys: pytest.CaptureFixture[str]) -> None:
-    printed, promised = run("export")
+    printed, promised = run("guides/export")
     assert printed.split(",")[0] == promised.split(",")[0]  # the size; the difference is another elsewhere
     control_loop.main(["policy.onnx", "--seconds", "30"])
     out = capsys.readouterr().out
@@ -82,4 +100,4 @@ def test_the_control_loop_refuses_in_one_line(
     with pytest.raises(SystemExit) as refusal:
         control_loop.main(arguments)
     assert refusal.value.code == 2
-    assert re.fullmatch(r"error: python -m docs\.control_loop: .+\n", capsys.readouterr().err)
+    assert re.fullmatch(r"error: python -m docs\.guides\.control_loop: .+\n", capsys.readouterr().err)

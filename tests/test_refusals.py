@@ -80,6 +80,12 @@ __all__ = ["run"]  # a fixture
         (["filter", "--out", "x"], ["--states"]),
         (["filter", "--states", "nowhere.npz", "--out", "x"], ["nowhere.npz", "no such file"]),
         (["filter", "--states", "x", "--out", "x", "--no-rta"], ["--no-rta"]),
+        (["verify", "--policy", "checkpoint:"], ["--policy", "checkpoint:F"]),
+        (
+            ["train", "--num-envs", "1_000_000_000", "--no-rta", "--compile", "off"],
+            ["1,000,000,000 episodes", "not enough memory"],
+        ),
+        (["train", "--config", "/dev/zero"], ["--config", "/dev/zero", "is a device"]),
         (["export", "--checkpoint", "x.pt"], ["--out"]),
         (["export", "--checkpoint", "nowhere.pt", "--out", "x"], ["nowhere.pt", "no such checkpoint"]),
         (["export", "--checkpoint", "x.pt", "--out", "nowhere/x.onnx"], ["--out", "cannot write"]),
@@ -116,7 +122,7 @@ def test_corrupt_checkpoints_are_refused(
         path.write_bytes(content)
         assert_refused(["evaluate", "--checkpoint", str(path)], [str(path), "not a readable"], capsys)
     assert_refused(["evaluate", "--checkpoint", str(other)], [str(other), "lacks policy"], capsys)
-    assert_refused(["evaluate", "--checkpoint", str(tmp_path)], [str(tmp_path), "no such"], capsys)
+    assert_refused(["evaluate", "--checkpoint", str(tmp_path)], [str(tmp_path), "is a directory"], capsys)
 
 
 @pytest.mark.parametrize(
@@ -160,6 +166,7 @@ def test_malformed_state_files_are_refused(
         (np.full((3, 6), np.nan), ["finite"]),
         (np.full((3, 6), 0.5), ["0.5", "0.001"]),
         (np.array(["a"]), ["(N, 6)"]),
+        (np.zeros((9, 6)), ["9 rows", "--duration", "10"]),
     ],
 )
 def test_bad_actions_are_refused(
@@ -219,13 +226,23 @@ def test_a_run_whose_configuration_was_edited_is_not_resumed(
     assert_refused(["train", "--resume", str(tmp_path)], ["config.toml", "trained with"], capsys)
 
 
-def test_a_policy_with_nan_weights_is_refused(
-    run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize(
+    ("spoil", "words"),
+    [
+        (lambda weight: weight.fill_(torch.nan), "not finite"),
+        (lambda weight: weight.fill_(1e30), "beyond 1000"),
+        (lambda weight: weight.to(torch.complex64), "complex64: must be torch.float32"),
+        (lambda weight: weight.double(), "float64: must be torch.float32"),
+    ],
+)
+def test_a_policy_with_weights_that_no_training_leaves_is_refused(
+    spoil: Any, words: str, run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     content = torch.load(run / "policy.pt", weights_only=True)
-    next(iter(content["policy"].values()))[0, 0] = torch.nan
+    name = next(iter(content["policy"]))
+    content["policy"][name] = spoil(content["policy"][name])
     torch.save(content, tmp_path / "policy.pt")
-    words = [str(tmp_path / "policy.pt"), "not finite"]
+    words = [str(tmp_path / "policy.pt"), words]
     assert_refused(["evaluate", "--checkpoint", str(tmp_path / "policy.pt")], words, capsys)
 
 

@@ -27,7 +27,7 @@ def breakdown(env: InspectionEnv, safety_filter: SafetyFilter, agent: Agent) -> 
     safety_filter._prepare = watch.timed("filter: rows", safety_filter._prepare)
     safety_filter.solver = copy(safety_filter.solver)
     safety_filter.solver.solve = watch.timed("filter: programs", safety_filter.solver.solve)  # type: ignore[method-assign]
-    env.put_behind(replace(safety_filter.safety(), correct=watch.timed("filter", safety_filter)))
+    env.put_behind(replace(safety_filter.safety(), correct=watch.timed("filter", safety_filter.correct)))
     for method, name in WHOLE.items():
         setattr(env, method, watch.timed(name, getattr(env, method)))
 

@@ -74,7 +74,7 @@ def record(experiment: Experiment, agent: Agent) -> Flight:
 
     def correct(x: Tensor, desired: Tensor) -> Correction:
         met.append((x, desired))
-        return safety_filter(x, desired)
+        return safety_filter.correct(x, desired)
 
     safety_filter.solver.solve = solve  # type: ignore[method-assign]
     env = experiment.env(EPISODES)

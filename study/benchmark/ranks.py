@@ -1,4 +1,4 @@
-"""The numbers of docs/scaling.md: measures one process or the ranks of torchrun, then projects to more ranks.
+"""The numbers of docs/guides/scaling.md: measures one process or the ranks of torchrun, then projects to more ranks.
 
     OMP_NUM_THREADS=1 python -m study.benchmark.ranks DIR
     OMP_NUM_THREADS=1 torchrun --standalone --nproc_per_node=2 -m study.benchmark.ranks DIR

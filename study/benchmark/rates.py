@@ -55,13 +55,15 @@ def closed_loop(env: InspectionEnv, flight: Flight, agent: Agent) -> Spread:
 
 def filter_calls(safety_filter: SafetyFilter, flight: Flight, batch: int) -> Spread:
     """Filter calls per s, one call being one spacecraft's."""
-    return per_second(partial(safety_filter, *flight.take(batch)), batch, flight.x.device)
+    return per_second(partial(safety_filter.correct, *flight.take(batch)), batch, flight.x.device)
 
 
 def single_latencies(safety_filter: SafetyFilter, flight: Flight) -> list[float]:
     """ms of SINGLE_CALLS filter calls, each of another single spacecraft, sorted."""
     columns = (part.split(1, 1) for part in flight.take(WARM_CALLS + SINGLE_CALLS))
-    calls = [partial(safety_filter, x.contiguous(), u.contiguous()) for x, u in zip(*columns, strict=True)]
+    calls = [
+        partial(safety_filter.correct, x.contiguous(), u.contiguous()) for x, u in zip(*columns, strict=True)
+    ]
     return sorted([1e3 * seconds(call, flight.x.device) for call in calls][WARM_CALLS:])
 
 

@@ -1,4 +1,4 @@
-"""Who can command a spacecraft: an agent, or a classical controller by its name on the command line."""
+"""Who can command a spacecraft: an agent, or a controller by its name on the command line."""
 
 import torch
 from torch import Tensor
@@ -8,6 +8,7 @@ from inspection.closed_loop import Controller
 from inspection.environment import InspectionEnv
 from ppo.network import Policy
 from study.config import Config
+from study.experiment import Experiment
 from study.flight.state_files import read_actions
 
 
@@ -23,14 +24,24 @@ def agent(policy: Policy, env: InspectionEnv) -> Controller:
     return control
 
 
-def classical(name: str, actions: str | None, config: Config, step: float, seed: int) -> Controller:
-    """A controller of `inspection.guidance`; `actions` is the file of recorded ones, one every `step` s."""
+def untrained(experiment: Experiment, seed: int) -> Policy:
+    """The policy with which `train --seed` begins, on the experiment's device; its mean actions are small."""
+    return experiment.policy(experiment.generators([seed]))
+
+
+def classical(name: str, config: Config, seed: int) -> Controller:
+    """A controller of `inspection.guidance` by its name; random draws from a stream of the seed's own."""
     c = config.inspection
-    if actions is not None:
-        return guidance.recorded(read_actions(actions, c.control_limit), step)
     return {
         "lqr-pd": lambda: guidance.lqr_pd(c),
         "natural-motion": lambda: guidance.natural_motion(c),
         "zero": guidance.zero,
-        "random": lambda: guidance.random(c, torch.Generator().manual_seed(seed)),
+        # not the numbers from which the test cases of this seed are made
+        "random": lambda: guidance.random(c, torch.Generator().manual_seed(seed + 1)),
     }[name]()
+
+
+def recorded(path: str, config: Config, step: float, duration: float) -> Controller:
+    """The controls in a file, one every `step` s, enough for the duration in s."""
+    actions = read_actions(path, config.inspection.control_limit, round(duration / step))
+    return guidance.recorded(actions, step)

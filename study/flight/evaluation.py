@@ -2,8 +2,8 @@
 
 import dataclasses
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
+from shlex import quote
 from typing import Any
 
 import torch
@@ -13,16 +13,18 @@ from inspection.attitude import norm
 from inspection.closed_loop import Controller
 from inspection.dynamics import sun_and_earth_in_body
 from inspection.environment import METRICS, InspectionEnv, Transition
-from inspection.guidance import natural_motion
 from inspection.state import OMEGA, E, P, T, V
 from inspection.termination import OUTCOMES
 from ppo.network import Policy
 from rta.constraints import CONSTRAINTS
 from rta.qp import Status
-from study.config import TEST_CASES, Config
-from study.experiment import Experiment, load_policy, test_cases
-from study.flight.controllers import agent
+from study.arguments import Configure
+from study.config import Config
+from study.experiment import TYPICAL_EPISODE, Experiment, load_policy, test_cases
+from study.flight.controllers import agent, classical, untrained
 from study.flight.summary import summary_of_runs
+from study.progress import bar
+from study.verification.verified import say_unless_verified
 
 
 @dataclass
@@ -99,7 +101,7 @@ def raw_quantities(x: Tensor) -> Tensor:
 
 @torch.no_grad()
 def run_episodes(env: InspectionEnv, controller: Controller, x: Tensor, priority: Tensor) -> Episodes:
-    """Plays one episode per column of the environment from the given states."""
+    """Plays one episode per column of the environment from the given states, behind a bar of those that ended."""
     env.start(x.to(env.x.device), priority.to(env.x.device))
     running = torch.ones_like(env.time, dtype=torch.bool)
     zeros = torch.zeros_like(env.time)
@@ -115,10 +117,15 @@ def run_episodes(env: InspectionEnv, controller: Controller, x: Tensor, priority
         worst=torch.full_like(zeros, math.inf).repeat(constraints, 1),
         extremes=torch.full_like(zeros, math.inf).repeat(len(RAW_QUANTITIES), 1),
     )
-    while running.any():
-        transition = env.advance(controller)
-        note(record, transition, running, env.constraint_values(transition.state))
-        running = running & ~transition.done
+    count = x.shape[1]
+    with bar(count, "episodes", desc=f"flying {count:,} test cases", leave=False) as shown:
+        while running.any():
+            transition = env.advance(controller)
+            note(record, transition, running, env.constraint_values(transition.state))
+            running = running & ~transition.done
+            flown = int(transition.steps.max()) * env.c.action_period
+            shown.set_postfix_str(f"{flown:,.0f} s simulated", refresh=False)
+            shown.update(count - int(running.sum()) - shown.n)
     return record
 
 
@@ -186,17 +193,20 @@ def play(policy: Policy, experiment: Experiment, episodes: int, seed: int) -> Ep
     return run_episodes(env, agent(policy, env), x.repeat(1, policy.seeds), priority.repeat(1, policy.seeds))
 
 
-def play_guidance(experiment: Experiment, episodes: int, seed: int) -> Episodes:
-    """Plays the common test cases with the natural-motion controller.
+def play_controller(name: str, experiment: Experiment, episodes: int, seed: int) -> Episodes:
+    """Plays the common test cases with one of BASELINES.
 
-    It decides at every call of the filter, without it at every integration step.
+    `natural-motion` decides at every call of the filter, without it at every integration step. The others decide as an
+    agent does, once an action period: `untrained` takes the mean actions of the policy with which `train --seed`
+    begins, `random` draws uniform controls anew each time, both from `seed`, and `zero` coasts.
     """
-    config = experiment.config
-    every = config.rta.period if config.train.rta else config.inspection.substep
+    if name == "untrained":
+        return play(untrained(experiment, seed), experiment, episodes, seed)
+    config, every = experiment.config, None
+    if name == "natural-motion":
+        every = config.rta.period if config.train.rta else config.inspection.substep
     env = experiment.env(episodes, experiment.generators([seed + 1]), decide_every=every)
-    return run_episodes(
-        env, natural_motion(config.inspection), *test_cases(experiment.config, episodes, seed)
-    )
+    return run_episodes(env, classical(name, config, seed), *test_cases(config, episodes, seed))
 
 
 def evaluate(policy: Policy, experiment: Experiment, episodes: int, seed: int) -> dict[str, Any]:
@@ -205,19 +215,31 @@ def evaluate(policy: Policy, experiment: Experiment, episodes: int, seed: int) -
 
 
 def run(
-    configure: Callable[[Config], Config],
+    configure: Configure,
     episodes: int,
-    seed: int = TEST_CASES,
-    checkpoint: str | None = None,
+    seed: int,
+    checkpoint: str | None,
+    controller: str | None,
 ) -> dict[str, Any]:
     """What `evaluate` of the command line reports, by the names of its flags.
 
     Args:
         configure: puts the command line over a configuration, that of the checkpoint if there is one.
-        checkpoint: the agent's file; None: the natural-motion controller.
+        checkpoint: the agent's file, or else controller: one of BASELINES.
     """
     policy, base = load_policy(checkpoint) if checkpoint else (None, Config())
-    experiment = Experiment(configure(base.unsettled()), episodes)
+    config = configure(base.unsettled())
+    say_unless_verified(config, configure.file, checkpoint)
+    experiment = Experiment(config, episodes)
     if policy:
         return evaluate(policy.to(experiment.device), experiment, episodes, seed)
-    return report(play_guidance(experiment, episodes, seed), experiment.config, seed)
+    return report(play_controller(controller, experiment, episodes, seed), experiment.config, seed)
+
+
+def how_to_watch(words: str, checkpoint: str | None, controller: str | None) -> str:
+    """The commands that show an episode of what `evaluate` flew; `words` are the flags of its settings."""
+    who = f"policy --checkpoint {quote(checkpoint)}" if checkpoint else controller
+    return (
+        f"Watch one: python main.py simulate --controller {who}{words} --duration {TYPICAL_EPISODE:.0f} --out run.npz "
+        "&& python main.py replay run.npz --out run.html"
+    )

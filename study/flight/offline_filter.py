@@ -33,10 +33,11 @@ def filter_states(safety_filter: SafetyFilter, x: Tensor, desired: Tensor) -> di
     a row of A and b is the rate of h (of Psi_1 where the relative degree is two) in h's unit per s (per s^2),
     columns of A are per N and per N m. `control_safe` is the u that minimises
 
-        |(u - control_desired) / limit|^2 + sum slack_weight delta^2
+        |(u - clip(control_desired)) / limit|^2 + sum slack_weight delta^2
 
-    subject to A_all u + b_all >= delta and |u| <= limit, with delta = 0 where slack_weight is infinite. That it is in
-    a class of rows, equal in weight, wherever some control holds the class and those of larger weight.
+    with what is desired clipped to the actuators' limits, subject to A_all u + b_all >= delta and |u| <= limit, with
+    delta = 0 where slack_weight is infinite. That it is in a class of rows, equal in weight, wherever some control
+    holds the class and those of larger weight.
 
     Returns:
         control_safe: (N, 6).
@@ -91,7 +92,7 @@ def enforced(group: ActuatorGroup, rows: Rows, control: Tensor, status: Tensor) 
 
 def filter_chunk(safety_filter: SafetyFilter, x: Tensor, desired: Tensor) -> dict[str, Tensor]:
     """`filter_states` of a few states: its arrays that have a row per state."""
-    result = safety_filter(x, desired)
+    result = safety_filter.correct(x, desired)
     parts = zip(safety_filter.groups, safety_filter.rows(x), result.program_status, strict=True)
     programs = [enforced(group, rows, result.control, status) for group, rows, status in parts]
     every = {name: torch.cat([program[name] for program in programs]) for name in programs[0]}

@@ -1,6 +1,5 @@
 """Simulating one spacecraft under any controller, with everything over time."""
 
-from collections.abc import Callable
 from dataclasses import asdict
 
 import numpy as np
@@ -13,11 +12,13 @@ from inspection.environment import InspectionEnv
 from inspection.termination import terminal_conditions
 from ppo.network import Policy
 from rta.qp import Status
+from study.arguments import Configure
 from study.config import TEST_CASES, Config
 from study.errors import InputError
 from study.experiment import Experiment, check_clocks, load_policy, test_cases
-from study.flight.controllers import agent, classical
+from study.flight.controllers import agent, classical, recorded, untrained
 from study.flight.state_files import STATE_FIELDS, read_state
+from study.verification.verified import say_unless_verified
 
 MAX_ROWS = 10**7
 SCALARS = ("time", "inspected_score", "temperature", "energy", "sun_angle")
@@ -114,7 +115,7 @@ def common_episode(policy: Policy, experiment: Experiment) -> dict[str, np.ndarr
 
 
 def run(
-    configure: Callable[[Config], Config],
+    configure: Configure,
     controller: str,
     duration: float,
     step: float,
@@ -137,15 +138,20 @@ def run(
         raise InputError("--actions F.npy is needed by --controller recorded and by no other")
     policy, base = load_policy(checkpoint) if checkpoint else (None, Config())
     config = configure(base.unsettled())
-    decide_every = config.inspection.action_period if policy else step
+    decide_every = config.inspection.action_period if controller in ("policy", "untrained") else step
     check_rows(step, duration, config, decide_every)
+    say_unless_verified(config, configure.file, checkpoint)
     experiment = Experiment(config, 1, duration)
     start = starting_point(initial_state, experiment, seed)
     env = experiment.env(1, decide_every=decide_every, report_every=step)
+    if controller == "untrained":
+        policy = untrained(experiment, seed)
     if policy:
         commander = agent(policy.to(experiment.device), env)
+    elif actions:
+        commander = recorded(actions, config, step, duration)
     else:
-        commander = classical(controller, actions, config, step, seed)
+        commander = classical(controller, config, seed)
     return simulate(env, commander, *start, duration), config
 
 

@@ -102,13 +102,13 @@ def read_states(path: str, c: InspectionParameters) -> tuple[Tensor, Tensor]:
             )
         if array.dtype.kind not in "fiu":
             raise InputError(f"{path}: {name} is of type {array.dtype}: must hold numbers")
-    check_controls(given["control_desired"], c.control_limit, f"{path}: control_desired")
+    check_finite(given["control_desired"], f"{path}: control_desired")
     x, u = (torch.from_numpy(np.ascontiguousarray(given[name].T, dtype=np.float64)) for name in names)
     return check_states(x, c, path), u
 
 
-def read_actions(path: str, limit: tuple[float, ...]) -> np.ndarray:
-    """Reads an N x 6 array of controls in N and N m; refuses what the actuators cannot do."""
+def read_actions(path: str, limit: tuple[float, ...], rows: int) -> np.ndarray:
+    """Reads an N x 6 array of controls in N and N m; refuses what the actuators cannot do, and N < `rows`."""
     try:
         actions = np.load(path, allow_pickle=False)
     except FileNotFoundError:
@@ -119,13 +119,20 @@ def read_actions(path: str, limit: tuple[float, ...]) -> np.ndarray:
     if shape is None or len(shape) != 2 or shape[1] != CONTROL_SIZE or not shape[0]:
         raise InputError(f"{path}: shape {shape}: must be (N, 6), in N and N m")
     check_controls(actions, limit, path)
+    if len(actions) < rows:
+        raise InputError(f"{path}: {len(actions):,} rows: --duration and --step need {rows:,}")
     return actions
+
+
+def check_finite(controls: np.ndarray, where: str) -> None:
+    """Refuses controls that are not finite numbers."""
+    if controls.dtype.kind not in "fiu" or not np.isfinite(controls).all():
+        raise InputError(f"{where}: must hold finite numbers only")
 
 
 def check_controls(controls: np.ndarray, limit: tuple[float, ...], where: str) -> None:
     """Refuses controls (N, 6) in N and N m that are not finite or beyond what the actuators can do."""
-    if controls.dtype.kind not in "fiu" or not np.isfinite(controls).all():
-        raise InputError(f"{where}: must hold finite numbers only")
+    check_finite(controls, where)
     excess = np.abs(controls) > np.array(limit) * (1.0 + 1e-9)
     if excess.any():
         row, column = np.argwhere(excess)[0]

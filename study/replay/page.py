@@ -13,7 +13,7 @@ from plotly.offline import get_plotlyjs
 from study.errors import refusing
 from study.files import write_text
 from study.flight.figures import BLUE, GREEN, GREY, ORANGE, SAFE, UNSAFE
-from study.replay.scene import Replayed, content, read, rounded
+from study.replay.scene import MAX_ROWS, Replayed, content, read, rounded
 from study.report.page import render
 
 # of what `replay.js` draws; those that `figures` lacks are of Okabe and Ito's palette as well
@@ -38,26 +38,30 @@ COLOURS = {
 }
 
 
-def write(paths: Sequence[str], out: Path) -> int:
+def write(paths: Sequence[str], out: Path, rows: int = MAX_ROWS, report: str | None = None) -> int:
     """Writes the page of one run or of several side by side; returns its size in bytes.
+
+    Args:
+        rows: of each run that are shown at most; report: the address of a study's report, to link to.
 
     Raises:
         InputError: a file is not one of `simulate` or lacks something, or the page cannot be written.
     """
-    text = document([read(path) for path in paths])
+    text = document([read(path, rows) for path in paths], report)
     with refusing(f"--out {out}: cannot write it", OSError):
         write_text(out, text)
     return len(text.encode())
 
 
-def document(runs: Sequence[Replayed]) -> str:
+def document(runs: Sequence[Replayed], report: str | None = None) -> str:
     """The whole page."""
     data = json.dumps(content(runs) | {"colours": COLOURS}, separators=(",", ":"), default=rounded)
     return render(
         "replay/page.html.j2",
-        names=[Path(run.path).name for run in runs],
+        names=[run.name for run in runs],
         runs=runs,
         c=runs[0].c,
+        report=report,
         colours=COLOURS,
         plotly=Markup(get_plotlyjs()),
         data=Markup(data.replace("<", "\\u003c")),  # a file's name may hold any tag

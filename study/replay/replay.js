@@ -110,7 +110,7 @@ function style(name, run, dot) {
 
 function drawScene(run, i) {
   const figure = element("figure", "run", byId("scenes"));
-  element("h2", "", figure, label(i) + run.path);
+  element("h2", "", figure, label(i) + run.name);
   const plot = element("div", "scene", figure);
   const status = element("figcaption", "status", figure);
   const fixed = {

@@ -4,6 +4,7 @@ import math
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -54,36 +55,42 @@ CONSTRAINT_PANELS = (
 
 @dataclass(frozen=True)
 class Replayed:
-    """A file of `simulate`: its path as it is shown, its arrays over time and the task's parameters."""
+    """A file of `simulate`: its name as it is shown, its arrays over time and the task's parameters.
 
-    path: str
+    At most `rows` of them are shown.
+    """
+
+    name: str
     episode: Episode
     c: InspectionParameters
+    rows: int = MAX_ROWS
 
     @property
     def stride(self) -> int:
         """Rows of the file to a row of the page."""
-        return -(-len(self.episode["time"]) // MAX_ROWS)
+        return -(-len(self.episode["time"]) // self.rows)
 
 
-def read(path: str) -> Replayed:
+def read(path: str, rows: int = MAX_ROWS) -> Replayed:
     """Reads and checks a file of `simulate`, or an episode of a study's report in single precision."""
     names = (*COLUMNS, "inspected", "intervened", "parameters")
     older = ": not a file that simulate wrote, or one of an older version"
     episode = load_arrays(path, names, "run", where_missing=older)
     c = configuration.from_toml(str(episode["parameters"]), f"{path}: parameters").inspection
     flags = {"inspected": (c.num_points,), "intervened": (2,)}
-    rows = episode["time"].size
+    length = episode["time"].size
     for name, row in (COLUMNS | flags).items():
         array, kind = episode[name], "bool" if name in flags else "numbers"
-        if array.shape != (rows, *row) or array.dtype.kind != ("b" if name in flags else "f"):
-            raise InputError(f"{path}: {name} is {array.dtype} {array.shape}: must be {kind} {(rows, *row)}")
+        if array.shape != (length, *row) or array.dtype.kind != ("b" if name in flags else "f"):
+            raise InputError(
+                f"{path}: {name} is {array.dtype} {array.shape}: must be {kind} {(length, *row)}"
+            )
         if not np.isfinite(array).all():
             raise InputError(f"{path}: {name} must hold finite numbers only")
-    if rows < 2 or not (np.diff(episode["time"]) > 0.0).all():
+    if length < 2 or not (np.diff(episode["time"]) > 0.0).all():
         raise InputError(f"{path}: time must rise over at least two rows")
     double = {name: episode[name].astype(np.float64) for name in COLUMNS}
-    return Replayed(printable(path), episode | double, c)
+    return Replayed(Path(printable(path)).name, episode | double, c, rows)
 
 
 def printable(path: str) -> str:
@@ -92,7 +99,7 @@ def printable(path: str) -> str:
 
 
 def thinned(run: Replayed) -> Episode:
-    """At most MAX_ROWS rows: each the first of its block, but with the block's smallest h."""
+    """At most `run.rows` rows: each the first of its block, but with the block's smallest h."""
     starts = np.arange(0, len(run.episode["time"]), run.stride)
     thin: Episode = {}
     for name in COLUMNS:
@@ -210,7 +217,7 @@ def run_data(run: Replayed, episode: Episode) -> dict[str, Any]:
     """
     c = run.c
     return {
-        "path": run.path,
+        "name": run.name,
         "time": rounded(episode["time"], TIME_DIGITS),
         "end": rounded(run.episode["time"][-1:], TIME_DIGITS)[0],
         "position": episode["position"],

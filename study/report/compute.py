@@ -13,12 +13,12 @@ import torch
 
 from ppo.network import Policy
 from rta.parameters import PERIODS
-from study.config import ARMS, TEST_CASES, Config
+from study.config import ARMS, BASELINES, TEST_CASES, Config
 from study.errors import MALFORMED, InputError, refusing
 from study.experiment import Experiment, load_policy, make_policy
 from study.files import ROOT, write_json, write_npz, write_text
 from study.flight.controllers import classical
-from study.flight.evaluation import play, play_guidance, report
+from study.flight.evaluation import play, play_controller, report
 from study.flight.simulation import common_episode, simulate, starting_point
 from study.paper import Results
 from study.report import tables
@@ -65,10 +65,10 @@ def compute(study: Path, device: str | None = None) -> None:
         begin(directory, {name: arm.digests for name, arm in arms.items()}, todo)
         for name, (what, make) in todo.items():
             if not (directory / name).exists():
-                print(f"{directory / name}: {what} ...", end="", flush=True)
+                print(f"{directory / name}: {what} ...", flush=True)  # a line, since bars may follow
                 started = time.perf_counter()
                 write(directory / name, make())
-                print(f" {time.perf_counter() - started:.0f} s", flush=True)
+                print(f"{directory / name}: {time.perf_counter() - started:.0f} s", flush=True)
 
 
 def load(study: Path, device: str | None) -> dict[str, Arm]:
@@ -127,19 +127,25 @@ def work(study: Path, arms: dict[str, Arm]) -> Work:
     """Everything that a report on these arms needs beside the study's own results."""
     config = next(iter(arms.values())).config
     periods = ", ".join(f"{period:g}" for period in PERIODS)
-    filtered = f"the agents trained with RTA, the filter called every {periods} s"
-    guided = f"the natural-motion guidance with RTA over {GUIDANCE_CASES:,} cases"
+    filtered = f"the agents trained with RTA, the filter called every {periods} s, a few minutes"
+    guided = f"the natural-motion guidance with RTA over {GUIDANCE_CASES:,} cases, a few minutes"
     lit = partial(shortest_episodes, config, config.train.final_episodes, TEST_CASES)
-    todo: Work = {"cross.json": ("every agent with the filter off and on", partial(cross, arms))}
+    todo: Work = {
+        "cross.json": ("every agent with the filter off and on, a few minutes", partial(cross, arms))
+    }
     if "rta" in arms:
         todo["frequency.json"] = (filtered, partial(frequency, arms["rta"]))
+    todo["baselines.json"] = (
+        f"what is not trained ({', '.join(BASELINES)}), a few minutes",
+        partial(baselines, config),
+    )
     todo["guidance.json"] = (guided, partial(guidance, config))
-    todo["sunlight.json"] = ("when the Sun has lit enough of the chief", lit)
+    todo["sunlight.json"] = ("when the Sun has lit enough of the chief, seconds", lit)
     for name, arm in arms.items():
-        todo[f"episode_{name}.npz"] = (f"an episode of {name}", partial(episode, arm))
-    todo["training.csv"] = ("intervals of the training curves", partial(training, study, arms))
+        todo[f"episode_{name}.npz"] = (f"an episode of {name}, seconds", partial(episode, arm))
+    todo["training.csv"] = ("intervals of the training curves, seconds", partial(training, study, arms))
     for name, rta in ARMS.items():
-        what = f"the LQR+PD demonstration {'with' if rta else 'without'} RTA"
+        what = f"the LQR+PD demonstration {'with' if rta else 'without'} RTA, seconds"
         todo[f"demonstration_{name}.npz"] = (what, partial(demonstration, config, rta))
     return todo
 
@@ -188,10 +194,29 @@ def evaluate(arm: Arm, rta: bool, period: float) -> Results:
     return report(record, experiment.config, TEST_CASES, seeds)
 
 
+def baselines(config: Config) -> dict[str, dict[str, Results]]:
+    """Every controller of BASELINES on the study's test cases, without filter and behind it."""
+    return {
+        name: {
+            switch: baseline(name, with_rta(config, rta, config.rta.period))
+            for switch, rta in (("off", False), ("on", True))
+        }
+        for name in BASELINES
+    }
+
+
+def baseline(name: str, config: Config) -> Results:
+    """One controller on the study's test cases."""
+    episodes = config.train.final_episodes
+    experiment = Experiment(config.unsettled(), episodes)
+    record = play_controller(name, experiment, episodes, TEST_CASES)
+    return report(record, experiment.config, TEST_CASES)
+
+
 def guidance(config: Config) -> Results:
     """The classical natural-motion guidance behind the filter."""
     experiment = Experiment(with_rta(config, True, GUIDANCE_PERIOD), GUIDANCE_CASES)
-    record = play_guidance(experiment, GUIDANCE_CASES, TEST_CASES)
+    record = play_controller("natural-motion", experiment, GUIDANCE_CASES, TEST_CASES)
     return report(record, experiment.config, TEST_CASES)
 
 
@@ -207,5 +232,5 @@ def demonstration(config: Config, rta: bool) -> Arrays:
     step = config.inspection.substep
     start = starting_point(str(DEMONSTRATION), experiment, TEST_CASES)
     env = experiment.env(1, decide_every=step, report_every=step)
-    controller = classical("lqr-pd", None, config, step, TEST_CASES)
+    controller = classical("lqr-pd", config, TEST_CASES)
     return simulate(env, controller, *start, DEMONSTRATION_DURATION)

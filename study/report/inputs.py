@@ -29,6 +29,7 @@ class Inputs:
         sunlight: the earliest success that the Sun allows in the test cases; empty if it is not known.
         cross: by arm, then "off" and "on": its agents without and with the filter.
         frequency: by period in s: the agents trained behind the filter; empty if there are none.
+        baselines: by controller, then "off" and "on", what is not trained; empty if it has not been evaluated.
         training: empty where training was shorter than the interval of its evaluations.
         episodes, demonstrations: by arm, in the form of `simulate`.
     """
@@ -41,6 +42,7 @@ class Inputs:
     sunlight: dict[str, Any]
     cross: dict[str, dict[str, Results]]
     frequency: dict[str, Results]
+    baselines: dict[str, dict[str, Results]]
     training: Curves
     episodes: dict[str, Episode]
     demonstrations: dict[str, Episode]
@@ -75,7 +77,7 @@ def read(study: Path) -> Inputs:
         demonstrations={arm: read_episode(report / f"demonstration_{arm}.npz") for arm in ARMS},
         **{
             name: read_json(report / f"{name}.json") if (report / f"{name}.json").exists() else {}
-            for name in ("guidance", "sunlight", "frequency")
+            for name in ("guidance", "sunlight", "frequency", "baselines")
         },
     )
 

@@ -62,6 +62,8 @@ def document(inputs: Inputs) -> str:
         "report/page.html.j2",
         inputs=inputs,
         columns=inputs.columns,
+        flyers={f"agents, {ARM_LABELS[arm]}": flown for arm, flown in inputs.cross.items()}
+        | inputs.baselines,
         period=f"{inputs.config.rta.period:g}",
         study=shlex.quote(inputs.study.as_posix()),
         labels=ARM_LABELS,

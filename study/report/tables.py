@@ -33,11 +33,13 @@ def write(inputs: Inputs) -> None:
         tables = {
             "table2": comparison("metric", PAPER_METRICS, inputs.columns),
             "table3": comparison("constraint", PAPER_VIOLATIONS, inputs.columns),
-            "cross": cross(inputs.cross),
+            "cross": cross("arm", inputs.cross),
             "throughput": throughput(inputs.arms, inputs.provenance),
         }
         if inputs.frequency:
             tables["frequency"] = frequency(inputs.frequency)
+        if inputs.baselines:
+            tables["baselines"] = cross("controller", inputs.baselines)
 
     with refusing(f"--study {inputs.study}: cannot write its tables", OSError):
         for name, rows in tables.items():
@@ -92,11 +94,11 @@ def evaluation(results: Results) -> Row:
     }
 
 
-def cross(evaluations: dict[str, dict[str, Results]]) -> list[Row]:
-    """A row per arm and filter (off or on)."""
+def cross(kind: str, evaluations: dict[str, dict[str, Results]]) -> list[Row]:
+    """A row per arm or controller, as `kind` calls it, and filter (off or on)."""
     return [
-        {"arm": arm, "filter": switch} | evaluation(results)
-        for arm, switches in evaluations.items()
+        {kind: flown, "filter": switch} | evaluation(results)
+        for flown, switches in evaluations.items()
         for switch, results in switches.items()
     ]
 

@@ -9,16 +9,18 @@ from typing import Any
 
 import numpy as np
 import torch
+from torch import Tensor
 from tqdm import tqdm
 
 from ppo.network import Policy
 from rta.constraints import CONSTRAINTS
-from study.config import Config
+from study.config import Config, StudyConfig
 from study.errors import InputError, refusing
 from study.experiment import Experiment, check_clocks, load_policy
 from study.files import write_json, write_npz
 from study.flight.controllers import agent
 from study.flight.summary import upper_bound
+from study.progress import bar, step
 from study.verification.adversaries import adversarial, held_at_random
 from study.verification.counter_examples import counter_example
 from study.verification.findings import report_in
@@ -27,6 +29,7 @@ from study.verification.starts import initial_states, spawned
 from study.verification.tally import add
 
 BATCH = 1024  # starts drawn at once
+BAR = "{percentage:3.0f}%|{bar}| {n:,.0f}/{total:,} episodes [{elapsed}<{remaining}{postfix}]"  # n: also in part
 
 
 @dataclasses.dataclass(frozen=True)
@@ -47,7 +50,12 @@ class Campaign:
 
 
 def run(
-    campaign: Campaign, episodes: int, experiment: Experiment, network: Policy | None, path: Path | None
+    campaign: Campaign,
+    episodes: int,
+    experiment: Experiment,
+    network: Policy | None,
+    path: Path | None,
+    tell: Callable[[float, int, int], None] = lambda flown, violating, begun: None,
 ) -> Iterator[dict[str, Any]]:
     """Flies batch after batch and yields the report so far, which `path` holds too and is resumed from.
 
@@ -58,20 +66,19 @@ def run(
         episodes: from starts that the filter can hold.
         network: of --policy checkpoint, else None.
         path: a JSON file; beside it a violated constraint leaves its worst episode, FILE.CONSTRAINT.npz.
+        tell: is told, while a batch flies, how many episodes have been flown, also in part, how many violate a
+            constraint, and of how many that have begun.
     """
     config, env = experiment.config, None
-    decide_every = config.inspection.action_period if network else config.rta.period
-    if campaign.duration % decide_every:
-        raise InputError(
-            f"--duration {campaign.duration}: must be a multiple of {decide_every:g} s, the policy's period"
-        )
+    decide_every = decides_every(config, network)
     report = report_in(path, dataclasses.asdict(campaign), config)
     beyond = report["starts_beyond_braking"]
     while report["episodes"] < episodes:
         number, first = divmod(report["episodes"] + beyond["episodes"], campaign.batch_size)
         batch_seed = np.random.SeedSequence((campaign.seed, number)).generate_state(1)[0]
         seed_of_starts, seed_of_controls = spawned(int(batch_seed), 2)
-        with refusing("[inspection] and [rta]", RuntimeError):
+        drawing = step(f"drawing {campaign.batch_size:,} starts")
+        with refusing("[inspection] and [rta]", RuntimeError), drawing:
             x, priority, rejected = initial_states(campaign.batch_size, seed_of_starts, experiment.filter)
         held = experiment.filter.can_brake(x)[first:]
         held = held[held.cumsum(0) - held.long() < episodes - report["episodes"]]
@@ -88,8 +95,10 @@ def run(
         yield report
 
         x, priority = (part[:, first : first + count].to(env.x) for part in (x, priority))
-        flight = fly(env, controller, x, priority, campaign.duration, first)
         held, before = held.to(env.x.device), dict(report["worst_value"])
+
+        progress = telling(tell, report, held, campaign.duration)
+        flight = fly(env, controller, x, priority, campaign.duration, first, progress)
         origin = {"batch_seed": seed_of_starts, "batch_size": campaign.batch_size}
         add(beyond, flight[~held], origin)
         flight = flight[held]
@@ -124,20 +133,47 @@ def verify(
     if policy.startswith("checkpoint:"):
         network, base = load_policy(policy.removeprefix("checkpoint:"))
         weights = digest(network)
-    config = configure(base.unsettled())
+    # of a study's file, its table [study] is left out
+    config = configure(StudyConfig(**vars(base.unsettled()))).of_arm("rta")
+    every = decides_every(config, network)
+    if duration % every:
+        raise InputError(f"--duration {duration}: must be a multiple of {every:g} s, the policy's period")
     check_clocks(config, None, CHECK_EVERY, duration, f"--duration {duration}, checked every second")
     experiment = Experiment(config, BATCH, seconds=-(-episodes // BATCH) * duration)
     campaign = Campaign(policy, experiment.filter.period, duration, seed, BATCH, weights)
     network = network.to(experiment.device) if network else None
-    reports = run(campaign, episodes, experiment, network, path)
+    shown: tqdm
+
+    def tell(flown: float, violating: int, begun: int) -> None:
+        shown.set_postfix_str(f"{violating:,} violating of {begun:,} begun", refresh=False)
+        shown.update(flown - shown.n)
+
+    reports = run(campaign, episodes, experiment, network, path, tell)
     report = next(reports)  # refuses before there is a bar
     if report["episodes"] > episodes:
         print(f"{path}: holds {report['episodes']:,} episodes already, more than asked for", file=sys.stderr)
-    with tqdm(total=episodes, initial=report["episodes"], unit=" episodes", dynamic_ncols=True) as bar:
+    with bar(episodes, "episodes", initial=report["episodes"], bar_format=BAR) as shown:
         for report in reports:
-            bar.update(report["episodes"] - bar.n)
-            bar.set_postfix(violating=report["violating_episodes"]["any"])
+            tell(report["episodes"], report["violating_episodes"]["any"], report["episodes"])
     return report
+
+
+def telling(
+    tell: Callable[[float, int, int], None], report: dict[str, Any], held: Tensor, duration: float
+) -> Callable[[float, Tensor], None]:
+    """What `fly` is to tell of a batch that goes into the report where `held` (B,) is set."""
+    before, violating_before, count = report["episodes"], report["violating_episodes"]["any"], int(held.sum())
+
+    def told(time: float, violating: Tensor) -> None:
+        now = violating_before + int(violating[held].sum())
+        tell(before + count * time / duration, now, before + count)
+
+    return told
+
+
+def decides_every(config: Config, network: Policy | None) -> float:
+    """The time in s between two decisions of an agent or of a policy of the campaign's own."""
+    return config.inspection.action_period if network else config.rta.period
 
 
 def digest(network: Policy) -> str:

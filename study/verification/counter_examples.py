@@ -57,7 +57,7 @@ def replay(experiment: Experiment, example: dict[str, np.ndarray]) -> tuple[floa
     values, difference = [env.constraint_values(x)[row].item()], 0.0
     for i, hold in enumerate(env.fly(lambda t, x: applied[round(t)], len(applied))):
         if hold.time % experiment.filter.period == 0:
-            again = experiment.filter(hold.state, desired[i]).control
+            again = experiment.filter.correct(hold.state, desired[i]).control
             difference = max(difference, ((again - hold.applied).abs() / env.limit).max().item())
         values.append(env.constraint_values(hold.after)[row].item())
     when = int(np.argmin(values))

@@ -3,13 +3,17 @@
 import dataclasses
 import json
 from pathlib import Path
+from shlex import quote
+from textwrap import fill
 from typing import Any
 
 from rta.constraints import CONSTRAINTS
 from study.config import Config, override
 from study.errors import MALFORMED, InputError, refusing
 from study.verification.tally import empty_tally
+from study.verification.verified import fingerprint
 
+WIDTH = 100  # of the text
 LISTED = 12  # sets of constraints with slack together that the text lists
 
 
@@ -18,7 +22,8 @@ def empty_report(campaign: dict[str, Any], config: Config) -> dict[str, Any]:
 
     Its own tally and bound are over the starts that the filter can hold in any attitude. `starts_beyond_braking` has
     the tally of the others (`SafetyFilter.can_brake`), where keep-in zone and actuators can conflict from the start
-    on. `starts_rejected_by_margin` counts states left out as in `safe_set`.
+    on. `starts_rejected_by_margin` counts states left out as in `safe_set`. `fingerprint` is that of the plant and the
+    filter (`study.verification.verified`).
     """
     return {
         "campaign": campaign,
@@ -26,6 +31,7 @@ def empty_report(campaign: dict[str, Any], config: Config) -> dict[str, Any]:
         "upper_bound_95": 1.0,
         "starts_beyond_braking": empty_tally(),
         "starts_rejected_by_margin": 0,
+        "fingerprint": fingerprint(config),
         "config": dataclasses.asdict(config),
     }
 
@@ -43,7 +49,7 @@ def report_in(path: Path | None, campaign: dict[str, Any], config: Config) -> di
         same = report["campaign"] == campaign and of_the_same(report["config"], config, path)
     if not same:
         raise InputError(f"--json {path}: holds another campaign or configuration; name another file")
-    return report | {"config": fresh["config"]}
+    return report | {name: fresh[name] for name in ("fingerprint", "config")}
 
 
 def of_the_same(before: dict[str, Any], config: Config, path: Path) -> bool:
@@ -53,7 +59,7 @@ def of_the_same(before: dict[str, Any], config: Config, path: Path) -> bool:
 
 
 def table(report: dict[str, Any]) -> str:
-    """A report as text."""
+    """A report as text, at most WIDTH columns wide."""
     steps, episodes = report["violating_steps"], report["violating_episodes"]
     calls, beyond = report["filter_calls"], report["starts_beyond_braking"]
     total = sum(calls.values())
@@ -65,7 +71,8 @@ def table(report: dict[str, Any]) -> str:
             f"{report['worst_value'][name]:13.5g} {report['yielded_calls'][name]:17,d}"
             for name in CONSTRAINTS
         ),
-        f"{'any':20s} {steps['any']:16,d} {episodes['any']:9,d}",
+        f"{'any of them':20s} {steps['any']:16,d} {episodes['any']:9,d}",
+        "slack: what a constraint's row gave way by, where not all of them could be held at once",
         f"{report['episodes']:,} episodes, {report['steps']:,} steps; violation probability per episode below "
         f"{report['upper_bound_95']:.2e} (95 %)",
         f"{total:,} filter calls, {corrected:.1f} % corrected, {calls['slack']:,} with slack, "
@@ -88,4 +95,19 @@ def table(report: dict[str, Any]) -> str:
         lines.append(f"{same['calls']:9,d}  {slack}")
     if more := together[LISTED:]:
         lines.append(f"{sum(same['calls'] for same in more):9,d}  in {len(more):,} other combinations")
+    return "\n".join(fill(line, WIDTH, subsequent_indent=" " * 11) for line in lines)
+
+
+def what_next(report: dict[str, Any], path: Path | None) -> str:
+    """Where the report and its counter-examples are, and how to fly one of them again."""
+    violated = [name for name in CONSTRAINTS if report["violating_episodes"][name]]
+    if path is None:
+        return (
+            "Nothing was kept: --json F keeps the report, and a counter-example of every constraint violated"
+        )
+    lines = [f"Written to {path}; a larger --episodes goes on from there"]
+    examples = [name for name in violated if Path(f"{path}.{name}.npz").is_file()]
+    if examples:
+        lines.append(f"Counter-examples, the worst episodes: {path}.CONSTRAINT.npz of {', '.join(examples)}")
+        lines.append(f"Fly one again: python main.py verify --replay {quote(f'{path}.{examples[0]}.npz')}")
     return "\n".join(lines)

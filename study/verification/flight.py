@@ -1,6 +1,7 @@
 """Flying a batch of episodes in closed loop, with every constraint checked every second."""
 
 import dataclasses
+from collections.abc import Callable
 from typing import NamedTuple
 
 import torch
@@ -66,13 +67,20 @@ class Flight:
 
 @torch.no_grad()
 def fly(
-    env: InspectionEnv, controller: Controller, x: Tensor, priority: Tensor, duration: float, first: int = 0
+    env: InspectionEnv,
+    controller: Controller,
+    x: Tensor,
+    priority: Tensor,
+    duration: float,
+    first: int = 0,
+    tell: Callable[[float, Tensor], None] | None = None,
 ) -> Flight:
     """Flies one episode per column behind the environment's filter, checked at every report of its clocks.
 
     Args:
         x, priority: initial states (16, B) and priority vectors (3, B).
         duration: s; first: the number of the first column.
+        tell: is told the time in s after every hold, and which episodes have violated a constraint, (B,) bool.
     """
     env.start(x, priority)
     constraints, batch, steps = len(env.safety.names), x.shape[1], env.clocks.count(duration)
@@ -103,6 +111,8 @@ def fly(
             flight.excess = torch.maximum(flight.excess, (hold.applied.abs() / env.limit).amax(0))
         h = env.constraint_values(hold.after)
         note_state(flight, h, hold.end)
+        if tell:
+            tell(hold.end, flight.violating[-1] > 0)
     flight.conflicts = Conflicts(*(torch.cat(parts, -1) for parts in zip(*conflicts, strict=True)))
     return flight
 

@@ -87,9 +87,7 @@ def test_what_is_written_twice_is_computed_once() -> None:
 
 
 def test_compiled_filter_equals_the_eager_one(
-    random_states: Callable[[int], Tensor],
-    generator: torch.Generator,
-    monkeypatch: pytest.MonkeyPatch,
+    random_states: Callable[[int], Tensor], generator: torch.Generator
 ) -> None:
     eager, fast = SafetyFilter(C, RtaParameters()), SafetyFilter(C, RtaParameters())
     fast.compile("cpu", 16)
@@ -98,11 +96,17 @@ def test_compiled_filter_equals_the_eager_one(
     x[0, 9] = math.inf
     limit = x.new_tensor(C.control_limit)[:, None]
     desired = (2 * torch.rand(6, 300, generator=generator, dtype=torch.float64) - 1) * limit
+    desired[:, 100:200] *= 50
+    desired[2, 10], desired[3, 11] = math.inf, math.nan
     for batch in (1, 300):
-        one, other = eager(x[:, :batch], desired[:, :batch]), fast(x[:, :batch], desired[:, :batch])
+        one, other = (
+            eager.correct(x[:, :batch], desired[:, :batch]),
+            fast.correct(x[:, :batch], desired[:, :batch]),
+        )
         for field in fields(FilterResult):
             expected, found = getattr(one, field.name), getattr(other, field.name)
             torch.testing.assert_close(found, expected, rtol=1e-9, atol=1e-9, equal_nan=True)
+        assert (other.control.abs() <= limit).all()
     assert one.status.unique().tolist() == list(Status)
     for rows, expected in zip(fast.rows(x), eager.rows(x), strict=True):
         for field in fields(rows):
@@ -136,3 +140,32 @@ def test_the_filter_is_compiled_for_the_device(monkeypatch: pytest.MonkeyPatch) 
     monkeypatch.setattr(experiment, "finds_compiler", lambda: True)
     experiment.Experiment(Config(TrainParameters(compile="on")), batch=7)
     assert used == [(elsewhere, 7)]
+
+
+@pytest.mark.parametrize(
+    ("choice", "calls", "works", "expected"),
+    [
+        ("auto", 149, True, []),
+        ("auto", 150, True, ["trace"]),
+        ("auto", 1000, True, ["compile"]),
+        ("auto", 1000, False, ["compile", "trace"]),
+        ("on", 150, False, ["compile", "trace"]),
+        ("on", 1, True, ["compile"]),
+        ("off", 1000, True, []),
+    ],
+)
+def test_a_filter_that_is_not_compiled_is_traced_where_that_is_repaid(
+    choice: str, calls: int, works: bool, expected: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    done = []
+
+    def compile_(self: SafetyFilter, device: torch.device, batch: int) -> None:
+        done.append("compile")
+        if not works:
+            raise RuntimeError("no compiler")
+
+    monkeypatch.setattr(SafetyFilter, "compile", compile_)
+    monkeypatch.setattr(SafetyFilter, "trace", lambda *_: done.append("trace"))
+    monkeypatch.setattr(experiment, "finds_compiler", lambda: True)
+    made = experiment.Experiment(Config(TrainParameters(compile=choice, rta=True)), 7, float(calls))
+    assert done == expected and made.filter_compiled == (works and "compile" in expected)

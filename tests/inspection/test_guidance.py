@@ -111,7 +111,7 @@ def tour(duration: float, interval: float, safety: SafetyFilter | None = None) -
     control, states = guidance.lqr_pd(C), [x]
     for i in range(round(duration / interval)):
         u = control(i * interval, x)
-        x = step(x, safety(x, u).control if safety else u, interval, C)
+        x = step(x, safety.correct(x, u).control if safety else u, interval, C)
         states.append(x)
     return torch.cat(states, 1)
 

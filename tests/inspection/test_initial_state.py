@@ -102,6 +102,20 @@ def test_no_safe_state_is_an_error(c, monkeypatch):
         sample_initial_state(5, seeded(0), c, lambda x: torch.zeros(x.shape[1], dtype=torch.bool))
 
 
+@pytest.mark.parametrize(("count", "states"), [(2048, 10), (30, 667), (10, 1000)])
+def test_what_is_impossible_is_given_up_soon(c, monkeypatch, count, states):
+    monkeypatch.setattr(initial_state, "MAX_ATTITUDES", 2)
+    with pytest.raises(RuntimeError, match=f"and {states} of a whole state, for {count:,} spacecraft"):
+        sample_initial_state(count, seeded(0), c, lambda x: torch.zeros(x.shape[1], dtype=torch.bool))
+
+
+def test_what_is_rare_is_not_given_up(c, monkeypatch):
+    """One state in a hundred is safe; the last of 300 spacecraft needs several hundred draws."""
+    monkeypatch.setattr(initial_state, "MAX_ATTITUDES", 0)
+    x, _ = sample_initial_state(300, seeded(0), c, lambda x: x[T] < 3.04)
+    assert x.shape == (16, 300) and (x[T] < 3.04).all()
+
+
 def test_supply_does_not_depend_on_how_it_is_taken(c, monkeypatch):
     monkeypatch.setattr(initial_state, "POOL", 7)
     one, other = InitialStates(seeded(6), c), InitialStates(seeded(6), c)

@@ -42,11 +42,45 @@ def test_parameters_name_what_is_wrong():
         ({"field_of_view": 3.2}, "field_of_view must be at most pi rad"),
         ({"num_points": 100_001}, "num_points at most 100,000"),
         ({"inertia": (1.0, 1.0, -1.0)}, "three positive moments"),
+        ({"inertia": (0.1, 0.2, 0.31)}, "no body has a moment above the sum of the other two"),
+        ({"inertia": (0.1, 0.2)}, "inertia = .*: must be 3 numbers"),
+        ({"initial_energy": (5.0, 6.0, 7.0)}, "initial_energy = .*: must be 2 numbers"),
+        ({"initial_energy": (-1.0, 6.0)}, "initial_energy = .*: must not be negative"),
+        ({"initial_radius": (0.0, 50.0)}, "initial_radius = .*: must be positive"),
+        ({"initial_temperature": (-300.0, 5.0)}, "initial_temperature = .*: must be above absolute zero"),
+        ({"max_distance": 15.0}, "max_distance = 15: must exceed deputy_radius"),
+        ({"exclusion_buffer": 2.7}, "field_of_view / 2 .* must be below pi"),
+        ({"docking_speed": -0.1}, "docking_speed = -0.1: must not be negative"),
+        ({"speed_slope": -1e-3}, "speed_slope = -0.001: must not be negative"),
+        ({"temperature_sun_slope": -0.05}, "temperature_sun_slope = -0.05: must not be negative"),
+        ({"temperature_earth_slope": -0.01}, "temperature_earth_slope = -0.01: must not be negative"),
+        ({"energy_sun_slope": -0.05}, "energy_sun_slope = -0.05: must not be negative"),
+        ({"exclusion_buffer": -0.1}, "exclusion_buffer = -0.1: must not be negative"),
+        ({"power_draw": -15.0}, "power_draw = -15.0: must not be negative"),
+        ({"success_score": 5}, "success_score = 5: must be at most 1"),
+        ({"success_score": 0.0}, "success_score = 0.0: must be a positive number"),
+        ({"num_points": 2.5}, "num_points = 2.5: must be an integer"),
+        ({"albedo": 1.1}, "albedo = 1.1: must be at most 1"),
     ],
 )
 def test_what_no_flight_could_use_is_refused(c, changed, words):
     with pytest.raises(ValueError, match=words):
         replace(c, **changed)
+
+
+@pytest.mark.parametrize(
+    "possible",
+    [
+        {"inertia": (0.1, 0.2, 0.1 + 0.2)},  # a flat plate
+        {"success_score": 1.0},
+        {"docking_speed": 0.0},
+        {"temperature_sun_slope": 0.0, "temperature_earth_slope": 0.0, "energy_sun_slope": 0.0},
+        {"speed_slope": 0.0, "exclusion_buffer": 0.0, "power_draw": 0.0, "min_energy": 0.0},
+        {"delta_v_reward": 0.02, "torque_reward": 0.1, "max_temperature": -5.0},
+    ],
+)
+def test_what_can_be_is_not_refused(c, possible):
+    replace(c, **possible)
 
 
 NUMBERS = [each.name for each in fields(InspectionParameters) if not isinstance(each.default, (bool, str))]

@@ -45,7 +45,7 @@ def test_every_call_is_reported_as_the_filter_answers_it(c):
         *_, info = env.step(action)
         u = action.T.double().clamp(-1.0, 1.0) * native.limit
         for call in range(2):
-            expected = safety_filter(x, u)
+            expected = safety_filter.correct(x, u)
             torch.testing.assert_close(info["u_des"][:, call], u.T, rtol=0.0, atol=0.0)
             torch.testing.assert_close(info["u_safe"][:, call], expected.control.T, rtol=0.0, atol=0.0)
             assert torch.equal(info["intervened"][:, call], expected.intervened)

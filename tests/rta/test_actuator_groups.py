@@ -240,7 +240,7 @@ def test_result_joins_the_rows_of_an_entry() -> None:
         coupled=False,
     )
     safety = SafetyFilter(C, R, extra=[creeping])
-    answer, rows = safety(STATES, torch.zeros_like(STATES[:6])), safety.rows(STATES)[0]
+    answer, rows = safety.correct(STATES, torch.zeros_like(STATES[:6])), safety.rows(STATES)[0]
     assert answer.h.shape == answer.active.shape == answer.slack.shape == (14, X.shape[1])
     assert torch.equal(answer.h[13], slow(STATES).amin(0))
     reached = (rows.a * answer.control[:3]).sum(1) + rows.b_bare

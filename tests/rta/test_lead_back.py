@@ -326,7 +326,7 @@ def flown() -> dict[str, Back]:
             push = adversary(float(t), x)
         pushed = torch.where(place % 2 == 0, random(float(t), x), push)
         desired = torch.where(place < COUNT, 0.0, pushed)
-        result = safety(x, desired)
+        result = safety.correct(x, desired)
         h.append(result.h)
         status.append(result.program_status)
         up |= (torch.where(mine, result.h, torch.inf).amin(0) >= 0.0) | (t >= last)

@@ -7,7 +7,7 @@ import pytest
 
 import main
 from study import arguments, flags
-from study.arguments import COMMANDS, SETTINGS, build_parser, join_axis, parameters, resolve
+from study.arguments import COMMANDS, OF_THE_PROCESS, SETTINGS, build_parser, join_axis, parameters, resolve
 from study.config import Config, StudyConfig
 from study.errors import InputError
 from study.flags import Command, Flag
@@ -55,7 +55,7 @@ def flags_of_all(sets: bool) -> list[Any]:
         pytest.param(name, flag, id=f"{name}{flag.name}")
         for name, command in COMMANDS.items()
         for flag in command.flags
-        if (flag.dest in SETTINGS) == sets and flag.dest != "config"
+        if (flag.dest in SETTINGS) == sets and flag.dest not in ("config", *OF_THE_PROCESS)
     ]
 
 
@@ -171,6 +171,7 @@ def test_help_shows_the_default_of_the_setting(
         ("study", "study.arms", "no_rta,rta"),
         ("filter", "rta.qp_solver", "auto; the faster one for the device and the spacecraft at once"),
         ("evaluate", "train.rta", "on; with --checkpoint as it was trained"),
+        ("train", "train.rta", "on"),
         ("evaluate", "episodes", "100"),
         ("simulate", "step", "1"),
         ("verify", "duration", "2,000"),

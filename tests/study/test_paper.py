@@ -21,14 +21,28 @@ def results() -> Results:
 
 def test_rows_hold_ours_and_the_papers(results: Results) -> None:
     lines = tables(results).splitlines()
-    assert lines[0] == "Table 2: IQM [95 % confidence interval] over 300 episodes"
-    assert lines[1] == f"{'':24}{'this agent':>32}{'paper, no RTA':>32}{'paper, RTA':>32}"
-    reward = ("2.0000 [1.2500, 3.0000]", "2.1486 [2.1444, 2.1527]", "2.0235 [2.0175, 2.0293]")
-    assert lines[3] == f"{'Total reward':24}" + "".join(f"{text:>32}" for text in reward)
-    assert lines[8] == "Table 3: mean safety violation, % of steps"
-    assert lines[10] == f"{'Any constraint':24}{'0.040':>16}{'4.736':>16}{'0.215':>16}"
-    assert len(lines) == 2 + len(PAPER_METRICS) + 3 + len(PAPER_VIOLATIONS) + 3
+    assert lines[0] == "Table 2: interquartile mean (the mean of the middle half) over 300 episodes"
+    assert lines[2] == f"{'':23}{'this one':>29}{'paper, no RTA':>24}{'paper, RTA':>24}"
+    reward = f"{'2.0000 [1.2500, 3.0000]':>29}{'2.1486 [2.1444, 2.1527]':>24}{'2.0235 [2.0175, 2.0293]':>24}"
+    assert lines[4] == f"{'Total reward':23}{reward}"
+    assert lines[9] == "Table 3: mean safety violation, % of steps; PSM is passive safety"
+    assert lines[11] == f"{'Any constraint':23}{'0.040':>16}{'4.736':>16}{'0.215':>16}"
+    assert len(lines) == 3 + len(PAPER_METRICS) + 3 + len(PAPER_VIOLATIONS) + 3
     assert lines[-2] == "Outcomes: 75 % success, 25 % crash"
+
+
+def test_the_tables_fit_into_100_columns_where_numbers_are_long(results: Results) -> None:
+    results["metrics"]["delta_v_m_s"] = {"iqm": 1604.0, "ci95": [1598.0, 1610.0]}
+    results["metrics"]["reward"] = {"iqm": -109.8, "ci95": [-110.1, -109.2]}
+    results["metrics"]["episode_length_s"] = {"iqm": 12240.0, "ci95": [12240.0, 12240.0]}
+    results["violations_percent"] = dict.fromkeys(PAPER_VIOLATIONS, 100.0)
+    names = ("success", "crash", "out_of_bounds", "out_of_power", "timeout")
+    results["outcomes"] = dict.fromkeys(names, 0.2)
+    results["rta"] = {"period_s": 10.0, "intervention_percent": 100.0, "qp_failures": 1_000_000}
+    lines = tables(results).splitlines()
+    assert max(map(len, lines)) <= 100
+    for line in lines[3:8]:  # the columns stay apart
+        assert len(line.replace(", ", ",").replace(" [", "[").split()) >= 4
 
 
 def test_the_filter_is_named(results: Results) -> None:

@@ -32,7 +32,7 @@ def test_a_flight_holds_what_the_filter_met_in_the_later_half(
         experiment, lambda observation: 2.0 * torch.rand(len(observation), 6, generator=generator) - 1.0
     )
     assert flight.x.shape == (16, 80) and flight.desired.shape == (6, 80)  # ten calls of one step
-    result = experiment.filter(flight.x, flight.desired)  # every call, asked again
+    result = experiment.filter.correct(flight.x, flight.desired)  # every call, asked again
     unsafe = result.program_status > Status.UNTOUCHED
     assert sorted(part.desired.shape[1] for part in flight.programs) == sorted(unsafe.sum(1).tolist())
     assert "solve" not in vars(experiment.filter.solver)  # the filter itself is as it was

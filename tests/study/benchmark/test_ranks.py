@@ -1,4 +1,4 @@
-"""The measurements and the projection of docs/scaling.md."""
+"""The measurements and the projection of docs/guides/scaling.md."""
 
 import json
 from pathlib import Path

@@ -6,7 +6,7 @@ from inspection.guidance import natural_motion
 from study.config import Config, override
 from study.experiment import Experiment
 from study.experiment import test_cases as common_cases
-from study.flight.evaluation import METRICS, play_guidance
+from study.flight.evaluation import METRICS, play_controller
 from study.flight.simulation import simulate
 
 SETTINGS = {"inspection": {"max_time": 20.0}, "rta": {"qp_solver": "piqp"}}
@@ -16,7 +16,7 @@ SETTINGS = {"inspection": {"max_time": 20.0}, "rta": {"qp_solver": "piqp"}}
 def test_guidance_is_evaluated_as_it_is_simulated(rta: bool) -> None:
     config = override(Config(), SETTINGS | {"train": {"rta": rta, "device": "cpu"}}, "test")
     experiment, c = Experiment(config, 2, seconds=40.0), config.inspection
-    record = play_guidance(experiment, 2, 0)
+    record = play_controller("natural-motion", experiment, 2, 0)
     x, priority = common_cases(config, 2, 0)
     env = experiment.env(1, decide_every=1.0, report_every=1.0)
     for i in range(2):

@@ -22,7 +22,7 @@ from study.verification.starts import safe_set
 from tests.rta.test_constraints import PSM_TOLERANCE, paper, tensor
 from tests.test_main import STATE, assert_refused, call
 
-FILTERED = SafetyFilter.__call__
+FILTERED = SafetyFilter.correct
 UNCOMPILED = {"train": {"compile": "off", "device": "cpu"}}
 
 
@@ -34,7 +34,7 @@ def let_pass(self: SafetyFilter, x: torch.Tensor, desired: torch.Tensor) -> Filt
 @pytest.fixture
 def passing_through(monkeypatch: pytest.MonkeyPatch) -> None:
     """A filter that corrects nothing."""
-    monkeypatch.setattr(SafetyFilter, "__call__", let_pass)
+    monkeypatch.setattr(SafetyFilter, "correct", let_pass)
 
 
 def verified(
@@ -137,7 +137,7 @@ def test_simulate_reports_what_a_filter_that_corrects_nothing_lets_pass(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     assert simulated(tmp_path, capsys, {})[1] == []
-    monkeypatch.setattr(SafetyFilter, "__call__", let_pass)
+    monkeypatch.setattr(SafetyFilter, "correct", let_pass)
     run, violated = simulated(tmp_path, capsys, {})
     h = paper(states_of(run))
     assert "dynamic_speed" in violated

@@ -106,10 +106,19 @@ def test_a_tag_in_a_files_name_stays_text(flown_files: tuple[Path, Path], tmp_pa
     shutil.copy(flown_files[0], run)
     replay.write([str(run)], out)
     page = out.read_text(encoding="utf-8")
-    assert embedded(page)["runs"][0]["path"] == str(run)
+    assert embedded(page)["runs"][0]["name"] == run.name
     data = re.search(r'id="data">(.*?)</script>', page, re.DOTALL)
     assert data and "<" not in data[1]
     assert run.name not in page and "Replay of &lt;!--&lt;script&gt;.npz" in page
+
+
+def test_a_page_names_its_runs_without_their_folders(flown_files: tuple[Path, Path], tmp_path: Path) -> None:
+    out = tmp_path / "page.html"
+    replay.write([str(path) for path in flown_files], out, rows=5, report="../report.html")
+    page = out.read_text(encoding="utf-8")
+    assert str(flown_files[0].parent) not in page
+    assert "one.npz: one row in 6 is shown" in page
+    assert '<a href="../report.html">' in page
 
 
 def test_a_files_name_that_is_not_utf_8_is_shown_with_replacements(
@@ -124,7 +133,7 @@ def test_a_files_name_that_is_not_utf_8_is_shown_with_replacements(
     assert f"{tmp_path}/\ufffd.html: " in capsys.readouterr().out
     page = out.read_text(encoding="utf-8")
     assert "Replay of \ufffd.npz" in page
-    assert embedded(page)["runs"][0]["path"] == f"{tmp_path}/\ufffd.npz"
+    assert embedded(page)["runs"][0]["name"] == "\ufffd.npz"
 
 
 class Browser:

@@ -39,6 +39,7 @@ FILES = {
     "cross.json",
     "frequency.json",
     "guidance.json",
+    "baselines.json",
     "sunlight.json",
     "training.csv",
     "episode_no_rta.npz",

@@ -32,11 +32,12 @@ def test_everything_is_read(made_up_study: Path) -> None:
 
 
 def test_what_need_not_be_there_is_empty(study: Path) -> None:
-    for name in ("guidance", "sunlight", "frequency"):
+    for name in ("guidance", "sunlight", "frequency", "baselines"):
         (study / f"report/{name}.json").unlink(missing_ok=True)
     (study / "report/training.csv").write_text("interactions,arm,metric,iqm,low,high\n")
     found = inputs.read(study)
-    assert [found.guidance, found.sunlight, found.frequency, found.training] == [{}] * 4
+    empty = [found.guidance, found.sunlight, found.frequency, found.baselines, found.training]
+    assert empty == [{}] * 5
     assert list(found.columns) == list(ARMS)
 
 

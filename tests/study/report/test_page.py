@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 from jinja2 import UndefinedError
 
+from study.config import BASELINES
 from study.errors import InputError
 from study.paper import PAPER_METRICS, PAPER_VIOLATIONS, Estimate
 from study.report import figures, inputs, page, tables
@@ -138,7 +139,7 @@ def test_table_3(study: Path, reader: Reader) -> None:
             assert rows[published.label][3 * i : 3 * i + 3] == expected
 
 
-@pytest.mark.parametrize(("place", "name"), [(2, "frequency"), (3, "cross")])
+@pytest.mark.parametrize(("place", "name"), [(3, "frequency"), (4, "cross")])
 def test_other_evaluations(study: Path, reader: Reader, place: int, name: str) -> None:
     content = json.loads((study / f"report/{name}.json").read_text())
     if name == "cross":
@@ -159,6 +160,31 @@ def test_other_evaluations(study: Path, reader: Reader, place: int, name: str) -
         assert cells == expected
 
 
+def test_baselines_stand_below_the_agents(study: Path, text: str, reader: Reader) -> None:
+    """Each with the filter off and on."""
+    flown = [
+        (flyer, switch, results)
+        for name in ("cross", "baselines")
+        for flyer, switches in json.loads((study / f"report/{name}.json").read_text()).items()
+        for switch, results in switches.items()
+    ]
+    rows = reader.tables[2][1:]
+    assert [row[0] for row in rows[::2]] == ["agents, no RTA", "agents, RTA", *BASELINES]
+    for (_, switch, *cells), (_, expected, results) in zip(rows, flown, strict=True):
+        metrics = results["metrics"]
+        assert switch == expected
+        assert cells == [
+            f"{100 * results['outcomes']['success']:.1f}",
+            *(
+                f"{metrics[m]['iqm']:.{d}f} [{metrics[m]['ci95'][0]:.{d}f}, {metrics[m]['ci95'][1]:.{d}f}]"
+                for m, d in (("reward", 4), ("delta_v_m_s", 3), ("episode_length_s", 1))
+            ),
+            f"{results['violations_percent']['any']:.3f}",
+        ]
+    random = flown[-5][2]
+    assert f"random controls succeed in\n{100 * random['outcomes']['success']:.1f} %" in text
+
+
 def test_half_a_study(study: Path, tmp_path: Path) -> None:
     """One arm, whose training was too short for an evaluation, and no guidance."""
     half = tmp_path / "half"
@@ -168,11 +194,11 @@ def test_half_a_study(study: Path, tmp_path: Path) -> None:
         (content["arms"] if name == "results" else content).pop("rta")
         (half / f"{name}.json").write_text(json.dumps(content))
     (half / "report/training.csv").write_text("interactions,arm,metric,iqm,low,high\n")
-    for name in ("guidance.json", "frequency.json", "episode_rta.npz"):
+    for name in ("guidance.json", "frequency.json", "baselines.json", "episode_rta.npz"):
         (half / "report" / name).unlink()
     text = page.document(inputs.read(half))
     reader = Reader(text)
-    assert text.count('class="missing"') == 4  # arm, training curves, guidance, frequency
+    assert text.count('class="missing"') == 5  # arm, training curves, baselines, guidance, frequency
     assert len(reader.images) == 6
     assert {len(row) for row in reader.tables[0][1:]} == {4}
 
@@ -186,7 +212,7 @@ def test_what_files_say_stays_text(study: Path, tmp_path: Path) -> None:
     reader = Reader(text)
     assert not any(tag in text for tag in ("<i>", "<b>", "<s>"))
     assert "report/demonstration_<s>.npz" in reader.links
-    assert [row[5] for row in reader.tables[4][1:]] == ["<i>x</i>"] * 2
+    assert [row[5] for row in reader.tables[5][1:]] == ["<i>x</i>"] * 2
     assert "python main.py report --study &#39;" in text
 
 

@@ -49,6 +49,7 @@ def inputs(tmp_path: Path) -> Inputs:
         sunlight={},
         cross={name: {"off": evaluation(1.0), "on": own} for name, own in arms.items()},
         frequency={"1": arms["rta"], "5": evaluation(5.0), "10": evaluation(6.0)},
+        baselines={"random": {"off": evaluation(7.0), "on": evaluation(8.0)}},
         training={},
         episodes={},
         demonstrations={},
@@ -145,6 +146,11 @@ def test_files_hold_a_row_per_evaluation(inputs: Inputs) -> None:
         ("no_rta", "on", 2.0),
         ("rta", "off", 1.0),
         ("rta", "on", 3.0),
+    ]
+    baselines = rows(report / "baselines.csv")
+    assert [(row["controller"], row["filter"], float(row["reward_iqm"])) for row in baselines] == [
+        ("random", "off", 7.0),
+        ("random", "on", 8.0),
     ]
     assert [(row["period_s"], float(row["reward_high"])) for row in frequency] == [
         ("1", 4.0),

@@ -34,7 +34,7 @@ def lax() -> SafetyFilter:
 @functools.cache
 def six_episodes() -> Flight:
     """Six episodes of 60 s that decide every 10 s and are filtered every 5 s."""
-    safety = Safety(CONSTRAINTS, FILTER.values, None, lax(), 5.0)
+    safety = Safety(CONSTRAINTS, FILTER.values, None, lax().correct, 5.0)
     env = InspectionEnv(6, C, [torch.Generator().manual_seed(0)], safety, 10.0, 1.0)
     x, priority, _ = safe_set(6, 32, FILTER)
     x[13], x[14] = 9.9, 1.1
@@ -51,7 +51,7 @@ def recount(flight: Flight, column: int) -> dict[str, ndarray]:
         if second % 10 == 0:
             u = flight.desired[second, :, column : column + 1].numpy()
         if second % 5 == 0:
-            result = safety(tensor(x), tensor(u))
+            result = safety.correct(tensor(x), tensor(u))
             u = result.control.numpy()
             statuses.append(int(result.status))
             slacks.append(result.slack[:, 0].numpy())

@@ -1,7 +1,7 @@
 """An exported agent and the filter in the control loop of one spacecraft, and how long their calls take.
 
     python main.py export --checkpoint runs/reference/study/rta/seed0/policy.pt --out policy.onnx
-    python -m docs.control_loop policy.onnx
+    python -m docs.guides.control_loop policy.onnx
 
 Every 10 s the agent observes and decides, every second the filter corrects, in between the spacecraft flies. The agent
 runs in ONNX Runtime, the filter in PyTorch, both on one thread.
@@ -41,7 +41,7 @@ def control_loop(
     about = session.get_modelmeta().custom_metadata_map
     scale = torch.tensor([[component["scale"]] for component in json.loads(about["control"])]).double()
     decide = watch.timed("policy", session.run)
-    safety = replace(safety_filter.safety(), correct=watch.timed("filter", safety_filter))
+    safety = replace(safety_filter.safety(), correct=watch.timed("filter", safety_filter.correct))
     env = InspectionEnv(
         1,
         safety_filter.c,
@@ -63,7 +63,7 @@ def control_loop(
 
 
 def main(argv: list[str] | None = None) -> None:
-    parser = Parser(prog="python -m docs.control_loop")
+    parser = Parser(prog="python -m docs.guides.control_loop")
     parser.add_argument("policy", help="ONNX file")
     parser.add_argument("--seconds", type=positive_integer, default=1000, help="to fly (default: 1000)")
     parser.add_argument(

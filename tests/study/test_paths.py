@@ -1,0 +1,149 @@
+"""No command writes over what it reads, nor over a file of another kind."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import main
+from study.arguments import COMMANDS
+from study.errors import InputError
+from study.paths import KINDS, check_outputs, is_a
+from tests.test_main import STATE, call
+
+ROOT = Path(main.__file__).parent
+POLICY = ROOT / "runs/reference/study/rta/seed0/policy.pt"
+
+
+@pytest.fixture
+def files(tmp_path: Path) -> dict[str, Path]:
+    """An input of every kind."""
+    paths = {name: tmp_path / name for name in ("p.pt", "s.json", "u.npy", "x.npz", "c.toml", "r.npz")}
+    paths["p.pt"].write_bytes(POLICY.read_bytes())
+    paths["s.json"].write_text(json.dumps(STATE))
+    np.save(paths["u.npy"], np.zeros((20, 6)))
+    state = np.concatenate([np.ravel(value) for value in STATE.values()])
+    np.savez(paths["x.npz"], state=state[None], control_desired=np.zeros((1, 6)))
+    paths["c.toml"].write_text("[train]\nseed = 1\n")
+    paths["r.npz"].write_bytes((ROOT / "runs/reference/study/report/episode_rta.npz").read_bytes())
+    return paths
+
+
+ZERO = "simulate --controller zero --duration 10"
+OVERWRITING = [  # commands with the output left out, the flag that names it, and the input that it names
+    ("export --checkpoint p.pt", "--out", "p.pt"),
+    ("evaluate --checkpoint p.pt --episodes 1", "--json", "p.pt"),
+    ("evaluate --controller natural-motion --episodes 1 --config c.toml", "--json", "c.toml"),
+    ("simulate --controller policy --checkpoint p.pt --duration 10", "--out", "p.pt"),
+    ("simulate --controller policy --checkpoint p.pt --duration 10 --out o.npz", "--figure", "p.pt"),
+    (f"{ZERO} --initial-state s.json", "--out", "s.json"),
+    (f"{ZERO} --config c.toml --out o.npz", "--figure", "c.toml"),
+    ("simulate --controller recorded --actions u.npy --duration 10", "--out", "u.npy"),
+    ("filter --states x.npz", "--out", "x.npz"),
+    ("replay r.npz", "--out", "r.npz"),
+    ("verify --policy checkpoint:p.pt --episodes 1 --duration 10", "--json", "p.pt"),
+    ("verify --config c.toml --episodes 1 --duration 10", "--json", "c.toml"),
+    ("benchmark --batches 2 --json o.json", "--figure", "o.json"),
+    (f"{ZERO} --out o.npz", "--figure", "o.npz"),
+]
+
+
+@pytest.mark.parametrize("through", ["itself", "symbolic", "hard", "relative"])
+@pytest.mark.parametrize(("command", "flag", "name"), OVERWRITING)
+def test_an_output_that_is_an_input_is_refused(
+    command: str,
+    flag: str,
+    name: str,
+    through: str,
+    files: dict[str, Path],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    out = name
+    if through == "relative":
+        out = f"../{tmp_path.name}/{name}"
+    elif through != "itself" and name in files:
+        out = "link"
+        (os.symlink if through == "symbolic" else os.link)(name, out)
+    before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
+    code, _, err = call([*command.split(), flag, out], capsys)
+    assert (code, err.count("\n")) == (2, 1), err
+    assert err.startswith(f"error: {flag} {out}: is the file of ")
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
+
+
+def test_every_file_of_every_command_is_declared() -> None:
+    for name, command in COMMANDS.items():
+        for flag in command.flags:
+            if flag.options.get("metavar", "").startswith(("F", "G.", "RUN")):
+                assert flag.reads or flag.writes in KINDS, (name, flag.name)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_another_kind_of_file_is_not_replaced(kind: str, files: dict[str, Path]) -> None:
+    for path in files.values():
+        if not is_a(kind, path):
+            with pytest.raises(InputError, match=f"--out .* exists and is no {kind}; name another file|PNG"):
+                check_outputs({"--out": (str(path), kind)}, {})
+    fitting = [name for name, path in files.items() if is_a(kind, path)]
+    assert fitting == (["r.npz"] if kind == "run of simulate" else [])
+
+
+def test_the_same_kind_of_file_is_replaced(
+    files: dict[str, Path],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "empty").touch()
+    zero = f"{ZERO} --no-rta --out o.npz --figure o.png"
+    for command in (
+        zero,
+        "replay o.npz --out o.html",
+        "export --checkpoint p.pt --out o.onnx",
+        "filter --states x.npz --out f.npz",
+        f"{ZERO} --no-rta --out empty",
+    ):
+        for _ in range(2):
+            code, _, err = call(command.split(), capsys)
+            assert code == 0, err
+    kinds = {"o.npz": "run of simulate", "o.png": "figure in PNG format", "o.html": "replay"}
+    for name, kind in (kinds | {"o.onnx": "exported agent", "f.npz": "result of filter"}).items():
+        assert [each for each in KINDS if is_a(each, tmp_path / name)] == [kind]
+
+
+@pytest.mark.parametrize(
+    ("path", "kind"),
+    [
+        ("verification/random.json", "report of verify"),
+        ("benchmark.json", "benchmark"),
+        ("study/report/guidance.json", "evaluation"),
+        ("benchmark.png", "figure in PNG format"),
+    ],
+)
+def test_shipped_results_are_recognised(path: str, kind: str) -> None:
+    assert [each for each in KINDS if is_a(each, ROOT / "runs/reference" / path)] == [kind]
+
+
+def test_a_figure_has_the_name_of_its_format(capsys: pytest.CaptureFixture[str]) -> None:
+    code, _, err = call([*ZERO.split(), "--out", "o.npz", "--figure", "x.bogus"], capsys)
+    assert (code, err.count("\n")) == (2, 1)
+    assert "--figure x.bogus" in err and "x.png" in err
+
+
+def test_what_standard_output_is_redirected_to_is_no_file_to_be_kept(tmp_path: Path) -> None:
+    code = (
+        "from study.paths import check_outputs\n"
+        "print('a table', flush=True)\n"
+        "check_outputs({'--json': ('/dev/stdout', 'evaluation')}, {})\n"
+    )
+    with open(tmp_path / "out.txt", "w") as out:
+        done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, stdout=out, stderr=subprocess.PIPE)
+    assert done.returncode == 0, done.stderr

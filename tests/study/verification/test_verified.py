@@ -1,0 +1,171 @@
+"""What has been verified is silent; whatever else is said in one line, with commands that work."""
+
+import json
+import shlex
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from study.config import Config, StudyConfig, override
+from study.files import ROOT
+from study.verification import verified
+from study.verification.findings import empty_report
+from study.verification.verified import doubt, fingerprint
+from tests.test_main import call
+
+FAST = {"inspection": {"max_rate": 0.3}}
+
+
+@pytest.fixture(autouse=True)
+def elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A working directory without reports of its own."""
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def configured(tables: dict[str, Any]) -> Config:
+    return override(Config(), tables, "test")
+
+
+def put(config: Config, policy: str, **more: Any) -> None:
+    """A report of a person's own."""
+    campaign = {"policy": policy, "duration": 2000}
+    Path("runs/verification").mkdir(parents=True, exist_ok=True)
+    report = empty_report(campaign, config) | {"episodes": 1000} | more
+    Path(f"runs/verification/{policy}.json").write_text(json.dumps(report))
+
+
+@pytest.mark.parametrize(
+    "path", sorted((ROOT / "runs" / "reference").glob("[vf]*/*.json")), ids=lambda p: p.stem
+)
+def test_the_shipped_reports_hold_the_fingerprint_of_their_settings(path: Path) -> None:
+    report = json.loads(path.read_text())
+    assert report["fingerprint"] == fingerprint(override(Config(), report["config"], "test"))
+
+
+@pytest.mark.parametrize(
+    "tables",
+    [
+        {},
+        {"rta": {"qp_solver": "piqp"}},
+        {
+            "inspection": {
+                "points_reward": 2.0,
+                "num_points": 50,
+                "max_time": 500.0,
+                "initial_radius": [60.0, 200.0],
+            }
+        },
+        {"ppo": {"gamma": 0.9}, "train": {"seed": 3}},
+    ],
+)
+def test_what_changes_neither_plant_nor_filter_is_silent(tables: dict[str, Any]) -> None:
+    assert fingerprint(configured(tables)) == fingerprint(Config())
+    assert doubt(configured(tables), None, None) is None
+
+
+@pytest.mark.parametrize(
+    ("tables", "words"),
+    [
+        (FAST, ["not verified: [inspection] max_rate = 0.3 (verified: 0.0349066);"]),
+        ({"inspection": {"saturate_rates": False}}, ["saturate_rates = false (verified: true);"]),
+        ({"inspection": {"mass": 12.0000001}}, ["mass = 12.0000001 (verified: 12);"]),
+        ({"rta": {"battery_gains": [0.004, 0.2]}}, ["battery_gains = [0.004, 0.2] (verified: [0.004, 0.1])"]),
+        (FAST | {"rta": {"period": 5.0, "speed_gain": 0.4}}, ["max_rate = 0.3", ", 2 more differ;"]),
+        ({"rta": {"period": 5.0}}, ["not safe: [rta] period = 5 (verified: 1): 296 of 2,048 episodes"]),
+    ],
+)
+def test_what_differs_is_said_with_both_values(tables: dict[str, Any], words: list[str]) -> None:
+    line = doubt(configured(tables), None, None)
+    assert line and "\n" not in line and verified.PAGE in line
+    for word in words:
+        assert word in line
+
+
+@pytest.mark.parametrize(
+    ("more", "trusted"),
+    [
+        ({}, True),
+        ({"episodes": 999}, False),
+        ({"campaign": {"policy": "adversarial", "duration": 1999}}, False),
+        ({"campaign": {"policy": "checkpoint:x.pt", "duration": 2000}}, False),
+        ({"unsolved": 1}, False),
+        ({"violating_episodes": {"any": 1}}, False),
+    ],
+)
+def test_two_large_and_clean_campaigns_are_needed(more: dict[str, Any], trusted: bool) -> None:
+    config = configured(FAST)
+    put(config, "random")
+    assert doubt(config, None, None)
+    put(config, "adversarial", **more)
+    assert (doubt(config, None, None) is None) == trusted
+
+
+def test_violations_and_damaged_files_are_told_apart() -> None:
+    config = configured(FAST)
+    put(config, "random", violating_episodes={"any": 7})
+    for i, text in enumerate(("{", "[]", '{"config": 3}', '{"config": {"rta": {"colour": 1}}}')):
+        Path(f"runs/verification/{i}.json").write_text(text)
+    line = doubt(config, None, None)
+    assert line and "7 of 1,000 episodes behind this filter violated" in line
+    assert str(Path("runs/verification/random.json")) in line and "python main.py verify" not in line
+
+
+@pytest.mark.parametrize("of_a_study", [False, True])
+def test_the_printed_commands_verify_and_then_it_is_silent(
+    of_a_study: bool, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """From a file and a flag; a study's file has a table that `verify` passes over."""
+    base = StudyConfig() if of_a_study else Config()
+    own = {"inspection": {"min_energy": 0.9}, "train": {"device": "cpu", "compile": "off"}}
+    Path("own.toml").write_text(override(base, own, "test").to_toml())
+    simulate = ["simulate", "--controller", "zero", "--duration", "10", "--out", "x.npz"]
+    simulate += ["--solar-panel-axis=+x"]
+    if not of_a_study:
+        simulate += ["--config", "own.toml"]
+        code, _, err = call(simulate, capsys)
+    else:
+        line = doubt(
+            override(Config(), own | {"inspection": {"min_energy": 0.9, "solar_panel_axis": "+x"}}, "test"),
+            "own.toml",
+            None,
+        )
+        code, err = 0, f"{line}\n"
+    assert code == 0 and err.count("\n") == 1
+    made, *commands = err.split("verify it: ")[1].split(" && ")
+    assert made == "mkdir -p runs/verification" and len(commands) == 2
+    Path("runs/verification").mkdir(parents=True)
+    monkeypatch.setattr(verified, "EPISODES", 2)
+    monkeypatch.setattr(verified, "DURATION", 10)
+    monkeypatch.setattr("study.verification.campaign.BATCH", 16)
+    for command in commands:
+        words = shlex.split(command)
+        assert words[:2] == ["python", "main.py"]
+        small = ["--episodes", "2", "--duration", "10"]
+        code, out, err = call([*words[2:], *small], capsys)
+        assert code == 0, err
+        assert f"Written to {words[-1]}" in out
+    if not of_a_study:
+        assert call(simulate, capsys)[2] == ""
+
+
+def test_settings_of_a_checkpoint_come_from_the_file_above_it(elsewhere: Path) -> None:
+    config = configured(FAST)
+    seed = elsewhere / "a run" / "seed0"
+    seed.mkdir(parents=True)
+    line = doubt(config, None, seed / "policy.pt")
+    assert line and "python" not in line  # nothing leads to these settings
+    (seed.parent / "config.toml").write_text(config.to_toml())
+    line = doubt(config, None, seed / "policy.pt")
+    assert line and "--config 'a run/config.toml' --policy random" in line
+    (seed / "config.toml").write_text("no configuration")
+    line = doubt(config, None, seed / "policy.pt")
+    assert line and "python" not in line
+
+
+def test_without_the_filter_nothing_is_said(capsys: pytest.CaptureFixture[str]) -> None:
+    verified.say_unless_verified(configured(FAST | {"train": {"rta": False}}), None)
+    assert capsys.readouterr().err == ""
+    verified.say_unless_verified(configured(FAST), None)
+    assert capsys.readouterr().err.startswith("not verified: ")
