@@ -18,16 +18,16 @@ from study.progress import bar
 from study.training.charts import Charts
 from study.training.monitor import EPISODE, Monitor
 
-BAR = "{percentage:3.0f}%|{bar}| {n:,}/{total:,} interactions [{elapsed}<{remaining}, {rate_fmt}{postfix}]"
-BESIDE = (
-    "beside the bar: means over the episodes that ended last; violation: share of their steps that broke a "
-    "constraint"
+BAR = "{percentage:3.0f}%|{bar}| {n:,}/{total:,} [{elapsed}<{remaining}, {rate_noinv_fmt}{postfix}]"
+MEANING = (
+    "the bar counts interactions; beside it: means over the episodes that ended last, dv: delta v, violation: share of "
+    "their steps that broke a constraint"
 )
 # The episode's number and how it is written beside the bar
 LATEST = {
     "success_percent": "success {:.0f} %",
     "reward": "reward {:.2f}",
-    "delta_v_m_s": "delta v {:.1f} m/s",
+    "delta_v_m_s": "dv {:.1f} m/s",
     "violation_percent": "violation {:.1f} %",
 }
 
@@ -59,8 +59,8 @@ class Log:
         for charts in self.charts:
             charts.open(interactions)
         if interactions < total:
-            print(BESIDE, file=sys.stderr)
-        with bar(total, "interactions", initial=interactions, bar_format=BAR) as self.bar:
+            print(MEANING, file=sys.stderr)
+        with bar(total, "", initial=interactions, bar_format=BAR) as self.bar:
             yield
 
     def update(self, reports: Sequence[tuple[dict[str, float], Monitor]], interactions: int) -> None:

@@ -11,7 +11,7 @@ from typing import Any
 
 from ppo import checkpoint
 from ppo.distributed import RankLostError, ranks
-from ppo.files import temporary_beside
+from ppo.files import naming, temporary_beside
 from ppo.learner import PPO, NonFiniteError
 from ppo.trainer import Trainer
 from study import config as configuration
@@ -106,6 +106,7 @@ class Run:
         if self.experiment.compiled:
             compile_or_explain("learner", lambda: learner.compile(train.batch))
         self.trainer = Trainer(self.env, learner, train.rollout_steps, train.updates, generators)
+        self.last_save: dict[str, float] = {}  # statistics that the next update shows
 
     def __str__(self) -> str:
         """The first lines a person sees."""
@@ -185,21 +186,24 @@ class Run:
             )
 
     def after_update(self, statistics: dict[str, float]) -> None:
-        """Evaluates and checkpoints when due; logs the update."""
+        """Evaluates when due, logs the update, then checkpoints when due."""
         train = self.config.train
         statistics["time/filter_s"] = self.monitor.filter_seconds
         statistics["time/simulation_s"] = statistics["time/rollout_s"] - self.monitor.filter_seconds
-        for name, interval, action in (
-            ("time/evaluation_s", train.evaluation_interval, self.evaluate),
-            ("time/checkpoint_s", train.checkpoint_interval, self.save),
-        ):
-            if self.interactions % interval < train.batch:
-                started = time.perf_counter()
-                action()
-                statistics[name] = time.perf_counter() - started
+        statistics |= self.last_save
+        if self.due(train.evaluation_interval):
+            statistics["time/evaluation_s"] = seconds_of(self.evaluate)
         if reports := self.ranks.collect((statistics, self.monitor), self.device):
             self.log.update(reports, self.interactions)
         self.monitor.clear()
+        # last, so that a checkpoint knows what has been drawn
+        self.last_save = (
+            {"time/checkpoint_s": seconds_of(self.save)} if self.due(train.checkpoint_interval) else {}
+        )
+
+    def due(self, interval: int) -> bool:
+        """Whether the last update completed so many interactions, once more."""
+        return self.interactions % interval < self.config.train.batch
 
     def evaluate(self) -> None:
         """Periodic evaluation."""
@@ -231,6 +235,13 @@ class Run:
             episode_figure(episode, self.config.inspection, self.directory / "episode.png")
         written = f"Written to {self.directory}: policy.pt, evaluation.json, episode.png"
         return "\n".join((tables(results), written, after_training(self.directory)))
+
+
+def seconds_of(deed: Callable[[], None]) -> float:
+    """The wall-clock s that it takes."""
+    started = time.perf_counter()
+    deed()
+    return time.perf_counter() - started
 
 
 def settled_for_a_seed(config: AnyConfig) -> AnyConfig:
@@ -376,7 +387,8 @@ def resume(directory: Path, config: Config | None = None, seeds: Sequence[int] |
     if run.ranks.first:
         with run.naming_the_checkpoint():
             for file in run.written():  # what a kill left, which may be what fills the disk
-                temporary_beside(file).unlink(missing_ok=True)
+                with naming(file):
+                    temporary_beside(file).unlink(missing_ok=True)
             run.log.forget_evaluations_after(run.interactions)
             if moved:  # from here on, config.toml alone says so
                 write_text(directory / "config.toml", config.to_toml())

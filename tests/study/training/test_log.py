@@ -64,7 +64,7 @@ def test_an_update_is_shown_for_all_and_for_each_seed(tmp_path: Path) -> None:
     with log.open(0, 2 * BATCH):
         log.update(reports, BATCH)
         assert (log.bar.n, log.bar.total) == (BATCH, 2 * BATCH)
-        expected = "success 100 %, reward 3.00, delta v 3.0 m/s, violation 3.0 %"
+        expected = "success 100 %, reward 3.00, dv 3.0 m/s, violation 3.0 %"
         assert log.bar.postfix == expected
         quiet = Monitor(("near",))  # no episode ended: the bar keeps what it shows
         quiet.sums.update(steps=BATCH, violated=torch.tensor([0]))
