@@ -13,7 +13,7 @@ from study.flight import evaluation
 from study.flight.controllers import agent, classical, untrained
 from study.flight.evaluation import METRICS, play_controller
 from study.flight.simulation import simulate
-from study.training import run as training
+from study.training import session as training
 
 SETTINGS = {"inspection": {"max_time": 20.0}, "rta": {"qp_solver": "piqp"}}
 
