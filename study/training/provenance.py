@@ -20,6 +20,8 @@ PACKAGES = ("torch", "numpy", "piqp", "scipy", "tensorboard")
 
 def git_revision() -> str:
     """The commit of the source tree, marked if modified; "unknown" outside a repository."""
+    if not (ROOT / ".git").exists():  # installed, maybe below somebody else's repository
+        return "unknown"
     try:
         described = subprocess.run(
             ["git", "describe", "--always", "--dirty", "--abbrev=40"],

@@ -1,6 +1,7 @@
 """Rates count what they claim to count."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import torch
 from torch.utils.flop_counter import FlopCounterMode
@@ -29,14 +30,14 @@ def test_single_calls_meet_one_spacecraft_after_another(monkeypatch) -> None:
     monkeypatch.setattr(rates, "SINGLE_CALLS", 3)
     met: list[float] = []
 
-    def safety_filter(x: torch.Tensor, desired: torch.Tensor) -> None:
+    def correct(x: torch.Tensor, desired: torch.Tensor) -> None:
         assert x.shape == (16, 1) and desired.shape == (6, 1)
         assert x.is_contiguous() and desired.is_contiguous() and x[0, 0] == desired[0, 0]
         met.append(x[0, 0].item())
 
     number = torch.arange(4.0)
     flight = Flight(number.expand(16, -1), number.expand(6, -1), [])
-    latencies = rates.single_latencies(safety_filter, flight)
+    latencies = rates.single_latencies(SimpleNamespace(correct=correct), flight)
     assert met == [0.0, 1.0, 2.0, 3.0, 0.0]
     assert len(latencies) == 3 and latencies == sorted(latencies)
 
