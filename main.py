@@ -112,10 +112,9 @@ def run_evaluate(
 
     results = evaluation.run(configure, episodes, seed, checkpoint, controller)
     print(tables(results))
-    if json:
-        write_json(json, results)
-        print(f"Written to {json}")
     print(evaluation.how_to_watch(configure.words, checkpoint, controller))
+    if json:
+        write_json(json, results)  # last, since it may be the standard output
 
 
 def run_simulate(
