@@ -239,6 +239,8 @@ def run(
 def how_to_watch(words: str, checkpoint: str | None, controller: str | None) -> str:
     """The commands that show an episode of what `evaluate` flew; `words` are the flags of its settings."""
     who = f"policy --checkpoint {quote(checkpoint)}" if checkpoint else controller
+    if controller == "random":
+        who = "random --step 10"  # s, as it is evaluated
     return (
         f"Watch one: python main.py simulate --controller {who}{words} --duration {TYPICAL_EPISODE:.0f} --out run.npz "
         "&& python main.py replay run.npz --out run.html"

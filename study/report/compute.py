@@ -194,21 +194,20 @@ def evaluate(arm: Arm, rta: bool, period: float) -> Results:
 
 def baselines(config: Config) -> dict[str, dict[str, Results]]:
     """Every controller of BASELINES on the study's test cases, without filter and behind it."""
-    return {
-        name: {
-            switch: baseline(name, with_rta(config, rta, config.rta.period))
-            for switch, rta in (("off", False), ("on", True))
-        }
-        for name in BASELINES
+    episodes = config.train.final_episodes
+    experiments = {
+        switch: Experiment(with_rta(config, rta, config.rta.period).unsettled(), episodes)
+        for switch, rta in (("off", False), ("on", True))
     }
 
+    def flown(name: str, experiment: Experiment) -> Results:
+        record = play_controller(name, experiment, episodes, TEST_CASES)
+        return report(record, experiment.config, TEST_CASES)
 
-def baseline(name: str, config: Config) -> Results:
-    """One controller on the study's test cases."""
-    episodes = config.train.final_episodes
-    experiment = Experiment(config.unsettled(), episodes)
-    record = play_controller(name, experiment, episodes, TEST_CASES)
-    return report(record, experiment.config, TEST_CASES)
+    return {
+        name: {switch: flown(name, experiment) for switch, experiment in experiments.items()}
+        for name in BASELINES
+    }
 
 
 def guidance(config: Config) -> Results:
