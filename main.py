@@ -25,22 +25,23 @@ from pathlib import Path
 from ppo.checkpoint import CheckpointError
 from ppo.distributed import RankLostError, is_first, ranks
 from ppo.learner import NonFiniteError
-from study.arguments import Configure, build_parser, check_files, join_axis, parameters
+from study.command_line.arguments import Configure, build_parser, check_files, join_axis, parameters
 from study.config import TEST_CASES, Config, StudyConfig
 from study.errors import ExportError, InputError, ReplayError, in_one_line, refusing
 from study.files import write_json, write_npz, writing
 from study.threads import THREADS
 
-# A command's parameters are its flags: `study.arguments` has their help, limits and order. `configure` puts --config
-# and the other flags, those that set something, over a configuration.
+# A command's parameters are its flags, whose help, limits and order are in `study.command_line.arguments`. `configure`
+# puts --config and the other flags, those that set something, over a configuration.
 
 
 def run_train(
     configure: Configure, run_dir: str | None = None, init_from: str | None = None, resume: str | None = None
 ) -> None:
     """main.py train"""
-    from study.training import run as training
+    from study.training import session as training
     from study.training.provenance import recorded_threads
+    from study.training.run import Stopped
     from study.verification.verified import say_unless_verified
 
     if resume:
@@ -57,7 +58,7 @@ def run_train(
         say_unless_verified(run.config, run.directory / "config.toml")
         try:
             run.train()
-        except training.Stopped as stopped:
+        except Stopped as stopped:
             print(stopped)
             return
         if run.ranks.first:

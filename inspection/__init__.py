@@ -1,1 +1,37 @@
-"""The task: a deputy spacecraft inspects a passive chief, thousands of episodes as one batch of tensors."""
+"""The task: a deputy spacecraft inspects a passive chief, thousands of episodes as one batch of tensors.
+
+`InspectionEnv` plays it, with the constants of `InspectionParameters` and, if there is one, a filter (`Safety`). Who
+flies alone takes `sample_initial_state` and `step`, the motion of a second or so. A state's components are found by
+their names: x[P] is the position, x[Q] the attitude, see `inspection.state`; `rotate(x[Q], v)` turns a vector from
+body axes to Hill's frame, `rotate(conjugate(x[Q]), v)` back.
+"""
+
+from inspection.attitude import conjugate, rotate, unit
+from inspection.closed_loop import Correction, Safety
+from inspection.dynamics import step
+from inspection.environment import InspectionEnv, Transition
+from inspection.initial_state import sample_initial_state
+from inspection.parameters import InspectionParameters
+from inspection.state import OMEGA, THETA_S, THRUST, TORQUE, E, P, Q, T, V
+
+__all__ = [
+    "OMEGA",
+    "THETA_S",
+    "THRUST",
+    "TORQUE",
+    "Correction",
+    "E",
+    "InspectionEnv",
+    "InspectionParameters",
+    "P",
+    "Q",
+    "Safety",
+    "T",
+    "Transition",
+    "V",
+    "conjugate",
+    "rotate",
+    "sample_initial_state",
+    "step",
+    "unit",
+]

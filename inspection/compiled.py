@@ -16,9 +16,7 @@ from zipfile import ZipFile
 
 import torch
 from torch import Tensor
-from torch._functorch.compile_utils import fx_graph_cse
 from torch.fx import GraphModule, Node
-from torch.fx.experimental.proxy_tensor import make_fx
 
 SIZES = (16, 256)  # of a chunk: for few spacecraft, for many; a CPU's caches hold the latter
 WORTH_A_THREAD = 3e-4  # s of computing that repay handing a chunk to a thread, which waits for Python's lock
@@ -136,6 +134,8 @@ def traced(
 
     Nested forward-mode differentiation is most of the time of a call for few columns; make_fx does it once.
     """
+    from torch.fx.experimental.proxy_tensor import make_fx  # a second that a command without it need not wait
+
     pure = torch.func.functionalize(function, remove="mutations")  # which would hide common subexpressions
     with torch.no_grad():
         return without_repetitions(make_fx(pure, decomposition_table=decompositions or {})(*examples))
@@ -143,6 +143,8 @@ def traced(
 
 def without_repetitions(graph: GraphModule) -> GraphModule:
     """The graph with equal constants and common subexpressions computed once: several constraints begin alike."""
+    from torch._functorch.compile_utils import fx_graph_cse
+
     seen: dict[tuple[Any, ...], Node] = {}
     for node in graph.graph.find_nodes(op="get_attr"):
         constant = getattr(graph, node.target)

@@ -1,6 +1,22 @@
-"""The task for learners from elsewhere: importing this registers Inspection6DoF-v0 with Gymnasium."""
+"""The task for learners from elsewhere: importing this registers Inspection6DoF-v0 with Gymnasium.
 
-import gymnasium
+`VectorInspection6DoF` is the batch of episodes, `Inspection6DoF` one of them; `VectorRunTimeAssurance` and
+`RunTimeAssurance` put the filter between actions and actuators. For Stable-Baselines3 there is
+`interfaces.stable_baselines`.
+"""
+
+try:
+    import gymnasium
+except ModuleNotFoundError as error:
+    if error.name != "gymnasium":
+        raise
+    raise ImportError("interfaces needs Gymnasium: pip install gymnasium") from None
+
+from interfaces.environment import Inspection6DoF
+from interfaces.safety import RunTimeAssurance, VectorRunTimeAssurance
+from interfaces.vector import VectorInspection6DoF
+
+__all__ = ["Inspection6DoF", "RunTimeAssurance", "VectorInspection6DoF", "VectorRunTimeAssurance"]
 
 gymnasium.register(
     "Inspection6DoF-v0",

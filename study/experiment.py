@@ -8,7 +8,6 @@ from pathlib import Path
 
 import torch
 from torch import Tensor
-from torch._inductor.cpp_builder import get_cpp_compiler
 
 from inspection.environment import InspectionEnv, clocks_of
 from inspection.initial_state import InitialStates
@@ -173,8 +172,10 @@ def wants_compile(choice: str, repaid: bool) -> bool:
 @functools.cache
 def finds_compiler() -> bool:
     """Whether there is a C++ compiler; if not, says so, once."""
+    from torch._inductor import cpp_builder  # a second that a command without it need not wait
+
     try:
-        get_cpp_compiler()
+        cpp_builder.get_cpp_compiler()
     except Exception as error:  # no compiler, or a broken one: PyTorch's exceptions differ by version
         print(
             f"no C++ compiler was found ({type(error).__name__}); uncompiled, this is slower", file=sys.stderr

@@ -20,9 +20,9 @@ import pytest
 import torch
 
 import main
-from study.arguments import COMMANDS
+from study.command_line.arguments import COMMANDS
+from study.command_line.flags import Flag
 from study.config import StudyConfig
-from study.flags import Flag
 from tests.test_main import STATE
 
 ROOT = Path(main.__file__).parent
@@ -52,7 +52,7 @@ BASES = (
     "verify --replay x.npz",
     "report --study directory",
     "study --config c.toml --study-dir study --seeds 1",
-    "benchmark --batches 2,x",
+    "benchmark --batches 2,x --json directory",
 )
 TEXTS = (
     *(

@@ -16,9 +16,9 @@ from inspection.environment import METRICS
 from rta.constraints import CONSTRAINTS
 from rta.filter import SOLVERS
 from study import experiment
-from study.arguments import build_parser, resolve
+from study.command_line.arguments import build_parser, resolve
 from study.config import Config, from_toml, override
-from study.training import run as training
+from study.training import session as training
 
 STATE: dict[str, Any] = {
     "position": [60.0, 10.0, -20.0],

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import main
-from study.arguments import COMMANDS, build_parser, join_axis
+from study.command_line.arguments import COMMANDS, build_parser, join_axis
 from study.paper import PAPER_METRICS, PAPER_VIOLATIONS, Estimate
 
 ROOT = Path(main.__file__).parent

@@ -20,7 +20,7 @@ from inspection.parameters import InspectionParameters
 from rta.filter import SafetyFilter
 from rta.parameters import RtaParameters
 from study.benchmark.timing import Stopwatch
-from study.flags import Parser, positive_integer
+from study.command_line.flags import Parser, positive_integer
 
 
 def load(path: str) -> onnxruntime.InferenceSession:

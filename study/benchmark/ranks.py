@@ -22,9 +22,9 @@ from ppo.distributed import ranks
 from ppo.rollout import collect
 from study import config as configuration
 from study.benchmark.timing import typical_seconds
+from study.command_line.flags import Parser
 from study.config import Config
 from study.files import ROOT, write_json
-from study.flags import Parser
 from study.training.provenance import provenance
 from study.training.run import Run
 

@@ -18,7 +18,7 @@ from inspection.termination import OUTCOMES
 from ppo.network import Policy
 from rta.constraints import CONSTRAINTS
 from rta.qp import Status
-from study.arguments import Configure
+from study.command_line.arguments import Configure
 from study.config import Config
 from study.experiment import TYPICAL_EPISODE, Experiment, load_policy, test_cases
 from study.flight.controllers import agent, classical, untrained

@@ -12,7 +12,7 @@ from inspection.environment import InspectionEnv
 from inspection.termination import terminal_conditions
 from ppo.network import Policy
 from rta.qp import Status
-from study.arguments import Configure
+from study.command_line.arguments import Configure
 from study.config import TEST_CASES, Config
 from study.errors import InputError
 from study.experiment import Experiment, check_clocks, load_policy, test_cases

@@ -129,16 +129,14 @@ def work(study: Path, arms: dict[str, Arm]) -> Work:
     periods = ", ".join(f"{period:g}" for period in PERIODS)
     filtered = f"the agents trained with RTA, the filter called every {periods} s, a few minutes"
     guided = f"the natural-motion guidance with RTA over {GUIDANCE_CASES:,} cases, a few minutes"
+    untrained = f"what is not trained ({', '.join(BASELINES)}), a few minutes"
     lit = partial(shortest_episodes, config, config.train.final_episodes, TEST_CASES)
     todo: Work = {
         "cross.json": ("every agent with the filter off and on, a few minutes", partial(cross, arms))
     }
     if "rta" in arms:
         todo["frequency.json"] = (filtered, partial(frequency, arms["rta"]))
-    todo["baselines.json"] = (
-        f"what is not trained ({', '.join(BASELINES)}), a few minutes",
-        partial(baselines, config),
-    )
+    todo["baselines.json"] = (untrained, partial(baselines, config))
     todo["guidance.json"] = (guided, partial(guidance, config))
     todo["sunlight.json"] = ("when the Sun has lit enough of the chief, seconds", lit)
     for name, arm in arms.items():

@@ -20,15 +20,8 @@ from study.paper import tables
 from study.training.commands import command
 from study.training.lock import alone_in
 from study.training.provenance import write_settings
-from study.training.run import (
-    Run,
-    Stopped,
-    check_minibatch,
-    create,
-    on_signal,
-    resume,
-    settled_for_a_seed,
-)
+from study.training.run import Run, Stopped, on_signal, settled_for_a_seed
+from study.training.session import check_minibatch, create, resume
 
 LEFT_BY_A_KILL = ("provenance.json", "provenance.json.tmp", "config.toml.tmp")  # at the start
 

@@ -167,18 +167,18 @@ def difference(config: Config, flown: list[Flown]) -> str:
     if not differing:
         return "no configuration has been verified here"
     name, value, other = differing[0]
-    texts = in_toml(value, 6), in_toml(other, 6)
+    texts = [in_toml(each, "{:g}") for each in (value, other)]
     if texts[0] == texts[1]:
-        texts = in_toml(value, 17), in_toml(other, 17)
+        texts = [in_toml(each, "{!r}") for each in (value, other)]
     more = f", {len(differing) - 1} more differ" if len(differing) > 1 else ""
     return f"{name} = {texts[0]} (verified: {texts[1]}){more}"
 
 
-def in_toml(value: Any, digits: int) -> str:
-    """A value nearly as a configuration file has it."""
+def in_toml(value: Any, number: str) -> str:
+    """A value as a configuration file has it, its numbers in the given format."""
     if isinstance(value, tuple):
-        return f"[{', '.join(in_toml(each, digits) for each in value)}]"
-    return f"{value:.{digits}g}" if isinstance(value, float) else json.dumps(value)
+        return f"[{', '.join(in_toml(each, number) for each in value)}]"
+    return number.format(value) if isinstance(value, float) else json.dumps(value)
 
 
 def source_of(config: Config, file: str | Path | None, checkpoint: str | Path | None) -> str | None:

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import torch
 from torch import Tensor
+from torch._inductor import cpp_builder
 from torch.fx.experimental.proxy_tensor import make_fx
 
 from inspection import compiled
@@ -122,7 +123,7 @@ def test_without_a_compiler_nothing_is_compiled_and_one_line_says_so(
     def missing() -> str:
         raise RuntimeError
 
-    monkeypatch.setattr(experiment, "get_cpp_compiler", missing)
+    monkeypatch.setattr(cpp_builder, "get_cpp_compiler", missing)
     experiment.finds_compiler.cache_clear()
     try:
         assert not experiment.wants_compile("on", True)

@@ -25,7 +25,7 @@ from ppo.learner import NonFiniteError
 from study import config as configuration
 from study.config import Config, StudyConfig
 from study.errors import InputError
-from study.training import run as training
+from study.training import session as training
 from study.training import shards
 
 ROOT = Path(main.__file__).parent

@@ -1,27 +1,49 @@
-"""Evaluation of classical guidance against the simulation of a single spacecraft."""
+"""Evaluation of what is not trained, against the simulation of a single spacecraft."""
+
+from pathlib import Path
+from typing import Any
 
 import pytest
+import torch
 
-from inspection.guidance import natural_motion
 from study.config import Config, override
 from study.experiment import Experiment
 from study.experiment import test_cases as common_cases
+from study.flight import evaluation
+from study.flight.controllers import agent, classical, untrained
 from study.flight.evaluation import METRICS, play_controller
 from study.flight.simulation import simulate
+from study.training import session as training
 
 SETTINGS = {"inspection": {"max_time": 20.0}, "rta": {"qp_solver": "piqp"}}
 
 
-@pytest.mark.parametrize("rta", [False, True])
-def test_guidance_is_evaluated_as_it_is_simulated(rta: bool) -> None:
+def experiment_of(rta: bool, episodes: int) -> Experiment:
     config = override(Config(), SETTINGS | {"train": {"rta": rta, "device": "cpu"}}, "test")
-    experiment, c = Experiment(config, 2, seconds=40.0), config.inspection
-    record = play_controller("natural-motion", experiment, 2, 0)
+    return Experiment(config, episodes, seconds=20.0 * episodes)
+
+
+@pytest.mark.parametrize(
+    ("name", "every", "rta"),
+    [
+        ("natural-motion", 1.0, False),
+        ("natural-motion", 1.0, True),
+        ("zero", 10.0, False),
+        ("untrained", 10.0, False),
+    ],
+)
+def test_a_baseline_is_evaluated_as_it_is_simulated(name: str, every: float, rta: bool) -> None:
+    experiment = experiment_of(rta, 2)
+    config = experiment.config
+    c = config.inspection
+    record = play_controller(name, experiment, 2, 0)
     x, priority = common_cases(config, 2, 0)
-    env = experiment.env(1, decide_every=1.0, report_every=1.0)
+    env = experiment.env(1, decide_every=every, report_every=1.0)
+    policy = untrained(experiment, 0)
     for i in range(2):
         case = x[:, i : i + 1], priority[:, i : i + 1]
-        flight = simulate(env, natural_motion(c), *case, c.max_time)
+        controller = agent(policy, env) if name == "untrained" else classical(name, config, 0)
+        flight = simulate(env, controller, *case, c.max_time)
         control = abs(flight["control_applied"][:-1])  # the last row repeats the one before it
         expected = {
             "inspected_score": flight["inspected_score"][-1],
@@ -30,5 +52,55 @@ def test_guidance_is_evaluated_as_it_is_simulated(rta: bool) -> None:
             "torque_n_m": control[:, 3:].sum() / c.action_period,
         }
         metrics = dict(zip(METRICS, record.metrics[:, i].tolist(), strict=True))
-        assert {name: metrics[name] for name in expected} == pytest.approx(expected, rel=1e-9)
+        assert {name: metrics[name] for name in expected} == pytest.approx(expected, rel=1e-6)
+        assert name == "zero" or metrics["delta_v_m_s"] > 0.0
     assert record.filter_calls.tolist() == [c.max_time * rta] * 2
+
+
+def test_random_controls_are_the_seeds_and_held_for_an_action(monkeypatch: pytest.MonkeyPatch) -> None:
+    experiment = experiment_of(False, 50)
+    drawn: list[torch.Tensor] = []
+    rand = torch.rand
+
+    def recorded(*shape: Any, **more: Any) -> torch.Tensor:
+        drawn.append(rand(*shape, **more))
+        return drawn[-1]
+
+    records = []
+    for seed in (0, 0, 1):
+        with monkeypatch.context() as patch:
+            patch.setattr(torch, "rand", recorded)
+            drawn.clear()
+            records.append(play_controller("random", experiment, 50, seed))
+            controls = [part for part in drawn if tuple(part.shape) == (6, 50)]
+            drawn.clear()
+            common_cases(experiment.config, 50, seed)
+            starts = torch.cat([part.flatten() for part in drawn])
+        assert len(controls) == 2  # 20 s, an action holds 10 s
+        assert not torch.isin(torch.cat(controls), starts).any()
+    first, again, other = (record.metrics[METRICS.index("delta_v_m_s")] for record in records)
+    assert torch.equal(first, again) and not torch.equal(first, other)
+    assert first.mean().item() == pytest.approx(20.0 * 3 * 0.5 / 12.0, rel=0.1)  # all of them fly for 20 s
+
+
+def test_an_untrained_policy_is_the_one_that_training_begins_with(tmp_path: Path) -> None:
+    train = {"seed": 7, "num_envs": 2, "rollout_steps": 2, "interactions": 4, "device": "cpu", "rta": False}
+    tables = {"train": train, "ppo": {"minibatch_size": 4}}
+    begun = training.start(override(Config(), tables, "test"), tmp_path / "run")
+    ours = untrained(begun.experiment, 7).state_dict()
+    for name, weights in begun.policy.state_dict().items():
+        assert torch.equal(ours[name], weights), name
+
+
+def test_the_bar_counts_episodes_and_shows_the_time_simulated(monkeypatch: pytest.MonkeyPatch) -> None:
+    bars, bar = [], evaluation.bar
+
+    def kept(*arguments: Any, **options: Any) -> Any:
+        bars.append(bar(*arguments, **options))
+        return bars[-1]
+
+    monkeypatch.setattr(evaluation, "bar", kept)
+    play_controller("zero", experiment_of(False, 3), 3, 0)
+    (shown,) = bars
+    assert (shown.n, shown.total, shown.desc) == (3, 3, "flying 3 test cases")
+    assert shown.postfix == "20 s simulated"

@@ -10,7 +10,7 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 import main
 from rta.constraints import CONSTRAINTS
 from study import config as configuration
-from study.training import run as training
+from study.training import session as training
 from study.training.charts import Charts
 
 PAGE = Path(main.__file__).parent / "docs" / "reference" / "tensorboard.md"

@@ -16,7 +16,8 @@ from ppo import checkpoint
 from ppo.learner import NonFiniteError
 from study import config as configuration
 from study.config import Config, StudyConfig, StudyParameters
-from study.training import run as training
+from study.training import session as training
+from study.training.run import Stopped
 
 MAIN = Path(__file__).parents[3] / "main.py"
 
@@ -64,7 +65,7 @@ def test_interrupted_and_resumed_equals_uninterrupted(tmp_path: Path, rta: bool)
 
     first = training.start(config, tmp_path / "parts")
     stop_after(first, 1 if rta else 3)
-    with pytest.raises(training.Stopped, match="--resume"):
+    with pytest.raises(Stopped, match="--resume"):
         first.train()
     second = training.resume(tmp_path / "parts")
     assert second.trainer.update == (1 if rta else 3)

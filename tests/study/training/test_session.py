@@ -22,7 +22,7 @@ from study import config as configuration
 from study.errors import InputError
 from study.experiment import load_policy
 from study.training import lock, provenance
-from study.training import run as training
+from study.training import session as training
 
 ROOT = Path(main.__file__).parent
 SETTINGS = """
@@ -148,7 +148,7 @@ import os, signal, subprocess, sys, time
 import torch
 import main
 from pathlib import Path
-from study.training import run as training
+from study.training import session as training
 
 torch.set_num_threads(1)
 settings, directory = sys.argv[1:]

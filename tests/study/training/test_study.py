@@ -19,7 +19,8 @@ from study import config as configuration
 from study.config import StudyConfig
 from study.flight.summary import stratified_summary
 from study.training import study as arms
-from study.training.run import RESUMABLE, Run, start
+from study.training.run import Run
+from study.training.session import RESUMABLE, start
 
 SEEDS = (5, 6, 7)
 SETTINGS = """

@@ -63,6 +63,33 @@ def test_starts_beyond_braking_are_told_apart(monkeypatch: pytest.MonkeyPatch) -
     assert report["upper_bound_95"] == pytest.approx(1 - 0.05 ** (1 / 12))
 
 
+def test_progress_is_told_every_second(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also of a violation, from the second on at which it is planted."""
+    values = InspectionEnv.constraint_values
+    seconds = iter(range(1000))
+
+    def planted(env: InspectionEnv, x: Tensor) -> Tensor:
+        h = values(env, x)
+        if next(seconds) >= 5:
+            h[0, 0] = -1.0
+        return h
+
+    monkeypatch.setattr(InspectionEnv, "constraint_values", planted)
+    told: list[tuple[float, int, int]] = []
+    campaign = Campaign("random", 1.0, 10, 0, 64)
+    list(run(campaign, 4, EXPERIMENT, None, None, lambda *now: told.append(now)))
+    assert [flown for flown, _, _ in told] == pytest.approx([0.4 * second for second in range(1, 11)])
+    assert [violating for _, violating, _ in told] == [0] * 4 + [1] * 6
+    assert {begun for _, _, begun in told} == {4}
+
+
+def test_a_duration_that_does_not_fit_is_refused_before_anything_is_built(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("study.verification.campaign.Experiment", lambda *_, **__: pytest.fail("built"))
+    assert_refused(["verify", "--duration", "25", "--rta-period", "10"], ["--duration 25", "10 s"], capsys)
+
+
 def test_a_retrained_policy_is_another_campaign() -> None:
     policies = [make_policy(Config(), [torch.Generator().manual_seed(seed)]) for seed in (0, 0, 1)]
     first, same, other = (digest(policy) for policy in policies)

@@ -11,7 +11,7 @@ import pytest
 from rta.constraints import CONSTRAINTS
 from rta.filter import SafetyFilter
 from study.files import ROOT
-from study.verification import campaign
+from study.verification import campaign, findings
 from study.verification.starts import initial_states
 from tests.rta.test_rows import FILTER
 from tests.test_main import assert_refused, call
@@ -162,3 +162,40 @@ def test_what_is_no_report_is_refused(text: str, tmp_path: Path, capsys: pytest.
     path = tmp_path / "report.json"
     path.write_text(text)
     assert_refused(verify(path), [str(path), "no report"], capsys)
+
+
+def test_the_text_fits_into_100_columns(finished: Path, tmp_path: Path) -> None:
+    """With numbers as they are after many episodes, and all that can stand beside them."""
+    report = json.loads(finished.read_text())
+    large = {name: 123_456_789 for name in (*CONSTRAINTS, "any")}
+    report |= {
+        "violating_steps": large,
+        "violating_episodes": large,
+        "worst_value": dict.fromkeys(CONSTRAINTS, -1.2345e-123),
+        "yielded_calls": large,
+        "steps": 10**12,
+        "episodes": 10**9,
+        "unsolved": 10**9,
+        "filter_calls": dict.fromkeys(report["filter_calls"], 10**12),
+        "slack_together": {"all": {"calls": 10**8, "largest_slack": dict.fromkeys(CONSTRAINTS, 1.2e-123)}},
+    }
+    report["starts_beyond_braking"] |= {
+        name: report[name] for name in ("violating_steps", "violating_episodes", "worst_value")
+    }
+    lines = findings.table(report).splitlines()
+    assert max(map(len, lines)) <= 100
+    assert sum("angular_velocity_z" in line for line in lines) == 3  # nothing is cut off
+
+
+def test_what_next_names_the_report_and_a_counter_example(finished: Path, tmp_path: Path) -> None:
+    report, path = json.loads(finished.read_text()), tmp_path / "my report.json"
+    assert findings.what_next(report, path).splitlines() == [
+        f"Written to {path}; a larger --episodes goes on from there"
+    ]
+    assert "--json F keeps" in findings.what_next(report, None)
+    report["violating_episodes"]["battery"] = 1
+    Path(f"{path}.battery.npz").touch()
+    assert findings.what_next(report, path).splitlines()[1:] == [
+        f"Counter-examples, the worst episodes: {path}.CONSTRAINT.npz of battery",
+        f"Fly one again: python main.py verify --replay '{path}.battery.npz'",
+    ]

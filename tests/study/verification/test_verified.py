@@ -12,7 +12,7 @@ from study.files import ROOT
 from study.verification import verified
 from study.verification.findings import empty_report
 from study.verification.verified import doubt, fingerprint
-from tests.test_main import call
+from tests.test_main import assert_refused, call
 
 FAST = {"inspection": {"max_rate": 0.3}}
 
@@ -70,7 +70,7 @@ def test_what_changes_neither_plant_nor_filter_is_silent(tables: dict[str, Any])
     [
         (FAST, ["not verified: [inspection] max_rate = 0.3 (verified: 0.0349066);"]),
         ({"inspection": {"saturate_rates": False}}, ["saturate_rates = false (verified: true);"]),
-        ({"inspection": {"mass": 12.0000001}}, ["mass = 12.0000001 (verified: 12);"]),
+        ({"inspection": {"mass": 12.0000001}}, ["mass = 12.0000001 (verified: 12.0);"]),
         ({"rta": {"battery_gains": [0.004, 0.2]}}, ["battery_gains = [0.004, 0.2] (verified: [0.004, 0.1])"]),
         (FAST | {"rta": {"period": 5.0, "speed_gain": 0.4}}, ["max_rate = 0.3", ", 2 more differ;"]),
         ({"rta": {"period": 5.0}}, ["not safe: [rta] period = 5 (verified: 1): 296 of 2,048 episodes"]),
@@ -112,26 +112,15 @@ def test_violations_and_damaged_files_are_told_apart() -> None:
     assert str(Path("runs/verification/random.json")) in line and "python main.py verify" not in line
 
 
-@pytest.mark.parametrize("of_a_study", [False, True])
 def test_the_printed_commands_verify_and_then_it_is_silent(
-    of_a_study: bool, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """From a file and a flag; a study's file has a table that `verify` passes over."""
-    base = StudyConfig() if of_a_study else Config()
+    """From a file and a flag, with campaigns of two episodes."""
     own = {"inspection": {"min_energy": 0.9}, "train": {"device": "cpu", "compile": "off"}}
-    Path("own.toml").write_text(override(base, own, "test").to_toml())
+    Path("own.toml").write_text(configured(own).to_toml())
     simulate = ["simulate", "--controller", "zero", "--duration", "10", "--out", "x.npz"]
-    simulate += ["--solar-panel-axis=+x"]
-    if not of_a_study:
-        simulate += ["--config", "own.toml"]
-        code, _, err = call(simulate, capsys)
-    else:
-        line = doubt(
-            override(Config(), own | {"inspection": {"min_energy": 0.9, "solar_panel_axis": "+x"}}, "test"),
-            "own.toml",
-            None,
-        )
-        code, err = 0, f"{line}\n"
+    simulate += ["--config", "own.toml", "--solar-panel-axis=+x"]
+    code, _, err = call(simulate, capsys)
     assert code == 0 and err.count("\n") == 1
     made, *commands = err.split("verify it: ")[1].split(" && ")
     assert made == "mkdir -p runs/verification" and len(commands) == 2
@@ -140,14 +129,18 @@ def test_the_printed_commands_verify_and_then_it_is_silent(
     monkeypatch.setattr(verified, "DURATION", 10)
     monkeypatch.setattr("study.verification.campaign.BATCH", 16)
     for command in commands:
-        words = shlex.split(command)
-        assert words[:2] == ["python", "main.py"]
-        small = ["--episodes", "2", "--duration", "10"]
-        code, out, err = call([*words[2:], *small], capsys)
+        python, program, *words = shlex.split(command)
+        assert (python, program) == ("python", "main.py")
+        code, out, err = call([*words, "--episodes", "2", "--duration", "10"], capsys)
         assert code == 0, err
         assert f"Written to {words[-1]}" in out
-    if not of_a_study:
-        assert call(simulate, capsys)[2] == ""
+    assert call(simulate, capsys)[2] == ""
+
+
+def test_verify_passes_over_the_table_of_a_study(capsys: pytest.CaptureFixture[str]) -> None:
+    Path("study.toml").write_text(StudyConfig().to_toml())
+    words = ["--config", "study.toml", "--rta-period", "10", "--duration", "25"]
+    assert_refused(["verify", *words], ["--duration 25", "10 s"], capsys)
 
 
 def test_settings_of_a_checkpoint_come_from_the_file_above_it(elsewhere: Path) -> None:

@@ -10,9 +10,7 @@ from typing import Any
 from inspection.parameters import AXES
 from rta.parameters import QP_SOLVERS
 from study import config as configuration
-from study.config import BASELINES, AnyConfig, StudyConfig
-from study.errors import InputError
-from study.flags import (
+from study.command_line.flags import (
     CHECKPOINT,
     Command,
     Flag,
@@ -28,7 +26,9 @@ from study.flags import (
     verified_policy,
     written,
 )
-from study.paths import check_inputs, check_outputs
+from study.command_line.paths import check_inputs, check_outputs
+from study.config import BASELINES, AnyConfig, StudyConfig
+from study.errors import InputError
 
 # What flags can set, and its value where nothing does: --config, and each key as "table.key".
 SETTINGS = {"config": None} | {

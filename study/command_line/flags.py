@@ -84,7 +84,7 @@ class Flag:
         text: of --help, which goes on with the default, unless the text has it or a {} for it.
         sets: the setting it reaches, as "table.key"; without one, the parameter of the command's function by its name.
         alone: what it names, if that holds all settings, so that no other flag is allowed beside it but those `beside`.
-        reads: it names a file that is read; writes: one that is written, which of `study.paths.KINDS`.
+        reads: it names a file that is read; writes: one that is written, which of `study.command_line.paths.KINDS`.
         options: what else `add_argument` takes: type, choices, metavar, ...
     """
 
@@ -130,5 +130,5 @@ read = partial(Flag, reads=True, metavar="F")
 
 
 def written(kind: str, name: str, text: str, metavar: str = "F") -> Flag:
-    """A flag for a file of one of `study.paths.KINDS` that is written."""
+    """A flag for a file of one of `study.command_line.paths.KINDS` that is written."""
     return Flag(name, text, writes=kind, metavar=metavar)

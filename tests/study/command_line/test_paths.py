@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 import main
-from study.arguments import COMMANDS
+from study.command_line.arguments import COMMANDS
+from study.command_line.paths import KINDS, check_outputs, is_a
 from study.errors import InputError
-from study.paths import KINDS, check_outputs, is_a
 from tests.test_main import STATE, call
 
 ROOT = Path(main.__file__).parent
@@ -140,7 +140,7 @@ def test_a_figure_has_the_name_of_its_format(capsys: pytest.CaptureFixture[str])
 
 def test_what_standard_output_is_redirected_to_is_no_file_to_be_kept(tmp_path: Path) -> None:
     code = (
-        "from study.paths import check_outputs\n"
+        "from study.command_line.paths import check_outputs\n"
         "print('a table', flush=True)\n"
         "check_outputs({'--json': ('/dev/stdout', 'evaluation')}, {})\n"
     )

@@ -6,11 +6,19 @@ from typing import Any
 import pytest
 
 import main
-from study import arguments, flags
-from study.arguments import COMMANDS, OF_THE_PROCESS, SETTINGS, build_parser, join_axis, parameters, resolve
+from study.command_line import arguments, flags
+from study.command_line.arguments import (
+    COMMANDS,
+    OF_THE_PROCESS,
+    SETTINGS,
+    build_parser,
+    join_axis,
+    parameters,
+    resolve,
+)
+from study.command_line.flags import Command, Flag
 from study.config import Config, StudyConfig
 from study.errors import InputError
-from study.flags import Command, Flag
 
 TEXTS = {  # what each kind of flag takes, two of each
     flags.positive_integer: ("7", "1_000"),

@@ -1,0 +1,1 @@
+"""The command line: flags, what they reach, and which files they may name."""

@@ -1,0 +1,194 @@
+"""How the training of a run begins and goes on: its directory, its lock, its first networks or its checkpoint."""
+
+import shutil
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from ppo import checkpoint
+from ppo.distributed import ranks
+from ppo.files import naming, temporary_beside
+from study import config as configuration
+from study.config import Config
+from study.errors import MALFORMED, InputError, refusing
+from study.experiment import check_clocks, load_policy, resolve_device
+from study.files import write_text
+from study.training.lock import alone_in
+from study.training.provenance import write_settings
+from study.training.run import CHECKPOINT, Run, settled_for_a_seed
+
+BEGUN = (
+    "provenance.json",
+    "config.toml",
+    CHECKPOINT,
+)  # in this order; before the last one, there is no run yet
+RESUMABLE = ("policy", "value", "optimiser", "env", "generators", "update", "seconds", "config")
+FITTING = ("hidden", "log_std_bounds")  # keys of [ppo] without which the weights are another policy's
+
+
+def check_minibatch(config: Config) -> None:
+    """Refuses a minibatch that an update has not enough interactions for."""
+    train, size = config.train, config.ppo.minibatch_size
+    if size > train.batch:
+        raise InputError(
+            f"[ppo] minibatch_size = {size:,}: must be at most the batch, [train] num_envs * rollout_steps = "
+            f"{train.num_envs:,} * {train.rollout_steps:,} = {train.batch:,}"
+        )
+
+
+@contextmanager
+def starting(config: Config, directory: Path, init_from: Path | None = None) -> Iterator[Run]:
+    """A fresh run, see `start`, with its directory to itself; leaves no directory where it comes to nothing."""
+    with made(directory), alone_in(directory, "--run-dir"):
+        yield start(config, directory, init_from)
+
+
+@contextmanager
+def resuming(directory: Path, configure: Callable[[Config], Config]) -> Iterator[Run]:
+    """A run that goes on, see `resume`, with its directory to itself; `configure` has the last word on its settings."""
+    path = directory / "config.toml"
+    if not path.is_file():
+        raise InputError(f"--resume {directory}: no run there (it lacks config.toml)")
+    with alone_in(directory, "--resume"):
+        yield resume(directory, configure(configuration.load(path)))
+
+
+def start(config: Config, directory: Path, init_from: Path | None = None) -> Run:
+    """A fresh run in a directory that holds none; its solver is part of its configuration from here on.
+
+    Args:
+        init_from: the file of an agent to start from, policy.pt or checkpoint.pt; None: from chance.
+    """
+    config = settled_for_a_seed(config)
+    check_clocks(config)
+    check_minibatch(config)
+    networks = networks_of(init_from, config) if init_from else {}
+
+    def begin() -> None:
+        check_empty(directory)
+        with refusing(f"--run-dir {directory}: cannot write there", OSError, ValueError):
+            directory.mkdir(parents=True, exist_ok=True)
+            write_settings(config, directory, init_from)
+
+    ranks().first_does(begin)
+    return create(config, directory, networks=networks)
+
+
+@contextmanager
+def made(directory: Path) -> Iterator[None]:
+    """Makes a directory that is not there; takes it away again where an exception leaves no agent in it."""
+    mine: list[Path] = []
+
+    def make() -> None:
+        missing = [path for path in (directory, *directory.parents) if not path.exists()]
+        with suppress(FileExistsError):
+            directory.mkdir(parents=True)
+            mine.extend(missing)
+
+    with refusing(f"--run-dir {directory}: cannot write there", OSError, ValueError):
+        ranks().first_does(make)
+    try:
+        yield
+    except BaseException:
+        if mine and not any((directory / name).exists() for name in (CHECKPOINT, "policy.pt")):
+            shutil.rmtree(directory, ignore_errors=True)
+            with suppress(OSError):  # of the directories above those that hold nothing else
+                for above in mine[1:]:
+                    above.rmdir()
+        raise
+
+
+def check_empty(directory: Path) -> None:
+    """Refuses the directory of a new run that holds one, or anything but what a kill at the start left."""
+    with refusing(f"--run-dir {directory}: cannot write there", OSError, ValueError):
+        found = {path.name for path in directory.iterdir()} if directory.exists() else set()
+    if found & {CHECKPOINT, "policy.pt"}:
+        raise InputError(f"--run-dir {directory}: holds a run already; continue it with --resume")
+    left = {name for name in BEGUN if name in found} | {f"{name}.tmp" for name in BEGUN}
+    if "provenance.json" not in found:  # which is written first
+        left.discard("config.toml")
+    if other := sorted(found - left):
+        raise InputError(f"--run-dir {directory}: holds no run but {other[0]}; name a new directory")
+
+
+def create(
+    config: Config,
+    directory: Path,
+    seeds: Sequence[int] | None = None,
+    networks: Mapping[str, dict[str, Any]] | None = None,
+) -> Run:
+    """A fresh `Run`: starts the episodes and writes the first checkpoint; `networks` are weights to start from."""
+    run = Run(config, directory, seeds)
+    for name, weights in (networks or {}).items():
+        with refusing(f"--init-from: its {name} network does not fit this run", *MALFORMED):
+            getattr(run.trainer.learner, name).load_state_dict(weights)
+    with refusing("[inspection]", RuntimeError):
+        run.env.reset()
+    with refusing(f"{directory}: cannot write there", OSError):
+        for home in run.homes:
+            home.mkdir(parents=True, exist_ok=True)
+        run.save()
+    return run
+
+
+def resume(directory: Path, config: Config | None = None, seeds: Sequence[int] | None = None) -> Run:
+    """A `Run` as the directory's checkpoint left it; without a configuration that of its config.toml.
+
+    The configuration of a run of one seed may want other interactions than the checkpoint's: they are then what
+    config.toml wants, too.
+    """
+    config = config or configuration.load(directory / "config.toml")
+    path = directory / CHECKPOINT
+    saved = checkpoint.load(path, RESUMABLE, resolve_device(config.train.device))
+    with refusing(str(path), KeyError, TypeError, ValueError, AttributeError):
+        trained = configuration.from_toml(saved["config"], str(path))
+        done, rate = int(saved["update"]), trained.ppo.learning_rate
+    before, total = trained.train, config.train.interactions
+    moved = seeds is None and total != before.interactions
+    if config != (replace(trained, train=replace(before, interactions=total)) if moved else trained):
+        raise InputError(f"{directory}: config.toml is not what {path.name} was trained with")
+    if moved and config.train.updates <= done:
+        raise InputError(
+            f"--resume {directory}: {done * before.batch:,} interactions are done; --interactions must be more"
+        )
+    run = Run(config, directory, seeds)
+    if moved:
+        run.annealing = (
+            f"\nlearning rate from {rate * (1 - done / before.updates):.3g} to "
+            f"{rate * (1 - done / config.train.updates):.3g}, since it is annealed to 0 at {total:,} interactions now, "
+            f"not at {before.interactions:,}"
+        )
+    with refusing(f"{path}: does not fit this run", *MALFORMED):
+        run.trainer.load_state_dict(run.shard.split(saved))
+        run.log.load_state(saved.get("charts", []))
+    if run.ranks.first:
+        with run.naming_the_checkpoint():
+            for file in run.written():  # what a kill left, which may be what fills the disk
+                with naming(file):
+                    temporary_beside(file).unlink(missing_ok=True)
+            run.log.forget_evaluations_after(run.interactions)
+            if moved:  # from here on, config.toml alone says so
+                write_text(directory / "config.toml", config.to_toml())
+    return run
+
+
+def networks_of(path: Path, config: Config) -> dict[str, dict[str, Any]]:
+    """The weights of the policy and, where the file has them, of the value network.
+
+    Args:
+        path: policy.pt or checkpoint.pt of a run; config: of the run that is to start.
+
+    Raises:
+        CheckpointError, InputError: the file is none of these, or its networks are not those of the configuration.
+    """
+    _, trained = load_policy(path)
+    for key in FITTING:
+        theirs, ours = (list(getattr(each.ppo, key)) for each in (trained, config))
+        if theirs != ours:
+            raise InputError(
+                f"--init-from {path}: its [ppo] {key} = {theirs}, not {ours} as in this run; set it with --config"
+            )
+    content = checkpoint.load(path, ("policy",))
+    return {name: content[name] for name in ("policy", "value") if name in content}
