@@ -16,7 +16,7 @@ import pytest
 import torch
 
 import main
-from ppo import checkpoint
+from ppo import checkpoint, trainer
 from ppo.learner import PPO
 from study import config as configuration
 from study.errors import InputError
@@ -315,7 +315,7 @@ def test_a_run_starts_from_an_agent_and_goes_on_from_there(
     name: str, settings: Path, whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     collected: list[dict[str, torch.Tensor]] = []
-    collect = training.Trainer.run.__globals__["collect"]
+    collect = trainer.collect
 
     def watching(env: Any, learner: PPO, *rest: Any) -> dict[str, torch.Tensor]:
         if not collected:
@@ -323,7 +323,7 @@ def test_a_run_starts_from_an_agent_and_goes_on_from_there(
             collected.append({key: value.clone() for key, value in learner.value.state_dict().items()})
         return collect(env, learner, *rest)
 
-    monkeypatch.setitem(training.Trainer.run.__globals__, "collect", watching)
+    monkeypatch.setattr(trainer, "collect", watching)
     source = whole / name
     arguments = ["train", "--config", str(settings), "--run-dir", str(tmp_path / "run"), "--seed", "9"]
     assert main.main([*arguments, "--interactions", "16", "--init-from", str(source)]) == 0
