@@ -16,7 +16,7 @@ import pytest
 import torch
 
 import main
-from ppo import checkpoint
+from ppo import checkpoint, trainer
 from ppo.learner import PPO
 from study import config as configuration
 from study.errors import InputError
@@ -42,7 +42,7 @@ max_time = 30.0 # every episode ends within each update
 [ppo]
 epochs = 1
 minibatch_size = 8
-hidden = [16, 16]
+hidden = [64, 64]
 """
 CONCLUDE = training.Run.conclude
 
@@ -315,7 +315,7 @@ def test_a_run_starts_from_an_agent_and_goes_on_from_there(
     name: str, settings: Path, whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     collected: list[dict[str, torch.Tensor]] = []
-    collect = training.Trainer.run.__globals__["collect"]
+    collect = trainer.collect
 
     def watching(env: Any, learner: PPO, *rest: Any) -> dict[str, torch.Tensor]:
         if not collected:
@@ -323,7 +323,7 @@ def test_a_run_starts_from_an_agent_and_goes_on_from_there(
             collected.append({key: value.clone() for key, value in learner.value.state_dict().items()})
         return collect(env, learner, *rest)
 
-    monkeypatch.setitem(training.Trainer.run.__globals__, "collect", watching)
+    monkeypatch.setattr(trainer, "collect", watching)
     source = whole / name
     arguments = ["train", "--config", str(settings), "--run-dir", str(tmp_path / "run"), "--seed", "9"]
     assert main.main([*arguments, "--interactions", "16", "--init-from", str(source)]) == 0
@@ -343,16 +343,14 @@ def test_an_agent_of_other_networks_is_refused(
 ) -> None:
     wide = tmp_path / "wide.toml"
     arguments = ["train", "--run-dir", str(tmp_path / "run"), "--config", str(wide), "--init-from"]
-    for text, words in (
-        ("hidden = [16, 16]\n", ("[ppo] hidden = [16, 16], not [8, 8, 8]", "--config")),
-        ("log_std_bounds = [-4.0, 0.0]\n", ("[ppo] log_std_bounds = [-5.0, 0.0], not [-4.0, 0.0]",)),
+    for ours, words in (
+        ("hidden = [8, 8, 8]", ("[ppo] hidden = [64, 64], not [8, 8, 8]", "--config")),
+        (
+            "hidden = [64, 64]\nlog_std_bounds = [-4.0, 0.0]",
+            ("[ppo] log_std_bounds = [-5.0, 0.0], not [-4.0, 0.0]",),
+        ),
     ):
-        wide.write_text(
-            SETTINGS.replace(
-                "hidden = [16, 16]\n",
-                text.replace("16, 16", "8, 8, 8") + ("hidden = [16, 16]\n" if "log" in text else ""),
-            )
-        )
+        wide.write_text(SETTINGS.replace("hidden = [64, 64]", ours))
         assert main.main([*arguments, str(whole / "policy.pt")]) == 2
         one_line(capsys, str(whole / "policy.pt"), *words)
     assert main.main([*arguments, str(tmp_path / "none.pt")]) == 2
@@ -366,7 +364,7 @@ def test_widths_are_keys_from_training_to_export_and_the_last_lines_can_be_paste
     monkeypatch.setattr(training.Run, "conclude", CONCLUDE)
     path = tmp_path / "deep.toml"
     path.write_text(
-        SETTINGS.replace("[16, 16]", "[64, 64, 64]").replace("interactions = 96", "interactions = 16")
+        SETTINGS.replace("[64, 64]", "[64, 64, 64]").replace("interactions = 96", "interactions = 16")
     )
     run, out = tmp_path / "my 'first' run", tmp_path / "agent.onnx"
     assert main.main(["train", "--config", str(path), "--run-dir", str(run)]) == 0
