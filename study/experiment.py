@@ -70,8 +70,8 @@ class Experiment:
             self.filter_compiled = compile_or_explain(
                 "filter", lambda: self.filter.compile(self.device, batch)
             )
-        wanted = config.train.rta and choice != "off" and calls >= WORTH_TRACING_FILTER
-        if wanted and not self.filter_compiled:
+        worth = config.train.rta and choice != "off" and calls >= WORTH_TRACING_FILTER
+        if worth and not self.filter_compiled and self.device.type == "cpu":
             with step("tracing the filter, some seconds"):
                 self.filter.trace(batch, self.device)
         self.safety = self.filter.safety(config.train.rta)

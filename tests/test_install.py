@@ -6,9 +6,9 @@ import re
 import subprocess
 import sys
 import tomllib
+from itertools import chain
 from pathlib import Path
 
-import pytest
 from packaging.requirements import Requirement
 
 import main
@@ -66,16 +66,18 @@ def test_a_wheel_works_from_an_empty_directory(tmp_path: Path) -> None:
 
     command(sys.executable, "-m", "venv", "--without-pip", home, cwd=empty)
     python = home / "bin" / "python"
-    installed = Path(command(python, "-c", "import site; print(site.getsitepackages()[0])", cwd=empty).strip())
+    installed = Path(
+        command(python, "-c", "import site; print(site.getsitepackages()[0])", cwd=empty).strip()
+    )
     command(*pip, "--python", python, "install", "--no-deps", "--no-index", wheel, cwd=empty)
     others = next(path for path in sys.path if path.endswith("site-packages"))
     (installed / "dependencies.pth").write_text(f"{others}\n")
 
     program, promised = page()
     assert command(python, "-W", "ignore", "-c", program + AFTERWARDS, cwd=empty) == promised
-    assert {path.name for path in (installed / "study").rglob("*.*") if path.suffix in (".j2", ".css", ".js")} == {
-        path.name for path in (ROOT / "study").rglob("*.*") if path.suffix in (".j2", ".css", ".js")
-    }
+    assert {
+        path.name for path in (installed / "study").rglob("*.*") if path.suffix in (".j2", ".css", ".js")
+    } == {path.name for path in (ROOT / "study").rglob("*.*") if path.suffix in (".j2", ".css", ".js")}
     assert not list(empty.iterdir())
 
 
@@ -92,8 +94,8 @@ def test_every_package_is_listed() -> None:
 def declared() -> dict[str, Requirement]:
     """By the name that is imported."""
     project = PROJECT["project"]
-    every = [*project["dependencies"], *sum(project["optional-dependencies"].values(), [])]
-    return {Requirement(line).name.replace("-", "_"): Requirement(line) for line in every}
+    every = chain(project["dependencies"], *project["optional-dependencies"].values())
+    return {each.name.replace("-", "_"): each for each in map(Requirement, every)}
 
 
 def test_every_import_is_declared() -> None:
@@ -121,7 +123,7 @@ def test_the_pins_satisfy_the_bounds() -> None:
         assert requirement.specifier, f"{name} has no lower bound"
 
 
-def test_without_gymnasium_interfaces_say_so(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_gymnasium_interfaces_say_so() -> None:
     program = "import sys; sys.modules['gymnasium'] = None; import interfaces"
     done = subprocess.run([sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True)
     assert done.stderr.splitlines()[-1] == "ImportError: interfaces needs Gymnasium: pip install gymnasium"
