@@ -72,9 +72,13 @@ class Experiment:
             )
         worth = config.train.rta and choice != "off" and calls >= WORTH_TRACING_FILTER
         if worth and not self.filter_compiled and self.device.type == "cpu":
-            with step("tracing the filter, some seconds"):
-                self.filter.trace(batch, self.device)
+            self.trace_filter(batch)
         self.safety = self.filter.safety(config.train.rta)
+
+    def trace_filter(self, batch: int) -> None:
+        """Has the filter traced for calls of about so many spacecraft, which saves three quarters of a call's time."""
+        with step("tracing the filter, some seconds"):
+            self.filter.trace(batch, self.device)
 
     def generators(self, seeds: Sequence[int] = (0,)) -> list[torch.Generator]:
         """One per seed, on the device."""

@@ -13,6 +13,7 @@ from rta.rows import ActuatorGroup, Rows
 from study.config import Config
 from study.experiment import Experiment
 from study.flight.state_files import read_states
+from study.progress import bar
 
 CHUNK = 4096  # states filtered at once, so that memory does not grow with their number
 
@@ -55,10 +56,9 @@ def filter_states(safety_filter: SafetyFilter, x: Tensor, desired: Tensor) -> di
             100 |A limit| counts as that much (`rta.qp.HOPELESS`).
         with_margins: (N, 2) bool, the thrust and the torque program held with all margins.
     """
-    chunks = [
-        filter_chunk(safety_filter, *part)
-        for part in zip(x.split(CHUNK, 1), desired.split(CHUNK, 1), strict=True)
-    ]
+    parts = list(zip(x.split(CHUNK, 1), desired.split(CHUNK, 1), strict=True))
+    shown = bar(len(parts), f"times {CHUNK:,} states", iterable=parts, leave=False)
+    chunks = [filter_chunk(safety_filter, *part) for part in shown]
     result = {name: torch.cat([chunk[name] for chunk in chunks]).cpu().numpy() for name in chunks[0]}
     result["constraints"] = np.array(CONSTRAINTS)
     result["constraint_of_row"] = np.array([CONSTRAINTS.index(name) for name in names_of_rows(safety_filter)])

@@ -18,6 +18,7 @@ from study.errors import InputError
 from study.experiment import Experiment, check_clocks, load_policy, test_cases
 from study.flight.controllers import agent, classical, recorded, untrained
 from study.flight.state_files import STATE_FIELDS, read_state
+from study.progress import bar
 from study.verification.verified import say_unless_verified
 
 MAX_ROWS = 10**7
@@ -85,7 +86,9 @@ def simulate(
         rows.append(fields)
         return intervened
 
-    for hold in env.fly(controller, duration):
+    holds = env.fly(controller, duration)
+    count = env.clocks.count(duration)
+    for hold in bar(count, "steps", iterable=holds, desc=f"flying {duration:g} s", leave=False):
         if hold.decided:
             decision = hold.desired
         if hold.time == 0.0 or is_multiple(hold.time, env.clocks.report):

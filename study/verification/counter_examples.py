@@ -9,8 +9,9 @@ from inspection.state import SIZE
 from rta.constraints import CONSTRAINTS
 from study.config import Config, from_toml, override
 from study.errors import MALFORMED, ReplayError, refusing
-from study.experiment import Experiment
+from study.experiment import WORTH_TRACING_FILTER, Experiment
 from study.files import load_arrays
+from study.progress import bar
 from study.verification.flight import CHECK_EVERY, Flight
 
 # A replay flies the recorded controls, so only the plant's rounding differs: compiled or not, on a CPU or a GPU.
@@ -55,7 +56,10 @@ def replay(experiment: Experiment, example: dict[str, np.ndarray]) -> tuple[floa
     row = env.safety.names.index(str(example["constraint"]))
     env.see(x)
     values, difference = [env.constraint_values(x)[row].item()], 0.0
-    for i, hold in enumerate(env.fly(lambda t, x: applied[round(t)], len(applied))):
+    if len(applied) >= WORTH_TRACING_FILTER * experiment.filter.period:
+        experiment.trace_filter(1)
+    holds = env.fly(lambda t, x: applied[round(t)], len(applied))
+    for i, hold in enumerate(bar(len(applied), "s", iterable=holds, leave=False)):
         if hold.time % experiment.filter.period == 0:
             again = experiment.filter.correct(hold.state, desired[i]).control
             difference = max(difference, ((again - hold.applied).abs() / env.limit).max().item())
