@@ -70,13 +70,10 @@ def run_study(configure: Configure, study_dir: str = "runs/study") -> None:
     from study.training.provenance import recorded_threads
     from study.training.run import Stopped
     from study.training.study import read_settings, train_and_evaluate
-    from study.verification.verified import say_unless_verified
 
     directory = Path(study_dir)
     config = configure(read_settings(directory) or StudyConfig())
     THREADS.recorded = recorded_threads(directory)
-    if "rta" in config.study.arms:
-        say_unless_verified(config.of_arm("rta"), configure.file or directory / "config.toml")
     try:
         print(train_and_evaluate(config, directory))
     except Stopped as stopped:

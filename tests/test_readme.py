@@ -393,7 +393,7 @@ def commands(page: str) -> Iterator[list[str]]:
     """The words of every command on a page, and of every line of a program there, in their order."""
     for line in text(page).splitlines():
         for command in line.split("&&"):
-            if re.match(r"\s*(python|torchrun|tensorboard) ", command):
+            if re.match(r"\s*(python (?!-m timeit)|torchrun |tensorboard )", command):
                 yield shlex.split(command, comments=True)
             elif found := re.search(r"np\.(load|savez?)\(\"([^\"]+)\"", command):
                 yield [found[1], found[2]]

@@ -20,7 +20,7 @@ from rta.constraints import CONSTRAINTS
 from rta.qp import Status
 from study.command_line.arguments import Configure
 from study.config import Config
-from study.experiment import TYPICAL_EPISODE, Experiment, load_policy, test_cases
+from study.experiment import TYPICAL_EPISODE, Experiment, check_clocks, load_policy, test_cases
 from study.flight.controllers import agent, classical, untrained
 from study.flight.summary import summary_of_runs
 from study.progress import bar
@@ -229,6 +229,7 @@ def run(
     """
     policy, base = load_policy(checkpoint) if checkpoint else (None, Config())
     config = configure(base.unsettled())
+    check_clocks(config)
     say_unless_verified(config, configure.file, checkpoint)
     experiment = Experiment(config, episodes)
     if policy:

@@ -22,6 +22,7 @@ from study.training.lock import alone_in
 from study.training.provenance import write_settings
 from study.training.run import Run, Stopped, on_signal, settled_for_a_seed
 from study.training.session import check_minibatch, create, resume
+from study.verification.verified import say_unless_verified
 
 LEFT_BY_A_KILL = ("provenance.json", "provenance.json.tmp", "config.toml.tmp")  # at the start
 
@@ -47,6 +48,8 @@ def train_and_evaluate(config: StudyConfig, directory: Path) -> str:
 
     # signals: outside an update, where nothing half done is kept
     with alone_in(directory, "--study-dir"), on_signal(stop):
+        if "rta" in config.study.arms:
+            say_unless_verified(config.of_arm("rta"), directory / "config.toml")
         for name in config.study.arms:
             path = directory / name / "results.json"
             if not ranks().agree(path.exists()):

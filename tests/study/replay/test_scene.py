@@ -81,10 +81,8 @@ def test_a_long_run_is_thinned_but_no_violation_or_intervention_is_lost(
     flown_files: tuple[Path, Path],
     flown: dict[str, np.ndarray],
     shown: dict[str, Any],
-    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(scene, "MAX_ROWS", 8)
-    run = scene.read(str(flown_files[0]))
+    run = scene.read(str(flown_files[0]), 8)
     thin = as_written(run)
     assert "one row in 4" in page.document([run])
     assert thin["runs"][0]["time"] == flown["time"][::4].tolist()
