@@ -101,6 +101,23 @@ def quaternion_rate(q: Sequence[Tensor], omega: Sequence[Tensor]) -> tuple[Tenso
     )
 
 
+def turned_by(q: Tensor, angle: Tensor) -> Tensor:
+    """The attitude q (4, ...) turned on by a rotation vector (3, ...) in rad, in the body frame."""
+    size = norm(angle)
+    half = 0.5 * torch.sinc(size / (2.0 * torch.pi)) * angle, (0.5 * size).cos()
+    vector = torch.stack(cross(q[:3], half[0])) + q[3] * half[0] + half[1] * q[:3]
+    return unit(torch.cat((vector, (q[3] * half[1] - dot(q[:3], half[0]))[None])))
+
+
+def rate_in_hill(q: Sequence[Tensor], omega: Sequence[Tensor], n: float) -> Vector:
+    """The components of the body's rate relative to Hill's frame, which turns by n rad/s about z, in rad/s.
+
+    That is a gyro's rate omega, relative to the stars, less R^T (0, 0, n); both in the body frame.
+    """
+    w1, w2, w3 = (omega_i - n * body_axis(q, i)[2] for i, omega_i in enumerate(omega))
+    return w1, w2, w3
+
+
 def random_quaternion(count: int, generator: torch.Generator, dtype: torch.dtype) -> Tensor:
     """Uniformly distributed rotations (4, count): normalised 4-D Gaussians."""
     return unit(torch.randn(4, count, generator=generator, device=generator.device, dtype=dtype))

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from itertools import combinations
 from typing import NamedTuple, Protocol
 
+import torch
 from torch import Tensor
 
 from inspection.state import CONTROL_SIZE
@@ -36,6 +37,25 @@ class Safety:
     is_safe: Callable[[Tensor], Tensor] | None = None
     correct: Callable[[Tensor, Tensor], Correction] | None = None
     period: float = 1.0
+
+
+class World(Protocol):
+    """What lies between the controls and the plant, and between the plant and who looks, see `inspection.plant.Plant`.
+
+    Times (B,) are those of the episodes, in s.
+    """
+
+    def sense(self, time: Tensor, x: Tensor) -> Tensor:
+        """What states x (16, B) are taken for."""
+        ...
+
+    def hold(self, time: Tensor, u: Tensor) -> tuple[Tensor, Tensor]:
+        """What is held from a call on that wants u (6, B), and (B,) bool where the call is missed."""
+        ...
+
+    def actuate(self, time: Tensor, u: Tensor) -> Tensor:
+        """What acts where u (6, B) is held."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -105,11 +125,14 @@ class Hold(NamedTuple):
 
     Attributes:
         time, end: at which it begins and ends, seconds: how long it is, in s.
-        state: (16, B) at its beginning; after: at its end.
+        state: (16, B) at its beginning; after: at its end. Both are true.
         desired: (6, B) who commands, or, between two of its decisions, the filter's last control.
-        applied: (6, B) by the actuators.
+        applied: (6, B) that the actuators are told.
         correction: the filter's answer, where it was called at `time`.
         decided: who commands was asked at `time`.
+        seen: (16, B) the states as who commands and the filter last saw them.
+        acting: (6, B) what acts on the plant.
+        missed: (B,) bool, the call at `time` was missed, so that `applied` is the last control; None: none was.
     """
 
     time: float
@@ -121,6 +144,9 @@ class Hold(NamedTuple):
     correction: Correction | None
     decided: bool
     after: Tensor
+    seen: Tensor
+    acting: Tensor
+    missed: Tensor | None
 
 
 def closed_loop(
@@ -130,6 +156,8 @@ def closed_loop(
     integrate: Callable[[Tensor, Tensor, float], Tensor],
     clocks: Clocks,
     duration: float,
+    world: World | None = None,
+    start: Tensor | float = 0.0,
 ) -> Iterator[Hold]:
     """Flies from states x (16, B) for a duration in s.
 
@@ -137,22 +165,35 @@ def closed_loop(
         controller: who commands.
         correct: the filter; None applies what is desired.
         integrate: states (16, B) after holding a control (6, B) for some s.
+        world: what differs from the model; None: nothing, states are seen as they are and controls act as they are.
+        start: the episodes' time at the beginning, (B,) s.
+
+    A call is one of the filter, without a filter a decision. After a missed call the next one is asked for the same.
     """
     hold = clocks.hold
     decisions, calls = (max(1, round((every or hold) / hold)) for every in (clocks.decision, clocks.filter))
-    applied = x.new_zeros(CONTROL_SIZE, *x.shape[1:])
+    applied = next_desired = x.new_zeros(CONTROL_SIZE, *x.shape[1:])
+    seen = x
     for i in range(clocks.count(duration)):
         time, decided = i * hold, i % decisions == 0
-        # the filter's last control is its next desired one
-        desired = controller(time, x) if decided else applied
-        correction = None
-        if correct is None:
-            applied = desired
-        elif i % calls == 0:
-            correction = correct(x, desired)
-            applied = correction.control
-        after = integrate(x, applied, hold)
-        yield Hold(time, (i + 1) * hold, hold, x, desired, applied, correction, decided, after)
+        called = i % calls == 0 if correct else decided
+        if world is None:
+            seen = x
+        elif called:
+            seen = world.sense(start + time, x)
+        desired = controller(time, seen) if decided else next_desired
+        correction = missed = None
+        if called:
+            correction = correct(seen, desired) if correct else None
+            # the filter's last control is its next desired one
+            applied = next_desired = correction.control if correct else desired
+            if world:
+                applied, missed = world.hold(start + time, applied)
+                next_desired = torch.where(missed, desired, applied)
+        acting = world.actuate(start + time, applied) if world else applied
+        after = integrate(x, acting, hold)
+        end = (i + 1) * hold
+        yield Hold(time, end, hold, x, desired, applied, correction, decided, after, seen, acting, missed)
         x = after
 
 

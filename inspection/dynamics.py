@@ -5,13 +5,40 @@ Every function is written for one spacecraft with the component axis first; batc
 
 import math
 from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
 
-from inspection.attitude import Vector, body_axis, dot, quaternion_rate, rotation_matrix, turned, unit
+from inspection.attitude import (
+    Vector,
+    body_axis,
+    dot,
+    quaternion_rate,
+    rate_in_hill,
+    rotation_matrix,
+    turned,
+    unit,
+)
 from inspection.parameters import AXES, InspectionParameters
 from inspection.state import CONTROL_SIZE, OMEGA, THETA_S, THRUST, TORQUE, P, Q, T, V
+
+
+class Body(NamedTuple):
+    """A body other than the model's, see `inspection.plant`.
+
+    Attributes:
+        mass: (...) kg; inertia: three moments (...) in kg m^2.
+        push: three components (...) of an acceleration in Hill's frame in m/s^2.
+        in_turning_frame: omega is relative to the stars, and the attitude relative to Hill's frame as that turns.
+        saturates: each body rate stays within max_rate.
+    """
+
+    mass: Tensor
+    inertia: Sequence[Tensor]
+    push: Sequence[Tensor]
+    in_turning_frame: bool
+    saturates: bool
 
 
 def sun_direction(theta_s: Tensor) -> Tensor:
@@ -37,9 +64,9 @@ def clohessy_wiltshire(p: Sequence[Tensor], v: Sequence[Tensor], n: float) -> Ve
     return 3 * n**2 * p[0] + 2 * n * v[1], -2 * n * v[0], -(n**2) * p[2]
 
 
-def euler(omega: Sequence[Tensor], c: InspectionParameters) -> Vector:
+def euler(omega: Sequence[Tensor], inertia: Sequence[Any]) -> Vector:
     """Components of the gyroscopic angular acceleration J^-1 (-omega x J omega) in rad/s^2."""
-    (w1, w2, w3), (j1, j2, j3) = omega, c.inertia
+    (w1, w2, w3), (j1, j2, j3) = omega, inertia
     return (j2 - j3) / j1 * w2 * w3, (j3 - j1) / j2 * w1 * w3, (j1 - j2) / j3 * w1 * w2
 
 
@@ -79,7 +106,7 @@ def natural_rates(x: Sequence[Tensor], c: InspectionParameters) -> list[Tensor]:
         *v,
         *clohessy_wiltshire(p, v, c.mean_motion),
         *quaternion_rate(q, omega),
-        *euler(omega, c),
+        *euler(omega, c.inertia),
         temperature_rate(cos_sun, cos_earth, x[T], c),
         energy_rate(cos_panel, c),
         torch.full_like(theta_s, -c.mean_motion),
@@ -100,29 +127,37 @@ def control_matrix(x: Tensor, c: InspectionParameters) -> Tensor:
     return g
 
 
-def derivative(x: Sequence[Tensor], u: Sequence[Tensor], c: InspectionParameters) -> list[Tensor]:
-    """The components of f(x) + g(x) u, from those of x and of u in N and N m."""
+def derivative(
+    x: Sequence[Tensor], u: Sequence[Tensor], c: InspectionParameters, body: Body | None = None
+) -> list[Tensor]:
+    """The components of f(x) + g(x) u, from those of x and of u in N and N m; None: the body is the model's."""
     rate = natural_rates(x, c)
+    mass, inertia = (body.mass, body.inertia) if body else (c.mass, c.inertia)
+    if body:
+        rate[V] = [f_i + push_i for f_i, push_i in zip(rate[V], body.push, strict=True)]
+        rate[OMEGA] = euler(x[OMEGA], inertia)
+        if body.in_turning_frame:
+            rate[Q] = quaternion_rate(x[Q], rate_in_hill(x[Q], x[OMEGA], c.mean_motion))
     force, torque = turned(x[Q], u[THRUST]), u[TORQUE]
-    rate[V] = [f_i + force_i / c.mass for f_i, force_i in zip(rate[V], force, strict=True)]
-    rate[OMEGA] = [f_i + t_i / j_i for f_i, t_i, j_i in zip(rate[OMEGA], torque, c.inertia, strict=True)]
+    rate[V] = [f_i + force_i / mass for f_i, force_i in zip(rate[V], force, strict=True)]
+    rate[OMEGA] = [f_i + t_i / j_i for f_i, t_i, j_i in zip(rate[OMEGA], torque, inertia, strict=True)]
     return rate
 
 
-def step(x: Tensor, u: Tensor, duration: float, c: InspectionParameters) -> Tensor:
+def step(x: Tensor, u: Tensor, duration: float, c: InspectionParameters, body: Body | None = None) -> Tensor:
     """One RK4 step of `duration` s with u held; renormalises q and saturates the body rates if asked to."""
     start, u = x.unbind(0), u.unbind(0)
 
     def after(seconds: float, rate: list[Tensor]) -> list[Tensor]:
         return [x_i + seconds * rate_i for x_i, rate_i in zip(start, rate, strict=True)]
 
-    k1 = derivative(start, u, c)
-    k2 = derivative(after(duration / 2, k1), u, c)
-    k3 = derivative(after(duration / 2, k2), u, c)
-    k4 = derivative(after(duration, k3), u, c)
+    k1 = derivative(start, u, c, body)
+    k2 = derivative(after(duration / 2, k1), u, c, body)
+    k3 = derivative(after(duration / 2, k2), u, c, body)
+    k4 = derivative(after(duration, k3), u, c, body)
     mean = [k1_i + 2.0 * (k2_i + k3_i) + k4_i for k1_i, k2_i, k3_i, k4_i in zip(k1, k2, k3, k4, strict=True)]
     end = after(duration / 6.0, mean)
-    if c.saturate_rates:
+    if body.saturates if body else c.saturate_rates:
         end[OMEGA] = [omega_i.clamp(-c.max_rate, c.max_rate) for omega_i in end[OMEGA]]
     end[Q] = unit(torch.stack(end[Q]))
     return torch.stack(end)

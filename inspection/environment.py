@@ -12,9 +12,10 @@ from inspection import chief
 from inspection.closed_loop import Clocks, Controller, Correction, Hold, Safety, closed_loop
 from inspection.compiled import Compiled
 from inspection.dynamics import integrate
-from inspection.initial_state import InitialStates
+from inspection.initial_state import InitialStates, uniform
 from inspection.observation import normalised
 from inspection.parameters import InspectionParameters
+from inspection.plant import Plant, PlantParameters
 from inspection.reward import REWARDS, rewards
 from inspection.state import CONTROL_SIZE, SIZE, THRUST, TORQUE, P
 from inspection.termination import OUTCOMES, terminal_conditions
@@ -44,10 +45,12 @@ class Transition:
         reward: (B,); reward_terms: the nine terms by name.
         terminated, truncated: (B,) bool, true end or time limit.
         violated: (constraints, B) bool at the end of the step.
-        corrections: the filter's answers, one per filter call of the step.
+        corrections: the filter's answers, one per filter call of the step; see `calls`.
         outcome: (B,) index into OUTCOMES, -1 while running.
         metrics: (6, B) the episode so far in the order of METRICS.
         violation_steps: (constraints, B) and steps (B,): violated and all steps of the episode so far.
+        truths: of each filter call, (B,) bool where it was not missed and (constraints, B) values of the true states;
+            None where the plant is the model.
     """
 
     observation: Tensor
@@ -63,6 +66,15 @@ class Transition:
     metrics: Tensor
     violation_steps: Tensor
     steps: Tensor
+    truths: list[tuple[Tensor, Tensor]] | None = None
+
+    def calls(self) -> Iterator[tuple[Any, Tensor, Tensor]]:
+        """Each call of the filter: its answer, (B,) bool where it was not missed, (constraints, B) true values."""
+        if self.truths is None:
+            everyone = torch.ones_like(self.terminated)
+            yield from ((correction, everyone, correction.h) for correction in self.corrections)
+        else:
+            yield from ((each, *truth) for each, truth in zip(self.corrections, self.truths, strict=True))
 
     @property
     def done(self) -> Tensor:
@@ -82,13 +94,15 @@ class InspectionEnv:
         generators: one per seed, on the device of the batch.
         safety: constraint values, admissible starts and the control filter.
         decide_every, report_every: clocks of `fly` in s; None: the action period.
+        plant: in what the plant differs from `parameters`; None: in nothing.
 
     Attributes:
-        x: states (16, B); priority: (3, B); inspected: (N, B) bool; time: (B,) s.
+        x: true states (16, B); priority: (3, B); inspected: (N, B) bool; time: (B,) s.
         clocks: how often what happens.
+        plant: of each episode; None: the model.
 
     Raises:
-        ValueError: the clocks do not divide.
+        ValueError: the clocks do not divide, or the plant does not fit the parameters.
     """
 
     def __init__(
@@ -99,14 +113,19 @@ class InspectionEnv:
         safety: Safety | None = None,
         decide_every: float | None = None,
         report_every: float | None = None,
+        plant: PlantParameters | None = None,
     ) -> None:
         self.c = parameters
         self.clocks = clocks_of(parameters, None, decide_every, report_every)
-        self.put_behind(safety or Safety())
-        self.starts = [InitialStates(generator, parameters, self.safety.is_safe) for generator in generators]
-        self.num_envs = num_envs
         batch = num_envs * len(generators)
         device = generators[0].device
+        differs = plant is not None and not plant.is_nominal
+        self.plant = Plant(plant, parameters, batch, device) if differs else None
+        self.put_behind(safety or Safety())
+        self.starts = [
+            InitialStates(generator, parameters, self.safety.is_safe, differs) for generator in generators
+        ]
+        self.num_envs = num_envs
         self.normals = chief.fibonacci_sphere(parameters.num_points, device=device)
         # k-means in float32 on coordinates rounded to 2^-13 m, which sum exactly in any order
         self.points = (parameters.chief_radius * self.normals * 2**13).round().div(2**13).float()
@@ -130,7 +149,10 @@ class InspectionEnv:
         self.violation_steps = zeros(len(self.safety.names), dtype=torch.int64)
         self.any_violation_steps = zeros(dtype=torch.int64)
         # functions of states column by column, which `compile` replaces
-        self._integrate = partial(integrate, duration=self.clocks.step, c=parameters)
+        if self.plant:
+            self._integrate = partial(self.plant.integrate, duration=self.clocks.step)
+        else:
+            self._integrate = partial(integrate, duration=self.clocks.step, c=parameters)
         self._normalised, self._values = normalised, self.safety.values
         self._margins = partial(chief.by_chunks, partial(chief.margins, self.normals, c=parameters))
         self._lloyd = partial(chief.by_chunks, partial(chief.lloyd, self.points))
@@ -146,6 +168,8 @@ class InspectionEnv:
                 f"a filter every {safety.period:g} s: the simulator takes {self.clocks.step:g} s a step"
             )
         self.safety, self.clocks = safety, clocks
+        if self.plant:
+            self.plant.every = clocks.filter or clocks.decision
 
     STATE = (
         "x",
@@ -164,7 +188,9 @@ class InspectionEnv:
 
     def state_dict(self) -> dict[str, Any]:
         """Everything a resumed run needs beside the generators' states, as tensors."""
-        own = {name: getattr(self, name).clone() for name in self.STATE}
+        own: dict[str, Any] = {name: getattr(self, name).clone() for name in self.STATE}
+        if self.plant:
+            own["plant"] = self.plant.state_dict()
         return own | {"pools": [starts.pool.clone() for starts in self.starts]}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
@@ -176,6 +202,8 @@ class InspectionEnv:
                     f"{name} is {saved.dtype} {tuple(saved.shape)}, not {own.dtype} {tuple(own.shape)}"
                 )
             setattr(self, name, saved.clone())
+        if self.plant:
+            self.plant.load_state_dict(state["plant"])
         for starts, pool in zip(self.starts, state["pools"], strict=True):
             starts.pool = pool.clone()
 
@@ -185,7 +213,7 @@ class InspectionEnv:
         Raises whatever PyTorch raises where there is no working C++ compiler, and changes nothing then.
         """
         examples = {
-            "_integrate": (self.x, self.x[:CONTROL_SIZE]),
+            "_integrate": (self.x, self.x[:CONTROL_SIZE], *self._bodies),
             "_normalised": (self.x, self.priority, self.uninspected, self.time),
             "_margins": (self.x,),
             "_lloyd": (self.inspected, self.centres, self.alive),
@@ -215,18 +243,36 @@ class InspectionEnv:
         self._restart(torch.ones_like(self.time, dtype=torch.bool))
         return self.observation()
 
-    def start(self, x: Tensor, priority: Tensor) -> Tensor:
-        """Starts every episode from given states (16, B) and priority vectors (3, B)."""
-        self._begin(torch.arange(self.time.numel(), device=x.device), x, priority)
+    def start(self, x: Tensor, priority: Tensor, number: Tensor | None = None) -> Tensor:
+        """Starts every episode from given states (16, B) and priority vectors (3, B); returns observations (B, 26).
+
+        Args:
+            number: (B,) in [0, 1), from which the episodes' plants follow; None: the first ones of the seeds, by
+                episode, the same at every call and on every device.
+        """
+        if self.plant and number is None:
+            seeds = [torch.Generator().manual_seed(starts.generator.initial_seed()) for starts in self.starts]
+            number = torch.cat([uniform(0.0, 1.0, self.num_envs, seed) for seed in seeds]).to(x.device)
+        self._begin(torch.arange(self.time.numel(), device=x.device), x, priority, number)
         return self.observation()
 
+    @property
+    def seen(self) -> Tensor:
+        """What agent and filter take the present states for, (16, B)."""
+        return self.plant.sense(self.time, self.x) if self.plant else self.x
+
+    @property
+    def _bodies(self) -> tuple[Tensor, ...]:
+        """What the integration takes beside states and controls."""
+        return (self.plant.body,) if self.plant else ()
+
     def observation(self) -> Tensor:
-        """Normalised observations (B, 26) float32 of the present states."""
+        """Normalised observations (B, 26) float32 of the present states as they are seen."""
         return self._observe(slice(None), self.score)
 
     def _observe(self, columns: Tensor | slice, score: Tensor) -> Tensor:
         """Observations (k, 26) of the given columns, whose inspected weights are score (k,)."""
-        state = (part[:, columns] for part in (self.x, self.priority, self.uninspected))
+        state = (part[:, columns] for part in (self.seen, self.priority, self.uninspected))
         return self._normalised(*state, score).T
 
     def step(self, action: Tensor) -> Transition:
@@ -253,12 +299,16 @@ class InspectionEnv:
         """Flies every episode for one action period, at whose beginning the controller's time is 0 s."""
         c = self.c
         corrections: list[Correction] = []
+        truths: list[tuple[Tensor, Tensor]] = []
+        mass = self.plant.mass if self.plant else c.mass
         delta_v, torque = torch.zeros_like(self.time), torch.zeros_like(self.time)
         for hold in self.fly(controller, c.action_period):
             if hold.correction is not None:
                 corrections.append(hold.correction)
-            delta_v += hold.applied[THRUST].abs().sum(0) / c.mass * hold.seconds
-            torque += hold.applied[TORQUE].abs().sum(0) * (hold.seconds / c.action_period)
+            if hold.correction is not None and hold.missed is not None:
+                truths.append((~hold.missed, self.constraint_values(hold.state)))
+            delta_v += hold.acting[THRUST].abs().sum(0) / mass * hold.seconds
+            torque += hold.acting[TORQUE].abs().sum(0) * (hold.seconds / c.action_period)
         self.time += c.action_period
         self.steps += 1
 
@@ -292,6 +342,7 @@ class InspectionEnv:
             metrics=self._metrics(score),
             violation_steps=self.violation_steps.clone(),
             steps=self.steps.clone(),
+            truths=truths if self.plant else None,
         )
         fresh = self._restart(transition.done)
         if fresh.numel():
@@ -301,14 +352,28 @@ class InspectionEnv:
 
     def fly(self, controller: Controller, duration: float) -> Iterator[Hold]:
         """`closed_loop` from the present states, by the environment's clocks and behind its filter."""
-        return closed_loop(self.x, controller, self.safety.correct, self.integrate, self.clocks, duration)
+        return closed_loop(
+            self.x,
+            controller,
+            self.safety.correct,
+            self.integrate,
+            self.clocks,
+            duration,
+            self.plant,
+            self.time.clone() if self.plant else 0.0,
+        )
 
     def integrate(self, x: Tensor, u: Tensor, seconds: float) -> Tensor:
-        """The states (16, B) after holding u for some s."""
-        return self._integrate(x, u, times=round(seconds / self.clocks.step))
+        """The states (16, B) after u has acted for some s."""
+        return self._integrate(x, u, *self._bodies, times=round(seconds / self.clocks.step))
 
     def see(self, x: Tensor) -> None:
-        """Puts every spacecraft into states x (16, B) and looks at the chief from there, unless it has."""
+        """Puts every spacecraft into states x (16, B) and looks at the chief from there, unless it has.
+
+        Where x is what a controller in flight is shown, it is put into the true states.
+        """
+        if self.plant:
+            x = self.plant.behind(x)
         if x is not self.x:
             self.x = x
             self.look()
@@ -360,8 +425,10 @@ class InspectionEnv:
                 self._begin(own, *states)
         return columns
 
-    def _begin(self, columns: Tensor, x: Tensor, priority: Tensor) -> None:
+    def _begin(self, columns: Tensor, x: Tensor, priority: Tensor, number: Tensor | None = None) -> None:
         """Puts fresh episodes into the given columns; points visible at the start count as inspected."""
+        if self.plant:
+            self.plant.begin(columns, number)
         self.x = self.x.clone()  # the finished step's Transition still holds the old one
         for name in self.STATE:
             getattr(self, name)[..., columns] = 0

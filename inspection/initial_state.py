@@ -94,8 +94,10 @@ def sample_initial_state(
 class InitialStates:
     """A seed's endless supply of initial states, drawn POOL at a time because few are needed at once.
 
+    `numbered` ones come with a number in [0, 1) each, from which the episode's plant follows (`inspection.plant`).
+
     Attributes:
-        pool: (16 + 3, k) states and priority vectors not handed out yet.
+        pool: (16 + 3, k) states and priority vectors not handed out yet; with `numbered` plants a row more.
         turn: where several supplies with equal generators hand out one row of states in turns, each a part: says for
             a count how many the supplies before this one hand out first, and all of them together.
     """
@@ -105,9 +107,10 @@ class InitialStates:
         generator: torch.Generator,
         c: InspectionParameters,
         is_safe: Callable[[Tensor], Tensor] | None = None,
+        numbered: bool = False,
     ) -> None:
-        self.generator, self.c, self.is_safe = generator, c, is_safe
-        self.pool = torch.zeros(SIZE + 3, 0, dtype=torch.float64, device=generator.device)
+        self.generator, self.c, self.is_safe, self.numbered = generator, c, is_safe, numbered
+        self.pool = torch.zeros(SIZE + 3 + numbered, 0, dtype=torch.float64, device=generator.device)
         self.turn: Callable[[int], tuple[int, int]] = lambda count: (0, count)
 
     def seed(self, seed: int) -> None:
@@ -115,11 +118,14 @@ class InitialStates:
         self.generator.manual_seed(seed)
         self.pool = self.pool[:, :0]
 
-    def take(self, count: int) -> tuple[Tensor, Tensor]:
-        """The next `count` states (16, count) and priority vectors (3, count)."""
+    def take(self, count: int) -> tuple[Tensor, ...]:
+        """The next `count` states (16, count) and priority vectors (3, count), and numbers (count,) if `numbered`."""
         before, together = self.turn(count)
         while self.pool.shape[1] < together:
-            drawn = torch.cat(sample_initial_state(POOL, self.generator, self.c, self.is_safe))
-            self.pool = torch.cat((self.pool, drawn), 1)
+            drawn = sample_initial_state(POOL, self.generator, self.c, self.is_safe)
+            if self.numbered:
+                drawn = *drawn, uniform(0.0, 1.0, POOL, self.generator)[None]
+            self.pool = torch.cat((self.pool, torch.cat(drawn)), 1)
         taken, self.pool = self.pool[:, before : before + count], self.pool[:, together:]
-        return taken[:SIZE], taken[SIZE:]
+        own = taken[:SIZE], taken[SIZE : SIZE + 3]
+        return (*own, taken[-1]) if self.numbered else own

@@ -1,4 +1,4 @@
-"""The configuration of an experiment: four frozen dataclasses, one TOML table each."""
+"""The configuration of an experiment: frozen dataclasses, one TOML table each."""
 
 import ast
 import dataclasses
@@ -8,6 +8,7 @@ import io
 import sys
 import tokenize
 import tomllib
+import types
 import typing
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -16,6 +17,7 @@ from typing import Any, TypeVar
 import tomli_w
 
 from inspection.parameters import InspectionParameters
+from inspection.plant import PlantParameters
 from ppo.distributed import is_first
 from ppo.learner import PPOParameters
 from rta.parameters import RtaParameters
@@ -99,6 +101,7 @@ class Config:
     inspection: InspectionParameters = field(default_factory=InspectionParameters)
     rta: RtaParameters = field(default_factory=RtaParameters)
     ppo: PPOParameters = field(default_factory=PPOParameters)
+    plant: PlantParameters = field(default_factory=PlantParameters)
 
     def to_toml(self) -> str:
         """The complete configuration as TOML text that `from_toml` reads back, each key with its source's comments."""
@@ -127,7 +130,7 @@ class StudyConfig(Config):
     def of_arm(self, name: str) -> Config:
         """The configuration of a training run of the arm's first seed."""
         train = dataclasses.replace(self.train, rta=ARMS[name])
-        return Config(train, self.inspection, self.rta, self.ppo)
+        return Config(train, self.inspection, self.rta, self.ppo, self.plant)
 
 
 AnyConfig = TypeVar("AnyConfig", bound=Config)
@@ -247,7 +250,13 @@ def override_table(part: Any, entries: dict[str, Any], where: str) -> Any:
 
 
 def convert(value: Any, wanted: Any, where: str) -> Any:
-    """A TOML value as the annotated type, or an InputError naming what is allowed."""
+    """A TOML value as the annotated type, or an InputError naming what is allowed.
+
+    A type of two is one of a value, or a list of several.
+    """
+    if isinstance(wanted, types.UnionType):
+        one, several = typing.get_args(wanted)
+        wanted = several if isinstance(value, list) else one
     if typing.get_origin(wanted) is tuple:
         element, *rest = typing.get_args(wanted)
         length = None if rest == [...] else 1 + len(rest)

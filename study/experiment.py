@@ -66,6 +66,8 @@ class Experiment:
         self.compiled = wants_compile(choice, steps >= WORTH_COMPILING_SIMULATOR)
         with refusing("[rta] and [inspection]", ValueError, OverflowError):
             self.filter = SafetyFilter(config.inspection, self.config.rta)
+        with refusing("[plant] and [inspection]", ValueError):
+            config.plant.check_body(config.inspection)
         if self.filter_compiled:
             self.filter_compiled = compile_or_explain(
                 "filter", lambda: self.filter.compile(self.device, batch)
@@ -103,6 +105,7 @@ class Experiment:
                 self.safety,
                 decide_every,
                 report_every,
+                self.config.plant,
             )
         if compiled:
             compile_or_explain("simulator", env.compile)

@@ -42,8 +42,9 @@ Handler = Callable[..., None]  # of a command; its parameters are `configure` an
 
 # of several commands
 DEVICE = Flag("--device", "where tensors live", "train.device", choices=("auto", "cpu", "cuda"))
+CONFIG = read("--config", "TOML file with settings, under the flags", metavar="FILE")
 COMMON = (
-    read("--config", "TOML file with settings, under the flags", metavar="FILE"),
+    CONFIG,
     Flag(
         "--rta-period",
         "seconds between two calls of the filter: 1, 5 or 10",
@@ -228,6 +229,7 @@ COMMANDS = {
     ),
     "benchmark": Command(
         "measure the speed of simulator, filter, solvers and learner",
+        CONFIG,
         DEVICE,
         Flag(
             "--compile", "torch.compile filter, simulator and learner", "train.compile", choices=("on", "off")

@@ -131,11 +131,12 @@ def run_episodes(env: InspectionEnv, controller: Controller, x: Tensor, priority
 
 def note(record: Episodes, transition: Transition, running: Tensor, h: Tensor) -> None:
     """Adds one step of the episodes still running, which led to constraint values h (13, B), in place."""
-    for correction in transition.corrections:
-        record.filter_calls += running
-        record.interventions += running & correction.intervened
-        record.failures += running & (correction.status == Status.UNSOLVED)
-        record.filter_violations += running & (correction.h < 0.0)
+    for correction, answered, true in transition.calls():
+        asked = running & answered
+        record.filter_calls += asked
+        record.interventions += asked & correction.intervened
+        record.failures += asked & (correction.status == Status.UNSOLVED)
+        record.filter_violations += asked & (true < 0.0)
     for smallest, values in ((record.worst, h), (record.extremes, raw_quantities(transition.state))):
         smallest.copy_(torch.minimum(smallest, torch.where(running, values, math.inf)))
     ending = running & transition.done

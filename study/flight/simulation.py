@@ -112,7 +112,8 @@ def simulate(
 def common_episode(policy: Policy, experiment: Experiment) -> dict[str, np.ndarray]:
     """`simulate` of the agent from the first common test case until the episode ends, a row per integration step."""
     c = experiment.config.inspection
-    env = experiment.env(1, report_every=min(experiment.config.rta.period, c.substep))
+    generators = experiment.generators([TEST_CASES + 1])
+    env = experiment.env(1, generators, report_every=min(experiment.config.rta.period, c.substep))
     start = starting_point(None, experiment, TEST_CASES)
     return simulate(env, agent(policy, env), *start, c.max_time, until_ended=True)
 
@@ -146,7 +147,8 @@ def run(
     say_unless_verified(config, configure.file, checkpoint)
     experiment = Experiment(config, 1, duration)
     start = starting_point(initial_state, experiment, seed)
-    env = experiment.env(1, decide_every=decide_every, report_every=step)
+    # the plant is that of the first test case of `evaluate` with this seed
+    env = experiment.env(1, experiment.generators([seed + 1]), decide_every, step)
     if controller == "untrained":
         policy = untrained(experiment, seed)
     if policy:

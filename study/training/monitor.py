@@ -56,13 +56,13 @@ class Monitor:
         self.sums.update(
             {f"step_reward/{name}": term.sum() for name, term in transition.reward_terms.items()}
         )
-        for correction in transition.corrections:
+        for correction, answered, true in transition.calls():
             self.sums.update(
-                calls=correction.status.numel(),
-                intervention=correction.intervened.sum(),
-                slack=(correction.slack.amax(0) > 0.0).sum(),
-                failures=(correction.status == Status.UNSOLVED).sum(),
-                rta_violated=(correction.h < 0.0).sum(1),
+                calls=answered.sum(),
+                intervention=(answered & correction.intervened).sum(),
+                slack=(answered & (correction.slack.amax(0) > 0.0)).sum(),
+                failures=(answered & (correction.status == Status.UNSOLVED)).sum(),
+                rta_violated=(answered & (true < 0.0)).sum(1),
             )
         done = transition.done
         if done.any():
@@ -90,7 +90,7 @@ class Monitor:
 
     def scalars(self) -> dict[str, float]:
         """Means since the last call: per episode ended, per interaction and per filter call."""
-        sums, steps, calls = self.sums, self.sums["steps"], self.sums["calls"]
+        sums, steps, calls = self.sums, self.sums["steps"], int(self.sums["calls"])
         out = self.episode_means()
         out |= {tag: total.item() / steps for tag, total in sums.items() if tag.startswith("step_reward/")}
         out |= self.by_constraint("violation_percent/", 100.0 * sums["violated"] / steps)

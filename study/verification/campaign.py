@@ -12,6 +12,7 @@ import torch
 from torch import Tensor
 from tqdm import tqdm
 
+from inspection.initial_state import uniform
 from ppo.network import Policy
 from rta.constraints import CONSTRAINTS
 from study.config import Config, StudyConfig
@@ -76,7 +77,7 @@ def run(
     while report["episodes"] < episodes:
         number, first = divmod(report["episodes"] + beyond["episodes"], campaign.batch_size)
         batch_seed = np.random.SeedSequence((campaign.seed, number)).generate_state(1)[0]
-        seed_of_starts, seed_of_controls = spawned(int(batch_seed), 2)
+        seed_of_starts, seed_of_controls, seed_of_plants = spawned(int(batch_seed), 3)
         drawing = step(f"drawing {campaign.batch_size:,} starts")
         with refusing("[inspection] and [rta]", RuntimeError), drawing:
             x, priority, rejected = initial_states(campaign.batch_size, seed_of_starts, experiment.filter)
@@ -98,7 +99,9 @@ def run(
         held, before = held.to(env.x.device), dict(report["worst_value"])
 
         progress = telling(tell, report, held, campaign.duration)
-        flight = fly(env, controller, x, priority, campaign.duration, first, progress)
+        plants = torch.Generator().manual_seed(seed_of_plants)
+        number = uniform(0.0, 1.0, campaign.batch_size, plants)[first : first + count].to(env.x)
+        flight = fly(env, controller, x, priority, campaign.duration, first, number, progress)
         origin = {"batch_seed": seed_of_starts, "batch_size": campaign.batch_size}
         add(beyond, flight[~held], origin)
         flight = flight[held]

@@ -1,11 +1,15 @@
 """Counter-examples: the worst episode of a violated constraint in a file, and flying it again."""
 
 import math
+from dataclasses import replace
+from itertools import count
+from typing import NamedTuple
 
 import numpy as np
 import torch
+from torch import Tensor
 
-from inspection.state import SIZE
+from inspection.state import SIZE, P
 from rta.constraints import CONSTRAINTS
 from study.config import Config, from_toml, override
 from study.errors import MALFORMED, ReplayError, refusing
@@ -16,6 +20,13 @@ from study.verification.flight import CHECK_EVERY, Flight
 
 # A replay flies the recorded controls, so only the plant's rounding differs: compiled or not, on a CPU or a GPU.
 REPLAYED = 1e-8  # relative to the value or to 1 in the unit of h
+
+
+class Again(NamedTuple):
+    """A recorded control, (6, 1), and what the filter answers today."""
+
+    control: Tensor
+    again: Tensor
 
 
 def counter_example(flight: Flight, constraint: str, config: Config) -> dict[str, np.ndarray]:
@@ -31,6 +42,7 @@ def counter_example(flight: Flight, constraint: str, config: Config) -> dict[str
         "value": flight.worst[row, k].cpu().numpy(),
         "period": np.array(config.rta.period),
         "config": np.array(config.to_toml()),
+        "number": flight.number[k].cpu().numpy(),
     }
 
 
@@ -48,20 +60,28 @@ def replay(experiment: Experiment, example: dict[str, np.ndarray]) -> tuple[floa
         The smallest value of the example's constraint, when in s, and by how much the filter's controls now
         differ at most, in units of the actuators' limits.
     """
-    env = experiment.env(1, None, CHECK_EVERY, CHECK_EVERY)
+    env, safety_filter = experiment.env(1, None, CHECK_EVERY, CHECK_EVERY), experiment.filter
     x, desired, applied = (
         torch.from_numpy(example[name]).to(env.x)[..., None]
         for name in ("state", "control_desired", "control_applied")
     )
     row = env.safety.names.index(str(example["constraint"]))
-    env.see(x)
+    calls = count(step=round(safety_filter.period / CHECK_EVERY))
+
+    def correct(seen: Tensor, _: Tensor) -> Again:
+        """Flies what was flown then, and asks the filter."""
+        i = next(calls)
+        return Again(applied[i], safety_filter.correct(seen, desired[i]).control)
+
+    env.put_behind(replace(env.safety, correct=correct, period=safety_filter.period))
+    env.start(x, x[P], torch.as_tensor(example.get("number", 0.0)).reshape(1).to(x))
     values, difference = [env.constraint_values(x)[row].item()], 0.0
     if len(applied) >= WORTH_TRACING_FILTER * experiment.filter.period:
         experiment.trace_filter(1)
-    holds = env.fly(lambda t, x: applied[round(t)], len(applied))
-    for i, hold in enumerate(bar(len(applied), "s", iterable=holds, leave=False)):
-        if hold.time % experiment.filter.period == 0:
-            again = experiment.filter.correct(hold.state, desired[i]).control
+    holds = env.fly(lambda t, x: desired[round(t)], len(applied))
+    for hold in bar(len(applied), "s", iterable=holds, leave=False):
+        if hold.correction is not None and not (hold.missed is not None and hold.missed.any()):
+            again = hold.correction.again
             difference = max(difference, ((again - hold.applied).abs() / env.limit).max().item())
         values.append(env.constraint_values(hold.after)[row].item())
     when = int(np.argmin(values))
@@ -81,6 +101,8 @@ def replay_file(path: str) -> str:
         # any machine can fly it: the filter is asked beside the loop
         beside = {"train": {"rta": False, "device": "cpu"}, "rta": {"period": float(example["period"])}}
         config = override(from_toml(str(example["config"]), path), beside, path)
+        if not config.plant.is_nominal:
+            example |= load_arrays(path, ("number",), "counter-example", where_missing="")
         value, when, difference = replay(Experiment(config, 1), example)
         recorded = float(example["value"])
     outcome = (

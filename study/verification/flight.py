@@ -20,7 +20,8 @@ class Conflicts(NamedTuple):
     """Filter calls with slack, in the order of time; last axis the calls.
 
     Attributes:
-        column: (N,) the episode's number; time: (N,) s; state: (16, N); desired: (6, N); slack, h: (13, N).
+        column: (N,) the episode's number; time: (N,) s; state: (16, N) as seen; desired: (6, N); slack: (13, N).
+        h: (13, N) of the true state.
     """
 
     column: Tensor
@@ -42,6 +43,7 @@ class Flight:
         yielded: (13, B) calls at which a row had slack; slack: (13, B) its largest.
         excess: (B,) largest control in units of its actuator's limit.
         start: (16 + 3, B) initial states and priority vectors; desired, applied: (steps, 6, B) controls.
+        number: (B,) from which the episodes' plants follow.
         column: (B,) the episode's number; conflicts: calls with slack, by that number.
     """
 
@@ -56,6 +58,7 @@ class Flight:
     desired: Tensor
     applied: Tensor
     column: Tensor
+    number: Tensor
     conflicts: Conflicts | None = None
 
     def __getitem__(self, chosen: Tensor) -> "Flight":
@@ -73,6 +76,7 @@ def fly(
     priority: Tensor,
     duration: float,
     first: int = 0,
+    number: Tensor | None = None,
     tell: Callable[[float, Tensor], None] | None = None,
 ) -> Flight:
     """Flies one episode per column behind the environment's filter, checked at every report of its clocks.
@@ -80,9 +84,11 @@ def fly(
     Args:
         x, priority: initial states (16, B) and priority vectors (3, B).
         duration: s; first: the number of the first column.
+        number: (B,) in [0, 1) from which the episodes' plants follow; None: 0.
         tell: is told the time in s after every hold, and which episodes have violated a constraint, (B,) bool.
     """
-    env.start(x, priority)
+    number = torch.zeros_like(x[0]) if number is None else number
+    env.start(x, priority, number)
     constraints, batch, steps = len(env.safety.names), x.shape[1], env.clocks.count(duration)
     flight = Flight(
         violating=x.new_zeros(constraints + 1, batch),
@@ -96,6 +102,7 @@ def fly(
         desired=x.new_zeros(steps, CONTROL_SIZE, batch),
         applied=x.new_zeros(steps, CONTROL_SIZE, batch),
         column=torch.arange(first, first + batch, device=x.device),
+        number=number,
     )
     h, conflicts = env.constraint_values(x), []
     note_state(flight, h, 0.0)
@@ -103,11 +110,14 @@ def fly(
         flight.desired[i], flight.applied[i] = hold.desired, hold.applied
         if (result := hold.correction) is not None:
             yielded, time = result.slack > ROUNDING, torch.full_like(flight.excess, hold.time)
-            parts = flight.column, time, hold.state, hold.desired, result.slack, h
+            status, slack = torch.nn.functional.one_hot(result.status, len(Status)).T, result.slack
+            if hold.missed is not None:  # then nothing was asked
+                yielded, status, slack = (part * ~hold.missed for part in (yielded, status, slack))
+            parts = flight.column, time, hold.seen, hold.desired, slack, h
             conflicts.append([part[..., yielded.any(0)] for part in parts])
-            flight.status += torch.nn.functional.one_hot(result.status, len(Status)).T
+            flight.status += status
             flight.yielded += yielded
-            flight.slack = torch.maximum(flight.slack, result.slack)
+            flight.slack = torch.maximum(flight.slack, slack)
             flight.excess = torch.maximum(flight.excess, (hold.applied.abs() / env.limit).amax(0))
         h = env.constraint_values(hold.after)
         note_state(flight, h, hold.end)

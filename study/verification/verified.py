@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from inspection.parameters import InspectionParameters
+from inspection.plant import PlantParameters
 from ppo.distributed import is_first
 from rta.parameters import RtaParameters
 from study import config as configuration
@@ -19,7 +20,7 @@ from study.files import ROOT
 
 # Settings of [inspection] and [rta] on which no guarantee depends: the agent's task and reward, and the solver, whose
 # answers are checked one by one. Campaigns start anywhere, so the radius of an episode's start is among them; its
-# temperature and energy are not, since they bound the campaigns' starts as well.
+# temperature and energy are not, since they bound the campaigns' starts as well. Of [plant] everything counts.
 IRRELEVANT = {
     "num_points",
     "points_per_cluster",
@@ -47,9 +48,10 @@ REPORTS = "runs/verification"  # below the working directory: a person's own; th
 
 def relevant(config: Config) -> dict[str, Any]:
     """What the guarantee depends on: values by their names in a configuration file, "[rta] period"."""
-    tables: dict[str, InspectionParameters | RtaParameters] = {
+    tables: dict[str, InspectionParameters | RtaParameters | PlantParameters] = {
         "inspection": config.inspection,
         "rta": config.rta,
+        "plant": PlantParameters() if config.plant.is_nominal else config.plant,
     }
     return {
         f"[{table}] {key}": value
@@ -60,8 +62,13 @@ def relevant(config: Config) -> dict[str, Any]:
 
 
 def fingerprint(config: Config) -> str:
-    """Of `relevant`: 12 hexadecimal digits."""
-    return hashlib.sha256(json.dumps(relevant(config), sort_keys=True).encode()).hexdigest()[:12]
+    """Of `relevant`, less a plant that is the model: 12 hexadecimal digits."""
+    settings = {
+        name: value
+        for name, value in relevant(config).items()
+        if not (config.plant.is_nominal and name.startswith("[plant]"))
+    }
+    return hashlib.sha256(json.dumps(settings, sort_keys=True).encode()).hexdigest()[:12]
 
 
 @dataclass(frozen=True)
