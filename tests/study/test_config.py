@@ -1,5 +1,6 @@
 """Configuration: TOML round trip and errors that name key, value and what is allowed."""
 
+import dataclasses
 import math
 import re
 from pathlib import Path
@@ -45,6 +46,12 @@ def test_file_overrides_defaults_key_by_key() -> None:
         ("[inspection]\nmass = nan", ["mass = nan", "positive"]),
         ("[rta]\nspeed_gain = -0.1", ["speed_gain = -0.1", "negative"]),
         ("[ppo]\ngamma = 1.5", ["gamma", "1.5"]),
+        ("[plant]\nmass_factor = 'heavy'", ["mass_factor = 'heavy'", "number"]),
+        ("[plant]\nmass_factor = [0.9, 1.0, 1.1]", ["mass_factor", "list of 2"]),
+        ("[plant]\nmass_factor = [1.1, 0.9]", ["mass_factor = [1.1, 0.9]", "low <= high"]),
+        ("[plant]\nlatency = 1.5", ["latency = 1.5", "integer"]),
+        ("[plant]\nlatency = [0, 1.5]", ["latency = 1.5", "integer"]),
+        ("[plant]\nhill_rotation = 1", ["hill_rotation = 1", "true or false"]),
         ("not toml", ["TOML"]),
     ],
 )
@@ -56,6 +63,28 @@ def test_bad_configuration_is_named(text: str, words: list[str]) -> None:
     assert "\n" not in message
     for word in words:
         assert word in message
+
+
+def test_a_value_or_a_range_of_them_survives_a_round_trip() -> None:
+    config = configuration.from_toml(
+        "[plant]\nmass_factor = [1, 1.2]\nrate_bias = 2\nlatency = [0, 3]\nfailing = 'torque_z'\n", "text"
+    )
+    plant = config.plant
+    assert (plant.mass_factor, plant.rate_bias, plant.latency) == ((1.0, 1.2), 2.0, (0, 3))
+    assert "mass_factor = [1.0, 1.2] # true mass" in config.to_toml()
+    assert configuration.from_toml(config.to_toml(), "text") == config
+    assert StudyConfig(**vars(config)).of_arm("rta").plant == plant
+
+
+@pytest.mark.parametrize("path", sorted(CONFIGS.glob("plants/*.toml")), ids=lambda path: path.stem)
+def test_the_shipped_plants_can_be_flown(path: Path) -> None:
+    """Each states its effect and where it comes from, and nominal.toml takes every one of them away."""
+    config = configuration.load(path)
+    assert config.plant.is_nominal == (path.stem == "nominal")
+    assert path.read_text(encoding="utf-8").startswith("# ")
+    assert dataclasses.replace(config, plant=Config().plant) == Config()
+    config.plant.check_body(config.inspection)
+    assert configuration.load(CONFIGS / "plants/nominal.toml", config) == Config()
 
 
 @pytest.fixture

@@ -58,6 +58,7 @@ def test_the_shipped_reports_hold_the_fingerprint_of_their_settings(path: Path) 
             }
         },
         {"ppo": {"gamma": 0.9}, "train": {"seed": 3}},
+        {"plant": {"noise_bound": 2.0, "missed_in_a_row": 1}},  # of what there is not
     ],
 )
 def test_what_changes_neither_plant_nor_filter_is_silent(tables: dict[str, Any]) -> None:
@@ -73,6 +74,9 @@ def test_what_changes_neither_plant_nor_filter_is_silent(tables: dict[str, Any])
         ({"inspection": {"mass": 12.0000001}}, ["mass = 12.0000001 (verified: 12.0);"]),
         ({"rta": {"battery_gains": [0.004, 0.2]}}, ["battery_gains = [0.004, 0.2] (verified: [0.004, 0.1])"]),
         (FAST | {"rta": {"period": 5.0, "speed_gain": 0.4}}, ["max_rate = 0.3", ", 2 more differ;"]),
+        ({"plant": {"mass_factor": 1.1}}, ["not verified: [plant] mass_factor = 1.1 (verified: 1);"]),
+        ({"plant": {"latency": [0, 2]}}, ["[plant] latency = [0, 2] (verified: 0);"]),
+        ({"plant": {"rate_noise": 0.1, "noise_bound": 2.0}}, ["[plant] rate_noise = 0.1", ", 1 more differ"]),
         ({"rta": {"period": 5.0}}, ["not safe: [rta] period = 5 (verified: 1): 296 of 2,048 episodes"]),
     ],
 )
@@ -100,6 +104,21 @@ def test_two_large_and_clean_campaigns_are_needed(more: dict[str, Any], trusted:
     assert doubt(config, None, None)
     put(config, "adversarial", **more)
     assert (doubt(config, None, None) is None) == trusted
+
+
+def test_reports_of_another_plant_verify_none() -> None:
+    heavy, noisy = (configured({"plant": plant}) for plant in ({"mass_factor": 1.1}, {"position_noise": 0.2}))
+    for policy in verified.POLICIES:
+        put(heavy, policy)
+    assert doubt(heavy, None, None) is None
+    assert "mass_factor = 1 (verified: 1.1)" in doubt(noisy, None, None) or "position_noise" in doubt(
+        noisy, None, None
+    )
+    assert doubt(configured({"plant": {"mass_factor": [1.0, 1.1]}}), None, None)
+    assert doubt(Config(), None, None) is None
+    put(heavy, "random", violating_episodes={"any": 7})
+    assert "not safe" in doubt(heavy, None, None)
+    assert doubt(Config(), None, None) is None
 
 
 def test_violations_and_damaged_files_are_told_apart() -> None:

@@ -1,0 +1,104 @@
+"""Campaigns in a plant that is not the model: continued, flown again, and judged by what is true."""
+
+import dataclasses
+import json
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+import main
+from inspection.state import P
+from rta.constraints import CONSTRAINTS
+from study.config import Config, override
+from study.experiment import Experiment
+from study.verification import campaign
+from study.verification.adversaries import held_at_random
+from study.verification.flight import fly
+from study.verification.starts import initial_states
+from tests.study.verification.test_findings import verify
+from tests.test_main import assert_refused, call
+
+WORLD = """
+[inspection]
+max_rate = 0.05
+[plant]
+mass_factor = [0.5, 3.0]
+thrust_gain = [0.5, 1.5]
+thrust_misalignment = [0.0, 20.0]
+position_noise = 5.0
+velocity_noise = 0.1
+attitude_noise = 3.0
+latency = [0, 3]
+missed_calls = 0.4
+missed_in_a_row = 3
+failing = "any"
+failing_from = [0.0, 40.0]
+hill_rotation = true
+saturate_rates = false
+"""
+
+
+@pytest.fixture(scope="module")
+def config(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("worlds") / "world.toml"
+    path.write_text(WORLD)
+    return path
+
+
+def flags(config: Path, report: str, episodes: int) -> list[str]:
+    more = ["--config", str(config), "--rta-period", "5", "--duration", "60", "--episodes", str(episodes)]
+    return [*verify(config.with_name(report)), *more]
+
+
+def test_a_campaign_goes_on_and_its_violations_fly_again(
+    config: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(campaign, "BATCH", 24)
+    for report, counts in (("parts", (10, 20)), ("whole", (20,))):
+        for count in counts:
+            assert main.main(flags(config, f"{report}.json", count)) == 0
+    parts, whole = (json.loads(config.with_name(f"{name}.json").read_text()) for name in ("parts", "whole"))
+    assert parts == whole
+    assert whole["config"]["plant"]["mass_factor"] == [0.5, 3.0]
+    violated = [name for name in CONSTRAINTS if whole["violating_episodes"][name]]
+    assert len(violated) > 2
+    assert sum(whole["filter_calls"].values()) < 0.75 * 20 * 12  # the missed ones are none
+    for name in violated[:3]:
+        capsys.readouterr()
+        example = config.with_name(f"whole.json.{name}.npz")
+        code, out, err = call(["verify", "--replay", str(example)], capsys)
+        assert code == 0, err
+        words = out.split()
+        assert float(words[words.index("most") + 1]) < 1e-6
+    other = config.with_name("other.toml")
+    other.write_text(WORLD.replace("latency = [0, 3]", "latency = 2"))
+    assert_refused(
+        flags(other, "whole.json", 22), ["whole.json", "another campaign or configuration"], capsys
+    )
+
+
+def let_pass(x: Tensor, desired: Tensor) -> SimpleNamespace:
+    """A filter that corrects nothing."""
+    nothing = x.new_zeros(len(CONSTRAINTS), x.shape[1])
+    return SimpleNamespace(control=desired, slack=nothing, status=nothing[0].long())
+
+
+def test_what_violates_is_the_true_state() -> None:
+    """Sensors far off, a filter that lets everything pass: nothing is violated that was not before."""
+    tables = {"train": {"compile": "off", "device": "cpu", "rta": False}}
+    flights = []
+    for plant in ({}, {"position_bias": 5000.0, "velocity_bias": 90.0, "attitude_bias": 170.0}):
+        experiment = Experiment(override(Config(), tables | {"plant": plant}, "test"), 16)
+        x, priority, _ = initial_states(16, 3, experiment.filter)
+        env = experiment.env(16, None, 1.0, 1.0)
+        env.put_behind(dataclasses.replace(experiment.safety, correct=let_pass))
+        controller = held_at_random(env.c, torch.Generator().manual_seed(1), 16)
+        flights.append(fly(env, controller, x, priority, 40.0))
+    honest, blind = flights
+    np.testing.assert_allclose(blind.worst, honest.worst, rtol=1e-9, atol=1e-9)
+    assert torch.equal(blind.violating, honest.violating) and honest.violating.any()
+    assert (env.plant.sense(env.time, env.x)[P] - env.x[P]).norm(dim=0).min() > 4999.0
