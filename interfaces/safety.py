@@ -23,7 +23,8 @@ class VectorRunTimeAssurance(VectorWrapper):
     The filter is called every `period` s of the action period and its last control is its next desired one, so it
     works inside the wrapped environment. To its info `step` adds, per episode and call,
 
-        u_des, u_safe: (B, calls, 6), desired and applied control in N and N m,
+        u_des, u_safe: (B, calls, 6), desired and safe control in N and N m; the latter is applied, unless [plant] has
+            the call missed,
         intervened: (B, calls) bool, u_safe is a correction,
         active: (B, calls, 13) bool, a row of the constraint binds it,
         status: (B, calls), `rta.qp.Status` of the solver.

@@ -19,7 +19,7 @@ from inspection.environment import InspectionEnv
 from inspection.initial_state import sample_initial_state
 from inspection.parameters import InspectionParameters
 from inspection.plant import DETAILS, Plant, PlantParameters, milliseconds, uniform
-from inspection.state import CONTROLS, OMEGA, THRUST, TORQUE, E, P, Q, T, V
+from inspection.state import CONTROLS, OMEGA, THETA_S, THRUST, TORQUE, E, P, Q, T, V
 from tests.inspection.test_dynamics import MASS, UNEQUAL, N, paper_rate
 
 C = InspectionParameters(inertia=UNEQUAL)
@@ -453,6 +453,16 @@ def test_calls_are_missed_as_often_as_asked_and_without_a_filter_they_are_decisi
 # who is shown what
 
 
+def facing(batch: int) -> tuple[Tensor, Tensor]:
+    """Starts with the camera on the chief and the Sun behind it."""
+    x, priority = states(batch)
+    for k in range(batch):
+        turn, _ = Rotation.align_vectors([-x[P, k].numpy()], [[1.0, 0.0, 0.0]])
+        x[Q, k] = torch.from_numpy(turn.as_quat())
+    x[THETA_S] = torch.atan2(x[1], x[0])
+    return x, priority
+
+
 class Witness:
     """A filter that keeps what it is shown, and lets everything pass."""
 
@@ -476,7 +486,7 @@ SENSORS = PlantParameters(position_bias=900.0, velocity_bias=7.0, attitude_bias=
 
 
 def test_agent_and_filter_see_what_is_measured_and_all_that_is_reported_is_true() -> None:
-    x, priority = states(4)
+    x, priority = facing(4)
     witness, others = Witness(), Witness()
     env, honest = make(SENSORS, safety=witness.safety()), make(None, safety=others.safety())
     first, expected = env.start(x, priority), honest.start(x, priority)
@@ -498,7 +508,7 @@ def test_agent_and_filter_see_what_is_measured_and_all_that_is_reported_is_true(
         torch.testing.assert_close(one.metrics, other.metrics, rtol=1e-9, atol=1e-9)
         for name in ("terminated", "truncated", "violated", "outcome"):
             assert torch.equal(getattr(one, name), getattr(other, name))
-        assert torch.equal(env.inspected, honest.inspected)
+        assert torch.equal(env.inspected, honest.inspected) and honest.inspected.any()
         # a part of what is observed says so
         seen = env.plant.sense(env.time, one.state)
         assert ((seen[P] - one.state[P]).norm(dim=0) - 900.0).abs().max() < 1e-9
@@ -511,6 +521,25 @@ def test_agent_and_filter_see_what_is_measured_and_all_that_is_reported_is_true(
         assert ((at[P] - was[P]).norm(dim=0) - 900.0).abs().max() < 1e-6
     assert torch.equal(shown[-2], witness.seen[-10])  # the agent's, at the beginning of the last step
     assert not torch.equal(shown[-2], shown[-1])
+
+
+def test_an_agent_in_flight_observes_what_is_measured_and_looks_from_where_it_is() -> None:
+    env, honest = make(SENSORS), make(None)
+    observed: dict[InspectionEnv, list[Tensor]] = {env: [], honest: []}
+    for each in observed:
+        each.start(*facing(4))
+
+        def control(t: float, x: Tensor, each: InspectionEnv = each) -> Tensor:
+            each.see(x)
+            observed[each].append(each.observation())
+            return torch.zeros(6, 4, dtype=torch.float64)
+
+        states_then = [hold.state for hold in each.fly(control, 30.0) if hold.decided]
+        assert each.x is states_then[-1]
+    assert torch.equal(env.inspected, honest.inspected) and honest.inspected.any()
+    for one, other in zip(*observed.values(), strict=True):
+        assert (one[:, 0] > 8.0).all() and (other[:, 0] < 1.5).all()
+        assert torch.equal(one[:, -1], other[:, -1])  # the score
 
 
 def test_the_metrics_of_fuel_and_torque_are_of_what_acts() -> None:
