@@ -576,7 +576,7 @@ def test_a_resumed_flight_goes_on_bit_for_bit() -> None:
         return env, generators
 
     def play(env: InspectionEnv, steps: range) -> list[Tensor]:
-        found = []
+        found = [env.observation()]
         for step in steps:
             transition = env.step(torch.randn(6, 6, generator=seeded(step)))
             found += [transition.observation, transition.state, transition.reward, env.plant.held]

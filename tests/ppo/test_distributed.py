@@ -50,6 +50,11 @@ max_time = 30.0 # s; every episode ends within each update
 [ppo]
 epochs = 4
 minibatch_size = 9
+[plant]
+mass_factor = [0.9, 1.1] # each episode draws its own
+position_noise = 0.2
+latency = [1, 2]
+missed_calls = 0.3
 """
 STUDY = '[study]\nseeds = 3\narms = ["no_rta"]\n' + SETTINGS.replace("72", "48")
 POOL = 16  # initial states drawn at once, so that more are drawn in the midst of a run

@@ -97,6 +97,24 @@ def watching(transitions: list[Transition]) -> Monitor:
     return monitor
 
 
+def test_missed_calls_are_none_and_violations_are_of_the_true_states(generator: torch.Generator) -> None:
+    """Two calls of a step, of which every other spacecraft missed the second one."""
+    each = transition(generator)
+    whole, half = torch.ones(BATCH, dtype=torch.bool), torch.arange(BATCH) % 2 == 0
+    first, second = (correction(generator) for _ in range(2))
+    true = torch.randn(2, len(NAMES), BATCH, generator=generator)
+    watched = replace(each, corrections=[first, second], truths=[(whole, true[0]), (half, true[1])])
+    scalars, calls = watching([watched]).scalars(), BATCH + half.sum().item()
+    intervened = first.intervened.sum() + (second.intervened & half).sum()
+    assert scalars["rta/intervention_percent"] == pytest.approx(100.0 * intervened.item() / calls)
+    unsolved = (first.status == Status.UNSOLVED).sum() + (half & (second.status == Status.UNSOLVED)).sum()
+    assert scalars["rta/failures"] == unsolved
+    for i, name in enumerate(NAMES):
+        violated = (true[0, i] < 0.0).sum() + (half & (true[1, i] < 0.0)).sum()
+        found = scalars[f"rta/filter_step_violation_percent_{name}"]
+        assert found == pytest.approx(100.0 * violated.item() / calls)
+
+
 def test_scalars_are_those_of_a_count_by_hand(seen: list[Transition]) -> None:
     monitor = watching(seen)
     assert monitor.scalars() == pytest.approx(count(seen), rel=1e-6)

@@ -43,6 +43,11 @@ max_time = 30.0 # every episode ends within each update
 epochs = 1
 minibatch_size = 8
 hidden = [64, 64]
+[plant]
+mass_factor = [0.9, 1.1] # each episode draws its own
+position_noise = 0.2
+latency = [1, 2]
+missed_calls = 0.3
 """
 CONCLUDE = training.Run.conclude
 
@@ -108,7 +113,7 @@ def one_line(capsys: pytest.CaptureFixture[str], *words: str) -> str:
     return line
 
 
-@pytest.mark.parametrize(("size", "file"), [(700, "events.out"), (20_000, "checkpoint.pt: ")])
+@pytest.mark.parametrize(("size", "file"), [(700, "events.out"), (24_000, "checkpoint.pt: ")])
 def test_a_full_disk_ends_training_in_a_line_and_room_lets_it_go_on(
     size: int,
     file: str,
