@@ -9,6 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from inspection.attitude import unit
 from inspection.state import SIZE, P
 from rta.constraints import CONSTRAINTS
 from study.config import Config, from_toml, override
@@ -74,7 +75,7 @@ def replay(experiment: Experiment, example: dict[str, np.ndarray]) -> tuple[floa
         return Again(applied[i], safety_filter.correct(seen, desired[i]).control)
 
     env.put_behind(replace(env.safety, correct=correct, period=safety_filter.period))
-    env.start(x, x[P], torch.as_tensor(example.get("number", 0.0)).reshape(1).to(x))
+    env.start(x, unit(x[P]), torch.as_tensor(example.get("number", 0.0)).reshape(1).to(x))
     values, difference = [env.constraint_values(x)[row].item()], 0.0
     if len(applied) >= WORTH_TRACING_FILTER * experiment.filter.period:
         experiment.trace_filter(1)
