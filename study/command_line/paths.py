@@ -119,6 +119,6 @@ def would_be_lost(path: Path) -> bool:
 
 def is_a(kind: str, path: Path) -> bool:
     """Whether a file is one of KINDS; one that cannot be read is not."""
-    with suppress(OSError, EOFError, *MALFORMED):
+    with suppress(OSError, EOFError, MemoryError, *MALFORMED):
         return KINDS[kind](path)
     return False
