@@ -308,6 +308,8 @@ def contents() -> dict[str, bytes]:
 def complaint(words: list[str]) -> str:
     """What is wrong with how a call ends, empty if nothing is."""
     before = contents()
+    if words[0] == "simulate":  # which may replace a run of its own that it does not read
+        del before["r.npz"]
     out, err = io.StringIO(), io.StringIO()
     try:
         with at_most(LONGEST), contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
@@ -316,7 +318,7 @@ def complaint(words: list[str]) -> str:
         code = end.code
     except BaseException as error:
         return f"{type(error).__name__}: {error}"
-    if contents() != before:
+    if contents() | before != contents():
         return "an input has changed"
     if code not in (0, 2):
         return f"exit code {code}: {err.getvalue()}"
