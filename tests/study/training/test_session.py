@@ -384,6 +384,16 @@ def test_widths_are_keys_from_training_to_export_and_the_last_lines_can_be_paste
     assert (run / "flight.html").exists()
 
 
+def test_the_threads_that_a_run_computes_with_are_recorded(settings: Path, tmp_path: Path) -> None:
+    before, run = torch.get_num_threads(), tmp_path / "run"
+    train = ["train", "--config", str(settings), "--run-dir", str(run), "--interactions", "16"]
+    try:
+        assert main.main([*train, "--threads", str(before + 1)]) == 0
+        assert provenance.recorded_threads(run) == torch.get_num_threads() == before + 1
+    finally:
+        torch.set_num_threads(before)
+
+
 def test_the_threads_of_a_run_are_recorded(whole: Path, tmp_path: Path) -> None:
     assert provenance.recorded_threads(whole) == torch.get_num_threads()
     assert provenance.recorded_threads(tmp_path) is None
