@@ -229,6 +229,7 @@ COMMANDS = {
     "benchmark": Command(
         "measure the speed of simulator, filter, solvers and learner",
         DEVICE,
+        THREADS,
         Flag(
             "--compile", "torch.compile filter, simulator and learner", "train.compile", choices=("on", "off")
         ),
