@@ -142,9 +142,8 @@ class InspectionParameters:
             )
         if min(self.inertia) <= 0:
             raise ValueError(f"inertia = {self.inertia!r}: must be three positive moments in kg m^2")
-        if 2 * max(self.inertia) > sum(self.inertia) * (
-            1 + 1e-9
-        ):  # a flat plate's are equal, but for rounding
+        rounding = 1 + 1e-9  # of a flat plate, whose largest moment is that sum
+        if 2 * max(self.inertia) > rounding * sum(self.inertia):
             raise ValueError(
                 f"inertia = {self.inertia!r}: no body has a moment above the sum of the other two"
             )

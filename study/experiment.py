@@ -193,9 +193,7 @@ def compile_or_explain(what: str, compile: Callable[[], None]) -> bool:
     try:
         with step(f"compiling the {what}, up to a minute the first time, seconds from then on"):
             compile()
-    except (
-        Exception
-    ) as error:  # a missing or broken compiler, a full or read-only cache show themselves in many ways
+    except Exception as error:  # a missing or broken compiler, a full or read-only cache: in many ways
         reason = error.strerror if isinstance(error, OSError) and error.strerror else type(error).__name__
         where = f": {error.filename}" if isinstance(error, OSError) and error.filename else ""
         print(

@@ -183,10 +183,9 @@ class Run:
         if reports := self.ranks.collect((statistics, self.monitor), self.device):
             self.log.update(reports, self.interactions)
         self.monitor.clear()
-        # last, so that a checkpoint knows what has been drawn
-        self.last_save = (
-            {"time/checkpoint_s": seconds_of(self.save)} if self.due(train.checkpoint_interval) else {}
-        )
+        self.last_save = {}
+        if self.due(train.checkpoint_interval):  # last, so that a checkpoint knows what has been drawn
+            self.last_save = {"time/checkpoint_s": seconds_of(self.save)}
 
     def due(self, interval: int) -> bool:
         """Whether the last update completed so many interactions, once more."""
