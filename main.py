@@ -108,7 +108,7 @@ def run_evaluate(
     from study.flight import evaluation
     from study.paper import tables
 
-    results = evaluation.run(configure, episodes, seed, checkpoint, controller)
+    results = evaluation.run(configure, configure.file, episodes, seed, checkpoint, controller)
     print(tables(results))
     print(evaluation.how_to_watch(configure.words, checkpoint, controller))
     if json:  # which may be standard output
@@ -132,7 +132,7 @@ def run_simulate(
     from study.flight.figures import constraint_figure
 
     flown, config = simulation.run(
-        configure, controller, duration, step, seed, checkpoint, actions, initial_state
+        configure, configure.file, controller, duration, step, seed, checkpoint, actions, initial_state
     )
     write_npz(out, flown)
     if figure:

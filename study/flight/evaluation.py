@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from shlex import quote
 from typing import Any
@@ -18,7 +19,6 @@ from inspection.termination import OUTCOMES
 from ppo.network import Policy
 from rta.constraints import CONSTRAINTS
 from rta.qp import Status
-from study.command_line.arguments import Configure
 from study.config import Config
 from study.experiment import TYPICAL_EPISODE, Experiment, check_clocks, load_policy, test_cases
 from study.flight.controllers import agent, classical, untrained
@@ -215,7 +215,8 @@ def evaluate(policy: Policy, experiment: Experiment, episodes: int, seed: int) -
 
 
 def run(
-    configure: Configure,
+    configure: Callable[[Config], Config],
+    file: str | None,
     episodes: int,
     seed: int,
     checkpoint: str | None,
@@ -225,12 +226,13 @@ def run(
 
     Args:
         configure: puts the command line over a configuration, that of the checkpoint if there is one.
+        file: of --config.
         checkpoint: the agent's file, or else controller: one of BASELINES.
     """
     policy, base = load_policy(checkpoint) if checkpoint else (None, Config())
     config = configure(base.unsettled())
     check_clocks(config)
-    say_unless_verified(config, configure.file, checkpoint)
+    say_unless_verified(config, file, checkpoint)
     experiment = Experiment(config, episodes)
     if policy:
         return evaluate(policy.to(experiment.device), experiment, episodes, seed)
