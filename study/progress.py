@@ -35,6 +35,8 @@ def step(what: str) -> Iterator[None]:
         yield
     finally:
         timer.cancel()
+        if timer.is_alive():  # maybe saying it just now
+            timer.join()
         if said:
             say(f" {time.perf_counter() - started:.0f} s", "\n")
 
