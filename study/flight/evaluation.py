@@ -4,7 +4,6 @@ import dataclasses
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from shlex import quote
 from typing import Any
 
 import torch
@@ -19,6 +18,7 @@ from inspection.termination import OUTCOMES
 from ppo.network import Policy
 from rta.constraints import CONSTRAINTS
 from rta.qp import Status
+from study.commands import command
 from study.config import Config
 from study.experiment import TYPICAL_EPISODE, Experiment, check_clocks, load_policy, test_cases
 from study.flight.controllers import agent, classical, untrained
@@ -239,12 +239,11 @@ def run(
     return report(play_controller(controller, experiment, episodes, seed), experiment.config, seed)
 
 
-def how_to_watch(words: str, checkpoint: str | None, controller: str | None) -> str:
+def how_to_watch(words: list[str], checkpoint: str | None, controller: str | None) -> str:
     """The commands that show an episode of what `evaluate` flew; `words` are the flags of its settings."""
-    who = f"policy --checkpoint {quote(checkpoint)}" if checkpoint else controller
+    who = ["policy", "--checkpoint", checkpoint] if checkpoint else [controller]
     if controller == "random":
-        who = "random --step 10"  # s, as it is evaluated
-    return (
-        f"Watch one: python main.py simulate --controller {who}{words} --duration {TYPICAL_EPISODE:.0f} --out run.npz "
-        "&& python main.py replay run.npz --out run.html"
-    )
+        who += ["--step", "10"]  # s, as it is evaluated
+    length = "--duration", f"{TYPICAL_EPISODE:.0f}"
+    fly = command("simulate", "--controller", *who, *words, *length, "--out", "run.npz")
+    return f"Watch one: {fly} && {command('replay', 'run.npz', '--out', 'run.html')}"

@@ -12,6 +12,7 @@ from ppo import checkpoint
 from ppo.distributed import RankLostError, ranks
 from ppo.learner import PPO, NonFiniteError
 from ppo.trainer import Trainer
+from study.commands import after_training, command
 from study.config import TEST_CASES, AnyConfig, Config
 from study.experiment import Experiment, compile_or_explain, resolve_device, settled
 from study.files import write_json
@@ -19,7 +20,6 @@ from study.flight.evaluation import Episodes, evaluate, play, report
 from study.flight.figures import episode_figure
 from study.flight.simulation import common_episode
 from study.paper import tables
-from study.training.commands import after_training, command
 from study.training.log import Log
 from study.training.monitor import Monitor
 from study.training.shards import shard_of_episodes, shard_of_seeds

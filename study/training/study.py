@@ -11,13 +11,13 @@ from inspection.termination import OUTCOMES
 from ppo.distributed import ranks
 from rta.constraints import CONSTRAINTS
 from study import config as configuration
+from study.commands import command
 from study.config import TEST_CASES, StudyConfig
 from study.errors import InputError, refusing
 from study.experiment import check_clocks
 from study.files import write_json, write_npz
 from study.flight.evaluation import Episodes, report
 from study.paper import tables
-from study.training.commands import command
 from study.training.lock import alone_in
 from study.training.provenance import write_settings
 from study.training.run import Run, Stopped, on_signal, settled_for_a_seed

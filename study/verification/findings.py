@@ -3,11 +3,11 @@
 import dataclasses
 import json
 from pathlib import Path
-from shlex import quote
 from textwrap import fill
 from typing import Any
 
 from rta.constraints import CONSTRAINTS
+from study.commands import command
 from study.config import Config, override
 from study.errors import MALFORMED, InputError, refusing
 from study.verification.tally import empty_tally
@@ -109,5 +109,5 @@ def what_next(report: dict[str, Any], path: Path | None) -> str:
     examples = [name for name in violated if Path(f"{path}.{name}.npz").is_file()]
     if examples:
         lines.append(f"Counter-examples, the worst episodes: {path}.CONSTRAINT.npz of {', '.join(examples)}")
-        lines.append(f"Fly one again: python main.py verify --replay {quote(f'{path}.{examples[0]}.npz')}")
+        lines.append(f"Fly one again: {command('verify', '--replay', f'{path}.{examples[0]}.npz')}")
     return "\n".join(lines)

@@ -2,7 +2,6 @@
 
 import hashlib
 import json
-import shlex
 import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -13,6 +12,7 @@ from inspection.parameters import InspectionParameters
 from ppo.distributed import is_first
 from rta.parameters import RtaParameters
 from study import config as configuration
+from study.commands import command
 from study.config import Config, StudyConfig, override
 from study.errors import MALFORMED, InputError
 from study.files import ROOT
@@ -137,7 +137,7 @@ def doubt(config: Config, file: str | Path | None, checkpoint: str | Path | None
     if source is None:
         return begin
     commands = [f"mkdir -p {REPORTS}"] + [
-        f"python main.py verify {source}--policy {policy} --json {REPORTS}/{own}_{policy}.json"
+        command("verify", *source, "--policy", policy, "--json", f"{REPORTS}/{own}_{policy}.json")
         for policy in POLICIES
     ]
     return f"{begin}, or verify it: {' && '.join(commands)}"
@@ -181,8 +181,8 @@ def in_toml(value: Any, number: str) -> str:
     return number.format(value) if isinstance(value, float) else json.dumps(value)
 
 
-def source_of(config: Config, file: str | Path | None, checkpoint: str | Path | None) -> str | None:
-    """The flags with which `verify` has this plant and filter, ending in a space; None where none are found.
+def source_of(config: Config, file: str | Path | None, checkpoint: str | Path | None) -> list[str] | None:
+    """The flags with which `verify` has this plant and filter; None where none are found.
 
     The settings may come from --config, from the config.toml nearest above a checkpoint, and from two flags.
     """
@@ -193,14 +193,14 @@ def source_of(config: Config, file: str | Path | None, checkpoint: str | Path | 
             base = configuration.load(path, StudyConfig()) if path else StudyConfig()
         except InputError:  # somebody else's config.toml
             continue
-        flags, tables = f"--config {shlex.quote(shown(path))} " if path else "", {}
+        flags, tables = ["--config", shown(path)] if path else [], {}
         for flag, table, key in (
             ("--rta-period", "rta", "period"),
             ("--solar-panel-axis", "inspection", "solar_panel_axis"),
         ):
             value = getattr(getattr(config, table), key)
             if value != getattr(getattr(base, table), key):
-                flags += f"{flag} {value if isinstance(value, str) else f'{value:g}'} "
+                flags += [flag, value if isinstance(value, str) else f"{value:g}"]
                 tables[table] = {key: value}
         if fingerprint(override(base, tables, "command line")) == fingerprint(config):
             return flags
