@@ -75,12 +75,12 @@ class Flown:
     @property
     def violating(self) -> int:
         """Episodes with a violation."""
-        return self.report["violating_episodes"]["any"]
+        return int(self.report["violating_episodes"]["any"])
 
     @property
     def clean(self) -> bool:
         """No violation, and no program unsolved."""
-        return not self.violating and not self.report["unsolved"]
+        return not self.violating and not int(self.report["unsolved"])
 
     @property
     def large(self) -> bool:

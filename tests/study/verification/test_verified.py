@@ -107,6 +107,7 @@ def test_violations_and_damaged_files_are_told_apart() -> None:
     put(config, "random", violating_episodes={"any": 7})
     for i, text in enumerate(("{", "[]", '{"config": 3}', '{"config": {"rta": {"colour": 1}}}')):
         Path(f"runs/verification/{i}.json").write_text(text)
+    put(config, "adversarial", violating_episodes={"any": "many"})
     line = doubt(config, None, None)
     assert line and "7 of 1,000 episodes behind this filter violated" in line
     assert str(Path("runs/verification/random.json")) in line and "python main.py verify" not in line
