@@ -126,7 +126,10 @@ def test_cases(config: Config, episodes: int, seed: int) -> tuple[Tensor, Tensor
     # default gains, so that agents trained behind different filters meet the same cases
     gains = RtaParameters(passive_safety_segments=config.rta.passive_safety_segments)
     starts = InitialStates(torch.Generator().manual_seed(seed), c, SafetyFilter(c, gains).is_safe)
-    with refusing("[inspection]", RuntimeError), step(f"drawing {episodes:,} test cases"):
+    with (
+        refusing("[inspection]", RuntimeError),
+        step(f"drawing {episodes:,} test case{'s' * (episodes > 1)}"),
+    ):
         return starts.take(episodes)
 
 
