@@ -26,6 +26,9 @@ from study.flight.summary import summary_of_runs
 from study.progress import bar
 from study.verification.verified import say_unless_verified
 
+# Without the time that is left: the last episode may take as long as all before it, and nobody knows.
+BAR = "{desc}: |{bar}| {n_fmt}/{total_fmt} ended [{elapsed}{postfix}]"
+
 
 @dataclass
 class Episodes:
@@ -118,13 +121,14 @@ def run_episodes(env: InspectionEnv, controller: Controller, x: Tensor, priority
         extremes=torch.full_like(zeros, math.inf).repeat(len(RAW_QUANTITIES), 1),
     )
     count = x.shape[1]
-    with bar(count, "episodes", desc=f"flying {count:,} test cases", leave=False) as shown:
+    what = f"flying {count:,} test case{'s' * (count > 1)}"
+    with bar(count, "episodes", desc=what, leave=False, bar_format=BAR) as shown:
         while running.any():
             transition = env.advance(controller)
             note(record, transition, running, env.constraint_values(transition.state))
             running = running & ~transition.done
             flown = int(transition.steps.max()) * env.c.action_period
-            shown.set_postfix_str(f"{flown:,.0f} s simulated", refresh=False)
+            shown.set_postfix_str(f"{flown:,.0f} s of at most {env.c.max_time:,.0f}", refresh=False)
             shown.update(count - int(running.sum()) - shown.n)
     return record
 

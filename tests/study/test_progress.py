@@ -1,6 +1,8 @@
 """What takes long says so, and what does not is silent."""
 
+import os
 import re
+import sys
 import time
 
 import pytest
@@ -25,3 +27,14 @@ def test_a_short_step_is_silent_even_where_it_fails(capsys: pytest.CaptureFixtur
     with pytest.raises(ValueError), progress.step("compiling"):
         raise ValueError
     assert capsys.readouterr().err == ""
+
+
+def test_a_terminal_without_a_size_shows_bars_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    ours, theirs = os.openpty()  # says 0 columns
+    with open(theirs, "w", encoding="utf-8") as terminal:
+        monkeypatch.setattr(sys, "stderr", terminal)
+        monkeypatch.setattr(progress, "PATIENCE", 0.0)
+        with progress.bar(2, "episodes") as shown:
+            shown.update(2)
+        assert "2/2" in os.read(ours, 10_000).decode()
+    os.close(ours)
