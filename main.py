@@ -42,7 +42,7 @@ def run_train(
     from study.training import session as training
     from study.training.provenance import recorded_threads
     from study.training.run import Stopped
-    from study.verification.verified import say_unless_verified
+    from study.verified import say_unless_verified
 
     if resume:
         THREADS.recorded = recorded_threads(Path(resume))
@@ -110,7 +110,7 @@ def run_evaluate(
 
     results = evaluation.run(configure, configure.file, episodes, seed, checkpoint, controller)
     print(tables(results))
-    print(evaluation.how_to_watch(configure.words, checkpoint, controller))
+    print(evaluation.how_to_watch(results, configure.words, checkpoint, controller))
     if json:  # which may be standard output
         write_json(json, results)
 

@@ -130,7 +130,7 @@ def test_cases(config: Config, episodes: int, seed: int) -> tuple[Tensor, Tensor
     starts = InitialStates(torch.Generator().manual_seed(seed), c, SafetyFilter(c, gains).is_safe)
     with (
         refusing("[inspection]", RuntimeError),
-        step(f"drawing {episodes:,} test case{'s' * (episodes > 1)}"),
+        step("drawing the test cases, seconds"),
     ):
         return starts.take(episodes)
 

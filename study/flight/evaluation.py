@@ -19,12 +19,12 @@ from ppo.network import Policy
 from rta.constraints import CONSTRAINTS
 from rta.qp import Status
 from study.commands import command
-from study.config import Config
+from study.config import TEST_CASES, Config
 from study.experiment import TYPICAL_EPISODE, Experiment, check_clocks, load_policy, test_cases
 from study.flight.controllers import agent, classical, untrained
 from study.flight.summary import summary_of_runs
 from study.progress import bar
-from study.verification.verified import say_unless_verified
+from study.verified import say_unless_verified
 
 # Without the time that is left: the last episode may take as long as all before it, and nobody knows.
 BAR = "{desc}: |{bar}| {n_fmt}/{total_fmt} ended [{elapsed}{postfix}]"
@@ -243,11 +243,17 @@ def run(
     return report(play_controller(controller, experiment, episodes, seed), experiment.config, seed)
 
 
-def how_to_watch(words: list[str], checkpoint: str | None, controller: str | None) -> str:
-    """The commands that show an episode of what `evaluate` flew; `words` are the flags of its settings."""
+def how_to_watch(
+    results: dict[str, Any], words: list[str], checkpoint: str | None, controller: str | None
+) -> str:
+    """The commands that show the first episode of an evaluation; `words` are the flags of its settings."""
     who = ["policy", "--checkpoint", checkpoint] if checkpoint else [controller]
-    if controller == "random":
-        who += ["--step", "10"]  # s, as it is evaluated
+    task = results["config"]["inspection"]
+    every = {"random": task["action_period"], "natural-motion": results["rta"]["period_s"] or task["substep"]}
+    if controller in every:
+        who += ["--step", f"{every[controller]:g}"]
+    if results["seed"] != TEST_CASES:
+        who += ["--seed", str(results["seed"])]
     length = "--duration", f"{TYPICAL_EPISODE:.0f}"
     fly = command("simulate", "--controller", *who, *words, *length, "--out", "run.npz")
     return f"Watch one: {fly} && {command('replay', 'run.npz', '--out', 'run.html')}"

@@ -19,7 +19,7 @@ from study.experiment import Experiment, check_clocks, load_policy, test_cases
 from study.flight.controllers import agent, classical, recorded, untrained
 from study.flight.state_files import STATE_FIELDS, read_state
 from study.progress import bar
-from study.verification.verified import say_unless_verified
+from study.verified import say_unless_verified
 
 MAX_ROWS = 10**7
 SCALARS = ("time", "inspected_score", "temperature", "energy", "sun_angle")

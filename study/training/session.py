@@ -13,7 +13,7 @@ from ppo.files import naming, temporary_beside
 from study import config as configuration
 from study.config import Config
 from study.errors import MALFORMED, InputError, refusing
-from study.experiment import check_clocks, load_policy, resolve_device
+from study.experiment import check_clocks, check_weights, load_policy, resolve_device
 from study.files import write_text
 from study.training.lock import alone_in
 from study.training.provenance import write_settings
@@ -199,4 +199,8 @@ def networks_of(path: Path, config: Config) -> dict[str, dict[str, Any]]:
                 f"--init-from {path}: its [ppo] {key} = {theirs}, not {ours} as in this run; set it with --config"
             )
     content = checkpoint.load(path, ("policy",))
-    return {name: content[name] for name in ("policy", "value") if name in content}
+    networks = {name: content[name] for name in ("policy", "value") if name in content}
+    for name, weights in networks.items():
+        with refusing(f"--init-from {path}: its {name} network is damaged", *MALFORMED):
+            check_weights(weights, path)
+    return networks

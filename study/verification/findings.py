@@ -11,7 +11,7 @@ from study.commands import command
 from study.config import Config, override
 from study.errors import MALFORMED, InputError, refusing
 from study.verification.tally import empty_tally
-from study.verification.verified import fingerprint
+from study.verified import fingerprint
 
 WIDTH = 100  # of the text
 LISTED = 12  # sets of constraints with slack together that the text lists
@@ -23,7 +23,7 @@ def empty_report(campaign: dict[str, Any], config: Config) -> dict[str, Any]:
     Its own tally and bound are over the starts that the filter can hold in any attitude. `starts_beyond_braking` has
     the tally of the others (`SafetyFilter.can_brake`), where keep-in zone and actuators can conflict from the start
     on. `starts_rejected_by_margin` counts states left out as in `safe_set`. `fingerprint` is that of the plant and the
-    filter (`study.verification.verified`).
+    filter (`study.verified`).
     """
     return {
         "campaign": campaign,

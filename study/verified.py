@@ -4,6 +4,7 @@ import hashlib
 import json
 import sys
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -189,21 +190,19 @@ def source_of(config: Config, file: str | Path | None, checkpoint: str | Path | 
     above = Path(checkpoint).absolute().parents if checkpoint else ()
     nearest = next((folder / "config.toml" for folder in above if (folder / "config.toml").is_file()), None)
     for path in (file, nearest, None):
-        try:
+        with suppress(InputError):  # somebody else's config.toml
             base = configuration.load(path, StudyConfig()) if path else StudyConfig()
-        except InputError:  # somebody else's config.toml
-            continue
-        flags, tables = ["--config", shown(path)] if path else [], {}
-        for flag, table, key in (
-            ("--rta-period", "rta", "period"),
-            ("--solar-panel-axis", "inspection", "solar_panel_axis"),
-        ):
-            value = getattr(getattr(config, table), key)
-            if value != getattr(getattr(base, table), key):
-                flags += [flag, value if isinstance(value, str) else f"{value:g}"]
-                tables[table] = {key: value}
-        if fingerprint(override(base, tables, "command line")) == fingerprint(config):
-            return flags
+            flags, tables = ["--config", shown(path)] if path else [], {}
+            for flag, table, key in (
+                ("--rta-period", "rta", "period"),
+                ("--solar-panel-axis", "inspection", "solar_panel_axis"),
+            ):
+                value = getattr(getattr(config, table), key)
+                if value != getattr(getattr(base, table), key):
+                    flags += [flag, value if isinstance(value, str) else f"{value:g}"]
+                    tables[table] = {key: value}
+            if fingerprint(override(base, tables, "command line")) == fingerprint(config):
+                return flags
     return None
 
 
