@@ -58,11 +58,10 @@ def run_train(
         say_unless_verified(run.config, run.directory / "config.toml")
         try:
             run.train()
+            if run.ranks.first:
+                print(run.conclude())
         except Stopped as stopped:
             print(stopped)
-            return
-        if run.ranks.first:
-            print(run.conclude())
 
 
 def run_study(configure: Configure, study_dir: str = "runs/study") -> None:
@@ -82,16 +81,18 @@ def run_study(configure: Configure, study_dir: str = "runs/study") -> None:
 
 def run_report(study: str, device: str | None = None) -> None:
     """main.py report"""
+    from study.progress import step
     from study.report import figures, inputs, page, replay, tables
     from study.report.compute import compute
 
     directory = Path(study)
     compute(directory, device)
-    found = inputs.read(directory)
-    tables.write(found)
-    figures.draw(found)
-    replay.write(found)
-    page.write(found)
+    with step("drawing the figures and the page, seconds"):
+        found = inputs.read(directory)
+        tables.write(found)
+        figures.draw(found)
+        replay.write(found)
+        page.write(found)
     print(f"Written to {directory}: report.html and, in report, its figures and the data behind them")
     print(f"Open it in a browser: {(directory / 'report.html').absolute().as_uri()}")
 
