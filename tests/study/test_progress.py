@@ -36,5 +36,6 @@ def test_a_terminal_without_a_size_shows_bars_too(monkeypatch: pytest.MonkeyPatc
         monkeypatch.setattr(progress, "PATIENCE", 0.0)
         with progress.bar(2, "episodes") as shown:
             shown.update(2)
+        terminal.flush()
         assert "2/2" in os.read(ours, 10_000).decode()
     os.close(ours)
