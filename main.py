@@ -42,7 +42,7 @@ def run_train(
     from study.training import session as training
     from study.training.provenance import recorded_threads
     from study.training.run import Stopped
-    from study.verification.verified import say_unless_verified
+    from study.verified import say_unless_verified
 
     if resume:
         THREADS.recorded = recorded_threads(Path(resume))
@@ -58,11 +58,10 @@ def run_train(
         say_unless_verified(run.config, run.directory / "config.toml")
         try:
             run.train()
+            if run.ranks.first:
+                print(run.conclude())
         except Stopped as stopped:
             print(stopped)
-            return
-        if run.ranks.first:
-            print(run.conclude())
 
 
 def run_study(configure: Configure, study_dir: str = "runs/study") -> None:
@@ -82,16 +81,18 @@ def run_study(configure: Configure, study_dir: str = "runs/study") -> None:
 
 def run_report(study: str, device: str | None = None) -> None:
     """main.py report"""
+    from study.progress import step
     from study.report import figures, inputs, page, replay, tables
     from study.report.compute import compute
 
     directory = Path(study)
     compute(directory, device)
-    found = inputs.read(directory)
-    tables.write(found)
-    figures.draw(found)
-    replay.write(found)
-    page.write(found)
+    with step("drawing the figures and the page, seconds"):
+        found = inputs.read(directory)
+        tables.write(found)
+        figures.draw(found)
+        replay.write(found)
+        page.write(found)
     print(f"Written to {directory}: report.html and, in report, its figures and the data behind them")
     print(f"Open it in a browser: {(directory / 'report.html').absolute().as_uri()}")
 
@@ -108,9 +109,9 @@ def run_evaluate(
     from study.flight import evaluation
     from study.paper import tables
 
-    results = evaluation.run(configure, episodes, seed, checkpoint, controller)
+    results = evaluation.run(configure, configure.file, episodes, seed, checkpoint, controller)
     print(tables(results))
-    print(evaluation.how_to_watch(configure.words, checkpoint, controller))
+    print(evaluation.how_to_watch(results, configure.words, checkpoint, controller))
     if json:  # which may be standard output
         write_json(json, results)
 
@@ -132,7 +133,7 @@ def run_simulate(
     from study.flight.figures import constraint_figure
 
     flown, config = simulation.run(
-        configure, controller, duration, step, seed, checkpoint, actions, initial_state
+        configure, configure.file, controller, duration, step, seed, checkpoint, actions, initial_state
     )
     write_npz(out, flown)
     if figure:

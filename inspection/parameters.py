@@ -141,12 +141,11 @@ class InspectionParameters:
                 f"{self.collision_radius:g} m"
             )
         if min(self.inertia) <= 0:
-            raise ValueError(f"inertia = {self.inertia!r}: must be three positive moments in kg m^2")
-        if 2 * max(self.inertia) > sum(self.inertia) * (
-            1 + 1e-9
-        ):  # a flat plate's are equal, but for rounding
+            raise ValueError(f"inertia = {list(self.inertia)}: must be three positive moments in kg m^2")
+        rounding = 1 + 1e-9  # of a flat plate, whose largest moment is that sum
+        if 2 * max(self.inertia) > rounding * sum(self.inertia):
             raise ValueError(
-                f"inertia = {self.inertia!r}: no body has a moment above the sum of the other two"
+                f"inertia = {list(self.inertia)}: no body has a moment above the sum of the other two"
             )
         for name in ("initial_radius", "initial_energy", "initial_temperature"):
             low, high = getattr(self, name)

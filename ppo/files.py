@@ -26,7 +26,7 @@ def is_written_in_place(path: Path) -> bool:
 
 def temporary_beside(path: Path) -> Path:
     """The file that is to become `path`; a kill leaves no other one behind, and the next write takes its place."""
-    return path.with_name(path.name + ".tmp")
+    return path.parent / f"{path.name}.tmp"
 
 
 @contextmanager

@@ -231,7 +231,9 @@ class SafetyFilter:
 
     @torch.no_grad()
     def correct(self, x: Tensor, desired: Tensor) -> FilterResult:
-        """Filters one control per spacecraft, unchecked; what is not finite gets status UNSOLVED and zero control.
+        """Filters one control per spacecraft, unchecked.
+
+        A program with NaN or an infinite state in its rows has status UNSOLVED and zero control.
 
         Args:
             x: states (16, B), float64.

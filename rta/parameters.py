@@ -35,14 +35,8 @@ class RtaParameters:
 
     # HOCBF, Psi_1 = dh/dt + k1 h and dPsi_1/dt + k2 Psi_1 >= 0, 1/s
     exclusion_gains: tuple[float, float] = (0.05, 0.2)  # 1/s, k1 and k2, attitude exclusion
-    temperature_gains: tuple[float, float] = (
-        0.0015,
-        0.2,
-    )  # 1/s, k1 and k2; k1: act while a 90 deg turn still helps
-    battery_gains: tuple[float, float] = (
-        0.004,
-        0.1,
-    )  # 1/s, k1 and k2; 15 W of draw is held 3.75 kJ above the limit
+    temperature_gains: tuple[float, float] = (0.0015, 0.2)  # 1/s, k1: act while a 90 deg turn still helps; k2
+    battery_gains: tuple[float, float] = (0.004, 0.1)  # 1/s, k1: 15 W of draw is held 3.75 kJ above it; k2
 
     # margins in the unit of each h
     collision_margin: float = 0.02  # m/s, safe separation
@@ -63,14 +57,7 @@ class RtaParameters:
 
     # The free flight's closest approach is enforced once per segment, so that a second close pass is
     # held off while the first one is being corrected.
-    passive_safety_segments: tuple[float, ...] = (
-        0.0,
-        60.0,
-        160.0,
-        300.0,
-        420.0,
-        500.0,
-    )  # s, bounds of the segments
+    passive_safety_segments: tuple[float, ...] = (0.0, 60.0, 160.0, 300.0, 420.0, 500.0)  # s, their bounds
 
     # Bounded slopes of sqrt at 0 and arccos at +-1 in the filter's derivatives; reported values are exact.
     distance_floor: float = 0.05  # m, distances are taken as at least this

@@ -35,9 +35,7 @@ class Status(IntEnum):
     UNTOUCHED = 0  # the desired control is within the actuators' limits and satisfies every row
     HARD = 1  # clipped to the limits or corrected, every row satisfied, at worst without its margin
     SLACK = 2  # no control satisfies every row: some yielded, by their slack
-    UNSOLVED = (
-        3  # no solver call succeeded: the least-violating control known, zero if a number is not finite
-    )
+    UNSOLVED = 3  # no solver call succeeded: the least-violating control known, zero if rows are not finite
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,7 @@
 """An experiment, built once from its configuration: device, filter, environments and policies."""
 
 import functools
+import os
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -58,6 +59,7 @@ class Experiment:
 
     def __init__(self, config: Config, batch: int, seconds: float = TYPICAL_EPISODE, steps: int = 0) -> None:
         check_clocks(config)
+        check_cache()
         self.device = resolve_device(config.train.device)
         THREADS.settle()
         self.config = settled(config, batch, self.device)
@@ -129,7 +131,10 @@ def test_cases(config: Config, episodes: int, seed: int) -> tuple[Tensor, Tensor
     # default gains, so that agents trained behind different filters meet the same cases
     gains = RtaParameters(passive_safety_segments=config.rta.passive_safety_segments)
     starts = InitialStates(torch.Generator().manual_seed(seed), c, SafetyFilter(c, gains).is_safe)
-    with refusing("[inspection]", RuntimeError), step(f"drawing {episodes:,} test cases"):
+    with (
+        refusing("[inspection]", RuntimeError),
+        step("drawing the test cases, seconds"),
+    ):
         return starts.take(episodes)
 
 
@@ -144,6 +149,13 @@ def check_clocks(
     c, period = config.inspection, config.rta.period if config.train.rta else None
     with refusing(where, ValueError):
         clocks_of(c, period, decide_every, report_every).count(duration or c.action_period)
+
+
+def check_cache() -> None:
+    """Refuses a compile cache that cannot be made: PyTorch makes it, also where nothing is compiled."""
+    if path := os.environ.get("TORCHINDUCTOR_CACHE_DIR"):
+        with refusing(f"TORCHINDUCTOR_CACHE_DIR {path!r}: cannot make this directory", OSError, ValueError):
+            Path(path).mkdir(parents=True, exist_ok=True)
 
 
 def settled(config: Config, batch: int, device: torch.device) -> Config:
@@ -194,11 +206,9 @@ def finds_compiler() -> bool:
 def compile_or_explain(what: str, compile: Callable[[], None]) -> bool:
     """Compiles; where that fails, says so in a line. Returns whether it went well."""
     try:
-        with step(f"compiling the {what}, up to a minute the first time, seconds from then on"):
+        with step(f"compiling the {what}, a minute or more the first time, seconds from then on"):
             compile()
-    except (
-        Exception
-    ) as error:  # a missing or broken compiler, a full or read-only cache show themselves in many ways
+    except Exception as error:  # a missing or broken compiler, a full or read-only cache: in many ways
         reason = error.strerror if isinstance(error, OSError) and error.strerror else type(error).__name__
         where = f": {error.filename}" if isinstance(error, OSError) and error.filename else ""
         print(

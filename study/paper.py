@@ -96,7 +96,7 @@ def tables(results: Results) -> str:
         *rows(results, PAPER_VIOLATIONS, (16, 16, 16)),
     ]
     outcomes = ", ".join(
-        f"{100 * share:.0f} % {name.replace('_', ' ')}"
+        f"{100 * share:.3g} % {name.replace('_', ' ')}"
         for name, share in results["outcomes"].items()
         if share
     )

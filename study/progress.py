@@ -1,9 +1,10 @@
 """What a person sees of work that takes long: a line for a step, a bar where there is a count; from 2 s on."""
 
+import os
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from threading import Timer
 from typing import Any
 
@@ -35,6 +36,8 @@ def step(what: str) -> Iterator[None]:
         yield
     finally:
         timer.cancel()
+        if timer.is_alive():  # maybe saying it just now
+            timer.join()
         if said:
             say(f" {time.perf_counter() - started:.0f} s", "\n")
 
@@ -46,7 +49,7 @@ def bar(total: int, unit: str, **options: Any) -> tqdm:
     """
     interval = 1.0 if sys.stderr.isatty() else 10.0  # s; a log shows every state of it
     settings = {
-        "dynamic_ncols": True,
+        **width(),
         "delay": PATIENCE,
         "mininterval": interval,
         "miniters": 0,
@@ -54,3 +57,14 @@ def bar(total: int, unit: str, **options: Any) -> tqdm:
         "position": None if sys.stderr.isatty() else 0,  # a log's lines cannot be gone back to
     }
     return tqdm(total=total, unit=f" {unit}", **settings | options)
+
+
+def width() -> dict[str, Any]:
+    """How wide a bar is: as the terminal, also when that changes; as usual where the terminal does not know.
+
+    On one that says 0 columns (of `script`, `docker run -t` or `ssh -tt` without a window) tqdm draws nothing.
+    """
+    with suppress(OSError, ValueError, AttributeError):  # no terminal
+        if not os.get_terminal_size(sys.stderr.fileno()).columns:
+            return {"ncols": 79, "nrows": 24}
+    return {"dynamic_ncols": True}

@@ -30,7 +30,7 @@ class Threads:
 
     def ask(self, wanted: int | None) -> None:
         """Has `settle` take the number that a person wants, else the recorded one, else the fastest."""
-        self.asked, self.wanted = True, wanted
+        self.asked, self.wanted, self.recorded = True, wanted, None
 
     def settle(self) -> None:
         """Sets PyTorch's threads if asked to, and says on stderr how many where it measured.

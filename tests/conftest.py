@@ -3,6 +3,7 @@
 import itertools
 import json
 import math
+import os
 from pathlib import Path
 from typing import Any
 
@@ -16,11 +17,19 @@ from inspection.environment import METRICS
 from inspection.parameters import InspectionParameters
 from inspection.state import OMEGA, SIZE, THETA_S, E, P, Q, T, V
 from rta.constraints import CONSTRAINTS
+from study import progress
 from study.config import ARMS, BASELINES, Config, StudyConfig
 
 torch.set_num_threads(1)
+os.environ["OMP_NUM_THREADS"] = "1"  # of the processes that tests start: nothing to measure, and to say
 settings.register_profile("project", deadline=None, derandomize=True, max_examples=40, database=None)
 settings.load_profile("project")
+
+
+@pytest.fixture(autouse=True)
+def patience(monkeypatch):
+    """Keeps bars and what is said of long steps out of stderr, however busy the machine is."""
+    monkeypatch.setattr(progress, "PATIENCE", 1e9)
 
 
 @pytest.fixture(scope="session")

@@ -55,98 +55,21 @@ BASES = (
     "benchmark --batches 2,x --json directory",
 )
 TEXTS = (
-    *(
-        "",
-        " ",
-        "-1",
-        "0",
-        "0.0",
-        "nan",
-        "inf",
-        "-inf",
-        "1e400",
-        "1e-320",
-        "abc",
-        "½",
-        "\uff11",
-        "0x10",
-        "1_000_",
-    ),
-    *(
-        "9" * 400,
-        "None",
-        "True",
-        "[]",
-        "{}",
-        "1,2",
-        ",",
-        "-",
-        "--",
-        "--help=",
-        "a\nb",
-        "$(id)",
-        "../..",
-        "%s%n",
-    ),
-    *("checkpoint:", "é"),
-)
+    "", " ", "-1", "0", "0.0", "nan", "inf", "-inf", "1e400", "1e-320", "abc", "½", "\uff11", "0x10",
+    "1_000_", "9" * 400, "None", "True", "[]", "{}", "1,2", ",", "-", "--", "--help=", "a\nb", "$(id)",
+    "../..", "%s%n", "checkpoint:", "é",
+)  # fmt: skip
 PATHS = (
-    *("", ".", "/", "/dev/null", "/dev/zero", "/dev/full", "/proc/self/mem", "nowhere/x", "x" * 300, "a\0b"),
-    *(
-        "directory",
-        "empty",
-        "garbage",
-        "latin1",
-        "loop",
-        "dangling",
-        "p.pt",
-        "c.toml",
-        "s.json",
-        "u.npy",
-        "x.npz",
-    ),
-    *(
-        "r.npz",
-        "deep.toml",
-        "deep.json",
-        "objects.npz",
-        "complex.npy",
-        "link",
-        "a\nb",
-        "checkpoint:p.pt",
-        "~",
-        "--",
-    ),
-    *("sparse", "half.pt"),
-)
+    "", ".", "/", "/dev/null", "/dev/zero", "/dev/full", "/proc/self/mem", "nowhere/x", "x" * 300, "a\0b",
+    "directory", "empty", "garbage", "latin1", "loop", "dangling", "p.pt", "c.toml", "s.json", "u.npy",
+    "x.npz", "r.npz", "deep.toml", "deep.json", "objects.npz", "complex.npy", "link", "a\nb",
+    "checkpoint:p.pt", "~", "--", "sparse", "half.pt",
+)  # fmt: skip
 VALUES = (  # TOML
-    *(
-        "-1",
-        "0",
-        "1",
-        "-0.0",
-        "1e300",
-        "-1e300",
-        "1e-300",
-        "nan",
-        "inf",
-        "-inf",
-        "9223372036854775807",
-        "1" + "0" * 30,
-    ),
-    *(
-        '""',
-        '"text"',
-        "true",
-        "[]",
-        "[1.0]",
-        "[1.0, 2.0, 3.0]",
-        "[-1.0, nan]",
-        "[[1]]",
-        "{a = 1}",
-        "1979-05-27",
-    ),
-)
+    "-1", "0", "1", "-0.0", "1e300", "-1e300", "1e-300", "nan", "inf", "-inf", "9223372036854775807",
+    "1" + "0" * 30, '""', '"text"', "true", "[]", "[1.0]", "[1.0, 2.0, 3.0]", "[-1.0, nan]", "[[1]]",
+    "{a = 1}", "1979-05-27",
+)  # fmt: skip
 INPUTS = ("p.pt", "c.toml", "s.json", "u.npy", "x.npz", "r.npz")
 
 
@@ -308,6 +231,8 @@ def contents() -> dict[str, bytes]:
 def complaint(words: list[str]) -> str:
     """What is wrong with how a call ends, empty if nothing is."""
     before = contents()
+    if words[0] == "simulate":  # which may replace a run of its own that it does not read
+        del before["r.npz"]
     out, err = io.StringIO(), io.StringIO()
     try:
         with at_most(LONGEST), contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
@@ -316,7 +241,7 @@ def complaint(words: list[str]) -> str:
         code = end.code
     except BaseException as error:
         return f"{type(error).__name__}: {error}"
-    if contents() != before:
+    if contents() | before != contents():
         return "an input has changed"
     if code not in (0, 2):
         return f"exit code {code}: {err.getvalue()}"

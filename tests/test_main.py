@@ -106,7 +106,7 @@ def test_evaluate_writes_json_to_standard_output(run: Path) -> None:
         "/dev/stdout",
     ]
     done = subprocess.run([sys.executable, main.__file__, *arguments], capture_output=True, text=True)
-    assert (done.returncode, done.stderr) == (0, "")
+    assert done.returncode == 0, done.stderr
     tables, _, results = done.stdout.partition("\n{")
     assert "Table 2" in tables
     assert json.loads("{" + results)["episodes"] == 2

@@ -286,3 +286,12 @@ def test_endless_simulations_are_refused(
 ) -> None:
     arguments = ["simulate", "--controller", "zero", "--duration", duration, "--step", step]
     assert_refused([*arguments, "--out", str(tmp_path / "x.npz")], ["--duration", "--step"], capsys)
+
+
+def test_a_compile_cache_that_cannot_be_made_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "file").touch()
+    monkeypatch.setenv("TORCHINDUCTOR_CACHE_DIR", str(tmp_path / "file" / "cache"))
+    arguments = ["evaluate", "--controller", "zero", "--episodes", "1"]
+    assert_refused(arguments, ["TORCHINDUCTOR_CACHE_DIR", "cannot make", "Not a directory"], capsys)

@@ -4,7 +4,6 @@ import argparse
 import inspect
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from shlex import quote
 from typing import Any
 
 from inspection.parameters import AXES
@@ -231,6 +230,7 @@ COMMANDS = {
         "measure the speed of simulator, filter, solvers and learner",
         CONFIG,
         DEVICE,
+        THREADS,
         Flag(
             "--compile", "torch.compile filter, simulator and learner", "train.compile", choices=("on", "off")
         ),
@@ -342,16 +342,16 @@ class Configure:
         return getattr(self.arguments, "config", None)
 
     @property
-    def words(self) -> str:
-        """The flags of settings that were given, as they are written, each with a space before it."""
-        values, words = vars(self.arguments), ""
+    def words(self) -> list[str]:
+        """The flags of settings that were given, as they are written."""
+        values, words = vars(self.arguments), []
         for each in COMMANDS[self.arguments.command].flags:
             if each.dest in SETTINGS and each.dest in values:
                 value = values[each.dest]
                 if isinstance(value, bool):
-                    words += f" {each.name if value else each.name.replace('--', '--no-')}"
+                    words.append(each.name if value else each.name.replace("--", "--no-"))
                 else:
-                    words += f" {each.name} {quote(f'{value:g}' if isinstance(value, float) else str(value))}"
+                    words += [each.name, f"{value:g}" if isinstance(value, float) else str(value)]
         return words
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from ppo.files import temporary_beside
 from study.errors import MALFORMED, InputError
 from study.files import check_writable
 
@@ -86,10 +87,12 @@ def check_outputs(outputs: Mapping[str, tuple[str, str]], inputs: Mapping[str, s
     """
     before = dict(inputs)
     for flag, (path, kind) in outputs.items():
-        check_writable(path, flag)
         for other, theirs in before.items():
             if same(path, theirs):
                 raise InputError(f"{flag} {path}: is the file of {other}; name another one")
+            if same(str(temporary_beside(Path(path))), theirs):
+                raise InputError(f"{flag} {path}: is written by way of the file of {other}; name another one")
+        check_writable(path, flag)
         before[flag] = path
         if kind == FIGURE and Path(path).suffix not in ("", ".png"):
             raise InputError(
@@ -119,6 +122,6 @@ def would_be_lost(path: Path) -> bool:
 
 def is_a(kind: str, path: Path) -> bool:
     """Whether a file is one of KINDS; one that cannot be read is not."""
-    with suppress(OSError, EOFError, *MALFORMED):
+    with suppress(OSError, EOFError, MemoryError, *MALFORMED):
         return KINDS[kind](path)
     return False

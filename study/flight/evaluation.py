@@ -2,8 +2,8 @@
 
 import dataclasses
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
-from shlex import quote
 from typing import Any
 
 import torch
@@ -18,13 +18,16 @@ from inspection.termination import OUTCOMES
 from ppo.network import Policy
 from rta.constraints import CONSTRAINTS
 from rta.qp import Status
-from study.command_line.arguments import Configure
-from study.config import Config
+from study.commands import command
+from study.config import TEST_CASES, Config
 from study.experiment import TYPICAL_EPISODE, Experiment, check_clocks, load_policy, test_cases
 from study.flight.controllers import agent, classical, untrained
 from study.flight.summary import summary_of_runs
 from study.progress import bar
-from study.verification.verified import say_unless_verified
+from study.verified import say_unless_verified
+
+# Without the time that is left: the last episode may take as long as all before it, and nobody knows.
+BAR = "{desc}: |{bar}| {n_fmt}/{total_fmt} ended [{elapsed}{postfix}]"
 
 
 @dataclass
@@ -118,13 +121,14 @@ def run_episodes(env: InspectionEnv, controller: Controller, x: Tensor, priority
         extremes=torch.full_like(zeros, math.inf).repeat(len(RAW_QUANTITIES), 1),
     )
     count = x.shape[1]
-    with bar(count, "episodes", desc=f"flying {count:,} test cases", leave=False) as shown:
+    what = f"flying {count:,} test case{'s' * (count > 1)}"
+    with bar(count, "episodes", desc=what, leave=False, bar_format=BAR) as shown:
         while running.any():
             transition = env.advance(controller)
             note(record, transition, running, env.constraint_values(transition.state))
             running = running & ~transition.done
             flown = int(transition.steps.max()) * env.c.action_period
-            shown.set_postfix_str(f"{flown:,.0f} s simulated", refresh=False)
+            shown.set_postfix_str(f"{flown:,.0f} s of at most {env.c.max_time:,.0f}", refresh=False)
             shown.update(count - int(running.sum()) - shown.n)
     return record
 
@@ -216,7 +220,8 @@ def evaluate(policy: Policy, experiment: Experiment, episodes: int, seed: int) -
 
 
 def run(
-    configure: Configure,
+    configure: Callable[[Config], Config],
+    file: str | None,
     episodes: int,
     seed: int,
     checkpoint: str | None,
@@ -226,24 +231,30 @@ def run(
 
     Args:
         configure: puts the command line over a configuration, that of the checkpoint if there is one.
+        file: of --config.
         checkpoint: the agent's file, or else controller: one of BASELINES.
     """
     policy, base = load_policy(checkpoint) if checkpoint else (None, Config())
     config = configure(base.unsettled())
     check_clocks(config)
-    say_unless_verified(config, configure.file, checkpoint)
+    say_unless_verified(config, file, checkpoint)
     experiment = Experiment(config, episodes)
     if policy:
         return evaluate(policy.to(experiment.device), experiment, episodes, seed)
     return report(play_controller(controller, experiment, episodes, seed), experiment.config, seed)
 
 
-def how_to_watch(words: str, checkpoint: str | None, controller: str | None) -> str:
-    """The commands that show an episode of what `evaluate` flew; `words` are the flags of its settings."""
-    who = f"policy --checkpoint {quote(checkpoint)}" if checkpoint else controller
-    if controller == "random":
-        who = "random --step 10"  # s, as it is evaluated
-    return (
-        f"Watch one: python main.py simulate --controller {who}{words} --duration {TYPICAL_EPISODE:.0f} --out run.npz "
-        "&& python main.py replay run.npz --out run.html"
-    )
+def how_to_watch(
+    results: dict[str, Any], words: list[str], checkpoint: str | None, controller: str | None
+) -> str:
+    """The commands that show the first episode of an evaluation; `words` are the flags of its settings."""
+    who = ["policy", "--checkpoint", checkpoint] if checkpoint else [controller]
+    task = results["config"]["inspection"]
+    every = {"random": task["action_period"], "natural-motion": results["rta"]["period_s"] or task["substep"]}
+    if controller in every:
+        who += ["--step", f"{every[controller]:g}"]
+    if results["seed"] != TEST_CASES:
+        who += ["--seed", str(results["seed"])]
+    length = "--duration", f"{TYPICAL_EPISODE:.0f}"
+    fly = command("simulate", "--controller", *who, *words, *length, "--out", "run.npz")
+    return f"Watch one: {fly} && {command('replay', 'run.npz', '--out', 'run.html')}"

@@ -1,5 +1,6 @@
 """Simulating one spacecraft under any controller, with everything over time."""
 
+from collections.abc import Callable
 from dataclasses import asdict
 
 import numpy as np
@@ -12,14 +13,13 @@ from inspection.environment import InspectionEnv
 from inspection.termination import terminal_conditions
 from ppo.network import Policy
 from rta.qp import Status
-from study.command_line.arguments import Configure
 from study.config import TEST_CASES, Config
 from study.errors import InputError
 from study.experiment import Experiment, check_clocks, load_policy, test_cases
 from study.flight.controllers import agent, classical, recorded, untrained
 from study.flight.state_files import STATE_FIELDS, read_state
 from study.progress import bar
-from study.verification.verified import say_unless_verified
+from study.verified import say_unless_verified
 
 MAX_ROWS = 10**7
 SCALARS = ("time", "inspected_score", "temperature", "energy", "sun_angle")
@@ -119,7 +119,8 @@ def common_episode(policy: Policy, experiment: Experiment) -> dict[str, np.ndarr
 
 
 def run(
-    configure: Configure,
+    configure: Callable[[Config], Config],
+    file: str | None,
     controller: str,
     duration: float,
     step: float,
@@ -132,6 +133,7 @@ def run(
 
     Args:
         configure: puts the command line over a configuration, that of the checkpoint if there is one.
+        file: of --config.
 
     Raises:
         InputError, CheckpointError: a file is missing or damaged, or the flags do not fit together.
@@ -144,7 +146,7 @@ def run(
     config = configure(base.unsettled())
     decide_every = config.inspection.action_period if controller in ("policy", "untrained") else step
     check_rows(step, duration, config, decide_every)
-    say_unless_verified(config, configure.file, checkpoint)
+    say_unless_verified(config, file, checkpoint)
     experiment = Experiment(config, 1, duration)
     start = starting_point(initial_state, experiment, seed)
     # the plant is that of the first test case of `evaluate` with this seed

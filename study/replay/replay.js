@@ -7,6 +7,7 @@ const FRAME = 1000 / 30; // ms between two drawings while playing
 const MARGIN = { l: 56, r: 10, t: 6, b: 24 }; // px around a plot
 const MAX_PATH = 500; // corners of the flown path
 const VIEW = [1.15, 1.15, 0.65]; // from the chief to the camera, in plotly's units
+const SEEN = 0.65; // how far from the chief all is in that view; what is farther is looked at from farther away
 
 const byId = (name) => document.getElementById(name);
 const end = Math.max(...runs.map((run) => run.end)); // s
@@ -143,7 +144,10 @@ function drawScene(run, i) {
       aspectmode: "manual",
       aspectratio: place(data.aspect),
       dragmode: "turntable",
-      camera: { eye: place(sum(data.centre, VIEW)), center: place(data.centre) },
+      camera: {
+        eye: place(sum(data.centre, scaled(VIEW, Math.max(1, data.reach / SEEN)))),
+        center: place(data.centre),
+      },
       xaxis: axis("x", 0),
       yaxis: axis("y", 1),
       zaxis: axis("z", 2),

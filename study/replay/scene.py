@@ -238,8 +238,8 @@ def run_data(run: Replayed, episode: Episode) -> dict[str, Any]:
 def box(runs: Sequence[Replayed]) -> dict[str, Any]:
     """The scenes, which have one scale: [low, high] of each of Hill's axes and the lengths of what is drawn, in m.
 
-    `aspect` and `centre`, the chief's place, are in the units of plotly's camera; `dot` is a point's size in px on a
-    large screen.
+    `aspect`, `centre`, the chief's place, and `reach`, the farthest from there, are in the units of plotly's camera;
+    `dot` is a point's size in px on a large screen.
     """
     positions = np.concatenate([run.episode["position"] for run in runs])
     radius = max(run.c.chief_radius for run in runs)
@@ -254,6 +254,7 @@ def box(runs: Sequence[Replayed]) -> dict[str, Any]:
         "lengths": {"axis": 0.12 * size, "cone": 0.25 * size, "direction": direction},
         "aspect": (high - low) / unit,
         "centre": -(low + high) / 2 / unit,
+        "reach": np.linalg.norm(positions, axis=1).max() / unit,
         "dot": min(4.0, max(1.5, 48.0 * radius / size)),
     }
 

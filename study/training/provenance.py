@@ -14,6 +14,7 @@ from ppo.distributed import ranks
 from study.config import Config
 from study.experiment import resolve_device
 from study.files import ROOT, write_json, write_text
+from study.threads import THREADS
 
 PACKAGES = ("torch", "numpy", "piqp", "scipy", "tensorboard")
 
@@ -51,6 +52,7 @@ def provenance(device: torch.device) -> dict[str, Any]:
 
 def write_settings(config: Config, directory: Path, init_from: Path | None = None) -> None:
     """Writes what describes a run or a study: provenance.json, with the file it started from, then config.toml."""
+    THREADS.settle()  # before they are recorded
     about = provenance(resolve_device(config.train.device))
     if init_from:
         digest = hashlib.sha256(init_from.read_bytes()).hexdigest()

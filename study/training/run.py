@@ -1,9 +1,11 @@
 """One training run on disk: begun, checkpointed, interrupted, continued and concluded."""
 
+import os
 import signal
+import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -12,6 +14,7 @@ from ppo import checkpoint
 from ppo.distributed import RankLostError, ranks
 from ppo.learner import PPO, NonFiniteError
 from ppo.trainer import Trainer
+from study.commands import after_training, command
 from study.config import TEST_CASES, AnyConfig, Config
 from study.experiment import Experiment, compile_or_explain, resolve_device, settled
 from study.files import write_json
@@ -19,7 +22,6 @@ from study.flight.evaluation import Episodes, evaluate, play, report
 from study.flight.figures import episode_figure
 from study.flight.simulation import common_episode
 from study.paper import tables
-from study.training.commands import after_training, command
 from study.training.log import Log
 from study.training.monitor import Monitor
 from study.training.shards import shard_of_episodes, shard_of_seeds
@@ -45,6 +47,12 @@ def on_signal(react: Callable[[], None]) -> Iterator[None]:
     finally:
         for number, handler in zip(numbers, previous, strict=True):
             signal.signal(number, handler)
+
+
+def say_in_a_handler(text: str) -> None:
+    """Writes a line to stderr, past Python's buffers, which a signal may have interrupted."""
+    with suppress(OSError, ValueError, AttributeError):  # no such file
+        os.write(sys.stderr.fileno(), f"\n{text}\n".encode())
 
 
 class Run:
@@ -156,10 +164,16 @@ class Run:
             OSError: something could not be written. All but the first name the last good checkpoint.
         """
         stop: list[bool] = []  # a signal comes during an update, which can end first
+
+        def react() -> None:
+            if not stop and self.ranks.first:
+                say_in_a_handler("stopping where this update ends, and an evaluation that is due with it ...")
+            stop.append(True)
+
         total = self.config.train.updates * self.config.train.batch
         shown = self.log.open(self.interactions, total) if self.ranks.first else nullcontext()
         with self.naming_the_checkpoint():
-            with on_signal(lambda: stop.append(True)), shown:
+            with on_signal(react), shown:
                 try:
                     self.trainer.run(self.monitor, self.after_update, lambda: self.ranks.any(bool(stop)))
                 except (NonFiniteError, RankLostError) as error:
@@ -183,10 +197,9 @@ class Run:
         if reports := self.ranks.collect((statistics, self.monitor), self.device):
             self.log.update(reports, self.interactions)
         self.monitor.clear()
-        # last, so that a checkpoint knows what has been drawn
-        self.last_save = (
-            {"time/checkpoint_s": seconds_of(self.save)} if self.due(train.checkpoint_interval) else {}
-        )
+        self.last_save = {}
+        if self.due(train.checkpoint_interval):  # last, so that a checkpoint knows what has been drawn
+            self.last_save = {"time/checkpoint_s": seconds_of(self.save)}
 
     def due(self, interval: int) -> bool:
         """Whether the last update completed so many interactions, once more."""
@@ -214,9 +227,19 @@ class Run:
         return [report(own, self.config_of(trained), seed) for trained, own in parts]
 
     def conclude(self) -> str:
-        """Evaluates the trained policy, writes evaluation.json and episode.png; returns what a person sees last."""
-        results = evaluate(self.policy, self.experiment, self.config.train.final_episodes, TEST_CASES)
-        episode = common_episode(self.policy, self.experiment)
+        """Evaluates the trained policy, writes evaluation.json and episode.png; returns what a person sees last.
+
+        Raises:
+            Stopped: a signal came before all was evaluated.
+        """
+
+        def stop() -> None:
+            again = command("train", "--resume", self.directory)
+            raise Stopped(f"trained, but not evaluated to the end; continue with\n  {again}")
+
+        with on_signal(stop):
+            results = evaluate(self.policy, self.experiment, self.config.train.final_episodes, TEST_CASES)
+            episode = common_episode(self.policy, self.experiment)
         with self.naming_the_checkpoint():
             write_json(self.directory / "evaluation.json", results)
             episode_figure(episode, self.config.inspection, self.directory / "episode.png")

@@ -13,17 +13,14 @@ from ppo.files import naming, temporary_beside
 from study import config as configuration
 from study.config import Config
 from study.errors import MALFORMED, InputError, refusing
-from study.experiment import check_clocks, load_policy, resolve_device
+from study.experiment import check_clocks, check_weights, load_policy, resolve_device
 from study.files import write_text
 from study.training.lock import alone_in
 from study.training.provenance import write_settings
 from study.training.run import CHECKPOINT, Run, settled_for_a_seed
 
-BEGUN = (
-    "provenance.json",
-    "config.toml",
-    CHECKPOINT,
-)  # in this order; before the last one, there is no run yet
+# What a run writes first, in this order; before the last one, there is no run yet.
+BEGUN = ("provenance.json", "config.toml", CHECKPOINT)
 RESUMABLE = ("policy", "value", "optimiser", "env", "generators", "update", "seconds", "config")
 FITTING = ("hidden", "log_std_bounds")  # keys of [ppo] without which the weights are another policy's
 
@@ -41,8 +38,11 @@ def check_minibatch(config: Config) -> None:
 @contextmanager
 def starting(config: Config, directory: Path, init_from: Path | None = None) -> Iterator[Run]:
     """A fresh run, see `start`, with its directory to itself; leaves no directory where it comes to nothing."""
-    with made(directory), alone_in(directory, "--run-dir"):
-        yield start(config, directory, init_from)
+    new = made(directory)
+    with alone_in(directory, "--run-dir"):
+        with taken_away(new):
+            run = start(config, directory, init_from)
+        yield run
 
 
 @contextmanager
@@ -76,26 +76,34 @@ def start(config: Config, directory: Path, init_from: Path | None = None) -> Run
     return create(config, directory, networks=networks)
 
 
-@contextmanager
-def made(directory: Path) -> Iterator[None]:
-    """Makes a directory that is not there; takes it away again where an exception leaves no agent in it."""
-    mine: list[Path] = []
+def made(directory: Path) -> list[Path]:
+    """Makes a directory; returns what was not there, it and those above it."""
+    new: list[Path] = []
 
     def make() -> None:
         missing = [path for path in (directory, *directory.parents) if not path.exists()]
         with suppress(FileExistsError):
             directory.mkdir(parents=True)
-            mine.extend(missing)
+            new.extend(missing)
 
     with refusing(f"--run-dir {directory}: cannot write there", OSError, ValueError):
         ranks().first_does(make)
+    return new
+
+
+@contextmanager
+def taken_away(new: Sequence[Path]) -> Iterator[None]:
+    """Takes new directories away again, see `made`, where an exception comes before there is an agent.
+
+    To be used while their lock is held: what another process has begun there is not this one's to take away.
+    """
     try:
         yield
     except BaseException:
-        if mine and not any((directory / name).exists() for name in (CHECKPOINT, "policy.pt")):
-            shutil.rmtree(directory, ignore_errors=True)
+        if new and not any((new[0] / name).exists() for name in (CHECKPOINT, "policy.pt")):
+            shutil.rmtree(new[0], ignore_errors=True)
             with suppress(OSError):  # of the directories above those that hold nothing else
-                for above in mine[1:]:
+                for above in new[1:]:
                     above.rmdir()
         raise
 
@@ -106,7 +114,7 @@ def check_empty(directory: Path) -> None:
         found = {path.name for path in directory.iterdir()} if directory.exists() else set()
     if found & {CHECKPOINT, "policy.pt"}:
         raise InputError(f"--run-dir {directory}: holds a run already; continue it with --resume")
-    left = {name for name in BEGUN if name in found} | {f"{name}.tmp" for name in BEGUN}
+    left = {*BEGUN, *(f"{name}.tmp" for name in BEGUN)}
     if "provenance.json" not in found:  # which is written first
         left.discard("config.toml")
     if other := sorted(found - left):
@@ -191,4 +199,8 @@ def networks_of(path: Path, config: Config) -> dict[str, dict[str, Any]]:
                 f"--init-from {path}: its [ppo] {key} = {theirs}, not {ours} as in this run; set it with --config"
             )
     content = checkpoint.load(path, ("policy",))
-    return {name: content[name] for name in ("policy", "value") if name in content}
+    networks = {name: content[name] for name in ("policy", "value") if name in content}
+    for name, weights in networks.items():
+        with refusing(f"--init-from {path}: its {name} network is damaged", *MALFORMED):
+            check_weights(weights, path)
+    return networks

@@ -11,18 +11,18 @@ from inspection.termination import OUTCOMES
 from ppo.distributed import ranks
 from rta.constraints import CONSTRAINTS
 from study import config as configuration
+from study.commands import command
 from study.config import TEST_CASES, StudyConfig
 from study.errors import InputError, refusing
 from study.experiment import check_clocks
 from study.files import write_json, write_npz
 from study.flight.evaluation import Episodes, report
 from study.paper import tables
-from study.training.commands import command
 from study.training.lock import alone_in
 from study.training.provenance import write_settings
 from study.training.run import Run, Stopped, on_signal, settled_for_a_seed
 from study.training.session import check_minibatch, create, resume
-from study.verification.verified import say_unless_verified
+from study.verified import say_unless_verified
 
 LEFT_BY_A_KILL = ("provenance.json", "provenance.json.tmp", "config.toml.tmp")  # at the start
 
@@ -39,7 +39,8 @@ def train_and_evaluate(config: StudyConfig, directory: Path) -> str:
     for name in config.study.arms:
         check_clocks(config.of_arm(name))
     check_minibatch(config)
-    ranks().first_does(lambda: begin_or_continue(config, directory))
+    with refusing(f"--study-dir {directory}: cannot write there", OSError, ValueError):
+        ranks().first_does(lambda: directory.mkdir(parents=True, exist_ok=True))
     results = {}
     again = f"continue with\n  {command('study', '--study-dir', directory)}"
 
@@ -48,6 +49,7 @@ def train_and_evaluate(config: StudyConfig, directory: Path) -> str:
 
     # signals: outside an update, where nothing half done is kept
     with alone_in(directory, "--study-dir"), on_signal(stop):
+        ranks().first_does(lambda: begin_or_continue(config, directory))
         if "rta" in config.study.arms:
             say_unless_verified(config.of_arm("rta"), directory / "config.toml")
         for name in config.study.arms:
@@ -65,11 +67,10 @@ def train_and_evaluate(config: StudyConfig, directory: Path) -> str:
 
 
 def begin_or_continue(config: StudyConfig, directory: Path) -> None:
-    """Makes the directory of a new study; refuses one that holds other things or a study with other settings."""
+    """Begins a study in its directory; refuses one that holds other things or a study with other settings."""
     before = read_settings(directory)
     if before is None:
         with refusing(f"--study-dir {directory}: cannot write there", OSError, ValueError):
-            directory.mkdir(parents=True, exist_ok=True)
             if other := sorted(path.name for path in directory.iterdir() if path.name not in LEFT_BY_A_KILL):
                 raise InputError(
                     f"--study-dir {directory}: holds no study but {other[0]}; name a new directory"

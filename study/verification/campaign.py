@@ -78,7 +78,7 @@ def run(
         number, first = divmod(report["episodes"] + beyond["episodes"], campaign.batch_size)
         batch_seed = np.random.SeedSequence((campaign.seed, number)).generate_state(1)[0]
         seed_of_starts, seed_of_controls, seed_of_plants = spawned(int(batch_seed), 3)
-        drawing = step(f"drawing {campaign.batch_size:,} starts")
+        drawing = step("drawing the starts, some seconds a batch")
         with refusing("[inspection] and [rta]", RuntimeError), drawing:
             x, priority, rejected = initial_states(campaign.batch_size, seed_of_starts, experiment.filter)
         held = experiment.filter.can_brake(x)[first:]

@@ -3,15 +3,15 @@
 import dataclasses
 import json
 from pathlib import Path
-from shlex import quote
 from textwrap import fill
 from typing import Any
 
 from rta.constraints import CONSTRAINTS
+from study.commands import command
 from study.config import Config, override
 from study.errors import MALFORMED, InputError, refusing
 from study.verification.tally import empty_tally
-from study.verification.verified import fingerprint
+from study.verified import fingerprint
 
 WIDTH = 100  # of the text
 LISTED = 12  # sets of constraints with slack together that the text lists
@@ -23,7 +23,7 @@ def empty_report(campaign: dict[str, Any], config: Config) -> dict[str, Any]:
     Its own tally and bound are over the starts that the filter can hold in any attitude. `starts_beyond_braking` has
     the tally of the others (`SafetyFilter.can_brake`), where keep-in zone and actuators can conflict from the start
     on. `starts_rejected_by_margin` counts states left out as in `safe_set`. `fingerprint` is that of the plant and the
-    filter (`study.verification.verified`).
+    filter (`study.verified`).
     """
     return {
         "campaign": campaign,
@@ -109,5 +109,5 @@ def what_next(report: dict[str, Any], path: Path | None) -> str:
     examples = [name for name in violated if Path(f"{path}.{name}.npz").is_file()]
     if examples:
         lines.append(f"Counter-examples, the worst episodes: {path}.CONSTRAINT.npz of {', '.join(examples)}")
-        lines.append(f"Fly one again: python main.py verify --replay {quote(f'{path}.{examples[0]}.npz')}")
+        lines.append(f"Fly one again: {command('verify', '--replay', f'{path}.{examples[0]}.npz')}")
     return "\n".join(lines)

@@ -96,21 +96,21 @@ def nothing_announced(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_older_keys_are_read_where_they_are_now(
     nothing_announced: None, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    config = configuration.from_toml(OLDER, "runs/x/policy.pt")
+    config = configuration.from_toml(OLDER, "runs/x/config.toml")
     rta = {"period": 5.0, "qp_solver": "piqp", "speed_gain": 0.25}
     assert config == configuration.override(Config(), {"train": {"seed": 3}, "rta": rta}, "test")
     assert capsys.readouterr().err == (
-        "runs/x/policy.pt: older keys: [train] rta_period read as [rta] period, "
+        "runs/x/config.toml: older keys: [train] rta_period read as [rta] period, "
         "[train] qp_solver read as [rta] qp_solver\n"
     )
 
 
 def test_older_keys_are_told_of_once(nothing_announced: None, capsys: pytest.CaptureFixture[str]) -> None:
-    for source in ("one.pt", "two.pt", "three.pt"):
+    for source in ("agent.pt", "one.toml", "two.toml", "three.toml"):  # an agent's file is nobody's to edit
         assert configuration.from_toml(OLDER, source).rta.period == 5.0
     configuration.from_toml("[train]\nrta_period = 10.0", "four.toml")  # other keys
     told = capsys.readouterr().err.splitlines()
-    assert [line.partition(":")[0] for line in told] == ["one.pt", "four.toml"]
+    assert [line.partition(":")[0] for line in told] == ["one.toml", "four.toml"]
 
 
 def test_keys_of_today_are_told_of_never(nothing_announced: None, capsys: pytest.CaptureFixture[str]) -> None:

@@ -36,8 +36,8 @@ def test_a_person_comes_before_the_record_and_that_before_a_measurement(
 ) -> None:
     monkeypatch.setattr(threads, "measured", lambda most: {1: 1.0, most: 0.5})
     own = Threads()
-    own.recorded = recorded
     own.ask(wanted)
+    own.recorded = recorded
     own.settle()
     assert torch.get_num_threads() == number
     assert ("measurement" in capsys.readouterr().err) == (wanted is None and recorded is None)

@@ -78,6 +78,16 @@ def test_an_output_that_is_an_input_is_refused(
     assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
 
 
+def test_an_input_that_an_output_is_written_by_way_of_is_not_lost(
+    files: dict[str, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    states = files["x.npz"].rename(tmp_path / "o.npz.tmp")
+    before = states.read_bytes()
+    code, _, err = call(["filter", "--states", str(states), "--out", str(tmp_path / "o.npz")], capsys)
+    assert (code, err.count("\n")) == (2, 1) and "by way of the file of --states" in err
+    assert states.read_bytes() == before
+
+
 def test_every_file_of_every_command_is_declared() -> None:
     for name, command in COMMANDS.items():
         for flag in command.flags:

@@ -103,4 +103,4 @@ def test_the_bar_counts_episodes_and_shows_the_time_simulated(monkeypatch: pytes
     play_controller("zero", experiment_of(False, 3), 3, 0)
     (shown,) = bars
     assert (shown.n, shown.total, shown.desc) == (3, 3, "flying 3 test cases")
-    assert shown.postfix == "20 s simulated"
+    assert shown.postfix == "20 s of at most 20"

@@ -149,6 +149,15 @@ def test_a_run_is_described_in_a_line(tmp_path: Path) -> None:
     assert str(arm) == f"{tmp_path}: no RTA, seeds 3 to 5, 12 episodes at once on cpu"
 
 
+def test_a_signal_in_the_last_evaluation_says_how_to_continue(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run = training.start(tiny(), tmp_path / "run")
+    monkeypatch.setattr("study.training.run.evaluate", lambda *_: os.kill(os.getpid(), signal.SIGINT))
+    with pytest.raises(Stopped, match=r"continue with\n.*train --resume"):
+        run.conclude()
+
+
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_signal_ends_training_cleanly_and_resume_continues(tmp_path: Path, number: int) -> None:
     config = tmp_path / "tiny.toml"
@@ -164,5 +173,6 @@ def test_a_signal_ends_training_cleanly_and_resume_continues(tmp_path: Path, num
     out, err = process.communicate(timeout=60)
     assert process.returncode == 0, err
     assert "--resume" in out
+    assert "\nstopping" in err
     assert "Traceback" not in err
     assert checkpoint.load(run / "checkpoint.pt", ("update",))["update"] >= 1

@@ -248,6 +248,35 @@ def test_an_interrupt_before_the_first_checkpoint_leaves_nothing(
     assert main.main([*arguments, "--interactions", "1"]) == 0  # and what is there hinders nobody
 
 
+def test_what_another_process_has_begun_is_not_taken_away(
+    settings: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It has come between the making of the directory and its lock."""
+    run, made = tmp_path / "run", training.made
+    others: list[int] = []
+
+    def overtaken(directory: Path) -> list[Path]:
+        new = made(directory)
+        others.extend(lock.lock(directory, "--run-dir"))
+        (directory / "provenance.json").write_text("theirs")
+        return new
+
+    monkeypatch.setattr(training, "made", overtaken)
+    assert main.main(["train", "--config", str(settings), "--run-dir", str(run)]) == 2
+    one_line(capsys, f"--run-dir {run}: is being trained by another process")
+    assert (run / "provenance.json").read_text() == "theirs"
+    os.close(*others)
+
+
+def test_a_run_that_has_begun_is_not_taken_away(settings: Path, tmp_path: Path) -> None:
+    run = tmp_path / "run"
+    with pytest.raises(KeyboardInterrupt), training.starting(configuration.load(settings), run):
+        for name in ("checkpoint.pt", "policy.pt"):  # moved elsewhere by a person
+            (run / name).unlink()
+        raise KeyboardInterrupt
+    assert (run / "config.toml").exists()
+
+
 def test_a_directory_of_other_things_is_refused(
     settings: Path, whole: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -387,6 +416,16 @@ def test_widths_are_keys_from_training_to_export_and_the_last_lines_can_be_paste
         shorter = {"1000": "2", "3000": "20"}
         assert main.main([shorter.get(word, word) for word in words[2:]]) == 0
     assert (run / "flight.html").exists()
+
+
+def test_the_threads_that_a_run_computes_with_are_recorded(settings: Path, tmp_path: Path) -> None:
+    before, run = torch.get_num_threads(), tmp_path / "run"
+    train = ["train", "--config", str(settings), "--run-dir", str(run), "--interactions", "16"]
+    try:
+        assert main.main([*train, "--threads", str(before + 1)]) == 0
+        assert provenance.recorded_threads(run) == torch.get_num_threads() == before + 1
+    finally:
+        torch.set_num_threads(before)
 
 
 def test_the_threads_of_a_run_are_recorded(whole: Path, tmp_path: Path) -> None:

@@ -2,9 +2,9 @@
 
 import hashlib
 import json
-import shlex
 import sys
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,6 +14,7 @@ from inspection.plant import PlantParameters
 from ppo.distributed import is_first
 from rta.parameters import RtaParameters
 from study import config as configuration
+from study.commands import command
 from study.config import Config, StudyConfig, override
 from study.errors import MALFORMED, InputError
 from study.files import ROOT
@@ -82,12 +83,12 @@ class Flown:
     @property
     def violating(self) -> int:
         """Episodes with a violation."""
-        return self.report["violating_episodes"]["any"]
+        return int(self.report["violating_episodes"]["any"])
 
     @property
     def clean(self) -> bool:
         """No violation, and no program unsolved."""
-        return not self.violating and not self.report["unsolved"]
+        return not self.violating and not int(self.report["unsolved"])
 
     @property
     def large(self) -> bool:
@@ -144,7 +145,7 @@ def doubt(config: Config, file: str | Path | None, checkpoint: str | Path | None
     if source is None:
         return begin
     commands = [f"mkdir -p {REPORTS}"] + [
-        f"python main.py verify {source}--policy {policy} --json {REPORTS}/{own}_{policy}.json"
+        command("verify", *source, "--policy", policy, "--json", f"{REPORTS}/{own}_{policy}.json")
         for policy in POLICIES
     ]
     return f"{begin}, or verify it: {' && '.join(commands)}"
@@ -188,29 +189,27 @@ def in_toml(value: Any, number: str) -> str:
     return number.format(value) if isinstance(value, float) else json.dumps(value)
 
 
-def source_of(config: Config, file: str | Path | None, checkpoint: str | Path | None) -> str | None:
-    """The flags with which `verify` has this plant and filter, ending in a space; None where none are found.
+def source_of(config: Config, file: str | Path | None, checkpoint: str | Path | None) -> list[str] | None:
+    """The flags with which `verify` has this plant and filter; None where none are found.
 
     The settings may come from --config, from the config.toml nearest above a checkpoint, and from two flags.
     """
     above = Path(checkpoint).absolute().parents if checkpoint else ()
     nearest = next((folder / "config.toml" for folder in above if (folder / "config.toml").is_file()), None)
     for path in (file, nearest, None):
-        try:
+        with suppress(InputError):  # somebody else's config.toml
             base = configuration.load(path, StudyConfig()) if path else StudyConfig()
-        except InputError:  # somebody else's config.toml
-            continue
-        flags, tables = f"--config {shlex.quote(shown(path))} " if path else "", {}
-        for flag, table, key in (
-            ("--rta-period", "rta", "period"),
-            ("--solar-panel-axis", "inspection", "solar_panel_axis"),
-        ):
-            value = getattr(getattr(config, table), key)
-            if value != getattr(getattr(base, table), key):
-                flags += f"{flag} {value if isinstance(value, str) else f'{value:g}'} "
-                tables[table] = {key: value}
-        if fingerprint(override(base, tables, "command line")) == fingerprint(config):
-            return flags
+            flags, tables = ["--config", shown(path)] if path else [], {}
+            for flag, table, key in (
+                ("--rta-period", "rta", "period"),
+                ("--solar-panel-axis", "inspection", "solar_panel_axis"),
+            ):
+                value = getattr(getattr(config, table), key)
+                if value != getattr(getattr(base, table), key):
+                    flags += [flag, value if isinstance(value, str) else f"{value:g}"]
+                    tables[table] = {key: value}
+            if fingerprint(override(base, tables, "command line")) == fingerprint(config):
+                return flags
     return None
 
 

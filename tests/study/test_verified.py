@@ -1,5 +1,6 @@
 """What has been verified is silent; whatever else is said in one line, with commands that work."""
 
+import inspect
 import json
 import shlex
 from pathlib import Path
@@ -7,11 +8,12 @@ from typing import Any
 
 import pytest
 
+import main
+from study import verified
 from study.config import Config, StudyConfig, override
 from study.files import ROOT
-from study.verification import verified
 from study.verification.findings import empty_report
-from study.verification.verified import doubt, fingerprint
+from study.verified import doubt, fingerprint
 from tests.test_main import assert_refused, call
 
 FAST = {"inspection": {"max_rate": 0.3}}
@@ -126,6 +128,7 @@ def test_violations_and_damaged_files_are_told_apart() -> None:
     put(config, "random", violating_episodes={"any": 7})
     for i, text in enumerate(("{", "[]", '{"config": 3}', '{"config": {"rta": {"colour": 1}}}')):
         Path(f"runs/verification/{i}.json").write_text(text)
+    put(config, "adversarial", violating_episodes={"any": "many"})
     line = doubt(config, None, None)
     assert line and "7 of 1,000 episodes behind this filter violated" in line
     assert str(Path("runs/verification/random.json")) in line and "python main.py verify" not in line
@@ -181,3 +184,8 @@ def test_without_the_filter_nothing_is_said(capsys: pytest.CaptureFixture[str]) 
     assert capsys.readouterr().err == ""
     verified.say_unless_verified(configured(FAST), None)
     assert capsys.readouterr().err.startswith("not verified: ")
+
+
+def test_the_pasted_commands_fly_as_much_as_counts() -> None:
+    defaults = {name: each.default for name, each in inspect.signature(main.run_verify).parameters.items()}
+    assert (defaults["episodes"], defaults["duration"]) == (verified.EPISODES, verified.DURATION)
