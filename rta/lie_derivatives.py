@@ -4,6 +4,7 @@ A barrier is any function of states (16, ...) whose trailing axes are independen
 derivative by forward mode is then the same for one spacecraft and for a batch.
 """
 
+import threading
 from collections.abc import Callable
 
 import torch
@@ -11,10 +12,15 @@ from torch import Tensor
 
 Function = Callable[[Tensor], Tensor]
 
+FORWARD_MODE = threading.RLock()  # PyTorch counts the levels of forward mode for all threads together
+
 
 def lie_derivative(h: Function, x: Tensor, direction: Tensor) -> tuple[Tensor, Tensor]:
     """h(x) and its derivative along a direction (16, ...), by one forward-mode pass."""
-    return torch.func.jvp(h, (x,), (direction,))
+    if torch.compiler.is_compiling():  # which knows no locks
+        return torch.func.jvp(h, (x,), (direction,))
+    with FORWARD_MODE:
+        return torch.func.jvp(h, (x,), (direction,))
 
 
 def lie_derivatives(h: Function, x: Tensor, f: Tensor, g: Tensor) -> tuple[Tensor, Tensor, Tensor]:
