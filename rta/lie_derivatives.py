@@ -5,7 +5,9 @@ derivative by forward mode is then the same for one spacecraft and for a batch.
 """
 
 import threading
+import warnings
 from collections.abc import Callable
+from functools import cache
 
 import torch
 from torch import Tensor
@@ -20,7 +22,16 @@ def lie_derivative(h: Function, x: Tensor, direction: Tensor) -> tuple[Tensor, T
     if torch.compiler.is_compiling():  # which knows no locks
         return torch.func.jvp(h, (x,), (direction,))
     with FORWARD_MODE:
+        load_forward_mode()
         return torch.func.jvp(h, (x,), (direction,))
+
+
+@cache
+def load_forward_mode() -> None:
+    """Has PyTorch load what its first derivative needs, without its warning about code of its own."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        torch.func.jvp(torch.sin, (torch.zeros(1),), (torch.ones(1),))
 
 
 def lie_derivatives(h: Function, x: Tensor, f: Tensor, g: Tensor) -> tuple[Tensor, Tensor, Tensor]:
