@@ -4,6 +4,7 @@ import ctypes
 import hashlib
 import os
 import platform
+import threading
 import time
 import warnings
 from collections.abc import Callable
@@ -21,6 +22,8 @@ from torch.fx import GraphModule, Node
 SIZES = (16, 256)  # of a chunk: for few spacecraft, for many; a CPU's caches hold the latter
 WORTH_A_THREAD = 3e-4  # s of computing that repay handing a chunk to a thread, which waits for Python's lock
 UNROLLED = 32  # terms of an inner product up to which they are written out
+
+TRACING = threading.Lock()  # PyTorch's tracer changes what all threads share
 
 Parts = list[Tensor]
 
@@ -55,9 +58,11 @@ class Compiled:
         self.size = next((size for size in SIZES if batch <= size), SIZES[-1])
         columns = [example.expand(*example.shape[:-1], self.size).contiguous() for example in examples]
         if trace_only:
-            self.run = traced(packed, *columns)
+            with TRACING:
+                self.run = traced(packed, *columns)
         elif self.by_size:
-            self.run = ahead_of_time(packed, *columns)
+            with TRACING:
+                self.run = ahead_of_time(packed, *columns)
             self.on_threads = min(timed(self.run, *columns) for _ in range(3)) > WORTH_A_THREAD
         else:
             self.run = torch.compile(packed, dynamic=True)

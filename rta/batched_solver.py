@@ -8,7 +8,7 @@ variables, so the state of a program is small, and one step is the same arithmet
 """
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
@@ -60,6 +60,9 @@ class BatchedSolver:
     def __init__(self) -> None:
         self.fallback = PiqpSolver()
         self._attempt: Callable[..., list[Tensor]] = attempt
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), ()
 
     def compile(self, rows: int, batch: int, device: torch.device | str) -> None:
         """See `Solver`. Few programs go beyond the attempt, and these are not compiled."""

@@ -63,19 +63,31 @@ class Given:
 
 def numbers(name: str, given: Any) -> Tensor:
     """A tensor of float64, float32 or integers."""
+    if np.ma.is_masked(given):
+        raise ValueError(f"{name} holds masked numbers: must be known")
     if not torch.is_tensor(given):
         try:
             array = np.asarray(given)
             if array.dtype.kind not in "fiu":
                 raise TypeError
-            given = torch.from_numpy(np.array(array, order="C"))  # a copy, which may be written to
+            # PyTorch has neither every integer nor another byte order
+            dtype = np.float64 if array.dtype.kind in "iu" else array.dtype.newbyteorder("=")
+            given = torch.from_numpy(np.array(array, dtype, order="C"))  # a copy, which may be written to
         except (TypeError, ValueError):
+            if isinstance(given, np.ndarray):
+                raise wrong_type(name, given) from None
             raise ValueError(
                 f"{name}: must be a NumPy array, a PyTorch tensor or a list of numbers"
             ) from None
     if given.dtype not in (torch.float64, torch.float32, *INTEGERS):
-        raise ValueError(f"{name} of type {given.dtype}: must be float64, float32 or integers")
+        raise wrong_type(name, given)
+    if given.layout != torch.strided:
+        raise ValueError(f"{name} of layout {given.layout}: must be dense")
     return given.detach()
+
+
+def wrong_type(name: str, given: Any) -> ValueError:
+    return ValueError(f"{name} of type {given.dtype}: must be float64, float32 or integers")
 
 
 def check_shape(name: str, part: Tensor, size: int) -> None:

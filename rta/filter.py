@@ -4,7 +4,6 @@ Where the rows of a program conflict, slack is given class after class of their 
 """
 
 from collections.abc import Callable, Sequence
-from copy import copy
 from dataclasses import dataclass, fields
 from functools import cached_property, partial, reduce
 from typing import Any, NamedTuple
@@ -83,7 +82,8 @@ class Prepared(NamedTuple):
 class SafetyFilter:
     """The minimally invasive correction of a desired control.
 
-    Call it as a function; `correct` is the same without its checks, for batches in float64.
+    Call it as a function; `correct` is the same without its checks, for batches in float64. Any thread may call it. A
+    copy, or what another process is given, is not traced or compiled.
 
     Args:
         c: the task's constants; None: the paper's.
@@ -109,7 +109,7 @@ class SafetyFilter:
         c, parameters = c or InspectionParameters(), parameters or RtaParameters()
         if c.max_acceleration <= 0.0:
             raise ValueError("max_thrust / mass must exceed the natural acceleration within max_distance")
-        self.c, self.parameters = c, parameters
+        self.c, self.parameters, self.extra = c, parameters, tuple(extra)
         self.solver = solver or make_solver(parameters.qp_solver.replace("auto", "piqp"))
         constraints = (*thrust_constraints(c, parameters), *torque_constraints(c, parameters), *extra)
         self.groups = tuple(ActuatorGroup(by, constraints, c, parameters) for by in ACTUATORS)
@@ -118,6 +118,9 @@ class SafetyFilter:
         if len(set(self.names)) < len(self.names):
             raise ValueError(f"constraints {', '.join(self.names)}: each name must be there once")
         self._prepare: Callable[[Tensor, Tensor], list[Tensor]] = self.prepare
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), (self.c, self.parameters, self.solver, self.extra)
 
     @property
     def period(self) -> float:
@@ -225,7 +228,7 @@ class SafetyFilter:
     @cached_property
     def _for_one(self) -> "SafetyFilter":
         """This filter, traced for one spacecraft at a time."""
-        other = copy(self)
+        other = SafetyFilter(self.c, self.parameters, self.solver, self.extra)
         other.trace()
         return other
 

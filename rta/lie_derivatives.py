@@ -4,17 +4,34 @@ A barrier is any function of states (16, ...) whose trailing axes are independen
 derivative by forward mode is then the same for one spacecraft and for a batch.
 """
 
+import threading
+import warnings
 from collections.abc import Callable
+from functools import cache
 
 import torch
 from torch import Tensor
 
 Function = Callable[[Tensor], Tensor]
 
+FORWARD_MODE = threading.RLock()  # PyTorch counts the levels of forward mode for all threads together
+
 
 def lie_derivative(h: Function, x: Tensor, direction: Tensor) -> tuple[Tensor, Tensor]:
     """h(x) and its derivative along a direction (16, ...), by one forward-mode pass."""
-    return torch.func.jvp(h, (x,), (direction,))
+    if torch.compiler.is_compiling():  # which knows no locks
+        return torch.func.jvp(h, (x,), (direction,))
+    with FORWARD_MODE:
+        load_forward_mode()
+        return torch.func.jvp(h, (x,), (direction,))
+
+
+@cache
+def load_forward_mode() -> None:
+    """Has PyTorch load what its first derivative needs, without its warning about code of its own."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        torch.func.jvp(torch.sin, (torch.zeros(1),), (torch.ones(1),))
 
 
 def lie_derivatives(h: Function, x: Tensor, f: Tensor, g: Tensor) -> tuple[Tensor, Tensor, Tensor]:

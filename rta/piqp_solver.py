@@ -1,5 +1,8 @@
 """The filter's programs solved one at a time by PIQP (Schwan et al. 2023), a proximal interior-point method."""
 
+import threading
+from typing import Any
+
 import numpy as np
 import piqp
 import torch
@@ -11,6 +14,13 @@ from rta.qp import FEASIBLE, Problems, Solutions, Status, kkt_residual, stages
 UNBOUNDED = 1e30  # PIQP's infinity
 
 
+class Workspaces(threading.local):
+    """PIQP's workspaces by shape, each thread's its own: a program's data and its solution are in the same one."""
+
+    def __init__(self) -> None:
+        self.by_shape: dict[tuple[int, int], piqp.DenseSolver] = {}
+
+
 class PiqpSolver:
     """Each of the `stages` takes what the one before left infeasible.
 
@@ -18,7 +28,10 @@ class PiqpSolver:
     """
 
     def __init__(self) -> None:
-        self._workspaces: dict[tuple[int, int], piqp.DenseSolver] = {}
+        self._workspaces = Workspaces()
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), ()
 
     def compile(self, rows: int, batch: int, device: torch.device | str) -> None:
         """Nothing is compiled: PIQP is a library already."""
@@ -91,7 +104,8 @@ class PiqpSolver:
 
     def _workspace(self, rows: int, slacks: int) -> piqp.DenseSolver:
         """PIQP for min |x|^2 / 2 + c' x subject to g x >= lower, the first three x in [-1, 1]."""
-        if (rows, slacks) not in self._workspaces:
+        workspaces = self._workspaces.by_shape
+        if (rows, slacks) not in workspaces:
             solver = piqp.DenseSolver()
             solver.settings.eps_abs = 1e-9
             solver.settings.eps_rel = 1e-9
@@ -110,8 +124,8 @@ class PiqpSolver:
             solver.setup(
                 np.eye(variables), np.zeros(variables), None, None, g, lower, infinite, -bound, bound
             )
-            self._workspaces[rows, slacks] = solver
-        return self._workspaces[rows, slacks]
+            workspaces[rows, slacks] = solver
+        return workspaces[rows, slacks]
 
 
 def columns(array: ndarray) -> Tensor:

@@ -1,7 +1,9 @@
 """Compiled code gives what uncompiled code gives, in batches of any size, in any process."""
 
 import math
+import sys
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import fields
 from pathlib import Path
 
@@ -67,6 +69,22 @@ def test_what_was_compiled_is_not_compiled_again(cache: Path, monkeypatch: pytes
     Compiled(polynomial, *arguments(1))(x, y)
     with pytest.raises(TypeError):  # another constant
         Compiled(lambda x, y: [x + 1.5, *polynomial(x, y)], *arguments(1))
+
+
+def cubes(x: Tensor, y: Tensor) -> list[Tensor]:
+    return [x**3, y**3]
+
+
+def test_threads_may_trace_at_once() -> None:
+    interval = sys.getswitchinterval()
+    sys.setswitchinterval(1e-6)
+    try:
+        with ThreadPoolExecutor(4) as threads:
+            made = threads.map(lambda _: Compiled(cubes, *arguments(1), trace_only=True), range(16))
+            for each in made:
+                torch.testing.assert_close(each(*arguments(5)), cubes(*arguments(5)), rtol=0, atol=0)
+    finally:
+        sys.setswitchinterval(interval)
 
 
 def test_what_is_written_twice_is_computed_once() -> None:

@@ -68,12 +68,20 @@ def test_lists_and_integers_are_answered_in_float64(safety: SafetyFilter) -> Non
         (state, [9, 0, 0, 0, 0, 0]),
         (np.array(state), np.array([9, 0, 0, 0, 0, 0])),
         (torch.tensor(state), [9, 0, 0, 0, 0, 0]),
+        (np.array(state, np.uint16), np.array([9, 0, 0, 0, 0, 0], np.uint64)),
     ):
         result = safety(one, other)
         assert isinstance(result.control, np.ndarray) and result.control.dtype == float
         np.testing.assert_array_equal(result.control, [1, 0, 0, 0, 0, 0])
         assert result.intervened and result.status == Status.HARD
     assert safety(torch.tensor(state), torch.tensor([9, 0, 0, 0, 0, 0])).control.dtype == torch.float64
+
+
+def test_the_other_byte_order_is_read(safety: SafetyFilter) -> None:
+    x, u = STATE[:, :5], 9 * CONTROL[:, :5]
+    swapped = safety(*(part.astype(part.dtype.newbyteorder()) for part in (x, u)))
+    np.testing.assert_array_equal(swapped.control, safety(x, u).control)
+    assert swapped.control.dtype == float
 
 
 def test_what_is_given_is_not_changed(safety: SafetyFilter) -> None:
@@ -124,7 +132,11 @@ HALF[9, 2] += 0.1
         (STATE[:, 0], "abcdef", "desired control: must be a NumPy array"),
         ([[1.0], 2.0], CONTROL[:, 0], "state: must be a NumPy array"),
         (STATE[:, 0], [True] * 6, "desired control: must be a NumPy array"),
-        (STATE[:, 0], CONTROL[:, 0] * 1j, "desired control: must be a NumPy array"),
+        (STATE[:, 0], CONTROL[:, 0] * 1j, "desired control of type complex128: must be float64, float32"),
+        (STATE[:, 0].astype(object), CONTROL[:, 0], "state of type object"),
+        (STATE[:, 0].astype(np.longdouble), CONTROL[:, 0], f"state of type {np.dtype(np.longdouble)}: must be"),
+        (np.ma.masked_greater(STATE[:, 0], 5.0), CONTROL[:, 0], "state holds masked numbers"),
+        (STATE[:, 0], torch.ones(6).to_sparse(), "desired control of layout torch.sparse_coo: must be dense"),
         (STATE[:, 0].astype(np.float16), CONTROL[:, 0], "state of type torch.float16: must be float64, float32"),
         (STATE[:, 0], torch.zeros(6, dtype=torch.bool), "desired control of type torch.bool"),
     ],

@@ -3,6 +3,11 @@
 import dataclasses
 import json
 import math
+import pickle
+import sys
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from copy import copy, deepcopy
 from pathlib import Path
 
 import numpy as np
@@ -374,6 +379,49 @@ def test_own_constraints_come_after_the_papers(safety: SafetyFilter, result: Fil
     alone = sides[0] > 1e-6  # the cone would not have mattered
     assert alone.sum() > 200
     torch.testing.assert_close(answer.control[:, alone], result.control[:, alone], rtol=0, atol=1e-6)
+
+
+@pytest.fixture
+def restless() -> Iterator[None]:
+    """Threads take turns in the middle of everything."""
+    interval = sys.getswitchinterval()
+    sys.setswitchinterval(1e-6)
+    yield
+    sys.setswitchinterval(interval)
+
+
+@pytest.mark.usefixtures("restless")
+@pytest.mark.parametrize("solver", SOLVERS)
+@pytest.mark.parametrize(("traced", "calls"), [(False, 3), (True, 40)])
+def test_threads_may_share_a_filter(
+    solver: str, traced: bool, calls: int, safety: SafetyFilter, result: FilterResult
+) -> None:
+    shared = SafetyFilter(C, R, make_solver(solver))
+    if traced:
+        shared.trace(16)
+    blocks = [slice(start, start + 16) for start in range(0, 64, 16)]
+    expected = shared.correct(X[:, :64], U[:, :64]).control
+    torch.testing.assert_close(expected, result.control[:, :64], rtol=0, atol=1e-6)
+
+    def answers(block: slice) -> list[Tensor]:
+        return [shared.correct(X[:, block], U[:, block]).control for _ in range(calls)]
+
+    with ThreadPoolExecutor(len(blocks)) as threads:
+        for block, controls in zip(blocks, threads.map(answers, blocks), strict=True):
+            for control in controls:
+                torch.testing.assert_close(control, expected[:, block], rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_a_copy_is_the_same_filter(solver: str) -> None:
+    ball = Constraint("ball", clear_of_a_ball, "thrust", (0.05, 0.2), 1.0)
+    safety = SafetyFilter(dataclasses.replace(C, mass=20.0), RtaParameters(qp_solver=solver), extra=[ball])
+    safety.trace(100)
+    x, u = X[:, :100], U[:, :100]
+    expected = safety.correct(x, u)
+    for other in (copy(safety), deepcopy(safety), pickle.loads(pickle.dumps(safety))):
+        assert other.names == safety.names and type(other.solver) is type(safety.solver)
+        assert torch.equal(other.correct(x, u).control, expected.control)
 
 
 def clear_of_a_ball(x: Tensor) -> Tensor:
