@@ -69,10 +69,12 @@ KINDS: dict[str, Fits] = {
 
 
 def check_inputs(inputs: Mapping[str, str]) -> None:
-    """Refuses what is read without end: devices; by flag, the path."""
+    """Refuses what is read without end, devices and pipes that nobody writes to; by flag, the path."""
     for flag, path in inputs.items():
         if Path(path).is_char_device() or Path(path).is_block_device():
             raise InputError(f"{flag}: is a device; name a file")
+        if Path(path).is_fifo() and os.path.exists(os.path.realpath(path)):  # a shell's own pipe has no name
+            raise InputError(f"{flag}: is a named pipe, which nobody may ever write to; name a file")
 
 
 def check_outputs(outputs: Mapping[str, tuple[str, str]], inputs: Mapping[str, str]) -> None:

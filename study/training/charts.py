@@ -13,7 +13,7 @@ from tensorboard.summary.writer.record_writer import RecordWriter
 
 from ppo.files import naming
 
-COUNT = itertools.count()  # files of this process, whose names differ
+COUNT = itertools.count()  # files of this process: TensorBoard reads them in the order of their names
 
 
 class Charts:
@@ -27,7 +27,7 @@ class Charts:
 
     def __init__(self, directory: Path, begun: Iterable[str] = ()) -> None:
         self.begun = set(begun)
-        parts = f"{int(time.time()):010}", socket.gethostname(), os.getpid(), next(COUNT)
+        parts = f"{int(time.time()):010}", socket.gethostname(), os.getpid(), f"{next(COUNT):06}"
         self.path = directory / ".".join(map(str, ("events.out.tfevents", *parts)))
 
     def open(self, interactions: int) -> None:

@@ -28,7 +28,7 @@ def test_benchmark_writes_the_promised_json_and_figure(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     few = {
-        timing: {"SHORTEST": 0.0},
+        timing: {"SHORTEST": 0.0, "REPEATS": 2},
         flights: {"STEPS": 4, "EPISODES": 64},
         rates: {"WARM_CALLS": 1, "SINGLE_CALLS": 5, "SAMPLES": 256},
         measure: {"PROGRAMS": (1, 64), "TYPICAL_PROGRAMS": 64},

@@ -11,7 +11,7 @@ import pytest
 
 import main
 from study.command_line.arguments import COMMANDS
-from study.command_line.paths import KINDS, check_outputs, is_a
+from study.command_line.paths import KINDS, check_inputs, check_outputs, is_a
 from study.errors import InputError
 from tests.test_main import STATE, call
 
@@ -146,6 +146,15 @@ def test_a_figure_has_the_name_of_its_format(capsys: pytest.CaptureFixture[str])
     code, _, err = call([*ZERO.split(), "--out", "o.npz", "--figure", "x.bogus"], capsys)
     assert (code, err.count("\n")) == (2, 1)
     assert "--figure x.bogus" in err and "x.png" in err
+
+
+def test_a_named_pipe_is_no_input_but_a_shells_own_is(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(InputError, match="is a named pipe"):
+        check_inputs({"--states": str(tmp_path / "pipe")})
+    ours, theirs = os.pipe()
+    check_inputs({"--config": f"/dev/fd/{ours}"})
+    os.close(ours), os.close(theirs)
 
 
 def test_what_standard_output_is_redirected_to_is_no_file_to_be_kept(tmp_path: Path) -> None:

@@ -1,5 +1,6 @@
 """The charts: what a series is, and that the page explains every tag that a run can draw and no other."""
 
+import itertools
 import re
 from collections.abc import Iterable
 from pathlib import Path
@@ -10,6 +11,7 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 import main
 from rta.constraints import CONSTRAINTS
 from study import config as configuration
+from study.training import charts as charts_of_training
 from study.training import session as training
 from study.training.charts import Charts
 
@@ -43,7 +45,11 @@ def shown(directory: Path) -> dict[str, list[tuple[int, float]]]:
     }
 
 
-def test_a_series_begins_where_it_differs_from_zero_also_in_a_resumed_run(tmp_path: Path) -> None:
+@pytest.mark.parametrize("files", [0, 9])
+def test_a_series_begins_where_it_differs_from_zero_also_in_a_resumed_run(
+    files: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(charts_of_training, "COUNT", itertools.count(files))  # "10" comes before "9"
     values = {"always": [1.0, 2.0, 3.0, 4.0], "never": [0.0] * 4, "once": [0.0, -5.0, 0.0, 0.0]}
     begun: Iterable[str] = ()
     for session in ((0, 1), (2, 3)):
