@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import sys
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -13,7 +14,8 @@ import torch
 
 from ppo.network import Policy
 from rta.parameters import PERIODS
-from study.config import ARMS, BASELINES, TEST_CASES, Config
+from study import config as configuration
+from study.config import ARMS, BASELINES, TEST_CASES, Config, StudyConfig
 from study.errors import MALFORMED, InputError, refusing
 from study.experiment import Experiment, load_policy, make_policy
 from study.files import ROOT, write_json, write_npz, write_text
@@ -79,6 +81,9 @@ def load(study: Path, device: str | None) -> dict[str, Arm]:
     arms = read_arms(study)
     if not arms:
         raise InputError(f"{path}: holds none of the arms {', '.join(ARMS)}")
+    wanted = configuration.load(study / "config.toml", StudyConfig()).study.arms
+    if unfinished := [name for name in wanted if name not in arms]:
+        print(f"--study {study}: {', '.join(unfinished)} is not finished and is left out", file=sys.stderr)
     return {name: load_arm(study / name, results, device) for name, results in arms.items()}
 
 

@@ -236,3 +236,11 @@ def test_what_is_no_finished_study_is_refused(
     assert err.count("\n") == 1
     assert words in err
     assert str(copy) in err
+
+
+def test_an_arm_that_is_not_finished_is_named(copy: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    results = read(copy / "results.json")
+    del results["arms"]["rta"]
+    (copy / "results.json").write_text(json.dumps(results))
+    assert list(compute.load(copy, None)) == ["no_rta"]
+    assert "rta is not finished and is left out" in capsys.readouterr().err

@@ -8,7 +8,8 @@ import torch
 
 from inspection import chief
 from inspection.parameters import InspectionParameters
-from study.report.sunlight import earliest_success
+from study.config import Config, override
+from study.report.sunlight import earliest_success, shortest_episodes
 
 
 def by_loop(theta: float, priority: np.ndarray, c: InspectionParameters) -> float:
@@ -46,3 +47,11 @@ def test_what_the_time_does_not_suffice_for_is_infinite():
     c = replace(InspectionParameters(), max_time=500.0)
     found = earliest_success(torch.zeros(1).double(), torch.tensor([[1.0], [0.0], [0.0]]).double(), c)
     assert found.isinf().all()
+
+
+def test_cases_that_are_never_lit_enough_are_counted() -> None:
+    brief = override(Config(), {"inspection": {"max_time": 500.0}}, "test")
+    found = shortest_episodes(brief, 8, 0)
+    assert 0 < found["without"] <= 8
+    assert found["earliest_success_s"]["mean"] <= 500.0
+    assert shortest_episodes(Config(), 8, 0)["without"] == 0
