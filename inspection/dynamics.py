@@ -163,10 +163,17 @@ def step(x: Tensor, u: Tensor, duration: float, c: InspectionParameters, body: B
     return torch.stack(end)
 
 
-def integrate(x: Tensor, u: Tensor, duration: float, c: InspectionParameters, times: int = 1) -> Tensor:
+def integrate(
+    x: Tensor,
+    u: Tensor,
+    duration: float,
+    c: InspectionParameters,
+    times: int = 1,
+    body: Body | None = None,
+) -> Tensor:
     """The state after so many `step`s."""
     for _ in range(times):
-        x = step(x, u, duration, c)
+        x = step(x, u, duration, c, body)
     return x
 
 

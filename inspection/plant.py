@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from inspection.attitude import rate_in_hill, turned_by
-from inspection.dynamics import Body, step
+from inspection.dynamics import Body, integrate
 from inspection.initial_state import spherical
 from inspection.parameters import InspectionParameters
 from inspection.state import CONTROL_SIZE, CONTROLS, OMEGA, SIZE, THRUST, TORQUE, P, Q, V
@@ -275,9 +275,7 @@ class Plant:
         mass, *rest = body.unbind(0)
         p = self.parameters
         own = Body(mass, rest[:3], rest[3:], p.hill_rotation, self.c.saturate_rates and p.saturate_rates)
-        for _ in range(times):
-            x = step(x, u, duration, self.c, own)
-        return x
+        return integrate(x, u, duration, self.c, times, own)
 
     def actuate(self, time: Tensor, u: Tensor) -> Tensor:
         """What acts from a time of the episodes (B,) on where u (6, B) is commanded."""

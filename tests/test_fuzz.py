@@ -23,7 +23,7 @@ import main
 from study.command_line.arguments import COMMANDS
 from study.command_line.flags import Flag
 from study.config import StudyConfig
-from tests.test_main import STATE
+from tests.test_main import STATE, write_inputs
 
 ROOT = Path(main.__file__).parent
 LONGEST = 60  # s of a call
@@ -75,16 +75,11 @@ INPUTS = ("p.pt", "c.toml", "s.json", "u.npy", "x.npz", "r.npz")
 
 def make_files() -> None:
     """Inputs of every kind, whole and hostile, in the working directory."""
-    Path("p.pt").write_bytes((ROOT / "runs/reference/study/rta/seed0/policy.pt").read_bytes())
+    write_inputs(Path())
     Path("half.pt").write_bytes(Path("p.pt").read_bytes()[:5000])
     Path("c.toml").write_text(toml(SHORT))
-    Path("s.json").write_text(json.dumps(STATE))
-    np.save("u.npy", np.zeros((20, 6)))
     np.save("complex.npy", np.zeros((20, 6), dtype=complex))
-    state = np.concatenate([np.ravel(value) for value in STATE.values()])
-    np.savez("x.npz", state=state[None], control_desired=np.zeros((1, 6)))
     np.savez("objects.npz", state=np.array([{}], dtype=object), control_desired=np.zeros((1, 6)))
-    Path("r.npz").write_bytes((ROOT / "runs/reference/study/report/episode_rta.npz").read_bytes())
     Path("empty").touch()
     Path("garbage").write_bytes(bytes(range(256)) * 40)
     Path("latin1").write_bytes("[train] # \xe9\n".encode("latin1"))

@@ -30,6 +30,22 @@ STATE: dict[str, Any] = {
     "sun_angle": 3.0,
 }
 
+POLICY = Path(main.__file__).parent / "runs/reference/study/rta/seed0/policy.pt"
+EPISODE = Path(main.__file__).parent / "runs/reference/study/report/episode_rta.npz"
+
+
+def write_inputs(directory: Path) -> dict[str, Path]:
+    """A valid input of every kind: an agent, a state, controls, states, a configuration and a run; by name."""
+    paths = {name: directory / name for name in ("p.pt", "s.json", "u.npy", "x.npz", "c.toml", "r.npz")}
+    paths["p.pt"].write_bytes(POLICY.read_bytes())
+    paths["s.json"].write_text(json.dumps(STATE))
+    np.save(paths["u.npy"], np.zeros((20, 6)))
+    state = np.concatenate([np.ravel(value) for value in STATE.values()])
+    np.savez(paths["x.npz"], state=state[None], control_desired=np.zeros((1, 6)))
+    paths["c.toml"].write_text("[train]\nseed = 1\n")
+    paths["r.npz"].write_bytes(EPISODE.read_bytes())
+    return paths
+
 
 def call(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> tuple[int, str, str]:
     """Exit code, stdout and stderr."""

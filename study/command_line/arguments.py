@@ -25,7 +25,7 @@ from study.command_line.flags import (
     verified_policy,
     written,
 )
-from study.command_line.paths import check_inputs, check_outputs
+from study.command_line.paths import FIGURE, check_inputs, check_outputs
 from study.config import BASELINES, AnyConfig, StudyConfig
 from study.errors import InputError
 
@@ -180,7 +180,7 @@ COMMANDS = {
             metavar="S",
         ),
         written("run of simulate", "--out", "file to write", "F.npz"),
-        written("figure in PNG format", "--figure", "also draw limits and controls over time there", "F.png"),
+        written(FIGURE, "--figure", "also draw limits and controls over time there", "F.png"),
     ),
     "replay": Command(
         "write a page that plays one or two simulated runs in 3-D",
@@ -241,7 +241,7 @@ COMMANDS = {
             metavar="N,N,...",
         ),
         written("benchmark", "--json", "also write the results there"),
-        written("figure in PNG format", "--figure", "also draw rates over batches there", "F.png"),
+        written(FIGURE, "--figure", "also draw rates over batches there", "F.png"),
         imposed={"train.compile": "on"},
     ),
     "export": Command(

@@ -1,36 +1,25 @@
 """No command writes over what it reads, nor over a file of another kind."""
 
-import json
 import os
 import subprocess
 import sys
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 import main
 from study.command_line.arguments import COMMANDS
 from study.command_line.paths import KINDS, check_inputs, check_outputs, is_a
 from study.errors import InputError
-from tests.test_main import STATE, call
+from tests.test_main import call, write_inputs
 
 ROOT = Path(main.__file__).parent
-POLICY = ROOT / "runs/reference/study/rta/seed0/policy.pt"
 
 
 @pytest.fixture
 def files(tmp_path: Path) -> dict[str, Path]:
     """An input of every kind."""
-    paths = {name: tmp_path / name for name in ("p.pt", "s.json", "u.npy", "x.npz", "c.toml", "r.npz")}
-    paths["p.pt"].write_bytes(POLICY.read_bytes())
-    paths["s.json"].write_text(json.dumps(STATE))
-    np.save(paths["u.npy"], np.zeros((20, 6)))
-    state = np.concatenate([np.ravel(value) for value in STATE.values()])
-    np.savez(paths["x.npz"], state=state[None], control_desired=np.zeros((1, 6)))
-    paths["c.toml"].write_text("[train]\nseed = 1\n")
-    paths["r.npz"].write_bytes((ROOT / "runs/reference/study/report/episode_rta.npz").read_bytes())
-    return paths
+    return write_inputs(tmp_path)
 
 
 ZERO = "simulate --controller zero --duration 10"
