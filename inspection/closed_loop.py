@@ -30,6 +30,7 @@ class Safety:
         is_safe: maps states (16, B) to (B,) bool, whether an episode may start there.
         correct: maps states and desired controls (6, B) to a `Correction`; None applies what is desired.
         period: s between two calls of `correct`.
+        informed: `correct` also takes what a world tells it, by name, see `World.tell`.
     """
 
     names: tuple[str, ...] = ()
@@ -37,6 +38,7 @@ class Safety:
     is_safe: Callable[[Tensor], Tensor] | None = None
     correct: Callable[[Tensor, Tensor], Correction] | None = None
     period: float = 1.0
+    informed: bool = False
 
 
 class World(Protocol):
@@ -47,6 +49,10 @@ class World(Protocol):
 
     def sense(self, time: Tensor, x: Tensor) -> Tensor:
         """What states x (16, B) are taken for."""
+        ...
+
+    def tell(self, time: Tensor) -> dict[str, Tensor]:
+        """What a filter is told beside the state: `sent` and `left`, as `rta.SafetyFilter.correct` takes them."""
         ...
 
     def hold(self, time: Tensor, u: Tensor) -> tuple[Tensor, Tensor]:
@@ -152,12 +158,13 @@ class Hold(NamedTuple):
 def closed_loop(
     x: Tensor,
     controller: Controller,
-    correct: Callable[[Tensor, Tensor], Correction] | None,
+    correct: Callable[..., Correction] | None,
     integrate: Callable[[Tensor, Tensor, float], Tensor],
     clocks: Clocks,
     duration: float,
     world: World | None = None,
     start: Tensor | float = 0.0,
+    informed: bool = False,
 ) -> Iterator[Hold]:
     """Flies from states x (16, B) for a duration in s.
 
@@ -167,6 +174,7 @@ def closed_loop(
         integrate: states (16, B) after holding a control (6, B) for some s.
         world: what differs from the model; None: nothing, states are seen as they are and controls act as they are.
         start: the episodes' time at the beginning, (B,) s.
+        informed: the filter also takes what the world tells.
 
     A call is one of the filter, without a filter a decision. After a missed call the next one is asked for the same.
     """
@@ -184,7 +192,8 @@ def closed_loop(
         desired = controller(time, seen) if decided else next_desired
         correction = missed = None
         if called:
-            correction = correct(seen, desired) if correct else None
+            told = world.tell(start + time) if world and informed else {}
+            correction = correct(seen, desired, **told) if correct else None
             # the filter's last control is its next desired one
             applied = next_desired = correction.control if correct else desired
             if world:

@@ -361,6 +361,7 @@ class InspectionEnv:
             duration,
             self.plant,
             self.time.clone() if self.plant else 0.0,
+            self.safety.informed,
         )
 
     def integrate(self, x: Tensor, u: Tensor, seconds: float) -> Tensor:

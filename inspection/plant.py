@@ -212,13 +212,14 @@ class Plant:
         every: s between two calls, set by whose clocks they are.
         drawn: what each episode's plant is.
         held: (6, B) the last control that a call gave; missed: (B,) calls missed since.
+        past: (latency, 6, B) what was held from the last calls on, the oldest first.
         true, seen: (16, B) the states last sensed, and what they were taken for.
 
     Raises:
         ValueError: the parameters do not fit the model.
     """
 
-    STATE = ("key", "held", "missed", "history")
+    STATE = ("key", "held", "missed", "history", "past")
 
     def __init__(
         self,
@@ -234,6 +235,7 @@ class Plant:
         self.missed = torch.zeros_like(self.key)
         length = bounds(parameters.latency)[1] + 1
         self.history = torch.zeros(length, SIZE, batch, dtype=torch.float64, device=device)
+        self.past = torch.zeros(length - 1, CONTROL_SIZE, batch, dtype=torch.float64, device=device)
         self.drawn = draw(parameters, c, self.key)
         self.true = self.seen = None
         self.limit = self.held.new_tensor(c.control_limit)[:, None]
@@ -242,6 +244,7 @@ class Plant:
         """Begins episodes in the given columns from a number in [0, 1) each, (k,)."""
         self.key[columns] = (number * 2.0**53).long()
         self.held[:, columns] = 0.0
+        self.past[..., columns] = 0.0
         self.missed[columns] = 0
         for whole, part in zip(self.drawn, draw(self.parameters, self.c, self.key[columns]), strict=True):
             whole[..., columns] = part
@@ -289,7 +292,7 @@ class Plant:
         thrust = torch.where(thrust.abs() < drawn.minimum, 0.0, thrust)
         u = torch.cat((thrust, u[TORQUE]))
         if p.failing != "none":
-            u = torch.where(drawn.fails & (time >= drawn.fails_from), drawn.strength * u, u)
+            u = self.left(time) * u
         thrust = (drawn.thrust * u[THRUST]).sum(1)
         return torch.cat((thrust, drawn.torque * u[TORQUE]))
 
@@ -330,7 +333,21 @@ class Plant:
         missed = (chance < self.drawn.misses) & (self.missed < self.parameters.missed_in_a_row)
         self.missed = torch.where(missed, self.missed + 1, 0)
         self.held = torch.where(missed, self.held, u)
+        if len(self.past):
+            self.past = torch.cat((self.past[1:], self.held[None]))
         return self.held, missed
+
+    def tell(self, time: Tensor) -> dict[str, Tensor]:
+        """The controls held since the state was measured, NaN where it is younger, and what is left of each actuator."""
+        age = self.drawn.latency.minimum((time / self.every).round().long())
+        last = torch.arange(len(self.past), 0, -1, device=age.device)[:, None]  # how many calls ago
+        sent = torch.where((last <= age)[:, None], self.past, torch.nan)
+        return {"sent": sent, "left": self.left(time)}
+
+    def left(self, time: Tensor) -> Tensor:
+        """(6, B) the share that each actuator gives of what it is told."""
+        drawn = self.drawn
+        return torch.where(drawn.fails & (time >= drawn.fails_from), drawn.strength, 1.0)
 
 
 def milliseconds(time: Tensor) -> Tensor:

@@ -71,6 +71,8 @@ class BatchedSolver:
 
         def padded(desired: Tensor, a: Tensor, b: Tensor) -> list[Tensor]:
             missing = rows - len(a)
+            if missing < 0:  # few programs have their rows more than once
+                return attempt(desired, a, b)
             if missing:
                 a = torch.cat((a, a.new_zeros(missing, *a.shape[1:])))
                 b = torch.cat((b, b.new_full((missing, b.shape[1]), REDUNDANT)))

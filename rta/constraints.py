@@ -55,6 +55,9 @@ class Constraint:
         coupled: the other group's controls change it, too; they are then taken to do their worst.
         recovery: at relative degree two, how fast h is to rise at most on its way back from beyond the limit, in its
             unit per s; None where the gains may ask for anything.
+        later: as `barrier`, where it looks ahead: maps states (16, B), so many s into a hold, to the function that is
+            differentiated there and looks at the same moments; None: `barrier` does.
+        exact: the smallest of the barrier's rows is h itself.
         axis: of the one actuator of the group that changes it, so that its row is a bound of that actuator; None for
             all others.
     """
@@ -71,6 +74,8 @@ class Constraint:
     doubling: float = math.inf
     coupled: bool = True
     recovery: float | None = None
+    later: Callable[[Tensor, float], Function] | None = None
+    exact: bool = False
     axis: int | None = None
 
     def __post_init__(self) -> None:
@@ -86,8 +91,10 @@ class Constraint:
         """The relative degree."""
         return len(self.gains)
 
-    def barrier_at(self, x: Tensor) -> Function:
-        """What is differentiated at states (16, B): (16, ...) to (rows, ...)."""
+    def barrier_at(self, x: Tensor, after: float = 0.0) -> Function:
+        """What is differentiated at states (16, B), so many s into a hold: (16, ...) to (rows, ...)."""
+        if self.later and after:
+            return self.later(x, after)
         return self.barrier(x) if self.barrier else lambda y: self.h(y)[None]
 
     def loss_at(self, x: Tensor) -> Tensor:

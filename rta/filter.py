@@ -5,8 +5,8 @@ Where the rows of a program conflict, slack is given class after class of their 
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
-from functools import cached_property, partial, reduce
-from typing import Any, NamedTuple
+from functools import cached_property, partial
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -14,20 +14,19 @@ from torch import Tensor
 from inspection.closed_loop import Safety
 from inspection.compiled import Compiled
 from inspection.parameters import InspectionParameters
-from inspection.state import CONTROL_SIZE, SIZE, P, Q
+from inspection.state import CONTROL_SIZE, SIZE, THRUST, P, Q
 from rta.batched_solver import BatchedSolver
 from rta.boundary import Given
 from rta.constraints import ACTUATORS, ATTITUDE, TRANSLATIONAL, Constraint
+from rta.held_rows import KINDS, HeldGroup, predicted
 from rta.parameters import RtaParameters
 from rta.piqp_solver import PiqpSolver
-from rta.qp import FEASIBLE, HOPELESS, REDUNDANT, Problems, Solver, Status, pick, put, total
+from rta.qp import Solver, Status, pick, put
 from rta.rows import ActuatorGroup, Rows
+from rta.tangents import Prepared, answered, problems, scaled, settle
 from rta.thrust_constraints import keep_in_zone, thrust_constraints
 from rta.torque_constraints import torque_constraints
-
-# Below this length (rate of h per actuator limit, in h's unit per s) a row counts as beyond the actuators'
-# influence: it keeps its direction but not its claim to a full unit of slack.
-SHORTEST_ROW = 1e-6
+from rta.uncertainty import Uncertainty
 
 ROW_FIELDS = len(fields(Rows))
 
@@ -48,7 +47,10 @@ class FilterResult:
             the relative degree is two); zero unless a program needed slack.
         status: (B,) int64, the worse `Status` of the thrust and the torque program.
         program_status: (2, B) int64, both of them.
-        h: (constraints, B) values without margin, exact; that of passive safety by the times of its rows.
+        h: (constraints, B) values without margin, exact; that of passive safety by the times of its rows. Where a state
+            is predicted, of the state of now.
+        uncertainty: (constraints, B) what `Uncertainty` takes off the constraint's condition, in h's unit per s (per s^2
+            where the relative degree is two), at the desired control.
     """
 
     control: Tensor
@@ -58,25 +60,7 @@ class FilterResult:
     status: Tensor
     program_status: Tensor
     h: Tensor
-
-
-class Prepared(NamedTuple):
-    """What is computed for every spacecraft, corrected or not, for one actuator group.
-
-    Attributes:
-        psi, a, b, b_bare, h: the fields of `Rows`.
-        length: (R, B) of the rows per actuator limit.
-        lowest: (1, B) left-hand side of the scaled rows under the desired control; negative or NaN where it must
-            be corrected.
-    """
-
-    psi: Tensor
-    a: Tensor
-    b: Tensor
-    b_bare: Tensor
-    h: Tensor
-    length: Tensor
-    lowest: Tensor
+    uncertainty: Tensor
 
 
 class SafetyFilter:
@@ -90,6 +74,7 @@ class SafetyFilter:
         parameters: period, gains, margins and weights; None: the defaults.
         solver: of the quadratic programs; None: the one that the parameters name, PIQP for `auto`.
         extra: constraints of your own.
+        known: what is told about the world's bounds; None: the plant is the model.
 
     Attributes:
         names: of all constraints: Table 3's, then those of your own that thrust holds, then those that torque holds.
@@ -105,22 +90,34 @@ class SafetyFilter:
         parameters: RtaParameters | None = None,
         solver: Solver | None = None,
         extra: Sequence[Constraint] = (),
+        known: Uncertainty | None = None,
     ) -> None:
-        c, parameters = c or InspectionParameters(), parameters or RtaParameters()
+        c, parameters, known = (
+            c or InspectionParameters(),
+            parameters or RtaParameters(),
+            known or Uncertainty(),
+        )
         if c.max_acceleration <= 0.0:
             raise ValueError("max_thrust / mass must exceed the natural acceleration within max_distance")
-        self.c, self.parameters, self.extra = c, parameters, tuple(extra)
+        known.check(c, parameters)
+        self.c, self.parameters, self.extra, self.known = c, parameters, tuple(extra), known
         self.solver = solver or make_solver(parameters.qp_solver.replace("auto", "piqp"))
-        constraints = (*thrust_constraints(c, parameters), *torque_constraints(c, parameters), *extra)
-        self.groups = tuple(ActuatorGroup(by, constraints, c, parameters) for by in ACTUATORS)
+        of_paper = (thrust_constraints(c, parameters, known), torque_constraints(c, parameters, known))
+        constraints = (*of_paper[0], *of_paper[1], *extra)
+        self.holds = known.holds(parameters)
+        kind = HeldGroup if self.holds else ActuatorGroup
+        self.groups = tuple(kind(by, constraints, c, parameters, known) for by in ACTUATORS)
         thrust, torque = (group.names for group in self.groups)
         self.names = in_order(thrust, torque)
         if len(set(self.names)) < len(self.names):
             raise ValueError(f"constraints {', '.join(self.names)}: each name must be there once")
         self._prepare: Callable[[Tensor, Tensor], list[Tensor]] = self.prepare
+        self._prepare_held: list[Callable[..., list[Tensor]]] = [
+            partial(self.prepare_held, group) for group in self.groups
+        ]
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return type(self), (self.c, self.parameters, self.solver, self.extra)
+        return type(self), (self.c, self.parameters, self.solver, self.extra, self.known)
 
     @property
     def period(self) -> float:
@@ -134,11 +131,18 @@ class SafetyFilter:
     def is_in_safe_set(self, x: Tensor) -> Tensor:
         """(B,) bool: every h and every Psi_1 is non-negative."""
         thrust, torque = self.groups
-        return (self.values(x) >= 0.0).all(0) & thrust.holds(x, degree=2) & torque.holds(x, degree=2)
+        inside = (self.values(x) >= 0.0).all(0) & thrust.holds(x, degree=2) & torque.holds(x, degree=2)
+        return inside & self.is_holdable(x) if self.holds else inside
+
+    def is_holdable(self, x: Tensor) -> Tensor:
+        """(B,) bool: no barrier may be negative though the measurement was wrong, and some control satisfies every row."""
+        result = self.correct(x, torch.zeros_like(x[:CONTROL_SIZE]))
+        certain = [rows.psi.amin(0) >= 0.0 for rows in self.rows(x)]
+        return certain[0] & certain[1] & (result.status < Status.SLACK)
 
     def can_brake(self, x: Tensor) -> Tensor:
         """(B,) bool: in any attitude thrust can keep the zone, see `keep_in_zone`."""
-        return (keep_in_zone(self.c, self.parameters).barrier_at(x)(x) >= 0.0).all(0)
+        return (keep_in_zone(self.c, self.parameters, self.known).barrier_at(x)(x) >= 0.0).all(0)
 
     def is_safe(self, x: Tensor) -> Tensor:
         """(B,) bool: the filter can keep every constraint from here on."""
@@ -150,16 +154,34 @@ class SafetyFilter:
         Takes about a minute, once: what was compiled is kept across runs. Raises whatever PyTorch raises where there is
         no working C++ compiler, and changes nothing then.
         """
-        compiled = Compiled(self.prepare, *self.probe(device), batch=batch)
+        compiled = self._compiled(device, batch, trace_only=False)
         self.solver.compile(max(len(group.weights) for group in self.groups), batch, device)
-        self._prepare = compiled
+        self._take(compiled)
 
     def trace(self, batch: int = 1, device: torch.device | str = "cpu") -> None:
         """Traces `prepare` for tensors on this device and calls of about so many spacecraft.
 
         Takes some seconds and no compiler; calls are then several times as fast, with the same bits in their results.
         """
-        self._prepare = Compiled(self.prepare, *self.probe(device), batch=batch, trace_only=True)
+        self._take(self._compiled(device, batch, trace_only=True))
+
+    def _compiled(self, device: torch.device | str, batch: int, trace_only: bool) -> list[Compiled]:
+        """What is computed for every spacecraft, compiled."""
+        x, u = self.probe(device)
+        if not self.holds:
+            return [Compiled(self.prepare, x, u, batch=batch, trace_only=trace_only)]
+        spread = torch.zeros_like(x[:KINDS])
+        return [
+            Compiled(run, x, u, spread, torch.ones_like(u), batch=batch, trace_only=trace_only)
+            for run in (partial(self.prepare_held, group) for group in self.groups)
+        ]
+
+    def _take(self, compiled: list[Compiled]) -> None:
+        """Uses what was compiled from now on."""
+        if self.holds:
+            self._prepare_held = list(compiled)
+        else:
+            (self._prepare,) = compiled
 
     def probe(self, device: torch.device | str) -> tuple[Tensor, Tensor]:
         """A state (16, 1) and a control (6, 1) to try functions of the batch with."""
@@ -175,27 +197,38 @@ class SafetyFilter:
             is_safe=self.is_safe,
             correct=self.correct if enabled else None,
             period=self.period,
+            informed=self.holds,
         )
 
     def rows(self, x: Tensor) -> tuple[Rows, Rows]:
         """The conditions on thrust and on torque at states (16, B)."""
-        thrust, torque = self._prepared(x, torch.zeros_like(x[:CONTROL_SIZE]))
+        zero = torch.zeros_like(x[:CONTROL_SIZE])
+        if self.holds:
+            spread, left = torch.zeros_like(x[:KINDS]), torch.ones_like(zero)
+            thrust, torque = (Prepared(*run(x, zero, spread, left)) for run in self._prepare_held)
+        else:
+            thrust, torque = self._prepared(x, zero)
         return Rows(*thrust[:ROW_FIELDS]), Rows(*torque[:ROW_FIELDS])
 
     def prepare(self, x: Tensor, desired: Tensor) -> list[Tensor]:
         """`Prepared` for thrust, then for torque, as one list: (16, B) and (6, B) to fields (..., B)."""
         parts: list[Tensor] = []
         for group in self.groups:
-            rows = group(x)
-            a = rows.a * group.limit
-            length = total(a * a, 1).sqrt().clamp(min=SHORTEST_ROW)  # thirty times as fast as Tensor.norm
-            left = (total(a * (desired[group.controls] / group.limit), 1) + rows.b) / length
-            parts += Prepared(
-                *(getattr(rows, field.name) for field in fields(Rows)),
-                length=length,
-                lowest=smallest(left)[None],
-            )
+            parts += scaled(group(x), desired[group.controls] / group.limit, group.limit)
         return parts
+
+    def prepare_held(
+        self, group: HeldGroup, x: Tensor, control: Tensor, spread: Tensor, left: Tensor
+    ) -> list[Tensor]:
+        """`Prepared` for one group, of its rows at controls (6, B); see `HeldGroup.conditions_at`.
+
+        Args:
+            left: (6, B) the share that each actuator gives of what it is told.
+        """
+        there = group.limit * left[group.controls]
+        return list(
+            scaled(group(x, left * control, spread, there), control[group.controls] / group.limit, there)
+        )
 
     def _prepared(self, x: Tensor, desired: Tensor) -> tuple[Prepared, Prepared]:
         parts = self._prepare(x, desired)
@@ -228,12 +261,14 @@ class SafetyFilter:
     @cached_property
     def _for_one(self) -> "SafetyFilter":
         """This filter, traced for one spacecraft at a time."""
-        other = SafetyFilter(self.c, self.parameters, self.solver, self.extra)
+        other = SafetyFilter(self.c, self.parameters, self.solver, self.extra, self.known)
         other.trace()
         return other
 
     @torch.no_grad()
-    def correct(self, x: Tensor, desired: Tensor) -> FilterResult:
+    def correct(
+        self, x: Tensor, desired: Tensor, sent: Tensor | None = None, left: Tensor | None = None
+    ) -> FilterResult:
         """Filters one control per spacecraft, unchecked.
 
         A program with NaN or an infinite state in its rows has status UNSOLVED and zero control.
@@ -241,11 +276,17 @@ class SafetyFilter:
         Args:
             x: states (16, B), float64.
             desired: controls (6, B) in N and N m, float64; what is beyond the actuators' limits is clipped first.
+            sent: (k, 6, B) the controls held since the states were measured, the oldest first, each for a period; NaN
+                where a state is younger. Of more than `latency` the status is UNSOLVED.
+            left: (6, B) the share that each actuator gives of what it is told; None: all of it. It counts for a filter
+                with `Uncertainty`, as does `sent`.
         """
         x = x.masked_fill(x.isinf(), torch.nan)  # infinitely safe is no state either
         control = torch.cat([desired[each.controls].clamp(-each.limit, each.limit) for each in self.groups])
         clipped = torch.stack([(control != desired)[each.controls].any(0) for each in self.groups])
         program_status = torch.where(clipped, Status.HARD, Status.UNTOUCHED)
+        if self.holds:
+            return self._correct_held(x, control, program_status, sent, left)
         both = self._prepared(x, control)
         active = [torch.zeros_like(prepared.h, dtype=torch.bool) for prepared in both]
         slack = [torch.zeros_like(prepared.h) for prepared in both]
@@ -265,30 +306,53 @@ class SafetyFilter:
             status=status,
             program_status=program_status,
             h=joined(*(prepared.h for prepared in both)),
+            uncertainty=joined(*(torch.zeros_like(prepared.h) for prepared in both)),
+        )
+
+    def _correct_held(
+        self, x: Tensor, control: Tensor, program_status: Tensor, sent: Tensor | None, left: Tensor | None
+    ) -> FilterResult:
+        """Torque first, since the body's turn decides where thrust held will act."""
+        known, stale = self.known, torch.zeros_like(x[0], dtype=torch.bool)
+        x, spread = predicted(
+            x, x.new_zeros(0, *control.shape) if sent is None else sent, self.c, self.parameters, known
+        )
+        if sent is not None:
+            stale = (~sent.isnan().any(1)).sum(0) > known.latency
+        left = torch.ones_like(control) if left is None or not known.health else left
+        control[THRUST] = known.admissible(control[THRUST])
+        parts: dict[int, list[Tensor]] = {}
+        for i in (1, 0):
+            group, run = self.groups[i], self._prepare_held[i]
+            prepared = Prepared(*run(x, control, spread, left))
+            active, slack = torch.zeros_like(prepared.h, dtype=torch.bool), torch.zeros_like(prepared.h)
+            unsafe = torch.nonzero(~(prepared.lowest[0] >= 0.0)).flatten()
+            if unsafe.numel():
+                given = [pick(part, unsafe) for part in (x, control, spread, left)]
+                answer = settle(
+                    group, run, self.solver, Prepared(*(pick(part, unsafe) for part in prepared)), given
+                )
+                wholes = control[group.controls], program_status[i], active, slack
+                for whole, part in zip(wholes, answer, strict=True):
+                    put(whole, unsafe, part)
+            doubt = group.by_constraint(prepared.doubt, partial(torch.amax, dim=0))
+            parts[i] = [active, slack, prepared.h, doubt]
+        program_status = torch.where(stale, Status.UNSOLVED, program_status)
+        status = program_status.amax(0)
+        active, slack, h, doubt = (joined(*both) for both in zip(parts[0], parts[1], strict=True))
+        return FilterResult(
+            control, status > Status.UNTOUCHED, active, slack, status, program_status, h, doubt
         )
 
     def _correct(
         self, group: ActuatorGroup, prepared: Prepared, desired: Tensor, unsafe: Tensor
     ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         """Scales and solves the programs of these columns (M,); returns control, status, active and slack."""
-        length = pick(prepared.length, unsafe)
-        a = pick(prepared.a, unsafe) * (group.limit / length[:, None])
-        b, b_bare = (
-            (pick(side, unsafe) / length).clamp(HOPELESS, REDUNDANT) for side in (prepared.b, prepared.b_bare)
-        )
-        u = pick(desired, unsafe) / group.limit
-        answer = self.solver.solve(Problems(u, a, b, b_bare, u.new_tensor(group.weights)))
-        reached = total(a * answer.control, 1)
-        with_margins = (reached + b).amin(0) >= -FEASIBLE
-        binding = reached + torch.where(with_margins, b, b_bare) <= FEASIBLE
-        short = -(reached + b_bare).clamp(max=0.0) * length
-        short = short.masked_fill(answer.status < Status.SLACK, 0.0)
-        return (
-            answer.control * group.limit,
-            answer.status,
-            group.by_constraint(binding, partial(torch.any, dim=0)),
-            group.by_constraint(short, partial(torch.amax, dim=0)),
-        )
+        part = Prepared(*(pick(field, unsafe) for field in prepared))
+        asked = problems(group, part, pick(desired, unsafe) / group.limit, group.limit)
+        answer = self.solver.solve(asked)
+        active, slack = answered(group, asked, part.length, answer.control, answer.status)
+        return answer.control * group.limit, answer.status, active, slack
 
 
 def in_order(thrust: Sequence[Any], torque: Sequence[Any]) -> tuple[Any, ...]:
@@ -300,11 +364,6 @@ def in_order(thrust: Sequence[Any], torque: Sequence[Any]) -> tuple[Any, ...]:
 def joined(thrust: Tensor, torque: Tensor) -> Tensor:
     """`in_order` of tensors (k, B) and (m, B)."""
     return torch.cat(in_order(thrust.split(1), torque.split(1)))
-
-
-def smallest(rows: Tensor) -> Tensor:
-    """(R, B) to (B,), in operations that fuse with those around."""
-    return reduce(torch.minimum, rows.unbind())
 
 
 def make_solver(name: str) -> Solver:

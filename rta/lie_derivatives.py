@@ -6,7 +6,7 @@ derivative by forward mode is then the same for one spacecraft and for a batch.
 
 import threading
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import cache
 
 import torch
@@ -17,13 +17,20 @@ Function = Callable[[Tensor], Tensor]
 FORWARD_MODE = threading.RLock()  # PyTorch counts the levels of forward mode for all threads together
 
 
-def lie_derivative(h: Function, x: Tensor, direction: Tensor) -> tuple[Tensor, Tensor]:
-    """h(x) and its derivative along a direction (16, ...), by one forward-mode pass."""
+def directional(
+    function: Callable[..., Tensor], at: Sequence[Tensor], along: Sequence[Tensor]
+) -> tuple[Tensor, Tensor]:
+    """A function of several tensors and its derivative along tensors of their shapes, by one forward-mode pass."""
     if torch.compiler.is_compiling():  # which knows no locks
-        return torch.func.jvp(h, (x,), (direction,))
+        return torch.func.jvp(function, tuple(at), tuple(along))
     with FORWARD_MODE:
         load_forward_mode()
-        return torch.func.jvp(h, (x,), (direction,))
+        return torch.func.jvp(function, tuple(at), tuple(along))
+
+
+def lie_derivative(h: Function, x: Tensor, direction: Tensor) -> tuple[Tensor, Tensor]:
+    """h(x) and its derivative along a direction (16, ...)."""
+    return directional(h, (x,), (direction,))
 
 
 @cache

@@ -96,6 +96,6 @@ class RtaParameters:
         if len(segments) < 2 or segments[0] != 0 or any(a >= b for a, b in pairwise(segments)):
             raise ValueError(f"passive_safety_segments = {segments!r}: must rise from 0 s to the horizon")
 
-    def gain(self, value: float) -> float:
-        """A gain in 1/s as used at the period."""
-        return min(value, 0.5 / self.period)
+    def gain(self, value: float, hold: float = 0.0) -> float:
+        """A gain in 1/s as used at the period, or where a control may be held for longer, s."""
+        return min(value, 0.5 / max(self.period, hold))

@@ -18,21 +18,25 @@ from inspection.state import P, V
 from rta.constraints import Constraint
 from rta.lie_derivatives import Function
 from rta.parameters import RtaParameters
+from rta.uncertainty import Uncertainty
 
 PASSES = 13  # grid points per segment of the free flight: at most 12 s apart in the default segments
 SEGMENTS = 5  # of the free flight where its infimum is reported
 
 
+NOTHING = Uncertainty()
 Entry = partial(Constraint, held_by="thrust", coupled=False)  # which no other actuator changes
 
 
-def thrust_constraints(c: InspectionParameters, r: RtaParameters) -> tuple[Constraint, ...]:
+def thrust_constraints(
+    c: InspectionParameters, r: RtaParameters, known: Uncertainty = NOTHING
+) -> tuple[Constraint, ...]:
     """All seven in the order of Table 3."""
     return (
-        collision(c, r),
+        collision(c, r, known),
         dynamic_speed(c, r),
-        keep_in_zone(c, r),
-        passive_safety(c, r),
+        keep_in_zone(c, r, known),
+        passive_safety(c, r, known),
         *(velocity(i, c, r) for i in range(3)),
     )
 
@@ -48,12 +52,12 @@ def root_above(z: Tensor, floor: float) -> Tensor:
     return torch.where(z < floor, (z + floor) / (2 * math.sqrt(floor)), z.clamp(min=floor).sqrt())
 
 
-def chord(c: InspectionParameters, r: RtaParameters) -> float:
+def chord(c: InspectionParameters, r: RtaParameters, known: Uncertainty) -> float:
     """The floor in m of the enforced `signed_sqrt`.
 
-    The slope of sqrt(2 a z) is then at most sqrt(2 a / floor) = 1 / T, else it could overshoot within one period.
+    The slope of sqrt(2 a z) is then at most sqrt(2 a / floor) = 1 / T, else it could overshoot while a control is held.
     """
-    return max(r.distance_floor, 2 * c.max_acceleration * r.period**2)
+    return max(r.distance_floor, 2 * known.max_acceleration(c) * known.hold(r) ** 2)
 
 
 def radial_speed(x: Tensor) -> Tensor:
@@ -82,21 +86,24 @@ def bend(c: InspectionParameters, r: RtaParameters) -> float:
     return acceleration**2 * r.period
 
 
-def collision(c: InspectionParameters, r: RtaParameters) -> Constraint:
-    """Safe separation: sqrt(2 a_max (|p| - r_d - r_c)) + v_pr, in m/s, the speed from which braking still suffices."""
+def collision(c: InspectionParameters, r: RtaParameters, known: Uncertainty = NOTHING) -> Constraint:
+    """Safe separation: sqrt(2 a_max (|p| - r_d - r_c)) + v_pr, in m/s, the speed from which braking still suffices.
 
-    def h(x: Tensor, floor: float = 0.0) -> Tensor:
+    The barrier has the a_max of the worst case.
+    """
+
+    def h(x: Tensor, floor: float = 0.0, braking: float = c.max_acceleration) -> Tensor:
         distance = norm(x[P]) - c.collision_radius
-        return math.sqrt(2 * c.max_acceleration) * signed_sqrt(distance, floor) + radial_speed(x)
+        return math.sqrt(2 * braking) * signed_sqrt(distance, floor) + radial_speed(x)
 
-    floor = chord(c, r)
+    floor, least = chord(c, r, known), known.max_acceleration(c)
     return Entry(
         "collision",
         h,
         gains=(r.collision_gain,),
         margin=r.collision_margin,
         weight=math.inf,
-        barrier=lambda x: lambda y: h(y, floor)[None],
+        barrier=lambda x: lambda y: h(y, floor, least)[None],
         loss=turn(c, r),
     )
 
@@ -130,7 +137,7 @@ def dynamic_speed(c: InspectionParameters, r: RtaParameters) -> Constraint:
     )
 
 
-def keep_in_zone(c: InspectionParameters, r: RtaParameters) -> Constraint:
+def keep_in_zone(c: InspectionParameters, r: RtaParameters, known: Uncertainty = NOTHING) -> Constraint:
     """sqrt(2 a_max (r_max - |p|)) - v_pr, in m/s."""
 
     def h(x: Tensor) -> Tensor:
@@ -147,19 +154,19 @@ def keep_in_zone(c: InspectionParameters, r: RtaParameters) -> Constraint:
         Outside it is -sqrt(2 a_max (|p| - r_max)) - v_pr: zero where the way back, slowed down by a_max, ends at r_max.
         The centrifugal acceleration helps to slow it down, so v_t must not enter: with a_max - v_t^2 / |p|, speed
         across would raise it. Instead of the root's chord, which would end above h, it has the tangent. So it falls at
-        r_max, on the way out, by sqrt(a_max d / 2) with d for the floor.
+        r_max, on the way out, by sqrt(a_max d / 2) with d for the floor. Here a_max is that of the worst case.
         """
         across = dot(x[V], x[V]) - radial_speed(x) ** 2
-        braking = (c.max_acceleration - across / norm(x[P])).clamp(min=0.1 * c.max_acceleration)
+        braking = (least - across / norm(x[P])).clamp(min=0.1 * least)
         distance = c.max_distance - norm(x[P])
         inside = (2 * braking).sqrt() * signed_sqrt(distance, floor)
-        outside = -math.sqrt(2 * c.max_acceleration) * root_above(-distance, floor)
+        outside = -math.sqrt(2 * least) * root_above(-distance, floor)
         return torch.where(distance < 0.0, outside, inside) - radial_speed(x)
 
     # v_t^2 / |p| grows with thrust along v
     fastest = c.docking_speed + c.speed_slope * c.max_distance
     swing = fastest * thrust_acceleration(c) / c.max_distance * r.period
-    floor = chord(c, r)
+    floor, least = chord(c, r, known), known.max_acceleration(c)
     return Entry(
         "keep_in_zone",
         h,
@@ -199,7 +206,7 @@ def clearance_at(x: Tensor, times: Tensor, c: InspectionParameters) -> Tensor:
     return norm(free_flight(x[P], x[V], times, c.mean_motion)) - c.collision_radius
 
 
-def passive_safety(c: InspectionParameters, r: RtaParameters) -> Constraint:
+def passive_safety(c: InspectionParameters, r: RtaParameters, known: Uncertainty = NOTHING) -> Constraint:
     """inf |p(t)| - r_d - r_c in m over the free flight of the next T_f; a row per time segment of it.
 
     Raises:
@@ -215,8 +222,12 @@ def passive_safety(c: InspectionParameters, r: RtaParameters) -> Constraint:
     def h(x: Tensor) -> Tensor:
         return clearance_at(x, closest_times(x, reported, c), c).amin(0)
 
-    def barrier(x: Tensor) -> Function:
-        times = closest_times(x, r.passive_safety_segments, c)
+    segments = r.passive_safety_segments
+    if known.holds(r):  # whose end has a horizon of its own
+        segments = (*segments[:-1], segments[-1] + known.hold(r))
+
+    def barrier(x: Tensor, after: float = 0.0) -> Function:
+        times = closest_times(x, tuple(max(edge - after, 0.0) for edge in segments), c)
 
         def at_those_times(y: Tensor) -> Tensor:
             directions = (1,) * (y.dim() - x.dim())  # that y has before the batch
@@ -231,7 +242,9 @@ def passive_safety(c: InspectionParameters, r: RtaParameters) -> Constraint:
         margin=r.passive_safety_margin,
         weight=r.slack_weight_critical,
         barrier=barrier,
-        rows=len(r.passive_safety_segments) - 1,
+        later=barrier,
+        rows=len(segments) - 1,
+        exact=True,
         doubling=r.passive_safety_doubling,
     )
 

@@ -16,17 +16,21 @@ from inspection.parameters import InspectionParameters
 from inspection.state import OMEGA, E, T
 from rta.constraints import Constraint
 from rta.parameters import RtaParameters
+from rta.uncertainty import Uncertainty
 
+NOTHING = Uncertainty()
 Entry = partial(Constraint, held_by="torque", coupled=False)  # which no other actuator changes
 
 
-def torque_constraints(c: InspectionParameters, r: RtaParameters) -> tuple[Constraint, ...]:
+def torque_constraints(
+    c: InspectionParameters, r: RtaParameters, known: Uncertainty = NOTHING
+) -> tuple[Constraint, ...]:
     """All six in the order of Table 3."""
     return (
         attitude_exclusion(c, r),
         temperature(c, r),
         battery(c, r),
-        *(angular_velocity(i, c, r) for i in range(3)),
+        *(angular_velocity(i, c, r, known) for i in range(3)),
     )
 
 
@@ -111,12 +115,34 @@ def battery(c: InspectionParameters, r: RtaParameters) -> Constraint:
     )
 
 
-def angular_velocity(axis: int, c: InspectionParameters, r: RtaParameters) -> Constraint:
-    """omega_max^2 - omega_i^2 for a body axis, in rad^2/s^2."""
+def angular_velocity(
+    axis: int, c: InspectionParameters, r: RtaParameters, known: Uncertainty = NOTHING
+) -> Constraint:
+    """omega_max^2 - omega_i^2 for a body axis, in rad^2/s^2.
+
+    Where a control is held for longer than a body needs to stop, or the plant does not saturate, the filter holds the
+    rates itself: by omega_max -+ omega_i, which are linear. Braking a turn is always possible and raises them, so they
+    have no slack; what can yield to them are the resources.
+    """
 
     def h(x: Tensor) -> Tensor:
         return c.max_rate**2 - x[OMEGA.start + axis] ** 2
 
+    def both(x: Tensor) -> Tensor:
+        rate = x[OMEGA.start + axis]
+        return torch.stack((limit - rate, limit + rate))
+
+    limit = c.max_rate - known.rate_offset(c)
+    if known.holds(r):
+        return Entry(
+            f"angular_velocity_{'xyz'[axis]}",
+            h,
+            gains=(r.rate_gain,),
+            weight=math.inf,
+            barrier=lambda x: both,
+            rows=2,
+            axis=axis,
+        )
     # in a period T an angular acceleration changes omega_i^2 by at most its square T^2 beyond linear
     spin = (c.max_torque / min(c.inertia)) ** 2 * r.period
     spin = min(spin, 0.5 * r.gain(r.rate_gain) * c.max_rate**2)

@@ -21,6 +21,7 @@ from inspection.plant import PlantParameters
 from ppo.distributed import is_first
 from ppo.learner import PPOParameters
 from rta.parameters import RtaParameters
+from rta.uncertainty import Uncertainty
 from study.errors import InputError, refusing
 
 MAX_COUNT = 10**12
@@ -102,6 +103,7 @@ class Config:
     rta: RtaParameters = field(default_factory=RtaParameters)
     ppo: PPOParameters = field(default_factory=PPOParameters)
     plant: PlantParameters = field(default_factory=PlantParameters)
+    uncertainty: Uncertainty = field(default_factory=Uncertainty)
 
     def to_toml(self) -> str:
         """The complete configuration as TOML text that `from_toml` reads back, each key with its source's comments."""
@@ -130,7 +132,7 @@ class StudyConfig(Config):
     def of_arm(self, name: str) -> Config:
         """The configuration of a training run of the arm's first seed."""
         train = dataclasses.replace(self.train, rta=ARMS[name])
-        return Config(train, self.inspection, self.rta, self.ppo, self.plant)
+        return Config(train, self.inspection, self.rta, self.ppo, self.plant, self.uncertainty)
 
 
 AnyConfig = TypeVar("AnyConfig", bound=Config)

@@ -13,6 +13,7 @@ from inspection.parameters import InspectionParameters
 from inspection.plant import PlantParameters
 from ppo.distributed import is_first
 from rta.parameters import RtaParameters
+from rta.uncertainty import Uncertainty
 from study import config as configuration
 from study.commands import command
 from study.config import Config, StudyConfig, override
@@ -21,7 +22,8 @@ from study.files import ROOT
 
 # Settings of [inspection] and [rta] on which no guarantee depends: the agent's task and reward, and the solver, whose
 # answers are checked one by one. Campaigns start anywhere, so the radius of an episode's start is among them; its
-# temperature and energy are not, since they bound the campaigns' starts as well. Of [plant] everything counts.
+# temperature and energy are not, since they bound the campaigns' starts as well. Of [plant] and [uncertainty] everything
+# counts.
 IRRELEVANT = {
     "num_points",
     "points_per_cluster",
@@ -49,10 +51,11 @@ REPORTS = "runs/verification"  # below the working directory: a person's own; th
 
 def relevant(config: Config) -> dict[str, Any]:
     """What the guarantee depends on: values by their names in a configuration file, "[rta] period"."""
-    tables: dict[str, InspectionParameters | RtaParameters | PlantParameters] = {
+    tables: dict[str, InspectionParameters | RtaParameters | PlantParameters | Uncertainty] = {
         "inspection": config.inspection,
         "rta": config.rta,
         "plant": PlantParameters() if config.plant.is_nominal else config.plant,
+        "uncertainty": config.uncertainty,
     }
     return {
         f"[{table}] {key}": value
@@ -63,11 +66,10 @@ def relevant(config: Config) -> dict[str, Any]:
 
 
 def fingerprint(config: Config) -> str:
-    """Of `relevant`, less a plant that is the model: 12 hexadecimal digits."""
+    """Of `relevant`, less a plant that is the model and bounds that are nil: 12 hexadecimal digits."""
+    nil = {"[plant]": config.plant.is_nominal, "[uncertainty]": config.uncertainty.is_nil}
     settings = {
-        name: value
-        for name, value in relevant(config).items()
-        if not (config.plant.is_nominal and name.startswith("[plant]"))
+        name: value for name, value in relevant(config).items() if not nil.get(name.partition(" ")[0], False)
     }
     return hashlib.sha256(json.dumps(settings, sort_keys=True).encode()).hexdigest()[:12]
 

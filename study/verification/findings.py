@@ -55,7 +55,9 @@ def report_in(path: Path | None, campaign: dict[str, Any], config: Config) -> di
 def of_the_same(before: dict[str, Any], config: Config, path: Path) -> bool:
     """Whether the tables of a file are of the same plant and filter; what else they hold is of training."""
     held = override(Config(), before, str(path))
-    return (held.inspection, held.rta, held.plant) == (config.inspection, config.rta, config.plant)
+    return all(
+        getattr(held, part) == getattr(config, part) for part in ("inspection", "rta", "plant", "uncertainty")
+    )
 
 
 def table(report: dict[str, Any]) -> str:

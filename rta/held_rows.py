@@ -1,0 +1,283 @@
+"""Rows of what a control does that is held: psi(phi_t(x, u)) instead of the rate of psi at x.
+
+phi_t(x, u) is the model's own map of a state under a control held for t, the simulator's. A control is safe if at the
+end of its hold (and in its middle, where that is long) every psi is as sampled barriers want it (Agrawal and Sreenath
+2017, discrete time; Breeden, Garg and Panagou 2022, sampled data),
+
+    (psi(phi_t(x, u)) - psi(x)) / t + alpha(psi(x)) >= 0.
+
+It is taken as its tangent at a control, and once more at the solution (`SafetyFilter`). Of what the filter does not
+know (`rta.uncertainty`) the worst comes off, each in the unit of psi per s:
+
+    measurement     sum_i |d psi / d x_i| delta_i off psi within alpha, and its own change over the hold,
+                    sum_i |d (psi(phi_t) - psi) / d x_i| delta_i / t
+    input           sum_j |u_j| (eps |a_j| + sin(angle) |a without a_j|), with a = d psi(phi_t) / d u / t
+    acceleration    |a| m d: it acts as a force m d in any direction; of angular acceleration likewise
+
+(robust barriers: Jankovic 2018 for inputs, Dean et al. 2021 for measurements).
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import partial
+
+import torch
+from torch import Tensor
+
+from inspection.attitude import norm, quaternion_rate
+from inspection.dynamics import step
+from inspection.parameters import InspectionParameters
+from inspection.state import CONTROL_SIZE, OMEGA, THRUST, TORQUE, P, Q, V
+from rta.constraints import Constraint
+from rta.lie_derivatives import directional
+from rta.parameters import RtaParameters
+from rta.qp import total
+from rta.rows import ActuatorGroup, Rows
+from rta.uncertainty import Uncertainty
+
+LONG = 3.0  # s, above which the middle of a hold has rows, too
+KINDS = 4  # of what is measured: position, velocity, attitude, rates
+
+
+class HeldGroup(ActuatorGroup):
+    """An `ActuatorGroup` whose rows are tangents, at a control, of what that control does while it is held."""
+
+    def __init__(
+        self,
+        held_by: str,
+        constraints: Sequence[Constraint],
+        c: InspectionParameters,
+        r: RtaParameters,
+        known: Uncertainty,
+    ) -> None:
+        hold = known.hold(r)
+        self.moments = (0.5 * hold, hold) if hold > LONG else (hold,)  # s, at which rows are
+        super().__init__(held_by, constraints, c, r, known)
+        self.held_by = held_by
+        self.model = unsaturated(c)  # the filter holds the rates
+        least, most = known.thrust if held_by == "thrust" else known.torque
+        self.error, self.most = max(1.0 - least, most - 1.0), most
+        if held_by == "thrust":
+            self.push = c.mass * known.acceleration
+        else:
+            self.push = max(c.inertia) * known.angular_acceleration(c)
+        self.twist = known.angular_acceleration(c)
+        bounds = (known.position, known.velocity, math.radians(known.attitude), math.radians(known.rate))
+        self.measured = bounds
+        self.doubts = any(self.measured) or known.latency > 0
+
+    def count(self, each: Constraint) -> int:
+        """How many rows a constraint has."""
+        return each.rows * len(self.moments)
+
+    def __call__(self, x: Tensor, control: Tensor, spread: Tensor, limit: Tensor) -> Rows:
+        """The tangents at states (16, B) and controls (6, B); see `conditions_at` and `attainable`."""
+        return self.joined(partial(self.conditions_at, x, control, spread), limit)
+
+    def conditions_at(
+        self,
+        x: Tensor,
+        control: Tensor,
+        spread: Tensor,
+        constraints: Sequence[Constraint],
+        coupled: bool,
+    ) -> Rows:
+        """The tangents of the condition at states (16, B) and controls (6, B), see the module.
+
+        Args:
+            spread: (4, B) by how far the state is off beyond its measurement, in any direction: of position, velocity,
+                attitude and rates in m, m/s, rad, rad/s.
+        """
+        own = slice(0, CONTROL_SIZE) if coupled else self.controls
+        psi, by_x, by_u, u_there = self.after(x, control, constraints, own, coupled)
+        before, later = psi[0], psi[1:]  # (moments, R, B)
+        t = x.new_tensor(self.moments)[:, None, None]
+        rate, slope = (later - before) / t, by_u[1:] / t[..., None]
+        u = control[own]
+        loss = torch.zeros_like(rate)
+        if coupled:  # what others do may become their worst
+            limit = x.new_tensor(self.c.control_limit)[:, None]
+            others = torch.ones_like(limit).index_fill(
+                0, torch.arange(6, device=x.device)[self.controls], 0.0
+            )
+            worst = others * (slope.abs() * limit + slope * u_there)
+            loss = loss + total(worst, 2)
+            u, slope, u_there = (part[..., self.controls, :] for part in (u, slope, u_there))
+        length = total(slope * slope, 2).sqrt()
+        doubt = length * self.push
+        blur = torch.zeros_like(before)
+        if self.doubts:
+            blur = self.off(by_x[0], spread, coupled)
+            doubt = doubt + self.off((by_x[1:] - by_x[0]) / t[..., None], spread, coupled)
+        # the input's error, as a tangent: |u_j| rises with the sign of u_j, from zero with that which helps
+        weight = self.error * slope.abs()
+        if self.held_by == "thrust":
+            across = (length[:, :, None] ** 2 - slope**2).clamp(min=0.0).sqrt()
+            weight = weight + self.most * self.angle(x, spread) * across
+        sign = torch.where(u == 0.0, slope.sign(), u.sign())
+        tangent = slope - weight * sign
+        doubt_now = doubt + total(weight * u.abs(), 2)
+
+        rows = [each for each in constraints for _ in range(each.rows)]
+        gain, margin, inside = self.alpha(before, rows)
+        at_zero = rate - total(slope * u_there, 2) - loss - doubt - gain * blur
+        b = at_zero + gain * (before - margin)
+        b_bare = at_zero + gain * (before + inside)
+        h = self.reported(x, constraints, before)
+
+        def by_row(part: Tensor) -> Tensor:
+            """(moments, R, ..., B) to (R moments, ..., B)."""
+            return part.transpose(0, 1).flatten(0, 1)
+
+        return Rows(
+            by_row((before - blur).expand_as(rate)),
+            by_row(tangent),
+            by_row(b),
+            by_row(b_bare),
+            h,
+            by_row(doubt_now + gain * blur),
+        )
+
+    def angle(self, x: Tensor, spread: Tensor) -> Tensor:
+        """(B,) rad, between the mean direction of a thruster over a hold and that of the rows at most.
+
+        Its misalignment, the attitude's error, the rates' times half the hold, what torque turns the body by otherwise
+        (an angular acceleration e for t turns it by e t^2 / 2, in the mean over t by e t^2 / 6), and what the hold may be
+        shorter than the longest: the mean of a turn at omega over t is that at t / 2.
+        """
+        known, hold, shortest = self.known, self.moments[-1], self.r.period
+        measured = math.sqrt(3.0) * math.radians(known.attitude + known.rate * hold / 2)
+        strongest = math.sqrt(3.0) * self.c.max_torque / min(self.c.inertia)
+        least, most = known.torque
+        otherwise = max(1.0 - least, most - 1.0) * strongest + self.twist
+        fixed = math.radians(known.thrust_misalignment) + measured + otherwise * hold**2 / 6
+        sooner = strongest * (hold**2 - shortest**2) / 6 + norm(x[OMEGA]) * (hold - shortest) / 2
+        return fixed + spread[2] + spread[3] * hold / 2 + sooner
+
+    def after(
+        self, x: Tensor, control: Tensor, constraints: Sequence[Constraint], own: slice, coupled: bool
+    ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """`flown` at the control, for a barrier that looks ahead without the group's own, and those controls.
+
+        How near a free flight comes to the chief is convex in thrust: its tangent anywhere is below it, and the one at no
+        thrust leaves coasting, which holds it. At 1 N for 10 s it may be on the far side of the chief.
+
+        Returns:
+            As `flown`; the own controls (R, m, B) of each row's tangent.
+        """
+        still = control.index_fill(0, torch.arange(6, device=x.device)[self.controls], 0.0)
+        kinds = [each.later is not None for each in constraints]
+        parts: dict[bool, list[list[Tensor]]] = {}
+        for ahead, u in ((False, control), (True, still)):
+            own_kind = [each for each, kind in zip(constraints, kinds, strict=True) if kind == ahead]
+            if own_kind:
+                counts = [each.rows for each in own_kind]
+                flown = [part.split(counts, 1) for part in self.flown(x, u, own_kind, own, coupled)]
+                there = [u[own].expand(count, -1, -1)[None] for count in counts]
+                parts[ahead] = [list(part) for part in zip(*flown, there, strict=True)]
+        in_order = [parts[kind].pop(0) for kind in kinds]
+        psi, by_x, by_u, there = (torch.cat(part, 1) for part in zip(*in_order, strict=True))
+        return psi, by_x, by_u, there
+
+    def flown(
+        self, x: Tensor, control: Tensor, constraints: Sequence[Constraint], own: slice, coupled: bool
+    ) -> tuple[Tensor, Tensor, Tensor]:
+        """psi at the beginning and at each moment, and its derivatives by what is measured and by the own controls.
+
+        Returns:
+            (1 + moments, R, B), (1 + moments, R, D, B) by the D of `directions`, (1 + moments, R, m, B).
+        """
+        steps = [later - sooner for sooner, later in zip((0.0, *self.moments), self.moments, strict=False)]
+        psis, y = [self.psi_at(x, constraints)], x
+        for seconds, moment in zip(steps, self.moments, strict=True):
+            y = step(y, control, seconds, self.model)
+            psis.append(self.psi_at(y, constraints, x, moment))
+
+        def along(z: Tensor, u: Tensor) -> Tensor:
+            values = [psis[0](z)]
+            for seconds, psi in zip(steps, psis[1:], strict=True):
+                z = step(z, u, seconds, self.model)
+                values.append(psi(z))
+            return torch.stack(values)
+
+        by_x = self.directions(x, coupled) if self.doubts else x[:, None].repeat(1, 0, 1)
+        by_u = torch.eye(CONTROL_SIZE, dtype=x.dtype, device=x.device)[:, own, None].expand(
+            -1, -1, x.shape[1]
+        )
+        d, m = by_x.shape[1], by_u.shape[1]
+        nothing = x.new_zeros(1, 1, 1)
+        of_x = torch.cat((by_x, nothing.expand(len(x), m, x.shape[1])), 1)
+        of_u = torch.cat((nothing.expand(CONTROL_SIZE, d, x.shape[1]), by_u), 1)
+        many = [part[:, None].repeat(1, d + m, 1) for part in (x, control)]
+        values, slopes = directional(along, many, [of_x, of_u])
+        return values[:, :, 0], slopes[:, :, :d], slopes[:, :, d:]
+
+    def directions(self, x: Tensor, coupled: bool) -> Tensor:
+        """(16, D, B) unit changes of what is measured: of p and v for thrust, of attitude and rates for torque."""
+        one = torch.eye(len(x), dtype=x.dtype, device=x.device)[..., None].expand(-1, -1, x.shape[1])
+        turns = one.new_zeros(len(x), 3, x.shape[1])
+        for i in range(3):
+            turns[Q, i] = torch.stack(quaternion_rate(x[Q], one[:3, i]))
+        parts = {"thrust": [one[:, P], one[:, V]], "torque": [turns, one[:, OMEGA]]}
+        wanted = [*parts["thrust"], *parts["torque"]] if coupled else parts[self.held_by]
+        return torch.cat(wanted, 1)
+
+    def off(self, slopes: Tensor, spread: Tensor, coupled: bool) -> Tensor:
+        """By how much psi may be off, from its slopes (..., D, B) along `directions`."""
+        kinds = range(4) if coupled else {"thrust": (0, 1), "torque": (2, 3)}[self.held_by]
+        off = torch.zeros_like(slopes[..., 0, :])
+        for part, kind in zip(slopes.split(3, -2), kinds, strict=True):
+            one, two, three = part.unbind(-2)
+            off = off + self.measured[kind] * (one.abs() + two.abs() + three.abs())
+            off = off + spread[kind] * (one * one + two * two + three * three).sqrt()
+        return off
+
+    def beyond(self, rows: Rows) -> Tensor:
+        """(R, B) bool: the constraint is violated or its barrier may be."""
+        counts = [self.count(each) for each in self.constraints]
+        parts = zip(self.constraints, rows.psi.split(counts), rows.h, strict=True)
+        return torch.cat([(psi < 0.0) | ((h < 0.0) & (each.degree == 2)) for each, psi, h in parts])
+
+
+def unsaturated(c: InspectionParameters) -> InspectionParameters:
+    """The model without the saturation of rates."""
+    return replace(c, saturate_rates=False)
+
+
+def predicted(
+    x: Tensor, sent: Tensor, c: InspectionParameters, r: RtaParameters, known: Uncertainty
+) -> tuple[Tensor, Tensor]:
+    """The states of now, and how much further they may be off than when they were measured.
+
+    An acceleration that is off by A for T changes a velocity by A T and a position by A T^2 / 2 more than it was off.
+
+    Args:
+        x: (16, B) as measured; sent: (k, 6, B) the controls held since, the oldest first, each for a period; NaN where a
+            state is younger.
+
+    Returns:
+        States (16, B) and (4, B), see `HeldGroup.conditions_at`.
+    """
+    model, spread, t = unsaturated(c), x.new_zeros(KINDS, x.shape[1]), r.period
+    (least, most), (weakest, strongest) = known.thrust, known.torque
+    angle = math.radians(known.thrust_misalignment + math.sqrt(3.0) * known.attitude)
+    error, twist = max(1.0 - least, most - 1.0) + most * angle, max(1.0 - weakest, strongest - 1.0)
+    velocity, rate = math.sqrt(3.0) * known.velocity, math.radians(math.sqrt(3.0) * known.rate)
+    for u in sent:
+        old = ~u.isnan().any(0)
+        u = u.nan_to_num()
+        push = error * norm(u[THRUST]) / c.mass + known.acceleration
+        twisted = twist * norm(u[TORQUE]) / min(c.inertia) + known.angular_acceleration(c)
+        p, v, q, omega = spread
+        grown = torch.stack(
+            (
+                p + (velocity + v) * t + push * t**2 / 2,
+                v + push * t,
+                q + (rate + omega) * t + twisted * t**2 / 2,
+                omega + twisted * t,
+            )
+        )
+        spread = torch.where(old, grown, spread)
+        x = torch.where(old, step(x, u, t, model), x)
+    return x, spread

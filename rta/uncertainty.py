@@ -1,0 +1,136 @@
+"""What the filter is told about the world's bounds, from which every row is tightened.
+
+The worst of them are taken all at once. All zero: the plant is the model, and the filter that of the paper.
+"""
+
+import math
+from dataclasses import dataclass, fields
+from itertools import product
+
+import torch
+from torch import Tensor
+
+from inspection.dynamics import euler
+from inspection.parameters import InspectionParameters
+from rta.parameters import RtaParameters
+
+LONGEST_HOLD = 30.0  # s; longer, a body that turns at 2 deg/s is anywhere
+OLDEST = 10  # calls
+SHORT = 1.0  # s, up to which the rate of now, less what it can change by, says what a control does
+
+
+@dataclass(frozen=True)
+class Uncertainty:
+    """Largest differences between world and model; those of sensors are the largest error of each axis."""
+
+    # Body
+    mass: float = 0.0  # share, by which the true mass is more or less at most
+    inertia: float = 0.0  # share, by which each moment of inertia is more or less at most
+    acceleration: float = 0.0  # m/s^2, unknown, in any direction
+    saturates_rates: bool = True  # false: the plant does not hold the body rates, so the filter does
+    hill_rotation: bool = False  # the limit of the body rates is also one of rates relative to the stars
+
+    # Actuators
+    thrust_gain: float = 0.0  # share, by which an axis gives more or less thrust at most
+    torque_gain: float = 0.0  # share, by which an axis gives more or less torque at most
+    thrust_misalignment: float = 0.0  # deg, between an axis and the thrust along it
+    minimum_thrust: float = 0.0  # N, dead-band: the thrusters give no less, so the filter asks for none
+    thrust_quantum: float = 0.0  # N, the thrusters give multiples of it, so the filter asks for these
+    health: bool = False  # the filter is told at each call what is left of each actuator
+
+    # Sensors
+    position: float = 0.0  # m
+    velocity: float = 0.0  # m/s
+    attitude: float = 0.0  # deg
+    rate: float = 0.0  # deg/s
+
+    # Computer
+    latency: int = 0  # calls, the state's age at most: it is predicted by the controls that were sent since
+    longest_hold: float = 0.0  # s that a control may be held, calls being missed; 0: the period
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if not 0 <= value < math.inf:
+                raise ValueError(f"{field.name} = {value!r}: must be finite and not negative")
+        for name in ("mass", "inertia", "thrust_gain", "torque_gain"):
+            if getattr(self, name) >= 1:
+                raise ValueError(f"{name} = {getattr(self, name):g}: must be below 1, a share")
+        if self.thrust_misalignment >= 90 or self.attitude >= 90:
+            raise ValueError("thrust_misalignment and attitude must be below 90 deg")
+        if self.latency > OLDEST or self.longest_hold > LONGEST_HOLD:
+            raise ValueError(
+                f"latency must be at most {OLDEST} calls, longest_hold at most {LONGEST_HOLD:g} s"
+            )
+        if self.minimum_thrust and self.thrust_quantum:
+            raise ValueError("minimum_thrust and thrust_quantum: give the one or the other")
+
+    @property
+    def is_nil(self) -> bool:
+        """Whether the filter is told of nothing."""
+        return self == Uncertainty()
+
+    def check(self, c: InspectionParameters, r: RtaParameters) -> None:
+        """Raises ValueError where a bound leaves no control that could hold a limit."""
+        if 0 < self.longest_hold < r.period:
+            raise ValueError(
+                f"longest_hold = {self.longest_hold:g}: must be at least the period, {r.period:g} s"
+            )
+        if self.max_acceleration(c) <= 0.0:
+            raise ValueError(
+                f"mass = {self.mass:g}, thrust_gain = {self.thrust_gain:g}, acceleration = {self.acceleration:g}: leave "
+                f"no braking within max_distance = {c.max_distance:g} m, which the keep-in zone and separation need"
+            )
+        if self.rate_offset(c) + math.radians(self.rate) >= c.max_rate:
+            raise ValueError(
+                f"rate = {self.rate:g}: must be below max_rate, {math.degrees(c.max_rate):g} deg/s"
+            )
+
+    def hold(self, r: RtaParameters) -> float:
+        """s, the longest time that a control is held."""
+        return max(r.period, self.longest_hold)
+
+    def holds(self, r: RtaParameters) -> bool:
+        """Whether rows are of what a control that is held does, see `rta.held_rows`; if not, of the rate of now."""
+        return self.hold(r) > SHORT or not self.is_nil
+
+    @property
+    def thrust(self) -> tuple[float, float]:
+        """Smallest and largest acceleration along an axis for that of the model: gain and alignment over mass."""
+        least = (1 - self.thrust_gain) * math.cos(math.radians(self.thrust_misalignment)) / (1 + self.mass)
+        return least, (1 + self.thrust_gain) / (1 - self.mass)
+
+    @property
+    def torque(self) -> tuple[float, float]:
+        """Smallest and largest angular acceleration of an axis for that of the model."""
+        return (1 - self.torque_gain) / (1 + self.inertia), (1 + self.torque_gain) / (1 - self.inertia)
+
+    def max_acceleration(self, c: InspectionParameters) -> float:
+        """a_max in m/s^2 that is there in the worst case: of the least thrust, less what is unknown."""
+        most = c.max_thrust / c.mass
+        return c.max_acceleration - (1 - self.thrust[0]) * most - self.acceleration
+
+    def angular_acceleration(self, c: InspectionParameters) -> float:
+        """rad/s^2, the largest that the model does not know of within the limits of the rates.
+
+        The gyroscopic one of other moments of inertia, at the worst corner of their bounds, and where Hill's frame
+        turns by n, the rate of R^T (0, 0, n), n |omega|.
+        """
+        at_most = torch.full((3,), c.max_rate, dtype=torch.float64)
+        nominal = torch.stack(euler(at_most, c.inertia))
+        worst = torch.zeros(3, dtype=torch.float64)
+        for factors in product((1 - self.inertia, 1 + self.inertia), repeat=3):
+            moments = [moment * factor for moment, factor in zip(c.inertia, factors, strict=True)]
+            worst = torch.maximum(worst, (torch.stack(euler(at_most, moments)) - nominal).abs())
+        turning = c.mean_motion * math.sqrt(3.0) * c.max_rate if self.hill_rotation else 0.0
+        return worst.norm().item() + turning
+
+    def rate_offset(self, c: InspectionParameters) -> float:
+        """rad/s, by which a body rate relative to the stars exceeds one relative to Hill's frame at most."""
+        return c.mean_motion if self.hill_rotation else 0.0
+
+    def admissible(self, thrust: Tensor) -> Tensor:
+        """What the thrusters give where thrust in N is asked for."""
+        if self.thrust_quantum:
+            return self.thrust_quantum * (thrust / self.thrust_quantum).round()
+        return torch.where(thrust.abs() < self.minimum_thrust, 0.0, thrust)
