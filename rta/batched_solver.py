@@ -8,6 +8,7 @@ variables, so the state of a program is small, and one step is the same arithmet
 """
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple
 
 import torch
@@ -57,22 +58,23 @@ class State(NamedTuple):
 class BatchedSolver:
     """All programs of a batch at once, on their own device; PIQP solves again what is not solved accurately."""
 
-    def __init__(self) -> None:
-        self.fallback = PiqpSolver()
-        self._attempt: Callable[..., list[Tensor]] = attempt
+    def __init__(self, steps: int = STEPS) -> None:
+        self.fallback, self.steps = PiqpSolver(), steps
+        self._attempt: Callable[..., list[Tensor]] = partial(attempt, steps=steps)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return type(self), ()
+        return type(self), (self.steps,)
 
     def compile(self, rows: int, batch: int, device: torch.device | str) -> None:
         """See `Solver`. Few programs go beyond the attempt, and these are not compiled."""
         probe = torch.zeros(rows, 3, 1, dtype=torch.float64, device=device)
-        compiled = Compiled(attempt, probe[0], probe, probe[:, 0], batch=batch)
+        attempted = partial(attempt, steps=self.steps)
+        compiled = Compiled(attempted, probe[0], probe, probe[:, 0], batch=batch)
 
         def padded(desired: Tensor, a: Tensor, b: Tensor) -> list[Tensor]:
             missing = rows - len(a)
             if missing < 0:  # few programs have their rows more than once
-                return attempt(desired, a, b)
+                return attempted(desired, a, b)
             if missing:
                 a = torch.cat((a, a.new_zeros(missing, *a.shape[1:])))
                 b = torch.cat((b, b.new_full((missing, b.shape[1]), REDUNDANT)))
@@ -134,8 +136,8 @@ class BatchedSolver:
         return Solutions(control, status, residual)
 
 
-def attempt(desired: Tensor, a: Tensor, b: Tensor) -> list[Tensor]:
-    """STEPS steps of hard programs, enough for nearly every one that is feasible, without looking at a value.
+def attempt(desired: Tensor, a: Tensor, b: Tensor, steps: int = STEPS) -> list[Tensor]:
+    """Some steps of hard programs, enough for nearly every one that is feasible, without looking at a value.
 
     Args:
         desired: (3, N); a: (R, 3, N); b: (R, N).
@@ -146,7 +148,7 @@ def attempt(desired: Tensor, a: Tensor, b: Tensor) -> list[Tensor]:
     nothing = torch.full_like(b[:, 0], torch.inf)  # no row has slack
     normals, offsets = with_bounds(a, b)
     state = start(desired)
-    for _ in range(STEPS):
+    for _ in range(steps):
         state = step(normals, offsets, state)
     u = state.x.clamp(-1.0, 1.0)
     return [u, kkt_residual(u, state.multipliers(len(b)), desired, a, b, nothing)[None]]

@@ -30,6 +30,8 @@ from rta.uncertainty import Uncertainty
 
 ROW_FIELDS = len(fields(Rows))
 
+STEPS_HELD = 6  # of the batched solver's attempt: rates that the filter holds are three rows more at a time
+
 SOLVERS: dict[str, type[Solver]] = {"piqp": PiqpSolver, "batched": BatchedSolver}
 
 
@@ -101,10 +103,10 @@ class SafetyFilter:
             raise ValueError("max_thrust / mass must exceed the natural acceleration within max_distance")
         known.check(c, parameters)
         self.c, self.parameters, self.extra, self.known = c, parameters, tuple(extra), known
-        self.solver = solver or make_solver(parameters.qp_solver.replace("auto", "piqp"))
+        self.holds = known.holds(parameters)
+        self.solver = solver or make_solver(parameters.qp_solver.replace("auto", "piqp"), self.holds)
         of_paper = (thrust_constraints(c, parameters, known), torque_constraints(c, parameters, known))
         constraints = (*of_paper[0], *of_paper[1], *extra)
-        self.holds = known.holds(parameters)
         kind = HeldGroup if self.holds else ActuatorGroup
         self.groups = tuple(kind(by, constraints, c, parameters, known) for by in ACTUATORS)
         thrust, torque = (group.names for group in self.groups)
@@ -324,9 +326,10 @@ class SafetyFilter:
         parts: dict[int, list[Tensor]] = {}
         for i in (1, 0):
             group, run = self.groups[i], self._prepare_held[i]
-            prepared = Prepared(*run(x, control, spread, left))
+            near = group.near(x, control)
+            prepared = Prepared(*run(x, near, spread, left))
             active, slack = torch.zeros_like(prepared.h, dtype=torch.bool), torch.zeros_like(prepared.h)
-            unsafe = torch.nonzero(~(prepared.lowest[0] >= 0.0)).flatten()
+            unsafe = torch.nonzero(~(prepared.lowest[0] >= 0.0) | (near != control).any(0)).flatten()
             if unsafe.numel():
                 given = [pick(part, unsafe) for part in (x, control, spread, left)]
                 answer = settle(
@@ -366,6 +369,6 @@ def joined(thrust: Tensor, torque: Tensor) -> Tensor:
     return torch.cat(in_order(thrust.split(1), torque.split(1)))
 
 
-def make_solver(name: str) -> Solver:
-    """A new solver; raises KeyError for a name that is not in SOLVERS."""
-    return SOLVERS[name]()
+def make_solver(name: str, held: bool = False) -> Solver:
+    """A new solver, of rows that are held or not; raises KeyError for a name that is not in SOLVERS."""
+    return BatchedSolver(STEPS_HELD) if held and name == "batched" else SOLVERS[name]()

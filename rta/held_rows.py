@@ -67,6 +67,19 @@ class HeldGroup(ActuatorGroup):
         self.measured = bounds
         self.doubts = any(self.measured) or known.latency > 0
 
+    def near(self, x: Tensor, control: Tensor) -> Tensor:
+        """Controls (6, B) with torque that keeps the rates within their limits over the hold, near which tangents help.
+
+        Full torque for 10 s would turn a body by 50 deg, of which no tangent says anything about less.
+        """
+        if self.held_by == "thrust":
+            return control
+        limit = self.c.max_rate - self.known.rate_offset(self.c)
+        per_rate = x.new_tensor(self.c.inertia)[:, None] / self.moments[-1]
+        low, high = per_rate * (-limit - x[OMEGA]), per_rate * (limit - x[OMEGA])
+        torque = control[TORQUE].minimum(high.clamp(min=0.0)).maximum(low.clamp(max=0.0))
+        return torch.cat((control[THRUST], torque))
+
     def count(self, each: Constraint) -> int:
         """How many rows a constraint has."""
         return each.rows * len(self.moments)
@@ -90,7 +103,7 @@ class HeldGroup(ActuatorGroup):
                 attitude and rates in m, m/s, rad, rad/s.
         """
         own = slice(0, CONTROL_SIZE) if coupled else self.controls
-        psi, by_x, by_u, u_there = self.after(x, control, constraints, own, coupled)
+        psi, sag, by_x, by_u, u_there = self.after(x, control, constraints, own, coupled)
         before, later = psi[0], psi[1:]  # (moments, R, B)
         t = x.new_tensor(self.moments)[:, None, None]
         rate, slope = (later - before) / t, by_u[1:] / t[..., None]
@@ -121,6 +134,10 @@ class HeldGroup(ActuatorGroup):
 
         rows = [each for each in constraints for _ in range(each.rows)]
         gain, margin, inside = self.alpha(before, rows)
+        # between two moments psi is at least the parabola through both that hangs by its sag; it is not negative if
+        # the sum of both is at least 4 times that
+        least = (1.0 - gain * t) * (before - blur)
+        loss = loss + (4.0 * sag - (psi[:-1] - blur) - least).clamp(min=0.0) / t
         at_zero = rate - total(slope * u_there, 2) - loss - doubt - gain * blur
         b = at_zero + gain * (before - margin)
         b_bare = at_zero + gain * (before + inside)
@@ -157,7 +174,7 @@ class HeldGroup(ActuatorGroup):
 
     def after(
         self, x: Tensor, control: Tensor, constraints: Sequence[Constraint], own: slice, coupled: bool
-    ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    ) -> tuple[Tensor, ...]:
         """`flown` at the control, for a barrier that looks ahead without the group's own, and those controls.
 
         How near a free flight comes to the chief is convex in thrust: its tangent anywhere is below it, and the one at no
@@ -177,21 +194,25 @@ class HeldGroup(ActuatorGroup):
                 there = [u[own].expand(count, -1, -1)[None] for count in counts]
                 parts[ahead] = [list(part) for part in zip(*flown, there, strict=True)]
         in_order = [parts[kind].pop(0) for kind in kinds]
-        psi, by_x, by_u, there = (torch.cat(part, 1) for part in zip(*in_order, strict=True))
-        return psi, by_x, by_u, there
+        return tuple(torch.cat(part, 1) for part in zip(*in_order, strict=True))
 
     def flown(
         self, x: Tensor, control: Tensor, constraints: Sequence[Constraint], own: slice, coupled: bool
-    ) -> tuple[Tensor, Tensor, Tensor]:
+    ) -> tuple[Tensor, ...]:
         """psi at the beginning and at each moment, and its derivatives by what is measured and by the own controls.
 
         Returns:
-            (1 + moments, R, B), (1 + moments, R, D, B) by the D of `directions`, (1 + moments, R, m, B).
+            (1 + moments, R, B); how far psi hangs in the middle between two of them, (moments, R, B); derivatives
+            (1 + moments, R, D, B) by the D of `directions` and (1 + moments, R, m, B).
         """
         steps = [later - sooner for sooner, later in zip((0.0, *self.moments), self.moments, strict=False)]
         psis, y = [self.psi_at(x, constraints)], x
+        middles = []
         for seconds, moment in zip(steps, self.moments, strict=True):
-            y = step(y, control, seconds, self.model)
+            middle = step(y, control, seconds / 2, self.model)
+            if constraints[0].later is None:
+                middles.append(self.psi_at(middle, constraints, x, moment - seconds / 2)(middle))
+            y = step(middle, control, seconds / 2, self.model)
             psis.append(self.psi_at(y, constraints, x, moment))
 
         def along(z: Tensor, u: Tensor) -> Tensor:
@@ -211,7 +232,11 @@ class HeldGroup(ActuatorGroup):
         of_u = torch.cat((nothing.expand(CONTROL_SIZE, d, x.shape[1]), by_u), 1)
         many = [part[:, None].repeat(1, d + m, 1) for part in (x, control)]
         values, slopes = directional(along, many, [of_x, of_u])
-        return values[:, :, 0], slopes[:, :, :d], slopes[:, :, d:]
+        values = values[:, :, 0]
+        sag = torch.zeros_like(values[1:])
+        if middles:
+            sag = ((values[1:] + values[:-1]) / 2 - torch.stack(middles)).clamp(min=0.0)
+        return values, sag, slopes[:, :, :d], slopes[:, :, d:]
 
     def directions(self, x: Tensor, coupled: bool) -> Tensor:
         """(16, D, B) unit changes of what is measured: of p and v for thrust, of attitude and rates for torque."""

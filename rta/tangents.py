@@ -18,8 +18,7 @@ SHORTEST_ROW = 1e-6
 
 TOLERATED = 1e-6  # in units of the actuators' limits, by which rows themselves may be short
 INSET = 1e-3  # in the same unit, by which tangents ask for more, so that few of them are enough
-# Programs solved for one control at most, each with the tangents at the last one's solution added.
-PASSES = 4
+PASSES = 4  # programs solved for one control at most
 
 
 class Prepared(NamedTuple):
@@ -91,7 +90,8 @@ def settle(
     """Controls (3, M) that hold the rows themselves, not only their tangents at the desired ones.
 
     What is convex lies within its tangents, so a solution may break it. Then the tangents there are added, and the
-    program is solved again (Kelley 1960). What is still broken after PASSES is counted as slack.
+    program is solved again (Kelley 1960). What is left after PASSES goes back towards no control: from there to the
+    solution a concave psi is at least its chord. What is still broken is counted as slack.
 
     Args:
         run: `SafetyFilter.prepare_held` of the group.
@@ -102,38 +102,52 @@ def settle(
     """
     x, control, spread, left = given
     desired, limit = control[group.controls] / group.limit, group.limit * left[group.controls]
+
+    def at(columns: Tensor, u: Tensor) -> tuple[Problems, Tensor, Tensor]:
+        """The rows' tangents at controls u (3, m) of these columns, their lengths, and how far u is within them."""
+        controls, *others = (pick(part, columns) for part in (control, x, spread, left))
+        controls[group.controls] = u * group.limit
+        there = Prepared(*run(others[0], controls, *others[1:]))
+        tangents = problems(group, there, u, pick(limit, columns))
+        return tangents, there.length, total(tangents.a * u, 1) + tangents.b_bare
+
     asked = inset(problems(group, prepared, desired, limit))
     wholes = [
         torch.zeros_like(desired),
         torch.zeros_like(desired[0], dtype=torch.int64),
         torch.zeros_like(prepared.h, dtype=torch.bool),
         torch.zeros_like(prepared.h),
-        torch.full_like(desired[0], -torch.inf),  # what the best control falls short by, negative
+        torch.full_like(desired[0], -torch.inf),  # how far the best control is within the rows
     ]
+
+    def keep(columns: Tensor, u: Tensor, solved: Tensor) -> tuple[Problems, Tensor, Tensor]:
+        """Takes controls that are better than those before; returns their tangents and which columns go on."""
+        tangents, length, within = at(columns, u)
+        least = within.amin(0)
+        held = least >= -TOLERATED
+        status = torch.where(held, Status.HARD, Status.SLACK).masked_fill(~solved, Status.UNSOLVED)
+        better = torch.nonzero((least > pick(wholes[-1], columns)) | ~solved).flatten()
+        parts = [u, status, *answered(group, tangents, length, u, status), least]
+        for whole, part in zip(wholes, parts, strict=True):
+            put(whole, columns[better], pick(part, better))
+        return tangents, within * length, torch.nonzero(solved & ~held).flatten()
+
     todo = torch.arange(desired.shape[1], device=desired.device)
     for i in range(PASSES):
         answer = solver.solve(asked)
-        controls, *others = (pick(part, todo) for part in (control, x, spread, left))
-        controls[group.controls] = answer.control * group.limit
-        there = Prepared(*run(others[0], controls, *others[1:]))
-        itself = problems(group, there, answer.control, pick(limit, todo))
-        short = (total(itself.a * answer.control, 1) + itself.b_bare).amin(0)
-        held, solved = short >= -TOLERATED, answer.status < Status.UNSOLVED
-        status = torch.where(solved, torch.where(held, Status.HARD, Status.SLACK), answer.status)
-        better = torch.nonzero((short > pick(wholes[-1], todo)) | ~solved).flatten()
-        parts = [
-            answer.control,
-            status,
-            *answered(group, itself, there.length, answer.control, status),
-            short,
-        ]
-        for whole, part in zip(wholes, parts, strict=True):
-            put(whole, todo[better], pick(part, better))
-        again = torch.nonzero(solved & ~held).flatten()
+        tangents, within, again = keep(todo, answer.control, answer.status < Status.UNSOLVED)
+        todo, u, within = todo[again], pick(answer.control, again), pick(within, again)
         if not again.numel() or i == PASSES - 1:
             break
-        asked = joined(asked[again], inset(itself[again]), answer.status[again] == Status.SLACK)
-        todo = todo[again]
+        asked = joined(asked[again], inset(tangents[again]), answer.status[again] == Status.SLACK)
+    if todo.numel():  # where no control of the group's own is held, a part of the way to the solution is
+        still = torch.zeros_like(u)
+        _, length, at_rest = at(todo, still)
+        at_rest = at_rest * length
+        share = torch.where(within < 0.0, at_rest / (at_rest - within), 1.0).amin(0)
+        keep(
+            todo, torch.where(at_rest.amin(0) >= 0.0, share * u, u), torch.ones_like(share, dtype=torch.bool)
+        )
     return [wholes[0] * group.limit, *wholes[1:-1]]
 
 
