@@ -1,0 +1,314 @@
+"""One call of the filter at a time, next to its limits: is every h still >= 0, and can all of it still be held?
+
+A draw is a state (`study.verification.limits`) and TRIES desired controls, each of which goes through the filter and
+the plant for one period. Every h is checked every CHECK_BETWEEN s, and at the end the filter is asked again: a row that
+has slack there, where none had before, is *lost*. Rows of the body rates are left out of that where the plant saturates
+them. Draws are independent of each other, so that the bound per draw is Clopper and Pearson's.
+"""
+
+import dataclasses
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from textwrap import fill
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from inspection.environment import InspectionEnv
+from inspection.state import CONTROL_SIZE
+from rta.constraints import CONSTRAINTS
+from rta.filter import SafetyFilter
+from rta.qp import Status
+from study.config import Config, StudyConfig
+from study.errors import refusing
+from study.experiment import Experiment, check_clocks
+from study.files import write_json
+from study.flight.summary import upper_bound
+from study.progress import bar
+from study.verification.adversaries import adversarial
+from study.verification.findings import WIDTH, report_in
+from study.verification.flight import ROUNDING
+from study.verification.limits import BISECTIONS, NearLimits, near_limits
+from study.verification.starts import spawned
+from study.verified import fingerprint
+
+BATCH = 4096  # states drawn at once
+TRIES = 4  # desired controls at each of them
+CHECK_BETWEEN = 0.1  # s
+SHOWN = 20  # worst cases that a report holds, per constraint
+CALLS = 2 + 3 * sum(BISECTIONS)  # of the filter in a batch, about
+
+
+@dataclasses.dataclass(frozen=True)
+class Boundary:
+    """What determines the numbers beside the configuration; `period` is that of the filter in s."""
+
+    period: float
+    seed: int
+    batch_size: int
+    tries: int = TRIES
+    kind: str = "boundary"
+
+
+class Tried(NamedTuple):
+    """What came of a batch of draws; last axis the draws.
+
+    Attributes:
+        smallest: (13, B) h within the period, under the worst of the controls for each.
+        desired, applied: (13, 6, B) those controls, and what the filter made of them.
+        before, after: (13, B) largest slack of the rows at the state, and at the end of the period.
+        unsolved: filter calls, of `calls`.
+    """
+
+    smallest: Tensor
+    desired: Tensor
+    applied: Tensor
+    before: Tensor
+    after: Tensor
+    unsolved: int
+    calls: int
+
+
+def empty_report(campaign: dict[str, Any], config: Config) -> dict[str, Any]:
+    """A report of no draws, the form of `verify --boundary --json`.
+
+    `violating_draws` are those with h < 0 within the period, `lost_draws` those in which a row has slack after it and
+    none had before, `yielding_draws` those in which one had before. `limits` and `pairs` have the counts by what the
+    states were drawn next to. `worst` and `lost` have the SHOWN cases per constraint of least h and of most slack.
+    """
+
+    def counts() -> dict[str, int]:
+        return dict.fromkeys((*CONSTRAINTS, "any"), 0)
+
+    return {
+        "campaign": campaign,
+        "batches": 0,
+        "draws": 0,
+        "upper_bound_95": 1.0,
+        "violating_draws": counts(),
+        "lost_draws": counts(),
+        "yielding_draws": counts(),
+        "worst_value": dict.fromkeys(CONSTRAINTS),
+        "filter_calls": 0,
+        "unsolved": 0,
+        "limits": {},
+        "pairs": {},
+        "worst": {name: [] for name in CONSTRAINTS},
+        "lost": {name: [] for name in CONSTRAINTS},
+        "fingerprint": fingerprint(config),
+        "config": dataclasses.asdict(config),
+    }
+
+
+def controls(x: Tensor, safety_filter: SafetyFilter, generator: torch.Generator) -> Tensor:
+    """Desired controls at states (16, B), (TRIES, 6, B).
+
+    The adversary's, the vertex of the box that is nearest to it, another vertex and one of all controls, at random.
+    """
+    limit = x.new_tensor(safety_filter.c.control_limit)[:, None]
+    down = adversarial(safety_filter)(0.0, x)
+    number = torch.rand(2, CONTROL_SIZE, x.shape[1], generator=generator, dtype=torch.float64).to(x)
+    vertex, anywhere = 2.0 * number[0].round() - 1.0, 2.0 * number[1] - 1.0
+    nearest = torch.where(down == 0.0, vertex, down.sign())
+    return torch.stack((down, limit * nearest, limit * vertex, limit * anywhere))
+
+
+@torch.no_grad()
+def tried(
+    env: InspectionEnv, safety_filter: SafetyFilter, x: Tensor, desired: Tensor, number: Tensor
+) -> Tried:
+    """Each of the desired controls (TRIES, 6, B) at states x (16, B), for one period.
+
+    Args:
+        env: of TRIES * B episodes; number: (B,) in [0, 1), from which the plants follow.
+    """
+    tries, _, batch = desired.shape
+    flat = desired.transpose(0, 1).flatten(1)
+    env.x = x.repeat(1, tries)
+    if env.plant:
+        env.plant.begin(torch.arange(tries * batch, device=x.device), number.repeat(tries))
+    h, first = torch.full((), torch.inf).to(x), None
+    for hold in env.fly(lambda t, seen: flat, safety_filter.period):
+        first = first or hold
+        values = env.constraint_values(hold.after)
+        h = torch.where(values.isnan(), -torch.inf, values).minimum(h)
+    again = safety_filter.correct(hold.after, flat)
+
+    def apart(part: Tensor) -> Tensor:
+        return part.unflatten(-1, (tries, batch))
+
+    smallest, worst = apart(h).min(1)
+    answers = first.correction, again
+    before, after = (apart(answer.slack).amax(1) for answer in answers)
+
+    def of_worst(control: Tensor) -> Tensor:
+        return apart(control).expand(len(worst), -1, -1, -1).gather(2, chosen)[:, :, 0]
+
+    chosen = worst[:, None, None].expand(-1, CONTROL_SIZE, -1, -1)
+    unsolved = sum(int((answer.status == Status.UNSOLVED).sum()) for answer in answers)
+    return Tried(
+        smallest, of_worst(flat), of_worst(first.applied), before, after, unsolved, 2 * tries * batch
+    )
+
+
+def run(
+    campaign: Boundary, draws: int, experiment: Experiment, path: Path | None
+) -> Iterator[dict[str, Any]]:
+    """Draws batch after batch and yields the report so far, which `path` holds too and is resumed from.
+
+    A batch is always drawn whole, so that there may be more draws than asked for.
+    """
+    config, safety_filter = experiment.config, experiment.filter
+    report = report_in(path, dataclasses.asdict(campaign), config, empty_report)
+    columns = campaign.batch_size * campaign.tries
+    env = experiment.env(columns, None, campaign.period, CHECK_BETWEEN, experiment.filter_compiled)
+    yield report
+    while report["draws"] < draws:
+        batch_seed = np.random.SeedSequence((campaign.seed, report["batches"])).generate_state(1)[0]
+        of_states, of_controls, of_plants = spawned(int(batch_seed), 3)
+        with refusing("[inspection] and [rta]", RuntimeError):
+            near = near_limits(campaign.batch_size, of_states, safety_filter, experiment.device)
+        desired = controls(near.state, safety_filter, torch.Generator().manual_seed(of_controls))
+        plants = torch.Generator().manual_seed(of_plants)
+        number = torch.rand(campaign.batch_size, generator=plants, dtype=torch.float64).to(near.state)
+        result = tried(env, safety_filter, near.state, desired, number)
+        add(report, near, result, number, held_by_the_plant(config))
+        if path is not None:
+            write_json(path, report)
+        yield report
+
+
+def held_by_the_plant(config: Config) -> list[bool]:
+    """Of each constraint, whether the plant holds it by itself: the rates', where it saturates them."""
+    saturates = config.inspection.saturate_rates and config.plant.saturate_rates
+    return [saturates and name.startswith("angular_velocity") for name in CONSTRAINTS]
+
+
+def add(
+    report: dict[str, Any], near: NearLimits, result: Tried, number: Tensor, by_plant: list[bool]
+) -> None:
+    """Adds a batch of draws to a report, in place."""
+    needed = ~torch.tensor(by_plant, device=number.device)[:, None]
+    violating = result.smallest < 0.0
+    yielding = (result.before > ROUNDING) & needed
+    lost = (result.after > ROUNDING) & needed & ~yielding.any(0)
+    report["batches"] += 1
+    report["draws"] += number.numel()
+    report["filter_calls"] += result.calls
+    report["unsolved"] += result.unsolved
+    for kind, flags in (("violating", violating), ("lost", lost), ("yielding", yielding)):
+        counts = report[f"{kind}_draws"]
+        for name, own in zip((*CONSTRAINTS, "any"), torch.cat((flags, flags.any(0)[None])), strict=True):
+            counts[name] += int(own.sum())
+    report["upper_bound_95"] = upper_bound(report["violating_draws"]["any"], report["draws"])
+    add_by_limit(report, near, violating.any(0), lost.any(0))
+    for i, name in enumerate(CONSTRAINTS):
+        least = [result.smallest[i].min().item(), report["worst_value"][name]]
+        report["worst_value"][name] = min(value for value in least if value is not None)
+        for kind, value in (
+            ("worst", result.smallest[i]),
+            ("lost", -result.after[i].where(lost[i], -torch.inf)),
+        ):
+            add_cases(report[kind][name], value, i, near, result, number, report["batches"] - 1)
+
+
+def add_by_limit(report: dict[str, Any], near: NearLimits, violating: Tensor, lost: Tensor) -> None:
+    """Counts draws by the limits that they are next to, in place."""
+    first, second = near.limits
+    code = first * len(CONSTRAINTS) + second
+    for each in code.unique().tolist():
+        names = [CONSTRAINTS[each // len(CONSTRAINTS)], CONSTRAINTS[each % len(CONSTRAINTS)]]
+        part = report["limits" if names[0] == names[1] else "pairs"]
+        counts = part.setdefault(" + ".join(dict.fromkeys(names)), {"draws": 0, "violating": 0, "lost": 0})
+        own = code == each
+        for kind, flags in (("draws", own), ("violating", violating & own), ("lost", lost & own)):
+            counts[kind] += int(flags.sum())
+        counts["upper_bound_95"] = upper_bound(counts["violating"], counts["draws"])
+
+
+def add_cases(
+    cases: list[dict[str, Any]],
+    value: Tensor,
+    constraint: int,
+    near: NearLimits,
+    result: Tried,
+    number: Tensor,
+    batch: int,
+) -> None:
+    """Keeps the SHOWN cases of least value (B,), in place; infinity is none."""
+    least, columns = value.topk(min(SHOWN, value.numel()), largest=False)
+    for one, k in zip(least.tolist(), columns.tolist(), strict=True):
+        if one < torch.inf:
+            cases.append(
+                {
+                    "value": one,
+                    "limits": [CONSTRAINTS[i] for i in near.limits[:, k].unique().tolist()],
+                    "batch": batch,
+                    "column": k,
+                    "plant": number[k].item(),
+                    "state": near.state[:, k].tolist(),
+                    "control_desired": result.desired[constraint, :, k].tolist(),
+                    "control_applied": result.applied[constraint, :, k].tolist(),
+                }
+            )
+    cases.sort(key=lambda case: case["value"])
+    del cases[SHOWN:]
+
+
+def search(draws: int, seed: int, configure: Callable[[Config], Config], path: Path | None) -> dict[str, Any]:
+    """All draws, with a progress bar; returns the report.
+
+    Args:
+        configure: puts the command line over a base configuration.
+        path: see `run`.
+    """
+    config = configure(StudyConfig()).of_arm("rta")
+    period = config.rta.period
+    check_clocks(config, period, CHECK_BETWEEN, period, f"--boundary, checked every {CHECK_BETWEEN:g} s")
+    experiment = Experiment(config, BATCH * TRIES, seconds=-(-draws // BATCH) * CALLS * period)
+    reports = run(Boundary(period, seed, BATCH), draws, experiment, path)
+    report = next(reports)  # refuses before there is a bar
+    if report["draws"] >= draws:
+        print(f"{path}: holds {report['draws']:,} draws already", file=sys.stderr)
+    with bar(draws, "draws", initial=report["draws"]) as shown:
+        for report in reports:
+            shown.set_postfix_str(f"{report['violating_draws']['any']:,} violating", refresh=False)
+            shown.update(min(report["draws"], draws) - shown.n)
+    return report
+
+
+def table(report: dict[str, Any]) -> str:
+    """A report as text, at most WIDTH columns wide."""
+    none = {"draws": 0, "violating": 0, "lost": 0, "upper_bound_95": 1.0}
+    lines = [
+        f"{'next to':20s} {'draws':>13s} {'violating':>11s} {'lost':>9s} {'below (95 %)':>13s}  {'smallest h':>12s}"
+    ]
+    for name in CONSTRAINTS:
+        own = report["limits"].get(name, none)
+        lines.append(
+            f"{name:20s} {own['draws']:13,d} {own['violating']:11,d} {own['lost']:9,d} "
+            f"{own['upper_bound_95']:13.2e}  {report['worst_value'][name]:12.5g}"
+        )
+    pairs = {
+        kind: sum(own[kind] for own in report["pairs"].values()) for kind in none if kind != "upper_bound_95"
+    }
+    lines += [
+        f"{'two of them':20s} {pairs['draws']:13,d} {pairs['violating']:11,d} {pairs['lost']:9,d} "
+        f"{upper_bound(pairs['violating'], pairs['draws']) if pairs['draws'] else 1.0:13.2e}",
+        f"{report['draws']:,} draws next to {len(report['limits'])} limits and {len(report['pairs'])} pairs; violation "
+        f"probability per draw below {report['upper_bound_95']:.2e} (95 %)",
+        "lost: all rows could be held before the call, and not after it: "
+        + (described(report["lost_draws"]) or "none"),
+        "violated: " + (described(report["violating_draws"]) or "none"),
+        f"{report['yielding_draws']['any']:,} draws in which a row had slack from the start; {report['filter_calls']:,} filter "
+        f"calls, {report['unsolved']:,} unsolved",
+    ]
+    return "\n".join(fill(line, WIDTH, subsequent_indent=" " * 11) for line in lines)
+
+
+def described(counts: dict[str, int]) -> str:
+    """What is not zero of counts by constraint."""
+    return ", ".join(f"{name} {count:,}" for name, count in counts.items() if count and name != "any")
