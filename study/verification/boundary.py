@@ -77,7 +77,8 @@ def empty_report(campaign: dict[str, Any], config: Config) -> dict[str, Any]:
 
     `violating_draws` are those with h < 0 within the period, `lost_draws` those in which a row has slack after it and
     none had before, `yielding_draws` those in which one had before. `limits` and `pairs` have the counts by what the
-    states were drawn next to. `worst` and `lost` have the SHOWN cases per constraint of least h and of most slack.
+    states were drawn next to, `within_margins` those next to margins and beyond none. `worst` and `lost` have the SHOWN
+    cases per constraint of least h and of most slack.
     """
 
     def counts() -> dict[str, int]:
@@ -96,6 +97,7 @@ def empty_report(campaign: dict[str, Any], config: Config) -> dict[str, Any]:
         "unsolved": 0,
         "limits": {},
         "pairs": {},
+        "within_margins": {},
         "worst": {name: [] for name in CONSTRAINTS},
         "lost": {name: [] for name in CONSTRAINTS},
         "fingerprint": fingerprint(config),
@@ -217,16 +219,23 @@ def add(
 
 def add_by_limit(report: dict[str, Any], near: NearLimits, violating: Tensor, lost: Tensor) -> None:
     """Counts draws by the limits that they are next to, in place."""
-    first, second = near.limits
-    code = first * len(CONSTRAINTS) + second
-    for each in code.unique().tolist():
-        names = [CONSTRAINTS[each // len(CONSTRAINTS)], CONSTRAINTS[each % len(CONSTRAINTS)]]
-        part = report["limits" if names[0] == names[1] else "pairs"]
-        counts = part.setdefault(" + ".join(dict.fromkeys(names)), {"draws": 0, "violating": 0, "lost": 0})
-        own = code == each
+
+    def add_to(table: dict[str, Any], name: str, own: Tensor) -> None:
+        counts = table.setdefault(name, {"draws": 0, "violating": 0, "lost": 0})
         for kind, flags in (("draws", own), ("violating", violating & own), ("lost", lost & own)):
             counts[kind] += int(flags.sum())
         counts["upper_bound_95"] = upper_bound(counts["violating"], counts["draws"])
+
+    code = near.limits[0] * len(CONSTRAINTS) + near.limits[1]
+    for each in code.unique().tolist():
+        first, second = CONSTRAINTS[each // len(CONSTRAINTS)], CONSTRAINTS[each % len(CONSTRAINTS)]
+        if first == second:
+            add_to(report["limits"], first, code == each)
+        else:
+            add_to(report["pairs"], f"{first} + {second}", code == each)
+        if (own := near.within & (code == each)).any():
+            for name in {first, second}:
+                add_to(report["within_margins"], name, own)
 
 
 def add_cases(
@@ -246,6 +255,7 @@ def add_cases(
                 {
                     "value": one,
                     "limits": [CONSTRAINTS[i] for i in near.limits[:, k].unique().tolist()],
+                    "within_margins": bool(near.within[k]),
                     "batch": batch,
                     "column": k,
                     "plant": number[k].item(),
@@ -303,8 +313,8 @@ def table(report: dict[str, Any]) -> str:
         "lost: all rows could be held before the call, and not after it: "
         + (described(report["lost_draws"]) or "none"),
         "violated: " + (described(report["violating_draws"]) or "none"),
-        f"{report['yielding_draws']['any']:,} draws in which a row had slack from the start; {report['filter_calls']:,} filter "
-        f"calls, {report['unsolved']:,} unsolved",
+        f"{report['yielding_draws']['any']:,} draws in which a row had slack before; {report['filter_calls']:,} "
+        f"filter calls, {report['unsolved']:,} unsolved",
     ]
     return "\n".join(fill(line, WIDTH, subsequent_indent=" " * 11) for line in lines)
 

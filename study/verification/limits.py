@@ -5,11 +5,13 @@ How a state is drawn:
 1. A Latin hypercube all over the safe set (`study.verification.starts.spread`); states outside it are left out.
 2. Half of the states go next to one limit, half next to two, by the weights AIMED. Of each constraint either h or the
    barrier that the filter enforces (Psi_1 where the relative degree is two) is to be small: a gap is drawn
-   log-uniformly from GAP, in units of `scales`.
+   log-uniformly from GAP, in units of `scales`. A third of the states has margins instead of limits, what the filter
+   holds where it can.
 3. One component is moved towards an end beyond the limit, and bisected until the gap is left: distance, speed, attitude
    and so on, drawn from those in WAYS. Of two limits the first is approached again where the second led away from it.
 4. A state counts if every h, and every barrier that is enforced, is still non-negative, and those that were to be small
-   are at most the largest gap. So limits that are rarely met together have few states, and those that cannot be none.
+   are at most the largest gap; within margins, if no margin is touched. So limits that are rarely met together have few
+   states, and those that cannot be none.
 """
 
 import itertools
@@ -26,7 +28,7 @@ from inspection.dynamics import sun_and_earth_in_body
 from inspection.parameters import AXES, InspectionParameters
 from inspection.state import OMEGA, SIZE, THETA_S, E, P, Q, T, V
 from rta.constraints import CONSTRAINTS
-from rta.filter import SafetyFilter, joined
+from rta.filter import SafetyFilter, in_order, joined
 from study.verification.starts import NUMBERS, spawned, spread
 
 GAP = 1e-6, 1e-1  # smallest and largest
@@ -81,6 +83,11 @@ class NearLimits(NamedTuple):
     gaps: Tensor
     column: Tensor
 
+    @property
+    def within(self) -> Tensor:
+        """(B,) bool: next to margins instead of limits."""
+        return self.targets[0] >= 2 * LIMITS
+
     def __getitem__(self, columns: Tensor) -> "NearLimits":
         return NearLimits(*(part[..., columns] for part in self))
 
@@ -91,11 +98,21 @@ def together(parts: list[NearLimits]) -> NearLimits:
 
 
 def barriers(x: Tensor, safety_filter: SafetyFilter) -> Tensor:
-    """Every h, then every barrier that is enforced, of several rows the smallest: (16, B) to (2 * constraints, B)."""
+    """What must not be negative at states (16, B): (3 * constraints, B), constraint by constraint
+
+    every h, then every barrier that is enforced, of several rows the smallest, then the one of them that has a margin
+    (h where the relative degree is two) less that.
+    """
     groups, rows = safety_filter.groups, safety_filter.rows(x)
     smallest = partial(torch.amin, dim=0)
-    enforced = [group.by_constraint(own.psi, smallest) for group, own in zip(groups, rows, strict=True)]
-    return torch.cat((joined(*(own.h for own in rows)), joined(*enforced)))
+    h = joined(*(own.h for own in rows))
+    parts = [group.by_constraint(own.psi, smallest) for group, own in zip(groups, rows, strict=True)]
+    entries, enforced = in_order(*(group.constraints for group in groups)), joined(*parts)
+    inner = [
+        (of_h if each.degree == 2 else of_psi) - each.margin
+        for each, of_h, of_psi in zip(entries, h, enforced, strict=True)
+    ]
+    return torch.cat((h, enforced, torch.stack(inner)))
 
 
 def scales(safety_filter: SafetyFilter) -> list[float]:
@@ -104,12 +121,10 @@ def scales(safety_filter: SafetyFilter) -> list[float]:
     own = {name: c.max_speed**2 for name in CONSTRAINTS if name.startswith("velocity")}
     own |= {name: c.max_rate**2 for name in CONSTRAINTS if name.startswith("angular")}
     own |= {"passive_safety": 10.0}  # m; else 1 m/s, rad, deg C, kJ
-    gains = {each.name: each.gains for group in safety_filter.groups for each in group.constraints}
     h = [own.get(name, 1.0) for name in CONSTRAINTS]
-    return h + [
-        safety_filter.parameters.gain(gains[name][0]) * scale if len(gains[name]) == 2 else scale
-        for name, scale in zip(CONSTRAINTS, h, strict=True)
-    ]
+    entries = in_order(*(group.constraints for group in safety_filter.groups))
+    gains = [safety_filter.parameters.gain(each.gains[0]) if each.degree == 2 else 1.0 for each in entries]
+    return [*h, *(gain * scale for gain, scale in zip(gains, h, strict=True)), *h]
 
 
 def ends(x: Tensor, generator: torch.Generator, c: InspectionParameters) -> dict[str, Tensor]:
@@ -185,10 +200,10 @@ def approach(
         target, gap, low, high = (part[left] for part in (target, gap, low, high))
         for _ in range(steps):
             middle = (low + high) / 2
-            safe = above(between(x, end, middle))
-            low, high = torch.where(safe, middle, low), torch.where(safe, high, middle)
-        broken = [barriers(between(x, end, share), safety_filter) < 0.0 for share in (low, high)]
-        left = torch.nonzero(~(broken[0] & broken[1]).any(0)).flatten()
+            before = above(between(x, end, middle))
+            low, high = torch.where(before, middle, low), torch.where(before, high, middle)
+        values = [barriers(between(x, end, share), safety_filter) for share in (low, high)]
+        left = torch.nonzero(safe(values[0].maximum(values[1]), near.within)).flatten()
     return near._replace(state=between(x, end, low))[left]
 
 
@@ -207,7 +222,7 @@ def near_limits(count: int, seed: int, safety_filter: SafetyFilter, device: torc
     for _ in range(HYPERCUBES):
         x, _ = spread(torch.from_numpy(sampler.random(4 * count).T.copy()), safety_filter.c)
         x = x.to(device)
-        x = x[:, (barriers(x, safety_filter) >= 0.0).all(0)]
+        x = x[:, safe(barriers(x, safety_filter))]
         near = aimed(x, scale, generator)
         near = approach(near, 0, generator, safety_filter)
         pair = near.limits[0] != near.limits[1]
@@ -218,9 +233,9 @@ def near_limits(count: int, seed: int, safety_filter: SafetyFilter, device: torc
         )
         near = together([near[~pair], both[~away], approach(both[away], 0, generator, safety_filter)])
         values = barriers(near.state, safety_filter)
-        safe = (values >= 0.0).all(0) & (safety_filter.values(near.state) >= 0.0).all(0)
-        safe &= (values.gather(0, near.targets) <= GAP[1] * scale[near.targets]).all(0)
-        found.append(near[torch.nonzero(safe).flatten()])
+        counts = safe(values, near.within) & (safety_filter.values(near.state) >= 0.0).all(0)
+        counts &= (values.gather(0, near.targets) <= GAP[1] * scale[near.targets]).all(0)
+        found.append(near[torch.nonzero(counts).flatten()])
         found[-1] = found[-1][found[-1].column.argsort()]
         have += found[-1].column.numel()
         if have >= count:
@@ -228,16 +243,22 @@ def near_limits(count: int, seed: int, safety_filter: SafetyFilter, device: torc
     raise RuntimeError(f"only {have} of {count} states found next to the limits")
 
 
+def safe(values: Tensor, within: Tensor | None = None) -> Tensor:
+    """(B,) bool: of `barriers` all are non-negative, those with margins where `within` (B,) is set."""
+    limits, margins = (values >= 0.0).split((2 * LIMITS, LIMITS))
+    return limits.all(0) if within is None else limits.all(0) & (margins.all(0) | ~within)
+
+
 def aimed(x: Tensor, scale: Tensor, generator: torch.Generator) -> NearLimits:
     """States x (16, B) with the limits that they are to be moved next to, drawn."""
-    number = torch.rand(6, x.shape[1], generator=generator, dtype=torch.float64).to(x)
+    number = torch.rand(7, x.shape[1], generator=generator, dtype=torch.float64).to(x)
     weight = torch.tensor(list(AIMED.values()), dtype=torch.float64)
     pairs = torch.tensor(PAIRS)
     single = number[0] < 0.5
     limits = torch.where(
         single, drawn(weight, number[1]), pairs.T.to(x.device)[:, drawn(weight[pairs].prod(1), number[1])]
     )
-    targets = limits + LIMITS * (number[2:4] < 0.5)
+    targets = limits + LIMITS * torch.where(number[6] < 1 / 3, 2, (number[2:4] < 0.5).long())
     targets[1] = torch.where(single, targets[0], targets[1])
     low, high = np.log(GAP)
     gaps = scale[targets] * (low + (high - low) * number[4:6]).exp()
