@@ -103,6 +103,8 @@ def barriers(x: Tensor, safety_filter: SafetyFilter) -> Tensor:
     every h, then every barrier that is enforced, of several rows the smallest, then the one of them that has a margin
     (h where the relative degree is two) less that.
     """
+    if not x.shape[1]:
+        return x.new_zeros(3 * LIMITS, 0)
     groups, rows = safety_filter.groups, safety_filter.rows(x)
     smallest = partial(torch.amin, dim=0)
     h = joined(*(own.h for own in rows))
