@@ -33,7 +33,8 @@ from study.verification.starts import NUMBERS, spawned, spread
 
 GAP = 1e-6, 1e-1  # smallest and largest
 BISECTIONS = 6, 26  # of a component's way, after the first of which what is broken anyway is left out
-HYPERCUBES = 1000  # drawn before the limits count as out of reach
+CANDIDATES = 18  # in a hypercube, for each state that is wanted: most often enough
+HYPERCUBES = 100  # drawn before the limits count as out of reach
 LIMITS = len(CONSTRAINTS)
 PAIRS = tuple(itertools.combinations(range(LIMITS), 2))
 
@@ -222,7 +223,7 @@ def near_limits(count: int, seed: int, safety_filter: SafetyFilter, device: torc
     scale = torch.tensor(scales(safety_filter), dtype=torch.float64, device=device)
     found, have = [], 0
     for _ in range(HYPERCUBES):
-        x, _ = spread(torch.from_numpy(sampler.random(4 * count).T.copy()), safety_filter.c)
+        x, _ = spread(torch.from_numpy(sampler.random(CANDIDATES * count).T.copy()), safety_filter.c)
         x = x.to(device)
         x = x[:, safe(barriers(x, safety_filter))]
         near = aimed(x, scale, generator)
