@@ -32,7 +32,7 @@ from rta.filter import SafetyFilter, in_order, joined
 from study.verification.starts import NUMBERS, spawned, spread
 
 GAP = 1e-6, 1e-1  # smallest and largest
-BISECTIONS = 6, 26  # of a component's way, after the first of which what is broken anyway is left out
+BISECTIONS = 2, 2, 20  # of a component's way; after each of them what is broken anyway is left out
 CANDIDATES = 18  # in a hypercube, for each state that is wanted: most often enough
 HYPERCUBES = 100  # drawn before the limits count as out of reach
 LIMITS = len(CONSTRAINTS)
