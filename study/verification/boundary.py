@@ -58,12 +58,14 @@ class Tried(NamedTuple):
 
     Attributes:
         smallest: (13, B) h within the period, under the worst of the controls for each.
+        last: (13, B) h at its end, under the worst of the controls for that.
         desired, applied: (13, 6, B) those controls, and what the filter made of them.
         before, after: (13, B) largest slack of the rows at the state, and at the end of the period.
         unsolved: filter calls, of `calls`.
     """
 
     smallest: Tensor
+    last: Tensor
     desired: Tensor
     applied: Tensor
     before: Tensor
@@ -75,10 +77,10 @@ class Tried(NamedTuple):
 def empty_report(campaign: dict[str, Any], config: Config) -> dict[str, Any]:
     """A report of no draws, the form of `verify --boundary --json`.
 
-    `violating_draws` are those with h < 0 within the period, `lost_draws` those in which a row has slack after it and
-    none had before, `yielding_draws` those in which one had before. `limits` and `pairs` have the counts by what the
-    states were drawn next to, `within_margins` those next to margins and beyond none. `worst` and `lost` have the SHOWN
-    cases per constraint of least h and of most slack.
+    `violating_draws` are those with h < 0 within the period, `violating_at_end` those with h < 0 at its end; in
+    `lost_draws` a row has slack after it and none had before, in `yielding_draws` one had before. `limits` and `pairs`
+    have the counts by what the states were drawn next to, `within_margins` those next to margins and beyond none.
+    `worst` and `lost` have the SHOWN cases per constraint of least h and of most slack.
     """
 
     def counts() -> dict[str, int]:
@@ -90,6 +92,7 @@ def empty_report(campaign: dict[str, Any], config: Config) -> dict[str, Any]:
         "draws": 0,
         "upper_bound_95": 1.0,
         "violating_draws": counts(),
+        "violating_at_end": counts(),
         "lost_draws": counts(),
         "yielding_draws": counts(),
         "worst_value": dict.fromkeys(CONSTRAINTS),
@@ -136,7 +139,8 @@ def tried(
     for hold in env.fly(lambda t, seen: flat, safety_filter.period):
         first = first or hold
         values = env.constraint_values(hold.after)
-        h = torch.where(values.isnan(), -torch.inf, values).minimum(h)
+        last = torch.where(values.isnan(), -torch.inf, values)
+        h = last.minimum(h)
     again = safety_filter.correct(hold.after, flat)
 
     def apart(part: Tensor) -> Tensor:
@@ -152,7 +156,14 @@ def tried(
     chosen = worst[:, None, None].expand(-1, CONTROL_SIZE, -1, -1)
     unsolved = sum(int((answer.status == Status.UNSOLVED).sum()) for answer in answers)
     return Tried(
-        smallest, of_worst(flat), of_worst(first.applied), before, after, unsolved, 2 * tries * batch
+        smallest,
+        apart(last).amin(1),
+        of_worst(flat),
+        of_worst(first.applied),
+        before,
+        after,
+        unsolved,
+        calls=2 * tries * batch,
     )
 
 
@@ -201,8 +212,14 @@ def add(
     report["draws"] += number.numel()
     report["filter_calls"] += result.calls
     report["unsolved"] += result.unsolved
-    for kind, flags in (("violating", violating), ("lost", lost), ("yielding", yielding)):
-        counts = report[f"{kind}_draws"]
+    counted = {
+        "violating_draws": violating,
+        "violating_at_end": result.last < 0.0,
+        "lost_draws": lost,
+        "yielding_draws": yielding,
+    }
+    for kind, flags in counted.items():
+        counts = report[kind]
         for name, own in zip((*CONSTRAINTS, "any"), torch.cat((flags, flags.any(0)[None])), strict=True):
             counts[name] += int(own.sum())
     report["upper_bound_95"] = upper_bound(report["violating_draws"]["any"], report["draws"])
@@ -224,7 +241,9 @@ def add_by_limit(report: dict[str, Any], near: NearLimits, violating: Tensor, lo
         counts = table.setdefault(name, {"draws": 0, "violating": 0, "lost": 0})
         for kind, flags in (("draws", own), ("violating", violating & own), ("lost", lost & own)):
             counts[kind] += int(flags.sum())
-        counts["upper_bound_95"] = upper_bound(counts["violating"], counts["draws"])
+        counts["upper_bound_95"] = (
+            upper_bound(counts["violating"], counts["draws"]) if counts["draws"] else 1.0
+        )
 
     code = near.limits[0] * len(CONSTRAINTS) + near.limits[1]
     for each in code.unique().tolist():
@@ -233,9 +252,9 @@ def add_by_limit(report: dict[str, Any], near: NearLimits, violating: Tensor, lo
             add_to(report["limits"], first, code == each)
         else:
             add_to(report["pairs"], f"{first} + {second}", code == each)
-        if (own := near.within & (code == each)).any():
-            for name in {first, second}:
-                add_to(report["within_margins"], name, own)
+        for name in dict.fromkeys((first, second)):
+            add_to(report["within_margins"], name, near.within & (code == each))
+    add_to(report["within_margins"], "any", near.within)
 
 
 def add_cases(
@@ -292,27 +311,27 @@ def search(draws: int, seed: int, configure: Callable[[Config], Config], path: P
 
 def table(report: dict[str, Any]) -> str:
     """A report as text, at most WIDTH columns wide."""
+    pairs = {
+        kind: sum(own[kind] for own in report["pairs"].values()) for kind in ("draws", "violating", "lost")
+    }
+    pairs["upper_bound_95"] = upper_bound(pairs["violating"], pairs["draws"]) if pairs["draws"] else 1.0
+    parts = report["limits"] | {"two of them": pairs, "margins, none beyond": report["within_margins"]["any"]}
     none = {"draws": 0, "violating": 0, "lost": 0, "upper_bound_95": 1.0}
     lines = [
         f"{'next to':20s} {'draws':>13s} {'violating':>11s} {'lost':>9s} {'below (95 %)':>13s}  {'smallest h':>12s}"
     ]
-    for name in CONSTRAINTS:
-        own = report["limits"].get(name, none)
+    for name in (*CONSTRAINTS, "two of them", "margins, none beyond"):
+        own, value = parts.get(name, none), report["worst_value"].get(name)
         lines.append(
-            f"{name:20s} {own['draws']:13,d} {own['violating']:11,d} {own['lost']:9,d} "
-            f"{own['upper_bound_95']:13.2e}  {report['worst_value'][name]:12.5g}"
+            f"{name:20s} {own['draws']:13,d} {own['violating']:11,d} {own['lost']:9,d} {own['upper_bound_95']:13.2e}"
+            + ("" if value is None else f"  {value:12.5g}")
         )
-    pairs = {
-        kind: sum(own[kind] for own in report["pairs"].values()) for kind in none if kind != "upper_bound_95"
-    }
     lines += [
-        f"{'two of them':20s} {pairs['draws']:13,d} {pairs['violating']:11,d} {pairs['lost']:9,d} "
-        f"{upper_bound(pairs['violating'], pairs['draws']) if pairs['draws'] else 1.0:13.2e}",
         f"{report['draws']:,} draws next to {len(report['limits'])} limits and {len(report['pairs'])} pairs; violation "
         f"probability per draw below {report['upper_bound_95']:.2e} (95 %)",
-        "lost: all rows could be held before the call, and not after it: "
-        + (described(report["lost_draws"]) or "none"),
-        "violated: " + (described(report["violating_draws"]) or "none"),
+        "violated: " + described(report["violating_draws"]),
+        "violated at the end of the period: " + described(report["violating_at_end"]),
+        "lost, all rows held before the call and not after it: " + described(report["lost_draws"]),
         f"{report['yielding_draws']['any']:,} draws in which a row had slack before; {report['filter_calls']:,} "
         f"filter calls, {report['unsolved']:,} unsolved",
     ]
@@ -321,4 +340,6 @@ def table(report: dict[str, Any]) -> str:
 
 def described(counts: dict[str, int]) -> str:
     """What is not zero of counts by constraint."""
-    return ", ".join(f"{name} {count:,}" for name, count in counts.items() if count and name != "any")
+    return (
+        ", ".join(f"{name} {count:,}" for name, count in counts.items() if count and name != "any") or "none"
+    )

@@ -80,7 +80,7 @@ def entries(safety_filter: SafetyFilter) -> list[Any]:
 def test_nothing_is_violated_in_the_model(nominal: Experiment) -> None:
     report = report_of(nominal)
     assert report["draws"] == BATCH
-    assert report["violating_draws"]["any"] == 0 == report["unsolved"]
+    assert report["violating_draws"]["any"] == 0 == report["violating_at_end"]["any"] == report["unsolved"]
     assert report["upper_bound_95"] == pytest.approx(1 - 0.05 ** (1 / BATCH))
     parts = [*report["limits"].values(), *report["pairs"].values()]
     assert sum(part["draws"] for part in parts) == BATCH
@@ -100,6 +100,7 @@ def test_a_heavier_plant_is_reported_with_what_shows_it(nominal: Experiment) -> 
         == (report["violating_draws"]["any"])
     )
     assert all(f"{name} {report['violating_draws'][name]}" in table(report) for name in violated)
+    assert 0 < report["violating_at_end"]["any"] <= report["violating_draws"]["any"]
     case = report["worst"][violated[0]][0]
     assert case["value"] < 0.0
     # flown again
@@ -157,8 +158,9 @@ def test_the_text_fits_into_100_columns(nominal: Experiment) -> None:
     report = boundary.empty_report({}, Config())
     counts = {"draws": 10**9, "violating": 10**9, "lost": 10**8, "upper_bound_95": 1.2e-10}
     many = dict.fromkeys((*CONSTRAINTS, "any"), 10**9)
-    report |= {f"{kind}_draws": many for kind in ("violating", "lost", "yielding")}
+    report |= dict.fromkeys(("violating_draws", "violating_at_end", "lost_draws", "yielding_draws"), many)
     report |= {"limits": dict.fromkeys(CONSTRAINTS, counts), "pairs": {"a + b": counts}, "draws": 10**10}
+    report["within_margins"] = {"any": counts}
     report |= {"worst_value": dict.fromkeys(CONSTRAINTS, -1.2345e-123)}
     assert max(map(len, table(report).splitlines())) <= 100
 
