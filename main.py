@@ -173,7 +173,8 @@ def run_verify(
     boundary: int | None = None,
 ) -> None:
     """main.py verify"""
-    from study.verification import boundary as single_calls
+    from study.verification import boundary_report
+    from study.verification.boundary import search
     from study.verification.campaign import verify
     from study.verification.counter_examples import replay_file
     from study.verification.findings import table, what_next
@@ -183,7 +184,7 @@ def run_verify(
         return
     kept = Path(json) if json else None
     if boundary:
-        print(single_calls.table(single_calls.search(boundary, seed, configure, kept)))
+        print(boundary_report.table(search(boundary, seed, configure, kept)))
         return
     report = verify(policy, episodes, duration, seed, configure, kept)
     print(table(report))

@@ -13,7 +13,8 @@ from rta.filter import FilterResult, SafetyFilter
 from study.config import Config, override
 from study.experiment import Experiment
 from study.verification import boundary, limits
-from study.verification.boundary import Boundary, run, table, tried
+from study.verification.boundary import Boundary, run, tried
+from study.verification.boundary_report import empty_report, table
 from tests.test_main import assert_refused
 
 BATCH = 48
@@ -155,7 +156,7 @@ def test_more_draws_go_on_where_the_report_ends(nominal: Experiment, tmp_path: P
 
 
 def test_the_text_fits_into_100_columns(nominal: Experiment) -> None:
-    report = boundary.empty_report({}, Config())
+    report = empty_report({}, Config())
     counts = {"draws": 10**9, "violating": 10**9, "lost": 10**8, "upper_bound_95": 1.2e-10}
     many = dict.fromkeys((*CONSTRAINTS, "any"), 10**9)
     report |= dict.fromkeys(("violating_draws", "violating_at_end", "lost_draws", "yielding_draws"), many)
