@@ -1,6 +1,7 @@
 """The table of requirements: every link leads to code, to a test and to evidence, and nothing is left out."""
 
 import ast
+import functools
 import re
 from pathlib import Path
 from typing import NamedTuple
@@ -13,8 +14,9 @@ from inspection.termination import OUTCOMES
 from rta.constraints import CONSTRAINTS
 from rta.filter import SafetyFilter
 from study.files import ROOT
-from tests.test_readme import anchors
+from tests import test_readme
 
+anchors = functools.cache(test_readme.anchors)
 PAGE = ROOT / "docs/reference/requirements.md"
 LINK = re.compile(r"\[([^\]]+)\]\(([^)\s]+)\)")
 NAMED = {
@@ -47,6 +49,7 @@ def rows(text: str) -> list[Row]:
     return found
 
 
+@functools.cache
 def defined(path: Path) -> set[str]:
     """The functions, classes and assigned names of a module, those of a class as CLASS.NAME."""
     names: set[str] = set()
