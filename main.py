@@ -170,8 +170,11 @@ def run_verify(
     seed: int = 0,
     json: str | None = None,
     replay: str | None = None,
+    boundary: int | None = None,
 ) -> None:
     """main.py verify"""
+    from study.verification import boundary_report
+    from study.verification.boundary import search
     from study.verification.campaign import verify
     from study.verification.counter_examples import replay_file
     from study.verification.findings import table, what_next
@@ -180,6 +183,9 @@ def run_verify(
         print(replay_file(replay))
         return
     kept = Path(json) if json else None
+    if boundary:
+        print(boundary_report.table(search(boundary, seed, configure, kept)))
+        return
     report = verify(policy, episodes, duration, seed, configure, kept)
     print(table(report))
     print(what_next(report, kept))

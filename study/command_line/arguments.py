@@ -216,6 +216,11 @@ COMMANDS = {
             metavar="P",
         ),
         count("--duration", "whole seconds of each episode, every one of them checked", metavar="S"),
+        count(
+            "--boundary",
+            "instead of episodes, N single calls of the filter at states next to its limits, in whole batches",
+            without=("--episodes", "--policy", "--duration"),
+        ),
         seed("of everything random"),
         written("report of verify", "--json", "write the report there, and continue the one it holds"),
         read(
@@ -312,7 +317,8 @@ def parameters(arguments: argparse.Namespace) -> dict[str, Any]:
     """What the command's function is called with, among it `configure` if the command has settings.
 
     Raises:
-        InputError: there are other flags beside one that names where all settings come from.
+        InputError: there are other flags beside one that names where all settings come from, or that mean nothing
+            beside another.
     """
     values, command = vars(arguments), COMMANDS[arguments.command]
     given = [each for each in command.flags if each.dest in values]
@@ -323,6 +329,8 @@ def parameters(arguments: argparse.Namespace) -> dict[str, Any]:
         ]
         if each.alone and others:
             raise InputError(f"{each.name} takes its settings from {each.alone}; drop {', '.join(others)}")
+        if idle := [other.name for other in given if other.name in each.without]:
+            raise InputError(f"{each.name} has no use for {', '.join(idle)}; drop it")
     own = {each.dest: values[each.dest] for each in given if each.dest not in SETTINGS | OF_THE_PROCESS}
     has_settings = any(each.dest in SETTINGS for each in command.flags)
     return own | ({"configure": Configure(arguments)} if has_settings else {})

@@ -84,6 +84,7 @@ class Flag:
         text: of --help, which goes on with the default, unless the text has it or a {} for it.
         sets: the setting it reaches, as "table.key"; without one, the parameter of the command's function by its name.
         alone: what it names, if that holds all settings, so that no other flag is allowed beside it but those `beside`.
+        without: flags that mean nothing beside it.
         reads: it names a file that is read; writes: one that is written, which of `study.command_line.paths.KINDS`.
         options: what else `add_argument` takes: type, choices, metavar, ...
     """
@@ -95,12 +96,13 @@ class Flag:
         sets: str = "",
         alone: str = "",
         beside: tuple[str, ...] = (),
+        without: tuple[str, ...] = (),
         reads: bool = False,
         writes: str = "",
         **options: Any,
     ) -> None:
         self.name, self.text, self.alone, self.beside, self.options = name, text, alone, beside, options
-        self.reads, self.writes = reads, writes
+        self.reads, self.writes, self.without = reads, writes, without
         self.dest = sets or name.removeprefix("--").replace("-", "_")
 
     def saying(self, text: str) -> "Flag":

@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+from collections.abc import Callable
 from pathlib import Path
 from textwrap import fill
 from typing import Any
@@ -36,12 +37,17 @@ def empty_report(campaign: dict[str, Any], config: Config) -> dict[str, Any]:
     }
 
 
-def report_in(path: Path | None, campaign: dict[str, Any], config: Config) -> dict[str, Any]:
-    """The report that a file holds, of this campaign, to go on with, or one of no episodes.
+def report_in(
+    path: Path | None,
+    campaign: dict[str, Any],
+    config: Config,
+    empty: Callable[[dict[str, Any], Config], dict[str, Any]] = empty_report,
+) -> dict[str, Any]:
+    """The report that a file holds, of this campaign, to go on with, or an empty one.
 
     Older files may have settings by other names; what is written has those of today.
     """
-    fresh = empty_report(campaign, config)
+    fresh = empty(campaign, config)
     if path is None or not path.is_file() or not path.stat().st_size:
         return fresh
     with refusing(f"--json {path}: holds no report of verify", OSError, *MALFORMED):

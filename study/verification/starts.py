@@ -9,10 +9,12 @@ from scipy.stats import qmc
 from torch import Tensor
 
 from inspection.initial_state import sample_initial_state, spherical
+from inspection.parameters import InspectionParameters
 from inspection.state import OMEGA, SIZE, THETA_S, E, P, Q, T, V
 from rta.filter import SafetyFilter
 
 FARTHEST = 795.0  # m, of the safe set's initial states
+NUMBERS = 17  # from which a start follows
 HYPERCUBES = 100  # drawn before a safe set counts as empty
 # what keeps the filter's Psi_1 from being exact
 MARGINS = ("exclusion_margin", "temperature_margin", "battery_margin", "pole_angle", "incidence_rounding")
@@ -22,6 +24,27 @@ def spawned(seed: int, count: int) -> list[int]:
     """Seeds of independent streams of random numbers."""
     streams = np.random.SeedSequence(seed).spawn(count)
     return [int(stream.generate_state(1, np.uint64)[0]) for stream in streams]
+
+
+def spread(s: Tensor, c: InspectionParameters) -> tuple[Tensor, Tensor]:
+    """States (16, B) and priority vectors (3, B) all over the safe set and around it, from numbers in [0, 1], (17, B).
+
+    The distance is at most FARTHEST, the speed at most the limit there, rates, temperature and energy are within their
+    limits; directions, attitudes and the Sun's angle are any.
+    """
+    turn, lean = 2 * math.pi * s, (2 * s - 1).arcsin()  # azimuth, and elevation uniform on the sphere
+    distance = c.collision_radius + (FARTHEST - c.collision_radius) * s[0]
+    x = torch.zeros(SIZE, s.shape[1], dtype=torch.float64)
+    x[P] = spherical(distance, turn[1], lean[2])
+    x[V] = spherical((c.docking_speed + c.speed_slope * distance) * s[3], turn[4], lean[5])
+    # uniform rotations from three uniform numbers (Shoemake 1992)
+    low, high = (1 - s[6]).sqrt(), s[6].sqrt()
+    x[Q] = torch.stack((low * turn[7].sin(), low * turn[7].cos(), high * turn[8].sin(), high * turn[8].cos()))
+    x[OMEGA] = c.max_rate * (2 * s[9:12] - 1)
+    x[T] = c.initial_temperature[0] + (c.max_temperature - c.initial_temperature[0]) * s[12]
+    x[E] = c.min_energy + (c.initial_energy[1] - c.min_energy) * s[13]
+    x[THETA_S] = turn[14]
+    return x, spherical(torch.ones_like(distance), turn[15], lean[16])
 
 
 def safe_set(count: int, seed: int, safety_filter: SafetyFilter) -> tuple[Tensor, Tensor, int]:
@@ -41,25 +64,10 @@ def safe_set(count: int, seed: int, safety_filter: SafetyFilter) -> tuple[Tensor
     """
     c, parameters = safety_filter.c, safety_filter.parameters
     exact = SafetyFilter(c, dataclasses.replace(parameters, **dict.fromkeys(MARGINS, 0.0)))
-    sampler = qmc.LatinHypercube(17, rng=np.random.default_rng(seed))
+    sampler = qmc.LatinHypercube(NUMBERS, rng=np.random.default_rng(seed))
     kept, rejected = torch.zeros(SIZE + 3, 0, dtype=torch.float64), 0
     for _ in range(HYPERCUBES):
-        s = torch.from_numpy(sampler.random(4 * count).T.copy())
-        turn, lean = 2 * math.pi * s, (2 * s - 1).arcsin()  # azimuth, and elevation uniform on the sphere
-        distance = c.collision_radius + (FARTHEST - c.collision_radius) * s[0]
-        x = torch.zeros(SIZE, 4 * count, dtype=torch.float64)
-        x[P] = spherical(distance, turn[1], lean[2])
-        x[V] = spherical((c.docking_speed + c.speed_slope * distance) * s[3], turn[4], lean[5])
-        # uniform rotations from three uniform numbers (Shoemake 1992)
-        low, high = (1 - s[6]).sqrt(), s[6].sqrt()
-        x[Q] = torch.stack(
-            (low * turn[7].sin(), low * turn[7].cos(), high * turn[8].sin(), high * turn[8].cos())
-        )
-        x[OMEGA] = c.max_rate * (2 * s[9:12] - 1)
-        x[T] = c.initial_temperature[0] + (c.max_temperature - c.initial_temperature[0]) * s[12]
-        x[E] = c.min_energy + (c.initial_energy[1] - c.min_energy) * s[13]
-        x[THETA_S] = turn[14]
-        priority = spherical(torch.ones_like(distance), turn[15], lean[16])
+        x, priority = spread(torch.from_numpy(sampler.random(4 * count).T.copy()), c)
         safe = safety_filter.is_in_safe_set(x)
         missing = count - kept.shape[1]
         taken = torch.nonzero(safe).flatten()[:missing]
