@@ -77,7 +77,7 @@ def test_progress_is_told_every_second(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(InspectionEnv, "constraint_values", planted)
     told: list[tuple[float, int, int]] = []
     campaign = Campaign("random", 1.0, 10, 0, 64)
-    list(run(campaign, 4, EXPERIMENT, None, None, lambda *now: told.append(now)))
+    list(run(campaign, 4, EXPERIMENT, None, None, tell=lambda *now: told.append(now)))
     assert [flown for flown, _, _ in told] == pytest.approx([0.4 * second for second in range(1, 11)])
     assert [violating for _, violating, _ in told] == [0] * 4 + [1] * 6
     assert {begun for _, _, begun in told} == {4}
