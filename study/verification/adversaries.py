@@ -42,6 +42,7 @@ def learned(
 ) -> Controller:
     """Controls drawn from a policy of one seed, which `env` shows what it sees; numbers as in `held_at_random`."""
 
+    @torch.no_grad()
     def control(t: float, x: Tensor) -> Tensor:
         env.see(x)
         mean, log_std = policy(env.observation()[None])
