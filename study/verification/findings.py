@@ -123,15 +123,17 @@ def table(report: dict[str, Any]) -> str:
 
 
 def what_next(report: dict[str, Any], path: Path | None) -> str:
-    """Where the report and its counter-examples are, and how to fly one of them again."""
-    violated = [name for name in CONSTRAINTS if report["violating_episodes"][name]]
+    """Where the report and its worst episodes are, and how to fly one of them again."""
     if path is None:
         return (
-            "Nothing was kept: --json F keeps the report, and a counter-example of every constraint violated"
+            "Nothing was kept: --json F keeps the report, and the worst episode of every constraint violated"
         )
     lines = [f"Written to {path}; a larger --episodes goes on from there"]
-    examples = [name for name in violated if Path(f"{path}.{name}.npz").is_file()]
+    examples = [name for name in CONSTRAINTS if Path(f"{path}.{name}.npz").is_file()]
+    examples.sort(key=lambda name: not report["violating_episodes"][name])
     if examples:
-        lines.append(f"Counter-examples, the worst episodes: {path}.CONSTRAINT.npz of {', '.join(examples)}")
+        lines.append(
+            f"The worst episodes, first those with violations: {path}.CONSTRAINT.npz of {', '.join(examples)}"
+        )
         lines.append(f"Fly one again: {command('verify', '--replay', f'{path}.{examples[0]}.npz')}")
     return "\n".join(lines)

@@ -64,6 +64,22 @@ def test_a_worst_case_is_found_again_from_its_seed(finished: Path) -> None:
     assert len({case["column"] for case in report["worst_case"].values()}) > 3
 
 
+def test_the_worst_episode_of_every_constraint_is_kept_where_it_is_wanted(
+    finished: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """It flies again to the same value, violated or not; a campaign is no other for it."""
+    path = tmp_path / "report.json"
+    assert call(verify(path, "--keep-worst"), capsys)[0] == 0
+    report = json.loads(path.read_text())
+    assert report == json.loads(finished.read_text())
+    for name in CONSTRAINTS:
+        example = Path(f"{path}.{name}.npz")
+        assert np.load(example)["value"] == report["worst_value"][name] and example.stat().st_size < 30_000
+    code, out, err = call(["verify", "--replay", f"{path}.collision.npz"], capsys)
+    assert code == 0, err
+    assert f"recorded {report['worst_value']['collision']:.12g}" in out
+
+
 def test_a_finished_report_flies_nothing_more(
     finished: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -147,7 +163,14 @@ def test_the_reference_reports_can_be_continued(
 
 
 @pytest.mark.parametrize(
-    "other", [["--seed", "1"], ["--policy", "adversarial"], ["--rta-period", "10"], ["--duration", "30"]]
+    "other",
+    [
+        ["--seed", "1"],
+        ["--policy", "adversarial"],
+        ["--rta-period", "10"],
+        ["--duration", "30"],
+        ["--check-every", "0.5"],
+    ],
 )
 def test_another_campaigns_report_is_refused(
     other: list[str], finished: Path, capsys: pytest.CaptureFixture[str]
@@ -196,6 +219,6 @@ def test_what_next_names_the_report_and_a_counter_example(finished: Path, tmp_pa
     report["violating_episodes"]["battery"] = 1
     Path(f"{path}.battery.npz").touch()
     assert findings.what_next(report, path).splitlines()[1:] == [
-        f"Counter-examples, the worst episodes: {path}.CONSTRAINT.npz of battery",
+        f"The worst episodes, first those with violations: {path}.CONSTRAINT.npz of battery",
         f"Fly one again: python main.py verify --replay '{path}.battery.npz'",
     ]
