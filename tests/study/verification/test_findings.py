@@ -17,6 +17,7 @@ from tests.rta.test_rows import FILTER
 from tests.test_main import assert_refused, call
 
 OLDER = {"rta_period": "period", "qp_solver": "qp_solver"}  # of [train], now of [rta]
+NEWER = {"check_every", "candidates", "horizon"}  # of a campaign
 
 
 def verify(path: Path, *more: str) -> list[str]:
@@ -127,7 +128,8 @@ def with_older_keys(report: dict[str, Any]) -> dict[str, Any]:
     config = {table: dict(entries) for table, entries in report["config"].items()}
     config["train"] |= {key: config["rta"].pop(name) for key, name in OLDER.items()}
     del config["ppo"]["hidden"]
-    return report | {"config": config}
+    campaign = {name: value for name, value in report["campaign"].items() if name not in NEWER}
+    return report | {"config": config, "campaign": campaign}
 
 
 def test_a_report_of_older_keys_is_continued_in_those_of_today(
@@ -145,7 +147,8 @@ def test_a_report_of_older_keys_is_continued_in_those_of_today(
     assert call(verify(path, "--episodes", "18"), capsys)[0] == 0
     continued = json.loads(path.read_text())
     assert continued["episodes"] == 18
-    assert continued["config"] == json.loads(finished.read_text())["config"]
+    for part in ("config", "campaign"):
+        assert continued[part] == json.loads(finished.read_text())[part]
     assert not set(OLDER) & set(continued["config"]["train"])
 
 
