@@ -166,9 +166,13 @@ def run_verify(
     configure: Configure,
     episodes: int = 1000,
     policy: str = "random",
+    candidates: int | None = None,
+    horizon: int | None = None,
     duration: int = 2000,
+    check_every: float = 1.0,
     seed: int = 0,
     json: str | None = None,
+    keep_worst: bool = False,
     replay: str | None = None,
     boundary: int | None = None,
 ) -> None:
@@ -186,7 +190,9 @@ def run_verify(
     if boundary:
         print(boundary_report.table(search(boundary, seed, configure, kept)))
         return
-    report = verify(policy, episodes, duration, seed, configure, kept)
+    report = verify(
+        policy, episodes, duration, seed, configure, kept, check_every, candidates, horizon, keep_worst
+    )
     print(table(report))
     print(what_next(report, kept))
 

@@ -338,7 +338,7 @@ class Plant:
         return self.held, missed
 
     def tell(self, time: Tensor) -> dict[str, Tensor]:
-        """The controls held since the state was measured, NaN where it is younger, and what is left of each actuator."""
+        """The controls held since the state was measured, NaN where it is younger; what is left of each actuator."""
         age = self.drawn.latency.minimum((time / self.every).round().long())
         last = torch.arange(len(self.past), 0, -1, device=age.device)[:, None]  # how many calls ago
         sent = torch.where((last <= age)[:, None], self.past, torch.nan)

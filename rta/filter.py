@@ -49,10 +49,10 @@ class FilterResult:
             the relative degree is two); zero unless a program needed slack.
         status: (B,) int64, the worse `Status` of the thrust and the torque program.
         program_status: (2, B) int64, both of them.
-        h: (constraints, B) values without margin, exact; that of passive safety by the times of its rows. Where a state
-            is predicted, of the state of now.
-        uncertainty: (constraints, B) what `Uncertainty` takes off the constraint's condition, in h's unit per s (per s^2
-            where the relative degree is two), at the desired control.
+        h: (constraints, B) values without margin, exact; that of passive safety by the times of its rows. Where a
+            state is predicted, of the state of now.
+        uncertainty: (constraints, B) what `Uncertainty` takes off the constraint's condition, in h's unit per s (per
+            s^2 where the relative degree is two), at the desired control.
     """
 
     control: Tensor
@@ -137,7 +137,7 @@ class SafetyFilter:
         return inside & self.is_holdable(x) if self.holds else inside
 
     def is_holdable(self, x: Tensor) -> Tensor:
-        """(B,) bool: no barrier may be negative though the measurement was wrong, and some control satisfies every row."""
+        """(B,) bool: no barrier is negative, however wrong the measurement was, and a control satisfies every row."""
         result = self.correct(x, torch.zeros_like(x[:CONTROL_SIZE]))
         certain = [rows.psi.amin(0) >= 0.0 for rows in self.rows(x)]
         return certain[0] & certain[1] & (result.status < Status.SLACK)

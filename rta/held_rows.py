@@ -160,8 +160,8 @@ class HeldGroup(ActuatorGroup):
         """(B,) rad, between the mean direction of a thruster over a hold and that of the rows at most.
 
         Its misalignment, the attitude's error, the rates' times half the hold, what torque turns the body by otherwise
-        (an angular acceleration e for t turns it by e t^2 / 2, in the mean over t by e t^2 / 6), and what the hold may be
-        shorter than the longest: the mean of a turn at omega over t is that at t / 2.
+        (an angular acceleration e for t turns it by e t^2 / 2, in the mean over t by e t^2 / 6), and what the hold may
+        be shorter than the longest: the mean of a turn at omega over t is that at t / 2.
         """
         known, hold, shortest = self.known, self.moments[-1], self.r.period
         measured = math.sqrt(3.0) * math.radians(known.attitude + known.rate * hold / 2)
@@ -177,8 +177,8 @@ class HeldGroup(ActuatorGroup):
     ) -> tuple[Tensor, ...]:
         """`flown` at the control, for a barrier that looks ahead without the group's own, and those controls.
 
-        How near a free flight comes to the chief is convex in thrust: its tangent anywhere is below it, and the one at no
-        thrust leaves coasting, which holds it. At 1 N for 10 s it may be on the far side of the chief.
+        How near a free flight comes to the chief is convex in thrust: its tangent anywhere is below it, and the one at
+        no thrust leaves coasting, which holds it. At 1 N for 10 s it may be on the far side of the chief.
 
         Returns:
             As `flown`; the own controls (R, m, B) of each row's tangent.
@@ -278,8 +278,8 @@ def predicted(
     An acceleration that is off by A for T changes a velocity by A T and a position by A T^2 / 2 more than it was off.
 
     Args:
-        x: (16, B) as measured; sent: (k, 6, B) the controls held since, the oldest first, each for a period; NaN where a
-            state is younger.
+        x: (16, B) as measured; sent: (k, 6, B) the controls held since, the oldest first, each for a period; NaN where
+            a state is younger.
 
     Returns:
         States (16, B) and (4, B), see `HeldGroup.conditions_at`.

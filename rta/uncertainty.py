@@ -78,8 +78,8 @@ class Uncertainty:
             )
         if self.max_acceleration(c) <= 0.0:
             raise ValueError(
-                f"mass = {self.mass:g}, thrust_gain = {self.thrust_gain:g}, acceleration = {self.acceleration:g}: leave "
-                f"no braking within max_distance = {c.max_distance:g} m, which the keep-in zone and separation need"
+                f"mass = {self.mass:g}, thrust_gain = {self.thrust_gain:g}, acceleration = {self.acceleration:g}: leave no "
+                f"braking within max_distance = {c.max_distance:g} m, which the keep-in zone and separation need"
             )
         if self.rate_offset(c) + math.radians(self.rate) >= c.max_rate:
             raise ValueError(

@@ -1,8 +1,18 @@
-"""Commands for a person to paste into a shell."""
+"""Commands for a person to paste into a shell, and the names in them that lead to files."""
 
 import shlex
 import sys
 from pathlib import Path
+
+CHECKPOINT, LEARNED = FILES = (
+    "checkpoint:",
+    "learned:",
+)  # begin an agent's file where other policies have names
+
+
+def in_file(name: str) -> str:
+    """A policy's name without what begins it where an agent's file follows."""
+    return name.removeprefix(CHECKPOINT).removeprefix(LEARNED)
 
 
 def command(*words: str | Path) -> str:

@@ -20,6 +20,7 @@ from inspection.parameters import InspectionParameters
 from inspection.plant import PlantParameters
 from ppo.distributed import is_first
 from ppo.learner import PPOParameters
+from rta.constraints import CONSTRAINTS
 from rta.parameters import RtaParameters
 from rta.uncertainty import Uncertainty
 from study.errors import InputError, refusing
@@ -50,6 +51,9 @@ class TrainParameters:
     evaluation_episodes: int = 20  # common test cases of each of these evaluations
     final_episodes: int = 100  # common test cases of the evaluation after training
     checkpoint_interval: int = 160_000  # interactions between two checkpoints
+    adversary: tuple[
+        str, ...
+    ] = ()  # constraints whose smallest h it lowers, in place of the task; none: the task
 
     def __post_init__(self) -> None:
         counts = [f.name for f in dataclasses.fields(self) if f.type is int and f.name != "seed"]
@@ -62,6 +66,8 @@ class TrainParameters:
             raise ValueError("num_envs * rollout_steps = 1: must be at least 2")
         if not 0 <= self.seed < 2**63:
             raise ValueError(f"seed = {self.seed}: must be an integer from 0 to 2^63 - 1")
+        if not set(self.adversary) <= set(CONSTRAINTS):
+            raise ValueError(f"adversary = {list(self.adversary)}: must be some of {', '.join(CONSTRAINTS)}")
         for name, allowed in (
             ("device", ("auto", "cpu", "cuda")),
             ("compile", ("auto", "on", "off")),

@@ -22,8 +22,8 @@ from study.files import ROOT
 
 # Settings of [inspection] and [rta] on which no guarantee depends: the agent's task and reward, and the solver, whose
 # answers are checked one by one. Campaigns start anywhere, so the radius of an episode's start is among them; its
-# temperature and energy are not, since they bound the campaigns' starts as well. Of [plant] and [uncertainty] everything
-# counts.
+# temperature and energy are not, since they bound the campaigns' starts as well. Of [plant] and [uncertainty]
+# everything counts.
 IRRELEVANT = {
     "num_points",
     "points_per_cluster",

@@ -10,12 +10,12 @@ from inspection.parameters import AXES
 from rta.parameters import QP_SOLVERS
 from study import config as configuration
 from study.command_line.flags import (
-    CHECKPOINT,
     Command,
     Flag,
     Parser,
     arm_list,
     batch_list,
+    constraint_list,
     count,
     directory,
     number,
@@ -26,6 +26,7 @@ from study.command_line.flags import (
     written,
 )
 from study.command_line.paths import FIGURE, check_inputs, check_outputs
+from study.commands import in_file
 from study.config import BASELINES, AnyConfig, StudyConfig
 from study.errors import InputError
 
@@ -106,6 +107,13 @@ COMMANDS = {
         count("--epochs", "passes over each batch of experience", "ppo.epochs"),
         count("--minibatch-size", "interactions per gradient step", "ppo.minibatch_size"),
         number("--learning-rate", "of Adam, annealed to 0", "ppo.learning_rate", metavar="X"),
+        Flag(
+            "--adversary",
+            "constraints whose smallest h the agent is trained to lower, instead of the task",
+            "train.adversary",
+            type=constraint_list,
+            metavar="C,C",
+        ),
         seed("of everything random", "train.seed"),
         directory("--run-dir", "directory to create (default: runs/<arm>__<seed>__<time>)"),
         read(
@@ -209,13 +217,17 @@ COMMANDS = {
         ),
         Flag(
             "--policy",
-            "random actions held for random times, adversarial (down the worst constraint's slope) or "
-            "checkpoint:F",
+            "random actions held for random times, adversarial (down the worst constraint's slope), lookahead (the "
+            "worst of many candidates, each tried in the true plant), learned:F (drawn from an agent of train "
+            "--adversary) or checkpoint:F (any agent)",
             type=verified_policy,
             reads=True,
             metavar="P",
         ),
-        count("--duration", "whole seconds of each episode, every one of them checked", metavar="S"),
+        count("--candidates", "of lookahead, per spacecraft and call of the filter (default: 24)"),
+        count("--horizon", "of lookahead, calls of the filter that each candidate is tried for (default: 3)"),
+        count("--duration", "whole seconds of each episode", metavar="S"),
+        number("--check-every", "seconds between two checks of all constraints", metavar="S"),
         count(
             "--boundary",
             "instead of episodes, N single calls of the filter at states next to its limits, in whole batches",
@@ -223,6 +235,11 @@ COMMANDS = {
         ),
         seed("of everything random"),
         written("report of verify", "--json", "write the report there, and continue the one it holds"),
+        Flag(
+            "--keep-worst",
+            "keep the worst episode of every constraint beside --json, not only of those violated",
+            action=argparse.BooleanOptionalAction,
+        ),
         read(
             "--replay",
             "fly the counter-example in a file instead, which holds all settings",
@@ -298,7 +315,7 @@ def with_default(text: str, default: Any) -> str:
     elif isinstance(default, float):
         default = f"{default:g}"
     elif isinstance(default, tuple):
-        default = ",".join(default)
+        default = ",".join(default) or "none"
     return (text if "(default: " in text else text + " (default: {})").format(default)
 
 
@@ -374,7 +391,7 @@ def check_files(arguments: argparse.Namespace) -> None:
     for each, value in given:
         paths = value if isinstance(value, list) else [value]
         if each.reads:
-            inputs |= {f"{each.name} {path}": path.removeprefix(CHECKPOINT) for path in paths}
+            inputs |= {f"{each.name} {path}": in_file(path) for path in paths}
     check_inputs(inputs)
     check_outputs({each.name: (value, each.writes) for each, value in given if each.writes}, inputs)
 

@@ -5,11 +5,11 @@ from copy import copy
 from functools import partial
 from typing import Any, NoReturn
 
+from rta.constraints import CONSTRAINTS
 from rta.parameters import PERIODS
+from study.commands import FILES
 from study.config import ARMS, MAX_COUNT
 from study.errors import in_one_line
-
-CHECKPOINT = "checkpoint:"  # begins the name of an agent's file where other policies have names
 
 
 class Parser(argparse.ArgumentParser):
@@ -61,6 +61,16 @@ def arm_list(text: str) -> list[str]:
     return names
 
 
+def constraint_list(text: str) -> list[str]:
+    """Comma-separated constraints for argparse."""
+    names = text.split(",")
+    if unknown := [name for name in names if name not in CONSTRAINTS]:
+        raise argparse.ArgumentTypeError(
+            f"{unknown[0][:40]!r}: must be one or more of {', '.join(CONSTRAINTS)}"
+        )
+    return names
+
+
 def period(text: str) -> float:
     """A filter period for argparse."""
     if text not in {f"{p:g}" for p in PERIODS} | {f"{p:.1f}" for p in PERIODS}:
@@ -70,9 +80,11 @@ def period(text: str) -> float:
 
 def verified_policy(text: str) -> str:
     """A policy of verify for argparse."""
-    names_file = text.startswith(CHECKPOINT) and text != CHECKPOINT
-    if text not in ("random", "adversarial") and not names_file:
-        raise argparse.ArgumentTypeError(f"{text!r}: must be random, adversarial or checkpoint:F")
+    names_file = text.startswith(FILES) and text not in FILES
+    if text not in ("random", "adversarial", "lookahead") and not names_file:
+        raise argparse.ArgumentTypeError(
+            f"{text!r}: must be random, adversarial, lookahead, learned:F or checkpoint:F"
+        )
     return text
 
 

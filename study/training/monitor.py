@@ -42,9 +42,9 @@ class Monitor:
     def timed(self, safety: Safety) -> Safety:
         """The same with a filter, if there is one, whose time is added to `filter_seconds`."""
 
-        def correct(x: Tensor, desired: Tensor) -> Correction:
+        def correct(x: Tensor, desired: Tensor, **told: Tensor) -> Correction:
             started = time.perf_counter()
-            correction = safety.correct(x, desired)
+            correction = safety.correct(x, desired, **told)
             self.filter_seconds += time.perf_counter() - started
             return correction
 

@@ -22,6 +22,7 @@ from study.flight.evaluation import Episodes, evaluate, play, report
 from study.flight.figures import episode_figure
 from study.flight.simulation import common_episode
 from study.paper import tables
+from study.training.adversary import Adversary
 from study.training.log import Log
 from study.training.monitor import Monitor
 from study.training.shards import shard_of_episodes, shard_of_seeds
@@ -100,7 +101,8 @@ class Run:
         learner = PPO(self.policy, value, config.ppo, generators, self.shard.learners, self.shard.seeds.start)
         if self.experiment.compiled:
             compile_or_explain("learner", lambda: learner.compile(train.batch))
-        self.trainer = Trainer(self.env, learner, train.rollout_steps, train.updates, generators)
+        env = Adversary(self.env, train.adversary) if train.adversary else self.env
+        self.trainer = Trainer(env, learner, train.rollout_steps, train.updates, generators)
         self.last_save: dict[str, float] = {}  # statistics that the next update shows
 
     def __str__(self) -> str:

@@ -1,11 +1,13 @@
-"""What a campaign puts behind the filter, beside an agent: random controls and an adversary."""
+"""What a campaign puts behind the filter: random controls, the steepest descent, an agent that was trained for it."""
 
 import torch
 from torch import Tensor
 
 from inspection.closed_loop import Controller
+from inspection.environment import InspectionEnv
 from inspection.parameters import InspectionParameters
 from inspection.state import CONTROL_SIZE
+from ppo.network import Policy
 from rta.filter import SafetyFilter
 
 LONGEST_HOLD = 60  # s that the random policy holds an action
@@ -31,6 +33,21 @@ def held_at_random(
             until = torch.where(keep, held["until"], until)
         held.update(u=fresh, until=until)
         return fresh
+
+    return control
+
+
+def learned(
+    policy: Policy, env: InspectionEnv, generator: torch.Generator, batch: int, first: int = 0
+) -> Controller:
+    """Controls drawn from a policy of one seed, which `env` shows what it sees; numbers as in `held_at_random`."""
+
+    @torch.no_grad()
+    def control(t: float, x: Tensor) -> Tensor:
+        env.see(x)
+        mean, log_std = policy(env.observation()[None])
+        noise = torch.randn(batch, CONTROL_SIZE, generator=generator)[first : first + x.shape[1]].to(mean)
+        return env.control((mean + log_std.exp() * noise)[0])
 
     return control
 

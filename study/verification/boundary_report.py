@@ -39,7 +39,7 @@ class Tried(NamedTuple):
     calls: int
 
 
-def empty_report(campaign: dict[str, Any], config: Config) -> dict[str, Any]:
+def empty_report(campaign: Any, config: Config) -> dict[str, Any]:
     """A report of no draws, the form of `verify --boundary --json`.
 
     `violating_draws` are those with h < 0 within the period, `violating_at_end` those with h < 0 at its end; in
@@ -52,7 +52,7 @@ def empty_report(campaign: dict[str, Any], config: Config) -> dict[str, Any]:
         return dict.fromkeys((*CONSTRAINTS, "any"), 0)
 
     return {
-        "campaign": campaign,
+        "campaign": dataclasses.asdict(campaign),
         "batches": 0,
         "draws": 0,
         "upper_bound_95": 1.0,

@@ -1,7 +1,7 @@
 """A campaign: batch after batch of starts flown under one policy, into a report that a longer campaign goes on with."""
 
-import dataclasses
 import hashlib
+import math
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -12,9 +12,12 @@ import torch
 from torch import Tensor
 from tqdm import tqdm
 
+from inspection.closed_loop import Controller
+from inspection.environment import InspectionEnv
 from inspection.initial_state import uniform
 from ppo.network import Policy
 from rta.constraints import CONSTRAINTS
+from study.commands import CHECKPOINT, FILES, LEARNED, in_file
 from study.config import Config, StudyConfig
 from study.errors import InputError, refusing
 from study.experiment import Experiment, check_clocks, load_policy
@@ -22,32 +25,16 @@ from study.files import write_json, write_npz
 from study.flight.controllers import agent
 from study.flight.summary import upper_bound
 from study.progress import bar, step
-from study.verification.adversaries import adversarial, held_at_random
+from study.verification.adversaries import adversarial, held_at_random, learned
 from study.verification.counter_examples import counter_example
-from study.verification.findings import report_in
+from study.verification.findings import Campaign, report_in
 from study.verification.flight import CHECK_EVERY, fly
+from study.verification.lookahead import CANDIDATES, HORIZON, Lookahead
 from study.verification.starts import initial_states, spawned
 from study.verification.tally import add
 
 BATCH = 1024  # starts drawn at once
 BAR = "{percentage:3.0f}%|{bar}| {n:,.0f}/{total:,} episodes [{elapsed}<{remaining}{postfix}]"  # n: also in part
-
-
-@dataclasses.dataclass(frozen=True)
-class Campaign:
-    """What determines a campaign's numbers beside the configuration.
-
-    Attributes:
-        policy: random, adversarial or checkpoint:F; weights: digest of the latter's weights, else empty.
-        period: s between filter calls; duration: s per episode; batch_size: starts drawn at once.
-    """
-
-    policy: str
-    period: float
-    duration: float
-    seed: int
-    batch_size: int
-    weights: str = ""
 
 
 def run(
@@ -56,6 +43,7 @@ def run(
     experiment: Experiment,
     network: Policy | None,
     path: Path | None,
+    keep_worst: bool = False,
     tell: Callable[[float, int, int], None] = lambda flown, violating, begun: None,
 ) -> Iterator[dict[str, Any]]:
     """Flies batch after batch and yields the report so far, which `path` holds too and is resumed from.
@@ -65,15 +53,16 @@ def run(
 
     Args:
         episodes: from starts that the filter can hold.
-        network: of --policy checkpoint, else None.
+        network: of a policy in a file, else None.
         path: a JSON file; beside it a violated constraint leaves its worst episode, FILE.CONSTRAINT.npz.
+        keep_worst: every constraint does, violated or not.
         tell: is told, while a batch flies, how many episodes have been flown, also in part, how many violate a
             constraint, and of how many that have begun.
     """
     config, env = experiment.config, None
     decide_every = decides_every(config, network)
-    report = report_in(path, dataclasses.asdict(campaign), config)
-    beyond = report["starts_beyond_braking"]
+    report = report_in(path, campaign, config)
+    beyond, kept_below = report["starts_beyond_braking"], math.inf if keep_worst else 0.0
     while report["episodes"] < episodes:
         number, first = divmod(report["episodes"] + beyond["episodes"], campaign.batch_size)
         batch_seed = np.random.SeedSequence((campaign.seed, number)).generate_state(1)[0]
@@ -85,14 +74,8 @@ def run(
         held = held[held.cumsum(0) - held.long() < episodes - report["episodes"]]
         count = held.numel()
         if env is None or env.time.numel() != count:
-            env = experiment.env(count, None, decide_every, CHECK_EVERY, experiment.filter_compiled)
-        if network:
-            controller = agent(network, env)
-        elif campaign.policy == "random":
-            generator = torch.Generator().manual_seed(seed_of_controls)
-            controller = held_at_random(config.inspection, generator, campaign.batch_size, first)
-        else:
-            controller = adversarial(experiment.filter)
+            env = experiment.env(count, None, decide_every, campaign.check_every, experiment.filter_compiled)
+        controller = commanding(campaign, experiment, env, network, seed_of_controls, first)
         yield report
 
         x, priority = (part[:, first : first + count].to(env.x) for part in (x, priority))
@@ -111,10 +94,37 @@ def run(
             report["starts_rejected_by_margin"] += rejected
         if path is not None:
             for name in CONSTRAINTS:
-                if (report["worst_value"][name] or 0.0) < min(0.0, before[name] or 0.0):
-                    write_npz(f"{path}.{name}.npz", counter_example(flight, name, config))
+                now, then = (
+                    math.inf if w[name] is None else w[name] for w in (report["worst_value"], before)
+                )
+                if now < min(then, kept_below):
+                    example = counter_example(flight, name, config, campaign.check_every)
+                    write_npz(f"{path}.{name}.npz", example)
             write_json(path, report)
     yield report
+
+
+def commanding(
+    campaign: Campaign,
+    experiment: Experiment,
+    env: InspectionEnv,
+    network: Policy | None,
+    seed: int,
+    first: int,
+) -> Controller:
+    """Who commands the episodes of `env`, the columns from `first` on of a batch whose controls have this seed."""
+    generator, batch = torch.Generator().manual_seed(seed), campaign.batch_size
+    if campaign.policy.startswith(LEARNED):
+        return learned(network, env, generator, batch, first)
+    if network:
+        return agent(network, env)
+    if campaign.policy == "random":
+        return held_at_random(experiment.config.inspection, generator, batch, first)
+    if campaign.policy == "adversarial":
+        return adversarial(experiment.filter)
+    count = env.time.numel() * campaign.candidates
+    tried = experiment.env(count, None, campaign.period, CHECK_EVERY, experiment.filter_compiled)
+    return Lookahead(env, tried, campaign.horizon, generator, batch, first)
 
 
 def verify(
@@ -124,26 +134,42 @@ def verify(
     seed: int,
     configure: Callable[[Config], Config],
     path: Path | None,
+    check_every: float = CHECK_EVERY,
+    candidates: int | None = None,
+    horizon: int | None = None,
+    keep_worst: bool = False,
 ) -> dict[str, Any]:
     """The whole campaign with a progress bar; returns the report.
 
     Args:
-        policy: random, adversarial or checkpoint:F.
+        policy, check_every, candidates, horizon: see `Campaign`; the latter two are for lookahead alone.
         configure: puts the command line over a base configuration, that of the checkpoint if there is one.
-        path: see `run`.
+        path, keep_worst: see `run`.
     """
-    network, base, weights = None, Config(), ""
-    if policy.startswith("checkpoint:"):
-        network, base = load_policy(policy.removeprefix("checkpoint:"))
+    network, base, weights, ahead = None, Config(), "", (0, 0)
+    if policy == "lookahead":
+        ahead = candidates or CANDIDATES, horizon or HORIZON
+    elif candidates or horizon:
+        raise InputError(f"--policy {policy}: --candidates and --horizon are those of lookahead; drop them")
+    if policy.startswith(FILES):
+        network, base = load_policy(in_file(policy))
         weights = digest(network)
+        if policy.startswith(LEARNED) and not base.train.adversary:
+            raise InputError(f"--policy {policy}: was not trained as an adversary; fly it as {CHECKPOINT}F")
     # of a study's file, its table [study] is left out
     config = configure(StudyConfig(**vars(base.unsettled()))).of_arm("rta")
     every = decides_every(config, network)
     if duration % every:
         raise InputError(f"--duration {duration}: must be a multiple of {every:g} s, the policy's period")
-    check_clocks(config, None, CHECK_EVERY, duration, f"--duration {duration}, checked every second")
-    experiment = Experiment(config, BATCH, seconds=-(-episodes // BATCH) * duration)
-    campaign = Campaign(policy, experiment.filter.period, duration, seed, BATCH, weights)
+    if check_every > config.rta.period:
+        raise InputError(
+            f"--check-every {check_every:g}: must be at most {config.rta.period:g} s, the filter's period"
+        )
+    check_clocks(
+        config, None, check_every, duration, f"--duration {duration}, checked every {check_every:g} s"
+    )
+    experiment = Experiment(config, BATCH * (ahead[0] or 1), seconds=-(-episodes // BATCH) * duration)
+    campaign = Campaign(policy, experiment.filter.period, duration, seed, BATCH, weights, check_every, *ahead)
     network = network.to(experiment.device) if network else None
     shown: tqdm
 
@@ -151,7 +177,7 @@ def verify(
         shown.set_postfix_str(f"{violating:,} violating of {begun:,} begun", refresh=False)
         shown.update(flown - shown.n)
 
-    reports = run(campaign, episodes, experiment, network, path, tell)
+    reports = run(campaign, episodes, experiment, network, path, keep_worst, tell)
     report = next(reports)  # refuses before there is a bar
     if report["episodes"] > episodes:
         print(f"{path}: holds {report['episodes']:,} episodes already, more than asked for", file=sys.stderr)

@@ -14,10 +14,10 @@ from inspection.state import SIZE, P
 from rta.constraints import CONSTRAINTS
 from study.config import Config, from_toml, override
 from study.errors import MALFORMED, ReplayError, refusing
-from study.experiment import WORTH_TRACING_FILTER, Experiment
+from study.experiment import WORTH_TRACING_FILTER, Experiment, check_clocks
 from study.files import load_arrays
 from study.progress import bar
-from study.verification.flight import CHECK_EVERY, Flight
+from study.verification.flight import Flight
 
 # A replay flies the recorded controls, so only the plant's rounding differs: compiled or not, on a CPU or a GPU.
 REPLAYED = 1e-8  # relative to the value or to 1 in the unit of h
@@ -30,25 +30,32 @@ class Again(NamedTuple):
     again: Tensor
 
 
-def counter_example(flight: Flight, constraint: str, config: Config) -> dict[str, np.ndarray]:
-    """The flight's worst episode for a constraint, up to its worst moment: all that `replay_file` needs."""
+def counter_example(
+    flight: Flight, constraint: str, config: Config, check_every: float
+) -> dict[str, np.ndarray]:
+    """The flight's worst episode for a constraint, up to its worst moment: all that `replay_file` needs.
+
+    Args:
+        check_every: s between two checks of the flight.
+    """
     row = CONSTRAINTS.index(constraint)
     k = int(flight.worst[row].argmin())
-    steps = max(1, int(flight.when[row, k]))
+    calls = max(1, math.ceil(flight.when[row, k].item() / config.rta.period - 1e-9))
     return {
         "state": flight.start[:SIZE, k].cpu().numpy(),
-        "control_desired": flight.desired[:steps, :, k].cpu().numpy(),
-        "control_applied": flight.applied[:steps, :, k].cpu().numpy(),
+        "control_desired": flight.desired[:calls, :, k].cpu().numpy(),
+        "control_applied": flight.applied[:calls, :, k].cpu().numpy(),
         "constraint": np.array(constraint),
         "value": flight.worst[row, k].cpu().numpy(),
         "period": np.array(config.rta.period),
+        "check_every": np.array(check_every),
         "config": np.array(config.to_toml()),
         "number": flight.number[k].cpu().numpy(),
     }
 
 
 @torch.no_grad()
-def replay(experiment: Experiment, example: dict[str, np.ndarray]) -> tuple[float, int, float]:
+def replay(experiment: Experiment, example: dict[str, np.ndarray]) -> tuple[float, float, float]:
     """Flies the example's applied controls from its state, and asks the filter for each of them again.
 
     Where rows change places from call to call, the closed loop multiplies the rounding of another batch size or of
@@ -61,32 +68,35 @@ def replay(experiment: Experiment, example: dict[str, np.ndarray]) -> tuple[floa
         The smallest value of the example's constraint, when in s, and by how much the filter's controls now
         differ at most, in units of the actuators' limits.
     """
-    env, safety_filter = experiment.env(1, None, CHECK_EVERY, CHECK_EVERY), experiment.filter
+    safety_filter, period = experiment.filter, experiment.filter.period
+    env = experiment.env(1, None, period, float(example["check_every"]))
     x, desired, applied = (
         torch.from_numpy(example[name]).to(env.x)[..., None]
         for name in ("state", "control_desired", "control_applied")
     )
     row = env.safety.names.index(str(example["constraint"]))
-    calls = count(step=round(safety_filter.period / CHECK_EVERY))
+    calls = count()
 
-    def correct(seen: Tensor, _: Tensor) -> Again:
+    def correct(seen: Tensor, _: Tensor, **told: Tensor) -> Again:
         """Flies what was flown then, and asks the filter."""
         i = next(calls)
-        return Again(applied[i], safety_filter.correct(seen, desired[i]).control)
+        return Again(applied[i], safety_filter.correct(seen, desired[i], **told).control)
 
-    env.put_behind(replace(env.safety, correct=correct, period=safety_filter.period))
+    env.put_behind(replace(env.safety, correct=correct, period=period))
     env.start(x, unit(x[P]), torch.as_tensor(example.get("number", 0.0)).reshape(1).to(x))
-    values, difference = [env.constraint_values(x)[row].item()], 0.0
-    if len(applied) >= WORTH_TRACING_FILTER * experiment.filter.period:
+    value, when, difference = env.constraint_values(x)[row].item(), 0.0, 0.0
+    if len(applied) >= WORTH_TRACING_FILTER:
         experiment.trace_filter(1)
-    holds = env.fly(lambda t, x: desired[round(t)], len(applied))
-    for hold in bar(len(applied), "s", iterable=holds, leave=False):
+    duration = len(applied) * period
+    holds = env.fly(lambda t, x: desired[round(t / period)], duration)
+    for hold in bar(env.clocks.count(duration), "checks", iterable=holds, leave=False):
         if hold.correction is not None and not (hold.missed is not None and hold.missed.any()):
             again = hold.correction.again
             difference = max(difference, ((again - hold.applied).abs() / env.limit).max().item())
-        values.append(env.constraint_values(hold.after)[row].item())
-    when = int(np.argmin(values))
-    return values[when], when, difference
+        now = env.constraint_values(hold.after)[row].nan_to_num(-math.inf, math.inf, -math.inf).item()
+        if now < value:
+            value, when = now, hold.end
+    return value, when, difference
 
 
 def replay_file(path: str) -> str:
@@ -96,18 +106,28 @@ def replay_file(path: str) -> str:
         InputError: not such a file.
         ReplayError: the constraint falls to another value than the recorded one, by more than REPLAYED.
     """
-    names = ("state", "control_desired", "control_applied", "constraint", "value", "period", "config")
+    names = (
+        "state",
+        "control_desired",
+        "control_applied",
+        "constraint",
+        "value",
+        "period",
+        "check_every",
+        "config",
+    )
     example = load_arrays(path, names, "counter-example", where_missing="")
     with refusing(f"{path}: not a counter-example of verify", *MALFORMED, LookupError, ArithmeticError):
         # any machine can fly it: the filter is asked beside the loop
         beside = {"train": {"rta": False, "device": "cpu"}, "rta": {"period": float(example["period"])}}
         config = override(from_toml(str(example["config"]), path), beside, path)
+        check_clocks(config, config.rta.period, float(example["check_every"]), where=path)
         if not config.plant.is_nominal:
             example |= load_arrays(path, ("number",), "counter-example", where_missing="")
         value, when, difference = replay(Experiment(config, 1), example)
         recorded = float(example["value"])
     outcome = (
-        f"{path}: {example['constraint']} falls to {value:.12g} at {when} s; recorded {recorded:.12g}; "
+        f"{path}: {example['constraint']} falls to {value:.12g} at {when:g} s; recorded {recorded:.12g}; "
         f"the filter's controls differ by at most {difference:.1e} of their limits"
     )
     if not math.isclose(value, recorded, rel_tol=REPLAYED, abs_tol=REPLAYED):

@@ -11,6 +11,7 @@ from rta.constraints import CONSTRAINTS
 from study.commands import command
 from study.config import Config, override
 from study.errors import MALFORMED, InputError, refusing
+from study.verification.flight import CHECK_EVERY
 from study.verification.tally import empty_tally
 from study.verified import fingerprint
 
@@ -18,7 +19,30 @@ WIDTH = 100  # of the text
 LISTED = 12  # sets of constraints with slack together that the text lists
 
 
-def empty_report(campaign: dict[str, Any], config: Config) -> dict[str, Any]:
+@dataclasses.dataclass(frozen=True)
+class Campaign:
+    """What determines a campaign's numbers beside the configuration. Reports that lack a setting have its default.
+
+    Attributes:
+        policy: random, adversarial, lookahead, learned:F or checkpoint:F; weights: digest of the weights in F, else
+            empty.
+        period: s between filter calls; duration: s per episode; batch_size: starts drawn at once.
+        check_every: s between two checks of every constraint.
+        candidates, horizon: of lookahead, see `study.verification.lookahead`; else 0.
+    """
+
+    policy: str
+    period: float
+    duration: float
+    seed: int
+    batch_size: int
+    weights: str = ""
+    check_every: float = CHECK_EVERY
+    candidates: int = 0
+    horizon: int = 0
+
+
+def empty_report(campaign: Campaign, config: Config) -> dict[str, Any]:
     """A report of no episodes, the form of `verify --json`.
 
     Its own tally and bound are over the starts that the filter can hold in any attitude. `starts_beyond_braking` has
@@ -27,7 +51,7 @@ def empty_report(campaign: dict[str, Any], config: Config) -> dict[str, Any]:
     filter (`study.verified`).
     """
     return {
-        "campaign": campaign,
+        "campaign": dataclasses.asdict(campaign),
         **empty_tally(),
         "upper_bound_95": 1.0,
         "starts_beyond_braking": empty_tally(),
@@ -39,23 +63,27 @@ def empty_report(campaign: dict[str, Any], config: Config) -> dict[str, Any]:
 
 def report_in(
     path: Path | None,
-    campaign: dict[str, Any],
+    campaign: Any,
     config: Config,
-    empty: Callable[[dict[str, Any], Config], dict[str, Any]] = empty_report,
+    empty: Callable[[Any, Config], dict[str, Any]] = empty_report,
 ) -> dict[str, Any]:
     """The report that a file holds, of this campaign, to go on with, or an empty one.
 
-    Older files may have settings by other names; what is written has those of today.
+    The campaign is a dataclass of numbers and strings.
+
+    Older files may lack settings or have them by other names; what is written has those of today.
     """
     fresh = empty(campaign, config)
     if path is None or not path.is_file() or not path.stat().st_size:
         return fresh
     with refusing(f"--json {path}: holds no report of verify", OSError, *MALFORMED):
         report = json.loads(path.read_text(encoding="utf-8"))
-        same = report["campaign"] == campaign and of_the_same(report["config"], config, path)
+        same = type(campaign)(**report["campaign"]) == campaign and of_the_same(
+            report["config"], config, path
+        )
     if not same:
         raise InputError(f"--json {path}: holds another campaign or configuration; name another file")
-    return report | {name: fresh[name] for name in ("fingerprint", "config")}
+    return report | {name: fresh[name] for name in ("campaign", "fingerprint", "config")}
 
 
 def of_the_same(before: dict[str, Any], config: Config, path: Path) -> bool:
@@ -107,15 +135,17 @@ def table(report: dict[str, Any]) -> str:
 
 
 def what_next(report: dict[str, Any], path: Path | None) -> str:
-    """Where the report and its counter-examples are, and how to fly one of them again."""
-    violated = [name for name in CONSTRAINTS if report["violating_episodes"][name]]
+    """Where the report and its worst episodes are, and how to fly one of them again."""
     if path is None:
         return (
-            "Nothing was kept: --json F keeps the report, and a counter-example of every constraint violated"
+            "Nothing was kept: --json F keeps the report, and the worst episode of every constraint violated"
         )
     lines = [f"Written to {path}; a larger --episodes goes on from there"]
-    examples = [name for name in violated if Path(f"{path}.{name}.npz").is_file()]
+    examples = [name for name in CONSTRAINTS if Path(f"{path}.{name}.npz").is_file()]
+    examples.sort(key=lambda name: not report["violating_episodes"][name])
     if examples:
-        lines.append(f"Counter-examples, the worst episodes: {path}.CONSTRAINT.npz of {', '.join(examples)}")
+        lines.append(
+            f"The worst episodes, first those with violations: {path}.CONSTRAINT.npz of {', '.join(examples)}"
+        )
         lines.append(f"Fly one again: {command('verify', '--replay', f'{path}.{examples[0]}.npz')}")
     return "\n".join(lines)

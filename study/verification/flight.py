@@ -1,6 +1,8 @@
-"""Flying a batch of episodes in closed loop, with every constraint checked every second."""
+"""Flying a batch of episodes in closed loop, with every constraint checked at the filter's calls and between them."""
 
 import dataclasses
+import itertools
+import math
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -12,7 +14,7 @@ from inspection.environment import InspectionEnv
 from inspection.state import CONTROL_SIZE
 from rta.qp import Status
 
-CHECK_EVERY = 1.0  # s
+CHECK_EVERY = 1.0  # s between two checks, where nothing else is wanted
 ROUNDING = 1e-10  # slack that does not count, in units of h's rate; even rows that never yield reach 1e-12
 
 
@@ -37,17 +39,19 @@ class Flight:
     """What a batch of episodes did; last axis the episodes, "any" last among 13 + 1 constraints.
 
     Attributes:
-        violating: (14, B) steps at which the constraint was negative, out of `steps`.
+        violating: (14, B) states checked at which the constraint was negative, out of steps: (B,).
         worst: (13, B) smallest value; when: (13, B) s.
         status: (4, B) filter calls by `Status`.
         yielded: (13, B) calls at which a row had slack; slack: (13, B) its largest.
         excess: (B,) largest control in units of its actuator's limit.
-        start: (16 + 3, B) initial states and priority vectors; desired, applied: (steps, 6, B) controls.
+        start: (16 + 3, B) initial states and priority vectors; desired, applied: (calls, 6, B) controls of each filter
+            call.
         number: (B,) from which the episodes' plants follow.
         column: (B,) the episode's number; conflicts: calls with slack, by that number.
     """
 
     violating: Tensor
+    steps: Tensor
     worst: Tensor
     when: Tensor
     status: Tensor
@@ -79,7 +83,7 @@ def fly(
     number: Tensor | None = None,
     tell: Callable[[float, Tensor], None] | None = None,
 ) -> Flight:
-    """Flies one episode per column behind the environment's filter, checked at every report of its clocks.
+    """Flies one episode per column behind the environment's filter, checked at least as often as its clocks report.
 
     Args:
         x, priority: initial states (16, B) and priority vectors (3, B).
@@ -89,9 +93,10 @@ def fly(
     """
     number = torch.zeros_like(x[0]) if number is None else number
     env.start(x, priority, number)
-    constraints, batch, steps = len(env.safety.names), x.shape[1], env.clocks.count(duration)
+    constraints, batch, calls = len(env.safety.names), x.shape[1], math.ceil(duration / env.safety.period)
     flight = Flight(
         violating=x.new_zeros(constraints + 1, batch),
+        steps=x.new_zeros(batch),
         worst=x.new_full((constraints, batch), torch.inf),
         when=x.new_zeros(constraints, batch),
         status=x.new_zeros(len(Status), batch),
@@ -99,16 +104,18 @@ def fly(
         slack=x.new_zeros(constraints, batch),
         excess=x.new_zeros(batch),
         start=torch.cat((x, priority)),
-        desired=x.new_zeros(steps, CONTROL_SIZE, batch),
-        applied=x.new_zeros(steps, CONTROL_SIZE, batch),
+        desired=x.new_zeros(calls, CONTROL_SIZE, batch),
+        applied=x.new_zeros(calls, CONTROL_SIZE, batch),
         column=torch.arange(first, first + batch, device=x.device),
         number=number,
     )
     h, conflicts = env.constraint_values(x), []
     note_state(flight, h, 0.0)
-    for i, hold in enumerate(env.fly(controller, duration)):
-        flight.desired[i], flight.applied[i] = hold.desired, hold.applied
+    call = itertools.count()
+    for hold in env.fly(controller, duration):
         if (result := hold.correction) is not None:
+            i = next(call)
+            flight.desired[i], flight.applied[i] = hold.desired, hold.applied
             yielded, time = result.slack > ROUNDING, torch.full_like(flight.excess, hold.time)
             status, slack = torch.nn.functional.one_hot(result.status, len(Status)).T, result.slack
             if hold.missed is not None:  # then nothing was asked
@@ -131,6 +138,7 @@ def note_state(flight: Flight, h: Tensor, t: float) -> None:
     """Adds the constraint values (13, B) at t s, in place. NaN counts as violated without end."""
     h = torch.where(h.isnan(), -torch.inf, h)
     broken = h < 0.0
+    flight.steps += 1
     flight.violating += torch.cat((broken, broken.any(0)[None]))
     flight.when = torch.where(h < flight.worst, t, flight.when)
     flight.worst = torch.minimum(flight.worst, h)

@@ -16,7 +16,7 @@ SHOWN = 20  # calls with slack that a report holds, per constraint
 def empty_tally() -> dict[str, Any]:
     """What is counted about episodes: none so far.
 
-    `steps` are the states checked, one per second and that at 0 s. `worst_case` says which start of which batch
+    `steps` are the states checked: that at 0 s and one per check. `worst_case` says which start of which batch
     gave the `worst_value` and when; `initial_states` of that size and seed has it in that column. `yielded_calls` and
     `largest_slack`, in h's unit per s (per s^2 at relative degree two), are about filter calls in which a row of the
     constraint had slack, and `slack_together` about the constraints of one program, of thrust or of torque.
@@ -45,7 +45,7 @@ def add(tally: dict[str, Any], flight: Flight, origin: dict[str, int]) -> None:
     if batch == 0:
         return
     tally["episodes"] += batch
-    tally["steps"] += batch * (len(flight.desired) + 1)
+    tally["steps"] += int(flight.steps.sum())
     for name, steps in zip((*CONSTRAINTS, "any"), flight.violating, strict=True):
         tally["violating_steps"][name] += int(steps.sum())
         tally["violating_episodes"][name] += int((steps > 0).sum())

@@ -12,7 +12,7 @@ import main
 from study import verified
 from study.config import Config, StudyConfig, override
 from study.files import ROOT
-from study.verification.findings import empty_report
+from study.verification.findings import Campaign, empty_report
 from study.verified import doubt, fingerprint
 from tests.test_main import assert_refused, call
 
@@ -32,7 +32,7 @@ def configured(tables: dict[str, Any]) -> Config:
 
 def put(config: Config, policy: str, **more: Any) -> None:
     """A report of a person's own."""
-    campaign = {"policy": policy, "duration": 2000}
+    campaign = Campaign(policy, 1.0, 2000, 0, 1024)
     Path("runs/verification").mkdir(parents=True, exist_ok=True)
     report = empty_report(campaign, config) | {"episodes": 1000} | more
     Path(f"runs/verification/{policy}.json").write_text(json.dumps(report))

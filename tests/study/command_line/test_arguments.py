@@ -26,6 +26,7 @@ TEXTS = {  # what each kind of flag takes, two of each
     flags.positive_number: ("0.5", "2"),
     flags.batch_list: ("3,4", "5"),
     flags.arm_list: ("rta", "no_rta"),
+    flags.constraint_list: ("battery", "collision,temperature"),
     flags.period: ("5", "10.0"),
     flags.verified_policy: ("adversarial", "checkpoint:x.pt"),
     None: ("here", "there"),
@@ -35,7 +36,7 @@ TEXTS = {  # what each kind of flag takes, two of each
 def words(flag: Flag, choice: int = 0) -> list[str]:
     """The flag on a command line with one of two values."""
     if "action" in flag.options:
-        return [("--no-rta", "--rta")[choice]]
+        return [(flag.name.replace("--", "--no-"), flag.name)[choice]]
     texts = flag.options.get("choices") or TEXTS[flag.options.get("type")]
     if not flag.name.startswith("--"):
         return [texts[choice]]

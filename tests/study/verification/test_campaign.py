@@ -1,5 +1,6 @@
 """A campaign: its random numbers, its starts beyond braking, what tells it from another, and its flags."""
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -9,10 +10,12 @@ from numpy import ndarray
 from torch import Tensor
 
 from inspection.environment import InspectionEnv
+from inspection.state import THETA_S
 from rta.filter import SafetyFilter
 from study.config import Config, override
 from study.experiment import Experiment, make_policy
 from study.verification.campaign import Campaign, digest, run
+from study.verification.counter_examples import replay_file
 from study.verification.starts import initial_states
 from tests.test_main import assert_refused
 
@@ -77,10 +80,46 @@ def test_progress_is_told_every_second(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(InspectionEnv, "constraint_values", planted)
     told: list[tuple[float, int, int]] = []
     campaign = Campaign("random", 1.0, 10, 0, 64)
-    list(run(campaign, 4, EXPERIMENT, None, None, lambda *now: told.append(now)))
+    list(run(campaign, 4, EXPERIMENT, None, None, tell=lambda *now: told.append(now)))
     assert [flown for flown, _, _ in told] == pytest.approx([0.4 * second for second in range(1, 11)])
     assert [violating for _, violating, _ in told] == [0] * 4 + [1] * 6
     assert {begun for _, _, begun in told} == {4}
+
+
+@pytest.mark.parametrize(("check_every", "seen"), [(1.0, 0), (0.1, 5)])
+def test_a_violation_between_two_seconds_is_seen_where_it_is_looked_for(
+    check_every: float, seen: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Planted from 3.25 to 3.75 s of every episode; its counter-example is flown with the same checks."""
+    values = InspectionEnv.constraint_values
+
+    def planted(env: InspectionEnv, x: Tensor) -> Tensor:
+        h = values(env, x)
+        seconds = ((x[THETA_S] - env.x[THETA_S]) / env.c.mean_motion).abs()
+        h[0] -= torch.where((seconds > 3.25) & (seconds < 3.75), 1000.0 + seconds, 0.0)
+        return h
+
+    monkeypatch.setattr(InspectionEnv, "constraint_values", planted)
+    path = tmp_path / "report.json"
+    campaign = Campaign("random", 1.0, 6, 0, 8, check_every=check_every)
+    report = list(run(campaign, 4, EXPERIMENT, None, path))[-1]
+    assert report["steps"] == 4 * (1 + 6 / check_every) and sum(report["filter_calls"].values()) == 4 * 6
+    assert report["violating_steps"]["collision"] == 4 * seen
+    assert report["violating_episodes"]["collision"] == (4 if seen else 0)
+    if seen:
+        assert report["worst_case"]["collision"]["time_s"] == pytest.approx(3.7)
+        assert "at 3.7 s" in replay_file(f"{path}.collision.npz")
+
+
+def test_checks_between_the_calls_change_no_control() -> None:
+    """But for the rounding of shorter integration steps."""
+    reports = [
+        list(run(Campaign("adversarial", 1.0, 3, 0, 8, check_every=every), 4, EXPERIMENT, None, None))[-1]
+        for every in (1.0, 0.1)
+    ]
+    assert reports[0]["filter_calls"] == reports[1]["filter_calls"]
+    for name, coarse in reports[0]["worst_value"].items():
+        assert reports[1]["worst_value"][name] <= coarse + 1e-6 * max(1.0, abs(coarse))
 
 
 def test_a_duration_that_does_not_fit_is_refused_before_anything_is_built(
@@ -102,10 +141,12 @@ def test_a_retrained_policy_is_another_campaign() -> None:
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["--policy", "nobody"], ["--policy", "'nobody'", "checkpoint:F"]),
+        (["--policy", "nobody"], ["--policy", "'nobody'", "lookahead", "learned:F", "checkpoint:F"]),
         (["--policy", "checkpoint:nowhere.pt"], ["nowhere.pt", "no such checkpoint"]),
         (["--duration", "25", "--rta-period", "10"], ["--duration 25", "10 s"]),
         (["--duration", "0"], ["--duration", "'0'"]),
+        (["--check-every", "0.3"], ["checked every 0.3 s", "must be a multiple of 0.3 s"]),
+        (["--check-every", "2"], ["--check-every 2", "at most 1 s", "the filter's period"]),
         (["--episodes", "0"], ["--episodes", "'0'"]),
         (["--no-rta"], ["--no-rta"]),
         (["--json", "nowhere/x.json"], ["--json", "cannot write"]),

@@ -48,7 +48,7 @@ def test_a_violation_leaves_a_counter_example_that_replays_exactly(
         case = report["worst_case"][name]
         np.testing.assert_array_equal(example["state"], case["initial_state"])
         assert example["value"] == report["worst_value"][name] < 0
-        assert len(example["control_desired"]) == case["time_s"]
+        assert len(example["control_desired"]) == -(-case["time_s"] // 10)
         assert np.abs(example["control_applied"]).max() <= 1.5
         code, out, err = call(["verify", "--replay", str(path)], capsys)
         assert code == 0, err
@@ -119,11 +119,11 @@ def test_replay_does_not_depend_on_the_solvers_last_digits() -> None:
     env = first.env(200, decide_every=10.0, report_every=1.0)
     x, priority, _ = initial_states(200, 3, first.filter)
     flight = fly(env, adversarial(first.filter), x, priority, 200)
-    example = counter_example(flight, "dynamic_speed", first.config)
+    example = counter_example(flight, "dynamic_speed", first.config, 1.0)
     value, when, difference = replay(second, example)
     assert example["value"] < 0
     assert value == pytest.approx(float(example["value"]), abs=1e-9)
-    assert when == len(example["control_desired"])
+    assert -(-when // 10) == len(example["control_desired"])
     assert difference < 1e-6
 
 
@@ -139,6 +139,7 @@ def test_a_damaged_counter_example_is_refused(
         {"constraint": np.array("colour")},
         {"period": np.array([1.0, 2.0])},
         {"period": np.array(0.0)},
+        {"check_every": np.array(0.3)},
         {"config": np.array("[")},
     ):
         path = tmp_path / "example.npz"

@@ -17,6 +17,7 @@ from tests.rta.test_rows import FILTER
 from tests.test_main import assert_refused, call
 
 OLDER = {"rta_period": "period", "qp_solver": "qp_solver"}  # of [train], now of [rta]
+NEWER = {"check_every", "candidates", "horizon"}  # of a campaign
 
 
 def verify(path: Path, *more: str) -> list[str]:
@@ -62,6 +63,22 @@ def test_a_worst_case_is_found_again_from_its_seed(finished: Path) -> None:
         np.testing.assert_array_equal(x[:, case["column"]], case["initial_state"])
         np.testing.assert_array_equal(priority[:, case["column"]], case["priority"])
     assert len({case["column"] for case in report["worst_case"].values()}) > 3
+
+
+def test_the_worst_episode_of_every_constraint_is_kept_where_it_is_wanted(
+    finished: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """It flies again to the same value, violated or not; a campaign is no other for it."""
+    path = tmp_path / "report.json"
+    assert call(verify(path, "--keep-worst"), capsys)[0] == 0
+    report = json.loads(path.read_text())
+    assert report == json.loads(finished.read_text())
+    for name in CONSTRAINTS:
+        example = Path(f"{path}.{name}.npz")
+        assert np.load(example)["value"] == report["worst_value"][name] and example.stat().st_size < 30_000
+    code, out, err = call(["verify", "--replay", f"{path}.collision.npz"], capsys)
+    assert code == 0, err
+    assert f"recorded {report['worst_value']['collision']:.12g}" in out
 
 
 def test_a_finished_report_flies_nothing_more(
@@ -111,7 +128,8 @@ def with_older_keys(report: dict[str, Any]) -> dict[str, Any]:
     config = {table: dict(entries) for table, entries in report["config"].items()}
     config["train"] |= {key: config["rta"].pop(name) for key, name in OLDER.items()}
     del config["ppo"]["hidden"]
-    return report | {"config": config}
+    campaign = {name: value for name, value in report["campaign"].items() if name not in NEWER}
+    return report | {"config": config, "campaign": campaign}
 
 
 def test_a_report_of_older_keys_is_continued_in_those_of_today(
@@ -129,7 +147,8 @@ def test_a_report_of_older_keys_is_continued_in_those_of_today(
     assert call(verify(path, "--episodes", "18"), capsys)[0] == 0
     continued = json.loads(path.read_text())
     assert continued["episodes"] == 18
-    assert continued["config"] == json.loads(finished.read_text())["config"]
+    for part in ("config", "campaign"):
+        assert continued[part] == json.loads(finished.read_text())[part]
     assert not set(OLDER) & set(continued["config"]["train"])
 
 
@@ -147,7 +166,14 @@ def test_the_reference_reports_can_be_continued(
 
 
 @pytest.mark.parametrize(
-    "other", [["--seed", "1"], ["--policy", "adversarial"], ["--rta-period", "10"], ["--duration", "30"]]
+    "other",
+    [
+        ["--seed", "1"],
+        ["--policy", "adversarial"],
+        ["--rta-period", "10"],
+        ["--duration", "30"],
+        ["--check-every", "0.5"],
+    ],
 )
 def test_another_campaigns_report_is_refused(
     other: list[str], finished: Path, capsys: pytest.CaptureFixture[str]
@@ -196,6 +222,6 @@ def test_what_next_names_the_report_and_a_counter_example(finished: Path, tmp_pa
     report["violating_episodes"]["battery"] = 1
     Path(f"{path}.battery.npz").touch()
     assert findings.what_next(report, path).splitlines()[1:] == [
-        f"Counter-examples, the worst episodes: {path}.CONSTRAINT.npz of battery",
+        f"The worst episodes, first those with violations: {path}.CONSTRAINT.npz of battery",
         f"Fly one again: python main.py verify --replay '{path}.battery.npz'",
     ]

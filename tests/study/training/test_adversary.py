@@ -1,0 +1,111 @@
+"""An agent trained to come near the limits: its reward, and that its file flies in a campaign."""
+
+import dataclasses
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from rta.constraints import CONSTRAINTS
+from study.experiment import Experiment
+from study.training import session as training
+from study.training.adversary import WEIGHT, Adversary
+from study.training.run import Run
+from study.verification.adversaries import learned
+from study.verification.scales import scales
+from study.verification.starts import initial_states
+from tests.study.training.test_run import tiny
+from tests.study.verification.test_findings import verify
+from tests.test_main import assert_refused, call
+
+ATTACKED = ("passive_safety", "attitude_exclusion")
+
+
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory: pytest.TempPathFactory) -> Run:
+    """A run of two updates behind the filter."""
+    directory = tmp_path_factory.mktemp("adversary") / "run"
+    config = tiny(
+        10.0, adversary=list(ATTACKED), rta=True, num_envs=8, interactions=2 * 32, minibatch_size=16
+    )
+    run = training.start(config, directory)
+    run.train()
+    return run
+
+
+def test_the_reward_is_the_nearness_of_the_nearest_attacked_limit() -> None:
+    experiment = Experiment(tiny(adversary=list(ATTACKED)), 32, seconds=1.0)
+    env = experiment.env(32)
+    env.start(*initial_states(32, 2, experiment.filter)[:2])
+    transition = env.step(torch.zeros(32, 6))
+    c, state = experiment.config.inspection, transition.state
+    rows = [CONSTRAINTS.index(name) for name in ATTACKED]
+    h = experiment.filter.values(state)[rows].numpy() / np.array(scales(c, 1.0))[rows, None]
+    ended = torch.arange(32) % 3 == 0
+    done = dataclasses.replace(transition, terminated=ended, truncated=ended.roll(1))
+    turned = Adversary(env, ATTACKED).turned(done)
+    np.testing.assert_allclose(turned.reward, -WEIGHT * np.arcsinh(h.min(0)))
+    assert set(h.argmin(0)) == {0, 1} and list(turned.reward_terms) == ["adversary"]
+    assert torch.equal(turned.truncated, done.done) and not turned.terminated.any()  # no end pays
+    lower, higher = (-WEIGHT * math.asinh(h) for h in (-0.2, -0.1))
+    assert lower > higher > 0.0  # a larger violation more
+
+
+def test_an_adversary_learns_from_its_own_reward(trained: Run) -> None:
+    assert isinstance(trained.trainer.env, Adversary) and trained.trainer.update == 2
+    assert trained.config.train.adversary == ATTACKED
+    again = training.resume(trained.directory)
+    assert isinstance(again.trainer.env, Adversary)
+    for name, value in trained.trainer.state_dict()["policy"].items():
+        assert torch.equal(value, again.trainer.state_dict()["policy"][name])
+    rewards = []
+    again.trainer.updates = 3
+    again.trainer.run(lambda transition: rewards.append(transition.reward), lambda _: None, lambda: False)
+    assert torch.cat(rewards).max() < 0.0  # nowhere beyond a limit; the task pays for points
+
+
+@pytest.mark.parametrize("plant", ["", "[plant]\nlatency = 1\nmass_factor = 1.1\nvelocity_noise = 0.01\n"])
+def test_its_file_flies_behind_the_filter(
+    plant: str, trained: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path, config = tmp_path / "report.json", tmp_path / "plant.toml"
+    config.write_text(plant)
+    policy = f"learned:{trained.directory / 'policy.pt'}"
+    flags = ["--policy", policy, "--episodes", "4", "--config", str(config), "--keep-worst"]
+    code, _, err = call(verify(path, *flags), capsys)
+    assert code == 0, err
+    report = json.loads(path.read_text())
+    assert report["campaign"]["policy"] == policy and len(report["campaign"]["weights"]) == 16
+    assert sum(report["filter_calls"].values()) == 4 * 2  # every 10 s, as it was trained
+    code, _, err = call(["verify", "--replay", f"{path}.passive_safety.npz"], capsys)
+    assert code == 0, err
+
+
+def test_its_controls_are_drawn_by_the_numbers_of_columns(trained: Run) -> None:
+    env = trained.experiment.env(4)
+    x, priority, _ = initial_states(4, 2, trained.experiment.filter)
+    env.start(x, priority)
+    drawn = [
+        learned(trained.policy, env, torch.Generator().manual_seed(seed), 9, first)(0.0, env.x)
+        for seed, first in ((1, 2), (1, 2), (1, 3), (2, 2))
+    ]
+    mean, log_std = trained.policy(env.observation()[None])
+    noise = torch.randn(9, 6, generator=torch.Generator().manual_seed(1))[2:6]
+    expected = (mean + log_std.exp() * noise)[0].T.double().clamp(-1.0, 1.0) * env.limit
+    np.testing.assert_allclose(drawn[0], expected.detach(), rtol=1e-5)
+    assert torch.equal(drawn[0], drawn[1])
+    assert not any(torch.equal(drawn[0], other) for other in drawn[2:])
+
+
+def test_what_is_no_adversary_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    agent = Path(training.__file__).parents[2] / "runs/reference/study/rta/seed0/policy.pt"
+    words = [str(agent), "not trained as an adversary", "checkpoint:F"]
+    assert_refused(["verify", "--policy", f"learned:{agent}"], words, capsys)
+    assert_refused(["verify", "--policy", "learned:nowhere.pt"], ["nowhere.pt", "no such checkpoint"], capsys)
+    assert_refused(["train", "--adversary", "colour"], ["--adversary", "'colour'", "keep_in_zone"], capsys)
+    (tmp_path / "c.toml").write_text('[train]\nadversary = ["colour"]\n')
+    words = ["adversary = ['colour']", "keep_in_zone"]
+    assert_refused(["train", "--config", str(tmp_path / "c.toml")], words, capsys)

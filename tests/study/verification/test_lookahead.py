@@ -1,0 +1,172 @@
+"""The adversary that looks ahead: what it tries, what it leaves alone, and that it finds what is planted."""
+
+import functools
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from inspection.environment import InspectionEnv
+from study.config import Config, override
+from study.experiment import Experiment
+from study.verification.adversaries import held_at_random
+from study.verification.flight import Flight, fly
+from study.verification.lookahead import Lookahead, attacked
+from study.verification.scales import scales
+from study.verification.starts import initial_states
+from tests.study.verification.test_findings import verify
+from tests.test_main import assert_refused, call
+
+EPISODES, CANDIDATES = 16, 12
+WORLD = {
+    "mass_factor": 1.3,
+    "hill_rotation": True,
+    "position_noise": 0.02,
+    "latency": 1,
+    "missed_calls": 0.2,
+}
+
+
+@functools.cache
+def experiment(world: bool) -> Experiment:
+    """In the model, or in a plant of which the filter knows nothing."""
+    tables = {"train": {"compile": "off", "device": "cpu"}, "plant": WORLD if world else {}}
+    return Experiment(override(Config(), tables, "test"), EPISODES * CANDIDATES, seconds=1.0)
+
+
+def flown(world: bool, looking: bool, duration: float = 10.0) -> tuple[Flight, InspectionEnv]:
+    """The same starts and plants under lookahead or random controls."""
+    here = experiment(world)
+    env = here.env(EPISODES, None, 1.0, 1.0)
+    x, priority, _ = initial_states(EPISODES, 3, here.filter)
+    generator, number = torch.Generator().manual_seed(5), torch.linspace(0.1, 0.9, EPISODES)
+    if looking:
+        controller = Lookahead(env, here.env(EPISODES * CANDIDATES, None, 1.0, 1.0), 2, generator, EPISODES)
+    else:
+        controller = held_at_random(here.config.inspection, generator, EPISODES)
+    return fly(env, controller, x, priority, duration, number=number.double()), env
+
+
+def test_a_plant_heavier_than_the_filter_believes_is_broken_sooner_than_by_chance() -> None:
+    """Of the same starts in the same plants it breaks more; in the model none."""
+    ahead, random = (flown(True, looking)[0] for looking in (True, False))
+    assert (ahead.violating[-1] > 0).sum() >= 4 + (random.violating[-1] > 0).sum()
+    nominal, _ = flown(False, True, 5.0)
+    assert not nominal.violating.any()
+
+
+def test_the_same_seed_flies_the_same_and_leaves_the_plant_as_it_is() -> None:
+    """The flight under recorded controls, without anybody looking ahead, passes through the same states."""
+    (first, env), (again, _) = (flown(True, True, 4.0) for _ in range(2))
+    for name in ("applied", "worst", "status"):
+        assert torch.equal(getattr(first, name), getattr(again, name)), name
+    recorded = first.desired
+    alone = experiment(True).env(EPISODES, None, 1.0, 1.0)
+    flight = fly(
+        alone, lambda t, x: recorded[round(t)], first.start[:16], first.start[16:], 4.0, number=first.number
+    )
+    assert torch.equal(flight.applied, first.applied) and torch.equal(flight.worst, first.worst)
+    for name, part in alone.plant.state_dict().items():
+        assert torch.equal(part, env.plant.state_dict()[name]), name
+
+
+@pytest.mark.parametrize("world", [False, True])
+def test_what_is_tried_is_what_comes(world: bool) -> None:
+    """The outcome of the candidate that every spacecraft then holds, recounted by flying on with it."""
+    here = experiment(world)
+    env, tried = (here.env(count, None, 1.0, 1.0) for count in (4, 4 * CANDIDATES))
+    x, priority, _ = initial_states(4, 3, here.filter)
+    env.start(x, priority, torch.tensor([0.2, 0.4, 0.6, 0.8], dtype=torch.float64))
+    lookahead = Lookahead(env, tried, 3, torch.Generator().manual_seed(1), 4)
+    promised: list[Tensor] = []
+
+    def control(t: float, seen: Tensor) -> Tensor:
+        desired = lookahead.draw()
+        if t == 2.0:
+            true = env.plant.behind(seen) if world else seen
+            promised.append(lookahead.outcome(t, true, desired)[:, 5])
+            promised.append(desired[:, 5])
+        return promised[1] if t >= 2.0 else desired[:, 1]
+
+    came = [env.constraint_values(hold.after) for hold in env.fly(control, 5.0)][2:]
+    expected = torch.stack(came).amin(0) / lookahead.scale
+    np.testing.assert_allclose(promised[0], expected, rtol=1e-9, atol=1e-9)
+
+
+def test_the_worst_candidate_of_each_group_is_flown(monkeypatch: pytest.MonkeyPatch) -> None:
+    here = experiment(False)
+    env, tried = (here.env(count, None, 1.0, 1.0) for count in (3, 3 * 7))
+    env.reset()
+    lookahead = Lookahead(env, tried, 2, torch.Generator(), 3)
+    h = torch.ones(13, 7, 3, dtype=torch.float64)
+    h[0, 2], h[7, 4] = -1.0, -2.0  # collision, exclusion: what the first columns attack
+    given = lookahead.draw()
+    monkeypatch.setattr(lookahead, "draw", lambda: given)
+    monkeypatch.setattr(lookahead, "outcome", lambda *_: h)
+    control = lookahead(0.0, env.x)
+    assert torch.equal(control[:3, :2], given[:3, 2, :2]) and torch.equal(control[3:, :2], given[3:, 4, :2])
+    assert torch.equal(control[:3, 2], given[:3, 0, 2])  # attacks another constraint: goes on as before
+    assert torch.equal(lookahead.last, control)
+
+
+def test_candidates_are_the_last_control_all_vertices_and_random_ones_within_the_limits() -> None:
+    here = experiment(False)
+    env, tried = (here.env(count, None, 1.0, 1.0) for count in (5, 5 * 40))
+    whole, part = (
+        Lookahead(env, tried, 2, torch.Generator().manual_seed(2), batch, first)
+        for batch, first in ((20, 7), (20, 9))
+    )
+    whole.last += 1e-4
+    drawn, other = whole.draw(), part.draw()
+    assert drawn.shape == (6, 40, 5) and (drawn[:, 0] == 1e-4).all()
+    units = drawn[:, 1:] / env.limit[..., None]
+    assert units.abs().max() <= 1.0
+    for group in (units[:3, :8], units[3:, :8]):
+        assert len({tuple(vertex) for vertex in group[..., 0].T.tolist()}) == 8 and (group.abs() == 1.0).all()
+    assert units[:, 8:].abs().max() < 1.0 and units[:, 8:].unique().numel() == units[:, 8:].numel()
+    assert torch.equal(drawn[:, 9:, 2:], other[:, 9:, :3])  # by the column's number
+
+
+def test_every_constraint_is_attacked_alone_and_with_its_group_from_both_kinds_of_starts() -> None:
+    mask = attacked(torch.arange(112))
+    for start in (0, 1):
+        pairs = {tuple(column) for column in mask[:, start::2].T.tolist()}
+        assert len(pairs) == 8 * 7
+        thrust = {pair[:7] for pair in pairs}
+        assert sorted(map(sum, thrust)) == [1] * 7 + [7]
+    assert torch.equal(attacked(torch.arange(9, 20)), mask[:, 9:20])
+
+
+@pytest.mark.parametrize("period", [1.0, 10.0])
+def test_a_scale_is_what_a_constraint_changes_in_a_call(period: float) -> None:
+    """Full controls from the starts of a campaign: hardly ever more, and not far less at the most."""
+    c, safety = Config().inspection, experiment(False).filter
+    env = InspectionEnv(256, c, [torch.Generator().manual_seed(0)], safety.safety(False), period, period)
+    x, priority, _ = initial_states(256, 1, safety)
+    env.start(x, priority)
+    full = env.limit * (2.0 * torch.randint(2, (6, 256), generator=torch.Generator().manual_seed(1)) - 1.0)
+    (hold,) = list(env.fly(lambda t, seen: full, period))[-1:]
+    after, before = (env.constraint_values(state) for state in (hold.after, x))
+    change = (after - before).abs() / torch.tensor(scales(c, period))[:, None]
+    assert (change.quantile(0.95, dim=1) < 1.0).all(), change.quantile(0.95, dim=1)
+    assert (change.amax(1) > 0.2).all(), change.amax(1)
+
+
+def test_the_command_line_flies_and_continues_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "ahead.json"
+    arguments = [
+        *verify(path, "--policy", "lookahead", "--episodes", "4", "--duration", "3"),
+        "--horizon",
+        "1",
+    ]
+    code, _, err = call([*arguments, "--candidates", "3"], capsys)
+    assert code == 0, err
+    campaign = json.loads(path.read_text())["campaign"]
+    assert (campaign["policy"], campaign["candidates"], campaign["horizon"]) == ("lookahead", 3, 1)
+    assert_refused([*arguments, "--candidates", "4"], [str(path), "another campaign"], capsys)
+    words = ["--policy random", "--candidates and --horizon", "lookahead"]
+    assert_refused(["verify", "--policy", "random", "--candidates", "3"], words, capsys)
+    assert_refused(["verify", "--policy", "adversarial", "--horizon", "3"], words[1:], capsys)
