@@ -23,7 +23,7 @@ from rta.parameters import RtaParameters
 from rta.piqp_solver import PiqpSolver
 from rta.qp import Solver, Status, pick, put
 from rta.rows import ActuatorGroup, Rows
-from rta.tangents import Prepared, answered, problems, scaled, settle
+from rta.tangents import Prepared, Settling, answered, problems, scaled
 from rta.thrust_constraints import keep_in_zone, thrust_constraints
 from rta.torque_constraints import torque_constraints
 from rta.uncertainty import Uncertainty
@@ -322,7 +322,7 @@ class SafetyFilter:
         if sent is not None:
             stale = (~sent.isnan().any(1)).sum(0) > known.latency
         left = torch.ones_like(control) if left is None or not known.health else left
-        control[THRUST] = known.admissible(control[THRUST])
+        control[THRUST] = known.given(control[THRUST])
         parts: dict[int, list[Tensor]] = {}
         for i in (1, 0):
             group, run = self.groups[i], self._prepare_held[i]
@@ -332,9 +332,8 @@ class SafetyFilter:
             unsafe = torch.nonzero(~(prepared.lowest[0] >= 0.0) | (near != control).any(0)).flatten()
             if unsafe.numel():
                 given = [pick(part, unsafe) for part in (x, control, spread, left)]
-                answer = settle(
-                    group, run, self.solver, Prepared(*(pick(part, unsafe) for part in prepared)), given
-                )
+                tangents = Prepared(*(pick(part, unsafe) for part in prepared))
+                answer = Settling(group, run, self.solver, given).search(tangents)
                 wholes = control[group.controls], program_status[i], active, slack
                 for whole, part in zip(wholes, answer, strict=True):
                     put(whole, unsafe, part)

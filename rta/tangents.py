@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from dataclasses import fields, replace
 from functools import partial, reduce
+from itertools import product
 from typing import NamedTuple
 
 import torch
@@ -19,6 +20,7 @@ SHORTEST_ROW = 1e-6
 TOLERATED = 1e-6  # in units of the actuators' limits, by which rows themselves may be short
 INSET = 1e-3  # in the same unit, by which tangents ask for more, so that few of them are enough
 PASSES = 4  # programs solved for one control at most
+FARTHEST = 100.0  # above all distances squared and all that rows have left over, in the same unit
 
 
 class Prepared(NamedTuple):
@@ -80,75 +82,106 @@ def answered(
     )
 
 
-def settle(
-    group: HeldGroup,
-    run: Callable[..., list[Tensor]],
-    solver: Solver,
-    prepared: Prepared,
-    given: list[Tensor],
-) -> list[Tensor]:
-    """Controls (3, M) that hold the rows themselves, not only their tangents at the desired ones.
+class Settling:
+    """The search for controls that hold the rows themselves, not only their tangents at the desired ones.
 
     What is convex lies within its tangents, so a solution may break it. Then the tangents there are added, and the
     program is solved again (Kelley 1960). What is left after PASSES goes back towards no control: from there to the
-    solution a concave psi is at least its chord. What is still broken is counted as slack.
+    solution a concave psi is at least its chord. Where thrusters give some values only, their neighbours of the
+    solution are tried. What is still broken is counted as slack.
 
     Args:
         run: `SafetyFilter.prepare_held` of the group.
-        prepared: of these columns, at the desired controls; given: its other arguments, of these columns.
+        given: its other arguments, of the columns that are corrected, M.
 
-    Returns:
-        Control (3, M) in N or N m, status (M,), active and slack (constraints, M).
+    Attributes:
+        control: (3, M) the best so far in units of the actuators' limits; status: (M,).
+        active, slack: (constraints, M), as in `rta.filter.FilterResult`.
+        score: (M,) what is greater the better a control is.
     """
-    x, control, spread, left = given
-    desired, limit = control[group.controls] / group.limit, group.limit * left[group.controls]
 
-    def at(columns: Tensor, u: Tensor) -> tuple[Problems, Tensor, Tensor]:
-        """The rows' tangents at controls u (3, m) of these columns, their lengths, and how far u is within them."""
-        controls, *others = (pick(part, columns) for part in (control, x, spread, left))
-        controls[group.controls] = u * group.limit
-        there = Prepared(*run(others[0], controls, *others[1:]))
-        tangents = problems(group, there, u, pick(limit, columns))
-        return tangents, there.length, total(tangents.a * u, 1) + tangents.b_bare
+    def __init__(
+        self, group: HeldGroup, run: Callable[..., list[Tensor]], solver: Solver, given: list[Tensor]
+    ) -> None:
+        self.group, self.run, self.solver, self.given = group, run, solver, given
+        _, control, _, left = given
+        self.desired, self.limit = control[group.controls] / group.limit, group.limit * left[group.controls]
+        self.control, self.score = (
+            torch.zeros_like(self.desired),
+            torch.full_like(self.desired[0], -torch.inf),
+        )
+        self.status = torch.full_like(self.score, Status.UNSOLVED, dtype=torch.int64)
+        self.active = self.score.new_zeros(len(group.constraints), len(self.score), dtype=torch.bool)
+        self.slack = torch.zeros_like(self.active, dtype=self.score.dtype)
 
-    asked = inset(problems(group, prepared, desired, limit))
-    wholes = [
-        torch.zeros_like(desired),
-        torch.zeros_like(desired[0], dtype=torch.int64),
-        torch.zeros_like(prepared.h, dtype=torch.bool),
-        torch.zeros_like(prepared.h),
-        torch.full_like(desired[0], -torch.inf),  # how far the best control is within the rows
-    ]
+    def search(self, prepared: Prepared) -> list[Tensor]:
+        """From the rows at controls near the desired ones to control (3, M) in N or N m, status, active and slack."""
+        asked = inset(problems(self.group, prepared, self.desired, self.limit))
+        todo = torch.arange(len(self.score), device=self.score.device)
+        for _ in range(PASSES):
+            answer = self.solver.solve(asked)
+            tangents, within, held = self.take(todo, answer.control, answer.status < Status.UNSOLVED)
+            again = torch.nonzero(~held & (answer.status < Status.UNSOLVED)).flatten()
+            todo, u, within = todo[again], pick(answer.control, again), pick(within, again)
+            if not again.numel():
+                break
+            asked = joined(asked[again], inset(tangents[again]), answer.status[again] == Status.SLACK)
+        else:
+            self.go_back(todo, u, within)
+        if self.group.is_coarse:
+            self.try_neighbours()
+        return [self.control * self.group.limit, self.status, self.active, self.slack]
 
-    def keep(columns: Tensor, u: Tensor, solved: Tensor) -> tuple[Problems, Tensor, Tensor]:
-        """Takes controls that are better than those before; returns their tangents and which columns go on."""
-        tangents, length, within = at(columns, u)
-        least = within.amin(0)
+    def at(self, columns: Tensor, u: Tensor) -> tuple[Problems, Tensor]:
+        """The rows' tangents at controls u (3, m) of these columns, and the rows' lengths (R, m)."""
+        x, control, spread, left = (pick(part, columns) for part in self.given)
+        control[self.group.controls] = u * self.group.limit
+        there = Prepared(*self.run(x, control, spread, left))
+        return problems(self.group, there, u, pick(self.limit, columns)), there.length
+
+    def take(self, columns: Tensor, u: Tensor, solved: Tensor) -> tuple[Problems, Tensor, Tensor]:
+        """Takes controls (3, m) where they are better: the nearest of those that hold the rows, else the least short.
+
+        Returns:
+            The tangents there; how far u is within the rows, (R, m); (m,) bool, it holds them.
+        """
+        tangents, length = self.at(columns, u)
+        within = total(tangents.a * u, 1) + tangents.b_bare
+        least, distance = within.amin(0), ((u - pick(self.desired, columns)) ** 2).sum(0)
         held = least >= -TOLERATED
         status = torch.where(held, Status.HARD, Status.SLACK).masked_fill(~solved, Status.UNSOLVED)
-        better = torch.nonzero((least > pick(wholes[-1], columns)) | ~solved).flatten()
-        parts = [u, status, *answered(group, tangents, length, u, status), least]
-        for whole, part in zip(wholes, parts, strict=True):
+        score = torch.where(held, FARTHEST - distance, least).nan_to_num(-torch.inf)
+        better = torch.nonzero(solved & (score > self.score[columns])).flatten()
+        first = torch.nonzero(self.score[columns].isinf()).flatten()
+        better = torch.cat((better, first)).unique()
+        active, slack = answered(self.group, tangents, length, u, status)
+        for whole, part in (
+            (self.control, u),
+            (self.status, status),
+            (self.active, active),
+            (self.slack, slack),
+            (self.score, score),
+        ):
             put(whole, columns[better], pick(part, better))
-        return tangents, within * length, torch.nonzero(solved & ~held).flatten()
+        return tangents, within * length, held
 
-    todo = torch.arange(desired.shape[1], device=desired.device)
-    for i in range(PASSES):
-        answer = solver.solve(asked)
-        tangents, within, again = keep(todo, answer.control, answer.status < Status.UNSOLVED)
-        todo, u, within = todo[again], pick(answer.control, again), pick(within, again)
-        if not again.numel() or i == PASSES - 1:
-            break
-        asked = joined(asked[again], inset(tangents[again]), answer.status[again] == Status.SLACK)
-    if todo.numel():  # where no control of the group's own is held, a part of the way to the solution is
+    def go_back(self, columns: Tensor, u: Tensor, within: Tensor) -> None:
+        """Where no control of the group's own holds the rows, takes as much of controls u (3, m) as does, too."""
         still = torch.zeros_like(u)
-        _, length, at_rest = at(todo, still)
-        at_rest = at_rest * length
+        tangents, length = self.at(columns, still)
+        at_rest = tangents.b_bare * length
         share = torch.where(within < 0.0, at_rest / (at_rest - within), 1.0).amin(0)
-        keep(
-            todo, torch.where(at_rest.amin(0) >= 0.0, share * u, u), torch.ones_like(share, dtype=torch.bool)
-        )
-    return [wholes[0] * group.limit, *wholes[1:-1]]
+        possible = at_rest.amin(0) >= 0.0
+        self.take(columns, torch.where(possible, share * u, u), torch.ones_like(possible))
+
+    def try_neighbours(self) -> None:
+        """Takes the best of what the thrusters give next to the controls so far."""
+        every, solved = torch.arange(len(self.score), device=self.score.device), self.status < Status.UNSOLVED
+        low, high = self.group.known.neighbours(self.control * self.group.limit, self.group.limit)
+        self.score = torch.full_like(self.score, -torch.inf)
+        for corner in product((False, True), repeat=3):
+            upper = torch.tensor(corner, device=low.device)[:, None]
+            self.take(every, torch.where(upper, high, low) / self.group.limit, solved)
 
 
 def joined(asked: Problems, tangents: Problems, anew: Tensor) -> Problems:

@@ -52,7 +52,7 @@ def root_above(z: Tensor, floor: float) -> Tensor:
     return torch.where(z < floor, (z + floor) / (2 * math.sqrt(floor)), z.clamp(min=floor).sqrt())
 
 
-def chord(c: InspectionParameters, r: RtaParameters, known: Uncertainty) -> float:
+def chord(c: InspectionParameters, r: RtaParameters, known: Uncertainty = NOTHING) -> float:
     """The floor in m of the enforced `signed_sqrt`.
 
     The slope of sqrt(2 a z) is then at most sqrt(2 a / floor) = 1 / T, else it could overshoot while a control is held.

@@ -78,8 +78,8 @@ class Uncertainty:
             )
         if self.max_acceleration(c) <= 0.0:
             raise ValueError(
-                f"mass = {self.mass:g}, thrust_gain = {self.thrust_gain:g}, acceleration = {self.acceleration:g}: leave no "
-                f"braking within max_distance = {c.max_distance:g} m, which the keep-in zone and separation need"
+                f"mass = {self.mass:g}, thrust_gain = {self.thrust_gain:g}, acceleration = {self.acceleration:g}: "
+                f"leave no braking within max_distance = {c.max_distance:g} m, which the keep-in zone needs"
             )
         if self.rate_offset(c) + math.radians(self.rate) >= c.max_rate:
             raise ValueError(
@@ -129,8 +129,23 @@ class Uncertainty:
         """rad/s, by which a body rate relative to the stars exceeds one relative to Hill's frame at most."""
         return c.mean_motion if self.hill_rotation else 0.0
 
-    def admissible(self, thrust: Tensor) -> Tensor:
+    @property
+    def is_coarse(self) -> bool:
+        """Whether thrusters give some values only."""
+        return self.minimum_thrust > 0.0 or self.thrust_quantum > 0.0
+
+    def given(self, thrust: Tensor) -> Tensor:
         """What the thrusters give where thrust in N is asked for."""
         if self.thrust_quantum:
             return self.thrust_quantum * (thrust / self.thrust_quantum).round()
         return torch.where(thrust.abs() < self.minimum_thrust, 0.0, thrust)
+
+    def neighbours(self, thrust: Tensor, limit: float) -> tuple[Tensor, Tensor]:
+        """What the thrusters give next to thrust in N on either side, within their limit."""
+        if quantum := self.thrust_quantum:
+            most = math.floor(limit / quantum + 1e-9)
+            low = (thrust / quantum).floor().clamp(-most, most)
+            return quantum * low, quantum * (low + 1.0).clamp(-most, most)
+        least = self.minimum_thrust * (1.0 + 1e-9)  # rounded down it would be nothing
+        within = thrust.abs() < self.minimum_thrust
+        return torch.where(within, 0.0, thrust), torch.where(within, least * thrust.sign(), thrust)
