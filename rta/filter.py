@@ -322,7 +322,7 @@ class SafetyFilter:
         if sent is not None:
             stale = (~sent.isnan().any(1)).sum(0) > known.latency
         left = torch.ones_like(control) if left is None or not known.health else left
-        control[THRUST] = known.given(control[THRUST])
+        control[THRUST] = known.given(control[THRUST], self.c.max_thrust)
         parts: dict[int, list[Tensor]] = {}
         for i in (1, 0):
             group, run = self.groups[i], self._prepare_held[i]

@@ -21,16 +21,17 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
-from inspection.attitude import norm, quaternion_rate
+from inspection.attitude import norm, quaternion_rate, rotation_matrix
 from inspection.dynamics import step
 from inspection.parameters import InspectionParameters
 from inspection.state import CONTROL_SIZE, OMEGA, THRUST, TORQUE, P, Q, V
 from rta.constraints import Constraint
-from rta.lie_derivatives import directional
+from rta.lie_derivatives import Function, directional
 from rta.parameters import RtaParameters
 from rta.qp import total
 from rta.rows import ActuatorGroup, Rows
@@ -202,49 +203,62 @@ class HeldGroup(ActuatorGroup):
     ) -> tuple[Tensor, ...]:
         """psi at the beginning and at each moment, and its derivatives by what is measured and by the own controls.
 
+        psi is exact, at the end of the map. Its derivatives are those there, times the map's to first order in a
+        deputy's slow motion (n t = 0.01 at 10 s): a velocity moves a position by t, a force acts along the mean of the
+        body's attitudes R(s), a rate turns by them, too.
+
         Returns:
             (1 + moments, R, B); how far psi hangs in the middle between two of them, (moments, R, B); derivatives
             (1 + moments, R, D, B) by the D of `directions` and (1 + moments, R, m, B).
         """
-        steps = [later - sooner for sooner, later in zip((0.0, *self.moments), self.moments, strict=False)]
-        psis, y = [self.psi_at(x, constraints)], x
-        middles = []
-        for seconds, moment in zip(steps, self.moments, strict=True):
-            middle = step(y, control, seconds / 2, self.model)
+        start, y = self.psi_at(x, constraints), x
+        if self.doubts:
+            before, by_x = self.differentiated(start, x, coupled)
+        else:
+            before = start(x)
+            by_x = before.new_zeros(len(before), 0, before.shape[1])
+        values, sags, slopes_x, slopes_u = [before], [], [by_x], []
+        turned = once = x.new_zeros(3, 3, x.shape[1])  # the integrals of R and of s R over the hold so far
+        earlier = 0.0
+        for moment in self.moments:
+            gap = moment - earlier
+            middle = step(y, control, gap / 2, self.model)
+            end = step(middle, control, gap / 2, self.model)
+            psi = self.psi_at(end, constraints, x, moment)
+            value, by_end = self.differentiated(psi, end, coupled)
             if constraints[0].later is None:
-                middles.append(self.psi_at(middle, constraints, x, moment - seconds / 2)(middle))
-            y = step(middle, control, seconds / 2, self.model)
-            psis.append(self.psi_at(y, constraints, x, moment))
-
-        def along(z: Tensor, u: Tensor) -> Tensor:
-            values = [psis[0](z)]
-            for seconds, psi in zip(steps, psis[1:], strict=True):
-                z = step(z, u, seconds, self.model)
-                values.append(psi(z))
-            return torch.stack(values)
-
-        by_x = self.directions(x, coupled) if self.doubts else x[:, None].repeat(1, 0, 1)
-        by_u = torch.eye(CONTROL_SIZE, dtype=x.dtype, device=x.device)[:, own, None].expand(
-            -1, -1, x.shape[1]
+                hanging = self.psi_at(middle, constraints, x, moment - gap / 2)(middle)
+                sags.append(((values[-1] + value) / 2 - hanging).clamp(min=0.0))
+            else:
+                sags.append(torch.zeros_like(value))
+            first, second, third = (rotation_matrix(part[Q]) for part in (y, middle, end))  # Simpson's rule
+            turned = turned + gap / 6 * (first + 4.0 * second + third)
+            half = earlier + gap / 2
+            once = once + gap / 6 * (earlier * first + 4.0 * half * second + moment * third)
+            to_end = third.transpose(0, 1)
+            maps = Maps(x, moment, turned, once, to_end, self.c)
+            slopes_x.append(maps.by_state(by_end, self.held_by, coupled) if self.doubts else by_x)
+            slopes_u.append(maps.by_control(by_end, self.held_by, coupled, own))
+            values.append(value)
+            y, earlier = end, moment
+        return (
+            torch.stack(values),
+            torch.stack(sags),
+            torch.stack(slopes_x),
+            torch.stack([torch.zeros_like(slopes_u[0]), *slopes_u]),
         )
-        d, m = by_x.shape[1], by_u.shape[1]
-        nothing = x.new_zeros(1, 1, 1)
-        of_x = torch.cat((by_x, nothing.expand(len(x), m, x.shape[1])), 1)
-        of_u = torch.cat((nothing.expand(CONTROL_SIZE, d, x.shape[1]), by_u), 1)
-        many = [part[:, None].repeat(1, d + m, 1) for part in (x, control)]
-        values, slopes = directional(along, many, [of_x, of_u])
-        values = values[:, :, 0]
-        sag = torch.zeros_like(values[1:])
-        if middles:
-            sag = ((values[1:] + values[:-1]) / 2 - torch.stack(middles)).clamp(min=0.0)
-        return values, sag, slopes[:, :, :d], slopes[:, :, d:]
+
+    def differentiated(self, psi: Function, y: Tensor, coupled: bool) -> tuple[Tensor, Tensor]:
+        """psi (R, B) at states and its derivatives (R, D, B) along `directions`."""
+        along = self.directions(y, coupled)
+        value, slopes = directional(psi, (y[:, None].repeat(1, along.shape[1], 1),), (along,))
+        return value[:, 0], slopes
 
     def directions(self, x: Tensor, coupled: bool) -> Tensor:
         """(16, D, B) unit changes of what is measured: of p and v for thrust, of attitude and rates for torque."""
         one = torch.eye(len(x), dtype=x.dtype, device=x.device)[..., None].expand(-1, -1, x.shape[1])
         turns = one.new_zeros(len(x), 3, x.shape[1])
-        for i in range(3):
-            turns[Q, i] = torch.stack(quaternion_rate(x[Q], one[:3, i]))
+        turns[Q] = torch.stack([torch.stack(quaternion_rate(x[Q], one[:3, i])) for i in range(3)], 1)
         parts = {"thrust": [one[:, P], one[:, V]], "torque": [turns, one[:, OMEGA]]}
         wanted = [*parts["thrust"], *parts["torque"]] if coupled else parts[self.held_by]
         return torch.cat(wanted, 1)
@@ -266,6 +280,55 @@ class HeldGroup(ActuatorGroup):
         return torch.cat([(psi < 0.0) | ((h < 0.0) & (each.degree == 2)) for each, psi, h in parts])
 
 
+class Maps(NamedTuple):
+    """How a state at a moment of a hold changes with that at its beginning and with the control.
+
+    Attributes:
+        moment: s; turned, once: (3, 3, B) the integrals of R(s) and s R(s) up to it; to_end: (3, 3, B) from Hill's
+            frame into the body's there.
+    """
+
+    x: Tensor
+    moment: float
+    turned: Tensor
+    once: Tensor
+    to_end: Tensor
+    c: InspectionParameters
+
+    def by_state(self, by_end: Tensor, held_by: str, coupled: bool) -> Tensor:
+        """Derivatives (R, D, B) along `directions` at the moment to those along them at the beginning."""
+        parts = list(by_end.split(3, 1))
+        if coupled or held_by == "thrust":
+            parts[1] = parts[1] + self.moment * parts[0]
+        if coupled or held_by == "torque":
+            attitude, rate = parts[-2:]
+            hill = times(attitude, self.to_end)
+            parts[-2] = times(hill, rotation_matrix(self.x[Q]))
+            parts[-1] = rate + times(hill, self.turned)
+        return torch.cat(parts, 1)
+
+    def by_control(self, by_end: Tensor, held_by: str, coupled: bool, own: slice) -> Tensor:
+        """Derivatives along `directions` at the moment to those by controls, (R, m, B)."""
+        parts = by_end.split(3, 1)
+        both = []
+        if coupled or held_by == "thrust":
+            position, velocity = parts[:2]
+            both.append(
+                (times(velocity + self.moment * position, self.turned) - times(position, self.once))
+                / self.c.mass
+            )
+        if coupled or held_by == "torque":
+            attitude, rate = parts[-2:]
+            moments = self.x.new_tensor(self.c.inertia)[:, None]
+            both.append((times(times(attitude, self.to_end), self.once) + self.moment * rate) / moments)
+        return torch.cat(both, 1)
+
+
+def times(rows: Tensor, matrix: Tensor) -> Tensor:
+    """Rows (R, 3, B) times matrices (3, 3, B)."""
+    return total(rows[:, :, None] * matrix, 1)
+
+
 def unsaturated(c: InspectionParameters) -> InspectionParameters:
     """The model without the saturation of rates."""
     return replace(c, saturate_rates=False)
@@ -277,6 +340,7 @@ def predicted(
     """The states of now, and how much further they may be off than when they were measured.
 
     An acceleration that is off by A for T changes a velocity by A T and a position by A T^2 / 2 more than it was off.
+    Thrust is off by its size's error, by each thruster's misalignment, and by how far the body is turned otherwise.
 
     Args:
         x: (16, B) as measured; sent: (k, 6, B) the controls held since, the oldest first, each for a period; NaN where
@@ -287,15 +351,20 @@ def predicted(
     """
     model, spread, t = unsaturated(c), x.new_zeros(KINDS, x.shape[1]), r.period
     (least, most), (weakest, strongest) = known.thrust, known.torque
-    angle = math.radians(known.thrust_misalignment + math.sqrt(3.0) * known.attitude)
-    error, twist = max(1.0 - least, most - 1.0) + most * angle, max(1.0 - weakest, strongest - 1.0)
+    aside, attitude = (
+        math.sin(math.radians(known.thrust_misalignment)),
+        math.radians(math.sqrt(3.0) * known.attitude),
+    )
+    error, twist = max(1.0 - least, most - 1.0), max(1.0 - weakest, strongest - 1.0)
     velocity, rate = math.sqrt(3.0) * known.velocity, math.radians(math.sqrt(3.0) * known.rate)
     for u in sent:
         old = ~u.isnan().any(0)
         u = u.nan_to_num()
-        push = error * norm(u[THRUST]) / c.mass + known.acceleration
-        twisted = twist * norm(u[TORQUE]) / min(c.inertia) + known.angular_acceleration(c)
         p, v, q, omega = spread
+        twisted = twist * norm(u[TORQUE]) / min(c.inertia) + known.angular_acceleration(c)
+        angle = attitude + q + (rate + omega) * t / 2 + twisted * t**2 / 6
+        off = (error + most * angle) * norm(u[THRUST]) + most * aside * u[THRUST].abs().sum(0)
+        push = off / c.mass + known.acceleration
         grown = torch.stack(
             (
                 p + (velocity + v) * t + push * t**2 / 2,

@@ -134,18 +134,19 @@ class Uncertainty:
         """Whether thrusters give some values only."""
         return self.minimum_thrust > 0.0 or self.thrust_quantum > 0.0
 
-    def given(self, thrust: Tensor) -> Tensor:
-        """What the thrusters give where thrust in N is asked for."""
-        if self.thrust_quantum:
-            return self.thrust_quantum * (thrust / self.thrust_quantum).round()
+    def given(self, thrust: Tensor, limit: float) -> Tensor:
+        """What the thrusters give where thrust in N is asked for, within their limit."""
+        if quantum := self.thrust_quantum:
+            most = math.floor(limit / quantum + 1e-9)
+            return quantum * (thrust / quantum).round().clamp(-most, most)
         return torch.where(thrust.abs() < self.minimum_thrust, 0.0, thrust)
 
     def neighbours(self, thrust: Tensor, limit: float) -> tuple[Tensor, Tensor]:
         """What the thrusters give next to thrust in N on either side, within their limit."""
         if quantum := self.thrust_quantum:
             most = math.floor(limit / quantum + 1e-9)
-            low = (thrust / quantum).floor().clamp(-most, most)
-            return quantum * low, quantum * (low + 1.0).clamp(-most, most)
+            low = (thrust / quantum).floor()
+            return quantum * low.clamp(-most, most), quantum * (low + 1.0).clamp(-most, most)
         least = self.minimum_thrust * (1.0 + 1e-9)  # rounded down it would be nothing
         within = thrust.abs() < self.minimum_thrust
         return torch.where(within, 0.0, thrust), torch.where(within, least * thrust.sign(), thrust)
