@@ -38,6 +38,7 @@ from rta.rows import ActuatorGroup, Rows
 from rta.uncertainty import Uncertainty
 
 LONG = 3.0  # s, above which the middle of a hold has rows, too
+LEFT = 0.99  # share of what the actuators can give that a row beyond its limit asks for
 KINDS = 4  # of what is measured: position, velocity, attitude, rates
 
 
@@ -272,6 +273,12 @@ class HeldGroup(ActuatorGroup):
             off = off + self.measured[kind] * (one.abs() + two.abs() + three.abs())
             off = off + spread[kind] * (one * one + two * two + three * three).sqrt()
         return off
+
+    def attainable(self, rows: Rows, limit: Tensor) -> Rows:
+        """Of what the actuators can give a little less, so that tangents that ask for more (`rta.tangents`) have it."""
+        rows, beyond = super().attainable(rows, limit), self.beyond(rows)
+        b, b_bare = (torch.where(beyond & (side < 0.0), LEFT * side, side) for side in (rows.b, rows.b_bare))
+        return replace(rows, b=b, b_bare=b_bare)
 
     def beyond(self, rows: Rows) -> Tensor:
         """(R, B) bool: the constraint is violated or its barrier may be."""
