@@ -2,13 +2,14 @@
 
     result = SafetyFilter()(state, desired)
 
-`SafetyFilter` takes the task's constants and `RtaParameters` (period, gains, margins), and each `Constraint` of your
-own; it answers with a `FilterResult`, whose `Status` says how its control came about.
+`SafetyFilter` takes the task's constants and `RtaParameters` (period, gains, margins), each `Constraint` of your own,
+and `Uncertainty`, what is told about the world's bounds; it answers with a `FilterResult`, whose `Status` says how its control came about.
 """
 
 from rta.constraints import Constraint
 from rta.filter import FilterResult, SafetyFilter
 from rta.parameters import RtaParameters
 from rta.qp import Status
+from rta.uncertainty import Uncertainty
 
-__all__ = ["Constraint", "FilterResult", "RtaParameters", "SafetyFilter", "Status"]
+__all__ = ["Constraint", "FilterResult", "RtaParameters", "SafetyFilter", "Status", "Uncertainty"]
