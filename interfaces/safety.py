@@ -52,9 +52,9 @@ class VectorRunTimeAssurance(VectorWrapper):
         experiment.safety = replace(experiment.safety, correct=self.correct)
         base.begin(experiment)
 
-    def correct(self, x: Tensor, desired: Tensor) -> FilterResult:
+    def correct(self, x: Tensor, desired: Tensor, **told: Tensor) -> FilterResult:
         """Calls the filter and keeps what it was asked and what it answered."""
-        self.calls.append((desired, self.filter.correct(x, desired)))
+        self.calls.append((desired, self.filter.correct(x, desired, **told)))
         return self.calls[-1][1]
 
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:

@@ -3,7 +3,8 @@
     result = SafetyFilter()(state, desired)
 
 `SafetyFilter` takes the task's constants and `RtaParameters` (period, gains, margins), each `Constraint` of your own,
-and `Uncertainty`, what is told about the world's bounds; it answers with a `FilterResult`, whose `Status` says how its control came about.
+and `Uncertainty`, what it is told about the world's bounds; it answers with a `FilterResult`, whose `Status` says how
+its control came about.
 """
 
 from rta.constraints import Constraint

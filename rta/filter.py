@@ -202,14 +202,14 @@ class SafetyFilter:
             informed=self.holds,
         )
 
-    def rows(self, x: Tensor) -> tuple[Rows, Rows]:
-        """The conditions on thrust and on torque at states (16, B)."""
-        zero = torch.zeros_like(x[:CONTROL_SIZE])
+    def rows(self, x: Tensor, control: Tensor | None = None) -> tuple[Rows, Rows]:
+        """The conditions on thrust and on torque at states (16, B), as tangents at controls (6, B), None: at zero."""
+        control = torch.zeros_like(x[:CONTROL_SIZE]) if control is None else control
         if self.holds:
-            spread, left = torch.zeros_like(x[:KINDS]), torch.ones_like(zero)
-            thrust, torque = (Prepared(*run(x, zero, spread, left)) for run in self._prepare_held)
+            spread, left = torch.zeros_like(x[:KINDS]), torch.ones_like(control)
+            thrust, torque = (Prepared(*run(x, control, spread, left)) for run in self._prepare_held)
         else:
-            thrust, torque = self._prepared(x, zero)
+            thrust, torque = self._prepared(x, control)
         return Rows(*thrust[:ROW_FIELDS]), Rows(*torque[:ROW_FIELDS])
 
     def prepare(self, x: Tensor, desired: Tensor) -> list[Tensor]:
@@ -300,6 +300,7 @@ class SafetyFilter:
                 for whole, part in zip(wholes, parts, strict=True):
                     put(whole, unsafe, part)
         status = program_status.amax(0)
+        h = joined(*(prepared.h for prepared in both))
         return FilterResult(
             control=control,
             intervened=status > Status.UNTOUCHED,
@@ -307,8 +308,8 @@ class SafetyFilter:
             slack=joined(*slack),
             status=status,
             program_status=program_status,
-            h=joined(*(prepared.h for prepared in both)),
-            uncertainty=joined(*(torch.zeros_like(prepared.h) for prepared in both)),
+            h=h,
+            uncertainty=torch.zeros_like(h),
         )
 
     def _correct_held(

@@ -25,6 +25,7 @@ def breakdown(env: InspectionEnv, safety_filter: SafetyFilter, agent: Agent) -> 
     watch = Stopwatch(env.x.device)
     env, safety_filter, agent = copy(env), copy(safety_filter), watch.timed("agent", agent)
     safety_filter._prepare = watch.timed("filter: rows", safety_filter._prepare)
+    safety_filter._prepare_held = [watch.timed("filter: rows", run) for run in safety_filter._prepare_held]
     safety_filter.solver = copy(safety_filter.solver)
     safety_filter.solver.solve = watch.timed("filter: programs", safety_filter.solver.solve)  # type: ignore[method-assign]
     env.put_behind(replace(safety_filter.safety(), correct=watch.timed("filter", safety_filter.correct)))

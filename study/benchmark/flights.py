@@ -72,9 +72,9 @@ def record(experiment: Experiment, agent: Agent) -> Flight:
         asked.setdefault(len(problems.a), []).append(problems)
         return solver.solve(problems)
 
-    def correct(x: Tensor, desired: Tensor) -> Correction:
+    def correct(x: Tensor, desired: Tensor, **told: Tensor) -> Correction:
         met.append((x, desired))
-        return safety_filter.correct(x, desired)
+        return safety_filter.correct(x, desired, **told)
 
     safety_filter.solver.solve = solve  # type: ignore[method-assign]
     env = experiment.env(EPISODES)

@@ -7,9 +7,10 @@ import torch
 from torch import Tensor
 
 from rta.constraints import CONSTRAINTS
-from rta.filter import SHORTEST_ROW, SafetyFilter
+from rta.filter import SafetyFilter
 from rta.qp import FEASIBLE, Status
 from rta.rows import ActuatorGroup, Rows
+from rta.tangents import SHORTEST_ROW
 from study.config import Config
 from study.experiment import Experiment
 from study.flight.state_files import read_states
@@ -93,7 +94,9 @@ def enforced(group: ActuatorGroup, rows: Rows, control: Tensor, status: Tensor) 
 def filter_chunk(safety_filter: SafetyFilter, x: Tensor, desired: Tensor) -> dict[str, Tensor]:
     """`filter_states` of a few states: its arrays that have a row per state."""
     result = safety_filter.correct(x, desired)
-    parts = zip(safety_filter.groups, safety_filter.rows(x), result.program_status, strict=True)
+    parts = zip(
+        safety_filter.groups, safety_filter.rows(x, result.control), result.program_status, strict=True
+    )
     programs = [enforced(group, rows, result.control, status) for group, rows, status in parts]
     every = {name: torch.cat([program[name] for program in programs]) for name in programs[0]}
 
