@@ -23,12 +23,12 @@ from tests.test_main import assert_refused, call
 
 @pytest.fixture(scope="module")
 def violated(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A report with violations: an adversary that a filter every 10 s cannot hold."""
+    """A report with violations: a spacecraft of twice the mass that the filter believes, asked every 10 s."""
     import main
 
     path = tmp_path_factory.mktemp("violated") / "report.json"
     config = path.with_name("weak.toml")
-    config.write_text("[inspection]\nmax_thrust = 1.5\n")
+    config.write_text("[inspection]\nmax_thrust = 1.5\n[plant]\nmass_factor = 2.0\n")
     arguments = ["--policy", "adversarial", "--rta-period", "10", "--duration", "60", "--episodes", "128"]
     arguments += ["--qp-solver", "piqp"]
     assert main.main(verify(path, *arguments, "--config", str(config))) == 0
@@ -65,7 +65,9 @@ def test_replay_uses_the_solver_of_the_campaign(
     path = next(violated.parent.glob("*.npz"))
     assert from_toml(str(np.load(path)["config"]), "it").rta.qp_solver == "piqp"
     used = []
-    monkeypatch.setattr("rta.filter.make_solver", lambda name: used.append(name) or make_solver(name))
+    monkeypatch.setattr(
+        "rta.filter.make_solver", lambda name, held: used.append(name) or make_solver(name, held)
+    )
     assert call(["verify", "--replay", str(path)], capsys)[0] == 0
     assert used == ["piqp"]
 
