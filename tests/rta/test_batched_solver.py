@@ -23,7 +23,7 @@ from rta.parameters import RtaParameters
 from rta.piqp_solver import PiqpSolver
 from rta.qp import FEASIBLE, Problems, Solutions, Status
 from tests.rta.test_constraints import tensor
-from tests.rta.test_filter import C, R, near_the_limits
+from tests.rta.test_filter import C, R, commands, near_the_limits
 from tests.rta.test_qp import Problems as Arrays
 from tests.rta.test_qp import feasible, given_slack, projection, with_slack
 
@@ -69,22 +69,39 @@ def steps_on_the_cpu(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(batched_solver, "PIQP_FIRST", ())
 
 
-@pytest.fixture(scope="module", params=["thrust", "torque"])
+def held(count: int, seed: int) -> list[Problems]:
+    """What the filter asks at states within and beyond the limits of a control held for 10 s."""
+    recorder = Recorder()
+    SafetyFilter(C, dataclasses.replace(R, period=10.0), recorder).correct(
+        tensor(near_the_limits(count, seed)), commands(count, seed)
+    )
+    return recorder.asked
+
+
+ROWS = {  # of its programs, thrust and torque: of the rate of now, held, held with the tangents at two controls
+    "thrust": 11,
+    "torque": 6,
+    "held thrust": 22,
+    "held torque": 18,
+    "held thrust again": 44,
+    "held torque again": 36,
+}
+
+
+@pytest.fixture(scope="module", params=ROWS)
 def recorded(request: pytest.FixtureRequest, flights: tuple[Problems, ...]) -> Problems:
-    rows = {"thrust": max, "torque": min}[request.param](len(part.a) for part in flights)
-    return join([part for part in flights if len(part.a) == rows])
+    return join([part for part in flights if len(part.a) == ROWS[request.param]])
 
 
 @pytest.fixture(scope="module")
 def flights() -> tuple[Problems, ...]:
-    """From admissible starts and from states within and beyond the limits, filtered every 1 and every 10 s."""
+    """From admissible starts and from states within and beyond the limits, for controls of 1 and of 10 s."""
     limits = near_the_limits(256, seed=7)
     wide = dataclasses.replace(R, keep_in_margin=0.5, passive_safety_margin=20.0, exclusion_margin=0.2)
     return (
         *fly(1.0, 4, None),
         *fly(1.0, 4, limits),
-        *fly(10.0, 15, None),
-        *fly(10.0, 20, limits),
+        *held(3000, seed=9),
         *fly(1.0, 4, near_the_limits(256, seed=8), wide),  # margins that often cannot be kept
     )
 

@@ -308,7 +308,9 @@ def test_start_can_brake_where_thrust_can_keep_the_zone(period: float) -> None:
     assert 0.5 < can_brake.double().mean() < 1.0
     assert (can_brake.numpy() == (curve >= 0)).all()
     assert (is_safe == (safety.is_in_safe_set(tensor(x)) & can_brake)).all()
-    assert is_safe.sum() < safety.is_in_safe_set(tensor(x)).sum()
+    # where rows are of a held control, no barrier of the safe set is negative, the zone's neither
+    left_out = safety.is_in_safe_set(tensor(x)) & ~can_brake
+    assert left_out.any() == (period == 1.0)
 
 
 def test_temperature_is_felt_before_the_surface_is_lit() -> None:
