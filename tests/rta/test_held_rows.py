@@ -273,3 +273,84 @@ def test_rows_hold_in_every_world_within_the_bounds_and_no_term_can_go(
 @pytest.mark.parametrize("by", ["thrust", "torque"])
 def test_rows_hold_with_everything_at_once(by: str, more: dict[str, Any]) -> None:
     assert broken(group(by, **U1, **more), U1) == set()
+
+
+# the state of now, from one that is some calls old
+
+
+def escaped(told: dict[str, Any], period: float, calls: int) -> list[float]:
+    """By how much position, velocity, attitude and rates are off beyond what `predicted` says, at the worst."""
+    plant = begun(world(told), WORLDS, seed=6, c=C)
+    x = tensor(some_states(WORLDS, seed=6))
+    x[OMEGA] *= 0.3
+    sent = torch.stack([tensor(some_controls(WORLDS, seed=7 + i)) for i in range(calls)])
+    seen = plant.sense(moments(WORLDS), x)
+    for u in sent:
+        x = plant.integrate(x, plant.actuate(moments(WORLDS), u), plant.body, 0.5, round(2 * period))
+    now = relative(plant, x)
+    r, known = RtaParameters(period=period), Uncertainty(latency=calls, **told)
+    there, spread = predicted(seen, sent, C, r, known)
+
+    def beyond(off: Tensor, measured: float) -> Tensor:
+        return norm((off.abs() - measured).clamp(min=0.0))
+
+    turned = 2 * torch.linalg.vecdot(now[Q].T, there[Q].T).abs().clamp(max=1.0).arccos()
+    off = (
+        beyond(now[P] - there[P], known.position),
+        beyond(now[V] - there[V], known.velocity),
+        turned - math.sqrt(3) * math.radians(known.attitude),
+        beyond(now[OMEGA] - there[OMEGA], math.radians(known.rate)),
+    )
+    return [(each - bound).max().item() for each, bound in zip(off, spread, strict=True)]
+
+
+ROUNDING = (5e-3, 5e-4, 2e-4, 1e-9)  # m, m/s, rad, rad/s: of one step of 10 s
+
+
+@pytest.mark.parametrize(
+    ("told", "kinds"),
+    [
+        ({"mass": 0.1, "thrust_gain": 0.05}, (0, 1)),
+        ({"acceleration": 1e-3}, (0, 1)),
+        ({"velocity": 0.006}, (0,)),
+        ({"inertia": 0.15, "torque_gain": 0.05}, (2, 3)),
+        ({"rate": 0.03}, (2,)),
+        (U1, (0, 1)),
+    ],
+    ids=lambda value: str([*value]),
+)
+@pytest.mark.parametrize(("period", "calls"), [(1.0, 1), (1.0, 3), (10.0, 1)])
+def test_the_truth_is_within_what_is_said_of_a_predicted_state(
+    told: dict[str, Any], kinds: tuple[int, ...], period: float, calls: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    found = escaped(told, period, calls)
+    assert all(found[kind] <= ROUNDING[kind] for kind in kinds)
+    # without what is said beyond the measurement's error it is not
+    monkeypatch.setattr("tests.rta.test_held_rows.predicted", lambda *given: unspread(*given))
+    found = escaped(told, period, calls)
+    assert all(found[kind] > 0.0 for kind in kinds)
+
+
+def unspread(*given: Any) -> tuple[Tensor, Tensor]:
+    there, spread = predict(*given)
+    return there, torch.zeros_like(spread)
+
+
+predict = predicted
+
+
+def test_a_younger_state_is_not_predicted_on() -> None:
+    x, u = tensor(some_states(3)), tensor(some_controls(3))
+    sent = torch.stack((u, u))
+    sent[0, :, 1:] = math.nan
+    sent[1, :, 2] = math.nan
+    r, known = RtaParameters(), Uncertainty(latency=2, mass=0.1)
+    there, spread = predicted(x, sent, C, r, known)
+    for column, calls in ((0, 2), (1, 1), (2, 0)):
+        own = [part[:, column : column + 1] for part in (x, u)]
+        alone = predicted(own[0], own[1].expand(calls, -1, -1), C, r, known)
+        assert torch.equal(there[:, column : column + 1], alone[0])
+        assert torch.equal(spread[:, column : column + 1], alone[1])
+    expected = flown(x.numpy()[:, :1], u.numpy()[:, :1], 2.0)
+    np.testing.assert_allclose(there[:, :1].numpy(), expected, rtol=0, atol=1e-5)
+    assert (spread[:, 2] == 0.0).all() and (spread[:2, 0] > spread[:2, 1]).all()

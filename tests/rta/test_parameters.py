@@ -16,7 +16,7 @@ from tests.rta.test_constraints import paper, states, tensor
 
 C = InspectionParameters()
 R = RtaParameters()
-X = tensor(states(50))
+X = tensor(states(100))
 
 
 @pytest.mark.parametrize("period", PERIODS)
