@@ -94,9 +94,7 @@ GAINS = {"collision": 0.1, "dynamic_speed": 0.5, "keep_in_zone": 0.1, "passive_s
 MARGINS = {"collision": 0.02, "keep_in_zone": 0.02, "passive_safety": 1.0}
 
 
-def conditions(
-    held: HeldGroup, x: ndarray, u: ndarray, sags: bool = True
-) -> dict[int, ndarray]:
+def conditions(held: HeldGroup, x: ndarray, u: ndarray, sags: bool = True) -> dict[int, ndarray]:
     """By row: (psi(phi_t(x, u)) - psi(x)) / t + alpha(psi(x)), less what psi sags between the moments."""
     period, found = held.r.period, {}
     times = sorted({0.0, *held.moments, *(t - held.moments[0] / 2 for t in held.moments)})
@@ -248,7 +246,12 @@ CASES = [  # what is told, who holds, what the plant of a filter without it woul
     ({"mass": 0.1, "thrust_gain": 0.05}, "thrust", {"error": 0.0}, THRUST_ROWS),
     ({"thrust_misalignment": 5.0}, "thrust", {"angle": lambda x, spread: 0.0}, THRUST_ROWS),
     ({"acceleration": 1e-3}, "thrust", {"push": 0.0}, THRUST_ROWS),
-    ({"position": 0.6}, "thrust", {"measured": (0.0,) * KINDS}, {"collision", "dynamic_speed", "keep_in_zone"}),
+    (
+        {"position": 0.6},
+        "thrust",
+        {"measured": (0.0,) * KINDS},
+        {"collision", "dynamic_speed", "keep_in_zone"},
+    ),
     ({"velocity": 0.006}, "thrust", {"measured": (0.0,) * KINDS}, THRUST_ROWS),
     ({"attitude": 0.3, "rate": 0.03}, "thrust", {"angle": lambda x, spread: 0.0}, {"collision"}),
     ({"torque_gain": 0.05}, "torque", {"error": 0.0}, RATE_ROWS),
