@@ -89,9 +89,18 @@ ROWS = {  # of its programs, thrust and torque: of the rate of now, held, held w
 }
 
 
-@pytest.fixture(scope="module", params=ROWS)
+def of(flights: tuple[Problems, ...], kind: str) -> Problems:
+    return join([part for part in flights if len(part.a) == ROWS[kind]])
+
+
+@pytest.fixture(scope="module", params=["thrust", "torque"])
 def recorded(request: pytest.FixtureRequest, flights: tuple[Problems, ...]) -> Problems:
-    return join([part for part in flights if len(part.a) == ROWS[request.param]])
+    return of(flights, request.param)
+
+
+@pytest.fixture(scope="module", params=ROWS)
+def every_kind(request: pytest.FixtureRequest, flights: tuple[Problems, ...]) -> Problems:
+    return of(flights, request.param)
 
 
 @pytest.fixture(scope="module")
@@ -153,17 +162,17 @@ def test_recorded_problems_are_many_and_diverse(flights: tuple[Problems, ...]) -
     assert ((status == Status.HARD) & spent).sum() > 50  # infeasible with margins
 
 
-def test_hard_programs_equal_piqp(solver: BatchedSolver, recorded: Problems) -> None:
-    ours, piqp = solver.solve(recorded), PiqpSolver().solve(recorded)
+def test_hard_programs_equal_piqp(solver: BatchedSolver, every_kind: Problems) -> None:
+    ours, piqp = solver.solve(every_kind), PiqpSolver().solve(every_kind)
     assert (ours.status == piqp.status).all()
     hard = ours.status == Status.HARD
     assert (ours.control - piqp.control)[:, hard].abs().max() <= 1e-6
 
 
-def test_slack_programs_equal_piqp_or_the_exact_answer(solver: BatchedSolver, recorded: Problems) -> None:
+def test_slack_programs_equal_piqp_or_the_exact_answer(solver: BatchedSolver, every_kind: Problems) -> None:
     # Slack weights of 1e5 turn PIQP's residuals into errors of up to 1e-3 in the control. Where the two differ,
     # objectives are compared, and non-negative least squares has the last word.
-    slack = recorded[torch.nonzero(solver.solve(recorded).status == Status.SLACK).flatten()]
+    slack = every_kind[torch.nonzero(solver.solve(every_kind).status == Status.SLACK).flatten()]
     ours, piqp = solver.solve(slack).control, PiqpSolver().solve(slack).control
     given = torch.from_numpy(given_slack(arrays(slack)).T)
     for control in (ours, piqp):
@@ -177,10 +186,10 @@ def test_slack_programs_equal_piqp_or_the_exact_answer(solver: BatchedSolver, re
     np.testing.assert_allclose(ours[:, far].T, exact, rtol=0, atol=1e-6)
 
 
-def test_recorded_problems_never_need_piqp(solver: BatchedSolver, recorded: Problems) -> None:
-    answer = solver.solve(recorded)
+def test_recorded_problems_never_need_piqp(solver: BatchedSolver, every_kind: Problems) -> None:
+    answer = solver.solve(every_kind)
     # tangents at the middle and at the end of a hold may be parallel to rounding: one of some thousand programs
-    assert solver.resolved <= (len(recorded.b) in (ROWS["held thrust"], ROWS["held torque"]))
+    assert solver.resolved <= (len(every_kind.b) in (ROWS["held thrust"], ROWS["held torque"]))
     assert (answer.residual <= ACCURATE).sum() >= len(answer.residual) - solver.resolved
     assert (answer.status < Status.UNSOLVED).all()
 

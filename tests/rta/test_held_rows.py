@@ -3,7 +3,6 @@
 Where worlds are drawn they are `inspection.plant`'s, whose own tests stand in tests/inspection/test_plant.py.
 """
 
-import dataclasses
 import math
 from typing import Any
 
@@ -17,14 +16,14 @@ from torch import Tensor
 from inspection.attitude import norm, rotation_matrix
 from inspection.parameters import InspectionParameters
 from inspection.plant import Plant, PlantParameters
-from inspection.state import OMEGA, SIZE, THRUST, P, Q, V
+from inspection.state import OMEGA, THRUST, P, Q, V
 from rta.held_rows import KINDS, HeldGroup, predicted
 from rta.parameters import RtaParameters
 from rta.rows import Rows
 from rta.thrust_constraints import chord, thrust_constraints
 from rta.torque_constraints import torque_constraints
 from rta.uncertainty import Uncertainty
-from tests.inspection.test_dynamics import UNEQUAL, paper_rate
+from tests.inspection.test_dynamics import paper_rate
 from tests.inspection.test_plant import begun, moments
 from tests.rta.test_constraints import clearance, keep_in_curve, length, root, speed_limit, tensor
 from tests.rta.test_filter import LIMIT, commands, near_the_limits
