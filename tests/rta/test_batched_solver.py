@@ -164,15 +164,19 @@ def test_recorded_problems_are_many_and_diverse(flights: tuple[Problems, ...]) -
 
 def test_hard_programs_equal_piqp(solver: BatchedSolver, every_kind: Problems) -> None:
     ours, piqp = solver.solve(every_kind), PiqpSolver().solve(every_kind)
-    assert (ours.status == piqp.status).all()
-    hard = ours.status == Status.HARD
+    solved = piqp.status < Status.UNSOLVED
+    assert (ours.status < Status.UNSOLVED).all() and (~solved).sum() <= len(solved) / 500
+    assert (ours.status == piqp.status)[solved].all()
+    hard = solved & (ours.status == Status.HARD)
     assert (ours.control - piqp.control)[:, hard].abs().max() <= 1e-6
 
 
 def test_slack_programs_equal_piqp_or_the_exact_answer(solver: BatchedSolver, every_kind: Problems) -> None:
     # Slack weights of 1e5 turn PIQP's residuals into errors of up to 1e-3 in the control. Where the two differ,
     # objectives are compared, and non-negative least squares has the last word.
-    slack = every_kind[torch.nonzero(solver.solve(every_kind).status == Status.SLACK).flatten()]
+    solved = PiqpSolver().solve(every_kind).status < Status.UNSOLVED
+    given_up = solver.solve(every_kind).status == Status.SLACK
+    slack = every_kind[torch.nonzero(given_up & solved).flatten()]
     ours, piqp = solver.solve(slack).control, PiqpSolver().solve(slack).control
     given = torch.from_numpy(given_slack(arrays(slack)).T)
     for control in (ours, piqp):
