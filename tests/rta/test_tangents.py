@@ -66,8 +66,8 @@ def test_the_ball_of_the_speed_limit_is_held_and_as_near_as_a_fine_search_finds(
     # ever finer around the best so far
     generator, distance = torch.Generator().manual_seed(1), ((result.control - u)[:3] ** 2).sum(0).sqrt()
     best, centre, radius = torch.full_like(distance, math.inf), torch.zeros_like(u), 1.0
-    for _ in range(7):
-        tries = 600
+    for _ in range(5):
+        tries = 250
         wide, asked = x.repeat_interleave(tries, 1), u.repeat_interleave(tries, 1)
         shift = radius * (2 * torch.rand(3, 3 * tries, generator=generator, dtype=torch.float64) - 1)
         some = centre.repeat_interleave(tries, 1)
@@ -81,20 +81,29 @@ def test_the_ball_of_the_speed_limit_is_held_and_as_near_as_a_fine_search_finds(
         centre = torch.where(better, chosen, centre)
         radius *= 0.4
     # what the parabola between the moments takes off at the desired control stays in its tangents
-    assert (distance <= 1.35 * best).all() and (distance >= best - 2e-2).all()
+    assert (distance <= 1.35 * best).all() and (distance >= best - 5e-2).all()
+
+
+def settled(f: SafetyFilter, x: Tensor, u: Tensor) -> tuple[Settling, Tensor]:
+    """The search for thrust, and its controls (6, B)."""
+    run, given = f._prepare_held[0], [x, u, torch.zeros_like(x[:KINDS]), torch.ones_like(u)]
+    settling = Settling(f.groups[0], run, f.solver, given)
+    thrust, *_ = settling.search(Prepared(*run(*given)))
+    return settling, torch.cat((thrust, u[3:]))
 
 
 def test_with_one_program_rows_are_broken_that_more_tangents_hold(monkeypatch: pytest.MonkeyPatch) -> None:
     x, u = tensor(near_the_limits(30, seed=9)), commands(30, seed=9)
+    u[3:] = 0.0
     f = SafetyFilter(C, RtaParameters(period=10.0))
-    result = f.correct(x, u)
-    held = result.program_status[0] < Status.SLACK
-    least = true_condition(f, x, result.control)
+    settling, control = settled(f, x, u)
+    held = settling.status < Status.SLACK
+    least = true_condition(f, x, control)
     assert (least[held] >= -1e-6).all() and (least[~held] < -1e-6).all()  # and what is not held is counted
     monkeypatch.setattr("rta.tangents.PASSES", 1)
     monkeypatch.setattr(Settling, "go_back", lambda *_: None)
-    once = f.correct(x, u)
-    assert (true_condition(f, x, once.control)[held] < -1e-3).any()
+    _, once = settled(f, x, u)
+    assert (true_condition(f, x, once)[held] < -1e-3).any()
 
 
 def test_thrusters_with_a_grid_get_what_holds_wherever_something_on_it_does() -> None:
