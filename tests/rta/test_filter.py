@@ -302,13 +302,16 @@ def test_start_is_safe_exactly_where_every_h_and_psi_is() -> None:
 
 @pytest.mark.parametrize("period", PERIODS)
 def test_start_can_brake_where_thrust_can_keep_the_zone(period: float) -> None:
-    x, safety = near_the_limits(5000, seed=3), SafetyFilter(C, RtaParameters(period=period))
+    count = 5000 if period == 1.0 else 500  # a held control is searched for at each
+    x, safety = near_the_limits(count, seed=3), SafetyFilter(C, RtaParameters(period=period))
     curve = keep_in_curve(x, chord(C, safety.parameters))
     can_brake, is_safe = safety.can_brake(tensor(x)), safety.is_safe(tensor(x))
     assert 0.5 < can_brake.double().mean() < 1.0
     assert (can_brake.numpy() == (curve >= 0)).all()
-    assert (is_safe == (safety.is_in_safe_set(tensor(x)) & can_brake)).all()
-    assert is_safe.sum() < safety.is_in_safe_set(tensor(x)).sum()
+    inside = safety.is_in_safe_set(tensor(x))
+    assert (is_safe == (inside & can_brake)).all()
+    # where rows are of a held control, no barrier of the safe set is negative, the zone's neither
+    assert (inside & ~can_brake).any() == (period == 1.0)
 
 
 def test_temperature_is_felt_before_the_surface_is_lit() -> None:

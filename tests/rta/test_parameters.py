@@ -16,7 +16,7 @@ from tests.rta.test_constraints import paper, states, tensor
 
 C = InspectionParameters()
 R = RtaParameters()
-X = tensor(states(50))
+X = tensor(states(100))
 
 
 @pytest.mark.parametrize("period", PERIODS)
@@ -30,16 +30,22 @@ def test_gains_are_capped_at_half_the_calls_per_second(period: float) -> None:
         for name, value in vars(expected).items():
             assert torch.equal(getattr(rows, name), value)
     h = tensor(paper(X.numpy()))
-    for rows, row, name, gains, margin in (
-        (SafetyFilter(C, r).rows(X)[0], 0, "collision", (R.collision_gain,), R.collision_margin),
-        (SafetyFilter(C, r).rows(X)[1], 0, "attitude_exclusion", R.exclusion_gains, R.exclusion_margin),
-        (SafetyFilter(C, r).rows(X)[1], 2, "battery", (cap, cap), R.battery_margin),
+    safety = SafetyFilter(C, r)
+    for i, name, gains, margin in (
+        (0, "collision", (R.collision_gain,), R.collision_margin),
+        (1, "attitude_exclusion", R.exclusion_gains, R.exclusion_margin),
+        (1, "battery", (cap, cap), R.battery_margin),
     ):
         spent = math.prod(min(gain, cap) for gain in gains) * margin
-        within = h[CONSTRAINTS.index(name)] >= 0.0
-        assert within.sum() >= 20
-        added = (rows.b_bare - rows.b)[row, within]
-        torch.testing.assert_close(added, torch.full_like(added, spent))
+        rows, of_row = safety.rows(X)[i], safety.groups[i].of_row
+        own = [row for row, each in enumerate(of_row) if each.name == name]
+        assert len(own) == (1 if period == 1.0 else 2)  # at the end of the hold, and in its middle
+        for row in own:
+            # held rows ask beyond their barrier's zero, too, for what there is
+            within = (h[CONSTRAINTS.index(name)] >= 0.0) & ((rows.psi[row] >= 0.0) | (period == 1.0))
+            assert within.sum() >= 20
+            added = (rows.b_bare - rows.b)[row, within]
+            torch.testing.assert_close(added, torch.full_like(added, spent))
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,150 @@
+"""The search for controls that hold rows themselves: against brute force over controls."""
+
+import dataclasses
+import itertools
+import math
+
+import pytest
+import torch
+from torch import Tensor
+
+from inspection.dynamics import integrate
+from inspection.parameters import InspectionParameters
+from inspection.state import OMEGA, SIZE, THRUST, P, Q, V
+from rta.filter import SafetyFilter
+from rta.held_rows import KINDS
+from rta.parameters import RtaParameters
+from rta.qp import Status
+from rta.tangents import Prepared, Settling
+from rta.uncertainty import Uncertainty
+from tests.rta.test_constraints import tensor
+from tests.rta.test_filter import commands, near_the_limits
+
+C = InspectionParameters()
+FREE = dataclasses.replace(C, saturate_rates=False)
+
+
+def across(count: int, share: float, distance: float = 60.0) -> Tensor:
+    """Spacecraft at rest in attitude that fly across their position at a share of the speed limit."""
+    x = torch.zeros(SIZE, count, dtype=torch.float64)
+    x[P.start], x[Q.stop - 1], x[13], x[14], x[15] = distance, 1.0, 0.0, 6.0, 3.0
+    angle = torch.linspace(0.1, 6.0, count, dtype=torch.float64)
+    x[V] = share * limit(x) * torch.stack((0.3 * angle.cos(), angle.cos(), angle.sin()))
+    x[V] *= share * limit(x) / x[V].norm(dim=0)
+    return x
+
+
+def limit(x: Tensor) -> Tensor:
+    return 0.2 + 7.5 * 0.001027 * x[P].norm(dim=0)
+
+
+def desired(count: int, seed: int = 0) -> Tensor:
+    generator = torch.Generator().manual_seed(seed)
+    u = torch.zeros(6, count, dtype=torch.float64)
+    u[THRUST] = 2 * torch.rand(3, count, generator=generator, dtype=torch.float64) - 1
+    return u
+
+
+def true_condition(f: SafetyFilter, x: Tensor, u: Tensor) -> Tensor:
+    """The least of thrust's rows at controls (6, B) themselves, in units of the actuators' limits, (B,)."""
+    group, run = f.groups[0], f._prepare_held[0]
+    rows = Prepared(*run(x, u, torch.zeros_like(x[:KINDS]), torch.ones_like(u)))
+    return (((rows.a * u[group.controls, None].transpose(0, 1)).sum(1) + rows.b_bare) / rows.length).amin(0)
+
+
+def test_the_ball_of_the_speed_limit_is_held_and_as_near_as_a_fine_search_finds() -> None:
+    f = SafetyFilter(C, RtaParameters(period=10.0))
+    x, u = across(3, 0.8), 0.4 * desired(3)
+    u[THRUST] += 0.6 * x[V].sign()  # faster
+    result = f.correct(x, u)
+    assert (result.status == Status.HARD).all()
+    end = integrate(x, result.control, 1.0, FREE, 10)
+    assert (end[V].norm(dim=0) <= limit(end)).all()
+    free = integrate(x, u, 1.0, FREE, 10)
+    assert (free[V].norm(dim=0) > limit(free)).all()  # what is desired does not
+    assert (true_condition(f, x, result.control) >= -1e-6).all()
+    # ever finer around the best so far
+    generator, distance = torch.Generator().manual_seed(1), ((result.control - u)[:3] ** 2).sum(0).sqrt()
+    best, centre, radius = torch.full_like(distance, math.inf), torch.zeros_like(u), 1.0
+    for _ in range(5):
+        tries = 250
+        wide, asked = x.repeat_interleave(tries, 1), u.repeat_interleave(tries, 1)
+        shift = radius * (2 * torch.rand(3, 3 * tries, generator=generator, dtype=torch.float64) - 1)
+        some = centre.repeat_interleave(tries, 1)
+        some[:3] = (some[:3] + shift).clamp(-1, 1)
+        held = true_condition(f, wide, some) >= -1e-6
+        far = torch.where(held, ((some - asked)[:3] ** 2).sum(0).sqrt(), math.inf).reshape(3, tries)
+        least, at = far.min(1)
+        better = least < best
+        best = torch.where(better, least, best)
+        chosen = some.reshape(6, 3, tries).gather(2, at.expand(6, 3)[..., None])[..., 0]
+        centre = torch.where(better, chosen, centre)
+        radius *= 0.4
+    # what the parabola between the moments takes off at the desired control stays in its tangents
+    assert (distance <= 1.35 * best).all() and (distance >= best - 5e-2).all()
+
+
+def settled(f: SafetyFilter, x: Tensor, u: Tensor) -> tuple[Settling, Tensor]:
+    """The search for thrust, and its controls (6, B)."""
+    run, given = f._prepare_held[0], [x, u, torch.zeros_like(x[:KINDS]), torch.ones_like(u)]
+    settling = Settling(f.groups[0], run, f.solver, given)
+    thrust, *_ = settling.search(Prepared(*run(*given)))
+    return settling, torch.cat((thrust, u[3:]))
+
+
+def test_with_one_program_rows_are_broken_that_more_tangents_hold(monkeypatch: pytest.MonkeyPatch) -> None:
+    x, u = tensor(near_the_limits(30, seed=9)), commands(30, seed=9)
+    u[3:] = 0.0
+    f = SafetyFilter(C, RtaParameters(period=10.0))
+    settling, control = settled(f, x, u)
+    held = settling.status < Status.SLACK
+    least = true_condition(f, x, control)
+    assert (least[held] >= -1e-6).all() and (least[~held] < -1e-6).all()  # and what is not held is counted
+    monkeypatch.setattr("rta.tangents.PASSES", 1)
+    monkeypatch.setattr(Settling, "go_back", lambda *_: None)
+    _, once = settled(f, x, u)
+    assert (true_condition(f, x, once)[held] < -1e-3).any()
+
+
+def test_thrusters_with_a_grid_get_what_holds_wherever_something_on_it_does() -> None:
+    quantum = 0.25
+    f = SafetyFilter(C, known=Uncertainty(thrust_quantum=quantum))
+    x, u = across(8, 0.97), desired(8, seed=3)
+    x[OMEGA] = 0.01
+    result = f.correct(x, u)
+    steps = result.control[THRUST] / quantum
+    torch.testing.assert_close(steps, steps.round(), rtol=0, atol=1e-9)
+    holds = true_condition(f, x, result.control) >= -1e-6
+    assert torch.equal(result.program_status[0] < Status.SLACK, holds)
+    values = torch.arange(-1, 1 + quantum / 2, quantum, dtype=torch.float64)
+    grid = torch.tensor(list(itertools.product(values.tolist(), repeat=3)), dtype=torch.float64).T
+    count = grid.shape[1]
+    every = torch.cat((grid.repeat(1, 8), result.control[3:].repeat_interleave(count, 1)))
+    on_grid = true_condition(f, x.repeat_interleave(count, 1), every).reshape(8, count)
+    some = (on_grid >= -1e-6).any(1)
+    assert some.any() and (~(on_grid >= -1e-6)).any(1).all()
+    assert (holds | ~some).all()
+
+
+def test_a_filter_that_is_told_of_nothing_is_the_papers_at_1_s() -> None:
+    x, u = across(8, 0.97), desired(8)
+    one, other = SafetyFilter(C), SafetyFilter(C, known=Uncertainty())
+    assert not one.holds and not other.holds
+    a, b = one.correct(x, u), other.correct(x, u, sent=torch.zeros(1, 6, 8).double(), left=0.5 * u.abs())
+    for field in dataclasses.fields(a):
+        assert torch.equal(getattr(a, field.name), getattr(b, field.name))
+    assert (a.uncertainty == 0.0).all()
+    told = SafetyFilter(C, known=Uncertainty(mass=0.1))
+    assert told.holds and not torch.equal(told.correct(x, u).control, a.control)
+    assert (told.correct(x, u).uncertainty > 0.0).any()
+
+
+def test_a_state_older_than_told_is_counted_unsolved() -> None:
+    f = SafetyFilter(C, known=Uncertainty(latency=1))
+    x, u = across(3, 0.5), desired(3)
+    sent = torch.zeros(2, 6, 3, dtype=torch.float64)
+    sent[0, :, 1:] = math.nan
+    sent[1, :, 2] = math.nan  # two calls old, one, and of now
+    result = f.correct(x, u, sent=sent)
+    assert (result.status == Status.UNSOLVED).tolist() == [True, False, False]
+    assert result.intervened[0] and result.control.isfinite().all()
