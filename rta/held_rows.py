@@ -204,9 +204,9 @@ class HeldGroup(ActuatorGroup):
     ) -> tuple[Tensor, ...]:
         """psi at the beginning and at each moment, and its derivatives by what is measured and by the own controls.
 
-        psi is exact, at the end of the map. Its derivatives are those there, times the map's to first order in a
-        deputy's slow motion (n t = 0.01 at 10 s): a velocity moves a position by t, a force acts along the mean of the
-        body's attitudes R(s), a rate turns by them, too.
+        psi is exact, at the end of the map. Its derivatives are those there, times the map's to first order in n t,
+        0.01 at 10 s: a velocity moves a position by t, a force acts along the mean of the body's attitudes R(s), a rate
+        turns by them, too.
 
         Returns:
             (1 + moments, R, B); how far psi hangs in the middle between two of them, (moments, R, B); derivatives
@@ -306,7 +306,7 @@ class Maps(NamedTuple):
         """Derivatives (R, D, B) along `directions` at the moment to those along them at the beginning."""
         parts = list(by_end.split(3, 1))
         if coupled or held_by == "thrust":
-            parts[1] = parts[1] + self.moment * parts[0]
+            parts[1] = parts[1] + self.moment * (parts[0] + self.coriolis(parts[1]))
         if coupled or held_by == "torque":
             attitude, rate = parts[-2:]
             hill = times(attitude, self.to_end)
@@ -314,14 +314,20 @@ class Maps(NamedTuple):
             parts[-1] = rate + times(hill, self.turned)
         return torch.cat(parts, 1)
 
+    def coriolis(self, velocity: Tensor) -> Tensor:
+        """Derivatives (R, 3, B) by velocity to those by what Hill's turning frame adds to it in a second."""
+        x, y, z = velocity.unbind(1)
+        return 2 * self.c.mean_motion * torch.stack((-y, x, torch.zeros_like(z)), 1)
+
     def by_control(self, by_end: Tensor, held_by: str, coupled: bool, own: slice) -> Tensor:
         """Derivatives along `directions` at the moment to those by controls, (R, m, B)."""
         parts = by_end.split(3, 1)
         both = []
         if coupled or held_by == "thrust":
             position, velocity = parts[:2]
+            later = self.moment * self.turned - self.once  # the integral of (t - s) R(s)
             both.append(
-                (times(velocity + self.moment * position, self.turned) - times(position, self.once))
+                (times(velocity, self.turned) + times(position + self.coriolis(velocity), later))
                 / self.c.mass
             )
         if coupled or held_by == "torque":

@@ -66,7 +66,7 @@ class Experiment:
         choice, calls = config.train.compile, seconds / config.rta.period
         self.filter_compiled = config.train.rta and wants_compile(choice, calls >= WORTH_COMPILING_FILTER)
         self.compiled = wants_compile(choice, steps >= WORTH_COMPILING_SIMULATOR)
-        with refusing("[rta] and [inspection]", ValueError, OverflowError):
+        with refusing("[rta], [inspection] and [uncertainty]", ValueError, OverflowError):
             self.filter = SafetyFilter(config.inspection, self.config.rta, known=config.uncertainty)
         with refusing("[plant] and [inspection]", ValueError):
             config.plant.check_body(config.inspection)

@@ -217,8 +217,10 @@ def test_what_is_given_is_what_the_thrusters_of_the_plant_give() -> None:
     u = torch.cat((thrust, torch.zeros_like(thrust)))
     for name, value in (("minimum_thrust", 0.3), ("thrust_quantum", 0.25), ("thrust_quantum", 0.6)):
         plant = begun(PlantParameters(**{name: value}), 500, c=C)
-        assert torch.equal(Uncertainty(**{name: value}).given(thrust), plant.actuate(moments(500), u)[:3])
-    assert torch.equal(Uncertainty().given(thrust), thrust)
+        assert torch.equal(
+            Uncertainty(**{name: value}).given(thrust, C.max_thrust), plant.actuate(moments(500), u)[:3]
+        )
+    assert torch.equal(Uncertainty().given(thrust, C.max_thrust), thrust)
 
 
 @pytest.mark.parametrize("quantum", [0.05, 0.25, 0.3])
@@ -232,7 +234,9 @@ def test_neighbours_on_the_grid_are_the_nearest_on_either_side(quantum: float) -
         expected = grid[grid <= u].max(initial=-math.inf), grid[grid >= u].min(initial=math.inf)
         expected = np.clip(expected, grid[0], grid[-1])  # beyond the last there is but that one
         assert (below, above) == pytest.approx(tuple(expected))
-    assert torch.equal(told.given(low), low) and torch.equal(told.given(high), high)
+    assert torch.equal(told.given(low, C.max_thrust), low) and torch.equal(
+        told.given(high, C.max_thrust), high
+    )
 
 
 def test_neighbours_of_a_dead_band_are_nothing_and_the_least() -> None:
@@ -241,4 +245,6 @@ def test_neighbours_of_a_dead_band_are_nothing_and_the_least() -> None:
     low, high = told.neighbours(thrust, 1.0)
     torch.testing.assert_close(low, tensor([[0.0, 0.0, 0.0, 0.1, -0.7, 1.0]]))
     torch.testing.assert_close(high, tensor([[0.1, -0.1, 0.0, 0.1, -0.7, 1.0]]))
-    assert torch.equal(told.given(low), low) and torch.equal(told.given(high), high)
+    assert torch.equal(told.given(low, C.max_thrust), low) and torch.equal(
+        told.given(high, C.max_thrust), high
+    )
