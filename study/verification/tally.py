@@ -10,7 +10,7 @@ from rta.constraints import ATTITUDE, CONSTRAINTS, TRANSLATIONAL
 from rta.qp import Status
 from study.verification.flight import ROUNDING, Conflicts, Flight
 
-SHOWN = 20  # calls with slack that a report holds, per constraint
+SHOWN = 10  # calls with slack that a report holds, per constraint
 
 
 def empty_tally() -> dict[str, Any]:
