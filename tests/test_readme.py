@@ -320,6 +320,28 @@ def test_the_filters_periods_are_the_studys(period: str) -> None:
     assert share in text(SAFETY)
 
 
+WORLDS = {
+    "u1_random": ("U1", "random"),
+    "u1_adversarial": ("U1", "adversarial"),
+    "u1_minimum_thrust": ("U1, minimum impulse", "adversarial"),
+    "u1_thrust_quantum": ("U1, quanta", "adversarial"),
+}
+
+
+@pytest.mark.parametrize("name", WORLDS)
+def test_the_worlds_that_are_told_of_are_the_reports(name: str) -> None:
+    report = read(f"verification/{name}.json")
+    worst = report["worst_value"]
+    cells = [
+        *WORLDS[name],
+        f"{report['episodes']:,}, {report['campaign']['duration']:,}",
+        f"{report['violating_episodes']['any']:,}",
+        f"{report['upper_bound_95']:.2g}",
+        f"{worst['keep_in_zone']:.3f}, {worst['passive_safety']:.2f}",
+    ]
+    assert f"| {' | '.join(cells)} |" in text(SAFETY).splitlines()
+
+
 # speed
 
 

@@ -25,7 +25,7 @@ interactions = 24
 evaluation_interval = 12
 evaluation_episodes = 2
 final_episodes = {CASES}
-rta_period = 10.0
+rta_period = 1.0
 compile = "off"
 device = "cpu"
 qp_solver = "batched"
@@ -120,7 +120,7 @@ def test_the_studys_own_filter_gives_the_studys_own_results(study: Path) -> None
     arms = read(study / "results.json")["arms"]
     cross = read(study / "report" / "cross.json")
     assert cross["no_rta"]["off"] == arms["no_rta"]
-    assert cross["rta"]["on"] == arms["rta"] == read(study / "report" / "frequency.json")["10"]
+    assert cross["rta"]["on"] == arms["rta"] == read(study / "report" / "frequency.json")["1"]
 
 
 def test_guidance_meets_the_common_cases_behind_the_filter(study: Path) -> None:
@@ -136,7 +136,7 @@ def test_episodes_are_those_of_simulate(rta: bool, study: Path, tmp_path: Path) 
     settings = tmp_path / "settings.toml"  # as the study has them
     settings.write_text(f"[inspection]\nmax_time = {DURATION}")
     classical += ["--config", str(settings)]
-    filtered = ["--rta" if rta else "--no-rta", "--rta-period", "10", "--qp-solver", "batched"]
+    filtered = ["--rta" if rta else "--no-rta", "--rta-period", "1", "--qp-solver", "batched"]
     for name, flags in (("episode", agent), ("demonstration", classical)):
         arguments = ["simulate", *flags, *filtered, "--duration", str(DURATION), "--out"]
         assert main.main([*arguments, str(tmp_path / "one.npz")]) == 0
