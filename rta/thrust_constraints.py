@@ -244,7 +244,7 @@ def passive_safety(c: InspectionParameters, r: RtaParameters, known: Uncertainty
         barrier=barrier,
         later=barrier,
         rows=len(segments) - 1,
-        exact=True,
+        exact=not known.holds(r),
         doubling=r.passive_safety_doubling,
     )
 

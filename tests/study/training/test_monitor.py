@@ -31,6 +31,7 @@ def correction(generator: torch.Generator) -> FilterResult:
         status=status.amax(0),
         program_status=status,
         h=torch.randn(len(NAMES), BATCH, generator=generator, dtype=torch.float64),
+        uncertainty=torch.zeros(len(NAMES), BATCH),
     )
 
 

@@ -37,10 +37,11 @@ final_episodes = 4
 compile = "off"
 device = "cpu"
 [rta]
-period = 10.0
+period = 1.0
 qp_solver = "batched"
 [inspection]
-max_time = 30.0 # every episode ends within each update
+action_period = 1.0
+max_time = 3.0 # every episode ends within each update
 [ppo]
 epochs = 2
 minibatch_size = 8

@@ -158,7 +158,7 @@ def test_more_draws_go_on_where_the_report_ends(nominal: Experiment, tmp_path: P
 
 
 def test_the_text_fits_into_100_columns(nominal: Experiment) -> None:
-    report = empty_report({}, Config())
+    report = empty_report(Boundary(1.0, 0, BATCH, 4), Config())
     counts = {"draws": 10**9, "violating": 10**9, "lost": 10**8, "upper_bound_95": 1.2e-10}
     many = dict.fromkeys((*CONSTRAINTS, "any"), 10**9)
     report |= dict.fromkeys(("violating_draws", "violating_at_end", "lost_draws", "yielding_draws"), many)
