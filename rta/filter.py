@@ -26,7 +26,7 @@ from rta.rows import ActuatorGroup, Rows
 from rta.tangents import Prepared, Settling, answered, problems, scaled
 from rta.thrust_constraints import keep_in_zone, thrust_constraints
 from rta.torque_constraints import torque_constraints
-from rta.uncertainty import Uncertainty
+from rta.uncertainty import NOTHING, Uncertainty
 
 ROW_FIELDS = len(fields(Rows))
 
@@ -94,11 +94,8 @@ class SafetyFilter:
         extra: Sequence[Constraint] = (),
         known: Uncertainty | None = None,
     ) -> None:
-        c, parameters, known = (
-            c or InspectionParameters(),
-            parameters or RtaParameters(),
-            known or Uncertainty(),
-        )
+        c, parameters = c or InspectionParameters(), parameters or RtaParameters()
+        known = known or NOTHING
         if c.max_acceleration <= 0.0:
             raise ValueError("max_thrust / mass must exceed the natural acceleration within max_distance")
         known.check(c, parameters)
@@ -114,9 +111,7 @@ class SafetyFilter:
         if len(set(self.names)) < len(self.names):
             raise ValueError(f"constraints {', '.join(self.names)}: each name must be there once")
         self._prepare: Callable[[Tensor, Tensor], list[Tensor]] = self.prepare
-        self._prepare_held: list[Callable[..., list[Tensor]]] = [
-            partial(self.prepare_held, group) for group in self.groups
-        ]
+        self._prepare_held = self._uncompiled_held()
 
     def __reduce__(self) -> tuple[Any, ...]:
         return type(self), (self.c, self.parameters, self.solver, self.extra, self.known)
@@ -175,8 +170,17 @@ class SafetyFilter:
         spread = torch.zeros_like(x[:KINDS])
         return [
             Compiled(run, x, u, spread, torch.ones_like(u), batch=batch, trace_only=trace_only)
-            for run in (partial(self.prepare_held, group) for group in self.groups)
+            for run in self._uncompiled_held()
         ]
+
+    def _uncompiled_held(self) -> list[Callable[..., list[Tensor]]]:
+        """`prepare_held` of each group."""
+        return [partial(self.prepare_held, group) for group in self.groups]
+
+    @property
+    def _is_compiled(self) -> bool:
+        """Whether what is computed for every spacecraft is compiled or traced."""
+        return isinstance(self._prepare_held[0] if self.holds else self._prepare, Compiled)
 
     def _take(self, compiled: list[Compiled]) -> None:
         """Uses what was compiled from now on."""
@@ -256,7 +260,7 @@ class SafetyFilter:
             ValueError: another type or shape, a number that is not finite, or a quaternion that is not of length 1.
         """
         given = Given(x, desired)
-        tracing = given.single and given.x.device.type == "cpu" and not isinstance(self._prepare, Compiled)
+        tracing = given.single and given.x.device.type == "cpu" and not self._is_compiled
         result = (self._for_one if tracing else self).correct(given.x, given.desired)
         return FilterResult(*(given.in_kind(getattr(result, field.name)) for field in fields(result)))
 
@@ -316,12 +320,9 @@ class SafetyFilter:
         self, x: Tensor, control: Tensor, program_status: Tensor, sent: Tensor | None, left: Tensor | None
     ) -> FilterResult:
         """Torque first, since the body's turn decides where thrust held will act."""
-        known, stale = self.known, torch.zeros_like(x[0], dtype=torch.bool)
-        x, spread = predicted(
-            x, x.new_zeros(0, *control.shape) if sent is None else sent, self.c, self.parameters, known
-        )
-        if sent is not None:
-            stale = (~sent.isnan().any(1)).sum(0) > known.latency
+        known, sent = self.known, x.new_zeros(0, *control.shape) if sent is None else sent
+        stale = (~sent.isnan().any(1)).sum(0) > known.latency
+        x, spread = predicted(x, sent, self.c, self.parameters, known)
         left = torch.ones_like(control) if left is None or not known.health else left
         control[THRUST] = known.given(control[THRUST], self.c.max_thrust)
         parts: dict[int, list[Tensor]] = {}

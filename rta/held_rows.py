@@ -59,8 +59,7 @@ class HeldGroup(ActuatorGroup):
         self.held_by = held_by
         self.is_coarse = held_by == "thrust" and known.is_coarse
         self.model = unsaturated(c)  # the filter holds the rates
-        least, most = known.thrust if held_by == "thrust" else known.torque
-        self.error, self.most = max(1.0 - least, most - 1.0), most
+        self.error = known.thrust_error if held_by == "thrust" else known.torque_error
         if held_by == "thrust":
             self.push = c.mass * known.acceleration
         else:
@@ -130,7 +129,7 @@ class HeldGroup(ActuatorGroup):
         weight = self.error * slope.abs()
         if self.held_by == "thrust":
             across = (length[:, :, None] ** 2 - slope**2).clamp(min=0.0).sqrt()
-            weight = weight + self.most * self.angle(x, spread) * across
+            weight = weight + self.known.thrust[1] * self.angle(x, spread) * across
         sign = torch.where(u == 0.0, slope.sign(), u.sign())
         tangent = slope - weight * sign
         doubt_now = doubt + total(weight * u.abs(), 2)
@@ -169,8 +168,7 @@ class HeldGroup(ActuatorGroup):
         known, hold, shortest = self.known, self.moments[-1], self.r.period
         measured = math.sqrt(3.0) * math.radians(known.attitude + known.rate * hold / 2)
         strongest = math.sqrt(3.0) * self.c.max_torque / min(self.c.inertia)
-        least, most = known.torque
-        otherwise = max(1.0 - least, most - 1.0) * strongest + self.twist
+        otherwise = known.torque_error * strongest + self.twist
         fixed = math.radians(known.thrust_misalignment) + measured + otherwise * hold**2 / 6
         sooner = strongest * (hold**2 - shortest**2) / 6 + norm(x[OMEGA]) * (hold - shortest) / 2
         return fixed + spread[2] + spread[3] * hold / 2 + sooner
@@ -193,14 +191,14 @@ class HeldGroup(ActuatorGroup):
             own_kind = [each for each, kind in zip(constraints, kinds, strict=True) if kind == ahead]
             if own_kind:
                 counts = [each.rows for each in own_kind]
-                flown = [part.split(counts, 1) for part in self.flown(x, u, own_kind, own, coupled)]
+                flown = [part.split(counts, 1) for part in self.flown(x, u, own_kind, coupled)]
                 there = [u[own].expand(count, -1, -1)[None] for count in counts]
                 parts[ahead] = [list(part) for part in zip(*flown, there, strict=True)]
         in_order = [parts[kind].pop(0) for kind in kinds]
         return tuple(torch.cat(part, 1) for part in zip(*in_order, strict=True))
 
     def flown(
-        self, x: Tensor, control: Tensor, constraints: Sequence[Constraint], own: slice, coupled: bool
+        self, x: Tensor, control: Tensor, constraints: Sequence[Constraint], coupled: bool
     ) -> tuple[Tensor, ...]:
         """psi at the beginning and at each moment, and its derivatives by what is measured and by the own controls.
 
@@ -239,7 +237,7 @@ class HeldGroup(ActuatorGroup):
             to_end = third.transpose(0, 1)
             maps = Maps(x, moment, turned, once, to_end, self.c)
             slopes_x.append(maps.by_state(by_end, self.held_by, coupled) if self.doubts else by_x)
-            slopes_u.append(maps.by_control(by_end, self.held_by, coupled, own))
+            slopes_u.append(maps.by_control(by_end, self.held_by, coupled))
             values.append(value)
             y, earlier = end, moment
         return (
@@ -319,7 +317,7 @@ class Maps(NamedTuple):
         x, y, z = velocity.unbind(1)
         return 2 * self.c.mean_motion * torch.stack((-y, x, torch.zeros_like(z)), 1)
 
-    def by_control(self, by_end: Tensor, held_by: str, coupled: bool, own: slice) -> Tensor:
+    def by_control(self, by_end: Tensor, held_by: str, coupled: bool) -> Tensor:
         """Derivatives along `directions` at the moment to those by controls, (R, m, B)."""
         parts = by_end.split(3, 1)
         both = []
@@ -363,12 +361,11 @@ def predicted(
         States (16, B) and (4, B), see `HeldGroup.conditions_at`.
     """
     model, spread, t = unsaturated(c), x.new_zeros(KINDS, x.shape[1]), r.period
-    (least, most), (weakest, strongest) = known.thrust, known.torque
     aside, attitude = (
         math.sin(math.radians(known.thrust_misalignment)),
         math.radians(math.sqrt(3.0) * known.attitude),
     )
-    error, twist = max(1.0 - least, most - 1.0), max(1.0 - weakest, strongest - 1.0)
+    error, most, twist = known.thrust_error, known.thrust[1], known.torque_error
     velocity, rate = math.sqrt(3.0) * known.velocity, math.radians(math.sqrt(3.0) * known.rate)
     for u in sent:
         old = ~u.isnan().any(0)

@@ -15,9 +15,7 @@ from rta.constraints import ACTUATORS, Constraint, check
 from rta.lie_derivatives import Function, lie_derivative, lie_derivatives
 from rta.parameters import RtaParameters
 from rta.qp import total
-from rta.uncertainty import Uncertainty
-
-NOTHING = Uncertainty()
+from rta.uncertainty import NOTHING, Uncertainty
 
 
 @dataclass

@@ -19,9 +19,8 @@ SHORTEST_ROW = 1e-6
 
 TOLERATED = 1e-6  # in units of the actuators' limits, by which rows themselves may be short
 INSET = 1e-3  # in the same unit, by which tangents ask for more, so that few of them are enough
-PASSES = (
-    8  # programs solved for one control at most; with 4, one in 200,000 random calls at 10 s was not settled
-)
+# Programs solved for one control at most; with 4, one in 200,000 random calls at 10 s was not settled.
+PASSES = 8
 FARTHEST = 100.0  # above all distances squared and all that rows have left over, in the same unit
 
 
@@ -108,10 +107,8 @@ class Settling:
         self.group, self.run, self.solver, self.given = group, run, solver, given
         _, control, _, left = given
         self.desired, self.limit = control[group.controls] / group.limit, group.limit * left[group.controls]
-        self.control, self.score = (
-            torch.zeros_like(self.desired),
-            torch.full_like(self.desired[0], -torch.inf),
-        )
+        self.control = torch.zeros_like(self.desired)
+        self.score = torch.full_like(self.desired[0], -torch.inf)
         self.status = torch.full_like(self.score, Status.UNSOLVED, dtype=torch.int64)
         self.active = self.score.new_zeros(len(group.constraints), len(self.score), dtype=torch.bool)
         self.slack = torch.zeros_like(self.active, dtype=self.score.dtype)
@@ -127,7 +124,7 @@ class Settling:
             todo, u, within = todo[again], pick(answer.control, again), pick(within, again)
             if not again.numel():
                 break
-            asked = joined(asked[again], inset(tangents[again]), answer.status[again] == Status.SLACK)
+            asked = with_tangents(asked[again], inset(tangents[again]), answer.status[again] == Status.SLACK)
         else:
             self.go_back(todo, u, within)
         if self.group.is_coarse:
@@ -153,9 +150,8 @@ class Settling:
         held = least >= -TOLERATED
         status = torch.where(held, Status.HARD, Status.SLACK).masked_fill(~solved, Status.UNSOLVED)
         score = torch.where(held, FARTHEST - distance, least).nan_to_num(-torch.inf)
-        better = torch.nonzero(solved & (score > self.score[columns])).flatten()
-        first = torch.nonzero(self.score[columns].isinf()).flatten()
-        better = torch.cat((better, first)).unique()
+        before = self.score[columns]
+        better = torch.nonzero(before.isinf() | (solved & (score > before))).flatten()
         active, slack = answered(self.group, tangents, length, u, status)
         for whole, part in (
             (self.control, u),
@@ -186,7 +182,7 @@ class Settling:
             self.take(every, torch.where(upper, high, low) / self.group.limit, solved)
 
 
-def joined(asked: Problems, tangents: Problems, anew: Tensor) -> Problems:
+def with_tangents(asked: Problems, tangents: Problems, anew: Tensor) -> Problems:
     """Programs with these tangents, too; where `anew` (M,) with these alone, the others having left no control."""
     times = len(asked.b) // len(tangents.b)
 

@@ -18,13 +18,12 @@ from inspection.state import P, V
 from rta.constraints import Constraint
 from rta.lie_derivatives import Function
 from rta.parameters import RtaParameters
-from rta.uncertainty import Uncertainty
+from rta.uncertainty import NOTHING, Uncertainty
 
 PASSES = 13  # grid points per segment of the free flight: at most 12 s apart in the default segments
 SEGMENTS = 5  # of the free flight where its infimum is reported
 
 
-NOTHING = Uncertainty()
 Entry = partial(Constraint, held_by="thrust", coupled=False)  # which no other actuator changes
 
 

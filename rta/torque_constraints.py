@@ -16,9 +16,8 @@ from inspection.parameters import InspectionParameters
 from inspection.state import OMEGA, E, T
 from rta.constraints import Constraint
 from rta.parameters import RtaParameters
-from rta.uncertainty import Uncertainty
+from rta.uncertainty import NOTHING, Uncertainty
 
-NOTHING = Uncertainty()
 Entry = partial(Constraint, held_by="torque", coupled=False)  # which no other actuator changes
 
 

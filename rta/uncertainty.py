@@ -105,6 +105,18 @@ class Uncertainty:
         """Smallest and largest angular acceleration of an axis for that of the model."""
         return (1 - self.torque_gain) / (1 + self.inertia), (1 + self.torque_gain) / (1 - self.inertia)
 
+    @property
+    def thrust_error(self) -> float:
+        """Largest share by which an acceleration along an axis is off."""
+        least, most = self.thrust
+        return max(1.0 - least, most - 1.0)
+
+    @property
+    def torque_error(self) -> float:
+        """Largest share by which an angular acceleration is off."""
+        least, most = self.torque
+        return max(1.0 - least, most - 1.0)
+
     def max_acceleration(self, c: InspectionParameters) -> float:
         """a_max in m/s^2 that is there in the worst case: of the least thrust, less what is unknown."""
         most = c.max_thrust / c.mass
@@ -150,3 +162,6 @@ class Uncertainty:
         least = self.minimum_thrust * (1.0 + 1e-9)  # rounded down it would be nothing
         within = thrust.abs() < self.minimum_thrust
         return torch.where(within, 0.0, thrust), torch.where(within, least * thrust.sign(), thrust)
+
+
+NOTHING = Uncertainty()
