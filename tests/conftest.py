@@ -4,6 +4,7 @@ import itertools
 import json
 import math
 import os
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ import torch
 from hypothesis import settings
 from scipy.spatial.transform import Rotation
 
+from inspection import initial_state
 from inspection.environment import METRICS
 from inspection.parameters import InspectionParameters
 from inspection.state import OMEGA, SIZE, THETA_S, E, P, Q, T, V
@@ -30,6 +32,14 @@ settings.load_profile("project")
 def patience(monkeypatch):
     """Keeps bars and what is said of long steps out of stderr, however busy the machine is."""
     monkeypatch.setattr(progress, "PATIENCE", 1e9)
+
+
+@pytest.fixture(scope="module")
+def small_pools() -> Iterator[None]:
+    """Few initial states drawn at once: whether one is safe is a search for a control where rows are of a hold."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(initial_state, "POOL", 64)
+        yield
 
 
 @pytest.fixture(scope="session")
