@@ -11,6 +11,7 @@ from inspection.environment import InspectionEnv
 from interfaces.safety import RunTimeAssurance, VectorRunTimeAssurance
 from rta.constraints import CONSTRAINTS
 from rta.filter import SafetyFilter
+from rta.parameters import RtaParameters
 from study.config import Config
 from study.errors import InputError
 
@@ -21,8 +22,11 @@ REPORTS = {"u_des", "u_safe", "intervened", "active", "status"}
 
 @pytest.fixture
 def short(c):
-    """Episodes of 30 s, so that some steps are the last."""
-    return Config(inspection=replace(c, max_time=30.0))
+    """Episodes of 3 s in steps of 1 s, so that some steps are the last; a filter of 10 s unless told otherwise."""
+    return Config(inspection=replace(c, action_period=1.0, max_time=3.0), rta=RtaParameters(period=10.0))
+
+
+pytestmark = pytest.mark.usefixtures("small_pools")
 
 
 def actions(*shape):
@@ -61,8 +65,8 @@ def test_every_call_is_reported_as_the_filter_answers_it(c):
 @pytest.mark.parametrize("tensors", [False, True])
 def test_the_flight_is_that_of_the_simulator_with_the_filter_in_its_loop(short, tensors):
     generator = torch.Generator().manual_seed(SEED)
-    native = InspectionEnv(EPISODES, short.inspection, [generator], direct_filter(short, 10.0).safety())
-    env = VectorRunTimeAssurance(gymnasium.make_vec(ID, num_envs=EPISODES, config=short), period=10.0)
+    native = InspectionEnv(EPISODES, short.inspection, [generator], direct_filter(short, 1.0).safety())
+    env = VectorRunTimeAssurance(gymnasium.make_vec(ID, num_envs=EPISODES, config=short), period=1.0)
     env.reset(seed=SEED)
     native.reset()
     ended = 0

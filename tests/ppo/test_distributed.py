@@ -43,10 +43,11 @@ final_episodes = 2
 compile = "off"
 device = "cpu"
 [rta]
-period = 10.0
+period = 1.0
 qp_solver = "batched"
 [inspection]
-max_time = 30.0 # s; every episode ends within each update
+action_period = 1.0
+max_time = 3.0 # s; every episode ends within each update
 [ppo]
 epochs = 4
 minibatch_size = 9

@@ -27,9 +27,10 @@ evaluation_episodes = 1
 compile = "off"
 device = "cpu"
 [rta]
-period = 10.0
+period = 1.0
 [inspection]
-max_time = 20.0 # s; every episode ends within the update
+action_period = 1.0
+max_time = 2.0 # s; every episode ends within the update
 [ppo]
 minibatch_size = 4
 hidden = [8]

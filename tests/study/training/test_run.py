@@ -22,8 +22,14 @@ from study.training.run import Stopped
 MAIN = Path(__file__).parents[3] / "main.py"
 
 
-def tiny(period: float = 1.0, qp_solver: str = "auto", minibatch_size: int = 64, **train: object) -> Config:
-    """A run of 6 updates that takes a few seconds; the filter's period in s."""
+def tiny(
+    period: float = 1.0,
+    qp_solver: str = "auto",
+    minibatch_size: int = 64,
+    action_period: float = 10.0,
+    **train: object,
+) -> Config:
+    """A run of 6 updates that takes a few seconds; the filter's and the agent's period in s."""
     tables = {
         "train": {
             "rta": False,
@@ -35,6 +41,7 @@ def tiny(period: float = 1.0, qp_solver: str = "auto", minibatch_size: int = 64,
             "device": "cpu",
         }
         | train,
+        "inspection": {"action_period": action_period},
         "rta": {"period": period, "qp_solver": qp_solver},
         "ppo": {"epochs": 2, "minibatch_size": minibatch_size},
     }
@@ -59,7 +66,7 @@ def weights(run: training.Run) -> list[torch.Tensor]:
 
 @pytest.mark.parametrize("rta", [False, True])
 def test_interrupted_and_resumed_equals_uninterrupted(tmp_path: Path, rta: bool) -> None:
-    config = tiny(10.0, rta=rta, interactions=(2 if rta else 6) * 32 * 4)
+    config = tiny(action_period=1.0, rta=rta, interactions=(2 if rta else 6) * 32 * 4)
     whole = training.start(config, tmp_path / "whole")
     whole.train()
 
@@ -88,7 +95,7 @@ def older(text: str) -> str:
 
 
 def test_a_run_of_an_earlier_version_continues(tmp_path: Path) -> None:
-    run = training.start(tiny(10.0, rta=True, qp_solver="piqp", interactions=32 * 4), tmp_path)
+    run = training.start(tiny(action_period=1.0, rta=True, qp_solver="piqp", interactions=32 * 4), tmp_path)
     for path in (tmp_path / "config.toml", tmp_path / "checkpoint.pt"):
         if path.suffix == ".toml":
             path.write_text(older(path.read_text()))
@@ -142,7 +149,7 @@ def test_the_solver_is_settled_for_one_seed_whatever_is_trained_beside_it() -> N
     assert training.settled_for_a_seed(tiny(qp_solver="piqp", num_envs=32)).rta.qp_solver == "piqp"
 
 
-def test_a_run_is_described_in_a_line(tmp_path: Path) -> None:
+def test_a_run_is_described_in_a_line(small_pools: None, tmp_path: Path) -> None:
     run = training.start(tiny(10.0, minibatch_size=16, rta=True, num_envs=4), tmp_path / "run")
     assert str(run) == f"{tmp_path / 'run'}: RTA at 10 s by piqp, seed 0, 4 episodes at once on cpu"
     arm = training.Run(tiny(num_envs=4), tmp_path, seeds=(3, 4, 5))
