@@ -18,9 +18,13 @@ from study.config import Config, override
 from study.experiment import Experiment
 from study.flight.evaluation import report, run_episodes
 from study.flight.simulation import simulate
+from study.verification import campaign
 from study.verification.starts import safe_set
 from tests.rta.test_constraints import PSM_TOLERANCE, paper, tensor
+from tests.rta.test_rows import FILTER
 from tests.test_main import STATE, assert_refused, call
+
+pytestmark = pytest.mark.usefixtures("small_pools")
 
 FILTERED = SafetyFilter.correct
 UNCOMPILED = {"train": {"compile": "off", "device": "cpu"}}
@@ -37,13 +41,19 @@ def passing_through(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(SafetyFilter, "correct", let_pass)
 
 
+@pytest.fixture
+def small_batches(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A campaign draws the starts of no more episodes than it flies."""
+    monkeypatch.setattr(campaign, "BATCH", 8)
+
+
 def verified(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], substep: float, *more: str
 ) -> dict[str, Any]:
     """The report of a campaign of the adversary."""
     config, path = tmp_path / "config.toml", tmp_path / "report.json"
     config.write_text(f"[inspection]\nsubstep = {substep}\n")
-    arguments = ["--policy", "adversarial", "--episodes", "8", "--duration", "40", "--compile", "off"]
+    arguments = ["--policy", "adversarial", "--episodes", "8", "--duration", "25", "--compile", "off"]
     code, out, err = call(["verify", *arguments, "--config", str(config), "--json", str(path), *more], capsys)
     assert code == 0, err
     content = json.loads(path.read_text())
@@ -54,6 +64,7 @@ def verified(
     return content
 
 
+@pytest.mark.usefixtures("small_batches")
 @pytest.mark.parametrize(("substep", "period"), [(1.0, "1"), (5.0, "5")])
 def test_verify_reports_a_filter_that_corrects_nothing(
     substep: float,
@@ -155,11 +166,11 @@ def coasting(t: float, x: torch.Tensor) -> torch.Tensor:
     return torch.zeros_like(x[:CONTROL_SIZE])
 
 
-def fast_inwards(safety_filter: SafetyFilter, count: int) -> tuple[torch.Tensor, torch.Tensor]:
-    """The starts of the safe set that would soonest be too fast without braking."""
-    x, priority, _ = safe_set(2000, 0, safety_filter)
+def fast_inwards(count: int) -> tuple[torch.Tensor, torch.Tensor]:
+    """The starts of the safe set at 1 s that would soonest be too fast without braking."""
+    x, priority, _ = safe_set(2000, 0, FILTER)
     inwards = -(x[:3] * x[3:6]).sum(0) / x[:3].norm(dim=0)
-    speed = safety_filter.values(x)[CONSTRAINTS.index("dynamic_speed")]
+    speed = FILTER.values(x)[CONSTRAINTS.index("dynamic_speed")]
     chosen = (speed / inwards).where(inwards > 0.5, torch.inf).argsort()[:count]
     return x[:, chosen], priority[:, chosen]
 
@@ -167,10 +178,10 @@ def fast_inwards(safety_filter: SafetyFilter, count: int) -> tuple[torch.Tensor,
 @pytest.mark.parametrize("period", [1.0, 10.0])
 def test_evaluate_reports_what_a_weaker_plant_violates(period: float) -> None:
     """Percent of the action periods' ends and of the filter's calls, against a simulation of every second."""
-    behind, count = experiment(period, 40.0), 3
+    behind, count = experiment(period, 20.0), 3
     # the filter believes in ten times the acceleration that there is
     plant = dataclasses.replace(behind.config.inspection, mass=120.0)
-    x, priority = fast_inwards(behind.filter, count)
+    x, priority = fast_inwards(count)
 
     def env(columns: int, **clocks: float) -> InspectionEnv:
         return InspectionEnv(columns, plant, behind.generators(), behind.safety, period, **clocks)
@@ -216,8 +227,8 @@ def test_evaluate_counts_exact_values_at_the_filters_calls() -> None:
 def test_the_values_of_a_filter_call_are_exact_where_the_enforced_barriers_are_smoothed() -> None:
     filtered = experiment(10.0, 10.0).filter
     rng = np.random.default_rng(0)
-    x, _, _ = safe_set(2000, 1, filtered)
-    x[:3] *= torch.from_numpy(rng.uniform(0.03, 1.0, 2000))
+    x, _, _ = safe_set(300, 1, FILTER)
+    x[:3] *= torch.from_numpy(rng.uniform(0.03, 1.0, 300))
     x[:3] *= (filtered.c.collision_radius / x[:3].norm(dim=0)).clamp(min=1.0)
     h = filtered(x, x.new_zeros(CONTROL_SIZE, x.shape[1])).h
     every = zip(filtered.names, h, filtered.values(x), paper(x.numpy()), strict=True)

@@ -14,6 +14,7 @@ from study.experiment import Experiment
 from study.training import session as training
 from study.training.adversary import WEIGHT, Adversary
 from study.training.run import Run
+from study.verification import campaign
 from study.verification.adversaries import learned
 from study.verification.scales import scales
 from study.verification.starts import initial_states
@@ -21,11 +22,13 @@ from tests.study.training.test_run import tiny
 from tests.study.verification.test_findings import verify
 from tests.test_main import assert_refused, call
 
+pytestmark = pytest.mark.usefixtures("small_pools")
+
 ATTACKED = ("passive_safety", "attitude_exclusion")
 
 
 @pytest.fixture(scope="module")
-def trained(tmp_path_factory: pytest.TempPathFactory) -> Run:
+def trained(small_pools: None, tmp_path_factory: pytest.TempPathFactory) -> Run:
     """A run of two updates behind the filter."""
     directory = tmp_path_factory.mktemp("adversary") / "run"
     config = tiny(
@@ -69,8 +72,13 @@ def test_an_adversary_learns_from_its_own_reward(trained: Run) -> None:
 
 @pytest.mark.parametrize("plant", ["", "[plant]\nlatency = 1\nmass_factor = 1.1\nvelocity_noise = 0.01\n"])
 def test_its_file_flies_behind_the_filter(
-    plant: str, trained: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    plant: str,
+    trained: Run,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
+    monkeypatch.setattr(campaign, "BATCH", 4)  # it draws the starts of no more episodes than it flies
     path, config = tmp_path / "report.json", tmp_path / "plant.toml"
     config.write_text(plant)
     policy = f"learned:{trained.directory / 'policy.pt'}"
