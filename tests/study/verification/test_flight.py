@@ -21,6 +21,7 @@ from tests.rta.test_constraints import PSM_TOLERANCE, paper, tensor
 from tests.rta.test_rows import FILTER, LIMIT
 
 C = InspectionParameters()
+SECONDS, DECIDE = 24, 2  # of an episode, and between two decisions
 
 
 def lax() -> SafetyFilter:
@@ -28,34 +29,33 @@ def lax() -> SafetyFilter:
     wide = dataclasses.replace(
         C, docking_speed=0.4, speed_slope=0.012, max_temperature=11.0, min_energy=0.5, field_of_view=0.5
     )
-    return SafetyFilter(wide, RtaParameters(period=5.0))
+    return SafetyFilter(wide, RtaParameters())
 
 
 @functools.cache
 def six_episodes() -> Flight:
-    """Six episodes of 60 s that decide every 10 s and are filtered every 5 s."""
-    safety = Safety(CONSTRAINTS, FILTER.values, None, lax().correct, 5.0)
-    env = InspectionEnv(6, C, [torch.Generator().manual_seed(0)], safety, 10.0, 1.0)
-    x, priority, _ = safe_set(6, 32, FILTER)
+    """Six episodes that decide every 2 s and are filtered every second."""
+    safety = Safety(CONSTRAINTS, FILTER.values, None, lax().correct, 1.0)
+    env = InspectionEnv(6, C, [torch.Generator().manual_seed(0)], safety, DECIDE, 1.0)
+    x, priority, _ = safe_set(6, 36, FILTER)
     x[13], x[14] = 9.9, 1.1
     policy = held_at_random(C, torch.Generator().manual_seed(0), 6)
-    return fly(env, policy, x, priority, 60)
+    return fly(env, policy, x, priority, SECONDS)
 
 
 def recount(flight: Flight, column: int) -> dict[str, ndarray]:
-    """One episode again, second by second, from its start and what the policy desired every 10 s."""
+    """One episode again, second by second, from its start and what the policy desired every 2 s."""
     safety, x = lax(), flight.start[:16, column : column + 1].numpy()
     states, statuses, slacks, largest = [x], [], [], 0.0
     u = np.zeros((6, 1))
-    for second in range(60):
-        if second % 10 == 0:
-            u = flight.desired[second // 5, :, column : column + 1].numpy()
-        if second % 5 == 0:
-            result = safety.correct(tensor(x), tensor(u))
-            u = result.control.numpy()
-            statuses.append(int(result.status))
-            slacks.append(result.slack[:, 0].numpy())
-            largest = max(largest, (np.abs(u) / LIMIT).max())
+    for second in range(SECONDS):
+        if second % DECIDE == 0:
+            u = flight.desired[second, :, column : column + 1].numpy()
+        result = safety.correct(tensor(x), tensor(u))
+        u = result.control.numpy()
+        statuses.append(int(result.status))
+        slacks.append(result.slack[:, 0].numpy())
+        largest = max(largest, (np.abs(u) / LIMIT).max())
         x = test_rows.fly(x, u, steps=1)
         states.append(x)
     h = paper(np.hstack(states)).T
@@ -96,7 +96,7 @@ def test_chosen_episodes_are_those_of_the_flight() -> None:
     chosen = torch.tensor([False, True, False, True, True, False])
     part = flight[chosen]
     assert part.column.tolist() == [1, 3, 4]
-    assert part.applied.shape == (12, 6, 3) and (part.worst == flight.worst[:, [1, 3, 4]]).all()
+    assert part.applied.shape == (SECONDS, 6, 3) and (part.worst == flight.worst[:, [1, 3, 4]]).all()
     yielded = flight.yielded[:, chosen].sum()
     assert (part.conflicts.slack > 0).sum() == yielded
 

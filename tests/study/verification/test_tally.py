@@ -11,7 +11,7 @@ from rta.qp import Status
 from study.verification import tally
 from study.verification.flight import Flight
 from tests.rta.test_constraints import PSM_TOLERANCE, paper, tensor
-from tests.study.verification.test_flight import lax, recounted, six_episodes
+from tests.study.verification.test_flight import DECIDE, SECONDS, lax, recounted, six_episodes
 
 ORIGIN = {"batch_seed": 17, "batch_size": 20}
 
@@ -30,7 +30,7 @@ def test_a_report_adds_its_flights_up() -> None:
     tally.add(report, flight, ORIGIN | {"batch_seed": 18})
     violating = np.array([one["violating"] for one in episodes])
     worst = np.array([one["worst"] for one in episodes])
-    assert (report["episodes"], report["steps"]) == (12, 12 * 61)
+    assert (report["episodes"], report["steps"]) == (12, 12 * (SECONDS + 1))
     assert (violating[:, -1] > 0).sum() > 0 and (violating.sum(0) > 0).sum() >= 3
     for i, name in enumerate((*CONSTRAINTS, "any")):
         assert report["violating_steps"][name] == 2 * violating[:, i].sum()
@@ -69,8 +69,8 @@ def test_calls_with_slack_are_shown_and_counted(monkeypatch: pytest.MonkeyPatch)
         expected = [one["slack"].get(name, 0.0) for name in CONSTRAINTS]
         np.testing.assert_allclose(again.slack[:, 0], expected, rtol=0, atol=1e-9)
         np.testing.assert_allclose(list(one["h"].values()), paper(x)[:, 0], rtol=0, atol=PSM_TOLERANCE)
-        call, column = int(one["time_s"]) // 5, one["column"] - 3
-        wanted = flight.applied[call - 1] if call % 2 else flight.desired[call]
+        call, column = int(one["time_s"]), one["column"] - 3
+        wanted = flight.applied[call - 1] if call % DECIDE else flight.desired[call]
         np.testing.assert_array_equal(one["control_desired"], wanted[:, column])
 
 
