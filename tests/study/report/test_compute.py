@@ -13,7 +13,7 @@ from study.report import compute, inputs, tables
 
 SEEDS = (5, 6)
 CASES = 4
-DURATION = 10.0
+DURATION = 5.0
 SETTINGS = f"""
 [study]
 seeds = 2
@@ -30,6 +30,7 @@ compile = "off"
 device = "cpu"
 qp_solver = "batched"
 [inspection]
+action_period = {DURATION}
 max_time = {DURATION} # every episode lasts one step
 [ppo]
 epochs = 2
@@ -50,9 +51,10 @@ FILES = {
 
 
 @pytest.fixture(scope="module", autouse=True)
-def brief() -> Any:
-    """Short demonstrations and few cases of the guidance."""
+def brief(small_pools: None) -> Any:
+    """Two periods, short demonstrations and few cases of the guidance."""
     with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(compute, "PERIODS", (1.0, 5.0))
         patch.setattr(compute, "DEMONSTRATION_DURATION", DURATION)
         patch.setattr(compute, "GUIDANCE_CASES", CASES)
         yield
@@ -134,7 +136,7 @@ def test_episodes_are_those_of_simulate(rta: bool, study: Path, tmp_path: Path) 
     agent = ["--controller", "policy", "--checkpoint", str(study / arm / "seed5" / "policy.pt")]
     classical = ["--controller", "lqr-pd", "--initial-state", str(compute.DEMONSTRATION)]
     settings = tmp_path / "settings.toml"  # as the study has them
-    settings.write_text(f"[inspection]\nmax_time = {DURATION}")
+    settings.write_text(f"[inspection]\naction_period = {DURATION}\nmax_time = {DURATION}")
     classical += ["--config", str(settings)]
     filtered = ["--rta" if rta else "--no-rta", "--rta-period", "1", "--qp-solver", "batched"]
     for name, flags in (("episode", agent), ("demonstration", classical)):
@@ -172,7 +174,7 @@ def test_an_interrupted_report_keeps_what_it_has_computed(
 
 
 def test_other_policies_are_computed_anew(copy: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(compute, "PERIODS", (10.0,))
+    monkeypatch.setattr(compute, "PERIODS", (5.0,))
     before = contents(copy / "report")
     shutil.copy(copy / "rta" / "seed6" / "policy.pt", copy / "rta" / "seed5" / "policy.pt")
     compute.compute(copy)
@@ -181,6 +183,8 @@ def test_other_policies_are_computed_anew(copy: Path, monkeypatch: pytest.Monkey
         assert before[name] != after[name]
     old, new = (json.loads(files["cross.json"]) for files in (before, after))
     assert new["no_rta"] == old["no_rta"]
+    old_rate, new_rate = (json.loads(files["frequency.json"])["5"] for files in (before, after))
+    assert new_rate["metrics"] != old_rate["metrics"]
     assert new["rta"]["off"]["metrics"] != old["rta"]["off"]["metrics"]
 
 
