@@ -111,7 +111,7 @@ def flights() -> tuple[Problems, ...]:
     return (
         *fly(1.0, 4, None),
         *fly(1.0, 4, limits),
-        *held(1500, seed=9),
+        *held(500, seed=9),
         *fly(1.0, 4, near_the_limits(256, seed=8), wide),  # margins that often cannot be kept
     )
 

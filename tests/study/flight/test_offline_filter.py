@@ -182,13 +182,14 @@ def test_chunks_do_not_show() -> None:
 def test_the_period_caps_the_gains(
     given: dict[str, ndarray], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    np.savez(tmp_path / "states.npz", **given)
+    count = 600  # a held control is searched for at each
+    np.savez(tmp_path / "states.npz", **{name: array[:count] for name, array in given.items()})
     out = tmp_path / "out.npz"
     arguments = ["filter", "--states", str(tmp_path / "states.npz"), "--out", str(out), "--rta-period", "10"]
     (tmp_path / "off.toml").write_text("[train]\nrta = false\n")  # this command filters all the same
     code, text, err = call([*arguments, "--config", str(tmp_path / "off.toml"), "--compile", "off"], capsys)
     assert code == 0, err
-    assert f"{COUNT:,} states" in text
+    assert f"{count:,} states" in text
     slow = np.load(out)
     i = CONSTRAINTS.index("angular_velocity_x")
     h = slow["h"][:, i]
@@ -196,8 +197,8 @@ def test_the_period_caps_the_gains(
     # the nearer of omega_max -+ omega, in a hold of 10 s
     side, within = np.sign(torque[:, 3]), h >= 0.0
     np.testing.assert_allclose(torque[:, 3], side / 0.0573, rtol=1e-9, atol=1e-12)
-    psi = C.max_rate + side * given["state"][:, 10]
-    assert within.sum() > 1000
+    psi = C.max_rate + side * given["state"][:count, 10]
+    assert within.mean() > 1 / 3
     np.testing.assert_allclose(
         slow["b"][within, i], 0.05 * psi[within], rtol=0, atol=1e-9
     )  # 0.5 / period, no margin
