@@ -7,7 +7,7 @@ until no row is violated or the active rows exclude the next one. No more rows c
 variables, so the state of a program is small, and one step is the same arithmetic for all of them.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -65,20 +65,22 @@ class BatchedSolver:
     def __reduce__(self) -> tuple[Any, ...]:
         return type(self), (self.steps,)
 
-    def compile(self, rows: int, batch: int, device: torch.device | str) -> None:
+    def compile(self, rows: Sequence[int], batch: int, device: torch.device | str) -> None:
         """See `Solver`. Few programs go beyond the attempt, and these are not compiled."""
-        probe = torch.zeros(rows, 3, 1, dtype=torch.float64, device=device)
         attempted = partial(attempt, steps=self.steps)
-        compiled = Compiled(attempted, probe[0], probe, probe[:, 0], batch=batch)
+        compiled = {}
+        for count in sorted(rows):
+            probe = torch.zeros(count, 3, 1, dtype=torch.float64, device=device)
+            compiled[count] = Compiled(attempted, probe[0], probe, probe[:, 0], batch=batch)
 
         def padded(desired: Tensor, a: Tensor, b: Tensor) -> list[Tensor]:
-            missing = rows - len(a)
-            if missing < 0:  # few programs have their rows more than once
+            count = next((count for count in compiled if count >= len(a)), None)
+            if count is None:
                 return attempted(desired, a, b)
-            if missing:
+            if missing := count - len(a):
                 a = torch.cat((a, a.new_zeros(missing, *a.shape[1:])))
                 b = torch.cat((b, b.new_full((missing, b.shape[1]), REDUNDANT)))
-            return compiled(desired, a, b)
+            return compiled[count](desired, a, b)
 
         self._attempt = padded
 

@@ -14,10 +14,11 @@ from torch import Tensor
 from inspection.closed_loop import Safety
 from inspection.compiled import Compiled
 from inspection.parameters import InspectionParameters
-from inspection.state import CONTROL_SIZE, SIZE, THRUST, P, Q
+from inspection.state import CONTROL_SIZE, SIZE, THRUST, TORQUE, P, Q
 from rta.batched_solver import BatchedSolver
 from rta.boundary import Given
 from rta.constraints import ACTUATORS, ATTITUDE, TRANSLATIONAL, Constraint
+from rta.health import turning
 from rta.held_rows import KINDS, HeldGroup, predicted
 from rta.parameters import RtaParameters
 from rta.piqp_solver import PiqpSolver
@@ -53,6 +54,8 @@ class FilterResult:
             state is predicted, of the state of now.
         uncertainty: (constraints, B) what `Uncertainty` takes off the constraint's condition, in h's unit per s (per
             s^2 where the relative degree is two), at the desired control.
+        tightened: (constraints, B) what `uncertainty` is in the unit of the barrier (body rates: rad/s): the value at
+            which it is all that the row lets the barrier fall by.
     """
 
     control: Tensor
@@ -63,6 +66,7 @@ class FilterResult:
     program_status: Tensor
     h: Tensor
     uncertainty: Tensor
+    tightened: Tensor
 
 
 class SafetyFilter:
@@ -74,7 +78,8 @@ class SafetyFilter:
     Args:
         c: the task's constants; None: the paper's.
         parameters: period, gains, margins and weights; None: the defaults.
-        solver: of the quadratic programs; None: the one that the parameters name, PIQP for `auto`.
+        solver: of the quadratic programs; None: the one that the parameters name, for `auto` PIQP or, where controls
+            are held, the batched one.
         extra: constraints of your own.
         known: what is told about the world's bounds; None: the plant is the model.
 
@@ -101,7 +106,9 @@ class SafetyFilter:
         known.check(c, parameters)
         self.c, self.parameters, self.extra, self.known = c, parameters, tuple(extra), known
         self.holds = known.holds(parameters)
-        self.solver = solver or make_solver(parameters.qp_solver.replace("auto", "piqp"), self.holds)
+        # PIQP leaves one in a thousand programs of tangents unsolved
+        auto = "batched" if self.holds else "piqp"
+        self.solver = solver or make_solver(parameters.qp_solver.replace("auto", auto), self.holds)
         of_paper = (thrust_constraints(c, parameters, known), torque_constraints(c, parameters, known))
         constraints = (*of_paper[0], *of_paper[1], *extra)
         kind = HeldGroup if self.holds else ActuatorGroup
@@ -129,7 +136,11 @@ class SafetyFilter:
         """(B,) bool: every h and every Psi_1 is non-negative."""
         thrust, torque = self.groups
         inside = (self.values(x) >= 0.0).all(0) & thrust.holds(x, degree=2) & torque.holds(x, degree=2)
-        return inside & self.is_holdable(x) if self.holds else inside
+        if self.holds:
+            columns = torch.nonzero(inside).flatten()  # of the others nothing is computed
+            if columns.numel():
+                put(inside, columns, self.is_holdable(pick(x, columns)))
+        return inside
 
     def is_holdable(self, x: Tensor) -> Tensor:
         """(B,) bool: no barrier is negative, however wrong the measurement was, and a control satisfies every row."""
@@ -152,7 +163,8 @@ class SafetyFilter:
         no working C++ compiler, and changes nothing then.
         """
         compiled = self._compiled(device, batch, trace_only=False)
-        self.solver.compile(max(len(group.weights) for group in self.groups), batch, device)
+        rows = max(len(group.weights) for group in self.groups)
+        self.solver.compile([rows, 2 * rows] if self.holds else [rows], batch, device)  # held ones twice
         self._take(compiled)
 
     def trace(self, batch: int = 1, device: torch.device | str = "cpu") -> None:
@@ -305,6 +317,7 @@ class SafetyFilter:
                     put(whole, unsafe, part)
         status = program_status.amax(0)
         h = joined(*(prepared.h for prepared in both))
+        nothing = torch.zeros_like(h)
         return FilterResult(
             control=control,
             intervened=status > Status.UNTOUCHED,
@@ -313,7 +326,8 @@ class SafetyFilter:
             status=status,
             program_status=program_status,
             h=h,
-            uncertainty=torch.zeros_like(h),
+            uncertainty=nothing,
+            tightened=nothing,
         )
 
     def _correct_held(
@@ -322,9 +336,15 @@ class SafetyFilter:
         """Torque first, since the body's turn decides where thrust held will act."""
         known, sent = self.known, x.new_zeros(0, *control.shape) if sent is None else sent
         stale = (~sent.isnan().any(1)).sum(0) > known.latency
-        x, spread = predicted(x, sent, self.c, self.parameters, known)
         left = torch.ones_like(control) if left is None or not known.health else left
+        x, spread = predicted(x, left * sent, self.c, self.parameters, known)
+        asked = control.clone()
         control[THRUST] = known.given(control[THRUST], self.c.max_thrust)
+        if known.health:
+            hold = known.hold(self.parameters)
+            control[TORQUE] = turning(x, control[TORQUE], left, self.c, known, hold)
+        changed = torch.stack([(control != asked)[each.controls].any(0) for each in self.groups])
+        program_status = torch.where(changed, Status.HARD, program_status)
         parts: dict[int, list[Tensor]] = {}
         for i in (1, 0):
             group, run = self.groups[i], self._prepare_held[i]
@@ -343,9 +363,13 @@ class SafetyFilter:
             parts[i] = [active, slack, prepared.h, doubt]
         program_status = torch.where(stale, Status.UNSOLVED, program_status)
         status = program_status.amax(0)
-        active, slack, h, doubt = (joined(*both) for both in zip(parts[0], parts[1], strict=True))
+        ordered = parts[0], parts[1]
+        active, slack, h, doubt = (joined(*both) for both in zip(*ordered, strict=True))
+        tightened = joined(
+            *(group.tightened(own[-1]) for group, own in zip(self.groups, ordered, strict=True))
+        )
         return FilterResult(
-            control, status > Status.UNTOUCHED, active, slack, status, program_status, h, doubt
+            control, status > Status.UNTOUCHED, active, slack, status, program_status, h, doubt, tightened
         )
 
     def _correct(

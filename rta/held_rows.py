@@ -158,6 +158,21 @@ class HeldGroup(ActuatorGroup):
             by_row(doubt_now + gain * blur),
         )
 
+    def tightened(self, doubt: Tensor) -> Tensor:
+        """By constraint, the psi (or h, where the relative degree is two) at which alpha(psi) is the doubt (k, B).
+
+        With doubling d, y + y^3 = doubt / (gain d) for y = psi / d has the root 2 / sqrt(3) sinh(asinh(..) / 3).
+        """
+        values = []
+        for each, own in zip(self.constraints, doubt, strict=True):
+            gain, d = self.gain(each.gains[-1]), each.doubling
+            psi = own / gain
+            if d < math.inf:
+                psi = d * 2 / math.sqrt(3.0) * ((1.5 * math.sqrt(3.0) * psi / d).asinh() / 3).sinh()
+            psi = psi.maximum(own / self.gain(math.inf))
+            values.append(psi / self.gain(each.gains[0]) if each.degree == 2 else psi)
+        return torch.stack(values)
+
     def angle(self, x: Tensor, spread: Tensor) -> Tensor:
         """(B,) rad, between the mean direction of a thruster over a hold and that of the rows at most.
 

@@ -1,6 +1,7 @@
 """The filter's programs solved one at a time by PIQP (Schwan et al. 2023), a proximal interior-point method."""
 
 import threading
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -33,7 +34,7 @@ class PiqpSolver:
     def __reduce__(self) -> tuple[Any, ...]:
         return type(self), ()
 
-    def compile(self, rows: int, batch: int, device: torch.device | str) -> None:
+    def compile(self, rows: Sequence[int], batch: int, device: torch.device | str) -> None:
         """Nothing is compiled: PIQP is a library already."""
 
     def solve(self, problems: Problems) -> Solutions:

@@ -12,7 +12,7 @@ Thrust and torque enter disjoint constraints, so the paper's six-variable progra
 Rows are scaled to unit length, which makes b and delta multiples of the actuators' limits.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 from functools import reduce
@@ -96,8 +96,11 @@ class Solver(Protocol):
 
     def solve(self, problems: Problems) -> Solutions: ...
 
-    def compile(self, rows: int, batch: int, device: torch.device | str) -> None:
-        """Compiles what can be, for up to so many rows and about so many programs; raises as `Compiled`."""
+    def compile(self, rows: Sequence[int], batch: int, device: torch.device | str) -> None:
+        """Compiles what can be, for up to each of these numbers of rows and about so many programs.
+
+        Raises as `Compiled`.
+        """
 
 
 def pick(x: Tensor, columns: Tensor) -> Tensor:

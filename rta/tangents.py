@@ -21,6 +21,7 @@ TOLERATED = 1e-6  # in units of the actuators' limits, by which rows themselves 
 INSET = 1e-3  # in the same unit, by which tangents ask for more, so that few of them are enough
 # Programs solved for one control at most; with 4, one in 200,000 random calls at 10 s was not settled.
 PASSES = 8
+IN_VAIN = 2  # passes in a row that bring nothing where rows yield, after which no more are tried
 FARTHEST = 100.0  # above all distances squared and all that rows have left over, in the same unit
 
 
@@ -87,9 +88,9 @@ class Settling:
     """The search for controls that hold the rows themselves, not only their tangents at the desired ones.
 
     What is convex lies within its tangents, so a solution may break it. Then the tangents there are added, and the
-    program is solved again (Kelley 1960). What is left after PASSES goes back towards no control: from there to the
-    solution a concave psi is at least its chord. Where thrusters give some values only, their neighbours of the
-    solution are tried. What is still broken is counted as slack.
+    program is solved again (Kelley 1960); where the first leaves no control, with those at none. What is left when that
+    ends goes back towards no control: from there to the solution a concave psi is at least its chord. Where thrusters
+    give some values only, their neighbours of the solution are tried. What is still broken is counted as slack.
 
     Args:
         run: `SafetyFilter.prepare_held` of the group.
@@ -116,17 +117,28 @@ class Settling:
     def search(self, prepared: Prepared) -> list[Tensor]:
         """From the rows at controls near the desired ones to control (3, M) in N or N m, status, active and slack."""
         asked = inset(problems(self.group, prepared, self.desired, self.limit))
-        todo = torch.arange(len(self.score), device=self.score.device)
-        for _ in range(PASSES):
+        todo, broken = torch.arange(len(self.score), device=self.score.device), []
+        in_vain = torch.zeros_like(todo)
+        for number in range(PASSES):
             answer = self.solver.solve(asked)
-            tangents, within, held = self.take(todo, answer.control, answer.status < Status.UNSOLVED)
-            again = torch.nonzero(~held & (answer.status < Status.UNSOLVED)).flatten()
-            todo, u, within = todo[again], pick(answer.control, again), pick(within, again)
+            solved = answer.status < Status.UNSOLVED
+            tangents, within, held, better = self.take(todo, answer.control, solved)
+            # of rows that yield no cut is kept, so that they may go on in a circle
+            in_vain = torch.where(better | (answer.status == Status.HARD), 0, in_vain + 1)
+            worthwhile = (in_vain < IN_VAIN) & (number < PASSES - 1)
+            left = torch.nonzero(~held & solved & ~worthwhile).flatten()
+            broken.append((todo[left], pick(answer.control, left), pick(within, left)))
+            again = torch.nonzero(~held & solved & worthwhile).flatten()
             if not again.numel():
                 break
-            asked = with_tangents(asked[again], inset(tangents[again]), answer.status[again] == Status.SLACK)
-        else:
-            self.go_back(todo, u, within)
+            todo, in_vain, tangents = todo[again], in_vain[again], tangents[again]
+            yields = answer.status[again] == Status.SLACK
+            if number == 0:
+                self.restart(todo, tangents, yields)
+            asked = with_tangents(asked[again], inset(tangents), yields)
+        columns, u, within = (torch.cat(parts, -1) for parts in zip(*broken, strict=True))
+        if columns.numel():
+            self.go_back(columns, u, within)
         if self.group.is_coarse:
             self.try_neighbours()
         return [self.control * self.group.limit, self.status, self.active, self.slack]
@@ -138,11 +150,11 @@ class Settling:
         there = Prepared(*self.run(x, control, spread, left))
         return problems(self.group, there, u, pick(self.limit, columns)), there.length
 
-    def take(self, columns: Tensor, u: Tensor, solved: Tensor) -> tuple[Problems, Tensor, Tensor]:
+    def take(self, columns: Tensor, u: Tensor, solved: Tensor) -> tuple[Problems, Tensor, Tensor, Tensor]:
         """Takes controls (3, m) where they are better: the nearest of those that hold the rows, else the least short.
 
         Returns:
-            The tangents there; how far u is within the rows, (R, m); (m,) bool, it holds them.
+            The tangents there; how far u is within the rows, (R, m); (m,) bool, it holds them; it is clearly better.
         """
         tangents, length = self.at(columns, u)
         within = total(tangents.a * u, 1) + tangents.b_bare
@@ -161,7 +173,23 @@ class Settling:
             (self.score, score),
         ):
             put(whole, columns[better], pick(part, better))
-        return tangents, within * length, held
+        return tangents, within * length, held, score > before + TOLERATED
+
+    def restart(self, columns: Tensor, tangents: Problems, yields: Tensor) -> None:
+        """Puts tangents at no control in the place of those at a solution that yields (m,), in place.
+
+        Far from no control tangents lose what psi hangs between two moments there, and may leave no control where a
+        small one holds the rows.
+        """
+        chosen = torch.nonzero(yields).flatten()
+        if chosen.numel():
+            at_rest, _ = self.at(columns[chosen], torch.zeros_like(self.desired[:, : len(chosen)]))
+            for whole, part in (
+                (tangents.a, at_rest.a),
+                (tangents.b, at_rest.b),
+                (tangents.b_bare, at_rest.b_bare),
+            ):
+                put(whole, chosen, part)
 
     def go_back(self, columns: Tensor, u: Tensor, within: Tensor) -> None:
         """Where no control of the group's own holds the rows, takes as much of controls u (3, m) as does, too."""

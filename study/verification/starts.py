@@ -72,7 +72,7 @@ def safe_set(count: int, seed: int, safety_filter: SafetyFilter) -> tuple[Tensor
         missing = count - kept.shape[1]
         taken = torch.nonzero(safe).flatten()[:missing]
         seen = int(taken[-1]) + 1 if taken.numel() == missing else safe.numel()
-        rejected += int((exact.is_in_safe_set(x) & ~safe)[:seen].sum())
+        rejected += int(exact.is_in_safe_set(x[:, :seen][:, ~safe[:seen]]).sum())
         kept = torch.cat((kept, torch.cat((x, priority))[:, taken]), 1)
         if kept.shape[1] == count:
             return kept[:SIZE], kept[SIZE:], rejected

@@ -361,3 +361,13 @@ def test_a_younger_state_is_not_predicted_on() -> None:
     expected = flown(x.numpy()[:, :1], u.numpy()[:, :1], 2.0)
     np.testing.assert_allclose(there[:, :1].numpy(), expected, rtol=0, atol=1e-5)
     assert (spread[:, 2] == 0.0).all() and (spread[:2, 0] > spread[:2, 1]).all()
+
+
+@pytest.mark.parametrize("by", ["thrust", "torque"])
+def test_the_tightened_level_is_where_alpha_is_the_doubt(by: str) -> None:
+    held = group(by, position=0.6, velocity=0.006)
+    doubt = torch.logspace(-6, 1, 40, dtype=torch.float64).expand(len(held.constraints), -1)
+    for each, own, asked in zip(held.constraints, held.tightened(doubt), doubt, strict=True):
+        psi = own * held.gain(each.gains[0]) if each.degree == 2 else own
+        gain = held.gain(each.gains[-1]) * (1 + (psi / each.doubling) ** 2)
+        torch.testing.assert_close(gain.clamp(max=held.gain(math.inf)) * psi, asked)

@@ -8,7 +8,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from inspection.dynamics import integrate
+from inspection.dynamics import integrate, step
 from inspection.parameters import InspectionParameters
 from inspection.state import OMEGA, SIZE, THRUST, P, Q, V
 from rta.filter import SafetyFilter
@@ -148,3 +148,26 @@ def test_a_state_older_than_told_is_counted_unsolved() -> None:
     result = f.correct(x, u, sent=sent)
     assert (result.status == Status.UNSOLVED).tolist() == [True, False, False]
     assert result.intervened[0] and result.control.isfinite().all()
+
+
+# 40 m from the chief at 0.5 m/s, 0.012 m/s below the limit, under full thrust that would be held for 10 s: near the
+# solution of its tangents no control is left, but one of 0.02 N holds everything. Found by the adversary in `verify`.
+NEAR_THE_CHIEF = torch.tensor(
+    [
+        *(30.8977993, -17.3466949, -18.7340552, -0.463251466, -0.158662667, -0.083345558),
+        *(0.122128606, -0.536937505, 0.828067118, -0.105297521),
+        *(0.00139988585, -0.0062494905, -0.0337690613, 6.73731716, 3.72051394, 0.180183711),
+    ],
+    dtype=torch.float64,
+)
+
+
+def test_what_holds_near_no_control_is_found_from_far_away() -> None:
+    x = NEAR_THE_CHIEF[:, None]
+    desired = torch.tensor([1.0, 0.322367, -0.118815, 0.0, 0.0, -0.001], dtype=torch.float64)[:, None]
+    safety = SafetyFilter(C, RtaParameters(period=10.0))
+    answer = safety.correct(x, desired)
+    assert answer.status == Status.HARD
+    for _ in range(10):
+        x = step(x, answer.control, 1.0, C)
+        assert (safety.values(x) >= 0.0).all()

@@ -32,6 +32,7 @@ def correction(generator: torch.Generator) -> FilterResult:
         program_status=status,
         h=torch.randn(len(NAMES), BATCH, generator=generator, dtype=torch.float64),
         uncertainty=torch.zeros(len(NAMES), BATCH),
+        tightened=torch.zeros(len(NAMES), BATCH),
     )
 
 
