@@ -45,7 +45,7 @@ class VectorRunTimeAssurance(VectorWrapper):
         if base.experiment.safety.correct:
             raise ValueError("the environment is behind a filter already")
         own = {"train": {"rta": True}, "rta": {} if period is None else {"period": period}}
-        config = configuration.override(base.experiment.config, own, "RunTimeAssurance")
+        config = configuration.override(base.config, own, "RunTimeAssurance")
         experiment = Experiment(config, base.num_envs)
         self.filter = experiment.filter
         self.calls: list[tuple[Tensor, FilterResult]] = []

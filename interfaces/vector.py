@@ -74,6 +74,7 @@ class VectorInspection6DoF(VectorEnv):
         self.single_action_space = spaces.Box(-1.0, 1.0, (CONTROL_SIZE,), np.float32)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
+        self.config = config  # as it was given, `auto` not settled
         self.begin(Experiment(config, num_envs))
 
     def begin(self, experiment: Experiment) -> None:

@@ -162,7 +162,10 @@ def settled(config: Config, batch: int, device: torch.device) -> Config:
     """The configuration with the solver settled, which is part of what determines a run's numbers."""
     if config.rta.qp_solver != "auto":
         return config
-    solver = "piqp" if device.type == "cpu" and batch < WORTH_BATCHING else "batched"
+    few = batch < WORTH_BATCHING and not config.uncertainty.holds(
+        config.rta
+    )  # then PIQP solves every program
+    solver = "piqp" if device.type == "cpu" and few else "batched"
     return replace(config, rta=replace(config.rta, qp_solver=solver))
 
 

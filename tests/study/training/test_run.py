@@ -146,12 +146,14 @@ def test_the_solver_is_settled_for_one_seed_whatever_is_trained_beside_it() -> N
     for envs, used in ((2, "piqp"), (31, "piqp"), (32, "batched")):
         study = StudyConfig(train=tiny(num_envs=envs).train, study=StudyParameters(seeds=40))
         assert training.settled_for_a_seed(study).rta.qp_solver == used
+    held = tiny(5.0, num_envs=2)  # of which PIQP leaves programs unsolved
+    assert training.settled_for_a_seed(held).rta.qp_solver == "batched"
     assert training.settled_for_a_seed(tiny(qp_solver="piqp", num_envs=32)).rta.qp_solver == "piqp"
 
 
 def test_a_run_is_described_in_a_line(small_pools: None, tmp_path: Path) -> None:
     run = training.start(tiny(10.0, minibatch_size=16, rta=True, num_envs=4), tmp_path / "run")
-    assert str(run) == f"{tmp_path / 'run'}: RTA at 10 s by piqp, seed 0, 4 episodes at once on cpu"
+    assert str(run) == f"{tmp_path / 'run'}: RTA at 10 s by batched, seed 0, 4 episodes at once on cpu"
     arm = training.Run(tiny(num_envs=4), tmp_path, seeds=(3, 4, 5))
     assert str(arm) == f"{tmp_path}: no RTA, seeds 3 to 5, 12 episodes at once on cpu"
 
