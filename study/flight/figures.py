@@ -1,6 +1,7 @@
 """Figures of simulated episodes, from the arrays that `simulate` returns."""
 
 import math
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import matplotlib
@@ -107,6 +108,16 @@ def band(ax: Axes, low: float = -math.inf, high: float = math.inf) -> None:
     ax.set_ylim(bottom, top)
 
 
+def tightened(
+    ax: Axes, episode: Episode, names: Sequence[str], line: Callable[[np.ndarray], np.ndarray]
+) -> None:
+    """A dashed line, where the filter is told of uncertainty, from what that takes off the constraints at most."""
+    parts = [episode[f"tightened_{name}"] for name in names if f"tightened_{name}" in episode]
+    if parts:
+        off = np.max(parts, axis=0)
+        ax.plot(episode["time"], line(off), color="black", ls="--", lw=0.8, drawstyle="steps-post")
+
+
 def speed_panel(ax: Axes, episode: Episode, c: InspectionParameters) -> None:
     """|v| and the limit that grows with the distance."""
     t, speed = episode["time"], speeds(episode)
@@ -116,6 +127,7 @@ def speed_panel(ax: Axes, episode: Episode, c: InspectionParameters) -> None:
     ax.set(ylabel="speed (m/s)", ylim=(0, 1.15 * max(limit.max(), speed.max())))
     ax.fill_between(t, 0, limit, color=SAFE, lw=0, zorder=0)
     ax.fill_between(t, limit, ax.get_ylim()[1], color=UNSAFE, lw=0, zorder=0)
+    tightened(ax, episode, ("dynamic_speed",), lambda off: limit - off)
 
 
 def sun_panel(ax: Axes, episode: Episode, c: InspectionParameters) -> None:
@@ -125,7 +137,9 @@ def sun_panel(ax: Axes, episode: Episode, c: InspectionParameters) -> None:
     sun = np.stack((np.cos(theta), np.sin(theta), np.zeros_like(theta)), 1)
     ax.plot(episode["time"], angle_deg(boresight, sun), color=BLUE)
     ax.set(ylabel="Sun off boresight (deg)", ylim=(0, 182))
-    band(ax, low=math.degrees(c.field_of_view / 2 + c.exclusion_buffer))
+    closest = c.field_of_view / 2 + c.exclusion_buffer
+    band(ax, low=math.degrees(closest))
+    tightened(ax, episode, ("attitude_exclusion",), lambda off: np.degrees(closest + off))
 
 
 def temperature_panel(ax: Axes, episode: Episode, c: InspectionParameters) -> None:
@@ -133,6 +147,7 @@ def temperature_panel(ax: Axes, episode: Episode, c: InspectionParameters) -> No
     ax.plot(episode["time"], episode["temperature"], color=BLUE)
     ax.set(ylabel="temperature (°C)")
     band(ax, high=c.max_temperature)
+    tightened(ax, episode, ("temperature",), lambda off: c.max_temperature - off)
 
 
 def energy_panel(ax: Axes, episode: Episode, c: InspectionParameters) -> None:
@@ -140,6 +155,7 @@ def energy_panel(ax: Axes, episode: Episode, c: InspectionParameters) -> None:
     ax.plot(episode["time"], episode["energy"], color=BLUE)
     ax.set(ylabel="energy (kJ)", ylim=(0, 1.05 * max(episode["energy"].max(), c.min_energy)))
     band(ax, low=c.min_energy)
+    tightened(ax, episode, ("battery",), lambda off: c.min_energy + off)
 
 
 def components(ax: Axes, t: np.ndarray, values: np.ndarray, limit: float, label: str) -> None:
@@ -153,7 +169,10 @@ def components(ax: Axes, t: np.ndarray, values: np.ndarray, limit: float, label:
 
 
 def constraint_figure(episode: Episode, c: InspectionParameters, path: Path) -> None:
-    """The paper's figure of the filter: what each constraint limits and both controls over time, as a PNG."""
+    """The paper's figure of the filter: what each constraint limits and both controls over time, as a PNG.
+
+    Dotted lines are the limits; dashed ones, where the filter is told of uncertainty, as `FilterResult.tightened`.
+    """
     t, distance = episode["time"], np.linalg.norm(episode["position"], axis=1)
     figure = Figure(figsize=(10, 7), layout="constrained")
     axes = figure.subplots(3, 3, sharex=True)
@@ -181,15 +200,24 @@ def constraint_figure(episode: Episode, c: InspectionParameters, path: Path) -> 
     ax.set(ylabel="distance (m)", yscale="log", ylim=(2.5, 1300))
     ax.yaxis.set_major_formatter("{x:g}")
     band(ax, c.collision_radius, c.max_distance)
+    tightened(ax, episode, ("passive_safety",), lambda off: c.collision_radius + off)
     ax.legend(loc="lower left", fontsize=8, frameon=False, handlelength=1.3)
 
     speed_panel(axes[0, 1], episode, c)
     components(axes[0, 2], t, episode["velocity"], c.max_speed, "velocity (m/s)")
+    for sign in (-1.0, 1.0):
+        kept = [f"velocity_{axis}" for axis in "xyz"]
+        tightened(
+            axes[0, 2], episode, kept, lambda off, s=sign: s * np.sqrt((c.max_speed**2 - off).clip(0.0))
+        )
     sun_panel(axes[1, 0], episode, c)
     temperature_panel(axes[1, 1], episode, c)
     energy_panel(axes[1, 2], episode, c)
     rates = np.degrees(episode["angular_velocity"])
     components(axes[2, 0], t, rates, math.degrees(c.max_rate), "body rate (deg/s)")
+    for sign in (-1.0, 1.0):
+        kept = [f"angular_velocity_{axis}" for axis in "xyz"]
+        tightened(axes[2, 0], episode, kept, lambda off, s=sign: s * np.degrees((c.max_rate - off).clip(0.0)))
     applied = episode["control_applied"]
     components(axes[2, 1], t, applied[:, :3], c.max_thrust, "thrust (N)")
     components(axes[2, 2], t, 1e3 * applied[:, 3:], 1e3 * c.max_torque, "torque (mN m)")

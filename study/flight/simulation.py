@@ -64,6 +64,7 @@ def simulate(
         Arrays by name over time, the initial state first; `control_applied` is the control from the row's
         time on, and the last row repeats the one before it. `inspected` is (rows, points) bool. `intervened`
         is (rows, 2) bool, whether a call of the filter from the row up to the next corrected thrust, torque.
+        `tightened_*`, by constraint as in `FilterResult`, are there where the filter is told of uncertainty.
         `parameters`, the only one not over time, is the task's table of a configuration file.
     """
     c = env.c
@@ -82,15 +83,19 @@ def simulate(
             "inspected": env.inspected[:, 0].clone(),  # `look` writes in place
             "intervened": intervened,
             "h": env.constraint_values(state)[:, 0],
+            "tightened": tightened,
         }
         rows.append(fields)
         return intervened
 
+    tightened = torch.zeros_like(env.constraint_values(x)[:, 0])
     holds = env.fly(controller, duration)
     count = env.clocks.count(duration)
     for hold in bar(count, "steps", iterable=holds, desc=f"flying {duration:g} s", leave=False):
         if hold.decided:
             decision = hold.desired
+        if hold.correction is not None:
+            tightened = hold.correction.tightened[:, 0]
         if hold.time == 0.0 or is_multiple(hold.time, env.clocks.report):
             intervened = row(hold.time, hold.state, decision, hold.applied)
         if hold.correction is not None:
@@ -103,8 +108,10 @@ def simulate(
     row(hold.end, hold.after, decision, hold.applied)
 
     arrays = {name: torch.stack([each[name] for each in rows]).cpu().numpy() for name in rows[0]}
-    h = arrays.pop("h")
+    h, tightened = arrays.pop("h"), arrays.pop("tightened")
     arrays |= {f"h_{name}": h[:, i] for i, name in enumerate(env.safety.names)}
+    if tightened.any():
+        arrays |= {f"tightened_{name}": tightened[:, i] for i, name in enumerate(env.safety.names)}
     arrays = {name: array[:, 0] if name in SCALARS else array for name, array in arrays.items()}
     return arrays | {"parameters": np.array(tomli_w.dumps({"inspection": asdict(c)}))}
 
