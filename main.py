@@ -175,9 +175,11 @@ def run_verify(
     keep_worst: bool = False,
     replay: str | None = None,
     boundary: int | None = None,
+    break_points: str | None = None,
 ) -> None:
     """main.py verify"""
     from study.verification import boundary_report
+    from study.verification import break_points as breaking
     from study.verification.boundary import search
     from study.verification.campaign import verify
     from study.verification.counter_examples import replay_file
@@ -189,6 +191,12 @@ def run_verify(
     kept = Path(json) if json else None
     if boundary:
         print(boundary_report.table(search(boundary, seed, configure, kept)))
+        return
+    if break_points:
+        report = breaking.measure(policy, episodes, duration, seed, configure, kept)
+        print(breaking.table(report))
+        with writing(break_points) as file:
+            breaking.figure(report).savefig(file, dpi=120)
         return
     report = verify(
         policy, episodes, duration, seed, configure, kept, check_every, candidates, horizon, keep_worst

@@ -233,6 +233,14 @@ COMMANDS = {
             "instead of episodes, N single calls of the filter at states next to its limits, in whole batches",
             without=("--episodes", "--policy", "--duration"),
         ),
+        Flag(
+            "--break-points",
+            "instead of one world, one effect of [plant] at a time, up to where a limit breaks, with and without "
+            "[uncertainty]; draw the table there",
+            writes=FIGURE,
+            metavar="F.png",
+            without=("--check-every", "--keep-worst", "--candidates", "--horizon", "--boundary"),
+        ),
         seed("of everything random"),
         written("report of verify", "--json", "write the report there, and continue the one it holds"),
         Flag(

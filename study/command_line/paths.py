@@ -58,7 +58,7 @@ def png(path: Path) -> bool:
 FIGURE = "figure in PNG format"
 KINDS: dict[str, Fits] = {
     "evaluation": json_with("metrics", "violations_percent", "outcomes"),
-    "report of verify": json_with("campaign", "upper_bound_95"),
+    "report of verify": json_with("campaign", "config"),
     "benchmark": json_with("simulator_steps_per_s", "min_max"),
     "run of simulate": arrays_with("time", "control_applied"),
     "result of filter": arrays_with("control_safe", "A_all"),
