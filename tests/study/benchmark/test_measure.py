@@ -28,12 +28,12 @@ def test_benchmark_writes_the_promised_json_and_figure(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     few = {
-        timing: {"SHORTEST": 0.0, "REPEATS": 2},
+        timing: {"SHORTEST": 0.0, "REPEATS": 1},
         flights: {"STEPS": 4, "EPISODES": 64},
         rates: {"WARM_CALLS": 1, "SINGLE_CALLS": 5, "SAMPLES": 256},
         measure: {"PROGRAMS": (1, 64), "TYPICAL_PROGRAMS": 64},
         presentation: {"TYPICAL_PROGRAMS": 64},
-        breakdown: {"STEPS": 2},
+        breakdown: {"STEPS": 1},
     }
     for module, settings in few.items():
         for name, value in settings.items():
