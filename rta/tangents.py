@@ -21,6 +21,7 @@ TOLERATED = 1e-6  # in units of the actuators' limits, by which rows themselves 
 INSET = 1e-3  # in the same unit, by which tangents ask for more, so that few of them are enough
 # Programs solved for one control at most; with 4, one in 200,000 random calls at 10 s was not settled.
 PASSES = 8
+PASSES_AT_REST = 3  # of the second search
 IN_VAIN = 2  # passes in a row that bring nothing where rows yield, after which no more are tried
 FARTHEST = 100.0  # above all distances squared and all that rows have left over, in the same unit
 
@@ -88,8 +89,8 @@ class Settling:
     """The search for controls that hold the rows themselves, not only their tangents at the desired ones.
 
     What is convex lies within its tangents, so a solution may break it. Then the tangents there are added, and the
-    program is solved again (Kelley 1960); where the first leaves no control, with those at none. What is left when that
-    ends goes back towards no control: from there to the solution a concave psi is at least its chord. Where thrusters
+    program is solved again (Kelley 1960). For what is left when that ends the search begins again at no control, and
+    the solution goes back towards it: from there to the solution a concave psi is at least its chord. Where thrusters
     give some values only, their neighbours of the solution are tried. What is still broken is counted as slack.
 
     Args:
@@ -131,13 +132,11 @@ class Settling:
             again = torch.nonzero(~held & solved & worthwhile).flatten()
             if not again.numel():
                 break
-            todo, in_vain, tangents = todo[again], in_vain[again], tangents[again]
-            yields = answer.status[again] == Status.SLACK
-            if number == 0:
-                self.restart(todo, tangents, yields)
-            asked = with_tangents(asked[again], inset(tangents), yields)
+            todo, in_vain = todo[again], in_vain[again]
+            asked = with_tangents(asked[again], inset(tangents[again]), answer.status[again] == Status.SLACK)
         columns, u, within = (torch.cat(parts, -1) for parts in zip(*broken, strict=True))
         if columns.numel():
+            self.from_rest(columns)
             self.go_back(columns, u, within)
         if self.group.is_coarse:
             self.try_neighbours()
@@ -175,21 +174,21 @@ class Settling:
             put(whole, columns[better], pick(part, better))
         return tangents, within * length, held, score > before + TOLERATED
 
-    def restart(self, columns: Tensor, tangents: Problems, yields: Tensor) -> None:
-        """Puts tangents at no control in the place of those at a solution that yields (m,), in place.
+    def from_rest(self, columns: Tensor) -> None:
+        """Takes the least control that holds the rows, if tangents near no control lead to it.
 
-        Far from no control tangents lose what psi hangs between two moments there, and may leave no control where a
-        small one holds the rows.
+        Far away they lose what psi hangs between two moments there, and may exclude every small control.
         """
-        chosen = torch.nonzero(yields).flatten()
-        if chosen.numel():
-            at_rest, _ = self.at(columns[chosen], torch.zeros_like(self.desired[:, : len(chosen)]))
-            for whole, part in (
-                (tangents.a, at_rest.a),
-                (tangents.b, at_rest.b),
-                (tangents.b_bare, at_rest.b_bare),
-            ):
-                put(whole, chosen, part)
+        rest = torch.zeros_like(pick(self.desired, columns))
+        tangents, _ = self.at(columns, rest)
+        for _ in range(PASSES_AT_REST):
+            answer = self.solver.solve(inset(replace(tangents, desired=rest)))
+            solved = answer.status < Status.UNSOLVED
+            tangents, _, held, _ = self.take(columns, answer.control, solved)
+            left = torch.nonzero(~held & solved).flatten()
+            if not left.numel():
+                break
+            columns, rest, tangents = columns[left], pick(rest, left), tangents[left]
 
     def go_back(self, columns: Tensor, u: Tensor, within: Tensor) -> None:
         """Where no control of the group's own holds the rows, takes as much of controls u (3, m) as does, too."""
