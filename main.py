@@ -196,7 +196,7 @@ def run_verify(
         report = breaking.measure(policy, episodes, duration, seed, configure, kept)
         print(breaking.table(report))
         with writing(break_points) as file:
-            breaking.figure(report).savefig(file, dpi=120)
+            breaking.figure(report).savefig(file, dpi=90)
         return
     report = verify(
         policy, episodes, duration, seed, configure, kept, check_every, candidates, horizon, keep_worst

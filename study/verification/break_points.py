@@ -253,6 +253,6 @@ def figure(report: dict[str, Any]) -> Figure:
         ax.set(xlim=(0, len(COLUMNS)), ylim=(len(effects), 0))
         ax.tick_params(length=0)
         ax.spines[:].set_visible(False)
-        told_of = "told of the effect, as `[uncertainty]`" if told else "told of nothing"
+        told_of = "told of the effect, as [uncertainty]" if told else "told of nothing"
         ax.set_title(f"{'ab'[i]}) the filter is {told_of}: smallest size that broke a limit", loc="left")
     return fig

@@ -33,7 +33,7 @@ def test_benchmark_writes_the_promised_json_and_figure(
         rates: {"WARM_CALLS": 1, "SINGLE_CALLS": 5, "SAMPLES": 256},
         measure: {"PROGRAMS": (1, 64), "TYPICAL_PROGRAMS": 64},
         presentation: {"TYPICAL_PROGRAMS": 64},
-        breakdown: {"STEPS": 1},
+        breakdown: {"STEPS": 2},
     }
     for module, settings in few.items():
         for name, value in settings.items():
