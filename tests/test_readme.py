@@ -14,6 +14,7 @@ import pytest
 import main
 from study.command_line.arguments import COMMANDS, build_parser, join_axis
 from study.paper import PAPER_METRICS, PAPER_VIOLATIONS, Estimate
+from study.verification import break_points
 
 ROOT = Path(main.__file__).parent
 REFERENCE = ROOT / "runs/reference"
@@ -315,9 +316,10 @@ def test_the_filters_periods_are_the_studys(period: str) -> None:
         interval(results, "reward", 4),
     ]
     assert f"| {' | '.join(cells)} |" in text(SAFETY).splitlines()
-    report = read(f"frequency/random_{period}s.json")
-    share = f"| {period} | {report['violating_episodes']['any']:,} of {report['episodes']:,} |"
-    assert share in text(SAFETY)
+    places = "verification/{}.json" if period == "1" else f"frequency/{{}}_{period}s.json"
+    reports = [read(places.format(policy)) for policy in ("random", "adversarial")]
+    shares = [f"{report['violating_episodes']['any']:,} of {report['episodes']:,}" for report in reports]
+    assert f"| {' | '.join((period, *shares))} |" in text(SAFETY).splitlines()
 
 
 WORLDS = {
@@ -340,6 +342,33 @@ def test_the_worlds_that_are_told_of_are_the_reports(name: str) -> None:
         f"{worst['keep_in_zone']:.3f}, {worst['passive_safety']:.2f}",
     ]
     assert f"| {' | '.join(cells)} |" in text(SAFETY).splitlines()
+
+
+def test_the_break_points_are_the_reports() -> None:
+    report = read("verification/break_points.json")
+    lines = text(SAFETY).splitlines()
+    for effect in dict.fromkeys(world["effect"] for world in report["worlds"]):
+        said = [break_points.said(report, effect, told) for told in (False, True)]
+        unit = break_points.EFFECTS[effect].unit or "share"
+        assert f"| {' | '.join((effect, unit, *said))} |" in lines
+    assert f"in each of the {len(report['worlds'])} worlds" in " ".join(lines)
+
+
+def test_the_agents_in_u1_are_the_evaluations() -> None:
+    study = read("study/rta/results.json")["per_seed"]
+    found = sorted((REFERENCE / "u1").glob("seed*.json"))
+    assert found
+    for path in found:
+        results, seed = json.loads(path.read_text()), int(path.stem.removeprefix("seed"))
+        cells = [
+            f"{seed}",
+            f"{100 * results['outcomes']['success']:g}",
+            f"{results['violations_percent']['any']:.3f}",
+            f"{results['metrics']['reward']['iqm']:.4f}",
+            f"{study[seed]['metrics']['reward']['iqm']:.4f}",
+            f"{results['metrics']['delta_v_m_s']['iqm']:.2f}",
+        ]
+        assert f"| {' | '.join(cells)} |" in text(SAFETY).splitlines()
 
 
 # speed
