@@ -25,7 +25,6 @@ from study.verification.campaign import run
 from study.verification.findings import WIDTH, Campaign, report_in
 from study.verified import fingerprint
 
-SIGMAS = 3.0  # where noise is bounded
 COLUMNS = {
     "separation": ("collision",),
     "speed": ("dynamic_speed",),
@@ -56,14 +55,15 @@ def share(name: str, told: str, sizes: tuple[float, ...]) -> Effect:
 
 def noise(kind: str, unit: str, sizes: tuple[float, ...]) -> Effect:
     """Errors of a sensor's axis up to the size."""
-    return Effect(unit, lambda s: {f"{kind}_noise": s / SIGMAS}, lambda s, _: {kind: s}, sizes)
+    return Effect(
+        unit, lambda s: {f"{kind}_noise": s / PlantParameters.noise_bound}, lambda s, _: {kind: s}, sizes
+    )
 
 
 EFFECTS = {
     "mass": share("mass_factor", "mass", (0.03, 0.1, 0.3, 0.5)),
-    "inertia": share(
-        "inertia_factor", "inertia", (0.03, 0.1, 0.2, 0.3)
-    ),  # beyond a third no such body is possible
+    # beyond a third no such body is possible
+    "inertia": share("inertia_factor", "inertia", (0.03, 0.1, 0.2, 0.3)),
     "thrust gain": share("thrust_gain", "thrust_gain", (0.03, 0.1, 0.3, 0.5)),
     "torque gain": share("torque_gain", "torque_gain", (0.1, 0.3, 0.6, 0.9)),
     "misalignment": Effect(
@@ -136,9 +136,8 @@ def measure(
     config = configure(StudyConfig()).of_arm("rta")
     if config.plant != PlantParameters() or not config.uncertainty.is_nil:
         raise InputError("--break-points: brings its own worlds; leave out [plant] and [uncertainty]")
-    Experiment(
-        replace(config, train=replace(config.train, compile="off")), episodes
-    )  # refuses before there is a bar
+    # refuses before there is a bar what would refuse every world
+    Experiment(replace(config, train=replace(config.train, compile="off")), episodes)
     worlds = Worlds(policy, config.rta.period, duration, seed, episodes)
     report = report_in(path, worlds, config, empty_report)
     every = [
