@@ -66,28 +66,23 @@ def body_axis(q: Sequence[Tensor], i: int) -> Vector:
     return column[0], column[1], column[2]
 
 
-def _rotation_coefficients() -> Tensor:
-    """C (3, 3, 4, 4) with R_ij = C_ijkl q_k q_l, from R = (q4^2 - |q_v|^2) 1 + 2 q_v q_v' + 2 q4 [q_v x]."""
-    c = torch.zeros(3, 3, 4, 4, dtype=torch.float64)
-    for i in range(3):
-        c[i, i, 3, 3] = 1.0
-        c[i, i, range(3), range(3)] = -1.0
-        for j in range(3):
-            c[i, j, i, j] += 2.0
-        j, k = (i + 1) % 3, (i + 2) % 3
-        c[j, k, 3, i], c[k, j, 3, i] = -2.0, 2.0
-    return c
-
-
-ROTATION = _rotation_coefficients()
-
-
 def rotation_matrix(q: Tensor) -> Tensor:
     """R (3, 3, ...) with R a = q a q*: columns are the body axes in Hill's frame, rows Hill's in the body's.
 
-    One contraction instead of thirty products: it is differentiated twice at every call of the filter.
+    R = (q4^2 - |q_v|^2) 1 + 2 q_v q_v' + 2 q4 [q_v x], by components of a few tensors: it is differentiated twice at
+    every call of the filter, and a contraction with coefficients would mostly multiply by zero.
     """
-    return torch.tensordot(ROTATION.to(q), q[:, None] * q[None], dims=2)
+    vector = q[:3]
+    next_one, one_after = torch.cat((q[1:3], q[:1])), torch.cat((q[2:3], q[:2]))
+    along, aside = next_one * one_after, vector * q[3]
+    below, above = (2.0 * (along + aside)).unbind(), (2.0 * (along - aside)).unbind()
+    xx, yy, zz, ww = (q * q).unbind()
+    rows = (
+        torch.stack((xx - yy - zz + ww, above[2], below[1])),
+        torch.stack((below[2], yy - xx - zz + ww, above[0])),
+        torch.stack((above[1], below[0], zz - (xx + yy) + ww)),
+    )
+    return torch.stack(rows)
 
 
 def quaternion_rate(q: Sequence[Tensor], omega: Sequence[Tensor]) -> tuple[Tensor, ...]:

@@ -341,8 +341,7 @@ class SafetyFilter:
         asked = control.clone()
         control[THRUST] = known.given(control[THRUST], self.c.max_thrust)
         if known.health:
-            hold = known.hold(self.parameters)
-            control[TORQUE] = turning(x, control[TORQUE], left, self.c, known, hold)
+            control[TORQUE] = turning(x, control[TORQUE], left, self.c, self.parameters, known)
         changed = torch.stack([(control != asked)[each.controls].any(0) for each in self.groups])
         program_status = torch.where(changed, Status.HARD, program_status)
         parts: dict[int, list[Tensor]] = {}

@@ -15,6 +15,7 @@ from inspection.attitude import conjugate, cross, norm, rotate, unit
 from inspection.dynamics import sun_and_earth_in_body
 from inspection.parameters import InspectionParameters
 from inspection.state import OMEGA, THRUST, TORQUE, P, Q, V
+from rta.parameters import RtaParameters
 from rta.uncertainty import Uncertainty
 
 STEP = math.radians(7.5)  # between the turns that are compared
@@ -23,7 +24,7 @@ NEAR = math.sin(STEP)  # of the radius, along axes that give nothing, which is l
 
 
 def turning(
-    x: Tensor, torque: Tensor, left: Tensor, c: InspectionParameters, known: Uncertainty, hold: float
+    x: Tensor, torque: Tensor, left: Tensor, c: InspectionParameters, r: RtaParameters, known: Uncertainty
 ) -> Tensor:
     """The torque (3, B) in N m to be filtered in the place of that which is asked for.
 
@@ -36,9 +37,9 @@ def turning(
 
     Args:
         x: states (16, B); torque: (3, B) as asked for, in N m.
-        left: (6, B) the share that each actuator gives; hold: s, of a control.
+        left: (6, B) the share that each actuator gives.
     """
-    limit = c.max_rate - known.rate_offset(c)
+    limit, hold = c.max_rate - known.rate_offset(c), known.hold(r)
     inertia = x.new_tensor(c.inertia)[:, None]
     torques = known.torque[0] * left[TORQUE].amin(0) * c.max_torque
     t = math.pi / 2 / limit + max(c.inertia) * limit / torques + hold
@@ -46,7 +47,7 @@ def turning(
     distance = norm(x[P])
     radial = (x[P] * x[V]).sum(0) / distance
     later = radial + natural * t
-    reached = distance + radial * t + natural * t**2 / 2 + later**2 / (2 * known.max_acceleration(c))
+    reached = distance + radial * t + natural * t**2 / 2 + later**2 / (2 * known.max_acceleration(c, r))
 
     outwards = rotate(conjugate(x[Q]), x[P]) / distance  # in the body's frame
     weakness = (

@@ -11,7 +11,8 @@ know (`rta.uncertainty`) the worst comes off, each in the unit of psi per s:
 
     measurement     sum_i |d psi / d x_i| delta_i off psi within alpha, and its own change over the hold,
                     sum_i |d (psi(phi_t) - psi) / d x_i| delta_i / t
-    input           sum_j |u_j| (eps |a_j| + sin(angle) |a without a_j|), with a = d psi(phi_t) / d u / t
+    input           sum_j |u_j| (eps_j |a_j| + most angle |a without a_j|), with a = d psi(phi_t) / d u / t; eps_j is
+                    what a thruster gives less where it helps, or more where it harms
     acceleration    |a| m d: it acts as a force m d in any direction; of angular acceleration likewise
 
 (robust barriers: Jankovic 2018 for inputs, Dean et al. 2021 for measurements).
@@ -59,12 +60,16 @@ class HeldGroup(ActuatorGroup):
         self.held_by = held_by
         self.is_coarse = held_by == "thrust" and known.is_coarse
         self.model = unsaturated(c)  # the filter holds the rates
-        self.error = known.thrust_error if held_by == "thrust" else known.torque_error
+        least, self.most = known.thrust if held_by == "thrust" else known.torque
+        self.less, self.more = (
+            1.0 - least,
+            self.most - 1.0,
+        )  # shares by which what is given helps less, or harms more
         if held_by == "thrust":
             self.push = c.mass * known.acceleration
         else:
             self.push = max(c.inertia) * known.angular_acceleration(c)
-        self.twist = known.angular_acceleration(c)
+        self.angle_at_rest = known.thrust_angle(c, r)
         bounds = (known.position, known.velocity, math.radians(known.attitude), math.radians(known.rate))
         self.measured = bounds
         self.doubts = any(self.measured) or known.latency > 0
@@ -126,11 +131,11 @@ class HeldGroup(ActuatorGroup):
             blur = self.off(by_x[0], spread, coupled)
             doubt = doubt + self.off((by_x[1:] - by_x[0]) / t[..., None], spread, coupled)
         # the input's error, as a tangent: |u_j| rises with the sign of u_j, from zero with that which helps
-        weight = self.error * slope.abs()
+        sign = torch.where(u == 0.0, slope.sign(), u.sign())
+        weight = torch.where(slope * sign > 0.0, self.less, self.more) * slope.abs()
         if self.held_by == "thrust":
             across = (length[:, :, None] ** 2 - slope**2).clamp(min=0.0).sqrt()
-            weight = weight + self.known.thrust[1] * self.angle(x, spread) * across
-        sign = torch.where(u == 0.0, slope.sign(), u.sign())
+            weight = weight + self.most * self.angle(x, spread) * across
         tangent = slope - weight * sign
         doubt_now = doubt + total(weight * u.abs(), 2)
 
@@ -176,17 +181,11 @@ class HeldGroup(ActuatorGroup):
     def angle(self, x: Tensor, spread: Tensor) -> Tensor:
         """(B,) rad, between the mean direction of a thruster over a hold and that of the rows at most.
 
-        Its misalignment, the attitude's error, the rates' times half the hold, what torque turns the body by otherwise
-        (an angular acceleration e for t turns it by e t^2 / 2, in the mean over t by e t^2 / 6), and what the hold may
-        be shorter than the longest: the mean of a turn at omega over t is that at t / 2.
+        The mean of a turn at omega over t is that at t / 2, and the hold may be shorter than the longest.
         """
-        known, hold, shortest = self.known, self.moments[-1], self.r.period
-        measured = math.sqrt(3.0) * math.radians(known.attitude + known.rate * hold / 2)
-        strongest = math.sqrt(3.0) * self.c.max_torque / min(self.c.inertia)
-        otherwise = known.torque_error * strongest + self.twist
-        fixed = math.radians(known.thrust_misalignment) + measured + otherwise * hold**2 / 6
-        sooner = strongest * (hold**2 - shortest**2) / 6 + norm(x[OMEGA]) * (hold - shortest) / 2
-        return fixed + spread[2] + spread[3] * hold / 2 + sooner
+        hold = self.moments[-1]
+        turning = norm(x[OMEGA]) * (hold - self.r.period) / 2
+        return self.angle_at_rest + spread[2] + spread[3] * hold / 2 + turning
 
     def after(
         self, x: Tensor, control: Tensor, constraints: Sequence[Constraint], own: slice, coupled: bool

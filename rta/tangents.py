@@ -1,6 +1,6 @@
 """Programs of one actuator group's rows, and their repetition where rows are tangents at a control."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import fields, replace
 from functools import partial, reduce
 from itertools import product
@@ -22,6 +22,7 @@ INSET = 1e-3  # in the same unit, by which tangents ask for more, so that few of
 # Programs solved for one control at most; with 4, one in 200,000 random calls at 10 s was not settled.
 PASSES = 8
 PASSES_AT_REST = 3  # of the second search
+PASSES_ROUNDED = 3  # of the search for controls that thrusters give
 IN_VAIN = 2  # passes in a row that bring nothing where rows yield, after which no more are tried
 FARTHEST = 100.0  # above all distances squared and all that rows have left over, in the same unit
 
@@ -139,7 +140,7 @@ class Settling:
             self.from_rest(columns)
             self.go_back(columns, u, within)
         if self.group.is_coarse:
-            self.try_neighbours()
+            self.settle_for_what_is_given()
         return [self.control * self.group.limit, self.status, self.active, self.slack]
 
     def at(self, columns: Tensor, u: Tensor) -> tuple[Problems, Tensor]:
@@ -199,14 +200,49 @@ class Settling:
         possible = at_rest.amin(0) >= 0.0
         self.take(columns, torch.where(possible, share * u, u), torch.ones_like(possible))
 
-    def try_neighbours(self) -> None:
-        """Takes the best of what the thrusters give next to the controls so far."""
-        every, solved = torch.arange(len(self.score), device=self.score.device), self.status < Status.UNSOLVED
-        low, high = self.group.known.neighbours(self.control * self.group.limit, self.group.limit)
+    def settle_for_what_is_given(self) -> None:
+        """Takes the best of what the thrusters give next to the controls so far.
+
+        Where none of these holds the rows the program is solved once more, with rows that hold however its solution is
+        rounded, a u + b >= sum_i |a_i| gap / 2; where not even that helps, all or nothing of each axis is tried.
+        """
+        solved = self.status < Status.UNSOLVED
+        before = self.control.clone()
         self.score = torch.full_like(self.score, -torch.inf)
-        for corner in product((False, True), repeat=3):
-            upper = torch.tensor(corner, device=low.device)[:, None]
-            self.take(every, torch.where(upper, high, low) / self.group.limit, solved)
+        self.try_neighbours(torch.arange(len(solved), device=solved.device), before, solved)
+        broken = torch.nonzero(solved & (self.status == Status.SLACK)).flatten()
+        for _ in range(PASSES_ROUNDED):
+            if not broken.numel():
+                break
+            u = pick(self.control, broken)
+            tangents, _ = self.at(broken, u)
+            cushion = total(tangents.a.abs() * (self.group.known.gap / 2 / self.group.limit), 1)
+            asked = replace(
+                tangents,
+                desired=pick(self.desired, broken),
+                b=tangents.b - cushion,
+                b_bare=tangents.b_bare - cushion,
+            )
+            self.try_neighbours(broken, self.solver.solve(asked).control, pick(solved, broken))
+            broken = broken[self.status[broken] == Status.SLACK]
+        most = (
+            self.group.known.given(
+                torch.full_like(pick(self.desired, broken), self.group.limit), self.group.limit
+            )
+            / self.group.limit
+        )
+        self.try_corners(broken, (-most, torch.zeros_like(most), most), pick(solved, broken))
+
+    def try_neighbours(self, columns: Tensor, u: Tensor, solved: Tensor) -> None:
+        """Takes the best of what the thrusters give next to controls u (3, m)."""
+        given = self.group.known.neighbours(u * self.group.limit, self.group.limit)
+        self.try_corners(columns, [part / self.group.limit for part in given], solved)
+
+    def try_corners(self, columns: Tensor, values: Sequence[Tensor], solved: Tensor) -> None:
+        """Takes the best of the controls that have one of these values (3, m) on each axis."""
+        if columns.numel():
+            for corner in product(values, repeat=3):
+                self.take(columns, torch.stack([value[i] for i, value in enumerate(corner)]), solved)
 
 
 def with_tangents(asked: Problems, tangents: Problems, anew: Tensor) -> Problems:

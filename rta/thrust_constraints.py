@@ -56,7 +56,7 @@ def chord(c: InspectionParameters, r: RtaParameters, known: Uncertainty = NOTHIN
 
     The slope of sqrt(2 a z) is then at most sqrt(2 a / floor) = 1 / T, else it could overshoot while a control is held.
     """
-    return max(r.distance_floor, 2 * known.max_acceleration(c) * known.hold(r) ** 2)
+    return max(r.distance_floor, 2 * known.max_acceleration(c, r) * known.hold(r) ** 2)
 
 
 def radial_speed(x: Tensor) -> Tensor:
@@ -95,7 +95,7 @@ def collision(c: InspectionParameters, r: RtaParameters, known: Uncertainty = NO
         distance = norm(x[P]) - c.collision_radius
         return math.sqrt(2 * braking) * signed_sqrt(distance, floor) + radial_speed(x)
 
-    floor, least = chord(c, r, known), known.max_acceleration(c)
+    floor, least = chord(c, r, known), known.max_acceleration(c, r)
     return Entry(
         "collision",
         h,
@@ -165,7 +165,7 @@ def keep_in_zone(c: InspectionParameters, r: RtaParameters, known: Uncertainty =
     # v_t^2 / |p| grows with thrust along v
     fastest = c.docking_speed + c.speed_slope * c.max_distance
     swing = fastest * thrust_acceleration(c) / c.max_distance * r.period
-    floor, least = chord(c, r, known), known.max_acceleration(c)
+    floor, least = chord(c, r, known), known.max_acceleration(c, r)
     return Entry(
         "keep_in_zone",
         h,

@@ -76,10 +76,13 @@ class Uncertainty:
             raise ValueError(
                 f"longest_hold = {self.longest_hold:g}: must be at least the period, {r.period:g} s"
             )
-        if self.max_acceleration(c) <= 0.0:
+        if self.max_acceleration(c, r) <= 0.0:
+            askew = math.degrees(self.thrust_angle(c, r))
             raise ValueError(
-                f"mass = {self.mass:g}, thrust_gain = {self.thrust_gain:g}, acceleration = {self.acceleration:g}: "
-                f"leave no braking within max_distance = {c.max_distance:g} m, which the keep-in zone needs"
+                f"mass = {self.mass:g}, thrust_gain = {self.thrust_gain:g}, acceleration = {self.acceleration:g}, "
+                f"thrust off by {askew:.3g} deg (thrust_misalignment, attitude, rate, inertia, "
+                f"torque_gain, longest_hold): leave no braking within max_distance = {c.max_distance:g} m, "
+                "which the keep-in zone needs"
             )
         if self.rate_offset(c) + math.radians(self.rate) >= c.max_rate:
             raise ValueError(
@@ -117,10 +120,32 @@ class Uncertainty:
         least, most = self.torque
         return max(1.0 - least, most - 1.0)
 
-    def max_acceleration(self, c: InspectionParameters) -> float:
-        """a_max in m/s^2 that is there in the worst case: of the least thrust, less what is unknown."""
-        most = c.max_thrust / c.mass
-        return c.max_acceleration - (1 - self.thrust[0]) * most - self.acceleration
+    def thrust_angle(self, c: InspectionParameters, r: RtaParameters) -> float:
+        """rad, between the mean direction of a thruster over a hold and that of the rows at most, of a body at rest.
+
+        Its misalignment, the attitude's error, the rates' times half the hold, what torque turns the body by otherwise
+        (an angular acceleration e for t turns it by e t^2 / 2, in the mean over t by e t^2 / 6), and what full torque
+        turns it by less if the hold is shorter than the longest.
+        """
+        hold = self.hold(r)
+        measured = math.sqrt(3.0) * math.radians(self.attitude + self.rate * hold / 2)
+        strongest = math.sqrt(3.0) * c.max_torque / min(c.inertia)
+        otherwise = self.torque_error * strongest + self.angular_acceleration(c)
+        sooner = strongest * (hold**2 - r.period**2) / 6
+        return math.radians(self.thrust_misalignment) + measured + otherwise * hold**2 / 6 + sooner
+
+    def max_acceleration(self, c: InspectionParameters, r: RtaParameters) -> float:
+        """a_max in m/s^2 that is there in the worst case, in every attitude of a body that does not turn.
+
+        Of the model's thrust |u_j| along n, axis j gives at least |u_j| (least |n_j| - s sqrt(1 - n_j^2)) where it may
+        be off by an angle, s = most angle. All axes together give least where two are at the angle at which they begin
+        to help, tan(phi) = s / least, and the third is all that does: n = (sqrt(1 - 2 sin^2 phi), sin phi, sin phi).
+        """
+        least, most = self.thrust
+        s = most * self.thrust_angle(c, r)
+        squared = 2.0 * s**2 / (s**2 + least**2)  # of what is across that axis
+        given = least * math.sqrt(1.0 - squared) - s * math.sqrt(squared) if squared < 2.0 / 3.0 else 0.0
+        return c.max_acceleration - (1.0 - given) * c.max_thrust / c.mass - self.acceleration
 
     def angular_acceleration(self, c: InspectionParameters) -> float:
         """rad/s^2, the largest that the model does not know of within the limits of the rates.
@@ -145,6 +170,11 @@ class Uncertainty:
     def is_coarse(self) -> bool:
         """Whether thrusters give some values only."""
         return self.minimum_thrust > 0.0 or self.thrust_quantum > 0.0
+
+    @property
+    def gap(self) -> float:
+        """N, between two values that thrusters give at most."""
+        return max(self.minimum_thrust, self.thrust_quantum)
 
     def given(self, thrust: Tensor, limit: float) -> Tensor:
         """What the thrusters give where thrust in N is asked for, within their limit."""

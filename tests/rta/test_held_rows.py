@@ -247,7 +247,8 @@ def broken(held: HeldGroup, told: dict[str, Any]) -> set[str]:
 THRUST_ROWS = {"collision", "dynamic_speed", "keep_in_zone", "velocity_x", "velocity_y", "velocity_z"}
 RATE_ROWS = {f"angular_velocity_{i}" for i in "xyz"}
 CASES = [  # what is told, who holds, what the plant of a filter without it would break
-    ({"mass": 0.1, "thrust_gain": 0.05}, "thrust", {"error": 0.0}, THRUST_ROWS),
+    ({"mass": 0.1, "thrust_gain": 0.05}, "thrust", {"less": 0.0}, THRUST_ROWS),
+    ({"mass": 0.1}, "thrust", {"more": 0.0}, THRUST_ROWS),
     ({"thrust_misalignment": 5.0}, "thrust", {"angle": lambda x, spread: 0.0}, THRUST_ROWS),
     ({"acceleration": 1e-3}, "thrust", {"push": 0.0}, THRUST_ROWS),
     (
@@ -258,7 +259,7 @@ CASES = [  # what is told, who holds, what the plant of a filter without it woul
     ),
     ({"velocity": 0.006}, "thrust", {"measured": (0.0,) * KINDS}, THRUST_ROWS),
     ({"attitude": 0.3, "rate": 0.03}, "thrust", {"angle": lambda x, spread: 0.0}, {"collision"}),
-    ({"torque_gain": 0.05}, "torque", {"error": 0.0}, RATE_ROWS),
+    ({"torque_gain": 0.05}, "torque", {"less": 0.0, "more": 0.0}, RATE_ROWS),
     ({"attitude": 0.3}, "torque", {"measured": (0.0,) * KINDS}, {"attitude_exclusion"}),
     ({"rate": 0.03}, "torque", {"measured": (0.0,) * KINDS}, RATE_ROWS),
     ({"hill_rotation": True}, "torque", {"push": 0.0}, RATE_ROWS),

@@ -167,10 +167,24 @@ def braking(told: Uncertainty) -> np.ndarray:
 def test_a_max_is_there_in_every_world() -> None:
     told = dataclasses.replace(TOLD, thrust_misalignment=3.0)
     found = braking(told).min()
-    assert told.max_acceleration(C) <= found < told.max_acceleration(C) + 0.006
+    assert told.max_acceleration(C, R) <= found < told.max_acceleration(C, R) + 0.006
     for name in ("mass", "thrust_gain", "acceleration"):
-        assert dataclasses.replace(told, **{name: 0.0}).max_acceleration(C) > found
-    assert Uncertainty().max_acceleration(C) == C.max_acceleration
+        assert dataclasses.replace(told, **{name: 0.0}).max_acceleration(C, R) > found
+    assert Uncertainty().max_acceleration(C, R) == C.max_acceleration
+
+
+@pytest.mark.parametrize("misalignment", [1.0, 10.0, 25.0])
+@pytest.mark.parametrize("mass", [0.0, 0.3])
+def test_a_max_is_what_the_worst_attitude_leaves_of_thrust_askew(misalignment: float, mass: float) -> None:
+    told = Uncertainty(thrust_misalignment=misalignment, mass=mass)
+    outwards = np.abs(np.random.default_rng(0).normal(size=(3, 1_000_000)))
+    outwards /= np.linalg.norm(outwards, axis=0)
+    # of each axis: what is along is the least, what is across helps nowhere; one that would harm is off
+    along = outwards * np.cos(np.radians(misalignment)) / (1 + mass)
+    across = np.sqrt(1 - outwards**2) * np.radians(misalignment) / (1 - mass)
+    given = np.maximum(along - across, 0.0).sum(0).min()
+    lost = C.max_thrust / C.mass * (1 - given)
+    assert told.max_acceleration(C, R) == pytest.approx(C.max_acceleration - lost, abs=1e-4)
 
 
 @pytest.mark.parametrize("hill_rotation", [False, True])
