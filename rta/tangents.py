@@ -206,32 +206,22 @@ class Settling:
         Where none of these holds the rows the program is solved once more, with rows that hold however its solution is
         rounded, a u + b >= sum_i |a_i| gap / 2; where not even that helps, all or nothing of each axis is tried.
         """
-        solved = self.status < Status.UNSOLVED
-        before = self.control.clone()
+        known, limit = self.group.known, self.group.limit
+        solved, before = self.status < Status.UNSOLVED, self.control.clone()
         self.score = torch.full_like(self.score, -torch.inf)
         self.try_neighbours(torch.arange(len(solved), device=solved.device), before, solved)
-        broken = torch.nonzero(solved & (self.status == Status.SLACK)).flatten()
         for _ in range(PASSES_ROUNDED):
+            broken = torch.nonzero(self.status == Status.SLACK).flatten()
             if not broken.numel():
-                break
-            u = pick(self.control, broken)
-            tangents, _ = self.at(broken, u)
-            cushion = total(tangents.a.abs() * (self.group.known.gap / 2 / self.group.limit), 1)
-            asked = replace(
-                tangents,
-                desired=pick(self.desired, broken),
-                b=tangents.b - cushion,
-                b_bare=tangents.b_bare - cushion,
-            )
-            self.try_neighbours(broken, self.solver.solve(asked).control, pick(solved, broken))
-            broken = broken[self.status[broken] == Status.SLACK]
-        most = (
-            self.group.known.given(
-                torch.full_like(pick(self.desired, broken), self.group.limit), self.group.limit
-            )
-            / self.group.limit
-        )
-        self.try_corners(broken, (-most, torch.zeros_like(most), most), pick(solved, broken))
+                return
+            tangents, _ = self.at(broken, pick(self.control, broken))
+            cushion = total(tangents.a.abs(), 1) * known.gap / 2 / limit
+            b, b_bare = tangents.b - cushion, tangents.b_bare - cushion
+            asked = replace(tangents, desired=pick(self.desired, broken), b=b, b_bare=b_bare)
+            self.try_neighbours(broken, self.solver.solve(asked).control, solved[broken])
+        broken = torch.nonzero(self.status == Status.SLACK).flatten()
+        most = known.given(torch.full_like(pick(self.desired, broken), limit), limit) / limit
+        self.try_corners(broken, (-most, torch.zeros_like(most), most), solved[broken])
 
     def try_neighbours(self, columns: Tensor, u: Tensor, solved: Tensor) -> None:
         """Takes the best of what the thrusters give next to controls u (3, m)."""
@@ -240,9 +230,8 @@ class Settling:
 
     def try_corners(self, columns: Tensor, values: Sequence[Tensor], solved: Tensor) -> None:
         """Takes the best of the controls that have one of these values (3, m) on each axis."""
-        if columns.numel():
-            for corner in product(values, repeat=3):
-                self.take(columns, torch.stack([value[i] for i, value in enumerate(corner)]), solved)
+        for corner in product(values, repeat=3) if columns.numel() else ():
+            self.take(columns, torch.stack([value[i] for i, value in enumerate(corner)]), solved)
 
 
 def with_tangents(asked: Problems, tangents: Problems, anew: Tensor) -> Problems:

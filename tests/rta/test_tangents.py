@@ -107,24 +107,31 @@ def test_with_one_program_rows_are_broken_that_more_tangents_hold(monkeypatch: p
     assert (true_condition(f, x, once)[held] < -1e-3).any()
 
 
-def test_thrusters_with_a_grid_get_what_holds_wherever_something_on_it_does() -> None:
-    quantum = 0.25
-    f = SafetyFilter(C, known=Uncertainty(thrust_quantum=quantum))
-    x, u = across(8, 0.97), desired(8, seed=3)
-    x[OMEGA] = 0.01
+COARSE = [  # what the thrusters give: told, values of an axis
+    ({"thrust_quantum": 0.25}, [0.25 * i for i in range(-4, 5)]),
+    ({"thrust_quantum": 1.0}, [-1.0, 0.0, 1.0]),
+    ({"minimum_thrust": 0.02}, [-1.0, -0.3, -0.1, -0.04, -0.02, 0.0, 0.02, 0.04, 0.1, 0.3, 1.0]),
+    ({"minimum_thrust": 0.6}, [-1.0, -0.8, -0.6, 0.0, 0.6, 0.8, 1.0]),
+]
+
+
+@pytest.mark.parametrize(("told", "values"), COARSE, ids=[str(told) for told, _ in COARSE])
+def test_coarse_thrusters_get_what_holds_wherever_something_that_they_give_does(
+    told: dict[str, float], values: list[float]
+) -> None:
+    f = SafetyFilter(C, known=Uncertainty(**told))
+    x, u = across(400, 0.9999, distance=20.0), desired(400, seed=3)
+    x[OMEGA] = 0.6 * desired(400, seed=1)[THRUST] * C.max_rate
     result = f.correct(x, u)
-    steps = result.control[THRUST] / quantum
-    torch.testing.assert_close(steps, steps.round(), rtol=0, atol=1e-9)
+    given = result.control[THRUST]
+    torch.testing.assert_close(f.known.given(given, C.max_thrust), given, rtol=0, atol=1e-9)
     holds = true_condition(f, x, result.control) >= -1e-6
     assert torch.equal(result.program_status[0] < Status.SLACK, holds)
-    values = torch.arange(-1, 1 + quantum / 2, quantum, dtype=torch.float64)
-    grid = torch.tensor(list(itertools.product(values.tolist(), repeat=3)), dtype=torch.float64).T
-    count = grid.shape[1]
-    every = torch.cat((grid.repeat(1, 8), result.control[3:].repeat_interleave(count, 1)))
-    on_grid = true_condition(f, x.repeat_interleave(count, 1), every).reshape(8, count)
-    some = (on_grid >= -1e-6).any(1)
-    assert some.any() and (~(on_grid >= -1e-6)).any(1).all()
-    assert (holds | ~some).all()
+    assert holds.sum() > 380
+    grid = torch.tensor(list(itertools.product(values, repeat=3)), dtype=torch.float64).T
+    for i in torch.nonzero(~holds).flatten().tolist():
+        every = torch.cat((grid, result.control[3:, [i]].expand(-1, grid.shape[1])))
+        assert (true_condition(f, x[:, [i]].expand(-1, grid.shape[1]), every) < -1e-6).all()
 
 
 def test_a_filter_that_is_told_of_nothing_is_the_papers_at_1_s() -> None:
