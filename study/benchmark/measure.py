@@ -18,11 +18,13 @@ from study.benchmark import rates
 from study.benchmark.breakdown import breakdown
 from study.benchmark.flights import record, trained, untrained
 from study.benchmark.timing import Spread, seconds, us
-from study.config import Config
+from study.config import Config, load
 from study.experiment import Experiment, compile_or_explain, wants_compile
+from study.files import ROOT
 
 BATCHES = (256, 1024, 4096, 16384, 65536)
 TYPICAL = {"cpu": 4096, "cuda": 65536}  # the batch of the headline numbers
+U1 = ROOT / "configs/plants/u1.toml"
 PROGRAMS = (1, 16, 64, 256, 1024, 4096)  # solved at once
 TYPICAL_PROGRAMS = 1024
 
@@ -61,6 +63,13 @@ def benchmark(config: Config, batches: tuple[int, ...]) -> dict[str, Any]:
     filter_calls = {n: rates.filter_calls(experiment.filter, flight, n) for n in batches}
     onboard = experiment_at(config, 1.0, 1, "piqp").filter
     latencies = rates.single_latencies(onboard, flight)
+    typical = nearest(batches, TYPICAL[experiment.device.type])
+
+    say("filter that is told of U1")
+    told = in_u1(config)
+    own = experiment_at(told, 1.0, typical).filter
+    told_calls = {n: rates.filter_calls(own, flight, n) for n in batches if n <= typical}
+    told_latencies = rates.single_latencies(experiment_at(told, 1.0, 1).filter, flight)
 
     simulator: dict[str, dict[int, Spread]] = {name: {} for name in ("native", *rates.KINDS)}
     closed_loop: dict[str, dict[int, Spread]] = {name: {} for name in experiments}
@@ -83,13 +92,13 @@ def benchmark(config: Config, batches: tuple[int, ...]) -> dict[str, Any]:
     solvers = {"piqp": onboard.solver, "batched": experiment.filter.solver}
     qp_us = {name: {n: us(rates.programs(own, met, n)) for n in PROGRAMS} for name, own in solvers.items()}
 
-    typical = nearest(batches, TYPICAL[experiment.device.type])
     minibatch = nearest(batches, config.ppo.minibatch_size)
     scaling: dict[str, Any] = {
         "simulator_steps_per_s": simulator.pop("native"),
         "gymnasium_steps_per_s": simulator,
         "closed_loop_steps_per_s": closed_loop,
         "filter_calls_per_s": filter_calls,
+        "told_filter_calls_per_s": told_calls,
         "learner_samples_per_s": learner,
         "qp_us": qp_us,
     }
@@ -97,21 +106,27 @@ def benchmark(config: Config, batches: tuple[int, ...]) -> dict[str, Any]:
     headline = {name: at(counts.get(name, typical), curves) for name, curves in scaling.items()}
     headline["matmul_gflops"] = {key: rate / 1e9 for key, rate in matrix_product.items()}
     flops = learner[minibatch]["median"] * rates.learner_flops(rates.fresh_learner(bare))
-    p99 = latencies[int(0.99 * len(latencies))]
+    single = {"single_filter_latency_ms": latencies, "told_filter_latency_ms": told_latencies}
     return pick_out(headline, lambda s: s["median"]) | {
-        "single_filter_latency_ms": {"median": median(latencies), "p99": p99},
+        **{name: {"median": median(ms), "p99": ms[int(0.99 * len(ms))]} for name, ms in single.items()},
         "closed_loop_us": {name: {n: parts[n][name] for n in batches} for name in parts[typical]},
         "learner_matmul_share": flops / matrix_product["median"],
         "peak_memory_mb": peak_memory_mb(experiment.device),
         "compile_s": compile_s,
         "scaling": scaling,
         "min_max": pick_out(headline, lambda s: [s["min"], s["max"]])
-        | {"single_filter_latency_ms": [latencies[0], latencies[-1]]},
+        | {name: [ms[0], ms[-1]] for name, ms in single.items()},
         "batch": typical,
         "threads": torch.get_num_threads(),
         "device": device_name(experiment.device),
         "compiled": compiled,
     }
+
+
+def in_u1(config: Config) -> Config:
+    """The configuration with a filter that is told of the set U1, or of what it is told already."""
+    known = config.uncertainty
+    return replace(config, uncertainty=load(U1, Config()).uncertainty) if known.is_nil else config
 
 
 @torch.enable_grad()

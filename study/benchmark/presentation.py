@@ -11,7 +11,7 @@ from study.benchmark.rates import KINDS
 from study.benchmark.timing import REPEATS, Spread, us
 
 # Okabe and Ito's
-PALETTE = ("#0072B2", "#000000", "#D55E00", "#E69F00", "#CC79A7", "#009E73", "#56B4E9", "#666666")
+PALETTE = ("#0072B2", "#000000", "#D55E00", "#E69F00", "#CC79A7", "#009E73", "#56B4E9", "#666666", "#F0E442")
 
 
 def table(results: dict[str, Any]) -> str:
@@ -38,10 +38,12 @@ def table(results: dict[str, Any]) -> str:
     for name in results["closed_loop_steps_per_s"]:
         measured(f"closed loop, RTA at {name} s", "steps/s", "closed_loop_steps_per_s", name)
     measured("filter", "calls/s", "filter_calls_per_s")
+    share = 100 * results["told_filter_calls_per_s"] / results["filter_calls_per_s"]
+    measured("filter with [uncertainty]", f"calls/s, {share:.0f} %", "told_filter_calls_per_s")
     for name in results["qp_us"]:
         measured(f"{name}, {TYPICAL_PROGRAMS:,} programs at once", "us per QP", "qp_us", name)
-    slow = results["single_filter_latency_ms"]["p99"]
-    measured("single filter call", f"ms, p99 {slow:.3f}", "single_filter_latency_ms", "median")
+    for label, key in (("", "single_filter_latency_ms"), (" with [uncertainty]", "told_filter_latency_ms")):
+        measured(f"single filter call{label}", f"ms, p99 {results[key]['p99']:.3f}", key, "median")
     measured("learner", "samples/s", "learner_samples_per_s")
     measured("float32 matrix product", "Gflop/s", "matmul_gflops")
     share = 100 * results["learner_matmul_share"]
@@ -73,6 +75,7 @@ def scaling_curves(results: dict[str, Any]) -> dict[str, dict[int, float]]:
     scaling = results["scaling"]
     curves = {
         "filter calls": scaling["filter_calls_per_s"],
+        "filter calls, told": scaling["told_filter_calls_per_s"],
         "simulator steps": scaling["simulator_steps_per_s"],
         **{f"closed-loop steps, {p} s": rates for p, rates in scaling["closed_loop_steps_per_s"].items()},
         "learner samples": scaling["learner_samples_per_s"],
@@ -94,7 +97,7 @@ def figure(results: dict[str, Any], file: Path | BinaryIO) -> None:
     drawing = Figure(figsize=(8, 5.2), layout="constrained")
     ax = drawing.subplots()
     curves = scaling_curves(results).items()
-    for (label, rates), marker, colour in zip(curves, "os^v<D*P", PALETTE, strict=True):
+    for (label, rates), marker, colour in zip(curves, "os^v<D*PX", PALETTE, strict=True):
         ax.plot(list(rates), list(rates.values()), marker=marker, color=colour, label=label)
     ax.set(xscale="log", yscale="log", ylabel="per second")
     ax.set_xlabel("at once (episodes, spacecraft, samples, programs)")

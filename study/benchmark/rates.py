@@ -5,6 +5,7 @@ from functools import partial
 from typing import Any
 
 import torch
+from torch import Tensor
 
 from inspection.environment import InspectionEnv
 from inspection.observation import SIZE as OBSERVATION_SIZE
@@ -55,14 +56,22 @@ def closed_loop(env: InspectionEnv, flight: Flight, agent: Agent) -> Spread:
 
 def filter_calls(safety_filter: SafetyFilter, flight: Flight, batch: int) -> Spread:
     """Filter calls per s, one call being one spacecraft's."""
-    return per_second(partial(safety_filter.correct, *flight.take(batch)), batch, flight.x.device)
+    call = partial(safety_filter.correct, *flight.take(batch), nothing_sent(safety_filter, flight, batch))
+    return per_second(call, batch, flight.x.device)
+
+
+def nothing_sent(safety_filter: SafetyFilter, flight: Flight, batch: int) -> Tensor:
+    """No control (calls, 6, batch) at each call that a state may be old."""
+    return flight.desired.new_zeros(safety_filter.known.latency, CONTROL_SIZE, batch)
 
 
 def single_latencies(safety_filter: SafetyFilter, flight: Flight) -> list[float]:
     """ms of SINGLE_CALLS filter calls, each of another single spacecraft, sorted."""
     columns = (part.split(1, 1) for part in flight.take(WARM_CALLS + SINGLE_CALLS))
+    sent = nothing_sent(safety_filter, flight, 1)
     calls = [
-        partial(safety_filter.correct, x.contiguous(), u.contiguous()) for x, u in zip(*columns, strict=True)
+        partial(safety_filter.correct, x.contiguous(), u.contiguous(), sent)
+        for x, u in zip(*columns, strict=True)
     ]
     return sorted([1e3 * seconds(call, flight.x.device) for call in calls][WARM_CALLS:])
 

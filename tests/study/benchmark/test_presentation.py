@@ -21,10 +21,12 @@ def results() -> dict[str, Any]:
         "gymnasium_steps_per_s": {"numpy": by_batch, "torch": by_batch},
         "closed_loop_steps_per_s": {"1": by_batch, "5": by_batch, "10": by_batch},
         "filter_calls_per_s": by_batch,
+        "told_filter_calls_per_s": {16: spread(250.0)},
         "learner_samples_per_s": by_batch,
         "qp_us": {name: {1: spread(100.0), 64: spread(2.5)} for name in ("piqp", "batched")},
     }
     headline = {"simulator_steps_per_s": 4000.0, "filter_calls_per_s": 2000.0, "matmul_gflops": 12.5}
+    headline["told_filter_calls_per_s"] = 500.0
     headline |= {"learner_samples_per_s": 3000.0, "gymnasium_steps_per_s": {"numpy": 3000.0, "torch": 4000.0}}
     headline |= {"closed_loop_steps_per_s": {"1": 100.0, "5": 200.0, "10": 300.0}}
     headline |= {"qp_us": {"piqp": 20.0, "batched": 2.0}}
@@ -36,12 +38,14 @@ def results() -> dict[str, Any]:
     }
     return headline | {
         "single_filter_latency_ms": {"median": 0.35, "p99": 1.25},
+        "told_filter_latency_ms": {"median": 4.5, "p99": 20.0},
         "closed_loop_us": {"total": {16: 100.0, 64: 60.0}, "rest": {16: 7.125, 64: 3.0}},
         "learner_matmul_share": 0.5,
         "peak_memory_mb": 1234.5,
         "compile_s": {"filter": 60.04},
         "scaling": scaling,
-        "min_max": low_high | {"single_filter_latency_ms": [0.25, 2.5]},
+        "min_max": low_high
+        | {"single_filter_latency_ms": [0.25, 2.5], "told_filter_latency_ms": [4.0, 30.0]},
         "batch": 64,
         "threads": 2,
         "device": "cpu (made up)",
@@ -58,6 +62,8 @@ def results() -> dict[str, Any]:
         "closed loop, RTA at 5 s                            200.000  [100.000, 400.000] steps/s",
         "batched, 1,024 programs at once                      2.000  [1.000, 4.000] us per QP",
         "single filter call                                   0.350  [0.250, 2.500] ms, p99 1.250",
+        "filter with [uncertainty]                          500.000  [250.000, 1,000.000] calls/s, 25 %",
+        "single filter call with [uncertainty]                4.500  [4.000, 30.000] ms, p99 20.000",
         "learner, share of the matrix product rate             50.0  %",
         "median by batch, per s                 1          16          64",
         "learner samples                                  500       2,000",
@@ -73,6 +79,7 @@ def test_the_table_has_a_line_for_each_measurement(results: dict[str, Any], line
 def test_the_figure_shows_every_curve(results: dict[str, Any], tmp_path: Path) -> None:
     assert list(presentation.scaling_curves(results)) == [
         "filter calls",
+        "filter calls, told",
         "simulator steps",
         "closed-loop steps, 1 s",
         "closed-loop steps, 5 s",

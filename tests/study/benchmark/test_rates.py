@@ -9,6 +9,7 @@ from torch.utils.flop_counter import FlopCounterMode
 from inspection.observation import SIZE as OBSERVATION_SIZE
 from inspection.state import CONTROL_SIZE
 from rta.qp import Problems, Solutions
+from rta.uncertainty import Uncertainty
 from study.benchmark import rates
 from study.benchmark.flights import Flight
 from study.config import Config
@@ -30,14 +31,14 @@ def test_single_calls_meet_one_spacecraft_after_another(monkeypatch) -> None:
     monkeypatch.setattr(rates, "SINGLE_CALLS", 3)
     met: list[float] = []
 
-    def correct(x: torch.Tensor, desired: torch.Tensor) -> None:
-        assert x.shape == (16, 1) and desired.shape == (6, 1)
+    def correct(x: torch.Tensor, desired: torch.Tensor, sent: torch.Tensor) -> None:
+        assert x.shape == (16, 1) and desired.shape == (6, 1) and sent.shape == (2, 6, 1)
         assert x.is_contiguous() and desired.is_contiguous() and x[0, 0] == desired[0, 0]
         met.append(x[0, 0].item())
 
     number = torch.arange(4.0)
     flight = Flight(number.expand(16, -1), number.expand(6, -1), [])
-    latencies = rates.single_latencies(SimpleNamespace(correct=correct), flight)
+    latencies = rates.single_latencies(SimpleNamespace(correct=correct, known=Uncertainty(latency=2)), flight)
     assert met == [0.0, 1.0, 2.0, 3.0, 0.0]
     assert len(latencies) == 3 and latencies == sorted(latencies)
 
