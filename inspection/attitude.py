@@ -75,12 +75,12 @@ def rotation_matrix(q: Tensor) -> Tensor:
     vector = q[:3]
     next_one, one_after = torch.cat((q[1:3], q[:1])), torch.cat((q[2:3], q[:2]))
     along, aside = next_one * one_after, vector * q[3]
-    below, above = (2.0 * (along + aside)).unbind(), (2.0 * (along - aside)).unbind()
+    plus, minus = (2.0 * (along + aside)).unbind(), (2.0 * (along - aside)).unbind()
     xx, yy, zz, ww = (q * q).unbind()
     rows = (
-        torch.stack((xx - yy - zz + ww, above[2], below[1])),
-        torch.stack((below[2], yy - xx - zz + ww, above[0])),
-        torch.stack((above[1], below[0], zz - (xx + yy) + ww)),
+        torch.stack((xx - yy - zz + ww, minus[2], plus[1])),
+        torch.stack((plus[2], yy - xx - zz + ww, minus[0])),
+        torch.stack((minus[1], plus[0], zz - (xx + yy) + ww)),
     )
     return torch.stack(rows)
 

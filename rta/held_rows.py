@@ -11,8 +11,8 @@ know (`rta.uncertainty`) the worst comes off, each in the unit of psi per s:
 
     measurement     sum_i |d psi / d x_i| delta_i off psi within alpha, and its own change over the hold,
                     sum_i |d (psi(phi_t) - psi) / d x_i| delta_i / t
-    input           sum_j |u_j| (eps_j |a_j| + most angle |a without a_j|), with a = d psi(phi_t) / d u / t; eps_j is
-                    what a thruster gives less where it helps, or more where it harms
+    input           sum_j |u_j| (eps_j |a_j| + most (angle |a without a_j| + angle^2 / 2 |a_j|)), with
+                    a = d psi(phi_t) / d u / t; eps_j is what is given less where it helps, or more where it harms
     acceleration    |a| m d: it acts as a force m d in any direction; of angular acceleration likewise
 
 (robust barriers: Jankovic 2018 for inputs, Dean et al. 2021 for measurements).
@@ -61,10 +61,8 @@ class HeldGroup(ActuatorGroup):
         self.is_coarse = held_by == "thrust" and known.is_coarse
         self.model = unsaturated(c)  # the filter holds the rates
         least, self.most = known.thrust if held_by == "thrust" else known.torque
-        self.less, self.more = (
-            1.0 - least,
-            self.most - 1.0,
-        )  # shares by which what is given helps less, or harms more
+        # shares by which what is given helps less, or harms more
+        self.less, self.more = 1.0 - least, self.most - 1.0
         if held_by == "thrust":
             self.push = c.mass * known.acceleration
         else:
@@ -135,7 +133,8 @@ class HeldGroup(ActuatorGroup):
         weight = torch.where(slope * sign > 0.0, self.less, self.more) * slope.abs()
         if self.held_by == "thrust":
             across = (length[:, :, None] ** 2 - slope**2).clamp(min=0.0).sqrt()
-            weight = weight + self.most * self.angle(x, spread) * across
+            angle = self.angle(x, spread)
+            weight = weight + self.most * angle * (across + angle / 2 * slope.abs())  # sin and 1 - cos
         tangent = slope - weight * sign
         doubt_now = doubt + total(weight * u.abs(), 2)
 

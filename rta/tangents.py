@@ -22,9 +22,9 @@ INSET = 1e-3  # in the same unit, by which tangents ask for more, so that few of
 # Programs solved for one control at most; with 4, one in 200,000 random calls at 10 s was not settled.
 PASSES = 8
 PASSES_AT_REST = 3  # of the second search
-PASSES_ROUNDED = 3  # of the search for controls that thrusters give
 IN_VAIN = 2  # passes in a row that bring nothing where rows yield, after which no more are tried
-FARTHEST = 100.0  # above all distances squared and all that rows have left over, in the same unit
+FARTHEST = 100.0  # above all distances squared, in the same unit
+ABOVE = 1e6  # by how much what a row lacks counts more than in the next class
 
 
 class Prepared(NamedTuple):
@@ -161,7 +161,7 @@ class Settling:
         least, distance = within.amin(0), ((u - pick(self.desired, columns)) ** 2).sum(0)
         held = least >= -TOLERATED
         status = torch.where(held, Status.HARD, Status.SLACK).masked_fill(~solved, Status.UNSOLVED)
-        score = torch.where(held, FARTHEST - distance, least).nan_to_num(-torch.inf)
+        score = torch.where(held, FARTHEST - distance, -self.shortage(within)).nan_to_num(-torch.inf)
         before = self.score[columns]
         better = torch.nonzero(before.isinf() | (solved & (score > before))).flatten()
         active, slack = answered(self.group, tangents, length, u, status)
@@ -173,7 +173,16 @@ class Settling:
             (self.score, score),
         ):
             put(whole, columns[better], pick(part, better))
-        return tangents, within * length, held, score > before + TOLERATED
+        clearly = score - before > TOLERATED * before.abs().clamp(min=1.0)
+        return tangents, within * length, held, clearly | before.isinf()
+
+    def shortage(self, within: Tensor) -> Tensor:
+        """(m,) what controls lack where rows (R, m) are within so much, each class far more than those below it."""
+        weights, lack = self.group.weights, torch.zeros_like(within[0])
+        for highest in sorted(set(weights), reverse=True):
+            own = [i for i, weight in enumerate(weights) if weight == highest]
+            lack = ABOVE * lack + (-TOLERATED - within[own].amin(0)).clamp(min=0.0)
+        return lack
 
     def from_rest(self, columns: Tensor) -> None:
         """Takes the least control that holds the rows, if tangents near no control lead to it.
@@ -203,35 +212,38 @@ class Settling:
     def settle_for_what_is_given(self) -> None:
         """Takes the best of what the thrusters give next to the controls so far.
 
-        Where none of these holds the rows the program is solved once more, with rows that hold however its solution is
+        Where none of these holds the rows the program is solved again, with rows that hold however its solution is
         rounded, a u + b >= sum_i |a_i| gap / 2; where not even that helps, all or nothing of each axis is tried.
         """
         known, limit = self.group.known, self.group.limit
-        solved, before = self.status < Status.UNSOLVED, self.control.clone()
+        before, self.control = self.control, known.given(self.control * limit, limit) / limit
         self.score = torch.full_like(self.score, -torch.inf)
-        self.try_neighbours(torch.arange(len(solved), device=solved.device), before, solved)
-        for _ in range(PASSES_ROUNDED):
-            broken = torch.nonzero(self.status == Status.SLACK).flatten()
-            if not broken.numel():
-                return
-            tangents, _ = self.at(broken, pick(self.control, broken))
-            cushion = total(tangents.a.abs(), 1) * known.gap / 2 / limit
-            b, b_bare = tangents.b - cushion, tangents.b_bare - cushion
-            asked = replace(tangents, desired=pick(self.desired, broken), b=b, b_bare=b_bare)
-            self.try_neighbours(broken, self.solver.solve(asked).control, solved[broken])
+        solved = torch.nonzero(self.status < Status.UNSOLVED).flatten()
+        self.try_neighbours(solved, pick(before, solved))
         broken = torch.nonzero(self.status == Status.SLACK).flatten()
-        most = known.given(torch.full_like(pick(self.desired, broken), limit), limit) / limit
-        self.try_corners(broken, (-most, torch.zeros_like(most), most), solved[broken])
+        if not broken.numel():
+            return
+        tangents, _ = self.at(broken, pick(self.control, broken))
+        cushion = total(tangents.a.abs(), 1) * known.gap / 2 / limit
+        b, b_bare = tangents.b - cushion, tangents.b_bare - cushion
+        asked = replace(tangents, desired=pick(self.desired, broken), b=b, b_bare=b_bare)
+        self.try_neighbours(broken, self.solver.solve(asked).control)
+        broken = torch.nonzero(self.status == Status.SLACK).flatten()
+        most = torch.full_like(pick(self.desired, broken), known.largest_thrust(limit) / limit)
+        self.try_corners(broken, (-most, torch.zeros_like(most), most))
 
-    def try_neighbours(self, columns: Tensor, u: Tensor, solved: Tensor) -> None:
+    def try_neighbours(self, columns: Tensor, u: Tensor) -> None:
         """Takes the best of what the thrusters give next to controls u (3, m)."""
         given = self.group.known.neighbours(u * self.group.limit, self.group.limit)
-        self.try_corners(columns, [part / self.group.limit for part in given], solved)
+        self.try_corners(columns, [part / self.group.limit for part in given])
 
-    def try_corners(self, columns: Tensor, values: Sequence[Tensor], solved: Tensor) -> None:
+    def try_corners(self, columns: Tensor, values: Sequence[Tensor]) -> None:
         """Takes the best of the controls that have one of these values (3, m) on each axis."""
-        for corner in product(values, repeat=3) if columns.numel() else ():
-            self.take(columns, torch.stack([value[i] for i, value in enumerate(corner)]), solved)
+        if not columns.numel():
+            return
+        for corner in product(values, repeat=3):
+            u = torch.stack([value[i] for i, value in enumerate(corner)])
+            self.take(columns, u, torch.ones_like(columns, dtype=torch.bool))
 
 
 def with_tangents(asked: Problems, tangents: Problems, anew: Tensor) -> Problems:

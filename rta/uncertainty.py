@@ -76,13 +76,17 @@ class Uncertainty:
             raise ValueError(
                 f"longest_hold = {self.longest_hold:g}: must be at least the period, {r.period:g} s"
             )
+        if self.minimum_thrust > c.max_thrust:
+            raise ValueError(
+                f"minimum_thrust = {self.minimum_thrust:g}: must be at most max_thrust, {c.max_thrust:g} N"
+            )
         if self.max_acceleration(c, r) <= 0.0:
             askew = math.degrees(self.thrust_angle(c, r))
             raise ValueError(
                 f"mass = {self.mass:g}, thrust_gain = {self.thrust_gain:g}, acceleration = {self.acceleration:g}, "
                 f"thrust off by {askew:.3g} deg (thrust_misalignment, attitude, rate, inertia, "
-                f"torque_gain, longest_hold): leave no braking within max_distance = {c.max_distance:g} m, "
-                "which the keep-in zone needs"
+                f"torque_gain, longest_hold), thrust_quantum = {self.thrust_quantum:g}: leave no braking within "
+                f"max_distance = {c.max_distance:g} m, which the keep-in zone needs"
             )
         if self.rate_offset(c) + math.radians(self.rate) >= c.max_rate:
             raise ValueError(
@@ -137,15 +141,18 @@ class Uncertainty:
     def max_acceleration(self, c: InspectionParameters, r: RtaParameters) -> float:
         """a_max in m/s^2 that is there in the worst case, in every attitude of a body that does not turn.
 
-        Of the model's thrust |u_j| along n, axis j gives at least |u_j| (least |n_j| - s sqrt(1 - n_j^2)) where it may
-        be off by an angle, s = most angle. All axes together give least where two are at the angle at which they begin
-        to help, tan(phi) = s / least, and the third is all that does: n = (sqrt(1 - 2 sin^2 phi), sin phi, sin phi).
+        Of the model's thrust |u_j| along n, axis j gives at least |u_j| (k |n_j| - s sqrt(1 - n_j^2)) where it may be
+        off by an angle: s = most angle, k = least - most angle^2 / 2. All axes together give least where two are at the
+        angle at which they begin to help, tan(phi) = s / k, and the third is all that does:
+        n = (sqrt(1 - 2 sin^2 phi), sin phi, sin phi).
         """
-        least, most = self.thrust
-        s = most * self.thrust_angle(c, r)
-        squared = 2.0 * s**2 / (s**2 + least**2)  # of what is across that axis
-        given = least * math.sqrt(1.0 - squared) - s * math.sqrt(squared) if squared < 2.0 / 3.0 else 0.0
-        return c.max_acceleration - (1.0 - given) * c.max_thrust / c.mass - self.acceleration
+        (least, most), angle = self.thrust, self.thrust_angle(c, r)
+        s, k = most * angle, least - most * angle**2 / 2
+        squared = 2.0 * s**2 / (s**2 + k**2)  # of what is across that axis
+        helps = k > 0.0 and squared < 2.0 / 3.0
+        share = k * math.sqrt(1.0 - squared) - s * math.sqrt(squared) if helps else 0.0
+        lost = c.max_thrust - share * self.largest_thrust(c.max_thrust)
+        return c.max_acceleration - lost / c.mass - self.acceleration
 
     def angular_acceleration(self, c: InspectionParameters) -> float:
         """rad/s^2, the largest that the model does not know of within the limits of the rates.
@@ -173,23 +180,27 @@ class Uncertainty:
 
     @property
     def gap(self) -> float:
-        """N, between two values that thrusters give at most."""
+        """N, between two values that thrusters give, up to the largest."""
         return max(self.minimum_thrust, self.thrust_quantum)
+
+    def largest_thrust(self, limit: float) -> float:
+        """N, that thrusters give within their limit."""
+        quantum = self.thrust_quantum
+        return quantum * math.floor(limit / quantum + 1e-9) if quantum else limit
 
     def given(self, thrust: Tensor, limit: float) -> Tensor:
         """What the thrusters give where thrust in N is asked for, within their limit."""
         if quantum := self.thrust_quantum:
-            most = math.floor(limit / quantum + 1e-9)
-            return quantum * (thrust / quantum).round().clamp(-most, most)
+            most = self.largest_thrust(limit)
+            return (quantum * (thrust / quantum).round()).clamp(-most, most)
         return torch.where(thrust.abs() < self.minimum_thrust, 0.0, thrust)
 
     def neighbours(self, thrust: Tensor, limit: float) -> tuple[Tensor, Tensor]:
         """What the thrusters give next to thrust in N on either side, within their limit."""
         if quantum := self.thrust_quantum:
-            most = math.floor(limit / quantum + 1e-9)
-            low = (thrust / quantum).floor()
-            return quantum * low.clamp(-most, most), quantum * (low + 1.0).clamp(-most, most)
-        least = self.minimum_thrust * (1.0 + 1e-9)  # rounded down it would be nothing
+            low, most = (thrust / quantum).floor(), self.largest_thrust(limit)
+            return (quantum * low).clamp(-most, most), (quantum * (low + 1.0)).clamp(-most, most)
+        least = min(self.minimum_thrust * (1.0 + 1e-9), limit)  # rounded down it would be nothing
         within = thrust.abs() < self.minimum_thrust
         return torch.where(within, 0.0, thrust), torch.where(within, least * thrust.sign(), thrust)
 

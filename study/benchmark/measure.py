@@ -65,9 +65,10 @@ def benchmark(config: Config, batches: tuple[int, ...]) -> dict[str, Any]:
     latencies = rates.single_latencies(onboard, flight)
     typical = nearest(batches, TYPICAL[experiment.device.type])
 
-    say("filter that is told of U1")
+    say("filter with [uncertainty]")
     told = in_u1(config)
     own = experiment_at(told, 1.0, typical).filter
+    # more at once take a minute each and are no faster
     told_calls = {n: rates.filter_calls(own, flight, n) for n in batches if n <= typical}
     told_latencies = rates.single_latencies(experiment_at(told, 1.0, 1).filter, flight)
 

@@ -38,12 +38,14 @@ def table(results: dict[str, Any]) -> str:
     for name in results["closed_loop_steps_per_s"]:
         measured(f"closed loop, RTA at {name} s", "steps/s", "closed_loop_steps_per_s", name)
     measured("filter", "calls/s", "filter_calls_per_s")
-    share = 100 * results["told_filter_calls_per_s"] / results["filter_calls_per_s"]
-    measured("filter with [uncertainty]", f"calls/s, {share:.0f} %", "told_filter_calls_per_s")
+    of_filter = 100 * results["told_filter_calls_per_s"] / results["filter_calls_per_s"]
+    unit = f"calls/s, {of_filter:.0f} % of the filter's"
+    measured("filter with [uncertainty]", unit, "told_filter_calls_per_s")
     for name in results["qp_us"]:
         measured(f"{name}, {TYPICAL_PROGRAMS:,} programs at once", "us per QP", "qp_us", name)
-    for label, key in (("", "single_filter_latency_ms"), (" with [uncertainty]", "told_filter_latency_ms")):
-        measured(f"single filter call{label}", f"ms, p99 {results[key]['p99']:.3f}", key, "median")
+    singles = {"PIQP": "single_filter_latency_ms", "with [uncertainty]": "told_filter_latency_ms"}
+    for label, key in singles.items():
+        measured(f"single filter call, {label}", f"ms, p99 {results[key]['p99']:.3f}", key, "median")
     measured("learner", "samples/s", "learner_samples_per_s")
     measured("float32 matrix product", "Gflop/s", "matmul_gflops")
     share = 100 * results["learner_matmul_share"]

@@ -13,7 +13,8 @@ from numpy import ndarray
 from scipy.integrate import solve_ivp
 from torch import Tensor
 
-from inspection.attitude import norm, rotation_matrix
+from inspection.attitude import norm, rotation_matrix, turned_by
+from inspection.dynamics import step
 from inspection.parameters import InspectionParameters
 from inspection.plant import Plant, PlantParameters
 from inspection.state import OMEGA, THRUST, P, Q, V
@@ -275,6 +276,20 @@ def test_rows_hold_in_every_world_within_the_bounds_and_no_term_can_go(
     for name, value in planted.items():
         setattr(held, name, value)
     assert broken(held, told) >= breaks
+
+
+def test_thrust_along_a_row_is_counted_on_for_no_more_than_its_cosine() -> None:
+    held = group("thrust", attitude=10.0)
+    x, u = torch.zeros(16, 1, dtype=torch.float64), torch.zeros(6, 1, dtype=torch.float64)
+    x[P.start], x[V.start], x[Q.stop - 1], u[0] = 300.0, 4.9, 1.0, -1.0
+    i = places(held).index(("velocity_x", 0))
+    said = left_hand_side(held, rows_at(held, x, u), u)[i]
+    turned = x.clone()
+    turned[Q] = turned_by(x[Q], torch.tensor([[0.0], [10.0], [10.0]], dtype=torch.float64).deg2rad())
+    psi = held.psi_at(turned, held.constraints)
+    gain, margin, _ = held.alpha(psi(turned), held.of_row)
+    given = psi(step(turned, u, 1.0, C)) - psi(turned) + gain * (psi(turned) - margin)
+    assert said <= given[i] < said + 0.05 * abs(said)
 
 
 @pytest.mark.parametrize("more", [{}, {"longest_hold": 3.0}, {"period": 10.0}], ids=str)

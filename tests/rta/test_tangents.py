@@ -45,11 +45,12 @@ def desired(count: int, seed: int = 0) -> Tensor:
     return u
 
 
-def true_condition(f: SafetyFilter, x: Tensor, u: Tensor) -> Tensor:
-    """The least of thrust's rows at controls (6, B) themselves, in units of the actuators' limits, (B,)."""
+def true_condition(f: SafetyFilter, x: Tensor, u: Tensor, counted: list[bool] | None = None) -> Tensor:
+    """The least of thrust's rows, or of those that count, at controls (6, B) themselves, in units of 1 N, (B,)."""
     group, run = f.groups[0], f._prepare_held[0]
     rows = Prepared(*run(x, u, torch.zeros_like(x[:KINDS]), torch.ones_like(u)))
-    return (((rows.a * u[group.controls, None].transpose(0, 1)).sum(1) + rows.b_bare) / rows.length).amin(0)
+    within = ((rows.a * u[group.controls, None].transpose(0, 1)).sum(1) + rows.b_bare) / rows.length
+    return within[torch.tensor(counted or [True] * len(within))].amin(0)
 
 
 def test_the_ball_of_the_speed_limit_is_held_and_as_near_as_a_fine_search_finds() -> None:
@@ -132,6 +133,32 @@ def test_coarse_thrusters_get_what_holds_wherever_something_that_they_give_does(
     for i in torch.nonzero(~holds).flatten().tolist():
         every = torch.cat((grid, result.control[3:, [i]].expand(-1, grid.shape[1])))
         assert (true_condition(f, x[:, [i]].expand(-1, grid.shape[1]), every) < -1e-6).all()
+
+
+def test_what_coarse_thrusters_cannot_hold_yields_by_priority() -> None:
+    f = SafetyFilter(C, known=Uncertainty(thrust_quantum=1.0))
+    x, u = tensor(near_the_limits(400, seed=2)), commands(400, seed=2)
+    result = f.correct(x, u)
+    broken = torch.nonzero(result.program_status[0] == Status.SLACK).flatten()
+    critical = [weight >= f.parameters.slack_weight_critical for weight in f.groups[0].weights]
+    grid = torch.tensor(list(itertools.product((-1.0, 0.0, 1.0), repeat=3)), dtype=torch.float64).T
+    possible = 0
+    for i in broken.tolist():
+        every = torch.cat((grid, result.control[3:, [i]].expand(-1, 27)))
+        least = true_condition(f, x[:, [i]].expand(-1, 27), every, critical)
+        if (least >= -1e-6).any():
+            possible += 1
+            assert true_condition(f, x[:, [i]], result.control[:, [i]], critical) >= -1e-6
+    assert possible > 5
+
+
+def test_coarse_thrusters_give_nothing_where_the_state_is_not_finite() -> None:
+    f = SafetyFilter(C, known=Uncertainty(thrust_quantum=0.25))
+    x, u = across(3, 0.5), desired(3)
+    x[P.start, 1] = math.nan
+    result = f.correct(x, u)
+    assert (result.status == Status.UNSOLVED).tolist() == [False, True, False]
+    assert (result.control[THRUST, 1] == 0.0).all()
 
 
 def test_a_filter_that_is_told_of_nothing_is_the_papers_at_1_s() -> None:

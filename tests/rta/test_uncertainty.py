@@ -65,6 +65,9 @@ def test_what_no_filter_could_use_is_refused(told: dict[str, float], named: str)
         ({"mass": 0.9, "thrust_gain": 0.8}, 1.0, "mass = 0.9, thrust_gain = 0.8", "max_distance = 800 m"),
         ({"acceleration": 0.08}, 1.0, "acceleration = 0.08", "max_distance = 800 m"),
         ({"thrust_gain": 0.9}, 1.0, "thrust_gain = 0.9", "max_distance = 800 m"),
+        ({"thrust_misalignment": 30.0}, 1.0, "thrust off by 30 deg", "max_distance = 800 m"),
+        ({"thrust_quantum": 2.0}, 1.0, "thrust_quantum = 2", "max_distance = 800 m"),
+        ({"minimum_thrust": 2.0}, 1.0, "minimum_thrust = 2", "max_thrust, 1 N"),
         ({"rate": 2.0}, 1.0, "rate = 2", "max_rate, 2 deg/s"),
         ({"rate": 1.95, "hill_rotation": True}, 1.0, "rate = 1.95", "max_rate, 2 deg/s"),
     ],
@@ -179,12 +182,19 @@ def test_a_max_is_what_the_worst_attitude_leaves_of_thrust_askew(misalignment: f
     told = Uncertainty(thrust_misalignment=misalignment, mass=mass)
     outwards = np.abs(np.random.default_rng(0).normal(size=(3, 1_000_000)))
     outwards /= np.linalg.norm(outwards, axis=0)
-    # of each axis: what is along is the least, what is across helps nowhere; one that would harm is off
-    along = outwards * np.cos(np.radians(misalignment)) / (1 + mass)
-    across = np.sqrt(1 - outwards**2) * np.radians(misalignment) / (1 - mass)
-    given = np.maximum(along - across, 0.0).sum(0).min()
-    lost = C.max_thrust / C.mass * (1 - given)
-    assert told.max_acceleration(C, R) == pytest.approx(C.max_acceleration - lost, abs=1e-4)
+    # of each axis: what is along is the least, what is across the most; one that would harm is off
+    angle = np.radians(misalignment)
+    along, across = np.cos(angle) / (1 + mass), np.sin(angle) / (1 - mass)
+    given = np.maximum(along * outwards - across * np.sqrt(1 - outwards**2), 0.0).sum(0).min()
+    there = C.max_acceleration - C.max_thrust / C.mass * (1 - given)
+    second_order = C.max_thrust / C.mass * angle**2
+    assert there - second_order < told.max_acceleration(C, R) <= there
+
+
+def test_a_max_counts_on_what_quanta_give() -> None:
+    told = Uncertainty(thrust_quantum=0.6)
+    lost = 0.4 * C.max_thrust / C.mass
+    assert told.max_acceleration(C, R) == pytest.approx(C.max_acceleration - lost, rel=1e-12)
 
 
 @pytest.mark.parametrize("hill_rotation", [False, True])

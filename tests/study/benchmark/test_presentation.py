@@ -61,9 +61,10 @@ def results() -> dict[str, Any]:
         "simulator through Gymnasium, NumPy                   3,000  [1,500, 6,000] steps/s, 75 % of the simulator's",
         "closed loop, RTA at 5 s                            200.000  [100.000, 400.000] steps/s",
         "batched, 1,024 programs at once                      2.000  [1.000, 4.000] us per QP",
-        "single filter call                                   0.350  [0.250, 2.500] ms, p99 1.250",
-        "filter with [uncertainty]                          500.000  [250.000, 1,000.000] calls/s, 25 %",
-        "single filter call with [uncertainty]                4.500  [4.000, 30.000] ms, p99 20.000",
+        "single filter call, PIQP                             0.350  [0.250, 2.500] ms, p99 1.250",
+        "filter with [uncertainty]                          500.000  "
+        "[250.000, 1,000.000] calls/s, 25 % of the filter's",
+        "single filter call, with [uncertainty]               4.500  [4.000, 30.000] ms, p99 20.000",
         "learner, share of the matrix product rate             50.0  %",
         "median by batch, per s                 1          16          64",
         "learner samples                                  500       2,000",
