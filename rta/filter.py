@@ -144,9 +144,13 @@ class SafetyFilter:
 
     def is_holdable(self, x: Tensor) -> Tensor:
         """(B,) bool: no barrier is negative, however wrong the measurement was, and a control satisfies every row."""
-        result = self.correct(x, torch.zeros_like(x[:CONTROL_SIZE]))
-        certain = [rows.psi.amin(0) >= 0.0 for rows in self.rows(x)]
-        return certain[0] & certain[1] & (result.status < Status.SLACK)
+        thrust, torque = self.rows(x)
+        held = (thrust.psi >= 0.0).all(0) & (torque.psi >= 0.0).all(0)
+        columns = torch.nonzero(held).flatten()  # of the others no control is looked for
+        if columns.numel():
+            result = self.correct(pick(x, columns), x.new_zeros(CONTROL_SIZE, columns.numel()))
+            put(held, columns, result.status < Status.SLACK)
+        return held
 
     def can_brake(self, x: Tensor) -> Tensor:
         """(B,) bool: in any attitude thrust can keep the zone, see `keep_in_zone`."""

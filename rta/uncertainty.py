@@ -16,6 +16,11 @@ from rta.parameters import RtaParameters
 
 LONGEST_HOLD = 30.0  # s; longer, a body that turns at 2 deg/s is anywhere
 OLDEST = 10  # calls
+# bounds that take something off the least braking
+BRAKING = (
+    *("mass", "thrust_gain", "acceleration", "thrust_misalignment", "thrust_quantum"),
+    *("attitude", "rate", "inertia", "torque_gain", "longest_hold"),
+)
 SHORT = 1.0  # s, up to which the rate of now, less what it can change by, says what a control does
 
 
@@ -80,13 +85,11 @@ class Uncertainty:
             raise ValueError(
                 f"minimum_thrust = {self.minimum_thrust:g}: must be at most max_thrust, {c.max_thrust:g} N"
             )
-        if self.max_acceleration(c, r) <= 0.0:
-            askew = math.degrees(self.thrust_angle(c, r))
+        if (left := self.max_acceleration(c, r)) <= 0.0:
+            told = ", ".join(f"{name} = {value:g}" for name in BRAKING if (value := getattr(self, name)))
             raise ValueError(
-                f"mass = {self.mass:g}, thrust_gain = {self.thrust_gain:g}, acceleration = {self.acceleration:g}, "
-                f"thrust off by {askew:.3g} deg (thrust_misalignment, attitude, rate, inertia, "
-                f"torque_gain, longest_hold), thrust_quantum = {self.thrust_quantum:g}: leave no braking within "
-                f"max_distance = {c.max_distance:g} m, which the keep-in zone needs"
+                f"{told}: of a braking of {c.max_acceleration:.3g} m/s^2 leave {left:.3g} within "
+                f"max_distance = {c.max_distance:g} m: must be above zero for the keep-in zone"
             )
         if self.rate_offset(c) + math.radians(self.rate) >= c.max_rate:
             raise ValueError(

@@ -109,13 +109,25 @@ def band(ax: Axes, low: float = -math.inf, high: float = math.inf) -> None:
 
 
 def tightened(
-    ax: Axes, episode: Episode, names: Sequence[str], line: Callable[[np.ndarray], np.ndarray]
+    ax: Axes,
+    episode: Episode,
+    names: Sequence[str],
+    line: Callable[[np.ndarray], np.ndarray],
+    both: bool = False,
 ) -> None:
-    """A dashed line, where the filter is told of uncertainty, from what that takes off the constraints at most."""
+    """A dashed line, where the filter is told of uncertainty, from what that takes off the constraints at most.
+
+    both: the limit is one of either sign.
+    """
     parts = [episode[f"tightened_{name}"] for name in names if f"tightened_{name}" in episode]
-    if parts:
-        off = np.max(parts, axis=0)
-        ax.plot(episode["time"], line(off), color="black", ls="--", lw=0.8, drawstyle="steps-post")
+    for sign in (1.0, -1.0)[: 1 + both] if parts else ():
+        kept = sign * line(np.max(parts, axis=0))
+        ax.plot(episode["time"], kept, color="black", ls="--", lw=0.8, drawstyle="steps-post")
+
+
+def each(name: str) -> list[str]:
+    """The constraints of a kind, one for each axis."""
+    return [f"{name}_{axis}" for axis in "xyz"]
 
 
 def speed_panel(ax: Axes, episode: Episode, c: InspectionParameters) -> None:
@@ -176,6 +188,9 @@ def constraint_figure(episode: Episode, c: InspectionParameters, path: Path) -> 
     t, distance = episode["time"], np.linalg.norm(episode["position"], axis=1)
     figure = Figure(figsize=(10, 7), layout="constrained")
     axes = figure.subplots(3, 3, sharex=True)
+    if any(name.startswith("tightened_") for name in episode):
+        about = "dashed: the limit less what uncertainty would take at the desired control (the applied one takes less)"
+        figure.suptitle(about, fontsize=9)
     titles = (
         "Collision, keep in zone and PSM",
         "Dynamic speed",
@@ -205,19 +220,16 @@ def constraint_figure(episode: Episode, c: InspectionParameters, path: Path) -> 
 
     speed_panel(axes[0, 1], episode, c)
     components(axes[0, 2], t, episode["velocity"], c.max_speed, "velocity (m/s)")
-    for sign in (-1.0, 1.0):
-        kept = [f"velocity_{axis}" for axis in "xyz"]
-        tightened(
-            axes[0, 2], episode, kept, lambda off, s=sign: s * np.sqrt((c.max_speed**2 - off).clip(0.0))
-        )
+    tightened(
+        axes[0, 2], episode, each("velocity"), lambda off: np.sqrt((c.max_speed**2 - off).clip(0.0)), True
+    )
     sun_panel(axes[1, 0], episode, c)
     temperature_panel(axes[1, 1], episode, c)
     energy_panel(axes[1, 2], episode, c)
     rates = np.degrees(episode["angular_velocity"])
     components(axes[2, 0], t, rates, math.degrees(c.max_rate), "body rate (deg/s)")
-    for sign in (-1.0, 1.0):
-        kept = [f"angular_velocity_{axis}" for axis in "xyz"]
-        tightened(axes[2, 0], episode, kept, lambda off, s=sign: s * np.degrees((c.max_rate - off).clip(0.0)))
+    kept = each("angular_velocity")
+    tightened(axes[2, 0], episode, kept, lambda off: np.degrees((c.max_rate - off).clip(0.0)), True)
     applied = episode["control_applied"]
     components(axes[2, 1], t, applied[:, :3], c.max_thrust, "thrust (N)")
     components(axes[2, 2], t, 1e3 * applied[:, 3:], 1e3 * c.max_torque, "torque (mN m)")

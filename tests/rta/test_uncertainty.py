@@ -65,7 +65,7 @@ def test_what_no_filter_could_use_is_refused(told: dict[str, float], named: str)
         ({"mass": 0.9, "thrust_gain": 0.8}, 1.0, "mass = 0.9, thrust_gain = 0.8", "max_distance = 800 m"),
         ({"acceleration": 0.08}, 1.0, "acceleration = 0.08", "max_distance = 800 m"),
         ({"thrust_gain": 0.9}, 1.0, "thrust_gain = 0.9", "max_distance = 800 m"),
-        ({"thrust_misalignment": 30.0}, 1.0, "thrust off by 30 deg", "max_distance = 800 m"),
+        ({"thrust_misalignment": 30.0}, 1.0, "thrust_misalignment = 30", "max_distance = 800 m"),
         ({"thrust_quantum": 2.0}, 1.0, "thrust_quantum = 2", "max_distance = 800 m"),
         ({"minimum_thrust": 2.0}, 1.0, "minimum_thrust = 2", "max_thrust, 1 N"),
         ({"rate": 2.0}, 1.0, "rate = 2", "max_rate, 2 deg/s"),
