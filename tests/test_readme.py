@@ -367,6 +367,7 @@ def test_the_agents_in_u1_are_the_evaluations() -> None:
             f"{results['metrics']['reward']['iqm']:.4f}",
             f"{study[seed]['metrics']['reward']['iqm']:.4f}",
             f"{results['metrics']['delta_v_m_s']['iqm']:.2f}",
+            f"{study[seed]['metrics']['delta_v_m_s']['iqm']:.2f}",
         ]
         assert f"| {' | '.join(cells)} |" in text(SAFETY).splitlines()
 
