@@ -23,12 +23,13 @@ def breakdown(env: InspectionEnv, safety_filter: SafetyFilter, agent: Agent) -> 
         that must be solved), "filter: rest", "integration", "visibility and k-means", "agent" and "rest".
     """
     watch = Stopwatch(env.x.device)
-    env, safety_filter, agent = copy(env), copy(safety_filter), watch.timed("agent", agent)
-    safety_filter._prepare = watch.timed("filter: rows", safety_filter._prepare)
-    safety_filter._prepare_held = [watch.timed("filter: rows", run) for run in safety_filter._prepare_held]
-    safety_filter.solver = copy(safety_filter.solver)
-    safety_filter.solver.solve = watch.timed("filter: programs", safety_filter.solver.solve)  # type: ignore[method-assign]
-    env.put_behind(replace(safety_filter.safety(), correct=watch.timed("filter", safety_filter.correct)))
+    env, timed, agent = copy(env), copy(safety_filter), watch.timed("agent", agent)
+    # a copy is not compiled, so the parts are the given filter's own
+    timed._prepare = watch.timed("filter: rows", safety_filter._prepare)
+    timed._prepare_held = [watch.timed("filter: rows", run) for run in safety_filter._prepare_held]
+    timed.solver = copy(safety_filter.solver)
+    timed.solver.solve = watch.timed("filter: programs", safety_filter.solver.solve)  # type: ignore[method-assign]
+    env.put_behind(replace(timed.safety(), correct=watch.timed("filter", timed.correct)))
     for method, name in WHOLE.items():
         setattr(env, method, watch.timed(name, getattr(env, method)))
 
