@@ -64,8 +64,8 @@ def clohessy_wiltshire(p: Sequence[Tensor], v: Sequence[Tensor], n: float) -> Ve
     return 3 * n**2 * p[0] + 2 * n * v[1], -2 * n * v[0], -(n**2) * p[2]
 
 
-def euler(omega: Sequence[Tensor], inertia: Sequence[Any]) -> Vector:
-    """Components of the gyroscopic angular acceleration J^-1 (-omega x J omega) in rad/s^2."""
+def euler(omega: Sequence[Any], inertia: Sequence[Any]) -> tuple[Any, Any, Any]:
+    """Components of the gyroscopic angular acceleration J^-1 (-omega x J omega) in rad/s^2, of tensors or numbers."""
     (w1, w2, w3), (j1, j2, j3) = omega, inertia
     return (j2 - j3) / j1 * w2 * w3, (j3 - j1) / j2 * w1 * w3, (j1 - j2) / j3 * w1 * w2
 

@@ -136,21 +136,17 @@ class SafetyFilter:
         """(B,) bool: every h and every Psi_1 is non-negative."""
         thrust, torque = self.groups
         inside = (self.values(x) >= 0.0).all(0) & thrust.holds(x, degree=2) & torque.holds(x, degree=2)
-        if self.holds:
-            columns = torch.nonzero(inside).flatten()  # of the others nothing is computed
-            if columns.numel():
-                put(inside, columns, self.is_holdable(pick(x, columns)))
-        return inside
+        return narrowed(inside, x, self.is_holdable) if self.holds else inside
 
     def is_holdable(self, x: Tensor) -> Tensor:
         """(B,) bool: no barrier is negative, however wrong the measurement was, and a control satisfies every row."""
         thrust, torque = self.rows(x)
-        held = (thrust.psi >= 0.0).all(0) & (torque.psi >= 0.0).all(0)
-        columns = torch.nonzero(held).flatten()  # of the others no control is looked for
-        if columns.numel():
-            result = self.correct(pick(x, columns), x.new_zeros(CONTROL_SIZE, columns.numel()))
-            put(held, columns, result.status < Status.SLACK)
-        return held
+        certain = (thrust.psi >= 0.0).all(0) & (torque.psi >= 0.0).all(0)
+        return narrowed(certain, x, self._has_control)
+
+    def _has_control(self, x: Tensor) -> Tensor:
+        """(B,) bool: a control satisfies every row."""
+        return self.correct(x, torch.zeros_like(x[:CONTROL_SIZE])).status < Status.SLACK
 
     def can_brake(self, x: Tensor) -> Tensor:
         """(B,) bool: in any attitude thrust can keep the zone, see `keep_in_zone`."""
@@ -384,6 +380,14 @@ class SafetyFilter:
         answer = self.solver.solve(asked)
         active, slack = answered(group, asked, part.length, answer.control, answer.status)
         return answer.control * group.limit, answer.status, active, slack
+
+
+def narrowed(chosen: Tensor, x: Tensor, holds: Callable[[Tensor], Tensor]) -> Tensor:
+    """(B,) bool: chosen (B,), and `holds` says so of the state; of the others of states (16, B) it is not asked."""
+    columns = torch.nonzero(chosen).flatten()
+    if columns.numel():
+        put(chosen, columns, holds(pick(x, columns)))
+    return chosen
 
 
 def in_order(thrust: Sequence[Any], torque: Sequence[Any]) -> tuple[Any, ...]:

@@ -163,14 +163,14 @@ class Uncertainty:
         The gyroscopic one of other moments of inertia, at the worst corner of their bounds, and where Hill's frame
         turns by n, the rate of R^T (0, 0, n), n |omega|.
         """
-        at_most = torch.full((3,), c.max_rate, dtype=torch.float64)
-        nominal = torch.stack(euler(at_most, c.inertia))
-        worst = torch.zeros(3, dtype=torch.float64)
+        at_most, worst = (c.max_rate,) * 3, [0.0] * 3  # plain numbers: the filter asks at every call
+        nominal = euler(at_most, c.inertia)
         for factors in product((1 - self.inertia, 1 + self.inertia), repeat=3):
             moments = [moment * factor for moment, factor in zip(c.inertia, factors, strict=True)]
-            worst = torch.maximum(worst, (torch.stack(euler(at_most, moments)) - nominal).abs())
+            off = zip(worst, euler(at_most, moments), nominal, strict=True)
+            worst = [max(most, abs(true - model)) for most, true, model in off]
         turning = c.mean_motion * math.sqrt(3.0) * c.max_rate if self.hill_rotation else 0.0
-        return worst.norm().item() + turning
+        return math.hypot(*worst) + turning
 
     def rate_offset(self, c: InspectionParameters) -> float:
         """rad/s, by which a body rate relative to the stars exceeds one relative to Hill's frame at most."""

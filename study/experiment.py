@@ -162,10 +162,10 @@ def settled(config: Config, batch: int, device: torch.device) -> Config:
     """The configuration with the solver settled, which is part of what determines a run's numbers."""
     if config.rta.qp_solver != "auto":
         return config
-    few = batch < WORTH_BATCHING and not config.uncertainty.holds(
-        config.rta
-    )  # then PIQP solves every program
-    solver = "piqp" if device.type == "cpu" and few else "batched"
+    # where controls are held PIQP leaves programs unsolved, see `SafetyFilter`
+    is_held = config.uncertainty.holds(config.rta)
+    suits_piqp = device.type == "cpu" and batch < WORTH_BATCHING and not is_held
+    solver = "piqp" if suits_piqp else "batched"
     return replace(config, rta=replace(config.rta, qp_solver=solver))
 
 
