@@ -189,7 +189,7 @@ def constraint_figure(episode: Episode, c: InspectionParameters, path: Path) -> 
     figure = Figure(figsize=(10, 7), layout="constrained")
     axes = figure.subplots(3, 3, sharex=True)
     if any(name.startswith("tightened_") for name in episode):
-        about = "dashed: the limit less what uncertainty would take at the desired control (mostly more than at the applied)"
+        about = "dashed: the limit less what uncertainty takes at the desired control, mostly more than at the applied"
         figure.suptitle(about, fontsize=9)
     titles = (
         "Collision, keep in zone and PSM",

@@ -9,6 +9,8 @@ them. Draws are independent of each other, so that the bound per draw is Clopper
 import dataclasses
 import sys
 from collections.abc import Callable, Iterator
+from copy import copy
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -16,19 +18,21 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from inspection.compiled import Compiled
 from inspection.environment import InspectionEnv
 from inspection.state import CONTROL_SIZE
 from rta.filter import SafetyFilter
+from rta.lie_derivatives import Function
 from rta.qp import Status
 from study.config import Config, StudyConfig
 from study.errors import refusing
-from study.experiment import Experiment, check_clocks
+from study.experiment import Experiment, check_clocks, compile_or_explain
 from study.files import write_json
 from study.progress import bar
 from study.verification.adversaries import adversarial
 from study.verification.boundary_report import Tried, add, empty_report, held_by_the_plant
 from study.verification.findings import report_in
-from study.verification.limits import BISECTIONS, near_limits
+from study.verification.limits import BISECTIONS, barriers, near_limits
 from study.verification.starts import spawned
 
 BATCH = 4096  # states drawn at once
@@ -107,6 +111,21 @@ def tried(
     )
 
 
+def barriers_of(experiment: Experiment) -> Function:
+    """`barriers` of the experiment's filter; compiled with it, which halves the time of a draw."""
+    safety_filter = experiment.filter
+    of: list[Compiled] = []
+
+    def compile() -> None:
+        bare = copy(safety_filter)
+        x, _ = safety_filter.probe(experiment.device)
+        of.append(Compiled(lambda y: [barriers(y, bare)], x, batch=BATCH))
+
+    if experiment.filter_compiled and compile_or_explain("barriers", compile):
+        return lambda x: of[0](x)[0]
+    return partial(barriers, safety_filter=safety_filter)
+
+
 def run(
     campaign: Boundary, draws: int, experiment: Experiment, path: Path | None
 ) -> Iterator[dict[str, Any]]:
@@ -116,6 +135,7 @@ def run(
     """
     config, safety_filter = experiment.config, experiment.filter
     report = report_in(path, campaign, config, empty_report)
+    of = barriers_of(experiment)
     columns = campaign.batch_size * campaign.tries
     env = experiment.env(columns, None, campaign.period, CHECK_BETWEEN, experiment.filter_compiled)
     yield report
@@ -123,7 +143,7 @@ def run(
         batch_seed = np.random.SeedSequence((campaign.seed, report["batches"])).generate_state(1)[0]
         of_states, of_controls, of_plants = spawned(int(batch_seed), 3)
         with refusing("[inspection] and [rta]", RuntimeError):
-            near = near_limits(campaign.batch_size, of_states, safety_filter, experiment.device)
+            near = near_limits(campaign.batch_size, of_states, safety_filter, of, experiment.device)
         desired = controls(near.state, safety_filter, torch.Generator().manual_seed(of_controls))
         plants = torch.Generator().manual_seed(of_plants)
         number = torch.rand(campaign.batch_size, generator=plants, dtype=torch.float64).to(near.state)

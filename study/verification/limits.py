@@ -29,11 +29,12 @@ from inspection.parameters import AXES, InspectionParameters
 from inspection.state import OMEGA, SIZE, THETA_S, E, P, Q, T, V
 from rta.constraints import CONSTRAINTS
 from rta.filter import SafetyFilter, in_order, joined
+from rta.lie_derivatives import Function
 from study.verification.starts import NUMBERS, spawned, spread
 
 GAP = 1e-6, 1e-1  # smallest and largest
 BISECTIONS = 2, 2, 20  # of a component's way; after each of them what is broken anyway is left out
-CANDIDATES = 18  # in a hypercube, for each state that is wanted: most often enough
+CANDIDATES = 15  # in a hypercube, for each state that is wanted: most often enough
 HYPERCUBES = 100  # drawn before the limits count as out of reach
 LIMITS = len(CONSTRAINTS)
 PAIRS = tuple(itertools.combinations(range(LIMITS), 2))
@@ -180,11 +181,11 @@ def between(x: Tensor, end: Tensor, share: Tensor) -> Tensor:
 
 
 def approach(
-    near: NearLimits, which: int, generator: torch.Generator, safety_filter: SafetyFilter
+    near: NearLimits, which: int, generator: torch.Generator, of: Function, c: InspectionParameters
 ) -> NearLimits:
     """Moves states next to the first or second of their limits; those that do not get there are left out."""
     x, target, gap = near.state, near.targets[which], near.gaps[which]
-    every = ends(x, generator, safety_filter.c)
+    every = ends(x, generator, c)
     names, most = list(every), max(map(len, WAYS.values()))
     ways = x.new_tensor(
         [[names.index(way[i * len(way) // most]) for i in range(most)] for way in WAYS.values()]
@@ -194,7 +195,7 @@ def approach(
     end = torch.stack(list(every.values())).gather(0, move.expand(1, SIZE, -1))[0]
 
     def above(y: Tensor) -> Tensor:
-        return barriers(y, safety_filter).gather(0, target[None])[0] >= gap
+        return of(y).gather(0, target[None])[0] >= gap
 
     left = torch.nonzero(above(x) & ~above(end)).flatten()
     low, high = torch.zeros_like(gap), torch.ones_like(gap)
@@ -205,14 +206,16 @@ def approach(
             middle = (low + high) / 2
             before = above(between(x, end, middle))
             low, high = torch.where(before, middle, low), torch.where(before, high, middle)
-        values = [barriers(between(x, end, share), safety_filter) for share in (low, high)]
+        values = [of(between(x, end, share)) for share in (low, high)]
         left = torch.nonzero(safe(values[0].maximum(values[1]), near.within)).flatten()
     return near._replace(state=between(x, end, low))[left]
 
 
 @torch.no_grad()
-def near_limits(count: int, seed: int, safety_filter: SafetyFilter, device: torch.device | str) -> NearLimits:
-    """States next to limits as this file's beginning says, on the device.
+def near_limits(
+    count: int, seed: int, safety_filter: SafetyFilter, of: Function, device: torch.device | str
+) -> NearLimits:
+    """States next to limits as this file's beginning says, on the device; `of` is `barriers` of the filter.
 
     Raises:
         RuntimeError: fewer were found in HYPERCUBES hypercubes.
@@ -221,21 +224,18 @@ def near_limits(count: int, seed: int, safety_filter: SafetyFilter, device: torc
     sampler = qmc.LatinHypercube(NUMBERS, rng=np.random.default_rng(of_hypercube))
     generator = torch.Generator().manual_seed(of_moves)
     scale = torch.tensor(scales(safety_filter), dtype=torch.float64, device=device)
-    found, have = [], 0
+    c, found, have = safety_filter.c, [], 0
     for _ in range(HYPERCUBES):
-        x, _ = spread(torch.from_numpy(sampler.random(CANDIDATES * count).T.copy()), safety_filter.c)
+        x, _ = spread(torch.from_numpy(sampler.random(CANDIDATES * count).T.copy()), c)
         x = x.to(device)
-        x = x[:, safe(barriers(x, safety_filter))]
+        x = x[:, safe(of(x))]
         near = aimed(x, scale, generator)
-        near = approach(near, 0, generator, safety_filter)
+        near = approach(near, 0, generator, of, c)
         pair = near.limits[0] != near.limits[1]
-        both = approach(near[pair], 1, generator, safety_filter)
-        away = (
-            barriers(both.state, safety_filter).gather(0, both.targets[:1])[0]
-            > GAP[1] * scale[both.targets[0]]
-        )
-        near = together([near[~pair], both[~away], approach(both[away], 0, generator, safety_filter)])
-        values = barriers(near.state, safety_filter)
+        both = approach(near[pair], 1, generator, of, c)
+        away = of(both.state).gather(0, both.targets[:1])[0] > GAP[1] * scale[both.targets[0]]
+        near = together([near[~pair], both[~away], approach(both[away], 0, generator, of, c)])
+        values = of(near.state)
         counts = safe(values, near.within) & (safety_filter.values(near.state) >= 0.0).all(0)
         counts &= (values.gather(0, near.targets) <= GAP[1] * scale[near.targets]).all(0)
         found.append(near[torch.nonzero(counts).flatten()])

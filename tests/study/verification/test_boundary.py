@@ -1,6 +1,7 @@
 """Single calls next to the filter's limits: where the states are, what is found, and how it is counted."""
 
 import json
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -37,7 +38,8 @@ def near(nominal: Experiment) -> limits.NearLimits:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(limits, "BISECTIONS", (4, 10))
         patch.setattr(limits, "GAP", (1e-3, 1e-1))
-        return limits.near_limits(BATCH, 5, nominal.filter, "cpu")
+        of = partial(limits.barriers, safety_filter=nominal.filter)
+        return limits.near_limits(BATCH, 3, nominal.filter, of, "cpu")
 
 
 @pytest.fixture(autouse=True)
