@@ -65,8 +65,8 @@ def record(experiment: Experiment, agent: Agent) -> Flight:
     """Plays EPISODES from the initial distribution, and keeps what the filter meets in the later half of STEPS."""
     met: list[tuple[Tensor, Tensor]] = []
     asked: dict[int, list[Problems]] = {}
-    safety_filter, solver = copy(experiment.filter), experiment.filter.solver
-    safety_filter.solver = copy(solver)
+    safety_filter, solver = experiment.filter, experiment.filter.solver
+    listening = copy(solver)
 
     def solve(problems: Problems) -> Solutions:
         asked.setdefault(len(problems.a), []).append(problems)
@@ -76,15 +76,19 @@ def record(experiment: Experiment, agent: Agent) -> Flight:
         met.append((x, desired))
         return safety_filter.correct(x, desired, **told)
 
-    safety_filter.solver.solve = solve  # type: ignore[method-assign]
+    listening.solve = solve  # type: ignore[method-assign]
     env = experiment.env(EPISODES)
     env.put_behind(replace(experiment.safety, correct=correct))
-    observation = env.reset()
-    for i in range(STEPS):
-        if i == STEPS // 2:
-            met.clear()
-            asked.clear()
-        observation = env.step(agent(observation)).observation
+    safety_filter.solver = listening  # of the filter itself: a copy would not be compiled
+    try:
+        observation = env.reset()
+        for i in range(STEPS):
+            if i == STEPS // 2:
+                met.clear()
+                asked.clear()
+            observation = env.step(agent(observation)).observation
+    finally:
+        safety_filter.solver = solver
     x, desired = (torch.cat(parts, 1) for parts in zip(*met, strict=True))
     order = shuffled(x)
     return Flight(x[:, order], desired[:, order], [join(parts) for parts in asked.values()])

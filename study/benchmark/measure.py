@@ -67,10 +67,12 @@ def benchmark(config: Config, batches: tuple[int, ...]) -> dict[str, Any]:
 
     say("filter with [uncertainty]")
     told = in_u1(config)
-    own = experiment_at(told, 1.0, typical).filter
+    of_u1 = experiment_at(told, 1.0, typical)
+    # what it meets itself: the other filter leads to states that it would have kept away from
+    told_flight = record(of_u1, agent)
     # where controls are held, more at once take a minute each and are no faster
-    told_calls = {n: rates.filter_calls(own, flight, n) for n in batches if n <= typical}
-    told_latencies = rates.single_latencies(experiment_at(told, 1.0, 1).filter, flight)
+    told_calls = {n: rates.filter_calls(of_u1.filter, told_flight, n) for n in batches if n <= typical}
+    told_latencies = rates.single_latencies(experiment_at(told, 1.0, 1).filter, told_flight)
 
     simulator: dict[str, dict[int, Spread]] = {name: {} for name in ("native", *rates.KINDS)}
     closed_loop: dict[str, dict[int, Spread]] = {name: {} for name in experiments}
@@ -127,9 +129,10 @@ def benchmark(config: Config, batches: tuple[int, ...]) -> dict[str, Any]:
 
 
 def in_u1(config: Config) -> Config:
-    """The configuration with a filter that is told of the set U1, or of what it is told already."""
+    """The configuration in the set U1, of which the filter is told; or what it is, where the filter is told already."""
+    u1 = load(U1, Config())
     known = config.uncertainty
-    return replace(config, uncertainty=load(U1, Config()).uncertainty) if known.is_nil else config
+    return replace(config, uncertainty=u1.uncertainty, plant=u1.plant) if known.is_nil else config
 
 
 @torch.enable_grad()
