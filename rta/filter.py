@@ -119,6 +119,7 @@ class SafetyFilter:
             raise ValueError(f"constraints {', '.join(self.names)}: each name must be there once")
         self._prepare: Callable[[Tensor, Tensor], list[Tensor]] = self.prepare
         self._prepare_held = self._uncompiled_held()
+        self._predict: Callable[[Tensor, Tensor], list[Tensor]] = self.predict
 
     def __reduce__(self) -> tuple[Any, ...]:
         return type(self), (self.c, self.parameters, self.solver, self.extra, self.known)
@@ -179,11 +180,11 @@ class SafetyFilter:
         x, u = self.probe(device)
         if not self.holds:
             return [Compiled(self.prepare, x, u, batch=batch, trace_only=trace_only)]
-        spread = torch.zeros_like(x[:KINDS])
-        return [
-            Compiled(run, x, u, spread, torch.ones_like(u), batch=batch, trace_only=trace_only)
-            for run in self._uncompiled_held()
-        ]
+        of_rows = x, u, torch.zeros_like(x[:KINDS]), torch.ones_like(u)
+        examples = [(run, of_rows) for run in self._uncompiled_held()]
+        if self.known.latency:
+            examples.append((self.predict, (x, u.repeat(self.known.latency, 1, 1))))
+        return [Compiled(run, *given, batch=batch, trace_only=trace_only) for run, given in examples]
 
     def _uncompiled_held(self) -> list[Callable[..., list[Tensor]]]:
         """`prepare_held` of each group."""
@@ -197,7 +198,8 @@ class SafetyFilter:
     def _take(self, compiled: list[Compiled]) -> None:
         """Uses what was compiled from now on."""
         if self.holds:
-            self._prepare_held = list(compiled)
+            self._prepare_held = compiled[: len(self.groups)]
+            self._predict = compiled[-1] if self.known.latency else self.predict
         else:
             (self._prepare,) = compiled
 
@@ -247,6 +249,10 @@ class SafetyFilter:
         return list(
             scaled(group(x, left * control, spread, there), control[group.controls] / group.limit, there)
         )
+
+    def predict(self, x: Tensor, sent: Tensor) -> list[Tensor]:
+        """`predicted` by this filter's model: (16, B) and (k, 6, B) to what it says (16, B) and (4, B)."""
+        return list(predicted(x, sent, self.c, self.parameters, self.known))
 
     def _prepared(self, x: Tensor, desired: Tensor) -> tuple[Prepared, Prepared]:
         parts = self._prepare(x, desired)
@@ -337,7 +343,8 @@ class SafetyFilter:
         known, sent = self.known, x.new_zeros(0, *control.shape) if sent is None else sent
         stale = (~sent.isnan().any(1)).sum(0) > known.latency
         left = torch.ones_like(control) if left is None or not known.health else left
-        x, spread = predicted(x, left * sent, self.c, self.parameters, known)
+        predict = self._predict if len(sent) == known.latency else self.predict  # compiled for as many
+        x, spread = predict(x, left * sent)
         asked = control.clone()
         control[THRUST] = known.given(control[THRUST], self.c.max_thrust)
         if known.health:

@@ -27,6 +27,7 @@ def breakdown(env: InspectionEnv, safety_filter: SafetyFilter, agent: Agent) -> 
     # a copy is not compiled, so the parts are the given filter's own
     timed._prepare = watch.timed("filter: rows", safety_filter._prepare)
     timed._prepare_held = [watch.timed("filter: rows", run) for run in safety_filter._prepare_held]
+    timed._predict = watch.timed("filter: rows", safety_filter._predict)
     timed.solver = copy(safety_filter.solver)
     timed.solver.solve = watch.timed("filter: programs", safety_filter.solver.solve)  # type: ignore[method-assign]
     env.put_behind(replace(timed.safety(), correct=watch.timed("filter", timed.correct)))

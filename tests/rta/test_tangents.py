@@ -3,11 +3,13 @@
 import dataclasses
 import itertools
 import math
+from collections.abc import Callable
 
 import pytest
 import torch
 from torch import Tensor
 
+from inspection.compiled import Compiled
 from inspection.dynamics import integrate, step
 from inspection.parameters import InspectionParameters
 from inspection.state import OMEGA, SIZE, THRUST, P, Q, V
@@ -183,6 +185,33 @@ def test_a_state_older_than_told_is_counted_unsolved() -> None:
     result = f.correct(x, u, sent=sent)
     assert (result.status == Status.UNSOLVED).tolist() == [True, False, False]
     assert result.intervened[0] and result.control.isfinite().all()
+
+
+def test_a_late_state_is_predicted_by_what_is_compiled_for_as_many_controls(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    called: list[int] = []
+
+    def compiled(
+        run: Callable[..., list[Tensor]], *examples: Tensor, **_: object
+    ) -> Callable[..., list[Tensor]]:
+        if len(examples) > 2:  # rows
+            return run
+        traced = Compiled(run, *examples, trace_only=True)
+        return lambda x, sent: called.append(len(sent)) or traced(x, sent)
+
+    known = Uncertainty(latency=2, mass=0.1, velocity=0.002)
+    f, other = SafetyFilter(C, known=known), SafetyFilter(C, known=known)
+    monkeypatch.setattr("rta.filter.Compiled", compiled)
+    other.trace()
+    x, u = across(4, 0.9), desired(4)
+    sent = desired(8).reshape(6, 2, 4).transpose(0, 1).contiguous()
+    sent[0, :, 2:] = math.nan
+    for given in (sent, sent[1:], None):  # two calls old or one, one, of now
+        one, again = (each.correct(x, u, sent=given) for each in (f, other))
+        for field in dataclasses.fields(one):
+            assert torch.equal(getattr(one, field.name), getattr(again, field.name)), field.name
+    assert called == [2] and not torch.equal(f.correct(x, u, sent=sent).h, f.correct(x, u).h)
 
 
 # 40 m from the chief at 0.5 m/s, 0.012 m/s below the limit, under full thrust that would be held for 10 s: near the

@@ -31,7 +31,7 @@ def test_benchmark_writes_the_promised_json_and_figure(
 ) -> None:
     few = {
         timing: {"SHORTEST": 0.0, "REPEATS": 1},
-        flights: {"STEPS": 4, "EPISODES": 64},
+        flights: {"STEPS": 2, "EPISODES": 64},
         rates: {"WARM_CALLS": 1, "SINGLE_CALLS": 5, "SAMPLES": 256},
         measure: {"PROGRAMS": (1, 64), "TYPICAL_PROGRAMS": 64},
         presentation: {"TYPICAL_PROGRAMS": 64},
