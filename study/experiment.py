@@ -31,6 +31,9 @@ WORTH_COMPILING_FILTER = 1000
 WORTH_COMPILING_SIMULATOR = 3000
 # Tracing takes 5 s and saves 30 ms of a call's 40, for one spacecraft as for hundreds.
 WORTH_TRACING_FILTER = 150
+# Where controls are held a call takes 2 s or more, traced 0.3 to 0.7, compiled 0.03 to 0.1 (16 to 1,000 spacecraft);
+# tracing takes 25 s, compiling three minutes the first time.
+WORTH_COMPILING_HELD, WORTH_TRACING_HELD = 400, 15
 TYPICAL_EPISODE = 3000.0  # s
 
 # Spacecraft from which the batched solver is the faster one on a CPU: about half of them have a program to solve, and
@@ -64,7 +67,8 @@ class Experiment:
         THREADS.settle()
         self.config = settled(config, batch, self.device)
         choice, calls = config.train.compile, seconds / config.rta.period
-        self.filter_compiled = config.train.rta and wants_compile(choice, calls >= WORTH_COMPILING_FILTER)
+        worth_compiling, self.worth_tracing = worthwhile(config)
+        self.filter_compiled = config.train.rta and wants_compile(choice, calls >= worth_compiling)
         self.compiled = wants_compile(choice, steps >= WORTH_COMPILING_SIMULATOR)
         with refusing("[rta], [inspection] and [uncertainty]", ValueError, OverflowError):
             self.filter = SafetyFilter(config.inspection, self.config.rta, known=config.uncertainty)
@@ -74,7 +78,7 @@ class Experiment:
             self.filter_compiled = compile_or_explain(
                 "filter", lambda: self.filter.compile(self.device, batch)
             )
-        worth = config.train.rta and choice != "off" and calls >= WORTH_TRACING_FILTER
+        worth = config.train.rta and choice != "off" and calls >= self.worth_tracing
         if worth and not self.filter_compiled and self.device.type == "cpu":
             self.trace_filter(batch)
         self.safety = self.filter.safety(config.train.rta)
@@ -156,6 +160,13 @@ def check_cache() -> None:
     if path := os.environ.get("TORCHINDUCTOR_CACHE_DIR"):
         with refusing(f"TORCHINDUCTOR_CACHE_DIR {path!r}: cannot make this directory", OSError, ValueError):
             Path(path).mkdir(parents=True, exist_ok=True)
+
+
+def worthwhile(config: Config) -> tuple[int, int]:
+    """As many filter calls repay compiling it, and tracing it."""
+    if config.uncertainty.holds(config.rta):
+        return WORTH_COMPILING_HELD, WORTH_TRACING_HELD
+    return WORTH_COMPILING_FILTER, WORTH_TRACING_FILTER
 
 
 def settled(config: Config, batch: int, device: torch.device) -> Config:

@@ -14,7 +14,7 @@ from inspection.state import SIZE, P
 from rta.constraints import CONSTRAINTS
 from study.config import Config, from_toml, override
 from study.errors import MALFORMED, ReplayError, refusing
-from study.experiment import WORTH_TRACING_FILTER, Experiment, check_clocks
+from study.experiment import Experiment, check_clocks
 from study.files import load_arrays
 from study.progress import bar
 from study.verification.flight import Flight
@@ -85,7 +85,7 @@ def replay(experiment: Experiment, example: dict[str, np.ndarray]) -> tuple[floa
     env.put_behind(replace(env.safety, correct=correct, period=period))
     env.start(x, unit(x[P]), torch.as_tensor(example.get("number", 0.0)).reshape(1).to(x))
     value, when, difference = env.constraint_values(x)[row].item(), 0.0, 0.0
-    if len(applied) >= WORTH_TRACING_FILTER:
+    if len(applied) >= experiment.worth_tracing:
         experiment.trace_filter(1)
     duration = len(applied) * period
     holds = env.fly(lambda t, x: desired[round(t / period)], duration)
