@@ -344,6 +344,35 @@ def test_the_worlds_that_are_told_of_are_the_reports(name: str) -> None:
     assert f"| {' | '.join(cells)} |" in text(SAFETY).splitlines()
 
 
+TRIED = {
+    "random_between": ("the model", "random"),
+    "adversarial_between": ("the model", "adversarial"),
+    "lookahead": ("the model", "lookahead"),
+    "learned_motion": ("the model", "learned: motion"),
+    "learned_passive": ("the model", "learned: passive safety"),
+    "learned_attitude": ("the model", "learned: attitude, temperature, energy"),
+    "u1_learned_motion": ("U1", "learned: motion"),
+    "u1_learned_passive": ("U1", "learned: passive safety"),
+    "u1_learned_attitude": ("U1", "learned: attitude, temperature, energy"),
+}
+
+
+@pytest.mark.parametrize("name", TRIED)
+def test_what_the_adversaries_reached_is_the_reports(name: str) -> None:
+    report = read(f"verification/{name}.json")
+    worst, flown = report["worst_value"], report["campaign"]
+    cells = [
+        *TRIED[name],
+        f"{report['episodes']:,}",
+        f"{flown['check_every']:g}",
+        f"{report['violating_episodes']['any']:,}",
+        f"{report['upper_bound_95']:.2g}",
+        f"{worst['keep_in_zone']:.3f}, {worst['passive_safety']:.2f}",
+    ]
+    assert flown["duration"] == 2000 and report["unsolved"] == 0
+    assert f"| {' | '.join(cells)} |" in text(SAFETY).splitlines()
+
+
 def test_the_break_points_are_the_reports() -> None:
     report = read("verification/break_points.json")
     lines = text(SAFETY).splitlines()
