@@ -124,6 +124,9 @@ def test_the_sentences_of_the_front_page_have_the_files_numbers() -> None:
     episodes, calls = (sum(numbers) for numbers in zip(*map(episodes_and_filter_calls, reports), strict=True))
     assert f"{episodes:,} episodes, half of them" in said and f"{calls / 1e6:.0f} million calls" in said
     assert all(report["upper_bound_95"] < 1e-4 for report in reports)
+    told = [read(f"verification/u1_{policy}.json") for policy in ("random", "adversarial")]
+    assert f"held every limit in {sum(report['episodes'] for report in told):,} episodes" in said
+    assert not any(report["violating_episodes"]["any"] for report in told)
     free, filtered = BENCHMARK["simulator_steps_per_s"], BENCHMARK["closed_loop_steps_per_s"]["1"]
     assert f"{round(free, -4):,.0f} decisions of 10 s per second, and {round(filtered, -3):,.0f} with" in said
 
