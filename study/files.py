@@ -1,6 +1,7 @@
 """Files: arrays that are read, and whatever is written, whole or not at all."""
 
 import json
+import re
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -48,6 +49,9 @@ def check_writable(path: str | None, flag: str) -> None:
             temporary_beside(target).unlink()
 
 
+NUMBERS = re.compile(r"(?<=\[)\n[-\d.eE+,\s]+(?=\])")  # of an indented list that holds nothing else
+
+
 @contextmanager
 def writing(path: str | Path) -> Iterator[BinaryIO]:
     """A file to write, see `ppo.files.replacing`; raises OSErrors that name the file, also for a full disk."""
@@ -62,8 +66,9 @@ def write_text(path: str | Path, text: str) -> None:
 
 
 def write_json(path: str | Path, content: Mapping[str, Any]) -> None:
-    """Writes content as indented JSON, whole or not at all."""
-    write_text(path, json.dumps(content, indent=2) + "\n")
+    """Writes content as indented JSON with a list of numbers on a line, whole or not at all."""
+    indented = json.dumps(content, indent=2)
+    write_text(path, NUMBERS.sub(lambda numbers: " ".join(numbers[0].split()), indented) + "\n")
 
 
 def write_npz(path: str | Path, arrays: Mapping[str, np.ndarray]) -> None:

@@ -15,7 +15,7 @@ from study.verification.flight import ROUNDING
 from study.verification.limits import NearLimits
 from study.verified import fingerprint
 
-SHOWN = 20  # worst cases that a report holds, per constraint
+SHOWN = 5  # worst cases that a report holds, per constraint
 
 
 class Tried(NamedTuple):

@@ -1,6 +1,7 @@
 """Files: written whole or not at all, refused in one line."""
 
 import json
+import math
 import os
 import signal
 import stat
@@ -32,6 +33,14 @@ def test_what_is_written_is_read_back(tmp_path: Path) -> None:
     write_text(tmp_path / "x.txt", "Δv")
     assert (tmp_path / "x.txt").read_bytes() == "Δv".encode()
     assert sorted(path.name for path in tmp_path.iterdir()) == ["x.json", "x.npz", "x.txt"]
+
+
+def test_a_list_of_numbers_is_one_line_and_a_text_as_it_is(tmp_path: Path) -> None:
+    content = {"x": [1, -2.5, 3e-05], "of": [[1, 2], ["[ 1,  2\n]"]], "none": [], "nan": [math.nan, 1.0]}
+    write_json(tmp_path / "x.json", content)
+    text = (tmp_path / "x.json").read_text()
+    assert '"x": [1, -2.5, 3e-05],' in text and "[1, 2]" in text
+    assert repr(json.loads(text)) == repr(content)
 
 
 @pytest.mark.parametrize("failure", [KeyboardInterrupt, ValueError, SystemExit])
