@@ -119,7 +119,7 @@ class SafetyFilter:
             raise ValueError(f"constraints {', '.join(self.names)}: each name must be there once")
         self._prepare: Callable[[Tensor, Tensor], list[Tensor]] = self.prepare
         self._prepare_held = self._uncompiled_held()
-        self._predict: Callable[[Tensor, Tensor], list[Tensor]] = self.predict
+        self._predict: Callable[..., list[Tensor]] = self.predict
 
     def __reduce__(self) -> tuple[Any, ...]:
         return type(self), (self.c, self.parameters, self.solver, self.extra, self.known)
@@ -160,8 +160,8 @@ class SafetyFilter:
     def compile(self, device: torch.device | str, batch: int) -> None:
         """Compiles `prepare` and the solver for tensors on this device and calls of about so many spacecraft.
 
-        Takes about a minute, once: what was compiled is kept across runs. Raises whatever PyTorch raises where there is
-        no working C++ compiler, and changes nothing then.
+        Takes a minute, or some where controls are held, once: what was compiled is kept across runs. Raises whatever
+        PyTorch raises where there is no working C++ compiler, and changes nothing then.
         """
         compiled = self._compiled(device, batch, trace_only=False)
         rows = max(len(group.weights) for group in self.groups)
@@ -171,7 +171,8 @@ class SafetyFilter:
     def trace(self, batch: int = 1, device: torch.device | str = "cpu") -> None:
         """Traces `prepare` for tensors on this device and calls of about so many spacecraft.
 
-        Takes some seconds and no compiler; calls are then several times as fast, with the same bits in their results.
+        Takes some seconds, or half a minute where controls are held, and no compiler; calls are then several times as
+        fast, with the same bits in their results.
         """
         self._take(self._compiled(device, batch, trace_only=True))
 
@@ -180,10 +181,10 @@ class SafetyFilter:
         x, u = self.probe(device)
         if not self.holds:
             return [Compiled(self.prepare, x, u, batch=batch, trace_only=trace_only)]
-        of_rows = x, u, torch.zeros_like(x[:KINDS]), torch.ones_like(u)
-        examples = [(run, of_rows) for run in self._uncompiled_held()]
+        spread = torch.zeros_like(x[:KINDS])
+        examples = [(run, (x, u, spread, torch.ones_like(u))) for run in self._uncompiled_held()]
         if self.known.latency:
-            examples.append((self.predict, (x, u.repeat(self.known.latency, 1, 1))))
+            examples.append((self.predict, (x, spread, u)))
         return [Compiled(run, *given, batch=batch, trace_only=trace_only) for run, given in examples]
 
     def _uncompiled_held(self) -> list[Callable[..., list[Tensor]]]:
@@ -250,9 +251,9 @@ class SafetyFilter:
             scaled(group(x, left * control, spread, there), control[group.controls] / group.limit, there)
         )
 
-    def predict(self, x: Tensor, sent: Tensor) -> list[Tensor]:
-        """`predicted` by this filter's model: (16, B) and (k, 6, B) to what it says (16, B) and (4, B)."""
-        return list(predicted(x, sent, self.c, self.parameters, self.known))
+    def predict(self, x: Tensor, spread: Tensor, u: Tensor) -> list[Tensor]:
+        """`predicted` by this filter's model, of states (16, B) and (4, B) under controls (6, B)."""
+        return list(predicted(x, spread, u, self.c, self.parameters, self.known))
 
     def _prepared(self, x: Tensor, desired: Tensor) -> tuple[Prepared, Prepared]:
         parts = self._prepare(x, desired)
@@ -343,8 +344,9 @@ class SafetyFilter:
         known, sent = self.known, x.new_zeros(0, *control.shape) if sent is None else sent
         stale = (~sent.isnan().any(1)).sum(0) > known.latency
         left = torch.ones_like(control) if left is None or not known.health else left
-        predict = self._predict if len(sent) == known.latency else self.predict  # compiled for as many
-        x, spread = predict(x, left * sent)
+        spread = torch.zeros_like(x[:KINDS])
+        for u in sent:
+            x, spread = self._predict(x, spread, left * u)
         asked = control.clone()
         control[THRUST] = known.given(control[THRUST], self.c.max_thrust)
         if known.health:
@@ -390,7 +392,7 @@ class SafetyFilter:
 
 
 def narrowed(chosen: Tensor, x: Tensor, holds: Callable[[Tensor], Tensor]) -> Tensor:
-    """(B,) bool: chosen (B,), and `holds` says so of the state; of the others of states (16, B) it is not asked."""
+    """Clears `chosen` (B,) where `holds` denies it, which is asked of the chosen columns of states (16, B) only."""
     columns = torch.nonzero(chosen).flatten()
     if columns.numel():
         put(chosen, columns, holds(pick(x, columns)))

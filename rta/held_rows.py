@@ -359,43 +359,40 @@ def unsaturated(c: InspectionParameters) -> InspectionParameters:
 
 
 def predicted(
-    x: Tensor, sent: Tensor, c: InspectionParameters, r: RtaParameters, known: Uncertainty
+    x: Tensor, spread: Tensor, u: Tensor, c: InspectionParameters, r: RtaParameters, known: Uncertainty
 ) -> tuple[Tensor, Tensor]:
-    """The states of now, and how much further they may be off than when they were measured.
+    """The states a period after others, and how much further they may be off than when they were measured.
 
     An acceleration that is off by A for T changes a velocity by A T and a position by A T^2 / 2 more than it was off.
     Thrust is off by its size's error, by each thruster's misalignment, and by how far the body is turned otherwise.
 
     Args:
-        x: (16, B) as measured; sent: (k, 6, B) the controls held since, the oldest first, each for a period; NaN where
-            a state is younger.
+        x: (16, B); spread: (4, B) how much further they may be off already, see `HeldGroup.conditions_at`.
+        u: (6, B) the controls held since, NaN where a state is younger; it is left as it is.
 
     Returns:
-        States (16, B) and (4, B), see `HeldGroup.conditions_at`.
+        States (16, B) and (4, B).
     """
-    model, spread, t = unsaturated(c), x.new_zeros(KINDS, x.shape[1]), r.period
+    model, t = unsaturated(c), r.period
     aside, attitude = (
         math.sin(math.radians(known.thrust_misalignment)),
         math.radians(math.sqrt(3.0) * known.attitude),
     )
     error, most, twist = known.thrust_error, known.thrust[1], known.torque_error
     velocity, rate = math.sqrt(3.0) * known.velocity, math.radians(math.sqrt(3.0) * known.rate)
-    for u in sent:
-        old = ~u.isnan().any(0)
-        u = u.nan_to_num()
-        p, v, q, omega = spread
-        twisted = twist * norm(u[TORQUE]) / min(c.inertia) + known.angular_acceleration(c)
-        angle = attitude + q + (rate + omega) * t / 2 + twisted * t**2 / 6
-        off = (error + most * angle) * norm(u[THRUST]) + most * aside * u[THRUST].abs().sum(0)
-        push = off / c.mass + known.acceleration
-        grown = torch.stack(
-            (
-                p + (velocity + v) * t + push * t**2 / 2,
-                v + push * t,
-                q + (rate + omega) * t + twisted * t**2 / 2,
-                omega + twisted * t,
-            )
+    old = ~u.isnan().any(0)
+    u = u.nan_to_num()
+    p, v, q, omega = spread
+    twisted = twist * norm(u[TORQUE]) / min(c.inertia) + known.angular_acceleration(c)
+    angle = attitude + q + (rate + omega) * t / 2 + twisted * t**2 / 6
+    off = (error + most * angle) * norm(u[THRUST]) + most * aside * u[THRUST].abs().sum(0)
+    push = off / c.mass + known.acceleration
+    grown = torch.stack(
+        (
+            p + (velocity + v) * t + push * t**2 / 2,
+            v + push * t,
+            q + (rate + omega) * t + twisted * t**2 / 2,
+            omega + twisted * t,
         )
-        spread = torch.where(old, grown, spread)
-        x = torch.where(old, step(x, u, t, model), x)
-    return x, spread
+    )
+    return torch.where(old, step(x, u, t, model), x), torch.where(old, grown, spread)

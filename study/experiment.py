@@ -55,6 +55,7 @@ class Experiment:
         config: with the solver that is used; device; filter.
         safety: constraints, admissible starts and, if the configuration wants it, the filter.
         filter_compiled, compiled: the filter is compiled; simulator and learner are to be.
+        worth_tracing: calls that repay tracing the filter.
 
     Raises:
         InputError: the configuration's parts do not fit together or the machine.
@@ -85,7 +86,7 @@ class Experiment:
 
     def trace_filter(self, batch: int) -> None:
         """Has the filter traced for calls of about so many spacecraft, which saves three quarters of a call's time."""
-        with step("tracing the filter, some seconds"):
+        with step("tracing the filter, seconds, or half a minute with [uncertainty] or a period above 1 s"):
             self.filter.trace(batch, self.device)
 
     def generators(self, seeds: Sequence[int] = (0,)) -> list[torch.Generator]:
@@ -163,7 +164,7 @@ def check_cache() -> None:
 
 
 def worthwhile(config: Config) -> tuple[int, int]:
-    """As many filter calls repay compiling it, and tracing it."""
+    """Filter calls that repay compiling it, and tracing it."""
     if config.uncertainty.holds(config.rta):
         return WORTH_COMPILING_HELD, WORTH_TRACING_HELD
     return WORTH_COMPILING_FILTER, WORTH_TRACING_FILTER

@@ -61,7 +61,7 @@ def filter_calls(safety_filter: SafetyFilter, flight: Flight, batch: int) -> Spr
 
 
 def nothing_sent(safety_filter: SafetyFilter, flight: Flight, batch: int) -> Tensor:
-    """No control (calls, 6, batch) at each call that a state may be old."""
+    """No control (calls, 6, batch) at each call that a state may be old: as much to compute as any."""
     return flight.desired.new_zeros(safety_filter.known.latency, CONTROL_SIZE, batch)
 
 

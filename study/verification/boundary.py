@@ -38,7 +38,7 @@ from study.verification.starts import spawned
 BATCH = 4096  # states drawn at once
 TRIES = 4  # desired controls at each of them
 CHECK_BETWEEN = 0.1  # s
-CALLS = 2 + 3 * sum(BISECTIONS)  # of the filter in a batch, about
+CALLS = 2 + 3 * sum(BISECTIONS)  # of the filter's rows in a batch, about
 
 
 @dataclasses.dataclass(frozen=True)
@@ -113,16 +113,15 @@ def tried(
 
 def barriers_of(experiment: Experiment) -> Function:
     """`barriers` of the experiment's filter; compiled with it, which halves the time of a draw."""
-    safety_filter = experiment.filter
-    of: list[Compiled] = []
+    safety_filter, compiled = experiment.filter, []
 
     def compile() -> None:
-        bare = copy(safety_filter)
+        bare = copy(safety_filter)  # not compiled: of compiled code nothing can be traced
         x, _ = safety_filter.probe(experiment.device)
-        of.append(Compiled(lambda y: [barriers(y, bare)], x, batch=BATCH))
+        compiled.append(Compiled(lambda y: [barriers(y, bare)], x, batch=BATCH))
 
     if experiment.filter_compiled and compile_or_explain("barriers", compile):
-        return lambda x: of[0](x)[0]
+        return lambda x: compiled[0](x)[0]
     return partial(barriers, safety_filter=safety_filter)
 
 
@@ -135,7 +134,7 @@ def run(
     """
     config, safety_filter = experiment.config, experiment.filter
     report = report_in(path, campaign, config, empty_report)
-    of = barriers_of(experiment)
+    barriers_at = barriers_of(experiment)
     columns = campaign.batch_size * campaign.tries
     env = experiment.env(columns, None, campaign.period, CHECK_BETWEEN, experiment.filter_compiled)
     yield report
@@ -143,7 +142,7 @@ def run(
         batch_seed = np.random.SeedSequence((campaign.seed, report["batches"])).generate_state(1)[0]
         of_states, of_controls, of_plants = spawned(int(batch_seed), 3)
         with refusing("[inspection] and [rta]", RuntimeError):
-            near = near_limits(campaign.batch_size, of_states, safety_filter, of, experiment.device)
+            near = near_limits(campaign.batch_size, of_states, safety_filter, barriers_at, experiment.device)
         desired = controls(near.state, safety_filter, torch.Generator().manual_seed(of_controls))
         plants = torch.Generator().manual_seed(of_plants)
         number = torch.rand(campaign.batch_size, generator=plants, dtype=torch.float64).to(near.state)

@@ -181,7 +181,7 @@ def between(x: Tensor, end: Tensor, share: Tensor) -> Tensor:
 
 
 def approach(
-    near: NearLimits, which: int, generator: torch.Generator, of: Function, c: InspectionParameters
+    near: NearLimits, which: int, generator: torch.Generator, barriers_at: Function, c: InspectionParameters
 ) -> NearLimits:
     """Moves states next to the first or second of their limits; those that do not get there are left out."""
     x, target, gap = near.state, near.targets[which], near.gaps[which]
@@ -195,7 +195,7 @@ def approach(
     end = torch.stack(list(every.values())).gather(0, move.expand(1, SIZE, -1))[0]
 
     def above(y: Tensor) -> Tensor:
-        return of(y).gather(0, target[None])[0] >= gap
+        return barriers_at(y).gather(0, target[None])[0] >= gap
 
     left = torch.nonzero(above(x) & ~above(end)).flatten()
     low, high = torch.zeros_like(gap), torch.ones_like(gap)
@@ -206,16 +206,16 @@ def approach(
             middle = (low + high) / 2
             before = above(between(x, end, middle))
             low, high = torch.where(before, middle, low), torch.where(before, high, middle)
-        values = [of(between(x, end, share)) for share in (low, high)]
+        values = [barriers_at(between(x, end, share)) for share in (low, high)]
         left = torch.nonzero(safe(values[0].maximum(values[1]), near.within)).flatten()
     return near._replace(state=between(x, end, low))[left]
 
 
 @torch.no_grad()
 def near_limits(
-    count: int, seed: int, safety_filter: SafetyFilter, of: Function, device: torch.device | str
+    count: int, seed: int, safety_filter: SafetyFilter, barriers_at: Function, device: torch.device | str
 ) -> NearLimits:
-    """States next to limits as this file's beginning says, on the device; `of` is `barriers` of the filter.
+    """States next to limits as this file's beginning says, on the device; `barriers_at` is `barriers` of the filter.
 
     Raises:
         RuntimeError: fewer were found in HYPERCUBES hypercubes.
@@ -228,14 +228,14 @@ def near_limits(
     for _ in range(HYPERCUBES):
         x, _ = spread(torch.from_numpy(sampler.random(CANDIDATES * count).T.copy()), c)
         x = x.to(device)
-        x = x[:, safe(of(x))]
+        x = x[:, safe(barriers_at(x))]
         near = aimed(x, scale, generator)
-        near = approach(near, 0, generator, of, c)
+        near = approach(near, 0, generator, barriers_at, c)
         pair = near.limits[0] != near.limits[1]
-        both = approach(near[pair], 1, generator, of, c)
-        away = of(both.state).gather(0, both.targets[:1])[0] > GAP[1] * scale[both.targets[0]]
-        near = together([near[~pair], both[~away], approach(both[away], 0, generator, of, c)])
-        values = of(near.state)
+        both = approach(near[pair], 1, generator, barriers_at, c)
+        away = barriers_at(both.state).gather(0, both.targets[:1])[0] > GAP[1] * scale[both.targets[0]]
+        near = together([near[~pair], both[~away], approach(both[away], 0, generator, barriers_at, c)])
+        values = barriers_at(near.state)
         counts = safe(values, near.within) & (safety_filter.values(near.state) >= 0.0).all(0)
         counts &= (values.gather(0, near.targets) <= GAP[1] * scale[near.targets]).all(0)
         found.append(near[torch.nonzero(counts).flatten()])

@@ -15,11 +15,12 @@ from torch._inductor import cpp_builder
 from torch.fx.experimental.proxy_tensor import make_fx
 
 from inspection import compiled
-from inspection.compiled import Compiled, without_repetitions
+from inspection.compiled import Compiled, with_own_code, without_repetitions
 from inspection.parameters import InspectionParameters
 from rta.filter import FilterResult, SafetyFilter
 from rta.parameters import RtaParameters
 from rta.qp import Status
+from rta.uncertainty import Uncertainty
 from study import experiment
 from study.config import Config, TrainParameters
 
@@ -162,19 +163,24 @@ def test_the_filter_is_compiled_for_the_device(monkeypatch: pytest.MonkeyPatch) 
 
 
 @pytest.mark.parametrize(
-    ("choice", "calls", "works", "expected"),
+    ("choice", "mass", "calls", "works", "expected"),
     [
-        ("auto", 149, True, []),
-        ("auto", 150, True, ["trace"]),
-        ("auto", 1000, True, ["compile"]),
-        ("auto", 1000, False, ["compile", "trace"]),
-        ("on", 150, False, ["compile", "trace"]),
-        ("on", 1, True, ["compile"]),
-        ("off", 1000, True, []),
+        ("auto", 0.0, 149, True, []),
+        ("auto", 0.0, 150, True, ["trace"]),
+        ("auto", 0.0, 1000, True, ["compile"]),
+        ("auto", 0.0, 1000, False, ["compile", "trace"]),
+        ("on", 0.0, 150, False, ["compile", "trace"]),
+        ("on", 0.0, 1, True, ["compile"]),
+        ("off", 0.0, 1000, True, []),
+        # where controls are held
+        ("auto", 0.1, 14, True, []),
+        ("auto", 0.1, 15, True, ["trace"]),
+        ("auto", 0.1, 399, True, ["trace"]),
+        ("auto", 0.1, 400, True, ["compile"]),
     ],
 )
 def test_a_filter_that_is_not_compiled_is_traced_where_that_is_repaid(
-    choice: str, calls: int, works: bool, expected: list[str], monkeypatch: pytest.MonkeyPatch
+    choice: str, mass: float, calls: int, works: bool, expected: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     done = []
 
@@ -186,5 +192,34 @@ def test_a_filter_that_is_not_compiled_is_traced_where_that_is_repaid(
     monkeypatch.setattr(SafetyFilter, "compile", compile_)
     monkeypatch.setattr(SafetyFilter, "trace", lambda *_: done.append("trace"))
     monkeypatch.setattr(experiment, "finds_compiler", lambda: True)
-    made = experiment.Experiment(Config(TrainParameters(compile=choice, rta=True)), 7, float(calls))
+    config = Config(TrainParameters(compile=choice, rta=True), uncertainty=Uncertainty(mass=mass))
+    made = experiment.Experiment(config, 7, float(calls))
     assert done == expected and made.filter_compiled == (works and "compile" in expected)
+
+
+def test_nothing_comes_of_no_columns() -> None:
+    run = Compiled(lambda x: [2 * x, x[:1]], torch.ones(3, 1), trace_only=True)
+    assert [part.shape for part in run(torch.ones(3, 0))] == [(3, 0), (1, 0)]
+
+
+def test_many_functions_stay_compiled_on_one_device() -> None:
+    """`torch.compile` leaves a function uncompiled after eight recompilations, which it counts by code."""
+    ran: list[int] = []
+
+    def times(factor: float) -> Callable[[Tensor], Tensor]:
+        operation = (torch.sin, torch.cos, torch.exp, torch.abs, torch.neg, torch.tanh)[round(factor) % 6]
+
+        def packed(x: Tensor) -> Tensor:
+            return operation(x) * factor
+
+        return with_own_code(packed)
+
+    def backend(graph: torch.fx.GraphModule, _: list[Tensor]) -> Callable[..., object]:
+        return lambda *given: ran.append(1) or graph.forward(*given)
+
+    functions = [torch.compile(times(float(k)), dynamic=True, backend=backend) for k in range(12)]
+    for columns in (1, 16, 256):
+        for function in functions:
+            function(torch.ones(2, columns))
+    torch.compiler.reset()
+    assert len(ran) == 3 * len(functions)

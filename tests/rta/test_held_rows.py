@@ -301,6 +301,14 @@ def test_rows_hold_with_everything_at_once(by: str, more: dict[str, Any]) -> Non
 # the state of now, from one that is some calls old
 
 
+def now_of(x: Tensor, sent: Tensor, r: RtaParameters, known: Uncertainty) -> tuple[Tensor, Tensor]:
+    """The states of now and their spread from those that are as many calls old as controls were sent since."""
+    spread = torch.zeros_like(x[:KINDS])
+    for u in sent:
+        x, spread = predicted(x, spread, u, C, r, known)
+    return x, spread
+
+
 def escaped(told: dict[str, Any], period: float, calls: int) -> list[float]:
     """By how much position, velocity, attitude and rates are off beyond what `predicted` says, at the worst."""
     plant = begun(world(told), WORLDS, seed=6, c=C)
@@ -312,7 +320,7 @@ def escaped(told: dict[str, Any], period: float, calls: int) -> list[float]:
         x = plant.integrate(x, plant.actuate(moments(WORLDS), u), plant.body, 0.5, round(2 * period))
     now = relative(plant, x)
     r, known = RtaParameters(period=period), Uncertainty(latency=calls, **told)
-    there, spread = predicted(seen, sent, C, r, known)
+    there, spread = now_of(seen, sent, r, known)
 
     def beyond(off: Tensor, measured: float) -> Tensor:
         return norm((off.abs() - measured).clamp(min=0.0))
@@ -368,10 +376,10 @@ def test_a_younger_state_is_not_predicted_on() -> None:
     sent[0, :, 1:] = math.nan
     sent[1, :, 2] = math.nan
     r, known = RtaParameters(), Uncertainty(latency=2, mass=0.1)
-    there, spread = predicted(x, sent, C, r, known)
+    there, spread = now_of(x, sent, r, known)
     for column, calls in ((0, 2), (1, 1), (2, 0)):
         own = [part[:, column : column + 1] for part in (x, u)]
-        alone = predicted(own[0], own[1].expand(calls, -1, -1), C, r, known)
+        alone = now_of(own[0], own[1].expand(calls, -1, -1), r, known)
         assert torch.equal(there[:, column : column + 1], alone[0])
         assert torch.equal(spread[:, column : column + 1], alone[1])
     expected = flown(x.numpy()[:, :1], u.numpy()[:, :1], 2.0)

@@ -7,6 +7,7 @@ import pytest
 
 import main
 from study.benchmark import breakdown, flights, measure, presentation, rates, timing
+from study.config import Config, load, override
 
 KEYS = {
     "simulator_steps_per_s",
@@ -74,3 +75,11 @@ def test_headline_numbers_are_those_at_a_count() -> None:
         "filter": 11.0,
     }
     assert measure.nearest((256, 1024, 4096), 1000) == 1024
+
+
+def test_the_told_filter_is_measured_in_the_world_that_it_is_told_of() -> None:
+    u1 = load(measure.U1, Config())
+    told = measure.in_u1(Config())
+    assert (told.plant, told.uncertainty) == (u1.plant, u1.uncertainty) and not told.uncertainty.is_nil
+    own = override(Config(), {"uncertainty": {"mass": 0.1}}, "test")
+    assert measure.in_u1(own) is own
