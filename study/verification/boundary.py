@@ -32,7 +32,7 @@ from study.progress import bar
 from study.verification.adversaries import adversarial
 from study.verification.boundary_report import Tried, add, empty_report, held_by_the_plant
 from study.verification.findings import report_in
-from study.verification.limits import BISECTIONS, barriers, near_limits
+from study.verification.limits import BISECTIONS, CANDIDATES, barriers, near_limits
 from study.verification.starts import spawned
 
 BATCH = 4096  # states drawn at once
@@ -49,6 +49,7 @@ class Boundary:
     seed: int
     batch_size: int
     tries: int = TRIES
+    candidates: int = CANDIDATES
     kind: str = "boundary"
 
 

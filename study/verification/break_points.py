@@ -106,6 +106,7 @@ class Worlds:
     duration: float
     seed: int
     episodes: int
+    missed: float = MISSED
 
 
 def empty_report(worlds: Any, config: Config) -> dict[str, Any]:
