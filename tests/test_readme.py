@@ -419,6 +419,12 @@ def test_the_speeds_are_the_benchmarks() -> None:
     rates = " / ".join(f"{loop[period]:,.0f}" for period in ("1", "5", "10"))
     assert measured("with RTA at 1 / 5 / 10 s") == f"{rates} per s"
     assert measured("filter calls") == f"{BENCHMARK['filter_calls_per_s']:,.0f} per s"
+    told, late = BENCHMARK["told_filter_calls_per_s"], BENCHMARK["told_filter_latency_ms"]
+    assert measured("filter calls, told of U1") == f"{told:,.0f} per s"
+    alone = f"{late['median']:.2f} ms, 99 % below {late['p99']:.2f} ms"
+    assert measured("one filter call alone, told of U1") == alone
+    share = f"makes {100 * told / BENCHMARK['filter_calls_per_s']:.0f} % of the calls"
+    assert share in " ".join(text(SPEED).split())
     problem = "one optimisation problem of the filter, PIQP / batched solver, 1,024 at once"
     assert measured(problem) == f"{qp['piqp']:.1f} / {qp['batched']:.2f} µs"
     alone = f"{call['median']:.2f} ms, 99 % below {call['p99']:.2f} ms"
