@@ -348,7 +348,6 @@ def test_the_worlds_that_are_told_of_are_the_reports(name: str) -> None:
 
 
 TRIED = {
-    "random_between": ("the model", "random"),
     "adversarial_between": ("the model", "adversarial"),
     "lookahead": ("the model", "lookahead"),
     "learned_motion": ("the model", "learned: motion"),
