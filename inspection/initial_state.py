@@ -77,7 +77,7 @@ def sample_initial_state(
         if attempts == MAX_ATTITUDES + MAX_STATES or in_vain >= IN_VAIN:
             raise RuntimeError(
                 f"no safe initial state in {MAX_ATTITUDES} draws of an attitude and {attempts - MAX_ATTITUDES} of a "
-                f"whole state, for {rejected.numel():,} spacecraft; the last one drawn is {x[:, rejected[0]].tolist()}"
+                f"whole state, for {rejected.numel():,} spacecraft"
             )
         if attempts < MAX_ATTITUDES:
             x[Q, rejected] = random_quaternion(rejected.numel(), generator, x.dtype)

@@ -31,6 +31,7 @@ from study.files import write_json
 from study.progress import bar
 from study.verification.adversaries import adversarial
 from study.verification.boundary_report import Tried, add, empty_report, held_by_the_plant
+from study.verification.campaign import blamed
 from study.verification.findings import report_in
 from study.verification.limits import BISECTIONS, CANDIDATES, barriers, near_limits
 from study.verification.starts import spawned
@@ -142,7 +143,7 @@ def run(
     while report["draws"] < draws:
         batch_seed = np.random.SeedSequence((campaign.seed, report["batches"])).generate_state(1)[0]
         of_states, of_controls, of_plants = spawned(int(batch_seed), 3)
-        with refusing("[inspection] and [rta]", RuntimeError):
+        with refusing(blamed(config), RuntimeError):
             near = near_limits(campaign.batch_size, of_states, safety_filter, barriers_at, experiment.device)
         desired = controls(near.state, safety_filter, torch.Generator().manual_seed(of_controls))
         plants = torch.Generator().manual_seed(of_plants)

@@ -17,6 +17,7 @@ from inspection.environment import InspectionEnv
 from inspection.initial_state import uniform
 from ppo.network import Policy
 from rta.constraints import CONSTRAINTS
+from rta.uncertainty import Uncertainty
 from study.commands import CHECKPOINT, FILES, LEARNED, in_file
 from study.config import Config, StudyConfig
 from study.errors import InputError, refusing
@@ -35,6 +36,15 @@ from study.verification.tally import add
 
 BATCH = 1024  # starts drawn at once
 BAR = "{percentage:3.0f}%|{bar}| {n:,.0f}/{total:,} episodes [{elapsed}<{remaining}{postfix}]"  # n: also in part
+
+
+def blamed(config: Config) -> str:
+    """What leaves no start, where there is none: the bounds, if there are any."""
+    nothing = vars(Uncertainty())
+    told = {name: value for name, value in vars(config.uncertainty).items() if value != nothing[name]}
+    if not told:
+        return "[inspection] and [rta]"
+    return f"[uncertainty] {', '.join(f'{name} = {value!r}' for name, value in told.items())}"
 
 
 def run(
@@ -68,7 +78,7 @@ def run(
         batch_seed = np.random.SeedSequence((campaign.seed, number)).generate_state(1)[0]
         seed_of_starts, seed_of_controls, seed_of_plants = spawned(int(batch_seed), 3)
         drawing = step("drawing the starts, some seconds a batch")
-        with refusing("[inspection] and [rta]", RuntimeError), drawing:
+        with refusing(blamed(config), RuntimeError), drawing:
             x, priority, rejected = initial_states(campaign.batch_size, seed_of_starts, experiment.filter)
         held = experiment.filter.can_brake(x)[first:]
         held = held[held.cumsum(0) - held.long() < episodes - report["episodes"]]

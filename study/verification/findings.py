@@ -121,7 +121,8 @@ def table(report: dict[str, Any]) -> str:
             for name, count in beyond["violating_steps"].items()
             if count and name != "any"
         ),
-        f"{report['starts_rejected_by_margin']:,} states left out that are safe but for the margins of Psi_1",
+        f"{report['starts_rejected_by_margin']:,} states of the batches drawn left out that are safe, but not by the "
+        "filter's margins and bounds",
     ]
     together = sorted(report["slack_together"].values(), key=lambda same: -same["calls"])
     if together:

@@ -14,7 +14,7 @@ from inspection.state import THETA_S
 from rta.filter import SafetyFilter
 from study.config import Config, override
 from study.experiment import Experiment, make_policy
-from study.verification.campaign import Campaign, digest, run
+from study.verification.campaign import Campaign, blamed, digest, run
 from study.verification.counter_examples import replay_file
 from study.verification.starts import initial_states
 from tests.test_main import assert_refused
@@ -161,3 +161,9 @@ def test_bad_flags_are_refused(
     arguments: list[str], words: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert_refused(["verify", *arguments], words, capsys)
+
+
+def test_bounds_are_named_that_may_leave_no_start() -> None:
+    told = override(Config(), {"uncertainty": {"position": 200.0, "health": True}}, "test")
+    assert blamed(told) == "[uncertainty] position = 200.0, health = True"
+    assert blamed(Config()) == "[inspection] and [rta]"
