@@ -375,6 +375,20 @@ def test_what_the_adversaries_reached_is_the_reports(name: str) -> None:
     assert f"| {' | '.join(cells)} |" in text(SAFETY).splitlines()
 
 
+def test_the_single_calls_are_the_reports() -> None:
+    report, said = read("verification/boundary.json"), " ".join(text(SAFETY).split())
+    inside = report["within_margins"]["any"]
+    assert f"{report['violating_draws']['any']:,} of {report['draws']:,} draws went below zero" in said
+    assert f"below {report['upper_bound_95']:.2g} with 95 % confidence" in said
+    assert f"All but {inside['violating']} of them" in said and f"Of the {inside['draws']:,} draws" in said
+    assert f"these are {inside['violating']} (below {inside['upper_bound_95']:.0e} with 95 %)" in said
+    names = {"passive_safety": "passive safety", "dynamic_speed": "dynamic speed", "collision": "separation"}
+    for name, count in report["violating_draws"].items():
+        if count and name != "any":
+            label = names.get(name, f"{name[-1]} velocity" if name.startswith("velocity") else name)
+            assert f"{label} {count:,} (down to {report['worst_value'][name]:.1g} " in said
+
+
 def test_the_break_points_are_the_reports() -> None:
     report = read("verification/break_points.json")
     lines = text(SAFETY).splitlines()
