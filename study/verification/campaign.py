@@ -41,7 +41,7 @@ BAR = "{percentage:3.0f}%|{bar}| {n:,.0f}/{total:,} episodes [{elapsed}<{remaini
 def blamed(config: Config) -> str:
     """What leaves no start, where there is none: the bounds, if there are any."""
     nothing = vars(Uncertainty())
-    told = {name: value for name, value in vars(config.uncertainty).items() if value != nothing[name]}
+    told = {name: value for name, value in sorted(vars(config.uncertainty).items()) if value != nothing[name]}
     if not told:
         return "[inspection] and [rta]"
     return f"[uncertainty] {', '.join(f'{name} = {value!r}' for name, value in told.items())}"

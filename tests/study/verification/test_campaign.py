@@ -165,5 +165,5 @@ def test_bad_flags_are_refused(
 
 def test_bounds_are_named_that_may_leave_no_start() -> None:
     told = override(Config(), {"uncertainty": {"position": 200.0, "health": True}}, "test")
-    assert blamed(told) == "[uncertainty] position = 200.0, health = True"
+    assert blamed(told) == "[uncertainty] health = True, position = 200.0"
     assert blamed(Config()) == "[inspection] and [rta]"
