@@ -38,8 +38,8 @@ def near(nominal: Experiment) -> limits.NearLimits:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(limits, "BISECTIONS", (4, 10))
         patch.setattr(limits, "GAP", (1e-3, 1e-1))
-        of = partial(limits.barriers, safety_filter=nominal.filter)
-        return limits.near_limits(BATCH, 3, nominal.filter, of, "cpu")
+        barriers_at = partial(limits.barriers, safety_filter=nominal.filter)
+        return limits.near_limits(BATCH, 3, nominal.filter, barriers_at, "cpu")
 
 
 @pytest.fixture(autouse=True)
