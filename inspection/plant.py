@@ -65,7 +65,7 @@ class PlantParameters:
 
     # Computer
     latency: Count = 0  # calls of the filter, age of the state that is seen
-    missed_calls: Range = 0.0  # probability that a call is missed; the last control is held then
+    missed_calls: Range = 0.0  # probability that a call but the first is missed; the last control is held
     missed_in_a_row: int = 1000  # calls, at most so many
 
     def __post_init__(self) -> None:
@@ -328,9 +328,13 @@ class Plant:
         return seen
 
     def hold(self, time: Tensor, u: Tensor) -> tuple[Tensor, Tensor]:
-        """What is held from a call on that wants u (6, B): that, or the last one where it is missed, (B,) bool."""
+        """What is held from a call on that wants u (6, B): that, or the last one where it is missed, (B,) bool.
+
+        The first call of an episode is not, since there is no last one.
+        """
         chance = uniform(self.key, milliseconds(time), 1, first=12)[0]
-        missed = (chance < self.drawn.misses) & (self.missed < self.parameters.missed_in_a_row)
+        likely = (chance < self.drawn.misses) & (time > 0.0)
+        missed = likely & (self.missed < self.parameters.missed_in_a_row)
         self.missed = torch.where(missed, self.missed + 1, 0)
         self.held = torch.where(missed, self.held, u)
         if len(self.past):

@@ -15,6 +15,10 @@ know (`rta.uncertainty`) the worst comes off, each in the unit of psi per s:
                     a = d psi(phi_t) / d u / t; eps_j is what is given less where it helps, or more where it harms
     acceleration    |a| m d: it acts as a force m d in any direction; of angular acceleration likewise
 
+A control may also be held for less than the longest time. On its way psi is held by the parabola between two moments,
+less the input's error, which is |u_j| times eps_j, or an angle, of |A(s)|, A(s) the integral of a direction that turns
+with the body at omega. |A(s)| exceeds its chord over a gap by at most omega gap^2 / 8 of |a|, which comes off, too.
+
 (robust barriers: Jankovic 2018 for inputs, Dean et al. 2021 for measurements).
 """
 
@@ -22,6 +26,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
+from itertools import pairwise
 from typing import NamedTuple
 
 import torch
@@ -68,6 +73,11 @@ class HeldGroup(ActuatorGroup):
         else:
             self.push = max(c.inertia) * known.angular_acceleration(c)
         self.angle_at_rest = known.thrust_angle(c, r)
+        # by moment, the share of a thruster's error between it and the one before that is not in their chord
+        self.bulge = [
+            math.sqrt(3.0) * c.max_rate * (end - start) ** 2 / (8.0 * end)
+            for start, end in pairwise((0.0, *self.moments))
+        ]
         bounds = (known.position, known.velocity, math.radians(known.attitude), math.radians(known.rate))
         self.measured = bounds
         self.doubts = any(self.measured) or known.latency > 0
@@ -133,8 +143,11 @@ class HeldGroup(ActuatorGroup):
         weight = torch.where(slope * sign > 0.0, self.less, self.more) * slope.abs()
         if self.held_by == "thrust":
             across = (length[:, :, None] ** 2 - slope**2).clamp(min=0.0).sqrt()
-            angle = self.angle(x, spread)
+            angle = self.angle_at_rest + spread[2] + spread[3] * self.moments[-1] / 2
             weight = weight + self.most * angle * (across + angle / 2 * slope.abs())  # sin and 1 - cos
+            bulge = t.new_tensor(self.bulge)[:, None, None]
+            between = bulge * length * (max(self.less, self.more) + self.most * angle)
+            weight = weight + between[:, :, None]
         tangent = slope - weight * sign
         doubt_now = doubt + total(weight * u.abs(), 2)
 
@@ -142,8 +155,9 @@ class HeldGroup(ActuatorGroup):
         gain, margin, inside = self.alpha(before, rows)
         # between two moments psi is at least the parabola through both that hangs by its sag; it is not negative if
         # the sum of both is at least 4 times that
+        off = torch.cat((blur[None], blur + (doubt_now * t)[:-1]))  # where a gap begins
         least = (1.0 - gain * t) * (before - blur)
-        loss = loss + (4.0 * sag - (psi[:-1] - blur) - least).clamp(min=0.0) / t
+        loss = loss + (4.0 * sag - (psi[:-1] - off) - least).clamp(min=0.0) / t
         at_zero = rate - total(slope * u_there, 2) - loss - doubt - gain * blur
         b = at_zero + gain * (before - margin)
         b_bare = at_zero + gain * (before + inside)
@@ -176,15 +190,6 @@ class HeldGroup(ActuatorGroup):
             psi = psi.maximum(own / self.gain(math.inf))
             values.append(psi / self.gain(each.gains[0]) if each.degree == 2 else psi)
         return torch.stack(values)
-
-    def angle(self, x: Tensor, spread: Tensor) -> Tensor:
-        """(B,) rad, between the mean direction of a thruster over a hold and that of the rows at most.
-
-        The mean of a turn at omega over t is that at t / 2, and the hold may be shorter than the longest.
-        """
-        hold = self.moments[-1]
-        turning = norm(x[OMEGA]) * (hold - self.r.period) / 2
-        return self.angle_at_rest + spread[2] + spread[3] * hold / 2 + turning
 
     def after(
         self, x: Tensor, control: Tensor, constraints: Sequence[Constraint], own: slice, coupled: bool

@@ -130,16 +130,14 @@ class Uncertainty:
     def thrust_angle(self, c: InspectionParameters, r: RtaParameters) -> float:
         """rad, between the mean direction of a thruster over a hold and that of the rows at most, of a body at rest.
 
-        Its misalignment, the attitude's error, the rates' times half the hold, what torque turns the body by otherwise
-        (an angular acceleration e for t turns it by e t^2 / 2, in the mean over t by e t^2 / 6), and what full torque
-        turns it by less if the hold is shorter than the longest.
+        Its misalignment, the attitude's error, the rates' times half the hold, and what torque turns the body by
+        otherwise (an angular acceleration e for t turns it by e t^2 / 2, in the mean over t by e t^2 / 6).
         """
         hold = self.hold(r)
         measured = math.sqrt(3.0) * math.radians(self.attitude + self.rate * hold / 2)
         strongest = math.sqrt(3.0) * c.max_torque / min(c.inertia)
         otherwise = self.torque_error * strongest + self.angular_acceleration(c)
-        sooner = strongest * (hold**2 - r.period**2) / 6
-        return math.radians(self.thrust_misalignment) + measured + otherwise * hold**2 / 6 + sooner
+        return math.radians(self.thrust_misalignment) + measured + otherwise * hold**2 / 6
 
     def max_acceleration(self, c: InspectionParameters, r: RtaParameters) -> float:
         """a_max in m/s^2 that is there in the worst case, in every attitude of a body that does not turn.

@@ -10,14 +10,14 @@ import numpy as np
 import pytest
 import torch
 from numpy import ndarray
-from scipy.integrate import solve_ivp
+from scipy.integrate import cumulative_trapezoid, solve_ivp
 from torch import Tensor
 
 from inspection.attitude import norm, rotation_matrix, turned_by
 from inspection.dynamics import step
 from inspection.parameters import InspectionParameters
 from inspection.plant import Plant, PlantParameters
-from inspection.state import OMEGA, THRUST, P, Q, V
+from inspection.state import OMEGA, THRUST, TORQUE, P, Q, V
 from rta.held_rows import KINDS, HeldGroup, predicted
 from rta.parameters import RtaParameters
 from rta.rows import Rows
@@ -250,7 +250,7 @@ RATE_ROWS = {f"angular_velocity_{i}" for i in "xyz"}
 CASES = [  # what is told, who holds, what the plant of a filter without it would break
     ({"mass": 0.1, "thrust_gain": 0.05}, "thrust", {"less": 0.0}, THRUST_ROWS),
     ({"mass": 0.1}, "thrust", {"more": 0.0}, THRUST_ROWS),
-    ({"thrust_misalignment": 5.0}, "thrust", {"angle": lambda x, spread: 0.0}, THRUST_ROWS),
+    ({"thrust_misalignment": 5.0}, "thrust", {"angle_at_rest": 0.0}, THRUST_ROWS),
     ({"acceleration": 1e-3}, "thrust", {"push": 0.0}, THRUST_ROWS),
     (
         {"position": 0.6},
@@ -259,7 +259,7 @@ CASES = [  # what is told, who holds, what the plant of a filter without it woul
         {"collision", "dynamic_speed", "keep_in_zone"},
     ),
     ({"velocity": 0.006}, "thrust", {"measured": (0.0,) * KINDS}, THRUST_ROWS),
-    ({"attitude": 0.3, "rate": 0.03}, "thrust", {"angle": lambda x, spread: 0.0}, {"collision"}),
+    ({"attitude": 0.3, "rate": 0.03}, "thrust", {"angle_at_rest": 0.0}, {"collision"}),
     ({"torque_gain": 0.05}, "torque", {"less": 0.0, "more": 0.0}, RATE_ROWS),
     ({"attitude": 0.3}, "torque", {"measured": (0.0,) * KINDS}, {"attitude_exclusion"}),
     ({"rate": 0.03}, "torque", {"measured": (0.0,) * KINDS}, RATE_ROWS),
@@ -296,6 +296,68 @@ def test_thrust_along_a_row_is_counted_on_for_no_more_than_its_cosine() -> None:
 @pytest.mark.parametrize("by", ["thrust", "torque"])
 def test_rows_hold_with_everything_at_once(by: str, more: dict[str, Any]) -> None:
     assert broken(group(by, **U1, **more), U1) == set()
+
+
+# a hold that ends sooner than the longest
+
+
+def broken_on_the_way(held: HeldGroup, told: dict[str, Any]) -> set[str]:
+    """The constraints whose barrier truly is negative at some second of a hold of which the rows say that they hold.
+
+    Passive safety's holds with those of the others only.
+    """
+    count = 5 * WORLDS
+    x, u = tensor(some_states(count, seed=8)), commands(count, 8).sign()
+    x[V] *= torch.linspace(0.9, 1.0, count) * tensor(speed_limit(x.numpy())) / norm(x[V])
+    x[OMEGA], u[TORQUE] = RATE * x[OMEGA].sign(), 0.0  # thrust turns most, and with it the path
+    plant = begun(world(told), count, seed=9, c=C)
+    now, seen = relative(plant, x), plant.sense(moments(count), x)
+    rows = rows_at(held, seen, u)
+    says = (left_hand_side(held, rows, u) >= 0.0) & (rows.psi > 0.0)
+    fine = says.unflatten(0, (-1, len(held.moments))).all(1)
+    assert (fine.sum(1) > WORLDS / 20).all()
+    acting, y, least = plant.actuate(moments(count), u), x, torch.full(fine.shape, math.inf).to(x)
+    for second in range(1, round(held.moments[-1]) + 1):
+        y = plant.integrate(y, acting, plant.body, 0.5, 2)
+        end = relative(plant, y)
+        least = least.minimum(held.psi_at(end, held.constraints, now, second)(end))
+    below = (least.masked_fill(~fine, math.inf) < -1e-4).any(1).tolist()
+    names = [each.name for each in held.constraints for _ in range(each.rows)]
+    return {name for name, is_below in zip(names, below, strict=True) if is_below} - {"passive_safety"}
+
+
+@pytest.mark.parametrize(("told", "breaks"), [({}, {"collision"}), (U1, set())], ids=["model", "U1"])
+def test_a_hold_may_end_at_any_second(
+    told: dict[str, Any], breaks: set[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    held = group("thrust", **told, longest_hold=10.0)
+    assert broken_on_the_way(held, told) == set()
+    after = held.after
+
+    def straight(*given: Any) -> tuple[Tensor, ...]:
+        psi, sag, *slopes = after(*given)
+        return psi, torch.zeros_like(sag), *slopes
+
+    monkeypatch.setattr(held, "after", straight)
+    assert broken_on_the_way(held, told) >= breaks  # where bounds come off that is enough
+
+
+def test_an_error_exceeds_its_chord_between_two_moments_by_no_more_than_is_said() -> None:
+    """Of thrust along an axis of a body that turns as fast as it may, and of thrust across that axis."""
+    held = group("thrust", longest_hold=10.0)
+    rng, fine = np.random.default_rng(0), 100  # samples of each gap
+    slope, axis = (part / length(part) for part in rng.normal(size=(2, 3, 2000)))
+    s = np.linspace(0.0, held.moments[-1], fine * len(held.moments) + 1)
+    angle = math.sqrt(3.0) * RATE * s[:, None, None]
+    along = axis * (axis * slope).sum(0)  # Rodrigues' formula
+    seen = along + np.cos(angle) * (slope - along) - np.sin(angle) * np.cross(axis, slope, axis=0)
+    moved = cumulative_trapezoid(seen, s, axis=0, initial=0.0)
+    for error in (np.abs(moved[:, 0]), np.hypot(moved[:, 1], moved[:, 2])):
+        for gap, (end, bulge) in enumerate(zip(held.moments, held.bulge, strict=True)):
+            part = error[gap * fine : (gap + 1) * fine + 1]
+            share = np.linspace(0.0, 1.0, fine + 1)[:, None]
+            excess = (part - (1 - share) * part[0] - share * part[-1]).max()
+            assert 0.5 * bulge * end < excess <= bulge * end
 
 
 # the state of now, from one that is some calls old
