@@ -235,3 +235,26 @@ def test_what_holds_near_no_control_is_found_from_far_away() -> None:
     for _ in range(10):
         x = step(x, answer.control, 1.0, C)
         assert (safety.values(x) >= 0.0).all()
+
+
+# 97 m from the chief at 0.93 m/s, 0.02 m/s below the limit, towards it and turning: 0.05 N brake enough. Found by
+# `verify` with nine calls missed in a row; a row that took the turn for unknown let no thrust count as braking.
+TURNING = torch.tensor(
+    [
+        *(-65.5195201, -39.3610741, -59.3528800, 0.378531991, 0.840424413, 0.0966872104),
+        *(0.7786201411199444, 0.5837226656883223, 0.22654490810875963, 0.04118167085088406),
+        *(0.0290029333, 0.0313726085, 0.0302276959, 6.28434896, 4.47284321, 4.44547437),
+    ],
+    dtype=torch.float64,
+)
+
+
+def test_a_turning_body_brakes_in_a_hold_that_may_be_shorter() -> None:
+    x = TURNING[:, None]
+    desired = torch.tensor([0.6919, -0.19017, 0.65326, 0.000145, 0.000986, 0.000931], dtype=torch.float64)
+    safety = SafetyFilter(C, known=Uncertainty(longest_hold=10.0))
+    answer = safety.correct(x, desired[:, None])
+    assert answer.status == Status.HARD
+    for _ in range(10):
+        x = step(x, answer.control, 1.0, C)
+        assert (safety.values(x) >= 0.0).all()
