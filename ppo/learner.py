@@ -34,6 +34,8 @@ class PPOParameters:
     max_grad_norm: float = 0.5  # largest Euclidean gradient norm, per seed, policy and value together
     initial_std: float = 0.03  # standard deviation of each control before training, in action units
     log_std_bounds: tuple[float, float] = (-5.0, 0.0)  # range of the log standard deviation, in nats
+    action_power: float = 1.0  # k of u = sign(a) |a|^k, what is commanded for an action a; 1 is the paper's
+    action_dead_zone: float = 0.0  # size of an action below which nothing is commanded
     hidden: tuple[int, ...] = (256, 256)  # widths of the hidden layers of policy and value network
 
     def __post_init__(self) -> None:
@@ -50,6 +52,8 @@ class PPOParameters:
             "value_coefficient": (0 <= self.value_coefficient < math.inf, "a finite number >= 0"),
             "entropy_coefficient": (0 <= self.entropy_coefficient < math.inf, "a finite number >= 0"),
             "max_grad_norm": (self.max_grad_norm > 0, "> 0 (infinity: no clipping)"),
+            "action_power": (0.25 <= self.action_power <= 10, "in [0.25, 10]"),
+            "action_dead_zone": (0 <= self.action_dead_zone < 1, "in [0, 1)"),
             "hidden": (
                 len(self.hidden) > 0 and all(0 < width <= MAX_WIDTH for width in self.hidden),
                 f"one or more widths from 1 to {MAX_WIDTH:,}",

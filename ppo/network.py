@@ -98,7 +98,8 @@ class Policy(nn.Module):
     """Diagonal Gaussian policy with state-dependent mean in (-1, 1) and log-std within `log_std_bounds`.
 
     Every layer, the last included, ends in a tanh. `initial_std` is the standard deviation that the untrained
-    policy gives a zero observation. Raises ValueError if `initial_std` is not inside the bounds.
+    policy gives a zero observation; `power` and `dead_zone` shape what the environment is given, see `shaped`. Raises
+    ValueError if `initial_std` is not inside the bounds.
     """
 
     def __init__(
@@ -109,10 +110,13 @@ class Policy(nn.Module):
         hidden: Sequence[int] = (256, 256),
         log_std_bounds: tuple[float, float] = (-5.0, 0.0),
         initial_std: float = 0.03,
+        power: float = 1.0,
+        dead_zone: float = 0.0,
     ) -> None:
         super().__init__()
         bias = log_std_bias(initial_std, log_std_bounds)
         self.log_std_bounds = log_std_bounds
+        self.power, self.dead_zone = power, dead_zone
         gains = [HIDDEN_GAIN] * len(hidden) + [POLICY_GAIN]
         self.network = StackedMLP((observation_size, *hidden, 2 * action_size), generators, gains)
         with torch.no_grad():
@@ -152,10 +156,26 @@ class Policy(nn.Module):
         entropy = (log_std + 0.5 * (1.0 + math.log(2.0 * math.pi))).sum(-1)
         return gaussian_log_prob(action, mean, log_std), entropy
 
+    @property
+    def is_linear(self) -> bool:
+        """Whether the environment is given the actions as they are."""
+        return self.power == 1.0 and self.dead_zone == 0.0
+
+    def shaped(self, action: Tensor) -> Tensor:
+        """Return what the environment is given for actions (..., A), sign(a) (max(|a| - d, 0) / (1 - d))^k in [-1, 1].
+
+        With power k > 1 noise around zero costs next to nothing, and within a dead zone d nothing at all, while all of
+        an actuator remains within reach. With k = 1 and d = 0, the paper's, actions are left as they are.
+        """
+        if self.is_linear:
+            return action
+        size = ((action.abs() - self.dead_zone) / (1.0 - self.dead_zone)).clamp(0.0, 1.0)
+        return action.sign() * size**self.power
+
     @torch.no_grad()
     def mean_action(self, observation: Tensor) -> Tensor:
-        """Return the deterministic action (S, B, A), the mean; carries no gradient."""
-        return self(observation)[0]
+        """Return the deterministic action (S, B, A), shaped from the mean; carries no gradient."""
+        return self.shaped(self(observation)[0])
 
 
 class Value(nn.Module):

@@ -39,8 +39,8 @@ def collect(
 ) -> dict[str, Tensor]:
     """Acts for `steps` steps and returns the learner's batch, (S, N, ...) with N = steps * E.
 
-    The action kept is the one the agent desired, whatever a filter in the environment made of it. Of many ranks
-    (learner.ranks), each steps its share of the episodes, and the batch returned is that of all.
+    The action kept is the one the agent drew, whatever its shape (`Policy.shaped`) or a filter made of it. Of many
+    ranks (learner.ranks), each steps its share of the episodes, and the batch returned is that of all.
 
     Args:
         watch: is shown every transition, for statistics.
@@ -51,7 +51,7 @@ def collect(
     value = learner.value(observation)
     for _ in range(steps):
         action, log_prob = learner.policy.sample(observation, generators, learner.ranks)
-        transition = env.step(action.flatten(0, 1))
+        transition = env.step(learner.policy.shaped(action).flatten(0, 1))
         following = transition.observation.unflatten(0, (seeds, -1))
         following_value = learner.value(following)
         done = transition.terminated | transition.truncated

@@ -237,7 +237,16 @@ def compile_or_explain(what: str, compile: Callable[[], None]) -> bool:
 def make_policy(config: Config, generators: Sequence[torch.Generator]) -> Policy:
     """A freshly initialised policy, one seed per generator."""
     ppo = config.ppo
-    return Policy(OBSERVATION_SIZE, CONTROL_SIZE, generators, ppo.hidden, ppo.log_std_bounds, ppo.initial_std)
+    return Policy(
+        OBSERVATION_SIZE,
+        CONTROL_SIZE,
+        generators,
+        ppo.hidden,
+        ppo.log_std_bounds,
+        ppo.initial_std,
+        ppo.action_power,
+        ppo.action_dead_zone,
+    )
 
 
 def load_policy(path: str | Path) -> tuple[Policy, Config]:

@@ -6,7 +6,7 @@ import numpy as np
 import onnx
 import onnxruntime
 import torch
-from onnx import TensorProto, helper, numpy_helper
+from onnx import NodeProto, TensorProto, helper, numpy_helper
 
 from inspection.observation import OBSERVATIONS, Component
 from inspection.parameters import InspectionParameters
@@ -36,7 +36,11 @@ def to_onnx(policy: Policy, c: InspectionParameters) -> bytes:
         inputs = "observation" if i == 0 else f"hidden_{i}"
         output = "control" if last else f"hidden_{i + 1}"
         nodes.append(helper.make_node("Gemm", [inputs, f"weight_{i}", f"bias_{i}"], [f"affine_{i}"]))
+        output = "action" if last and not policy.is_linear else output
         nodes.append(helper.make_node("Tanh", [f"affine_{i}"], [output]))
+    if not policy.is_linear:
+        shape, constants = shaping(policy)
+        nodes, weights = nodes + shape, weights + constants
     batches = [
         helper.make_tensor_value_info(name, TensorProto.FLOAT, ["batch", size])
         for name, size in (("observation", len(OBSERVATIONS)), ("control", CONTROL_SIZE))
@@ -46,6 +50,23 @@ def to_onnx(policy: Policy, c: InspectionParameters) -> bytes:
     helper.set_model_props(model, metadata(c))
     onnx.checker.check_model(model, full_check=True)
     return model.SerializeToString()
+
+
+def shaping(policy: Policy) -> tuple[list[NodeProto], list[TensorProto]]:
+    """The nodes from "action" to "control" and their constants, as `Policy.shaped`."""
+    d = policy.dead_zone
+    values = {"offset": d, "slope": 1.0 / (1.0 - d), "power": policy.power, "zero": 0.0}
+    steps = [
+        ("Abs", ["action"], "size"),
+        ("Sub", ["size", "offset"], "beyond"),
+        ("Mul", ["beyond", "slope"], "raised"),
+        ("Max", ["raised", "zero"], "positive"),
+        ("Pow", ["positive", "power"], "shape"),
+        ("Sign", ["action"], "sign"),
+        ("Mul", ["sign", "shape"], "control"),
+    ]
+    constants = [numpy_helper.from_array(np.float32(value), name) for name, value in values.items()]
+    return [helper.make_node(kind, given, [result]) for kind, given, result in steps], constants
 
 
 def metadata(c: InspectionParameters) -> dict[str, str]:

@@ -47,7 +47,7 @@ def untrained(experiment: Experiment) -> Agent:
     """A policy as training begins with it, exploring."""
     generators = experiment.generators()
     policy = experiment.policy(generators)
-    return lambda observation: policy.sample(observation[None], generators)[0][0]
+    return lambda observation: policy.shaped(policy.sample(observation[None], generators)[0])[0]
 
 
 def trained(device: torch.device) -> Agent | None:

@@ -22,7 +22,8 @@ from study.training.run import CHECKPOINT, Run, settled_for_a_seed
 # What a run writes first, in this order; before the last one, there is no run yet.
 BEGUN = ("provenance.json", "config.toml", CHECKPOINT)
 RESUMABLE = ("policy", "value", "optimiser", "env", "generators", "update", "seconds", "config")
-FITTING = ("hidden", "log_std_bounds")  # keys of [ppo] without which the weights are another policy's
+# keys of [ppo] without which the weights are another policy's
+FITTING = ("hidden", "log_std_bounds", "action_power", "action_dead_zone")
 
 
 def check_minibatch(config: Config) -> None:
@@ -193,7 +194,8 @@ def networks_of(path: Path, config: Config) -> dict[str, dict[str, Any]]:
     """
     _, trained = load_policy(path)
     for key in FITTING:
-        theirs, ours = (list(getattr(each.ppo, key)) for each in (trained, config))
+        values = (getattr(each.ppo, key) for each in (trained, config))
+        theirs, ours = (list(value) if isinstance(value, tuple) else value for value in values)
         if theirs != ours:
             raise InputError(
                 f"--init-from {path}: its [ppo] {key} = {theirs}, not {ours} as in this run; set it with --config"

@@ -47,7 +47,7 @@ def learned(
         env.see(x)
         mean, log_std = policy(env.observation()[None])
         noise = torch.randn(batch, CONTROL_SIZE, generator=generator)[first : first + x.shape[1]].to(mean)
-        return env.control((mean + log_std.exp() * noise)[0])
+        return env.control(policy.shaped(mean + log_std.exp() * noise)[0])
 
     return control
 

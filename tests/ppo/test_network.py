@@ -94,3 +94,25 @@ def test_outputs_stay_within_their_bounds() -> None:
 def test_impossible_initial_std_is_refused(std: float, bounds: tuple[float, float]) -> None:
     with pytest.raises(ValueError, match="std"):
         Policy(26, 6, generators(1), log_std_bounds=bounds, initial_std=std)
+
+
+def shaped(actions: list[float], power: float, dead_zone: float = 0.0) -> list[float]:
+    policy = Policy(2, 1, generators(1), power=power, dead_zone=dead_zone)
+    return policy.shaped(torch.tensor(actions)).tolist()
+
+
+def test_actions_are_shaped_by_hand() -> None:
+    actions = [-3.0, -1.0, -0.5, -0.1, 0.0, 0.1, 0.5, 1.0]
+    assert shaped(actions, 1.0) == torch.tensor(actions).tolist()  # as they are, to the bit
+    assert shaped(actions, 2.0) == pytest.approx([-1.0, -1.0, -0.25, -0.01, 0.0, 0.01, 0.25, 1.0])
+    assert shaped(actions, 1.0, 0.2) == pytest.approx([-1.0, -1.0, -0.375, 0.0, 0.0, 0.0, 0.375, 1.0])
+    assert shaped([0.6], 2.0, 0.2) == pytest.approx([0.25])
+
+
+def test_the_mean_action_is_shaped_and_what_is_learned_from_is_not() -> None:
+    policy, x = excited_policy(), observations()
+    linear = policy.mean_action(x)
+    drawn, _ = policy.sample(x, generators(1, 2, 3))
+    policy.power = 2.0
+    torch.testing.assert_close(policy.mean_action(x), linear.sign() * linear.square())
+    assert torch.equal(policy.sample(x, generators(1, 2, 3))[0], drawn)

@@ -61,6 +61,16 @@ def test_planted_faults_show_in_the_returns(fault: str, toy, small_learner, monk
     assert not torch.allclose(batch["return_"].double(), expected, rtol=1e-3, atol=1e-3)
 
 
+def test_the_environment_is_given_what_the_policy_makes_of_its_actions(toy, small_learner) -> None:
+    env, learner = toy(), small_learner()
+    learner.policy.power = 3.0
+    batch = collect(env, learner, 1, learner.generators)
+    given = (env.seen[0].reward - 1.0 - 10.0 * env.column) / 0.1  # see `Counter`
+    expected = batch["action"].flatten(0, 1)[:, 0].double() ** 3
+    torch.testing.assert_close(given, expected.clamp(-1.0, 1.0), rtol=1e-4, atol=1e-4)
+    assert (batch["action"].abs() > 0.2).any()
+
+
 def test_rows_follow_one_another_by_seed_then_step_then_episode(toy, small_learner) -> None:
     env, learner = toy(), small_learner()
     watched: list[Transition] = []

@@ -25,11 +25,12 @@ C = InspectionParameters(max_thrust=2.0)
 SHIPPED = Path(main.__file__).parent / "runs" / "reference" / "study" / "rta" / "seed0" / "policy.pt"
 
 
-def untrained(seed: int) -> Policy:
+def untrained(seed: int, **shape: float) -> Policy:
     """An untrained agent whose actions are not small."""
-    policy = make_policy(Config(), [torch.Generator().manual_seed(seed)])
+    config = override(Config(), {"ppo": shape}, "test")
+    policy = make_policy(config, [torch.Generator().manual_seed(seed)])
     with torch.no_grad():
-        policy.network.layers[-1].weight *= 50
+        policy.network.layers[-1].weight *= 100
         policy.network.layers[0].bias += 0.1
     return policy
 
@@ -38,9 +39,10 @@ def session_of(model: bytes) -> onnxruntime.InferenceSession:
     return onnxruntime.InferenceSession(model, providers=["CPUExecutionProvider"])
 
 
-@pytest.mark.parametrize("batch", [1, 7, 256])
-def test_any_batch_is_answered_as_by_pytorch(batch: int) -> None:
-    policy = untrained(0)
+@pytest.mark.parametrize("shape", [{}, {"action_power": 2.0, "action_dead_zone": 0.1}, {"action_power": 1.5}])
+@pytest.mark.parametrize("batch", [1, 256])
+def test_any_batch_is_answered_as_by_pytorch(batch: int, shape: dict[str, float]) -> None:
+    policy = untrained(0, **shape)
     observation = torch.randn(batch, 26, generator=torch.Generator().manual_seed(1))
     (control,) = session_of(export.to_onnx(policy, C)).run(None, {"observation": observation.numpy()})
     assert control.dtype == np.float32 and control.shape == (batch, 6)
