@@ -5,6 +5,7 @@ import dataclasses
 import functools
 import inspect
 import io
+import re
 import sys
 import tokenize
 import tomllib
@@ -27,12 +28,15 @@ from study.errors import InputError, refusing
 
 MAX_COUNT = 10**12
 MAX_SEEDS = 1000  # of a study; they share the memory
-ARMS = {"no_rta": False, "rta": True}  # of the study: its name, whether the filter corrects the agent
+Tables = dict[str, dict[str, Any]]
+# The paper's: by name, in what an arm of a study differs from the study's own tables. More are in a file's [arms].
+ARMS: dict[str, Tables] = {"no_rta": {"train": {"rta": False}}, "rta": {"train": {"rta": True}}}
 TEST_CASES = 0  # seed of the cases of every final evaluation
 BASELINES = ("untrained", "random", "zero", "natural-motion")  # controllers that agents are compared with
 
 # Settings of older files and checkpoints that have moved: the table and key of then, and those of now.
 MOVED = {("train", "rta_period"): ("rta", "period"), ("train", "qp_solver"): ("rta", "qp_solver")}
+NAME = re.compile(r"[a-z0-9][a-z0-9_.-]*")  # of an arm, which is that of its directory
 announced: set[str] = set()  # the moves that this process has told of
 
 
@@ -91,13 +95,13 @@ class StudyParameters:
     """What a study trains."""
 
     seeds: int = 10  # of each arm, counted up from [train] seed
-    arms: tuple[str, ...] = tuple(ARMS)  # no_rta, rta or both; they replace [train] rta
+    arms: tuple[str, ...] = tuple(ARMS)  # no_rta, rta and those of [arms]; they replace [train] rta
 
     def __post_init__(self) -> None:
         if not 0 < self.seeds <= MAX_SEEDS:
             raise ValueError(f"seeds = {self.seeds}: must be a positive integer up to {MAX_SEEDS:,}")
-        if not self.arms or len(set(self.arms)) < len(self.arms) or not set(self.arms) <= set(ARMS):
-            raise ValueError(f"arms = {list(self.arms)}: must be one or more of {', '.join(ARMS)}, each once")
+        if not self.arms or len(set(self.arms)) < len(self.arms):
+            raise ValueError(f"arms = {list(self.arms)}: must be one or more, each once")
 
 
 @dataclass(frozen=True)
@@ -113,11 +117,30 @@ class Config:
 
     def to_toml(self) -> str:
         """The complete configuration as TOML text that `from_toml` reads back, each key with its source's comments."""
-        return "\n".join(table_text(name, part) for name, part in vars(self).items())
+        parts = {part.name: getattr(self, part.name) for part in dataclasses.fields(self)}
+        arms = parts.pop("arms", {})
+        texts = [table_text(name, part) for name, part in parts.items()]
+        return "\n".join((*texts, tomli_w.dumps({"arms": arms}))) if arms else "\n".join(texts)
 
     def unsettled(self) -> "Config":
         """The configuration with the solver, which a run settles for its own batch, to be chosen for another one."""
         return dataclasses.replace(self, rta=dataclasses.replace(self.rta, qp_solver="auto"))
+
+
+class Arms(dict[str, Tables]):
+    """By name, beside ARMS, in what an arm of a study differs from the study's own tables: `[arms.NAME.TABLE]`."""
+
+    @classmethod
+    def checked(cls, entries: dict[str, Any], source: str) -> "Arms":
+        """From a TOML table; raises InputError unless each entry is one of tables."""
+        for name, tables in entries.items():
+            if name in ARMS or not NAME.fullmatch(name):
+                raise InputError(
+                    f"{source}: [arms.{name}]: must be a name of its own, of a-z, 0-9, _, - and ."
+                )
+            if not isinstance(tables, dict) or not all(isinstance(own, dict) for own in tables.values()):
+                raise InputError(f"{source}: [arms] {name}: must be tables, as [arms.{name}.ppo]")
+        return cls(entries)
 
 
 @dataclass(frozen=True)
@@ -125,10 +148,16 @@ class StudyConfig(Config):
     """Everything that determines a study."""
 
     study: StudyParameters = field(default_factory=StudyParameters)
+    arms: Arms = field(default_factory=Arms)
 
     def __post_init__(self) -> None:
         if self.train.seed + self.study.seeds > 2**63:
             raise InputError(f"[train] seed = {self.train.seed}: too large for {self.study.seeds} seeds")
+        known = {**ARMS, **self.arms}
+        for name in known:
+            self.of_arm(name)
+        if unknown := [name for name in self.study.arms if name not in known]:
+            raise InputError(f"[study] arms: {unknown[0]!r} must be one of {', '.join(known)}")
 
     @property
     def seeds(self) -> range:
@@ -137,8 +166,8 @@ class StudyConfig(Config):
 
     def of_arm(self, name: str) -> Config:
         """The configuration of a training run of the arm's first seed."""
-        train = dataclasses.replace(self.train, rta=ARMS[name])
-        return Config(train, self.inspection, self.rta, self.ppo, self.plant, self.uncertainty)
+        own = Config(*(getattr(self, part.name) for part in dataclasses.fields(Config)))
+        return override(own, {**ARMS, **self.arms}[name], f"[arms.{name}]")
 
 
 AnyConfig = TypeVar("AnyConfig", bound=Config)
@@ -217,11 +246,13 @@ def override(config: AnyConfig, tables: dict[str, Any], source: str) -> AnyConfi
             raise InputError(f"{source}: unknown table [{table}]; allowed are {', '.join(known)}")
         if not isinstance(entries, dict):
             raise InputError(f"{source}: {table} = {entries!r}: must be a table, [{table}]")
+    tables = with_keys_of_today(tables, source)
+    arms = {"arms": Arms.checked(tables.pop("arms"), source)} if "arms" in tables else {}
     parts = {
         table: override_table(known[table], entries, f"{source}: [{table}]")
-        for table, entries in with_keys_of_today(tables, source).items()
+        for table, entries in tables.items()
     }
-    return dataclasses.replace(config, **parts)
+    return dataclasses.replace(config, **parts, **arms)
 
 
 def with_keys_of_today(tables: dict[str, dict[str, Any]], source: str) -> dict[str, dict[str, Any]]:

@@ -56,8 +56,8 @@ def batch_list(text: str) -> tuple[int, ...]:
 def arm_list(text: str) -> list[str]:
     """Comma-separated arms of a study for argparse."""
     names = text.split(",")
-    if not set(names) <= set(ARMS) or len(set(names)) < len(names):
-        raise argparse.ArgumentTypeError(f"{text[:40]!r}: must be {','.join(ARMS)} or one of the two")
+    if len(set(names)) < len(names) or not all(names):
+        raise argparse.ArgumentTypeError(f"{text[:40]!r}: must be {','.join(ARMS)} or others, each once")
     return names
 
 

@@ -17,7 +17,7 @@ from study.errors import InputError, refusing
 from study.experiment import check_clocks
 from study.files import write_json, write_npz
 from study.flight.evaluation import Episodes, report
-from study.paper import tables
+from study.paper import Results, tables
 from study.training.lock import alone_in
 from study.training.provenance import write_settings
 from study.training.run import Run, Stopped, on_signal, settled_for_a_seed
@@ -50,8 +50,8 @@ def train_and_evaluate(config: StudyConfig, directory: Path) -> str:
     # signals: outside an update, where nothing half done is kept
     with alone_in(directory, "--study-dir"), on_signal(stop):
         ranks().first_does(lambda: begin_or_continue(config, directory))
-        if "rta" in config.study.arms:
-            say_unless_verified(config.of_arm("rta"), directory / "config.toml")
+        for name in config.study.arms:
+            say_unless_verified(config.of_arm(name), directory / "config.toml")
         for name in config.study.arms:
             path = directory / name / "results.json"
             if not ranks().agree(path.exists()):
@@ -62,8 +62,38 @@ def train_and_evaluate(config: StudyConfig, directory: Path) -> str:
                 results[name] = json.loads(path.read_text(encoding="utf-8"))
             write_json(directory / "results.json", {"arms": results})  # of the arms so far, for `report`
     shown = [f"{name}\n{tables(arm)}\n" for name, arm in results.items()]
+    if len(results) > 1:
+        shown.append(f"{overview(results)}\n")
     written = f"Written to {directory}: results.json and, for each arm, policies and episodes"
     return "\n".join((*shown, written, f"Next:\n  {command('report', '--study', directory)}"))
+
+
+def overview(results: dict[str, Results]) -> str:
+    """The arms side by side, a line each: means over all episodes where nothing else is said."""
+    headings = (
+        "success %",
+        "violation %",
+        "reward IQM",
+        "worst seed",
+        "length s",
+        "IQM",
+        "delta v m/s",
+        "IQM",
+    )
+    lines = [" " * 20 + "".join(f"{heading:>13}" for heading in headings)]
+    for name, arm in results.items():
+        metrics = arm["metrics"]
+        reward, length, delta_v = (metrics[key] for key in ("reward", "episode_length_s", "delta_v_m_s"))
+        numbers = (
+            f"{100 * arm['outcomes']['success']:.1f}",
+            f"{arm['violations_percent']['any']:.3f}",
+            f"{reward['iqm']:.3f}",
+            f"{min(seed['metrics']['reward']['iqm'] for seed in arm['per_seed']):.3f}",
+            *(f"{length[key]:.0f}" for key in ("mean", "iqm")),
+            *(f"{delta_v[key]:.2f}" for key in ("mean", "iqm")),
+        )
+        lines.append(f"{name:20}" + "".join(f"{number:>13}" for number in numbers))
+    return "\n".join(lines)
 
 
 def begin_or_continue(config: StudyConfig, directory: Path) -> None:
@@ -93,10 +123,10 @@ def first_difference(one: StudyConfig, other: StudyConfig) -> str:
     """The first setting in which two configurations differ, with both values."""
     tables, others = asdict(one), asdict(other)
     return next(
-        f"[{table}] {key} = {value!r}, not {others[table][key]!r}"
+        f"[{table}] {key} = {entries.get(key)!r}, not {others[table].get(key)!r}"
         for table, entries in tables.items()
-        for key, value in entries.items()
-        if value != others[table][key]
+        for key in (*entries, *others[table])
+        if entries.get(key) != others[table].get(key)
     )
 
 

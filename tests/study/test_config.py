@@ -159,3 +159,39 @@ def test_without_the_sources_the_keys_stand_alone(monkeypatch: pytest.MonkeyPatc
     text = StudyConfig().to_toml()
     assert "#" not in text
     assert configuration.from_toml(text, "text", StudyConfig()) == StudyConfig()
+
+
+OWN_ARMS = """
+[study]
+arms = ["no_rta", "squared"]
+[arms.squared.train]
+rta = false
+[arms.squared.ppo]
+action_power = 2.0
+hidden = [32, 32]
+"""
+
+
+def test_a_study_has_arms_of_its_own() -> None:
+    study = configuration.from_toml(OWN_ARMS, "s.toml", StudyConfig())
+    squared = study.of_arm("squared")
+    assert (squared.train.rta, squared.ppo.action_power, squared.ppo.hidden) == (False, 2.0, (32, 32))
+    assert study.of_arm("no_rta").ppo == Config().ppo and study.of_arm("rta").train.rta
+    assert configuration.from_toml(study.to_toml(), "s.toml", StudyConfig()) == study
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ('[study]\narms = ["cubed"]', "[study] arms: 'cubed' must be one of no_rta, rta"),
+        ("[arms]\ncubed = 3", "[arms] cubed: must be tables, as [arms.cubed.ppo]"),
+        ("[arms.rta.ppo]\ngamma = 0.9", "[arms.rta]: must be a name of its own"),
+        ('[arms."../x".ppo]\ngamma = 0.9', "[arms.../x]: must be a name of its own"),
+        ("[arms.cubed.ppo]\ncube = 3", "[arms.cubed]: [ppo] unknown key 'cube'"),
+        ("[arms.cubed.ppo]\ngamma = 3", "[arms.cubed]: [ppo] gamma is 3.0"),
+        ("[arms.cubed.nothing]\ngamma = 3", "[arms.cubed]: unknown table [nothing]"),
+    ],
+)
+def test_arms_that_make_no_sense_are_refused(text: str, said: str) -> None:
+    with pytest.raises(InputError, match=re.escape(said)):
+        configuration.from_toml(text, "s.toml", StudyConfig())

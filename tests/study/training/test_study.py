@@ -17,6 +17,7 @@ from inspection.environment import METRICS
 from ppo import checkpoint
 from study import config as configuration
 from study.config import StudyConfig
+from study.experiment import load_policy
 from study.flight.summary import stratified_summary
 from study.training import study as arms
 from study.training.run import Run
@@ -285,3 +286,29 @@ def test_the_shipped_configuration_is_the_papers_study() -> None:
     assert config.study.arms == ("no_rta", "rta")
     assert config.train.interactions == 5_000_000
     assert [config.of_arm(name).train.rta for name in config.study.arms] == [False, True]
+
+
+def test_arms_of_its_own_are_trained_and_shown_side_by_side(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    own = "[arms.squared.train]\nrta = false\n[arms.squared.ppo]\naction_power = 2.0\n"
+    text = SETTINGS.replace("seeds = 3", 'seeds = 1\narms = ["no_rta", "squared"]') + own
+    (tmp_path / "own.toml").write_text(text)
+    directory = tmp_path / "study"
+    words = ["study", "--config", str(tmp_path / "own.toml"), "--study-dir", str(directory)]
+    assert main.main(words) == 0
+    heading, *lines = capsys.readouterr().out.split("\n\n")[-2].splitlines()
+    assert heading.split()[:2] == ["success", "%"] and [line.split()[0] for line in lines] == [
+        "no_rta",
+        "squared",
+    ]
+    results = json.loads((directory / "results.json").read_text())["arms"]
+    for line in lines:
+        name, *numbers = line.split()
+        reward = results[name]["metrics"]["reward"]["iqm"]
+        assert float(numbers[2]) == pytest.approx(reward, abs=6e-4) == float(numbers[3])
+    policy, config = load_policy(directory / "squared" / "seed5" / "policy.pt")
+    assert policy.power == config.ppo.action_power == 2.0
+    (tmp_path / "own.toml").write_text(text.replace("2.0", "3.0"))
+    assert main.main(words) == 2
+    assert "holds a study with [arms] squared = " in capsys.readouterr().err
