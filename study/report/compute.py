@@ -82,7 +82,8 @@ def load(study: Path, device: str | None) -> dict[str, Arm]:
     if not arms:
         raise InputError(f"{path}: holds none of the arms {', '.join(ARMS)}")
     wanted = configuration.load(study / "config.toml", StudyConfig()).study.arms
-    if unfinished := [name for name in wanted if name not in arms]:
+    finished = {**arms, **read_arms(study, own=True)}
+    if unfinished := [name for name in wanted if name not in finished]:
         print(f"--study {study}: {', '.join(unfinished)} is not finished and is left out", file=sys.stderr)
     return {name: load_arm(study / name, results, device) for name, results in arms.items()}
 

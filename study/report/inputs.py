@@ -23,7 +23,8 @@ class Inputs:
     """Contents of a study's files; what belongs to an arm that the study left out is missing.
 
     Attributes:
-        arms: final evaluation of each arm, with `seeds`, `interactions` and `wall_clock_s`.
+        arms: final evaluation of each of the paper's arms, with `seeds`, `interactions` and `wall_clock_s`; own: of the
+            study's own arms.
         provenance: where they were trained, with `device`, `ranks` and `threads`.
         guidance: evaluation of the classical guidance behind the filter; empty if there is none.
         sunlight: the earliest success that the Sun allows in the test cases; empty if it is not known.
@@ -37,6 +38,7 @@ class Inputs:
     study: Path
     config: StudyConfig
     arms: dict[str, Results]
+    own: dict[str, Results]
     provenance: dict[str, Any]
     guidance: Results
     sunlight: dict[str, Any]
@@ -70,6 +72,7 @@ def read(study: Path) -> Inputs:
         study=study,
         config=configuration.load(study / "config.toml", StudyConfig()),
         arms=arms,
+        own=read_arms(study, own=True),
         provenance=read_json(study / "provenance.json"),
         cross=read_json(report / "cross.json"),
         training=read_curves(report / "training.csv"),
@@ -88,12 +91,13 @@ def read_json(path: Path) -> dict[str, Any]:
         return json.loads(path.read_text(encoding="utf-8"))
 
 
-def read_arms(study: Path) -> dict[str, Results]:
-    """The final evaluation of each arm that has seeds, in the order of ARMS."""
+def read_arms(study: Path, own: bool = False) -> dict[str, Results]:
+    """The final evaluation of each of ARMS that has seeds, in that order, or of each of the study's own."""
     path = study / "results.json"
     with refusing(f"{path}: not the results of a study", *MALFORMED):
         arms = read_json(path)["arms"]
-        return {name: arms[name] for name in ARMS if name in arms and arms[name]["seeds"]}
+        names = [name for name in arms if name not in ARMS] if own else ARMS
+        return {name: arms[name] for name in names if name in arms and arms[name]["seeds"]}
 
 
 def read_curves(path: Path) -> Curves:

@@ -260,3 +260,17 @@ def test_differences_are_bold_on_the_page(study: Path, text: str) -> None:
                 expected.append(f"{ours['iqm'] - paper.value:+.{published.digits}f}")
     assert expected
     assert re.findall("<strong>(.*?)</strong>", text) == expected
+
+
+def test_a_studys_own_arms_stand_beside_the_papers(study: Path, tmp_path: Path) -> None:
+    shutil.copytree(study, tmp_path / "study")
+    path = tmp_path / "study/results.json"
+    results = json.loads(path.read_text())
+    own = results["arms"]["squared"] = json.loads(json.dumps(results["arms"]["rta"]))
+    own["metrics"]["reward"] |= {"iqm": 2.5, "ci95": [2.4, 2.6]}
+    path.write_text(json.dumps(results))
+    found = inputs.read(tmp_path / "study")
+    assert list(found.arms) == ["no_rta", "rta"] and list(found.own) == ["squared"]
+    rows = body(Reader(page.document(found)).tables[1], heads=1)
+    assert list(rows) == ["no RTA", "RTA", "squared"]
+    assert "2.5000 [2.4000, 2.6000]" in rows["squared"] and rows["squared"][3] == rows["RTA"][3]

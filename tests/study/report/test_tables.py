@@ -44,6 +44,7 @@ def inputs(tmp_path: Path) -> Inputs:
         study=tmp_path,
         config=StudyConfig(),
         arms=arms,
+        own={},
         provenance=PROVENANCE,
         guidance=evaluation(4.0),
         sunlight={},
