@@ -8,13 +8,39 @@ import threading
 import warnings
 from collections.abc import Callable, Sequence
 from functools import cache
+from typing import Any
 
 import torch
 from torch import Tensor
+from torch.overrides import TorchFunctionMode
 
 Function = Callable[[Tensor], Tensor]
 
 FORWARD_MODE = threading.RLock()  # PyTorch counts the levels of forward mode for all threads together
+
+
+class ByNumbers(TorchFunctionMode):
+    """Has a tensor and a number added, subtracted, multiplied or divided by what PyTorch has for numbers.
+
+    Else it takes the number for a tensor, whose derivative is zero, and asks Python for the shape of every such zero:
+    half a millisecond each, two thirds of a call of the filter that is not traced. The results' bits are the same.
+    """
+
+    OPERATIONS = {  # noqa: RUF012
+        Tensor.add: torch.ops.aten.add.Scalar,
+        Tensor.sub: torch.ops.aten.sub.Scalar,
+        Tensor.mul: torch.ops.aten.mul.Scalar,
+        Tensor.div: torch.ops.aten.div.Scalar,
+        Tensor.__rsub__: torch.ops.aten.rsub.Scalar,
+    }
+
+    def __torch_function__(
+        self, function: Callable[..., Any], types: Any, args: Any = (), kwargs: Any = None
+    ) -> Any:
+        """Any call that involves a tensor."""
+        if not kwargs and function in self.OPERATIONS and isinstance(args[1], int | float):
+            function = self.OPERATIONS[function]
+        return function(*args, **(kwargs or {}))
 
 
 def directional(
@@ -23,7 +49,7 @@ def directional(
     """A function of several tensors and its derivative along tensors of their shapes, by one forward-mode pass."""
     if torch.compiler.is_compiling():  # which knows no locks
         return torch.func.jvp(function, tuple(at), tuple(along))
-    with FORWARD_MODE:
+    with FORWARD_MODE, ByNumbers():
         load_forward_mode()
         return torch.func.jvp(function, tuple(at), tuple(along))
 

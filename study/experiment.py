@@ -29,11 +29,11 @@ from study.threads import THREADS
 # Compiling takes about a minute the first time, which as many filter calls or steps (of a batch each) repay.
 WORTH_COMPILING_FILTER = 1000
 WORTH_COMPILING_SIMULATOR = 3000
-# Tracing takes 5 s and saves 30 ms of a call's 40, for one spacecraft as for hundreds.
-WORTH_TRACING_FILTER = 150
-# Where controls are held a call takes 2 s or more, traced 0.3 to 0.7, compiled 0.03 to 0.1 (16 to 1,000 spacecraft);
-# tracing takes 25 s, compiling three minutes the first time.
-WORTH_COMPILING_HELD, WORTH_TRACING_HELD = 400, 15
+# Tracing takes 5 s and saves 10 ms of a call's 20, for one spacecraft as for hundreds.
+WORTH_TRACING_FILTER = 500
+# Where controls are held a call takes 0.5 to 1.4 s (32 to 256 spacecraft), traced a fifth less, compiled 0.03 to 0.1;
+# tracing takes 20 s, compiling three minutes the first time.
+WORTH_COMPILING_HELD, WORTH_TRACING_HELD = 400, 150
 TYPICAL_EPISODE = 3000.0  # s
 
 # Spacecraft from which the batched solver is the faster one on a CPU: about half of them have a program to solve, and
@@ -86,7 +86,7 @@ class Experiment:
 
     def trace_filter(self, batch: int) -> None:
         """Has the filter traced for calls of about so many spacecraft, which saves three quarters of a call's time."""
-        with step("tracing the filter, seconds, or half a minute with [uncertainty] or a period above 1 s"):
+        with step("tracing the filter, seconds, or 20 with [uncertainty] or a period above 1 s"):
             self.filter.trace(batch, self.device)
 
     def generators(self, seeds: Sequence[int] = (0,)) -> list[torch.Generator]:

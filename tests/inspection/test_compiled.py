@@ -165,16 +165,16 @@ def test_the_filter_is_compiled_for_the_device(monkeypatch: pytest.MonkeyPatch) 
 @pytest.mark.parametrize(
     ("choice", "mass", "calls", "works", "expected"),
     [
-        ("auto", 0.0, 149, True, []),
-        ("auto", 0.0, 150, True, ["trace"]),
+        ("auto", 0.0, 499, True, []),
+        ("auto", 0.0, 500, True, ["trace"]),
         ("auto", 0.0, 1000, True, ["compile"]),
         ("auto", 0.0, 1000, False, ["compile", "trace"]),
-        ("on", 0.0, 150, False, ["compile", "trace"]),
+        ("on", 0.0, 500, False, ["compile", "trace"]),
         ("on", 0.0, 1, True, ["compile"]),
         ("off", 0.0, 1000, True, []),
         # where controls are held
-        ("auto", 0.1, 14, True, []),
-        ("auto", 0.1, 15, True, ["trace"]),
+        ("auto", 0.1, 149, True, []),
+        ("auto", 0.1, 150, True, ["trace"]),
         ("auto", 0.1, 399, True, ["trace"]),
         ("auto", 0.1, 400, True, ["compile"]),
     ],

@@ -5,8 +5,10 @@ Rows of relative degree two difference Psi_1, whose own L_f h is an exact comple
 
 import itertools
 import math
+import sys
 from collections.abc import Callable
 from functools import partial
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,10 +18,11 @@ from torch import Tensor
 
 from inspection.dynamics import control_matrix
 from inspection.dynamics import drift as torch_drift
+from inspection.initial_state import sample_initial_state
 from inspection.parameters import InspectionParameters
 from rta.constraints import CONSTRAINTS
 from rta.filter import SafetyFilter
-from rta.lie_derivatives import lie_derivative, lie_derivatives
+from rta.lie_derivatives import ByNumbers, lie_derivative, lie_derivatives
 from rta.parameters import RtaParameters
 from rta.rows import Rows
 from tests.rta.test_constraints import (
@@ -398,3 +401,40 @@ def test_lie_derivatives_of_a_high_order_barrier() -> None:
     _, along_f, along_g = lie_derivatives(high_order, y, double_integrator(y), g)
     torch.testing.assert_close(along_f, ((-2 * v - 6 * p) * v)[None])
     torch.testing.assert_close(along_g, (-2 * p)[None, None])
+
+
+def asked_of_python(run: Callable[[], Any]) -> tuple[Any, int]:
+    """What comes of a call, and how often PyTorch did an operation of it by functions written in Python."""
+    count = 0
+
+    def seen(frame: Any, event: str, _: Any) -> None:
+        nonlocal count
+        count += event == "call" and frame.f_code.co_filename.endswith("_prims_common/wrappers.py")
+
+    sys.setprofile(seen)
+    try:
+        return run(), count
+    finally:
+        sys.setprofile(None)
+
+
+def test_numbers_beside_tensors_cost_no_call_of_python_and_change_no_bit(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    safety, u = SafetyFilter(), torch.zeros(6, 3, dtype=torch.float64)
+    x, _ = sample_initial_state(3, torch.Generator().manual_seed(0), safety.c)
+    safety.prepare(x, u)
+    rows, count = asked_of_python(lambda: safety.prepare(x, u))
+    monkeypatch.setattr(ByNumbers, "OPERATIONS", {})
+    again, without = asked_of_python(lambda: safety.prepare(x, u))
+    assert all(torch.equal(one, other) for one, other in zip(rows, again, strict=True))
+    assert 10 * count < without
+
+
+def test_every_operation_of_a_number_is_differentiated() -> None:
+    def function(y: Tensor) -> Tensor:
+        return 3.0 - (2.0 * y - 1.0) / 4.0 + (1 + y) * 5 - 7
+
+    y, along = torch.tensor([0.3, -2.0]), torch.tensor([1.0, 0.5])
+    value, slope = lie_derivative(function, y, along)
+    torch.testing.assert_close((value, slope), (3.0 - (2.0 * y - 1.0) / 4.0 + 5.0 * y - 2.0, 4.5 * along))
