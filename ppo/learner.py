@@ -52,8 +52,8 @@ class PPOParameters:
             "value_coefficient": (0 <= self.value_coefficient < math.inf, "a finite number >= 0"),
             "entropy_coefficient": (0 <= self.entropy_coefficient < math.inf, "a finite number >= 0"),
             "max_grad_norm": (self.max_grad_norm > 0, "> 0 (infinity: no clipping)"),
-            "action_power": (0.25 <= self.action_power <= 10, "in [0.25, 10]"),
-            "action_dead_zone": (0 <= self.action_dead_zone < 1, "in [0, 1)"),
+            "action_power": (1 <= self.action_power <= 10, "in [1, 10]"),
+            "action_dead_zone": (0 <= self.action_dead_zone <= 0.5, "in [0, 0.5]"),
             "hidden": (
                 len(self.hidden) > 0 and all(0 < width <= MAX_WIDTH for width in self.hidden),
                 f"one or more widths from 1 to {MAX_WIDTH:,}",

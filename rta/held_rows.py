@@ -15,9 +15,12 @@ know (`rta.uncertainty`) the worst comes off, each in the unit of psi per s:
                     a = d psi(phi_t) / d u / t; eps_j is what is given less where it helps, or more where it harms
     acceleration    |a| m d: it acts as a force m d in any direction; of angular acceleration likewise
 
-A control may also be held for less than the longest time. On its way psi is held by the parabola between two moments,
-less the input's error, which is |u_j| times eps_j, or an angle, of |A(s)|, A(s) the integral of a direction that turns
-with the body at omega. |A(s)| exceeds its chord over a gap by at most omega gap^2 / 8 of |a|, which comes off, too.
+A control may also be held for less than the longest time. On its way psi is held by the parabola between two moments.
+The error of thrust there is |u_j| times eps_j, or an angle, of |A(s)|, A(s) the integral of a direction that turns with
+the body at omega. For a slope of psi that stays as it is, |A(s)| exceeds its chord over a gap by at most
+omega gap^2 / 8 of |a|, which comes off the end of the gap. That is no proof for the way: a parabola can need four times
+as much there, the slope turns on the way, and torque's error has no such term. All three are the error's share of what
+is of second order in the hold, and are held in flights.
 
 (robust barriers: Jankovic 2018 for inputs, Dean et al. 2021 for measurements).
 """

@@ -36,7 +36,7 @@ BASELINES = ("untrained", "random", "zero", "natural-motion")  # controllers tha
 
 # Settings of older files and checkpoints that have moved: the table and key of then, and those of now.
 MOVED = {("train", "rta_period"): ("rta", "period"), ("train", "qp_solver"): ("rta", "qp_solver")}
-NAME = re.compile(r"[a-z0-9][a-z0-9_.-]*")  # of an arm, which is that of its directory
+NAME = re.compile(r"(?!report$)[a-z0-9][a-z0-9_-]*")  # of an arm, which is that of its directory
 announced: set[str] = set()  # the moves that this process has told of
 
 
@@ -95,7 +95,7 @@ class StudyParameters:
     """What a study trains."""
 
     seeds: int = 10  # of each arm, counted up from [train] seed
-    arms: tuple[str, ...] = tuple(ARMS)  # no_rta, rta and those of [arms]; they replace [train] rta
+    arms: tuple[str, ...] = tuple(ARMS)  # those of [arms], and no_rta and rta, which replace [train] rta
 
     def __post_init__(self) -> None:
         if not 0 < self.seeds <= MAX_SEEDS:
@@ -135,11 +135,11 @@ class Arms(dict[str, Tables]):
         """From a TOML table; raises InputError unless each entry is one of tables."""
         for name, tables in entries.items():
             if name in ARMS or not NAME.fullmatch(name):
-                raise InputError(
-                    f"{source}: [arms.{name}]: must be a name of its own, of a-z, 0-9, _, - and ."
-                )
+                raise InputError(f"{source}: [arms.{name}]: must be a name of its own, of a-z, 0-9, _ and -")
             if not isinstance(tables, dict) or not all(isinstance(own, dict) for own in tables.values()):
                 raise InputError(f"{source}: [arms] {name}: must be tables, as [arms.{name}.ppo]")
+            if "seed" in tables.get("train", {}):
+                raise InputError(f"{source}: [arms.{name}.train] seed: must be the study's, in [train]")
         return cls(entries)
 
 
@@ -165,9 +165,15 @@ class StudyConfig(Config):
         return range(self.train.seed, self.train.seed + self.study.seeds)
 
     def of_arm(self, name: str) -> Config:
-        """The configuration of a training run of the arm's first seed."""
-        own = Config(*(getattr(self, part.name) for part in dataclasses.fields(Config)))
-        return override(own, {**ARMS, **self.arms}[name], f"[arms.{name}]")
+        """The configuration of a training run of the arm's first seed.
+
+        Where only the arm has a filter that holds controls, or only the rest, its solver is to be chosen for itself.
+        """
+        rest = Config(*(getattr(self, part.name) for part in dataclasses.fields(Config)))
+        tables = {**ARMS, **self.arms}[name]
+        own = override(rest, tables, f"[arms.{name}]")
+        alike = own.uncertainty.holds(own.rta) == rest.uncertainty.holds(rest.rta)
+        return own if alike or "qp_solver" in tables.get("rta", {}) else own.unsettled()
 
 
 AnyConfig = TypeVar("AnyConfig", bound=Config)

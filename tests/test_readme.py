@@ -360,6 +360,7 @@ TRIED = {
     "learned_motion": ("the model", "learned: motion"),
     "learned_passive": ("the model", "learned: passive safety"),
     "learned_attitude": ("the model", "learned: attitude, temperature, energy"),
+    "u1_lookahead": ("U1", "lookahead, 8 for two calls"),
     "u1_learned_motion": ("U1", "learned: motion"),
     "u1_learned_passive": ("U1", "learned: passive safety"),
     "u1_learned_attitude": ("U1", "learned: attitude, temperature, energy"),

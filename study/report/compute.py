@@ -148,7 +148,8 @@ def work(study: Path, arms: dict[str, Arm]) -> Work:
     for name, arm in arms.items():
         todo[f"episode_{name}.npz"] = (f"an episode of {name}, seconds", partial(episode, arm))
     todo["training.csv"] = ("intervals of the training curves, seconds", partial(training, study, arms))
-    for name, rta in ARMS.items():
+    for name, tables_of_arm in ARMS.items():
+        rta = tables_of_arm["train"]["rta"]
         what = f"the LQR+PD demonstration {'with' if rta else 'without'} RTA, seconds"
         todo[f"demonstration_{name}.npz"] = (what, partial(demonstration, config, rta))
     return todo

@@ -12,7 +12,7 @@ from ppo.distributed import ranks
 from rta.constraints import CONSTRAINTS
 from study import config as configuration
 from study.commands import command
-from study.config import TEST_CASES, StudyConfig
+from study.config import ARMS, TEST_CASES, StudyConfig
 from study.errors import InputError, refusing
 from study.experiment import check_clocks
 from study.files import write_json, write_npz
@@ -22,7 +22,7 @@ from study.training.lock import alone_in
 from study.training.provenance import write_settings
 from study.training.run import Run, Stopped, on_signal, settled_for_a_seed
 from study.training.session import check_minibatch, create, resume
-from study.verified import say_unless_verified
+from study.verified import fingerprint, say_unless_verified
 
 LEFT_BY_A_KILL = ("provenance.json", "provenance.json.tmp", "config.toml.tmp")  # at the start
 
@@ -38,7 +38,7 @@ def train_and_evaluate(config: StudyConfig, directory: Path) -> str:
     config = settled_for_a_seed(config)
     for name in config.study.arms:
         check_clocks(config.of_arm(name))
-    check_minibatch(config)
+        check_minibatch(config.of_arm(name))
     with refusing(f"--study-dir {directory}: cannot write there", OSError, ValueError):
         ranks().first_does(lambda: directory.mkdir(parents=True, exist_ok=True))
     results = {}
@@ -50,8 +50,9 @@ def train_and_evaluate(config: StudyConfig, directory: Path) -> str:
     # signals: outside an update, where nothing half done is kept
     with alone_in(directory, "--study-dir"), on_signal(stop):
         ranks().first_does(lambda: begin_or_continue(config, directory))
-        for name in config.study.arms:
-            say_unless_verified(config.of_arm(name), directory / "config.toml")
+        flown = [config.of_arm(name) for name in config.study.arms]
+        for each in {fingerprint(own): own for own in flown if own.train.rta}.values():
+            say_unless_verified(each, directory / "config.toml")
         for name in config.study.arms:
             path = directory / name / "results.json"
             if not ranks().agree(path.exists()):
@@ -65,7 +66,10 @@ def train_and_evaluate(config: StudyConfig, directory: Path) -> str:
     if len(results) > 1:
         shown.append(f"{overview(results)}\n")
     written = f"Written to {directory}: results.json and, for each arm, policies and episodes"
-    return "\n".join((*shown, written, f"Next:\n  {command('report', '--study', directory)}"))
+    following = (
+        [f"Next:\n  {command('report', '--study', directory)}"] if ARMS.keys() & results.keys() else []
+    )
+    return "\n".join((*shown, written, *following))
 
 
 def overview(results: dict[str, Results]) -> str:
@@ -80,7 +84,8 @@ def overview(results: dict[str, Results]) -> str:
         "delta v m/s",
         "IQM",
     )
-    lines = [" " * 20 + "".join(f"{heading:>13}" for heading in headings)]
+    width = max(20, *map(len, results))
+    lines = [" " * width + "".join(f"{heading:>13}" for heading in headings)]
     for name, arm in results.items():
         metrics = arm["metrics"]
         reward, length, delta_v = (metrics[key] for key in ("reward", "episode_length_s", "delta_v_m_s"))
@@ -92,7 +97,7 @@ def overview(results: dict[str, Results]) -> str:
             *(f"{length[key]:.0f}" for key in ("mean", "iqm")),
             *(f"{delta_v[key]:.2f}" for key in ("mean", "iqm")),
         )
-        lines.append(f"{name:20}" + "".join(f"{number:>13}" for number in numbers))
+        lines.append(f"{name:{width}}" + "".join(f"{number:>13}" for number in numbers))
     return "\n".join(lines)
 
 
@@ -132,7 +137,7 @@ def first_difference(one: StudyConfig, other: StudyConfig) -> str:
 
 def train_arm(config: StudyConfig, name: str, directory: Path, again: str) -> Run:
     """All seeds of an arm, trained to the end from where they were left; `again` says how to continue."""
-    of_arm = config.of_arm(name)
+    of_arm = settled_for_a_seed(config.of_arm(name))
     begun = (directory / "checkpoint.pt").exists()
     run = resume(directory, of_arm, config.seeds) if begun else create(of_arm, directory, config.seeds)
     print(run, flush=True)

@@ -187,6 +187,9 @@ def test_a_study_has_arms_of_its_own() -> None:
         ("[arms]\ncubed = 3", "[arms] cubed: must be tables, as [arms.cubed.ppo]"),
         ("[arms.rta.ppo]\ngamma = 0.9", "[arms.rta]: must be a name of its own"),
         ('[arms."../x".ppo]\ngamma = 0.9', "[arms.../x]: must be a name of its own"),
+        ('[arms."results.json".ppo]\ngamma = 0.9', "[arms.results.json]: must be a name of its own"),
+        ("[arms.report.ppo]\ngamma = 0.9", "[arms.report]: must be a name of its own"),
+        ("[arms.cubed.train]\nseed = 7", "[arms.cubed.train] seed: must be the study's, in [train]"),
         ("[arms.cubed.ppo]\ncube = 3", "[arms.cubed]: [ppo] unknown key 'cube'"),
         ("[arms.cubed.ppo]\ngamma = 3", "[arms.cubed]: [ppo] gamma is 3.0"),
         ("[arms.cubed.nothing]\ngamma = 3", "[arms.cubed]: unknown table [nothing]"),
@@ -195,3 +198,18 @@ def test_a_study_has_arms_of_its_own() -> None:
 def test_arms_that_make_no_sense_are_refused(text: str, said: str) -> None:
     with pytest.raises(InputError, match=re.escape(said)):
         configuration.from_toml(text, "s.toml", StudyConfig())
+
+
+def test_an_arm_that_alone_holds_controls_chooses_its_own_solver() -> None:
+    text = """
+    [rta]
+    qp_solver = "piqp"
+    [arms.told.uncertainty]
+    mass = 0.1
+    [arms.named]
+    uncertainty.mass = 0.1
+    rta.qp_solver = "piqp"
+    """
+    study = configuration.from_toml(text, "s.toml", StudyConfig())
+    solvers = {name: study.of_arm(name).rta.qp_solver for name in ("rta", "told", "named")}
+    assert solvers == {"rta": "piqp", "told": "auto", "named": "piqp"}

@@ -248,3 +248,9 @@ def test_an_arm_that_is_not_finished_is_named(copy: Path, capsys: pytest.Capture
     (copy / "results.json").write_text(json.dumps(results))
     assert list(compute.load(copy, None)) == ["no_rta"]
     assert "rta is not finished and is left out" in capsys.readouterr().err
+
+
+def test_a_demonstration_is_flown_as_its_name_says(study: Path) -> None:
+    todo = compute.work(study, compute.load(study, None))
+    flown = {name: make.args[-1] for name, (_, make) in todo.items() if name.startswith("demonstration")}
+    assert flown == {"demonstration_no_rta.npz": False, "demonstration_rta.npz": True}

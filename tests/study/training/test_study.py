@@ -22,6 +22,7 @@ from study.flight.summary import stratified_summary
 from study.training import study as arms
 from study.training.run import Run
 from study.training.session import RESUMABLE, start
+from tests.test_main import assert_refused
 
 SEEDS = (5, 6, 7)
 SETTINGS = """
@@ -312,3 +313,39 @@ def test_arms_of_its_own_are_trained_and_shown_side_by_side(
     (tmp_path / "own.toml").write_text(text.replace("2.0", "3.0"))
     assert main.main(words) == 2
     assert "holds a study with [arms] squared = " in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("arm", "said"),
+    [
+        ("[arms.own.ppo]\nminibatch_size = 100", "minibatch_size = 100"),
+        ("[arms.own.rta]\nperiod = 10.0", "must divide"),
+    ],
+)
+def test_an_arm_is_checked_before_anything_is_trained(
+    arm: str, said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "own.toml").write_text(SETTINGS.replace("seeds = 3", 'arms = ["no_rta", "own"]') + arm)
+    directory = tmp_path / "study"
+    assert_refused(
+        ["study", "--config", str(tmp_path / "own.toml"), "--study-dir", str(directory)], [said], capsys
+    )
+    assert not directory.exists()
+
+
+def test_an_arm_told_of_bounds_is_resumed_with_the_solver_that_it_began_with(tmp_path: Path) -> None:
+    own = """
+[arms.told.train]
+interactions = 12
+[arms.told.rta]
+qp_solver = "auto"
+"""
+    text = (
+        SETTINGS.replace("seeds = 3", 'seeds = 1\narms = ["told"]').replace('qp_solver = "batched"', "") + own
+    )
+    (tmp_path / "own.toml").write_text(text)
+    directory = tmp_path / "study"
+    words = ["study", "--config", str(tmp_path / "own.toml"), "--study-dir", str(directory)]
+    assert main.main(words) == 0
+    (directory / "told" / "results.json").unlink()
+    assert main.main(words) == 0
