@@ -157,7 +157,7 @@ class StudyConfig(Config):
         for name in known:
             self.of_arm(name)
         if unknown := [name for name in self.study.arms if name not in known]:
-            raise InputError(f"[study] arms: {unknown[0]!r} must be one of {', '.join(known)}")
+            raise InputError(f"[study] arms (--arms): {unknown[0]!r} must be one of {', '.join(known)}")
 
     @property
     def seeds(self) -> range:

@@ -183,7 +183,7 @@ def test_a_study_has_arms_of_its_own() -> None:
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ('[study]\narms = ["cubed"]', "[study] arms: 'cubed' must be one of no_rta, rta"),
+        ('[study]\narms = ["cubed"]', "[study] arms (--arms): 'cubed' must be one of no_rta, rta"),
         ("[arms]\ncubed = 3", "[arms] cubed: must be tables, as [arms.cubed.ppo]"),
         ("[arms.rta.ppo]\ngamma = 0.9", "[arms.rta]: must be a name of its own"),
         ('[arms."../x".ppo]\ngamma = 0.9', "[arms.../x]: must be a name of its own"),
