@@ -16,9 +16,9 @@ from inspection.initial_state import InitialStates, uniform
 from inspection.observation import normalised
 from inspection.parameters import InspectionParameters
 from inspection.plant import Plant, PlantParameters
-from inspection.reward import REWARDS, rewards
+from inspection.reward import REWARDS, rewards, shaping
 from inspection.state import CONTROL_SIZE, SIZE, THRUST, TORQUE, P
-from inspection.termination import OUTCOMES, terminal_conditions
+from inspection.termination import OUTCOMES, ends, failures
 
 METRICS = ("inspected_score", "reward", "episode_length_s", "delta_v_m_s", "torque_n_m", "violation_percent")
 
@@ -29,9 +29,12 @@ def clocks_of(
     decide_every: float | None = None,
     report_every: float | None = None,
 ) -> Clocks:
-    """The clocks of an `InspectionEnv` behind a filter of that period; the chief is looked at every action period."""
+    """The clocks of an `InspectionEnv` behind a filter of that period.
+
+    The chief is looked at every action period, and whether an episode failed after every integration step.
+    """
     every = c.action_period
-    return Clocks(decide_every or every, report_every or every, c.substep, filter_period, look=every)
+    return Clocks(decide_every or every, report_every or c.substep, c.substep, filter_period, look=every)
 
 
 @dataclass
@@ -42,8 +45,9 @@ class Transition:
         observation: (B, 26) float32, of the next episode where one ended.
         final_observation: (B, 26) float32, of the state that the action led to (terminal where it ended).
         state: (16, B) that the action led to.
-        reward: (B,); reward_terms: the nine terms by name.
-        terminated, truncated: (B,) bool, true end or time limit.
+        reward: (B,); reward_terms: what it is the sum of, by name, the nine and those of our own that have a weight.
+        terminated, truncated: (B,) bool, true end or time limit; an episode that failed within the step flew on to its
+            end.
         violated: (constraints, B) bool at the end of the step.
         corrections: the filter's answers, one per filter call of the step; see `calls`.
         outcome: (B,) index into OUTCOMES, -1 while running.
@@ -93,7 +97,7 @@ class InspectionEnv:
         parameters: the task's constants.
         generators: one per seed, on the device of the batch.
         safety: constraint values, admissible starts and the control filter.
-        decide_every, report_every: clocks of `fly` in s; None: the action period.
+        decide_every, report_every: clocks of `fly` in s; None: the action period and the integration step.
         plant: in what the plant differs from `parameters`; None: in nothing.
 
     Attributes:
@@ -295,29 +299,42 @@ class InspectionEnv:
         """An action (B, 6) in units of the actuators' limits as a control (6, B) in N and N m, clipped to them."""
         return action.T.to(self.x.dtype).clamp(-1.0, 1.0) * self.limit
 
-    def advance(self, controller: Controller) -> Transition:
-        """Flies every episode for one action period, at whose beginning the controller's time is 0 s."""
+    def advance(
+        self, controller: Controller, watch: Callable[[Hold], None] = lambda hold: None
+    ) -> Transition:
+        """Flies every episode for one action period, at whose beginning the controller's time is 0 s.
+
+        Args:
+            watch: is shown every hold of a control.
+        """
         c = self.c
         corrections: list[Correction] = []
         truths: list[tuple[Tensor, Tensor]] = []
         mass = self.plant.mass if self.plant else c.mass
-        delta_v, torque = torch.zeros_like(self.time), torch.zeros_like(self.time)
+        delta_v, torque, corrected = (torch.zeros_like(self.time) for _ in range(3))
+        failed: dict[str, Tensor] = {}
         for hold in self.fly(controller, c.action_period):
             if hold.correction is not None:
                 corrections.append(hold.correction)
+                if c.correction_reward:
+                    corrected += ((hold.correction.control - hold.desired) / self.limit).abs().sum(0)
             if hold.correction is not None and hold.missed is not None:
                 truths.append((~hold.missed, self.constraint_values(hold.state)))
             delta_v += hold.acting[THRUST].abs().sum(0) / mass * hold.seconds
             torque += hold.acting[TORQUE].abs().sum(0) * (hold.seconds / c.action_period)
+            now = failures(hold.after, c)
+            failed = {name: failed[name] | each for name, each in now.items()} if failed else now
+            watch(hold)
         self.time += c.action_period
         self.steps += 1
 
         before = self.score
         self.see(hold.after)
         score = self.score
-        ended = terminal_conditions(self.x, score, self.time, c)
+        ended = failed | ends(score, self.time, c)
         terms = rewards(self.x, score - before, delta_v, torque, self.time, ended, c)
         reward = torch.stack([terms[name] for name in REWARDS]).sum(0)
+        own = shaping(self.x, corrected, c)
         self.totals += torch.stack((reward, delta_v, torque))
         violated = self._count_violations()
 
@@ -332,8 +349,8 @@ class InspectionEnv:
             observation=final_observation,
             final_observation=final_observation,
             state=self.x,
-            reward=reward,
-            reward_terms=terms,
+            reward=sum(own.values(), reward),
+            reward_terms=terms | own,
             terminated=terminated,
             truncated=truncated,
             violated=violated,

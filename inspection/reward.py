@@ -1,4 +1,4 @@
-"""The nine reward terms by name (Sec. Rewards)."""
+"""The nine reward terms by name (Sec. Rewards), and those of our own that an agent may be trained with beside them."""
 
 import torch
 from torch import Tensor
@@ -6,7 +6,7 @@ from torch import Tensor
 from inspection.attitude import conjugate, rotate, unit
 from inspection.dynamics import free_flight_clearance
 from inspection.parameters import InspectionParameters
-from inspection.state import P, Q, V
+from inspection.state import OMEGA, P, Q, V
 
 AT_ONCE = 64  # free flights sampled at once: two days are 17,281 positions each
 REWARDS = ("points", "delta_v", "torque", "orientation", "time", "success", "crash", "distance", "energy")
@@ -50,7 +50,7 @@ def rewards(
         new_score: weight inspected in this interaction.
         delta_v: m/s spent by the applied control; torque: N m, |tau| summed over axes, mean over substeps.
         time: s since the episode began.
-        ended: `terminal_conditions`.
+        ended: `failures` of the interaction and `ends` after it.
     """
     failed = -c.terminal_reward
     return {
@@ -64,3 +64,19 @@ def rewards(
         "distance": failed * ended["out_of_bounds"].to(x.dtype),
         "energy": failed * ended["out_of_power"].to(x.dtype),
     }
+
+
+def shaping(x: Tensor, corrected: Tensor, c: InspectionParameters) -> dict[str, Tensor]:
+    """Our own terms as (B,) for the state x (16, B) after the interaction; none where both weights are 0.
+
+    The learner is given them beside the paper's nine, which `rewards` are reported in.
+
+    Args:
+        corrected: |u - u_des| in units of the actuators' limits, summed over controls and the filter's calls.
+    """
+    terms = {}
+    if c.rate_reward:
+        terms["rate"] = c.rate_reward * (x[OMEGA] / c.max_rate).square().sum(0)
+    if c.correction_reward:
+        terms["correction"] = c.correction_reward * corrected
+    return terms

@@ -1,4 +1,4 @@
-"""The five terminal conditions, checked after every interaction (Sec. Initial and Terminal Conditions)."""
+"""The five terminal conditions (Sec. Initial and Terminal Conditions)."""
 
 from torch import Tensor
 
@@ -10,13 +10,16 @@ from inspection.state import E, P
 OUTCOMES = ("crash", "out_of_bounds", "out_of_power", "success", "timeout")
 
 
-def terminal_conditions(x: Tensor, score: Tensor, time: Tensor, c: InspectionParameters) -> dict[str, Tensor]:
-    """Each condition as (B,) bool for states (16, B), inspected weight (B,) and time (B,) in s."""
+def failures(x: Tensor, c: InspectionParameters) -> dict[str, Tensor]:
+    """The three that end an episode at whatever time they hold, each as (B,) bool for states (16, B)."""
     distance = norm(x[P])
     return {
         "crash": distance < c.collision_radius,
         "out_of_bounds": distance > c.max_distance,
         "out_of_power": x[E] <= 0.0,
-        "success": score >= c.success_score,
-        "timeout": time >= c.max_time,
     }
+
+
+def ends(score: Tensor, time: Tensor, c: InspectionParameters) -> dict[str, Tensor]:
+    """The two that are asked after every interaction, (B,) bool, for inspected weight (B,) and time (B,) in s."""
+    return {"success": score >= c.success_score, "timeout": time >= c.max_time}

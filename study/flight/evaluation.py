@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from inspection.attitude import norm
-from inspection.closed_loop import Controller
+from inspection.closed_loop import Controller, Hold
 from inspection.dynamics import sun_and_earth_in_body
 from inspection.environment import METRICS, InspectionEnv, Transition
 from inspection.state import OMEGA, E, P, T, V
@@ -37,22 +37,31 @@ class Episodes:
     Attributes:
         metrics: (6, episodes) in the order of METRICS.
         violations: (13 + 1, episodes) percent of its steps, "any" last.
+        violation_seconds: the same, percent of its integration steps.
         outcome: (episodes,) index into OUTCOMES.
+        clear: (episodes,) bool, it succeeded and two days of free flight stay clear of the chief.
         filter_calls, interventions, failures: (episodes,) counts.
         filter_violations: (13, episodes) filter calls at which the constraint was violated.
-        worst: (13, episodes) smallest constraint value at the end of a step.
-        extremes: (8, episodes) smallest `raw_quantities` at the end of a step.
+        worst: (13, episodes) smallest constraint value after an integration step.
+        extremes: (8, episodes) smallest `raw_quantities` after an integration step.
     """
 
     metrics: Tensor
     violations: Tensor
+    violation_seconds: Tensor
     outcome: Tensor
+    clear: Tensor
     filter_calls: Tensor
     interventions: Tensor
     failures: Tensor
     filter_violations: Tensor
     worst: Tensor
     extremes: Tensor
+
+    @property
+    def clean(self) -> Tensor:
+        """(episodes,) bool: succeeded, clear in free flight, and no limit violated after any integration step."""
+        return self.clear & (self.violation_seconds[-1] == 0.0)
 
     def split(self, seeds: int) -> list["Episodes"]:
         """The episodes of each seed, where those of all follow one another."""
@@ -112,7 +121,9 @@ def run_episodes(env: InspectionEnv, controller: Controller, x: Tensor, priority
     record = Episodes(
         metrics=torch.full_like(zeros, math.nan).repeat(len(METRICS), 1),
         violations=zeros.repeat(constraints + 1, 1),
+        violation_seconds=zeros.repeat(constraints + 1, 1),
         outcome=torch.full_like(env.steps, -1),
+        clear=torch.zeros_like(running),
         filter_calls=zeros.clone(),
         interventions=zeros.clone(),
         failures=zeros.clone(),
@@ -122,33 +133,45 @@ def run_episodes(env: InspectionEnv, controller: Controller, x: Tensor, priority
     )
     count = x.shape[1]
     what = f"flying {count:,} test case{'s' * (count > 1)}"
+
+    def watch(hold: Hold) -> None:
+        note_hold(record, hold, running, env.constraint_values(hold.after))
+
     with bar(count, "episodes", desc=what, leave=False, bar_format=BAR) as shown:
         while running.any():
-            transition = env.advance(controller)
-            note(record, transition, running, env.constraint_values(transition.state))
+            transition = env.advance(controller, watch)
+            note_step(record, transition, running)
             running = running & ~transition.done
             flown = int(transition.steps.max()) * env.c.action_period
             shown.set_postfix_str(f"{flown:,.0f} s of at most {env.c.max_time:,.0f}", refresh=False)
             shown.update(count - int(running.sum()) - shown.n)
+    record.violation_seconds *= 100.0 / record.metrics[METRICS.index("episode_length_s")]
     return record
 
 
-def note(record: Episodes, transition: Transition, running: Tensor, h: Tensor) -> None:
-    """Adds one step of the episodes still running, which led to constraint values h (13, B), in place."""
+def note_hold(record: Episodes, hold: Hold, running: Tensor, h: Tensor) -> None:
+    """Adds a hold of the episodes still running, which led to constraint values h (13, B), in place."""
+    for smallest, values in ((record.worst, h), (record.extremes, raw_quantities(hold.after))):
+        smallest.copy_(torch.minimum(smallest, torch.where(running, values, math.inf)))
+    violated = (h < 0.0) & running
+    record.violation_seconds += hold.seconds * torch.cat((violated, violated.any(0)[None]))
+
+
+def note_step(record: Episodes, transition: Transition, running: Tensor) -> None:
+    """Adds one step of the episodes still running, in place."""
     for correction, answered, true in transition.calls():
         asked = running & answered
         record.filter_calls += asked
         record.interventions += asked & correction.intervened
         record.failures += asked & (correction.status == Status.UNSOLVED)
         record.filter_violations += asked & (true < 0.0)
-    for smallest, values in ((record.worst, h), (record.extremes, raw_quantities(transition.state))):
-        smallest.copy_(torch.minimum(smallest, torch.where(running, values, math.inf)))
     ending = running & transition.done
     any_steps = transition.metrics[METRICS.index("violation_percent")]
     percent = torch.cat((100.0 * transition.violation_steps / transition.steps, any_steps[None]))
     record.metrics = torch.where(ending, transition.metrics, record.metrics)
     record.violations = torch.where(ending, percent, record.violations)
     record.outcome = torch.where(ending, transition.outcome, record.outcome)
+    record.clear |= ending & (transition.reward_terms["success"] > 0.0)
 
 
 def report(record: Episodes, config: Config, seed: int, seeds: int = 1) -> dict[str, Any]:
@@ -157,18 +180,24 @@ def report(record: Episodes, config: Config, seed: int, seeds: int = 1) -> dict[
     Args:
         seed: of the test cases; seeds: trained seeds whose episodes of the same cases follow one another.
     """
-    percent = dict(zip((*CONSTRAINTS, "any"), record.violations.mean(1).tolist(), strict=True))
+    names = ("any", *CONSTRAINTS)
+    of_steps, of_seconds = (
+        dict(zip(names, rows.mean(1).roll(1).tolist(), strict=True))
+        for rows in (record.violations, record.violation_seconds)
+    )
     calls = record.filter_calls.sum().item()
     results = {
         "metrics": {
             name: summary_of_runs(values.reshape(seeds, -1))
             for name, values in zip(METRICS, record.metrics.cpu().numpy(), strict=True)
         },
-        "violations_percent": {"any": percent.pop("any")} | percent,
+        "violations_percent": of_steps,
+        "violations_percent_of_seconds": of_seconds,
         "outcomes": {
             name: (record.outcome == OUTCOMES.index(name)).double().mean().item()
             for name in ("success", "crash", "out_of_bounds", "out_of_power", "timeout")
-        },
+        }
+        | {"clean_success": record.clean.double().mean().item()},
         "rta": {
             "period_s": config.rta.period if config.train.rta else None,
             "intervention_percent": 100.0 * record.interventions.sum().item() / calls if calls else 0.0,

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from inspection.closed_loop import Controller, is_multiple
 from inspection.environment import InspectionEnv
-from inspection.termination import terminal_conditions
+from inspection.termination import ends, failures
 from ppo.network import Policy
 from rta.qp import Status
 from study.config import TEST_CASES, Config
@@ -100,11 +100,12 @@ def simulate(
             intervened = row(hold.time, hold.state, decision, hold.applied)
         if hold.correction is not None:
             intervened |= hold.correction.program_status[:, 0] > Status.UNTOUCHED
+        ended = failures(hold.after, c)
         if is_multiple(hold.end, c.action_period):
             env.see(hold.after)
-            ended = terminal_conditions(hold.after, env.score, x.new_tensor([hold.end]), c)
-            if until_ended and any(bool(condition) for condition in ended.values()):
-                break
+            ended |= ends(env.score, x.new_tensor([hold.end]), c)
+        if until_ended and any(bool(condition) for condition in ended.values()):
+            break
     row(hold.end, hold.after, decision, hold.applied)
 
     arrays = {name: torch.stack([each[name] for each in rows]).cpu().numpy() for name in rows[0]}

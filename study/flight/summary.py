@@ -14,8 +14,14 @@ def iqm(values: np.ndarray, axis: int = -1) -> np.ndarray:
     return stats.trim_mean(values, 0.25, axis=axis)
 
 
+def tail(values: np.ndarray) -> dict[str, float]:
+    """The 5th and 95th percentile and the largest of all values."""
+    p5, p95 = np.percentile(values, [5.0, 95.0])
+    return {"p5": float(p5), "p95": float(p95), "max": float(values.max())}
+
+
 def summary(values: np.ndarray, seed: int = 0) -> dict[str, float | list[float]]:
-    """`iqm`, `mean` and `ci95`, the percentile bootstrap's 95 % interval of the IQM, of (episodes,) values."""
+    """`iqm`, `mean`, `tail`, and `ci95`, the percentile bootstrap's 95 % interval of the IQM, of (episodes,) values."""
     if np.ptp(values) == 0.0:
         interval = [float(values[0])] * 2  # scipy's bootstrap has no interval for a constant
     else:
@@ -28,7 +34,7 @@ def summary(values: np.ndarray, seed: int = 0) -> dict[str, float | list[float]]
             batch=1000,
         )
         interval = [float(bound) for bound in result.confidence_interval]
-    return {"iqm": float(iqm(values)), "mean": float(values.mean()), "ci95": interval}
+    return {"iqm": float(iqm(values)), "mean": float(values.mean()), "ci95": interval} | tail(values)
 
 
 def stratified_bootstrap(
@@ -49,13 +55,13 @@ def stratified_bootstrap(
 
 
 def stratified_summary(scores: np.ndarray, seed: int = 0) -> dict[str, float | list[float]]:
-    """`iqm` and `mean` over all of the scores (runs, tasks), and `ci95`, the stratified bootstrap's interval."""
+    """`iqm`, `mean` and `tail` of all of the scores (runs, tasks), and `ci95`, the stratified bootstrap's interval."""
     low, high = np.percentile(stratified_bootstrap(scores, np.random.default_rng(seed)), [2.5, 97.5])
     return {
         "iqm": float(iqm(scores, axis=None)),
         "mean": float(scores.mean()),
         "ci95": [float(low), float(high)],
-    }
+    } | tail(scores)
 
 
 def summary_of_runs(scores: np.ndarray) -> dict[str, float | list[float]]:

@@ -92,6 +92,31 @@ def test_each_end_names_its_outcome_and_only_the_timeout_truncates(c):
     assert end.done.tolist() == [True] * 5 + [False]
 
 
+@pytest.mark.parametrize("end", ["crash", "out_of_bounds", "out_of_power"])
+def test_an_episode_fails_in_any_second_of_an_action(c, end):
+    """Each is over again where the action ends: past the chief, back inside 800 m, battery charged."""
+    env = started(c, 2)
+    if end == "crash":
+        env.x[P, 0], env.x[V, 0] = torch.tensor([[14.9, -10, 0], [0, 2, 0]]).double()
+    elif end == "out_of_bounds":
+        env.x[P, 0], env.x[V, 0] = torch.tensor([[0, 799.99, 0], [0, 0.05, 0]]).double()
+    else:
+        env.x[E, 0] = 0.001  # the Sun begins to shine where a torque turns the panels
+    action = torch.zeros(2, 6)
+    action[0] = {
+        "crash": torch.zeros(6),
+        "out_of_bounds": torch.tensor([0, 1.0, 0, 0, 0, 0]),  # n_y looks at the chief
+        "out_of_power": torch.tensor([0, 0, 0, 0, 0, 1.0]),
+    }[end]
+    states = []
+    transition = env.advance(lambda t, x: env.control(action), lambda hold: states.append(hold.after))
+    assert len(states) == 10
+    assert transition.outcome.tolist() == [OUTCOMES.index(end), -1]
+    assert transition.terminated.tolist() == [True, False]
+    x = transition.state[:, 0]
+    assert (x[P].norm() > 15.0, x[P].norm() < 800.0, x[E] > 0.0) == (True, True, True)
+
+
 def test_the_first_of_several_ends_names_the_outcome(c):
     pairs = [pair for pair in combinations(range(5), 2) if pair != (0, 1)]
     env = started(c, len(pairs))
@@ -171,6 +196,29 @@ def test_reward_is_the_sum_of_its_terms_and_its_metric_the_sum_over_steps(c):
         total += torch.stack([step.reward_terms[name] for name in REWARDS]).sum(0)
     assert step.reward.shape == (3,) and tuple(step.reward_terms) == REWARDS
     torch.testing.assert_close(step.metrics[1], total, rtol=1e-14, atol=1e-15)
+
+
+def test_terms_of_our_own_are_the_learners_alone(c):
+    def push(x, desired):
+        return SimpleNamespace(control=desired + 0.25)
+
+    own = replace(c, rate_reward=-0.5, correction_reward=-0.1)
+    safety = Safety(correct=push, period=5.0)
+    ends = []
+    for parameters in (c, own):
+        env = started(parameters, 2, safety)
+        env.x[10:13, 0] = torch.tensor([0.5, 0.0, -1.0]) * c.max_rate
+        ends.append(env.step(torch.zeros(2, 6)))
+    plain, shaped = ends
+    assert tuple(shaped.reward_terms) == (*REWARDS, "rate", "correction")
+    rates = (shaped.state[10:13] / c.max_rate).square().sum(0)
+    assert rates[0] > 1.0
+    # two calls, each 0.25 N off along three axes and 0.25 N m about three
+    corrected = 2 * 3 * (0.25 / c.max_thrust + 0.25 / c.max_torque)
+    torch.testing.assert_close(shaped.reward_terms["rate"], -0.5 * rates)
+    assert shaped.reward_terms["correction"].tolist() == pytest.approx([-0.1 * corrected] * 2)
+    torch.testing.assert_close(shaped.reward, plain.reward - 0.5 * rates - 0.1 * corrected)
+    torch.testing.assert_close(shaped.metrics, plain.metrics)
 
 
 def test_violations_are_counted_per_constraint_and_together(c):

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from inspection.observation import OBSERVATIONS, SIZE, observe, scales
 from inspection.reward import REWARDS, rewards
 from inspection.state import E, P, Q, V
-from inspection.termination import OUTCOMES, terminal_conditions
+from inspection.termination import OUTCOMES, ends, failures
 
 STEP_BY_STEP = ("points", "delta_v", "torque", "orientation", "time")
 AT_THE_END = ("success", "crash", "distance", "energy")
@@ -243,7 +243,7 @@ def test_conditions_hold_from_their_thresholds_on(c):
         "success": [False, True, True, False],
         "timeout": [False, True, True, False],
     }
-    found = terminal_conditions(x, score, time, c)
+    found = failures(x, c) | ends(score, time, c)
     assert {name: end.tolist() for name, end in found.items()} == expected
 
 
@@ -259,15 +259,18 @@ def test_conditions_hold_from_their_thresholds_on(c):
 def test_thresholds_are_the_tasks_constants(c, changed, end):
     x = at((0.0, 60.0, 0.0))
     x[E] = 5.0
-    arguments = x, as_column([0.5]), as_column([100.0])
-    assert not any(terminal_conditions(*arguments, c).values())
-    found = terminal_conditions(*arguments, replace(c, **changed))
+
+    def found_by(c):
+        return failures(x, c) | ends(as_column([0.5]), as_column([100.0]), c)
+
+    assert not any(found_by(c).values())
+    found = found_by(replace(c, **changed))
     assert [name for name, holds in found.items() if holds] == [end]
 
 
 @pytest.mark.parametrize("direction", [(1, 0, 0), (0, -1, 0), (0, 0, 1), (0.6, 0, -0.8)])
 def test_distances_count_in_every_direction(c, direction):
     x = torch.cat([at([r * i for i in direction]) for r in (14.999, 15.001, 799.999, 800.001)], 1)
-    found = terminal_conditions(x, x[0] * 0, x[0] * 0, c)
+    found = failures(x, c)
     assert found["crash"].tolist() == [True, False, False, False]
     assert found["out_of_bounds"].tolist() == [False, False, False, True]

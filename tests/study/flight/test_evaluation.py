@@ -104,3 +104,31 @@ def test_the_bar_counts_episodes_and_shows_the_time_simulated(monkeypatch: pytes
     (shown,) = bars
     assert (shown.n, shown.total, shown.desc) == (3, 3, "flying 3 test cases")
     assert shown.postfix == "20 s of at most 20"
+
+
+def test_a_success_is_clean_that_stays_clear_and_breaks_no_limit_in_any_second(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Four cases at rest on the orbit: nothing wrong; adrift into the chief; too hot for a few seconds; no success."""
+    experiment = experiment_of(False, 4)
+    x, priority = common_cases(experiment.config, 4, 0)
+    x[:13], x[13], x[14] = 0.0, 5.0, 6.0
+    x[1], x[9] = 60.0, 1.0
+    x[3:6, 1] = torch.tensor([0.0, -0.01, 0.0])
+    x[13, 2] = 9.9995
+    env = experiment.env(4, experiment.generators([1]))
+    begun = env.start
+
+    def start(*arguments: torch.Tensor) -> None:
+        begun(*arguments)
+        env.inspected[:, :3] = True
+
+    monkeypatch.setattr(env, "start", start)
+    record = evaluation.run_episodes(env, classical("zero", experiment.config, 0), x, priority)
+    results = evaluation.report(record, experiment.config, 0)
+    assert record.outcome.tolist() == [3, 3, 3, 4]
+    assert record.clear.tolist() == [True, False, True, False]
+    broken = record.violation_seconds[-1].tolist()
+    assert broken[0] == broken[1] == 0.0 and broken[2] > 0.0
+    assert record.clean.tolist() == [True, False, False, False]
+    assert (results["outcomes"]["success"], results["outcomes"]["clean_success"]) == (0.75, 0.25)

@@ -177,7 +177,7 @@ def fast_inwards(count: int) -> tuple[torch.Tensor, torch.Tensor]:
 
 @pytest.mark.parametrize("period", [1.0, 10.0])
 def test_evaluate_reports_what_a_weaker_plant_violates(period: float) -> None:
-    """Percent of the action periods' ends and of the filter's calls, against a simulation of every second."""
+    """Percent of the actions' ends, of all seconds and of the filter's calls, against a simulation of every second."""
     behind, count = experiment(period, 20.0), 3
     # the filter believes in ten times the acceleration that there is
     plant = dataclasses.replace(behind.config.inspection, mass=120.0)
@@ -188,15 +188,19 @@ def test_evaluate_reports_what_a_weaker_plant_violates(period: float) -> None:
 
     record = run_episodes(env(count), coasting, x, priority)
     results = report(record, behind.config, 0)
-    ends, calls = [], []
+    ends, seconds, calls = [], [], []
     for i, length in enumerate(record.metrics[2].tolist()):
         case = (part[:, i : i + 1] for part in (x, priority))
         run = simulate(env(1, report_every=1.0), coasting, *case, length)
         h = paper(states_of(run)) < 0.0
-        ends.append(np.vstack((h, h.any(0)))[:, 10::10].mean(1))
+        every = np.vstack((h, h.any(0)))
+        ends.append(every[:, 10::10].mean(1))
+        seconds.append(every[:, 1:].mean(1))
         calls.append(h[:, : -1 : round(period)])
     expected = dict(zip((*CONSTRAINTS, "any"), 100.0 * np.mean(ends, 0), strict=True))
     assert results["violations_percent"] == pytest.approx(expected)
+    of_seconds = dict(zip((*CONSTRAINTS, "any"), 100.0 * np.mean(seconds, 0), strict=True))
+    assert results["violations_percent_of_seconds"] == pytest.approx(of_seconds)
     assert expected["dynamic_speed"] > 0.0 and results["worst_constraint_value"]["dynamic_speed"] < 0.0
     at_calls = dict(zip(CONSTRAINTS, 100.0 * np.hstack(calls).mean(1), strict=True))
     assert results["rta"]["filter_step_violations_percent"] == pytest.approx(at_calls)

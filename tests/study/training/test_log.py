@@ -31,10 +31,11 @@ def record(seeds: int, cases: int, generator: torch.Generator) -> Episodes:
     count = seeds * cases
     metrics = torch.rand(len(METRICS), count, generator=generator, dtype=torch.float64)
     outcome = torch.randint(len(OUTCOMES), (count,), generator=generator)
-    nothing = torch.zeros(13, count)
-    zeros = torch.zeros(count)
+    nothing, percent, zeros = torch.zeros(13, count), torch.zeros(14, count), torch.zeros(count)
     extremes = torch.zeros(len(RAW_QUANTITIES), count)
-    return Episodes(metrics, torch.zeros(14, count), outcome, zeros, zeros, zeros, nothing, nothing, extremes)
+    clear = torch.zeros(count, dtype=torch.bool)
+    counts = zeros, zeros, zeros, nothing
+    return Episodes(metrics, percent, percent, outcome, clear, *counts, nothing, extremes)
 
 
 def ended(seed: int, reward: float) -> Monitor:
