@@ -1,7 +1,7 @@
 """InspectionEnv: the whole batch of episodes as one set of tensors, with autoreset."""
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
@@ -34,7 +34,8 @@ def clocks_of(
     The chief is looked at every action period, and whether an episode failed after every integration step.
     """
     every = c.action_period
-    return Clocks(decide_every or every, report_every or c.substep, c.substep, filter_period, look=every)
+    report = report_every or min(c.substep, decide_every or every, filter_period or every)
+    return Clocks(decide_every or every, report, c.substep, filter_period, look=every)
 
 
 @dataclass
@@ -120,7 +121,8 @@ class InspectionEnv:
         plant: PlantParameters | None = None,
     ) -> None:
         self.c = parameters
-        self.clocks = clocks_of(parameters, None, decide_every, report_every)
+        self.asked_for = decide_every, report_every
+        self.clocks = clocks_of(parameters, None, *self.asked_for)
         batch = num_envs * len(generators)
         device = generators[0].device
         differs = plant is not None and not plant.is_nominal
@@ -166,7 +168,7 @@ class InspectionEnv:
 
         Raises ValueError where its clock does not divide the others or would need a shorter integration step.
         """
-        clocks = replace(self.clocks, filter=safety.period if safety.correct else None)
+        clocks = clocks_of(self.c, safety.period if safety.correct else None, *self.asked_for)
         if "_integrate" in vars(self) and clocks.step != self.clocks.step:
             raise ValueError(
                 f"a filter every {safety.period:g} s: the simulator takes {self.clocks.step:g} s a step"

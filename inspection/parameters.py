@@ -100,12 +100,8 @@ class InspectionParameters:
     free_flight_horizon: float = 172800.0  # s, two days of free flight that decide the reward of success
 
     # Our own terms, which the learner is given beside the paper's; the reward that is reported is without them
-    rate_reward: float = (
-        0.0  # per action, for body rates at max_rate, by their squares; ends needless rolling
-    )
-    correction_reward: float = (
-        0.0  # per actuator's limit that the filter corrects; makes agents safe without it
-    )
+    rate_reward: float = 0.0  # per action and axis turning at max_rate, by its square
+    correction_reward: float = 0.0  # per actuator's limit that the filter corrects
 
     def __post_init__(self) -> None:
         for name in ("solar_panel_axis", "thermal_axis"):

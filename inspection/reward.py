@@ -20,19 +20,24 @@ def orientation(x: Tensor, c: InspectionParameters) -> Tensor:
     return torch.where(misalignment <= 1.0, reward, 0.0)
 
 
-def success(x: Tensor, succeeded: Tensor, c: InspectionParameters) -> Tensor:
-    """R_success: +1 if two days of free flight after the last inspection stay clear of the chief, else -1."""
-    reward = x.new_zeros(x.shape[1:])
-    if succeeded.any():
+def stays_clear(x: Tensor, columns: Tensor, c: InspectionParameters) -> Tensor:
+    """Whether free flight from states x (16, B) stays clear of the chief, (B,); False but for `columns` (B,)."""
+    clear = torch.zeros_like(columns)
+    if columns.any():
         clearance = torch.cat(
             [
                 free_flight_clearance(part[P], part[V], c.free_flight_horizon, c.mean_motion)
-                for part in x[:, succeeded].split(AT_ONCE, 1)
+                for part in x[:, columns].split(AT_ONCE, 1)
             ]
         )
-        safe = clearance >= c.collision_radius
-        reward[succeeded] = c.terminal_reward * torch.where(safe, 1.0, -1.0).to(x.dtype)
-    return reward
+        clear[columns] = clearance >= c.collision_radius
+    return clear
+
+
+def success(x: Tensor, succeeded: Tensor, c: InspectionParameters) -> Tensor:
+    """R_success: +1 if two days of free flight after the last inspection stay clear of the chief, else -1."""
+    sign = stays_clear(x, succeeded, c).to(x.dtype) * 2.0 - 1.0
+    return torch.where(succeeded, c.terminal_reward * sign, 0.0)
 
 
 def rewards(

@@ -39,6 +39,8 @@ IRRELEVANT = {
     "time_reward",
     "time_reward_until",
     "terminal_reward",
+    "rate_reward",
+    "correction_reward",
     "free_flight_horizon",
     "qp_solver",
 }

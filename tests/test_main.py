@@ -89,8 +89,12 @@ def test_evaluate_writes_the_promised_json(
     assert "Table 3" in out
     results = json.loads(path.read_text())
     assert set(results["metrics"]) == set(METRICS)
-    assert all(set(metric) == {"iqm", "mean", "ci95"} for metric in results["metrics"].values())
-    assert set(results["violations_percent"]) == {"any", *CONSTRAINTS}
+    assert all(
+        set(metric) == {"iqm", "mean", "ci95", "p5", "p95", "max"} for metric in results["metrics"].values()
+    )
+    for violations in ("violations_percent", "violations_percent_of_seconds"):
+        assert set(results[violations]) == {"any", *CONSTRAINTS}
+    assert 0.0 <= results["outcomes"].pop("clean_success") <= results["outcomes"]["success"]
     assert sum(results["outcomes"].values()) == pytest.approx(1.0)
     assert set(results["outcomes"]) == {"success", "crash", "out_of_bounds", "out_of_power", "timeout"}
     assert {"period_s", "intervention_percent", "qp_failures"} <= set(results["rta"])

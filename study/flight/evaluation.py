@@ -13,6 +13,7 @@ from inspection.attitude import norm
 from inspection.closed_loop import Controller, Hold
 from inspection.dynamics import sun_and_earth_in_body
 from inspection.environment import METRICS, InspectionEnv, Transition
+from inspection.reward import stays_clear
 from inspection.state import OMEGA, E, P, T, V
 from inspection.termination import OUTCOMES
 from ppo.network import Policy
@@ -28,6 +29,7 @@ from study.verified import say_unless_verified
 
 # Without the time that is left: the last episode may take as long as all before it, and nobody knows.
 BAR = "{desc}: |{bar}| {n_fmt}/{total_fmt} ended [{elapsed}{postfix}]"
+SUCCESS = OUTCOMES.index("success")
 
 
 @dataclass
@@ -141,7 +143,9 @@ def run_episodes(env: InspectionEnv, controller: Controller, x: Tensor, priority
         while running.any():
             transition = env.advance(controller, watch)
             note_step(record, transition, running)
-            running = running & ~transition.done
+            ending = running & transition.done
+            record.clear |= stays_clear(transition.state, ending & (transition.outcome == SUCCESS), env.c)
+            running = running & ~ending
             flown = int(transition.steps.max()) * env.c.action_period
             shown.set_postfix_str(f"{flown:,.0f} s of at most {env.c.max_time:,.0f}", refresh=False)
             shown.update(count - int(running.sum()) - shown.n)
@@ -171,7 +175,6 @@ def note_step(record: Episodes, transition: Transition, running: Tensor) -> None
     record.metrics = torch.where(ending, transition.metrics, record.metrics)
     record.violations = torch.where(ending, percent, record.violations)
     record.outcome = torch.where(ending, transition.outcome, record.outcome)
-    record.clear |= ending & (transition.reward_terms["success"] > 0.0)
 
 
 def report(record: Episodes, config: Config, seed: int, seeds: int = 1) -> dict[str, Any]:

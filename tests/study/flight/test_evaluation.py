@@ -1,5 +1,6 @@
 """Evaluation of what is not trained, against the simulation of a single spacecraft."""
 
+import math
 from pathlib import Path
 from typing import Any
 
@@ -109,13 +110,13 @@ def test_the_bar_counts_episodes_and_shows_the_time_simulated(monkeypatch: pytes
 def test_a_success_is_clean_that_stays_clear_and_breaks_no_limit_in_any_second(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Four cases at rest on the orbit: nothing wrong; adrift into the chief; too hot for a few seconds; no success."""
+    """Four cases at rest: nothing wrong; above the chief, to swing through it; a little too hot; no success."""
     experiment = experiment_of(False, 4)
     x, priority = common_cases(experiment.config, 4, 0)
-    x[:13], x[13], x[14] = 0.0, 5.0, 6.0
+    x[:13], x[13], x[14], x[15] = 0.0, 5.0, 6.0, math.pi  # the panels are lit
     x[1], x[9] = 60.0, 1.0
-    x[3:6, 1] = torch.tensor([0.0, -0.01, 0.0])
-    x[13, 2] = 9.9995
+    x[:3, 1] = torch.tensor([0.0, 0.0, 60.0])  # swings through the orbital plane
+    x[13, 2] = 10.001
     env = experiment.env(4, experiment.generators([1]))
     begun = env.start
 

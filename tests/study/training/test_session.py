@@ -113,7 +113,7 @@ def one_line(capsys: pytest.CaptureFixture[str], *words: str) -> str:
     return line
 
 
-@pytest.mark.parametrize(("size", "file"), [(700, "events.out"), (24_000, "checkpoint.pt: ")])
+@pytest.mark.parametrize(("size", "file"), [(700, "events.out"), (40_000, "checkpoint.pt: ")])
 def test_a_full_disk_ends_training_in_a_line_and_room_lets_it_go_on(
     size: int,
     file: str,
