@@ -95,19 +95,15 @@ def test_each_end_names_its_outcome_and_only_the_timeout_truncates(c):
 @pytest.mark.parametrize("end", ["crash", "out_of_bounds", "out_of_power"])
 def test_an_episode_fails_in_any_second_of_an_action(c, end):
     """Each is over again where the action ends: past the chief, back inside 800 m, battery charged."""
-    env = started(c, 2)
+    env, action = started(c, 2), torch.zeros(2, 6)
     if end == "crash":
         env.x[P, 0], env.x[V, 0] = torch.tensor([[14.9, -10, 0], [0, 2, 0]]).double()
     elif end == "out_of_bounds":
-        env.x[P, 0], env.x[V, 0] = torch.tensor([[0, 799.99, 0], [0, 0.05, 0]]).double()
+        env.x[P, 0], env.x[V, 0] = torch.tensor([[0, 799.99, 0], [0, 0.3, 0]]).double()
+        action[0, 1] = -1.0  # brakes by 0.08 m/s^2
     else:
-        env.x[E, 0] = 0.001  # the Sun begins to shine where a torque turns the panels
-    action = torch.zeros(2, 6)
-    action[0] = {
-        "crash": torch.zeros(6),
-        "out_of_bounds": torch.tensor([0, 1.0, 0, 0, 0, 0]),  # n_y looks at the chief
-        "out_of_power": torch.tensor([0, 0, 0, 0, 0, 1.0]),
-    }[end]
+        env.x[E, 0], env.x[12, 0] = 0.001, c.max_rate
+        env.x[THETA_S, 0] = math.radians(125.0)  # the panels turn towards it, enough from 49 deg on
     states = []
     transition = env.advance(lambda t, x: env.control(action), lambda hold: states.append(hold.after))
     assert len(states) == 10

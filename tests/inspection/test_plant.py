@@ -447,7 +447,7 @@ def test_calls_are_missed_as_often_as_asked_and_without_a_filter_they_are_decisi
     env = make(PlantParameters(missed_calls=1.0, missed_in_a_row=1), 1)
     env.reset()
     applied = [hold.applied[0].item() for hold in env.fly(lambda t, x: torch.full_like(x[:6], 1.0 + t), 40.0)]
-    assert applied == [1.0, 1.0, 21.0, 21.0]
+    assert applied[::10] == [1.0, 1.0, 21.0, 21.0]
 
 
 # who is shown what
