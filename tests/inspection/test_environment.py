@@ -102,7 +102,7 @@ def test_an_episode_fails_in_any_second_of_an_action(c, end):
         env.x[P, 0], env.x[V, 0] = torch.tensor([[0, 799.99, 0], [0, 0.3, 0]]).double()
         action[0, 1] = -1.0  # brakes by 0.08 m/s^2
     else:
-        env.x[E, 0], env.x[12, 0] = 0.001, c.max_rate
+        env.x[E, 0], env.x[12, 0] = 0.001, -c.max_rate
         env.x[THETA_S, 0] = math.radians(125.0)  # the panels turn towards it, enough from 49 deg on
     states = []
     transition = env.advance(lambda t, x: env.control(action), lambda hold: states.append(hold.after))
