@@ -52,6 +52,7 @@ class TrainParameters:
     device: str = "auto"  # where tensors live: auto, cpu or cuda
     compile: str = "auto"  # torch.compile the filter, simulator and learner: auto, on or off
     evaluation_interval: int = 500_000  # interactions between two evaluations
+    early_evaluations: int = 1  # as many within the first interval; of several, one more before training
     evaluation_episodes: int = 20  # common test cases of each of these evaluations
     final_episodes: int = 100  # common test cases of the evaluation after training
     checkpoint_interval: int = 160_000  # interactions between two checkpoints
@@ -66,6 +67,11 @@ class TrainParameters:
                 raise ValueError(
                     f"{name} = {getattr(self, name)}: must be a positive integer up to {MAX_COUNT:,}"
                 )
+        if self.early_evaluations > self.evaluation_interval:
+            raise ValueError(
+                f"early_evaluations = {self.early_evaluations}: must be at most evaluation_interval, "
+                f"{self.evaluation_interval:,}"
+            )
         if self.batch < 2:
             raise ValueError("num_envs * rollout_steps = 1: must be at least 2")
         if not 0 <= self.seed < 2**63:

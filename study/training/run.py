@@ -176,6 +176,11 @@ class Run:
         shown = self.log.open(self.interactions, total) if self.ranks.first else nullcontext()
         with self.naming_the_checkpoint():
             with on_signal(react), shown:
+                if (
+                    not self.ranks.agree(self.log.evaluations.is_file())
+                    and self.config.train.early_evaluations > 1
+                ):
+                    self.evaluate()
                 try:
                     self.trainer.run(self.monitor, self.after_update, lambda: self.ranks.any(bool(stop)))
                 except (NonFiniteError, RankLostError) as error:
@@ -194,7 +199,8 @@ class Run:
         statistics["time/filter_s"] = self.monitor.filter_seconds
         statistics["time/simulation_s"] = statistics["time/rollout_s"] - self.monitor.filter_seconds
         statistics |= self.last_save
-        if self.due(train.evaluation_interval):
+        early = self.interactions < train.evaluation_interval
+        if self.due(train.evaluation_interval // (train.early_evaluations if early else 1)):
             statistics["time/evaluation_s"] = seconds_of(self.evaluate)
         if reports := self.ranks.collect((statistics, self.monitor), self.device):
             self.log.update(reports, self.interactions)

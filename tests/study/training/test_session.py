@@ -6,6 +6,7 @@ import os
 import resource
 import shlex
 import shutil
+import signal
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
@@ -434,3 +435,36 @@ def test_the_threads_of_a_run_are_recorded(whole: Path, tmp_path: Path) -> None:
     for text in ("{", "[]", "{}", '{"threads": "two"}', '{"threads": true}', '{"threads": 0}'):
         (tmp_path / "provenance.json").write_text(text)
         assert provenance.recorded_threads(tmp_path) is None
+
+
+def test_evaluations_come_more_often_at_the_beginning_also_where_a_run_goes_on(
+    settings: Path, tmp_path: Path
+) -> None:
+    text = settings.read_text()
+    often = tmp_path / "often.toml"
+    often.write_text(text.replace("interval = 16\n", "interval = 48\nearly_evaluations = 3\n", 1))
+    runs = tmp_path / "whole", tmp_path / "stopped"
+    train = ["train", "--config", str(often), "--run-dir"]
+    assert main.main([*train, str(runs[0])]) == 0
+    for update, begin in ((0, [*train, str(runs[1])]), (1, ["train", "--resume", str(runs[1])])):
+        with pytest.MonkeyPatch.context() as patch:
+            after(patch, update + 1, lambda _: os.kill(os.getpid(), signal.SIGTERM))
+            assert main.main(begin) == 0
+    assert main.main(["train", "--resume", str(runs[1])]) == 0
+    whole, stopped = (
+        [json.loads(line) for line in (run / "evaluations.jsonl").read_text().splitlines()] for run in runs
+    )
+    assert [line["interactions"] for line in whole] == [0, 16, 32, 48, 96]
+    for line, other in zip(whole, stopped, strict=True):
+        assert (line["interactions"], line["cases"]) == (other["interactions"], other["cases"])
+
+
+def test_more_early_evaluations_than_interactions_are_refused(
+    settings: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    often = tmp_path / "often.toml"
+    often.write_text(
+        settings.read_text().replace("interval = 16\n", "interval = 16\nearly_evaluations = 17\n", 1)
+    )
+    assert main.main(["train", "--config", str(often), "--run-dir", str(tmp_path / "run")]) == 2
+    one_line(capsys, "early_evaluations = 17: must be at most evaluation_interval, 16")
