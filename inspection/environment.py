@@ -159,7 +159,8 @@ class InspectionEnv:
             self._integrate = partial(self.plant.integrate, duration=self.clocks.step)
         else:
             self._integrate = partial(integrate, duration=self.clocks.step, c=parameters)
-        self._normalised, self._values = normalised, self.safety.values
+        self._normalised = partial(normalised, observed=parameters.observed)
+        self._values = self.safety.values
         self._margins = partial(chief.by_chunks, partial(chief.margins, self.normals, c=parameters))
         self._lloyd = partial(chief.by_chunks, partial(chief.lloyd, self.points))
 

@@ -1,5 +1,6 @@
-"""The agent's 26 observations in the paper's order, all vectors in the body frame (Sec. State and Observation)."""
+"""What the agent observes, all vectors in the body frame (Sec. State and Observation)."""
 
+from collections.abc import Callable, Collection
 from typing import NamedTuple
 
 import torch
@@ -7,6 +8,7 @@ from torch import Tensor
 
 from inspection.attitude import conjugate, dot, norm, rotate, unit
 from inspection.dynamics import sun_direction
+from inspection.parameters import OBSERVED
 from inspection.state import OMEGA, THETA_S, E, P, Q, T, V
 
 
@@ -23,49 +25,69 @@ def vector(name: str, unit: str = "1", scale: float = 1.0) -> list[Component]:
     return [Component(f"{name}_{i}", unit, scale) for i in "xyz"]
 
 
+# By what they are of, in the paper's order, 26 in all, and beyond it "hill": the paper's observations tell the Sun's
+# direction, but not radial from along-track, so that an agent cannot know whether its free flight drifts.
 # (decision: the paper does not give its scales)
-OBSERVATIONS: tuple[Component, ...] = (
-    Component("position_norm", "m", 100.0),
-    *vector("position"),
-    Component("velocity_norm", "m/s", 0.866),
-    *vector("velocity"),
-    *vector("angular_velocity", "rad/s", 0.035),
-    Component("energy", "kJ", 10.0),
-    Component("temperature", "deg C", 10.0),
-    *vector("sun"),
-    Component("sun_alignment", "1", 1.0),
-    *vector("priority"),
-    Component("priority_alignment", "1", 1.0),
-    *vector("uninspected"),
-    Component("uninspected_alignment", "1", 1.0),
-    Component("inspected_score", "1", 1.0),
-)
-SIZE = len(OBSERVATIONS)
+GROUPS: dict[str, list[Component]] = {
+    "position": [Component("position_norm", "m", 100.0), *vector("position")],
+    "velocity": [Component("velocity_norm", "m/s", 0.866), *vector("velocity")],
+    "angular_velocity": vector("angular_velocity", "rad/s", 0.035),
+    "energy": [Component("energy", "kJ", 10.0)],
+    "temperature": [Component("temperature", "deg C", 10.0)],
+    "sun": [*vector("sun"), Component("sun_alignment", "1", 1.0)],
+    "priority": [*vector("priority"), Component("priority_alignment", "1", 1.0)],
+    "uninspected": [*vector("uninspected"), Component("uninspected_alignment", "1", 1.0)],
+    "score": [Component("inspected_score", "1", 1.0)],
+    "hill": [*vector("radial"), *vector("along_track")],
+}
 
 
-def observe(x: Tensor, priority: Tensor, uninspected: Tensor, score: Tensor) -> Tensor:
-    """o in physical units, (26, B); divide by `scales` for the network.
+def components(observed: Collection[str] = OBSERVED) -> list[Component]:
+    """The components of the given groups, in the order of GROUPS."""
+    return [component for name, group in GROUPS.items() if name in observed for component in group]
+
+
+def observe(
+    x: Tensor, priority: Tensor, uninspected: Tensor, score: Tensor, observed: Collection[str] = OBSERVED
+) -> Tensor:
+    """o in physical units, a row (B,) per component; divide by `scales` for the network.
 
     Args:
         x: states (16, B).
         priority, uninspected: r_p and r_UPS in Hill's frame (3, B).
         score: inspected weight w_p (B,).
+        observed: groups.
     """
     to_body = conjugate(x[Q])
-    p_hat, sun = unit(x[P]), sun_direction(x[THETA_S])
-    rows = [norm(x[P])[None], rotate(to_body, p_hat), norm(x[V])[None], rotate(to_body, unit(x[V]))]
-    rows += [x[OMEGA], x[E][None], x[T][None]]
-    for direction in (sun, priority, uninspected):
-        rows += [rotate(to_body, direction), dot(direction, p_hat)[None]]
-    return torch.cat([*rows, score[None]])
+    p_hat = unit(x[P])
+
+    def of_direction(direction: Tensor) -> Tensor:
+        return torch.cat((rotate(to_body, direction), dot(direction, p_hat)[None]))
+
+    radial, along_track, _ = torch.eye(3, dtype=x.dtype, device=x.device)[..., None].expand(3, *x[P].shape)
+    rows: dict[str, Callable[[], Tensor]] = {
+        "position": lambda: torch.cat((norm(x[P])[None], rotate(to_body, p_hat))),
+        "velocity": lambda: torch.cat((norm(x[V])[None], rotate(to_body, unit(x[V])))),
+        "angular_velocity": lambda: x[OMEGA],
+        "energy": lambda: x[E][None],
+        "temperature": lambda: x[T][None],
+        "sun": lambda: of_direction(sun_direction(x[THETA_S])),
+        "priority": lambda: of_direction(priority),
+        "uninspected": lambda: of_direction(uninspected),
+        "score": lambda: score[None],
+        "hill": lambda: torch.cat((rotate(to_body, radial), rotate(to_body, along_track))),
+    }
+    return torch.cat([row() for name, row in rows.items() if name in observed])
 
 
-def scales(like: Tensor) -> Tensor:
-    """Divisors (26, 1) on the device and in the precision of `like`."""
-    return like.new_tensor([scale for _, _, scale in OBSERVATIONS])[:, None]
+def scales(like: Tensor, observed: Collection[str] = OBSERVED) -> Tensor:
+    """Divisors (components, 1) on the device and in the precision of `like`."""
+    return like.new_tensor([scale for _, _, scale in components(observed)])[:, None]
 
 
-def normalised(x: Tensor, priority: Tensor, uninspected: Tensor, score: Tensor) -> Tensor:
+def normalised(
+    x: Tensor, priority: Tensor, uninspected: Tensor, score: Tensor, observed: Collection[str] = OBSERVED
+) -> Tensor:
     """`observe` divided by `scales`, in float32 for the network."""
-    o = observe(x, priority, uninspected, score)
-    return (o / scales(o)).float()
+    o = observe(x, priority, uninspected, score, observed)
+    return (o / scales(o, observed)).float()

@@ -23,6 +23,20 @@ NOT_NEGATIVE = (
 )
 AT_MOST_ONE = "absorptivity emissivity albedo view_factor panel_degradation success_score"
 
+# What an agent may observe, see `inspection.observation`: the paper's, and the axes of Hill's frame.
+OBSERVED = (
+    "position",
+    "velocity",
+    "angular_velocity",
+    "energy",
+    "temperature",
+    "sun",
+    "priority",
+    "uninspected",
+    "score",
+)
+OBSERVABLE = (*OBSERVED, "hill")
+
 
 @dataclass(frozen=True)
 class InspectionParameters:
@@ -82,6 +96,7 @@ class InspectionParameters:
     points_per_cluster: int = 10  # (decision) k = ceil(n / 10)
     success_score: float = 0.95  # inspected score, 0 to 1, that ends an episode
     action_period: float = 10.0  # s between two actions of the agent
+    observed: tuple[str, ...] = OBSERVED  # by the agent: the paper's, less some, or with "hill"
     substep: float = 1.0  # s, longest integration step
     max_time: float = 12236.0  # s, an episode at its longest: two orbits
     initial_radius: tuple[float, float] = (50.0, 100.0)  # m, range of the first distance
@@ -107,12 +122,14 @@ class InspectionParameters:
         for name in ("solar_panel_axis", "thermal_axis"):
             if getattr(self, name) not in AXES:
                 raise ValueError(f"{name} = {getattr(self, name)!r}: allowed are {', '.join(AXES)}")
+        if not self.observed or not set(self.observed) <= set(OBSERVABLE):
+            raise ValueError(f"observed = {list(self.observed)!r}: must be some of {', '.join(OBSERVABLE)}")
         for name in POSITIVE.split():
             if not 0 < getattr(self, name) < math.inf:
                 raise ValueError(f"{name} = {getattr(self, name)!r}: must be a positive number")
         for field in fields(self):
             value = getattr(self, field.name)
-            if isinstance(value, str):
+            if isinstance(value, str) or field.name == "observed":
                 continue
             numbers = value if isinstance(value, tuple) else (value,)
             if isinstance(field.default, tuple) and len(numbers) != len(field.default):

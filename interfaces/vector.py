@@ -13,7 +13,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
 from inspection.environment import METRICS, InspectionEnv, Transition
-from inspection.observation import SIZE as OBSERVATION_SIZE
+from inspection.observation import components
 from inspection.state import CONTROL_SIZE
 from inspection.termination import OUTCOMES
 from rta.constraints import CONSTRAINTS
@@ -70,7 +70,8 @@ class VectorInspection6DoF(VectorEnv):
         config = configuration.override(base, {"train": here}, source)
         self.tensors = configuration.convert(tensors, bool, f"{source}: tensors")
         self.num_envs = num_envs
-        self.single_observation_space = spaces.Box(-LARGEST, LARGEST, (OBSERVATION_SIZE,), np.float32)
+        size = len(components(config.inspection.observed))
+        self.single_observation_space = spaces.Box(-LARGEST, LARGEST, (size,), np.float32)
         self.single_action_space = spaces.Box(-1.0, 1.0, (CONTROL_SIZE,), np.float32)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)

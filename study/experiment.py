@@ -12,7 +12,7 @@ from torch import Tensor
 
 from inspection.environment import InspectionEnv, clocks_of
 from inspection.initial_state import InitialStates
-from inspection.observation import SIZE as OBSERVATION_SIZE
+from inspection.observation import components
 from inspection.state import CONTROL_SIZE
 from ppo import checkpoint
 from ppo.checkpoint import CheckpointError
@@ -124,7 +124,7 @@ class Experiment:
 
     def value(self, generators: Sequence[torch.Generator]) -> Value:
         """A freshly initialised value network, one seed per generator."""
-        return Value(OBSERVATION_SIZE, generators, self.config.ppo.hidden)
+        return Value(len(components(self.config.inspection.observed)), generators, self.config.ppo.hidden)
 
 
 def test_cases(config: Config, episodes: int, seed: int) -> tuple[Tensor, Tensor]:
@@ -238,7 +238,7 @@ def make_policy(config: Config, generators: Sequence[torch.Generator]) -> Policy
     """A freshly initialised policy, one seed per generator."""
     ppo = config.ppo
     return Policy(
-        OBSERVATION_SIZE,
+        len(components(config.inspection.observed)),
         CONTROL_SIZE,
         generators,
         ppo.hidden,
@@ -262,6 +262,13 @@ def load_policy(path: str | Path) -> tuple[Policy, Config]:
         check_weights(content["policy"], path)
         policy.load_state_dict(content["policy"])
     return policy, config
+
+
+def check_observed(config: Config, trained: Config) -> None:
+    """Refuses to show an agent anything but what it was trained with."""
+    ours, theirs = (list(each.inspection.observed) for each in (config, trained))
+    if set(ours) != set(theirs):
+        raise InputError(f"[inspection] observed = {ours}: the agent was trained with {theirs}")
 
 
 def check_weights(weights: dict[str, Tensor], path: str | Path) -> None:

@@ -8,7 +8,7 @@ import onnxruntime
 import torch
 from onnx import NodeProto, TensorProto, helper, numpy_helper
 
-from inspection.observation import OBSERVATIONS, Component
+from inspection.observation import Component, components
 from inspection.parameters import InspectionParameters
 from inspection.state import CONTROL_SIZE, CONTROLS
 from ppo.network import Policy
@@ -23,8 +23,8 @@ TOLERANCE = 1e-5
 def to_onnx(policy: Policy, c: InspectionParameters) -> bytes:
     """The network of a policy of one seed, written layer by layer: its mean action, as `Policy.mean_action`.
 
-    The input `observation` (batch, 26) and the output `control` (batch, 6) are float32 and divided by their scales. The
-    metadata hold both components' names, units and scales as JSON lists, and action_period, in s.
+    The input `observation` (batch, 26; as many as observed) and the output `control` (batch, 6) are float32 and divided
+    by their scales. The metadata hold both components' names, units and scales as JSON lists, and action_period, in s.
     """
     layers = list(policy.network.layers)
     weights, nodes = [], []
@@ -43,7 +43,7 @@ def to_onnx(policy: Policy, c: InspectionParameters) -> bytes:
         nodes, weights = nodes + shape, weights + constants
     batches = [
         helper.make_tensor_value_info(name, TensorProto.FLOAT, ["batch", size])
-        for name, size in (("observation", len(OBSERVATIONS)), ("control", CONTROL_SIZE))
+        for name, size in (("observation", layers[0].weight.shape[1]), ("control", CONTROL_SIZE))
     ]
     graph = helper.make_graph(nodes, "policy", batches[:1], batches[1:], weights)
     model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", OPSET)], ir_version=IR_VERSION)
@@ -76,7 +76,7 @@ def metadata(c: InspectionParameters) -> dict[str, str]:
         for name, limit in zip(CONTROLS, c.control_limit, strict=True)
     ]
     return {
-        "observation": json.dumps([component._asdict() for component in OBSERVATIONS]),
+        "observation": json.dumps([component._asdict() for component in components(c.observed)]),
         "control": json.dumps([component._asdict() for component in controls]),
         "action_period": json.dumps(c.action_period),
     }
@@ -89,7 +89,7 @@ def check(model: bytes, policy: Policy) -> float:
         ExportError: it exceeds TOLERANCE.
     """
     session = onnxruntime.InferenceSession(model, providers=["CPUExecutionProvider"])
-    shape = SAMPLES, len(OBSERVATIONS)
+    shape = SAMPLES, policy.network.layers[0].weight.shape[1]
     observation = torch.randn(shape, generator=torch.Generator().manual_seed(0))
     (control,) = session.run(None, {"observation": observation.numpy()})
     difference = float(np.abs(control - policy.mean_action(observation[None])[0].numpy()).max())

@@ -29,6 +29,7 @@ IRRELEVANT = {
     "points_per_cluster",
     "success_score",
     "action_period",
+    "observed",
     "max_time",
     "initial_radius",
     "points_reward",

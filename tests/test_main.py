@@ -251,3 +251,18 @@ def test_test_cases_do_not_depend_on_their_number_or_on_the_filter() -> None:
     gains = {"exclusion_margin": 0.1, "battery_gains": [0.001, 0.1]}
     many, _ = experiment.test_cases(override(Config(), {"rta": gains}, "test"), 300, 0)
     assert torch.equal(few, many[:, :2])
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        ["evaluate", "--episodes", "2"],
+        ["simulate", "--controller", "policy", "--duration", "10", "--out", "x"],
+    ],
+)
+def test_an_agent_is_shown_what_it_was_trained_with(
+    command: list[str], run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "blind.toml").write_text('[inspection]\nobserved = ["score", "hill"]\n')
+    flags = ["--checkpoint", str(run / "policy.pt"), "--config", str(tmp_path / "blind.toml")]
+    assert_refused([*command, *flags], ["observed = ['score', 'hill']: the agent was trained with"], capsys)

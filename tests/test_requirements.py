@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import pytest
 
-from inspection.observation import OBSERVATIONS
+from inspection.observation import components
 from inspection.reward import REWARDS
 from inspection.termination import OUTCOMES
 from rta.constraints import CONSTRAINTS
@@ -23,7 +23,7 @@ NAMED = {
     "Limits": CONSTRAINTS,
     "Priorities": CONSTRAINTS,
     "Reward": REWARDS,
-    "Observations": tuple(each.name for each in OBSERVATIONS),
+    "Observations": tuple(each.name for each in components()),
     "Outcomes": OUTCOMES,
 }
 

@@ -16,7 +16,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from inspection.observation import SIZE as OBSERVATION_SIZE
+from inspection.observation import components
 from inspection.state import CONTROL_SIZE
 from ppo.distributed import ranks
 from ppo.rollout import collect
@@ -31,7 +31,7 @@ from study.training.run import Run
 RANKS = (1, 2, 4, 8, 16, 32)  # of the projection
 # bytes per s; None: as measured
 LINKS = {"local": None, "1 Gb/s": 1.25e8, "10 Gb/s": 1.25e9, "100 Gb/s": 1.25e10}
-FLOATS = OBSERVATION_SIZE + CONTROL_SIZE + 4  # of an interaction in a batch
+FLOATS = len(components()) + CONTROL_SIZE + 4  # of an interaction in a batch
 UPDATES = 3  # timed after one that is not
 REPEATS = 100
 

@@ -8,7 +8,6 @@ import torch
 from torch import Tensor
 
 from inspection.environment import InspectionEnv
-from inspection.observation import SIZE as OBSERVATION_SIZE
 from inspection.state import CONTROL_SIZE
 from interfaces.vector import VectorInspection6DoF
 from ppo.learner import PPO
@@ -102,7 +101,7 @@ def learner(experiment: Experiment, minibatch: int, compiled: bool) -> Spread:
     if compiled:
         compile_or_explain("learner", partial(fresh.compile, samples))
     noise = partial(torch.randn, generator=fresh.generators[0], device=experiment.device)
-    batch = {"observation": noise(1, samples, OBSERVATION_SIZE)}
+    batch = {"observation": noise(1, samples, fresh.policy.network.layers[0].weight.shape[1])}
     batch["action"], batch["log_prob"] = fresh.policy.sample(batch["observation"], fresh.generators)
     batch |= {name: noise(1, samples) for name in ("advantage", "return_", "value")}
     return per_second(partial(fresh.update, batch, 0.5), samples, experiment.device)

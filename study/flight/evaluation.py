@@ -21,7 +21,14 @@ from rta.constraints import CONSTRAINTS
 from rta.qp import Status
 from study.commands import command
 from study.config import TEST_CASES, Config
-from study.experiment import TYPICAL_EPISODE, Experiment, check_clocks, load_policy, test_cases
+from study.experiment import (
+    TYPICAL_EPISODE,
+    Experiment,
+    check_clocks,
+    check_observed,
+    load_policy,
+    test_cases,
+)
 from study.flight.controllers import agent, classical, untrained
 from study.flight.summary import summary_of_runs
 from study.progress import bar
@@ -268,6 +275,7 @@ def run(
     """
     policy, base = load_policy(checkpoint) if checkpoint else (None, Config())
     config = configure(base.unsettled())
+    check_observed(config, base if policy else config)
     check_clocks(config)
     say_unless_verified(config, file, checkpoint)
     experiment = Experiment(config, episodes)

@@ -15,7 +15,7 @@ from ppo.network import Policy
 from rta.qp import Status
 from study.config import TEST_CASES, Config
 from study.errors import InputError
-from study.experiment import Experiment, check_clocks, load_policy, test_cases
+from study.experiment import Experiment, check_clocks, check_observed, load_policy, test_cases
 from study.flight.controllers import agent, classical, recorded, untrained
 from study.flight.state_files import STATE_FIELDS, read_state
 from study.progress import bar
@@ -152,6 +152,7 @@ def run(
         raise InputError("--actions F.npy is needed by --controller recorded and by no other")
     policy, base = load_policy(checkpoint) if checkpoint else (None, Config())
     config = configure(base.unsettled())
+    check_observed(config, base if policy else config)
     decide_every = config.inspection.action_period if controller in ("policy", "untrained") else step
     check_rows(step, duration, config, decide_every)
     say_unless_verified(config, file, checkpoint)

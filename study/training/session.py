@@ -13,7 +13,7 @@ from ppo.files import naming, temporary_beside
 from study import config as configuration
 from study.config import Config
 from study.errors import MALFORMED, InputError, refusing
-from study.experiment import check_clocks, check_weights, load_policy, resolve_device
+from study.experiment import check_clocks, check_observed, check_weights, load_policy, resolve_device
 from study.files import write_text
 from study.training.lock import alone_in
 from study.training.provenance import write_settings
@@ -193,6 +193,7 @@ def networks_of(path: Path, config: Config) -> dict[str, dict[str, Any]]:
         CheckpointError, InputError: the file is none of these, or its networks are not those of the configuration.
     """
     _, trained = load_policy(path)
+    check_observed(config, trained)
     for key in FITTING:
         values = (getattr(each.ppo, key) for each in (trained, config))
         theirs, ours = (list(value) if isinstance(value, tuple) else value for value in values)

@@ -21,7 +21,7 @@ from rta.uncertainty import Uncertainty
 from study.commands import CHECKPOINT, FILES, LEARNED, in_file
 from study.config import Config, StudyConfig
 from study.errors import InputError, refusing
-from study.experiment import Experiment, check_clocks, load_policy
+from study.experiment import Experiment, check_clocks, check_observed, load_policy
 from study.files import write_json, write_npz
 from study.flight.controllers import agent
 from study.flight.summary import upper_bound
@@ -168,6 +168,7 @@ def verify(
             raise InputError(f"--policy {policy}: was not trained as an adversary; fly it as {CHECKPOINT}F")
     # of a study's file, its table [study] is left out
     config = configure(StudyConfig(**vars(base.unsettled()))).of_arm("rta")
+    check_observed(config, base if network else config)
     every = decides_every(config, network)
     if duration % every:
         raise InputError(f"--duration {duration}: must be a multiple of {every:g} s, the policy's period")

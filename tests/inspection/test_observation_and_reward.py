@@ -9,7 +9,8 @@ import torch
 from scipy.linalg import expm
 from scipy.spatial.transform import Rotation
 
-from inspection.observation import OBSERVATIONS, SIZE, observe, scales
+from inspection.observation import GROUPS, components, observe, scales
+from inspection.parameters import OBSERVABLE, OBSERVED
 from inspection.reward import REWARDS, rewards
 from inspection.state import E, P, Q, V
 from inspection.termination import OUTCOMES, ends, failures
@@ -77,8 +78,9 @@ def test_alignment_is_one_where_the_deputy_is_under_the_sun(random_states, gener
 
 
 def test_names_are_in_the_papers_order():
-    assert SIZE == 26
-    names = [name for name, _, _ in OBSERVATIONS]
+    assert tuple(GROUPS) == OBSERVABLE
+    names = [name for name, _, _ in components()]
+    assert len(names) == 26
     assert names[0] == "position_norm" and names[4] == "velocity_norm"
     assert names[8:13] == [*(f"angular_velocity_{i}" for i in "xyz"), "energy", "temperature"]
     alignments = ["sun_alignment", "priority_alignment", "uninspected_alignment"]
@@ -86,10 +88,10 @@ def test_names_are_in_the_papers_order():
 
 
 def test_units_are_those_of_the_state():
-    units = dict.fromkeys((name for name, _, _ in OBSERVATIONS), "1")
+    units = dict.fromkeys((name for name, _, _ in components()), "1")
     units |= {"position_norm": "m", "velocity_norm": "m/s", "energy": "kJ", "temperature": "deg C"}
     units |= {f"angular_velocity_{i}": "rad/s" for i in "xyz"}
-    assert {name: unit for name, unit, _ in OBSERVATIONS} == units
+    assert {name: unit for name, unit, _ in components()} == units
 
 
 def test_scales_divide_by_the_size_of_each_quantity():
@@ -274,3 +276,30 @@ def test_distances_count_in_every_direction(c, direction):
     found = failures(x, c)
     assert found["crash"].tolist() == [True, False, False, False]
     assert found["out_of_bounds"].tolist() == [False, False, False, True]
+
+
+def test_groups_are_left_out_or_added_whatever_order_they_are_named_in(random_states, generator):
+    arguments = draw(random_states, generator, 4)
+    names = [name for name, _, _ in components(OBSERVABLE)]
+    everything = dict(zip(names, observe(*arguments, OBSERVABLE), strict=True))
+    chosen = ("hill", "score", "sun")
+    few = [name for name, _, _ in components(chosen)]
+    assert few == ["sun_x", "sun_y", "sun_z", "sun_alignment", "inspected_score", *names[-6:]]
+    for row, name in zip(observe(*arguments, chosen), few, strict=True):
+        assert torch.equal(row, everything[name])
+    assert torch.equal(observe(*arguments), torch.stack(list(everything.values())[:26]))
+    assert scales(arguments[0], chosen).shape == (11, 1) and set(OBSERVED) < set(OBSERVABLE)
+
+
+def test_the_axes_of_hills_frame_are_seen_in_the_body_frame(random_states, generator):
+    arguments = draw(random_states, generator, 4)
+    axes = observe(*arguments, ("hill",))
+    for i, row in enumerate(axes.T.numpy()):
+        to_body = Rotation.from_quat(arguments[0][Q, i].numpy()).inv().apply
+        np.testing.assert_allclose(row, [*to_body([1, 0, 0]), *to_body([0, 1, 0])], rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("observed", [(), ("sun", "moon")])
+def test_what_nobody_can_observe_is_refused(c, observed):
+    with pytest.raises(ValueError, match=r"observed = .*: must be some of position, velocity, .*, hill"):
+        replace(c, observed=observed)

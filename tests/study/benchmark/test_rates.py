@@ -6,7 +6,6 @@ from types import SimpleNamespace
 import torch
 from torch.utils.flop_counter import FlopCounterMode
 
-from inspection.observation import SIZE as OBSERVATION_SIZE
 from inspection.state import CONTROL_SIZE
 from rta.qp import Problems, Solutions
 from rta.uncertainty import Uncertainty
@@ -20,7 +19,7 @@ def test_learner_flops_are_those_that_pytorch_counts() -> None:
     train = replace(Config().train, device="cpu", compile="off")
     learner = rates.fresh_learner(Experiment(replace(Config(), train=train), 1))
     batch = {name: torch.randn(1, 64) for name in ("log_prob", "advantage", "return_")}
-    batch |= {"observation": torch.randn(1, 64, OBSERVATION_SIZE), "action": torch.randn(1, 64, CONTROL_SIZE)}
+    batch |= {"observation": torch.randn(1, 64, 26), "action": torch.randn(1, 64, CONTROL_SIZE)}
     with FlopCounterMode(display=False) as counter:
         learner._loss(batch)[0].sum().backward()
     assert counter.get_total_flops() == 64 * rates.learner_flops(learner)
