@@ -16,6 +16,7 @@ from inspection.parameters import AXES, InspectionParameters
 from inspection.state import CONTROL_SIZE, OMEGA, THETA_S, P, Q, V
 
 POINTING_FREQUENCY = 0.1  # rad/s, of the critically damped pointing law
+HELD = 0.3  # of a law's frequency and the time for which its control is held
 TRACKING_FREQUENCY = 0.006  # rad/s, of the critically damped tracking law
 ELLIPSE = 40.0  # m, semi-minor axis b of the Sun-following relative orbit
 LOOK_AHEAD = math.pi / 3  # rad of phase; the chord between two points so far apart keeps 35 m from the chief
@@ -38,7 +39,13 @@ def limited(thrust_hill: Tensor, torque: Tensor, x: Tensor, c: InspectionParamet
     return torch.maximum(torch.minimum(u, limit), -limit)
 
 
-def point(x: Tensor, axis: str, direction: Tensor, c: InspectionParameters) -> Tensor:
+def point(
+    x: Tensor,
+    axis: str,
+    direction: Tensor,
+    c: InspectionParameters,
+    frequency: float = POINTING_FREQUENCY,
+) -> Tensor:
     """PD torque (3, B) that turns a body axis such as "-y" towards a unit vector (3, B) in Hill's frame."""
     target = rotate(conjugate(x[Q]), direction)
     index, sign = AXES[axis]
@@ -46,7 +53,7 @@ def point(x: Tensor, axis: str, direction: Tensor, c: InspectionParameters) -> T
     pointed[index] = sign
     error = torch.stack(cross(pointed, target))
     inertia = x.new_tensor(c.inertia)[:, None]
-    return inertia * (POINTING_FREQUENCY**2 * error - 2.0 * POINTING_FREQUENCY * x[OMEGA])
+    return inertia * (frequency**2 * error - 2.0 * frequency * x[OMEGA])
 
 
 def lqr_gain(c: InspectionParameters) -> np.ndarray:
@@ -84,15 +91,29 @@ def lqr_pd(c: InspectionParameters) -> Controller:
     return control
 
 
-def natural_motion(c: InspectionParameters) -> Controller:
-    """PD law towards the relative ellipse x = b cos(phi), y = 2 b sin(phi) at phi = theta_S, camera on the chief.
+def natural_motion(
+    c: InspectionParameters,
+    every: float = 1.0,
+    tracking: float = TRACKING_FREQUENCY,
+    out_of_plane: float = 0.0,
+) -> Controller:
+    """PD law towards the relative ellipse x = b cos(phi), y = 2 b sin(phi), z = a sin(phi) at phi = theta_S.
 
     The ellipse is a free motion of the Clohessy-Wiltshire equations that turns with the Sun, so that holding
-    it costs almost no fuel. Away from the Sun's phase the target is a point of the ellipse a little ahead, so that
-    the way leads around the chief. The camera is on the chief where panels on its back then make the power drawn,
+    it costs almost no fuel. With a > 0 it keeps min(a, b) from the whole line through the chief along the track, so
+    that no drift along it ends in a collision (D'Amico and Montenbruck 2006: eccentricity and inclination vectors
+    apart). Away from the Sun's phase the target is a point of the ellipse a little ahead, so that the way leads around
+    the chief. The camera is on the chief where panels on its back then make the power drawn,
     and elsewhere turned away from the Sun, which charges the battery.
+
+    Args:
+        every: s for which a control is held, T. The critically damped law, of frequency w, then multiplies angle and
+            rate T by [[1 - h^2 / 2, 1 - h], [-h^2, 1 - 2 h]] with h = w T, which is stable for h < 1 (Jury): h <= HELD.
+        tracking: rad/s, frequency of the law that tracks the ellipse: short ways cost fuel.
+        out_of_plane: a in m.
     """
-    n, b, w = c.mean_motion, ELLIPSE, TRACKING_FREQUENCY
+    n, b, w = c.mean_motion, ELLIPSE, tracking
+    pointing = min(POINTING_FREQUENCY, HELD / every)
     brightest = c.panel_performance * c.panel_degradation * c.surface_area  # W
 
     def control(t: float, x: Tensor) -> Tensor:
@@ -100,12 +121,12 @@ def natural_motion(c: InspectionParameters) -> Controller:
         phase = torch.atan2(x[1] / 2, x[0])
         lag = torch.remainder(x[THETA_S] - phase + math.pi, 2 * math.pi) - math.pi
         phase = phase + lag.clamp(-LOOK_AHEAD, LOOK_AHEAD)
-        cos, sin, zero = phase.cos(), phase.sin(), torch.zeros_like(phase)
-        position = torch.stack((b * cos, 2 * b * sin, zero))
-        velocity = n * torch.stack((b * sin, -2 * b * cos, zero))
+        cos, sin = phase.cos(), phase.sin()
+        position = torch.stack((b * cos, 2 * b * sin, out_of_plane * sin))
+        velocity = n * torch.stack((b * sin, -2 * b * cos, -out_of_plane * cos))
         thrust = c.mass * (w**2 * (position - x[P]) + 2 * w * (velocity - x[V]))
         away = torch.where(brightest * dot(outward, sun) > c.power_draw, outward, sun)
-        return limited(thrust, point(x, "+x", -away, c), x, c)
+        return limited(thrust, point(x, "+x", -away, c, pointing), x, c)
 
     return control
 

@@ -142,7 +142,7 @@ class PPO:
         history: list[Tensor] = []
         samples = batch["log_prob"].shape[1]
         size = self._minibatch(samples)[1]
-        for index in self._minibatches(samples, batch["log_prob"].device):
+        for index in self.minibatches(samples, batch["log_prob"].device):
             loss, statistics = self._loss({name: tensor[index] for name, tensor in rows.items()})
             self.optimiser.zero_grad()
             # the sum over seeds leaves each seed the gradient it would have alone
@@ -178,7 +178,7 @@ class PPO:
         count = math.ceil(samples / self.parameters.minibatch_size)
         return count, samples // count
 
-    def _minibatches(self, samples: int, device: torch.device) -> Iterator[Tensor]:
+    def minibatches(self, samples: int, device: torch.device) -> Iterator[Tensor]:
         """Yield for every minibatch of every epoch its rows (S, M) in a batch flattened to (S * N, ...)."""
         count, size = self._minibatch(samples)
         for _ in range(self.parameters.epochs):

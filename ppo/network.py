@@ -172,6 +172,13 @@ class Policy(nn.Module):
         size = ((action.abs() - self.dead_zone) / (1.0 - self.dead_zone)).clamp(0.0, 1.0)
         return action.sign() * size**self.power
 
+    def unshaped(self, control: Tensor) -> Tensor:
+        """Return the actions (..., A) that `shaped` makes the given ones of, which must be within [-1, 1]."""
+        if self.is_linear:
+            return control
+        size = control.abs() ** (1.0 / self.power)
+        return control.sign() * (self.dead_zone + (1.0 - self.dead_zone) * size)
+
     @torch.no_grad()
     def mean_action(self, observation: Tensor) -> Tensor:
         """Return the deterministic action (S, B, A), shaped from the mean; carries no gradient."""

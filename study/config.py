@@ -56,6 +56,7 @@ class TrainParameters:
     evaluation_episodes: int = 20  # common test cases of each of these evaluations
     final_episodes: int = 100  # common test cases of the evaluation after training
     checkpoint_interval: int = 160_000  # interactions between two checkpoints
+    jump_start: int = 0  # of these interactions, how many the guidance teaches before PPO begins; 0: none
     adversary: tuple[
         str, ...
     ] = ()  # constraints whose smallest h it lowers, in place of the task; none: the task
@@ -63,9 +64,11 @@ class TrainParameters:
     def __post_init__(self) -> None:
         counts = [f.name for f in dataclasses.fields(self) if f.type is int and f.name != "seed"]
         for name in counts:
-            if not 0 < getattr(self, name) <= MAX_COUNT:
+            least = int(name != "jump_start")
+            if not least <= getattr(self, name) <= MAX_COUNT:
                 raise ValueError(
                     f"{name} = {getattr(self, name)}: must be a positive integer up to {MAX_COUNT:,}"
+                    + (", or 0" if not least else "")
                 )
         if self.early_evaluations > self.evaluation_interval:
             raise ValueError(
@@ -78,6 +81,12 @@ class TrainParameters:
             raise ValueError(f"seed = {self.seed}: must be an integer from 0 to 2^63 - 1")
         if not set(self.adversary) <= set(CONSTRAINTS):
             raise ValueError(f"adversary = {list(self.adversary)}: must be some of {', '.join(CONSTRAINTS)}")
+        if self.jump_start and self.lessons >= self.updates:
+            raise ValueError(
+                f"jump_start = {self.jump_start:,}: must leave an update, of {self.batch:,} interactions, for PPO"
+            )
+        if self.jump_start and self.adversary:
+            raise ValueError("jump_start: an adversary has no guidance to learn from; it must be 0")
         for name, allowed in (
             ("device", ("auto", "cpu", "cuda")),
             ("compile", ("auto", "on", "off")),
@@ -89,6 +98,11 @@ class TrainParameters:
     def updates(self) -> int:
         """Number of PPO updates."""
         return -(-self.interactions // self.batch)
+
+    @property
+    def lessons(self) -> int:
+        """Batches of the jump start, which take the place of updates."""
+        return -(-self.jump_start // self.batch)
 
     @property
     def batch(self) -> int:

@@ -22,7 +22,9 @@ from study.flight.evaluation import Episodes, evaluate, play, report
 from study.flight.figures import episode_figure
 from study.flight.simulation import common_episode
 from study.paper import tables
+from study.progress import step
 from study.training.adversary import Adversary
+from study.training.jump_start import jump_start
 from study.training.log import Log
 from study.training.monitor import Monitor
 from study.training.shards import shard_of_episodes, shard_of_seeds
@@ -115,6 +117,18 @@ class Run:
         where = f"{self.ranks.size} ranks, {self.device.type}" if self.ranks.size > 1 else f"{self.device}"
         episodes = len(self.seeds) * config.train.num_envs
         return f"{self.directory}: {arm}, {which}, {episodes} episodes at once on {where}{self.annealing}"
+
+    def jump_start(self) -> None:
+        """Lets the guidance teach the policy, in place of the first updates."""
+        train, trainer = self.config.train, self.trainer
+        with step("learning from the guidance, a minute or so"):
+            trainer.seconds += seconds_of(
+                lambda: jump_start(
+                    self.env, trainer.learner, train.rollout_steps, train.lessons, trainer.generators
+                )
+            )
+        trainer.update = train.lessons
+        self.monitor.clear()
 
     @property
     def interactions(self) -> int:

@@ -65,6 +65,10 @@ def start(config: Config, directory: Path, init_from: Path | None = None) -> Run
     config = settled_for_a_seed(config)
     check_clocks(config)
     check_minibatch(config)
+    if init_from and config.train.jump_start:
+        raise InputError(
+            f"--init-from {init_from}: an agent that has learned needs no [train] jump_start; it must be 0"
+        )
     networks = networks_of(init_from, config) if init_from else {}
 
     def begin() -> None:
@@ -135,6 +139,8 @@ def create(
             getattr(run.trainer.learner, name).load_state_dict(weights)
     with refusing("[inspection]", RuntimeError):
         run.env.reset()
+    if config.train.jump_start:
+        run.jump_start()
     with refusing(f"{directory}: cannot write there", OSError):
         for home in run.homes:
             home.mkdir(parents=True, exist_ok=True)

@@ -62,12 +62,32 @@ def test_the_sun_following_ellipse_is_a_free_motion() -> None:
     torch.testing.assert_close(free_flight(p, v, t, n), expected)
 
 
-def test_natural_motion_needs_no_thrust_on_its_ellipse() -> None:
+@pytest.mark.parametrize("a", [0.0, 30.0])
+def test_natural_motion_needs_no_thrust_on_its_ellipse_whose_drift_never_ends_in_the_chief(a: float) -> None:
     x = at_rest()
     b, n, theta = guidance.ELLIPSE, C.mean_motion, x[THETA_S]
-    x[P] = torch.stack((b * theta.cos(), 2 * b * theta.sin(), torch.zeros(1)))
-    x[V] = n * torch.stack((b * theta.sin(), -2 * b * theta.cos(), torch.zeros(1)))
-    assert guidance.natural_motion(C)(0.0, x)[:3].abs().max() < 1e-12
+    x[P] = torch.stack((b * theta.cos(), 2 * b * theta.sin(), a * theta.sin()))
+    x[V] = n * torch.stack((b * theta.sin(), -2 * b * theta.cos(), -a * theta.cos()))
+    assert guidance.natural_motion(C, out_of_plane=a)(0.0, x)[:3].abs().max() < 1e-12
+    orbit = free_flight(x[P], x[V], torch.linspace(0.0, 2 * math.pi / n, 1000).double()[:, None], n)
+    assert orbit[[0, 2]].norm(dim=0).min() == pytest.approx(min(a, b), abs=0.1)  # from the line y
+
+
+@pytest.mark.parametrize(("every", "points"), [(10.0, True), (12.5, False)])
+def test_pointing_that_is_held_is_stable_where_its_frequency_suits_the_hold(
+    every: float, points: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if not points:
+        monkeypatch.setattr(guidance, "HELD", 1.1)  # the bound that is derived is 1
+    x = at_rest()
+    x[P, 0], x[E] = torch.tensor([40.0, -10.0, 0.0]).double(), 5.0
+    control = guidance.natural_motion(C, every)
+    for _ in range(80):
+        u = control(0.0, x)
+        u[:3] = 0.0
+        for _ in range(round(every / 2.5)):
+            x = step(x, u, 2.5, C)
+    assert (x[OMEGA].abs().max() < 0.1 * C.max_rate) == points
 
 
 def test_natural_motion_leads_around_the_chief_to_its_sunlit_side() -> None:

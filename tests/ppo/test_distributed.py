@@ -58,6 +58,7 @@ latency = [1, 2]
 missed_calls = 0.3
 """
 STUDY = '[study]\nseeds = 3\narms = ["no_rta"]\n' + SETTINGS.replace("72", "48")
+TAUGHT = SETTINGS.replace("72", "72\njump_start = 48")
 POOL = 16  # initial states drawn at once, so that more are drawn in the midst of a run
 
 
@@ -68,6 +69,7 @@ def job(directory: Path) -> None:
     settings, after_update = directory / "train.toml", training.Run.after_update
     config = configuration.load(settings)
     training.start(config, directory / "whole").train()
+    training.start(configuration.from_toml(TAUGHT, "test"), directory / "taught").train()
 
     def end(signal_number: int, update: int) -> None:
         """Lets rank 1 signal itself at the end of an update."""
@@ -163,6 +165,15 @@ def test_two_ranks_follow_one(done: tuple[Path, str, list[str]], alone: Path) ->
     ours, theirs = ((d / "evaluations.jsonl").read_text().splitlines() for d in (directory, alone))
     assert [json.loads(line)["interactions"] for line in ours] == [48]
     assert len(ours) == len(theirs)
+
+
+def test_two_ranks_are_taught_what_one_is(
+    done: tuple[Path, str, list[str]], alone: Path, tmp_path: Path
+) -> None:
+    training.start(configuration.from_toml(TAUGHT, "test"), tmp_path / "run").train()
+    assert_close(state(tmp_path / "run"), state(done[0] / "taught"), 1e-5)
+    weights = (next(iter(state(run)["policy"].values())) for run in (alone, tmp_path / "run"))
+    assert not torch.allclose(*weights, rtol=1e-2, atol=1e-3)
 
 
 def test_a_signal_to_one_rank_stops_all_and_they_continue_bit_for_bit(

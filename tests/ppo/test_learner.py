@@ -138,7 +138,7 @@ def test_gradient_is_clipped_per_seed() -> None:
 @pytest.mark.parametrize(("samples", "size"), [(64, 16), (70, 14), (10, 10)])
 def test_minibatches_are_equal_and_never_repeat_a_sample(samples: int, size: int) -> None:
     ppo = learner((1, 2), PPOParameters(epochs=1, minibatch_size=16))
-    minibatches = list(ppo._minibatches(samples, torch.device("cpu")))
+    minibatches = list(ppo.minibatches(samples, torch.device("cpu")))
     assert {part.shape[1] for part in minibatches} == {size}
     index = torch.cat(minibatches, 1)
     for k in range(2):

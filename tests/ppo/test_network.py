@@ -109,6 +109,14 @@ def test_actions_are_shaped_by_hand() -> None:
     assert shaped([0.6], 2.0, 0.2) == pytest.approx([0.25])
 
 
+@pytest.mark.parametrize(("power", "dead_zone"), [(1.0, 0.0), (2.0, 0.0), (1.5, 0.2), (3.0, 0.5)])
+def test_what_a_control_is_made_of_becomes_it_again(power: float, dead_zone: float) -> None:
+    policy = excited_policy()
+    policy.power, policy.dead_zone = power, dead_zone
+    control = torch.tensor([-1.0, -0.5, -1e-4, 0.0, 1e-4, 0.3, 1.0], dtype=torch.float64)
+    torch.testing.assert_close(policy.shaped(policy.unshaped(control)), control, rtol=1e-9, atol=1e-12)
+
+
 def test_the_mean_action_is_shaped_and_what_is_learned_from_is_not() -> None:
     policy, x = excited_policy(), observations()
     linear = policy.mean_action(x)

@@ -1,0 +1,97 @@
+"""A policy that begins as a copy of the guidance, by dataset aggregation (DAgger: Ross, Gordon and Bagnell 2011).
+
+The first batch is flown by the guidance, the others by the policy as far as it has come, and in every state on the way
+the guidance says what it would do. The value network learns what the copy is worth. PPO goes on from there.
+"""
+
+import math
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor
+
+from inspection.environment import InspectionEnv, Transition
+from inspection.guidance import natural_motion
+from ppo.learner import PPO
+from ppo.network import Policy
+from ppo.rollout import collect
+
+TRACKING_FREQUENCY = 0.01  # rad/s: sooner there than the guidance alone, for half as much fuel again
+OUT_OF_PLANE = 30.0  # m, twice the distance of a collision
+LEARNING_RATE = 1e-3  # of the first batch, annealed linearly to a tenth
+STD_WEIGHT = 0.01  # of the squared error of the log standard deviation, which stays as it is at the start
+
+
+class Taught:
+    """An `InspectionEnv` as `ppo.rollout.Environment`, in which the guidance says what it would do.
+
+    Args:
+        policy: whose actions are meant.
+
+    Attributes:
+        leads: the guidance acts, not the policy.
+        lessons: of each step since they were taken last, the actions (B, 6) that the guidance wants.
+    """
+
+    def __init__(self, env: InspectionEnv, policy: Policy) -> None:
+        self.env, self.policy = env, policy
+        self.guidance = natural_motion(env.c, env.c.action_period, TRACKING_FREQUENCY, OUT_OF_PLANE)
+        self.observation, self.state_dict = env.observation, env.state_dict
+        self.load_state_dict = env.load_state_dict
+        self.leads, self.lessons = True, []
+
+    def step(self, action: Tensor) -> Transition:
+        """`InspectionEnv.step`; the guidance knows the true states."""
+        control = (self.guidance(0.0, self.env.x) / self.env.limit).T.float()
+        self.lessons.append(self.policy.unshaped(control))
+        return self.env.step(control if self.leads else action)
+
+
+def jump_start(
+    env: InspectionEnv, learner: PPO, steps: int, batches: int, generators: Sequence[torch.Generator]
+) -> None:
+    """Teaches a learner's policy the guidance, and its value network what the policy is worth.
+
+    Args:
+        env: already reset; steps: interactions of each episode in a batch.
+        generators: one per seed.
+    """
+    taught = Taught(env, learner.policy)
+    networks = learner.policy, learner.value
+    weights = [weight for network in networks for weight in network.parameters()]
+    optimiser = torch.optim.Adam(weights, LEARNING_RATE)
+    batch: dict[str, Tensor] = {}
+    for i in range(batches):
+        optimiser.param_groups[0]["lr"] = LEARNING_RATE * (1.0 - 0.9 * i / batches)
+        flown = collect(taught, learner, steps, generators)
+        wanted = (
+            torch.stack(taught.lessons).unflatten(1, (len(generators), -1)).transpose(0, 1)
+        )  # (S, T, E, 6)
+        taught.leads, taught.lessons = False, []
+        lesson = {
+            "observation": flown["observation"],
+            "action": learner.ranks.whole(wanted, 2).flatten(1, 2),
+            "return_": flown["return_"],
+        }
+        batch = {name: torch.cat((batch[name], part), 1) if batch else part for name, part in lesson.items()}
+        learn(batch, learner, optimiser)
+
+
+def learn(batch: dict[str, Tensor], learner: PPO, optimiser: torch.optim.Optimizer) -> None:
+    """Fits policy and value to all that has been flown, (S, N, ...), in as many epochs as an update of PPO has."""
+    level = math.log(learner.parameters.initial_std)
+    rows = {name: tensor.flatten(0, 1) for name, tensor in batch.items()}
+    samples = batch["return_"].shape[1]
+    for index in learner.minibatches(samples, batch["return_"].device):
+        own = {name: learner.ranks.own(tensor[index], 1) for name, tensor in rows.items()}
+        mean, log_std = learner.policy(own["observation"])
+        errors = (
+            (mean - own["action"]).square().mean((1, 2)),
+            STD_WEIGHT * (log_std - level).square().mean((1, 2)),
+            (learner.value(own["observation"]) - own["return_"]).square().mean(1),
+        )
+        optimiser.zero_grad()
+        sum(errors).sum().backward()  # the sum over seeds leaves each seed the gradient it would have alone
+        gradients = [weight.grad for group in optimiser.param_groups for weight in group["params"]]
+        learner.ranks.average(gradients, index.shape[1])
+        optimiser.step()

@@ -1,0 +1,93 @@
+"""The jump start: the policy does what the guidance would, and PPO goes on from there."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import torch
+
+from inspection.guidance import natural_motion
+from study import config as configuration
+from study.config import Config
+from study.errors import InputError
+from study.training import jump_start, session
+
+SETTINGS = """
+[train]
+rta = false
+interactions = 20_480
+jump_start = 16_384
+num_envs = 256
+rollout_steps = 16
+compile = "off"
+device = "cpu"
+[inspection]
+observed = ["position", "velocity", "angular_velocity", "sun", "hill"]
+[ppo]
+action_power = 2.0
+initial_std = 0.05
+hidden = [64, 64]
+epochs = 8
+minibatch_size = 256
+"""
+
+
+def config(**train: object) -> Config:
+    base = configuration.from_toml(SETTINGS, "test")
+    return replace(base, train=replace(base.train, **train))
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> session.Run:
+    """A run that was taught and has not begun with PPO."""
+    return session.start(config(), tmp_path_factory.mktemp("taught") / "run")
+
+
+def test_the_copy_does_what_the_guidance_would_in_states_of_its_own(run: session.Run) -> None:
+    env, c = run.env, run.config.inspection
+    guidance = natural_motion(c, c.action_period, jump_start.TRACKING_FREQUENCY, jump_start.OUT_OF_PLANE)
+    chance = run.experiment.policy(run.experiment.generators([1]))
+    errors = {"taught": 0.0, "chance": 0.0}
+    for _ in range(16):
+        wanted = run.policy.unshaped((guidance(0.0, env.x) / env.limit).T.float())
+        observation = env.observation()[None]
+        for name, policy in (("taught", run.policy), ("chance", chance)):
+            errors[name] += (policy(observation)[0][0] - wanted).square().mean().item()
+        env.step(run.policy.mean_action(observation)[0])
+    assert errors["taught"] < 0.7 * errors["chance"]  # of so short a lesson; an agent's is ten times as long
+    log_std = run.policy(env.observation()[None])[1]
+    assert log_std.exp().mean().item() == pytest.approx(run.config.ppo.initial_std, rel=0.1)
+
+
+def test_the_value_network_knows_what_the_copy_is_worth(run: session.Run) -> None:
+    run.env.reset()
+    flown = jump_start.collect(run.env, run.trainer.learner, 16, run.trainer.generators)
+    unexplained = (flown["return_"] - flown["value"]).var() / flown["return_"].var()
+    assert unexplained < 0.6
+
+
+def test_what_is_flown_counts_as_interactions_and_ppo_does_the_rest(run: session.Run) -> None:
+    assert run.interactions == 16_384 and run.trainer.seconds > 0.0
+    before = [weight.clone() for weight in run.policy.parameters()]
+    run.trainer.run(lambda transition: None, lambda statistics: None, lambda: False)
+    assert run.interactions == 20_480
+    assert not any(torch.equal(*pair) for pair in zip(before, run.policy.parameters(), strict=True))
+
+
+def test_seeds_side_by_side_are_taught_what_each_is_alone(tmp_path: Path) -> None:
+    short = session.settled_for_a_seed(config(jump_start=8192))
+    both = session.create(short, tmp_path / "both", [3, 4])
+    alone = session.create(replace(short, train=replace(short.train, seed=4)), tmp_path / "alone")
+    for name, weight in alone.policy.state_dict().items():
+        torch.testing.assert_close(weight[0], both.policy.state_dict()[name][1], rtol=1e-3, atol=1e-4)
+
+
+def test_a_jump_start_is_refused_where_nothing_is_to_be_learned_from_it(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="must leave an update, of 4,096 interactions, for PPO"):
+        config(jump_start=16_385)
+    with pytest.raises(ValueError, match="an adversary has no guidance to learn from"):
+        config(adversary=("collision",))
+    with pytest.raises(ValueError, match=r"jump_start = -1: must be a positive integer up to .*, or 0"):
+        config(jump_start=-1)
+    with pytest.raises(InputError, match=r"needs no \[train\] jump_start"):
+        session.start(config(), tmp_path / "run", tmp_path / "policy.pt")
