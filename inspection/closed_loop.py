@@ -15,7 +15,10 @@ Controller = Callable[[float, Tensor], Tensor]
 
 
 class Correction(Protocol):
-    """What a control filter returns: at least the control to apply, (6, B) in N and N m."""
+    """What a control filter returns: at least the control to apply, (6, B) in N and N m.
+
+    Where agents are paid for what it leaves as it is, also `intervened`, (B,) bool, whether it is another one.
+    """
 
     control: Tensor
 

@@ -320,7 +320,7 @@ class InspectionEnv:
             if hold.correction is not None:
                 corrections.append(hold.correction)
                 if c.correction_reward:
-                    corrected += ((hold.correction.control - hold.desired) / self.limit).abs().sum(0)
+                    corrected += hold.correction.intervened
             if hold.correction is not None and hold.missed is not None:
                 truths.append((~hold.missed, self.constraint_values(hold.state)))
             delta_v += hold.acting[THRUST].abs().sum(0) / mass * hold.seconds
@@ -337,7 +337,7 @@ class InspectionEnv:
         ended = failed | ends(score, self.time, c)
         terms = rewards(self.x, score - before, delta_v, torque, self.time, ended, c)
         reward = torch.stack([terms[name] for name in REWARDS]).sum(0)
-        own = shaping(self.x, corrected, c)
+        own = shaping(self.x, corrected / max(1, len(corrections)), c)
         self.totals += torch.stack((reward, delta_v, torque))
         violated = self._count_violations()
 

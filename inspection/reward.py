@@ -77,7 +77,7 @@ def shaping(x: Tensor, corrected: Tensor, c: InspectionParameters) -> dict[str, 
     The learner is given them beside the paper's nine, which `rewards` are reported in.
 
     Args:
-        corrected: |u - u_des| in units of the actuators' limits, summed over controls and the filter's calls.
+        corrected: share of the filter's calls that it corrected.
     """
     terms = {}
     if c.rate_reward:

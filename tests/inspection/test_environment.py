@@ -196,7 +196,9 @@ def test_reward_is_the_sum_of_its_terms_and_its_metric_the_sum_over_steps(c):
 
 def test_terms_of_our_own_are_the_learners_alone(c):
     def push(x, desired):
-        return SimpleNamespace(control=desired + 0.25)
+        """Corrects all calls of the first spacecraft, and of the second those that want less than 0.4 N."""
+        intervened = torch.stack((torch.tensor(True), desired[0, 1] < 0.4))
+        return SimpleNamespace(control=desired + 0.25, intervened=intervened)
 
     own = replace(c, rate_reward=-0.5, correction_reward=-0.1)
     safety = Safety(correct=push, period=5.0)
@@ -204,15 +206,14 @@ def test_terms_of_our_own_are_the_learners_alone(c):
     for parameters in (c, own):
         env = started(parameters, 2, safety)
         env.x[10:13, 0] = torch.tensor([0.5, 0.0, -1.0]) * c.max_rate
-        ends.append(env.step(torch.zeros(2, 6)))
+        ends.append(env.step(torch.tensor([0.2] + 5 * [0.0]).expand(2, 6)))
     plain, shaped = ends
     assert tuple(shaped.reward_terms) == (*REWARDS, "rate", "correction")
     rates = (shaped.state[10:13] / c.max_rate).square().sum(0)
     assert rates[0] > 1.0
-    # two calls, each 0.25 N off along three axes and 0.25 N m about three
-    corrected = 2 * 3 * (0.25 / c.max_thrust + 0.25 / c.max_torque)
+    corrected = torch.tensor([1.0, 0.5], dtype=torch.float64)  # of two calls, which want 0.2 N and 0.45 N
     torch.testing.assert_close(shaped.reward_terms["rate"], -0.5 * rates)
-    assert shaped.reward_terms["correction"].tolist() == pytest.approx([-0.1 * corrected] * 2)
+    torch.testing.assert_close(shaped.reward_terms["correction"], -0.1 * corrected)
     torch.testing.assert_close(shaped.reward, plain.reward - 0.5 * rates - 0.1 * corrected)
     torch.testing.assert_close(shaped.metrics, plain.metrics)
 
