@@ -65,10 +65,8 @@ def start(config: Config, directory: Path, init_from: Path | None = None) -> Run
     config = settled_for_a_seed(config)
     check_clocks(config)
     check_minibatch(config)
-    if init_from and config.train.jump_start:
-        raise InputError(
-            f"--init-from {init_from}: an agent that has learned needs no [train] jump_start; it must be 0"
-        )
+    if init_from:  # who has learned something needs no jump start
+        config = replace(config, train=replace(config.train, jump_start=0))
     networks = networks_of(init_from, config) if init_from else {}
 
     def begin() -> None:

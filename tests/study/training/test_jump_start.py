@@ -9,7 +9,6 @@ import torch
 from inspection.guidance import natural_motion
 from study import config as configuration
 from study.config import Config
-from study.errors import InputError
 from study.training import jump_start, session
 
 SETTINGS = """
@@ -82,12 +81,16 @@ def test_seeds_side_by_side_are_taught_what_each_is_alone(tmp_path: Path) -> Non
         torch.testing.assert_close(weight[0], both.policy.state_dict()[name][1], rtol=1e-3, atol=1e-4)
 
 
-def test_a_jump_start_is_refused_where_nothing_is_to_be_learned_from_it(tmp_path: Path) -> None:
+def test_who_begins_as_another_agent_is_not_taught(run: session.Run, tmp_path: Path) -> None:
+    other = session.start(config(), tmp_path / "run", run.directory / "policy.pt")
+    assert other.interactions == other.config.train.jump_start == 0
+    assert "jump_start = 0 " in (tmp_path / "run" / "config.toml").read_text()
+
+
+def test_a_jump_start_is_refused_where_nothing_is_to_be_learned_from_it() -> None:
     with pytest.raises(ValueError, match="must leave an update, of 4,096 interactions, for PPO"):
         config(jump_start=16_385)
     with pytest.raises(ValueError, match="an adversary has no guidance to learn from"):
         config(adversary=("collision",))
     with pytest.raises(ValueError, match=r"jump_start = -1: must be a positive integer up to .*, or 0"):
         config(jump_start=-1)
-    with pytest.raises(InputError, match=r"needs no \[train\] jump_start"):
-        session.start(config(), tmp_path / "run", tmp_path / "policy.pt")
