@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -17,9 +18,6 @@ from inspection.state import CONTROL_SIZE, OMEGA, THETA_S, P, Q, V
 
 POINTING_FREQUENCY = 0.1  # rad/s, of the critically damped pointing law
 HELD = 0.3  # of a law's frequency and the time for which its control is held
-TRACKING_FREQUENCY = 0.006  # rad/s, of the critically damped tracking law
-ELLIPSE = 40.0  # m, semi-minor axis b of the Sun-following relative orbit
-LOOK_AHEAD = math.pi / 3  # rad of phase; the chord between two points so far apart keeps 35 m from the chief
 
 # A tour of every boundary in 2,000 s: from when (s) the LQR's set point is where (m, Hill's frame). Axis velocities
 # reach their limit only beyond 623 m, where the dynamic speed limit is higher; hence the chords.
@@ -30,6 +28,23 @@ SET_POINTS = (
     (850.0, (-700.0, 240.0, 500.0)),  # along x
     (1100.0, (0.0, 0.0, 0.0)),  # into the chief
 )
+
+
+@dataclass(frozen=True)
+class Orbit:
+    """The relative ellipse that `natural_motion` follows, and how it gets there.
+
+    Attributes:
+        semi_minor: b in m; the ellipse is twice as long along the track.
+        out_of_plane: a in m, its amplitude out of the orbital plane.
+        tracking: rad/s, frequency of the critically damped law that tracks it: short ways cost fuel.
+        look_ahead: rad of phase, L. The chord between two points so far apart keeps b cos(L / 2) from the chief.
+    """
+
+    semi_minor: float = 40.0
+    out_of_plane: float = 0.0
+    tracking: float = 0.006
+    look_ahead: float = math.pi / 3
 
 
 def limited(thrust_hill: Tensor, torque: Tensor, x: Tensor, c: InspectionParameters) -> Tensor:
@@ -91,12 +106,7 @@ def lqr_pd(c: InspectionParameters) -> Controller:
     return control
 
 
-def natural_motion(
-    c: InspectionParameters,
-    every: float = 1.0,
-    tracking: float = TRACKING_FREQUENCY,
-    out_of_plane: float = 0.0,
-) -> Controller:
+def natural_motion(c: InspectionParameters, every: float = 1.0, orbit: Orbit | None = None) -> Controller:
     """PD law towards the relative ellipse x = b cos(phi), y = 2 b sin(phi), z = a sin(phi) at phi = theta_S.
 
     The ellipse is a free motion of the Clohessy-Wiltshire equations that turns with the Sun, so that holding
@@ -109,10 +119,10 @@ def natural_motion(
     Args:
         every: s for which a control is held, T. The critically damped law, of frequency w, then multiplies angle and
             rate T by [[1 - h^2 / 2, 1 - h], [-h^2, 1 - 2 h]] with h = w T, which is stable for h < 1 (Jury): h <= HELD.
-        tracking: rad/s, frequency of the law that tracks the ellipse: short ways cost fuel.
-        out_of_plane: a in m.
+        orbit: None: the default one.
     """
-    n, b, w = c.mean_motion, ELLIPSE, tracking
+    orbit = orbit or Orbit()
+    n, a, b, w = c.mean_motion, orbit.out_of_plane, orbit.semi_minor, orbit.tracking
     pointing = min(POINTING_FREQUENCY, HELD / every)
     brightest = c.panel_performance * c.panel_degradation * c.surface_area  # W
 
@@ -120,10 +130,10 @@ def natural_motion(
         sun, outward = sun_direction(x[THETA_S]), unit(x[P])
         phase = torch.atan2(x[1] / 2, x[0])
         lag = torch.remainder(x[THETA_S] - phase + math.pi, 2 * math.pi) - math.pi
-        phase = phase + lag.clamp(-LOOK_AHEAD, LOOK_AHEAD)
+        phase = phase + lag.clamp(-orbit.look_ahead, orbit.look_ahead)
         cos, sin = phase.cos(), phase.sin()
-        position = torch.stack((b * cos, 2 * b * sin, out_of_plane * sin))
-        velocity = n * torch.stack((b * sin, -2 * b * cos, -out_of_plane * cos))
+        position = torch.stack((b * cos, 2 * b * sin, a * sin))
+        velocity = n * torch.stack((b * sin, -2 * b * cos, -a * cos))
         thrust = c.mass * (w**2 * (position - x[P]) + 2 * w * (velocity - x[V]))
         away = torch.where(brightest * dot(outward, sun) > c.power_draw, outward, sun)
         return limited(thrust, point(x, "+x", -away, c, pointing), x, c)

@@ -117,6 +117,9 @@ class InspectionParameters:
     # Our own terms, which the learner is given beside the paper's; the reward that is reported is without them
     rate_reward: float = 0.0  # per action and axis turning at max_rate, by its square
     correction_reward: float = 0.0  # per action, where the filter corrects all of its calls
+    drift_reward: float = (
+        0.0  # per action, where free flight crosses the chief's track; less up to 30 m from it
+    )
 
     def __post_init__(self) -> None:
         for name in ("solar_panel_axis", "thermal_axis"):

@@ -1,14 +1,17 @@
 """The nine reward terms by name (Sec. Rewards), and those of our own that an agent may be trained with beside them."""
 
+import math
+
 import torch
 from torch import Tensor
 
 from inspection.attitude import conjugate, rotate, unit
-from inspection.dynamics import free_flight_clearance
+from inspection.dynamics import free_flight, free_flight_clearance
 from inspection.parameters import InspectionParameters
 from inspection.state import OMEGA, P, Q, V
 
 AT_ONCE = 64  # free flights sampled at once: two days are 17,281 positions each
+PHASES = 64  # at which an orbit of free flight is looked at
 REWARDS = ("points", "delta_v", "torque", "orientation", "time", "success", "crash", "distance", "energy")
 
 
@@ -71,8 +74,21 @@ def rewards(
     }
 
 
+def distance_from_track(x: Tensor, c: InspectionParameters) -> Tensor:
+    """Smallest distance (B,) in m, over an orbit of free flight, from the line along the track through the chief.
+
+    Free flight repeats itself every orbit but for a drift along that line. So what keeps away from the line never
+    meets the chief (D'Amico and Montenbruck 2006). On an ellipse of 50 m the samples miss the smallest distance by
+    50 m pi / PHASES, 2.5 m, at most.
+    """
+    orbit = 2.0 * math.pi / c.mean_motion
+    t = torch.arange(PHASES, dtype=x.dtype, device=x.device) * (orbit / PHASES)
+    path = free_flight(x[P][:, None], x[V][:, None], t[:, None], c.mean_motion)
+    return torch.hypot(path[0], path[2]).amin(0)
+
+
 def shaping(x: Tensor, corrected: Tensor, c: InspectionParameters) -> dict[str, Tensor]:
-    """Our own terms as (B,) for the state x (16, B) after the interaction; none where both weights are 0.
+    """Our own terms as (B,) for the state x (16, B) after the interaction; none where all weights are 0.
 
     The learner is given them beside the paper's nine, which `rewards` are reported in.
 
@@ -84,4 +100,7 @@ def shaping(x: Tensor, corrected: Tensor, c: InspectionParameters) -> dict[str, 
         terms["rate"] = c.rate_reward * (x[OMEGA] / c.max_rate).square().sum(0)
     if c.correction_reward:
         terms["correction"] = c.correction_reward * corrected
+    if c.drift_reward:
+        nearness = 1.0 - distance_from_track(x, c) / (2.0 * c.collision_radius)
+        terms["drift"] = c.drift_reward * nearness.clamp(min=0.0)
     return terms

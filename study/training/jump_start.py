@@ -11,13 +11,14 @@ import torch
 from torch import Tensor
 
 from inspection.environment import InspectionEnv, Transition
-from inspection.guidance import natural_motion
+from inspection.guidance import Orbit, natural_motion
 from ppo.learner import PPO
 from ppo.network import Policy
 from ppo.rollout import collect
 
-TRACKING_FREQUENCY = 0.01  # rad/s: sooner there than the guidance alone, for half as much fuel again
-OUT_OF_PLANE = 30.0  # m, twice the distance of a collision
+# A larger orbit sees more of the chief at once; its tilt and the wider way there keep away from it. Flown every 10 s
+# without the filter, it violates nothing (tests), where the default orbit does in 3 % of the cases.
+ORBIT = Orbit(semi_minor=50.0, out_of_plane=30.0, tracking=0.008, look_ahead=math.pi / 6)
 LEARNING_RATE = 1e-3  # of the first batch, annealed linearly to a tenth
 STD_WEIGHT = 0.01  # of the squared error of the log standard deviation, which stays as it is at the start
 
@@ -35,7 +36,7 @@ class Taught:
 
     def __init__(self, env: InspectionEnv, policy: Policy) -> None:
         self.env, self.policy = env, policy
-        self.guidance = natural_motion(env.c, env.c.action_period, TRACKING_FREQUENCY, OUT_OF_PLANE)
+        self.guidance = natural_motion(env.c, env.c.action_period, ORBIT)
         self.observation, self.state_dict = env.observation, env.state_dict
         self.load_state_dict = env.load_state_dict
         self.leads, self.lessons = True, []

@@ -14,7 +14,7 @@ from inspection import initial_state
 from inspection.closed_loop import Safety
 from inspection.environment import METRICS, InspectionEnv
 from inspection.initial_state import InitialStates
-from inspection.reward import REWARDS
+from inspection.reward import REWARDS, distance_from_track
 from inspection.state import THETA_S, E, P, Q, T, V
 from inspection.termination import OUTCOMES
 
@@ -200,7 +200,7 @@ def test_terms_of_our_own_are_the_learners_alone(c):
         intervened = torch.stack((torch.tensor(True), desired[0, 1] < 0.4))
         return SimpleNamespace(control=desired + 0.25, intervened=intervened)
 
-    own = replace(c, rate_reward=-0.5, correction_reward=-0.1)
+    own = replace(c, rate_reward=-0.5, correction_reward=-0.1, drift_reward=-0.2)
     safety = Safety(correct=push, period=5.0)
     ends = []
     for parameters in (c, own):
@@ -208,13 +208,16 @@ def test_terms_of_our_own_are_the_learners_alone(c):
         env.x[10:13, 0] = torch.tensor([0.5, 0.0, -1.0]) * c.max_rate
         ends.append(env.step(torch.tensor([0.2] + 5 * [0.0]).expand(2, 6)))
     plain, shaped = ends
-    assert tuple(shaped.reward_terms) == (*REWARDS, "rate", "correction")
+    assert tuple(shaped.reward_terms) == (*REWARDS, "rate", "correction", "drift")
     rates = (shaped.state[10:13] / c.max_rate).square().sum(0)
     assert rates[0] > 1.0
     corrected = torch.tensor([1.0, 0.5], dtype=torch.float64)  # of two calls, which want 0.2 N and 0.45 N
     torch.testing.assert_close(shaped.reward_terms["rate"], -0.5 * rates)
     torch.testing.assert_close(shaped.reward_terms["correction"], -0.1 * corrected)
-    torch.testing.assert_close(shaped.reward, plain.reward - 0.5 * rates - 0.1 * corrected)
+    near = 1.0 - distance_from_track(shaped.state, c) / 30.0
+    assert near.min() > 0.0
+    torch.testing.assert_close(shaped.reward_terms["drift"], -0.2 * near)
+    torch.testing.assert_close(shaped.reward, plain.reward - 0.5 * rates - 0.1 * corrected - 0.2 * near)
     torch.testing.assert_close(shaped.metrics, plain.metrics)
 
 

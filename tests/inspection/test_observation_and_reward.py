@@ -6,12 +6,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 from scipy.spatial.transform import Rotation
 
 from inspection.observation import GROUPS, components, observe, scales
 from inspection.parameters import OBSERVABLE, OBSERVED
-from inspection.reward import REWARDS, rewards
+from inspection.reward import PHASES, REWARDS, distance_from_track, rewards
 from inspection.state import E, P, Q, V
 from inspection.termination import OUTCOMES, ends, failures
 
@@ -276,6 +277,25 @@ def test_distances_count_in_every_direction(c, direction):
     found = failures(x, c)
     assert found["crash"].tolist() == [True, False, False, False]
     assert found["out_of_bounds"].tolist() == [False, False, False, True]
+
+
+def test_the_distance_from_the_track_is_that_of_three_integrated_orbits(c, random_states):
+    x = random_states(20)
+    x[V] *= 0.1
+    n = c.mean_motion
+
+    def coast(t, s):
+        return [*s[3:], 3 * n**2 * s[0] + 2 * n * s[4], -2 * n * s[3], -(n**2) * s[2]]
+
+    found = distance_from_track(x, c)
+    for i in range(20):
+        start, orbit = torch.cat((x[P, i], x[V, i])).numpy(), 2 * math.pi / n
+        times = np.linspace(0.0, 3 * orbit, 9001)
+        path = solve_ivp(coast, (0.0, 3 * orbit), start, t_eval=times, rtol=1e-10, atol=1e-10).y
+        assert np.ptp(path[1]) > 10.0  # it drifts along the line all the while
+        across = np.hypot(path[0], path[2])
+        fastest = np.hypot(path[3], path[5]).max()
+        assert -1e-6 < found[i] - across.min() + 1e-3 < fastest * orbit / (2 * PHASES) + 2e-3
 
 
 def test_groups_are_left_out_or_added_whatever_order_they_are_named_in(random_states, generator):

@@ -1,5 +1,6 @@
 """The jump start: the policy does what the guidance would, and PPO goes on from there."""
 
+import math
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,6 +10,7 @@ import torch
 from inspection.guidance import natural_motion
 from study import config as configuration
 from study.config import Config
+from study.experiment import Experiment, test_cases
 from study.training import jump_start, session
 
 SETTINGS = """
@@ -36,6 +38,20 @@ def config(**train: object) -> Config:
     return replace(base, train=replace(base.train, **train))
 
 
+@pytest.mark.parametrize("look_ahead", [jump_start.ORBIT.look_ahead, math.pi / 2])
+def test_the_guidance_that_teaches_violates_nothing_without_the_filter(look_ahead: float) -> None:
+    experiment = Experiment(config(), 64)
+    env = experiment.env(64, experiment.generators([0]))
+    c = env.c
+    orbit = replace(jump_start.ORBIT, look_ahead=look_ahead)
+    env.start(*test_cases(experiment.config, 64, 1))
+    guidance, worst = natural_motion(c, c.action_period, orbit), []
+    for _ in range(100):  # the way to the orbit
+        env.advance(guidance, lambda hold: worst.append(env.constraint_values(hold.after).amin(1)))
+    held = torch.stack(worst).amin() >= 0.0
+    assert held == (look_ahead == jump_start.ORBIT.look_ahead)
+
+
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory) -> session.Run:
     """A run that was taught and has not begun with PPO."""
@@ -44,7 +60,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> session.Run:
 
 def test_the_copy_does_what_the_guidance_would_in_states_of_its_own(run: session.Run) -> None:
     env, c = run.env, run.config.inspection
-    guidance = natural_motion(c, c.action_period, jump_start.TRACKING_FREQUENCY, jump_start.OUT_OF_PLANE)
+    guidance = natural_motion(c, c.action_period, jump_start.ORBIT)
     chance = run.experiment.policy(run.experiment.generators([1]))
     errors = {"taught": 0.0, "chance": 0.0}
     for _ in range(16):
