@@ -83,12 +83,15 @@ def made_up_evaluation(rng: np.random.Generator, period: float | None, episodes:
 
     def metric() -> dict[str, Any]:
         low, middle, high = np.sort(rng.uniform(0.5, 30.0, 3)).tolist()
-        return {"iqm": middle, "mean": middle, "ci95": [low, high]}
+        return {"iqm": middle, "mean": middle, "ci95": [low, high], "p5": low, "p95": high, "max": high}
 
     return {
         "metrics": {name: metric() for name in METRICS},
-        "violations_percent": {name: rng.uniform(0.001, 9.0) for name in ("any", *CONSTRAINTS)},
-        "outcomes": {"success": rng.uniform(0.5, 1.0)},
+        **{
+            kind: {name: rng.uniform(0.001, 9.0) for name in ("any", *CONSTRAINTS)}
+            for kind in ("violations_percent", "violations_percent_of_seconds")
+        },
+        "outcomes": {"success": rng.uniform(0.5, 1.0), "clean_success": rng.uniform(0.1, 0.5)},
         "rta": {"period_s": period, "intervention_percent": rng.uniform(1.0, 99.0), "qp_failures": 0},
         "episodes": episodes,
         "digest": "of no interest",
@@ -129,6 +132,7 @@ def made_up_study(tmp_path_factory: pytest.TempPathFactory) -> Path:
     arms = {
         arm: made_up_evaluation(rng, 1.0 if rta else None)
         | {"seeds": [0, 1, 2], "interactions": 5_013_504, "wall_clock_s": 4321.0}
+        | {"per_seed": [made_up_evaluation(rng, None) for _ in range(3)]}
         for arm, rta in ARMS.items()
     }
     contents = {
@@ -141,6 +145,20 @@ def made_up_study(tmp_path_factory: pytest.TempPathFactory) -> Path:
         "report/baselines.json": {
             name: {"off": made_up_evaluation(rng, None, 100), "on": made_up_evaluation(rng, 1.0, 100)}
             for name in BASELINES
+        },
+        "report/orbits.json": [
+            {"semi_minor": semi_minor} | made_up_evaluation(rng, 1.0, 100) for semi_minor in (40.0, 60.0) * 2
+        ],
+        "report/progress.json": {
+            name: {"time_s": [0.0, 500.0, 1000.0], "weight": np.sort(rng.uniform(size=3)).tolist()}
+            for name in (*ARMS, "guidance")
+        },
+        "report/worlds.json": {
+            plant: {
+                arm: {switch: made_up_evaluation(rng, None, 200) for switch in ("off", "nominal", "robust")}
+                for arm in ARMS
+            }
+            for plant in ("nominal", "harsh")
         },
         "report/frequency.json": {f"{period}": made_up_evaluation(rng, period) for period in (1, 5, 10)},
     }

@@ -1,5 +1,6 @@
 """Figures of a study's report: training curves, one common episode of both arms, the cross evaluation."""
 
+from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 
@@ -26,9 +27,13 @@ from study.flight.figures import (
 from study.paper import PAPER_METRICS, PAPER_VIOLATIONS, Results, measured
 from study.report.inputs import Curves, Inputs
 
-ARM_LABELS = {"no_rta": "no RTA", "rta": "RTA"}
-COLOURS = {"no_rta": BLUE, "rta": ORANGE}
-MARKERS = {"no_rta": "o", "rta": "s"}
+ARM_LABELS = {"no_rta": "no RTA", "rta": "RTA"}  # of the paper's arms; others go by their own names
+STYLES = {  # of the arms in their order, the paper's first
+    "no_rta": (BLUE, "o"),
+    "rta": (ORANGE, "s"),
+}
+MORE_STYLES = (("#009E73", "^"), ("#CC79A7", "D"), ("#D55E00", "v"), ("#56B4E9", "P"), ("#8A7A00", "X"))
+GUIDANCE_COLOUR = "0.35"
 DPI = 120
 
 # what the training curves show; the paper's IQM of the violation is not printed, its mean is
@@ -44,6 +49,17 @@ CROSS = {
 }
 
 
+def label(arm: str) -> str:
+    """What a person reads for an arm."""
+    return ARM_LABELS.get(arm, arm)
+
+
+def style(arm: str, arms: Iterable[str]) -> tuple[str, str]:
+    """Colour and marker of an arm among all of a study."""
+    others = [name for name in arms if name not in STYLES]
+    return STYLES[arm] if arm in STYLES else MORE_STYLES[others.index(arm) % len(MORE_STYLES)]
+
+
 def draw(inputs: Inputs) -> None:
     """Draws every figure for which there is material into the report's directory.
 
@@ -55,16 +71,21 @@ def draw(inputs: Inputs) -> None:
             draw_training(inputs.training, inputs.directory)
         draw_episodes(inputs)
         save(cross_figure(inputs.cross), inputs.directory / "cross")
+        if inputs.orbits:
+            save(front_figure(inputs), inputs.directory / "front")
+        if inputs.progress:
+            save(progress_figure(inputs.progress), inputs.directory / "progress")
 
 
 def draw_episodes(inputs: Inputs) -> None:
     """The common episode of the arms, and the demonstrations."""
     c, directory = inputs.config.inspection, inputs.directory
-    top_speed = max(speeds(episode).max() for episode in inputs.episodes.values())
+    top_speed = max((speeds(episode).max() for episode in inputs.episodes.values()), default=0.0)
     for arm, episode in inputs.episodes.items():
         trajectory_figure(episode, c, top_speed, directory / f"trajectory_{arm}.png")
         constraint_figure(episode, c, directory / f"constraints_{arm}.png")
-    save(behaviour_figure(inputs.episodes, c), directory / "behaviour")
+    if inputs.episodes:
+        save(behaviour_figure(inputs.episodes, c), directory / "behaviour")
     for arm, episode in inputs.demonstrations.items():
         constraint_figure(episode, c, directory / f"demonstration_{arm}.png")
 
@@ -99,12 +120,11 @@ def training_panel(ax: Axes, curves: dict[str, np.ndarray], metric: str) -> None
     paper = TRAINING[metric]
     for arm, rows in curves.items():
         interactions, iqm, low, high = rows[rows[:, 0].argsort()].T
-        style = {"color": COLOURS[arm], "marker": MARKERS[arm], "ms": 3.5, "lw": 1.4}
-        ax.plot(1e-6 * interactions, iqm, label=ARM_LABELS[arm], **style)
-        ax.fill_between(1e-6 * interactions, low, high, color=COLOURS[arm], alpha=0.25, lw=0)
-        ax.axhline(
-            paper.by_arm[arm].value, color=COLOURS[arm], ls=":", lw=1.1, label=f"paper, {ARM_LABELS[arm]}"
-        )
+        colour, marker = style(arm, curves)
+        ax.plot(1e-6 * interactions, iqm, color=colour, marker=marker, ms=3.5, lw=1.4, label=label(arm))
+        ax.fill_between(1e-6 * interactions, low, high, color=colour, alpha=0.25, lw=0)
+        if arm in paper.by_arm:
+            ax.axhline(paper.by_arm[arm].value, color=colour, ls=":", lw=1.1, label=f"paper, {label(arm)}")
     ax.set(xlabel="interactions of a seed (millions)", ylabel=paper.label, xlim=(0, None))
     ax.grid(alpha=0.3)
 
@@ -122,12 +142,13 @@ def behaviour_figure(episodes: dict[str, Episode], c: InspectionParameters) -> F
     figure = Figure(figsize=(9, 5.4), layout="constrained")
     axes = figure.subplots(2, 2, sharex=True)
     for arm, episode in episodes.items():
+        colour, marker = style(arm, episodes)
         delta_v, torque = effort(episode, c)
         for ax, values in zip(
             axes.flat, (episode["inspected_score"], pointing(episode), delta_v, torque), strict=True
         ):
-            ax.plot(episode["time"], values, color=COLOURS[arm], lw=1.2, label=ARM_LABELS[arm])
-            ax.plot(episode["time"][-1], values[-1], color=COLOURS[arm], marker=MARKERS[arm], ms=5)
+            ax.plot(episode["time"], values, color=colour, lw=1.2, label=label(arm))
+            ax.plot(episode["time"][-1], values[-1], color=colour, marker=marker, ms=5)
     score, dot, delta_v, torque = axes.flat
     score.axhline(c.success_score, color=GREEN, ls="--", lw=1, label="success")
     score.set(ylabel="Inspected weight", ylim=(0, 1.02))
@@ -145,17 +166,18 @@ def behaviour_figure(episodes: dict[str, Episode], c: InspectionParameters) -> F
 def cross_figure(cross: dict[str, dict[str, Results]]) -> Figure:
     """Each arm's agents with the filter off (hollow) and on (filled): values with 95 % intervals."""
     figure = Figure(figsize=(11, 2.9), layout="constrained")
-    for ax, (label, name) in zip(figure.subplots(1, len(CROSS)), CROSS.items(), strict=True):
+    for ax, (title, name) in zip(figure.subplots(1, len(CROSS)), CROSS.items(), strict=True):
         for place, (arm, evaluations) in enumerate(cross.items()):
+            colour, marker = style(arm, cross)
             for shift, (switch, results) in zip((-0.15, 0.15), evaluations.items(), strict=True):
                 number = measured(results, name)
-                x, colour = place + shift, COLOURS[arm]
+                x = place + shift
                 ends = number.interval or (number.value, number.value)
                 ax.plot([x, x], ends, color=colour, marker="_", ms=8, lw=1.4)
                 face = colour if switch == "on" else "white"
-                ax.plot(x, number.value, color=colour, marker=MARKERS[arm], mfc=face, ms=7)
-        ax.set(xlabel="trained with", ylabel=label, xlim=(-0.5, len(cross) - 0.5))
-        ax.set_xticks(range(len(cross)), [ARM_LABELS[arm] for arm in cross])
+                ax.plot(x, number.value, color=colour, marker=marker, mfc=face, ms=7)
+        ax.set(xlabel="trained with", ylabel=title, xlim=(-0.5, len(cross) - 0.5))
+        ax.set_xticks(range(len(cross)), [label(arm) for arm in cross])
         ax.grid(axis="y", alpha=0.3)
         ax.margins(y=0.15)
     handles = [
@@ -163,4 +185,53 @@ def cross_figure(cross: dict[str, dict[str, Results]]) -> Figure:
         for switch, face in (("off", "white"), ("on", "black"))
     ]
     figure.legend(handles=handles, loc="outside upper center", ncols=2, frameon=False)
+    return figure
+
+
+def front_figure(inputs: Inputs) -> Figure:
+    """Length against delta v: each arm (large) and its seeds (small), and the guidance from thrifty to fast."""
+    figure = Figure(figsize=(7.2, 4.6), layout="constrained")
+    ax = figure.subplots()
+    for arm, results in inputs.everyone.items():
+        colour, marker = style(arm, inputs.everyone)
+        for seed in results.get("per_seed", ()):
+            ax.plot(*point(seed), color=colour, marker=marker, ms=3, alpha=0.5, ls="")
+        ax.plot(
+            *point(results),
+            color=colour,
+            marker=marker,
+            ms=9,
+            mec="white",
+            ls="",
+            label=f"agents, {label(arm)}",
+        )
+    for semi_minor in sorted({orbit["semi_minor"] for orbit in inputs.orbits}):
+        curve = [point(orbit) for orbit in inputs.orbits if orbit["semi_minor"] == semi_minor]
+        dashes = "--" if semi_minor == min(orbit["semi_minor"] for orbit in inputs.orbits) else "-"
+        name = f"classical guidance, ellipse of {semi_minor:g} m"
+        ax.plot(*zip(*curve, strict=True), color=GUIDANCE_COLOUR, ls=dashes, marker=".", lw=1.2, label=name)
+    ax.set(xlabel="episode length (s)", ylabel="delta v (m/s)", ylim=(0, 5))
+    ax.grid(alpha=0.3)
+    ax.legend(frameon=False, fontsize=9)
+    return figure
+
+
+def point(results: Results) -> tuple[float, float]:
+    """Length in s and delta v in m/s, IQM."""
+    return results["metrics"]["episode_length_s"]["iqm"], results["metrics"]["delta_v_m_s"]["iqm"]
+
+
+def progress_figure(progress: dict[str, dict[str, list[float]]]) -> Figure:
+    """The inspected weight over time of every arm's agents and of the guidance."""
+    figure = Figure(figsize=(7.2, 3.6), layout="constrained")
+    ax = figure.subplots()
+    arms = [name for name in progress if name != "guidance"]
+    for name, curve in progress.items():
+        colour, line = (GUIDANCE_COLOUR, "--") if name == "guidance" else (style(name, arms)[0], "-")
+        who = "classical guidance" if name == "guidance" else f"agents, {label(name)}"
+        ax.plot(curve["time_s"], curve["weight"], color=colour, ls=line, lw=1.4, label=who)
+    ax.axvline(500.0, color="0.6", ls=":", lw=1)
+    ax.set(xlabel="time (s)", ylabel="inspected weight", xlim=(0, None), ylim=(0, 1.02))
+    ax.grid(alpha=0.3)
+    ax.legend(frameon=False, fontsize=9, loc="lower right")
     return figure

@@ -27,6 +27,10 @@ class Inputs:
             study's own arms.
         provenance: where they were trained, with `device`, `ranks` and `threads`.
         guidance: evaluation of the classical guidance behind the filter; empty if there is none.
+        orbits: the guidance on other orbits: by its knobs, length against fuel; empty if it has not been flown.
+        worlds: by plant, arm and filter (off, nominal, robust): the agents in worlds that are not the model; empty if
+            they have not been flown there.
+        progress: by arm, and "guidance": time_s and the inspected weight by then, mean of the middle half.
         sunlight: the earliest success that the Sun allows in the test cases; empty if it is not known.
         cross: by arm, then "off" and "on": its agents without and with the filter.
         frequency: by period in s: the agents trained behind the filter; empty if there are none.
@@ -41,6 +45,9 @@ class Inputs:
     own: dict[str, Results]
     provenance: dict[str, Any]
     guidance: Results
+    orbits: list[Results]
+    worlds: dict[str, dict[str, dict[str, Results]]]
+    progress: dict[str, dict[str, list[float]]]
     sunlight: dict[str, Any]
     cross: dict[str, dict[str, Results]]
     frequency: dict[str, Results]
@@ -53,6 +60,11 @@ class Inputs:
     def directory(self) -> Path:
         """Where the report's figures and data are."""
         return self.study / "report"
+
+    @property
+    def everyone(self) -> dict[str, Results]:
+        """All arms, the paper's first."""
+        return self.arms | self.own
 
     @property
     def columns(self) -> dict[str, Results]:
@@ -80,7 +92,7 @@ def read(study: Path) -> Inputs:
         demonstrations={arm: read_episode(report / f"demonstration_{arm}.npz") for arm in ARMS},
         **{
             name: read_json(report / f"{name}.json") if (report / f"{name}.json").exists() else {}
-            for name in ("guidance", "sunlight", "frequency", "baselines")
+            for name in ("guidance", "orbits", "worlds", "progress", "sunlight", "frequency", "baselines")
         },
     )
 

@@ -18,7 +18,7 @@ from study.errors import refusing
 from study.files import write_text
 from study.flight.figures import Episode, effort
 from study.paper import PAPER_METRICS, PAPER_VIOLATIONS, Estimate, Results, measured
-from study.report.figures import ARM_LABELS, TRAINING
+from study.report.figures import ARM_LABELS, TRAINING, label
 from study.report.inputs import Inputs
 from study.report.tables import throughput
 
@@ -41,7 +41,7 @@ def render(template: str, **values: Any) -> str:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters |= {"fixed": fixed, "plain": plain}
+    environment.filters |= {"fixed": fixed, "percent": percent, "plain": plain}
     environment.globals["source"] = lambda name: Markup((STUDY / name).read_text(encoding="utf-8"))
     return environment.get_template(template).render(values)
 
@@ -62,10 +62,10 @@ def document(inputs: Inputs) -> str:
         "report/page.html.j2",
         inputs=inputs,
         columns=inputs.columns,
-        flyers={f"agents, {ARM_LABELS[arm]}": flown for arm, flown in inputs.cross.items()}
-        | inputs.baselines,
+        flyers={f"agents, {label(arm)}": flown for arm, flown in inputs.cross.items()} | inputs.baselines,
         period=f"{inputs.config.rta.period:g}",
         study=shlex.quote(inputs.study.as_posix()),
+        label=label,
         labels=ARM_LABELS,
         metrics=PAPER_METRICS,
         violations=PAPER_VIOLATIONS,
@@ -74,7 +74,9 @@ def document(inputs: Inputs) -> str:
         shown=shown,
         published=published,
         difference=difference,
-        throughput=throughput(inputs.arms, inputs.provenance),
+        throughput=throughput(inputs.everyone, inputs.provenance),
+        weight_at=weight_at,
+        worst_seed=worst_seed,
         effort=effort,
         violated=violated,
         image=partial(embedded, inputs.directory),
@@ -114,6 +116,16 @@ def difference(ours: Estimate, paper: Estimate, digits: int) -> tuple[str, bool]
     if ours.interval and paper.interval:
         apart = ours.interval[0] > paper.interval[1] or ours.interval[1] < paper.interval[0]
     return f"{ours.value - paper.value:+z.{digits}f}", apart
+
+
+def worst_seed(results: Results) -> float:
+    """The lowest reward (IQM) of an arm's seeds."""
+    return min(seed["metrics"]["reward"]["iqm"] for seed in results["per_seed"])
+
+
+def weight_at(curve: dict[str, list[float]], time: float) -> float:
+    """The inspected weight after so many s, of a curve of `progress`."""
+    return float(np.interp(time, curve["time_s"], curve["weight"]))
 
 
 def violated(episode: Episode) -> dict[str, str]:

@@ -31,13 +31,19 @@ def write(inputs: Inputs) -> None:
     """
     with refusing(f"--study {inputs.study}: cannot read what its tables are made from", *MALFORMED):
         tables = {
-            "table2": comparison("metric", PAPER_METRICS, inputs.columns),
-            "table3": comparison("constraint", PAPER_VIOLATIONS, inputs.columns),
             "cross": cross("arm", inputs.cross),
-            "throughput": throughput(inputs.arms, inputs.provenance),
+            "throughput": throughput(inputs.everyone, inputs.provenance),
+            "arms": [{"arm": name} | tails(results) for name, results in inputs.everyone.items()],
         }
+        if inputs.arms:
+            tables["table2"] = comparison("metric", PAPER_METRICS, inputs.columns)
+            tables["table3"] = comparison("constraint", PAPER_VIOLATIONS, inputs.columns)
         if inputs.frequency:
             tables["frequency"] = frequency(inputs.frequency)
+        if inputs.worlds:
+            tables["worlds"] = [
+                {"plant": plant} | row for plant, arms in inputs.worlds.items() for row in cross("arm", arms)
+            ]
         if inputs.baselines:
             tables["baselines"] = cross("controller", inputs.baselines)
 
@@ -92,6 +98,24 @@ def evaluation(results: Results) -> Row:
         "unsolved_programs": results["rta"]["qp_failures"],
         "episodes": results["episodes"],
     }
+
+
+def tails(results: Results) -> Row:
+    """What a mean of the middle half hides, as one row: IQM and mean, tails, and every seed's IQM, lowest first."""
+    row: Row = {
+        "clean_success_percent": 100.0 * results["outcomes"]["clean_success"],
+        "success_percent": 100.0 * results["outcomes"]["success"],
+        "any_percent_of_steps": results["violations_percent"]["any"],
+        "any_percent_of_seconds": results["violations_percent_of_seconds"]["any"],
+    }
+    for metric in ("reward", "episode_length_s", "delta_v_m_s"):
+        row |= {
+            f"{metric}_{name}": results["metrics"][metric][name]
+            for name in ("iqm", "mean", "p5", "p95", "max")
+        }
+        seeds = sorted(seed["metrics"][metric]["iqm"] for seed in results["per_seed"])
+        row[f"{metric}_of_seeds"] = " ".join(f"{value:.4g}" for value in seeds)
+    return row
 
 
 def cross(kind: str, evaluations: dict[str, dict[str, Results]]) -> list[Row]:

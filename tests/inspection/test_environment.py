@@ -217,7 +217,8 @@ def test_terms_of_our_own_are_the_learners_alone(c):
     near = 1.0 - distance_from_track(shaped.state, c) / 30.0
     assert near.min() > 0.0
     torch.testing.assert_close(shaped.reward_terms["drift"], -0.2 * near)
-    torch.testing.assert_close(shaped.reward, plain.reward - 0.5 * rates - 0.1 * corrected - 0.2 * near)
+    expected = plain.reward - 0.5 * rates - 0.1 * corrected - 0.2 * near
+    torch.testing.assert_close(shaped.reward, expected)
     torch.testing.assert_close(shaped.metrics, plain.metrics)
 
 

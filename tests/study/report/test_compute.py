@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import main
-from study.report import compute, inputs, tables
+from study.report import compute, flights, inputs, tables
 
 SEEDS = (5, 6)
 CASES = 4
@@ -41,6 +41,9 @@ FILES = {
     "frequency.json",
     "guidance.json",
     "baselines.json",
+    "orbits.json",
+    "progress.json",
+    "worlds.json",
     "sunlight.json",
     "training.csv",
     "episode_no_rta.npz",
@@ -54,9 +57,13 @@ FILES = {
 def brief(small_pools: None) -> Any:
     """Two periods, short demonstrations and few cases of the guidance."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(compute, "PERIODS", (1.0, 5.0))
-        patch.setattr(compute, "DEMONSTRATION_DURATION", DURATION)
-        patch.setattr(compute, "GUIDANCE_CASES", CASES)
+        patch.setattr(flights, "PERIODS", (1.0, 5.0))
+        patch.setattr(flights, "DEMONSTRATION_DURATION", DURATION)
+        patch.setattr(flights, "GUIDANCE_CASES", CASES)
+        patch.setattr(flights, "ORBITS", flights.ORBITS[:2])
+        patch.setattr(flights, "WORLDS", ("nominal", "harsh"))
+        patch.setattr(flights, "WORLDS_CASES", 1)
+        patch.setattr(flights, "PROGRESS_UNTIL", 2 * DURATION)
         yield
 
 
@@ -125,6 +132,51 @@ def test_the_studys_own_filter_gives_the_studys_own_results(study: Path) -> None
     assert cross["rta"]["on"] == arms["rta"] == read(study / "report" / "frequency.json")["1"]
 
 
+def test_worlds_are_those_of_evaluate(study: Path, tmp_path: Path) -> None:
+    """The robust filter in the harsh plant, each seed alone."""
+    found = read(study / "report" / "worlds.json")
+    assert list(found) == ["nominal", "harsh"]
+    assert all(list(arms) == ["no_rta", "rta"] for arms in found.values())
+    settings = tmp_path / "harsh_and_told.toml"
+    told = (flights.PLANTS / "u1.toml").read_text()
+    plant = (flights.PLANTS / "harsh.toml").read_text()
+    settings.write_text(plant + told[told.index("[uncertainty]") :])
+    alone = []
+    for seed in SEEDS:
+        arguments = ["evaluate", "--checkpoint", str(study / "rta" / f"seed{seed}" / "policy.pt")]
+        arguments += ["--config", str(settings), "--episodes", "1", "--json", str(tmp_path / "one.json")]
+        assert main.main(arguments) == 0
+        alone.append(read(tmp_path / "one.json"))
+    flown = found["harsh"]["rta"]["robust"]
+    for name in ("reward", "delta_v_m_s"):
+        assert flown["metrics"][name]["mean"] == pytest.approx(
+            np.mean([each["metrics"][name]["mean"] for each in alone])
+        )
+    # the model and no filter: the study's own flight, of its first case alone
+    episodes = np.load(study / "no_rta" / "episodes.npz")
+    first = episodes["metrics"][episodes["metric_names"].tolist().index("reward"), :, 0]
+    mean = found["nominal"]["no_rta"]["off"]["metrics"]["reward"]["mean"]
+    assert mean == pytest.approx(first.mean())
+    assert found["nominal"]["no_rta"]["off"] != found["harsh"]["no_rta"]["off"]
+
+
+def test_orbits_say_which_they_are(study: Path) -> None:
+    found = read(study / "report" / "orbits.json")
+    assert [each["tracking"] for each in found] == [orbit.tracking for orbit in flights.ORBITS]
+    assert {each["episodes"] for each in found} == {CASES}
+
+
+def test_progress_ends_at_the_weight_that_the_study_found(study: Path) -> None:
+    arms = read(study / "results.json")["arms"]
+    found = read(study / "report" / "progress.json")
+    assert list(found) == ["no_rta", "rta", "guidance"]
+    for name, results in arms.items():
+        assert found[name]["time_s"] == [0.0, DURATION, 2 * DURATION]
+        # every episode lasts one step, and keeps its weight from then on
+        last = results["metrics"]["inspected_score"]["iqm"]
+        assert found[name]["weight"][1:] == pytest.approx([last, last])
+
+
 def test_guidance_meets_the_common_cases_behind_the_filter(study: Path) -> None:
     guidance = read(study / "report" / "guidance.json")
     assert (guidance["episodes"], guidance["seed"], guidance["rta"]["period_s"]) == (CASES, 0, 1.0)
@@ -134,7 +186,7 @@ def test_guidance_meets_the_common_cases_behind_the_filter(study: Path) -> None:
 def test_episodes_are_those_of_simulate(rta: bool, study: Path, tmp_path: Path) -> None:
     arm = "rta" if rta else "no_rta"
     agent = ["--controller", "policy", "--checkpoint", str(study / arm / "seed5" / "policy.pt")]
-    classical = ["--controller", "lqr-pd", "--initial-state", str(compute.DEMONSTRATION)]
+    classical = ["--controller", "lqr-pd", "--initial-state", str(flights.DEMONSTRATION)]
     settings = tmp_path / "settings.toml"  # as the study has them
     settings.write_text(f"[inspection]\naction_period = {DURATION}\nmax_time = {DURATION}")
     classical += ["--config", str(settings)]
@@ -163,18 +215,18 @@ def test_an_interrupted_report_keeps_what_it_has_computed(
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr(compute, "demonstration", interrupted)
+        patch.setattr(flights, "demonstration", interrupted)
         with pytest.raises(KeyboardInterrupt):
             compute.compute(copy)
     assert contents(report).keys() == whole.keys() - set(absent)
-    monkeypatch.setattr(compute, "play", None)
-    monkeypatch.setattr(compute, "common_episode", None)
+    monkeypatch.setattr(flights, "play", None)
+    monkeypatch.setattr(flights, "common_episode", None)
     compute.compute(copy)
     assert contents(report).keys() == whole.keys()
 
 
 def test_other_policies_are_computed_anew(copy: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(compute, "PERIODS", (5.0,))
+    monkeypatch.setattr(flights, "PERIODS", (5.0,))
     before = contents(copy / "report")
     shutil.copy(copy / "rta" / "seed6" / "policy.pt", copy / "rta" / "seed5" / "policy.pt")
     compute.compute(copy)
@@ -192,7 +244,7 @@ def test_other_policies_are_computed_anew(copy: Path, monkeypatch: pytest.Monkey
 def test_a_study_of_one_arm_has_a_report_of_one_arm(
     arm: str, copy: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(compute, "evaluate", lambda arm, rta, period: arm.results)
+    monkeypatch.setattr(flights, "evaluate", lambda arm, rta, period: arm.results)
     other = {"no_rta": "rta", "rta": "no_rta"}[arm]
     for directory in ("report", other):
         shutil.rmtree(copy / directory)
@@ -225,7 +277,7 @@ def damage(directory: Path, name: str) -> None:
     [
         ("unfinished", "no finished study there"),
         ("not results", "not the results of a study"),
-        ("no arm", "holds none of the arms"),
+        ("no arm", "holds no finished arm"),
         ("no policy", "no such checkpoint"),
         ("occupied", "cannot write there"),
     ],

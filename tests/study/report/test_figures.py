@@ -9,7 +9,17 @@ from matplotlib.figure import Figure
 
 from study.paper import PAPER_METRICS, PAPER_VIOLATIONS
 from study.report import inputs as files
-from study.report.figures import COLOURS, TRAINING, behaviour_figure, cross_figure, save, training_panel
+from study.report.figures import (
+    STYLES,
+    TRAINING,
+    behaviour_figure,
+    cross_figure,
+    front_figure,
+    progress_figure,
+    save,
+    style,
+    training_panel,
+)
 from study.report.inputs import Inputs
 
 
@@ -44,7 +54,7 @@ def test_arms_share_the_behaviour_figure(inputs: Inputs) -> None:
 def test_cross_figure_tells_off_from_on(inputs: Inputs) -> None:
     reward = cross_figure(inputs.cross).axes[2]
     dots = [line for line in reward.lines if len(line.get_xdata()) == 1]
-    faces = ["white", COLOURS["no_rta"], "white", COLOURS["rta"]]
+    faces = ["white", STYLES["no_rta"][0], "white", STYLES["rta"][0]]
     values = [e["metrics"]["reward"]["iqm"] for switches in inputs.cross.values() for e in switches.values()]
     assert [line.get_markerfacecolor() for line in dots] == faces
     assert [line.get_ydata()[0] for line in dots] == values
@@ -56,3 +66,26 @@ def test_equal_figures_are_equal_files(inputs: Inputs, tmp_path: Path) -> None:
         save(cross_figure(inputs.cross), tmp_path / folder / "cross")
     for name in ("cross.png", "cross.svg"):
         assert (tmp_path / "one" / name).read_bytes() == (tmp_path / "other" / name).read_bytes()
+
+
+def test_every_arm_has_a_style_of_its_own() -> None:
+    arms = ["no_rta", "rta", "rta_5s", "rta_10s", "robust"]
+    assert len({style(arm, arms) for arm in arms}) == 5
+
+
+def test_the_front_sets_agents_beside_the_guidance(inputs: Inputs) -> None:
+    ax = front_figure(inputs).axes[0]
+    drawn = {line.get_label(): list(zip(*line.get_data(), strict=True)) for line in ax.lines}
+    metrics = inputs.arms["rta"]["metrics"]
+    assert drawn["agents, RTA"] == [(metrics["episode_length_s"]["iqm"], metrics["delta_v_m_s"]["iqm"])]
+    for semi_minor in (40, 60):
+        flown = [orbit["metrics"] for orbit in inputs.orbits if orbit["semi_minor"] == semi_minor]
+        expected = [(each["episode_length_s"]["iqm"], each["delta_v_m_s"]["iqm"]) for each in flown]
+        assert drawn[f"classical guidance, ellipse of {semi_minor} m"] == expected
+
+
+def test_progress_is_drawn_over_time(inputs: Inputs) -> None:
+    ax = progress_figure(inputs.progress).axes[0]
+    drawn = {line.get_label(): line.get_ydata() for line in ax.lines}
+    assert list(drawn["agents, no RTA"]) == inputs.progress["no_rta"]["weight"]
+    assert list(drawn["classical guidance"]) == inputs.progress["guidance"]["weight"]

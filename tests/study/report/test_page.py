@@ -97,7 +97,7 @@ def test_every_figure_is_embedded_and_described(study: Path, reader: Reader) -> 
     embedded = {base64.b64decode(image["src"].partition(",")[2]) for image in reader.images}
     drawn = {path for path in (study / "report").iterdir() if path.suffix in (".png", ".svg")}
     shown = {path.stem for path in drawn if path.read_bytes() in embedded}
-    assert len(embedded) == len(reader.images) == 14
+    assert len(embedded) == len(reader.images) == 16
     assert shown == {path.stem for path in drawn} - {"training"}  # the six in one, for other uses
     assert all(len(image["alt"]) > 30 for image in reader.images)
 
@@ -139,7 +139,7 @@ def test_table_3(study: Path, reader: Reader) -> None:
             assert rows[published.label][3 * i : 3 * i + 3] == expected
 
 
-@pytest.mark.parametrize(("place", "name"), [(3, "frequency"), (4, "cross")])
+@pytest.mark.parametrize(("place", "name"), [(4, "frequency"), (5, "cross")])
 def test_other_evaluations(study: Path, reader: Reader, place: int, name: str) -> None:
     content = json.loads((study / f"report/{name}.json").read_text())
     if name == "cross":
@@ -168,7 +168,7 @@ def test_baselines_stand_below_the_agents(study: Path, text: str, reader: Reader
         for flyer, switches in json.loads((study / f"report/{name}.json").read_text()).items()
         for switch, results in switches.items()
     ]
-    rows = reader.tables[2][1:]
+    rows = reader.tables[3][1:]
     assert [row[0] for row in rows[::2]] == ["agents, no RTA", "agents, RTA", *BASELINES]
     for (_, switch, *cells), (_, expected, results) in zip(rows, flown, strict=True):
         metrics = results["metrics"]
@@ -194,11 +194,13 @@ def test_half_a_study(study: Path, tmp_path: Path) -> None:
         (content["arms"] if name == "results" else content).pop("rta")
         (half / f"{name}.json").write_text(json.dumps(content))
     (half / "report/training.csv").write_text("interactions,arm,metric,iqm,low,high\n")
-    for name in ("guidance.json", "frequency.json", "baselines.json", "episode_rta.npz"):
+    others = [f"{name}.json" for name in ("frequency", "baselines", "orbits", "progress", "worlds")]
+    for name in ("guidance.json", "episode_rta.npz", *others):
         (half / "report" / name).unlink()
     text = page.document(inputs.read(half))
     reader = Reader(text)
-    assert text.count('class="missing"') == 5  # arm, training curves, baselines, guidance, frequency
+    # arm, training curves, baselines, guidance, front, progress, worlds, frequency
+    assert text.count('class="missing"') == 8
     assert len(reader.images) == 6
     assert {len(row) for row in reader.tables[0][1:]} == {4}
 
@@ -212,7 +214,7 @@ def test_what_files_say_stays_text(study: Path, tmp_path: Path) -> None:
     reader = Reader(text)
     assert not any(tag in text for tag in ("<i>", "<b>", "<s>"))
     assert "report/demonstration_<s>.npz" in reader.links
-    assert [row[5] for row in reader.tables[5][1:]] == ["<i>x</i>"] * 2
+    assert [row[5] for row in reader.tables[7][1:]] == ["<i>x</i>"] * 2
     assert "python main.py report --study &#39;" in text
 
 
@@ -271,6 +273,69 @@ def test_a_studys_own_arms_stand_beside_the_papers(study: Path, tmp_path: Path) 
     path.write_text(json.dumps(results))
     found = inputs.read(tmp_path / "study")
     assert list(found.arms) == ["no_rta", "rta"] and list(found.own) == ["squared"]
-    rows = body(Reader(page.document(found)).tables[1], heads=1)
+    reader = Reader(page.document(found))
+    rows = body(reader.tables[2], heads=1)
     assert list(rows) == ["no RTA", "RTA", "squared"]
-    assert "2.5000 [2.4000, 2.6000]" in rows["squared"] and rows["squared"][3] == rows["RTA"][3]
+    assert rows["squared"][4] == "2.500" and rows["squared"][0] == rows["RTA"][0]
+
+
+def test_arms_show_what_a_mean_of_the_middle_half_hides(study: Path, reader: Reader) -> None:
+    arms = json.loads((study / "results.json").read_text())["arms"]
+    rows = body(reader.tables[2], heads=1)
+    for name, label in (("no_rta", "no RTA"), ("rta", "RTA")):
+        results = arms[name]
+        reward, length, delta_v = (
+            results["metrics"][key] for key in ("reward", "episode_length_s", "delta_v_m_s")
+        )
+        assert rows[label] == [
+            *(f"{100 * results['outcomes'][key]:.1f}" for key in ("clean_success", "success")),
+            *(
+                f"{results[key]['any']:.3f}"
+                for key in ("violations_percent", "violations_percent_of_seconds")
+            ),
+            f"{reward['iqm']:.3f}",
+            f"{reward['mean']:.3f}",
+            f"{min(seed['metrics']['reward']['iqm'] for seed in results['per_seed']):.3f}",
+            *(f"{length[key]:.0f}" for key in ("iqm", "mean", "p95", "max")),
+            *(f"{delta_v[key]:.2f}" for key in ("iqm", "mean", "p95", "max")),
+        ]
+
+
+def test_worlds_show_every_agent_behind_every_filter(study: Path, reader: Reader) -> None:
+    worlds = json.loads((study / "report/worlds.json").read_text())
+    rows = reader.tables[6][1:]
+    flown = [
+        (plant, arm, switch, results)
+        for plant, arms in worlds.items()
+        for arm, switches in arms.items()
+        for switch, results in switches.items()
+    ]
+    assert len(rows) == len(flown) == 12
+    for row, (plant, arm, switch, results) in zip(rows, flown, strict=True):
+        shown = {"no_rta": "no RTA", "rta": "RTA"}[arm]
+        assert row[:3] == [plant, shown, switch]
+        assert row[4] == f"{100 * results['outcomes']['clean_success']:.1f}"
+        assert row[8] == f"{results['metrics']['episode_length_s']['iqm']:.0f}"
+
+
+def test_a_study_without_the_papers_arms(study: Path, tmp_path: Path) -> None:
+    shutil.copytree(study, tmp_path / "sweep")
+    for name in ("results", "report/cross", "report/progress"):
+        path = tmp_path / f"sweep/{name}.json"
+        content = json.loads(path.read_text())
+        arms = content["arms"] if name == "results" else content
+        arms["squared"] = arms.pop("rta")
+        del arms["no_rta"]
+        path.write_text(json.dumps(content))
+    (tmp_path / "sweep/report/training.csv").write_text("interactions,arm,metric,iqm,low,high\n")
+    found = inputs.read(tmp_path / "sweep")
+    for write in (tables.write, figures.draw, page.write):
+        write(found)
+    text = (tmp_path / "sweep/report.html").read_text()
+    assert "none of the paper's arms" in text and "agents of squared" in text
+    assert list(body(Reader(text).tables[0], heads=1)) == ["squared"]
+
+
+def test_progress_is_read_at_the_time_that_is_asked_for() -> None:
+    curve = {"time_s": [0.0, 10.0, 500.0], "weight": [0.1, 0.2, 0.7]}
+    assert [page.weight_at(curve, t) for t in (10.0, 255.0, 900.0)] == pytest.approx([0.2, 0.45, 0.7])

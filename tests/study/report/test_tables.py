@@ -21,10 +21,12 @@ PROVENANCE = {"device": "abacus", "ranks": 3, "threads": 2}
 def evaluation(value: float) -> dict[str, Any]:
     """An evaluation whose every IQM is `value`, its interval one to either side, its percentages a tenth of it."""
     summary = {"iqm": value, "mean": value, "ci95": [value - 1.0, value + 1.0]}
+    summary |= {"p5": value - 2.0, "p95": value + 2.0, "max": value + 3.0}
     return {
         "metrics": dict.fromkeys(METRICS, summary),
         "violations_percent": dict.fromkeys(("any", *CONSTRAINTS), value / 10.0),
-        "outcomes": {"success": 0.75},
+        "violations_percent_of_seconds": {"any": value / 20.0},
+        "outcomes": {"success": 0.75, "clean_success": 0.5},
         "rta": {"intervention_percent": 12.5, "qp_failures": 3},
         "episodes": 8,
     }
@@ -32,7 +34,13 @@ def evaluation(value: float) -> dict[str, Any]:
 
 def arm(value: float) -> dict[str, Any]:
     """The results of an arm of two seeds."""
-    return evaluation(value) | {"seeds": [4, 5], "interactions": 600, "wall_clock_s": 30.0}
+    seeds = [evaluation(value - 0.5), evaluation(value + 0.5)]
+    return evaluation(value) | {
+        "seeds": [4, 5],
+        "interactions": 600,
+        "wall_clock_s": 30.0,
+        "per_seed": seeds,
+    }
 
 
 @pytest.fixture
@@ -47,6 +55,9 @@ def inputs(tmp_path: Path) -> Inputs:
         own={},
         provenance=PROVENANCE,
         guidance=evaluation(4.0),
+        orbits=[],
+        worlds={"harsh": {"rta": {"robust": evaluation(9.0)}}},
+        progress={},
         sunlight={},
         cross={name: {"off": evaluation(1.0), "on": own} for name, own in arms.items()},
         frequency={"1": arms["rta"], "5": evaluation(5.0), "10": evaluation(6.0)},

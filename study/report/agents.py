@@ -1,0 +1,64 @@
+"""The agents of a finished study, as its report flies them."""
+
+import hashlib
+import sys
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import torch
+
+from ppo.network import Policy
+from study import config as configuration
+from study.config import Config, StudyConfig
+from study.errors import InputError
+from study.experiment import load_policy, make_policy
+from study.paper import Results
+from study.report.inputs import read_arms
+
+
+@dataclass(frozen=True)
+class Arm:
+    """The agents of a finished arm.
+
+    Attributes:
+        config: of its first seed; policy: of all seeds; first: of the first.
+        results: of the study; digests: SHA-256 of each seed's file.
+    """
+
+    config: Config
+    policy: Policy
+    first: Policy
+    results: Results
+    digests: dict[str, str]
+
+
+def load(study: Path, device: str | None) -> dict[str, Arm]:
+    """The arms of a finished study by name."""
+    path = study / "results.json"
+    if not path.is_file():
+        raise InputError(f"--study {study}: no finished study there (it lacks results.json)")
+    arms = read_arms(study) | read_arms(study, own=True)
+    if not arms:
+        raise InputError(f"{path}: holds no finished arm")
+    wanted = configuration.load(study / "config.toml", StudyConfig()).study.arms
+    if unfinished := [name for name in wanted if name not in arms]:
+        print(f"--study {study}: {', '.join(unfinished)} is not finished and is left out", file=sys.stderr)
+    return {name: load_arm(study / name, results, device) for name, results in arms.items()}
+
+
+def load_arm(directory: Path, results: Results, device: str | None) -> Arm:
+    """An arm from its seeds' policies."""
+    paths = [directory / f"seed{seed}" / "policy.pt" for seed in results["seeds"]]
+    loaded = [load_policy(path) for path in paths]
+    policies = [policy for policy, _ in loaded]
+    config = loaded[0][1]
+    weights = [policy.state_dict() for policy in policies]
+    together = make_policy(config, [torch.Generator() for _ in policies])
+    together.load_state_dict({name: torch.cat([own[name] for own in weights]) for name in weights[0]})
+    return Arm(
+        config=replace(config, train=replace(config.train, device=device or config.train.device)),
+        policy=together,
+        first=policies[0],
+        results=results,
+        digests={path.parent.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in paths},
+    )

@@ -1,0 +1,203 @@
+"""What a report flies: agents and the guidance behind other filters, on other orbits and in other worlds."""
+
+import math
+from dataclasses import asdict, replace
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from inspection.closed_loop import Controller
+from inspection.environment import METRICS, InspectionEnv
+from inspection.guidance import Orbit, natural_motion
+from rta.parameters import PERIODS
+from rta.uncertainty import Uncertainty
+from study import config as configuration
+from study.config import BASELINES, TEST_CASES, Config
+from study.experiment import Experiment, test_cases
+from study.files import ROOT
+from study.flight.controllers import agent, classical
+from study.flight.evaluation import Episodes, play, play_controller, report, run_episodes
+from study.flight.simulation import common_episode, simulate, starting_point
+from study.flight.summary import iqm
+from study.paper import Results
+from study.report.agents import Arm
+
+DEMONSTRATION = ROOT / "configs" / "demonstration.json"
+DEMONSTRATION_DURATION = 2000.0  # s
+GUIDANCE_CASES = 1000
+GUIDANCE_PERIOD = 1.0  # s between two calls of the filter
+ORBITS = [  # from thrifty to fast
+    Orbit(semi_minor, tracking=tracking, look_ahead=look_ahead)
+    for semi_minor, look_ahead in ((40.0, math.pi / 3), (60.0, math.pi / 6))
+    for tracking in (0.004, 0.006, 0.01, 0.015, 0.02)
+]
+PLANTS = ROOT / "configs" / "plants"
+WORLDS = ("nominal", "typical", "u1", "harsh")  # files there
+BOUNDS = PLANTS / "u1.toml"  # what the robust filter is told
+WORLDS_CASES = 20  # of each seed in each world
+PROGRESS_UNTIL = 5000.0  # s
+Arrays = dict[str, np.ndarray]
+
+
+def cross(arms: dict[str, Arm]) -> dict[str, dict[str, Results]]:
+    """Each arm's agents without filter and behind it, called as in the study."""
+    return {
+        name: {
+            "off": evaluate(arm, rta=False, period=arm.config.rta.period),
+            "on": evaluate(arm, rta=True, period=arm.config.rta.period),
+        }
+        for name, arm in arms.items()
+    }
+
+
+def frequency(arm: Arm) -> dict[str, Results]:
+    """An arm's agents behind the filter called every 1, 5 and 10 s."""
+    return {f"{period:g}": evaluate(arm, rta=True, period=period) for period in PERIODS}
+
+
+def with_rta(config: Config, rta: bool, period: float) -> Config:
+    """The configuration with the filter off or called every `period` s."""
+    return replace(config, train=replace(config.train, rta=rta), rta=replace(config.rta, period=period))
+
+
+def evaluate(arm: Arm, rta: bool, period: float) -> Results:
+    """The arm's agents on the study's test cases; the study's own results where it had the same filter."""
+    config = with_rta(arm.config, rta, period)
+    if config == arm.config:
+        return arm.results
+    seeds, episodes = len(arm.digests), config.train.final_episodes
+    experiment = Experiment(config, seeds * episodes)
+    record = play(arm.policy.to(experiment.device), experiment, episodes, TEST_CASES)
+    return report(record, experiment.config, TEST_CASES, seeds)
+
+
+def baselines(config: Config) -> dict[str, dict[str, Results]]:
+    """Every controller of BASELINES on the study's test cases, without filter and behind it."""
+    episodes = config.train.final_episodes
+    experiments = {
+        switch: Experiment(with_rta(config, rta, config.rta.period).unsettled(), episodes)
+        for switch, rta in (("off", False), ("on", True))
+    }
+
+    def flown(name: str, experiment: Experiment) -> Results:
+        record = play_controller(name, experiment, episodes, TEST_CASES)
+        return report(record, experiment.config, TEST_CASES)
+
+    return {
+        name: {switch: flown(name, experiment) for switch, experiment in experiments.items()}
+        for name in BASELINES
+    }
+
+
+def guidance(config: Config) -> Results:
+    """The classical natural-motion guidance behind the filter."""
+    experiment = Experiment(with_rta(config, True, GUIDANCE_PERIOD), GUIDANCE_CASES)
+    record = play_controller("natural-motion", experiment, GUIDANCE_CASES, TEST_CASES)
+    return report(record, experiment.config, TEST_CASES)
+
+
+def orbits(config: Config) -> list[Results]:
+    """The guidance behind the filter on each of ORBITS, with its knobs."""
+    experiment = Experiment(with_rta(config, True, GUIDANCE_PERIOD), config.train.final_episodes)
+    return [
+        asdict(orbit) | summarised(play_guidance(experiment, orbit), experiment.config) for orbit in ORBITS
+    ]
+
+
+def play_guidance(experiment: Experiment, orbit: Orbit) -> Episodes:
+    """The guidance on an orbit, from the study's test cases."""
+    cases, every = experiment.config.train.final_episodes, experiment.config.rta.period
+    env = experiment.env(cases, experiment.generators([TEST_CASES + 1]), decide_every=every)
+    return run_episodes(
+        env, natural_motion(env.c, every, orbit), *test_cases(experiment.config, cases, TEST_CASES)
+    )
+
+
+def summarised(record: Episodes, config: Config, seeds: int = 1) -> Results:
+    """`report` without the configuration, of which there are many here."""
+    results = report(record, config, TEST_CASES, seeds)
+    del results["config"]
+    return results
+
+
+def worlds(arms: dict[str, Arm]) -> dict[str, dict[str, dict[str, Results]]]:
+    """By plant and arm: its agents without filter, behind one that believes the model and behind one that is told.
+
+    A filter is called as in training, where there was one.
+    """
+    told = configuration.load(BOUNDS).uncertainty
+    filters = {"off": (False, Uncertainty()), "nominal": (True, Uncertainty()), "robust": (True, told)}
+    return {
+        plant: {
+            name: {switch: in_world(arm, plant, rta, known) for switch, (rta, known) in filters.items()}
+            for name, arm in arms.items()
+        }
+        for plant in WORLDS
+    }
+
+
+def in_world(arm: Arm, plant: str, rta: bool, known: Uncertainty) -> Results:
+    """An arm's agents in the plant of that file, the filter on or off and told of so much."""
+    config = replace(
+        with_rta(arm.config, rta, arm.config.rta.period).unsettled(),
+        plant=configuration.load(PLANTS / f"{plant}.toml").plant,
+        uncertainty=known,
+    )
+    seeds = len(arm.digests)
+    cases = min(WORLDS_CASES, config.train.final_episodes)
+    experiment = Experiment(config, seeds * cases)
+    record = play(arm.policy.to(experiment.device), experiment, cases, TEST_CASES)
+    return summarised(record, experiment.config, seeds)
+
+
+def progress(arms: dict[str, Arm], config: Config) -> dict[str, dict[str, list[float]]]:
+    """By arm, and "guidance" behind the filter: the inspected weight over time, IQM over the study's episodes."""
+    cases = config.train.final_episodes
+    every = GUIDANCE_PERIOD
+    experiment = Experiment(with_rta(config, True, every).unsettled(), cases)
+    env = experiment.env(cases, experiment.generators([TEST_CASES + 1]), decide_every=every)
+    guided = weights_over_time(env, natural_motion(env.c, every), *test_cases(config, cases, TEST_CASES))
+    return {name: arm_progress(arm) for name, arm in arms.items()} | {"guidance": guided}
+
+
+def arm_progress(arm: Arm) -> dict[str, list[float]]:
+    """The inspected weight over time of an arm's agents."""
+    seeds, cases = len(arm.digests), arm.config.train.final_episodes
+    experiment = Experiment(arm.config, seeds * cases)
+    env = experiment.env(cases, experiment.generators([TEST_CASES + 1] * seeds), compiled=experiment.compiled)
+    starts = (each.repeat(1, seeds) for each in test_cases(arm.config, cases, TEST_CASES))
+    return weights_over_time(env, agent(arm.policy.to(experiment.device), env), *starts)
+
+
+@torch.no_grad()
+def weights_over_time(
+    env: InspectionEnv, controller: Controller, x: Tensor, priority: Tensor
+) -> dict[str, list[float]]:
+    """`time_s`, and by then the inspected `weight`, mean of the middle half; an ended episode keeps its last."""
+    env.start(x.to(env.x.device), priority.to(env.x.device))
+    weight, running = env.score, torch.ones_like(env.time, dtype=torch.bool)
+    times, weights = [0.0], [weight]
+    for i in range(round(PROGRESS_UNTIL / env.c.action_period)):
+        transition = env.advance(controller)
+        weight = torch.where(running, transition.metrics[METRICS.index("inspected_score")], weight)
+        running = running & ~transition.done
+        times.append((i + 1) * env.c.action_period)
+        weights.append(weight)
+    return {"time_s": times, "weight": [float(iqm(each.cpu().numpy())) for each in weights]}
+
+
+def episode(arm: Arm) -> Arrays:
+    """The first seed's episode from the first test case, in the configuration of training."""
+    experiment = Experiment(arm.config, 1)
+    return common_episode(arm.first.to(experiment.device), experiment)
+
+
+def demonstration(config: Config, rta: bool) -> Arrays:
+    """A classical controller that heads for the limits, with or without the filter."""
+    experiment = Experiment(with_rta(config, rta, config.rta.period), 1, DEMONSTRATION_DURATION)
+    step = config.inspection.substep
+    start = starting_point(str(DEMONSTRATION), experiment, TEST_CASES)
+    env = experiment.env(1, decide_every=step, report_every=step)
+    controller = classical("lqr-pd", config, TEST_CASES)
+    return simulate(env, controller, *start, DEMONSTRATION_DURATION)
