@@ -45,7 +45,7 @@ class Transition:
     Attributes:
         observation: (B, 26) float32, of the next episode where one ended.
         final_observation: (B, 26) float32, of the state that the action led to (terminal where it ended).
-        state: (16, B) that the action led to.
+        state: (16, B) that the action led to; inspected: (N, B) bool, the points seen by then.
         reward: (B,); reward_terms: what it is the sum of, by name, the nine and those of our own that have a weight.
         terminated, truncated: (B,) bool, true end or time limit; an episode that failed within the step flew on to its
             end.
@@ -61,6 +61,7 @@ class Transition:
     observation: Tensor
     final_observation: Tensor
     state: Tensor
+    inspected: Tensor
     reward: Tensor
     reward_terms: dict[str, Tensor]
     terminated: Tensor
@@ -352,6 +353,7 @@ class InspectionEnv:
             observation=final_observation,
             final_observation=final_observation,
             state=self.x,
+            inspected=self.inspected.clone(),  # `look` writes in place
             reward=sum(own.values(), reward),
             reward_terms=terms | own,
             terminated=terminated,

@@ -15,7 +15,7 @@ from inspection.dynamics import sun_and_earth_in_body
 from inspection.environment import METRICS, InspectionEnv, Transition
 from inspection.reward import stays_clear
 from inspection.state import OMEGA, E, P, T, V
-from inspection.termination import OUTCOMES
+from inspection.termination import OUTCOMES, failures
 from ppo.network import Policy
 from rta.constraints import CONSTRAINTS
 from rta.qp import Status
@@ -30,6 +30,7 @@ from study.experiment import (
     test_cases,
 )
 from study.flight.controllers import agent, classical, untrained
+from study.flight.simulation import Recording
 from study.flight.summary import summary_of_runs
 from study.progress import bar
 from study.verified import say_unless_verified
@@ -121,8 +122,18 @@ def raw_quantities(x: Tensor) -> Tensor:
 
 
 @torch.no_grad()
-def run_episodes(env: InspectionEnv, controller: Controller, x: Tensor, priority: Tensor) -> Episodes:
-    """Plays one episode per column of the environment from the given states, behind a bar of those that ended."""
+def run_episodes(
+    env: InspectionEnv,
+    controller: Controller,
+    x: Tensor,
+    priority: Tensor,
+    recording: Recording | None = None,
+) -> Episodes:
+    """Plays one episode per column of the environment from the given states, behind a bar of those that ended.
+
+    Args:
+        recording: of the environment, takes down the first episode.
+    """
     env.start(x.to(env.x.device), priority.to(env.x.device))
     running = torch.ones_like(env.time, dtype=torch.bool)
     zeros = torch.zeros_like(env.time)
@@ -145,6 +156,10 @@ def run_episodes(env: InspectionEnv, controller: Controller, x: Tensor, priority
 
     def watch(hold: Hold) -> None:
         note_hold(record, hold, running, env.constraint_values(hold.after))
+        if recording and not recording.ended:
+            recording.note(hold)
+            if any(bool(failed[0]) for failed in failures(hold.after, env.c).values()):
+                recording.end()
 
     with bar(count, "episodes", desc=what, leave=False, bar_format=BAR) as shown:
         while running.any():
@@ -152,6 +167,9 @@ def run_episodes(env: InspectionEnv, controller: Controller, x: Tensor, priority
             note_step(record, transition, running)
             ending = running & transition.done
             record.clear |= stays_clear(transition.state, ending & (transition.outcome == SUCCESS), env.c)
+            if recording and not recording.ended and ending[0]:
+                score = transition.metrics[METRICS.index("inspected_score"), :1]
+                recording.end(inspected_score=score, inspected=transition.inspected[:, 0])
             running = running & ~ending
             flown = int(transition.steps.max()) * env.c.action_period
             shown.set_postfix_str(f"{flown:,.0f} s of at most {env.c.max_time:,.0f}", refresh=False)
@@ -230,11 +248,27 @@ def report(record: Episodes, config: Config, seed: int, seeds: int = 1) -> dict[
 
 def play(policy: Policy, experiment: Experiment, episodes: int, seed: int) -> Episodes:
     """Plays the same common test cases with every seed of a policy at once, deterministically, seed after seed."""
+    return run_episodes(*played_by(policy, experiment, episodes, seed))
+
+
+def play_and_record(
+    policy: Policy, experiment: Experiment, episodes: int, seed: int
+) -> tuple[Episodes, Recording]:
+    """`play`, and the first episode over time."""
+    env, *others = played_by(policy, experiment, episodes, seed)
+    recording = Recording(env)
+    return run_episodes(env, *others, recording), recording
+
+
+def played_by(
+    policy: Policy, experiment: Experiment, episodes: int, seed: int
+) -> tuple[InspectionEnv, Controller, Tensor, Tensor]:
+    """Who plays what: the environment, the agents of all seeds, and each one's states and priority vectors."""
     # for restarts of ended columns, which nobody sees
     generators = experiment.generators([seed + 1] * policy.seeds)
     env = experiment.env(episodes, generators, compiled=experiment.compiled)
     x, priority = test_cases(experiment.config, episodes, seed)
-    return run_episodes(env, agent(policy, env), x.repeat(1, policy.seeds), priority.repeat(1, policy.seeds))
+    return env, agent(policy, env), x.repeat(1, policy.seeds), priority.repeat(1, policy.seeds)
 
 
 def play_controller(name: str, experiment: Experiment, episodes: int, seed: int) -> Episodes:

@@ -8,7 +8,7 @@ import tomli_w
 import torch
 from torch import Tensor
 
-from inspection.closed_loop import Controller, is_multiple
+from inspection.closed_loop import Controller, Hold, is_multiple
 from inspection.environment import InspectionEnv
 from inspection.termination import ends, failures
 from ppo.network import Policy
@@ -43,6 +43,69 @@ def starting_point(path: str | None, experiment: Experiment, seed: int) -> tuple
     return x.to(experiment.device), priority.to(experiment.device)
 
 
+class Recording:
+    """The first spacecraft of an environment over time, a row at every report of its clocks.
+
+    Attributes:
+        ended: the last row is there, and nothing more may be recorded.
+    """
+
+    def __init__(self, env: InspectionEnv) -> None:
+        self.env, self.ended = env, False
+        self.rows: list[dict[str, Tensor]] = []
+        self.tightened = env.x.new_zeros(len(env.safety.names))
+
+    def note(self, hold: Hold) -> None:
+        """Adds what is new in a hold."""
+        self.hold, self.begun = hold, float(self.env.time[0])
+        if hold.decided:
+            self.decision = hold.desired[:, 0]
+        if hold.correction is not None:
+            self.tightened = hold.correction.tightened[:, 0]
+        if hold.time == 0.0 or is_multiple(hold.time, self.env.clocks.report):
+            self.add(hold.time, hold.state)
+        if hold.correction is not None:
+            self.rows[-1]["intervened"] |= hold.correction.program_status[:, 0] > Status.UNTOUCHED
+
+    def end(self, **seen: Tensor) -> None:
+        """Adds the last row, at the end of the hold; `seen` is what of it the environment no longer knows."""
+        self.ended = True
+        self.add(self.hold.end, self.hold.after)
+        self.rows[-1] |= seen
+
+    def add(self, time: float, x: Tensor) -> None:
+        """Adds a row; the filter's calls before the next one write into its `intervened`."""
+        env = self.env
+        self.rows.append(
+            {
+                "time": x.new_tensor([self.begun + time]),
+                "x": x[:, 0],
+                "control_desired": self.decision,
+                "control_applied": self.hold.applied[:, 0],
+                "inspected_score": env.score[:1],
+                "inspected": env.inspected[:, 0].clone(),  # `look` writes in place
+                "intervened": x.new_zeros(2, dtype=torch.bool),
+                "tightened": self.tightened,
+            }
+        )
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """What `simulate` returns."""
+        env = self.env
+        columns = {name: torch.stack([row[name] for row in self.rows]) for name in self.rows[0]}
+        x, tightened = columns.pop("x").T, columns.pop("tightened")
+        h = env.constraint_values(x)
+        columns |= {
+            name: x[component].reshape(-1, x.shape[1]).T for name, (component, _) in STATE_FIELDS.items()
+        }
+        columns |= {f"h_{name}": h[i] for i, name in enumerate(env.safety.names)}
+        if tightened.any():
+            columns |= {f"tightened_{name}": tightened[:, i] for i, name in enumerate(env.safety.names)}
+        arrays = {name: column.cpu().numpy() for name, column in columns.items()}
+        arrays = {name: array[:, 0] if name in SCALARS else array for name, array in arrays.items()}
+        return arrays | {"parameters": np.array(tomli_w.dumps({"inspection": asdict(env.c)}))}
+
+
 @torch.no_grad()
 def simulate(
     env: InspectionEnv,
@@ -69,52 +132,19 @@ def simulate(
     """
     c = env.c
     env.start(x, priority)
-    rows: list[dict[str, Tensor]] = []
-
-    def row(time: float, state: Tensor, desired: Tensor, applied: Tensor) -> Tensor:
-        """Adds a row; returns its `intervened`, into which the calls before the next one write."""
-        intervened = torch.zeros_like(state[:2, 0], dtype=torch.bool)
-        fields = {name: state[component].reshape(-1) for name, (component, _) in STATE_FIELDS.items()}
-        fields |= {
-            "time": torch.tensor([time]),
-            "control_desired": desired[:, 0],
-            "control_applied": applied[:, 0],
-            "inspected_score": env.score,
-            "inspected": env.inspected[:, 0].clone(),  # `look` writes in place
-            "intervened": intervened,
-            "h": env.constraint_values(state)[:, 0],
-            "tightened": tightened,
-        }
-        rows.append(fields)
-        return intervened
-
-    tightened = torch.zeros_like(env.constraint_values(x)[:, 0])
+    recording = Recording(env)
     holds = env.fly(controller, duration)
     count = env.clocks.count(duration)
     for hold in bar(count, "steps", iterable=holds, desc=f"flying {duration:g} s", leave=False):
-        if hold.decided:
-            decision = hold.desired
-        if hold.correction is not None:
-            tightened = hold.correction.tightened[:, 0]
-        if hold.time == 0.0 or is_multiple(hold.time, env.clocks.report):
-            intervened = row(hold.time, hold.state, decision, hold.applied)
-        if hold.correction is not None:
-            intervened |= hold.correction.program_status[:, 0] > Status.UNTOUCHED
+        recording.note(hold)
         ended = failures(hold.after, c)
         if is_multiple(hold.end, c.action_period):
             env.see(hold.after)
             ended |= ends(env.score, x.new_tensor([hold.end]), c)
         if until_ended and any(bool(condition) for condition in ended.values()):
             break
-    row(hold.end, hold.after, decision, hold.applied)
-
-    arrays = {name: torch.stack([each[name] for each in rows]).cpu().numpy() for name in rows[0]}
-    h, tightened = arrays.pop("h"), arrays.pop("tightened")
-    arrays |= {f"h_{name}": h[:, i] for i, name in enumerate(env.safety.names)}
-    if tightened.any():
-        arrays |= {f"tightened_{name}": tightened[:, i] for i, name in enumerate(env.safety.names)}
-    arrays = {name: array[:, 0] if name in SCALARS else array for name, array in arrays.items()}
-    return arrays | {"parameters": np.array(tomli_w.dumps({"inspection": asdict(c)}))}
+    recording.end()
+    return recording.arrays()
 
 
 def common_episode(policy: Policy, experiment: Experiment) -> dict[str, np.ndarray]:

@@ -18,9 +18,8 @@ from study.commands import after_training, command
 from study.config import TEST_CASES, AnyConfig, Config
 from study.experiment import Experiment, compile_or_explain, resolve_device, settled
 from study.files import write_json
-from study.flight.evaluation import Episodes, evaluate, play, report
+from study.flight.evaluation import Episodes, play, play_and_record, report
 from study.flight.figures import episode_figure
-from study.flight.simulation import common_episode
 from study.paper import tables
 from study.progress import step
 from study.training.adversary import Adversary
@@ -260,11 +259,12 @@ class Run:
             raise Stopped(f"trained, but not evaluated to the end; continue with\n  {again}")
 
         with on_signal(stop):
-            results = evaluate(self.policy, self.experiment, self.config.train.final_episodes, TEST_CASES)
-            episode = common_episode(self.policy, self.experiment)
+            cases = self.config.train.final_episodes
+            record, first = play_and_record(self.policy, self.experiment, cases, TEST_CASES)
+        results = report(record, self.config, TEST_CASES)
         with self.naming_the_checkpoint():
             write_json(self.directory / "evaluation.json", results)
-            episode_figure(episode, self.config.inspection, self.directory / "episode.png")
+            episode_figure(first.arrays(), self.config.inspection, self.directory / "episode.png")
         written = f"Written to {self.directory}: policy.pt, evaluation.json, episode.png"
         return "\n".join((tables(results), written, after_training(self.directory)))
 

@@ -4,16 +4,18 @@ import math
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import torch
 
+from inspection.state import OMEGA, THETA_S, P, Q, V
 from study.config import Config, override
 from study.experiment import Experiment
 from study.experiment import test_cases as common_cases
 from study.flight import evaluation
 from study.flight.controllers import agent, classical, untrained
-from study.flight.evaluation import METRICS, play_controller
-from study.flight.simulation import simulate
+from study.flight.evaluation import METRICS, play_controller, run_episodes
+from study.flight.simulation import Recording, simulate
 from study.training import session as training
 
 SETTINGS = {"inspection": {"max_time": 20.0}, "rta": {"qp_solver": "piqp"}}
@@ -133,3 +135,30 @@ def test_a_success_is_clean_that_stays_clear_and_breaks_no_limit_in_any_second(
     assert broken[0] == broken[1] == 0.0 and broken[2] > 0.0
     assert record.clean.tolist() == [True, False, False, False]
     assert (results["outcomes"]["success"], results["outcomes"]["clean_success"]) == (0.75, 0.25)
+
+
+@pytest.mark.parametrize("end", ["timeout", "crash"])
+def test_the_first_episode_of_an_evaluation_is_recorded_as_it_is_simulated(end: str) -> None:
+    """Also where it crashes between two actions."""
+    experiment = experiment_of(end == "timeout", 2)
+    c = experiment.config.inspection
+    x, priority = common_cases(experiment.config, 2, 0)
+    x[P, 0], x[THETA_S, 0] = torch.tensor([60.0, 0.0, 0.0]).double(), 0.0
+    x[Q, 0], x[OMEGA, 0] = torch.tensor([0.0, 0.0, 1.0, 0.0]).double(), 0.0  # looks at the lit side
+    if end == "crash":
+        x[P, 0], x[V, 0] = torch.tensor([[0.0, 17.0, 0.0], [0.0, -0.6, 0.0]]).double()  # in four seconds
+    policy = untrained(experiment, 0)
+    env = experiment.env(2)
+    recording = Recording(env)
+    run_episodes(env, agent(policy, env), x, priority, recording)
+    alone = experiment.env(1)
+    flight = simulate(alone, agent(policy, alone), x[:, :1], priority[:, :1], c.max_time, until_ended=True)
+    recorded = recording.arrays()
+    assert list(recorded) == list(flight)
+    assert flight["time"][-1] == (4.0 if end == "crash" else c.max_time)
+    for name, array in flight.items():
+        if name == "parameters":
+            assert recorded[name] == array
+        else:
+            np.testing.assert_allclose(recorded[name], array, rtol=1e-5, atol=1e-6, err_msg=name)
+    assert flight["inspected"][-1].any() or end == "crash"

@@ -10,7 +10,8 @@ import torch
 from inspection.guidance import natural_motion
 from study import config as configuration
 from study.config import Config
-from study.experiment import Experiment, test_cases
+from study.experiment import Experiment
+from study.experiment import test_cases as common_cases
 from study.training import jump_start, session
 
 SETTINGS = """
@@ -44,7 +45,7 @@ def test_the_guidance_that_teaches_violates_nothing_without_the_filter(look_ahea
     env = experiment.env(64, experiment.generators([0]))
     c = env.c
     orbit = replace(jump_start.ORBIT, look_ahead=look_ahead)
-    env.start(*test_cases(experiment.config, 64, 1))
+    env.start(*common_cases(experiment.config, 64, 1))
     guidance, worst = natural_motion(c, c.action_period, orbit), []
     for _ in range(100):  # the way to the orbit
         env.advance(guidance, lambda hold: worst.append(env.constraint_values(hold.after).amin(1)))

@@ -44,6 +44,7 @@ def transition(generator: torch.Generator, ending: bool = True, filtered: bool =
         observation=torch.zeros(BATCH, 26),
         final_observation=torch.zeros(BATCH, 26),
         state=torch.zeros(16, BATCH),
+        inspected=torch.zeros(100, BATCH, dtype=torch.bool),
         reward=numbers[0],
         reward_terms={"fuel": numbers[1], "time": numbers[2]},
         terminated=ended,
