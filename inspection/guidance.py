@@ -10,13 +10,16 @@ import scipy.linalg
 import torch
 from torch import Tensor
 
-from inspection.attitude import conjugate, cross, dot, rotate, unit
+from inspection.attitude import conjugate, cross, dot, norm, rotate, unit
 from inspection.closed_loop import Controller
 from inspection.dynamics import sun_direction
 from inspection.parameters import AXES, InspectionParameters
 from inspection.state import CONTROL_SIZE, OMEGA, THETA_S, P, Q, V
 
 POINTING_FREQUENCY = 0.1  # rad/s, of the critically damped pointing law
+ABOVE = (
+    6  # power of the sine of the elevation at which the phase, which nothing has at the pole, stops to count
+)
 HELD = 0.3  # of a law's frequency and the time for which its control is held
 
 # A tour of every boundary in 2,000 s: from when (s) the LQR's set point is where (m, Hill's frame). Axis velocities
@@ -39,12 +42,14 @@ class Orbit:
         out_of_plane: a in m, its amplitude out of the orbital plane.
         tracking: rad/s, frequency of the critically damped law that tracks it: short ways cost fuel.
         look_ahead: rad of phase, L. The chord between two points so far apart keeps b cos(L / 2) from the chief.
+        approach: the fastest that it nears the orbit, as a share of the dynamic speed limit.
     """
 
     semi_minor: float = 40.0
     out_of_plane: float = 0.0
     tracking: float = 0.006
     look_ahead: float = math.pi / 3
+    approach: float = math.inf
 
 
 def limited(thrust_hill: Tensor, torque: Tensor, x: Tensor, c: InspectionParameters) -> Tensor:
@@ -113,8 +118,8 @@ def natural_motion(c: InspectionParameters, every: float = 1.0, orbit: Orbit | N
     it costs almost no fuel. With a > 0 it keeps min(a, b) from the whole line through the chief along the track, so
     that no drift along it ends in a collision (D'Amico and Montenbruck 2006: eccentricity and inclination vectors
     apart). Away from the Sun's phase the target is a point of the ellipse a little ahead, so that the way leads around
-    the chief. The camera is on the chief where panels on its back then make the power drawn,
-    and elsewhere turned away from the Sun, which charges the battery.
+    the chief, unless it starts above or below the chief, with nothing in the way. The camera is on the chief where
+    panels on its back then make the power drawn, and elsewhere turned away from the Sun, which charges the battery.
 
     Args:
         every: s for which a control is held, T. The critically damped law, of frequency w, then multiplies angle and
@@ -130,11 +135,17 @@ def natural_motion(c: InspectionParameters, every: float = 1.0, orbit: Orbit | N
         sun, outward = sun_direction(x[THETA_S]), unit(x[P])
         phase = torch.atan2(x[1] / 2, x[0])
         lag = torch.remainder(x[THETA_S] - phase + math.pi, 2 * math.pi) - math.pi
-        phase = phase + lag.clamp(-orbit.look_ahead, orbit.look_ahead)
+        ahead = orbit.look_ahead + (math.pi - orbit.look_ahead) * outward[2] ** ABOVE
+        phase = phase + torch.maximum(torch.minimum(lag, ahead), -ahead)
         cos, sin = phase.cos(), phase.sin()
         position = torch.stack((b * cos, 2 * b * sin, a * sin))
         velocity = n * torch.stack((b * sin, -2 * b * cos, -a * cos))
-        thrust = c.mass * (w**2 * (position - x[P]) + 2 * w * (velocity - x[V]))
+        error = position - x[P]
+        limit = orbit.approach * (c.docking_speed + c.speed_slope * norm(x[P]))
+        nearing = error * torch.minimum(limit / norm(error).clamp(min=1e-9), limit.new_tensor(w / 2))
+        thrust = (
+            2 * w * c.mass * (nearing + velocity - x[V])
+        )  # the law w^2 error + 2 w error' up to the limit
         away = torch.where(brightest * dot(outward, sun) > c.power_draw, outward, sun)
         return limited(thrust, point(x, "+x", -away, c, pointing), x, c)
 
