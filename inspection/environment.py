@@ -338,9 +338,11 @@ class InspectionEnv:
         ended = failed | ends(score, self.time, c)
         terms = rewards(self.x, score - before, delta_v, torque, self.time, ended, c)
         reward = torch.stack([terms[name] for name in REWARDS]).sum(0)
-        own = shaping(self.x, corrected / max(1, len(corrections)), c)
+        h = self.constraint_values(self.x)
+        named = dict(zip(self.safety.names, h, strict=True))
+        own = shaping(self.x, named, corrected / max(1, len(corrections)), c)
         self.totals += torch.stack((reward, delta_v, torque))
-        violated = self._count_violations()
+        violated = self._count(h < 0.0)
 
         truncated = ended["timeout"]
         terminated = ended["crash"] | ended["out_of_bounds"] | ended["out_of_power"] | ended["success"]
@@ -426,9 +428,8 @@ class InspectionEnv:
             return self.x.new_zeros(self.violation_steps.shape)
         return self._values(x)
 
-    def _count_violations(self) -> Tensor:
-        """(constraints, B) bool at this step, added to the episode's counts."""
-        violated = self.constraint_values(self.x) < 0.0
+    def _count(self, violated: Tensor) -> Tensor:
+        """What is violated (constraints, B) at this step, added to the episode's counts."""
         self.violation_steps += violated
         self.any_violation_steps += violated.any(0)
         return violated

@@ -12,6 +12,8 @@ from inspection.state import OMEGA, P, Q, V
 
 AT_ONCE = 64  # free flights sampled at once: two days are 17,281 positions each
 PHASES = 64  # at which an orbit of free flight is looked at
+# How near a limit is near, in the unit of its h: of those that agents without a filter break; chosen
+NEAR = {"dynamic_speed": 0.06, "passive_safety": 6.0, "temperature": 0.5, "battery": 0.3}  # m/s, m, deg C, kJ
 REWARDS = ("points", "delta_v", "torque", "orientation", "time", "success", "crash", "distance", "energy")
 
 
@@ -87,12 +89,13 @@ def distance_from_track(x: Tensor, c: InspectionParameters) -> Tensor:
     return torch.hypot(path[0], path[2]).amin(0)
 
 
-def shaping(x: Tensor, corrected: Tensor, c: InspectionParameters) -> dict[str, Tensor]:
+def shaping(x: Tensor, h: dict[str, Tensor], corrected: Tensor, c: InspectionParameters) -> dict[str, Tensor]:
     """Our own terms as (B,) for the state x (16, B) after the interaction; none where all weights are 0.
 
     The learner is given them beside the paper's nine, which `rewards` are reported in.
 
     Args:
+        h: constraint values (B,) by name.
         corrected: share of the filter's calls that it corrected.
     """
     terms = {}
@@ -100,6 +103,9 @@ def shaping(x: Tensor, corrected: Tensor, c: InspectionParameters) -> dict[str, 
         terms["rate"] = c.rate_reward * (x[OMEGA] / c.max_rate).square().sum(0)
     if c.correction_reward:
         terms["correction"] = c.correction_reward * corrected
+    if c.limit_reward:
+        near = [(1.0 - h[name] / margin).clamp(0.0, 2.0) for name, margin in NEAR.items() if name in h]
+        terms["limit"] = c.limit_reward * sum(near, torch.zeros_like(corrected))
     if c.drift_reward:
         nearness = 1.0 - distance_from_track(x, c) / (2.0 * c.collision_radius)
         terms["drift"] = c.drift_reward * nearness.clamp(min=0.0)

@@ -42,6 +42,7 @@ IRRELEVANT = {
     "terminal_reward",
     "rate_reward",
     "correction_reward",
+    "limit_reward",
     "drift_reward",
     "free_flight_horizon",
     "qp_solver",

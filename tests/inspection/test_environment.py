@@ -222,6 +222,19 @@ def test_terms_of_our_own_are_the_learners_alone(c):
     torch.testing.assert_close(shaped.metrics, plain.metrics)
 
 
+def test_limits_cost_the_learner_the_more_the_nearer_they_are(c):
+    values = torch.tensor([[0.06, 0.03, 0.0, -0.06, -9.0], [6.0, 6.0, 3.0, 99.0, 6.0], 5 * [-1.0]]).double()
+    safety = Safety(names=("dynamic_speed", "passive_safety", "other"), values=lambda x: values)
+    env = started(replace(c, limit_reward=-0.1), 5, safety)
+    step = env.step(torch.zeros(5, 6))
+    torch.testing.assert_close(
+        step.reward_terms["limit"], -0.1 * torch.tensor([0.0, 0.5, 1.5, 2.0, 2.0]).double()
+    )
+    plain = started(c, 5, safety).step(torch.zeros(5, 6))
+    torch.testing.assert_close(step.reward, plain.reward + step.reward_terms["limit"])
+    torch.testing.assert_close(step.metrics, plain.metrics)
+
+
 def test_violations_are_counted_per_constraint_and_together(c):
     safety = Safety(names=("late", "never"), values=lambda x: torch.stack((0.5 - x[14], x[14])))
     env = started(c, 2, safety)

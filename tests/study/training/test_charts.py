@@ -33,6 +33,7 @@ action_period = 1.0
 max_time = 2.0 # s; every episode ends within the update
 rate_reward = -0.001
 correction_reward = -0.001
+limit_reward = -0.001
 drift_reward = -0.001
 [ppo]
 minibatch_size = 4
