@@ -18,7 +18,7 @@ from study.files import ROOT
 
 TRAINED = ROOT / "runs/reference/study/rta/seed0/policy.pt"
 EPISODES, STEPS = 256, 60  # flown to record states, controls and programs, from a typical half of them on
-Agent = Callable[[Tensor], Tensor]  # observations (B, 26) to actions (B, 6)
+Agent = Callable[[Tensor], Tensor]  # observations (B, n) to actions (B, 6)
 
 
 class Flight(NamedTuple):
@@ -50,15 +50,21 @@ def untrained(experiment: Experiment) -> Agent:
     return lambda observation: policy.shaped(policy.sample(observation[None], generators)[0])[0]
 
 
-def trained(device: torch.device) -> Agent | None:
-    """The shipped agent; None, and a line that says so, where it cannot be loaded."""
+def trained(experiment: Experiment) -> tuple[Experiment, Agent] | None:
+    """The shipped agent, and the experiment with what it observes.
+
+    None, and a line that says so, where it cannot be loaded.
+    """
     try:
-        policy, _ = load_policy(TRAINED)
+        policy, config = load_policy(TRAINED)
     except (CheckpointError, InputError) as error:
         print(f"no trained agent, so only programs of the untrained one are solved: {error}", flush=True)
         return None
-    policy = policy.to(device)
-    return lambda observation: policy.mean_action(observation[None])[0]
+    policy = policy.to(experiment.device)
+    observed = replace(experiment.config.inspection, observed=config.inspection.observed)
+    seeing = copy(experiment)  # the filter is shared
+    seeing.config = replace(experiment.config, inspection=observed)
+    return seeing, lambda observation: policy.mean_action(observation[None])[0]
 
 
 def record(experiment: Experiment, agent: Agent) -> Flight:

@@ -92,8 +92,8 @@ def benchmark(config: Config, batches: tuple[int, ...]) -> dict[str, Any]:
         parts[n] = breakdown(env, experiment.filter, agent)
 
     say("solvers")
-    shipped = trained(experiment.device)
-    met = flight.programs + (record(experiment, shipped).programs if shipped else [])
+    shipped = trained(experiment)
+    met = flight.programs + (record(*shipped).programs if shipped else [])
     solvers = {"piqp": onboard.solver, "batched": experiment.filter.solver}
     qp_us = {name: {n: us(rates.programs(own, met, n)) for n in PROGRAMS} for name, own in solvers.items()}
 

@@ -8,12 +8,11 @@ import torch
 
 from inspection.environment import InspectionEnv
 from inspection.parameters import InspectionParameters
+from ppo import checkpoint
 from rta.qp import Problems, Status
 from study.benchmark import flights
 from study.config import Config
-from study.experiment import Experiment
-
-CPU = torch.device("cpu")
+from study.experiment import Experiment, load_policy, make_policy
 
 
 @pytest.fixture
@@ -69,15 +68,28 @@ def test_programs_of_several_calls_become_one_batch() -> None:
 
 
 def test_a_missing_trained_agent_is_named(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    experiment: Experiment,
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.setattr(flights, "TRAINED", tmp_path / "none.pt")
-    assert flights.trained(CPU) is None
+    assert flights.trained(experiment) is None
     assert "none.pt" in capsys.readouterr().out
 
 
-def test_the_shipped_agent_acts() -> None:
-    agent = flights.trained(CPU)
-    assert agent is not None
-    with torch.no_grad():
-        assert agent(torch.zeros(3, 26)).shape == (3, 6)
+def test_the_shipped_agent_acts_on_what_it_observes(
+    experiment: Experiment, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    shipped, config = load_policy(flights.TRAINED)
+    seen = Config(inspection=replace(config.inspection, observed=("sun", "hill")), ppo=config.ppo)
+    other = make_policy(seen, [torch.Generator()])
+    checkpoint.save(tmp_path / "other.pt", {"policy": other.state_dict(), "config": seen.to_toml()})
+    for path, policy in ((flights.TRAINED, shipped), (tmp_path / "other.pt", other)):
+        monkeypatch.setattr(flights, "TRAINED", path)
+        found = flights.trained(experiment)
+        assert found is not None
+        seeing, agent = found
+        observation = seeing.env(3).reset()
+        assert torch.equal(agent(observation), policy.mean_action(observation[None])[0])
+        assert seeing.filter is experiment.filter
