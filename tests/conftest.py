@@ -170,6 +170,7 @@ def made_up_study(tmp_path_factory: pytest.TempPathFactory) -> Path:
         low, middle, high = np.sort(rng.uniform(0.0, 5.0, 3))
         lines.append(f"{interactions},{arm},{metric},{middle},{low},{high}")
     (report / "training.csv").write_text("\n".join(lines) + "\n")
+    np.savez(report / "violation.npz", **made_up_episode(rng), seed=np.array(2), case=np.array(7))
     for name, arm in itertools.product(("episode", "demonstration"), ARMS):
         np.savez(report / f"{name}_{arm}.npz", **made_up_episode(rng))
     return study

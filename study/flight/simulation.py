@@ -147,13 +147,15 @@ def simulate(
     return recording.arrays()
 
 
-def common_episode(policy: Policy, experiment: Experiment) -> dict[str, np.ndarray]:
-    """`simulate` of the agent from the first common test case until the episode ends, a row per integration step."""
+def common_episode(policy: Policy, experiment: Experiment, case: int = 0) -> dict[str, np.ndarray]:
+    """`simulate` of the agent from a common test case until the episode ends, a row per integration step."""
     c = experiment.config.inspection
     generators = experiment.generators([TEST_CASES + 1])
     env = experiment.env(1, generators, report_every=min(experiment.config.rta.period, c.substep))
-    start = starting_point(None, experiment, TEST_CASES)
-    return simulate(env, agent(policy, env), *start, c.max_time, until_ended=True)
+    x, priority = (
+        each[:, case:].to(experiment.device) for each in test_cases(experiment.config, case + 1, TEST_CASES)
+    )
+    return simulate(env, agent(policy, env), x, priority, c.max_time, until_ended=True)
 
 
 def run(

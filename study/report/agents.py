@@ -21,15 +21,21 @@ class Arm:
     """The agents of a finished arm.
 
     Attributes:
-        config: of its first seed; policy: of all seeds; first: of the first.
+        config: of its first seed; policy: of all seeds.
         results: of the study; digests: SHA-256 of each seed's file.
     """
 
     config: Config
     policy: Policy
-    first: Policy
     results: Results
     digests: dict[str, str]
+
+    def of_seed(self, place: int) -> Policy:
+        """The policy of one seed, counted from 0."""
+        policy = make_policy(self.config, [torch.Generator()])
+        own = {name: weights[place : place + 1] for name, weights in self.policy.state_dict().items()}
+        policy.load_state_dict(own)
+        return policy
 
 
 def load(study: Path, device: str | None) -> dict[str, Arm]:
@@ -58,7 +64,6 @@ def load_arm(directory: Path, results: Results, device: str | None) -> Arm:
     return Arm(
         config=replace(config, train=replace(config.train, device=device or config.train.device)),
         policy=together,
-        first=policies[0],
         results=results,
         digests={path.parent.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in paths},
     )

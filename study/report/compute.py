@@ -91,6 +91,10 @@ def work(study: Path, arms: dict[str, Arm]) -> Work:
     todo["sunlight.json"] = ("when the Sun has lit enough of the chief, seconds", lit)
     for name, arm in papers.items():
         todo[f"episode_{name}.npz"] = (f"an episode of {name}, seconds", partial(flights.episode, arm))
+    if "no_rta" in arms:
+        what = "an episode without the filter that violates limits, seconds"
+        episodes = study / "no_rta" / "episodes.npz"
+        todo["violation.npz"] = (what, partial(flights.violation, arms["no_rta"], episodes))
     todo["training.csv"] = ("intervals of the training curves, seconds", partial(training, study, arms))
     for name, tables_of_arm in ARMS.items():
         rta = tables_of_arm["train"]["rta"]

@@ -84,6 +84,8 @@ def draw_episodes(inputs: Inputs) -> None:
     for arm, episode in inputs.episodes.items():
         trajectory_figure(episode, c, top_speed, directory / f"trajectory_{arm}.png")
         constraint_figure(episode, c, directory / f"constraints_{arm}.png")
+    if inputs.violation:
+        constraint_figure(inputs.violation, c, directory / "constraints_violation.png")
     if inputs.episodes:
         save(behaviour_figure(inputs.episodes, c), directory / "behaviour")
     for arm, episode in inputs.demonstrations.items():

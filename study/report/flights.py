@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import asdict, replace
+from pathlib import Path
 
 import numpy as np
 import torch
@@ -14,6 +15,7 @@ from rta.parameters import PERIODS
 from rta.uncertainty import Uncertainty
 from study import config as configuration
 from study.config import BASELINES, TEST_CASES, Config
+from study.errors import MALFORMED, refusing
 from study.experiment import Experiment, test_cases
 from study.files import ROOT
 from study.flight.controllers import agent, classical
@@ -190,7 +192,20 @@ def weights_over_time(
 def episode(arm: Arm) -> Arrays:
     """The first seed's episode from the first test case, in the configuration of training."""
     experiment = Experiment(arm.config, 1)
-    return common_episode(arm.first.to(experiment.device), experiment)
+    return common_episode(arm.of_seed(0).to(experiment.device), experiment)
+
+
+def violation(arm: Arm, path: Path) -> Arrays:
+    """Of an arm's successes the one that violates limits for the largest share of its steps, with its seed and case."""
+    with refusing(f"{path}: not the episodes of an arm", OSError, *MALFORMED), np.load(path) as episodes:
+        succeeded = episodes["outcome"] == list(episodes["outcome_names"]).index("success")
+        share = np.where(succeeded, episodes["violation_seconds"][-1], -1.0)
+        seed, case = (int(i) for i in np.unravel_index(share.argmax(), share.shape))
+        seeds = episodes["seeds"]
+    policy = arm.of_seed(seed)
+    experiment = Experiment(arm.config, 1)
+    flown = common_episode(policy.to(experiment.device), experiment, case)
+    return flown | {"seed": seeds[seed], "case": np.array(case)}
 
 
 def demonstration(config: Config, rta: bool) -> Arrays:

@@ -36,6 +36,7 @@ class Inputs:
         frequency: by period in s: the agents trained behind the filter; empty if there are none.
         baselines: by controller, then "off" and "on", what is not trained; empty if it has not been evaluated.
         training: empty where training was shorter than the interval of its evaluations.
+        violation: an episode of the agents without RTA, with its `seed` and `case`; empty if it has not been flown.
         episodes, demonstrations: by arm, in the form of `simulate`.
     """
 
@@ -53,6 +54,7 @@ class Inputs:
     frequency: dict[str, Results]
     baselines: dict[str, dict[str, Results]]
     training: Curves
+    violation: Episode
     episodes: dict[str, Episode]
     demonstrations: dict[str, Episode]
 
@@ -88,6 +90,7 @@ def read(study: Path) -> Inputs:
         provenance=read_json(study / "provenance.json"),
         cross=read_json(report / "cross.json"),
         training=read_curves(report / "training.csv"),
+        violation=read_episode(path) if (path := report / "violation.npz").exists() else {},
         episodes={arm: read_episode(report / f"episode_{arm}.npz") for arm in arms},
         demonstrations={arm: read_episode(report / f"demonstration_{arm}.npz") for arm in ARMS},
         **{

@@ -46,6 +46,7 @@ FILES = {
     "worlds.json",
     "sunlight.json",
     "training.csv",
+    "violation.npz",
     "episode_no_rta.npz",
     "episode_rta.npz",
     "demonstration_no_rta.npz",
@@ -160,6 +161,17 @@ def test_worlds_are_those_of_evaluate(study: Path, tmp_path: Path) -> None:
     assert found["nominal"]["no_rta"]["off"] != found["harsh"]["no_rta"]["off"]
 
 
+def test_the_episode_that_violates_most_is_the_studys(study: Path) -> None:
+    with np.load(study / "no_rta" / "episodes.npz") as episodes:
+        succeeded = episodes["outcome"] == episodes["outcome_names"].tolist().index("success")
+        shares = np.where(succeeded, episodes["violation_seconds"][-1], -1.0)
+        metrics = dict(zip(episodes["metric_names"].tolist(), episodes["metrics"], strict=True))
+    found = np.load(study / "report" / "violation.npz")
+    place = int(found["seed"]) - SEEDS[0], int(found["case"])
+    assert shares[place] == shares.max()
+    assert found["inspected_score"][-1] == pytest.approx(metrics["inspected_score"][place])
+
+
 def test_orbits_say_which_they_are(study: Path) -> None:
     found = read(study / "report" / "orbits.json")
     assert [each["tracking"] for each in found] == [orbit.tracking for orbit in flights.ORBITS]
@@ -252,7 +264,7 @@ def test_a_study_of_one_arm_has_a_report_of_one_arm(
     (copy / "results.json").write_text(json.dumps(results))
     compute.compute(copy)
     tables.write(inputs.read(copy))
-    absent = {f"episode_{other}.npz"} | ({"frequency.json"} if arm == "no_rta" else set())
+    absent = {f"episode_{other}.npz"} | ({"frequency.json"} if arm == "no_rta" else {"violation.npz"})
     assert contents(copy / "report").keys() & FILES == FILES - absent
     assert set(read(copy / "report" / "cross.json")) == {arm}
 

@@ -97,7 +97,7 @@ def test_every_figure_is_embedded_and_described(study: Path, reader: Reader) -> 
     embedded = {base64.b64decode(image["src"].partition(",")[2]) for image in reader.images}
     drawn = {path for path in (study / "report").iterdir() if path.suffix in (".png", ".svg")}
     shown = {path.stem for path in drawn if path.read_bytes() in embedded}
-    assert len(embedded) == len(reader.images) == 16
+    assert len(embedded) == len(reader.images) == 17
     assert shown == {path.stem for path in drawn} - {"training"}  # the six in one, for other uses
     assert all(len(image["alt"]) > 30 for image in reader.images)
 
@@ -201,7 +201,7 @@ def test_half_a_study(study: Path, tmp_path: Path) -> None:
     reader = Reader(text)
     # arm, training curves, baselines, guidance, front, progress, worlds, frequency
     assert text.count('class="missing"') == 8
-    assert len(reader.images) == 6
+    assert len(reader.images) == 7
     assert {len(row) for row in reader.tables[0][1:]} == {4}
 
 

@@ -63,6 +63,7 @@ def inputs(tmp_path: Path) -> Inputs:
         frequency={"1": arms["rta"], "5": evaluation(5.0), "10": evaluation(6.0)},
         baselines={"random": {"off": evaluation(7.0), "on": evaluation(8.0)}},
         training={},
+        violation={},
         episodes={},
         demonstrations={},
     )
