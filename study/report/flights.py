@@ -29,10 +29,12 @@ DEMONSTRATION = ROOT / "configs" / "demonstration.json"
 DEMONSTRATION_DURATION = 2000.0  # s
 GUIDANCE_CASES = 1000
 GUIDANCE_PERIOD = 1.0  # s between two calls of the filter
-ORBITS = [  # from thrifty to fast
-    Orbit(semi_minor, tracking=tracking, look_ahead=look_ahead)
-    for semi_minor, look_ahead in ((40.0, math.pi / 3), (60.0, math.pi / 6))
-    for tracking in (0.004, 0.006, 0.01, 0.015, 0.02)
+ORBITS = [  # two ways to be quick: a stiffer law, and nearing a larger ellipse faster
+    *(Orbit(tracking=frequency) for frequency in (0.004, 0.006, 0.01, 0.015, 0.02)),
+    *(
+        Orbit(semi_minor=55.0, tracking=0.01, look_ahead=math.pi / 6, approach=share)
+        for share in (0.3, 0.4, 0.5, 0.7, 1.0)
+    ),
 ]
 PLANTS = ROOT / "configs" / "plants"
 WORLDS = ("nominal", "typical", "u1", "harsh")  # files there
