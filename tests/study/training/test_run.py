@@ -162,7 +162,7 @@ def test_a_signal_in_the_last_evaluation_says_how_to_continue(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     run = training.start(tiny(), tmp_path / "run")
-    monkeypatch.setattr("study.training.run.evaluate", lambda *_: os.kill(os.getpid(), signal.SIGINT))
+    monkeypatch.setattr("study.training.run.play_and_record", lambda *_: os.kill(os.getpid(), signal.SIGINT))
     with pytest.raises(Stopped, match=r"continue with\n.*train --resume"):
         run.conclude()
 

@@ -16,7 +16,7 @@ import main
 from inspection.environment import METRICS
 from ppo import checkpoint
 from study import config as configuration
-from study.config import StudyConfig
+from study.config import Config, StudyConfig
 from study.experiment import load_policy
 from study.flight.summary import stratified_summary
 from study.training import study as arms
@@ -281,12 +281,21 @@ def test_directories_of_others_are_refused(
     assert [path.name for path in shipped.iterdir()] == ["seed0"]
 
 
-def test_the_shipped_configuration_is_the_papers_study() -> None:
-    config = configuration.load(Path(main.__file__).parent / "configs" / "study.toml", StudyConfig())
+def test_the_shipped_configurations_are_the_papers_study_and_what_goes_past_it() -> None:
+    configs = Path(main.__file__).parent / "configs"
+    config = configuration.load(configs / "study.toml", StudyConfig())
     assert config.study.seeds == 10
-    assert config.study.arms == ("no_rta", "rta")
-    assert config.train.interactions == 5_000_000
-    assert [config.of_arm(name).train.rta for name in config.study.arms] == [False, True]
+    arms = {name: config.of_arm(name) for name in config.study.arms}
+    periods = {name: arm.rta.period if arm.train.rta else None for name, arm in arms.items()}
+    assert periods == {"no_rta": None, "rta": 1.0, "rta_5s": 5.0, "rta_10s": 10.0, "robust": 1.0}
+    typical, u1 = (configuration.load(configs / f"plants/{name}.toml") for name in ("typical", "u1"))
+    assert (arms["robust"].plant, arms["robust"].uncertainty) == (typical.plant, u1.uncertainty)
+    paper = configuration.load(configs / "paper.toml", StudyConfig())
+    assert paper.study.arms == ("no_rta", "rta")
+    for each in (config, paper):
+        assert each.train.interactions == 5_000_000 and each.train.early_evaluations == 10
+    default = Config()
+    assert (paper.ppo, paper.inspection, paper.rta) == (default.ppo, default.inspection, default.rta)
 
 
 def test_arms_of_its_own_are_trained_and_shown_side_by_side(
