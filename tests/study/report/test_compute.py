@@ -239,6 +239,7 @@ def test_an_interrupted_report_keeps_what_it_has_computed(
 
 def test_other_policies_are_computed_anew(copy: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(flights, "PERIODS", (5.0,))
+    monkeypatch.setattr(flights, "WORLDS", ())
     before = contents(copy / "report")
     shutil.copy(copy / "rta" / "seed6" / "policy.pt", copy / "rta" / "seed5" / "policy.pt")
     compute.compute(copy)
