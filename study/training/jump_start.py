@@ -5,7 +5,7 @@ the guidance says what it would do. The value network learns what the copy is wo
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import torch
 from torch import Tensor
@@ -49,7 +49,12 @@ class Taught:
 
 
 def jump_start(
-    env: InspectionEnv, learner: PPO, steps: int, batches: int, generators: Sequence[torch.Generator]
+    env: InspectionEnv,
+    learner: PPO,
+    steps: int,
+    batches: int,
+    generators: Sequence[torch.Generator],
+    after_batch: Callable[[], None],
 ) -> None:
     """Teaches a learner's policy the guidance, and its value network what the policy is worth.
 
@@ -76,6 +81,7 @@ def jump_start(
         }
         batch = {name: torch.cat((batch[name], part), 1) if batch else part for name, part in lesson.items()}
         learn(batch, learner, optimiser)
+        after_batch()
 
 
 def learn(batch: dict[str, Tensor], learner: PPO, optimiser: torch.optim.Optimizer) -> None:

@@ -83,6 +83,11 @@ class Log:
             self.bar.set_postfix_str(", ".join(latest), refresh=False)
         self.bar.update(self.batch)
 
+    def lesson(self) -> None:
+        """Shows that a batch has been flown and learned from the guidance."""
+        self.bar.set_postfix_str("learning from the guidance", refresh=False)
+        self.bar.update(self.batch)
+
     def evaluation(
         self, record: Episodes, reports: Sequence[dict[str, Any]], interactions: int, seconds: float
     ) -> None:

@@ -21,7 +21,6 @@ from study.files import write_json
 from study.flight.evaluation import Episodes, play, play_and_record, report
 from study.flight.figures import episode_figure
 from study.paper import tables
-from study.progress import step
 from study.training.adversary import Adversary
 from study.training.jump_start import jump_start
 from study.training.log import Log
@@ -120,12 +119,10 @@ class Run:
     def jump_start(self) -> None:
         """Lets the guidance teach the policy, in place of the first updates."""
         train, trainer = self.config.train, self.trainer
-        with step("learning from the guidance, a minute or so"):
-            trainer.seconds += seconds_of(
-                lambda: jump_start(
-                    self.env, trainer.learner, train.rollout_steps, train.lessons, trainer.generators
-                )
-            )
+        arguments = self.env, trainer.learner, train.rollout_steps, train.lessons, trainer.generators
+        trainer.seconds += seconds_of(
+            lambda: jump_start(*arguments, self.log.lesson if self.ranks.first else lambda: None)
+        )
         trainer.update = train.lessons
         self.monitor.clear()
 
@@ -189,11 +186,7 @@ class Run:
         shown = self.log.open(self.interactions, total) if self.ranks.first else nullcontext()
         with self.naming_the_checkpoint():
             with on_signal(react), shown:
-                if (
-                    not self.ranks.agree(self.log.evaluations.is_file())
-                    and self.config.train.early_evaluations > 1
-                ):
-                    self.evaluate()
+                self.begin()
                 try:
                     self.trainer.run(self.monitor, self.after_update, lambda: self.ranks.any(bool(stop)))
                 except (NonFiniteError, RankLostError) as error:
@@ -205,6 +198,20 @@ class Run:
                 f"stopped after {self.interactions:,} interactions; continue with\n"
                 f"  {command('train', '--resume', self.directory)}"
             )
+
+    def begin(self) -> None:
+        """What comes before the first update: the lessons of the guidance, and evaluations before and after them."""
+        train = self.config.train
+        if self.interactions:
+            return
+        early = train.early_evaluations > 1
+        if early and not self.ranks.agree(self.log.evaluations.is_file()):
+            self.evaluate()
+        if train.jump_start:
+            self.jump_start()
+            self.save()
+            if early:
+                self.evaluate()
 
     def after_update(self, statistics: dict[str, float]) -> None:
         """Evaluates when due, logs the update, then checkpoints when due."""

@@ -137,8 +137,6 @@ def create(
             getattr(run.trainer.learner, name).load_state_dict(weights)
     with refusing("[inspection]", RuntimeError):
         run.env.reset()
-    if config.train.jump_start:
-        run.jump_start()
     with refusing(f"{directory}: cannot write there", OSError):
         for home in run.homes:
             home.mkdir(parents=True, exist_ok=True)

@@ -54,7 +54,13 @@ def test_the_guidance_that_teaches_violates_nothing_without_the_filter(orbit: Or
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory) -> session.Run:
     """A run that was taught and has not begun with PPO."""
-    return session.start(config(), tmp_path_factory.mktemp("taught") / "run")
+    return taught(session.start(config(), tmp_path_factory.mktemp("taught") / "run"))
+
+
+def taught(run: session.Run) -> session.Run:
+    with run.log.open(0, run.config.train.interactions):
+        run.begin()
+    return run
 
 
 def test_the_copy_does_what_the_guidance_would_in_states_of_its_own(run: session.Run) -> None:
@@ -90,10 +96,24 @@ def test_what_is_flown_counts_as_interactions_and_ppo_does_the_rest(run: session
 
 def test_seeds_side_by_side_are_taught_what_each_is_alone(tmp_path: Path) -> None:
     short = session.settled_for_a_seed(config(jump_start=8192))
-    both = session.create(short, tmp_path / "both", [3, 4])
-    alone = session.create(replace(short, train=replace(short.train, seed=4)), tmp_path / "alone")
+    both = taught(session.create(short, tmp_path / "both", [3, 4]))
+    alone = taught(session.create(replace(short, train=replace(short.train, seed=4)), tmp_path / "alone"))
     for name, weight in alone.policy.state_dict().items():
         torch.testing.assert_close(weight[0], both.policy.state_dict()[name][1], rtol=1e-3, atol=1e-4)
+
+
+def test_it_is_evaluated_before_and_after_its_lessons_which_come_once(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    seen: list[int] = []
+    monkeypatch.setattr(session.Run, "evaluate", lambda self: seen.append(self.interactions))
+    run = session.start(config(jump_start=8192, early_evaluations=2), tmp_path / "run")
+    assert session.resume(run.directory).interactions == 0  # as one killed in its lessons goes on
+    taught(run)
+    assert seen == [0, 8192]
+    other = session.resume(run.directory)
+    taught(other)
+    assert seen == [0, 8192] and other.interactions == 8192
 
 
 def test_who_begins_as_another_agent_is_not_taught(run: session.Run, tmp_path: Path) -> None:
