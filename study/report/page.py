@@ -20,7 +20,7 @@ from study.flight.figures import Episode, effort
 from study.paper import PAPER_METRICS, PAPER_VIOLATIONS, Estimate, Results, measured
 from study.report.figures import ARM_LABELS, TRAINING, label
 from study.report.inputs import Inputs
-from study.report.tables import throughput
+from study.report.tables import of_seeds, over_seeds, throughput
 
 STUDY = Path(__file__).parent.parent  # the package, below which all templates are
 MEDIA_TYPES = {".png": "image/png", ".svg": "image/svg+xml"}
@@ -77,6 +77,7 @@ def document(inputs: Inputs) -> str:
         throughput=throughput(inputs.everyone, inputs.provenance),
         weight_at=weight_at,
         worst_seed=worst_seed,
+        over_seeds=over_seeds,
         effort=effort,
         violated=violated,
         image=partial(embedded, inputs.directory),
@@ -120,7 +121,7 @@ def difference(ours: Estimate, paper: Estimate, digits: int) -> tuple[str, bool]
 
 def worst_seed(results: Results) -> float:
     """The lowest reward (IQM) of an arm's seeds."""
-    return min(seed["metrics"]["reward"]["iqm"] for seed in results["per_seed"])
+    return min(of_seeds(results, "reward"))
 
 
 def weight_at(curve: dict[str, list[float]], time: float) -> float:

@@ -3,12 +3,14 @@
 import csv
 import io
 import json
+import math
 from collections.abc import Iterable
 from itertools import groupby
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy import stats
 
 from inspection.environment import METRICS
 from rta.constraints import CONSTRAINTS
@@ -113,9 +115,28 @@ def tails(results: Results) -> Row:
             f"{metric}_{name}": results["metrics"][metric][name]
             for name in ("iqm", "mean", "p5", "p95", "max")
         }
-        seeds = sorted(seed["metrics"][metric]["iqm"] for seed in results["per_seed"])
-        row[f"{metric}_of_seeds"] = " ".join(f"{value:.4g}" for value in seeds)
+        seeds = of_seeds(results, metric)
+        row[f"{metric}_of_seeds"] = " ".join(f"{value:.4g}" for value in sorted(seeds))
+        row[f"{metric}_seeds_low"], row[f"{metric}_seeds_high"] = over_seeds(results, metric)
     return row
+
+
+def of_seeds(results: Results, metric: str) -> list[float]:
+    """Every seed's IQM."""
+    return [seed["metrics"][metric]["iqm"] for seed in results["per_seed"]]
+
+
+def over_seeds(results: Results, metric: str) -> tuple[float, float]:
+    """Where 95 % of such studies have the mean of their seeds' IQMs: Student's interval; NaN for a lone seed.
+
+    The stratified bootstrap draws seeds anew for every case, so that what sets whole seeds apart averages out; here
+    it does not.
+    """
+    values = of_seeds(results, metric)
+    if len(values) < 2:
+        return math.nan, math.nan
+    spread = stats.t.ppf(0.975, len(values) - 1) * stats.sem(values)
+    return float(np.mean(values) - spread), float(np.mean(values) + spread)
 
 
 def cross(kind: str, evaluations: dict[str, dict[str, Results]]) -> list[Row]:

@@ -6,6 +6,7 @@ import re
 import shutil
 from html.parser import HTMLParser
 from pathlib import Path
+from typing import Any
 
 import pytest
 from jinja2 import UndefinedError
@@ -276,7 +277,7 @@ def test_a_studys_own_arms_stand_beside_the_papers(study: Path, tmp_path: Path) 
     reader = Reader(page.document(found))
     rows = body(reader.tables[2], heads=1)
     assert list(rows) == ["no RTA", "RTA", "squared"]
-    assert rows["squared"][4] == "2.500" and rows["squared"][0] == rows["RTA"][0]
+    assert rows["squared"][4].startswith("2.500 [") and rows["squared"][0] == rows["RTA"][0]
 
 
 def test_arms_show_what_a_mean_of_the_middle_half_hides(study: Path, reader: Reader) -> None:
@@ -293,12 +294,20 @@ def test_arms_show_what_a_mean_of_the_middle_half_hides(study: Path, reader: Rea
                 f"{results[key]['any']:.3f}"
                 for key in ("violations_percent", "violations_percent_of_seconds")
             ),
-            f"{reward['iqm']:.3f}",
+            seeds_cell(results, "reward", 3),
             f"{reward['mean']:.3f}",
             f"{min(seed['metrics']['reward']['iqm'] for seed in results['per_seed']):.3f}",
-            *(f"{length[key]:.0f}" for key in ("iqm", "mean", "p95", "max")),
-            *(f"{delta_v[key]:.2f}" for key in ("iqm", "mean", "p95", "max")),
+            seeds_cell(results, "episode_length_s", 0),
+            *(f"{length[key]:.0f}" for key in ("mean", "p95", "max")),
+            seeds_cell(results, "delta_v_m_s", 2),
+            *(f"{delta_v[key]:.2f}" for key in ("mean", "p95", "max")),
         ]
+
+
+def seeds_cell(results: dict[str, Any], metric: str, digits: int) -> str:
+    """An IQM and its interval over seeds."""
+    low, high = tables.over_seeds(results, metric)
+    return f"{results['metrics'][metric]['iqm']:.{digits}f} [{low:.{digits}f}, {high:.{digits}f}]"
 
 
 def test_worlds_show_every_agent_behind_every_filter(study: Path, reader: Reader) -> None:

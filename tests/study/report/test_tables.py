@@ -2,6 +2,7 @@
 
 import csv
 import json
+import math
 from pathlib import Path
 from typing import Any
 
@@ -184,6 +185,13 @@ def test_files_hold_a_row_per_evaluation(inputs: Inputs) -> None:
     assert [row["guidance_percent"] for row in rows(report / "table3.csv")] == ["0.4"] * 14
     assert json.loads((report / "throughput.json").read_text())["no_rta"]["interactions_per_s"] == 40.0
     assert [row["arm"] for row in rows(report / "throughput.csv")] == ["no_rta", "rta"]
+
+
+def test_the_interval_over_seeds_is_students() -> None:
+    low, high = tables.over_seeds(arm(3.0), "reward")  # of two seeds, 2.5 and 3.5: 3 +- 12.706 * 0.5
+    assert (low, high) == pytest.approx((-3.353, 9.353), abs=1e-3)
+    lone = arm(3.0) | {"per_seed": [evaluation(3.0)]}
+    assert all(math.isnan(end) for end in tables.over_seeds(lone, "reward"))
 
 
 def test_training_too_short_for_an_evaluation_has_an_empty_table(tmp_path: Path) -> None:
