@@ -43,8 +43,8 @@ class Transition:
     """The outcome of one interaction, before autoreset; tensors over the batch B.
 
     Attributes:
-        observation: (B, 26) float32, of the next episode where one ended.
-        final_observation: (B, 26) float32, of the state that the action led to (terminal where it ended).
+        observation: (B, size) float32, of the next episode where one ended.
+        final_observation: (B, size) float32, of the state that the action led to (terminal where it ended).
         state: (16, B) that the action led to; inspected: (N, B) bool, the points seen by then.
         reward: (B,); reward_terms: what it is the sum of, by name, the nine and those of our own that have a weight.
         terminated, truncated: (B,) bool, true end or time limit; an episode that failed within the step flew on to its
@@ -247,12 +247,12 @@ class InspectionEnv:
         return (self.weights[:, columns] * self.inspected[:, columns]).sum(0)
 
     def reset(self) -> Tensor:
-        """Starts every episode anew from the initial distribution; returns observations (B, 26) float32."""
+        """Starts every episode anew from the initial distribution; returns observations."""
         self._restart(torch.ones_like(self.time, dtype=torch.bool))
         return self.observation()
 
     def start(self, x: Tensor, priority: Tensor, number: Tensor | None = None) -> Tensor:
-        """Starts every episode from given states (16, B) and priority vectors (3, B); returns observations (B, 26).
+        """Starts every episode from given states (16, B) and priority vectors (3, B); returns observations.
 
         Args:
             number: (B,) in [0, 1), from which the episodes' plants follow; None: the first ones of the seeds, by
@@ -275,11 +275,11 @@ class InspectionEnv:
         return (self.plant.body,) if self.plant else ()
 
     def observation(self) -> Tensor:
-        """Normalised observations (B, 26) float32 of the present states as they are seen."""
+        """Normalised observations (B, size) float32 of the present states as they are seen."""
         return self._observe(slice(None), self.score)
 
     def _observe(self, columns: Tensor | slice, score: Tensor) -> Tensor:
-        """Observations (k, 26) of the given columns, whose inspected weights are score (k,)."""
+        """Observations (k, size) of the given columns, whose inspected weights are score (k,)."""
         state = (part[:, columns] for part in (self.seen, self.priority, self.uninspected))
         return self._normalised(*state, score).T
 
@@ -315,13 +315,19 @@ class InspectionEnv:
         corrections: list[Correction] = []
         truths: list[tuple[Tensor, Tensor]] = []
         mass = self.plant.mass if self.plant else c.mass
-        delta_v, torque, corrected = (torch.zeros_like(self.time) for _ in range(3))
+        delta_v, torque, corrected, answered = (torch.zeros_like(self.time) for _ in range(4))
         failed: dict[str, Tensor] = {}
         for hold in self.fly(controller, c.action_period):
             if hold.correction is not None:
                 corrections.append(hold.correction)
                 if c.correction_reward:
-                    corrected += hold.correction.intervened
+                    answer = (
+                        ~hold.missed
+                        if hold.missed is not None
+                        else torch.ones_like(hold.correction.intervened)
+                    )
+                    answered += answer
+                    corrected += answer & hold.correction.intervened
             if hold.correction is not None and hold.missed is not None:
                 truths.append((~hold.missed, self.constraint_values(hold.state)))
             delta_v += hold.acting[THRUST].abs().sum(0) / mass * hold.seconds
@@ -340,7 +346,7 @@ class InspectionEnv:
         reward = torch.stack([terms[name] for name in REWARDS]).sum(0)
         h = self.constraint_values(self.x)
         named = dict(zip(self.safety.names, h, strict=True))
-        own = shaping(self.x, named, corrected / max(1, len(corrections)), c)
+        own = shaping(self.x, named, corrected / answered.clamp(min=1.0), c)
         self.totals += torch.stack((reward, delta_v, torque))
         violated = self._count(h < 0.0)
 

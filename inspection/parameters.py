@@ -117,7 +117,7 @@ class InspectionParameters:
     # Our own terms, which the learner is given beside the paper's; the reward that is reported is without them
     rate_reward: float = 0.0  # per action and axis turning at max_rate, by its square
     correction_reward: float = 0.0  # per action, where the filter corrects all of its calls
-    limit_reward: float = 0.0  # per action at a limit; less from `reward.NEAR` on, more beyond
+    limit_reward: float = 0.0  # per action and limit reached; less from `reward.NEAR` on, more beyond
     drift_reward: float = 0.0  # per action, where free flight crosses the chief's track; less up to 30 m off
 
     def __post_init__(self) -> None:

@@ -36,7 +36,7 @@ BASELINES = ("untrained", "random", "zero", "natural-motion")  # controllers tha
 
 # Settings of older files and checkpoints that have moved: the table and key of then, and those of now.
 MOVED = {("train", "rta_period"): ("rta", "period"), ("train", "qp_solver"): ("rta", "qp_solver")}
-NAME = re.compile(r"(?!report$)[a-z0-9][a-z0-9_-]*")  # of an arm, which is that of its directory
+NAME = re.compile(r"(?!(report|guidance)$)[a-z0-9][a-z0-9_-]*")  # of an arm, and of its directory
 announced: set[str] = set()  # the moves that this process has told of
 
 

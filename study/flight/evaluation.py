@@ -158,7 +158,9 @@ def run_episodes(
         note_hold(record, hold, running, env.constraint_values(hold.after))
         if recording and not recording.ended:
             recording.note(hold)
-            if any(bool(failed[0]) for failed in failures(hold.after, env.c).values()):
+            # at the end of an action the chief is looked at first
+            failed = any(bool(each[0]) for each in failures(hold.after, env.c).values())
+            if failed and hold.end < env.c.action_period:
                 recording.end()
 
     with bar(count, "episodes", desc=what, leave=False, bar_format=BAR) as shown:
@@ -284,7 +286,11 @@ def play_controller(name: str, experiment: Experiment, episodes: int, seed: int)
     if name == "natural-motion":
         every = config.rta.period if config.train.rta else config.inspection.substep
     env = experiment.env(episodes, experiment.generators([seed + 1]), decide_every=every)
-    return run_episodes(env, classical(name, config, seed), *test_cases(config, episodes, seed))
+    return run_episodes(
+        env,
+        classical(name, config, seed, every or config.inspection.action_period),
+        *test_cases(config, episodes, seed),
+    )
 
 
 def evaluate(policy: Policy, experiment: Experiment, episodes: int, seed: int) -> dict[str, Any]:

@@ -59,9 +59,9 @@ class Recording:
         """Adds what is new in a hold."""
         self.hold, self.begun = hold, float(self.env.time[0])
         if hold.decided:
-            self.decision = hold.desired[:, 0]
+            self.decision = hold.desired[:, 0].clone()
         if hold.correction is not None:
-            self.tightened = hold.correction.tightened[:, 0]
+            self.tightened = hold.correction.tightened[:, 0].clone()
         if hold.time == 0.0 or is_multiple(hold.time, self.env.clocks.report):
             self.add(hold.time, hold.state)
         if hold.correction is not None:
@@ -79,10 +79,10 @@ class Recording:
         self.rows.append(
             {
                 "time": x.new_tensor([self.begun + time]),
-                "x": x[:, 0],
+                "x": x[:, 0].clone(),  # a view would keep the whole batch
                 "control_desired": self.decision,
-                "control_applied": self.hold.applied[:, 0],
-                "inspected_score": env.score[:1],
+                "control_applied": self.hold.applied[:, 0].clone(),
+                "inspected_score": env.score[:1].clone(),
                 "inspected": env.inspected[:, 0].clone(),  # `look` writes in place
                 "intervened": x.new_zeros(2, dtype=torch.bool),
                 "tightened": self.tightened,
@@ -199,7 +199,7 @@ def run(
     elif actions:
         commander = recorded(actions, config, step, duration)
     else:
-        commander = classical(controller, config, seed)
+        commander = classical(controller, config, seed, step)
     return simulate(env, commander, *start, duration), config
 
 

@@ -46,6 +46,10 @@ def load(study: Path, device: str | None) -> dict[str, Arm]:
     arms = read_arms(study) | read_arms(study, own=True)
     if not arms:
         raise InputError(f"{path}: holds no finished arm")
+    if old := [name for name, arm in arms.items() if "clean_success" not in arm["outcomes"]]:
+        raise InputError(
+            f"{path}: {', '.join(old)} was evaluated by an older revision; that one can report it"
+        )
     wanted = configuration.load(study / "config.toml", StudyConfig()).study.arms
     if unfinished := [name for name in wanted if name not in arms]:
         print(f"--study {study}: {', '.join(unfinished)} is not finished and is left out", file=sys.stderr)

@@ -24,7 +24,7 @@ def compute(study: Path, device: str | None = None) -> None:
     """Writes what the directory's `report` lacks; what an earlier call has computed for the same policies is kept.
 
     Args:
-        study: directory of a finished study, of one arm or both; device: auto, cpu or cuda; None: the study's.
+        study: directory of a finished study, of any arms; device: auto, cpu or cuda; None: the study's.
 
     Raises:
         InputError, CheckpointError: there is no finished study, it is damaged, or nothing can be written there.
@@ -48,7 +48,7 @@ def begin(directory: Path, digests: dict[str, dict[str, str]], todo: Work) -> No
     path = directory / "policies.json"
     text = json.dumps(digests, indent=2) + "\n"
     if not path.exists() or path.read_bytes() != text.encode():
-        for name in todo:
+        for name in (*todo, "violation.npz"):  # the last one only where something is violated
             (directory / name).unlink(missing_ok=True)
         write_text(path, text)
 
@@ -91,10 +91,9 @@ def work(study: Path, arms: dict[str, Arm]) -> Work:
     todo["sunlight.json"] = ("when the Sun has lit enough of the chief, seconds", lit)
     for name, arm in papers.items():
         todo[f"episode_{name}.npz"] = (f"an episode of {name}, seconds", partial(flights.episode, arm))
-    if "no_rta" in arms:
+    if "no_rta" in arms and (worst := flights.worst_success(study / "no_rta" / "episodes.npz")):
         what = "an episode without the filter that violates limits, seconds"
-        episodes = study / "no_rta" / "episodes.npz"
-        todo["violation.npz"] = (what, partial(flights.violation, arms["no_rta"], episodes))
+        todo["violation.npz"] = (what, partial(flights.violation, arms["no_rta"], *worst))
     todo["training.csv"] = ("intervals of the training curves, seconds", partial(training, study, arms))
     for name, tables_of_arm in ARMS.items():
         rta = tables_of_arm["train"]["rta"]

@@ -25,14 +25,13 @@ from study.flight.figures import (
     trajectory,
 )
 from study.paper import PAPER_METRICS, PAPER_VIOLATIONS, Results, measured
-from study.report.inputs import Curves, Inputs
+from study.report.inputs import Inputs
 
 ARM_LABELS = {"no_rta": "no RTA", "rta": "RTA"}  # of the paper's arms; others go by their own names
-STYLES = {  # of the arms in their order, the paper's first
-    "no_rta": (BLUE, "o"),
-    "rta": (ORANGE, "s"),
-}
-MORE_STYLES = (("#009E73", "^"), ("#CC79A7", "D"), ("#D55E00", "v"), ("#56B4E9", "P"), ("#8A7A00", "X"))
+STYLES = {"no_rta": (BLUE, "o"), "rta": (ORANGE, "s")}
+# of a study's own arms in their order: each list begins anew where it ends, so that 35 arms can be told apart
+MORE_COLOURS = ("#009E73", "#CC79A7", "#D55E00", "#56B4E9", "#8A7A00")
+MORE_MARKERS = ("^", "D", "v", "P", "X", "*", "h")
 GUIDANCE_COLOUR = "0.35"
 DPI = 120
 
@@ -56,8 +55,10 @@ def label(arm: str) -> str:
 
 def style(arm: str, arms: Iterable[str]) -> tuple[str, str]:
     """Colour and marker of an arm among all of a study."""
-    others = [name for name in arms if name not in STYLES]
-    return STYLES[arm] if arm in STYLES else MORE_STYLES[others.index(arm) % len(MORE_STYLES)]
+    if arm in STYLES:
+        return STYLES[arm]
+    place = [name for name in arms if name not in STYLES].index(arm)
+    return MORE_COLOURS[place % len(MORE_COLOURS)], MORE_MARKERS[place % len(MORE_MARKERS)]
 
 
 def draw(inputs: Inputs) -> None:
@@ -68,7 +69,7 @@ def draw(inputs: Inputs) -> None:
     """
     with refusing(f"--study {inputs.study}: cannot write its report", OSError):
         if inputs.training:
-            draw_training(inputs.training, inputs.directory)
+            draw_training(inputs)
         draw_episodes(inputs)
         save(cross_figure(inputs.cross), inputs.directory / "cross")
         if inputs.orbits:
@@ -92,17 +93,18 @@ def draw_episodes(inputs: Inputs) -> None:
         constraint_figure(episode, c, directory / f"demonstration_{arm}.png")
 
 
-def draw_training(curves: Curves, directory: Path) -> None:
+def draw_training(inputs: Inputs) -> None:
     """The six training curves in one figure and each alone."""
+    curves, directory = inputs.training, inputs.directory
     figure = Figure(figsize=(11, 6), layout="constrained")
     for ax, metric in zip(figure.subplots(2, 3).flat, TRAINING, strict=True):
-        training_panel(ax, curves[metric], metric)
+        training_panel(ax, curves[metric], metric, inputs.everyone)
     figure.legend(*ax.get_legend_handles_labels(), loc="outside upper center", ncols=4, frameon=False)
     save(figure, directory / "training")
     for metric in TRAINING:
         figure = Figure(figsize=(4.4, 3.1), layout="constrained")
         ax = figure.subplots()
-        training_panel(ax, curves[metric], metric)
+        training_panel(ax, curves[metric], metric, inputs.everyone)
         figure.legend(
             *ax.get_legend_handles_labels(), loc="outside upper center", ncols=2, frameon=False, fontsize=8
         )
@@ -117,12 +119,12 @@ def save(figure: Figure, stem: Path) -> None:
         figure.savefig(file, metadata={"Date": None}, format="svg")
 
 
-def training_panel(ax: Axes, curves: dict[str, np.ndarray], metric: str) -> None:
+def training_panel(ax: Axes, curves: dict[str, np.ndarray], metric: str, arms: Iterable[str]) -> None:
     """By arm: IQM with its 95 % band over the interactions of each seed, and the paper's final values dotted."""
     paper = TRAINING[metric]
     for arm, rows in curves.items():
         interactions, iqm, low, high = rows[rows[:, 0].argsort()].T
-        colour, marker = style(arm, curves)
+        colour, marker = style(arm, arms)
         ax.plot(1e-6 * interactions, iqm, color=colour, marker=marker, ms=3.5, lw=1.4, label=label(arm))
         ax.fill_between(1e-6 * interactions, low, high, color=colour, alpha=0.25, lw=0)
         if arm in paper.by_arm:
@@ -212,7 +214,7 @@ def front_figure(inputs: Inputs) -> Figure:
         dashes = "--" if semi_minor == min(orbit["semi_minor"] for orbit in inputs.orbits) else "-"
         name = f"classical guidance, ellipse of {semi_minor:g} m"
         ax.plot(*zip(*curve, strict=True), color=GUIDANCE_COLOUR, ls=dashes, marker=".", lw=1.2, label=name)
-    ax.set(xlabel="episode length (s)", ylabel="delta v (m/s)", ylim=(0, 5))
+    ax.set(xlabel="episode length (s)", ylabel="delta v (m/s)", ylim=(0, None))
     ax.grid(alpha=0.3)
     ax.legend(frameon=False, fontsize=9)
     return figure

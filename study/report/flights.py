@@ -28,7 +28,7 @@ from study.report.agents import Arm
 DEMONSTRATION = ROOT / "configs" / "demonstration.json"
 DEMONSTRATION_DURATION = 2000.0  # s
 GUIDANCE_CASES = 1000
-GUIDANCE_PERIOD = 1.0  # s between two calls of the filter
+FILTER_PERIOD = 1.0  # s between two calls of the filter
 ORBITS = [  # two ways to be quick: a stiffer law, and nearing a larger ellipse faster
     *(Orbit(tracking=frequency) for frequency in (0.004, 0.006, 0.01, 0.015, 0.02)),
     *(
@@ -96,14 +96,14 @@ def baselines(config: Config) -> dict[str, dict[str, Results]]:
 
 def guidance(config: Config) -> Results:
     """The classical natural-motion guidance behind the filter."""
-    experiment = Experiment(with_rta(config, True, GUIDANCE_PERIOD), GUIDANCE_CASES)
+    experiment = Experiment(with_rta(config, True, FILTER_PERIOD), GUIDANCE_CASES)
     record = play_controller("natural-motion", experiment, GUIDANCE_CASES, TEST_CASES)
     return report(record, experiment.config, TEST_CASES)
 
 
 def orbits(config: Config) -> list[Results]:
     """The guidance behind the filter on each of ORBITS, with its knobs."""
-    experiment = Experiment(with_rta(config, True, GUIDANCE_PERIOD), config.train.final_episodes)
+    experiment = Experiment(with_rta(config, True, FILTER_PERIOD), config.train.final_episodes)
     return [
         asdict(orbit) | summarised(play_guidance(experiment, orbit), experiment.config) for orbit in ORBITS
     ]
@@ -128,7 +128,7 @@ def summarised(record: Episodes, config: Config, seeds: int = 1) -> Results:
 def worlds(arms: dict[str, Arm]) -> dict[str, dict[str, dict[str, Results]]]:
     """By plant and arm: its agents without filter, behind one that believes the model and behind one that is told.
 
-    A filter is called as in training, where there was one.
+    The filter is called every second: its bounds are those of a spacecraft that does so.
     """
     told = configuration.load(BOUNDS).uncertainty
     filters = {"off": (False, Uncertainty()), "nominal": (True, Uncertainty()), "robust": (True, told)}
@@ -144,7 +144,7 @@ def worlds(arms: dict[str, Arm]) -> dict[str, dict[str, dict[str, Results]]]:
 def in_world(arm: Arm, plant: str, rta: bool, known: Uncertainty) -> Results:
     """An arm's agents in the plant of that file, the filter on or off and told of so much."""
     config = replace(
-        with_rta(arm.config, rta, arm.config.rta.period).unsettled(),
+        with_rta(arm.config, rta, FILTER_PERIOD).unsettled(),
         plant=configuration.load(PLANTS / f"{plant}.toml").plant,
         uncertainty=known,
     )
@@ -152,13 +152,15 @@ def in_world(arm: Arm, plant: str, rta: bool, known: Uncertainty) -> Results:
     cases = min(WORLDS_CASES, config.train.final_episodes)
     experiment = Experiment(config, seeds * cases)
     record = play(arm.policy.to(experiment.device), experiment, cases, TEST_CASES)
-    return summarised(record, experiment.config, seeds)
+    rewards = record.metrics[METRICS.index("reward")].unflatten(0, (seeds, -1)).cpu().numpy()
+    of_seeds = {"reward_of_seeds": [float(value) for value in iqm(rewards)]}
+    return summarised(record, experiment.config, seeds) | of_seeds
 
 
 def progress(arms: dict[str, Arm], config: Config) -> dict[str, dict[str, list[float]]]:
     """By arm, and "guidance" behind the filter: the inspected weight over time, IQM over the study's episodes."""
     cases = config.train.final_episodes
-    every = GUIDANCE_PERIOD
+    every = FILTER_PERIOD
     experiment = Experiment(with_rta(config, True, every).unsettled(), cases)
     env = experiment.env(cases, experiment.generators([TEST_CASES + 1]), decide_every=every)
     guided = weights_over_time(env, natural_motion(env.c, every), *test_cases(config, cases, TEST_CASES))
@@ -197,17 +199,20 @@ def episode(arm: Arm) -> Arrays:
     return common_episode(arm.of_seed(0).to(experiment.device), experiment)
 
 
-def violation(arm: Arm, path: Path) -> Arrays:
-    """Of an arm's successes the one that violates limits for the largest share of its steps, with its seed and case."""
+def worst_success(path: Path) -> tuple[int, int] | None:
+    """Seed's place and case of the success that violates limits for the largest share of its time, if any does."""
     with refusing(f"{path}: not the episodes of an arm", OSError, *MALFORMED), np.load(path) as episodes:
         succeeded = episodes["outcome"] == list(episodes["outcome_names"]).index("success")
-        share = np.where(succeeded, episodes["violation_seconds"][-1], -1.0)
-        seed, case = (int(i) for i in np.unravel_index(share.argmax(), share.shape))
-        seeds = episodes["seeds"]
-    policy = arm.of_seed(seed)
+        share = np.where(succeeded, episodes["violation_seconds"][-1], 0.0)
+    place, case = (int(i) for i in np.unravel_index(share.argmax(), share.shape))
+    return (place, case) if share[place, case] > 0.0 else None
+
+
+def violation(arm: Arm, place: int, case: int) -> Arrays:
+    """The episode of an arm's seed from a test case, with its `seed` and `case`."""
     experiment = Experiment(arm.config, 1)
-    flown = common_episode(policy.to(experiment.device), experiment, case)
-    return flown | {"seed": seeds[seed], "case": np.array(case)}
+    flown = common_episode(arm.of_seed(place).to(experiment.device), experiment, case)
+    return flown | {"seed": np.array(arm.results["seeds"][place]), "case": np.array(case)}
 
 
 def demonstration(config: Config, rta: bool) -> Arrays:

@@ -6,6 +6,7 @@ What it says stands in `page.html.j2`, what every page shares in `frame.html.j2`
 import base64
 import shlex
 from collections.abc import Sequence
+from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,7 @@ import numpy as np
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
+from inspection.plant import PlantParameters
 from study.errors import refusing
 from study.files import write_text
 from study.flight.figures import Episode, effort
@@ -77,6 +79,7 @@ def document(inputs: Inputs) -> str:
         throughput=throughput(inputs.everyone, inputs.provenance),
         weight_at=weight_at,
         worst_seed=worst_seed,
+        other_world=other_world,
         over_seeds=over_seeds,
         effort=effort,
         violated=violated,
@@ -122,6 +125,11 @@ def difference(ours: Estimate, paper: Estimate, digits: int) -> tuple[str, bool]
 def worst_seed(results: Results) -> float:
     """The lowest reward (IQM) of an arm's seeds."""
     return min(of_seeds(results, "reward"))
+
+
+def other_world(results: Results) -> bool:
+    """Whether an arm flew in a plant that is not the model."""
+    return results["config"]["plant"] != asdict(PlantParameters())
 
 
 def weight_at(curve: dict[str, list[float]], time: float) -> float:

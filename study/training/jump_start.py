@@ -17,7 +17,7 @@ from ppo.network import Policy
 from ppo.rollout import collect
 
 # A larger orbit sees more of the chief at once; its tilt, a wider way there and 70 % of the dynamic speed limit keep
-# away from every limit: flown every 10 s without the filter, it violates nothing (tests).
+# away from every limit: flown every 10 s without the filter, it violates nothing on the way there (tests).
 ORBIT = Orbit(semi_minor=55.0, out_of_plane=30.0, tracking=0.01, look_ahead=math.pi / 6, approach=0.7)
 LEARNING_RATE = 1e-3  # of the first batch, annealed linearly to a tenth
 STD_WEIGHT = 0.01  # of the squared error of the log standard deviation, which stays as it is at the start
@@ -37,8 +37,7 @@ class Taught:
     def __init__(self, env: InspectionEnv, policy: Policy) -> None:
         self.env, self.policy = env, policy
         self.guidance = natural_motion(env.c, env.c.action_period, ORBIT)
-        self.observation, self.state_dict = env.observation, env.state_dict
-        self.load_state_dict = env.load_state_dict
+        self.observation = env.observation
         self.leads, self.lessons = True, []
 
     def step(self, action: Tensor) -> Transition:

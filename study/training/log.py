@@ -107,12 +107,17 @@ class Log:
         with naming(self.evaluations), open(self.evaluations, "a", encoding="utf-8") as file:
             file.writelines(lines)
 
+    def begun(self) -> bool:
+        """Whether anything has been evaluated."""
+        return self.evaluations.is_file() and self.evaluations.stat().st_size > 0
+
     def forget_evaluations_after(self, interactions: int) -> None:
         """Drops what a run that was killed had evaluated after its last checkpoint."""
         if self.evaluations.is_file():
             lines = self.evaluations.read_text(encoding="utf-8").splitlines(keepends=True)
             whole = [line for line in lines if line.endswith("\n")]
             kept = [line for line in whole if json.loads(line)["interactions"] <= interactions]
+            kept = kept[: len(kept) // self.seeds * self.seeds]  # of all seeds, or of none
             if kept != lines:
                 write_text(self.evaluations, "".join(kept))
 

@@ -205,7 +205,7 @@ class Run:
         if self.interactions:
             return
         early = train.early_evaluations > 1
-        if early and not self.ranks.agree(self.log.evaluations.is_file()):
+        if early and not self.ranks.agree(self.log.begun()):
             self.evaluate()
         if train.jump_start:
             self.jump_start()

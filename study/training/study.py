@@ -12,7 +12,7 @@ from ppo.distributed import ranks
 from rta.constraints import CONSTRAINTS
 from study import config as configuration
 from study.commands import command
-from study.config import ARMS, TEST_CASES, StudyConfig
+from study.config import TEST_CASES, StudyConfig
 from study.errors import InputError, refusing
 from study.experiment import check_clocks
 from study.files import write_json, write_npz
@@ -66,10 +66,7 @@ def train_and_evaluate(config: StudyConfig, directory: Path) -> str:
     if len(results) > 1:
         shown.append(f"{overview(results)}\n")
     written = f"Written to {directory}: results.json and, for each arm, policies and episodes"
-    following = (
-        [f"Next:\n  {command('report', '--study', directory)}"] if ARMS.keys() & results.keys() else []
-    )
-    return "\n".join((*shown, written, *following))
+    return "\n".join((*shown, written, f"Next:\n  {command('report', '--study', directory)}"))
 
 
 def overview(results: dict[str, Results]) -> str:

@@ -2,14 +2,20 @@
 
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+import torch
 
 import main
-from study.report import compute, flights, inputs, tables
+from study import config as configuration
+from study.config import StudyConfig
+from study.errors import InputError
+from study.experiment import Experiment
+from study.report import agents, compute, flights, inputs, tables
 
 SEEDS = (5, 6)
 CASES = 4
@@ -46,7 +52,6 @@ FILES = {
     "worlds.json",
     "sunlight.json",
     "training.csv",
-    "violation.npz",
     "episode_no_rta.npz",
     "episode_rta.npz",
     "demonstration_no_rta.npz",
@@ -161,15 +166,42 @@ def test_worlds_are_those_of_evaluate(study: Path, tmp_path: Path) -> None:
     assert found["nominal"]["no_rta"]["off"] != found["harsh"]["no_rta"]["off"]
 
 
-def test_the_episode_that_violates_most_is_the_studys(study: Path) -> None:
+def test_the_episode_that_violates_most_is_a_success_that_does(tmp_path: Path) -> None:
+    path = tmp_path / "episodes.npz"
+    outcome = np.array([[0, 1, 1], [1, 1, 0]])  # of two seeds and three cases
+
+    def found(shares: list[list[float]]) -> tuple[int, int] | None:
+        names = {"outcome_names": np.array(["crash", "success"])}
+        np.savez(path, outcome=outcome, violation_seconds=np.array([[[9.0] * 3] * 2, shares]), **names)
+        return flights.worst_success(path)
+
+    assert found([[90.0, 1.0, 2.0], [5.0, 3.0, 80.0]]) == (1, 0)
+    assert found([[90.0, 0.0, 0.0], [0.0, 0.0, 80.0]]) is None
+
+
+def test_the_episode_of_a_seed_and_a_case_is_the_studys(study: Path) -> None:
+    flown = flights.violation(agents.load(study, None)["no_rta"], 1, CASES - 1)
+    assert (int(flown["seed"]), int(flown["case"])) == (SEEDS[1], CASES - 1)
     with np.load(study / "no_rta" / "episodes.npz") as episodes:
-        succeeded = episodes["outcome"] == episodes["outcome_names"].tolist().index("success")
-        shares = np.where(succeeded, episodes["violation_seconds"][-1], -1.0)
         metrics = dict(zip(episodes["metric_names"].tolist(), episodes["metrics"], strict=True))
-    found = np.load(study / "report" / "violation.npz")
-    place = int(found["seed"]) - SEEDS[0], int(found["case"])
-    assert shares[place] == shares.max()
-    assert found["inspected_score"][-1] == pytest.approx(metrics["inspected_score"][place])
+    assert flown["inspected_score"][-1] == pytest.approx(metrics["inspected_score"][1, CASES - 1])
+
+
+def test_an_older_revisions_study_is_refused(study: Path, tmp_path: Path) -> None:
+    (tmp_path / "config.toml").write_text((study / "config.toml").read_text())
+    results = read(study / "results.json")
+    del results["arms"]["rta"]["outcomes"]["clean_success"]
+    (tmp_path / "results.json").write_text(json.dumps(results))
+    with pytest.raises(InputError, match="rta was evaluated by an older revision"):
+        agents.load(tmp_path, None)
+
+
+def test_every_arm_of_the_shipped_study_can_fly_in_every_world() -> None:
+    config = configuration.load(flights.ROOT / "configs" / "study.toml", StudyConfig())
+    told = configuration.load(flights.BOUNDS).uncertainty
+    for name in config.study.arms:
+        own = replace(flights.with_rta(config.of_arm(name), True, flights.FILTER_PERIOD), uncertainty=told)
+        Experiment(own, 1).env(1, [torch.Generator()])
 
 
 def test_orbits_say_which_they_are(study: Path) -> None:
@@ -265,7 +297,7 @@ def test_a_study_of_one_arm_has_a_report_of_one_arm(
     (copy / "results.json").write_text(json.dumps(results))
     compute.compute(copy)
     tables.write(inputs.read(copy))
-    absent = {f"episode_{other}.npz"} | ({"frequency.json"} if arm == "no_rta" else {"violation.npz"})
+    absent = {f"episode_{other}.npz"} | ({"frequency.json"} if arm == "no_rta" else set())
     assert contents(copy / "report").keys() & FILES == FILES - absent
     assert set(read(copy / "report" / "cross.json")) == {arm}
 
