@@ -75,7 +75,8 @@ def main(argv: list[str] | None = None) -> None:
     except Exception as error:  # ONNX Runtime's have nothing else in common
         parser.error(f"{arguments.policy}: {str(error).splitlines()[0]}")
     torch.set_num_threads(1)
-    safety_filter = SafetyFilter(InspectionParameters(), RtaParameters())
+    observed = json.loads(session.get_modelmeta().custom_metadata_map["observed"])
+    safety_filter = SafetyFilter(InspectionParameters(observed=tuple(observed)), RtaParameters())
     if arguments.compile:
         safety_filter.compile("cpu", 1)
     control_loop(session, safety_filter, 2)  # the first calls take longer

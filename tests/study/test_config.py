@@ -132,8 +132,8 @@ def test_the_shipped_configurations_have_the_keys_of_today(
 
 
 def test_a_run_of_before_keeps_its_settings(nothing_announced: None) -> None:
-    """The shipped study was written with the older keys."""
-    study = configuration.load(CONFIGS.parent / "runs/reference/study/config.toml", StudyConfig())
+    """A shipped study was written with the older keys."""
+    study = configuration.load(CONFIGS.parent / "runs/reference/study_plus_x/config.toml", StudyConfig())
     assert (study.rta.period, study.rta.qp_solver) == (1.0, "batched")
     assert configuration.from_toml(study.to_toml(), "text", StudyConfig()) == study
 
