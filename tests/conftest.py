@@ -5,6 +5,7 @@ import json
 import math
 import os
 from collections.abc import Iterator
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,7 @@ from scipy.spatial.transform import Rotation
 from inspection import initial_state
 from inspection.environment import METRICS
 from inspection.parameters import InspectionParameters
+from inspection.plant import PlantParameters
 from inspection.state import OMEGA, SIZE, THETA_S, E, P, Q, T, V
 from rta.constraints import CONSTRAINTS
 from study import progress
@@ -92,6 +94,7 @@ def made_up_evaluation(rng: np.random.Generator, period: float | None, episodes:
             for kind in ("violations_percent", "violations_percent_of_seconds")
         },
         "outcomes": {"success": rng.uniform(0.5, 1.0), "clean_success": rng.uniform(0.1, 0.5)},
+        "config": {"plant": asdict(PlantParameters())},
         "rta": {"period_s": period, "intervention_percent": rng.uniform(1.0, 99.0), "qp_failures": 0},
         "episodes": episodes,
         "digest": "of no interest",

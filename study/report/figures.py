@@ -169,7 +169,7 @@ def behaviour_figure(episodes: dict[str, Episode], c: InspectionParameters) -> F
 
 def cross_figure(cross: dict[str, dict[str, Results]]) -> Figure:
     """Each arm's agents with the filter off (hollow) and on (filled): values with 95 % intervals."""
-    figure = Figure(figsize=(11, 2.9), layout="constrained")
+    figure = Figure(figsize=(11, 3.2), layout="constrained")
     for ax, (title, name) in zip(figure.subplots(1, len(CROSS)), CROSS.items(), strict=True):
         for place, (arm, evaluations) in enumerate(cross.items()):
             colour, marker = style(arm, cross)
@@ -181,7 +181,7 @@ def cross_figure(cross: dict[str, dict[str, Results]]) -> Figure:
                 face = colour if switch == "on" else "white"
                 ax.plot(x, number.value, color=colour, marker=marker, mfc=face, ms=7)
         ax.set(xlabel="trained with", ylabel=title, xlim=(-0.5, len(cross) - 0.5))
-        ax.set_xticks(range(len(cross)), [label(arm) for arm in cross])
+        ax.set_xticks(range(len(cross)), [label(arm) for arm in cross], rotation=30)
         ax.grid(axis="y", alpha=0.3)
         ax.margins(y=0.15)
     handles = [

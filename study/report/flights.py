@@ -39,7 +39,7 @@ ORBITS = [  # two ways to be quick: a stiffer law, and nearing a larger ellipse 
 PLANTS = ROOT / "configs" / "plants"
 WORLDS = ("nominal", "typical", "u1", "harsh")  # files there
 BOUNDS = PLANTS / "u1.toml"  # what the robust filter is told
-WORLDS_CASES = 20  # of each seed in each world
+WORLDS_CASES = 10  # of each seed in each world
 PROGRESS_UNTIL = 5000.0  # s
 Arrays = dict[str, np.ndarray]
 

@@ -17,7 +17,7 @@ from ppo.network import Policy
 from study import export
 from study.config import Config, override
 from study.errors import ExportError
-from study.experiment import make_policy
+from study.experiment import load_policy, make_policy
 from study.flight.controllers import agent
 from tests.test_main import assert_refused, call
 
@@ -88,7 +88,10 @@ def test_another_network_is_not_passed(flaw: float) -> None:
 def test_a_difference_ends_in_one_line_and_exit_code_1(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    other = export.to_onnx(untrained(1), C)
+    policy, config = load_policy(SHIPPED)
+    for weight in policy.parameters():
+        weight.data *= 1.01
+    other = export.to_onnx(policy, config.inspection)
     monkeypatch.setattr(export, "to_onnx", lambda *_: other)
     out = tmp_path / "policy.onnx"
     code, _, err = call(["export", "--checkpoint", str(SHIPPED), "--out", str(out)], capsys)
