@@ -39,8 +39,9 @@ def text(page: str) -> str:
 
 STUDY_ARMS = read("study/results.json")["arms"]
 ARMS = {name: STUDY_ARMS[name] for name in PAPER_METRICS["reward"].by_arm}  # the paper's, in its order
-GUIDANCE, CROSS, FREQUENCY, BASELINES, PROGRESS = (
-    read(f"study/report/{name}.json") for name in ("guidance", "cross", "frequency", "baselines", "progress")
+GUIDANCE, CROSS, FREQUENCY, BASELINES, WORLDS_FLOWN, PROGRESS = (
+    read(f"study/report/{name}.json")
+    for name in ("guidance", "cross", "frequency", "baselines", "worlds", "progress")
 )
 BENCHMARK = read("benchmark.json")
 # What results.md calls the arms
@@ -298,6 +299,16 @@ def test_the_cross_evaluation_is_the_studys(arm: str, switch: str) -> None:
     ]
 
 
+@pytest.mark.parametrize("arm", LABELS)
+@pytest.mark.parametrize("plant", WORLDS_FLOWN)
+def test_the_other_worlds_are_the_reports(plant: str, arm: str) -> None:
+    cells = []
+    for results in WORLDS_FLOWN[plant][arm].values():
+        reward = results["metrics"]["reward"]["iqm"]
+        cells += [f"{success(results)}, {violation(results)}, {reward:.3f}"]
+    assert row(f"{plant} | {LABELS[arm]}", RESULTS, "Worlds that are not the model") == cells
+
+
 def columns(section: str, metrics: list[str], constraints: list[str], *results: dict[str, Any]) -> None:
     """Asserts that a section's table has these rows, and these evaluations as its columns."""
     for metric in metrics:
@@ -491,6 +502,25 @@ def test_the_break_points_are_the_reports() -> None:
         unit = break_points.EFFECTS[effect].unit or "share"
         assert f"| {' | '.join((effect, unit, *said))} |" in lines
     assert f"in each of the {len(report['worlds'])} worlds" in " ".join(lines)
+
+
+@pytest.mark.parametrize("arm", ["rta", "robust"])
+def test_the_agents_in_u1_are_the_reports(arm: str) -> None:
+    flown = WORLDS_FLOWN["u1"][arm]["robust"], WORLDS_FLOWN["nominal"][arm]["nominal"]
+    rewards, fuels = (
+        [f"{each['metrics'][name]['iqm']:.{digits}f}" for each in flown]
+        for name, digits in (("reward", 4), ("delta_v_m_s", 2))
+    )
+    apart = np.subtract(*(each["reward_of_seeds"] for each in flown))
+    cells = [
+        LABELS[arm],
+        success(flown[0]),
+        violation(flown[0]),
+        *rewards,
+        f"{apart.min():+.3f} to {apart.max():+.3f}",
+        *fuels,
+    ]
+    assert f"| {' | '.join(cells)} |" in text(SAFETY).splitlines()
 
 
 # speed
