@@ -24,6 +24,10 @@ SIZES = (16, 256)  # of a chunk: for few spacecraft, for many; a CPU's caches ho
 WORTH_A_THREAD = 3e-4  # s of computing that repay handing a chunk to a thread, which waits for Python's lock
 UNROLLED = 32  # terms of an inner product up to which they are written out
 
+COPIES = {  # and other names of the same values
+    getattr(torch.ops.aten, name).default for name in ("alias", "detach", "clone", "lift_fresh_copy")
+}
+
 TRACING = threading.Lock()  # PyTorch's tracer changes what all threads share
 
 Parts = list[Tensor]
@@ -159,9 +163,14 @@ def traced(
 
 
 def without_repetitions(graph: GraphModule) -> GraphModule:
-    """The graph with equal constants and common subexpressions computed once: several constraints begin alike."""
+    """The graph with equal constants and common subexpressions computed once: several constraints begin alike.
+
+    Copies are left out, which hide what is equal. Nothing writes in place, as the graph is functional.
+    """
     from torch._functorch.compile_utils import fx_graph_cse
 
+    for node in [node for node in graph.graph.nodes if node.target in COPIES]:
+        node.replace_all_uses_with(node.args[0])
     seen: dict[tuple[Any, ...], Node] = {}
     for node in graph.graph.find_nodes(op="get_attr"):
         constant = getattr(graph, node.target)
