@@ -238,6 +238,43 @@ def early(arm: str) -> list[str]:
     ]
 
 
+PAPER_LEARNER = REFERENCE / "paper"
+EARLY = (0, 65_536, 163_840, 311_296, 507_904, 1_015_808, 2_015_232)  # interactions that the page's table has
+
+
+def learning_from_nothing(interactions: int) -> list[str]:
+    """What the paper's learner can do after so many interactions, without RTA and with it by turns."""
+    success, weight, fuel = [], [], []
+    for arm in ("no_rta", "rta"):
+        lines = (PAPER_LEARNER / arm / "evaluations.jsonl").read_text(encoding="utf-8").splitlines()
+        of_seeds = [line for line in map(json.loads, lines) if line["interactions"] == interactions]
+        assert len(of_seeds) == 3
+        success.append(f"{100.0 * np.mean([seed['outcomes']['success'] for seed in of_seeds]):.0f}")
+        for cells, metric, digits in ((weight, "inspected_score", 2), (fuel, "delta_v_m_s", 1)):
+            cases = np.concatenate([seed["cases"][metric] for seed in of_seeds])
+            cells.append(f"{float(iqm(cases)):.{digits}f}")
+    return [*success, *weight, *fuel]
+
+
+@pytest.mark.parametrize("interactions", EARLY)
+def test_the_papers_learner_is_as_early_as_the_page_says(interactions: int) -> None:
+    assert row(f"{interactions:,}", RESULTS, "How early") == learning_from_nothing(interactions)
+
+
+def test_what_the_page_says_of_the_papers_learner_is_in_its_results() -> None:
+    arms, page = read("paper/results.json")["arms"], " ".join(text(RESULTS).split())
+    without, behind = (
+        {name: arms[arm]["metrics"][name]["iqm"] for name in ("delta_v_m_s", "reward", "torque_n_m")}
+        for arm in ("no_rta", "rta")
+    )
+    fuel = f"{without['delta_v_m_s']:.1f}", f"{behind['delta_v_m_s']:.1f}"
+    assert f"in the end, {fuel[1]} against {fuel[0]} m/s" in page
+    assert f"order of fuel: {fuel[0]} m/s without and {fuel[1]} m/s with RTA" in page
+    assert behind["reward"] < without["reward"] and behind["torque_n_m"] < without["torque_n_m"]
+    clean = [f"{100.0 * arms[arm]['outcomes']['clean_success']:.0f}" for arm in ("no_rta", "rta")]
+    assert f"Without the filter {clean[0]} % are clean in the end, with it {clean[1]} %" in page
+
+
 def tail(arm: str) -> list[str]:
     """What the interquartile means hide, in the order of the page's rows."""
     with np.load(STUDY / arm / "episodes.npz") as episodes:
