@@ -160,7 +160,7 @@ class InspectionEnv:
             self._integrate = partial(self.plant.integrate, duration=self.clocks.step)
         else:
             self._integrate = partial(integrate, duration=self.clocks.step, c=parameters)
-        self._normalised = partial(normalised, observed=parameters.observed)
+        self._normalised = partial(normalised, c=parameters)
         self._values = self.safety.values
         self._margins = partial(chief.by_chunks, partial(chief.margins, self.normals, c=parameters))
         self._lloyd = partial(chief.by_chunks, partial(chief.lloyd, self.points))
@@ -346,7 +346,7 @@ class InspectionEnv:
         reward = torch.stack([terms[name] for name in REWARDS]).sum(0)
         h = self.constraint_values(self.x)
         named = dict(zip(self.safety.names, h, strict=True))
-        own = shaping(self.x, named, corrected / answered.clamp(min=1.0), c)
+        own = shaping(self.x, named, corrected / answered.clamp(min=1.0), ended["success"], c)
         self.totals += torch.stack((reward, delta_v, torque))
         violated = self._count(h < 0.0)
 

@@ -7,8 +7,8 @@ import torch
 from torch import Tensor
 
 from inspection.attitude import conjugate, dot, norm, rotate, unit
-from inspection.dynamics import sun_direction
-from inspection.parameters import OBSERVED
+from inspection.dynamics import COARSE, closest_pass, sun_direction
+from inspection.parameters import OBSERVED, InspectionParameters
 from inspection.state import OMEGA, THETA_S, E, P, Q, T, V
 
 
@@ -25,9 +25,10 @@ def vector(name: str, unit: str = "1", scale: float = 1.0) -> list[Component]:
     return [Component(f"{name}_{i}", unit, scale) for i in "xyz"]
 
 
-# By what they are of, in the paper's order, 26 in all, and beyond it "hill": the paper's observations tell the Sun's
-# direction, but not radial from along-track, so that an agent cannot know whether its free flight drifts.
-# (decision: the paper does not give its scales)
+# By what they are of, in the paper's order, 26 in all, and two groups beyond it. "hill": the paper's observations tell
+# the Sun's direction, but not radial from along-track, so that an agent cannot know whether its free flight drifts.
+# "free_flight": where coasting passes the chief next, within the horizons of passive safety and of the reward of
+# success, which a small network does not work out. (decision: the paper does not give its scales)
 GROUPS: dict[str, list[Component]] = {
     "position": [Component("position_norm", "m", 100.0), *vector("position")],
     "velocity": [Component("velocity_norm", "m/s", 0.866), *vector("velocity")],
@@ -39,6 +40,7 @@ GROUPS: dict[str, list[Component]] = {
     "uninspected": [*vector("uninspected"), Component("uninspected_alignment", "1", 1.0)],
     "score": [Component("inspected_score", "1", 1.0)],
     "hill": [*vector("radial"), *vector("along_track")],
+    "free_flight": [*vector("coast"), *vector("drift")],
 }
 
 
@@ -47,8 +49,13 @@ def components(observed: Collection[str] = OBSERVED) -> list[Component]:
     return [component for name, group in GROUPS.items() if name in observed for component in group]
 
 
+def nearness(closest: Tensor, c: InspectionParameters) -> Tensor:
+    """Towards a closest pass (3, B) in m, as long as the collision radius is of its distance, at most 2."""
+    return unit(closest) * (c.collision_radius / norm(closest)).clamp(max=2.0)
+
+
 def observe(
-    x: Tensor, priority: Tensor, uninspected: Tensor, score: Tensor, observed: Collection[str] = OBSERVED
+    x: Tensor, priority: Tensor, uninspected: Tensor, score: Tensor, c: InspectionParameters
 ) -> Tensor:
     """o in physical units, a row (B,) per component; divide by `scales` for the network.
 
@@ -56,13 +63,16 @@ def observe(
         x: states (16, B).
         priority, uninspected: r_p and r_UPS in Hill's frame (3, B).
         score: inspected weight w_p (B,).
-        observed: groups.
+        c: what is observed, and the horizons of free flight.
     """
     to_body = conjugate(x[Q])
     p_hat = unit(x[P])
 
     def of_direction(direction: Tensor) -> Tensor:
         return torch.cat((rotate(to_body, direction), dot(direction, p_hat)[None]))
+
+    def of_free_flight(horizon: float) -> Tensor:
+        return rotate(to_body, nearness(closest_pass(x[P], x[V], horizon, c.mean_motion, COARSE), c))
 
     radial, along_track, _ = torch.eye(3, dtype=x.dtype, device=x.device)[..., None].expand(3, *x[P].shape)
     rows: dict[str, Callable[[], Tensor]] = {
@@ -76,8 +86,11 @@ def observe(
         "uninspected": lambda: of_direction(uninspected),
         "score": lambda: score[None],
         "hill": lambda: torch.cat((rotate(to_body, radial), rotate(to_body, along_track))),
+        "free_flight": lambda: torch.cat(
+            (of_free_flight(c.passive_safety_horizon), of_free_flight(c.free_flight_horizon))
+        ),
     }
-    return torch.cat([row() for name, row in rows.items() if name in observed])
+    return torch.cat([row() for name, row in rows.items() if name in c.observed])
 
 
 def scales(like: Tensor, observed: Collection[str] = OBSERVED) -> Tensor:
@@ -86,8 +99,8 @@ def scales(like: Tensor, observed: Collection[str] = OBSERVED) -> Tensor:
 
 
 def normalised(
-    x: Tensor, priority: Tensor, uninspected: Tensor, score: Tensor, observed: Collection[str] = OBSERVED
+    x: Tensor, priority: Tensor, uninspected: Tensor, score: Tensor, c: InspectionParameters
 ) -> Tensor:
     """`observe` divided by `scales`, in float32 for the network."""
-    o = observe(x, priority, uninspected, score, observed)
-    return (o / scales(o, observed)).float()
+    o = observe(x, priority, uninspected, score, c)
+    return (o / scales(o, c.observed)).float()

@@ -23,7 +23,8 @@ NOT_NEGATIVE = (
 )
 AT_MOST_ONE = "absorptivity emissivity albedo view_factor panel_degradation success_score"
 
-# What an agent may observe, see `inspection.observation`: the paper's, and the axes of Hill's frame.
+# What an agent may observe, see `inspection.observation`: the paper's, the axes of Hill's frame, and where free flight
+# passes the chief.
 OBSERVED = (
     "position",
     "velocity",
@@ -35,7 +36,7 @@ OBSERVED = (
     "uninspected",
     "score",
 )
-OBSERVABLE = (*OBSERVED, "hill")
+OBSERVABLE = (*OBSERVED, "hill", "free_flight")
 
 
 @dataclass(frozen=True)
@@ -119,6 +120,7 @@ class InspectionParameters:
     correction_reward: float = 0.0  # per action, where the filter corrects all of its calls
     limit_reward: float = 0.0  # per action and limit reached; less from `reward.NEAR` on, more beyond
     drift_reward: float = 0.0  # per action, where free flight crosses the chief's track; less up to 30 m off
+    end_drift_reward: float = 0.0  # where coasting from a success would come within 10 m of a crash
 
     def __post_init__(self) -> None:
         for name in ("solar_panel_axis", "thermal_axis"):

@@ -44,6 +44,7 @@ IRRELEVANT = {
     "correction_reward",
     "limit_reward",
     "drift_reward",
+    "end_drift_reward",
     "free_flight_horizon",
     "qp_solver",
 }

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from inspection.observation import GROUPS, components, observe, scales
 from inspection.parameters import OBSERVABLE, OBSERVED
-from inspection.reward import PHASES, REWARDS, distance_from_track, rewards
+from inspection.reward import PHASES, REWARDS, distance_from_track, rewards, shaping
 from inspection.state import E, P, Q, V
 from inspection.termination import OUTCOMES, ends, failures
 
@@ -53,29 +53,29 @@ def draw(random_states, generator, batch):
     return random_states(batch), priority, uninspected, score
 
 
-def test_observations_are_the_papers(random_states, generator):
+def test_observations_are_the_papers(c, random_states, generator):
     arguments = draw(random_states, generator, 8)
-    o = observe(*arguments)
+    o = observe(*arguments, c)
     expected = [recompute(*(a[..., i].numpy() for a in arguments)) for i in range(8)]
     np.testing.assert_allclose(o.T, expected, rtol=1e-12, atol=1e-12)
 
 
-def test_at_rest_the_velocity_is_zero_and_nothing_is_nan(random_states, generator):
+def test_at_rest_the_velocity_is_zero_and_nothing_is_nan(c, random_states, generator):
     x, *rest = draw(random_states, generator, 3)
     x[V] = 0.0
-    o = observe(x, *rest)
+    o = observe(x, *rest, replace(c, observed=OBSERVABLE))
     assert (o[4:8] == 0.0).all() and o.isfinite().all()
 
 
-def test_no_uninspected_points_are_seen_as_zeros(random_states, generator):
+def test_no_uninspected_points_are_seen_as_zeros(c, random_states, generator):
     x, priority, _, score = draw(random_states, generator, 3)
-    assert (observe(x, priority, torch.zeros(3, 3).double(), score)[21:25] == 0.0).all()
+    assert (observe(x, priority, torch.zeros(3, 3).double(), score, c)[21:25] == 0.0).all()
 
 
-def test_alignment_is_one_where_the_deputy_is_under_the_sun(random_states, generator):
+def test_alignment_is_one_where_the_deputy_is_under_the_sun(c, random_states, generator):
     x, *rest = draw(random_states, generator, 1)
     x[:3, 0] = 70.0 * torch.tensor([math.cos(x[15]), math.sin(x[15]), 0.0])
-    np.testing.assert_allclose(observe(x, *rest)[16], 1.0, rtol=1e-7)
+    np.testing.assert_allclose(observe(x, *rest, c)[16], 1.0, rtol=1e-7)
 
 
 def test_names_are_in_the_papers_order():
@@ -100,8 +100,8 @@ def test_scales_divide_by_the_size_of_each_quantity():
     assert divisors == [100, 1, 1, 1, 0.866, 1, 1, 1, 0.035, 0.035, 0.035, 10, 10] + [1] * 13
 
 
-def test_normalised_observations_of_flight_are_within_a_few_units(random_states, generator):
-    o = observe(*draw(random_states, generator, 200))
+def test_normalised_observations_of_flight_are_within_a_few_units(c, random_states, generator):
+    o = observe(*draw(random_states, generator, 200), c)
     assert (o / scales(o)).abs().max() <= 4.0  # at 400 m
 
 
@@ -279,6 +279,32 @@ def test_distances_count_in_every_direction(c, direction):
     assert found["out_of_bounds"].tolist() == [False, False, False, True]
 
 
+def test_free_flight_is_seen_where_an_integrated_one_passes_the_chief(c, random_states, generator):
+    """Within 500 s and, over three days that drift along the track, within two."""
+    x, *rest = draw(random_states, generator, 20)
+    x[P] *= 0.4
+    x[V] *= 0.03
+    n = c.mean_motion
+
+    def coast(t, s):
+        return [*s[3:], 3 * n**2 * s[0] + 2 * n * s[4], -2 * n * s[3], -(n**2) * s[2]]
+
+    c = replace(c, observed=("free_flight",), free_flight_horizon=40_000.0)
+    seen = observe(x, *rest, c)
+    lengths = seen.reshape(2, 3, 20).norm(dim=1)
+    assert (lengths > 0.9).any() and (lengths < 0.2).any()
+    for i in range(20):
+        start, to_body = torch.cat((x[P, i], x[V, i])).numpy(), Rotation.from_quat(x[Q, i].numpy()).inv()
+        for horizon, row in ((500.0, seen[:3, i]), (40_000.0, seen[3:, i])):
+            times = np.linspace(0.0, horizon, round(2 * horizon) + 1)
+            path = solve_ivp(coast, (0.0, horizon), start, t_eval=times, rtol=1e-10, atol=1e-10).y[:3]
+            distance = np.linalg.norm(path, axis=0)
+            assert 15.0 / row.norm() == pytest.approx(max(distance.min(), 7.5), abs=1.0)
+            towards = to_body.inv().apply(row.numpy() / row.norm().item())
+            there = path[:, distance < distance.min() + 1.0]  # some passes are as near as others
+            assert (towards @ there / np.linalg.norm(there, axis=0)).max() > 0.97
+
+
 def test_the_distance_from_the_track_is_that_of_three_integrated_orbits(c, random_states):
     x = random_states(20)
     x[V] *= 0.1
@@ -298,22 +324,32 @@ def test_the_distance_from_the_track_is_that_of_three_integrated_orbits(c, rando
         assert -1e-6 < found[i] - across.min() + 1e-3 < fastest * orbit / (2 * PHASES) + 2e-3
 
 
-def test_groups_are_left_out_or_added_whatever_order_they_are_named_in(random_states, generator):
+def test_a_success_that_would_pass_too_near_costs_the_learner(c):
+    """24.9 m along the track are too near, so is a swing through the chief; what goes on is not asked."""
+    ends = ((0.0, 25.1, 0.0), (0.0, 24.9, 0.0), (0.0, 0.0, 60.0), (0.0, 0.0, 60.0))
+    x = torch.cat([at(p) for p in ends], 1)
+    succeeded, nothing = torch.tensor([True, True, True, False]), torch.zeros(4, dtype=torch.float64)
+    terms = shaping(x, {}, nothing, succeeded, replace(c, end_drift_reward=-10.0))
+    assert {name: term.tolist() for name, term in terms.items()} == {"end_drift": [0.0, -10.0, -10.0, 0.0]}
+    assert shaping(x, {}, nothing, succeeded, c) == {}
+
+
+def test_groups_are_left_out_or_added_whatever_order_they_are_named_in(c, random_states, generator):
     arguments = draw(random_states, generator, 4)
     names = [name for name, _, _ in components(OBSERVABLE)]
-    everything = dict(zip(names, observe(*arguments, OBSERVABLE), strict=True))
+    everything = dict(zip(names, observe(*arguments, replace(c, observed=OBSERVABLE)), strict=True))
     chosen = ("hill", "score", "sun")
     few = [name for name, _, _ in components(chosen)]
-    assert few == ["sun_x", "sun_y", "sun_z", "sun_alignment", "inspected_score", *names[-6:]]
-    for row, name in zip(observe(*arguments, chosen), few, strict=True):
+    assert few == ["sun_x", "sun_y", "sun_z", "sun_alignment", "inspected_score", *names[-12:-6]]
+    for row, name in zip(observe(*arguments, replace(c, observed=chosen)), few, strict=True):
         assert torch.equal(row, everything[name])
-    assert torch.equal(observe(*arguments), torch.stack(list(everything.values())[:26]))
+    assert torch.equal(observe(*arguments, c), torch.stack(list(everything.values())[:26]))
     assert scales(arguments[0], chosen).shape == (11, 1) and set(OBSERVED) < set(OBSERVABLE)
 
 
-def test_the_axes_of_hills_frame_are_seen_in_the_body_frame(random_states, generator):
+def test_the_axes_of_hills_frame_are_seen_in_the_body_frame(c, random_states, generator):
     arguments = draw(random_states, generator, 4)
-    axes = observe(*arguments, ("hill",))
+    axes = observe(*arguments, replace(c, observed=("hill",)))
     for i, row in enumerate(axes.T.numpy()):
         to_body = Rotation.from_quat(arguments[0][Q, i].numpy()).inv().apply
         np.testing.assert_allclose(row, [*to_body([1, 0, 0]), *to_body([0, 1, 0])], rtol=0, atol=1e-12)

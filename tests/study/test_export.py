@@ -58,7 +58,7 @@ def test_metadata_lead_from_a_state_to_newtons(random_states) -> None:
     env = InspectionEnv(5, C, [torch.Generator().manual_seed(0)])
     env.reset()
     env.x = random_states(5)
-    o = observe(env.x, env.priority, env.uninspected, env.score).T.numpy()
+    o = observe(env.x, env.priority, env.uninspected, env.score, C).T.numpy()
     divisors = np.array([component["scale"] for component in about["observation"]])
     (control,) = session.run(None, {"observation": (o / divisors).astype(np.float32)})
     scaled = control * np.array([component["scale"] for component in about["control"]])
