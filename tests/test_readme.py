@@ -259,6 +259,12 @@ def learning_from_nothing(interactions: int) -> list[str]:
 @pytest.mark.parametrize("interactions", EARLY)
 def test_the_papers_learner_is_as_early_as_the_page_says(interactions: int) -> None:
     assert row(f"{interactions:,}", RESULTS, "How early") == learning_from_nothing(interactions)
+    if interactions == 311_296:
+        without, behind, *_ = learning_from_nothing(interactions)
+        sentence = f"succeeds in {behind} % after 0.31 million decisions with RTA, in {without} % without"
+        assert sentence in " ".join(text("README.md").split())
+        later = f"{behind} % succeed after 0.31 million interactions with RTA, where {without} % do without"
+        assert later in " ".join(text(RESULTS).split())
 
 
 def test_what_the_page_says_of_the_papers_learner_is_in_its_results() -> None:
