@@ -346,7 +346,7 @@ class InspectionEnv:
         reward = torch.stack([terms[name] for name in REWARDS]).sum(0)
         h = self.constraint_values(self.x)
         named = dict(zip(self.safety.names, h, strict=True))
-        own = shaping(self.x, named, corrected / answered.clamp(min=1.0), ended["success"], c)
+        own = shaping(self.x, named, corrected / answered.clamp(min=1.0), c)
         self.totals += torch.stack((reward, delta_v, torque))
         violated = self._count(h < 0.0)
 

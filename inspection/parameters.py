@@ -120,7 +120,6 @@ class InspectionParameters:
     correction_reward: float = 0.0  # per action, where the filter corrects all of its calls
     limit_reward: float = 0.0  # per action and limit reached; less from `reward.NEAR` on, more beyond
     drift_reward: float = 0.0  # per action, where free flight crosses the chief's track; less up to 30 m off
-    end_drift_reward: float = 0.0  # where coasting from a success would come within 10 m of a crash
 
     def __post_init__(self) -> None:
         for name in ("solar_panel_axis", "thermal_axis"):

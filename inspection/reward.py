@@ -11,7 +11,6 @@ from inspection.parameters import InspectionParameters
 from inspection.state import OMEGA, P, Q, V
 
 PHASES = 64  # at which an orbit of free flight is looked at
-BERTH = 10.0  # m of clearance beyond the collision radius that `end_drift_reward` wants; chosen
 # How near a limit is near, in the unit of its h: of those that agents without a filter break; chosen
 NEAR = {"dynamic_speed": 0.06, "passive_safety": 6.0, "temperature": 0.5, "battery": 0.3}  # m/s, m, deg C, kJ
 REWARDS = ("points", "delta_v", "torque", "orientation", "time", "success", "crash", "distance", "energy")
@@ -25,17 +24,13 @@ def orientation(x: Tensor, c: InspectionParameters) -> Tensor:
     return torch.where(misalignment <= 1.0, reward, 0.0)
 
 
-def stays_clear(x: Tensor, columns: Tensor, c: InspectionParameters, berth: float = 0.0) -> Tensor:
-    """Whether free flight from states x (16, B) stays clear of the chief, (B,); False but for `columns` (B,).
-
-    Args:
-        berth: m of clearance beyond the collision radius.
-    """
+def stays_clear(x: Tensor, columns: Tensor, c: InspectionParameters) -> Tensor:
+    """Whether free flight from states x (16, B) stays clear of the chief, (B,); False but for `columns` (B,)."""
     clear = torch.zeros_like(columns)
     if columns.any():
         ends = x[:, columns]
         pass_ = closest_pass(ends[P], ends[V], c.free_flight_horizon, c.mean_motion)
-        clear[columns] = norm(pass_) >= c.collision_radius + berth
+        clear[columns] = norm(pass_) >= c.collision_radius
     return clear
 
 
@@ -89,9 +84,7 @@ def distance_from_track(x: Tensor, c: InspectionParameters) -> Tensor:
     return torch.hypot(path[0], path[2]).amin(0)
 
 
-def shaping(
-    x: Tensor, h: dict[str, Tensor], corrected: Tensor, succeeded: Tensor, c: InspectionParameters
-) -> dict[str, Tensor]:
+def shaping(x: Tensor, h: dict[str, Tensor], corrected: Tensor, c: InspectionParameters) -> dict[str, Tensor]:
     """Our own terms as (B,) for the state x (16, B) after the interaction; none where all weights are 0.
 
     The learner is given them beside the paper's nine, which `rewards` are reported in.
@@ -99,7 +92,6 @@ def shaping(
     Args:
         h: constraint values (B,) by name.
         corrected: share of the filter's calls that it corrected.
-        succeeded: the interaction ended the inspection.
     """
     terms = {}
     if c.rate_reward:
@@ -112,8 +104,4 @@ def shaping(
     if c.drift_reward:
         nearness = 1.0 - distance_from_track(x, c) / (2.0 * c.collision_radius)
         terms["drift"] = c.drift_reward * nearness.clamp(min=0.0)
-    if c.end_drift_reward:
-        terms["end_drift"] = c.end_drift_reward * (succeeded & ~stays_clear(x, succeeded, c, BERTH)).to(
-            x.dtype
-        )
     return terms

@@ -44,7 +44,6 @@ IRRELEVANT = {
     "correction_reward",
     "limit_reward",
     "drift_reward",
-    "end_drift_reward",
     "free_flight_horizon",
     "qp_solver",
 }

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from inspection.observation import GROUPS, components, observe, scales
 from inspection.parameters import OBSERVABLE, OBSERVED
-from inspection.reward import PHASES, REWARDS, distance_from_track, rewards, shaping
+from inspection.reward import PHASES, REWARDS, distance_from_track, rewards
 from inspection.state import E, P, Q, V
 from inspection.termination import OUTCOMES, ends, failures
 
@@ -322,16 +322,6 @@ def test_the_distance_from_the_track_is_that_of_three_integrated_orbits(c, rando
         across = np.hypot(path[0], path[2])
         fastest = np.hypot(path[3], path[5]).max()
         assert -1e-6 < found[i] - across.min() + 1e-3 < fastest * orbit / (2 * PHASES) + 2e-3
-
-
-def test_a_success_that_would_pass_too_near_costs_the_learner(c):
-    """24.9 m along the track are too near, so is a swing through the chief; what goes on is not asked."""
-    ends = ((0.0, 25.1, 0.0), (0.0, 24.9, 0.0), (0.0, 0.0, 60.0), (0.0, 0.0, 60.0))
-    x = torch.cat([at(p) for p in ends], 1)
-    succeeded, nothing = torch.tensor([True, True, True, False]), torch.zeros(4, dtype=torch.float64)
-    terms = shaping(x, {}, nothing, succeeded, replace(c, end_drift_reward=-10.0))
-    assert {name: term.tolist() for name, term in terms.items()} == {"end_drift": [0.0, -10.0, -10.0, 0.0]}
-    assert shaping(x, {}, nothing, succeeded, c) == {}
 
 
 def test_groups_are_left_out_or_added_whatever_order_they_are_named_in(c, random_states, generator):

@@ -35,7 +35,6 @@ rate_reward = -0.001
 correction_reward = -0.001
 limit_reward = -0.001
 drift_reward = -0.001
-end_drift_reward = -10.0
 [ppo]
 minibatch_size = 4
 hidden = [8]
