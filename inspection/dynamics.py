@@ -198,9 +198,7 @@ def free_flight(p: Tensor, v: Tensor, t: Tensor, n: float) -> Tensor:
     )
 
 
-COARSE = (
-    100.0  # s between samples, where the 0.4 m by which a chord strays at 100 m from the chief do not matter
-)
+COARSE = 100.0  # s between samples where 0.4 m do not matter, by which a chord strays 100 m from the chief
 
 
 def closest_pass(p: Tensor, v: Tensor, horizon: float, n: float, spacing: float = 10.0) -> Tensor:
