@@ -104,7 +104,7 @@ def turned_by(q: Tensor, angle: Tensor) -> Tensor:
     return unit(torch.cat((vector, (q[3] * half[1] - dot(q[:3], half[0]))[None])))
 
 
-def rate_in_hill(q: Sequence[Tensor], omega: Sequence[Tensor], n: float) -> Vector:
+def rate_in_hill(q: Sequence[Tensor], omega: Sequence[Tensor], n: Tensor | float) -> Vector:
     """The components of the body's rate relative to Hill's frame, which turns by n rad/s about z, in rad/s.
 
     That is a gyro's rate omega, relative to the stars, less R^T (0, 0, n); both in the body frame.

@@ -1,9 +1,8 @@
-"""Equations of motion x' = f(x) + g(x) u, their RK4 step and the free flight in closed form (Sec. Dynamics).
+"""Equations of motion x' = f(x) + g(x) u and their RK4 step (Sec. Dynamics).
 
 Every function is written for one spacecraft with the component axis first; batch axes trail and broadcast.
 """
 
-import math
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -11,15 +10,14 @@ import torch
 from torch import Tensor
 
 from inspection.attitude import (
-    Vector,
     body_axis,
-    dot,
     quaternion_rate,
     rate_in_hill,
     rotation_matrix,
     turned,
     unit,
 )
+from inspection.orbit import natural_acceleration, turning
 from inspection.parameters import AXES, InspectionParameters
 from inspection.state import CONTROL_SIZE, OMEGA, THETA_S, THRUST, TORQUE, P, Q, T, V
 
@@ -59,15 +57,16 @@ def cosine_to(axis: str, direction: Tensor) -> Tensor:
     return direction[index] if sign > 0 else -direction[index]
 
 
-def clohessy_wiltshire(p: Sequence[Tensor], v: Sequence[Tensor], n: float) -> Vector:
-    """Components of the natural acceleration in Hill's frame in m/s^2."""
-    return 3 * n**2 * p[0] + 2 * n * v[1], -2 * n * v[0], -(n**2) * p[2]
-
-
 def euler(omega: Sequence[Any], inertia: Sequence[Any]) -> tuple[Any, Any, Any]:
     """Components of the gyroscopic angular acceleration J^-1 (-omega x J omega) in rad/s^2, of tensors or numbers."""
     (w1, w2, w3), (j1, j2, j3) = omega, inertia
     return (j2 - j3) / j1 * w2 * w3, (j3 - j1) / j2 * w1 * w3, (j1 - j2) / j3 * w1 * w2
+
+
+def attitude_rate(x: Sequence[Tensor], turns: bool, c: InspectionParameters) -> tuple[Tensor, ...]:
+    """The components of dq/dt, from those of x; `turns`: omega is relative to the stars, not to Hill's frame."""
+    omega = rate_in_hill(x[Q], x[OMEGA], turning(x[THETA_S], c)) if turns else x[OMEGA]
+    return quaternion_rate(x[Q], omega)
 
 
 def temperature_rate(
@@ -104,12 +103,12 @@ def natural_rates(x: Sequence[Tensor], c: InspectionParameters) -> list[Tensor]:
     cos_panel, _ = cosines(c.solar_panel_axis)
     return [
         *v,
-        *clohessy_wiltshire(p, v, c.mean_motion),
-        *quaternion_rate(q, omega),
+        *natural_acceleration(p, v, theta_s, c),
+        *attitude_rate(x, c.hill_rotation, c),
         *euler(omega, c.inertia),
         temperature_rate(cos_sun, cos_earth, x[T], c),
         energy_rate(cos_panel, c),
-        torch.full_like(theta_s, -c.mean_motion),
+        -turning(theta_s, c),
     ]
 
 
@@ -136,8 +135,7 @@ def derivative(
     if body:
         rate[V] = [f_i + push_i for f_i, push_i in zip(rate[V], body.push, strict=True)]
         rate[OMEGA] = euler(x[OMEGA], inertia)
-        if body.in_turning_frame:
-            rate[Q] = quaternion_rate(x[Q], rate_in_hill(x[Q], x[OMEGA], c.mean_motion))
+        rate[Q] = attitude_rate(x, body.in_turning_frame, c)
     force, torque = turned(x[Q], u[THRUST]), u[TORQUE]
     rate[V] = [f_i + force_i / mass for f_i, force_i in zip(rate[V], force, strict=True)]
     rate[OMEGA] = [f_i + t_i / j_i for f_i, t_i, j_i in zip(rate[OMEGA], torque, inertia, strict=True)]
@@ -175,58 +173,3 @@ def integrate(
     for _ in range(times):
         x = step(x, u, duration, c, body)
     return x
-
-
-def free_flight(p: Tensor, v: Tensor, t: Tensor, n: float) -> Tensor:
-    """Position after coasting for t s, the closed-form Clohessy-Wiltshire solution (Sec. PSM).
-
-    Args:
-        p, v: (3, ...) position in m and velocity in m/s at t = 0.
-        t: (k, ...) or any shape that broadcasts against (...), in s.
-
-    Returns:
-        (3, *broadcast) in m.
-    """
-    (x, y, z), (dx, dy, dz) = p, v
-    s, co = (n * t).sin(), (n * t).cos()
-    return torch.stack(
-        (
-            (4 - 3 * co) * x + s / n * dx + 2 / n * (1 - co) * dy,
-            6 * (s - n * t) * x + y - 2 / n * (1 - co) * dx + (4 * s - 3 * n * t) / n * dy,
-            z * co + dz / n * s,
-        )
-    )
-
-
-COARSE = 100.0  # s between samples where 0.4 m do not matter, by which a chord strays 100 m from the chief
-
-
-def closest_pass(p: Tensor, v: Tensor, horizon: float, n: float, spacing: float = 10.0) -> Tensor:
-    """The position in m next to the chief's centre while coasting for `horizon` s: (3, k), (3, k) to (3, k).
-
-    One orbit is sampled every `spacing` s at most and joined by straight chords, so that a fast pass between two
-    samples is not missed; a chord strays from the arc by at most |a| spacing^2 / 8 (0.1 m at 0.01 m/s^2), and the last
-    one ends up to `spacing` s after the horizon. Every later orbit is the same one, moved along the track by
-    -6 pi (2 x + v_y / n): each chord is looked at in the orbit in which its point next to the line along the track
-    through the chief is next to the chief.
-    """
-    orbit = 2.0 * math.pi / n
-    span = min(horizon, orbit)
-    t = torch.linspace(0.0, span, math.ceil(span / spacing) + 1, dtype=p.dtype, device=p.device)
-    path = free_flight(p[:, None], v[:, None], t[:, None], n)  # (3, times, k)
-    start, chord = path[:, :-1], path[:, 1:] - path[:, :-1]
-    if horizon > orbit:
-        drift = -6.0 * math.pi * (2.0 * p[0] + v[1] / n)  # m an orbit
-        orbits = ((horizon - t[:-1, None]) / orbit).floor()
-        across = torch.stack((start[0], start[2])), torch.stack((chord[0], chord[2]))
-        y = start[1] + share(*across) * chord[1]
-        passed = (-y / torch.where(drift == 0.0, torch.inf, drift)).round()
-        start = torch.stack((start[0], start[1] + passed.clamp(min=0.0).minimum(orbits) * drift, start[2]))
-    closest = start + share(start, chord) * chord
-    first = dot(closest, closest).argmin(0)
-    return closest.gather(1, first.expand(3, 1, -1))[:, 0]
-
-
-def share(start: Tensor, chord: Tensor) -> Tensor:
-    """How far along a chord, 0 to 1, it is nearest to the origin."""
-    return (-dot(start, chord) / dot(chord, chord).clamp(min=1e-30)).clamp(0.0, 1.0)

@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from inspection import chief
+from inspection.basilisk import BasiliskPlant
 from inspection.closed_loop import Clocks, Controller, Correction, Hold, Safety, closed_loop
 from inspection.compiled import Compiled
 from inspection.dynamics import integrate
@@ -127,7 +128,10 @@ class InspectionEnv:
         batch = num_envs * len(generators)
         device = generators[0].device
         differs = plant is not None and not plant.is_nominal
-        self.plant = Plant(plant, parameters, batch, device) if differs else None
+        self.plant = None
+        if differs:
+            kind = BasiliskPlant if plant.simulator == "basilisk" else Plant
+            self.plant = kind(plant, parameters, batch, device)
         self.put_behind(safety or Safety())
         self.starts = [
             InitialStates(generator, parameters, self.safety.is_safe, differs) for generator in generators
@@ -228,6 +232,8 @@ class InspectionEnv:
         }
         if self.safety.values:
             examples["_values"] = (self.x,)
+        if self.plant and not self.plant.is_traceable:
+            del examples["_integrate"]
         own = {name: self._compiled(getattr(self, name), *given) for name, given in examples.items()}
         vars(self).update(own)
 
@@ -458,7 +464,7 @@ class InspectionEnv:
     def _begin(self, columns: Tensor, x: Tensor, priority: Tensor, number: Tensor | None = None) -> None:
         """Puts fresh episodes into the given columns; points visible at the start count as inspected."""
         if self.plant:
-            self.plant.begin(columns, number)
+            self.plant.begin(columns, x, number)
         self.x = self.x.clone()  # the finished step's Transition still holds the old one
         for name in self.STATE:
             getattr(self, name)[..., columns] = 0

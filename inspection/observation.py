@@ -7,7 +7,8 @@ import torch
 from torch import Tensor
 
 from inspection.attitude import conjugate, dot, norm, rotate, unit
-from inspection.dynamics import COARSE, closest_pass, sun_direction
+from inspection.dynamics import sun_direction
+from inspection.orbit import COARSE, closest_pass
 from inspection.parameters import OBSERVED, InspectionParameters
 from inspection.state import OMEGA, THETA_S, E, P, Q, T, V
 
@@ -72,7 +73,7 @@ def observe(
         return torch.cat((rotate(to_body, direction), dot(direction, p_hat)[None]))
 
     def of_free_flight(horizon: float) -> Tensor:
-        return rotate(to_body, nearness(closest_pass(x[P], x[V], horizon, c.mean_motion, COARSE), c))
+        return rotate(to_body, nearness(closest_pass(x, horizon, c, COARSE), c))
 
     radial, along_track, _ = torch.eye(3, dtype=x.dtype, device=x.device)[..., None].expand(3, *x[P].shape)
     rows: dict[str, Callable[[], Tensor]] = {

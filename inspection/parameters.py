@@ -7,10 +7,13 @@ contradiction in the paper; docs/reference/differences.md gives the reason for e
 import math
 from dataclasses import dataclass, fields
 
+ORBITS = ("clohessy-wiltshire", "two-body")
+MOST_ECCENTRIC = 0.3  # beyond, Kepler's equation may not converge in the steps that `inspection.orbit` takes
 AXES = {"+x": (0, 1.0), "-x": (0, -1.0), "+y": (1, 1.0), "-y": (1, -1.0), "+z": (2, 1.0), "-z": (2, -1.0)}
 
 POSITIVE = (
-    "mean_motion mass max_thrust wheel_inertia max_angular_acceleration max_wheel_acceleration surface_area node_mass "
+    "mean_motion gravitational_parameter mass max_thrust wheel_inertia max_angular_acceleration max_wheel_acceleration "
+    "surface_area node_mass "
     "specific_heat zero_celsius deputy_radius chief_radius max_distance max_speed passive_safety_horizon field_of_view "
     "max_rate num_points points_per_cluster success_score action_period substep max_time orientation_width "
     "free_flight_horizon"
@@ -44,11 +47,16 @@ class InspectionParameters:
     """Constants of dynamics, limits, chief, episode and reward; values are the paper's unless marked."""
 
     # Orbit and translation (Sec. Dynamics, Translational Motion)
-    mean_motion: float = 0.001027  # rad/s, of the chief's circular orbit
+    mean_motion: float = 0.001027  # rad/s, of the chief's orbit
+    orbit: str = "clohessy-wiltshire"  # gravity: linear around a circular orbit, or exact, "two-body"
+    eccentricity: float = 0.0  # of the chief's orbit, which "two-body" may have
+    sun_from_perigee: float = 0.0  # rad, from the perigee of that orbit along it to the Sun
+    gravitational_parameter: float = 3.986004418e14  # m^3/s^2, of the Earth, for "two-body"
     mass: float = 12.0  # kg, of the deputy
     max_thrust: float = 1.0  # N, per body axis
 
     # Attitude (Sec. Dynamics, Attitude)
+    hill_rotation: bool = False  # (decision) body rates are relative to the stars, while Hill's frame turns
     inertia: tuple[float, float, float] = (0.0573, 0.0573, 0.0573)  # kg m^2, principal moments
     wheel_inertia: float = 4.1e-5  # kg m^2, D, of each reaction wheel
     max_angular_acceleration: float = 0.017453  # rad/s^2, per body axis; limits the torque
@@ -139,6 +147,14 @@ class InspectionParameters:
                 raise ValueError(f"{field.name} = {value!r}: must be {len(field.default)} numbers")
             if not all(math.isfinite(number) for number in numbers):
                 raise ValueError(f"{field.name} = {value!r}: must be finite")
+        if self.orbit not in ORBITS:
+            raise ValueError(f"orbit = {self.orbit!r}: must be one of {', '.join(ORBITS)}")
+        if not 0 <= self.eccentricity <= MOST_ECCENTRIC:
+            raise ValueError(
+                f"eccentricity = {self.eccentricity!r}: must be a number from 0 to {MOST_ECCENTRIC}"
+            )
+        if self.eccentricity and self.orbit != "two-body":
+            raise ValueError(f'eccentricity = {self.eccentricity!r}: needs orbit = "two-body"')
         for name in ("num_points", "points_per_cluster"):
             if not isinstance(getattr(self, name), int):
                 raise ValueError(f"{name} = {getattr(self, name)!r}: must be an integer")
@@ -208,6 +224,38 @@ class InspectionParameters:
 
         F_max / m - 3 n^2 r_max - 2 n v_max with v_max = min(max_speed, nu_0 + nu_1 r_max).
         """
-        n = self.mean_motion
         speed = min(self.max_speed, self.docking_speed + self.speed_slope * self.max_distance)
-        return self.max_thrust / self.mass - 3 * n**2 * self.max_distance - 2 * n * speed
+        return self.max_thrust / self.mass - self.largest_drift(self.max_distance, speed)
+
+    def largest_drift(self, distance: float, speed: float) -> float:
+        """Largest natural acceleration in m/s^2 within a distance in m from the chief and at most a speed in m/s.
+
+        Of the tide 2 mu / r^3, the centrifugal w^2, the quickening w' = -2 e sin(f) mu / r^3 and Coriolis' 2 w, each
+        where it is largest, at perigee; on a circle these are 3 n^2 and 2 n. What the exact tide has beyond the linear
+        one, mu / r^2 sum (k + 1) (d / r)^k over k >= 2, is at most 3 mu / r^3 d^2 / (r - 3 d).
+        """
+        e, n = self.eccentricity, self.mean_motion
+        if self.orbit == "clohessy-wiltshire":
+            return 3 * n**2 * distance + 2 * n * speed
+        perigee = self.semi_major_axis * (1 - e)
+        tide = self.gravitational_parameter / perigee**3
+        quickening = 2 * e * tide  # (mu / r^3) 2 e sin f, at most
+        beyond = 3 * tide * distance / (perigee - 3 * distance)
+        turning = self.fastest_turning
+        return (2 * tide + turning**2 + quickening + beyond) * distance + 2 * turning * speed
+
+    @property
+    def fastest_turning(self) -> float:
+        """Of Hill's frame in rad/s, at perigee."""
+        e = self.eccentricity
+        return self.mean_motion * ((1 + e) / (1 - e) ** 3) ** 0.5
+
+    @property
+    def is_circular(self) -> bool:
+        """Whether Hill's frame turns at the mean motion."""
+        return self.eccentricity == 0.0
+
+    @property
+    def semi_major_axis(self) -> float:
+        """Of the chief's orbit in m, by Kepler's third law."""
+        return (self.gravitational_parameter / self.mean_motion**2) ** (1 / 3)

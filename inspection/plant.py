@@ -15,12 +15,15 @@ from torch import Tensor
 from inspection.attitude import rate_in_hill, turned_by
 from inspection.dynamics import Body, integrate
 from inspection.initial_state import spherical
+from inspection.orbit import turning
 from inspection.parameters import InspectionParameters
-from inspection.state import CONTROL_SIZE, CONTROLS, OMEGA, SIZE, THRUST, TORQUE, P, Q, V
+from inspection.state import CONTROL_SIZE, CONTROLS, OMEGA, SIZE, THETA_S, THRUST, TORQUE, P, Q, V
 
 Range = float | tuple[float, float]
 Count = int | tuple[int, int]
 
+SIMULATORS, ACTUATORS = ("own", "basilisk"), ("ideal", "real")
+OF_BASILISK = {"j2": False, "drag": False, "actuators": "ideal"}  # what no other simulator has
 FAILING = ("none", "thrust", "torque", "any", *CONTROLS)
 # What has no effect of its own.
 DETAILS = {"noise_bound", "missed_in_a_row", "failing_from", "failing_strength"}
@@ -34,6 +37,12 @@ class PlantParameters:
 
     A value, or a range [low, high] from which each episode draws its own, constant over the episode.
     """
+
+    # Simulator
+    simulator: str = "own"  # of the motion: own, or basilisk, see docs/guides/basilisk.md
+    j2: bool = False  # basilisk: the Earth is flattened
+    drag: bool = False  # basilisk: there is air at the chief's height
+    actuators: str = "ideal"  # basilisk: ideal, or real, wheels and pulsed thrusters
 
     # Body
     mass_factor: Range = 1.0  # true mass / [inspection] mass
@@ -75,6 +84,12 @@ class PlantParameters:
                 self._check(name, value)
         if self.failing not in FAILING:
             raise ValueError(f"failing = {self.failing!r}: must be one of {', '.join(FAILING)}")
+        for name, allowed in (("simulator", SIMULATORS), ("actuators", ACTUATORS)):
+            if getattr(self, name) not in allowed:
+                raise ValueError(f"{name} = {getattr(self, name)!r}: must be one of {', '.join(allowed)}")
+        for name, default in OF_BASILISK.items():
+            if self.simulator != "basilisk" and getattr(self, name) != default:
+                raise ValueError(f'{name}: needs simulator = "basilisk"')
         if not 0 < self.noise_bound <= 10:
             raise ValueError(f"noise_bound = {self.noise_bound!r}: must be positive, at most 10 sigmas")
         if self.missed_in_a_row < 1:
@@ -220,6 +235,7 @@ class Plant:
     """
 
     STATE = ("key", "held", "missed", "history", "past")
+    is_traceable = True  # `integrate` is of operations that PyTorch traces
 
     def __init__(
         self,
@@ -240,8 +256,8 @@ class Plant:
         self.true = self.seen = None
         self.limit = self.held.new_tensor(c.control_limit)[:, None]
 
-    def begin(self, columns: Tensor, number: Tensor) -> None:
-        """Begins episodes in the given columns from a number in [0, 1) each, (k,)."""
+    def begin(self, columns: Tensor, x: Tensor, number: Tensor) -> None:
+        """Begins episodes in the given columns, in states (16, k) and from a number in [0, 1) each, (k,)."""
         self.key[columns] = (number * 2.0**53).long()
         self.held[:, columns] = 0.0
         self.past[..., columns] = 0.0
@@ -264,6 +280,11 @@ class Plant:
         self.true = self.seen = None
 
     @property
+    def turns(self) -> bool:
+        """Whether a state's body rates are relative to the stars, as a gyro's are."""
+        return self.parameters.hill_rotation or self.parameters.simulator == "basilisk"
+
+    @property
     def body(self) -> Tensor:
         """(7, B) what `integrate` takes."""
         return self.drawn.body
@@ -277,7 +298,8 @@ class Plant:
         """The states (16, B) after so many steps of `duration` s under what acts, (6, B), of bodies (7, B)."""
         mass, *rest = body.unbind(0)
         p = self.parameters
-        own = Body(mass, rest[:3], rest[3:], p.hill_rotation, self.c.saturate_rates and p.saturate_rates)
+        turns = self.turns or self.c.hill_rotation
+        own = Body(mass, rest[:3], rest[3:], turns, self.c.saturate_rates and p.saturate_rates)
         return integrate(x, u, duration, self.c, times, own)
 
     def actuate(self, time: Tensor, u: Tensor) -> Tensor:
@@ -323,8 +345,9 @@ class Plant:
         seen[V] += error[3:6]
         seen[Q] = turned_by(x[Q], error[6:9])
         seen[OMEGA] += error[9:12]
-        if self.parameters.hill_rotation:
-            seen[OMEGA] = torch.stack(rate_in_hill(seen[Q], seen[OMEGA], self.c.mean_motion))
+        if self.turns and not self.c.hill_rotation:  # which the model does not know
+            turns = turning(x[THETA_S], self.c)
+            seen[OMEGA] = torch.stack(rate_in_hill(seen[Q], seen[OMEGA], turns))
         return seen
 
     def hold(self, time: Tensor, u: Tensor) -> tuple[Tensor, Tensor]:

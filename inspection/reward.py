@@ -6,9 +6,9 @@ import torch
 from torch import Tensor
 
 from inspection.attitude import conjugate, norm, rotate, unit
-from inspection.dynamics import closest_pass, free_flight
+from inspection.orbit import closest_pass, coast
 from inspection.parameters import InspectionParameters
-from inspection.state import OMEGA, P, Q, V
+from inspection.state import OMEGA, P, Q
 
 PHASES = 64  # at which an orbit of free flight is looked at
 # How near a limit is near, in the unit of its h: of those that agents without a filter break; chosen
@@ -28,8 +28,7 @@ def stays_clear(x: Tensor, columns: Tensor, c: InspectionParameters) -> Tensor:
     """Whether free flight from states x (16, B) stays clear of the chief, (B,); False but for `columns` (B,)."""
     clear = torch.zeros_like(columns)
     if columns.any():
-        ends = x[:, columns]
-        pass_ = closest_pass(ends[P], ends[V], c.free_flight_horizon, c.mean_motion)
+        pass_ = closest_pass(x[:, columns], c.free_flight_horizon, c)
         clear[columns] = norm(pass_) >= c.collision_radius
     return clear
 
@@ -80,7 +79,7 @@ def distance_from_track(x: Tensor, c: InspectionParameters) -> Tensor:
     """
     orbit = 2.0 * math.pi / c.mean_motion
     t = torch.arange(PHASES, dtype=x.dtype, device=x.device) * (orbit / PHASES)
-    path = free_flight(x[P][:, None], x[V][:, None], t[:, None], c.mean_motion)
+    path = coast(x[:, None], t[:, None], c)
     return torch.hypot(path[0], path[2]).amin(0)
 
 

@@ -7,10 +7,10 @@ from functools import partial
 import torch
 from torch import Tensor
 
-from inspection.attitude import quaternion_rate, unit
-from inspection.dynamics import control_matrix, drift
+from inspection.attitude import unit
+from inspection.dynamics import attitude_rate, control_matrix, drift
 from inspection.parameters import InspectionParameters
-from inspection.state import OMEGA, SIZE, P, Q
+from inspection.state import SIZE, P, Q
 from rta.constraints import ACTUATORS, Constraint, check
 from rta.lie_derivatives import Function, lie_derivative, lie_derivatives
 from rta.parameters import RtaParameters
@@ -144,7 +144,7 @@ class ActuatorGroup:
     def conditions(self, x: Tensor, constraints: Sequence[Constraint], coupled: bool) -> Rows:
         """BC: L_f psi + L_g psi u + alpha(psi) >= 0, less what psi can lose and the worst that others can do."""
         c, r = self.c, self.r
-        g = control_matrix(half_a_period_ahead(x, r.period), c)
+        g = control_matrix(half_a_period_ahead(x, r.period, c), c)
         along = g if coupled else g[:, self.controls]
         psi, lf, a = lie_derivatives(self.psi_at(x, constraints), x, drift(x, c), along)
         rows = [each for each in constraints for _ in range(each.rows)]
@@ -260,12 +260,12 @@ class ActuatorGroup:
                 )
 
 
-def half_a_period_ahead(x: Tensor, period: float) -> Tensor:
+def half_a_period_ahead(x: Tensor, period: float, c: InspectionParameters) -> Tensor:
     """States (16, B) with the attitude that the body has in the middle of the period.
 
     Thrust is fixed in the body, so over a period it acts along that attitude. With the attitude at the
     beginning instead, thrust across a pass minutes away turned into it: at 3 deg/s and 0.02 m/s^2 by
     0.02 m of clearance a second, as much as passive safety's gain asks for at the margin.
     """
-    q = x[Q] + 0.5 * period * torch.stack(quaternion_rate(x[Q], x[OMEGA]))
+    q = x[Q] + 0.5 * period * torch.stack(attitude_rate(x, c.hill_rotation, c))
     return torch.cat((x[: Q.start], unit(q), x[Q.stop :]))

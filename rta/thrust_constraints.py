@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from inspection.attitude import dot, norm
-from inspection.dynamics import free_flight
+from inspection.orbit import coast
 from inspection.parameters import InspectionParameters
 from inspection.state import P, V
 from rta.constraints import Constraint
@@ -187,7 +187,7 @@ def closest_times(x: Tensor, segments: tuple[float, ...], c: InspectionParameter
     start, spacing = edges[:-1], edges.diff() / (PASSES - 1)
     shape = (-1, *(1,) * (x.dim() - 1))
     grid = start[:, None] + spacing[:, None] * torch.arange(PASSES, dtype=x.dtype, device=x.device)
-    path = free_flight(x[P], x[V], grid.reshape(*grid.shape, *shape[1:]), c.mean_motion)
+    path = coast(x, grid.reshape(*grid.shape, *shape[1:]), c)
     squared = dot(path, path)  # (segments, PASSES, ...)
     best = squared.argmin(1, keepdim=True)
     centre = best.clamp(1, PASSES - 2)
@@ -202,7 +202,7 @@ def clearance_at(x: Tensor, times: Tensor, c: InspectionParameters) -> Tensor:
 
     With times = `closest_times` its gradient is that of the infimum (envelope theorem).
     """
-    return norm(free_flight(x[P], x[V], times, c.mean_motion)) - c.collision_radius
+    return norm(coast(x, times, c)) - c.collision_radius
 
 
 def passive_safety(c: InspectionParameters, r: RtaParameters, known: Uncertainty = NOTHING) -> Constraint:

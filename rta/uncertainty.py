@@ -169,12 +169,15 @@ class Uncertainty:
             moments = [moment * factor for moment, factor in zip(c.inertia, factors, strict=True)]
             off = zip(worst, euler(at_most, moments), nominal, strict=True)
             worst = [max(most, abs(true - model)) for most, true, model in off]
-        turning = c.mean_motion * math.sqrt(3.0) * c.max_rate if self.hill_rotation else 0.0
-        return math.hypot(*worst) + turning
+        return math.hypot(*worst) + self.unknown_turning(c) * math.sqrt(3.0) * c.max_rate
 
     def rate_offset(self, c: InspectionParameters) -> float:
         """rad/s, by which a body rate relative to the stars exceeds one relative to Hill's frame at most."""
-        return c.mean_motion if self.hill_rotation else 0.0
+        return self.unknown_turning(c)
+
+    def unknown_turning(self, c: InspectionParameters) -> float:
+        """rad/s, of Hill's frame at perigee, where the model leaves it out."""
+        return c.fastest_turning if self.hill_rotation and not c.hill_rotation else 0.0
 
     @property
     def is_coarse(self) -> bool:

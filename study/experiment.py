@@ -5,6 +5,7 @@ import os
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from importlib.util import find_spec
 from pathlib import Path
 
 import torch
@@ -75,6 +76,10 @@ class Experiment:
             self.filter = SafetyFilter(config.inspection, self.config.rta, known=config.uncertainty)
         with refusing("[plant] and [inspection]", ValueError):
             config.plant.check_body(config.inspection)
+        if config.plant.simulator == "basilisk" and not find_spec("Basilisk"):
+            raise InputError(
+                "--plant basilisk ([plant] simulator): Basilisk is not installed here; docs/guides/basilisk.md says how"
+            )
         if self.filter_compiled:
             self.filter_compiled = compile_or_explain(
                 "filter", lambda: self.filter.compile(self.device, batch)

@@ -47,6 +47,14 @@ IRRELEVANT = {
     "free_flight_horizon",
     "qp_solver",
 }
+# Settings that came later: at their defaults they are what was flown before, and its fingerprint stays.
+LATER = {
+    "[inspection]": (
+        InspectionParameters(),
+        {"orbit", "eccentricity", "sun_from_perigee", "gravitational_parameter", "hill_rotation"},
+    ),
+    "[plant]": (PlantParameters(), {"simulator", "j2", "drag", "actuators"}),
+}
 POLICIES = ("random", "adversarial")  # each has to have flown
 EPISODES = 1000  # so many at least
 DURATION = 2000  # s, each at least so long
@@ -71,11 +79,15 @@ def relevant(config: Config) -> dict[str, Any]:
 
 
 def fingerprint(config: Config) -> str:
-    """Of `relevant`, less a plant that is the model and bounds that are nil: 12 hexadecimal digits."""
+    """Of `relevant`, less a plant that is the model, bounds that are nil and LATER defaults: 12 hexadecimal digits."""
     nil = {"[plant]": config.plant.is_nominal, "[uncertainty]": config.uncertainty.is_nil}
-    settings = {
-        name: value for name, value in relevant(config).items() if not nil.get(name.partition(" ")[0], False)
-    }
+
+    def counts(name: str, value: Any) -> bool:
+        table, _, key = name.partition(" ")
+        default, later = LATER.get(table, (None, set()))
+        return not (nil.get(table, False) or (key in later and value == getattr(default, key)))
+
+    settings = {name: value for name, value in relevant(config).items() if counts(name, value)}
     return hashlib.sha256(json.dumps(settings, sort_keys=True).encode()).hexdigest()[:12]
 
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from inspection.parameters import AXES
+from inspection.plant import SIMULATORS
 from rta.parameters import QP_SOLVERS
 from study import config as configuration
 from study.command_line.flags import (
@@ -88,6 +89,9 @@ FLOWN_RTA = RTA.saying(f"{RTA.text} (default: {{}}; with --checkpoint as it was 
 INTERACTIONS = count(
     "--interactions", "agent steps of 10 s in all, rounded up to whole updates", "train.interactions"
 )
+PLANT = Flag(
+    "--plant", "simulator of the motion; basilisk must be installed", "plant.simulator", choices=SIMULATORS
+)
 NUM_ENVS = count("--num-envs", "episodes simulated at once", "train.num_envs")
 AGENT = read("--checkpoint", "the agent: policy.pt or checkpoint.pt of a run")
 
@@ -153,6 +157,7 @@ COMMANDS = {
         "report an agent or a controller in the metrics of the paper's Tables 2 and 3",
         FLOWN_RTA,
         *COMMON,
+        PLANT,
         THREADS,
         count("--episodes", "test cases"),
         seed("of the test cases, of random controls and of an untrained agent"),
@@ -172,6 +177,7 @@ COMMANDS = {
         "simulate one spacecraft and write everything over time",
         FLOWN_RTA,
         *COMMON,
+        PLANT,
         THREADS,
         Flag(
             "--controller",
@@ -216,6 +222,7 @@ COMMANDS = {
     "verify": Command(
         "count violations behind the filter over many random episodes",
         *COMMON,
+        PLANT,
         THREADS,
         count(
             "--episodes",

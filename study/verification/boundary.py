@@ -80,7 +80,7 @@ def tried(
     flat = desired.transpose(0, 1).flatten(1)
     env.x = x.repeat(1, tries)
     if env.plant:
-        env.plant.begin(torch.arange(tries * batch, device=x.device), number.repeat(tries))
+        env.plant.begin(torch.arange(tries * batch, device=x.device), env.x, number.repeat(tries))
     h, first = torch.full((), torch.inf).to(x), None
     for hold in env.fly(lambda t, seen: flat, safety_filter.period):
         first = first or hold

@@ -11,7 +11,7 @@ from scipy.linalg import expm
 from scipy.spatial.transform import Rotation
 
 from inspection import dynamics
-from inspection.state import OMEGA, THETA_S, E, P, Q, T, V
+from inspection.state import OMEGA, THETA_S, E, Q, T, V
 
 N, MASS = 0.001027, 12.0
 UNEQUAL = (0.0573, 0.04, 0.075)
@@ -78,16 +78,6 @@ def still(attitude="identity", theta_s=0.0, temperature=5.0):
 
 def no_control(batch=1):
     return torch.zeros(6, batch, dtype=torch.float64)
-
-
-def clearance_by_brute_force(p, v, horizon, spacing):
-    """Smallest distance on a dense grid, each column's positions from one matrix exponential per sample."""
-    propagate, state = expm(A * spacing), np.concatenate((p, v))
-    nearest = np.full(p.shape[1], np.inf)
-    for _ in range(round(horizon / spacing) + 1):
-        nearest = np.minimum(nearest, np.linalg.norm(state[:3], axis=0))
-        state = propagate @ state
-    return nearest
 
 
 def test_coasting_follows_the_clohessy_wiltshire_solution(c, random_states):
@@ -242,59 +232,3 @@ def test_battery_balance(c, axis, theta_s, watts):
     # full Sun: 983.3 * 0.77 * 0.03 - 15 W; behind the panels only the draw
     rate = dynamics.drift(still(theta_s=theta_s), replace(c, solar_panel_axis=axis))[E]
     np.testing.assert_allclose(1000.0 * rate, watts, rtol=1e-12)
-
-
-def test_free_flight_is_the_matrix_exponential(c, random_states):
-    x, times = random_states(3), [0.0, 17.0, 500.0, 172800.0]
-    path = dynamics.free_flight(x[P, None], x[V, None], torch.tensor(times).double()[:, None], c.mean_motion)
-    for k, t in enumerate(times):
-        np.testing.assert_allclose(path[:, k], (expm(A * t) @ x[:6].numpy())[:3], rtol=1e-9, atol=1e-7)
-
-
-def test_free_flight_is_where_integration_arrives(c, random_states):
-    x = random_states(3)
-    arrival = dynamics.free_flight(x[P], x[V], torch.tensor(300.0, dtype=torch.float64), c.mean_motion)
-    np.testing.assert_allclose(integrate(x, no_control(3), 300, c)[P], arrival, rtol=0, atol=1e-7)
-
-
-def test_clearance_is_the_smallest_distance_of_a_dense_sampling(c, random_states):
-    x = random_states(20)
-    clearance = dynamics.closest_pass(x[P], x[V], 3000.0, c.mean_motion).norm(dim=0)
-    brute = clearance_by_brute_force(x[P].numpy(), x[V].numpy(), 3000.0, 0.1)
-    np.testing.assert_allclose(clearance, brute, rtol=0, atol=0.1)
-
-
-@pytest.mark.parametrize("orbits", [1.0, 1.3, 5.7])
-@pytest.mark.parametrize("drift", [0.0, 1e-5, 1e-4, 1e-3])
-def test_clearance_over_several_orbits_is_that_of_a_dense_sampling(c, orbits, drift):
-    """Slow and quick drifts along the track, towards the chief and away from it."""
-    g = torch.Generator().manual_seed(3)
-    p, v = (torch.randn(3, 60, generator=g, dtype=torch.float64) for _ in range(2))
-    p, v = 60.0 * p, 0.05 * v
-    v[1] = -2 * c.mean_motion * p[0] + drift * v[1] / 0.05
-    horizon = round(orbits * 2 * math.pi / c.mean_motion)
-    brute = clearance_by_brute_force(p.numpy(), v.numpy(), horizon, 1.0)
-    for spacing, error in ((10.0, 0.1), (dynamics.COARSE, 1.0)):
-        found = dynamics.closest_pass(p, v, horizon, c.mean_motion, spacing).norm(dim=0).numpy()
-        later = clearance_by_brute_force(p.numpy(), v.numpy(), horizon + spacing, 1.0)  # the last chord's end
-        assert (found < brute + error).all() and (found > later - error).all()
-    assert (brute < 15.0).any() and (brute > 30.0).any()
-
-
-def test_the_closest_pass_is_a_point_of_the_free_flight(c):
-    """A cross-track swing through the chief's orbit plane, where it passes 40 m from the chief along the track."""
-    p = torch.tensor([[0.0], [40.0], [60.0]], dtype=torch.float64)
-    found = dynamics.closest_pass(p, torch.zeros_like(p), 172800.0, c.mean_motion)
-    np.testing.assert_allclose(found[:, 0], [0.0, 40.0, 0.0], rtol=0, atol=0.1)
-
-
-def test_clearance_sees_a_pass_between_two_samples(c):
-    p = torch.tensor([[25.0], [3.0], [0.0]], dtype=torch.float64)
-    v = torch.tensor([[-5.0], [0.0], [0.0]], dtype=torch.float64)
-    on_the_grid = torch.arange(0.0, 501.0, 10.0, dtype=torch.float64)
-    sampled = dynamics.free_flight(p, v, on_the_grid, c.mean_motion).norm(dim=0).min()
-    clearance = dynamics.closest_pass(p, v, 500.0, c.mean_motion).norm(dim=0)
-    brute = clearance_by_brute_force(p.numpy(), v.numpy(), 500.0, 0.01)
-    assert sampled > 24.0
-    np.testing.assert_allclose(clearance, brute, rtol=0, atol=0.15)
-    assert clearance < 3.5

@@ -9,7 +9,8 @@ import scipy.linalg
 import torch
 
 from inspection import guidance
-from inspection.dynamics import free_flight, step
+from inspection.dynamics import step
+from inspection.orbit import free_flight
 from inspection.parameters import InspectionParameters
 from inspection.state import OMEGA, SIZE, THETA_S, E, P, Q, V
 from rta.constraints import CONSTRAINTS

@@ -18,8 +18,8 @@ from inspection.compiled import Compiled
 from inspection.environment import InspectionEnv
 from inspection.initial_state import sample_initial_state
 from inspection.parameters import InspectionParameters
-from inspection.plant import DETAILS, Plant, PlantParameters, milliseconds, uniform
-from inspection.state import CONTROLS, OMEGA, THETA_S, THRUST, TORQUE, E, P, Q, T, V
+from inspection.plant import DETAILS, OF_BASILISK, Plant, PlantParameters, milliseconds, uniform
+from inspection.state import CONTROLS, OMEGA, SIZE, THETA_S, THRUST, TORQUE, E, P, Q, T, V
 from tests.inspection.test_dynamics import MASS, UNEQUAL, N, paper_rate
 
 C = InspectionParameters(inertia=UNEQUAL)
@@ -49,7 +49,7 @@ def seeded(seed: int) -> torch.Generator:
 def begun(parameters: PlantParameters, batch: int = 1, seed: int = 0, c: InspectionParameters = C) -> Plant:
     plant = Plant(parameters, c, batch, "cpu")
     number = torch.rand(batch, generator=seeded(seed), dtype=torch.float64)
-    plant.begin(torch.arange(batch), number)
+    plant.begin(torch.arange(batch), torch.zeros(SIZE, batch), number)
     return plant
 
 
@@ -87,10 +87,18 @@ def test_a_plant_that_is_the_model_takes_no_draw_and_is_not_there() -> None:
 
 @pytest.mark.parametrize("name", [name for name in vars(PlantParameters()) if name not in DETAILS])
 def test_whatever_is_set_is_a_plant_that_is_not_the_model(name: str) -> None:
-    value: Any = {"failing": "any", "saturate_rates": False, "hill_rotation": True, "latency": 1}.get(
-        name, 0.5
-    )
-    assert not PlantParameters(**{name: value}).is_nominal
+    values: dict[str, Any] = {
+        "simulator": "basilisk",
+        "j2": True,
+        "drag": True,
+        "actuators": "real",
+        "failing": "any",
+        "saturate_rates": False,
+        "hill_rotation": True,
+        "latency": 1,
+    }
+    needed = {"simulator": "basilisk"} if name in OF_BASILISK else {}
+    assert not PlantParameters(**needed | {name: values.get(name, 0.5)}).is_nominal
 
 
 @pytest.mark.parametrize(
@@ -108,6 +116,9 @@ def test_whatever_is_set_is_a_plant_that_is_not_the_model(name: str) -> None:
         ({"thrust_misalignment": 91.0}, "thrust_misalignment = 91.0: must be at most 90"),
         ({"failing": "thrust_w"}, "failing = 'thrust_w': must be one of none, thrust, torque, any, thrust_x"),
         ({"noise_bound": 0.0}, "noise_bound = 0.0: must be positive"),
+        ({"simulator": "gmat"}, "simulator = 'gmat': must be one of own, basilisk"),
+        ({"j2": True}, 'j2: needs simulator = "basilisk"'),
+        ({"simulator": "own", "actuators": "real"}, 'actuators: needs simulator = "basilisk"'),
         ({"missed_in_a_row": 0}, "missed_in_a_row = 0: must be a positive integer"),
     ],
 )
@@ -253,7 +264,7 @@ def test_thrust_leaves_its_axis_by_the_angle_asked_for_and_keeps_its_gain() -> N
 def test_an_episode_is_the_same_whatever_flies_beside_it_or_else_is_set() -> None:
     alone, among = begun(U1, 3), Plant(U1, C, 7, "cpu")
     numbers = torch.rand(3, generator=seeded(0), dtype=torch.float64)
-    among.begin(torch.tensor([5, 1, 4]), numbers)
+    among.begin(torch.tensor([5, 1, 4]), torch.zeros(SIZE, 3), numbers)
     for one, other in zip(alone.drawn, among.drawn, strict=True):
         assert torch.equal(one, other[..., [5, 1, 4]])
     x, _ = states(7)

@@ -79,7 +79,7 @@ def test_episodes_that_begin_anew_know_of_no_earlier_control() -> None:
     plant = begun(LATE, BATCH)
     fly(plant)
     anew = torch.arange(0, BATCH, 2)
-    plant.begin(anew, torch.linspace(0.0, 0.9, len(anew), dtype=torch.float64))
+    plant.begin(anew, torch.zeros(16, len(anew)), torch.linspace(0.0, 0.9, len(anew), dtype=torch.float64))
     time = moments(BATCH, float(CALLS))
     time[anew] = 0.0
     sent = plant.tell(time)["sent"]

@@ -28,8 +28,9 @@ from torch import Tensor
 
 from inspection import compiled
 from inspection.attitude import body_axis, cross, dot, norm, unit
-from inspection.dynamics import energy_rate, free_flight, step, sun_direction, temperature_rate
+from inspection.dynamics import energy_rate, step, sun_direction, temperature_rate
 from inspection.initial_state import uniform
+from inspection.orbit import free_flight
 from inspection.parameters import InspectionParameters
 from inspection.state import CONTROL_SIZE, OMEGA, THETA_S, E, P, Q, T, V
 from rta.batched_solver import BatchedSolver

@@ -1,0 +1,342 @@
+"""Basilisk as the plant: chief and deputy on true orbits, in the simulator of the University of Colorado (bsk).
+
+Our state goes in and comes back, see `docs/guides/basilisk.md`. Basilisk integrates position, velocity, attitude and
+body rates; temperature, energy and the Sun's angle follow from where it takes them.
+"""
+
+import math
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+from numpy import ndarray
+from scipy.spatial.transform import Rotation
+from torch import Tensor
+
+from inspection.dynamics import drift
+from inspection.orbit import chief_at
+from inspection.parameters import InspectionParameters
+from inspection.plant import Plant, PlantParameters
+from inspection.state import OMEGA, THETA_S, THRUST, TORQUE, E, P, Q, T, V
+
+EARTH_RADIUS, EARTH_J2 = 6378136.3, 1.08262668e-3  # m and no unit, of the gravity model EGM96
+INCLINATION = math.radians(51.6)  # of the chief's orbit, which J2 depends on; the node is where the Sun is
+
+# The air at 800 km (Vallado 2013, Table 8-4): density in kg/m^3, and height in m by which it falls by e
+AIR, AIR_BASE, AIR_SCALE = 1.17e-14, 800e3, 124.64e3
+DRAG_COEFFICIENT = 2.2
+CHIEF_AREA_PER_MASS = 0.01  # m^2/kg, typical of a satellite
+DEPUTY_AREA = 0.06  # m^2, the long side of a 6U
+
+PULSE = 0.02  # s, of which the time that a thruster is open is a multiple
+NOBODY = 1e9  # of specific impulse in s: thrusters take no mass away, as in the model
+
+
+class Spacecraft(NamedTuple):
+    """A spacecraft of Basilisk's and what of it is set and read: its four states, and what acts on it."""
+
+    body: Any
+    states: tuple[Any, ...]
+    push: Any
+    wheels: Any = None
+    wheel_command: Any = None
+    thruster_command: Any = None
+
+
+class Simulation:
+    """So many deputies, each with its chief, in one simulation of Basilisk.
+
+    Args:
+        dt: s, of its RK4.
+    """
+
+    def __init__(self, batch: int, dt: float, parameters: PlantParameters, c: InspectionParameters) -> None:
+        from Basilisk.utilities import SimulationBaseClass, macros
+
+        self.parameters, self.c, self.nanoseconds = parameters, c, macros.sec2nano
+        self.sim, self.now, self.kept = SimulationBaseClass.SimBaseClass(), 0, []
+        self.sim.CreateNewProcess("process").addTask(self.sim.CreateNewTask("task", macros.sec2nano(dt)))
+        earth = self.earth()
+        made = [self.spacecraft(name, i, earth) for i in range(batch) for name in ("chief", "deputy")]
+        self.breathe([body for body, _ in made])
+        self.sim.InitializeSimulation()
+        found = [self.found(body, parts) for body, parts in made]
+        self.chiefs, self.deputies = found[::2], found[1::2]
+
+    def earth(self) -> Any:
+        """A point mass, or one that is flattened; Basilisk would download a file for the latter."""
+        from Basilisk.simulation import gravityEffector
+
+        earth = gravityEffector.GravBodyData()
+        earth.planetName, earth.isCentralBody = "earth_planet_data", True
+        earth.mu, earth.radEquator = self.c.gravitational_parameter, EARTH_RADIUS
+        if self.parameters.j2:
+            model = gravityEffector.SphericalHarmonicsGravityModel()
+            model.maxDeg, model.muBody, model.radEquator = 2, earth.mu, EARTH_RADIUS
+            normalised = -EARTH_J2 / math.sqrt(5)
+            model.cBar = gravityEffector.MultiArray([[1.0, 0.0, 0.0], [0.0] * 3, [normalised, 0.0, 0.0]])
+            model.sBar = gravityEffector.MultiArray([[0.0] * 3] * 3)
+            model.initializeParameters()
+            earth.gravityModel = model
+        self.kept.append(earth)
+        return earth
+
+    def spacecraft(self, name: str, i: int, earth: Any) -> tuple[Any, dict[str, Any]]:
+        """A spacecraft that forces act on, the deputy's also by wheels and thrusters where these are asked for."""
+        from Basilisk.simulation import extForceTorque, spacecraft
+
+        body = spacecraft.Spacecraft()
+        body.ModelTag = f"{name}{i}"
+        body.hub.mHub, body.hub.IHubPntBc_B = self.c.mass, np.diag(self.c.inertia).tolist()
+        body.gravField.gravBodies = spacecraft.GravBodyVector([earth])
+        push = extForceTorque.ExtForceTorque()
+        push.ModelTag = f"push_{name}{i}"
+        body.addDynamicEffector(push)
+        parts: dict[str, Any] = {"push": push}
+        if name == "deputy" and self.parameters.actuators == "real":
+            parts |= self.actuators(i, body)
+        # what is commanded before a step acts in it: Basilisk updates the effectors first
+        self.sim.AddModelToTask("task", body, 10)
+        self.sim.AddModelToTask("task", push, 20)
+        return body, parts
+
+    def actuators(self, i: int, body: Any) -> dict[str, Any]:
+        """A wheel and two thrusters along each body axis, through the centre of mass, and how to command them."""
+        from Basilisk.architecture import messaging
+        from Basilisk.simulation import reactionWheelStateEffector, thrusterDynamicEffector
+        from Basilisk.utilities import simIncludeRW, simIncludeThruster
+
+        c = self.c
+        wheels = reactionWheelStateEffector.ReactionWheelStateEffector()
+        factory = simIncludeRW.rwFactory()
+        for axis in np.eye(3).tolist():
+            factory.create(
+                "custom",
+                axis,
+                Omega=0.0,
+                Js=c.wheel_inertia,
+                u_max=c.wheel_inertia * c.max_wheel_acceleration,
+                useRWfriction=False,
+                RWModel=messaging.BalancedWheels,
+            )
+        factory.addToSpacecraft(f"wheels{i}", wheels, body)
+        thrusters, nozzles = (
+            thrusterDynamicEffector.ThrusterDynamicEffector(),
+            simIncludeThruster.thrusterFactory(),
+        )
+        for axis in np.eye(3):
+            for side in (axis, -axis):
+                nozzles.create(
+                    "Blank_Thruster",
+                    [0.0] * 3,
+                    side.tolist(),
+                    MaxThrust=c.max_thrust,
+                    thrusterMagDisp=0.0,
+                    MinOnTime=0.0,
+                    steadyIsp=NOBODY,
+                    useMinPulseTime=False,
+                )
+        nozzles.addToSpacecraft(f"thrusters{i}", thrusters, body)
+        torque, open_for = messaging.ArrayMotorTorqueMsg(), messaging.THRArrayOnTimeCmdMsg()
+        wheels.rwMotorCmdInMsg.subscribeTo(torque)
+        thrusters.cmdsInMsg.subscribeTo(open_for)
+        for effector in (wheels, thrusters):
+            self.sim.AddModelToTask("task", effector, 20)
+        self.kept += [factory, nozzles, thrusters]
+        return {"effector": wheels, "wheel_command": torque, "thruster_command": open_for}
+
+    def breathe(self, bodies: list[Any]) -> None:
+        """Air for chiefs and deputies, in turns, where drag is asked for."""
+        if not self.parameters.drag:
+            return
+        from Basilisk.simulation import dragDynamicEffector, exponentialAtmosphere
+
+        air = exponentialAtmosphere.ExponentialAtmosphere()
+        air.planetRadius, air.baseDensity, air.scaleHeight = EARTH_RADIUS + AIR_BASE, AIR, AIR_SCALE
+        self.sim.AddModelToTask("task", air, 30)
+        self.kept.append(air)
+        for i, body in enumerate(bodies):
+            air.addSpacecraftToModel(body.scStateOutMsg)
+            drag = dragDynamicEffector.DragDynamicEffector()
+            area = DEPUTY_AREA if i % 2 else CHIEF_AREA_PER_MASS * self.c.mass
+            drag.coreParams.projectedArea, drag.coreParams.dragCoeff = area, DRAG_COEFFICIENT
+            drag.atmoDensInMsg.subscribeTo(air.envOutMsgs[i])
+            body.addDynamicEffector(drag)
+            self.sim.AddModelToTask("task", drag, 20)
+            self.kept.append(drag)
+
+    @staticmethod
+    def found(body: Any, parts: dict[str, Any]) -> Spacecraft:
+        """A spacecraft with the places where its states are kept, which are there after the initialisation."""
+        hub, manager = body.hub, body.dynManager
+        names = hub.nameOfHubPosition, hub.nameOfHubVelocity, hub.nameOfHubSigma, hub.nameOfHubOmega
+        effector = parts.pop("effector", None)
+        if effector is not None:
+            parts["wheels"] = manager.getStateObject(effector.nameOfReactionWheelOmegasState)
+        return Spacecraft(body, tuple(manager.getStateObject(name) for name in names), **parts)
+
+    def put(self, spacecraft: Spacecraft, *states: ndarray) -> None:
+        """Position and velocity in m and m/s in the inertial frame, modified Rodrigues parameters, rates in rad/s."""
+        for place, value in zip(spacecraft.states, states, strict=True):
+            place.setState(value[:, None].tolist())
+
+    def get(self, spacecraft: Spacecraft) -> list[ndarray]:
+        """What `put` takes."""
+        return [np.ravel(place.getState()) for place in spacecraft.states]
+
+    def act(self, i: int, u: ndarray, push: ndarray, body: ndarray, seconds: float) -> None:
+        """Has a control (6,) act for some s, and an inertial force in N, on a deputy of mass and moments (4,)."""
+        deputy = self.deputies[i]
+        deputy.body.hub.mHub, deputy.body.hub.IHubPntBc_B = float(body[0]), np.diag(body[1:]).tolist()
+        deputy.push.extForce_N = push[:, None].tolist()
+        if deputy.wheels is None:
+            deputy.push.extForce_B, deputy.push.extTorquePntB_B = (
+                u[part, None].tolist() for part in (THRUST, TORQUE)
+            )
+            return
+        from Basilisk.architecture import messaging
+
+        command = messaging.ArrayMotorTorqueMsgPayload()
+        command.motorTorque = (-u[TORQUE]).tolist()  # on the wheel; the body has the reaction
+        deputy.wheel_command.write(command, self.now)
+        pulses = np.round(u[THRUST] / self.c.max_thrust * seconds / PULSE) * PULSE
+        command = messaging.THRArrayOnTimeCmdMsgPayload()
+        command.OnTimeRequest = np.stack((pulses, -pulses), 1).clip(0.0).ravel().tolist()
+        deputy.thruster_command.write(command, self.now)
+
+    def run(self, seconds: float) -> None:
+        """Lets time pass."""
+        self.now += self.nanoseconds(seconds)
+        self.sim.ConfigureStopTime(self.now)
+        self.sim.ExecuteSimulation()
+
+
+class BasiliskPlant(Plant):
+    """A `Plant` whose bodies Basilisk moves.
+
+    Attributes:
+        chief: (6, B) the chiefs' positions and velocities in an inertial frame, which perturbations change, too.
+        wheels: (3, B) rad/s, of the reaction wheels relative to the body.
+
+    `integrate` moves chief and wheels on; `state_dict` has them.
+
+    Raises:
+        ImportError: Basilisk is not installed.
+    """
+
+    STATE = (*Plant.STATE, "chief", "wheels")
+    is_traceable = False
+
+    def __init__(self, parameters: PlantParameters, c: InspectionParameters, batch: int, device: Any) -> None:
+        super().__init__(parameters, c, batch, device)
+        self.chief = torch.zeros(6, batch, dtype=torch.float64, device=device)
+        self.wheels = torch.zeros(3, batch, dtype=torch.float64, device=device)
+        import Basilisk.simulation  # noqa: F401
+
+    def begin(self, columns: Tensor, x: Tensor, number: Tensor) -> None:
+        """As `Plant.begin`; the chief is where the Sun's angle has it on its orbit."""
+        super().begin(columns, x, number)
+        self.wheels[:, columns] = 0.0
+        self.chief[:, columns] = x.new_tensor(chief_in_space(x[THETA_S], self.c))
+
+    @cached_property
+    def simulation(self) -> Simulation:
+        """Made at the first step, of the length of that."""
+        return Simulation(self.key.numel(), self.dt, self.parameters, self.c)
+
+    def integrate(self, x: Tensor, u: Tensor, body: Tensor, duration: float, times: int = 1) -> Tensor:
+        """The states (16, B) after so many steps of `duration` s under what acts, (6, B), of bodies (7, B)."""
+        real = self.parameters.actuators == "real"
+        self.dt = PULSE if real else duration
+        if real:  # pulses are of the whole time
+            return self.step(x, u, body, duration * times)
+        for _ in range(times):
+            x = self.step(x, u, body, duration)
+        return x
+
+    def step(self, x: Tensor, u: Tensor, body: Tensor, seconds: float) -> Tensor:
+        """The states after some s; the body rates saturate where the plant has them do so."""
+        simulation = self.simulation
+        before, chief = x.cpu().numpy(), self.chief.cpu().numpy()
+        bodies, controls, wheels = (part.cpu().numpy() for part in (body, u, self.wheels))
+        frame = hill(chief)
+        deputies = frame.outwards(before)
+        pushes = frame.axes.apply(bodies[4:].T) * bodies[:1].T
+        for i, (home, deputy) in enumerate(zip(simulation.chiefs, simulation.deputies, strict=True)):
+            simulation.put(home, chief[:3, i], chief[3:, i], np.zeros(3), np.zeros(3))
+            simulation.put(deputy, *(part[i] for part in deputies))
+            if deputy.wheels is not None:
+                deputy.wheels.setState(wheels[:, i, None].tolist())
+            simulation.act(i, controls[:, i], pushes[i], bodies[:4, i], seconds)
+        simulation.run(seconds)
+        chief = np.stack([np.concatenate(simulation.get(home)[:2]) for home in simulation.chiefs], 1)
+        flown = [
+            np.stack(part)
+            for part in zip(*(simulation.get(each) for each in simulation.deputies), strict=True)
+        ]
+        after = x.clone()
+        after[:13] = x.new_tensor(hill(chief).inwards(*flown))
+        after[THETA_S] = x[THETA_S] - x.new_tensor(frame.angle_to(hill(chief)))
+        if self.c.saturate_rates and self.parameters.saturate_rates:
+            after[OMEGA] = after[OMEGA].clamp(-self.c.max_rate, self.c.max_rate)
+        for part in (T, E):  # Heun's rule, by the attitudes that Basilisk gives
+            after[part] += seconds * drift(x, self.c)[part]
+            after[part] = (x[part] + after[part] + seconds * drift(after, self.c)[part]) / 2
+        self.chief = x.new_tensor(chief)
+        if simulation.deputies[0].wheels is not None:
+            self.wheels = x.new_tensor(
+                np.stack([np.ravel(each.wheels.getState()) for each in simulation.deputies], 1)
+            )
+        return after
+
+
+class Hill(NamedTuple):
+    """Hill's frames of k chiefs: their states (6, k), axes in the inertial frame, and how these turn in rad/s, (k,)."""
+
+    chief: ndarray
+    axes: Rotation
+    turning: ndarray
+
+    def outwards(self, x: ndarray) -> tuple[ndarray, ...]:
+        """Position, velocity, modified Rodrigues parameters and rates (k, 3) in the inertial frame, of (16, k)."""
+        p, v = x[P].T, x[V].T
+        turn = np.stack((-self.turning * p[:, 1], self.turning * p[:, 0], 0.0 * p[:, 2]), 1)  # w x p
+        attitude = self.axes * Rotation.from_quat(x[Q].T)
+        r = self.chief[:3].T + self.axes.apply(p)
+        return r, self.chief[3:].T + self.axes.apply(v + turn), attitude.as_mrp(), x[OMEGA].T
+
+    def inwards(self, r: ndarray, v: ndarray, mrp: ndarray, omega: ndarray) -> ndarray:
+        """The first 13 components of our state, (13, k), the rates relative to the stars; the reverse of `outwards`."""
+        back = self.axes.inv()
+        p = back.apply(r - self.chief[:3].T)
+        turn = np.stack((-self.turning * p[:, 1], self.turning * p[:, 0], 0.0 * p[:, 2]), 1)
+        relative = back.apply(v - self.chief[3:].T) - turn
+        q = (back * Rotation.from_mrp(mrp)).as_quat()
+        return np.concatenate((p, relative, q, omega), 1).T
+
+    def angle_to(self, later: "Hill") -> ndarray:
+        """rad, by which the radial direction has moved on along the orbit until later frames, (k,)."""
+        x, y, _ = self.axes.inv().apply(later.axes.as_matrix()[:, :, 0]).T
+        return np.arctan2(y, x)
+
+
+def hill(chief: ndarray) -> Hill:
+    """From positions and velocities (6, k): x away from the Earth, z along the angular momentum."""
+    r, v = chief[:3], chief[3:]
+    momentum = np.cross(r, v, axis=0)
+    size = np.linalg.norm(momentum, axis=0)
+    x, z = r / np.linalg.norm(r, axis=0), momentum / size
+    axes = np.stack((x, np.cross(z, x, axis=0), z), 1)  # columns are the axes
+    return Hill(chief, Rotation.from_matrix(axes.transpose(2, 0, 1)), size / (r * r).sum(0))
+
+
+def chief_in_space(theta_s: Tensor, c: InspectionParameters) -> ndarray:
+    """The chief's position and velocity (6, k) where the Sun's angle (k,) has it: the Sun is along the inertial x."""
+    chief = chief_at(theta_s, c)
+    radius, climb, turning = (part.cpu().numpy() for part in (chief.radius, chief.climb, chief.turning))
+    zero = 0.0 * radius
+    angles = np.stack((-theta_s.cpu().numpy(), np.full_like(zero, INCLINATION)), 1)
+    axes = Rotation.from_euler("zx", angles)  # first along the orbit, then with its plane
+    r = axes.apply(np.stack((radius, zero, zero), 1))
+    return np.concatenate((r, axes.apply(np.stack((climb, radius * turning, zero), 1))), 1).T

@@ -1,0 +1,102 @@
+"""The filter follows the orbit and the turning of Hill's frame that its model is told of."""
+
+import math
+
+import numpy as np
+import pytest
+import torch
+from scipy.spatial.transform import Rotation
+from torch import Tensor
+
+from inspection.dynamics import drift, step
+from inspection.parameters import InspectionParameters
+from inspection.state import CONTROL_SIZE, OMEGA, THETA_S, P, Q, V
+from rta.batched_solver import BatchedSolver
+from rta.filter import SafetyFilter
+from rta.lie_derivatives import lie_derivative
+from rta.parameters import RtaParameters
+from rta.uncertainty import Uncertainty
+from study.verification.adversaries import adversarial
+from study.verification.starts import safe_set
+from tests.inspection.test_orbit import flown
+
+ORBITS = [
+    InspectionParameters(hill_rotation=True),
+    InspectionParameters(orbit="two-body", hill_rotation=True),
+    InspectionParameters(orbit="two-body", eccentricity=0.2, sun_from_perigee=2.0, hill_rotation=True),
+]
+DT = 0.02  # s
+
+
+def later(x: Tensor, c: InspectionParameters, seconds: float) -> Tensor:
+    """States (16, B) by gravity in an inertial frame and the body turned there; temperature and energy by the model."""
+    after = step(x, torch.zeros_like(x[:CONTROL_SIZE]), seconds, c)
+    if c.orbit == "clohessy-wiltshire":
+        return after
+    for i in range(x.shape[1]):
+        one = x[:, i].numpy()
+        p, v, sun = flown(one, c, seconds)
+        turned = (
+            Rotation.from_euler("z", sun)
+            * Rotation.from_euler("z", -one[THETA_S])
+            * Rotation.from_quat(one[Q])
+            * Rotation.from_rotvec(seconds * one[OMEGA])
+        )
+        after[P, i], after[V, i] = torch.from_numpy(p), torch.from_numpy(v)
+        after[Q, i], after[THETA_S, i] = torch.from_numpy(turned.as_quat()), sun
+    return after
+
+
+@pytest.mark.parametrize("c", ORBITS, ids=["turning", "two-body", "eccentric"])
+def test_every_h_changes_as_its_lie_derivative_says(c: InspectionParameters, random_states) -> None:
+    """Of relative degree one, and the Psi_1 of the others; passive safety at the times of its closest passes."""
+    safety, x = SafetyFilter(c), random_states(12)
+    x[V] *= 3.0
+    thrust, torque = safety.groups
+    second = [each for each in torque.constraints if each.degree == 2]
+
+    def barriers(y: Tensor) -> Tensor:
+        first = [each.barrier_at(x)(y).amin(0, keepdim=True) for each in thrust.constraints]
+        return torch.cat((*first, torque.psi_at(x, second)(y)))
+
+    _, rate = lie_derivative(barriers, x, drift(x, c))
+    before, after = (barriers(later(x, c, side * DT)) for side in (-1, 1))
+    np.testing.assert_allclose(rate, (after - before) / (2 * DT), rtol=2e-5, atol=2e-7)
+    paper = InspectionParameters()
+    assert (rate - lie_derivative(barriers, x, drift(x, paper))[1]).abs().max() > 1e-5  # what it leaves out
+
+
+@pytest.mark.parametrize("c", ORBITS, ids=["turning", "two-body", "eccentric"])
+@pytest.mark.parametrize("known", [Uncertainty(), Uncertainty(acceleration=1e-6)], ids=["now", "held"])
+def test_nothing_is_violated_where_the_world_is_the_model(
+    c: InspectionParameters, known: Uncertainty
+) -> None:
+    safety = SafetyFilter(c, RtaParameters(), BatchedSolver(), known=known)
+    x, _, _ = safe_set(48, 1, safety)
+    adversary, random = adversarial(safety), torch.Generator().manual_seed(0)
+    limit = x.new_tensor(c.control_limit)[:, None]
+    desired = torch.zeros_like(x[:CONTROL_SIZE])
+    smallest = math.inf
+    for t in range(12 if safety.holds else 60):
+        if t % 5 == 0:
+            desired = limit * (2.0 * torch.rand(desired.shape, generator=random, dtype=x.dtype) - 1.0)
+            desired[:, ::2] = adversary(float(t), x)[:, ::2]
+        x = step(x, safety.correct(x, desired).control, 1.0, c)
+        smallest = min(smallest, safety.values(x).min().item())
+    assert smallest >= 0.0
+
+
+def test_a_model_that_turns_needs_not_be_told_that_hills_frame_does() -> None:
+    told = Uncertainty(hill_rotation=True)
+    paper, turning = InspectionParameters(), InspectionParameters(hill_rotation=True)
+    assert told.rate_offset(paper) == paper.mean_motion and told.rate_offset(turning) == 0.0
+    assert told.angular_acceleration(paper) > 0.0 == told.angular_acceleration(turning)
+
+
+@pytest.mark.parametrize("eccentricity", [0.0, 0.2])
+def test_braking_is_less_where_more_pulls(eccentricity: float) -> None:
+    linear = InspectionParameters()
+    exact = InspectionParameters(orbit="two-body", eccentricity=eccentricity)
+    assert exact.max_acceleration < linear.max_acceleration
+    if not eccentricity:
+        assert linear.max_acceleration - exact.max_acceleration < 1e-6
