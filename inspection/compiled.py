@@ -165,12 +165,14 @@ def traced(
 def without_repetitions(graph: GraphModule) -> GraphModule:
     """The graph with equal constants and common subexpressions computed once: several constraints begin alike.
 
-    Copies are left out, which hide what is equal. Nothing writes in place, as the graph is functional.
+    Copies are left out, which hide what is equal, but for those in another order in memory, which a view may need.
+    Nothing writes in place, as the graph is functional.
     """
     from torch._functorch.compile_utils import fx_graph_cse
 
     for node in [node for node in graph.graph.nodes if node.target in COPIES]:
-        node.replace_all_uses_with(node.args[0])
+        if node.meta["val"].stride() == node.args[0].meta["val"].stride():
+            node.replace_all_uses_with(node.args[0])
     seen: dict[tuple[Any, ...], Node] = {}
     for node in graph.graph.find_nodes(op="get_attr"):
         constant = getattr(graph, node.target)

@@ -8,9 +8,13 @@ from torch import Tensor
 
 from inspection.attitude import conjugate, dot, norm, rotate, unit
 from inspection.dynamics import sun_direction
-from inspection.orbit import COARSE, closest_pass
+from inspection.orbit import closest_pass
 from inspection.parameters import OBSERVED, InspectionParameters
 from inspection.state import OMEGA, THETA_S, E, P, Q, T, V
+
+# s between samples of free flight, whose chords stray by |a| spacing^2 / 8: 100 m from the chief and at 1 m/s by 0.2
+# and 3 m, of which 0.03 and 0.4 m at rest
+FINE, COARSE = 25.0, 100.0
 
 
 class Component(NamedTuple):
@@ -41,7 +45,7 @@ GROUPS: dict[str, list[Component]] = {
     "uninspected": [*vector("uninspected"), Component("uninspected_alignment", "1", 1.0)],
     "score": [Component("inspected_score", "1", 1.0)],
     "hill": [*vector("radial"), *vector("along_track")],
-    "free_flight": [*vector("coast"), *vector("drift")],
+    "free_flight": [*vector("next_pass"), *vector("later_pass")],
 }
 
 
@@ -72,8 +76,8 @@ def observe(
     def of_direction(direction: Tensor) -> Tensor:
         return torch.cat((rotate(to_body, direction), dot(direction, p_hat)[None]))
 
-    def of_free_flight(horizon: float) -> Tensor:
-        return rotate(to_body, nearness(closest_pass(x, horizon, c, COARSE), c))
+    def of_free_flight(horizon: float, spacing: float) -> Tensor:
+        return rotate(to_body, nearness(closest_pass(x, horizon, c, spacing), c))
 
     radial, along_track, _ = torch.eye(3, dtype=x.dtype, device=x.device)[..., None].expand(3, *x[P].shape)
     rows: dict[str, Callable[[], Tensor]] = {
@@ -88,7 +92,7 @@ def observe(
         "score": lambda: score[None],
         "hill": lambda: torch.cat((rotate(to_body, radial), rotate(to_body, along_track))),
         "free_flight": lambda: torch.cat(
-            (of_free_flight(c.passive_safety_horizon), of_free_flight(c.free_flight_horizon))
+            (of_free_flight(c.passive_safety_horizon, FINE), of_free_flight(c.free_flight_horizon, COARSE))
         ),
     }
     return torch.cat([row() for name, row in rows.items() if name in c.observed])

@@ -145,9 +145,6 @@ def kepler(r: Tensor, v: Tensor, t: Tensor, mu: float) -> Tensor:
     return torch.stack([f * r_i + g * v_i for r_i, v_i in zip(r, v, strict=True)])
 
 
-COARSE = 100.0  # s between samples where 0.4 m do not matter, by which a chord strays 100 m from the chief
-
-
 def closest_pass(x: Tensor, horizon: float, c: InspectionParameters, spacing: float = 10.0) -> Tensor:
     """The position in m next to the chief's centre while coasting for `horizon` s: states (16, k) to (3, k).
 

@@ -105,7 +105,7 @@ class InspectionParameters:
     points_per_cluster: int = 10  # (decision) k = ceil(n / 10)
     success_score: float = 0.95  # inspected score, 0 to 1, that ends an episode
     action_period: float = 10.0  # s between two actions of the agent
-    observed: tuple[str, ...] = OBSERVED  # by the agent: the paper's, less some, or with "hill"
+    observed: tuple[str, ...] = OBSERVED  # by the agent: the paper's, some, or more of `OBSERVABLE`
     substep: float = 1.0  # s, longest integration step
     max_time: float = 12236.0  # s, an episode at its longest: two orbits
     initial_radius: tuple[float, float] = (50.0, 100.0)  # m, range of the first distance
@@ -121,7 +121,9 @@ class InspectionParameters:
     time_reward: float = 0.001  # per action
     time_reward_until: float = 3000.0  # s, of the episode
     terminal_reward: float = 1.0  # magnitude of success, crash, distance and energy terms
-    free_flight_horizon: float = 172800.0  # s, two days of free flight that decide the reward of success
+    free_flight_horizon: float = (
+        172800.0  # s, two days of free flight: for the reward of success, and to observe
+    )
 
     # Our own terms, which the learner is given beside the paper's; the reward that is reported is without them
     rate_reward: float = 0.0  # per action and axis turning at max_rate, by its square

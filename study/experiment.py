@@ -41,6 +41,9 @@ TYPICAL_EPISODE = 3000.0  # s
 # `python main.py benchmark` shows both solvers by the number of programs at once, which cross below 16.
 WORTH_BATCHING = 32
 
+# what "free_flight" in `observed` depends on
+OF_FREE_FLIGHT = ("passive_safety_horizon", "free_flight_horizon", "deputy_radius", "chief_radius")
+
 LARGEST_WEIGHT = 1e3  # of a policy; training leaves weights of 2 at most
 
 
@@ -274,6 +277,12 @@ def check_observed(config: Config, trained: Config) -> None:
     ours, theirs = (list(each.inspection.observed) for each in (config, trained))
     if set(ours) != set(theirs):
         raise InputError(f"[inspection] observed = {ours}: the agent was trained with {theirs}")
+    for name in OF_FREE_FLIGHT if "free_flight" in ours else ():
+        value, trained_with = (getattr(each.inspection, name) for each in (config, trained))
+        if value != trained_with:
+            raise InputError(
+                f"[inspection] {name} = {value:g}: the agent observes free flight and was trained with {trained_with:g}"
+            )
 
 
 def check_weights(weights: dict[str, Tensor], path: str | Path) -> None:

@@ -1,6 +1,7 @@
 """An agent as an ONNX file: normalised observation in, normalised control out, checked against PyTorch."""
 
 import json
+from dataclasses import asdict
 
 import numpy as np
 import onnx
@@ -24,8 +25,8 @@ def to_onnx(policy: Policy, c: InspectionParameters) -> bytes:
     """The network of a policy of one seed, written layer by layer: its mean action, as `Policy.mean_action`.
 
     The input `observation` (batch, 26; as many as observed) and the output `control` (batch, 6) are float32 and divided
-    by their scales. The metadata hold both components' names, units and scales as JSON lists, [inspection] observed,
-    and action_period, in s.
+    by their scales. The metadata hold both components' names, units and scales as JSON lists, [inspection] of the
+    training, and action_period, in s.
     """
     layers = list(policy.network.layers)
     weights, nodes = [], []
@@ -79,7 +80,7 @@ def metadata(c: InspectionParameters) -> dict[str, str]:
     return {
         "observation": json.dumps([component._asdict() for component in components(c.observed)]),
         "control": json.dumps([component._asdict() for component in controls]),
-        "observed": json.dumps(c.observed),
+        "inspection": json.dumps(asdict(c)),
         "action_period": json.dumps(c.action_period),
     }
 

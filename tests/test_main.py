@@ -18,6 +18,7 @@ from rta.filter import SOLVERS
 from study import experiment
 from study.command_line.arguments import build_parser, resolve
 from study.config import Config, from_toml, override
+from study.errors import InputError
 from study.training import session as training
 
 STATE: dict[str, Any] = {
@@ -251,6 +252,15 @@ def test_test_cases_do_not_depend_on_their_number_or_on_the_filter() -> None:
     gains = {"exclusion_margin": 0.1, "battery_gains": [0.001, 0.1]}
     many, _ = experiment.test_cases(override(Config(), {"rta": gains}, "test"), 300, 0)
     assert torch.equal(few, many[:, :2])
+
+
+@pytest.mark.parametrize("name", ["free_flight_horizon", "passive_safety_horizon", "chief_radius"])
+def test_an_agent_that_observes_free_flight_is_shown_the_same_of_it(name: str) -> None:
+    trained = override(Config(), {"inspection": {"observed": ["score", "free_flight"]}}, "test")
+    other = override(trained, {"inspection": {name: 7.0}}, "test")
+    experiment.check_observed(trained, trained)
+    with pytest.raises(InputError, match=f"{name} = 7"):
+        experiment.check_observed(other, trained)
 
 
 @pytest.mark.parametrize(

@@ -28,7 +28,7 @@ def load(path: str) -> onnxruntime.InferenceSession:
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = options.inter_op_num_threads = 1
     session = onnxruntime.InferenceSession(path, options, providers=["CPUExecutionProvider"])
-    if "action_period" not in session.get_modelmeta().custom_metadata_map:
+    if "inspection" not in session.get_modelmeta().custom_metadata_map:
         raise ValueError("not an agent that main.py export wrote")
     return session
 
@@ -62,6 +62,12 @@ def control_loop(
     return watch.calls, sum(bool(each.any()) for each in violated)
 
 
+def constants(session: onnxruntime.InferenceSession) -> InspectionParameters:
+    """Those that the agent was trained with, on which its observations depend, too."""
+    table = json.loads(session.get_modelmeta().custom_metadata_map["inspection"])
+    return InspectionParameters(**{k: tuple(v) if isinstance(v, list) else v for k, v in table.items()})
+
+
 def main(argv: list[str] | None = None) -> None:
     parser = Parser(prog="python -m docs.guides.control_loop")
     parser.add_argument("policy", help="ONNX file")
@@ -75,8 +81,7 @@ def main(argv: list[str] | None = None) -> None:
     except Exception as error:  # ONNX Runtime's have nothing else in common
         parser.error(f"{arguments.policy}: {str(error).splitlines()[0]}")
     torch.set_num_threads(1)
-    observed = json.loads(session.get_modelmeta().custom_metadata_map["observed"])
-    safety_filter = SafetyFilter(InspectionParameters(observed=tuple(observed)), RtaParameters())
+    safety_filter = SafetyFilter(constants(session), RtaParameters())
     if arguments.compile:
         safety_filter.compile("cpu", 1)
     control_loop(session, safety_filter, 2)  # the first calls take longer

@@ -106,6 +106,16 @@ def test_what_is_written_twice_is_computed_once() -> None:
     assert torch.equal(short(x[:2]), twice(x[:2]))
 
 
+@pytest.mark.parametrize("trace_only", [True, False])
+def test_what_is_copied_for_its_order_in_memory_is_copied(trace_only: bool, cache: Path) -> None:
+    def swapped(x: Tensor) -> list[Tensor]:
+        return [x.view(3, 2, -1).transpose(0, 1).reshape(6, -1) * 2.0]
+
+    x = torch.randn(6, 5, dtype=torch.float64, generator=torch.Generator().manual_seed(0))
+    (found,) = Compiled(swapped, x[:, :1], batch=16, trace_only=trace_only)(x)
+    assert torch.equal(found, swapped(x)[0])
+
+
 def test_compiled_filter_equals_the_eager_one(
     random_states: Callable[[int], Tensor], generator: torch.Generator
 ) -> None:

@@ -280,7 +280,7 @@ def test_distances_count_in_every_direction(c, direction):
 
 
 def test_free_flight_is_seen_where_an_integrated_one_passes_the_chief(c, random_states, generator):
-    """Within 500 s and, over three days that drift along the track, within two."""
+    """Within 500 s, and within 40,000 s, over which it drifts along the track."""
     x, *rest = draw(random_states, generator, 20)
     x[P] *= 0.4
     x[V] *= 0.03

@@ -2,6 +2,7 @@
 
 import json
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -63,6 +64,18 @@ def test_metadata_lead_from_a_state_to_newtons(random_states) -> None:
     (control,) = session.run(None, {"observation": (o / divisors).astype(np.float32)})
     scaled = control * np.array([component["scale"] for component in about["control"]])
     np.testing.assert_allclose(scaled.T, agent(policy, env)(0.0, env.x), atol=2e-5)
+
+
+def test_metadata_lead_to_what_the_agent_observed(random_states) -> None:
+    """Also where that depends on horizons and radii of its training, which are not the paper's."""
+    c = replace(C, observed=("position", "free_flight"), free_flight_horizon=6000.0, deputy_radius=3.0)
+    about = export.metadata(c)
+    table = {k: tuple(v) if isinstance(v, list) else v for k, v in json.loads(about["inspection"]).items()}
+    x, rest = random_states(5), [torch.zeros(3, 5).double()] * 2 + [torch.zeros(5).double()]
+    seen = observe(x, *rest, InspectionParameters(**table))
+    assert torch.equal(seen, observe(x, *rest, c))
+    assert len(seen) == len(json.loads(about["observation"])) == 10
+    assert not torch.equal(seen, observe(x, *rest, replace(C, observed=c.observed)))
 
 
 def test_metadata_name_every_component() -> None:
