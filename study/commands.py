@@ -9,6 +9,8 @@ CHECKPOINT, LEARNED = FILES = (
     "learned:",
 )  # begin an agent's file where other policies have names
 
+EPISODE = 3600  # s, about as long as an agent takes
+
 
 def in_file(name: str) -> str:
     """A policy's name without what begins it where an agent's file follows."""
@@ -25,7 +27,15 @@ def after_training(directory: Path) -> str:
     """What to do with a trained agent: measure it, watch it fly, see its course."""
     agent, flight, page = (directory / name for name in ("policy.pt", "flight.npz", "flight.html"))
     fly = command(
-        "simulate", "--controller", "policy", "--checkpoint", agent, "--duration", "3000", "--out", flight
+        "simulate",
+        "--controller",
+        "policy",
+        "--checkpoint",
+        agent,
+        "--duration",
+        f"{EPISODE}",
+        "--out",
+        flight,
     )
     return "\n".join(
         (

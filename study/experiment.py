@@ -22,6 +22,7 @@ from ppo.network import Policy, Value
 from rta.filter import SafetyFilter
 from rta.parameters import RtaParameters
 from study import config as configuration
+from study.commands import EPISODE
 from study.config import Config
 from study.errors import InputError, refusing
 from study.progress import step
@@ -35,7 +36,6 @@ WORTH_TRACING_FILTER = 500
 # Where controls are held a call takes 0.5 to 1.4 s (32 to 256 spacecraft), traced a fifth less, compiled 0.03 to 0.1;
 # tracing takes 20 s, compiling three minutes the first time.
 WORTH_COMPILING_HELD, WORTH_TRACING_HELD = 400, 150
-TYPICAL_EPISODE = 3000.0  # s
 
 # Spacecraft from which the batched solver is the faster one on a CPU: about half of them have a program to solve, and
 # `python main.py benchmark` shows both solvers by the number of programs at once, which cross below 16.
@@ -65,7 +65,7 @@ class Experiment:
         InputError: the configuration's parts do not fit together or the machine.
     """
 
-    def __init__(self, config: Config, batch: int, seconds: float = TYPICAL_EPISODE, steps: int = 0) -> None:
+    def __init__(self, config: Config, batch: int, seconds: float = EPISODE, steps: int = 0) -> None:
         check_clocks(config)
         check_cache()
         self.device = resolve_device(config.train.device)

@@ -19,10 +19,9 @@ from inspection.termination import OUTCOMES, failures
 from ppo.network import Policy
 from rta.constraints import CONSTRAINTS
 from rta.qp import Status
-from study.commands import command
+from study.commands import EPISODE, command
 from study.config import TEST_CASES, Config
 from study.experiment import (
-    TYPICAL_EPISODE,
     Experiment,
     check_clocks,
     check_observed,
@@ -335,6 +334,6 @@ def how_to_watch(
         who += ["--step", f"{every[controller]:g}"]
     if results["seed"] != TEST_CASES:
         who += ["--seed", str(results["seed"])]
-    length = "--duration", f"{TYPICAL_EPISODE:.0f}"
+    length = "--duration", f"{EPISODE}"
     fly = command("simulate", "--controller", *who, *words, *length, "--out", "run.npz")
     return f"Watch one: {fly} && {command('replay', 'run.npz', '--out', 'run.html')}"

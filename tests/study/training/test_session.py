@@ -414,7 +414,7 @@ def test_widths_are_keys_from_training_to_export_and_the_last_lines_can_be_paste
     assert show == ["tensorboard", "--logdir", str(run)]
     for words in (evaluate, simulate, replay):
         assert words[:2] == ["python", "main.py"]
-        shorter = {"1000": "2", "3000": "20"}
+        shorter = {"1000": "2", "3600": "20"}
         assert main.main([shorter.get(word, word) for word in words[2:]]) == 0
     assert (run / "flight.html").exists()
 
