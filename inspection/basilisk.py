@@ -30,6 +30,8 @@ CHIEF_AREA_PER_MASS = 0.01  # m^2/kg, typical of a satellite
 DEPUTY_AREA = 0.06  # m^2, the long side of a 6U
 
 PULSE = 0.02  # s, of which the time that a thruster is open is a multiple
+# of such a step by which it closes earlier: at its very end rounding would decide. RK4 then gives a sixth less of one.
+END = 0.25
 NOBODY = 1e9  # of specific impulse in s: thrusters take no mass away, as in the model
 
 
@@ -200,7 +202,8 @@ class Simulation:
         command = messaging.ArrayMotorTorqueMsgPayload()
         command.motorTorque = (-u[TORQUE]).tolist()  # on the wheel; the body has the reaction
         deputy.wheel_command.write(command, self.now)
-        pulses = np.round(u[THRUST] / self.c.max_thrust * seconds / PULSE) * PULSE
+        steps = np.round(u[THRUST] / self.c.max_thrust * seconds / PULSE)
+        pulses = PULSE * np.sign(steps) * (np.abs(steps) - END).clip(0.0)
         command = messaging.THRArrayOnTimeCmdMsgPayload()
         command.OnTimeRequest = np.stack((pulses, -pulses), 1).clip(0.0).ravel().tolist()
         deputy.thruster_command.write(command, self.now)
