@@ -15,6 +15,7 @@ from inspection.closed_loop import Safety
 from inspection.compiled import Compiled
 from inspection.parameters import InspectionParameters
 from inspection.state import CONTROL_SIZE, SIZE, THRUST, TORQUE, P, Q
+from rta import vehicle
 from rta.batched_solver import BatchedSolver
 from rta.boundary import Given
 from rta.constraints import ACTUATORS, ATTITUDE, TRANSLATIONAL, Constraint
@@ -77,7 +78,7 @@ class SafetyFilter:
 
     Args:
         c: the task's constants; None: the paper's.
-        parameters: period, gains, margins and weights; None: the defaults.
+        parameters: period, gains, margins and weights for the paper's vehicle, see `rta.vehicle`; None: the defaults.
         solver: of the quadratic programs; None: the one that the parameters name, for `auto` PIQP or, where controls
             are held, the batched one.
         extra: constraints of your own.
@@ -101,18 +102,18 @@ class SafetyFilter:
     ) -> None:
         c, parameters = c or InspectionParameters(), parameters or RtaParameters()
         known = known or NOTHING
-        if c.max_acceleration <= 0.0:
-            raise ValueError("max_thrust / mass must exceed the natural acceleration within max_distance")
+        vehicle.check(c)
         known.check(c, parameters)
         self.c, self.parameters, self.extra, self.known = c, parameters, tuple(extra), known
         self.holds = known.holds(parameters)
         # PIQP leaves one in a thousand programs of tangents unsolved
         auto = "batched" if self.holds else "piqp"
         self.solver = solver or make_solver(parameters.qp_solver.replace("auto", auto), self.holds)
-        of_paper = (thrust_constraints(c, parameters, known), torque_constraints(c, parameters, known))
+        own = vehicle.scaled(parameters, c)
+        of_paper = (thrust_constraints(c, own, known), torque_constraints(c, own, known))
         constraints = (*of_paper[0], *of_paper[1], *extra)
         kind = HeldGroup if self.holds else ActuatorGroup
-        self.groups = tuple(kind(by, constraints, c, parameters, known) for by in ACTUATORS)
+        self.groups = tuple(kind(by, constraints, c, own, known) for by in ACTUATORS)
         thrust, torque = (group.names for group in self.groups)
         self.names = in_order(thrust, torque)
         if len(set(self.names)) < len(self.names):

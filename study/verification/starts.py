@@ -13,7 +13,7 @@ from inspection.parameters import InspectionParameters
 from inspection.state import OMEGA, SIZE, THETA_S, E, P, Q, T, V
 from rta.filter import SafetyFilter
 
-FARTHEST = 795.0  # m, of the safe set's initial states
+INSIDE = 5.0  # m, within max_distance, where the safe set's initial states are at the farthest
 NUMBERS = 17  # from which a start follows
 HYPERCUBES = 100  # drawn before a safe set counts as empty
 # what keeps the filter's Psi_1 from being exact
@@ -29,11 +29,11 @@ def spawned(seed: int, count: int) -> list[int]:
 def spread(s: Tensor, c: InspectionParameters) -> tuple[Tensor, Tensor]:
     """States (16, B) and priority vectors (3, B) all over the safe set and around it, from numbers in [0, 1], (17, B).
 
-    The distance is at most FARTHEST, the speed at most the limit there, rates, temperature and energy are within their
-    limits; directions, attitudes and the Sun's angle are any.
+    The distance is INSIDE of the zone at least, the speed at most the limit there, rates, temperature and energy are
+    within their limits; directions, attitudes and the Sun's angle are any.
     """
     turn, lean = 2 * math.pi * s, (2 * s - 1).arcsin()  # azimuth, and elevation uniform on the sphere
-    distance = c.collision_radius + (FARTHEST - c.collision_radius) * s[0]
+    distance = c.collision_radius + (c.max_distance - INSIDE - c.collision_radius) * s[0]
     x = torch.zeros(SIZE, s.shape[1], dtype=torch.float64)
     x[P] = spherical(distance, turn[1], lean[2])
     x[V] = spherical((c.docking_speed + c.speed_slope * distance) * s[3], turn[4], lean[5])
@@ -50,7 +50,7 @@ def spread(s: Tensor, c: InspectionParameters) -> tuple[Tensor, Tensor]:
 def safe_set(count: int, seed: int, safety_filter: SafetyFilter) -> tuple[Tensor, Tensor, int]:
     """Initial states from the whole safe set: every h and every Psi_1 is non-negative.
 
-    A Latin hypercube over distance up to FARTHEST, speed up to the limit there, all directions and attitudes,
+    A Latin hypercube over distance up to INSIDE of the zone, speed up to the limit there, all directions and attitudes,
     body rates, temperature and energy down to their limits and the Sun's angle. h is exact; Psi_1 is the filter's,
     with the margins of h inside it and the terminator rounded off (`RtaParameters.incidence_rounding`). States beyond
     the filter's own keep-in barrier (`SafetyFilter.can_brake`) belong to the set.

@@ -436,7 +436,7 @@ def test_threads_may_share_a_filter(
 def own_and_traced() -> SafetyFilter:
     """A filter of another mass with a constraint of its own, traced; each test gives it its solver."""
     ball = Constraint("ball", clear_of_a_ball, "thrust", (0.05, 0.2), 1.0)
-    safety = SafetyFilter(dataclasses.replace(C, mass=20.0), extra=[ball])
+    safety = SafetyFilter(dataclasses.replace(C, mass=14.0), extra=[ball])
     safety.trace(100)
     return safety
 

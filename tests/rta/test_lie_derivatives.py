@@ -7,6 +7,7 @@ import itertools
 import math
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -25,6 +26,7 @@ from rta.filter import SafetyFilter
 from rta.lie_derivatives import ByNumbers, lie_derivative, lie_derivatives
 from rta.parameters import RtaParameters
 from rta.rows import Rows
+from rta.vehicle import scaled
 from tests.rta.test_constraints import (
     MEAN_MOTION,
     body_axis,
@@ -45,6 +47,24 @@ SPACECRAFT = {
     "paper": InspectionParameters(),
     "unequal_moments": InspectionParameters(inertia=(0.04, 0.06, 0.09), solar_panel_axis="+x"),
 }
+
+
+def before_scaling(c: InspectionParameters) -> RtaParameters:
+    """Parameters that a filter scales to R for its vehicle."""
+    own = vars(scaled(R, c))
+    given = {name: divided(getattr(R, name), own[name]) for name in own if own[name] != getattr(R, name)}
+    if "pole_angle" in given:
+        given["pole_angle"] = math.atan(math.tan(R.pole_angle) ** 2 / math.tan(own["pole_angle"]))
+    return replace(R, **given)
+
+
+def divided(ours: float | tuple[float, ...], own: float | tuple[float, ...]) -> float | tuple[float, ...]:
+    """ours^2 / own."""
+    if isinstance(ours, tuple):
+        return tuple(divided(*pair) for pair in zip(ours, own, strict=True))
+    return ours**2 / own
+
+
 K1 = np.array([*R.exclusion_gains[:1], *R.temperature_gains[:1], *R.battery_gains[:1]])
 # m/s^2: all thrusters at once, the same with the worst natural acceleration, and how far from the attitude of
 # mid-period a turn at 2 deg/s about each axis, quickened by 1 deg/s^2 about each, takes the thrust in the mean over
@@ -250,7 +270,7 @@ X, BEYOND = flying(), beyond_the_limits()
 @pytest.fixture(scope="module", params=SPACECRAFT)
 def case(request: pytest.FixtureRequest) -> tuple[InspectionParameters, Rows, Rows]:
     c = SPACECRAFT[request.param]
-    return c, *(group(tensor(X)) for group in SafetyFilter(c, R).groups)
+    return c, *(group(tensor(X)) for group in SafetyFilter(c, before_scaling(c)).groups)
 
 
 def near(actual: Tensor, expected: ndarray, tolerance: float = TOLERANCE) -> None:
@@ -325,7 +345,9 @@ def test_thrust_rows_beyond_the_limits_equal_finite_differences(name: str) -> No
     gain = thrust_gain(psi)
     asked = slope(thrust_barriers, x, drift(x, c), 3e-4) + gain * (psi - margin) - thrust_fall(x)
     a = np.stack([slope(thrust_barriers, x, push(held(x), i), 1e-3) for i in range(3)], 1)
-    assert_rows_beyond(SafetyFilter(c, R).groups[0](tensor(x)), h, a, asked, gain * margin, 1.0)
+    assert_rows_beyond(
+        SafetyFilter(c, before_scaling(c)).groups[0](tensor(x)), h, a, asked, gain * margin, 1.0
+    )
 
 
 @pytest.mark.parametrize("name", SPACECRAFT)
@@ -334,7 +356,9 @@ def test_torque_rows_beyond_the_limits_equal_finite_differences(name: str) -> No
     barriers, h = partial(torque_barriers, c=c), torque_values(x, c)
     asked = slope(barriers, x, drift(x, c), 3e-4) + gain * (barriers(x) - margin) - torque_fall(x, c)
     a = np.stack([slope(barriers, x, turn(x, i, c), 1e-4) for i in range(3)], 1)
-    assert_rows_beyond(SafetyFilter(c, R).groups[1](tensor(x)), h, a, asked, gain * margin, c.max_torque)
+    assert_rows_beyond(
+        SafetyFilter(c, before_scaling(c)).groups[1](tensor(x)), h, a, asked, gain * margin, c.max_torque
+    )
 
 
 def assert_rows_beyond(
@@ -370,7 +394,7 @@ def test_first_psi_has_its_margin_spent(case: tuple) -> None:
 @pytest.mark.parametrize("held_by", ["thrust", "torque"])
 def test_barriers_ignore_the_other_groups_controls(held_by: str) -> None:
     c = SPACECRAFT["unequal_moments"]
-    x, group = tensor(X), SafetyFilter(c, R).groups[held_by == "torque"]
+    x, group = tensor(X), SafetyFilter(c, before_scaling(c)).groups[held_by == "torque"]
     psi = group.psi_at(x, group.constraints)
     _, _, along = lie_derivatives(psi, x, torch_drift(x, c), control_matrix(x, c))
     others = [i for i in range(6) if i not in range(6)[group.controls]]

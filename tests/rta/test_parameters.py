@@ -94,7 +94,7 @@ def test_unknown_solvers_are_refused_and_the_known_ones_are_used() -> None:
 
 
 def test_a_thrust_that_nature_outweighs_is_refused() -> None:
-    with pytest.raises(ValueError, match="max_thrust / mass must exceed the natural acceleration"):
+    with pytest.raises(ValueError, match="must exceed the natural acceleration"):
         SafetyFilter(dataclasses.replace(C, max_thrust=0.1), R)
 
 
