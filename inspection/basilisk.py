@@ -14,7 +14,7 @@ from numpy import ndarray
 from scipy.spatial.transform import Rotation
 from torch import Tensor
 
-from inspection.dynamics import drift
+from inspection.dynamics import resource_rates
 from inspection.orbit import chief_at
 from inspection.parameters import InspectionParameters
 from inspection.plant import Plant, PlantParameters
@@ -29,6 +29,7 @@ DRAG_COEFFICIENT = 2.2
 CHIEF_AREA_PER_MASS = 0.01  # m^2/kg, typical of a satellite
 DEPUTY_AREA = 0.06  # m^2, the long side of a 6U
 
+RESOURCES = slice(T, E + 1)
 PULSE = 0.02  # s, of which the time that a thruster is open is a multiple
 # of such a step by which it closes earlier: at its very end rounding would decide. RK4 then gives a sixth less of one.
 END = 0.25
@@ -209,10 +210,9 @@ class Simulation:
         deputy.thruster_command.write(command, self.now)
 
     def run(self, seconds: float) -> None:
-        """Lets time pass."""
+        """Lets time pass; `ExecuteSimulation` would look for events and draw a bar, of which there are none."""
         self.now += self.nanoseconds(seconds)
-        self.sim.ConfigureStopTime(self.now)
-        self.sim.ExecuteSimulation()
+        self.sim.TotalSim.StepUntilStop(self.now, -1)
 
 
 class BasiliskPlant(Plant):
@@ -221,26 +221,31 @@ class BasiliskPlant(Plant):
     Attributes:
         chief: (6, B) the chiefs' positions and velocities in an inertial frame, which perturbations change, too.
         wheels: (3, B) rad/s, of the reaction wheels relative to the body.
+        rates: (2, B) of temperature and energy where the states are.
 
-    `integrate` moves chief and wheels on; `state_dict` has them.
+    `integrate` moves these on with the states; `state_dict` has them.
 
     Raises:
         ImportError: Basilisk is not installed.
     """
 
-    STATE = (*Plant.STATE, "chief", "wheels")
+    STATE = (*Plant.STATE, "chief", "wheels", "rates")
     is_traceable = False
 
     def __init__(self, parameters: PlantParameters, c: InspectionParameters, batch: int, device: Any) -> None:
         super().__init__(parameters, c, batch, device)
         self.chief = torch.zeros(6, batch, dtype=torch.float64, device=device)
         self.wheels = torch.zeros(3, batch, dtype=torch.float64, device=device)
+        self.rates = torch.zeros(2, batch, dtype=torch.float64, device=device)
+        self.frame: tuple[Tensor, Hill] | None = None  # of the chiefs of then
         import Basilisk.simulation  # noqa: F401
 
     def begin(self, columns: Tensor, x: Tensor, number: Tensor) -> None:
         """As `Plant.begin`; the chief is where the Sun's angle has it on its orbit."""
         super().begin(columns, x, number)
         self.wheels[:, columns] = 0.0
+        self.rates[:, columns] = torch.stack(resource_rates(x, self.c))
+        self.frame = None  # the chiefs below are new in the same tensor
         self.chief[:, columns] = x.new_tensor(chief_in_space(x[THETA_S], self.c))
 
     @cached_property
@@ -261,9 +266,9 @@ class BasiliskPlant(Plant):
     def step(self, x: Tensor, u: Tensor, body: Tensor, seconds: float) -> Tensor:
         """The states after some s; the body rates saturate where the plant has them do so."""
         simulation = self.simulation
-        before, chief = x.cpu().numpy(), self.chief.cpu().numpy()
+        before, chief, known = x.cpu().numpy(), self.chief.cpu().numpy(), self.frame
         bodies, controls, wheels = (part.cpu().numpy() for part in (body, u, self.wheels))
-        frame = hill(chief)
+        frame = known[1] if known and known[0] is self.chief else hill(chief)
         deputies = frame.outwards(before)
         pushes = frame.axes.apply(bodies[4:].T) * bodies[:1].T
         for i, (home, deputy) in enumerate(zip(simulation.chiefs, simulation.deputies, strict=True)):
@@ -279,14 +284,18 @@ class BasiliskPlant(Plant):
             for part in zip(*(simulation.get(each) for each in simulation.deputies), strict=True)
         ]
         after = x.clone()
-        after[:13] = x.new_tensor(hill(chief).inwards(*flown))
-        after[THETA_S] = x[THETA_S] - x.new_tensor(frame.angle_to(hill(chief)))
+        earlier, frame = frame, hill(chief)
+        after[:13] = x.new_tensor(frame.inwards(*flown))
+        after[THETA_S] = x[THETA_S] - x.new_tensor(earlier.angle_to(frame))
         if self.c.saturate_rates and self.parameters.saturate_rates:
             after[OMEGA] = after[OMEGA].clamp(-self.c.max_rate, self.c.max_rate)
-        for part in (T, E):  # Heun's rule, by the attitudes that Basilisk gives
-            after[part] += seconds * drift(x, self.c)[part]
-            after[part] = (x[part] + after[part] + seconds * drift(after, self.c)[part]) / 2
+        # Heun's rule, by the attitudes that Basilisk gives
+        first = self.rates
+        after[RESOURCES] = x[RESOURCES] + seconds * first
+        self.rates = torch.stack(resource_rates(after, self.c))
+        after[RESOURCES] = x[RESOURCES] + seconds / 2 * (first + self.rates)
         self.chief = x.new_tensor(chief)
+        self.frame = self.chief, frame
         if simulation.deputies[0].wheels is not None:
             self.wheels = x.new_tensor(
                 np.stack([np.ravel(each.wheels.getState()) for each in simulation.deputies], 1)
@@ -320,18 +329,23 @@ class Hill(NamedTuple):
 
     def angle_to(self, later: "Hill") -> ndarray:
         """rad, by which the radial direction has moved on along the orbit until later frames, (k,)."""
-        x, y, _ = self.axes.inv().apply(later.axes.as_matrix()[:, :, 0]).T
+        x, y, _ = self.axes.inv().apply(later.chief[:3].T).T
         return np.arctan2(y, x)
 
 
 def hill(chief: ndarray) -> Hill:
     """From positions and velocities (6, k): x away from the Earth, z along the angular momentum."""
     r, v = chief[:3], chief[3:]
-    momentum = np.cross(r, v, axis=0)
-    size = np.linalg.norm(momentum, axis=0)
-    x, z = r / np.linalg.norm(r, axis=0), momentum / size
-    axes = np.stack((x, np.cross(z, x, axis=0), z), 1)  # columns are the axes
-    return Hill(chief, Rotation.from_matrix(axes.transpose(2, 0, 1)), size / (r * r).sum(0))
+    momentum = crossed(r, v)
+    size, radius = np.sqrt((momentum * momentum).sum(0)), np.sqrt((r * r).sum(0))
+    x, z = r / radius, momentum / size
+    axes = np.stack((x, crossed(z, x), z), 1)  # columns are the axes
+    return Hill(chief, Rotation.from_matrix(axes.transpose(2, 0, 1)), size / radius**2)
+
+
+def crossed(a: ndarray, b: ndarray) -> ndarray:
+    """a x b of (3, k) each; NumPy's takes ten times as long for one."""
+    return np.stack((a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]))
 
 
 def chief_in_space(theta_s: Tensor, c: InspectionParameters) -> ndarray:

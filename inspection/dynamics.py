@@ -88,9 +88,9 @@ def energy_rate(cos_panel: Tensor, c: InspectionParameters) -> Tensor:
     return (power_in - c.power_draw) / 1000.0
 
 
-def natural_rates(x: Sequence[Tensor], c: InspectionParameters) -> list[Tensor]:
-    """f(x), the 16 components of the state (...) to their rates in the state's units per second."""
-    p, v, q, omega, theta_s = x[P], x[V], x[Q], x[OMEGA], x[THETA_S]
+def resource_rates(x: Sequence[Tensor], c: InspectionParameters) -> tuple[Tensor, Tensor]:
+    """dT/dt in deg C/s and dE/dt in kJ/s, from the components of the state."""
+    q, theta_s = x[Q], x[THETA_S]
     cos, sin = theta_s.cos(), theta_s.sin()
 
     def cosines(axis: str) -> tuple[Tensor, Tensor]:
@@ -101,13 +101,18 @@ def natural_rates(x: Sequence[Tensor], c: InspectionParameters) -> list[Tensor]:
 
     cos_sun, cos_earth = cosines(c.thermal_axis)
     cos_panel, _ = cosines(c.solar_panel_axis)
+    return temperature_rate(cos_sun, cos_earth, x[T], c), energy_rate(cos_panel, c)
+
+
+def natural_rates(x: Sequence[Tensor], c: InspectionParameters) -> list[Tensor]:
+    """f(x), the 16 components of the state (...) to their rates in the state's units per second."""
+    p, v, omega, theta_s = x[P], x[V], x[OMEGA], x[THETA_S]
     return [
         *v,
         *natural_acceleration(p, v, theta_s, c),
         *attitude_rate(x, c.hill_rotation, c),
         *euler(omega, c.inertia),
-        temperature_rate(cos_sun, cos_earth, x[T], c),
-        energy_rate(cos_panel, c),
+        *resource_rates(x, c),
         -turning(theta_s, c),
     ]
 

@@ -687,3 +687,75 @@ def test_the_page_of_commands_has_every_flag(command: str) -> None:
         content += section["Common flags"]
     said = {name for name in re.findall(r"`(--[a-z-]+)", content) if name != "--no-rta"}
     assert said == {each.name for each in COMMANDS[command].flags if each.name.startswith("--")}
+
+
+BASILISK = read("basilisk/basilisk.json")
+
+
+def test_both_simulators_coast_as_the_page_says() -> None:
+    coasting = BASILISK["coasting"]
+    content = text("docs/results/basilisk.md")
+    rows = re.findall(r"(?m)^\| (?:as the paper: |`hill_rotation).*\|$", content)
+    for line, errors in zip(rows, coasting["models"].values(), strict=True):
+        last = {name: values[-1] for name, values in errors.items()}
+        position = f"{last['position_m']:.2g} ({last['position_median_m']:.2g})"
+        expected = [position, f"{last['attitude_deg']:.2g}", f"{last['rate_rad_s']:.1g}"]
+        assert [cell.strip() for cell in line.strip("|").split("|")][1:] == expected
+    for speed in ("one_alone_times_real_time", "times_real_time"):
+        assert f"{coasting[speed]:,.0f}" in content and coasting[speed] > 1000
+    for moved, said in (("J2", "1.1 m in the median and 4.7 m at most"), ("drag", "a millimetre")):
+        assert said in content
+        middle, most = (coasting["perturbed"][moved][f"position{kind}_m"] for kind in ("_median", ""))
+        assert said == (f"{middle:.1f} m in the median and {most:.1f} m at most" if moved == "J2" else said)
+    assert coasting["perturbed"]["drag"]["position_m"] == pytest.approx(1e-3, rel=0.2)
+
+
+@pytest.mark.parametrize(("arm", "label"), [("no_rta", "without RTA"), ("rta", "with RTA")])
+@pytest.mark.parametrize(
+    ("world", "place"),
+    [
+        ("own", "ours"),
+        ("basilisk", "Basilisk"),
+        ("basilisk, J2 and drag", "with J2 and drag"),
+        ("basilisk, wheels and pulses", "with wheels and pulses"),
+    ],
+)
+def test_agents_fly_in_basilisk_as_the_page_says(arm: str, label: str, world: str, place: str) -> None:
+    found = BASILISK["agents"][arm][world]
+
+    def shown(name: str, digits: int) -> str:
+        mean, apart = found["mean"][name], found["difference"][name]
+        if world == "own":
+            return f"{mean:,.{digits}f}"
+        return f"{mean:,.{digits}f} ({apart['mean']:+.{digits}f} ± {apart['standard_error']:.{digits}f})"
+
+    assert row(f"{label} | {place}", "docs/results/basilisk.md", "Agents") == [
+        str(found["episodes"]),
+        f"{found['success_percent']:.1f}",
+        f"{found['clean_percent']:.1f}",
+        str(found["violating_episodes"]),
+        shown("reward", 3),
+        shown("episode_length_s", 0),
+        shown("delta_v_m_s", 3),
+    ]
+    if world in ("basilisk", "basilisk, J2 and drag"):  # "no mean differs by two standard errors"
+        apart = found["difference"]
+        assert all(
+            abs(apart[name]["mean"]) <= 2 * apart[name]["standard_error"]
+            for name in ("reward", "episode_length_s", "delta_v_m_s")
+        )
+
+
+@pytest.mark.parametrize("policy", ["random", "adversarial", "lookahead"])
+def test_the_filter_holds_in_basilisk_as_the_page_says(policy: str) -> None:
+    report = read(f"basilisk/u1_{policy}.json")
+    worst = report["worst_value"]
+    assert row(policy, "docs/results/basilisk.md", "The filter, told of U1") == [
+        f"{report['episodes']:,}",
+        str(report["violating_episodes"]["any"]),
+        f"{worst['keep_in_zone']:.2f}",
+        f"{worst['passive_safety']:.1f}",
+        f"{report['filter_calls']['slack']:,}",
+    ]
+    assert report["violating_episodes"]["any"] == report["unsolved"] == 0
+    assert report["config"]["plant"]["simulator"] == "basilisk"
