@@ -21,6 +21,7 @@ from rta.parameters import RtaParameters
 from rta.uncertainty import NOTHING, Uncertainty
 
 PASSES = 13  # grid points per segment of the free flight: at most 12 s apart in the default segments
+LEAST_BRAKING = 0.1  # share of a_max that is left for braking across; `rta.vehicle` refuses who would need it
 SEGMENTS = 5  # of the free flight where its infimum is reported
 
 
@@ -156,7 +157,7 @@ def keep_in_zone(c: InspectionParameters, r: RtaParameters, known: Uncertainty =
         r_max, on the way out, by sqrt(a_max d / 2) with d for the floor. Here a_max is that of the worst case.
         """
         across = dot(x[V], x[V]) - radial_speed(x) ** 2
-        braking = (least - across / norm(x[P])).clamp(min=0.1 * least)
+        braking = (least - across / norm(x[P])).clamp(min=LEAST_BRAKING * least)
         distance = c.max_distance - norm(x[P])
         inside = (2 * braking).sqrt() * signed_sqrt(distance, floor)
         outside = -math.sqrt(2 * least) * root_above(-distance, floor)

@@ -23,6 +23,7 @@ import torch
 from inspection.dynamics import energy_rate, euler, temperature_rate
 from inspection.parameters import InspectionParameters
 from rta.parameters import RtaParameters
+from rta.thrust_constraints import LEAST_BRAKING
 
 PAPER = InspectionParameters()
 WIDEST = 1.0  # rad, of the terminator's rounding; beyond, most of the sphere would be terminator
@@ -98,6 +99,13 @@ def check(c: InspectionParameters) -> None:
             f"max_thrust = {c.max_thrust:g}, mass = {c.mass:g}: brake by {braking:.3g} m/s^2, but the "
             f"dynamic speed limit falls by up to {falling:.3g} m/s^2 on the way in: lower speed_slope, max_distance or "
             "max_speed"
+        )
+    inwards = fastest**2 / c.max_distance
+    if inwards > (1.0 - LEAST_BRAKING) * c.max_acceleration:
+        raise ValueError(
+            f"max_thrust = {c.max_thrust:g}, mass = {c.mass:g}: brake by {c.max_acceleration:.3g} m/s^2, but flying "
+            f"across at the speed limit of max_distance takes {inwards:.3g} m/s^2 to stay within it: must be at most "
+            f"{1.0 - LEAST_BRAKING:.0%} of that: lower speed_slope, max_distance or max_speed"
         )
     gyroscopic = max(
         abs(rate) * moment
