@@ -102,7 +102,7 @@ class SafetyFilter:
     ) -> None:
         c, parameters = c or InspectionParameters(), parameters or RtaParameters()
         known = known or NOTHING
-        vehicle.check(c)
+        vehicle.check(c, None if known.holds(parameters) else parameters.period)
         known.check(c, parameters)
         self.c, self.parameters, self.extra, self.known = c, parameters, tuple(extra), known
         self.holds = known.holds(parameters)

@@ -35,7 +35,7 @@ def violated(small_pools: None, tmp_path_factory: pytest.TempPathFactory) -> Pat
 
     path = tmp_path_factory.mktemp("violated") / "report.json"
     config = path.with_name("weak.toml")
-    config.write_text("[inspection]\nmax_thrust = 1.5\n[plant]\nmass_factor = 2.0\n")
+    config.write_text("[inspection]\nmax_thrust = 1.05\n[plant]\nmass_factor = 2.0\n")
     arguments = ["--policy", "adversarial", "--rta-period", "10", "--duration", "60", "--episodes", "64"]
     arguments += ["--qp-solver", "piqp"]
     with pytest.MonkeyPatch.context() as patch:
