@@ -121,9 +121,7 @@ class InspectionParameters:
     time_reward: float = 0.001  # per action
     time_reward_until: float = 3000.0  # s, of the episode
     terminal_reward: float = 1.0  # magnitude of success, crash, distance and energy terms
-    free_flight_horizon: float = (
-        172800.0  # s, two days of free flight: for the reward of success, and to observe
-    )
+    free_flight_horizon: float = 172800.0  # s, two days of free flight: rewarded at success, and observed
 
     # Our own terms, which the learner is given beside the paper's; the reward that is reported is without them
     rate_reward: float = 0.0  # per action and axis turning at max_rate, by its square
