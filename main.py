@@ -55,7 +55,7 @@ def run_train(
         session = training.starting(config, directory, Path(init_from) if init_from else None)
     with session as run:
         print(run, flush=True)
-        say_unless_verified(run.config, run.directory / "config.toml")
+        say_unless_verified(run.config, [run.directory / "config.toml"])
         try:
             run.train()
             if run.ranks.first:
@@ -109,7 +109,7 @@ def run_evaluate(
     from study.flight import evaluation
     from study.paper import tables
 
-    results = evaluation.run(configure, configure.file, episodes, seed, checkpoint, controller)
+    results = evaluation.run(configure, configure.files, episodes, seed, checkpoint, controller)
     print(tables(results))
     print(evaluation.how_to_watch(results, configure.words, checkpoint, controller))
     if json:  # which may be standard output
@@ -133,7 +133,7 @@ def run_simulate(
     from study.flight.figures import constraint_figure
 
     flown, config = simulation.run(
-        configure, configure.file, controller, duration, step, seed, checkpoint, actions, initial_state
+        configure, configure.files, controller, duration, step, seed, checkpoint, actions, initial_state
     )
     write_npz(out, flown)
     if figure:

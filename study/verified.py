@@ -3,9 +3,10 @@
 import hashlib
 import json
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import reduce
 from pathlib import Path
 from typing import Any
 
@@ -130,18 +131,18 @@ def reports() -> Iterator[Flown]:
 
 
 def say_unless_verified(
-    config: Config, file: str | Path | None, checkpoint: str | Path | None = None
+    config: Config, files: Sequence[str | Path], checkpoint: str | Path | None = None
 ) -> None:
     """Says in a line on stderr that the filter in use has not been verified; of many ranks, the first one.
 
     Args:
-        file: of --config; checkpoint: the agent's file. Either may hold the settings.
+        files: of --config; checkpoint: the agent's file. Either may hold the settings.
     """
-    if config.train.rta and is_first() and (reason := doubt(config, file, checkpoint)):
+    if config.train.rta and is_first() and (reason := doubt(config, files, checkpoint)):
         print(reason, file=sys.stderr)
 
 
-def doubt(config: Config, file: str | Path | None, checkpoint: str | Path | None) -> str | None:
+def doubt(config: Config, files: Sequence[str | Path], checkpoint: str | Path | None) -> str | None:
     """Why a configuration does not count as verified, and what to do about it, in a line; None where it does.
 
     It does where there is a report of each of POLICIES with its fingerprint, large and without a violation.
@@ -160,7 +161,7 @@ def doubt(config: Config, file: str | Path | None, checkpoint: str | Path | None
     if verified(same):
         return None
     begin = f"not verified: {difference(config, flown)}; see {PAGE}"
-    source = source_of(config, file, checkpoint)
+    source = source_of(config, files, checkpoint)
     if source is None:
         return begin
     commands = [f"mkdir -p {REPORTS}"] + [
@@ -208,17 +209,17 @@ def in_toml(value: Any, number: str) -> str:
     return number.format(value) if isinstance(value, float) else json.dumps(value)
 
 
-def source_of(config: Config, file: str | Path | None, checkpoint: str | Path | None) -> list[str] | None:
+def source_of(config: Config, files: Sequence[str | Path], checkpoint: str | Path | None) -> list[str] | None:
     """The flags with which `verify` has this plant and filter; None where none are found.
 
     The settings may come from --config, from the config.toml nearest above a checkpoint, and from two flags.
     """
     above = Path(checkpoint).absolute().parents if checkpoint else ()
     nearest = next((folder / "config.toml" for folder in above if (folder / "config.toml").is_file()), None)
-    for path in (file, nearest, None):
+    for paths in (files, [nearest] if nearest else [], []):
         with suppress(InputError):  # somebody else's config.toml
-            base = configuration.load(path, StudyConfig()) if path else StudyConfig()
-            flags, tables = ["--config", shown(path)] if path else [], {}
+            base = reduce(lambda under, path: configuration.load(path, under), paths, StudyConfig())
+            flags, tables = [word for path in paths for word in ("--config", shown(path))], {}
             for flag, table, key in (
                 ("--rta-period", "rta", "period"),
                 ("--solar-panel-axis", "inspection", "solar_panel_axis"),

@@ -32,7 +32,7 @@ from study.config import BASELINES, AnyConfig, StudyConfig
 from study.errors import InputError
 
 # What flags can set, and its value where nothing does: --config, and each key as "table.key".
-SETTINGS = {"config": None} | {
+SETTINGS = {"config": ()} | {
     f"{table}.{key}": value
     for table, part in vars(StudyConfig()).items()
     for key, value in vars(part).items()
@@ -43,7 +43,12 @@ Handler = Callable[..., None]  # of a command; its parameters are `configure` an
 
 # of several commands
 DEVICE = Flag("--device", "where tensors live", "train.device", choices=("auto", "cpu", "cuda"))
-CONFIG = read("--config", "TOML file with settings, under the flags", metavar="FILE")
+CONFIG = read(
+    "--config",
+    "TOML file with settings, under the flags; of several, each over the one before",
+    metavar="FILE",
+    action="append",
+)
 COMMON = (
     CONFIG,
     Flag(
@@ -376,7 +381,7 @@ def parameters(arguments: argparse.Namespace) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class Configure:
-    """Puts --config and the flags over a configuration; `file` is that of --config, if it was given."""
+    """Puts each --config and the flags over a configuration; `files` are those of --config."""
 
     arguments: argparse.Namespace
 
@@ -384,8 +389,8 @@ class Configure:
         return resolve(self.arguments, base)
 
     @property
-    def file(self) -> str | None:
-        return getattr(self.arguments, "config", None)
+    def files(self) -> list[str]:
+        return getattr(self.arguments, "config", [])
 
     @property
     def words(self) -> list[str]:
@@ -396,6 +401,8 @@ class Configure:
                 value = values[each.dest]
                 if isinstance(value, bool):
                     words.append(each.name if value else each.name.replace("--", "--no-"))
+                elif each is CONFIG:
+                    words += [word for file in value for word in (each.name, file)]
                 else:
                     words += [each.name, f"{value:g}" if isinstance(value, float) else str(value)]
         return words
@@ -418,9 +425,9 @@ def check_files(arguments: argparse.Namespace) -> None:
 
 
 def resolve(arguments: argparse.Namespace, base: AnyConfig) -> AnyConfig:
-    """The base configuration under --config under the flags."""
+    """The base configuration under each --config under the flags."""
     values = {name: value for name, value in vars(arguments).items() if name in SETTINGS}
-    if file := values.pop("config", None):
+    for file in values.pop("config", []):
         base = configuration.load(file, base)
     tables: dict[str, dict[str, Any]] = {}
     for name, value in values.items():

@@ -299,7 +299,7 @@ def evaluate(policy: Policy, experiment: Experiment, episodes: int, seed: int) -
 
 def run(
     configure: Callable[[Config], Config],
-    file: str | None,
+    files: list[str],
     episodes: int,
     seed: int,
     checkpoint: str | None,
@@ -309,14 +309,14 @@ def run(
 
     Args:
         configure: puts the command line over a configuration, that of the checkpoint if there is one.
-        file: of --config.
+        files: of --config.
         checkpoint: the agent's file, or else controller: one of BASELINES.
     """
     policy, base = load_policy(checkpoint) if checkpoint else (None, Config())
     config = configure(base.unsettled())
     check_observed(config, base if policy else config)
     check_clocks(config)
-    say_unless_verified(config, file, checkpoint)
+    say_unless_verified(config, files, checkpoint)
     experiment = Experiment(config, episodes)
     if policy:
         return evaluate(policy.to(experiment.device), experiment, episodes, seed)

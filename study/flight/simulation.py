@@ -160,7 +160,7 @@ def common_episode(policy: Policy, experiment: Experiment, case: int = 0) -> dic
 
 def run(
     configure: Callable[[Config], Config],
-    file: str | None,
+    files: list[str],
     controller: str,
     duration: float,
     step: float,
@@ -173,7 +173,7 @@ def run(
 
     Args:
         configure: puts the command line over a configuration, that of the checkpoint if there is one.
-        file: of --config.
+        files: of --config.
 
     Raises:
         InputError, CheckpointError: a file is missing or damaged, or the flags do not fit together.
@@ -187,7 +187,7 @@ def run(
     check_observed(config, base if policy else config)
     decide_every = config.inspection.action_period if controller in ("policy", "untrained") else step
     check_rows(step, duration, config, decide_every)
-    say_unless_verified(config, file, checkpoint)
+    say_unless_verified(config, files, checkpoint)
     experiment = Experiment(config, 1, duration)
     start = starting_point(initial_state, experiment, seed)
     # the plant is that of the first test case of `evaluate` with this seed

@@ -52,7 +52,7 @@ def train_and_evaluate(config: StudyConfig, directory: Path) -> str:
         ranks().first_does(lambda: begin_or_continue(config, directory))
         flown = [config.of_arm(name) for name in config.study.arms]
         for each in {fingerprint(own): own for own in flown if own.train.rta}.values():
-            say_unless_verified(each, directory / "config.toml")
+            say_unless_verified(each, [directory / "config.toml"])
         for name in config.study.arms:
             path = directory / name / "results.json"
             if not ranks().agree(path.exists()):

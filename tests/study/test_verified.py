@@ -66,7 +66,7 @@ def test_the_shipped_reports_hold_the_fingerprint_of_their_settings(path: Path) 
 )
 def test_what_changes_neither_plant_nor_filter_is_silent(tables: dict[str, Any]) -> None:
     assert fingerprint(configured(tables)) == fingerprint(Config())
-    assert doubt(configured(tables), None, None) is None
+    assert doubt(configured(tables), [], None) is None
 
 
 @pytest.mark.parametrize(
@@ -84,7 +84,7 @@ def test_what_changes_neither_plant_nor_filter_is_silent(tables: dict[str, Any])
     ],
 )
 def test_what_differs_is_said_with_both_values(tables: dict[str, Any], words: list[str]) -> None:
-    line = doubt(configured(tables), None, None)
+    line = doubt(configured(tables), [], None)
     assert line and "\n" not in line and verified.PAGE in line
     for word in words:
         assert word in line
@@ -104,29 +104,29 @@ def test_what_differs_is_said_with_both_values(tables: dict[str, Any], words: li
 def test_two_large_and_clean_campaigns_are_needed(more: dict[str, Any], trusted: bool) -> None:
     config = configured(FAST)
     put(config, "random")
-    assert doubt(config, None, None)
+    assert doubt(config, [], None)
     put(config, "adversarial", **more)
-    assert (doubt(config, None, None) is None) == trusted
+    assert (doubt(config, [], None) is None) == trusted
 
 
 @pytest.mark.parametrize("period", PERIODS)
 def test_the_shipped_campaigns_verify_every_period(period: float) -> None:
-    assert doubt(configured({"rta": {"period": period}}), None, None) is None
+    assert doubt(configured({"rta": {"period": period}}), [], None) is None
 
 
 def test_reports_of_another_plant_verify_none() -> None:
     heavy, noisy = (configured({"plant": plant}) for plant in ({"mass_factor": 1.1}, {"position_noise": 0.2}))
     for policy in verified.POLICIES:
         put(heavy, policy)
-    assert doubt(heavy, None, None) is None
-    assert "mass_factor = 1 (verified: 1.1)" in doubt(noisy, None, None) or "position_noise" in doubt(
-        noisy, None, None
+    assert doubt(heavy, [], None) is None
+    assert "mass_factor = 1 (verified: 1.1)" in doubt(noisy, [], None) or "position_noise" in doubt(
+        noisy, [], None
     )
-    assert doubt(configured({"plant": {"mass_factor": [1.0, 1.1]}}), None, None)
-    assert doubt(Config(), None, None) is None
+    assert doubt(configured({"plant": {"mass_factor": [1.0, 1.1]}}), [], None)
+    assert doubt(Config(), [], None) is None
     put(heavy, "random", violating_episodes={"any": 7})
-    assert "not safe" in doubt(heavy, None, None)
-    assert doubt(Config(), None, None) is None
+    assert "not safe" in doubt(heavy, [], None)
+    assert doubt(Config(), [], None) is None
 
 
 def test_violations_and_damaged_files_are_told_apart() -> None:
@@ -135,7 +135,7 @@ def test_violations_and_damaged_files_are_told_apart() -> None:
     for i, text in enumerate(("{", "[]", '{"config": 3}', '{"config": {"rta": {"colour": 1}}}')):
         Path(f"runs/verification/{i}.json").write_text(text)
     put(config, "adversarial", violating_episodes={"any": "many"})
-    line = doubt(config, None, None)
+    line = doubt(config, [], None)
     assert line and "7 of 1,000 episodes behind this filter violated" in line
     assert str(Path("runs/verification/random.json")) in line and "python main.py verify" not in line
 
@@ -175,20 +175,20 @@ def test_settings_of_a_checkpoint_come_from_the_file_above_it(elsewhere: Path) -
     config = configured(FAST)
     seed = elsewhere / "a run" / "seed0"
     seed.mkdir(parents=True)
-    line = doubt(config, None, seed / "policy.pt")
+    line = doubt(config, [], seed / "policy.pt")
     assert line and "python" not in line  # nothing leads to these settings
     (seed.parent / "config.toml").write_text(config.to_toml())
-    line = doubt(config, None, seed / "policy.pt")
+    line = doubt(config, [], seed / "policy.pt")
     assert line and "--config 'a run/config.toml' --policy random" in line
     (seed / "config.toml").write_text("no configuration")
-    line = doubt(config, None, seed / "policy.pt")
+    line = doubt(config, [], seed / "policy.pt")
     assert line and "python" not in line
 
 
 def test_without_the_filter_nothing_is_said(capsys: pytest.CaptureFixture[str]) -> None:
-    verified.say_unless_verified(configured(FAST | {"train": {"rta": False}}), None)
+    verified.say_unless_verified(configured(FAST | {"train": {"rta": False}}), [])
     assert capsys.readouterr().err == ""
-    verified.say_unless_verified(configured(FAST), None)
+    verified.say_unless_verified(configured(FAST), [])
     assert capsys.readouterr().err.startswith("not verified: ")
 
 

@@ -1,6 +1,7 @@
 """The flags: each reaches the setting or the parameter that it names, and says its default."""
 
 import inspect
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -236,3 +237,15 @@ def test_configure_puts_the_file_under_the_flags(tmp_path: Any) -> None:
     assert values == {"states": "s", "out": "o"}
     config = configure(Config())
     assert (config.train.rta, config.rta.period, config.rta.speed_gain) == (True, 5.0, 0.25)
+
+
+def test_of_several_files_each_goes_over_the_one_before(tmp_path: Path) -> None:
+    files = [tmp_path / "one.toml", tmp_path / "two.toml"]
+    files[0].write_text("[inspection]\nmass = 20.0\nmax_thrust = 2.0\n", encoding="utf-8")
+    files[1].write_text("[inspection]\nmass = 30.0\n", encoding="utf-8")
+    words = [word for file in files for word in ("--config", str(file))]
+    arguments = build_parser(main.HANDLERS).parse_args(["evaluate", *words, "--controller", "zero"])
+    configured = parameters(arguments)["configure"]
+    task = configured(Config()).inspection
+    assert (task.mass, task.max_thrust) == (30.0, 2.0)
+    assert configured.words == words
