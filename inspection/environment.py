@@ -52,6 +52,7 @@ class Transition:
             end.
         violated: (constraints, B) bool at the end of the step.
         corrections: the filter's answers, one per filter call of the step; see `calls`.
+        applied: (B, 6) mean of the controls that were applied, in units of the actuators' limits.
         outcome: (B,) index into OUTCOMES, -1 while running.
         metrics: (6, B) the episode so far in the order of METRICS.
         violation_steps: (constraints, B) and steps (B,): violated and all steps of the episode so far.
@@ -69,6 +70,7 @@ class Transition:
     truncated: Tensor
     violated: Tensor
     corrections: list[Correction]
+    applied: Tensor
     outcome: Tensor
     metrics: Tensor
     violation_steps: Tensor
@@ -322,6 +324,7 @@ class InspectionEnv:
         truths: list[tuple[Tensor, Tensor]] = []
         mass = self.plant.mass if self.plant else c.mass
         delta_v, torque, corrected, answered = (torch.zeros_like(self.time) for _ in range(4))
+        applied = torch.zeros_like(self.x[:CONTROL_SIZE])
         failed: dict[str, Tensor] = {}
         for hold in self.fly(controller, c.action_period):
             if hold.correction is not None:
@@ -336,6 +339,7 @@ class InspectionEnv:
                     corrected += answer & hold.correction.intervened
             if hold.correction is not None and hold.missed is not None:
                 truths.append((~hold.missed, self.constraint_values(hold.state)))
+            applied += hold.applied * (hold.seconds / c.action_period)
             delta_v += hold.acting[THRUST].abs().sum(0) / mass * hold.seconds
             torque += hold.acting[TORQUE].abs().sum(0) * (hold.seconds / c.action_period)
             now = failures(hold.after, c)
@@ -374,6 +378,7 @@ class InspectionEnv:
             truncated=truncated,
             violated=violated,
             corrections=corrections,
+            applied=(applied / self.limit).T,
             outcome=outcome,
             metrics=self._metrics(score),
             violation_steps=self.violation_steps.clone(),

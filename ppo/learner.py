@@ -12,6 +12,7 @@ from ppo.distributed import ALONE, Ranks
 from ppo.network import Policy, Value, log_std_bias
 
 MAX_WIDTH = 65_536  # of a hidden layer
+MAX_LOG_RATIO = 20.0  # that e^x is finite, also of actions that the agent never draws (`collect`, from_applied)
 TRAINED_ON = ("observation", "action", "log_prob", "advantage", "return_")
 
 
@@ -193,7 +194,7 @@ class PPO:
         clip = self.parameters.clip
         own = {name: self.ranks.own(tensor, 1) for name, tensor in batch.items()}
         log_prob, entropy = self.policy.log_prob_and_entropy(own["observation"], own["action"])
-        log_ratio = log_prob - own["log_prob"]
+        log_ratio = (log_prob - own["log_prob"]).clamp(max=MAX_LOG_RATIO)
         ratio = log_ratio.exp()
         variance, mean = torch.var_mean(batch["advantage"], dim=1, correction=0, keepdim=True)
         advantage = self.ranks.own((batch["advantage"] - mean) / (variance.sqrt() + 1e-8), 1)

@@ -8,16 +8,23 @@ from torch import Tensor
 
 from ppo.gae import generalized_advantage
 from ppo.learner import PPO
+from ppo.network import Policy
+
+CHANGED = 1e-5  # of an actuator's limit, beyond rounding
 
 
 class Transition(Protocol):
-    """One step of a batch of B = S * E episodes with autoreset; final_observation precedes the reset."""
+    """One step of a batch of B = S * E episodes with autoreset; final_observation precedes the reset.
+
+    `applied` (B, A) is what acted in the place of the actions given.
+    """
 
     observation: Tensor
     final_observation: Tensor
     reward: Tensor
     terminated: Tensor
     truncated: Tensor
+    applied: Tensor
 
 
 class Environment(Protocol):
@@ -36,6 +43,7 @@ def collect(
     steps: int,
     generators: Sequence[torch.Generator],
     watch: Callable[[Any], None] = lambda transition: None,
+    from_applied: bool = False,
 ) -> dict[str, Tensor]:
     """Acts for `steps` steps and returns the learner's batch, (S, N, ...) with N = steps * E.
 
@@ -44,6 +52,7 @@ def collect(
 
     Args:
         watch: is shown every transition, for statistics.
+        from_applied: keep what acted instead, see `as_applied`, and its probability.
     """
     seeds = len(generators)
     kept: list[dict[str, Tensor]] = []
@@ -71,6 +80,10 @@ def collect(
                 "done": done.unflatten(0, (seeds, -1)),
             }
         )
+        if from_applied:
+            applied = transition.applied.float().unflatten(0, (seeds, -1))
+            kept[-1]["action"] = as_applied(learner.policy, action, applied)
+            kept[-1]["log_prob"] = learner.policy.log_prob_and_entropy(observation, kept[-1]["action"])[0]
         watch(transition)
         observation, value = following, following_value
     rollout = {name: torch.stack([step[name] for step in kept]) for name in kept[0]}  # (T, S, E, ...)
@@ -83,3 +96,9 @@ def collect(
     batch |= {"advantage": advantage, "return_": return_}
     by_seed = {name: tensor.transpose(0, 1) for name, tensor in batch.items()}  # (S, T, E, ...)
     return {name: learner.ranks.whole(tensor, 2).flatten(1, 2) for name, tensor in by_seed.items()}
+
+
+def as_applied(policy: Policy, action: Tensor, applied: Tensor) -> Tensor:
+    """The actions (S, B, A) that would have done what acted: as drawn, but for the controls that were changed."""
+    changed = (applied - policy.shaped(action).clamp(-1.0, 1.0)).abs() > CHANGED
+    return torch.where(changed, policy.unshaped(applied.clamp(-1.0, 1.0)), action)

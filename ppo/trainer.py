@@ -16,6 +16,7 @@ class Trainer:
     Args:
         env: already reset; steps: interactions of each episode per update; updates: in all.
         generators: one per seed; they drive everything random in env and learner, too.
+        from_applied: it learns from what acted, not from what it wanted, see `collect`.
 
     Attributes:
         update: updates finished.
@@ -23,10 +24,16 @@ class Trainer:
     """
 
     def __init__(
-        self, env: Environment, learner: PPO, steps: int, updates: int, generators: Sequence[torch.Generator]
+        self,
+        env: Environment,
+        learner: PPO,
+        steps: int,
+        updates: int,
+        generators: Sequence[torch.Generator],
+        from_applied: bool = False,
     ) -> None:
         self.env, self.learner, self.steps, self.updates = env, learner, steps, updates
-        self.generators = generators
+        self.generators, self.from_applied = generators, from_applied
         self.update = 0
         self.seconds = 0.0
 
@@ -44,7 +51,9 @@ class Trainer:
         """
         while self.update < self.updates and not stop():
             started = time.perf_counter()
-            batch = collect(self.env, self.learner, self.steps, self.generators, watch)
+            batch = collect(
+                self.env, self.learner, self.steps, self.generators, watch, self.from_applied
+            )
             collected = time.perf_counter()
             losses = self.learner.update(batch, self.update / self.updates)
             learned = time.perf_counter()

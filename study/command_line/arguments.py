@@ -28,7 +28,7 @@ from study.command_line.flags import (
 )
 from study.command_line.paths import FIGURE, check_inputs, check_outputs
 from study.commands import in_file
-from study.config import BASELINES, AnyConfig, StudyConfig
+from study.config import BASELINES, LEARN_FROM, AnyConfig, StudyConfig
 from study.errors import InputError
 
 # What flags can set, and its value where nothing does: --config, and each key as "table.key".
@@ -98,6 +98,13 @@ PLANT = Flag(
     "--plant", "simulator of the motion; basilisk must be installed", "plant.simulator", choices=SIMULATORS
 )
 NUM_ENVS = count("--num-envs", "episodes simulated at once", "train.num_envs")
+LEARN = Flag(
+    "--learn-from",
+    "behind the filter: the action that the agent desired, what the filter applied in its place, or the former with a "
+    "price on corrections",
+    "train.learn_from",
+    choices=LEARN_FROM,
+)
 AGENT = read("--checkpoint", "the agent: policy.pt or checkpoint.pt of a run")
 
 
@@ -116,6 +123,7 @@ COMMANDS = {
         count("--epochs", "passes over each batch of experience", "ppo.epochs"),
         count("--minibatch-size", "interactions per gradient step", "ppo.minibatch_size"),
         number("--learning-rate", "of Adam, annealed to 0", "ppo.learning_rate", metavar="X"),
+        LEARN,
         Flag(
             "--adversary",
             "constraints whose smallest h the agent is trained to lower, instead of the task",

@@ -102,7 +102,8 @@ class Run:
         if self.experiment.compiled:
             compile_or_explain("learner", lambda: learner.compile(train.batch))
         env = Adversary(self.env, train.adversary) if train.adversary else self.env
-        self.trainer = Trainer(env, learner, train.rollout_steps, train.updates, generators)
+        from_applied = train.learn_from == "applied"
+        self.trainer = Trainer(env, learner, train.rollout_steps, train.updates, generators, from_applied)
         self.last_save: dict[str, float] = {}  # statistics that the next update shows
 
     def __str__(self) -> str:
