@@ -12,7 +12,7 @@ from ppo.distributed import ALONE, Ranks
 from ppo.network import Policy, Value, log_std_bias
 
 MAX_WIDTH = 65_536  # of a hidden layer
-MAX_LOG_RATIO = 20.0  # that e^x is finite, also of actions that the agent never draws (`collect`, from_applied)
+MAX_LOG_RATIO = 20.0  # that e^x is finite, also of actions that no agent draws, see `collect`
 TRAINED_ON = ("observation", "action", "log_prob", "advantage", "return_")
 
 

@@ -51,9 +51,7 @@ class Trainer:
         """
         while self.update < self.updates and not stop():
             started = time.perf_counter()
-            batch = collect(
-                self.env, self.learner, self.steps, self.generators, watch, self.from_applied
-            )
+            batch = collect(self.env, self.learner, self.steps, self.generators, watch, self.from_applied)
             collected = time.perf_counter()
             losses = self.learner.update(batch, self.update / self.updates)
             learned = time.perf_counter()

@@ -59,7 +59,7 @@ class TrainParameters:
     final_episodes: int = 100  # common test cases of the evaluation after training
     checkpoint_interval: int = 160_000  # interactions between two checkpoints
     jump_start: int = 0  # of these interactions, how many the guidance teaches before PPO begins; 0: none
-    learn_from: str = "desired"  # by PPO behind the filter: desired, applied (what the filter made of it) or penalty
+    learn_from: str = "desired"  # behind the filter: desired, applied or penalty
     adversary: tuple[
         str, ...
     ] = ()  # constraints whose smallest h it lowers, in place of the task; none: the task
