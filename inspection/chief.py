@@ -28,9 +28,11 @@ def fibonacci_sphere(count: int, dtype: torch.dtype = torch.float64, device: str
     return torch.stack((radius * azimuth.cos(), radius * azimuth.sin(), z))
 
 
-def point_weights(normals: Tensor, priority: Tensor) -> Tensor:
-    """Weights (N, B), summing to 1 over the points: the angle to the opposite of priority (3, B)."""
+def point_weights(normals: Tensor, priority: Tensor, areas: Tensor | None = None) -> Tensor:
+    """Weights (N, B), summing to 1 over the points: the angle to the opposite of priority (3, B), by area (N,)."""
     angle = (-(normals.T @ priority)).clamp(-1.0, 1.0).arccos()
+    if areas is not None:
+        angle = angle * areas[:, None]
     return angle / angle.sum(0)
 
 
@@ -55,10 +57,17 @@ def margins(normals: Tensor, x: Tensor, c: InspectionParameters) -> Tensor:
     return torch.stack((lit, reduce(torch.minimum, (lit, in_cone, height - r)))).float()
 
 
-def max_clusters(normals: Tensor, c: InspectionParameters) -> int:
-    """Largest k = ceil(n / points_per_cluster) that any lit hemisphere of the Sun's circle can need."""
-    sun = torch.linspace(0.0, 2 * math.pi, 3600, dtype=normals.dtype, device=normals.device)
-    most = int(illuminated(normals, sun).sum(0).max())
+def max_clusters(normals: Tensor, c: InspectionParameters, turns: bool = False) -> int:
+    """Largest k = ceil(n / points_per_cluster) that any lit hemisphere of the Sun's circle can need.
+
+    `turns`: of any Sun, which a chief that turns may have; then what a few directions between may need is added.
+    """
+    if turns:
+        suns = fibonacci_sphere(3600, normals.dtype, str(normals.device))
+        most = int((normals.T @ suns > 0.0).sum(0).max()) + c.points_per_cluster
+    else:
+        sun = torch.linspace(0.0, 2 * math.pi, 3600, dtype=normals.dtype, device=normals.device)
+        most = int(illuminated(normals, sun).sum(0).max())
     return -(-min(most + 1, normals.shape[1]) // c.points_per_cluster)
 
 

@@ -9,17 +9,20 @@ import torch
 from torch import Tensor
 
 from inspection import chief
+from inspection.attitude import conjugate, rotate
 from inspection.basilisk import BasiliskPlant
 from inspection.closed_loop import Clocks, Controller, Correction, Hold, Safety, closed_loop
 from inspection.compiled import Compiled
 from inspection.dynamics import integrate
 from inspection.initial_state import InitialStates, uniform
 from inspection.observation import normalised
-from inspection.parameters import InspectionParameters
+from inspection.parameters import ChiefParameters, InspectionParameters
 from inspection.plant import Plant, PlantParameters
 from inspection.reward import REWARDS, rewards, shaping
-from inspection.state import CONTROL_SIZE, SIZE, THRUST, TORQUE, P
+from inspection.state import CONTROL_SIZE, SIZE, THETA_S, THRUST, TORQUE, P
+from inspection.surface import margins, surface
 from inspection.termination import OUTCOMES, ends, failures
+from inspection.tumbling import RATE, Tumbling
 
 METRICS = ("inspected_score", "reward", "episode_length_s", "delta_v_m_s", "torque_n_m", "violation_percent")
 
@@ -104,9 +107,11 @@ class InspectionEnv:
         safety: constraint values, admissible starts and the control filter.
         decide_every, report_every: clocks of `fly` in s; None: the action period and the integration step.
         plant: in what the plant differs from `parameters`; None: in nothing.
+        target: the chief; None: the paper's.
 
     Attributes:
-        x: true states (16, B); priority: (3, B); inspected: (N, B) bool; time: (B,) s.
+        x: true states (16, B); inspected: (N, B) bool; time: (B,) s; priority: (3, B) in the chief's frame.
+        tumbling: how the chiefs turn; None: the chief is the paper's, its frame Hill's.
         clocks: how often what happens.
         plant: of each episode; None: the model.
 
@@ -123,6 +128,7 @@ class InspectionEnv:
         decide_every: float | None = None,
         report_every: float | None = None,
         plant: PlantParameters | None = None,
+        target: ChiefParameters | None = None,
     ) -> None:
         self.c = parameters
         self.asked_for = decide_every, report_every
@@ -135,15 +141,20 @@ class InspectionEnv:
             kind = BasiliskPlant if plant.simulator == "basilisk" else Plant
             self.plant = kind(plant, parameters, batch, device)
         self.put_behind(safety or Safety())
+        target = target or ChiefParameters()
+        self.tumbling = None
+        if not target.is_the_papers or "chief" in parameters.observed:
+            self.tumbling = Tumbling(target, parameters, batch, device)
+        numbered = differs or target.is_drawn
         self.starts = [
-            InitialStates(generator, parameters, self.safety.is_safe, differs) for generator in generators
+            InitialStates(generator, parameters, self.safety.is_safe, numbered) for generator in generators
         ]
         self.num_envs = num_envs
-        self.normals = chief.fibonacci_sphere(parameters.num_points, device=device)
+        self.surface = surface(target, parameters, device)
         # k-means in float32 on coordinates rounded to 2^-13 m, which sum exactly in any order
-        self.points = (parameters.chief_radius * self.normals * 2**13).round().div(2**13).float()
-        points = parameters.num_points
-        clusters = chief.max_clusters(self.normals, parameters)
+        self.points = (self.surface.points * 2**13).round().div(2**13).float()
+        points = self.points.shape[1]
+        clusters = chief.max_clusters(self.surface.normals, parameters, self.tumbling is not None)
         self.limit = torch.tensor(parameters.control_limit, dtype=torch.float64, device=device)[:, None]
 
         def zeros(*shape: int, dtype: torch.dtype = torch.float64) -> Tensor:
@@ -168,7 +179,10 @@ class InspectionEnv:
             self._integrate = partial(integrate, duration=self.clocks.step, c=parameters)
         self._normalised = partial(normalised, c=parameters)
         self._values = self.safety.values
-        self._margins = partial(chief.by_chunks, partial(chief.margins, self.normals, c=parameters))
+        see = (
+            partial(margins, self.surface) if self.tumbling else partial(chief.margins, self.surface.normals)
+        )
+        self._margins = partial(chief.by_chunks, partial(see, c=parameters))
         self._lloyd = partial(chief.by_chunks, partial(chief.lloyd, self.points))
 
     def put_behind(self, safety: Safety) -> None:
@@ -205,6 +219,8 @@ class InspectionEnv:
         own: dict[str, Any] = {name: getattr(self, name).clone() for name in self.STATE}
         if self.plant:
             own["plant"] = self.plant.state_dict()
+        if self.tumbling:
+            own["chief"] = self.tumbling.motion.clone()
         return own | {"pools": [starts.pool.clone() for starts in self.starts]}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
@@ -218,6 +234,8 @@ class InspectionEnv:
             setattr(self, name, saved.clone())
         if self.plant:
             self.plant.load_state_dict(state["plant"])
+        if self.tumbling:
+            self.tumbling.motion = state["chief"].clone()
         for starts, pool in zip(self.starts, state["pools"], strict=True):
             starts.pool = pool.clone()
 
@@ -228,8 +246,8 @@ class InspectionEnv:
         """
         examples = {
             "_integrate": (self.x, self.x[:CONTROL_SIZE], *self._bodies),
-            "_normalised": (self.x, self.priority, self.uninspected, self.time),
-            "_margins": (self.x,),
+            "_normalised": (self.x, self.priority, self.uninspected, self.time, *self._chiefs(slice(None))),
+            "_margins": (self.x, *self._frames(slice(None))),
             "_lloyd": (self.inspected, self.centres, self.alive),
         }
         if self.safety.values:
@@ -266,7 +284,7 @@ class InspectionEnv:
             number: (B,) in [0, 1), from which the episodes' plants follow; None: the first ones of the seeds, by
                 episode, the same at every call and on every device.
         """
-        if self.plant and number is None:
+        if (self.plant or self.tumbling) and number is None:
             seeds = [torch.Generator().manual_seed(starts.generator.initial_seed()) for starts in self.starts]
             number = torch.cat([uniform(0.0, 1.0, self.num_envs, seed) for seed in seeds]).to(x.device)
         self._begin(torch.arange(self.time.numel(), device=x.device), x, priority, number)
@@ -288,8 +306,21 @@ class InspectionEnv:
 
     def _observe(self, columns: Tensor | slice, score: Tensor) -> Tensor:
         """Observations (k, size) of the given columns, whose inspected weights are score (k,)."""
-        state = (part[:, columns] for part in (self.seen, self.priority, self.uninspected))
-        return self._normalised(*state, score).T
+        state = (part[:, columns] for part in (self.seen, self._towards_priority, self.uninspected))
+        return self._normalised(*state, score, *self._chiefs(columns)).T
+
+    @property
+    def _towards_priority(self) -> Tensor:
+        """Priority vectors (3, B) in Hill's frame."""
+        return rotate(self.tumbling.attitude, self.priority) if self.tumbling else self.priority
+
+    def _frames(self, columns: Tensor | slice) -> tuple[Tensor, ...]:
+        """The attitude (4, k) of the given chiefs, if it is not Hill's frame."""
+        return (self.tumbling.attitude[:, columns],) if self.tumbling else ()
+
+    def _chiefs(self, columns: Tensor | slice) -> tuple[Tensor, ...]:
+        """Attitude and rate (7, k) of the given chiefs, if they are observed."""
+        return (self.tumbling.motion[: RATE.stop, columns],) if "chief" in self.c.observed else ()
 
     def step(self, action: Tensor) -> Transition:
         """Holds one action for one action period.
@@ -409,13 +440,16 @@ class InspectionEnv:
         """The states (16, B) after u has acted for some s."""
         return self._integrate(x, u, *self._bodies, times=round(seconds / self.clocks.step))
 
-    def see(self, x: Tensor) -> None:
+    def see(self, x: Tensor, seconds: float = 0.0) -> None:
         """Puts every spacecraft into states x (16, B) and looks at the chief from there, unless it has.
 
-        Where x is what a controller in flight is shown, it is put into the true states.
+        Where x is what a controller in flight is shown, it is put into the true states. `seconds` have passed since the
+        episodes' time.
         """
         if self.plant:
             x = self.plant.behind(x)
+        if self.tumbling:
+            self.tumbling.at(self.time + seconds, x[THETA_S])
         if x is not self.x:
             self.x = x
             self.look()
@@ -423,7 +457,8 @@ class InspectionEnv:
     def look(self, columns: Tensor | slice = slice(None)) -> None:
         """Marks the points in view and points r_UPS at the nearest cluster of those lit and left."""
         x = self.x[:, columns]
-        lit, seen = self._margins(x) > 0.0
+        frames = self._frames(columns)
+        lit, seen = self._margins(x, *frames) > 0.0
         inspected = self.inspected[:, columns] | seen
         wanted = lit & ~inspected
         centres, alive = chief.cluster(
@@ -437,7 +472,13 @@ class InspectionEnv:
         self.inspected[:, columns] = inspected
         self.centres[..., columns] = centres
         self.alive[:, columns] = alive
-        self.uninspected[:, columns] = chief.nearest_cluster(centres.to(x.dtype), alive, x[P])
+        p = x[P]
+        for attitude in frames:  # there and back
+            p = rotate(conjugate(attitude), p)
+        direction = chief.nearest_cluster(centres.to(x.dtype), alive, p)
+        for attitude in frames:
+            direction = rotate(attitude, direction)
+        self.uninspected[:, columns] = direction
 
     def constraint_values(self, x: Tensor) -> Tensor:
         """Constraint values (constraints, B) at states (16, B)."""
@@ -470,10 +511,12 @@ class InspectionEnv:
         """Puts fresh episodes into the given columns; points visible at the start count as inspected."""
         if self.plant:
             self.plant.begin(columns, x, number)
+        if self.tumbling:
+            self.tumbling.begin(columns, number)
         self.x = self.x.clone()  # the finished step's Transition still holds the old one
         for name in self.STATE:
             getattr(self, name)[..., columns] = 0
         self.x[:, columns] = x
         self.priority[:, columns] = priority
-        self.weights[:, columns] = chief.point_weights(self.normals, priority)
+        self.weights[:, columns] = chief.point_weights(self.surface.normals, priority, self.surface.areas)
         self.look(columns)

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from inspection.attitude import conjugate, dot, norm, rotate, unit
+from inspection.attitude import conjugate, dot, norm, rotate, rotation_matrix, unit
 from inspection.dynamics import sun_direction
 from inspection.orbit import closest_pass
 from inspection.parameters import OBSERVED, InspectionParameters
@@ -30,10 +30,11 @@ def vector(name: str, unit: str = "1", scale: float = 1.0) -> list[Component]:
     return [Component(f"{name}_{i}", unit, scale) for i in "xyz"]
 
 
-# By what they are of, in the paper's order, 26 in all, and two groups beyond it. "hill": the paper's observations tell
-# the Sun's direction, but not radial from along-track, so that an agent cannot know whether its free flight drifts.
+# By what they are of, in the paper's order, 26 in all, and three groups beyond it. "hill": the paper's observations
+# tell the Sun's direction, but not radial from along-track, so that an agent cannot know whether its flight drifts.
 # "free_flight": where coasting passes the chief next, within the horizons of passive safety and of the reward of
-# success, which a small network does not work out. (decision: the paper does not give its scales)
+# success, which a small network does not work out. "chief": two of the axes of a chief that turns, and its rate.
+# (decision: the paper does not give its scales)
 GROUPS: dict[str, list[Component]] = {
     "position": [Component("position_norm", "m", 100.0), *vector("position")],
     "velocity": [Component("velocity_norm", "m/s", 0.866), *vector("velocity")],
@@ -46,6 +47,7 @@ GROUPS: dict[str, list[Component]] = {
     "score": [Component("inspected_score", "1", 1.0)],
     "hill": [*vector("radial"), *vector("along_track")],
     "free_flight": [*vector("next_pass"), *vector("later_pass")],
+    "chief": [*vector("chief_x"), *vector("chief_y"), *vector("chief_rate", "rad/s", 0.035)],
 }
 
 
@@ -60,7 +62,12 @@ def nearness(closest: Tensor, c: InspectionParameters) -> Tensor:
 
 
 def observe(
-    x: Tensor, priority: Tensor, uninspected: Tensor, score: Tensor, c: InspectionParameters
+    x: Tensor,
+    priority: Tensor,
+    uninspected: Tensor,
+    score: Tensor,
+    c: InspectionParameters,
+    chief: Tensor | None = None,
 ) -> Tensor:
     """o in physical units, a row (B,) per component; divide by `scales` for the network.
 
@@ -68,6 +75,7 @@ def observe(
         x: states (16, B).
         priority, uninspected: r_p and r_UPS in Hill's frame (3, B).
         score: inspected weight w_p (B,).
+        chief: its attitude, from its axes to Hill's, and its rate about them in rad/s, (7, B), if it is observed.
         c: what is observed, and the horizons of free flight.
     """
     to_body = conjugate(x[Q])
@@ -95,6 +103,10 @@ def observe(
             (of_free_flight(c.passive_safety_horizon, FINE), of_free_flight(c.free_flight_horizon, COARSE))
         ),
     }
+    if chief is not None:
+        own_axes = rotation_matrix(chief[:4])
+        seen = (own_axes[:, 0], own_axes[:, 1], rotate(chief[:4], chief[4:7]))
+        rows["chief"] = lambda: torch.cat([rotate(to_body, each) for each in seen])
     return torch.cat([row() for name, row in rows.items() if name in c.observed])
 
 
@@ -104,8 +116,8 @@ def scales(like: Tensor, observed: Collection[str] = OBSERVED) -> Tensor:
 
 
 def normalised(
-    x: Tensor, priority: Tensor, uninspected: Tensor, score: Tensor, c: InspectionParameters
+    x: Tensor, priority: Tensor, uninspected: Tensor, score: Tensor, *chief: Tensor, c: InspectionParameters
 ) -> Tensor:
     """`observe` divided by `scales`, in float32 for the network."""
-    o = observe(x, priority, uninspected, score, c)
+    o = observe(x, priority, uninspected, score, c, *chief)
     return (o / scales(o, c.observed)).float()

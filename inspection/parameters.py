@@ -9,6 +9,7 @@ from dataclasses import dataclass, fields
 
 ORBITS = ("clohessy-wiltshire", "two-body")
 MOST_ECCENTRIC = 0.3  # beyond, Kepler's equation may not converge in the steps that `inspection.orbit` takes
+FASTEST_CHIEF = 10.0  # deg/s; an action takes 10 s
 AXES = {"+x": (0, 1.0), "-x": (0, -1.0), "+y": (1, 1.0), "-y": (1, -1.0), "+z": (2, 1.0), "-z": (2, -1.0)}
 
 POSITIVE = (
@@ -26,8 +27,8 @@ NOT_NEGATIVE = (
 )
 AT_MOST_ONE = "absorptivity emissivity albedo view_factor panel_degradation success_score"
 
-# What an agent may observe, see `inspection.observation`: the paper's, the axes of Hill's frame, and where free flight
-# passes the chief.
+# What an agent may observe, see `inspection.observation`: the paper's, the axes of Hill's frame, where free flight
+# passes the chief, and how the chief turns.
 OBSERVED = (
     "position",
     "velocity",
@@ -39,7 +40,7 @@ OBSERVED = (
     "uninspected",
     "score",
 )
-OBSERVABLE = (*OBSERVED, "hill", "free_flight")
+OBSERVABLE = (*OBSERVED, "hill", "free_flight", "chief")
 
 
 @dataclass(frozen=True)
@@ -259,3 +260,64 @@ class InspectionParameters:
     def semi_major_axis(self) -> float:
         """Of the chief's orbit in m, by Kepler's third law."""
         return (self.gravitational_parameter / self.mean_motion**2) ** (1 / 3)
+
+
+@dataclass(frozen=True)
+class ChiefParameters:
+    """What is inspected, and how it turns; by default the paper's sphere, fixed in Hill's frame."""
+
+    mesh: str = (
+        ""  # file with triangles, or points, normals and areas: .npz or .stl, in m; none: a sphere of points
+    )
+    attitude: tuple[float, float, float, float] = (
+        0.0,
+        0.0,
+        0.0,
+        1.0,
+    )  # at first, its axes to Hill's, scalar last
+    random_attitude: bool = False  # drawn for each episode instead, any
+    rate: tuple[float, float, float] = (0.0, 0.0, 0.0)  # deg/s, at first, about its principal axes
+    largest_rate: float = (
+        0.0  # deg/s; where it is not 0, the rate is drawn instead: any axis, any size up to this
+    )
+    moments: tuple[float, float, float] = (
+        1.0,
+        1.0,
+        1.0,
+    )  # principal moments of inertia, of which the ratios count
+
+    def __post_init__(self) -> None:
+        for name, count in (("attitude", 4), ("rate", 3), ("moments", 3)):
+            numbers = getattr(self, name)
+            if len(numbers) != count or not all(math.isfinite(number) for number in numbers):
+                raise ValueError(f"{name} = {list(numbers)}: must be {count} finite numbers")
+        if not any(self.attitude):
+            raise ValueError(f"attitude = {list(self.attitude)}: must not be zero")
+        if not 0.0 <= self.largest_rate <= FASTEST_CHIEF or max(map(abs, self.rate)) > FASTEST_CHIEF:
+            raise ValueError(
+                f"rate = {list(self.rate)}, largest_rate = {self.largest_rate:g}: must be at most "
+                f"{FASTEST_CHIEF:g} deg/s"
+            )
+        if self.largest_rate and any(self.rate):
+            raise ValueError(
+                f"rate = {list(self.rate)}: is drawn, since largest_rate is {self.largest_rate:g}"
+            )
+        if min(self.moments) <= 0.0 or 2.0 * max(self.moments) > (1.0 + 1e-9) * sum(self.moments):
+            raise ValueError(
+                f"moments = {list(self.moments)}: must be positive, and none above the sum of the other two"
+            )
+
+    @property
+    def is_the_papers(self) -> bool:
+        """Whether it is the sphere, fixed in Hill's frame."""
+        return self == ChiefParameters()
+
+    @property
+    def is_drawn(self) -> bool:
+        """Whether episodes differ in it."""
+        return self.random_attitude or self.largest_rate > 0.0
+
+    @property
+    def turns(self) -> bool:
+        """Whether its attitude changes over time."""
+        return any(self.rate) or self.largest_rate > 0.0

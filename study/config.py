@@ -17,7 +17,7 @@ from typing import Any, TypeVar
 
 import tomli_w
 
-from inspection.parameters import InspectionParameters
+from inspection.parameters import ChiefParameters, InspectionParameters
 from inspection.plant import PlantParameters
 from ppo.distributed import is_first
 from ppo.learner import PPOParameters
@@ -134,6 +134,7 @@ class Config:
 
     train: TrainParameters = field(default_factory=TrainParameters)
     inspection: InspectionParameters = field(default_factory=InspectionParameters)
+    chief: ChiefParameters = field(default_factory=ChiefParameters)
     rta: RtaParameters = field(default_factory=RtaParameters)
     ppo: PPOParameters = field(default_factory=PPOParameters)
     plant: PlantParameters = field(default_factory=PlantParameters)

@@ -111,7 +111,11 @@ class Experiment:
     ) -> InspectionEnv:
         """A batch of num_envs episodes per generator, compiled if wanted and possible; clocks as of `InspectionEnv`."""
         with refusing(
-            f"[inspection], {num_envs:,} episodes", ValueError, RuntimeError, OverflowError, MemoryError
+            f"[inspection] and [chief], {num_envs:,} episodes",
+            ValueError,
+            RuntimeError,
+            OverflowError,
+            MemoryError,
         ):
             env = InspectionEnv(
                 num_envs,
@@ -121,6 +125,7 @@ class Experiment:
                 decide_every,
                 report_every,
                 self.config.plant,
+                self.config.chief,
             )
         if compiled:
             compile_or_explain("simulator", env.compile)

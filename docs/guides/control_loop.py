@@ -54,7 +54,7 @@ def control_loop(
 
     def agent(t: float, x: Tensor) -> Tensor:
         """The control that follows from what the camera sees of the chief."""
-        env.see(x)
+        env.see(x, t)
         (action,) = decide(None, {"observation": env.observation().numpy()})
         return torch.from_numpy(action.T) * scale
 

@@ -17,7 +17,7 @@ def agent(policy: Policy, env: InspectionEnv) -> Controller:
     seeds = policy.seeds
 
     def control(t: float, x: Tensor) -> Tensor:
-        env.see(x)
+        env.see(x, t)
         observation = env.observation().unflatten(0, (seeds, -1))
         return env.control(policy.mean_action(observation).flatten(0, 1))
 

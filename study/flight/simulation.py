@@ -139,7 +139,7 @@ def simulate(
         recording.note(hold)
         ended = failures(hold.after, c)
         if is_multiple(hold.end, c.action_period):
-            env.see(hold.after)
+            env.see(hold.after, hold.end)
             ended |= ends(env.score, x.new_tensor([hold.end]), c)
         if until_ended and any(bool(condition) for condition in ended.values()):
             break

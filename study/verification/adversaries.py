@@ -44,7 +44,7 @@ def learned(
 
     @torch.no_grad()
     def control(t: float, x: Tensor) -> Tensor:
-        env.see(x)
+        env.see(x, t)
         mean, log_std = policy(env.observation()[None])
         noise = torch.randn(batch, CONTROL_SIZE, generator=generator)[first : first + x.shape[1]].to(mean)
         return env.control(policy.shaped(mean + log_std.exp() * noise)[0])

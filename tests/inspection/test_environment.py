@@ -344,7 +344,7 @@ def test_observation_points_at_uninspected_lit_points_until_none_is_left(c):
     sun = torch.tensor([-1.0, 0.0, 0.0])
     assert env.observation()[0, 21:24] @ sun > 0.0  # identity attitude: body is Hill
     env.inspected[:] = True
-    env.inspected[env.normals[0] > 0.5] = False  # left, but dark
+    env.inspected[env.surface.normals[0] > 0.5] = False  # left, but dark
     assert (coast(env).final_observation[0, 21:25] == 0.0).all()
 
 

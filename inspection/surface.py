@@ -1,0 +1,223 @@
+"""The chief's surface: points with normals and areas, of the paper's sphere or of a mesh, and which of them is hidden.
+
+A mesh may hide its own points from the camera and from the Sun. Seen from a point, a triangle covers a cone of
+directions, bounded by the planes through the point and two corners each. The planes are computed once; where a
+spacecraft or the Sun is, a point is hidden if they lie inside one of its cones.
+"""
+
+import math
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from inspection.attitude import body_axis, conjugate, dot, norm, rotate, unit
+from inspection.chief import fibonacci_sphere
+from inspection.dynamics import sun_direction
+from inspection.parameters import ChiefParameters, InspectionParameters
+from inspection.state import THETA_S, P, Q
+
+ROOT = Path(__file__).parents[1]
+FLAT = 1e-9  # m and m^3, below which a corner does not rise above a point's horizon, and a cone holds nothing
+DIRECTIONS = 512  # from which a point of a mesh is looked at, to leave out those that are never seen
+MOST_TRIANGLES = 20_000
+GROUPS = 4  # of points with about as many cones each, so that few of those that are computed fill up
+AT_ONCE = 2_000_000  # pairs of a point and a triangle whose cones are computed together
+GOLDEN = 0.7548776662466927, 0.5698402909980532  # Roberts' additive sequence, which fills a square evenly
+
+
+class Surface(NamedTuple):
+    """What is inspected, in the chief's frame.
+
+    Attributes:
+        points (3, N) in m, normals (3, N), areas (N,) in m^2.
+        triangles: (F, 3, 3) m, corner by corner; none of a sphere.
+        cones: of groups of points one after the other, those with few cones first: (3, K, k, 3) float32, normals of
+            the three planes around each of K cones of k points; they point inwards.
+    """
+
+    points: Tensor
+    normals: Tensor
+    areas: Tensor
+    triangles: Tensor
+    cones: tuple[Tensor, ...] = ()
+
+
+def surface(chief: ChiefParameters, c: InspectionParameters, device: torch.device | str = "cpu") -> Surface:
+    """The chief's; raises ValueError where its file holds none, or one that reaches beyond `chief_radius`."""
+    if not chief.mesh:
+        normals = fibonacci_sphere(c.num_points, device=str(device))
+        areas = torch.ones_like(normals[0])
+        none = normals.new_zeros(0, 3, 3)
+        return Surface(c.chief_radius * normals, normals, areas, none)
+    arrays = read(chief.mesh)
+    triangles = torch.as_tensor(arrays["triangles"], dtype=torch.float64).reshape(-1, 3, 3)
+    if "points" in arrays:
+        points, normals = (
+            torch.as_tensor(arrays[name], dtype=torch.float64).T for name in ("points", "normals")
+        )
+        areas = torch.as_tensor(arrays["areas"], dtype=torch.float64)
+        if points.shape != normals.shape or points.shape[1:] != areas.shape or len(points) != 3:
+            raise ValueError(f"{chief.mesh}: points and normals must be (N, 3) and areas (N,)")
+    else:
+        points, normals, areas = spread(triangles, c.num_points)
+    reach = max(float(norm(each).max()) for each in (points, triangles.flatten(0, 1).T) if each.numel())
+    if not reach <= c.chief_radius:
+        raise ValueError(
+            f"{chief.mesh}: reaches {reach:.3g} m from its origin: must lie within chief_radius, {c.chief_radius:g} m"
+        )
+    *parts, cones = ever_seen(Surface(points, unit(normals), areas, triangles), chief.mesh)
+    return Surface(*(part.to(device) for part in parts), tuple(group.to(device) for group in cones))
+
+
+def read(path: str) -> dict[str, Any]:
+    """The arrays of a file: triangles and, if it has them, points, normals and areas; ValueError where it does not.
+
+    A path that is not below the working directory is looked for in this project's folder.
+    """
+    file = next((each for each in (Path(path), ROOT / path) if each.is_file()), None)
+    if file is None:
+        raise ValueError(f"mesh = {path!r}: there is no such file")
+    try:
+        if file.suffix == ".npz":
+            with np.load(file, allow_pickle=False) as content:
+                arrays = {name: content[name] for name in content.files}
+        elif file.suffix == ".stl":
+            import trimesh  # half a second that who has no such file need not wait
+
+            arrays = {"triangles": np.array(trimesh.load(file, file_type="stl", force="mesh").triangles)}
+        else:
+            raise ValueError("must end in .npz or .stl")
+    except (OSError, KeyError, EOFError, ValueError, IndexError, TypeError) as error:
+        raise ValueError(f"mesh = {path!r}: cannot be read: {error}") from None
+    arrays.setdefault("triangles", np.zeros((0, 3, 3)))
+    known = {name: arrays[name] for name in ("triangles", "points", "normals", "areas") if name in arrays}
+    for name, array in known.items():
+        if array.dtype.kind not in "fiu" or not np.isfinite(array).all():
+            raise ValueError(f"mesh = {path!r}: {name} must hold finite numbers only")
+    if known["triangles"].shape[1:] != (3, 3) or len(known["triangles"]) > MOST_TRIANGLES:
+        raise ValueError(f"mesh = {path!r}: triangles must be (F, 3, 3), at most {MOST_TRIANGLES:,}")
+    has = [name for name in ("points", "normals", "areas") if name in known]
+    if len(has) not in (0, 3) or not (has or len(known["triangles"])):
+        raise ValueError(f"mesh = {path!r}: needs triangles, or points, normals and areas")
+    return known
+
+
+def spread(triangles: Tensor, count: int) -> tuple[Tensor, Tensor, Tensor]:
+    """`count` points (3, N) evenly over the triangles (F, 3, 3), with normals (3, N) and equal areas (N,)."""
+    origin, *edges = triangles[:, 0].T, *((triangles[:, k] - triangles[:, 0]).T for k in (1, 2))
+    normals = torch.linalg.cross(*edges, dim=0)
+    areas = 0.5 * norm(normals)
+    if not float(areas.sum()) > 0.0:
+        raise ValueError("the mesh has no area")
+    at = (torch.arange(count, dtype=areas.dtype) + 0.5) / count * areas.sum()
+    which = torch.searchsorted(areas.cumsum(0), at).clamp(max=len(areas) - 1)
+    steps = torch.arange(1, count + 1, dtype=areas.dtype)
+    u, v = ((step * steps).frac() for step in GOLDEN)
+    u, v = torch.where(u + v > 1.0, 1.0 - u, u), torch.where(u + v > 1.0, 1.0 - v, v)
+    points = origin[:, which] + u * edges[0][:, which] + v * edges[1][:, which]
+    return points, unit(normals)[:, which], (areas.sum() / count).expand(count).clone()
+
+
+def is_closed(triangles: Tensor) -> bool:
+    """Whether every edge of the triangles (F, 3, 3) is one of another, the other way round."""
+    corners = torch.unique((triangles * 1e6).round().long().reshape(-1, 3), dim=0, return_inverse=True)[1]
+    corners = corners.reshape(-1, 3)
+    edges = torch.cat([torch.stack((corners[:, k], corners[:, (k + 1) % 3]), 1) for k in range(3)])
+    count = int(corners.max()) + 1 if len(corners) else 0
+    ways = torch.stack((edges[:, 0] * count + edges[:, 1], edges[:, 1] * count + edges[:, 0]))
+    there, back = (way.sort().values for way in ways)
+    return bool((there == back).all())
+
+
+def hiding(whole: Surface) -> list[Tensor]:
+    """Of each point, the planes (3, K, 3) around the cones of the triangles that can hide it.
+
+    These are the triangles that rise above the point's horizon; of a closed mesh only those that face it, since what
+    leaves it enters the mesh again through such a one.
+    """
+    points, normals, triangles = whole.points.T, whole.normals.T, whole.triangles
+    outwards = unit(
+        torch.linalg.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]).T
+    ).T
+    closed = is_closed(triangles)
+    found: list[Tensor] = []
+    for some in torch.arange(len(points)).split(max(1, AT_ONCE // max(1, len(triangles)))):
+        # corners as seen from the points, (3 corners, k points, F, 3)
+        corners = triangles.transpose(0, 1)[:, None] - points[some, None]
+        hides = ((corners * normals[some, None]).sum(-1) > FLAT).any(0)
+        if closed:
+            hides &= (corners[0] * outwards).sum(-1) < -FLAT
+        a, b, c = corners
+        planes = torch.stack([torch.linalg.cross(*pair) for pair in ((a, b), (b, c), (c, a))])
+        volume = (planes[0] * c).sum(-1)
+        hides &= volume.abs() > FLAT
+        planes = torch.nn.functional.normalize(planes * volume.sign()[..., None], dim=-1)
+        found += [planes[:, i, hides[i]] for i in range(len(some))]
+    return found
+
+
+def grouped(whole: Surface, planes: list[Tensor], keep: Tensor) -> Surface:
+    """The surface of the points (N,) bool to keep, in GROUPS of as many, those with few cones first."""
+    order = sorted(keep.nonzero().flatten().tolist(), key=lambda i: planes[i].shape[1])
+    cones = []
+    for group in np.array_split(np.array(order), min(GROUPS, len(order))):
+        most = planes[group[-1]].shape[1]
+        normals = whole.normals[:, group].T
+        some = -normals[None, None].repeat(3, most, 1, 1)  # those that fill up hide nothing above the horizon
+        for k, i in enumerate(group):
+            some[:, : planes[i].shape[1], k] = planes[i]
+        cones.append(some.float())
+    return Surface(
+        whole.points[:, order], whole.normals[:, order], whole.areas[order], whole.triangles, tuple(cones)
+    )
+
+
+def ever_seen(whole: Surface, name: str) -> Surface:
+    """The surface with its cones, without the points that are hidden from everywhere, as those within it are."""
+    planes = hiding(whole)
+    far = fibonacci_sphere(DIRECTIONS)
+    above = (whole.normals.T @ far) > 0.0
+    free = [~(each @ far > 0.0).all(0).any(0) for each in planes]
+    seen = (above & torch.stack(free)).any(1)
+    if not seen.any():
+        raise ValueError(f"mesh = {name!r}: none of its points can be seen: do its normals point outwards?")
+    return grouped(whole, planes, seen)
+
+
+def clear(whole: Surface, place: Tensor, at: float) -> Tensor:
+    """(N, B), positive where no cone of a point holds the place (3, B): a position for `at` 1, a direction for 0."""
+    found = []
+    for group, points in zip(
+        whole.cones, whole.points.float().split([g.shape[2] for g in whole.cones], 1), strict=True
+    ):
+        if group.shape[1]:
+            # a plane through the point: m . (place - point)
+            a, b, c = (cone @ place - at * (cone * points.T).sum(-1, keepdim=True) for cone in group)
+            found.append(-torch.minimum(torch.minimum(a, b), c).amax(0))
+        else:
+            found.append(place.new_full((group.shape[2], place.shape[1]), torch.inf))
+    return torch.cat(found)
+
+
+def margins(whole: Surface, x: Tensor, attitude: Tensor, c: InspectionParameters) -> Tensor:
+    """(2, N, B) float32, positive where a point is lit, and where it is also in view from x (16, B).
+
+    In view is what lies within the camera's cone about +n_x, above its point's own horizon, and is not hidden.
+
+    Args:
+        attitude: of the chief (4, B), from its frame to Hill's.
+    """
+    to_chief = conjugate(attitude)
+    boresight = rotate(to_chief, torch.stack(body_axis(x[Q], 0))).float()
+    p, sun = (rotate(to_chief, each).float() for each in (x[P], sun_direction(x[THETA_S])))
+    points, normals = whole.points.float(), whole.normals.float()
+    height = normals.T @ p - dot(points, normals)[:, None]
+    to_point = (dot(points, points)[:, None] + dot(p, p) - 2.0 * (points.T @ p)).sqrt()
+    in_cone = points.T @ boresight - dot(p, boresight) - math.cos(c.field_of_view / 2) * to_point
+    lit, seen = normals.T @ sun, in_cone.minimum(height)
+    if whole.cones:
+        lit, seen = lit.minimum(clear(whole, sun, 0.0)), seen.minimum(clear(whole, p, 1.0))
+    return torch.stack((lit, lit.minimum(seen)))
