@@ -15,15 +15,19 @@ from study.errors import InputError, refusing
 ROOT = Path(__file__).parent.parent  # of the repository
 
 
-def load_arrays(path: str, names: tuple[str, ...], what: str, where_missing: str) -> dict[str, np.ndarray]:
+def load_arrays(
+    path: str, names: tuple[str, ...], what: str, where_missing: str, maybe: tuple[str, ...] = ()
+) -> dict[str, np.ndarray]:
     """The named arrays of a .npz file; errors say `what` it should have been, and `where_missing` of one it lacks.
+
+    Those of `maybe` may be missing.
 
     Raises:
         InputError: there is no such file, it cannot be read, or it lacks an array.
     """
     try:
         with np.load(path, allow_pickle=False) as file:
-            found = {name: file[name] for name in names if name in file.files}
+            found = {name: file[name] for name in (*names, *maybe) if name in file.files}
     except FileNotFoundError:
         raise InputError(f"{path}: cannot read the {what}: no such file") from None
     except Exception:  # numpy reports damage through many exception types

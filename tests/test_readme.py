@@ -14,10 +14,12 @@ import pytest
 
 import main
 from study.command_line.arguments import COMMANDS, build_parser, join_axis
+from study.config import load
 from study.flight.summary import iqm
 from study.paper import PAPER_METRICS, PAPER_VIOLATIONS, Estimate
 from study.report import tables
 from study.verification import break_points
+from study.verified import fingerprint
 
 ROOT = Path(main.__file__).parent
 REFERENCE = ROOT / "runs/reference"
@@ -759,3 +761,45 @@ def test_the_filter_holds_in_basilisk_as_the_page_says(policy: str) -> None:
     ]
     assert report["violating_episodes"]["any"] == report["unsolved"] == 0
     assert report["config"]["plant"]["simulator"] == "basilisk"
+
+
+VEHICLES = {"3u": "3U, 4 kg", "12u": "12U, 20 kg", "espa": "ESPA-class, 180 kg"}
+SPACECRAFT = "docs/guides/your_own_spacecraft.md"
+
+
+@pytest.mark.parametrize("name", VEHICLES)
+def test_the_filter_holds_on_each_vehicle_as_the_page_says(name: str) -> None:
+    reports = [read(f"verification/{name}_{policy}.json") for policy in ("random", "adversarial")]
+    shares = [f"{report['violating_episodes']['any']} of {report['episodes']:,}" for report in reports]
+    calls = sum(sum(report["filter_calls"].values()) for report in reports)
+    unsolved = sum(report["unsolved"] for report in reports)
+    slack = sum(report["filter_calls"]["slack"] for report in reports)
+    cells = [VEHICLES[name], *shares, f"{unsolved} of {calls / 1e6:.0f} million", f"{slack:,}"]
+    assert f"| {' | '.join(cells)} |" in text(SPACECRAFT).splitlines()
+    task = load(ROOT / f"configs/vehicles/{name}.toml")
+    assert all(report["fingerprint"] == fingerprint(task) for report in reports)
+
+
+@pytest.mark.parametrize("name", VEHICLES)
+def test_the_agents_of_each_vehicle_are_as_the_page_says(name: str) -> None:
+    results = read(f"vehicles/{name}/results.json")["arms"]["rta"]
+    assert results["outcomes"]["success"] >= 0.99
+    assert agent_row(VEHICLES[name], results) in text(SPACECRAFT).splitlines()
+
+
+def agent_row(label: str, results: dict[str, Any]) -> str:
+    """Of an agent behind the filter in the guides on spacecraft and chiefs."""
+    reward, time, fuel = (
+        results["metrics"][name]["iqm"] for name in ("reward", "episode_length_s", "delta_v_m_s")
+    )
+    cells = [
+        label,
+        f"{success(results)} %",
+        f"{success(results, 'clean_success')} %",
+        f"{reward:.3f}",
+        f"{time:,.0f}",
+        f"{fuel:.2f}",
+        f"{results['rta']['intervention_percent']:.2f} %",
+        f"{violation(results)} %",
+    ]
+    return f"| {' | '.join(cells)} |"

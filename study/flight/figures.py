@@ -61,10 +61,18 @@ def effort(episode: Episode, c: InspectionParameters) -> tuple[np.ndarray, np.nd
     return spent[:, :3].sum(1) / c.mass, spent[:, 3:].sum(1) / c.action_period
 
 
+def points_of_chief(episode: Episode, c: InspectionParameters) -> np.ndarray:
+    """(N, 3) m, in the chief's frame; where it turns, as Hill's frame has them at the end."""
+    if "chief_points" not in episode:
+        return c.chief_radius * fibonacci_sphere(c.num_points).numpy().T
+    x, y, z = (rotate(episode["chief_attitude"][-1:], axis)[0] for axis in np.eye(3))
+    return episode["chief_points"] @ np.stack((x, y, z))
+
+
 def trajectory(ax: Axes, episode: Episode, c: InspectionParameters, top_speed: float) -> None:
     """3-D path coloured by speed up to `top_speed` in m/s, with chief, camera directions and the Sun at both ends."""
     p = episode["position"]
-    chief = c.chief_radius * fibonacci_sphere(c.num_points).numpy()
+    chief = points_of_chief(episode, c).T
     ax.scatter(*chief, s=3, color=GREY, depthshade=False)
     path = ax.scatter(
         *p.T, c=speeds(episode), s=6, cmap="viridis_r", vmin=0.0, vmax=top_speed, depthshade=False

@@ -10,7 +10,9 @@ from torch import Tensor
 
 from inspection.closed_loop import Controller, Hold, is_multiple
 from inspection.environment import InspectionEnv
+from inspection.state import THETA_S
 from inspection.termination import ends, failures
+from inspection.tumbling import ATTITUDE
 from ppo.network import Policy
 from rta.qp import Status
 from study.config import TEST_CASES, Config
@@ -58,6 +60,10 @@ class Recording:
     def note(self, hold: Hold) -> None:
         """Adds what is new in a hold."""
         self.hold, self.begun = hold, float(self.env.time[0])
+        if self.env.tumbling:
+            self.motion = self.env.tumbling.motion[
+                :, :1
+            ]  # of now: where the hold ends, the next episode may have begun
         if hold.decided:
             self.decision = hold.desired[:, 0].clone()
         if hold.correction is not None:
@@ -88,6 +94,9 @@ class Recording:
                 "tightened": self.tightened,
             }
         )
+        if env.tumbling:
+            motion = env.tumbling.moved(self.motion, self.rows[-1]["time"], x[THETA_S, :1])
+            self.rows[-1]["chief_attitude"] = motion[ATTITUDE, 0]
 
     def arrays(self) -> dict[str, np.ndarray]:
         """What `simulate` returns."""
@@ -103,6 +112,10 @@ class Recording:
             columns |= {f"tightened_{name}": tightened[:, i] for i, name in enumerate(env.safety.names)}
         arrays = {name: column.cpu().numpy() for name, column in columns.items()}
         arrays = {name: array[:, 0] if name in SCALARS else array for name, array in arrays.items()}
+        if env.tumbling:
+            points, normals, _, triangles, _ = env.surface
+            of_chief = {"points": points.T, "normals": normals.T, "triangles": triangles}
+            arrays |= {f"chief_{name}": each.cpu().numpy() for name, each in of_chief.items()}
         return arrays | {"parameters": np.array(tomli_w.dumps({"inspection": asdict(env.c)}))}
 
 
@@ -128,7 +141,9 @@ def simulate(
         time on, and the last row repeats the one before it. `inspected` is (rows, points) bool. `intervened`
         is (rows, 2) bool, whether a call of the filter from the row up to the next corrected thrust, torque.
         `tightened_*`, by constraint as in `FilterResult`, are there where the filter is told of uncertainty.
-        `parameters`, the only one not over time, is the task's table of a configuration file.
+        `chief_attitude` (rows, 4) is there where the chief is not the paper's.
+        Not over time are `parameters`, the task's table of a configuration file, and such a chief's `chief_points`,
+        `chief_normals` (N, 3) and `chief_triangles` (F, 3, 3) in its own frame.
     """
     c = env.c
     env.start(x, priority)

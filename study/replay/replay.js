@@ -40,7 +40,14 @@ function rowAt(run, t) {
 const scaled = (a, factor) => a.map((component) => factor * component);
 const sum = (a, b) => a.map((component, i) => component + b[i]);
 const inner = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
-const chief = (run, scale) => run.normals.map((normal) => scaled(normal, scale * run.chief_radius));
+// A vector along a body's axes, in Hill's frame.
+const along = (axes, v) => axes.map((axis, i) => scaled(axis, v[i])).reduce(sum);
+const ofChief = (run, row, v) => (run.chief_axes ? along(run.chief_axes[row], v) : v);
+// Just below the points; of a mesh the corners of its faces, one after the other.
+const chief = (run, row) =>
+  run.corners
+    ? run.corners.map((corner) => ofChief(run, row, scaled(corner, 0.99)))
+    : run.points.map((point) => ofChief(run, row, scaled(point, 0.97)));
 
 // Corners of the traces that change with the row, by name, each [x, y, z] in m in Hill's frame.
 function moving(run, row) {
@@ -50,19 +57,19 @@ function moving(run, row) {
   const points = { inspected: [], lit: [], dark: [] };
   run.normals.forEach((normal, i) => {
     const inspected = run.inspected[i] !== null && run.inspected[i] <= run.time[row];
-    const kind = inspected ? "inspected" : inner(normal, sun) > 0 ? "lit" : "dark";
-    points[kind].push(scaled(normal, run.chief_radius));
+    const kind = inspected ? "inspected" : inner(ofChief(run, row, normal), sun) > 0 ? "lit" : "dark";
+    points[kind].push(ofChief(run, row, run.points[i]));
   });
   const stride = Math.ceil(run.position.length / MAX_PATH);
   const flown = run.position.slice(0, row).filter((_, i) => i % stride === 0);
-  const inHill = (body) => axes.map((axis, i) => scaled(axis, body[i])).reduce(sum);
   const axis = (i) => [p, sum(p, scaled(axes[i], data.lengths.axis))];
   return {
+    ...(run.corners && { chief: chief(run, row) }),
     ...points,
     flown: [...flown, p],
     deputy: [p],
     sun: [scaled(sun, 1.2 * run.chief_radius), scaled(sun, data.lengths.direction)],
-    cone: [p, ...run.rim.map((edge) => sum(p, scaled(inHill(edge), data.lengths.cone)))],
+    cone: [p, ...run.rim.map((edge) => sum(p, scaled(along(axes, edge), data.lengths.cone)))],
     x: axis(0),
     y: axis(1),
     z: axis(2),
@@ -76,6 +83,13 @@ const columns = (corners) => {
   const drawn = corners.length ? corners : [[null, null, null]];
   return { x: drawn.map((p) => p[0]), y: drawn.map((p) => p[1]), z: drawn.map((p) => p[2]) };
 };
+
+// Which corners make a face; without a mesh, those of the hull.
+function faces(run) {
+  if (!run.corners) return { alphahull: 0 };
+  const third = (k) => run.corners.map((_, i) => i).filter((i) => i % 3 === k);
+  return { i: third(0), j: third(1), k: third(2) };
+}
 
 function style(name, run, dot) {
   const line = (width, text) => ({
@@ -93,7 +107,7 @@ function style(name, run, dot) {
   const second = run.rim.map((_, i) => i + 1);
   const third = run.rim.map((_, i) => ((i + 1) % run.rim.length) + 1);
   return {
-    chief: { type: "mesh3d", alphahull: 0, color: colours.chief, flatshading: true },
+    chief: { type: "mesh3d", ...faces(run), color: colours.chief, flatshading: true },
     path: line(2),
     earth: line(5, "Earth"),
     inspected: markers("circle", dot),
@@ -115,7 +129,7 @@ function drawScene(run, i) {
   const plot = element("div", "scene", figure);
   const status = element("figcaption", "status", figure);
   const fixed = {
-    chief: chief(run, 0.97), // just below the points
+    ...(!run.corners && { chief: chief(run, 0) }), // as a sphere, it looks the same however it turns
     path: run.position,
     earth: [
       [-1.2 * run.chief_radius, 0, 0],

@@ -38,6 +38,14 @@ COLUMNS: dict[str, tuple[int, ...]] = {
     **{f"h_{name}": () for name in CONSTRAINTS},
 }
 
+# Shapes of what a chief has that is not the paper's: its attitude a row, points and normals a point, triangles a face
+CHIEF: dict[str, tuple[int, ...]] = {
+    "chief_attitude": (4,),
+    "chief_points": (3,),
+    "chief_normals": (3,),
+    "chief_triangles": (3, 3),
+}
+
 # panels of the constraints: title, unit, factor from the file's unit, constraints, the control that acts on them
 SQUARE_DEGREES = math.degrees(1.0) ** 2
 CONSTRAINT_PANELS = (
@@ -75,21 +83,26 @@ def read(path: str, rows: int = MAX_ROWS) -> Replayed:
     """Reads and checks a file of `simulate`, or an episode of a study's report in single precision."""
     names = (*COLUMNS, "inspected", "intervened", "parameters")
     older = ": not a file that simulate wrote, or one of an older version"
-    episode = load_arrays(path, names, "run", where_missing=older)
+    episode = load_arrays(path, names, "run", older, maybe=tuple(CHIEF))
     c = configuration.from_toml(str(episode["parameters"]), f"{path}: parameters").inspection
-    flags = {"inspected": (c.num_points,), "intervened": (2,)}
+    of_chief = {name: row for name, row in CHIEF.items() if "chief_points" in episode}
+    points = len(episode["chief_points"]) if of_chief else c.num_points
+    flags = {"inspected": (points,), "intervened": (2,)}
     length = episode["time"].size
-    for name, row in (COLUMNS | flags).items():
+    for name, row in (COLUMNS | flags | of_chief).items():
+        if name not in episode:
+            raise InputError(f"{path}: {name} is missing{older}")
         array, kind = episode[name], "bool" if name in flags else "numbers"
-        if array.shape != (length, *row) or array.dtype.kind != ("b" if name in flags else "f"):
-            raise InputError(
-                f"{path}: {name} is {array.dtype} {array.shape}: must be {kind} {(length, *row)}"
-            )
+        many = {"chief_points": points, "chief_normals": points, "chief_triangles": len(array)}.get(
+            name, length
+        )
+        if array.shape != (many, *row) or array.dtype.kind != ("b" if name in flags else "f"):
+            raise InputError(f"{path}: {name} is {array.dtype} {array.shape}: must be {kind} {(many, *row)}")
         if not np.isfinite(array).all():
             raise InputError(f"{path}: {name} must hold finite numbers only")
     if length < 2 or not (np.diff(episode["time"]) > 0.0).all():
         raise InputError(f"{path}: time must rise over at least two rows")
-    double = {name: episode[name].astype(np.float64) for name in COLUMNS}
+    double = {name: episode[name].astype(np.float64) for name in (*COLUMNS, *of_chief)}
     return Replayed(Path(printable(path)).name, episode | double, c, rows)
 
 
@@ -105,7 +118,33 @@ def thinned(run: Replayed) -> Episode:
     for name in COLUMNS:
         values = run.episode[name]
         thin[name] = np.minimum.reduceat(values, starts) if name.startswith("h_") else values[starts]
+    if "chief_attitude" in run.episode:
+        thin["chief_attitude"] = run.episode["chief_attitude"][starts]
     return thin
+
+
+def axes(quaternion: np.ndarray) -> np.ndarray:
+    """A body's three axes in Hill's frame, (rows, 3 axes, 3), of attitudes (rows, 4)."""
+    return np.stack([rotate(quaternion, axis) for axis in np.eye(3)], 1)
+
+
+def chief(run: Replayed, episode: Episode) -> dict[str, Any]:
+    """Points and normals (N, 3) of the chief, the corners of its faces, as indices, and its axes where it has any."""
+    if "chief_points" not in run.episode:
+        normals = fibonacci_sphere(run.c.num_points).numpy().T
+        return {
+            "points": run.c.chief_radius * normals,
+            "normals": normals,
+            "corners": None,
+            "chief_axes": None,
+        }
+    triangles = run.episode["chief_triangles"]
+    return {
+        "points": run.episode["chief_points"],
+        "normals": run.episode["chief_normals"],
+        "corners": triangles.reshape(-1, 3) if len(triangles) else None,
+        "chief_axes": axes(episode["chief_attitude"]),
+    }
 
 
 def interventions(episode: Episode, program: int) -> list[list[float]]:
@@ -221,10 +260,10 @@ def run_data(run: Replayed, episode: Episode) -> dict[str, Any]:
         "time": rounded(episode["time"], TIME_DIGITS),
         "end": rounded(run.episode["time"][-1:], TIME_DIGITS)[0],
         "position": episode["position"],
-        "axes": np.stack([rotate(episode["quaternion"], axis) for axis in np.eye(3)], 1),
+        "axes": axes(episode["quaternion"]),
         "sun_angle": episode["sun_angle"],
         "speed": speeds(episode),
-        "normals": fibonacci_sphere(c.num_points).numpy().T,
+        **chief(run, episode),
         "chief_radius": c.chief_radius,
         "inspected": inspection_times(run.episode),
         "rim": cone_rim(c),
