@@ -258,6 +258,8 @@ def test_the_filters_last_control_is_its_next_desired_one(c, period, calls):
     assert len(end.corrections) == calls
     assert end.metrics[3].item() == pytest.approx(halvings * period / 12.0)
     assert end.metrics[4].item() == pytest.approx(halvings * period / 10.0 * c.max_torque)
+    mean = halvings * period / 10.0
+    assert end.applied[0].tolist() == pytest.approx([mean, 0.0, 0.0, 0.0, 0.0, -mean])
 
 
 def test_an_action_is_a_control_within_the_actuators_limits(c):

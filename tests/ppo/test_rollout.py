@@ -6,7 +6,8 @@ from torch import Tensor
 
 from ppo import rollout
 from ppo.learner import PPO
-from ppo.rollout import Transition, collect
+from ppo.network import Policy
+from ppo.rollout import Transition, as_applied, collect
 
 STEPS, GAMMA = 7, 0.9
 
@@ -96,3 +97,31 @@ def test_a_rollout_continues_where_the_last_one_ended(toy, small_learner) -> Non
     expected = collect(whole, fresh, 5, fresh.generators)
     for name in ("observation", "action", "log_prob", "value"):
         assert torch.equal(torch.cat([batch[name] for batch in batches], 1), expected[name])
+
+
+def test_learning_from_what_acted_keeps_its_action_and_probability(toy, small_learner) -> None:
+    """An environment that holds the first control at a tenth: the others are kept as drawn, the first as it acted."""
+
+    def half(transition: Transition, action: Tensor) -> Transition:
+        transition.applied = action.clamp(-1.0, 1.0).clone()
+        transition.applied[:, 0] = 0.1
+        return transition
+
+    env, learner = toy(), small_learner()
+    step = env.step
+    env.step = lambda action: half(step(action), action)
+    drawn = collect(toy(), small_learner(), 1, small_learner().generators)
+    kept = collect(env, learner, 1, learner.generators, from_applied=True)
+    assert (kept["action"][..., 0] - 0.1).abs().max() < 1e-6
+    assert torch.equal(kept["action"][..., 1:], drawn["action"][..., 1:])
+    again = learner.policy.log_prob_and_entropy(kept["observation"], kept["action"])[0]
+    torch.testing.assert_close(kept["log_prob"], again)
+    assert not torch.allclose(kept["log_prob"], drawn["log_prob"])
+
+
+def test_an_action_that_acted_as_it_was_drawn_is_kept_to_the_bit() -> None:
+    policy = Policy(4, 3, [torch.Generator().manual_seed(2)], (8,), initial_std=0.9, power=3.0)
+    action, _ = policy.sample(torch.randn(1, 500, 4), [torch.Generator().manual_seed(0)])
+    acted = policy.shaped(action).clamp(-1.0, 1.0)
+    assert (action.abs() > 1.0).any() and torch.equal(as_applied(policy, action, acted), action)
+    torch.testing.assert_close(policy.shaped(as_applied(policy, action, 0.5 * acted)), 0.5 * acted)
