@@ -9,6 +9,7 @@ from dataclasses import dataclass, fields
 
 ORBITS = ("clohessy-wiltshire", "two-body")
 MOST_ECCENTRIC = 0.3  # beyond, Kepler's equation may not converge in the steps that `inspection.orbit` takes
+ALIGNED = (0.0, 0.0, 0.0, 1.0)  # an attitude: the axes of one frame are those of the other
 FASTEST_CHIEF = 10.0  # deg/s; an action takes 10 s
 AXES = {"+x": (0, 1.0), "-x": (0, -1.0), "+y": (1, 1.0), "-y": (1, -1.0), "+z": (2, 1.0), "-z": (2, -1.0)}
 
@@ -266,25 +267,12 @@ class InspectionParameters:
 class ChiefParameters:
     """What is inspected, and how it turns; by default the paper's sphere, fixed in Hill's frame."""
 
-    mesh: str = (
-        ""  # file with triangles, or points, normals and areas: .npz or .stl, in m; none: a sphere of points
-    )
-    attitude: tuple[float, float, float, float] = (
-        0.0,
-        0.0,
-        0.0,
-        1.0,
-    )  # at first, its axes to Hill's, scalar last
+    mesh: str = ""  # .npz or .stl file in m; none: a sphere of points
+    attitude: tuple[float, ...] = ALIGNED  # at first, from its axes to Hill's, scalar last
     random_attitude: bool = False  # drawn for each episode instead, any
     rate: tuple[float, float, float] = (0.0, 0.0, 0.0)  # deg/s, at first, about its principal axes
-    largest_rate: float = (
-        0.0  # deg/s; where it is not 0, the rate is drawn instead: any axis, any size up to this
-    )
-    moments: tuple[float, float, float] = (
-        1.0,
-        1.0,
-        1.0,
-    )  # principal moments of inertia, of which the ratios count
+    largest_rate: float = 0.0  # deg/s; above 0 the rate is drawn: any axis, any size up to this
+    moments: tuple[float, float, float] = (1.0, 1.0, 1.0)  # principal moments; only their ratios count
 
     def __post_init__(self) -> None:
         for name, count in (("attitude", 4), ("rate", 3), ("moments", 3)):
