@@ -55,7 +55,7 @@ class Transition:
             end.
         violated: (constraints, B) bool at the end of the step.
         corrections: the filter's answers, one per filter call of the step; see `calls`.
-        applied: (B, 6) mean of the controls that were applied, in units of the actuators' limits.
+        held: (6, B) each control that was applied, in N and N m, all for as long; limit: (6, 1) the actuators' limits.
         outcome: (B,) index into OUTCOMES, -1 while running.
         metrics: (6, B) the episode so far in the order of METRICS.
         violation_steps: (constraints, B) and steps (B,): violated and all steps of the episode so far.
@@ -73,7 +73,8 @@ class Transition:
     truncated: Tensor
     violated: Tensor
     corrections: list[Correction]
-    applied: Tensor
+    held: list[Tensor]
+    limit: Tensor
     outcome: Tensor
     metrics: Tensor
     violation_steps: Tensor
@@ -87,6 +88,11 @@ class Transition:
             yield from ((correction, everyone, correction.h) for correction in self.corrections)
         else:
             yield from ((each, *truth) for each, truth in zip(self.corrections, self.truths, strict=True))
+
+    @property
+    def applied(self) -> Tensor:
+        """(B, 6) mean of the controls that were applied, in units of the actuators' limits."""
+        return (torch.stack(self.held).mean(0) / self.limit).T
 
     @property
     def done(self) -> Tensor:
@@ -355,7 +361,7 @@ class InspectionEnv:
         truths: list[tuple[Tensor, Tensor]] = []
         mass = self.plant.mass if self.plant else c.mass
         delta_v, torque, corrected, answered = (torch.zeros_like(self.time) for _ in range(4))
-        applied = torch.zeros_like(self.x[:CONTROL_SIZE])
+        held: list[Tensor] = []
         failed: dict[str, Tensor] = {}
         for hold in self.fly(controller, c.action_period):
             if hold.correction is not None:
@@ -370,7 +376,7 @@ class InspectionEnv:
                     corrected += answer & hold.correction.intervened
             if hold.correction is not None and hold.missed is not None:
                 truths.append((~hold.missed, self.constraint_values(hold.state)))
-            applied += hold.applied * (hold.seconds / c.action_period)
+            held.append(hold.applied)
             delta_v += hold.acting[THRUST].abs().sum(0) / mass * hold.seconds
             torque += hold.acting[TORQUE].abs().sum(0) * (hold.seconds / c.action_period)
             now = failures(hold.after, c)
@@ -409,7 +415,8 @@ class InspectionEnv:
             truncated=truncated,
             violated=violated,
             corrections=corrections,
-            applied=(applied / self.limit).T,
+            held=held,
+            limit=self.limit,
             outcome=outcome,
             metrics=self._metrics(score),
             violation_steps=self.violation_steps.clone(),
