@@ -202,6 +202,12 @@ def clear(whole: Surface, place: Tensor, at: float) -> Tensor:
     return torch.cat(found)
 
 
+def light(whole: Surface, sun: Tensor) -> Tensor:
+    """(N, B) float32, positive where a point sees the Sun in directions (3, B) of the chief's frame."""
+    facing = whole.normals.float().T @ sun
+    return facing.minimum(clear(whole, sun, 0.0)) if whole.cones else facing
+
+
 def margins(whole: Surface, x: Tensor, attitude: Tensor, c: InspectionParameters) -> Tensor:
     """(2, N, B) float32, positive where a point is lit, and where it is also in view from x (16, B).
 
@@ -217,7 +223,7 @@ def margins(whole: Surface, x: Tensor, attitude: Tensor, c: InspectionParameters
     height = normals.T @ p - dot(points, normals)[:, None]
     to_point = (dot(points, points)[:, None] + dot(p, p) - 2.0 * (points.T @ p)).sqrt()
     in_cone = points.T @ boresight - dot(p, boresight) - math.cos(c.field_of_view / 2) * to_point
-    lit, seen = normals.T @ sun, in_cone.minimum(height)
+    lit, seen = light(whole, sun), in_cone.minimum(height)
     if whole.cones:
-        lit, seen = lit.minimum(clear(whole, sun, 0.0)), seen.minimum(clear(whole, p, 1.0))
+        seen = seen.minimum(clear(whole, p, 1.0))
     return torch.stack((lit, lit.minimum(seen)))

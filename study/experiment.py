@@ -15,6 +15,7 @@ from inspection.environment import InspectionEnv, clocks_of
 from inspection.initial_state import InitialStates
 from inspection.observation import components
 from inspection.state import CONTROL_SIZE
+from inspection.surface import surface
 from ppo import checkpoint
 from ppo.checkpoint import CheckpointError
 from ppo.distributed import local_rank
@@ -67,6 +68,7 @@ class Experiment:
 
     def __init__(self, config: Config, batch: int, seconds: float = EPISODE, steps: int = 0) -> None:
         check_clocks(config)
+        check_chief(config)
         check_cache()
         self.device = resolve_device(config.train.device)
         THREADS.settle()
@@ -167,6 +169,13 @@ def check_clocks(
     c, period = config.inspection, config.rta.period if config.train.rta else None
     with refusing(where, ValueError):
         clocks_of(c, period, decide_every, report_every).count(duration or c.action_period)
+
+
+def check_chief(config: Config) -> None:
+    """Refuses a chief whose mesh cannot be used, before anything is built or written."""
+    if config.chief.mesh:
+        with refusing("[chief]", ValueError):
+            surface(config.chief, config.inspection)
 
 
 def check_cache() -> None:

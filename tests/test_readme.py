@@ -831,3 +831,10 @@ def test_what_agents_learn_from_is_as_the_page_says(start: str, arm: str) -> Non
         f"{off['violations_percent']:.2f}",
     ]
     assert f"| {' | '.join(cells)} |" in text("docs/results/learning.md").splitlines()
+
+
+def test_what_nobody_can_inspect_of_the_satellite_is_as_the_page_says() -> None:
+    without = read("chiefs/satellite/report/sunlight.json")["without"]
+    results = read("chiefs/satellite/results.json")["arms"]["rta"]
+    assert f"satellite's {without} cases of 100 without success" in text("docs/guides/your_own_chief.md")
+    assert results["outcomes"]["success"] == 1.0 - without / 100

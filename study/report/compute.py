@@ -88,8 +88,7 @@ def work(study: Path, arms: dict[str, Arm]) -> Work:
         partial(flights.progress, arms, config),
     )
     todo["worlds.json"] = (elsewhere, partial(flights.worlds, arms))
-    if config.chief.is_the_papers:
-        todo["sunlight.json"] = ("when the Sun has lit enough of the chief, seconds", lit)
+    todo["sunlight.json"] = ("when the Sun has lit enough of the chief, seconds", lit)
     for name, arm in papers.items():
         todo[f"episode_{name}.npz"] = (f"an episode of {name}, seconds", partial(flights.episode, arm))
     if "no_rta" in arms and (worst := flights.worst_success(study / "no_rta" / "episodes.npz")):

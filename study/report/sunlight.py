@@ -5,27 +5,43 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from inspection import chief
-from inspection.parameters import InspectionParameters
+from inspection.attitude import conjugate, rotate
+from inspection.chief import point_weights
+from inspection.dynamics import sun_direction
+from inspection.initial_state import uniform
+from inspection.parameters import ChiefParameters, InspectionParameters
 from inspection.state import THETA_S
+from inspection.surface import light, surface
+from inspection.tumbling import Tumbling
 from study.config import Config
 from study.experiment import test_cases
 from study.flight.summary import summary
 
 
-def earliest_success(theta_s: Tensor, priority: Tensor, c: InspectionParameters) -> Tensor:
+def earliest_success(
+    theta_s: Tensor,
+    priority: Tensor,
+    c: InspectionParameters,
+    target: ChiefParameters | None = None,
+    number: Tensor | None = None,
+) -> Tensor:
     """Time in s at which the points lit so far first weigh enough for success; infinite if not until the timeout.
 
     Args:
         theta_s: (B,) the Sun's angle at the start; priority: (3, B).
+        target: the chief; number: (B,) from which its motion follows, if it is drawn.
     """
-    normals = chief.fibonacci_sphere(c.num_points)
-    weights = chief.point_weights(normals, priority)
+    target = target or ChiefParameters()
+    whole, tumbling = surface(target, c), Tumbling(target, c, len(theta_s))
+    tumbling.begin(torch.arange(len(theta_s)), number)
+    weights = point_weights(whole.normals, priority, whole.areas)
     lit = torch.zeros_like(weights, dtype=torch.bool)
     earliest = torch.full_like(theta_s, torch.inf)
     for step in range(round(c.max_time / c.action_period) + 1):
         time = step * c.action_period
-        lit |= chief.illuminated(normals, theta_s - c.mean_motion * time)
+        angle = theta_s - c.mean_motion * time
+        tumbling.at(torch.full_like(theta_s, time), angle)
+        lit |= light(whole, rotate(conjugate(tumbling.attitude), sun_direction(angle)).float()) > 0.0
         enough = (weights * lit).sum(0) >= c.success_score
         earliest[enough & earliest.isinf()] = time
     return earliest
@@ -37,7 +53,8 @@ def shortest_episodes(config: Config, episodes: int, seed: int) -> dict[str, Any
     These count with the timeout.
     """
     x, priority = test_cases(config, episodes, seed)
-    times = earliest_success(x[THETA_S], priority, config.inspection)
+    number = uniform(0.0, 1.0, episodes, torch.Generator().manual_seed(seed + 1))  # as `evaluate` draws
+    times = earliest_success(x[THETA_S], priority, config.inspection, config.chief, number)
     shown = times.clamp(max=config.inspection.max_time)
     return {
         "episodes": episodes,

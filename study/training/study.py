@@ -14,7 +14,7 @@ from study import config as configuration
 from study.commands import command
 from study.config import TEST_CASES, StudyConfig
 from study.errors import InputError, refusing
-from study.experiment import check_clocks
+from study.experiment import check_chief, check_clocks
 from study.files import write_json, write_npz
 from study.flight.evaluation import Episodes, report
 from study.paper import Results, tables
@@ -39,6 +39,7 @@ def train_and_evaluate(config: StudyConfig, directory: Path) -> str:
     for name in config.study.arms:
         check_clocks(config.of_arm(name))
         check_minibatch(config.of_arm(name))
+        check_chief(config.of_arm(name))
     with refusing(f"--study-dir {directory}: cannot write there", OSError, ValueError):
         ranks().first_does(lambda: directory.mkdir(parents=True, exist_ok=True))
     results = {}

@@ -7,7 +7,7 @@ import numpy as np
 import torch
 
 from inspection import chief
-from inspection.parameters import InspectionParameters
+from inspection.parameters import ChiefParameters, InspectionParameters
 from study.config import Config, override
 from study.report.sunlight import earliest_success, shortest_episodes
 
@@ -55,3 +55,17 @@ def test_cases_that_are_never_lit_enough_are_counted() -> None:
     assert 0 < found["without"] <= 8
     assert found["earliest_success_s"]["mean"] <= 500.0
     assert shortest_episodes(Config(), 8, 0)["without"] == 0
+
+
+def test_a_box_that_stands_straight_is_never_lit_enough_and_one_that_is_tilted_or_turns_is():
+    c = InspectionParameters(num_points=120)
+    theta = torch.linspace(0.0, 6.0, 8).double()
+    priority = torch.nn.functional.normalize(
+        torch.randn(3, 8, generator=torch.Generator().manual_seed(0)).double(), dim=0
+    )
+    straight = ChiefParameters(mesh="configs/chiefs/box.npz")
+    tilted = replace(straight, attitude=(0.25, 0.25, 0.0, 0.935))
+    turning = replace(straight, rate=(0.3, 0.2, 0.0))
+    assert earliest_success(theta, priority, c, straight).isinf().all()
+    slow, quick = (earliest_success(theta, priority, c, chief) for chief in (tilted, turning))
+    assert slow.isfinite().all() and (quick < slow).all()
