@@ -68,4 +68,4 @@ def test_a_box_that_stands_straight_is_never_lit_enough_and_one_that_is_tilted_o
     turning = replace(straight, rate=(0.3, 0.2, 0.0))
     assert earliest_success(theta, priority, c, straight).isinf().all()
     slow, quick = (earliest_success(theta, priority, c, chief) for chief in (tilted, turning))
-    assert slow.isfinite().all() and (quick < slow).all()
+    assert slow.isfinite().all() and quick.mean() < 0.7 * slow.mean()
