@@ -34,8 +34,8 @@ class VectorInspection6DoF(VectorEnv):
 
     Args:
         num_envs: episodes at once, B.
-        config: a configuration or the path of a TOML file, of which [inspection], [plant] and [rta] count; None means
-            the defaults.
+        config: a configuration or the path of a TOML file, of which [inspection], [chief], [plant] and [rta] count;
+            None means the defaults.
         device: cpu, cuda or auto.
         compile: compile the simulator, at the first `reset`, and the filter if there is one, which takes about a minute
             the first time.

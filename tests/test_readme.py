@@ -815,24 +815,6 @@ def test_the_agents_of_each_chief_are_as_the_page_says(name: str) -> None:
     assert agent_row(CHIEFS[name], results) in text("docs/guides/your_own_chief.md").splitlines()
 
 
-@pytest.mark.parametrize("start", ["chance", "copy"])
-@pytest.mark.parametrize("arm", ["desired", "applied", "penalty"])
-def test_what_agents_learn_from_is_as_the_page_says(start: str, arm: str) -> None:
-    found = read(f"learn_from/{start}/results.json")[arm]
-    on, off = found["with_filter"], found["without"]
-    cells = [
-        arm,
-        f"{100 * on['outcomes']['success']:.1f}",
-        f"{on['metrics']['reward']['iqm']:.3f} ({on['metrics']['reward']['mean']:.3f})",
-        f"{on['metrics']['delta_v_m_s']['iqm']:.1f}",
-        f"{on['corrected_percent']:.1f}",
-        "never" if found["learned_at"] is None else f"{found['learned_at']:,}",
-        f"{100 * off['outcomes']['success']:.1f}",
-        f"{off['violations_percent']:.2f}",
-    ]
-    assert f"| {' | '.join(cells)} |" in text("docs/results/learning.md").splitlines()
-
-
 def test_what_nobody_can_inspect_of_the_satellite_is_as_the_page_says() -> None:
     without = read("chiefs/satellite/report/sunlight.json")["without"]
     results = read("chiefs/satellite/results.json")["arms"]["rta"]
