@@ -51,6 +51,8 @@ def transition(generator: torch.Generator, ending: bool = True, filtered: bool =
         truncated=truncated & ~ended,
         violated=numbers[3:6] < 0.0,
         corrections=[correction(generator) for _ in range(CALLS)] if filtered else [],
+        held=[torch.zeros(6, BATCH)] * CALLS,
+        limit=torch.ones(6, 1),
         outcome=torch.randint(len(OUTCOMES), (BATCH,), generator=generator),
         metrics=numbers[:6] + 3.0,
         violation_steps=torch.zeros(len(NAMES), BATCH, dtype=torch.int64),
