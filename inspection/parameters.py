@@ -140,7 +140,7 @@ class InspectionParameters:
         for name in POSITIVE.split():
             if not 0 < getattr(self, name) < math.inf:
                 raise ValueError(f"{name} = {getattr(self, name)!r}: must be a positive number")
-        for field in fields(self):
+        for field in fields(InspectionParameters):
             value = getattr(self, field.name)
             if isinstance(value, str) or field.name == "observed":
                 continue
@@ -208,6 +208,16 @@ class InspectionParameters:
         return self.deputy_radius + self.chief_radius
 
     @property
+    def planes(self) -> tuple[tuple[float, ...], ...]:
+        """Around the chief where its hull is what to stay clear of, see `inspection.hull`; none: a sphere is."""
+        return ()
+
+    @property
+    def least_distance(self) -> float:
+        """m from the chief's centre at which the deputy touches it, at the nearest."""
+        return self.collision_radius
+
+    @property
     def max_torque(self) -> float:
         """tau_max = min(J domega_max, D dpsi_max) in N m, the smallest over the axes."""
         return min(
@@ -273,6 +283,7 @@ class ChiefParameters:
     rate: tuple[float, float, float] = (0.0, 0.0, 0.0)  # deg/s, at first, about its principal axes
     largest_rate: float = 0.0  # deg/s; above 0 the rate is drawn: any axis, any size up to this
     moments: tuple[float, float, float] = (1.0, 1.0, 1.0)  # principal moments; only their ratios count
+    collision: str = "sphere"  # what to stay clear of: the sphere of chief_radius, or the mesh's convex hull
 
     def __post_init__(self) -> None:
         for name, count in (("attitude", 4), ("rate", 3), ("moments", 3)):
@@ -293,6 +304,12 @@ class ChiefParameters:
         if min(self.moments) <= 0.0 or 2.0 * max(self.moments) > (1.0 + 1e-9) * sum(self.moments):
             raise ValueError(
                 f"moments = {list(self.moments)}: must be positive, and none above the sum of the other two"
+            )
+        if self.collision not in ("sphere", "hull"):
+            raise ValueError(f"collision = {self.collision!r}: must be sphere or hull")
+        if self.collision == "hull" and (not self.mesh or self.turns or self.random_attitude):
+            raise ValueError(
+                "collision = 'hull': must be of a mesh with one attitude, without rate, largest_rate and random_attitude"
             )
 
     @property

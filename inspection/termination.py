@@ -3,6 +3,7 @@
 from torch import Tensor
 
 from inspection.attitude import norm
+from inspection.hull import clearance
 from inspection.parameters import InspectionParameters
 from inspection.state import E, P
 
@@ -12,10 +13,9 @@ OUTCOMES = ("crash", "out_of_bounds", "out_of_power", "success", "timeout")
 
 def failures(x: Tensor, c: InspectionParameters) -> dict[str, Tensor]:
     """The three that end an episode at whatever time they hold, each as (B,) bool for states (16, B)."""
-    distance = norm(x[P])
     return {
-        "crash": distance < c.collision_radius,
-        "out_of_bounds": distance > c.max_distance,
+        "crash": clearance(x[P], c) < 0.0,
+        "out_of_bounds": norm(x[P]) > c.max_distance,
         "out_of_power": x[E] <= 0.0,
     }
 

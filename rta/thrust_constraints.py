@@ -7,11 +7,13 @@ h is the transformed, final form.
 
 import math
 from functools import partial
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
 from inspection.attitude import dot, norm
+from inspection.hull import Planes, planes_of
 from inspection.orbit import coast
 from inspection.parameters import InspectionParameters
 from inspection.state import P, V
@@ -22,6 +24,7 @@ from rta.uncertainty import NOTHING, Uncertainty
 
 PASSES = 13  # grid points per segment of the free flight: at most 12 s apart in the default segments
 LEAST_BRAKING = 0.1  # share of a_max that is left for braking across; `rta.vehicle` refuses who would need it
+GRID, HALVINGS = 5, 10  # beside a hull: points per segment, and by how much they are refined, to 0.1 s
 SEGMENTS = 5  # of the free flight where its infimum is reported
 
 
@@ -89,12 +92,28 @@ def bend(c: InspectionParameters, r: RtaParameters) -> float:
 def collision(c: InspectionParameters, r: RtaParameters, known: Uncertainty = NOTHING) -> Constraint:
     """Safe separation: sqrt(2 a_max (|p| - r_d - r_c)) + v_pr, in m/s, the speed from which braking still suffices.
 
-    The barrier has the a_max of the worst case.
+    The barrier has the a_max of the worst case. Beside a hull it is the largest over planes n . p = b that touch it, of
+    sqrt(2 a_max (n . p - b - r_d)) + n . v: one plane from which braking still suffices is enough. The barrier is that
+    of the best plane now, and h in a period's end can only be more.
     """
 
     def h(x: Tensor, floor: float = 0.0, braking: float = c.max_acceleration) -> Tensor:
+        if c.planes:
+            return beside_planes(x, floor, braking).amax(0)
         distance = norm(x[P]) - c.collision_radius
         return math.sqrt(2 * braking) * signed_sqrt(distance, floor) + radial_speed(x)
+
+    def beside_planes(x: Tensor, floor: float, braking: float, which: Tensor | None = None) -> Tensor:
+        """Of every plane, (planes, ...), or of `which` alone."""
+        planes = planes_of(c, x) if which is None else planes_of(c, x).those(which)
+        height, speed = planes.above(x[P][:, None]), planes.along(x[V][:, None])
+        return math.sqrt(2 * braking) * signed_sqrt(height, floor) + speed
+
+    def barrier(x: Tensor) -> Function:
+        if not c.planes:
+            return lambda y: h(y, floor, least)[None]
+        best = beside_planes(x, floor, least).argmax(0, keepdim=True)
+        return lambda y: beside_planes(y, floor, least, best)
 
     floor, least = chord(c, r, known), known.max_acceleration(c, r)
     return Entry(
@@ -103,7 +122,7 @@ def collision(c: InspectionParameters, r: RtaParameters, known: Uncertainty = NO
         gains=(r.collision_gain,),
         margin=r.collision_margin,
         weight=math.inf,
-        barrier=lambda x: lambda y: h(y, floor, least)[None],
+        barrier=barrier,
         loss=turn(c, r),
     )
 
@@ -178,8 +197,24 @@ def keep_in_zone(c: InspectionParameters, r: RtaParameters, known: Uncertainty =
     )
 
 
+class Passes(NamedTuple):
+    """Where the free flight is nearest to the chief within each time segment.
+
+    Attributes:
+        times: (segments, ...) s; planes: beside a hull one of each segment, (3, segments, ...); None: beside a sphere.
+    """
+
+    times: Tensor
+    planes: Planes | None = None
+
+
+def closest_passes(x: Tensor, segments: tuple[float, ...], c: InspectionParameters) -> Passes:
+    """Of states (16, ...)."""
+    return passes_of_hull(x, segments, c) if c.planes else Passes(closest_times(x, segments, c))
+
+
 def closest_times(x: Tensor, segments: tuple[float, ...], c: InspectionParameters) -> Tensor:
-    """When the free flight is nearest to the chief within each time segment: (16, ...) to (segments, ...) s.
+    """When the free flight is nearest to the chief's centre within each segment: (16, ...) to (segments, ...) s.
 
     The best of a grid, refined by the parabola of |p(t)|^2 through it and its neighbours (exact for a
     straight path, which the path is over two grid steps to a few centimetres).
@@ -198,16 +233,55 @@ def closest_times(x: Tensor, segments: tuple[float, ...], c: InspectionParameter
     return start.reshape(shape) + spacing.reshape(shape) * (centre[:, 0] + offset.clamp(-1.0, 1.0))
 
 
-def clearance_at(x: Tensor, times: Tensor, c: InspectionParameters) -> Tensor:
-    """|p(t)| - r_d - r_c in m after coasting for each of times (k, ...), (16, ...) to (k, ...).
+def passes_of_hull(x: Tensor, segments: tuple[float, ...], c: InspectionParameters) -> Passes:
+    """Of states (16, ...) beside a hull: where the highest of the heights above all planes is lowest.
 
-    With times = `closest_times` its gradient is that of the infimum (envelope theorem).
+    That is convex in time along a straight path. The least of a grid, then halving by the slope of the plane that is
+    the highest, i that falls before and j that rises after. Where they meet, the plane between them that does not rise
+    along the path, l n_i + (1 - l) n_j, bounds all of a straight path, as the plane that touches both would.
     """
-    return norm(coast(x, times, c)) - c.collision_radius
+    edges, every = x.new_tensor(segments), planes_of(c, x)
+    shape = (-1, *(1,) * (x.dim() - 1))
+    start, spacing = (each.reshape(shape) for each in (edges[:-1], edges.diff() / (GRID - 1)))
+
+    def highest(t: Tensor) -> tuple[Tensor, Tensor]:
+        """Height at times (segments, ...) above the highest plane, and which that is."""
+        return every.above(coast(x, t, c)[:, None]).max(0)
+
+    def rise(t: Tensor, planes: Planes) -> Tensor:
+        """m, of each segment's plane within a tenth of a second."""
+        return planes.along(coast(x, t + 0.1, c) - coast(x, t, c))
+
+    grid = torch.stack([highest((start + i * spacing).expand(-1, *x.shape[1:]))[0] for i in range(GRID)])
+    best = grid.argmin(0)
+    low, high = (start + spacing * (best + i).clamp(0, GRID - 1) for i in (-1, 1))
+    for _ in range(HALVINGS):
+        middle = (low + high) / 2
+        rises = rise(middle, every.those(highest(middle)[1])) > 0.0
+        low, high = torch.where(rises, low, middle), torch.where(rises, middle, high)
+    before, after = (every.those(highest(t)[1]) for t in (low, high))
+    falls, rises = -rise(low, before), rise(high, after)
+    share = torch.where(falls + rises > 0.0, rises / (falls + rises), 0.5)  # of the plane before
+    share = torch.where(falls <= 0.0, 1.0, torch.where(rises <= 0.0, 0.0, share))
+    between = Planes(*(share * one + (1.0 - share) * other for one, other in zip(before, after, strict=True)))
+    return Passes(share * low + (1.0 - share) * high, between)
+
+
+def clearance_at(x: Tensor, passes: Passes, c: InspectionParameters) -> Tensor:
+    """|p(t)| - r_d - r_c, or n . p(t) - b - r_d, in m after coasting to each of k passes: (16, ...) to (k, ...).
+
+    With `closest_passes` its gradient is that of the infimum (envelope theorem).
+    """
+    times, planes = passes
+    directions = (1,) * (x.dim() - times.dim())  # that x has before the batch
+    p = coast(x, times.reshape(len(times), *directions, *times.shape[1:]), c)
+    return planes.above(p) if planes else norm(p) - c.collision_radius
 
 
 def passive_safety(c: InspectionParameters, r: RtaParameters, known: Uncertainty = NOTHING) -> Constraint:
     """inf |p(t)| - r_d - r_c in m over the free flight of the next T_f; a row per time segment of it.
+
+    Beside a hull it is the height above the planes around it, see `passes_of_hull`.
 
     Raises:
         ValueError: the segments do not end with T_f.
@@ -220,20 +294,15 @@ def passive_safety(c: InspectionParameters, r: RtaParameters, known: Uncertainty
     reported = tuple(c.passive_safety_horizon * i / SEGMENTS for i in range(SEGMENTS + 1))
 
     def h(x: Tensor) -> Tensor:
-        return clearance_at(x, closest_times(x, reported, c), c).amin(0)
+        return clearance_at(x, closest_passes(x, reported, c), c).amin(0)
 
     segments = r.passive_safety_segments
     if known.holds(r):  # whose end has a horizon of its own
         segments = (*segments[:-1], segments[-1] + known.hold(r))
 
     def barrier(x: Tensor, after: float = 0.0) -> Function:
-        times = closest_times(x, tuple(max(edge - after, 0.0) for edge in segments), c)
-
-        def at_those_times(y: Tensor) -> Tensor:
-            directions = (1,) * (y.dim() - x.dim())  # that y has before the batch
-            return clearance_at(y, times.reshape(-1, *directions, *x.shape[1:]), c)
-
-        return at_those_times
+        passes = closest_passes(x, tuple(max(edge - after, 0.0) for edge in segments), c)
+        return lambda y: clearance_at(y, passes, c)
 
     return Entry(
         "passive_safety",

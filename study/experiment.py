@@ -12,6 +12,7 @@ import torch
 from torch import Tensor
 
 from inspection.environment import InspectionEnv, clocks_of
+from inspection.hull import beside
 from inspection.initial_state import InitialStates
 from inspection.observation import components
 from inspection.state import CONTROL_SIZE
@@ -58,6 +59,7 @@ class Experiment:
 
     Attributes:
         config: with the solver that is used; device; filter.
+        task: `config.inspection`, with the chief's hull where it is that to stay clear of.
         safety: constraints, admissible starts and, if the configuration wants it, the filter.
         filter_compiled, compiled: the filter is compiled; simulator and learner are to be.
         worth_tracing: calls that repay tracing the filter.
@@ -70,6 +72,7 @@ class Experiment:
         check_clocks(config)
         check_chief(config)
         check_cache()
+        self.task = beside(config.inspection, config.chief)
         self.device = resolve_device(config.train.device)
         THREADS.settle()
         self.config = settled(config, batch, self.device)
@@ -78,7 +81,7 @@ class Experiment:
         self.filter_compiled = config.train.rta and wants_compile(choice, calls >= worth_compiling)
         self.compiled = wants_compile(choice, steps >= WORTH_COMPILING_SIMULATOR)
         with refusing("[rta], [inspection] and [uncertainty]", ValueError, OverflowError):
-            self.filter = SafetyFilter(config.inspection, self.config.rta, known=config.uncertainty)
+            self.filter = SafetyFilter(self.task, self.config.rta, known=config.uncertainty)
         with refusing("[plant] and [inspection]", ValueError):
             config.plant.check_body(config.inspection)
         if config.plant.simulator == "basilisk" and not find_spec("Basilisk"):
@@ -121,7 +124,7 @@ class Experiment:
         ):
             env = InspectionEnv(
                 num_envs,
-                self.config.inspection,
+                self.task,
                 generators or self.generators(),
                 self.safety,
                 decide_every,
@@ -176,6 +179,7 @@ def check_chief(config: Config) -> None:
     if config.chief.mesh:
         with refusing("[chief]", ValueError):
             surface(config.chief, config.inspection)
+            beside(config.inspection, config.chief)
 
 
 def check_cache() -> None:

@@ -10,7 +10,7 @@ from functools import reduce
 from pathlib import Path
 from typing import Any
 
-from inspection.parameters import InspectionParameters
+from inspection.parameters import ChiefParameters, InspectionParameters
 from inspection.plant import PlantParameters
 from ppo.distributed import is_first
 from rta.parameters import RtaParameters
@@ -65,8 +65,11 @@ REPORTS = "runs/verification"  # below the working directory: a person's own; th
 
 def relevant(config: Config) -> dict[str, Any]:
     """What the guarantee depends on: values by their names in a configuration file, "[rta] period"."""
-    tables: dict[str, InspectionParameters | RtaParameters | PlantParameters | Uncertainty] = {
+    tables: dict[
+        str, InspectionParameters | ChiefParameters | RtaParameters | PlantParameters | Uncertainty
+    ] = {
         "inspection": config.inspection,
+        "chief": config.chief if config.chief.collision == "hull" else ChiefParameters(),
         "rta": config.rta,
         "plant": PlantParameters() if config.plant.is_nominal else config.plant,
         "uncertainty": config.uncertainty,
@@ -80,8 +83,15 @@ def relevant(config: Config) -> dict[str, Any]:
 
 
 def fingerprint(config: Config) -> str:
-    """Of `relevant`, less a plant that is the model, bounds that are nil and LATER defaults: 12 hexadecimal digits."""
-    nil = {"[plant]": config.plant.is_nominal, "[uncertainty]": config.uncertainty.is_nil}
+    """Of `relevant`, less a plant that is the model, bounds that are nil and LATER defaults: 12 hexadecimal digits.
+
+    The chief counts where its hull is what to stay clear of.
+    """
+    nil = {
+        "[plant]": config.plant.is_nominal,
+        "[uncertainty]": config.uncertainty.is_nil,
+        "[chief]": config.chief.collision == "sphere",
+    }
 
     def counts(name: str, value: Any) -> bool:
         table, _, key = name.partition(" ")

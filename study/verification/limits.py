@@ -25,6 +25,7 @@ from torch import Tensor
 
 from inspection.attitude import cross, dot, norm, turned_by, unit
 from inspection.dynamics import sun_and_earth_in_body
+from inspection.hull import reach
 from inspection.parameters import AXES, InspectionParameters
 from inspection.state import OMEGA, SIZE, THETA_S, E, P, Q, T, V
 from rta.constraints import CONSTRAINTS
@@ -134,10 +135,9 @@ def scales(safety_filter: SafetyFilter) -> list[float]:
 def ends(x: Tensor, generator: torch.Generator, c: InspectionParameters) -> dict[str, Tensor]:
     """Where the moves of states x (16, B) end, beyond a limit: states (16, B) by the name of the move."""
     fastest = 1.1 * (c.docking_speed + c.speed_slope * c.max_distance)
-    there = (c.docking_speed + c.speed_slope * c.collision_radius) / (
-        c.docking_speed + c.speed_slope * norm(x[P])
-    )
     outwards, sun = unit(x[P]), sun_and_earth_in_body(x)[0]
+    nearest = reach(outwards, c)
+    there = (c.docking_speed + c.speed_slope * nearest) / (c.docking_speed + c.speed_slope * norm(x[P]))
     number = torch.rand(7, x.shape[1], generator=generator, dtype=torch.float64).to(x)
     side = 1.1 * (2.0 * number[:6].round() - 1.0)
 
@@ -156,9 +156,7 @@ def ends(x: Tensor, generator: torch.Generator, c: InspectionParameters) -> dict
         )
 
     return {
-        "nearer": but(
-            V, there * x[V], but(P, c.collision_radius * outwards)
-        ),  # as fast, of what is allowed there
+        "nearer": but(V, there * x[V], but(P, nearest * outwards)),  # as fast, of what is allowed there
         "farther": but(P, c.max_distance * outwards),
         "inwards": but(V, -fastest * outwards),
         "outwards": but(V, fastest * outwards),

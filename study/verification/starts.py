@@ -8,6 +8,7 @@ import torch
 from scipy.stats import qmc
 from torch import Tensor
 
+from inspection.hull import reach
 from inspection.initial_state import sample_initial_state, spherical
 from inspection.parameters import InspectionParameters
 from inspection.state import OMEGA, SIZE, THETA_S, E, P, Q, T, V
@@ -33,8 +34,9 @@ def spread(s: Tensor, c: InspectionParameters) -> tuple[Tensor, Tensor]:
     within their limits; directions, attitudes and the Sun's angle are any.
     """
     turn, lean = 2 * math.pi * s, (2 * s - 1).arcsin()  # azimuth, and elevation uniform on the sphere
-    distance = c.collision_radius + (c.max_distance - INSIDE - c.collision_radius) * s[0]
     x = torch.zeros(SIZE, s.shape[1], dtype=torch.float64)
+    nearest = reach(spherical(torch.ones_like(s[0]), turn[1], lean[2]), c)
+    distance = nearest + (c.max_distance - INSIDE - nearest) * s[0]
     x[P] = spherical(distance, turn[1], lean[2])
     x[V] = spherical((c.docking_speed + c.speed_slope * distance) * s[3], turn[4], lean[5])
     # uniform rotations from three uniform numbers (Shoemake 1992)

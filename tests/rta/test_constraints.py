@@ -180,7 +180,7 @@ def approaching(speed: float, miss: float) -> ndarray:
 
 def clearance(x: ndarray, segments: tuple[float, ...] = R.passive_safety_segments) -> ndarray:
     """The constraint's own closest clearance in m per segment."""
-    times = thrust_constraints.closest_times(tensor(x), segments, C)
+    times = thrust_constraints.closest_passes(tensor(x), segments, C)
     return thrust_constraints.clearance_at(tensor(x), times, C).numpy()
 
 

@@ -75,7 +75,7 @@ def test_gains_fall_and_margins_grow_as_the_equations_say() -> None:
         ({"max_thrust": 0.1}, ["0.00833", "natural acceleration", "keep-in zone"]),
         ({"max_thrust": 0.6}, ["dynamic speed limit", "0.0475", "0.049"]),
         ({"max_thrust": 0.75}, ["across at the speed limit", "0.0506", "90%"]),
-        ({"max_thrust": 1.5}, ["in 1 s by up to 0.217 m/s", "half of the limit", "0.316 m/s"]),
+        ({"max_thrust": 1.5}, ["in 1 s by up to 0.217 m/s", "56% of the limit", "0.316 m/s"]),
         ({"inertia": (0.3, 0.3, 0.01), "wheel_inertia": 1e-6}, ["gyroscopic", "at most half"]),
         ({"max_rate": 0.001}, ["max_rate = 0.001", "0.00103", "Sun"]),
         ({"power_draw": 25.0}, ["25 W", "22.7 W"]),
