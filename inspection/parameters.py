@@ -309,7 +309,7 @@ class ChiefParameters:
             raise ValueError(f"collision = {self.collision!r}: must be sphere or hull")
         if self.collision == "hull" and (not self.mesh or self.turns or self.random_attitude):
             raise ValueError(
-                "collision = 'hull': must be of a mesh with one attitude, without rate, largest_rate and random_attitude"
+                "collision = 'hull': must be of a mesh that holds still, without rate, largest_rate and random_attitude"
             )
 
     @property

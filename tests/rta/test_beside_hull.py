@@ -7,7 +7,6 @@ import pytest
 import torch
 from scipy.integrate import solve_ivp
 from scipy.spatial import ConvexHull
-from tests.inspection.test_hull import MESHES, corners, distance, hull_of, some_positions
 
 from inspection.dynamics import step
 from inspection.hull import beside, clearance
@@ -17,6 +16,7 @@ from rta.batched_solver import BatchedSolver
 from rta.filter import SafetyFilter
 from rta.parameters import RtaParameters
 from rta.thrust_constraints import collision, passive_safety
+from tests.inspection.test_hull import MESHES, corners, distance, hull_of, some_positions
 
 PAPER, R = InspectionParameters(), RtaParameters()
 N = PAPER.mean_motion
