@@ -4,6 +4,7 @@ import json
 import math
 import re
 import shlex
+import statistics
 from collections.abc import Iterable, Iterator, Sequence
 from itertools import pairwise
 from pathlib import Path
@@ -820,3 +821,21 @@ def test_what_nobody_can_inspect_of_the_satellite_is_as_the_page_says() -> None:
     results = read("chiefs/satellite/results.json")["arms"]["rta"]
     assert f"satellite's {without} cases of 100 without success" in text("docs/guides/your_own_chief.md")
     assert results["outcomes"]["success"] == 1.0 - without / 100
+
+
+@pytest.mark.parametrize("arm", ["desired", "applied", "penalty"])
+def test_what_agents_learn_from_is_as_the_page_says(arm: str) -> None:
+    found = read("learn_from/results.json")[arm]
+    on, off, at = found["with_filter"], found["without"], found["learned_at"]
+    middle = statistics.median(math.inf if each is None else each for each in at)
+    cells = [
+        arm,
+        f"{100 * on['outcomes']['success']:.1f}",
+        f"{on['metrics']['reward']['iqm']:.3f} ({on['metrics']['reward']['mean']:.3f})",
+        f"{on['metrics']['delta_v_m_s']['iqm']:.1f}",
+        f"{on['corrected_percent']:.1f}",
+        f"{middle:,.0f} ({sum(each is not None for each in at)} of {found['seeds']})",
+        f"{100 * off['outcomes']['success']:.1f}",
+        f"{off['violations_percent']:.2f}",
+    ]
+    assert f"| {' | '.join(cells)} |" in text("docs/results/learning.md").splitlines()

@@ -21,7 +21,7 @@ from study.report.agents import load
 from study.report.flights import evaluate
 
 KEPT = ("reward", "delta_v_m_s", "episode_length_s")
-ENOUGH = 0.99  # of the cases of all seeds, to have learned
+ENOUGH = 0.99  # of a seed's cases, to have learned
 CURVES = {
     "success": "success (%)",
     "reward": "reward",
@@ -57,11 +57,13 @@ def curves(path: Path) -> dict[str, list[Any]]:
     }
 
 
-def learned_at(curve: dict[str, list[Any]]) -> int | None:
-    """Interactions at the first evaluation from which on enough cases succeed; None if they do not at the end."""
-    enough = [np.mean(each) >= 100.0 * ENOUGH for each in curve["success"]]
-    last = max((i for i, fine in enumerate(enough) if not fine), default=-1)
-    return curve["interactions"][last + 1] if last + 1 < len(enough) else None
+def learned_at(curve: dict[str, list[Any]]) -> list[int | None]:
+    """Of each seed, interactions at the first evaluation from which on enough cases succeed; None: not at the end."""
+    found = []
+    for column in np.array(curve["success"]).T:
+        last = max(np.flatnonzero(column < 100.0 * ENOUGH), default=-1)
+        found.append(curve["interactions"][last + 1] if last + 1 < len(column) else None)
+    return found
 
 
 def figure(results: dict[str, Any], path: Path) -> None:
