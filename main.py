@@ -230,7 +230,7 @@ def run_export(checkpoint: str, out: str) -> None:
     with refusing("export needs the packages onnx and onnxruntime of requirements.txt", ImportError):
         from study import export
     policy, config = load_policy(checkpoint)
-    model = export.to_onnx(policy, config.inspection)
+    model = export.to_onnx(policy, config.inspection, config.chief)
     difference = export.check(model, policy)
     with writing(out) as file:
         file.write(model)

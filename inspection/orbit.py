@@ -50,6 +50,17 @@ def turning(theta_s: Tensor, c: InspectionParameters) -> Tensor:
     return torch.full_like(theta_s, c.mean_motion) if c.is_circular else chief_at(theta_s, c).turning
 
 
+def sun_angle_after(theta_s: Tensor, seconds: Tensor | float, c: InspectionParameters) -> Tensor:
+    """The Sun's angle (...) in rad so many s later; by one RK4 step where the orbit is none of a circle."""
+    if c.is_circular:
+        return theta_s - c.mean_motion * seconds
+    k1 = turning(theta_s, c)
+    k2 = turning(theta_s - seconds / 2 * k1, c)
+    k3 = turning(theta_s - seconds / 2 * k2, c)
+    k4 = turning(theta_s - seconds * k3, c)
+    return theta_s - seconds / 6 * (k1 + 2.0 * (k2 + k3) + k4)
+
+
 def natural_acceleration(
     p: Sequence[Tensor], v: Sequence[Tensor], theta_s: Tensor, c: InspectionParameters
 ) -> Vector:

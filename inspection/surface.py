@@ -6,8 +6,10 @@ spacecraft or the Sun is, a point is hidden if they lie inside one of its cones.
 """
 
 import math
+import zlib
 from pathlib import Path
 from typing import Any, NamedTuple
+from zipfile import BadZipFile
 
 import numpy as np
 import torch
@@ -20,7 +22,8 @@ from inspection.parameters import ChiefParameters, InspectionParameters
 from inspection.state import THETA_S, P, Q
 
 ROOT = Path(__file__).parents[1]
-FLAT = 1e-9  # m and m^3, below which a corner does not rise above a point's horizon, and a cone holds nothing
+RISE = 1e-5  # m, by which a corner must rise above a point's horizon to hide anything; float32 files are as exact
+FLAT = 1e-9  # m^3, below which a cone holds nothing
 DIRECTIONS = 512  # from which a point of a mesh is looked at, to leave out those that are never seen
 MOST_TRIANGLES = 20_000
 GROUPS = 4  # of points with about as many cones each, so that few of those that are computed fill up
@@ -61,6 +64,8 @@ def surface(chief: ChiefParameters, c: InspectionParameters, device: torch.devic
         areas = torch.as_tensor(arrays["areas"], dtype=torch.float64)
         if points.shape != normals.shape or points.shape[1:] != areas.shape or len(points) != 3:
             raise ValueError(f"{chief.mesh}: points and normals must be (N, 3) and areas (N,)")
+        if not ((areas >= 0.0).all() and areas.sum() > 0.0 and (norm(normals) > 0.0).all()):
+            raise ValueError(f"{chief.mesh}: areas must not be negative or all zero, normals not zero")
     else:
         points, normals, areas = spread(triangles, c.num_points)
     reach = max(float(norm(each).max()) for each in (points, triangles.flatten(0, 1).T) if each.numel())
@@ -85,12 +90,14 @@ def read(path: str) -> dict[str, Any]:
             with np.load(file, allow_pickle=False) as content:
                 arrays = {name: content[name] for name in content.files}
         elif file.suffix == ".stl":
-            import trimesh  # half a second that who has no such file need not wait
-
+            try:
+                import trimesh  # half a second that who has no such file need not wait
+            except ImportError:
+                raise ValueError("needs trimesh: pip install trimesh") from None
             arrays = {"triangles": np.array(trimesh.load(file, file_type="stl", force="mesh").triangles)}
         else:
             raise ValueError("must end in .npz or .stl")
-    except (OSError, KeyError, EOFError, ValueError, IndexError, TypeError) as error:
+    except (OSError, KeyError, EOFError, ValueError, IndexError, TypeError, BadZipFile, zlib.error) as error:
         raise ValueError(f"mesh = {path!r}: cannot be read: {error}") from None
     arrays.setdefault("triangles", np.zeros((0, 3, 3)))
     known = {name: arrays[name] for name in ("triangles", "points", "normals", "areas") if name in arrays}
@@ -132,6 +139,21 @@ def is_closed(triangles: Tensor) -> bool:
     return bool((there == back).all())
 
 
+def enclosed(points: Tensor, triangles: Tensor) -> Tensor:
+    """(N,) bool: points (3, N) are within a closed mesh or a part of it (Van Oosterom and Strackee 1983).
+
+    The solid angles of its triangles, signed, add up to 4 pi there and to nothing outside.
+    """
+    found = []
+    for some in points.T.split(max(1, AT_ONCE // max(1, len(triangles)))):
+        a, b, c = (triangles[None, :, k] - some[:, None] for k in range(3))
+        la, lb, lc = (each.norm(dim=-1) for each in (a, b, c))
+        volume = (torch.linalg.cross(a, b) * c).sum(-1)
+        below = la * lb * lc + (a * b).sum(-1) * lc + (b * c).sum(-1) * la + (c * a).sum(-1) * lb
+        found.append(2.0 * torch.atan2(volume, below).sum(-1).abs() > 2.0 * math.pi)
+    return torch.cat(found)
+
+
 def hiding(whole: Surface) -> list[Tensor]:
     """Of each point, the planes (3, K, 3) around the cones of the triangles that can hide it.
 
@@ -147,7 +169,7 @@ def hiding(whole: Surface) -> list[Tensor]:
     for some in torch.arange(len(points)).split(max(1, AT_ONCE // max(1, len(triangles)))):
         # corners as seen from the points, (3 corners, k points, F, 3)
         corners = triangles.transpose(0, 1)[:, None] - points[some, None]
-        hides = ((corners * normals[some, None]).sum(-1) > FLAT).any(0)
+        hides = ((corners * normals[some, None]).sum(-1) > RISE).any(0)
         if closed:
             hides &= (corners[0] * outwards).sum(-1) < -FLAT
         a, b, c = corners
@@ -157,6 +179,11 @@ def hiding(whole: Surface) -> list[Tensor]:
         planes = torch.nn.functional.normalize(planes * volume.sign()[..., None], dim=-1)
         found += [planes[:, i, hides[i]] for i in range(len(some))]
     return found
+
+
+def hidden(planes: Tensor, directions: Tensor) -> Tensor:
+    """(k,) bool: directions (3, k) from a point are in one of its cones, their planes (3, K, 3)."""
+    return (planes @ directions > 0.0).all(0).any(0)
 
 
 def grouped(whole: Surface, planes: list[Tensor], keep: Tensor) -> Surface:
@@ -176,14 +203,25 @@ def grouped(whole: Surface, planes: list[Tensor], keep: Tensor) -> Surface:
 
 
 def ever_seen(whole: Surface, name: str) -> Surface:
-    """The surface with its cones, without the points that are hidden from everywhere, as those within it are."""
+    """The surface with its cones, without the points that are hidden from everywhere, as those within it are.
+
+    Those within a part of a closed mesh are left out first: its triangles, looked at from within, hide nothing.
+    """
+    if is_closed(whole.triangles):
+        outside = ~enclosed(whole.points + 1e-4 * whole.normals, whole.triangles)
+        whole = whole._replace(
+            points=whole.points[:, outside], normals=whole.normals[:, outside], areas=whole.areas[outside]
+        )
+    unseen = f"mesh = {name!r}: none of its points can be seen: do its normals point outwards?"
+    if not len(whole.areas):
+        raise ValueError(unseen)
     planes = hiding(whole)
     far = fibonacci_sphere(DIRECTIONS)
     above = (whole.normals.T @ far) > 0.0
-    free = [~(each @ far > 0.0).all(0).any(0) for each in planes]
+    free = [~hidden(each, far) for each in planes]
     seen = (above & torch.stack(free)).any(1)
     if not seen.any():
-        raise ValueError(f"mesh = {name!r}: none of its points can be seen: do its normals point outwards?")
+        raise ValueError(unseen)
     return grouped(whole, planes, seen)
 
 

@@ -8,7 +8,7 @@ from torch import Tensor
 from inspection.attitude import quaternion_rate, rate_in_hill, unit
 from inspection.dynamics import euler
 from inspection.initial_state import spherical
-from inspection.orbit import turning
+from inspection.orbit import sun_angle_after, turning
 from inspection.parameters import ChiefParameters, InspectionParameters
 from inspection.plant import uniform
 
@@ -82,7 +82,8 @@ class Tumbling:
         """A motion (8, B) at another time (B,) in s; what is not given a rate stays as it is in Hill's frame."""
         seconds = time - motion[TIME]
         steps = math.ceil(float(seconds.abs().max()) * self.fastest / ANGLE)
-        turns = turning(theta_s, self.c) if self.c.hill_rotation else None
+        middle = sun_angle_after(theta_s, -seconds / 2, self.c)  # where Hill's frame turns as in the mean
+        turns = turning(middle, self.c) if self.c.hill_rotation else None
         y = motion[: RATE.stop]
         for _ in range(steps):
             y = self.step(y, seconds / steps, turns)

@@ -37,8 +37,9 @@ from torch import Tensor
 
 from inspection.attitude import norm, quaternion_rate, rotation_matrix
 from inspection.dynamics import step
+from inspection.orbit import turning
 from inspection.parameters import InspectionParameters
-from inspection.state import CONTROL_SIZE, OMEGA, THRUST, TORQUE, P, Q, V
+from inspection.state import CONTROL_SIZE, OMEGA, THETA_S, THRUST, TORQUE, P, Q, V
 from rta.constraints import Constraint
 from rta.lie_derivatives import Function, directional
 from rta.parameters import RtaParameters
@@ -336,7 +337,7 @@ class Maps(NamedTuple):
     def coriolis(self, velocity: Tensor) -> Tensor:
         """Derivatives (R, 3, B) by velocity to those by what Hill's turning frame adds to it in a second."""
         x, y, z = velocity.unbind(1)
-        return 2 * self.c.mean_motion * torch.stack((-y, x, torch.zeros_like(z)), 1)
+        return 2 * turning(self.x[THETA_S], self.c) * torch.stack((-y, x, torch.zeros_like(z)), 1)
 
     def by_control(self, by_end: Tensor, held_by: str, coupled: bool) -> Tensor:
         """Derivatives along `directions` at the moment to those by controls, (R, m, B)."""

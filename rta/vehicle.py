@@ -119,8 +119,8 @@ def check(c: InspectionParameters, period: float | None = None) -> None:
     if gained > MOST_GAINED * slowest:
         raise ValueError(
             f"max_thrust = {c.max_thrust:g}, mass = {c.mass:g}: change the speed in {period:g} s by up to {gained:.3g} "
-            f"m/s: must be at most {MOST_GAINED:.0%} of the limit beside the chief, {slowest:.3g} m/s: lower max_thrust "
-            "or raise docking_speed"
+            f"m/s: must be at most {MOST_GAINED:.0%} of the limit beside the chief, {slowest:.3g} m/s: lower max_thrust"
+            " or raise docking_speed"
         )
     gyroscopic = max(
         abs(rate) * moment

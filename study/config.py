@@ -28,7 +28,6 @@ from study.errors import InputError, refusing
 
 MAX_COUNT = 10**12
 LEARN_FROM = ("desired", "applied", "penalty")
-PENALTY = -0.003  # [inspection] correction_reward that "penalty" comes with where there is none; the study's
 MAX_SEEDS = 1000  # of a study; they share the memory
 Tables = dict[str, dict[str, Any]]
 # The paper's: by name, in what an arm of a study differs from the study's own tables. More are in a file's [arms].
@@ -140,11 +139,6 @@ class Config:
     plant: PlantParameters = field(default_factory=PlantParameters)
     uncertainty: Uncertainty = field(default_factory=Uncertainty)
 
-    def __post_init__(self) -> None:
-        if self.train.learn_from == "penalty" and not self.inspection.correction_reward:
-            priced = dataclasses.replace(self.inspection, correction_reward=PENALTY)
-            object.__setattr__(self, "inspection", priced)
-
     def to_toml(self) -> str:
         """The complete configuration as TOML text that `from_toml` reads back, each key with its source's comments."""
         parts = {part.name: getattr(self, part.name) for part in dataclasses.fields(self)}
@@ -181,7 +175,6 @@ class StudyConfig(Config):
     arms: Arms = field(default_factory=Arms)
 
     def __post_init__(self) -> None:
-        super().__post_init__()
         if self.train.seed + self.study.seeds > 2**63:
             raise InputError(f"[train] seed = {self.train.seed}: too large for {self.study.seeds} seeds")
         known = {**ARMS, **self.arms}

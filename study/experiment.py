@@ -15,6 +15,7 @@ from inspection.environment import InspectionEnv, clocks_of
 from inspection.hull import beside
 from inspection.initial_state import InitialStates
 from inspection.observation import components
+from inspection.parameters import InspectionParameters
 from inspection.state import CONTROL_SIZE
 from inspection.surface import surface
 from ppo import checkpoint
@@ -46,6 +47,7 @@ WORTH_BATCHING = 32
 # what "free_flight" in `observed` depends on
 OF_FREE_FLIGHT = ("passive_safety_horizon", "free_flight_horizon", "deputy_radius", "chief_radius")
 
+PENALTY = -0.003  # [inspection] correction_reward that "penalty" comes with; the study's
 LARGEST_WEIGHT = 1e3  # of a policy; training leaves weights of 2 at most
 
 
@@ -59,7 +61,7 @@ class Experiment:
 
     Attributes:
         config: with the solver that is used; device; filter.
-        task: `config.inspection`, with the chief's hull where it is that to stay clear of.
+        task: `priced`, with the chief's hull where it is that to stay clear of.
         safety: constraints, admissible starts and, if the configuration wants it, the filter.
         filter_compiled, compiled: the filter is compiled; simulator and learner are to be.
         worth_tracing: calls that repay tracing the filter.
@@ -72,7 +74,7 @@ class Experiment:
         check_clocks(config)
         check_chief(config)
         check_cache()
-        self.task = beside(config.inspection, config.chief)
+        self.task = beside(priced(config), config.chief)
         self.device = resolve_device(config.train.device)
         THREADS.settle()
         self.config = settled(config, batch, self.device)
@@ -172,6 +174,13 @@ def check_clocks(
     c, period = config.inspection, config.rta.period if config.train.rta else None
     with refusing(where, ValueError):
         clocks_of(c, period, decide_every, report_every).count(duration or c.action_period)
+
+
+def priced(config: Config) -> InspectionParameters:
+    """The task with a price on corrections where the agent is to learn from one and none is set."""
+    c = config.inspection
+    wanted = config.train.learn_from == "penalty" and not c.correction_reward
+    return replace(c, correction_reward=PENALTY) if wanted else c
 
 
 def check_chief(config: Config) -> None:

@@ -10,7 +10,7 @@ import torch
 from onnx import NodeProto, TensorProto, helper, numpy_helper
 
 from inspection.observation import Component, components
-from inspection.parameters import InspectionParameters
+from inspection.parameters import ChiefParameters, InspectionParameters
 from inspection.state import CONTROL_SIZE, CONTROLS
 from ppo.network import Policy
 from study.errors import ExportError
@@ -21,12 +21,12 @@ SAMPLES = 1000  # observations of the check
 TOLERANCE = 1e-5
 
 
-def to_onnx(policy: Policy, c: InspectionParameters) -> bytes:
+def to_onnx(policy: Policy, c: InspectionParameters, chief: ChiefParameters) -> bytes:
     """The network of a policy of one seed, written layer by layer: its mean action, as `Policy.mean_action`.
 
     The input `observation` (batch, 26; as many as observed) and the output `control` (batch, 6) are float32 and divided
-    by their scales. The metadata hold both components' names, units and scales as JSON lists, [inspection] of the
-    training, and action_period, in s.
+    by their scales. The metadata hold both components' names, units and scales as JSON lists, [inspection] and [chief]
+    of the training, and action_period, in s.
     """
     layers = list(policy.network.layers)
     weights, nodes = [], []
@@ -49,7 +49,7 @@ def to_onnx(policy: Policy, c: InspectionParameters) -> bytes:
     ]
     graph = helper.make_graph(nodes, "policy", batches[:1], batches[1:], weights)
     model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", OPSET)], ir_version=IR_VERSION)
-    helper.set_model_props(model, metadata(c))
+    helper.set_model_props(model, metadata(c, chief))
     onnx.checker.check_model(model, full_check=True)
     return model.SerializeToString()
 
@@ -71,7 +71,7 @@ def shaping(policy: Policy) -> tuple[list[NodeProto], list[TensorProto]]:
     return [helper.make_node(kind, given, [result]) for kind, given, result in steps], constants
 
 
-def metadata(c: InspectionParameters) -> dict[str, str]:
+def metadata(c: InspectionParameters, chief: ChiefParameters) -> dict[str, str]:
     """What a file says of its numbers: component = number * scale, in unit."""
     controls = [
         Component(name, "N" if name.startswith("thrust") else "N m", limit)
@@ -81,6 +81,7 @@ def metadata(c: InspectionParameters) -> dict[str, str]:
         "observation": json.dumps([component._asdict() for component in components(c.observed)]),
         "control": json.dumps([component._asdict() for component in controls]),
         "inspection": json.dumps(asdict(c)),
+        "chief": json.dumps(asdict(chief)),
         "action_period": json.dumps(c.action_period),
     }
 

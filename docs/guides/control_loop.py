@@ -9,6 +9,7 @@ runs in ONNX Runtime, the filter in PyTorch, both on one thread.
 
 import json
 from dataclasses import replace
+from typing import TypeVar
 
 import numpy as np
 import onnxruntime
@@ -16,11 +17,15 @@ import torch
 from torch import Tensor
 
 from inspection.environment import InspectionEnv
-from inspection.parameters import InspectionParameters
+from inspection.hull import beside
+from inspection.parameters import ChiefParameters, InspectionParameters
 from rta.filter import SafetyFilter
 from rta.parameters import RtaParameters
 from study.benchmark.timing import Stopwatch
 from study.command_line.flags import Parser, positive_integer
+
+TABLES = (("inspection", InspectionParameters), ("chief", ChiefParameters))
+Constants = TypeVar("Constants", InspectionParameters, ChiefParameters)
 
 
 def load(path: str) -> onnxruntime.InferenceSession:
@@ -28,8 +33,8 @@ def load(path: str) -> onnxruntime.InferenceSession:
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = options.inter_op_num_threads = 1
     session = onnxruntime.InferenceSession(path, options, providers=["CPUExecutionProvider"])
-    if "inspection" not in session.get_modelmeta().custom_metadata_map:
-        raise ValueError("not an agent that main.py export wrote")
+    if not {"inspection", "chief"} <= session.get_modelmeta().custom_metadata_map.keys():
+        raise ValueError("not an agent that main.py export wrote, or that an older version did")
     return session
 
 
@@ -49,6 +54,7 @@ def control_loop(
         safety,
         decide_every=json.loads(about["action_period"]),
         report_every=1.0,
+        target=constants(session, "chief", ChiefParameters),
     )
     env.reset()
 
@@ -62,10 +68,10 @@ def control_loop(
     return watch.calls, sum(bool(each.any()) for each in violated)
 
 
-def constants(session: onnxruntime.InferenceSession) -> InspectionParameters:
+def constants(session: onnxruntime.InferenceSession, name: str, kind: type[Constants]) -> Constants:
     """Those that the agent was trained with, on which its observations depend, too."""
-    table = json.loads(session.get_modelmeta().custom_metadata_map["inspection"])
-    return InspectionParameters(**{k: tuple(v) if isinstance(v, list) else v for k, v in table.items()})
+    table = json.loads(session.get_modelmeta().custom_metadata_map[name])
+    return kind(**{k: tuple(v) if isinstance(v, list) else v for k, v in table.items()})
 
 
 def main(argv: list[str] | None = None) -> None:
@@ -81,7 +87,8 @@ def main(argv: list[str] | None = None) -> None:
     except Exception as error:  # ONNX Runtime's have nothing else in common
         parser.error(f"{arguments.policy}: {str(error).splitlines()[0]}")
     torch.set_num_threads(1)
-    safety_filter = SafetyFilter(constants(session), RtaParameters())
+    task = beside(*(constants(session, *each) for each in TABLES))
+    safety_filter = SafetyFilter(task, RtaParameters())
     if arguments.compile:
         safety_filter.compile("cpu", 1)
     control_loop(session, safety_filter, 2)  # the first calls take longer

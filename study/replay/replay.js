@@ -57,7 +57,8 @@ function moving(run, row) {
   const points = { inspected: [], lit: [], dark: [] };
   run.normals.forEach((normal, i) => {
     const inspected = run.inspected[i] !== null && run.inspected[i] <= run.time[row];
-    const kind = inspected ? "inspected" : inner(ofChief(run, row, normal), sun) > 0 ? "lit" : "dark";
+    const lit = inner(ofChief(run, row, normal), sun) > 0 && !(run.shaded && run.shaded[row].includes(i));
+    const kind = inspected ? "inspected" : lit ? "lit" : "dark";
     points[kind].push(ofChief(run, row, run.points[i]));
   });
   const stride = Math.ceil(run.position.length / MAX_PATH);

@@ -8,9 +8,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
 
+from inspection import attitude
 from inspection.chief import fibonacci_sphere
+from inspection.dynamics import sun_direction
 from inspection.parameters import InspectionParameters
+from inspection.surface import Surface, hidden, hiding
 from rta.constraints import CONSTRAINTS
 from study import config as configuration
 from study.errors import InputError
@@ -137,6 +141,7 @@ def chief(run: Replayed, episode: Episode) -> dict[str, Any]:
             "normals": normals,
             "corners": None,
             "chief_axes": None,
+            "shaded": None,
         }
     triangles = run.episode["chief_triangles"]
     return {
@@ -144,7 +149,21 @@ def chief(run: Replayed, episode: Episode) -> dict[str, Any]:
         "normals": run.episode["chief_normals"],
         "corners": triangles.reshape(-1, 3) if len(triangles) else None,
         "chief_axes": axes(episode["chief_attitude"]),
+        "shaded": shaded(run, episode) if len(triangles) else None,
     }
+
+
+def shaded(run: Replayed, episode: Episode) -> list[list[int]]:
+    """Of each row, the points that the mesh keeps in the dark."""
+    points, normals, triangles = (
+        torch.as_tensor(run.episode[f"chief_{name}"]) for name in ("points", "normals", "triangles")
+    )
+    sun = sun_direction(torch.as_tensor(episode["sun_angle"]))
+    to_chief = attitude.conjugate(torch.as_tensor(episode["chief_attitude"]).T)
+    sun = attitude.rotate(to_chief, sun)
+    planes = hiding(Surface(points.T, normals.T, torch.ones(len(points)), triangles))
+    dark = torch.stack([hidden(each, sun) for each in planes])
+    return [row.nonzero().flatten().tolist() for row in dark.T]
 
 
 def interventions(episode: Episode, program: int) -> list[list[float]]:

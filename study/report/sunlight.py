@@ -9,6 +9,7 @@ from inspection.attitude import conjugate, rotate
 from inspection.chief import point_weights
 from inspection.dynamics import sun_direction
 from inspection.initial_state import uniform
+from inspection.orbit import sun_angle_after
 from inspection.parameters import ChiefParameters, InspectionParameters
 from inspection.state import THETA_S
 from inspection.surface import light, surface
@@ -37,9 +38,11 @@ def earliest_success(
     weights = point_weights(whole.normals, priority, whole.areas)
     lit = torch.zeros_like(weights, dtype=torch.bool)
     earliest = torch.full_like(theta_s, torch.inf)
+    angle = theta_s
     for step in range(round(c.max_time / c.action_period) + 1):
         time = step * c.action_period
-        angle = theta_s - c.mean_motion * time
+        if step:
+            angle = sun_angle_after(angle, c.action_period, c)
         tumbling.at(torch.full_like(theta_s, time), angle)
         lit |= light(whole, rotate(conjugate(tumbling.attitude), sun_direction(angle)).float()) > 0.0
         enough = (weights * lit).sum(0) >= c.success_score

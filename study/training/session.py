@@ -62,6 +62,12 @@ def start(config: Config, directory: Path, init_from: Path | None = None) -> Run
     Args:
         init_from: the file of an agent to start from, policy.pt or checkpoint.pt; None: from chance.
     """
+    train = config.train
+    if not train.rta and train.learn_from != "desired":
+        raise InputError(
+            f"--learn-from ([train] learn_from) {train.learn_from}: without the filter what is applied is what was "
+            "desired: must be desired"
+        )
     config = settled_for_a_seed(config)
     check_clocks(config)
     check_minibatch(config)

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from inspection.attitude import rate_in_hill
 from inspection.dynamics import drift, integrate
-from inspection.orbit import chief_at, closest_pass, coast, free_flight, two_body
+from inspection.orbit import chief_at, closest_pass, coast, free_flight, sun_angle_after, two_body
 from inspection.orbit import kepler as orbit_after
 from inspection.parameters import InspectionParameters
 from inspection.state import OMEGA, SIZE, THETA_S, P, Q, V
@@ -39,6 +39,21 @@ def clearance_by_brute_force(p, v, horizon, spacing):
         nearest = np.minimum(nearest, np.linalg.norm(state[:3], axis=0))
         state = propagate @ state
     return nearest
+
+
+@pytest.mark.parametrize("eccentricity", ECCENTRIC)
+def test_the_suns_angle_falls_by_the_true_anomaly(eccentricity: float) -> None:
+    """In steps of 10 s over an orbit, by Kepler's equation E - e sin E = n t."""
+    c = InspectionParameters(orbit="two-body", eccentricity=eccentricity, sun_from_perigee=0.4)
+    angle = torch.tensor([0.4]).double()  # at perigee
+    for step in range(1, 601):
+        angle = sun_angle_after(angle, 10.0, c)
+        anomaly = brentq(lambda E, t=10.0 * step: E - eccentricity * math.sin(E) - N * t, 0.0, 8.0)
+        true = 2 * math.atan2(
+            math.sqrt(1 + eccentricity) * math.sin(anomaly / 2),
+            math.sqrt(1 - eccentricity) * math.cos(anomaly / 2),
+        )
+        assert abs(math.remainder(0.4 - true - angle.item(), 2 * math.pi)) < 1e-8
 
 
 def test_free_flight_is_the_matrix_exponential(c, random_states):

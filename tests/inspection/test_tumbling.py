@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from inspection.attitude import rotate
 from inspection.environment import InspectionEnv
+from inspection.orbit import sun_angle_after
 from inspection.parameters import OBSERVABLE, OBSERVED, ChiefParameters, InspectionParameters
 from inspection.state import SIZE, THETA_S, P, Q
 from inspection.tumbling import ATTITUDE, RATE, Tumbling
@@ -51,6 +52,20 @@ def test_a_chief_tumbles_as_an_adaptive_integrator_has_it(hill_rotation: bool) -
     apart = Rotation.from_quat(motion[ATTITUDE].numpy()) * Rotation.from_quat(end[:4]).inv()
     assert apart.magnitude() < 1e-5  # rad
     np.testing.assert_allclose(motion[RATE], end[4:], atol=1e-8)
+
+
+@pytest.mark.parametrize("every", [5.0, 10.0])
+def test_on_an_eccentric_orbit_hills_frame_turns_as_it_does(every: float) -> None:
+    """A chief that hardly turns among the stars, through perigee, where Hill's frame is the fastest."""
+    c = InspectionParameters(orbit="two-body", eccentricity=0.3, hill_rotation=True)
+    tumbling = started(ChiefParameters(rate=(1e-9, 0.0, 0.0)), c)
+    theta, start = torch.tensor([0.5]).double(), 0.5
+    for k in range(1, round(600 / every) + 1):
+        theta = sun_angle_after(theta, every, c)
+        tumbling.at(torch.tensor([k * every]).double(), theta)
+    expected = Rotation.from_rotvec([0.0, 0.0, theta.item() - start])  # the stars in Hill's frame, as the Sun
+    apart = Rotation.from_quat(tumbling.attitude[:, 0].numpy()) * expected.inv()
+    assert abs(theta.item() - start) > 0.8 and apart.magnitude() < 1e-5
 
 
 def product(p: np.ndarray, q: np.ndarray) -> np.ndarray:
@@ -98,8 +113,10 @@ def test_episodes_draw_their_own_chiefs_again_the_same() -> None:
     assert rotate(motion[ATTITUDE], torch.eye(3).double()[:, :1].expand(3, 4000)).mean(1).abs().max() < 0.05
 
 
-def looking(chief: ChiefParameters, c: InspectionParameters = C, batch: int = 8) -> InspectionEnv:
-    env = InspectionEnv(batch, c, [torch.Generator().manual_seed(1)], target=chief)
+def looking(
+    chief: ChiefParameters, c: InspectionParameters = C, batch: int = 8, seed: int = 1
+) -> InspectionEnv:
+    env = InspectionEnv(batch, c, [torch.Generator().manual_seed(seed)], target=chief)
     env.reset()
     return env
 
@@ -140,24 +157,38 @@ def test_what_turns_past_the_camera_comes_to_be_inspected() -> None:
 
 
 def test_the_agent_may_observe_how_the_chief_turns() -> None:
-    chief = ChiefParameters(rate=(0.0, 0.0, 1.0), attitude=(0.0, 0.0, 0.5, 0.5))
+    """Its x and y axes and its rate, as the deputy's body has them."""
+    chief = ChiefParameters(rate=(0.3, -0.5, 1.0), attitude=(0.1, 0.2, 0.5, 0.7))
     own = looking(chief, InspectionParameters(observed=(*OBSERVED, "chief")))
     assert own.observation().shape == (8, 26 + 9)
-    body = torch.cat((-own.x[Q][:3], own.x[Q][3:]))
-    ahead = rotate(
-        body, torch.tensor([0.0, 1.0, 0.0]).double()[:, None].expand(3, 8)
-    )  # its x axis lies along y
-    torch.testing.assert_close(own.observation()[:, 26:29].double(), ahead.T, rtol=0.0, atol=1e-6)
-    up = rotate(body, torch.tensor([0.0, 0.0, math.radians(1.0) / 0.035]).double()[:, None].expand(3, 8))
-    torch.testing.assert_close(own.observation()[:, 32:].double(), up.T, rtol=0.0, atol=1e-6)
+    to_hill = Rotation.from_quat(chief.attitude)
+    rate = np.radians(chief.rate) / 0.035
+    for i in range(8):
+        to_body = Rotation.from_quat(own.x[Q, i].numpy()).inv() * to_hill
+        expected = [to_body.apply(each) for each in ([1.0, 0.0, 0.0], [0.0, 1.0, 0.0], rate)]
+        np.testing.assert_allclose(own.observation()[i, 26:], np.concatenate(expected), atol=1e-6)
     assert "chief" in OBSERVABLE and own.step(torch.zeros(8, 6)).observation.shape == (8, 35)
+
+
+def test_a_new_episode_has_a_chief_of_its_own_from_its_beginning() -> None:
+    chief = ChiefParameters(random_attitude=True, largest_rate=1.0)
+    env = looking(chief, InspectionParameters(max_time=30.0))
+    before = env.tumbling.motion.clone()
+    for _ in range(3):
+        transition = env.step(torch.zeros(8, 6))
+    assert transition.truncated.all()
+    after = env.tumbling.motion
+    assert (after[-1] == 0.0).all() and (after[:-1] != before[:-1]).any(0).all()
+    env.step(torch.zeros(8, 6))
+    assert (env.tumbling.motion[-1] == 10.0).all()
 
 
 def test_a_run_with_a_turning_chief_goes_on_bit_for_bit() -> None:
     chief = ChiefParameters(random_attitude=True, largest_rate=1.0)
-    env, other = looking(chief), looking(chief)
+    env, other = looking(chief), looking(chief, seed=7)
     for _ in range(3):
         env.step(torch.zeros(8, 6))
+    assert not torch.equal(env.tumbling.motion, other.tumbling.motion)
     other.load_state_dict(env.state_dict())
     other.starts[0].generator.set_state(env.starts[0].generator.get_state())
     one, two = (each.step(torch.ones(8, 6)) for each in (env, other))

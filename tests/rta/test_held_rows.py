@@ -4,6 +4,7 @@ Where worlds are drawn they are `inspection.plant`'s, whose own tests stand in t
 """
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -14,7 +15,7 @@ from scipy.integrate import cumulative_trapezoid, solve_ivp
 from torch import Tensor
 
 from inspection.attitude import norm, rotation_matrix, turned_by
-from inspection.dynamics import step
+from inspection.dynamics import integrate, step
 from inspection.parameters import InspectionParameters
 from inspection.plant import Plant, PlantParameters
 from inspection.state import OMEGA, THRUST, TORQUE, P, Q, V
@@ -171,6 +172,26 @@ def test_a_rows_slope_is_the_finite_difference(by: str, period: float) -> None:
             scale = max(np.abs(slope).max(), 1e-3)
             within = (1e-4 + C.mean_motion * period) * scale
             np.testing.assert_allclose(rows.a[row, j].numpy(), slope, rtol=0, atol=within)
+
+
+@pytest.mark.parametrize("eccentricity", [0.0, 0.3])
+def test_a_slope_has_the_turn_of_hills_frame_where_the_chief_is(eccentricity: float) -> None:
+    """That of v_max^2 - v_i^2 by the thrust of 10 s, at perigee and at apogee, to a share of (n t)^2."""
+    c = replace(C, orbit="two-body", eccentricity=eccentricity, saturate_rates=False)
+    held = group("thrust", 10.0, c, saturates_rates=False)
+    x, u = tensor(some_states(2, seed=1)), tensor(some_controls(2, seed=1))
+    x[15] = torch.tensor([0.0, math.pi]).double()
+    a, shift = rows_at(held, x, u).a, 1e-3 * torch.eye(6).double()
+    for j in range(3):
+        more, less = (integrate(x, u + sign * shift[:, [j]], 1.0, c, 10) for sign in (1, -1))
+        slope = (less[V] ** 2 - more[V] ** 2) / 2e-3 / 10.0
+        rows = [
+            row
+            for row, (name, _) in enumerate(places(held))
+            if name.startswith("velocity") and row % len(held.moments) == len(held.moments) - 1
+        ]
+        within = 5e-4 * slope.abs().amax(0)
+        assert ((a[rows, j] - slope).abs() < within).all()
 
 
 # what rows take off for worlds that are not the model

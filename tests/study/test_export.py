@@ -13,7 +13,7 @@ import torch
 import main
 from inspection.environment import InspectionEnv
 from inspection.observation import observe
-from inspection.parameters import InspectionParameters
+from inspection.parameters import ChiefParameters, InspectionParameters
 from ppo.network import Policy
 from study import export
 from study.config import Config, override
@@ -45,7 +45,9 @@ def session_of(model: bytes) -> onnxruntime.InferenceSession:
 def test_any_batch_is_answered_as_by_pytorch(batch: int, shape: dict[str, float]) -> None:
     policy = untrained(0, **shape)
     observation = torch.randn(batch, 26, generator=torch.Generator().manual_seed(1))
-    (control,) = session_of(export.to_onnx(policy, C)).run(None, {"observation": observation.numpy()})
+    (control,) = session_of(export.to_onnx(policy, C, ChiefParameters())).run(
+        None, {"observation": observation.numpy()}
+    )
     assert control.dtype == np.float32 and control.shape == (batch, 6)
     assert np.abs(control).max() > 0.5
     np.testing.assert_allclose(control, policy.mean_action(observation[None])[0], atol=1e-5)
@@ -53,7 +55,7 @@ def test_any_batch_is_answered_as_by_pytorch(batch: int, shape: dict[str, float]
 
 def test_metadata_lead_from_a_state_to_newtons(random_states) -> None:
     """Observed in physical units and scaled as the file says, a state gets the control that a simulation gives it."""
-    policy, session = untrained(0), session_of(export.to_onnx(untrained(0), C))
+    policy, session = untrained(0), session_of(export.to_onnx(untrained(0), C, ChiefParameters()))
     about = {key: json.loads(text) for key, text in session.get_modelmeta().custom_metadata_map.items()}
     assert about["action_period"] == 10.0
     env = InspectionEnv(5, C, [torch.Generator().manual_seed(0)])
@@ -69,7 +71,7 @@ def test_metadata_lead_from_a_state_to_newtons(random_states) -> None:
 def test_metadata_lead_to_what_the_agent_observed(random_states) -> None:
     """Also where that depends on horizons and radii of its training, which are not the paper's."""
     c = replace(C, observed=("position", "free_flight"), free_flight_horizon=6000.0, deputy_radius=3.0)
-    about = export.metadata(c)
+    about = export.metadata(c, ChiefParameters())
     table = {k: tuple(v) if isinstance(v, list) else v for k, v in json.loads(about["inspection"]).items()}
     x, rest = random_states(5), [torch.zeros(3, 5).double()] * 2 + [torch.zeros(5).double()]
     seen = observe(x, *rest, InspectionParameters(**table))
@@ -78,8 +80,14 @@ def test_metadata_lead_to_what_the_agent_observed(random_states) -> None:
     assert not torch.equal(seen, observe(x, *rest, replace(C, observed=c.observed)))
 
 
+def test_metadata_lead_to_the_chief_that_the_agent_inspected() -> None:
+    chief = ChiefParameters(mesh="configs/chiefs/box.npz", rate=(0.0, 0.1, 0.0), collision="sphere")
+    table = json.loads(export.metadata(C, chief)["chief"])
+    assert ChiefParameters(**{k: tuple(v) if isinstance(v, list) else v for k, v in table.items()}) == chief
+
+
 def test_metadata_name_every_component() -> None:
-    about = export.metadata(C)
+    about = export.metadata(C, ChiefParameters())
     observed, commanded = json.loads(about["observation"]), json.loads(about["control"])
     assert [len(observed), len(commanded)] == [26, 6]
     assert observed[0] == {"name": "position_norm", "unit": "m", "scale": 100.0}
@@ -91,7 +99,7 @@ def test_metadata_name_every_component() -> None:
 @pytest.mark.parametrize("flaw", [1e-3, float("nan")])
 def test_another_network_is_not_passed(flaw: float) -> None:
     policy = untrained(0)
-    model = export.to_onnx(policy, C)
+    model = export.to_onnx(policy, C, ChiefParameters())
     assert export.check(model, policy) <= 1e-5
     policy.network.layers[1].weight.data[0, 3, 5] += flaw
     with pytest.raises(ExportError, match="differ"):
@@ -104,7 +112,7 @@ def test_a_difference_ends_in_one_line_and_exit_code_1(
     policy, config = load_policy(SHIPPED)
     for weight in policy.parameters():
         weight.data *= 1.01
-    other = export.to_onnx(policy, config.inspection)
+    other = export.to_onnx(policy, config.inspection, config.chief)
     monkeypatch.setattr(export, "to_onnx", lambda *_: other)
     out = tmp_path / "policy.onnx"
     code, _, err = call(["export", "--checkpoint", str(SHIPPED), "--out", str(out)], capsys)
