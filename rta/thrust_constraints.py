@@ -281,7 +281,9 @@ def clearance_at(x: Tensor, passes: Passes, c: InspectionParameters) -> Tensor:
 def passive_safety(c: InspectionParameters, r: RtaParameters, known: Uncertainty = NOTHING) -> Constraint:
     """inf |p(t)| - r_d - r_c in m over the free flight of the next T_f; a row per time segment of it.
 
-    Beside a hull it is the height above the planes around it, see `passes_of_hull`.
+    Beside a hull it is the height above the planes around it, see `passes_of_hull`. A control of a second turns a slow
+    flight by much, from one corner of the hull to another. The row of the one, with n . dv t >= -alpha(h), lets the
+    other lose as much times the ratio of their times, which segments that double bound.
 
     Raises:
         ValueError: the segments do not end with T_f.
@@ -297,6 +299,8 @@ def passive_safety(c: InspectionParameters, r: RtaParameters, known: Uncertainty
         return clearance_at(x, closest_passes(x, reported, c), c).amin(0)
 
     segments = r.passive_safety_segments
+    if c.planes:
+        segments = (0.0, *(segments[1] / k for k in (8, 4, 2)), *segments[1:])
     if known.holds(r):  # whose end has a horizon of its own
         segments = (*segments[:-1], segments[-1] + known.hold(r))
 

@@ -1,16 +1,19 @@
 """Meshes: where their points are, and what hides them, against rays cast one by one."""
 
+import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
+import trimesh
+from scipy.spatial.transform import Rotation
 
 from inspection import chief
 from inspection.attitude import random_quaternion, rotate
 from inspection.parameters import ChiefParameters, InspectionParameters
 from inspection.state import SIZE, THETA_S, P, Q
-from inspection.surface import is_closed, margins, surface
+from inspection.surface import clear, is_closed, light, margins, surface
 
 ROOT = Path(__file__).parents[2]
 MESHES = ("configs/chiefs/box.npz", "configs/chiefs/satellite.stl")
@@ -114,15 +117,52 @@ def test_an_open_mesh_hides_from_both_sides(tmp_path) -> None:
             areas=[1.0],
         )
         whole = surface(ChiefParameters(mesh=str(tmp_path / f"{name}.npz")), C)
-        x, fixed = some_states(2)[0], torch.tensor([[0.0], [0.0], [0.0], [1.0]]).double().expand(4, 2)
-        # from straight above it is hidden, from aside it is not
-        x[P] = torch.tensor([[0.0, 20.0], [0.0, 0.0], [20.0, 6.0]]).double()
-        sun_up = torch.tensor([[0.0], [-(0.5**0.5)], [0.0], [0.5**0.5]]).double().expand(4, 2)
-        assert (margins(whole, x, fixed, C)[0] <= 0.0).all()  # the Sun is in its plane
-        from inspection.surface import clear
+        # from straight above it is hidden and in shade, from aside it is not
+        place = torch.tensor([[0.0, 20.0], [0.0, 0.0], [20.0, 6.0]])
+        assert (clear(whole, place, 1.0)[0] > 0.0).tolist() == [False, True]
+        assert (light(whole, torch.nn.functional.normalize(place, dim=0))[0] > 0.0).tolist() == [False, True]
 
-        assert (clear(whole, x[P].float(), 1.0)[0] > 0.0).tolist() == [False, True]
-        assert sun_up.shape == fixed.shape
+
+def box(low: tuple[float, ...], high: tuple[float, ...]) -> np.ndarray:
+    """Triangles (12, 3, 3), counterclockwise from outside."""
+    mesh = trimesh.creation.box(bounds=[low, high])
+    return np.array(mesh.triangles)
+
+
+def test_points_within_another_part_are_left_out(tmp_path) -> None:
+    """A bus with a panel that is stuck into it: parts that overlap are each closed."""
+    bus, panel = box((-2, -2, -2), (2, 2, 2)), box((-0.15, 1, -1.5), (0.15, 7, 1.5))
+    np.savez(tmp_path / "parts.npz", triangles=np.concatenate((bus, panel)))
+    c = InspectionParameters(num_points=400)
+    points = surface(ChiefParameters(mesh=str(tmp_path / "parts.npz")), c).points
+    assert not (points.abs() < 2.0 - 1e-9).all(0).any()
+    aside, along, up = points.abs()
+    assert not (
+        (aside < 0.15 - 1e-9) & (points[1] > 1.0 + 1e-9) & (along < 7.0 - 1e-9) & (up < 1.5 - 1e-9)
+    ).any()
+    assert 360 < points.shape[1] < 395
+
+
+def test_a_mesh_that_is_inside_out_is_refused(tmp_path) -> None:
+    np.savez(tmp_path / "inside.npz", triangles=box((-2, -2, -2), (2, 2, 2))[:, ::-1])
+    with pytest.raises(ValueError, match="do its normals point outwards"):
+        surface(ChiefParameters(mesh=str(tmp_path / "inside.npz")), C)
+
+
+def test_points_of_an_open_mesh_in_single_precision_are_kept(tmp_path) -> None:
+    """Rounded, half of them lie below their own triangle, by some 1e-7 m."""
+    turn = Rotation.from_euler("xyz", (20.0, 35.0, 50.0), degrees=True).as_matrix()
+    plate = np.array([[[-4, -4, 2], [4, -4, 2], [4, 4, 2]], [[-4, -4, 2], [4, 4, 2], [-4, 4, 2]]]) @ turn.T
+    inside = np.random.default_rng(0).uniform(-3.5, 3.5, (200, 2))
+    points = np.column_stack((inside, np.full(200, 2.0))) @ turn.T
+    np.savez(
+        tmp_path / "plate.npz",
+        triangles=plate.astype(np.float32),
+        points=points.astype(np.float32),
+        normals=np.tile(turn[:, 2], (200, 1)).astype(np.float32),
+        areas=np.ones(200, np.float32),
+    )
+    assert surface(ChiefParameters(mesh=str(tmp_path / "plate.npz")), C).points.shape == (3, 200)
 
 
 @pytest.mark.parametrize(
@@ -132,6 +172,12 @@ def test_an_open_mesh_hides_from_both_sides(tmp_path) -> None:
         ({"triangles": 30.0 * np.eye(3)[None]}, "must lie within chief_radius, 10 m"),
         ({"points": np.eye(3), "normals": np.eye(3)}, "needs triangles, or points, normals and areas"),
         ({"points": np.eye(3), "normals": np.eye(3), "areas": np.ones(2)}, "areas (N,)"),
+        ({"points": np.eye(3), "normals": np.eye(3), "areas": np.zeros(3)}, "areas must not be"),
+        (
+            {"points": np.eye(3), "normals": np.eye(3), "areas": np.array([1.0, 2.0, -1.0])},
+            "areas must not be",
+        ),
+        ({"points": np.eye(3), "normals": 0 * np.eye(3), "areas": np.ones(3)}, "normals not zero"),
         ({"triangles": np.full((1, 3, 3), np.nan)}, "finite numbers only"),
         ({"triangles": np.ones((1, 3, 3))}, "has no area"),
     ],
@@ -150,3 +196,17 @@ def test_a_file_that_is_none_is_refused(name, words, tmp_path) -> None:
         (tmp_path / name).write_text("nothing", encoding="utf-8")
     with pytest.raises(ValueError, match=words):
         surface(ChiefParameters(mesh=str(tmp_path / name)), C)
+
+
+def test_a_file_that_was_cut_off_is_refused(tmp_path) -> None:
+    whole = Path(ROOT / MESHES[0]).read_bytes()
+    for size in (0, 10, len(whole) // 2, len(whole) - 5):
+        (tmp_path / "cut.npz").write_bytes(whole[:size])
+        with pytest.raises(ValueError, match="cannot be read"):
+            surface(ChiefParameters(mesh=str(tmp_path / "cut.npz")), C)
+
+
+def test_without_trimesh_an_stl_is_refused_in_a_line(monkeypatch) -> None:
+    monkeypatch.setitem(sys.modules, "trimesh", None)
+    with pytest.raises(ValueError, match="pip install trimesh"):
+        surface(ChiefParameters(mesh=MESHES[1]), C)

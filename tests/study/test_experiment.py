@@ -1,0 +1,41 @@
+"""What an experiment makes of its configuration: the price on corrections, and the hull to stay clear of."""
+
+import pytest
+import torch
+
+from study.config import Config, override
+from study.errors import InputError
+from study.experiment import Experiment, priced
+
+HULL = {"mesh": "configs/chiefs/box.npz", "collision": "hull"}
+
+
+def made(**tables: dict[str, object]) -> Config:
+    return override(Config(), {"train": {"compile": "off", "device": "cpu"}} | tables, "test")
+
+
+def test_learning_from_a_penalty_puts_a_price_on_corrections_where_there_is_none() -> None:
+    penalty = made(train={"learn_from": "penalty"})
+    assert priced(penalty).correction_reward == -0.003
+    own = override(penalty, {"inspection": {"correction_reward": -0.1}}, "test")
+    assert priced(own).correction_reward == -0.1
+    back = override(penalty, {"train": {"learn_from": "desired"}}, "test")
+    assert priced(back) == penalty.inspection and penalty.inspection.correction_reward == 0.0
+
+
+def test_filter_and_environment_stay_clear_of_the_hull() -> None:
+    experiment = Experiment(made(chief=HULL), 2, seconds=1.0)
+    env = experiment.env(2)
+    for planes in (experiment.filter.c.planes, env.c.planes):
+        assert len(planes) > 100
+    env.reset()
+    env.x[:3] = torch.tensor([[12.0], [0.0], [0.0]])  # within the sphere, beside a flat side of 3 m
+    env.x[3:6] = 0.0
+    assert (experiment.filter.values(env.x)[0] > 0.0).all()
+    transition = env.step(torch.zeros(2, 6))
+    assert not transition.terminated.any()
+
+
+def test_a_hull_of_what_turns_is_refused_in_a_line() -> None:
+    with pytest.raises(InputError, match="holds still"):
+        made(chief=HULL | {"rate": [0.1, 0.0, 0.0]})
