@@ -118,15 +118,15 @@ def test_the_slope_of_passive_safety_is_that_of_h(mesh: str) -> None:
     x, c = beside_the_chief(300, mesh, 0.15)
     x = x[:, (x[P] * x[V]).sum(0) < 0.0]
     each = passive_safety(c, R)
-    rows = each.barrier_at(x)(x)
-    x = x[:, (rows.argmin(0) == rows.shape[0] - 5) & (rows[0] < rows[1:].amin(0) - 0.5)]
+    least, which = each.barrier_at(x)(x).sort(0)
+    x = x[:, (least[1] - least[0] > 0.05) & (which[0] < 4)]  # of one pass alone, within 60 s
     off = []
     for axis in range(3):
         there, back = x.clone(), x.clone()
         there[V.start + axis] += 1e-4
         back[V.start + axis] -= 1e-4
         barrier = each.barrier_at(x)
-        slope = (barrier(there)[0] - barrier(back)[0]) / 2e-4
+        slope = (barrier(there).amin(0) - barrier(back).amin(0)) / 2e-4
         off.append((slope - (each.h(there) - each.h(back)) / 2e-4).abs() / 60.0)
     off = torch.stack(off).amax(0)
     assert off.numel() > 20
