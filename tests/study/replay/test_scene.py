@@ -7,9 +7,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+import torch
 from scipy.spatial.transform import Rotation
 
+import main
+from inspection.surface import light, surface
 from rta.constraints import CONSTRAINTS
+from study.config import load
 from study.replay import page, scene
 from study.replay.scene import Replayed
 
@@ -56,6 +60,28 @@ def test_points_become_inspected_when_the_file_says_so(
     since = np.array([math.inf if t is None else t for t in shown["runs"][0]["inspected"]])
     assert np.isinf(since).any()
     np.testing.assert_array_equal(since <= flown["time"][:, None], flown["inspected"])
+
+
+def test_points_in_the_meshs_own_shade_are_not_shown_as_lit(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Against the simulator's light, which needs a point to face the Sun and to be out of the shade."""
+    out = tmp_path / "flown.npz"
+    own = "configs/chiefs/satellite.toml"
+    flags = ["--controller", "zero", "--duration", "200", "--step", "50", "--out", str(out)]
+    assert main.main(["simulate", "--no-rta", "--config", own, *flags]) == 0
+    capsys.readouterr()
+    run = scene.read(str(out))
+    content = as_written(run)["runs"][0]
+    config = load(own)
+    whole = surface(config.chief, config.inspection)
+    for row, shaded in enumerate(content["shaded"]):
+        angle, to_hill = content["sun_angle"][row], Rotation.from_quat(run.episode["chief_attitude"][row])
+        sun = to_hill.inv().apply([math.cos(angle), math.sin(angle), 0.0])
+        facing = run.episode["chief_normals"] @ sun > 1e-6
+        lit = light(whole, torch.tensor(sun)[:, None].float())[:, 0].numpy() > 0.0
+        shown = facing & ~np.isin(np.arange(len(facing)), shaded)
+        assert (shown != lit).mean() < 0.01 and (shown != facing).any()
 
 
 def test_panels_hold_every_constraint_and_both_controls_within_their_range(
