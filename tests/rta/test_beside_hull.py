@@ -11,7 +11,7 @@ from scipy.spatial import ConvexHull
 from inspection.dynamics import step
 from inspection.hull import beside, clearance
 from inspection.parameters import InspectionParameters
-from inspection.state import P, V
+from inspection.state import P, Q, V
 from rta.batched_solver import BatchedSolver
 from rta.filter import SafetyFilter
 from rta.parameters import RtaParameters
@@ -131,3 +131,23 @@ def test_the_slope_of_passive_safety_is_that_of_h(mesh: str) -> None:
     off = torch.stack(off).amax(0)
     assert off.numel() > 20
     assert off.max() < 1e-3, "of each m/s, a share of the 60 s that it has to act"
+
+
+@torch.no_grad()
+def test_a_slow_flight_that_is_turned_stays_clear_of_the_next_corner() -> None:
+    """Pushed at the chief along a panel at 0.17 m/s; with a single segment of 60 s h fell from 0.33 to -0.18 m in 1 s.
+
+    Found by adversaries that start near the hull.
+    """
+    c = beside(PAPER, hull_of(MESHES[0]))
+    safety = SafetyFilter(c, R, BatchedSolver())
+    x = torch.zeros(16, 1, dtype=torch.float64)
+    x[P, 0] = torch.tensor([-3.78524, -1.05287, -7.57457]).double()
+    x[V, 0] = torch.tensor([-0.149214, 0.0271352, 0.0811173]).double()
+    x[Q, 0] = torch.tensor([0.661589, -0.358741, 0.205219, 0.625692]).double()
+    x[10:, 0] = torch.tensor([-0.0033, -0.0349, 0.03348, 3.14286, 4.27482, 2.94621]).double()
+    desired = torch.tensor([[1.0, 0.569412, -0.63377, 0.0, -0.001, 0.0]], dtype=torch.float64).T
+    for _ in range(4):
+        assert safety.values(x).min() >= 0.0
+        x = step(x, safety.correct(x, desired).control, 1.0, c)
+    assert safety.values(x).min() >= 0.0
