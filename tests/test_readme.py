@@ -823,6 +823,22 @@ def test_what_nobody_can_inspect_of_the_satellite_is_as_the_page_says() -> None:
     assert results["outcomes"]["success"] == 1.0 - without / 100
 
 
+@pytest.mark.parametrize("policy", ["random", "adversarial"])
+def test_the_filter_holds_beside_the_hull_as_the_page_says(policy: str) -> None:
+    report = read(f"verification/hull_{policy}.json")
+    calls = report["filter_calls"]
+    cells = [
+        policy,
+        f"{report['violating_episodes']['any']} of {report['episodes']:,}",
+        f"{report['unsolved']} of {sum(calls.values()) / 1e6:.0f} million",
+        f"{calls['slack']:,}",
+        f"{report['worst_value']['passive_safety']:.2f} m",
+    ]
+    assert f"| {' | '.join(cells)} |" in text("docs/guides/your_own_chief.md").splitlines()
+    task = load(ROOT / "configs/chiefs/hull.toml", load(ROOT / "configs/chiefs/box.toml"))
+    assert report["fingerprint"] == fingerprint(task)
+
+
 @pytest.mark.parametrize("arm", ["desired", "applied", "penalty"])
 def test_what_agents_learn_from_is_as_the_page_says(arm: str) -> None:
     found = read("learn_from/results.json")[arm]
