@@ -4,7 +4,6 @@ Beside a convex body there is a plane that separates: n . p - b > 0 with the bod
 are tried, and the body's own faces. Each is a lower bound of the distance, so that a plane may be chosen at will.
 """
 
-import functools
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -34,7 +33,6 @@ class BesideHull(InspectionParameters):
         return self.deputy_radius + min(b for *_, b in self.planes)
 
 
-@functools.cache
 def beside(c: InspectionParameters, chief: ChiefParameters) -> InspectionParameters:
     """The task with what `chief.collision` says to stay clear of.
 

@@ -13,6 +13,7 @@ from ppo.network import Policy, Value, log_std_bias
 
 MAX_WIDTH = 65_536  # of a hidden layer
 MAX_LOG_RATIO = 20.0  # that e^x is finite, also of actions that no agent draws, see `collect`
+LARGEST_WEIGHT = 1e3  # of a term of the loss; far larger ones leave no number in a gradient
 TRAINED_ON = ("observation", "action", "log_prob", "advantage", "return_")
 
 
@@ -50,8 +51,11 @@ class PPOParameters:
             ),
             "learning_rate": (0 < self.learning_rate < math.inf, "a finite number > 0"),
             "clip": (0 < self.clip < 1, "in (0, 1)"),
-            "value_coefficient": (0 <= self.value_coefficient < math.inf, "a finite number >= 0"),
-            "entropy_coefficient": (0 <= self.entropy_coefficient < math.inf, "a finite number >= 0"),
+            "value_coefficient": (0 <= self.value_coefficient <= LARGEST_WEIGHT, f"0 to {LARGEST_WEIGHT:g}"),
+            "entropy_coefficient": (
+                0 <= self.entropy_coefficient <= LARGEST_WEIGHT,
+                f"0 to {LARGEST_WEIGHT:g}",
+            ),
             "max_grad_norm": (self.max_grad_norm > 0, "> 0 (infinity: no clipping)"),
             "action_power": (1 <= self.action_power <= 10, "in [1, 10]"),
             "action_dead_zone": (0 <= self.action_dead_zone <= 0.5, "in [0, 0.5]"),

@@ -61,7 +61,6 @@ class Experiment:
 
     Attributes:
         config: with the solver that is used; device; filter.
-        task: `priced`, with the chief's hull where it is that to stay clear of.
         safety: constraints, admissible starts and, if the configuration wants it, the filter.
         filter_compiled, compiled: the filter is compiled; simulator and learner are to be.
         worth_tracing: calls that repay tracing the filter.
@@ -74,7 +73,6 @@ class Experiment:
         check_clocks(config)
         check_chief(config)
         check_cache()
-        self.task = beside(priced(config), config.chief)
         self.device = resolve_device(config.train.device)
         THREADS.settle()
         self.config = settled(config, batch, self.device)
@@ -98,6 +96,11 @@ class Experiment:
         if worth and not self.filter_compiled and self.device.type == "cpu":
             self.trace_filter(batch)
         self.safety = self.filter.safety(config.train.rta)
+
+    @property
+    def task(self) -> InspectionParameters:
+        """`priced`, with the chief's hull where it is that to stay clear of."""
+        return beside(priced(self.config), self.config.chief)
 
     def trace_filter(self, batch: int) -> None:
         """Has the filter traced for calls of about so many spacecraft, which saves three quarters of a call's time."""

@@ -326,8 +326,9 @@ def test_the_distance_from_the_track_is_that_of_three_integrated_orbits(c, rando
 
 def test_groups_are_left_out_or_added_whatever_order_they_are_named_in(c, random_states, generator):
     arguments = draw(random_states, generator, 4)
-    names = [name for name, _, _ in components(OBSERVABLE)]
-    everything = dict(zip(names, observe(*arguments, replace(c, observed=OBSERVABLE)), strict=True))
+    groups = tuple(group for group in OBSERVABLE if group != "chief")  # which is of a chief that turns
+    names = [name for name, _, _ in components(groups)]
+    everything = dict(zip(names, observe(*arguments, replace(c, observed=groups)), strict=True))
     chosen = ("hill", "score", "sun")
     few = [name for name, _, _ in components(chosen)]
     assert few == ["sun_x", "sun_y", "sun_z", "sun_alignment", "inspected_score", *names[-12:-6]]
