@@ -242,9 +242,12 @@ capsule.argtypes, capsule.restype = [ctypes.c_void_p, ctypes.c_char_p, ctypes.c_
 
 
 def product(a: Tensor, b: Tensor) -> Tensor:
-    """a @ b in operations that fuse with those around: a library's product of such small matrices takes longer."""
+    """a @ b in operations that fuse with those around: a library's product of such small matrices takes longer.
+
+    Long inner products are summed row by row, for which b is read once.
+    """
     if a.shape[1] > UNROLLED:
-        return (a.T[..., None] * b[:, None]).sum(0)
+        return torch.stack([(row[:, None] * b).sum(0) for row in a])
     return reduce(
         torch.add, (column[:, None] * row for column, row in zip(a.unbind(1), b.unbind(0), strict=True))
     )

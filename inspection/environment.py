@@ -276,7 +276,7 @@ class InspectionEnv:
 
     def _score(self, columns: Tensor | slice) -> Tensor:
         """w_p (k,) of the given columns."""
-        return (self.weights[:, columns] * self.inspected[:, columns]).sum(0)
+        return torch.where(self.inspected[:, columns], self.weights[:, columns], 0.0).sum(0)
 
     def reset(self) -> Tensor:
         """Starts every episode anew from the initial distribution; returns observations."""

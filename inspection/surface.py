@@ -7,6 +7,7 @@ spacecraft or the Sun is, a point is hidden if they lie inside one of its cones.
 
 import math
 import zlib
+from functools import reduce
 from pathlib import Path
 from typing import Any, NamedTuple
 from zipfile import BadZipFile
@@ -37,8 +38,8 @@ class Surface(NamedTuple):
     Attributes:
         points (3, N) in m, normals (3, N), areas (N,) in m^2.
         triangles: (F, 3, 3) m, corner by corner; none of a sphere.
-        cones: of groups of points one after the other, those with few cones first: (3, K, k, 3) float32, normals of
-            the three planes around each of K cones of k points; they point inwards.
+        cones: of groups of points one after the other, those with few cones first: (3, K, k, 4) float32, the three
+            planes m . p + b = 0 around each of K cones of k points as [m, b]; m points inwards.
     """
 
     points: Tensor
@@ -192,11 +193,12 @@ def grouped(whole: Surface, planes: list[Tensor], keep: Tensor) -> Surface:
     cones = []
     for group in np.array_split(np.array(order), min(GROUPS, len(order))):
         most = planes[group[-1]].shape[1]
-        normals = whole.normals[:, group].T
+        points, normals = whole.points[:, group].T, whole.normals[:, group].T
         some = -normals[None, None].repeat(3, most, 1, 1)  # those that fill up hide nothing above the horizon
         for k, i in enumerate(group):
             some[:, : planes[i].shape[1], k] = planes[i]
-        cones.append(some.float())
+        offsets = -(some * points).sum(-1, keepdim=True)  # a plane goes through its point
+        cones.append(torch.cat((some, offsets), -1).float())
     return Surface(
         whole.points[:, order], whole.normals[:, order], whole.areas[order], whole.triangles, tuple(cones)
     )
@@ -225,16 +227,13 @@ def ever_seen(whole: Surface, name: str) -> Surface:
     return grouped(whole, planes, seen)
 
 
-def clear(whole: Surface, place: Tensor, at: float) -> Tensor:
-    """(N, B), positive where no cone of a point holds the place (3, B): a position for `at` 1, a direction for 0."""
+def clear(whole: Surface, place: Tensor) -> Tensor:
+    """(N, B), positive where no cone of a point holds the place: a position [p, 1] (4, B) or a direction (3, B)."""
     found = []
-    for group, points in zip(
-        whole.cones, whole.points.float().split([g.shape[2] for g in whole.cones], 1), strict=True
-    ):
+    for group in whole.cones:
         if group.shape[1]:
-            # a plane through the point: m . (place - point)
-            a, b, c = (cone @ place - at * (cone * points.T).sum(-1, keepdim=True) for cone in group)
-            found.append(-torch.minimum(torch.minimum(a, b), c).amax(0))
+            inside = reduce(torch.minimum, [plane[..., : len(place)] @ place for plane in group])
+            found.append(-inside.amax(0))
         else:
             found.append(place.new_full((group.shape[2], place.shape[1]), torch.inf))
     return torch.cat(found)
@@ -243,7 +242,7 @@ def clear(whole: Surface, place: Tensor, at: float) -> Tensor:
 def light(whole: Surface, sun: Tensor) -> Tensor:
     """(N, B) float32, positive where a point sees the Sun in directions (3, B) of the chief's frame."""
     facing = whole.normals.float().T @ sun
-    return facing.minimum(clear(whole, sun, 0.0)) if whole.cones else facing
+    return facing.minimum(clear(whole, sun)) if whole.cones else facing
 
 
 def margins(whole: Surface, x: Tensor, attitude: Tensor, c: InspectionParameters) -> Tensor:
@@ -263,5 +262,5 @@ def margins(whole: Surface, x: Tensor, attitude: Tensor, c: InspectionParameters
     in_cone = points.T @ boresight - dot(p, boresight) - math.cos(c.field_of_view / 2) * to_point
     lit, seen = light(whole, sun), in_cone.minimum(height)
     if whole.cones:
-        seen = seen.minimum(clear(whole, p, 1.0))
+        seen = seen.minimum(clear(whole, torch.cat((p, torch.ones_like(p[:1])))))
     return torch.stack((lit, lit.minimum(seen)))

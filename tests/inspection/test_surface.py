@@ -119,7 +119,10 @@ def test_an_open_mesh_hides_from_both_sides(tmp_path) -> None:
         whole = surface(ChiefParameters(mesh=str(tmp_path / f"{name}.npz")), C)
         # from straight above it is hidden and in shade, from aside it is not
         place = torch.tensor([[0.0, 20.0], [0.0, 0.0], [20.0, 6.0]])
-        assert (clear(whole, place, 1.0)[0] > 0.0).tolist() == [False, True]
+        assert (clear(whole, torch.cat((place, torch.ones_like(place[:1]))))[0] > 0.0).tolist() == [
+            False,
+            True,
+        ]
         assert (light(whole, torch.nn.functional.normalize(place, dim=0))[0] > 0.0).tolist() == [False, True]
 
 
