@@ -307,7 +307,9 @@ class ChiefParameters:
             )
         if self.collision not in ("sphere", "hull"):
             raise ValueError(f"collision = {self.collision!r}: must be sphere or hull")
-        if self.collision == "hull" and (not self.mesh or self.turns or self.random_attitude):
+        if self.collision == "hull" and not self.mesh:
+            raise ValueError("collision = 'hull': needs a mesh")
+        if self.collision == "hull" and (self.turns or self.random_attitude):
             raise ValueError(
                 "collision = 'hull': must be of a mesh that holds still, without rate, largest_rate and random_attitude"
             )

@@ -6,11 +6,9 @@ spacecraft or the Sun is, a point is hidden if they lie inside one of its cones.
 """
 
 import math
-import zlib
 from functools import reduce
 from pathlib import Path
 from typing import Any, NamedTuple
-from zipfile import BadZipFile
 
 import numpy as np
 import torch
@@ -78,6 +76,22 @@ def surface(chief: ChiefParameters, c: InspectionParameters, device: torch.devic
     return Surface(*(part.to(device) for part in parts), tuple(group.to(device) for group in cones))
 
 
+def arrays_of_npz(file: Path) -> dict[str, np.ndarray]:
+    """All arrays of a file."""
+    with np.load(file, allow_pickle=False) as content:
+        return {name: content[name] for name in content.files}
+
+
+def triangles_of_stl(file: Path) -> np.ndarray:
+    """(F, 3, 3), corner by corner."""
+    import trimesh  # half a second that who has no such file need not wait
+
+    try:
+        return np.array(trimesh.load(file, file_type="stl", force="mesh").triangles)
+    except ImportError as error:  # of what reads text, when it is none
+        raise ValueError(error) from None
+
+
 def read(path: str) -> dict[str, Any]:
     """The arrays of a file: triangles and, if it has them, points, normals and areas; ValueError where it does not.
 
@@ -86,20 +100,16 @@ def read(path: str) -> dict[str, Any]:
     file = next((each for each in (Path(path), ROOT / path) if each.is_file()), None)
     if file is None:
         raise ValueError(f"mesh = {path!r}: there is no such file")
+    if file.suffix not in (".npz", ".stl"):
+        raise ValueError(f"mesh = {path!r}: must end in .npz or .stl")
     try:
-        if file.suffix == ".npz":
-            with np.load(file, allow_pickle=False) as content:
-                arrays = {name: content[name] for name in content.files}
-        elif file.suffix == ".stl":
-            try:
-                import trimesh  # half a second that who has no such file need not wait
-            except ImportError:
-                raise ValueError("needs trimesh: pip install trimesh") from None
-            arrays = {"triangles": np.array(trimesh.load(file, file_type="stl", force="mesh").triangles)}
-        else:
-            raise ValueError("must end in .npz or .stl")
-    except (OSError, KeyError, EOFError, ValueError, IndexError, TypeError, BadZipFile, zlib.error) as error:
-        raise ValueError(f"mesh = {path!r}: cannot be read: {error}") from None
+        arrays = arrays_of_npz(file) if file.suffix == ".npz" else {"triangles": triangles_of_stl(file)}
+    except ImportError:
+        raise ValueError(f"mesh = {path!r}: needs trimesh: pip install trimesh") from None
+    except OSError as error:
+        raise ValueError(f"mesh = {path!r}: cannot be read: {error.strerror or error}") from None
+    except Exception:  # both libraries report damage through many exception types
+        raise ValueError(f"mesh = {path!r}: cannot be read: is damaged, or no {file.suffix} file") from None
     arrays.setdefault("triangles", np.zeros((0, 3, 3)))
     known = {name: arrays[name] for name in ("triangles", "points", "normals", "areas") if name in arrays}
     for name, array in known.items():

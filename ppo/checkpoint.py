@@ -43,7 +43,8 @@ def load(path: str | Path, keys: tuple[str, ...], device: str | torch.device = "
             warnings.simplefilter("ignore")  # damage is reported below, in one line
             content = torch.load(path, map_location=device, weights_only=True)
     except Exception as error:  # torch reports damage through many exception types
-        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+        tells = str(error) and not isinstance(error, KeyError)  # whose text is a key alone
+        reason = str(error).splitlines()[0] if tells else type(error).__name__
         raise CheckpointError(
             f"{path}: not a readable checkpoint ({reason.partition('. ')[0][:120]})"
         ) from None

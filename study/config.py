@@ -12,6 +12,7 @@ import tomllib
 import types
 import typing
 from dataclasses import dataclass, field
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -272,6 +273,8 @@ def override(config: AnyConfig, tables: dict[str, Any], source: str) -> AnyConfi
     """A configuration with the given tables' keys replaced, every one checked; older keys are read as today's."""
     known = vars(config)
     for table, entries in tables.items():
+        if table not in known and (owner := table_of(table, known)):
+            raise InputError(f"{source}: {table} = {entries!r}: must stand below a table, [{owner}]")
         if table not in known:
             raise InputError(f"{source}: unknown table [{table}]; allowed are {', '.join(known)}")
         if not isinstance(entries, dict):
@@ -283,6 +286,11 @@ def override(config: AnyConfig, tables: dict[str, Any], source: str) -> AnyConfi
         for table, entries in tables.items()
     }
     return dataclasses.replace(config, **parts, **arms)
+
+
+def table_of(key: str, tables: dict[str, Any]) -> str | None:
+    """The first table that has such a key."""
+    return next((name for name, part in tables.items() if hasattr(part, key)), None)
 
 
 def with_keys_of_today(tables: dict[str, dict[str, Any]], source: str) -> dict[str, dict[str, Any]]:
@@ -311,7 +319,8 @@ def override_table(part: Any, entries: dict[str, Any], where: str) -> Any:
     values = {}
     for key, value in entries.items():
         if key not in types:
-            raise InputError(f"{where} unknown key {key!r}; allowed are {', '.join(sorted(types))}")
+            near = "".join(f" (did you mean {each}?)" for each in get_close_matches(key, types, 1))
+            raise InputError(f"{where} unknown key {key!r}{near}; allowed are {', '.join(sorted(types))}")
         values[key] = convert(value, types[key], f"{where} {key}")
     try:
         return dataclasses.replace(part, **values)

@@ -71,6 +71,7 @@ class Experiment:
 
     def __init__(self, config: Config, batch: int, seconds: float = EPISODE, steps: int = 0) -> None:
         check_clocks(config)
+        check_plant(config)
         check_chief(config)
         check_cache()
         self.device = resolve_device(config.train.device)
@@ -84,10 +85,6 @@ class Experiment:
             self.filter = SafetyFilter(self.task, self.config.rta, known=config.uncertainty)
         with refusing("[plant] and [inspection]", ValueError):
             config.plant.check_body(config.inspection)
-        if config.plant.simulator == "basilisk" and not find_spec("Basilisk"):
-            raise InputError(
-                "--plant basilisk ([plant] simulator): Basilisk is not installed here; docs/guides/basilisk.md says how"
-            )
         if self.filter_compiled:
             self.filter_compiled = compile_or_explain(
                 "filter", lambda: self.filter.compile(self.device, batch)
@@ -184,6 +181,14 @@ def priced(config: Config) -> InspectionParameters:
     c = config.inspection
     wanted = config.train.learn_from == "penalty" and not c.correction_reward
     return replace(c, correction_reward=PENALTY) if wanted else c
+
+
+def check_plant(config: Config) -> None:
+    """Refuses Basilisk where it is not installed."""
+    if config.plant.simulator == "basilisk" and not find_spec("Basilisk"):
+        raise InputError(
+            "--plant basilisk ([plant] simulator): Basilisk is not installed here; docs/guides/basilisk.md says how"
+        )
 
 
 def check_chief(config: Config) -> None:

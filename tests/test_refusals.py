@@ -48,6 +48,14 @@ __all__ = ["run"]  # a fixture
         (["train", "--qp-solver", "osqp"], ["--qp-solver", "'osqp'", "auto", "piqp", "batched"]),
         (["verify", "--qp-solver", "osqp"], ["--qp-solver", "'osqp'", "auto", "piqp", "batched"]),
         (["evaluate"], ["--checkpoint"]),
+        (
+            ["simulate", "--controller", "zero", "--duraton", "5", "--out", "x"],
+            ["--duration", "unrecognized: --duraton"],
+        ),
+        (
+            ["train", "--config", str(Path(main.__file__).parent / "configs/chiefs/hull.toml")],
+            ["needs a mesh"],
+        ),
         (["evaluate", "--controller", "lqr-pd"], ["--controller", "'lqr-pd'", "natural-motion"]),
         (
             ["evaluate", "--controller", "natural-motion", "--checkpoint", "x.pt"],

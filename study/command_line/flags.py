@@ -15,7 +15,15 @@ from study.errors import in_one_line
 class Parser(argparse.ArgumentParser):
     """Bad usage ends with one line and exit code 2."""
 
+    def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
+        self.given = list(args or [])
+        return super().parse_known_args(args, namespace)
+
     def error(self, message: str) -> NoReturn:
+        flags = [word.partition("=")[0] for word in self.given if word.startswith("--")]
+        unknown = [flag for flag in flags if flag not in self._option_string_actions]
+        if "are required" in message and unknown:  # one of those, mistyped
+            message += f"; unrecognized: {' '.join(unknown)}"
         self.exit(2, f"error: {self.prog}: {in_one_line(message)} (see --help)\n")
 
 

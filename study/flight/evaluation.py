@@ -316,8 +316,8 @@ def run(
     config = configure(base.unsettled())
     check_observed(config, base if policy else config)
     check_clocks(config)
-    say_unless_verified(config, files, checkpoint)
     experiment = Experiment(config, episodes)
+    say_unless_verified(config, files, checkpoint)
     if policy:
         return evaluate(policy.to(experiment.device), experiment, episodes, seed)
     return report(play_controller(controller, experiment, episodes, seed), experiment.config, seed)

@@ -202,8 +202,8 @@ def run(
     check_observed(config, base if policy else config)
     decide_every = config.inspection.action_period if controller in ("policy", "untrained") else step
     check_rows(step, duration, config, decide_every)
-    say_unless_verified(config, files, checkpoint)
     experiment = Experiment(config, 1, duration)
+    say_unless_verified(config, files, checkpoint)
     start = starting_point(initial_state, experiment, seed)
     # the plant is that of the first test case of `evaluate` with this seed
     env = experiment.env(1, experiment.generators([seed + 1]), decide_every, step)

@@ -57,7 +57,7 @@ def nothing(x: Tensor) -> Tensor:
 def test_without_basilisk_a_line_says_so(monkeypatch, capsys) -> None:
     monkeypatch.setattr(experiment, "find_spec", lambda name: None)
     assert main.main(["evaluate", "--plant", "basilisk", "--controller", "zero", "--episodes", "1"]) == 2
-    message = capsys.readouterr().err.strip().splitlines()[-1]
+    (message,) = capsys.readouterr().err.strip().splitlines()
     assert message.startswith("error:") and "basilisk.md" in message
 
 

@@ -201,12 +201,23 @@ def test_a_file_that_is_none_is_refused(name, words, tmp_path) -> None:
         surface(ChiefParameters(mesh=str(tmp_path / name)), C)
 
 
-def test_a_file_that_was_cut_off_is_refused(tmp_path) -> None:
-    whole = Path(ROOT / MESHES[0]).read_bytes()
+@pytest.mark.parametrize("mesh", MESHES)
+def test_a_file_that_was_cut_off_is_refused(mesh, tmp_path) -> None:
+    whole = Path(ROOT / mesh).read_bytes()
+    cut = tmp_path / f"cut{Path(mesh).suffix}"
     for size in (0, 10, len(whole) // 2, len(whole) - 5):
-        (tmp_path / "cut.npz").write_bytes(whole[:size])
-        with pytest.raises(ValueError, match="cannot be read"):
-            surface(ChiefParameters(mesh=str(tmp_path / "cut.npz")), C)
+        cut.write_bytes(whole[:size])
+        with pytest.raises(ValueError, match=r"cannot be read|needs triangles"):
+            surface(ChiefParameters(mesh=str(cut)), C)
+
+
+@pytest.mark.parametrize("name", ["a.stl", "a.npz"])
+@pytest.mark.parametrize("content", [b"\x89PNG\r\n\x1a\n" + bytes(range(256)) * 8, b"some text\n" * 9])
+def test_another_kind_of_file_is_refused(name, content, tmp_path) -> None:
+    (tmp_path / name).write_bytes(content)
+    with pytest.raises(ValueError, match=r"cannot be read|needs triangles") as refusal:
+        surface(ChiefParameters(mesh=str(tmp_path / name)), C)
+    assert "pickle" not in str(refusal.value) and "\n" not in str(refusal.value)
 
 
 def test_without_trimesh_an_stl_is_refused_in_a_line(monkeypatch) -> None:

@@ -191,6 +191,8 @@ def test_a_study_has_arms_of_its_own() -> None:
         ("[arms.report.ppo]\ngamma = 0.9", "[arms.report]: must be a name of its own"),
         ("[arms.cubed.train]\nseed = 7", "[arms.cubed.train] seed: must be the study's, in [train]"),
         ("[arms.cubed.ppo]\ncube = 3", "[arms.cubed]: [ppo] unknown key 'cube'"),
+        ("[inspection]\nmas = 3", "unknown key 'mas' (did you mean mass?)"),
+        ("mass = 3", "mass = 3: must stand below a table, [inspection]"),
         ("[arms.cubed.ppo]\ngamma = 3", "[arms.cubed]: [ppo] gamma is 3.0"),
         ("[arms.cubed.nothing]\ngamma = 3", "[arms.cubed]: unknown table [nothing]"),
     ],
