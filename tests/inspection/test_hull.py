@@ -85,7 +85,7 @@ def test_beside_the_paper_s_sphere_nothing_changes() -> None:
 @pytest.mark.parametrize(
     ("settings", "words"),
     [
-        ({}, ["of a mesh"]),
+        ({}, ["needs a mesh"]),
         ({"mesh": MESHES[0], "rate": (0.1, 0.0, 0.0)}, ["without rate"]),
         ({"mesh": MESHES[0], "random_attitude": True}, ["random_attitude"]),
     ],
