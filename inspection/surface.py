@@ -7,6 +7,7 @@ spacecraft or the Sun is, a point is hidden if they lie inside one of its cones.
 
 import math
 from functools import reduce
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -25,7 +26,7 @@ RISE = 1e-5  # m, by which a corner must rise above a point's horizon to hide an
 FLAT = 1e-9  # m^3, below which a cone holds nothing
 DIRECTIONS = 512  # from which a point of a mesh is looked at, to leave out those that are never seen
 MOST_TRIANGLES = 20_000
-GROUPS = 4  # of points with about as many cones each, so that few of those that are computed fill up
+GROUPS = 6  # of points with about as many cones each, so that few of those that are computed fill up
 AT_ONCE = 2_000_000  # pairs of a point and a triangle whose cones are computed together
 GOLDEN = 0.7548776662466927, 0.5698402909980532  # Roberts' additive sequence, which fills a square evenly
 
@@ -197,11 +198,25 @@ def hidden(planes: Tensor, directions: Tensor) -> Tensor:
     return (planes @ directions > 0.0).all(0).any(0)
 
 
+def cuts(counts: list[int]) -> list[int]:
+    """Where to cut what has ascending counts into GROUPS: one after the other, each where it saves the most."""
+    found = [0, len(counts)]
+    rises = [i for i, (before, after) in enumerate(pairwise(counts), 1) if before < after]
+
+    def filled(ends: list[int]) -> int:
+        return sum((end - begin) * counts[end - 1] for begin, end in pairwise(ends))
+
+    for _ in range(GROUPS - 1):
+        found = min((sorted({*found, i}) for i in rises), key=filled, default=found)
+    return found
+
+
 def grouped(whole: Surface, planes: list[Tensor], keep: Tensor) -> Surface:
-    """The surface of the points (N,) bool to keep, in GROUPS of as many, those with few cones first."""
+    """The surface of the points (N,) bool to keep, in GROUPS, those with few cones first."""
     order = sorted(keep.nonzero().flatten().tolist(), key=lambda i: planes[i].shape[1])
     cones = []
-    for group in np.array_split(np.array(order), min(GROUPS, len(order))):
+    for begin, end in pairwise(cuts([planes[i].shape[1] for i in order])):
+        group = order[begin:end]
         most = planes[group[-1]].shape[1]
         points, normals = whole.points[:, group].T, whole.normals[:, group].T
         some = -normals[None, None].repeat(3, most, 1, 1)  # those that fill up hide nothing above the horizon
@@ -237,22 +252,23 @@ def ever_seen(whole: Surface, name: str) -> Surface:
     return grouped(whole, planes, seen)
 
 
-def clear(whole: Surface, place: Tensor) -> Tensor:
-    """(N, B), positive where no cone of a point holds the place: a position [p, 1] (4, B) or a direction (3, B)."""
+def covered(whole: Surface, place: Tensor) -> Tensor:
+    """(N, B), positive where a cone of a point holds the place, a position [p, 1] (4, B) or a direction (3, B).
+
+    It is zero elsewhere. A product is positive where three planes say inside; the compiled code of minima, which must
+    pass NaN on, takes longer.
+    """
     found = []
     for group in whole.cones:
-        if group.shape[1]:
-            inside = reduce(torch.minimum, [plane[..., : len(place)] @ place for plane in group])
-            found.append(-inside.amax(0))
-        else:
-            found.append(place.new_full((group.shape[2], place.shape[1]), torch.inf))
+        inside = [(plane[..., : len(place)] @ place).relu() for plane in group]
+        found.append(reduce(torch.mul, inside).sum(0))
     return torch.cat(found)
 
 
 def light(whole: Surface, sun: Tensor) -> Tensor:
     """(N, B) float32, positive where a point sees the Sun in directions (3, B) of the chief's frame."""
     facing = whole.normals.float().T @ sun
-    return facing.minimum(clear(whole, sun)) if whole.cones else facing
+    return torch.where(covered(whole, sun) > 0.0, -1.0, facing) if whole.cones else facing
 
 
 def margins(whole: Surface, x: Tensor, attitude: Tensor, c: InspectionParameters) -> Tensor:
@@ -272,5 +288,5 @@ def margins(whole: Surface, x: Tensor, attitude: Tensor, c: InspectionParameters
     in_cone = points.T @ boresight - dot(p, boresight) - math.cos(c.field_of_view / 2) * to_point
     lit, seen = light(whole, sun), in_cone.minimum(height)
     if whole.cones:
-        seen = seen.minimum(clear(whole, torch.cat((p, torch.ones_like(p[:1])))))
+        seen = torch.where(covered(whole, torch.cat((p, torch.ones_like(p[:1])))) > 0.0, -1.0, seen)
     return torch.stack((lit, lit.minimum(seen)))

@@ -1,5 +1,6 @@
 """Meshes: where their points are, and what hides them, against rays cast one by one."""
 
+import itertools
 import sys
 from pathlib import Path
 
@@ -13,7 +14,7 @@ from inspection import chief
 from inspection.attitude import random_quaternion, rotate
 from inspection.parameters import ChiefParameters, InspectionParameters
 from inspection.state import SIZE, THETA_S, P, Q
-from inspection.surface import clear, is_closed, light, margins, surface
+from inspection.surface import GROUPS, covered, cuts, is_closed, light, margins, surface
 
 ROOT = Path(__file__).parents[2]
 MESHES = ("configs/chiefs/box.npz", "configs/chiefs/satellite.stl")
@@ -83,6 +84,19 @@ def test_a_surface_that_forgets_a_cone_is_caught(whole) -> None:
     assert (margins(blind, x, attitude, C) > 0.0).sum() > (margins(whole, x, attitude, C) > 0.0).sum() + 50
 
 
+def test_points_are_grouped_so_that_little_fills_up() -> None:
+    assert cuts([0, 0, 0, 5, 5]) == [0, 3, 5]
+    assert cuts([4, 4]) == [0, 2] and cuts([7]) == [0, 1]
+    counts = sorted(np.random.default_rng(1).geometric(0.1, 500).tolist())
+    ends = cuts(counts)
+    assert ends[0] == 0 and ends[-1] == 500 and ends == sorted(set(ends)) and len(ends) == GROUPS + 1
+    equal = np.linspace(0, 500, GROUPS + 1).astype(int).tolist()
+    in_all, in_equal = (
+        sum((b - a) * counts[b - 1] for a, b in itertools.pairwise(each)) for each in (ends, equal)
+    )
+    assert sum(counts) < in_all < 0.95 * in_equal
+
+
 def test_the_sphere_is_seen_as_the_papers(random_states) -> None:
     x = random_states(300)
     ball = surface(ChiefParameters(), C)
@@ -119,9 +133,9 @@ def test_an_open_mesh_hides_from_both_sides(tmp_path) -> None:
         whole = surface(ChiefParameters(mesh=str(tmp_path / f"{name}.npz")), C)
         # from straight above it is hidden and in shade, from aside it is not
         place = torch.tensor([[0.0, 20.0], [0.0, 0.0], [20.0, 6.0]])
-        assert (clear(whole, torch.cat((place, torch.ones_like(place[:1]))))[0] > 0.0).tolist() == [
-            False,
+        assert (covered(whole, torch.cat((place, torch.ones_like(place[:1]))))[0] > 0.0).tolist() == [
             True,
+            False,
         ]
         assert (light(whole, torch.nn.functional.normalize(place, dim=0))[0] > 0.0).tolist() == [False, True]
 
