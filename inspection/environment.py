@@ -464,8 +464,7 @@ class InspectionEnv:
     def look(self, columns: Tensor | slice = slice(None)) -> None:
         """Marks the points in view and points r_UPS at the nearest cluster of those lit and left."""
         x = self.x[:, columns]
-        frames = self._frames(columns)
-        lit, seen = self._margins(x, *frames) > 0.0
+        lit, seen = self._margins(x, *self._frames(columns)) > 0.0
         inspected = self.inspected[:, columns] | seen
         wanted = lit & ~inspected
         centres, alive = chief.cluster(
@@ -479,12 +478,12 @@ class InspectionEnv:
         self.inspected[:, columns] = inspected
         self.centres[..., columns] = centres
         self.alive[:, columns] = alive
-        p = x[P]
-        for attitude in frames:  # there and back
-            p = rotate(conjugate(attitude), p)
-        direction = chief.nearest_cluster(centres.to(x.dtype), alive, p)
-        for attitude in frames:
-            direction = rotate(attitude, direction)
+        if self.tumbling:
+            attitude = self.tumbling.attitude[:, columns]
+            p = rotate(conjugate(attitude), x[P])
+            direction = rotate(attitude, chief.nearest_cluster(centres.to(x.dtype), alive, p))
+        else:
+            direction = chief.nearest_cluster(centres.to(x.dtype), alive, x[P])
         self.uninspected[:, columns] = direction
 
     def constraint_values(self, x: Tensor) -> Tensor:

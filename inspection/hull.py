@@ -15,10 +15,10 @@ from torch import Tensor
 from inspection.attitude import dot, norm, rotate, unit
 from inspection.chief import fibonacci_sphere
 from inspection.parameters import ChiefParameters, InspectionParameters
-from inspection.surface import surface
+from inspection.surface import read
 
 PLANES = 100  # in directions spread over the sphere, about 0.35 rad apart
-MOST_FACES = 100  # of the hull; of one with more, the spread directions alone are as good
+MOST_FACES = 100  # of the hull, the largest ones: each takes time at every call
 
 
 @dataclass(frozen=True)
@@ -41,22 +41,29 @@ def beside(c: InspectionParameters, chief: ChiefParameters) -> InspectionParamet
     """
     if chief.collision == "sphere":
         return c
-    whole = surface(chief, c)
-    corners = (whole.triangles.flatten(0, 1) if whole.triangles.numel() else whole.points.T).double()
+    arrays = read(chief.mesh)
+    corners = arrays["triangles"].reshape(-1, 3) if arrays["triangles"].size else arrays["points"]
     try:
-        faces = np.unique(ConvexHull(corners.numpy()).equations.round(6)[:, :3], axis=0)
-    except QhullError:
+        faces = faces_of(ConvexHull(corners))
+    except (QhullError, ValueError):  # the latter of too few
         raise ValueError(
             f"mesh = {chief.mesh!r}: has no convex hull: its corners are all in a plane"
         ) from None
-    normals = [fibonacci_sphere(PLANES)] + [torch.as_tensor(faces).T] * (len(faces) <= MOST_FACES)
-    directions = unit(torch.cat(normals, 1))
-    support = (corners @ directions).amax(0)
+    directions = unit(torch.cat((fibonacci_sphere(PLANES), torch.from_numpy(faces).T), 1))
+    support = (torch.from_numpy(corners) @ directions).amax(0)
     if not support.min() > 0.0:
         raise ValueError(f"mesh = {chief.mesh!r}: its origin must lie within its hull")
     attitude = unit(torch.tensor(chief.attitude, dtype=torch.float64))[:, None].expand(4, support.numel())
     planes = torch.cat((rotate(attitude, directions), support[None])).T
     return BesideHull(**vars(c), planes=tuple(map(tuple, planes.tolist())))
+
+
+def faces_of(hull: ConvexHull) -> np.ndarray:
+    """Normals (k, 3) of its MOST_FACES largest faces."""
+    normals, which = np.unique(hull.equations[:, :3].round(6), axis=0, return_inverse=True)
+    a, b, c = hull.points[hull.simplices].transpose(1, 0, 2)
+    areas = np.bincount(which.ravel(), np.linalg.norm(np.cross(b - a, c - a), axis=1))
+    return normals[np.sort(np.argsort(-areas, kind="stable")[:MOST_FACES])]
 
 
 class Planes(NamedTuple):

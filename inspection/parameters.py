@@ -11,6 +11,7 @@ ORBITS = ("clohessy-wiltshire", "two-body")
 MOST_ECCENTRIC = 0.3  # beyond, Kepler's equation may not converge in the steps that `inspection.orbit` takes
 ALIGNED = (0.0, 0.0, 0.0, 1.0)  # an attitude: the axes of one frame are those of the other
 FASTEST_CHIEF = 10.0  # deg/s; an action takes 10 s
+MOST_UNEQUAL = 1000.0  # moments of a chief, which may come to turn faster by the root of that
 AXES = {"+x": (0, 1.0), "-x": (0, -1.0), "+y": (1, 1.0), "-y": (1, -1.0), "+z": (2, 1.0), "-z": (2, -1.0)}
 
 POSITIVE = (
@@ -277,7 +278,7 @@ class InspectionParameters:
 class ChiefParameters:
     """What is inspected, and how it turns; by default the paper's sphere, fixed in Hill's frame."""
 
-    mesh: str = ""  # .npz or .stl file in m; none: a sphere of points
+    mesh: str = ""  # .npz or .stl file in m; `#` and how its sha256 begins are added where it is used
     attitude: tuple[float, ...] = ALIGNED  # at first, from its axes to Hill's, scalar last
     random_attitude: bool = False  # drawn for each episode instead, any
     rate: tuple[float, float, float] = (0.0, 0.0, 0.0)  # deg/s, at first, about its principal axes
@@ -292,7 +293,7 @@ class ChiefParameters:
                 raise ValueError(f"{name} = {list(numbers)}: must be {count} finite numbers")
         if not any(self.attitude):
             raise ValueError(f"attitude = {list(self.attitude)}: must not be zero")
-        if not 0.0 <= self.largest_rate <= FASTEST_CHIEF or max(map(abs, self.rate)) > FASTEST_CHIEF:
+        if not 0.0 <= self.largest_rate <= FASTEST_CHIEF or math.hypot(*self.rate) > FASTEST_CHIEF:
             raise ValueError(
                 f"rate = {list(self.rate)}, largest_rate = {self.largest_rate:g}: must be at most "
                 f"{FASTEST_CHIEF:g} deg/s"
@@ -304,6 +305,10 @@ class ChiefParameters:
         if min(self.moments) <= 0.0 or 2.0 * max(self.moments) > (1.0 + 1e-9) * sum(self.moments):
             raise ValueError(
                 f"moments = {list(self.moments)}: must be positive, and none above the sum of the other two"
+            )
+        if max(self.moments) > MOST_UNEQUAL * min(self.moments):
+            raise ValueError(
+                f"moments = {list(self.moments)}: must not differ by more than a factor of {MOST_UNEQUAL:g}"
             )
         if self.collision not in ("sphere", "hull"):
             raise ValueError(f"collision = {self.collision!r}: must be sphere or hull")

@@ -5,11 +5,14 @@ directions, bounded by the planes through the point and two corners each. The pl
 spacecraft or the Sun is, a point is hidden if they lie inside one of its cones.
 """
 
+import hashlib
+import io
 import math
-from functools import reduce
+import re
+from functools import lru_cache, reduce
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -24,8 +27,10 @@ from inspection.state import THETA_S, P, Q
 ROOT = Path(__file__).parents[1]
 RISE = 1e-5  # m, by which a corner must rise above a point's horizon to hide anything; float32 files are as exact
 FLAT = 1e-9  # m^3, below which a cone holds nothing
-DIRECTIONS = 512  # from which a point of a mesh is looked at, to leave out those that are never seen
-MOST_TRIANGLES = 20_000
+DIRECTIONS = 512, 20_000  # from which a point of a mesh is looked at, to leave out those that are never seen
+MOST = 20_000  # triangles, or points that a file gives
+DIGEST = re.compile(r"#([0-9a-f]{12})$")  # behind a mesh's path: how the sha256 of its file begins
+SHAPES = {"triangles": (3, 3), "points": (3,), "normals": (3,), "areas": ()}  # of one of what a file holds
 GROUPS = 6  # of points with about as many cones each, so that few of those that are computed fill up
 AT_ONCE = 2_000_000  # pairs of a point and a triangle whose cones are computed together
 GOLDEN = 0.7548776662466927, 0.5698402909980532  # Roberts' additive sequence, which fills a square evenly
@@ -55,72 +60,103 @@ def surface(chief: ChiefParameters, c: InspectionParameters, device: torch.devic
         areas = torch.ones_like(normals[0])
         none = normals.new_zeros(0, 3, 3)
         return Surface(c.chief_radius * normals, normals, areas, none)
-    arrays = read(chief.mesh)
-    triangles = torch.as_tensor(arrays["triangles"], dtype=torch.float64).reshape(-1, 3, 3)
-    if "points" in arrays:
-        points, normals = (
-            torch.as_tensor(arrays[name], dtype=torch.float64).T for name in ("points", "normals")
-        )
-        areas = torch.as_tensor(arrays["areas"], dtype=torch.float64)
-        if points.shape != normals.shape or points.shape[1:] != areas.shape or len(points) != 3:
-            raise ValueError(f"{chief.mesh}: points and normals must be (N, 3) and areas (N,)")
-        if not ((areas >= 0.0).all() and areas.sum() > 0.0 and (norm(normals) > 0.0).all()):
-            raise ValueError(f"{chief.mesh}: areas must not be negative or all zero, normals not zero")
-    else:
-        points, normals, areas = spread(triangles, c.num_points)
-    reach = max(float(norm(each).max()) for each in (points, triangles.flatten(0, 1).T) if each.numel())
-    if not reach <= c.chief_radius:
-        raise ValueError(
-            f"{chief.mesh}: reaches {reach:.3g} m from its origin: must lie within chief_radius, {c.chief_radius:g} m"
-        )
-    *parts, cones = ever_seen(Surface(points, unit(normals), areas, triangles), chief.mesh)
+    *parts, cones = of_mesh(pinned(chief.mesh), c.num_points, c.chief_radius)
     return Surface(*(part.to(device) for part in parts), tuple(group.to(device) for group in cones))
 
 
-def arrays_of_npz(file: Path) -> dict[str, np.ndarray]:
+@lru_cache(maxsize=4)  # a large mesh takes minutes; the file's digest is part of the key
+def of_mesh(mesh: str, count: int, largest: float) -> Surface:
+    """Of a file, `pinned`, with so many points where it gives none, within a radius in m; ValueError as `surface`."""
+    arrays = {name: torch.from_numpy(array) for name, array in read(mesh).items()}
+    triangles = arrays["triangles"]
+    if "points" in arrays:
+        points, normals, areas = arrays["points"].T, arrays["normals"].T, arrays["areas"]
+        if not ((areas >= 0.0).all() and 0.0 < areas.sum() < math.inf and (norm(normals) > 0.0).all()):
+            raise ValueError(f"{mesh}: areas must not be negative or all zero, normals not zero")
+    else:
+        points, normals, areas = spread(triangles, count)
+    reach = max(float(norm(each).max()) for each in (points, triangles.flatten(0, 1).T) if each.numel())
+    if not reach <= largest:
+        raise ValueError(
+            f"{mesh}: reaches {reach:.3g} m from its origin: must lie within chief_radius, {largest:g} m"
+        )
+    return ever_seen(Surface(points, unit(normals), areas, triangles), mesh)
+
+
+def arrays_of_npz(content: bytes) -> dict[str, np.ndarray]:
     """All arrays of a file."""
-    with np.load(file, allow_pickle=False) as content:
-        return {name: content[name] for name in content.files}
+    with np.load(io.BytesIO(content), allow_pickle=False) as arrays:
+        return {name: arrays[name] for name in arrays.files}
 
 
-def triangles_of_stl(file: Path) -> np.ndarray:
+def triangles_of_stl(content: bytes) -> np.ndarray:
     """(F, 3, 3), corner by corner."""
     import trimesh  # half a second that who has no such file need not wait
 
     try:
-        return np.array(trimesh.load(file, file_type="stl", force="mesh").triangles)
+        return np.array(trimesh.load(io.BytesIO(content), file_type="stl", force="mesh").triangles)
     except ImportError as error:  # of what reads text, when it is none
         raise ValueError(error) from None
 
 
-def read(path: str) -> dict[str, Any]:
-    """The arrays of a file: triangles and, if it has them, points, normals and areas; ValueError where it does not.
+def file_of(mesh: str) -> tuple[str, bytes]:
+    """Its path as it was given, and what the file holds; ValueError where that is not what its digest says.
 
     A path that is not below the working directory is looked for in this project's folder.
     """
+    path = DIGEST.sub("", mesh)
     file = next((each for each in (Path(path), ROOT / path) if each.is_file()), None)
     if file is None:
         raise ValueError(f"mesh = {path!r}: there is no such file")
-    if file.suffix not in (".npz", ".stl"):
-        raise ValueError(f"mesh = {path!r}: must end in .npz or .stl")
     try:
-        arrays = arrays_of_npz(file) if file.suffix == ".npz" else {"triangles": triangles_of_stl(file)}
-    except ImportError:
-        raise ValueError(f"mesh = {path!r}: needs trimesh: pip install trimesh") from None
+        content = file.read_bytes()
     except OSError as error:
         raise ValueError(f"mesh = {path!r}: cannot be read: {error.strerror or error}") from None
+    wanted, found = DIGEST.search(mesh), hashlib.sha256(content).hexdigest()[:12]
+    if wanted and wanted[1] != found:
+        raise ValueError(f"mesh = {mesh!r}: is another file by now, whose sha256 begins with {found}")
+    return path, content
+
+
+def pinned(mesh: str) -> str:
+    """A mesh's path and digest, as `DIGEST`."""
+    if DIGEST.search(mesh):
+        return mesh
+    path, content = file_of(mesh)
+    return f"{path}#{hashlib.sha256(content).hexdigest()[:12]}"
+
+
+def read(mesh: str) -> dict[str, np.ndarray]:
+    """The float64 arrays of a mesh's file: `triangles`, none or more, and all or none of the others in SHAPES.
+
+    ValueError where it holds anything else.
+    """
+    path, content = file_of(mesh)
+    suffix = Path(path).suffix
+    if suffix not in (".npz", ".stl"):
+        raise ValueError(f"mesh = {path!r}: must end in .npz or .stl")
+    try:
+        arrays = arrays_of_npz(content) if suffix == ".npz" else {"triangles": triangles_of_stl(content)}
+    except ImportError:
+        raise ValueError(f"mesh = {path!r}: needs trimesh: pip install trimesh") from None
     except Exception:  # both libraries report damage through many exception types
-        raise ValueError(f"mesh = {path!r}: cannot be read: is damaged, or no {file.suffix} file") from None
+        raise ValueError(f"mesh = {path!r}: cannot be read: is damaged, or no {suffix} file") from None
     arrays.setdefault("triangles", np.zeros((0, 3, 3)))
-    known = {name: arrays[name] for name in ("triangles", "points", "normals", "areas") if name in arrays}
+    known = {name: arrays[name] for name in SHAPES if name in arrays}
     for name, array in known.items():
         if array.dtype.kind not in "fiu" or not np.isfinite(array).all():
             raise ValueError(f"mesh = {path!r}: {name} must hold finite numbers only")
-    if known["triangles"].shape[1:] != (3, 3) or len(known["triangles"]) > MOST_TRIANGLES:
-        raise ValueError(f"mesh = {path!r}: triangles must be (F, 3, 3), at most {MOST_TRIANGLES:,}")
+        known[name] = array.astype(np.float64)
     has = [name for name in ("points", "normals", "areas") if name in known]
-    if len(has) not in (0, 3) or not (has or len(known["triangles"])):
+    if len(has) not in (0, 3) or not (has or known["triangles"].size):
         raise ValueError(f"mesh = {path!r}: needs triangles, or points, normals and areas")
+    for name, array in known.items():
+        if array.ndim < 1 or array.shape[1:] != SHAPES[name] or len(array) > MOST:
+            letter = "F" if name == "triangles" else "N"
+            shape = f"({', '.join((letter, *map(str, SHAPES[name])))})".replace("(N)", "(N,)")
+            raise ValueError(f"mesh = {path!r}: {name} must be {shape}, at most {MOST:,}")
+    if len({len(known[name]) for name in has}) > 1:
+        raise ValueError(f"mesh = {path!r}: points and normals must be (N, 3) and areas (N,)")
     return known
 
 
@@ -239,14 +275,17 @@ def ever_seen(whole: Surface, name: str) -> Surface:
         whole = whole._replace(
             points=whole.points[:, outside], normals=whole.normals[:, outside], areas=whole.areas[outside]
         )
-    unseen = f"mesh = {name!r}: none of its points can be seen: do its normals point outwards?"
+    unseen = (
+        f"mesh = {DIGEST.sub('', name)!r}: none of its points can be seen: do its normals point outwards?"
+    )
     if not len(whole.areas):
         raise ValueError(unseen)
     planes = hiding(whole)
-    far = fibonacci_sphere(DIRECTIONS)
-    above = (whole.normals.T @ far) > 0.0
-    free = [~hidden(each, far) for each in planes]
-    seen = (above & torch.stack(free)).any(1)
+    seen = torch.zeros_like(whole.areas, dtype=torch.bool)
+    for count in DIRECTIONS:  # more for those that so many leave out, as the inside of a tube
+        far = fibonacci_sphere(count)
+        for i in (~seen).nonzero().flatten().tolist():
+            seen[i] = (far.T @ whole.normals[:, i] > 0.0)[~hidden(planes[i], far)].any()
     if not seen.any():
         raise ValueError(unseen)
     return grouped(whole, planes, seen)

@@ -17,7 +17,7 @@ from inspection.initial_state import InitialStates
 from inspection.observation import components
 from inspection.parameters import InspectionParameters
 from inspection.state import CONTROL_SIZE
-from inspection.surface import surface
+from inspection.surface import pinned, surface
 from ppo import checkpoint
 from ppo.checkpoint import CheckpointError
 from ppo.distributed import local_rank
@@ -152,7 +152,7 @@ def test_cases(config: Config, episodes: int, seed: int) -> tuple[Tensor, Tensor
 
     Case i does not depend on how many cases there are.
     """
-    c = config.inspection
+    c = beside(config.inspection, config.chief)
     # default gains, so that agents trained behind different filters meet the same cases
     gains = RtaParameters(passive_safety_segments=config.rta.passive_safety_segments)
     starts = InitialStates(torch.Generator().manual_seed(seed), c, SafetyFilter(c, gains).is_safe)
@@ -214,7 +214,11 @@ def worthwhile(config: Config) -> tuple[int, int]:
 
 
 def settled(config: Config, batch: int, device: torch.device) -> Config:
-    """The configuration with the solver settled, which is part of what determines a run's numbers."""
+    """The configuration with the solver and the chief's mesh settled, which determine a run's numbers."""
+    with refusing("[chief]", ValueError):
+        config = replace(
+            config, chief=replace(config.chief, mesh=config.chief.mesh and pinned(config.chief.mesh))
+        )
     if config.rta.qp_solver != "auto":
         return config
     # where controls are held PIQP leaves programs unsolved, see `SafetyFilter`

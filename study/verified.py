@@ -12,9 +12,8 @@ from typing import Any
 
 from inspection.parameters import ChiefParameters, InspectionParameters
 from inspection.plant import PlantParameters
+from inspection.surface import pinned
 from ppo.distributed import is_first
-from rta.parameters import RtaParameters
-from rta.uncertainty import Uncertainty
 from study import config as configuration
 from study.commands import command
 from study.config import Config, StudyConfig, override
@@ -23,8 +22,8 @@ from study.files import ROOT
 
 # Settings of [inspection] and [rta] on which no guarantee depends: the agent's task and reward, and the solver, whose
 # answers are checked one by one. Campaigns start anywhere, so the radius of an episode's start is among them; its
-# temperature and energy are not, since they bound the campaigns' starts as well. Of [plant] and [uncertainty]
-# everything counts.
+# temperature and energy are not, since they bound the campaigns' starts as well. Of [chief] the hull and its attitude
+# count, of [plant] and [uncertainty] everything.
 IRRELEVANT = {
     "num_points",
     "points_per_cluster",
@@ -65,21 +64,29 @@ REPORTS = "runs/verification"  # below the working directory: a person's own; th
 
 def relevant(config: Config) -> dict[str, Any]:
     """What the guarantee depends on: values by their names in a configuration file, "[rta] period"."""
-    tables: dict[
-        str, InspectionParameters | ChiefParameters | RtaParameters | PlantParameters | Uncertainty
-    ] = {
-        "inspection": config.inspection,
-        "chief": config.chief if config.chief.collision == "hull" else ChiefParameters(),
-        "rta": config.rta,
-        "plant": PlantParameters() if config.plant.is_nominal else config.plant,
-        "uncertainty": config.uncertainty,
+    tables = {
+        "inspection": vars(config.inspection),
+        "chief": of_hull(config.chief),
+        "rta": vars(config.rta),
+        "plant": vars(PlantParameters() if config.plant.is_nominal else config.plant),
+        "uncertainty": vars(config.uncertainty),
     }
     return {
         f"[{table}] {key}": value
         for table, part in tables.items()
-        for key, value in vars(part).items()
+        for key, value in part.items()
         if key not in IRRELEVANT
     }
+
+
+def of_hull(chief: ChiefParameters) -> dict[str, Any]:
+    """What of a chief counts where its hull is what to stay clear of: of its file the digest, wherever it lies."""
+    if chief.collision == "sphere":
+        chief = ChiefParameters()
+    mesh = chief.mesh
+    with suppress(ValueError):  # of a report whose mesh is not here
+        mesh = mesh and pinned(mesh).rpartition("#")[2]
+    return {"mesh": mesh, "attitude": chief.attitude, "collision": chief.collision}
 
 
 def fingerprint(config: Config) -> str:

@@ -61,6 +61,13 @@ def effort(episode: Episode, c: InspectionParameters) -> tuple[np.ndarray, np.nd
     return spent[:, :3].sum(1) / c.mass, spent[:, 3:].sum(1) / c.action_period
 
 
+def nearness(episode: Episode, c: InspectionParameters) -> tuple[np.ndarray, float, str]:
+    """How far the chief is, (rows,) m, what it must be at least, and its name: from its centre, or from its hull."""
+    if "clearance" in episode:
+        return episode["clearance"], 0.0, "above the hull (m)"
+    return np.linalg.norm(episode["position"], axis=1), c.collision_radius, "distance (m)"
+
+
 def points_of_chief(episode: Episode, c: InspectionParameters) -> np.ndarray:
     """(N, 3) m, in the chief's frame; where it turns, as Hill's frame has them at the end."""
     if "chief_points" not in episode:
@@ -193,7 +200,7 @@ def constraint_figure(episode: Episode, c: InspectionParameters, path: Path) -> 
 
     Dotted lines are the limits; dashed ones, where the filter is told of uncertainty, as `FilterResult.tightened`.
     """
-    t, distance = episode["time"], np.linalg.norm(episode["position"], axis=1)
+    t = episode["time"]
     figure = Figure(figsize=(10, 7), layout="constrained")
     axes = figure.subplots(3, 3, sharex=True)
     if any(name.startswith("tightened_") for name in episode):
@@ -217,13 +224,17 @@ def constraint_figure(episode: Episode, c: InspectionParameters, path: Path) -> 
         ax.set_xlabel("time (s)")
 
     ax = axes[0, 0]
-    closest = episode["h_passive_safety"] + c.collision_radius
+    distance, least, label = nearness(episode, c)
+    closest = episode["h_passive_safety"] + least
     ax.plot(t, closest, color=ORANGE, lw=0.9, label="nearest if coasting")
     ax.plot(t, distance, color=BLUE, label="distance")
-    ax.set(ylabel="distance (m)", yscale="log", ylim=(2.5, 1300))
+    if least > 0.0:
+        ax.set(ylabel=label, yscale="log", ylim=(2.5, 1300))
+    else:
+        ax.set(ylabel=label, yscale="symlog", ylim=(-1, 1300))
     ax.yaxis.set_major_formatter("{x:g}")
-    band(ax, c.collision_radius, c.max_distance)
-    tightened(ax, episode, ("passive_safety",), lambda off: c.collision_radius + off)
+    band(ax, least, c.max_distance)
+    tightened(ax, episode, ("passive_safety",), lambda off: least + off)
     ax.legend(loc="lower left", fontsize=8, frameon=False, handlelength=1.3)
 
     speed_panel(axes[0, 1], episode, c)
@@ -248,7 +259,7 @@ def constraint_figure(episode: Episode, c: InspectionParameters, path: Path) -> 
 
 def episode_figure(episode: Episode, c: InspectionParameters, path: Path) -> None:
     """Trajectory, inspection, pointing, effort and the limits of one episode as a PNG."""
-    t, distance = episode["time"], np.linalg.norm(episode["position"], axis=1)
+    t = episode["time"]
     figure = Figure(figsize=(13, 7.6))
     grid = figure.add_gridspec(3, 4, left=0.05, right=0.94, bottom=0.07, top=0.98, wspace=0.34, hspace=0.22)
     trajectory(figure.add_subplot(grid[:2, :2], projection="3d"), episode, c, speeds(episode).max())
@@ -267,10 +278,11 @@ def episode_figure(episode: Episode, c: InspectionParameters, path: Path) -> Non
     ax.plot(t, pointing(episode), color=BLUE)
     ax.set_ylim(-1.05, 1.05)
 
-    ax = panel(1, 2, "distance (m)")
+    distance, least, label = nearness(episode, c)
+    ax = panel(1, 2, label)
     ax.plot(t, distance, color=BLUE)
     ax.set_ylim(0, None)
-    band(ax, low=c.collision_radius)
+    band(ax, low=least)
 
     speed_panel(panel(1, 3), episode, c)
     sun_panel(panel(2, 0), episode, c)

@@ -1,7 +1,7 @@
 """Simulating one spacecraft under any controller, with everything over time."""
 
 from collections.abc import Callable
-from dataclasses import asdict
+from dataclasses import fields
 
 import numpy as np
 import tomli_w
@@ -10,7 +10,10 @@ from torch import Tensor
 
 from inspection.closed_loop import Controller, Hold, is_multiple
 from inspection.environment import InspectionEnv
-from inspection.state import THETA_S
+from inspection.hull import clearance
+from inspection.initial_state import uniform
+from inspection.parameters import InspectionParameters
+from inspection.state import THETA_S, P
 from inspection.termination import ends, failures
 from inspection.tumbling import ATTITUDE
 from ppo.network import Policy
@@ -60,10 +63,8 @@ class Recording:
     def note(self, hold: Hold) -> None:
         """Adds what is new in a hold."""
         self.hold, self.begun = hold, float(self.env.time[0])
-        if self.env.tumbling:
-            self.motion = self.env.tumbling.motion[
-                :, :1
-            ]  # of now: where the hold ends, the next episode may have begun
+        if self.env.tumbling:  # of now: where the hold ends, the next episode may have begun
+            self.motion = self.env.tumbling.motion[:, :1]
         if hold.decided:
             self.decision = hold.desired[:, 0].clone()
         if hold.correction is not None:
@@ -108,6 +109,8 @@ class Recording:
             name: x[component].reshape(-1, x.shape[1]).T for name, (component, _) in STATE_FIELDS.items()
         }
         columns |= {f"h_{name}": h[i] for i, name in enumerate(env.safety.names)}
+        if env.c.planes:
+            columns["clearance"] = clearance(x[P], env.c)
         if tightened.any():
             columns |= {f"tightened_{name}": tightened[:, i] for i, name in enumerate(env.safety.names)}
         arrays = {name: column.cpu().numpy() for name, column in columns.items()}
@@ -116,7 +119,8 @@ class Recording:
             points, normals, _, triangles, _ = env.surface
             of_chief = {"points": points.T, "normals": normals.T, "triangles": triangles}
             arrays |= {f"chief_{name}": each.cpu().numpy() for name, each in of_chief.items()}
-        return arrays | {"parameters": np.array(tomli_w.dumps({"inspection": asdict(env.c)}))}
+        task = {field.name: getattr(env.c, field.name) for field in fields(InspectionParameters)}
+        return arrays | {"parameters": np.array(tomli_w.dumps({"inspection": task}))}
 
 
 @torch.no_grad()
@@ -127,6 +131,7 @@ def simulate(
     priority: Tensor,
     duration: float,
     until_ended: bool = False,
+    number: Tensor | None = None,
 ) -> dict[str, np.ndarray]:
     """Simulates one spacecraft, with a row at every report of the environment's clocks.
 
@@ -135,18 +140,20 @@ def simulate(
         x, priority: initial state (16, 1) and priority vector (3, 1).
         duration: s.
         until_ended: stop at the first terminal condition of an episode.
+        number: (1,) as of `InspectionEnv.start`.
 
     Returns:
         Arrays by name over time, the initial state first; `control_applied` is the control from the row's
         time on, and the last row repeats the one before it. `inspected` is (rows, points) bool. `intervened`
         is (rows, 2) bool, whether a call of the filter from the row up to the next corrected thrust, torque.
         `tightened_*`, by constraint as in `FilterResult`, are there where the filter is told of uncertainty.
-        `chief_attitude` (rows, 4) is there where the chief is not the paper's.
+        `chief_attitude` (rows, 4) is there where the chief is not the paper's, and `clearance` (rows,) in m where its
+        hull is what to stay clear of.
         Not over time are `parameters`, the task's table of a configuration file, and such a chief's `chief_points`,
         `chief_normals` (N, 3) and `chief_triangles` (F, 3, 3) in its own frame.
     """
     c = env.c
-    env.start(x, priority)
+    env.start(x, priority, number)
     recording = Recording(env)
     holds = env.fly(controller, duration)
     count = env.clocks.count(duration)
@@ -167,10 +174,14 @@ def common_episode(policy: Policy, experiment: Experiment, case: int = 0) -> dic
     c = experiment.config.inspection
     generators = experiment.generators([TEST_CASES + 1])
     env = experiment.env(1, generators, report_every=min(experiment.config.rta.period, c.substep))
-    x, priority = (
-        each[:, case:].to(experiment.device) for each in test_cases(experiment.config, case + 1, TEST_CASES)
+    numbers = uniform(
+        0.0, 1.0, case + 1, torch.Generator().manual_seed(TEST_CASES + 1)
+    )  # as `evaluate` draws
+    x, priority, number = (
+        each[..., case:].to(experiment.device)
+        for each in (*test_cases(experiment.config, case + 1, TEST_CASES), numbers)
     )
-    return simulate(env, agent(policy, env), x, priority, c.max_time, until_ended=True)
+    return simulate(env, agent(policy, env), x, priority, c.max_time, until_ended=True, number=number)
 
 
 def run(

@@ -43,10 +43,10 @@ const inner = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
 // A vector along a body's axes, in Hill's frame.
 const along = (axes, v) => axes.map((axis, i) => scaled(axis, v[i])).reduce(sum);
 const ofChief = (run, row, v) => (run.chief_axes ? along(run.chief_axes[row], v) : v);
-// Just below the points; of a mesh the corners of its faces, one after the other.
+// A ball just below the points, or of a mesh the corners of its faces, one after the other.
 const chief = (run, row) =>
   run.corners
-    ? run.corners.map((corner) => ofChief(run, row, scaled(corner, 0.99)))
+    ? run.corners.map((corner) => ofChief(run, row, corner))
     : run.points.map((point) => ofChief(run, row, scaled(point, 0.97)));
 
 // Corners of the traces that change with the row, by name, each [x, y, z] in m in Hill's frame.

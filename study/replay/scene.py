@@ -50,6 +50,8 @@ CHIEF: dict[str, tuple[int, ...]] = {
     "chief_triangles": (3, 3),
 }
 
+RISE = 0.01  # of the chief's radius, by which a mesh's points are drawn above it
+
 # panels of the constraints: title, unit, factor from the file's unit, constraints, the control that acts on them
 SQUARE_DEGREES = math.degrees(1.0) ** 2
 CONSTRAINT_PANELS = (
@@ -145,7 +147,8 @@ def chief(run: Replayed, episode: Episode) -> dict[str, Any]:
         }
     triangles = run.episode["chief_triangles"]
     return {
-        "points": run.episode["chief_points"],
+        # drawn a little above the faces, which would hide some of them
+        "points": run.episode["chief_points"] + RISE * run.c.chief_radius * run.episode["chief_normals"],
         "normals": run.episode["chief_normals"],
         "corners": triangles.reshape(-1, 3) if len(triangles) else None,
         "chief_axes": axes(episode["chief_attitude"]),
