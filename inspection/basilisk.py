@@ -31,8 +31,8 @@ DEPUTY_AREA = 0.06  # m^2, the long side of a 6U
 
 RESOURCES = slice(T, E + 1)
 PULSE = 0.02  # s, of which the time that a thruster is open is a multiple
-# of such a step by which it closes earlier: at its very end rounding would decide. RK4 then gives a sixth less of one.
-END = 0.25
+# Of such a step by which it closes earlier, as at its very end rounding would decide, and which RK4 then leaves out.
+END, LOST = 0.25, 1 / 6
 NOBODY = 1e9  # of specific impulse in s: thrusters take no mass away, as in the model
 
 
@@ -203,7 +203,9 @@ class Simulation:
         command = messaging.ArrayMotorTorqueMsgPayload()
         command.motorTorque = (-u[TORQUE]).tolist()  # on the wheel; the body has the reaction
         deputy.wheel_command.write(command, self.now)
-        steps = np.round(u[THRUST] / self.c.max_thrust * seconds / PULSE)
+        steps = np.round(
+            u[THRUST] / self.c.max_thrust * seconds / PULSE
+        )  # what is lost of one does not count
         pulses = PULSE * np.sign(steps) * (np.abs(steps) - END).clip(0.0)
         command = messaging.THRArrayOnTimeCmdMsgPayload()
         command.OnTimeRequest = np.stack((pulses, -pulses), 1).clip(0.0).ravel().tolist()
@@ -226,7 +228,7 @@ class BasiliskPlant(Plant):
     `integrate` moves these on with the states; `state_dict` has them.
 
     Raises:
-        ImportError: Basilisk is not installed.
+        ImportError: Basilisk is not installed; ValueError: the parameters do not fit the model or the Earth.
     """
 
     STATE = (*Plant.STATE, "chief", "wheels", "rates")
@@ -234,6 +236,14 @@ class BasiliskPlant(Plant):
 
     def __init__(self, parameters: PlantParameters, c: InspectionParameters, batch: int, device: Any) -> None:
         super().__init__(parameters, c, batch, device)
+        lowest = (1.0 - c.eccentricity) * c.semi_major_axis
+        if lowest <= EARTH_RADIUS:
+            raise ValueError(
+                f"mean_motion = {c.mean_motion:g}, eccentricity = {c.eccentricity:g}: bring the chief down to "
+                f"{lowest / 1e3:,.0f} km from the Earth's centre: must stay above its radius, "
+                f"{EARTH_RADIUS / 1e3:,.0f} km"
+            )
+        self.flattening = parameters.j2 * EARTH_J2 * c.gravitational_parameter * EARTH_RADIUS**2
         self.chief = torch.zeros(6, batch, dtype=torch.float64, device=device)
         self.wheels = torch.zeros(3, batch, dtype=torch.float64, device=device)
         self.rates = torch.zeros(2, batch, dtype=torch.float64, device=device)
@@ -253,6 +263,16 @@ class BasiliskPlant(Plant):
         """Made at the first step, of the length of that."""
         return Simulation(self.key.numel(), self.dt, self.parameters, self.c)
 
+    def actuate(self, time: Tensor, u: Tensor) -> Tensor:
+        """As `Plant.actuate`; of pulses the mean over the time that a control is held."""
+        acting = super().actuate(time, u)
+        if self.parameters.actuators == "ideal":
+            return acting
+        most = self.acts_for / PULSE  # pulses
+        steps = (acting[THRUST] / self.c.max_thrust * most).round()
+        given = steps.sign() * (steps.abs() - LOST).clamp(min=0.0) / most
+        return torch.cat((given * self.c.max_thrust, acting[TORQUE]))
+
     def integrate(self, x: Tensor, u: Tensor, body: Tensor, duration: float, times: int = 1) -> Tensor:
         """The states (16, B) after so many steps of `duration` s under what acts, (6, B), of bodies (7, B)."""
         real = self.parameters.actuators == "real"
@@ -268,7 +288,7 @@ class BasiliskPlant(Plant):
         simulation = self.simulation
         before, chief, known = x.cpu().numpy(), self.chief.cpu().numpy(), self.frame
         bodies, controls, wheels = (part.cpu().numpy() for part in (body, u, self.wheels))
-        frame = known[1] if known and known[0] is self.chief else hill(chief)
+        frame = known[1] if known and known[0] is self.chief else hill(chief, self.flattening)
         deputies = frame.outwards(before)
         pushes = frame.axes.apply(bodies[4:].T) * bodies[:1].T
         for i, (home, deputy) in enumerate(zip(simulation.chiefs, simulation.deputies, strict=True)):
@@ -284,7 +304,7 @@ class BasiliskPlant(Plant):
             for part in zip(*(simulation.get(each) for each in simulation.deputies), strict=True)
         ]
         after = x.clone()
-        earlier, frame = frame, hill(chief)
+        earlier, frame = frame, hill(chief, self.flattening)
         after[:13] = x.new_tensor(frame.inwards(*flown))
         after[THETA_S] = x[THETA_S] - x.new_tensor(earlier.angle_to(frame))
         if self.c.saturate_rates and self.parameters.saturate_rates:
@@ -304,7 +324,7 @@ class BasiliskPlant(Plant):
 
 
 class Hill(NamedTuple):
-    """Hill's frames of k chiefs: their states (6, k), axes in the inertial frame, and how these turn in rad/s, (k,)."""
+    """Hill's frames of k chiefs: their states (6, k), axes in the inertial frame, and their rates in rad/s, (3, k)."""
 
     chief: ndarray
     axes: Rotation
@@ -312,20 +332,18 @@ class Hill(NamedTuple):
 
     def outwards(self, x: ndarray) -> tuple[ndarray, ...]:
         """Position, velocity, modified Rodrigues parameters and rates (k, 3) in the inertial frame, of (16, k)."""
-        p, v = x[P].T, x[V].T
-        turn = np.stack((-self.turning * p[:, 1], self.turning * p[:, 0], 0.0 * p[:, 2]), 1)  # w x p
         attitude = self.axes * Rotation.from_quat(x[Q].T)
-        r = self.chief[:3].T + self.axes.apply(p)
-        return r, self.chief[3:].T + self.axes.apply(v + turn), attitude.as_mrp(), x[OMEGA].T
+        r = self.chief[:3].T + self.axes.apply(x[P].T)
+        v = self.chief[3:].T + self.axes.apply((x[V] + crossed(self.turning, x[P])).T)
+        return r, v, attitude.as_mrp(), x[OMEGA].T
 
     def inwards(self, r: ndarray, v: ndarray, mrp: ndarray, omega: ndarray) -> ndarray:
         """The first 13 components of our state, (13, k), the rates relative to the stars; the reverse of `outwards`."""
         back = self.axes.inv()
-        p = back.apply(r - self.chief[:3].T)
-        turn = np.stack((-self.turning * p[:, 1], self.turning * p[:, 0], 0.0 * p[:, 2]), 1)
-        relative = back.apply(v - self.chief[3:].T) - turn
+        p = back.apply(r - self.chief[:3].T).T
+        relative = back.apply(v - self.chief[3:].T).T - crossed(self.turning, p)
         q = (back * Rotation.from_mrp(mrp)).as_quat()
-        return np.concatenate((p, relative, q, omega), 1).T
+        return np.concatenate((p, relative, q.T, omega.T))
 
     def angle_to(self, later: "Hill") -> ndarray:
         """rad, by which the radial direction has moved on along the orbit until later frames, (k,)."""
@@ -333,14 +351,23 @@ class Hill(NamedTuple):
         return np.arctan2(y, x)
 
 
-def hill(chief: ndarray) -> Hill:
-    """From positions and velocities (6, k): x away from the Earth, z along the angular momentum."""
+def hill(chief: ndarray, flattening: float = 0.0) -> Hill:
+    """From positions and velocities (6, k): x away from the Earth, z along the angular momentum.
+
+    It turns about z by h / r^2, and about x by r a / h, where a acts across the orbit's plane (Casotto 2016).
+
+    Args:
+        flattening: J2 mu R^2 in m^5/s^2, of which a is -3 J2 mu R^2 z / r^5 along the Earth's axis (Vallado 2013, Eq.
+            8-27; what is left of it there lies in the plane).
+    """
     r, v = chief[:3], chief[3:]
     momentum = crossed(r, v)
     size, radius = np.sqrt((momentum * momentum).sum(0)), np.sqrt((r * r).sum(0))
     x, z = r / radius, momentum / size
     axes = np.stack((x, crossed(z, x), z), 1)  # columns are the axes
-    return Hill(chief, Rotation.from_matrix(axes.transpose(2, 0, 1)), size / radius**2)
+    across = -3.0 * flattening * r[2] / radius**5 * z[2]
+    turning = np.stack((radius * across / size, 0.0 * radius, size / radius**2))
+    return Hill(chief, Rotation.from_matrix(axes.transpose(2, 0, 1)), turning)
 
 
 def crossed(a: ndarray, b: ndarray) -> ndarray:

@@ -203,7 +203,7 @@ class InspectionEnv:
             )
         self.safety, self.clocks = safety, clocks
         if self.plant:
-            self.plant.every = clocks.filter or clocks.decision
+            self.plant.every, self.plant.acts_for = clocks.filter or clocks.decision, clocks.hold
 
     STATE = (
         "x",

@@ -8,6 +8,7 @@ import math
 from dataclasses import dataclass, fields
 
 ORBITS = ("clohessy-wiltshire", "two-body")
+SLOWEST_ORBIT = 1e-12  # rad/s; that slow, nothing turns
 MOST_ECCENTRIC = 0.3  # beyond, Kepler's equation may not converge in the steps that `inspection.orbit` takes
 ALIGNED = (0.0, 0.0, 0.0, 1.0)  # an attitude: the axes of one frame are those of the other
 FASTEST_CHIEF = 10.0  # deg/s; an action takes 10 s
@@ -141,6 +142,8 @@ class InspectionParameters:
         for name in POSITIVE.split():
             if not 0 < getattr(self, name) < math.inf:
                 raise ValueError(f"{name} = {getattr(self, name)!r}: must be a positive number")
+        if self.mean_motion < SLOWEST_ORBIT:
+            raise ValueError(f"mean_motion = {self.mean_motion:g}: must be at least {SLOWEST_ORBIT:g} rad/s")
         for field in fields(InspectionParameters):
             value = getattr(self, field.name)
             if isinstance(value, str) or field.name == "observed":

@@ -24,6 +24,7 @@ Count = int | tuple[int, int]
 
 SIMULATORS, ACTUATORS = ("own", "basilisk"), ("ideal", "real")
 OF_BASILISK = {"j2": False, "drag": False, "actuators": "ideal"}  # what no other simulator has
+NOT_OF_PULSES = {"thrust_gain": 1.0, "thrust_misalignment": 0.0}  # which are at full thrust along the axes
 FAILING = ("none", "thrust", "torque", "any", *CONTROLS)
 # What has no effect of its own.
 DETAILS = {"noise_bound", "missed_in_a_row", "failing_from", "failing_strength"}
@@ -48,7 +49,7 @@ class PlantParameters:
     mass_factor: Range = 1.0  # true mass / [inspection] mass
     inertia_factor: Range = 1.0  # true moment / that of [inspection] inertia, of each axis apart
     saturate_rates: bool = True  # false: body rates may exceed max_rate, as [inspection] saturate_rates
-    hill_rotation: bool = False  # attitude relative to Hill's frame as that turns, at the mean motion
+    hill_rotation: bool = False  # attitude relative to Hill's frame as that turns
     acceleration: Range = 0.0  # m/s^2, unknown and constant, in a random direction of Hill's frame
 
     # Actuators
@@ -87,13 +88,21 @@ class PlantParameters:
         for name, allowed in (("simulator", SIMULATORS), ("actuators", ACTUATORS)):
             if getattr(self, name) not in allowed:
                 raise ValueError(f"{name} = {getattr(self, name)!r}: must be one of {', '.join(allowed)}")
-        for name, default in OF_BASILISK.items():
-            if self.simulator != "basilisk" and getattr(self, name) != default:
-                raise ValueError(f'{name}: needs simulator = "basilisk"')
         if not 0 < self.noise_bound <= 10:
             raise ValueError(f"noise_bound = {self.noise_bound!r}: must be positive, at most 10 sigmas")
         if self.missed_in_a_row < 1:
             raise ValueError(f"missed_in_a_row = {self.missed_in_a_row}: must be a positive integer")
+
+    def check_simulator(self) -> None:
+        """Raises ValueError where something is asked for that the simulator does not have."""
+        for name, default in OF_BASILISK.items():
+            if self.simulator != "basilisk" and getattr(self, name) != default:
+                raise ValueError(f'{name}: needs --plant basilisk (simulator = "basilisk")')
+        for name, default in NOT_OF_PULSES.items():
+            if self.actuators == "real" and getattr(self, name) != default:
+                raise ValueError(
+                    f'{name}: is not there with actuators = "real", whose pulses are of full thrust'
+                )
 
     def _check(self, name: str, value: Range) -> None:
         """Refuses what is no value or range, or impossible."""
@@ -224,7 +233,7 @@ class Plant:
         batch: episodes, B.
 
     Attributes:
-        every: s between two calls, set by whose clocks they are.
+        every, acts_for: s between two calls and that a control acts, set by whose clocks they are.
         drawn: what each episode's plant is.
         held: (6, B) the last control that a call gave; missed: (B,) calls missed since.
         past: (latency, 6, B) what was held from the last calls on, the oldest first.
@@ -244,8 +253,10 @@ class Plant:
         batch: int,
         device: torch.device | str,
     ) -> None:
+        parameters.check_simulator()
         parameters.check_body(c)
-        self.parameters, self.c, self.every = parameters, c, 1.0
+        self.parameters, self.c = parameters, c
+        self.every = self.acts_for = 1.0
         self.key = torch.zeros(batch, dtype=torch.int64, device=device)
         self.held = torch.zeros(CONTROL_SIZE, batch, dtype=torch.float64, device=device)
         self.missed = torch.zeros_like(self.key)

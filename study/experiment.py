@@ -184,7 +184,9 @@ def priced(config: Config) -> InspectionParameters:
 
 
 def check_plant(config: Config) -> None:
-    """Refuses Basilisk where it is not installed."""
+    """Refuses what the simulator does not have, and Basilisk where it is not installed."""
+    with refusing("[plant]", ValueError):
+        config.plant.check_simulator()
     if config.plant.simulator == "basilisk" and not find_spec("Basilisk"):
         raise InputError(
             "--plant basilisk ([plant] simulator): Basilisk is not installed here; docs/guides/basilisk.md says how"

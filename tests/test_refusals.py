@@ -32,6 +32,10 @@ __all__ = ["run"]  # a fixture
         (["train", "--learn-from", "both"], ["--learn-from", "'both'", "applied"]),
         (["train", "--no-rta", "--learn-from", "applied"], ["--learn-from", "without the filter", "desired"]),
         (["train", "--no-rta", "--learn-from", "penalty"], ["--learn-from", "without the filter", "desired"]),
+        (
+            ["train", "--learn-from", "penalty", "--adversary", "collision"],
+            ["--learn-from", "penalty", "an adversary", "must be desired"],
+        ),
         (["study", "--seeds", "0"], ["--seeds", "'0'", "positive integer"]),
         (["study", "--seeds", "9999"], ["seeds = 9999", "up to 1,000"]),
         (["study", "--arms", "rta,both"], ["--arms", "'both'", "no_rta, rta"]),

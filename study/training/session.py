@@ -13,7 +13,15 @@ from ppo.files import naming, temporary_beside
 from study import config as configuration
 from study.config import Config
 from study.errors import MALFORMED, InputError, refusing
-from study.experiment import check_clocks, check_observed, check_weights, load_policy, resolve_device
+from study.experiment import (
+    check_chief,
+    check_clocks,
+    check_observed,
+    check_plant,
+    check_weights,
+    load_policy,
+    resolve_device,
+)
 from study.files import write_text
 from study.training.lock import alone_in
 from study.training.provenance import write_settings
@@ -34,6 +42,27 @@ def check_minibatch(config: Config) -> None:
             f"[ppo] minibatch_size = {size:,}: must be at most the batch, [train] num_envs * rollout_steps = "
             f"{train.num_envs:,} * {train.rollout_steps:,} = {train.batch:,}"
         )
+
+
+def check_learn_from(config: Config) -> None:
+    """Refuses to learn from what there is not."""
+    train = config.train
+    if train.learn_from == "desired":
+        return
+    flag = f"--learn-from ([train] learn_from) {train.learn_from}"
+    if not train.rta:
+        raise InputError(f"{flag}: without the filter what is applied is what was desired: must be desired")
+    if train.adversary:
+        raise InputError(f"{flag}: an adversary is paid for the smallest h alone: must be desired")
+
+
+def check(config: Config) -> None:
+    """Refuses what cannot be trained, before anything is made."""
+    check_clocks(config)
+    check_minibatch(config)
+    check_plant(config)
+    check_chief(config)
+    check_learn_from(config)
 
 
 @contextmanager
@@ -62,15 +91,8 @@ def start(config: Config, directory: Path, init_from: Path | None = None) -> Run
     Args:
         init_from: the file of an agent to start from, policy.pt or checkpoint.pt; None: from chance.
     """
-    train = config.train
-    if not train.rta and train.learn_from != "desired":
-        raise InputError(
-            f"--learn-from ([train] learn_from) {train.learn_from}: without the filter what is applied is what was "
-            "desired: must be desired"
-        )
+    check(config)
     config = settled_for_a_seed(config)
-    check_clocks(config)
-    check_minibatch(config)
     if init_from:  # who has learned something needs no jump start
         config = replace(config, train=replace(config.train, jump_start=0))
     networks = networks_of(init_from, config) if init_from else {}

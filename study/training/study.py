@@ -14,14 +14,13 @@ from study import config as configuration
 from study.commands import command
 from study.config import TEST_CASES, StudyConfig
 from study.errors import InputError, refusing
-from study.experiment import check_chief, check_clocks
 from study.files import write_json, write_npz
 from study.flight.evaluation import Episodes, report
 from study.paper import Results, tables
 from study.training.lock import alone_in
 from study.training.provenance import write_settings
 from study.training.run import Run, Stopped, on_signal, settled_for_a_seed
-from study.training.session import check_minibatch, create, resume
+from study.training.session import check, create, resume
 from study.verified import fingerprint, say_unless_verified
 
 LEFT_BY_A_KILL = ("provenance.json", "provenance.json.tmp", "config.toml.tmp")  # at the start
@@ -35,11 +34,9 @@ def train_and_evaluate(config: StudyConfig, directory: Path) -> str:
     Raises:
         InputError: the directory holds a study with other settings; Stopped: a signal came first.
     """
-    config = settled_for_a_seed(config)
     for name in config.study.arms:
-        check_clocks(config.of_arm(name))
-        check_minibatch(config.of_arm(name))
-        check_chief(config.of_arm(name))
+        check(config.of_arm(name))
+    config = settled_for_a_seed(config)
     with refusing(f"--study-dir {directory}: cannot write there", OSError, ValueError):
         ranks().first_does(lambda: directory.mkdir(parents=True, exist_ok=True))
     results = {}

@@ -26,7 +26,7 @@ from inspection.basilisk import (
     hill,
 )
 from inspection.dynamics import integrate
-from inspection.environment import InspectionEnv
+from inspection.environment import METRICS, InspectionEnv
 from inspection.parameters import InspectionParameters
 from inspection.plant import PlantParameters
 from inspection.state import OMEGA, SIZE, THETA_S, THRUST, TORQUE, E, P, Q, T, V
@@ -124,10 +124,10 @@ def flattened(_: float, s: np.ndarray) -> np.ndarray:
 def test_j2_is_that_of_an_adaptive_integrator(random_states) -> None:
     x = random_states(3)
     plant = begun(replace(FREE, j2=True), x)
-    before = hill(plant.chief.numpy())
+    before = hill(plant.chief.numpy(), plant.flattening)
     r, v, _, _ = before.outwards(x.numpy())
     there = plant.integrate(x, nothing(x), plant.body, 1.0, 500)
-    after_r, after_v, _, _ = hill(plant.chief.numpy()).outwards(there.numpy())
+    after_r, after_v, _, _ = hill(plant.chief.numpy(), plant.flattening).outwards(there.numpy())
     for i in range(3):
         end = solve_ivp(flattened, (0, 500), np.concatenate((r[i], v[i])), "DOP853", rtol=1e-13, atol=1e-9).y[
             :, -1
@@ -136,6 +136,21 @@ def test_j2_is_that_of_an_adaptive_integrator(random_states) -> None:
         np.testing.assert_allclose(after_v[i], end[3:], rtol=0, atol=1e-8)
     still = begun(FREE, x)
     assert (still.integrate(x, nothing(x), still.body, 1.0, 500)[P] - there[P]).norm(dim=0).max() > 0.01
+
+
+@needs_basilisk
+def test_velocity_is_the_change_of_position_in_a_frame_that_j2_tilts(random_states) -> None:
+    """By central differences over two seconds; the frame's small turn about x comes to a thousand times more."""
+    x = random_states(20)
+    plant = begun(replace(FREE, j2=True), x)
+    path = [x]
+    for _ in range(2):
+        path.append(plant.integrate(path[-1], nothing(x), plant.body, 1.0))
+    change = (path[2][P] - path[0][P]) / 2
+    assert (change - path[1][V]).abs().max() < 1e-6
+    untilted = hill(plant.chief.numpy())
+    tilt = hill(plant.chief.numpy(), plant.flattening).turning - untilted.turning
+    assert np.abs(tilt[0]).max() * x[P].norm(dim=0).max() > 1e-4
 
 
 @needs_basilisk
@@ -192,6 +207,38 @@ def test_thrusters_give_pulses_of_full_thrust(thrust: float) -> None:
     steps = round(abs(thrust) / PULSE)
     expected = math.copysign(PULSE * max(steps - 1 / 6, 0.0) / C.mass, thrust)
     assert gained.item() == pytest.approx(expected, abs=1e-6)
+    acting = plant.actuate(torch.zeros(1, dtype=torch.float64), u)[THRUST.start + 2]
+    assert acting.item() / C.mass == pytest.approx(expected, abs=1e-6)
+
+
+@needs_basilisk
+def test_delta_v_is_of_the_pulses_that_acted_and_not_of_what_was_asked_for() -> None:
+    c = InspectionParameters()
+    plant = PlantParameters(simulator="basilisk", actuators="real")
+    for asked, pulses in ((0.008, 0), (0.013, 1), (0.5, 25)):
+        env = InspectionEnv(1, c, [torch.Generator().manual_seed(0)], plant=plant)
+        env.reset()
+        step = env.step(torch.tensor([[asked, 0.0, 0.0, 0.0, 0.0, 0.0]]))
+        gained = c.action_period * PULSE * max(pulses - 1 / 6, 0.0) / c.mass
+        assert step.metrics[METRICS.index("delta_v_m_s")].item() == pytest.approx(gained, abs=1e-9)
+
+
+def test_what_a_simulator_does_not_have_is_refused() -> None:
+    for parameters, words in (
+        (PlantParameters(j2=True), "j2: needs --plant basilisk"),
+        (PlantParameters(simulator="own", actuators="real"), "actuators: needs --plant basilisk"),
+        (replace(FREE, actuators="real", thrust_gain=1.1), "thrust_gain: is not there"),
+    ):
+        with pytest.raises(ValueError, match=words):
+            parameters.check_simulator()
+    with pytest.raises(ValueError, match="j2"):
+        InspectionEnv(1, C, [torch.Generator()], plant=PlantParameters(j2=True))
+
+
+@needs_basilisk
+def test_an_orbit_below_the_ground_is_refused() -> None:
+    with pytest.raises(ValueError, match="5,422 km from the Earth's centre: must stay above its radius"):
+        BasiliskPlant(FREE, replace(C, orbit="two-body", eccentricity=0.25), 1, "cpu")
 
 
 @needs_basilisk

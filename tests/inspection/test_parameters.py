@@ -33,6 +33,7 @@ def test_parameters_name_what_is_wrong():
         ({"thermal_axis": "w"}, "thermal_axis = 'w': allowed are"),
         ({"max_time": 0.0}, "max_time = 0.0: must be a positive number"),
         ({"mean_motion": math.inf}, "mean_motion = inf: must be a positive number"),
+        ({"mean_motion": 1e-300}, "mean_motion = 1e-300: must be at least 1e-12 rad/s"),
         ({"albedo": math.nan}, "albedo = nan: must be finite"),
         ({"initial_energy": (5.0, math.inf)}, "initial_energy"),
         ({"initial_radius": (100.0, 50.0)}, r"initial_radius = \[100.0, 50.0\]: must be \[low, high\]"),

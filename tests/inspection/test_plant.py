@@ -117,8 +117,6 @@ def test_whatever_is_set_is_a_plant_that_is_not_the_model(name: str) -> None:
         ({"failing": "thrust_w"}, "failing = 'thrust_w': must be one of none, thrust, torque, any, thrust_x"),
         ({"noise_bound": 0.0}, "noise_bound = 0.0: must be positive"),
         ({"simulator": "gmat"}, "simulator = 'gmat': must be one of own, basilisk"),
-        ({"j2": True}, 'j2: needs simulator = "basilisk"'),
-        ({"simulator": "own", "actuators": "real"}, 'actuators: needs simulator = "basilisk"'),
         ({"missed_in_a_row": 0}, "missed_in_a_row = 0: must be a positive integer"),
     ],
 )

@@ -329,6 +329,8 @@ def test_arms_of_its_own_are_trained_and_shown_side_by_side(
     [
         ("[arms.own.ppo]\nminibatch_size = 100", "minibatch_size = 100"),
         ("[arms.own.rta]\nperiod = 10.0", "must divide"),
+        ("[arms.own.train]\nrta = false\nlearn_from = 'applied'", "without the filter"),
+        ("[arms.own.plant]\ndrag = true", "drag: needs --plant basilisk"),
     ],
 )
 def test_an_arm_is_checked_before_anything_is_trained(
