@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 import torch
 from scipy.optimize import nnls
+from scipy.spatial.transform import Rotation
 
 from inspection.attitude import rotate
-from inspection.hull import beside, clearance, reach
+from inspection.hull import MOST_FACES, PLANES, beside, clearance, reach
 from inspection.parameters import ChiefParameters, InspectionParameters
 from inspection.surface import read
 from inspection.termination import failures
@@ -106,3 +107,15 @@ def test_a_flat_mesh_and_one_beside_its_origin_have_no_hull(tmp_path: Path) -> N
     np.savez(tmp_path / "beside.npz", triangles=np.asarray(read(MESHES[0])["triangles"]) * 0.1 + 3.0)
     with pytest.raises(ValueError, match="origin must lie within"):
         beside(C, hull_of(str(tmp_path / "beside.npz")))
+
+
+def test_of_many_faces_the_largest_are_kept(tmp_path: Path) -> None:
+    """A disc of 128 sides: its two ends are what one comes nearest to."""
+    angle = np.linspace(0.0, 2.0 * np.pi, 128, endpoint=False)
+    rim = 9.5 * np.column_stack((np.cos(angle), np.sin(angle)))
+    corners = np.concatenate([np.column_stack((rim, np.full(128, z))) for z in (-0.3, 0.3)])
+    tilted = Rotation.from_euler("xy", (20.0, 50.0), degrees=True).apply(corners)
+    np.savez(tmp_path / "disc.npz", points=tilted, normals=tilted, areas=np.ones(256))
+    c = beside(C, ChiefParameters(mesh=str(tmp_path / "disc.npz"), collision="hull"))
+    assert len(c.planes) == PLANES + MOST_FACES
+    assert c.least_distance == pytest.approx(0.3 + C.deputy_radius, abs=1e-4)

@@ -12,9 +12,10 @@ from scipy.spatial.transform import Rotation
 
 from inspection import chief
 from inspection.attitude import random_quaternion, rotate
+from inspection.environment import InspectionEnv
 from inspection.parameters import ChiefParameters, InspectionParameters
 from inspection.state import SIZE, THETA_S, P, Q
-from inspection.surface import GROUPS, covered, cuts, is_closed, light, margins, surface
+from inspection.surface import GROUPS, covered, cuts, is_closed, light, margins, pinned, read, surface
 
 ROOT = Path(__file__).parents[2]
 MESHES = ("configs/chiefs/box.npz", "configs/chiefs/satellite.stl")
@@ -182,6 +183,44 @@ def test_points_of_an_open_mesh_in_single_precision_are_kept(tmp_path) -> None:
     assert surface(ChiefParameters(mesh=str(tmp_path / "plate.npz")), C).points.shape == (3, 200)
 
 
+def test_points_weigh_by_their_areas_and_their_angle_to_the_priority(tmp_path) -> None:
+    normals = Rotation.random(60, random_state=1).apply([0.0, 0.0, 1.0])
+    areas = np.random.default_rng(0).uniform(0.1, 3.0, 60)
+    np.savez(tmp_path / "own.npz", points=5.0 * normals, normals=normals, areas=areas)
+    target = ChiefParameters(mesh=str(tmp_path / "own.npz"))
+    env = InspectionEnv(3, C, [torch.Generator().manual_seed(0)], target=target)
+    env.reset()
+    for i in range(3):
+        weights = areas * np.arccos(-normals @ env.priority[:, i].numpy())
+        expected = weights[env.inspected[:, i].numpy()].sum() / weights.sum()
+        np.testing.assert_allclose(env.weights[:, i], weights / weights.sum(), rtol=1e-9)
+        np.testing.assert_allclose(env.score[i], expected, rtol=1e-9)
+
+
+def test_the_inside_of_a_narrow_tube_is_kept(tmp_path) -> None:
+    tube = trimesh.creation.annulus(r_min=0.15, r_max=0.5, height=16.0)
+    np.savez(tmp_path / "tube.npz", triangles=np.array(tube.triangles))
+    c = InspectionParameters(num_points=300)
+    assert surface(ChiefParameters(mesh=str(tmp_path / "tube.npz")), c).points.shape[1] > 295
+
+
+def test_a_mesh_is_known_by_its_digest(tmp_path) -> None:
+    path = tmp_path / "own.npz"
+    np.savez(path, triangles=box((-2, -2, -2), (2, 2, 2)))
+    name = pinned(str(path))
+    assert name == pinned(name) and surface(ChiefParameters(mesh=name), C).points.shape[0] == 3
+    np.savez(path, triangles=box((-2, -2, -2), (2, 2, 3)))
+    with pytest.raises(ValueError, match="another file by now"):
+        read(name)
+    assert surface(ChiefParameters(mesh=str(path)), C).points[2].max() > 2.5  # read anew
+
+
+@pytest.mark.parametrize("kind", [">f8", "f4", "longdouble", "i8"])
+def test_numbers_of_any_kind_are_read(kind, tmp_path) -> None:
+    np.savez(tmp_path / "own.npz", triangles=box((-2, -2, -2), (2, 2, 2)).astype(kind))
+    assert read(str(tmp_path / "own.npz"))["triangles"].dtype == np.float64
+
+
 @pytest.mark.parametrize(
     ("content", "words"),
     [
@@ -196,6 +235,11 @@ def test_points_of_an_open_mesh_in_single_precision_are_kept(tmp_path) -> None:
         ),
         ({"points": np.eye(3), "normals": 0 * np.eye(3), "areas": np.ones(3)}, "normals not zero"),
         ({"triangles": np.full((1, 3, 3), np.nan)}, "finite numbers only"),
+        ({"points": np.ones(3), "normals": np.ones(3), "areas": np.array(1.0)}, "points must be (N, 3)"),
+        ({"points": np.array(1.0), "normals": np.eye(3), "areas": np.ones(3)}, "points must be (N, 3)"),
+        ({"points": np.eye(3), "normals": np.eye(3), "areas": np.eye(3)}, "areas must be (N,)"),
+        ({"points": np.eye(3), "normals": np.eye(3), "areas": np.full(3, 1e308)}, "areas must not be"),
+        ({"triangles": np.zeros((20_001, 3, 3))}, "at most 20,000"),
         ({"triangles": np.ones((1, 3, 3))}, "has no area"),
     ],
 )

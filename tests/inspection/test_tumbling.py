@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from inspection.attitude import rotate
 from inspection.environment import InspectionEnv
+from inspection.observation import components
 from inspection.orbit import sun_angle_after
 from inspection.parameters import OBSERVABLE, OBSERVED, ChiefParameters, InspectionParameters
 from inspection.state import SIZE, THETA_S, P, Q
@@ -170,6 +171,19 @@ def test_the_agent_may_observe_how_the_chief_turns() -> None:
     assert "chief" in OBSERVABLE and own.step(torch.zeros(8, 6)).observation.shape == (8, 35)
 
 
+def test_the_priority_turns_with_it() -> None:
+    """The agent sees it in its body's axes, and how it is aligned with where it is."""
+    chief = ChiefParameters(attitude=(0.1, 0.2, 0.5, 0.7))
+    env = looking(chief)
+    first = [component.name for component in components()].index("priority_x")
+    to_hill = Rotation.from_quat(chief.attitude)
+    for i in range(8):
+        priority = to_hill.apply(env.priority[:, i])
+        expected = [*Rotation.from_quat(env.x[Q, i].numpy()).inv().apply(priority)]
+        expected.append(priority @ env.x[P, i].numpy() / env.x[P, i].norm().item())
+        np.testing.assert_allclose(env.observation()[i, first : first + 4], expected, atol=1e-6)
+
+
 def test_a_new_episode_has_a_chief_of_its_own_from_its_beginning() -> None:
     chief = ChiefParameters(random_attitude=True, largest_rate=1.0)
     env = looking(chief, InspectionParameters(max_time=30.0))
@@ -200,7 +214,9 @@ def test_a_run_with_a_turning_chief_goes_on_bit_for_bit() -> None:
     [
         ({"rate": (11.0, 0.0, 0.0)}, "at most 10 deg/s"),
         ({"rate": (1.0, 0.0, 0.0), "largest_rate": 1.0}, "is drawn"),
+        ({"rate": (8.0, 8.0, 0.0)}, "at most 10 deg/s"),
         ({"moments": (1.0, 1.0, 3.0)}, "none above the sum"),
+        ({"moments": (1e-6, 1.0, 1.0)}, "factor of 1000"),
         ({"attitude": (0.0, 0.0, 0.0, 0.0)}, "must not be zero"),
         ({"attitude": (0.0, 0.0, math.nan, 0.0)}, "finite numbers"),
     ],

@@ -6,6 +6,7 @@ import torch
 from study.config import Config, override
 from study.errors import InputError
 from study.experiment import Experiment, priced
+from study.experiment import test_cases as common_cases
 
 HULL = {"mesh": "configs/chiefs/box.npz", "collision": "hull"}
 
@@ -39,3 +40,12 @@ def test_filter_and_environment_stay_clear_of_the_hull() -> None:
 def test_a_hull_of_what_turns_is_refused_in_a_line() -> None:
     with pytest.raises(InputError, match="holds still"):
         made(chief=HULL | {"rate": [0.1, 0.0, 0.0]})
+
+
+def test_test_cases_beside_a_hull_may_be_where_the_sphere_would_be() -> None:
+    near = made(
+        chief={"mesh": "configs/chiefs/box.npz", "collision": "hull"},
+        inspection={"initial_radius": [9.5, 14.0]},
+    )
+    x, _ = common_cases(near, 4, 0)
+    assert (x[:3].norm(dim=0) < near.inspection.collision_radius).all()

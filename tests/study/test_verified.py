@@ -6,6 +6,7 @@ import shlex
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 import main
@@ -112,6 +113,19 @@ def test_two_large_and_clean_campaigns_are_needed(more: dict[str, Any], trusted:
 @pytest.mark.parametrize("period", PERIODS)
 def test_the_shipped_campaigns_verify_every_period(period: float) -> None:
     assert doubt(configured({"rta": {"period": period}}), [], None) is None
+
+
+def test_a_hull_counts_by_what_its_file_holds_wherever_it_lies(elsewhere: Path) -> None:
+    def of(mesh: str, **chief: Any) -> str:
+        return fingerprint(configured({"chief": {"mesh": mesh, "collision": "hull"} | chief}))
+
+    name = "configs/chiefs/box.npz"
+    shipped = of(name)
+    assert of(str(ROOT / name)) == shipped == of(name, moments=[1.0, 0.9, 0.8])
+    assert of(name, attitude=[0.0, 0.0, 1.0, 0.0]) != shipped
+    (elsewhere / "configs/chiefs").mkdir(parents=True)
+    np.savez(elsewhere / name, triangles=np.load(ROOT / name)["triangles"] * 1.1)
+    assert of(name) != shipped
 
 
 def test_reports_of_another_plant_verify_none() -> None:

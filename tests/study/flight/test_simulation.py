@@ -1,6 +1,11 @@
 """What `simulate` records, against the same flight step by step."""
 
+import math
+
 import numpy as np
+import torch
+from scipy.integrate import solve_ivp
+from scipy.spatial.transform import Rotation
 
 from inspection.dynamics import step as integrate
 from inspection.guidance import recorded
@@ -9,7 +14,9 @@ from rta.parameters import RtaParameters
 from study.config import Config, override
 from study.experiment import Experiment
 from study.experiment import test_cases as common_cases
-from study.flight.simulation import simulate
+from study.flight.evaluation import play
+from study.flight.figures import points_of_chief
+from study.flight.simulation import common_episode, simulate
 
 DURATION, DECIDE_EVERY, STEP = 60, 10, 5  # s, with a call of the filter each second
 
@@ -39,3 +46,57 @@ def test_intervened_tells_which_calls_since_the_row_changed_the_control_they_wer
     differs = np.stack((differs[:-1, :3].any(1), differs[:-1, 3:].any(1)), 1)
     assert 0 < expected.sum() < expected.size
     assert (differs != expected).any() and (changed[::STEP] != expected).any()
+
+
+SATELLITE = {"mesh": "configs/chiefs/satellite.stl", "moments": [1.0, 0.9, 0.6]}
+
+
+def beside_a_chief(chief: dict, **inspection: object) -> Experiment:
+    tables = {"train": {"device": "cpu", "rta": False}, "chief": chief, "inspection": inspection}
+    return Experiment(override(Config(), tables, "test"), 1, DURATION)
+
+
+def test_a_chief_tumbles_in_it_as_an_adaptive_integrator_has_it_and_is_seen_as_by_an_agent() -> None:
+    rate, moments = np.radians([1.0, 0.5, 2.0]), np.array(SATELLITE["moments"])
+    experiment = beside_a_chief(
+        SATELLITE | {"rate": np.degrees(rate).tolist(), "attitude": [0.1, 0.2, 0.3, 0.9]}
+    )
+    x, priority = common_cases(experiment.config, 1, 0)
+    x[:3, 0], x[6:10, 0], x[15] = x.new_tensor([-60.0, 0.0, 0.0]), x.new_tensor([0.0, 0.0, 0.0, 1.0]), math.pi
+    x[3:6], x[10:13] = 0.0, 0.0  # looks at the chief with the Sun behind
+    env = experiment.env(1, report_every=STEP)
+    run = simulate(env, lambda t, x: x.new_zeros(6, 1), x, priority, DURATION)
+
+    def derivative(t: float, y: np.ndarray) -> np.ndarray:
+        (a, b, c, d), (p, q, r) = y[:4], y[4:]
+        turned = [d * p + b * r - c * q, d * q + c * p - a * r, d * r + a * q - b * p, -a * p - b * q - c * r]
+        return np.concatenate((np.array(turned) / 2, np.cross(moments * y[4:], y[4:]) / moments))
+
+    start = np.array([0.1, 0.2, 0.3, 0.9])
+    start = np.concatenate((start / np.linalg.norm(start), rate))
+    path = solve_ivp(derivative, (0, DURATION), start, "DOP853", run["time"], rtol=1e-11, atol=1e-12).y[:4]
+    apart = Rotation.from_quat(run["chief_attitude"]) * Rotation.from_quat(path.T).inv()
+    assert apart.magnitude().max() < 1e-6 and Rotation.from_quat(path[:, -1]).magnitude() > 1.5
+
+    drawn = points_of_chief(run, experiment.config.inspection)
+    expected = Rotation.from_quat(path[:, -1]).apply(run["chief_points"])
+    np.testing.assert_allclose(drawn, expected, atol=1e-4)
+
+    other = experiment.env(1)
+    other.start(x, priority)
+    for i in range(1, DURATION // 10 + 1):
+        seen = other.step(torch.zeros(1, 6)).inspected[:, 0].numpy()
+        np.testing.assert_array_equal(run["inspected"][np.flatnonzero(run["time"] == 10.0 * i)[0]], seen)
+    assert (run["inspected"][-1] != run["inspected"][0]).any()
+
+
+def test_a_later_test_case_has_the_chief_that_it_was_evaluated_with() -> None:
+    experiment = beside_a_chief(
+        {"random_attitude": True, "largest_rate": 5.0}, max_time=60.0, field_of_view=2.5
+    )
+    policy = experiment.policy(experiment.generators([3]))
+    record = play(policy, experiment, 4, 0)
+    scores = record.metrics[0]
+    assert len(set(scores.tolist())) == 4
+    for case in range(4):
+        assert common_episode(policy, experiment, case)["inspected_score"][-1] == scores[case].item()

@@ -84,6 +84,20 @@ def test_points_in_the_meshs_own_shade_are_not_shown_as_lit(
         assert (shown != lit).mean() < 0.01 and (shown != facing).any()
 
 
+def test_a_flight_beside_a_hull_is_shown(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out, figure = tmp_path / "flown.npz", tmp_path / "flown.png"
+    chief = ["--config", "configs/chiefs/box.toml", "--config", "configs/chiefs/hull.toml"]
+    flags = ["--controller", "zero", "--duration", "20", "--out", str(out), "--figure", str(figure)]
+    assert main.main(["simulate", "--no-rta", *chief, *flags]) == 0
+    capsys.readouterr()
+    run = scene.read(str(out))
+    shown = as_written(run)["runs"][0]
+    assert figure.is_file() and len(shown["corners"]) == 3 * len(run.episode["chief_triangles"])
+    # points are drawn in front of their faces
+    above = np.array(shown["points"]) - run.episode["chief_points"]
+    assert ((above * run.episode["chief_normals"]).sum(1) > 0.05).all()
+
+
 def test_panels_hold_every_constraint_and_both_controls_within_their_range(
     flown: dict[str, np.ndarray], shown: dict[str, Any]
 ) -> None:

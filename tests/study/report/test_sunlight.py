@@ -14,10 +14,14 @@ from study.config import Config, override
 from study.report.sunlight import earliest_success, shortest_episodes
 
 
-def by_loop(theta: float, priority: np.ndarray, c: InspectionParameters) -> float:
+def by_loop(
+    theta: float, priority: np.ndarray, c: InspectionParameters, areas: np.ndarray | None = None
+) -> float:
     """Each point's moment of first light from its angle to the Sun's circle, then points in that order."""
     normals = chief.fibonacci_sphere(c.num_points).T.numpy()
-    angles = [math.acos(max(-1.0, min(1.0, -float(n @ priority)))) for n in normals]
+    sizes = np.ones(c.num_points) if areas is None else areas
+    pairs = zip(normals, sizes, strict=True)
+    angles = [size * math.acos(max(-1.0, min(1.0, -float(n @ priority)))) for n, size in pairs]
     lit_at = []
     for n in normals:
         # n . s(t) = |n_xy| cos(azimuth - theta + n t) is first positive when the Sun is 90 deg before the azimuth
@@ -43,6 +47,22 @@ def test_it_is_the_moment_at_which_enough_points_have_been_lit():
     found = earliest_success(torch.tensor(theta), torch.tensor(priority), c).numpy()
     expected = np.array([by_loop(theta[i], priority[:, i], c) for i in range(20)])
     assert (found >= expected - 1e-6).all() and (found <= expected + c.action_period).all()
+
+
+def test_points_of_a_file_count_by_their_areas(tmp_path):
+    c = InspectionParameters(num_points=60)
+    normals, rng = chief.fibonacci_sphere(60).T.numpy(), np.random.default_rng(2)
+    areas = rng.uniform(0.0, 1.0, 60) ** 6  # some of which matter, and most hardly
+    np.savez(tmp_path / "own.npz", points=5.0 * normals, normals=normals, areas=areas)
+    theta, priority = np.linspace(0.0, 6.0, 10), rng.normal(size=(3, 10))
+    priority /= np.linalg.norm(priority, axis=0)
+    target = ChiefParameters(mesh=str(tmp_path / "own.npz"))
+    found = earliest_success(torch.tensor(theta), torch.tensor(priority), c, target).numpy()
+    expected, evenly = (
+        np.array([by_loop(theta[i], priority[:, i], c, each) for i in range(10)]) for each in (areas, None)
+    )
+    assert (found >= expected - 1e-6).all() and (found <= expected + c.action_period).all()
+    assert (abs(expected - evenly) > 50.0).any()
 
 
 def test_on_an_eccentric_orbit_the_sun_is_where_the_simulator_has_it():
