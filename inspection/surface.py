@@ -1,8 +1,8 @@
 """The chief's surface: points with normals and areas, of the paper's sphere or of a mesh, and which of them is hidden.
 
-A mesh may hide its own points from the camera and from the Sun. Seen from a point, a triangle covers a cone of
-directions, bounded by the planes through the point and two corners each. The planes are computed once; where a
-spacecraft or the Sun is, a point is hidden if they lie inside one of its cones.
+A mesh may hide its own points from the camera and from the Sun. Seen from a point, a face, of three or four corners,
+covers a cone of directions, bounded by the planes through the point and two corners each. The planes are computed once;
+where a spacecraft or the Sun is, a point is hidden if they lie inside one of its cones.
 """
 
 import hashlib
@@ -42,8 +42,8 @@ class Surface(NamedTuple):
     Attributes:
         points (3, N) in m, normals (3, N), areas (N,) in m^2.
         triangles: (F, 3, 3) m, corner by corner; none of a sphere.
-        cones: of groups of points one after the other, those with few cones first: (3, K, k, 4) float32, the three
-            planes m . p + b = 0 around each of K cones of k points as [m, b]; m points inwards.
+        cones: of groups of points one after the other, those with few cones first: (n, K, k, 4) float32, the n planes
+            m . p + b = 0 around each of K cones of k points as [m, b]; m points inwards.
     """
 
     points: Tensor
@@ -176,15 +176,57 @@ def spread(triangles: Tensor, count: int) -> tuple[Tensor, Tensor, Tensor]:
     return points, unit(normals)[:, which], (areas.sum() / count).expand(count).clone()
 
 
+def numbered(triangles: Tensor) -> Tensor:
+    """(F, 3) which corner each is: those at the same place, to a micrometre, are one."""
+    places = (triangles * 1e6).round().long().reshape(-1, 3)
+    return torch.unique(places, dim=0, return_inverse=True)[1].reshape(-1, 3)
+
+
 def is_closed(triangles: Tensor) -> bool:
     """Whether every edge of the triangles (F, 3, 3) is one of another, the other way round."""
-    corners = torch.unique((triangles * 1e6).round().long().reshape(-1, 3), dim=0, return_inverse=True)[1]
-    corners = corners.reshape(-1, 3)
+    corners = numbered(triangles)
     edges = torch.cat([torch.stack((corners[:, k], corners[:, (k + 1) % 3]), 1) for k in range(3)])
     count = int(corners.max()) + 1 if len(corners) else 0
     ways = torch.stack((edges[:, 0] * count + edges[:, 1], edges[:, 1] * count + edges[:, 0]))
     there, back = (way.sort().values for way in ways)
     return bool((there == back).all())
+
+
+def faces(triangles: Tensor) -> Tensor:
+    """The triangles (F, 3, 3), or (k, 4, 3) where many pairs of them are one flat and convex quadrangle.
+
+    That has four planes around its cone, two triangles have six. What is left repeats its last corner.
+    """
+    by_edge = {
+        (first, second): (i, k)
+        for i, (a, b, c) in enumerate(numbered(triangles).tolist())
+        for k, (first, second) in enumerate(((a, b), (b, c), (c, a)))
+    }
+    partner: dict[int, int] = {}
+    found = []
+    for (first, second), (i, k) in by_edge.items():
+        j, m = by_edge.get((second, first), (i, k))
+        if i in partner or j in partner or i == j:
+            continue
+        a, b, c = triangles[i].roll(-k, 0)
+        quadrangle = torch.stack((a, triangles[j, (m + 2) % 3], b, c))
+        if is_flat_and_convex(quadrangle):
+            partner[i], partner[j] = j, i
+            found.append(quadrangle)
+    alone = triangles[[i not in partner for i in range(len(triangles))]]
+    if 4 * (len(found) + len(alone)) >= 3 * len(triangles):
+        return triangles
+    return torch.cat((torch.stack(found), torch.cat((alone, alone[:, 2:]), 1)))
+
+
+def is_flat_and_convex(corners: Tensor) -> bool:
+    """Of a quadrangle's corners (4, 3): whether it turns the same way at each, about one axis."""
+    edges = corners.roll(-1, 0) - corners
+    turns = torch.linalg.cross(edges.roll(1, 0), edges)
+    axis = torch.nn.functional.normalize(turns.sum(0), dim=0)
+    return bool((turns @ axis >= -(RISE**2)).all()) and bool(
+        ((corners - corners[0]) @ axis).abs().max() < RISE
+    )
 
 
 def enclosed(points: Tensor, triangles: Tensor) -> Tensor:
@@ -203,34 +245,35 @@ def enclosed(points: Tensor, triangles: Tensor) -> Tensor:
 
 
 def hiding(whole: Surface) -> list[Tensor]:
-    """Of each point, the planes (3, K, 3) around the cones of the triangles that can hide it.
+    """Of each point, the planes (n, K, 3) around the cones of the faces that can hide it, of n corners each.
 
-    These are the triangles that rise above the point's horizon; of a closed mesh only those that face it, since what
+    These are the faces that rise above the point's horizon; of a closed mesh only those that face it, since what
     leaves it enters the mesh again through such a one.
     """
-    points, normals, triangles = whole.points.T, whole.normals.T, whole.triangles
-    outwards = unit(
-        torch.linalg.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]).T
-    ).T
-    closed = is_closed(triangles)
+    points, normals, all_faces = whole.points.T, whole.normals.T, faces(whole.triangles)
+    one, two, three = all_faces[:, :3].unbind(1)
+    outwards = unit(torch.linalg.cross(two - one, three - one).T).T
+    closed = is_closed(whole.triangles)
     found: list[Tensor] = []
-    for some in torch.arange(len(points)).split(max(1, AT_ONCE // max(1, len(triangles)))):
-        # corners as seen from the points, (3 corners, k points, F, 3)
-        corners = triangles.transpose(0, 1)[:, None] - points[some, None]
+    for some in torch.arange(len(points)).split(max(1, AT_ONCE // max(1, len(all_faces)))):
+        # corners as seen from the points, (n corners, k points, F, 3)
+        corners = all_faces.transpose(0, 1)[:, None] - points[some, None]
         hides = ((corners * normals[some, None]).sum(-1) > RISE).any(0)
         if closed:
             hides &= (corners[0] * outwards).sum(-1) < -FLAT
-        a, b, c = corners
-        planes = torch.stack([torch.linalg.cross(*pair) for pair in ((a, b), (b, c), (c, a))])
-        volume = (planes[0] * c).sum(-1)
+        planes = torch.linalg.cross(corners, corners.roll(-1, 0))
+        volume = (planes[0] * corners[2]).sum(-1)
         hides &= volume.abs() > FLAT
         planes = torch.nn.functional.normalize(planes * volume.sign()[..., None], dim=-1)
+        planes = torch.where(
+            (planes == 0.0).all(-1, keepdim=True), planes[:1], planes
+        )  # of a repeated corner
         found += [planes[:, i, hides[i]] for i in range(len(some))]
     return found
 
 
 def hidden(planes: Tensor, directions: Tensor) -> Tensor:
-    """(k,) bool: directions (3, k) from a point are in one of its cones, their planes (3, K, 3)."""
+    """(k,) bool: directions (3, k) from a point are in one of its cones, their planes (n, K, 3)."""
     return (planes @ directions > 0.0).all(0).any(0)
 
 
@@ -255,7 +298,9 @@ def grouped(whole: Surface, planes: list[Tensor], keep: Tensor) -> Surface:
         group = order[begin:end]
         most = planes[group[-1]].shape[1]
         points, normals = whole.points[:, group].T, whole.normals[:, group].T
-        some = -normals[None, None].repeat(3, most, 1, 1)  # those that fill up hide nothing above the horizon
+        some = -normals[None, None].repeat(
+            len(planes[0]), most, 1, 1
+        )  # those that fill up hide nothing above the horizon
         for k, i in enumerate(group):
             some[:, : planes[i].shape[1], k] = planes[i]
         offsets = -(some * points).sum(-1, keepdim=True)  # a plane goes through its point
@@ -294,7 +339,7 @@ def ever_seen(whole: Surface, name: str) -> Surface:
 def covered(whole: Surface, place: Tensor) -> Tensor:
     """(N, B), positive where a cone of a point holds the place, a position [p, 1] (4, B) or a direction (3, B).
 
-    It is zero elsewhere. A product is positive where three planes say inside; the compiled code of minima, which must
+    It is zero elsewhere. A product is positive where all planes say inside; the compiled code of minima, which must
     pass NaN on, takes longer.
     """
     found = []

@@ -15,7 +15,7 @@ from inspection.attitude import random_quaternion, rotate
 from inspection.environment import InspectionEnv
 from inspection.parameters import ChiefParameters, InspectionParameters
 from inspection.state import SIZE, THETA_S, P, Q
-from inspection.surface import GROUPS, covered, cuts, is_closed, light, margins, pinned, read, surface
+from inspection.surface import GROUPS, covered, cuts, faces, is_closed, light, margins, pinned, read, surface
 
 ROOT = Path(__file__).parents[2]
 MESHES = ("configs/chiefs/box.npz", "configs/chiefs/satellite.stl")
@@ -83,6 +83,33 @@ def test_a_surface_that_forgets_a_cone_is_caught(whole) -> None:
     x, attitude = some_states(25)
     blind = whole._replace(cones=tuple(group[:, :0] for group in whole.cones))
     assert (margins(blind, x, attitude, C) > 0.0).sum() > (margins(whole, x, attitude, C) > 0.0).sum() + 50
+
+
+def test_flat_pairs_of_triangles_become_one_face(whole) -> None:
+    """Half as many, of the same area."""
+    corners = faces(whole.triangles)
+    assert corners.shape == (len(whole.triangles) // 2, 4, 3)
+    halves = corners[:, [[0, 1, 2], [2, 3, 0]]].flatten(0, 1)
+    areas = [
+        torch.linalg.cross(each[:, 1] - each[:, 0], each[:, 2] - each[:, 0]).norm(dim=1).sum()
+        for each in (halves, whole.triangles)
+    ]
+    assert torch.allclose(*areas)
+
+
+def test_pairs_that_are_bent_or_hollow_stay_triangles() -> None:
+    def pair(z: float, x: float) -> torch.Tensor:
+        a, b, c, d = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [x, 1 - x, z]])
+        return torch.from_numpy(np.array([[a, b, c], [a, c, d]]))
+
+    assert faces(pair(0.0, 0.0)).shape == (1, 4, 3)
+    assert faces(pair(0.2, 0.0)).shape == (2, 3, 3)  # bent
+    assert faces(pair(0.0, 0.6)).shape == (2, 3, 3)  # d is within the corner at c
+    third = torch.tensor([[[5.0, 5, 5], [6, 5, 5], [5, 6, 5]]], dtype=torch.float64)
+    mixed = faces(torch.cat((pair(0.0, 0.0), third)))
+    assert mixed.shape == (2, 4, 3) and torch.equal(mixed[-1, 2], mixed[-1, 3])
+    # where three faces of four planes take as long as four of three
+    assert faces(torch.cat((pair(0.0, 0.0), third, third + 9.0))).shape == (4, 3, 3)
 
 
 def test_points_are_grouped_so_that_little_fills_up() -> None:
