@@ -344,7 +344,7 @@ def covered(whole: Surface, place: Tensor) -> Tensor:
     """
     found = []
     for group in whole.cones:
-        inside = [(plane[..., : len(place)] @ place).relu() for plane in group]
+        inside = ((plane[..., : len(place)] @ place).relu() for plane in group)  # one after the other in memory
         found.append(reduce(torch.mul, inside).sum(0))
     return torch.cat(found)
 
