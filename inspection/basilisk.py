@@ -203,9 +203,7 @@ class Simulation:
         command = messaging.ArrayMotorTorqueMsgPayload()
         command.motorTorque = (-u[TORQUE]).tolist()  # on the wheel; the body has the reaction
         deputy.wheel_command.write(command, self.now)
-        steps = np.round(
-            u[THRUST] / self.c.max_thrust * seconds / PULSE
-        )  # what is lost of one does not count
+        steps = np.round(u[THRUST] / self.c.max_thrust * seconds / PULSE)  # again with what is LOST
         pulses = PULSE * np.sign(steps) * (np.abs(steps) - END).clip(0.0)
         command = messaging.THRArrayOnTimeCmdMsgPayload()
         command.OnTimeRequest = np.stack((pulses, -pulses), 1).clip(0.0).ravel().tolist()

@@ -14,8 +14,8 @@ from torch import Tensor
 
 from inspection.attitude import dot, norm, rotate, unit
 from inspection.chief import fibonacci_sphere
+from inspection.mesh import read
 from inspection.parameters import ChiefParameters, InspectionParameters
-from inspection.surface import read
 
 PLANES = 100  # in directions spread over the sphere, about 0.35 rad apart
 MOST_FACES = 100  # of the hull, the largest ones: each takes time at every call

@@ -14,10 +14,11 @@ from torch import Tensor
 from inspection.environment import InspectionEnv, clocks_of
 from inspection.hull import beside
 from inspection.initial_state import InitialStates
+from inspection.mesh import pinned
 from inspection.observation import components
 from inspection.parameters import InspectionParameters
 from inspection.state import CONTROL_SIZE
-from inspection.surface import pinned, surface
+from inspection.surface import surface
 from ppo import checkpoint
 from ppo.checkpoint import CheckpointError
 from ppo.distributed import local_rank

@@ -11,8 +11,8 @@ from scipy.spatial.transform import Rotation
 
 from inspection.attitude import rotate
 from inspection.hull import MOST_FACES, PLANES, beside, clearance, reach
+from inspection.mesh import read
 from inspection.parameters import ChiefParameters, InspectionParameters
-from inspection.surface import read
 from inspection.termination import failures
 
 MESHES = ("configs/chiefs/box.npz", "configs/chiefs/satellite.stl")

@@ -13,9 +13,10 @@ from scipy.spatial.transform import Rotation
 from inspection import chief
 from inspection.attitude import random_quaternion, rotate
 from inspection.environment import InspectionEnv
+from inspection.mesh import faces, is_closed, pinned, read
 from inspection.parameters import ChiefParameters, InspectionParameters
 from inspection.state import SIZE, THETA_S, P, Q
-from inspection.surface import GROUPS, covered, cuts, faces, is_closed, light, margins, pinned, read, surface
+from inspection.surface import GROUPS, covered, cuts, light, margins, surface
 
 ROOT = Path(__file__).parents[2]
 MESHES = ("configs/chiefs/box.npz", "configs/chiefs/satellite.stl")
