@@ -124,6 +124,7 @@ def summary(own: Episodes, other: Episodes) -> dict[str, Any]:
     return {
         "episodes": other.outcome.numel(),
         "success_percent": 100.0 * (other.outcome == SUCCESS).double().mean().item(),
+        "other_outcomes": int((other.outcome != own.outcome).sum()),
         "clean_percent": 100.0 * other.clean.double().mean().item(),
         "violating_episodes": int((other.violation_seconds[-1] > 0).sum()),
         "unsolved": int(other.failures.sum()),
