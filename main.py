@@ -82,7 +82,9 @@ def run_study(configure: Configure, study_dir: str = "runs/study") -> None:
 def run_report(study: str, device: str | None = None) -> None:
     """main.py report"""
     from study.progress import step
-    from study.report import figures, inputs, page, replay, tables
+
+    with refusing("report needs the packages jinja2 and plotly (pip install '.[report]')", ImportError):
+        from study.report import figures, inputs, page, replay, tables
     from study.report.compute import compute
 
     directory = Path(study)
@@ -143,8 +145,8 @@ def run_simulate(
 
 def run_replay(runs: list[str], out: str) -> None:
     """main.py replay"""
-    from study.replay import page, scene
-
+    with refusing("replay needs the packages jinja2 and plotly (pip install '.[report]')", ImportError):
+        from study.replay import page, scene
     if len(runs) > 2:
         raise InputError(f"{len(runs)} runs: at most two are shown side by side")
     size = page.write(runs, Path(out))

@@ -4,6 +4,7 @@ import hashlib
 import io
 import math
 import re
+from collections import Counter
 from pathlib import Path
 
 import numpy as np
@@ -55,7 +56,7 @@ def file_of(mesh: str) -> tuple[str, bytes]:
     path = path_of(mesh)
     file = next((each for each in (Path(path), ROOT / path) if each.is_file()), None)
     if file is None:
-        raise ValueError(f"mesh = {path!r}: there is no such file")
+        raise ValueError(f"mesh = {path!r}: there is no such file, here or below the project's folder")
     try:
         content = file.read_bytes()
     except OSError as error:
@@ -96,6 +97,8 @@ def read(mesh: str) -> dict[str, np.ndarray]:
             raise ValueError(f"mesh = {path!r}: {name} must hold finite numbers only")
         known[name] = array.astype(np.float64)
     has = [name for name in ("points", "normals", "areas") if name in known]
+    if suffix == ".stl" and not known["triangles"].size:
+        raise ValueError(f"mesh = {path!r}: holds no triangles")
     if len(has) not in (0, 3) or not (has or known["triangles"].size):
         raise ValueError(f"mesh = {path!r}: needs triangles, or points, normals and areas")
     for name, array in known.items():
@@ -137,6 +140,18 @@ def is_closed(triangles: Tensor) -> bool:
     ways = torch.stack((edges[:, 0] * count + edges[:, 1], edges[:, 1] * count + edges[:, 0]))
     there, back = (way.sort().values for way in ways)
     return bool((there == back).all())
+
+
+def check_winding(triangles: Tensor, path: str) -> None:
+    """Raises ValueError where neighbours are not counterclockwise from the same side, and one's points face inwards."""
+    corners = numbered(triangles).tolist()
+    edges = Counter(edge for a, b, c in corners for edge in ((a, b), (b, c), (c, a)))
+    wrong = sum(count == 2 and (last, first) not in edges for (first, last), count in edges.items())
+    if wrong:
+        raise ValueError(
+            f"mesh = {path!r}: {wrong:,} pairs of neighbours are not counterclockwise from the same side: mend the "
+            "order of their corners (trimesh.repair.fix_normals)"
+        )
 
 
 def faces(triangles: Tensor) -> Tensor:

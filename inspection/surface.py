@@ -16,7 +16,7 @@ from torch import Tensor
 from inspection.attitude import body_axis, conjugate, dot, norm, rotate, unit
 from inspection.chief import fibonacci_sphere
 from inspection.dynamics import sun_direction
-from inspection.mesh import AT_ONCE, enclosed, faces, is_closed, path_of, pinned, read, spread
+from inspection.mesh import AT_ONCE, check_winding, enclosed, faces, is_closed, path_of, pinned, read, spread
 from inspection.parameters import ChiefParameters, InspectionParameters
 from inspection.state import THETA_S, P, Q
 
@@ -64,11 +64,13 @@ def of_mesh(mesh: str, count: int, largest: float) -> Surface:
         if not ((areas >= 0.0).all() and 0.0 < areas.sum() < math.inf and (norm(normals) > 0.0).all()):
             raise ValueError(f"{path_of(mesh)}: areas must not be negative or all zero, normals not zero")
     else:
+        check_winding(triangles, path_of(mesh))
         points, normals, areas = spread(triangles, count)
     reach = max(float(norm(each).max()) for each in (points, triangles.flatten(0, 1).T) if each.numel())
     if not reach <= largest:
         raise ValueError(
-            f"{path_of(mesh)}: reaches {reach:.3g} m from its origin: must lie within chief_radius, {largest:g} m"
+            f"{path_of(mesh)}: reaches {reach:,.4g} m from its origin: must lie within chief_radius, {largest:g} m"
+            + (" (is it in mm?)" if reach > 100.0 * largest else "")
         )
     return ever_seen(Surface(points, unit(normals), areas, triangles), mesh)
 

@@ -119,8 +119,9 @@ def check(c: InspectionParameters, period: float | None = None) -> None:
     if gained > MOST_GAINED * slowest:
         raise ValueError(
             f"max_thrust = {c.max_thrust:g}, mass = {c.mass:g}: change the speed in {period:g} s by up to {gained:.3g} "
-            f"m/s: must be at most {MOST_GAINED:.0%} of the limit beside the chief, {slowest:.3g} m/s: lower max_thrust"
-            " or raise docking_speed"
+            f"m/s: must be at most {MOST_GAINED:.0%} of the limit beside the chief, {slowest:.3g} m/s at "
+            f"{c.least_distance:.3g} m from its centre: lower max_thrust, raise docking_speed"
+            + (' or keep clear of the sphere ([chief] collision = "sphere")' if c.planes else "")
         )
     gyroscopic = max(
         abs(rate) * moment

@@ -4,6 +4,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 MALFORMED = (KeyError, TypeError, ValueError, RuntimeError, AttributeError)  # what damaged contents raise
+LONGEST = 600  # characters of what a library says
 NO_MEMORY = "can't allocate memory", "out of memory"  # in what PyTorch raises on a CPU and on a GPU
 
 
@@ -33,7 +34,7 @@ def refusing(where: str, *exceptions: type[BaseException]) -> Iterator[None]:
             reason = "not enough memory"
         else:
             reason = (str(error) or type(error).__name__).splitlines()[0]
-        raise InputError(f"{where}: {reason[:200]}") from None
+        raise InputError(f"{where}: {reason[:LONGEST]}") from None
 
 
 def in_one_line(text: str) -> str:

@@ -8,28 +8,20 @@ learned. Takes a few minutes.
 
 import json
 import os
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
-from scipy import stats
-from torch import Tensor
 
-from inspection.state import THRUST, TORQUE
 from study.command_line.flags import Parser
-from study.config import TEST_CASES
-from study.experiment import Experiment
 from study.files import write_json, writing
-from study.flight.evaluation import SUCCESS, play, played_by, report, run_episodes
 from study.flight.figures import BLUE, GREEN, ORANGE
-from study.report.agents import Arm, load
+from study.report.agents import load
+from study.report.flights import evaluate
 
 KEPT = ("reward", "delta_v_m_s", "episode_length_s")
 ENOUGH = 0.99  # of a seed's cases, to have learned
-CASES = 10  # of each seed, in which commands are counted
-FULL = 0.99  # of an actuator's limit
 CURVES = {
     "success": "success (%)",
     "reward": "reward",
@@ -47,41 +39,6 @@ def summary(results: dict[str, Any]) -> dict[str, Any]:
         "violations_percent": results["violations_percent"]["any"],
         "corrected_percent": results["rta"]["intervention_percent"],
     }
-
-
-def of_seeds(percent: list[float]) -> dict[str, Any]:
-    """A percentage of each seed, and the percentile bootstrap's 95 % interval of their mean."""
-    interval = [percent[0]] * 2
-    if np.ptp(percent) > 0.0:
-        drawn = stats.bootstrap((percent,), np.mean, method="percentile", rng=np.random.default_rng(0))
-        interval = [float(bound) for bound in drawn.confidence_interval]
-    return {"of_seeds": percent, "ci95": interval}
-
-
-def without_filter(arm: Arm) -> dict[str, Any]:
-    """What the page shows of an arm's agents without the filter."""
-    config, seeds = replace(arm.config, train=replace(arm.config.train, rta=False)), len(arm.digests)
-    experiment = Experiment(config, seeds * config.train.final_episodes)
-    record = play(arm.policy, experiment, config.train.final_episodes, TEST_CASES)
-    succeeded = (record.outcome == SUCCESS).double().reshape(seeds, -1).mean(1)
-    found = summary(report(record, experiment.config, TEST_CASES, seeds))
-    return found | {"success": of_seeds([100.0 * share for share in succeeded.tolist()])}
-
-
-def at_limits(arm: Arm) -> dict[str, float]:
-    """Percent of what an arm's agents command behind the filter that is at an actuator's limit."""
-    env, agents, *starts = played_by(arm.policy, Experiment(arm.config, CASES), CASES, TEST_CASES)
-    shares: dict[str, list[float]] = {"thrust": [], "torque": []}
-
-    def counting(t: float, x: Tensor) -> Tensor:
-        control = agents(t, x)
-        full = (control.abs() >= FULL * env.limit).double()
-        for name, part in (("thrust", THRUST), ("torque", TORQUE)):
-            shares[name].append(full[part].mean().item())
-        return control
-
-    run_episodes(env, counting, *starts)
-    return {name: 100.0 * float(np.mean(each)) for name, each in shares.items()}
 
 
 def curves(path: Path) -> dict[str, list[Any]]:
@@ -141,12 +98,8 @@ def main(argv: list[str] | None = None) -> None:
             "interactions": arm.results["interactions"],
             "jump_start": arm.config.train.jump_start,
             "learned_at": learned_at(own),
-            "with_filter": summary(arm.results)
-            | {
-                "success": of_seeds([100.0 * each["outcomes"]["success"] for each in arm.results["per_seed"]])
-            },
-            "without": without_filter(arm),
-            "commands_at_limits_percent": at_limits(arm),
+            "with_filter": summary(arm.results),
+            "without": summary(evaluate(arm, rta=False, period=arm.config.rta.period)),
             "curves": own,
         }
     arguments.out.mkdir(parents=True, exist_ok=True)

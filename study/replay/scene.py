@@ -50,7 +50,10 @@ CHIEF: dict[str, tuple[int, ...]] = {
     "chief_triangles": (3, 3),
 }
 
+ROUNDING = 1e-9  # of whatever unit: less of a difference is not drawn
 RISE = 0.01  # of the chief's radius, by which a mesh's points are drawn above it
+
+AXIS = 0.12  # of what is flown through, the length of the body's axes
 
 # panels of the constraints: title, unit, factor from the file's unit, constraints, the control that acts on them
 SQUARE_DEGREES = math.degrees(1.0) ** 2
@@ -267,7 +270,7 @@ def common_range(same: Sequence[Panel]) -> np.ndarray:
     values = [one["values"] for each in same for one in each["lines"]]
     limits = [limit for each in same for limit in each["safe"] if limit is not None]
     shown = np.concatenate((*values, limits))
-    room = 0.08 * np.ptp(shown) or 1.0
+    room = 0.08 * np.ptp(shown) if np.ptp(shown) > ROUNDING else 1.0
     return np.array([shown.min() - 2.0 * room, shown.max() + room])  # the strip of interventions is below
 
 
@@ -307,12 +310,12 @@ def box(runs: Sequence[Replayed]) -> dict[str, Any]:
     size = max(np.ptp(positions, axis=0).max(), 4.0 * radius)
     direction = max(2.5 * radius, 0.3 * size)  # to the Sun and the Earth
     inside = np.array([direction, direction, 1.5 * radius])
-    low = np.minimum(positions.min(0), -inside) - 0.08 * size
-    high = np.maximum(positions.max(0), inside) + 0.08 * size
+    low = np.minimum(positions.min(0), -inside) - AXIS * size
+    high = np.maximum(positions.max(0), inside) + AXIS * size
     unit = np.prod(high - low) ** (1 / 3)
     return {
         "ranges": np.stack((low, high), 1),
-        "lengths": {"axis": 0.12 * size, "cone": 0.25 * size, "direction": direction},
+        "lengths": {"axis": AXIS * size, "cone": 0.25 * size, "direction": direction},
         "aspect": (high - low) / unit,
         "centre": -(low + high) / 2 / unit,
         "reach": np.linalg.norm(positions, axis=1).max() / unit,

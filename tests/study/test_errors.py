@@ -14,7 +14,7 @@ from study.errors import InputError, refusing
         (ValueError("too large"), "too large"),
         (ValueError("first\nsecond"), "first"),
         (ValueError(), "ValueError"),
-        (ValueError("x" * 1000), "x" * 200),
+        (ValueError("x" * 1000), "x" * 600),
         (PermissionError(errno.EACCES, os.strerror(errno.EACCES), "file"), "Permission denied"),
         (OSError("by hand"), "by hand"),
     ],
