@@ -741,6 +741,10 @@ def test_agents_fly_in_basilisk_as_the_page_says(arm: str, label: str, world: st
         shown("episode_length_s", 0),
         shown("delta_v_m_s", 3),
     ]
+    assert found["other_outcomes"] == 0
+    if world.endswith("pulses"):
+        assert 0.12 <= -round(found["difference"]["delta_v_m_s"]["mean"], 2) <= 0.15
+        assert 35 < found["difference"]["episode_length_s"]["mean"] < 75
     if world in ("basilisk", "basilisk, J2 and drag"):  # "no mean differs by two standard errors"
         apart = found["difference"]
         assert all(

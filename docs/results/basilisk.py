@@ -3,7 +3,7 @@
     python -m docs.results.basilisk --study runs/reference/study --out runs/reference/basilisk
 
 Coasts 100 spacecraft from all over the safe set, and flies all agents of two arms through the same cases in both, each
-beside itself. Needs Basilisk (docs/guides/basilisk.md); takes half an hour on two cores.
+beside itself. Needs Basilisk (docs/guides/basilisk.md); takes half an hour.
 """
 
 import math
