@@ -41,6 +41,7 @@ class Compiled:
         examples: arguments of one column, on the device to compile for.
         batch: how many columns a call will usually have; any number is allowed.
         trace_only: run the traced operations one by one, bit for bit what `function` does, without a compiler.
+        finish: what is done, elementwise, to what the function returns: chunk by chunk, too, but not compiled.
 
     Raises:
         whatever PyTorch's compiler raises where there is no working C++ compiler.
@@ -52,7 +53,9 @@ class Compiled:
         *examples: Tensor,
         batch: int = SIZES[-1],
         trace_only: bool = False,
+        finish: Callable[[Tensor], Tensor] = lambda packed: packed,
     ) -> None:
+        self.finish = finish
         self.shapes = [part.shape[:-1] for part in function(*examples)]
         self.by_size = trace_only or examples[0].device.type == "cpu"
         self.on_threads = False
@@ -86,7 +89,7 @@ class Compiled:
         """The packed parts (K, B) after `times` calls."""
         for _ in range(times):
             first = self.run(first, *others)
-        return first
+        return self.finish(first)
 
     def by_chunks(self, times: int, *tensors: Tensor) -> Tensor:
         """The packed parts (K, >= B), computed by chunks of a fixed size, the last one filled up with copies."""
@@ -97,7 +100,7 @@ class Compiled:
 
         starts = range(0, tensors[0].shape[-1], self.size)
         if not starts:
-            return tensors[0].new_empty(sum(shape.numel() for shape in self.shapes), 0)
+            return self.finish(tensors[0].new_empty(sum(shape.numel() for shape in self.shapes), 0))
         if len(starts) == 1:
             return chunk(0)
         threads = torch.get_num_threads() if self.on_threads else 1

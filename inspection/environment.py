@@ -100,6 +100,11 @@ class Transition:
         return self.terminated | self.truncated
 
 
+def positive(margins: Tensor) -> Tensor:
+    """What compiled code is ten times as slow at: truth values."""
+    return margins > 0.0
+
+
 class InspectionEnv:
     """A batch of inspection episodes.
 
@@ -188,7 +193,8 @@ class InspectionEnv:
         see = (
             partial(margins, self.surface) if self.tumbling else partial(chief.margins, self.surface.normals)
         )
-        self._margins = partial(chief.by_chunks, partial(see, c=parameters))
+        self._margins = partial(see, c=parameters)
+        self._seen = partial(chief.by_chunks, lambda *given: positive(self._margins(*given)))
         self._lloyd = partial(chief.by_chunks, partial(chief.lloyd, self.points))
 
     def put_behind(self, safety: Safety) -> None:
@@ -253,7 +259,6 @@ class InspectionEnv:
         examples = {
             "_integrate": (self.x, self.x[:CONTROL_SIZE], *self._bodies),
             "_normalised": (self.x, self.priority, self.uninspected, self.time, *self._chiefs(slice(None))),
-            "_margins": (self.x, *self._frames(slice(None))),
             "_lloyd": (self.inspected, self.centres, self.alive),
         }
         if self.safety.values:
@@ -261,12 +266,16 @@ class InspectionEnv:
         if self.plant and not self.plant.is_traceable:
             del examples["_integrate"]
         own = {name: self._compiled(getattr(self, name), *given) for name, given in examples.items()}
+        frames = self._frames(slice(None))
+        own["_seen"] = self._compiled(self._margins, self.x, *frames, finish=positive)
         vars(self).update(own)
 
-    def _compiled(self, function: Callable[..., Tensor], *examples: Tensor) -> Callable[..., Tensor]:
-        """A function to one tensor, compiled for tensors like the examples."""
+    def _compiled(
+        self, function: Callable[..., Tensor], *examples: Tensor, **finish: Callable[[Tensor], Tensor]
+    ) -> Callable[..., Tensor]:
+        """A function to one tensor, compiled for tensors like the examples; `finish` as of `Compiled`."""
         columns = [example[..., :1] for example in examples]
-        run = Compiled(lambda *tensors: [function(*tensors)], *columns, batch=self.time.numel())
+        run = Compiled(lambda *tensors: [function(*tensors)], *columns, batch=self.time.numel(), **finish)
         return lambda *tensors, **times: run(*tensors, **times)[0]
 
     @property
@@ -464,7 +473,7 @@ class InspectionEnv:
     def look(self, columns: Tensor | slice = slice(None)) -> None:
         """Marks the points in view and points r_UPS at the nearest cluster of those lit and left."""
         x = self.x[:, columns]
-        lit, seen = self._margins(x, *self._frames(columns)) > 0.0
+        lit, seen = self._seen(x, *self._frames(columns))
         inspected = self.inspected[:, columns] | seen
         wanted = lit & ~inspected
         centres, alive = chief.cluster(
