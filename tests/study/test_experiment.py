@@ -42,7 +42,7 @@ def test_a_hull_of_what_turns_is_refused_in_a_line() -> None:
         made(chief=HULL | {"rate": [0.1, 0.0, 0.0]})
 
 
-def test_test_cases_beside_a_hull_may_be_where_the_sphere_would_be() -> None:
+def test_test_cases_beside_a_hull_may_be_where_the_sphere_would_be(small_pools) -> None:
     near = made(
         chief={"mesh": "configs/chiefs/box.npz", "collision": "hull"},
         inspection={"initial_radius": [9.5, 14.0]},
