@@ -14,7 +14,7 @@ from torch import Tensor
 
 from inspection.attitude import dot, norm, rotate, unit
 from inspection.chief import fibonacci_sphere
-from inspection.mesh import read
+from inspection.mesh import path_of, read
 from inspection.parameters import ChiefParameters, InspectionParameters
 
 PLANES = 100  # in directions spread over the sphere, about 0.35 rad apart
@@ -47,12 +47,12 @@ def beside(c: InspectionParameters, chief: ChiefParameters) -> InspectionParamet
         faces = faces_of(ConvexHull(corners))
     except (QhullError, ValueError):  # the latter of too few
         raise ValueError(
-            f"mesh = {chief.mesh!r}: has no convex hull: its corners are all in a plane"
+            f"mesh = {path_of(chief.mesh)!r}: has no convex hull: its corners are all in a plane"
         ) from None
     directions = unit(torch.cat((fibonacci_sphere(PLANES), torch.from_numpy(faces).T), 1))
     support = (torch.from_numpy(corners) @ directions).amax(0)
     if not support.min() > 0.0:
-        raise ValueError(f"mesh = {chief.mesh!r}: its origin must lie within its hull")
+        raise ValueError(f"mesh = {path_of(chief.mesh)!r}: its origin must lie within its hull")
     attitude = unit(torch.tensor(chief.attitude, dtype=torch.float64))[:, None].expand(4, support.numel())
     planes = torch.cat((rotate(attitude, directions), support[None])).T
     return BesideHull(**vars(c), planes=tuple(map(tuple, planes.tolist())))

@@ -49,22 +49,30 @@ def path_of(mesh: str) -> str:
 
 
 def file_of(mesh: str) -> tuple[str, bytes]:
-    """Its path as it was given, and what the file holds; ValueError where that is not what its digest says.
+    """Its path as it was given, and what the file holds; ValueError where there is none that its digest is of.
 
-    A path that is not below the working directory is looked for in this project's folder.
+    A path is looked for below the working directory and below this project's folder.
     """
-    path = path_of(mesh)
-    file = next((each for each in (Path(path), ROOT / path) if each.is_file()), None)
-    if file is None:
-        raise ValueError(f"mesh = {path!r}: there is no such file, here or below the project's folder")
-    try:
-        content = file.read_bytes()
-    except OSError as error:
-        raise ValueError(f"mesh = {path!r}: cannot be read: {error.strerror or error}") from None
-    wanted, found = DIGEST.search(mesh), hashlib.sha256(content).hexdigest()[:12]
-    if wanted and wanted[1] != found:
+    path, wanted, found = path_of(mesh), DIGEST.search(mesh), ""
+    for file in (Path(path), ROOT / path):
+        if not file.is_file():
+            continue
+        try:
+            content = file.read_bytes()
+        except OSError as error:
+            raise ValueError(f"mesh = {path!r}: cannot be read: {error.strerror or error}") from None
+        digest = digest_of(content)
+        if not wanted or wanted[1] == digest:
+            return path, content
+        found = found or digest
+    if found:
         raise ValueError(f"mesh = {mesh!r}: is another file by now, whose sha256 begins with {found}")
-    return path, content
+    raise ValueError(f"mesh = {path!r}: there is no such file, here or below the project's folder")
+
+
+def digest_of(content: bytes) -> str:
+    """How its sha256 begins, 12 hexadecimal digits."""
+    return hashlib.sha256(content).hexdigest()[:12]
 
 
 def pinned(mesh: str) -> str:
@@ -72,7 +80,7 @@ def pinned(mesh: str) -> str:
     if DIGEST.search(mesh):
         return mesh
     path, content = file_of(mesh)
-    return f"{path}#{hashlib.sha256(content).hexdigest()[:12]}"
+    return f"{path}#{digest_of(content)}"
 
 
 def read(mesh: str) -> dict[str, np.ndarray]:
@@ -182,12 +190,12 @@ def faces(triangles: Tensor) -> Tensor:
 
 
 def is_flat_and_convex(corners: Tensor) -> bool:
-    """Of a quadrangle's corners (4, 3): whether it turns the same way at each, about one axis."""
+    """Of a quadrangle's corners (4, 3): whether it turns the same way at each, about one axis, and by something."""
     edges = corners.roll(-1, 0) - corners
     turns = torch.linalg.cross(edges.roll(1, 0), edges)
     axis = torch.nn.functional.normalize(turns.sum(0), dim=0)
     is_flat = ((corners - corners[0]) @ axis).abs().max() < EXACT
-    return bool(is_flat and (turns @ axis >= -(EXACT**2)).all())
+    return bool(is_flat and (turns @ axis > EXACT**2).all())
 
 
 def enclosed(points: Tensor, triangles: Tensor) -> Tensor:

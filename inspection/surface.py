@@ -82,8 +82,8 @@ def hiding(whole: Surface) -> list[Tensor]:
     leaves it enters the mesh again through such a one.
     """
     points, normals, all_faces = whole.points.T, whole.normals.T, faces(whole.triangles)
-    one, two, three = all_faces[:, :3].unbind(1)
-    outwards = unit(torch.linalg.cross(two - one, three - one).T).T
+    diagonals = all_faces[:, 2] - all_faces[:, 0], all_faces[:, -1] - all_faces[:, 1]
+    outwards = unit(torch.linalg.cross(*diagonals).T).T
     closed = is_closed(whole.triangles)
     found: list[Tensor] = []
     for some in torch.arange(len(points)).split(max(1, AT_ONCE // max(1, len(all_faces)))):
@@ -93,7 +93,7 @@ def hiding(whole: Surface) -> list[Tensor]:
         if closed:
             hides &= (corners[0] * outwards).sum(-1) < -FLAT
         planes = torch.linalg.cross(corners, corners.roll(-1, 0))
-        volume = (planes[0] * corners[2]).sum(-1)
+        volume = (planes[0] * corners[2] + planes[2] * corners[0]).sum(-1)
         hides &= volume.abs() > FLAT
         planes = torch.nn.functional.normalize(planes * volume.sign()[..., None], dim=-1)
         planes = torch.where(

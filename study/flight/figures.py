@@ -227,13 +227,13 @@ def constraint_figure(episode: Episode, c: InspectionParameters, path: Path) -> 
     distance, least, label = nearness(episode, c)
     closest = episode["h_passive_safety"] + least
     ax.plot(t, closest, color=ORANGE, lw=0.9, label="nearest if coasting")
-    ax.plot(t, distance, color=BLUE, label="distance")
+    ax.plot(t, distance, color=BLUE, label="now")
     if least > 0.0:
         ax.set(ylabel=label, yscale="log", ylim=(2.5, 1300))
     else:
         ax.set(ylabel=label, yscale="symlog", ylim=(-1, 1300))
     ax.yaxis.set_major_formatter("{x:g}")
-    band(ax, least, c.max_distance)
+    band(ax, least, c.max_distance if least > 0.0 else math.inf)  # which is from the centre
     tightened(ax, episode, ("passive_safety",), lambda off: least + off)
     ax.legend(loc="lower left", fontsize=8, frameon=False, handlelength=1.3)
 

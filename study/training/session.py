@@ -184,6 +184,7 @@ def resume(directory: Path, config: Config | None = None, seeds: Sequence[int] |
     with refusing(str(path), KeyError, TypeError, ValueError, AttributeError):
         trained = configuration.from_toml(saved["config"], str(path))
         done, rate = int(saved["update"]), trained.ppo.learning_rate
+    config, trained = (settled_for_a_seed(each) for each in (config, trained))  # which older ones may not be
     before, total = trained.train, config.train.interactions
     moved = seeds is None and total != before.interactions
     if config != (replace(trained, train=replace(before, interactions=total)) if moved else trained):

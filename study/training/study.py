@@ -99,6 +99,7 @@ def overview(results: dict[str, Results]) -> str:
 def begin_or_continue(config: StudyConfig, directory: Path) -> None:
     """Begins a study in its directory; refuses one that holds other things or a study with other settings."""
     before = read_settings(directory)
+    before = before and settled_for_a_seed(before)  # which an older one may not be
     if before is None:
         with refusing(f"--study-dir {directory}: cannot write there", OSError, ValueError):
             if other := sorted(path.name for path in directory.iterdir() if path.name not in LEFT_BY_A_KILL):

@@ -114,6 +114,25 @@ def test_pairs_that_are_bent_or_hollow_stay_triangles() -> None:
     assert faces(torch.cat((pair(0.0, 0.0), third, third + 9.0))).shape == (4, 3, 3)
 
 
+@pytest.mark.parametrize("kind", ["two sides", "sliver first", "sliver last"])
+def test_what_has_no_quadrangle_of_its_own_still_hides(kind: str, tmp_path) -> None:
+    """A plate of two sides, whose triangles have the same corners, and one whose edge is mended by a sliver."""
+    a, b, c, d = np.array([[-3.0, -3, 4], [3, -3, 4], [3, 3, 4], [-3, 3, 4]])
+    m = (a + b) / 2
+    if kind == "two sides":
+        one = [(a, b, c), (a, c, d)]
+        plate = np.array(one + [corners[::-1] for corners in one])
+    else:
+        sliver, others = [(a, m, b)], [(b, a, c), (a, d, c)]
+        plate = np.array(sliver + others if kind == "sliver first" else others + sliver)
+    own = {"points": [[0.0, 0, 0]], "normals": [[0.0, 0, 1]], "areas": [1.0]}
+    np.savez(tmp_path / "plate.npz", triangles=plate, **own)
+    whole = surface(ChiefParameters(mesh=str(tmp_path / "plate.npz")), C)
+    above = torch.tensor([[3.0, -3.0, 0.0, 30.0], [4.0, -2.0, 5.0, 0.0], [20.0, 20.0, 20.0, 9.0]])
+    place = torch.cat((above, torch.ones(1, 4)))
+    assert (covered(whole, place)[0] > 0.0).tolist() == [True, True, True, False]
+
+
 def test_points_are_grouped_so_that_little_fills_up() -> None:
     assert cuts([0, 0, 0, 5, 5]) == [0, 3, 5]
     assert cuts([4, 4]) == [0, 2] and cuts([7]) == [0, 1]
@@ -250,6 +269,7 @@ def test_a_mesh_is_known_by_its_digest(tmp_path) -> None:
     np.savez(path, triangles=box((-2, -2, -2), (2, 2, 3)))
     with pytest.raises(ValueError, match="another file by now"):
         read(name)
+    assert read("configs/chiefs/box.npz")["triangles"].size
     assert surface(ChiefParameters(mesh=str(path)), C).points[2].max() > 2.5  # read anew
 
 

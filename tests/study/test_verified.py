@@ -126,6 +126,8 @@ def test_a_hull_counts_by_what_its_file_holds_wherever_it_lies(elsewhere: Path) 
     (elsewhere / "configs/chiefs").mkdir(parents=True)
     np.savez(elsewhere / name, triangles=np.load(ROOT / name)["triangles"] * 1.1)
     assert of(name) != shipped
+    line = doubt(configured({"chief": {"mesh": name, "collision": "hull"}}), [], None)
+    assert line and f'[chief] mesh = "{name}" (verified: "' in line
 
 
 def test_reports_of_another_plant_verify_none() -> None:

@@ -2,6 +2,7 @@
 
 import itertools
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -122,6 +123,23 @@ def test_a_run_of_an_earlier_version_continues(tmp_path: Path) -> None:
     resumed.train()
     run.train()
     assert all(map(torch.equal, weights(run), weights(resumed)))
+
+
+def test_a_run_from_before_meshes_had_digests_goes_on_again_and_again(tmp_path: Path) -> None:
+    mesh = "configs/chiefs/box.npz"
+    config = configuration.override(tiny(interactions=32 * 4), {"chief": {"mesh": mesh}}, "test")
+    training.start(config, tmp_path)
+    for name in ("config.toml", "checkpoint.pt"):
+        path = tmp_path / name
+        if name == "config.toml":
+            path.write_text(re.sub(r"#[0-9a-f]{12}", "", path.read_text()))
+            assert f'mesh = "{mesh}"' in path.read_text()
+        else:
+            content = torch.load(path, weights_only=True)
+            content["config"] = re.sub(r"#[0-9a-f]{12}", "", content["config"])
+            torch.save(content, path)
+    for _ in range(2):
+        training.resume(tmp_path).save()
 
 
 def test_same_seed_gives_the_same_weights_and_another_seed_others(tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import signal
 from collections.abc import Callable
 from pathlib import Path
@@ -342,6 +343,16 @@ def test_an_arm_is_checked_before_anything_is_trained(
         ["study", "--config", str(tmp_path / "own.toml"), "--study-dir", str(directory)], [said], capsys
     )
     assert not directory.exists()
+
+
+def test_a_study_from_before_meshes_had_digests_goes_on(tmp_path: Path) -> None:
+    config = configuration.override(StudyConfig(), {"chief": {"mesh": "configs/chiefs/box.npz"}}, "test")
+    config = arms.settled_for_a_seed(config)
+    arms.begin_or_continue(config, tmp_path)
+    path = tmp_path / "config.toml"
+    path.write_text(re.sub(r"#[0-9a-f]{12}", "", path.read_text()))
+    assert 'box.npz"' in path.read_text()
+    arms.begin_or_continue(config, tmp_path)
 
 
 def test_an_arm_told_of_bounds_is_resumed_with_the_solver_that_it_began_with(tmp_path: Path) -> None:
