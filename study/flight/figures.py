@@ -227,7 +227,7 @@ def constraint_figure(episode: Episode, c: InspectionParameters, path: Path) -> 
     distance, least, label = nearness(episode, c)
     closest = episode["h_passive_safety"] + least
     ax.plot(t, closest, color=ORANGE, lw=0.9, label="nearest if coasting")
-    ax.plot(t, distance, color=BLUE, label="now")
+    ax.plot(t, distance, color=BLUE, label="distance" if least > 0.0 else "now")
     if least > 0.0:
         ax.set(ylabel=label, yscale="log", ylim=(2.5, 1300))
     else:
@@ -235,7 +235,8 @@ def constraint_figure(episode: Episode, c: InspectionParameters, path: Path) -> 
     ax.yaxis.set_major_formatter("{x:g}")
     band(ax, least, c.max_distance if least > 0.0 else math.inf)  # which is from the centre
     tightened(ax, episode, ("passive_safety",), lambda off: least + off)
-    ax.legend(loc="lower left", fontsize=8, frameon=False, handlelength=1.3)
+    place = "lower left" if least > 0.0 else "best"
+    ax.legend(loc=place, fontsize=8, frameon=False, handlelength=1.3)
 
     speed_panel(axes[0, 1], episode, c)
     components(axes[0, 2], t, episode["velocity"], c.max_speed, "velocity (m/s)")
