@@ -203,7 +203,7 @@ class Simulation:
         command = messaging.ArrayMotorTorqueMsgPayload()
         command.motorTorque = (-u[TORQUE]).tolist()  # on the wheel; the body has the reaction
         deputy.wheel_command.write(command, self.now)
-        steps = np.round(u[THRUST] / self.c.max_thrust * seconds / PULSE)  # again with what is LOST
+        steps = counted(u[THRUST], seconds, self.c)  # again with what is LOST
         pulses = PULSE * np.sign(steps) * (np.abs(steps) - END).clip(0.0)
         command = messaging.THRArrayOnTimeCmdMsgPayload()
         command.OnTimeRequest = np.stack((pulses, -pulses), 1).clip(0.0).ravel().tolist()
@@ -266,10 +266,9 @@ class BasiliskPlant(Plant):
         acting = super().actuate(time, u)
         if self.parameters.actuators == "ideal":
             return acting
-        most = self.acts_for / PULSE  # pulses
-        steps = (acting[THRUST] / self.c.max_thrust * most).round()
-        given = steps.sign() * (steps.abs() - LOST).clamp(min=0.0) / most
-        return torch.cat((given * self.c.max_thrust, acting[TORQUE]))
+        steps = counted(acting[THRUST], self.acts_for, self.c)
+        seconds = PULSE * steps.sign() * (steps.abs() - LOST).clamp(min=0.0)
+        return torch.cat((self.c.max_thrust * seconds / self.acts_for, acting[TORQUE]))
 
     def integrate(self, x: Tensor, u: Tensor, body: Tensor, duration: float, times: int = 1) -> Tensor:
         """The states (16, B) after so many steps of `duration` s under what acts, (6, B), of bodies (7, B)."""
@@ -319,6 +318,11 @@ class BasiliskPlant(Plant):
                 np.stack([np.ravel(each.wheels.getState()) for each in simulation.deputies], 1)
             )
         return after
+
+
+def counted(thrust: Any, seconds: float, c: InspectionParameters) -> Any:
+    """How many pulses give a mean thrust in N, a tensor or an array, over some s; negative towards the other side."""
+    return (thrust / c.max_thrust * seconds / PULSE).round()
 
 
 class Hill(NamedTuple):

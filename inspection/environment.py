@@ -12,7 +12,7 @@ from inspection import chief
 from inspection.attitude import conjugate, rotate
 from inspection.basilisk import BasiliskPlant
 from inspection.closed_loop import Clocks, Controller, Correction, Hold, Safety, closed_loop
-from inspection.compiled import Compiled
+from inspection.compiled import Compiled, unchanged
 from inspection.dynamics import integrate
 from inspection.initial_state import InitialStates, uniform
 from inspection.observation import normalised
@@ -271,11 +271,15 @@ class InspectionEnv:
         vars(self).update(own)
 
     def _compiled(
-        self, function: Callable[..., Tensor], *examples: Tensor, **finish: Callable[[Tensor], Tensor]
+        self,
+        function: Callable[..., Tensor],
+        *examples: Tensor,
+        finish: Callable[[Tensor], Tensor] = unchanged,
     ) -> Callable[..., Tensor]:
         """A function to one tensor, compiled for tensors like the examples; `finish` as of `Compiled`."""
         columns = [example[..., :1] for example in examples]
-        run = Compiled(lambda *tensors: [function(*tensors)], *columns, batch=self.time.numel(), **finish)
+        batch = self.time.numel()
+        run = Compiled(lambda *tensors: [function(*tensors)], *columns, batch=batch, finish=finish)
         return lambda *tensors, **times: run(*tensors, **times)[0]
 
     @property

@@ -140,20 +140,20 @@ def numbered(triangles: Tensor) -> Tensor:
     return torch.unique(places, dim=0, return_inverse=True)[1].reshape(-1, 3)
 
 
+def edges_of(triangles: Tensor) -> list[tuple[int, int]]:
+    """Three of each triangle, along its way, as pairs of numbered corners."""
+    return [edge for a, b, c in numbered(triangles).tolist() for edge in ((a, b), (b, c), (c, a))]
+
+
 def is_closed(triangles: Tensor) -> bool:
     """Whether every edge of the triangles (F, 3, 3) is one of another, the other way round."""
-    corners = numbered(triangles)
-    edges = torch.cat([torch.stack((corners[:, k], corners[:, (k + 1) % 3]), 1) for k in range(3)])
-    count = int(corners.max()) + 1 if len(corners) else 0
-    ways = torch.stack((edges[:, 0] * count + edges[:, 1], edges[:, 1] * count + edges[:, 0]))
-    there, back = (way.sort().values for way in ways)
-    return bool((there == back).all())
+    edges = Counter(edges_of(triangles))
+    return all(count == edges[last, first] for (first, last), count in edges.items())
 
 
 def check_winding(triangles: Tensor, path: str) -> None:
     """Raises ValueError where neighbours are not counterclockwise from the same side, and one's points face inwards."""
-    corners = numbered(triangles).tolist()
-    edges = Counter(edge for a, b, c in corners for edge in ((a, b), (b, c), (c, a)))
+    edges = Counter(edges_of(triangles))
     wrong = sum(count == 2 and (last, first) not in edges for (first, last), count in edges.items())
     if wrong:
         raise ValueError(
@@ -167,11 +167,7 @@ def faces(triangles: Tensor) -> Tensor:
 
     That has four planes around its cone, two triangles have six. What is left repeats its last corner.
     """
-    by_edge = {
-        (first, second): (i, k)
-        for i, (a, b, c) in enumerate(numbered(triangles).tolist())
-        for k, (first, second) in enumerate(((a, b), (b, c), (c, a)))
-    }
+    by_edge = {edge: divmod(n, 3) for n, edge in enumerate(edges_of(triangles))}
     paired: set[int] = set()
     found = []
     for (first, second), (i, k) in by_edge.items():

@@ -16,11 +16,21 @@ from torch import Tensor
 from inspection.attitude import body_axis, conjugate, dot, norm, rotate, unit
 from inspection.chief import fibonacci_sphere
 from inspection.dynamics import sun_direction
-from inspection.mesh import AT_ONCE, check_winding, enclosed, faces, is_closed, path_of, pinned, read, spread
+from inspection.mesh import (
+    AT_ONCE,
+    EXACT,
+    check_winding,
+    enclosed,
+    faces,
+    is_closed,
+    path_of,
+    pinned,
+    read,
+    spread,
+)
 from inspection.parameters import ChiefParameters, InspectionParameters
 from inspection.state import THETA_S, P, Q
 
-RISE = 1e-5  # m, by which a corner must rise above a point's horizon to hide anything; float32 files are as exact
 FLAT = 1e-9  # m^3, below which a cone holds nothing
 DIRECTIONS = 512, 20_000  # from which a point of a mesh is looked at, to leave out those that are never seen
 GROUPS = 6  # of points with about as many cones each, so that few of those that are computed fill up
@@ -89,16 +99,15 @@ def hiding(whole: Surface) -> list[Tensor]:
     for some in torch.arange(len(points)).split(max(1, AT_ONCE // max(1, len(all_faces)))):
         # corners as seen from the points, (n corners, k points, F, 3)
         corners = all_faces.transpose(0, 1)[:, None] - points[some, None]
-        hides = ((corners * normals[some, None]).sum(-1) > RISE).any(0)
+        hides = ((corners * normals[some, None]).sum(-1) > EXACT).any(0)
         if closed:
             hides &= (corners[0] * outwards).sum(-1) < -FLAT
         planes = torch.linalg.cross(corners, corners.roll(-1, 0))
         volume = (planes[0] * corners[2] + planes[2] * corners[0]).sum(-1)
         hides &= volume.abs() > FLAT
         planes = torch.nn.functional.normalize(planes * volume.sign()[..., None], dim=-1)
-        planes = torch.where(
-            (planes == 0.0).all(-1, keepdim=True), planes[:1], planes
-        )  # of a repeated corner
+        of_a_repeated_corner = (planes == 0.0).all(-1, keepdim=True)
+        planes = torch.where(of_a_repeated_corner, planes[:1], planes)
         found += [planes[:, i, hides[i]] for i in range(len(some))]
     return found
 
@@ -129,9 +138,8 @@ def grouped(whole: Surface, planes: list[Tensor], keep: Tensor) -> Surface:
         group = order[begin:end]
         most = planes[group[-1]].shape[1]
         points, normals = whole.points[:, group].T, whole.normals[:, group].T
-        some = -normals[None, None].repeat(
-            len(planes[0]), most, 1, 1
-        )  # those that fill up hide nothing above the horizon
+        # those that fill up hide nothing above the horizon
+        some = -normals[None, None].repeat(len(planes[0]), most, 1, 1)
         for k, i in enumerate(group):
             some[:, : planes[i].shape[1], k] = planes[i]
         offsets = -(some * points).sum(-1, keepdim=True)  # a plane goes through its point
@@ -173,9 +181,8 @@ def covered(whole: Surface, place: Tensor) -> Tensor:
     """
     found = []
     for group in whole.cones:
-        inside = (
-            (plane[..., : len(place)] @ place).relu() for plane in group
-        )  # one after the other in memory
+        # one after the other in memory
+        inside = ((plane[..., : len(place)] @ place).relu() for plane in group)
         found.append(reduce(torch.mul, inside).sum(0))
     return torch.cat(found)
 

@@ -13,7 +13,7 @@ from torch import Tensor
 
 from inspection.environment import InspectionEnv, clocks_of
 from inspection.hull import beside
-from inspection.initial_state import InitialStates
+from inspection.initial_state import InitialStates, uniform
 from inspection.mesh import pinned
 from inspection.observation import components
 from inspection.parameters import InspectionParameters
@@ -162,6 +162,11 @@ def test_cases(config: Config, episodes: int, seed: int) -> tuple[Tensor, Tensor
         step("drawing the test cases, seconds"),
     ):
         return starts.take(episodes)
+
+
+def case_numbers(episodes: int, seed: int) -> Tensor:
+    """Numbers (episodes,) from which the test cases' plants and chiefs follow, as `InspectionEnv.start` has them."""
+    return uniform(0.0, 1.0, episodes, torch.Generator().manual_seed(seed + 1))
 
 
 def check_clocks(

@@ -208,8 +208,10 @@ def difference(config: Config, flown: list[Flown]) -> str:
         theirs = relevant(other)
         names = [name for name, value in ours.items() if value != theirs[name]]
         if not differing or len(names) < len(differing):
-            by_name = [relevant(each) | {"[chief] mesh": each.chief.mesh} for each in (config, other)]
-            differing = [(name, *(values[name] for values in by_name)) for name in names]
+            mesh, other_mesh = (
+                {"[chief] mesh": each.chief.mesh} for each in (config, other)
+            )  # not the digest
+            differing = [(name, (ours | mesh)[name], (theirs | other_mesh)[name]) for name in names]
     if not differing:
         return "no configuration has been verified here"
     name, value, other = differing[0]

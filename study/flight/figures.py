@@ -227,15 +227,15 @@ def constraint_figure(episode: Episode, c: InspectionParameters, path: Path) -> 
     distance, least, label = nearness(episode, c)
     closest = episode["h_passive_safety"] + least
     ax.plot(t, closest, color=ORANGE, lw=0.9, label="nearest if coasting")
-    ax.plot(t, distance, color=BLUE, label="distance" if least > 0.0 else "now")
-    if least > 0.0:
-        ax.set(ylabel=label, yscale="log", ylim=(2.5, 1300))
+    if least > 0.0:  # from the centre, as the keep-in zone is
+        now, scale, low, farthest, place = "distance", "log", 2.5, c.max_distance, "lower left"
     else:
-        ax.set(ylabel=label, yscale="symlog", ylim=(-1, 1300))
+        now, scale, low, farthest, place = "now", "symlog", -1.0, math.inf, "best"
+    ax.plot(t, distance, color=BLUE, label=now)
+    ax.set(ylabel=label, yscale=scale, ylim=(low, 1300))
     ax.yaxis.set_major_formatter("{x:g}")
-    band(ax, least, c.max_distance if least > 0.0 else math.inf)  # which is from the centre
+    band(ax, least, farthest)
     tightened(ax, episode, ("passive_safety",), lambda off: least + off)
-    place = "lower left" if least > 0.0 else "best"
     ax.legend(loc=place, fontsize=8, frameon=False, handlelength=1.3)
 
     speed_panel(axes[0, 1], episode, c)

@@ -11,7 +11,6 @@ from torch import Tensor
 from inspection.closed_loop import Controller, Hold, is_multiple
 from inspection.environment import InspectionEnv
 from inspection.hull import clearance
-from inspection.initial_state import uniform
 from inspection.parameters import InspectionParameters
 from inspection.state import THETA_S, P
 from inspection.termination import ends, failures
@@ -20,7 +19,14 @@ from ppo.network import Policy
 from rta.qp import Status
 from study.config import TEST_CASES, Config
 from study.errors import InputError
-from study.experiment import Experiment, check_clocks, check_observed, load_policy, test_cases
+from study.experiment import (
+    Experiment,
+    case_numbers,
+    check_clocks,
+    check_observed,
+    load_policy,
+    test_cases,
+)
 from study.flight.controllers import agent, classical, recorded, untrained
 from study.flight.state_files import STATE_FIELDS, read_state
 from study.progress import bar
@@ -174,13 +180,8 @@ def common_episode(policy: Policy, experiment: Experiment, case: int = 0) -> dic
     c = experiment.config.inspection
     generators = experiment.generators([TEST_CASES + 1])
     env = experiment.env(1, generators, report_every=min(experiment.config.rta.period, c.substep))
-    numbers = uniform(
-        0.0, 1.0, case + 1, torch.Generator().manual_seed(TEST_CASES + 1)
-    )  # as `evaluate` draws
-    x, priority, number = (
-        each[..., case:].to(experiment.device)
-        for each in (*test_cases(experiment.config, case + 1, TEST_CASES), numbers)
-    )
+    cases = *test_cases(experiment.config, case + 1, TEST_CASES), case_numbers(case + 1, TEST_CASES)
+    x, priority, number = (each[..., case:].to(experiment.device) for each in cases)
     return simulate(env, agent(policy, env), x, priority, c.max_time, until_ended=True, number=number)
 
 

@@ -52,7 +52,6 @@ CHIEF: dict[str, tuple[int, ...]] = {
 
 ROUNDING = 1e-9  # of whatever unit: less of a difference is not drawn
 RISE = 0.01  # of the chief's radius, by which a mesh's points are drawn above it
-
 AXIS = 0.12  # of what is flown through, the length of the body's axes
 
 # panels of the constraints: title, unit, factor from the file's unit, constraints, the control that acts on them

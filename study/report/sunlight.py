@@ -8,14 +8,13 @@ from torch import Tensor
 from inspection.attitude import conjugate, rotate
 from inspection.chief import point_weights
 from inspection.dynamics import sun_direction
-from inspection.initial_state import uniform
 from inspection.orbit import sun_angle_after
 from inspection.parameters import ChiefParameters, InspectionParameters
 from inspection.state import THETA_S
 from inspection.surface import light, surface
 from inspection.tumbling import Tumbling
 from study.config import Config
-from study.experiment import test_cases
+from study.experiment import case_numbers, test_cases
 from study.flight.summary import summary
 
 
@@ -56,7 +55,7 @@ def shortest_episodes(config: Config, episodes: int, seed: int) -> dict[str, Any
     These count with the timeout.
     """
     x, priority = test_cases(config, episodes, seed)
-    number = uniform(0.0, 1.0, episodes, torch.Generator().manual_seed(seed + 1))  # as `evaluate` draws
+    number = case_numbers(episodes, seed)
     times = earliest_success(x[THETA_S], priority, config.inspection, config.chief, number)
     shown = times.clamp(max=config.inspection.max_time)
     return {
