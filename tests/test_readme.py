@@ -142,6 +142,19 @@ def test_the_sentences_of_the_front_page_have_the_files_numbers() -> None:
     assert f"{round(free, -4):,.0f} decisions of 10 s per second, and {round(filtered, -3):,.0f} with" in said
 
 
+def test_what_breaks_the_filter_stands_beside_what_it_held() -> None:
+    """No page has the 20,000 episodes without how their noise was drawn, nor the front page another number."""
+    for page in PAGES:
+        for claim in re.finditer(r"\b20,000 episodes", said := " ".join(text(page).split())):
+            about = said[max(0, claim.start() - 100) : claim.end() + 300]
+            assert "drawn anew" in about and re.search("(?i)steady errors", about), page
+    beyond = re.findall(r"(?m)^beyond the edge: ([\d.]+) m with errors that stay", text(SAFETY))
+    (starts,) = re.findall(r"(?m)^1 s: (\d+) % of [\d,]+ states$", text(SAFETY))
+    said = " ".join(text("README.md").split())
+    assert f"left the zone, by {float(beyond[0]):.1f} m. Known, not yet mended" in said
+    assert f"Of those within every limit it takes {starts} % for a start" in said
+
+
 def episodes_and_filter_calls(report: dict[str, Any]) -> tuple[int, int]:
     return report["episodes"], sum(report["filter_calls"].values())
 
