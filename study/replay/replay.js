@@ -5,6 +5,8 @@ const data = JSON.parse(document.getElementById("data").textContent);
 const { runs, colours } = data;
 const FRAME = 1000 / 30; // ms between two drawings while playing
 const MARGIN = { l: 56, r: 10, t: 6, b: 24 }; // px around a plot
+// Of every plot: its toolbar has no button that uploads the chart, and no address to send it to.
+const LOCAL = { responsive: true, displaylogo: false, showSendToCloud: false, plotlyServerURL: "" };
 const MAX_PATH = 500; // corners of the flown path
 const VIEW = [1.15, 1.15, 0.65]; // from the chief to the camera, in plotly's units
 const SEEN = 0.65; // how far from the chief all is in that view; what is farther is looked at from farther away
@@ -168,7 +170,7 @@ function drawScene(run, i) {
       zaxis: axis("z", 2),
     },
   };
-  Plotly.newPlot(plot, traces, layout, { responsive: true, displaylogo: false });
+  Plotly.newPlot(plot, traces, layout, LOCAL);
   const first = Object.keys(fixed).length;
   const indices = traces.map((_, k) => k).slice(first);
   let shown = 0;
@@ -247,7 +249,7 @@ function drawPanel(panel, run, i, [low, high], parent) {
     yaxis: { ...axis, range: [low, high], nticks: 5 },
     shapes,
   };
-  Plotly.newPlot(plot, lines, layout, { responsive: true, staticPlot: true });
+  Plotly.newPlot(plot, lines, layout, { ...LOCAL, staticPlot: true });
   const cursor = element("div", "cursor", plot);
   const scrub = (event) => {
     const box = plot.getBoundingClientRect();

@@ -136,6 +136,20 @@ def test_a_files_name_that_is_not_utf_8_is_shown_with_replacements(
     assert embedded(page)["runs"][0]["name"] == "\ufffd.npz"
 
 
+def test_no_plot_has_an_address_to_send_its_chart_to(flown_files: tuple[Path, Path], tmp_path: Path) -> None:
+    out = tmp_path / "page.html"
+    replay.write([str(flown_files[0])], out)
+    page = out.read_text(encoding="utf-8")
+    for name in ("showSendToCloud", "plotlyServerURL"):  # what this version of plotly goes by
+        assert f"{name}:{{valType:" in page
+    own = page[page.rindex("<script>") :]
+    (local,) = re.findall(r"const LOCAL = \{ (.*) \};", own)
+    off = {"displaylogo: false", "showSendToCloud: false", 'plotlyServerURL: ""'}
+    assert off <= set(local.split(", "))
+    plots = re.findall(r"Plotly\.newPlot\((.*)\);", own)
+    assert len(plots) == own.count("Plotly.newPlot") and all("LOCAL" in plot for plot in plots)
+
+
 class Browser:
     """A page in headless Chromium, what it printed and what it asked for."""
 
@@ -199,6 +213,13 @@ def test_the_page_asks_for_nothing_and_has_no_error(one: Browser) -> None:
     assert one.errors == []
     assert len(one.requests) == 1  # the page itself
     assert one.page.title().endswith("Replay of one.npz")
+
+
+def test_the_toolbar_uploads_nothing(one: Browser) -> None:
+    buttons = one.page.locator(".modebar-btn")
+    titles = [buttons.nth(i).get_attribute("data-title") for i in range(buttons.count())]
+    assert "Turntable rotation" in titles
+    assert not any(word in title.lower() for title in titles for word in ("share", "cloud", "plotly", "edit"))
 
 
 @pytest.mark.parametrize("row", [7, 21])
