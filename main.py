@@ -225,13 +225,20 @@ def run_benchmark(
             presentation.figure(results, file)
 
 
-def run_export(checkpoint: str, out: str) -> None:
+def run_export(checkpoint: str | None = None, out: str | None = None, c: str | None = None) -> None:
     """main.py export"""
     from study.experiment import load_policy
 
+    if checkpoint is None:
+        raise InputError(f"--checkpoint F is needed by {'--out' if c is None else '--c'}")
+    policy, config = load_policy(checkpoint)
+    if c is not None:
+        with refusing("export --c needs the package jinja2 (pip install '.[report]')", ImportError):
+            from study import export_policy
+        print(export_policy.write(policy, config, checkpoint, Path(c)))
+        return
     with refusing("export needs the packages onnx and onnxruntime of requirements.txt", ImportError):
         from study import export
-    policy, config = load_policy(checkpoint)
     model = export.to_onnx(policy, config.inspection, config.chief)
     difference = export.check(model, policy)
     with writing(out) as file:

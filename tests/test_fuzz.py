@@ -48,6 +48,7 @@ BASES = (
     "filter --states x.npz --out o.npz",
     "replay r.npz r.npz --out o.html",
     "export --checkpoint p.pt --out o.onnx",
+    "export --checkpoint p.pt --c code",
     "verify --policy random --episodes 1 --duration 1 --json v.json",
     "verify --replay x.npz",
     "report --study directory",

@@ -102,7 +102,7 @@ __all__ = ["run"]  # a fixture
             ["1,000,000,000 episodes", "not enough memory"],
         ),
         (["train", "--config", "/dev/zero"], ["--config", "/dev/zero", "is a device"]),
-        (["export", "--checkpoint", "x.pt"], ["--out"]),
+        (["export", "--checkpoint", "x.pt"], ["--out", "--c"]),
         (["export", "--checkpoint", "nowhere.pt", "--out", "x"], ["nowhere.pt", "no such checkpoint"]),
         (["export", "--checkpoint", "x.pt", "--out", "nowhere/x.onnx"], ["--out", "cannot write"]),
         (

@@ -301,9 +301,12 @@ COMMANDS = {
         imposed={"train.compile": "on"},
     ),
     "export": Command(
-        "write an agent as an ONNX file, checked against PyTorch",
-        AGENT,
-        written("exported agent", "--out", "file to write", "F.onnx"),
+        "write an agent as an ONNX file, checked against PyTorch, or as C with a test that does so",
+        AGENT.saying("the agent to export"),
+        one_of=(
+            written("exported agent", "--out", "ONNX file to write", "F.onnx"),
+            directory("--c", "directory to create for C99 sources, or that holds those of an agent"),
+        ),
     ),
 }
 

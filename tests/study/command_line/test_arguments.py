@@ -133,10 +133,10 @@ def test_a_flag_of_a_command_that_has_no_configuration_is_an_error(monkeypatch: 
 
 
 def test_a_parameter_without_a_flag_is_an_error() -> None:
-    def export(checkpoint: str, out: str, colour: str = "red") -> None: ...
+    def replay(runs: list[str], out: str, colour: str = "red") -> None: ...
 
-    with pytest.raises(ValueError, match=r"main\.py export: no flag reaches colour of export"):
-        build_parser(main.HANDLERS | {"export": export})
+    with pytest.raises(ValueError, match=r"main\.py replay: no flag reaches colour of replay"):
+        build_parser(main.HANDLERS | {"replay": replay})
 
 
 def help_of(name: str) -> dict[str, Any]:
