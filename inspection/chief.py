@@ -41,11 +41,10 @@ def illuminated(normals: Tensor, theta_s: Tensor) -> Tensor:
     return normals.T @ sun_direction(theta_s) > 0.0
 
 
-def margins(normals: Tensor, x: Tensor, c: InspectionParameters) -> Tensor:
-    """(2, N, B) float32, positive where a point is lit, and where it is also in view from x (16, B).
+def in_view(normals: Tensor, x: Tensor, c: InspectionParameters) -> Tensor:
+    """(2, N, B) bool, whether a point is lit, and whether it is also in view from x (16, B).
 
-    In view is what lies within the camera's cone about +n_x and above the near-side horizon. Signs instead of truth
-    values, because on these compiled code takes ten times as long.
+    In view is what lies within the camera's cone about +n_x and above the near-side horizon.
     """
     p, r = x[P], c.chief_radius
     boresight = torch.stack(body_axis(x[Q], 0))
@@ -54,7 +53,7 @@ def margins(normals: Tensor, x: Tensor, c: InspectionParameters) -> Tensor:
     along_boresight = r * (normals.T @ boresight) - dot(p, boresight)
     in_cone = along_boresight - math.cos(c.field_of_view / 2) * to_point
     lit = normals.T @ sun_direction(x[THETA_S])
-    return torch.stack((lit, reduce(torch.minimum, (lit, in_cone, height - r)))).float()
+    return torch.stack((lit, reduce(torch.minimum, (lit, in_cone, height - r)))) > 0.0
 
 
 def max_clusters(normals: Tensor, c: InspectionParameters, turns: bool = False) -> int:

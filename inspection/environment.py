@@ -12,7 +12,6 @@ from inspection import chief
 from inspection.attitude import conjugate, rotate
 from inspection.basilisk import BasiliskPlant
 from inspection.closed_loop import Clocks, Controller, Correction, Hold, Safety, closed_loop
-from inspection.compiled import Compiled, unchanged
 from inspection.dynamics import integrate
 from inspection.initial_state import InitialStates, uniform
 from inspection.observation import normalised
@@ -20,9 +19,10 @@ from inspection.parameters import ChiefParameters, InspectionParameters
 from inspection.plant import Plant, PlantParameters
 from inspection.reward import REWARDS, rewards, shaping
 from inspection.state import CONTROL_SIZE, SIZE, THETA_S, THRUST, TORQUE, P
-from inspection.surface import margins, surface
+from inspection.surface import in_view, surface
 from inspection.termination import OUTCOMES, ends, failures
 from inspection.tumbling import RATE, Tumbling
+from kernels import Compiled
 
 METRICS = ("inspected_score", "reward", "episode_length_s", "delta_v_m_s", "torque_n_m", "violation_percent")
 
@@ -98,11 +98,6 @@ class Transition:
     def done(self) -> Tensor:
         """(B,) bool: the episode ended."""
         return self.terminated | self.truncated
-
-
-def positive(margins: Tensor) -> Tensor:
-    """What compiled code is ten times as slow at: truth values."""
-    return margins > 0.0
 
 
 class InspectionEnv:
@@ -191,10 +186,10 @@ class InspectionEnv:
         self._normalised = partial(normalised, c=parameters)
         self._values = self.safety.values
         see = (
-            partial(margins, self.surface) if self.tumbling else partial(chief.margins, self.surface.normals)
+            partial(in_view, self.surface) if self.tumbling else partial(chief.in_view, self.surface.normals)
         )
-        self._margins = partial(see, c=parameters)
-        self._seen = partial(chief.by_chunks, lambda *given: positive(self._margins(*given)))
+        self._in_view = partial(see, c=parameters)
+        self._seen = partial(chief.by_chunks, self._in_view)
         self._lloyd = partial(chief.by_chunks, partial(chief.lloyd, self.points))
 
     def put_behind(self, safety: Safety) -> None:
@@ -254,32 +249,35 @@ class InspectionEnv:
     def compile(self) -> None:
         """Compiles integration, observation, constraint values, visibility and k-means for about as many episodes.
 
-        Raises whatever PyTorch raises where there is no working C++ compiler, and changes nothing then.
+        What a mesh hides is left to PyTorch, whose matrix products are as fast. Raises as `Compiled`, and changes
+        nothing then.
         """
+        points = self.points.shape[1]
         examples = {
             "_integrate": (self.x, self.x[:CONTROL_SIZE], *self._bodies),
             "_normalised": (self.x, self.priority, self.uninspected, self.time, *self._chiefs(slice(None))),
             "_lloyd": (self.inspected, self.centres, self.alive),
+            "_values": (self.x,),
+            "_seen": (self.x, *self._frames(slice(None))),
         }
-        if self.safety.values:
-            examples["_values"] = (self.x,)
+        functions = {name: getattr(self, name) for name in examples}
+        functions["_lloyd"], functions["_seen"] = partial(chief.lloyd, self.points), self._in_view
+        if not self.safety.values:
+            del functions["_values"]
         if self.plant and not self.plant.is_traceable:
-            del examples["_integrate"]
-        own = {name: self._compiled(getattr(self, name), *given) for name, given in examples.items()}
-        frames = self._frames(slice(None))
-        own["_seen"] = self._compiled(self._margins, self.x, *frames, finish=positive)
+            del functions["_integrate"]
+        if self.surface.cones:
+            del functions["_seen"]
+        own = {name: self._compiled(run, points, *examples[name]) for name, run in functions.items()}
         vars(self).update(own)
 
     def _compiled(
-        self,
-        function: Callable[..., Tensor],
-        *examples: Tensor,
-        finish: Callable[[Tensor], Tensor] = unchanged,
+        self, function: Callable[..., Tensor], points: int, *examples: Tensor
     ) -> Callable[..., Tensor]:
-        """A function to one tensor, compiled for tensors like the examples; `finish` as of `Compiled`."""
+        """A function to one tensor, compiled for tensors like the examples; loops over the points."""
         columns = [example[..., :1] for example in examples]
         batch = self.time.numel()
-        run = Compiled(lambda *tensors: [function(*tensors)], *columns, batch=batch, finish=finish)
+        run = Compiled(lambda *tensors: [function(*tensors)], *columns, batch=batch, long=points)
         return lambda *tensors, **times: run(*tensors, **times)[0]
 
     @property

@@ -193,8 +193,8 @@ def light(whole: Surface, sun: Tensor) -> Tensor:
     return torch.where(covered(whole, sun) > 0.0, -1.0, facing) if whole.cones else facing
 
 
-def margins(whole: Surface, x: Tensor, attitude: Tensor, c: InspectionParameters) -> Tensor:
-    """(2, N, B) float32, positive where a point is lit, and where it is also in view from x (16, B).
+def in_view(whole: Surface, x: Tensor, attitude: Tensor, c: InspectionParameters) -> Tensor:
+    """(2, N, B) bool, whether a point is lit, and whether it is also in view from x (16, B).
 
     In view is what lies within the camera's cone about +n_x, above its point's own horizon, and is not hidden.
 
@@ -211,4 +211,4 @@ def margins(whole: Surface, x: Tensor, attitude: Tensor, c: InspectionParameters
     lit, seen = light(whole, sun), in_cone.minimum(height)
     if whole.cones:
         seen = torch.where(covered(whole, torch.cat((p, torch.ones_like(p[:1])))) > 0.0, -1.0, seen)
-    return torch.stack((lit, lit.minimum(seen)))
+    return torch.stack((lit, lit.minimum(seen))) > 0.0

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
-from inspection.compiled import Compiled
+from kernels import Compiled
 from rta.piqp_solver import PiqpSolver
 from rta.qp import REDUNDANT, Problems, Solutions, Status, kkt_residual, pick, put, stages, total
 

@@ -12,9 +12,9 @@ import torch
 from torch import Tensor
 
 from inspection.closed_loop import Safety
-from inspection.compiled import Compiled
 from inspection.parameters import InspectionParameters
 from inspection.state import CONTROL_SIZE, SIZE, THRUST, TORQUE, P, Q
+from kernels import Compiled
 from rta import vehicle
 from rta.batched_solver import BatchedSolver
 from rta.boundary import Given

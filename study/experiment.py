@@ -19,6 +19,7 @@ from inspection.observation import components
 from inspection.parameters import InspectionParameters
 from inspection.state import CONTROL_SIZE
 from inspection.surface import surface
+from kernels.build import NoCompilerError, compiler
 from ppo import checkpoint
 from ppo.checkpoint import CheckpointError
 from ppo.distributed import local_rank
@@ -260,15 +261,11 @@ def wants_compile(choice: str, repaid: bool) -> bool:
 
 @functools.cache
 def finds_compiler() -> bool:
-    """Whether there is a C++ compiler; if not, says so, once."""
-    from torch._inductor import cpp_builder  # a second that a command without it need not wait
-
+    """Whether there is a C compiler; if not, says so, once."""
     try:
-        cpp_builder.get_cpp_compiler()
-    except Exception as error:  # no compiler, or a broken one: PyTorch's exceptions differ by version
-        print(
-            f"no C++ compiler was found ({type(error).__name__}); uncompiled, this is slower", file=sys.stderr
-        )
+        compiler()
+    except NoCompilerError as error:
+        print(f"{error}; uncompiled, this is slower", file=sys.stderr)
         return False
     return True
 
@@ -276,7 +273,7 @@ def finds_compiler() -> bool:
 def compile_or_explain(what: str, compile: Callable[[], None]) -> bool:
     """Compiles; where that fails, says so in a line. Returns whether it went well."""
     try:
-        with step(f"compiling the {what}, a minute or more the first time, seconds from then on"):
+        with step(f"compiling the {what}, seconds"):
             compile()
     except Exception as error:  # a missing or broken compiler, a full or read-only cache: in many ways
         reason = error.strerror if isinstance(error, OSError) and error.strerror else type(error).__name__

@@ -18,9 +18,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from inspection.compiled import Compiled
 from inspection.environment import InspectionEnv
 from inspection.state import CONTROL_SIZE
+from kernels import Compiled
 from rta.filter import SafetyFilter
 from rta.lie_derivatives import Function
 from rta.qp import Status

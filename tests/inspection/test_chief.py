@@ -50,7 +50,7 @@ def is_seen(normal, p, boresight, sun):
 
 def visible(normals, x, c):
     """(N, B) bool."""
-    return chief.margins(normals, x, c)[1] > 0
+    return chief.in_view(normals, x, c)[1]
 
 
 def is_lit(point, sun):
@@ -137,7 +137,7 @@ def test_lit_points_are_those_whose_ray_to_the_sun_is_free(normals):
 
 
 def test_margins_are_positive_where_the_sun_shines(normals, looking, c):
-    lit = chief.margins(normals, looking, c)[0] > 0
+    lit = chief.in_view(normals, looking, c)[0]
     assert torch.equal(lit, chief.illuminated(normals, looking[THETA_S]))
 
 

@@ -14,12 +14,12 @@ from scipy.spatial.transform import Rotation
 from torch import Tensor
 
 from inspection.closed_loop import Clocks, Safety, closed_loop
-from inspection.compiled import Compiled
 from inspection.environment import InspectionEnv
 from inspection.initial_state import sample_initial_state
 from inspection.parameters import InspectionParameters
 from inspection.plant import DETAILS, OF_BASILISK, Plant, PlantParameters, milliseconds, uniform
 from inspection.state import CONTROLS, OMEGA, SIZE, THETA_S, THRUST, TORQUE, E, P, Q, T, V
+from kernels import Compiled
 from tests.inspection.test_dynamics import MASS, UNEQUAL, N, paper_rate
 
 C = InspectionParameters(inertia=UNEQUAL)

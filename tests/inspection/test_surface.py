@@ -17,7 +17,7 @@ from inspection.environment import InspectionEnv
 from inspection.mesh import faces, is_closed, pinned, read
 from inspection.parameters import ChiefParameters, InspectionParameters
 from inspection.state import SIZE, THETA_S, P, Q
-from inspection.surface import GROUPS, covered, cuts, light, margins, surface
+from inspection.surface import GROUPS, covered, cuts, in_view, light, surface
 
 ROOT = Path(__file__).parents[2]
 MESHES = ("configs/chiefs/box.npz", "configs/chiefs/satellite.stl")
@@ -60,7 +60,7 @@ def some_states(count: int) -> tuple[torch.Tensor, torch.Tensor]:
 def test_points_are_lit_and_seen_where_no_ray_is_stopped(whole) -> None:
     x, attitude = some_states(25)
     assert torch.allclose(rotate(x[Q], torch.eye(3).double()[:, :1].expand(3, 25)), -x[P] / x[P].norm(dim=0))
-    lit, seen = (each.numpy() > 0.0 for each in margins(whole, x, attitude, C))
+    lit, seen = in_view(whole, x, attitude, C).numpy()
     triangles, half = whole.triangles.numpy(), C.field_of_view / 2
     wrong = hidden = 0
     for b in range(x.shape[1]):
@@ -70,13 +70,13 @@ def test_points_are_lit_and_seen_where_no_ray_is_stopped(whole) -> None:
         p = rotate(inverse, x[P, b]).numpy()
         for i in range(whole.points.shape[1]):
             point, normal = whole.points[:, i].numpy(), whole.normals[:, i].numpy()
-            faces_sun, in_view = normal @ sun > 0.0, normal @ (p - point) > 0.0
+            faces_sun, before_it = normal @ sun > 0.0, normal @ (p - point) > 0.0
             to_point = (point - p) / np.linalg.norm(point - p)
-            in_view &= to_point @ (-p / np.linalg.norm(p)) > np.cos(half)
+            before_it &= to_point @ (-p / np.linalg.norm(p)) > np.cos(half)
             free = [not hit(point, towards, triangles) for towards in (sun, (p - point))]
-            hidden += (faces_sun and not free[0]) + (in_view and not free[1])
+            hidden += (faces_sun and not free[0]) + (before_it and not free[1])
             in_light = faces_sun and free[0]
-            wrong += (in_light != lit[i, b]) + ((in_light and in_view and free[1]) != seen[i, b])
+            wrong += (in_light != lit[i, b]) + ((in_light and before_it and free[1]) != seen[i, b])
     assert hidden > 100  # the mesh hides enough for the check to mean something
     assert wrong <= 2  # on an edge, to single precision
 
@@ -84,7 +84,7 @@ def test_points_are_lit_and_seen_where_no_ray_is_stopped(whole) -> None:
 def test_a_surface_that_forgets_a_cone_is_caught(whole) -> None:
     x, attitude = some_states(25)
     blind = whole._replace(cones=tuple(group[:, :0] for group in whole.cones))
-    assert (margins(blind, x, attitude, C) > 0.0).sum() > (margins(whole, x, attitude, C) > 0.0).sum() + 50
+    assert in_view(blind, x, attitude, C).sum() > in_view(whole, x, attitude, C).sum() + 50
 
 
 def test_flat_pairs_of_triangles_become_one_face(whole) -> None:
@@ -151,7 +151,7 @@ def test_the_sphere_is_seen_as_the_papers(random_states) -> None:
     ball = surface(ChiefParameters(), C)
     fixed = torch.zeros(4, 300, dtype=torch.float64)
     fixed[3] = 1.0
-    ours, papers = margins(ball, x, fixed, C) > 0.0, chief.margins(ball.normals, x, C) > 0.0
+    ours, papers = in_view(ball, x, fixed, C), chief.in_view(ball.normals, x, C)
     assert (ours != papers).float().mean() < 1e-4 and papers[1].any()
 
 

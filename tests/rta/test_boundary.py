@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import torch
 
-from inspection.compiled import Compiled
+from kernels import Compiled
 from rta.boundary import towards_zero
 from rta.filter import FilterResult, SafetyFilter
 from rta.qp import Status

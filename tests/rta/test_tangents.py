@@ -9,10 +9,10 @@ import pytest
 import torch
 from torch import Tensor
 
-from inspection.compiled import Compiled
 from inspection.dynamics import integrate, step
 from inspection.parameters import InspectionParameters
 from inspection.state import OMEGA, SIZE, THRUST, P, Q, V
+from kernels import Compiled
 from rta.filter import SafetyFilter
 from rta.held_rows import KINDS
 from rta.parameters import RtaParameters

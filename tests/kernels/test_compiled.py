@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 import torch
 from torch import Tensor
-from torch._inductor import cpp_builder
 from torch.fx.experimental.proxy_tensor import make_fx
 
-from inspection import compiled
-from inspection.compiled import Compiled, with_own_code, without_repetitions
 from inspection.parameters import InspectionParameters
+from kernels import Compiled, NoCompilerError, build
+from kernels.compiled import with_own_code
+from kernels.trace import without_repetitions
 from rta.filter import FilterResult, SafetyFilter
 from rta.parameters import RtaParameters
 from rta.qp import Status
@@ -46,7 +46,7 @@ def cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(autouse=True)
 def own_cache(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
     if "cache" in request.fixturenames:
-        monkeypatch.setattr(compiled, "cache_dir", lambda: str(request.getfixturevalue("cache")))
+        monkeypatch.setenv(build.VARIABLE, str(request.getfixturevalue("cache")))
 
 
 @pytest.mark.parametrize("batch", [1, 16, 17, 256, 700])
@@ -66,7 +66,7 @@ def test_any_batch_on_any_number_of_threads(batch: int, threads: int, cache: Pat
 def test_what_was_compiled_is_not_compiled_again(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     x, y = arguments(20)
     Compiled(polynomial, *arguments(1))(x, y)
-    monkeypatch.setattr(torch._inductor, "aoti_compile_and_package", None)  # cannot be called
+    monkeypatch.setattr(build, "built", None)  # cannot be called
     Compiled(polynomial, *arguments(1))(x, y)
     with pytest.raises(TypeError):  # another constant
         Compiled(lambda x, y: [x + 1.5, *polynomial(x, y)], *arguments(1))
@@ -138,6 +138,7 @@ def test_compiled_filter_equals_the_eager_one(
             torch.testing.assert_close(found, expected, rtol=1e-9, atol=1e-9, equal_nan=True)
         assert (other.control.abs() <= limit).all()
     assert one.status.unique().tolist() == list(Status)
+    x = x[:, x.isfinite().all(0)]  # else a derivative that is zero by its structure may be a number
     for rows, expected in zip(fast.rows(x), eager.rows(x), strict=True):
         for field in fields(rows):
             found = getattr(rows, field.name)
@@ -150,9 +151,9 @@ def test_without_a_compiler_nothing_is_compiled_and_one_line_says_so(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     def missing() -> str:
-        raise RuntimeError
+        raise NoCompilerError("no C compiler was found")
 
-    monkeypatch.setattr(cpp_builder, "get_cpp_compiler", missing)
+    monkeypatch.setattr(experiment, "compiler", missing)
     experiment.finds_compiler.cache_clear()
     try:
         assert not experiment.wants_compile("on", True)

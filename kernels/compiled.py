@@ -1,0 +1,214 @@
+"""Functions of a batch, compiled: printed as C on a CPU, by torch.compile on CUDA. Or traced only."""
+
+import ctypes
+import time
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from types import FunctionType
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from kernels.build import library
+from kernels.printer import Part, Printed, printed
+from kernels.trace import traced
+
+SIZES = (16, 256)  # of a chunk that is traced: for few spacecraft, for many; a CPU's caches hold the latter
+WORTH_A_THREAD = 6e-5  # s of computing that repay handing a share to a thread
+PROBED = 512  # columns whose time says what a column takes
+
+DTYPES = {"double": torch.float64, "float": torch.float32, "bool": torch.bool, "long": torch.int64}
+
+Parts = list[Tensor]
+
+
+class Compiled:
+    """A function of tensors (..., B) to several tensors (..., B) whose columns are independent, compiled.
+
+    Args:
+        function: what to compile; without control flow that depends on values.
+        examples: arguments of one column, on the device to compile for.
+        batch: how many columns a call will usually have; any number is allowed.
+        trace_only: run the traced operations one by one, bit for bit what `function` does, without a compiler.
+        long: length of an axis that is looped over, see `printed`.
+
+    Raises:
+        NoCompilerError: there is no working C compiler.
+        NotImplementedError: the function cannot be printed.
+    """
+
+    def __init__(
+        self,
+        function: Callable[..., Parts],
+        *examples: Tensor,
+        batch: int = SIZES[-1],
+        trace_only: bool = False,
+        long: int = 0,
+    ) -> None:
+        if trace_only:
+            self.run: Callable[..., Parts] = Chunks(function, *examples, batch=batch)
+        elif examples[0].device.type == "cpu":
+            self.run = Kernel(printed(function, *examples, long=long))
+        else:
+            self.run = torch.compile(with_own_code(function), dynamic=True)
+        columns = [example.expand(*example.shape[:-1], batch).contiguous() for example in examples]
+        self(*columns)
+
+    @torch.no_grad()  # a mode that torch.compile's code is specialised to
+    def __call__(self, *tensors: Tensor, times: int = 1) -> Parts:
+        """What `function` returns, or after `times` calls in a row, each with the last result for its first tensor."""
+        parts = self.run(*tensors)
+        for _ in range(times - 1):
+            parts = self.run(parts[0], *tensors[1:])
+        return parts
+
+
+class Chunks:
+    """The traced operations of a function, by chunks of a fixed size, the last one filled up with copies."""
+
+    def __init__(self, function: Callable[..., Parts], *examples: Tensor, batch: int) -> None:
+        self.size = next((size for size in SIZES if batch <= size), SIZES[-1])
+        columns = [example.expand(*example.shape[:-1], self.size).contiguous() for example in examples]
+        self.run = traced(function, *columns)
+        with torch.no_grad():
+            self.nothing = [part[..., :0] for part in self.run(*columns)]
+
+    def __call__(self, *tensors: Tensor) -> Parts:
+        """What the function returns."""
+        batch = tensors[0].shape[-1]
+        starts = range(0, batch, self.size)
+        if not starts:
+            return self.nothing
+        found = [self.run(*(filled(x[..., i : i + self.size], self.size) for x in tensors)) for i in starts]
+        return [torch.cat(parts, -1)[..., :batch] for parts in zip(*found, strict=True)]
+
+
+def filled(x: Tensor, size: int) -> Tensor:
+    """x (..., n) with its first column repeated at the end, contiguous (..., size)."""
+    missing = size - x.shape[-1]
+    return torch.cat((x, x[..., :1].expand(*x.shape[:-1], missing)), -1) if missing else x.contiguous()
+
+
+class Kernel:
+    """A printed function of batches, on as many of PyTorch's threads as it is worth."""
+
+    def __init__(self, function: Printed) -> None:
+        self.parts, self.shapes, self.dtypes = function.outputs, function.shapes, function.dtypes
+        self.inputs = [i for i, shape in enumerate(function.given) if 0 not in shape]
+        text = function.text + batch(function)
+        self.run = library({function.name: text}, {function.name: function.real}).run_batch
+        self.run.restype = None
+        self.seconds = 0.0  # of a column
+        examples = [torch.ones(*p.shape, PROBED, dtype=DTYPES[p.kind]) for p in function.inputs]
+        self.seconds = min(timed(self.of, examples, PROBED) for _ in range(3)) / PROBED
+
+    def __call__(self, *tensors: Tensor) -> Parts:
+        """What the function returns."""
+        return self.of([tensors[i] for i in self.inputs], tensors[0].shape[-1])
+
+    def of(self, tensors: Sequence[Tensor], columns: int) -> Parts:
+        """What the function returns of arguments that have components."""
+        results = [
+            torch.empty(*shape, columns, dtype=dtype)
+            for shape, dtype in zip(self.shapes, self.dtypes, strict=True)
+        ]
+        given = [strided(x) for x in tensors]
+        found = [x for x in results if x.numel()]
+        if columns:
+            arguments = (*pointers(given), *pointers(found))
+            in_shares(lambda first, last: self.run(first, last, *arguments), columns, self.seconds)
+        return results
+
+
+def batch(function: Printed) -> str:
+    """The C function that runs a printed one over a range of columns: run_batch(first, last, in, steps, out, steps)."""
+
+    def each(parts: Sequence[Part], line: Callable[[int, Part], str]) -> list[str]:
+        return [line(i, part) for i, part in enumerate(parts)]
+
+    def letter(part: Part) -> str:
+        return "M" if part.is_mask else "V"
+
+    inputs, outputs = function.inputs, function.outputs
+    lines = [
+        "void run_batch(long first, long last, const void *const *in, const long *in_step, void *const *out,",
+        "               const long *out_step)",
+        "{",
+        "    for (long j = first; j < last; j += W) {",
+        "        const long left = last - j;",
+        *each(inputs, lambda i, p: f"        {letter(p)} {p.name}[{p.size}];"),
+        *each(outputs, lambda i, p: f"        {letter(p)} {p.name}[{p.size}];"),
+        *each(
+            inputs,
+            lambda i, p: (
+                f"        for (long k = 0; k < {p.size}; k++) "
+                f"{p.name}[k] = load_{p.kind}(in[{i}], k * in_step[{i}] + j, left);"
+            ),
+        ),
+        f"        {function.name}({', '.join(p.name for p in (*inputs, *outputs))});",
+        *each(
+            outputs,
+            lambda i, p: (
+                f"        for (long k = 0; k < {p.size}; k++) "
+                f"store_{p.kind}(out[{i}], k * out_step[{i}] + j, left, {p.name}[k]);"
+            ),
+        ),
+        "    }",
+        "}",
+        "",
+    ]
+    return "\n".join(lines)
+
+
+def strided(x: Tensor) -> Tensor:
+    """x (..., B) as it lies, if its columns are neighbours and its components evenly apart; else a copy that is."""
+    sizes, strides = x.shape, x.stride()
+    if strides[-1] != 1:
+        return x.contiguous()
+    for i in range(len(sizes) - 2):
+        if strides[i] != strides[i + 1] * sizes[i + 1]:
+            return x.contiguous()
+    return x
+
+
+def pointers(tensors: Sequence[Tensor]) -> tuple[Any, Any]:
+    """Where tensors (..., B) begin, and how far apart their components are, as C takes them."""
+    count = len(tensors)
+    places = (ctypes.c_void_p * count)(*(x.data_ptr() for x in tensors))
+    steps = (ctypes.c_long * count)(*(x.stride(-2) if x.dim() > 1 else 0 for x in tensors))
+    return places, steps
+
+
+POOLS: dict[int, ThreadPoolExecutor] = {}
+
+
+def in_shares(run: Callable[[int, int], None], columns: int, seconds: float) -> None:
+    """Runs over columns in as many ranges as PyTorch has threads, if each then has enough to do."""
+    shares = min(torch.get_num_threads(), int(columns * seconds / WORTH_A_THREAD))
+    if shares < 2:
+        run(0, columns)
+        return
+    size = -(-columns // shares)
+    size += -size % 64  # whole vectors
+    threads = POOLS.setdefault(shares, ThreadPoolExecutor(shares))
+    others = [threads.submit(run, i, min(i + size, columns)) for i in range(size, columns, size)]
+    run(0, min(size, columns))
+    for other in others:
+        other.result()
+
+
+def with_own_code(function: FunctionType) -> FunctionType:
+    """The function with a copy of its code, which `torch.compile` counts its recompilations by.
+
+    Functions that share it have eight between them; what is compiled after those runs uncompiled.
+    """
+    parts = function.__globals__, function.__name__, function.__defaults__, function.__closure__
+    return FunctionType(function.__code__.replace(), *parts)
+
+
+def timed(function: Callable[..., Any], *arguments: Any) -> float:
+    """s that a call takes."""
+    started = time.perf_counter()
+    function(*arguments)
+    return time.perf_counter() - started

@@ -1,0 +1,17 @@
+/* What a printed function is made of, for one spacecraft: V is a number, M a truth value. */
+typedef real V;
+typedef int M;
+
+#define YES 1
+#define NO 0
+#define ALL(number) ((V)(number))
+#define NOT(m) (!(m))
+#define AND(m, n) ((m) && (n))
+#define OR(m, n) ((m) || (n))
+#define SELECT(m, a, b) ((m) ? (a) : (b))
+/* NaN if either is; of a literal, which is none, if a is */
+#define MIN(a, b) ((((a) < (b)) || ((a) != (a))) ? (a) : (b))
+#define MAX(a, b) ((((a) > (b)) || ((a) != (a))) ? (a) : (b))
+#define MIN_LITERAL(a, b) (((b) < (a)) ? (b) : (a))
+#define MAX_LITERAL(a, b) (((b) > (a)) ? (b) : (a))
+#define SINGLE(a) ((V)(float)(a))
