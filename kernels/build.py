@@ -24,22 +24,18 @@ class NoCompilerError(OSError):
     """There is no C compiler here, or none that works."""
 
 
-def library(sources: Mapping[str, str], reals: Mapping[str, str]) -> ctypes.CDLL:
+def library(sources: Mapping[str, str]) -> ctypes.CDLL:
     """C sources, by name, as one shared library: from the cache where it holds the same.
 
-    Args:
-        reals: the type of each source's numbers, "double" or "float".
-
-    Raises:
-        NoCompilerError: there is no working compiler.
+    Raises NoCompilerError where there is no working compiler.
     """
-    whole = {name: prologue(reals[name]) + text for name, text in sources.items()}
-    fingerprint = hashlib.sha256(repr((sorted(whole.items()), command(), version(), processor())).encode())
+    whole = repr((sorted(sources.items()), command(), version(), processor()))
+    fingerprint = hashlib.sha256(whole.encode())
     name = fingerprint.hexdigest()[:32]
     directory = cache_dir()
     found = kept(directory, name)
     if found is None:
-        found = built(whole)
+        found = built(sources)
         with suppress(OSError):
             return loaded(keep(directory, name, found))
         say(f"{directory}: cannot be written, so that what is compiled is not kept")
@@ -163,30 +159,39 @@ def cache_dir() -> Path:
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "rta-inspection"
 
 
-def prologue(real: str) -> str:
-    """What stands before every source: the type of its numbers and of a vector."""
-    own = Path(__file__).parent
+def for_vectors(real: str) -> str:
+    """What stands before functions that are printed for vectors of numbers, "double" or "float"."""
     lanes = vector_bytes() // (8 if real == "double" else 4)
     whole = "long" if real == "double" else "int"  # what comparisons give
-    head = [
-        f"#define W {lanes}",
-        f"typedef {real} real;",
-        f"typedef {whole} whole;",
-        "#include <math.h>",
-        "#include <stdint.h>",
-    ]
-    head += ["#include <string.h>", (own / "vector.h").read_text(encoding="utf-8")]
+    head = [f"#define W {lanes}", f"typedef {whole} whole;", "#include <stdint.h>", "#include <string.h>"]
     suffix = "" if real == "double" else "f"
-    head += [
-        f"BY_LANE({name.upper()}, {name}{suffix}, {'inline' if name in QUICK else ''})"
-        for name in ("sqrt", *QUICK[1:], *OTHERS)
-    ]
-    head += [f"BY_LANE_OF_TWO({name.upper()}, {name}{suffix})" for name in ("atan2", "pow")]
-    return "\n".join([*head, ""])
+    by_lane = [f"BY_LANE({name.upper()}, {name}{suffix}, inline)" for name in QUICK]
+    by_lane += [f"BY_LANE({name.upper()}, {name}{suffix}, )" for name in OF_ONE]
+    by_lane += [f"BY_LANE_OF_TWO({name.upper()}, {name}{suffix})" for name in OF_TWO]
+    return "\n".join([*numbers(real), *head, header("vector.h"), *by_lane, ""])
 
 
+def for_one(real: str) -> str:
+    """What stands before functions that are printed for one column."""
+    suffix = "" if real == "double" else "f"
+    names = [f"#define {name.upper()} {name}{suffix}" for name in (*QUICK, *OF_ONE, *OF_TWO, "fabs")]
+    return "\n".join([*numbers(real), header("scalar.h"), *names, ""])
+
+
+def numbers(real: str) -> list[str]:
+    """The type of numbers, and their functions."""
+    return [f"typedef {real} real;", "#include <math.h>"]
+
+
+def header(name: str) -> str:
+    """A file beside this one."""
+    return (Path(__file__).parent / name).read_text(encoding="utf-8")
+
+
+# functions of math.h
 QUICK = ("sqrt", "rint", "floor", "ceil", "trunc")  # single instructions
-OTHERS = ("sin", "cos", "tan", "acos", "asin", "atan", "exp", "log", "tanh", "sinh", "cosh", "asinh", "erf")
+OF_ONE = ("sin", "cos", "tan", "acos", "asin", "atan", "exp", "log", "tanh", "sinh", "cosh", "asinh", "erf")
+OF_TWO = ("atan2", "pow")
 
 
 def say(line: str) -> None:

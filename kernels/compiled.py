@@ -10,7 +10,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from kernels.build import library
+from kernels.build import for_vectors, library
 from kernels.printer import Part, Printed, printed
 from kernels.trace import traced
 
@@ -96,8 +96,8 @@ class Kernel:
     def __init__(self, function: Printed) -> None:
         self.parts, self.shapes, self.dtypes = function.outputs, function.shapes, function.dtypes
         self.inputs = [i for i, shape in enumerate(function.given) if 0 not in shape]
-        text = function.text + batch(function)
-        self.run = library({function.name: text}, {function.name: function.real}).run_batch
+        text = for_vectors(function.real) + function.text + batch(function)
+        self.run = library({function.name: text}).run_batch
         self.run.restype = None
         self.seconds = 0.0  # of a column
         examples = [torch.ones(*p.shape, PROBED, dtype=DTYPES[p.kind]) for p in function.inputs]
