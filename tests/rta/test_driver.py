@@ -18,7 +18,7 @@ from tests.rta.test_batched_solver import ADDED, FIELDS, arrays, fly, held, synt
 from tests.rta.test_qp import projection
 
 COMPILERS = [name for name in ("gcc", "clang") if shutil.which(name)]
-WARNINGS = "-Wall -Wextra -Wpedantic -Wconversion -Wshadow -Werror".split()
+WARNINGS = ["-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Wshadow", "-Werror"]
 
 pytestmark = pytest.mark.skipif(not COMPILERS, reason="no C compiler")
 

@@ -1,0 +1,192 @@
+"""The filter for one spacecraft as C99 for flight software: its constants, a driver, and its rows.
+
+The driver in rta/driver is written by hand and the same for every filter; what a filter's configuration decides is
+constants. Its rows, and how a state is predicted, are printed as functions that the driver declares.
+"""
+
+import math
+import re
+from collections.abc import Sequence
+from functools import partial
+from importlib.resources import files
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from inspection.state import CONTROL_SIZE, SIZE
+from kernels import printed
+from rta.filter import SafetyFilter, in_order
+from rta.health import NEAR
+from rta.held_rows import KINDS, HeldGroup
+from rta.rows import ActuatorGroup
+from rta.tangents import PASSES, Prepared, scaled
+
+# Steps of a program for each row that can be active. Of 270,000 programs recorded at and beyond the limits none took
+# more than 2.3; what would take more counts as unsolved.
+STEPS_PER_ROW = 4
+
+GROUPS = ("thrust", "torque")
+SCALAR = (files("kernels") / "scalar.h").read_text(encoding="utf-8")
+
+
+def source(safety_filter: SafetyFilter) -> str:
+    """All of the filter in C, in one text; the function to call is `safety_filter`."""
+    return driver(safety_filter) + "\n" + functions(safety_filter)
+
+
+def driver(safety_filter: SafetyFilter) -> str:
+    """All of the filter in C but for the functions that are declared in it, in one text."""
+    names = ["filter.h", "solver.c", "programs.c", "filter_now.c"]
+    if safety_filter.holds:
+        known = safety_filter.known
+        optional = [("thrusters.c", known.is_coarse), ("health.c", known.health)]
+        names[3:] = ["search.c", *(name for name, used in optional if used), "filter_held.c"]
+    folder = files("rta") / "driver"
+    parts = [constants(safety_filter), *((folder / name).read_text(encoding="utf-8") for name in names)]
+    return "#include <math.h>\n\n" + "\n".join(parts)
+
+
+def functions(safety_filter: SafetyFilter) -> str:
+    """The functions that the driver declares, printed."""
+    x, u = safety_filter.probe("cpu")
+    spread, left = torch.zeros_like(x[:KINDS]), torch.ones_like(u)
+    parts = []
+    for name, group in zip(GROUPS, safety_filter.groups, strict=True):
+        if safety_filter.holds:
+            run, examples = partial(safety_filter.prepare_held, group), (x, u, spread, left)
+        else:
+            run, examples = partial(prepare, group), (x, u)
+        names = ("x", "control", "spread", "left")[: len(examples)], Prepared._fields
+        parts.append(printed(run, *examples, name=f"{name}_rows", names=names))
+    if safety_filter.holds and safety_filter.known.latency:
+        names = ("x", "spread", "u"), ("x_after", "spread_after")
+        parts.append(printed(safety_filter.predict, x, spread, u, name="predict", names=names))
+    text = "\n".join(part.text for part in parts)
+    calls = sorted(set(re.findall(r"\b([A-Z][A-Z0-9_]*)\(", text)) - set(re.findall(r"define (\w+)\(", SCALAR)))
+    own = [f"#define {call}(...) {call.lower()}(__VA_ARGS__)" for call in calls]
+    return "\n".join(["typedef double real;", SCALAR, *own, "", text])
+
+
+def prepare(group: ActuatorGroup, x: Tensor, control: Tensor) -> list[Tensor]:
+    """`Prepared` for one group, of the rate of now."""
+    return list(scaled(group(x), control[group.controls] / group.limit, group.limit))
+
+
+def constants(safety_filter: SafetyFilter) -> str:
+    """What the driver depends on of a filter's configuration, and the functions that it calls, in C."""
+    groups, holds = safety_filter.groups, safety_filter.holds
+    passes = PASSES if holds else 1
+    rows = max(len(group.weights) for group in groups)
+    soft = max(sum(map(math.isfinite, group.weights)) for group in groups)
+    classes = max(len({w for w in group.weights if math.isfinite(w)}) for group in groups)
+    places = in_order(*([(i, k) for k in range(len(group.names))] for i, group in enumerate(groups)))
+    lines = [
+        f"/* Of a filter that is called every {safety_filter.period:g} s; constraints, in their order:",
+        *(f" *     {i} {name}" for i, name in enumerate(safety_filter.names)),
+        " * Of two numbers the first is of thrust, the second of torque. */",
+        define("CONSTRAINTS", len(safety_filter.names)),
+        define("GROUP_CONSTRAINTS_MAX", max(len(group.names) for group in groups)),
+        define("GROUP_ROWS_MAX", rows),
+        define("PASSES", passes, "programs solved for one control at most, each with a group's rows more"),
+        define("ROWS_MAX", "(6 + (PASSES * GROUP_ROWS_MAX))", "of a program, with the actuators' limits"),
+        define("ACTIVE_MAX", 3 + passes * soft, "independent rows: by controls, and by the slack of those that have it"),
+        define("STEPS_MAX", f"({STEPS_PER_ROW} * ACTIVE_MAX)", "of a stage, beyond which it counts as unsolved"),
+        define("CLASSES_MAX", classes, "different weights of rows that have slack"),
+        define("LATENCY", safety_filter.known.latency, "periods, age of a state at most"),
+        define("SENT_ROOM", max(1, safety_filter.known.latency)),
+        define("HEALTH", int(holds and safety_filter.known.health), "1: what is left of actuators is told"),
+        define("COARSE", int(holds and safety_filter.known.is_coarse), "1: thrusters give some values only"),
+        table("double LIMIT[2]", [group.limit for group in groups], "of each actuator, N and N m"),
+        table("int ROWS[2]", [len(group.weights) for group in groups]),
+        table("int CONSTRAINTS_OF[2]", [len(group.names) for group in groups]),
+        table("int CONSTRAINT_OF_ROW[2][GROUP_ROWS_MAX]", [constraint_of_row(group) for group in groups]),
+        table("double WEIGHT[2][GROUP_ROWS_MAX]", [group.weights for group in groups], "of slack, by row"),
+        table(
+            "int PLACE[2][GROUP_CONSTRAINTS_MAX]",
+            [[places.index((i, k)) for k in range(len(group.names))] for i, group in enumerate(groups)],
+            "in the constraints' order, of each that a group holds",
+        ),
+    ]
+    if holds:
+        lines += held_constants(safety_filter)
+    lines += [declared(name, group, holds) for name, group in zip(GROUPS, groups, strict=True)]
+    if holds and safety_filter.known.latency:
+        given = f"const double x[{SIZE}], const double spread[{KINDS}], const double u[{CONTROL_SIZE}]"
+        lines.append(f"static void predict({given},\n    double x_after[{SIZE}], double spread_after[{KINDS}]);")
+    return "\n".join(lines) + "\n"
+
+
+def held_constants(safety_filter: SafetyFilter) -> list[str]:
+    """What only the driver of held controls needs."""
+    c, r, known = safety_filter.c, safety_filter.parameters, safety_filter.known
+    group: HeldGroup = safety_filter.groups[0]
+    constraints = in_order(*(each.constraints for each in safety_filter.groups))
+    first = [group.gain(each.gains[0]) if each.degree == 2 else 0.0 for each in constraints]
+    lines = [
+        table("double INERTIA[3]", c.inertia, "kg m^2"),
+        define("HOLD", group.moments[-1], "s, the longest time that a control is held"),
+        define("RATE_LIMIT", c.max_rate - known.rate_offset(c), "rad/s, of each axis relative to Hill's frame"),
+        table("double LAST_GAIN[CONSTRAINTS]", [group.gain(each.gains[-1]) for each in constraints], "1/s"),
+        table("double FIRST_GAIN[CONSTRAINTS]", first, "1/s; 0 of relative degree one"),
+        table("double DOUBLING[CONSTRAINTS]", [each.doubling for each in constraints], "barrier at twice the gain"),
+        define("LARGEST_GAIN", group.gain(math.inf), "1/s"),
+    ]
+    if known.is_coarse:
+        lines += [
+            define("MINIMUM_THRUST", float(known.minimum_thrust), "N; 0: none"),
+            define("THRUST_QUANTUM", float(known.thrust_quantum), "N; 0: none"),
+            define("LARGEST_THRUST", known.largest_thrust(c.max_thrust), "N, that the thrusters give"),
+            define("THRUST_GAP", known.gap, "N, between two values that they give"),
+        ]
+    if known.health:
+        lines += [
+            define("NEAR_RADIUS", NEAR, "of the radius, along axes that give less, which is left as it is"),
+            define("COSINE_OF_EXCLUSION", math.cos(c.field_of_view / 2 + c.exclusion_buffer)),
+            define("LEAST_TORQUE", known.torque[0], "share of what the model's torque does, of a healthy axis"),
+            define("NATURAL_ACCELERATION", c.max_thrust / c.mass - c.max_acceleration, "m/s^2, the strongest"),
+            define("LEAST_BRAKING", known.max_acceleration(c, r), "m/s^2, of healthy thrusters in any attitude"),
+            define("MAX_DISTANCE", float(c.max_distance), "m, of the keep-in zone"),
+        ]
+    return lines
+
+
+def declared(name: str, group: ActuatorGroup, holds: bool) -> str:
+    """The function of a group's rows, see `struct rows`; arrays of the rows' normals are row-major."""
+    rows, constraints = len(group.weights), len(group.names)
+    more = f", const double spread[{KINDS}], const double left[{CONTROL_SIZE}]" if holds else ""
+    doubt = f" double doubt[{rows}]," if holds else ""
+    return (
+        f"static void {name}_rows(const double x[{SIZE}], const double control[{CONTROL_SIZE}]{more},\n"
+        f"    double psi[{rows}], double a[{3 * rows}], double b[{rows}], double b_bare[{rows}],\n"
+        f"    double h[{constraints}],{doubt} double length[{rows}], double lowest[1]);"
+    )
+
+
+def constraint_of_row(group: ActuatorGroup) -> list[int]:
+    """By row, the index of its constraint."""
+    return [k for k, each in enumerate(group.constraints) for _ in range(group.count(each))]
+
+
+def define(name: str, value: Any, comment: str = "") -> str:
+    """A named constant in C."""
+    number = literal(value) if isinstance(value, float) else str(value)
+    return f"#define {name} {number}" + (f" /* {comment} */" if comment else "")
+
+
+def table(declaration: str, values: Sequence[Any], comment: str = "") -> str:
+    """A table in C."""
+    return f"static const {declaration} = {entries(values)};" + (f" /* {comment} */" if comment else "")
+
+
+def entries(values: Sequence[Any]) -> str:
+    """Numbers, or lists of them, in braces."""
+    texts = (entries(v) if isinstance(v, list | tuple) else literal(v) for v in values)
+    return "{" + ", ".join(texts) + "}"
+
+
+def literal(value: float) -> str:
+    """A number in C that is exactly this one."""
+    if math.isinf(value):
+        return "INFINITY"
+    return f"({value!r})" if value < 0 else repr(value)
