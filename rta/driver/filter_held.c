@@ -75,7 +75,7 @@ static double tightened(int place, double doubt)
 {
     const double d = DOUBLING[place];
     double psi = doubt / LAST_GAIN[place];
-    if (isfinite(d)) {
+    if (isfinite(d) != 0) {
         psi = d * 2.0 / sqrt(3.0) * sinh(asinh(1.5 * sqrt(3.0) * psi / d) / 3.0);
     }
     psi = larger(psi, doubt / LARGEST_GAIN);

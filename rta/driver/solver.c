@@ -248,7 +248,7 @@ static int go(const struct stage *s, struct solution *x, const struct way *way)
     const double full = (way->z2 > 0.0) ? (-left / way->z2) : INFINITY;
     const double partial = until_blocked(x, way, &blocking);
     const double length = (full <= partial) ? full : partial;
-    if (isinf(length)) {
+    if (isinf(length) != 0) {
         outcome = INFEASIBLE;
     } else {
         if (way->z2 > 0.0) {
@@ -343,7 +343,7 @@ static void least_violating(const struct program *p, double known[][3], int coun
         double rest = 0.0;
         for (int i = 0; i < p->rows; ++i) {
             const double lack = fmax(0.0, -(dot(p->a[i], known[k], 3) + p->b_bare[i]));
-            if (isinf(p->weight[i])) {
+            if (isinf(p->weight[i]) != 0) {
                 must += lack * lack;
             } else {
                 rest += (p->weight[i] * lack) * (p->weight[i] * lack);
@@ -374,14 +374,14 @@ static void solve(const struct program *p, struct answer *answer)
     answer->residual = INFINITY;
     for (int i = 0; (i < STAGES_MAX) && (finite != 0) && (answer->status == UNSOLVED); ++i) {
         highest = (i < 2) ? 0.0 : next_class(p, highest);
-        if (isfinite(highest)) {
+        if (isfinite(highest) != 0) {
             double *u = known[count];
             const double residual = solve_stage(p, (i == 0) ? p->b : p->b_bare, highest, u);
             if (residual <= ACCURATE) {
                 answer->status = (i < 2) ? HARD : SLACK;
                 answer->residual = residual;
                 copy(answer->control, u, 3);
-            } else if (isfinite(residual)) {
+            } else if (isfinite(residual) != 0) {
                 count += 1;
             } else {
                 /* infeasible */

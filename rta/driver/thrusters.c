@@ -76,7 +76,6 @@ static void with_cushion(const struct situation *where, const double u[3], doubl
 static void settle_for_what_is_given(const struct situation *where, struct best *best)
 {
     double before[3];
-    double u[3];
     double all_or_nothing[3][3];
     copy(before, best->found.control, 3);
     best->score = -INFINITY;
@@ -90,6 +89,7 @@ static void settle_for_what_is_given(const struct situation *where, struct best 
         try_neighbours(where, before, best);
     }
     if (best->found.status == SLACK) {
+        double u[3];
         with_cushion(where, best->found.control, u);
         try_neighbours(where, u, best);
     }
