@@ -10,7 +10,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from kernels.build import for_vectors, library
+from kernels import build
+from kernels.build import for_vectors
 from kernels.printer import Part, Printed, printed
 from kernels.trace import traced
 
@@ -91,13 +92,19 @@ def filled(x: Tensor, size: int) -> Tensor:
 
 
 class Kernel:
-    """A printed function of batches, on as many of PyTorch's threads as it is worth."""
+    """A printed function of batches, on as many of PyTorch's threads as it is worth.
 
-    def __init__(self, function: Printed) -> None:
-        self.parts, self.shapes, self.dtypes = function.outputs, function.shapes, function.dtypes
+    Args:
+        library: that `batch(function)` is in; None: one of its own.
+    """
+
+    def __init__(self, function: Printed, library: ctypes.CDLL | None = None) -> None:
+        self.shapes, self.dtypes = function.shapes, function.dtypes
         self.inputs = [i for i, shape in enumerate(function.given) if 0 not in shape]
-        text = for_vectors(function.real) + function.text + batch(function)
-        self.run = library({function.name: text}).run_batch
+        if library is None:
+            text = for_vectors(function.real) + function.text + batch(function)
+            library = build.library({function.name: text})
+        self.run = getattr(library, f"{function.name}_batch")
         self.run.restype = None
         self.seconds = 0.0  # of a column
         examples = [torch.ones(*p.shape, PROBED, dtype=DTYPES[p.kind]) for p in function.inputs]
@@ -122,38 +129,25 @@ class Kernel:
 
 
 def batch(function: Printed) -> str:
-    """The C function that runs a printed one over a range of columns: run_batch(first, last, in, steps, out, steps)."""
+    """The C function that runs a printed one over columns: NAME_batch(first, last, in, steps, out, steps)."""
 
-    def each(parts: Sequence[Part], line: Callable[[int, Part], str]) -> list[str]:
-        return [line(i, part) for i, part in enumerate(parts)]
+    def moved(verb: str, parts: Sequence[Part], side: str) -> list[str]:
+        return [
+            f"        for (long k = 0; k < {p.size}; k++) {{ {verb.format(p=p, at=f'{side}[{i}], k * {side}_step[{i}] + column, lanes')}; }}"
+            for i, p in enumerate(parts)
+        ]
 
-    def letter(part: Part) -> str:
-        return "M" if part.is_mask else "V"
-
-    inputs, outputs = function.inputs, function.outputs
+    both = (*function.inputs, *function.outputs)
     lines = [
-        "void run_batch(long first, long last, const void *const *in, const long *in_step, void *const *out,",
-        "               const long *out_step)",
+        f"void {function.name}_batch(long first, long last, const void *const *in, const long *in_step,",
+        "    void *const *out, const long *out_step)",
         "{",
-        "    for (long j = first; j < last; j += W) {",
-        "        const long left = last - j;",
-        *each(inputs, lambda i, p: f"        {letter(p)} {p.name}[{p.size}];"),
-        *each(outputs, lambda i, p: f"        {letter(p)} {p.name}[{p.size}];"),
-        *each(
-            inputs,
-            lambda i, p: (
-                f"        for (long k = 0; k < {p.size}; k++) "
-                f"{p.name}[k] = load_{p.kind}(in[{i}], k * in_step[{i}] + j, left);"
-            ),
-        ),
-        f"        {function.name}({', '.join(p.name for p in (*inputs, *outputs))});",
-        *each(
-            outputs,
-            lambda i, p: (
-                f"        for (long k = 0; k < {p.size}; k++) "
-                f"store_{p.kind}(out[{i}], k * out_step[{i}] + j, left, {p.name}[k]);"
-            ),
-        ),
+        "    for (long column = first; column < last; column += W) {",
+        "        const long lanes = last - column;",
+        *(f"        {'M' if p.is_mask else 'V'} {p.name}[{p.size}];" for p in both),
+        *moved("{p.name}[k] = load_{p.kind}({at})", function.inputs, "in"),
+        f"        {function.name}({', '.join(p.name for p in both)});",
+        *moved("store_{p.kind}({at}, {p.name}[k])", function.outputs, "out"),
         "    }",
         "}",
         "",

@@ -23,6 +23,7 @@ VIOLATED = 1e-12  # a row is violated below minus this, in units of the actuator
 DEPENDENT = 1e-16  # |z|^2 / |a|^2 up to which a row counts as a combination of the active ones
 BLOCKING = 1e-12  # fall of a multiplier per unit of pressure that counts as none
 STEPS = 3  # of the attempt, one for each row that becomes active or leaves
+STEPS_HELD = 6  # where controls are held: rates that the filter holds are three rows more at a time
 ROUND = 2  # steps between two looks at which programs are unfinished
 MAX_ROUNDS = 50  # beyond which PIQP takes over; recorded programs take up to 5, with slack up to 8
 PIQP_FIRST = ("cpu",)  # devices where PIQP solves what the attempt leaves faster than steps uncompiled

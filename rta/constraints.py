@@ -1,9 +1,11 @@
 """What the filter must know of a constraint h(x) >= 0: one entry, of the paper's 13 and of your own alike."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
+import torch
 from torch import Tensor
 
 from inspection.state import CONTROL_SIZE, THRUST, TORQUE
@@ -100,6 +102,17 @@ class Constraint:
     def loss_at(self, x: Tensor) -> Tensor:
         """`loss` at states (16, B): (B,)."""
         return self.loss(x) if callable(self.loss) else x.new_full(x.shape[1:], self.loss)
+
+
+def in_order(thrust: Sequence[Any], torque: Sequence[Any]) -> tuple[Any, ...]:
+    """Joins what is known of each constraint of both groups in the order of the filter's names."""
+    m, n = len(TRANSLATIONAL), len(ATTITUDE)
+    return (*thrust[:m], *torque[:n], *thrust[m:], *torque[n:])
+
+
+def joined(thrust: Tensor, torque: Tensor) -> Tensor:
+    """`in_order` of tensors (k, B) and (m, B)."""
+    return torch.cat(in_order(thrust.split(1), torque.split(1)))
 
 
 def check(each: Constraint, x: Tensor) -> None:

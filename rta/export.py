@@ -9,33 +9,40 @@ import re
 from collections.abc import Sequence
 from functools import partial
 from importlib.resources import files
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import torch
 from torch import Tensor
 
 from inspection.state import CONTROL_SIZE, SIZE
-from kernels import printed
-from rta.filter import SafetyFilter, in_order
+from kernels import Printed, printed
+from rta.constraints import in_order
 from rta.health import NEAR
 from rta.held_rows import KINDS, HeldGroup
 from rta.rows import ActuatorGroup
 from rta.tangents import PASSES, Prepared, scaled
 
-# Steps of a program for each row that can be active. Of 270,000 programs recorded at and beyond the limits none took
-# more than 2.3; what would take more counts as unsolved.
+if TYPE_CHECKING:
+    from rta.filter import SafetyFilter
+
+# Steps of a program for each row that can be active. Of 210,000 programs recorded at and beyond the limits none took
+# more than 2.6; what would take more counts as unsolved.
 STEPS_PER_ROW = 4
 
 GROUPS = ("thrust", "torque")
 SCALAR = (files("kernels") / "scalar.h").read_text(encoding="utf-8")
 
 
-def source(safety_filter: SafetyFilter) -> str:
-    """All of the filter in C, in one text; the function to call is `safety_filter`."""
-    return driver(safety_filter) + "\n" + functions(safety_filter)
+def source(safety_filter: "SafetyFilter", parts: Sequence[Printed] | None = None) -> str:
+    """All of the filter in C, in one text; the function to call is `safety_filter`.
+
+    Args:
+        parts: what `functions` prints, if it is known.
+    """
+    return driver(safety_filter) + "\n" + for_one(parts or functions(safety_filter))
 
 
-def driver(safety_filter: SafetyFilter) -> str:
+def driver(safety_filter: "SafetyFilter") -> str:
     """All of the filter in C but for the functions that are declared in it, in one text."""
     names = ["filter.h", "solver.c", "programs.c", "filter_now.c"]
     if safety_filter.holds:
@@ -47,7 +54,7 @@ def driver(safety_filter: SafetyFilter) -> str:
     return "#include <math.h>\n\n" + "\n".join(parts)
 
 
-def functions(safety_filter: SafetyFilter) -> str:
+def functions(safety_filter: "SafetyFilter") -> list[Printed]:
     """The functions that the driver declares, printed."""
     x, u = safety_filter.probe("cpu")
     spread, left = torch.zeros_like(x[:KINDS]), torch.ones_like(u)
@@ -62,8 +69,15 @@ def functions(safety_filter: SafetyFilter) -> str:
     if safety_filter.holds and safety_filter.known.latency:
         names = ("x", "spread", "u"), ("x_after", "spread_after")
         parts.append(printed(safety_filter.predict, x, spread, u, name="predict", names=names))
+    return parts
+
+
+def for_one(parts: Sequence[Printed]) -> str:
+    """Printed functions for one spacecraft, and what they are made of."""
     text = "\n".join(part.text for part in parts)
-    calls = sorted(set(re.findall(r"\b([A-Z][A-Z0-9_]*)\(", text)) - set(re.findall(r"define (\w+)\(", SCALAR)))
+    calls = sorted(
+        set(re.findall(r"\b([A-Z][A-Z0-9_]*)\(", text)) - set(re.findall(r"define (\w+)\(", SCALAR))
+    )
     own = [f"#define {call}(...) {call.lower()}(__VA_ARGS__)" for call in calls]
     return "\n".join(["typedef double real;", SCALAR, *own, "", text])
 
@@ -73,7 +87,7 @@ def prepare(group: ActuatorGroup, x: Tensor, control: Tensor) -> list[Tensor]:
     return list(scaled(group(x), control[group.controls] / group.limit, group.limit))
 
 
-def constants(safety_filter: SafetyFilter) -> str:
+def constants(safety_filter: "SafetyFilter") -> str:
     """What the driver depends on of a filter's configuration, and the functions that it calls, in C."""
     groups, holds = safety_filter.groups, safety_filter.holds
     passes = PASSES if holds else 1
@@ -90,8 +104,10 @@ def constants(safety_filter: SafetyFilter) -> str:
         define("GROUP_ROWS_MAX", rows),
         define("PASSES", passes, "programs solved for one control at most, each with a group's rows more"),
         define("ROWS_MAX", "(6 + (PASSES * GROUP_ROWS_MAX))", "of a program, with the actuators' limits"),
-        define("ACTIVE_MAX", 3 + passes * soft, "independent rows: by controls, and by the slack of those that have it"),
-        define("STEPS_MAX", f"({STEPS_PER_ROW} * ACTIVE_MAX)", "of a stage, beyond which it counts as unsolved"),
+        define("ACTIVE_MAX", 3 + passes * soft, "independent rows; most of the stack is 8 B of its square"),
+        define(
+            "STEPS_MAX", f"({STEPS_PER_ROW} * ACTIVE_MAX)", "of a stage, beyond which it counts as unsolved"
+        ),
         define("CLASSES_MAX", classes, "different weights of rows that have slack"),
         define("LATENCY", safety_filter.known.latency, "periods, age of a state at most"),
         define("SENT_ROOM", max(1, safety_filter.known.latency)),
@@ -113,11 +129,13 @@ def constants(safety_filter: SafetyFilter) -> str:
     lines += [declared(name, group, holds) for name, group in zip(GROUPS, groups, strict=True)]
     if holds and safety_filter.known.latency:
         given = f"const double x[{SIZE}], const double spread[{KINDS}], const double u[{CONTROL_SIZE}]"
-        lines.append(f"static void predict({given},\n    double x_after[{SIZE}], double spread_after[{KINDS}]);")
+        lines.append(
+            f"static void predict({given},\n    double x_after[{SIZE}], double spread_after[{KINDS}]);"
+        )
     return "\n".join(lines) + "\n"
 
 
-def held_constants(safety_filter: SafetyFilter) -> list[str]:
+def held_constants(safety_filter: "SafetyFilter") -> list[str]:
     """What only the driver of held controls needs."""
     c, r, known = safety_filter.c, safety_filter.parameters, safety_filter.known
     group: HeldGroup = safety_filter.groups[0]
@@ -126,10 +144,16 @@ def held_constants(safety_filter: SafetyFilter) -> list[str]:
     lines = [
         table("double INERTIA[3]", c.inertia, "kg m^2"),
         define("HOLD", group.moments[-1], "s, the longest time that a control is held"),
-        define("RATE_LIMIT", c.max_rate - known.rate_offset(c), "rad/s, of each axis relative to Hill's frame"),
+        define(
+            "RATE_LIMIT", c.max_rate - known.rate_offset(c), "rad/s, of each axis relative to Hill's frame"
+        ),
         table("double LAST_GAIN[CONSTRAINTS]", [group.gain(each.gains[-1]) for each in constraints], "1/s"),
         table("double FIRST_GAIN[CONSTRAINTS]", first, "1/s; 0 of relative degree one"),
-        table("double DOUBLING[CONSTRAINTS]", [each.doubling for each in constraints], "barrier at twice the gain"),
+        table(
+            "double DOUBLING[CONSTRAINTS]",
+            [each.doubling for each in constraints],
+            "barrier at twice the gain",
+        ),
         define("LARGEST_GAIN", group.gain(math.inf), "1/s"),
     ]
     if known.is_coarse:
@@ -143,9 +167,15 @@ def held_constants(safety_filter: SafetyFilter) -> list[str]:
         lines += [
             define("NEAR_RADIUS", NEAR, "of the radius, along axes that give less, which is left as it is"),
             define("COSINE_OF_EXCLUSION", math.cos(c.field_of_view / 2 + c.exclusion_buffer)),
-            define("LEAST_TORQUE", known.torque[0], "share of what the model's torque does, of a healthy axis"),
-            define("NATURAL_ACCELERATION", c.max_thrust / c.mass - c.max_acceleration, "m/s^2, the strongest"),
-            define("LEAST_BRAKING", known.max_acceleration(c, r), "m/s^2, of healthy thrusters in any attitude"),
+            define(
+                "LEAST_TORQUE", known.torque[0], "share of what the model's torque does, of a healthy axis"
+            ),
+            define(
+                "NATURAL_ACCELERATION", c.max_thrust / c.mass - c.max_acceleration, "m/s^2, the strongest"
+            ),
+            define(
+                "LEAST_BRAKING", known.max_acceleration(c, r), "m/s^2, of healthy thrusters in any attitude"
+            ),
             define("MAX_DISTANCE", float(c.max_distance), "m, of the keep-in zone"),
         ]
     return lines

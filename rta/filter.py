@@ -16,9 +16,10 @@ from inspection.parameters import InspectionParameters
 from inspection.state import CONTROL_SIZE, SIZE, THRUST, TORQUE, P, Q
 from kernels import Compiled
 from rta import vehicle
-from rta.batched_solver import BatchedSolver
+from rta.batch import BatchFilter
+from rta.batched_solver import STEPS_HELD, BatchedSolver
 from rta.boundary import Given
-from rta.constraints import ACTUATORS, ATTITUDE, TRANSLATIONAL, Constraint
+from rta.constraints import ACTUATORS, Constraint, in_order, joined
 from rta.health import turning
 from rta.held_rows import KINDS, HeldGroup, predicted
 from rta.parameters import RtaParameters
@@ -31,8 +32,6 @@ from rta.torque_constraints import torque_constraints
 from rta.uncertainty import NOTHING, Uncertainty
 
 ROW_FIELDS = len(fields(Rows))
-
-STEPS_HELD = 6  # of the batched solver's attempt: rates that the filter holds are three rows more at a time
 
 SOLVERS: dict[str, type[Solver]] = {"piqp": PiqpSolver, "batched": BatchedSolver}
 
@@ -121,6 +120,10 @@ class SafetyFilter:
         self._prepare: Callable[[Tensor, Tensor], list[Tensor]] = self.prepare
         self._prepare_held = self._uncompiled_held()
         self._predict: Callable[..., list[Tensor]] = self.predict
+        self._solves_in_c = isinstance(self.solver, BatchedSolver) or (
+            solver is None and parameters.qp_solver == "auto"
+        )
+        self._whole: BatchFilter | None = None
 
     def __reduce__(self) -> tuple[Any, ...]:
         return type(self), (self.c, self.parameters, self.solver, self.extra, self.known)
@@ -159,11 +162,18 @@ class SafetyFilter:
         return self.is_in_safe_set(x) & self.can_brake(x)
 
     def compile(self, device: torch.device | str, batch: int) -> None:
-        """Compiles `prepare` and the solver for tensors on this device and calls of about so many spacecraft.
+        """Compiles the filter for tensors on this device and calls of about so many spacecraft.
 
-        Takes a minute, or some where controls are held, once: what was compiled is kept across runs. Raises whatever
-        PyTorch raises where there is no working C++ compiler, and changes nothing then.
+        On a CPU all of it is one C function, solver included, unless PIQP is asked for; then, and on a GPU, what is
+        computed for every spacecraft. Takes seconds, or half a minute where controls are held, once: what was compiled
+        is kept across runs. Raises as `kernels.Compiled`, and changes nothing then.
         """
+        if self._solves_in_c and torch.device(device).type == "cpu":
+            self._whole = BatchFilter(self)
+            if self.holds:
+                self._prepare_held = self._whole.rows
+                self._predict = self._whole.predict or self.predict
+            return
         compiled = self._compiled(device, batch, trace_only=False)
         rows = max(len(group.weights) for group in self.groups)
         self.solver.compile([rows, 2 * rows] if self.holds else [rows], batch, device)  # held ones twice
@@ -195,7 +205,9 @@ class SafetyFilter:
     @property
     def _is_compiled(self) -> bool:
         """Whether what is computed for every spacecraft is compiled or traced."""
-        return isinstance(self._prepare_held[0] if self.holds else self._prepare, Compiled)
+        return self._whole is not None or isinstance(
+            self._prepare_held[0] if self.holds else self._prepare, Compiled
+        )
 
     def _take(self, compiled: list[Compiled]) -> None:
         """Uses what was compiled from now on."""
@@ -309,10 +321,38 @@ class SafetyFilter:
             left: (6, B) the share that each actuator gives of what it is told; None: all of it. It counts for a filter
                 with `Uncertainty`, as does `sent`.
         """
+        too_old = sent is not None and len(sent) > self.known.latency
+        if self._whole is None or x.device.type != "cpu" or (self.holds and too_old):
+            return self._correct(x, desired, sent, left)
+        if not self.holds:
+            sent = left = None
+        *numbers, program_status, active = self._whole(x, desired, sent, left)
+        control, slack, h, *doubts = numbers
+        status = program_status.amax(0)
+        uncertainty, tightened = doubts or [torch.zeros_like(h)] * 2
+        result = FilterResult(
+            control,
+            status > Status.UNTOUCHED,
+            active,
+            slack,
+            status,
+            program_status,
+            h,
+            uncertainty,
+            tightened,
+        )
+        failed = torch.nonzero(status == Status.UNSOLVED).flatten()
+        if failed.numel():  # PIQP may know an answer
+            given = (None if part is None else pick(part, failed) for part in (x, desired, sent, left))
+            again = self._correct(*given)
+            for field in fields(result):
+                put(getattr(result, field.name), failed, getattr(again, field.name))
+        return result
+
+    def _correct(self, x: Tensor, desired: Tensor, sent: Tensor | None, left: Tensor | None) -> FilterResult:
+        """`correct` in PyTorch, and by the solver."""
         x = x.masked_fill(x.isinf(), torch.nan)  # infinitely safe is no state either
-        control = torch.cat([desired[each.controls].clamp(-each.limit, each.limit) for each in self.groups])
-        clipped = torch.stack([(control != desired)[each.controls].any(0) for each in self.groups])
-        program_status = torch.where(clipped, Status.HARD, Status.UNTOUCHED)
+        control, program_status = self.clip(desired)
         if self.holds:
             return self._correct_held(x, control, program_status, sent, left)
         both = self._prepared(x, control)
@@ -322,7 +362,7 @@ class SafetyFilter:
             unsafe = torch.nonzero(~(prepared.lowest[0] >= 0.0)).flatten()  # NaN must not pass
             if unsafe.numel():
                 wholes = control[group.controls], program_status[i], active[i], slack[i]
-                parts = self._correct(group, prepared, control[group.controls], unsafe)
+                parts = self._solved(group, prepared, control[group.controls], unsafe)
                 for whole, part in zip(wholes, parts, strict=True):
                     put(whole, unsafe, part)
         status = program_status.amax(0)
@@ -339,6 +379,12 @@ class SafetyFilter:
             uncertainty=nothing,
             tightened=nothing,
         )
+
+    def clip(self, desired: Tensor) -> tuple[Tensor, Tensor]:
+        """Controls (6, B) within the actuators' limits, and (2, B) the status of each group: HARD where it was not."""
+        control = torch.cat([desired[each.controls].clamp(-each.limit, each.limit) for each in self.groups])
+        clipped = torch.stack([(control != desired)[each.controls].any(0) for each in self.groups])
+        return control, torch.where(clipped, Status.HARD, Status.UNTOUCHED)
 
     def _correct_held(
         self, x: Tensor, control: Tensor, program_status: Tensor, sent: Tensor | None, left: Tensor | None
@@ -383,7 +429,7 @@ class SafetyFilter:
             control, status > Status.UNTOUCHED, active, slack, status, program_status, h, doubt, tightened
         )
 
-    def _correct(
+    def _solved(
         self, group: ActuatorGroup, prepared: Prepared, desired: Tensor, unsafe: Tensor
     ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         """Scales and solves the programs of these columns (M,); returns control, status, active and slack."""
@@ -400,17 +446,6 @@ def narrowed(chosen: Tensor, x: Tensor, holds: Callable[[Tensor], Tensor]) -> Te
     if columns.numel():
         put(chosen, columns, holds(pick(x, columns)))
     return chosen
-
-
-def in_order(thrust: Sequence[Any], torque: Sequence[Any]) -> tuple[Any, ...]:
-    """Joins what is known of each constraint of both groups in the order of the filter's names."""
-    m, n = len(TRANSLATIONAL), len(ATTITUDE)
-    return (*thrust[:m], *torque[:n], *thrust[m:], *torque[n:])
-
-
-def joined(thrust: Tensor, torque: Tensor) -> Tensor:
-    """`in_order` of tensors (k, B) and (m, B)."""
-    return torch.cat(in_order(thrust.split(1), torque.split(1)))
 
 
 def make_solver(name: str, held: bool = False) -> Solver:

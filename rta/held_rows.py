@@ -66,7 +66,6 @@ class HeldGroup(ActuatorGroup):
         hold = known.hold(r)
         self.moments = (0.5 * hold, hold) if hold > LONG else (hold,)  # s, at which rows are
         super().__init__(held_by, constraints, c, r, known)
-        self.held_by = held_by
         self.is_coarse = held_by == "thrust" and known.is_coarse
         self.model = unsaturated(c)  # the filter holds the rates
         least, self.most = known.thrust if held_by == "thrust" else known.torque

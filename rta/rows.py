@@ -45,7 +45,7 @@ class ActuatorGroup:
         constraints: the paper's and your own.
 
     Attributes:
-        controls: its place in a control; limit: of each of its actuators in N or N m.
+        held_by; controls: its place in a control; limit: of each of its actuators in N or N m.
         names: of its constraints; of_row: the constraint of each row; weights: the slack weight of each row.
 
     Raises:
@@ -62,6 +62,7 @@ class ActuatorGroup:
         known: Uncertainty = NOTHING,
     ) -> None:
         self.c, self.r, self.known = c, r, known
+        self.held_by = held_by
         self.controls = ACTUATORS[held_by]
         self.limit = c.control_limit[self.controls.start]
         own = [each for each in constraints if each.held_by == held_by]

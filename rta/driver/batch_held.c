@@ -1,0 +1,70 @@
+/* Attempts all programs, W spacecraft at a time, torque first, and has those that are left searched for one by one. */
+
+static void load_block(const void *in, long step, long column, long lanes, int count, V *to)
+{
+    for (int i = 0; i < count; ++i) {
+        to[i] = load_double(in, i * step + column, lanes);
+    }
+}
+
+/* Brings states up to date by the controls that were sent since they were measured. */
+static void bring_up_to_date(const void *sent, long step, long column, long lanes, const V left[6], V x[16],
+                             V spread[4])
+{
+#if LATENCY > 0
+    for (int k = 0; k < LATENCY; ++k) {
+        V u[6];
+        V x_after[16];
+        V spread_after[4];
+        load_block(sent, step, 6 * k * step + column, lanes, 6, u);
+        for (int j = 0; j < 6; ++j) {
+            u[j] = left[j] * u[j];
+        }
+        predict(x, spread, u, x_after, spread_after);
+        memcpy(x, x_after, sizeof x_after);
+        memcpy(spread, spread_after, sizeof spread_after);
+    }
+#endif
+}
+
+static void store_block(const struct block *block, void *const *out, const long *out_step, long column, long lanes)
+{
+    for (int k = 0; k < 6 + 4 * CONSTRAINTS; ++k) {
+        store_double(out[NUMBERS], k * out_step[NUMBERS] + column, lanes, block->numbers[k]);
+    }
+    for (int group = 0; group < 2; ++group) {
+        store_long(out[STATUSES], group * out_step[STATUSES] + column, lanes, block->program_status[group]);
+    }
+    for (int k = 0; k < CONSTRAINTS; ++k) {
+        store_bool(out[TRUTHS], k * out_step[TRUTHS] + column, lanes, block->active[k]);
+    }
+}
+
+void filter_batch(long first, long last, const void *const *in, const long *in_step, void *const *out,
+                  const long *out_step)
+{
+    for (long column = first; column < last; column += W) {
+        const long lanes = last - column;
+        V x[16];
+        V desired[6];
+        V left[6];
+        V spread[4] = {{0}};
+        struct block block;
+        load_block(in[0], in_step[0], column, lanes, 16, x);
+        load_block(in[1], in_step[1], column, lanes, 6, desired);
+        load_block(in[3], in_step[3], column, lanes, 6, left);
+        for (int i = 0; i < 16; ++i) {
+            x[i] = SELECT(FABS(x[i]) == INFINITY, ALL(NAN), x[i]); /* infinitely safe is no state either */
+        }
+        begin(desired, left, block.numbers, block.program_status, block.open);
+        bring_up_to_date(in[2], in_step[2], column, lanes, left, x, spread);
+        torque_correct(x, spread, left, block.numbers, &block);
+        thrust_correct(x, spread, left, block.numbers, &block);
+        store_block(&block, out, out_step, column, lanes);
+        for (int lane = 0; lane < W && lane < lanes; ++lane) {
+            if (block.open[0][lane]) {
+                filter_one(column + lane, in, in_step, out, out_step);
+            }
+        }
+    }
+}

@@ -1,0 +1,36 @@
+/* Attempts all programs, W spacecraft at a time, and has those that are left solved one by one. */
+
+void filter_batch(long first, long last, const void *const *in, const long *in_step, void *const *out,
+                  const long *out_step)
+{
+    for (long column = first; column < last; column += W) {
+        const long lanes = last - column;
+        V x[16];
+        V desired[6];
+        V numbers[6 + 2 * CONSTRAINTS]; /* control, slack, h */
+        V program_status[2];
+        M active[CONSTRAINTS];
+        M left[1];
+        for (int i = 0; i < 16; ++i) {
+            x[i] = load_double(in[0], i * in_step[0] + column, lanes);
+        }
+        for (int j = 0; j < 6; ++j) {
+            desired[j] = load_double(in[1], j * in_step[1] + column, lanes);
+        }
+        first_attempt(x, desired, numbers, &numbers[6], &numbers[6 + CONSTRAINTS], program_status, active, left);
+        for (int k = 0; k < 6 + 2 * CONSTRAINTS; ++k) {
+            store_double(out[NUMBERS], k * out_step[NUMBERS] + column, lanes, numbers[k]);
+        }
+        for (int group = 0; group < 2; ++group) {
+            store_long(out[STATUSES], group * out_step[STATUSES] + column, lanes, program_status[group]);
+        }
+        for (int k = 0; k < CONSTRAINTS; ++k) {
+            store_bool(out[TRUTHS], k * out_step[TRUTHS] + column, lanes, active[k]);
+        }
+        for (int lane = 0; lane < W && lane < lanes; ++lane) {
+            if (left[0][lane]) {
+                filter_one(column + lane, in, in_step, out, out_step);
+            }
+        }
+    }
+}
