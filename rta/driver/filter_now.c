@@ -23,7 +23,7 @@ static void correct(int group, const struct rows *rows, double control[6], struc
     }
     scale(group, rows, limit, &scaled);
     begin_program(&program, desired);
-    append(&program, group, &scaled, nothing);
+    append(&program, group, &scaled, nothing, 1);
     solve(&program, &answer);
     copy(found.control, answer.control, 3);
     found.status = answer.status;

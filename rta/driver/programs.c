@@ -55,14 +55,16 @@ static void scale(int group, const struct rows *rows, const double limit[3], str
     }
 }
 
-/* More rows of a program, each of which asks for so much more than it must (`inset`). */
-static void append(struct program *p, int group, const struct scaled *scaled, const double inset[GROUP_ROWS_MAX])
+/* More rows of a program, each of which asks for so much more than it must (`inset`) and counts as so many. */
+static void append(struct program *p, int group, const struct scaled *scaled, const double inset[GROUP_ROWS_MAX],
+                   int copies)
 {
     for (int i = 0; i < ROWS[group]; ++i) {
         copy(p->a[p->rows], scaled->a[i], 3);
         p->b[p->rows] = scaled->b[i] - inset[i];
         p->b_bare[p->rows] = scaled->b_bare[i] - inset[i];
         p->weight[p->rows] = WEIGHT[group][i];
+        p->copies[p->rows] = (double)copies;
         p->rows += 1;
     }
 }

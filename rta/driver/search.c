@@ -134,29 +134,28 @@ static void try_control(const struct situation *where, const double u[3], struct
     take(where, &answer, best, &tried);
 }
 
-static void append_inset(struct program *p, int group, const struct scaled *tangents)
+static void append_inset(struct program *p, int group, const struct scaled *tangents, int copies)
 {
     double inset[GROUP_ROWS_MAX];
     for (int i = 0; i < GROUP_ROWS_MAX; ++i) {
         inset[i] = INSET;
     }
-    append(p, group, tangents, inset);
+    append(p, group, tangents, inset, copies);
 }
 
 /* Takes the least control that holds the rows, if tangents near no control lead to it. Far away they lose what psi
  * hangs between two moments there, and may exclude every small control. */
-static void from_rest(const struct situation *where, struct best *best)
+static void from_rest(const struct situation *where, struct program *program, struct best *best)
 {
     static const double rest[3] = {0.0};
-    struct program program;
     struct answer answer;
     struct tried tried;
     int is_open = 1;
     tangents_at(where, rest, &tried.tangents);
     for (int pass = 0; (pass < PASSES_AT_REST) && (is_open != 0); ++pass) {
-        begin_program(&program, rest);
-        append_inset(&program, where->group, &tried.tangents);
-        solve(&program, &answer);
+        begin_program(program, rest);
+        append_inset(program, where->group, &tried.tangents, 1);
+        solve(program, &answer);
         take(where, &answer, best, &tried);
         is_open = ((tried.holds == 0) && (answer.status < UNSOLVED)) ? 1 : 0;
     }
@@ -183,19 +182,17 @@ static void go_back(const struct situation *where, const double u[3], const doub
     try_control(where, back, best);
 }
 
-/* Adds the tangents where a control was tried to a program's; where rows yielded these alone, as often, since the
- * others left no control. */
+/* Adds the tangents where a control was tried to a program's; where rows yielded these alone, since the others left no
+ * control, but counted as often as there were rows before. */
 static void add_tangents(struct program *p, const struct situation *where, int pass, int anew,
                          const struct scaled *tangents)
 {
-    int times = 1;
+    int copies = 1;
     if (anew != 0) {
         begin_program(p, where->desired);
-        times = pass + 2;
+        copies = pass + 2;
     }
-    for (int i = 0; i < times; ++i) {
-        append_inset(p, where->group, tangents);
-    }
+    append_inset(p, where->group, tangents, copies);
 }
 
 /* From the rows at a control near the desired one. */
@@ -208,7 +205,7 @@ static void search(const struct situation *where, const struct scaled *near_by, 
     int is_open = 1;
     int goes_on = 1;
     begin_program(&program, where->desired);
-    append_inset(&program, where->group, near_by);
+    append_inset(&program, where->group, near_by, 1);
     for (int pass = 0; (pass < PASSES) && (goes_on != 0); ++pass) {
         solve(&program, &answer);
         take(where, &answer, best, &tried);
@@ -221,7 +218,7 @@ static void search(const struct situation *where, const struct scaled *near_by, 
         }
     }
     if (is_open != 0) {
-        from_rest(where, best);
+        from_rest(where, &program, best);
         go_back(where, answer.control, tried.within, best);
     }
 }

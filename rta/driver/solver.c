@@ -20,7 +20,7 @@
 #define NORMAL_MAX (3 + ACTIVE_MAX) /* numbers of a normal: by u, and by the slack of the row at each place */
 
 enum { UNTOUCHED = 0, HARD = 1, SLACK = 2, UNSOLVED = 3 };       /* status */
-enum { RUNNING = 0, OPTIMAL = 1, INFEASIBLE = 2 };               /* outcome of a step */
+enum { RUNNING = 0, OPTIMAL = 1, INFEASIBLE = 2, FULL = 3 };     /* outcome of a step */
 
 struct program {
     int rows;
@@ -29,6 +29,7 @@ struct program {
     double b[ROWS_MAX];      /* with margins, which are spent before a limit is */
     double b_bare[ROWS_MAX]; /* without */
     double weight[ROWS_MAX]; /* of slack, and its priority; INFINITY: the row must hold */
+    double copies[ROWS_MAX]; /* as how many equal rows it counts */
 };
 
 struct answer {
@@ -37,7 +38,7 @@ struct answer {
     double residual; /* largest violation of the optimality conditions, INFINITY where nothing was solved */
 };
 
-/* What is asked in one stage: a side, and 1 / w_i, zero where a row must hold. */
+/* What is asked in one stage: a side, and 1 / w_i, of all copies together, zero where a row must hold. */
 struct stage {
     const struct program *program;
     const double *side;
@@ -113,6 +114,7 @@ static void begin_program(struct program *p, const double desired[3])
         p->b[i] = 1.0;
         p->b_bare[i] = 1.0;
         p->weight[i] = INFINITY;
+        p->copies[i] = 1.0;
     }
 }
 
@@ -181,8 +183,8 @@ static void find_way(const struct stage *s, const struct solution *x, struct way
     project(s, x, way);
     project(s, x, way); /* once is not enough where rows are nearly parallel */
     way->z2 = dot(way->z, way->z, 3 + x->count + ((way->place == x->count) ? 1 : 0));
-    if ((way->z2 <= (DEPENDENT * (dot(a, a, 3) + relief))) || (way->place == ACTIVE_MAX)) {
-        way->z2 = 0.0; /* so many normals span everything */
+    if (way->z2 <= (DEPENDENT * (dot(a, a, 3) + relief))) {
+        way->z2 = 0.0;
     }
 }
 
@@ -274,7 +276,7 @@ static int step(const struct stage *s, struct solution *x)
     const double lowest = find_entering(s, x);
     if ((lowest < -VIOLATED) || (x->pressure > 0.0)) {
         find_way(s, x, &way);
-        outcome = go(s, x, &way);
+        outcome = ((way.place == ACTIVE_MAX) && (way.z2 > 0.0)) ? FULL : go(s, x, &way);
     }
     return outcome;
 }
@@ -299,7 +301,8 @@ static double kkt_residual(const struct stage *s, const double u[3], const doubl
     return most;
 }
 
-/* Rows of up to a weight have slack: none where that is zero. Returns the residual; INFINITY: no control was found. */
+/* Rows of up to a weight have slack: none where that is zero. Returns the residual; INFINITY: no control was found.
+ * What takes more steps or more active rows than there is room for keeps the control so far, and its residual. */
 static double solve_stage(const struct program *p, const double *side, double highest, double u[3])
 {
     struct stage s = {.program = p, .side = side};
@@ -309,7 +312,7 @@ static double solve_stage(const struct program *p, const double *side, double hi
     x.pressure = 0.0;
     copy(x.u, p->desired, 3);
     for (int i = 0; i < p->rows; ++i) {
-        s.relief[i] = (p->weight[i] <= highest) ? (1.0 / p->weight[i]) : 0.0;
+        s.relief[i] = (p->weight[i] <= highest) ? (1.0 / (p->copies[i] * p->weight[i])) : 0.0;
         x.multiplier[i] = 0.0;
     }
     for (int i = 0; (i < STEPS_MAX) && (outcome == RUNNING); ++i) {
@@ -344,9 +347,9 @@ static void least_violating(const struct program *p, double known[][3], int coun
         for (int i = 0; i < p->rows; ++i) {
             const double lack = fmax(0.0, -(dot(p->a[i], known[k], 3) + p->b_bare[i]));
             if (isinf(p->weight[i]) != 0) {
-                must += lack * lack;
+                must += p->copies[i] * (lack * lack);
             } else {
-                rest += (p->weight[i] * lack) * (p->weight[i] * lack);
+                rest += p->copies[i] * ((p->weight[i] * lack) * (p->weight[i] * lack));
             }
         }
         if ((must < least_must) || ((must <= least_must) && (rest < least_rest))) {

@@ -66,7 +66,7 @@ static void with_cushion(const struct situation *where, const double u[3], doubl
         cushion[i] = (fabs(a[0]) + fabs(a[1]) + fabs(a[2])) * THRUST_GAP / 2.0 / LIMIT[THRUST];
     }
     begin_program(&program, where->desired);
-    append(&program, THRUST, &tangents, cushion);
+    append(&program, THRUST, &tangents, cushion, 1);
     solve(&program, &answer);
     copy(control, answer.control, 3);
 }

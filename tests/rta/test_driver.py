@@ -55,6 +55,7 @@ void solve_all(int count, int rows, const double *desired, const double *a, cons
             program.b[program.rows] = b[j];
             program.b_bare[program.rows] = b_bare[j];
             program.weight[program.rows] = weight[j - (rows * i)];
+            program.copies[program.rows] = 1.0;
             program.rows += 1;
         }
         solve(&program, &answer);
