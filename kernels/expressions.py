@@ -1,8 +1,13 @@
-"""Scalar expressions of one spacecraft: each is written once, literals fold, and what nobody needs is dropped.
+"""Scalar expressions of one column: each is written once, literals fold, and what nobody needs is dropped.
 
-A value is a Python number or truth value (a literal), or an `Expression`. Folding multiplies nothing by zero that is
-not known to be finite: 0 x is 0 here, so NaN and infinity of x are lost where a derivative is zero by its structure.
-Whoever calls printed code with such numbers says at the entrance which columns are finite.
+A value is a Python number or truth value (a literal), or an `Expression`. Folding is exact but for zeros that are known
+beforehand, as most derivatives are, which must cost nothing:
+
+    0 x and 0 / x are 0          where x is NaN or infinite, or x in 0 / x is zero, PyTorch has NaN
+    x + 0 is x, 0 - x is -x      the sign of a result that is zero may be another
+
+Whoever calls printed code with numbers that are not finite says at the entrance which columns are. NaN and infinity
+pass through everything else as through PyTorch's operations.
 """
 
 import math
@@ -38,17 +43,21 @@ class Expression:
 Value = Expression | float | int | bool
 
 
-def divided(a: float, b: float) -> float:
-    """a / b as C has it: infinite or NaN for b = 0."""
-    with np.errstate(all="ignore"):
-        return float(np.float64(a) / np.float64(b))
+def of_numpy(name: str) -> Callable[..., float]:
+    """A function of NumPy's as one of literals: infinite or NaN where C's is."""
+
+    def run(*numbers: float) -> float:
+        with np.errstate(all="ignore"):
+            return float(getattr(np, name)(*(np.float64(number) for number in numbers)))
+
+    return run
 
 
-FOLDED: dict[str, Callable[..., Value]] = {  # of literals, as C computes them
+# what literals give, by operation, as C computes it
+FOLDED: dict[str, Callable[..., Value]] = {
     "add": lambda a, b: a + b,
     "sub": lambda a, b: a - b,
     "mul": lambda a, b: a * b,
-    "div": divided,
     "lt": lambda a, b: a < b,
     "le": lambda a, b: a <= b,
     "eq": lambda a, b: a == b,
@@ -56,22 +65,48 @@ FOLDED: dict[str, Callable[..., Value]] = {  # of literals, as C computes them
     "or": lambda a, b: a or b,
     "not": lambda a: not a,
     "fabs": abs,
-    "rint": lambda a: float(np.rint(a)),
-    "floor": lambda a: float(np.floor(a)),
-    "trunc": lambda a: float(np.trunc(a)),
-    "single": lambda a: float(np.float32(a)),
-}
+    "single": lambda a: rounded_to_single(a),
+    "erf": math.erf,
+    "erfc": math.erfc,
+    "asinh": of_numpy("arcsinh"),
+    **{name: of_numpy(f"arc{name[1:]}") for name in ("acos", "asin", "atan", "atan2", "acosh", "atanh")},
+    **{name: of_numpy(other) for name, other in {"div": "divide", "pow": "power", "min": "minimum",
+                                                "max": "maximum"}.items()},
+    **{name: of_numpy(name) for name in ("sqrt", "sin", "cos", "tan", "sinh", "cosh", "tanh", "exp", "exp2", "expm1",
+                                         "log", "log2", "log10", "log1p", "rint", "floor", "ceil", "trunc", "fmod",
+                                         "hypot", "copysign")},
+}  # fmt: skip
 COMMUTATIVE = {"add", "mul", "eq", "and", "or"}
 REDUCTIONS = {"sum": "add", "least": "min", "most": "max", "any": "or"}
+# what rounds no number that is one of single precision
+EXACT = {
+    "neg",
+    "fabs",
+    "select",
+    "min",
+    "max",
+    "min_literal",
+    "max_literal",
+    "rint",
+    "floor",
+    "ceil",
+    "trunc",
+}
 
 
 class Program:
-    """All expressions of a function, each once."""
+    """All expressions of a function, each once.
 
-    def __init__(self) -> None:
+    Args:
+        real: "double" or "float", the type of its numbers.
+    """
+
+    def __init__(self, real: str = "double") -> None:
+        self.real = real
         self.expressions: list[Expression] = []
         self.known: dict[tuple[object, ...], Expression] = {}
-        self.tables: list[tuple[float, ...]] = []
+        self.tables: dict[bytes, tuple[float, ...]] = {}
+        self.singles: set[int] = set()  # indices of numbers that single precision can hold
 
     def make(
         self,
@@ -82,9 +117,9 @@ class Program:
         stage: int | None = None,
     ) -> Expression:
         """The expression, new or known."""
-        own = [a for a in arguments if isinstance(a, Expression)]
         key = (operation, *(identity(a) for a in arguments))
         if key not in self.known:
+            own = [a for a in arguments if isinstance(a, Expression)]
             self.known[key] = Expression(
                 operation,
                 arguments,
@@ -96,26 +131,27 @@ class Program:
             self.expressions.append(self.known[key])
         return self.known[key]
 
-    def input(self, text: str, kind: str, varies: bool = False) -> Expression:
-        """What C calls `text`."""
-        return self.make("input", text, kind=kind, varies=varies)
+    def input(self, text: str, kind: str, varies: bool = False, single: bool = False) -> Expression:
+        """What C calls `text`; `single`: a number of single precision."""
+        found = self.make("input", text, kind=kind, varies=varies)
+        if single:
+            self.singles.add(found.index)
+        return found
 
     def table(self, values: Sequence[float]) -> Value:
         """The entry of a constant table along the long axis; a literal where all are equal."""
-        entries = tuple(values)
-        if all(entry == entries[0] for entry in entries):
-            return entries[0]
-        kind = MASK if isinstance(entries[0], bool) else NUMBER
-        numbers = tuple(float(entry) for entry in entries)
-        if numbers not in self.tables:
-            self.tables.append(numbers)
-        entry = self.make("table", str(self.tables.index(numbers)), varies=True)
-        return self.not_(self.eq(entry, 0.0)) if kind == MASK else entry
+        if len({identity(entry) for entry in values}) == 1:
+            return values[0]
+        numbers = np.array(values, dtype=float)
+        self.tables.setdefault(numbers.tobytes(), tuple(numbers.tolist()))
+        entry = self.make("table", str(list(self.tables).index(numbers.tobytes())), varies=True)
+        return self.mask(entry) if isinstance(values[0], bool) else entry
 
     def apply(self, operation: str, *arguments: Value, kind: str = NUMBER) -> Value:
         """An operation, folded where all arguments are literals."""
-        if operation in FOLDED and not any(isinstance(a, Expression) for a in arguments):
-            return FOLDED[operation](*arguments)
+        if operation in FOLDED and not any([isinstance(a, Expression) for a in arguments]):
+            found = FOLDED[operation](*arguments)
+            return rounded_to_single(found) if self.real == "float" and kind == NUMBER else found
         if operation in COMMUTATIVE:
             arguments = tuple(sorted(arguments, key=identity))
         return self.make(operation, *arguments, kind=kind)
@@ -147,13 +183,14 @@ class Program:
     def mul(self, a: Value, b: Value) -> Value:
         a, b = self.number(a), self.number(b)
         for one, other in ((a, b), (b, a)):
-            if is_literal(one, 0.0):
-                return 0.0
-            if is_literal(one, 1.0):
-                return other
-            if is_literal(one, -1.0):
-                return self.neg(other)
-            if is_negated(one):
+            if not isinstance(one, Expression):
+                if one == 0.0 and isinstance(other, Expression):
+                    return 0.0
+                if one == 1.0:
+                    return other
+                if one == -1.0:
+                    return self.neg(other)
+            elif one.operation == "neg":
                 return self.neg(self.mul(one.arguments[0], other))
         return self.apply("mul", a, b)
 
@@ -171,19 +208,16 @@ class Program:
 
     def call(self, function: str, *arguments: Value) -> Value:
         """A function of math.h."""
-        numbers = [self.number(a) for a in arguments]
-        if not any(isinstance(a, Expression) for a in numbers):
-            return float(getattr(np, NUMPY.get(function, function))(*(np.float64(a) for a in numbers)))
-        return self.make(function, *numbers)
+        return self.apply(function, *(self.number(a) for a in arguments))
 
     def power(self, a: Value, exponent: float) -> Value:
-        """a ** exponent; whole ones are multiplied out."""
+        """a ** exponent; whole exponents up to 8 are multiplied out."""
         if exponent == 0.5:
             return self.call("sqrt", a)
+        if not exponent.is_integer() or abs(exponent) > 8.0:
+            return self.call("pow", a, exponent)
         if exponent < 0.0:
             return self.div(1.0, self.power(a, -exponent))
-        if exponent != int(exponent) or exponent > 8:
-            return self.call("pow", a, exponent)
         if exponent <= 1.0:
             return self.number(a) if exponent else 1.0
         half = self.power(a, exponent // 2)
@@ -199,22 +233,48 @@ class Program:
         return self.extreme("max", self.number(a), self.number(b))
 
     def extreme(self, operation: str, a: Value, b: Value) -> Value:
-        if not isinstance(a, Expression) and not isinstance(b, Expression):
-            return float(np.minimum(a, b) if operation == "min" else np.maximum(a, b))
+        if isinstance(a, Expression) and isinstance(b, Expression):
+            return a if a is b else self.make(operation, a, b)
         if not isinstance(a, Expression):
             a, b = b, a
-        if a is b or is_literal(b, math.inf if operation == "min" else -math.inf):
-            return a
+        if not isinstance(a, Expression):
+            return self.apply(operation, a, b)
+        if math.isnan(b) or b == (math.inf if operation == "min" else -math.inf):
+            return b if math.isnan(b) else a
         # where one is a literal no NaN needs to be looked for: it fails the comparison, and a is taken
-        return self.make(operation if isinstance(b, Expression) else f"{operation}_literal", a, b)
+        return self.make(f"{operation}_literal", a, b)
+
+    def single(self, a: Value) -> Value:
+        """A number rounded to single precision, as every operation on float32 does."""
+        a = self.number(a)
+        if isinstance(a, Expression):
+            parts = [b for b in a.arguments if kind_of(b) == NUMBER] if a.operation in EXACT else []
+            if parts and all(self.is_single(b) for b in parts):
+                self.singles.add(a.index)
+            if self.is_single(a):
+                return a
+        found = self.apply("single", a)
+        if isinstance(found, Expression):
+            self.singles.add(found.index)
+        return found
+
+    def is_single(self, a: Value) -> bool:
+        """Whether a number is known to be one of single precision."""
+        return (
+            a.index in self.singles
+            if isinstance(a, Expression)
+            else identity(a) == identity(rounded_to_single(a))
+        )
 
     # truth values
 
     def mask(self, a: Value) -> Value:
         """A number as a truth value, true where it is not zero."""
-        if isinstance(a, Expression):
-            return a if a.kind == MASK else self.not_(self.eq(a, 0.0))
-        return bool(a)
+        if not isinstance(a, Expression):
+            return bool(a)
+        if a.operation == "select" and a.arguments[1:] == (1.0, 0.0):
+            return a.arguments[0]
+        return a if a.kind == MASK else self.not_(self.eq(a, 0.0))
 
     def lt(self, a: Value, b: Value) -> Value:
         return self.apply("lt", self.number(a), self.number(b), kind=MASK)
@@ -252,8 +312,9 @@ class Program:
             return a if condition else b
         if identity(a) == identity(b):
             return a
-        both = [kind_of(each) for each in (a, b)]
-        if both == [MASK, MASK]:
+        if condition.operation == "not":
+            return self.select(condition.arguments[0], b, a)
+        if kind_of(a) == kind_of(b) == MASK:
             return self.or_(self.and_(condition, a), self.and_(self.not_(condition), b))
         return self.make("select", condition, self.number(a), self.number(b))
 
@@ -267,10 +328,10 @@ class Program:
         return self.make(operation, a, kind=a.kind, varies=False, stage=a.stage + 1)
 
 
-NUMPY = {"acos": "arccos", "asin": "arcsin", "atan": "arctan", "atan2": "arctan2", "asinh": "arcsinh"} | {
-    "fabs": "abs",
-    "pow": "power",
-}
+def rounded_to_single(a: float) -> float:
+    """A number in single precision."""
+    with np.errstate(all="ignore"):
+        return float(np.float32(a))
 
 
 def kind_of(a: Value) -> str:

@@ -1,0 +1,235 @@
+"""What a function of tensors computes, as expressions: PyTorch's operations are recorded while it runs.
+
+PyTorch hands every operation that it runs to `Recorder`: those of derivatives, too, and few, as most are made of
+others. What they do to numbers is done to values as well.
+"""
+
+import traceback
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy import ndarray
+from torch import Tensor
+from torch.overrides import TorchFunctionMode
+from torch.utils._python_dispatch import TorchDispatchMode
+
+from kernels.expressions import MASK, NUMBER, Program, Value, kind_of
+from kernels.operations import Operations
+from kernels.shapes import depends, filled
+from kernels.text import TYPES, Part, element
+from kernels.trace import TRACING
+
+INTEGERS = {torch.int64, torch.int32, torch.int16, torch.int8, torch.uint8}  # numbers without a fraction here
+PLACES_AND_TYPES = {"dtype", "device", "layout", "pin_memory", "memory_format", "implicit", "non_blocking"}
+# whose result depends on the shape and the type of what they are of, but not on its values
+OF_SHAPE = {
+    *(f"{kind}_like" for kind in ("zeros", "ones", "full", "empty")),
+    *(f"new_{kind}" for kind in ("zeros", "ones", "full", "empty")),
+    "empty",
+    "_efficientzerotensor",
+    "_new_zeros_with_same_feature_meta",
+}
+SEEN_BY = (Tensor.tolist, Tensor.numpy, Tensor.__array__)  # without an operation
+BRANCH = "values that decide what is computed, as in `if`, float() or x[x > 0], cannot be printed as C: use torch.where"
+
+
+class Recorder(TorchDispatchMode):
+    """Has every operation that PyTorch runs done on values, too.
+
+    Tensors that share memory have arrays that do, so that what is written in place is seen in all of them. A tensor
+    that no recorded operation made is a constant.
+
+    Attributes:
+        arrays: each tensor with its values, by its id, which no other is given while it is kept here.
+        is_double: float64 was computed.
+    """
+
+    def __init__(self, program: Program, long: int) -> None:
+        super().__init__()
+        self.program, self.operations = program, Operations(program, long)
+        self.arrays: dict[int, tuple[Tensor, ndarray]] = {}
+        self.torn: set[int] = set()  # memory of which a view's array is a copy
+        self.is_double = False
+
+    def put(self, tensor: Tensor, array: ndarray) -> None:
+        """Says what a tensor's values are."""
+        if array.shape != self.operations.axes.short(tensor.shape):
+            raise NotImplementedError("along an axis that is looped over")
+        self.arrays[id(tensor)] = tensor, array
+
+    def values(self, given: Any) -> Any:
+        """The values of a tensor, and of those in lists; anything else as it is."""
+        if isinstance(given, Tensor):
+            if id(given) not in self.arrays:
+                array = self.constant(given)
+                array.flags.writeable = False  # it is not the function's own
+                self.put(given, array)
+            return self.arrays[id(given)][1]
+        return [self.values(each) for each in given] if isinstance(given, list | tuple) else given
+
+    def constant(self, tensor: Tensor) -> ndarray:
+        """The values of a tensor as literals, along the long axis as tables."""
+        check_type(tensor.dtype)
+        if tensor._is_zerotensor() or tensor.is_meta:
+            tensor = torch.zeros(tensor.shape, dtype=tensor.dtype)
+        array = tensor.detach().cpu().numpy()
+        long = self.operations.axes.long
+        if not long or long not in array.shape:
+            return array.astype(bool if array.dtype == bool else float).astype(object)
+        axis = array.shape.index(long)
+        entries = np.moveaxis(array, axis, -1)
+        rows = entries.reshape(-1, long).tolist()
+        return np.expand_dims(filled([self.program.table(row) for row in rows], entries.shape[:-1]), axis)
+
+    def __torch_dispatch__(self, function: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
+        """One operation."""
+        result = function(*args, **(kwargs or {}))
+        try:
+            self.record(function, result, args, kwargs or {})
+        except NotImplementedError as error:
+            raise NotImplementedError(explained(function.name(), str(error))) from error
+        return result
+
+    def record(self, function: Any, result: Any, args: Sequence[Any], kwargs: dict[str, Any]) -> None:
+        """Does an operation on values."""
+        name = function.name().split("::")[1].split(".")[0]
+        given = self.values(args)
+        options = {key: self.values(each) for key, each in kwargs.items() if key not in PLACES_AND_TYPES}
+        is_computed = depends([*given, *options.values()])
+        check_tags(name, function.tags, is_computed)
+        own = [each for each in tensors(result) if not each.is_meta]  # which has no numbers
+        self.operations.axes.given = [tuple(each.shape) for each in tensors([args, kwargs])]
+        if not own:
+            return
+        if name == "lift_fresh":  # a constant that the function makes for itself
+            self.put(result, given[0] if given[0].flags.writeable else given[0].copy())
+        elif name in self.operations.views:
+            self.view(own, args[0], self.operations.call(name, *given, **options))
+        elif name in OF_SHAPE or not is_computed:
+            for tensor in own:
+                self.write(tensor, self.constant(tensor), name)
+        else:
+            self.operations.dtype = own[0].dtype
+            found = self.operations.call(name.removesuffix("_"), *given, **options)
+            for tensor, array in zip(own, found if isinstance(found, tuple) else [found], strict=True):
+                self.write(tensor, self.typed(array, tensor.dtype, name), name)
+
+    def write(self, tensor: Tensor, array: ndarray, name: str) -> None:
+        """Takes values for a tensor: for the one that an operation writes to in place, or for a new one."""
+        if not name.endswith("_"):
+            self.put(tensor, array)
+            return
+        own = self.values(tensor)
+        if not own.flags.writeable:
+            raise NotImplementedError("to a tensor that the function was given")
+        if tensor.untyped_storage().data_ptr() in self.torn:
+            raise NotImplementedError("to a tensor that others are views of")
+        own[...] = array
+
+    def view(self, results: Sequence[Tensor], of: Tensor, found: Any) -> None:
+        """Takes the values of views of a tensor."""
+        for tensor, array in zip(results, found if isinstance(found, list) else [found], strict=True):
+            self.put(tensor, array)
+            if array.size and not np.may_share_memory(array, self.values(of)):
+                self.torn.add(of.untyped_storage().data_ptr())
+
+    def typed(self, found: ndarray, dtype: torch.dtype, name: str) -> ndarray:
+        """Values as their type in PyTorch has them: truth values or numbers, whole ones, or of single precision."""
+        check_type(dtype)
+        p = self.program
+        if dtype == torch.bool:
+            as_one: Callable[[Value], Value] = p.mask
+        elif dtype == torch.float32 and p.real == "double":
+            as_one = p.single
+        elif dtype in INTEGERS and name in ("_to_copy", "copy_"):
+            as_one = partial(whole, p)
+        else:
+            as_one = p.number
+            self.is_double |= dtype == torch.float64
+        return filled([as_one(value) for value in found.flat], found.shape)
+
+
+class Watch(TorchFunctionMode):
+    """Refuses Python's looks at what is computed that run no operation."""
+
+    def __init__(self, recorder: Recorder) -> None:
+        super().__init__()
+        self.recorder = recorder
+
+    def __torch_function__(self, function: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
+        """Any call of PyTorch's."""
+        if function in SEEN_BY and depends(self.recorder.values(args[0])):
+            raise NotImplementedError(explained("", BRANCH))
+        return function(*args, **(kwargs or {}))
+
+
+@torch.no_grad()
+def evaluated(
+    function: Callable[..., list[Tensor]],
+    examples: Sequence[Tensor],
+    parts: Sequence[Part],
+    recorder: Recorder,
+) -> tuple[list[Tensor], list[ndarray]]:
+    """What a function returns of examples, and the values of that, (..., 1) each; `parts` are its arguments."""
+    inputs = [x.clone() for x in examples]
+    for part, x in zip(parts, inputs, strict=True):
+        array = argument(recorder, part)
+        array.flags.writeable = False
+        recorder.put(x, array)
+    with TRACING, Watch(recorder), recorder:
+        results = function(*inputs)
+    return results, [recorder.values(each) for each in results]
+
+
+def argument(recorder: Recorder, part: Part) -> ndarray:
+    """The values of an input."""
+    shape = recorder.operations.axes.short(part.shape)
+    kind = MASK if part.is_mask else NUMBER
+    values = [
+        recorder.program.input(element(part, place, shape), kind, shape != part.shape, part.kind == "float")
+        for place in np.ndindex(shape)
+    ]
+    return filled(values, (*shape, 1))
+
+
+def whole(p: Program, value: Value) -> Value:
+    """A number without its fraction."""
+    return p.number(value) if kind_of(value) == MASK else p.call("trunc", value)
+
+
+def tensors(given: Any) -> Iterator[Tensor]:
+    """All tensors among arguments, in order."""
+    if isinstance(given, Tensor):
+        yield given
+    elif isinstance(given, list | tuple | dict):
+        for each in given.values() if isinstance(given, dict) else given:
+            yield from tensors(each)
+
+
+def check_type(dtype: torch.dtype) -> None:
+    """Refuses numbers that C does not compute with here."""
+    if dtype not in TYPES and dtype not in INTEGERS:
+        raise NotImplementedError(f"of {dtype}")
+
+
+def check_tags(name: str, tags: Sequence[torch.Tag], is_computed: bool) -> None:
+    """Refuses operations whose result is not determined, or not its shape, by what is recorded."""
+    if torch.Tag.nondeterministic_seeded in tags:
+        raise NotImplementedError("of random numbers")
+    by_values = torch.Tag.dynamic_output_shape in tags and name != "index"
+    if is_computed and (by_values or torch.Tag.data_dependent_output in tags):
+        raise NotImplementedError(BRANCH)
+
+
+def explained(operation: str, reason: str) -> str:
+    """What cannot be printed, why not, and which line of whose program wants it."""
+    text = reason if reason == BRANCH else f"{operation} {reason}".strip() + " cannot be printed as C"
+    ours = (str(Path(torch.__file__).parent), str(Path(__file__).parent))
+    for frame in reversed(traceback.extract_stack()):
+        if not frame.filename.startswith(ours) and frame.name != "__torch_function__":
+            return f"{text} ({Path(frame.filename).name}, line {frame.lineno}: {frame.line})"
+    return text

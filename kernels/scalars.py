@@ -1,0 +1,201 @@
+"""PyTorch's operations on each element, as operations on values: the names are PyTorch's."""
+
+import math
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+from kernels.expressions import MASK, Program, Value, kind_of
+
+Scalar = Callable[..., Value]
+
+# functions that C has under the same name
+SAME = ("sqrt", "sin", "cos", "tan", "asin", "acos", "atan", "sinh", "cosh", "tanh", "asinh", "acosh", "atanh",
+        "exp", "exp2", "expm1", "log", "log2", "log10", "log1p", "erf", "erfc", "floor", "ceil", "trunc",
+        "atan2", "hypot", "fmod", "copysign")  # fmt: skip
+
+
+def scalars(p: Program) -> dict[str, Scalar]:
+    """All of them, for a program that takes the expressions."""
+    same = {name: partial(p.call, name) for name in SAME}
+    return same | arithmetic(p) | comparisons(p) | of_one(p) | of_several(p)
+
+
+def arithmetic(p: Program) -> dict[str, Scalar]:
+    """Sums, products and quotients."""
+
+    def add(a: Value, b: Value, alpha: float = 1) -> Value:
+        if alpha == -1:
+            return p.sub(a, b)
+        return p.add(a, p.mul(float(alpha), b))
+
+    def power(a: Value, b: Value) -> Value:
+        return p.power(a, float(b)) if isinstance(b, int | float) else p.call("pow", a, b)
+
+    def divided(a: Value, b: Value, rounding_mode: str | None = None) -> Value:
+        if rounding_mode == "floor":
+            return floor_divided(p, a, b)
+        return p.call(rounding_mode, p.div(a, b)) if rounding_mode else p.div(a, b)
+
+    def remainder(a: Value, b: Value) -> Value:
+        rest = p.call("fmod", a, b)
+        return p.select(has_other_sign(p, rest, b), p.add(rest, b), rest)
+
+    return {
+        "add": add,
+        "sub": lambda a, b, alpha=1: add(a, b, -alpha),
+        "rsub": lambda a, b, alpha=1: add(b, a, -alpha),
+        "mul": p.mul,
+        "div": divided,
+        "floor_divide": partial(floor_divided, p),
+        "remainder": remainder,
+        "pow": power,
+        "addcmul": lambda x, a, b, value=1: add(x, p.mul(a, b), value),
+        "addcdiv": lambda x, a, b, value=1: add(x, p.div(a, b), value),
+        "lerp": lambda a, b, share: p.add(a, p.mul(share, p.sub(b, a))),
+    }
+
+
+def comparisons(p: Program) -> dict[str, Scalar]:
+    """What gives truth values."""
+
+    def of_truths(name: str, operation: Scalar) -> Scalar:
+        """Bits of integers are not there."""
+
+        def run(*given: Value) -> Value:
+            if any(kind_of(a) != MASK for a in given):
+                raise NotImplementedError(f"{name} of integers")
+            return operation(*given)
+
+        return run
+
+    def xor(a: Value, b: Value) -> Value:
+        return p.select(p.mask(a), p.not_(b), p.mask(b))
+
+    def finite(a: Value) -> Value:
+        return p.lt(p.call("fabs", a), math.inf)
+
+    logical = {"and": p.and_, "or": p.or_, "not": p.not_, "xor": xor}
+    return {
+        "lt": p.lt,
+        "le": p.le,
+        "gt": lambda a, b: p.lt(b, a),
+        "ge": lambda a, b: p.le(b, a),
+        "eq": p.eq,
+        "ne": lambda a, b: p.not_(p.eq(a, b)),
+        **{f"logical_{name}": operation for name, operation in logical.items()},
+        **{f"bitwise_{name}": of_truths(f"bitwise_{name}", each) for name, each in logical.items()},
+        "isnan": lambda a: p.not_(p.eq(a, a)),
+        "isinf": lambda a: p.eq(p.call("fabs", a), math.inf),
+        "isposinf": lambda a: p.eq(a, math.inf),
+        "isneginf": lambda a: p.eq(a, -math.inf),
+        "isfinite": finite,
+        "signbit": lambda a: p.lt(p.call("copysign", 1.0, a), 0.0),
+    }
+
+
+def of_one(p: Program) -> dict[str, Scalar]:
+    """Functions of one number."""
+
+    def sign(a: Value) -> Value:
+        return p.sub(p.number(p.lt(0.0, a)), p.number(p.lt(a, 0.0)))
+
+    def sigmoid(a: Value) -> Value:
+        return p.div(1.0, p.add(1.0, p.call("exp", p.neg(a))))
+
+    def softplus(a: Value, beta: float = 1.0, threshold: float = 20.0) -> Value:
+        scaled = p.mul(a, float(beta))
+        soft = p.div(p.call("log1p", p.call("exp", scaled)), float(beta))
+        return p.select(p.lt(float(threshold), scaled), a, soft)
+
+    def sinc(a: Value) -> Value:
+        angle = p.mul(a, math.pi)
+        return p.select(p.eq(a, 0.0), 1.0, p.div(p.call("sin", angle), angle))
+
+    return {
+        "neg": p.neg,
+        "positive": p.number,
+        "abs": partial(p.call, "fabs"),
+        "reciprocal": partial(p.div, 1.0),
+        "rsqrt": lambda a: p.div(1.0, p.call("sqrt", a)),
+        "square": lambda a: p.mul(a, a),
+        "relu": lambda a: p.max(a, 0.0),
+        "sign": sign,
+        "sgn": sign,
+        "round": partial(p.call, "rint"),
+        "frac": lambda a: p.sub(a, p.call("trunc", a)),
+        "deg2rad": lambda a: p.mul(a, math.pi / 180.0),
+        "rad2deg": lambda a: p.mul(a, 180.0 / math.pi),
+        "sigmoid": sigmoid,
+        "softplus": softplus,
+        "sinc": sinc,
+        "silu": lambda a: p.mul(a, sigmoid(a)),
+    }
+
+
+def of_several(p: Program) -> dict[str, Scalar]:
+    """Choices, and what is left."""
+
+    def nan_to_num(a: Value, nan: Any = None, above: Any = None, below: Any = None, *, most: float) -> Value:
+        """`most`: the largest number of a's type, for infinity if nothing else is `above`."""
+        a = p.select(p.eq(a, a), a, nan or 0.0)
+        a = p.select(p.eq(a, math.inf), most if above is None else above, a)
+        return p.select(p.eq(a, -math.inf), -most if below is None else below, a)
+
+    def fmin(a: Value, b: Value, least: Scalar = p.min) -> Value:
+        """Of NaN and a number the number."""
+        return p.select(p.eq(a, a), p.select(p.eq(b, b), least(a, b), a), b)
+
+    def logaddexp(a: Value, b: Value) -> Value:
+        most = p.max(a, b)
+        soft = p.add(most, p.call("log1p", p.call("exp", p.neg(p.call("fabs", p.sub(a, b))))))
+        return p.select(p.and_(p.eq(a, b), p.eq(p.call("fabs", a), math.inf)), a, soft)
+
+    def xlogy(a: Value, b: Value) -> Value:
+        of_number = p.select(p.eq(a, 0.0), 0.0, p.mul(a, p.call("log", b)))
+        return p.select(p.eq(b, b), of_number, math.nan)
+
+    return {
+        "minimum": p.min,
+        "maximum": p.max,
+        "fmin": fmin,
+        "fmax": partial(fmin, least=p.max),
+        "where": p.select,
+        "masked_fill": lambda x, mask, value: p.select(mask, value, x),
+        "clamp": partial(clamp, p),
+        "hardtanh": partial(clamp, p),
+        "clamp_min": p.max,
+        "clamp_max": p.min,
+        "nan_to_num": nan_to_num,
+        "heaviside": lambda a, at_zero: p.select(p.eq(a, 0.0), at_zero, p.number(p.lt(0.0, a))),
+        "threshold": lambda a, edge, below: p.select(p.le(a, edge), below, a),
+        "threshold_backward": lambda slope, a, edge: p.select(p.le(a, edge), 0.0, slope),
+        "logaddexp": logaddexp,
+        "xlogy": xlogy,
+        "tanh_backward": lambda slope, y: p.mul(slope, p.sub(1.0, p.mul(y, y))),
+        "sigmoid_backward": lambda slope, y: p.mul(slope, p.mul(p.sub(1.0, y), y)),
+    }
+
+
+def clamp(p: Program, a: Value, low: Any = None, high: Any = None) -> Value:
+    """Of NaN it is NaN; where the bounds cross, the upper one."""
+    a = a if low is None else p.max(a, low)
+    return a if high is None else p.min(a, high)
+
+
+def has_other_sign(p: Program, rest: Value, b: Value) -> Value:
+    """Whether what is left of a division is neither zero nor of the divisor's sign."""
+    negative = p.lt(rest, 0.0)
+    differs = p.select(p.lt(b, 0.0), p.not_(negative), negative)
+    return p.and_(p.not_(p.eq(rest, 0.0)), differs)
+
+
+def floor_divided(p: Program, a: Value, b: Value) -> Value:
+    """a // b as PyTorch has it: from the exact remainder, so that 1 // 0.1 is 9."""
+    rest = p.call("fmod", a, b)
+    whole = p.div(p.sub(a, rest), b)
+    whole = p.sub(whole, p.number(has_other_sign(p, rest, b)))
+    down = p.call("floor", whole)
+    down = p.add(down, p.number(p.lt(0.5, p.sub(whole, down))))
+    down = p.select(p.eq(whole, 0.0), p.call("copysign", 0.0, p.div(a, b)), down)
+    return p.select(p.eq(b, 0.0), p.div(a, b), down)
