@@ -95,11 +95,11 @@ def distance_squared(points: Tensor, centres: Tensor) -> Tensor:
     return dot(points, points)[:, None, None] + dot(centres, centres) - 2 * inner
 
 
-def lloyd(points: Tensor, wanted: Tensor, centres: Tensor, alive: Tensor) -> Tensor:
+def lloyd(points: Tensor, centres: Tensor, wanted: Tensor, alive: Tensor) -> list[Tensor]:
     """One iteration of Lloyd's: every living centre moves to the mean of the wanted points nearest to it (of equally
     near centres, to each).
 
-    Args as in `cluster`. Returns (4, K, B), the centres and how many points each has. Matrix products in
+    Args as in `cluster`. Returns the centres (3, K, B) and how many points each has (K, B). Matrix products in
     homogeneous coordinates [p, 1] find the nearest centres and add up their points, one slot after the other.
     """
     homogeneous = torch.cat((points, torch.ones_like(points[:1])))
@@ -109,7 +109,22 @@ def lloyd(points: Tensor, wanted: Tensor, centres: Tensor, alive: Tensor) -> Ten
     least = torch.where(wanted, reduce(torch.minimum, gaps), -math.inf)
     total = torch.stack([homogeneous @ (gap == least).to(points.dtype) for gap in gaps], 1)
     size = total[3]
-    return torch.cat((torch.where(size > 0, total[:3] / size.clamp(min=1.0), centres), size[None]))
+    return [torch.where(size > 0, total[:3] / size.clamp(min=1.0), centres), size]
+
+
+def settled(points: Tensor, centres: Tensor, wanted: Tensor, alive: Tensor) -> list[Tensor]:
+    """What `lloyd` returns after LLOYD_ITERATIONS."""
+    new, size = lloyd(points, centres, wanted, alive)
+    moving = torch.nonzero((new != centres).any(0).any(0)).flatten()
+    for _ in range(LLOYD_ITERATIONS - 1):
+        if not moving.numel():
+            break
+        # a column that one iteration leaves as it was, every further one would
+        before = new[..., moving]
+        after, size[:, moving] = lloyd(points, before, wanted[:, moving], alive[:, moving])
+        new[..., moving] = after
+        moving = moving[(after != before).any(0).any(0)]
+    return [new, size]
 
 
 def cluster(
@@ -118,7 +133,7 @@ def cluster(
     centres: Tensor,
     alive: Tensor,
     per_cluster: int,
-    iterate: Callable[[Tensor, Tensor, Tensor], Tensor] | None = None,
+    settle: Callable[[Tensor, Tensor, Tensor], list[Tensor]] | None = None,
 ) -> tuple[Tensor, Tensor]:
     """Batched k-means (Lloyd) of the wanted points, warm-started from the previous step's centres.
 
@@ -126,12 +141,12 @@ def cluster(
         points: (3, N) positions.
         wanted: (N, B) bool, the points to cluster; k = ceil(wanted / per_cluster) per column.
         centres, alive: (3, K, B) and (K, B) bool, the previous centres and which of them hold a cluster.
-        iterate: what computes `lloyd` of these points.
+        settle: what computes `settled` of these points.
 
     Returns:
         The new centres (3, K, B) and alive (K, B).
     """
-    iterate = iterate or partial(lloyd, points)
+    settle = settle or partial(by_chunks, partial(settled, points))
     count = -(-wanted.sum(0) // per_cluster)
     slots = torch.arange(alive.shape[0], device=alive.device)[:, None]
     alive = alive & (slots < count)
@@ -141,25 +156,17 @@ def cluster(
         centres[..., short], alive[:, short] = seed_clusters(
             points, wanted[:, short], centres[..., short], alive[:, short], count[short]
         )
-    new = iterate(wanted, centres, alive)
-    moving = torch.nonzero((new[:3] != centres).any(0).any(0)).flatten()
-    for _ in range(LLOYD_ITERATIONS - 1):
-        if not moving.numel():
-            break
-        # a column that one iteration leaves as it was, every further one would
-        before = new[:3, :, moving]
-        after = iterate(wanted[:, moving], before, alive[:, moving])
-        new[..., moving] = after
-        moving = moving[(after[:3] != before).any(0).any(0)]
-    return new[:3], alive & (new[3] > 0)
+    new, size = settle(centres, wanted, alive)
+    return new, alive & (size > 0)
 
 
-def by_chunks(function: Callable[..., Tensor], *tensors: Tensor) -> Tensor:
+def by_chunks(function: Callable[..., list[Tensor]], *tensors: Tensor) -> list[Tensor]:
     """function(*tensors) of tensors whose last axis is the batch, a few columns at once on a CPU."""
     if tensors[0].device.type != "cpu":
         return function(*tensors)
     chunks = zip(*(tensor.split(CHUNK, -1) for tensor in tensors), strict=True)
-    return torch.cat([function(*(part.contiguous() for part in chunk)) for chunk in chunks], -1)
+    found = [function(*(part.contiguous() for part in chunk)) for chunk in chunks]
+    return [torch.cat(parts, -1) for parts in zip(*found, strict=True)]
 
 
 def nearest_cluster(centres: Tensor, alive: Tensor, p: Tensor) -> Tensor:

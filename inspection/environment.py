@@ -189,8 +189,8 @@ class InspectionEnv:
             partial(in_view, self.surface) if self.tumbling else partial(chief.in_view, self.surface.normals)
         )
         self._in_view = partial(see, c=parameters)
-        self._seen = partial(chief.by_chunks, self._in_view)
-        self._lloyd = partial(chief.by_chunks, partial(chief.lloyd, self.points))
+        self._seen = partial(chief.by_chunks, lambda *given: [self._in_view(*given)])
+        self._settle = partial(chief.by_chunks, partial(chief.settled, self.points))
 
     def put_behind(self, safety: Safety) -> None:
         """Has the episodes fly behind another filter of the same constraints.
@@ -252,32 +252,28 @@ class InspectionEnv:
         What a mesh hides is left to PyTorch, whose matrix products are as fast. Raises as `Compiled`, and changes
         nothing then.
         """
-        points = self.points.shape[1]
-        examples = {
-            "_integrate": (self.x, self.x[:CONTROL_SIZE], *self._bodies),
-            "_normalised": (self.x, self.priority, self.uninspected, self.time, *self._chiefs(slice(None))),
-            "_lloyd": (self.inspected, self.centres, self.alive),
-            "_values": (self.x,),
-            "_seen": (self.x, *self._frames(slice(None))),
-        }
-        functions = {name: getattr(self, name) for name in examples}
-        functions["_lloyd"], functions["_seen"] = partial(chief.lloyd, self.points), self._in_view
-        if not self.safety.values:
-            del functions["_values"]
-        if self.plant and not self.plant.is_traceable:
-            del functions["_integrate"]
-        if self.surface.cones:
-            del functions["_seen"]
-        own = {name: self._compiled(run, points, *examples[name]) for name, run in functions.items()}
+        state = self.x, self._towards_priority, self.uninspected, self.time, *self._chiefs(slice(None))
+        own = {"_normalised": self._compiled(self._normalised, *state)}
+        if not (self.plant and not self.plant.is_traceable):
+            own["_integrate"] = self._compiled(self._integrate, self.x, self.x[:CONTROL_SIZE], *self._bodies)
+        if self.safety.values:
+            own["_values"] = self._compiled(self.safety.values, self.x)
+        if not self.surface.cones:
+            own["_seen"] = self._several(
+                lambda *given: [self._in_view(*given)], self.x, *self._frames(slice(None))
+            )
+        settle = self._several(partial(chief.lloyd, self.points), self.centres, self.inspected, self.alive)
+        own["_settle"] = partial(settle, times=chief.LLOYD_ITERATIONS)
         vars(self).update(own)
 
-    def _compiled(
-        self, function: Callable[..., Tensor], points: int, *examples: Tensor
-    ) -> Callable[..., Tensor]:
-        """A function to one tensor, compiled for tensors like the examples; loops over the points."""
+    def _several(self, function: Callable[..., list[Tensor]], *examples: Tensor) -> Compiled:
+        """A function compiled for tensors like the examples, with loops over the points."""
         columns = [example[..., :1] for example in examples]
-        batch = self.time.numel()
-        run = Compiled(lambda *tensors: [function(*tensors)], *columns, batch=batch, long=points)
+        return Compiled(function, *columns, batch=self.time.numel(), long=self.points.shape[1])
+
+    def _compiled(self, function: Callable[..., Tensor], *examples: Tensor) -> Callable[..., Tensor]:
+        """A function to one tensor, compiled for tensors like the examples."""
+        run = self._several(lambda *tensors: [function(*tensors)], *examples)
         return lambda *tensors, **times: run(*tensors, **times)[0]
 
     @property
@@ -373,7 +369,7 @@ class InspectionEnv:
         mass = self.plant.mass if self.plant else c.mass
         delta_v, torque, corrected, answered = (torch.zeros_like(self.time) for _ in range(4))
         held: list[Tensor] = []
-        failed: dict[str, Tensor] = {}
+        flown: list[Hold] = []
         for hold in self.fly(controller, c.action_period):
             if hold.correction is not None:
                 corrections.append(hold.correction)
@@ -388,11 +384,14 @@ class InspectionEnv:
             if hold.correction is not None and hold.missed is not None:
                 truths.append((~hold.missed, self.constraint_values(hold.state)))
             held.append(hold.applied)
-            delta_v += hold.acting[THRUST].abs().sum(0) / mass * hold.seconds
-            torque += hold.acting[TORQUE].abs().sum(0) * (hold.seconds / c.action_period)
-            now = failures(hold.after, c)
-            failed = {name: failed[name] | each for name, each in now.items()} if failed else now
+            flown.append(hold)
             watch(hold)
+        acting = torch.stack([each.acting for each in flown]).abs()  # (holds, 6, B)
+        for thrust, turn in zip(acting[:, THRUST].sum(1), acting[:, TORQUE].sum(1), strict=True):
+            delta_v += thrust / mass * hold.seconds
+            torque += turn * (hold.seconds / c.action_period)
+        ends_of_holds = torch.stack([each.after for each in flown], 1)  # (16, holds, B)
+        failed = {name: each.any(0) for name, each in failures(ends_of_holds, c).items()}
         self.time += c.action_period
         self.steps += 1
 
@@ -475,7 +474,7 @@ class InspectionEnv:
     def look(self, columns: Tensor | slice = slice(None)) -> None:
         """Marks the points in view and points r_UPS at the nearest cluster of those lit and left."""
         x = self.x[:, columns]
-        lit, seen = self._seen(x, *self._frames(columns))
+        ((lit, seen),) = self._seen(x, *self._frames(columns))
         inspected = self.inspected[:, columns] | seen
         wanted = lit & ~inspected
         centres, alive = chief.cluster(
@@ -484,7 +483,7 @@ class InspectionEnv:
             self.centres[..., columns],
             self.alive[:, columns],
             self.c.points_per_cluster,
-            self._lloyd,
+            self._settle,
         )
         self.inspected[:, columns] = inspected
         self.centres[..., columns] = centres

@@ -5,11 +5,13 @@ import functools
 import hashlib
 import os
 import platform
+import shlex
 import shutil
 import subprocess
 import sys
 import tempfile
-from collections.abc import Mapping
+import time
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from pathlib import Path
@@ -18,6 +20,14 @@ VARIABLE = "RTA_CACHE_DIR"  # the directory of what was built, instead of the us
 COMPILERS = ("cc", "gcc", "clang")
 # No product is fused with a sum, so that all vector widths, and plain C, give the same bits.
 FLAGS = ("-std=gnu11", "-O2", "-ffp-contract=off", "-fno-math-errno", "-fPIC", "-w")
+WORK = "build-"  # how directories of what is being built begin
+ABANDONED = 3600.0  # s after which a process that was to clear its own away did not live to do so
+
+# functions of math.h
+QUICK = ("sqrt", "rint", "floor", "ceil", "trunc")  # single instructions
+OF_ONE = ("sin", "cos", "tan", "asin", "acos", "atan", "sinh", "cosh", "tanh", "asinh", "acosh", "atanh", "exp", "exp2",
+          "expm1", "log", "log2", "log10", "log1p", "erf", "erfc")  # fmt: skip
+OF_TWO = ("atan2", "pow", "fmod", "hypot", "copysign")
 
 
 class NoCompilerError(OSError):
@@ -27,56 +37,79 @@ class NoCompilerError(OSError):
 def library(sources: Mapping[str, str]) -> ctypes.CDLL:
     """C sources, by name, as one shared library: from the cache where it holds the same.
 
-    Raises NoCompilerError where there is no working compiler.
+    Where the cache cannot be used, a line on stderr says so and the library lasts as long as this process.
+
+    Raises:
+        NoCompilerError: there is no working compiler.
     """
-    whole = repr((sorted(sources.items()), command(), version(), processor()))
-    fingerprint = hashlib.sha256(whole.encode())
-    name = fingerprint.hexdigest()[:32]
+    whole = repr((sorted(sources.items()), compiler(), FLAGS, version(compiler()), processor()))
+    name = hashlib.sha256(whole.encode()).hexdigest()[:32]
     directory = cache_dir()
-    found = kept(directory, name)
-    if found is None:
-        found = built(sources)
-        with suppress(OSError):
-            return loaded(keep(directory, name, found))
-        say(f"{directory}: cannot be written, so that what is compiled is not kept")
-        return loaded(found)
-    return loaded(found)
+    if directory is None:
+        say(f"there is no home directory: what is compiled is not kept; ${VARIABLE} may say where to")
+        return made(sources)
+    return kept(directory, name) or made_and_kept(sources, directory, name)
 
 
-def loaded(path: Path) -> ctypes.CDLL:
-    """A shared library."""
-    return ctypes.CDLL(str(path))
+# the cache
 
 
-def kept(directory: Path, name: str) -> Path | None:
+def cache_dir() -> Path | None:
+    """Where libraries are kept: $RTA_CACHE_DIR, or the user's cache directory; None without a home."""
+    if chosen := os.environ.get(VARIABLE):
+        return Path(chosen)
+    with suppress(RuntimeError):  # the user has no home
+        directory = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+        if directory.is_absolute():
+            return directory / "rta-inspection"
+    return None
+
+
+def kept(directory: Path, name: str) -> ctypes.CDLL | None:
     """The library of this name in the cache; None where there is none, or one that is not as it was built.
 
     A truncated library would end the process when it is loaded, so its name holds its contents' digest.
     """
-    try:
-        for path in directory.glob(f"{name}.*.so"):
+    for path in directory.glob(f"{name}.*.so"):
+        try:
             if path.name == f"{name}.{digest(path)}.so":
-                return path
+                return ctypes.CDLL(str(path))
             say(f"{path}: damaged, compiled anew")
-    except OSError as error:
-        say(f"{directory}: {error.strerror or error}; compiled anew")
+        except OSError as error:
+            say(f"{path}: {error.strerror or error}; compiled anew")
     return None
 
 
-def keep(directory: Path, name: str, built: Path) -> Path:
-    """Puts a library into the cache, whole or not at all: other processes may be doing the same."""
-    directory.mkdir(parents=True, exist_ok=True)
-    path = directory / f"{name}.{digest(built)}.so"
-    own = directory / f"{name}.{os.getpid()}.part"
+def made_and_kept(sources: Mapping[str, str], directory: Path, name: str) -> ctypes.CDLL:
+    """Builds a library in the cache; where that fails, elsewhere."""
     try:
-        shutil.copyfile(built, own)
-        os.replace(own, path)
-    finally:
-        own.unlink(missing_ok=True)
+        directory.mkdir(parents=True, exist_ok=True)
+        clear(directory)
+        with tempfile.TemporaryDirectory(prefix=WORK, dir=directory) as work:
+            return ctypes.CDLL(str(moved(built(sources, Path(work)), directory, name)))
+    except OSError as error:
+        result = made(sources)
+        say(f"{directory}: {error.strerror or error}; what is compiled is not kept")
+        return result
+
+
+def moved(built: Path, directory: Path, name: str) -> Path:
+    """Puts a library into the cache, whole or not at all: other processes may be doing the same."""
+    path = directory / f"{name}.{digest(built)}.so"
+    os.replace(built, path)
     for other in directory.glob(f"{name}.*.so"):
         if other != path:
-            other.unlink(missing_ok=True)
+            with suppress(OSError):
+                other.unlink()
     return path
+
+
+def clear(directory: Path) -> None:
+    """Removes what processes that were killed left in the cache."""
+    for work in directory.glob(f"{WORK}*"):
+        with suppress(OSError):
+            if time.time() - work.stat().st_mtime > ABANDONED:
+                shutil.rmtree(work)
 
 
 def digest(path: Path) -> str:
@@ -84,57 +117,83 @@ def digest(path: Path) -> str:
     return hashlib.sha256(path.read_bytes()).hexdigest()[:16]
 
 
-def built(sources: Mapping[str, str]) -> Path:
-    """Compiles sources, some at once, and links them; the library's directory lasts as long as this process."""
-    directory = Path(temporary().name)
-    with tempfile.TemporaryDirectory() as work:
-        for name, text in sources.items():
-            (Path(work) / f"{name}.c").write_text(text, encoding="utf-8")
-        with ThreadPoolExecutor(os.cpu_count() or 1) as threads:
-            list(threads.map(lambda name: cc(work, "-c", f"{name}.c", "-o", f"{name}.o"), sources))
-        result = directory / f"{hashlib.sha256(repr(sorted(sources.items())).encode()).hexdigest()[:16]}.so"
-        cc(work, "-shared", *(f"{name}.o" for name in sources), "-o", str(result), "-lm")
-    return result
+# the compiler
 
 
-def cc(work: str, *arguments: str) -> None:
-    """Calls the compiler in a directory."""
-    done = subprocess.run(
-        [*command(), *arguments], cwd=work, capture_output=True, text=True, errors="replace"
-    )
+def made(sources: Mapping[str, str]) -> ctypes.CDLL:
+    """Builds a library that no file is left of."""
+    with tempfile.TemporaryDirectory(prefix=WORK, ignore_cleanup_errors=True) as work:
+        path = built(sources, Path(work))
+        try:
+            return ctypes.CDLL(str(path))
+        except OSError as error:
+            raise NoCompilerError(f"what {compiler()[0]} built cannot be loaded: {error}") from error
+
+
+def built(sources: Mapping[str, str], work: Path) -> Path:
+    """Compiles sources in a directory of their own, some at once, and links them."""
+    for name, text in sources.items():
+        (work / f"{name}.c").write_text(text, encoding="utf-8")
+
+    def compile(name: str) -> None:
+        try:
+            cc(work, native(), "-c", f"{name}.c", "-o", f"{name}.o")
+        except NoCompilerError:  # it may not know this processor
+            cc(work, "-c", f"{name}.c", "-o", f"{name}.o")
+
+    with ThreadPoolExecutor(os.cpu_count() or 1) as threads:
+        list(threads.map(compile, sources))
+    cc(work, "-shared", *(f"{name}.o" for name in sources), "-o", "library.so", "-lm")
+    return work / "library.so"
+
+
+def cc(work: Path, *arguments: str) -> None:
+    """Calls the compiler in a directory, which its temporary files are in, too."""
+    output((*compiler(), *FLAGS, *arguments), work)
+
+
+def output(command: Sequence[str], work: Path | None = None) -> str:
+    """What a call of the compiler prints; NoCompilerError where it fails."""
+    own = {"LC_ALL": "C"} | ({"TMPDIR": str(work)} if work else {})
+    try:
+        done = subprocess.run(
+            command, cwd=work, env=os.environ | own, capture_output=True, text=True, errors="replace"
+        )
+    except OSError as error:
+        raise NoCompilerError(f"{command[0]}: {error.strerror or error}") from error
     if done.returncode:
-        reason = next((line for line in done.stderr.splitlines() if "error" in line), done.stderr[:200])
-        raise NoCompilerError(f"{command()[0]} failed: {reason.strip()}")
+        said = [line.strip() for line in done.stderr.splitlines() if line.strip()]
+        reason = next((line for line in said if "error" in line), said[-1] if said else "no reason given")
+        raise NoCompilerError(f"{command[0]} failed ({done.returncode}): {reason}")
+    return done.stdout
 
 
-@functools.cache
-def temporary() -> "tempfile.TemporaryDirectory[str]":
-    """A directory until the process ends."""
-    return tempfile.TemporaryDirectory(prefix="rta-", ignore_cleanup_errors=True)
+def compiler() -> tuple[str, ...]:
+    """The C compiler's command: $CC, which may have arguments, or the first of COMPILERS that is there.
 
-
-def compiler() -> str:
-    """The C compiler: $CC, or the first of COMPILERS that is there; NoCompilerError without one."""
-    for name in (os.environ.get("CC", ""), *COMPILERS):
-        if name and (path := shutil.which(name)):
-            return path
+    Raises:
+        NoCompilerError: there is none.
+    """
+    chosen = os.environ.get("CC", "").strip()
+    for name in [chosen] if chosen else COMPILERS:
+        with suppress(ValueError):  # of quotes that are not closed
+            for words in ([name], shlex.split(name)):
+                if path := shutil.which(words[0]):
+                    return (path, *words[1:])
+    if chosen:
+        raise NoCompilerError(f"$CC is {chosen}: there is no such compiler")
     raise NoCompilerError(f"no C compiler was found ({', '.join(COMPILERS)})")
 
 
 @functools.cache
-def command() -> tuple[str, ...]:
-    """The compiler and its flags for this processor."""
-    native = "-march=native" if platform.machine().lower() in ("x86_64", "amd64", "i686") else "-mcpu=native"
-    return (compiler(), *FLAGS, native)
+def version(command: tuple[str, ...]) -> str:
+    """What a compiler says of itself."""
+    return output((*command, "--version"))
 
 
-@functools.cache
-def version() -> str:
-    """What the compiler says of itself."""
-    done = subprocess.run([compiler(), "--version"], capture_output=True, text=True, errors="replace")
-    if done.returncode:
-        raise NoCompilerError(f"{compiler()} --version failed")
-    return done.stdout
+def native() -> str:
+    """The flag for all that this processor can do."""
+    return "-march=native" if platform.machine().lower() in ("x86_64", "amd64", "i686") else "-mcpu=native"
 
 
 @functools.cache
@@ -145,18 +204,14 @@ def processor() -> str:
     return platform.processor()
 
 
+# what stands before printed functions
+
+
 @functools.cache
 def vector_bytes() -> int:
     """Of the processor's widest vectors; wider ones than these are three times as slow."""
     known = processor().split()
     return 64 if "avx512f" in known else 32 if "avx" in known else 16
-
-
-def cache_dir() -> Path:
-    """Where libraries are kept: $RTA_CACHE_DIR, or the user's cache directory."""
-    if chosen := os.environ.get(VARIABLE):
-        return Path(chosen)
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "rta-inspection"
 
 
 def for_vectors(real: str) -> str:
@@ -188,12 +243,7 @@ def header(name: str) -> str:
     return (Path(__file__).parent / name).read_text(encoding="utf-8")
 
 
-# functions of math.h
-QUICK = ("sqrt", "rint", "floor", "ceil", "trunc")  # single instructions
-OF_ONE = ("sin", "cos", "tan", "acos", "asin", "atan", "exp", "log", "tanh", "sinh", "cosh", "asinh", "erf")
-OF_TWO = ("atan2", "pow")
-
-
+@functools.cache
 def say(line: str) -> None:
-    """One line on stderr."""
+    """One line on stderr, once."""
     print(line, file=sys.stderr)

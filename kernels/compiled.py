@@ -59,6 +59,8 @@ class Compiled:
     @torch.no_grad()  # a mode that torch.compile's code is specialised to
     def __call__(self, *tensors: Tensor, times: int = 1) -> Parts:
         """What `function` returns, or after `times` calls in a row, each with the last result for its first tensor."""
+        if isinstance(self.run, Kernel):
+            return self.run(*tensors, times=times)
         parts = self.run(*tensors)
         for _ in range(times - 1):
             parts = self.run(parts[0], *tensors[1:])
@@ -104,17 +106,16 @@ class Kernel:
         if library is None:
             text = for_vectors(function.real) + function.text + batch(function)
             library = build.library({function.name: text})
-        self.run = getattr(library, f"{function.name}_batch")
-        self.run.restype = None
+        self.run = over_columns(library, f"{function.name}_batch", ctypes.c_long)
         self.seconds = 0.0  # of a column
         examples = [torch.ones(*p.shape, PROBED, dtype=DTYPES[p.kind]) for p in function.inputs]
         self.seconds = min(timed(self.of, examples, PROBED) for _ in range(3)) / PROBED
 
-    def __call__(self, *tensors: Tensor) -> Parts:
-        """What the function returns."""
-        return self.of([tensors[i] for i in self.inputs], tensors[0].shape[-1])
+    def __call__(self, *tensors: Tensor, times: int = 1) -> Parts:
+        """What the function returns, or after several calls in a row, see `batch`."""
+        return self.of([tensors[i] for i in self.inputs], tensors[0].shape[-1], times)
 
-    def of(self, tensors: Sequence[Tensor], columns: int) -> Parts:
+    def of(self, tensors: Sequence[Tensor], columns: int, times: int = 1) -> Parts:
         """What the function returns of arguments that have components."""
         results = [
             torch.empty(*shape, columns, dtype=dtype)
@@ -123,36 +124,52 @@ class Kernel:
         given = [strided(x) for x in tensors]
         found = [x for x in results if x.numel()]
         if columns:
-            arguments = (*pointers(given), *pointers(found))
-            in_shares(lambda first, last: self.run(first, last, *arguments), columns, self.seconds)
+            arguments = (*pointers(given), *pointers(found), times)
+            in_shares(lambda first, last: self.run(first, last, *arguments), columns, self.seconds * times)
         return results
 
 
 def batch(function: Printed) -> str:
-    """The C function that runs a printed one over columns: NAME_batch(first, last, in, steps, out, steps)."""
+    """The C function that runs a printed one over columns: NAME_batch(first, last, in, steps, out, steps, times).
 
-    def moved(verb: str, parts: Sequence[Part], side: str) -> list[str]:
-        return [
-            f"        for (long k = 0; k < {p.size}; k++) {{ {verb.format(p=p, at=f'{side}[{i}], k * {side}_step[{i}] + column, lanes')}; }}"
-            for i, p in enumerate(parts)
-        ]
-
-    both = (*function.inputs, *function.outputs)
+    It runs several times in a row, each with the last result for its first argument, until that stays as it is.
+    """
+    inputs, outputs = function.inputs, function.outputs
+    both = (*inputs, *outputs)
+    call = f"{function.name}({', '.join(part.name for part in both)});"
+    start, end = inputs[0].name, outputs[0].name
+    again = f"for (long again = 1; again < times && memcmp({start}, {end}, sizeof {end}); ++again) {{"
     lines = [
         f"void {function.name}_batch(long first, long last, const void *const *in, const long *in_step,",
-        "    void *const *out, const long *out_step)",
+        "    void *const *out, const long *out_step, long times)",
         "{",
         "    for (long column = first; column < last; column += W) {",
         "        const long lanes = last - column;",
-        *(f"        {'M' if p.is_mask else 'V'} {p.name}[{p.size}];" for p in both),
-        *moved("{p.name}[k] = load_{p.kind}({at})", function.inputs, "in"),
-        f"        {function.name}({', '.join(p.name for p in both)});",
-        *moved("store_{p.kind}({at}, {p.name}[k])", function.outputs, "out"),
+        *(f"        {'M' if part.is_mask else 'V'} {part.name}[{part.size}];" for part in both),
+        *(moved(part, f"in[{i}]", f"in_step[{i}]", "{0}[k] = load_{1}({2});") for i, part in enumerate(inputs)),
+        f"        {call}",
+        *([f"        {again}", f"            memcpy({start}, {end}, sizeof {end});", f"            {call}", "        }"]
+          if (inputs[0].shape, inputs[0].kind) == (outputs[0].shape, outputs[0].kind) else []),
+        *(moved(part, f"out[{i}]", f"out_step[{i}]", "store_{1}({2}, {0}[k]);") for i, part in enumerate(outputs)),
         "    }",
         "}",
         "",
-    ]
+    ]  # fmt: skip
     return "\n".join(lines)
+
+
+def moved(part: Part, place: str, step: str, how: str) -> str:
+    """The line of C that loads or stores a part's components of W columns."""
+    line = how.format(part.name, part.kind, f"{place}, k * {step} + column, lanes")
+    return f"        for (long k = 0; k < {part.size}; k++) {{ {line} }}"
+
+
+def over_columns(library: ctypes.CDLL, name: str, *more: type) -> Callable[..., None]:
+    """A C function of a range of columns, `pointers` of arguments and of results, and more."""
+    run = getattr(library, name)
+    run.argtypes = [ctypes.c_long, ctypes.c_long, *[ctypes.c_void_p] * 4, *more]
+    run.restype = None
+    return run
 
 
 def strided(x: Tensor) -> Tensor:

@@ -15,7 +15,7 @@ from torch import Tensor
 from inspection.state import CONTROL_SIZE, THRUST, TORQUE
 from kernels import Kernel, Printed, batch, library, printed
 from kernels.build import for_vectors
-from kernels.compiled import in_shares, pointers, strided, timed
+from kernels.compiled import in_shares, over_columns, pointers, strided, timed
 from rta.batched_solver import ACCURATE, STEPS_HELD, attempt
 from rta.constraints import joined
 from rta.export import GROUPS, define, functions, prepare, source, table
@@ -60,8 +60,7 @@ class BatchFilter:
             text_of("batch_one.c"),
         ]
         found = library({"one": "\n".join(one), "many": "\n".join(many)})
-        self.run = found.filter_batch
-        self.run.restype = None
+        self.run = over_columns(found, "filter_batch")
         kernels = {part.name: Kernel(part, found) for part in shared}
         self.rows, self.predict = (
             [kernels[name] for name in SHARED if name in kernels][:2],

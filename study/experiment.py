@@ -33,17 +33,18 @@ from study.errors import InputError, refusing
 from study.progress import step
 from study.threads import THREADS
 
-# Compiling takes about a minute the first time, which as many filter calls or steps (of a batch each) repay.
-WORTH_COMPILING_FILTER = 1000
-WORTH_COMPILING_SIMULATOR = 3000
-# Tracing takes 5 s and saves 10 ms of a call's 20, for one spacecraft as for hundreds.
+# Compiling takes 3 s the first time, which as many filter calls or steps (of a batch each) repay.
+WORTH_COMPILING_FILTER = 150
+WORTH_COMPILING_SIMULATOR = 150
+# Where there is no compiler: tracing takes 5 s and saves 10 ms of a call's 20, for one spacecraft as for hundreds.
 WORTH_TRACING_FILTER = 500
-# Where controls are held a call takes 0.5 to 1.4 s (32 to 256 spacecraft), traced a fifth less, compiled 0.03 to 0.1;
-# tracing takes 20 s, compiling three minutes the first time.
-WORTH_COMPILING_HELD, WORTH_TRACING_HELD = 400, 150
+# Where controls are held a call takes 0.5 to 1.4 s (32 to 256 spacecraft), traced a fifth less, compiled some ms;
+# tracing takes 20 s, compiling 10 to 30 the first time.
+WORTH_COMPILING_HELD, WORTH_TRACING_HELD = 30, 150
 
-# Spacecraft from which the batched solver is the faster one on a CPU: about half of them have a program to solve, and
-# `python main.py benchmark` shows both solvers by the number of programs at once, which cross below 16.
+# Spacecraft from which the batched solver is the faster one on a CPU where nothing is compiled: about half of them have
+# a program to solve, and `python main.py benchmark` shows both solvers by the number of programs at once, which cross
+# below 16.
 WORTH_BATCHING = 32
 
 # what "free_flight" in `observed` depends on
@@ -78,10 +79,10 @@ class Experiment:
         check_cache()
         self.device = resolve_device(config.train.device)
         THREADS.settle()
-        self.config = settled(config, batch, self.device)
         choice, calls = config.train.compile, seconds / config.rta.period
         worth_compiling, self.worth_tracing = worthwhile(config)
         self.filter_compiled = config.train.rta and wants_compile(choice, calls >= worth_compiling)
+        self.config = settled(config, batch, self.device, self.filter_compiled)
         self.compiled = wants_compile(choice, steps >= WORTH_COMPILING_SIMULATOR)
         with refusing("[rta], [inspection] and [uncertainty]", ValueError, OverflowError):
             self.filter = SafetyFilter(self.task, self.config.rta, known=config.uncertainty)
@@ -222,8 +223,11 @@ def worthwhile(config: Config) -> tuple[int, int]:
     return WORTH_COMPILING_FILTER, WORTH_TRACING_FILTER
 
 
-def settled(config: Config, batch: int, device: torch.device) -> Config:
-    """The configuration with the solver and the chief's mesh settled, which determine a run's numbers."""
+def settled(config: Config, batch: int, device: torch.device, compiled: bool = False) -> Config:
+    """The configuration with the solver and the chief's mesh settled, which determine a run's numbers.
+
+    What is compiled solves in C, as the batched solver does.
+    """
     with refusing("[chief]", ValueError):
         config = replace(
             config, chief=replace(config.chief, mesh=config.chief.mesh and pinned(config.chief.mesh))
@@ -232,7 +236,7 @@ def settled(config: Config, batch: int, device: torch.device) -> Config:
         return config
     # where controls are held PIQP leaves programs unsolved, see `SafetyFilter`
     is_held = config.uncertainty.holds(config.rta)
-    suits_piqp = device.type == "cpu" and batch < WORTH_BATCHING and not is_held
+    suits_piqp = device.type == "cpu" and batch < WORTH_BATCHING and not is_held and not compiled
     solver = "piqp" if suits_piqp else "batched"
     return replace(config, rta=replace(config.rta, qp_solver=solver))
 

@@ -17,6 +17,7 @@ from inspection.parameters import InspectionParameters
 from kernels import Compiled, NoCompilerError, build
 from kernels.compiled import with_own_code
 from kernels.trace import without_repetitions
+from rta import batched_solver
 from rta.filter import FilterResult, SafetyFilter
 from rta.parameters import RtaParameters
 from rta.qp import Status
@@ -117,9 +118,10 @@ def test_what_is_copied_for_its_order_in_memory_is_copied(trace_only: bool, cach
 
 
 def test_compiled_filter_equals_the_eager_one(
-    random_states: Callable[[int], Tensor], generator: torch.Generator
+    random_states: Callable[[int], Tensor], generator: torch.Generator, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    eager, fast = SafetyFilter(C, RtaParameters()), SafetyFilter(C, RtaParameters())
+    monkeypatch.setattr(batched_solver, "PIQP_FIRST", ())  # which leaves up to 2e-8 in programs with slack
+    eager, fast = SafetyFilter(C, RtaParameters(qp_solver="batched")), SafetyFilter(C, RtaParameters())
     fast.compile("cpu", 16)
     x = random_states(300)
     x[5, 7] = x[13, 8] = math.nan
