@@ -61,6 +61,7 @@ class BatchedSolver:
 
     def __init__(self, steps: int = STEPS) -> None:
         self.fallback, self.steps = PiqpSolver(), steps
+        self.piqp_first: tuple[str, ...] | None = None  # devices; None: PIQP_FIRST
         self._attempt: Callable[..., list[Tensor]] = partial(attempt, steps=steps)
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -103,7 +104,9 @@ class BatchedSolver:
 
     def _rest(self, problems: Problems) -> Solutions:
         """Whatever the attempt leaves: by steps and, where these are not accurate, by PIQP, or the other way round."""
-        piqp_first = problems.desired.device.type in PIQP_FIRST
+        piqp_first = problems.desired.device.type in (
+            PIQP_FIRST if self.piqp_first is None else self.piqp_first
+        )
         one, other = (self.fallback.solve, self._steps) if piqp_first else (self._steps, self.fallback.solve)
         answer = one(problems)
         again = torch.nonzero(problems.finite & (answer.status == Status.UNSOLVED)).flatten()

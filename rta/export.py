@@ -16,6 +16,7 @@ from torch import Tensor
 
 from inspection.state import CONTROL_SIZE, SIZE
 from kernels import Printed, printed
+from rta import batched_solver, qp, tangents
 from rta.constraints import in_order
 from rta.health import NEAR
 from rta.held_rows import KINDS, HeldGroup
@@ -25,8 +26,10 @@ from rta.tangents import PASSES, Prepared, scaled
 if TYPE_CHECKING:
     from rta.filter import SafetyFilter
 
-# Steps of a program for each row that can be active. Of 210,000 programs recorded at and beyond the limits none took
-# more than 2.6; what would take more counts as unsolved.
+# Rows of a program that can be active at once, and steps for each of them; a stage of a program that would take more
+# counts as unsolved. Where controls are held, more could be independent, up to 163. Of the programs of a million states
+# at and beyond the limits of a filter called every 10 s none had more than 29 active, none took more than 86 steps.
+ACTIVE_MOST = 40
 STEPS_PER_ROW = 4
 
 GROUPS = ("thrust", "torque")
@@ -44,14 +47,22 @@ def source(safety_filter: "SafetyFilter", parts: Sequence[Printed] | None = None
 
 def driver(safety_filter: "SafetyFilter") -> str:
     """All of the filter in C but for the functions that are declared in it, in one text."""
-    names = ["filter.h", "solver.c", "programs.c", "filter_now.c"]
-    if safety_filter.holds:
-        known = safety_filter.known
-        optional = [("thrusters.c", known.is_coarse), ("health.c", known.health)]
-        names[3:] = ["search.c", *(name for name, used in optional if used), "filter_held.c"]
+    names = ["filter.h", *driver_files(safety_filter)]
     folder = files("rta") / "driver"
-    parts = [constants(safety_filter), *((folder / name).read_text(encoding="utf-8") for name in names)]
-    return "#include <math.h>\n\n" + "\n".join(parts)
+    texts = [(folder / name).read_text(encoding="utf-8") for name in names]
+    return "\n".join(
+        ["#include <math.h>\n", interface(safety_filter), *texts[:1], constants(safety_filter), *texts[1:]]
+    )
+
+
+def driver_files(safety_filter: "SafetyFilter") -> list[str]:
+    """The files of the driver that a filter needs."""
+    if not safety_filter.holds:
+        return ["solver.c", "programs.c", "filter_now.c"]
+    known = safety_filter.known
+    optional = [("thrusters.c", known.is_coarse), ("health.c", known.health)]
+    used = [name for name, is_used in optional if is_used]
+    return ["solver.c", "programs.c", "search.c", *used, "filter_held.c"]
 
 
 def functions(safety_filter: "SafetyFilter") -> list[Printed]:
@@ -79,12 +90,38 @@ def for_one(parts: Sequence[Printed]) -> str:
         set(re.findall(r"\b([A-Z][A-Z0-9_]*)\(", text)) - set(re.findall(r"define (\w+)\(", SCALAR))
     )
     own = [f"#define {call}(...) {call.lower()}(__VA_ARGS__)" for call in calls]
-    return "\n".join(["typedef double real;", SCALAR, *own, "", text])
+    known = [line for line in SCALAR.splitlines() if is_needed(line, text)]
+    return "\n".join(["typedef double real;", *known, *own, "", text])
+
+
+def is_needed(line: str, text: str) -> bool:
+    """Whether a line of SCALAR defines something that occurs in a text, or is no definition."""
+    defined = re.match(r"#define (\w+)", line)
+    return not defined or re.search(rf"\b{defined[1]}\b", text) is not None
 
 
 def prepare(group: ActuatorGroup, x: Tensor, control: Tensor) -> list[Tensor]:
     """`Prepared` for one group, of the rate of now."""
     return list(scaled(group(x), control[group.controls] / group.limit, group.limit))
+
+
+def interface(safety_filter: "SafetyFilter") -> str:
+    """The constants of a filter that who calls it needs, in C."""
+    known, held = safety_filter.known, safety_filter.holds
+    return "\n".join(
+        [
+            define("SAFETY_FILTER_PERIOD", float(safety_filter.period), "s, between two calls"),
+            define("SAFETY_FILTER_THRUST", float(safety_filter.groups[0].limit), "N, of each axis at most"),
+            define("SAFETY_FILTER_TORQUE", float(safety_filter.groups[1].limit), "N m, of each axis at most"),
+            define("SAFETY_FILTER_CONSTRAINTS", len(safety_filter.names)),
+            define("SAFETY_FILTER_LATENCY", known.latency, "periods, age of a state at most"),
+            define("SAFETY_FILTER_SENT_ROOM", max(1, known.latency)),
+            define(
+                "SAFETY_FILTER_HEALTH", int(held and known.health), "1: what is left of actuators is told"
+            ),
+            "",
+        ]
+    )
 
 
 def constants(safety_filter: "SafetyFilter") -> str:
@@ -96,24 +133,22 @@ def constants(safety_filter: "SafetyFilter") -> str:
     classes = max(len({w for w in group.weights if math.isfinite(w)}) for group in groups)
     places = in_order(*([(i, k) for k in range(len(group.names))] for i, group in enumerate(groups)))
     lines = [
-        f"/* Of a filter that is called every {safety_filter.period:g} s; constraints, in their order:",
-        *(f" *     {i} {name}" for i, name in enumerate(safety_filter.names)),
-        " * Of two numbers the first is of thrust, the second of torque. */",
-        define("CONSTRAINTS", len(safety_filter.names)),
+        "/* Of two numbers the first is of thrust, the second of torque. */",
+        define("CONSTRAINTS", "SAFETY_FILTER_CONSTRAINTS"),
         define("GROUP_CONSTRAINTS_MAX", max(len(group.names) for group in groups)),
         define("GROUP_ROWS_MAX", rows),
         define("PASSES", passes, "programs solved for one control at most, each with a group's rows more"),
         define("ROWS_MAX", "(6 + (PASSES * GROUP_ROWS_MAX))", "of a program, with the actuators' limits"),
-        define("ACTIVE_MAX", 3 + passes * soft, "independent rows; most of the stack is 8 B of its square"),
         define(
-            "STEPS_MAX", f"({STEPS_PER_ROW} * ACTIVE_MAX)", "of a stage, beyond which it counts as unsolved"
+            "ACTIVE_MAX", min(3 + passes * soft, ACTIVE_MOST), "rows, beyond which a stage counts as unsolved"
         ),
+        define("STEPS_MAX", f"({STEPS_PER_ROW} * ACTIVE_MAX)", "of a stage, the same"),
         define("CLASSES_MAX", classes, "different weights of rows that have slack"),
-        define("LATENCY", safety_filter.known.latency, "periods, age of a state at most"),
-        define("SENT_ROOM", max(1, safety_filter.known.latency)),
-        define("HEALTH", int(holds and safety_filter.known.health), "1: what is left of actuators is told"),
+        define("LATENCY", "SAFETY_FILTER_LATENCY"),
+        define("HEALTH", "SAFETY_FILTER_HEALTH"),
         define("COARSE", int(holds and safety_filter.known.is_coarse), "1: thrusters give some values only"),
-        table("double LIMIT[2]", [group.limit for group in groups], "of each actuator, N and N m"),
+        *tolerances(holds),
+        "static const double LIMIT[2] = {SAFETY_FILTER_THRUST, SAFETY_FILTER_TORQUE};",
         table("int ROWS[2]", [len(group.weights) for group in groups]),
         table("int CONSTRAINTS_OF[2]", [len(group.names) for group in groups]),
         table("int CONSTRAINT_OF_ROW[2][GROUP_ROWS_MAX]", [constraint_of_row(group) for group in groups]),
@@ -133,6 +168,41 @@ def constants(safety_filter: "SafetyFilter") -> str:
             f"static void predict({given},\n    double x_after[{SIZE}], double spread_after[{KINDS}]);"
         )
     return "\n".join(lines) + "\n"
+
+
+def tolerances(holds: bool) -> list[str]:
+    """Those of `rta.batched_solver`, `rta.qp` and `rta.tangents`; numbers without a unit are in that of a program."""
+    lines = [
+        "\n/* Controls of a program are in units of the actuators' limits, and so are these. */",
+        define("VIOLATED", batched_solver.VIOLATED, "a row is violated below minus this"),
+        define(
+            "DEPENDENT", batched_solver.DEPENDENT, "|z|^2 / |normal|^2 up to which a row counts as dependent"
+        ),
+        define("BLOCKING", batched_solver.BLOCKING, "fall of a multiplier per unit of pressure that is none"),
+        define(
+            "ACCURATE", batched_solver.ACCURATE, "violation of optimality up to which a program is solved"
+        ),
+        define("ROUNDED", 0.0, "of the multipliers' sum, what rounding may bring into that"),
+        define("FEASIBLE", qp.FEASIBLE, "violation of a row that counts as none"),
+        define(
+            "REDUNDANT", qp.REDUNDANT, "|a u| <= sqrt(3) within the limits: with b >= 2 a row never binds"
+        ),
+        define("HOPELESS", qp.HOPELESS, "keeps the slack of a row that no control can hold in range"),
+    ]
+    if holds:
+        lines += [
+            define("TOLERATED", tangents.TOLERATED, "by which rows themselves may be short"),
+            define("INSET", tangents.INSET, "by which tangents ask for more, so that few of them are enough"),
+            define("PASSES_AT_REST", tangents.PASSES_AT_REST, "of the second search"),
+            define(
+                "IN_VAIN",
+                tangents.IN_VAIN,
+                "passes in a row that bring nothing, after which no more are tried",
+            ),
+            define("FARTHEST", tangents.FARTHEST, "above all distances squared"),
+            define("ABOVE", tangents.ABOVE, "what a row lacks counts so much more than in the next class"),
+        ]
+    return [*lines, ""]
 
 
 def held_constants(safety_filter: "SafetyFilter") -> list[str]:
@@ -162,6 +232,7 @@ def held_constants(safety_filter: "SafetyFilter") -> list[str]:
             define("THRUST_QUANTUM", float(known.thrust_quantum), "N; 0: none"),
             define("LARGEST_THRUST", known.largest_thrust(c.max_thrust), "N, that the thrusters give"),
             define("THRUST_GAP", known.gap, "N, between two values that they give"),
+            define("ABOVE_LEAST", 1e-9, "of itself: the least, rounded down, would be nothing"),
         ]
     if known.health:
         lines += [
@@ -217,6 +288,8 @@ def entries(values: Sequence[Any]) -> str:
 
 def literal(value: float) -> str:
     """A number in C that is exactly this one."""
+    if math.isnan(value):
+        return "NAN"
     if math.isinf(value):
-        return "INFINITY"
+        return "INFINITY" if value > 0 else "(-INFINITY)"
     return f"({value!r})" if value < 0 else repr(value)

@@ -1,9 +1,5 @@
 /* From rows to programs, and from their solutions to what is reported. */
 
-#define REDUNDANT 2.0     /* |a u| <= sqrt(3) within the limits, so a row with b >= 2 can never bind */
-#define HOPELESS (-100.0) /* keeps the slack of a row that no control can hold in a range that is solved accurately */
-#define FEASIBLE 1e-7     /* largest violation of a row that counts as none, in units of the actuators' limits */
-
 enum { THRUST = 0, TORQUE = 1 }; /* a group of three actuators, controls 3 group, ... */
 
 /* The rows a u + b >= 0 of a group in N or N m, as the printed functions compute them. */

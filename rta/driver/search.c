@@ -7,13 +7,6 @@
  * some values only, their neighbours of the solution are tried. What is still broken is counted as slack.
  */
 
-#define TOLERATED 1e-6   /* in units of the actuators' limits, by which rows themselves may be short */
-#define INSET 1e-3       /* in the same unit, by which tangents ask for more, so that few of them are enough */
-#define PASSES_AT_REST 3 /* of the second search */
-#define IN_VAIN 2        /* passes in a row that bring nothing where rows yield, after which no more are tried */
-#define FARTHEST 100.0   /* above all distances squared, in the same unit */
-#define ABOVE 1e6        /* by how much what a row lacks counts more than in the next class */
-
 /* What the rows of a group depend on, but for the group's own control. */
 struct situation {
     int group;

@@ -11,11 +11,7 @@
  * rows are not zero (d_i = multiplier_i / w_i), so they are numbered by the places of active rows.
  */
 
-#define BOUNDS 6        /* the first rows of a program: the actuators' limits */
-#define VIOLATED 1e-12  /* a row is violated below minus this, in units of the actuators' limits */
-#define DEPENDENT 1e-16 /* |z|^2 / |normal|^2 up to which a row counts as a combination of the active ones */
-#define BLOCKING 1e-12  /* fall of a multiplier per unit of pressure that counts as none */
-#define ACCURATE 1e-8   /* largest violation of the optimality conditions of a program that counts as solved */
+#define BOUNDS 6 /* the first rows of a program: the actuators' limits */
 #define STAGES_MAX (2 + CLASSES_MAX)
 #define NORMAL_MAX (3 + ACTIVE_MAX) /* numbers of a normal: by u, and by the slack of the row at each place */
 
@@ -290,13 +286,18 @@ static double kkt_residual(const struct stage *s, const double u[3], const doubl
 {
     double forced[3] = {s->program->desired[0], s->program->desired[1], s->program->desired[2]};
     double most = 0.0;
+    double sum = 0.0;
     for (int i = BOUNDS; i < s->program->rows; ++i) {
         const double left = left_of(s, i, u, multiplier[i]);
         add(forced, multiplier[i], s->program->a[i], 3);
-        most = fmax(fmax(most, -left), fmax(-multiplier[i], fabs(fmin(multiplier[i], 1.0) * left)));
+        most = fmax(fmax(most, -left), fabs(fmin(multiplier[i], 1.0) * left));
+        sum += fabs(multiplier[i]);
+    }
+    for (int i = BOUNDS; i < s->program->rows; ++i) {
+        most = fmax(most, -multiplier[i] - (ROUNDED * sum));
     }
     for (int j = 0; j < 3; ++j) {
-        most = fmax(most, fabs(u[j] - clip(forced[j], -1.0, 1.0)));
+        most = fmax(most, fabs(u[j] - clip(forced[j], -1.0, 1.0)) - (ROUNDED * sum));
     }
     return most;
 }

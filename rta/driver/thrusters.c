@@ -18,8 +18,7 @@ static void neighbours(double thrust, double *low, double *high)
         *low = clip(THRUST_QUANTUM * number, -LARGEST_THRUST, LARGEST_THRUST);
         *high = clip(THRUST_QUANTUM * (number + 1.0), -LARGEST_THRUST, LARGEST_THRUST);
     } else if (fabs(thrust) < MINIMUM_THRUST) {
-        /* rounded down the least would be nothing */
-        const double least = fmin(MINIMUM_THRUST * (1.0 + 1e-9), LIMIT[THRUST]);
+        const double least = fmin(MINIMUM_THRUST * (1.0 + ABOVE_LEAST), LIMIT[THRUST]);
         *low = 0.0;
         *high = (thrust > 0.0) ? least : ((thrust < 0.0) ? -least : 0.0);
     } else {
