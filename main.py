@@ -178,6 +178,7 @@ def run_verify(
     replay: str | None = None,
     boundary: int | None = None,
     break_points: str | None = None,
+    filter: str = "python",
 ) -> None:
     """main.py verify"""
     from study.verification import boundary_report
@@ -201,7 +202,17 @@ def run_verify(
             breaking.figure(report).savefig(file, dpi=90)
         return
     report = verify(
-        policy, episodes, duration, seed, configure, kept, check_every, candidates, horizon, keep_worst
+        policy,
+        episodes,
+        duration,
+        seed,
+        configure,
+        kept,
+        check_every,
+        candidates,
+        horizon,
+        keep_worst,
+        filter,
     )
     print(table(report))
     print(what_next(report, kept))

@@ -133,8 +133,8 @@ class Flown:
         return self.report["episodes"] >= EPISODES and self.report["campaign"]["duration"] >= DURATION
 
 
-def reports() -> Iterator[Flown]:
-    """All reports at hand; a file that is none is passed over."""
+def reports(filters: Sequence[str] = ("python",)) -> Iterator[Flown]:
+    """All reports at hand of filters in these forms, see `Campaign.filter`; a file that is none is passed over."""
     reference = ROOT / "runs" / "reference"
     for directory in (reference / "verification", reference / "frequency", Path(REPORTS)):
         for path in sorted(directory.glob("*.json")):
@@ -144,7 +144,8 @@ def reports() -> Iterator[Flown]:
                 _ = flown.clean, flown.large, report["campaign"]["policy"]
             except (OSError, *MALFORMED):
                 continue
-            yield flown
+            if report["campaign"].get("filter", "python") in filters:
+                yield flown
 
 
 def say_unless_verified(

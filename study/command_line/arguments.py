@@ -257,7 +257,7 @@ COMMANDS = {
         count(
             "--boundary",
             "instead of episodes, N single calls of the filter at states next to its limits, in whole batches",
-            without=("--episodes", "--policy", "--duration"),
+            without=("--episodes", "--policy", "--duration", "--filter"),
         ),
         Flag(
             "--break-points",
@@ -265,7 +265,12 @@ COMMANDS = {
             "[uncertainty]; draw the table there",
             writes=FIGURE,
             metavar="F.png",
-            without=("--check-every", "--keep-worst", "--candidates", "--horizon", "--boundary"),
+            without=("--check-every", "--keep-worst", "--candidates", "--horizon", "--boundary", "--filter"),
+        ),
+        Flag(
+            "--filter",
+            "what filters: python, or as `export --filter` writes it, c, or c-float in single precision",
+            choices=("python", "c", "c-float"),
         ),
         seed("of everything random"),
         written("report of verify", "--json", "write the report there, and continue the one it holds"),

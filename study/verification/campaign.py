@@ -1,5 +1,6 @@
 """A campaign: batch after batch of starts flown under one policy, into a report that a longer campaign goes on with."""
 
+import dataclasses
 import hashlib
 import math
 import sys
@@ -12,11 +13,13 @@ import torch
 from torch import Tensor
 from tqdm import tqdm
 
-from inspection.closed_loop import Controller
+from inspection.closed_loop import Controller, Safety
 from inspection.environment import InspectionEnv
 from inspection.initial_state import uniform
+from kernels import NoCompilerError
 from ppo.network import Policy
 from rta.constraints import CONSTRAINTS
+from rta.in_c import REALS, InC
 from rta.uncertainty import Uncertainty
 from study.commands import CHECKPOINT, FILES, LEARNED, in_file
 from study.config import Config, StudyConfig
@@ -148,6 +151,7 @@ def verify(
     candidates: int | None = None,
     horizon: int | None = None,
     keep_worst: bool = False,
+    filter_in: str = "python",
 ) -> dict[str, Any]:
     """The whole campaign with a progress bar; returns the report.
 
@@ -155,6 +159,7 @@ def verify(
         policy, check_every, candidates, horizon: see `Campaign`; the latter two are for lookahead alone.
         configure: puts the command line over a base configuration, that of the checkpoint if there is one.
         path, keep_worst: see `run`.
+        filter_in: see `Campaign.filter`.
     """
     network, base, weights, ahead = None, Config(), "", (0, 0)
     if policy == "lookahead":
@@ -180,7 +185,10 @@ def verify(
         config, None, check_every, duration, f"--duration {duration}, checked every {check_every:g} s"
     )
     experiment = Experiment(config, BATCH * (ahead[0] or 1), seconds=-(-episodes // BATCH) * duration)
-    campaign = Campaign(policy, experiment.filter.period, duration, seed, BATCH, weights, check_every, *ahead)
+    if filter_in != "python":
+        experiment.safety = exported(experiment, filter_in)
+    period = experiment.filter.period
+    campaign = Campaign(policy, period, duration, seed, BATCH, weights, check_every, *ahead, filter_in)
     network = network.to(experiment.device) if network else None
     shown: tqdm
 
@@ -196,6 +204,18 @@ def verify(
         for report in reports:
             tell(report["episodes"], report["violating_episodes"]["any"], report["episodes"])
     return report
+
+
+def exported(experiment: Experiment, filter_in: str) -> Safety:
+    """What the environment needs, with the filter that is exported."""
+    if experiment.device.type != "cpu":
+        raise InputError(f"--filter {filter_in}: runs on a CPU only; add --device cpu")
+    with (
+        refusing(f"--filter {filter_in}: cannot be compiled", NoCompilerError),
+        step("compiling it, seconds"),
+    ):
+        in_c = InC(experiment.filter, REALS[filter_in])
+    return dataclasses.replace(experiment.safety, correct=in_c.correct)
 
 
 def telling(

@@ -29,6 +29,7 @@ class Campaign:
         period: s between filter calls; duration: s per episode; batch_size: starts drawn at once.
         check_every: s between two checks of every constraint.
         candidates, horizon: of lookahead, see `study.verification.lookahead`; else 0.
+        filter: what filters: "python", or what is exported, "c", or "c-float" in single precision.
     """
 
     policy: str
@@ -40,6 +41,7 @@ class Campaign:
     check_every: float = CHECK_EVERY
     candidates: int = 0
     horizon: int = 0
+    filter: str = "python"
 
 
 def empty_report(campaign: Campaign, config: Config) -> dict[str, Any]:
