@@ -212,12 +212,12 @@ class Program:
 
     def power(self, a: Value, exponent: float) -> Value:
         """a ** exponent; whole exponents up to 8 are multiplied out."""
+        if exponent in (-0.5, -1.0, -2.0):
+            return self.div(1.0, self.power(a, -exponent))
         if exponent == 0.5:
             return self.call("sqrt", a)
-        if not exponent.is_integer() or abs(exponent) > 8.0:
+        if not exponent.is_integer() or not 0.0 <= exponent <= 8.0:
             return self.call("pow", a, exponent)
-        if exponent < 0.0:
-            return self.div(1.0, self.power(a, -exponent))
         if exponent <= 1.0:
             return self.number(a) if exponent else 1.0
         half = self.power(a, exponent // 2)

@@ -4,7 +4,6 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-import torch
 from numpy import ndarray
 
 from kernels.expressions import Program, Value
@@ -22,12 +21,11 @@ class Operations:
 
     Attributes:
         axes: know the shapes of the tensors that the next operation is of.
-        dtype: of its result.
         views: names of operations whose result shares its memory with what it is of.
     """
 
     def __init__(self, program: Program, long: int = 0) -> None:
-        self.axes, self.dtype = Axes(long), torch.float64
+        self.axes = Axes(long)
         shapes = Shapes(program, self.axes)
         self.views = frozenset(shapes.views)
         self.by_name: dict[str, Callable[..., Any]] = {
@@ -45,8 +43,6 @@ class Operations:
         """
         if name not in self.by_name:
             raise NotImplementedError("")
-        if name == "nan_to_num":
-            options["most"] = torch.finfo(self.dtype).max
         try:
             return self.by_name[name](*arguments, **options)
         except (

@@ -4,8 +4,9 @@ PyTorch hands every operation that it runs to `Recorder`: those of derivatives, 
 others. What they do to numbers is done to values as well.
 """
 
+import functools
 import traceback
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -35,6 +36,10 @@ OF_SHAPE = {
 }
 SEEN_BY = (Tensor.tolist, Tensor.numpy, Tensor.__array__)  # without an operation
 BRANCH = "values that decide what is computed, as in `if`, float() or x[x > 0], cannot be printed as C: use torch.where"
+
+
+class Unprintable(NotImplementedError):
+    """What cannot be printed, why, and where it is wanted."""
 
 
 class Recorder(TorchDispatchMode):
@@ -90,8 +95,10 @@ class Recorder(TorchDispatchMode):
         result = function(*args, **(kwargs or {}))
         try:
             self.record(function, result, args, kwargs or {})
+        except Unprintable:  # of what it is made of
+            raise
         except NotImplementedError as error:
-            raise NotImplementedError(explained(function.name(), str(error))) from error
+            raise Unprintable(explained(function.name(), str(error))) from error
         return result
 
     def record(self, function: Any, result: Any, args: Sequence[Any], kwargs: dict[str, Any]) -> None:
@@ -112,8 +119,12 @@ class Recorder(TorchDispatchMode):
         elif name in OF_SHAPE or not is_computed:
             for tensor in own:
                 self.write(tensor, self.constant(tensor), name)
+        elif name.removesuffix("_") not in self.operations.by_name and function in decompositions():
+            with self:  # what it is made of
+                found = decompositions()[function](*args, **kwargs)
+            for tensor, part in zip(own, tensors(found), strict=True):
+                self.put(tensor, self.values(part))
         else:
-            self.operations.dtype = own[0].dtype
             found = self.operations.call(name.removesuffix("_"), *given, **options)
             for tensor, array in zip(own, found if isinstance(found, tuple) else [found], strict=True):
                 self.write(tensor, self.typed(array, tensor.dtype, name), name)
@@ -145,7 +156,7 @@ class Recorder(TorchDispatchMode):
             as_one: Callable[[Value], Value] = p.mask
         elif dtype == torch.float32 and p.real == "double":
             as_one = p.single
-        elif dtype in INTEGERS and name in ("_to_copy", "copy_"):
+        elif dtype in INTEGERS and name in ("_to_copy", "to", "copy_"):
             as_one = partial(whole, p)
         else:
             as_one = p.number
@@ -163,7 +174,7 @@ class Watch(TorchFunctionMode):
     def __torch_function__(self, function: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
         """Any call of PyTorch's."""
         if function in SEEN_BY and depends(self.recorder.values(args[0])):
-            raise NotImplementedError(explained("", BRANCH))
+            raise Unprintable(explained("", BRANCH))
         return function(*args, **(kwargs or {}))
 
 
@@ -194,6 +205,14 @@ def argument(recorder: Recorder, part: Part) -> ndarray:
         for place in np.ndindex(shape)
     ]
     return filled(values, (*shape, 1))
+
+
+@functools.cache
+def decompositions() -> Mapping[Any, Callable[..., Any]]:
+    """Operations as functions of others, as `torch.export` takes them apart."""
+    from torch.export import default_decompositions
+
+    return default_decompositions()
 
 
 def whole(p: Program, value: Value) -> Value:

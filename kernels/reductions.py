@@ -39,12 +39,8 @@ class Reductions:
             "prod": partial(self.joined, "mul", None, 1.0),
             "amin": self.least,
             "amax": self.most,
-            "aminmax": lambda x, *, dim=None, keepdim=False: (
-                self.least(x, dim, keepdim), self.most(x, dim, keepdim),
-            ),
             "any": self.any,
             "all": lambda x, *given: self.call("logical_not", self.any(self.call("logical_not", x), *given)),
-            "count_nonzero": lambda x, dim=None: self.sum(self.call("positive", self.call("ne", x, 0.0)), dim),
             "min": partial(self.first, p.lt),
             "max": partial(self.first, lambda a, b: p.lt(b, a)),
             "argmin": lambda *given: self.first(p.lt, *given)[1],
@@ -52,6 +48,8 @@ class Reductions:
             "linalg_vector_norm": self.norm,
             "logsumexp": self.logsumexp,
             "_softmax": self.softmax,
+            "_log_softmax": lambda x, dim, *_: self.call("sub", x, self.logsumexp(x, dim, True)),
+            "var": self.variance,
             "cumsum": partial(self.accumulated, p.add),
             "cumprod": partial(self.accumulated, p.mul),
             "linalg_cross": self.cross,
@@ -89,9 +87,21 @@ class Reductions:
 
     def mean(self, x: ndarray, dim: Dims = None, keepdim: bool = False) -> ndarray:
         """Of the entries along axes."""
-        total = self.by_name["sum"](x, dim, keepdim)
-        dims = [dim] if isinstance(dim, int) else dim
-        return self.call("div", total, float(math.prod(self.axes.lengths[i] for i in dims)))
+        return self.call("div", self.by_name["sum"](x, dim, keepdim), self.count(dim))
+
+    def variance(
+        self, x: ndarray, dim: Dims = None, *, correction: float | None = None, keepdim: bool = False
+    ) -> ndarray:
+        """Of the entries along axes; `correction` counts as so many fewer, 1 if it is None."""
+        off = self.call("sub", x, self.mean(x, dim, True))
+        mean = self.mean(self.call("mul", off, off), dim, keepdim)
+        count = self.count(dim)
+        return self.call("mul", mean, count / (count - (1.0 if correction is None else correction)))
+
+    def count(self, dim: Dims) -> float:
+        """How many entries there are along axes."""
+        dims = [dim] if isinstance(dim, int) else dim or range(len(self.axes.lengths))
+        return float(math.prod(self.axes.lengths[i] for i in dims))
 
     def norm(self, x: ndarray, order: float = 2, dim: Dims = None, keepdim: bool = False) -> ndarray:
         """Of vectors along axes: (sum |x|^order)^(1 / order), and its limits."""

@@ -50,9 +50,6 @@ def arithmetic(p: Program) -> dict[str, Scalar]:
         "floor_divide": partial(floor_divided, p),
         "remainder": remainder,
         "pow": power,
-        "addcmul": lambda x, a, b, value=1: add(x, p.mul(a, b), value),
-        "addcdiv": lambda x, a, b, value=1: add(x, p.div(a, b), value),
-        "lerp": lambda a, b, share: p.add(a, p.mul(share, p.sub(b, a))),
     }
 
 
@@ -87,8 +84,6 @@ def comparisons(p: Program) -> dict[str, Scalar]:
         **{f"bitwise_{name}": of_truths(f"bitwise_{name}", each) for name, each in logical.items()},
         "isnan": lambda a: p.not_(p.eq(a, a)),
         "isinf": lambda a: p.eq(p.call("fabs", a), math.inf),
-        "isposinf": lambda a: p.eq(a, math.inf),
-        "isneginf": lambda a: p.eq(a, -math.inf),
         "isfinite": finite,
         "signbit": lambda a: p.lt(p.call("copysign", 1.0, a), 0.0),
     }
@@ -100,60 +95,41 @@ def of_one(p: Program) -> dict[str, Scalar]:
     def sign(a: Value) -> Value:
         return p.sub(p.number(p.lt(0.0, a)), p.number(p.lt(a, 0.0)))
 
-    def sigmoid(a: Value) -> Value:
-        return p.div(1.0, p.add(1.0, p.call("exp", p.neg(a))))
+    def elu(a: Value, alpha: float = 1.0, scale: float = 1.0, input_scale: float = 1.0) -> Value:
+        below = p.mul(float(alpha * scale), p.call("expm1", p.mul(a, float(input_scale))))
+        return p.select(p.lt(0.0, a), p.mul(a, float(scale)), below)
 
-    def softplus(a: Value, beta: float = 1.0, threshold: float = 20.0) -> Value:
-        scaled = p.mul(a, float(beta))
-        soft = p.div(p.call("log1p", p.call("exp", scaled)), float(beta))
-        return p.select(p.lt(float(threshold), scaled), a, soft)
-
-    def sinc(a: Value) -> Value:
-        angle = p.mul(a, math.pi)
-        return p.select(p.eq(a, 0.0), 1.0, p.div(p.call("sin", angle), angle))
+    def gelu(a: Value) -> Value:
+        return p.mul(p.mul(0.5, a), p.add(1.0, p.call("erf", p.mul(a, math.sqrt(0.5)))))
 
     return {
         "neg": p.neg,
-        "positive": p.number,
+        **{name: p.number for name in ("positive", "conj_physical")},
         "abs": partial(p.call, "fabs"),
         "reciprocal": partial(p.div, 1.0),
         "rsqrt": lambda a: p.div(1.0, p.call("sqrt", a)),
-        "square": lambda a: p.mul(a, a),
-        "relu": lambda a: p.max(a, 0.0),
         "sign": sign,
         "sgn": sign,
         "round": partial(p.call, "rint"),
-        "frac": lambda a: p.sub(a, p.call("trunc", a)),
-        "deg2rad": lambda a: p.mul(a, math.pi / 180.0),
-        "rad2deg": lambda a: p.mul(a, 180.0 / math.pi),
-        "sigmoid": sigmoid,
-        "softplus": softplus,
-        "sinc": sinc,
-        "silu": lambda a: p.mul(a, sigmoid(a)),
+        "sigmoid": lambda a: p.div(1.0, p.add(1.0, p.call("exp", p.neg(a)))),
+        "relu": lambda a: p.max(a, 0.0),
+        "leaky_relu": lambda a, slope=0.01: p.select(p.lt(0.0, a), a, p.mul(float(slope), a)),
+        "elu": elu,
+        "gelu": gelu,
     }
 
 
 def of_several(p: Program) -> dict[str, Scalar]:
-    """Choices, and what is left."""
-
-    def nan_to_num(a: Value, nan: Any = None, above: Any = None, below: Any = None, *, most: float) -> Value:
-        """`most`: the largest number of a's type, for infinity if nothing else is `above`."""
-        a = p.select(p.eq(a, a), a, nan or 0.0)
-        a = p.select(p.eq(a, math.inf), most if above is None else above, a)
-        return p.select(p.eq(a, -math.inf), -most if below is None else below, a)
+    """Choices."""
 
     def fmin(a: Value, b: Value, least: Scalar = p.min) -> Value:
         """Of NaN and a number the number."""
         return p.select(p.eq(a, a), p.select(p.eq(b, b), least(a, b), a), b)
 
-    def logaddexp(a: Value, b: Value) -> Value:
-        most = p.max(a, b)
-        soft = p.add(most, p.call("log1p", p.call("exp", p.neg(p.call("fabs", p.sub(a, b))))))
-        return p.select(p.and_(p.eq(a, b), p.eq(p.call("fabs", a), math.inf)), a, soft)
-
-    def xlogy(a: Value, b: Value) -> Value:
-        of_number = p.select(p.eq(a, 0.0), 0.0, p.mul(a, p.call("log", b)))
-        return p.select(p.eq(b, b), of_number, math.nan)
+    def clamp(a: Value, low: Any = None, high: Any = None) -> Value:
+        """Of NaN it is NaN; where the bounds cross, the upper one."""
+        a = a if low is None else p.max(a, low)
+        return a if high is None else p.min(a, high)
 
     return {
         "minimum": p.min,
@@ -162,25 +138,9 @@ def of_several(p: Program) -> dict[str, Scalar]:
         "fmax": partial(fmin, least=p.max),
         "where": p.select,
         "masked_fill": lambda x, mask, value: p.select(mask, value, x),
-        "clamp": partial(clamp, p),
-        "hardtanh": partial(clamp, p),
-        "clamp_min": p.max,
+        **{name: clamp for name in ("clamp", "clamp_min", "hardtanh")},
         "clamp_max": p.min,
-        "nan_to_num": nan_to_num,
-        "heaviside": lambda a, at_zero: p.select(p.eq(a, 0.0), at_zero, p.number(p.lt(0.0, a))),
-        "threshold": lambda a, edge, below: p.select(p.le(a, edge), below, a),
-        "threshold_backward": lambda slope, a, edge: p.select(p.le(a, edge), 0.0, slope),
-        "logaddexp": logaddexp,
-        "xlogy": xlogy,
-        "tanh_backward": lambda slope, y: p.mul(slope, p.sub(1.0, p.mul(y, y))),
-        "sigmoid_backward": lambda slope, y: p.mul(slope, p.mul(p.sub(1.0, y), y)),
     }
-
-
-def clamp(p: Program, a: Value, low: Any = None, high: Any = None) -> Value:
-    """Of NaN it is NaN; where the bounds cross, the upper one."""
-    a = a if low is None else p.max(a, low)
-    return a if high is None else p.min(a, high)
 
 
 def has_other_sign(p: Program, rest: Value, b: Value) -> Value:

@@ -62,7 +62,7 @@ class Shapes:
     def __init__(self, program: Program, axes: Axes) -> None:
         self.program, self.axes = program, axes
         self.views: dict[str, Callable[..., Any]] = {
-            **{name: lambda x: x for name in ("alias", "detach", "lift_fresh")},
+            **{name: lambda x: x for name in ("alias", "detach", "real")},
             "t": lambda x: x.T,
             "transpose": np.swapaxes,
             "permute": lambda x, dims: x.transpose(dims),
@@ -80,7 +80,7 @@ class Shapes:
             ),
         }
         self.others: dict[str, Callable[..., Any]] = {
-            **{name: lambda x, *_, **__: x.copy() for name in ("_to_copy", "clone")},
+            **{name: lambda x, *_, **__: x.copy() for name in ("_to_copy", "to", "clone")},
             **{name: self.views["view"] for name in ("_unsafe_view", "reshape")},
             "cat": lambda parts, dim=0: np.concatenate([part for part in parts if part.shape != (0,)], dim),
             "stack": lambda parts, dim=0: np.stack(parts, dim),
@@ -208,13 +208,21 @@ class Shapes:
     ) -> ndarray:
         """x with x[indices] replaced: of known indices, or by one number where a computed mask is true."""
         if accumulate:
-            raise NotImplementedError("with accumulate")
+            return self.index_add(x, indices, value)
         if len(indices) == 1 and depends(indices[0]) and value.size == 1:
             mask = indices[0].reshape(*indices[0].shape, *[1] * (x.ndim - indices[0].ndim))
             pairs = zip(np.broadcast_to(mask, x.shape).flat, x.flat, strict=True)
             return filled([self.program.select(each, value.item(), old) for each, old in pairs], x.shape)
         x = x.copy()
         x[self.known(indices)] = value
+        return x
+
+    def index_add(self, x: ndarray, indices: Sequence[Any], value: ndarray) -> ndarray:
+        """x with values added at known indices, where one is named twice both."""
+        x = x.copy()
+        places = np.arange(x.size).reshape(x.shape)[self.known(indices)]
+        for place, each in zip(places.flat, np.broadcast_to(value, places.shape).flat, strict=True):
+            x.flat[place] = self.program.add(x.flat[place], each)
         return x
 
     def gather(self, x: ndarray, dim: int, index: ndarray, **_: Any) -> ndarray:
