@@ -194,19 +194,23 @@ def pointers(tensors: Sequence[Tensor]) -> tuple[Any, Any]:
 POOLS: dict[int, ThreadPoolExecutor] = {}
 
 
-def in_shares(run: Callable[[int, int], None], columns: int, seconds: float) -> None:
-    """Runs over columns in as many ranges as PyTorch has threads, if each then has enough to do."""
-    shares = min(torch.get_num_threads(), int(columns * seconds / WORTH_A_THREAD))
+def in_shares(run: Callable[[int, int], int | None], columns: int, seconds: float) -> int:
+    """Runs over columns in as many ranges as PyTorch has threads, if each then has enough to do; sums what it returns.
+
+    Args:
+        run: of columns first to last.
+        seconds: that a column takes.
+    """
+    shares = int(columns * seconds / WORTH_A_THREAD)
+    shares = min(torch.get_num_threads(), shares) if shares > 1 else shares
     if shares < 2:
-        run(0, columns)
-        return
+        return run(0, columns) or 0
     size = -(-columns // shares)
     size += -size % 64  # whole vectors
-    threads = POOLS.setdefault(shares, ThreadPoolExecutor(shares))
-    others = [threads.submit(run, i, min(i + size, columns)) for i in range(size, columns, size)]
-    run(0, min(size, columns))
-    for other in others:
-        other.result()
+    if shares not in POOLS:
+        POOLS[shares] = ThreadPoolExecutor(shares)
+    others = [POOLS[shares].submit(run, i, min(i + size, columns)) for i in range(size, columns, size)]
+    return (run(0, min(size, columns)) or 0) + sum(other.result() or 0 for other in others)
 
 
 def with_own_code(function: FunctionType) -> FunctionType:

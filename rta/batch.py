@@ -4,6 +4,7 @@ One C function does all of a call. For all spacecraft it computes the rows, take
 and attempts the programs of the others. What the attempt leaves, the driver that is exported solves one by one.
 """
 
+import ctypes
 import re
 from functools import partial
 from importlib.resources import files
@@ -19,7 +20,7 @@ from kernels.compiled import in_shares, over_columns, pointers, strided, timed
 from rta.batched_solver import ACCURATE, STEPS_HELD, attempt
 from rta.constraints import joined
 from rta.export import GROUPS, define, functions, prepare, source, table
-from rta.held_rows import KINDS, HeldGroup
+from rta.held_rows import HeldGroup
 from rta.qp import Problems, Status, total
 from rta.rows import ActuatorGroup
 from rta.tangents import TOLERATED, Prepared, answered, inset, problems
@@ -50,17 +51,16 @@ class BatchFilter:
             define("CONSTRAINTS", self.constraints),
             define("LATENCY", self.latency),
         ]
-        many += [*(part.text for part in parts), *(batch(part) for part in shared), text_of("batch.h")]
+        many += [*(part.text for part in parts), *(batch(part) for part in shared)]
+        many += [text_of("batch.h"), text_of("batch_store.c")]
         if self.holds:
             many += [text_of("batch_block.c"), *(of_group(i, safety_filter) for i in range(2))]
         many.append(text_of("batch_held.c" if self.holds else "batch_now.c"))
-        one = [
-            source(safety_filter, shared or None),
-            define("HOLDS", int(self.holds)),
-            text_of("batch_one.c"),
-        ]
+        one = [source(safety_filter, shared or None), define("HOLDS", int(self.holds))]
+        one += [text_of("batch.h"), text_of("batch_one.c")]
         found = library({"one": "\n".join(one), "many": "\n".join(many)})
         self.run = over_columns(found, "filter_batch")
+        self.run.restype = ctypes.c_long
         kernels = {part.name: Kernel(part, found) for part in shared}
         self.rows, self.predict = (
             [kernels[name] for name in SHARED if name in kernels][:2],
@@ -72,30 +72,37 @@ class BatchFilter:
 
     def __call__(
         self, x: Tensor, desired: Tensor, sent: Tensor | None = None, left: Tensor | None = None
-    ) -> list[Tensor]:
+    ) -> tuple[list[Tensor], int]:
         """As `SafetyFilter.correct`, of at most `latency` controls sent.
 
         Returns:
-            control (6, B); slack, h (constraints, B); where controls are held also uncertainty and tightened
-            (constraints, B); program statuses (2, B); active (constraints, B).
+            The fields of `FilterResult`; how many spacecraft have no solution.
         """
-        columns = x.shape[1]
-        fields = 4 if self.holds else 2
-        numbers = torch.empty(CONTROL_SIZE + fields * self.constraints, columns, dtype=torch.float64)
-        program_status = torch.empty(2, columns, dtype=torch.int64)
-        active = torch.empty(self.constraints, columns, dtype=torch.bool)
+        columns, count = x.shape[1], self.constraints
+        blocks = 4 if self.holds else 2
+        numbers = torch.empty(CONTROL_SIZE + blocks * count, columns, dtype=torch.float64)
+        statuses = torch.empty(3, columns, dtype=torch.int64)
+        truths = torch.empty(1 + count, columns, dtype=torch.bool)
         given = [strided(x), strided(desired)]
         if self.holds:
-            missing = self.latency - (0 if sent is None else len(sent))
-            old = x.new_full((missing, CONTROL_SIZE, columns), torch.nan)
-            old = old if sent is None else torch.cat((old, sent)) if missing else sent
             left = torch.ones_like(desired) if left is None else left
-            given += [strided(old.flatten(0, 1)), strided(left)]
-        arguments = (*pointers(given), *pointers([numbers, program_status, active]))
-        if columns:
-            in_shares(lambda first, last: self.run(first, last, *arguments), columns, self.seconds)
-        parts = numbers.split([CONTROL_SIZE, *[self.constraints] * fields])
-        return [*parts, program_status, active]
+            given += [strided(self.aged(sent, x).flatten(0, 1)), strided(left)]
+        arguments = (*pointers(given), *pointers([numbers, statuses, truths]))
+        unsolved = in_shares(lambda first, last: self.run(first, last, *arguments), columns, self.seconds)
+        slack, h, *doubts = (numbers[CONTROL_SIZE + i * count :][:count] for i in range(blocks))
+        nothing = numbers.new_zeros(1, 1).expand(count, columns)
+        uncertainty, tightened = doubts or (nothing, nothing)
+        control, active = numbers[:CONTROL_SIZE], truths[1:]
+        fields = [control, truths[0], active, slack, statuses[0], statuses[1:], h, uncertainty, tightened]
+        return fields, unsolved
+
+    def aged(self, sent: Tensor | None, x: Tensor) -> Tensor:
+        """`latency` controls sent (latency, 6, B), NaN where a state is younger."""
+        missing = self.latency - (0 if sent is None else len(sent))
+        if not missing:
+            return sent
+        never = x.new_full((missing, CONTROL_SIZE, x.shape[1]), torch.nan)
+        return never if sent is None else torch.cat((never, sent))
 
 
 def of_group(index: int, safety_filter: "SafetyFilter") -> str:
@@ -165,8 +172,7 @@ def attempted(asked: Problems, steps: int | None = None) -> tuple[Tensor, Tensor
 def held_parts(safety_filter: "SafetyFilter") -> list[Printed]:
     """What is printed for vectors: how states are predicted, and of each group its rows, an attempt, a judgement."""
     x, u = safety_filter.probe("cpu")
-    spread, left = torch.zeros_like(x[:KINDS]), torch.ones_like(u)
-    rows = functions(safety_filter)
+    rows, left = functions(safety_filter), torch.ones_like(u)
     parts = [
         *rows,
         printed(

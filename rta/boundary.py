@@ -1,11 +1,13 @@
 """What people hand to the filter: checked once, turned into a batch in float64, and answers in kind."""
 
+import math
 from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
 
+from inspection.attitude import norm
 from inspection.state import CONTROL_SIZE, SIZE, Q
 
 # How far a quaternion's length may be from 1: float32 resolves 1e-7, and a state estimate in it drifts by more.
@@ -41,11 +43,12 @@ class Given:
             part.to(control.device, torch.float64).view(len(part), -1) for part in (state, control)
         )
         for name, part in (("state", self.x), ("desired control", self.desired)):
-            if not part.isfinite().all():
+            if not math.isfinite(part.sum()) and not part.isfinite().all():
                 raise ValueError(f"{name} holds NaN or infinity: must be finite")
-        length, tolerance = self.x[Q].norm(dim=0), UNIT.get(state.dtype, UNIT_ELSE)
-        wrong = torch.nonzero(~((length - 1.0).abs() <= tolerance)).flatten()
-        if wrong.numel():
+        length, tolerance = norm(self.x[Q]), UNIT.get(state.dtype, UNIT_ELSE)
+        right = (length - 1.0).abs() <= tolerance
+        if not right.all():
+            wrong = torch.nonzero(~right).flatten()
             where = "" if self.single else f" in column {wrong[0].item()}"
             raise ValueError(
                 f"quaternion (components 6 to 9 of the state){where}: must have length 1 to {tolerance:g}, "
@@ -54,7 +57,7 @@ class Given:
 
     def in_kind(self, part: Tensor) -> Any:
         """A field (..., B) of the filter's answer as the desired control was given."""
-        if part.is_floating_point():
+        if part.dtype != self.dtype and part.is_floating_point():
             part = towards_zero(part, self.dtype)
         if self.single:
             part = part[..., 0]
@@ -63,7 +66,7 @@ class Given:
 
 def numbers(name: str, given: Any) -> Tensor:
     """A tensor of float64, float32 or integers."""
-    if np.ma.is_masked(given):
+    if isinstance(given, np.ma.MaskedArray) and np.ma.is_masked(given):
         raise ValueError(f"{name} holds masked numbers: must be known")
     if not torch.is_tensor(given):
         try:

@@ -14,7 +14,7 @@ from torch import Tensor
 from inspection.closed_loop import Safety
 from inspection.parameters import InspectionParameters
 from inspection.state import CONTROL_SIZE, SIZE, THRUST, TORQUE, P, Q
-from kernels import Compiled
+from kernels import Compiled, NoCompilerError
 from rta import vehicle
 from rta.batch import BatchFilter
 from rta.batched_solver import STEPS_HELD, BatchedSolver
@@ -107,6 +107,7 @@ class SafetyFilter:
         self.holds = known.holds(parameters)
         # PIQP leaves one in a thousand programs of tangents unsolved
         auto = "batched" if self.holds else "piqp"
+        self._given_solver = solver
         self.solver = solver or make_solver(parameters.qp_solver.replace("auto", auto), self.holds)
         own = vehicle.scaled(parameters, c)
         of_paper = (thrust_constraints(c, own, known), torque_constraints(c, own, known))
@@ -126,7 +127,7 @@ class SafetyFilter:
         self._whole: BatchFilter | None = None
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return type(self), (self.c, self.parameters, self.solver, self.extra, self.known)
+        return type(self), (self.c, self.parameters, self._given_solver, self.extra, self.known)
 
     @property
     def period(self) -> float:
@@ -276,8 +277,8 @@ class SafetyFilter:
     def __call__(self, x: Any, desired: Any) -> FilterResult:
         """Filters a desired control: of one spacecraft, or of each of a batch.
 
-        The first call for one spacecraft traces the filter, if no control is held, which takes some seconds; `compile`
-        makes it faster still.
+        Where no control is held the first call for one spacecraft compiles the filter, which takes 3 s the first time,
+        or traces it where there is no compiler.
 
         Args:
             x: state (16,) or states (16, B), components in the order of `inspection.state`.
@@ -293,19 +294,20 @@ class SafetyFilter:
             ValueError: another type or shape, a number that is not finite, or a quaternion that is not of length 1.
         """
         given = Given(x, desired)
-        fit = given.single and given.x.device.type == "cpu"
-        tracing = fit and not self.holds and not self._is_compiled  # of held controls it would save a fifth
-        result = (self._for_one if tracing else self).correct(given.x, given.desired)
+        fit = given.single and given.x.device.type == "cpu" and not self.holds and not self._is_compiled
+        result = (self._for_one if fit else self).correct(given.x, given.desired)
         return FilterResult(*(given.in_kind(getattr(result, field.name)) for field in fields(result)))
 
     @cached_property
     def _for_one(self) -> "SafetyFilter":
-        """This filter, traced for one spacecraft at a time."""
-        other = SafetyFilter(self.c, self.parameters, self.solver, self.extra, self.known)
-        other.trace()
+        """This filter, compiled or traced for one spacecraft at a time."""
+        other = SafetyFilter(self.c, self.parameters, self._given_solver, self.extra, self.known)
+        try:
+            other.compile("cpu", 1)
+        except (NoCompilerError, NotImplementedError):
+            other.trace()
         return other
 
-    @torch.no_grad()
     def correct(
         self, x: Tensor, desired: Tensor, sent: Tensor | None = None, left: Tensor | None = None
     ) -> FilterResult:
@@ -324,31 +326,23 @@ class SafetyFilter:
         too_old = sent is not None and len(sent) > self.known.latency
         if self._whole is None or x.device.type != "cpu" or (self.holds and too_old):
             return self._correct(x, desired, sent, left)
-        if not self.holds:
-            sent = left = None
-        *numbers, program_status, active = self._whole(x, desired, sent, left)
-        control, slack, h, *doubts = numbers
-        status = program_status.amax(0)
-        uncertainty, tightened = doubts or [torch.zeros_like(h)] * 2
-        result = FilterResult(
-            control,
-            status > Status.UNTOUCHED,
-            active,
-            slack,
-            status,
-            program_status,
-            h,
-            uncertainty,
-            tightened,
-        )
-        failed = torch.nonzero(status == Status.UNSOLVED).flatten()
-        if failed.numel():  # PIQP may know an answer
-            given = (None if part is None else pick(part, failed) for part in (x, desired, sent, left))
-            again = self._correct(*given)
-            for field in fields(result):
-                put(getattr(result, field.name), failed, getattr(again, field.name))
+        answer, unsolved = self._whole(x, desired, sent, left)
+        result = FilterResult(*answer)
+        if unsolved:  # PIQP may know an answer
+            self._correct_again(result, x, desired, sent, left)
         return result
 
+    def _correct_again(self, result: FilterResult, *given: Tensor | None) -> None:
+        """Puts what `_correct` answers into a result where that has no solution."""
+        columns = torch.nonzero(result.status == Status.UNSOLVED).flatten()
+        x, desired, sent, left = (None if part is None else pick(part, columns) for part in given)
+        again = self._correct(x, desired, sent, left)
+        for field in fields(result):
+            whole = getattr(result, field.name)
+            if whole.stride(0):  # else there is nothing to say of any constraint
+                put(whole, columns, getattr(again, field.name))
+
+    @torch.no_grad()
     def _correct(self, x: Tensor, desired: Tensor, sent: Tensor | None, left: Tensor | None) -> FilterResult:
         """`correct` in PyTorch, and by the solver."""
         x = x.masked_fill(x.isinf(), torch.nan)  # infinitely safe is no state either

@@ -27,22 +27,10 @@ static void bring_up_to_date(const void *sent, long step, long column, long lane
 #endif
 }
 
-static void store_block(const struct block *block, void *const *out, const long *out_step, long column, long lanes)
-{
-    for (int k = 0; k < 6 + 4 * CONSTRAINTS; ++k) {
-        store_double(out[NUMBERS], k * out_step[NUMBERS] + column, lanes, block->numbers[k]);
-    }
-    for (int group = 0; group < 2; ++group) {
-        store_long(out[STATUSES], group * out_step[STATUSES] + column, lanes, block->program_status[group]);
-    }
-    for (int k = 0; k < CONSTRAINTS; ++k) {
-        store_bool(out[TRUTHS], k * out_step[TRUTHS] + column, lanes, block->active[k]);
-    }
-}
-
-void filter_batch(long first, long last, const void *const *in, const long *in_step, void *const *out,
+long filter_batch(long first, long last, const void *const *in, const long *in_step, void *const *out,
                   const long *out_step)
 {
+    long unsolved = 0;
     for (long column = first; column < last; column += W) {
         const long lanes = last - column;
         V x[16];
@@ -60,11 +48,15 @@ void filter_batch(long first, long last, const void *const *in, const long *in_s
         bring_up_to_date(in[2], in_step[2], column, lanes, left, x, spread);
         torque_correct(x, spread, left, block.numbers, &block);
         thrust_correct(x, spread, left, block.numbers, &block);
-        store_block(&block, out, out_step, column, lanes);
+        for (int k = 0; k < 6 + 4 * CONSTRAINTS; ++k) {
+            store_double(out[NUMBERS], k * out_step[NUMBERS] + column, lanes, block.numbers[k]);
+        }
+        store_statuses(block.program_status, block.active, out, out_step, column, lanes);
         for (int lane = 0; lane < W && lane < lanes; ++lane) {
             if (block.open[0][lane]) {
-                filter_one(column + lane, in, in_step, out, out_step);
+                unsolved += filter_one(column + lane, in, in_step, out, out_step);
             }
         }
     }
+    return unsolved;
 }

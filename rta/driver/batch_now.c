@@ -1,8 +1,9 @@
 /* Attempts all programs, W spacecraft at a time, and has those that are left solved one by one. */
 
-void filter_batch(long first, long last, const void *const *in, const long *in_step, void *const *out,
+long filter_batch(long first, long last, const void *const *in, const long *in_step, void *const *out,
                   const long *out_step)
 {
+    long unsolved = 0;
     for (long column = first; column < last; column += W) {
         const long lanes = last - column;
         V x[16];
@@ -21,16 +22,12 @@ void filter_batch(long first, long last, const void *const *in, const long *in_s
         for (int k = 0; k < 6 + 2 * CONSTRAINTS; ++k) {
             store_double(out[NUMBERS], k * out_step[NUMBERS] + column, lanes, numbers[k]);
         }
-        for (int group = 0; group < 2; ++group) {
-            store_long(out[STATUSES], group * out_step[STATUSES] + column, lanes, program_status[group]);
-        }
-        for (int k = 0; k < CONSTRAINTS; ++k) {
-            store_bool(out[TRUTHS], k * out_step[TRUTHS] + column, lanes, active[k]);
-        }
+        store_statuses(program_status, active, out, out_step, column, lanes);
         for (int lane = 0; lane < W && lane < lanes; ++lane) {
             if (left[0][lane]) {
-                filter_one(column + lane, in, in_step, out, out_step);
+                unsolved += filter_one(column + lane, in, in_step, out, out_step);
             }
         }
     }
+    return unsolved;
 }

@@ -1,36 +1,35 @@
-/* A column of a batch, see batch.h. */
-enum { NUMBERS = 0, STATUSES = 1, TRUTHS = 2 };
-
 static void give(const struct safety_filter_output *found, long column, void *const *out, const long *out_step)
 {
     double *numbers = (double *)out[NUMBERS] + column;
-    long *program_status = (long *)out[STATUSES] + column;
-    unsigned char *active = (unsigned char *)out[TRUTHS] + column;
+    long *status = (long *)out[STATUSES] + column;
+    unsigned char *truths = (unsigned char *)out[TRUTHS] + column;
     for (int j = 0; j < 6; ++j) {
         numbers[j * out_step[NUMBERS]] = found->control[j];
     }
-    for (int k = 0; k < CONSTRAINTS; ++k) {
+    for (int k = 0; k < SAFETY_FILTER_CONSTRAINTS; ++k) {
         numbers[(6 + k) * out_step[NUMBERS]] = found->slack[k];
-        numbers[(6 + CONSTRAINTS + k) * out_step[NUMBERS]] = found->h[k];
-        active[k * out_step[TRUTHS]] = (unsigned char)found->active[k];
+        numbers[(6 + SAFETY_FILTER_CONSTRAINTS + k) * out_step[NUMBERS]] = found->h[k];
+        truths[(1 + k) * out_step[TRUTHS]] = (unsigned char)found->active[k];
 #if HOLDS
-        numbers[(6 + 2 * CONSTRAINTS + k) * out_step[NUMBERS]] = found->uncertainty[k];
-        numbers[(6 + 3 * CONSTRAINTS + k) * out_step[NUMBERS]] = found->tightened[k];
+        numbers[(6 + 2 * SAFETY_FILTER_CONSTRAINTS + k) * out_step[NUMBERS]] = found->uncertainty[k];
+        numbers[(6 + 3 * SAFETY_FILTER_CONSTRAINTS + k) * out_step[NUMBERS]] = found->tightened[k];
 #endif
     }
+    status[0] = found->status;
+    truths[0] = (unsigned char)(found->status > UNTOUCHED);
     for (int group = 0; group < 2; ++group) {
-        program_status[group * out_step[STATUSES]] = found->program_status[group];
+        status[(1 + group) * out_step[STATUSES]] = found->program_status[group];
     }
 }
 
-static void column_of(double *to, int count, const void *from, long step, long column)
+static void column_of(safety_filter_real *to, int count, const void *from, long step, long column)
 {
     for (int i = 0; i < count; ++i) {
-        to[i] = ((const double *)from)[i * step + column];
+        to[i] = (safety_filter_real)((const double *)from)[i * step + column];
     }
 }
 
-void filter_one(long column, const void *const *in, const long *in_step, void *const *out, const long *out_step)
+long filter_one(long column, const void *const *in, const long *in_step, void *const *out, const long *out_step)
 {
     struct safety_filter_input given = {{0.0}};
     struct safety_filter_output found;
@@ -38,8 +37,8 @@ void filter_one(long column, const void *const *in, const long *in_step, void *c
     column_of(given.desired, 6, in[1], in_step[1], column);
 #if HOLDS
     column_of(given.left, 6, in[3], in_step[3], column);
-    for (int k = 0; k < LATENCY; ++k) {
-        double *sent = given.sent[given.sent_count];
+    for (int k = 0; k < SAFETY_FILTER_LATENCY; ++k) {
+        safety_filter_real *sent = given.sent[given.sent_count];
         column_of(sent, 6, in[2], in_step[2], 6 * k * in_step[2] + column);
         int younger = 0; /* the state is younger than that control */
         for (int j = 0; j < 6; ++j) {
@@ -50,4 +49,5 @@ void filter_one(long column, const void *const *in, const long *in_step, void *c
 #endif
     safety_filter(&given, &found);
     give(&found, column, out, out_step);
+    return found.status == UNSOLVED;
 }

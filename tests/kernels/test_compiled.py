@@ -178,18 +178,18 @@ def test_the_filter_is_compiled_for_the_device(monkeypatch: pytest.MonkeyPatch) 
 @pytest.mark.parametrize(
     ("choice", "mass", "calls", "works", "expected"),
     [
-        ("auto", 0.0, 499, True, []),
-        ("auto", 0.0, 500, True, ["trace"]),
-        ("auto", 0.0, 1000, True, ["compile"]),
-        ("auto", 0.0, 1000, False, ["compile", "trace"]),
+        ("auto", 0.0, 149, True, []),
+        ("auto", 0.0, 150, True, ["compile"]),
+        ("auto", 0.0, 499, False, ["compile"]),
+        ("auto", 0.0, 500, False, ["compile", "trace"]),
         ("on", 0.0, 500, False, ["compile", "trace"]),
         ("on", 0.0, 1, True, ["compile"]),
         ("off", 0.0, 1000, True, []),
         # where controls are held
-        ("auto", 0.1, 149, True, []),
-        ("auto", 0.1, 150, True, ["trace"]),
-        ("auto", 0.1, 399, True, ["trace"]),
-        ("auto", 0.1, 400, True, ["compile"]),
+        ("auto", 0.1, 29, True, []),
+        ("auto", 0.1, 30, True, ["compile"]),
+        ("auto", 0.1, 149, False, ["compile"]),
+        ("auto", 0.1, 150, False, ["compile", "trace"]),
     ],
 )
 def test_a_filter_that_is_not_compiled_is_traced_where_that_is_repaid(
