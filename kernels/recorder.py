@@ -115,7 +115,7 @@ class Recorder(TorchDispatchMode):
         if name == "lift_fresh":  # a constant that the function makes for itself
             self.put(result, given[0] if given[0].flags.writeable else given[0].copy())
         elif name in self.operations.views:
-            self.view(own, args[0], self.operations.call(name, *given, **options))
+            self.view(own, args[0], self.viewed(name, given, options, own, is_computed))
         elif name in OF_SHAPE or not is_computed:
             for tensor in own:
                 self.write(tensor, self.constant(tensor), name)
@@ -140,6 +140,17 @@ class Recorder(TorchDispatchMode):
         if tensor.untyped_storage().data_ptr() in self.torn:
             raise NotImplementedError("to a tensor that others are views of")
         own[...] = array
+
+    def viewed(
+        self, name: str, given: Sequence[Any], options: dict[str, Any], own: Sequence[Tensor], is_computed: bool
+    ) -> Any:
+        """The values of views; of constants copies will do."""
+        try:
+            return self.operations.call(name, *given, **options)
+        except NotImplementedError:
+            if is_computed:
+                raise
+            return [self.constant(tensor) for tensor in own]
 
     def view(self, results: Sequence[Tensor], of: Tensor, found: Any) -> None:
         """Takes the values of views of a tensor."""
