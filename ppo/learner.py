@@ -111,7 +111,7 @@ class PPO:
     def compile(self, samples: int) -> None:
         """Compile the loss and its gradient for batches of `samples` per seed.
 
-        Raises whatever torch.compile raises where there is no working C++ compiler, and changes nothing then.
+        On a CPU that takes a C++ compiler and is no faster. Raises as torch.compile, and changes nothing then.
         """
         compiled = torch.compile(self._loss, dynamic=False)
         first, *_, last = self.policy.network.layers

@@ -36,6 +36,7 @@ class BatchFilter:
     """`SafetyFilter.correct` of batches on a CPU, but for what no solver call of the driver's solves.
 
     Attributes:
+        statements: of a spacecraft, that are printed for vectors; seconds: that one takes on one core.
         rows: of each group where controls are held, `SafetyFilter.prepare_held`; predict: `SafetyFilter.predict`.
 
     Raises as `kernels.Compiled`.
@@ -45,6 +46,7 @@ class BatchFilter:
         self.constraints, self.holds = len(safety_filter.names), safety_filter.holds
         self.latency = safety_filter.known.latency
         parts = held_parts(safety_filter) if self.holds else now_parts(safety_filter)
+        self.statements = sum(part.statements for part in parts)
         shared = [part for part in parts if part.name in SHARED]
         many = [
             for_vectors("double"),
@@ -99,7 +101,7 @@ class BatchFilter:
     def aged(self, sent: Tensor | None, x: Tensor) -> Tensor:
         """`latency` controls sent (latency, 6, B), NaN where a state is younger."""
         missing = self.latency - (0 if sent is None else len(sent))
-        if not missing:
+        if sent is not None and not missing:
             return sent
         never = x.new_full((missing, CONTROL_SIZE, x.shape[1]), torch.nan)
         return never if sent is None else torch.cat((never, sent))

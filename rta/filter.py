@@ -86,6 +86,7 @@ class SafetyFilter:
     Attributes:
         names: of all constraints: Table 3's, then those of your own that thrust holds, then those that torque holds.
         groups: of thrust and of torque.
+        compiled: all of it as one C function; None: it is not compiled so.
 
     Raises:
         ValueError: parameters or constraints that do not fit together.
@@ -124,7 +125,7 @@ class SafetyFilter:
         self._solves_in_c = isinstance(self.solver, BatchedSolver) or (
             solver is None and parameters.qp_solver == "auto"
         )
-        self._whole: BatchFilter | None = None
+        self.compiled: BatchFilter | None = None
 
     def __reduce__(self) -> tuple[Any, ...]:
         return type(self), (self.c, self.parameters, self._given_solver, self.extra, self.known)
@@ -170,10 +171,10 @@ class SafetyFilter:
         is kept across runs. Raises as `kernels.Compiled`, and changes nothing then.
         """
         if self._solves_in_c and torch.device(device).type == "cpu":
-            self._whole = BatchFilter(self)
+            self.compiled = BatchFilter(self)
             if self.holds:
-                self._prepare_held = self._whole.rows
-                self._predict = self._whole.predict or self.predict
+                self._prepare_held = self.compiled.rows
+                self._predict = self.compiled.predict or self.predict
             return
         compiled = self._compiled(device, batch, trace_only=False)
         rows = max(len(group.weights) for group in self.groups)
@@ -206,7 +207,7 @@ class SafetyFilter:
     @property
     def _is_compiled(self) -> bool:
         """Whether what is computed for every spacecraft is compiled or traced."""
-        return self._whole is not None or isinstance(
+        return self.compiled is not None or isinstance(
             self._prepare_held[0] if self.holds else self._prepare, Compiled
         )
 
@@ -324,9 +325,9 @@ class SafetyFilter:
                 with `Uncertainty`, as does `sent`.
         """
         too_old = sent is not None and len(sent) > self.known.latency
-        if self._whole is None or x.device.type != "cpu" or (self.holds and too_old):
+        if self.compiled is None or x.device.type != "cpu" or (self.holds and too_old):
             return self._correct(x, desired, sent, left)
-        answer, unsolved = self._whole(x, desired, sent, left)
+        answer, unsolved = self.compiled(x, desired, sent, left)
         result = FilterResult(*answer)
         if unsolved:  # PIQP may know an answer
             self._correct_again(result, x, desired, sent, left)

@@ -52,7 +52,7 @@ class TrainParameters:
     num_envs: int = 256  # episodes simulated at once, of each seed
     rollout_steps: int = 64  # interactions of each episode between two updates
     device: str = "auto"  # where tensors live: auto, cpu or cuda
-    compile: str = "auto"  # torch.compile the filter, simulator and learner: auto, on or off
+    compile: str = "auto"  # compile filter and simulator, on a GPU the learner, too: auto, on or off
     evaluation_interval: int = 500_000  # interactions between two evaluations
     early_evaluations: int = 1  # as many within the first interval; of several, one more before training
     evaluation_episodes: int = 20  # common test cases of each of these evaluations

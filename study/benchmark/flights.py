@@ -11,12 +11,16 @@ from torch import Tensor
 from inspection.closed_loop import Correction
 from inspection.environment import InspectionEnv
 from ppo.checkpoint import CheckpointError
-from rta.qp import Problems, Solutions
+from rta.export import prepare
+from rta.filter import SafetyFilter
+from rta.qp import Problems
+from rta.tangents import Prepared, problems
 from study.errors import InputError
 from study.experiment import Experiment, load_policy
 from study.files import ROOT
 
 TRAINED = ROOT / "runs/reference/study/rta/seed0/policy.pt"
+RECORDED = 16_384  # states whose programs are kept
 EPISODES, STEPS = 256, 60  # flown to record states, controls and programs, from a typical half of them on
 Agent = Callable[[Tensor], Tensor]  # observations (B, n) to actions (B, 6)
 
@@ -68,43 +72,40 @@ def trained(experiment: Experiment) -> tuple[Experiment, Agent] | None:
 
 
 def record(experiment: Experiment, agent: Agent) -> Flight:
-    """Plays EPISODES from the initial distribution, and keeps what the filter meets in the later half of STEPS."""
-    met: list[tuple[Tensor, Tensor]] = []
-    asked: dict[int, list[Problems]] = {}
-    safety_filter, solver = experiment.filter, experiment.filter.solver
-    listening = copy(solver)
+    """Plays EPISODES from the initial distribution, and keeps what the filter meets in the later half of STEPS.
 
-    def solve(problems: Problems) -> Solutions:
-        asked.setdefault(len(problems.a), []).append(problems)
-        return solver.solve(problems)
+    Of a filter whose rows are of the rate of now also programs that it must solve.
+    """
+    met: list[tuple[Tensor, Tensor]] = []
 
     def correct(x: Tensor, desired: Tensor, **told: Tensor) -> Correction:
         met.append((x, desired))
-        return safety_filter.correct(x, desired, **told)
+        return experiment.filter.correct(x, desired, **told)
 
-    listening.solve = solve  # type: ignore[method-assign]
-    env = experiment.env(EPISODES)
+    env = experiment.env(EPISODES, compiled=experiment.compiled)
     env.put_behind(replace(experiment.safety, correct=correct))
-    safety_filter.solver = listening  # of the filter itself: a copy would not be compiled
-    try:
-        observation = env.reset()
-        for i in range(STEPS):
-            if i == STEPS // 2:
-                met.clear()
-                asked.clear()
-            observation = env.step(agent(observation)).observation
-    finally:
-        safety_filter.solver = solver
+    observation = env.reset()
+    for i in range(STEPS):
+        if i == STEPS // 2:
+            met.clear()
+        observation = env.step(agent(observation)).observation
     x, desired = (torch.cat(parts, 1) for parts in zip(*met, strict=True))
     order = shuffled(x)
-    return Flight(x[:, order], desired[:, order], [join(parts) for parts in asked.values()])
+    x, desired = x[:, order], desired[:, order]
+    some = () if experiment.filter.holds else programs(experiment.filter, x[:, :RECORDED], desired[:, :RECORDED])
+    return Flight(x, desired, [part for part in some if part.desired.numel()])
 
 
-def join(parts: list[Problems]) -> Problems:
-    """One batch of the programs of several, shuffled."""
-    fields = ([part.desired, part.a, part.b, part.b_bare] for part in parts)
-    whole = Problems(*(torch.cat(field, -1) for field in zip(*fields, strict=True)), parts[0].weight)
-    return whole[shuffled(whole.desired)]
+def programs(safety_filter: SafetyFilter, x: Tensor, desired: Tensor) -> list[Problems]:
+    """What must be solved at states (16, B) where these controls (6, B) are desired, by actuator group."""
+    control, _ = safety_filter.clip(desired)
+    found = []
+    for group in safety_filter.groups:
+        prepared = Prepared(*prepare(group, x, control))
+        unsafe = torch.nonzero(~(prepared.lowest[0] >= 0.0)).flatten()
+        own = control[group.controls] / group.limit
+        found.append(problems(group, prepared, own, group.limit)[unsafe])
+    return found
 
 
 def shuffled(x: Tensor) -> Tensor:

@@ -1,9 +1,11 @@
 """How fast everything is on this machine: simulator, filter, solvers and learner, by batch."""
 
 import math
+import os
 import platform
 import resource
 import sys
+import tempfile
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
@@ -13,6 +15,7 @@ from typing import Any
 import torch
 
 from interfaces.vector import VectorInspection6DoF
+from kernels.build import VARIABLE
 from rta.parameters import PERIODS
 from study.benchmark import rates
 from study.benchmark.breakdown import breakdown
@@ -44,7 +47,7 @@ def benchmark(config: Config, batches: tuple[int, ...]) -> dict[str, Any]:
         next to TYPICAL, the learner's at that next to its minibatch. `min_max` has the smallest and largest
         measurement of each under the same key; `scaling` has all three by batch: environments, spacecraft or
         samples at once, or programs for `qp_us`. `closed_loop_us` has `breakdown` by batch, and
-        `compile_s` what `compile_times` says, before anything else is compiled.
+        `compile_s` what `compile_times` says. `arithmetic` is of the filter, see `rates.arithmetic`.
     """
     compiled, largest = wants_compile(config.train.compile, True), max(batches)
     say = partial(print, file=sys.stderr, flush=True)
@@ -52,7 +55,8 @@ def benchmark(config: Config, batches: tuple[int, ...]) -> dict[str, Any]:
     say("learner and matrix products")
     bare = experiment_at(replace(config, train=replace(config.train, compile="off")), 1.0, largest)
     matrix_product = rates.matrix_product(bare.device)
-    compile_s = compile_times(bare, largest) if compiled else {}
+    bare_told = experiment_at(in_u1(bare.config), 1.0, largest)
+    compile_s = compile_times(bare, bare_told, largest) if compiled else {}
     learner = {n: rates.learner(bare, n, compiled) for n in batches}
 
     say("filter")
@@ -62,7 +66,8 @@ def benchmark(config: Config, batches: tuple[int, ...]) -> dict[str, Any]:
     flight = record(experiment, agent)
     filter_calls = {n: rates.filter_calls(experiment.filter, flight, n) for n in batches}
     onboard = experiment_at(config, 1.0, 1, "piqp").filter
-    latencies = rates.single_latencies(onboard, flight)
+    latencies = rates.single_latencies(experiment.filter, flight)
+    arithmetic = rates.arithmetic(experiment.filter) if experiment.filter.compiled else {}
     typical = nearest(batches, TYPICAL[experiment.device.type])
 
     say("filter with [uncertainty]")
@@ -72,7 +77,7 @@ def benchmark(config: Config, batches: tuple[int, ...]) -> dict[str, Any]:
     told_flight = record(of_u1, agent)._replace(programs=[])  # which are many
     # where controls are held, more at once take a minute each and are no faster
     told_calls = {n: rates.filter_calls(of_u1.filter, told_flight, n) for n in batches if n <= typical}
-    told_latencies = rates.single_latencies(experiment_at(told, 1.0, 1).filter, told_flight)
+    told_latencies = rates.single_latencies(of_u1.filter, told_flight)
 
     simulator: dict[str, dict[int, Spread]] = {name: {} for name in ("native", *rates.KINDS)}
     closed_loop: dict[str, dict[int, Spread]] = {name: {} for name in experiments}
@@ -94,7 +99,8 @@ def benchmark(config: Config, batches: tuple[int, ...]) -> dict[str, Any]:
     say("solvers")
     shipped = trained(experiment)
     met = flight.programs + (record(*shipped).programs if shipped else [])
-    solvers = {"piqp": onboard.solver, "batched": experiment.filter.solver}
+    batched = rates.compiled_solver(experiment.filter, TYPICAL_PROGRAMS, experiment.device)
+    solvers = {"piqp": onboard.solver, "batched": batched}
     qp_us = {name: {n: us(rates.programs(own, met, n)) for n in PROGRAMS} for name, own in solvers.items()}
 
     minibatch = nearest(batches, config.ppo.minibatch_size)
@@ -118,6 +124,7 @@ def benchmark(config: Config, batches: tuple[int, ...]) -> dict[str, Any]:
         "learner_matmul_share": flops / matrix_product["median"],
         "peak_memory_mb": peak_memory_mb(experiment.device),
         "compile_s": compile_s,
+        "arithmetic": arithmetic,
         "scaling": scaling,
         "min_max": pick_out(headline, lambda s: [s["min"], s["max"]])
         | {name: [ms[0], ms[-1]] for name, ms in single.items()},
@@ -136,17 +143,25 @@ def in_u1(config: Config) -> Config:
     return replace(config, uncertainty=u1.uncertainty, plant=u1.plant)
 
 
-@torch.enable_grad()
-def compile_times(bare: Experiment, batch: int) -> dict[str, float]:
-    """s until filter, simulator and learner are compiled for a training run, less where the cache holds them."""
+def compile_times(bare: Experiment, told: Experiment, batch: int) -> dict[str, float]:
+    """s until filter and simulator are compiled for a training run, and a filter with bounds: with an empty cache."""
     parts = {
         "filter": partial(bare.filter.compile, bare.device, batch),
         "simulator": bare.env(batch).compile,
-        "learner": partial(rates.fresh_learner(bare).compile, bare.config.train.batch),
+        "filter with [uncertainty]": partial(told.filter.compile, told.device, batch),
     }
-    return {
-        name: seconds(partial(compile_or_explain, name, part), bare.device) for name, part in parts.items()
-    }
+    kept = os.environ.get(VARIABLE)
+    try:
+        with tempfile.TemporaryDirectory() as empty:
+            os.environ[VARIABLE] = empty
+            return {
+                name: seconds(partial(compile_or_explain, name, part), bare.device)
+                for name, part in parts.items()
+            }
+    finally:
+        os.environ.pop(VARIABLE)
+        if kept is not None:
+            os.environ[VARIABLE] = kept
 
 
 def nearest(batches: tuple[int, ...], wanted: int) -> int:

@@ -43,14 +43,19 @@ def table(results: dict[str, Any]) -> str:
     measured("filter with [uncertainty]", unit, "told_filter_calls_per_s")
     for name in results["qp_us"]:
         measured(f"{name}, {TYPICAL_PROGRAMS:,} programs at once", "us per QP", "qp_us", name)
-    singles = {"PIQP": "single_filter_latency_ms", "with [uncertainty]": "told_filter_latency_ms"}
+    singles = {"": "single_filter_latency_ms", ", with [uncertainty]": "told_filter_latency_ms"}
     for label, key in singles.items():
-        measured(f"single filter call, {label}", f"ms, p99 {results[key]['p99']:.3f}", key, "median")
+        measured(f"single filter call{label}", f"ms, p99 {results[key]['p99']:.3f}", key, "median")
     measured("learner", "samples/s", "learner_samples_per_s")
     measured("float32 matrix product", "Gflop/s", "matmul_gflops")
     share = 100 * results["learner_matmul_share"]
     lines.append(f"{'learner, share of the matrix product rate':44}{share:>14.1f}  %")
     lines.append(f"{'peak memory':44}{results['peak_memory_mb']:>14,.0f}  MB")
+
+    if found := results["arithmetic"]:
+        share = f"{100 * found['statements_per_s'] / found['peak']:.0f} % of the rate of sums and products alone"
+        line = f"{found['statements']:>14,}  in {found['us']:.2f} us, {share}"
+        lines.append(f"{'statements of a filter call, one core':44}{line}")
 
     curves = scaling_curves(results)
     for kind, rates in results["scaling"]["gymnasium_steps_per_s"].items():

@@ -10,7 +10,9 @@ from torch import Tensor
 from inspection.environment import InspectionEnv
 from inspection.state import CONTROL_SIZE
 from interfaces.vector import VectorInspection6DoF
+from kernels import Compiled
 from ppo.learner import PPO
+from rta.batched_solver import BatchedSolver
 from rta.filter import SafetyFilter
 from rta.qp import Problems, Solver
 from study.benchmark.flights import Agent, Flight
@@ -21,6 +23,7 @@ KINDS = {"numpy": "NumPy", "torch": "PyTorch"}  # of arrays that Gymnasium's int
 WARM_CALLS, SINGLE_CALLS = 50, 1000
 SAMPLES = 16384  # of an update, at least
 MATRIX = 1024
+CHAIN, INDEPENDENT = 200, 12  # products and sums in a row, and how many such rows at once
 
 
 def simulator(gym_env: VectorInspection6DoF, flight: Flight) -> dict[str, Spread]:
@@ -65,14 +68,10 @@ def nothing_sent(safety_filter: SafetyFilter, flight: Flight, batch: int) -> Ten
 
 
 def single_latencies(safety_filter: SafetyFilter, flight: Flight) -> list[float]:
-    """ms of SINGLE_CALLS filter calls, each of another single spacecraft, sorted."""
-    columns = (part.split(1, 1) for part in flight.take(WARM_CALLS + SINGLE_CALLS))
-    sent = nothing_sent(safety_filter, flight, 1)
-    calls = [
-        partial(safety_filter.correct, x.contiguous(), u.contiguous(), sent)
-        for x, u in zip(*columns, strict=True)
-    ]
-    return sorted([1e3 * seconds(call, flight.x.device) for call in calls][WARM_CALLS:])
+    """ms of SINGLE_CALLS filter calls, each of another single spacecraft, NumPy in and out, sorted."""
+    x, desired = (part.numpy(force=True).T.copy() for part in flight.take(WARM_CALLS + SINGLE_CALLS))
+    calls = [partial(safety_filter, *given) for given in zip(x, desired, strict=True)]
+    return sorted([1e3 * seconds(call, torch.device("cpu")) for call in calls][WARM_CALLS:])
 
 
 def programs(solver: Solver, met: list[Problems], batch: int) -> Spread:
@@ -84,6 +83,37 @@ def programs(solver: Solver, met: list[Problems], batch: int) -> Spread:
             solver.solve(part)
 
     return per_second(solve, batch * len(parts), parts[0].a.device)
+
+
+def compiled_solver(safety_filter: SafetyFilter, batch: int, device: torch.device) -> BatchedSolver:
+    """The batched solver as Python calls it, its attempt compiled where that can be."""
+    solver = BatchedSolver()
+    rows = max(len(group.weights) for group in safety_filter.groups)
+    compile_or_explain("solver", partial(solver.compile, [rows], batch, device))
+    return solver
+
+
+def arithmetic(safety_filter: SafetyFilter) -> dict[str, float]:
+    """Of the filter's C on one core: statements and their rate, beside that of sums and products of nothing else.
+
+    Returns:
+        "statements" of a spacecraft's call; "us" that it takes; "statements_per_s", and the "peak" of these.
+    """
+    whole = safety_filter.compiled
+    assert whole is not None
+
+    def chains(x: Tensor) -> list[Tensor]:
+        for _ in range(CHAIN):
+            x = x * 0.5 + 1.0
+        return [x]
+
+    independent = Compiled(chains, torch.ones(INDEPENDENT, 1, dtype=torch.float64)).run
+    return {
+        "statements": whole.statements,
+        "us": 1e6 * whole.seconds,
+        "statements_per_s": whole.statements / whole.seconds,
+        "peak": 2 * CHAIN * INDEPENDENT / independent.seconds,
+    }
 
 
 def fresh_learner(experiment: Experiment, **settings: Any) -> PPO:
@@ -98,7 +128,7 @@ def learner(experiment: Experiment, minibatch: int, compiled: bool) -> Spread:
     """Samples per s of PPO updates: a sample counts once per epoch that trains on it."""
     fresh = fresh_learner(experiment, epochs=1, minibatch_size=minibatch)
     samples = max(SAMPLES, minibatch)
-    if compiled:
+    if compiled and experiment.device.type == "cuda":
         compile_or_explain("learner", partial(fresh.compile, samples))
     noise = partial(torch.randn, generator=fresh.generators[0], device=experiment.device)
     batch = {"observation": noise(1, samples, fresh.policy.network.layers[0].weight.shape[1])}

@@ -99,7 +99,7 @@ class Run:
         self.policy = self.experiment.policy(generators)
         value = self.experiment.value(generators)
         learner = PPO(self.policy, value, config.ppo, generators, self.shard.learners, self.shard.seeds.start)
-        if self.experiment.compiled:
+        if self.experiment.compiled and self.device.type == "cuda":  # on a CPU it would be no faster
             compile_or_explain("learner", lambda: learner.compile(train.batch))
         env = Adversary(self.env, train.adversary) if train.adversary else self.env
         from_applied = train.learn_from == "applied"
