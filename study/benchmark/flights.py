@@ -92,7 +92,9 @@ def record(experiment: Experiment, agent: Agent) -> Flight:
     x, desired = (torch.cat(parts, 1) for parts in zip(*met, strict=True))
     order = shuffled(x)
     x, desired = x[:, order], desired[:, order]
-    some = () if experiment.filter.holds else programs(experiment.filter, x[:, :RECORDED], desired[:, :RECORDED])
+    some = (
+        () if experiment.filter.holds else programs(experiment.filter, x[:, :RECORDED], desired[:, :RECORDED])
+    )
     return Flight(x, desired, [part for part in some if part.desired.numel()])
 
 

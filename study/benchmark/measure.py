@@ -99,8 +99,10 @@ def benchmark(config: Config, batches: tuple[int, ...]) -> dict[str, Any]:
     say("solvers")
     shipped = trained(experiment)
     met = flight.programs + (record(*shipped).programs if shipped else [])
-    batched = rates.compiled_solver(experiment.filter, TYPICAL_PROGRAMS, experiment.device)
-    solvers = {"piqp": onboard.solver, "batched": batched}
+    solvers = {
+        "piqp": onboard.solver,
+        "batched": rates.batched_solver(experiment, TYPICAL_PROGRAMS, compiled),
+    }
     qp_us = {name: {n: us(rates.programs(own, met, n)) for n in PROGRAMS} for name, own in solvers.items()}
 
     minibatch = nearest(batches, config.ppo.minibatch_size)

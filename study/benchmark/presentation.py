@@ -53,7 +53,9 @@ def table(results: dict[str, Any]) -> str:
     lines.append(f"{'peak memory':44}{results['peak_memory_mb']:>14,.0f}  MB")
 
     if found := results["arithmetic"]:
-        share = f"{100 * found['statements_per_s'] / found['peak']:.0f} % of the rate of sums and products alone"
+        share = (
+            f"{100 * found['statements_per_s'] / found['peak']:.0f} % of the rate of sums and products alone"
+        )
         line = f"{found['statements']:>14,}  in {found['us']:.2f} us, {share}"
         lines.append(f"{'statements of a filter call, one core':44}{line}")
 

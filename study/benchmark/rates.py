@@ -85,11 +85,12 @@ def programs(solver: Solver, met: list[Problems], batch: int) -> Spread:
     return per_second(solve, batch * len(parts), parts[0].a.device)
 
 
-def compiled_solver(safety_filter: SafetyFilter, batch: int, device: torch.device) -> BatchedSolver:
-    """The batched solver as Python calls it, its attempt compiled where that can be."""
+def batched_solver(experiment: Experiment, batch: int, compiled: bool) -> BatchedSolver:
+    """The batched solver as PyTorch runs it, its attempt compiled if wanted."""
     solver = BatchedSolver()
-    rows = max(len(group.weights) for group in safety_filter.groups)
-    compile_or_explain("solver", partial(solver.compile, [rows], batch, device))
+    rows = max(len(group.weights) for group in experiment.filter.groups)
+    if compiled:
+        compile_or_explain("solver", partial(solver.compile, [rows], batch, experiment.device))
     return solver
 
 

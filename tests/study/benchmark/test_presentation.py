@@ -43,6 +43,7 @@ def results() -> dict[str, Any]:
         "learner_matmul_share": 0.5,
         "peak_memory_mb": 1234.5,
         "compile_s": {"filter": 60.04},
+        "arithmetic": {"statements": 6543, "us": 0.5, "statements_per_s": 2e10, "peak": 5e10},
         "scaling": scaling,
         "min_max": low_high
         | {"single_filter_latency_ms": [0.25, 2.5], "told_filter_latency_ms": [4.0, 30.0]},
@@ -61,7 +62,9 @@ def results() -> dict[str, Any]:
         "simulator through Gymnasium, NumPy                   3,000  [1,500, 6,000] steps/s, 75 % of the simulator's",
         "closed loop, RTA at 5 s                            200.000  [100.000, 400.000] steps/s",
         "batched, 1,024 programs at once                      2.000  [1.000, 4.000] us per QP",
-        "single filter call, PIQP                             0.350  [0.250, 2.500] ms, p99 1.250",
+        "statements of a filter call, one core                6,543  in 0.50 us, 40 % of the rate of sums and "
+        "products alone",
+        "single filter call                                   0.350  [0.250, 2.500] ms, p99 1.250",
         "filter with [uncertainty]                          500.000  "
         "[250.000, 1,000.000] calls/s, 25 % of the filter's",
         "single filter call, with [uncertainty]               4.500  [4.000, 30.000] ms, p99 20.000",

@@ -1,14 +1,15 @@
 """Rates count what they claim to count."""
 
 from dataclasses import replace
-from types import SimpleNamespace
 
+import numpy as np
+import pytest
 import torch
 from torch.utils.flop_counter import FlopCounterMode
 
 from inspection.state import CONTROL_SIZE
+from rta.filter import SafetyFilter
 from rta.qp import Problems, Solutions
-from rta.uncertainty import Uncertainty
 from study.benchmark import rates
 from study.benchmark.flights import Flight
 from study.config import Config
@@ -30,16 +31,25 @@ def test_single_calls_meet_one_spacecraft_after_another(monkeypatch) -> None:
     monkeypatch.setattr(rates, "SINGLE_CALLS", 3)
     met: list[float] = []
 
-    def correct(x: torch.Tensor, desired: torch.Tensor, sent: torch.Tensor) -> None:
-        assert x.shape == (16, 1) and desired.shape == (6, 1) and sent.shape == (2, 6, 1)
-        assert x.is_contiguous() and desired.is_contiguous() and x[0, 0] == desired[0, 0]
-        met.append(x[0, 0].item())
+    def safety_filter(x: np.ndarray, desired: np.ndarray) -> None:
+        assert x.shape == (16,) and desired.shape == (6,) and x.flags.c_contiguous
+        assert x[0] == desired[0]
+        met.append(x[0])
 
     number = torch.arange(4.0)
     flight = Flight(number.expand(16, -1), number.expand(6, -1), [])
-    latencies = rates.single_latencies(SimpleNamespace(correct=correct, known=Uncertainty(latency=2)), flight)
+    latencies = rates.single_latencies(safety_filter, flight)
     assert met == [0.0, 1.0, 2.0, 3.0, 0.0]
     assert len(latencies) == 3 and latencies == sorted(latencies)
+
+
+def test_a_filter_call_is_held_against_what_the_core_can_do() -> None:
+    safety_filter = SafetyFilter()
+    safety_filter.compile("cpu", 256)
+    found = rates.arithmetic(safety_filter)
+    assert found["statements"] > 4000
+    assert found["statements_per_s"] == pytest.approx(1e6 * found["statements"] / found["us"])
+    assert 0.0 < found["statements_per_s"] < found["peak"]
 
 
 def test_a_solver_is_given_as_many_programs_of_each_group_as_are_counted(monkeypatch) -> None:
