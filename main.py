@@ -22,6 +22,7 @@ if __name__ == "__main__":
 from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
 
+from kernels.build import VARIABLE
 from ppo.checkpoint import CheckpointError
 from ppo.distributed import RankLostError, is_first, ranks
 from ppo.learner import NonFiniteError
@@ -236,10 +237,23 @@ def run_benchmark(
             presentation.figure(results, file)
 
 
-def run_export(checkpoint: str | None = None, out: str | None = None, c: str | None = None) -> None:
+def run_export(
+    configure: Configure,
+    checkpoint: str | None = None,
+    out: str | None = None,
+    c: str | None = None,
+    filter: str | None = None,
+    float: bool = False,
+) -> None:
     """main.py export"""
     from study.experiment import load_policy
 
+    if filter is not None:
+        from study import export_filter
+
+        config = configure(StudyConfig()).of_arm("rta")
+        print(export_filter.export(config, Path(filter), "float" if float else "double"))
+        return
     if checkpoint is None:
         raise InputError(f"--checkpoint F is needed by {'--out' if c is None else '--c'}")
     policy, config = load_policy(checkpoint)
@@ -289,6 +303,8 @@ def main(argv: list[str] | None = None) -> int:
                 )
             check_files(arguments)
             THREADS.ask(getattr(arguments, "threads", None))
+            if cache := getattr(arguments, "cache_dir", None):
+                os.environ[VARIABLE] = cache
             HANDLERS[arguments.command](**parameters(arguments))
     except (InputError, CheckpointError) as error:
         return complain(f"{error}", 2)

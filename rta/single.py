@@ -8,7 +8,7 @@ TOLERANCES = {
     "VIOLATED": "1e-6f",
     "DEPENDENT": "1e-7f",
     "BLOCKING": "1e-6f",
-    "ACCURATE": "1e-3f",
+    "ACCURATE": "1e-2f",
     "ROUNDED": "5e-7f",
     "FEASIBLE": "1e-5f",
     "TOLERATED": "1e-5f",

@@ -90,7 +90,12 @@ def of_hull(chief: ChiefParameters) -> dict[str, Any]:
 
 
 def fingerprint(config: Config) -> str:
-    """Of `relevant`, less a plant that is the model, bounds that are nil and LATER defaults: 12 hexadecimal digits.
+    """The first 12 hexadecimal digits of `settings_digest`."""
+    return settings_digest(config)[:12]
+
+
+def settings_digest(config: Config) -> str:
+    """SHA-256 of `relevant`, less a plant that is the model, bounds that are nil and LATER defaults.
 
     The chief counts where its hull is what to stay clear of.
     """
@@ -106,7 +111,7 @@ def fingerprint(config: Config) -> str:
         return not (nil.get(table, False) or (key in later and value == getattr(default, key)))
 
     settings = {name: value for name, value in relevant(config).items() if counts(name, value)}
-    return hashlib.sha256(json.dumps(settings, sort_keys=True).encode()).hexdigest()[:12]
+    return hashlib.sha256(json.dumps(settings, sort_keys=True).encode()).hexdigest()
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,7 @@ from typing import Any
 
 from inspection.parameters import AXES
 from inspection.plant import SIMULATORS
+from kernels.build import VARIABLE
 from rta.parameters import QP_SOLVERS
 from study import config as configuration
 from study.command_line.flags import (
@@ -37,7 +38,7 @@ SETTINGS = {"config": ()} | {
     for table, part in vars(StudyConfig()).items()
     for key, value in vars(part).items()
 }
-OF_THE_PROCESS = {"threads": None}  # what a flag can set that is no part of an experiment
+OF_THE_PROCESS = {"threads": None, "cache_dir": None}  # what a flag can set that is no part of an experiment
 Handler = Callable[..., None]  # of a command; its parameters are `configure` and the flags that set nothing
 
 
@@ -49,27 +50,36 @@ CONFIG = read(
     metavar="FILE",
     action="append",
 )
+PERIOD = Flag(
+    "--rta-period",
+    "seconds between two calls of the filter: 1, 5 or 10",
+    "rta.period",
+    type=period,
+    metavar="S",
+)
+PANELS = Flag(
+    "--solar-panel-axis",
+    "body axis that the solar panels face",
+    "inspection.solar_panel_axis",
+    choices=tuple(AXES),
+)
+CACHE = Flag(
+    "--cache-dir",
+    f"directory that keeps what is compiled (default: ${VARIABLE}, or rta-inspection in the user's cache directory)",
+    metavar="DIR",
+)
+OF_THE_FILTER = ("--config", "--rta-period", "--solar-panel-axis", "--float")
 COMMON = (
     CONFIG,
-    Flag(
-        "--rta-period",
-        "seconds between two calls of the filter: 1, 5 or 10",
-        "rta.period",
-        type=period,
-        metavar="S",
-    ),
-    Flag(
-        "--solar-panel-axis",
-        "body axis that the solar panels face",
-        "inspection.solar_panel_axis",
-        choices=tuple(AXES),
-    ),
+    PERIOD,
+    PANELS,
     Flag(
         "--compile",
-        "torch.compile filter, simulator and learner; auto: for runs long enough to repay it",
+        "compile filter and simulator with the C compiler; auto: for runs long enough to repay it",
         "train.compile",
         choices=("auto", "on", "off"),
     ),
+    CACHE,
     DEVICE,
     Flag(
         "--qp-solver",
@@ -293,8 +303,9 @@ COMMANDS = {
         DEVICE,
         THREADS,
         Flag(
-            "--compile", "torch.compile filter, simulator and learner", "train.compile", choices=("on", "off")
+            "--compile", "compile filter and simulator with the C compiler", "train.compile", choices=("on", "off")
         ),
+        CACHE,
         Flag(
             "--batches",
             "episodes, spacecraft and samples at once (default: 256 to 65,536 in powers of 4)",
@@ -306,11 +317,24 @@ COMMANDS = {
         imposed={"train.compile": "on"},
     ),
     "export": Command(
-        "write an agent as an ONNX file, checked against PyTorch, or as C with a test that does so",
+        "write an agent as an ONNX file, checked against PyTorch, or as C with a test that does so; or the filter as C",
         AGENT.saying("the agent to export"),
+        CONFIG.saying("TOML file with the filter's settings; of several, each over the one before"),
+        PERIOD,
+        PANELS,
+        Flag("--float", "the filter in single precision", action="store_true"),
         one_of=(
-            written("exported agent", "--out", "ONNX file to write", "F.onnx"),
-            directory("--c", "directory to create for C99 sources, or that holds those of an agent"),
+            written("exported agent", "--out", "ONNX file to write", "F.onnx", without=OF_THE_FILTER),
+            directory(
+                "--c",
+                "directory to create for C99 sources, or that holds those of an agent",
+                without=OF_THE_FILTER,
+            ),
+            directory(
+                "--filter",
+                "directory to create for the filter's C99 sources, or that holds those of a filter",
+                without=("--checkpoint",),
+            ),
         ),
     ),
 }

@@ -151,6 +151,6 @@ directory = partial(Flag, metavar="D")
 read = partial(Flag, reads=True, metavar="F")
 
 
-def written(kind: str, name: str, text: str, metavar: str = "F") -> Flag:
-    """A flag for a file of one of `study.command_line.paths.KINDS` that is written."""
-    return Flag(name, text, writes=kind, metavar=metavar)
+def written(kind: str, name: str, text: str, metavar: str = "F", without: tuple[str, ...] = ()) -> Flag:
+    """A flag for a file of one of `study.command_line.paths.KINDS` that is written; `without` as of `Flag`."""
+    return Flag(name, text, writes=kind, metavar=metavar, without=without)
