@@ -17,9 +17,10 @@ from dataclasses import dataclass
 import numpy as np
 
 NUMBER, MASK = "number", "mask"
+MOST = 80_000  # expressions: the compiler takes half a minute
 
 
-@dataclass(frozen=True, eq=False, slots=True)
+@dataclass(frozen=True, eq=False, repr=False, slots=True)
 class Expression:
     """An operation on values.
 
@@ -77,7 +78,8 @@ FOLDED: dict[str, Callable[..., Value]] = {
                                          "hypot", "copysign")},
 }  # fmt: skip
 COMMUTATIVE = {"add", "mul", "eq", "and", "or"}
-REDUCTIONS = {"sum": "add", "least": "min", "most": "max", "any": "or"}
+# what joins the entries along the long axis; the last two give the index of the first least or most one
+REDUCTIONS = {"sum": "add", "least": "min", "most": "max", "any": "or", "least_at": "le", "most_at": "le"}
 # what rounds no number that is one of single precision
 EXACT = {
     "neg",
@@ -119,6 +121,8 @@ class Program:
         """The expression, new or known."""
         key = (operation, *(identity(a) for a in arguments))
         if key not in self.known:
+            if len(self.expressions) == MOST:
+                raise NotImplementedError(f"after {MOST:,} others, too many for a C compiler,")
             own = [a for a in arguments if isinstance(a, Expression)]
             self.known[key] = Expression(
                 operation,
@@ -146,6 +150,14 @@ class Program:
         self.tables.setdefault(numbers.tobytes(), tuple(numbers.tolist()))
         entry = self.make("table", str(list(self.tables).index(numbers.tobytes())), varies=True)
         return self.mask(entry) if isinstance(values[0], bool) else entry
+
+    def lookup(self, entry: Value, index: Value) -> Value:
+        """What a value along the long axis is at a computed index."""
+        if not isinstance(entry, Expression) or not entry.varies:
+            return entry
+        if entry.operation != "table":
+            raise NotImplementedError("of what is computed, along an axis that is looped over,")
+        return self.make("lookup", *entry.arguments, index)
 
     def apply(self, operation: str, *arguments: Value, kind: str = NUMBER) -> Value:
         """An operation, folded where all arguments are literals."""
@@ -321,8 +333,10 @@ class Program:
     # along the long axis
 
     def reduce(self, operation: str, a: Value, count: int) -> Value:
-        """The sum, least, most or any of what varies along the long axis of so many entries."""
+        """The sum, least, most or any of what varies along the long axis of so many entries, or where that is."""
         if not isinstance(a, Expression) or not a.varies:
+            if operation.endswith("_at"):
+                return 0.0
             return self.mul(self.number(a), float(count)) if operation == "sum" else a
         a = self.mask(a) if operation == "any" else self.number(a)
         return self.make(operation, a, kind=a.kind, varies=False, stage=a.stage + 1)

@@ -9,7 +9,7 @@ import traceback
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -20,7 +20,7 @@ from torch.utils._python_dispatch import TorchDispatchMode
 
 from kernels.expressions import MASK, NUMBER, Program, Value, kind_of
 from kernels.operations import Operations
-from kernels.shapes import depends, filled
+from kernels.shapes import filled
 from kernels.text import TYPES, Part, element
 from kernels.trace import TRACING
 
@@ -42,39 +42,60 @@ class Unprintable(NotImplementedError):
     """What cannot be printed, why, and where it is wanted."""
 
 
+class Known(NamedTuple):
+    """What is known of a tensor.
+
+    Attributes:
+        tensor: kept, so that no other is given its id or its memory.
+        values: an array of its shape, see `kernels.shapes`.
+        fixed: its numbers are the same for any arguments, until something else is written to its memory.
+    """
+
+    tensor: Tensor
+    values: ndarray
+    fixed: bool
+
+
 class Recorder(TorchDispatchMode):
     """Has every operation that PyTorch runs done on values, too.
 
     Tensors that share memory have arrays that do, so that what is written in place is seen in all of them. A tensor
-    that no recorded operation made is a constant.
+    that no recorded operation made is a constant. What is computed from constants alone, PyTorch has computed.
 
     Attributes:
-        arrays: each tensor with its values, by its id, which no other is given while it is kept here.
+        known: each tensor by its id; written, torn: memory that is not fixed any more, or that some view's array does
+            not share.
         is_double: float64 was computed.
     """
 
     def __init__(self, program: Program, long: int) -> None:
         super().__init__()
         self.program, self.operations = program, Operations(program, long)
-        self.arrays: dict[int, tuple[Tensor, ndarray]] = {}
-        self.torn: set[int] = set()  # memory of which a view's array is a copy
+        self.known: dict[int, Known] = {}
+        self.written: set[int] = set()
+        self.torn: set[int] = set()
         self.is_double = False
 
-    def put(self, tensor: Tensor, array: ndarray) -> None:
+    def put(self, tensor: Tensor, array: ndarray, fixed: bool = False) -> None:
         """Says what a tensor's values are."""
         if array.shape != self.operations.axes.short(tensor.shape):
             raise NotImplementedError("along an axis that is looped over")
-        self.arrays[id(tensor)] = tensor, array
+        self.known[id(tensor)] = Known(tensor, array, fixed)
 
     def values(self, given: Any) -> Any:
         """The values of a tensor, and of those in lists; anything else as it is."""
         if isinstance(given, Tensor):
-            if id(given) not in self.arrays:
+            if id(given) not in self.known:
                 array = self.constant(given)
                 array.flags.writeable = False  # it is not the function's own
-                self.put(given, array)
-            return self.arrays[id(given)][1]
+                self.put(given, array, fixed=True)
+            return self.known[id(given)].values
         return [self.values(each) for each in given] if isinstance(given, list | tuple) else given
+
+    def is_fixed(self, tensor: Tensor) -> bool:
+        """Whether a tensor's numbers are the same for any arguments."""
+        self.values(tensor)
+        return self.known[id(tensor)].fixed and memory(tensor) not in self.written
 
     def constant(self, tensor: Tensor) -> ndarray:
         """The values of a tensor as literals, along the long axis as tables."""
@@ -82,13 +103,15 @@ class Recorder(TorchDispatchMode):
         if tensor._is_zerotensor() or tensor.is_meta:
             tensor = torch.zeros(tensor.shape, dtype=tensor.dtype)
         array = tensor.detach().cpu().numpy()
-        long = self.operations.axes.long
-        if not long or long not in array.shape:
+        axes = self.operations.axes
+        axis = next((i for i, size in enumerate(array.shape) if axes.holds_long(size)), None)
+        if axis is None:
             return array.astype(bool if array.dtype == bool else float).astype(object)
-        axis = array.shape.index(long)
-        entries = np.moveaxis(array, axis, -1)
-        rows = entries.reshape(-1, long).tolist()
-        return np.expand_dims(filled([self.program.table(row) for row in rows], entries.shape[:-1]), axis)
+        times = array.shape[axis] // axes.long
+        apart = array.reshape(*array.shape[:axis], times, axes.long, *array.shape[axis + 1 :])
+        entries = np.moveaxis(apart, axis + 1, -1)
+        rows = entries.reshape(-1, axes.long).tolist()
+        return filled([self.program.table(row) for row in rows], axes.short(array.shape))
 
     def __torch_dispatch__(self, function: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
         """One operation."""
@@ -106,19 +129,20 @@ class Recorder(TorchDispatchMode):
         name = function.name().split("::")[1].split(".")[0]
         given = self.values(args)
         options = {key: self.values(each) for key, each in kwargs.items() if key not in PLACES_AND_TYPES}
-        is_computed = depends([*given, *options.values()])
-        check_tags(name, function.tags, is_computed)
+        operands = list(tensors([args, kwargs]))
+        fixed = all(self.is_fixed(each) for each in operands)
+        check_tags(name, function.tags, fixed)
         own = [each for each in tensors(result) if not each.is_meta]  # which has no numbers
-        self.operations.axes.given = [tuple(each.shape) for each in tensors([args, kwargs])]
         if not own:
             return
+        self.operations.axes.given = [tuple(each.shape) for each in operands]
         if name == "lift_fresh":  # a constant that the function makes for itself
-            self.put(result, given[0] if given[0].flags.writeable else given[0].copy())
+            self.put(result, given[0] if given[0].flags.writeable else given[0].copy(), fixed)
         elif name in self.operations.views:
-            self.view(own, args[0], self.viewed(name, given, options, own, is_computed))
-        elif name in OF_SHAPE or not is_computed:
+            self.view(own, args[0], self.viewed(name, given, options, own, fixed))
+        elif name in OF_SHAPE or fixed:
             for tensor in own:
-                self.write(tensor, self.constant(tensor), name)
+                self.write(tensor, self.constant(tensor), name, fixed=True)
         elif name.removesuffix("_") not in self.operations.by_name and function in decompositions():
             with self:  # what it is made of
                 found = decompositions()[function](*args, **kwargs)
@@ -129,35 +153,37 @@ class Recorder(TorchDispatchMode):
             for tensor, array in zip(own, found if isinstance(found, tuple) else [found], strict=True):
                 self.write(tensor, self.typed(array, tensor.dtype, name), name)
 
-    def write(self, tensor: Tensor, array: ndarray, name: str) -> None:
+    def write(self, tensor: Tensor, array: ndarray, name: str, fixed: bool = False) -> None:
         """Takes values for a tensor: for the one that an operation writes to in place, or for a new one."""
         if not name.endswith("_"):
-            self.put(tensor, array)
+            self.put(tensor, array, fixed)
             return
         own = self.values(tensor)
         if not own.flags.writeable:
             raise NotImplementedError("to a tensor that the function was given")
-        if tensor.untyped_storage().data_ptr() in self.torn:
+        if memory(tensor) in self.torn:
             raise NotImplementedError("to a tensor that others are views of")
+        if not fixed:
+            self.written.add(memory(tensor))
         own[...] = array
 
     def viewed(
-        self, name: str, given: Sequence[Any], options: dict[str, Any], own: Sequence[Tensor], is_computed: bool
+        self, name: str, given: Sequence[Any], options: dict[str, Any], own: Sequence[Tensor], fixed: bool
     ) -> Any:
         """The values of views; of constants copies will do."""
         try:
             return self.operations.call(name, *given, **options)
         except NotImplementedError:
-            if is_computed:
+            if not fixed:
                 raise
             return [self.constant(tensor) for tensor in own]
 
     def view(self, results: Sequence[Tensor], of: Tensor, found: Any) -> None:
         """Takes the values of views of a tensor."""
         for tensor, array in zip(results, found if isinstance(found, list) else [found], strict=True):
-            self.put(tensor, array)
+            self.put(tensor, array, self.known[id(of)].fixed)
             if array.size and not np.may_share_memory(array, self.values(of)):
-                self.torn.add(of.untyped_storage().data_ptr())
+                self.torn.add(memory(of))
 
     def typed(self, found: ndarray, dtype: torch.dtype, name: str) -> ndarray:
         """Values as their type in PyTorch has them: truth values or numbers, whole ones, or of single precision."""
@@ -184,7 +210,7 @@ class Watch(TorchFunctionMode):
 
     def __torch_function__(self, function: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
         """Any call of PyTorch's."""
-        if function in SEEN_BY and depends(self.recorder.values(args[0])):
+        if function in SEEN_BY and not self.recorder.is_fixed(args[0]):
             raise Unprintable(explained("", BRANCH))
         return function(*args, **(kwargs or {}))
 
@@ -246,12 +272,17 @@ def check_type(dtype: torch.dtype) -> None:
         raise NotImplementedError(f"of {dtype}")
 
 
-def check_tags(name: str, tags: Sequence[torch.Tag], is_computed: bool) -> None:
+def memory(tensor: Tensor) -> int:
+    """Where a tensor's numbers are; 0 where PyTorch only knows that they are zero."""
+    return 0 if tensor._is_zerotensor() else tensor.untyped_storage().data_ptr()
+
+
+def check_tags(name: str, tags: Sequence[torch.Tag], fixed: bool) -> None:
     """Refuses operations whose result is not determined, or not its shape, by what is recorded."""
     if torch.Tag.nondeterministic_seeded in tags:
         raise NotImplementedError("of random numbers")
     by_values = torch.Tag.dynamic_output_shape in tags and name != "index"
-    if is_computed and (by_values or torch.Tag.data_dependent_output in tags):
+    if not fixed and (by_values or torch.Tag.data_dependent_output in tags):
         raise NotImplementedError(BRANCH)
 
 

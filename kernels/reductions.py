@@ -41,10 +41,10 @@ class Reductions:
             "amax": self.most,
             "any": self.any,
             "all": lambda x, *given: self.call("logical_not", self.any(self.call("logical_not", x), *given)),
-            "min": partial(self.first, p.lt),
-            "max": partial(self.first, lambda a, b: p.lt(b, a)),
-            "argmin": lambda *given: self.first(p.lt, *given)[1],
-            "argmax": lambda *given: self.first(lambda a, b: p.lt(b, a), *given)[1],
+            "min": partial(self.first, "least"),
+            "max": partial(self.first, "most"),
+            "argmin": lambda *given: self.first("least", *given)[1],
+            "argmax": lambda *given: self.first("most", *given)[1],
             "linalg_vector_norm": self.norm,
             "logsumexp": self.logsumexp,
             "_softmax": self.softmax,
@@ -130,17 +130,23 @@ class Reductions:
         share = self.call("exp", self.call("sub", x, self.most(x, dim, True)))
         return self.call("div", share, self.sum(share, dim, True))
 
-    def first(self, before: Join, x: ndarray, dim: int, keepdim: bool = False) -> tuple[ndarray, ndarray]:
-        """The first least (or most) entry along an axis, and its index; NaN comes before all else."""
+    def first(self, kind: str, x: ndarray, dim: int, keepdim: bool = False) -> tuple[ndarray, ...]:
+        """The first least or most entry along an axis, and its index; NaN comes before all else."""
         p = self.program
         if dim is None:
             raise NotImplementedError("over all axes, so also over the columns; name an axis (dim)")
+        if self.axes.is_long(dim):
+            found = [self.over_long(each, x.squeeze(dim)) for each in (kind, f"{kind}_at")]
+            return tuple(np.expand_dims(each, dim) if keepdim else each for each in found)
         entries = np.moveaxis(x, self.axes.written(dim), 0)
         best, index = np.empty(entries.shape[1:], object), np.empty(entries.shape[1:], object)
         for place in np.ndindex(entries.shape[1:]):
             value, at = entries[(0, *place)], 0.0
             for i, other in enumerate(entries[(slice(1, None), *place)], 1):
-                better = p.or_(before(other, value), p.and_(p.not_(p.eq(other, other)), p.eq(value, value)))
+                stays = (
+                    p.le(value, other) if kind == "least" else p.le(other, value)
+                )  # not if one of them is NaN
+                better = p.and_(p.not_(stays), p.eq(value, value))
                 value, at = p.select(better, other, value), p.select(better, float(i), at)
             best[place], index[place] = value, at
         if keepdim:

@@ -15,3 +15,5 @@ typedef int M;
 #define MIN_LITERAL(a, b) (((b) < (a)) ? (b) : (a))
 #define MAX_LITERAL(a, b) (((b) > (a)) ? (b) : (a))
 #define SINGLE(a) ((V)(float)(a))
+/* an entry of a table of so many; where there is none, the first */
+#define LOOKUP(table, count, at) ((table)[((at) >= 0 && (at) < (count)) ? (long)(at) : 0])

@@ -4,13 +4,14 @@ An array has its tensor's shape, but for the long axis, if there is one: along t
 stands for all that lie along it.
 """
 
+import math
 from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
 from numpy import ndarray
 
-from kernels.expressions import Expression, Program, Value
+from kernels.expressions import MASK, Expression, Program, Value, kind_of
 
 
 class Axes:
@@ -33,12 +34,22 @@ class Axes:
         return self.given[0]
 
     def short(self, shape: Sequence[int]) -> tuple[int, ...]:
-        """The shape of the array of a tensor of this one."""
+        """The shape of the array of a tensor of this one; an axis that the long one was joined to is long, too."""
         if not self.long:
             return tuple(shape)
-        if list(shape).count(self.long) > 1:
+        self.tail(shape)
+        return tuple(size // self.long if self.holds_long(size) else size for size in shape)
+
+    def holds_long(self, size: int) -> bool:
+        """Whether an axis of this length is the long one, or one that it was joined to."""
+        return bool(self.long) and size > 0 and size % self.long == 0
+
+    def tail(self, shape: Sequence[int]) -> int:
+        """How many numbers of a tensor of this shape lie between two neighbours along the long axis."""
+        found = [i for i, size in enumerate(shape) if self.holds_long(size)]
+        if len(found) > 1:
             raise NotImplementedError("more than one axis that is looped over")
-        return tuple(1 if size == self.long else size for size in shape)
+        return math.prod(shape[found[0] + 1 :]) if found else 0
 
     def is_long(self, axis: int) -> bool:
         """Whether an axis of the first tensor is the long one."""
@@ -46,7 +57,7 @@ class Axes:
 
     def written(self, dim: int) -> int:
         """An axis of the first tensor, counted from the first one; it must not be the long one."""
-        if self.is_long(dim):
+        if self.holds_long(self.lengths[dim]):
             raise NotImplementedError("along an axis that is looped over")
         return dim % len(self.lengths)
 
@@ -68,7 +79,7 @@ class Shapes:
             "permute": lambda x, dims: x.transpose(dims),
             "unsqueeze": np.expand_dims,
             "squeeze": self.squeeze,
-            "view": lambda x, shape: x.reshape(axes.short(shape)),
+            "view": self.view,
             "expand": self.expand,
             "select": self.select,
             "slice": self.slice,
@@ -103,6 +114,15 @@ class Shapes:
         }
 
     # views
+
+    def view(self, x: ndarray, shape: Sequence[int]) -> ndarray:
+        """x in another shape; the long axis may be joined to those before it."""
+        if -1 in shape:
+            rest = math.prod(self.axes.lengths) // -math.prod(shape)
+            shape = [rest if size == -1 else size for size in shape]
+        if self.axes.tail(shape) != self.axes.tail(self.axes.lengths):
+            raise NotImplementedError("along an axis that is looped over")
+        return x.reshape(self.axes.short(shape))
 
     def squeeze(self, x: ndarray, dim: int | Sequence[int] | None = None) -> ndarray:
         """x without axes of length one: all of them, or those that are named."""
@@ -187,8 +207,25 @@ class Shapes:
     # at indices
 
     def index(self, x: ndarray, indices: Sequence[Any]) -> ndarray:
-        """x[indices] of known indices or masks, one per axis from the first one on; None: all along that axis."""
-        return x[self.known(indices)]
+        """x[indices], one per axis from the first one on; None: all along that axis.
+
+        Indices and masks are known, or one index is computed.
+        """
+        computed = [axis for axis, index in enumerate(indices) if depends(index)]
+        if not computed:
+            return x[self.known(indices)]
+        (axis,), (index,) = computed, [each for each in indices if each is not None]
+        entries = np.moveaxis(x, axis, 0)
+        if any(kind_of(each) == MASK for each in index.flat):
+            raise NotImplementedError("with a mask that is computed, instead of torch.where,")
+        p, count = self.program, float(self.axes.lengths[axis])
+        index = filled([p.select(p.lt(i, 0.0), p.add(i, count), i) for i in index.flat], index.shape)
+        found = np.empty((*index.shape, *entries.shape[1:]), dtype=object)
+        for place in np.ndindex(index.shape):
+            for other in np.ndindex(entries.shape[1:]):
+                column = entries[(slice(None), *other)]
+                found[place + other] = self.entry(column, index[place], self.axes.is_long(axis))
+        return np.moveaxis(found, range(index.ndim), range(axis, axis + index.ndim))
 
     def known(self, indices: Sequence[Any]) -> tuple[Any, ...]:
         """Indices as NumPy takes them."""
@@ -227,16 +264,18 @@ class Shapes:
 
     def gather(self, x: ndarray, dim: int, index: ndarray, **_: Any) -> ndarray:
         """x[index] along an axis; where the index is computed, one entry after the other is looked for."""
-        axis = self.axes.written(dim)
+        axis = dim % x.ndim
         entries = np.moveaxis(x, axis, 0)
         found = np.empty(index.shape, dtype=object)
         for place in np.ndindex(index.shape):
             column = entries[(slice(None), *place[:axis], *place[axis + 1 :])]
-            found[place] = self.entry(column, index[place])
+            found[place] = self.entry(column, index[place], self.axes.is_long(axis))
         return found
 
-    def entry(self, entries: ndarray, wanted: Value) -> Value:
-        """entries[wanted]."""
+    def entry(self, entries: ndarray, wanted: Value, along_long: bool) -> Value:
+        """entries[wanted], along the axis that is looped over or another one."""
+        if along_long:
+            return self.program.lookup(entries[0], wanted)
         if not isinstance(wanted, Expression):
             return entries[int(wanted)]
         result = entries[-1]

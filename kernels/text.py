@@ -73,7 +73,7 @@ class Body:
         wanted = {value.index for _, value, _ in self.stores if isinstance(value, Expression)}
         needed = with_arguments(self.program.expressions, wanted)
         last = max((each.stage for each in needed), default=0)
-        used = sorted({int(each.arguments[0]) for each in needed if each.operation == "table"})
+        used = sorted({int(each.arguments[0]) for each in needed if each.operation in ("table", "lookup")})
         lines = [f"    static const real table{i}[{self.long}] = {{{self.entries(i)}}};" for i in used]
         for stage in range(last + 1):
             own = [each for each in needed if not each.varies and each.stage == stage]
@@ -95,24 +95,42 @@ class Body:
         wanted = {a.index for each in reductions for a in each.arguments if isinstance(a, Expression)}
         wanted |= {value.index for _, value, _ in stores if isinstance(value, Expression)}
         inside = [each for each in needed if each.varies and each.operation != "input"]
-        lines = []
-        for each in reductions:
-            start = "NO" if each.kind == MASK else f"ALL({self.literal(START[each.operation])})"
-            lines.append(f"    {letter(each.kind == MASK)} t{each.index} = {start};")
+        lines = [f"    {line}" for each in reductions for line in self.starts(each)]
         lines.append(f"    for (int i = 0; i < {self.long}; i++) {{")
         lines += [self.line(each, 2) for each in with_arguments(inside, wanted)]
-        for each in reductions:
-            total = f"t{each.index}"
-            joined = formula(REDUCTIONS[each.operation], total, self.operand(each.arguments[0], each.kind))
-            lines.append(f"        {total} = {joined};")
+        lines += [f"        {line}" for each in reductions for line in self.joins(each)]
         lines += [f"        {place} = {self.operand(value, kind)};" for place, value, kind in stores]
         return [*lines, "    }"]
+
+    def starts(self, each: Expression) -> list[str]:
+        """The statements that a reduction begins with."""
+        start = (
+            "NO" if each.kind == MASK else f"ALL({self.literal(START[each.operation.removesuffix('_at')])})"
+        )
+        if each.operation.endswith("_at"):
+            return [f"V t{each.index} = ALL({self.literal(0.0)});", f"V of_t{each.index} = {start};"]
+        return [f"{letter(each.kind == MASK)} t{each.index} = {start};"]
+
+    def joins(self, each: Expression) -> list[str]:
+        """The statements that take one more entry into a reduction."""
+        total, entry = f"t{each.index}", self.operand(each.arguments[0], each.kind)
+        if not each.operation.endswith("_at"):
+            return [f"{total} = {formula(REDUCTIONS[each.operation], total, entry)};"]
+        # the first one stays, also if it is NaN, and NaN comes before all else
+        stays = f"of_{total} <= {entry}" if each.operation == "least_at" else f"{entry} <= of_{total}"
+        return [
+            f"const M is_{total} = AND(NOT({stays}), of_{total} == of_{total});",
+            f"{total} = SELECT(is_{total}, ALL(i), {total});",
+            f"of_{total} = SELECT(is_{total}, {entry}, of_{total});",
+        ]
 
     def line(self, each: Expression, depth: int) -> str:
         """The statement of an expression."""
         start = f"{'    ' * depth}const {letter(each.kind == MASK)} t{each.index} = "
         if each.operation == "table":
             return f"{start}ALL(table{each.arguments[0]}[i]);"
+        if each.operation == "lookup":
+            return f"{start}LOOKUP(table{each.arguments[0]}, {self.long}, {self.operand(each.arguments[1])});"
         whole = each.operation not in INFIX
         return f"{start}{formula(each.operation, *(self.operand(a, whole=whole) for a in each.arguments))};"
 
@@ -134,10 +152,11 @@ class Body:
 
 
 def element(part: Part, place: tuple[int, ...], shape: tuple[int, ...]) -> str:
-    """A component of an argument in C; where its axis is the long one (1 in `shape`), the loop's."""
+    """A component of an argument in C; along the long axis, which is shorter in `shape`, the loop's."""
     strides = [math.prod(part.shape[i + 1 :]) for i in range(len(part.shape))]
-    at = sum(i * stride for i, stride in zip(place, strides, strict=True))
-    long = [s for s, one, whole in zip(strides, shape, part.shape, strict=True) if one != whole]
+    axes = list(zip(place, strides, shape, part.shape, strict=True))
+    at = sum(i * stride * (whole // short) for i, stride, short, whole in axes)
+    long = [stride for _, stride, short, whole in axes if short != whole]
     return f"{part.name}[{at} + {long[0]} * i]" if long else f"{part.name}[{at}]"
 
 

@@ -40,6 +40,18 @@ static inline __attribute__((always_inline)) V select_v(M m, V a, V b)
         }                                                \
         return result;                                   \
     }
+/* an entry of a table of so many; where there is none, the first */
+#define LOOKUP(table, count, at) lookup(table, count, at)
+
+static inline V lookup(const real *table, long count, V at)
+{
+    V result;
+    for (int lane = 0; lane < W; lane++) {
+        result[lane] = table[at[lane] >= 0 && at[lane] < count ? (long)at[lane] : 0];
+    }
+    return result;
+}
+
 #define SINGLE_OF(a) ((real)(float)(a))
 BY_LANE(SINGLE, SINGLE_OF, inline)
 

@@ -1,0 +1,129 @@
+"""The functions of this project, printed: the same text for any example, and PyTorch's numbers to rounding."""
+
+import functools
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import pytest
+import torch
+from torch import Tensor
+
+import main
+from inspection import environment
+from inspection.environment import InspectionEnv
+from inspection.hull import beside
+from inspection.initial_state import InitialStates
+from inspection.parameters import InspectionParameters
+from inspection.state import OMEGA, THETA_S, E, P, Q, T, V
+from kernels import Compiled, printed
+from rta import batch, export
+from rta.filter import SafetyFilter
+from rta.held_rows import KINDS
+from rta.parameters import RtaParameters
+from study import config as configuration
+
+CONFIGS = Path(main.__file__).parent / "configs"
+FILES = {
+    "1 s": ["rta.toml"],
+    "5 s": ["rta_5s.toml"],
+    "U1": ["plants/u1.toml"],
+    "hull": ["chiefs/box.toml", "chiefs/hull.toml"],
+    "tumbling": ["chiefs/satellite.toml"],
+    "two-body": [],
+}
+FIELDS = "psi", "a", "b", "b_bare", "h", "doubt", "length", "lowest"
+
+
+class Call(NamedTuple):
+    """Of `printed`, or of `Compiled`."""
+
+    function: Callable[..., list[Tensor]]
+    examples: tuple[Tensor, ...]
+    options: dict[str, Any]
+
+
+class StopError(Exception):
+    """Nothing needs to be built."""
+
+
+@functools.cache
+def config_of(name: str) -> configuration.Config:
+    config = configuration.Config()
+    for file in FILES[name]:
+        config = configuration.load(CONFIGS / file, config)
+    orbit = {"orbit": "two-body", "eccentricity": 0.1} if name == "two-body" else {}
+    return replace(config, inspection=replace(config.inspection, **orbit))
+
+
+def filter_of(name: str) -> SafetyFilter:
+    config = config_of(name)
+    return SafetyFilter(beside(config.inspection, config.chief), config.rta, known=config.uncertainty)
+
+
+def calls_of_filter(name: str, monkeypatch: pytest.MonkeyPatch) -> list[Call]:
+    """What a filter prints."""
+    calls: list[Call] = []
+    safety_filter = filter_of(name)
+    planes = safety_filter.c.planes
+
+    def spy(function: Callable[..., list[Tensor]], *examples: Tensor, **options: Any) -> Any:
+        options.setdefault("long", len(planes))
+        calls.append(Call(function, examples, options))
+        return printed(function, *examples, **options)
+
+    def library(_: dict[str, str]) -> None:
+        raise StopError
+
+    for module in (batch, export):
+        monkeypatch.setattr(module, "printed", spy)
+    monkeypatch.setattr(batch, "library", library)
+    with pytest.raises(StopError):
+        batch.BatchFilter(safety_filter)
+    return calls
+
+
+def calls_of_env(name: str, monkeypatch: pytest.MonkeyPatch) -> list[Call]:
+    """What a simulator compiles."""
+    calls: list[Call] = []
+
+    def spy(function: Callable[..., list[Tensor]], *examples: Tensor, batch: int, long: int) -> Any:
+        calls.append(Call(function, examples, {"long": long}))
+        return function
+
+    monkeypatch.setattr(environment, "Compiled", spy)
+    env_of(name).compile()
+    return calls
+
+
+def env_of(name: str) -> InspectionEnv:
+    config = config_of(name)
+    safety = filter_of(name).safety(False)
+    generators = [torch.Generator().manual_seed(0)]
+    return InspectionEnv(16, config.inspection, generators, safety, plant=config.plant, target=config.chief)
+
+
+def other(example: Tensor, seed: int) -> Tensor:
+    """Another column of the same type."""
+    generator = torch.Generator().manual_seed(seed)
+    return (30.0 * torch.randn(example.shape, generator=generator)).to(example.dtype)
+
+
+@pytest.mark.parametrize("name", ["1 s", "5 s", "U1", "hull", "two-body"])
+def test_a_filter_is_printed_alike_for_any_example(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    check_prints(calls_of_filter(name, monkeypatch))
+
+
+@pytest.mark.parametrize("name", ["1 s", "U1", "tumbling", "two-body"])
+def test_a_simulator_is_printed_alike_for_any_example(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    check_prints(calls_of_env(name, monkeypatch))
+
+
+def check_prints(calls: list[Call]) -> None:
+    assert calls
+    for function, examples, options in calls:
+        one = printed(function, *examples, **options)
+        assert one.text == printed(function, *(other(x, 1) for x in examples), **options).text, options
