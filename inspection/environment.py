@@ -19,10 +19,11 @@ from inspection.parameters import ChiefParameters, InspectionParameters
 from inspection.plant import Plant, PlantParameters
 from inspection.reward import REWARDS, rewards, shaping
 from inspection.state import CONTROL_SIZE, SIZE, THETA_S, THRUST, TORQUE, P
-from inspection.surface import in_view, surface
+from inspection.surface import directions, groups, in_view, seen_from, surface
 from inspection.termination import OUTCOMES, ends, failures
 from inspection.tumbling import RATE, Tumbling
 from kernels import Compiled
+from kernels.printer import LEAST_LONG
 
 METRICS = ("inspected_score", "reward", "episode_length_s", "delta_v_m_s", "torque_n_m", "violation_percent")
 
@@ -249,8 +250,7 @@ class InspectionEnv:
     def compile(self) -> None:
         """Compiles integration, observation, constraint values, visibility and k-means for about as many episodes.
 
-        What a mesh hides is left to PyTorch, whose matrix products are as fast. Raises as `Compiled`, and changes
-        nothing then.
+        Raises as `Compiled`, and changes nothing then.
         """
         state = self.x, self._towards_priority, self.uninspected, self.time, *self._chiefs(slice(None))
         own = {"_normalised": self._compiled(self._normalised, *state)}
@@ -258,18 +258,36 @@ class InspectionEnv:
             own["_integrate"] = self._compiled(self._integrate, self.x, self.x[:CONTROL_SIZE], *self._bodies)
         if self.safety.values:
             own["_values"] = self._compiled(self.safety.values, self.x)
-        if not self.surface.cones:
-            own["_seen"] = self._several(
-                lambda *given: [self._in_view(*given)], self.x, *self._frames(slice(None))
-            )
+        own["_seen"] = self._looking(self.x, *self._frames(slice(None)))
         settle = self._several(partial(chief.lloyd, self.points), self.centres, self.inspected, self.alive)
         own["_settle"] = partial(settle, times=chief.LLOYD_ITERATIONS)
         vars(self).update(own)
 
-    def _several(self, function: Callable[..., list[Tensor]], *examples: Tensor) -> Compiled:
-        """A function compiled for tensors like the examples, with loops over the points."""
+    def _looking(self, *examples: Tensor) -> Callable[..., list[Tensor]]:
+        """What sees the points, compiled for tensors like the examples; of a mesh, each group of points by itself."""
+        if not self.tumbling:
+            return self._several(lambda *given: [self._in_view(*given)], *examples)
+        where = self._several(lambda *given: [directions(*given)], *examples)
+        runs = []
+        for part, count in groups(self.surface, LEAST_LONG):
+            points = len(part.areas)
+            run = self._several(
+                lambda seen, part=part: [seen_from(part, seen, self.c)], *where(*examples), points=points
+            )
+            runs.append((run, count))
+
+        def look(*given: Tensor) -> list[Tensor]:
+            seen = where(*given)
+            return [torch.cat([run(*seen)[0][:, :count] for run, count in runs], 1)]
+
+        return look
+
+    def _several(
+        self, function: Callable[..., list[Tensor]], *examples: Tensor, points: int | None = None
+    ) -> Compiled:
+        """A function compiled for tensors like the examples, with loops over so many points, None: all of them."""
         columns = [example[..., :1] for example in examples]
-        return Compiled(function, *columns, batch=self.time.numel(), long=self.points.shape[1])
+        return Compiled(function, *columns, batch=self.time.numel(), long=points or self.points.shape[1])
 
     def _compiled(self, function: Callable[..., Tensor], *examples: Tensor) -> Callable[..., Tensor]:
         """A function to one tensor, compiled for tensors like the examples."""

@@ -173,6 +173,27 @@ def ever_seen(whole: Surface, name: str) -> Surface:
     return grouped(whole, planes, seen)
 
 
+def groups(whole: Surface, least: int) -> list[tuple[Surface, int]]:
+    """The parts of a surface whose points have equally many cones, each repeated to at least so many; how many it has.
+
+    Without any cones it is all of it.
+    """
+    sizes = [group.shape[2] for group in whole.cones] or [len(whole.areas)]
+    found = []
+    for own, cones in zip(
+        torch.arange(sum(sizes)).split(sizes), whole.cones or (torch.empty(0),), strict=True
+    ):
+        many = torch.arange(max(least, len(own))) % len(own)
+        points, normals, areas = (
+            whole.points[:, own[many]],
+            whole.normals[:, own[many]],
+            whole.areas[own[many]],
+        )
+        part = Surface(points, normals, areas, whole.triangles, (cones[:, :, many],) if cones.numel() else ())
+        found.append((part, len(own)))
+    return found
+
+
 def covered(whole: Surface, place: Tensor) -> Tensor:
     """(N, B), positive where a cone of a point holds the place, a position [p, 1] (4, B) or a direction (3, B).
 
@@ -193,17 +214,24 @@ def light(whole: Surface, sun: Tensor) -> Tensor:
     return torch.where(covered(whole, sun) > 0.0, -1.0, facing) if whole.cones else facing
 
 
-def in_view(whole: Surface, x: Tensor, attitude: Tensor, c: InspectionParameters) -> Tensor:
-    """(2, N, B) bool, whether a point is lit, and whether it is also in view from x (16, B).
-
-    In view is what lies within the camera's cone about +n_x, above its point's own horizon, and is not hidden.
+def directions(x: Tensor, attitude: Tensor) -> Tensor:
+    """(9, B) float32 in the chief's frame: where the deputy is in m, whither its camera looks, and where the Sun is.
 
     Args:
-        attitude: of the chief (4, B), from its frame to Hill's.
+        x: states (16, B); attitude: of the chief (4, B), from its frame to Hill's.
     """
     to_chief = conjugate(attitude)
-    boresight = rotate(to_chief, torch.stack(body_axis(x[Q], 0))).float()
-    p, sun = (rotate(to_chief, each).float() for each in (x[P], sun_direction(x[THETA_S])))
+    boresight = torch.stack(body_axis(x[Q], 0))
+    parts = x[P], boresight, sun_direction(x[THETA_S])
+    return torch.cat([rotate(to_chief, each).float() for each in parts])
+
+
+def seen_from(whole: Surface, where: Tensor, c: InspectionParameters) -> Tensor:
+    """(2, N, B) bool, whether a point is lit, and whether it is also in view, from `directions` (9, B).
+
+    In view is what lies within the camera's cone about +n_x, above its point's own horizon, and is not hidden.
+    """
+    p, boresight, sun = where.split(3)
     points, normals = whole.points.float(), whole.normals.float()
     height = normals.T @ p - dot(points, normals)[:, None]
     to_point = (dot(points, points)[:, None] + dot(p, p) - 2.0 * (points.T @ p)).sqrt()
@@ -212,3 +240,8 @@ def in_view(whole: Surface, x: Tensor, attitude: Tensor, c: InspectionParameters
     if whole.cones:
         seen = torch.where(covered(whole, torch.cat((p, torch.ones_like(p[:1])))) > 0.0, -1.0, seen)
     return torch.stack((lit, lit.minimum(seen))) > 0.0
+
+
+def in_view(whole: Surface, x: Tensor, attitude: Tensor, c: InspectionParameters) -> Tensor:
+    """`seen_from` states x (16, B), where the chief has an attitude (4, B)."""
+    return seen_from(whole, directions(x, attitude), c)
