@@ -101,7 +101,7 @@ class Kernel:
     """
 
     def __init__(self, function: Printed, library: ctypes.CDLL | None = None) -> None:
-        self.shapes, self.dtypes = function.shapes, function.dtypes
+        self.parts, self.shapes, self.dtypes = function.inputs, function.shapes, function.dtypes
         self.inputs = [i for i, shape in enumerate(function.given) if 0 not in shape]
         if library is None:
             text = for_vectors(function.real) + function.text + batch(function)
@@ -116,7 +116,13 @@ class Kernel:
         return self.of([tensors[i] for i in self.inputs], tensors[0].shape[-1], times)
 
     def of(self, tensors: Sequence[Tensor], columns: int, times: int = 1) -> Parts:
-        """What the function returns of arguments that have components."""
+        """What the function returns of arguments that have components; ValueError where they are none of its own."""
+        for part, x in zip(self.parts, tensors, strict=True):
+            wanted = DTYPES[part.kind], (*part.shape, columns)
+            if (x.dtype, tuple(x.shape)) != wanted or not x.is_cpu:
+                raise ValueError(
+                    f"{part.name}: {x.dtype} {tuple(x.shape)} on {x.device}: must be {wanted} on the CPU"
+                )
         results = [
             torch.empty(*shape, columns, dtype=dtype)
             for shape, dtype in zip(self.shapes, self.dtypes, strict=True)
@@ -137,8 +143,6 @@ def batch(function: Printed) -> str:
     inputs, outputs = function.inputs, function.outputs
     both = (*inputs, *outputs)
     call = f"{function.name}({', '.join(part.name for part in both)});"
-    start, end = inputs[0].name, outputs[0].name
-    again = f"for (long again = 1; again < times && memcmp({start}, {end}, sizeof {end}); ++again) {{"
     lines = [
         f"void {function.name}_batch(long first, long last, const void *const *in, const long *in_step,",
         "    void *const *out, const long *out_step, long times)",
@@ -148,14 +152,28 @@ def batch(function: Printed) -> str:
         *(f"        {'M' if part.is_mask else 'V'} {part.name}[{part.size}];" for part in both),
         *(moved(part, f"in[{i}]", f"in_step[{i}]", "{0}[k] = load_{1}({2});") for i, part in enumerate(inputs)),
         f"        {call}",
-        *([f"        {again}", f"            memcpy({start}, {end}, sizeof {end});", f"            {call}", "        }"]
-          if (inputs[0].shape, inputs[0].kind) == (outputs[0].shape, outputs[0].kind) else []),
+        *repeated(function, call),
         *(moved(part, f"out[{i}]", f"out_step[{i}]", "store_{1}({2}, {0}[k]);") for i, part in enumerate(outputs)),
         "    }",
         "}",
         "",
     ]  # fmt: skip
     return "\n".join(lines)
+
+
+def repeated(function: Printed, call: str) -> list[str]:
+    """The lines of C that call a function again, if its first result may be its first argument."""
+    if not function.inputs or not function.outputs:
+        return []
+    start, end = function.inputs[0], function.outputs[0]
+    if (start.shape, start.kind) != (end.shape, end.kind):
+        return []
+    return [
+        f"        for (long k = 1; k < times && memcmp({start.name}, {end.name}, sizeof {end.name}); k++) {{",
+        f"            memcpy({start.name}, {end.name}, sizeof {end.name});",
+        f"            {call}",
+        "        }",
+    ]
 
 
 def moved(part: Part, place: str, step: str, how: str) -> str:
@@ -173,14 +191,9 @@ def over_columns(library: ctypes.CDLL, name: str, *more: type) -> Callable[..., 
 
 
 def strided(x: Tensor) -> Tensor:
-    """x (..., B) as it lies, if its columns are neighbours and its components evenly apart; else a copy that is."""
-    sizes, strides = x.shape, x.stride()
-    if strides[-1] != 1:
-        return x.contiguous()
-    for i in range(len(sizes) - 2):
-        if strides[i] != strides[i + 1] * sizes[i + 1]:
-            return x.contiguous()
-    return x
+    """x (..., B) as (components, B), as it lies if columns are neighbours and components evenly apart; else a copy."""
+    flat = x.reshape(-1, x.shape[-1])
+    return flat if flat.stride(1) == 1 or flat.shape[1] == 1 else flat.contiguous()
 
 
 def pointers(tensors: Sequence[Tensor]) -> tuple[Any, Any]:
