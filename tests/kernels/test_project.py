@@ -1,10 +1,8 @@
 """The functions of this project, printed: the same text for any example, and PyTorch's numbers to rounding."""
 
 import functools
-import math
 from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -16,14 +14,9 @@ import main
 from inspection import environment
 from inspection.environment import InspectionEnv
 from inspection.hull import beside
-from inspection.initial_state import InitialStates
-from inspection.parameters import InspectionParameters
-from inspection.state import OMEGA, THETA_S, E, P, Q, T, V
-from kernels import Compiled, printed
+from kernels import printed
 from rta import batch, export
 from rta.filter import SafetyFilter
-from rta.held_rows import KINDS
-from rta.parameters import RtaParameters
 from study import config as configuration
 
 CONFIGS = Path(main.__file__).parent / "configs"
@@ -35,7 +28,6 @@ FILES = {
     "tumbling": ["chiefs/satellite.toml"],
     "two-body": [],
 }
-FIELDS = "psi", "a", "b", "b_bare", "h", "doubt", "length", "lowest"
 
 
 class Call(NamedTuple):
