@@ -16,7 +16,7 @@ from torch import Tensor
 
 from rta import batched_solver
 from rta.batched_solver import BatchedSolver
-from rta.export import source
+from rta.export import source, tolerances
 from rta.filter import STEPS_HELD, FilterResult, SafetyFilter
 from rta.health import turning
 from rta.qp import Problems, Status
@@ -39,6 +39,7 @@ SOLVER = """#include <math.h>
 #define ACTIVE_MAX 240
 #define STEPS_MAX (4 * ACTIVE_MAX)
 #define CLASSES_MAX 4
+%s
 %s
 void solve_all(int count, int rows, const double *desired, const double *a, const double *b, const double *b_bare,
                const double *weight, double *control, int *status, double *residual);
@@ -90,7 +91,8 @@ def pointer(array: ndarray) -> ctypes.c_void_p:
 
 @pytest.fixture(scope="module")
 def solver(tmp_path_factory: pytest.TempPathFactory) -> ctypes.CDLL:
-    return compiled(SOLVER % Path("rta/driver/solver.c").read_text(), tmp_path_factory.mktemp("solver"))
+    text = SOLVER % ("\n".join(tolerances(holds=False)), Path("rta/driver/solver.c").read_text())
+    return compiled(text, tmp_path_factory.mktemp("solver"))
 
 
 def solved(solver: ctypes.CDLL, problems: Problems) -> tuple[ndarray, ndarray, ndarray]:
@@ -134,7 +136,7 @@ def test_degenerate_rows_are_solved_as_in_python(solver: ctypes.CDLL, added: Any
 @pytest.mark.parametrize("copies", [2, 8])
 def test_equal_rows_that_yield_are_all_active(solver: ctypes.CDLL, copies: int) -> None:
     """As often as passes repeat them: together they weigh so many times as much."""
-    p = synthetic(300, 22, seed=3)[torch.arange(100)]
+    p = synthetic(300, 22, seed=3)[torch.arange(30)]
     parts = (part.repeat(copies, *(1,) * (part.dim() - 1)) for part in (p.a, p.b, p.b_bare, p.weight))
     assert largest_difference(solver, Problems(p.desired, *parts)) <= 1e-9
 
@@ -256,7 +258,9 @@ def assert_same(
     return expected
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize(
+    "kind", [kind for kind in KINDS if kind not in ("10 s", "U1")]
+)  # which `test_export` compares
 def test_a_filter_in_c_is_that_in_python(made: Callable[[str], Driver], kind: str) -> None:
     driver, count = made(kind), 400
     known = driver.safety.known
