@@ -281,8 +281,10 @@ def table(declaration: str, values: Sequence[Any], comment: str = "") -> str:
 
 
 def entries(values: Sequence[Any]) -> str:
-    """Numbers, or lists of them, in braces."""
-    texts = (entries(v) if isinstance(v, list | tuple) else literal(v) for v in values)
+    """Numbers, or lists of them, in braces; shorter lists are filled up with zeros."""
+    longest = max((len(v) for v in values if isinstance(v, list | tuple)), default=0)
+    padded = ([*v, *[0] * (longest - len(v))] if isinstance(v, list | tuple) else v for v in values)
+    texts = (entries(v) if isinstance(v, list | tuple) else literal(v) for v in padded)
     return "{" + ", ".join(texts) + "}"
 
 

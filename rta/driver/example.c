@@ -45,7 +45,7 @@ int main(void)
     in.state[SAFETY_FILTER_STATE_ENERGY] = 4.0;
     in.state[SAFETY_FILTER_STATE_SUN] = 2.0;
     for (int k = 0; k < SAFETY_FILTER_CONSTRAINTS; ++k) {
-        lowest[k] = (double)INFINITY;
+        lowest[k] = INFINITY;
     }
     for (double time = 0.0; time < DURATION; time += SAFETY_FILTER_PERIOD) {
         struct safety_filter_output out;
@@ -59,7 +59,7 @@ int main(void)
         fly_a_period(in.state, out.control);
     }
     for (int k = 0; k < SAFETY_FILTER_CONSTRAINTS; ++k) {
-        (void)printf("%-22s h at least %11.4g\n", safety_filter_names[k], (double)lowest[k]);
+        (void)printf("%-22s h at least %11.4g\n", safety_filter_names[k], lowest[k]);
     }
     (void)printf("calls: %d as desired, %d corrected, %d with slack, %d unsolved; %d violations\n",
                  calls[SAFETY_FILTER_UNTOUCHED], calls[SAFETY_FILTER_HARD], calls[SAFETY_FILTER_SLACK],

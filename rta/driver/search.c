@@ -105,7 +105,10 @@ static void take(const struct situation *where, const struct answer *answer, str
         distance += off * off;
     }
     tried->holds = (least >= -TOLERATED) ? 1 : 0;
-    double score = (tried->holds != 0) ? (FARTHEST - distance) : -shortage(group, within);
+    double score = FARTHEST - distance;
+    if (tried->holds == 0) {
+        score = -shortage(group, within);
+    }
     score = isnan(score) ? -INFINITY : score;
     const double clearly = TOLERATED * fmax(fabs(best->score), 1.0);
     tried->is_better = ((is_first != 0) || ((score - best->score) > clearly)) ? 1 : 0;

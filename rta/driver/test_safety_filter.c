@@ -12,7 +12,7 @@ static const double limit[2] = {SAFETY_FILTER_THRUST, SAFETY_FILTER_TORQUE};
 static double difference(double a, double b, double unit)
 {
     const double off = fabs(a - b) / unit;
-    return (off >= 0.0) ? off : (double)INFINITY;
+    return (off >= 0.0) ? off : INFINITY;
 }
 
 /* Of the controls, in units of the actuators' limits; infinite where one is beyond them. */
@@ -21,7 +21,7 @@ static double off_control(int n, const struct safety_filter_output *out)
     double most = 0.0;
     for (int j = 0; j < 6; ++j) {
         const double off = difference(out->control[j], expected_control[n][j], limit[j / 3]);
-        most = fmax(most, (fabs(out->control[j]) <= limit[j / 3]) ? off : (double)INFINITY);
+        most = fmax(most, (fabs(out->control[j]) <= limit[j / 3]) ? off : INFINITY);
     }
     return most;
 }
@@ -55,7 +55,6 @@ int main(void)
     }
     const int passed = ((control <= TOLERANCE) && (values <= TOLERANCE_OF_H) && (others == 0)) ? 1 : 0;
     (void)printf("%s: %d calls, %d with another status or other active constraints; controls at most %.1e of the "
-                 "limits from Python's, h %.1e\n", (passed != 0) ? "passed" : "FAILED", VECTORS, others,
-                 (double)control, (double)values);
+                 "limits from Python's, h %.1e\n", (passed != 0) ? "passed" : "FAILED", VECTORS, others, control, values);
     return (passed != 0) ? EXIT_SUCCESS : EXIT_FAILURE;
 }
