@@ -3,6 +3,7 @@
 import ctypes
 import functools
 import hashlib
+import itertools
 import os
 import platform
 import shlex
@@ -17,13 +18,13 @@ from contextlib import suppress
 from pathlib import Path
 
 VARIABLE = "RTA_CACHE_DIR"  # the directory of what was built, instead of the user's cache directory
-COMPILERS = ("cc", "gcc", "clang")
+COMPILERS = ("clang", "gcc", "cc")  # what clang builds takes a tenth less time, with the same bits
 # No product is fused with a sum, so that all vector widths, and plain C, give the same bits.
 FLAGS = ("-std=gnu11", "-O2", "-ffp-contract=off", "-fno-math-errno", "-fPIC", "-w")
-# Flags beside these, the first that the compiler knows: for all that this processor can do, and without searches for
-# what is computed on several ways, which take half of the time and find nothing where there is one way.
+# Flags beside these, the first that the compiler knows: for all that this processor can do, in its widest vectors, and
+# without searches for what several ways compute, which take half of the time and find nothing where there is one way.
 NATIVE = "-march=native" if platform.machine().lower() in ("x86_64", "amd64", "i686") else "-mcpu=native"
-CHOICES = ([NATIVE, "-fno-tree-pre", "-fno-code-hoisting"], [NATIVE])
+CHOICES = ([NATIVE, "-mprefer-vector-width=512", "-fno-tree-pre", "-fno-code-hoisting"], [NATIVE])
 WORK = "build-"  # how directories of what is being built begin
 ABANDONED = 3600.0  # s after which a process that was to clear its own away did not live to do so
 
@@ -46,7 +47,7 @@ def library(sources: Mapping[str, str]) -> ctypes.CDLL:
     Raises:
         NoCompilerError: there is no working compiler.
     """
-    whole = repr((sorted(sources.items()), compiler(), FLAGS, CHOICES, version(compiler()), processor()))
+    whole = repr((sorted(sources.items()), FLAGS, CHOICES, versions(), processor()))
     name = hashlib.sha256(whole.encode()).hexdigest()[:32]
     directory = cache_dir()
     if directory is None:
@@ -135,28 +136,23 @@ def made(sources: Mapping[str, str]) -> ctypes.CDLL:
 
 
 def built(sources: Mapping[str, str], work: Path) -> Path:
-    """Compiles sources in a directory of their own, some at once, and links them."""
+    """Compiles sources in a directory of their own, some at once, and links them, by the first compiler that does."""
     for name, text in sources.items():
         (work / f"{name}.c").write_text(text, encoding="utf-8")
+    result, failures = work / "library.so", []
+    for command, options in itertools.product(compilers(), (*CHOICES, [])):
 
-    def compile(name: str) -> None:
-        for options in (*CHOICES, []):
-            try:
-                cc(work, *options, "-c", f"{name}.c", "-o", f"{name}.o")
-                return
-            except NoCompilerError:  # it may not know them
-                if not options:
-                    raise
+        def call(*arguments: str, start: Sequence[str] = (*command, *FLAGS, *options)) -> str:
+            return output((*start, *arguments), work)
 
-    with ThreadPoolExecutor(os.cpu_count() or 1) as threads:
-        list(threads.map(compile, sources))
-    cc(work, "-shared", *(f"{name}.o" for name in sources), "-o", "library.so", "-lm")
-    return work / "library.so"
-
-
-def cc(work: Path, *arguments: str) -> None:
-    """Calls the compiler in a directory, which its temporary files are in, too."""
-    output((*compiler(), *FLAGS, *arguments), work)
+        try:
+            with ThreadPoolExecutor(os.cpu_count() or 1) as threads:
+                list(threads.map(lambda name: call("-c", f"{name}.c", "-o", f"{name}.o"), sources))
+            call("-shared", *(f"{name}.o" for name in sources), "-o", result.name, "-lm")
+            return result
+        except NoCompilerError as error:  # it may not know the options
+            failures.append(error)
+    raise failures[0]
 
 
 def output(command: Sequence[str], work: Path | None = None) -> str:
@@ -176,20 +172,40 @@ def output(command: Sequence[str], work: Path | None = None) -> str:
 
 
 def compiler() -> tuple[str, ...]:
-    """The C compiler's command: $CC, which may have arguments, or the first of COMPILERS that is there.
+    """The command of the first of `compilers`."""
+    return compilers()[0]
+
+
+def compilers() -> list[tuple[str, ...]]:
+    """The C compilers' commands, the best one first: $CC alone, which may have arguments, or COMPILERS that are there.
 
     Raises:
         NoCompilerError: there is none.
     """
     chosen = os.environ.get("CC", "").strip()
+    found = []
     for name in [chosen] if chosen else COMPILERS:
         with suppress(ValueError):  # of quotes that are not closed
             for words in ([name], shlex.split(name)):
                 if path := shutil.which(words[0]):
-                    return (path, *words[1:])
-    if chosen:
+                    found.append((path, *words[1:]))
+                    break
+    if not found and chosen:
         raise NoCompilerError(f"$CC is {chosen}: there is no such compiler")
-    raise NoCompilerError(f"no C compiler was found ({', '.join(COMPILERS)})")
+    if not found:
+        raise NoCompilerError(f"no C compiler was found ({', '.join(COMPILERS)})")
+    return found
+
+
+def versions() -> list[str]:
+    """The compilers' commands, and what the first one that works says of itself."""
+    failures = []
+    for command in compilers():
+        try:
+            return [*map(shlex.join, compilers()), version(command)]
+        except NoCompilerError as error:
+            failures.append(error)
+    raise failures[0]
 
 
 @functools.cache
@@ -221,6 +237,8 @@ def for_vectors(real: str) -> str:
     lanes = vector_bytes() // (8 if real == "double" else 4)
     whole = "long" if real == "double" else "int"  # what comparisons give
     head = [f"#define W {lanes}", f"typedef {whole} whole;", "#include <stdint.h>", "#include <string.h>"]
+    head.append(f"#define LANES(f) {', '.join(f'f(a[{lane}])' for lane in range(lanes))}")
+    head.append(f"#define LANES_OF_TWO(f) {', '.join(f'f(a[{lane}], b[{lane}])' for lane in range(lanes))}")
     suffix = "" if real == "double" else "f"
     by_lane = [f"BY_LANE({name.upper()}, {name}{suffix}, inline)" for name in QUICK]
     by_lane += [f"BY_LANE({name.upper()}, {name}{suffix}, )" for name in OF_ONE]

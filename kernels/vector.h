@@ -22,24 +22,18 @@ static inline __attribute__((always_inline)) V select_v(M m, V a, V b)
     return (V)((m & (M)a) | (~m & (M)b));
 }
 
-#define BY_LANE(NAME, function, how)            \
-    static how V NAME(V a)                      \
-    {                                           \
-        V result;                               \
-        for (int lane = 0; lane < W; lane++) {  \
-            result[lane] = function(a[lane]);   \
-        }                                       \
-        return result;                          \
+/* LANES and LANES_OF_TWO list what a function gives of each lane, without a loop, which compilers take long for */
+#define BY_LANE(NAME, function, how)      \
+    static how V NAME(V a)                \
+    {                                     \
+        return (V){LANES(function)};      \
     }
-#define BY_LANE_OF_TWO(NAME, function)                   \
-    static V NAME(V a, V b)                              \
-    {                                                    \
-        V result;                                        \
-        for (int lane = 0; lane < W; lane++) {           \
-            result[lane] = function(a[lane], b[lane]);   \
-        }                                                \
-        return result;                                   \
+#define BY_LANE_OF_TWO(NAME, function)       \
+    static V NAME(V a, V b)                  \
+    {                                        \
+        return (V){LANES_OF_TWO(function)};  \
     }
+
 /* an entry of a table of so many; where there is none, the first */
 #define LOOKUP(table, count, at) lookup(table, count, at)
 
@@ -52,14 +46,13 @@ static inline V lookup(const real *table, long count, V at)
     return result;
 }
 
-#define SINGLE_OF(a) ((real)(float)(a))
-BY_LANE(SINGLE, SINGLE_OF, inline)
-
 /* What is in memory, component first: a column's neighbours follow it. Of the last block some lanes are repeated. */
 typedef float SINGLES __attribute__((vector_size(W * sizeof(float))));
 typedef double DOUBLES __attribute__((vector_size(W * sizeof(double))));
 typedef uint8_t BYTES __attribute__((vector_size(W * sizeof(uint8_t))));
 typedef int64_t WHOLES __attribute__((vector_size(W * sizeof(int64_t))));
+
+#define SINGLE(a) __builtin_convertvector(__builtin_convertvector(a, SINGLES), V)
 
 #define LOAD(NAME, LANES, type, result, convert)                     \
     static inline result NAME(const void *from, long at, long left)  \
