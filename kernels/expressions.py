@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 NUMBER, MASK = "number", "mask"
-MOST = 80_000  # expressions: the compiler takes half a minute
+MOST = 120_000  # expressions: the compiler takes a minute or two
 
 
 @dataclass(frozen=True, eq=False, repr=False, slots=True)

@@ -27,6 +27,7 @@ from kernels.compiled import pointers
 from kernels.text import Part
 from rta.filter import SafetyFilter
 from rta.held_rows import KINDS
+from tests.kernels.test_long_axis import LONG, OVER_POINTS
 from tests.kernels.test_operations import OF_ONE, OF_TWO, special_pairs, uniform
 from tests.kernels.test_project import env_of, filter_of
 
@@ -158,6 +159,10 @@ def mixture(x: Tensor, y: Tensor) -> list[Tensor]:
     return [*(function(x) for function in OF_ONE.values()), *(function(x, y) for function in OF_TWO.values())]
 
 
+def over_points(x: Tensor, w: Tensor) -> list[Tensor]:
+    return [function(x, w) for function in OVER_POINTS.values()]
+
+
 def bits(parts: list[Tensor]) -> list[Tensor]:
     """All that can be told apart, NaN from other numbers but not from other NaN."""
 
@@ -209,27 +214,29 @@ def one_by_one(function: Printed) -> Callable[..., list[Tensor]]:
 
 
 @functools.cache
-def compared() -> dict[str, tuple[Callable[..., list[Tensor]], tuple[Tensor, ...]]]:
+def compared() -> dict[str, tuple[Callable[..., list[Tensor]], tuple[Tensor, ...], int]]:
+    """Functions, their arguments, and the length of the axis that is looped over."""
     safety, x = filter_of("1 s"), torch.cat(list(states("1 s").values()), 1)
     u = uniform(-1.5, 1.5, CONTROL_SIZE, x.shape[1]) * x.new_tensor(safety.c.control_limit)[:, None]
     return {
-        "every operation": (mixture, special_pairs(torch.float64)),
-        "every operation in single precision": (mixture, special_pairs(torch.float32)),
-        "rows": (safety.prepare, (x, u)),
+        "every operation": (mixture, special_pairs(torch.float64), 0),
+        "every operation in single precision": (mixture, special_pairs(torch.float32), 0),
+        "rows": (safety.prepare, (x, u), 0),
+        "points": (over_points, (uniform(-1.0, 1.0, 3, 50), uniform(-1.0, 1.0, LONG, 50)), LONG),
     }
 
 
 @functools.cache
 def expected_bits(name: str) -> list[Tensor]:
-    function, given = compared()[name]
-    return bits(Compiled(function, *(part[..., :1] for part in given))(*given))
+    function, given, long = compared()[name]
+    return bits(Compiled(function, *(part[..., :1] for part in given), long=long)(*given))
 
 
 @pytest.mark.parametrize(
     ("compiler", "width", "name"),
     [
-        *(("gcc", width, name) for width in (0, 16, 32) for name in ("every operation", "rows")),
-        *(("clang", width, name) for width in (0, 64) for name in ("every operation", "rows")),
+        *(("gcc", width, name) for width in (0, 16, 32) for name in ("every operation", "rows", "points")),
+        *(("clang", width, name) for width in (0, 64) for name in ("every operation", "rows", "points")),
         ("gcc", 32, "every operation in single precision"),
         ("clang", 0, "every operation in single precision"),
     ],
@@ -240,12 +247,13 @@ def test_bits_depend_on_neither_width_nor_compiler(
     """0: plain C for one column."""
     if not shutil.which(compiler):
         pytest.skip(f"{compiler} is not installed")
-    function, given = compared()[name]
+    function, given, long = compared()[name]
     expected = expected_bits(name)
     monkeypatch.setenv("CC", compiler)
     monkeypatch.setattr(build, "vector_bytes", lambda: width)
     examples = [part[..., :1] for part in given]
-    run = Compiled(function, *examples) if width else one_by_one(printed(function, *examples))
+    vectors = partial(Compiled, function, *examples, long=long)
+    run = vectors() if width else one_by_one(printed(function, *examples, long=long))
     for one, other in zip(bits(run(*given)), expected, strict=True):
         assert torch.equal(one, other)
 
@@ -253,7 +261,7 @@ def test_bits_depend_on_neither_width_nor_compiler(
 @pytest.mark.parametrize("threads", [1, 3])
 @pytest.mark.parametrize("batch", [1, 7, 8, 9, 700])
 def test_bits_depend_on_neither_batch_nor_threads(batch: int, threads: int) -> None:
-    function, given = compared()["rows"]
+    function, given, _ = compared()["rows"]
     torch.set_num_threads(threads)
     try:
         found = Compiled(function, *(part[..., :1] for part in given))(*(part[..., :batch] for part in given))
