@@ -36,7 +36,11 @@ OF_TWO = ("atan2", "pow", "fmod", "hypot", "copysign")
 
 
 class NoCompilerError(OSError):
-    """There is no C compiler here, or none that works."""
+    """There is no C compiler here, or none that works; says which and why in a line."""
+
+    def __init__(self, reason: str) -> None:
+        super().__init__(reason)
+        self.strerror = reason  # as those who catch any OSError show it
 
 
 def library(sources: Mapping[str, str]) -> ctypes.CDLL:

@@ -268,7 +268,7 @@ def test_a_compiler_that_does_not_work_is_named_in_one_line(
     monkeypatch.setenv("CC", compiler.format(tmp=tmp_path))
     with pytest.raises(NoCompilerError, match=words) as error:
         build.library(SOURCE)
-    assert "\n" not in str(error.value)
+    assert "\n" not in str(error.value) and error.value.strerror == str(error.value)
     assert not files(cache)
 
 
