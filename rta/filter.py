@@ -108,8 +108,9 @@ class SafetyFilter:
         self.holds = known.holds(parameters)
         # of 94,804 programs of tangents (U1, a hold of 10 s) PIQP 0.7.0 leaves 15 unsolved that steps solve, 0.6.4 91
         auto = "batched" if self.holds else "piqp"
-        self._given_solver = solver
-        self.solver = solver or make_solver(parameters.qp_solver.replace("auto", auto), self.holds)
+        self.solver = self._own_solver = solver or make_solver(
+            parameters.qp_solver.replace("auto", auto), self.holds
+        )
         own = vehicle.scaled(parameters, c)
         of_paper = (thrust_constraints(c, own, known), torque_constraints(c, own, known))
         constraints = (*of_paper[0], *of_paper[1], *extra)
@@ -122,13 +123,17 @@ class SafetyFilter:
         self._prepare: Callable[[Tensor, Tensor], list[Tensor]] = self.prepare
         self._prepare_held = self._uncompiled_held()
         self._predict: Callable[..., list[Tensor]] = self.predict
-        self._solves_in_c = isinstance(self.solver, BatchedSolver) or (
-            solver is None and parameters.qp_solver == "auto"
-        )
+        self._is_auto = solver is None and parameters.qp_solver == "auto"
+        self._solves_in_c = isinstance(self.solver, BatchedSolver) or self._is_auto
         self.compiled: BatchFilter | None = None
 
     def __reduce__(self) -> tuple[Any, ...]:
         return type(self), (self.c, self.parameters, self._given_solver, self.extra, self.known)
+
+    @property
+    def _given_solver(self) -> Solver | None:
+        """The solver that was given, or has been put in its place; None where `auto` chose it."""
+        return None if self._is_auto and self.solver is self._own_solver else self.solver
 
     @property
     def period(self) -> float:
@@ -325,7 +330,8 @@ class SafetyFilter:
                 with `Uncertainty`, as does `sent`.
         """
         too_old = sent is not None and len(sent) > self.known.latency
-        if self.compiled is None or x.device.type != "cpu" or (self.holds and too_old):
+        elsewhere = x.device.type != "cpu" or self.solver is not self._own_solver
+        if self.compiled is None or elsewhere or (self.holds and too_old):
             return self._correct(x, desired, sent, left)
         answer, unsolved = self.compiled(x, desired, sent, left)
         result = FilterResult(*answer)

@@ -26,13 +26,13 @@ import pytest
 import torch
 from torch import Tensor
 
-from inspection import compiled
 from inspection.attitude import body_axis, cross, dot, norm, unit
 from inspection.dynamics import energy_rate, step, sun_direction, temperature_rate
 from inspection.initial_state import uniform
 from inspection.orbit import free_flight
 from inspection.parameters import InspectionParameters
 from inspection.state import CONTROL_SIZE, OMEGA, THETA_S, E, P, Q, T, V
+from kernels import compiled
 from rta.batched_solver import BatchedSolver
 from rta.constraints import CONSTRAINTS
 from rta.filter import SafetyFilter
