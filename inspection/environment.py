@@ -257,7 +257,7 @@ class InspectionEnv:
         if not (self.plant and not self.plant.is_traceable):
             own["_integrate"] = self._compiled(self._integrate, self.x, self.x[:CONTROL_SIZE], *self._bodies)
         if self.safety.values:
-            own["_values"] = self._compiled(self.safety.values, self.x)
+            own["_values"] = self._compiled(self.safety.values, self.x, points=len(self.c.planes))
         own["_seen"] = self._looking(self.x, *self._frames(slice(None)))
         settle = self._several(partial(chief.lloyd, self.points), self.centres, self.inspected, self.alive)
         own["_settle"] = partial(settle, times=chief.LLOYD_ITERATIONS)
@@ -289,9 +289,11 @@ class InspectionEnv:
         columns = [example[..., :1] for example in examples]
         return Compiled(function, *columns, batch=self.time.numel(), long=points or self.points.shape[1])
 
-    def _compiled(self, function: Callable[..., Tensor], *examples: Tensor) -> Callable[..., Tensor]:
-        """A function to one tensor, compiled for tensors like the examples."""
-        run = self._several(lambda *tensors: [function(*tensors)], *examples)
+    def _compiled(
+        self, function: Callable[..., Tensor], *examples: Tensor, points: int | None = None
+    ) -> Callable[..., Tensor]:
+        """A function to one tensor, compiled for tensors like the examples; `points` as of `_several`."""
+        run = self._several(lambda *tensors: [function(*tensors)], *examples, points=points)
         return lambda *tensors, **times: run(*tensors, **times)[0]
 
     @property

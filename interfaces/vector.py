@@ -37,7 +37,7 @@ class VectorInspection6DoF(VectorEnv):
         config: a configuration or the path of a TOML file, of which [inspection], [chief], [plant] and [rta] count;
             None means the defaults.
         device: cpu, cuda or auto.
-        compile: compile the simulator, at the first `reset`, and the filter if there is one, which takes about a minute
+        compile: compile the simulator, at the first `reset`, and the filter if there is one, which takes seconds
             the first time.
         tensors: `reset` returns tensors on the device; `step` answers in the kind of its actions.
 

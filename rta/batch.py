@@ -135,7 +135,8 @@ def now_parts(safety_filter: "SafetyFilter") -> list[Printed]:
     """What is printed for vectors: all of it at once, for both groups begin alike."""
     names = ("x", "desired"), ("control", "slack", "h", "program_status", "active", "left")
     run = partial(first_attempt, safety_filter)
-    return [printed(run, *safety_filter.probe("cpu"), name="first_attempt", names=names)]
+    long = len(safety_filter.c.planes)  # of a hull
+    return [printed(run, *safety_filter.probe("cpu"), name="first_attempt", names=names, long=long)]
 
 
 def first_attempt(safety_filter: "SafetyFilter", x: Tensor, desired: Tensor) -> list[Tensor]:

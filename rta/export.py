@@ -76,7 +76,8 @@ def functions(safety_filter: "SafetyFilter") -> list[Printed]:
         else:
             run, examples = partial(prepare, group), (x, u)
         names = ("x", "control", "spread", "left")[: len(examples)], Prepared._fields
-        parts.append(printed(run, *examples, name=f"{name}_rows", names=names))
+        long = len(safety_filter.c.planes)  # of a hull
+        parts.append(printed(run, *examples, name=f"{name}_rows", names=names, long=long))
     if safety_filter.holds and safety_filter.known.latency:
         names = ("x", "spread", "u"), ("x_after", "spread_after")
         parts.append(printed(safety_filter.predict, x, spread, u, name="predict", names=names))

@@ -29,7 +29,7 @@ from rta.parameters import RtaParameters
 from study import config as configuration
 from study.commands import EPISODE
 from study.config import Config
-from study.errors import InputError, refusing
+from study.errors import InputError, in_one_line, refusing
 from study.progress import step
 from study.threads import THREADS
 
@@ -281,6 +281,7 @@ def compile_or_explain(what: str, compile: Callable[[], None]) -> bool:
             compile()
     except Exception as error:  # a missing or broken compiler, a full or read-only cache: in many ways
         reason = error.strerror if isinstance(error, OSError) and error.strerror else type(error).__name__
+        reason = in_one_line(str(error)) if isinstance(error, NotImplementedError) else reason
         where = f": {error.filename}" if isinstance(error, OSError) and error.filename else ""
         print(
             f"the {what} could not be compiled ({reason}{where}); uncompiled, it is slower",

@@ -79,7 +79,7 @@ def main(argv: list[str] | None = None) -> None:
     parser.add_argument("policy", help="ONNX file")
     parser.add_argument("--seconds", type=positive_integer, default=1000, help="to fly (default: 1000)")
     parser.add_argument(
-        "--compile", action="store_true", help="compile the filter, which takes a minute the first time"
+        "--compile", action="store_true", help="compile the filter, which takes some seconds the first time"
     )
     arguments = parser.parse_args(argv)
     try:

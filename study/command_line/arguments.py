@@ -303,7 +303,10 @@ COMMANDS = {
         DEVICE,
         THREADS,
         Flag(
-            "--compile", "compile filter and simulator with the C compiler", "train.compile", choices=("on", "off")
+            "--compile",
+            "compile filter and simulator with the C compiler",
+            "train.compile",
+            choices=("on", "off"),
         ),
         CACHE,
         Flag(
@@ -322,7 +325,7 @@ COMMANDS = {
         CONFIG.saying("TOML file with the filter's settings; of several, each over the one before"),
         PERIOD,
         PANELS,
-        Flag("--float", "the filter in single precision", action="store_true"),
+        Flag("--float", "the filter in single precision", action=argparse.BooleanOptionalAction),
         one_of=(
             written("exported agent", "--out", "ONNX file to write", "F.onnx", without=OF_THE_FILTER),
             directory(

@@ -44,7 +44,9 @@ def test_the_answer_is_in_kind(safety: SafetyFilter, kind: str, precision: type,
         )
         expected = expected[..., 0] if single else expected
         assert found.shape == expected.shape
-        rounding = 1e-6 if precision is np.float32 else 1e-9 if single else 0.0  # one is compiled, solver included
+        rounding = (
+            1e-6 if precision is np.float32 else 1e-9 if single else 0.0
+        )  # one is compiled, solver included
         np.testing.assert_allclose(np.asarray(found), expected.numpy(), rtol=rounding, atol=rounding / 1e3)
     control = np.asarray(result["control"], dtype=float)
     assert (abs(control) <= LIMIT.numpy()[:, 0] if single else abs(control) <= LIMIT.numpy()).all()

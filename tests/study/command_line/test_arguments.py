@@ -44,15 +44,16 @@ def words(flag: Flag, choice: int = 0) -> list[str]:
     return [f"{flag.name}={texts[min(choice, len(texts) - 1)]}"]
 
 
-def needed(name: str) -> dict[str, list[str]]:
-    """By destination, the words of the flags that a command is not called without."""
+def needed(name: str, beside: str = "") -> dict[str, list[str]]:
+    """By destination, the words of the flags that a command is not called without, nor together with another flag."""
     command, parameters = COMMANDS[name], inspect.signature(main.HANDLERS[name]).parameters
     given = {
         flag.dest: words(flag)
         for flag in command.flags
         if flag.dest in parameters and parameters[flag.dest].default is inspect.Parameter.empty
     }
-    return given | {flag.dest: words(flag) for flag in command.one_of[:1]}
+    fitting = [flag for flag in command.one_of if beside not in flag.without]
+    return given | {flag.dest: words(flag) for flag in fitting[:1]}
 
 
 def parse(name: str, given: dict[str, list[str]]) -> Any:
@@ -91,7 +92,7 @@ def settings(config: Config) -> dict[str, Any]:
 
 @pytest.mark.parametrize(("name", "flag"), flags_of_all(sets=False))
 def test_a_flag_reaches_the_parameter_it_names(name: str, flag: Flag) -> None:
-    given = {} if flag in COMMANDS[name].one_of or flag.alone else needed(name)
+    given = {} if flag in COMMANDS[name].one_of or flag.alone else needed(name, flag.name)
     reached = set()
     for choice in (0, 1):
         values = parameters(parse(name, given | {flag.dest: words(flag, choice)}))
@@ -127,7 +128,7 @@ def test_a_flag_that_reaches_nothing_is_an_error(
 
 
 def test_a_flag_of_a_command_that_has_no_configuration_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(arguments.COMMANDS, "export", Command("?", *COMMANDS["export"].flags, arguments.RTA))
+    monkeypatch.setitem(arguments.COMMANDS, "replay", Command("?", *COMMANDS["replay"].flags, arguments.RTA))
     with pytest.raises(ValueError, match="--rta reaches nothing"):
         build_parser(main.HANDLERS)
 
