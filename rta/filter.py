@@ -106,7 +106,7 @@ class SafetyFilter:
         known.check(c, parameters)
         self.c, self.parameters, self.extra, self.known = c, parameters, tuple(extra), known
         self.holds = known.holds(parameters)
-        # of 94,804 programs of tangents (U1, a hold of 10 s) PIQP 0.7.0 leaves 15 unsolved that steps solve, 0.6.4 91
+        # as fast as PIQP, which of 213,855 programs of tangents solved one wrongly (0.7.0; of 94,804 0.6.4 left 91)
         auto = "batched" if self.holds else "piqp"
         self.solver = self._own_solver = solver or make_solver(
             parameters.qp_solver.replace("auto", auto), self.holds

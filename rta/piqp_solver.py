@@ -117,6 +117,8 @@ class PiqpSolver:
                 solver.settings.preconditioner_iter = 0  # rows have unit length already
             # Without slack a program is often infeasible and should be given up early; with it, hardly ever.
             solver.settings.infeasibility_threshold = 0.9 if slacks else 1e-3
+            # at its default of 1e-4 a large multiplier of a row that yields is taken for a proof of infeasibility
+            solver.settings.eps_primal_inf = 1e-8
             variables = 3 + slacks
             bound = np.full(variables, UNBOUNDED)
             bound[:3] = 1.0

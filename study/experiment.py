@@ -234,7 +234,7 @@ def settled(config: Config, batch: int, device: torch.device, compiled: bool = F
         )
     if config.rta.qp_solver != "auto":
         return config
-    # where controls are held PIQP leaves programs unsolved, see `SafetyFilter`
+    # where controls are held PIQP is no faster, see `SafetyFilter`
     is_held = config.uncertainty.holds(config.rta)
     suits_piqp = device.type == "cpu" and batch < WORTH_BATCHING and not is_held and not compiled
     solver = "piqp" if suits_piqp else "batched"

@@ -315,6 +315,21 @@ def test_row_that_must_hold_wins_over_any_weight(solver: Solver) -> None:
     np.testing.assert_allclose(control, [[0.5, 0, 0]], atol=1e-6)
 
 
+def test_row_that_yields_far_proves_nothing_of_the_others(solver: Solver) -> None:
+    # a program of tangents: three rows leave a corner of 1e-4 (u2 and u3 at most, u1 < 0), and the fourth, 5e-2
+    # short of it, pulls with 400; PIQP 0.7.0 takes that for a proof unless it is told to prove more
+    rows = [
+        [-0.006, 0.697, 0.717, -0.565],
+        [0.876, 0.02, -0.481, 0.149],
+        [0, -1, 0, 0.443],
+        [0, 0, -1, 0.357],
+    ]
+    control, status = solve(solver, problem([0.82, -0.491, -0.976], rows, [INF, 1e4, INF, INF]))
+    assert status == [Status.SLACK]
+    least = (0.697 * 0.443 + 0.717 * 0.357 - 0.565) / 0.006  # what the first row leaves u1
+    np.testing.assert_allclose(control, [[least, 0.443, 0.357]], atol=1e-6)
+
+
 UNSOLVABLE = {
     "must_hold_beyond_the_box": [[1, 0, 0, -1.5], [0, 1, 0, 0.5]],
     "nan_row_that_must_hold": [[np.nan, 0, 0, 0.5], [0, 1, 0, 0.5]],
