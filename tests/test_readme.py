@@ -599,14 +599,14 @@ def test_the_speeds_are_the_benchmarks() -> None:
     assert measured("filter calls") == f"{BENCHMARK['filter_calls_per_s']:,.0f} per s"
     told, late = BENCHMARK["told_filter_calls_per_s"], BENCHMARK["told_filter_latency_ms"]
     assert measured("filter calls, told of U1") == f"{told:,.0f} per s"
-    alone = f"{late['median']:.2f} ms, 99 % below {late['p99']:.2f} ms"
+    alone = f"{late['median']:.3f} ms, 99 % below {late['p99']:.3f} ms"
     assert measured("one filter call alone, told of U1") == alone
     share = f"makes {100 * told / BENCHMARK['filter_calls_per_s']:.0f} % of the calls"
     assert share in " ".join(text(SPEED).split())
     problem = "one optimisation problem of the filter, PIQP / batched solver, 1,024 at once"
     assert measured(problem) == f"{qp['piqp']:.1f} / {qp['batched']:.2f} µs"
-    alone = f"{call['median']:.2f} ms, 99 % below {call['p99']:.2f} ms"
-    assert measured("one filter call alone, with PIQP") == alone
+    alone = f"{call['median']:.3f} ms, 99 % below {call['p99']:.3f} ms"
+    assert measured("one filter call alone, NumPy in and out") == alone
     assert measured("learner, 1,024 samples at once") == (
         f"{BENCHMARK['learner_samples_per_s']:,.0f} samples per s, {100 * BENCHMARK['learner_matmul_share']:.0f} % "
         f"of the float32 matrix-product rate ({BENCHMARK['matmul_gflops']:.0f} Gflop/s)"
