@@ -250,13 +250,6 @@ def for_vectors(real: str) -> str:
     return "\n".join([*numbers(real), *head, header("vector.h"), *by_lane, ""])
 
 
-def for_one(real: str) -> str:
-    """What stands before functions that are printed for one column."""
-    suffix = "" if real == "double" else "f"
-    names = [f"#define {name.upper()} {name}{suffix}" for name in (*QUICK, *OF_ONE, *OF_TWO, "fabs")]
-    return "\n".join([*numbers(real), header("scalar.h"), *names, ""])
-
-
 def numbers(real: str) -> list[str]:
     """The type of numbers, and their functions."""
     return [f"typedef {real} real;", "#include <math.h>"]

@@ -53,8 +53,7 @@ class Compiled:
             self.run = Kernel(printed(function, *examples, long=long))
         else:
             self.run = torch.compile(with_own_code(function), dynamic=True)
-        columns = [example.expand(*example.shape[:-1], batch).contiguous() for example in examples]
-        self(*columns)
+            self(*(example.expand(*example.shape[:-1], batch).contiguous() for example in examples))
 
     @torch.no_grad()  # a mode that torch.compile's code is specialised to
     def __call__(self, *tensors: Tensor, times: int = 1) -> Parts:

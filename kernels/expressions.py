@@ -304,18 +304,18 @@ class Program:
         return self.apply("not", a, kind=MASK)
 
     def and_(self, a: Value, b: Value) -> Value:
-        a, b = self.mask(a), self.mask(b)
-        for one, other in ((a, b), (b, a)):
-            if not isinstance(one, Expression):
-                return other if one else False
-        return a if a is b else self.apply("and", a, b, kind=MASK)
+        return self.connected("and", a, b, neutral=True)
 
     def or_(self, a: Value, b: Value) -> Value:
+        return self.connected("or", a, b, neutral=False)
+
+    def connected(self, operation: str, a: Value, b: Value, neutral: bool) -> Value:
+        """Two truth values; a neutral one leaves the other as it is."""
         a, b = self.mask(a), self.mask(b)
         for one, other in ((a, b), (b, a)):
             if not isinstance(one, Expression):
-                return True if one else other
-        return a if a is b else self.apply("or", a, b, kind=MASK)
+                return other if one == neutral else one
+        return a if a is b else self.apply(operation, a, b, kind=MASK)
 
     def select(self, condition: Value, a: Value, b: Value) -> Value:
         """a where the condition is true, else b."""

@@ -7,7 +7,6 @@ and attempts the programs of the others. What the attempt leaves, the driver tha
 import ctypes
 import re
 from functools import partial
-from importlib.resources import files
 from typing import TYPE_CHECKING
 
 import torch
@@ -19,58 +18,30 @@ from kernels.build import for_vectors
 from kernels.compiled import in_shares, over_columns, pointers, strided, timed
 from rta.batched_solver import ACCURATE, STEPS_HELD, attempt
 from rta.constraints import joined
-from rta.export import GROUPS, define, functions, prepare, source, table
+from rta.export import GROUPS, define, driver_text, functions, source, table
 from rta.held_rows import HeldGroup
 from rta.qp import Problems, Status, total
 from rta.rows import ActuatorGroup
-from rta.tangents import TOLERATED, Prepared, answered, inset, problems
+from rta.tangents import TOLERATED, Prepared, answered, inset, prepared_now, problems
 
 if TYPE_CHECKING:
     from rta.filter import SafetyFilter
 
 PROBED = 256  # columns whose time says what a column takes
-SHARED = ("thrust_rows", "torque_rows", "predict")  # printed functions that Python calls, too
 
 
-class BatchFilter:
-    """`SafetyFilter.correct` of batches on a CPU, but for what no solver call of the driver's solves.
+class Columns:
+    """The C function `filter_batch` of a library, see rta/driver/batch.h, called as `SafetyFilter.correct`.
 
     Attributes:
-        statements: of a spacecraft, that are printed for vectors; seconds: that one takes on one core.
-        rows: of each group where controls are held, `SafetyFilter.prepare_held`; predict: `SafetyFilter.predict`.
-
-    Raises as `kernels.Compiled`.
+        seconds: that a spacecraft takes on one core.
     """
 
-    def __init__(self, safety_filter: "SafetyFilter") -> None:
+    def __init__(self, found: ctypes.CDLL, safety_filter: "SafetyFilter", seconds: float) -> None:
         self.constraints, self.holds = len(safety_filter.names), safety_filter.holds
-        self.latency = safety_filter.known.latency
-        parts = held_parts(safety_filter) if self.holds else now_parts(safety_filter)
-        self.statements = sum(part.statements for part in parts)
-        shared = [part for part in parts if part.name in SHARED]
-        many = [
-            for_vectors("double"),
-            define("CONSTRAINTS", self.constraints),
-            define("LATENCY", self.latency),
-        ]
-        many += [*(part.text for part in parts), *(batch(part) for part in shared)]
-        many += [text_of("batch.h"), text_of("batch_store.c")]
-        if self.holds:
-            many += [text_of("batch_block.c"), *(of_group(i, safety_filter) for i in range(2))]
-        many.append(text_of("batch_held.c" if self.holds else "batch_now.c"))
-        one = [source(safety_filter, shared or None), define("HOLDS", int(self.holds))]
-        one += [text_of("batch.h"), text_of("batch_one.c")]
-        found = library({"one": "\n".join(one), "many": "\n".join(many)})
+        self.latency, self.seconds = safety_filter.known.latency, seconds
         self.run = over_columns(found, "filter_batch")
         self.run.restype = ctypes.c_long
-        kernels = {part.name: Kernel(part, found) for part in shared}
-        self.rows, self.predict = (
-            [kernels[name] for name in SHARED if name in kernels][:2],
-            kernels.get("predict"),
-        )
-        self.seconds = 0.0  # of a column
-        x, u = (part.expand(-1, PROBED).contiguous() for part in safety_filter.probe("cpu"))
-        self.seconds = min(timed(self, x, u) for _ in range(3)) / PROBED
 
     def __call__(
         self, x: Tensor, desired: Tensor, sent: Tensor | None = None, left: Tensor | None = None
@@ -107,6 +78,46 @@ class BatchFilter:
         return never if sent is None else torch.cat((never, sent))
 
 
+class BatchFilter(Columns):
+    """`SafetyFilter.correct` of batches on a CPU, but for what no solver call of the driver's solves.
+
+    Attributes:
+        statements: of a spacecraft, that are printed for vectors.
+        rows: of each group where controls are held, `SafetyFilter.prepare_held`; predict: `SafetyFilter.predict`.
+
+    Raises as `kernels.Compiled`.
+    """
+
+    def __init__(self, safety_filter: "SafetyFilter") -> None:
+        holds = safety_filter.holds
+        shared = functions(safety_filter) if holds else []  # which Python calls, too
+        parts = held_parts(safety_filter, shared) if holds else now_parts(safety_filter)
+        self.statements = sum(part.statements for part in parts)
+        many = [
+            for_vectors("double"),
+            define("CONSTRAINTS", len(safety_filter.names)),
+            define("LATENCY", safety_filter.known.latency),
+        ]
+        many += [*(part.text for part in parts), *(batch(part) for part in shared)]
+        many += [driver_text("batch.h"), driver_text("batch_store.c")]
+        if holds:
+            many += [driver_text("batch_block.c"), *(of_group(i, safety_filter) for i in range(2))]
+        many.append(driver_text("batch_held.c" if holds else "batch_now.c"))
+        one = [source(safety_filter, shared or None), by_column(holds)]
+        found = library({"one": "\n".join(one), "many": "\n".join(many)})
+        super().__init__(found, safety_filter, 0.0)
+        kernels = {part.name: Kernel(part, found) for part in shared}
+        self.rows = [kernels[f"{name}_rows"] for name in GROUPS] if holds else []
+        self.predict = kernels.get("predict")
+        x, u = (part.expand(-1, PROBED).contiguous() for part in safety_filter.probe("cpu"))
+        self.seconds = min(timed(self, x, u) for _ in range(3)) / PROBED
+
+
+def by_column(holds: bool) -> str:
+    """The C function that has a batch's column filtered by the exported filter, whose header stands before."""
+    return "\n".join([define("HOLDS", int(holds)), driver_text("batch.h"), driver_text("batch_one.c")])
+
+
 def of_group(index: int, safety_filter: "SafetyFilter") -> str:
     """The C function that corrects one group's controls where they are held."""
     name, group = GROUPS[index], safety_filter.groups[index]
@@ -119,13 +130,8 @@ def of_group(index: int, safety_filter: "SafetyFilter") -> str:
         define(f"{upper}_COARSE", int(group.is_coarse), "the answer is rounded to what thrusters give"),
         table(f"int {upper}_PLACE[{len(places)}]", places, "of its constraints"),
     ]
-    own = re.sub(r"\bgroup_", f"{name}_", text_of("batch_group.c"))
+    own = re.sub(r"\bgroup_", f"{name}_", driver_text("batch_group.c"))
     return "\n".join([*constants, re.sub(r"\bGROUP_", f"{upper}_", own)])
-
-
-def text_of(name: str) -> str:
-    """A file of the driver."""
-    return (files("rta") / "driver" / name).read_text(encoding="utf-8")
 
 
 # where rows are of the rate of now
@@ -150,7 +156,7 @@ def first_attempt(safety_filter: "SafetyFilter", x: Tensor, desired: Tensor) -> 
     control, clipped = safety_filter.clip(desired)
     controls, statuses, parts, left = [], [], [], torch.zeros_like(x[0], dtype=torch.bool)
     for i, group in enumerate(safety_filter.groups):
-        prepared = Prepared(*prepare(group, x, control))
+        prepared = prepared_now(group, x, control)
         asked = problems(group, prepared, control[group.controls] / group.limit, group.limit)
         u, solved = attempted(asked)
         active, slack = answered(group, asked, prepared.length, u, torch.full_like(clipped[i], Status.HARD))
@@ -172,10 +178,10 @@ def attempted(asked: Problems, steps: int | None = None) -> tuple[Tensor, Tensor
 # where controls are held
 
 
-def held_parts(safety_filter: "SafetyFilter") -> list[Printed]:
-    """What is printed for vectors: how states are predicted, and of each group its rows, an attempt, a judgement."""
+def held_parts(safety_filter: "SafetyFilter", rows: list[Printed]) -> list[Printed]:
+    """What is printed for vectors: `functions`, which are given, and of each group an attempt and a judgement."""
     x, u = safety_filter.probe("cpu")
-    rows, left = functions(safety_filter), torch.ones_like(u)
+    left = torch.ones_like(u)
     parts = [
         *rows,
         printed(

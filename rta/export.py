@@ -12,7 +12,6 @@ from importlib.resources import files
 from typing import TYPE_CHECKING, Any
 
 import torch
-from torch import Tensor
 
 from inspection.state import CONTROL_SIZE, SIZE
 from kernels import Printed, printed
@@ -21,7 +20,7 @@ from rta.constraints import in_order
 from rta.health import NEAR
 from rta.held_rows import KINDS, HeldGroup
 from rta.rows import ActuatorGroup
-from rta.tangents import PASSES, Prepared, scaled
+from rta.tangents import PASSES, Prepared, prepared_now
 
 if TYPE_CHECKING:
     from rta.filter import SafetyFilter
@@ -48,11 +47,15 @@ def source(safety_filter: "SafetyFilter", parts: Sequence[Printed] | None = None
 def driver(safety_filter: "SafetyFilter") -> str:
     """All of the filter in C but for the functions that are declared in it, in one text."""
     names = ["filter.h", *driver_files(safety_filter)]
-    folder = files("rta") / "driver"
-    texts = [(folder / name).read_text(encoding="utf-8") for name in names]
+    texts = [driver_text(name) for name in names]
     return "\n".join(
         ["#include <math.h>\n", interface(safety_filter), *texts[:1], constants(safety_filter), *texts[1:]]
     )
+
+
+def driver_text(name: str) -> str:
+    """A file of the driver."""
+    return (files("rta") / "driver" / name).read_text(encoding="utf-8")
 
 
 def driver_files(safety_filter: "SafetyFilter") -> list[str]:
@@ -74,7 +77,7 @@ def functions(safety_filter: "SafetyFilter") -> list[Printed]:
         if safety_filter.holds:
             run, examples = partial(safety_filter.prepare_held, group), (x, u, spread, left)
         else:
-            run, examples = partial(prepare, group), (x, u)
+            run, examples = partial(prepared_now, group), (x, u)
         names = ("x", "control", "spread", "left")[: len(examples)], Prepared._fields
         long = len(safety_filter.c.planes)  # of a hull
         parts.append(printed(run, *examples, name=f"{name}_rows", names=names, long=long))
@@ -99,11 +102,6 @@ def is_needed(line: str, text: str) -> bool:
     """Whether a line of SCALAR defines something that occurs in a text, or is no definition."""
     defined = re.match(r"#define (\w+)", line)
     return not defined or re.search(rf"\b{defined[1]}\b", text) is not None
-
-
-def prepare(group: ActuatorGroup, x: Tensor, control: Tensor) -> list[Tensor]:
-    """`Prepared` for one group, of the rate of now."""
-    return list(scaled(group(x), control[group.controls] / group.limit, group.limit))
 
 
 def interface(safety_filter: "SafetyFilter") -> str:

@@ -6,7 +6,6 @@ import json
 import re
 from collections.abc import Callable, Sequence
 from functools import partial
-from importlib.resources import files
 from pathlib import Path
 from textwrap import wrap
 from typing import TYPE_CHECKING
@@ -15,7 +14,17 @@ from torch import Tensor
 
 from inspection.dynamics import step
 from kernels import printed
-from rta.export import constants, define, driver_files, entries, for_one, functions, interface, table
+from rta.export import (
+    constants,
+    define,
+    driver_files,
+    driver_text,
+    entries,
+    for_one,
+    functions,
+    interface,
+    table,
+)
 from rta.export_vectors import vectors
 from rta.qp import Status
 from rta.single import single
@@ -153,11 +162,6 @@ def fingerprint(safety_filter: "SafetyFilter") -> str:
     own = [(e.name, e.held_by, e.gains, e.margin, e.weight, e.rows) for e in f.extra]
     parts = [*(dataclasses.asdict(part) for part in (f.c, f.parameters, f.known)), own]
     return digest(json.dumps(parts, sort_keys=True, default=repr))
-
-
-def driver_text(name: str) -> str:
-    """A file of the driver."""
-    return (files("rta") / "driver" / name).read_text(encoding="utf-8")
 
 
 # the header

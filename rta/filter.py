@@ -26,7 +26,7 @@ from rta.parameters import RtaParameters
 from rta.piqp_solver import PiqpSolver
 from rta.qp import Solver, Status, pick, put
 from rta.rows import ActuatorGroup, Rows
-from rta.tangents import Prepared, Settling, answered, problems, scaled
+from rta.tangents import Prepared, Settling, answered, prepared_now, problems, scaled
 from rta.thrust_constraints import keep_in_zone, thrust_constraints
 from rta.torque_constraints import torque_constraints
 from rta.uncertainty import NOTHING, Uncertainty
@@ -255,7 +255,7 @@ class SafetyFilter:
         """`Prepared` for thrust, then for torque, as one list: (16, B) and (6, B) to fields (..., B)."""
         parts: list[Tensor] = []
         for group in self.groups:
-            parts += scaled(group(x), desired[group.controls] / group.limit, group.limit)
+            parts += prepared_now(group, x, desired)
         return parts
 
     def prepare_held(

@@ -57,6 +57,11 @@ def scaled(rows: Rows, control: Tensor, limit: Tensor | float) -> Prepared:
     )
 
 
+def prepared_now(group: ActuatorGroup, x: Tensor, control: Tensor) -> Prepared:
+    """A group's rows of the rate of now at states (16, B), and what controls (6, B) leave of them."""
+    return scaled(group(x), control[group.controls] / group.limit, group.limit)
+
+
 def smallest(rows: Tensor) -> Tensor:
     """(R, B) to (B,), in operations that fuse with those around."""
     return reduce(torch.minimum, rows.unbind())

@@ -16,7 +16,7 @@ static void give(const struct safety_filter_output *found, long column, void *co
 #endif
     }
     status[0] = found->status;
-    truths[0] = (unsigned char)(found->status > UNTOUCHED);
+    truths[0] = (unsigned char)(found->status > AS_DESIRED);
     for (int group = 0; group < 2; ++group) {
         status[(1 + group) * out_step[STATUSES]] = found->program_status[group];
     }
@@ -49,5 +49,5 @@ long filter_one(long column, const void *const *in, const long *in_step, void *c
 #endif
     safety_filter(&given, &found);
     give(&found, column, out, out_step);
-    return found.status == UNSOLVED;
+    return found.status == NO_SOLUTION;
 }

@@ -11,10 +11,9 @@ from torch import Tensor
 from inspection.closed_loop import Correction
 from inspection.environment import InspectionEnv
 from ppo.checkpoint import CheckpointError
-from rta.export import prepare
 from rta.filter import SafetyFilter
 from rta.qp import Problems
-from rta.tangents import Prepared, problems
+from rta.tangents import prepared_now, problems
 from study.errors import InputError
 from study.experiment import Experiment, load_policy
 from study.files import ROOT
@@ -103,7 +102,7 @@ def programs(safety_filter: SafetyFilter, x: Tensor, desired: Tensor) -> list[Pr
     control, _ = safety_filter.clip(desired)
     found = []
     for group in safety_filter.groups:
-        prepared = Prepared(*prepare(group, x, control))
+        prepared = prepared_now(group, x, control)
         unsafe = torch.nonzero(~(prepared.lowest[0] >= 0.0)).flatten()
         own = control[group.controls] / group.limit
         found.append(problems(group, prepared, own, group.limit)[unsafe])

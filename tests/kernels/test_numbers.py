@@ -198,7 +198,11 @@ def one_by_one(function: Printed) -> Callable[..., list[Tensor]]:
         "}",
         "}",
     ]
-    text = build.for_one(function.real) + function.text + "\n".join(lines)
+    suffix = "" if function.real == "double" else "f"
+    of_math = (*build.QUICK, *build.OF_ONE, *build.OF_TWO, "fabs")
+    names = [f"#define {name.upper()} {name}{suffix}" for name in of_math]
+    head = [*build.numbers(function.real), build.header("scalar.h"), *names]
+    text = "\n".join([*head, function.text, *lines])
     run = build.library({"one": text}).columns
 
     def call(*tensors: Tensor) -> list[Tensor]:
