@@ -172,7 +172,7 @@ class SafetyFilter:
         """Compiles the filter for tensors on this device and calls of about so many spacecraft.
 
         On a CPU all of it is one C function, solver included, unless PIQP is asked for; then, and on a GPU, what is
-        computed for every spacecraft. Takes seconds, or half a minute where controls are held, once: what was compiled
+        computed for every spacecraft. Takes some seconds, up to ten where controls are held, once: what was compiled
         is kept across runs. Raises as `kernels.Compiled`, and changes nothing then.
         """
         if self._solves_in_c and torch.device(device).type == "cpu":

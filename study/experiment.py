@@ -39,7 +39,7 @@ WORTH_COMPILING_SIMULATOR = 150
 # Where there is no compiler: tracing takes 5 s and saves 10 ms of a call's 20, for one spacecraft as for hundreds.
 WORTH_TRACING_FILTER = 500
 # Where controls are held a call takes 0.5 to 1.4 s (32 to 256 spacecraft), traced a fifth less, compiled some ms;
-# tracing takes 20 s, compiling 10 to 30 the first time.
+# tracing takes 20 s, compiling 4 to 10 the first time.
 WORTH_COMPILING_HELD, WORTH_TRACING_HELD = 30, 150
 
 # Spacecraft from which the batched solver is the faster one on a CPU where nothing is compiled: about half of them have
