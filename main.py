@@ -30,7 +30,7 @@ from study.command_line.arguments import Configure, build_parser, check_files, j
 from study.config import TEST_CASES, Config, StudyConfig
 from study.errors import ExportError, InputError, ReplayError, in_one_line, refusing
 from study.files import write_json, write_npz, writing
-from study.threads import THREADS
+from study.machine.threads import THREADS
 
 # A command's parameters are its flags, whose help, limits and order are in `study.command_line.arguments`. `configure`
 # puts --config and the other flags, those that set something, over a configuration.
@@ -82,7 +82,7 @@ def run_study(configure: Configure, study_dir: str = "runs/study") -> None:
 
 def run_report(study: str, device: str | None = None) -> None:
     """main.py report"""
-    from study.progress import step
+    from study.machine.progress import step
 
     with refusing("report needs the packages jinja2 and plotly (pip install '.[report]')", ImportError):
         from study.report import figures, inputs, page, replay, tables
@@ -156,7 +156,7 @@ def run_replay(runs: list[str], out: str) -> None:
 
 def run_filter(configure: Configure, states: str, out: str) -> None:
     """main.py filter"""
-    from rta.qp import Status
+    from rta.qp.programs import Status
     from study.flight import offline_filter
 
     result = offline_filter.run(configure, states)
@@ -182,9 +182,9 @@ def run_verify(
     filter: str = "python",
 ) -> None:
     """main.py verify"""
-    from study.verification import boundary_report
+    from study.boundary import report as boundary_report
+    from study.boundary.boundary import search
     from study.verification import break_points as breaking
-    from study.verification.boundary import search
     from study.verification.campaign import verify
     from study.verification.counter_examples import replay_file
     from study.verification.findings import table, what_next
@@ -249,7 +249,7 @@ def run_export(
     from study.experiment import load_policy
 
     if filter is not None:
-        from study import export_filter
+        from study.export import filter as export_filter
 
         config = configure(StudyConfig()).of_arm("rta")
         print(export_filter.export(config, Path(filter), "float" if float else "double"))
@@ -259,11 +259,11 @@ def run_export(
     policy, config = load_policy(checkpoint)
     if c is not None:
         with refusing("export --c needs the package jinja2 (pip install '.[report]')", ImportError):
-            from study import export_policy
+            from study.export import policy as export_policy
         print(export_policy.write(policy, config, checkpoint, Path(c)))
         return
     with refusing("export needs the packages onnx and onnxruntime of requirements.txt", ImportError):
-        from study import export
+        from study.export import onnx as export
     model = export.to_onnx(policy, config.inspection, config.chief)
     difference = export.check(model, policy)
     with writing(out) as file:

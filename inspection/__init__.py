@@ -2,17 +2,17 @@
 
 `InspectionEnv` plays it, with the constants of `InspectionParameters` and, if there is one, a filter (`Safety`). Who
 flies alone takes `sample_initial_state` and `step`, the motion of a second or so. A state's components are found by
-their names: x[P] is the position, x[Q] the attitude, see `inspection.state`; `rotate(x[Q], v)` turns a vector from
-body axes to Hill's frame, `rotate(conjugate(x[Q]), v)` back.
+their names: x[P] is the position, x[Q] the attitude, see `inspection.model.state`; `rotate(x[Q], v)` turns a vector
+from body axes to Hill's frame, `rotate(conjugate(x[Q]), v)` back.
 """
 
-from inspection.attitude import conjugate, rotate, unit
 from inspection.closed_loop import Correction, Safety
-from inspection.dynamics import step
 from inspection.environment import InspectionEnv, Transition
 from inspection.initial_state import sample_initial_state
-from inspection.parameters import InspectionParameters
-from inspection.state import OMEGA, THETA_S, THRUST, TORQUE, E, P, Q, T, V
+from inspection.model.attitude import conjugate, rotate, unit
+from inspection.model.dynamics import step
+from inspection.model.parameters import InspectionParameters
+from inspection.model.state import OMEGA, THETA_S, THRUST, TORQUE, E, P, Q, T, V
 
 __all__ = [
     "OMEGA",

@@ -8,7 +8,7 @@ from typing import NamedTuple, Protocol
 import torch
 from torch import Tensor
 
-from inspection.state import CONTROL_SIZE
+from inspection.model.state import CONTROL_SIZE
 
 # Who commands: a function of time in s and states (16, B) to desired controls (6, B) in N and N m.
 Controller = Callable[[float, Tensor], Tensor]
@@ -45,7 +45,9 @@ class Safety:
 
 
 class World(Protocol):
-    """What lies between the controls and the plant, and between the plant and who looks, see `inspection.plant.Plant`.
+    """What lies between the controls and the plant, and between the plant and who looks.
+
+    See `inspection.world.plant.Plant`.
 
     Times (B,) are those of the episodes, in s.
     """

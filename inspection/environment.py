@@ -8,20 +8,20 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from inspection import chief
-from inspection.attitude import conjugate, rotate
-from inspection.basilisk import BasiliskPlant
+from inspection.chief import points as chief
+from inspection.chief.surface import directions, groups, in_view, seen_from, surface
+from inspection.chief.tumbling import RATE, Tumbling
 from inspection.closed_loop import Clocks, Controller, Correction, Hold, Safety, closed_loop
-from inspection.dynamics import integrate
 from inspection.initial_state import InitialStates, uniform
+from inspection.model.attitude import conjugate, rotate
+from inspection.model.dynamics import integrate
+from inspection.model.parameters import ChiefParameters, InspectionParameters
+from inspection.model.state import CONTROL_SIZE, SIZE, THETA_S, THRUST, TORQUE, P
 from inspection.observation import normalised
-from inspection.parameters import ChiefParameters, InspectionParameters
-from inspection.plant import Plant, PlantParameters
 from inspection.reward import REWARDS, rewards, shaping
-from inspection.state import CONTROL_SIZE, SIZE, THETA_S, THRUST, TORQUE, P
-from inspection.surface import directions, groups, in_view, seen_from, surface
 from inspection.termination import OUTCOMES, ends, failures
-from inspection.tumbling import RATE, Tumbling
+from inspection.world.basilisk import BasiliskPlant
+from inspection.world.plant import Plant, PlantParameters
 from kernels import Compiled
 from kernels.printer import LEAST_LONG
 

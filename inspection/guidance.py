@@ -10,11 +10,11 @@ import scipy.linalg
 import torch
 from torch import Tensor
 
-from inspection.attitude import conjugate, cross, dot, norm, rotate, unit
 from inspection.closed_loop import Controller
-from inspection.dynamics import sun_direction
-from inspection.parameters import AXES, InspectionParameters
-from inspection.state import CONTROL_SIZE, OMEGA, THETA_S, P, Q, V
+from inspection.model.attitude import conjugate, cross, dot, norm, rotate, unit
+from inspection.model.dynamics import sun_direction
+from inspection.model.parameters import AXES, InspectionParameters
+from inspection.model.state import CONTROL_SIZE, OMEGA, THETA_S, P, Q, V
 
 POINTING_FREQUENCY = 0.1  # rad/s, of the critically damped pointing law
 ABOVE = (

@@ -6,9 +6,9 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
-from inspection.attitude import random_quaternion
-from inspection.parameters import InspectionParameters
-from inspection.state import SIZE, THETA_S, E, P, Q, T
+from inspection.model.attitude import random_quaternion
+from inspection.model.parameters import InspectionParameters
+from inspection.model.state import SIZE, THETA_S, E, P, Q, T
 
 # The filter rejects at most 0.29 of the attitudes at any of 4000 starts of the paper, so 100 draws always found one; a
 # constraint on position may reject them all.
@@ -94,7 +94,7 @@ def sample_initial_state(
 class InitialStates:
     """A seed's endless supply of initial states, drawn POOL at a time because few are needed at once.
 
-    `numbered` ones come with a number in [0, 1) each, from which the episode's plant follows (`inspection.plant`).
+    `numbered` ones come with a number in [0, 1) each, from which its plant follows (`inspection.world.plant`).
 
     Attributes:
         pool: (16 + 3, k) states and priority vectors not handed out yet; with `numbered` plants a row more.

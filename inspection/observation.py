@@ -6,11 +6,11 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from inspection.attitude import conjugate, dot, norm, rotate, rotation_matrix, unit
-from inspection.dynamics import sun_direction
-from inspection.orbit import closest_pass
-from inspection.parameters import OBSERVED, InspectionParameters
-from inspection.state import OMEGA, THETA_S, E, P, Q, T, V
+from inspection.model.attitude import conjugate, dot, norm, rotate, rotation_matrix, unit
+from inspection.model.dynamics import sun_direction
+from inspection.model.orbit import closest_pass
+from inspection.model.parameters import OBSERVED, InspectionParameters
+from inspection.model.state import OMEGA, THETA_S, E, P, Q, T, V
 
 # s between samples of free flight, whose chords stray by |a| spacing^2 / 8: 100 m from the chief and at 1 m/s by 0.2
 # and 3 m, of which 0.03 and 0.4 m at rest

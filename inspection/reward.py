@@ -5,10 +5,10 @@ import math
 import torch
 from torch import Tensor
 
-from inspection.attitude import conjugate, norm, rotate, unit
-from inspection.orbit import closest_pass, coast
-from inspection.parameters import InspectionParameters
-from inspection.state import OMEGA, P, Q
+from inspection.model.attitude import conjugate, norm, rotate, unit
+from inspection.model.orbit import closest_pass, coast
+from inspection.model.parameters import InspectionParameters
+from inspection.model.state import OMEGA, P, Q
 
 PHASES = 64  # at which an orbit of free flight is looked at
 # How near a limit is near, in the unit of its h: of those that agents without a filter break; chosen

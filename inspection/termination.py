@@ -2,10 +2,10 @@
 
 from torch import Tensor
 
-from inspection.attitude import norm
-from inspection.hull import clearance
-from inspection.parameters import InspectionParameters
-from inspection.state import E, P
+from inspection.chief.hull import clearance
+from inspection.model.attitude import norm
+from inspection.model.parameters import InspectionParameters
+from inspection.model.state import E, P
 
 # Where several hold at once, the first one names the episode's outcome.
 OUTCOMES = ("crash", "out_of_bounds", "out_of_power", "success", "timeout")

@@ -27,7 +27,7 @@ class VectorRunTimeAssurance(VectorWrapper):
             the call missed,
         intervened: (B, calls) bool, u_safe is a correction,
         active: (B, calls, 13) bool, a row of the constraint binds it,
-        status: (B, calls), `rta.qp.Status` of the solver.
+        status: (B, calls), `rta.qp.programs.Status` of the solver.
 
     Args:
         env: a `VectorInspection6DoF`, wrapped or not.

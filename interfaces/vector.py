@@ -13,10 +13,10 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
 from inspection.environment import METRICS, InspectionEnv, Transition
+from inspection.model.state import CONTROL_SIZE
 from inspection.observation import components
-from inspection.state import CONTROL_SIZE
 from inspection.termination import OUTCOMES
-from rta.constraints import CONSTRAINTS
+from rta.constraints.constraint import CONSTRAINTS
 from study import config as configuration
 from study.config import Config
 from study.errors import refusing

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from kernels.expressions import Program
+from kernels.operations.expressions import Program
 from kernels.recorder import Recorder, evaluated
 from kernels.text import TYPES, Body, Part
 

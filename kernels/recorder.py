@@ -18,9 +18,9 @@ from torch import Tensor
 from torch.overrides import TorchFunctionMode
 from torch.utils._python_dispatch import TorchDispatchMode
 
-from kernels.expressions import MASK, NUMBER, Program, Value, kind_of
-from kernels.operations import Operations
-from kernels.shapes import filled
+from kernels.operations.aten import Operations
+from kernels.operations.expressions import MASK, NUMBER, Program, Value, kind_of
+from kernels.operations.shapes import filled
 from kernels.text import TYPES, Part, element
 from kernels.trace import TRACING
 
@@ -47,7 +47,7 @@ class Known(NamedTuple):
 
     Attributes:
         tensor: kept, so that no other is given its id or its memory.
-        values: an array of its shape, see `kernels.shapes`.
+        values: an array of its shape, see `kernels.operations.shapes`.
         fixed: its numbers are the same for any arguments, until something else is written to its memory.
     """
 

@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from numpy import ndarray
 
-from kernels.expressions import MASK, NUMBER, REDUCTIONS, Expression, Program, Value, kind_of
+from kernels.operations.expressions import MASK, NUMBER, REDUCTIONS, Expression, Program, Value, kind_of
 
 # in memory
 TYPES = {torch.float64: "double", torch.float32: "float", torch.bool: "bool", torch.int64: "long"}

@@ -7,10 +7,10 @@ and `Uncertainty`, what it is told about the world's bounds; it answers with a `
 its control came about.
 """
 
-from rta.constraints import Constraint
+from rta.bounds.uncertainty import Uncertainty
+from rta.constraints.constraint import Constraint
 from rta.filter import FilterResult, SafetyFilter
 from rta.parameters import RtaParameters
-from rta.qp import Status
-from rta.uncertainty import Uncertainty
+from rta.qp.programs import Status
 
 __all__ = ["Constraint", "FilterResult", "RtaParameters", "SafetyFilter", "Status", "Uncertainty"]

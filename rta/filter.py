@@ -1,6 +1,6 @@
 """SafetyFilter: barrier rows, screening, two small programs per spacecraft, report (Sec. ASIF).
 
-Where the rows of a program conflict, slack is given class after class of their weights, see `rta.qp.stages`.
+Where the rows of a program conflict, slack is given class after class of their weights, see `rta.qp.programs.stages`.
 """
 
 from collections.abc import Callable, Sequence
@@ -12,24 +12,24 @@ import torch
 from torch import Tensor
 
 from inspection.closed_loop import Safety
-from inspection.parameters import InspectionParameters
-from inspection.state import CONTROL_SIZE, SIZE, THRUST, TORQUE, P, Q
+from inspection.model.parameters import InspectionParameters
+from inspection.model.state import CONTROL_SIZE, SIZE, THRUST, TORQUE, P, Q
 from kernels import Compiled, NoCompilerError
-from rta import vehicle
-from rta.batch import BatchFilter
-from rta.batched_solver import STEPS_HELD, BatchedSolver
-from rta.boundary import Given
-from rta.constraints import ACTUATORS, Constraint, in_order, joined
-from rta.health import turning
-from rta.held_rows import KINDS, HeldGroup, predicted
+from rta.bounds.health import turning
+from rta.bounds.uncertainty import NOTHING, Uncertainty
+from rta.conditions.held_rows import KINDS, HeldGroup, predicted
+from rta.conditions.rows import ActuatorGroup, Rows
+from rta.conditions.tangents import Prepared, Settling, answered, prepared_now, problems, scaled
+from rta.constraints import vehicle
+from rta.constraints.constraint import ACTUATORS, Constraint, in_order, joined
+from rta.constraints.thrust import keep_in_zone, thrust_constraints
+from rta.constraints.torque import torque_constraints
+from rta.given import Given
 from rta.parameters import RtaParameters
-from rta.piqp_solver import PiqpSolver
-from rta.qp import Solver, Status, pick, put
-from rta.rows import ActuatorGroup, Rows
-from rta.tangents import Prepared, Settling, answered, prepared_now, problems, scaled
-from rta.thrust_constraints import keep_in_zone, thrust_constraints
-from rta.torque_constraints import torque_constraints
-from rta.uncertainty import NOTHING, Uncertainty
+from rta.printed.batch import BatchFilter
+from rta.qp.batched_solver import STEPS_HELD, BatchedSolver
+from rta.qp.piqp_solver import PiqpSolver
+from rta.qp.programs import Solver, Status, pick, put
 
 ROW_FIELDS = len(fields(Rows))
 
@@ -77,7 +77,8 @@ class SafetyFilter:
 
     Args:
         c: the task's constants; None: the paper's.
-        parameters: period, gains, margins and weights for the paper's vehicle, see `rta.vehicle`; None: the defaults.
+        parameters: period, gains, margins and weights for the paper's vehicle, see `rta.constraints.vehicle`; None: the
+            defaults.
         solver: of the quadratic programs; None: the one that the parameters name, for `auto` PIQP or, where controls
             are held, the batched one.
         extra: constraints of your own.
@@ -287,7 +288,7 @@ class SafetyFilter:
         or traces it where there is no compiler.
 
         Args:
-            x: state (16,) or states (16, B), components in the order of `inspection.state`.
+            x: state (16,) or states (16, B), components in the order of `inspection.model.state`.
             desired: control (6,) or controls (6, B) in N and N m in the body frame; clipped to the actuators' limits.
 
         Both are NumPy arrays, PyTorch tensors or lists, of float64, float32 or integers.

@@ -14,7 +14,7 @@ class RtaParameters:
 
     A gain above 1 / period overshoots when its decay is sampled, so `gain` caps each at half of that. What
     a barrier can lose within one period beyond its linear prediction is derived beside the barrier
-    (`rta.thrust_constraints`) and needs no parameter; the margins here come on top, for what that leaves out (the rows'
+    (`rta.constraints.thrust`) and needs no parameter; the margins here come on top, for what that leaves out (the rows'
     own rounding, and for passive safety the shift of the closest time).
     """
 
@@ -66,7 +66,7 @@ class RtaParameters:
     pole_angle: float = 0.2  # rad, least angle to a pole
 
     # Slack weights on rows of unit length, highest priority first: the rows of a class are given slack only where they
-    # cannot all be held although lower classes yield (`rta.qp.stages`). Safe separation has no slack at all.
+    # cannot all be held although lower classes yield (`rta.qp.programs.stages`). Safe separation has no slack at all.
     # The paper's 1e12 is beyond what an interior-point solver resolves; of 255 infeasible programs recorded
     # with random actions, PIQP solved 249 at 1e6 and all at 1e5.
     slack_weight_critical: float = 1e5  # per slack squared: keep-in zone, passive safety, attitude exclusion

@@ -18,13 +18,13 @@ from typing import Any, TypeVar
 
 import tomli_w
 
-from inspection.parameters import ChiefParameters, InspectionParameters
-from inspection.plant import PlantParameters
+from inspection.model.parameters import ChiefParameters, InspectionParameters
+from inspection.world.plant import PlantParameters
 from ppo.distributed import is_first
 from ppo.learner import PPOParameters
-from rta.constraints import CONSTRAINTS
+from rta.bounds.uncertainty import Uncertainty
+from rta.constraints.constraint import CONSTRAINTS
 from rta.parameters import RtaParameters
-from rta.uncertainty import Uncertainty
 from study.errors import InputError, refusing
 
 MAX_COUNT = 10**12

@@ -11,14 +11,14 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
+from inspection.chief.hull import beside
+from inspection.chief.mesh import pinned
+from inspection.chief.surface import surface
 from inspection.environment import InspectionEnv, clocks_of
-from inspection.hull import beside
 from inspection.initial_state import InitialStates, uniform
-from inspection.mesh import pinned
+from inspection.model.parameters import InspectionParameters
+from inspection.model.state import CONTROL_SIZE
 from inspection.observation import components
-from inspection.parameters import InspectionParameters
-from inspection.state import CONTROL_SIZE
-from inspection.surface import surface
 from kernels.build import NoCompilerError, compiler
 from ppo import checkpoint
 from ppo.checkpoint import CheckpointError
@@ -30,8 +30,8 @@ from study import config as configuration
 from study.commands import EPISODE
 from study.config import Config
 from study.errors import InputError, in_one_line, refusing
-from study.progress import step
-from study.threads import THREADS
+from study.machine.progress import step
+from study.machine.threads import THREADS
 
 # Compiling takes 3 s the first time, which as many filter calls or steps (of a batch each) repay.
 WORTH_COMPILING_FILTER = 150

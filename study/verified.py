@@ -10,9 +10,9 @@ from functools import reduce
 from pathlib import Path
 from typing import Any
 
-from inspection.mesh import pinned
-from inspection.parameters import ChiefParameters, InspectionParameters
-from inspection.plant import PlantParameters
+from inspection.chief.mesh import pinned
+from inspection.model.parameters import ChiefParameters, InspectionParameters
+from inspection.world.plant import PlantParameters
 from ppo.distributed import is_first
 from study import config as configuration
 from study.commands import command

@@ -17,12 +17,12 @@ from scipy.spatial.transform import Rotation
 
 from inspection import initial_state
 from inspection.environment import METRICS
-from inspection.parameters import InspectionParameters
-from inspection.plant import PlantParameters
-from inspection.state import OMEGA, SIZE, THETA_S, E, P, Q, T, V
-from rta.constraints import CONSTRAINTS
-from study import progress
+from inspection.model.parameters import InspectionParameters
+from inspection.model.state import OMEGA, SIZE, THETA_S, E, P, Q, T, V
+from inspection.world.plant import PlantParameters
+from rta.constraints.constraint import CONSTRAINTS
 from study.config import ARMS, BASELINES, Config, StudyConfig
+from study.machine import progress
 
 torch.set_num_threads(1)
 os.environ["OMP_NUM_THREADS"] = "1"  # of the processes that tests start: nothing to measure, and to say

@@ -5,15 +5,15 @@ import torch
 
 from inspection.environment import InspectionEnv
 from inspection.initial_state import sample_initial_state
-from inspection.parameters import InspectionParameters
+from inspection.model.parameters import InspectionParameters
 from ppo.learner import PPO, PPOParameters
 from ppo.network import Policy, Value
 from ppo.rollout import collect
-from rta.batched_solver import BatchedSolver
 from rta.filter import SafetyFilter
 from rta.parameters import RtaParameters
-from rta.qp import Problems
-from tests.rta.test_batched_solver import synthetic
+from rta.qp.batched_solver import BatchedSolver
+from rta.qp.programs import Problems
+from tests.rta.qp.test_batched_solver import synthetic
 
 pytestmark = pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a CUDA device")
 C = InspectionParameters()

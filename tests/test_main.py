@@ -13,7 +13,7 @@ import torch
 
 import main
 from inspection.environment import METRICS
-from rta.constraints import CONSTRAINTS
+from rta.constraints.constraint import CONSTRAINTS
 from rta.filter import SOLVERS
 from study import experiment
 from study.command_line.arguments import build_parser, resolve

@@ -11,7 +11,7 @@ import pytest
 from inspection.observation import components
 from inspection.reward import REWARDS
 from inspection.termination import OUTCOMES
-from rta.constraints import CONSTRAINTS
+from rta.constraints.constraint import CONSTRAINTS
 from rta.filter import SafetyFilter
 from study.files import ROOT
 from tests import test_readme
@@ -113,7 +113,7 @@ def test_every_requirement_has_code_a_test_and_evidence() -> None:
     [
         ("[dynamic_speed](", "[static_speed](", "static_speed is not in"),
         ("[SafetyFilter.correct](", "[SafetyFilter.corrects](", "SafetyFilter.corrects is not in"),
-        ("tests/rta/test_qp.py", "tests/rta/test_pq.py", "is not in ../../tests/rta/test_pq.py"),
+        ("tests/rta/qp/test_programs.py", "tests/rta/test_pq.py", "is not in ../../tests/rta/test_pq.py"),
         (
             "[test_points_earn_their_weight](../../tests/inspection/test_observation_and_reward.py)",
             "",

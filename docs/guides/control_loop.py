@@ -16,9 +16,9 @@ import onnxruntime
 import torch
 from torch import Tensor
 
+from inspection.chief.hull import beside
 from inspection.environment import InspectionEnv
-from inspection.hull import beside
-from inspection.parameters import ChiefParameters, InspectionParameters
+from inspection.model.parameters import ChiefParameters, InspectionParameters
 from rta.filter import SafetyFilter
 from rta.parameters import RtaParameters
 from study.benchmark.timing import Stopwatch

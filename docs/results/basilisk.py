@@ -18,12 +18,12 @@ import torch
 from scipy.spatial.transform import Rotation
 from torch import Tensor
 
-from inspection.basilisk import BasiliskPlant
-from inspection.dynamics import integrate
 from inspection.environment import METRICS
-from inspection.parameters import InspectionParameters
-from inspection.plant import PlantParameters
-from inspection.state import OMEGA, P, Q
+from inspection.model.dynamics import integrate
+from inspection.model.parameters import InspectionParameters
+from inspection.model.state import OMEGA, P, Q
+from inspection.world.basilisk import BasiliskPlant
+from inspection.world.plant import PlantParameters
 from rta.filter import SafetyFilter
 from study.command_line.flags import Parser, positive_integer
 from study.config import TEST_CASES

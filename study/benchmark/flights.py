@@ -11,9 +11,9 @@ from torch import Tensor
 from inspection.closed_loop import Correction
 from inspection.environment import InspectionEnv
 from ppo.checkpoint import CheckpointError
+from rta.conditions.tangents import prepared_now, problems
 from rta.filter import SafetyFilter
-from rta.qp import Problems
-from rta.tangents import prepared_now, problems
+from rta.qp.programs import Problems
 from study.errors import InputError
 from study.experiment import Experiment, load_policy
 from study.files import ROOT

@@ -16,8 +16,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from inspection.model.state import CONTROL_SIZE
 from inspection.observation import components
-from inspection.state import CONTROL_SIZE
 from ppo.distributed import ranks
 from ppo.rollout import collect
 from study import config as configuration

@@ -8,13 +8,13 @@ import torch
 from torch import Tensor
 
 from inspection.environment import InspectionEnv
-from inspection.state import CONTROL_SIZE
+from inspection.model.state import CONTROL_SIZE
 from interfaces.vector import VectorInspection6DoF
 from kernels import Compiled
 from ppo.learner import PPO
-from rta.batched_solver import BatchedSolver
 from rta.filter import SafetyFilter
-from rta.qp import Problems, Solver
+from rta.qp.batched_solver import BatchedSolver
+from rta.qp.programs import Problems, Solver
 from study.benchmark.flights import Agent, Flight
 from study.benchmark.timing import Spread, in_turn, per_second, seconds
 from study.experiment import Experiment, compile_or_explain

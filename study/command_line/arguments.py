@@ -6,8 +6,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from inspection.parameters import AXES
-from inspection.plant import SIMULATORS
+from inspection.model.parameters import AXES
+from inspection.world.plant import SIMULATORS
 from kernels.build import VARIABLE
 from rta.parameters import QP_SOLVERS
 from study import config as configuration
@@ -236,7 +236,7 @@ COMMANDS = {
         THREADS,
         read(
             "--states",
-            "file with state (N x 16, the order of inspection/state.py) and control_desired (N x 6, N and N m)",
+            "file with state (N x 16, the order of inspection/model/state.py) and control_desired (N x 6, N and N m)",
             metavar="F.npz",
         ),
         written("result of filter", "--out", "file to write", "G.npz"),

@@ -5,7 +5,7 @@ from copy import copy
 from functools import partial
 from typing import Any, NoReturn
 
-from rta.constraints import CONSTRAINTS
+from rta.constraints.constraint import CONSTRAINTS
 from rta.parameters import PERIODS
 from study.commands import FILES
 from study.config import ARMS, MAX_COUNT

@@ -9,16 +9,16 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from inspection.attitude import norm
 from inspection.closed_loop import Controller, Hold
-from inspection.dynamics import sun_and_earth_in_body
 from inspection.environment import METRICS, InspectionEnv, Transition
+from inspection.model.attitude import norm
+from inspection.model.dynamics import sun_and_earth_in_body
+from inspection.model.state import OMEGA, E, P, T, V
 from inspection.reward import stays_clear
-from inspection.state import OMEGA, E, P, T, V
 from inspection.termination import OUTCOMES, failures
 from ppo.network import Policy
-from rta.constraints import CONSTRAINTS
-from rta.qp import Status
+from rta.constraints.constraint import CONSTRAINTS
+from rta.qp.programs import Status
 from study.commands import EPISODE, command
 from study.config import TEST_CASES, Config
 from study.experiment import (
@@ -31,7 +31,7 @@ from study.experiment import (
 from study.flight.controllers import agent, classical, untrained
 from study.flight.simulation import Recording
 from study.flight.summary import summary_of_runs
-from study.progress import bar
+from study.machine.progress import bar
 from study.verified import say_unless_verified
 
 # Without the time that is left: the last episode may take as long as all before it, and nobody knows.

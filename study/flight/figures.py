@@ -11,8 +11,8 @@ from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
 from matplotlib.ticker import MaxNLocator, MultipleLocator
 
-from inspection.chief import fibonacci_sphere
-from inspection.parameters import InspectionParameters
+from inspection.chief.points import fibonacci_sphere
+from inspection.model.parameters import InspectionParameters
 from study.files import writing
 
 matplotlib.use("Agg")

@@ -6,15 +6,15 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from rta.constraints import CONSTRAINTS
+from rta.conditions.rows import ActuatorGroup, Rows
+from rta.conditions.tangents import SHORTEST_ROW
+from rta.constraints.constraint import CONSTRAINTS
 from rta.filter import SafetyFilter
-from rta.qp import FEASIBLE, Status
-from rta.rows import ActuatorGroup, Rows
-from rta.tangents import SHORTEST_ROW
+from rta.qp.programs import FEASIBLE, Status
 from study.config import Config
 from study.experiment import Experiment
 from study.flight.state_files import read_states
-from study.progress import bar
+from study.machine.progress import bar
 
 CHUNK = 4096  # states filtered at once, so that memory does not grow with their number
 
@@ -54,7 +54,7 @@ def filter_states(safety_filter: SafetyFilter, x: Tensor, desired: Tensor) -> di
             held with all margins, and does not if they had to be given up.
         constraint_of_row: (R,) index into constraints.
         slack_weight: (N, R) per squared unit of the row, infinite where the row was held. A row's shortfall beyond
-            100 |A limit| counts as that much (`rta.qp.HOPELESS`).
+            100 |A limit| counts as that much (`rta.qp.programs.HOPELESS`).
         with_margins: (N, 2) bool, the thrust and the torque program held with all margins.
     """
     parts = list(zip(x.split(CHUNK, 1), desired.split(CHUNK, 1), strict=True))

@@ -8,15 +8,15 @@ import tomli_w
 import torch
 from torch import Tensor
 
+from inspection.chief.hull import clearance
+from inspection.chief.tumbling import ATTITUDE
 from inspection.closed_loop import Controller, Hold, is_multiple
 from inspection.environment import InspectionEnv
-from inspection.hull import clearance
-from inspection.parameters import InspectionParameters
-from inspection.state import THETA_S, P
+from inspection.model.parameters import InspectionParameters
+from inspection.model.state import THETA_S, P
 from inspection.termination import ends, failures
-from inspection.tumbling import ATTITUDE
 from ppo.network import Policy
-from rta.qp import Status
+from rta.qp.programs import Status
 from study.config import TEST_CASES, Config
 from study.errors import InputError
 from study.experiment import (
@@ -29,7 +29,7 @@ from study.experiment import (
 )
 from study.flight.controllers import agent, classical, recorded, untrained
 from study.flight.state_files import STATE_FIELDS, read_state
-from study.progress import bar
+from study.machine.progress import bar
 from study.verified import say_unless_verified
 
 MAX_ROWS = 10**7

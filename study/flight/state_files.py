@@ -8,9 +8,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from inspection.attitude import norm, unit
-from inspection.parameters import InspectionParameters
-from inspection.state import CONTROL_SIZE, OMEGA, SIZE, THETA_S, E, P, Q, T, V
+from inspection.model.attitude import norm, unit
+from inspection.model.parameters import InspectionParameters
+from inspection.model.state import CONTROL_SIZE, OMEGA, SIZE, THETA_S, E, P, Q, T, V
 from study import files
 from study.errors import InputError, refusing
 

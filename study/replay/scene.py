@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 import torch
 
-from inspection import attitude
-from inspection.chief import fibonacci_sphere
-from inspection.dynamics import sun_direction
-from inspection.parameters import InspectionParameters
-from inspection.surface import Surface, hidden, hiding
-from rta.constraints import CONSTRAINTS
+from inspection.chief.points import fibonacci_sphere
+from inspection.chief.surface import Surface, hidden, hiding
+from inspection.model import attitude
+from inspection.model.dynamics import sun_direction
+from inspection.model.parameters import InspectionParameters
+from rta.constraints.constraint import CONSTRAINTS
 from study import config as configuration
 from study.errors import InputError
 from study.files import load_arrays

@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from inspection.parameters import InspectionParameters
+from inspection.model.parameters import InspectionParameters
 from study.errors import refusing
 from study.files import writing
 from study.flight.figures import (

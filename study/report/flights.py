@@ -11,8 +11,8 @@ from torch import Tensor
 from inspection.closed_loop import Controller
 from inspection.environment import METRICS, InspectionEnv
 from inspection.guidance import Orbit, natural_motion
+from rta.bounds.uncertainty import Uncertainty
 from rta.parameters import PERIODS
-from rta.uncertainty import Uncertainty
 from study import config as configuration
 from study.config import BASELINES, TEST_CASES, Config
 from study.errors import MALFORMED, refusing

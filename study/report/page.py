@@ -15,7 +15,7 @@ import numpy as np
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
-from inspection.plant import PlantParameters
+from inspection.world.plant import PlantParameters
 from study.errors import refusing
 from study.files import write_text
 from study.flight.figures import Episode, effort

@@ -5,14 +5,14 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from inspection.attitude import conjugate, rotate
-from inspection.chief import point_weights
-from inspection.dynamics import sun_direction
-from inspection.orbit import sun_angle_after
-from inspection.parameters import ChiefParameters, InspectionParameters
-from inspection.state import THETA_S
-from inspection.surface import light, surface
-from inspection.tumbling import Tumbling
+from inspection.chief.points import point_weights
+from inspection.chief.surface import light, surface
+from inspection.chief.tumbling import Tumbling
+from inspection.model.attitude import conjugate, rotate
+from inspection.model.dynamics import sun_direction
+from inspection.model.orbit import sun_angle_after
+from inspection.model.parameters import ChiefParameters, InspectionParameters
+from inspection.model.state import THETA_S
 from study.config import Config
 from study.experiment import case_numbers, test_cases
 from study.flight.summary import summary

@@ -14,7 +14,7 @@ from ppo.files import naming
 from study.files import write_text
 from study.flight.evaluation import Episodes
 from study.flight.summary import iqm
-from study.progress import bar
+from study.machine.progress import bar
 from study.training.charts import Charts
 from study.training.monitor import EPISODE, Monitor
 

@@ -13,7 +13,7 @@ from torch import Tensor
 from inspection.closed_loop import Correction, Safety
 from inspection.environment import METRICS, Transition
 from inspection.termination import OUTCOMES
-from rta.qp import Status
+from rta.qp.programs import Status
 
 EPISODE = tuple(name.removeprefix("episode_") for name in (*METRICS, "success_percent"))
 

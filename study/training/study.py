@@ -9,7 +9,7 @@ import numpy as np
 from inspection.environment import METRICS
 from inspection.termination import OUTCOMES
 from ppo.distributed import ranks
-from rta.constraints import CONSTRAINTS
+from rta.constraints.constraint import CONSTRAINTS
 from study import config as configuration
 from study.commands import command
 from study.config import TEST_CASES, StudyConfig

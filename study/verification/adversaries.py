@@ -5,8 +5,8 @@ from torch import Tensor
 
 from inspection.closed_loop import Controller
 from inspection.environment import InspectionEnv
-from inspection.parameters import InspectionParameters
-from inspection.state import CONTROL_SIZE
+from inspection.model.parameters import InspectionParameters
+from inspection.model.state import CONTROL_SIZE
 from ppo.network import Policy
 from rta.filter import SafetyFilter
 

@@ -14,13 +14,13 @@ from typing import Any, NamedTuple
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
-from inspection.plant import PlantParameters
+from inspection.world.plant import PlantParameters
 from study.config import Config, StudyConfig, override
 from study.errors import InputError
 from study.experiment import Experiment
 from study.files import write_json
 from study.flight.figures import GREY, SAFE, UNSAFE
-from study.progress import bar
+from study.machine.progress import bar
 from study.verification.campaign import run
 from study.verification.findings import WIDTH, Campaign, report_in
 from study.verified import fingerprint

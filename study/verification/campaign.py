@@ -18,9 +18,9 @@ from inspection.environment import InspectionEnv
 from inspection.initial_state import uniform
 from kernels import NoCompilerError
 from ppo.network import Policy
-from rta.constraints import CONSTRAINTS
-from rta.in_c import REALS, InC
-from rta.uncertainty import Uncertainty
+from rta.bounds.uncertainty import Uncertainty
+from rta.constraints.constraint import CONSTRAINTS
+from rta.printed.loaded import REALS, InC
 from study.commands import CHECKPOINT, FILES, LEARNED, in_file
 from study.config import Config, StudyConfig
 from study.errors import InputError, refusing
@@ -28,7 +28,7 @@ from study.experiment import Experiment, check_clocks, check_observed, load_poli
 from study.files import write_json, write_npz
 from study.flight.controllers import agent
 from study.flight.summary import upper_bound
-from study.progress import bar, step
+from study.machine.progress import bar, step
 from study.verification.adversaries import adversarial, held_at_random, learned
 from study.verification.counter_examples import counter_example
 from study.verification.findings import Campaign, report_in

@@ -9,14 +9,14 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from inspection.attitude import unit
-from inspection.state import SIZE, P
-from rta.constraints import CONSTRAINTS
+from inspection.model.attitude import unit
+from inspection.model.state import SIZE, P
+from rta.constraints.constraint import CONSTRAINTS
 from study.config import Config, from_toml, override
 from study.errors import MALFORMED, ReplayError, refusing
 from study.experiment import Experiment, check_clocks
 from study.files import load_arrays
-from study.progress import bar
+from study.machine.progress import bar
 from study.verification.flight import Flight
 
 # A replay flies the recorded controls, so only the plant's rounding differs: compiled or not, on a CPU or a GPU.

@@ -11,8 +11,8 @@ from torch import Tensor
 
 from inspection.closed_loop import Controller
 from inspection.environment import InspectionEnv
-from inspection.state import CONTROL_SIZE
-from rta.qp import Status
+from inspection.model.state import CONTROL_SIZE
+from rta.qp.programs import Status
 
 CHECK_EVERY = 1.0  # s between two checks, where nothing else is wanted
 ROUNDING = 1e-10  # slack that does not count, in units of h's rate; even rows that never yield reach 1e-12

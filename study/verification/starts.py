@@ -8,10 +8,10 @@ import torch
 from scipy.stats import qmc
 from torch import Tensor
 
-from inspection.hull import reach
+from inspection.chief.hull import reach
 from inspection.initial_state import sample_initial_state, spherical
-from inspection.parameters import InspectionParameters
-from inspection.state import OMEGA, SIZE, THETA_S, E, P, Q, T, V
+from inspection.model.parameters import InspectionParameters
+from inspection.model.state import OMEGA, SIZE, THETA_S, E, P, Q, T, V
 from rta.filter import SafetyFilter
 
 INSIDE = 5.0  # m, within max_distance, where the safe set's initial states are at the farthest

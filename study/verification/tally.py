@@ -5,9 +5,9 @@ from typing import Any
 
 import torch
 
-from inspection.state import SIZE
-from rta.constraints import ATTITUDE, CONSTRAINTS, TRANSLATIONAL
-from rta.qp import Status
+from inspection.model.state import SIZE
+from rta.constraints.constraint import ATTITUDE, CONSTRAINTS, TRANSLATIONAL
+from rta.qp.programs import Status
 from study.verification.flight import ROUNDING, Conflicts, Flight
 
 SHOWN = 10  # calls with slack that a report holds, per constraint

@@ -14,9 +14,9 @@ from torch import Tensor
 
 from inspection.closed_loop import Clocks, Safety, closed_loop
 from inspection.environment import InspectionEnv
-from inspection.parameters import InspectionParameters
-from inspection.state import OMEGA, E, P, Q, T, V
-from tests.inspection.test_dynamics import UNEQUAL, dop853, still
+from inspection.model.parameters import InspectionParameters
+from inspection.model.state import OMEGA, E, P, Q, T, V
+from tests.inspection.model.test_dynamics import UNEQUAL, dop853, still
 
 DECISIONS, REPORTS, CALLS = "the controller's decisions", "the loop's reports", "the filter's calls"
 LOOKS = "the looks at the chief"

@@ -14,8 +14,8 @@ from inspection import initial_state
 from inspection.closed_loop import Safety
 from inspection.environment import METRICS, InspectionEnv
 from inspection.initial_state import InitialStates
+from inspection.model.state import THETA_S, E, P, Q, T, V
 from inspection.reward import REWARDS, distance_from_track
-from inspection.state import THETA_S, E, P, Q, T, V
 from inspection.termination import OUTCOMES
 
 

@@ -9,11 +9,11 @@ import scipy.linalg
 import torch
 
 from inspection import guidance
-from inspection.dynamics import step
-from inspection.orbit import free_flight
-from inspection.parameters import InspectionParameters
-from inspection.state import OMEGA, SIZE, THETA_S, E, P, Q, V
-from rta.constraints import CONSTRAINTS
+from inspection.model.dynamics import step
+from inspection.model.orbit import free_flight
+from inspection.model.parameters import InspectionParameters
+from inspection.model.state import OMEGA, SIZE, THETA_S, E, P, Q, V
+from rta.constraints.constraint import CONSTRAINTS
 from rta.filter import SafetyFilter
 from rta.parameters import RtaParameters
 from study.flight.state_files import read_state

@@ -8,7 +8,7 @@ import torch
 
 from inspection import initial_state
 from inspection.initial_state import InitialStates, sample_initial_state, spherical
-from inspection.state import OMEGA, THETA_S, E, P, Q, T, V
+from inspection.model.state import OMEGA, THETA_S, E, P, Q, T, V
 
 
 def seeded(seed):

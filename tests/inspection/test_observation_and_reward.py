@@ -10,10 +10,10 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 from scipy.spatial.transform import Rotation
 
+from inspection.model.parameters import OBSERVABLE, OBSERVED
+from inspection.model.state import E, P, Q, V
 from inspection.observation import GROUPS, components, observe, scales
-from inspection.parameters import OBSERVABLE, OBSERVED
 from inspection.reward import PHASES, REWARDS, distance_from_track, rewards
-from inspection.state import E, P, Q, V
 from inspection.termination import OUTCOMES, ends, failures
 
 STEP_BY_STEP = ("points", "delta_v", "torque", "orientation", "time")

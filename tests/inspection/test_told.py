@@ -8,9 +8,9 @@ import torch
 from torch import Tensor
 
 from inspection.closed_loop import Clocks, closed_loop
-from inspection.plant import PlantParameters
-from inspection.state import SIZE
-from tests.inspection.test_plant import begun, moments
+from inspection.model.state import SIZE
+from inspection.world.plant import PlantParameters
+from tests.inspection.world.test_plant import begun, moments
 
 BATCH, CALLS = 40, 12
 LATE = PlantParameters(latency=(0, 3), missed_calls=0.4, missed_in_a_row=2)

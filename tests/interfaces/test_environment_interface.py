@@ -16,7 +16,7 @@ import interfaces
 from inspection.environment import METRICS, InspectionEnv
 from inspection.reward import REWARDS
 from inspection.termination import OUTCOMES
-from rta.constraints import CONSTRAINTS
+from rta.constraints.constraint import CONSTRAINTS
 from rta.filter import SafetyFilter
 from study.config import Config
 from study.errors import InputError

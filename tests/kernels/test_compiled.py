@@ -13,15 +13,15 @@ import torch
 from torch import Tensor
 from torch.fx.experimental.proxy_tensor import make_fx
 
-from inspection.parameters import InspectionParameters
+from inspection.model.parameters import InspectionParameters
 from kernels import Compiled, NoCompilerError, build
 from kernels.compiled import with_own_code
 from kernels.trace import without_repetitions
-from rta import batched_solver
+from rta.bounds.uncertainty import Uncertainty
 from rta.filter import FilterResult, SafetyFilter
 from rta.parameters import RtaParameters
-from rta.qp import Status
-from rta.uncertainty import Uncertainty
+from rta.qp import batched_solver
+from rta.qp.programs import Status
 from study import experiment
 from study.config import Config, TrainParameters
 

@@ -1,6 +1,6 @@
 """Filter and simulator compiled give PyTorch's numbers to rounding, at states of every kind, in vectors of any width.
 
-What amplifies rounding most is the time of the closest pass (`rta.thrust_constraints.closest_times`), a difference of
+What amplifies rounding most is the time of the closest pass (`rta.constraints.thrust.closest_times`), a difference of
 nearly equal |p|^2 by one that nearly cancels: of 600,000 flights both codes were off by up to 3e-10 of a row's size,
 measured against 80-bit numbers, but as they compute the same in the same order, by the same. They part where a root or
 an arccos begins, h at the zone's edge or towards the Sun: the root of a rounding error of 1e-16 is 1e-8.
@@ -20,13 +20,13 @@ from torch import Tensor
 
 from inspection.environment import InspectionEnv
 from inspection.initial_state import InitialStates
-from inspection.parameters import InspectionParameters
-from inspection.state import CONTROL_SIZE, OMEGA, SIZE, THETA_S, E, P, Q, T, V
+from inspection.model.parameters import InspectionParameters
+from inspection.model.state import CONTROL_SIZE, OMEGA, SIZE, THETA_S, E, P, Q, T, V
 from kernels import Compiled, Printed, build, printed
 from kernels.compiled import pointers
 from kernels.text import Part
+from rta.conditions.held_rows import KINDS
 from rta.filter import SafetyFilter
-from rta.held_rows import KINDS
 from tests.kernels.test_long_axis import LONG, OVER_POINTS
 from tests.kernels.test_operations import OF_ONE, OF_TWO, special_pairs, uniform
 from tests.kernels.test_project import env_of, filter_of

@@ -7,7 +7,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from kernels import Compiled, expressions, printed
+from kernels import Compiled, printed
+from kernels.operations import expressions
 from kernels.recorder import BRANCH
 from tests.kernels.test_operations import Function, uniform
 

@@ -12,11 +12,12 @@ from torch import Tensor
 
 import main
 from inspection import environment
+from inspection.chief.hull import beside
 from inspection.environment import InspectionEnv
-from inspection.hull import beside
 from kernels import printed
-from rta import batch, export
 from rta.filter import SafetyFilter
+from rta.printed import batch
+from rta.printed import source as export
 from study import config as configuration
 
 CONFIGS = Path(main.__file__).parent / "configs"

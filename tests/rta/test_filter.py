@@ -18,17 +18,17 @@ from scipy.optimize import linprog
 from torch import Tensor
 
 from inspection import initial_state
-from inspection.attitude import norm
 from inspection.environment import InspectionEnv
-from inspection.parameters import InspectionParameters
-from rta.constraints import CONSTRAINTS, Constraint
+from inspection.model.attitude import norm
+from inspection.model.parameters import InspectionParameters
+from rta.conditions.rows import Rows
+from rta.constraints.constraint import CONSTRAINTS, Constraint
+from rta.constraints.thrust import chord
 from rta.filter import SOLVERS, FilterResult, SafetyFilter, make_solver
 from rta.parameters import PERIODS, RtaParameters
-from rta.qp import FEASIBLE, Status
-from rta.rows import Rows
-from rta.thrust_constraints import chord
-from tests.rta import test_actuator_groups as own
-from tests.rta.test_constraints import (
+from rta.qp.programs import FEASIBLE, Status
+from tests.rta.conditions import test_actuator_groups as own
+from tests.rta.constraints.test_constraints import (
     PSM_TOLERANCE,
     at_the_edge,
     cosines,

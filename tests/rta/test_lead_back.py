@@ -26,24 +26,24 @@ import pytest
 import torch
 from torch import Tensor
 
-from inspection.attitude import body_axis, cross, dot, norm, unit
-from inspection.dynamics import energy_rate, step, sun_direction, temperature_rate
 from inspection.initial_state import uniform
-from inspection.orbit import free_flight
-from inspection.parameters import InspectionParameters
-from inspection.state import CONTROL_SIZE, OMEGA, THETA_S, E, P, Q, T, V
+from inspection.model.attitude import body_axis, cross, dot, norm, unit
+from inspection.model.dynamics import energy_rate, step, sun_direction, temperature_rate
+from inspection.model.orbit import free_flight
+from inspection.model.parameters import InspectionParameters
+from inspection.model.state import CONTROL_SIZE, OMEGA, THETA_S, E, P, Q, T, V
 from kernels import compiled
-from rta.batched_solver import BatchedSolver
-from rta.constraints import CONSTRAINTS
+from rta.constraints.constraint import CONSTRAINTS
+from rta.constraints.thrust import radial_speed, speed_limit
 from rta.filter import SafetyFilter
 from rta.parameters import RtaParameters
-from rta.qp import Status
-from rta.thrust_constraints import radial_speed, speed_limit
+from rta.qp.batched_solver import BatchedSolver
+from rta.qp.programs import Status
 from study.verification.adversaries import adversarial, held_at_random
 from study.verification.starts import safe_set
-from tests.rta.test_constraints import entries, tensor
+from tests.rta.conditions.test_rows import FILTER
+from tests.rta.constraints.test_constraints import entries, tensor
 from tests.rta.test_lie_derivatives import thrust_fall, torque_fall
-from tests.rta.test_rows import FILTER
 
 C = InspectionParameters()
 R = RtaParameters()

@@ -17,17 +17,17 @@ import torch
 from numpy import ndarray
 from torch import Tensor
 
-from inspection.dynamics import control_matrix
-from inspection.dynamics import drift as torch_drift
 from inspection.initial_state import sample_initial_state
-from inspection.parameters import InspectionParameters
-from rta.constraints import CONSTRAINTS
+from inspection.model.dynamics import control_matrix
+from inspection.model.dynamics import drift as torch_drift
+from inspection.model.parameters import InspectionParameters
+from rta.conditions.rows import Rows
+from rta.constraints.constraint import CONSTRAINTS
+from rta.constraints.vehicle import scaled
 from rta.filter import SafetyFilter
 from rta.lie_derivatives import ByNumbers, lie_derivative, lie_derivatives
 from rta.parameters import RtaParameters
-from rta.rows import Rows
-from rta.vehicle import scaled
-from tests.rta.test_constraints import (
+from tests.rta.constraints.test_constraints import (
     MEAN_MOTION,
     body_axis,
     cosines,

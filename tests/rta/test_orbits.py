@@ -8,17 +8,17 @@ import torch
 from scipy.spatial.transform import Rotation
 from torch import Tensor
 
-from inspection.dynamics import drift, step
-from inspection.parameters import InspectionParameters
-from inspection.state import CONTROL_SIZE, OMEGA, THETA_S, P, Q, V
-from rta.batched_solver import BatchedSolver
+from inspection.model.dynamics import drift, step
+from inspection.model.parameters import InspectionParameters
+from inspection.model.state import CONTROL_SIZE, OMEGA, THETA_S, P, Q, V
+from rta.bounds.uncertainty import Uncertainty
 from rta.filter import SafetyFilter
 from rta.lie_derivatives import lie_derivative
 from rta.parameters import RtaParameters
-from rta.uncertainty import Uncertainty
+from rta.qp.batched_solver import BatchedSolver
 from study.verification.adversaries import adversarial
 from study.verification.starts import safe_set
-from tests.inspection.test_orbit import flown
+from tests.inspection.model.test_orbit import flown
 
 ORBITS = [
     InspectionParameters(hill_rotation=True),

@@ -6,13 +6,13 @@ import math
 import pytest
 import torch
 
-from inspection.parameters import InspectionParameters
-from rta.batched_solver import BatchedSolver
-from rta.constraints import CONSTRAINTS
+from inspection.model.parameters import InspectionParameters
+from rta.constraints.constraint import CONSTRAINTS
 from rta.filter import SafetyFilter
 from rta.parameters import PERIODS, QP_SOLVERS, RtaParameters
-from rta.piqp_solver import PiqpSolver
-from tests.rta.test_constraints import paper, states, tensor
+from rta.qp.batched_solver import BatchedSolver
+from rta.qp.piqp_solver import PiqpSolver
+from tests.rta.constraints.test_constraints import paper, states, tensor
 
 C = InspectionParameters()
 R = RtaParameters()

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from rta.uncertainty import Uncertainty
+from rta.bounds.uncertainty import Uncertainty
 from study import config as configuration
 from study.config import Config
 from study.errors import InputError

@@ -7,9 +7,9 @@ import pytest
 import torch
 
 from inspection.environment import InspectionEnv
-from inspection.parameters import InspectionParameters
+from inspection.model.parameters import InspectionParameters
 from ppo import checkpoint
-from rta.qp import Status
+from rta.qp.programs import Status
 from study.benchmark import flights
 from study.config import Config
 from study.experiment import Experiment, load_policy, make_policy

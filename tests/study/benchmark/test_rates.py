@@ -7,9 +7,9 @@ import pytest
 import torch
 from torch.utils.flop_counter import FlopCounterMode
 
-from inspection.state import CONTROL_SIZE
+from inspection.model.state import CONTROL_SIZE
 from rta.filter import SafetyFilter
-from rta.qp import Problems, Solutions
+from rta.qp.programs import Problems, Solutions
 from study.benchmark import rates
 from study.benchmark.flights import Flight
 from study.config import Config

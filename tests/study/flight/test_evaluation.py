@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from inspection.state import OMEGA, THETA_S, P, Q, V
+from inspection.model.state import OMEGA, THETA_S, P, Q, V
 from study.config import Config, override
 from study.experiment import Experiment
 from study.experiment import test_cases as common_cases

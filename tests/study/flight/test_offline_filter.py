@@ -11,17 +11,17 @@ from numpy import ndarray
 from scipy.optimize import nnls
 
 import main
-from inspection.dynamics import step
-from inspection.parameters import InspectionParameters
-from rta.constraints import CONSTRAINTS
+from inspection.model.dynamics import step
+from inspection.model.parameters import InspectionParameters
+from rta.constraints.constraint import CONSTRAINTS
 from rta.filter import SafetyFilter
 from rta.parameters import RtaParameters
-from rta.qp import Status
+from rta.qp.programs import Status
 from study.flight.offline_filter import CHUNK, filter_states
-from tests.rta.test_constraints import paper
+from tests.rta.constraints.test_constraints import paper
+from tests.rta.qp.test_programs import Problems, given_slack
 from tests.rta.test_filter import PRIORITY, commands, near_the_limits
 from tests.rta.test_lie_derivatives import held, thrust_fall
-from tests.rta.test_qp import Problems, given_slack
 from tests.test_main import assert_refused, call
 
 C = InspectionParameters()

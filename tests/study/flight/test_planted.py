@@ -11,8 +11,8 @@ import torch
 from numpy import ndarray
 
 from inspection.environment import InspectionEnv
-from inspection.state import CONTROL_SIZE
-from rta.constraints import CONSTRAINTS
+from inspection.model.state import CONTROL_SIZE
+from rta.constraints.constraint import CONSTRAINTS
 from rta.filter import FilterResult, SafetyFilter
 from study.config import Config, override
 from study.experiment import Experiment
@@ -20,8 +20,8 @@ from study.flight.evaluation import report, run_episodes
 from study.flight.simulation import simulate
 from study.verification import campaign
 from study.verification.starts import safe_set
-from tests.rta.test_constraints import PSM_TOLERANCE, paper, tensor
-from tests.rta.test_rows import FILTER
+from tests.rta.conditions.test_rows import FILTER
+from tests.rta.constraints.test_constraints import PSM_TOLERANCE, paper, tensor
 from tests.test_main import STATE, assert_refused, call
 
 pytestmark = pytest.mark.usefixtures("small_pools")

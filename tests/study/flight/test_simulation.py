@@ -7,8 +7,8 @@ import torch
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
-from inspection.dynamics import step as integrate
 from inspection.guidance import recorded
+from inspection.model.dynamics import step as integrate
 from rta.filter import SafetyFilter
 from rta.parameters import RtaParameters
 from study.config import Config, override

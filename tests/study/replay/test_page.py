@@ -15,7 +15,7 @@ import torch
 from scipy.spatial.transform import Rotation
 
 import main
-from inspection.chief import fibonacci_sphere, point_weights
+from inspection.chief.points import fibonacci_sphere, point_weights
 from study.replay import page as replay
 
 

@@ -11,8 +11,8 @@ import torch
 from scipy.spatial.transform import Rotation
 
 import main
-from inspection.surface import light, surface
-from rta.constraints import CONSTRAINTS
+from inspection.chief.surface import light, surface
+from rta.constraints.constraint import CONSTRAINTS
 from study.config import load
 from study.replay import page, scene
 from study.replay.scene import Replayed

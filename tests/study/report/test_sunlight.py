@@ -6,10 +6,10 @@ from dataclasses import replace
 import numpy as np
 import torch
 
-from inspection import chief
-from inspection.dynamics import integrate
-from inspection.parameters import ChiefParameters, InspectionParameters
-from inspection.state import SIZE, THETA_S, P
+from inspection.chief import points as chief
+from inspection.model.dynamics import integrate
+from inspection.model.parameters import ChiefParameters, InspectionParameters
+from inspection.model.state import SIZE, THETA_S, P
 from study.config import Config, override
 from study.report.sunlight import earliest_success, shortest_episodes
 

@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 import torch
 
-from rta.constraints import CONSTRAINTS
+from rta.constraints.constraint import CONSTRAINTS
+from study.boundary.scales import scales
 from study.experiment import Experiment
 from study.training import session as training
 from study.training.adversary import WEIGHT, Adversary
 from study.training.run import Run
 from study.verification import campaign
 from study.verification.adversaries import learned
-from study.verification.scales import scales
 from study.verification.starts import initial_states
 from tests.study.training.test_run import tiny
 from tests.study.verification.test_findings import verify

@@ -12,7 +12,7 @@ from inspection.closed_loop import Safety
 from inspection.environment import Transition
 from inspection.termination import OUTCOMES
 from rta.filter import FilterResult
-from rta.qp import Status
+from rta.qp.programs import Status
 from study.training.monitor import EPISODE, Monitor
 
 NAMES = ("near", "fast", "hot")

@@ -4,13 +4,13 @@ import numpy as np
 import torch
 from scipy.stats import kstest
 
-from inspection.parameters import InspectionParameters
+from inspection.model.parameters import InspectionParameters
 from rta.filter import SafetyFilter
 from rta.parameters import RtaParameters
 from study.verification.adversaries import LONGEST_HOLD, adversarial, held_at_random
-from tests.rta.test_constraints import tensor
+from tests.rta.conditions.test_rows import LIMIT, ROWS, flights
+from tests.rta.constraints.test_constraints import tensor
 from tests.rta.test_lie_derivatives import held, push, slope
-from tests.rta.test_rows import LIMIT, ROWS, flights
 
 C = InspectionParameters()
 R = RtaParameters()

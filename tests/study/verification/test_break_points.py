@@ -6,8 +6,8 @@ from typing import Any
 
 import pytest
 
-from inspection.plant import PlantParameters
-from rta.constraints import CONSTRAINTS
+from inspection.world.plant import PlantParameters
+from rta.constraints.constraint import CONSTRAINTS
 from study.config import Config, override
 from study.verification import break_points
 from study.verification.break_points import COLUMNS, EFFECTS, Effect, figure, last_held, table

@@ -10,7 +10,7 @@ from numpy import ndarray
 from torch import Tensor
 
 from inspection.environment import InspectionEnv
-from inspection.state import THETA_S
+from inspection.model.state import THETA_S
 from rta.filter import SafetyFilter
 from study.config import Config, override
 from study.experiment import Experiment, make_policy

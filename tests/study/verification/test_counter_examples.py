@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 import tomli_w
 
-from rta.constraints import CONSTRAINTS
+from rta.constraints.constraint import CONSTRAINTS
 from rta.filter import make_solver
-from rta.qp import Problems, Solutions
+from rta.qp.programs import Problems, Solutions
 from study.config import Config, from_toml, override
 from study.experiment import Experiment
 from study.verification import campaign

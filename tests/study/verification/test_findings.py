@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rta.constraints import CONSTRAINTS
+from rta.constraints.constraint import CONSTRAINTS
 from rta.filter import SafetyFilter
 from study.files import ROOT
 from study.verification import campaign, findings
 from study.verification.starts import initial_states
-from tests.rta.test_rows import FILTER
+from tests.rta.conditions.test_rows import FILTER
 from tests.test_main import assert_refused, call
 
 OLDER = {"rta_period": "period", "qp_solver": "qp_solver"}  # of [train], now of [rta]

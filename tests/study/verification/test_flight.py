@@ -9,16 +9,16 @@ from numpy import ndarray
 
 from inspection.closed_loop import Safety
 from inspection.environment import InspectionEnv
-from inspection.parameters import InspectionParameters
-from rta.constraints import CONSTRAINTS
+from inspection.model.parameters import InspectionParameters
+from rta.constraints.constraint import CONSTRAINTS
 from rta.filter import SafetyFilter
 from rta.parameters import RtaParameters
 from study.verification.adversaries import held_at_random
 from study.verification.flight import Flight, fly, note_state
 from study.verification.starts import safe_set
-from tests.rta import test_rows
-from tests.rta.test_constraints import PSM_TOLERANCE, paper, tensor
-from tests.rta.test_rows import FILTER, LIMIT
+from tests.rta.conditions import test_rows
+from tests.rta.conditions.test_rows import FILTER, LIMIT
+from tests.rta.constraints.test_constraints import PSM_TOLERANCE, paper, tensor
 
 C = InspectionParameters()
 SECONDS, DECIDE = 24, 2  # of an episode, and between two decisions

@@ -10,12 +10,12 @@ import torch
 from torch import Tensor
 
 from inspection.environment import InspectionEnv
+from study.boundary.scales import scales
 from study.config import Config, override
 from study.experiment import Experiment
 from study.verification.adversaries import held_at_random
 from study.verification.flight import Flight, fly
 from study.verification.lookahead import Lookahead, attacked
-from study.verification.scales import scales
 from study.verification.starts import initial_states
 from tests.study.verification.test_findings import verify
 from tests.test_main import assert_refused, call

@@ -9,11 +9,12 @@ from numpy import ndarray
 from scipy.stats import kstest
 from torch import Tensor
 
-from inspection.parameters import InspectionParameters
+from inspection.model.parameters import InspectionParameters
 from rta.filter import SafetyFilter
 from rta.parameters import RtaParameters
 from study.verification.starts import initial_states, safe_set
-from tests.rta.test_constraints import (
+from tests.rta.conditions.test_rows import FILTER, zone
+from tests.rta.constraints.test_constraints import (
     PSM_TOLERANCE,
     cosines,
     keep_in_curve,
@@ -23,7 +24,6 @@ from tests.rta.test_constraints import (
     speed_limit,
 )
 from tests.rta.test_lie_derivatives import drift, slope
-from tests.rta.test_rows import FILTER, zone
 
 C = InspectionParameters()
 R = RtaParameters()

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 import torch
 
-from rta.constraints import CONSTRAINTS
-from rta.qp import Status
+from rta.constraints.constraint import CONSTRAINTS
+from rta.qp.programs import Status
 from study.verification import tally
 from study.verification.flight import Flight
-from tests.rta.test_constraints import PSM_TOLERANCE, paper, tensor
+from tests.rta.constraints.test_constraints import PSM_TOLERANCE, paper, tensor
 from tests.study.verification.test_flight import DECIDE, SECONDS, lax, recounted, six_episodes
 
 ORIGIN = {"batch_seed": 17, "batch_size": 20}

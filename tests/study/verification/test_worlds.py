@@ -11,8 +11,8 @@ import torch
 from torch import Tensor
 
 import main
-from inspection.state import P
-from rta.constraints import CONSTRAINTS
+from inspection.model.state import P
+from rta.constraints.constraint import CONSTRAINTS
 from study.config import Config, override
 from study.experiment import Experiment
 from study.verification import campaign

@@ -1,0 +1,1 @@
+"""The chief: its points, its shape, and how it tumbles."""

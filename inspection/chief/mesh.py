@@ -1,0 +1,209 @@
+"""A chief's mesh: its file, and what its triangles are to each other."""
+
+import hashlib
+import io
+import math
+import re
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from inspection.model.attitude import norm, unit
+
+ROOT = Path(__file__).parents[2]
+DIGEST = re.compile(r"#([0-9a-f]{12})$")  # behind a mesh's path: how the sha256 of its file begins
+MOST = 20_000  # triangles, or points that a file gives
+SHAPES = {  # of what a file holds, each one's and in words
+    "triangles": ((3, 3), "(F, 3, 3)"),
+    "points": ((3,), "(N, 3)"),
+    "normals": ((3,), "(N, 3)"),
+    "areas": ((), "(N,)"),
+}
+EXACT = 1e-5  # m, as exact as float32 files are
+AT_ONCE = 2_000_000  # pairs of a point and a triangle that are looked at together
+GOLDEN = 0.7548776662466927, 0.5698402909980532  # Roberts' additive sequence, which fills a square evenly
+
+
+def arrays_of_npz(content: bytes) -> dict[str, np.ndarray]:
+    """All arrays of a file."""
+    with np.load(io.BytesIO(content), allow_pickle=False) as arrays:
+        return {name: arrays[name] for name in arrays.files}
+
+
+def triangles_of_stl(content: bytes) -> np.ndarray:
+    """(F, 3, 3), corner by corner."""
+    import trimesh  # half a second that who has no such file need not wait
+
+    try:
+        return np.array(trimesh.load(io.BytesIO(content), file_type="stl", force="mesh").triangles)
+    except ImportError as error:  # of what reads text, when it is none
+        raise ValueError(error) from None
+
+
+def path_of(mesh: str) -> str:
+    """Without its digest."""
+    return DIGEST.sub("", mesh)
+
+
+def file_of(mesh: str) -> tuple[str, bytes]:
+    """Its path as it was given, and what the file holds; ValueError where there is none that its digest is of.
+
+    A path is looked for below the working directory and below this project's folder.
+    """
+    path, wanted, found = path_of(mesh), DIGEST.search(mesh), ""
+    for file in (Path(path), ROOT / path):
+        if not file.is_file():
+            continue
+        try:
+            content = file.read_bytes()
+        except OSError as error:
+            raise ValueError(f"mesh = {path!r}: cannot be read: {error.strerror or error}") from None
+        digest = digest_of(content)
+        if not wanted or wanted[1] == digest:
+            return path, content
+        found = found or digest
+    if found:
+        raise ValueError(f"mesh = {mesh!r}: is another file by now, whose sha256 begins with {found}")
+    raise ValueError(f"mesh = {path!r}: there is no such file, here or below the project's folder")
+
+
+def digest_of(content: bytes) -> str:
+    """How its sha256 begins, 12 hexadecimal digits."""
+    return hashlib.sha256(content).hexdigest()[:12]
+
+
+def pinned(mesh: str) -> str:
+    """A mesh's path and digest, as `DIGEST`."""
+    if DIGEST.search(mesh):
+        return mesh
+    path, content = file_of(mesh)
+    return f"{path}#{digest_of(content)}"
+
+
+def read(mesh: str) -> dict[str, np.ndarray]:
+    """The float64 arrays of a mesh's file: `triangles`, none or more, and all or none of the others in SHAPES.
+
+    ValueError where it holds anything else.
+    """
+    path, content = file_of(mesh)
+    suffix = Path(path).suffix
+    if suffix not in (".npz", ".stl"):
+        raise ValueError(f"mesh = {path!r}: must end in .npz or .stl")
+    try:
+        arrays = arrays_of_npz(content) if suffix == ".npz" else {"triangles": triangles_of_stl(content)}
+    except ImportError:
+        raise ValueError(f"mesh = {path!r}: needs trimesh: pip install trimesh") from None
+    except Exception:  # both libraries report damage through many exception types
+        raise ValueError(f"mesh = {path!r}: cannot be read: is damaged, or no {suffix} file") from None
+    arrays.setdefault("triangles", np.zeros((0, 3, 3)))
+    known = {name: arrays[name] for name in SHAPES if name in arrays}
+    for name, array in known.items():
+        if array.dtype.kind not in "fiu" or not np.isfinite(array).all():
+            raise ValueError(f"mesh = {path!r}: {name} must hold finite numbers only")
+        known[name] = array.astype(np.float64)
+    has = [name for name in ("points", "normals", "areas") if name in known]
+    if suffix == ".stl" and not known["triangles"].size:
+        raise ValueError(f"mesh = {path!r}: holds no triangles")
+    if len(has) not in (0, 3) or not (has or known["triangles"].size):
+        raise ValueError(f"mesh = {path!r}: needs triangles, or points, normals and areas")
+    for name, array in known.items():
+        each, shape = SHAPES[name]
+        if array.ndim < 1 or array.shape[1:] != each or len(array) > MOST:
+            raise ValueError(f"mesh = {path!r}: {name} must be {shape}, at most {MOST:,}")
+    if len({len(known[name]) for name in has}) > 1:
+        raise ValueError(f"mesh = {path!r}: points and normals must be (N, 3) and areas (N,)")
+    return known
+
+
+def spread(triangles: Tensor, count: int) -> tuple[Tensor, Tensor, Tensor]:
+    """`count` points (3, N) evenly over the triangles (F, 3, 3), with normals (3, N) and equal areas (N,)."""
+    origin, *edges = triangles[:, 0].T, *((triangles[:, k] - triangles[:, 0]).T for k in (1, 2))
+    normals = torch.linalg.cross(*edges, dim=0)
+    areas = 0.5 * norm(normals)
+    if not float(areas.sum()) > 0.0:
+        raise ValueError("the mesh has no area")
+    at = (torch.arange(count, dtype=areas.dtype) + 0.5) / count * areas.sum()
+    which = torch.searchsorted(areas.cumsum(0), at).clamp(max=len(areas) - 1)
+    steps = torch.arange(1, count + 1, dtype=areas.dtype)
+    u, v = ((step * steps).frac() for step in GOLDEN)
+    u, v = torch.where(u + v > 1.0, 1.0 - u, u), torch.where(u + v > 1.0, 1.0 - v, v)
+    points = origin[:, which] + u * edges[0][:, which] + v * edges[1][:, which]
+    return points, unit(normals)[:, which], (areas.sum() / count).expand(count).clone()
+
+
+def numbered(triangles: Tensor) -> Tensor:
+    """(F, 3) which corner each is: those at the same place, to a micrometre, are one."""
+    places = (triangles * 1e6).round().long().reshape(-1, 3)
+    return torch.unique(places, dim=0, return_inverse=True)[1].reshape(-1, 3)
+
+
+def edges_of(triangles: Tensor) -> list[tuple[int, int]]:
+    """Three of each triangle, along its way, as pairs of numbered corners."""
+    return [edge for a, b, c in numbered(triangles).tolist() for edge in ((a, b), (b, c), (c, a))]
+
+
+def is_closed(triangles: Tensor) -> bool:
+    """Whether every edge of the triangles (F, 3, 3) is one of another, the other way round."""
+    edges = Counter(edges_of(triangles))
+    return all(count == edges[last, first] for (first, last), count in edges.items())
+
+
+def check_winding(triangles: Tensor, path: str) -> None:
+    """Raises ValueError where neighbours are not counterclockwise from the same side, and one's points face inwards."""
+    edges = Counter(edges_of(triangles))
+    wrong = sum(count == 2 and (last, first) not in edges for (first, last), count in edges.items())
+    if wrong:
+        raise ValueError(
+            f"mesh = {path!r}: {wrong:,} pairs of neighbours are not counterclockwise from the same side: mend the "
+            "order of their corners (trimesh.repair.fix_normals)"
+        )
+
+
+def faces(triangles: Tensor) -> Tensor:
+    """The triangles (F, 3, 3), or (k, 4, 3) where many pairs of them are one flat and convex quadrangle.
+
+    That has four planes around its cone, two triangles have six. What is left repeats its last corner.
+    """
+    by_edge = {edge: divmod(n, 3) for n, edge in enumerate(edges_of(triangles))}
+    paired: set[int] = set()
+    found = []
+    for (first, second), (i, k) in by_edge.items():
+        j, m = by_edge.get((second, first), (i, k))
+        if i == j or paired & {i, j}:
+            continue
+        a, b, c = triangles[i].roll(-k, 0)
+        quadrangle = torch.stack((a, triangles[j, (m + 2) % 3], b, c))
+        if is_flat_and_convex(quadrangle):
+            paired |= {i, j}
+            found.append(quadrangle)
+    alone = triangles[[i not in paired for i in range(len(triangles))]]
+    if 4 * (len(found) + len(alone)) >= 3 * len(triangles):
+        return triangles
+    return torch.cat((torch.stack(found), torch.cat((alone, alone[:, 2:]), 1)))
+
+
+def is_flat_and_convex(corners: Tensor) -> bool:
+    """Of a quadrangle's corners (4, 3): whether it turns the same way at each, about one axis, and by something."""
+    edges = corners.roll(-1, 0) - corners
+    turns = torch.linalg.cross(edges.roll(1, 0), edges)
+    axis = torch.nn.functional.normalize(turns.sum(0), dim=0)
+    is_flat = ((corners - corners[0]) @ axis).abs().max() < EXACT
+    return bool(is_flat and (turns @ axis > EXACT**2).all())
+
+
+def enclosed(points: Tensor, triangles: Tensor) -> Tensor:
+    """(N,) bool: points (3, N) are within a closed mesh or a part of it (Van Oosterom and Strackee 1983).
+
+    The solid angles of its triangles, signed, add up to 4 pi there and to nothing outside.
+    """
+    found = []
+    for some in points.T.split(max(1, AT_ONCE // max(1, len(triangles)))):
+        a, b, c = (triangles[None, :, k] - some[:, None] for k in range(3))
+        la, lb, lc = (each.norm(dim=-1) for each in (a, b, c))
+        volume = (torch.linalg.cross(a, b) * c).sum(-1)
+        below = la * lb * lc + (a * b).sum(-1) * lc + (b * c).sum(-1) * la + (c * a).sum(-1) * lb
+        found.append(2.0 * torch.atan2(volume, below).sum(-1).abs() > 2.0 * math.pi)
+    return torch.cat(found)

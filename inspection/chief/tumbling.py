@@ -1,0 +1,112 @@
+"""A chief that turns, free of torques: Euler's equations and the kinematics of its attitude."""
+
+import math
+
+import torch
+from torch import Tensor
+
+from inspection.initial_state import spherical
+from inspection.model.attitude import quaternion_rate, rate_in_hill, unit
+from inspection.model.dynamics import euler
+from inspection.model.orbit import sun_angle_after, turning
+from inspection.model.parameters import ChiefParameters, InspectionParameters
+from inspection.world.plant import uniform
+
+ANGLE = 0.05  # rad, by which it turns in an RK4 step at most; the error of one is then about ANGLE^5 / 120, 3e-9 rad
+NUMBERS = -2  # the time in ms of an episode's draws, which no other has
+ATTITUDE, RATE, TIME = slice(0, 4), slice(4, 7), 7  # of a motion
+
+
+class Tumbling:
+    """The chiefs of a batch of episodes.
+
+    Args:
+        parameters: attitude, rate and moments; c: the task; batch: episodes, B.
+
+    Attributes:
+        motion: (8, B) attitude from the chief's axes to Hill's, rates about its axes in rad/s, and the episodes' time
+            in s when they were so.
+    """
+
+    def __init__(
+        self,
+        parameters: ChiefParameters,
+        c: InspectionParameters,
+        batch: int,
+        device: torch.device | str = "cpu",
+    ) -> None:
+        self.parameters, self.c = parameters, c
+        self.motion = torch.zeros(8, batch, dtype=torch.float64, device=device)
+        self.motion[3] = 1.0
+
+    @property
+    def fastest(self) -> float:
+        """rad/s, that it may come to turn at.
+
+        The energy sum J w^2 / 2 stays, so that |w|^2 grows by the ratio of the moments at most.
+        """
+        p, c = self.parameters, self.c
+        given = math.radians(max(p.largest_rate, math.hypot(*p.rate)))
+        own = given * math.sqrt(max(p.moments) / min(p.moments))
+        return own + (c.fastest_turning if p.turns and c.hill_rotation else 0.0)
+
+    @property
+    def attitude(self) -> Tensor:
+        """(4, B), from the chief's axes to Hill's, scalar last."""
+        return self.motion[ATTITUDE]
+
+    def begin(self, columns: Tensor, number: Tensor | None) -> None:
+        """Begins episodes in the given columns, from a number in [0, 1) each, (k,), if anything is drawn."""
+        p, motion = self.parameters, self.motion.clone()
+        q = motion.new_tensor(p.attitude)
+        motion[:, columns] = 0.0
+        motion[ATTITUDE, columns] = unit(q)[:, None].expand(4, len(columns))
+        motion[RATE, columns] = motion.new_tensor(p.rate).deg2rad()[:, None].expand(3, len(columns))
+        if p.is_drawn:
+            key = (number * 2.0**53).long()
+            draws = uniform(key, torch.full_like(key, NUMBERS), 6)
+            if p.random_attitude:
+                motion[ATTITUDE, columns] = any_attitude(draws[:3])
+            if p.largest_rate:
+                size = math.radians(p.largest_rate) * draws[3]
+                motion[RATE, columns] = spherical(
+                    size, 2.0 * math.pi * draws[4], (2.0 * draws[5] - 1.0).arcsin()
+                )
+        self.motion = motion
+
+    def at(self, time: Tensor, theta_s: Tensor) -> None:
+        """Turns all chiefs on to the episodes' time (B,) in s; theta_s (B,) as in the deputies' states."""
+        self.motion = self.moved(self.motion, time, theta_s)
+
+    def moved(self, motion: Tensor, time: Tensor, theta_s: Tensor) -> Tensor:
+        """A motion (8, B) at another time (B,) in s; what is not given a rate stays as it is in Hill's frame."""
+        seconds = time - motion[TIME]
+        steps = math.ceil(float(seconds.abs().max()) * self.fastest / ANGLE)
+        middle = sun_angle_after(theta_s, -seconds / 2, self.c)  # where Hill's frame turns as in the mean
+        turns = turning(middle, self.c) if self.c.hill_rotation else None
+        y = motion[: RATE.stop]
+        for _ in range(steps):
+            y = self.step(y, seconds / steps, turns)
+        return torch.cat((y, time[None]))
+
+    def step(self, y: Tensor, seconds: Tensor, turns: Tensor | float | None) -> Tensor:
+        """One RK4 step of attitude and rates (7, B)."""
+
+        def rate(y: Tensor) -> Tensor:
+            q, omega = y[ATTITUDE], y[RATE]
+            relative = omega if turns is None else rate_in_hill(q, omega, turns)
+            return torch.stack((*quaternion_rate(q, relative), *euler(omega, self.parameters.moments)))
+
+        k1 = rate(y)
+        k2 = rate(y + seconds / 2 * k1)
+        k3 = rate(y + seconds / 2 * k2)
+        k4 = rate(y + seconds * k3)
+        y = y + seconds / 6 * (k1 + 2.0 * (k2 + k3) + k4)
+        return torch.cat((unit(y[ATTITUDE]), y[RATE]))
+
+
+def any_attitude(draws: Tensor) -> Tensor:
+    """Uniformly distributed rotations (4, k) from numbers in (0, 1), (3, k) (Shoemake 1992)."""
+    share, first, second = draws[0], 2.0 * math.pi * draws[1], 2.0 * math.pi * draws[2]
+    low, high = (1.0 - share).sqrt(), share.sqrt()
+    return torch.stack((low * first.sin(), low * first.cos(), high * second.sin(), high * second.cos()))

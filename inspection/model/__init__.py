@@ -1,0 +1,1 @@
+"""What is modelled: state, attitude, orbit, dynamics and their parameters."""

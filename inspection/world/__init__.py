@@ -1,0 +1,1 @@
+"""The worlds that are flown in: the plant, which may differ from the model, and Basilisk."""

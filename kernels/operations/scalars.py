@@ -1,0 +1,161 @@
+"""PyTorch's operations on each element, as operations on values: the names are PyTorch's."""
+
+import math
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+from kernels.operations.expressions import MASK, Program, Value, kind_of
+
+Scalar = Callable[..., Value]
+
+# functions that C has under the same name
+SAME = ("sqrt", "sin", "cos", "tan", "asin", "acos", "atan", "sinh", "cosh", "tanh", "asinh", "acosh", "atanh",
+        "exp", "exp2", "expm1", "log", "log2", "log10", "log1p", "erf", "erfc", "floor", "ceil", "trunc",
+        "atan2", "hypot", "fmod", "copysign")  # fmt: skip
+
+
+def scalars(p: Program) -> dict[str, Scalar]:
+    """All of them, for a program that takes the expressions."""
+    same = {name: partial(p.call, name) for name in SAME}
+    return same | arithmetic(p) | comparisons(p) | of_one(p) | of_several(p)
+
+
+def arithmetic(p: Program) -> dict[str, Scalar]:
+    """Sums, products and quotients."""
+
+    def add(a: Value, b: Value, alpha: float = 1) -> Value:
+        if alpha == -1:
+            return p.sub(a, b)
+        return p.add(a, p.mul(float(alpha), b))
+
+    def power(a: Value, b: Value) -> Value:
+        return p.power(a, float(b)) if isinstance(b, int | float) else p.call("pow", a, b)
+
+    def divided(a: Value, b: Value, rounding_mode: str | None = None) -> Value:
+        if rounding_mode == "floor":
+            return floor_divided(p, a, b)
+        return p.call(rounding_mode, p.div(a, b)) if rounding_mode else p.div(a, b)
+
+    def remainder(a: Value, b: Value) -> Value:
+        rest = p.call("fmod", a, b)
+        return p.select(has_other_sign(p, rest, b), p.add(rest, b), rest)
+
+    return {
+        "add": add,
+        "sub": lambda a, b, alpha=1: add(a, b, -alpha),
+        "rsub": lambda a, b, alpha=1: add(b, a, -alpha),
+        "mul": p.mul,
+        "div": divided,
+        "floor_divide": partial(floor_divided, p),
+        "remainder": remainder,
+        "pow": power,
+    }
+
+
+def comparisons(p: Program) -> dict[str, Scalar]:
+    """What gives truth values."""
+
+    def of_truths(name: str, operation: Scalar) -> Scalar:
+        """Bits of integers are not there."""
+
+        def run(*given: Value) -> Value:
+            if any(kind_of(a) != MASK for a in given):
+                raise NotImplementedError(f"{name} of integers")
+            return operation(*given)
+
+        return run
+
+    def xor(a: Value, b: Value) -> Value:
+        return p.select(p.mask(a), p.not_(b), p.mask(b))
+
+    def finite(a: Value) -> Value:
+        return p.lt(p.call("fabs", a), math.inf)
+
+    logical = {"and": p.and_, "or": p.or_, "not": p.not_, "xor": xor}
+    return {
+        "lt": p.lt,
+        "le": p.le,
+        "gt": lambda a, b: p.lt(b, a),
+        "ge": lambda a, b: p.le(b, a),
+        "eq": p.eq,
+        "ne": lambda a, b: p.not_(p.eq(a, b)),
+        **{f"logical_{name}": operation for name, operation in logical.items()},
+        **{f"bitwise_{name}": of_truths(f"bitwise_{name}", each) for name, each in logical.items()},
+        "isnan": lambda a: p.not_(p.eq(a, a)),
+        "isinf": lambda a: p.eq(p.call("fabs", a), math.inf),
+        "isfinite": finite,
+        "signbit": lambda a: p.lt(p.call("copysign", 1.0, a), 0.0),
+    }
+
+
+def of_one(p: Program) -> dict[str, Scalar]:
+    """Functions of one number."""
+
+    def sign(a: Value) -> Value:
+        return p.sub(p.number(p.lt(0.0, a)), p.number(p.lt(a, 0.0)))
+
+    def elu(a: Value, alpha: float = 1.0, scale: float = 1.0, input_scale: float = 1.0) -> Value:
+        below = p.mul(float(alpha * scale), p.call("expm1", p.mul(a, float(input_scale))))
+        return p.select(p.lt(0.0, a), p.mul(a, float(scale)), below)
+
+    def gelu(a: Value) -> Value:
+        return p.mul(p.mul(0.5, a), p.add(1.0, p.call("erf", p.mul(a, math.sqrt(0.5)))))
+
+    return {
+        "neg": p.neg,
+        **{name: p.number for name in ("positive", "conj_physical")},
+        "abs": partial(p.call, "fabs"),
+        "reciprocal": partial(p.div, 1.0),
+        "rsqrt": lambda a: p.div(1.0, p.call("sqrt", a)),
+        "sign": sign,
+        "sgn": sign,
+        "round": partial(p.call, "rint"),
+        "sigmoid": lambda a: p.div(1.0, p.add(1.0, p.call("exp", p.neg(a)))),
+        "relu": lambda a: p.max(a, 0.0),
+        "leaky_relu": lambda a, slope=0.01: p.select(p.lt(0.0, a), a, p.mul(float(slope), a)),
+        "elu": elu,
+        "gelu": gelu,
+    }
+
+
+def of_several(p: Program) -> dict[str, Scalar]:
+    """Choices."""
+
+    def fmin(a: Value, b: Value, least: Scalar = p.min) -> Value:
+        """Of NaN and a number the number."""
+        return p.select(p.eq(a, a), p.select(p.eq(b, b), least(a, b), a), b)
+
+    def clamp(a: Value, low: Any = None, high: Any = None) -> Value:
+        """Of NaN it is NaN; where the bounds cross, the upper one."""
+        a = a if low is None else p.max(a, low)
+        return a if high is None else p.min(a, high)
+
+    return {
+        "minimum": p.min,
+        "maximum": p.max,
+        "fmin": fmin,
+        "fmax": partial(fmin, least=p.max),
+        "where": p.select,
+        "masked_fill": lambda x, mask, value: p.select(mask, value, x),
+        **{name: clamp for name in ("clamp", "clamp_min", "hardtanh")},
+        "clamp_max": p.min,
+    }
+
+
+def has_other_sign(p: Program, rest: Value, b: Value) -> Value:
+    """Whether what is left of a division is neither zero nor of the divisor's sign."""
+    negative = p.lt(rest, 0.0)
+    differs = p.select(p.lt(b, 0.0), p.not_(negative), negative)
+    return p.and_(p.not_(p.eq(rest, 0.0)), differs)
+
+
+def floor_divided(p: Program, a: Value, b: Value) -> Value:
+    """a // b as PyTorch has it: from the exact remainder, so that 1 // 0.1 is 9."""
+    rest = p.call("fmod", a, b)
+    whole = p.div(p.sub(a, rest), b)
+    whole = p.sub(whole, p.number(has_other_sign(p, rest, b)))
+    down = p.call("floor", whole)
+    down = p.add(down, p.number(p.lt(0.5, p.sub(whole, down))))
+    down = p.select(p.eq(whole, 0.0), p.call("copysign", 0.0, p.div(a, b)), down)
+    return p.select(p.eq(b, 0.0), p.div(a, b), down)

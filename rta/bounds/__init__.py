@@ -1,0 +1,1 @@
+"""What the filter is told may be wrong."""

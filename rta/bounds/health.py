@@ -1,0 +1,101 @@
+"""What the filter does for a spacecraft of which a thruster is known to be dead or weak: it turns it in time.
+
+In every attitude the axes together give at least as much as one of them along any direction, and the keep-in zone
+counts on that. With a dead axis on the radius there is nothing, and no thrust row can hold the zone. So near its edge
+the torque that is asked for gives way to one that turns the dead axis across the radius.
+"""
+
+import math
+from itertools import product
+
+import torch
+from torch import Tensor
+
+from inspection.model.attitude import conjugate, cross, norm, rotate, unit
+from inspection.model.dynamics import sun_and_earth_in_body
+from inspection.model.parameters import InspectionParameters
+from inspection.model.state import OMEGA, THRUST, TORQUE, P, Q, V
+from rta.bounds.uncertainty import Uncertainty
+from rta.parameters import RtaParameters
+
+STEP = math.radians(7.5)  # between the turns that are compared
+TURNS = 24  # of them about each axis, up to half a turn
+NEAR = math.sin(STEP)  # of the radius, along axes that give nothing, which is left as it is
+
+
+def turning(
+    x: Tensor, torque: Tensor, left: Tensor, c: InspectionParameters, r: RtaParameters, known: Uncertainty
+) -> Tensor:
+    """The torque (3, B) in N m to be filtered in the place of that which is asked for.
+
+    Thrust of the healthy axes is across the radius as far as a dead one is along it. So the body turns, as fast as its
+    rates allow, until that is little, and stays there where a hold could change it. It does so only where it would
+    leave the zone by coasting for as long as the farthest such turn takes, a right angle, and braking from then on:
+    with the outward speed w after t of the strongest natural acceleration g, where
+
+        |p| + v_r t + g t^2 / 2 + w^2 / (2 a_max) > r_max,    w = v_r + g t > 0.
+
+    Args:
+        x: states (16, B); torque: (3, B) as asked for, in N m.
+        left: (6, B) the share that each actuator gives.
+    """
+    limit, hold = c.max_rate - known.rate_offset(c), known.hold(r)
+    inertia = x.new_tensor(c.inertia)[:, None]
+    torques = known.torque[0] * left[TORQUE].amin(0) * c.max_torque
+    t = math.pi / 2 / limit + max(c.inertia) * limit / torques + hold
+    natural = c.max_thrust / c.mass - c.max_acceleration
+    distance = norm(x[P])
+    radial = (x[P] * x[V]).sum(0) / distance
+    later = radial + natural * t
+    reached = distance + radial * t + natural * t**2 / 2 + later**2 / (2 * known.max_acceleration(c, r))
+
+    outwards = rotate(conjugate(x[Q]), x[P]) / distance  # in the body's frame
+    weakness = (
+        left[THRUST].amax(0) - left[THRUST]
+    )  # against the strongest axis, which can be turned onto the radius
+    astray = norm(weakness * outwards)
+    turned = math.sqrt(3.0) * limit * hold  # rad, in a hold at most
+    weak = (astray > NEAR - turned) & (weakness.amax(0) > 0.0) & (torques > 0.0)
+    needed = torch.nonzero(weak & (later > 0.0) & (reached > c.max_distance)).flatten()
+    if not needed.numel():
+        return torque
+    sun, _ = sun_and_earth_in_body(x[:, needed])
+    axis, angle = soonest(outwards[:, needed], sun, weakness[:, needed], c)
+    rate = axis * (limit / axis.abs().amax(0)).minimum(angle / hold)
+    wanted = inertia * (rate * (astray[needed] > NEAR) - x[OMEGA][:, needed]) / hold
+    torque = torque.clone()
+    torque[:, needed] = (wanted / left[TORQUE][:, needed]).clamp(-c.max_torque, c.max_torque)
+    return torque
+
+
+def soonest(
+    outwards: Tensor, sun: Tensor, weakness: Tensor, c: InspectionParameters
+) -> tuple[Tensor, Tensor]:
+    """The turn after which healthy axes are along the radius soonest, past the Sun where possible.
+
+    Args:
+        outwards, sun: (3, M) directions in the body's frame; weakness: (3, M) the share that each axis lacks to the
+            strongest.
+
+    Returns:
+        The axis (3, M) of the turn, of length one, and its angle (M,) in rad.
+    """
+    axes = torch.tensor([axis for axis in product((-1.0, 0.0, 1.0), repeat=3) if any(axis)], dtype=sun.dtype)
+    axes = unit(axes.to(sun).T)[:, :, None, None]  # (3, axes, 1, 1)
+    angles = sun.new_tensor([i * STEP for i in range(1, TURNS + 1)])[:, None]  # (angles, 1)
+
+    def seen(a: Tensor) -> Tensor:
+        """Directions (3, M) in the frame of a body that was turned: (3, axes, angles, M)."""
+        a = a[:, None, None]
+        across = torch.stack(cross(axes.expand(-1, -1, 1, a.shape[-1]), a.expand(-1, axes.shape[1], -1, -1)))
+        along = (axes * a).sum(0) * axes
+        return a * angles.cos() - across * angles.sin() + along * (1.0 - angles.cos())
+
+    astray = norm(weakness[:, None, None] * seen(outwards))  # (axes, angles, M)
+    dark = seen(sun)[0] <= math.cos(c.field_of_view / 2 + c.exclusion_buffer)
+    clear = dark.cummin(1).values
+    time = angles * axes.abs().amax(0)  # each axis turns at the limit at most
+    never = time.max() + 1.0
+    cost = time + never * ((astray - NEAR).clamp(min=0.0) / NEAR + torch.where(clear, 0.0, 1.0 / NEAR))
+    turn = cost.flatten(0, 1).argmin(0)
+    return axes[:, :, 0, 0][:, turn // TURNS], angles[turn % TURNS, 0]

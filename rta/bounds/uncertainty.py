@@ -1,0 +1,214 @@
+"""What the filter is told about the world's bounds, from which every row is tightened.
+
+The worst of them are taken all at once. All zero: the plant is the model, and the filter that of the paper.
+"""
+
+import math
+from dataclasses import dataclass, fields
+from itertools import product
+
+import torch
+from torch import Tensor
+
+from inspection.model.dynamics import euler
+from inspection.model.parameters import InspectionParameters
+from rta.parameters import RtaParameters
+
+LONGEST_HOLD = (
+    10.0  # s; at 20 s, in which a body at 2 deg/s turns by 70 deg, one episode in ten broke a limit
+)
+OLDEST = 10  # calls
+# bounds that take something off the least braking
+BRAKING = (
+    *("mass", "thrust_gain", "acceleration", "thrust_misalignment", "thrust_quantum"),
+    *("attitude", "rate", "inertia", "torque_gain", "longest_hold"),
+)
+SHORT = 1.0  # s, up to which the rate of now, less what it can change by, says what a control does
+
+
+@dataclass(frozen=True)
+class Uncertainty:
+    """Largest differences between world and model; those of sensors are the largest error of each axis."""
+
+    # Body
+    mass: float = 0.0  # share, by which the true mass is more or less at most
+    inertia: float = 0.0  # share, by which each moment of inertia is more or less at most
+    acceleration: float = 0.0  # m/s^2, unknown, in any direction
+    saturates_rates: bool = True  # false: the plant does not hold the body rates, so the filter does
+    hill_rotation: bool = False  # the limit of the body rates is also one of rates relative to the stars
+
+    # Actuators
+    thrust_gain: float = 0.0  # share, by which an axis gives more or less thrust at most
+    torque_gain: float = 0.0  # share, by which an axis gives more or less torque at most
+    thrust_misalignment: float = 0.0  # deg, between an axis and the thrust along it
+    minimum_thrust: float = 0.0  # N, dead-band: the thrusters give no less, so the filter asks for none
+    thrust_quantum: float = 0.0  # N, the thrusters give multiples of it, so the filter asks for these
+    health: bool = False  # the filter is told at each call what is left of each actuator
+
+    # Sensors
+    position: float = 0.0  # m
+    velocity: float = 0.0  # m/s
+    attitude: float = 0.0  # deg
+    rate: float = 0.0  # deg/s
+
+    # Computer
+    latency: int = 0  # calls, the state's age at most: it is predicted by the controls that were sent since
+    longest_hold: float = 0.0  # s that a control may be held, calls being missed; 0: the period
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if not 0 <= value < math.inf:
+                raise ValueError(f"{field.name} = {value!r}: must be finite and not negative")
+        for name in ("mass", "inertia", "thrust_gain", "torque_gain"):
+            if getattr(self, name) >= 1:
+                raise ValueError(f"{name} = {getattr(self, name):g}: must be below 1, a share")
+        if self.thrust_misalignment >= 90 or self.attitude >= 90:
+            raise ValueError("thrust_misalignment and attitude must be below 90 deg")
+        if self.latency > OLDEST or self.longest_hold > LONGEST_HOLD:
+            raise ValueError(
+                f"latency must be at most {OLDEST} calls, longest_hold at most {LONGEST_HOLD:g} s"
+            )
+        if self.minimum_thrust and self.thrust_quantum:
+            raise ValueError("minimum_thrust and thrust_quantum: give the one or the other")
+
+    @property
+    def is_nil(self) -> bool:
+        """Whether the filter is told of nothing."""
+        return self == Uncertainty()
+
+    def check(self, c: InspectionParameters, r: RtaParameters) -> None:
+        """Raises ValueError where a bound leaves no control that could hold a limit."""
+        if 0 < self.longest_hold < r.period:
+            raise ValueError(
+                f"longest_hold = {self.longest_hold:g}: must be at least the period, {r.period:g} s"
+            )
+        if self.minimum_thrust > c.max_thrust:
+            raise ValueError(
+                f"minimum_thrust = {self.minimum_thrust:g}: must be at most max_thrust, {c.max_thrust:g} N"
+            )
+        if (left := self.max_acceleration(c, r)) <= 0.0:
+            told = ", ".join(f"{name} = {value:g}" for name in BRAKING if (value := getattr(self, name)))
+            raise ValueError(
+                f"{told}: of a braking of {c.max_acceleration:.3g} m/s^2 leave {left:.3g} within "
+                f"max_distance = {c.max_distance:g} m: must be above zero for the keep-in zone"
+            )
+        if self.rate_offset(c) + math.radians(self.rate) >= c.max_rate:
+            raise ValueError(
+                f"rate = {self.rate:g}: must be below max_rate, {math.degrees(c.max_rate):g} deg/s"
+            )
+
+    def hold(self, r: RtaParameters) -> float:
+        """s, the longest time that a control is held."""
+        return max(r.period, self.longest_hold)
+
+    def holds(self, r: RtaParameters) -> bool:
+        """Whether rows are of a held control, see `rta.conditions.held_rows`; if not, of the rate of now."""
+        return self.hold(r) > SHORT or not self.is_nil
+
+    @property
+    def thrust(self) -> tuple[float, float]:
+        """Smallest and largest acceleration along an axis for that of the model: gain and alignment over mass."""
+        least = (1 - self.thrust_gain) * math.cos(math.radians(self.thrust_misalignment)) / (1 + self.mass)
+        return least, (1 + self.thrust_gain) / (1 - self.mass)
+
+    @property
+    def torque(self) -> tuple[float, float]:
+        """Smallest and largest angular acceleration of an axis for that of the model."""
+        return (1 - self.torque_gain) / (1 + self.inertia), (1 + self.torque_gain) / (1 - self.inertia)
+
+    @property
+    def thrust_error(self) -> float:
+        """Largest share by which an acceleration along an axis is off."""
+        least, most = self.thrust
+        return max(1.0 - least, most - 1.0)
+
+    @property
+    def torque_error(self) -> float:
+        """Largest share by which an angular acceleration is off."""
+        least, most = self.torque
+        return max(1.0 - least, most - 1.0)
+
+    def thrust_angle(self, c: InspectionParameters, r: RtaParameters) -> float:
+        """rad, between the mean direction of a thruster over a hold and that of the rows at most, of a body at rest.
+
+        Its misalignment, the attitude's error, the rates' times half the hold, and what torque turns the body by
+        otherwise (an angular acceleration e for t turns it by e t^2 / 2, in the mean over t by e t^2 / 6).
+        """
+        hold = self.hold(r)
+        measured = math.sqrt(3.0) * math.radians(self.attitude + self.rate * hold / 2)
+        strongest = math.sqrt(3.0) * c.max_torque / min(c.inertia)
+        otherwise = self.torque_error * strongest + self.angular_acceleration(c)
+        return math.radians(self.thrust_misalignment) + measured + otherwise * hold**2 / 6
+
+    def max_acceleration(self, c: InspectionParameters, r: RtaParameters) -> float:
+        """a_max in m/s^2 that is there in the worst case, in every attitude of a body that does not turn.
+
+        Of the model's thrust |u_j| along n, axis j gives at least |u_j| (k |n_j| - s sqrt(1 - n_j^2)) where it may be
+        off by an angle: s = most angle, k = least - most angle^2 / 2. All axes together give least where two are at the
+        angle at which they begin to help, tan(phi) = s / k, and the third is all that does:
+        n = (sqrt(1 - 2 sin^2 phi), sin phi, sin phi).
+        """
+        (least, most), angle = self.thrust, self.thrust_angle(c, r)
+        s, k = most * angle, least - most * angle**2 / 2
+        squared = 2.0 * s**2 / (s**2 + k**2)  # of what is across that axis
+        helps = k > 0.0 and squared < 2.0 / 3.0
+        share = k * math.sqrt(1.0 - squared) - s * math.sqrt(squared) if helps else 0.0
+        lost = c.max_thrust - share * self.largest_thrust(c.max_thrust)
+        return c.max_acceleration - lost / c.mass - self.acceleration
+
+    def angular_acceleration(self, c: InspectionParameters) -> float:
+        """rad/s^2, the largest that the model does not know of within the limits of the rates.
+
+        The gyroscopic one of other moments of inertia, at the worst corner of their bounds, and where Hill's frame
+        turns by n, the rate of R^T (0, 0, n), n |omega|.
+        """
+        at_most, worst = (c.max_rate,) * 3, [0.0] * 3  # plain numbers: the filter asks at every call
+        nominal = euler(at_most, c.inertia)
+        for factors in product((1 - self.inertia, 1 + self.inertia), repeat=3):
+            moments = [moment * factor for moment, factor in zip(c.inertia, factors, strict=True)]
+            off = zip(worst, euler(at_most, moments), nominal, strict=True)
+            worst = [max(most, abs(true - model)) for most, true, model in off]
+        return math.hypot(*worst) + self.unknown_turning(c) * math.sqrt(3.0) * c.max_rate
+
+    def rate_offset(self, c: InspectionParameters) -> float:
+        """rad/s, by which a body rate relative to the stars exceeds one relative to Hill's frame at most."""
+        return self.unknown_turning(c)
+
+    def unknown_turning(self, c: InspectionParameters) -> float:
+        """rad/s, of Hill's frame at perigee, where the model leaves it out."""
+        return c.fastest_turning if self.hill_rotation and not c.hill_rotation else 0.0
+
+    @property
+    def is_coarse(self) -> bool:
+        """Whether thrusters give some values only."""
+        return self.minimum_thrust > 0.0 or self.thrust_quantum > 0.0
+
+    @property
+    def gap(self) -> float:
+        """N, between two values that thrusters give, up to the largest."""
+        return max(self.minimum_thrust, self.thrust_quantum)
+
+    def largest_thrust(self, limit: float) -> float:
+        """N, that thrusters give within their limit."""
+        quantum = self.thrust_quantum
+        return quantum * math.floor(limit / quantum + 1e-9) if quantum else limit
+
+    def given(self, thrust: Tensor, limit: float) -> Tensor:
+        """What the thrusters give where thrust in N is asked for, within their limit."""
+        if quantum := self.thrust_quantum:
+            most = self.largest_thrust(limit)
+            return (quantum * (thrust / quantum).round()).clamp(-most, most)
+        return torch.where(thrust.abs() < self.minimum_thrust, 0.0, thrust)
+
+    def neighbours(self, thrust: Tensor, limit: float) -> tuple[Tensor, Tensor]:
+        """What the thrusters give next to thrust in N on either side, within their limit."""
+        if quantum := self.thrust_quantum:
+            low, most = (thrust / quantum).floor(), self.largest_thrust(limit)
+            return (quantum * low).clamp(-most, most), (quantum * (low + 1.0)).clamp(-most, most)
+        least = min(self.minimum_thrust * (1.0 + 1e-9), limit)  # rounded down it would be nothing
+        within = thrust.abs() < self.minimum_thrust
+        return torch.where(within, 0.0, thrust), torch.where(within, least * thrust.sign(), thrust)
+
+
+NOTHING = Uncertainty()

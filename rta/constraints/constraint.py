@@ -1,0 +1,137 @@
+"""What the filter must know of a constraint h(x) >= 0: one entry, of the paper's 13 and of your own alike."""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from inspection.model.state import CONTROL_SIZE, THRUST, TORQUE
+from rta.lie_derivatives import Function
+
+# In the order of the paper's Table 3: seven that only thrust can influence, six that only torque can.
+TRANSLATIONAL = (
+    "collision",
+    "dynamic_speed",
+    "keep_in_zone",
+    "passive_safety",
+    "velocity_x",
+    "velocity_y",
+    "velocity_z",
+)
+ATTITUDE = (
+    "attitude_exclusion",
+    "temperature",
+    "battery",
+    "angular_velocity_x",
+    "angular_velocity_y",
+    "angular_velocity_z",
+)
+CONSTRAINTS = TRANSLATIONAL + ATTITUDE
+
+ACTUATORS = {"thrust": THRUST, "torque": TORQUE}
+
+
+@dataclass(frozen=True)
+class Constraint:
+    """h(x) >= 0, to be held by one actuator group; functions are written for one spacecraft, (16, ...) to (...).
+
+    Attributes:
+        name: in results.
+        h: what is reported, without margin, of operations that PyTorch differentiates forward.
+        held_by: "thrust" or "torque".
+        gains: class-kappa gains in 1/s: one where these controls change dh/dt (relative degree one), two where
+            they change its derivative (HOCBF: Psi_1 = dh/dt + k1 h and dPsi_1/dt + k2 Psi_1 >= 0).
+        margin: subtracted from h, in its unit.
+        weight: of its slack and so its priority in a conflict, see `rta.qp.programs`; infinite where it must hold, None
+            for the filter's own `slack_weight_critical`.
+        barrier: what is enforced in h's place, where that differs: maps states (16, B) to the function of states
+            (16, ...) to (rows, ...) that is differentiated there.
+        rows: how many rows the barrier has.
+        loss: how far Psi (Psi_1 where the relative degree is two, else the barrier) can fall within one period below
+            its linear prediction, over the period: half the period times the largest second derivative. A number
+            or a function of states. Without it a state on the boundary could leave the safe set in one period.
+        doubling: the Psi at which the gain has doubled, gain * (1 + (Psi / doubling)^2): alpha is then an odd cubic.
+        coupled: the other group's controls change it, too; they are then taken to do their worst.
+        recovery: at relative degree two, how fast h is to rise at most on its way back from beyond the limit, in its
+            unit per s; None where the gains may ask for anything.
+        later: as `barrier`, where it looks ahead: maps states (16, B), so many s into a hold, to the function that is
+            differentiated there and looks at the same moments; None: `barrier` does.
+        exact: the smallest of the barrier's rows is h itself.
+        axis: of the one actuator of the group that changes it, so that its row is a bound of that actuator; None for
+            all others.
+    """
+
+    name: str
+    h: Function
+    held_by: str
+    gains: tuple[float, ...]
+    margin: float = 0.0
+    weight: float | None = None
+    barrier: Callable[[Tensor], Function] | None = None
+    rows: int = 1
+    loss: float | Function = 0.0
+    doubling: float = math.inf
+    coupled: bool = True
+    recovery: float | None = None
+    later: Callable[[Tensor, float], Function] | None = None
+    exact: bool = False
+    axis: int | None = None
+
+    def __post_init__(self) -> None:
+        if self.held_by not in ACTUATORS:
+            raise ValueError(f"{self.name}: held_by = {self.held_by!r}: must be {' or '.join(ACTUATORS)}")
+        if len(self.gains) not in (1, 2) or not all(0 < gain < math.inf for gain in self.gains):
+            raise ValueError(f"{self.name}: gains = {self.gains!r}: must be one or two positive numbers, 1/s")
+        if not 0 <= self.margin < math.inf or not (self.weight is None or self.weight > 0):
+            raise ValueError(f"{self.name}: margin must be finite and not negative, weight positive")
+
+    @property
+    def degree(self) -> int:
+        """The relative degree."""
+        return len(self.gains)
+
+    def barrier_at(self, x: Tensor, after: float = 0.0) -> Function:
+        """What is differentiated at states (16, B), so many s into a hold: (16, ...) to (rows, ...)."""
+        if self.later and after:
+            return self.later(x, after)
+        return self.barrier(x) if self.barrier else lambda y: self.h(y)[None]
+
+    def loss_at(self, x: Tensor) -> Tensor:
+        """`loss` at states (16, B): (B,)."""
+        return self.loss(x) if callable(self.loss) else x.new_full(x.shape[1:], self.loss)
+
+
+def in_order(thrust: Sequence[Any], torque: Sequence[Any]) -> tuple[Any, ...]:
+    """Joins what is known of each constraint of both groups in the order of the filter's names."""
+    m, n = len(TRANSLATIONAL), len(ATTITUDE)
+    return (*thrust[:m], *torque[:n], *thrust[m:], *torque[n:])
+
+
+def joined(thrust: Tensor, torque: Tensor) -> Tensor:
+    """`in_order` of tensors (k, B) and (m, B)."""
+    return torch.cat(in_order(thrust.split(1), torque.split(1)))
+
+
+def check(each: Constraint, x: Tensor) -> None:
+    """Raises ValueError where h of states (16, B), or with an axis of directions between, is not as it must be."""
+    h = each.h(x)
+    if not h.isfinite().all():
+        raise ValueError(
+            f"{each.name}: h is not finite: must be at every state, beyond other constraints too"
+        )
+    if h.shape != x.shape[1:]:
+        raise ValueError(f"{each.name}: h of states (16, B) has shape {tuple(h.shape)}: must be (B,)")
+    directions = 1 + CONTROL_SIZE  # the middle axis of `lie_derivatives`
+    wide = x[:, None].expand(-1, directions, -1)
+    try:
+        fits = each.h(wide).shape == wide.shape[1:]
+    except RuntimeError:
+        fits = False
+    if not fits:
+        raise ValueError(
+            f"{each.name}: h of states (16, {directions}, B) must have shape ({directions}, B): "
+            "constants in h must broadcast over all trailing axes"
+        )

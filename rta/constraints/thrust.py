@@ -1,0 +1,343 @@
+"""The seven constraints that thrust holds, each with all that the filter knows of it (Sec. Safety Constraints).
+
+Each is a function of the task's constants and the filter's parameters to its entry. States have the component axis
+first; trailing axes are independent spacecraft. Where the paper transforms a constraint to lower its relative degree,
+h is the transformed, final form.
+"""
+
+import math
+from functools import partial
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from inspection.chief.hull import Planes, planes_of
+from inspection.model.attitude import dot, norm
+from inspection.model.orbit import coast
+from inspection.model.parameters import InspectionParameters
+from inspection.model.state import P, V
+from rta.bounds.uncertainty import NOTHING, Uncertainty
+from rta.constraints.constraint import Constraint
+from rta.lie_derivatives import Function
+from rta.parameters import RtaParameters
+
+PASSES = 13  # grid points per segment of the free flight: at most 12 s apart in the default segments
+LEAST_BRAKING = (
+    0.1  # share of a_max that is left for braking across; `rta.constraints.vehicle` refuses who would need it
+)
+GRID, HALVINGS = 5, 10  # beside a hull: points per segment, and by how much they are refined, to 0.1 s
+SEGMENTS = 5  # of the free flight where its infimum is reported
+
+
+Entry = partial(Constraint, held_by="thrust", coupled=False)  # which no other actuator changes
+
+
+def thrust_constraints(
+    c: InspectionParameters, r: RtaParameters, known: Uncertainty = NOTHING
+) -> tuple[Constraint, ...]:
+    """All seven in the order of Table 3."""
+    return (
+        collision(c, r, known),
+        dynamic_speed(c, r),
+        keep_in_zone(c, r, known),
+        passive_safety(c, r, known),
+        *(velocity(i, c, r, known) for i in range(3)),
+    )
+
+
+def signed_sqrt(z: Tensor, floor: float = 0.0) -> Tensor:
+    """sign(z) sqrt(|z|), where |z| is below `floor` the chord through 0 (also for negative distances)."""
+    floor = max(floor, 1e-300)
+    return torch.where(z.abs() < floor, z / math.sqrt(floor), z.sign() * z.abs().clamp(min=floor).sqrt())
+
+
+def root_above(z: Tensor, floor: float) -> Tensor:
+    """sqrt(z) of z >= 0, below `floor` the tangent that starts there, which is nowhere below sqrt(z)."""
+    return torch.where(z < floor, (z + floor) / (2 * math.sqrt(floor)), z.clamp(min=floor).sqrt())
+
+
+def chord(c: InspectionParameters, r: RtaParameters, known: Uncertainty = NOTHING) -> float:
+    """The floor in m of the enforced `signed_sqrt`.
+
+    The slope of sqrt(2 a z) is then at most sqrt(2 a / floor) = 1 / T, else it could overshoot while a control is held.
+    """
+    return max(r.distance_floor, 2 * known.max_acceleration(c, r) * known.hold(r) ** 2)
+
+
+def radial_speed(x: Tensor) -> Tensor:
+    """v_pr = <v, p> / |p| in m/s."""
+    return dot(x[V], x[P]) / norm(x[P])
+
+
+def thrust_acceleration(c: InspectionParameters) -> float:
+    """The most that thrust along all three axes gives, in m/s^2."""
+    return math.sqrt(3.0) * c.max_thrust / c.mass
+
+
+def turn(c: InspectionParameters, r: RtaParameters) -> float:
+    """m/s^2 of thrust, averaged over a period, that may act elsewhere than the row says, since it turns with the body.
+
+    By alpha_max T^2 / 6 otherwise than the constant rates that `half_a_period_ahead` in `rta.conditions.rows` takes
+    into account, and by (omega T)^2 / 8 around the middle.
+    """
+    angular = math.sqrt(3.0) * c.max_torque / min(c.inertia)
+    return thrust_acceleration(c) * (angular / 6 + c.max_rate**2 / 8) * r.period**2
+
+
+def bend(c: InspectionParameters, r: RtaParameters) -> float:
+    """a^2 T in m^2/s^3 for the largest acceleration a: in a period T, a changes v_i^2 by 2 a v_i T and a^2 T^2."""
+    acceleration = thrust_acceleration(c) + (c.max_thrust / c.mass - c.max_acceleration)
+    return acceleration**2 * r.period
+
+
+def collision(c: InspectionParameters, r: RtaParameters, known: Uncertainty = NOTHING) -> Constraint:
+    """Safe separation: sqrt(2 a_max (|p| - r_d - r_c)) + v_pr, in m/s, the speed from which braking still suffices.
+
+    The barrier has the a_max of the worst case. Beside a hull it is the largest over planes n . p = b that touch it, of
+    sqrt(2 a_max (n . p - b - r_d)) + n . v: one plane from which braking still suffices is enough. The barrier is that
+    of the best plane now, and h in a period's end can only be more.
+    """
+
+    def h(x: Tensor, floor: float = 0.0, braking: float = c.max_acceleration) -> Tensor:
+        if c.planes:
+            return beside_planes(x, floor, braking).amax(0)
+        distance = norm(x[P]) - c.collision_radius
+        return math.sqrt(2 * braking) * signed_sqrt(distance, floor) + radial_speed(x)
+
+    def beside_planes(x: Tensor, floor: float, braking: float, which: Tensor | None = None) -> Tensor:
+        """Of every plane, (planes, ...), or of `which` alone."""
+        planes = planes_of(c, x) if which is None else planes_of(c, x).those(which)
+        height, speed = planes.above(x[P][:, None]), planes.along(x[V][:, None])
+        return math.sqrt(2 * braking) * signed_sqrt(height, floor) + speed
+
+    def barrier(x: Tensor) -> Function:
+        if not c.planes:
+            return lambda y: h(y, floor, least)[None]
+        best = beside_planes(x, floor, least).argmax(0, keepdim=True)
+        return lambda y: beside_planes(y, floor, least, best)
+
+    floor, least = chord(c, r, known), known.max_acceleration(c, r)
+    return Entry(
+        "collision",
+        h,
+        gains=(r.collision_gain,),
+        margin=r.collision_margin,
+        weight=math.inf,
+        barrier=barrier,
+        loss=turn(c, r),
+    )
+
+
+def speed_limit(x: Tensor, c: InspectionParameters) -> Tensor:
+    """nu_0 + nu_1 |p|, in m/s."""
+    return c.docking_speed + c.speed_slope * norm(x[P])
+
+
+def dynamic_speed(c: InspectionParameters, r: RtaParameters) -> Constraint:
+    """nu_0 + nu_1 |p| - |v|, in m/s."""
+
+    def h(x: Tensor) -> Tensor:
+        # The floor keeps the slope of |v| finite at rest, far below any speed that matters.
+        speed = (dot(x[V], x[V]) + 1e-24).sqrt()
+        return speed_limit(x, c) - speed
+
+    def loss(x: Tensor) -> Tensor:
+        """|v| rises by a . v T / |v| and at most a^2 T^2 / (2 |v|), which counts near the limit, for |v| the limit."""
+        limit = speed_limit(x, c)
+        # at 5 and 10 s it would exceed what a spacecraft at rest can satisfy
+        return (turned + bent / (2 * limit)).minimum(0.5 * r.gain(r.speed_gain) * limit)
+
+    turned, bent = turn(c, r), bend(c, r)
+    return Entry(
+        "dynamic_speed",
+        h,
+        gains=(r.speed_gain,),
+        weight=r.slack_weight_motion,
+        loss=loss,
+    )
+
+
+def keep_in_zone(c: InspectionParameters, r: RtaParameters, known: Uncertainty = NOTHING) -> Constraint:
+    """sqrt(2 a_max (r_max - |p|)) - v_pr, in m/s."""
+
+    def h(x: Tensor) -> Tensor:
+        distance = c.max_distance - norm(x[P])
+        return math.sqrt(2 * c.max_acceleration) * signed_sqrt(distance) - radial_speed(x)
+
+    def curve(x: Tensor) -> Tensor:
+        """The zone as thrust can hold it, never above h, in m/s: with a_max - v_t^2 / |p|.
+
+        d v_pr / dt holds the centrifugal v_t^2 / |p|, v_t the speed across p, which a_max leaves out: up to
+        0.051 m/s^2 at the speed limit of 800 m, of a_max's 0.0705. Flying fast across where h is zero, 1 N does not
+        keep h there; where this barrier is zero, 1 N inwards does, which every attitude can give.
+
+        Outside it is -sqrt(2 a_max (|p| - r_max)) - v_pr: zero where the way back, slowed down by a_max, ends at r_max.
+        The centrifugal acceleration helps to slow it down, so v_t must not enter: with a_max - v_t^2 / |p|, speed
+        across would raise it. Instead of the root's chord, which would end above h, it has the tangent. So it falls at
+        r_max, on the way out, by sqrt(a_max d / 2) with d for the floor. Here a_max is that of the worst case.
+        """
+        across = dot(x[V], x[V]) - radial_speed(x) ** 2
+        braking = (least - across / norm(x[P])).clamp(min=LEAST_BRAKING * least)
+        distance = c.max_distance - norm(x[P])
+        inside = (2 * braking).sqrt() * signed_sqrt(distance, floor)
+        outside = -math.sqrt(2 * least) * root_above(-distance, floor)
+        return torch.where(distance < 0.0, outside, inside) - radial_speed(x)
+
+    # v_t^2 / |p| grows with thrust along v
+    fastest = c.docking_speed + c.speed_slope * c.max_distance
+    swing = fastest * thrust_acceleration(c) / c.max_distance * r.period
+    floor, least = chord(c, r, known), known.max_acceleration(c, r)
+    return Entry(
+        "keep_in_zone",
+        h,
+        gains=(r.keep_in_gain,),
+        margin=r.keep_in_margin,
+        weight=r.slack_weight_critical,
+        barrier=lambda x: lambda y: curve(y)[None],
+        loss=turn(c, r) + swing,
+    )
+
+
+class Passes(NamedTuple):
+    """Where the free flight is nearest to the chief within each time segment.
+
+    Attributes:
+        times: (segments, ...) s; planes: beside a hull one of each segment, (3, segments, ...); None: beside a sphere.
+    """
+
+    times: Tensor
+    planes: Planes | None = None
+
+
+def closest_passes(x: Tensor, segments: tuple[float, ...], c: InspectionParameters) -> Passes:
+    """Of states (16, ...)."""
+    return passes_of_hull(x, segments, c) if c.planes else Passes(closest_times(x, segments, c))
+
+
+def closest_times(x: Tensor, segments: tuple[float, ...], c: InspectionParameters) -> Tensor:
+    """When the free flight is nearest to the chief's centre within each segment: (16, ...) to (segments, ...) s.
+
+    The best of a grid, refined by the parabola of |p(t)|^2 through it and its neighbours (exact for a
+    straight path, which the path is over two grid steps to a few centimetres).
+    """
+    edges = x.new_tensor(segments)
+    start, spacing = edges[:-1], edges.diff() / (PASSES - 1)
+    shape = (-1, *(1,) * (x.dim() - 1))
+    grid = start[:, None] + spacing[:, None] * torch.arange(PASSES, dtype=x.dtype, device=x.device)
+    path = coast(x, grid.reshape(*grid.shape, *shape[1:]), c)
+    squared = dot(path, path)  # (segments, PASSES, ...)
+    best = squared.argmin(1, keepdim=True)
+    centre = best.clamp(1, PASSES - 2)
+    before, middle, after = (squared.gather(1, centre + i)[:, 0] for i in (-1, 0, 1))
+    bend = before - 2 * middle + after
+    offset = torch.where(bend > 0, 0.5 * (before - after) / bend, (best - centre)[:, 0].to(x.dtype))
+    return start.reshape(shape) + spacing.reshape(shape) * (centre[:, 0] + offset.clamp(-1.0, 1.0))
+
+
+def passes_of_hull(x: Tensor, segments: tuple[float, ...], c: InspectionParameters) -> Passes:
+    """Of states (16, ...) beside a hull: where the highest of the heights above all planes is lowest.
+
+    That is convex in time along a straight path. The least of a grid, then halving by the slope of the plane that is
+    the highest, i that falls before and j that rises after. Where they meet, the plane between them that does not rise
+    along the path, l n_i + (1 - l) n_j, bounds all of a straight path, as the plane that touches both would.
+    """
+    edges, every = x.new_tensor(segments), planes_of(c, x)
+    shape = (-1, *(1,) * (x.dim() - 1))
+    start, spacing = (each.reshape(shape) for each in (edges[:-1], edges.diff() / (GRID - 1)))
+
+    def highest(t: Tensor) -> tuple[Tensor, Tensor]:
+        """Height at times (segments, ...) above the highest plane, and which that is."""
+        return every.above(coast(x, t, c)[:, None]).max(0)
+
+    def rise(t: Tensor, planes: Planes) -> Tensor:
+        """m, of each segment's plane within a tenth of a second."""
+        return planes.along(coast(x, t + 0.1, c) - coast(x, t, c))
+
+    grid = torch.stack([highest((start + i * spacing).expand(-1, *x.shape[1:]))[0] for i in range(GRID)])
+    best = grid.argmin(0)
+    low, high = (start + spacing * (best + i).clamp(0, GRID - 1) for i in (-1, 1))
+    for _ in range(HALVINGS):
+        middle = (low + high) / 2
+        rises = rise(middle, every.those(highest(middle)[1])) > 0.0
+        low, high = torch.where(rises, low, middle), torch.where(rises, middle, high)
+    before, after = (every.those(highest(t)[1]) for t in (low, high))
+    falls, rises = -rise(low, before), rise(high, after)
+    share = torch.where(falls + rises > 0.0, rises / (falls + rises), 0.5)  # of the plane before
+    share = torch.where(falls <= 0.0, 1.0, torch.where(rises <= 0.0, 0.0, share))
+    between = Planes(*(share * one + (1.0 - share) * other for one, other in zip(before, after, strict=True)))
+    return Passes(share * low + (1.0 - share) * high, between)
+
+
+def clearance_at(x: Tensor, passes: Passes, c: InspectionParameters) -> Tensor:
+    """|p(t)| - r_d - r_c, or n . p(t) - b - r_d, in m after coasting to each of k passes: (16, ...) to (k, ...).
+
+    With `closest_passes` its gradient is that of the infimum (envelope theorem).
+    """
+    times, planes = passes
+    directions = (1,) * (x.dim() - times.dim())  # that x has before the batch
+    p = coast(x, times.reshape(len(times), *directions, *times.shape[1:]), c)
+    return planes.above(p) if planes else norm(p) - c.collision_radius
+
+
+def passive_safety(c: InspectionParameters, r: RtaParameters, known: Uncertainty = NOTHING) -> Constraint:
+    """inf |p(t)| - r_d - r_c in m over the free flight of the next T_f; a row per time segment of it.
+
+    Beside a hull it is the height above the planes around it, see `passes_of_hull`. A control of a second turns a slow
+    flight by much, from one corner of the hull to another. The row of the one, with n . dv t >= -alpha(h), lets the
+    other lose as much times the ratio of their times, which segments that double bound.
+
+    Raises:
+        ValueError: the segments do not end with T_f.
+    """
+    if r.passive_safety_segments[-1] != c.passive_safety_horizon:
+        raise ValueError(
+            f"passive_safety_segments end at {r.passive_safety_segments[-1]} s: "
+            f"must be the passive_safety_horizon, {c.passive_safety_horizon} s"
+        )
+    reported = tuple(c.passive_safety_horizon * i / SEGMENTS for i in range(SEGMENTS + 1))
+
+    def h(x: Tensor) -> Tensor:
+        return clearance_at(x, closest_passes(x, reported, c), c).amin(0)
+
+    segments = r.passive_safety_segments
+    if c.planes:
+        segments = (0.0, *(segments[1] / k for k in (8, 4, 2)), *segments[1:])
+    if known.holds(r):  # whose end has a horizon of its own
+        segments = (*segments[:-1], segments[-1] + known.hold(r))
+
+    def barrier(x: Tensor, after: float = 0.0) -> Function:
+        passes = closest_passes(x, tuple(max(edge - after, 0.0) for edge in segments), c)
+        return lambda y: clearance_at(y, passes, c)
+
+    return Entry(
+        "passive_safety",
+        h,
+        gains=(r.passive_safety_gain,),
+        margin=r.passive_safety_margin,
+        weight=r.slack_weight_critical,
+        barrier=barrier,
+        later=barrier,
+        rows=len(segments) - 1,
+        exact=not known.holds(r),
+        doubling=r.passive_safety_doubling,
+    )
+
+
+def velocity(
+    axis: int, c: InspectionParameters, r: RtaParameters, known: Uncertainty = NOTHING
+) -> Constraint:
+    """v_max^2 - v_i^2 for a Hill axis, in m^2/s^2.
+
+    Where a control is held, the margin is what a thruster can take off it in a hold, 2 v_max a T: a call in which the
+    zone needs all thrust then costs margin, not the limit. Without, one in 400,000 random calls at 5 s broke it.
+    """
+    kept = 2 * c.max_speed * c.max_thrust / c.mass * known.hold(r) if known.holds(r) else 0.0
+    return Entry(
+        f"velocity_{'xyz'[axis]}",
+        lambda x: c.max_speed**2 - x[V.start + axis] ** 2,
+        gains=(r.velocity_gain,),
+        margin=min(kept, c.max_speed**2 / 2),
+        weight=r.slack_weight_motion,
+        loss=bend(c, r) + 2 * c.max_speed * turn(c, r),
+    )

@@ -1,0 +1,114 @@
+"""What people hand to the filter: checked once, turned into a batch in float64, and answers in kind."""
+
+import math
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from inspection.model.attitude import norm
+from inspection.model.state import CONTROL_SIZE, SIZE, Q
+
+# How far a quaternion's length may be from 1: float32 resolves 1e-7, and a state estimate in it drifts by more.
+UNIT = {torch.float32: 1e-4}
+UNIT_ELSE = 1e-6
+INTEGERS = (torch.uint8, torch.int8, torch.int16, torch.int32, torch.int64)
+
+
+class Given:
+    """A state and a desired control as they were given.
+
+    Attributes:
+        x: states (16, B), float64; desired: controls (6, B), float64, both on the desired control's device.
+        single: they are one spacecraft's.
+
+    Raises:
+        ValueError: see `SafetyFilter.__call__`.
+    """
+
+    def __init__(self, x: Any, desired: Any) -> None:
+        state, control = numbers("state", x), numbers("desired control", desired)
+        check_shape("state", state, SIZE)
+        check_shape("desired control", control, CONTROL_SIZE)
+        if state.shape[1:] != control.shape[1:]:
+            raise ValueError(
+                f"state of shape {shown(state)} with desired control of shape {shown(control)}: "
+                "must be of equally many spacecraft"
+            )
+        self.single = control.ndim == 1
+        self.tensors = torch.is_tensor(desired)
+        self.dtype = control.dtype if control.dtype == torch.float32 else torch.float64
+        self.x, self.desired = (
+            part.to(control.device, torch.float64).view(len(part), -1) for part in (state, control)
+        )
+        for name, part in (("state", self.x), ("desired control", self.desired)):
+            if not math.isfinite(part.sum()) and not part.isfinite().all():
+                raise ValueError(f"{name} holds NaN or infinity: must be finite")
+        length, tolerance = norm(self.x[Q]), UNIT.get(state.dtype, UNIT_ELSE)
+        right = (length - 1.0).abs() <= tolerance
+        if not right.all():
+            wrong = torch.nonzero(~right).flatten()
+            where = "" if self.single else f" in column {wrong[0].item()}"
+            raise ValueError(
+                f"quaternion (components 6 to 9 of the state){where}: must have length 1 to {tolerance:g}, "
+                f"has {length[wrong[0]].item():.9g}"
+            )
+
+    def in_kind(self, part: Tensor) -> Any:
+        """A field (..., B) of the filter's answer as the desired control was given."""
+        if part.dtype != self.dtype and part.is_floating_point():
+            part = towards_zero(part, self.dtype)
+        if self.single:
+            part = part[..., 0]
+        return part if self.tensors else part.numpy()[()]
+
+
+def numbers(name: str, given: Any) -> Tensor:
+    """A tensor of float64, float32 or integers."""
+    if isinstance(given, np.ma.MaskedArray) and np.ma.is_masked(given):
+        raise ValueError(f"{name} holds masked numbers: must be known")
+    if not torch.is_tensor(given):
+        try:
+            array = np.asarray(given)
+            if array.dtype.kind not in "fiu":
+                raise TypeError
+            # PyTorch has neither every integer nor another byte order
+            dtype = np.float64 if array.dtype.kind in "iu" else array.dtype.newbyteorder("=")
+            given = torch.from_numpy(np.array(array, dtype, order="C"))  # a copy, which may be written to
+        except (TypeError, ValueError):
+            if isinstance(given, np.ndarray):
+                raise wrong_type(name, given) from None
+            raise ValueError(
+                f"{name}: must be a NumPy array, a PyTorch tensor or a list of numbers"
+            ) from None
+    if given.dtype not in (torch.float64, torch.float32, *INTEGERS):
+        raise wrong_type(name, given)
+    if given.layout != torch.strided:
+        raise ValueError(f"{name} of layout {given.layout}: must be dense")
+    return given.detach()
+
+
+def wrong_type(name: str, given: Any) -> ValueError:
+    return ValueError(f"{name} of type {given.dtype}: must be float64, float32 or integers")
+
+
+def check_shape(name: str, part: Tensor, size: int) -> None:
+    """Refuses all but (size,) and (size, B)."""
+    if part.ndim in (1, 2) and len(part) == size and part.numel():
+        return
+    transpose = part.ndim == 2 and part.shape[1] == size
+    raise ValueError(
+        f"{name} of shape {shown(part)}: must be ({size},), or ({size}, B) for a batch, components first"
+        + (": transpose it" if transpose else "")
+    )
+
+
+def shown(part: Tensor) -> str:
+    return str(tuple(part.shape))
+
+
+def towards_zero(x: Tensor, dtype: torch.dtype) -> Tensor:
+    """x in another precision, where rounding to nearest may exceed the actuators' limits: rounded towards zero."""
+    y = x.to(dtype)
+    return torch.where(y.double().abs() > x.abs(), torch.nextafter(y, torch.zeros_like(y)), y)

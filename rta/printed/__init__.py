@@ -1,0 +1,1 @@
+"""The filter printed as C: for a batch here, and for export."""

@@ -1,0 +1,334 @@
+"""The filter in C as a directory for flight software: header, source, example, vectors, test and Makefile."""
+
+import dataclasses
+import hashlib
+import json
+import re
+from collections.abc import Callable, Sequence
+from functools import partial
+from pathlib import Path
+from textwrap import wrap
+from typing import TYPE_CHECKING
+
+from torch import Tensor
+
+from inspection.model.dynamics import step
+from kernels import printed
+from rta.printed.single import single
+from rta.printed.source import (
+    constants,
+    define,
+    driver_files,
+    driver_text,
+    entries,
+    for_one,
+    functions,
+    interface,
+    table,
+)
+from rta.printed.vectors import vectors
+from rta.qp.programs import Status
+
+if TYPE_CHECKING:
+    from rta.filter import SafetyFilter
+
+VERSION = "1.0.0"  # of this program
+MARK = "Written by main.py export --filter"  # on the first line of each
+NOT_VERIFIED = "NOT VERIFIED: no campaign is known that has flown this filter."
+TOLERANCE = {"double": 1e-9, "float": 5e-2}  # of the test, in units of the actuators' limits
+TOLERANCE_OF_H = {"double": 1e-9, "float": 1e-4}  # relative to those above 1
+NAMES = ("safety_filter.h", "safety_filter.c", "safety_filter_vectors.h", "test_safety_filter.c", "example.c")
+SUMS = "safety_filter.sha256"
+BUILT = ("test_safety_filter", "example", "safety_filter.o", "safety_filter.su")  # by the Makefile
+WIDTH = 115  # of a line
+
+STATE = {  # components by name: unit and meaning
+    **{f"position_{i}": "m, in Hill's frame: x away from the Earth, y along the orbit" for i in "xyz"},
+    **{f"velocity_{i}": "m/s, in Hill's frame" for i in "xyz"},
+    **{f"attitude_{i}": "quaternion of length 1 from the body's frame to Hill's" for i in "xyzw"},
+    **{f"rate_{i}": "rad/s, of the body relative to Hill's frame, in the body's" for i in "xyz"},
+    "temperature": "deg C, of the surface whose limit is kept",
+    "energy": "kJ, in the battery",
+    "sun": "rad, angle of the Sun from +x in Hill's x-y plane",
+}
+CONTROL = {f"thrust_{i}": "N, in the body's frame" for i in "xyz"}
+CONTROL |= {f"torque_{i}": "N m, in the body's frame" for i in "xyz"}
+MEANING = {
+    Status.UNTOUCHED: "the desired control, which satisfies every condition",
+    Status.HARD: "clipped or corrected, every condition satisfied, at worst without its margin",
+    Status.SLACK: "no control satisfies every condition: some yield, by slack, those of least weight first",
+    Status.UNSOLVED: "no program was solved: the least-violating control known; where a number is none, zero",
+}
+UNITS = {  # of h; of the body's rates and velocities it is a difference of squares
+    **dict.fromkeys(("collision", "keep_in_zone", "passive_safety"), "m"),
+    **{"dynamic_speed": "m/s", "attitude_exclusion": "rad", "temperature": "deg C", "battery": "kJ"},
+    **{f"velocity_{i}": "(m/s)^2" for i in "xyz"},
+    **{f"angular_velocity_{i}": "(rad/s)^2" for i in "xyz"},
+}
+SECTIONS = {  # by file of the driver
+    "solver.c": "Quadratic programs, solved by an active-set method",
+    "programs.c": "From rows to programs, and to what is reported",
+    "filter_now.c": "The filter",
+    "search.c": "The search for a control that can be held",
+    "thrusters.c": "Thrusters that give some values only",
+    "health.c": "Turning a weak axis away in time",
+    "filter_held.c": "The filter",
+}
+
+
+def write(
+    safety_filter: "SafetyFilter",
+    directory: str | Path,
+    verified: str = NOT_VERIFIED,
+    configuration: str = "",
+    real: str = "double",
+) -> dict[str, str]:
+    """Writes a filter, constraints of your own included, into a directory, which may hold an older one.
+
+    Args:
+        verified: what the header says of that; configuration: the SHA-256 of all settings, "": of the filter's own.
+        real: "double", or "float" for single precision.
+
+    Returns:
+        The text of each file.
+
+    Raises:
+        ValueError: the directory holds anything else; OSError: it cannot be written.
+    """
+    folder = Path(directory)
+    check_directory(folder)
+    texts = sources(safety_filter, verified, configuration, real)
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, text in texts.items():
+        (folder / name).write_text(text, encoding="utf-8")
+    return texts
+
+
+def check_directory(directory: Path) -> None:
+    """Raises ValueError where a directory holds anything but a filter that was written before."""
+    for path in sorted(directory.iterdir()) if directory.exists() else ():
+        if path.name in BUILT or (path.name in (*NAMES, "Makefile", SUMS) and is_own(path)):
+            continue
+        raise ValueError(f"{directory}: holds no filter but {path.name}; name a new directory")
+
+
+def is_own(path: Path) -> bool:
+    """Whether a file is one of those that are written, or is empty."""
+    if not path.is_file():
+        return False
+    with path.open("rb") as file:
+        head = file.readline(200)
+    return MARK.encode() in head or not head
+
+
+def sources(
+    safety_filter: "SafetyFilter",
+    verified: str = NOT_VERIFIED,
+    configuration: str = "",
+    real: str = "double",
+    only: Sequence[str] = (*NAMES, "Makefile", SUMS),
+) -> dict[str, str]:
+    """The text of each file, or of some of them; see `write`."""
+    change = single if real == "float" else str
+    source = change(implementation(safety_filter))
+    known = configuration or fingerprint(safety_filter)
+    head = change(header(safety_filter, verified, known, digest(source), real))
+    sums = [f"{digest(text)}  {name}" for name, text in zip(NAMES, (head, source), strict=False)]
+    texts: dict[str, Callable[[], str]] = {
+        "safety_filter.h": lambda: head,
+        "safety_filter.c": lambda: source,
+        "safety_filter_vectors.h": lambda: change(vectors_header(safety_filter, real)),
+        "test_safety_filter.c": lambda: marked(change(driver_text("test_safety_filter.c"))),
+        "example.c": lambda: marked(change(driver_text("example.c") + "\n" + model(safety_filter))),
+        "Makefile": lambda: f"# {MARK}.\n" + driver_text("safety_filter.mk"),
+        SUMS: lambda: "\n".join([f"# {MARK}", *sums, ""]),
+    }
+    return {name: texts[name]() for name in only}
+
+
+def marked(text: str) -> str:
+    """A C text with MARK on its first line."""
+    return f"/* {MARK}. */\n{text}"
+
+
+def digest(text: str) -> str:
+    """SHA-256 of a text."""
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def fingerprint(safety_filter: "SafetyFilter") -> str:
+    """SHA-256 of what a filter is made of; of constraints of one's own the names, gains and weights."""
+    f = safety_filter
+    own = [(e.name, e.held_by, e.gains, e.margin, e.weight, e.rows) for e in f.extra]
+    parts = [*(dataclasses.asdict(part) for part in (f.c, f.parameters, f.known)), own]
+    return digest(json.dumps(parts, sort_keys=True, default=repr))
+
+
+# the header
+
+
+def header(safety_filter: "SafetyFilter", verified: str, configuration: str, source: str, real: str) -> str:
+    """safety_filter.h."""
+    places = [(name, f"h in {UNITS.get(name, 'a unit of its own')}") for name in safety_filter.names]
+    status = [(each.name, text) for each, text in MEANING.items()]
+    lines = [
+        f"/* {MARK}: a safety filter for one spacecraft.",
+        " *",
+        *(
+            f" * {line}".rstrip()
+            for paragraph in (verified, about(safety_filter, real))
+            for line in folded(paragraph)
+        ),
+        " */",
+        "#ifndef SAFETY_FILTER_H",
+        "#define SAFETY_FILTER_H",
+        "",
+        "#ifdef __cplusplus",
+        'extern "C" {',
+        "#endif",
+        "",
+        f'#define SAFETY_FILTER_VERSION "{VERSION}"',
+        f'#define SAFETY_FILTER_CONFIGURATION "{configuration}" /* SHA-256 */',
+        f'#define SAFETY_FILTER_SOURCE "{source}" /* SHA-256 of safety_filter.c */',
+        define(
+            "SAFETY_FILTER_VERIFIED",
+            int(not verified.startswith("NOT VERIFIED")),
+            "1: by the campaigns above",
+        ),
+        "",
+        interface(safety_filter),
+        enumeration("state", "STATE_", list(STATE.items())),
+        enumeration("control", "CONTROL_", list(CONTROL.items())),
+        enumeration("constraint", "H_", places),
+        enumeration("status", "", status),
+        driver_text("filter.h"),
+        "extern const char *const safety_filter_names[SAFETY_FILTER_CONSTRAINTS]; /* of the constraints */",
+        "",
+        "#ifdef __cplusplus",
+        "}",
+        "#endif",
+        "",
+        "#endif",
+        "",
+    ]
+    return "\n".join(lines)
+
+
+def about(safety_filter: "SafetyFilter", real: str) -> str:
+    """What a reader of the header is told of its numbers."""
+    precision = "single" if real == "float" else "double"
+    return (
+        f"It is to be called every {safety_filter.period:g} s, with the state as measured and the control that is "
+        f"wanted, and answers with the control to hold. It computes in {precision} precision, allocates nothing, does "
+        "not recurse, has no global state, and needs math.h alone. All vectors are in the order of the enumerations."
+    )
+
+
+def folded(text: str) -> list[str]:
+    """Paragraphs in lines of WIDTH, with an empty one after them."""
+    return [
+        line for part in text.splitlines() for line in (wrap(part, WIDTH, subsequent_indent="  ") or [""])
+    ] + [""]
+
+
+def enumeration(kind: str, prefix: str, members: Sequence[tuple[str, str]]) -> str:
+    """An enumeration whose members have comments."""
+    members = [(prefix + re.sub(r"\W", "_", name, flags=re.ASCII), text) for name, text in members]
+    lines = [
+        f"    SAFETY_FILTER_{name.upper()} = {i}, /* {text} */" for i, (name, text) in enumerate(members)
+    ]
+    lines[-1] = lines[-1].replace(", /*", "  /*", 1)
+    return "\n".join([f"enum safety_filter_{kind} {{", *lines, "};", ""])
+
+
+# the source
+
+
+def implementation(safety_filter: "SafetyFilter") -> str:
+    """safety_filter.c: what people read first, printed functions last."""
+    printed_functions = for_one(functions(safety_filter))
+    names = ",\n".join(f'    "{name}"' for name in safety_filter.names)
+    given = driver_files(safety_filter)
+    titles = [
+        "Constants of the configuration",
+        *(SECTIONS[name] for name in given),
+        "Rows, printed from Python",
+    ]
+    texts = [constants(safety_filter), *map(driver_text, given), printed_functions]
+    texts[0] += f"\nconst char *const safety_filter_names[CONSTRAINTS] = {{\n{names}\n}};\n"
+    head = [
+        f"/* {MARK}: see safety_filter.h. Contents:",
+        *(f" *   {i}. {title}" for i, title in enumerate(titles, 1)),
+        " */",
+        '#include "safety_filter.h"',
+        "",
+        "#include <math.h>",
+        "",
+        "#ifdef __FAST_MATH__",
+        '#error "safety_filter.c tells numbers from what is none: compile it without -ffast-math"',
+        "#endif",
+    ]
+    sections = [
+        f"\n/* ---- {i}. {title} ---- */\n\n{text}"
+        for i, (title, text) in enumerate(zip(titles, texts, strict=True), 1)
+    ]
+    return "\n".join([*head, *sections])
+
+
+# what is compared and flown
+
+
+def vectors_header(safety_filter: "SafetyFilter", real: str) -> str:
+    """safety_filter_vectors.h."""
+    found = vectors(safety_filter, real)
+    result, count = found.result, found.state.shape[1]
+    inputs = ",\n".join(of_call(*(part[..., i] for part in found[:4])) for i in range(count))
+    return "\n".join(
+        [
+            f"/* {MARK}: calls of the filter, and what Python answers. */",
+            "#ifndef SAFETY_FILTER_VECTORS_H",
+            "#define SAFETY_FILTER_VECTORS_H",
+            "",
+            "#include <math.h>",
+            "",
+            '#include "safety_filter.h"',
+            "",
+            define("VECTORS", count),
+            define("TOLERANCE", TOLERANCE[real], "of controls, in units of the actuators' limits"),
+            define(
+                "TOLERANCE_OF_H",
+                TOLERANCE_OF_H[real],
+                "of the constraints' values, relative to those above 1",
+            ),
+            "",
+            f"static const struct safety_filter_input given[VECTORS] = {{\n{inputs}\n}};",
+            "",
+            table("int expected_status[VECTORS]", result.status.tolist()),
+            table("double expected_control[VECTORS][6]", result.control.T.tolist()),
+            table("double expected_h[VECTORS][SAFETY_FILTER_CONSTRAINTS]", result.h.T.tolist()),
+            table("int expected_active[VECTORS][SAFETY_FILTER_CONSTRAINTS]", result.active.T.int().tolist()),
+            "",
+            "#endif",
+            "",
+        ]
+    ).replace("}, {", "},\n    {")
+
+
+def of_call(x: Tensor, desired: Tensor, sent: Tensor, left: Tensor) -> str:
+    """The initialiser of a struct safety_filter_input."""
+    parts = [f".state = {entries(x.tolist())}", f".desired = {entries(desired.tolist())}"]
+    if len(sent):
+        parts += [f".sent = {entries(sent.tolist())}", f".sent_count = {len(sent)}"]
+    return "    {" + ",\n     ".join([*parts, f".left = {entries(left.tolist())}"]) + "}"
+
+
+def model(safety_filter: "SafetyFilter") -> str:
+    """The step of the model that example.c flies."""
+    x, u = safety_filter.probe("cpu")
+    run = partial(model_step, safety_filter)
+    return for_one([printed(run, x, u, name="model_step", names=(("x", "u"), ("y",)))])
+
+
+def model_step(safety_filter: "SafetyFilter", x: Tensor, u: Tensor) -> list[Tensor]:
+    """The state a second later."""
+    return [step(x, u, 1.0, safety_filter.c)]

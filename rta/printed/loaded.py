@@ -1,0 +1,46 @@
+"""The filter in C as it is exported, called column by column in the place of `SafetyFilter.correct`."""
+
+from typing import TYPE_CHECKING
+
+from torch import Tensor
+
+from kernels import library
+from rta.printed.batch import Columns, by_column
+from rta.printed.files import sources
+from rta.printed.source import driver_text
+
+if TYPE_CHECKING:
+    from rta.filter import FilterResult, SafetyFilter
+
+REALS = {"c": "double", "c-float": "float"}
+SECONDS = 1e-5  # of a call, about
+
+
+class InC:
+    """`correct` of a filter by the C that `rta.printed.files` writes, for batches on a CPU.
+
+    Args:
+        real: "double", or "float" for single precision.
+
+    Raises NoCompilerError where there is no working C compiler.
+    """
+
+    def __init__(self, safety_filter: "SafetyFilter", real: str = "double") -> None:
+        texts = sources(safety_filter, real=real, only=("safety_filter.h", "safety_filter.c"))
+        head = texts["safety_filter.h"]
+        source = texts["safety_filter.c"].replace('#include "safety_filter.h"\n', head)
+        loop = ["#include <math.h>", head, by_column(safety_filter.holds), driver_text("batch/alone.c")]
+        found = library({"filter": source, "columns": "\n".join(loop)})
+        self.columns = Columns(found, safety_filter, SECONDS)
+
+    def correct(
+        self, x: Tensor, desired: Tensor, sent: Tensor | None = None, left: Tensor | None = None
+    ) -> "FilterResult":
+        """As `SafetyFilter.correct`."""
+        from rta.filter import FilterResult
+
+        room = self.columns.latency
+        if sent is not None and len(sent) > room:
+            raise ValueError(f"{len(sent)} controls sent: the C was exported for {room}")
+        answer, _ = self.columns(x, desired, sent, left)
+        return FilterResult(*answer)

@@ -1,0 +1,120 @@
+"""States and desired controls with the answers of the filter in Python, which the exported C is compared with."""
+
+import math
+from typing import TYPE_CHECKING, NamedTuple
+
+import torch
+from torch import Tensor
+
+from inspection.model.attitude import unit
+from inspection.model.parameters import InspectionParameters
+from inspection.model.state import CONTROL_SIZE, OMEGA, SIZE, THETA_S, E, P, Q, T, V
+from rta.qp.batched_solver import STEPS_HELD, BatchedSolver
+from rta.qp.programs import Status
+
+if TYPE_CHECKING:
+    from rta.filter import FilterResult, SafetyFilter
+
+DRAWN = 400  # states, of which those are kept whose answers rounding does not decide
+KEPT = 120
+ROUNDING = {"double": 1e-12, "float": 1e-5}  # relative, what comes of it inside included
+PERTURBED = 6  # times
+NEARLY = 1e-3  # of a control, and of what it is compared within
+
+
+class Vectors(NamedTuple):
+    """Calls of the filter; last axis the calls.
+
+    Attributes:
+        state: (16, N); desired: (6, N); sent: (k, 6, N); left: (6, N); result: what Python answers.
+    """
+
+    state: Tensor
+    desired: Tensor
+    sent: Tensor
+    left: Tensor
+    result: "FilterResult"
+
+
+def states(count: int, seed: int, c: InspectionParameters) -> tuple[Tensor, Tensor]:
+    """States (16, B) within some limits and beyond others, and desired controls (6, B), some beyond the actuators'."""
+    draw = torch.Generator().manual_seed(seed)
+
+    def uniform(low: float, high: float, *shape: int) -> Tensor:
+        return low + (high - low) * torch.rand(*shape, count, generator=draw, dtype=torch.float64)
+
+    def direction(size: int) -> Tensor:
+        return unit(torch.randn(size, count, generator=draw, dtype=torch.float64))
+
+    x = torch.zeros(SIZE, count, dtype=torch.float64)
+    nearest = c.collision_radius
+    anywhere = nearest * (c.max_distance / nearest) ** uniform(0.0, 1.0)
+    edge = torch.where(uniform(0.0, 1.0) < 0.5, nearest, c.max_distance) * uniform(0.99, 1.05)
+    distance = torch.where(uniform(0.0, 1.0) < 0.5, anywhere, edge)
+    x[P] = distance * direction(3)
+    x[V] = uniform(0.0, 1.1) * (c.docking_speed + c.speed_slope * distance) * direction(3)
+    x[Q], x[OMEGA] = direction(4), uniform(-1.1, 1.1, 3) * c.max_rate
+    x[T] = c.max_temperature + uniform(-5.0, 0.5)
+    x[E] = c.min_energy + uniform(-0.1, 3.0)
+    x[THETA_S] = uniform(0.0, 2 * math.pi)
+    return x, uniform(-1.2, 1.2, CONTROL_SIZE) * x.new_tensor(c.control_limit)[:, None]
+
+
+def vectors(safety_filter: "SafetyFilter", real: str) -> Vectors:
+    """KEPT calls, and one for every number of a call that is none."""
+    other = independent(safety_filter)
+    x, desired = states(DRAWN, 0, other.c)
+    draw = torch.Generator().manual_seed(1)
+    if real == "float":  # what the C is given
+        x, desired = x.float().double(), desired.float().double()
+    known = other.known
+    sent = desired.flip(1)[None].repeat(known.latency if other.holds else 0, 1, 1)
+    sent = torch.minimum(torch.maximum(sent, -sent.new_tensor(other.c.control_limit)[:, None]),
+                         sent.new_tensor(other.c.control_limit)[:, None])  # fmt: skip
+    left = torch.ones_like(desired)
+    if other.holds and known.health:
+        left[torch.randint(0, 3, (DRAWN,), generator=draw), range(DRAWN)] = 0.5
+    given = [x, desired, sent, left]
+    kept = torch.nonzero(is_steady(other, given, ROUNDING[real], draw)).flatten()[:KEPT]
+    given = [part[..., kept] for part in given]
+    given = [
+        torch.cat(pair, -1) for pair in zip(given, hostile([part[..., :22] for part in given]), strict=True)
+    ]
+    return Vectors(*given, other.correct(*given))
+
+
+def independent(safety_filter: "SafetyFilter") -> "SafetyFilter":
+    """The same filter, uncompiled, whose programs are solved by PyTorch as accurately as by the C."""
+    steps = BatchedSolver(STEPS_HELD) if safety_filter.holds else BatchedSolver()
+    steps.piqp_first = ()
+    f = safety_filter
+    return type(f)(f.c, f.parameters, steps, f.extra, f.known)
+
+
+def is_steady(
+    safety_filter: "SafetyFilter", given: list[Tensor], rounding: float, draw: torch.Generator
+) -> Tensor:
+    """(B,) bool: every program is solved, and neither statuses nor active rows nor controls turn on rounding.
+
+    In single precision none with slack is: weights of 1e5 leave few digits of its control.
+    """
+    first = safety_filter.correct(*given)
+    limit = first.control.new_tensor(safety_filter.c.control_limit)[:, None]
+    steady = first.status < (Status.SLACK if rounding > 1e-9 else Status.UNSOLVED)
+    for _ in range(PERTURBED):
+        noise = [torch.randn(part.shape, generator=draw, dtype=torch.float64) for part in given[:2]]
+        near = [part * (1.0 + rounding * each) for part, each in zip(given, noise, strict=False)]
+        again = safety_filter.correct(*near, *given[2:])
+        steady &= (again.program_status == first.program_status).all(0)
+        steady &= (again.active == first.active).all(0)
+        steady &= ((again.control - first.control).abs() / limit <= NEARLY).all(0)
+    return steady
+
+
+def hostile(given: list[Tensor]) -> list[Tensor]:
+    """22 calls with a number that is none, of a state or of a desired control; in turns NaN and infinity."""
+    x, desired, *others = (part.clone() for part in given)
+    for i in range(SIZE + CONTROL_SIZE):
+        part, row = (x, i) if i < SIZE else (desired, i - SIZE)
+        part[row, i] = (math.nan, math.inf)[i % 2] if i < SIZE else math.nan
+    return [x, desired, *others]

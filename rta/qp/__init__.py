@@ -1,0 +1,1 @@
+"""The quadratic programs and their solvers."""

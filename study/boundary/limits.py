@@ -1,0 +1,272 @@
+"""States next to the limits of the filter's safe set, one or two limits at a time.
+
+How a state is drawn:
+
+1. A Latin hypercube all over the safe set (`study.verification.starts.spread`); states outside it are left out.
+2. Half of the states go next to one limit, half next to two, by the weights AIMED. Of each constraint either h or the
+   barrier that the filter enforces (Psi_1 where the relative degree is two) is to be small: a gap is drawn
+   log-uniformly from GAP, in units of `scales`. A third of the states has margins instead of limits, what the filter
+   holds where it can.
+3. One component is moved towards an end beyond the limit, and bisected until the gap is left: distance, speed, attitude
+   and so on, drawn from those in WAYS. Of two limits the first is approached again where the second led away from it.
+4. A state counts if every h, and every barrier that is enforced, is still non-negative, and those that were to be small
+   are at most the largest gap; within margins, if no margin is touched. So limits that are rarely met together have few
+   states, and those that cannot be none.
+"""
+
+import itertools
+from functools import partial
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from scipy.stats import qmc
+from torch import Tensor
+
+from inspection.chief.hull import reach
+from inspection.model.attitude import cross, dot, norm, turned_by, unit
+from inspection.model.dynamics import sun_and_earth_in_body
+from inspection.model.parameters import AXES, InspectionParameters
+from inspection.model.state import OMEGA, SIZE, THETA_S, E, P, Q, T, V
+from rta.constraints.constraint import CONSTRAINTS
+from rta.filter import SafetyFilter, in_order, joined
+from rta.lie_derivatives import Function
+from study.verification.starts import NUMBERS, spawned, spread
+
+GAP = 1e-6, 1e-1  # smallest and largest
+BISECTIONS = 2, 2, 20  # of a component's way; after each of them what is broken anyway is left out
+CANDIDATES = 15  # in a hypercube, for each state that is wanted: most often enough
+HYPERCUBES = 100  # drawn before the limits count as out of reach
+LIMITS = len(CONSTRAINTS)
+PAIRS = tuple(itertools.combinations(range(LIMITS), 2))
+
+# the moves beyond a constraint, by the keys of `ends`
+WAYS = {
+    "collision": ("nearer",),
+    "dynamic_speed": ("faster",),
+    "keep_in_zone": ("farther", "outwards"),
+    "passive_safety": ("nearer", "inwards"),
+    "velocity_x": ("velocity_x",),
+    "velocity_y": ("velocity_y",),
+    "velocity_z": ("velocity_z",),
+    "attitude_exclusion": ("camera_lit", "sunlit", "rate_y", "rate_z"),
+    "temperature": ("hotter", "surface_lit"),
+    "battery": ("emptier", "panels_dark"),
+    "angular_velocity_x": ("rate_x",),
+    "angular_velocity_y": ("rate_y",),
+    "angular_velocity_z": ("rate_z",),
+}
+
+# how often each is aimed at, beside the others; of a pair the product
+AIMED = dict.fromkeys(CONSTRAINTS, 1.0) | {
+    "collision": 3.0,
+    "keep_in_zone": 2.0,
+    "velocity_x": 4.0,
+    "velocity_y": 4.0,
+    "velocity_z": 4.0,
+    "attitude_exclusion": 4.0,
+    "temperature": 2.0,
+    "battery": 2.0,
+}
+
+
+class NearLimits(NamedTuple):
+    """States next to limits, or on their way; last axis the states.
+
+    Attributes:
+        state: (16, B).
+        limits: (2, B) the constraints by index, twice the same where it is one.
+        targets: (2, B) rows of `barriers`; gaps: (2, B) what is to be left of them at least.
+        column: (B,) in the order in which they are drawn.
+    """
+
+    state: Tensor
+    limits: Tensor
+    targets: Tensor
+    gaps: Tensor
+    column: Tensor
+
+    @property
+    def within(self) -> Tensor:
+        """(B,) bool: next to margins instead of limits."""
+        return self.targets[0] >= 2 * LIMITS
+
+    def __getitem__(self, columns: Tensor) -> "NearLimits":
+        return NearLimits(*(part[..., columns] for part in self))
+
+
+def together(parts: list[NearLimits]) -> NearLimits:
+    """All states of the parts."""
+    return NearLimits(*(torch.cat(each, -1) for each in zip(*parts, strict=True)))
+
+
+def barriers(x: Tensor, safety_filter: SafetyFilter) -> Tensor:
+    """What must not be negative at states (16, B): (3 * constraints, B), constraint by constraint
+
+    every h, then every barrier that is enforced, of several rows the smallest, then the one of them that has a margin
+    (h where the relative degree is two) less that.
+    """
+    if not x.shape[1]:
+        return x.new_zeros(3 * LIMITS, 0)
+    groups, rows = safety_filter.groups, safety_filter.rows(x)
+    smallest = partial(torch.amin, dim=0)
+    h = joined(*(own.h for own in rows))
+    parts = [group.by_constraint(own.psi, smallest) for group, own in zip(groups, rows, strict=True)]
+    entries, enforced = in_order(*(group.constraints for group in groups)), joined(*parts)
+    inner = [
+        (of_h if each.degree == 2 else of_psi) - each.margin
+        for each, of_h, of_psi in zip(entries, h, enforced, strict=True)
+    ]
+    return torch.cat((h, enforced, torch.stack(inner)))
+
+
+def scales(safety_filter: SafetyFilter) -> list[float]:
+    """The unit in which the gap of each of `barriers` is drawn: of h, and k1 times that of a Psi_1."""
+    c = safety_filter.c
+    own = {name: c.max_speed**2 for name in CONSTRAINTS if name.startswith("velocity")}
+    own |= {name: c.max_rate**2 for name in CONSTRAINTS if name.startswith("angular")}
+    own |= {"passive_safety": 10.0}  # m; else 1 m/s, rad, deg C, kJ
+    h = [own.get(name, 1.0) for name in CONSTRAINTS]
+    entries = in_order(*(group.constraints for group in safety_filter.groups))
+    gains = [safety_filter.parameters.gain(each.gains[0]) if each.degree == 2 else 1.0 for each in entries]
+    return [*h, *(gain * scale for gain, scale in zip(gains, h, strict=True)), *h]
+
+
+def ends(x: Tensor, generator: torch.Generator, c: InspectionParameters) -> dict[str, Tensor]:
+    """Where the moves of states x (16, B) end, beyond a limit: states (16, B) by the name of the move."""
+    fastest = 1.1 * (c.docking_speed + c.speed_slope * c.max_distance)
+    outwards, sun = unit(x[P]), sun_and_earth_in_body(x)[0]
+    nearest = reach(outwards, c)
+    there = (c.docking_speed + c.speed_slope * nearest) / (c.docking_speed + c.speed_slope * norm(x[P]))
+    number = torch.rand(7, x.shape[1], generator=generator, dtype=torch.float64).to(x)
+    side = 1.1 * (2.0 * number[:6].round() - 1.0)
+
+    def but(component: slice | int, value: Tensor | float, of: Tensor = x) -> Tensor:
+        other = of.clone()
+        other[component] = value
+        return other
+
+    def pointing(axis: str, direction: Tensor) -> Tensor:
+        """The attitude after the shortest turn of a body axis to a direction in the body frame."""
+        index, sign = AXES[axis]
+        body = torch.zeros_like(direction)
+        body[index] = sign
+        return turned_by(
+            x[Q], unit(torch.stack(cross(body, direction))) * dot(body, direction).clamp(-1, 1).arccos()
+        )
+
+    return {
+        "nearer": but(V, there * x[V], but(P, nearest * outwards)),  # as fast, of what is allowed there
+        "farther": but(P, c.max_distance * outwards),
+        "inwards": but(V, -fastest * outwards),
+        "outwards": but(V, fastest * outwards),
+        "faster": but(V, fastest * unit(x[V])),
+        **{f"velocity_{axis}": but(V.start + i, c.max_speed * side[i]) for i, axis in enumerate("xyz")},
+        "camera_lit": but(Q, pointing("+x", sun)),
+        "surface_lit": but(Q, pointing(c.thermal_axis, sun)),
+        "panels_dark": but(Q, pointing(c.solar_panel_axis, -sun)),
+        **{f"rate_{axis}": but(OMEGA.start + i, c.max_rate * side[3 + i]) for i, axis in enumerate("xyz")},
+        "hotter": but(T, c.max_temperature + 1.0),
+        "emptier": but(E, c.min_energy - 1.0),
+        "sunlit": but(THETA_S, 2 * torch.pi * number[6]),
+    }
+
+
+def between(x: Tensor, end: Tensor, share: Tensor) -> Tensor:
+    """States (16, B) a share (B,) of the way from x to the end; attitudes turn about one axis."""
+    y = x + share * (end - x)
+    return torch.cat((y[: Q.start], unit(y[Q]), y[Q.stop :]))
+
+
+def approach(
+    near: NearLimits, which: int, generator: torch.Generator, barriers_at: Function, c: InspectionParameters
+) -> NearLimits:
+    """Moves states next to the first or second of their limits; those that do not get there are left out."""
+    x, target, gap = near.state, near.targets[which], near.gaps[which]
+    every = ends(x, generator, c)
+    names, most = list(every), max(map(len, WAYS.values()))
+    ways = x.new_tensor(
+        [[names.index(way[i * len(way) // most]) for i in range(most)] for way in WAYS.values()]
+    )
+    choice = (torch.rand(x.shape[1], generator=generator, dtype=torch.float64).to(x) * most).long()
+    move = ways[near.limits[which], choice].long()
+    end = torch.stack(list(every.values())).gather(0, move.expand(1, SIZE, -1))[0]
+
+    def above(y: Tensor) -> Tensor:
+        return barriers_at(y).gather(0, target[None])[0] >= gap
+
+    left = torch.nonzero(above(x) & ~above(end)).flatten()
+    low, high = torch.zeros_like(gap), torch.ones_like(gap)
+    for steps in BISECTIONS:
+        near, x, end = near[left], x[:, left], end[:, left]
+        target, gap, low, high = (part[left] for part in (target, gap, low, high))
+        for _ in range(steps):
+            middle = (low + high) / 2
+            before = above(between(x, end, middle))
+            low, high = torch.where(before, middle, low), torch.where(before, high, middle)
+        values = [barriers_at(between(x, end, share)) for share in (low, high)]
+        left = torch.nonzero(safe(values[0].maximum(values[1]), near.within)).flatten()
+    return near._replace(state=between(x, end, low))[left]
+
+
+@torch.no_grad()
+def near_limits(
+    count: int, seed: int, safety_filter: SafetyFilter, barriers_at: Function, device: torch.device | str
+) -> NearLimits:
+    """States next to limits as this file's beginning says, on the device; `barriers_at` is `barriers` of the filter.
+
+    Raises:
+        RuntimeError: fewer were found in HYPERCUBES hypercubes.
+    """
+    of_hypercube, of_moves = spawned(seed, 2)
+    sampler = qmc.LatinHypercube(NUMBERS, rng=np.random.default_rng(of_hypercube))
+    generator = torch.Generator().manual_seed(of_moves)
+    scale = torch.tensor(scales(safety_filter), dtype=torch.float64, device=device)
+    c, found, have = safety_filter.c, [], 0
+    for _ in range(HYPERCUBES):
+        x, _ = spread(torch.from_numpy(sampler.random(CANDIDATES * count).T.copy()), c)
+        x = x.to(device)
+        x = x[:, safe(barriers_at(x))]
+        near = aimed(x, scale, generator)
+        near = approach(near, 0, generator, barriers_at, c)
+        pair = near.limits[0] != near.limits[1]
+        both = approach(near[pair], 1, generator, barriers_at, c)
+        away = barriers_at(both.state).gather(0, both.targets[:1])[0] > GAP[1] * scale[both.targets[0]]
+        near = together([near[~pair], both[~away], approach(both[away], 0, generator, barriers_at, c)])
+        values = barriers_at(near.state)
+        counts = safe(values, near.within) & (safety_filter.values(near.state) >= 0.0).all(0)
+        counts &= (values.gather(0, near.targets) <= GAP[1] * scale[near.targets]).all(0)
+        found.append(near[torch.nonzero(counts).flatten()])
+        found[-1] = found[-1][found[-1].column.argsort()]
+        have += found[-1].column.numel()
+        if have >= count:
+            return together(found)[torch.arange(count, device=device)]
+    raise RuntimeError(f"only {have} of {count} states found next to the limits")
+
+
+def safe(values: Tensor, within: Tensor | None = None) -> Tensor:
+    """(B,) bool: of `barriers` all are non-negative, those with margins where `within` (B,) is set."""
+    limits, margins = (values >= 0.0).split((2 * LIMITS, LIMITS))
+    return limits.all(0) if within is None else limits.all(0) & (margins.all(0) | ~within)
+
+
+def aimed(x: Tensor, scale: Tensor, generator: torch.Generator) -> NearLimits:
+    """States x (16, B) with the limits that they are to be moved next to, drawn."""
+    number = torch.rand(7, x.shape[1], generator=generator, dtype=torch.float64).to(x)
+    weight = torch.tensor(list(AIMED.values()), dtype=torch.float64)
+    pairs = torch.tensor(PAIRS)
+    single = number[0] < 0.5
+    limits = torch.where(
+        single, drawn(weight, number[1]), pairs.T.to(x.device)[:, drawn(weight[pairs].prod(1), number[1])]
+    )
+    targets = limits + LIMITS * torch.where(number[6] < 1 / 3, 2, (number[2:4] < 0.5).long())
+    targets[1] = torch.where(single, targets[0], targets[1])
+    low, high = np.log(GAP)
+    gaps = scale[targets] * (low + (high - low) * number[4:6]).exp()
+    return NearLimits(x, limits, targets, gaps, torch.arange(x.shape[1], device=x.device))
+
+
+def drawn(weight: Tensor, number: Tensor) -> Tensor:
+    """Indices (B,) drawn by weights (k,) from numbers in [0, 1), (B,)."""
+    share = weight.cumsum(0).to(number)
+    return torch.searchsorted(share, number * share[-1], right=True).clamp(max=len(weight) - 1)

@@ -1,0 +1,1 @@
+"""Agents and filters for use elsewhere."""

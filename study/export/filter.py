@@ -1,0 +1,63 @@
+"""The filter of a configuration as C99 for flight software, see `rta.printed.files`, with what was verified of it."""
+
+import shlex
+from pathlib import Path
+
+from inspection.chief.hull import beside
+from rta.filter import SafetyFilter
+from rta.printed.files import NOT_VERIFIED, write
+from study.config import Config
+from study.errors import refusing
+from study.experiment import check_chief
+from study.verified import Flown, fingerprint, reports, settings_digest, shown, verified
+
+IN_C = {"double": ("python", "c"), "float": ("c-float",)}  # forms of the filter that count for it
+
+
+def export(config: Config, directory: Path, real: str) -> str:
+    """Writes the filter of a configuration into a directory, which may hold an older one; returns what to say of it.
+
+    Raises:
+        InputError: a part of the configuration does not fit, the directory holds anything else, or cannot be written.
+    """
+    check_chief(config)
+    with refusing("[rta], [inspection] and [uncertainty]", ValueError, OverflowError):
+        safety_filter = SafetyFilter(
+            beside(config.inspection, config.chief), config.rta, known=config.uncertainty
+        )
+    said = said_of(config, real)
+    with refusing(f"--filter {directory}: cannot write there", OSError, ValueError):
+        texts = write(safety_filter, directory, said, settings_digest(config), real)
+    lines = texts["safety_filter.c"].count("\n")
+    test = shlex.join(["make", "-C", str(directory), "test"])
+    return f"{directory}: {', '.join(texts)}; {lines:,} lines\n{said}\nNext:\n  {test}"
+
+
+def said_of(config: Config, real: str) -> str:
+    """Which campaigns have flown the filter of a configuration, and what came out; in a line each."""
+    own = fingerprint(config)
+    same = [each for each in reports(IN_C[real]) if fingerprint(each.config) == own]
+    counted = [each for each in same if each.large or not each.clean]
+    lines = [of_campaign(each) for each in counted]
+    if not all(each.clean for each in same):
+        first = f"NOT VERIFIED: campaigns broke this filter (fingerprint {own})."
+    elif verified(same):
+        first = (
+            f"Verified (fingerprint {own}) by campaigns under random and adversarial controls; docs/results/safety.md "
+            "says what of other kinds broke a filter."
+        )
+    else:
+        in_single = " in single precision" if real == "float" else ""
+        first = NOT_VERIFIED.replace("this filter", f"this filter{in_single} (fingerprint {own}) enough")
+    return "\n".join([first, *lines])
+
+
+def of_campaign(flown: Flown) -> str:
+    """A campaign in a line."""
+    report, campaign = flown.report, flown.report["campaign"]
+    form = {"python": "in Python", "c": "in C", "c-float": "in C, single precision"}
+    return (
+        f"  {shown(flown.path)}: {campaign['policy']}, {report['episodes']:,} episodes of {campaign['duration']:,} s "
+        f"{form[campaign.get('filter', 'python')]}, {flown.violating:,} with a violation, "
+        f"{report['unsolved']:,} calls unsolved"
+    )

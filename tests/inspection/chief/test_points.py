@@ -1,0 +1,255 @@
+"""Inspection points against ray tracing one point at a time and a loop-based k-means."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from scipy.spatial.transform import Rotation
+
+from inspection.chief import points as chief
+from inspection.model.state import THETA_S, P, Q
+
+RADIUS, POINTS, PER_CLUSTER = 10.0, 100, 10
+
+
+@pytest.fixture(scope="module")
+def normals():
+    return chief.fibonacci_sphere(POINTS)
+
+
+@pytest.fixture
+def looking(random_states):
+    """Eight states (16, 8) whose boresight is within about 20 degrees of the chief, at 15.5 to 150 m."""
+    x = random_states(8)
+    x[P] *= torch.tensor([15.5, 16.0, 18.0, 25.0, 40.0, 60.0, 90.0, 150.0]) / x[P].norm(dim=0)
+    for i in range(8):
+        boresight = -x[P, i] / x[P, i].norm() + 0.2 * torch.sin(torch.tensor([1.0, 2.0, 3.0]) * (i + 1))
+        rotation, _ = Rotation.align_vectors(boresight[None].numpy(), [[1.0, 0.0, 0.0]])
+        x[Q, i] = torch.tensor(rotation.as_quat())
+    return x
+
+
+def ray_hits(start, direction):
+    """Real parameters t at which start + t direction meets the chief's sphere, in ascending order."""
+    a, b, k = direction @ direction, 2 * start @ direction, start @ start - RADIUS**2
+    discriminant = b * b - 4 * a * k
+    if discriminant < 0:
+        return []
+    return sorted((-b + sign * math.sqrt(discriminant)) / (2 * a) for sign in (-1, 1))
+
+
+def is_seen(normal, p, boresight, sun):
+    point = RADIUS * normal
+    ray = point - p
+    in_cone = math.acos(ray @ boresight / np.linalg.norm(ray)) <= math.radians(30.0)
+    unobstructed = ray_hits(p, ray)[0] > 1 - 1e-6
+    return in_cone and unobstructed and is_lit(point, sun)
+
+
+def visible(normals, x, c):
+    """(N, B) bool."""
+    return chief.in_view(normals, x, c)[1]
+
+
+def is_lit(point, sun):
+    return all(t < 1e-6 for t in ray_hits(point, sun))
+
+
+def lloyd(points, wanted, centres, per_cluster, iterations=5):
+    """K-means of points[wanted] by loops; centres is a list with None where there is no cluster."""
+    wanted = np.flatnonzero(wanted)
+    count = math.ceil(len(wanted) / per_cluster)
+    centres = [centre if j < count else None for j, centre in enumerate(centres)]
+    for j in range(count):
+        if centres[j] is None:
+            living = [centre for centre in centres if centre is not None]
+            gaps = [min((np.linalg.norm(points[i] - m) for m in living), default=math.inf) for i in wanted]
+            centres[j] = points[wanted[int(np.argmax(gaps))]]
+    for _ in range(iterations):
+        members = [[] for _ in range(count)]
+        for i in wanted:
+            members[int(np.argmin([np.linalg.norm(points[i] - m) for m in centres[:count]]))].append(
+                points[i]
+            )
+        for j in range(count):
+            if members[j]:
+                centres[j] = np.mean(members[j], axis=0)
+    return [centre if j < count and members[j] else None for j, centre in enumerate(centres)]
+
+
+def choose(counts, generator):
+    """(N, len(counts)) bool: random subsets of the given sizes."""
+    wanted = torch.zeros(POINTS, len(counts), dtype=torch.bool)
+    for column, count in enumerate(counts):
+        wanted[torch.randperm(POINTS, generator=generator)[:count], column] = True
+    return wanted
+
+
+def check_against_lloyd(points, wanted, old, centres, alive):
+    """Returns the reference's centres, one list per column, after comparing."""
+    new = []
+    for column in range(wanted.shape[1]):
+        expected = lloyd(points.T.numpy(), wanted[:, column].numpy(), old[column], PER_CLUSTER)
+        assert alive[:, column].tolist() == [centre is not None for centre in expected]
+        for j, centre in enumerate(expected):
+            if centre is not None:
+                np.testing.assert_allclose(centres[:, j, column], centre, rtol=0, atol=1e-10)
+        new.append(expected)
+    return new
+
+
+def test_fibonacci_points_are_unit(normals):
+    np.testing.assert_allclose(normals.norm(dim=0), 1.0, rtol=0, atol=1e-15)
+
+
+def test_fibonacci_points_are_nearly_equidistant(normals):
+    n = normals.T.numpy()
+    gap = np.linalg.norm(n[:, None] - n, axis=-1) + 9.0 * np.eye(POINTS)
+    nearest = gap.min(0)
+    assert nearest.min() > 0.9 * nearest.mean() and nearest.max() < 1.1 * nearest.mean()
+    assert np.linalg.norm(n.mean(0)) < 1e-3
+
+
+def test_weights_are_the_angles_to_the_opposite_of_priority(normals, generator):
+    priority = torch.randn(3, 6, generator=generator, dtype=torch.float64)
+    priority /= priority.norm(dim=0)
+    angle = np.array([[math.acos(-(n @ r)) for r in priority.T] for n in normals.T])
+    weights = chief.point_weights(normals, priority)
+    np.testing.assert_allclose(weights, angle / angle.sum(0), rtol=1e-12)
+    np.testing.assert_allclose(weights.sum(0), 1.0, rtol=1e-14)
+
+
+def test_weight_is_largest_along_priority_and_smallest_opposite(normals):
+    priority = normals[:, [0, 37, 99]]
+    weights = chief.point_weights(normals, priority)
+    assert weights.argmax(0).tolist() == [0, 37, 99]
+    assert torch.equal(weights.argmin(0), (normals.T @ priority).argmin(0))
+
+
+def test_lit_points_are_those_whose_ray_to_the_sun_is_free(normals):
+    theta_s = torch.tensor([0.0, 1.0, 2.5, 4.0, 6.0], dtype=torch.float64)
+    lit = chief.illuminated(normals, theta_s)
+    for i, angle in enumerate(theta_s.tolist()):
+        sun = np.array([math.cos(angle), math.sin(angle), 0.0])
+        assert lit[:, i].tolist() == [is_lit(RADIUS * n, sun) for n in normals.T.numpy()]
+
+
+def test_margins_are_positive_where_the_sun_shines(normals, looking, c):
+    lit = chief.in_view(normals, looking, c)[0]
+    assert torch.equal(lit, chief.illuminated(normals, looking[THETA_S]))
+
+
+def test_visible_points_are_those_a_free_ray_reaches_in_the_cone(normals, looking, c):
+    seen = visible(normals, looking, c)
+    for i, x in enumerate(looking.T.numpy()):
+        sun = np.array([math.cos(x[THETA_S]), math.sin(x[THETA_S]), 0.0])
+        boresight = Rotation.from_quat(x[Q]).apply([1.0, 0.0, 0.0])
+        expected = [is_seen(n, x[P], boresight, sun) for n in normals.T.numpy()]
+        assert seen[:, i].tolist() == expected
+    assert (seen.sum(0) > 0).sum() > 3 and seen.sum(0).max() < POINTS / 2
+
+
+def camera(distance, theta_s):
+    """One camera on the +x axis that looks at the chief."""
+    x = torch.zeros(16, 1, dtype=torch.float64)
+    x[0], x[THETA_S] = distance, theta_s
+    x[Q, 0] = torch.tensor([0.0, 0.0, 1.0, 0.0])  # n_x along -x
+    return x
+
+
+def test_from_far_in_the_suns_direction_the_whole_near_side_is_seen(normals, c):
+    seen = visible(normals, camera(200.0, 0.0), c)[:, 0]
+    assert torch.equal(seen, normals[0] > RADIUS / 200.0)  # the horizon is where p . n = r
+
+
+def test_nothing_is_seen_against_the_sun(normals, c):
+    assert not visible(normals, camera(200.0, math.pi), c).any()
+
+
+def test_a_narrow_cone_sees_only_what_is_in_front(normals, c):
+    seen = visible(normals, camera(40.0, 0.0), replace(c, field_of_view=math.radians(10.0)))[:, 0]
+    # 5 degrees at 30 to 40 m: at least 2.6 m and at most 3.0 m off the axis
+    off_axis = RADIUS * normals[1:].norm(dim=0)
+    front = normals[0] > 0
+    assert seen[front & (off_axis < 2.6)].all() and not seen[off_axis > 3.0].any() and seen.any()
+
+
+def test_clusters_match_loop_based_lloyd(normals, generator):
+    points, counts = RADIUS * normals, [0, 1, 9, 10, 11, 50]
+    wanted = choose(counts, generator)
+    empty = torch.zeros(5, len(counts), dtype=torch.bool)
+    nowhere = torch.zeros(3, 5, len(counts), dtype=torch.float64)
+    centres, alive = chief.cluster(points, wanted, nowhere, empty, PER_CLUSTER)
+    check_against_lloyd(points, wanted, [[None] * 5] * len(counts), centres, alive)
+    assert alive.sum(0).tolist() == [0, 1, 1, 1, 2, 5]
+
+
+def test_warm_started_clusters_match_loop_based_lloyd(normals, generator):
+    """Sets that shrink, grow and vanish; each call starts where the last one ended."""
+    points = RADIUS * normals
+    alive, centres = torch.zeros(5, 4, dtype=torch.bool), torch.zeros(3, 5, 4, dtype=torch.float64)
+    old = [[None] * 5] * 4
+    for counts in ([50, 10, 30, 0], [45, 25, 0, 3], [12, 50, 50, 3], [11, 49, 41, 28]):
+        wanted = choose(counts, generator)
+        centres, alive = chief.cluster(points, wanted, centres, alive, PER_CLUSTER)
+        old = check_against_lloyd(points, wanted, old, centres, alive)
+
+
+def test_a_cluster_that_lost_its_points_dies_and_is_seeded_anew(normals):
+    points, wanted = RADIUS * normals, (normals[0] > 0.7)[:, None]
+    assert PER_CLUSTER < wanted.sum() <= 2 * PER_CLUSTER
+    centres = torch.tensor([[9.0, 0.0, 0.0], [-9.0, 0.0, 0.0]]).double().T[..., None]
+    old = [list(centres[..., 0].T.numpy().copy())]
+    centres, alive = chief.cluster(points, wanted, centres, torch.ones(2, 1, dtype=torch.bool), PER_CLUSTER)
+    old = check_against_lloyd(points, wanted, old, centres, alive)
+    assert alive[:, 0].tolist() == [True, False]  # all points were nearer to the first centre
+    centres, alive = chief.cluster(points, wanted, centres, alive, PER_CLUSTER)
+    check_against_lloyd(points, wanted, old, centres, alive)
+    assert alive.all()
+
+
+def test_settled_clusters_stay_put(normals):
+    points, lit = RADIUS * normals, chief.illuminated(normals, torch.zeros(1, dtype=torch.float64))
+    centres, alive = torch.zeros(3, 6, 1, dtype=torch.float64), torch.zeros(6, 1, dtype=torch.bool)
+    for _ in range(10):
+        centres, alive = chief.cluster(points, lit, centres, alive, PER_CLUSTER)
+    again, _ = chief.cluster(points, lit, centres, alive, PER_CLUSTER)
+    assert torch.equal(again[:, alive[:, 0]], centres[:, alive[:, 0]])
+
+
+def test_there_are_slots_for_every_lit_hemisphere(normals, c):
+    angles = torch.linspace(0.0, 2 * math.pi, 997, dtype=torch.float64)
+    needed = (chief.illuminated(normals, angles).sum(0).max() / PER_CLUSTER).ceil()
+    assert needed <= chief.max_clusters(normals, c) <= needed + 1
+
+
+def test_nearest_cluster_is_the_direction_of_the_living_centre_nearest_to_the_deputy():
+    centres = torch.tensor([[9.0, 0.0, 0.0], [0.0, 4.0, 3.0], [-5.0, 0.0, 0.0]]).double().T[..., None]
+    alive = torch.tensor([[True], [True], [False]])
+    cases = {(50.0, 0, 0): (1.0, 0, 0), (0, 50.0, 0): (0, 0.8, 0.6), (-50.0, 9.0, 0): (0, 0.8, 0.6)}
+    for p, expected in cases.items():
+        found = chief.nearest_cluster(centres, alive, torch.tensor(p, dtype=torch.float64)[:, None])
+        np.testing.assert_allclose(found[:, 0], expected, rtol=0, atol=1e-15)
+
+
+def test_nearest_cluster_is_zero_when_none_is_left():
+    centres, p = torch.ones(3, 4, 2, dtype=torch.float64), torch.ones(3, 2, dtype=torch.float64)
+    alive = torch.zeros(4, 2, dtype=torch.bool)
+    alive[2, 1] = True
+    found = chief.nearest_cluster(centres, alive, p)
+    assert found[:, 0].tolist() == [0.0, 0.0, 0.0]
+    np.testing.assert_allclose(found[:, 1], 1 / math.sqrt(3), rtol=1e-15)
+
+
+@pytest.mark.parametrize("batch", [1, chief.CHUNK, 2 * chief.CHUNK + 3])
+def test_chunks_join_to_the_whole(batch):
+    x, y, sizes = torch.randn(3, 2, batch), torch.randn(2, batch), []
+
+    def function(x, y):
+        sizes.append(x.shape[-1])
+        return [(x * y).sum(0)]
+
+    assert torch.equal(chief.by_chunks(function, x, y)[0], (x * y).sum(0))
+    assert sum(sizes) == batch and max(sizes) <= chief.CHUNK

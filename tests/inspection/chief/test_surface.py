@@ -1,0 +1,343 @@
+"""Meshes: where their points are, and what hides them, against rays cast one by one."""
+
+import itertools
+import re
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+import trimesh
+from scipy.spatial.transform import Rotation
+
+from inspection.chief import points as chief
+from inspection.chief.mesh import faces, is_closed, pinned, read
+from inspection.chief.surface import GROUPS, covered, cuts, in_view, light, surface
+from inspection.environment import InspectionEnv
+from inspection.model.attitude import random_quaternion, rotate
+from inspection.model.parameters import ChiefParameters, InspectionParameters
+from inspection.model.state import SIZE, THETA_S, P, Q
+
+ROOT = Path(__file__).parents[3]
+MESHES = ("configs/chiefs/box.npz", "configs/chiefs/satellite.stl")
+C = InspectionParameters(num_points=150)
+
+
+def hit(origin: np.ndarray, towards: np.ndarray, triangles: np.ndarray, longest: float = np.inf) -> bool:
+    """Whether a ray meets one of the triangles (Moeller and Trumbore 1997)."""
+    edges = triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]
+    across = np.cross(towards, edges[1])
+    det = (edges[0] * across).sum(1)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        from_corner = origin - triangles[:, 0]
+        u = (from_corner * across).sum(1) / det
+        aside = np.cross(from_corner, edges[0])
+        v = (aside @ towards) / det
+        t = (edges[1] * aside).sum(1) / det
+    return bool(((np.abs(det) > 1e-12) & (u > 0) & (v > 0) & (u + v < 1) & (t > 1e-6) & (t < longest)).any())
+
+
+@pytest.fixture(scope="module", params=MESHES)
+def whole(request):
+    return surface(ChiefParameters(mesh=request.param), C)
+
+
+def some_states(count: int) -> tuple[torch.Tensor, torch.Tensor]:
+    """States that look at the chief's centre from 12 to 40 m, and attitudes of the chief."""
+    generator = torch.Generator().manual_seed(3)
+    x = torch.zeros(SIZE, count, dtype=torch.float64)
+    direction = torch.nn.functional.normalize(torch.randn(3, count, generator=generator).double(), dim=0)
+    x[P] = direction * (12.0 + 28.0 * torch.rand(count, generator=generator).double())
+    axis = torch.linalg.cross(
+        torch.tensor([1.0, 0.0, 0.0]).double()[:, None].expand_as(direction), -direction, dim=0
+    )
+    x[Q] = torch.nn.functional.normalize(torch.cat((axis, 1.0 - direction[:1])), dim=0)
+    x[THETA_S] = 6.3 * torch.rand(count, generator=generator).double()
+    return x, random_quaternion(count, generator, torch.float64)
+
+
+def test_points_are_lit_and_seen_where_no_ray_is_stopped(whole) -> None:
+    x, attitude = some_states(25)
+    assert torch.allclose(rotate(x[Q], torch.eye(3).double()[:, :1].expand(3, 25)), -x[P] / x[P].norm(dim=0))
+    lit, seen = in_view(whole, x, attitude, C).numpy()
+    triangles, half = whole.triangles.numpy(), C.field_of_view / 2
+    wrong = hidden = 0
+    for b in range(x.shape[1]):
+        inverse = torch.cat((-attitude[:3, b], attitude[3:, b]))
+        theta = float(x[THETA_S, b])
+        sun = rotate(inverse, torch.tensor([np.cos(theta), np.sin(theta), 0.0]).double()).numpy()
+        p = rotate(inverse, x[P, b]).numpy()
+        for i in range(whole.points.shape[1]):
+            point, normal = whole.points[:, i].numpy(), whole.normals[:, i].numpy()
+            faces_sun, before_it = normal @ sun > 0.0, normal @ (p - point) > 0.0
+            to_point = (point - p) / np.linalg.norm(point - p)
+            before_it &= to_point @ (-p / np.linalg.norm(p)) > np.cos(half)
+            free = [not hit(point, towards, triangles) for towards in (sun, (p - point))]
+            hidden += (faces_sun and not free[0]) + (before_it and not free[1])
+            in_light = faces_sun and free[0]
+            wrong += (in_light != lit[i, b]) + ((in_light and before_it and free[1]) != seen[i, b])
+    assert hidden > 100  # the mesh hides enough for the check to mean something
+    assert wrong <= 2  # on an edge, to single precision
+
+
+def test_a_surface_that_forgets_a_cone_is_caught(whole) -> None:
+    x, attitude = some_states(25)
+    blind = whole._replace(cones=tuple(group[:, :0] for group in whole.cones))
+    assert in_view(blind, x, attitude, C).sum() > in_view(whole, x, attitude, C).sum() + 50
+
+
+def test_flat_pairs_of_triangles_become_one_face(whole) -> None:
+    """Half as many, of the same area."""
+    corners = faces(whole.triangles)
+    assert corners.shape == (len(whole.triangles) // 2, 4, 3)
+    halves = corners[:, [[0, 1, 2], [2, 3, 0]]].flatten(0, 1)
+    areas = [
+        torch.linalg.cross(each[:, 1] - each[:, 0], each[:, 2] - each[:, 0]).norm(dim=1).sum()
+        for each in (halves, whole.triangles)
+    ]
+    assert torch.allclose(*areas)
+
+
+def test_pairs_that_are_bent_or_hollow_stay_triangles() -> None:
+    def pair(z: float, x: float) -> torch.Tensor:
+        a, b, c, d = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [x, 1 - x, z]])
+        return torch.from_numpy(np.array([[a, b, c], [a, c, d]]))
+
+    assert faces(pair(0.0, 0.0)).shape == (1, 4, 3)
+    assert faces(pair(0.2, 0.0)).shape == (2, 3, 3)  # bent
+    assert faces(pair(0.0, 0.6)).shape == (2, 3, 3)  # d is within the corner at c
+    third = torch.tensor([[[5.0, 5, 5], [6, 5, 5], [5, 6, 5]]], dtype=torch.float64)
+    mixed = faces(torch.cat((pair(0.0, 0.0), third)))
+    assert mixed.shape == (2, 4, 3) and torch.equal(mixed[-1, 2], mixed[-1, 3])
+    # where three faces of four planes take as long as four of three
+    assert faces(torch.cat((pair(0.0, 0.0), third, third + 9.0))).shape == (4, 3, 3)
+
+
+@pytest.mark.parametrize("kind", ["two sides", "sliver first", "sliver last"])
+def test_what_has_no_quadrangle_of_its_own_still_hides(kind: str, tmp_path) -> None:
+    """A plate of two sides, whose triangles have the same corners, and one whose edge is mended by a sliver."""
+    a, b, c, d = np.array([[-3.0, -3, 4], [3, -3, 4], [3, 3, 4], [-3, 3, 4]])
+    m = (a + b) / 2
+    if kind == "two sides":
+        one = [(a, b, c), (a, c, d)]
+        plate = np.array(one + [corners[::-1] for corners in one])
+    else:
+        sliver, others = [(a, m, b)], [(b, a, c), (a, d, c)]
+        plate = np.array(sliver + others if kind == "sliver first" else others + sliver)
+    own = {"points": [[0.0, 0, 0]], "normals": [[0.0, 0, 1]], "areas": [1.0]}
+    np.savez(tmp_path / "plate.npz", triangles=plate, **own)
+    whole = surface(ChiefParameters(mesh=str(tmp_path / "plate.npz")), C)
+    above = torch.tensor([[3.0, -3.0, 0.0, 30.0], [4.0, -2.0, 5.0, 0.0], [20.0, 20.0, 20.0, 9.0]])
+    place = torch.cat((above, torch.ones(1, 4)))
+    assert (covered(whole, place)[0] > 0.0).tolist() == [True, True, True, False]
+
+
+def test_points_are_grouped_so_that_little_fills_up() -> None:
+    assert cuts([0, 0, 0, 5, 5]) == [0, 3, 5]
+    assert cuts([4, 4]) == [0, 2] and cuts([7]) == [0, 1]
+    counts = sorted(np.random.default_rng(1).geometric(0.1, 500).tolist())
+    ends = cuts(counts)
+    assert ends[0] == 0 and ends[-1] == 500 and ends == sorted(set(ends)) and len(ends) == GROUPS + 1
+    equal = np.linspace(0, 500, GROUPS + 1).astype(int).tolist()
+    in_all, in_equal = (
+        sum((b - a) * counts[b - 1] for a, b in itertools.pairwise(each)) for each in (ends, equal)
+    )
+    assert sum(counts) < in_all < 0.95 * in_equal
+
+
+def test_the_sphere_is_seen_as_the_papers(random_states) -> None:
+    x = random_states(300)
+    ball = surface(ChiefParameters(), C)
+    fixed = torch.zeros(4, 300, dtype=torch.float64)
+    fixed[3] = 1.0
+    ours, papers = in_view(ball, x, fixed, C), chief.in_view(ball.normals, x, C)
+    assert (ours != papers).float().mean() < 1e-4 and papers[1].any()
+
+
+def test_points_are_spread_evenly(whole) -> None:
+    edges = whole.triangles[:, 1:] - whole.triangles[:, :1]
+    area = 0.5 * torch.linalg.cross(edges[:, 0], edges[:, 1]).norm(dim=1).sum()
+    assert torch.allclose(whole.areas.sum() * 150 / whole.points.shape[1], area)
+    gaps = (whole.points[:, :, None] - whole.points[:, None]).norm(dim=0).fill_diagonal_(99.0)
+    assert gaps.amin(1).median() > 0.4 * float(area / 150) ** 0.5
+
+
+def test_closed_meshes_are_told_from_open_ones(whole) -> None:
+    assert is_closed(whole.triangles)
+    assert not is_closed(whole.triangles[1:])
+    assert not is_closed(whole.triangles.flip(1)[:1])
+
+
+def test_an_open_mesh_hides_from_both_sides(tmp_path) -> None:
+    plate = np.array([[[-2.0, -2.0, 3.0], [2.0, -2.0, 3.0], [0.0, 2.0, 3.0]]])
+    for name, corners in (("up", plate), ("down", plate[:, ::-1])):
+        np.savez(
+            tmp_path / f"{name}.npz",
+            triangles=corners,
+            points=[[0.0, 0.0, 0.0]],
+            normals=[[0.0, 0.0, 1.0]],
+            areas=[1.0],
+        )
+        whole = surface(ChiefParameters(mesh=str(tmp_path / f"{name}.npz")), C)
+        # from straight above it is hidden and in shade, from aside it is not
+        place = torch.tensor([[0.0, 20.0], [0.0, 0.0], [20.0, 6.0]])
+        assert (covered(whole, torch.cat((place, torch.ones_like(place[:1]))))[0] > 0.0).tolist() == [
+            True,
+            False,
+        ]
+        assert (light(whole, torch.nn.functional.normalize(place, dim=0))[0] > 0.0).tolist() == [False, True]
+
+
+def box(low: tuple[float, ...], high: tuple[float, ...]) -> np.ndarray:
+    """Triangles (12, 3, 3), counterclockwise from outside."""
+    mesh = trimesh.creation.box(bounds=[low, high])
+    return np.array(mesh.triangles)
+
+
+def test_points_within_another_part_are_left_out(tmp_path) -> None:
+    """A bus with a panel that is stuck into it: parts that overlap are each closed."""
+    bus, panel = box((-2, -2, -2), (2, 2, 2)), box((-0.15, 1, -1.5), (0.15, 7, 1.5))
+    np.savez(tmp_path / "parts.npz", triangles=np.concatenate((bus, panel)))
+    c = InspectionParameters(num_points=400)
+    points = surface(ChiefParameters(mesh=str(tmp_path / "parts.npz")), c).points
+    assert not (points.abs() < 2.0 - 1e-9).all(0).any()
+    aside, along, up = points.abs()
+    assert not (
+        (aside < 0.15 - 1e-9) & (points[1] > 1.0 + 1e-9) & (along < 7.0 - 1e-9) & (up < 1.5 - 1e-9)
+    ).any()
+    assert 360 < points.shape[1] < 395
+
+
+def test_a_mesh_of_triangles_that_are_not_wound_alike_is_refused(tmp_path) -> None:
+    """As the export of many a CAD program; points on those would face inwards and be left out."""
+    mesh = box((-2, -2, -2), (2, 2, 2))
+    mesh[3] = mesh[3, ::-1]
+    np.savez(tmp_path / "mixed.npz", triangles=mesh)
+    with pytest.raises(ValueError, match="3 pairs of neighbours are not counterclockwise"):
+        surface(ChiefParameters(mesh=str(tmp_path / "mixed.npz")), C)
+
+
+def test_a_mesh_that_is_inside_out_is_refused(tmp_path) -> None:
+    np.savez(tmp_path / "inside.npz", triangles=box((-2, -2, -2), (2, 2, 2))[:, ::-1])
+    with pytest.raises(ValueError, match="do its normals point outwards"):
+        surface(ChiefParameters(mesh=str(tmp_path / "inside.npz")), C)
+
+
+def test_points_of_an_open_mesh_in_single_precision_are_kept(tmp_path) -> None:
+    """Rounded, half of them lie below their own triangle, by some 1e-7 m."""
+    turn = Rotation.from_euler("xyz", (20.0, 35.0, 50.0), degrees=True).as_matrix()
+    plate = np.array([[[-4, -4, 2], [4, -4, 2], [4, 4, 2]], [[-4, -4, 2], [4, 4, 2], [-4, 4, 2]]]) @ turn.T
+    inside = np.random.default_rng(0).uniform(-3.5, 3.5, (200, 2))
+    points = np.column_stack((inside, np.full(200, 2.0))) @ turn.T
+    np.savez(
+        tmp_path / "plate.npz",
+        triangles=plate.astype(np.float32),
+        points=points.astype(np.float32),
+        normals=np.tile(turn[:, 2], (200, 1)).astype(np.float32),
+        areas=np.ones(200, np.float32),
+    )
+    assert surface(ChiefParameters(mesh=str(tmp_path / "plate.npz")), C).points.shape == (3, 200)
+
+
+def test_points_weigh_by_their_areas_and_their_angle_to_the_priority(tmp_path) -> None:
+    normals = Rotation.random(60, random_state=1).apply([0.0, 0.0, 1.0])
+    areas = np.random.default_rng(0).uniform(0.1, 3.0, 60)
+    np.savez(tmp_path / "own.npz", points=5.0 * normals, normals=normals, areas=areas)
+    target = ChiefParameters(mesh=str(tmp_path / "own.npz"))
+    env = InspectionEnv(3, C, [torch.Generator().manual_seed(0)], target=target)
+    env.reset()
+    for i in range(3):
+        weights = areas * np.arccos(-normals @ env.priority[:, i].numpy())
+        expected = weights[env.inspected[:, i].numpy()].sum() / weights.sum()
+        np.testing.assert_allclose(env.weights[:, i], weights / weights.sum(), rtol=1e-9)
+        np.testing.assert_allclose(env.score[i], expected, rtol=1e-9)
+
+
+def test_the_inside_of_a_narrow_tube_is_kept(tmp_path) -> None:
+    tube = trimesh.creation.annulus(r_min=0.15, r_max=0.5, height=16.0)
+    np.savez(tmp_path / "tube.npz", triangles=np.array(tube.triangles))
+    c = InspectionParameters(num_points=300)
+    assert surface(ChiefParameters(mesh=str(tmp_path / "tube.npz")), c).points.shape[1] > 295
+
+
+def test_a_mesh_is_known_by_its_digest(tmp_path) -> None:
+    path = tmp_path / "own.npz"
+    np.savez(path, triangles=box((-2, -2, -2), (2, 2, 2)))
+    name = pinned(str(path))
+    assert name == pinned(name) and surface(ChiefParameters(mesh=name), C).points.shape[0] == 3
+    np.savez(path, triangles=box((-2, -2, -2), (2, 2, 3)))
+    with pytest.raises(ValueError, match="another file by now"):
+        read(name)
+    assert read("configs/chiefs/box.npz")["triangles"].size
+    assert surface(ChiefParameters(mesh=str(path)), C).points[2].max() > 2.5  # read anew
+
+
+@pytest.mark.parametrize("kind", [">f8", "f4", "longdouble", "i8"])
+def test_numbers_of_any_kind_are_read(kind, tmp_path) -> None:
+    np.savez(tmp_path / "own.npz", triangles=box((-2, -2, -2), (2, 2, 2)).astype(kind))
+    assert read(str(tmp_path / "own.npz"))["triangles"].dtype == np.float64
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        ({"triangles": np.ones((4, 3))}, "must be (F, 3, 3)"),
+        ({"triangles": 30.0 * np.eye(3)[None]}, "must lie within chief_radius, 10 m"),
+        ({"triangles": 3e3 * np.eye(3)[None]}, "(is it in mm?)"),
+        ({"points": np.eye(3), "normals": np.eye(3)}, "needs triangles, or points, normals and areas"),
+        ({"points": np.eye(3), "normals": np.eye(3), "areas": np.ones(2)}, "areas (N,)"),
+        ({"points": np.eye(3), "normals": np.eye(3), "areas": np.zeros(3)}, "areas must not be"),
+        (
+            {"points": np.eye(3), "normals": np.eye(3), "areas": np.array([1.0, 2.0, -1.0])},
+            "areas must not be",
+        ),
+        ({"points": np.eye(3), "normals": 0 * np.eye(3), "areas": np.ones(3)}, "normals not zero"),
+        ({"triangles": np.full((1, 3, 3), np.nan)}, "finite numbers only"),
+        ({"points": np.ones(3), "normals": np.ones(3), "areas": np.array(1.0)}, "points must be (N, 3)"),
+        ({"points": np.array(1.0), "normals": np.eye(3), "areas": np.ones(3)}, "points must be (N, 3)"),
+        ({"points": np.eye(3), "normals": np.eye(3), "areas": np.eye(3)}, "areas must be (N,)"),
+        ({"points": np.eye(3), "normals": np.eye(3), "areas": np.full(3, 1e308)}, "areas must not be"),
+        ({"triangles": np.zeros((20_001, 3, 3))}, "at most 20,000"),
+        ({"triangles": np.ones((1, 3, 3))}, "has no area"),
+    ],
+)
+def test_what_is_no_mesh_is_refused(content, words, tmp_path) -> None:
+    np.savez(tmp_path / "bad.npz", **content)
+    with pytest.raises(ValueError, match=re.escape(words)):
+        surface(ChiefParameters(mesh=str(tmp_path / "bad.npz")), C)
+
+
+@pytest.mark.parametrize(
+    ("name", "words"), [("no.npz", "no such file"), ("a.txt", "must end in"), ("b.stl", "holds no triangles")]
+)
+def test_a_file_that_is_none_is_refused(name, words, tmp_path) -> None:
+    if name != "no.npz":
+        (tmp_path / name).write_text("nothing", encoding="utf-8")
+    with pytest.raises(ValueError, match=words):
+        surface(ChiefParameters(mesh=str(tmp_path / name)), C)
+
+
+@pytest.mark.parametrize("mesh", MESHES)
+def test_a_file_that_was_cut_off_is_refused(mesh, tmp_path) -> None:
+    whole = Path(ROOT / mesh).read_bytes()
+    cut = tmp_path / f"cut{Path(mesh).suffix}"
+    for size in (0, 10, len(whole) // 2, len(whole) - 5):
+        cut.write_bytes(whole[:size])
+        with pytest.raises(ValueError, match=r"cannot be read|needs triangles|holds no triangles"):
+            surface(ChiefParameters(mesh=str(cut)), C)
+
+
+@pytest.mark.parametrize("name", ["a.stl", "a.npz"])
+@pytest.mark.parametrize("content", [b"\x89PNG\r\n\x1a\n" + bytes(range(256)) * 8, b"some text\n" * 9])
+def test_another_kind_of_file_is_refused(name, content, tmp_path) -> None:
+    (tmp_path / name).write_bytes(content)
+    with pytest.raises(ValueError, match=r"cannot be read|needs triangles|holds no triangles") as refusal:
+        surface(ChiefParameters(mesh=str(tmp_path / name)), C)
+    assert "pickle" not in str(refusal.value) and "\n" not in str(refusal.value)
+
+
+def test_without_trimesh_an_stl_is_refused_in_a_line(monkeypatch) -> None:
+    monkeypatch.setitem(sys.modules, "trimesh", None)
+    with pytest.raises(ValueError, match="pip install trimesh"):
+        surface(ChiefParameters(mesh=MESHES[1]), C)

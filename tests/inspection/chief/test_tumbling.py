@@ -1,0 +1,226 @@
+"""A chief that turns: against closed forms, an adaptive integrator, and what must stay."""
+
+import math
+
+import numpy as np
+import pytest
+import torch
+from scipy.integrate import solve_ivp
+from scipy.spatial.transform import Rotation
+
+from inspection.chief.tumbling import ATTITUDE, RATE, Tumbling
+from inspection.environment import InspectionEnv
+from inspection.model.attitude import rotate
+from inspection.model.orbit import sun_angle_after
+from inspection.model.parameters import OBSERVABLE, OBSERVED, ChiefParameters, InspectionParameters
+from inspection.model.state import SIZE, THETA_S, P, Q
+from inspection.observation import components
+
+C = InspectionParameters()
+TRIAXIAL = ChiefParameters(rate=(0.3, 2.0, 0.1), moments=(1.0, 0.8, 0.5), attitude=(0.1, 0.2, 0.3, 0.9))
+
+
+def started(chief: ChiefParameters, c: InspectionParameters = C, batch: int = 1) -> Tumbling:
+    tumbling = Tumbling(chief, c, batch)
+    number = torch.arange(batch).double() / max(1, batch)
+    tumbling.begin(torch.arange(batch), number)
+    return tumbling
+
+
+def after(tumbling: Tumbling, seconds: float, every: float = 10.0) -> torch.Tensor:
+    theta = torch.zeros_like(tumbling.motion[0])
+    for k in range(1, round(seconds / every) + 1):
+        tumbling.at(theta + k * every, theta)
+    return tumbling.motion[:, 0]
+
+
+@pytest.mark.parametrize("hill_rotation", [False, True])
+def test_a_chief_tumbles_as_an_adaptive_integrator_has_it(hill_rotation: bool) -> None:
+    c = InspectionParameters(hill_rotation=hill_rotation)
+    motion = after(started(TRIAXIAL, c), 1000.0)
+    moments, turning = np.array(TRIAXIAL.moments), c.mean_motion if hill_rotation else 0.0
+
+    def rate(t: float, y: np.ndarray) -> np.ndarray:
+        q, w = y[:4] / np.linalg.norm(y[:4]), y[4:]
+        relative = w - Rotation.from_quat(q).inv().apply([0.0, 0.0, turning])
+        return np.concatenate(
+            (product(q, np.array([*relative, 0.0])) / 2, np.cross(moments * w, w) / moments)
+        )
+
+    q0 = np.array(TRIAXIAL.attitude) / np.linalg.norm(TRIAXIAL.attitude)
+    start = np.concatenate((q0, np.radians(TRIAXIAL.rate)))
+    end = solve_ivp(rate, (0.0, 1000.0), start, "DOP853", rtol=1e-12, atol=1e-14).y[:, -1]
+    apart = Rotation.from_quat(motion[ATTITUDE].numpy()) * Rotation.from_quat(end[:4]).inv()
+    assert apart.magnitude() < 1e-5  # rad
+    np.testing.assert_allclose(motion[RATE], end[4:], atol=1e-8)
+
+
+@pytest.mark.parametrize("every", [5.0, 10.0])
+def test_on_an_eccentric_orbit_hills_frame_turns_as_it_does(every: float) -> None:
+    """A chief that hardly turns among the stars, through perigee, where Hill's frame is the fastest."""
+    c = InspectionParameters(orbit="two-body", eccentricity=0.3, hill_rotation=True)
+    tumbling = started(ChiefParameters(rate=(1e-9, 0.0, 0.0)), c)
+    theta, start = torch.tensor([0.5]).double(), 0.5
+    for k in range(1, round(600 / every) + 1):
+        theta = sun_angle_after(theta, every, c)
+        tumbling.at(torch.tensor([k * every]).double(), theta)
+    expected = Rotation.from_rotvec([0.0, 0.0, theta.item() - start])  # the stars in Hill's frame, as the Sun
+    apart = Rotation.from_quat(tumbling.attitude[:, 0].numpy()) * expected.inv()
+    assert abs(theta.item() - start) > 0.8 and apart.magnitude() < 1e-5
+
+
+def product(p: np.ndarray, q: np.ndarray) -> np.ndarray:
+    """Hamilton's, scalar last."""
+    vector = p[3] * q[:3] + q[3] * p[:3] + np.cross(p[:3], q[:3])
+    return np.array([*vector, p[3] * q[3] - p[:3] @ q[:3]])
+
+
+def test_energy_and_angular_momentum_stay() -> None:
+    tumbling = started(TRIAXIAL)
+    moments = torch.tensor(TRIAXIAL.moments).double()
+
+    def kept(motion: torch.Tensor) -> tuple[float, torch.Tensor]:
+        momentum = moments * motion[RATE]
+        return float(momentum @ motion[RATE]), rotate(motion[ATTITUDE], momentum)
+
+    energy, momentum = kept(tumbling.motion[:, 0])
+    energy_after, momentum_after = kept(after(tumbling, 5000.0))
+    assert energy_after == pytest.approx(energy, rel=1e-6)
+    torch.testing.assert_close(momentum_after, momentum, rtol=0.0, atol=1e-5 * float(momentum.norm()))
+
+
+def test_a_symmetric_chief_nutates_as_the_closed_form_has_it() -> None:
+    """Its rates circle about the axis of symmetry by (J3 - J1) / J1 w3 (Wertz 1978, sec. 16.2)."""
+    chief = ChiefParameters(rate=(0.5, 0.0, 1.0), moments=(1.0, 1.0, 0.7))
+    motion = after(started(chief), 2000.0)
+    phase = (0.7 - 1.0) * math.radians(1.0) * 2000.0
+    expected = [math.cos(phase), math.sin(phase), 2.0]
+    np.testing.assert_allclose(motion[RATE] / math.radians(0.5), expected, atol=1e-5)
+
+
+def test_a_chief_without_a_rate_stays_in_hills_frame() -> None:
+    c = InspectionParameters(hill_rotation=True)
+    chief = ChiefParameters(attitude=(0.0, 0.0, 1.0, 1.0))
+    assert torch.equal(after(started(chief, c), 500.0)[ATTITUDE], started(chief, c).motion[ATTITUDE, 0])
+
+
+def test_episodes_draw_their_own_chiefs_again_the_same() -> None:
+    chief = ChiefParameters(random_attitude=True, largest_rate=2.0)
+    motion = started(chief, batch=4000).motion
+    assert torch.equal(motion, started(chief, batch=4000).motion)
+    size = motion[RATE].norm(dim=0).rad2deg()
+    assert size.min() > 0.0 and size.max() < 2.0 and abs(size.mean() - 1.0) < 0.05
+    assert motion[ATTITUDE].norm(dim=0).allclose(torch.ones(4000).double())
+    assert rotate(motion[ATTITUDE], torch.eye(3).double()[:, :1].expand(3, 4000)).mean(1).abs().max() < 0.05
+
+
+def looking(
+    chief: ChiefParameters, c: InspectionParameters = C, batch: int = 8, seed: int = 1
+) -> InspectionEnv:
+    env = InspectionEnv(batch, c, [torch.Generator().manual_seed(seed)], target=chief)
+    env.reset()
+    return env
+
+
+def test_turning_the_whole_scene_changes_nothing_that_is_seen() -> None:
+    """A chief turned by an attitude is seen from p as one that is not is seen from where p is in its frame."""
+    about_z = ChiefParameters(attitude=(0.0, 0.0, math.sin(0.4), math.cos(0.4)))
+    env, plain = looking(about_z), looking(ChiefParameters(attitude=(0.0, 0.0, 0.0, 2.0)))
+    x = env.x.clone()
+    back = torch.tensor([0.0, 0.0, -math.sin(0.4), math.cos(0.4)]).double()[:, None].expand(4, 8)
+    x[P], x[THETA_S] = rotate(back, x[P]), x[THETA_S] - 0.8
+    x[Q] = torch.stack([torch.from_numpy(product(back[:, i].numpy(), x[Q, i].numpy())) for i in range(8)], 1)
+    plain.start(x, env.priority)
+    assert torch.equal(env.inspected, plain.inspected)
+    torch.testing.assert_close(rotate(back, env.uninspected), plain.uninspected)
+    torch.testing.assert_close(env.score, plain.score)
+
+
+def test_what_turns_past_the_camera_comes_to_be_inspected() -> None:
+    """From a fixed place, in light from behind, a sphere that turns once shows nearly all; a fixed one half."""
+    x = torch.zeros(SIZE, 1, dtype=torch.float64)
+    x[0], x[9], x[14] = -60.0, 1.0, 6.0  # looks along +x from -60 m
+    x[THETA_S] = math.pi
+    seen = {}
+    for name, rate in (("fixed", 0.0), ("turning", 1.0)):
+        c = InspectionParameters(mean_motion=1e-9, max_time=400.0, success_score=1.0)
+        env = InspectionEnv(
+            1,
+            c,
+            [torch.Generator().manual_seed(0)],
+            target=ChiefParameters(rate=(0.0, 0.0, rate), attitude=(0.0, 0.0, 0.1, 1.0)),
+        )
+        env.start(x, torch.tensor([[1.0], [0.0], [0.0]]).double())
+        for _ in range(38):
+            transition = env.step(torch.zeros(1, 6))
+        seen[name] = transition.inspected.float().mean().item()
+    assert seen["fixed"] < 0.55 and seen["turning"] > 0.8
+
+
+def test_the_agent_may_observe_how_the_chief_turns() -> None:
+    """Its x and y axes and its rate, as the deputy's body has them."""
+    chief = ChiefParameters(rate=(0.3, -0.5, 1.0), attitude=(0.1, 0.2, 0.5, 0.7))
+    own = looking(chief, InspectionParameters(observed=(*OBSERVED, "chief")))
+    assert own.observation().shape == (8, 26 + 9)
+    to_hill = Rotation.from_quat(chief.attitude)
+    rate = np.radians(chief.rate) / 0.035
+    for i in range(8):
+        to_body = Rotation.from_quat(own.x[Q, i].numpy()).inv() * to_hill
+        expected = [to_body.apply(each) for each in ([1.0, 0.0, 0.0], [0.0, 1.0, 0.0], rate)]
+        np.testing.assert_allclose(own.observation()[i, 26:], np.concatenate(expected), atol=1e-6)
+    assert "chief" in OBSERVABLE and own.step(torch.zeros(8, 6)).observation.shape == (8, 35)
+
+
+def test_the_priority_turns_with_it() -> None:
+    """The agent sees it in its body's axes, and how it is aligned with where it is."""
+    chief = ChiefParameters(attitude=(0.1, 0.2, 0.5, 0.7))
+    env = looking(chief)
+    first = [component.name for component in components()].index("priority_x")
+    to_hill = Rotation.from_quat(chief.attitude)
+    for i in range(8):
+        priority = to_hill.apply(env.priority[:, i])
+        expected = [*Rotation.from_quat(env.x[Q, i].numpy()).inv().apply(priority)]
+        expected.append(priority @ env.x[P, i].numpy() / env.x[P, i].norm().item())
+        np.testing.assert_allclose(env.observation()[i, first : first + 4], expected, atol=1e-6)
+
+
+def test_a_new_episode_has_a_chief_of_its_own_from_its_beginning() -> None:
+    chief = ChiefParameters(random_attitude=True, largest_rate=1.0)
+    env = looking(chief, InspectionParameters(max_time=30.0))
+    before = env.tumbling.motion.clone()
+    for _ in range(3):
+        transition = env.step(torch.zeros(8, 6))
+    assert transition.truncated.all()
+    after = env.tumbling.motion
+    assert (after[-1] == 0.0).all() and (after[:-1] != before[:-1]).any(0).all()
+    env.step(torch.zeros(8, 6))
+    assert (env.tumbling.motion[-1] == 10.0).all()
+
+
+def test_a_run_with_a_turning_chief_goes_on_bit_for_bit() -> None:
+    chief = ChiefParameters(random_attitude=True, largest_rate=1.0)
+    env, other = looking(chief), looking(chief, seed=7)
+    for _ in range(3):
+        env.step(torch.zeros(8, 6))
+    assert not torch.equal(env.tumbling.motion, other.tumbling.motion)
+    other.load_state_dict(env.state_dict())
+    other.starts[0].generator.set_state(env.starts[0].generator.get_state())
+    one, two = (each.step(torch.ones(8, 6)) for each in (env, other))
+    assert torch.equal(one.observation, two.observation) and torch.equal(one.inspected, two.inspected)
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ({"rate": (11.0, 0.0, 0.0)}, "at most 10 deg/s"),
+        ({"rate": (1.0, 0.0, 0.0), "largest_rate": 1.0}, "is drawn"),
+        ({"rate": (8.0, 8.0, 0.0)}, "at most 10 deg/s"),
+        ({"moments": (1.0, 1.0, 3.0)}, "none above the sum"),
+        ({"moments": (1e-6, 1.0, 1.0)}, "factor of 1000"),
+        ({"attitude": (0.0, 0.0, 0.0, 0.0)}, "must not be zero"),
+        ({"attitude": (0.0, 0.0, math.nan, 0.0)}, "finite numbers"),
+    ],
+)
+def test_what_no_chief_can_be_is_refused(given: dict, words: str) -> None:
+    with pytest.raises(ValueError, match=words):
+        ChiefParameters(**given)

@@ -1,0 +1,625 @@
+"""The world that differs from the model: against scipy, closed forms and counts by hand, and who is shown what."""
+
+import math
+from collections.abc import Callable
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from scipy import stats
+from scipy.integrate import solve_ivp
+from scipy.spatial.transform import Rotation
+from torch import Tensor
+
+from inspection.closed_loop import Clocks, Safety, closed_loop
+from inspection.environment import InspectionEnv
+from inspection.initial_state import sample_initial_state
+from inspection.model.parameters import InspectionParameters
+from inspection.model.state import CONTROLS, OMEGA, SIZE, THETA_S, THRUST, TORQUE, E, P, Q, T, V
+from inspection.world.plant import DETAILS, OF_BASILISK, Plant, PlantParameters, milliseconds, uniform
+from kernels import Compiled
+from tests.inspection.model.test_dynamics import MASS, UNEQUAL, N, paper_rate
+
+C = InspectionParameters(inertia=UNEQUAL)
+U1 = PlantParameters(
+    mass_factor=(0.9, 1.1),
+    inertia_factor=(0.9, 1.1),
+    thrust_gain=(0.95, 1.05),
+    torque_gain=(0.95, 1.05),
+    thrust_misalignment=1.0,
+    acceleration=1e-5,
+    position_noise=0.2,
+    velocity_noise=0.002,
+    attitude_noise=0.1,
+    rate_noise=0.01,
+    latency=1,
+    missed_calls=0.05,
+    missed_in_a_row=2,
+    hill_rotation=True,
+    saturate_rates=False,
+)
+
+
+def seeded(seed: int) -> torch.Generator:
+    return torch.Generator().manual_seed(seed)
+
+
+def begun(parameters: PlantParameters, batch: int = 1, seed: int = 0, c: InspectionParameters = C) -> Plant:
+    plant = Plant(parameters, c, batch, "cpu")
+    number = torch.rand(batch, generator=seeded(seed), dtype=torch.float64)
+    plant.begin(torch.arange(batch), torch.zeros(SIZE, batch), number)
+    return plant
+
+
+def make(parameters: PlantParameters | None, batch: int = 4, seed: int = 0, **more: Any) -> InspectionEnv:
+    return InspectionEnv(batch, C, [seeded(seed)], plant=parameters, **more)
+
+
+def states(batch: int, seed: int = 3) -> tuple[Tensor, Tensor]:
+    """Some of the paper's starts, moving and tumbling."""
+    generator = seeded(seed)
+    x, priority = sample_initial_state(batch, generator, C)
+    x[V] = 0.2 * torch.randn(3, batch, generator=generator, dtype=torch.float64)
+    x[OMEGA] = 0.01 * torch.randn(3, batch, generator=generator, dtype=torch.float64)
+    return x, priority
+
+
+def moments(batch: int, seconds: float = 0.0) -> Tensor:
+    return torch.full((batch,), seconds, dtype=torch.float64)
+
+
+# what is off
+
+
+def test_a_plant_that_is_the_model_takes_no_draw_and_is_not_there() -> None:
+    details = {"noise_bound": 1.0, "missed_in_a_row": 3, "failing_from": 5.0, "failing_strength": 0.5}
+    assert details.keys() == DETAILS
+    generators = seeded(1), seeded(1)
+    for generator, plant in zip(generators, (None, PlantParameters(**details)), strict=True):
+        env = InspectionEnv(3, C, [generator], plant=plant)
+        env.reset()
+        assert env.plant is None and env.seen is env.x
+        assert "plant" not in env.state_dict()
+    assert torch.equal(generators[0].get_state(), generators[1].get_state())
+
+
+@pytest.mark.parametrize("name", [name for name in vars(PlantParameters()) if name not in DETAILS])
+def test_whatever_is_set_is_a_plant_that_is_not_the_model(name: str) -> None:
+    values: dict[str, Any] = {
+        "simulator": "basilisk",
+        "j2": True,
+        "drag": True,
+        "actuators": "real",
+        "failing": "any",
+        "saturate_rates": False,
+        "hill_rotation": True,
+        "latency": 1,
+    }
+    needed = {"simulator": "basilisk"} if name in OF_BASILISK else {}
+    assert not PlantParameters(**needed | {name: values.get(name, 0.5)}).is_nominal
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"mass_factor": 0.0}, "mass_factor = 0.0: must be positive"),
+        ({"thrust_gain": (0.0, 1.0)}, "thrust_gain = [0.0, 1.0]: must be positive"),
+        ({"position_noise": -0.1}, "position_noise = -0.1: must not be negative"),
+        (
+            {"rate_bias": (2.0, 1.0)},
+            "rate_bias = [2.0, 1.0]: must be a value or [low, high] with low <= high",
+        ),
+        ({"acceleration": math.nan}, "acceleration = nan: must be finite"),
+        ({"missed_calls": 1.1}, "missed_calls = 1.1: must be at most 1"),
+        ({"thrust_misalignment": 91.0}, "thrust_misalignment = 91.0: must be at most 90"),
+        ({"failing": "thrust_w"}, "failing = 'thrust_w': must be one of none, thrust, torque, any, thrust_x"),
+        ({"noise_bound": 0.0}, "noise_bound = 0.0: must be positive"),
+        ({"simulator": "gmat"}, "simulator = 'gmat': must be one of own, basilisk"),
+        ({"missed_in_a_row": 0}, "missed_in_a_row = 0: must be a positive integer"),
+    ],
+)
+def test_what_cannot_be_is_refused_in_a_line(settings: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError) as refusal:
+        PlantParameters(**settings)
+    assert str(refusal.value).startswith(message)
+
+
+def test_a_body_that_cannot_be_is_refused() -> None:
+    with pytest.raises(ValueError, match="inertia_factor"):
+        make(PlantParameters(inertia_factor=(0.5, 1.5)))
+    make(PlantParameters(inertia_factor=0.5))
+
+
+# the body
+
+
+def disturbed_rate(x: np.ndarray, u: np.ndarray, plant: Plant, k: int) -> np.ndarray:
+    """The paper's rate, with the drawn body and what acts in the place of the model's and what is commanded."""
+    mass, *rest = plant.drawn.body[:, k].tolist()
+    inertia, push = rest[:3], rest[3:]
+    acting = np.concatenate(
+        (plant.drawn.thrust[..., k].numpy() @ u[:3] * MASS / mass, plant.drawn.torque[:, k].numpy() * u[3:])
+    )
+    rate = paper_rate(x, acting, inertia)
+    rate[3:6] += push
+    if plant.parameters.hill_rotation:
+        relative = x[10:13] - Rotation.from_quat(x[6:10]).inv().apply([0.0, 0.0, N])
+        turn = Rotation.from_quat(x[6:10]).as_quat(scalar_first=True)
+        a, b = turn, np.array([0.0, *relative])
+        vector = a[0] * b[1:] + np.cross(a[1:], b[1:])
+        rate[6:10] = 0.5 * np.array([*vector, -a[1:] @ b[1:]])
+    return rate
+
+
+def test_the_disturbed_flight_is_scipys() -> None:
+    parameters = PlantParameters(
+        mass_factor=(0.8, 1.3),
+        inertia_factor=(0.9, 1.1),
+        thrust_gain=(0.8, 1.2),
+        torque_gain=(0.8, 1.2),
+        thrust_misalignment=(1.0, 5.0),
+        acceleration=(1e-4, 2e-3),
+        hill_rotation=True,
+        saturate_rates=False,
+    )
+    env, (x, priority) = make(parameters, 3), states(3)
+    env.start(x, priority)
+    u = torch.tensor([[0.5, -0.3, 0.8, 3e-5, -5e-5, 4e-5]], dtype=torch.float64).T.repeat(1, 3)
+    *_, last = env.fly(lambda t, seen: u, 60.0)
+    for k in range(3):
+        found = solve_ivp(
+            lambda _, s, k=k: disturbed_rate(s, u[:, k].numpy(), env.plant, k),
+            (0.0, 60.0),
+            x[:, k].numpy(),
+            method="DOP853",
+            rtol=1e-9,
+            atol=1e-11,
+        ).y[:, -1]
+        same = np.sign(found[6:10] @ last.after[Q, k].numpy())
+        found[6:10] *= same / np.linalg.norm(found[6:10])
+        found[T : E + 1] = last.after[T : E + 1, k]  # of the attitude; where light comes and goes, they bend
+        np.testing.assert_allclose(last.after[:, k], found, rtol=1e-6, atol=1e-7)
+    assert (last.after[OMEGA].abs() > C.max_rate).any()  # nothing saturates
+
+
+def test_a_body_at_rest_under_the_stars_turns_against_hills_frame() -> None:
+    """58.8 deg in 1,000 s; one that turns about its own axis does so beside it."""
+    equal = InspectionParameters(substep=5.0)
+    env = InspectionEnv(2, equal, [seeded(0)], plant=PlantParameters(hill_rotation=True))
+    x, priority = sample_initial_state(2, seeded(5), equal)
+    x[OMEGA, 1] = torch.tensor([0.003, -0.002, 0.001], dtype=torch.float64)
+    env.start(x, priority)
+    begin = Rotation.from_quat(x[Q].T.numpy())
+    *_, last = env.fly(lambda t, seen: torch.zeros(6, 2, dtype=torch.float64), 1000.0)
+    frame = Rotation.from_rotvec([0.0, 0.0, -1000.0 * N])
+    expected = frame * begin * Rotation.from_rotvec(1000.0 * x[OMEGA].T.numpy())
+    difference = (expected.inv() * Rotation.from_quat(last.after[Q].T.numpy())).magnitude()
+    np.testing.assert_allclose(difference, 0.0, atol=1e-8)
+    assert math.degrees(frame.magnitude()) == pytest.approx(58.8, abs=0.1)
+    # the filter is shown the rate relative to the frame, which it takes the attitude's rate to be
+    relative = x[OMEGA].T.numpy() - Rotation.from_quat(last.state[Q].T.numpy()).inv().apply([0.0, 0.0, N])
+    seen = env.plant.sense(moments(2, 990.0), last.state)
+    np.testing.assert_allclose(seen[OMEGA].T, relative, atol=1e-12)
+    assert torch.equal(env.x[OMEGA], x[OMEGA])  # a gyro's
+
+
+@pytest.mark.parametrize(
+    ("model", "plant", "holds"), [(True, True, True), (True, False, False), (False, True, False)]
+)
+def test_rates_saturate_where_neither_says_otherwise(model: bool, plant: bool, holds: bool) -> None:
+    c = InspectionParameters(saturate_rates=model)
+    parameters = PlantParameters(saturate_rates=plant, mass_factor=1.1)
+    env = InspectionEnv(1, c, [seeded(0)], plant=parameters)
+    x, priority = sample_initial_state(1, seeded(5), c)
+    env.start(x, priority)
+    u = torch.tensor([[0.0, 0.0, 0.0, 9e-4, 0.0, 0.0]], dtype=torch.float64).T
+    *_, last = env.fly(lambda t, seen: u, 10.0)
+    assert (last.after[OMEGA].abs().max() <= C.max_rate) == holds
+
+
+# what is drawn
+
+
+def test_an_episode_draws_from_its_ranges_and_keeps_what_it_drew() -> None:
+    parameters = PlantParameters(
+        mass_factor=(0.9, 1.1), inertia_factor=(0.9, 1.1), acceleration=(1e-5, 3e-5), latency=(0, 3)
+    )
+    plant = begun(parameters, 4000)
+    body = plant.drawn.body
+    for row, model, low, high in ((0, MASS, 0.9, 1.1), *((1 + i, UNEQUAL[i], 0.9, 1.1) for i in range(3))):
+        share = (body[row] / model - low) / (high - low)
+        assert stats.kstest(share.numpy(), "uniform").pvalue > 1e-3
+    size = body[4:].norm(dim=0)
+    assert stats.kstest((size.numpy() - 1e-5) / 2e-5, "uniform").pvalue > 1e-3
+    for component in (body[4:] / size).numpy():  # of a uniform direction, as Archimedes found
+        assert stats.kstest(component, "uniform", (-1.0, 2.0)).pvalue > 1e-3
+    assert np.abs(np.corrcoef(body.numpy()) - np.eye(7)).max() < 0.06
+    counts = torch.bincount(plant.drawn.latency, minlength=4)
+    assert len(counts) == 4 and stats.chisquare(counts.numpy()).pvalue > 1e-3
+
+
+def test_thrust_leaves_its_axis_by_the_angle_asked_for_and_keeps_its_gain() -> None:
+    parameters = PlantParameters(thrust_misalignment=3.0, thrust_gain=(0.9, 1.1), torque_gain=(0.9, 1.1))
+    plant = begun(parameters, 500)
+    gain = torch.stack([plant.drawn.thrust[:, i].norm(dim=0) for i in range(3)])
+    assert 0.9 <= gain.min() < 0.91 and 1.09 < gain.max() <= 1.1
+    for i in range(3):
+        u = torch.zeros(6, 500, dtype=torch.float64)
+        u[i] = -0.5
+        acting = plant.actuate(moments(500), u)
+        angle = (-acting[i] / acting[THRUST].norm(dim=0)).arccos().rad2deg()
+        np.testing.assert_allclose(angle, 3.0, rtol=1e-9)
+        j, k = (i + 1) % 3, (i + 2) % 3
+        side = torch.atan2(acting[j], acting[k])
+        assert stats.kstest((side.numpy() + math.pi) / (2 * math.pi), "uniform").pvalue > 1e-3
+        assert not acting[TORQUE].any()
+    u = torch.ones(6, 500, dtype=torch.float64)
+    torch.testing.assert_close(plant.actuate(moments(500), u)[TORQUE], plant.drawn.torque)
+
+
+def test_an_episode_is_the_same_whatever_flies_beside_it_or_else_is_set() -> None:
+    alone, among = begun(U1, 3), Plant(U1, C, 7, "cpu")
+    numbers = torch.rand(3, generator=seeded(0), dtype=torch.float64)
+    among.begin(torch.tensor([5, 1, 4]), torch.zeros(SIZE, 3), numbers)
+    for one, other in zip(alone.drawn, among.drawn, strict=True):
+        assert torch.equal(one, other[..., [5, 1, 4]])
+    x, _ = states(7)
+    seen = among.sense(moments(7, 12.0), x)
+    assert torch.equal(alone.sense(moments(3, 12.0), x[:, [5, 1, 4]]), seen[:, [5, 1, 4]])
+    lighter = begun(PlantParameters(mass_factor=U1.mass_factor), 3)
+    assert torch.equal(lighter.mass, alone.mass)
+
+
+def test_numbers_are_uniform_and_independent_of_key_time_and_row() -> None:
+    key = (torch.rand(300, generator=seeded(0), dtype=torch.float64) * 2**53).long()
+    found = torch.stack(
+        [uniform(key, torch.full_like(key, 1000 * t), 13) for t in range(60)]
+    )  # time, row, key
+    assert stats.kstest(found.flatten().numpy(), "uniform").pvalue > 1e-3
+    for axis in range(3):
+        by_axis = found.movedim(axis, 0).flatten(1).numpy()
+        n = by_axis.shape[1]
+        correlation = np.corrcoef(by_axis) - np.eye(len(by_axis))
+        assert np.abs(correlation).max() < 5.5 / math.sqrt(n)
+
+
+# sensors
+
+
+def test_noise_has_its_sigma_its_bound_and_its_bias_and_nothing_in_common() -> None:
+    sigma = np.repeat([0.2, 0.002, math.radians(0.1), math.radians(0.01)], 3)
+    parameters = PlantParameters(
+        position_noise=0.2,
+        velocity_noise=0.002,
+        attitude_noise=0.1,
+        rate_noise=0.01,
+        noise_bound=2.0,
+        position_bias=3.0,
+        velocity_bias=0.03,
+        attitude_bias=1.0,
+        rate_bias=0.1,
+    )
+    batch, times = 60, 400
+    plant, (x, _) = begun(parameters, batch), states(batch)
+    true = Rotation.from_quat(x[Q].T.numpy())
+    errors = []
+    for t in range(times):
+        seen = plant.sense(moments(batch, float(t)), x.clone())
+        turned = (true.inv() * Rotation.from_quat(seen[Q].T.numpy())).as_rotvec().T
+        difference = (seen - x).numpy()
+        errors.append(np.concatenate((difference[P], difference[V], turned, difference[OMEGA])))
+        np.testing.assert_array_equal(difference[[T, E, 15]], 0.0)
+        np.testing.assert_allclose(seen[Q].norm(dim=0), 1.0, rtol=1e-14)
+    error = np.array(errors)  # time, component, episode
+    bias = error.mean(0)
+    sizes = np.linalg.norm(bias.reshape(4, 3, batch), axis=1)
+    asked = np.array([3.0, 0.03, math.radians(1.0), math.radians(0.1)])
+    np.testing.assert_allclose(sizes, np.repeat(asked[:, None], batch, 1), rtol=0.02)
+    for kind in bias.reshape(4, 3, batch):
+        assert (np.ptp(kind, axis=1) > 1.2 * np.linalg.norm(kind[:, 0])).all()  # all directions
+    noise = (error - bias) / sigma[:, None]
+    assert np.abs(noise).max() < 2.3  # a mean over the times beside the bound
+    clipped = math.sqrt(2 * stats.norm.cdf(2) - 1 - 4 * stats.norm.pdf(2) + 8 * stats.norm.sf(2))
+    np.testing.assert_allclose(noise.std((0, 2)), clipped, rtol=0.03)
+    for axis in range(3):  # at other times, in other components, of other episodes
+        rows = np.moveaxis(noise, axis, 0).reshape(noise.shape[axis], -1)
+        assert np.abs(np.corrcoef(rows) - np.eye(len(rows))).max() < 5.5 / math.sqrt(rows.shape[1])
+
+
+def test_what_is_seen_at_a_time_is_the_same_whoever_asks() -> None:
+    plant, (x, _) = begun(U1, 4), states(4)
+    one = plant.sense(moments(4, 3.0), x)
+    assert torch.equal(plant.sense(moments(4, 3.0), x.clone()), one)
+    assert not torch.equal(plant.sense(moments(4, 4.0), x.clone()), one)
+
+
+# actuators
+
+
+def test_small_thrust_is_not_given_and_what_is_comes_in_quanta() -> None:
+    u = torch.tensor([0.019, -0.021, 0.3, 1e-5, -1e-4, 9e-4], dtype=torch.float64)[:, None]
+    acting = begun(PlantParameters(minimum_thrust=0.02)).actuate(moments(1), u)
+    np.testing.assert_array_equal(acting[:, 0], [0.0, -0.021, 0.3, 1e-5, -1e-4, 9e-4])
+    u = torch.tensor([0.024, -0.026, 1.0, 0.0, 0.0, 0.0], dtype=torch.float64)[:, None]
+    acting = begun(PlantParameters(thrust_quantum=0.05)).actuate(moments(1), u)
+    np.testing.assert_allclose(acting[:3, 0], [0.0, -0.05, 1.0], atol=1e-15)
+    acting = begun(PlantParameters(thrust_quantum=0.4)).actuate(moments(1), u)
+    np.testing.assert_allclose(acting[:3, 0], [0.0, 0.0, 0.8], atol=1e-15)
+    acting = begun(PlantParameters(thrust_quantum=0.6)).actuate(moments(1), u)
+    assert acting[2] == 0.6  # two of them are more than the thruster has
+
+
+@pytest.mark.parametrize(
+    ("failing", "rows"),
+    [("thrust", {0, 1, 2}), ("torque", {3, 4, 5}), ("any", set(range(6))), ("torque_y", {4})],
+)
+def test_one_actuator_fails_at_its_time(failing: str, rows: set[int]) -> None:
+    parameters = PlantParameters(failing=failing, failing_from=(100.0, 200.0), failing_strength=(0.25, 0.5))
+    plant, u = begun(parameters, 300), torch.ones(6, 300, dtype=torch.float64)
+    assert torch.equal(plant.actuate(moments(300, 99.0), u), u)
+    end = plant.actuate(moments(300, 200.0), u)
+    weak = end < 1.0
+    assert (weak.sum(0) == 1).all()
+    assert set(torch.nonzero(weak)[:, 0].tolist()) == rows
+    assert end.min() >= 0.25 and 0.45 < end[weak].max() <= 0.5
+    failed = (plant.actuate(moments(300, 150.0), u) < 1.0).any(0).double().mean()
+    assert 0.4 < failed < 0.6
+    assert set(CONTROLS) < {"none", *CONTROLS}
+
+
+# the computer
+
+
+class Recorded:
+    """A controller, a filter and a plant without motion of its own that show what they are given."""
+
+    def __init__(self) -> None:
+        self.seen: list[float] = []
+        self.desired: list[float] = []
+
+    def controller(self, t: float, x: Tensor) -> Tensor:
+        return torch.full((6, 1), 100.0 + t, dtype=torch.float64)
+
+    def correct(self, x: Tensor, desired: Tensor) -> SimpleNamespace:
+        self.seen.append(x[0, 0].item())
+        self.desired.append(desired[0, 0].item())
+        return SimpleNamespace(control=desired + 0.5)
+
+    @staticmethod
+    def integrate(x: Tensor, u: Tensor, seconds: float) -> Tensor:
+        return x + seconds
+
+
+def test_a_state_so_many_calls_old_is_seen() -> None:
+    """A position that counts the seconds; before the first ones are old enough, the first one is seen."""
+    for latency, period, expected in (
+        (0, 1.0, list(range(12))),
+        (1, 1.0, [0, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10]),
+        (3, 1.0, [0, 0, 0, 0, 1, 2, 3, 4, 5, 6, 7, 8]),
+        (2, 2.0, [0, 0, 0, 2, 4, 6]),
+    ):
+        plant = begun(PlantParameters(latency=latency, mass_factor=1.1))
+        plant.every = period
+        recorded, x = Recorded(), torch.zeros(16, 1, dtype=torch.float64)
+        x[9] = 1.0
+        for _ in range(2):  # a loop goes on where another one ended
+            clocks = Clocks(6.0, 6.0, 1.0, period)
+            start = moments(1, 6.0 * (len(recorded.seen) > 0))
+            x[9] = 1.0
+            loop = closed_loop(
+                x, recorded.controller, recorded.correct, recorded.integrate, clocks, 6.0, plant, start
+            )
+            *_, last = loop
+            x = last.after
+        assert recorded.seen == expected
+
+
+def test_a_missed_call_holds_the_control_and_the_next_one_is_asked_for_the_same() -> None:
+    plant = begun(PlantParameters(missed_calls=0.5, missed_in_a_row=2))
+    recorded, x = Recorded(), torch.zeros(16, 1, dtype=torch.float64)
+    clocks = Clocks(10.0, 10.0, 1.0, 1.0)
+    holds = list(
+        closed_loop(
+            x, recorded.controller, recorded.correct, recorded.integrate, clocks, 40.0, plant, moments(1)
+        )
+    )
+    missed = [bool(hold.missed) for hold in holds]
+    expected = [
+        t > 0 and bool(uniform(plant.key, milliseconds(moments(1, float(t))), 1, first=12)[0, 0] < 0.5)
+        for t in range(40)  # there is nothing to hold before the first
+    ]
+    for t in range(2, 40):  # by hand: the third in a row is made
+        if expected[t] and expected[t - 1] and expected[t - 2]:
+            expected[t] = False
+    assert missed == expected and 10 < sum(missed) < 30
+    control, desired = 0.0, 0.0
+    for t, hold in enumerate(holds):
+        if t % 10 == 0:
+            desired = 100.0 + t
+        assert hold.desired[0] == desired and hold.decided == (t % 10 == 0)
+        if not missed[t]:
+            control = desired = desired + 0.5
+        assert hold.applied[0] == hold.acting[0] == control
+
+
+def test_calls_are_missed_as_often_as_asked_and_without_a_filter_they_are_decisions() -> None:
+    plant = begun(PlantParameters(missed_calls=0.2), 500)
+    u = torch.ones(6, 500, dtype=torch.float64)
+    missed = torch.stack([plant.hold(moments(500, float(t)), (t + 1.0) * u)[1] for t in range(200)])
+    assert not missed[0].any() and missed[1:].double().mean() == pytest.approx(0.2, abs=0.005)
+    following = missed[1:][missed[:-1]].double().mean()
+    assert following == pytest.approx(0.2, abs=0.015)  # no less likely after one that was
+    last = torch.where(missed[-1], 0.0, 200.0)
+    assert torch.equal(torch.where(missed[-1], 0.0, plant.held[0]), last)
+    env = make(PlantParameters(missed_calls=1.0, missed_in_a_row=1), 1)
+    env.reset()
+    applied = [hold.applied[0].item() for hold in env.fly(lambda t, x: torch.full_like(x[:6], 1.0 + t), 40.0)]
+    assert applied[::10] == [1.0, 1.0, 21.0, 21.0]
+
+
+# who is shown what
+
+
+def facing(batch: int) -> tuple[Tensor, Tensor]:
+    """Starts with the camera on the chief and the Sun behind it."""
+    x, priority = states(batch)
+    for k in range(batch):
+        turn, _ = Rotation.align_vectors([-x[P, k].numpy()], [[1.0, 0.0, 0.0]])
+        x[Q, k] = torch.from_numpy(turn.as_quat())
+    x[THETA_S] = torch.atan2(x[1], x[0])
+    return x, priority
+
+
+class Witness:
+    """A filter that keeps what it is shown, and lets everything pass."""
+
+    def __init__(self) -> None:
+        self.seen: list[Tensor] = []
+
+    def safety(self) -> Safety:
+        def correct(x: Tensor, desired: Tensor) -> SimpleNamespace:
+            self.seen.append(x)
+            return SimpleNamespace(control=desired, h=x[:2])
+
+        return Safety(
+            ("far", "fast"),
+            lambda x: torch.stack((500.0 - x[P].norm(dim=0), 1.0 - x[V].norm(dim=0))),
+            None,
+            correct,
+        )
+
+
+SENSORS = PlantParameters(position_bias=900.0, velocity_bias=7.0, attitude_bias=120.0, rate_bias=5.0)
+
+
+def test_agent_and_filter_see_what_is_measured_and_all_that_is_reported_is_true() -> None:
+    x, priority = facing(4)
+    witness, others = Witness(), Witness()
+    env, honest = make(SENSORS, safety=witness.safety()), make(None, safety=others.safety())
+    first, expected = env.start(x, priority), honest.start(x, priority)
+    assert (first[:, 0] > 8.0).all() and (expected[:, 0] < 1.1).all()  # distances of hundreds of metres
+    shown: list[Tensor] = []
+
+    def commander(actions: Tensor) -> Callable[[float, Tensor], Tensor]:
+        def control(t: float, seen: Tensor) -> Tensor:
+            shown.append(seen)
+            return actions.T.double() * 0.1 * env.limit
+
+        return control
+
+    for step in range(5):
+        actions = torch.randn(4, 6, generator=seeded(step))
+        one, other = env.advance(commander(actions)), honest.advance(commander(actions))
+        torch.testing.assert_close(one.state, other.state, rtol=1e-12, atol=1e-12)
+        torch.testing.assert_close(one.reward, other.reward, rtol=1e-9, atol=1e-9)
+        torch.testing.assert_close(one.metrics, other.metrics, rtol=1e-9, atol=1e-9)
+        for name in ("terminated", "truncated", "violated", "outcome"):
+            assert torch.equal(getattr(one, name), getattr(other, name))
+        assert torch.equal(env.inspected, honest.inspected) and honest.inspected.any()
+        # a part of what is observed says so
+        seen = env.plant.sense(env.time, one.state)
+        assert ((seen[P] - one.state[P]).norm(dim=0) - 900.0).abs().max() < 1e-9
+        np.testing.assert_allclose(one.observation[:, 0], seen[P].norm(dim=0).float() / 100.0, rtol=1e-6)
+        np.testing.assert_allclose(one.observation[:, 8:11], (seen[OMEGA] / 0.035).T, rtol=1e-4, atol=1e-5)
+        for (_, answered, true), (_, _, given) in zip(one.calls(), other.calls(), strict=True):
+            assert answered.all() and true.shape == given.shape
+            assert (true[0] > 300.0).all()
+    for at, was in zip(witness.seen, others.seen, strict=True):
+        assert ((at[P] - was[P]).norm(dim=0) - 900.0).abs().max() < 1e-6
+    assert torch.equal(shown[-2], witness.seen[-10])  # the agent's, at the beginning of the last step
+    assert not torch.equal(shown[-2], shown[-1])
+
+
+def test_an_agent_in_flight_observes_what_is_measured_and_looks_from_where_it_is() -> None:
+    env, honest = make(SENSORS), make(None)
+    observed: dict[InspectionEnv, list[Tensor]] = {env: [], honest: []}
+    for each in observed:
+        each.start(*facing(4))
+
+        def control(t: float, x: Tensor, each: InspectionEnv = each) -> Tensor:
+            each.see(x)
+            observed[each].append(each.observation())
+            return torch.zeros(6, 4, dtype=torch.float64)
+
+        states_then = [hold.state for hold in each.fly(control, 30.0) if hold.decided]
+        assert each.x is states_then[-1]
+    assert torch.equal(env.inspected, honest.inspected) and honest.inspected.any()
+    for one, other in zip(*observed.values(), strict=True):
+        assert (one[:, 0] > 8.0).all() and (other[:, 0] < 1.5).all()
+        assert torch.equal(one[:, -1], other[:, -1])  # the score
+
+
+def test_the_metrics_of_fuel_and_torque_are_of_what_acts() -> None:
+    parameters = PlantParameters(mass_factor=2.0, thrust_gain=0.5, torque_gain=0.5)
+    env, honest = make(parameters), make(None)
+    for each in (env, honest):
+        each.start(*states(4))
+    one, other = (each.step(torch.full((4, 6), 0.2)) for each in (env, honest))
+    torch.testing.assert_close(one.metrics[3], other.metrics[3] / 4)
+    torch.testing.assert_close(one.metrics[4], other.metrics[4] / 2)
+
+
+def test_a_restarted_episode_draws_anew_and_the_others_keep_theirs() -> None:
+    c = InspectionParameters(max_time=30.0)
+    env = InspectionEnv(4, c, [seeded(0)], plant=U1)
+    env.reset()
+    assert len(set(env.plant.mass.tolist())) == 4
+    env.time[2] = 20.0
+    for step in range(3):
+        before = env.plant.mass.clone()
+        done = env.step(torch.zeros(4, 6)).done
+        assert torch.equal(before != env.plant.mass, done)
+        assert done.tolist() == [step == 2, step == 2, step == 0, step == 2]
+    assert not env.plant.held.any() and not env.plant.missed.any()
+
+
+def test_a_resumed_flight_goes_on_bit_for_bit() -> None:
+    c = InspectionParameters(max_time=60.0)
+    world = PlantParameters(**(vars(U1) | {"missed_calls": 0.5, "latency": (1, 3), "failing": "any"}))
+
+    def fresh() -> tuple[InspectionEnv, list[torch.Generator]]:
+        generators = [seeded(0), seeded(1)]
+        env = InspectionEnv(3, c, generators, Witness().safety(), plant=world)
+        return env, generators
+
+    def play(env: InspectionEnv, steps: range) -> list[Tensor]:
+        found = [env.observation()]
+        for step in steps:
+            transition = env.step(torch.randn(6, 6, generator=seeded(step)))
+            found += [transition.observation, transition.state, transition.reward, env.plant.held]
+        return found
+
+    env, generators = fresh()
+    env.reset()
+    play(env, range(9))
+    saved, marks = env.state_dict(), [generator.get_state() for generator in generators]
+    expected = play(env, range(9, 20))
+    other, generators = fresh()
+    other.load_state_dict(saved)
+    for generator, mark in zip(generators, marks, strict=True):
+        generator.set_state(mark)
+    for one, wanted in zip(play(other, range(9, 20)), expected, strict=True):
+        assert torch.equal(one, wanted)
+
+
+def test_seeds_do_not_depend_on_what_flies_beside_them() -> None:
+    def play(seeds: tuple[int, ...]) -> Tensor:
+        env = InspectionEnv(2, C, [seeded(seed) for seed in seeds], plant=U1)
+        env.reset()
+        for _ in range(3):
+            transition = env.step(torch.full((2 * len(seeds), 6), 0.1))
+        return transition.observation
+
+    assert torch.equal(play((7, 8))[2:], play((8,)))
+
+
+def test_traced_for_a_compiler_it_flies_the_same() -> None:
+    env, (x, priority) = make(U1, 20), states(20)
+    env.start(x, priority)
+    columns = x[:, :1], x[:6, :1], env.plant.body[:, :1]
+    run = Compiled(lambda *parts: [env.plant.integrate(*parts, 1.0)], *columns, trace_only=True)
+    u = 0.1 * torch.randn(6, 20, generator=seeded(1), dtype=torch.float64) * env.limit
+    (found,) = run(x, u, env.plant.body, times=10)
+    torch.testing.assert_close(found, env.integrate(x, u, 10.0), rtol=1e-13, atol=1e-13)

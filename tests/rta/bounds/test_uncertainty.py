@@ -1,0 +1,274 @@
+"""What the filter is told of the world's bounds: what is refused, and the worst of them against drawn worlds."""
+
+import dataclasses
+import itertools
+import math
+from dataclasses import fields
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from inspection.model.parameters import InspectionParameters
+from inspection.world.plant import PlantParameters
+from rta.bounds.uncertainty import Uncertainty
+from rta.filter import SafetyFilter
+from rta.parameters import PERIODS, RtaParameters
+from tests.inspection.model.test_dynamics import UNEQUAL
+from tests.inspection.world.test_plant import begun, moments
+from tests.rta.constraints.test_constraints import tensor
+
+C = InspectionParameters()
+R = RtaParameters()
+MANY = 20_000  # worlds
+NUMBERS = [field.name for field in fields(Uncertainty) if field.type == "float" or field.type is float]
+
+
+# what is refused
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, -0.1])
+@pytest.mark.parametrize("name", NUMBERS)
+def test_bounds_that_are_none_are_refused(name: str, value: float) -> None:
+    with pytest.raises(ValueError, match=f"^{name} = {value}: must be finite and not negative$"):
+        Uncertainty(**{name: value})
+
+
+@pytest.mark.parametrize("name", ["mass", "inertia", "thrust_gain", "torque_gain"])
+def test_shares_are_below_one(name: str) -> None:
+    with pytest.raises(ValueError, match=f"^{name} = 1: must be below 1, a share$"):
+        Uncertainty(**{name: 1.0})
+    Uncertainty(**{name: 0.99})
+
+
+@pytest.mark.parametrize(
+    ("told", "named"),
+    [
+        ({"thrust_misalignment": 90.0}, "thrust_misalignment"),
+        ({"attitude": 90.0}, "attitude"),
+        ({"latency": 11}, "latency must be at most 10 calls"),
+        ({"longest_hold": 10.5}, "longest_hold at most 10 s"),
+        ({"minimum_thrust": 0.02, "thrust_quantum": 0.05}, "minimum_thrust and thrust_quantum"),
+    ],
+)
+def test_what_no_filter_could_use_is_refused(told: dict[str, float], named: str) -> None:
+    with pytest.raises(ValueError, match=named) as refusal:
+        Uncertainty(**told)
+    assert "\n" not in str(refusal.value)
+
+
+@pytest.mark.parametrize(
+    ("told", "period", "bound", "limit"),
+    [
+        ({"longest_hold": 4.0}, 5.0, "longest_hold = 4", "the period, 5 s"),
+        ({"mass": 0.9, "thrust_gain": 0.8}, 1.0, "mass = 0.9, thrust_gain = 0.8", "max_distance = 800 m"),
+        ({"acceleration": 0.08}, 1.0, "acceleration = 0.08", "max_distance = 800 m"),
+        ({"thrust_gain": 0.9}, 1.0, "thrust_gain = 0.9", "max_distance = 800 m"),
+        ({"thrust_misalignment": 30.0}, 1.0, "thrust_misalignment = 30", "max_distance = 800 m"),
+        ({"thrust_quantum": 2.0}, 1.0, "thrust_quantum = 2", "max_distance = 800 m"),
+        ({"minimum_thrust": 2.0}, 1.0, "minimum_thrust = 2", "max_thrust, 1 N"),
+        ({"rate": 2.0}, 1.0, "rate = 2", "max_rate, 2 deg/s"),
+        ({"rate": 1.95, "hill_rotation": True}, 1.0, "rate = 1.95", "max_rate, 2 deg/s"),
+    ],
+)
+def test_a_bound_that_leaves_no_control_is_refused_with_the_limit_that_it_breaks(
+    told: dict[str, float], period: float, bound: str, limit: str
+) -> None:
+    with pytest.raises(ValueError) as refusal:
+        SafetyFilter(C, RtaParameters(period=period), known=Uncertainty(**told))
+    assert bound in str(refusal.value) and limit in str(refusal.value)
+    assert "\n" not in str(refusal.value)
+
+
+def test_what_is_next_to_a_refusal_is_not_refused() -> None:
+    Uncertainty(longest_hold=5.0).check(C, RtaParameters(period=5.0))
+    Uncertainty(rate=1.95).check(C, R)
+    # 1 / 12 (1 - x) m/s^2 of thrust is what nature and 0.01 m/s^2 need
+    share = 12 * (C.max_acceleration - 0.01)
+    Uncertainty(thrust_gain=share - 1e-6, acceleration=0.01).check(C, R)
+    with pytest.raises(ValueError, match="thrust_gain"):
+        Uncertainty(thrust_gain=share + 1e-6, acceleration=0.01).check(C, R)
+
+
+# which rows
+
+
+def test_rows_are_of_the_rate_of_now_at_1_s_without_bounds_alone() -> None:
+    assert [Uncertainty().holds(RtaParameters(period=period)) for period in PERIODS] == [False, True, True]
+    for name in (field.name for field in fields(Uncertainty)):
+        value = {"saturates_rates": False, "hill_rotation": True, "health": True, "latency": 1}.get(name, 0.5)
+        if name == "longest_hold":
+            value = 1.0
+        told = Uncertainty(**{name: value})
+        assert told.holds(R) and not told.is_nil
+
+
+@pytest.mark.parametrize(("period", "longest"), list(itertools.product(PERIODS, (0.0, 7.0, 10.0))))
+def test_the_hold_is_the_longest_that_is_there(period: float, longest: float) -> None:
+    assert Uncertainty(longest_hold=longest).hold(RtaParameters(period=period)) == max(period, longest)
+
+
+# the worst world, of many drawn by `inspection.world.plant`
+
+
+BOUNDS = {"mass": 0.1, "inertia": 0.2, "thrust_gain": 0.05, "torque_gain": 0.07, "thrust_misalignment": 20.0}
+TOLD = Uncertainty(**BOUNDS, acceleration=0.004)
+WORLD = PlantParameters(
+    mass_factor=(0.9, 1.1),
+    inertia_factor=(0.85, 1.15),  # more is no body
+    thrust_gain=(0.95, 1.05),
+    torque_gain=(0.93, 1.07),
+    thrust_misalignment=(0.0, 20.0),
+    acceleration=(0.0, 0.004),
+)
+
+
+def along_axes(u: Tensor, told: int) -> tuple[Tensor, Tensor]:
+    """Accelerations for those of the model, of the thrust and of the torque along one axis, (MANY,) each."""
+    plant = begun(WORLD, MANY, seed=told, c=C)
+    acting = plant.actuate(moments(MANY), u.expand(-1, MANY))
+    mass, inertia = plant.body[0], plant.body[1:4]
+    return acting[told] / mass * C.mass, acting[3 + told] / inertia[told] * C.inertia[told]
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_no_world_gives_less_or_more_along_an_axis(axis: int) -> None:
+    u = torch.zeros(6, 1, dtype=torch.float64)
+    u[[axis, 3 + axis]] = 1.0
+    for given, (least, most) in zip(along_axes(u, axis), (TOLD.thrust, TOLD.torque), strict=True):
+        assert (given >= least).all() and (given <= most).all()
+        # nearly all of the interval is there
+        assert given.min() < least + 0.1 and given.max() > most - 0.12
+    # had the filter been told of less, a world would be beyond
+    for name in ("mass", "thrust_gain", "thrust_misalignment"):
+        least, most = dataclasses.replace(TOLD, **{name: 0.0}).thrust
+        given, _ = along_axes(u, axis)
+        assert (given < least).any() or (given > most).any()
+    for name in ("inertia", "torque_gain"):
+        least, most = dataclasses.replace(TOLD, **{name: 0.0}).torque
+        _, given = along_axes(u, axis)
+        assert (given < least).any() or (given > most).any()
+
+
+def braking(told: Uncertainty) -> np.ndarray:
+    """m/s^2 against the worst flight next to the zone that 1 N along an axis brings, of drawn worlds, (MANY,)."""
+    rng = np.random.default_rng(0)
+
+    def within(share: float) -> np.ndarray:
+        return rng.uniform(1 - share, 1 + share, MANY)
+
+    tilt = np.cos(np.radians(told.thrust_misalignment * rng.uniform(size=MANY)))
+    thrust = C.max_thrust * within(told.thrust_gain) * tilt / (C.mass * within(told.mass))
+    n, r = C.mean_motion, C.max_distance
+    speed = min(C.max_speed, C.docking_speed + C.speed_slope * r)
+    angle = rng.uniform(0, 2 * np.pi, MANY)  # of a flight across, which Coriolis turns outwards or inwards
+    nature = 3 * n**2 * r + 2 * n * speed * np.cos(angle)
+    return thrust - nature - told.acceleration * rng.uniform(size=MANY)
+
+
+def test_a_max_is_there_in_every_world() -> None:
+    told = dataclasses.replace(TOLD, thrust_misalignment=3.0)
+    found = braking(told).min()
+    assert told.max_acceleration(C, R) <= found < told.max_acceleration(C, R) + 0.006
+    for name in ("mass", "thrust_gain", "acceleration"):
+        assert dataclasses.replace(told, **{name: 0.0}).max_acceleration(C, R) > found
+    assert Uncertainty().max_acceleration(C, R) == C.max_acceleration
+
+
+@pytest.mark.parametrize("misalignment", [1.0, 10.0, 25.0])
+@pytest.mark.parametrize("mass", [0.0, 0.3])
+def test_a_max_is_what_the_worst_attitude_leaves_of_thrust_askew(misalignment: float, mass: float) -> None:
+    told = Uncertainty(thrust_misalignment=misalignment, mass=mass)
+    outwards = np.abs(np.random.default_rng(0).normal(size=(3, 1_000_000)))
+    outwards /= np.linalg.norm(outwards, axis=0)
+    # of each axis: what is along is the least, what is across the most; one that would harm is off
+    angle = np.radians(misalignment)
+    along, across = np.cos(angle) / (1 + mass), np.sin(angle) / (1 - mass)
+    given = np.maximum(along * outwards - across * np.sqrt(1 - outwards**2), 0.0).sum(0).min()
+    there = C.max_acceleration - C.max_thrust / C.mass * (1 - given)
+    second_order = C.max_thrust / C.mass * angle**2
+    assert there - second_order < told.max_acceleration(C, R) <= there
+
+
+def test_a_max_counts_on_what_quanta_give() -> None:
+    told = Uncertainty(thrust_quantum=0.6)
+    lost = 0.4 * C.max_thrust / C.mass
+    assert told.max_acceleration(C, R) == pytest.approx(C.max_acceleration - lost, rel=1e-12)
+
+
+@pytest.mark.parametrize("hill_rotation", [False, True])
+@pytest.mark.parametrize("inertia", [C.inertia, UNEQUAL])
+def test_no_body_within_the_bound_turns_otherwise_by_more(
+    inertia: tuple[float, float, float], hill_rotation: bool
+) -> None:
+    c = dataclasses.replace(C, inertia=inertia)
+    told = Uncertainty(inertia=0.2, hill_rotation=hill_rotation)
+    rng = np.random.default_rng(1)
+    omega = rng.uniform(-1, 1, (3, MANY)).round() * c.max_rate  # many at the corners
+    nominal = np.array(c.inertia)[:, None]
+    true = nominal * (1 + 0.2 * rng.choice((-1.0, 1.0, 0.3), (3, MANY)))
+    z = rng.standard_normal((3, MANY))
+    z /= np.linalg.norm(z, axis=0)  # Hill's, in the body
+    turning = c.mean_motion * z if hill_rotation else 0.0 * z
+    relative = omega  # to Hill's frame, as the model takes it
+    stars = relative + turning
+
+    def gyroscopic(w: np.ndarray, j: np.ndarray) -> np.ndarray:
+        return -np.cross(w, j * w, axis=0) / j
+
+    # d/dt (w - n z) of a z that stands still in Hill's frame: dz/dt = -(w - n z) x z
+    true_rate = gyroscopic(stars, true) + np.cross(relative, turning, axis=0)
+    off = np.linalg.norm(true_rate - gyroscopic(relative, nominal), axis=0)
+    bound = told.angular_acceleration(c)
+    assert off.max() <= bound
+    assert off.max() > 0.5 * bound
+    assert off.max() > dataclasses.replace(told, inertia=0.1).angular_acceleration(c)
+
+
+def test_the_model_itself_turns_as_it_says() -> None:
+    assert Uncertainty().angular_acceleration(C) == 0.0
+    c = dataclasses.replace(C, inertia=UNEQUAL)
+    assert Uncertainty().angular_acceleration(c) == 0.0
+
+
+# what thrusters give
+
+
+def test_what_is_given_is_what_the_thrusters_of_the_plant_give() -> None:
+    thrust = tensor(np.random.default_rng(2).uniform(-1, 1, (3, 500)))
+    thrust[:, :5] = tensor([[-1.0, 1.0, 0.05, 0.0, 0.025]])
+    u = torch.cat((thrust, torch.zeros_like(thrust)))
+    for name, value in (("minimum_thrust", 0.3), ("thrust_quantum", 0.25), ("thrust_quantum", 0.6)):
+        plant = begun(PlantParameters(**{name: value}), 500, c=C)
+        assert torch.equal(
+            Uncertainty(**{name: value}).given(thrust, C.max_thrust), plant.actuate(moments(500), u)[:3]
+        )
+    assert torch.equal(Uncertainty().given(thrust, C.max_thrust), thrust)
+
+
+@pytest.mark.parametrize("quantum", [0.05, 0.25, 0.3])
+def test_neighbours_on_the_grid_are_the_nearest_on_either_side(quantum: float) -> None:
+    told = Uncertainty(thrust_quantum=quantum)
+    thrust = tensor(np.random.default_rng(3).uniform(-1, 1, (3, 300)))
+    most = math.floor(1.0 / quantum + 1e-9)
+    grid = quantum * np.arange(-most, most + 1)
+    low, high = told.neighbours(thrust, 1.0)
+    for u, below, above in zip(*(part.flatten().tolist() for part in (thrust, low, high)), strict=True):
+        expected = grid[grid <= u].max(initial=-math.inf), grid[grid >= u].min(initial=math.inf)
+        expected = np.clip(expected, grid[0], grid[-1])  # beyond the last there is but that one
+        assert (below, above) == pytest.approx(tuple(expected))
+    assert torch.equal(told.given(low, C.max_thrust), low) and torch.equal(
+        told.given(high, C.max_thrust), high
+    )
+
+
+def test_neighbours_of_a_dead_band_are_nothing_and_the_least() -> None:
+    told = Uncertainty(minimum_thrust=0.1)
+    thrust = tensor([[0.05, -0.05, 0.0, 0.1, -0.7, 1.0]])
+    low, high = told.neighbours(thrust, 1.0)
+    torch.testing.assert_close(low, tensor([[0.0, 0.0, 0.0, 0.1, -0.7, 1.0]]))
+    torch.testing.assert_close(high, tensor([[0.1, -0.1, 0.0, 0.1, -0.7, 1.0]]))
+    assert torch.equal(told.given(low, C.max_thrust), low) and torch.equal(
+        told.given(high, C.max_thrust), high
+    )

@@ -1,0 +1,205 @@
+"""What the barriers and their rows promise, in flight: braking in the keep-in zone, and no barrier falls too far."""
+
+import itertools
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from numpy import ndarray
+from scipy.integrate import solve_ivp
+
+from inspection.model.parameters import InspectionParameters
+from rta.filter import SafetyFilter
+from rta.parameters import RtaParameters
+from tests.rta.constraints.test_constraints import (
+    MEAN_MOTION,
+    enforced,
+    entries,
+    keep_in_curve,
+    length,
+    root,
+    speed_limit,
+    tensor,
+)
+from tests.rta.test_lie_derivatives import drift, held, push, slope, thrust_fall, turn
+
+C = InspectionParameters()
+R = RtaParameters()
+FILTER = SafetyFilter(C, R)
+LIMIT = np.array(C.control_limit)[:, None]
+
+
+def rate(x: ndarray, u: ndarray) -> ndarray:
+    """f + g u, (16, B), of the paper's equations."""
+    return drift(x, C) + sum(u[i] * push(x, i) + u[3 + i] * turn(x, i, C) for i in range(3))
+
+
+def expected_rate(x: ndarray, u: ndarray) -> ndarray:
+    """f + g u as the rows have it: with thrust along the attitude of mid-period."""
+    return rate(x, u) + sum(u[i] * (push(held(x), i) - push(x, i)) for i in range(3))
+
+
+def fly(x: ndarray, u: ndarray, steps: int = 20) -> ndarray:
+    """One second with u held, by RK4; the wheels hold each rate within its limit."""
+    dt = 1.0 / steps
+    for _ in range(steps):
+        k1 = rate(x, u)
+        k2 = rate(x + dt / 2 * k1, u)
+        k3 = rate(x + dt / 2 * k2, u)
+        k4 = rate(x + dt * k3, u)
+        x = x + dt / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+        x[6:10] /= length(x[6:10])
+        x[10:13] = x[10:13].clip(-C.max_rate, C.max_rate)
+    return x
+
+
+def controls(count: int, rng: np.random.Generator) -> ndarray:
+    """(6, count), most components at their limit."""
+    full = rng.choice([-1.0, 1.0], (6, count))
+    return np.where(rng.random((6, count)) < 0.6, full, rng.uniform(-1, 1, (6, count))) * LIMIT
+
+
+def flights(count: int, distance: tuple[float, float], speed: tuple[float, float]) -> ndarray:
+    """(16, count) at speeds in units of the limit there, half of all body rates at theirs."""
+    rng = np.random.default_rng(0)
+    p, v, q = rng.standard_normal((3, 4, count))
+    p = p[:3] / length(p[:3]) * rng.uniform(*distance, count)
+    v = v[:3] / length(v[:3]) * rng.uniform(*speed, count) * speed_limit(p)
+    omega = controls(count, rng)[:3] * C.max_rate
+    rest = rng.uniform(3, 10, count), rng.uniform(1, 5, count), rng.uniform(0, 2 * np.pi, count)
+    return np.vstack((p, v, q / length(q), omega, *rest))
+
+
+# The keep-in barrier
+
+
+def at_the_curve(count: int, value: Callable[[ndarray, ndarray], ndarray]) -> tuple[ndarray, ndarray]:
+    """Positions and velocities within the speed limits that fly outwards at `value` of (distance, speed across)."""
+    rng = np.random.default_rng(0)
+    p, side = rng.standard_normal((2, 3, 40 * count))
+    out = p / length(p)
+    side = np.cross(out, side, axis=0)
+    distance = rng.uniform(500, 799.5, 40 * count)
+    across = rng.uniform(0.6, 1.0, 40 * count) * speed_limit(distance * out)
+    v = out * value(distance, across) + side / length(side) * across
+    p = distance * out
+    slow = (length(v) <= speed_limit(p)) & (np.abs(v) <= 5).all(0)
+    return p[:, slow][:, :count], v[:, slow][:, :count]
+
+
+def braking(distance: ndarray, across: ndarray) -> ndarray:
+    """The speed outwards at which the keep-in barrier is zero."""
+    return np.sqrt(2 * (C.max_acceleration - across**2 / distance) * (800 - distance))
+
+
+def coasting(t: float, y: ndarray, force: ndarray) -> ndarray:
+    """Clohessy and Wiltshire's equations under a constant force (3,)."""
+    n, (x, _, z, vx, vy, vz) = MEAN_MOTION, y
+    natural = np.array([3 * n**2 * x + 2 * n * vy, -2 * n * vx, -(n**2) * z])
+    return np.concatenate(([vx, vy, vz], natural + force / 12))
+
+
+def flown(p: ndarray, v: ndarray, force: ndarray, duration: float) -> ndarray:
+    """(6, 11) states over `duration` s by DOP853."""
+    t = np.linspace(0, duration, 11)
+    y = np.concatenate((p, v))
+    return solve_ivp(coasting, (0, duration), y, "DOP853", t, args=(force,), rtol=1e-10, atol=1e-12).y
+
+
+def outward(y: ndarray) -> ndarray:
+    """v_pr."""
+    return (y[:3] * y[3:6]).sum(0) / length(y[:3])
+
+
+def zone(y: ndarray) -> ndarray:
+    """The paper's keep-in zone."""
+    return root(800 - length(y[:3])) - outward(y)
+
+
+def test_keep_in_curve_is_never_above_the_keep_in_zone() -> None:
+    x = flights(5000, (15, 810), (0, 1.2))
+    curve = enforced(entries()["keep_in_zone"], x)[0]
+    inside = length(x[:3]) <= 800
+    assert (curve <= zone(x))[inside].all() and (curve < zone(x))[inside].mean() > 0.9
+
+
+def test_one_newton_inwards_holds_the_keep_in_curve() -> None:
+    p, v = at_the_curve(400, braking)
+    assert np.abs(keep_in_curve(np.vstack((p, v)))).max() < 1e-9
+    lowest = np.array(
+        [keep_in_curve(flown(*y, -y[0] / length(y[0]), 1.0)).min() for y in zip(p.T, v.T, strict=True)]
+    )
+    # a_max counts Coriolis at 5 m/s, the velocity limit per axis; across two axes up to 6.4 m/s are allowed
+    beyond = 2 * MEAN_MOTION * np.maximum(np.hypot(v[0], v[1]) - 5.0, 0.0)
+    assert (lowest >= -beyond - 1e-9).all()
+    assert (lowest[beyond == 0] >= -1e-9).all() and (beyond == 0).sum() > 100
+
+
+def test_on_the_papers_boundary_no_thrust_of_one_newton_outweighs_a_fast_curve() -> None:
+    """The best of all corners, edges and faces of the thrust cube, one of whose axes points at the chief."""
+    p, v = at_the_curve(200, lambda distance, across: root(800 - distance))
+    fast = keep_in_curve(np.vstack((p, v))) < -0.25 * root(800 - length(p))
+    p, v = p[:, fast][:, :12], v[:, fast][:, :12]
+    assert p.shape[1] == 12
+    for position, velocity in zip(p.T, v.T, strict=True):
+        assert zone(np.concatenate((position, velocity))[:, None])[0] >= -1e-9
+        out = position / length(position)
+        side = velocity - out * (out @ velocity)
+        axes = np.stack((out, side / length(side), np.cross(out, side / length(side))), 1)
+        best = max(
+            zone(flown(position, velocity, axes @ np.array(u), 1.0)).min()
+            for u in itertools.product((-1.0, 0.0, 1.0), repeat=3)
+        )
+        assert best < -0.002
+
+
+# The margins: how far a barrier can fall within one period
+
+
+def test_speed_and_velocity_fall_no_further_than_their_rows_expect() -> None:
+    """At the speed limit, where the derivation of its `loss` begins."""
+    x = flights(8000, (15.2, 795), (1.0, 1.0))
+    u = controls(x.shape[1], np.random.default_rng(1))
+
+    def h(y: ndarray) -> ndarray:
+        return np.concatenate(((speed_limit(y) - length(y[3:6]))[None], 25 - y[3:6] ** 2))
+
+    within = (np.abs(x[3:6]) <= 5).all(0)
+    excess = h(x) + slope(h, x, expected_rate(x, u), 1e-4) - h(fly(x, u))
+    share = (excess / thrust_fall(x)[[1, 8, 9, 10]])[:, within]
+    assert share.max() < 1.0
+    assert share[0].max() > 0.8  # the bound is no larger than it must be
+
+
+ROWS = {  # row, distances in m, speeds in units of the limit, the barrier, and values of it that matter
+    "collision": (0, (15.0, 16.5), (0.0, 1.0), lambda x: root(length(x[:3]) - 15) + outward(x), 0.2),
+    "dynamic_speed": (1, (15.2, 795.0), (0.0, 1.0), lambda x: speed_limit(x) - length(x[3:6]), 0.2),
+    "keep_in_curve": (2, (700.0, 799.9), (0.05, 1.0), keep_in_curve, 0.3),
+    "velocity_x": (8, (500.0, 790.0), (0.8, 1.0), lambda x: 25 - x[3] ** 2, 3.0),
+}
+
+
+@pytest.mark.parametrize("name", ROWS)
+def test_a_control_that_satisfies_its_row_keeps_the_barrier_for_a_period(name: str) -> None:
+    """The least correction of a random control, checked after one second of flight."""
+    row, distance, speed, h, near = ROWS[name]
+    x = flights(30_000, distance, speed)
+    rows, _ = FILTER.rows(tensor(x))
+    psi, a, b = rows.psi[row].numpy(), rows.a[row].numpy(), rows.b[row].numpy()
+    chosen = np.flatnonzero((psi >= 0) & (h(x) < near))[:4000]
+    x, a, b = x[:, chosen], a[:, chosen], b[chosen]
+    u = controls(x.shape[1], np.random.default_rng(2))
+    low, high = np.zeros(x.shape[1]), np.full(x.shape[1], 1e4)
+
+    def pushed(by: ndarray) -> ndarray:
+        return (u[:3] + by * a).clip(-1, 1)
+
+    wrong = (a * u[:3]).sum(0) + b < 0
+    for _ in range(60):
+        middle = (low + high) / 2
+        enough = (a * pushed(middle)).sum(0) + b >= 0
+        low, high = np.where(enough, low, middle), np.where(enough, middle, high)
+    u[:3] = np.where(wrong, pushed(high), u[:3])
+    kept = (a * u[:3]).sum(0) + b >= -1e-9
+    assert kept.mean() > 0.99 and (wrong & kept).sum() > 200
+    assert h(fly(x, u))[kept].min() >= 0.0

@@ -1,0 +1,202 @@
+"""States for the filter in C and in Python back to back, and what each answers.
+
+    python -m tests.rta.printed.export_states 100000
+
+compares as many at 1, 5 and 10 s and told of U1, in double precision, and says what is found; minutes to an hour.
+"""
+
+import subprocess
+import sys
+import time
+from functools import partial
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from rta import SafetyFilter, Status
+from rta.parameters import RtaParameters
+from rta.printed.vectors import independent
+from study.boundary.limits import barriers, near_limits
+from study.config import Config, load
+from study.verification.starts import initial_states
+from tests.rta.test_filter import CONFLICTS, commands, near_the_limits
+
+CHUNK = 4096  # states that PyTorch filters at once
+PROGRAM = """#include <stdio.h>
+#include "safety_filter.h"
+
+int main(void)
+{
+    double given[22];
+    struct safety_filter_input in = {.left = {1, 1, 1, 1, 1, 1}};
+    while (fread(given, sizeof given, 1, stdin) == 1) {
+        struct safety_filter_output out;
+        double found[9 + (3 * SAFETY_FILTER_CONSTRAINTS)];
+        for (int i = 0; i < 16; ++i) {
+            in.state[i] = (safety_filter_real)given[i];
+        }
+        for (int j = 0; j < 6; ++j) {
+            in.desired[j] = (safety_filter_real)given[16 + j];
+        }
+        safety_filter(&in, &out);
+        for (int j = 0; j < 6; ++j) {
+            found[j] = (double)out.control[j];
+        }
+        found[6] = out.status;
+        found[7] = out.program_status[0];
+        found[8] = out.program_status[1];
+        for (int k = 0; k < SAFETY_FILTER_CONSTRAINTS; ++k) {
+            found[9 + k] = (double)out.h[k];
+            found[9 + SAFETY_FILTER_CONSTRAINTS + k] = (double)out.slack[k];
+            found[9 + (2 * SAFETY_FILTER_CONSTRAINTS) + k] = out.active[k];
+        }
+        if (fwrite(found, sizeof found, 1, stdout) != 1) {
+            return 1;
+        }
+    }
+    return 0;
+}
+"""
+
+
+class Answers(NamedTuple):
+    """Of N calls: control (6, N), program statuses (2, N), h, slack and active (constraints, N)."""
+
+    control: Tensor
+    program_status: Tensor
+    h: Tensor
+    slack: Tensor
+    active: Tensor
+
+
+def made(kind: str, **more: object) -> SafetyFilter:
+    """The filter that is called every so many s, or the one of a file in configs/plants."""
+    if kind.isdigit():
+        return SafetyFilter(parameters=RtaParameters(period=float(kind)), **more)
+    told = load(Path(f"configs/plants/{kind}.toml"), Config())
+    return SafetyFilter(told.inspection, told.rta, known=told.uncertainty, **more)
+
+
+def states(count: int, seed: int) -> tuple[Tensor, Tensor]:
+    """States (16, N) and desired controls (6, N), some beyond the actuators' limits.
+
+    Of each 20, 6 are the paper's starts and of the safe set, 3 next to limits, 6 within some limits and beyond others,
+    where many conflict, 3 far beyond, 1 recorded conflict, and 1 with a number that is none.
+    """
+    nominal = SafetyFilter()
+    part = -(-count // 20)
+    recorded = torch.tensor([each["state"] for each in CONFLICTS], dtype=torch.float64).T
+    wanted = torch.tensor([each["control_desired"] for each in CONFLICTS], dtype=torch.float64).T
+    again = torch.arange(part) % recorded.shape[1]
+    beyond = near_the_limits(3 * part, seed + 1)
+    rng = np.random.default_rng(seed)
+    beyond[:3] *= rng.uniform(0.3, 1.5, 3 * part)
+    beyond[3:6] *= rng.uniform(0, 3, 3 * part)
+    beyond[10:13] *= rng.uniform(0, 3, 3 * part)
+    beyond[13], beyond[14] = rng.uniform(-10, 60, 3 * part), rng.uniform(-1, 5, 3 * part)
+    hostile = near_the_limits(part, seed + 2)
+    hostile[rng.integers(0, 16, part), range(part)] = rng.choice([np.nan, np.inf, -np.inf], part)
+    x = [
+        initial_states(6 * part, seed, nominal)[0],
+        near_limits(3 * part, seed, nominal, partial(barriers, safety_filter=nominal), "cpu").state,
+        *map(torch.from_numpy, (near_the_limits(6 * part, seed), beyond)),
+        recorded[:, again],
+        torch.from_numpy(hostile),
+    ]
+    desired = 1.1 * commands(20 * part, seed)
+    vertex = torch.from_numpy(rng.random(20 * part) < 0.3)
+    desired = torch.where(vertex, desired.sign() * desired.abs().amax(1, keepdim=True), desired)
+    desired[:, 18 * part : 19 * part] = wanted[:, again]
+    order = torch.from_numpy(rng.permutation(20 * part))[:count]
+    return torch.cat(x, 1)[:, order].contiguous(), desired[:, order].contiguous()
+
+
+@torch.no_grad()
+def in_python(safety_filter: SafetyFilter, x: Tensor, desired: Tensor) -> Answers:
+    """What PyTorch answers, by operations in batches, uncompiled."""
+    other = independent(safety_filter)
+    parts = [other.correct(*pair) for pair in zip(x.split(CHUNK, 1), desired.split(CHUNK, 1), strict=True)]
+    return Answers(*(torch.cat([getattr(each, name) for each in parts], 1) for name in Answers._fields))
+
+
+def in_c(program: list[str | Path], x: Tensor, desired: Tensor) -> Answers:
+    """What a program made of PROGRAM and of the filter answers."""
+    given = torch.cat((x, desired)).T.contiguous().numpy()
+    done = subprocess.run(program, input=given.tobytes(), capture_output=True, timeout=3600)
+    assert done.returncode == 0, done.stderr.decode(errors="replace")[:3000]
+    found = torch.from_numpy(np.frombuffer(done.stdout).reshape(len(given), -1).T.copy())
+    count = (len(found) - 9) // 3
+    control, _, program_status, h, slack, active = found.split([6, 1, 2, count, count, count])
+    return Answers(control, program_status.long(), h, slack, active > 0)
+
+
+class Comparison(NamedTuple):
+    """Of two answers: by call (N,).
+
+    Attributes:
+        other_status: a program's status differs; control: in units of the actuators' limits; h: relative to those above
+            1, 0 where the state is none; failed: a program of a state that is one is unsolved in either.
+    """
+
+    other_status: Tensor
+    control: Tensor
+    h: Tensor
+    failed: Tensor
+
+
+def compared(x: Tensor, one: Answers, other: Answers, limit: Tensor) -> Comparison:
+    """What differs."""
+    sound = x.isfinite().all(0)
+    h = ((one.h - other.h).abs() / one.h.abs().clamp(min=1.0)).amax(0)
+    failed = ((one.program_status == Status.UNSOLVED) | (other.program_status == Status.UNSOLVED)).any(0)
+    return Comparison(
+        (one.program_status != other.program_status).any(0),
+        ((one.control - other.control).abs() / limit[:, None]).amax(0),
+        torch.where(sound, h, 0.0),
+        failed & sound,
+    )
+
+
+def build(directory: Path, program: Path, *command: str) -> list[str | Path]:
+    """Compiles PROGRAM and the filter in a directory."""
+    (program.parent / "program.c").write_text(PROGRAM)
+    source = program.parent / "program.c", directory / "safety_filter.c"
+    subprocess.run([*command, "-I", directory, "-o", program, *source, "-lm"], check=True)
+    return [program]
+
+
+def main(count: int, kinds: list[str]) -> None:
+    """Compares and says what is found."""
+    from rta.printed.files import write
+
+    for kind in kinds:
+        folder = Path("/tmp") / f"rta_back_to_back_{kind}"
+        safety_filter = made(kind)
+        write(safety_filter, folder / "c")
+        program = build(folder / "c", folder / "program", "gcc", "-std=c99", "-O2")
+        x, desired = states(count, seed=1)
+        started = time.perf_counter()
+        found = in_c(program, x, desired)
+        between = time.perf_counter()
+        expected = in_python(safety_filter, x, desired)
+        ended = time.perf_counter()
+        c = compared(x, expected, found, torch.tensor(safety_filter.c.control_limit, dtype=torch.float64))
+        status = expected.program_status.amax(0).bincount(minlength=4).tolist()
+        differ = (c.other_status | (c.control > 1e-9)) & ~c.failed
+        rest = ~differ & ~c.failed
+        print(
+            f"{kind}: {count:,} states, by status {status}; {int(c.failed.sum())} unsolved in one, "
+            f"{int((c.other_status & c.failed).sum())} of them solved in the other; of the others "
+            f"{int((c.other_status & ~c.failed).sum())} with another status, {int(differ.sum())} differ; the rest by "
+            f"{c.control[rest].max():.1e}, h of all by {c.h.max():.1e}; C {between - started:.0f} s, Python "
+            f"{ended - between:.0f} s",
+            flush=True,
+        )
+        torch.save((x[:, differ | c.failed], desired[:, differ | c.failed]), folder / "differing.pt")
+
+
+if __name__ == "__main__":
+    main(int(sys.argv[1]), sys.argv[2:] or ["1", "5", "10", "u1"])

@@ -1,0 +1,312 @@
+"""The filter in C for one spacecraft: its solver against the batched one, its search against `SafetyFilter.correct`."""
+
+import ctypes
+import dataclasses
+import shutil
+import subprocess
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from numpy import ndarray
+from torch import Tensor
+
+from rta.bounds.health import turning
+from rta.bounds.uncertainty import Uncertainty
+from rta.filter import STEPS_HELD, FilterResult, SafetyFilter
+from rta.printed.source import source, tolerances
+from rta.qp import batched_solver
+from rta.qp.batched_solver import BatchedSolver
+from rta.qp.programs import Problems, Status
+from study.config import Config, load
+from tests.rta.bounds.test_health import flying_out, without_one_axis
+from tests.rta.conditions import test_actuator_groups as own
+from tests.rta.constraints.test_constraints import tensor
+from tests.rta.qp.test_batched_solver import ADDED, FIELDS, arrays, fly, held, synthetic
+from tests.rta.qp.test_programs import projection
+from tests.rta.test_filter import LIMIT, TORQUE, C, R, commands, near_the_limits
+
+COMPILERS = [name for name in ("gcc", "clang") if shutil.which(name)]
+WARNINGS = ["-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Wshadow", "-Werror"]
+
+pytestmark = pytest.mark.skipif(not COMPILERS, reason="no C compiler")
+
+SOLVER = """#include <math.h>
+#define ROWS_MAX 256
+#define ACTIVE_MAX 240
+#define STEPS_MAX (4 * ACTIVE_MAX)
+#define CLASSES_MAX 4
+%s
+%s
+void solve_all(int count, int rows, const double *desired, const double *a, const double *b, const double *b_bare,
+               const double *weight, double *control, int *status, double *residual);
+
+void solve_all(int count, int rows, const double *desired, const double *a, const double *b, const double *b_bare,
+               const double *weight, double *control, int *status, double *residual)
+{
+    for (int i = 0; i < count; ++i) {
+        struct program program;
+        struct answer answer;
+        begin_program(&program, &desired[3 * i]);
+        for (int j = rows * i; j < (rows * (i + 1)); ++j) {
+            copy(program.a[program.rows], &a[3 * j], 3);
+            program.b[program.rows] = b[j];
+            program.b_bare[program.rows] = b_bare[j];
+            program.weight[program.rows] = weight[j - (rows * i)];
+            program.copies[program.rows] = 1.0;
+            program.rows += 1;
+        }
+        solve(&program, &answer);
+        copy(&control[3 * i], answer.control, 3);
+        status[i] = answer.status;
+        residual[i] = answer.residual;
+        (void)smaller(0.0, 0.0);
+    }
+}
+"""
+
+
+@pytest.fixture(autouse=True)
+def steps_on_the_cpu(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Takes the steps for every program, as the driver does."""
+    monkeypatch.setattr(batched_solver, "PIQP_FIRST", ())
+
+
+def compiled(text: str, folder: Path) -> ctypes.CDLL:
+    """The library of a C text, which no compiler has anything to say about."""
+    (folder / "filter.c").write_text(text)
+    for compiler in COMPILERS:
+        subprocess.run([compiler, "-std=c99", *WARNINGS, "-fsyntax-only", "filter.c"], check=True, cwd=folder)
+    command = (COMPILERS[0], "-std=c99", "-O1", "-shared", "-fPIC", "filter.c", "-o", "filter.so", "-lm")
+    subprocess.run(command, check=True, cwd=folder)
+    return ctypes.CDLL(str(folder / "filter.so"))
+
+
+def pointer(array: ndarray) -> ctypes.c_void_p:
+    return array.ctypes.data_as(ctypes.c_void_p)
+
+
+@pytest.fixture(scope="module")
+def solver(tmp_path_factory: pytest.TempPathFactory) -> ctypes.CDLL:
+    text = SOLVER % ("\n".join(tolerances(holds=False)), Path("rta/printed/driver/solver.c").read_text())
+    return compiled(text, tmp_path_factory.mktemp("solver"))
+
+
+def solved(solver: ctypes.CDLL, problems: Problems) -> tuple[ndarray, ndarray, ndarray]:
+    """Controls (N, 3), statuses and residuals (N,)."""
+    parts = [np.ascontiguousarray(part) for part in vars(arrays(problems)).values()]
+    count, rows = parts[2].shape
+    control, status, residual = np.zeros((count, 3)), np.zeros(count, np.int32), np.zeros(count)
+    solver.solve_all(count, rows, *map(pointer, (*parts, control, status, residual)))
+    return control, status, residual
+
+
+def largest_difference(solver: ctypes.CDLL, problems: Problems) -> float:
+    """Between controls of the two solvers, whose statuses agree."""
+    python = BatchedSolver()
+    expected = python.solve(problems)
+    control, status, residual = solved(solver, problems)
+    assert (status == expected.status.numpy()).all()
+    assert (residual[status < Status.UNSOLVED] <= batched_solver.ACCURATE).all()
+    return np.abs(control - expected.control.T.numpy()).max(initial=0.0)
+
+
+@pytest.mark.parametrize("rows", [6, 11, 22, 60])
+def test_random_programs_are_solved_as_in_python(solver: ctypes.CDLL, rows: int) -> None:
+    assert largest_difference(solver, synthetic(3000, rows, seed=rows)) <= 1e-9
+
+
+def test_recorded_programs_are_solved_as_in_python(solver: ctypes.CDLL) -> None:
+    for part in (*fly(1.0, 2, None), *held(400, seed=9)):
+        assert largest_difference(solver, part) <= 1e-9
+
+
+@pytest.mark.parametrize("added", ADDED.values(), ids=ADDED)
+def test_degenerate_rows_are_solved_as_in_python(solver: ctypes.CDLL, added: Any) -> None:
+    problems = synthetic(450, 6, seed=5)[torch.arange(150, 450)]
+    point = torch.from_numpy(projection(arrays(problems)).T)
+    a, b = (torch.cat(pair) for pair in zip((problems.a, problems.b), added(problems, point), strict=True))
+    twice = Problems(problems.desired, a, b, b, problems.weight.repeat(2))
+    assert largest_difference(solver, twice) <= 1e-9
+
+
+@pytest.mark.parametrize("copies", [2, 8])
+def test_equal_rows_that_yield_are_all_active(solver: ctypes.CDLL, copies: int) -> None:
+    """As often as passes repeat them: together they weigh so many times as much."""
+    p = synthetic(300, 22, seed=3)[torch.arange(30)]
+    parts = (part.repeat(copies, *(1,) * (part.dim() - 1)) for part in (p.a, p.b, p.b_bare, p.weight))
+    assert largest_difference(solver, Problems(p.desired, *parts)) <= 1e-9
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+@pytest.mark.parametrize("field", FIELDS)
+def test_what_is_not_finite_is_unsolved_and_zero(solver: ctypes.CDLL, field: str, value: float) -> None:
+    problems = synthetic(3, 11, seed=4)
+    getattr(problems, field)[-1, ..., 1] = value
+    control, status, residual = solved(solver, problems)
+    assert status.tolist() == [Status.SLACK, Status.UNSOLVED, Status.HARD]
+    assert (control[1] == 0.0).all() and residual[1] == np.inf
+
+
+def test_what_cannot_be_held_gets_the_least_violating_control(solver: ctypes.CDLL) -> None:
+    problems = synthetic(200, 6, seed=1)
+    problems.weight[:] = np.inf
+    expected = BatchedSolver().solve(problems)
+    control, status, _ = solved(solver, problems)
+    unsolved = status == Status.UNSOLVED
+    assert (status == expected.status.numpy()).all() and unsolved.sum() > 50
+    np.testing.assert_allclose(control, expected.control.T, rtol=0, atol=1e-9)
+
+
+def told(name: str, **more: Any) -> Uncertainty:
+    """What a filter is told in one of configs/plants."""
+    return dataclasses.replace(load(Path(f"configs/plants/{name}.toml"), Config()).uncertainty, **more)
+
+
+class Driver:
+    """A filter in C, called as `SafetyFilter.correct`."""
+
+    def __init__(self, safety: SafetyFilter, folder: Path) -> None:
+        self.safety, self.library = safety, compiled(source(safety), folder)
+        count, room, real = len(safety.names), max(1, safety.known.latency), ctypes.c_double
+        given = {"state": 16 * real, "desired": 6 * real, "sent": 6 * room * real}
+        given |= {"sent_count": ctypes.c_int, "left": 6 * real}
+        found = {"control": 6 * real, "status": ctypes.c_int, "program_status": 2 * ctypes.c_int}
+        found |= {
+            "residual": 2 * real,
+            "h": count * real,
+            "slack": count * real,
+            "active": count * ctypes.c_int,
+        }
+        found |= {"uncertainty": count * real, "tightened": count * real}
+        self.given = type("Input", (ctypes.Structure,), {"_fields_": list(given.items())})
+        self.found = type("Output", (ctypes.Structure,), {"_fields_": list(found.items())})
+
+    def __call__(self, x: Tensor, desired: Tensor, sent: Tensor | None, left: Tensor | None) -> FilterResult:
+        answers = []
+        for i in range(x.shape[1]):
+            given, found = self.given(), self.found()
+            given.state[:], given.desired[:] = x[:, i].tolist(), desired[:, i].tolist()
+            given.left[:] = [1.0] * 6 if left is None else left[:, i].tolist()
+            given.sent_count = 0 if sent is None else len(sent)
+            if sent is not None:
+                given.sent[:] = sent[: self.safety.known.latency, :, i].flatten().tolist()
+            self.library.safety_filter(ctypes.byref(given), ctypes.byref(found))
+            answers.append(found)
+
+        def column(name: str) -> Tensor:
+            return torch.from_numpy(np.array([getattr(each, name) for each in answers]).T.copy())
+
+        names = {field.name for field in dataclasses.fields(FilterResult)} - {"intervened", "active"}
+        parts = {name: column(name) for name in names}
+        return FilterResult(
+            **parts, intervened=parts["status"] > Status.UNTOUCHED, active=column("active") == 1
+        )
+
+
+KINDS: dict[str, tuple[float, Uncertainty | None]] = {  # of filters: period in s, what they are told
+    "now": (1.0, None),
+    "own constraints": (1.0, None),
+    "5 s": (5.0, None),
+    "10 s": (10.0, None),
+    "U1": (1.0, told("u1")),
+    "minimum thrust": (1.0, told("u1_minimum_thrust")),
+    "quantum": (1.0, told("u1_thrust_quantum")),
+    "health": (1.0, told("u1", health=True)),
+    "health alone": (1.0, Uncertainty(health=True)),
+}
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Driver]:
+    """Each kind's driver, built once."""
+    drivers: dict[str, Driver] = {}
+
+    def driver(kind: str) -> Driver:
+        if kind not in drivers:
+            period, known = KINDS[kind]
+            extra = [own.OWN[name][0] for name in ("cone", "sphere")] if kind == "own constraints" else []
+            solver = BatchedSolver() if known is None and period == 1.0 else BatchedSolver(STEPS_HELD)
+            safety = SafetyFilter(C, dataclasses.replace(R, period=period), solver, extra, known)
+            drivers[kind] = Driver(safety, tmp_path_factory.mktemp("driver"))
+        return drivers[kind]
+
+    return driver
+
+
+def assert_same(
+    driver: Driver, x: Tensor, u: Tensor, sent: Tensor | None = None, left: Tensor | None = None
+) -> FilterResult:
+    """Calls the filter in both languages."""
+    expected, found = driver.safety.correct(x, u, sent, left), driver(x, u, sent, left)
+    # a dead thruster is told anything: to rounding all of it is as good
+    alive = 1.0 if left is None else (left > 0.0).double()
+    same = (((expected.control - found.control) * alive / LIMIT).abs() <= 1e-9).all(0)
+    # a solution that is a multiple of the quantum but for rounding has others next to it
+    assert (~same).sum() <= (len(same) / 100 if driver.safety.known.thrust_quantum else 0)
+    for name in ("status", "program_status", "intervened"):
+        assert (getattr(expected, name) == getattr(found, name)).all(), name
+    # the printed rows of a state that is not finite may be: there 0 x is zero, whatever x is
+    same &= x.isfinite().all(0) & u.isfinite().all(0)
+    assert (expected.active == found.active)[:, same].all()
+    for name in ("h", "slack", "uncertainty", "tightened"):
+        parts = (getattr(each, name)[:, same] for each in (expected, found))
+        torch.testing.assert_close(*parts, rtol=0, atol=1e-9)
+    return expected
+
+
+@pytest.mark.parametrize(
+    "kind", [kind for kind in KINDS if kind not in ("10 s", "U1")]
+)  # which `test_export` compares
+def test_a_filter_in_c_is_that_in_python(made: Callable[[str], Driver], kind: str) -> None:
+    driver, count = made(kind), 400
+    known = driver.safety.known
+    x, u = tensor(near_the_limits(count, seed=5)), 1.1 * commands(count, seed=5)
+    sent = commands(count, seed=6)[None] if known.latency else None
+    left = None
+    if known.health:
+        rng = np.random.default_rng(0)
+        left = torch.ones_like(u)
+        left[rng.integers(0, 3, count), range(count)] = tensor(rng.choice([0.0, 0.5, 1.0], count))
+        left[TORQUE] = tensor(rng.uniform(0.5, 1.0, (3, count)))
+    result = assert_same(driver, x, u, sent, left)
+    assert all((result.status == status).sum() > 30 for status in (Status.HARD, Status.SLACK))
+
+
+@pytest.mark.parametrize("kind", ["now", "10 s", "U1", "quantum", "health"])
+def test_what_is_not_finite_is_the_same_in_c(made: Callable[[str], Driver], kind: str) -> None:
+    x, u = tensor(near_the_limits(44, seed=7)), commands(44, seed=7)
+    for i, value in enumerate((np.nan, np.inf)):
+        for row in range(16):
+            x[row, 22 * i + row] = value
+        for row in range(6):
+            u[row, 22 * i + 16 + row] = value
+    result = assert_same(made(kind), x, u)
+    assert (result.status == Status.UNSOLVED).sum() > 20 and result.control.isfinite().all()
+
+
+def test_a_state_that_is_too_old_is_unsolved(made: Callable[[str], Driver]) -> None:
+    driver = made("U1")
+    x, u = tensor(near_the_limits(10, seed=8)), commands(10, seed=8)
+    assert (driver(x, u, u[None].repeat(2, 1, 1), None).program_status == Status.UNSOLVED).all()
+    assert_same(driver, x, u)  # of no age
+    assert_same(driver, x, u, torch.full_like(u[None], torch.nan))
+
+
+def test_a_dead_axis_is_turned_off_the_radius_as_in_python(made: Callable[[str], Driver]) -> None:
+    driver = made("health alone")
+    x, left = flying_out(200, 700.0, 2.0, seed=1), without_one_axis(200)
+    u = torch.zeros(6, 200, dtype=torch.float64)
+    torque = turning(x, u[TORQUE], left, C, R, driver.safety.known)
+    assert (torque != 0.0).any(0).sum() > 100
+    assert_same(driver, x, u, left=left)
+
+
+def test_calls_leave_nothing_behind(made: Callable[[str], Driver]) -> None:
+    driver = made("quantum")
+    x, u = tensor(near_the_limits(40, seed=9)), commands(40, seed=9)
+    forth, back = driver(x, u, None, None), driver(x.flip(1), u.flip(1), None, None)
+    assert torch.equal(forth.control, back.control.flip(1)) and torch.equal(forth.slack, back.slack.flip(1))

@@ -1,0 +1,322 @@
+"""The exported filter in C: warnings, answers, sanitizers, MISRA, stack, other architectures, its own test.
+
+Where controls are held compilers take half a minute for a filter, so that most of those tests run only if
+RTA_EXPORT_THOROUGH is set.
+"""
+
+import os
+import re
+import shutil
+import subprocess
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import pytest
+import torch
+from torch import Tensor
+
+from rta import SafetyFilter, Status
+from rta.constraints.constraint import CONSTRAINTS
+from rta.printed.files import BUILT, NOT_VERIFIED, VERSION, implementation, sources, write
+from rta.printed.single import FUNCTIONS, TOLERANCES, single
+from tests.rta.conditions import test_actuator_groups as own
+from tests.rta.printed.export_states import PROGRAM, Answers, compared, in_c, in_python, made, states
+
+STRICT = ("-std=c99", "-O2", "-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Werror")
+STRICTER = ("-Wshadow", "-Wstrict-prototypes", "-Wmissing-prototypes", "-Wcast-qual", "-Wundef", "-Wvla")
+SANITIZED = ("-std=c99", "-O1", "-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
+CROSS = {
+    "aarch64": ("aarch64-linux-gnu-gcc", "qemu-aarch64", "/usr/aarch64-linux-gnu"),
+    "arm": ("arm-linux-gnueabihf-gcc", "qemu-arm", "/usr/arm-linux-gnueabihf"),
+}
+THOROUGH = pytest.mark.skipif(
+    not os.environ.get("RTA_EXPORT_THOROUGH"), reason="takes minutes: set RTA_EXPORT_THOROUGH"
+)
+STATES, STATES_HELD = 4000, 400  # that are compared in every run; docs/guides/filter_in_c.md has more
+PARTS = ("safety_filter.h", "safety_filter.c", "example.c")
+LARGEST_STACK = 64_000  # B, of all calls together
+# Of MISRA C:2012 as cppcheck knows it; docs/guides/filter_in_c.md says why each stands.
+DEVIATIONS = ("2.4", "2.5", "8.9", "9.3", "10.3", "10.6", "14.1")
+
+
+class Made(NamedTuple):
+    """A filter and the directory it was written into."""
+
+    safety_filter: SafetyFilter
+    directory: Path
+
+
+@pytest.fixture(scope="module")
+def exported(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Made]:
+    """Each filter, written once, only for reading; without `whole` header, source and example alone."""
+    found: dict[tuple[str, str, bool], Made] = {}
+
+    def export(kind: str, real: str = "double", whole: bool = False) -> Made:
+        if (kind, real, whole) not in found:
+            extra = [own.OWN[name][0] for name in ("cone", "sphere")] if kind == "own" else []
+            safety_filter = made("1", extra=extra) if extra else made(kind)
+            directory = tmp_path_factory.mktemp("export") / "c"
+            if whole:
+                write(safety_filter, directory, real=real)
+            else:
+                directory.mkdir()
+                for name, text in sources(safety_filter, real=real, only=PARTS).items():
+                    (directory / name).write_text(text)
+            found[kind, real, whole] = Made(safety_filter, directory)
+        return found[kind, real, whole]
+
+    return export
+
+
+@pytest.fixture(scope="module")
+def drawn() -> tuple[Tensor, Tensor]:
+    return states(STATES, seed=5)
+
+
+@pytest.fixture(params=["gcc", "clang"])
+def compiler(request: pytest.FixtureRequest) -> str:
+    return tool(request.param)
+
+
+def tool(name: str) -> str:
+    if not shutil.which(name):
+        pytest.skip(f"there is no {name} here")
+    return name
+
+
+def run(*words: str | Path, **options: Any) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(words, capture_output=True, text=True, timeout=300, **options)
+
+
+def succeed(*words: str | Path, **options: Any) -> str:
+    done = run(*words, **options)
+    assert done.returncode == 0, (done.stdout + done.stderr)[:3000]
+    return done.stdout
+
+
+def program(directory: Path, folder: Path, *command: str) -> Path:
+    """PROGRAM with the filter in a directory."""
+    (folder / "program.c").write_text(PROGRAM)
+    source = folder / "program.c", directory / "safety_filter.c"
+    succeed(*command, "-I", directory, "-o", folder / "program", *source, "-lm")
+    return folder / "program"
+
+
+def assert_same(safety_filter: SafetyFilter, x: Tensor, expected: Answers, found: Answers) -> None:
+    """Statuses are equal; controls and values to 1e-9, but for programs that none or one of the solvers solves."""
+    limit = torch.tensor(safety_filter.c.control_limit, dtype=torch.float64)
+    result = compared(x, expected, found, limit)
+    solved = ~result.failed
+    assert not (result.other_status & solved).any()
+    assert result.failed.sum() <= len(solved) / 100
+    assert result.control[solved].max() <= 1e-9 and result.h.max() <= 1e-9
+    assert (found.control.abs() <= limit[:, None]).all()
+
+
+def thorough(*values: str) -> Any:
+    """A parameter of tests that take minutes."""
+    return pytest.param(*values, marks=THOROUGH)
+
+
+@pytest.mark.parametrize("kind", ["1", "u1", thorough("5"), thorough("10")])
+def test_c_answers_as_pytorch(
+    kind: str, exported: Callable[..., Made], drawn: tuple[Tensor, Tensor], tmp_path: Path
+) -> None:
+    """Back to back with PyTorch's batches; `python -m tests.rta.printed.export_states` compares 100,000."""
+    safety_filter, directory = exported(kind)
+    x, desired = (part[:, : STATES_HELD if safety_filter.holds else STATES] for part in drawn)
+    expected = in_python(safety_filter, x, desired)
+    assert all((expected.program_status.amax(0) == each).sum() > 15 for each in list(Status)[1:])
+    assert_same(
+        safety_filter, x, expected, in_c([program(directory, tmp_path, tool("gcc"), *STRICT)], x, desired)
+    )
+
+
+@pytest.mark.parametrize("real", ["double", "float"])
+@pytest.mark.parametrize("kind", ["1", "own", thorough("u1_thrust_quantum"), thorough("10")])
+def test_no_compiler_has_anything_to_say(
+    kind: str, real: str, compiler: str, exported: Callable[..., Made]
+) -> None:
+    directory = exported(kind, real).directory
+    promotion = ("-Wdouble-promotion",) if real == "float" else ()
+    succeed(compiler, *STRICT, *STRICTER, *promotion, "-fsyntax-only", directory / "safety_filter.c")
+    succeed(compiler, *STRICT, *STRICTER, "-fsyntax-only", directory / "example.c")
+
+
+@pytest.mark.parametrize(
+    ("kind", "real"),
+    [("1", "double"), ("1", "float"), ("own", "double"), thorough("u1", "float"), thorough("10", "float")],
+)
+def test_its_own_test_and_its_example_pass(
+    kind: str, real: str, exported: Callable[..., Made], tmp_path: Path
+) -> None:
+    directory = shutil.copytree(exported(kind, real, whole=True).directory, tmp_path / "c")
+    said = succeed(tool("make"), "-C", directory, "test", "run")
+    assert re.search(r"passed: 1[0-4]\d calls, 0 with another status", said) and "NOT VERIFIED" not in said
+    assert re.search(r"calls: 0 as desired, \d+ corrected, \d+ with slack, 0 unsolved; 0 violations", said)
+    assert set(BUILT) <= {path.name for path in directory.iterdir()}
+    write(exported(kind, real, whole=True).safety_filter, directory, real=real)  # over what was built
+
+
+FLAWS = {
+    "a weight": ("{INFINITY, 1000.0,", "{INFINITY, 1.0,"),
+    "a sign": ("sum += a[i] * b[i];", "sum -= a[i] * b[i];"),
+    "the stages": ("(i < 2) ? HARD : SLACK", "(i < 1) ? HARD : SLACK"),
+    "what is no number": ("isinf(in->state[i]) ? NAN", "isinf(in->state[i]) ? 0.0"),
+    "the limits": ("clip(in->desired[j], -LIMIT[group], LIMIT[group])", "in->desired[j]"),
+}
+
+
+@pytest.mark.parametrize("flaw", FLAWS)
+def test_its_own_test_fails_with_a_flaw(flaw: str, exported: Callable[..., Made], tmp_path: Path) -> None:
+    directory = shutil.copytree(exported("1", whole=True).directory, tmp_path / "c")
+    source = directory / "safety_filter.c"
+    before, after = FLAWS[flaw]
+    assert before in source.read_text()
+    source.write_text(source.read_text().replace(before, after))
+    done = run(tool("make"), "-C", directory, "CFLAGS=-std=c99 -O1", "test")
+    assert done.returncode == 2 and "FAILED" in done.stdout
+    assert not shutil.which("sha256sum") or "NOT VERIFIED: safety_filter.c or .h was changed" in done.stdout
+
+
+@pytest.mark.parametrize("kind", ["1", thorough("10"), thorough("u1")])
+def test_sanitizers_find_nothing(
+    kind: str, compiler: str, exported: Callable[..., Made], drawn: tuple[Tensor, Tensor], tmp_path: Path
+) -> None:
+    (tmp_path / "nothing.c").write_text("int main(void) { return 0; }\n")
+    if run(compiler, *SANITIZED, tmp_path / "nothing.c", "-o", tmp_path / "nothing").returncode:
+        pytest.skip(f"{compiler} has no sanitizers here")
+    x, desired = (part[:, :2000] for part in drawn)
+    in_c([program(exported(kind).directory, tmp_path, compiler, *SANITIZED)], x, desired)
+
+
+@pytest.mark.parametrize("kind", ["1", thorough("10"), thorough("u1")])
+@pytest.mark.parametrize("machine", CROSS)
+def test_another_architecture_answers_the_same(
+    kind: str, machine: str, exported: Callable[..., Made], drawn: tuple[Tensor, Tensor], tmp_path: Path
+) -> None:
+    gcc, emulator, libraries = CROSS[machine]
+    tool(gcc), tool(emulator)
+    x, desired = (part[:, :2000] for part in drawn)
+    safety_filter, directory = exported(kind)
+    here = in_c([program(directory, tmp_path, tool("gcc"), *STRICT)], x, desired)
+    there = program(directory, tmp_path, gcc, *STRICT, "-ffp-contract=off")
+    assert_same(safety_filter, x, here, in_c([emulator, "-L", libraries, there], x, desired))
+
+
+def test_it_keeps_nothing_and_calls_nothing_but_the_mathematics(
+    compiler: str, exported: Callable[..., Made], tmp_path: Path
+) -> None:
+    source = exported("1").directory / "safety_filter.c"
+    succeed(compiler, *STRICT, "-c", source, "-o", tmp_path / "filter.o")
+    symbols = [line.split()[-2:] for line in succeed(tool("nm"), tmp_path / "filter.o").splitlines()]
+    needed = {name for symbol, name in symbols if symbol == "U"}
+    allowed = {"memcpy", "memset", "_GLOBAL_OFFSET_TABLE_", "__stack_chk_fail"}  # a compiler's own
+    assert needed - allowed <= {*FUNCTIONS, "sincos"}
+    assert {name for symbol, name in symbols if symbol in "TDRB"} == {
+        "safety_filter",
+        "safety_filter_names",
+    }
+    assert {symbol for symbol, _ in symbols} <= set("UTtrRdD")
+    assert not {name for symbol, name in symbols if symbol in "dDbB"} - {"safety_filter_names"}
+
+
+@pytest.mark.parametrize(
+    ("kind", "most"), [("1", 16_000), ("u1", LARGEST_STACK), thorough("10", LARGEST_STACK)]
+)
+def test_the_stack_is_bounded_and_nothing_recurses(
+    kind: str, most: int, exported: Callable[..., Made], tmp_path: Path
+) -> None:
+    source = exported(kind).directory / "safety_filter.c"
+    flags = "-std=c99", "-O2", "-fstack-usage", "-fcallgraph-info=su"
+    if run(tool("gcc"), *flags, "-c", source, "-o", "filter.o", cwd=tmp_path).returncode:
+        pytest.skip("this gcc knows no call graphs")
+    assert 1000 < deepest((tmp_path / "filter.ci").read_text()) <= most
+
+
+def deepest(graph: str) -> int:
+    """The stack of the deepest chain of calls from safety_filter, in B; fails where one recurses."""
+    sizes = {
+        name: int(size) for name, size in re.findall(r'title: "([^"]+)" label: "[^"]*?\\n(\d+) bytes', graph)
+    }
+    calls: dict[str, set[str]] = {}
+    for caller, called in re.findall(r'sourcename: "([^"]+)" targetname: "([^"]+)"', graph):
+        calls.setdefault(caller, set()).add(called)
+
+    def below(name: str, above: tuple[str, ...]) -> int:
+        assert name not in above, f"{name} recurses"
+        return sizes.get(name, 0) + max((below(n, (*above, name)) for n in calls.get(name, ())), default=0)
+
+    return below("safety_filter", ())
+
+
+@pytest.mark.parametrize("kind", ["1", "u1_thrust_quantum"])
+def test_it_keeps_misras_rules(kind: str, exported: Callable[..., Made], tmp_path: Path) -> None:
+    """But for DEVIATIONS. Printed rows take cppcheck hours: the printed model, of the same making, stands for them."""
+    if run(tool("cppcheck"), "--addon=misra", os.devnull).returncode:
+        pytest.skip("cppcheck has no rules of MISRA here")
+    directory = exported(kind).directory
+    shutil.copy(directory / "safety_filter.h", tmp_path)
+    text, example = ((directory / name).read_text() for name in ("safety_filter.c", "example.c"))
+    (tmp_path / "driver.c").write_text(text[: text.rindex("\n/* ---- ")])
+    (tmp_path / "model.c").write_text(
+        "#include <math.h>\n" + example[example.index("typedef double real;") :]
+    )
+    rules = [f"--suppress=misra-c2012-{rule}" for rule in DEVIATIONS]
+    rules += [
+        f"--suppress={name}"
+        for name in ("missingIncludeSystem", "unusedStructMember", "knownConditionTrueFalse")
+    ]
+    checked = [tmp_path / "driver.c", *([tmp_path / "model.c"] if kind == "1" else [])]
+    succeed(
+        "cppcheck", "--std=c99", "--enable=style", "--addon=misra", *rules, "--error-exitcode=1", *checked
+    )
+
+
+# what is written
+
+
+def test_the_header_says_what_it_is(exported: Callable[..., Made]) -> None:
+    safety_filter, directory = exported("own")
+    head = (directory / "safety_filter.h").read_text()
+    assert NOT_VERIFIED in head and "SAFETY_FILTER_VERIFIED 0" in head and VERSION in head
+    assert f'VERSION "{VERSION}"' in head and f'version = "{VERSION}"' in Path("pyproject.toml").read_text()
+    named = re.findall(r"SAFETY_FILTER_H_(\w+) = (\d+)", head)
+    assert [(name.lower(), int(i)) for name, i in named] == [
+        (re.sub(r"\W", "_", name).lower(), i) for i, name in enumerate(safety_filter.names)
+    ]
+    assert {status.name for status in Status} <= set(re.findall(r"SAFETY_FILTER_([A-Z]+) = \d", head))
+    assert set(CONSTRAINTS) < set(safety_filter.names)
+    for path in directory.iterdir():
+        if path.suffix in (".c", ".h") and path.name != "safety_filter_vectors.h":
+            assert max(map(len, path.read_text().splitlines())) <= 400  # tables and printed lines
+
+
+def test_another_filter_has_other_fingerprints() -> None:
+    def digests(safety_filter: SafetyFilter) -> list[str]:
+        head = sources(safety_filter, only=["safety_filter.h"])["safety_filter.h"]
+        return re.findall(r'"([0-9a-f]{64})"', head)
+
+    one, other = digests(made("1")), digests(made("5"))
+    assert len(one) == 2 and not set(one) & set(other) and digests(made("1")) == one
+
+
+@pytest.mark.parametrize("name", ["main.c", "safety_filter.c", "safety_filter.h/"])
+def test_what_is_not_a_filters_is_kept(name: str, tmp_path: Path) -> None:
+    if name.endswith("/"):
+        (tmp_path / name).mkdir()
+    else:
+        (tmp_path / name).write_text("/* years of work */\n")
+    with pytest.raises(ValueError, match="holds no filter but"):
+        write(made("1"), tmp_path)
+    assert [path.name for path in tmp_path.iterdir()] == [name.removesuffix("/")]
+
+
+def test_single_precision_has_no_double() -> None:
+    text = single(implementation(made("u1_thrust_quantum")))
+    code = re.sub(r"(?s)/\*.*?\*/", "", text)
+    assert not re.search(r"\bdouble\b|(?<![\w.])\d+\.\d+(?:e[+-]?\d+)?(?![\w.])", code)
+    assert not re.search(r"\b(sqrt|fmin|fmax|fabs|rint|sin|cos)\(", code)
+    for name, value in TOLERANCES.items():
+        assert f"#define {name} {value}" in text or name in code

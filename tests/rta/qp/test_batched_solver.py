@@ -1,0 +1,385 @@
+"""The batched solver against PIQP on recorded problems, enumeration, linear programs and optimality conditions.
+
+Cases that both solvers must pass stand in tests/rta/qp/test_programs.py.
+"""
+
+import dataclasses
+import math
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from numpy import ndarray
+from scipy.optimize import nnls
+from torch import Tensor
+
+from inspection.environment import InspectionEnv
+from rta.filter import SafetyFilter
+from rta.parameters import RtaParameters
+from rta.qp import batched_solver
+from rta.qp.batched_solver import ACCURATE, BatchedSolver, attempt
+from rta.qp.piqp_solver import PiqpSolver
+from rta.qp.programs import FEASIBLE, Problems, Solutions, Status
+from tests.rta.constraints.test_constraints import tensor
+from tests.rta.qp.test_programs import Problems as Arrays
+from tests.rta.qp.test_programs import feasible, given_slack, projection, with_slack
+from tests.rta.test_filter import C, R, commands, near_the_limits
+
+FIELDS = ("desired", "a", "b", "b_bare")
+
+
+class Recorder:
+    """A batched solver that keeps what it is asked."""
+
+    def __init__(self) -> None:
+        self.solver, self.asked = BatchedSolver(), []
+
+    def solve(self, problems: Problems) -> Solutions:
+        self.asked.append(problems)
+        return self.solver.solve(problems)
+
+    def compile(self, rows: Sequence[int], batch: int, device: torch.device | str) -> None:
+        self.solver.compile(rows, batch, device)
+
+
+def fly(period: float, actions: int, start: ndarray | None, r: RtaParameters = R) -> list[Problems]:
+    """What the filter asks in a closed loop under random actions, thrust and torque in turn."""
+    recorder, generator = Recorder(), torch.Generator().manual_seed(3)
+    safety = SafetyFilter(C, dataclasses.replace(r, period=period), recorder).safety()
+    env = InspectionEnv(256, C, [generator], safety)
+    env.reset()
+    if start is not None:
+        env.start(tensor(start), env.priority.clone())
+    for _ in range(actions):
+        env.step(2 * torch.rand(256, 6, generator=generator, dtype=torch.float64) - 1)
+    return recorder.asked
+
+
+def join(parts: list[Problems]) -> Problems:
+    return Problems(
+        *(torch.cat([getattr(part, name) for part in parts], -1) for name in FIELDS), parts[0].weight
+    )
+
+
+@pytest.fixture(autouse=True)
+def steps_on_the_cpu(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Takes the steps for every program, as on a GPU, and leaves PIQP only what they do not solve accurately."""
+    monkeypatch.setattr(batched_solver, "PIQP_FIRST", ())
+
+
+def held(count: int, seed: int) -> list[Problems]:
+    """What the filter asks at states within and beyond the limits of a control held for 10 s."""
+    recorder = Recorder()
+    SafetyFilter(C, dataclasses.replace(R, period=10.0), recorder).correct(
+        tensor(near_the_limits(count, seed)), commands(count, seed)
+    )
+    return recorder.asked
+
+
+ROWS = {  # of its programs, thrust and torque: of the rate of now, held, held with the tangents at two controls
+    "thrust": 11,
+    "torque": 6,
+    "held thrust": 22,
+    "held torque": 18,
+    "held thrust again": 44,
+    "held torque again": 36,
+}
+
+
+def of(flights: tuple[Problems, ...], kind: str) -> Problems:
+    return join([part for part in flights if len(part.a) == ROWS[kind]])
+
+
+@pytest.fixture(scope="module", params=["thrust", "torque"])
+def recorded(request: pytest.FixtureRequest, flights: tuple[Problems, ...]) -> Problems:
+    return of(flights, request.param)
+
+
+@pytest.fixture(scope="module", params=ROWS)
+def every_kind(request: pytest.FixtureRequest, flights: tuple[Problems, ...]) -> Problems:
+    return of(flights, request.param)
+
+
+@pytest.fixture(scope="module")
+def flights() -> tuple[Problems, ...]:
+    """From admissible starts and from states within and beyond the limits, for controls of 1 and of 10 s."""
+    limits = near_the_limits(256, seed=7)
+    wide = dataclasses.replace(R, keep_in_margin=0.5, passive_safety_margin=20.0, exclusion_margin=0.2)
+    return (
+        *fly(1.0, 4, None),
+        *fly(1.0, 4, limits),
+        *held(1500, seed=9),
+        *fly(1.0, 4, near_the_limits(256, seed=8), wide),  # margins that often cannot be kept
+    )
+
+
+@pytest.fixture
+def solver(monkeypatch: pytest.MonkeyPatch) -> BatchedSolver:
+    """Counts in `resolved` how many problems PIQP solves again."""
+    solver = BatchedSolver()
+    solve = solver.fallback.solve
+    solver.resolved = 0
+
+    def counting(problems: Problems) -> Solutions:
+        solver.resolved += problems.desired.shape[1]
+        return solve(problems)
+
+    monkeypatch.setattr(solver.fallback, "solve", counting)
+    return solver
+
+
+def left_hand_sides(u: Tensor, a: Tensor, b: Tensor) -> Tensor:
+    """a u + b, (R, N)."""
+    return torch.einsum("rcn,cn->rn", a, u) + b
+
+
+def objective(problems: Problems, u: Tensor, weight: Tensor) -> Tensor:
+    """Squared distance and squared shortfall under these weights (R, N), infinite for rows that are held; (N,)."""
+    short = left_hand_sides(u, problems.a, problems.b_bare).clamp(max=0.0)
+    weight = torch.where(weight.isfinite(), weight, 0.0)
+    return ((u - problems.desired) ** 2).sum(0) + (weight * short**2).sum(0)
+
+
+def arrays(problems: Problems) -> Arrays:
+    """Batch first."""
+    return Arrays(
+        *(getattr(problems, name).movedim(-1, 0).numpy() for name in FIELDS), problems.weight.numpy()
+    )
+
+
+def test_recorded_problems_are_many_and_diverse(flights: tuple[Problems, ...]) -> None:
+    answers = [BatchedSolver().solve(part) for part in flights]
+    status = torch.cat([answer.status for answer in answers])
+    assert len(status) >= 20_000
+    assert (status == Status.SLACK).sum() > 500
+    on_bound = torch.cat([(answer.control.abs() == 1.0).any(0) for answer in answers])
+    assert on_bound.sum() > 500
+    pairs = zip(answers, flights, strict=True)
+    spent = torch.cat([(left_hand_sides(x.control, p.a, p.b) < -1e-3).any(0) for x, p in pairs])
+    assert ((status == Status.HARD) & spent).sum() > 50  # infeasible with margins
+
+
+def test_hard_programs_equal_piqp(solver: BatchedSolver, every_kind: Problems) -> None:
+    ours, piqp = solver.solve(every_kind), PiqpSolver().solve(every_kind)
+    solved = piqp.status < Status.UNSOLVED
+    assert (ours.status < Status.UNSOLVED).all() and (~solved).sum() <= len(solved) / 500
+    assert (ours.status == piqp.status)[solved].all()
+    hard = solved & (ours.status == Status.HARD)
+    assert (ours.control - piqp.control)[:, hard].abs().max() <= 1e-6
+
+
+def test_slack_programs_equal_piqp_or_the_exact_answer(solver: BatchedSolver, every_kind: Problems) -> None:
+    # Slack weights of 1e5 turn PIQP's residuals into errors of up to 1e-3 in the control. Where the two differ,
+    # objectives are compared, and non-negative least squares has the last word.
+    solved = PiqpSolver().solve(every_kind).status < Status.UNSOLVED
+    given_up = solver.solve(every_kind).status == Status.SLACK
+    slack = every_kind[torch.nonzero(given_up & solved).flatten()]
+    ours, piqp = solver.solve(slack).control, PiqpSolver().solve(slack).control
+    given = torch.from_numpy(given_slack(arrays(slack)).T)
+    for control in (ours, piqp):
+        held = left_hand_sides(control, slack.a, slack.b_bare)[given.isinf()]
+        assert held.numel() == 0 or held.min() >= -FEASIBLE
+    best, other = objective(slack, ours, given), objective(slack, piqp, given)
+    assert (best <= other * (1 + 1e-9) + 1e-9).all()
+    far = torch.nonzero((ours - piqp).abs().amax(0) > 1e-6).flatten()
+    assert len(far) < 0.2 * len(slack.desired[0])
+    exact = with_slack(arrays(slack[far]), given.T.numpy()[far]).reshape(-1, 3)
+    np.testing.assert_allclose(ours[:, far].T, exact, rtol=0, atol=1e-6)
+
+
+def test_recorded_problems_never_need_piqp(solver: BatchedSolver, every_kind: Problems) -> None:
+    answer = solver.solve(every_kind)
+    # tangents at the middle and at the end of a hold may be parallel to rounding: one of some thousand programs
+    assert solver.resolved <= (len(every_kind.b) in (ROWS["held thrust"], ROWS["held torque"]))
+    assert (answer.residual <= ACCURATE).sum() >= len(answer.residual) - solver.resolved
+    assert (answer.status < Status.UNSOLVED).all()
+
+
+def assert_faulty_program_leaves_its_neighbours_alone(
+    solver: BatchedSolver, problems: Problems, field: str, value: float
+) -> None:
+    faulty = dataclasses.replace(problems, **{field: getattr(problems, field).clone()})
+    getattr(faulty, field)[-1, ..., 17] = value
+    before, after = solver.solve(problems), solver.solve(faulty)
+    others = torch.arange(problems.desired.shape[1]) != 17
+    for name in ("control", "status", "residual"):
+        assert (getattr(before, name)[..., others] == getattr(after, name)[..., others]).all()
+    assert after.status[17] == Status.UNSOLVED
+    assert (after.control[:, 17] == 0.0).all()
+    assert after.residual[17] == math.inf
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
+@pytest.mark.parametrize("field", FIELDS)
+def test_faulty_program_leaves_its_neighbours_alone(recorded: Problems, field: str, value: float) -> None:
+    sample = recorded[torch.arange(0, recorded.desired.shape[1], 20)]
+    assert_faulty_program_leaves_its_neighbours_alone(BatchedSolver(), sample, field, value)
+
+
+@pytest.mark.parametrize(
+    "limit",
+    [{"steps": 0, "MAX_ROUNDS": 1, "ROUND": 1}, {"ACCURATE": -1.0}, {"steps": 0, "PIQP_FIRST": ("cpu",)}],
+    ids=["steps", "residual", "cpu"],
+)
+def test_what_is_not_solved_accurately_is_piqps(
+    solver: BatchedSolver, recorded: Problems, monkeypatch: pytest.MonkeyPatch, limit: dict[str, Any]
+) -> None:
+    if "steps" in limit:
+        solver._attempt = partial(attempt, steps=limit["steps"])
+    for name in limit.keys() - {"steps"}:
+        monkeypatch.setattr(batched_solver, name, limit[name])
+    sample = recorded[torch.arange(300)]
+    ours, piqp = solver.solve(sample), PiqpSolver().solve(sample)
+    assert solver.resolved == 300
+    assert (ours.control == piqp.control).all() and (ours.status == piqp.status).all()
+    assert (ours.residual == piqp.residual).all()
+
+
+def test_what_piqp_leaves_is_solved_by_steps(
+    solver: BatchedSolver, recorded: Problems, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(batched_solver, "PIQP_FIRST", ("cpu",))
+    sample = recorded[torch.arange(300)]
+    expected = BatchedSolver().solve(sample)
+
+    def gives_up(problems: Problems) -> Solutions:
+        unsolved = torch.full_like(problems.desired[0], Status.UNSOLVED, dtype=torch.int64)
+        return Solutions(problems.desired.clone(), unsolved, problems.desired[0] + math.inf)
+
+    monkeypatch.setattr(solver.fallback, "solve", gives_up)
+    solver._attempt = partial(attempt, steps=0)
+    found = solver.solve(sample)
+    assert (found.status == expected.status).all()
+    assert (found.residual <= ACCURATE)[found.status < Status.UNSOLVED].all()
+    torch.testing.assert_close(found.control, expected.control, rtol=0, atol=1e-6)
+
+
+def synthetic(count: int, rows: int, seed: int) -> Problems:
+    """Random rows, the first of which must hold; in a third of them the last contradicts the one before."""
+    rng = np.random.default_rng(seed)
+    a, point = rng.standard_normal((rows, 3, count)), rng.uniform(-1, 1, (3, count))
+    a /= np.linalg.norm(a, axis=1, keepdims=True)
+    spare = rng.exponential(0.3, (rows, count)) * rng.integers(0, 4, (rows, count)).clip(max=1)
+    b = spare - np.einsum("rcn,cn->rn", a, point)
+    third = count // 3
+    a[-1, :, :third] = -a[-2, :, :third]
+    b[-1, :third] = -b[-2, :third] - rng.uniform(0.2, 1.0, third)
+    desired = np.where(rng.random((3, count)) < 0.1, 1.0, rng.uniform(-1, 1, (3, count)))
+    weight = torch.tensor([math.inf, *10.0 ** (3 + np.arange(rows - 1) % 3)], dtype=torch.float64)
+    return Problems(tensor(desired), tensor(a), tensor(b), tensor(b + 0.1), weight)
+
+
+def force_left(u: ndarray, desired: ndarray, a: ndarray, b: ndarray, weight: ndarray) -> float:
+    """What stationarity leaves of u - desired after slack forces and the best multipliers of what is active."""
+    rest, soft = a @ u + b, np.isfinite(weight)
+    force = weight[soft] * np.maximum(0.0, -rest[soft])
+    normals = np.concatenate((a[~soft], np.eye(3), -np.eye(3)))
+    active = np.concatenate((rest[~soft], 1 + u, 1 - u)) < 1e-8
+    return nnls((normals * active[:, None]).T, u - desired - force @ a[soft])[1]
+
+
+@pytest.mark.parametrize("rows", [6, 11])
+def test_random_programs_satisfy_kkt(solver: BatchedSolver, rows: int) -> None:
+    problems = synthetic(1000, rows, seed=rows)
+    answer, programs = solver.solve(problems), arrays(problems)
+    slack = answer.status == Status.SLACK
+    assert slack.sum() >= 300 and solver.resolved < 10
+    assert (answer.control.abs() <= 1.0).all()
+    given, with_margins = given_slack(programs), feasible(programs.a, programs.b)
+    for i, (u, desired, a, b, b_bare) in enumerate(
+        zip(answer.control.T.numpy(), programs.desired, programs.a, programs.b, programs.b_bare, strict=True)
+    ):
+        held = np.isinf(given[i])
+        assert answer.status[i] == (Status.HARD if held.all() else Status.SLACK)
+        side = b if with_margins[i] else b_bare
+        assert (a @ u + side)[held].min() >= -1e-9
+        # a residual that is off by 1e-11 changes the force by that times the weight
+        assert force_left(u, desired, a, side, given[i]) <= (1e-8 if held.all() else 1e-11 * 1e5)
+
+
+def test_unsolvable_programs_are_proved_to_be(solver: BatchedSolver) -> None:
+    problems = synthetic(200, 6, seed=1)
+    problems.weight[:] = math.inf  # what was soft must hold
+    answer, programs = solver.solve(problems), arrays(problems)
+    expected = feasible(programs.a, programs.b_bare)
+    assert ((answer.status == Status.HARD).numpy() == expected).all()
+    unsolved = answer.status == Status.UNSOLVED
+    assert solver.resolved == unsolved.sum() > 50
+    assert (answer.residual[unsolved] == math.inf).all()
+
+
+def test_zero_row_that_cannot_hold_leaves_the_others_alone(solver: BatchedSolver) -> None:
+    problems = synthetic(100, 6, seed=2)
+    problems.a[1], problems.b[1], problems.b_bare[1] = 0.0, -0.5, -0.5
+    answer = solver.solve(problems)
+    assert (answer.status == Status.SLACK).all()
+    np.testing.assert_allclose(answer.control.T, with_slack(arrays(problems)), rtol=0, atol=1e-7)
+
+
+# Rows that leave the solution where it is, from programs without slack and their solutions.
+
+
+def zeros(p: Problems, u: Tensor) -> tuple[Tensor, Tensor]:
+    return torch.zeros_like(p.a), torch.zeros_like(p.b)
+
+
+def duplicates(p: Problems, u: Tensor) -> tuple[Tensor, Tensor]:
+    return p.a, p.b
+
+
+def short_duplicates(p: Problems, u: Tensor) -> tuple[Tensor, Tensor]:
+    return 1e-9 * p.a, 1e-9 * p.b
+
+
+def reversed_where_active(p: Problems, u: Tensor) -> tuple[Tensor, Tensor]:
+    """Nothing but a plane is left."""
+    return -p.a, torch.where(left_hand_sides(u, p.a, p.b) < 1e-9, -p.b, 2.0)
+
+
+def tilted(tilt: float) -> Callable[[Problems, Tensor], tuple[Tensor, Tensor]]:
+    """As far from the solution as the rows they are nearly parallel to."""
+
+    def rows(p: Problems, u: Tensor) -> tuple[Tensor, Tensor]:
+        noise = torch.randn(p.a.shape, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
+        a = p.a + tilt * noise
+        return a, left_hand_sides(u, p.a, p.b) - left_hand_sides(u, a, torch.zeros_like(p.b))
+
+    return rows
+
+
+ADDED = {
+    "zeros": zeros,
+    "duplicates": duplicates,
+    "short_duplicates": short_duplicates,
+    "reversed_where_active": reversed_where_active,
+    **{f"tilted_by_{tilt:g}": tilted(tilt) for tilt in (1e-3, 1e-5, 1e-7, 1e-9, 1e-12)},
+}
+
+
+@pytest.mark.parametrize("added", ADDED.values(), ids=ADDED)
+def test_degenerate_rows_change_nothing(
+    solver: BatchedSolver, added: Callable[[Problems, Tensor], tuple[Tensor, Tensor]]
+) -> None:
+    problems = synthetic(450, 6, seed=5)[torch.arange(150, 450)]
+    expected = torch.from_numpy(projection(arrays(problems)).T)
+    a, b = (torch.cat(pair) for pair in zip((problems.a, problems.b), added(problems, expected), strict=True))
+    answer = solver.solve(Problems(problems.desired, a, b, b, problems.weight.repeat(2)))
+    assert (answer.status == Status.HARD).all()
+    assert solver.resolved == 0
+    torch.testing.assert_close(answer.control, expected, rtol=0, atol=1e-6)
+
+
+def test_compiled_solver_gives_the_same_answers(flights: tuple[Problems, ...]) -> None:
+    eager, compiled = BatchedSolver(), BatchedSolver()
+    compiled.compile([max(len(part.a) for part in flights)], 16, "cpu")
+    for part in flights[:2]:  # one of thrust, one of torque
+        for count in (1, 2, len(part.desired[0])):
+            sample = part[torch.arange(count)]
+            expected, answer = eager.solve(sample), compiled.solve(sample)
+            assert (answer.status == expected.status).all()
+            assert (answer.residual <= ACCURATE).all()
+            torch.testing.assert_close(answer.control, expected.control, rtol=0, atol=1e-9)
+        assert_faulty_program_leaves_its_neighbours_alone(compiled, part, "b", math.nan)

@@ -1,0 +1,152 @@
+"""The filter as people call it: any kind of numbers in, the same kind out, and what is wrong refused in a line."""
+
+import math
+import re
+from dataclasses import fields
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from kernels import Compiled
+from rta.filter import FilterResult, SafetyFilter
+from rta.given import towards_zero
+from rta.qp.programs import Status
+from tests.rta.test_filter import LIMIT, U, X
+
+STATE, CONTROL = X.numpy(), U.numpy()
+KINDS = {"numpy": lambda x: x, "torch": torch.from_numpy}
+
+
+@pytest.fixture(scope="module")
+def safety() -> SafetyFilter:
+    return SafetyFilter()
+
+
+def values(result: FilterResult) -> dict[str, Any]:
+    return {field.name: getattr(result, field.name) for field in fields(result)}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("precision", [np.float64, np.float32])
+@pytest.mark.parametrize("single", [True, False])
+def test_the_answer_is_in_kind(safety: SafetyFilter, kind: str, precision: type, single: bool) -> None:
+    columns = 3 if single else slice(40)
+    x, u = (array[:, columns].astype(precision) for array in (STATE, 1.2 * CONTROL))
+    result = values(safety(KINDS[kind](x), KINDS[kind](u)))
+    same = safety.correct(*(torch.from_numpy(part.astype(float)).view(len(part), -1) for part in (x, u)))
+    for name, expected in values(same).items():
+        found = result[name]
+        assert torch.is_tensor(found) == (kind == "torch")
+        assert str(found.dtype).endswith(
+            precision.__name__ if expected.is_floating_point() else str(expected.dtype)[6:]
+        )
+        expected = expected[..., 0] if single else expected
+        assert found.shape == expected.shape
+        rounding = (
+            1e-6 if precision is np.float32 else 1e-9 if single else 0.0
+        )  # one is compiled, solver included
+        np.testing.assert_allclose(np.asarray(found), expected.numpy(), rtol=rounding, atol=rounding / 1e3)
+    control = np.asarray(result["control"], dtype=float)
+    assert (abs(control) <= LIMIT.numpy()[:, 0] if single else abs(control) <= LIMIT.numpy()).all()
+
+
+def test_a_traced_filter_has_the_same_bits(safety: SafetyFilter) -> None:
+    traced = SafetyFilter()
+    traced.trace(40)
+    assert isinstance(traced._prepare, Compiled)
+    assert not isinstance(safety._prepare, Compiled)
+    x, u = X[:, :40].clone(), 5 * U[:, :40]
+    x[13, 7], x[0, 8], u[2, 9] = math.nan, math.inf, math.nan
+    answers = [values(each.correct(x, u)) for each in (safety, traced)]
+    assert set(answers[0]["status"].tolist()) >= {Status.HARD, Status.SLACK, Status.UNSOLVED}
+    for name, expected in answers[0].items():
+        torch.testing.assert_close(answers[1][name], expected, rtol=0, atol=0, equal_nan=True)
+    assert (answers[1]["control"].abs() <= LIMIT).all()
+
+
+def test_lists_and_integers_are_answered_in_float64(safety: SafetyFilter) -> None:
+    state = [60, 0, 0, 0, 0, 0, 0, 0, 0, 1, 0, 0, 0, 5, 6, 0]
+    for one, other in (
+        (state, [9, 0, 0, 0, 0, 0]),
+        (np.array(state), np.array([9, 0, 0, 0, 0, 0])),
+        (torch.tensor(state), [9, 0, 0, 0, 0, 0]),
+        (np.array(state, np.uint16), np.array([9, 0, 0, 0, 0, 0], np.uint64)),
+    ):
+        result = safety(one, other)
+        assert isinstance(result.control, np.ndarray) and result.control.dtype == float
+        np.testing.assert_array_equal(result.control, [1, 0, 0, 0, 0, 0])
+        assert result.intervened and result.status == Status.HARD
+    assert safety(torch.tensor(state), torch.tensor([9, 0, 0, 0, 0, 0])).control.dtype == torch.float64
+
+
+def test_the_other_byte_order_is_read(safety: SafetyFilter) -> None:
+    x, u = STATE[:, :5], 9 * CONTROL[:, :5]
+    swapped = safety(*(part.astype(part.dtype.newbyteorder()) for part in (x, u)))
+    np.testing.assert_array_equal(swapped.control, safety(x, u).control)
+    assert swapped.control.dtype == float
+
+
+def test_what_is_given_is_not_changed(safety: SafetyFilter) -> None:
+    x, u = STATE[:, :5].copy(), 9 * CONTROL[:, :5]
+    asked = u.copy()
+    x.flags.writeable = u.flags.writeable = False
+    result = safety(x, u)
+    assert (x == STATE[:, :5]).all() and (u == asked).all() and (result.control != asked).any()
+    gradient = torch.tensor(asked, requires_grad=True)
+    assert not safety(torch.from_numpy(x.copy()), gradient).control.requires_grad
+
+
+def test_float32_is_rounded_towards_zero() -> None:
+    x = torch.cat((LIMIT[:, 0], -LIMIT[:, 0], torch.linspace(-1, 1, 1001, dtype=torch.float64)))
+    y = towards_zero(x, torch.float32)
+    assert (y.double().abs() <= x.abs()).all() and (x.float().double().abs() > x.abs()).any()
+    np.testing.assert_allclose(y, x, rtol=2e-7)
+
+
+def changed(**components: float) -> np.ndarray:
+    x = STATE[:, 0].copy()
+    for name, value in components.items():
+        x[int(name[1:])] = value
+    return x
+
+
+HALF = np.float32(STATE[:, :4])
+HALF[9, 2] += 0.1
+
+
+@pytest.mark.parametrize(
+    ("x", "u", "message"),
+    [
+        (STATE[:15, 0], CONTROL[:, 0], "state of shape (15,): must be (16,), or (16, B)"),
+        (STATE[:, 0], CONTROL[:5, 0], "desired control of shape (5,): must be (6,), or (6, B)"),
+        (STATE[:, :4].T, CONTROL[:, :4], "state of shape (4, 16): must be (16,), or (16, B) .*: transpose it"),
+        (STATE[:, :4], CONTROL[:, :4].T, "desired control of shape (4, 6): .*: transpose it"),
+        (STATE[:, :4][None], CONTROL[:, :4], "state of shape (1, 16, 4)"),
+        (STATE[:, :0], CONTROL[:, :0], "state of shape (16, 0)"),
+        (3.0, CONTROL[:, 0], "state of shape ()"),
+        (STATE[:, :4], CONTROL[:, :3], "state of shape (16, 4) with desired control of shape (6, 3)"),
+        (STATE[:, :1], CONTROL[:, 0], "state of shape (16, 1) with desired control of shape (6,)"),
+        (changed(i9=3.0), CONTROL[:, 0], "quaternion (components 6 to 9 of the state): must have length 1 to 1e-06"),
+        (HALF, CONTROL[:, :4], "quaternion .* in column 2: must have length 1 to 0.0001"),
+        (changed(i3=math.nan), CONTROL[:, 0], "state holds NaN or infinity: must be finite"),
+        (STATE[:, 0], [math.inf] * 6, "desired control holds NaN or infinity"),
+        (None, CONTROL[:, 0], "state: must be a NumPy array, a PyTorch tensor or a list of numbers"),
+        (STATE[:, 0], "abcdef", "desired control: must be a NumPy array"),
+        ([[1.0], 2.0], CONTROL[:, 0], "state: must be a NumPy array"),
+        (STATE[:, 0], [True] * 6, "desired control: must be a NumPy array"),
+        (STATE[:, 0], CONTROL[:, 0] * 1j, "desired control of type complex128: must be float64, float32"),
+        (STATE[:, 0].astype(object), CONTROL[:, 0], "state of type object"),
+        (STATE[:, 0].astype(np.longdouble), CONTROL[:, 0], f"state of type {np.dtype(np.longdouble)}: must be"),
+        (np.ma.masked_greater(STATE[:, 0], 5.0), CONTROL[:, 0], "state holds masked numbers"),
+        (STATE[:, 0], torch.ones(6).to_sparse(), "desired control of layout torch.sparse_coo: must be dense"),
+        (STATE[:, 0].astype(np.float16), CONTROL[:, 0], "state of type torch.float16: must be float64, float32"),
+        (STATE[:, 0], torch.zeros(6, dtype=torch.bool), "desired control of type torch.bool"),
+    ],
+)  # fmt: skip
+def test_what_is_wrong_is_refused_in_a_line(safety: SafetyFilter, x: Any, u: Any, message: str) -> None:
+    pattern = re.escape(message).replace(r"\.\*", ".*")
+    with pytest.raises(ValueError, match=f"^{pattern}") as refusal:
+        safety(x, u)
+    assert "\n" not in str(refusal.value)

@@ -1,0 +1,195 @@
+"""Single calls next to the filter's limits: where the states are, what is found, and how it is counted."""
+
+import json
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+
+from inspection.environment import InspectionEnv
+from rta.constraints.constraint import CONSTRAINTS
+from rta.filter import FilterResult, SafetyFilter
+from study.boundary import boundary, limits
+from study.boundary.boundary import Boundary, run, tried
+from study.boundary.report import empty_report, table
+from study.command_line.paths import KINDS
+from study.config import Config, override
+from study.experiment import Experiment
+from tests.test_main import assert_refused
+
+BATCH = 48
+
+
+def experiment_in(plant: dict[str, Any]) -> Experiment:
+    train = {"compile": "off", "device": "cpu"}
+    return Experiment(override(Config(), {"train": train, "plant": plant}, "test"), BATCH * boundary.TRIES)
+
+
+@pytest.fixture(scope="module")
+def nominal() -> Experiment:
+    return experiment_in({})
+
+
+@pytest.fixture(scope="module")
+def near(nominal: Experiment) -> limits.NearLimits:
+    """States with gaps that few bisections find."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(limits, "BISECTIONS", (4, 10))
+        patch.setattr(limits, "GAP", (1e-3, 1e-1))
+        barriers_at = partial(limits.barriers, safety_filter=nominal.filter)
+        return limits.near_limits(BATCH, 3, nominal.filter, barriers_at, "cpu")
+
+
+@pytest.fixture(autouse=True)
+def drawn_once(near: limits.NearLimits, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(boundary, "near_limits", lambda *_: near)
+
+
+def report_of(experiment: Experiment, draws: int = BATCH, path: Path | None = None) -> dict[str, Any]:
+    return list(run(Boundary(1.0, 5, BATCH), draws, experiment, path))[-1]
+
+
+def test_states_are_safe_and_next_to_what_they_were_aimed_at(
+    near: limits.NearLimits, nominal: Experiment
+) -> None:
+    assert nominal.filter.is_safe(near.state).all()
+    values = limits.barriers(near.state, nominal.filter)
+    scale = torch.tensor(limits.scales(nominal.filter), dtype=torch.float64)
+    left = values.gather(0, near.targets) / scale[near.targets]
+    assert ((left >= 0.0) & (left <= limits.GAP[1])).all()
+    assert (values[:, near.within] >= 0.0).all() and near.within.any() and not near.within.all()
+    assert len(near.limits[0].unique()) > 7
+    pair = near.limits[0] != near.limits[1]
+    assert pair.any() and not pair.all()
+
+
+def test_the_distances_to_limits_agree_with_the_filters_own(
+    near: limits.NearLimits, nominal: Experiment
+) -> None:
+    h, enforced, _ = limits.barriers(near.state, nominal.filter).split(len(CONSTRAINTS))
+    torch.testing.assert_close(h, nominal.filter.values(near.state), rtol=0.0, atol=1e-4)
+    for degree in (1, 2):
+        own = [each.degree == degree for each in entries(nominal.filter)]
+        held = torch.stack([group.holds(near.state, degree) for group in nominal.filter.groups]).all(0)
+        assert ((enforced[torch.tensor(own)] >= 0.0).all(0) == held).all()
+
+
+def entries(safety_filter: SafetyFilter) -> list[Any]:
+    of = {each.name: each for group in safety_filter.groups for each in group.constraints}
+    return [of[name] for name in CONSTRAINTS]
+
+
+def test_nothing_is_violated_in_the_model(nominal: Experiment) -> None:
+    report = report_of(nominal)
+    assert report["draws"] == BATCH
+    assert report["violating_draws"]["any"] == 0 == report["violating_at_end"]["any"] == report["unsolved"]
+    assert report["upper_bound_95"] == pytest.approx(1 - 0.05 ** (1 / BATCH))
+    parts = [*report["limits"].values(), *report["pairs"].values()]
+    assert sum(part["draws"] for part in parts) == BATCH
+    case = report["worst"]["keep_in_zone"][0]
+    assert case["value"] == report["worst_value"]["keep_in_zone"]
+    assert nominal.filter.is_safe(torch.tensor(case["state"], dtype=torch.float64)[:, None]).all()
+
+
+def test_a_heavier_plant_is_reported_with_what_shows_it(nominal: Experiment) -> None:
+    heavy = experiment_in({"mass_factor": 1.3})
+    heavy.filter, heavy.safety = nominal.filter, nominal.safety
+    report = report_of(heavy)
+    violated = [name for name in CONSTRAINTS if report["violating_draws"][name]]
+    assert {"dynamic_speed", "keep_in_zone"} & set(violated)
+    assert (
+        sum(part["violating"] for part in (*report["limits"].values(), *report["pairs"].values()))
+        == (report["violating_draws"]["any"])
+    )
+    assert all(f"{name} {report['violating_draws'][name]}" in table(report) for name in violated)
+    assert 0 < report["violating_at_end"]["any"] <= report["violating_draws"]["any"]
+    case = report["worst"][violated[0]][0]
+    assert case["value"] < 0.0
+    # flown again
+    x, desired = (
+        torch.tensor(case[name], dtype=torch.float64)[:, None] for name in ("state", "control_desired")
+    )
+    env = heavy.env(1, None, 1.0, boundary.CHECK_BETWEEN)
+    again = tried(env, heavy.filter, x, desired[None], torch.tensor([case["plant"]]).double())
+    assert again.smallest[CONSTRAINTS.index(violated[0]), 0].item() == pytest.approx(case["value"], abs=1e-9)
+
+
+def test_what_a_filter_without_effect_leaves_is_violated_and_lost(
+    near: limits.NearLimits, nominal: Experiment, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    correct = SafetyFilter.correct
+
+    def passed(safety_filter: SafetyFilter, x: torch.Tensor, desired: torch.Tensor) -> FilterResult:
+        result = correct(safety_filter, x, desired)
+        result.control = desired
+        return result
+
+    monkeypatch.setattr(SafetyFilter, "correct", passed)
+    experiment = experiment_in({})
+    experiment.filter = nominal.filter
+    experiment.safety = nominal.filter.safety()
+    report = report_of(experiment)
+    assert report["violating_draws"]["any"] > 5
+    assert report["lost_draws"]["any"] > 0
+    assert any(report["lost"][name] for name in CONSTRAINTS)
+
+
+def test_not_a_number_counts_as_violated(
+    near: limits.NearLimits, nominal: Experiment, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    values = InspectionEnv.constraint_values
+    monkeypatch.setattr(
+        InspectionEnv,
+        "constraint_values",
+        lambda env, x: values(env, x).index_fill(0, torch.tensor(3), torch.nan),
+    )
+    env = nominal.env(BATCH, None, 1.0, boundary.CHECK_BETWEEN)
+    result = tried(env, nominal.filter, near.state, torch.zeros(1, 6, BATCH).double(), torch.zeros(BATCH))
+    assert (result.smallest[3] == -torch.inf).all() and (result.smallest[[0, 1, 2]] >= 0.0).all()
+
+
+def test_more_draws_go_on_where_the_report_ends(nominal: Experiment, tmp_path: Path) -> None:
+    for path, counts in ((tmp_path / "on.json", (1, 2 * BATCH)), (tmp_path / "once.json", (2 * BATCH,))):
+        for draws in counts:
+            report_of(nominal, draws, path)
+    on, once = ((tmp_path / f"{name}.json").read_bytes() for name in ("on", "once"))
+    assert on == once and json.loads(on)["draws"] == 2 * BATCH
+    assert KINDS["report of verify"](tmp_path / "on.json")  # so that a later command may write it
+
+
+def test_the_text_fits_into_100_columns(nominal: Experiment) -> None:
+    report = empty_report(Boundary(1.0, 0, BATCH, 4), Config())
+    counts = {"draws": 10**9, "violating": 10**9, "lost": 10**8, "upper_bound_95": 1.2e-10}
+    many = dict.fromkeys((*CONSTRAINTS, "any"), 10**9)
+    report |= dict.fromkeys(("violating_draws", "violating_at_end", "lost_draws", "yielding_draws"), many)
+    report |= {"limits": dict.fromkeys(CONSTRAINTS, counts), "pairs": {"a + b": counts}, "draws": 10**10}
+    report["within_margins"] = {"any": counts}
+    report |= {"worst_value": dict.fromkeys(CONSTRAINTS, -1.2345e-123)}
+    assert max(map(len, table(report).splitlines())) <= 100
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--boundary", "0"], ["--boundary", "'0'"]),
+        (["--boundary", "9", "--episodes", "5"], ["--boundary has no use for --episodes", "drop"]),
+        (["--boundary", "9", "--policy", "random", "--duration", "9"], ["--policy, --duration"]),
+        (["--boundary", "9", "--replay", "x.npz"], ["drop --boundary"]),
+    ],
+)
+def test_flags_without_a_meaning_are_refused(
+    arguments: list[str], words: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert_refused(["verify", *arguments], words, capsys)
+
+
+def test_a_report_of_episodes_is_refused(tmp_path: Path, nominal: Experiment) -> None:
+    path = tmp_path / "report.json"
+    report_of(nominal, 1, path)
+    report = json.loads(path.read_text())
+    report["campaign"]["seed"] = 6
+    path.write_text(json.dumps(report))
+    with pytest.raises(ValueError, match="another campaign"):
+        report_of(nominal, 1, path)

@@ -1,0 +1,144 @@
+"""`export --filter` and `verify --filter`: what the header says of campaigns, what is refused, what the C flies."""
+
+import json
+import re
+from pathlib import Path
+
+import pytest
+import torch
+
+from kernels import build
+from rta.filter import SafetyFilter
+from rta.printed.loaded import REALS, InC
+from study import verified
+from study.command_line.arguments import COMMANDS
+from study.config import Config, load
+from study.export.filter import said_of
+from tests.rta.constraints.test_constraints import tensor
+from tests.rta.test_filter import C, R, commands, near_the_limits
+from tests.test_main import assert_refused, call
+
+REPORTS = verified.ROOT / "runs" / "reference" / "verification"
+
+
+@pytest.fixture
+def compiler() -> None:
+    try:
+        build.compiler()
+    except build.NoCompilerError as error:
+        pytest.skip(str(error))
+
+
+def test_the_header_names_the_campaigns_of_its_configuration(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    code, out, err = call(["export", "--filter", str(tmp_path / "c")], capsys)
+    assert code == 0, err
+    head = (tmp_path / "c" / "safety_filter.h").read_text()
+    assert "SAFETY_FILTER_VERIFIED 1" in head and "random.json: random, 30,000 episodes" in head
+    digest = re.findall(r'CONFIGURATION "([0-9a-f]{64})"', head)
+    assert digest == [verified.settings_digest(Config())] and verified.fingerprint(Config()) in head
+    assert "make -C" in out and "Verified" in out
+
+
+def test_a_changed_filter_says_that_it_is_not_verified(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "own.toml").write_text("[inspection]\nmass = 13.0\n")
+    arguments = ["export", "--filter", str(tmp_path / "c"), "--config", str(tmp_path / "own.toml")]
+    code, out, err = call(arguments, capsys)
+    assert code == 0, err
+    assert "NOT VERIFIED" in out
+    head = (tmp_path / "c" / "safety_filter.h").read_text()
+    assert "SAFETY_FILTER_VERIFIED 0" in head and "NOT VERIFIED" in head.splitlines()[2]
+
+
+@pytest.mark.parametrize(
+    ("plant", "real", "begins"),
+    [("", "float", "Verified"), ("u1", "double", "Verified"), ("u1", "float", "NOT VERIFIED")],
+)
+def test_single_precision_is_verified_by_its_own_campaigns(plant: str, real: str, begins: str) -> None:
+    config = load(Path(f"configs/plants/{plant}.toml"), Config()) if plant else Config()
+    said = said_of(config, real)
+    assert said.startswith(begins)
+    assert all(("single precision" in line) == (real == "float") for line in said.splitlines()[1:])
+
+
+def test_a_violation_in_c_is_said_of_the_c_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    report = json.loads((REPORTS / "in_c_random.json").read_text())
+    report["violating_episodes"]["any"] = 1
+    (tmp_path / "broken.json").write_text(json.dumps(report))
+    monkeypatch.setattr(verified, "REPORTS", str(tmp_path))
+    assert said_of(Config(), "double").startswith("NOT VERIFIED")
+    assert verified.doubt(Config(), [], None) is None
+
+
+def test_the_campaigns_in_c_counted_what_those_in_python_did() -> None:
+    """The page says so; 10,000 episodes of the same seed stand in both reports as far as they go."""
+    report = json.loads((REPORTS / "in_c_random.json").read_text())
+    assert report["campaign"]["filter"] == "c" and report["episodes"] == 10_000
+    for name in ("in_c_random", "in_c_adversarial", "in_c_float_random", "in_c_float_adversarial"):
+        each = json.loads((REPORTS / f"{name}.json").read_text())
+        assert each["violating_episodes"]["any"] == 0 and each["unsolved"] == 0
+
+
+@pytest.mark.usefixtures("compiler")
+@pytest.mark.parametrize("form", REALS)
+def test_the_c_answers_a_batch_as_the_filter(form: str) -> None:
+    safety_filter = SafetyFilter(C, R)
+    x, u = tensor(near_the_limits(2000, seed=3)), 1.1 * commands(2000, seed=3)
+    expected, found = safety_filter.correct(x, u), InC(safety_filter, REALS[form]).correct(x, u)
+    most = {"c": 0.0, "c-float": 0.005}[form]
+    same = (expected.status == found.status) & (expected.active == found.active).all(0)
+    assert (~same).double().mean() <= most
+    solved = same & (expected.status < 2)
+    off = (expected.control - found.control)[:, solved].abs() / tensor(C.control_limit)[:, None]
+    assert off.max() <= {"c": 1e-6, "c-float": 5e-2}[form]  # PIQP solves in Python here
+    assert torch.equal(found.intervened, found.status > 0)
+    with pytest.raises(ValueError, match="controls sent"):
+        InC(safety_filter).correct(x, u, u[None])
+
+
+@pytest.mark.usefixtures("compiler")
+def test_a_campaign_flies_through_the_c(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    reports = []
+    for form in ("python", "c"):
+        path = tmp_path / f"{form}.json"
+        arguments = ["verify", "--episodes", "16", "--duration", "60", "--device", "cpu", "--threads", "1"]
+        code, _, err = call([*arguments, "--filter", form, "--json", str(path)], capsys)
+        assert code == 0, err
+        reports.append(json.loads(path.read_text()))
+    assert [each["campaign"]["filter"] for each in reports] == ["python", "c"]
+    assert reports[0]["filter_calls"] == reports[1]["filter_calls"]
+    arguments = ["verify", "--episodes", "16", "--duration", "60", "--filter", "c-float", "--json"]
+    assert_refused([*arguments, str(tmp_path / "c.json")], ["holds another campaign"], capsys)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--filter", "file"], ["--filter file", "cannot write there"]),
+        (["--filter", "full"], ["--filter full", "holds no filter but main.c", "name a new directory"]),
+        (["--filter", "c", "--checkpoint", "p.pt"], ["--filter", "no use for --checkpoint"]),
+        (["--c", "c", "--checkpoint", "p.pt", "--float"], ["--c", "no use for --float"]),
+        (["--filter", "c", "--config", "odd.toml"], ["max_thrust"]),
+    ],
+)
+def test_bad_calls_are_refused(
+    arguments: list[str],
+    words: list[str],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "file").touch()
+    (tmp_path / "full").mkdir()
+    (tmp_path / "full" / "main.c").write_text("int main(void) { return 0; }\n")
+    (tmp_path / "odd.toml").write_text("[inspection]\nmax_thrust = -1.0\n")
+    assert_refused(["export", *arguments], words, capsys)
+
+
+def test_forms_of_the_filter_are_those_that_verify_flies() -> None:
+    (flag,) = [each for each in COMMANDS["verify"].flags if each.name == "--filter"]
+    assert flag.options["choices"] == ("python", *REALS)

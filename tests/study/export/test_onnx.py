@@ -1,0 +1,145 @@
+"""The exported agent: what it answers, what it says of itself, and when the command refuses."""
+
+import json
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import onnxruntime
+import pytest
+import torch
+
+import main
+from inspection.environment import InspectionEnv
+from inspection.model.parameters import ChiefParameters, InspectionParameters
+from inspection.observation import observe
+from ppo.network import Policy
+from study.config import Config, override
+from study.errors import ExportError
+from study.experiment import load_policy, make_policy
+from study.export import onnx as export
+from study.flight.controllers import agent
+from tests.test_main import assert_refused, call
+
+C = InspectionParameters(max_thrust=2.0)
+SHIPPED = Path(main.__file__).parent / "runs" / "reference" / "study" / "rta" / "seed0" / "policy.pt"
+
+
+def untrained(seed: int, **shape: float) -> Policy:
+    """An untrained agent whose actions are not small."""
+    config = override(Config(), {"ppo": shape}, "test")
+    policy = make_policy(config, [torch.Generator().manual_seed(seed)])
+    with torch.no_grad():
+        policy.network.layers[-1].weight *= 100
+        policy.network.layers[0].bias += 0.1
+    return policy
+
+
+def session_of(model: bytes) -> onnxruntime.InferenceSession:
+    return onnxruntime.InferenceSession(model, providers=["CPUExecutionProvider"])
+
+
+@pytest.mark.parametrize("shape", [{}, {"action_power": 2.0, "action_dead_zone": 0.1}, {"action_power": 1.5}])
+@pytest.mark.parametrize("batch", [1, 256])
+def test_any_batch_is_answered_as_by_pytorch(batch: int, shape: dict[str, float]) -> None:
+    policy = untrained(0, **shape)
+    observation = torch.randn(batch, 26, generator=torch.Generator().manual_seed(1))
+    (control,) = session_of(export.to_onnx(policy, C, ChiefParameters())).run(
+        None, {"observation": observation.numpy()}
+    )
+    assert control.dtype == np.float32 and control.shape == (batch, 6)
+    assert np.abs(control).max() > 0.5
+    np.testing.assert_allclose(control, policy.mean_action(observation[None])[0], atol=1e-5)
+
+
+def test_metadata_lead_from_a_state_to_newtons(random_states) -> None:
+    """Observed in physical units and scaled as the file says, a state gets the control that a simulation gives it."""
+    policy, session = untrained(0), session_of(export.to_onnx(untrained(0), C, ChiefParameters()))
+    about = {key: json.loads(text) for key, text in session.get_modelmeta().custom_metadata_map.items()}
+    assert about["action_period"] == 10.0
+    env = InspectionEnv(5, C, [torch.Generator().manual_seed(0)])
+    env.reset()
+    env.x = random_states(5)
+    o = observe(env.x, env.priority, env.uninspected, env.score, C).T.numpy()
+    divisors = np.array([component["scale"] for component in about["observation"]])
+    (control,) = session.run(None, {"observation": (o / divisors).astype(np.float32)})
+    scaled = control * np.array([component["scale"] for component in about["control"]])
+    np.testing.assert_allclose(scaled.T, agent(policy, env)(0.0, env.x), atol=2e-5)
+
+
+def test_metadata_lead_to_what_the_agent_observed(random_states) -> None:
+    """Also where that depends on horizons and radii of its training, which are not the paper's."""
+    c = replace(C, observed=("position", "free_flight"), free_flight_horizon=6000.0, deputy_radius=3.0)
+    about = export.metadata(c, ChiefParameters())
+    table = {k: tuple(v) if isinstance(v, list) else v for k, v in json.loads(about["inspection"]).items()}
+    x, rest = random_states(5), [torch.zeros(3, 5).double()] * 2 + [torch.zeros(5).double()]
+    seen = observe(x, *rest, InspectionParameters(**table))
+    assert torch.equal(seen, observe(x, *rest, c))
+    assert len(seen) == len(json.loads(about["observation"])) == 10
+    assert not torch.equal(seen, observe(x, *rest, replace(C, observed=c.observed)))
+
+
+def test_metadata_lead_to_the_chief_that_the_agent_inspected() -> None:
+    chief = ChiefParameters(mesh="configs/chiefs/box.npz", rate=(0.0, 0.1, 0.0), collision="sphere")
+    table = json.loads(export.metadata(C, chief)["chief"])
+    assert ChiefParameters(**{k: tuple(v) if isinstance(v, list) else v for k, v in table.items()}) == chief
+
+
+def test_metadata_name_every_component() -> None:
+    about = export.metadata(C, ChiefParameters())
+    observed, commanded = json.loads(about["observation"]), json.loads(about["control"])
+    assert [len(observed), len(commanded)] == [26, 6]
+    assert observed[0] == {"name": "position_norm", "unit": "m", "scale": 100.0}
+    assert observed[8] == {"name": "angular_velocity_x", "unit": "rad/s", "scale": 0.035}
+    assert commanded[0] == {"name": "thrust_x", "unit": "N", "scale": 2.0}
+    assert commanded[5] == {"name": "torque_z", "unit": "N m", "scale": pytest.approx(0.0573 * 0.017453)}
+
+
+@pytest.mark.parametrize("flaw", [1e-3, float("nan")])
+def test_another_network_is_not_passed(flaw: float) -> None:
+    policy = untrained(0)
+    model = export.to_onnx(policy, C, ChiefParameters())
+    assert export.check(model, policy) <= 1e-5
+    policy.network.layers[1].weight.data[0, 3, 5] += flaw
+    with pytest.raises(ExportError, match="differ"):
+        export.check(model, policy)
+
+
+def test_a_difference_ends_in_one_line_and_exit_code_1(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    policy, config = load_policy(SHIPPED)
+    for weight in policy.parameters():
+        weight.data *= 1.01
+    other = export.to_onnx(policy, config.inspection, config.chief)
+    monkeypatch.setattr(export, "to_onnx", lambda *_: other)
+    out = tmp_path / "policy.onnx"
+    code, _, err = call(["export", "--checkpoint", str(SHIPPED), "--out", str(out)], capsys)
+    assert code == 1 and err.count("\n") == 1 and "differ from PyTorch's" in err
+    assert not out.exists()
+
+
+def test_limits_are_those_of_the_checkpoint(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    config = override(Config(), {"inspection": {"max_thrust": 0.5}}, "test")
+    content = {"policy": untrained(0).state_dict(), "config": config.to_toml()}
+    torch.save(content, tmp_path / "policy.pt")
+    out = tmp_path / "policy.onnx"
+    arguments = ["export", "--checkpoint", str(tmp_path / "policy.pt"), "--out", str(out)]
+    code, text, err = call(arguments, capsys)
+    assert code == 0, err
+    assert "policy.onnx" in text and "1,000 observations" in text
+    about = session_of(out.read_bytes()).get_modelmeta().custom_metadata_map
+    assert json.loads(about["control"])[0]["scale"] == 0.5
+
+
+def test_a_missing_package_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setitem(sys.modules, "onnx", None)
+    monkeypatch.delitem(sys.modules, "study.export.onnx")
+    monkeypatch.delattr("study.export.onnx")
+    out = str(tmp_path / "policy.onnx")
+    assert_refused(
+        ["export", "--checkpoint", str(SHIPPED), "--out", out], ["onnx", "requirements.txt"], capsys
+    )
