@@ -40,8 +40,8 @@ def run_train(
     configure: Configure, run_dir: str | None = None, init_from: str | None = None, resume: str | None = None
 ) -> None:
     """main.py train"""
+    from study.machine.provenance import recorded_threads
     from study.training import session as training
-    from study.training.provenance import recorded_threads
     from study.training.run import Stopped
     from study.verified import say_unless_verified
 
@@ -67,7 +67,7 @@ def run_train(
 
 def run_study(configure: Configure, study_dir: str = "runs/study") -> None:
     """main.py study"""
-    from study.training.provenance import recorded_threads
+    from study.machine.provenance import recorded_threads
     from study.training.run import Stopped
     from study.training.study import read_settings, train_and_evaluate
 

@@ -1,9 +1,7 @@
 """An experiment, built once from its configuration: device, filter, environments and policies."""
 
-import functools
 import os
-import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
@@ -19,28 +17,24 @@ from inspection.initial_state import InitialStates, uniform
 from inspection.model.parameters import InspectionParameters
 from inspection.model.state import CONTROL_SIZE
 from inspection.observation import components
-from kernels.build import NoCompilerError, compiler
 from ppo import checkpoint
 from ppo.checkpoint import CheckpointError
-from ppo.distributed import local_rank
 from ppo.network import Policy, Value
 from rta.filter import SafetyFilter
 from rta.parameters import RtaParameters
 from study import config as configuration
 from study.commands import EPISODE
 from study.config import Config
-from study.errors import InputError, in_one_line, refusing
+from study.errors import InputError, refusing
+from study.machine.compiling import (
+    WORTH_COMPILING_SIMULATOR,
+    compile_or_explain,
+    repaid_after,
+    wants_compile,
+)
+from study.machine.device import resolve_device
 from study.machine.progress import step
 from study.machine.threads import THREADS
-
-# Compiling takes 3 s the first time, which as many filter calls or steps (of a batch each) repay.
-WORTH_COMPILING_FILTER = 150
-WORTH_COMPILING_SIMULATOR = 150
-# Where there is no compiler: tracing takes 5 s and saves 10 ms of a call's 20, for one spacecraft as for hundreds.
-WORTH_TRACING_FILTER = 500
-# Where controls are held a call takes 0.5 to 1.4 s (32 to 256 spacecraft), traced a fifth less, compiled some ms;
-# tracing takes 20 s, compiling 4 to 10 the first time.
-WORTH_COMPILING_HELD, WORTH_TRACING_HELD = 30, 150
 
 # Spacecraft from which the batched solver is the faster one on a CPU where nothing is compiled: about half of them have
 # a program to solve, and `python main.py benchmark` shows both solvers by the number of programs at once, which cross
@@ -80,7 +74,7 @@ class Experiment:
         self.device = resolve_device(config.train.device)
         THREADS.settle()
         choice, calls = config.train.compile, seconds / config.rta.period
-        worth_compiling, self.worth_tracing = worthwhile(config)
+        worth_compiling, self.worth_tracing = repaid_after(config.uncertainty.holds(config.rta))
         self.filter_compiled = config.train.rta and wants_compile(choice, calls >= worth_compiling)
         self.config = settled(config, batch, self.device, self.filter_compiled)
         self.compiled = wants_compile(choice, steps >= WORTH_COMPILING_SIMULATOR)
@@ -216,13 +210,6 @@ def check_cache() -> None:
             Path(path).mkdir(parents=True, exist_ok=True)
 
 
-def worthwhile(config: Config) -> tuple[int, int]:
-    """Filter calls that repay compiling it, and tracing it."""
-    if config.uncertainty.holds(config.rta):
-        return WORTH_COMPILING_HELD, WORTH_TRACING_HELD
-    return WORTH_COMPILING_FILTER, WORTH_TRACING_FILTER
-
-
 def settled(config: Config, batch: int, device: torch.device, compiled: bool = False) -> Config:
     """The configuration with the solver and the chief's mesh settled, which determine a run's numbers.
 
@@ -239,56 +226,6 @@ def settled(config: Config, batch: int, device: torch.device, compiled: bool = F
     suits_piqp = device.type == "cpu" and batch < WORTH_BATCHING and not is_held and not compiled
     solver = "piqp" if suits_piqp else "batched"
     return replace(config, rta=replace(config.rta, qp_solver=solver))
-
-
-def resolve_device(name: str) -> torch.device:
-    """The device for auto, cpu or cuda."""
-    if name == "cuda" and not torch.cuda.is_available():
-        raise InputError(
-            "device cuda: no CUDA device is available here; allowed are auto and cpu (--device cpu)"
-        )
-    device = torch.device(
-        "cuda" if name == "auto" and torch.cuda.is_available() else name.replace("auto", "cpu")
-    )
-    if device.type == "cuda" and local_rank() > 0:  # each rank of a machine has a device of its own
-        devices = torch.cuda.device_count()
-        if local_rank() >= devices:
-            raise InputError(f"device cuda: {devices} here, too few for rank {local_rank()} of this machine")
-        torch.cuda.set_device(local_rank())
-    return device
-
-
-def wants_compile(choice: str, repaid: bool) -> bool:
-    """Whether to compile for --compile auto, on or off, given whether the run is long enough to repay it."""
-    return (choice == "on" or (choice == "auto" and repaid)) and finds_compiler()
-
-
-@functools.cache
-def finds_compiler() -> bool:
-    """Whether there is a C compiler; if not, says so, once."""
-    try:
-        compiler()
-    except NoCompilerError as error:
-        print(f"{error}; uncompiled, this is slower", file=sys.stderr)
-        return False
-    return True
-
-
-def compile_or_explain(what: str, compile: Callable[[], None]) -> bool:
-    """Compiles; where that fails, says so in a line. Returns whether it went well."""
-    try:
-        with step(f"compiling the {what}, seconds"):
-            compile()
-    except Exception as error:  # a missing or broken compiler, a full or read-only cache: in many ways
-        reason = error.strerror if isinstance(error, OSError) and error.strerror else type(error).__name__
-        reason = in_one_line(str(error)) if isinstance(error, NotImplementedError) else reason
-        where = f": {error.filename}" if isinstance(error, OSError) and error.filename else ""
-        print(
-            f"the {what} could not be compiled ({reason}{where}); uncompiled, it is slower",
-            file=sys.stderr,
-        )
-        return False
-    return True
 
 
 def make_policy(config: Config, generators: Sequence[torch.Generator]) -> Policy:

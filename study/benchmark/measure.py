@@ -22,8 +22,9 @@ from study.benchmark.breakdown import breakdown
 from study.benchmark.flights import record, trained, untrained
 from study.benchmark.timing import Spread, seconds, us
 from study.config import Config, load
-from study.experiment import Experiment, compile_or_explain, wants_compile
+from study.experiment import Experiment
 from study.files import ROOT
+from study.machine.compiling import compile_or_explain, wants_compile
 
 BATCHES = (256, 1024, 4096, 16384, 65536)
 TYPICAL = {"cpu": 4096, "cuda": 65536}  # the batch of the headline numbers

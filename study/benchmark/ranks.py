@@ -25,7 +25,7 @@ from study.benchmark.timing import typical_seconds
 from study.command_line.flags import Parser
 from study.config import Config
 from study.files import ROOT, write_json
-from study.training.provenance import provenance
+from study.machine.provenance import provenance
 from study.training.run import Run
 
 RANKS = (1, 2, 4, 8, 16, 32)  # of the projection

@@ -17,7 +17,8 @@ from rta.qp.batched_solver import BatchedSolver
 from rta.qp.programs import Problems, Solver
 from study.benchmark.flights import Agent, Flight
 from study.benchmark.timing import Spread, in_turn, per_second, seconds
-from study.experiment import Experiment, compile_or_explain
+from study.experiment import Experiment
+from study.machine.compiling import compile_or_explain
 
 KINDS = {"numpy": "NumPy", "torch": "PyTorch"}  # of arrays that Gymnasium's interface takes and gives
 WARM_CALLS, SINGLE_CALLS = 50, 1000

@@ -28,8 +28,9 @@ from study.boundary.limits import BISECTIONS, CANDIDATES, barriers, near_limits
 from study.boundary.report import Tried, add, empty_report, held_by_the_plant
 from study.config import Config, StudyConfig
 from study.errors import refusing
-from study.experiment import Experiment, check_clocks, compile_or_explain
+from study.experiment import Experiment, check_clocks
 from study.files import write_json
+from study.machine.compiling import compile_or_explain
 from study.machine.progress import bar
 from study.verification.adversaries import adversarial
 from study.verification.campaign import blamed

@@ -1,1 +1,1 @@
-"""The machine: threads and progress."""
+"""The machine: compiling, threads, device, progress, one process to a directory, and what describes it all."""

@@ -16,10 +16,12 @@ from ppo.learner import PPO, NonFiniteError
 from ppo.trainer import Trainer
 from study.commands import after_training, command
 from study.config import TEST_CASES, AnyConfig, Config
-from study.experiment import Experiment, compile_or_explain, resolve_device, settled
+from study.experiment import Experiment, settled
 from study.files import write_json
 from study.flight.evaluation import Episodes, play, play_and_record, report
 from study.flight.figures import episode_figure
+from study.machine.compiling import compile_or_explain
+from study.machine.device import resolve_device
 from study.paper import tables
 from study.training.adversary import Adversary
 from study.training.jump_start import jump_start

@@ -20,11 +20,11 @@ from study.experiment import (
     check_plant,
     check_weights,
     load_policy,
-    resolve_device,
 )
 from study.files import write_text
-from study.training.lock import alone_in
-from study.training.provenance import write_settings
+from study.machine.device import resolve_device
+from study.machine.lock import alone_in
+from study.machine.provenance import write_settings
 from study.training.run import CHECKPOINT, Run, settled_for_a_seed
 
 # What a run writes first, in this order; before the last one, there is no run yet.

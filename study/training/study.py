@@ -16,9 +16,9 @@ from study.config import TEST_CASES, StudyConfig
 from study.errors import InputError, refusing
 from study.files import write_json, write_npz
 from study.flight.evaluation import Episodes, report
+from study.machine.lock import alone_in
+from study.machine.provenance import write_settings
 from study.paper import Results, tables
-from study.training.lock import alone_in
-from study.training.provenance import write_settings
 from study.training.run import Run, Stopped, on_signal, settled_for_a_seed
 from study.training.session import check, create, resume
 from study.verified import fingerprint, say_unless_verified

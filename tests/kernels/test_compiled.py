@@ -24,6 +24,7 @@ from rta.qp import batched_solver
 from rta.qp.programs import Status
 from study import experiment
 from study.config import Config, TrainParameters
+from study.machine import compiling
 
 C = InspectionParameters()
 
@@ -155,13 +156,13 @@ def test_without_a_compiler_nothing_is_compiled_and_one_line_says_so(
     def missing() -> str:
         raise NoCompilerError("no C compiler was found")
 
-    monkeypatch.setattr(experiment, "compiler", missing)
-    experiment.finds_compiler.cache_clear()
+    monkeypatch.setattr(compiling, "compiler", missing)
+    compiling.finds_compiler.cache_clear()
     try:
-        assert not experiment.wants_compile("on", True)
-        assert not experiment.wants_compile("auto", True)
+        assert not compiling.wants_compile("on", True)
+        assert not compiling.wants_compile("auto", True)
     finally:
-        experiment.finds_compiler.cache_clear()
+        compiling.finds_compiler.cache_clear()
     message = capsys.readouterr().err
     assert message.count("\n") == 1 and "compiler" in message
 
@@ -170,7 +171,7 @@ def test_the_filter_is_compiled_for_the_device(monkeypatch: pytest.MonkeyPatch) 
     used, elsewhere = [], torch.device("meta")
     monkeypatch.setattr(SafetyFilter, "compile", lambda _, device, batch: used.append((device, batch)))
     monkeypatch.setattr(experiment, "resolve_device", lambda _: elsewhere)
-    monkeypatch.setattr(experiment, "finds_compiler", lambda: True)
+    monkeypatch.setattr(compiling, "finds_compiler", lambda: True)
     experiment.Experiment(Config(TrainParameters(compile="on")), batch=7)
     assert used == [(elsewhere, 7)]
 
@@ -204,7 +205,7 @@ def test_a_filter_that_is_not_compiled_is_traced_where_that_is_repaid(
 
     monkeypatch.setattr(SafetyFilter, "compile", compile_)
     monkeypatch.setattr(SafetyFilter, "trace", lambda *_: done.append("trace"))
-    monkeypatch.setattr(experiment, "finds_compiler", lambda: True)
+    monkeypatch.setattr(compiling, "finds_compiler", lambda: True)
     config = Config(TrainParameters(compile=choice, rta=True), uncertainty=Uncertainty(mass=mass))
     made = experiment.Experiment(config, 7, float(calls))
     assert done == expected and made.filter_compiled == (works and "compile" in expected)

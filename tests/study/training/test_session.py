@@ -20,9 +20,8 @@ import main
 from ppo import checkpoint, trainer
 from ppo.learner import PPO
 from study import config as configuration
-from study.errors import InputError
 from study.experiment import load_policy
-from study.training import lock, provenance
+from study.machine import lock, provenance
 from study.training import session as training
 
 ROOT = Path(main.__file__).parent
@@ -200,18 +199,6 @@ def test_a_live_run_is_nobody_elses_until_a_kill_in_the_midst_of_a_save(
         os.kill(child, 9)
     assert_same(run, whole)
     assert not list(run.glob("*.tmp"))
-
-
-def test_where_there_are_no_locks_nothing_is_locked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    with lock.alone_in(tmp_path, "--run-dir"):
-        with pytest.raises(InputError, match="another process"), lock.alone_in(tmp_path, "--run-dir"):
-            pass
-        monkeypatch.setattr(lock, "fcntl", None)
-        with lock.alone_in(tmp_path, "--run-dir"):
-            pass
-        monkeypatch.undo()
-    with lock.alone_in(tmp_path, "--run-dir"):
-        assert not list(tmp_path.iterdir())
 
 
 def test_a_study_has_its_directory_to_itself(

@@ -12,8 +12,8 @@ import torch
 
 from ppo.distributed import ranks
 from study.config import Config
-from study.experiment import resolve_device
 from study.files import ROOT, write_json, write_text
+from study.machine.device import resolve_device
 from study.machine.threads import THREADS
 
 PACKAGES = ("torch", "numpy", "piqp", "scipy", "tensorboard")
