@@ -181,7 +181,7 @@ def moved(part: Part, place: str, step: str, how: str) -> str:
     return f"        for (long k = 0; k < {part.size}; k++) {{ {line} }}"
 
 
-def over_columns(library: ctypes.CDLL, name: str, *more: type) -> Callable[..., None]:
+def over_columns(library: ctypes.CDLL, name: str, *more: type) -> Any:
     """A C function of a range of columns, `pointers` of arguments and of results, and more."""
     run = getattr(library, name)
     run.argtypes = [ctypes.c_long, ctypes.c_long, *[ctypes.c_void_p] * 4, *more]
@@ -225,7 +225,7 @@ def in_shares(run: Callable[[int, int], int | None], columns: int, seconds: floa
     return (run(0, min(size, columns)) or 0) + sum(other.result() or 0 for other in others)
 
 
-def with_own_code(function: FunctionType) -> FunctionType:
+def with_own_code(function: Any) -> FunctionType:
     """The function with a copy of its code, which `torch.compile` counts its recompilations by.
 
     Functions that share it have eight between them; what is compiled after those runs uncompiled.

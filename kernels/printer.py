@@ -40,7 +40,7 @@ class Printed:
 
 
 def printed(
-    function: Callable[..., list[Tensor]],
+    function: Callable[..., Sequence[Tensor]],
     *examples: Tensor,
     name: str = "run",
     long: int = 0,

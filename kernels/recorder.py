@@ -217,11 +217,11 @@ class Watch(TorchFunctionMode):
 
 @torch.no_grad()
 def evaluated(
-    function: Callable[..., list[Tensor]],
+    function: Callable[..., Sequence[Tensor]],
     examples: Sequence[Tensor],
     parts: Sequence[Part],
     recorder: Recorder,
-) -> tuple[list[Tensor], list[ndarray]]:
+) -> tuple[Sequence[Tensor], list[ndarray]]:
     """What a function returns of examples, and the values of that, (..., 1) each; `parts` are its arguments."""
     inputs = [x.clone() for x in examples]
     for part, x in zip(parts, inputs, strict=True):

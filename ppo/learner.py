@@ -121,7 +121,7 @@ class PPO:
         rows["action"] = last.weight.new_zeros(*shape, last.weight.shape[2] // 2)
         compiled(rows)[0].sum().backward()  # compiles now what the first update would
         self.optimiser.zero_grad()
-        self._loss = compiled
+        self._loss = compiled  # type: ignore[method-assign]
 
     def update(self, batch: dict[str, Tensor], progress: float) -> dict[str, Tensor]:
         """Train on one batch and return per-seed statistics (S,), averaged over the minibatches.
@@ -152,7 +152,7 @@ class PPO:
             self.optimiser.zero_grad()
             # the sum over seeds leaves each seed the gradient it would have alone
             loss.sum().backward()
-            self.ranks.average([weight.grad for weight in self._named.values()], size)
+            self.ranks.average([gradient_of(weight) for weight in self._named.values()], size)
             statistics |= self._clip_gradients()
             self.optimiser.step()
             history.append(torch.stack(list(statistics.values())))
@@ -225,13 +225,20 @@ class PPO:
     def _clip_gradients(self) -> dict[str, Tensor]:
         """Scale each seed's gradient to at most max_grad_norm; return the norms (S,) before scaling."""
         norms = {
-            name: torch.linalg.vector_norm(weight.grad, dim=(1, 2)) for name, weight in self._named.items()
+            name: torch.linalg.vector_norm(gradient_of(weight), dim=(1, 2))
+            for name, weight in self._named.items()
         }
         total = torch.linalg.vector_norm(torch.stack(list(norms.values())), dim=0)
         scale = (self.parameters.max_grad_norm / (total + 1e-6)).clamp(max=1.0)
         for weight in self._named.values():
-            weight.grad.mul_(scale[:, None, None])
+            gradient_of(weight).mul_(scale[:, None, None])
         return norms | {"grad_norm": total}
+
+
+def gradient_of(weight: Tensor) -> Tensor:
+    """The gradient that a backward pass left."""
+    assert weight.grad is not None
+    return weight.grad
 
 
 def require_finite(name: str, tensor: Tensor, first_seed: int) -> None:

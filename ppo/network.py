@@ -51,7 +51,7 @@ class StackedMLP(nn.Module):
         self, sizes: Sequence[int], generators: Sequence[torch.Generator], gains: Sequence[float]
     ) -> None:
         super().__init__()
-        self.layers = nn.ModuleList(
+        self.layers: Sequence[StackedLinear] = nn.ModuleList(  # type: ignore[assignment]  # of one kind
             StackedLinear(inputs, outputs, generators, gain)
             for inputs, outputs, gain in zip(sizes[:-1], sizes[1:], gains, strict=True)
         )

@@ -87,11 +87,11 @@ def collect(
         watch(transition)
         observation, value = following, following_value
     rollout = {name: torch.stack([step[name] for step in kept]) for name in kept[0]}  # (T, S, E, ...)
-    advantage, return_ = generalized_advantage(
-        *(rollout[name] for name in ("reward", "value", "next_value", "terminated", "done")),
-        learner.parameters.gamma,
-        learner.parameters.gae_lambda,
+    reward, values, next_values, terminated, ended = (
+        rollout[name] for name in ("reward", "value", "next_value", "terminated", "done")
     )
+    gamma, lam = learner.parameters.gamma, learner.parameters.gae_lambda
+    advantage, return_ = generalized_advantage(reward, values, next_values, terminated, ended, gamma, lam)
     batch = {name: rollout[name] for name in ("observation", "action", "log_prob", "value")}
     batch |= {"advantage": advantage, "return_": return_}
     by_seed = {name: tensor.transpose(0, 1) for name, tensor in batch.items()}  # (S, T, E, ...)

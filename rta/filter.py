@@ -122,7 +122,7 @@ class SafetyFilter:
         if len(set(self.names)) < len(self.names):
             raise ValueError(f"constraints {', '.join(self.names)}: each name must be there once")
         self._prepare: Callable[[Tensor, Tensor], list[Tensor]] = self.prepare
-        self._prepare_held = self._uncompiled_held()
+        self._prepare_held: Sequence[Callable[..., list[Tensor]]] = self._uncompiled_held()
         self._predict: Callable[..., list[Tensor]] = self.predict
         self._is_auto = solver is None and parameters.qp_solver == "auto"
         self._solves_in_c = isinstance(self.solver, BatchedSolver) or self._is_auto
@@ -135,6 +135,11 @@ class SafetyFilter:
     def _given_solver(self) -> Solver | None:
         """The solver that was given, or has been put in its place; None where `auto` chose it."""
         return None if self._is_auto and self.solver is self._own_solver else self.solver
+
+    @property
+    def held_groups(self) -> list[HeldGroup]:
+        """`groups` where controls are held; none where rows are of the rate of now."""
+        return [group for group in self.groups if isinstance(group, HeldGroup)]
 
     @property
     def period(self) -> float:
@@ -201,14 +206,16 @@ class SafetyFilter:
         if not self.holds:
             return [Compiled(self.prepare, x, u, batch=batch, trace_only=trace_only)]
         spread = torch.zeros_like(x[:KINDS])
-        examples = [(run, (x, u, spread, torch.ones_like(u))) for run in self._uncompiled_held()]
+        examples: list[tuple[Callable[..., list[Tensor]], tuple[Tensor, ...]]] = [
+            (run, (x, u, spread, torch.ones_like(u))) for run in self._uncompiled_held()
+        ]
         if self.known.latency:
             examples.append((self.predict, (x, spread, u)))
         return [Compiled(run, *given, batch=batch, trace_only=trace_only) for run, given in examples]
 
     def _uncompiled_held(self) -> list[Callable[..., list[Tensor]]]:
         """`prepare_held` of each group."""
-        return [partial(self.prepare_held, group) for group in self.groups]
+        return [partial(self.prepare_held, group) for group in self.held_groups]
 
     @property
     def _is_compiled(self) -> bool:
@@ -269,7 +276,9 @@ class SafetyFilter:
         """
         there = group.limit * left[group.controls]
         return list(
-            scaled(group(x, left * control, spread, there), control[group.controls] / group.limit, there)
+            scaled(
+                group.tangents(x, left * control, spread, there), control[group.controls] / group.limit, there
+            )
         )
 
     def predict(self, x: Tensor, spread: Tensor, u: Tensor) -> list[Tensor]:
@@ -340,11 +349,11 @@ class SafetyFilter:
             self._correct_again(result, x, desired, sent, left)
         return result
 
-    def _correct_again(self, result: FilterResult, *given: Tensor | None) -> None:
+    def _correct_again(self, result: FilterResult, x: Tensor, desired: Tensor, *given: Tensor | None) -> None:
         """Puts what `_correct` answers into a result where that has no solution."""
         columns = torch.nonzero(result.status == Status.UNSOLVED).flatten()
-        x, desired, sent, left = (None if part is None else pick(part, columns) for part in given)
-        again = self._correct(x, desired, sent, left)
+        sent, left = (None if part is None else pick(part, columns) for part in given)
+        again = self._correct(pick(x, columns), pick(desired, columns), sent, left)
         for field in fields(result):
             whole = getattr(result, field.name)
             if whole.stride(0):  # else there is nothing to say of any constraint
@@ -406,7 +415,7 @@ class SafetyFilter:
         program_status = torch.where(changed, Status.HARD, program_status)
         parts: dict[int, list[Tensor]] = {}
         for i in (1, 0):
-            group, run = self.groups[i], self._prepare_held[i]
+            group, run = self.held_groups[i], self._prepare_held[i]
             near = group.near(x, control)
             prepared = Prepared(*run(x, near, spread, left))
             active, slack = torch.zeros_like(prepared.h, dtype=torch.bool), torch.zeros_like(prepared.h)
@@ -425,7 +434,7 @@ class SafetyFilter:
         ordered = parts[0], parts[1]
         active, slack, h, doubt = (joined(*both) for both in zip(*ordered, strict=True))
         tightened = joined(
-            *(group.tightened(own[-1]) for group, own in zip(self.groups, ordered, strict=True))
+            *(group.tightened(own[-1]) for group, own in zip(self.held_groups, ordered, strict=True))
         )
         return FilterResult(
             control, status > Status.UNTOUCHED, active, slack, status, program_status, h, doubt, tightened

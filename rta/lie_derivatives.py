@@ -48,10 +48,10 @@ def directional(
 ) -> tuple[Tensor, Tensor]:
     """A function of several tensors and its derivative along tensors of their shapes, by one forward-mode pass."""
     if torch.compiler.is_compiling():  # which knows no locks
-        return torch.func.jvp(function, tuple(at), tuple(along))
+        return torch.func.jvp(function, tuple(at), tuple(along))[:2]
     with FORWARD_MODE, ByNumbers():
         load_forward_mode()
-        return torch.func.jvp(function, tuple(at), tuple(along))
+        return torch.func.jvp(function, tuple(at), tuple(along))[:2]
 
 
 def lie_derivative(h: Function, x: Tensor, direction: Tensor) -> tuple[Tensor, Tensor]:

@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 Vector = tuple[Tensor, Tensor, Tensor]
+Components = Sequence[Tensor] | Tensor  # one after the other, or as the first axis
 
 
 def dot(a: Tensor, b: Tensor) -> Tensor:
@@ -22,7 +23,7 @@ def norm(a: Tensor) -> Tensor:
     return dot(a, a).sqrt()
 
 
-def cross(a: Sequence[Tensor], b: Sequence[Tensor]) -> Vector:
+def cross(a: Components, b: Components) -> Vector:
     """a x b of three components each, as three components (...)."""
     (a1, a2, a3), (b1, b2, b3) = a, b
     return a2 * b3 - a3 * b2, a3 * b1 - a1 * b3, a1 * b2 - a2 * b1
@@ -39,7 +40,7 @@ def conjugate(q: Tensor) -> Tensor:
     return torch.cat((-q[:3], q[3:]))
 
 
-def turned(q: Sequence[Tensor], a: Sequence[Tensor]) -> Vector:
+def turned(q: Components, a: Components) -> Vector:
     """The components of q a q*, from those of q and a.
 
     Expanded Hamilton product: a + 2 q4 (q_v x a) + 2 q_v x (q_v x a).
@@ -55,7 +56,7 @@ def rotate(q: Tensor, a: Tensor) -> Tensor:
     return torch.stack(turned(q, a))
 
 
-def body_axis(q: Sequence[Tensor], i: int) -> Vector:
+def body_axis(q: Components, i: int) -> Vector:
     """The i-th body axis in Hill's frame, column i of `rotation_matrix`, from the components of q."""
     j, k = (i + 1) % 3, (i + 2) % 3
     column = {
@@ -85,7 +86,7 @@ def rotation_matrix(q: Tensor) -> Tensor:
     return torch.stack(rows)
 
 
-def quaternion_rate(q: Sequence[Tensor], omega: Sequence[Tensor]) -> tuple[Tensor, ...]:
+def quaternion_rate(q: Components, omega: Components) -> tuple[Tensor, ...]:
     """The four components of dq/dt = Xi(q) omega / 2, the paper's Eq. (dQuat1)."""
     (q1, q2, q3, q4), (w1, w2, w3) = q, omega
     return (
@@ -104,7 +105,7 @@ def turned_by(q: Tensor, angle: Tensor) -> Tensor:
     return unit(torch.cat((vector, (q[3] * half[1] - dot(q[:3], half[0]))[None])))
 
 
-def rate_in_hill(q: Sequence[Tensor], omega: Sequence[Tensor], n: Tensor | float) -> Vector:
+def rate_in_hill(q: Components, omega: Components, n: Tensor | float) -> Vector:
     """The components of the body's rate relative to Hill's frame, which turns by n rad/s about z, in rad/s.
 
     That is a gyro's rate omega, relative to the stars, less R^T (0, 0, n); both in the body frame.

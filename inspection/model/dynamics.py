@@ -3,13 +3,13 @@
 Every function is written for one spacecraft with the component axis first; batch axes trail and broadcast.
 """
 
-from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
 
 from inspection.model.attitude import (
+    Components,
     body_axis,
     quaternion_rate,
     rate_in_hill,
@@ -33,8 +33,8 @@ class Body(NamedTuple):
     """
 
     mass: Tensor
-    inertia: Sequence[Tensor]
-    push: Sequence[Tensor]
+    inertia: Components
+    push: Components
     in_turning_frame: bool
     saturates: bool
 
@@ -57,13 +57,13 @@ def cosine_to(axis: str, direction: Tensor) -> Tensor:
     return direction[index] if sign > 0 else -direction[index]
 
 
-def euler(omega: Sequence[Any], inertia: Sequence[Any]) -> tuple[Any, Any, Any]:
+def euler(omega: Any, inertia: Any) -> tuple[Any, Any, Any]:
     """Components of the gyroscopic angular acceleration J^-1 (-omega x J omega) in rad/s^2, of tensors or numbers."""
     (w1, w2, w3), (j1, j2, j3) = omega, inertia
     return (j2 - j3) / j1 * w2 * w3, (j3 - j1) / j2 * w1 * w3, (j1 - j2) / j3 * w1 * w2
 
 
-def attitude_rate(x: Sequence[Tensor], turns: bool, c: InspectionParameters) -> tuple[Tensor, ...]:
+def attitude_rate(x: Components, turns: bool, c: InspectionParameters) -> tuple[Tensor, ...]:
     """The components of dq/dt, from those of x; `turns`: omega is relative to the stars, not to Hill's frame."""
     omega = rate_in_hill(x[Q], x[OMEGA], turning(x[THETA_S], c)) if turns else x[OMEGA]
     return quaternion_rate(x[Q], omega)
@@ -88,7 +88,7 @@ def energy_rate(cos_panel: Tensor, c: InspectionParameters) -> Tensor:
     return (power_in - c.power_draw) / 1000.0
 
 
-def resource_rates(x: Sequence[Tensor], c: InspectionParameters) -> tuple[Tensor, Tensor]:
+def resource_rates(x: Components, c: InspectionParameters) -> tuple[Tensor, Tensor]:
     """dT/dt in deg C/s and dE/dt in kJ/s, from the components of the state."""
     q, theta_s = x[Q], x[THETA_S]
     cos, sin = theta_s.cos(), theta_s.sin()
@@ -104,7 +104,7 @@ def resource_rates(x: Sequence[Tensor], c: InspectionParameters) -> tuple[Tensor
     return temperature_rate(cos_sun, cos_earth, x[T], c), energy_rate(cos_panel, c)
 
 
-def natural_rates(x: Sequence[Tensor], c: InspectionParameters) -> list[Tensor]:
+def natural_rates(x: Components, c: InspectionParameters) -> list[Tensor]:
     """f(x), the 16 components of the state (...) to their rates in the state's units per second."""
     p, v, omega, theta_s = x[P], x[V], x[OMEGA], x[THETA_S]
     return [
@@ -132,7 +132,7 @@ def control_matrix(x: Tensor, c: InspectionParameters) -> Tensor:
 
 
 def derivative(
-    x: Sequence[Tensor], u: Sequence[Tensor], c: InspectionParameters, body: Body | None = None
+    x: Components, u: Components, c: InspectionParameters, body: Body | None = None
 ) -> list[Tensor]:
     """The components of f(x) + g(x) u, from those of x and of u in N and N m; None: the body is the model's."""
     rate = natural_rates(x, c)

@@ -9,13 +9,12 @@ Every function is written for one spacecraft with the component axis first; batc
 """
 
 import math
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
-from inspection.model.attitude import Vector, dot, norm
+from inspection.model.attitude import Components, Vector, dot, norm
 from inspection.model.parameters import InspectionParameters
 from inspection.model.state import THETA_S, P, V
 
@@ -61,21 +60,19 @@ def sun_angle_after(theta_s: Tensor, seconds: Tensor | float, c: InspectionParam
     return theta_s - seconds / 6 * (k1 + 2.0 * (k2 + k3) + k4)
 
 
-def natural_acceleration(
-    p: Sequence[Tensor], v: Sequence[Tensor], theta_s: Tensor, c: InspectionParameters
-) -> Vector:
+def natural_acceleration(p: Components, v: Components, theta_s: Tensor, c: InspectionParameters) -> Vector:
     """Components in Hill's frame in m/s^2, of a deputy that nothing pushes."""
     if c.orbit == "two-body":
         return two_body(p, v, chief_at(theta_s, c), c.gravitational_parameter)
     return clohessy_wiltshire(p, v, c.mean_motion)
 
 
-def clohessy_wiltshire(p: Sequence[Tensor], v: Sequence[Tensor], n: float) -> Vector:
+def clohessy_wiltshire(p: Components, v: Components, n: float) -> Vector:
     """Components of the natural acceleration in Hill's frame in m/s^2."""
     return 3 * n**2 * p[0] + 2 * n * v[1], -2 * n * v[0], -(n**2) * p[2]
 
 
-def two_body(p: Sequence[Tensor], v: Sequence[Tensor], chief: Chief, mu: float) -> Vector:
+def two_body(p: Components, v: Components, chief: Chief, mu: float) -> Vector:
     """Components of the natural acceleration in Hill's frame in m/s^2, exact (Alfriend et al. 2010, Eq. 4.14 to 4.16).
 
     The difference of two nearly equal attractions, mu r_c / r^3 - mu (r_c + p) / |r_c + p|^3, is in Battin's form:

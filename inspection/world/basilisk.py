@@ -58,7 +58,8 @@ class Simulation:
         from Basilisk.utilities import SimulationBaseClass, macros
 
         self.parameters, self.c, self.nanoseconds = parameters, c, macros.sec2nano
-        self.sim, self.now, self.kept = SimulationBaseClass.SimBaseClass(), 0, []
+        self.sim, self.now = SimulationBaseClass.SimBaseClass(), 0
+        self.kept: list[Any] = []
         self.sim.CreateNewProcess("process").addTask(self.sim.CreateNewTask("task", macros.sec2nano(dt)))
         earth = self.earth()
         made = [self.spacecraft(name, i, earth) for i in range(batch) for name in ("chief", "deputy")]
@@ -229,7 +230,7 @@ class BasiliskPlant(Plant):
         ImportError: Basilisk is not installed; ValueError: the parameters do not fit the model or the Earth.
     """
 
-    STATE = (*Plant.STATE, "chief", "wheels", "rates")
+    STATE: tuple[str, ...] = (*Plant.STATE, "chief", "wheels", "rates")
     is_traceable = False
 
     def __init__(self, parameters: PlantParameters, c: InspectionParameters, batch: int, device: Any) -> None:

@@ -13,6 +13,7 @@ pass through everything else as through PyTorch's operations.
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any, TypeGuard
 
 import numpy as np
 
@@ -26,7 +27,7 @@ class Expression:
 
     Attributes:
         operation: "input", "table", an operator or a function of C's math.h.
-        arguments: values, or what identifies an input or a table's entry.
+        arguments: values; of an input or a table the text or number that identifies it.
         kind: NUMBER or MASK.
         index: its place among all expressions of a program; arguments come before.
         stage: how many reductions over the long axis lie before it.
@@ -34,7 +35,7 @@ class Expression:
     """
 
     operation: str
-    arguments: tuple["Value | str", ...]
+    arguments: tuple[Any, ...]
     kind: str
     index: int
     stage: int = 0
@@ -162,7 +163,7 @@ class Program:
     def apply(self, operation: str, *arguments: Value, kind: str = NUMBER) -> Value:
         """An operation, folded where all arguments are literals."""
         if operation in FOLDED and not any([isinstance(a, Expression) for a in arguments]):
-            found = FOLDED[operation](*arguments)
+            found: Any = FOLDED[operation](*arguments)
             return rounded_to_single(found) if self.real == "float" and kind == NUMBER else found
         if operation in COMMUTATIVE:
             arguments = tuple(sorted(arguments, key=identity))
@@ -170,7 +171,7 @@ class Program:
 
     # numbers
 
-    def number(self, a: Value) -> Value:
+    def number(self, a: Value) -> Expression | float:
         """A truth value as 0 or 1; numbers as they are."""
         if isinstance(a, Expression):
             return self.select(a, 1.0, 0.0) if a.kind == MASK else a
@@ -244,12 +245,12 @@ class Program:
         """The larger one; NaN if either is."""
         return self.extreme("max", self.number(a), self.number(b))
 
-    def extreme(self, operation: str, a: Value, b: Value) -> Value:
+    def extreme(self, operation: str, a: Expression | float, b: Expression | float) -> Value:
         if isinstance(a, Expression) and isinstance(b, Expression):
             return a if a is b else self.make(operation, a, b)
-        if not isinstance(a, Expression):
+        if isinstance(b, Expression):
             a, b = b, a
-        if not isinstance(a, Expression):
+        if not isinstance(a, Expression) or isinstance(b, Expression):
             return self.apply(operation, a, b)
         if math.isnan(b) or b == (math.inf if operation == "min" else -math.inf):
             return b if math.isnan(b) else a
@@ -338,8 +339,9 @@ class Program:
             if operation.endswith("_at"):
                 return 0.0
             return self.mul(self.number(a), float(count)) if operation == "sum" else a
-        a = self.mask(a) if operation == "any" else self.number(a)
-        return self.make(operation, a, kind=a.kind, varies=False, stage=a.stage + 1)
+        entry = self.mask(a) if operation == "any" else self.number(a)
+        kind = MASK if operation == "any" else NUMBER
+        return self.make(operation, entry, kind=kind, varies=False, stage=a.stage + 1)
 
 
 def rounded_to_single(a: float) -> float:
@@ -367,6 +369,6 @@ def is_literal(a: Value, value: float) -> bool:
     return not isinstance(a, Expression) and not isinstance(a, bool) and a == value
 
 
-def is_negated(a: Value) -> bool:
+def is_negated(a: Value) -> TypeGuard[Expression]:
     """Whether a is -b."""
     return isinstance(a, Expression) and a.operation == "neg"

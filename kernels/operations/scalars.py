@@ -72,7 +72,7 @@ def comparisons(p: Program) -> dict[str, Scalar]:
     def finite(a: Value) -> Value:
         return p.lt(p.call("fabs", a), math.inf)
 
-    logical = {"and": p.and_, "or": p.or_, "not": p.not_, "xor": xor}
+    logical: dict[str, Scalar] = {"and": p.and_, "or": p.or_, "not": p.not_, "xor": xor}
     return {
         "lt": p.lt,
         "le": p.le,

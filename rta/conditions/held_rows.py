@@ -102,7 +102,7 @@ class HeldGroup(ActuatorGroup):
         """How many rows a constraint has."""
         return each.rows * len(self.moments)
 
-    def __call__(self, x: Tensor, control: Tensor, spread: Tensor, limit: Tensor) -> Rows:
+    def tangents(self, x: Tensor, control: Tensor, spread: Tensor, limit: Tensor) -> Rows:
         """The tangents at states (16, B) and controls (6, B); see `conditions_at` and `attainable`."""
         return self.joined(partial(self.conditions_at, x, control, spread), limit)
 

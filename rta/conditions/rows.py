@@ -119,7 +119,7 @@ class ActuatorGroup:
                     each = constraints[i]
                     k1, k2 = map(self.gain, each.gains)
                     alpha = k1 * (h_i - each.margin)
-                    if i in beyond:
+                    if each.recovery is not None:
                         back = (k2 * h_i).clamp(min=-each.recovery) - k1 * each.margin
                         alpha = torch.where(beyond[i], back, alpha)
                     rows[i] = rate_i + alpha
@@ -249,7 +249,7 @@ class ActuatorGroup:
         f, g = drift(x, self.c), control_matrix(x, self.c)
         for each in constraints:
             check(each, x)
-            _, _, at_once = lie_derivatives(lambda y, each=each: each.h(y)[None], x, f, g)
+            _, _, at_once = lie_derivatives(partial(alone, each.h), x, f, g)
             _, _, at_last = lie_derivatives(self.psi_at(x, [each]), x, f, g)
             if not (at_once.isfinite().all() and at_last.isfinite().all()):
                 raise ValueError(f"{each.name}: a derivative of h is not finite: must be at every state")
@@ -259,6 +259,11 @@ class ActuatorGroup:
                     f"{each.name}: gains = {each.gains!r}: "
                     f"{each.held_by} does not first enter derivative {each.degree} of h"
                 )
+
+
+def alone(h: Function, x: Tensor) -> Tensor:
+    """h as the only one of several: states (16, ...) to (1, ...)."""
+    return h(x)[None]
 
 
 def half_a_period_ahead(x: Tensor, period: float, c: InspectionParameters) -> Tensor:

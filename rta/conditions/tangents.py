@@ -1,7 +1,7 @@
 """Programs of one actuator group's rows, and their repetition where rows are tangents at a control."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import fields, replace
+from dataclasses import replace
 from functools import partial, reduce
 from itertools import product
 from typing import NamedTuple
@@ -53,7 +53,7 @@ def scaled(rows: Rows, control: Tensor, limit: Tensor | float) -> Prepared:
     length = total(a * a, 1).sqrt().clamp(min=SHORTEST_ROW)  # thirty times as fast as Tensor.norm
     left = (total(a * control, 1) + rows.b) / length
     return Prepared(
-        *(getattr(rows, field.name) for field in fields(Rows)), length=length, lowest=smallest(left)[None]
+        rows.psi, rows.a, rows.b, rows.b_bare, rows.h, rows.doubt, length, lowest=smallest(left)[None]
     )
 
 

@@ -120,7 +120,7 @@ def by_column(holds: bool) -> str:
 
 def of_group(index: int, safety_filter: "SafetyFilter") -> str:
     """The C function that corrects one group's controls where they are held."""
-    name, group = GROUPS[index], safety_filter.groups[index]
+    name, group = GROUPS[index], safety_filter.held_groups[index]
     places = [safety_filter.names.index(each) for each in group.names]
     upper = name.upper()
     constants = [
@@ -189,7 +189,7 @@ def held_parts(safety_filter: "SafetyFilter", rows: list[Printed]) -> list[Print
             names=(("desired", "left"), ("control", "program_status", "open")),
         )
     ]  # fmt: skip
-    for name, group, own in zip(GROUPS, safety_filter.groups, rows, strict=False):
+    for name, group, own in zip(GROUPS, safety_filter.held_groups, rows, strict=False):
         fields = [torch.zeros(*part.shape, 1, dtype=torch.float64) for part in own.outputs]
         given = tuple(part.name for part in own.outputs)
         more = {

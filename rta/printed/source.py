@@ -6,12 +6,13 @@ decides is constants. Its rows, and how a state is predicted, are printed as fun
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from importlib.resources import files
 from typing import TYPE_CHECKING, Any
 
 import torch
+from torch import Tensor
 
 from inspection.model.state import CONTROL_SIZE, SIZE
 from kernels import Printed, printed
@@ -76,16 +77,20 @@ def functions(safety_filter: "SafetyFilter") -> list[Printed]:
     spread, left = torch.zeros_like(x[:KINDS]), torch.ones_like(u)
     parts = []
     for name, group in zip(GROUPS, safety_filter.groups, strict=True):
-        if safety_filter.holds:
+        run: Callable[..., Sequence[Tensor]] = partial(prepared_now, group)
+        examples: tuple[Tensor, ...] = (x, u)
+        if isinstance(group, HeldGroup):
             run, examples = partial(safety_filter.prepare_held, group), (x, u, spread, left)
-        else:
-            run, examples = partial(prepared_now, group), (x, u)
         names = ("x", "control", "spread", "left")[: len(examples)], Prepared._fields
         long = len(safety_filter.c.planes)  # of a hull
         parts.append(printed(run, *examples, name=f"{name}_rows", names=names, long=long))
     if safety_filter.holds and safety_filter.known.latency:
-        names = ("x", "spread", "u"), ("x_after", "spread_after")
-        parts.append(printed(safety_filter.predict, x, spread, u, name="predict", names=names))
+        parts.append(
+            printed(
+                safety_filter.predict, x, spread, u, name="predict",
+                names=(("x", "spread", "u"), ("x_after", "spread_after")),
+            )
+        )  # fmt: skip
     return parts
 
 
@@ -209,7 +214,7 @@ def tolerances(holds: bool) -> list[str]:
 def held_constants(safety_filter: "SafetyFilter") -> list[str]:
     """What only the driver of held controls needs."""
     c, r, known = safety_filter.c, safety_filter.parameters, safety_filter.known
-    group: HeldGroup = safety_filter.groups[0]
+    group = safety_filter.held_groups[0]
     constraints = in_order(*(each.constraints for each in safety_filter.groups))
     first = [group.gain(each.gains[0]) if each.degree == 2 else 0.0 for each in constraints]
     lines = [

@@ -80,7 +80,8 @@ def vectors(safety_filter: "SafetyFilter", real: str) -> Vectors:
     given = [
         torch.cat(pair, -1) for pair in zip(given, hostile([part[..., :22] for part in given]), strict=True)
     ]
-    return Vectors(*given, other.correct(*given))
+    state, desired, sent, left = given
+    return Vectors(state, desired, sent, left, other.correct(*given))
 
 
 def independent(safety_filter: "SafetyFilter") -> "SafetyFilter":

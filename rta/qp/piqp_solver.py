@@ -51,11 +51,11 @@ class PiqpSolver:
 
         # PIQP's workspace would keep a NaN, and spoil every program after it
         finite = problems.finite.cpu().numpy()
-        for side, slack_weight, outcome in stages(problems):
+        for of_stage, weights, outcome in stages(problems):
             left = np.flatnonzero((status == Status.UNSOLVED) & finite)
             if not left.size:
                 break
-            side, slack_weight = side.movedim(-1, 0).cpu().numpy(), slack_weight.cpu().numpy()
+            side, slack_weight = of_stage.movedim(-1, 0).cpu().numpy(), weights.cpu().numpy()
             held = np.isinf(slack_weight)
             within_box = np.abs(a[left]).sum(2) + side[left] >= 0.0  # some control satisfies the row
             left = left[within_box[:, held].all(1)]
@@ -66,8 +66,8 @@ class PiqpSolver:
             solved = left[kept]
             control[solved] = u[kept]
             status[solved] = outcome
-            parts = (u[kept], multiplier[kept], desired[solved], a[solved].swapaxes(1, 2), side[solved])
-            residual[solved] = kkt_residual(*(part.T for part in parts), slack_weight)
+            programs = desired[solved].T, a[solved].swapaxes(1, 2).T, side[solved].T
+            residual[solved] = kkt_residual(u[kept].T, multiplier[kept].T, *programs, slack_weight)
             answers = desired.copy()
             answers[left] = np.where(np.isfinite(u), u, desired[left])
             candidates.append(answers)

@@ -57,8 +57,8 @@ class Problems:
 
     def __getitem__(self, columns: Tensor) -> "Problems":
         """The programs at these indices (M,)."""
-        parts = (pick(part, columns) for part in (self.desired, self.a, self.b, self.b_bare))
-        return Problems(*parts, self.weight)
+        desired, a, b, b_bare = (pick(part, columns) for part in (self.desired, self.a, self.b, self.b_bare))
+        return Problems(desired, a, b, b_bare, self.weight)
 
     @property
     def finite(self) -> Tensor:
