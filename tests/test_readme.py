@@ -25,9 +25,10 @@ from study.verified import fingerprint
 ROOT = Path(main.__file__).parent
 REFERENCE = ROOT / "runs/reference"
 STUDY = REFERENCE / "study"
-RESULTS, SAFETY, SPEED, COMMANDS_PAGE = (
-    f"docs/{name}.md" for name in ("results/results", "results/safety", "results/speed", "reference/commands")
+RESULTS, SAFETY, SAFETY_TESTS, SAFETY_LIMITS, SPEED = (
+    f"docs/results/{name}.md" for name in ("results", "safety", "safety_tests", "safety_limits", "speed")
 )
+COMMANDS_PAGE = "docs/reference/commands.md"
 PAGES = ("README.md", *sorted(str(page.relative_to(ROOT)) for page in (ROOT / "docs").rglob("*.md")))
 
 
@@ -148,8 +149,8 @@ def test_what_breaks_the_filter_stands_beside_what_it_held() -> None:
         for claim in re.finditer(r"\b20,000 episodes", said := " ".join(text(page).split())):
             about = said[max(0, claim.start() - 100) : claim.end() + 300]
             assert "drawn anew" in about and re.search("(?i)steady errors", about), page
-    beyond = re.findall(r"(?m)^beyond the edge: ([\d.]+) m with errors that stay", text(SAFETY))
-    (starts,) = re.findall(r"(?m)^1 s: (\d+) % of [\d,]+ states$", text(SAFETY))
+    beyond = re.findall(r"(?m)^beyond the edge: ([\d.]+) m with errors that stay", text(SAFETY_LIMITS))
+    (starts,) = re.findall(r"(?m)^1 s: (\d+) % of [\d,]+ states$", text(SAFETY_LIMITS))
     said = " ".join(text("README.md").split())
     assert f"left the zone, by {float(beyond[0]):.1f} m. Known, not yet fixed" in said
     assert f"states as starts**: {starts} % of those within every limit" in said
@@ -365,7 +366,7 @@ def test_the_other_worlds_are_the_reports(plant: str, arm: str) -> None:
     for results in WORLDS_FLOWN[plant][arm].values():
         reward = results["metrics"]["reward"]["iqm"]
         cells += [f"{success(results)}, {violation(results)}, {reward:.3f}"]
-    assert row(f"{plant} | {LABELS[arm]}", RESULTS, "Worlds that are not the model") == cells
+    assert row(f"{plant} | {LABELS[arm]}", RESULTS, "Worlds that differ from the model") == cells
 
 
 def columns(section: str, metrics: list[str], constraints: list[str], *results: dict[str, Any]) -> None:
@@ -439,22 +440,24 @@ def test_the_verified_constraints_are_the_reports(constraint: str) -> None:
         worst, when = report["worst_value"][constraint], report["worst_case"][constraint]["time_s"]
         cells += [f"{report['violating_episodes'][constraint]:,}", f"{worst:.3g} at {when:g} s"]
     label = PAPER_VIOLATIONS[constraint].label
-    (line,) = (line for line in text(SAFETY).splitlines() if line.startswith(f"| {label} ("))
+    (line,) = (line for line in text(SAFETY_TESTS).splitlines() if line.startswith(f"| {label} ("))
     assert [cell.strip() for cell in line.strip("|").split("|")[1:]] == cells
 
 
 def test_the_yielded_calls_are_the_reports() -> None:
-    section = "When limits contradict each other"
+    section = "When limits conflict"
     reports = [read(f"verification/{policy}.json") for policy in ("random", "adversarial")]
     calls = [f"{report['filter_calls']['slack']:,}" for report in reports]
-    assert row("any", SAFETY, section) == calls
+    assert row("any", SAFETY_TESTS, section) == calls
     labels = {
         "temperature": "temperature",
         "battery": "battery",
         "keep-in zone, inside its margin": "keep_in_zone",
     }
     for label, name in labels.items():
-        assert row(label, SAFETY, section) == [f"{report['yielded_calls'][name]:,}" for report in reports]
+        assert row(label, SAFETY_TESTS, section) == [
+            f"{report['yielded_calls'][name]:,}" for report in reports
+        ]
     never = (
         "collision",
         "passive_safety",
@@ -536,11 +539,11 @@ def test_what_the_adversaries_reached_is_the_reports(name: str) -> None:
         *came_of(report),
     ]
     assert flown["duration"] == 2000 and report["unsolved"] == 0
-    assert f"| {' | '.join(cells)} |" in text(SAFETY).splitlines()
+    assert f"| {' | '.join(cells)} |" in text(SAFETY_TESTS).splitlines()
 
 
 def test_the_single_calls_are_the_reports() -> None:
-    report, said = read("verification/boundary.json"), " ".join(text(SAFETY).split())
+    report, said = read("verification/boundary.json"), " ".join(text(SAFETY_TESTS).split())
     inside = report["within_margins"]["any"]
     assert f"{report['violating_draws']['any']:,} of {report['draws']:,} draws went below zero" in said
     assert f"below {report['upper_bound_95']:.2g} with 95 % confidence" in said
@@ -555,7 +558,7 @@ def test_the_single_calls_are_the_reports() -> None:
 
 def test_the_break_points_are_the_reports() -> None:
     report = read("verification/break_points.json")
-    lines = text(SAFETY).splitlines()
+    lines = text(SAFETY_TESTS).splitlines()
     for effect in dict.fromkeys(world["effect"] for world in report["worlds"]):
         said = [break_points.said(report, effect, told) for told in (False, True)]
         unit = break_points.EFFECTS[effect].unit or "share"
