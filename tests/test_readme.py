@@ -231,7 +231,7 @@ def test_all_arms_are_the_studys(arm: str) -> None:
 
 @pytest.mark.parametrize("arm", [arm for arm in LABELS if arm != "robust"])
 def test_what_is_learned_by_when_is_in_the_evaluations(arm: str) -> None:
-    assert row(LABELS[arm], RESULTS, "How early") == early(arm)
+    assert row(LABELS[arm], RESULTS, "How early agents learn") == early(arm)
 
 
 def early(arm: str) -> list[str]:
@@ -275,7 +275,7 @@ def learning_from_nothing(interactions: int) -> list[str]:
 
 @pytest.mark.parametrize("interactions", EARLY)
 def test_the_papers_learner_is_as_early_as_the_page_says(interactions: int) -> None:
-    assert row(f"{interactions:,}", RESULTS, "How early") == learning_from_nothing(interactions)
+    assert row(f"{interactions:,}", RESULTS, "How early agents learn") == learning_from_nothing(interactions)
     if interactions == 311_296:
         without, behind, *_ = learning_from_nothing(interactions)
         sentence = f"succeeds in {behind} % after 0.31 million decisions with RTA, in {without} % without"
@@ -348,7 +348,7 @@ def test_the_baselines_are_the_reports(label: str, controller: str, switch: str)
 def test_the_cross_evaluation_is_the_studys(arm: str, switch: str) -> None:
     results = CROSS[arm][switch]
     label = f"{LABELS[arm]} | {'with' if switch == 'on' else 'without'}"
-    assert row(label, RESULTS, "Does an agent come to depend on the filter?") == [
+    assert row(label, RESULTS, "Do agents depend on the filter?") == [
         success(results),
         success(results, "clean_success"),
         violation(results),
@@ -426,7 +426,7 @@ def test_the_guidance_beside_the_agents_is_the_reports() -> None:
 def test_the_panels_as_the_text_has_them_are_the_studys() -> None:
     constraints = ["attitude_exclusion", "temperature", "battery", "dynamic_speed", "passive_safety"]
     arms = read("study_plus_x/results.json")["arms"].values()
-    columns("The panels as the text has them", list(PAPER_METRICS), constraints, *arms)
+    columns("Panels as in the paper's text", list(PAPER_METRICS), constraints, *arms)
 
 
 # safety
