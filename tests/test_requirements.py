@@ -119,7 +119,11 @@ def test_every_requirement_has_code_a_test_and_evidence() -> None:
             "",
             "no tests",
         ),
-        ("../results/safety.md#what-was-flown", "../results/safety.md#what-was-sailed", "is no evidence"),
+        (
+            "../results/safety_tests.md#what-was-flown",
+            "../results/safety_tests.md#what-was-sailed",
+            "is no evidence",
+        ),
         ("verification/random.json", "verification/absent.json", "is no evidence"),
         ("`crash`: nearer", "nearer", "Outcomes: crash stands there 0 times"),
         ("`sun_alignment`", "", "Observations: sun_alignment stands there 0 times"),

@@ -43,8 +43,8 @@ def said_of(config: Config, real: str) -> str:
         first = f"NOT VERIFIED: campaigns broke this filter (fingerprint {own})."
     elif verified(same):
         first = (
-            f"Verified (fingerprint {own}) by campaigns under random and adversarial controls; docs/results/safety.md "
-            "says what of other kinds broke a filter."
+            f"Verified (fingerprint {own}) by campaigns under random and adversarial controls. "
+            "docs/results/safety_limits.md says what of other kinds broke a filter."
         )
     else:
         in_single = " in single precision" if real == "float" else ""

@@ -21,6 +21,7 @@ from inspection import initial_state
 from inspection.environment import InspectionEnv
 from inspection.model.attitude import norm
 from inspection.model.parameters import InspectionParameters
+from kernels import Compiled
 from rta.conditions.rows import Rows
 from rta.constraints.constraint import CONSTRAINTS, Constraint
 from rta.constraints.thrust import chord
@@ -328,14 +329,6 @@ def test_temperature_is_felt_before_the_surface_is_lit() -> None:
     assert (early[edge] < exact[edge]).any()
 
 
-@pytest.fixture(scope="module")
-def traced() -> SafetyFilter:
-    """The filter at 1 s, traced for some dozens of spacecraft."""
-    safety = SafetyFilter(C, R)
-    safety.trace(64)
-    return safety
-
-
 def fly(safety: SafetyFilter, episodes: int, actions: int) -> tuple[Tensor, Tensor]:
     """Random held actions: the lowest value of each constraint and the statuses of all filter calls."""
     generator = torch.Generator().manual_seed(0)
@@ -355,8 +348,10 @@ def fly(safety: SafetyFilter, episodes: int, actions: int) -> tuple[Tensor, Tens
     return torch.minimum(lowest, safety.values(env.x).amin(1)), torch.stack(statuses)
 
 
-def test_random_flight_at_1_s_never_leaves_the_safe_set(traced: SafetyFilter) -> None:
-    lowest, statuses = fly(traced, episodes=64, actions=20)
+def test_random_flight_at_1_s_never_leaves_the_safe_set() -> None:
+    safety = SafetyFilter(C, R)
+    safety.compile("cpu", 64)
+    lowest, statuses = fly(safety, episodes=64, actions=20)
     crossed = {
         name: value for name, value in zip(CONSTRAINTS, lowest.tolist(), strict=True) if not value >= 0
     }
@@ -397,6 +392,34 @@ def test_own_constraints_come_after_the_papers(safety: SafetyFilter, result: Fil
     torch.testing.assert_close(answer.control[:, alone], result.control[:, alone], rtol=0, atol=1e-6)
 
 
+def with_a_ball() -> SafetyFilter:
+    """A filter of another mass with a constraint of its own."""
+    ball = Constraint("ball", clear_of_a_ball, "thrust", (0.05, 0.2), 1.0)
+    return SafetyFilter(dataclasses.replace(C, mass=14.0), extra=[ball])
+
+
+@pytest.fixture(scope="module")
+def own_and_traced() -> SafetyFilter:
+    """That filter traced, which takes seconds; each test gives it its solver."""
+    safety = with_a_ball()
+    safety.trace(100)
+    return safety
+
+
+def test_a_traced_filter_has_the_same_bits(own_and_traced: SafetyFilter) -> None:
+    eager = with_a_ball()
+    assert isinstance(own_and_traced._prepare, Compiled)
+    assert not isinstance(eager._prepare, Compiled)
+    x, u = X[:, :100].clone(), 5 * U[:, :100]
+    x[13, 7], x[0, 8], u[2, 9] = math.nan, math.inf, math.nan
+    expected, found = (each.correct(x, u) for each in (eager, own_and_traced))
+    assert set(expected.status.tolist()) >= {Status.HARD, Status.SLACK, Status.UNSOLVED}
+    for field in dataclasses.fields(FilterResult):
+        parts = (getattr(each, field.name) for each in (found, expected))
+        torch.testing.assert_close(*parts, rtol=0, atol=0, equal_nan=True)
+    assert (found.control.abs() <= LIMIT).all()
+
+
 @pytest.fixture
 def restless() -> Iterator[None]:
     """Threads take turns in the middle of everything."""
@@ -415,13 +438,13 @@ def test_threads_may_share_a_filter(
     calls: int,
     request: pytest.FixtureRequest,
     monkeypatch: pytest.MonkeyPatch,
-    result: FilterResult,
 ) -> None:
-    shared = request.getfixturevalue("traced") if is_traced else SafetyFilter(C, R)
+    shared = request.getfixturevalue("own_and_traced") if is_traced else with_a_ball()
     monkeypatch.setattr(shared, "solver", make_solver(solver))
     blocks = [slice(start, start + 16) for start in range(0, 64, 16)]
     expected = shared.correct(X[:, :64], U[:, :64]).control
-    torch.testing.assert_close(expected, result.control[:, :64], rtol=0, atol=1e-6)
+    alone = with_a_ball().correct(X[:, :64], U[:, :64]).control
+    torch.testing.assert_close(expected, alone, rtol=0, atol=1e-6)
 
     def answers(block: slice) -> list[Tensor]:
         return [shared.correct(X[:, block], U[:, block]).control for _ in range(calls)]
@@ -430,15 +453,6 @@ def test_threads_may_share_a_filter(
         for block, controls in zip(blocks, threads.map(answers, blocks), strict=True):
             for control in controls:
                 torch.testing.assert_close(control, expected[:, block], rtol=0, atol=1e-9)
-
-
-@pytest.fixture(scope="module")
-def own_and_traced() -> SafetyFilter:
-    """A filter of another mass with a constraint of its own, traced; each test gives it its solver."""
-    ball = Constraint("ball", clear_of_a_ball, "thrust", (0.05, 0.2), 1.0)
-    safety = SafetyFilter(dataclasses.replace(C, mass=14.0), extra=[ball])
-    safety.trace(100)
-    return safety
 
 
 @pytest.mark.parametrize("solver", SOLVERS)

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 import torch
 
-from kernels import Compiled
 from rta.filter import FilterResult, SafetyFilter
 from rta.given import towards_zero
 from rta.qp.programs import Status
@@ -50,20 +49,6 @@ def test_the_answer_is_in_kind(safety: SafetyFilter, kind: str, precision: type,
         np.testing.assert_allclose(np.asarray(found), expected.numpy(), rtol=rounding, atol=rounding / 1e3)
     control = np.asarray(result["control"], dtype=float)
     assert (abs(control) <= LIMIT.numpy()[:, 0] if single else abs(control) <= LIMIT.numpy()).all()
-
-
-def test_a_traced_filter_has_the_same_bits(safety: SafetyFilter) -> None:
-    traced = SafetyFilter()
-    traced.trace(40)
-    assert isinstance(traced._prepare, Compiled)
-    assert not isinstance(safety._prepare, Compiled)
-    x, u = X[:, :40].clone(), 5 * U[:, :40]
-    x[13, 7], x[0, 8], u[2, 9] = math.nan, math.inf, math.nan
-    answers = [values(each.correct(x, u)) for each in (safety, traced)]
-    assert set(answers[0]["status"].tolist()) >= {Status.HARD, Status.SLACK, Status.UNSOLVED}
-    for name, expected in answers[0].items():
-        torch.testing.assert_close(answers[1][name], expected, rtol=0, atol=0, equal_nan=True)
-    assert (answers[1]["control"].abs() <= LIMIT).all()
 
 
 def test_lists_and_integers_are_answered_in_float64(safety: SafetyFilter) -> None:
