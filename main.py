@@ -26,14 +26,35 @@ from kernels.build import VARIABLE
 from ppo.checkpoint import CheckpointError
 from ppo.distributed import RankLostError, is_first, ranks
 from ppo.learner import NonFiniteError
+from ppo.network import Policy
 from study.command_line.arguments import Configure, build_parser, check_files, join_axis, parameters
 from study.config import TEST_CASES, Config, StudyConfig
-from study.errors import ExportError, InputError, ReplayError, in_one_line, refusing
+from study.errors import ExportError, InputError, ReflyError, in_one_line, refusing
 from study.files import write_json, write_npz, writing
 from study.machine.threads import THREADS
 
-# A command's parameters are its flags, whose help, limits and order are in `study.command_line.arguments`. `configure`
-# puts --config and the other flags, those that set something, over a configuration.
+# A command's parameters are its flags, whose help, limits and order are in `study.command_line.commands`. `configure`
+# puts --config and the other flags, those that set something, over a configuration; it goes no further than this file.
+
+
+def agent_and_config(configure: Configure, checkpoint: str | None) -> tuple[Policy | None, Config]:
+    """The agent in a file, if one is named, and the configuration to fly it in: its own under --config and the flags.
+
+    Its solver is chosen anew.
+    """
+    from study.experiment import check_observed, load_policy
+
+    if checkpoint is None:
+        return None, configure(Config())
+    policy, trained = load_policy(checkpoint)
+    config = configure(trained.unsettled())
+    check_observed(config, trained)
+    return policy, config
+
+
+def with_filter(configure: Configure, trained: Config | None = None) -> Config:
+    """The configuration with the filter on, over an agent's; of a study's file, its table [study] is left out."""
+    return configure(StudyConfig(**vars((trained or Config()).unsettled()))).of_arm("rta")
 
 
 def run_train(
@@ -47,7 +68,7 @@ def run_train(
 
     if resume:
         THREADS.recorded = recorded_threads(Path(resume))
-        session = training.resuming(Path(resume), configure)
+        session = training.resuming(Path(resume), configure(training.settings(Path(resume))))
     else:
         config = configure(Config())
         arm = f"rta_{config.rta.period:g}s" if config.train.rta else "no_rta"
@@ -85,7 +106,7 @@ def run_report(study: str, device: str | None = None) -> None:
     from study.machine.progress import step
 
     with refusing("report needs the packages jinja2 and plotly (pip install '.[report]')", ImportError):
-        from study.report import figures, inputs, page, replay, tables
+        from study.report import figures, inputs, page, tables
     from study.report.compute import compute
 
     directory = Path(study)
@@ -94,7 +115,6 @@ def run_report(study: str, device: str | None = None) -> None:
         found = inputs.read(directory)
         tables.write(found)
         figures.draw(found)
-        replay.write(found)
         page.write(found)
     print(f"Written to {directory}: report.html and, in report, its figures and the data behind them")
     print(f"Open it in a browser: {(directory / 'report.html').absolute().as_uri()}")
@@ -109,12 +129,18 @@ def run_evaluate(
     json: str | None = None,
 ) -> None:
     """main.py evaluate"""
-    from study.flight import evaluation
+    from study.commands import after_evaluation
+    from study.experiment import Experiment
+    from study.flight.evaluation import evaluate
     from study.paper import tables
+    from study.verified import say_unless_verified
 
-    results = evaluation.run(configure, configure.files, episodes, seed, checkpoint, controller)
+    policy, config = agent_and_config(configure, checkpoint)
+    experiment = Experiment(config, episodes)
+    say_unless_verified(config, configure.files, checkpoint)
+    results = evaluate(policy or controller, experiment, episodes, seed)
     print(tables(results))
-    print(evaluation.how_to_watch(results, configure.words, checkpoint, controller))
+    print(after_evaluation(results, checkpoint, controller, configure.words))
     if json:  # which may be standard output
         write_json(json, results)
 
@@ -132,12 +158,20 @@ def run_simulate(
     figure: str | None = None,
 ) -> None:
     """main.py simulate"""
+    from study.experiment import Experiment
     from study.flight import simulation
     from study.flight.figures import constraint_figure
+    from study.verified import say_unless_verified
 
-    flown, config = simulation.run(
-        configure, configure.files, controller, duration, step, seed, checkpoint, actions, initial_state
-    )
+    if (controller == "policy") != bool(checkpoint):
+        raise InputError("--checkpoint F is needed by --controller policy and by no other")
+    if (controller == "recorded") != bool(actions):
+        raise InputError("--actions F.npy is needed by --controller recorded and by no other")
+    policy, config = agent_and_config(configure, checkpoint)
+    simulation.check_rows(step, duration, config, controller)
+    experiment = Experiment(config, 1, duration)
+    say_unless_verified(config, configure.files, checkpoint)
+    flown = simulation.run(experiment, controller, duration, step, seed, policy, actions, initial_state)
     write_npz(out, flown)
     if figure:
         constraint_figure(flown, config.inspection, Path(figure))
@@ -159,7 +193,7 @@ def run_filter(configure: Configure, states: str, out: str) -> None:
     from rta.qp.programs import Status
     from study.flight import offline_filter
 
-    result = offline_filter.run(configure, states)
+    result = offline_filter.run(configure(Config()), states)
     write_npz(out, result)
     counts = [f"{(result['status'] == status).sum():,} {status.name.lower()}" for status in Status]
     print(f"{out}: {len(result['status']):,} states, {', '.join(counts)}")
@@ -173,50 +207,66 @@ def run_verify(
     horizon: int | None = None,
     duration: int = 2000,
     check_every: float = 1.0,
+    filter: str = "python",
     seed: int = 0,
     json: str | None = None,
     keep_worst: bool = False,
-    replay: str | None = None,
-    boundary: int | None = None,
-    break_points: str | None = None,
-    filter: str = "python",
 ) -> None:
     """main.py verify"""
-    from study.boundary import report as boundary_report
-    from study.boundary.boundary import search
-    from study.verification import break_points as breaking
-    from study.verification.campaign import verify
-    from study.verification.counter_examples import replay_file
-    from study.verification.findings import table, what_next
+    from study.experiment import check_observed
+    from study.verification.campaign import BATCH, digest, load_commander, looking_ahead, verify
+    from study.verification.findings import Campaign, table, what_next
 
-    if replay:
-        print(replay_file(replay))
-        return
+    network, trained = load_commander(policy)
+    config = with_filter(configure, trained)
+    if network:
+        check_observed(config, trained)
+    ahead = looking_ahead(policy, candidates, horizon)
+    period, weights = config.rta.period, digest(network)
+    campaign = Campaign(policy, period, duration, seed, BATCH, weights, check_every, *ahead, filter)
     kept = Path(json) if json else None
-    if boundary:
-        print(boundary_report.table(search(boundary, seed, configure, kept)))
-        return
-    if break_points:
-        report = breaking.measure(policy, episodes, duration, seed, configure, kept)
-        print(breaking.table(report))
-        with writing(break_points) as file:
-            breaking.figure(report).savefig(file, dpi=90)
-        return
-    report = verify(
-        policy,
-        episodes,
-        duration,
-        seed,
-        configure,
-        kept,
-        check_every,
-        candidates,
-        horizon,
-        keep_worst,
-        filter,
-    )
+    report = verify(campaign, episodes, config, network, kept, keep_worst)
     print(table(report))
     print(what_next(report, kept))
+
+
+def run_boundary(configure: Configure, draws: int = 4096, seed: int = 0, json: str | None = None) -> None:
+    """main.py boundary"""
+    from study.boundary.boundary import BATCH, Boundary, search
+    from study.boundary.report import table
+
+    config = with_filter(configure)
+    print(
+        table(search(Boundary(config.rta.period, seed, BATCH), draws, config, Path(json) if json else None))
+    )
+
+
+def run_break_points(
+    configure: Configure,
+    episodes: int = 96,
+    policy: str = "random",
+    duration: int = 300,
+    seed: int = 0,
+    json: str | None = None,
+    figure: str | None = None,
+) -> None:
+    """main.py break-points"""
+    from study.verification import break_points
+
+    config = with_filter(configure)
+    worlds = break_points.Worlds(policy, config.rta.period, duration, seed, episodes)
+    report = break_points.measure(worlds, config, Path(json) if json else None)
+    print(break_points.table(report))
+    if figure:
+        with writing(figure) as file:
+            break_points.figure(report).savefig(file, dpi=90)
+
+
+def run_refly(file: str) -> None:
+    """main.py refly"""
+    from study.verification.counter_examples import refly_file
+
+    print(refly_file(file))
 
 
 def run_benchmark(
@@ -228,7 +278,9 @@ def run_benchmark(
     """main.py benchmark"""
     from study.benchmark import measure, presentation
 
-    results = measure.benchmark(configure(Config()), batches or measure.BATCHES)
+    with refusing("benchmark needs the package gymnasium (pip install '.[gymnasium]')", ImportError):
+        from interfaces.vector import VectorInspection6DoF
+    results = measure.benchmark(configure(Config()), batches or measure.BATCHES, VectorInspection6DoF)
     print(presentation.table(results))
     if json:
         write_json(json, results)
@@ -251,8 +303,7 @@ def run_export(
     if filter is not None:
         from study.export import filter as export_filter
 
-        config = configure(StudyConfig()).of_arm("rta")
-        print(export_filter.export(config, Path(filter), "float" if float else "double"))
+        print(export_filter.export(with_filter(configure), Path(filter), "float" if float else "double"))
         return
     if checkpoint is None:
         raise InputError(f"--checkpoint F is needed by {'--out' if c is None else '--c'}")
@@ -283,6 +334,9 @@ HANDLERS = {
     "replay": run_replay,
     "filter": run_filter,
     "verify": run_verify,
+    "boundary": run_boundary,
+    "break-points": run_break_points,
+    "refly": run_refly,
     "benchmark": run_benchmark,
     "export": run_export,
 }
@@ -317,7 +371,7 @@ def main(argv: list[str] | None = None) -> int:
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)
         return 130
-    except (ReplayError, ExportError) as error:
+    except (ReflyError, ExportError) as error:
         return complain(f"{error}", 1)
     except RankLostError as error:
         signal.signal(signal.SIGTERM, signal.SIG_IGN)  # from torchrun, which has noticed, too; we are leaving

@@ -2,7 +2,11 @@
 
 import shlex
 import sys
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
+
+from study.config import TEST_CASES
 
 CHECKPOINT, LEARNED = FILES = (
     "checkpoint:",
@@ -45,3 +49,23 @@ def after_training(directory: Path) -> str:
             "  " + shlex.join(["tensorboard", "--logdir", str(directory)]),
         )
     )
+
+
+def after_evaluation(
+    results: dict[str, Any], checkpoint: str | None, controller: str | None, settings: Sequence[str]
+) -> str:
+    """The commands that show the first episode of an evaluation of an agent's file or of a controller.
+
+    Args:
+        results: in the form of `evaluate --json`; settings: flags with their values.
+    """
+    who = ["policy", "--checkpoint", checkpoint] if checkpoint else [controller]
+    task = results["config"]["inspection"]
+    every = {"random": task["action_period"], "natural-motion": results["rta"]["period_s"] or task["substep"]}
+    if controller in every:
+        who += ["--step", f"{every[controller]:g}"]
+    if results["seed"] != TEST_CASES:
+        who += ["--seed", str(results["seed"])]
+    length = "--duration", f"{EPISODE}"
+    fly = command("simulate", "--controller", *who, *settings, *length, "--out", "run.npz")
+    return f"Watch one: {fly} && {command('replay', 'run.npz', '--out', 'run.html')}"

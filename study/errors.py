@@ -12,7 +12,7 @@ class InputError(ValueError):
     """Bad input from a person: the message says what was wrong, where, and what is allowed."""
 
 
-class ReplayError(Exception):
+class ReflyError(Exception):
     """A counter-example does not come out as recorded: one line on stderr and exit code 1."""
 
 

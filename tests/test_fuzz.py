@@ -20,7 +20,7 @@ import pytest
 import torch
 
 import main
-from study.command_line.arguments import COMMANDS
+from study.command_line.commands import COMMANDS
 from study.command_line.flags import Flag
 from study.config import StudyConfig
 from tests.test_main import STATE, write_inputs
@@ -50,7 +50,7 @@ BASES = (
     "export --checkpoint p.pt --out o.onnx",
     "export --checkpoint p.pt --c code",
     "verify --policy random --episodes 1 --duration 1 --json v.json",
-    "verify --replay x.npz",
+    "refly x.npz",
     "report --study directory",
     "study --config c.toml --study-dir study --seeds 1",
     "benchmark --batches 2,x --json directory",

@@ -14,7 +14,8 @@ import numpy as np
 import pytest
 
 import main
-from study.command_line.arguments import COMMANDS, build_parser, join_axis
+from study.command_line.arguments import build_parser, join_axis
+from study.command_line.commands import COMMANDS
 from study.config import load
 from study.flight.summary import iqm
 from study.paper import PAPER_METRICS, PAPER_VIOLATIONS, Estimate
@@ -679,7 +680,17 @@ def test_every_command_parses(page: str) -> None:
 
 
 READ = (
-    *("load", "replay", "--config", "--checkpoint", "--actions", "--initial-state", "--states", "--study"),
+    *(
+        "load",
+        "replay",
+        "refly",
+        "--config",
+        "--checkpoint",
+        "--actions",
+        "--initial-state",
+        "--states",
+        "--study",
+    ),
     *("--resume", "--init-from", "--logdir", "-r"),
 )
 WRITTEN = ("save", "savez", "--out", "--json", "--figure", "--run-dir", "--study-dir")

@@ -14,7 +14,6 @@ from typing import Any
 
 import torch
 
-from interfaces.vector import VectorInspection6DoF
 from kernels.build import VARIABLE
 from rta.parameters import PERIODS
 from study.benchmark import rates
@@ -40,8 +39,13 @@ def experiment_at(config: Config, period: float, batch: int, solver: str = "batc
 
 
 @torch.no_grad()
-def benchmark(config: Config, batches: tuple[int, ...]) -> dict[str, Any]:
+def benchmark(
+    config: Config, batches: tuple[int, ...], gymnasium: Callable[..., rates.GymnasiumEnv]
+) -> dict[str, Any]:
     """Measures everything, compiled unless config.train.compile is "off".
+
+    Args:
+        gymnasium: makes a vector environment of (episodes, config, device, compiled).
 
     Returns:
         The content of `benchmark --json`. Headline numbers are medians, rates those at the batch of `batches`
@@ -85,7 +89,7 @@ def benchmark(config: Config, batches: tuple[int, ...]) -> dict[str, Any]:
     parts: dict[int, dict[str, float]] = {}
     for n in batches:
         say(f"{n:,} episodes at once")
-        gym_env = VectorInspection6DoF(n, config, config.train.device, compiled)
+        gym_env = gymnasium(n, config, config.train.device, compiled)
         for name, rate in rates.simulator(gym_env, flight).items():
             simulator[name][n] = rate
         env = gym_env.simulator

@@ -2,14 +2,13 @@
 
 from dataclasses import replace
 from functools import partial
-from typing import Any
+from typing import Any, Protocol
 
 import torch
 from torch import Tensor
 
 from inspection.environment import InspectionEnv
 from inspection.model.state import CONTROL_SIZE
-from interfaces.vector import VectorInspection6DoF
 from kernels import Compiled
 from ppo.learner import PPO
 from rta.filter import SafetyFilter
@@ -27,7 +26,18 @@ MATRIX = 1024
 CHAIN, INDEPENDENT = 200, 12  # products and sums in a row, and how many such rows at once
 
 
-def simulator(gym_env: VectorInspection6DoF, flight: Flight) -> dict[str, Spread]:
+class GymnasiumEnv(Protocol):
+    """What is measured of a vector environment of Gymnasium's interface around the simulator."""
+
+    simulator: InspectionEnv
+    num_envs: int
+
+    def reset(self, *, seed: int) -> Any: ...
+
+    def step(self, actions: Any) -> Any: ...
+
+
+def simulator(gym_env: GymnasiumEnv, flight: Flight) -> dict[str, Spread]:
     """Environment steps per s under small random actions, those of an untrained policy.
 
     Returns:

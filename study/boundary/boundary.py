@@ -8,7 +8,7 @@ them. Draws are independent of each other, so that the bound per draw is Clopper
 
 import dataclasses
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from copy import copy
 from functools import partial
 from pathlib import Path
@@ -26,7 +26,7 @@ from rta.lie_derivatives import Function
 from rta.qp.programs import Status
 from study.boundary.limits import BISECTIONS, CANDIDATES, barriers, near_limits
 from study.boundary.report import Tried, add, empty_report, held_by_the_plant
-from study.config import Config, StudyConfig
+from study.config import Config
 from study.errors import refusing
 from study.experiment import Experiment, check_clocks
 from study.files import write_json
@@ -156,18 +156,16 @@ def run(
         yield report
 
 
-def search(draws: int, seed: int, configure: Callable[[Config], Config], path: Path | None) -> dict[str, Any]:
+def search(campaign: Boundary, draws: int, config: Config, path: Path | None) -> dict[str, Any]:
     """All draws, with a progress bar; returns the report.
 
     Args:
-        configure: puts the command line over a base configuration.
-        path: see `run`.
+        config: with the filter on; path: see `run`.
     """
-    config = configure(StudyConfig()).of_arm("rta")
-    period = config.rta.period
-    check_clocks(config, period, CHECK_BETWEEN, period, f"--boundary, checked every {CHECK_BETWEEN:g} s")
+    period = campaign.period
+    check_clocks(config, period, CHECK_BETWEEN, period, f"boundary, checked every {CHECK_BETWEEN:g} s")
     experiment = Experiment(config, BATCH * TRIES, seconds=-(-draws // BATCH) * CALLS * period)
-    reports = run(Boundary(period, seed, BATCH), draws, experiment, path)
+    reports = run(campaign, draws, experiment, path)
     report = next(reports)  # refuses before there is a bar
     if report["draws"] >= draws:
         print(f"{path}: holds {report['draws']:,} draws already", file=sys.stderr)

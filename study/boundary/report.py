@@ -40,7 +40,7 @@ class Tried(NamedTuple):
 
 
 def empty_report(campaign: Any, config: Config) -> dict[str, Any]:
-    """A report of no draws, the form of `verify --boundary --json`.
+    """A report of no draws, the form of `boundary --json`.
 
     `violating_draws` are those with h < 0 within the period, `violating_at_end` those with h < 0 at its end; in
     `lost_draws` a row has slack after it and none had before, in `yielding_draws` one had before. `limits` and `pairs`

@@ -8,7 +8,7 @@ from typing import Any, NoReturn
 from rta.constraints.constraint import CONSTRAINTS
 from rta.parameters import PERIODS
 from study.commands import FILES
-from study.config import ARMS, MAX_COUNT
+from study.config import ARMS, MAX_COUNT, StudyConfig, comments
 from study.errors import in_one_line
 
 
@@ -96,23 +96,31 @@ def verified_policy(text: str) -> str:
     return text
 
 
+def beside_setting(name: str) -> str:
+    """The comment beside a setting, "table.key"; empty where there is no such setting or no source."""
+    table, _, key = name.partition(".")
+    _, comment = comments(type(getattr(StudyConfig(), table, None))).get(key, ([], ""))
+    return comment.removeprefix("# ").replace("%", "%%")
+
+
 class Flag:
     """A flag: what it reaches, how it is read and what --help says.
 
     Args:
         name: as it is written; without dashes it is a positional argument.
-        text: of --help, which goes on with the default, unless the text has it or a {} for it.
+        text: of --help, which goes on with the default, unless the text has it or a {} for it; without one, the comment
+            beside the setting.
         sets: the setting it reaches, as "table.key"; without one, the parameter of the command's function by its name.
         alone: what it names, if that holds all settings, so that no other flag is allowed beside it but those `beside`.
         without: flags that mean nothing beside it.
-        reads: it names a file that is read; writes: one that is written, which of `study.command_line.paths.KINDS`.
+        reads: it names a file that is read; writes: the suffix of one that is written.
         options: what else `add_argument` takes: type, choices, metavar, ...
     """
 
     def __init__(
         self,
         name: str,
-        text: str,
+        text: str = "",
         sets: str = "",
         alone: str = "",
         beside: tuple[str, ...] = (),
@@ -121,7 +129,8 @@ class Flag:
         writes: str = "",
         **options: Any,
     ) -> None:
-        self.name, self.text, self.alone, self.beside, self.options = name, text, alone, beside, options
+        self.name, self.text = name, text or beside_setting(sets)
+        self.alone, self.beside, self.options = alone, beside, options
         self.reads, self.writes, self.without = reads, writes, without
         self.dest = sets or name.removeprefix("--").replace("-", "_")
 
@@ -151,6 +160,6 @@ directory = partial(Flag, metavar="D")
 read = partial(Flag, reads=True, metavar="F")
 
 
-def written(kind: str, name: str, text: str, metavar: str = "F", without: tuple[str, ...] = ()) -> Flag:
-    """A flag for a file of one of `study.command_line.paths.KINDS` that is written; `without` as of `Flag`."""
-    return Flag(name, text, writes=kind, metavar=metavar, without=without)
+def written(suffix: str, name: str, text: str, metavar: str = "F", without: tuple[str, ...] = ()) -> Flag:
+    """A flag for a file that is written; `without` as of `Flag`."""
+    return Flag(name, text, writes=suffix, metavar=metavar, without=without)

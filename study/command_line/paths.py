@@ -1,71 +1,14 @@
-"""What a command may read and write: no file that it reads is written, and no other one but of the same kind."""
+"""What a command may read and write: no file that it reads is written, and no other one of another suffix."""
 
-import json
 import os
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
 
-import numpy as np
-
 from ppo.files import temporary_beside
-from study.errors import MALFORMED, InputError
+from study.errors import InputError
 from study.files import check_writable
-
-Fits = Callable[[Path], bool]
-
-
-def json_with(*keys: str) -> Fits:
-    """Whether a file is a JSON object with these keys."""
-
-    def fits(path: Path) -> bool:
-        content = json.loads(path.read_text(encoding="utf-8"))
-        return set(keys) <= content.keys()
-
-    return fits
-
-
-def arrays_with(*names: str) -> Fits:
-    """Whether a file is an archive of NumPy's with these arrays."""
-
-    def fits(path: Path) -> bool:
-        with np.load(path, allow_pickle=False) as arrays:
-            return set(names) <= set(arrays.files)
-
-    return fits
-
-
-def page(path: Path) -> bool:
-    """Whether a file is a replay."""
-    with path.open(encoding="utf-8") as file:
-        head = file.read(1000)
-    return head.lower().startswith("<!doctype html>") and "<title>Replay" in head
-
-
-def network(path: Path) -> bool:
-    """Whether a file is an agent in ONNX's format, whose first field is its version."""
-    content = path.read_bytes()
-    return content.startswith(b"\x08") and b"action_period" in content
-
-
-def png(path: Path) -> bool:
-    """Whether a file is a PNG."""
-    with path.open("rb") as file:
-        return file.read(8) == b"\x89PNG\r\n\x1a\n"
-
-
-FIGURE = "figure in PNG format"
-KINDS: dict[str, Fits] = {
-    "evaluation": json_with("metrics", "violations_percent", "outcomes"),
-    "report of verify": json_with("campaign", "config"),
-    "benchmark": json_with("simulator_steps_per_s", "min_max"),
-    "run of simulate": arrays_with("time", "control_applied"),
-    "result of filter": arrays_with("control_safe", "A_all"),
-    "replay": page,
-    "exported agent": network,
-    FIGURE: png,
-}
 
 
 def check_inputs(inputs: Mapping[str, str]) -> None:
@@ -81,14 +24,14 @@ def check_outputs(outputs: Mapping[str, tuple[str, str]], inputs: Mapping[str, s
     """Refuses outputs, before any work is done, by whose writing anything would be lost.
 
     Args:
-        outputs: by flag, the path and which of KINDS is written there; inputs: by flag, the path.
+        outputs: by flag, the path and the suffix of what is written there; inputs: by flag, the path.
 
     Raises:
-        InputError: an output cannot be written, is also an input or another output, perhaps through a link, or is a
-            file of another kind.
+        InputError: an output cannot be written, is also an input or another output, perhaps through a link, or is there
+            already under another suffix.
     """
     before = dict(inputs)
-    for flag, (path, kind) in outputs.items():
+    for flag, (path, suffix) in outputs.items():
         for other, theirs in before.items():
             if same(path, theirs):
                 raise InputError(f"{flag} {path}: is the file of {other}; name another one")
@@ -96,12 +39,13 @@ def check_outputs(outputs: Mapping[str, tuple[str, str]], inputs: Mapping[str, s
                 raise InputError(f"{flag} {path}: is written by way of the file of {other}; name another one")
         check_writable(path, flag)
         before[flag] = path
-        if kind == FIGURE and Path(path).suffix not in ("", ".png"):
+        named = Path(path).suffix
+        if suffix == ".png" and named not in ("", suffix):
             raise InputError(
                 f"{flag} {path}: figures are written in PNG format; name it {Path(path).stem}.png"
             )
-        if would_be_lost(Path(path)) and not is_a(kind, Path(path)):
-            raise InputError(f"{flag} {path}: exists and is no {kind}; name another file")
+        if named != suffix and would_be_lost(Path(path)):
+            raise InputError(f"{flag} {path}: exists and is no {suffix} file; name another one")
 
 
 def same(one: str, other: str) -> bool:
@@ -120,10 +64,3 @@ def would_be_lost(path: Path) -> bool:
     with suppress(OSError, ValueError):  # without a standard output, or one that is no file
         return not os.path.samestat(path.stat(), os.fstat(sys.stdout.fileno()))
     return True
-
-
-def is_a(kind: str, path: Path) -> bool:
-    """Whether a file is one of KINDS; one that cannot be read is not."""
-    with suppress(OSError, EOFError, MemoryError, *MALFORMED):
-        return KINDS[kind](path)
-    return False

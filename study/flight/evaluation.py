@@ -2,7 +2,6 @@
 
 import dataclasses
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -19,20 +18,12 @@ from inspection.termination import OUTCOMES, failures
 from ppo.network import Policy
 from rta.constraints.constraint import CONSTRAINTS
 from rta.qp.programs import Status
-from study.commands import EPISODE, command
-from study.config import TEST_CASES, Config
-from study.experiment import (
-    Experiment,
-    check_clocks,
-    check_observed,
-    load_policy,
-    test_cases,
-)
+from study.config import Config
+from study.experiment import Experiment, test_cases
 from study.flight.controllers import agent, classical, untrained
 from study.flight.simulation import Recording
 from study.flight.summary import summary_of_runs
 from study.machine.progress import bar
-from study.verified import say_unless_verified
 
 # Without the time that is left: the last episode may take as long as all before it, and nobody knows.
 BAR = "{desc}: |{bar}| {n_fmt}/{total_fmt} ended [{elapsed}{postfix}]"
@@ -292,48 +283,10 @@ def play_controller(name: str, experiment: Experiment, episodes: int, seed: int)
     )
 
 
-def evaluate(policy: Policy, experiment: Experiment, episodes: int, seed: int) -> dict[str, Any]:
-    """Plays the common test cases with a policy of one seed and reports them."""
-    return report(play(policy, experiment, episodes, seed), experiment.config, seed)
-
-
-def run(
-    configure: Callable[[Config], Config],
-    files: list[str],
-    episodes: int,
-    seed: int,
-    checkpoint: str | None,
-    controller: str | None,
-) -> dict[str, Any]:
-    """What `evaluate` of the command line reports, by the names of its flags.
-
-    Args:
-        configure: puts the command line over a configuration, that of the checkpoint if there is one.
-        files: of --config.
-        checkpoint: the agent's file, or else controller: one of BASELINES.
-    """
-    policy, base = load_policy(checkpoint) if checkpoint else (None, Config())
-    config = configure(base.unsettled())
-    check_observed(config, base if policy else config)
-    check_clocks(config)
-    experiment = Experiment(config, episodes)
-    say_unless_verified(config, files, checkpoint)
-    if policy:
-        return evaluate(policy.to(experiment.device), experiment, episodes, seed)
-    return report(play_controller(controller, experiment, episodes, seed), experiment.config, seed)
-
-
-def how_to_watch(
-    results: dict[str, Any], words: list[str], checkpoint: str | None, controller: str | None
-) -> str:
-    """The commands that show the first episode of an evaluation; `words` are the flags of its settings."""
-    who = ["policy", "--checkpoint", checkpoint] if checkpoint else [controller]
-    task = results["config"]["inspection"]
-    every = {"random": task["action_period"], "natural-motion": results["rta"]["period_s"] or task["substep"]}
-    if controller in every:
-        who += ["--step", f"{every[controller]:g}"]
-    if results["seed"] != TEST_CASES:
-        who += ["--seed", str(results["seed"])]
-    length = "--duration", f"{EPISODE}"
-    fly = command("simulate", "--controller", *who, *words, *length, "--out", "run.npz")
-    return f"Watch one: {fly} && {command('replay', 'run.npz', '--out', 'run.html')}"
+def evaluate(commander: Policy | str, experiment: Experiment, episodes: int, seed: int) -> dict[str, Any]:
+    """Plays the common test cases with a policy of one seed, or with one of BASELINES, and reports them."""
+    if isinstance(commander, str):
+        record = play_controller(commander, experiment, episodes, seed)
+    else:
+        record = play(commander.to(experiment.device), experiment, episodes, seed)
+    return report(record, experiment.config, seed)

@@ -1,7 +1,5 @@
 """Filtering states from elsewhere, with every number of the quadratic programs, so that others can check them."""
 
-from collections.abc import Callable
-
 import numpy as np
 import torch
 from torch import Tensor
@@ -19,9 +17,8 @@ from study.machine.progress import bar
 CHUNK = 4096  # states filtered at once, so that memory does not grow with their number
 
 
-def run(configure: Callable[[Config], Config], states: str) -> dict[str, np.ndarray]:
-    """What `filter` of the command line writes, of the states in a file; `configure` has its other flags."""
-    config = configure(Config())
+def run(config: Config, states: str) -> dict[str, np.ndarray]:
+    """What `filter` of the command line writes, of the states in a file."""
     x, desired = read_states(states, config.inspection)
     calls = -(-x.shape[1] // CHUNK)
     experiment = Experiment(config, x.shape[1], calls * config.rta.period)

@@ -1,6 +1,5 @@
 """Simulating one spacecraft under any controller, with everything over time."""
 
-from collections.abc import Callable
 from dataclasses import fields
 
 import numpy as np
@@ -23,25 +22,23 @@ from study.experiment import (
     Experiment,
     case_numbers,
     check_clocks,
-    check_observed,
-    load_policy,
     test_cases,
 )
 from study.flight.controllers import agent, classical, recorded, untrained
 from study.flight.state_files import STATE_FIELDS, read_state
 from study.machine.progress import bar
-from study.verified import say_unless_verified
 
 MAX_ROWS = 10**7
 SCALARS = ("time", "inspected_score", "temperature", "energy", "sun_angle")
 
 
-def check_rows(step: float, duration: float, config: Config, decide_every: float) -> None:
+def check_rows(step: float, duration: float, config: Config, controller: str) -> None:
     """Refuses rows every `step` s without end, or that do not fit the other clocks."""
     if step < 1e-3 or duration / min(step, config.inspection.substep) > MAX_ROWS:
         raise InputError(
             f"--duration {duration:g} at --step {step:g}: at most {MAX_ROWS:,} steps of at least 1 ms"
         )
+    decide_every = decides_every(config, controller, step)
     check_clocks(config, decide_every, step, duration, f"--step {step:g}, --duration {duration:g}")
 
 
@@ -186,48 +183,41 @@ def common_episode(policy: Policy, experiment: Experiment, case: int = 0) -> dic
 
 
 def run(
-    configure: Callable[[Config], Config],
-    files: list[str],
+    experiment: Experiment,
     controller: str,
     duration: float,
     step: float,
     seed: int,
-    checkpoint: str | None = None,
+    policy: Policy | None = None,
     actions: str | None = None,
     initial_state: str | None = None,
-) -> tuple[dict[str, np.ndarray], Config]:
-    """What `simulate` of the command line flies, by the names of its flags; and in which configuration.
+) -> dict[str, np.ndarray]:
+    """What `simulate` of the command line flies, by the names of its flags.
 
     Args:
-        configure: puts the command line over a configuration, that of the checkpoint if there is one.
-        files: of --config.
+        policy: of one seed, for the controller "policy".
 
     Raises:
-        InputError, CheckpointError: a file is missing or damaged, or the flags do not fit together.
+        InputError: a file is missing or damaged.
     """
-    if (controller == "policy") != bool(checkpoint):
-        raise InputError("--checkpoint F is needed by --controller policy and by no other")
-    if (controller == "recorded") != bool(actions):
-        raise InputError("--actions F.npy is needed by --controller recorded and by no other")
-    policy, base = load_policy(checkpoint) if checkpoint else (None, Config())
-    config = configure(base.unsettled())
-    check_observed(config, base if policy else config)
-    decide_every = config.inspection.action_period if controller in ("policy", "untrained") else step
-    check_rows(step, duration, config, decide_every)
-    experiment = Experiment(config, 1, duration)
-    say_unless_verified(config, files, checkpoint)
     start = starting_point(initial_state, experiment, seed)
     # the plant is that of the first test case of `evaluate` with this seed
+    decide_every = decides_every(experiment.config, controller, step)
     env = experiment.env(1, experiment.generators([seed + 1]), decide_every, step)
     if controller == "untrained":
         policy = untrained(experiment, seed)
     if policy:
         commander = agent(policy.to(experiment.device), env)
     elif actions:
-        commander = recorded(actions, config, step, duration)
+        commander = recorded(actions, experiment.config, step, duration)
     else:
-        commander = classical(controller, config, seed, step)
-    return simulate(env, commander, *start, duration), config
+        commander = classical(controller, experiment.config, seed, step)
+    return simulate(env, commander, *start, duration)
+
+
+def decides_every(config: Config, controller: str, step: float) -> float:
+    """s between two decisions: of an agent, trained or not, its own; of the others a row of the output."""
+    return config.inspection.action_period if controller in ("policy", "untrained") else step
 
 
 def described(episode: dict[str, np.ndarray]) -> str:

@@ -13,8 +13,8 @@ from plotly.offline import get_plotlyjs
 from study.errors import refusing
 from study.files import write_text
 from study.flight.figures import BLUE, GREEN, GREY, ORANGE, SAFE, UNSAFE
+from study.pages.template import render
 from study.replay.scene import MAX_ROWS, Replayed, content, read, rounded
-from study.report.page import render
 
 # of what `replay.js` draws; those that `figures` lacks are of Okabe and Ito's palette as well
 COLOURS = {

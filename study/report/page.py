@@ -1,6 +1,6 @@
 """The report's page, self-contained: every table and figure of a study, and links to the files behind them.
 
-What it says stands in `page.html.j2`, what every page shares in `frame.html.j2` and `frame.css`.
+What it says stands in `page.html.j2`, what every page shares in `study/pages`.
 """
 
 import base64
@@ -9,51 +9,37 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from jinja2 import Environment, FileSystemLoader, StrictUndefined
-from markupsafe import Markup
 
 from inspection.world.plant import PlantParameters
 from study.errors import refusing
 from study.files import write_text
 from study.flight.figures import Episode, effort
+from study.pages.template import render
 from study.paper import PAPER_METRICS, PAPER_VIOLATIONS, Estimate, Results, measured
+from study.replay import page as replay
 from study.report.figures import ARM_LABELS, TRAINING, label
 from study.report.inputs import Inputs
 from study.report.tables import of_seeds, over_seeds, throughput
 
-STUDY = Path(__file__).parent.parent  # the package, below which all templates are
+REPLAYED_ROWS = (
+    400  # of an episode: about one per action, so that its page is hardly larger than Plotly alone
+)
 MEDIA_TYPES = {".png": "image/png", ".svg": "image/svg+xml"}
 PAPER = PAPER_METRICS | PAPER_VIOLATIONS
 DIGITS = {name: paper.digits for name, paper in PAPER.items()} | {"success": 1}
 
 
-def render(template: str, **values: Any) -> str:
-    """The page of a template below `study`, in which every value that it is given is escaped.
-
-    Raises:
-        UndefinedError: the template uses a value that is not given.
-    """
-    environment = Environment(
-        loader=FileSystemLoader(STUDY),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    environment.filters |= {"fixed": fixed, "percent": percent, "plain": plain}
-    environment.globals["source"] = lambda name: Markup((STUDY / name).read_text(encoding="utf-8"))
-    return environment.get_template(template).render(values)
-
-
 def write(inputs: Inputs) -> None:
-    """Writes `report.html`; its figures have been drawn.
+    """Writes `report.html`, whose figures have been drawn, and the replay of the arms' episodes that it links to.
 
     Raises:
-        InputError: it cannot be written.
+        InputError: they cannot be written.
     """
+    if inputs.arms:
+        episodes = [str(inputs.directory / f"episode_{arm}.npz") for arm in inputs.arms]
+        replay.write(episodes, inputs.directory / "replay.html", REPLAYED_ROWS, report="../report.html")
     with refusing(f"--study {inputs.study}: cannot write its report", OSError):
         write_text(inputs.study / "report.html", document(inputs))
 
@@ -62,6 +48,7 @@ def document(inputs: Inputs) -> str:
     """The whole page."""
     return render(
         "report/page.html.j2",
+        filters={"fixed": fixed, "percent": percent, "plain": plain},
         inputs=inputs,
         columns=inputs.columns,
         flyers={f"agents, {label(arm)}": flown for arm, flown in inputs.cross.items()} | inputs.baselines,

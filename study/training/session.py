@@ -1,7 +1,7 @@
 """How the training of a run begins and goes on: its directory, its lock, its first networks or its checkpoint."""
 
 import shutil
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
@@ -76,13 +76,18 @@ def starting(config: Config, directory: Path, init_from: Path | None = None) -> 
 
 
 @contextmanager
-def resuming(directory: Path, configure: Callable[[Config], Config]) -> Iterator[Run]:
-    """A run that goes on, see `resume`, with its directory to itself; `configure` has the last word on its settings."""
+def resuming(directory: Path, config: Config) -> Iterator[Run]:
+    """A run that goes on, see `resume`, with its directory to itself; its `settings` are where `config` comes from."""
+    with alone_in(directory, "--resume"):
+        yield resume(directory, config)
+
+
+def settings(directory: Path) -> Config:
+    """The configuration of the run in a directory; refuses a directory that holds none."""
     path = directory / "config.toml"
     if not path.is_file():
         raise InputError(f"--resume {directory}: no run there (it lacks config.toml)")
-    with alone_in(directory, "--resume"):
-        yield resume(directory, configure(configuration.load(path)))
+    return configuration.load(path)
 
 
 def start(config: Config, directory: Path, init_from: Path | None = None) -> Run:

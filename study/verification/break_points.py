@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
 from inspection.world.plant import PlantParameters
-from study.config import Config, StudyConfig, override
+from study.config import Config, override
 from study.errors import InputError
 from study.experiment import Experiment
 from study.files import write_json
@@ -110,7 +110,7 @@ class Worlds:
 
 
 def empty_report(worlds: Any, config: Config) -> dict[str, Any]:
-    """A report of no worlds, the form of `verify --break-points --json`.
+    """A report of no worlds, the form of `break-points --json`.
 
     `worlds` has of each its effect, size, whether the filter was told, and either `violating_episodes` by limit and how
     many filter calls were unsolved, or `refused`, why there was nothing to fly.
@@ -123,23 +123,16 @@ def empty_report(worlds: Any, config: Config) -> dict[str, Any]:
     }
 
 
-def measure(
-    policy: str,
-    episodes: int,
-    duration: int,
-    seed: int,
-    configure: Callable[[Config], Config],
-    path: Path | None,
-) -> dict[str, Any]:
-    """All worlds with a progress bar; returns the report, which `path` holds too and is resumed from."""
-    if policy not in ("random", "adversarial"):
-        raise InputError(f"--policy {policy}: --break-points flies random or adversarial")
-    config = configure(StudyConfig()).of_arm("rta")
+def measure(worlds: Worlds, config: Config, path: Path | None) -> dict[str, Any]:
+    """All worlds with a progress bar; returns the report, which `path` holds too and is resumed from.
+
+    Args:
+        config: with the filter on, nominal plant and nil bounds.
+    """
     if config.plant != PlantParameters() or not config.uncertainty.is_nil:
-        raise InputError("--break-points: brings its own worlds; leave out [plant] and [uncertainty]")
+        raise InputError("break-points brings its own worlds; leave out [plant] and [uncertainty]")
     # refuses before there is a bar what would refuse every world
-    Experiment(replace(config, train=replace(config.train, compile="off")), episodes)
-    worlds = Worlds(policy, config.rta.period, duration, seed, episodes)
+    Experiment(replace(config, train=replace(config.train, compile="off")), worlds.episodes)
     report = report_in(path, worlds, config, empty_report)
     every = [
         (name, size, told) for name, own in EFFECTS.items() for size in own.sizes for told in (False, True)
@@ -171,7 +164,7 @@ def fly_world(worlds: Worlds, config: Config, effect: Effect, size: float, told:
     drawn = worlds.episodes * 9 // 8  # a few starts are beyond braking and do not count
     campaign = Campaign(worlds.policy, worlds.period, worlds.duration, worlds.seed, drawn)
     try:
-        experiment = Experiment(override(config, own, "--break-points"), worlds.episodes, worlds.duration)
+        experiment = Experiment(override(config, own, "break-points"), worlds.episodes, worlds.duration)
         *_, report = run(campaign, worlds.episodes, experiment, None, None)
     except InputError as refused:
         if not told:

@@ -22,9 +22,9 @@ from rta.bounds.uncertainty import Uncertainty
 from rta.constraints.constraint import CONSTRAINTS
 from rta.printed.loaded import REALS, InC
 from study.commands import CHECKPOINT, FILES, LEARNED, in_file
-from study.config import Config, StudyConfig
+from study.config import Config
 from study.errors import InputError, refusing
-from study.experiment import Experiment, check_clocks, check_observed, load_policy
+from study.experiment import Experiment, check_clocks, load_policy
 from study.files import write_json, write_npz
 from study.flight.controllers import agent
 from study.flight.summary import upper_bound
@@ -141,54 +141,23 @@ def commanding(
 
 
 def verify(
-    policy: str,
+    campaign: Campaign,
     episodes: int,
-    duration: int,
-    seed: int,
-    configure: Callable[[Config], Config],
+    config: Config,
+    network: Policy | None,
     path: Path | None,
-    check_every: float = CHECK_EVERY,
-    candidates: int | None = None,
-    horizon: int | None = None,
     keep_worst: bool = False,
-    filter_in: str = "python",
 ) -> dict[str, Any]:
     """The whole campaign with a progress bar; returns the report.
 
     Args:
-        policy, check_every, candidates, horizon: see `Campaign`; the latter two are for lookahead alone.
-        configure: puts the command line over a base configuration, that of the checkpoint if there is one.
-        path, keep_worst: see `run`.
-        filter_in: see `Campaign.filter`.
+        config: with the filter on; the others: see `run`.
     """
-    network, base, weights, ahead = None, Config(), "", (0, 0)
-    if policy == "lookahead":
-        ahead = candidates or CANDIDATES, horizon or HORIZON
-    elif candidates or horizon:
-        raise InputError(f"--policy {policy}: --candidates and --horizon are those of lookahead; drop them")
-    if policy.startswith(FILES):
-        network, base = load_policy(in_file(policy))
-        weights = digest(network)
-        if policy.startswith(LEARNED) and not base.train.adversary:
-            raise InputError(f"--policy {policy}: was not trained as an adversary; fly it as {CHECKPOINT}F")
-    # of a study's file, its table [study] is left out
-    config = configure(StudyConfig(**vars(base.unsettled()))).of_arm("rta")
-    check_observed(config, base if network else config)
-    every = decides_every(config, network)
-    if duration % every:
-        raise InputError(f"--duration {duration}: must be a multiple of {every:g} s, the policy's period")
-    if check_every > config.rta.period:
-        raise InputError(
-            f"--check-every {check_every:g}: must be at most {config.rta.period:g} s, the filter's period"
-        )
-    check_clocks(
-        config, None, check_every, duration, f"--duration {duration}, checked every {check_every:g} s"
-    )
-    experiment = Experiment(config, BATCH * (ahead[0] or 1), seconds=-(-episodes // BATCH) * duration)
-    if filter_in != "python":
-        experiment.safety = exported(experiment, filter_in)
-    period = experiment.filter.period
-    campaign = Campaign(policy, period, duration, seed, BATCH, weights, check_every, *ahead, filter_in)
+    check_times(campaign, config, network)
+    duration, tried = campaign.duration, campaign.candidates or 1
+    experiment = Experiment(config, BATCH * tried, seconds=-(-episodes // BATCH) * duration)
+    if campaign.filter != "python":
+        experiment.safety = exported(experiment, campaign.filter)
     network = network.to(experiment.device) if network else None
     shown: tqdm
 
@@ -204,6 +173,39 @@ def verify(
         for report in reports:
             tell(report["episodes"], report["violating_episodes"]["any"], report["episodes"])
     return report
+
+
+def load_commander(policy: str) -> tuple[Policy | None, Config]:
+    """The network of a policy in a file and the configuration it was trained in; None and the defaults for others."""
+    if not policy.startswith(FILES):
+        return None, Config()
+    network, trained = load_policy(in_file(policy))
+    if policy.startswith(LEARNED) and not trained.train.adversary:
+        raise InputError(f"--policy {policy}: was not trained as an adversary; fly it as {CHECKPOINT}F")
+    return network, trained
+
+
+def looking_ahead(policy: str, candidates: int | None, horizon: int | None) -> tuple[int, int]:
+    """`candidates` and `horizon` of a campaign, with the defaults of lookahead; refuses them for any other policy."""
+    if policy == "lookahead":
+        return candidates or CANDIDATES, horizon or HORIZON
+    if candidates or horizon:
+        raise InputError(f"--policy {policy}: --candidates and --horizon are those of lookahead; drop them")
+    return 0, 0
+
+
+def check_times(campaign: Campaign, config: Config, network: Policy | None) -> None:
+    """Refuses a duration or checks that do not fit the clocks, before anything is built."""
+    duration, check_every = campaign.duration, campaign.check_every
+    every = decides_every(config, network)
+    if duration % every:
+        raise InputError(f"--duration {duration}: must be a multiple of {every:g} s, the policy's period")
+    if check_every > config.rta.period:
+        raise InputError(
+            f"--check-every {check_every:g}: must be at most {config.rta.period:g} s, the filter's period"
+        )
+    where = f"--duration {duration}, checked every {check_every:g} s"
+    check_clocks(config, None, check_every, duration, where)
 
 
 def exported(experiment: Experiment, filter_in: str) -> Safety:
@@ -236,8 +238,10 @@ def decides_every(config: Config, network: Policy | None) -> float:
     return config.inspection.action_period if network else config.rta.period
 
 
-def digest(network: Policy) -> str:
-    """Of a policy's weights: 16 hexadecimal digits."""
+def digest(network: Policy | None) -> str:
+    """Of a policy's weights: 16 hexadecimal digits; empty without one."""
+    if network is None:
+        return ""
     state = sorted(network.state_dict().items())
     content = b"".join(name.encode() + weight.cpu().numpy().tobytes() for name, weight in state)
     return hashlib.sha256(content).hexdigest()[:16]

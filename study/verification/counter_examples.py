@@ -13,14 +13,14 @@ from inspection.model.attitude import unit
 from inspection.model.state import SIZE, P
 from rta.constraints.constraint import CONSTRAINTS
 from study.config import Config, from_toml, override
-from study.errors import MALFORMED, ReplayError, refusing
+from study.errors import MALFORMED, ReflyError, refusing
 from study.experiment import Experiment, check_clocks
 from study.files import load_arrays
 from study.machine.progress import bar
 from study.verification.flight import Flight
 
-# A replay flies the recorded controls, so only the plant's rounding differs: compiled or not, on a CPU or a GPU.
-REPLAYED = 1e-8  # relative to the value or to 1 in the unit of h
+# Flying again flies the recorded controls, so only the plant's rounding differs: compiled or not, on a CPU or a GPU.
+AGREES = 1e-8  # relative to the value or to 1 in the unit of h
 
 
 class Again(NamedTuple):
@@ -33,7 +33,7 @@ class Again(NamedTuple):
 def counter_example(
     flight: Flight, constraint: str, config: Config, check_every: float
 ) -> dict[str, np.ndarray]:
-    """The flight's worst episode for a constraint, up to its worst moment: all that `replay_file` needs.
+    """The flight's worst episode for a constraint, up to its worst moment: all that `refly_file` needs.
 
     Args:
         check_every: s between two checks of the flight.
@@ -55,7 +55,7 @@ def counter_example(
 
 
 @torch.no_grad()
-def replay(experiment: Experiment, example: dict[str, np.ndarray]) -> tuple[float, float, float]:
+def refly(experiment: Experiment, example: dict[str, np.ndarray]) -> tuple[float, float, float]:
     """Flies the example's applied controls from its state, and asks the filter for each of them again.
 
     Where rows change places from call to call, the closed loop multiplies the rounding of another batch size or of
@@ -99,12 +99,12 @@ def replay(experiment: Experiment, example: dict[str, np.ndarray]) -> tuple[floa
     return value, when, difference
 
 
-def replay_file(path: str) -> str:
+def refly_file(path: str) -> str:
     """Flies the counter-example in a file, with the filter that the file describes, and says what came of it.
 
     Raises:
         InputError: not such a file.
-        ReplayError: the constraint falls to another value than the recorded one, by more than REPLAYED.
+        ReflyError: the constraint falls to another value than the recorded one, by more than AGREES.
     """
     names = (
         "state",
@@ -124,12 +124,12 @@ def replay_file(path: str) -> str:
         check_clocks(config, config.rta.period, float(example["check_every"]), where=path)
         if not config.plant.is_nominal:
             example |= load_arrays(path, ("number",), "counter-example", where_missing="")
-        value, when, difference = replay(Experiment(config, 1), example)
+        value, when, difference = refly(Experiment(config, 1), example)
         recorded = float(example["value"])
     outcome = (
         f"{path}: {example['constraint']} falls to {value:.12g} at {when:g} s; recorded {recorded:.12g}; "
         f"the filter's controls differ by at most {difference:.1e} of their limits"
     )
-    if not math.isclose(value, recorded, rel_tol=REPLAYED, abs_tol=REPLAYED):
-        raise ReplayError(f"{outcome}: not what was recorded")
+    if not math.isclose(value, recorded, rel_tol=AGREES, abs_tol=AGREES):
+        raise ReflyError(f"{outcome}: not what was recorded")
     return outcome

@@ -150,5 +150,5 @@ def what_next(report: dict[str, Any], path: Path | None) -> str:
         lines.append(
             f"The worst episodes, first those with violations: {path}.CONSTRAINT.npz of {', '.join(examples)}"
         )
-        lines.append(f"Fly one again: {command('verify', '--replay', f'{path}.{examples[0]}.npz')}")
+        lines.append(f"Fly one again: {command('refly', f'{path}.{examples[0]}.npz')}")
     return "\n".join(lines)

@@ -173,16 +173,15 @@ def test_the_text_fits_into_100_columns(nominal: Experiment) -> None:
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["--boundary", "0"], ["--boundary", "'0'"]),
-        (["--boundary", "9", "--episodes", "5"], ["--boundary has no use for --episodes", "drop"]),
-        (["--boundary", "9", "--policy", "random", "--duration", "9"], ["--policy, --duration"]),
-        (["--boundary", "9", "--replay", "x.npz"], ["drop --boundary"]),
+        (["--draws", "0"], ["--draws", "'0'"]),
+        (["--draws", "9", "--episodes", "5"], ["unrecognized", "--episodes"]),
+        (["--policy", "random", "--duration", "9"], ["unrecognized", "--policy", "--duration"]),
     ],
 )
 def test_flags_without_a_meaning_are_refused(
     arguments: list[str], words: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert_refused(["verify", *arguments], words, capsys)
+    assert_refused(["boundary", *arguments], words, capsys)
 
 
 def test_a_report_of_episodes_is_refused(tmp_path: Path, nominal: Experiment) -> None:

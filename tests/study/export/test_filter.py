@@ -11,7 +11,7 @@ from kernels import build
 from rta.filter import SafetyFilter
 from rta.printed.loaded import REALS, InC
 from study import verified
-from study.command_line.arguments import COMMANDS
+from study.command_line.commands import COMMANDS
 from study.config import Config, load
 from study.export.filter import said_of
 from tests.rta.constraints.test_constraints import tensor

@@ -88,7 +88,7 @@ def test_its_file_flies_behind_the_filter(
     report = json.loads(path.read_text())
     assert report["campaign"]["policy"] == policy and len(report["campaign"]["weights"]) == 16
     assert sum(report["filter_calls"].values()) == 4 * 2  # every 10 s, as it was trained
-    code, _, err = call(["verify", "--replay", f"{path}.passive_safety.npz"], capsys)
+    code, _, err = call(["refly", f"{path}.passive_safety.npz"], capsys)
     assert code == 0, err
 
 

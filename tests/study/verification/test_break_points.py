@@ -1,4 +1,4 @@
-"""`verify --break-points`: what a world is, what counts as its break point, and that a report goes on."""
+"""`break-points`: what a world is, what counts as its break point, and that a report goes on."""
 
 import json
 from pathlib import Path
@@ -80,7 +80,7 @@ def test_worlds_are_flown_once_and_break_where_they_must(
     monkeypatch.setattr(break_points, "EFFECTS", {"mass": effect})
     path, picture = tmp_path / "report.json", tmp_path / "figure.png"
     flags = ["--episodes", "12", "--duration", "10", "--json", str(path), "--compile", "off"]
-    command = ["verify", "--break-points", str(picture), *flags]
+    command = ["break-points", "--figure", str(picture), *flags]
     code, out, err = call(command, capsys)
     assert code == 0, err
     worlds = json.loads(path.read_text())["worlds"]
@@ -97,4 +97,4 @@ def test_worlds_are_flown_once_and_break_where_they_must(
     assert picture.stat().st_size > 10_000
     monkeypatch.setattr(break_points, "fly_world", None)  # nothing is left to fly
     assert call(command, capsys)[0] == 0
-    assert_refused([*command, "--policy", "lookahead"], ["lookahead", "random or adversarial"], capsys)
+    assert_refused([*command, "--policy", "lookahead"], ["'lookahead'", "random", "adversarial"], capsys)

@@ -15,7 +15,7 @@ from rta.filter import SafetyFilter
 from study.config import Config, override
 from study.experiment import Experiment, make_policy
 from study.verification.campaign import Campaign, blamed, digest, run
-from study.verification.counter_examples import replay_file
+from study.verification.counter_examples import refly_file
 from study.verification.starts import initial_states
 from tests.test_main import assert_refused
 
@@ -108,7 +108,7 @@ def test_a_violation_between_two_seconds_is_seen_where_it_is_looked_for(
     assert report["violating_episodes"]["collision"] == (4 if seen else 0)
     if seen:
         assert report["worst_case"]["collision"]["time_s"] == pytest.approx(3.7)
-        assert "at 3.7 s" in replay_file(f"{path}.collision.npz")
+        assert "at 3.7 s" in refly_file(f"{path}.collision.npz")
 
 
 def test_checks_between_the_calls_change_no_control() -> None:
@@ -150,11 +150,6 @@ def test_a_retrained_policy_is_another_campaign() -> None:
         (["--episodes", "0"], ["--episodes", "'0'"]),
         (["--no-rta"], ["--no-rta"]),
         (["--json", "nowhere/x.json"], ["--json", "cannot write"]),
-        (["--replay", "nowhere.npz"], ["nowhere.npz", "no such file"]),
-        (["--replay", "x.npz", "--qp-solver", "piqp"], ["--replay", "drop --qp-solver"]),
-        (["--replay", "x.npz", "--rta-period", "1", "--seed", "0"], ["drop --rta-period, --seed"]),
-        (["--replay", "x.npz", "--policy", "random", "--episodes", "5"], ["--policy", "--episodes"]),
-        (["--replay", "x.npz", "--json", "x.json", "--duration", "9"], ["--duration", "--json"]),
     ],
 )
 def test_bad_flags_are_refused(

@@ -1,4 +1,4 @@
-"""Counter-examples and their replay."""
+"""Counter-examples, and flying them again."""
 
 import json
 import tomllib
@@ -19,7 +19,7 @@ from study.config import Config, from_toml, override
 from study.experiment import Experiment
 from study.verification import campaign
 from study.verification.adversaries import adversarial
-from study.verification.counter_examples import counter_example, replay
+from study.verification.counter_examples import counter_example, refly
 from study.verification.flight import fly
 from study.verification.starts import initial_states
 from tests.study.verification.test_findings import verify
@@ -44,7 +44,7 @@ def violated(small_pools: None, tmp_path_factory: pytest.TempPathFactory) -> Pat
     return path
 
 
-def test_a_violation_leaves_a_counter_example_that_replays_exactly(
+def test_a_violation_leaves_a_counter_example_that_flies_again_exactly(
     violated: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     report = json.loads(violated.read_text())
@@ -59,7 +59,7 @@ def test_a_violation_leaves_a_counter_example_that_replays_exactly(
         assert example["value"] == report["worst_value"][name] < 0
         assert len(example["control_desired"]) == -(-case["time_s"] // 10)
         assert np.abs(example["control_applied"]).max() <= 1.5
-        code, out, err = call(["verify", "--replay", str(path)], capsys)
+        code, out, err = call(["refly", str(path)], capsys)
         assert code == 0, err
         words = out.split()
         value, when = float(words[words.index("to") + 1]), float(words[words.index("at") + 1])
@@ -68,7 +68,7 @@ def test_a_violation_leaves_a_counter_example_that_replays_exactly(
         assert when == case["time_s"]
 
 
-def test_replay_uses_the_solver_of_the_campaign(
+def test_refly_uses_the_solver_of_the_campaign(
     violated: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = next(violated.parent.glob("*.npz"))
@@ -77,11 +77,11 @@ def test_replay_uses_the_solver_of_the_campaign(
     monkeypatch.setattr(
         "rta.filter.make_solver", lambda name, held: used.append(name) or make_solver(name, held)
     )
-    assert call(["verify", "--replay", str(path)], capsys)[0] == 0
+    assert call(["refly", str(path)], capsys)[0] == 0
     assert used == ["piqp"]
 
 
-def test_a_counter_example_of_older_keys_replays(
+def test_a_counter_example_of_older_keys_flies_again(
     violated: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     example = dict(np.load(next(violated.parent.glob("*.npz"))))
@@ -92,29 +92,29 @@ def test_a_counter_example_of_older_keys_replays(
     }
     path = tmp_path / "example.npz"
     np.savez(path, **(example | {"config": np.array(tomli_w.dumps(config))}))
-    code, out, err = call(["verify", "--replay", str(path)], capsys)
+    code, out, err = call(["refly", str(path)], capsys)
     assert code == 0, err
     assert f"recorded {example['value']:.12g}" in out
 
 
-def test_a_recorded_gpu_is_not_needed_for_a_replay(
+def test_a_recorded_gpu_is_not_needed_to_fly_it_again(
     violated: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     example = dict(np.load(next(violated.parent.glob("*.npz"))))
     config = override(from_toml(str(example["config"]), "it"), {"train": {"device": "cuda"}}, "it")
     path = tmp_path / "example.npz"
     np.savez(path, **(example | {"config": np.array(config.to_toml())}))
-    assert call(["verify", "--replay", str(path)], capsys)[0] == 0
+    assert call(["refly", str(path)], capsys)[0] == 0
 
 
 @pytest.mark.parametrize("factor", [1 + 1e-6, np.nan, np.inf])
-def test_a_replay_that_comes_out_otherwise_fails(
+def test_a_flight_again_that_comes_out_otherwise_fails(
     factor: float, violated: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     example = dict(np.load(next(violated.parent.glob("*.npz"))))
     path = tmp_path / "example.npz"
     np.savez(path, **(example | {"value": factor * example["value"]}))
-    code, out, err = call(["verify", "--replay", str(path)], capsys)
+    code, out, err = call(["refly", str(path)], capsys)
     assert (code, out) == (1, "") and err.count("\n") == 1
     assert "not what was recorded" in err and str(path) in err
 
@@ -125,7 +125,7 @@ def rounded(solve: Callable[[Problems], Solutions], asked: Problems) -> Solution
     return replace(answer, control=answer.control + 1e-8)
 
 
-def test_replay_does_not_depend_on_the_solvers_last_digits(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_refly_does_not_depend_on_the_solvers_last_digits(monkeypatch: pytest.MonkeyPatch) -> None:
     """At 10 s the closed loop can multiply any rounding by some 20 per call."""
     first, second = (
         Experiment(
@@ -148,7 +148,7 @@ def test_replay_does_not_depend_on_the_solvers_last_digits(monkeypatch: pytest.M
     example = counter_example(flight, "dynamic_speed", first.config, 1.0)
     solver = second.filter.solver
     monkeypatch.setattr(solver, "solve", partial(rounded, solver.solve))
-    value, when, difference = replay(second, example)
+    value, when, difference = refly(second, example)
     assert example["value"] < 0
     assert value == pytest.approx(float(example["value"]), abs=1e-9)
     assert -(-when // 10) == len(example["control_desired"])
@@ -172,4 +172,18 @@ def test_a_damaged_counter_example_is_refused(
     ):
         path = tmp_path / "example.npz"
         np.savez(path, **(example | change))
-        assert_refused(["verify", "--replay", str(path)], [str(path)], capsys)
+        assert_refused(["refly", str(path)], [str(path)], capsys)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["nowhere.npz"], ["nowhere.npz", "no such file"]),
+        ([], ["F.npz", "required"]),
+        (["x.npz", "--rta-period", "1"], ["--rta-period"]),
+    ],
+)
+def test_refly_takes_a_file_and_no_settings(
+    arguments: list[str], words: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert_refused(["refly", *arguments], words, capsys)

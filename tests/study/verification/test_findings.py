@@ -76,7 +76,7 @@ def test_the_worst_episode_of_every_constraint_is_kept_where_it_is_wanted(
     for name in CONSTRAINTS:
         example = Path(f"{path}.{name}.npz")
         assert np.load(example)["value"] == report["worst_value"][name] and example.stat().st_size < 30_000
-    code, out, err = call(["verify", "--replay", f"{path}.collision.npz"], capsys)
+    code, out, err = call(["refly", f"{path}.collision.npz"], capsys)
     assert code == 0, err
     assert f"recorded {report['worst_value']['collision']:.12g}" in out
 
@@ -224,5 +224,5 @@ def test_what_next_names_the_report_and_a_counter_example(finished: Path, tmp_pa
     Path(f"{path}.battery.npz").touch()
     assert findings.what_next(report, path).splitlines()[1:] == [
         f"The worst episodes, first those with violations: {path}.CONSTRAINT.npz of battery",
-        f"Fly one again: python main.py verify --replay '{path}.battery.npz'",
+        f"Fly one again: python main.py refly '{path}.battery.npz'",
     ]

@@ -70,7 +70,7 @@ def test_a_campaign_goes_on_and_its_violations_fly_again(
     for name in violated[:3]:
         capsys.readouterr()
         example = config.with_name(f"whole.json.{name}.npz")
-        code, out, err = call(["verify", "--replay", str(example)], capsys)
+        code, out, err = call(["refly", str(example)], capsys)
         assert code == 0, err
         words = out.split()
         assert float(words[words.index("most") + 1]) < 1e-6

@@ -1,6 +1,6 @@
 """The project's own simulator beside Basilisk: what coasting and agents do in both (docs/results/basilisk.md).
 
-    python -m docs.results.basilisk --study runs/reference/study --out runs/reference/basilisk
+    python -m study.results.basilisk --study runs/reference/study --out runs/reference/basilisk
 
 Coasts 100 spacecraft from all over the safe set, and flies all agents of two arms through the same cases in both, each
 beside itself. Needs Basilisk (docs/guides/basilisk.md); takes half an hour.
@@ -186,7 +186,7 @@ def figure(results: dict[str, Any], path: Path) -> None:
 
 
 def main(argv: list[str] | None = None) -> None:
-    parser = Parser(prog="python -m docs.results.basilisk")
+    parser = Parser(prog="python -m study.results.basilisk")
     parser.add_argument("--study", type=Path, required=True, help="directory of a finished study")
     parser.add_argument(
         "--out", type=Path, required=True, help="directory for basilisk.json and basilisk.png"

@@ -1,6 +1,6 @@
 """What agents learn from behind the filter: desired, applied or priced actions (docs/results/learning.md).
 
-    python -m docs.results.learn_from --study runs/learn_from --out runs/reference/learn_from
+    python -m study.results.learn_from --study runs/learn_from --out runs/reference/learn_from
 
 Flies the agents of a finished study of configs/sweeps/learn_from.toml with the filter and without, and draws how they
 learned. Takes a few minutes.
@@ -85,7 +85,7 @@ def figure(results: dict[str, Any], path: Path) -> None:
 
 
 def main(argv: list[str] | None = None) -> None:
-    parser = Parser(prog="python -m docs.results.learn_from")
+    parser = Parser(prog="python -m study.results.learn_from")
     parser.add_argument("--study", type=Path, required=True, help="directory of a finished study")
     parser.add_argument("--out", type=Path, required=True, help="directory for results.json and figure.png")
     arguments = parser.parse_args(argv)

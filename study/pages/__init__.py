@@ -1,0 +1,1 @@
+"""What every page shares: its frame, and how a template becomes a page."""

@@ -1,0 +1,1 @@
+"""Programs that renew pages of docs/results from finished studies."""
