@@ -12,8 +12,9 @@ from inspection.chief import points as chief
 from inspection.chief.surface import directions, groups, in_view, seen_from, surface
 from inspection.chief.tumbling import RATE, Tumbling
 from inspection.closed_loop import Clocks, Controller, Correction, Hold, Safety, closed_loop
-from inspection.initial_state import InitialStates, uniform
+from inspection.initial_state import InitialStates
 from inspection.model.attitude import conjugate, rotate
+from inspection.model.draws import uniform
 from inspection.model.dynamics import integrate
 from inspection.model.parameters import ChiefParameters, InspectionParameters
 from inspection.model.state import CONTROL_SIZE, SIZE, THETA_S, THRUST, TORQUE, P

@@ -6,7 +6,7 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
-from inspection.model.attitude import random_quaternion
+from inspection.model.draws import random_quaternion, spherical, uniform
 from inspection.model.parameters import InspectionParameters
 from inspection.model.state import SIZE, THETA_S, E, P, Q, T
 
@@ -18,19 +18,6 @@ MAX_STATES = 1000
 # 1e-20 for any distribution and number of states, a draw that would have found them all does not come that far.
 IN_VAIN = 20_000
 POOL = 2048
-
-
-def uniform(low: float, high: float, count: int, generator: torch.Generator) -> Tensor:
-    """(count,) float64 draws from [low, high)."""
-    draw = torch.rand(count, generator=generator, device=generator.device, dtype=torch.float64)
-    return low + (high - low) * draw
-
-
-def spherical(radius: Tensor, azimuth: Tensor, elevation: Tensor) -> Tensor:
-    """Eq. (init): (k,) m, (k,) rad, (k,) rad to (3, k) m."""
-    return radius * torch.stack(
-        (azimuth.cos() * elevation.cos(), azimuth.sin() * elevation.cos(), elevation.sin())
-    )
 
 
 def sample_initial_state(

@@ -13,7 +13,8 @@ from inspection.chief.hull import beside
 from inspection.chief.mesh import pinned
 from inspection.chief.surface import surface
 from inspection.environment import InspectionEnv, clocks_of
-from inspection.initial_state import InitialStates, uniform
+from inspection.initial_state import InitialStates
+from inspection.model.draws import uniform
 from inspection.model.parameters import InspectionParameters
 from inspection.model.state import CONTROL_SIZE
 from inspection.observation import components

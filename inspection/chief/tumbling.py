@@ -1,16 +1,17 @@
 """A chief that turns, free of torques: Euler's equations and the kinematics of its attitude."""
 
 import math
+from collections.abc import Sequence
 
 import torch
 from torch import Tensor
 
-from inspection.initial_state import spherical
 from inspection.model.attitude import quaternion_rate, rate_in_hill, unit
+from inspection.model.draws import hashed, isotropic, key_of, shoemake
 from inspection.model.dynamics import euler
 from inspection.model.orbit import sun_angle_after, turning
 from inspection.model.parameters import ChiefParameters, InspectionParameters
-from inspection.world.plant import uniform
+from inspection.model.rk4 import rk4_step
 
 ANGLE = 0.05  # rad, by which it turns in an RK4 step at most; the error of one is then about ANGLE^5 / 120, 3e-9 rad
 NUMBERS = -2  # the time in ms of an episode's draws, which no other has
@@ -63,15 +64,12 @@ class Tumbling:
         motion[ATTITUDE, columns] = unit(q)[:, None].expand(4, len(columns))
         motion[RATE, columns] = motion.new_tensor(p.rate).deg2rad()[:, None].expand(3, len(columns))
         if p.is_drawn:
-            key = (number * 2.0**53).long()
-            draws = uniform(key, torch.full_like(key, NUMBERS), 6)
+            key = key_of(number)
+            draws = hashed(key, torch.full_like(key, NUMBERS), 6)
             if p.random_attitude:
-                motion[ATTITUDE, columns] = any_attitude(draws[:3])
+                motion[ATTITUDE, columns] = shoemake(draws[:3])
             if p.largest_rate:
-                size = math.radians(p.largest_rate) * draws[3]
-                motion[RATE, columns] = spherical(
-                    size, 2.0 * math.pi * draws[4], (2.0 * draws[5] - 1.0).arcsin()
-                )
+                motion[RATE, columns] = math.radians(p.largest_rate) * draws[3] * isotropic(draws[4:6])
         self.motion = motion
 
     def at(self, time: Tensor, theta_s: Tensor) -> None:
@@ -92,21 +90,10 @@ class Tumbling:
     def step(self, y: Tensor, seconds: Tensor, turns: Tensor | float | None) -> Tensor:
         """One RK4 step of attitude and rates (7, B)."""
 
-        def rate(y: Tensor) -> Tensor:
+        def rate(y: Sequence[Tensor]) -> tuple[Tensor, ...]:
             q, omega = y[ATTITUDE], y[RATE]
             relative = omega if turns is None else rate_in_hill(q, omega, turns)
-            return torch.stack((*quaternion_rate(q, relative), *euler(omega, self.parameters.moments)))
+            return *quaternion_rate(q, relative), *euler(omega, self.parameters.moments)
 
-        k1 = rate(y)
-        k2 = rate(y + seconds / 2 * k1)
-        k3 = rate(y + seconds / 2 * k2)
-        k4 = rate(y + seconds * k3)
-        y = y + seconds / 6 * (k1 + 2.0 * (k2 + k3) + k4)
+        y = torch.stack(rk4_step(rate, y.unbind(0), seconds))
         return torch.cat((unit(y[ATTITUDE]), y[RATE]))
-
-
-def any_attitude(draws: Tensor) -> Tensor:
-    """Uniformly distributed rotations (4, k) from numbers in (0, 1), (3, k) (Shoemake 1992)."""
-    share, first, second = draws[0], 2.0 * math.pi * draws[1], 2.0 * math.pi * draws[2]
-    low, high = (1.0 - share).sqrt(), share.sqrt()
-    return torch.stack((low * first.sin(), low * first.cos(), high * second.sin(), high * second.cos()))

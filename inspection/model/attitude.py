@@ -112,8 +112,3 @@ def rate_in_hill(q: Components, omega: Components, n: Tensor | float) -> Vector:
     """
     w1, w2, w3 = (omega_i - n * body_axis(q, i)[2] for i, omega_i in enumerate(omega))
     return w1, w2, w3
-
-
-def random_quaternion(count: int, generator: torch.Generator, dtype: torch.dtype) -> Tensor:
-    """Uniformly distributed rotations (4, count): normalised 4-D Gaussians."""
-    return unit(torch.randn(4, count, generator=generator, device=generator.device, dtype=dtype))

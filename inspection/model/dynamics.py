@@ -19,6 +19,7 @@ from inspection.model.attitude import (
 )
 from inspection.model.orbit import natural_acceleration, turning
 from inspection.model.parameters import AXES, InspectionParameters
+from inspection.model.rk4 import rk4_step
 from inspection.model.state import CONTROL_SIZE, OMEGA, THETA_S, THRUST, TORQUE, P, Q, T, V
 
 
@@ -149,17 +150,8 @@ def derivative(
 
 def step(x: Tensor, u: Tensor, duration: float, c: InspectionParameters, body: Body | None = None) -> Tensor:
     """One RK4 step of `duration` s with u held; renormalises q and saturates the body rates if asked to."""
-    start, u = x.unbind(0), u.unbind(0)
-
-    def after(seconds: float, rate: list[Tensor]) -> list[Tensor]:
-        return [x_i + seconds * rate_i for x_i, rate_i in zip(start, rate, strict=True)]
-
-    k1 = derivative(start, u, c, body)
-    k2 = derivative(after(duration / 2, k1), u, c, body)
-    k3 = derivative(after(duration / 2, k2), u, c, body)
-    k4 = derivative(after(duration, k3), u, c, body)
-    mean = [k1_i + 2.0 * (k2_i + k3_i) + k4_i for k1_i, k2_i, k3_i, k4_i in zip(k1, k2, k3, k4, strict=True)]
-    end = after(duration / 6.0, mean)
+    held = u.unbind(0)
+    end = rk4_step(lambda components: derivative(components, held, c, body), x.unbind(0), duration)
     if body.saturates if body else c.saturate_rates:
         end[OMEGA] = [omega_i.clamp(-c.max_rate, c.max_rate) for omega_i in end[OMEGA]]
     end[Q] = unit(torch.stack(end[Q]))

@@ -16,6 +16,7 @@ from torch import Tensor
 
 from inspection.model.attitude import Components, Vector, dot, norm
 from inspection.model.parameters import InspectionParameters
+from inspection.model.rk4 import rk4_step
 from inspection.model.state import THETA_S, P, V
 
 
@@ -53,11 +54,8 @@ def sun_angle_after(theta_s: Tensor, seconds: Tensor | float, c: InspectionParam
     """The Sun's angle (...) in rad so many s later; by one RK4 step where the orbit is none of a circle."""
     if c.is_circular:
         return theta_s - c.mean_motion * seconds
-    k1 = turning(theta_s, c)
-    k2 = turning(theta_s - seconds / 2 * k1, c)
-    k3 = turning(theta_s - seconds / 2 * k2, c)
-    k4 = turning(theta_s - seconds * k3, c)
-    return theta_s - seconds / 6 * (k1 + 2.0 * (k2 + k3) + k4)
+    (after,) = rk4_step(lambda theta: [-turning(theta[0], c)], [theta_s], seconds)
+    return after
 
 
 def natural_acceleration(p: Components, v: Components, theta_s: Tensor, c: InspectionParameters) -> Vector:

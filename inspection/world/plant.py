@@ -12,8 +12,8 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from inspection.initial_state import spherical
 from inspection.model.attitude import rate_in_hill, turned_by
+from inspection.model.draws import hashed, isotropic, key_of
 from inspection.model.dynamics import Body, integrate
 from inspection.model.orbit import turning
 from inspection.model.parameters import InspectionParameters
@@ -169,7 +169,7 @@ BEFORE = -1  # the time in ms of these numbers
 
 def draw(parameters: PlantParameters, c: InspectionParameters, key: Tensor) -> Drawn:
     """What follows from the episodes' keys (k,), each quantity from numbers of its own whatever else is set."""
-    rows = iter(uniform(key, torch.full_like(key, BEFORE), NUMBERS))
+    rows = iter(hashed(key, torch.full_like(key, BEFORE), NUMBERS))
 
     def within(value: Range) -> Tensor:
         low, high = bounds(value)
@@ -179,8 +179,7 @@ def draw(parameters: PlantParameters, c: InspectionParameters, key: Tensor) -> D
         return torch.stack([within(value) for _ in range(3)])
 
     def direction() -> Tensor:
-        azimuth, height = 2 * math.pi * next(rows), 2 * next(rows) - 1
-        return spherical(torch.ones_like(height), azimuth, height.arcsin())
+        return isotropic(torch.stack((next(rows), next(rows))))
 
     p = parameters
     mass = c.mass * within(p.mass_factor)
@@ -269,7 +268,7 @@ class Plant:
 
     def begin(self, columns: Tensor, x: Tensor, number: Tensor) -> None:
         """Begins episodes in the given columns, in states (16, k) and from a number in [0, 1) each, (k,)."""
-        self.key[columns] = (number * 2.0**53).long()
+        self.key[columns] = key_of(number)
         self.held[:, columns] = 0.0
         self.past[..., columns] = 0.0
         self.missed[columns] = 0
@@ -349,7 +348,7 @@ class Plant:
     def _measure(self, time: Tensor, x: Tensor) -> Tensor:
         """The states (16, B) with the sensors' errors, the rates relative to Hill's frame as the filter wants them."""
         bound = self.parameters.noise_bound
-        noise = torch.special.ndtri(uniform(self.key, milliseconds(time), 12)).clamp(-bound, bound)
+        noise = torch.special.ndtri(hashed(self.key, milliseconds(time), 12)).clamp(-bound, bound)
         error = self.drawn.bias + self.drawn.noise * noise
         seen = x.clone()
         seen[P] += error[0:3]
@@ -366,7 +365,7 @@ class Plant:
 
         The first call of an episode is not, since there is no last one.
         """
-        chance = uniform(self.key, milliseconds(time), 1, first=12)[0]
+        chance = hashed(self.key, milliseconds(time), 1, first=12)[0]
         likely = (chance < self.drawn.misses) & (time > 0.0)
         missed = likely & (self.missed < self.parameters.missed_in_a_row)
         self.missed = torch.where(missed, self.missed + 1, 0)
@@ -391,20 +390,3 @@ class Plant:
 def milliseconds(time: Tensor) -> Tensor:
     """(B,) s as int64."""
     return (1000.0 * time).round().long()
-
-
-def scrambled(z: Tensor) -> Tensor:
-    """A hash of int64 numbers, the finalizer of SplitMix64 (Steele, Lea, Flood 2014); shifts fill in zeros."""
-    z = (z ^ ((z >> 30) & (2**34 - 1))) * (0xBF58476D1CE4E5B9 - 2**64)
-    z = (z ^ ((z >> 27) & (2**37 - 1))) * (0x94D049BB133111EB - 2**64)
-    return z ^ ((z >> 31) & (2**33 - 1))
-
-
-GOLDEN = 0x9E3779B97F4A7C15 - 2**64  # the increment of SplitMix64
-
-
-def uniform(key: Tensor, moment: Tensor, count: int, first: int = 0) -> Tensor:
-    """Numbers in (0, 1), (count, k), of the rows from `first` on, by keys (k,) and moments (k,) in ms."""
-    row = torch.arange(first + 1, first + count + 1, device=key.device)[:, None]
-    z = scrambled(scrambled(scrambled(key) + GOLDEN * (moment + 2)) + GOLDEN * row)
-    return (((z >> 11) & (2**53 - 1)).double() + 0.5) * 2.0**-53

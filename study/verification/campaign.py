@@ -15,7 +15,7 @@ from tqdm import tqdm
 
 from inspection.closed_loop import Controller, Safety
 from inspection.environment import InspectionEnv
-from inspection.initial_state import uniform
+from inspection.model.draws import uniform
 from kernels import NoCompilerError
 from ppo.network import Policy
 from rta.bounds.uncertainty import Uncertainty

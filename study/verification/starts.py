@@ -9,7 +9,8 @@ from scipy.stats import qmc
 from torch import Tensor
 
 from inspection.chief.hull import reach
-from inspection.initial_state import sample_initial_state, spherical
+from inspection.initial_state import sample_initial_state
+from inspection.model.draws import isotropic, shoemake
 from inspection.model.parameters import InspectionParameters
 from inspection.model.state import OMEGA, SIZE, THETA_S, E, P, Q, T, V
 from rta.filter import SafetyFilter
@@ -33,20 +34,18 @@ def spread(s: Tensor, c: InspectionParameters) -> tuple[Tensor, Tensor]:
     The distance is INSIDE of the zone at least, the speed at most the limit there, rates, temperature and energy are
     within their limits; directions, attitudes and the Sun's angle are any.
     """
-    turn, lean = 2 * math.pi * s, (2 * s - 1).arcsin()  # azimuth, and elevation uniform on the sphere
     x = torch.zeros(SIZE, s.shape[1], dtype=torch.float64)
-    nearest = reach(spherical(torch.ones_like(s[0]), turn[1], lean[2]), c)
+    outwards = isotropic(s[1:3])
+    nearest = reach(outwards, c)
     distance = nearest + (c.max_distance - INSIDE - nearest) * s[0]
-    x[P] = spherical(distance, turn[1], lean[2])
-    x[V] = spherical((c.docking_speed + c.speed_slope * distance) * s[3], turn[4], lean[5])
-    # uniform rotations from three uniform numbers (Shoemake 1992)
-    low, high = (1 - s[6]).sqrt(), s[6].sqrt()
-    x[Q] = torch.stack((low * turn[7].sin(), low * turn[7].cos(), high * turn[8].sin(), high * turn[8].cos()))
+    x[P] = distance * outwards
+    x[V] = (c.docking_speed + c.speed_slope * distance) * s[3] * isotropic(s[4:6])
+    x[Q] = shoemake(s[6:9])
     x[OMEGA] = c.max_rate * (2 * s[9:12] - 1)
     x[T] = c.initial_temperature[0] + (c.max_temperature - c.initial_temperature[0]) * s[12]
     x[E] = c.min_energy + (c.initial_energy[1] - c.min_energy) * s[13]
-    x[THETA_S] = turn[14]
-    return x, spherical(torch.ones_like(distance), turn[15], lean[16])
+    x[THETA_S] = 2 * math.pi * s[14]
+    return x, isotropic(s[15:17])
 
 
 def safe_set(count: int, seed: int, safety_filter: SafetyFilter) -> tuple[Tensor, Tensor, int]:

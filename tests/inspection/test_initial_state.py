@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from inspection import initial_state
-from inspection.initial_state import InitialStates, sample_initial_state, spherical
+from inspection.initial_state import InitialStates, sample_initial_state
 from inspection.model.state import OMEGA, THETA_S, E, P, Q, T, V
 
 
@@ -50,12 +50,6 @@ def test_uniform_over_the_papers_range(sample, quantity, low, high):
     assert fraction[0] >= -1e-12 and fraction[-1] <= 1 + 1e-12
     uniform = (torch.arange(20_000, dtype=torch.float64) + 0.5) / 20_000
     assert (fraction - uniform).abs().max() < 1.95 / math.sqrt(20_000)  # Kolmogorov-Smirnov at 0.1 %
-
-
-def test_azimuth_and_elevation_are_the_papers():
-    one = torch.ones(1, dtype=torch.float64)
-    p = spherical(80.0 * one, math.radians(30) * one, math.radians(60) * one)[:, 0]
-    np.testing.assert_allclose(p, [80 * math.sqrt(3) / 4, 20.0, 40 * math.sqrt(3)], rtol=1e-14)
 
 
 def test_only_safe_attitudes_are_drawn_and_nothing_else_changes(c):

@@ -26,8 +26,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from inspection.initial_state import uniform
 from inspection.model.attitude import body_axis, cross, dot, norm, unit
+from inspection.model.draws import uniform
 from inspection.model.dynamics import energy_rate, step, sun_direction, temperature_rate
 from inspection.model.orbit import free_flight
 from inspection.model.parameters import InspectionParameters

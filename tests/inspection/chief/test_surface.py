@@ -15,7 +15,8 @@ from inspection.chief import points as chief
 from inspection.chief.mesh import faces, is_closed, pinned, read
 from inspection.chief.surface import GROUPS, covered, cuts, in_view, light, surface
 from inspection.environment import InspectionEnv
-from inspection.model.attitude import random_quaternion, rotate
+from inspection.model.attitude import rotate
+from inspection.model.draws import random_quaternion
 from inspection.model.parameters import ChiefParameters, InspectionParameters
 from inspection.model.state import SIZE, THETA_S, P, Q
 

@@ -16,9 +16,10 @@ from torch import Tensor
 from inspection.closed_loop import Clocks, Safety, closed_loop
 from inspection.environment import InspectionEnv
 from inspection.initial_state import sample_initial_state
+from inspection.model.draws import hashed
 from inspection.model.parameters import InspectionParameters
 from inspection.model.state import CONTROLS, OMEGA, SIZE, THETA_S, THRUST, TORQUE, E, P, Q, T, V
-from inspection.world.plant import DETAILS, OF_BASILISK, Plant, PlantParameters, milliseconds, uniform
+from inspection.world.plant import DETAILS, OF_BASILISK, Plant, PlantParameters, milliseconds
 from kernels import Compiled
 from tests.inspection.model.test_dynamics import MASS, UNEQUAL, N, paper_rate
 
@@ -272,19 +273,6 @@ def test_an_episode_is_the_same_whatever_flies_beside_it_or_else_is_set() -> Non
     assert torch.equal(lighter.mass, alone.mass)
 
 
-def test_numbers_are_uniform_and_independent_of_key_time_and_row() -> None:
-    key = (torch.rand(300, generator=seeded(0), dtype=torch.float64) * 2**53).long()
-    found = torch.stack(
-        [uniform(key, torch.full_like(key, 1000 * t), 13) for t in range(60)]
-    )  # time, row, key
-    assert stats.kstest(found.flatten().numpy(), "uniform").pvalue > 1e-3
-    for axis in range(3):
-        by_axis = found.movedim(axis, 0).flatten(1).numpy()
-        n = by_axis.shape[1]
-        correlation = np.corrcoef(by_axis) - np.eye(len(by_axis))
-        assert np.abs(correlation).max() < 5.5 / math.sqrt(n)
-
-
 # sensors
 
 
@@ -427,7 +415,7 @@ def test_a_missed_call_holds_the_control_and_the_next_one_is_asked_for_the_same(
     )
     missed = [bool(hold.missed) for hold in holds]
     expected = [
-        t > 0 and bool(uniform(plant.key, milliseconds(moments(1, float(t))), 1, first=12)[0, 0] < 0.5)
+        t > 0 and bool(hashed(plant.key, milliseconds(moments(1, float(t))), 1, first=12)[0, 0] < 0.5)
         for t in range(40)  # there is nothing to hold before the first
     ]
     for t in range(2, 40):  # by hand: the third in a row is made

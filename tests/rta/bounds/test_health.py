@@ -5,7 +5,8 @@ import math
 import torch
 from torch import Tensor
 
-from inspection.model.attitude import conjugate, cross, norm, random_quaternion, rotate
+from inspection.model.attitude import conjugate, cross, norm, rotate
+from inspection.model.draws import random_quaternion
 from inspection.model.dynamics import step, sun_and_earth_in_body
 from inspection.model.state import THETA_S, THRUST, E, P, Q, T, V
 from rta.bounds.health import NEAR, turning
