@@ -1,9 +1,11 @@
 """Functions of a batch, compiled: printed as C on a CPU, by torch.compile on CUDA. Or traced only."""
 
 import ctypes
+import math
+import os
 import time
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, wait
 from types import FunctionType
 from typing import Any
 
@@ -117,11 +119,7 @@ class Kernel:
     def of(self, tensors: Sequence[Tensor], columns: int, times: int = 1) -> Parts:
         """What the function returns of arguments that have components; ValueError where they are none of its own."""
         for part, x in zip(self.parts, tensors, strict=True):
-            wanted = DTYPES[part.kind], (*part.shape, columns)
-            if (x.dtype, tuple(x.shape)) != wanted or not x.is_cpu:
-                raise ValueError(
-                    f"{part.name}: {x.dtype} {tuple(x.shape)} on {x.device}: must be {wanted} on the CPU"
-                )
+            check(part.name, x, DTYPES[part.kind], (*part.shape, columns))
         results = [
             torch.empty(*shape, columns, dtype=dtype)
             for shape, dtype in zip(self.shapes, self.dtypes, strict=True)
@@ -132,6 +130,14 @@ class Kernel:
             arguments = (*pointers(given), *pointers(found), times)
             in_shares(lambda first, last: self.run(first, last, *arguments), columns, self.seconds * times)
         return results
+
+
+def check(name: str, x: Tensor, dtype: torch.dtype, shape: tuple[int, ...]) -> None:
+    """Raises ValueError where a tensor is not what C reads: its type and shape, on the CPU."""
+    if x.dtype != dtype or x.shape != shape or not x.is_cpu:
+        raise ValueError(
+            f"{name}: {x.dtype} {tuple(x.shape)} on {x.device}: must be {dtype} {shape} on the CPU"
+        )
 
 
 def batch(function: Printed) -> str:
@@ -191,7 +197,7 @@ def over_columns(library: ctypes.CDLL, name: str, *more: type) -> Any:
 
 def strided(x: Tensor) -> Tensor:
     """x (..., B) as (components, B), as it lies if columns are neighbours and components evenly apart; else a copy."""
-    flat = x.reshape(-1, x.shape[-1])
+    flat = x.reshape(math.prod(x.shape[:-1]), x.shape[-1])
     return flat if flat.stride(1) == 1 or flat.shape[1] == 1 else flat.contiguous()
 
 
@@ -204,6 +210,7 @@ def pointers(tensors: Sequence[Tensor]) -> tuple[Any, Any]:
 
 
 POOLS: dict[int, ThreadPoolExecutor] = {}
+os.register_at_fork(after_in_child=POOLS.clear)  # where their threads are not
 
 
 def in_shares(run: Callable[[int, int], int | None], columns: int, seconds: float) -> int:
@@ -222,7 +229,11 @@ def in_shares(run: Callable[[int, int], int | None], columns: int, seconds: floa
     if shares not in POOLS:
         POOLS[shares] = ThreadPoolExecutor(shares)
     others = [POOLS[shares].submit(run, i, min(i + size, columns)) for i in range(size, columns, size)]
-    return (run(0, min(size, columns)) or 0) + sum(other.result() or 0 for other in others)
+    try:
+        own = run(0, min(size, columns)) or 0
+    finally:
+        wait(others)  # which write into tensors that an error would free
+    return own + sum(other.result() or 0 for other in others)
 
 
 def with_own_code(function: Any) -> FunctionType:

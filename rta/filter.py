@@ -15,6 +15,7 @@ from inspection.closed_loop import Safety
 from inspection.model.parameters import InspectionParameters
 from inspection.model.state import CONTROL_SIZE, SIZE, THRUST, TORQUE, P, Q
 from kernels import Compiled, NoCompilerError
+from kernels.build import say
 from rta.bounds.health import turning
 from rta.bounds.uncertainty import NOTHING, Uncertainty
 from rta.conditions.held_rows import KINDS, HeldGroup, predicted
@@ -320,7 +321,8 @@ class SafetyFilter:
         other = SafetyFilter(self.c, self.parameters, self._given_solver, self.extra, self.known)
         try:
             other.compile("cpu", 1)
-        except (NoCompilerError, NotImplementedError):
+        except (NoCompilerError, NotImplementedError) as error:
+            say(f"{error}: the filter is traced instead, which takes seconds")
             other.trace()
         return other
 

@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor
 
-from inspection.model.state import CONTROL_SIZE, THRUST, TORQUE
+from inspection.model.state import CONTROL_SIZE, SIZE, THRUST, TORQUE
 from kernels import Kernel, Printed, batch, library, printed
 from kernels.build import for_vectors
-from kernels.compiled import in_shares, over_columns, pointers, strided, timed
+from kernels.compiled import check, in_shares, over_columns, pointers, strided, timed
 from rta.conditions.held_rows import HeldGroup
 from rta.conditions.rows import ActuatorGroup
 from rta.conditions.tangents import TOLERATED, Prepared, answered, inset, prepared_now, problems
@@ -40,6 +40,12 @@ class Columns:
     def __init__(self, found: ctypes.CDLL, safety_filter: "SafetyFilter", seconds: float) -> None:
         self.constraints, self.holds = len(safety_filter.names), safety_filter.holds
         self.latency, self.seconds = safety_filter.known.latency, seconds
+        self.shapes: dict[str, tuple[int, ...]] = {
+            "x": (SIZE,),
+            "desired": (CONTROL_SIZE,),
+            "left": (CONTROL_SIZE,),
+        }
+        self.shapes["sent"] = (self.latency, CONTROL_SIZE)
         self.run = over_columns(found, "filter_batch")
         self.run.restype = ctypes.c_long
 
@@ -56,11 +62,14 @@ class Columns:
         numbers = torch.empty(CONTROL_SIZE + blocks * count, columns, dtype=torch.float64)
         statuses = torch.empty(3, columns, dtype=torch.int64)
         truths = torch.empty(1 + count, columns, dtype=torch.bool)
-        given = [strided(x), strided(desired)]
+        given = {"x": x, "desired": desired}
         if self.holds:
-            left = torch.ones_like(desired) if left is None else left
-            given += [strided(self.aged(sent, x).flatten(0, 1)), strided(left)]
-        arguments = (*pointers(given), *pointers([numbers, statuses, truths]))
+            given["left"] = torch.ones_like(desired) if left is None else left
+            given["sent"] = self.aged(sent, x)
+        for name, each in given.items():
+            check(name, each, torch.float64, (*self.shapes[name], columns))
+        parts = [strided(given[name]) for name in ("x", "desired", "sent", "left") if name in given]
+        arguments = (*pointers(parts), *pointers([numbers, statuses, truths]))
         unsolved = in_shares(lambda first, last: self.run(first, last, *arguments), columns, self.seconds)
         slack, h, *doubts = (numbers[CONTROL_SIZE + i * count :][:count] for i in range(blocks))
         nothing = numbers.new_zeros(1, 1).expand(count, columns)

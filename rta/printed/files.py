@@ -217,10 +217,18 @@ def header(safety_filter: "SafetyFilter", verified: str, configuration: str, sou
 def about(safety_filter: "SafetyFilter", real: str) -> str:
     """What a reader of the header is told of its numbers."""
     precision = "single" if real == "float" else "double"
+    saturates = safety_filter.c.saturate_rates and safety_filter.known.saturates_rates
+    relies = (
+        " It counts on a spacecraft that itself keeps every body rate within "
+        f"{safety_filter.c.max_rate:.6g} rad/s, as the model of the campaigns does: where yours does not, set "
+        "saturates_rates = false in [uncertainty]."
+    )
     return (
         f"It is to be called every {safety_filter.period:g} s, with the state as measured and the control that is "
         f"wanted, and answers with the control to hold. It computes in {precision} precision, allocates nothing, does "
-        "not recurse, has no global state, and needs math.h alone. All vectors are in the order of the enumerations."
+        "not recurse, has no global state, and needs math.h alone. All vectors are in the order of the enumerations. "
+        "It does not notice a quaternion whose length is not 1. If a desired thrust or torque is NaN, all three of "
+        f"them become zero, which is not filtered, and the status is 3.{relies if saturates else ''}"
     )
 
 
@@ -232,13 +240,21 @@ def folded(text: str) -> list[str]:
 
 
 def enumeration(kind: str, prefix: str, members: Sequence[tuple[str, str]]) -> str:
-    """An enumeration whose members have comments."""
+    """An enumeration whose members have comments; ValueError where two have one name in C."""
     members = [(prefix + re.sub(r"\W", "_", name, flags=re.ASCII), text) for name, text in members]
+    known = [name.upper() for name, _ in members]
+    if twice := [name for name in known if known.count(name) > 1]:
+        raise ValueError(f"two constraints would be {twice[0]} in C: give one of them another name")
     lines = [
         f"    SAFETY_FILTER_{name.upper()} = {i}, /* {text} */" for i, (name, text) in enumerate(members)
     ]
     lines[-1] = lines[-1].replace(", /*", "  /*", 1)
     return "\n".join([f"enum safety_filter_{kind} {{", *lines, "};", ""])
+
+
+def quoted(text: str) -> str:
+    """A text in C, without its trigraphs."""
+    return json.dumps(text, ensure_ascii=False).replace("??", r"?\?")
 
 
 # the source
@@ -247,7 +263,7 @@ def enumeration(kind: str, prefix: str, members: Sequence[tuple[str, str]]) -> s
 def implementation(safety_filter: "SafetyFilter") -> str:
     """safety_filter.c: what people read first, printed functions last."""
     printed_functions = for_one(functions(safety_filter))
-    names = ",\n".join(f'    "{name}"' for name in safety_filter.names)
+    names = ",\n".join(f"    {quoted(name)}" for name in safety_filter.names)
     given = driver_files(safety_filter)
     titles = [
         "Constants of the configuration",

@@ -2,6 +2,8 @@
 
 import re
 
+from kernels.build import OF_ONE, OF_TWO, QUICK
+
 # What rounding of 6e-8 leaves room for, in place of double precision's. The solver's are by the largest error of its
 # own: sums of three products of a unit and a side of up to 100, of which at most 2 count where rows can be held.
 TOLERANCES = {
@@ -15,10 +17,7 @@ TOLERANCES = {
     "ABOVE_LEAST": "1e-6f",
 }
 LARGEST, SMALLEST = 3.4028234e38, 1e-37  # numbers that stay what they are
-FUNCTIONS = (
-    *("sqrt", "rint", "floor", "ceil", "trunc", "fabs", "fmin", "fmax", "sin", "cos", "tan", "acos", "asin"),
-    *("atan", "atan2", "exp", "log", "pow", "tanh", "sinh", "cosh", "asinh", "erf"),
-)
+FUNCTIONS = (*QUICK, *OF_ONE, *OF_TWO, "fabs", "fmin", "fmax")
 COMMENT = re.compile(r"(/\*.*?\*/|\"[^\"\n]*\")", re.DOTALL)  # or a text
 LITERAL = re.compile(r"(?<![\w.])(\d+\.\d*(?:[eE][+-]?\d+)?|\d+[eE][+-]?\d+)(?![\w.])")
 CALL = re.compile(rf"\b({'|'.join(FUNCTIONS)})(?=\()")

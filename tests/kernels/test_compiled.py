@@ -1,6 +1,8 @@
 """Compiled code gives what uncompiled code gives, in batches of any size, in any process."""
 
 import math
+import os
+import signal
 import sys
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -15,7 +17,7 @@ from torch.fx.experimental.proxy_tensor import make_fx
 
 from inspection.model.parameters import InspectionParameters
 from kernels import Compiled, NoCompilerError, build
-from kernels.compiled import with_own_code
+from kernels.compiled import in_shares, with_own_code
 from kernels.trace import without_repetitions
 from rta.bounds.uncertainty import Uncertainty
 from rta.filter import FilterResult, SafetyFilter
@@ -211,9 +213,25 @@ def test_a_filter_that_is_not_compiled_is_traced_where_that_is_repaid(
     assert done == expected and made.filter_compiled == (works and "compile" in expected)
 
 
-def test_nothing_comes_of_no_columns() -> None:
-    run = Compiled(lambda x: [2 * x, x[:1]], torch.ones(3, 1), trace_only=True)
+@pytest.mark.parametrize("trace_only", [True, False])
+def test_nothing_comes_of_no_columns(trace_only: bool, cache: Path) -> None:
+    run = Compiled(lambda x: [2 * x, x[:1]], torch.ones(3, 1), trace_only=trace_only)
     assert [part.shape for part in run(torch.ones(3, 0))] == [(3, 0), (1, 0)]
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="no processes are forked here")
+def test_a_forked_process_has_threads_of_its_own() -> None:
+    def add_up() -> int:
+        return in_shares(lambda first, last: last - first, 1000, 1.0)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(torch, "get_num_threads", lambda: 2)
+        assert add_up() == 1000
+        child = os.fork()
+        if not child:
+            signal.alarm(20)
+            os._exit(0 if add_up() == 1000 else 1)
+        assert os.waitpid(child, 0)[1] == 0
 
 
 def test_many_functions_stay_compiled_on_one_device() -> None:

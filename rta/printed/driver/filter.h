@@ -5,7 +5,7 @@ struct safety_filter_input {
     safety_filter_real desired[6];    /* in the order of enum safety_filter_control; any numbers */
     safety_filter_real sent[SAFETY_FILTER_SENT_ROOM][6]; /* controls held since the state was measured, the oldest
                                          first, each for a period; read where SAFETY_FILTER_LATENCY is not 0 */
-    int sent_count;                   /* of them; of more than SAFETY_FILTER_LATENCY the state is too old: UNSOLVED */
+    int sent_count;                   /* of them, 0 if there are none; of more than SAFETY_FILTER_LATENCY the state is too old: UNSOLVED */
     safety_filter_real left[6];       /* share that each actuator gives of what it is told, 0 to 1; read where
                                          SAFETY_FILTER_HEALTH is 1 */
 };

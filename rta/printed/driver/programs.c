@@ -31,12 +31,6 @@ struct found {
     double slack[GROUP_CONSTRAINTS_MAX];
 };
 
-/* NaN if either is. */
-static double larger(double a, double b)
-{
-    return -smaller(-a, -b);
-}
-
 /* `limit`: what is there of each actuator, in N or N m. */
 static void scale(int group, const struct rows *rows, const double limit[3], struct scaled *scaled)
 {

@@ -74,6 +74,11 @@ static double smaller(double a, double b)
     return ((a <= b) || isnan(a)) ? a : b;
 }
 
+static double larger(double a, double b)
+{
+    return -smaller(-a, -b);
+}
+
 static double dot(const double *a, const double *b, int size)
 {
     double sum = 0.0;
@@ -171,7 +176,7 @@ static void find_way(const struct stage *s, const struct solution *x, struct way
         way->r[k] = 0.0;
         way->z[3 + k] = 0.0;
         if (x->row[k] == x->entering) {
-            way->place = k; /* violated by rounding although it is active: it will leave and enter again */
+            way->place = k; /* violated by rounding although it is active: it may only leave, and enter again later */
         }
     }
     copy(way->z, a, 3);
@@ -179,7 +184,7 @@ static void find_way(const struct stage *s, const struct solution *x, struct way
     project(s, x, way);
     project(s, x, way); /* once is not enough where rows are nearly parallel */
     way->z2 = dot(way->z, way->z, 3 + x->count + ((way->place == x->count) ? 1 : 0));
-    if (way->z2 <= (DEPENDENT * (dot(a, a, 3) + relief))) {
+    if ((way->place < x->count) || (way->z2 <= (DEPENDENT * (dot(a, a, 3) + relief)))) {
         way->z2 = 0.0;
     }
 }
@@ -272,7 +277,7 @@ static int step(const struct stage *s, struct solution *x)
     const double lowest = find_entering(s, x);
     if ((lowest < -VIOLATED) || (x->pressure > 0.0)) {
         find_way(s, x, &way);
-        outcome = ((way.place == ACTIVE_MAX) && (way.z2 > 0.0)) ? FULL : go(s, x, &way);
+        outcome = ((x->count == ACTIVE_MAX) && (way.z2 > 0.0)) ? FULL : go(s, x, &way);
     }
     return outcome;
 }
@@ -280,7 +285,7 @@ static int step(const struct stage *s, struct solution *x)
 /*
  * The largest violation of the optimality conditions. With multipliers m of the rows after the limits, slack m_i / w_i
  * and s_i = a_i u + b_i + m_i / w_i they are u = clip(u_des + sum_i m_i a_i, -1, 1), s_i >= 0, m_i >= 0 and
- * min(m_i, 1) s_i = 0, since rounding of s_i times a large m_i says little.
+ * min(m_i, 1) s_i = 0, since rounding of s_i times a large m_i says little. NaN if any number is.
  */
 static double kkt_residual(const struct stage *s, const double u[3], const double multiplier[ROWS_MAX])
 {
@@ -290,14 +295,14 @@ static double kkt_residual(const struct stage *s, const double u[3], const doubl
     for (int i = BOUNDS; i < s->program->rows; ++i) {
         const double left = left_of(s, i, u, multiplier[i]);
         add(forced, multiplier[i], s->program->a[i], 3);
-        most = fmax(fmax(most, -left), fabs(fmin(multiplier[i], 1.0) * left));
+        most = larger(larger(most, -left), fabs(smaller(multiplier[i], 1.0) * left));
         sum += fabs(multiplier[i]);
     }
     for (int i = BOUNDS; i < s->program->rows; ++i) {
-        most = fmax(most, -multiplier[i] - (ROUNDED * sum));
+        most = larger(most, -multiplier[i] - (ROUNDED * sum));
     }
     for (int j = 0; j < 3; ++j) {
-        most = fmax(most, fabs(u[j] - clip(forced[j], -1.0, 1.0)) - (ROUNDED * sum));
+        most = larger(most, fabs(u[j] - clip(forced[j], -1.0, 1.0)) - (ROUNDED * sum));
     }
     return most;
 }

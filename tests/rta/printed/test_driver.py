@@ -2,6 +2,7 @@
 
 import ctypes
 import dataclasses
+import math
 import shutil
 import subprocess
 from collections.abc import Callable
@@ -63,8 +64,21 @@ void solve_all(int count, int rows, const double *desired, const double *a, cons
         copy(&control[3 * i], answer.control, 3);
         status[i] = answer.status;
         residual[i] = answer.residual;
-        (void)smaller(0.0, 0.0);
+        (void)larger(0.0, 0.0);
     }
+}
+
+double residual_of_nan(void);
+
+double residual_of_nan(void)
+{
+    const double desired[3] = {0.0};
+    const double u[3] = {NAN, 0.0, 0.0};
+    const double multiplier[ROWS_MAX] = {0.0};
+    struct program program;
+    struct stage stage = {.program = &program, .side = program.b};
+    begin_program(&program, desired);
+    return kkt_residual(&stage, u, multiplier);
 }
 """
 
@@ -92,7 +106,9 @@ def pointer(array: ndarray) -> ctypes.c_void_p:
 @pytest.fixture(scope="module")
 def solver(tmp_path_factory: pytest.TempPathFactory) -> ctypes.CDLL:
     text = SOLVER % ("\n".join(tolerances(holds=False)), Path("rta/printed/driver/solver.c").read_text())
-    return compiled(text, tmp_path_factory.mktemp("solver"))
+    found = compiled(text, tmp_path_factory.mktemp("solver"))
+    found.residual_of_nan.restype = ctypes.c_double
+    return found
 
 
 def solved(solver: ctypes.CDLL, problems: Problems) -> tuple[ndarray, ndarray, ndarray]:
@@ -131,6 +147,37 @@ def test_degenerate_rows_are_solved_as_in_python(solver: ctypes.CDLL, added: Any
     a, b = (torch.cat(pair) for pair in zip((problems.a, problems.b), added(problems, point), strict=True))
     twice = Problems(problems.desired, a, b, b, problems.weight.repeat(2))
     assert largest_difference(solver, twice) <= 1e-9
+
+
+def test_a_straight_flight_at_the_chief_is_answered_as_in_python() -> None:
+    """Its rows are parallel to 1e-8. A row that was active already entered again, beyond the solver's arrays."""
+    x = tensor([-5.04327875138069e-07, -1.6510967882833787e-07, 14.002993728273115, -9.6943901119405863e-09,
+                -1.2273732033834376e-08, 0.28059211380399007, 0.2390230257586286, 0.51063332709887399,
+                0.18387372108208747, 0.80517827411608112, 0.029930312637664418, -0.020713487359794936,
+                -0.028446781123232186, 17.23284216401921, 0.89092636559477401, 4.2952748032107])[:, None]  # fmt: skip
+    desired = tensor([-0.20081038565644549, -0.17140507339794203, 0.62727390790073023, 0.0024571115776850908,
+                      0.00053677400391030443, 0.0])[:, None]  # fmt: skip
+    compiled_one, python = SafetyFilter(), SafetyFilter(solver=BatchedSolver())
+    compiled_one.compile("cpu", 1)
+    result, expected = compiled_one.correct(x, desired), python.correct(x, desired)
+    assert result.status == expected.status == Status.SLACK
+    assert torch.allclose(result.control, expected.control, rtol=0.0, atol=1e-6)
+
+
+@pytest.mark.parametrize("wrong", ["state", "control", "precision"])
+def test_a_compiled_filter_reads_only_what_is_there(wrong: str) -> None:
+    f = SafetyFilter()
+    f.compile("cpu", 1)
+    x, desired = torch.ones(16, 8, dtype=torch.float64), torch.zeros(6, 8, dtype=torch.float64)
+    given = {"state": (x[:15], desired), "control": (x, desired[:, :1]), "precision": (x.float(), desired)}
+    assert f.correct(x[:, :0], desired[:, :0]).control.shape == (6, 0)
+    with pytest.raises(ValueError, match=r"must be torch\.float64"):
+        f.correct(*given[wrong])
+
+
+def test_a_control_that_is_no_number_is_no_solution(solver: ctypes.CDLL) -> None:
+    """The last guard: what it violates is no number either."""
+    assert math.isnan(solver.residual_of_nan())
 
 
 @pytest.mark.parametrize("copies", [2, 8])

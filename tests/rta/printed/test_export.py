@@ -18,7 +18,16 @@ from torch import Tensor
 
 from rta import SafetyFilter, Status
 from rta.constraints.constraint import CONSTRAINTS
-from rta.printed.files import BUILT, NOT_VERIFIED, VERSION, implementation, sources, write
+from rta.printed.files import (
+    BUILT,
+    NOT_VERIFIED,
+    VERSION,
+    enumeration,
+    implementation,
+    quoted,
+    sources,
+    write,
+)
 from rta.printed.single import FUNCTIONS, TOLERANCES, single
 from tests.rta.conditions import test_actuator_groups as own
 from tests.rta.printed.export_states import PROGRAM, Answers, compared, in_c, in_python, made, states
@@ -311,6 +320,12 @@ def test_what_is_not_a_filters_is_kept(name: str, tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="holds no filter but"):
         write(made("1"), tmp_path)
     assert [path.name for path in tmp_path.iterdir()] == [name.removesuffix("/")]
+
+
+def test_names_of_constraints_are_texts_of_c() -> None:
+    assert quoted('say "what??/" \\') == r'"say \"what?\?/\" \\"'
+    with pytest.raises(ValueError, match="two constraints would be H_A_B in C"):
+        enumeration("constraint", "H_", [("a-b", ""), ("a b", "")])
 
 
 def test_single_precision_has_no_double() -> None:
