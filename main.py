@@ -68,7 +68,8 @@ def run_train(
 
     if resume:
         THREADS.recorded = recorded_threads(Path(resume))
-        session = training.resuming(Path(resume), configure(training.settings(Path(resume))))
+        config = configure(training.settings(Path(resume)))
+        session = training.resuming(Path(resume), config)
     else:
         config = configure(Config())
         arm = f"rta_{config.rta.period:g}s" if config.train.rta else "no_rta"
@@ -193,7 +194,8 @@ def run_filter(configure: Configure, states: str, out: str) -> None:
     from rta.qp.programs import Status
     from study.flight import offline_filter
 
-    result = offline_filter.run(configure(Config()), states)
+    config = configure(Config())
+    result = offline_filter.run(config, states)
     write_npz(out, result)
     counts = [f"{(result['status'] == status).sum():,} {status.name.lower()}" for status in Status]
     print(f"{out}: {len(result['status']):,} states, {', '.join(counts)}")
@@ -280,7 +282,8 @@ def run_benchmark(
 
     with refusing("benchmark needs the package gymnasium (pip install '.[gymnasium]')", ImportError):
         from interfaces.vector import VectorInspection6DoF
-    results = measure.benchmark(configure(Config()), batches or measure.BATCHES, VectorInspection6DoF)
+    config = configure(Config())
+    results = measure.benchmark(config, batches or measure.BATCHES, VectorInspection6DoF)
     print(presentation.table(results))
     if json:
         write_json(json, results)

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from inspection.environment import InspectionEnv, Transition
-from study.boundary.scales import scales
+from study.scales import scales
 
 WEIGHT = 1e-3  # with the default discount of 0.999, the discounted sum is a mean of -asinh(h), some units
 

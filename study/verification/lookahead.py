@@ -8,7 +8,7 @@ from torch import Tensor
 from inspection.environment import InspectionEnv
 from inspection.model.state import CONTROL_SIZE, THRUST, TORQUE
 from rta.constraints.constraint import ATTITUDE, TRANSLATIONAL
-from study.boundary.scales import scales
+from study.scales import scales
 
 CANDIDATES, HORIZON = 24, 3  # by default
 # Rows of the constraints by who holds them, and the controls of theirs.
@@ -24,7 +24,7 @@ class Lookahead:
 
     At every call K desired controls per spacecraft are held over H calls of the filter from the true state on. Thrust
     is then that of the candidate by which the smallest h of thrust's constraints, over all these checks and in filter
-    calls (`study.boundary.scales`), becomes smallest; torque likewise. Programs of thrust and of torque are apart,
+    calls (`study.scales`), becomes smallest; torque likewise. Programs of thrust and of torque are apart,
     so that neither has to wait for the other.
 
     What an episode attacks: one constraint of thrust and one of torque, or all of a group at once, in turns by the

@@ -14,7 +14,6 @@ from rta.filter import FilterResult, SafetyFilter
 from study.boundary import boundary, limits
 from study.boundary.boundary import Boundary, run, tried
 from study.boundary.report import empty_report, table
-from study.command_line.paths import KINDS
 from study.config import Config, override
 from study.experiment import Experiment
 from tests.test_main import assert_refused
@@ -156,7 +155,6 @@ def test_more_draws_go_on_where_the_report_ends(nominal: Experiment, tmp_path: P
             report_of(nominal, draws, path)
     on, once = ((tmp_path / f"{name}.json").read_bytes() for name in ("on", "once"))
     assert on == once and json.loads(on)["draws"] == 2 * BATCH
-    assert KINDS["report of verify"](tmp_path / "on.json")  # so that a later command may write it
 
 
 def test_the_text_fits_into_100_columns(nominal: Experiment) -> None:

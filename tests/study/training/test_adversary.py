@@ -10,8 +10,8 @@ import pytest
 import torch
 
 from rta.constraints.constraint import CONSTRAINTS
-from study.boundary.scales import scales
 from study.experiment import Experiment
+from study.scales import scales
 from study.training import session as training
 from study.training.adversary import WEIGHT, Adversary
 from study.training.run import Run

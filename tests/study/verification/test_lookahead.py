@@ -10,9 +10,9 @@ import torch
 from torch import Tensor
 
 from inspection.environment import InspectionEnv
-from study.boundary.scales import scales
 from study.config import Config, override
 from study.experiment import Experiment
+from study.scales import scales
 from study.verification.adversaries import held_at_random
 from study.verification.flight import Flight, fly
 from study.verification.lookahead import Lookahead, attacked
