@@ -27,7 +27,7 @@ from ppo.checkpoint import CheckpointError
 from ppo.distributed import RankLostError, is_first, ranks
 from ppo.learner import NonFiniteError
 from ppo.network import Policy
-from study.command_line.arguments import Configure, build_parser, check_files, join_axis, parameters
+from study.command_line.arguments import Configure, Handler, build_parser, check_files, join_axis, parameters
 from study.config import TEST_CASES, Config, StudyConfig
 from study.errors import ExportError, InputError, ReflyError, in_one_line, refusing
 from study.files import write_json, write_npz, writing
@@ -139,7 +139,9 @@ def run_evaluate(
     policy, config = agent_and_config(configure, checkpoint)
     experiment = Experiment(config, episodes)
     say_unless_verified(config, configure.files, checkpoint)
-    results = evaluate(policy or controller, experiment, episodes, seed)
+    commander = policy or controller
+    assert commander is not None  # the parser sees to it
+    results = evaluate(commander, experiment, episodes, seed)
     print(tables(results))
     print(after_evaluation(results, checkpoint, controller, configure.words))
     if json:  # which may be standard output
@@ -320,6 +322,7 @@ def run_export(
         from study.export import onnx as export
     model = export.to_onnx(policy, config.inspection, config.chief)
     difference = export.check(model, policy)
+    assert out is not None  # the parser sees to it
     with writing(out) as file:
         file.write(model)
     print(
@@ -328,7 +331,7 @@ def run_export(
     )
 
 
-HANDLERS = {
+HANDLERS: dict[str, Handler] = {
     "train": run_train,
     "study": run_study,
     "report": run_report,

@@ -28,7 +28,7 @@ class PPOParameters:
     gamma: float = 0.999  # discount per step
     gae_lambda: float = 0.97  # GAE's lambda: 0 trusts the value network, 1 the observed returns
     epochs: int = 4  # passes over each batch
-    minibatch_size: int = 1024  # samples of a gradient step, per seed; the largest allowed, see PPO.update
+    minibatch_size: int = 1024  # largest number of samples of a gradient step, per seed
     learning_rate: float = 3e-4  # Adam's step size at the start, annealed linearly to 0 at the end
     clip: float = 0.2  # largest rewarded change of the probability ratio from 1
     value_coefficient: float = 0.5  # weight of the mean squared value error in the loss

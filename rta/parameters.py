@@ -18,8 +18,10 @@ class RtaParameters:
     own rounding, and for passive safety the shift of the closest time).
     """
 
-    period: float = 1.0  # s between two calls: 1, 5 or 10
-    qp_solver: str = "auto"  # of the quadratic programs: auto (the faster one for the batch), piqp or batched
+    period: float = 1.0  # s between two calls of the filter: 1, 5 or 10
+    qp_solver: str = (
+        "auto"  # of the quadratic programs: piqp, batched, or auto, the faster one for device and batch
+    )
 
     # relative degree one, 1/s
     collision_gain: float = 0.1  # 1/s, safe separation

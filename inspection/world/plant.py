@@ -40,7 +40,7 @@ class PlantParameters:
     """
 
     # Simulator
-    simulator: str = "own"  # of the motion: own, or basilisk, see docs/guides/basilisk.md
+    simulator: str = "own"  # own, or basilisk where it is installed, see docs/guides/basilisk.md
     j2: bool = False  # basilisk: the Earth is flattened
     drag: bool = False  # basilisk: there is air at the chief's height
     actuators: str = "ideal"  # basilisk: ideal, or real, wheels and pulsed thrusters

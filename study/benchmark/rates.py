@@ -29,8 +29,10 @@ CHAIN, INDEPENDENT = 200, 12  # products and sums in a row, and how many such ro
 class GymnasiumEnv(Protocol):
     """What is measured of a vector environment of Gymnasium's interface around the simulator."""
 
-    simulator: InspectionEnv
     num_envs: int
+
+    @property
+    def simulator(self) -> InspectionEnv: ...
 
     def reset(self, *, seed: int) -> Any: ...
 

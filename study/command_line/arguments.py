@@ -139,7 +139,7 @@ def check_files(arguments: argparse.Namespace) -> None:
         for each in COMMANDS[arguments.command].flags
         if vars(arguments).get(each.dest) is not None
     ]
-    inputs = {}
+    inputs: dict[str, str] = {}
     for each, value in given:
         paths = value if isinstance(value, list) else [value]
         if each.reads:

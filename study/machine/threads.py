@@ -26,7 +26,9 @@ class Threads:
     """
 
     def __init__(self) -> None:
-        self.asked, self.wanted, self.recorded = False, None, None
+        self.asked = False
+        self.wanted: int | None = None
+        self.recorded: int | None = None
 
     def ask(self, wanted: int | None) -> None:
         """Has `settle` take the number that a person wants, else the recorded one, else the fastest."""
