@@ -24,7 +24,9 @@ class Transition(Protocol):
     reward: Tensor
     terminated: Tensor
     truncated: Tensor
-    applied: Tensor
+
+    @property
+    def applied(self) -> Tensor: ...
 
 
 class Environment(Protocol):
@@ -32,8 +34,6 @@ class Environment(Protocol):
 
     def step(self, action: Tensor) -> Transition: ...
     def observation(self) -> Tensor: ...
-    def state_dict(self) -> dict[str, Any]: ...
-    def load_state_dict(self, state: dict[str, Any]) -> None: ...
 
 
 @torch.no_grad()

@@ -2,12 +2,19 @@
 
 import time
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, Protocol
 
 import torch
 
 from ppo.learner import PPO
 from ppo.rollout import Environment, collect
+
+
+class Resumable(Environment, Protocol):
+    """An environment whose episodes can be saved and go on from there."""
+
+    def state_dict(self) -> dict[str, Any]: ...
+    def load_state_dict(self, state: dict[str, Any]) -> None: ...
 
 
 class Trainer:
@@ -25,7 +32,7 @@ class Trainer:
 
     def __init__(
         self,
-        env: Environment,
+        env: Resumable,
         learner: PPO,
         steps: int,
         updates: int,

@@ -25,7 +25,7 @@ from rta.filter import SafetyFilter
 from rta.parameters import RtaParameters
 from study import config as configuration
 from study.commands import EPISODE
-from study.config import Config
+from study.config import AnyConfig, Config
 from study.errors import InputError, refusing
 from study.machine.compiling import (
     WORTH_COMPILING_SIMULATOR,
@@ -211,7 +211,7 @@ def check_cache() -> None:
             Path(path).mkdir(parents=True, exist_ok=True)
 
 
-def settled(config: Config, batch: int, device: torch.device, compiled: bool = False) -> Config:
+def settled(config: AnyConfig, batch: int, device: torch.device, compiled: bool = False) -> AnyConfig:
     """The configuration with the solver and the chief's mesh settled, which determine a run's numbers.
 
     What is compiled solves in C, as the batched solver does.

@@ -114,7 +114,7 @@ def tables(results: Results) -> str:
 
 def rows(results: Results, published: dict[str, Published], widths: tuple[int, int, int]) -> list[str]:
     """A table's lines: its heading, and ours beside the paper's columns."""
-    lines = [("", "this one", "paper, no RTA", "paper, RTA")]
+    lines: list[tuple[str, ...]] = [("", "this one", "paper, no RTA", "paper, RTA")]
     for name, paper in published.items():
         numbers = (measured(results, name), *paper.by_arm.values())
         lines.append((paper.label, *(number.text(paper.digits) for number in numbers)))

@@ -152,7 +152,7 @@ def in_u1(config: Config) -> Config:
 
 def compile_times(bare: Experiment, told: Experiment, batch: int) -> dict[str, float]:
     """s until filter and simulator are compiled for a training run, and a filter with bounds: with an empty cache."""
-    parts = {
+    parts: dict[str, Callable[[], None]] = {
         "filter": partial(bare.filter.compile, bare.device, batch),
         "simulator": bare.env(batch).compile,
         "filter with [uncertainty]": partial(told.filter.compile, told.device, batch),

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from inspection.environment import InspectionEnv
 from inspection.model.state import CONTROL_SIZE
-from kernels import Compiled
+from kernels import Kernel, printed
 from ppo.learner import PPO
 from rta.filter import SafetyFilter
 from rta.qp.batched_solver import BatchedSolver
@@ -121,7 +121,7 @@ def arithmetic(safety_filter: SafetyFilter) -> dict[str, float]:
             x = x * 0.5 + 1.0
         return [x]
 
-    independent = Compiled(chains, torch.ones(INDEPENDENT, 1, dtype=torch.float64)).run
+    independent = Kernel(printed(chains, torch.ones(INDEPENDENT, 1, dtype=torch.float64)))
     return {
         "statements": whole.statements,
         "us": 1e6 * whole.seconds,

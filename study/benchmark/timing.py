@@ -2,7 +2,7 @@
 
 import time
 from collections import defaultdict
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from statistics import median
 from typing import Any
 
@@ -39,7 +39,9 @@ def per_second(function: Callable[[], Any], work: float, device: torch.device) -
     return in_turn({"": function}, work, device)[""]
 
 
-def in_turn(functions: dict[str, Callable[[], Any]], work: float, device: torch.device) -> dict[str, Spread]:
+def in_turn(
+    functions: Mapping[str, Callable[[], Any]], work: float, device: torch.device
+) -> dict[str, Spread]:
     """`per_second` of several functions, a repeat of each after the other, so that all meet the same disturbances."""
     calls: dict[str, int] = {}
     rates: dict[str, list[float]] = {name: [] for name in functions}

@@ -67,7 +67,7 @@ def shaping(policy: Policy) -> tuple[list[NodeProto], list[TensorProto]]:
         ("Sign", ["action"], "sign"),
         ("Mul", ["sign", "shape"], "control"),
     ]
-    constants = [numpy_helper.from_array(np.float32(value), name) for name, value in values.items()]
+    constants = [numpy_helper.from_array(np.array(value, np.float32), name) for name, value in values.items()]
     return [helper.make_node(kind, given, [result]) for kind, given, result in steps], constants
 
 

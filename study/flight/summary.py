@@ -1,5 +1,8 @@
 """Statistics over episodes: robust summaries (Agarwal et al. 2021) and the bound on a rare event's probability."""
 
+from collections.abc import Iterable
+from typing import TypedDict
+
 import numpy as np
 from scipy import stats
 
@@ -9,32 +12,48 @@ AT_ONCE = 2**21  # scores of the resamples held in memory
 CONFIDENCE = 0.95  # of the bound
 
 
-def iqm(values: np.ndarray, axis: int = -1) -> np.ndarray:
+class Summary(TypedDict):
+    """Of some values: `iqm`, mean, the 95 % interval of the IQM, 5th and 95th percentile, and the largest."""
+
+    iqm: float
+    mean: float
+    ci95: list[float]
+    p5: float
+    p95: float
+    max: float
+
+
+def iqm(values: np.ndarray, axis: int | None = -1) -> np.ndarray:
     """Interquartile mean: the mean of the middle half, by scipy's trimmed mean."""
     return stats.trim_mean(values, 0.25, axis=axis)
 
 
-def tail(values: np.ndarray) -> dict[str, float]:
-    """The 5th and 95th percentile and the largest of all values."""
+def summarised(values: np.ndarray, interval: Iterable[float]) -> Summary:
+    """All of the values, of any shape, with the interval that was found for them."""
     p5, p95 = np.percentile(values, [5.0, 95.0])
-    return {"p5": float(p5), "p95": float(p95), "max": float(values.max())}
+    return {
+        "iqm": float(iqm(values, axis=None)),
+        "mean": float(values.mean()),
+        "ci95": [float(bound) for bound in interval],
+        "p5": float(p5),
+        "p95": float(p95),
+        "max": float(values.max()),
+    }
 
 
-def summary(values: np.ndarray, seed: int = 0) -> dict[str, float | list[float]]:
-    """`iqm`, `mean`, `tail`, and `ci95`, the percentile bootstrap's 95 % interval of the IQM, of (episodes,) values."""
-    if np.ptp(values) == 0.0:
-        interval = [float(values[0])] * 2  # scipy's bootstrap has no interval for a constant
-    else:
-        result = stats.bootstrap(
-            (values,),
-            iqm,
-            n_resamples=RESAMPLES,
-            method="percentile",
-            rng=np.random.default_rng(seed),
-            batch=1000,
-        )
-        interval = [float(bound) for bound in result.confidence_interval]
-    return {"iqm": float(iqm(values)), "mean": float(values.mean()), "ci95": interval} | tail(values)
+def summary(values: np.ndarray, seed: int = 0) -> Summary:
+    """Of (episodes,) values, with the percentile bootstrap's interval."""
+    if np.ptp(values) == 0.0:  # scipy's bootstrap has no interval for a constant
+        return summarised(values, [values[0]] * 2)
+    result = stats.bootstrap(
+        (values,),
+        iqm,
+        n_resamples=RESAMPLES,
+        method="percentile",
+        rng=np.random.default_rng(seed),
+        batch=1000,
+    )
+    return summarised(values, result.confidence_interval)
 
 
 def stratified_bootstrap(
@@ -54,17 +73,13 @@ def stratified_bootstrap(
     return np.concatenate(iqms)
 
 
-def stratified_summary(scores: np.ndarray, seed: int = 0) -> dict[str, float | list[float]]:
-    """`iqm`, `mean` and `tail` of all of the scores (runs, tasks), and `ci95`, the stratified bootstrap's interval."""
-    low, high = np.percentile(stratified_bootstrap(scores, np.random.default_rng(seed)), [2.5, 97.5])
-    return {
-        "iqm": float(iqm(scores, axis=None)),
-        "mean": float(scores.mean()),
-        "ci95": [float(low), float(high)],
-    } | tail(scores)
+def stratified_summary(scores: np.ndarray, seed: int = 0) -> Summary:
+    """Of all of the scores (runs, tasks), with the stratified bootstrap's interval."""
+    resampled = stratified_bootstrap(scores, np.random.default_rng(seed))
+    return summarised(scores, np.percentile(resampled, [2.5, 97.5]))
 
 
-def summary_of_runs(scores: np.ndarray) -> dict[str, float | list[float]]:
+def summary_of_runs(scores: np.ndarray) -> Summary:
     """`stratified_summary` of scores (runs, tasks); of a lone run, `summary` over its tasks."""
     return summary(scores[0]) if len(scores) == 1 else stratified_summary(scores)
 

@@ -11,7 +11,7 @@ from study.errors import InputError
 try:
     import fcntl
 except ImportError:  # not a Unix: nothing is locked
-    fcntl = None
+    fcntl = None  # type: ignore[assignment]  # a module that may be missing has no type of its own
 
 
 @contextmanager

@@ -126,7 +126,9 @@ def weight_at(curve: dict[str, list[float]], time: float) -> float:
 
 def violated(episode: Episode) -> dict[str, str]:
     """The constraints that an episode violates at some row, with their share of its time in percent."""
-    shares = {name[2:]: 100.0 * np.mean(h < 0.0) for name, h in episode.items() if name.startswith("h_")}
+    shares = {
+        name[2:]: 100.0 * float(np.mean(h < 0.0)) for name, h in episode.items() if name.startswith("h_")
+    }
     return {PAPER_VIOLATIONS[name].label: percent(share) for name, share in shares.items() if share}
 
 

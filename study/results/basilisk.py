@@ -42,7 +42,8 @@ MODELS: dict[str, dict[str, Any]] = {
     "and Hill's frame turns": {"hill_rotation": True},
     "and gravity is exact": {"hill_rotation": True, "orbit": "two-body"},
 }
-PERTURBED = {"J2": {"j2": True}, "drag": {"drag": True}}  # by which Basilisk differs from itself
+# by which Basilisk differs from itself
+PERTURBED = {"J2": replace(FREE, j2=True), "drag": replace(FREE, drag=True)}
 ARMS = ("no_rta", "rta")
 SHOWN = {"episode_length_s": "episode length (s)", "delta_v_m_s": "delta v (m/s)"}
 WORLDS = {
@@ -71,8 +72,8 @@ def coasting() -> dict[str, Any]:
             errors.append(differences(own, there))
         paths[name] = {kind: [row[kind] for row in errors] for kind in errors[0]}
     moved = {}
-    for name, settings in PERTURBED.items():
-        other = BasiliskPlant(replace(FREE, **settings), c, SPACECRAFT, "cpu")
+    for name, perturbed in PERTURBED.items():
+        other = BasiliskPlant(perturbed, c, SPACECRAFT, "cpu")
         other.begin(torch.arange(SPACECRAFT), x, torch.full((SPACECRAFT,), 0.5, dtype=torch.float64))
         moved[name] = differences(other.integrate(x, u, other.body, 1.0, SECONDS), true[-1])
     return {

@@ -14,7 +14,7 @@ WEIGHT = 1e-3  # with the default discount of 0.999, the discounted sum is a mea
 
 
 class Adversary:
-    """An `InspectionEnv` as `ppo.rollout.Environment`, with another reward.
+    """An `InspectionEnv` as `ppo.trainer.Resumable`, with another reward.
 
     With h the smallest of the attacked constraints' at the true state after the step, in filter calls to the limit
     (`scales`), the reward is -WEIGHT asinh(h). asinh has a slope everywhere, that of h near the limit and of

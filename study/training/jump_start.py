@@ -38,7 +38,8 @@ class Taught:
         self.env, self.policy = env, policy
         self.guidance = natural_motion(env.c, env.c.action_period, ORBIT)
         self.observation = env.observation
-        self.leads, self.lessons = True, []
+        self.leads = True
+        self.lessons: list[Tensor] = []
 
     def step(self, action: Tensor) -> Transition:
         """`InspectionEnv.step`; the guidance knows the true states."""

@@ -79,11 +79,12 @@ class Run:
     def __init__(self, config: Config, directory: Path, seeds: Sequence[int] | None = None) -> None:
         train = config.train
         self.directory, self.ranks = directory, ranks()
+        self.seeds = (train.seed,) if seeds is None else tuple(seeds)
         if seeds is None:
-            self.seeds, self.homes = (train.seed,), [directory]
+            self.homes = [directory]
             self.shard = shard_of_episodes(config, self.ranks)
         else:
-            self.seeds, self.homes = tuple(seeds), [directory / f"seed{seed}" for seed in seeds]
+            self.homes = [directory / f"seed{seed}" for seed in seeds]
             self.shard = shard_of_seeds(config, self.ranks, len(self.seeds))
         own_seeds, num_envs = self.seeds[self.shard.seeds], self.shard.num_envs
         steps = train.updates * train.rollout_steps

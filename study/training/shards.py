@@ -33,7 +33,7 @@ class Shard:
     def split(self, state: State) -> State:
         """This rank's part of the state of a whole run."""
 
-        def part(axis: int, values: Stacked) -> Stacked:
+        def part(axis: int, values: Any) -> Stacked:
             return values[self.seeds] if axis == 0 else values[..., self.columns]
 
         return state if self.ranks.size == 1 else each(part, state)
@@ -42,7 +42,7 @@ class Shard:
         """The state of the whole run from those of all ranks in order."""
         shared = self.learners.size > 1  # the seed: all ranks have the same but for the episodes
 
-        def whole(axis: int, *parts: Stacked) -> Stacked:
+        def whole(axis: int, *parts: Any) -> Stacked:
             if axis == 0 and shared:
                 return parts[0]
             return list(chain(*parts)) if isinstance(parts[0], list) else torch.cat(parts, axis)

@@ -127,7 +127,7 @@ def commanding(
 ) -> Controller:
     """Who commands the episodes of `env`, the columns from `first` on of a batch whose controls have this seed."""
     generator, batch = torch.Generator().manual_seed(seed), campaign.batch_size
-    if campaign.policy.startswith(LEARNED):
+    if network and campaign.policy.startswith(LEARNED):
         return learned(network, env, generator, batch, first)
     if network:
         return agent(network, env)

@@ -63,7 +63,7 @@ class Flight:
     applied: Tensor
     column: Tensor
     number: Tensor
-    conflicts: Conflicts | None = None
+    conflicts: Conflicts
 
     def __getitem__(self, chosen: Tensor) -> "Flight":
         """The episodes where `chosen` (B,) bool is set."""
@@ -94,6 +94,7 @@ def fly(
     number = torch.zeros_like(x[0]) if number is None else number
     env.start(x, priority, number)
     constraints, batch, calls = len(env.safety.names), x.shape[1], math.ceil(duration / env.safety.period)
+    h, column = env.constraint_values(x), torch.arange(first, first + batch, device=x.device)
     flight = Flight(
         violating=x.new_zeros(constraints + 1, batch),
         steps=x.new_zeros(batch),
@@ -106,10 +107,11 @@ def fly(
         start=torch.cat((x, priority)),
         desired=x.new_zeros(calls, CONTROL_SIZE, batch),
         applied=x.new_zeros(calls, CONTROL_SIZE, batch),
-        column=torch.arange(first, first + batch, device=x.device),
+        column=column,
         number=number,
+        conflicts=Conflicts(column[:0], x[0, :0], x[:, :0], x[:CONTROL_SIZE, :0], h[:, :0], h[:, :0]),
     )
-    h, conflicts = env.constraint_values(x), []
+    conflicts = [flight.conflicts]
     note_state(flight, h, 0.0)
     call = itertools.count()
     for hold in env.fly(controller, duration):
@@ -120,8 +122,8 @@ def fly(
             status, slack = torch.nn.functional.one_hot(result.status, len(Status)).T, result.slack
             if hold.missed is not None:  # then nothing was asked
                 yielded, status, slack = (part * ~hold.missed for part in (yielded, status, slack))
-            parts = flight.column, time, hold.seen, hold.desired, slack, h
-            conflicts.append([part[..., yielded.any(0)] for part in parts])
+            parts = column, time, hold.seen, hold.desired, slack, h
+            conflicts.append(Conflicts(*(part[..., yielded.any(0)] for part in parts)))
             flight.status += status
             flight.yielded += yielded
             flight.slack = torch.maximum(flight.slack, slack)

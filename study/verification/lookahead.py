@@ -82,7 +82,7 @@ class Lookahead:
         env, tried, control = self.env, self.tried, desired.flatten(1)
         tried.x = x.repeat(1, self.candidates)
         tried.time = (env.time + t).repeat(self.candidates)
-        if env.plant:
+        if env.plant and tried.plant:
             state = env.plant.state_dict()  # whose last axes are the episodes
             tried.plant.load_state_dict(
                 {name: part.repeat(*(1,) * (part.dim() - 1), self.candidates) for name, part in state.items()}

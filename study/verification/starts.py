@@ -18,8 +18,6 @@ from rta.filter import SafetyFilter
 INSIDE = 5.0  # m, within max_distance, where the safe set's initial states are at the farthest
 NUMBERS = 17  # from which a start follows
 HYPERCUBES = 100  # drawn before a safe set counts as empty
-# what keeps the filter's Psi_1 from being exact
-MARGINS = ("exclusion_margin", "temperature_margin", "battery_margin", "pole_angle", "incidence_rounding")
 
 
 def spawned(seed: int, count: int) -> list[int]:
@@ -64,7 +62,15 @@ def safe_set(count: int, seed: int, safety_filter: SafetyFilter) -> tuple[Tensor
         RuntimeError: fewer were found in HYPERCUBES hypercubes.
     """
     c, parameters = safety_filter.c, safety_filter.parameters
-    exact = SafetyFilter(c, dataclasses.replace(parameters, **dict.fromkeys(MARGINS, 0.0)))
+    without_margins = dataclasses.replace(
+        parameters,
+        exclusion_margin=0.0,
+        temperature_margin=0.0,
+        battery_margin=0.0,
+        pole_angle=0.0,
+        incidence_rounding=0.0,
+    )
+    exact = SafetyFilter(c, without_margins)
     sampler = qmc.LatinHypercube(NUMBERS, rng=np.random.default_rng(seed))
     kept, rejected = torch.zeros(SIZE + 3, 0, dtype=torch.float64), 0
     for _ in range(HYPERCUBES):
