@@ -99,8 +99,8 @@ def verified_policy(text: str) -> str:
 def beside_setting(name: str) -> str:
     """The comment beside a setting, "table.key"; empty where there is no such setting or no source."""
     table, _, key = name.partition(".")
-    part: Any = vars(StudyConfig()).get(table)
-    _, comment = comments(type(part)).get(key, ([], ""))
+    of: type = type(vars(StudyConfig()).get(table))
+    _, comment = comments(of).get(key, ([], ""))
     return comment.removeprefix("# ").replace("%", "%%")
 
 
