@@ -7,12 +7,13 @@ from body axes to Hill's frame, `rotate(conjugate(x[Q]), v)` back.
 """
 
 from inspection.closed_loop import Correction, Safety
-from inspection.environment import InspectionEnv, Transition
+from inspection.environment import InspectionEnv
 from inspection.initial_state import sample_initial_state
 from inspection.model.attitude import conjugate, rotate, unit
 from inspection.model.dynamics import step
 from inspection.model.parameters import InspectionParameters
 from inspection.model.state import OMEGA, THETA_S, THRUST, TORQUE, E, P, Q, T, V
+from inspection.transition import Transition
 
 __all__ = [
     "OMEGA",

@@ -15,12 +15,17 @@ Controller = Callable[[float, Tensor], Tensor]
 
 
 class Correction(Protocol):
-    """What a control filter returns: at least the control to apply, (6, B) in N and N m.
+    """What a control filter returns.
 
-    Where agents are paid for what it leaves as it is, also `intervened`, (B,) bool, whether it is another one.
+    Attributes:
+        control: (6, B) in N and N m, to be applied.
+        intervened: (B,) bool, it is another one than was desired.
+        h: (constraints, B) values at the states that the filter was shown.
     """
 
     control: Tensor
+    intervened: Tensor
+    h: Tensor
 
 
 @dataclass(frozen=True)
@@ -209,6 +214,28 @@ def closed_loop(
         end = (i + 1) * hold
         yield Hold(time, end, hold, x, desired, applied, correction, decided, after, seen, acting, missed)
         x = after
+
+
+class Smallest:
+    """The smallest values that what is checked has had so far, such as constraints along a `closed_loop`.
+
+    Args:
+        count: how many are checked; x: (..., B), for how many episodes, its device and precision.
+
+    Attributes:
+        value: (count, B), infinite at first; when: (count, B) in s.
+    """
+
+    def __init__(self, count: int, x: Tensor) -> None:
+        self.value = x.new_full((count, x.shape[-1]), torch.inf)
+        self.when = torch.zeros_like(self.value)
+
+    def note(self, values: Tensor, time: float = 0.0) -> Tensor:
+        """Takes down values (count, B) at a time in s; returns them with minus infinity in the place of NaN."""
+        values = torch.where(values.isnan(), -torch.inf, values)
+        self.when = torch.where(values < self.value, time, self.when)
+        self.value = torch.minimum(self.value, values)
+        return values
 
 
 def is_multiple(a: float, b: float) -> bool:

@@ -1,32 +1,26 @@
 """InspectionEnv: the whole batch of episodes as one set of tensors, with autoreset."""
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
 import torch
 from torch import Tensor
 
-from inspection.chief import points as chief
-from inspection.chief.surface import directions, groups, in_view, seen_from, surface
-from inspection.chief.tumbling import RATE, Tumbling
-from inspection.closed_loop import Clocks, Controller, Correction, Hold, Safety, closed_loop
+from inspection.closed_loop import Clocks, Controller, Hold, Safety, closed_loop, is_multiple
 from inspection.initial_state import InitialStates
-from inspection.model.attitude import conjugate, rotate
 from inspection.model.draws import uniform
 from inspection.model.dynamics import integrate
 from inspection.model.parameters import ChiefParameters, InspectionParameters
-from inspection.model.state import CONTROL_SIZE, SIZE, THETA_S, THRUST, TORQUE, P
+from inspection.model.state import CONTROL_SIZE, SIZE, THRUST, TORQUE
 from inspection.observation import normalised
 from inspection.reward import REWARDS, rewards, shaping
-from inspection.termination import OUTCOMES, ends, failures
+from inspection.sight import EVERYONE, Sight
+from inspection.termination import ends, failures, outcome_of
+from inspection.transition import Transition
 from inspection.world.basilisk import BasiliskPlant
 from inspection.world.plant import Plant, PlantParameters
 from kernels import Compiled
-from kernels.printer import LEAST_LONG
-
-METRICS = ("inspected_score", "reward", "episode_length_s", "delta_v_m_s", "torque_n_m", "violation_percent")
 
 
 def clocks_of(
@@ -42,64 +36,6 @@ def clocks_of(
     every = c.action_period
     report = report_every or min(c.substep, decide_every or every, filter_period or every)
     return Clocks(decide_every or every, report, c.substep, filter_period, look=every)
-
-
-@dataclass
-class Transition:
-    """The outcome of one interaction, before autoreset; tensors over the batch B.
-
-    Attributes:
-        observation: (B, size) float32, of the next episode where one ended.
-        final_observation: (B, size) float32, of the state that the action led to (terminal where it ended).
-        state: (16, B) that the action led to; inspected: (N, B) bool, the points seen by then.
-        reward: (B,); reward_terms: what it is the sum of, by name, the nine and those of our own that have a weight.
-        terminated, truncated: (B,) bool, true end or time limit; an episode that failed within the step flew on to its
-            end.
-        violated: (constraints, B) bool at the end of the step.
-        corrections: the filter's answers, one per filter call of the step; see `calls`.
-        held: (6, B) each control that was applied, in N and N m, all for as long; limit: (6, 1) the actuators' limits.
-        outcome: (B,) index into OUTCOMES, -1 while running.
-        metrics: (6, B) the episode so far in the order of METRICS.
-        violation_steps: (constraints, B) and steps (B,): violated and all steps of the episode so far.
-        truths: of each filter call, (B,) bool where it was not missed and (constraints, B) values of the true states;
-            None where the plant is the model.
-    """
-
-    observation: Tensor
-    final_observation: Tensor
-    state: Tensor
-    inspected: Tensor
-    reward: Tensor
-    reward_terms: dict[str, Tensor]
-    terminated: Tensor
-    truncated: Tensor
-    violated: Tensor
-    corrections: list[Correction]
-    held: list[Tensor]
-    limit: Tensor
-    outcome: Tensor
-    metrics: Tensor
-    violation_steps: Tensor
-    steps: Tensor
-    truths: list[tuple[Tensor, Tensor]] | None = None
-
-    def calls(self) -> Iterator[tuple[Any, Tensor, Tensor]]:
-        """Each call of the filter: its answer, (B,) bool where it was not missed, (constraints, B) true values."""
-        if self.truths is None:
-            everyone = torch.ones_like(self.terminated)
-            yield from ((correction, everyone, correction.h) for correction in self.corrections)
-        else:
-            yield from ((each, *truth) for each, truth in zip(self.corrections, self.truths, strict=True))
-
-    @property
-    def applied(self) -> Tensor:
-        """(B, 6) mean of the controls that were applied, in units of the actuators' limits."""
-        return (torch.stack(self.held).mean(0) / self.limit).T
-
-    @property
-    def done(self) -> Tensor:
-        """(B,) bool: the episode ended."""
-        return self.terminated | self.truncated
 
 
 class InspectionEnv:
@@ -118,8 +54,8 @@ class InspectionEnv:
         target: the chief; None: the paper's.
 
     Attributes:
-        x: true states (16, B); inspected: (N, B) bool; time: (B,) s; priority: (3, B) in the chief's frame.
-        tumbling: how the chiefs turn; None: the chief is the paper's, its frame Hill's.
+        x: true states (16, B); time: (B,) s, since the episodes began.
+        sight: what has been seen of the chief.
         clocks: how often what happens.
         plant: of each episode; None: the model.
 
@@ -150,31 +86,18 @@ class InspectionEnv:
             self.plant = kind(plant, parameters, batch, device)
         self.put_behind(safety or Safety())
         target = target or ChiefParameters()
-        self.tumbling = None
-        if not target.is_the_papers or "chief" in parameters.observed:
-            self.tumbling = Tumbling(target, parameters, batch, device)
+        self.sight = Sight(target, parameters, batch, device)
         numbered = differs or target.is_drawn
         self.starts = [
             InitialStates(generator, parameters, self.safety.is_safe, numbered) for generator in generators
         ]
         self.num_envs = num_envs
-        self.surface = surface(target, parameters, device)
-        # k-means in float32 on coordinates rounded to 2^-13 m, which sum exactly in any order
-        self.points = (self.surface.points * 2**13).round().div(2**13).float()
-        points = self.points.shape[1]
-        clusters = chief.max_clusters(self.surface.normals, parameters, self.tumbling is not None)
         self.limit = torch.tensor(parameters.control_limit, dtype=torch.float64, device=device)[:, None]
 
         def zeros(*shape: int, dtype: torch.dtype = torch.float64) -> Tensor:
             return torch.zeros(*shape, batch, dtype=dtype, device=device)
 
         self.x = zeros(SIZE)
-        self.priority = zeros(3)
-        self.weights = zeros(points)
-        self.inspected = zeros(points, dtype=torch.bool)
-        self.centres = zeros(3, clusters, dtype=torch.float32)
-        self.alive = zeros(clusters, dtype=torch.bool)
-        self.uninspected = zeros(3)
         self.time = zeros()
         self.steps = zeros(dtype=torch.int64)
         self.totals = zeros(3)  # reward, delta v, torque
@@ -187,12 +110,6 @@ class InspectionEnv:
             self._integrate = partial(integrate, duration=self.clocks.step, c=parameters)
         self._normalised = partial(normalised, c=parameters)
         self._values = self.safety.values
-        see = (
-            partial(in_view, self.surface) if self.tumbling else partial(chief.in_view, self.surface.normals)
-        )
-        self._in_view = partial(see, c=parameters)
-        self._seen = partial(chief.by_chunks, lambda *given: [self._in_view(*given)])
-        self._settle = partial(chief.by_chunks, partial(chief.settled, self.points))
 
     def put_behind(self, safety: Safety) -> None:
         """Has the episodes fly behind another filter of the same constraints.
@@ -208,43 +125,34 @@ class InspectionEnv:
         if self.plant:
             self.plant.every, self.plant.acts_for = clocks.filter or clocks.decision, clocks.hold
 
-    STATE = (
-        "x",
-        "priority",
-        "weights",
-        "inspected",
-        "centres",
-        "alive",
-        "uninspected",
-        "time",
-        "steps",
-        "totals",
-        "violation_steps",
-        "any_violation_steps",
-    )
+    STATE = ("x", "time", "steps", "totals", "violation_steps", "any_violation_steps")
+
+    def _kept(self) -> list[tuple[Any, str]]:
+        """The attributes that a resumed run needs, and whose they are."""
+        return [(part, name) for part in (self, self.sight) for name in part.STATE]
 
     def state_dict(self) -> dict[str, Any]:
         """Everything a resumed run needs beside the generators' states, as tensors."""
-        own: dict[str, Any] = {name: getattr(self, name).clone() for name in self.STATE}
+        own: dict[str, Any] = {name: getattr(part, name).clone() for part, name in self._kept()}
         if self.plant:
             own["plant"] = self.plant.state_dict()
-        if self.tumbling:
-            own["chief"] = self.tumbling.motion.clone()
+        if self.sight.tumbling:
+            own["chief"] = self.sight.tumbling.motion.clone()
         return own | {"pools": [starts.pool.clone() for starts in self.starts]}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Restores `state_dict`; raises KeyError or ValueError where it does not fit."""
-        for name in self.STATE:
-            own, saved = getattr(self, name), state[name]
+        for part, name in self._kept():
+            own, saved = getattr(part, name), state[name]
             if (own.shape, own.dtype) != (saved.shape, saved.dtype):
                 raise ValueError(
                     f"{name} is {saved.dtype} {tuple(saved.shape)}, not {own.dtype} {tuple(own.shape)}"
                 )
-            setattr(self, name, saved.clone())
+            setattr(part, name, saved.clone())
         if self.plant:
             self.plant.load_state_dict(state["plant"])
-        if self.tumbling:
-            self.tumbling.motion = state["chief"].clone()
+        if self.sight.tumbling:
+            self.sight.tumbling.motion = state["chief"].clone()
         for starts, pool in zip(self.starts, state["pools"], strict=True):
             starts.pool = pool.clone()
 
@@ -253,42 +161,22 @@ class InspectionEnv:
 
         Raises as `Compiled`, and changes nothing then.
         """
-        state = self.x, self._towards_priority, self.uninspected, self.time, *self._chiefs(slice(None))
-        own = {"_normalised": self._compiled(self._normalised, *state)}
+        own = {"_normalised": self._compiled(self._normalised, self.x, *self.sight.observed())}
         if not (self.plant and not self.plant.is_traceable):
             own["_integrate"] = self._compiled(self._integrate, self.x, self.x[:CONTROL_SIZE], *self._bodies)
         if self.safety.values:
             own["_values"] = self._compiled(self.safety.values, self.x, points=len(self.c.planes))
-        own["_seen"] = self._looking(self.x, *self._frames(slice(None)))
-        settle = self._several(partial(chief.lloyd, self.points), self.centres, self.inspected, self.alive)
-        own["_settle"] = partial(settle, times=chief.LLOYD_ITERATIONS)
+        self.sight.compile(self._several, self.x)
         vars(self).update(own)
-
-    def _looking(self, *examples: Tensor) -> Callable[..., list[Tensor]]:
-        """What sees the points, compiled for tensors like the examples; of a mesh, each group of points by itself."""
-        if not self.tumbling:
-            return self._several(lambda *given: [self._in_view(*given)], *examples)
-        where = self._several(lambda *given: [directions(*given)], *examples)
-        runs = []
-        for part, count in groups(self.surface, LEAST_LONG):
-            points = len(part.areas)
-            run = self._several(
-                lambda seen, part=part: [seen_from(part, seen, self.c)], *where(*examples), points=points
-            )
-            runs.append((run, count))
-
-        def look(*given: Tensor) -> list[Tensor]:
-            seen = where(*given)
-            return [torch.cat([run(*seen)[0][:, :count] for run, count in runs], 1)]
-
-        return look
 
     def _several(
         self, function: Callable[..., list[Tensor]], *examples: Tensor, points: int | None = None
     ) -> Compiled:
         """A function compiled for tensors like the examples, with loops over so many points, None: all of them."""
         columns = [example[..., :1] for example in examples]
-        return Compiled(function, *columns, batch=self.time.numel(), long=points or self.points.shape[1])
+        return Compiled(
+            function, *columns, batch=self.time.numel(), long=points or self.sight.points.shape[1]
+        )
 
     def _compiled(
         self, function: Callable[..., Tensor], *examples: Tensor, points: int | None = None
@@ -296,15 +184,6 @@ class InspectionEnv:
         """A function to one tensor, compiled for tensors like the examples; `points` as of `_several`."""
         run = self._several(lambda *tensors: [function(*tensors)], *examples, points=points)
         return lambda *tensors, **times: run(*tensors, **times)[0]
-
-    @property
-    def score(self) -> Tensor:
-        """w_p, inspected weight (B,)."""
-        return self._score(slice(None))
-
-    def _score(self, columns: Tensor | slice) -> Tensor:
-        """w_p (k,) of the given columns."""
-        return torch.where(self.inspected[:, columns], self.weights[:, columns], 0.0).sum(0)
 
     def reset(self) -> Tensor:
         """Starts every episode anew from the initial distribution; returns observations."""
@@ -318,43 +197,26 @@ class InspectionEnv:
             number: (B,) in [0, 1), from which the episodes' plants follow; None: the first ones of the seeds, by
                 episode, the same at every call and on every device.
         """
-        if (self.plant or self.tumbling) and number is None:
+        if (self.plant or self.sight.tumbling) and number is None:
             seeds = [torch.Generator().manual_seed(starts.generator.initial_seed()) for starts in self.starts]
             number = torch.cat([uniform(0.0, 1.0, self.num_envs, seed) for seed in seeds]).to(x.device)
         self._begin(torch.arange(self.time.numel(), device=x.device), x, priority, number)
         return self.observation()
 
     @property
-    def seen(self) -> Tensor:
-        """What agent and filter take the present states for, (16, B)."""
-        return self.plant.sense(self.time, self.x) if self.plant else self.x
-
-    @property
     def _bodies(self) -> tuple[Tensor, ...]:
         """What the integration takes beside states and controls."""
         return (self.plant.body,) if self.plant else ()
 
-    def observation(self) -> Tensor:
-        """Normalised observations (B, size) float32 of the present states as they are seen."""
-        return self._observe(slice(None), self.score)
+    def observation(self, seen: Tensor | None = None, columns: Tensor | slice = EVERYONE) -> Tensor:
+        """Normalised observations (k, size) float32 of the given columns, of what has been seen of the chief so far.
 
-    def _observe(self, columns: Tensor | slice, score: Tensor) -> Tensor:
-        """Observations (k, size) of the given columns, whose inspected weights are score (k,)."""
-        state = (part[:, columns] for part in (self.seen, self._towards_priority, self.uninspected))
-        return self._normalised(*state, score, *self._chiefs(columns)).T
-
-    @property
-    def _towards_priority(self) -> Tensor:
-        """Priority vectors (3, B) in Hill's frame."""
-        return rotate(self.tumbling.attitude, self.priority) if self.tumbling else self.priority
-
-    def _frames(self, columns: Tensor | slice) -> tuple[Tensor, ...]:
-        """The attitude (4, k) of the given chiefs, if it is not Hill's frame."""
-        return (self.tumbling.attitude[:, columns],) if self.tumbling else ()
-
-    def _chiefs(self, columns: Tensor | slice) -> tuple[Tensor, ...]:
-        """Attitude and rate (7, k) of the given chiefs, if they are observed."""
-        return (self.tumbling.motion[: RATE.stop, columns],) if "chief" in self.c.observed else ()
+        Args:
+            seen: states (16, B) as they are sensed, which a controller is shown; None: the present ones.
+        """
+        if seen is None:
+            seen = self.plant.sense(self.time, self.x) if self.plant else self.x
+        return self._normalised(seen[:, columns], *self.sight.observed(columns)).T
 
     def step(self, action: Tensor) -> Transition:
         """Holds one action for one action period.
@@ -384,138 +246,85 @@ class InspectionEnv:
         Args:
             watch: is shown every hold of a control.
         """
-        c = self.c
-        corrections: list[Correction] = []
-        truths: list[tuple[Tensor, Tensor]] = []
-        mass = self.plant.mass if self.plant else c.mass
-        delta_v, torque, corrected, answered = (torch.zeros_like(self.time) for _ in range(4))
-        held: list[Tensor] = []
-        flown: list[Hold] = []
-        for hold in self.fly(controller, c.action_period):
-            if hold.correction is not None:
-                corrections.append(hold.correction)
-                if c.correction_reward:
-                    answer = (
-                        ~hold.missed
-                        if hold.missed is not None
-                        else torch.ones_like(hold.correction.intervened)
-                    )
-                    answered += answer
-                    corrected += answer & hold.correction.intervened
-            if hold.correction is not None and hold.missed is not None:
-                truths.append((~hold.missed, self.constraint_values(hold.state)))
-            held.append(hold.applied)
-            flown.append(hold)
+        c, before, holds = self.c, self.sight.score(), []
+        for hold in self.inspect(controller, c.action_period):
+            holds.append(hold)
             watch(hold)
-        acting = torch.stack([each.acting for each in flown]).abs()  # (holds, 6, B)
-        for thrust, turn in zip(acting[:, THRUST].sum(1), acting[:, TORQUE].sum(1), strict=True):
-            delta_v += thrust / mass * hold.seconds
-            torque += turn * (hold.seconds / c.action_period)
-        ends_of_holds = torch.stack([each.after for each in flown], 1)  # (16, holds, B)
-        failed = {name: each.any(0) for name, each in failures(ends_of_holds, c).items()}
+        self.x = hold.after
         self.time += c.action_period
         self.steps += 1
 
-        before = self.score
-        self.see(hold.after)
-        score = self.score
-        ended = failed | ends(score, self.time, c)
+        score, h = self.sight.score(), self.constraint_values(self.x)
+        violated = self._count(h < 0.0)
+        ended = failed_in(holds, c) | ends(score, self.time, c)
+        delta_v, torque = effort(holds, self.plant.mass if self.plant else c.mass, c)
         terms = rewards(self.x, score - before, delta_v, torque, self.time, ended, c)
         reward = torch.stack([terms[name] for name in REWARDS]).sum(0)
-        h = self.constraint_values(self.x)
         named = dict(zip(self.safety.names, h, strict=True))
-        own = shaping(self.x, named, corrected / answered.clamp(min=1.0), c)
+        own = shaping(self.x, named, self._corrected(holds), c)
         self.totals += torch.stack((reward, delta_v, torque))
-        violated = self._count(h < 0.0)
 
-        truncated = ended["timeout"]
         terminated = ended["crash"] | ended["out_of_bounds"] | ended["out_of_power"] | ended["success"]
-        truncated = truncated & ~terminated
-        outcome = torch.full_like(self.steps, -1)
-        for i in reversed(range(len(OUTCOMES))):
-            outcome[ended[OUTCOMES[i]]] = i
-        final_observation = self._observe(slice(None), score)
+        observation = self.observation()
         transition = Transition(
-            observation=final_observation,
-            final_observation=final_observation,
+            observation=observation,
+            final_observation=observation,
             state=self.x,
-            inspected=self.inspected.clone(),  # `look` writes in place
+            inspected=self.sight.inspected.clone(),  # which the next look writes into
             reward=sum(own.values(), reward),
             reward_terms=terms | own,
             terminated=terminated,
-            truncated=truncated,
+            truncated=ended["timeout"] & ~terminated,
             violated=violated,
-            corrections=corrections,
-            held=held,
+            corrections=[hold.correction for hold in holds if hold.correction is not None],
+            held=[hold.applied for hold in holds],
             limit=self.limit,
-            outcome=outcome,
+            outcome=outcome_of(ended),
             metrics=self._metrics(score),
             violation_steps=self.violation_steps.clone(),
             steps=self.steps.clone(),
-            truths=truths if self.plant else None,
+            truths=self._truths(holds),
         )
         fresh = self._restart(transition.done)
         if fresh.numel():
-            transition.observation = final_observation.clone()
-            transition.observation[fresh] = self._observe(fresh, self._score(fresh))
+            transition.observation = observation.clone()
+            transition.observation[fresh] = self.observation(columns=fresh)
         return transition
 
-    def fly(self, controller: Controller, duration: float) -> Iterator[Hold]:
-        """`closed_loop` from the present states, by the environment's clocks and behind its filter."""
+    def inspect(self, controller: Controller, duration: float) -> Iterator[Hold]:
+        """`fly`; after the last hold of every action period, once it is handed out, the chief is looked at."""
+        for hold in self.fly(controller, duration):
+            yield hold
+            if is_multiple(hold.end, self.c.action_period):
+                self.sight.look(hold.after, self.time + hold.end)
+
+    def fly(
+        self,
+        controller: Controller,
+        duration: float,
+        x: Tensor | None = None,
+        time: Tensor | None = None,
+    ) -> Iterator[Hold]:
+        """`closed_loop` by the environment's clocks and behind its filter, which leaves the episodes as they are.
+
+        Args:
+            x: states (16, B) at the episodes' time (B,) in s; None: the present ones.
+        """
         return closed_loop(
-            self.x,
+            self.x if x is None else x,
             controller,
             self.safety.correct,
             self.integrate,
             self.clocks,
             duration,
             self.plant,
-            self.time.clone() if self.plant else 0.0,
+            (self.time.clone() if time is None else time) if self.plant else 0.0,
             self.safety.informed,
         )
 
     def integrate(self, x: Tensor, u: Tensor, seconds: float) -> Tensor:
         """The states (16, B) after u has acted for some s."""
         return self._integrate(x, u, *self._bodies, times=round(seconds / self.clocks.step))
-
-    def see(self, x: Tensor, seconds: float = 0.0) -> None:
-        """Puts every spacecraft into states x (16, B) and looks at the chief from there, unless it has.
-
-        Where x is what a controller in flight is shown, it is put into the true states. `seconds` have passed since the
-        episodes' time.
-        """
-        if self.plant:
-            x = self.plant.behind(x)
-        if self.tumbling:
-            self.tumbling.at(self.time + seconds, x[THETA_S])
-        if x is not self.x:
-            self.x = x
-            self.look()
-
-    def look(self, columns: Tensor | slice = slice(None)) -> None:
-        """Marks the points in view and points r_UPS at the nearest cluster of those lit and left."""
-        x = self.x[:, columns]
-        ((lit, seen),) = self._seen(x, *self._frames(columns))
-        inspected = self.inspected[:, columns] | seen
-        wanted = lit & ~inspected
-        centres, alive = chief.cluster(
-            self.points,
-            wanted,
-            self.centres[..., columns],
-            self.alive[:, columns],
-            self.c.points_per_cluster,
-            self._settle,
-        )
-        self.inspected[:, columns] = inspected
-        self.centres[..., columns] = centres
-        self.alive[:, columns] = alive
-        if self.tumbling:
-            attitude = self.tumbling.attitude[:, columns]
-            p = rotate(conjugate(attitude), x[P])
-            direction = rotate(attitude, chief.nearest_cluster(centres.to(x.dtype), alive, p))
-        else:
-            direction = chief.nearest_cluster(centres.to(x.dtype), alive, x[P])
-        self.uninspected[:, columns] = direction
 
     def constraint_values(self, x: Tensor) -> Tensor:
         """Constraint values (constraints, B) at states (16, B)."""
@@ -545,15 +354,46 @@ class InspectionEnv:
         return columns
 
     def _begin(self, columns: Tensor, x: Tensor, priority: Tensor, number: Tensor | None = None) -> None:
-        """Puts fresh episodes into the given columns; points visible at the start count as inspected."""
+        """Puts fresh episodes into the given columns."""
         if self.plant:
             self.plant.begin(columns, x, number)
-        if self.tumbling:
-            self.tumbling.begin(columns, number)
         self.x = self.x.clone()  # the finished step's Transition still holds the old one
         for name in self.STATE:
             getattr(self, name)[..., columns] = 0
         self.x[:, columns] = x
-        self.priority[:, columns] = priority
-        self.weights[:, columns] = chief.point_weights(self.surface.normals, priority, self.surface.areas)
-        self.look(columns)
+        self.sight.begin(columns, self.x[:, columns], priority, number)
+
+    def _corrected(self, holds: Sequence[Hold]) -> Tensor:
+        """(B,) share of the filter's calls that it corrected, where agents are paid for that."""
+        corrected, answered = torch.zeros_like(self.time), torch.zeros_like(self.time)
+        for hold in holds if self.c.correction_reward else ():
+            if hold.correction is not None:
+                intervened = hold.correction.intervened
+                answer = torch.ones_like(intervened) if hold.missed is None else ~hold.missed
+                answered += answer
+                corrected += answer & intervened
+        return corrected / answered.clamp(min=1.0)
+
+    def _truths(self, holds: Sequence[Hold]) -> list[tuple[Tensor, Tensor]] | None:
+        """`Transition.truths`."""
+        if not self.plant:
+            return None
+        calls = [hold for hold in holds if hold.correction is not None and hold.missed is not None]
+        return [(~hold.missed, self.constraint_values(hold.state)) for hold in calls]
+
+
+def failed_in(holds: Sequence[Hold], c: InspectionParameters) -> dict[str, Tensor]:
+    """`failures` at the end of any of the holds, (B,) bool by name."""
+    after = torch.stack([hold.after for hold in holds], 1)  # (16, holds, B)
+    return {name: each.any(0) for name, each in failures(after, c).items()}
+
+
+def effort(holds: Sequence[Hold], mass: Tensor | float, c: InspectionParameters) -> tuple[Tensor, Tensor]:
+    """delta v in m/s and mean torque in N m, |F| and |tau| summed over axes, of an action's holds; (B,) each."""
+    acting = torch.stack([hold.acting for hold in holds]).abs()  # (holds, 6, B)
+    thrusts, torques = acting[:, THRUST].sum(1), acting[:, TORQUE].sum(1)
+    delta_v, torque = torch.zeros_like(thrusts[0]), torch.zeros_like(torques[0])
+    for hold, thrust, turn in zip(holds, thrusts, torques, strict=True):
+        delta_v += thrust / mass * hold.seconds
+        torque += turn * (hold.seconds / c.action_period)
+    return delta_v, torque

@@ -1,5 +1,6 @@
 """The five terminal conditions (Sec. Initial and Terminal Conditions)."""
 
+import torch
 from torch import Tensor
 
 from inspection.chief.hull import clearance
@@ -23,3 +24,11 @@ def failures(x: Tensor, c: InspectionParameters) -> dict[str, Tensor]:
 def ends(score: Tensor, time: Tensor, c: InspectionParameters) -> dict[str, Tensor]:
     """The two that are asked after every interaction, (B,) bool, for inspected weight (B,) and time (B,) in s."""
     return {"success": score >= c.success_score, "timeout": time >= c.max_time}
+
+
+def outcome_of(ended: dict[str, Tensor]) -> Tensor:
+    """(B,) int64, the first of `failures` and `ends` that hold as an index into OUTCOMES; -1 where none does."""
+    outcome = torch.full_like(ended["timeout"], -1, dtype=torch.int64)
+    for i in reversed(range(len(OUTCOMES))):
+        outcome[ended[OUTCOMES[i]]] = i
+    return outcome

@@ -1,6 +1,5 @@
 """The batch of episodes as a Gymnasium vector environment."""
 
-import warnings
 from functools import cached_property
 from pathlib import Path
 from typing import Any, ClassVar
@@ -12,10 +11,11 @@ from gymnasium import spaces
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
-from inspection.environment import METRICS, InspectionEnv, Transition
+from inspection.environment import InspectionEnv
 from inspection.model.state import CONTROL_SIZE
 from inspection.observation import components
 from inspection.termination import OUTCOMES
+from inspection.transition import METRICS, Transition
 from rta.constraints.constraint import CONSTRAINTS
 from study import config as configuration
 from study.config import Config
@@ -23,10 +23,6 @@ from study.errors import refusing
 from study.experiment import Experiment
 
 LARGEST = float(np.finfo(np.float32).max)  # no observation has a limit, and Gymnasium warns of infinite ones
-
-with warnings.catch_warnings():
-    warnings.simplefilter("ignore")  # PyTorch's, about its own code, when it first differentiates forward
-    torch.func.jvp(torch.sin, (torch.zeros(1),), (torch.ones(1),))
 
 
 class VectorInspection6DoF(VectorEnv):

@@ -16,9 +16,9 @@ from hypothesis import settings
 from scipy.spatial.transform import Rotation
 
 from inspection import initial_state
-from inspection.environment import METRICS
 from inspection.model.parameters import InspectionParameters
 from inspection.model.state import OMEGA, SIZE, THETA_S, E, P, Q, T, V
+from inspection.transition import METRICS
 from inspection.world.plant import PlantParameters
 from rta.constraints.constraint import CONSTRAINTS
 from study.config import ARMS, BASELINES, Config, StudyConfig

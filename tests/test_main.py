@@ -12,7 +12,7 @@ import pytest
 import torch
 
 import main
-from inspection.environment import METRICS
+from inspection.transition import METRICS
 from rta.constraints.constraint import CONSTRAINTS
 from rta.filter import SOLVERS
 from study import experiment

@@ -60,11 +60,10 @@ def control_loop(
 
     def agent(t: float, x: Tensor) -> Tensor:
         """The control that follows from what the camera sees of the chief."""
-        env.see(x, t)
-        (action,) = decide(None, {"observation": env.observation().numpy()})
+        (action,) = decide(None, {"observation": env.observation(x).numpy()})
         return torch.from_numpy(action.T) * scale
 
-    violated = [safety_filter.values(hold.after) < 0.0 for hold in env.fly(agent, seconds)]
+    violated = [safety_filter.values(hold.after) < 0.0 for hold in env.inspect(agent, seconds)]
     return watch.calls, sum(bool(each.any()) for each in violated)
 
 

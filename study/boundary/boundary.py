@@ -18,6 +18,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from inspection.closed_loop import Smallest
 from inspection.environment import InspectionEnv
 from inspection.model.state import CONTROL_SIZE
 from kernels import Compiled
@@ -79,21 +80,19 @@ def tried(
     """
     tries, _, batch = desired.shape
     flat = desired.transpose(0, 1).flatten(1)
-    env.x = x.repeat(1, tries)
+    start = x.repeat(1, tries)
     if env.plant:
-        env.plant.begin(torch.arange(tries * batch, device=x.device), env.x, number.repeat(tries))
-    h, first = torch.full((), torch.inf).to(x), None
-    for hold in env.fly(lambda t, seen: flat, safety_filter.period):
+        env.plant.begin(torch.arange(tries * batch, device=x.device), start, number.repeat(tries))
+    h, first = Smallest(len(env.safety.names), start), None
+    for hold in env.fly(lambda t, seen: flat, safety_filter.period, start):
         first = first or hold
-        values = env.constraint_values(hold.after)
-        last = torch.where(values.isnan(), -torch.inf, values)
-        h = last.minimum(h)
+        last = h.note(env.constraint_values(hold.after))
     again = safety_filter.correct(hold.after, flat)
 
     def apart(part: Tensor) -> Tensor:
         return part.unflatten(-1, (tries, batch))
 
-    smallest, worst = apart(h).min(1)
+    smallest, worst = apart(h.value).min(1)
     answers = first.correction, again
     before, after = (apart(answer.slack).amax(1) for answer in answers)
 

@@ -13,12 +13,11 @@ from study.flight.state_files import read_actions
 
 
 def agent(policy: Policy, env: InspectionEnv) -> Controller:
-    """The mean action of a policy of S seeds, whose columns follow one another in `env`, which keeps what they saw."""
+    """The mean action of a policy of S seeds, whose columns follow one another in `env`, flown by `inspect`."""
     seeds = policy.seeds
 
     def control(t: float, x: Tensor) -> Tensor:
-        env.see(x, t)
-        observation = env.observation().unflatten(0, (seeds, -1))
+        observation = env.observation(x).unflatten(0, (seeds, -1))
         return env.control(policy.mean_action(observation).flatten(0, 1))
 
     return control

@@ -5,21 +5,23 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
 import torch
 from torch import Tensor
 
-from inspection.closed_loop import Controller, Hold
-from inspection.environment import METRICS, InspectionEnv, Transition
+from inspection.closed_loop import Controller, Hold, Smallest
+from inspection.environment import InspectionEnv
 from inspection.model.attitude import norm
 from inspection.model.dynamics import sun_and_earth_in_body
 from inspection.model.state import OMEGA, E, P, T, V
 from inspection.reward import stays_clear
 from inspection.termination import OUTCOMES, failures
+from inspection.transition import METRICS, Transition
 from ppo.network import Policy
 from rta.constraints.constraint import CONSTRAINTS
 from rta.qp.programs import Status
-from study.config import Config
-from study.experiment import Experiment, test_cases
+from study.config import TEST_CASES, Config
+from study.experiment import Experiment, case_numbers, test_cases
 from study.flight.controllers import agent, classical, untrained
 from study.flight.simulation import Recording
 from study.flight.summary import summary_of_runs
@@ -118,16 +120,19 @@ def run_episodes(
     x: Tensor,
     priority: Tensor,
     recording: Recording | None = None,
+    number: Tensor | None = None,
 ) -> Episodes:
     """Plays one episode per column of the environment from the given states, behind a bar of those that ended.
 
     Args:
         recording: of the environment, takes down the first episode.
+        number: (B,) as of `InspectionEnv.start`.
     """
-    env.start(x.to(env.x.device), priority.to(env.x.device))
+    env.start(x.to(env.x.device), priority.to(env.x.device), number)
     running = torch.ones_like(env.time, dtype=torch.bool)
     zeros = torch.zeros_like(env.time)
     constraints = len(env.safety.names)
+    worst, extremes = Smallest(constraints, env.x), Smallest(len(RAW_QUANTITIES), env.x)
     record = Episodes(
         metrics=torch.full_like(zeros, math.nan).repeat(len(METRICS), 1),
         violations=zeros.repeat(constraints + 1, 1),
@@ -138,14 +143,18 @@ def run_episodes(
         interventions=zeros.clone(),
         failures=zeros.clone(),
         filter_violations=zeros.repeat(constraints, 1),
-        worst=torch.full_like(zeros, math.inf).repeat(constraints, 1),
-        extremes=torch.full_like(zeros, math.inf).repeat(len(RAW_QUANTITIES), 1),
+        worst=worst.value,
+        extremes=extremes.value,
     )
     count = x.shape[1]
     what = f"flying {count:,} test case{'s' * (count > 1)}"
 
     def watch(hold: Hold) -> None:
-        note_hold(record, hold, running, env.constraint_values(hold.after))
+        h = env.constraint_values(hold.after)
+        worst.note(torch.where(running, h, math.inf))
+        extremes.note(torch.where(running, raw_quantities(hold.after), math.inf))
+        violated = (h < 0.0) & running
+        record.violation_seconds += hold.seconds * torch.cat((violated, violated.any(0)[None]))
         if recording and not recording.ended:
             recording.note(hold)
             # at the end of an action the chief is looked at first
@@ -166,16 +175,9 @@ def run_episodes(
             flown = int(transition.steps.max()) * env.c.action_period
             shown.set_postfix_str(f"{flown:,.0f} s of at most {env.c.max_time:,.0f}", refresh=False)
             shown.update(count - int(running.sum()) - shown.n)
+    record.worst, record.extremes = worst.value, extremes.value
     record.violation_seconds *= 100.0 / record.metrics[METRICS.index("episode_length_s")]
     return record
-
-
-def note_hold(record: Episodes, hold: Hold, running: Tensor, h: Tensor) -> None:
-    """Adds a hold of the episodes still running, which led to constraint values h (13, B), in place."""
-    for smallest, values in ((record.worst, h), (record.extremes, raw_quantities(hold.after))):
-        smallest.copy_(torch.minimum(smallest, torch.where(running, values, math.inf)))
-    violated = (h < 0.0) & running
-    record.violation_seconds += hold.seconds * torch.cat((violated, violated.any(0)[None]))
 
 
 def note_step(record: Episodes, transition: Transition, running: Tensor) -> None:
@@ -250,6 +252,17 @@ def play_and_record(
     env, *others = played_by(policy, experiment, episodes, seed)
     recording = Recording(env)
     return run_episodes(env, *others, recording), recording
+
+
+def common_episode(policy: Policy, experiment: Experiment, case: int = 0) -> dict[str, np.ndarray]:
+    """The agent's episode from a common test case until it ends, as `simulate` has it, a row per integration step."""
+    c, generators = experiment.config.inspection, experiment.generators([TEST_CASES + 1])
+    env = experiment.env(1, generators, report_every=min(experiment.config.rta.period, c.substep))
+    cases = *test_cases(experiment.config, case + 1, TEST_CASES), case_numbers(case + 1, TEST_CASES)
+    x, priority, number = (each[..., case:].to(experiment.device) for each in cases)
+    recording = Recording(env)
+    run_episodes(env, agent(policy, env), x, priority, recording, number)
+    return recording.arrays()
 
 
 def played_by(

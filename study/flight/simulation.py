@@ -13,14 +13,12 @@ from inspection.closed_loop import Controller, Hold, is_multiple
 from inspection.environment import InspectionEnv
 from inspection.model.parameters import InspectionParameters
 from inspection.model.state import THETA_S, P
-from inspection.termination import ends, failures
 from ppo.network import Policy
 from rta.qp.programs import Status
-from study.config import TEST_CASES, Config
+from study.config import Config
 from study.errors import InputError
 from study.experiment import (
     Experiment,
-    case_numbers,
     check_clocks,
     test_cases,
 )
@@ -59,15 +57,15 @@ class Recording:
     """
 
     def __init__(self, env: InspectionEnv) -> None:
-        self.env, self.ended = env, False
+        self.env, self.ended, self.tumbling = env, False, env.sight.tumbling
         self.rows: list[dict[str, Tensor]] = []
         self.tightened = env.x.new_zeros(len(env.safety.names))
 
     def note(self, hold: Hold) -> None:
         """Adds what is new in a hold."""
         self.hold, self.begun = hold, float(self.env.time[0])
-        if self.env.tumbling:  # of now: where the hold ends, the next episode may have begun
-            self.motion = self.env.tumbling.motion[:, :1]
+        if self.tumbling:  # of now: where the hold ends, the next episode may have begun
+            self.motion = self.tumbling.motion[:, :1]
         if hold.decided:
             self.decision = hold.desired[:, 0].clone()
         if hold.correction is not None:
@@ -92,14 +90,14 @@ class Recording:
                 "x": x[:, 0].clone(),  # a view would keep the whole batch
                 "control_desired": self.decision,
                 "control_applied": self.hold.applied[:, 0].clone(),
-                "inspected_score": env.score[:1].clone(),
-                "inspected": env.inspected[:, 0].clone(),  # `look` writes in place
+                "inspected_score": env.sight.score()[:1].clone(),
+                "inspected": env.sight.inspected[:, 0].clone(),  # which the next look writes into
                 "intervened": x.new_zeros(2, dtype=torch.bool),
                 "tightened": self.tightened,
             }
         )
-        if env.tumbling:
-            motion = env.tumbling.moved(self.motion, self.rows[-1]["time"], x[THETA_S, :1])
+        if self.tumbling:
+            motion = self.tumbling.moved(self.motion, self.rows[-1]["time"], x[THETA_S, :1])
             self.rows[-1]["chief_attitude"] = motion[ATTITUDE, 0]
 
     def arrays(self) -> dict[str, np.ndarray]:
@@ -118,8 +116,8 @@ class Recording:
             columns |= {f"tightened_{name}": tightened[:, i] for i, name in enumerate(env.safety.names)}
         arrays = {name: column.cpu().numpy() for name, column in columns.items()}
         arrays = {name: array[:, 0] if name in SCALARS else array for name, array in arrays.items()}
-        if env.tumbling:
-            points, normals, _, triangles, _ = env.surface
+        if self.tumbling:
+            points, normals, _, triangles, _ = env.sight.surface
             of_chief = {"points": points.T, "normals": normals.T, "triangles": triangles}
             arrays |= {f"chief_{name}": each.cpu().numpy() for name, each in of_chief.items()}
         task = {field.name: getattr(env.c, field.name) for field in fields(InspectionParameters)}
@@ -133,7 +131,6 @@ def simulate(
     x: Tensor,
     priority: Tensor,
     duration: float,
-    until_ended: bool = False,
     number: Tensor | None = None,
 ) -> dict[str, np.ndarray]:
     """Simulates one spacecraft, with a row at every report of the environment's clocks.
@@ -142,7 +139,6 @@ def simulate(
         env: of one episode; its safety holds the filter, if any. Points are inspected every action period.
         x, priority: initial state (16, 1) and priority vector (3, 1).
         duration: s.
-        until_ended: stop at the first terminal condition of an episode.
         number: (1,) as of `InspectionEnv.start`.
 
     Returns:
@@ -155,31 +151,14 @@ def simulate(
         Not over time are `parameters`, the task's table of a configuration file, and such a chief's `chief_points`,
         `chief_normals` (N, 3) and `chief_triangles` (F, 3, 3) in its own frame.
     """
-    c = env.c
     env.start(x, priority, number)
     recording = Recording(env)
-    holds = env.fly(controller, duration)
+    holds = env.inspect(controller, duration)
     count = env.clocks.count(duration)
     for hold in bar(count, "steps", iterable=holds, desc=f"flying {duration:g} s", leave=False):
         recording.note(hold)
-        ended = failures(hold.after, c)
-        if is_multiple(hold.end, c.action_period):
-            env.see(hold.after, hold.end)
-            ended |= ends(env.score, x.new_tensor([hold.end]), c)
-        if until_ended and any(bool(condition) for condition in ended.values()):
-            break
     recording.end()
     return recording.arrays()
-
-
-def common_episode(policy: Policy, experiment: Experiment, case: int = 0) -> dict[str, np.ndarray]:
-    """`simulate` of the agent from a common test case until the episode ends, a row per integration step."""
-    c = experiment.config.inspection
-    generators = experiment.generators([TEST_CASES + 1])
-    env = experiment.env(1, generators, report_every=min(experiment.config.rta.period, c.substep))
-    cases = *test_cases(experiment.config, case + 1, TEST_CASES), case_numbers(case + 1, TEST_CASES)
-    x, priority, number = (each[..., case:].to(experiment.device) for each in cases)
-    return simulate(env, agent(policy, env), x, priority, c.max_time, until_ended=True, number=number)
 
 
 def run(

@@ -9,8 +9,9 @@ import torch
 from torch import Tensor
 
 from inspection.closed_loop import Controller
-from inspection.environment import METRICS, InspectionEnv
+from inspection.environment import InspectionEnv
 from inspection.guidance import Orbit, natural_motion
+from inspection.transition import METRICS
 from rta.bounds.uncertainty import Uncertainty
 from rta.parameters import PERIODS
 from study import config as configuration
@@ -182,7 +183,7 @@ def weights_over_time(
 ) -> dict[str, list[float]]:
     """`time_s`, and by then the inspected `weight`, mean of the middle half; an ended episode keeps its last."""
     env.start(x.to(env.x.device), priority.to(env.x.device))
-    weight, running = env.score, torch.ones_like(env.time, dtype=torch.bool)
+    weight, running = env.sight.score(), torch.ones_like(env.time, dtype=torch.bool)
     times, weights = [0.0], [weight]
     for i in range(round(PROGRESS_UNTIL / env.c.action_period)):
         transition = env.advance(controller)

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from scipy import stats
 
-from inspection.environment import METRICS
+from inspection.transition import METRICS
 from rta.constraints.constraint import CONSTRAINTS
 from study.config import ARMS
 from study.errors import MALFORMED, refusing

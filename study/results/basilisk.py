@@ -18,10 +18,10 @@ import torch
 from scipy.spatial.transform import Rotation
 from torch import Tensor
 
-from inspection.environment import METRICS
 from inspection.model.dynamics import integrate
 from inspection.model.parameters import InspectionParameters
 from inspection.model.state import OMEGA, P, Q
+from inspection.transition import METRICS
 from inspection.world.basilisk import BasiliskPlant
 from inspection.world.plant import PlantParameters
 from rta.filter import SafetyFilter

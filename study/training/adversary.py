@@ -7,7 +7,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from inspection.environment import InspectionEnv, Transition
+from inspection.environment import InspectionEnv
+from inspection.transition import Transition
 from study.scales import scales
 
 WEIGHT = 1e-3  # with the default discount of 0.999, the discounted sum is a mean of -asinh(h), some units

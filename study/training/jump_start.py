@@ -10,8 +10,9 @@ from collections.abc import Callable, Sequence
 import torch
 from torch import Tensor
 
-from inspection.environment import InspectionEnv, Transition
+from inspection.environment import InspectionEnv
 from inspection.guidance import Orbit, natural_motion
+from inspection.transition import Transition
 from ppo.learner import PPO
 from ppo.network import Policy
 from ppo.rollout import collect

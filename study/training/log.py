@@ -8,8 +8,8 @@ from pathlib import Path
 from statistics import fmean
 from typing import Any
 
-from inspection.environment import METRICS
 from inspection.termination import OUTCOMES
+from inspection.transition import METRICS
 from ppo.files import naming
 from study.files import write_text
 from study.flight.evaluation import Episodes

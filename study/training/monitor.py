@@ -11,8 +11,8 @@ import torch
 from torch import Tensor
 
 from inspection.closed_loop import Correction, Safety
-from inspection.environment import METRICS, Transition
 from inspection.termination import OUTCOMES
+from inspection.transition import METRICS, Transition
 from rta.qp.programs import Status
 
 EPISODE = tuple(name.removeprefix("episode_") for name in (*METRICS, "success_percent"))

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from inspection.environment import METRICS
 from inspection.termination import OUTCOMES
+from inspection.transition import METRICS
 from ppo.distributed import ranks
 from rta.constraints.constraint import CONSTRAINTS
 from study import config as configuration

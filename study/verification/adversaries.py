@@ -40,12 +40,11 @@ def held_at_random(
 def learned(
     policy: Policy, env: InspectionEnv, generator: torch.Generator, batch: int, first: int = 0
 ) -> Controller:
-    """Controls drawn from a policy of one seed, which `env` shows what it sees; numbers as in `held_at_random`."""
+    """Controls drawn from a policy of one seed, for `env`, flown by `inspect`; numbers as in `held_at_random`."""
 
     @torch.no_grad()
     def control(t: float, x: Tensor) -> Tensor:
-        env.see(x, t)
-        mean, log_std = policy(env.observation()[None])
+        mean, log_std = policy(env.observation(x)[None])
         noise = torch.randn(batch, CONTROL_SIZE, generator=generator)[first : first + x.shape[1]].to(mean)
         return env.control(policy.shaped(mean + log_std.exp() * noise)[0])
 

@@ -2,16 +2,16 @@
 
 import math
 from dataclasses import replace
-from itertools import count
-from typing import NamedTuple
 
 import numpy as np
 import torch
 from torch import Tensor
 
+from inspection.closed_loop import Smallest
 from inspection.model.attitude import unit
 from inspection.model.state import SIZE, P
 from rta.constraints.constraint import CONSTRAINTS
+from rta.filter import FilterResult
 from study.config import Config, from_toml, override
 from study.errors import MALFORMED, ReflyError, refusing
 from study.experiment import Experiment, check_clocks
@@ -21,13 +21,6 @@ from study.verification.flight import Flight
 
 # Flying again flies the recorded controls, so only the plant's rounding differs: compiled or not, on a CPU or a GPU.
 AGREES = 1e-8  # relative to the value or to 1 in the unit of h
-
-
-class Again(NamedTuple):
-    """A recorded control, (6, 1), and what the filter answers today."""
-
-    control: Tensor
-    again: Tensor
 
 
 def counter_example(
@@ -75,28 +68,28 @@ def refly(experiment: Experiment, example: dict[str, np.ndarray]) -> tuple[float
         for name in ("state", "control_desired", "control_applied")
     )
     row = env.safety.names.index(str(example["constraint"]))
-    calls = count()
+    again: list[Tensor] = []
 
-    def correct(seen: Tensor, _: Tensor, **told: Tensor) -> Again:
+    def correct(seen: Tensor, _: Tensor, **told: Tensor) -> FilterResult:
         """Flies what was flown then, and asks the filter."""
-        i = next(calls)
-        return Again(applied[i], safety_filter.correct(seen, desired[i], **told).control)
+        i = len(again)
+        answer = safety_filter.correct(seen, desired[i], **told)
+        again.append(answer.control)
+        return replace(answer, control=applied[i])
 
     env.put_behind(replace(env.safety, correct=correct, period=period))
     env.start(x, unit(x[P]), torch.as_tensor(example.get("number", 0.0)).reshape(1).to(x))
-    value, when, difference = env.constraint_values(x)[row].item(), 0.0, 0.0
+    smallest, difference = Smallest(len(env.safety.names), x), 0.0
+    smallest.note(env.constraint_values(x))
     if len(applied) >= experiment.worth_tracing:
         experiment.trace_filter(1)
     duration = len(applied) * period
     holds = env.fly(lambda t, x: desired[round(t / period)], duration)
     for hold in bar(env.clocks.count(duration), "checks", iterable=holds, leave=False):
         if hold.correction is not None and not (hold.missed is not None and hold.missed.any()):
-            again = hold.correction.again
-            difference = max(difference, ((again - hold.applied).abs() / env.limit).max().item())
-        now = env.constraint_values(hold.after)[row].nan_to_num(-math.inf, math.inf, -math.inf).item()
-        if now < value:
-            value, when = now, hold.end
-    return value, when, difference
+            difference = max(difference, ((again[-1] - hold.applied).abs() / env.limit).max().item())
+        smallest.note(env.constraint_values(hold.after), hold.end)
+    return smallest.value[row].item(), smallest.when[row].item(), difference
 
 
 def refly_file(path: str) -> str:

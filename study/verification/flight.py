@@ -9,7 +9,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from inspection.closed_loop import Controller
+from inspection.closed_loop import Controller, Smallest
 from inspection.environment import InspectionEnv
 from inspection.model.state import CONTROL_SIZE
 from rta.qp.programs import Status
@@ -95,11 +95,12 @@ def fly(
     env.start(x, priority, number)
     constraints, batch, calls = len(env.safety.names), x.shape[1], math.ceil(duration / env.safety.period)
     h, column = env.constraint_values(x), torch.arange(first, first + batch, device=x.device)
+    smallest = Smallest(constraints, x)
     flight = Flight(
         violating=x.new_zeros(constraints + 1, batch),
         steps=x.new_zeros(batch),
-        worst=x.new_full((constraints, batch), torch.inf),
-        when=x.new_zeros(constraints, batch),
+        worst=smallest.value,
+        when=smallest.when,
         status=x.new_zeros(len(Status), batch),
         yielded=x.new_zeros(constraints, batch),
         slack=x.new_zeros(constraints, batch),
@@ -112,9 +113,9 @@ def fly(
         conflicts=Conflicts(column[:0], x[0, :0], x[:, :0], x[:CONTROL_SIZE, :0], h[:, :0], h[:, :0]),
     )
     conflicts = [flight.conflicts]
-    note_state(flight, h, 0.0)
+    note_state(flight, smallest, h, 0.0)
     call = itertools.count()
-    for hold in env.fly(controller, duration):
+    for hold in env.inspect(controller, duration):
         if (result := hold.correction) is not None:
             i = next(call)
             flight.desired[i], flight.applied[i] = hold.desired, hold.applied
@@ -129,18 +130,16 @@ def fly(
             flight.slack = torch.maximum(flight.slack, slack)
             flight.excess = torch.maximum(flight.excess, (hold.applied.abs() / env.limit).amax(0))
         h = env.constraint_values(hold.after)
-        note_state(flight, h, hold.end)
+        note_state(flight, smallest, h, hold.end)
         if tell:
             tell(hold.end, flight.violating[-1] > 0)
     flight.conflicts = Conflicts(*(torch.cat(parts, -1) for parts in zip(*conflicts, strict=True)))
     return flight
 
 
-def note_state(flight: Flight, h: Tensor, t: float) -> None:
-    """Adds the constraint values (13, B) at t s, in place. NaN counts as violated without end."""
-    h = torch.where(h.isnan(), -torch.inf, h)
-    broken = h < 0.0
+def note_state(flight: Flight, smallest: Smallest, h: Tensor, t: float) -> None:
+    """Adds the constraint values (13, B) at t s. NaN counts as violated without end."""
+    broken = smallest.note(h, t) < 0.0
     flight.steps += 1
     flight.violating += torch.cat((broken, broken.any(0)[None]))
-    flight.when = torch.where(h < flight.worst, t, flight.when)
-    flight.worst = torch.minimum(flight.worst, h)
+    flight.worst, flight.when = smallest.value, smallest.when

@@ -5,6 +5,7 @@ import itertools
 import torch
 from torch import Tensor
 
+from inspection.closed_loop import Smallest
 from inspection.environment import InspectionEnv
 from inspection.model.state import CONTROL_SIZE, THRUST, TORQUE
 from rta.constraints.constraint import ATTITUDE, TRANSLATIONAL
@@ -80,17 +81,16 @@ class Lookahead:
     def outcome(self, t: float, x: Tensor, desired: Tensor) -> Tensor:
         """The smallest h (13, K, B), in filter calls, over the checks after true states x (16, B) at t s."""
         env, tried, control = self.env, self.tried, desired.flatten(1)
-        tried.x = x.repeat(1, self.candidates)
-        tried.time = (env.time + t).repeat(self.candidates)
+        x, time = x.repeat(1, self.candidates), (env.time + t).repeat(self.candidates)
         if env.plant and tried.plant:
             state = env.plant.state_dict()  # whose last axes are the episodes
             tried.plant.load_state_dict(
                 {name: part.repeat(*(1,) * (part.dim() - 1), self.candidates) for name, part in state.items()}
             )
-        smallest = torch.full_like(tried.x[: len(self.scale)], torch.inf)
-        for hold in tried.fly(lambda _, seen: control, self.duration):
-            smallest = torch.minimum(smallest, tried.constraint_values(hold.after))
-        return (smallest / self.scale).nan_to_num(-torch.inf, torch.inf).unflatten(1, desired.shape[1:])
+        smallest = Smallest(len(self.scale), x)
+        for hold in tried.fly(lambda _, seen: control, self.duration, x, time):
+            smallest.note(tried.constraint_values(hold.after))
+        return (smallest.value / self.scale).unflatten(1, desired.shape[1:])
 
 
 def attacked(column: Tensor) -> Tensor:

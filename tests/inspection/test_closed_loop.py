@@ -12,7 +12,7 @@ import torch
 from numpy import ndarray
 from torch import Tensor
 
-from inspection.closed_loop import Clocks, Safety, closed_loop
+from inspection.closed_loop import Clocks, Safety, Smallest, closed_loop
 from inspection.environment import InspectionEnv
 from inspection.model.parameters import InspectionParameters
 from inspection.model.state import OMEGA, E, P, Q, T, V
@@ -255,3 +255,16 @@ def test_steps_follow_dop853(substep: float, period: float | None, report: float
     halvings = [0.5 ** (k + 1) * period / 10.0 for k in range(round(10.0 / period))] if period else [1.0]
     assert step.metrics[3].item() == pytest.approx(2 * 1.9 / 12.0 * 10.0 * sum(halvings))
     assert step.metrics[4].item() == pytest.approx(2 * 0.045 * env.c.max_torque * sum(halvings))
+
+
+def test_the_smallest_values_so_far_and_when_and_nan_is_below_all() -> None:
+    smallest = Smallest(2, torch.zeros(16, 3).double())
+    assert (smallest.value == torch.inf).all()
+    nan = math.nan
+    checks = [[[3.0, 1.0, 2.0], [1.0, 1.0, nan]], [[2.0, 1.0, 4.0], [0.0, 2.0, 1.0]]]
+    noted = [
+        smallest.note(torch.tensor(h).double(), time) for time, h in zip((5.0, 6.0), checks, strict=True)
+    ]
+    assert smallest.value.tolist() == [[2.0, 1.0, 2.0], [0.0, 1.0, -math.inf]]
+    assert smallest.when.tolist() == [[6.0, 5.0, 5.0], [6.0, 5.0, 5.0]]
+    assert noted[0][1, 2] == -math.inf and noted[1].tolist() == checks[1]

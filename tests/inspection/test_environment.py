@@ -12,11 +12,12 @@ import torch
 
 from inspection import initial_state
 from inspection.closed_loop import Safety
-from inspection.environment import METRICS, InspectionEnv
+from inspection.environment import InspectionEnv
 from inspection.initial_state import InitialStates
 from inspection.model.state import THETA_S, E, P, Q, T, V
 from inspection.reward import REWARDS, distance_from_track
 from inspection.termination import OUTCOMES
+from inspection.transition import METRICS
 
 
 def seeded(seed):
@@ -51,7 +52,7 @@ def force(env, column, end):
     elif end == "out_of_power":
         env.x[E, column], env.x[THETA_S, column] = 0.14, 0.0  # -15 W for 10 s takes 0.15 kJ
     elif end == "success":
-        env.inspected[:, column] = True
+        env.sight.inspected[:, column] = True
     else:
         env.time[column] = 12230.0
 
@@ -152,7 +153,7 @@ def test_an_ended_column_shows_the_start_of_a_new_episode(c):
     force(env, 0, "out_of_bounds")
     end = coast(env)
     x, priority = InitialStates(seeded(0), c).take(1)
-    assert torch.equal(env.x[:, :1], x) and torch.equal(env.priority[:, :1], priority)
+    assert torch.equal(env.x[:, :1], x) and torch.equal(env.sight.priority[:, :1], priority)
     np.testing.assert_allclose(end.observation[0, 0], x[P].norm() / 100.0, rtol=1e-6)
     np.testing.assert_allclose(end.observation[0, 11:13], x[[E, T], 0] / 10.0, rtol=1e-6)
     assert torch.equal(end.observation, env.observation())
@@ -321,14 +322,19 @@ def test_the_filter_is_exchanged_where_its_clock_fits(c):
     assert env.clocks.filter == env.safety.period == 5.0  # what is refused changes nothing
 
 
-def test_states_are_looked_at_once(c, monkeypatch):
-    env, looked = started(c), []
-    monkeypatch.setattr(env, "look", lambda: looked.append(env.x))
-    env.see(env.x)
-    assert not looked
-    x = env.x.clone()
-    env.see(x)
-    assert len(looked) == 1 and env.x is x
+def test_a_flight_looks_at_the_end_of_every_action_period_and_leaves_the_episodes(c, monkeypatch):
+    env, looked, flown = started(c), [], []
+    monkeypatch.setattr(env.sight, "mark", looked.append)
+    x, nothing = env.x, torch.zeros(6, 1).double()
+    for hold in env.inspect(lambda t, x: nothing, 30.0):
+        assert len(looked) == len(flown) // 10  # not before the hold is handed out
+        flown.append(hold)
+    assert all(at is hold.after for at, hold in zip(looked, flown[9::10], strict=True))
+    assert env.x is x and env.time == 0.0
+    again = list(env.fly(lambda t, x: nothing, 30.0))
+    assert torch.equal(again[-1].after, hold.after) and len(looked) == 3
+    (later,) = list(env.fly(lambda t, x: nothing, 1.0, hold.state))
+    assert torch.equal(later.after, hold.after)
 
 
 def test_points_in_view_at_the_start_are_inspected_at_once(c):
@@ -337,7 +343,9 @@ def test_points_in_view_at_the_start_are_inspected_at_once(c):
     x[THETA_S] = math.pi / 2
     env = make(c)
     start = env.start(x, priority)
-    assert 0.2 < env.score.item() < 0.5 and start[0, 25].item() == pytest.approx(env.score.item())
+    assert 0.2 < env.sight.score().item() < 0.5 and start[0, 25].item() == pytest.approx(
+        env.sight.score().item()
+    )
     assert coast(env).reward_terms["points"].item() == 0.0  # nothing new in view
 
 
@@ -345,8 +353,8 @@ def test_observation_points_at_uninspected_lit_points_until_none_is_left(c):
     env = started(c)
     sun = torch.tensor([-1.0, 0.0, 0.0])
     assert env.observation()[0, 21:24] @ sun > 0.0  # identity attitude: body is Hill
-    env.inspected[:] = True
-    env.inspected[env.surface.normals[0] > 0.5] = False  # left, but dark
+    env.sight.inspected[:] = True
+    env.sight.inspected[env.sight.surface.normals[0] > 0.5] = False  # left, but dark
     assert (coast(env).final_observation[0, 21:25] == 0.0).all()
 
 
@@ -401,7 +409,7 @@ def test_compiled_steps_equal_the_others(short):
         histories.append(play(env, actions))
         envs.append(env)
     for name in ("inspected", "alive", "centres"):
-        assert torch.equal(*(getattr(env, name) for env in envs))
+        assert torch.equal(*(getattr(env.sight, name) for env in envs))
     for plain, compiled in zip(*histories, strict=True):
         for name in plain:
             torch.testing.assert_close(plain[name], compiled[name], rtol=1e-6, atol=1e-6)

@@ -13,9 +13,10 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.wrappers.vector import DictInfoToList, RecordEpisodeStatistics
 
 import interfaces
-from inspection.environment import METRICS, InspectionEnv
+from inspection.environment import InspectionEnv
 from inspection.reward import REWARDS
 from inspection.termination import OUTCOMES
+from inspection.transition import METRICS
 from rta.constraints.constraint import CONSTRAINTS
 from rta.filter import SafetyFilter
 from study.config import Config

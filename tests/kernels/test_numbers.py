@@ -132,7 +132,7 @@ def test_what_the_simulator_computes(name: str, monkeypatch: pytest.MonkeyPatch)
         self: InspectionEnv, function: Callable[..., list[Tensor]], *examples: Tensor, points: int = 0
     ) -> Any:
         compiled = Compiled(
-            function, *(part[..., :1] for part in examples), long=points or self.points.shape[1]
+            function, *(part[..., :1] for part in examples), long=points or self.sight.points.shape[1]
         )
         wholes.append(examples)
         x = torch.cat(list(states("1 s").values()), 1)

@@ -249,10 +249,10 @@ def test_points_weigh_by_their_areas_and_their_angle_to_the_priority(tmp_path) -
     env = InspectionEnv(3, C, [torch.Generator().manual_seed(0)], target=target)
     env.reset()
     for i in range(3):
-        weights = areas * np.arccos(-normals @ env.priority[:, i].numpy())
-        expected = weights[env.inspected[:, i].numpy()].sum() / weights.sum()
-        np.testing.assert_allclose(env.weights[:, i], weights / weights.sum(), rtol=1e-9)
-        np.testing.assert_allclose(env.score[i], expected, rtol=1e-9)
+        weights = areas * np.arccos(-normals @ env.sight.priority[:, i].numpy())
+        expected = weights[env.sight.inspected[:, i].numpy()].sum() / weights.sum()
+        np.testing.assert_allclose(env.sight.weights[:, i], weights / weights.sum(), rtol=1e-9)
+        np.testing.assert_allclose(env.sight.score()[i], expected, rtol=1e-9)
 
 
 def test_the_inside_of_a_narrow_tube_is_kept(tmp_path) -> None:

@@ -130,10 +130,10 @@ def test_turning_the_whole_scene_changes_nothing_that_is_seen() -> None:
     back = torch.tensor([0.0, 0.0, -math.sin(0.4), math.cos(0.4)]).double()[:, None].expand(4, 8)
     x[P], x[THETA_S] = rotate(back, x[P]), x[THETA_S] - 0.8
     x[Q] = torch.stack([torch.from_numpy(product(back[:, i].numpy(), x[Q, i].numpy())) for i in range(8)], 1)
-    plain.start(x, env.priority)
-    assert torch.equal(env.inspected, plain.inspected)
-    torch.testing.assert_close(rotate(back, env.uninspected), plain.uninspected)
-    torch.testing.assert_close(env.score, plain.score)
+    plain.start(x, env.sight.priority)
+    assert torch.equal(env.sight.inspected, plain.sight.inspected)
+    torch.testing.assert_close(rotate(back, env.sight.uninspected), plain.sight.uninspected)
+    torch.testing.assert_close(env.sight.score(), plain.sight.score())
 
 
 def test_what_turns_past_the_camera_comes_to_be_inspected() -> None:
@@ -178,7 +178,7 @@ def test_the_priority_turns_with_it() -> None:
     first = [component.name for component in components()].index("priority_x")
     to_hill = Rotation.from_quat(chief.attitude)
     for i in range(8):
-        priority = to_hill.apply(env.priority[:, i])
+        priority = to_hill.apply(env.sight.priority[:, i])
         expected = [*Rotation.from_quat(env.x[Q, i].numpy()).inv().apply(priority)]
         expected.append(priority @ env.x[P, i].numpy() / env.x[P, i].norm().item())
         np.testing.assert_allclose(env.observation()[i, first : first + 4], expected, atol=1e-6)
@@ -187,14 +187,14 @@ def test_the_priority_turns_with_it() -> None:
 def test_a_new_episode_has_a_chief_of_its_own_from_its_beginning() -> None:
     chief = ChiefParameters(random_attitude=True, largest_rate=1.0)
     env = looking(chief, InspectionParameters(max_time=30.0))
-    before = env.tumbling.motion.clone()
+    before = env.sight.tumbling.motion.clone()
     for _ in range(3):
         transition = env.step(torch.zeros(8, 6))
     assert transition.truncated.all()
-    after = env.tumbling.motion
+    after = env.sight.tumbling.motion
     assert (after[-1] == 0.0).all() and (after[:-1] != before[:-1]).any(0).all()
     env.step(torch.zeros(8, 6))
-    assert (env.tumbling.motion[-1] == 10.0).all()
+    assert (env.sight.tumbling.motion[-1] == 10.0).all()
 
 
 def test_a_run_with_a_turning_chief_goes_on_bit_for_bit() -> None:
@@ -202,7 +202,7 @@ def test_a_run_with_a_turning_chief_goes_on_bit_for_bit() -> None:
     env, other = looking(chief), looking(chief, seed=7)
     for _ in range(3):
         env.step(torch.zeros(8, 6))
-    assert not torch.equal(env.tumbling.motion, other.tumbling.motion)
+    assert not torch.equal(env.sight.tumbling.motion, other.sight.tumbling.motion)
     other.load_state_dict(env.state_dict())
     other.starts[0].generator.set_state(env.starts[0].generator.get_state())
     one, two = (each.step(torch.ones(8, 6)) for each in (env, other))

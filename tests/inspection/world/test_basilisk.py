@@ -15,10 +15,11 @@ from scipy.spatial.transform import Rotation
 from torch import Tensor
 
 import main
-from inspection.environment import METRICS, InspectionEnv
+from inspection.environment import InspectionEnv
 from inspection.model.dynamics import integrate
 from inspection.model.parameters import InspectionParameters
 from inspection.model.state import OMEGA, SIZE, THETA_S, THRUST, TORQUE, E, P, Q, T, V
+from inspection.transition import METRICS
 from inspection.world import basilisk
 from inspection.world.basilisk import (
     EARTH_J2,

@@ -81,7 +81,7 @@ def test_a_plant_that_is_the_model_takes_no_draw_and_is_not_there() -> None:
     for generator, plant in zip(generators, (None, PlantParameters(**details)), strict=True):
         env = InspectionEnv(3, C, [generator], plant=plant)
         env.reset()
-        assert env.plant is None and env.seen is env.x
+        assert env.plant is None and torch.equal(env.observation(), env.observation(env.x))
         assert "plant" not in env.state_dict()
     assert torch.equal(generators[0].get_state(), generators[1].get_state())
 
@@ -505,7 +505,7 @@ def test_agent_and_filter_see_what_is_measured_and_all_that_is_reported_is_true(
         torch.testing.assert_close(one.metrics, other.metrics, rtol=1e-9, atol=1e-9)
         for name in ("terminated", "truncated", "violated", "outcome"):
             assert torch.equal(getattr(one, name), getattr(other, name))
-        assert torch.equal(env.inspected, honest.inspected) and honest.inspected.any()
+        assert torch.equal(env.sight.inspected, honest.sight.inspected) and honest.sight.inspected.any()
         # a part of what is observed says so
         seen = env.plant.sense(env.time, one.state)
         assert ((seen[P] - one.state[P]).norm(dim=0) - 900.0).abs().max() < 1e-9
@@ -527,13 +527,11 @@ def test_an_agent_in_flight_observes_what_is_measured_and_looks_from_where_it_is
         each.start(*facing(4))
 
         def control(t: float, x: Tensor, each: InspectionEnv = each) -> Tensor:
-            each.see(x)
-            observed[each].append(each.observation())
+            observed[each].append(each.observation(x))
             return torch.zeros(6, 4, dtype=torch.float64)
 
-        states_then = [hold.state for hold in each.fly(control, 30.0) if hold.decided]
-        assert each.x is states_then[-1]
-    assert torch.equal(env.inspected, honest.inspected) and honest.inspected.any()
+        assert [hold.end for hold in each.inspect(control, 30.0) if hold.decided] == [1.0, 11.0, 21.0]
+    assert torch.equal(env.sight.inspected, honest.sight.inspected) and honest.sight.inspected.any()
     for one, other in zip(*observed.values(), strict=True):
         assert (one[:, 0] > 8.0).all() and (other[:, 0] < 1.5).all()
         assert torch.equal(one[:, -1], other[:, -1])  # the score

@@ -52,7 +52,7 @@ def fly(period: float, actions: int, start: ndarray | None, r: RtaParameters = R
     env = InspectionEnv(256, C, [generator], safety)
     env.reset()
     if start is not None:
-        env.start(tensor(start), env.priority.clone())
+        env.start(tensor(start), env.sight.priority.clone())
     for _ in range(actions):
         env.step(2 * torch.rand(256, 6, generator=generator, dtype=torch.float64) - 1)
     return recorder.asked

@@ -48,7 +48,7 @@ def test_every_episode_starts_from_a_state_met() -> None:
     flight = flights.Flight(env.x[:, :2], torch.zeros(6, 2, dtype=torch.float64), [])
     observation = flight.start(env)
     assert torch.equal(env.x, flight.x[:, [0, 1, 0, 1, 0]]) and observation.shape == (5, 26)
-    assert torch.equal(env.priority, torch.eye(3, dtype=torch.float64)[:, [0, 1, 2, 0, 1]])
+    assert torch.equal(env.sight.priority, torch.eye(3, dtype=torch.float64)[:, [0, 1, 2, 0, 1]])
 
 
 def test_a_missing_trained_agent_is_named(

@@ -60,12 +60,12 @@ def test_metadata_lead_from_a_state_to_newtons(random_states) -> None:
     assert about["action_period"] == 10.0
     env = InspectionEnv(5, C, [torch.Generator().manual_seed(0)])
     env.reset()
-    env.x = random_states(5)
-    o = observe(env.x, env.priority, env.uninspected, env.score, C).T.numpy()
+    x = random_states(5)
+    o = observe(x, env.sight.priority, env.sight.uninspected, env.sight.score(), C).T.numpy()
     divisors = np.array([component["scale"] for component in about["observation"]])
     (control,) = session.run(None, {"observation": (o / divisors).astype(np.float32)})
     scaled = control * np.array([component["scale"] for component in about["control"]])
-    np.testing.assert_allclose(scaled.T, agent(policy, env)(0.0, env.x), atol=2e-5)
+    np.testing.assert_allclose(scaled.T, agent(policy, env)(0.0, x), atol=2e-5)
 
 
 def test_metadata_lead_to_what_the_agent_observed(random_states) -> None:

@@ -124,7 +124,7 @@ def test_a_success_is_clean_that_stays_clear_and_breaks_no_limit_in_any_second(
 
     def start(*arguments: torch.Tensor) -> None:
         begun(*arguments)
-        env.inspected[:, :3] = True
+        env.sight.inspected[:, :3] = True
 
     monkeypatch.setattr(env, "start", start)
     record = evaluation.run_episodes(env, classical("zero", experiment.config, 0), x, priority)
@@ -152,10 +152,11 @@ def test_the_first_episode_of_an_evaluation_is_recorded_as_it_is_simulated(end: 
     recording = Recording(env)
     run_episodes(env, agent(policy, env), x, priority, recording)
     alone = experiment.env(1)
-    flight = simulate(alone, agent(policy, alone), x[:, :1], priority[:, :1], c.max_time, until_ended=True)
+    length = 4.0 if end == "crash" else c.max_time
+    flight = simulate(alone, agent(policy, alone), x[:, :1], priority[:, :1], length)
     recorded = recording.arrays()
     assert list(recorded) == list(flight)
-    assert flight["time"][-1] == (4.0 if end == "crash" else c.max_time)
+    assert recorded["time"][-1] == length
     for name, array in flight.items():
         if name == "parameters":
             assert recorded[name] == array

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import torch
 
-from inspection.environment import METRICS
 from inspection.guidance import recorded
+from inspection.transition import METRICS
 from study.config import Config, TrainParameters
 from study.experiment import Experiment
 from study.flight.figures import effort, pointing

@@ -14,9 +14,9 @@ from rta.parameters import RtaParameters
 from study.config import Config, override
 from study.experiment import Experiment
 from study.experiment import test_cases as common_cases
-from study.flight.evaluation import play
+from study.flight.evaluation import common_episode, play
 from study.flight.figures import points_of_chief
-from study.flight.simulation import common_episode, simulate
+from study.flight.simulation import simulate
 
 DURATION, DECIDE_EVERY, STEP = 60, 10, 5  # s, with a call of the filter each second
 

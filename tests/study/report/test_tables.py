@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from inspection.environment import METRICS
+from inspection.transition import METRICS
 from rta.constraints.constraint import CONSTRAINTS
 from study.config import StudyConfig
 from study.errors import InputError

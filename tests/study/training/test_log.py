@@ -8,8 +8,8 @@ import pytest
 import torch
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
-from inspection.environment import METRICS
 from inspection.termination import OUTCOMES
+from inspection.transition import METRICS
 from study.flight.evaluation import RAW_QUANTITIES, Episodes
 from study.flight.summary import iqm
 from study.training.log import Log

@@ -9,8 +9,8 @@ import torch
 from torch import Tensor
 
 from inspection.closed_loop import Safety
-from inspection.environment import Transition
 from inspection.termination import OUTCOMES
+from inspection.transition import Transition
 from rta.filter import FilterResult
 from rta.qp.programs import Status
 from study.training.monitor import EPISODE, Monitor

@@ -14,7 +14,7 @@ import torch
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 import main
-from inspection.environment import METRICS
+from inspection.transition import METRICS
 from ppo import checkpoint
 from study import config as configuration
 from study.config import Config, StudyConfig

@@ -7,7 +7,7 @@ import numpy as np
 import torch
 from numpy import ndarray
 
-from inspection.closed_loop import Safety
+from inspection.closed_loop import Safety, Smallest
 from inspection.environment import InspectionEnv
 from inspection.model.parameters import InspectionParameters
 from rta.constraints.constraint import CONSTRAINTS
@@ -111,7 +111,7 @@ def test_nan_is_a_violation_without_end() -> None:
     )
     h = torch.ones(13, 2)
     h[4, 1] = torch.nan
-    note_state(one, h, 3.0)
+    note_state(one, Smallest(13, h), h, 3.0)
     assert (one.violating[:, 0] == 0).all() and one.violating[[4, 13], 1].tolist() == [1, 1]
     assert one.worst[4].tolist() == [1.0, -torch.inf] and one.when[4, 1] == 3.0
 

@@ -1,0 +1,158 @@
+"""What a batch of episodes has seen of the chief: the points inspected, and where the nearest lit ones are left."""
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from inspection.chief import points as chief
+from inspection.chief.surface import directions, groups, in_view, seen_from, surface
+from inspection.chief.tumbling import RATE, Tumbling
+from inspection.model.attitude import conjugate, rotate
+from inspection.model.parameters import ChiefParameters, InspectionParameters
+from inspection.model.state import THETA_S, P
+from kernels.printer import LEAST_LONG
+
+EVERYONE = slice(None)  # of the batch's columns
+
+
+class Sight:
+    """The chiefs of a batch of episodes as their deputies have come to see them.
+
+    Args:
+        target: the chief; c: the task; batch: episodes, B.
+
+    Attributes:
+        surface: of N points, in the chief's frame.
+        tumbling: how the chiefs turn; None: the chief is the paper's, its frame Hill's.
+        priority: (3, B) in the chief's frame; weights: (N, B) of the points, which follow from it.
+        inspected: (N, B) bool.
+        centres, alive: (3, K, B) m and (K, B) bool, the clusters of what is lit and left, see `chief.points.cluster`.
+        uninspected: r_UPS (3, B) in Hill's frame.
+    """
+
+    STATE = ("priority", "weights", "inspected", "centres", "alive", "uninspected")
+
+    def __init__(
+        self, target: ChiefParameters, c: InspectionParameters, batch: int, device: torch.device
+    ) -> None:
+        self.c, self.tumbling = c, None
+        if not target.is_the_papers or "chief" in c.observed:
+            self.tumbling = Tumbling(target, c, batch, device)
+        self.surface = surface(target, c, device)
+        # k-means in float32 on coordinates rounded to 2^-13 m, which sum exactly in any order
+        self.points = (self.surface.points * 2**13).round().div(2**13).float()
+        count = self.points.shape[1]
+        clusters = chief.max_clusters(self.surface.normals, c, self.tumbling is not None)
+
+        def zeros(*shape: int, dtype: torch.dtype = torch.float64) -> Tensor:
+            return torch.zeros(*shape, batch, dtype=dtype, device=device)
+
+        self.priority = zeros(3)
+        self.weights = zeros(count)
+        self.inspected = zeros(count, dtype=torch.bool)
+        self.centres = zeros(3, clusters, dtype=torch.float32)
+        self.alive = zeros(clusters, dtype=torch.bool)
+        self.uninspected = zeros(3)
+        # functions of states column by column, which `compile` replaces
+        whole = (
+            partial(in_view, self.surface) if self.tumbling else partial(chief.in_view, self.surface.normals)
+        )
+        self._in_view = partial(whole, c=c)
+        self._seen = partial(chief.by_chunks, lambda *given: [self._in_view(*given)])
+        self._settle = partial(chief.by_chunks, partial(chief.settled, self.points))
+
+    def begin(self, columns: Tensor, x: Tensor, priority: Tensor, number: Tensor | None) -> None:
+        """Begins episodes in the given columns; points visible at the start count as inspected.
+
+        Args:
+            x: states (16, k); priority: (3, k); number: (k,) in [0, 1), from which the chiefs' motion follows.
+        """
+        if self.tumbling:
+            self.tumbling.begin(columns, number)
+        for name in self.STATE:
+            getattr(self, name)[..., columns] = 0
+        self.priority[:, columns] = priority
+        self.weights[:, columns] = chief.point_weights(self.surface.normals, priority, self.surface.areas)
+        self.mark(x, columns)
+
+    def look(self, x: Tensor, time: Tensor) -> None:
+        """Looks at every chief from states x (16, B), at the episodes' time (B,) in s."""
+        if self.tumbling:
+            self.tumbling.at(time, x[THETA_S])
+        self.mark(x)
+
+    def mark(self, x: Tensor, columns: Tensor | slice = EVERYONE) -> None:
+        """Marks the points in view from states x (16, k); points r_UPS at the nearest cluster of those lit and left."""
+        ((lit, seen),) = self._seen(x, *self._frames(columns))
+        inspected = self.inspected[:, columns] | seen
+        wanted = lit & ~inspected
+        centres, alive = chief.cluster(
+            self.points,
+            wanted,
+            self.centres[..., columns],
+            self.alive[:, columns],
+            self.c.points_per_cluster,
+            self._settle,
+        )
+        self.inspected[:, columns] = inspected
+        self.centres[..., columns] = centres
+        self.alive[:, columns] = alive
+        if self.tumbling:
+            attitude = self.tumbling.attitude[:, columns]
+            p = rotate(conjugate(attitude), x[P])
+            direction = rotate(attitude, chief.nearest_cluster(centres.to(x.dtype), alive, p))
+        else:
+            direction = chief.nearest_cluster(centres.to(x.dtype), alive, x[P])
+        self.uninspected[:, columns] = direction
+
+    def score(self, columns: Tensor | slice = EVERYONE) -> Tensor:
+        """w_p (k,), the inspected weight of the given columns."""
+        return torch.where(self.inspected[:, columns], self.weights[:, columns], 0.0).sum(0)
+
+    def observed(self, columns: Tensor | slice = EVERYONE) -> tuple[Tensor, ...]:
+        """What an agent observes beside its state, as `observation.normalised` takes it.
+
+        r_p and r_UPS (3, k) in Hill's frame, w_p (k,) and, if it is observed, the chief's attitude and rate (7, k).
+        """
+        priority = self.priority[:, columns]
+        if self.tumbling:
+            priority = rotate(self.tumbling.attitude[:, columns], priority)
+        shown = priority, self.uninspected[:, columns], self.score(columns)
+        return (*shown, self.tumbling.motion[: RATE.stop, columns]) if "chief" in self.c.observed else shown
+
+    def compile(self, compiled: Callable[..., Any], x: Tensor) -> None:
+        """Compiles visibility and k-means; raises as `Compiled`, and changes nothing then.
+
+        Args:
+            compiled: `InspectionEnv._several`; x: states (16, B).
+        """
+        seen = self._looking(compiled, x, *self._frames(EVERYONE))
+        settle = compiled(partial(chief.lloyd, self.points), self.centres, self.inspected, self.alive)
+        self._seen, self._settle = seen, partial(settle, times=chief.LLOYD_ITERATIONS)
+
+    def _looking(self, compiled: Callable[..., Any], *examples: Tensor) -> Callable[..., list[Tensor]]:
+        """What sees the points, compiled for tensors like the examples; of a mesh, each group of points by itself."""
+        if not self.tumbling:
+            return compiled(lambda *given: [self._in_view(*given)], *examples)
+        where = compiled(lambda *given: [directions(*given)], *examples)
+        runs = []
+        for part, count in groups(self.surface, LEAST_LONG):
+            run = compiled(
+                lambda seen, part=part: [seen_from(part, seen, self.c)],
+                *where(*examples),
+                points=len(part.areas),
+            )
+            runs.append((run, count))
+
+        def look(*given: Tensor) -> list[Tensor]:
+            seen = where(*given)
+            return [torch.cat([run(*seen)[0][:, :count] for run, count in runs], 1)]
+
+        return look
+
+    def _frames(self, columns: Tensor | slice) -> tuple[Tensor, ...]:
+        """The attitude (4, k) of the given chiefs, if it is not Hill's frame."""
+        return (self.tumbling.attitude[:, columns],) if self.tumbling else ()

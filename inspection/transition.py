@@ -1,0 +1,70 @@
+"""What one interaction of a batch of episodes comes to."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from inspection.closed_loop import Correction
+
+METRICS = ("inspected_score", "reward", "episode_length_s", "delta_v_m_s", "torque_n_m", "violation_percent")
+
+
+@dataclass
+class Transition:
+    """The outcome of one interaction, before autoreset; tensors over the batch B.
+
+    Attributes:
+        observation: (B, size) float32, of the next episode where one ended.
+        final_observation: (B, size) float32, of the state that the action led to (terminal where it ended).
+        state: (16, B) that the action led to; inspected: (N, B) bool, the points seen by then.
+        reward: (B,); reward_terms: what it is the sum of, by name, the nine and those of our own that have a weight.
+        terminated, truncated: (B,) bool, true end or time limit; an episode that failed within the step flew on to its
+            end.
+        violated: (constraints, B) bool at the end of the step.
+        corrections: the filter's answers, one per filter call of the step; see `calls`.
+        held: (6, B) each control that was applied, in N and N m, all for as long; limit: (6, 1) the actuators' limits.
+        outcome: (B,) index into OUTCOMES, -1 while running.
+        metrics: (6, B) the episode so far in the order of METRICS.
+        violation_steps: (constraints, B) and steps (B,): violated and all steps of the episode so far.
+        truths: of each filter call, (B,) bool where it was not missed and (constraints, B) values of the true states;
+            None where the plant is the model.
+    """
+
+    observation: Tensor
+    final_observation: Tensor
+    state: Tensor
+    inspected: Tensor
+    reward: Tensor
+    reward_terms: dict[str, Tensor]
+    terminated: Tensor
+    truncated: Tensor
+    violated: Tensor
+    corrections: list[Correction]
+    held: list[Tensor]
+    limit: Tensor
+    outcome: Tensor
+    metrics: Tensor
+    violation_steps: Tensor
+    steps: Tensor
+    truths: list[tuple[Tensor, Tensor]] | None = None
+
+    def calls(self) -> Iterator[tuple[Any, Tensor, Tensor]]:
+        """Each call of the filter: its answer, (B,) bool where it was not missed, (constraints, B) true values."""
+        if self.truths is None:
+            everyone = torch.ones_like(self.terminated)
+            yield from ((correction, everyone, correction.h) for correction in self.corrections)
+        else:
+            yield from ((each, *truth) for each, truth in zip(self.corrections, self.truths, strict=True))
+
+    @property
+    def applied(self) -> Tensor:
+        """(B, 6) mean of the controls that were applied, in units of the actuators' limits."""
+        return (torch.stack(self.held).mean(0) / self.limit).T
+
+    @property
+    def done(self) -> Tensor:
+        """(B,) bool: the episode ended."""
+        return self.terminated | self.truncated
