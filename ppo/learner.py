@@ -10,6 +10,7 @@ from torch import Tensor
 
 from ppo.distributed import ALONE, Ranks
 from ppo.network import Policy, Value, log_std_bias
+from settings import Settings, setting
 
 MAX_WIDTH = 65_536  # of a hidden layer
 MAX_LOG_RATIO = 20.0  # that e^x is finite, also of actions that no agent draws, see `collect`
@@ -22,51 +23,45 @@ class NonFiniteError(ArithmeticError):
 
 
 @dataclass(frozen=True)
-class PPOParameters:
-    """Settings of the learner; raises ValueError, naming the setting, for values that make no sense."""
+class PPOParameters(Settings):
+    """Settings of the learner."""
 
-    gamma: float = 0.999  # discount per step
-    gae_lambda: float = 0.97  # GAE's lambda: 0 trusts the value network, 1 the observed returns
-    epochs: int = 4  # passes over each batch
-    minibatch_size: int = 1024  # largest number of samples of a gradient step, per seed
-    learning_rate: float = 3e-4  # Adam's step size at the start, annealed linearly to 0 at the end
-    clip: float = 0.2  # largest rewarded change of the probability ratio from 1
-    value_coefficient: float = 0.5  # weight of the mean squared value error in the loss
-    entropy_coefficient: float = 0.0  # weight of the entropy bonus, per nat
-    max_grad_norm: float = 0.5  # largest Euclidean gradient norm, per seed, policy and value together
-    initial_std: float = 0.03  # standard deviation of each control before training, in action units
-    log_std_bounds: tuple[float, float] = (-5.0, 0.0)  # range of the log standard deviation, in nats
-    action_power: float = 1.0  # k of u = sign(a) |a|^k, what is commanded for an action a; 1 is the paper's
-    action_dead_zone: float = 0.0  # size of an action below which nothing is commanded
-    hidden: tuple[int, ...] = (256, 256)  # widths of the hidden layers of policy and value network
+    gamma: float = setting(0.999, "discount per step", above=0, most=1)
+    gae_lambda: float = setting(
+        0.97, "GAE's lambda: 0 trusts the value network, 1 the observed returns", most=1
+    )
+    epochs: int = setting(4, "passes over each batch", above=0)
+    minibatch_size: int = setting(
+        1024, "samples of a gradient step, per seed; the largest allowed, see PPO.update", least=2
+    )
+    learning_rate: float = setting(
+        3e-4, "Adam's step size at the start, annealed linearly to 0 at the end", above=0
+    )
+    clip: float = setting(0.2, "largest rewarded change of the probability ratio from 1", above=0, below=1)
+    value_coefficient: float = setting(
+        0.5, "weight of the mean squared value error in the loss", most=LARGEST_WEIGHT
+    )
+    entropy_coefficient: float = setting(0.0, "weight of the entropy bonus, per nat", most=LARGEST_WEIGHT)
+    max_grad_norm: float = setting(
+        0.5,
+        "largest Euclidean gradient norm, per seed, policy and value together; infinity: no clipping",
+        above=0,
+        most=math.inf,
+    )
+    initial_std: float = setting(0.03, "standard deviation of each control before training, in action units")
+    log_std_bounds: tuple[float, float] = setting(
+        (-5.0, 0.0), "range of the log standard deviation, in nats", least=None
+    )
+    action_power: float = setting(
+        1.0, "k of u = sign(a) |a|^k, what is commanded for an action a; 1 is the paper's", least=1, most=10
+    )
+    action_dead_zone: float = setting(0.0, "size of an action below which nothing is commanded", most=0.5)
+    hidden: tuple[int, ...] = setting(
+        (256, 256), "widths of the hidden layers of policy and value network", above=0, most=MAX_WIDTH
+    )
 
     def __post_init__(self) -> None:
-        allowed = {
-            "gamma": (0 < self.gamma <= 1, "in (0, 1]"),
-            "gae_lambda": (0 <= self.gae_lambda <= 1, "in [0, 1]"),
-            "epochs": (isinstance(self.epochs, int) and self.epochs >= 1, "an integer >= 1"),
-            "minibatch_size": (
-                isinstance(self.minibatch_size, int) and self.minibatch_size >= 2,
-                "an integer >= 2, since advantages are normalised within a minibatch",
-            ),
-            "learning_rate": (0 < self.learning_rate < math.inf, "a finite number > 0"),
-            "clip": (0 < self.clip < 1, "in (0, 1)"),
-            "value_coefficient": (0 <= self.value_coefficient <= LARGEST_WEIGHT, f"0 to {LARGEST_WEIGHT:g}"),
-            "entropy_coefficient": (
-                0 <= self.entropy_coefficient <= LARGEST_WEIGHT,
-                f"0 to {LARGEST_WEIGHT:g}",
-            ),
-            "max_grad_norm": (self.max_grad_norm > 0, "> 0 (infinity: no clipping)"),
-            "action_power": (1 <= self.action_power <= 10, "in [1, 10]"),
-            "action_dead_zone": (0 <= self.action_dead_zone <= 0.5, "in [0, 0.5]"),
-            "hidden": (
-                len(self.hidden) > 0 and all(0 < width <= MAX_WIDTH for width in self.hidden),
-                f"one or more widths from 1 to {MAX_WIDTH:,}",
-            ),
-        }
-        for name, (fine, rule) in allowed.items():
-            if not fine:
-                raise ValueError(f"{name} is {getattr(self, name)}: it must be {rule}")
+        super().__post_init__()
         log_std_bias(self.initial_std, self.log_std_bounds)  # raises where the two do not fit together
 
 

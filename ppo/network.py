@@ -77,10 +77,10 @@ def log_std_bias(std: float, log_std_bounds: Sequence[float]) -> float:
     """
     low, high = log_std_bounds
     if not -math.inf < low < high < math.inf:
-        raise ValueError(f"log_std_bounds is {(low, high)}: it must be two finite numbers, low < high")
+        raise ValueError(f"log_std_bounds = {[low, high]}: must be two finite numbers, low < high")
     if not math.exp(low) < std < math.exp(high):
         raise ValueError(
-            f"initial_std is {std}: it must lie strictly between exp(log_std_bounds), "
+            f"initial_std = {std}: must lie strictly between exp(log_std_bounds), "
             f"here {math.exp(low):.4g} and {math.exp(high):.4g}"
         )
     # log std = low + (high - low) (1 + tanh b) / 2, solved for b

@@ -4,12 +4,14 @@ import math
 from dataclasses import dataclass
 from itertools import pairwise
 
+from settings import Settings, setting
+
 PERIODS = (1.0, 5.0, 10.0)
 QP_SOLVERS = ("auto", "piqp", "batched")
 
 
 @dataclass(frozen=True)
-class RtaParameters:
+class RtaParameters(Settings):
     """Period and solver, class-kappa gains (alpha(h) = gain * h), margins subtracted from h, slack weights.
 
     A gain above 1 / period overshoots when its decay is sampled, so `gain` caps each at half of that. What
@@ -18,82 +20,100 @@ class RtaParameters:
     own rounding, and for passive safety the shift of the closest time).
     """
 
-    period: float = 1.0  # s between two calls of the filter: 1, 5 or 10
-    qp_solver: str = (
-        "auto"  # of the quadratic programs: piqp, batched, or auto, the faster one for device and batch
+    period: float = setting(1.0, "s between two calls", among=PERIODS)
+    qp_solver: str = setting(
+        "auto", "of the quadratic programs; auto is the faster one for the batch", among=QP_SOLVERS
     )
 
-    # relative degree one, 1/s
-    collision_gain: float = 0.1  # 1/s, safe separation
-    speed_gain: float = 0.5  # 1/s, dynamic speed limit
-    keep_in_gain: float = 0.1  # 1/s, keep-in zone
-    passive_safety_gain: float = 0.03  # 1/s; the nearest pass is minutes away: a slow approach is enough
-    # Braking moves the path's far end by up to 480 m per m/s. With 3 % of the clearance a second as the only
-    # allowance, an end 165 m clear kept a spacecraft from braking for its dynamic speed limit. So the gain is
-    # gain * (1 + (clearance / doubling)^2), and far passes do not bind.
-    passive_safety_doubling: float = 30.0  # m, clearance at which passive safety's gain has doubled
-    velocity_gain: float = 0.2  # 1/s, velocity limits
-    rate_gain: float = 0.5  # 1/s, rate limits
+    collision_gain: float = setting(0.1, "1/s, safe separation", note="relative degree one, 1/s")
+    speed_gain: float = setting(0.5, "1/s, dynamic speed limit")
+    keep_in_gain: float = setting(0.1, "1/s, keep-in zone")
+    passive_safety_gain: float = setting(
+        0.03, "1/s; the nearest pass is minutes away: a slow approach is enough"
+    )
+    passive_safety_doubling: float = setting(
+        30.0,
+        "m, clearance at which passive safety's gain has doubled",
+        above=0,
+        note="Braking moves the path's far end by up to 480 m per m/s. With 3 % of the clearance a second as the "
+        "only allowance, an end 165 m clear kept a spacecraft from braking for its dynamic speed limit. So "
+        "the gain is gain * (1 + (clearance / doubling)^2), and far passes do not bind.",
+    )
+    velocity_gain: float = setting(0.2, "1/s, velocity limits")
+    rate_gain: float = setting(0.5, "1/s, rate limits")
 
-    # HOCBF, Psi_1 = dh/dt + k1 h and dPsi_1/dt + k2 Psi_1 >= 0, 1/s
-    exclusion_gains: tuple[float, float] = (0.05, 0.2)  # 1/s, k1 and k2, attitude exclusion
-    temperature_gains: tuple[float, float] = (0.0015, 0.2)  # 1/s, k1: act while a 90 deg turn still helps; k2
-    battery_gains: tuple[float, float] = (0.004, 0.1)  # 1/s, k1: 15 W of draw is held 3.75 kJ above it; k2
+    exclusion_gains: tuple[float, float] = setting(
+        (0.05, 0.2),
+        "1/s, k1 and k2, attitude exclusion",
+        note="HOCBF, Psi_1 = dh/dt + k1 h and dPsi_1/dt + k2 Psi_1 >= 0, 1/s",
+    )
+    temperature_gains: tuple[float, float] = setting(
+        (0.0015, 0.2), "1/s, k1: act while a 90 deg turn still helps; k2"
+    )
+    battery_gains: tuple[float, float] = setting(
+        (0.004, 0.1), "1/s, k1: 15 W of draw is held 3.75 kJ above it; k2"
+    )
 
-    # margins in the unit of each h
-    collision_margin: float = 0.02  # m/s, safe separation
-    keep_in_margin: float = 0.02  # m/s, keep-in zone
-    # Torque turns the thrust by up to alpha_max T^2 / 6 = 0.005 rad more than the rates do; thrust of 0.25 N that far
-    # off moves a pass 2 minutes ahead by 0.015 m in a second, which the gain makes up for at 0.5 m.
-    passive_safety_margin: float = 1.0  # m, passive safety
-    exclusion_margin: float = 0.01  # rad, attitude exclusion
-    temperature_margin: float = 0.05  # deg C, temperature
-    battery_margin: float = 0.02  # kJ, battery
-    rate_margin: float = 0.0  # rad^2/s^2; the plant saturates at the limit itself
+    collision_margin: float = setting(0.02, "m/s, safe separation", note="margins in the unit of each h")
+    keep_in_margin: float = setting(0.02, "m/s, keep-in zone")
+    passive_safety_margin: float = setting(
+        1.0,
+        "m, passive safety",
+        note="Torque turns the thrust by up to alpha_max T^2 / 6 = 0.005 rad more than the rates do; thrust of "
+        "0.25 N that far off moves a pass 2 minutes ahead by 0.015 m in a second, which the gain makes up for "
+        "at 0.5 m.",
+    )
+    exclusion_margin: float = setting(0.01, "rad, attitude exclusion")
+    temperature_margin: float = setting(0.05, "deg C, temperature")
+    battery_margin: float = setting(0.02, "kJ, battery")
+    rate_margin: float = setting(0.0, "rad^2/s^2; the plant saturates at the limit itself")
 
-    # Where the surface turns into the light, the slope of (pi/2 - theta_SI)^+ jumps, and Psi_1 drops by
-    # delta_0 omega, up to 0.0017 deg C/s, which torque cannot prevent, having no influence in the dark. A terminator
-    # crossed again and again ate up every margin. Torque stops 2 deg/s within 0.035 rad, so the filter rounds
-    # the edge off over several times that angle.
-    incidence_rounding: float = 0.3  # rad, to either side
+    incidence_rounding: float = setting(
+        0.3,
+        "rad, to either side",
+        note="Where the surface turns into the light, the slope of (pi/2 - theta_SI)^+ jumps, and Psi_1 drops by "
+        "delta_0 omega, up to 0.0017 deg C/s, which torque cannot prevent, having no influence in the dark. A "
+        "terminator crossed again and again ate up every margin. Torque stops 2 deg/s within 0.035 rad, so "
+        "the filter rounds the edge off over several times that angle.",
+    )
 
-    # The free flight's closest approach is enforced once per segment, so that a second close pass is
-    # held off while the first one is being corrected.
-    passive_safety_segments: tuple[float, ...] = (0.0, 60.0, 160.0, 300.0, 420.0, 500.0)  # s, their bounds
+    passive_safety_segments: tuple[float, ...] = setting(
+        (0.0, 60.0, 160.0, 300.0, 420.0, 500.0),
+        "s, their bounds",
+        note="The free flight's closest approach is enforced once per segment, so that a second close pass is held "
+        "off while the first one is being corrected.",
+    )
 
-    # Bounded slopes of sqrt at 0 and arccos at +-1 in the filter's derivatives; reported values are exact.
-    distance_floor: float = 0.05  # m, distances are taken as at least this
-    # Nearer to a pole, the angle's second derivative omega^2 / tan(angle) at three rates of 2 deg/s would
-    # exceed the 1 deg/s^2 that torque gives.
-    pole_angle: float = 0.2  # rad, least angle to a pole
+    distance_floor: float = setting(
+        0.05,
+        "m, distances are taken as at least this",
+        note="Bounded slopes of sqrt at 0 and arccos at +-1 in the filter's derivatives; reported values are "
+        "exact.",
+    )
+    pole_angle: float = setting(
+        0.2,
+        "rad, least angle to a pole",
+        below=math.pi / 2,
+        note="Nearer to a pole, the angle's second derivative omega^2 / tan(angle) at three rates of 2 deg/s would "
+        "exceed the 1 deg/s^2 that torque gives.",
+    )
 
-    # Slack weights on rows of unit length, highest priority first: the rows of a class are given slack only where they
-    # cannot all be held although lower classes yield (`rta.qp.programs.stages`). Safe separation has no slack at all.
-    # The paper's 1e12 is beyond what an interior-point solver resolves; of 255 infeasible programs recorded
-    # with random actions, PIQP solved 249 at 1e6 and all at 1e5.
-    slack_weight_critical: float = 1e5  # per slack squared: keep-in zone, passive safety, attitude exclusion
-    slack_weight_resource: float = 1e4  # per slack squared: temperature, battery
-    slack_weight_motion: float = 1e3  # per slack squared: dynamic speed, velocity and rate limits
+    slack_weight_critical: float = setting(
+        1e5,
+        "per slack squared: keep-in zone, passive safety, attitude exclusion",
+        above=0,
+        note="Slack weights on rows of unit length, highest priority first: the rows of a class are given slack "
+        "only where they cannot all be held although lower classes yield (`rta.qp.programs.stages`). Safe "
+        "separation has no slack at all. The paper's 1e12 is beyond what an interior-point solver resolves; "
+        "of 255 infeasible programs recorded with random actions, PIQP solved 249 at 1e6 and all at 1e5.",
+    )
+    slack_weight_resource: float = setting(1e4, "per slack squared: temperature, battery", above=0)
+    slack_weight_motion: float = setting(
+        1e3, "per slack squared: dynamic speed, velocity and rate limits", above=0
+    )
 
     def __post_init__(self) -> None:
-        if self.period not in PERIODS:
-            raise ValueError(f"period = {self.period:g}: must be 1, 5 or 10 s")
-        if self.qp_solver not in QP_SOLVERS:
-            raise ValueError(f"qp_solver = {self.qp_solver!r}: must be one of {', '.join(QP_SOLVERS)}")
-        for name, value in vars(self).items():
-            numbers = value if isinstance(value, tuple) else () if isinstance(value, str) else (value,)
-            if not all(0 <= number < math.inf for number in numbers):
-                raise ValueError(f"{name} = {value!r}: must be finite and not negative")
-        for name in (
-            "passive_safety_doubling",
-            "slack_weight_critical",
-            "slack_weight_resource",
-            "slack_weight_motion",
-        ):
-            if getattr(self, name) == 0:
-                raise ValueError(f"{name} = 0: must be positive")
-        if self.pole_angle >= math.pi / 2:
-            raise ValueError(f"pole_angle = {self.pole_angle:g}: must be below pi / 2 rad")
+        super().__post_init__()
         segments = self.passive_safety_segments
         if len(segments) < 2 or segments[0] != 0 or any(a >= b for a, b in pairwise(segments)):
             raise ValueError(f"passive_safety_segments = {segments!r}: must rise from 0 s to the horizon")

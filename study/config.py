@@ -1,19 +1,16 @@
 """The configuration of an experiment: frozen dataclasses, one TOML table each."""
 
-import ast
 import dataclasses
-import functools
-import inspect
-import io
 import re
 import sys
-import tokenize
 import tomllib
 import types
 import typing
 from dataclasses import dataclass, field
 from difflib import get_close_matches
+from functools import partial
 from pathlib import Path
+from textwrap import wrap
 from typing import Any, TypeVar
 
 import tomli_w
@@ -25,6 +22,7 @@ from ppo.learner import PPOParameters
 from rta.bounds.uncertainty import Uncertainty
 from rta.constraints.constraint import CONSTRAINTS
 from rta.parameters import RtaParameters
+from settings import Settings, setting, settings
 from study.errors import InputError, refusing
 
 MAX_COUNT = 10**12
@@ -41,38 +39,39 @@ MOVED = {("train", "rta_period"): ("rta", "period"), ("train", "qp_solver"): ("r
 NAME = re.compile(r"(?!(report|guidance)$)[a-z0-9][a-z0-9_-]*")  # of an arm, and of its directory
 announced: set[str] = set()  # the moves that this process has told of
 
+count = partial(setting, above=0, most=MAX_COUNT)
+
 
 @dataclass(frozen=True)
-class TrainParameters:
+class TrainParameters(Settings):
     """Settings of a training run."""
 
-    rta: bool = True  # whether the filter corrects the agent's actions
-    seed: int = 0  # of everything random; of a study, the first one
-    interactions: int = 5_000_000  # agent steps in all; rounded up to whole updates
-    num_envs: int = 256  # episodes simulated at once, of each seed
-    rollout_steps: int = 64  # interactions of each episode between two updates
-    device: str = "auto"  # where tensors live: auto, cpu or cuda
-    compile: str = "auto"  # compile filter and simulator, on a GPU the learner, too: auto, on or off
-    evaluation_interval: int = 500_000  # interactions between two evaluations
-    early_evaluations: int = 1  # as many within the first interval; of several, one more before training
-    evaluation_episodes: int = 20  # common test cases of each of these evaluations
-    final_episodes: int = 100  # common test cases of the evaluation after training
-    checkpoint_interval: int = 160_000  # interactions between two checkpoints
-    jump_start: int = 0  # of these interactions, how many the guidance teaches before PPO begins; 0: none
-    learn_from: str = "desired"  # behind the filter: desired, applied or penalty
-    adversary: tuple[
-        str, ...
-    ] = ()  # constraints whose smallest h it lowers, in place of the task; none: the task
+    rta: bool = setting(True, "whether the filter corrects the agent's actions")
+    seed: int = setting(0, "of everything random; of a study, the first one", below=2**63)
+    interactions: int = count(5_000_000, "agent steps in all; rounded up to whole updates")
+    num_envs: int = count(256, "episodes simulated at once, of each seed")
+    rollout_steps: int = count(64, "interactions of each episode between two updates")
+    device: str = setting("auto", "where tensors live", among=("auto", "cpu", "cuda"))
+    compile: str = setting(
+        "auto", "compile filter and simulator, on a GPU the learner, too", among=("auto", "on", "off")
+    )
+    evaluation_interval: int = count(500_000, "interactions between two evaluations")
+    early_evaluations: int = count(
+        1, "as many within the first interval; of several, one more before training"
+    )
+    evaluation_episodes: int = count(20, "common test cases of each of these evaluations")
+    final_episodes: int = count(100, "common test cases of the evaluation after training")
+    checkpoint_interval: int = count(160_000, "interactions between two checkpoints")
+    jump_start: int = setting(
+        0, "of these interactions, how many the guidance teaches before PPO begins; 0: none", most=MAX_COUNT
+    )
+    learn_from: str = setting("desired", "from which actions, behind the filter", among=LEARN_FROM)
+    adversary: tuple[str, ...] = setting(
+        (), "constraints whose smallest h it lowers, in place of the task; none: the task", among=CONSTRAINTS
+    )
 
     def __post_init__(self) -> None:
-        counts = [f.name for f in dataclasses.fields(self) if f.type is int and f.name != "seed"]
-        for name in counts:
-            least = int(name != "jump_start")
-            if not least <= getattr(self, name) <= MAX_COUNT:
-                raise ValueError(
-                    f"{name} = {getattr(self, name)}: must be a positive integer up to {MAX_COUNT:,}"
-                    + (", or 0" if not least else "")
-                )
+        super().__post_init__()
         if self.early_evaluations > self.evaluation_interval:
             raise ValueError(
                 f"early_evaluations = {self.early_evaluations}: must be at most evaluation_interval, "
@@ -80,23 +79,12 @@ class TrainParameters:
             )
         if self.batch < 2:
             raise ValueError("num_envs * rollout_steps = 1: must be at least 2")
-        if not 0 <= self.seed < 2**63:
-            raise ValueError(f"seed = {self.seed}: must be an integer from 0 to 2^63 - 1")
-        if not set(self.adversary) <= set(CONSTRAINTS):
-            raise ValueError(f"adversary = {list(self.adversary)}: must be some of {', '.join(CONSTRAINTS)}")
         if self.jump_start and self.lessons >= self.updates:
             raise ValueError(
                 f"jump_start = {self.jump_start:,}: must leave an update, of {self.batch:,} interactions, for PPO"
             )
         if self.jump_start and self.adversary:
             raise ValueError("jump_start: an adversary has no guidance to learn from; it must be 0")
-        for name, allowed in (
-            ("device", ("auto", "cpu", "cuda")),
-            ("compile", ("auto", "on", "off")),
-            ("learn_from", LEARN_FROM),
-        ):
-            if getattr(self, name) not in allowed:
-                raise ValueError(f"{name} = {getattr(self, name)!r}: must be one of {', '.join(allowed)}")
 
     @property
     def updates(self) -> int:
@@ -115,15 +103,16 @@ class TrainParameters:
 
 
 @dataclass(frozen=True)
-class StudyParameters:
+class StudyParameters(Settings):
     """What a study trains."""
 
-    seeds: int = 10  # of each arm, counted up from [train] seed
-    arms: tuple[str, ...] = tuple(ARMS)  # those of [arms], and no_rta and rta, which replace [train] rta
+    seeds: int = setting(10, "of each arm, counted up from [train] seed", above=0, most=MAX_SEEDS)
+    arms: tuple[str, ...] = setting(
+        tuple(ARMS), "those of [arms], and no_rta and rta, which replace [train] rta"
+    )
 
     def __post_init__(self) -> None:
-        if not 0 < self.seeds <= MAX_SEEDS:
-            raise ValueError(f"seeds = {self.seeds}: must be a positive integer up to {MAX_SEEDS:,}")
+        super().__post_init__()
         if not self.arms or len(set(self.arms)) < len(self.arms):
             raise ValueError(f"arms = {list(self.arms)}: must be one or more, each once")
 
@@ -204,41 +193,19 @@ class StudyConfig(Config):
 AnyConfig = TypeVar("AnyConfig", bound=Config)
 
 
-def table_text(name: str, part: Any) -> str:
-    """A dataclass as a TOML table; its source's comments stand above and beside the keys as they do there."""
-    lines, notes = [f"[{name}]"], comments(type(part))
-    for key, value in vars(part).items():
-        above, beside = notes.get(key, ([], ""))
+def table_text(name: str, part: Settings) -> str:
+    """A table of settings as TOML, each key with its comments: notes above, what it is about beside it."""
+    lines = [f"[{name}]"]
+    for key, own in settings(type(part)).items():
+        value = getattr(part, key)
         items = [
             tomli_w.dumps({key: item}).strip() for item in (value if isinstance(value, tuple) else [value])
         ]
         if isinstance(value, tuple):  # tomli_w gives each item a line
             items = [f"{key} = [{', '.join(item.partition(' = ')[2] for item in items)}]"]
-        lines += ["", *above] if above else []
-        lines.append(f"{items[0]} {beside}".rstrip())
+        lines += ["", *wrap(own.note, 118, initial_indent="# ", subsequent_indent="# ")] if own.note else []
+        lines.append(f"{items[0]} # {own.about if isinstance(value, tuple) else own.comment}")
     return "\n".join(lines) + "\n"
-
-
-@functools.cache
-def comments(table: type) -> dict[str, tuple[list[str], str]]:
-    """By a dataclass's fields, the comment lines above and the comment beside; none where there is no source."""
-    try:
-        source = inspect.getsource(table)
-    except (OSError, TypeError):
-        return {}
-    tokens = tokenize.generate_tokens(io.StringIO(source).readline)
-    found = {each.start[0]: each for each in tokens if each.type == tokenize.COMMENT}
-    own_lines = {row for row, each in found.items() if each.line.lstrip().startswith("#")}
-    notes = {}
-    for statement in ast.parse(source).body[0].body:
-        if isinstance(statement, ast.AnnAssign):
-            first = statement.lineno
-            while first - 1 in own_lines:
-                first -= 1
-            above = [found[row].string for row in range(first, statement.lineno)]
-            beside = found[statement.end_lineno].string if statement.end_lineno in found else ""
-            notes[statement.target.id] = above, beside
-    return notes
 
 
 def from_toml(text: str, source: str, base: AnyConfig | None = None) -> AnyConfig:

@@ -6,54 +6,26 @@ import sys
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from functools import reduce
+from functools import cached_property, reduce
 from pathlib import Path
 from typing import Any
 
 from inspection.chief.mesh import pinned
-from inspection.model.parameters import ChiefParameters, InspectionParameters
+from inspection.model.parameters import ChiefParameters, Limits
 from inspection.world.plant import PlantParameters
 from ppo.distributed import is_first
+from settings import settings
 from study import config as configuration
 from study.commands import command
 from study.config import Config, StudyConfig, override
 from study.errors import MALFORMED, InputError
 from study.files import ROOT
 
-# Settings of [inspection] and [rta] on which no guarantee depends: the agent's task and reward, and the solver, whose
-# answers are checked one by one. Campaigns start anywhere, so the radius of an episode's start is among them; its
-# temperature and energy are not, since they bound the campaigns' starts as well. Of [chief] the hull and its attitude
-# count, of [plant] and [uncertainty] everything.
-IRRELEVANT = {
-    "num_points",
-    "points_per_cluster",
-    "success_score",
-    "action_period",
-    "observed",
-    "max_time",
-    "initial_radius",
-    "points_reward",
-    "delta_v_reward",
-    "torque_reward",
-    "orientation_reward",
-    "orientation_width",
-    "time_reward",
-    "time_reward_until",
-    "terminal_reward",
-    "rate_reward",
-    "correction_reward",
-    "limit_reward",
-    "drift_reward",
-    "free_flight_horizon",
-    "qp_solver",
-}
 # Settings that came later: at their defaults they are what was flown before, and its fingerprint stays.
 LATER = {
-    "[inspection]": (
-        InspectionParameters(),
-        {"orbit", "eccentricity", "sun_from_perigee", "gravitational_parameter", "hill_rotation"},
-    ),
-    "[plant]": (PlantParameters(), {"simulator", "j2", "drag", "actuators"}),
+    *(f"[inspection] {key}" for key in ("orbit", "eccentricity", "sun_from_perigee", "hill_rotation")),
+    "[inspection] gravitational_parameter",
+    *(f"[plant] {key}" for key in ("simulator", "j2", "drag", "actuators")),
 }
 POLICIES = ("random", "adversarial")  # each has to have flown
 EPISODES = 1000  # so many at least
@@ -63,20 +35,19 @@ REPORTS = "runs/verification"  # below the working directory: a person's own; th
 
 
 def relevant(config: Config) -> dict[str, Any]:
-    """What the guarantee depends on: values by their names in a configuration file, "[rta] period"."""
+    """What the guarantee depends on: values by their names in a configuration file, "[rta] period".
+
+    Not the episode, nor the solver, whose answers are checked one by one. Of [chief] the hull and its attitude count.
+    """
+    plant = PlantParameters() if config.plant.is_nominal else config.plant
     tables = {
-        "inspection": vars(config.inspection),
+        "inspection": {key: getattr(config.inspection, key) for key in settings(Limits)},
         "chief": of_hull(config.chief),
-        "rta": vars(config.rta),
-        "plant": vars(PlantParameters() if config.plant.is_nominal else config.plant),
+        "rta": {key: value for key, value in vars(config.rta).items() if key != "qp_solver"},
+        "plant": vars(plant),
         "uncertainty": vars(config.uncertainty),
     }
-    return {
-        f"[{table}] {key}": value
-        for table, part in tables.items()
-        for key, value in part.items()
-        if key not in IRRELEVANT
-    }
+    return {f"[{table}] {key}": value for table, part in tables.items() for key, value in part.items()}
 
 
 def of_hull(chief: ChiefParameters) -> dict[str, Any]:
@@ -95,32 +66,33 @@ def fingerprint(config: Config) -> str:
 
 
 def settings_digest(config: Config) -> str:
-    """SHA-256 of `relevant`, less a plant that is the model, bounds that are nil and LATER defaults.
-
-    The chief counts where its hull is what to stay clear of.
-    """
+    """SHA-256 of `relevant`, less a plant that is the model, bounds that are nil, a sphere, and LATER defaults."""
     nil = {
         "[plant]": config.plant.is_nominal,
         "[uncertainty]": config.uncertainty.is_nil,
         "[chief]": config.chief.collision == "sphere",
     }
-
-    def counts(name: str, value: Any) -> bool:
-        table, _, key = name.partition(" ")
-        default, later = LATER.get(table, (None, set()))
-        return not (nil.get(table, False) or (key in later and value == getattr(default, key)))
-
-    settings = {name: value for name, value in relevant(config).items() if counts(name, value)}
-    return hashlib.sha256(json.dumps(settings, sort_keys=True).encode()).hexdigest()
+    default = relevant(Config())
+    counting = {
+        name: value
+        for name, value in relevant(config).items()
+        if not nil.get(name.split()[0]) and not (name in LATER and value == default[name])
+    }
+    return hashlib.sha256(json.dumps(counting, sort_keys=True).encode()).hexdigest()
 
 
 @dataclass(frozen=True)
 class Flown:
-    """A report of `verify` in a file; its fingerprint is that of its settings, as they are read today."""
+    """A report of `verify` in a file, with its settings as they are read today."""
 
     path: Path
     report: dict[str, Any]
     config: Config
+
+    @cached_property
+    def relevant(self) -> dict[str, Any]:
+        """See `relevant`."""
+        return relevant(self.config)
 
     @property
     def violating(self) -> int:
@@ -153,6 +125,12 @@ def reports(filters: Sequence[str] = ("python",)) -> Iterator[Flown]:
                 yield flown
 
 
+def alike(config: Config, flown: Sequence[Flown]) -> list[Flown]:
+    """The reports of the configuration's plant and filter."""
+    own = relevant(config)
+    return [each for each in flown if each.relevant == own]
+
+
 def say_unless_verified(
     config: Config, files: Sequence[str | Path], checkpoint: str | Path | None = None
 ) -> None:
@@ -168,11 +146,10 @@ def say_unless_verified(
 def doubt(config: Config, files: Sequence[str | Path], checkpoint: str | Path | None) -> str | None:
     """Why a configuration does not count as verified, and what to do about it, in a line; None where it does.
 
-    It does where there is a report of each of POLICIES with its fingerprint, large and without a violation.
+    It does where there is a report of each of POLICIES on its plant and filter, large and without a violation.
     """
     flown = list(reports())
-    own = fingerprint(config)
-    same = [each for each in flown if fingerprint(each.config) == own]
+    same = alike(config, flown)
     if failed := [each for each in same if not each.clean]:
         worst = max(failed, key=lambda each: each.violating)
         said = (
@@ -188,43 +165,40 @@ def doubt(config: Config, files: Sequence[str | Path], checkpoint: str | Path | 
     if source is None:
         return begin
     commands = [f"mkdir -p {REPORTS}"] + [
-        command("verify", *source, "--policy", policy, "--json", f"{REPORTS}/{own}_{policy}.json")
+        command(
+            "verify", *source, "--policy", policy, "--json", f"{REPORTS}/{fingerprint(config)}_{policy}.json"
+        )
         for policy in POLICIES
     ]
     return f"{begin}, or verify it: {' && '.join(commands)}"
 
 
 def verified(same: list[Flown]) -> bool:
-    """Whether reports of one fingerprint, all clean, are enough."""
-    return {each.report["campaign"]["policy"] for each in same if each.large} >= set(POLICIES)
+    """Whether reports of one plant and filter are enough: all clean, and a large one of each of POLICIES."""
+    return all(each.clean for each in same) and {
+        each.report["campaign"]["policy"] for each in same if each.large
+    } >= set(POLICIES)
 
 
 def difference(config: Config, flown: list[Flown]) -> str:
     """The first setting that differs from the nearest verified configuration, with both values, and how many more."""
-    by_fingerprint: dict[str, list[Flown]] = {}
-    for each in flown:
-        by_fingerprint.setdefault(fingerprint(each.config), []).append(each)
-    trusted = [
-        same[0].config
-        for same in by_fingerprint.values()
-        if all(each.clean for each in same) and verified(same)
-    ]
-    ours, differing = relevant(config), []
-    for other in trusted:
-        theirs = relevant(other)
-        names = [name for name, value in ours.items() if value != theirs[name]]
-        if not differing or len(names) < len(differing):
-            mesh, other_mesh = (
-                {"[chief] mesh": each.chief.mesh} for each in (config, other)
-            )  # not the digest
-            differing = [(name, (ours | mesh)[name], (theirs | other_mesh)[name]) for name in names]
-    if not differing:
+    ours = relevant(config)
+
+    def names(other: Flown) -> list[str]:
+        return [name for name, value in ours.items() if value != other.relevant[name]]
+
+    trusted = [each for each in flown if verified(alike(each.config, flown))]
+    if not trusted:
         return "no configuration has been verified here"
-    name, value, other = differing[0]
-    texts = [in_toml(each, "{:g}") for each in (value, other)]
+    nearest = min(trusted, key=lambda each: len(names(each)))
+    name, *others = names(nearest)
+    values = [ours[name], nearest.relevant[name]]
+    if name == "[chief] mesh":  # not the digest
+        values = [config.chief.mesh, nearest.config.chief.mesh]
+    texts = [in_toml(each, "{:g}") for each in values]
     if texts[0] == texts[1]:
-        texts = [in_toml(each, "{!r}") for each in (value, other)]
-    more = f", {len(differing) - 1} more differ" if len(differing) > 1 else ""
+        texts = [in_toml(each, "{!r}") for each in values]
+    more = f", {len(others)} more differ" if others else ""
     return f"{name} = {texts[0]} (verified: {texts[1]}){more}"
 
 
@@ -254,7 +228,7 @@ def source_of(config: Config, files: Sequence[str | Path], checkpoint: str | Pat
                 if value != getattr(getattr(base, table), key):
                     flags += [flag, value if isinstance(value, str) else f"{value:g}"]
                     tables[table] = {key: value}
-            if fingerprint(override(base, tables, "command line")) == fingerprint(config):
+            if relevant(override(base, tables, "command line")) == relevant(config):
                 return flags
     return None
 

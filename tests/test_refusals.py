@@ -37,7 +37,7 @@ __all__ = ["run"]  # a fixture
             ["--learn-from", "penalty", "an adversary", "must be desired"],
         ),
         (["study", "--seeds", "0"], ["--seeds", "'0'", "positive integer"]),
-        (["study", "--seeds", "9999"], ["seeds = 9999", "up to 1,000"]),
+        (["study", "--seeds", "9999"], ["seeds = 9999", "at most 1,000"]),
         (["study", "--arms", "rta,both"], ["--arms", "'both'", "no_rta, rta"]),
         (["study", "--arms", "rta,rta"], ["--arms", "'rta,rta'", "each once"]),
         (["study", "--arms", "rta,rta"], ["--arms", "'rta,rta'", "no_rta,rta"]),

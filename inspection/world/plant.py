@@ -18,6 +18,7 @@ from inspection.model.dynamics import Body, integrate
 from inspection.model.orbit import turning
 from inspection.model.parameters import InspectionParameters
 from inspection.model.state import CONTROL_SIZE, CONTROLS, OMEGA, SIZE, THETA_S, THRUST, TORQUE, P, Q, V
+from settings import Settings, setting
 
 Range = float | tuple[float, float]
 Count = int | tuple[int, int]
@@ -28,70 +29,65 @@ NOT_OF_PULSES = {"thrust_gain": 1.0, "thrust_misalignment": 0.0}  # which are at
 FAILING = ("none", "thrust", "torque", "any", *CONTROLS)
 # What has no effect of its own.
 DETAILS = {"noise_bound", "missed_in_a_row", "failing_from", "failing_strength"}
-POSITIVE = {"mass_factor", "inertia_factor", "thrust_gain", "torque_gain"}
-LARGEST = {"thrust_misalignment": 90.0, "missed_calls": 1.0, "failing_strength": 1.0, "latency": 1000}
 
 
 @dataclass(frozen=True)
-class PlantParameters:
+class PlantParameters(Settings):
     """What differs from the model; by default nothing does.
 
     A value, or a range [low, high] from which each episode draws its own, constant over the episode.
     """
 
-    # Simulator
-    simulator: str = "own"  # own, or basilisk where it is installed, see docs/guides/basilisk.md
-    j2: bool = False  # basilisk: the Earth is flattened
-    drag: bool = False  # basilisk: there is air at the chief's height
-    actuators: str = "ideal"  # basilisk: ideal, or real, wheels and pulsed thrusters
+    simulator: str = setting(
+        "own",
+        "of the motion; docs/guides/basilisk.md is about the other one",
+        among=SIMULATORS,
+        note="Simulator",
+    )
+    j2: bool = setting(False, "basilisk: the Earth is flattened")
+    drag: bool = setting(False, "basilisk: there is air at the chief's height")
+    actuators: str = setting("ideal", "basilisk: real ones are wheels and pulsed thrusters", among=ACTUATORS)
 
-    # Body
-    mass_factor: Range = 1.0  # true mass / [inspection] mass
-    inertia_factor: Range = 1.0  # true moment / that of [inspection] inertia, of each axis apart
-    saturate_rates: bool = True  # false: body rates may exceed max_rate, as [inspection] saturate_rates
-    hill_rotation: bool = False  # attitude relative to Hill's frame as that turns
-    acceleration: Range = 0.0  # m/s^2, unknown and constant, in a random direction of Hill's frame
+    mass_factor: Range = setting(1.0, "true mass / [inspection] mass", above=0, note="Body")
+    inertia_factor: Range = setting(
+        1.0, "true moment / that of [inspection] inertia, of each axis apart", above=0
+    )
+    saturate_rates: bool = setting(
+        True, "false: body rates may exceed max_rate, as [inspection] saturate_rates"
+    )
+    hill_rotation: bool = setting(False, "attitude relative to Hill's frame as that turns")
+    acceleration: Range = setting(0.0, "m/s^2, unknown and constant, in a random direction of Hill's frame")
 
-    # Actuators
-    thrust_gain: Range = 1.0  # what acts / what is commanded, of each axis apart
-    torque_gain: Range = 1.0  # what acts / what is commanded, of each axis apart
-    thrust_misalignment: Range = 0.0  # deg, between an axis and the thrust along it, of each axis apart
-    minimum_thrust: Range = 0.0  # N, dead-band: a smaller thrust of an axis is not given at all
-    thrust_quantum: Range = 0.0  # N, the thrust of an axis is a multiple of it, the next one
-    failing: str = "none"  # what fails: thrust, torque or any (one axis at random), or one as thrust_x
-    failing_from: Range = 0.0  # s, time of the episode from which on it fails
-    failing_strength: Range = 0.0  # share of its strength that is left then; 0: it is dead
+    thrust_gain: Range = setting(
+        1.0, "what acts / what is commanded, of each axis apart", above=0, note="Actuators"
+    )
+    torque_gain: Range = setting(1.0, "what acts / what is commanded, of each axis apart", above=0)
+    thrust_misalignment: Range = setting(
+        0.0, "deg, between an axis and the thrust along it, of each axis apart", most=90
+    )
+    minimum_thrust: Range = setting(0.0, "N, dead-band: a smaller thrust of an axis is not given at all")
+    thrust_quantum: Range = setting(0.0, "N, the thrust of an axis is a multiple of it, the next one")
+    failing: str = setting("none", "what fails; of thrust, torque and any one axis at random", among=FAILING)
+    failing_from: Range = setting(0.0, "s, time of the episode from which on it fails")
+    failing_strength: Range = setting(0.0, "share of its strength that is left then; 0: it is dead", most=1)
 
-    # Sensors
-    position_noise: Range = 0.0  # m, 1 sigma of each axis
-    velocity_noise: Range = 0.0  # m/s, 1 sigma of each axis
-    attitude_noise: Range = 0.0  # deg, 1 sigma about each axis
-    rate_noise: Range = 0.0  # deg/s, 1 sigma of each axis
-    noise_bound: float = 3.0  # sigmas at which noise is clipped
-    position_bias: Range = 0.0  # m, size of a constant error in a random direction
-    velocity_bias: Range = 0.0  # m/s, size of a constant error in a random direction
-    attitude_bias: Range = 0.0  # deg, angle of a constant error about a random axis
-    rate_bias: Range = 0.0  # deg/s, size of a constant error in a random direction
+    position_noise: Range = setting(0.0, "m, 1 sigma of each axis", note="Sensors")
+    velocity_noise: Range = setting(0.0, "m/s, 1 sigma of each axis")
+    attitude_noise: Range = setting(0.0, "deg, 1 sigma about each axis")
+    rate_noise: Range = setting(0.0, "deg/s, 1 sigma of each axis")
+    noise_bound: float = setting(3.0, "sigmas at which noise is clipped", above=0, most=10)
+    position_bias: Range = setting(0.0, "m, size of a constant error in a random direction")
+    velocity_bias: Range = setting(0.0, "m/s, size of a constant error in a random direction")
+    attitude_bias: Range = setting(0.0, "deg, angle of a constant error about a random axis")
+    rate_bias: Range = setting(0.0, "deg/s, size of a constant error in a random direction")
 
-    # Computer
-    latency: Count = 0  # calls of the filter, age of the state that is seen
-    missed_calls: Range = 0.0  # probability that a call but the first is missed; the last control is held
-    missed_in_a_row: int = 1000  # calls, at most so many
-
-    def __post_init__(self) -> None:
-        for field in fields(self):
-            name, value = field.name, getattr(self, field.name)
-            if field.type in (Range, Count):
-                self._check(name, value)
-        if self.failing not in FAILING:
-            raise ValueError(f"failing = {self.failing!r}: must be one of {', '.join(FAILING)}")
-        for name, allowed in (("simulator", SIMULATORS), ("actuators", ACTUATORS)):
-            if getattr(self, name) not in allowed:
-                raise ValueError(f"{name} = {getattr(self, name)!r}: must be one of {', '.join(allowed)}")
-        if not 0 < self.noise_bound <= 10:
-            raise ValueError(f"noise_bound = {self.noise_bound!r}: must be positive, at most 10 sigmas")
-        if self.missed_in_a_row < 1:
-            raise ValueError(f"missed_in_a_row = {self.missed_in_a_row}: must be a positive integer")
+    latency: Count = setting(
+        0, "calls of the filter, age of the state that is seen", most=1000, note="Computer"
+    )
+    missed_calls: Range = setting(
+        0.0, "probability that a call but the first is missed; the last control is held", most=1
+    )
+    missed_in_a_row: int = setting(1000, "calls, at most so many", above=0)
 
     def check_simulator(self) -> None:
         """Raises ValueError where something is asked for that the simulator does not have."""
@@ -103,19 +99,6 @@ class PlantParameters:
                 raise ValueError(
                     f'{name}: is not there with actuators = "real", whose pulses are of full thrust'
                 )
-
-    def _check(self, name: str, value: Range) -> None:
-        """Refuses what is no value or range, or impossible."""
-        low, high = bounds(value)
-        text = f"{name} = {list(value) if isinstance(value, tuple) else value}"
-        if not (math.isfinite(low) and math.isfinite(high)):
-            raise ValueError(f"{text}: must be finite")
-        if low > high:
-            raise ValueError(f"{text}: must be a value or [low, high] with low <= high")
-        if low < 0 or (name in POSITIVE and low == 0):
-            raise ValueError(f"{text}: must {'be positive' if name in POSITIVE else 'not be negative'}")
-        if high > LARGEST.get(name, math.inf):
-            raise ValueError(f"{text}: must be at most {LARGEST[name]:g}")
 
     @property
     def is_nominal(self) -> bool:

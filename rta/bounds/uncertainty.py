@@ -4,7 +4,7 @@ The worst of them are taken all at once. All zero: the plant is the model, and t
 """
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from itertools import product
 
 import torch
@@ -13,6 +13,7 @@ from torch import Tensor
 from inspection.model.dynamics import euler
 from inspection.model.parameters import InspectionParameters
 from rta.parameters import RtaParameters
+from settings import Settings, setting
 
 LONGEST_HOLD = (
     10.0  # s; at 20 s, in which a body at 2 deg/s turns by 70 deg, one episode in ten broke a limit
@@ -27,48 +28,47 @@ SHORT = 1.0  # s, up to which the rate of now, less what it can change by, says 
 
 
 @dataclass(frozen=True)
-class Uncertainty:
+class Uncertainty(Settings):
     """Largest differences between world and model; those of sensors are the largest error of each axis."""
 
-    # Body
-    mass: float = 0.0  # share, by which the true mass is more or less at most
-    inertia: float = 0.0  # share, by which each moment of inertia is more or less at most
-    acceleration: float = 0.0  # m/s^2, unknown, in any direction
-    saturates_rates: bool = True  # false: the plant does not hold the body rates, so the filter does
-    hill_rotation: bool = False  # the limit of the body rates is also one of rates relative to the stars
+    mass: float = setting(0.0, "share, by which the true mass is more or less at most", below=1, note="Body")
+    inertia: float = setting(0.0, "share, by which each moment of inertia is more or less at most", below=1)
+    acceleration: float = setting(0.0, "m/s^2, unknown, in any direction")
+    saturates_rates: bool = setting(True, "false: the plant does not hold the body rates, so the filter does")
+    hill_rotation: bool = setting(
+        False, "the limit of the body rates is also one of rates relative to the stars"
+    )
 
-    # Actuators
-    thrust_gain: float = 0.0  # share, by which an axis gives more or less thrust at most
-    torque_gain: float = 0.0  # share, by which an axis gives more or less torque at most
-    thrust_misalignment: float = 0.0  # deg, between an axis and the thrust along it
-    minimum_thrust: float = 0.0  # N, dead-band: the thrusters give no less, so the filter asks for none
-    thrust_quantum: float = 0.0  # N, the thrusters give multiples of it, so the filter asks for these
-    health: bool = False  # the filter is told at each call what is left of each actuator
+    thrust_gain: float = setting(
+        0.0, "share, by which an axis gives more or less thrust at most", below=1, note="Actuators"
+    )
+    torque_gain: float = setting(0.0, "share, by which an axis gives more or less torque at most", below=1)
+    thrust_misalignment: float = setting(0.0, "deg, between an axis and the thrust along it", below=90)
+    minimum_thrust: float = setting(
+        0.0, "N, dead-band: the thrusters give no less, so the filter asks for none"
+    )
+    thrust_quantum: float = setting(
+        0.0, "N, the thrusters give multiples of it, so the filter asks for these"
+    )
+    health: bool = setting(False, "the filter is told at each call what is left of each actuator")
 
-    # Sensors
-    position: float = 0.0  # m
-    velocity: float = 0.0  # m/s
-    attitude: float = 0.0  # deg
-    rate: float = 0.0  # deg/s
+    position: float = setting(0.0, "m", note="Sensors")
+    velocity: float = setting(0.0, "m/s")
+    attitude: float = setting(0.0, "deg", below=90)
+    rate: float = setting(0.0, "deg/s")
 
-    # Computer
-    latency: int = 0  # calls, the state's age at most: it is predicted by the controls that were sent since
-    longest_hold: float = 0.0  # s that a control may be held, calls being missed; 0: the period
+    latency: int = setting(
+        0,
+        "calls, the state's age at most: it is predicted by the controls that were sent since",
+        most=OLDEST,
+        note="Computer",
+    )
+    longest_hold: float = setting(
+        0.0, "s that a control may be held, calls being missed; 0: the period", most=LONGEST_HOLD
+    )
 
     def __post_init__(self) -> None:
-        for field in fields(self):
-            value = getattr(self, field.name)
-            if not 0 <= value < math.inf:
-                raise ValueError(f"{field.name} = {value!r}: must be finite and not negative")
-        for name in ("mass", "inertia", "thrust_gain", "torque_gain"):
-            if getattr(self, name) >= 1:
-                raise ValueError(f"{name} = {getattr(self, name):g}: must be below 1, a share")
-        if self.thrust_misalignment >= 90 or self.attitude >= 90:
-            raise ValueError("thrust_misalignment and attitude must be below 90 deg")
-        if self.latency > OLDEST or self.longest_hold > LONGEST_HOLD:
-            raise ValueError(
-                f"latency must be at most {OLDEST} calls, longest_hold at most {LONGEST_HOLD:g} s"
-            )
+        super().__post_init__()
         if self.minimum_thrust and self.thrust_quantum:
             raise ValueError("minimum_thrust and thrust_quantum: give the one or the other")
 

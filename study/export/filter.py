@@ -9,7 +9,7 @@ from rta.printed.files import NOT_VERIFIED, write
 from study.config import Config
 from study.errors import refusing
 from study.experiment import check_chief
-from study.verified import Flown, fingerprint, reports, settings_digest, shown, verified
+from study.verified import Flown, alike, fingerprint, reports, settings_digest, shown, verified
 
 IN_C = {"double": ("python", "c"), "float": ("c-float",)}  # forms of the filter that count for it
 
@@ -36,7 +36,7 @@ def export(config: Config, directory: Path, real: str) -> str:
 def said_of(config: Config, real: str) -> str:
     """Which campaigns have flown the filter of a configuration, and what came out; in a line each."""
     own = fingerprint(config)
-    same = [each for each in reports(IN_C[real]) if fingerprint(each.config) == own]
+    same = alike(config, list(reports(IN_C[real])))
     counted = [each for each in same if each.large or not each.clean]
     lines = [of_campaign(each) for each in counted]
     if not all(each.clean for each in same):

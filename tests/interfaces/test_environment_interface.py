@@ -175,8 +175,8 @@ def test_gymnasiums_own_vector_form_takes_the_single_form():
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"num_envs": 0}, "num_envs = 0: must be a positive integer"),
-        ({"device": "gpu"}, "device = 'gpu': must be one of auto, cpu, cuda"),
+        ({"num_envs": 0}, "num_envs = 0: must be an integer, positive and at most"),
+        ({"device": "gpu"}, "device = 'gpu': must be auto, cpu or cuda"),
         ({"compile": "on"}, "compile = 'on': must be true or false"),
         ({"config": "no/such.toml"}, "no/such.toml: cannot read the configuration"),
     ],

@@ -215,7 +215,7 @@ value_coefficient -1, entropy_coefficient inf, max_grad_norm 0, initial_std 1"""
 def test_impossible_parameters_are_refused(setting: str) -> None:
     name, number = setting.split()
     value = int(number) if number.isdigit() else float(number)
-    with pytest.raises(ValueError, match=f"{name} is {value}"):
+    with pytest.raises(ValueError, match=f"{name} = {value}"):
         PPOParameters(**{name: value})
 
 

@@ -80,12 +80,12 @@ def test_numbers_that_would_spoil_every_program_are_refused(field: str, value: f
 
 @pytest.mark.parametrize("period", [0.0, -1.0, 2.0, math.nan])
 def test_other_periods_are_refused(period: float) -> None:
-    with pytest.raises(ValueError, match=r"period = .*: must be 1, 5 or 10 s"):
+    with pytest.raises(ValueError, match=r"period = .*: must be 1, 5 or 10 \(s between two calls\)"):
         RtaParameters(period=period)
 
 
 def test_unknown_solvers_are_refused_and_the_known_ones_are_used() -> None:
-    with pytest.raises(ValueError, match="qp_solver = 'simplex': must be one of auto, piqp, batched"):
+    with pytest.raises(ValueError, match="qp_solver = 'simplex': must be auto, piqp or batched"):
         RtaParameters(qp_solver="simplex")
     solvers = [type(SafetyFilter(C, RtaParameters(qp_solver=name)).solver) for name in QP_SOLVERS]
     assert solvers == [PiqpSolver, PiqpSolver, BatchedSolver]

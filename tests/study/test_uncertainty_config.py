@@ -33,7 +33,7 @@ def test_what_is_told_survives_a_round_trip_through_toml() -> None:
         ("mass = 'heavy'", ["mass", "'heavy'", "number"]),
         ("masses = 0.1", ["'masses'", "mass"]),
         ("latency = 1.5", ["latency = 1.5", "integer"]),
-        ("latency = 11", ["latency", "at most 10 calls"]),
+        ("latency = 11", ["latency", "at most 10 (calls"]),
         ("health = 1", ["health = 1", "true or false"]),
         ("minimum_thrust = 0.1\nthrust_quantum = 0.1", ["minimum_thrust", "thrust_quantum"]),
     ],

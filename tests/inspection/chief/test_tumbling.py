@@ -218,7 +218,7 @@ def test_a_run_with_a_turning_chief_goes_on_bit_for_bit() -> None:
         ({"moments": (1.0, 1.0, 3.0)}, "none above the sum"),
         ({"moments": (1e-6, 1.0, 1.0)}, "factor of 1000"),
         ({"attitude": (0.0, 0.0, 0.0, 0.0)}, "must not be zero"),
-        ({"attitude": (0.0, 0.0, math.nan, 0.0)}, "finite numbers"),
+        ({"attitude": (0.0, 0.0, math.nan, 0.0)}, "4 numbers, each finite"),
     ],
 )
 def test_what_no_chief_can_be_is_refused(given: dict, words: str) -> None:
