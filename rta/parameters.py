@@ -22,7 +22,7 @@ class RtaParameters(Settings):
 
     period: float = setting(1.0, "s between two calls", among=PERIODS)
     qp_solver: str = setting(
-        "auto", "of the quadratic programs; auto is the faster one for the batch", among=QP_SOLVERS
+        "auto", "of the quadratic programs (auto: the faster one for the batch)", among=QP_SOLVERS
     )
 
     collision_gain: float = setting(0.1, "1/s, safe separation", note="relative degree one, 1/s")

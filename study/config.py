@@ -65,7 +65,12 @@ class TrainParameters(Settings):
     jump_start: int = setting(
         0, "of these interactions, how many the guidance teaches before PPO begins; 0: none", most=MAX_COUNT
     )
-    learn_from: str = setting("desired", "from which actions, behind the filter", among=LEARN_FROM)
+    learn_from: str = setting(
+        "desired",
+        "behind the filter (the action that the agent desired, what the filter applied in its place, or the former "
+        "with a price on corrections)",
+        among=LEARN_FROM,
+    )
     adversary: tuple[str, ...] = setting(
         (), "constraints whose smallest h it lowers, in place of the task; none: the task", among=CONSTRAINTS
     )
@@ -204,7 +209,7 @@ def table_text(name: str, part: Settings) -> str:
         if isinstance(value, tuple):  # tomli_w gives each item a line
             items = [f"{key} = [{', '.join(item.partition(' = ')[2] for item in items)}]"]
         lines += ["", *wrap(own.note, 118, initial_indent="# ", subsequent_indent="# ")] if own.note else []
-        lines.append(f"{items[0]} # {own.about if isinstance(value, tuple) else own.comment}")
+        lines.append(f"{items[0]} # {own.comment}")
     return "\n".join(lines) + "\n"
 
 

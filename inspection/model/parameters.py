@@ -46,7 +46,7 @@ class Model(Settings):
         note="Orbit and translation (Sec. Dynamics, Translational Motion)",
     )
     orbit: str = setting(
-        "clohessy-wiltshire", "gravity: linear around a circular orbit, or exact", among=ORBITS
+        "clohessy-wiltshire", "gravity (linear around a circular orbit, or exact)", among=ORBITS
     )
     eccentricity: float = setting(0.0, "of the chief's orbit, which two-body may have", most=MOST_ECCENTRIC)
     sun_from_perigee: float = setting(
@@ -91,7 +91,7 @@ class Model(Settings):
 
     solar_panel_axis: str = setting(
         "-x",
-        "body axis that they face; (decision) the paper's text says +x, see docs/reference/differences.md",
+        "body axis that the solar panels face (decision: the paper's text says +x, see docs/reference/differences.md)",
         among=AXES,
         note="Energy (Sec. Dynamics, Energy)",
     )
@@ -319,7 +319,7 @@ class ChiefParameters(Settings):
     )
     collision: str = setting(
         "sphere",
-        "what to stay clear of, the sphere of chief_radius or the mesh's convex hull",
+        "what to stay clear of (the sphere of chief_radius, or the mesh's convex hull)",
         among=("sphere", "hull"),
     )
 

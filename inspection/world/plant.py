@@ -40,13 +40,13 @@ class PlantParameters(Settings):
 
     simulator: str = setting(
         "own",
-        "of the motion; docs/guides/basilisk.md is about the other one",
+        "of the motion (docs/guides/basilisk.md)",
         among=SIMULATORS,
         note="Simulator",
     )
     j2: bool = setting(False, "basilisk: the Earth is flattened")
     drag: bool = setting(False, "basilisk: there is air at the chief's height")
-    actuators: str = setting("ideal", "basilisk: real ones are wheels and pulsed thrusters", among=ACTUATORS)
+    actuators: str = setting("ideal", "of basilisk (real: wheels and pulsed thrusters)", among=ACTUATORS)
 
     mass_factor: Range = setting(1.0, "true mass / [inspection] mass", above=0, note="Body")
     inertia_factor: Range = setting(
@@ -67,7 +67,7 @@ class PlantParameters(Settings):
     )
     minimum_thrust: Range = setting(0.0, "N, dead-band: a smaller thrust of an axis is not given at all")
     thrust_quantum: Range = setting(0.0, "N, the thrust of an axis is a multiple of it, the next one")
-    failing: str = setting("none", "what fails; of thrust, torque and any one axis at random", among=FAILING)
+    failing: str = setting("none", "what fails (thrust, torque, any: one axis at random)", among=FAILING)
     failing_from: Range = setting(0.0, "s, time of the episode from which on it fails")
     failing_strength: Range = setting(0.0, "share of its strength that is left then; 0: it is dead", most=1)
 

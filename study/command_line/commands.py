@@ -1,14 +1,11 @@
 """Every command's flags, each with the setting or the parameter that it reaches.
 
-What a flag that sets something says in --help is the comment beside its setting, unless it has a text of its own here.
+What a flag that sets something says in --help is what its setting says of itself, unless it has a text of its own here.
 """
 
 import argparse
 
-from inspection.model.parameters import AXES
-from inspection.world.plant import SIMULATORS
 from kernels.build import VARIABLE
-from rta.parameters import QP_SOLVERS
 from study.command_line.flags import (
     Command,
     Flag,
@@ -24,10 +21,10 @@ from study.command_line.flags import (
     verified_policy,
     written,
 )
-from study.config import BASELINES, LEARN_FROM
+from study.config import BASELINES
 
 # of several commands
-DEVICE = Flag("--device", sets="train.device", choices=("auto", "cpu", "cuda"))
+DEVICE = Flag("--device", sets="train.device")
 CONFIG = read(
     "--config",
     "TOML file with settings, under the flags; of several, each over the one before",
@@ -39,7 +36,6 @@ PANELS = Flag(
     "--solar-panel-axis",
     "body axis that the solar panels face",
     "inspection.solar_panel_axis",
-    choices=tuple(AXES),
 )
 CACHE = Flag(
     "--cache-dir",
@@ -51,10 +47,10 @@ COMMON = (
     CONFIG,
     PERIOD,
     PANELS,
-    Flag("--compile", sets="train.compile", choices=("auto", "on", "off")),
+    Flag("--compile", sets="train.compile"),
     CACHE,
     DEVICE,
-    Flag("--qp-solver", sets="rta.qp_solver", choices=QP_SOLVERS),
+    Flag("--qp-solver", sets="rta.qp_solver"),
 )
 THREADS = count(
     "--threads",
@@ -64,15 +60,9 @@ THREADS = count(
 RTA = Flag("--rta", sets="train.rta", action=argparse.BooleanOptionalAction)
 FLOWN_RTA = RTA.saying(f"{RTA.text} (default: {{}}; with --checkpoint as it was trained)")
 INTERACTIONS = count("--interactions", sets="train.interactions")
-PLANT = Flag("--plant", sets="plant.simulator", choices=SIMULATORS)
+PLANT = Flag("--plant", sets="plant.simulator")
 NUM_ENVS = count("--num-envs", sets="train.num_envs")
-LEARN = Flag(
-    "--learn-from",
-    "behind the filter: the action that the agent desired, what the filter applied in its place, or the former with a "
-    "price on corrections",
-    "train.learn_from",
-    choices=LEARN_FROM,
-)
+LEARN = Flag("--learn-from", sets="train.learn_from")
 DURATION = count("--duration", "whole seconds of each episode", metavar="S")
 EVERYTHING = seed("of everything random")
 REPORT = written(".json", "--json", "write the report there, and continue the one it holds")

@@ -7,8 +7,9 @@ from typing import Any, NoReturn
 
 from rta.constraints.constraint import CONSTRAINTS
 from rta.parameters import PERIODS
+from settings import Setting, Settings, settings
 from study.commands import FILES
-from study.config import ARMS, MAX_COUNT, StudyConfig, comments
+from study.config import ARMS, MAX_COUNT, StudyConfig
 from study.errors import in_one_line
 
 
@@ -96,12 +97,10 @@ def verified_policy(text: str) -> str:
     return text
 
 
-def beside_setting(name: str) -> str:
-    """The comment beside a setting, "table.key"; empty where there is no such setting or no source."""
+def setting_of(name: str) -> Setting:
+    """What a setting, "table.key", says of itself; nothing where there is none."""
     table, _, key = name.partition(".")
-    of: type = type(vars(StudyConfig()).get(table))
-    _, comment = comments(of).get(key, ([], ""))
-    return comment.removeprefix("# ").replace("%", "%%")
+    return settings(type(getattr(StudyConfig(), table, Settings()))).get(key, Setting(""))
 
 
 class Flag:
@@ -109,13 +108,13 @@ class Flag:
 
     Args:
         name: as it is written; without dashes it is a positional argument.
-        text: of --help, which goes on with the default, unless the text has it or a {} for it; without one, the comment
-            beside the setting.
+        text: of --help, which goes on with the default, unless the text has it or a {} for it; without one, what the
+            setting says of itself.
         sets: the setting it reaches, as "table.key"; without one, the parameter of the command's function by its name.
         alone: what it names, if that holds all settings, so that no other flag is allowed beside it but those `beside`.
         without: flags that mean nothing beside it.
         reads: it names a file that is read; writes: the suffix of one that is written.
-        options: what else `add_argument` takes: type, choices, metavar, ...
+        options: what else `add_argument` takes: type, metavar, ...; without a type its choices are the setting's.
     """
 
     def __init__(
@@ -130,7 +129,10 @@ class Flag:
         writes: str = "",
         **options: Any,
     ) -> None:
-        self.name, self.text = name, text or beside_setting(sets)
+        own = setting_of(sets)
+        if own.among and "type" not in options:
+            options = {"choices": tuple(own.among)} | options
+        self.name, self.text = name, text or own.comment.replace("%", "%%")
         self.alone, self.beside, self.options = alone, beside, options
         self.reads, self.writes, self.without = reads, writes, without
         self.dest = sets or name.removeprefix("--").replace("-", "_")
