@@ -16,6 +16,7 @@ import main
 ROOT = Path(main.__file__).parent
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
 PACKAGES = PROJECT["tool"]["setuptools"]["packages"]
+MODULES = PROJECT["tool"]["setuptools"]["py-modules"]
 SHIPPED = ROOT / "runs" / "reference" / "study" / "rta" / "seed0" / "policy.pt"
 
 # What follows a page's program: the packages are those installed, and a shipped agent can be loaded.
@@ -55,7 +56,15 @@ def test_a_wheel_works_from_an_empty_directory(tmp_path: Path) -> None:
     source, empty, home = tmp_path / "source", tmp_path / "empty", tmp_path / "environment"
     source.mkdir()
     empty.mkdir()
-    listed = command("git", "ls-files", "-co", "--exclude-standard", *PACKAGES, cwd=ROOT).splitlines()
+    listed = command(
+        "git",
+        "ls-files",
+        "-co",
+        "--exclude-standard",
+        *PACKAGES,
+        *(f"{name}.py" for name in MODULES),
+        cwd=ROOT,
+    ).splitlines()
     for name in ("pyproject.toml", "README.md", *listed):
         if (ROOT / name).is_file():
             (source / name).parent.mkdir(parents=True, exist_ok=True)
@@ -82,7 +91,10 @@ def test_a_wheel_works_from_an_empty_directory(tmp_path: Path) -> None:
 
 
 def modules() -> list[Path]:
-    return [path for package in PACKAGES for path in sorted((ROOT / package.replace(".", "/")).glob("*.py"))]
+    alone = [ROOT / f"{name}.py" for name in MODULES]
+    return alone + [
+        path for package in PACKAGES for path in sorted((ROOT / package.replace(".", "/")).glob("*.py"))
+    ]
 
 
 def test_every_package_is_listed() -> None:
@@ -109,7 +121,7 @@ def test_every_import_is_declared() -> None:
                 imported |= {alias.name.split(".")[0] for alias in node.names}
             elif isinstance(node, ast.ImportFrom):
                 imported.add(str(node.module).split(".")[0])
-    own = {package.split(".")[0] for package in PACKAGES}
+    own = {package.split(".")[0] for package in (*PACKAGES, *MODULES)}
     lacking = imported - own - sys.stdlib_module_names - set(declared())
     assert not lacking
     assert {"torch", "piqp", "gymnasium", "markupsafe"} <= imported

@@ -100,7 +100,8 @@ def verified_policy(text: str) -> str:
 def setting_of(name: str) -> Setting:
     """What a setting, "table.key", says of itself; nothing where there is none."""
     table, _, key = name.partition(".")
-    return settings(type(getattr(StudyConfig(), table, Settings()))).get(key, Setting(""))
+    part: Settings = getattr(StudyConfig(), table, Settings())
+    return settings(type(part)).get(key, Setting(""))
 
 
 class Flag:
