@@ -31,9 +31,7 @@ class PPOParameters(Settings):
         0.97, "GAE's lambda: 0 trusts the value network, 1 the observed returns", most=1
     )
     epochs: int = setting(4, "passes over each batch", above=0)
-    minibatch_size: int = setting(
-        1024, "samples of a gradient step, per seed; the largest allowed, see PPO.update", least=2
-    )
+    minibatch_size: int = setting(1024, "largest number of samples of a gradient step, per seed", least=2)
     learning_rate: float = setting(
         3e-4, "Adam's step size at the start, annealed linearly to 0 at the end", above=0
     )

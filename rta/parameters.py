@@ -20,9 +20,9 @@ class RtaParameters(Settings):
     own rounding, and for passive safety the shift of the closest time).
     """
 
-    period: float = setting(1.0, "s between two calls", among=PERIODS)
+    period: float = setting(1.0, "s between two calls of the filter", among=PERIODS)
     qp_solver: str = setting(
-        "auto", "of the quadratic programs (auto: the faster one for the batch)", among=QP_SOLVERS
+        "auto", "of the quadratic programs (auto: the faster one for device and batch)", among=QP_SOLVERS
     )
 
     collision_gain: float = setting(0.1, "1/s, safe separation", note="relative degree one, 1/s")

@@ -40,7 +40,7 @@ class PlantParameters(Settings):
 
     simulator: str = setting(
         "own",
-        "of the motion (docs/guides/basilisk.md)",
+        "of the motion, basilisk where it is installed (docs/guides/basilisk.md)",
         among=SIMULATORS,
         note="Simulator",
     )

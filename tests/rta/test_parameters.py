@@ -80,7 +80,9 @@ def test_numbers_that_would_spoil_every_program_are_refused(field: str, value: f
 
 @pytest.mark.parametrize("period", [0.0, -1.0, 2.0, math.nan])
 def test_other_periods_are_refused(period: float) -> None:
-    with pytest.raises(ValueError, match=r"period = .*: must be 1, 5 or 10 \(s between two calls\)"):
+    with pytest.raises(
+        ValueError, match=r"period = .*: must be 1, 5 or 10 \(s between two calls of the filter\)"
+    ):
         RtaParameters(period=period)
 
 
