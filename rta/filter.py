@@ -16,7 +16,7 @@ from inspection.model.parameters import InspectionParameters
 from inspection.model.state import CONTROL_SIZE, SIZE, THRUST, TORQUE, P, Q
 from kernels import Compiled, NoCompilerError
 from kernels.build import say
-from rta.bounds.health import turning
+from rta.bounds.health import slewing
 from rta.bounds.uncertainty import NOTHING, Uncertainty
 from rta.conditions.held_rows import KINDS, HeldGroup, predicted
 from rta.conditions.rows import ActuatorGroup, Rows
@@ -154,7 +154,7 @@ class SafetyFilter:
     def is_in_safe_set(self, x: Tensor) -> Tensor:
         """(B,) bool: every h and every Psi_1 is non-negative."""
         thrust, torque = self.groups
-        inside = (self.values(x) >= 0.0).all(0) & thrust.holds(x, degree=2) & torque.holds(x, degree=2)
+        inside = (self.values(x) >= 0.0).all(0) & thrust.keeps(x, degree=2) & torque.keeps(x, degree=2)
         return narrowed(inside, x, self.is_holdable) if self.holds else inside
 
     def is_holdable(self, x: Tensor) -> Tensor:
@@ -206,12 +206,12 @@ class SafetyFilter:
         x, u = self.probe(device)
         if not self.holds:
             return [Compiled(self.prepare, x, u, batch=batch, trace_only=trace_only)]
-        spread = torch.zeros_like(x[:KINDS])
+        error_bound = torch.zeros_like(x[:KINDS])
         examples: list[tuple[Callable[..., list[Tensor]], tuple[Tensor, ...]]] = [
-            (run, (x, u, spread, torch.ones_like(u))) for run in self._uncompiled_held()
+            (run, (x, u, error_bound, torch.ones_like(u))) for run in self._uncompiled_held()
         ]
         if self.known.latency:
-            examples.append((self.predict, (x, spread, u)))
+            examples.append((self.predict, (x, error_bound, u)))
         return [Compiled(run, *given, batch=batch, trace_only=trace_only) for run, given in examples]
 
     def _uncompiled_held(self) -> list[Callable[..., list[Tensor]]]:
@@ -254,8 +254,8 @@ class SafetyFilter:
         """The conditions on thrust and on torque at states (16, B), as tangents at controls (6, B), None: at zero."""
         control = torch.zeros_like(x[:CONTROL_SIZE]) if control is None else control
         if self.holds:
-            spread, left = torch.zeros_like(x[:KINDS]), torch.ones_like(control)
-            thrust, torque = (Prepared(*run(x, control, spread, left)) for run in self._prepare_held)
+            error_bound, left = torch.zeros_like(x[:KINDS]), torch.ones_like(control)
+            thrust, torque = (Prepared(*run(x, control, error_bound, left)) for run in self._prepare_held)
         else:
             thrust, torque = self._prepared(x, control)
         return Rows(*thrust[:ROW_FIELDS]), Rows(*torque[:ROW_FIELDS])
@@ -268,7 +268,7 @@ class SafetyFilter:
         return parts
 
     def prepare_held(
-        self, group: HeldGroup, x: Tensor, control: Tensor, spread: Tensor, left: Tensor
+        self, group: HeldGroup, x: Tensor, control: Tensor, error_bound: Tensor, left: Tensor
     ) -> list[Tensor]:
         """`Prepared` for one group, of its rows at controls (6, B); see `HeldGroup.conditions_at`.
 
@@ -278,13 +278,15 @@ class SafetyFilter:
         there = group.limit * left[group.controls]
         return list(
             scaled(
-                group.tangents(x, left * control, spread, there), control[group.controls] / group.limit, there
+                group.tangents(x, left * control, error_bound, there),
+                control[group.controls] / group.limit,
+                there,
             )
         )
 
-    def predict(self, x: Tensor, spread: Tensor, u: Tensor) -> list[Tensor]:
+    def predict(self, x: Tensor, error_bound: Tensor, u: Tensor) -> list[Tensor]:
         """`predicted` by this filter's model, of states (16, B) and (4, B) under controls (6, B)."""
-        return list(predicted(x, spread, u, self.c, self.parameters, self.known))
+        return list(predicted(x, error_bound, u, self.c, self.parameters, self.known))
 
     def _prepared(self, x: Tensor, desired: Tensor) -> tuple[Prepared, Prepared]:
         parts = self._prepare(x, desired)
@@ -406,40 +408,48 @@ class SafetyFilter:
         known, sent = self.known, x.new_zeros(0, *control.shape) if sent is None else sent
         stale = (~sent.isnan().any(1)).sum(0) > known.latency
         left = torch.ones_like(control) if left is None or not known.health else left
-        spread = torch.zeros_like(x[:KINDS])
+        error_bound = torch.zeros_like(x[:KINDS])
         for u in sent:
-            x, spread = self._predict(x, spread, left * u)
+            x, error_bound = self._predict(x, error_bound, left * u)
         asked = control.clone()
         control[THRUST] = known.given(control[THRUST], self.c.max_thrust)
         if known.health:
-            control[TORQUE] = turning(x, control[TORQUE], left, self.c, self.parameters, known)
+            control[TORQUE] = slewing(x, control[TORQUE], left, self.c, self.parameters, known)
         changed = torch.stack([(control != asked)[each.controls].any(0) for each in self.groups])
         program_status = torch.where(changed, Status.HARD, program_status)
         parts: dict[int, list[Tensor]] = {}
         for i in (1, 0):
             group, run = self.held_groups[i], self._prepare_held[i]
             near = group.near(x, control)
-            prepared = Prepared(*run(x, near, spread, left))
+            prepared = Prepared(*run(x, near, error_bound, left))
             active, slack = torch.zeros_like(prepared.h, dtype=torch.bool), torch.zeros_like(prepared.h)
             unsafe = torch.nonzero(~(prepared.lowest[0] >= 0.0) | (near != control).any(0)).flatten()
             if unsafe.numel():
-                given = [pick(part, unsafe) for part in (x, control, spread, left)]
+                given = [pick(part, unsafe) for part in (x, control, error_bound, left)]
                 tangents = Prepared(*(pick(part, unsafe) for part in prepared))
                 answer = Settling(group, run, self.solver, given).search(tangents)
                 wholes = control[group.controls], program_status[i], active, slack
                 for whole, part in zip(wholes, answer, strict=True):
                     put(whole, unsafe, part)
-            doubt = group.by_constraint(prepared.doubt, partial(torch.amax, dim=0))
-            parts[i] = [active, slack, prepared.h, doubt]
+            tightening = group.by_constraint(prepared.tightening, partial(torch.amax, dim=0))
+            parts[i] = [active, slack, prepared.h, tightening]
         program_status = torch.where(stale, Status.UNSOLVED, program_status)
         status = program_status.amax(0)
         ordered = parts[0], parts[1]
-        active, slack, h, doubt = (joined(*both) for both in zip(*ordered, strict=True))
+        active, slack, h, tightening = (joined(*both) for both in zip(*ordered, strict=True))
         tightened = joined(
             *(group.tightened(own[-1]) for group, own in zip(self.held_groups, ordered, strict=True))
         )
         return FilterResult(
-            control, status > Status.UNTOUCHED, active, slack, status, program_status, h, doubt, tightened
+            control,
+            status > Status.UNTOUCHED,
+            active,
+            slack,
+            status,
+            program_status,
+            h,
+            tightening,
+            tightened,
         )
 
     def _solved(
@@ -453,11 +463,11 @@ class SafetyFilter:
         return answer.control * group.limit, answer.status, active, slack
 
 
-def narrowed(chosen: Tensor, x: Tensor, holds: Callable[[Tensor], Tensor]) -> Tensor:
-    """Clears `chosen` (B,) where `holds` denies it, which is asked of the chosen columns of states (16, B) only."""
+def narrowed(chosen: Tensor, x: Tensor, accepts: Callable[[Tensor], Tensor]) -> Tensor:
+    """Clears `chosen` (B,) where `accepts` denies it, which is asked of the chosen columns of states (16, B) only."""
     columns = torch.nonzero(chosen).flatten()
     if columns.numel():
-        put(chosen, columns, holds(pick(x, columns)))
+        put(chosen, columns, accepts(pick(x, columns)))
     return chosen
 
 

@@ -118,7 +118,7 @@ def read(mesh: str) -> dict[str, np.ndarray]:
     return known
 
 
-def spread(triangles: Tensor, count: int) -> tuple[Tensor, Tensor, Tensor]:
+def sampled(triangles: Tensor, count: int) -> tuple[Tensor, Tensor, Tensor]:
     """`count` points (3, N) evenly over the triangles (F, 3, 3), with normals (3, N) and equal areas (N,)."""
     origin, *edges = triangles[:, 0].T, *((triangles[:, k] - triangles[:, 0]).T for k in (1, 2))
     normals = torch.linalg.cross(*edges, dim=0)

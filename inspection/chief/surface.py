@@ -23,7 +23,7 @@ from inspection.chief.mesh import (
     path_of,
     pinned,
     read,
-    spread,
+    sampled,
 )
 from inspection.chief.points import fibonacci_sphere
 from inspection.model.attitude import body_axis, conjugate, dot, norm, rotate, unit
@@ -75,7 +75,7 @@ def of_mesh(mesh: str, count: int, largest: float) -> Surface:
             raise ValueError(f"{path_of(mesh)}: areas must not be negative or all zero, normals not zero")
     else:
         check_winding(triangles, path_of(mesh))
-        points, normals, areas = spread(triangles, count)
+        points, normals, areas = sampled(triangles, count)
     reach = max(float(norm(each).max()) for each in (points, triangles.flatten(0, 1).T) if each.numel())
     if not reach <= largest:
         raise ValueError(

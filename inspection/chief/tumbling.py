@@ -9,7 +9,7 @@ from torch import Tensor
 from inspection.model.attitude import quaternion_rate, rate_in_hill, unit
 from inspection.model.draws import hashed, isotropic, key_of, shoemake
 from inspection.model.dynamics import euler
-from inspection.model.orbit import sun_angle_after, turning
+from inspection.model.orbit import orbit_rate, sun_angle_after
 from inspection.model.parameters import ChiefParameters, InspectionParameters
 from inspection.model.rk4 import rk4_step
 
@@ -49,7 +49,7 @@ class Tumbling:
         p, c = self.parameters, self.c
         given = math.radians(max(p.largest_rate, math.hypot(*p.rate)))
         own = given * math.sqrt(max(p.moments) / min(p.moments))
-        return own + (c.fastest_turning if p.turns and c.hill_rotation else 0.0)
+        return own + (c.fastest_orbit_rate if p.turns and c.hill_rotation else 0.0)
 
     @property
     def attitude(self) -> Tensor:
@@ -81,7 +81,7 @@ class Tumbling:
         seconds = time - motion[TIME]
         steps = math.ceil(float(seconds.abs().max()) * self.fastest / ANGLE)
         middle = sun_angle_after(theta_s, -seconds / 2, self.c)  # where Hill's frame turns as in the mean
-        turns = turning(middle, self.c) if self.c.hill_rotation else None
+        turns = orbit_rate(middle, self.c) if self.c.hill_rotation else None
         y = motion[: RATE.stop]
         for _ in range(steps):
             y = self.step(y, seconds / steps, turns)

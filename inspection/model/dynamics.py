@@ -17,7 +17,7 @@ from inspection.model.attitude import (
     turned,
     unit,
 )
-from inspection.model.orbit import natural_acceleration, turning
+from inspection.model.orbit import natural_acceleration, orbit_rate
 from inspection.model.parameters import AXES, InspectionParameters
 from inspection.model.rk4 import rk4_step
 from inspection.model.state import CONTROL_SIZE, OMEGA, THETA_S, THRUST, TORQUE, P, Q, T, V
@@ -66,7 +66,7 @@ def euler(omega: Any, inertia: Any) -> tuple[Any, Any, Any]:
 
 def attitude_rate(x: Components, turns: bool, c: InspectionParameters) -> tuple[Tensor, ...]:
     """The components of dq/dt, from those of x; `turns`: omega is relative to the stars, not to Hill's frame."""
-    omega = rate_in_hill(x[Q], x[OMEGA], turning(x[THETA_S], c)) if turns else x[OMEGA]
+    omega = rate_in_hill(x[Q], x[OMEGA], orbit_rate(x[THETA_S], c)) if turns else x[OMEGA]
     return quaternion_rate(x[Q], omega)
 
 
@@ -114,7 +114,7 @@ def natural_rates(x: Components, c: InspectionParameters) -> list[Tensor]:
         *attitude_rate(x, c.hill_rotation, c),
         *euler(omega, c.inertia),
         *resource_rates(x, c),
-        -turning(theta_s, c),
+        -orbit_rate(theta_s, c),
     ]
 
 

@@ -25,12 +25,12 @@ class Chief(NamedTuple):
 
     Attributes:
         radius: m from the Earth's centre; climb: m/s, its rate.
-        turning: rad/s about z, of Hill's frame; quickening: rad/s^2, its rate.
+        rate: rad/s about z, of Hill's frame; quickening: rad/s^2, its rate.
     """
 
     radius: Tensor
     climb: Tensor
-    turning: Tensor
+    rate: Tensor
     quickening: Tensor
 
 
@@ -41,20 +41,20 @@ def chief_at(theta_s: Tensor, c: InspectionParameters) -> Chief:
     speed = math.sqrt(c.gravitational_parameter / parameter)  # m/s
     radius = parameter / (1 + e * f.cos())
     climb = speed * e * f.sin()
-    turning = parameter * speed / radius**2
-    return Chief(radius, climb, turning, -2 * turning * climb / radius)
+    rate = parameter * speed / radius**2
+    return Chief(radius, climb, rate, -2 * rate * climb / radius)
 
 
-def turning(theta_s: Tensor, c: InspectionParameters) -> Tensor:
+def orbit_rate(theta_s: Tensor, c: InspectionParameters) -> Tensor:
     """rad/s about z, of Hill's frame, from the Sun's angle (...) in rad."""
-    return torch.full_like(theta_s, c.mean_motion) if c.is_circular else chief_at(theta_s, c).turning
+    return torch.full_like(theta_s, c.mean_motion) if c.is_circular else chief_at(theta_s, c).rate
 
 
 def sun_angle_after(theta_s: Tensor, seconds: Tensor | float, c: InspectionParameters) -> Tensor:
     """The Sun's angle (...) in rad so many s later; by one RK4 step where the orbit is none of a circle."""
     if c.is_circular:
         return theta_s - c.mean_motion * seconds
-    (after,) = rk4_step(lambda theta: [-turning(theta[0], c)], [theta_s], seconds)
+    (after,) = rk4_step(lambda theta: [-orbit_rate(theta[0], c)], [theta_s], seconds)
     return after
 
 
@@ -76,7 +76,7 @@ def two_body(p: Components, v: Components, chief: Chief, mu: float) -> Vector:
     The difference of two nearly equal attractions, mu r_c / r^3 - mu (r_c + p) / |r_c + p|^3, is in Battin's form:
     with 1 + q = |r_c + p|^2 / r^2 it is mu / r^3 ((r_c + p) (1 - (1 + q)^(-3/2)) - p).
     """
-    (x, y, z), r, w = p, chief.radius, chief.turning
+    (x, y, z), r, w = p, chief.radius, chief.rate
     q = (2 * r * x + x**2 + y**2 + z**2) / r**2
     weaker = -(-1.5 * q.log1p()).expm1()
     k = mu / r**3
@@ -122,8 +122,8 @@ def kepler_flight(p: Tensor, v: Tensor, chief: Chief, t: Tensor, mu: float) -> T
     """
     zero = torch.zeros_like(chief.radius)
     chief_r = torch.stack((chief.radius, zero, zero))
-    chief_v = torch.stack((chief.climb, chief.radius * chief.turning, zero))
-    across = torch.stack((-chief.turning * p[1], chief.turning * p[0], torch.zeros_like(p[0])))  # w x p
+    chief_v = torch.stack((chief.climb, chief.radius * chief.rate, zero))
+    across = torch.stack((-chief.rate * p[1], chief.rate * p[0], torch.zeros_like(p[0])))  # w x p
     chief_then = kepler(chief_r, chief_v, t, mu)
     x, y, z = kepler(chief_r + p, chief_v + v + across, t, mu) - chief_then
     radius = torch.hypot(chief_then[0], chief_then[1])

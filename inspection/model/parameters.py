@@ -138,11 +138,11 @@ class Model(Settings):
         tide = self.gravitational_parameter / perigee**3
         quickening = 2 * e * tide  # (mu / r^3) 2 e sin f, at most
         beyond = 3 * tide * distance / (perigee - 3 * distance)
-        turning = self.fastest_turning
-        return (2 * tide + turning**2 + quickening + beyond) * distance + 2 * turning * speed
+        rate = self.fastest_orbit_rate
+        return (2 * tide + rate**2 + quickening + beyond) * distance + 2 * rate * speed
 
     @property
-    def fastest_turning(self) -> float:
+    def fastest_orbit_rate(self) -> float:
         """Of Hill's frame in rad/s, at perigee."""
         e = self.eccentricity
         return self.mean_motion * ((1 + e) / (1 - e) ** 3) ** 0.5

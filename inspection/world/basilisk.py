@@ -381,9 +381,9 @@ def crossed(a: ndarray, b: ndarray) -> ndarray:
 def chief_in_space(theta_s: Tensor, c: InspectionParameters) -> ndarray:
     """The chief's position and velocity (6, k) where the Sun's angle (k,) has it: the Sun is along the inertial x."""
     chief = chief_at(theta_s, c)
-    radius, climb, turning = (part.cpu().numpy() for part in (chief.radius, chief.climb, chief.turning))
+    radius, climb, rate = (part.cpu().numpy() for part in (chief.radius, chief.climb, chief.rate))
     zero = 0.0 * radius
     angles = np.stack((-theta_s.cpu().numpy(), np.full_like(zero, INCLINATION)), 1)
     axes = Rotation.from_euler("zx", angles)  # first along the orbit, then with its plane
     r = axes.apply(np.stack((radius, zero, zero), 1))
-    return np.concatenate((r, axes.apply(np.stack((climb, radius * turning, zero), 1))), 1).T
+    return np.concatenate((r, axes.apply(np.stack((climb, radius * rate, zero), 1))), 1).T

@@ -15,7 +15,7 @@ from torch import Tensor
 from inspection.model.attitude import rate_in_hill, turned_by
 from inspection.model.draws import hashed, isotropic, key_of
 from inspection.model.dynamics import Body, integrate
-from inspection.model.orbit import turning
+from inspection.model.orbit import orbit_rate
 from inspection.model.parameters import InspectionParameters
 from inspection.model.state import CONTROL_SIZE, CONTROLS, OMEGA, SIZE, THETA_S, THRUST, TORQUE, P, Q, V
 from settings import Settings, setting
@@ -339,7 +339,7 @@ class Plant:
         seen[Q] = turned_by(x[Q], error[6:9])
         seen[OMEGA] += error[9:12]
         if self.turns and not self.c.hill_rotation:  # which the model does not know
-            turns = turning(x[THETA_S], self.c)
+            turns = orbit_rate(x[THETA_S], self.c)
             seen[OMEGA] = torch.stack(rate_in_hill(seen[Q], seen[OMEGA], turns))
         return seen
 

@@ -23,7 +23,7 @@ TURNS = 24  # of them about each axis, up to half a turn
 NEAR = math.sin(STEP)  # of the radius, along axes that give nothing, which is left as it is
 
 
-def turning(
+def slewing(
     x: Tensor, torque: Tensor, left: Tensor, c: InspectionParameters, r: RtaParameters, known: Uncertainty
 ) -> Tensor:
     """The torque (3, B) in N m to be filtered in the place of that which is asked for.

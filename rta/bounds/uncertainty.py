@@ -177,7 +177,7 @@ class Uncertainty(Settings):
 
     def unknown_turning(self, c: InspectionParameters) -> float:
         """rad/s, of Hill's frame at perigee, where the model leaves it out."""
-        return c.fastest_turning if self.hill_rotation and not c.hill_rotation else 0.0
+        return c.fastest_orbit_rate if self.hill_rotation and not c.hill_rotation else 0.0
 
     @property
     def is_coarse(self) -> bool:

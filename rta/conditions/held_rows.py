@@ -37,7 +37,7 @@ from torch import Tensor
 
 from inspection.model.attitude import norm, quaternion_rate, rotation_matrix
 from inspection.model.dynamics import step
-from inspection.model.orbit import turning
+from inspection.model.orbit import orbit_rate
 from inspection.model.parameters import InspectionParameters
 from inspection.model.state import CONTROL_SIZE, OMEGA, THETA_S, THRUST, TORQUE, P, Q, V
 from rta.bounds.uncertainty import Uncertainty
@@ -83,7 +83,7 @@ class HeldGroup(ActuatorGroup):
         ]
         bounds = (known.position, known.velocity, math.radians(known.attitude), math.radians(known.rate))
         self.measured = bounds
-        self.doubts = any(self.measured) or known.latency > 0
+        self.tightenings = any(self.measured) or known.latency > 0
 
     def near(self, x: Tensor, control: Tensor) -> Tensor:
         """Controls (6, B) with torque that keeps the rates within their limits over the hold, near which tangents help.
@@ -102,26 +102,26 @@ class HeldGroup(ActuatorGroup):
         """How many rows a constraint has."""
         return each.rows * len(self.moments)
 
-    def tangents(self, x: Tensor, control: Tensor, spread: Tensor, limit: Tensor) -> Rows:
+    def tangents(self, x: Tensor, control: Tensor, error_bound: Tensor, limit: Tensor) -> Rows:
         """The tangents at states (16, B) and controls (6, B); see `conditions_at` and `attainable`."""
-        return self.joined(partial(self.conditions_at, x, control, spread), limit)
+        return self.joined(partial(self.conditions_at, x, control, error_bound), limit)
 
     def conditions_at(
         self,
         x: Tensor,
         control: Tensor,
-        spread: Tensor,
+        error_bound: Tensor,
         constraints: Sequence[Constraint],
         coupled: bool,
     ) -> Rows:
         """The tangents of the condition at states (16, B) and controls (6, B), see the module.
 
         Args:
-            spread: (4, B) by how far the state is off beyond its measurement, in any direction: of position, velocity,
-                attitude and rates in m, m/s, rad, rad/s.
+            error_bound: (4, B) by how far the state is off beyond its measurement, in any direction: of position,
+                velocity, attitude and rates in m, m/s, rad, rad/s.
         """
         own = slice(0, CONTROL_SIZE) if coupled else self.controls
-        psi, sag, by_x, by_u, u_there = self.after(x, control, constraints, own, coupled)
+        psi, curvature, by_x, by_u, u_there = self.after(x, control, constraints, own, coupled)
         before, later = psi[0], psi[1:]  # (moments, R, B)
         t = x.new_tensor(self.moments)[:, None, None]
         rate, slope = (later - before) / t, by_u[1:] / t[..., None]
@@ -136,32 +136,32 @@ class HeldGroup(ActuatorGroup):
             loss = loss + total(worst, 2)
             u, slope, u_there = (part[..., self.controls, :] for part in (u, slope, u_there))
         length = total(slope * slope, 2).sqrt()
-        doubt = length * self.push
+        tightening = length * self.push
         blur = torch.zeros_like(before)
-        if self.doubts:
-            blur = self.off(by_x[0], spread, coupled)
-            doubt = doubt + self.off((by_x[1:] - by_x[0]) / t[..., None], spread, coupled)
+        if self.tightenings:
+            blur = self.off(by_x[0], error_bound, coupled)
+            tightening = tightening + self.off((by_x[1:] - by_x[0]) / t[..., None], error_bound, coupled)
         # the input's error, as a tangent: |u_j| rises with the sign of u_j, from zero with that which helps
         sign = torch.where(u == 0.0, slope.sign(), u.sign())
         weight = torch.where(slope * sign > 0.0, self.less, self.more) * slope.abs()
         if self.held_by == "thrust":
             across = (length[:, :, None] ** 2 - slope**2).clamp(min=0.0).sqrt()
-            angle = self.angle_at_rest + spread[2] + spread[3] * self.moments[-1] / 2
+            angle = self.angle_at_rest + error_bound[2] + error_bound[3] * self.moments[-1] / 2
             weight = weight + self.most * angle * (across + angle / 2 * slope.abs())  # sin and 1 - cos
             bulge = t.new_tensor(self.bulge)[:, None, None]
             between = bulge * length * (max(self.less, self.more) + self.most * angle)
             weight = weight + between[:, :, None]
         tangent = slope - weight * sign
-        doubt_now = doubt + total(weight * u.abs(), 2)
+        tightening_now = tightening + total(weight * u.abs(), 2)
 
         rows = [each for each in constraints for _ in range(each.rows)]
         gain, margin, inside = self.alpha(before, rows)
-        # between two moments psi is at least the parabola through both that hangs by its sag; it is not negative if
-        # the sum of both is at least 4 times that
-        off = torch.cat((blur[None], blur + (doubt_now * t)[:-1]))  # where a gap begins
+        # between two moments psi is at least the parabola through both that hangs by its curvature; it is not negative
+        # if the sum of both is at least 4 times that
+        off = torch.cat((blur[None], blur + (tightening_now * t)[:-1]))  # where a gap begins
         least = (1.0 - gain * t) * (before - blur)
-        loss = loss + (4.0 * sag - (psi[:-1] - off) - least).clamp(min=0.0) / t
-        at_zero = rate - total(slope * u_there, 2) - loss - doubt - gain * blur
+        loss = loss + (4.0 * curvature - (psi[:-1] - off) - least).clamp(min=0.0) / t
+        at_zero = rate - total(slope * u_there, 2) - loss - tightening - gain * blur
         b = at_zero + gain * (before - margin)
         b_bare = at_zero + gain * (before + inside)
         h = self.reported(x, constraints, before)
@@ -176,16 +176,16 @@ class HeldGroup(ActuatorGroup):
             by_row(b),
             by_row(b_bare),
             h,
-            by_row(doubt_now + gain * blur),
+            by_row(tightening_now + gain * blur),
         )
 
-    def tightened(self, doubt: Tensor) -> Tensor:
-        """By constraint, the psi (or h, where the relative degree is two) at which alpha(psi) is the doubt (k, B).
+    def tightened(self, tightening: Tensor) -> Tensor:
+        """By constraint, the psi (or h, where the relative degree is two) at which alpha(psi) is the tightening (k, B).
 
-        With doubling d, y + y^3 = doubt / (gain d) for y = psi / d has the root 2 / sqrt(3) sinh(asinh(..) / 3).
+        With doubling d, y + y^3 = tightening / (gain d) for y = psi / d has the root 2 / sqrt(3) sinh(asinh(..) / 3).
         """
         values = []
-        for each, own in zip(self.constraints, doubt, strict=True):
+        for each, own in zip(self.constraints, tightening, strict=True):
             gain, d = self.gain(each.gains[-1]), each.doubling
             psi = own / gain
             if d < math.inf:
@@ -232,12 +232,12 @@ class HeldGroup(ActuatorGroup):
             (1 + moments, R, D, B) by the D of `directions` and (1 + moments, R, m, B).
         """
         start, y = self.psi_at(x, constraints), x
-        if self.doubts:
+        if self.tightenings:
             before, by_x = self.differentiated(start, x, coupled)
         else:
             before = start(x)
             by_x = before.new_zeros(len(before), 0, before.shape[1])
-        values, sags, slopes_x, slopes_u = [before], [], [by_x], []
+        values, curvatures, slopes_x, slopes_u = [before], [], [by_x], []
         turned = once = x.new_zeros(3, 3, x.shape[1])  # the integrals of R and of s R over the hold so far
         earlier = 0.0
         for moment in self.moments:
@@ -248,22 +248,22 @@ class HeldGroup(ActuatorGroup):
             value, by_end = self.differentiated(psi, end, coupled)
             if constraints[0].later is None:
                 hanging = self.psi_at(middle, constraints, x, moment - gap / 2)(middle)
-                sags.append(((values[-1] + value) / 2 - hanging).clamp(min=0.0))
+                curvatures.append(((values[-1] + value) / 2 - hanging).clamp(min=0.0))
             else:
-                sags.append(torch.zeros_like(value))
+                curvatures.append(torch.zeros_like(value))
             first, second, third = (rotation_matrix(part[Q]) for part in (y, middle, end))  # Simpson's rule
             turned = turned + gap / 6 * (first + 4.0 * second + third)
             half = earlier + gap / 2
             once = once + gap / 6 * (earlier * first + 4.0 * half * second + moment * third)
             to_end = third.transpose(0, 1)
             maps = Maps(x, moment, turned, once, to_end, self.c)
-            slopes_x.append(maps.by_state(by_end, self.held_by, coupled) if self.doubts else by_x)
+            slopes_x.append(maps.by_state(by_end, self.held_by, coupled) if self.tightenings else by_x)
             slopes_u.append(maps.by_control(by_end, self.held_by, coupled))
             values.append(value)
             y, earlier = end, moment
         return (
             torch.stack(values),
-            torch.stack(sags),
+            torch.stack(curvatures),
             torch.stack(slopes_x),
             torch.stack([torch.zeros_like(slopes_u[0]), *slopes_u]),
         )
@@ -283,14 +283,14 @@ class HeldGroup(ActuatorGroup):
         wanted = [*parts["thrust"], *parts["torque"]] if coupled else parts[self.held_by]
         return torch.cat(wanted, 1)
 
-    def off(self, slopes: Tensor, spread: Tensor, coupled: bool) -> Tensor:
+    def off(self, slopes: Tensor, error_bound: Tensor, coupled: bool) -> Tensor:
         """By how much psi may be off, from its slopes (..., D, B) along `directions`."""
         kinds = range(4) if coupled else {"thrust": (0, 1), "torque": (2, 3)}[self.held_by]
         off = torch.zeros_like(slopes[..., 0, :])
         for part, kind in zip(slopes.split(3, -2), kinds, strict=True):
             one, two, three = part.unbind(-2)
             off = off + self.measured[kind] * (one.abs() + two.abs() + three.abs())
-            off = off + spread[kind] * (one * one + two * two + three * three).sqrt()
+            off = off + error_bound[kind] * (one * one + two * two + three * three).sqrt()
         return off
 
     def attainable(self, rows: Rows, limit: Tensor) -> Rows:
@@ -336,7 +336,7 @@ class Maps(NamedTuple):
     def coriolis(self, velocity: Tensor) -> Tensor:
         """Derivatives (R, 3, B) by velocity to those by what Hill's turning frame adds to it in a second."""
         x, y, z = velocity.unbind(1)
-        return 2 * turning(self.x[THETA_S], self.c) * torch.stack((-y, x, torch.zeros_like(z)), 1)
+        return 2 * orbit_rate(self.x[THETA_S], self.c) * torch.stack((-y, x, torch.zeros_like(z)), 1)
 
     def by_control(self, by_end: Tensor, held_by: str, coupled: bool) -> Tensor:
         """Derivatives along `directions` at the moment to those by controls, (R, m, B)."""
@@ -367,7 +367,7 @@ def unsaturated(c: InspectionParameters) -> InspectionParameters:
 
 
 def predicted(
-    x: Tensor, spread: Tensor, u: Tensor, c: InspectionParameters, r: RtaParameters, known: Uncertainty
+    x: Tensor, error_bound: Tensor, u: Tensor, c: InspectionParameters, r: RtaParameters, known: Uncertainty
 ) -> tuple[Tensor, Tensor]:
     """The states a period after others, and how much further they may be off than when they were measured.
 
@@ -375,7 +375,7 @@ def predicted(
     Thrust is off by its size's error, by each thruster's misalignment, and by how far the body is turned otherwise.
 
     Args:
-        x: (16, B); spread: (4, B) how much further they may be off already, see `HeldGroup.conditions_at`.
+        x: (16, B); error_bound: (4, B) how much further they may be off already, see `HeldGroup.conditions_at`.
         u: (6, B) the controls held since, NaN where a state is younger; it is left as it is.
 
     Returns:
@@ -390,7 +390,7 @@ def predicted(
     velocity, rate = math.sqrt(3.0) * known.velocity, math.radians(math.sqrt(3.0) * known.rate)
     old = ~u.isnan().any(0)
     u = u.nan_to_num()
-    p, v, q, omega = spread
+    p, v, q, omega = error_bound
     twisted = twist * norm(u[TORQUE]) / min(c.inertia) + known.angular_acceleration(c)
     angle = attitude + q + (rate + omega) * t / 2 + twisted * t**2 / 6
     off = (error + most * angle) * norm(u[THRUST]) + most * aside * u[THRUST].abs().sum(0)
@@ -403,4 +403,4 @@ def predicted(
             omega + twisted * t,
         )
     )
-    return torch.where(old, step(x, u, t, model), x), torch.where(old, grown, spread)
+    return torch.where(old, step(x, u, t, model), x), torch.where(old, grown, error_bound)

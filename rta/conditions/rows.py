@@ -26,7 +26,7 @@ class Rows:
         psi: (R, B) Psi_1 where the relative degree is two, else the barrier, less what a measurement may be wrong by.
         a: (R, 3, B); b: (R, B) with margins; b_bare: (R, B) without. Both are less what Psi can lose in a period.
         h: (constraints, B) values without margin, exact; where the smallest row is h, at the moments of the rows.
-        doubt: (R, B) by how much b is less for what the filter does not know; (0, B) where it knows all.
+        tightening: (R, B) by how much b is less for what the filter does not know; (0, B) where it knows all.
     """
 
     psi: Tensor
@@ -34,7 +34,7 @@ class Rows:
     b: Tensor
     b_bare: Tensor
     h: Tensor
-    doubt: Tensor
+    tightening: Tensor
 
 
 class ActuatorGroup:
@@ -158,7 +158,7 @@ class ActuatorGroup:
         gain, margin, inside = self.alpha(psi, rows)
         h = self.reported(x, constraints, psi)
         b, b_bare = lf + gain * (psi - margin) - loss, lf + gain * (psi + inside) - loss
-        return Rows(psi, a, b, b_bare, h, doubt=psi[:0])
+        return Rows(psi, a, b, b_bare, h, tightening=psi[:0])
 
     def alpha(self, psi: Tensor, rows: Sequence[Constraint]) -> tuple[Tensor, Tensor, Tensor]:
         """Of rows (R, B): the gain of alpha(psi) = gain psi, what margin takes off psi, and what it took off before.
@@ -234,7 +234,7 @@ class ActuatorGroup:
         parts = rows.split([self.count(each) for each in self.constraints])
         return torch.cat([part if len(part) == 1 else join(part)[None] for part in parts])
 
-    def holds(self, x: Tensor, degree: int) -> Tensor:
+    def keeps(self, x: Tensor, degree: int) -> Tensor:
         """(B,) bool: Psi of every constraint of a relative degree is non-negative at states (16, B)."""
         constraints = [each for each in self.constraints if each.degree == degree]
         if not constraints:

@@ -31,7 +31,7 @@ class Prepared(NamedTuple):
     """What is computed for every spacecraft, corrected or not, for one actuator group.
 
     Attributes:
-        psi, a, b, b_bare, h, doubt: the fields of `Rows`.
+        psi, a, b, b_bare, h, tightening: the fields of `Rows`.
         length: (R, B) of the rows per actuator limit.
         lowest: (1, B) left-hand side of the scaled rows under the desired control; negative or NaN where it must
             be corrected.
@@ -42,7 +42,7 @@ class Prepared(NamedTuple):
     b: Tensor
     b_bare: Tensor
     h: Tensor
-    doubt: Tensor
+    tightening: Tensor
     length: Tensor
     lowest: Tensor
 
@@ -53,7 +53,7 @@ def scaled(rows: Rows, control: Tensor, limit: Tensor | float) -> Prepared:
     length = total(a * a, 1).sqrt().clamp(min=SHORTEST_ROW)  # thirty times as fast as Tensor.norm
     left = (total(a * control, 1) + rows.b) / length
     return Prepared(
-        rows.psi, rows.a, rows.b, rows.b_bare, rows.h, rows.doubt, length, lowest=smallest(left)[None]
+        rows.psi, rows.a, rows.b, rows.b_bare, rows.h, rows.tightening, length, lowest=smallest(left)[None]
     )
 
 
@@ -150,9 +150,9 @@ class Settling:
 
     def at(self, columns: Tensor, u: Tensor) -> tuple[Problems, Tensor]:
         """The rows' tangents at controls u (3, m) of these columns, and the rows' lengths (R, m)."""
-        x, control, spread, left = (pick(part, columns) for part in self.given)
+        x, control, error_bound, left = (pick(part, columns) for part in self.given)
         control[self.group.controls] = u * self.group.limit
-        there = Prepared(*self.run(x, control, spread, left))
+        there = Prepared(*self.run(x, control, error_bound, left))
         return problems(self.group, there, u, pick(self.limit, columns)), there.length
 
     def take(self, columns: Tensor, u: Tensor, solved: Tensor) -> tuple[Problems, Tensor, Tensor, Tensor]:

@@ -71,9 +71,9 @@ class Columns:
         parts = [strided(given[name]) for name in ("x", "desired", "sent", "left") if name in given]
         arguments = (*pointers(parts), *pointers([numbers, statuses, truths]))
         unsolved = in_shares(lambda first, last: self.run(first, last, *arguments), columns, self.seconds)
-        slack, h, *doubts = (numbers[CONTROL_SIZE + i * count :][:count] for i in range(blocks))
+        slack, h, *tightenings = (numbers[CONTROL_SIZE + i * count :][:count] for i in range(blocks))
         nothing = numbers.new_zeros(1, 1).expand(count, columns)
-        uncertainty, tightened = doubts or (nothing, nothing)
+        uncertainty, tightened = tightenings or (nothing, nothing)
         control, active = numbers[:CONTROL_SIZE], truths[1:]
         fields = [control, truths[0], active, slack, statuses[0], statuses[1:], h, uncertainty, tightened]
         return fields, unsolved
@@ -271,8 +271,8 @@ def judge(group: HeldGroup, *given: Tensor) -> list[Tensor]:
 def report(group: HeldGroup, *given: Tensor) -> list[Tensor]:
     """h, uncertainty and tightened (constraints, B), from the rows at the controls that were desired: `Prepared`."""
     prepared = Prepared(*given)
-    doubt = group.by_constraint(prepared.doubt, partial(torch.amax, dim=0))
-    return [prepared.h, doubt, group.tightened(doubt)]
+    tightening = group.by_constraint(prepared.tightening, partial(torch.amax, dim=0))
+    return [prepared.h, tightening, group.tightened(tightening)]
 
 
 def with_own(group: ActuatorGroup, control: Tensor, own: Tensor) -> Tensor:

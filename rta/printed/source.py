@@ -74,21 +74,21 @@ def driver_files(safety_filter: "SafetyFilter") -> list[str]:
 def functions(safety_filter: "SafetyFilter") -> list[Printed]:
     """The functions that the driver declares, printed."""
     x, u = safety_filter.probe("cpu")
-    spread, left = torch.zeros_like(x[:KINDS]), torch.ones_like(u)
+    error_bound, left = torch.zeros_like(x[:KINDS]), torch.ones_like(u)
     parts = []
     for name, group in zip(GROUPS, safety_filter.groups, strict=True):
         run: Callable[..., Sequence[Tensor]] = partial(prepared_now, group)
         examples: tuple[Tensor, ...] = (x, u)
         if isinstance(group, HeldGroup):
-            run, examples = partial(safety_filter.prepare_held, group), (x, u, spread, left)
-        names = ("x", "control", "spread", "left")[: len(examples)], Prepared._fields
+            run, examples = partial(safety_filter.prepare_held, group), (x, u, error_bound, left)
+        names = ("x", "control", "error_bound", "left")[: len(examples)], Prepared._fields
         long = len(safety_filter.c.planes)  # of a hull
         parts.append(printed(run, *examples, name=f"{name}_rows", names=names, long=long))
     if safety_filter.holds and safety_filter.known.latency:
         parts.append(
             printed(
-                safety_filter.predict, x, spread, u, name="predict",
-                names=(("x", "spread", "u"), ("x_after", "spread_after")),
+                safety_filter.predict, x, error_bound, u, name="predict",
+                names=(("x", "error_bound", "u"), ("x_after", "error_bound_after")),
             )
         )  # fmt: skip
     return parts
@@ -169,9 +169,9 @@ def constants(safety_filter: "SafetyFilter") -> str:
         lines += held_constants(safety_filter)
     lines += [declared(name, group, holds) for name, group in zip(GROUPS, groups, strict=True)]
     if holds and safety_filter.known.latency:
-        given = f"const double x[{SIZE}], const double spread[{KINDS}], const double u[{CONTROL_SIZE}]"
+        given = f"const double x[{SIZE}], const double error_bound[{KINDS}], const double u[{CONTROL_SIZE}]"
         lines.append(
-            f"static void predict({given},\n    double x_after[{SIZE}], double spread_after[{KINDS}]);"
+            f"static void predict({given},\n    double x_after[{SIZE}], double error_bound_after[{KINDS}]);"
         )
     return "\n".join(lines) + "\n"
 
@@ -261,12 +261,12 @@ def held_constants(safety_filter: "SafetyFilter") -> list[str]:
 def declared(name: str, group: ActuatorGroup, holds: bool) -> str:
     """The function of a group's rows, see `struct rows`; arrays of the rows' normals are row-major."""
     rows, constraints = len(group.weights), len(group.names)
-    more = f", const double spread[{KINDS}], const double left[{CONTROL_SIZE}]" if holds else ""
-    doubt = f" double doubt[{rows}]," if holds else ""
+    more = f", const double error_bound[{KINDS}], const double left[{CONTROL_SIZE}]" if holds else ""
+    tightening = f" double tightening[{rows}]," if holds else ""
     return (
         f"static void {name}_rows(const double x[{SIZE}], const double control[{CONTROL_SIZE}]{more},\n"
         f"    double psi[{rows}], double a[{3 * rows}], double b[{rows}], double b_bare[{rows}],\n"
-        f"    double h[{constraints}],{doubt} double length[{rows}], double lowest[1]);"
+        f"    double h[{constraints}],{tightening} double length[{rows}], double lowest[1]);"
     )
 
 

@@ -2,7 +2,7 @@
 
 How a state is drawn:
 
-1. A Latin hypercube all over the safe set (`study.verification.starts.spread`); states outside it are left out.
+1. A Latin hypercube all over the safe set (`study.verification.starts.states_of`); states outside it are left out.
 2. Half of the states go next to one limit, half next to two, by the weights AIMED. Of each constraint either h or the
    barrier that the filter enforces (Psi_1 where the relative degree is two) is to be small: a gap is drawn
    log-uniformly from GAP, in units of `scales`. A third of the states has margins instead of limits, what the filter
@@ -31,7 +31,7 @@ from inspection.model.state import OMEGA, SIZE, THETA_S, E, P, Q, T, V
 from rta.constraints.constraint import CONSTRAINTS
 from rta.filter import SafetyFilter, in_order, joined
 from rta.lie_derivatives import Function
-from study.verification.starts import NUMBERS, spawned, spread
+from study.verification.starts import NUMBERS, spawned, states_of
 
 GAP = 1e-6, 1e-1  # smallest and largest
 BISECTIONS = 2, 2, 20  # of a component's way; after each of them what is broken anyway is left out
@@ -224,7 +224,7 @@ def near_limits(
     scale = torch.tensor(scales(safety_filter), dtype=torch.float64, device=device)
     c, found, have = safety_filter.c, [], 0
     for _ in range(HYPERCUBES):
-        x, _ = spread(torch.from_numpy(sampler.random(CANDIDATES * count).T.copy()), c)
+        x, _ = states_of(torch.from_numpy(sampler.random(CANDIDATES * count).T.copy()), c)
         x = x.to(device)
         x = x[:, safe(barriers_at(x))]
         near = aimed(x, scale, generator)

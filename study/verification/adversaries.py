@@ -10,7 +10,7 @@ from inspection.model.state import CONTROL_SIZE
 from ppo.network import Policy
 from rta.filter import SafetyFilter
 
-LONGEST_HOLD = 60  # s that the random policy holds an action
+LONGEST_ACTION = 60  # s that the random policy holds an action
 
 
 def held_at_random(
@@ -26,7 +26,7 @@ def held_at_random(
         draw = torch.rand(CONTROL_SIZE + 1, batch, generator=generator, dtype=torch.float64)
         draw = draw[:, first : first + x.shape[1]].to(x)
         fresh = (2.0 * draw[:CONTROL_SIZE] - 1.0) * x.new_tensor(c.control_limit)[:, None]
-        until = t + (draw[CONTROL_SIZE] * LONGEST_HOLD).ceil()
+        until = t + (draw[CONTROL_SIZE] * LONGEST_ACTION).ceil()
         if held:
             keep = held["until"] > t
             fresh = torch.where(keep, held["u"], fresh)

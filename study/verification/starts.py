@@ -26,7 +26,7 @@ def spawned(seed: int, count: int) -> list[int]:
     return [int(stream.generate_state(1, np.uint64)[0]) for stream in streams]
 
 
-def spread(s: Tensor, c: InspectionParameters) -> tuple[Tensor, Tensor]:
+def states_of(s: Tensor, c: InspectionParameters) -> tuple[Tensor, Tensor]:
     """States (16, B) and priority vectors (3, B) all over the safe set and around it, from numbers in [0, 1], (17, B).
 
     The distance is INSIDE of the zone at least, the speed at most the limit there, rates, temperature and energy are
@@ -74,7 +74,7 @@ def safe_set(count: int, seed: int, safety_filter: SafetyFilter) -> tuple[Tensor
     sampler = qmc.LatinHypercube(NUMBERS, rng=np.random.default_rng(seed))
     kept, rejected = torch.zeros(SIZE + 3, 0, dtype=torch.float64), 0
     for _ in range(HYPERCUBES):
-        x, priority = spread(torch.from_numpy(sampler.random(4 * count).T.copy()), c)
+        x, priority = states_of(torch.from_numpy(sampler.random(4 * count).T.copy()), c)
         safe = safety_filter.is_in_safe_set(x)
         missing = count - kept.shape[1]
         taken = torch.nonzero(safe).flatten()[:missing]

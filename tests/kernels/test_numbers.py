@@ -31,7 +31,7 @@ from tests.kernels.test_long_axis import LONG, OVER_POINTS
 from tests.kernels.test_operations import OF_ONE, OF_TWO, special_pairs, uniform
 from tests.kernels.test_project import env_of, filter_of
 
-FIELDS = "psi", "a", "b", "b_bare", "h", "doubt", "length", "lowest"
+FIELDS = "psi", "a", "b", "b_bare", "h", "tightening", "length", "lowest"
 
 
 def flights(c: InspectionParameters, count: int) -> Tensor:

@@ -2,24 +2,24 @@
 
 /* The state now, from one that is as old as the controls sent since; says whether it is too old. */
 static int bring_up_to_date(const struct safety_filter_input *in, const double left[6], double x[16],
-                            double spread[4])
+                            double error_bound[4])
 {
 #if LATENCY > 0
     for (int k = 0; (k < LATENCY) && (k < in->sent_count); ++k) {
         double u[6];
         double x_after[16];
-        double spread_after[4];
+        double error_bound_after[4];
         for (int j = 0; j < 6; ++j) {
             u[j] = left[j] * in->sent[k][j];
         }
-        predict(x, spread, u, x_after, spread_after);
+        predict(x, error_bound, u, x_after, error_bound_after);
         copy(x, x_after, 16);
-        copy(spread, spread_after, 4);
+        copy(error_bound, error_bound_after, 4);
     }
 #else
     (void)left;
     (void)x;
-    (void)spread;
+    (void)error_bound;
 #endif
     return (in->sent_count > LATENCY) ? 1 : 0;
 }
@@ -69,35 +69,35 @@ static int go_near(int group, const double x[16], const double control[6], doubl
     return is_other;
 }
 
-/* The barrier's value at which alpha is the doubt. With doubling d, y + y^3 = doubt / (gain d) for y = psi / d has the
+/* The barrier's value at which alpha is the tightening. With doubling d, y + y^3 = tightening / (gain d) for y = psi / d has the
  * root 2 / sqrt(3) sinh(asinh(..) / 3). */
-static double tightened(int place, double doubt)
+static double tightened(int place, double tightening)
 {
     const double d = DOUBLING[place];
-    double psi = doubt / LAST_GAIN[place];
+    double psi = tightening / LAST_GAIN[place];
     if (isfinite(d) != 0) {
         psi = d * 2.0 / sqrt(3.0) * sinh(asinh(1.5 * sqrt(3.0) * psi / d) / 3.0);
     }
-    psi = larger(psi, doubt / LARGEST_GAIN);
+    psi = larger(psi, tightening / LARGEST_GAIN);
     return (FIRST_GAIN[place] > 0.0) ? (psi / FIRST_GAIN[place]) : psi; /* of relative degree two */
 }
 
 /* The constraints' values, and what the filter does not know of their conditions. */
 static void report(int group, const struct rows *rows, struct safety_filter_output *out)
 {
-    double doubt[GROUP_CONSTRAINTS_MAX];
+    double tightening[GROUP_CONSTRAINTS_MAX];
     for (int k = 0; k < GROUP_CONSTRAINTS_MAX; ++k) {
-        doubt[k] = -INFINITY;
+        tightening[k] = -INFINITY;
     }
     for (int i = 0; i < ROWS[group]; ++i) {
         const int k = CONSTRAINT_OF_ROW[group][i];
-        doubt[k] = larger(doubt[k], rows->doubt[i]);
+        tightening[k] = larger(tightening[k], rows->tightening[i]);
     }
     for (int k = 0; k < CONSTRAINTS_OF[group]; ++k) {
         const int place = PLACE[group][k];
         out->h[place] = rows->h[k];
-        out->uncertainty[place] = doubt[k];
-        out->tightened[place] = tightened(place, doubt[k]);
+        out->uncertainty[place] = tightening[k];
+        out->tightened[place] = tightened(place, tightening[k]);
     }
 }
 
@@ -128,7 +128,7 @@ static void filter_group(struct situation *where, double control[6], struct safe
     struct rows rows;
     double near_by[6];
     const int is_other = go_near(where->group, where->x, control, near_by);
-    rows_of(where->group, where->x, near_by, where->spread, where->left, &rows);
+    rows_of(where->group, where->x, near_by, where->error_bound, where->left, &rows);
     report(where->group, &rows, out);
     if ((is_other != 0) || !(rows.lowest[0] >= 0.0)) { /* NaN must not pass */
         correct(where, &rows, control, out);
@@ -143,7 +143,7 @@ void safety_filter(const struct safety_filter_input *in, struct safety_filter_ou
     for (int j = 0; j < 6; ++j) {
         where.left[j] = (HEALTH != 0) ? in->left[j] : 1.0;
     }
-    const int is_stale = bring_up_to_date(in, where.left, where.x, where.spread);
+    const int is_stale = bring_up_to_date(in, where.left, where.x, where.error_bound);
     replace_desired(where.x, where.left, control, out);
     for (int group = TORQUE; group >= THRUST; --group) {
         where.group = group;

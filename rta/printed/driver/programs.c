@@ -9,7 +9,7 @@ struct rows {
     double b[GROUP_ROWS_MAX];
     double b_bare[GROUP_ROWS_MAX]; /* without margin */
     double h[GROUP_CONSTRAINTS_MAX];
-    double doubt[GROUP_ROWS_MAX];  /* by how much b is less for what the filter does not know */
+    double tightening[GROUP_ROWS_MAX];  /* by how much b is less for what the filter does not know */
     double length[GROUP_ROWS_MAX]; /* per actuator limit */
     double lowest[1];              /* scaled left-hand side at the control; negative or NaN: to be corrected */
 };

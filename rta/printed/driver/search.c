@@ -12,7 +12,7 @@ struct situation {
     int group;
     double x[16];
     double control[6];
-    double spread[4];  /* by how far the state is off beyond its measurement: m, m/s, rad, rad/s */
+    double error_bound[4];  /* by how far the state is off beyond its measurement: m, m/s, rad, rad/s */
     double left[6];
     double desired[3]; /* the group's control in units of its actuators' limits */
     double limit[3];   /* N or N m, what is there of its actuators */
@@ -32,13 +32,13 @@ struct tried {
     int is_better;                 /* 1 where it clearly was better than those before */
 };
 
-static void rows_of(int group, const double x[16], const double control[6], const double spread[4],
+static void rows_of(int group, const double x[16], const double control[6], const double error_bound[4],
                     const double left[6], struct rows *r)
 {
     if (group == THRUST) {
-        thrust_rows(x, control, spread, left, r->psi, r->a, r->b, r->b_bare, r->h, r->doubt, r->length, r->lowest);
+        thrust_rows(x, control, error_bound, left, r->psi, r->a, r->b, r->b_bare, r->h, r->tightening, r->length, r->lowest);
     } else {
-        torque_rows(x, control, spread, left, r->psi, r->a, r->b, r->b_bare, r->h, r->doubt, r->length, r->lowest);
+        torque_rows(x, control, error_bound, left, r->psi, r->a, r->b, r->b_bare, r->h, r->tightening, r->length, r->lowest);
     }
 }
 
@@ -50,7 +50,7 @@ static void tangents_at(const struct situation *where, const double u[3], struct
     for (int j = 0; j < 3; ++j) {
         control[(3 * where->group) + j] = u[j] * LIMIT[where->group];
     }
-    rows_of(where->group, where->x, control, where->spread, where->left, &rows);
+    rows_of(where->group, where->x, control, where->error_bound, where->left, &rows);
     scale(where->group, &rows, where->limit, tangents);
 }
 

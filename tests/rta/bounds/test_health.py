@@ -9,7 +9,7 @@ from inspection.model.attitude import conjugate, cross, norm, rotate
 from inspection.model.draws import random_quaternion
 from inspection.model.dynamics import step, sun_and_earth_in_body
 from inspection.model.state import THETA_S, THRUST, E, P, Q, T, V
-from rta.bounds.health import NEAR, turning
+from rta.bounds.health import NEAR, slewing
 from rta.bounds.uncertainty import NOTHING, Uncertainty
 from rta.filter import SafetyFilter
 from rta.parameters import RtaParameters
@@ -55,7 +55,7 @@ def test_the_body_has_turned_in_the_time_that_is_counted_on() -> None:
     x, left = x[:, ~lit], left[:, ~lit]
     before, nearest = on_radius(x, left), torch.full_like(x[0], -torch.inf)
     for _ in range(math.ceil(LONGEST_TURN)):
-        torque = turning(x, torch.zeros_like(x[:3]), left, C, RtaParameters(), NOTHING)
+        torque = slewing(x, torch.zeros_like(x[:3]), left, C, RtaParameters(), NOTHING)
         x = step(x, torch.cat((torch.zeros_like(torque), torque)), 1.0, C)
         nearest = nearest.maximum(sun_and_earth_in_body(x)[0][0])
     assert (before > 0.9).sum() > 5
@@ -69,7 +69,7 @@ def test_a_torque_is_left_alone_where_no_turn_is_needed() -> None:
     left, torque = without_one_axis(32), torch.full((3, 32), 1e-4, dtype=torch.float64)
 
     def kept(x: Tensor, left: Tensor) -> Tensor:
-        return (turning(x, torque, left, C, RtaParameters(), NOTHING) == torque).all(0)
+        return (slewing(x, torque, left, C, RtaParameters(), NOTHING) == torque).all(0)
 
     far_in, outside = flying_out(32, 300.0, 1.0, seed=2), flying_out(32, 700.0, 2.0, seed=2)
     returning = torch.cat((outside[P], -outside[V], outside[Q.start :]))

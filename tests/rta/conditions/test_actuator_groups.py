@@ -333,7 +333,7 @@ def test_gains_are_capped_as_the_papers() -> None:
 def test_safe_is_where_h_and_psi_are_not_negative() -> None:
     constraint, h = OWN["cone"]
     mine = group(constraint, c=UNEQUAL)
-    safe = ((mine.values(STATES) >= 0).all(0) & mine.holds(STATES, degree=2)).numpy()
+    safe = ((mine.values(STATES) >= 0).all(0) & mine.keeps(STATES, degree=2)).numpy()
     fulfilled, holds = h(X) >= 0, numpy_psi(X, constraint, h) >= 0
     assert 0.5 < safe.mean() < 1.0
     assert (fulfilled != holds).any()

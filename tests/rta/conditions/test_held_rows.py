@@ -95,7 +95,7 @@ GAINS = {"collision": 0.1, "dynamic_speed": 0.5, "keep_in_zone": 0.1, "passive_s
 MARGINS = {"collision": 0.02, "keep_in_zone": 0.02, "passive_safety": 1.0}
 
 
-def conditions(held: HeldGroup, x: ndarray, u: ndarray, sags: bool = True) -> dict[int, ndarray]:
+def conditions(held: HeldGroup, x: ndarray, u: ndarray, curvatures: bool = True) -> dict[int, ndarray]:
     """By row: (psi(phi_t(x, u)) - psi(x)) / t + alpha(psi(x)), less what psi sags between the moments."""
     period, found = held.r.period, {}
     times = sorted({0.0, *held.moments, *(t - held.moments[0] / 2 for t in held.moments)})
@@ -108,10 +108,10 @@ def conditions(held: HeldGroup, x: ndarray, u: ndarray, sags: bool = True) -> di
         psi = {time: paper_psi(name, i, there[time], period, time) for time in times}
         gain = GAINS[name] * (1 + (psi[0.0] / 30) ** 2 if name == "passive_safety" else 1)
         gain = np.minimum(gain, 0.5 / period)
-        sag = np.maximum((psi[t] + psi[t - step]) / 2 - psi[t - step / 2], 0)
+        curvature = np.maximum((psi[t] + psi[t - step]) / 2 - psi[t - step / 2], 0)
         if name == "passive_safety":
-            sag = 0.0
-        lost = sags * np.maximum(4 * sag - psi[t - step] - (1 - gain * t) * psi[0.0], 0) / t
+            curvature = 0.0
+        lost = curvatures * np.maximum(4 * curvature - psi[t - step] - (1 - gain * t) * psi[0.0], 0) / t
         margin = (
             2 * 5 / 12 * period if name.startswith("velocity") else MARGINS.get(name, 0)
         )  # 1 N on 12 kg at 5 m/s
@@ -164,7 +164,7 @@ def test_a_rows_slope_is_the_finite_difference(by: str, period: float) -> None:
     for j in range(3):
         shift = np.zeros((6, 1))
         shift[held.controls.start + j] = 1e-3 * LIMIT[held.controls.start].item()
-        more, less = (conditions(held, x, u + sign * shift, sags=False) for sign in (1, -1))
+        more, less = (conditions(held, x, u + sign * shift, curvatures=False) for sign in (1, -1))
         for row in more:
             if places(held)[row][0] == "passive_safety":
                 continue
@@ -259,7 +259,7 @@ def broken(held: HeldGroup, told: dict[str, Any]) -> set[str]:
     positive = (rows.psi > 0.0) & torch.stack(within)
     over = (torch.stack(conditions, 1).flatten(0, 1) - said).masked_fill(~positive, math.inf)
     assert (positive.sum(1) > WORLDS / 20).all()
-    second_order = 2e-5 + 0.02 * rows.doubt.masked_fill(~positive, 0.0).amax(1)
+    second_order = 2e-5 + 0.02 * rows.tightening.masked_fill(~positive, 0.0).amax(1)
     beyond = (over.amin(1) < -second_order).tolist()
     return {name for (name, _), is_beyond in zip(places(held), beyond, strict=True) if is_beyond} - {
         "passive_safety"
@@ -356,8 +356,8 @@ def test_a_hold_may_end_at_any_second(
     after = held.after
 
     def straight(*given: Any) -> tuple[Tensor, ...]:
-        psi, sag, *slopes = after(*given)
-        return psi, torch.zeros_like(sag), *slopes
+        psi, curvature, *slopes = after(*given)
+        return psi, torch.zeros_like(curvature), *slopes
 
     monkeypatch.setattr(held, "after", straight)
     assert broken_on_the_way(held, told) >= breaks  # where bounds come off that is enough
@@ -385,11 +385,11 @@ def test_an_error_exceeds_its_chord_between_two_moments_by_no_more_than_is_said(
 
 
 def now_of(x: Tensor, sent: Tensor, r: RtaParameters, known: Uncertainty) -> tuple[Tensor, Tensor]:
-    """The states of now and their spread from those that are as many calls old as controls were sent since."""
-    spread = torch.zeros_like(x[:KINDS])
+    """The states of now and their error_bound from those that are as many calls old as controls were sent since."""
+    error_bound = torch.zeros_like(x[:KINDS])
     for u in sent:
-        x, spread = predicted(x, spread, u, C, r, known)
-    return x, spread
+        x, error_bound = predicted(x, error_bound, u, C, r, known)
+    return x, error_bound
 
 
 def escaped(told: dict[str, Any], period: float, calls: int) -> list[float]:
@@ -403,7 +403,7 @@ def escaped(told: dict[str, Any], period: float, calls: int) -> list[float]:
         x = plant.integrate(x, plant.actuate(moments(WORLDS), u), plant.body, 0.5, round(2 * period))
     now = relative(plant, x)
     r, known = RtaParameters(period=period), Uncertainty(latency=calls, **told)
-    there, spread = now_of(seen, sent, r, known)
+    there, error_bound = now_of(seen, sent, r, known)
 
     def beyond(off: Tensor, measured: float) -> Tensor:
         return norm((off.abs() - measured).clamp(min=0.0))
@@ -415,7 +415,7 @@ def escaped(told: dict[str, Any], period: float, calls: int) -> list[float]:
         turned - math.sqrt(3) * math.radians(known.attitude),
         beyond(now[OMEGA] - there[OMEGA], math.radians(known.rate)),
     )
-    return [(each - bound).max().item() for each, bound in zip(off, spread, strict=True)]
+    return [(each - bound).max().item() for each, bound in zip(off, error_bound, strict=True)]
 
 
 ROUNDING = (5e-3, 5e-4, 2e-4, 1e-9)  # m, m/s, rad, rad/s: of one step of 10 s
@@ -440,14 +440,14 @@ def test_the_truth_is_within_what_is_said_of_a_predicted_state(
     found = escaped(told, period, calls)
     assert all(found[kind] <= ROUNDING[kind] for kind in kinds)
     # without what is said beyond the measurement's error it is not
-    monkeypatch.setattr("tests.rta.conditions.test_held_rows.predicted", lambda *given: unspread(*given))
+    monkeypatch.setattr("tests.rta.conditions.test_held_rows.predicted", lambda *given: without_bound(*given))
     found = escaped(told, period, calls)
     assert all(found[kind] > 0.0 for kind in kinds)
 
 
-def unspread(*given: Any) -> tuple[Tensor, Tensor]:
-    there, spread = predict(*given)
-    return there, torch.zeros_like(spread)
+def without_bound(*given: Any) -> tuple[Tensor, Tensor]:
+    there, error_bound = predict(*given)
+    return there, torch.zeros_like(error_bound)
 
 
 predict = predicted
@@ -459,22 +459,22 @@ def test_a_younger_state_is_not_predicted_on() -> None:
     sent[0, :, 1:] = math.nan
     sent[1, :, 2] = math.nan
     r, known = RtaParameters(), Uncertainty(latency=2, mass=0.1)
-    there, spread = now_of(x, sent, r, known)
+    there, error_bound = now_of(x, sent, r, known)
     for column, calls in ((0, 2), (1, 1), (2, 0)):
         own = [part[:, column : column + 1] for part in (x, u)]
         alone = now_of(own[0], own[1].expand(calls, -1, -1), r, known)
         assert torch.equal(there[:, column : column + 1], alone[0])
-        assert torch.equal(spread[:, column : column + 1], alone[1])
+        assert torch.equal(error_bound[:, column : column + 1], alone[1])
     expected = flown(x.numpy()[:, :1], u.numpy()[:, :1], 2.0)
     np.testing.assert_allclose(there[:, :1].numpy(), expected, rtol=0, atol=1e-5)
-    assert (spread[:, 2] == 0.0).all() and (spread[:2, 0] > spread[:2, 1]).all()
+    assert (error_bound[:, 2] == 0.0).all() and (error_bound[:2, 0] > error_bound[:2, 1]).all()
 
 
 @pytest.mark.parametrize("by", ["thrust", "torque"])
 def test_the_tightened_level_is_where_alpha_is_the_doubt(by: str) -> None:
     held = group(by, position=0.6, velocity=0.006)
-    doubt = torch.logspace(-6, 1, 40, dtype=torch.float64).expand(len(held.constraints), -1)
-    for each, own, asked in zip(held.constraints, held.tightened(doubt), doubt, strict=True):
+    tightening = torch.logspace(-6, 1, 40, dtype=torch.float64).expand(len(held.constraints), -1)
+    for each, own, asked in zip(held.constraints, held.tightened(tightening), tightening, strict=True):
         psi = own * held.gain(each.gains[0]) if each.degree == 2 else own
         gain = held.gain(each.gains[-1]) * (1 + (psi / each.doubling) ** 2)
         torch.testing.assert_close(gain.clamp(max=held.gain(math.inf)) * psi, asked)

@@ -15,7 +15,7 @@ import torch
 from numpy import ndarray
 from torch import Tensor
 
-from rta.bounds.health import turning
+from rta.bounds.health import slewing
 from rta.bounds.uncertainty import Uncertainty
 from rta.filter import STEPS_HELD, FilterResult, SafetyFilter
 from rta.printed.source import source, tolerances
@@ -347,7 +347,7 @@ def test_a_dead_axis_is_turned_off_the_radius_as_in_python(made: Callable[[str],
     driver = made("health alone")
     x, left = flying_out(200, 700.0, 2.0, seed=1), without_one_axis(200)
     u = torch.zeros(6, 200, dtype=torch.float64)
-    torque = turning(x, u[TORQUE], left, C, R, driver.safety.known)
+    torque = slewing(x, u[TORQUE], left, C, R, driver.safety.known)
     assert (torque != 0.0).any(0).sum() > 100
     assert_same(driver, x, u, left=left)
 

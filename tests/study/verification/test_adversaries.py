@@ -7,7 +7,7 @@ from scipy.stats import kstest
 from inspection.model.parameters import InspectionParameters
 from rta.filter import SafetyFilter
 from rta.parameters import RtaParameters
-from study.verification.adversaries import LONGEST_HOLD, adversarial, held_at_random
+from study.verification.adversaries import LONGEST_ACTION, adversarial, held_at_random
 from tests.rta.conditions.test_rows import LIMIT, ROWS, flights
 from tests.rta.constraints.test_constraints import tensor
 from tests.rta.test_lie_derivatives import held, push, slope
@@ -27,9 +27,10 @@ def test_random_controls_are_held_for_up_to_a_minute() -> None:
     changes = (np.diff(u, axis=0) != 0).any(1)
     assert (changes == (np.diff(u, axis=0) != 0).all(1)).all()  # all six at once
     holds = np.concatenate([np.diff(np.flatnonzero(changes[:, k])) for k in range(count)])
-    assert holds.min() >= 1 and holds.max() <= LONGEST_HOLD
+    assert holds.min() >= 1 and holds.max() <= LONGEST_ACTION
     assert (
-        kstest((holds - np.random.default_rng(0).random(holds.size)) / LONGEST_HOLD, "uniform").pvalue > 1e-4
+        kstest((holds - np.random.default_rng(0).random(holds.size)) / LONGEST_ACTION, "uniform").pvalue
+        > 1e-4
     )
 
 

@@ -1,5 +1,5 @@
 /* One group's controls of W spacecraft: rows at controls near the desired ones, an attempt, rows at its answer. */
-static void group_correct(const V x[16], const V spread[4], const V left[6], V control[6], struct block *block)
+static void group_correct(const V x[16], const V error_bound[4], const V left[6], V control[6], struct block *block)
 {
     V nearby[6];
     V answer[6];
@@ -8,7 +8,7 @@ static void group_correct(const V x[16], const V spread[4], const V left[6], V c
     V b[GROUP_ROWS];
     V b_bare[GROUP_ROWS];
     V h[GROUP_OWN];
-    V doubt[GROUP_ROWS];
+    V tightening[GROUP_ROWS];
     V length[GROUP_ROWS];
     V lowest[1];
     V slack[GROUP_OWN];
@@ -24,12 +24,12 @@ static void group_correct(const V x[16], const V spread[4], const V left[6], V c
         slack[k] = ALL(0.0);
     }
     group_near(x, control, nearby);
-    group_rows(x, nearby, spread, left, psi, a, b, b_bare, h, doubt, length, lowest);
-    group_report(psi, a, b, b_bare, h, doubt, length, lowest, value, uncertainty, tightened);
-    group_attempt(psi, a, b, b_bare, h, doubt, length, lowest, control, nearby, left, answer, safe, solved);
+    group_rows(x, nearby, error_bound, left, psi, a, b, b_bare, h, tightening, length, lowest);
+    group_report(psi, a, b, b_bare, h, tightening, length, lowest, value, uncertainty, tightened);
+    group_attempt(psi, a, b, b_bare, h, tightening, length, lowest, control, nearby, left, answer, safe, solved);
     if (any(~safe[0])) {
-        group_rows(x, answer, spread, left, psi, a, b, b_bare, h, doubt, length, lowest);
-        group_judge(psi, a, b, b_bare, h, doubt, length, lowest, answer, left, held, active, slack);
+        group_rows(x, answer, error_bound, left, psi, a, b, b_bare, h, tightening, length, lowest);
+        group_judge(psi, a, b, b_bare, h, tightening, length, lowest, answer, left, held, active, slack);
     }
     for (int j = 0; j < 6; ++j) {
         control[j] = SELECT(safe[0], control[j], answer[j]);

@@ -9,20 +9,20 @@ static void load_block(const void *in, long step, long column, long lanes, int c
 
 /* Brings states up to date by the controls that were sent since they were measured. */
 static void bring_up_to_date(const void *sent, long step, long column, long lanes, const V left[6], V x[16],
-                             V spread[4])
+                             V error_bound[4])
 {
 #if LATENCY > 0
     for (int k = 0; k < LATENCY; ++k) {
         V u[6];
         V x_after[16];
-        V spread_after[4];
+        V error_bound_after[4];
         load_block(sent, step, 6 * k * step + column, lanes, 6, u);
         for (int j = 0; j < 6; ++j) {
             u[j] = left[j] * u[j];
         }
-        predict(x, spread, u, x_after, spread_after);
+        predict(x, error_bound, u, x_after, error_bound_after);
         memcpy(x, x_after, sizeof x_after);
-        memcpy(spread, spread_after, sizeof spread_after);
+        memcpy(error_bound, error_bound_after, sizeof error_bound_after);
     }
 #endif
 }
@@ -36,7 +36,7 @@ long filter_batch(long first, long last, const void *const *in, const long *in_s
         V x[16];
         V desired[6];
         V left[6];
-        V spread[4] = {{0}};
+        V error_bound[4] = {{0}};
         struct block block;
         load_block(in[0], in_step[0], column, lanes, 16, x);
         load_block(in[1], in_step[1], column, lanes, 6, desired);
@@ -45,9 +45,9 @@ long filter_batch(long first, long last, const void *const *in, const long *in_s
             x[i] = SELECT(FABS(x[i]) == INFINITY, ALL(NAN), x[i]); /* infinitely safe is no state either */
         }
         begin(desired, left, block.numbers, block.program_status, block.open);
-        bring_up_to_date(in[2], in_step[2], column, lanes, left, x, spread);
-        torque_correct(x, spread, left, block.numbers, &block);
-        thrust_correct(x, spread, left, block.numbers, &block);
+        bring_up_to_date(in[2], in_step[2], column, lanes, left, x, error_bound);
+        torque_correct(x, error_bound, left, block.numbers, &block);
+        thrust_correct(x, error_bound, left, block.numbers, &block);
         for (int k = 0; k < 6 + 4 * CONSTRAINTS; ++k) {
             store_double(out[NUMBERS], k * out_step[NUMBERS] + column, lanes, block.numbers[k]);
         }
