@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 import torch
 from hypothesis import settings
+from matplotlib.figure import Figure
 from scipy.spatial.transform import Rotation
 
 from inspection import initial_state
@@ -41,6 +42,20 @@ def small_pools() -> Iterator[None]:
     """Few initial states drawn at once: whether one is safe is a search for a control where rows are of a hold."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(initial_state, "POOL", 64)
+        yield
+
+
+@pytest.fixture(scope="module")
+def loose_figures() -> Iterator[None]:
+    """Figures whose parts are not fitted to each other, which takes half of their time; `test_page` fits them."""
+    save = Figure.savefig
+
+    def loose(self: Figure, *arguments: Any, **options: Any) -> None:
+        self.set_layout_engine("none")
+        save(self, *arguments, **options)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Figure, "savefig", loose)
         yield
 
 

@@ -71,11 +71,14 @@ def assert_refused(arguments: list[str], words: list[str], capsys: pytest.Captur
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The directory of a run that was never trained."""
+    """The directory of a run that was never trained, of short episodes: nothing here depends on what they end in."""
     directory = tmp_path_factory.mktemp("runs") / "run"
-    train = {"rta": False, "num_envs": 4, "rollout_steps": 4, "interactions": 32, "device": "cpu"}
-    ppo = {"minibatch_size": 16}
-    training.start(override(Config(), {"train": train, "ppo": ppo}, "test"), directory)
+    settings = {
+        "train": {"rta": False, "num_envs": 4, "rollout_steps": 4, "interactions": 32, "device": "cpu"},
+        "ppo": {"minibatch_size": 16},
+        "inspection": {"max_time": 200.0},
+    }
+    training.start(override(Config(), settings, "test"), directory)
     return directory
 
 

@@ -8,8 +8,13 @@ from kernels import build
 
 
 @pytest.fixture(scope="session")
-def kernels_cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return tmp_path_factory.mktemp("kernels")
+def kernels_cache(pytestconfig: pytest.Config, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """In pytest's own, so that nothing is compiled twice: what is kept goes by sources, flags, compiler and processor.
+
+    `pytest --cache-clear` empties it. Tests of the cache itself have empty ones.
+    """
+    kept = getattr(pytestconfig, "cache", None)  # None under -p no:cacheprovider
+    return kept.mkdir("kernels") if kept else tmp_path_factory.mktemp("kernels")
 
 
 @pytest.fixture(autouse=True)

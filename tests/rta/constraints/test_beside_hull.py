@@ -85,7 +85,8 @@ def test_the_way_to_brake_before_a_flat_side_is_that_before_a_plane() -> None:
 @torch.no_grad()
 def test_pushed_against_the_chief_it_comes_nearer_than_the_sphere_and_never_too_near(mesh: str) -> None:
     x, c = beside_the_chief(48, mesh, 0.0)
-    safety = SafetyFilter(c, R, BatchedSolver())
+    safety = SafetyFilter(c, R)
+    safety.compile("cpu", 48)
     x = x[:, safety.is_safe(x)]
     body, nearest = corners(mesh), math.inf
     for _ in range(150):

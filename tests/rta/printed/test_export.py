@@ -4,10 +4,12 @@ Where controls are held compilers take half a minute for a filter, so that most 
 RTA_EXPORT_THOROUGH is set.
 """
 
+import functools
 import os
 import re
 import shutil
 import subprocess
+import tempfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -34,6 +36,7 @@ from tests.rta.printed.export_states import PROGRAM, Answers, compared, in_c, in
 
 STRICT = ("-std=c99", "-O2", "-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Werror")
 STRICTER = ("-Wshadow", "-Wstrict-prototypes", "-Wmissing-prototypes", "-Wcast-qual", "-Wundef", "-Wvla")
+GRAPH = ("-fstack-usage", "-fcallgraph-info=su")  # writes what calls what, and the stack of each
 SANITIZED = ("-std=c99", "-O1", "-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
 CROSS = {
     "aarch64": ("aarch64-linux-gnu-gcc", "qemu-aarch64", "/usr/aarch64-linux-gnu"),
@@ -104,12 +107,33 @@ def succeed(*words: str | Path, **options: Any) -> str:
     return done.stdout
 
 
-def program(directory: Path, folder: Path, *command: str) -> Path:
-    """PROGRAM with the filter in a directory."""
-    (folder / "program.c").write_text(PROGRAM)
-    source = folder / "program.c", directory / "safety_filter.c"
-    succeed(*command, "-I", directory, "-o", folder / "program", *source, "-lm")
-    return folder / "program"
+@pytest.fixture(scope="module")
+def program(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Path]:
+    """PROGRAM with the filter in a directory, by a command; each once, since optimising takes seconds."""
+    found: dict[tuple[Path, tuple[str, ...]], Path] = {}
+
+    def build(directory: Path, *command: str) -> Path:
+        if (directory, command) not in found:
+            folder = tmp_path_factory.mktemp("program")
+            (folder / "program.c").write_text(PROGRAM)
+            own = ["-I", directory, "-c", directory / "safety_filter.c", "-o", folder / "filter.o"]
+            succeed(*command, *own, cwd=folder)
+            parts = folder / "program.c", folder / "filter.o"
+            succeed(*command, "-I", directory, "-o", folder / "program", *parts, "-lm")
+            found[directory, command] = folder / "program"
+        return found[directory, command]
+
+    return build
+
+
+@functools.cache
+def optimised() -> tuple[str, ...]:
+    """The command of gcc that a filter is built by, with GRAPH where it knows that."""
+    gcc = tool("gcc")
+    with tempfile.TemporaryDirectory() as folder:
+        (Path(folder) / "nothing.c").write_text("extern int nothing;\n")
+        knows = run(gcc, *STRICT, *GRAPH, "-c", "nothing.c", cwd=folder).returncode == 0
+    return (gcc, *STRICT, *(GRAPH if knows else ()))
 
 
 def assert_same(safety_filter: SafetyFilter, x: Tensor, expected: Answers, found: Answers) -> None:
@@ -130,16 +154,17 @@ def thorough(*values: str) -> Any:
 
 @pytest.mark.parametrize("kind", ["1", "u1", thorough("5"), thorough("10")])
 def test_c_answers_as_pytorch(
-    kind: str, exported: Callable[..., Made], drawn: tuple[Tensor, Tensor], tmp_path: Path
+    kind: str,
+    exported: Callable[..., Made],
+    drawn: tuple[Tensor, Tensor],
+    program: Callable[..., Path],
 ) -> None:
     """Back to back with PyTorch's batches; `python -m tests.rta.printed.export_states` compares 100,000."""
     safety_filter, directory = exported(kind)
     x, desired = (part[:, : STATES_HELD if safety_filter.holds else STATES] for part in drawn)
     expected = in_python(safety_filter, x, desired)
     assert all((expected.program_status.amax(0) == each).sum() > 15 for each in list(Status)[1:])
-    assert_same(
-        safety_filter, x, expected, in_c([program(directory, tmp_path, tool("gcc"), *STRICT)], x, desired)
-    )
+    assert_same(safety_filter, x, expected, in_c([program(directory, *optimised())], x, desired))
 
 
 @pytest.mark.parametrize("real", ["double", "float"])
@@ -191,26 +216,35 @@ def test_its_own_test_fails_with_a_flaw(flaw: str, exported: Callable[..., Made]
 
 @pytest.mark.parametrize("kind", ["1", thorough("10"), thorough("u1")])
 def test_sanitizers_find_nothing(
-    kind: str, compiler: str, exported: Callable[..., Made], drawn: tuple[Tensor, Tensor], tmp_path: Path
+    kind: str,
+    compiler: str,
+    exported: Callable[..., Made],
+    drawn: tuple[Tensor, Tensor],
+    program: Callable[..., Path],
+    tmp_path: Path,
 ) -> None:
     (tmp_path / "nothing.c").write_text("int main(void) { return 0; }\n")
     if run(compiler, *SANITIZED, tmp_path / "nothing.c", "-o", tmp_path / "nothing").returncode:
         pytest.skip(f"{compiler} has no sanitizers here")
     x, desired = (part[:, :2000] for part in drawn)
-    in_c([program(exported(kind).directory, tmp_path, compiler, *SANITIZED)], x, desired)
+    in_c([program(exported(kind).directory, compiler, *SANITIZED)], x, desired)
 
 
 @pytest.mark.parametrize("kind", ["1", thorough("10"), thorough("u1")])
 @pytest.mark.parametrize("machine", CROSS)
 def test_another_architecture_answers_the_same(
-    kind: str, machine: str, exported: Callable[..., Made], drawn: tuple[Tensor, Tensor], tmp_path: Path
+    kind: str,
+    machine: str,
+    exported: Callable[..., Made],
+    drawn: tuple[Tensor, Tensor],
+    program: Callable[..., Path],
 ) -> None:
     gcc, emulator, libraries = CROSS[machine]
     tool(gcc), tool(emulator)
     x, desired = (part[:, :2000] for part in drawn)
     safety_filter, directory = exported(kind)
-    here = in_c([program(directory, tmp_path, tool("gcc"), *STRICT)], x, desired)
-    there = program(directory, tmp_path, gcc, *STRICT, "-ffp-contract=off")
+    here = in_c([program(directory, *optimised())], x, desired)
+    there = program(directory, gcc, *STRICT, "-ffp-contract=off")
     assert_same(safety_filter, x, here, in_c([emulator, "-L", libraries, there], x, desired))
 
 
@@ -235,13 +269,12 @@ def test_it_keeps_nothing_and_calls_nothing_but_the_mathematics(
     ("kind", "most"), [("1", 16_000), ("u1", LARGEST_STACK), thorough("10", LARGEST_STACK)]
 )
 def test_the_stack_is_bounded_and_nothing_recurses(
-    kind: str, most: int, exported: Callable[..., Made], tmp_path: Path
+    kind: str, most: int, exported: Callable[..., Made], program: Callable[..., Path]
 ) -> None:
-    source = exported(kind).directory / "safety_filter.c"
-    flags = "-std=c99", "-O2", "-fstack-usage", "-fcallgraph-info=su"
-    if run(tool("gcc"), *flags, "-c", source, "-o", "filter.o", cwd=tmp_path).returncode:
+    if not set(GRAPH) <= set(optimised()):
         pytest.skip("this gcc knows no call graphs")
-    assert 1000 < deepest((tmp_path / "filter.ci").read_text()) <= most
+    built = program(exported(kind).directory, *optimised())
+    assert 1000 < deepest((built.parent / "filter.ci").read_text()) <= most
 
 
 def deepest(graph: str) -> int:

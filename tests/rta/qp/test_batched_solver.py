@@ -109,10 +109,10 @@ def flights() -> tuple[Problems, ...]:
     limits = near_the_limits(256, seed=7)
     wide = dataclasses.replace(R, keep_in_margin=0.5, passive_safety_margin=20.0, exclusion_margin=0.2)
     return (
-        *fly(1.0, 4, None),
-        *fly(1.0, 4, limits),
-        *held(1500, seed=9),
-        *fly(1.0, 4, near_the_limits(256, seed=8), wide),  # margins that often cannot be kept
+        *fly(1.0, 2, None),
+        *fly(1.0, 2, limits),
+        *held(750, seed=9),
+        *fly(1.0, 2, near_the_limits(256, seed=8), wide),  # margins that often cannot be kept
     )
 
 

@@ -60,7 +60,7 @@ FILES = {
 
 
 @pytest.fixture(scope="module", autouse=True)
-def brief(small_pools: None) -> Any:
+def brief(small_pools: None, loose_figures: None) -> Any:
     """Two periods, short demonstrations and few cases of the guidance."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(flights, "PERIODS", (1.0, 5.0))
@@ -291,6 +291,7 @@ def test_a_study_of_one_arm_has_a_report_of_one_arm(
     arm: str, copy: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(flights, "evaluate", lambda arm, rta, period: arm.results)
+    monkeypatch.setattr(flights, "WORLDS", ("nominal",))
     other = {"no_rta": "rta", "rta": "no_rta"}[arm]
     for directory in ("report", other):
         shutil.rmtree(copy / directory)

@@ -41,7 +41,7 @@ def config(**train: object) -> Config:
 @pytest.mark.parametrize("orbit", [jump_start.ORBIT, Orbit(out_of_plane=30.0, tracking=0.01)])
 def test_the_guidance_that_teaches_violates_nothing_without_the_filter(orbit: Orbit) -> None:
     experiment = Experiment(config(), 64)
-    env = experiment.env(64, experiment.generators([0]))
+    env = experiment.env(64, experiment.generators([0]), compiled=True)
     c = env.c
     env.start(*common_cases(experiment.config, 64, 1))
     guidance, worst = natural_motion(c, c.action_period, orbit), []
@@ -53,8 +53,8 @@ def test_the_guidance_that_teaches_violates_nothing_without_the_filter(orbit: Or
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory) -> session.Run:
-    """A run that was taught and has not begun with PPO."""
-    return taught(session.start(config(), tmp_path_factory.mktemp("taught") / "run"))
+    """A run that was taught and has not begun with PPO; compiled, since its lessons are long."""
+    return taught(session.start(config(compile="on"), tmp_path_factory.mktemp("taught") / "run"))
 
 
 def taught(run: session.Run) -> session.Run:

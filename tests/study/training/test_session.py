@@ -38,7 +38,8 @@ final_episodes = 2
 compile = "off"
 device = "cpu"
 [inspection]
-max_time = 30.0 # every episode ends within each update
+action_period = 1.0
+max_time = 3.0 # every episode ends within each update
 [ppo]
 epochs = 1
 minibatch_size = 8
