@@ -78,4 +78,4 @@ def write_json(path: str | Path, content: Mapping[str, Any]) -> None:
 def write_npz(path: str | Path, arrays: Mapping[str, np.ndarray]) -> None:
     """Writes named arrays as a compressed .npz file, whole or not at all."""
     with writing(path) as file:
-        np.savez_compressed(file, **arrays)
+        np.savez_compressed(file, **arrays)  # type: ignore[arg-type]  # none has the name of a flag

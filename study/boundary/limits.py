@@ -15,8 +15,8 @@ How a state is drawn:
 """
 
 import itertools
+from dataclasses import dataclass, replace
 from functools import partial
-from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -70,7 +70,8 @@ AIMED = dict.fromkeys(CONSTRAINTS, 1.0) | {
 }
 
 
-class NearLimits(NamedTuple):
+@dataclass(frozen=True)
+class NearLimits:
     """States next to limits, or on their way; last axis the states.
 
     Attributes:
@@ -92,12 +93,13 @@ class NearLimits(NamedTuple):
         return self.targets[0] >= 2 * LIMITS
 
     def __getitem__(self, columns: Tensor) -> "NearLimits":
-        return NearLimits(*(part[..., columns] for part in self))
+        return NearLimits(*(part[..., columns] for part in vars(self).values()))
 
 
 def together(parts: list[NearLimits]) -> NearLimits:
     """All states of the parts."""
-    return NearLimits(*(torch.cat(each, -1) for each in zip(*parts, strict=True)))
+    fields = zip(*(vars(part).values() for part in parts), strict=True)
+    return NearLimits(*(torch.cat(each, -1) for each in fields))
 
 
 def barriers(x: Tensor, safety_filter: SafetyFilter) -> Tensor:
@@ -206,7 +208,7 @@ def approach(
             low, high = torch.where(before, middle, low), torch.where(before, high, middle)
         values = [barriers_at(between(x, end, share)) for share in (low, high)]
         left = torch.nonzero(safe(values[0].maximum(values[1]), near.within)).flatten()
-    return near._replace(state=between(x, end, low))[left]
+    return replace(near, state=between(x, end, low))[left]
 
 
 @torch.no_grad()

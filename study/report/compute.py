@@ -2,22 +2,23 @@
 
 import json
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from study.config import ARMS, BASELINES, TEST_CASES
 from study.errors import MALFORMED, InputError, refusing
 from study.files import write_json, write_npz, write_text
-from study.paper import Results
 from study.report import flights, tables
 from study.report.agents import Arm, load
-from study.report.flights import Arrays
 from study.report.sunlight import shortest_episodes
 
-Work = dict[str, tuple[str, Callable[[], Results | Arrays | str]]]  # by file: what it is, what computes it
+Work = dict[
+    str, tuple[str, Callable[[], Any]]
+]  # by file: what it is, what computes that which WRITE writes there
 
 
 def compute(study: Path, device: str | None = None) -> None:
@@ -38,7 +39,7 @@ def compute(study: Path, device: str | None = None) -> None:
             if not (directory / name).exists():
                 print(f"{directory / name}: {what} ...", flush=True)  # a line, since bars may follow
                 started = time.perf_counter()
-                write(directory / name, make())
+                WRITE[Path(name).suffix](directory / name, make())
                 print(f"{directory / name}: {time.perf_counter() - started:.0f} s", flush=True)
 
 
@@ -53,16 +54,18 @@ def begin(directory: Path, digests: dict[str, dict[str, str]], todo: Work) -> No
         write_text(path, text)
 
 
-def write(path: Path, content: Results | Arrays | str) -> None:
-    """Writes results as .json, arrays as .npz (in single precision) or text, whole or not at all."""
-    if path.suffix == ".json":
-        write_json(path, content)
-    elif path.suffix == ".npz":
-        # single precision is enough for figures and replays
-        single = {name: a.astype(np.float32) if a.dtype == np.float64 else a for name, a in content.items()}
-        write_npz(path, single)
-    else:
-        write_text(path, content)
+def write_single(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
+    """Writes named arrays in single precision, which is enough for figures and replays."""
+    write_npz(
+        path, {name: a.astype(np.float32) if a.dtype == np.float64 else a for name, a in arrays.items()}
+    )
+
+
+WRITE: dict[str, Callable[[Path, Any], None]] = {
+    ".json": write_json,
+    ".npz": write_single,
+    ".csv": write_text,
+}
 
 
 def work(study: Path, arms: dict[str, Arm]) -> Work:

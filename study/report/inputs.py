@@ -90,20 +90,28 @@ def read(study: Path) -> Inputs:
         provenance=read_json(study / "provenance.json"),
         cross=read_json(report / "cross.json"),
         training=read_curves(report / "training.csv"),
+        guidance=read_json_if_any(report / "guidance.json"),
+        orbits=read_json_if_any(report / "orbits.json"),
+        worlds=read_json_if_any(report / "worlds.json"),
+        progress=read_json_if_any(report / "progress.json"),
+        sunlight=read_json_if_any(report / "sunlight.json"),
+        frequency=read_json_if_any(report / "frequency.json"),
+        baselines=read_json_if_any(report / "baselines.json"),
         violation=read_episode(path) if (path := report / "violation.npz").exists() else {},
         episodes={arm: read_episode(report / f"episode_{arm}.npz") for arm in arms},
         demonstrations={arm: read_episode(report / f"demonstration_{arm}.npz") for arm in ARMS},
-        **{
-            name: read_json(report / f"{name}.json") if (report / f"{name}.json").exists() else {}
-            for name in ("guidance", "orbits", "worlds", "progress", "sunlight", "frequency", "baselines")
-        },
     )
 
 
-def read_json(path: Path) -> dict[str, Any]:
+def read_json(path: Path) -> Any:
     """Content of a JSON file."""
     with refusing(f"{path}: cannot read it", OSError, ValueError):
         return json.loads(path.read_text(encoding="utf-8"))
+
+
+def read_json_if_any(path: Path) -> Any:
+    """Content of a JSON file; an empty object where there is none."""
+    return read_json(path) if path.exists() else {}
 
 
 def read_arms(study: Path, own: bool = False) -> dict[str, Results]:
