@@ -1,0 +1,231 @@
+"""The study's agents, the classical guidance and the paper's agents."""
+
+import math
+from collections.abc import Callable, Iterator
+from functools import partial
+
+import numpy as np
+
+from study.paper import PAPER_METRICS, PAPER_VIOLATIONS, Results, measured
+from study.report.tables import of_seeds, over_seeds
+from study.results.numbers.evidence import (
+    LABELS,
+    POLICIES,
+    REFERENCE,
+    Row,
+    arms,
+    calls,
+    campaign,
+    corrected,
+    interval,
+    middle,
+    report,
+    success,
+    violation,
+)
+
+README, RESULTS = "README.md", "docs/results/results.md"
+SWITCHES = {"off": "without", "on": "with"}  # the filter
+BOTH = ("no_rta", "rta")  # the paper's arms
+
+
+def guidance() -> Results:
+    """The classical guidance behind the filter, on the study's test cases."""
+    return report("baselines")["natural-motion"]["on"]
+
+
+def front() -> Iterator[Row]:
+    """The front page's table."""
+    flown = {
+        "agents trained and flown without RTA": arms()["no_rta"],
+        "agents trained and flown with RTA": arms()["rta"],
+        "agents of an imperfect world, with robust RTA": arms()["robust"],
+        "classical guidance with RTA": guidance(),
+    }
+    for label, results in flown.items():
+        fuel, time = (middle(results, name) for name in ("delta_v_m_s", "episode_length_s"))
+        shares = success(results), success(results, "clean_success")
+        yield label, *shares, f"{fuel:.2f}", f"{time:,.0f}", violation(results)
+    fuel, time = (PAPER_METRICS[name].by_arm["rta"].value for name in ("delta_v_m_s", "episode_length_s"))
+    any_limit = PAPER_VIOLATIONS["any"].by_arm["rta"].value
+    yield "*the paper's agents with RTA*", "", "", f"{fuel:.2f}", f"{time:,.0f}", f"{any_limit:.3f}"
+
+
+def performance() -> Iterator[Row]:
+    """Table 2: ours, the paper's, and the guidance."""
+
+    def ours(label: str, cell: Callable[[Results], str], paper: Row = ("", "")) -> Row:
+        without, behind = (cell(arms()[arm]) for arm in BOTH)
+        return label, without, paper[0], behind, paper[1], cell(report("guidance"))
+
+    for metric, published in PAPER_METRICS.items():
+        paper = [published.by_arm[arm].text(published.digits) for arm in BOTH]
+        yield ours(published.label, partial(interval, metric=metric), paper)
+    yield ours("Torque, summed over seconds (N m s)", lambda each: f"{10.0 * middle(each, 'torque_n_m'):.4f}")
+    yield ours("Success (%)", success)
+    yield ours("Clean success (%)", lambda each: success(each, "clean_success"))
+    paper = [PAPER_VIOLATIONS["any"].by_arm[arm].text(3) for arm in BOTH]
+    yield ours("Any violation (mean % of steps)", violation, paper)
+    label = "Any violation (mean % of seconds)"
+    yield ours(label, lambda each: f"{each['violations_percent_of_seconds']['any']:.3f}")
+
+
+def violations() -> Iterator[Row]:
+    """Table 3: ours beside the paper's."""
+    for constraint, published in PAPER_VIOLATIONS.items():
+        cells = (
+            cell
+            for arm in BOTH
+            for cell in (violation(arms()[arm], constraint), published.by_arm[arm].text(published.digits))
+        )
+        yield published.label, *cells
+
+
+def all_arms() -> Iterator[Row]:
+    """Each arm with the intervals over seeds, the means and the tails."""
+    for arm, label in LABELS.items():
+        results = arms()[arm]
+
+        def cell(metric: str, digits: int, results: Results = results) -> str:
+            low, high = over_seeds(results, metric)
+            numbers = middle(results, metric), low, high, results["metrics"][metric]["mean"]
+            return "{} [{}, {}], {}".format(*(f"{each:,.{digits}f}" for each in numbers))
+
+        length, fuel = (results["metrics"][name] for name in ("episode_length_s", "delta_v_m_s"))
+        yield (
+            label,
+            success(results, "clean_success"),
+            violation(results),
+            cell("reward", 3),
+            f"{min(of_seeds(results, 'reward')):.3f}",
+            cell("episode_length_s", 0),
+            f"{length['p5']:,.0f} to {length['p95']:,.0f}, {length['max']:,.0f}",
+            cell("delta_v_m_s", 2),
+            f"{fuel['p5']:.2f} to {fuel['p95']:.2f}, {fuel['max']:.2f}",
+        )
+
+
+def time_against_fuel() -> Iterator[Row]:
+    """The guidance on two ellipses, from slow to fast."""
+    for orbit in report("orbits"):
+        quick = f"{orbit['tracking']:g} rad/s"
+        if math.isfinite(orbit["approach"] or math.inf):
+            quick = f"{100 * orbit['approach']:g} % of the limit"
+        time, fuel = (middle(orbit, name) for name in ("episode_length_s", "delta_v_m_s"))
+        numbers = f"{time:,.0f}", f"{fuel:.2f}", success(orbit, "clean_success")
+        yield f"{orbit['semi_minor']:g}", quick, *numbers
+
+
+def baselines() -> Iterator[Row]:
+    """The test cases flown without learning."""
+    flown_by = {
+        "untrained": "untrained agent",
+        "random": "random controls",
+        "zero": "no control (coasting)",
+        "natural-motion": "classical guidance",
+    }
+    for name, label in flown_by.items():
+        for switch, filtered in SWITCHES.items():
+            results = report("baselines")[name][switch]
+            metrics = (interval(results, each) for each in ("reward", "delta_v_m_s", "episode_length_s"))
+            yield label, filtered, success(results), violation(results), *metrics
+
+
+def hidden() -> Iterator[Row]:
+    """What the interquartile means hide: counts over all episodes."""
+    columns = []
+    for arm in LABELS:
+        with np.load(REFERENCE / "study" / arm / "episodes.npz") as episodes:
+            metrics = dict(zip(episodes["metric_names"], episodes["metrics"], strict=True))
+            violated = dict(zip(episodes["constraint_names"], episodes["violation_seconds"], strict=True))
+            succeeded = episodes["outcome"] == list(episodes["outcome_names"]).index("success")
+            counts = {
+                "succeed": succeeded,
+                "succeed, but would drift into the chief within two days if thrust stopped at the end": succeeded
+                & ~episodes["clear"],
+                "violate a limit in some second": violated["any"] > 0.0,
+                "last longer than 5,000 s": metrics["episode_length_s"] > 5000.0,
+            }
+            column = {label: f"{found.sum():,}" for label, found in counts.items()}
+            farthest = episodes["max_distance_m"].max()
+            columns.append(column | {"farthest from the chief (m); the limit is 800": f"{farthest:.2f}"})
+    for label in columns[0]:
+        yield label, *(column[label] for column in columns)
+
+
+def dependence() -> Iterator[Row]:
+    """Each arm with the filter off and on."""
+    for arm, label in LABELS.items():
+        for switch, filtered in SWITCHES.items():
+            results = report("cross")[arm][switch]
+            yield (
+                label,
+                filtered,
+                success(results),
+                success(results, "clean_success"),
+                violation(results),
+                corrected(results),
+                interval(results, "reward", 3),
+                interval(results, "delta_v_m_s", 2),
+                interval(results, "episode_length_s", 0),
+            )
+
+
+def worlds() -> Iterator[Row]:
+    """Each arm in plants that differ from the model."""
+    for plant, flown in report("worlds").items():
+        for arm, label in LABELS.items():
+            cells = (
+                f"{success(each)}, {violation(each)}, {middle(each, 'reward'):.3f}"
+                for each in flown[arm].values()
+            )
+            yield plant, label, *cells
+
+
+def one_weight() -> Iterator[Row]:
+    """Calls in a million in which a limit yields, with one weight for all and with three classes."""
+    yielding = ("attitude_exclusion", "keep_in_zone", "battery", "temperature")
+    rates = (f"angular_velocity_{axis}" for axis in "xyz")
+    reports = [campaign(f"{weights}{policy}") for policy in POLICIES for weights in ("single_slack_", "")]
+
+    def row(label: str, *counts: int) -> Row:
+        shares = (1e6 * count / calls(each) for count, each in zip(counts, reports, strict=True))
+        return label, *(f"{share:.1f}" for share in shares)
+
+    yield row("Any", *(each["filter_calls"]["slack"] for each in reports))
+    for limit in (*yielding, *rates):
+        yield row(PAPER_VIOLATIONS[limit].label, *(each["yielded_calls"][limit] for each in reports))
+
+
+def panels_on_plus_x() -> Iterator[Row]:
+    """The study with the panels where the paper's text has them."""
+    columns = arms("study_plus_x").values()
+    for metric, published in PAPER_METRICS.items():
+        yield f"{published.label} (IQM [95 % interval])", *(interval(each, metric) for each in columns)
+    yield "Success (%)", *map(success, columns)
+    yield "Any violation (mean % of steps)", *map(violation, columns)
+    for limit in ("attitude_exclusion", "temperature", "battery", "dynamic_speed", "passive_safety"):
+        yield PAPER_VIOLATIONS[limit].label, *(violation(each, limit) for each in columns)
+
+
+def sentences() -> Iterator[tuple[str, str]]:
+    """Pages and the sentences that they have."""
+    fuel, time = (middle(guidance(), name) for name in ("delta_v_m_s", "episode_length_s"))
+    yield README, f"with the Sun: {fuel:.1f} m/s in {round(time, -2):,.0f} s"
+    quickest = min(report("orbits"), key=lambda orbit: middle(orbit, "episode_length_s"))
+    for who, results in (("Tuned for speed, it spends", quickest), ("agents with RTA spend", arms()["rta"])):
+        fuel, time = (middle(results, name) for name in ("delta_v_m_s", "episode_length_s"))
+        yield README, f"{who} {fuel:.1f} m/s in {round(time, -1):,.0f} s"
+    off = report("cross")["rta"]["off"]
+    shares = success(off), success(off, "clean_success")
+    yield README, f"succeed without it in {shares[0]} % of the episodes ({shares[1]} % clean)"
+    yield README, f"a limit in {off['violations_percent']['any']:.2f} % of the steps"
+
+    minutes = sum(each["wall_clock_s"] for each in arms().values()) / 60.0
+    yield RESULTS, f"Training took {minutes:.0f} minutes"
+    lengths = [f"{middle(arms()[arm], 'episode_length_s'):,.0f}" for arm in ("rta", "no_rta")]
+    paper = [f"{PAPER_METRICS['episode_length_s'].by_arm[arm].value:,.0f}" for arm in ("rta", "no_rta")]
+    yield RESULTS, f"({lengths[0]} and {lengths[1]} s against {paper[0]} and {paper[1]} s)"
+    sunlight = measured({"violations_percent": {}, "metrics": report("sunlight")}, "earliest_success_s")
+    low, high = sunlight.interval or (math.nan, math.nan)
+    yield RESULTS, f"it takes {sunlight.value:,.0f} s [{low:,.0f}, {high:,.0f}] until"

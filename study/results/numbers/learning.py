@@ -1,0 +1,104 @@
+"""How early agents learn, and from what."""
+
+import math
+import statistics
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from study.flight.summary import iqm
+from study.results.numbers.evidence import LABELS, Row, arms, middle, read, report, success
+
+README, RESULTS = "README.md", "docs/results/results.md"
+BOTH = ("no_rta", "rta")  # the paper's arms
+EARLY = (0, 65_536, 163_840, 311_296, 507_904, 1_015_808, 2_015_232)  # interactions of the table's rows
+LESSONS, HALF_A_MILLION = 163_840, 507_904
+
+
+def evaluations(study: str, arm: str, interactions: int) -> list[dict[str, Any]]:
+    """The seeds' evaluations of an arm after so many interactions."""
+    lines = read(f"{study}/{arm}/evaluations.jsonl")
+    return [line for line in lines if line["interactions"] == interactions]
+
+
+def succeeded(seeds: list[dict[str, Any]]) -> float:
+    """The share of the seeds' cases with success, in %."""
+    return 100.0 * float(np.mean([seed["outcomes"]["success"] for seed in seeds]))
+
+
+def middle_of_cases(seeds: list[dict[str, Any]], metric: str) -> float:
+    """The interquartile mean over the seeds' cases."""
+    return float(iqm(np.concatenate([seed["cases"][metric] for seed in seeds])))
+
+
+def papers_learner() -> Iterator[Row]:
+    """The paper's learner from scratch, without RTA and with it by turns."""
+    for interactions in EARLY:
+        both = [evaluations("paper", arm, interactions) for arm in BOTH]
+        yield (
+            f"{interactions:,}",
+            *(f"{succeeded(seeds):.0f}" for seeds in both),
+            *(f"{middle_of_cases(seeds, 'inspected_score'):.2f}" for seeds in both),
+            *(f"{middle_of_cases(seeds, 'delta_v_m_s'):.1f}" for seeds in both),
+        )
+
+
+def after_500_s(arm: str) -> float:
+    """The weight that trained agents have inspected after 500 s."""
+    curve = report("progress")[arm]
+    return float(np.interp(500.0, curve["time_s"], curve["weight"]))
+
+
+def early() -> Iterator[Row]:
+    """The study's arms before training, after the lessons and after half a million interactions."""
+    for arm, label in LABELS.items():
+        if arm == "robust":  # not evaluated during training
+            continue
+        before, lessons, later = (
+            evaluations("study", arm, interactions) for interactions in (0, LESSONS, HALF_A_MILLION)
+        )
+        yield (
+            label,
+            f"{middle_of_cases(before, 'inspected_score'):.2f}",
+            *(f"{succeeded(seeds):.1f}" for seeds in (before, lessons, later)),
+            f"{middle_of_cases(later, 'reward'):.3f}",
+            f"{after_500_s(arm):.2f}",
+        )
+
+
+def learned_from() -> Iterator[Row]:
+    """What PPO learns from behind the filter."""
+    for name, found in read("learn_from/results.json").items():
+        on, off, at = found["with_filter"], found["without"], found["learned_at"]
+        reward = on["metrics"]["reward"]
+        typical = statistics.median(math.inf if each is None else each for each in at)
+        yield (
+            name,
+            success(on),
+            f"{reward['iqm']:.3f} ({reward['mean']:.3f})",
+            f"{middle(on, 'delta_v_m_s'):.1f}",
+            f"{on['corrected_percent']:.1f}",
+            f"{typical:,.0f} ({sum(each is not None for each in at)} of {found['seeds']})",
+            success(off),
+            f"{off['violations_percent']:.2f}",
+        )
+
+
+def sentences() -> Iterator[tuple[str, str]]:
+    """Pages and the sentences that they have."""
+    without, behind = (f"{succeeded(evaluations('paper', arm, 311_296)):.0f}" for arm in BOTH)
+    yield README, f"succeeds in {behind} % after 0.31 million decisions with RTA, in {without} % without"
+    said = f"{behind} % succeed after 0.31 million interactions with RTA, where {without} % do without"
+    yield RESULTS, said
+
+    trained = [arms("paper")[arm] for arm in BOTH]
+    without, behind = (f"{middle(each, 'delta_v_m_s'):.1f}" for each in trained)
+    yield RESULTS, f"in the end, {behind} against {without} m/s"
+    yield RESULTS, f"order of fuel: {without} m/s without and {behind} m/s with RTA"
+    without, behind = (f"{100.0 * each['outcomes']['clean_success']:.0f}" for each in trained)
+    yield RESULTS, f"Without the filter {without} % are clean in the end, with it {behind} %"
+
+    yield RESULTS, f"they have {after_500_s('robust'):.2f} after 500 s when trained"
+    without, behind = (f"{100.0 * after_500_s(arm):.0f}" for arm in BOTH)
+    yield RESULTS, f"the mean of the middle half is {without} % without and {behind} % with RTA"

@@ -1,0 +1,179 @@
+"""What the campaigns against the filter found."""
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from study.paper import PAPER_VIOLATIONS
+from study.results.numbers.evidence import (
+    LABELS,
+    POLICIES,
+    Row,
+    calls,
+    campaign,
+    corrected,
+    interval,
+    middle,
+    read,
+    report,
+    success,
+    violating,
+    violation,
+)
+from study.verification.break_points import EFFECTS, said
+
+README, TESTS = "README.md", "docs/results/safety_tests.md"
+UNITS = {
+    "collision": "m/s",
+    "dynamic_speed": "m/s",
+    "keep_in_zone": "m/s",
+    "passive_safety": "m",
+    **{f"velocity_{axis}": "m²/s²" for axis in "xyz"},
+    "attitude_exclusion": "rad",
+    "temperature": "°C",
+    "battery": "kJ",
+    **{f"angular_velocity_{axis}": "rad²/s²" for axis in "xyz"},
+}  # of h
+
+
+def both(name: str = "{}") -> list[Any]:
+    """The reports of random and of adversarial controls; `name` has {} for these."""
+    return [campaign(name.format(policy)) for policy in POLICIES]
+
+
+def flown() -> Iterator[Row]:
+    """Every limit under random and adversarial controls."""
+    for limit, unit in UNITS.items():
+        cells = []
+        for each in both():
+            worst, when = each["worst_value"][limit], each["worst_case"][limit]["time_s"]
+            cells += [f"{each['violating_episodes'][limit]:,}", f"{worst:.3g} at {when:g} s"]
+        yield f"{PAPER_VIOLATIONS[limit].label} ({unit})", *cells
+    random, adversarial = map(violating, both())
+    yield "any", random, "", adversarial, ""
+
+
+def yielded() -> Iterator[Row]:
+    """Calls in which rows yielded, because they conflicted."""
+    labels = {
+        "temperature": ("temperature",),
+        "battery": ("battery",),
+        "keep-in zone, inside its margin": ("keep_in_zone",),
+        "separation, passive safety, attitude exclusion, speed, velocity": (
+            *("collision", "passive_safety", "attitude_exclusion", "dynamic_speed"),
+            *(f"velocity_{axis}" for axis in "xyz"),
+        ),
+    }
+    yield "any", *(f"{each['filter_calls']['slack']:,}" for each in both())
+    for label, limits in labels.items():
+        yield label, *(f"{sum(each['yielded_calls'][name] for name in limits):,}" for each in both())
+
+
+def came_of(campaign: Any) -> Row:
+    """Violations, the bound on their probability, and the smallest h of the zone and of passive safety."""
+    worst = campaign["worst_value"]
+    return (
+        f"{campaign['violating_episodes']['any']:,}",
+        f"{campaign['upper_bound_95']:.2g}",
+        f"{worst['keep_in_zone']:.3f}, {worst['passive_safety']:.2f}",
+    )
+
+
+def adversaries() -> Iterator[Row]:
+    """What adversaries that look ahead or learn reached."""
+    learned = {
+        "motion": "learned: motion",
+        "passive": "learned: passive safety",
+        "attitude": "learned: attitude, temperature, energy",
+    }
+    tried = {
+        "adversarial_between": ("the model", "adversarial"),
+        "lookahead": ("the model", "lookahead"),
+        **{f"learned_{name}": ("the model", label) for name, label in learned.items()},
+        "u1_lookahead": ("U1", "lookahead, 8 for two calls"),
+        **{f"u1_learned_{name}": ("U1", label) for name, label in learned.items()},
+    }
+    for name, label in tried.items():
+        each = campaign(name)
+        yield *label, f"{each['episodes']:,}", f"{each['campaign']['check_every']:g}", *came_of(each)
+
+
+def break_points() -> Iterator[Row]:
+    """The sizes at which each effect breaks a limit."""
+    found = campaign("break_points")
+    for effect in dict.fromkeys(world["effect"] for world in found["worlds"]):
+        yield effect, EFFECTS[effect].unit or "share", *(said(found, effect, told) for told in (False, True))
+
+
+def periods_of_agents() -> Iterator[Row]:
+    """The study's agents behind the filter at each period."""
+    for period, results in report("frequency").items():
+        metrics = (interval(results, each) for each in ("delta_v_m_s", "torque_n_m", "reward"))
+        yield period, violation(results), corrected(results), *metrics
+
+
+def periods_of_campaigns() -> Iterator[Row]:
+    """Random and adversarial controls at each period."""
+    for period in report("frequency"):
+        found = both() if period == "1" else [read(f"frequency/{each}_{period}s.json") for each in POLICIES]
+        yield period, *map(violating, found)
+
+
+def told_worlds() -> Iterator[Row]:
+    """Worlds with all errors at once, behind a filter that is given their bounds."""
+    worlds = {
+        "u1_random": ("U1", "random"),
+        "u1_adversarial": ("U1", "adversarial"),
+        "u1_minimum_thrust": ("U1, minimum impulse", "adversarial"),
+        "u1_thrust_quantum": ("U1, quanta", "adversarial"),
+    }
+    for name, label in worlds.items():
+        each = campaign(name)
+        yield *label, f"{each['episodes']:,}, {each['campaign']['duration']:,}", *came_of(each)
+
+
+def agents_in_u1() -> Iterator[Row]:
+    """The study's agents in U1 with U1's bounds, beside the model without any."""
+    worlds = report("worlds")
+    for arm in ("rta", "robust"):
+        flown = worlds["u1"][arm]["robust"], worlds["nominal"][arm]["nominal"]
+        apart = np.subtract(*(each["reward_of_seeds"] for each in flown))
+        yield (
+            LABELS[arm],
+            success(flown[0]),
+            violation(flown[0]),
+            *(f"{middle(each, 'reward'):.4f}" for each in flown),
+            f"{apart.min():+.3f} to {apart.max():+.3f}",
+            *(f"{middle(each, 'delta_v_m_s'):.2f}" for each in flown),
+        )
+
+
+def sentences() -> Iterator[tuple[str, str]]:
+    """Pages and the sentences that they have."""
+    episodes = sum(each["episodes"] for each in both())
+    yield README, f"{episodes:,} episodes, half of them"
+    yield README, f"{calls(*both()) / 1e6:.0f} million calls: no violation"
+    yield README, f"kept every limit in {sum(each['episodes'] for each in both('u1_{}')):,} episodes"
+
+    bound = max(each["upper_bound_95"] for each in both())
+    yield TESTS, f"violates anything is below {bound:.3g} under either kind"
+    yield TESTS, f"None of {calls(*both()):,} filter calls was unsolved"
+    yield TESTS, f"{both()[0]['starts_rejected_by_margin']} of the safe set's starts were left out"
+    yield TESTS, f"{both()[0]['starts_beyond_braking']['episodes']} starts were flown but"
+    yield TESTS, f"In these {episodes:,} episodes the limit itself"
+    yield TESTS, f"in each of the {len(campaign('break_points')['worlds'])} worlds"
+
+    single = campaign("boundary")
+    inside = single["within_margins"]["any"]
+    share, bound = single["violating_draws"]["any"] / single["draws"], single["upper_bound_95"]
+    yield TESTS, f"{single['violating_draws']['any']:,} of {single['draws']:,} draws went below zero"
+    yield TESTS, f"({share:.3%}; below {bound:.2g} with 95 % confidence)".replace("%;", " %;")
+    yield TESTS, f"All but {inside['violating']} of them were drawn"
+    yield TESTS, f"Of the {inside['draws']:,} draws that"
+    yield TESTS, f"these are {inside['violating']} (below {inside['upper_bound_95']:.0e} with 95 %)"
+    names = {"passive_safety": "passive safety", "dynamic_speed": "dynamic speed", "collision": "separation"}
+    names |= {f"velocity_{axis}": f"{axis} velocity" for axis in "xyz"} | {"temperature": "temperature"}
+    for limit, label in names.items():
+        count, worst = single["violating_draws"][limit], single["worst_value"][limit]
+        yield TESTS, f"{label} {count:,} (down to {worst:.1g} {UNITS[limit]})"
