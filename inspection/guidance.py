@@ -13,7 +13,7 @@ from torch import Tensor
 from inspection.closed_loop import Controller
 from inspection.model.attitude import conjugate, cross, dot, norm, rotate, unit
 from inspection.model.dynamics import sun_direction
-from inspection.model.parameters import AXES, InspectionParameters
+from inspection.model.parameters import AXES, Limits
 from inspection.model.state import CONTROL_SIZE, OMEGA, THETA_S, P, Q, V
 
 POINTING_FREQUENCY = 0.1  # rad/s, of the critically damped pointing law
@@ -52,7 +52,7 @@ class Orbit:
     approach: float = math.inf
 
 
-def limited(thrust_hill: Tensor, torque: Tensor, x: Tensor, c: InspectionParameters) -> Tensor:
+def limited(thrust_hill: Tensor, torque: Tensor, x: Tensor, c: Limits) -> Tensor:
     """Thrust (3, B) turned into the body frame beside torque (3, B), both clipped to the actuators' limits."""
     limit = x.new_tensor(c.control_limit)[:, None]
     u = torch.cat((rotate(conjugate(x[Q]), thrust_hill), torque))
@@ -63,7 +63,7 @@ def point(
     x: Tensor,
     axis: str,
     direction: Tensor,
-    c: InspectionParameters,
+    c: Limits,
     frequency: float = POINTING_FREQUENCY,
 ) -> Tensor:
     """PD torque (3, B) that turns a body axis such as "-y" towards a unit vector (3, B) in Hill's frame."""
@@ -76,7 +76,7 @@ def point(
     return inertia * (frequency**2 * error - 2.0 * frequency * x[OMEGA])
 
 
-def lqr_gain(c: InspectionParameters) -> np.ndarray:
+def lqr_gain(c: Limits) -> np.ndarray:
     """K (3, 6) of u = -K [p, v]: minimal integral of |p|^2 / (100 m)^2 + |v|^2 / (1 m/s)^2 + |F|^2 / F_max^2."""
     n = c.mean_motion
     a = np.zeros((6, 6))
@@ -93,7 +93,7 @@ def scheduled(schedule: Sequence[tuple[float, Any]], t: float) -> Any:
     return [value for start, value in schedule if start <= t][-1]
 
 
-def lqr_pd(c: InspectionParameters) -> Controller:
+def lqr_pd(c: Limits) -> Controller:
     """LQR from set point to set point, PD that turns side after side into the Sun: past every boundary in turn.
 
     It stands for the primary controller of the paper's RTA demonstration, of which no more is published.
@@ -111,7 +111,7 @@ def lqr_pd(c: InspectionParameters) -> Controller:
     return control
 
 
-def natural_motion(c: InspectionParameters, every: float = 1.0, orbit: Orbit | None = None) -> Controller:
+def natural_motion(c: Limits, every: float = 1.0, orbit: Orbit | None = None) -> Controller:
     """PD law towards the relative ellipse x = b cos(phi), y = 2 b sin(phi), z = a sin(phi) at phi = theta_S.
 
     The ellipse is a free motion of the Clohessy-Wiltshire equations that turns with the Sun, so that holding
@@ -168,7 +168,7 @@ def zero() -> Controller:
     return lambda t, x: x.new_zeros(CONTROL_SIZE, x.shape[1])
 
 
-def random(c: InspectionParameters, generator: torch.Generator) -> Controller:
+def random(c: Limits, generator: torch.Generator) -> Controller:
     """Uniformly random controls, drawn anew at every call."""
 
     def control(t: float, x: Tensor) -> Tensor:

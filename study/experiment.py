@@ -59,6 +59,7 @@ class Experiment:
 
     Attributes:
         config: with the solver that is used; device; filter.
+        task: `priced`, with the chief's hull where it is that to stay clear of.
         safety: constraints, admissible starts and, if the configuration wants it, the filter.
         filter_compiled, compiled: the filter is compiled; simulator and learner are to be.
         worth_tracing: calls that repay tracing the filter.
@@ -79,6 +80,7 @@ class Experiment:
         self.filter_compiled = config.train.rta and wants_compile(choice, calls >= worth_compiling)
         self.config = settled(config, batch, self.device, self.filter_compiled)
         self.compiled = wants_compile(choice, steps >= WORTH_COMPILING_SIMULATOR)
+        self.task = beside(priced(config), config.chief)
         with refusing("[rta], [inspection] and [uncertainty]", ValueError, OverflowError):
             self.filter = SafetyFilter(self.task, self.config.rta, known=config.uncertainty)
         with refusing("[plant] and [inspection]", ValueError):
@@ -91,11 +93,6 @@ class Experiment:
         if worth and not self.filter_compiled and self.device.type == "cpu":
             self.trace_filter(batch)
         self.safety = self.filter.safety(config.train.rta)
-
-    @property
-    def task(self) -> InspectionParameters:
-        """`priced`, with the chief's hull where it is that to stay clear of."""
-        return beside(priced(self.config), self.config.chief)
 
     def trace_filter(self, batch: int) -> None:
         """Has the filter traced for calls of about so many spacecraft, which saves three quarters of a call's time."""

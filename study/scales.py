@@ -2,12 +2,12 @@
 
 import math
 
-from inspection.model.parameters import InspectionParameters
+from inspection.model.parameters import Limits
 from rta.constraints.constraint import CONSTRAINTS
 from rta.constraints.thrust import thrust_acceleration
 
 
-def scales(c: InspectionParameters, period: float) -> list[float]:
+def scales(c: Limits, period: float) -> list[float]:
     """By constraint, how far its h can fall from one filter call to the next, in its unit.
 
     h over it is the least number of calls, `period` s each, that lie between a state and the limit. Each is

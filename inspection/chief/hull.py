@@ -15,7 +15,7 @@ from torch import Tensor
 from inspection.chief.mesh import path_of, read
 from inspection.chief.points import fibonacci_sphere
 from inspection.model.attitude import dot, norm, rotate, unit
-from inspection.model.parameters import ChiefParameters, InspectionParameters
+from inspection.model.parameters import ChiefParameters, InspectionParameters, Limits
 
 PLANES = 100  # in directions spread over the sphere, about 0.35 rad apart
 MOST_FACES = 100  # of the hull, the largest ones: each takes time at every call
@@ -95,18 +95,18 @@ def widened(tensor: Tensor, dimensions: int, ahead: int) -> Tensor:
     return tensor.reshape(*shape[:ahead], *(1,) * (dimensions - tensor.dim()), *shape[ahead:])
 
 
-def planes_of(c: InspectionParameters, like: Tensor) -> Planes:
+def planes_of(c: Limits, like: Tensor) -> Planes:
     """All of a task's, (3, planes) and (planes,)."""
     *normals, offsets = like.new_tensor(c.planes).T
     return Planes(torch.stack(normals), offsets + c.deputy_radius)
 
 
-def clearance(p: Tensor, c: InspectionParameters) -> Tensor:
+def clearance(p: Tensor, c: Limits) -> Tensor:
     """What is left between deputy and chief at p (3, ...) in m: exact beside a sphere, a lower bound beside a hull."""
     return planes_of(c, p).above(p[:, None]).amax(0) if c.planes else norm(p) - c.collision_radius
 
 
-def reach(direction: Tensor, c: InspectionParameters) -> Tensor:
+def reach(direction: Tensor, c: Limits) -> Tensor:
     """The distance from the chief's centre in m at which `clearance` is zero, in unit directions (3, B)."""
     if not c.planes:
         return torch.full_like(direction[0], c.collision_radius)

@@ -10,7 +10,7 @@ from inspection.model.attitude import quaternion_rate, rate_in_hill, unit
 from inspection.model.draws import hashed, isotropic, key_of, shoemake
 from inspection.model.dynamics import euler
 from inspection.model.orbit import orbit_rate, sun_angle_after
-from inspection.model.parameters import ChiefParameters, InspectionParameters
+from inspection.model.parameters import ChiefParameters, Model
 from inspection.model.rk4 import rk4_step
 
 ANGLE = 0.05  # rad, by which it turns in an RK4 step at most; the error of one is then about ANGLE^5 / 120, 3e-9 rad
@@ -32,7 +32,7 @@ class Tumbling:
     def __init__(
         self,
         parameters: ChiefParameters,
-        c: InspectionParameters,
+        c: Model,
         batch: int,
         device: torch.device | str = "cpu",
     ) -> None:

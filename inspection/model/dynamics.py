@@ -18,7 +18,7 @@ from inspection.model.attitude import (
     unit,
 )
 from inspection.model.orbit import natural_acceleration, orbit_rate
-from inspection.model.parameters import AXES, InspectionParameters
+from inspection.model.parameters import AXES, Limits
 from inspection.model.rk4 import rk4_step
 from inspection.model.state import CONTROL_SIZE, OMEGA, THETA_S, THRUST, TORQUE, P, Q, T, V
 
@@ -64,15 +64,13 @@ def euler(omega: Any, inertia: Any) -> tuple[Any, Any, Any]:
     return (j2 - j3) / j1 * w2 * w3, (j3 - j1) / j2 * w1 * w3, (j1 - j2) / j3 * w1 * w2
 
 
-def attitude_rate(x: Components, turns: bool, c: InspectionParameters) -> tuple[Tensor, ...]:
+def attitude_rate(x: Components, turns: bool, c: Limits) -> tuple[Tensor, ...]:
     """The components of dq/dt, from those of x; `turns`: omega is relative to the stars, not to Hill's frame."""
     omega = rate_in_hill(x[Q], x[OMEGA], orbit_rate(x[THETA_S], c)) if turns else x[OMEGA]
     return quaternion_rate(x[Q], omega)
 
 
-def temperature_rate(
-    cos_sun: Tensor, cos_earth: Tensor, temperature: Tensor, c: InspectionParameters
-) -> Tensor:
+def temperature_rate(cos_sun: Tensor, cos_earth: Tensor, temperature: Tensor, c: Limits) -> Tensor:
     """dT/dt in deg C/s of one thermal node: solar + albedo + infrared - rejected heat."""
     area = c.surface_area
     view = c.view_factor * cos_earth.clamp(min=0.0)
@@ -83,13 +81,13 @@ def temperature_rate(
     return (solar + albedo + infrared - rejected) / (c.node_mass * c.specific_heat)
 
 
-def energy_rate(cos_panel: Tensor, c: InspectionParameters) -> Tensor:
+def energy_rate(cos_panel: Tensor, c: Limits) -> Tensor:
     """dE/dt in kJ/s: P_I I_d A cos(theta) - P_out, with no power from behind the panels."""
     power_in = c.panel_performance * c.panel_degradation * c.surface_area * cos_panel.clamp(min=0.0)
     return (power_in - c.power_draw) / 1000.0
 
 
-def resource_rates(x: Components, c: InspectionParameters) -> tuple[Tensor, Tensor]:
+def resource_rates(x: Components, c: Limits) -> tuple[Tensor, Tensor]:
     """dT/dt in deg C/s and dE/dt in kJ/s, from the components of the state."""
     q, theta_s = x[Q], x[THETA_S]
     cos, sin = theta_s.cos(), theta_s.sin()
@@ -105,7 +103,7 @@ def resource_rates(x: Components, c: InspectionParameters) -> tuple[Tensor, Tens
     return temperature_rate(cos_sun, cos_earth, x[T], c), energy_rate(cos_panel, c)
 
 
-def natural_rates(x: Components, c: InspectionParameters) -> list[Tensor]:
+def natural_rates(x: Components, c: Limits) -> list[Tensor]:
     """f(x), the 16 components of the state (...) to their rates in the state's units per second."""
     p, v, omega, theta_s = x[P], x[V], x[OMEGA], x[THETA_S]
     return [
@@ -118,12 +116,12 @@ def natural_rates(x: Components, c: InspectionParameters) -> list[Tensor]:
     ]
 
 
-def drift(x: Tensor, c: InspectionParameters) -> Tensor:
+def drift(x: Tensor, c: Limits) -> Tensor:
     """f(x), (16, ...) to (16, ...) in the state's units per second."""
     return torch.stack(natural_rates(x.unbind(0), c))
 
 
-def control_matrix(x: Tensor, c: InspectionParameters) -> Tensor:
+def control_matrix(x: Tensor, c: Limits) -> Tensor:
     """g(x), (16, ...) to (16, 6, ...): thrust through the attitude, torque through the inertia."""
     g = x.new_zeros(x.shape[0], CONTROL_SIZE, *x.shape[1:])
     g[V, THRUST] = rotation_matrix(x[Q]) / c.mass
@@ -132,9 +130,7 @@ def control_matrix(x: Tensor, c: InspectionParameters) -> Tensor:
     return g
 
 
-def derivative(
-    x: Components, u: Components, c: InspectionParameters, body: Body | None = None
-) -> list[Tensor]:
+def derivative(x: Components, u: Components, c: Limits, body: Body | None = None) -> list[Tensor]:
     """The components of f(x) + g(x) u, from those of x and of u in N and N m; None: the body is the model's."""
     rate = natural_rates(x, c)
     mass, inertia = (body.mass, body.inertia) if body else (c.mass, c.inertia)
@@ -148,7 +144,7 @@ def derivative(
     return rate
 
 
-def step(x: Tensor, u: Tensor, duration: float, c: InspectionParameters, body: Body | None = None) -> Tensor:
+def step(x: Tensor, u: Tensor, duration: float, c: Limits, body: Body | None = None) -> Tensor:
     """One RK4 step of `duration` s with u held; renormalises q and saturates the body rates if asked to."""
     held = u.unbind(0)
     end = rk4_step(lambda components: derivative(components, held, c, body), x.unbind(0), duration)
@@ -162,7 +158,7 @@ def integrate(
     x: Tensor,
     u: Tensor,
     duration: float,
-    c: InspectionParameters,
+    c: Limits,
     times: int = 1,
     body: Body | None = None,
 ) -> Tensor:

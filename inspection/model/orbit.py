@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 
 from inspection.model.attitude import Components, Vector, dot, norm
-from inspection.model.parameters import InspectionParameters
+from inspection.model.parameters import Model
 from inspection.model.rk4 import rk4_step
 from inspection.model.state import THETA_S, P, V
 
@@ -34,7 +34,7 @@ class Chief(NamedTuple):
     quickening: Tensor
 
 
-def chief_at(theta_s: Tensor, c: InspectionParameters) -> Chief:
+def chief_at(theta_s: Tensor, c: Model) -> Chief:
     """The chief on its Kepler orbit, from the Sun's angle (...) in rad (Curtis 2020, Sec. 2.5)."""
     e, f = c.eccentricity, c.sun_from_perigee - theta_s
     parameter = c.semi_major_axis * (1 - e**2)  # m
@@ -45,12 +45,12 @@ def chief_at(theta_s: Tensor, c: InspectionParameters) -> Chief:
     return Chief(radius, climb, rate, -2 * rate * climb / radius)
 
 
-def orbit_rate(theta_s: Tensor, c: InspectionParameters) -> Tensor:
+def orbit_rate(theta_s: Tensor, c: Model) -> Tensor:
     """rad/s about z, of Hill's frame, from the Sun's angle (...) in rad."""
     return torch.full_like(theta_s, c.mean_motion) if c.is_circular else chief_at(theta_s, c).rate
 
 
-def sun_angle_after(theta_s: Tensor, seconds: Tensor | float, c: InspectionParameters) -> Tensor:
+def sun_angle_after(theta_s: Tensor, seconds: Tensor | float, c: Model) -> Tensor:
     """The Sun's angle (...) in rad so many s later; by one RK4 step where the orbit is none of a circle."""
     if c.is_circular:
         return theta_s - c.mean_motion * seconds
@@ -58,7 +58,7 @@ def sun_angle_after(theta_s: Tensor, seconds: Tensor | float, c: InspectionParam
     return after
 
 
-def natural_acceleration(p: Components, v: Components, theta_s: Tensor, c: InspectionParameters) -> Vector:
+def natural_acceleration(p: Components, v: Components, theta_s: Tensor, c: Model) -> Vector:
     """Components in Hill's frame in m/s^2, of a deputy that nothing pushes."""
     if c.orbit == "two-body":
         return two_body(p, v, chief_at(theta_s, c), c.gravitational_parameter)
@@ -87,7 +87,7 @@ def two_body(p: Components, v: Components, chief: Chief, mu: float) -> Vector:
     )
 
 
-def coast(x: Tensor, t: Tensor, c: InspectionParameters) -> Tensor:
+def coast(x: Tensor, t: Tensor, c: Model) -> Tensor:
     """Position in m after coasting for t s: states (16, ...) and (k, ...) or any shape that broadcasts to (3, *...)."""
     if c.orbit == "two-body":
         return kepler_flight(x[P], x[V], chief_at(x[THETA_S], c), t, c.gravitational_parameter)
@@ -151,7 +151,7 @@ def kepler(r: Tensor, v: Tensor, t: Tensor, mu: float) -> Tensor:
     return torch.stack([f * r_i + g * v_i for r_i, v_i in zip(r, v, strict=True)])
 
 
-def closest_pass(x: Tensor, horizon: float, c: InspectionParameters, spacing: float = 10.0) -> Tensor:
+def closest_pass(x: Tensor, horizon: float, c: Model, spacing: float = 10.0) -> Tensor:
     """The position in m next to the chief's centre while coasting for `horizon` s: states (16, k) to (3, k).
 
     The path is sampled every `spacing` s at most and joined by straight chords, so that a fast pass between two

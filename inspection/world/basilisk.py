@@ -16,7 +16,7 @@ from torch import Tensor
 
 from inspection.model.dynamics import resource_rates
 from inspection.model.orbit import chief_at
-from inspection.model.parameters import InspectionParameters
+from inspection.model.parameters import Limits
 from inspection.model.state import OMEGA, THETA_S, THRUST, TORQUE, E, P, Q, T, V
 from inspection.world.plant import Plant, PlantParameters
 
@@ -54,7 +54,7 @@ class Simulation:
         dt: s, of its RK4.
     """
 
-    def __init__(self, batch: int, dt: float, parameters: PlantParameters, c: InspectionParameters) -> None:
+    def __init__(self, batch: int, dt: float, parameters: PlantParameters, c: Limits) -> None:
         from Basilisk.utilities import SimulationBaseClass, macros
 
         self.parameters, self.c, self.nanoseconds = parameters, c, macros.sec2nano
@@ -233,7 +233,7 @@ class BasiliskPlant(Plant):
     STATE: tuple[str, ...] = (*Plant.STATE, "chief", "wheels", "rates")
     is_traceable = False
 
-    def __init__(self, parameters: PlantParameters, c: InspectionParameters, batch: int, device: Any) -> None:
+    def __init__(self, parameters: PlantParameters, c: Limits, batch: int, device: Any) -> None:
         super().__init__(parameters, c, batch, device)
         lowest = (1.0 - c.eccentricity) * c.semi_major_axis
         if lowest <= EARTH_RADIUS:
@@ -321,7 +321,7 @@ class BasiliskPlant(Plant):
         return after
 
 
-def counted(thrust: Any, seconds: float, c: InspectionParameters) -> Any:
+def counted(thrust: Any, seconds: float, c: Limits) -> Any:
     """How many pulses give a mean thrust in N, a tensor or an array, over some s; negative towards the other side."""
     return (thrust / c.max_thrust * seconds / PULSE).round()
 
@@ -378,7 +378,7 @@ def crossed(a: ndarray, b: ndarray) -> ndarray:
     return np.stack((a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]))
 
 
-def chief_in_space(theta_s: Tensor, c: InspectionParameters) -> ndarray:
+def chief_in_space(theta_s: Tensor, c: Limits) -> ndarray:
     """The chief's position and velocity (6, k) where the Sun's angle (k,) has it: the Sun is along the inertial x."""
     chief = chief_at(theta_s, c)
     radius, climb, rate = (part.cpu().numpy() for part in (chief.radius, chief.climb, chief.rate))

@@ -16,7 +16,7 @@ from inspection.model.attitude import rate_in_hill, turned_by
 from inspection.model.draws import hashed, isotropic, key_of
 from inspection.model.dynamics import Body, integrate
 from inspection.model.orbit import orbit_rate
-from inspection.model.parameters import InspectionParameters
+from inspection.model.parameters import Limits
 from inspection.model.state import CONTROL_SIZE, CONTROLS, OMEGA, SIZE, THETA_S, THRUST, TORQUE, P, Q, V
 from settings import Settings, setting
 
@@ -105,7 +105,7 @@ class PlantParameters(Settings):
         """Whether the plant is the model."""
         return all(getattr(self, f.name) == f.default for f in fields(self) if f.name not in DETAILS)
 
-    def check_body(self, c: InspectionParameters) -> None:
+    def check_body(self, c: Limits) -> None:
         """Raises ValueError where moments of inertia could be drawn that no body has."""
         low, high = bounds(self.inertia_factor)
         if low < high and max(c.inertia) * (high + low) > sum(c.inertia) * low * (1 + 1e-9):
@@ -150,7 +150,7 @@ NUMBERS = 48  # of an episode's draw, at least as many as it takes
 BEFORE = -1  # the time in ms of these numbers
 
 
-def draw(parameters: PlantParameters, c: InspectionParameters, key: Tensor) -> Drawn:
+def draw(parameters: PlantParameters, c: Limits, key: Tensor) -> Drawn:
     """What follows from the episodes' keys (k,), each quantity from numbers of its own whatever else is set."""
     rows = iter(hashed(key, torch.full_like(key, BEFORE), NUMBERS))
 
@@ -231,7 +231,7 @@ class Plant:
     def __init__(
         self,
         parameters: PlantParameters,
-        c: InspectionParameters,
+        c: Limits,
         batch: int,
         device: torch.device | str,
     ) -> None:

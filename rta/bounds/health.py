@@ -13,7 +13,7 @@ from torch import Tensor
 
 from inspection.model.attitude import conjugate, cross, norm, rotate, unit
 from inspection.model.dynamics import sun_and_earth_in_body
-from inspection.model.parameters import InspectionParameters
+from inspection.model.parameters import Limits
 from inspection.model.state import OMEGA, THRUST, TORQUE, P, Q, V
 from rta.bounds.uncertainty import Uncertainty
 from rta.parameters import RtaParameters
@@ -24,7 +24,7 @@ NEAR = math.sin(STEP)  # of the radius, along axes that give nothing, which is l
 
 
 def slewing(
-    x: Tensor, torque: Tensor, left: Tensor, c: InspectionParameters, r: RtaParameters, known: Uncertainty
+    x: Tensor, torque: Tensor, left: Tensor, c: Limits, r: RtaParameters, known: Uncertainty
 ) -> Tensor:
     """The torque (3, B) in N m to be filtered in the place of that which is asked for.
 
@@ -68,9 +68,7 @@ def slewing(
     return torque
 
 
-def soonest(
-    outwards: Tensor, sun: Tensor, weakness: Tensor, c: InspectionParameters
-) -> tuple[Tensor, Tensor]:
+def soonest(outwards: Tensor, sun: Tensor, weakness: Tensor, c: Limits) -> tuple[Tensor, Tensor]:
     """The turn after which healthy axes are along the radius soonest, past the Sun where possible.
 
     Args:

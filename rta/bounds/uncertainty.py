@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from inspection.model.dynamics import euler
-from inspection.model.parameters import InspectionParameters
+from inspection.model.parameters import Limits
 from rta.parameters import RtaParameters
 from settings import Settings, setting
 
@@ -77,7 +77,7 @@ class Uncertainty(Settings):
         """Whether the filter is told of nothing."""
         return self == Uncertainty()
 
-    def check(self, c: InspectionParameters, r: RtaParameters) -> None:
+    def check(self, c: Limits, r: RtaParameters) -> None:
         """Raises ValueError where a bound leaves no control that could hold a limit."""
         if 0 < self.longest_hold < r.period:
             raise ValueError(
@@ -129,7 +129,7 @@ class Uncertainty(Settings):
         least, most = self.torque
         return max(1.0 - least, most - 1.0)
 
-    def thrust_angle(self, c: InspectionParameters, r: RtaParameters) -> float:
+    def thrust_angle(self, c: Limits, r: RtaParameters) -> float:
         """rad, between the mean direction of a thruster over a hold and that of the rows at most, of a body at rest.
 
         Its misalignment, the attitude's error, the rates' times half the hold, and what torque turns the body by
@@ -141,7 +141,7 @@ class Uncertainty(Settings):
         otherwise = self.torque_error * strongest + self.angular_acceleration(c)
         return math.radians(self.thrust_misalignment) + measured + otherwise * hold**2 / 6
 
-    def max_acceleration(self, c: InspectionParameters, r: RtaParameters) -> float:
+    def max_acceleration(self, c: Limits, r: RtaParameters) -> float:
         """a_max in m/s^2 that is there in the worst case, in every attitude of a body that does not turn.
 
         Of the model's thrust |u_j| along n, axis j gives at least |u_j| (k |n_j| - s sqrt(1 - n_j^2)) where it may be
@@ -157,7 +157,7 @@ class Uncertainty(Settings):
         lost = c.max_thrust - share * self.largest_thrust(c.max_thrust)
         return c.max_acceleration - lost / c.mass - self.acceleration
 
-    def angular_acceleration(self, c: InspectionParameters) -> float:
+    def angular_acceleration(self, c: Limits) -> float:
         """rad/s^2, the largest that the model does not know of within the limits of the rates.
 
         The gyroscopic one of other moments of inertia, at the worst corner of their bounds, and where Hill's frame
@@ -171,11 +171,11 @@ class Uncertainty(Settings):
             worst = [max(most, abs(true - model)) for most, true, model in off]
         return math.hypot(*worst) + self.unknown_turning(c) * math.sqrt(3.0) * c.max_rate
 
-    def rate_offset(self, c: InspectionParameters) -> float:
+    def rate_offset(self, c: Limits) -> float:
         """rad/s, by which a body rate relative to the stars exceeds one relative to Hill's frame at most."""
         return self.unknown_turning(c)
 
-    def unknown_turning(self, c: InspectionParameters) -> float:
+    def unknown_turning(self, c: Limits) -> float:
         """rad/s, of Hill's frame at perigee, where the model leaves it out."""
         return c.fastest_orbit_rate if self.hill_rotation and not c.hill_rotation else 0.0
 

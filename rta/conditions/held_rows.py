@@ -38,7 +38,7 @@ from torch import Tensor
 from inspection.model.attitude import norm, quaternion_rate, rotation_matrix
 from inspection.model.dynamics import step
 from inspection.model.orbit import orbit_rate
-from inspection.model.parameters import InspectionParameters
+from inspection.model.parameters import Limits
 from inspection.model.state import CONTROL_SIZE, OMEGA, THETA_S, THRUST, TORQUE, P, Q, V
 from rta.bounds.uncertainty import Uncertainty
 from rta.conditions.rows import ActuatorGroup, Rows
@@ -59,7 +59,7 @@ class HeldGroup(ActuatorGroup):
         self,
         held_by: str,
         constraints: Sequence[Constraint],
-        c: InspectionParameters,
+        c: Limits,
         r: RtaParameters,
         known: Uncertainty,
     ) -> None:
@@ -319,7 +319,7 @@ class Maps(NamedTuple):
     turned: Tensor
     once: Tensor
     to_end: Tensor
-    c: InspectionParameters
+    c: Limits
 
     def by_state(self, by_end: Tensor, held_by: str, coupled: bool) -> Tensor:
         """Derivatives (R, D, B) along `directions` at the moment to those along them at the beginning."""
@@ -361,13 +361,13 @@ def times(rows: Tensor, matrix: Tensor) -> Tensor:
     return total(rows[:, :, None] * matrix, 1)
 
 
-def unsaturated(c: InspectionParameters) -> InspectionParameters:
+def unsaturated(c: Limits) -> Limits:
     """The model without the saturation of rates."""
     return replace(c, saturate_rates=False)
 
 
 def predicted(
-    x: Tensor, error_bound: Tensor, u: Tensor, c: InspectionParameters, r: RtaParameters, known: Uncertainty
+    x: Tensor, error_bound: Tensor, u: Tensor, c: Limits, r: RtaParameters, known: Uncertainty
 ) -> tuple[Tensor, Tensor]:
     """The states a period after others, and how much further they may be off than when they were measured.
 

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from inspection.model.attitude import unit
 from inspection.model.dynamics import attitude_rate, control_matrix, drift
-from inspection.model.parameters import InspectionParameters
+from inspection.model.parameters import Limits
 from inspection.model.state import SIZE, P, Q
 from rta.bounds.uncertainty import NOTHING, Uncertainty
 from rta.constraints.constraint import ACTUATORS, Constraint, check
@@ -57,7 +57,7 @@ class ActuatorGroup:
         self,
         held_by: str,
         constraints: Sequence[Constraint],
-        c: InspectionParameters,
+        c: Limits,
         r: RtaParameters,
         known: Uncertainty = NOTHING,
     ) -> None:
@@ -266,7 +266,7 @@ def alone(h: Function, x: Tensor) -> Tensor:
     return h(x)[None]
 
 
-def half_a_period_ahead(x: Tensor, period: float, c: InspectionParameters) -> Tensor:
+def half_a_period_ahead(x: Tensor, period: float, c: Limits) -> Tensor:
     """States (16, B) with the attitude that the body has in the middle of the period.
 
     Thrust is fixed in the body, so over a period it acts along that attitude. With the attitude at the

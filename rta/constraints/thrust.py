@@ -15,7 +15,7 @@ from torch import Tensor
 from inspection.chief.hull import Planes, planes_of
 from inspection.model.attitude import dot, norm
 from inspection.model.orbit import coast
-from inspection.model.parameters import InspectionParameters
+from inspection.model.parameters import Limits
 from inspection.model.state import P, V
 from rta.bounds.uncertainty import NOTHING, Uncertainty
 from rta.constraints.constraint import Constraint
@@ -33,9 +33,7 @@ SEGMENTS = 5  # of the free flight where its infimum is reported
 Entry = partial(Constraint, held_by="thrust", coupled=False)  # which no other actuator changes
 
 
-def thrust_constraints(
-    c: InspectionParameters, r: RtaParameters, known: Uncertainty = NOTHING
-) -> tuple[Constraint, ...]:
+def thrust_constraints(c: Limits, r: RtaParameters, known: Uncertainty = NOTHING) -> tuple[Constraint, ...]:
     """All seven in the order of Table 3."""
     return (
         collision(c, r, known),
@@ -57,7 +55,7 @@ def root_above(z: Tensor, floor: float) -> Tensor:
     return torch.where(z < floor, (z + floor) / (2 * math.sqrt(floor)), z.clamp(min=floor).sqrt())
 
 
-def chord(c: InspectionParameters, r: RtaParameters, known: Uncertainty = NOTHING) -> float:
+def chord(c: Limits, r: RtaParameters, known: Uncertainty = NOTHING) -> float:
     """The floor in m of the enforced `signed_sqrt`.
 
     The slope of sqrt(2 a z) is then at most sqrt(2 a / floor) = 1 / T, else it could overshoot while a control is held.
@@ -70,12 +68,12 @@ def radial_speed(x: Tensor) -> Tensor:
     return dot(x[V], x[P]) / norm(x[P])
 
 
-def thrust_acceleration(c: InspectionParameters) -> float:
+def thrust_acceleration(c: Limits) -> float:
     """The most that thrust along all three axes gives, in m/s^2."""
     return math.sqrt(3.0) * c.max_thrust / c.mass
 
 
-def turn(c: InspectionParameters, r: RtaParameters) -> float:
+def turn(c: Limits, r: RtaParameters) -> float:
     """m/s^2 of thrust, averaged over a period, that may act elsewhere than the row says, since it turns with the body.
 
     By alpha_max T^2 / 6 otherwise than the constant rates that `half_a_period_ahead` in `rta.conditions.rows` takes
@@ -85,13 +83,13 @@ def turn(c: InspectionParameters, r: RtaParameters) -> float:
     return thrust_acceleration(c) * (angular / 6 + c.max_rate**2 / 8) * r.period**2
 
 
-def bend(c: InspectionParameters, r: RtaParameters) -> float:
+def bend(c: Limits, r: RtaParameters) -> float:
     """a^2 T in m^2/s^3 for the largest acceleration a: in a period T, a changes v_i^2 by 2 a v_i T and a^2 T^2."""
     acceleration = thrust_acceleration(c) + (c.max_thrust / c.mass - c.max_acceleration)
     return acceleration**2 * r.period
 
 
-def collision(c: InspectionParameters, r: RtaParameters, known: Uncertainty = NOTHING) -> Constraint:
+def collision(c: Limits, r: RtaParameters, known: Uncertainty = NOTHING) -> Constraint:
     """Safe separation: sqrt(2 a_max (|p| - r_d - r_c)) + v_pr, in m/s, the speed from which braking still suffices.
 
     The barrier has the a_max of the worst case. Beside a hull it is the largest over planes n . p = b that touch it, of
@@ -129,12 +127,12 @@ def collision(c: InspectionParameters, r: RtaParameters, known: Uncertainty = NO
     )
 
 
-def speed_limit(x: Tensor, c: InspectionParameters) -> Tensor:
+def speed_limit(x: Tensor, c: Limits) -> Tensor:
     """nu_0 + nu_1 |p|, in m/s."""
     return c.docking_speed + c.speed_slope * norm(x[P])
 
 
-def dynamic_speed(c: InspectionParameters, r: RtaParameters) -> Constraint:
+def dynamic_speed(c: Limits, r: RtaParameters) -> Constraint:
     """nu_0 + nu_1 |p| - |v|, in m/s."""
 
     def h(x: Tensor) -> Tensor:
@@ -158,7 +156,7 @@ def dynamic_speed(c: InspectionParameters, r: RtaParameters) -> Constraint:
     )
 
 
-def keep_in_zone(c: InspectionParameters, r: RtaParameters, known: Uncertainty = NOTHING) -> Constraint:
+def keep_in_zone(c: Limits, r: RtaParameters, known: Uncertainty = NOTHING) -> Constraint:
     """sqrt(2 a_max (r_max - |p|)) - v_pr, in m/s."""
 
     def h(x: Tensor) -> Tensor:
@@ -210,12 +208,12 @@ class Passes(NamedTuple):
     planes: Planes | None = None
 
 
-def closest_passes(x: Tensor, segments: tuple[float, ...], c: InspectionParameters) -> Passes:
+def closest_passes(x: Tensor, segments: tuple[float, ...], c: Limits) -> Passes:
     """Of states (16, ...)."""
     return passes_of_hull(x, segments, c) if c.planes else Passes(closest_times(x, segments, c))
 
 
-def closest_times(x: Tensor, segments: tuple[float, ...], c: InspectionParameters) -> Tensor:
+def closest_times(x: Tensor, segments: tuple[float, ...], c: Limits) -> Tensor:
     """When the free flight is nearest to the chief's centre within each segment: (16, ...) to (segments, ...) s.
 
     The best of a grid, refined by the parabola of |p(t)|^2 through it and its neighbours (exact for a
@@ -235,7 +233,7 @@ def closest_times(x: Tensor, segments: tuple[float, ...], c: InspectionParameter
     return start.reshape(shape) + spacing.reshape(shape) * (centre[:, 0] + offset.clamp(-1.0, 1.0))
 
 
-def passes_of_hull(x: Tensor, segments: tuple[float, ...], c: InspectionParameters) -> Passes:
+def passes_of_hull(x: Tensor, segments: tuple[float, ...], c: Limits) -> Passes:
     """Of states (16, ...) beside a hull: where the highest of the heights above all planes is lowest.
 
     That is convex in time along a straight path. The least of a grid, then halving by the slope of the plane that is
@@ -269,7 +267,7 @@ def passes_of_hull(x: Tensor, segments: tuple[float, ...], c: InspectionParamete
     return Passes(share * low + (1.0 - share) * high, between)
 
 
-def clearance_at(x: Tensor, passes: Passes, c: InspectionParameters) -> Tensor:
+def clearance_at(x: Tensor, passes: Passes, c: Limits) -> Tensor:
     """|p(t)| - r_d - r_c, or n . p(t) - b - r_d, in m after coasting to each of k passes: (16, ...) to (k, ...).
 
     With `closest_passes` its gradient is that of the infimum (envelope theorem).
@@ -280,7 +278,7 @@ def clearance_at(x: Tensor, passes: Passes, c: InspectionParameters) -> Tensor:
     return planes.above(p) if planes else norm(p) - c.collision_radius
 
 
-def passive_safety(c: InspectionParameters, r: RtaParameters, known: Uncertainty = NOTHING) -> Constraint:
+def passive_safety(c: Limits, r: RtaParameters, known: Uncertainty = NOTHING) -> Constraint:
     """inf |p(t)| - r_d - r_c in m over the free flight of the next T_f; a row per time segment of it.
 
     Beside a hull it is the height above the planes around it, see `passes_of_hull`. A control of a second turns a slow
@@ -324,9 +322,7 @@ def passive_safety(c: InspectionParameters, r: RtaParameters, known: Uncertainty
     )
 
 
-def velocity(
-    axis: int, c: InspectionParameters, r: RtaParameters, known: Uncertainty = NOTHING
-) -> Constraint:
+def velocity(axis: int, c: Limits, r: RtaParameters, known: Uncertainty = NOTHING) -> Constraint:
     """v_max^2 - v_i^2 for a Hill axis, in m^2/s^2.
 
     Where a control is held, the margin is what a thruster can take off it in a hold, 2 v_max a T: a call in which the

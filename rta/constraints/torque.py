@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from inspection.model.dynamics import cosine_to, energy_rate, sun_and_earth_in_body, temperature_rate
-from inspection.model.parameters import InspectionParameters
+from inspection.model.parameters import Limits
 from inspection.model.state import OMEGA, E, T
 from rta.bounds.uncertainty import NOTHING, Uncertainty
 from rta.constraints.constraint import Constraint
@@ -21,9 +21,7 @@ from rta.parameters import RtaParameters
 Entry = partial(Constraint, held_by="torque", coupled=False)  # which no other actuator changes
 
 
-def torque_constraints(
-    c: InspectionParameters, r: RtaParameters, known: Uncertainty = NOTHING
-) -> tuple[Constraint, ...]:
+def torque_constraints(c: Limits, r: RtaParameters, known: Uncertainty = NOTHING) -> tuple[Constraint, ...]:
     """All six in the order of Table 3."""
     return (
         attitude_exclusion(c, r),
@@ -50,7 +48,7 @@ def positive_part(angle: Tensor, width: float = 0.0) -> Tensor:
     return (angle + width).clamp(0.0, 2 * width) ** 2 / (4 * width) + (angle - width).clamp(min=0.0)
 
 
-def attitude_exclusion(c: InspectionParameters, r: RtaParameters) -> Constraint:
+def attitude_exclusion(c: Limits, r: RtaParameters) -> Constraint:
     """theta_EZ - alpha_FOV / 2 - beta in rad: the camera's boresight +n_x and the Sun."""
 
     def h(x: Tensor, pole: float = 0.0) -> Tensor:
@@ -68,7 +66,7 @@ def attitude_exclusion(c: InspectionParameters, r: RtaParameters) -> Constraint:
     )
 
 
-def temperature(c: InspectionParameters, r: RtaParameters) -> Constraint:
+def temperature(c: Limits, r: RtaParameters) -> Constraint:
     """T_max - T - delta_0 (pi/2 - theta_SI)^+ - delta_1 (pi/2 - theta_EI)^+ in deg C.
 
     Incidence angles are defined on [0, pi/2], hence the positive parts.
@@ -93,7 +91,7 @@ def temperature(c: InspectionParameters, r: RtaParameters) -> Constraint:
     )
 
 
-def battery(c: InspectionParameters, r: RtaParameters) -> Constraint:
+def battery(c: Limits, r: RtaParameters) -> Constraint:
     """E - E_min - delta_2 theta_SI in kJ: the solar panels and the Sun."""
 
     def h(x: Tensor, pole: float = 0.0) -> Tensor:
@@ -114,9 +112,7 @@ def battery(c: InspectionParameters, r: RtaParameters) -> Constraint:
     )
 
 
-def angular_velocity(
-    axis: int, c: InspectionParameters, r: RtaParameters, known: Uncertainty = NOTHING
-) -> Constraint:
+def angular_velocity(axis: int, c: Limits, r: RtaParameters, known: Uncertainty = NOTHING) -> Constraint:
     """omega_max^2 - omega_i^2 for a body axis, in rad^2/s^2.
 
     Where a control is held for longer than a body needs to stop, or the plant does not saturate, the filter holds the

@@ -21,11 +21,11 @@ from dataclasses import replace
 import torch
 
 from inspection.model.dynamics import energy_rate, euler, temperature_rate
-from inspection.model.parameters import InspectionParameters
+from inspection.model.parameters import Limits
 from rta.constraints.thrust import LEAST_BRAKING
 from rta.parameters import RtaParameters
 
-PAPER = InspectionParameters()
+PAPER = Limits()
 WIDEST = 1.0  # rad, of the terminator's rounding; beyond, most of the sphere would be terminator
 # Share of the smallest speed limit that thrust may add in a period. At 0.67 passive safety and the speed limit found no
 # common control in one of 10,000 episodes, at the 6U's 0.46 and, beside the hull of configs/chiefs, 0.56 in none.
@@ -33,34 +33,34 @@ MOST_GAINED = 0.56
 LEAST_TORQUE = 0.5  # share of the torque that must be left for turning at full rate
 
 
-def least_angular_acceleration(c: InspectionParameters) -> float:
+def least_angular_acceleration(c: Limits) -> float:
     """rad/s^2, of the axis with the largest moment."""
     return c.max_torque / max(c.inertia)
 
 
-def time_to_stop(c: InspectionParameters) -> float:
+def time_to_stop(c: Limits) -> float:
     """s, from the largest rate."""
     return c.max_rate / least_angular_acceleration(c)
 
 
-def time_to_turn(c: InspectionParameters) -> float:
+def time_to_turn(c: Limits) -> float:
     """s, by 90 deg."""
     return math.pi / 2 / c.max_rate + time_to_stop(c)
 
 
-def heat_of_a_turn(c: InspectionParameters) -> float:
+def heat_of_a_turn(c: Limits) -> float:
     """deg C, that the surface is warmer after a turn in full light than after one in the dark."""
     none, full = torch.zeros((), dtype=torch.float64), torch.ones((), dtype=torch.float64)
     rates = (temperature_rate(light, light, c.max_temperature * full, c) for light in (full, none))
     return (next(rates) - next(rates)).item() * time_to_turn(c)
 
 
-def charge_of_a_turn(c: InspectionParameters) -> float:
+def charge_of_a_turn(c: Limits) -> float:
     """kJ, that the spacecraft draws in a turn."""
     return c.power_draw / 1000.0 * time_to_turn(c)
 
 
-def scaled(r: RtaParameters, c: InspectionParameters) -> RtaParameters:
+def scaled(r: RtaParameters, c: Limits) -> RtaParameters:
     """The gains and margins of a vehicle, see the module."""
 
     def ratio(quantity: float, papers: float) -> float:
@@ -87,7 +87,7 @@ def scaled(r: RtaParameters, c: InspectionParameters) -> RtaParameters:
     )
 
 
-def check(c: InspectionParameters, period: float | None = None) -> None:
+def check(c: Limits, period: float | None = None) -> None:
     """Raises ValueError where the vehicle cannot hold one of its limits, with the limit, the reason and the number.
 
     Args:

@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 from inspection.model.attitude import unit
-from inspection.model.parameters import InspectionParameters
+from inspection.model.parameters import Limits
 from inspection.model.state import CONTROL_SIZE, OMEGA, SIZE, THETA_S, E, P, Q, T, V
 from rta.qp.batched_solver import STEPS_HELD, BatchedSolver
 from rta.qp.programs import Status
@@ -36,7 +36,7 @@ class Vectors(NamedTuple):
     result: "FilterResult"
 
 
-def states(count: int, seed: int, c: InspectionParameters) -> tuple[Tensor, Tensor]:
+def states(count: int, seed: int, c: Limits) -> tuple[Tensor, Tensor]:
     """States (16, B) within some limits and beyond others, and desired controls (6, B), some beyond the actuators'."""
     draw = torch.Generator().manual_seed(seed)
 

@@ -26,7 +26,7 @@ from torch import Tensor
 from inspection.chief.hull import reach
 from inspection.model.attitude import cross, dot, norm, turned_by, unit
 from inspection.model.dynamics import sun_and_earth_in_body
-from inspection.model.parameters import AXES, InspectionParameters
+from inspection.model.parameters import AXES, Limits
 from inspection.model.state import OMEGA, SIZE, THETA_S, E, P, Q, T, V
 from rta.constraints.constraint import CONSTRAINTS
 from rta.filter import SafetyFilter, in_order, joined
@@ -134,7 +134,7 @@ def scales(safety_filter: SafetyFilter) -> list[float]:
     return [*h, *(gain * scale for gain, scale in zip(gains, h, strict=True)), *h]
 
 
-def ends(x: Tensor, generator: torch.Generator, c: InspectionParameters) -> dict[str, Tensor]:
+def ends(x: Tensor, generator: torch.Generator, c: Limits) -> dict[str, Tensor]:
     """Where the moves of states x (16, B) end, beyond a limit: states (16, B) by the name of the move."""
     fastest = 1.1 * (c.docking_speed + c.speed_slope * c.max_distance)
     outwards, sun = unit(x[P]), sun_and_earth_in_body(x)[0]
@@ -181,7 +181,7 @@ def between(x: Tensor, end: Tensor, share: Tensor) -> Tensor:
 
 
 def approach(
-    near: NearLimits, which: int, generator: torch.Generator, barriers_at: Function, c: InspectionParameters
+    near: NearLimits, which: int, generator: torch.Generator, barriers_at: Function, c: Limits
 ) -> NearLimits:
     """Moves states next to the first or second of their limits; those that do not get there are left out."""
     x, target, gap = near.state, near.targets[which], near.gaps[which]

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from inspection.model.attitude import norm, unit
-from inspection.model.parameters import InspectionParameters
+from inspection.model.parameters import Model
 from inspection.model.state import CONTROL_SIZE, OMEGA, SIZE, THETA_S, E, P, Q, T, V
 from study import files
 from study.errors import InputError, refusing
@@ -28,7 +28,7 @@ STATE_FIELDS: dict[str, tuple[Any, int]] = {
 }
 
 
-def check_states(x: Tensor, c: InspectionParameters, path: str) -> Tensor:
+def check_states(x: Tensor, c: Model, path: str) -> Tensor:
     """States (16, N) with their quaternions at unit length exactly; refuses the first that no spacecraft can be in."""
     rules = {
         "state": (~(x.abs() <= LARGEST).all(0), f"must be finite, at most {LARGEST:g} in size"),
@@ -43,7 +43,7 @@ def check_states(x: Tensor, c: InspectionParameters, path: str) -> Tensor:
     return torch.cat((x[: Q.start], unit(x[Q]), x[Q.stop :]))
 
 
-def read_state(path: str, c: InspectionParameters) -> tuple[Tensor, Tensor | None]:
+def read_state(path: str, c: Model) -> tuple[Tensor, Tensor | None]:
     """Reads a state file: state (16, 1) and priority unit vector (3, 1), None where the file has none.
 
     Raises:
@@ -84,7 +84,7 @@ def numbers(value: Any, length: int, where: str) -> Tensor:
     return torch.tensor(items, dtype=torch.float64)
 
 
-def read_states(path: str, c: InspectionParameters) -> tuple[Tensor, Tensor]:
+def read_states(path: str, c: Model) -> tuple[Tensor, Tensor]:
     """Reads `state` (N, 16) and `control_desired` (N, 6) from a .npz file: x (16, N) and u (6, N), float64.
 
     Raises:

@@ -5,7 +5,7 @@ from torch import Tensor
 
 from inspection.closed_loop import Controller
 from inspection.environment import InspectionEnv
-from inspection.model.parameters import InspectionParameters
+from inspection.model.parameters import Model
 from inspection.model.state import CONTROL_SIZE
 from ppo.network import Policy
 from rta.filter import SafetyFilter
@@ -13,9 +13,7 @@ from rta.filter import SafetyFilter
 LONGEST_ACTION = 60  # s that the random policy holds an action
 
 
-def held_at_random(
-    c: InspectionParameters, generator: torch.Generator, batch: int, first: int = 0
-) -> Controller:
+def held_at_random(c: Model, generator: torch.Generator, batch: int, first: int = 0) -> Controller:
     """Uniformly random controls, each held for a uniformly random time of whole seconds.
 
     Numbers are drawn for a whole batch, of which the states are the columns from `first` on.

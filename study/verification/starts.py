@@ -11,7 +11,7 @@ from torch import Tensor
 from inspection.chief.hull import reach
 from inspection.initial_state import sample_initial_state
 from inspection.model.draws import isotropic, shoemake
-from inspection.model.parameters import InspectionParameters
+from inspection.model.parameters import Limits
 from inspection.model.state import OMEGA, SIZE, THETA_S, E, P, Q, T, V
 from rta.filter import SafetyFilter
 
@@ -26,7 +26,7 @@ def spawned(seed: int, count: int) -> list[int]:
     return [int(stream.generate_state(1, np.uint64)[0]) for stream in streams]
 
 
-def states_of(s: Tensor, c: InspectionParameters) -> tuple[Tensor, Tensor]:
+def states_of(s: Tensor, c: Limits) -> tuple[Tensor, Tensor]:
     """States (16, B) and priority vectors (3, B) all over the safe set and around it, from numbers in [0, 1], (17, B).
 
     The distance is INSIDE of the zone at least, the speed at most the limit there, rates, temperature and energy are
