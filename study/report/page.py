@@ -48,7 +48,7 @@ def document(inputs: Inputs) -> str:
     """The whole page."""
     return render(
         "report/page.html.j2",
-        filters={"fixed": fixed, "percent": percent, "plain": plain},
+        filters=FILTERS,
         inputs=inputs,
         columns=inputs.columns,
         flyers={f"agents, {label(arm)}": flown for arm, flown in inputs.cross.items()} | inputs.baselines,
@@ -89,6 +89,9 @@ def percent(value: float, digits: int = 3) -> str:
 def plain(number: Estimate, digits: int) -> str:
     """A metric without its interval, or a percentage."""
     return (fixed if number.interval else percent)(number.value, digits)
+
+
+FILTERS = {"fixed": fixed, "percent": percent, "plain": plain}  # of the template
 
 
 def shown(results: Results, name: str) -> str:

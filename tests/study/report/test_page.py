@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from jinja2 import UndefinedError
 
 from study.config import BASELINES
 from study.errors import InputError
@@ -216,6 +217,11 @@ def test_what_files_say_stays_text(study: Path, tmp_path: Path) -> None:
     assert "report/demonstration_<s>.npz" in reader.links
     assert [row[5] for row in reader.tables[7][1:]] == ["<i>x</i>"] * 2
     assert "python main.py report --study &#39;" in text
+
+
+def test_the_page_without_one_of_its_values_fails(study: Path) -> None:
+    with pytest.raises(UndefinedError, match="is undefined"):
+        page.render("report/page.html.j2", filters=page.FILTERS, inputs=inputs.read(study))
 
 
 def test_a_page_that_cannot_be_written_is_refused(study: Path, tmp_path: Path) -> None:
