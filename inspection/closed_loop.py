@@ -103,7 +103,8 @@ class Clocks:
             "the filter's calls": self.filter,
             "the looks at the chief": self.look,
         }
-        rising = sorted((item for item in named.items() if item[1]), key=lambda item: item[1])
+        running = [(name, period) for name, period in named.items() if period]
+        rising = sorted(running, key=lambda item: item[1])
         for (short, shorter), (name, period) in combinations(rising, 2):
             if not is_multiple(period, shorter):
                 raise ValueError(
@@ -173,7 +174,7 @@ def closed_loop(
     clocks: Clocks,
     duration: float,
     world: World | None = None,
-    start: Tensor | float = 0.0,
+    start: Tensor | None = None,
     informed: bool = False,
 ) -> Iterator[Hold]:
     """Flies from states x (16, B) for a duration in s.
@@ -183,7 +184,7 @@ def closed_loop(
         correct: the filter; None applies what is desired.
         integrate: states (16, B) after holding a control (6, B) for some s.
         world: what differs from the model; None: nothing, states are seen as they are and controls act as they are.
-        start: the episodes' time at the beginning, (B,) s.
+        start: the episodes' time at the beginning, (B,) s; None: 0 s.
         informed: the filter also takes what the world tells.
 
     A call is one of the filter, without a filter a decision. After a missed call the next one is asked for the same.
@@ -191,7 +192,7 @@ def closed_loop(
     hold = clocks.hold
     decisions, calls = (max(1, round((every or hold) / hold)) for every in (clocks.decision, clocks.filter))
     applied = next_desired = x.new_zeros(CONTROL_SIZE, *x.shape[1:])
-    seen = x
+    seen, start = x, torch.zeros_like(x[0]) if start is None else start
     for i in range(clocks.count(duration)):
         time, decided = i * hold, i % decisions == 0
         called = i % calls == 0 if correct else decided
@@ -205,7 +206,7 @@ def closed_loop(
             told = world.tell(start + time) if world and informed else {}
             correction = correct(seen, desired, **told) if correct else None
             # the filter's last control is its next desired one
-            applied = next_desired = correction.control if correct else desired
+            applied = next_desired = desired if correction is None else correction.control
             if world:
                 applied, missed = world.hold(start + time, applied)
                 next_desired = torch.where(missed, desired, applied)

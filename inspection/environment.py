@@ -79,15 +79,14 @@ class InspectionEnv:
         self.clocks = clocks_of(parameters, None, *self.asked_for)
         batch = num_envs * len(generators)
         device = generators[0].device
-        differs = plant is not None and not plant.is_nominal
-        self.plant = None
-        if differs:
+        self.plant: Plant | None = None
+        if plant is not None and not plant.is_nominal:
             kind = BasiliskPlant if plant.simulator == "basilisk" else Plant
             self.plant = kind(plant, parameters, batch, device)
         self.put_behind(safety or Safety())
         target = target or ChiefParameters()
         self.sight = Sight(target, parameters, batch, device)
-        numbered = differs or target.is_drawn
+        numbered = self.plant is not None or target.is_drawn
         self.starts = [
             InitialStates(generator, parameters, self.safety.is_safe, numbered) for generator in generators
         ]
@@ -318,7 +317,7 @@ class InspectionEnv:
             self.clocks,
             duration,
             self.plant,
-            (self.time.clone() if time is None else time) if self.plant else 0.0,
+            self.time.clone() if time is None else time,
             self.safety.informed,
         )
 

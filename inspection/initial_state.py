@@ -109,7 +109,7 @@ class InitialStates:
         """The next `count` states (16, count) and priority vectors (3, count), and numbers (count,) if `numbered`."""
         before, together = self.turn(count)
         while self.pool.shape[1] < together:
-            drawn = sample_initial_state(POOL, self.generator, self.c, self.is_safe)
+            drawn: tuple[Tensor, ...] = sample_initial_state(POOL, self.generator, self.c, self.is_safe)
             if self.numbered:
                 drawn = *drawn, uniform(0.0, 1.0, POOL, self.generator)[None]
             self.pool = torch.cat((self.pool, torch.cat(drawn)), 1)

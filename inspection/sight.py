@@ -38,7 +38,8 @@ class Sight:
     def __init__(
         self, target: ChiefParameters, c: InspectionParameters, batch: int, device: torch.device
     ) -> None:
-        self.c, self.tumbling = c, None
+        self.c = c
+        self.tumbling: Tumbling | None = None
         if not target.is_the_papers or "chief" in c.observed:
             self.tumbling = Tumbling(target, c, batch, device)
         self.surface = surface(target, c, device)
@@ -61,8 +62,12 @@ class Sight:
             partial(in_view, self.surface) if self.tumbling else partial(chief.in_view, self.surface.normals)
         )
         self._in_view = partial(whole, c=c)
-        self._seen = partial(chief.by_chunks, lambda *given: [self._in_view(*given)])
-        self._settle = partial(chief.by_chunks, partial(chief.settled, self.points))
+        self._seen: Callable[..., list[Tensor]] = partial(
+            chief.by_chunks, lambda *given: [self._in_view(*given)]
+        )
+        self._settle: Callable[..., list[Tensor]] = partial(
+            chief.by_chunks, partial(chief.settled, self.points)
+        )
 
     def begin(self, columns: Tensor, x: Tensor, priority: Tensor, number: Tensor | None) -> None:
         """Begins episodes in the given columns; points visible at the start count as inspected.
@@ -121,7 +126,9 @@ class Sight:
         if self.tumbling:
             priority = rotate(self.tumbling.attitude[:, columns], priority)
         shown = priority, self.uninspected[:, columns], self.score(columns)
-        return (*shown, self.tumbling.motion[: RATE.stop, columns]) if "chief" in self.c.observed else shown
+        if self.tumbling and "chief" in self.c.observed:
+            return *shown, self.tumbling.motion[: RATE.stop, columns]
+        return shown
 
     def compile(self, compiled: Callable[..., Any], x: Tensor) -> None:
         """Compiles visibility and k-means; raises as `Compiled`, and changes nothing then.

@@ -97,7 +97,8 @@ def run(
         progress = telling(tell, report, held, campaign.duration)
         plants = torch.Generator().manual_seed(seed_of_plants)
         number = uniform(0.0, 1.0, campaign.batch_size, plants)[first : first + count].to(env.x)
-        flight = fly(env, controller, x, priority, campaign.duration, first, number, progress)
+        looks, duration = network is not None, campaign.duration
+        flight = fly(env, controller, x, priority, duration, first, number, progress, looks)
         origin = {"batch_seed": seed_of_starts, "batch_size": campaign.batch_size}
         add(beyond, flight[~held], origin)
         flight = flight[held]

@@ -82,6 +82,7 @@ def fly(
     first: int = 0,
     number: Tensor | None = None,
     tell: Callable[[float, Tensor], None] | None = None,
+    looks: bool = False,
 ) -> Flight:
     """Flies one episode per column behind the environment's filter, checked at least as often as its clocks report.
 
@@ -90,6 +91,7 @@ def fly(
         duration: s; first: the number of the first column.
         number: (B,) in [0, 1) from which the episodes' plants follow; None: 0.
         tell: is told the time in s after every hold, and which episodes have violated a constraint, (B,) bool.
+        looks: the controller observes the chief, which is looked at every action period.
     """
     number = torch.zeros_like(x[0]) if number is None else number
     env.start(x, priority, number)
@@ -115,7 +117,8 @@ def fly(
     conflicts = [flight.conflicts]
     note_state(flight, smallest, h, 0.0)
     call = itertools.count()
-    for hold in env.inspect(controller, duration):
+    flown = env.inspect if looks else env.fly
+    for hold in flown(controller, duration):
         if (result := hold.correction) is not None:
             i = next(call)
             flight.desired[i], flight.applied[i] = hold.desired, hold.applied

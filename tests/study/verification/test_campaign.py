@@ -11,6 +11,7 @@ from torch import Tensor
 
 from inspection.environment import InspectionEnv
 from inspection.model.state import THETA_S
+from inspection.sight import Sight
 from rta.filter import SafetyFilter
 from study.config import Config, override
 from study.experiment import Experiment, make_policy
@@ -162,3 +163,15 @@ def test_bounds_are_named_that_may_leave_no_start() -> None:
     told = override(Config(), {"uncertainty": {"position": 200.0, "health": True}}, "test")
     assert blamed(told) == "[uncertainty] health = True, position = 200.0"
     assert blamed(Config()) == "[inspection] and [rta]"
+
+
+@pytest.mark.parametrize(("policy", "looks"), [("checkpoint:F", 3), ("random", 0)])
+def test_the_chief_is_looked_at_for_who_observes_it(
+    policy: str, looks: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Every 10 s of an agent's flight, and at no cost for the others."""
+    times: list[float] = []
+    monkeypatch.setattr(Sight, "look", lambda sight, x, time: times.append(time[0].item()))
+    network = EXPERIMENT.policy(EXPERIMENT.generators()) if looks else None
+    list(run(Campaign(policy, 1.0, 30, 0, 8), 4, EXPERIMENT, network, None))
+    assert times == [10.0, 20.0, 30.0][:looks]
