@@ -109,7 +109,7 @@ def test_the_simulator_takes_steps_as_short_as_the_period(c):
 
 def test_what_cannot_be_filtered_is_refused():
     env = gymnasium.make_vec(ID)
-    with pytest.raises(InputError, match=r"\[rta\] period = 2: must be 1, 5 or 10 s"):
+    with pytest.raises(InputError, match=r"\[rta\] period = 2.0: must be 1, 5 or 10 \(s"):
         VectorRunTimeAssurance(env, period=2.0)
     env.reset()
     filtered = VectorRunTimeAssurance(env)
