@@ -9,6 +9,7 @@ Each writes DIR/ranks_<K>.json; once both are there, the tables are printed.
 import dataclasses
 import json
 import statistics
+from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -141,33 +142,47 @@ def update(
     }
 
 
+def updates(one: dict[str, Any], two: dict[str, Any]) -> Iterator[tuple[str, ...]]:
+    """Of one and two ranks: s of an update's rollout and of its learning, and what that makes per s."""
+    batch, epochs = one["interactions_per_update"], one["epochs"]
+    for measured in (one, two):
+        rollout, learning = (measured["update_s"][name] for name in ("rollout_s", "learning_s"))
+        rates = f"{batch / rollout:,.0f}", f"{epochs * batch / learning:,.0f}"
+        yield f"{measured['ranks']}", f"{rollout:.2f}", f"{learning:.2f}", *rates
+
+
+def exchanges(_: dict[str, Any], two: dict[str, Any]) -> Iterator[tuple[str, ...]]:
+    """ms of each exchange between two ranks."""
+    for name, value in two["exchange_s"].items():
+        yield name, f"{1e3 * value:.2f}"
+
+
+def projection(one: dict[str, Any], two: dict[str, Any]) -> Iterator[tuple[str, ...]]:
+    """Of each number of RANKS: s of an update's parts, and interactions per s over each of LINKS."""
+    for count in RANKS:
+        parts = [update(one, two, count, rate) for rate in LINKS.values()]
+        rates = (f"{one['interactions_per_update'] / sum(each.values()):,.0f}" for each in parts)
+        yield f"{count}", *(f"{value:.2f}" for value in parts[0].values()), *rates
+
+
+TABLES = {
+    "ranks, measured | rollout (s) | learning (s) | environment steps per s | samples learned per s": updates,
+    "exchange between 2 ranks, measured | ms": exchanges,
+    "ranks, projected | rollout (s) | gradients (s) | exchanges, local (s) | "
+    f"interactions per s, {' | '.join(LINKS)}": projection,
+}  # by their headings
+
+
 def tables(one: dict[str, Any], two: dict[str, Any]) -> str:
     """The page's tables, in Markdown."""
-    batch, epochs = one["interactions_per_update"], one["epochs"]
     lines = [
         f"{one['parameters']:,} parameters, {one['bytes_per_exchange']:,} bytes per exchange, "
         f"{one['gradient_steps_per_update']} exchanges and {one['bytes_per_batch']:,} bytes of experience "
-        f"per update of {batch:,} interactions",
-        "",
-        "| ranks, measured | rollout (s) | learning (s) | environment steps per s | samples learned per s |",
-        "|---|---|---|---|---|",
+        f"per update of {one['interactions_per_update']:,} interactions"
     ]
-    for measured in (one, two):
-        rollout, learning = (measured["update_s"][name] for name in ("rollout_s", "learning_s"))
-        lines.append(
-            f"| {measured['ranks']} | {rollout:.2f} | {learning:.2f} | {batch / rollout:,.0f} "
-            f"| {epochs * batch / learning:,.0f} |"
-        )
-    lines += ["", "| exchange between 2 ranks, measured | ms |", "|---|---|"]
-    lines += [f"| {name} | {1e3 * value:.2f} |" for name, value in two["exchange_s"].items()]
-    times = "rollout (s) | gradients (s) | exchanges, local (s)"
-    lines += ["", f"| ranks, projected | {times} | interactions per s, {' | '.join(LINKS)} |"]
-    lines.append("|---|---|---|---|" + "---|" * len(LINKS))
-    for count in RANKS:
-        here, *others = (update(one, two, count, rate) for rate in LINKS.values())
-        rates = (f"{batch / sum(part.values()):,.0f}" for part in (here, *others))
-        columns = (f"{count}", *(f"{value:.2f}" for value in here.values()), *rates)
-        lines.append(f"| {' | '.join(columns)} |")
+    for heading, rows in TABLES.items():
+        lines += ["", f"| {heading} |", "|---" * (heading.count("|") + 1) + "|"]
+        lines += [f"| {' | '.join(row)} |" for row in rows(one, two)]
     return "\n".join(lines)
 
 

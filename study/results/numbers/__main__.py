@@ -12,7 +12,7 @@ import sys
 from itertools import zip_longest
 
 from study.command_line.flags import Parser
-from study.errors import InputError
+from study.errors import MALFORMED, InputError, refusing
 from study.files import ROOT, write_text
 from study.results.numbers import agents, basilisk, learning, safety, speed, vehicles
 
@@ -32,19 +32,19 @@ def with_rows(page: str) -> str:
     """A page's text with the rows of its marked tables.
 
     Raises:
-        InputError: a mark names no function, or no table follows it.
+        ValueError: a mark names no function, or no table follows it.
     """
 
     def rows(table: re.Match[str]) -> str:
         heading, module, function = table.groups()
         found = getattr(SUBJECTS.get(module), function, None)
         if found is None:
-            raise InputError(f"{MARK} {module}.{function} -->: there is no such function in {__package__}")
+            raise ValueError(f"{MARK} {module}.{function} -->: there is no such function in {__package__}")
         return heading + "".join(f"| {' | '.join(row)} |\n" for row in found())
 
     text, count = TABLE.subn(rows, page)
     if count != page.count(MARK):
-        raise InputError(
+        raise ValueError(
             f"{page.count(MARK)} marks '{MARK} MODULE.FUNCTION -->', but {count} tables after one"
         )
     return text
@@ -54,12 +54,12 @@ def with_sentence(page: str, sentence: str) -> str:
     """A page's text with the numbers of this sentence, whose words it has exactly once, in lines of any length.
 
     Raises:
-        InputError: it does not.
+        ValueError: it does not.
     """
     words = [r"\s+".join(map(re.escape, re.split(r"\s+", each))) for each in re.split(NUMBER, sentence)]
     found = list(re.finditer("(" + f"){NUMBER}(".join(words) + ")", page))
     if len(found) != 1:
-        raise InputError(f"{len(found)} sentences instead of one with the words of {sentence!r}")
+        raise ValueError(f"{len(found)} sentences instead of one with the words of {sentence!r}")
     numbers = re.findall(NUMBER, sentence)
     written = "".join(text for pair in zip_longest(found[0].groups(), numbers, fillvalue="") for text in pair)
     return page[: found[0].start()] + written + page[found[0].end() :]
@@ -69,16 +69,14 @@ def renewed(name: str) -> str:
     """The text of a page with the numbers of the files.
 
     Raises:
-        InputError: see `with_rows` and `with_sentence`.
+        InputError: the page or a file cannot be read, or the page lacks a sentence, or a table after a mark.
     """
-    try:
+    with refusing(f"{name}: cannot write its numbers", OSError, *MALFORMED):
         page = with_rows((ROOT / name).read_text(encoding="utf-8"))
         for subject in SUBJECTS.values():
             for where, sentence in subject.sentences():
                 if where == name:
                     page = with_sentence(page, sentence)
-    except InputError as error:
-        raise InputError(f"{name}: {error}") from error
     return page
 
 

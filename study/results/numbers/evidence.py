@@ -77,3 +77,13 @@ def violating(campaign: Any) -> str:
 def calls(*campaigns: Any) -> int:
     """The filter calls of campaigns."""
     return sum(sum(each["filter_calls"].values()) for each in campaigns)
+
+
+def slack(*campaigns: Any) -> list[str]:
+    """Each campaign's calls in which a row yielded."""
+    return [f"{each['filter_calls']['slack']:,}" for each in campaigns]
+
+
+def share_of_slack(campaign: Any) -> float:
+    """The share of a campaign's calls in which a row yielded, in %."""
+    return 100.0 * campaign["filter_calls"]["slack"] / calls(campaign)

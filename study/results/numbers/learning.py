@@ -7,13 +7,12 @@ from typing import Any
 
 import numpy as np
 
+from study.config import ARMS
 from study.flight.summary import iqm
 from study.results.numbers.evidence import LABELS, Row, arms, middle, read, report, success
 
 README, RESULTS = "README.md", "docs/results/results.md"
-BOTH = ("no_rta", "rta")  # the paper's arms
 EARLY = (0, 65_536, 163_840, 311_296, 507_904, 1_015_808, 2_015_232)  # interactions of the table's rows
-LESSONS, HALF_A_MILLION = 163_840, 507_904
 
 
 def evaluations(study: str, arm: str, interactions: int) -> list[dict[str, Any]]:
@@ -35,7 +34,7 @@ def middle_of_cases(seeds: list[dict[str, Any]], metric: str) -> float:
 def papers_learner() -> Iterator[Row]:
     """The paper's learner from scratch, without RTA and with it by turns."""
     for interactions in EARLY:
-        both = [evaluations("paper", arm, interactions) for arm in BOTH]
+        both = [evaluations("paper", arm, interactions) for arm in ARMS]
         yield (
             f"{interactions:,}",
             *(f"{succeeded(seeds):.0f}" for seeds in both),
@@ -52,14 +51,10 @@ def after_500_s(arm: str) -> float:
 
 def early() -> Iterator[Row]:
     """The study's arms before training, after the lessons and after half a million interactions."""
-    for arm, label in LABELS.items():
-        if arm == "robust":  # not evaluated during training
-            continue
-        before, lessons, later = (
-            evaluations("study", arm, interactions) for interactions in (0, LESSONS, HALF_A_MILLION)
-        )
+    for arm in (*ARMS, "rta_5s", "rta_10s"):
+        before, lessons, later = (evaluations("study", arm, when) for when in (0, 163_840, 507_904))
         yield (
-            label,
+            LABELS[arm],
             f"{middle_of_cases(before, 'inspected_score'):.2f}",
             *(f"{succeeded(seeds):.1f}" for seeds in (before, lessons, later)),
             f"{middle_of_cases(later, 'reward'):.3f}",
@@ -87,12 +82,12 @@ def learned_from() -> Iterator[Row]:
 
 def sentences() -> Iterator[tuple[str, str]]:
     """Pages and the sentences that they have."""
-    without, behind = (f"{succeeded(evaluations('paper', arm, 311_296)):.0f}" for arm in BOTH)
+    without, behind = (f"{succeeded(evaluations('paper', arm, 311_296)):.0f}" for arm in ARMS)
     yield README, f"succeeds in {behind} % after 0.31 million decisions with RTA, in {without} % without"
     said = f"{behind} % succeed after 0.31 million interactions with RTA, where {without} % do without"
     yield RESULTS, said
 
-    trained = [arms("paper")[arm] for arm in BOTH]
+    trained = [arms("paper")[arm] for arm in ARMS]
     without, behind = (f"{middle(each, 'delta_v_m_s'):.1f}" for each in trained)
     yield RESULTS, f"in the end, {behind} against {without} m/s"
     yield RESULTS, f"order of fuel: {without} m/s without and {behind} m/s with RTA"
@@ -100,5 +95,5 @@ def sentences() -> Iterator[tuple[str, str]]:
     yield RESULTS, f"Without the filter {without} % are clean in the end, with it {behind} %"
 
     yield RESULTS, f"they have {after_500_s('robust'):.2f} after 500 s when trained"
-    without, behind = (f"{100.0 * after_500_s(arm):.0f}" for arm in BOTH)
+    without, behind = (f"{100.0 * after_500_s(arm):.0f}" for arm in ARMS)
     yield RESULTS, f"the mean of the middle half is {without} % without and {behind} % with RTA"

@@ -17,13 +17,16 @@ from study.results.numbers.evidence import (
     middle,
     read,
     report,
+    share_of_slack,
+    slack,
     success,
     violating,
     violation,
 )
 from study.verification.break_points import EFFECTS, said
 
-README, TESTS = "README.md", "docs/results/safety_tests.md"
+README, SAFETY, TESTS = "README.md", "docs/results/safety.md", "docs/results/safety_tests.md"
+IN_C = "docs/guides/filter_in_c.md"
 UNITS = {
     "collision": "m/s",
     "dynamic_speed": "m/s",
@@ -65,7 +68,7 @@ def yielded() -> Iterator[Row]:
             *(f"velocity_{axis}" for axis in "xyz"),
         ),
     }
-    yield "any", *(f"{each['filter_calls']['slack']:,}" for each in both())
+    yield "any", *slack(*both())
     for label, limits in labels.items():
         yield label, *(f"{sum(each['yielded_calls'][name] for name in limits):,}" for each in both())
 
@@ -177,3 +180,16 @@ def sentences() -> Iterator[tuple[str, str]]:
     for limit, label in names.items():
         count, worst = single["violating_draws"][limit], single["worst_value"][limit]
         yield TESTS, f"{label} {count:,} (down to {worst:.1g} {UNITS[limit]})"
+
+    random, adversarial = map(share_of_slack, both("u1_{}"))
+    yield SAFETY, f"yielded in {random:.2f} % of the calls under random and {adversarial:.2f} % under"
+    at_5, at_10 = (share_of_slack(read(f"frequency/random_{period}s.json")) for period in (5, 10))
+    yield SAFETY, f"in {at_5:.2f} % of the random calls at 5 s and in {at_10:.1f} % at 10 s"
+
+    in_c = campaign("in_c_random")
+    yield IN_C, f"campaign of {in_c['episodes']:,} random episodes at 1 s"
+    yield IN_C, f"{in_c['violating_episodes']['any']} violations in {calls(in_c):,} calls"
+    single = slack(*both("in_c_float_{}"), campaign("u1_in_c_float_random"))
+    yield IN_C, f"and {single[0]}, {single[1]} and {single[2]} calls with slack"
+    double = slack(campaign("in_c_adversarial"), campaign("u1_in_c_random"))
+    yield IN_C, f"the latter two have {double[0]} and {double[1]} (`in_c"

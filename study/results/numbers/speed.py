@@ -3,9 +3,11 @@
 from collections.abc import Iterator
 from typing import Any
 
+from study.benchmark import ranks
 from study.results.numbers.evidence import Row, read
 
 README, SPEED, GYMNASIUM = "README.md", "docs/results/speed.md", "docs/guides/gymnasium.md"
+SCALING = "docs/guides/scaling.md"
 BATCHES = ("256", "1024", "4096", "65536")
 PARTS = {
     "total": "whole closed loop",
@@ -51,12 +53,31 @@ def parts_of_a_step() -> Iterator[Row]:
         yield PARTS[part], *(f"{by_batch[batch]:.1f}" for batch in BATCHES)
 
 
+def one_and_two_ranks() -> list[dict[str, Any]]:
+    """What `study.benchmark.ranks` measured."""
+    return [read(f"scaling/ranks_{count}.json") for count in (1, 2)]
+
+
+def updates_of_ranks() -> Iterator[Row]:
+    """Updates by one and two ranks."""
+    return ranks.updates(*one_and_two_ranks())
+
+
+def exchanges_of_ranks() -> Iterator[Row]:
+    """Exchanges between two ranks."""
+    return ranks.exchanges(*one_and_two_ranks())
+
+
+def projection_of_ranks() -> Iterator[Row]:
+    """Updates by more ranks, from these two."""
+    return ranks.projection(*one_and_two_ranks())
+
+
 def sentences() -> Iterator[tuple[str, str]]:
     """Pages and the sentences that they have."""
     b = benchmark()
     free, filtered = b["simulator_steps_per_s"], b["closed_loop_steps_per_s"]["1"]
-    said = f"{round(free, -4):,.0f} decisions of 10 s per second, and {round(filtered, -3):,.0f} with"
-    yield README, said
+    yield README, f"{round(free, -4):,.0f} decisions of 10 s per second, and {round(filtered, -3):,.0f} with"
     share = 100 * b["told_filter_calls_per_s"] / b["filter_calls_per_s"]
     yield SPEED, f"makes {share:.0f} % of the calls"
     best = b["min_max"]["simulator_steps_per_s"][1], b["min_max"]["closed_loop_steps_per_s"]["1"][1]
@@ -67,7 +88,13 @@ def sentences() -> Iterator[tuple[str, str]]:
     yield SPEED, f"in {call['us']:.2f} µs, {share:.0f} % of its rate"
     rates = read("benchmark_gymnasium.json")
     numpy, torch = (
-        f"{100 * rates['gymnasium_steps_per_s'][kind] / rates['simulator_steps_per_s']:.0f}"
-        for kind in ("numpy", "torch")
+        100 * rate / rates["simulator_steps_per_s"] for rate in rates["gymnasium_steps_per_s"].values()
     )
-    yield GYMNASIUM, f"reaches {numpy} % of the simulator's own rate with NumPy arrays and {torch} % with"
+    yield GYMNASIUM, f"{numpy:.0f} % of the simulator's own rate with NumPy arrays and {torch:.0f} % with"
+    one, two = one_and_two_ranks()
+    times, each = one["gradient_steps_per_update"], one["bytes_per_exchange"]
+    yield SCALING, f"learns from {one['interactions_per_update']:,} interactions in {times} gradient steps"
+    yield SCALING, f"gradients: {one['parameters']:,} float32 | {times} | {each:,} | {each * times:,} |"
+    yield SCALING, f"float32 per interaction | 1 | {one['bytes_per_batch']:,} | {one['bytes_per_batch']:,} |"
+    faster = one["update_s"]["learning_s"] / two["update_s"]["learning_s"]
+    yield SCALING, f"two ranks learn {faster:.2f} times as fast as one"

@@ -20,9 +20,11 @@ def test_every_number_is_the_files(page: str) -> None:
     assert numbers.renewed(page) == text(page)
 
 
-def test_every_subject_writes_tables() -> None:
+def test_every_subject_writes_on_pages_that_exist() -> None:
     marks = [mark[1:] for page in numbers.PAGES for mark in numbers.TABLE.findall(text(page))]
     assert len(marks) > 25 and {subject for subject, _ in marks} == set(numbers.SUBJECTS)
+    subjects = numbers.SUBJECTS.values()
+    assert {page for subject in subjects for page, _ in subject.sentences()} < set(numbers.PAGES)
 
 
 @pytest.fixture
@@ -76,5 +78,9 @@ def test_what_cannot_be_written_ends_in_one_line_and_exit_code_2(
     page.write_text(broken, encoding="utf-8")
     assert numbers.main([]) == 2
     error = capsys.readouterr().err
-    assert error.startswith(f"error: {RESULTS}: ") and said in error and error.count("\n") == 1
+    assert (
+        error.startswith(f"error: {RESULTS}: cannot write its numbers: ")
+        and said in error
+        and error.count("\n") == 1
+    )
     assert page.read_text(encoding="utf-8") == broken
