@@ -27,6 +27,12 @@ def test_every_subject_writes_on_pages_that_exist() -> None:
     assert {page for subject in subjects for page, _ in subject.sentences()} < set(numbers.PAGES)
 
 
+@pytest.mark.parametrize("page", numbers.PAGES)
+def test_rows_have_the_cells_of_their_heading(page: str) -> None:
+    for table in numbers.TABLE.finditer(text(page)):
+        assert len({line.count("|") for line in table[0].splitlines()[1:]}) == 1, table[1]
+
+
 @pytest.fixture
 def page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A copy of the page of results, the only page there is."""
