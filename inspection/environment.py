@@ -377,8 +377,11 @@ class InspectionEnv:
         """`Transition.truths`."""
         if not self.plant:
             return None
-        calls = [hold for hold in holds if hold.correction is not None and hold.missed is not None]
-        return [(~hold.missed, self.constraint_values(hold.state)) for hold in calls]
+        return [
+            (~hold.missed, self.constraint_values(hold.state))
+            for hold in holds
+            if hold.correction is not None and hold.missed is not None
+        ]
 
 
 def failed_in(holds: Sequence[Hold], c: InspectionParameters) -> dict[str, Tensor]:
