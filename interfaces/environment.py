@@ -1,7 +1,7 @@
 """One episode at a time as a Gymnasium environment."""
 
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 import gymnasium
 import numpy as np
@@ -18,7 +18,7 @@ class Inspection6DoF(gymnasium.Env):
         batch: that vector environment, or a wrapper of it.
     """
 
-    metadata: ClassVar[dict[str, Any]] = {
+    metadata = gymnasium.Env.metadata | {
         name: value for name, value in VectorInspection6DoF.metadata.items() if name != "autoreset_mode"
     }
 

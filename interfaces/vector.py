@@ -2,7 +2,7 @@
 
 from functools import cached_property
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 import gymnasium
 import numpy as np
@@ -44,7 +44,7 @@ class VectorInspection6DoF(VectorEnv):
         InputError: an option or the configuration is wrong.
     """
 
-    metadata: ClassVar[dict[str, Any]] = {
+    metadata = VectorEnv.metadata | {
         "render_modes": [],
         "autoreset_mode": AutoresetMode.SAME_STEP,
         "constraints": CONSTRAINTS,
@@ -95,9 +95,11 @@ class VectorInspection6DoF(VectorEnv):
             InputError: the configuration leaves no start within the constraints, or so many episodes no memory.
         """
         super().reset(seed=seed)
-        if seed is not None or not self.started:
+        if seed is None and not self.started:
+            seed = self.np_random_seed
+        if seed is not None:
             for starts in self.simulator.starts:
-                starts.seed(self.np_random_seed % 2**63)  # a random one of NumPy's has 128 bits
+                starts.seed(seed % 2**63)  # a random one of NumPy's has 128 bits
         with refusing("[inspection]", RuntimeError):  # no start within the constraints
             observation = self.simulator.reset()
         self.started = True

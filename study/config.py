@@ -11,7 +11,7 @@ from difflib import get_close_matches
 from functools import partial
 from pathlib import Path
 from textwrap import wrap
-from typing import Any, TypeVar
+from typing import Any, TypeVar, overload
 
 import tomli_w
 
@@ -213,7 +213,11 @@ def table_text(name: str, part: Settings) -> str:
     return "\n".join(lines) + "\n"
 
 
-def from_toml(text: str, source: str, base: AnyConfig | None = None) -> AnyConfig:
+@overload
+def from_toml(text: str, source: str) -> Config: ...
+@overload
+def from_toml(text: str, source: str, base: AnyConfig) -> AnyConfig: ...
+def from_toml(text: str, source: str, base: Config | None = None) -> Config:
     """Parses and checks TOML text.
 
     Args:
@@ -230,7 +234,11 @@ def from_toml(text: str, source: str, base: AnyConfig | None = None) -> AnyConfi
     return override(base or Config(), tables, source)
 
 
-def load(path: str | Path, base: AnyConfig | None = None) -> AnyConfig:
+@overload
+def load(path: str | Path) -> Config: ...
+@overload
+def load(path: str | Path, base: AnyConfig) -> AnyConfig: ...
+def load(path: str | Path, base: Config | None = None) -> Config:
     """Reads a TOML file over a base configuration, by default the defaults."""
     try:
         text = Path(path).read_text(encoding="utf-8")
@@ -238,7 +246,7 @@ def load(path: str | Path, base: AnyConfig | None = None) -> AnyConfig:
         raise InputError(f"{path}: cannot read the configuration: {error.strerror}") from None
     except ValueError as error:
         raise InputError(f"{path!r}: cannot read the configuration: {error}") from None
-    return from_toml(text, str(path), base)
+    return from_toml(text, str(path), base or Config())
 
 
 def override(config: AnyConfig, tables: dict[str, Any], source: str) -> AnyConfig:
@@ -252,7 +260,7 @@ def override(config: AnyConfig, tables: dict[str, Any], source: str) -> AnyConfi
         if not isinstance(entries, dict):
             raise InputError(f"{source}: {table} = {entries!r}: must be a table, [{table}]")
     tables = with_keys_of_today(tables, source)
-    arms = {"arms": Arms.checked(tables.pop("arms"), source)} if "arms" in tables else {}
+    arms: dict[str, Any] = {"arms": Arms.checked(tables.pop("arms"), source)} if "arms" in tables else {}
     parts = {
         table: override_table(known[table], entries, f"{source}: [{table}]")
         for table, entries in tables.items()

@@ -155,7 +155,8 @@ def test_cases(config: Config, episodes: int, seed: int) -> tuple[Tensor, Tensor
         refusing("[inspection]", RuntimeError),
         step("drawing the test cases, seconds"),
     ):
-        return starts.take(episodes)
+        x, priority = starts.take(episodes)
+    return x, priority
 
 
 def case_numbers(episodes: int, seed: int) -> Tensor:

@@ -23,9 +23,9 @@ def breakdown(env: InspectionEnv, safety_filter: SafetyFilter, agent: Agent) -> 
     watch = Stopwatch(env.x.device)
     env, agent = copy(env), watch.timed("agent", agent)
     env.put_behind(replace(safety_filter.safety(), correct=watch.timed("filter", safety_filter.correct)))
-    env.integrate = watch.timed("integration", env.integrate)
+    vars(env)["integrate"] = watch.timed("integration", env.integrate)
     env.sight = copy(env.sight)
-    env.sight.mark = watch.timed("visibility and k-means", env.sight.mark)
+    vars(env.sight)["mark"] = watch.timed("visibility and k-means", env.sight.mark)
 
     def play() -> None:
         observation = env.observation()

@@ -11,6 +11,7 @@ import sys
 from collections.abc import Iterator
 from copy import copy
 from functools import partial
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +32,7 @@ from study.config import Config
 from study.errors import refusing
 from study.experiment import Experiment, check_clocks
 from study.files import write_json
+from study.flight.answers import in_full
 from study.machine.compiling import compile_or_explain
 from study.machine.progress import bar
 from study.verification.adversaries import adversarial
@@ -83,9 +85,11 @@ def tried(
     start = x.repeat(1, tries)
     if env.plant:
         env.plant.begin(torch.arange(tries * batch, device=x.device), start, number.repeat(tries))
-    h, first = Smallest(len(env.safety.names), start), None
-    for hold in env.fly(lambda t, seen: flat, safety_filter.period, start):
-        first = first or hold
+    h, holds = (
+        Smallest(len(env.safety.names), start),
+        env.fly(lambda t, seen: flat, safety_filter.period, start),
+    )
+    for hold in chain((first := next(holds),), holds):
         last = h.note(env.constraint_values(hold.after))
     again = safety_filter.correct(hold.after, flat)
 
@@ -93,7 +97,7 @@ def tried(
         return part.unflatten(-1, (tries, batch))
 
     smallest, worst = apart(h.value).min(1)
-    answers = first.correction, again
+    answers = in_full(first.correction), again
     before, after = (apart(answer.slack).amax(1) for answer in answers)
 
     def of_worst(control: Tensor) -> Tensor:

@@ -22,6 +22,7 @@ from rta.constraints.constraint import CONSTRAINTS
 from rta.qp.programs import Status
 from study.config import TEST_CASES, Config
 from study.experiment import Experiment, case_numbers, test_cases
+from study.flight.answers import in_full
 from study.flight.controllers import agent, classical, untrained
 from study.flight.simulation import Recording
 from study.flight.summary import summary_of_runs
@@ -186,7 +187,7 @@ def note_step(record: Episodes, transition: Transition, running: Tensor) -> None
         asked = running & answered
         record.filter_calls += asked
         record.interventions += asked & correction.intervened
-        record.failures += asked & (correction.status == Status.UNSOLVED)
+        record.failures += asked & (in_full(correction).status == Status.UNSOLVED)
         record.filter_violations += asked & (true < 0.0)
     ending = running & transition.done
     any_steps = transition.metrics[METRICS.index("violation_percent")]
@@ -208,7 +209,15 @@ def report(record: Episodes, config: Config, seed: int, seeds: int = 1) -> dict[
         for rows in (record.violations, record.violation_seconds)
     )
     calls = record.filter_calls.sum().item()
-    results = {
+    rta: dict[str, Any] = {
+        "period_s": config.rta.period if config.train.rta else None,
+        "intervention_percent": 100.0 * record.interventions.sum().item() / calls if calls else 0.0,
+        "qp_failures": int(record.failures.sum().item()),
+    }
+    if calls:
+        filter_steps = (100.0 * record.filter_violations.sum(1) / calls).tolist()
+        rta["filter_step_violations_percent"] = dict(zip(CONSTRAINTS, filter_steps, strict=True))
+    return {
         "metrics": {
             name: summary_of_runs(values.reshape(seeds, -1))
             for name, values in zip(METRICS, record.metrics.cpu().numpy(), strict=True)
@@ -220,11 +229,7 @@ def report(record: Episodes, config: Config, seed: int, seeds: int = 1) -> dict[
             for name in ("success", "crash", "out_of_bounds", "out_of_power", "timeout")
         }
         | {"clean_success": record.clean.double().mean().item()},
-        "rta": {
-            "period_s": config.rta.period if config.train.rta else None,
-            "intervention_percent": 100.0 * record.interventions.sum().item() / calls if calls else 0.0,
-            "qp_failures": int(record.failures.sum().item()),
-        },
+        "rta": rta,
         "worst_constraint_value": dict(zip(CONSTRAINTS, record.worst.amin(1).tolist(), strict=True)),
         "extremes": {
             name: (values.amax() if name.startswith("max") else values.amin()).item()
@@ -234,10 +239,6 @@ def report(record: Episodes, config: Config, seed: int, seeds: int = 1) -> dict[
         "seed": seed,
         "config": dataclasses.asdict(config),
     }
-    if calls:
-        filter_steps = (100.0 * record.filter_violations.sum(1) / calls).tolist()
-        results["rta"]["filter_step_violations_percent"] = dict(zip(CONSTRAINTS, filter_steps, strict=True))
-    return results
 
 
 def play(policy: Policy, experiment: Experiment, episodes: int, seed: int) -> Episodes:
@@ -249,9 +250,9 @@ def play_and_record(
     policy: Policy, experiment: Experiment, episodes: int, seed: int
 ) -> tuple[Episodes, Recording]:
     """`play`, and the first episode over time."""
-    env, *others = played_by(policy, experiment, episodes, seed)
+    env, controller, x, priority = played_by(policy, experiment, episodes, seed)
     recording = Recording(env)
-    return run_episodes(env, *others, recording), recording
+    return run_episodes(env, controller, x, priority, recording), recording
 
 
 def common_episode(policy: Policy, experiment: Experiment, case: int = 0) -> dict[str, np.ndarray]:

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 import matplotlib
 import numpy as np
@@ -10,6 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
 from matplotlib.ticker import MaxNLocator, MultipleLocator
+from mpl_toolkits.mplot3d import Axes3D
 
 from inspection.chief.points import fibonacci_sphere
 from inspection.model.parameters import InspectionParameters
@@ -21,7 +23,7 @@ matplotlib.use("Agg")
 BLUE, ORANGE, GREEN, GREY = "#0072B2", "#E69F00", "#009E73", "#666666"
 SAFE, UNSAFE = "#DDF1E4", "#F2C4B8"
 # small text that stays readable where lines cross it
-OUTLINED = {
+OUTLINED: dict[str, Any] = {
     "fontsize": 8,
     "ha": "center",
     "path_effects": [withStroke(linewidth=3, foreground="white")],
@@ -76,7 +78,7 @@ def points_of_chief(episode: Episode, c: InspectionParameters) -> np.ndarray:
     return episode["chief_points"] @ np.stack((x, y, z))
 
 
-def trajectory(ax: Axes, episode: Episode, c: InspectionParameters, top_speed: float) -> None:
+def trajectory(ax: Axes3D, episode: Episode, c: InspectionParameters, top_speed: float) -> None:
     """3-D path coloured by speed up to `top_speed` in m/s, with chief, camera directions and the Sun at both ends."""
     p = episode["position"]
     chief = points_of_chief(episode, c).T

@@ -22,6 +22,7 @@ from study.experiment import (
     check_clocks,
     test_cases,
 )
+from study.flight.answers import in_full
 from study.flight.controllers import agent, classical, recorded, untrained
 from study.flight.state_files import STATE_FIELDS, read_state
 from study.machine.progress import bar
@@ -69,11 +70,12 @@ class Recording:
         if hold.decided:
             self.decision = hold.desired[:, 0].clone()
         if hold.correction is not None:
-            self.tightened = hold.correction.tightened[:, 0].clone()
+            self.tightened = in_full(hold.correction).tightened[:, 0].clone()
         if hold.time == 0.0 or is_multiple(hold.time, self.env.clocks.report):
             self.add(hold.time, hold.state)
         if hold.correction is not None:
-            self.rows[-1]["intervened"] |= hold.correction.program_status[:, 0] > Status.UNTOUCHED
+            program_status = in_full(hold.correction).program_status[:, 0]
+            self.rows[-1]["intervened"] |= program_status > Status.UNTOUCHED
 
     def end(self, **seen: Tensor) -> None:
         """Adds the last row, at the end of the hold; `seen` is what of it the environment no longer knows."""

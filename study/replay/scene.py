@@ -182,7 +182,7 @@ def inspection_times(episode: Episode) -> list[float | None]:
     """When each point was inspected in s, None if it never was."""
     inspected = episode["inspected"]
     first = rounded(episode["time"][inspected.argmax(0)], TIME_DIGITS)
-    return [t if ever else None for t, ever in zip(first, inspected.any(0).tolist(), strict=True)]
+    return [t if ever else None for t, ever in zip(first, inspected.max(0).tolist(), strict=True)]
 
 
 def cone_rim(c: InspectionParameters) -> np.ndarray:

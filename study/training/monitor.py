@@ -4,7 +4,6 @@ Every tag is explained in docs/reference/tensorboard.md.
 """
 
 import time
-from collections import Counter
 from dataclasses import replace
 
 import torch
@@ -14,6 +13,7 @@ from inspection.closed_loop import Correction, Safety
 from inspection.termination import OUTCOMES
 from inspection.transition import METRICS, Transition
 from rta.qp.programs import Status
+from study.flight.answers import in_full
 
 EPISODE = tuple(name.removeprefix("episode_") for name in (*METRICS, "success_percent"))
 
@@ -36,32 +36,37 @@ class Monitor:
     def clear(self) -> None:
         """Forgets all transitions."""
         self.filter_seconds = 0.0
-        self.sums: Counter[str] = Counter()  # of numbers and of tensors, a place per constraint
+        self.steps = 0  # interactions
+        self.sums: dict[str, Tensor] = {}  # numbers, or a place per constraint
         self.episodes: list[Tensor] = []  # (8, k) of those that ended: EPISODE and the seed's number
 
     def timed(self, safety: Safety) -> Safety:
         """The same with a filter, if there is one, whose time is added to `filter_seconds`."""
 
+        if safety.correct is None:
+            return safety
+        untimed = safety.correct
+
         def correct(x: Tensor, desired: Tensor, **told: Tensor) -> Correction:
             started = time.perf_counter()
-            correction = safety.correct(x, desired, **told)
+            correction = untimed(x, desired, **told)
             self.filter_seconds += time.perf_counter() - started
             return correction
 
-        return replace(safety, correct=correct) if safety.correct else safety
+        return replace(safety, correct=correct)
 
     def __call__(self, transition: Transition) -> None:
         """Takes in one interaction of the batch."""
-        self.sums.update(steps=transition.reward.numel(), violated=transition.violated.sum(1))
-        self.sums.update(
-            {f"step_reward/{name}": term.sum() for name, term in transition.reward_terms.items()}
-        )
+        self.steps += transition.reward.numel()
+        self.count(violated=transition.violated.sum(1))
+        self.count(**{f"step_reward/{name}": term.sum() for name, term in transition.reward_terms.items()})
         for correction, answered, true in transition.calls():
-            self.sums.update(
+            answer = in_full(correction)
+            self.count(
                 calls=answered.sum(),
-                intervention=(answered & correction.intervened).sum(),
-                slack=(answered & (correction.slack.amax(0) > 0.0)).sum(),
-                failures=(answered & (correction.status == Status.UNSOLVED)).sum(),
+                intervention=(answered & answer.intervened).sum(),
+                slack=(answered & (answer.slack.amax(0) > 0.0)).sum(),
+                failures=(answered & (answer.status == Status.UNSOLVED)).sum(),
                 rta_violated=(answered & (true < 0.0)).sum(1),
             )
         done = transition.done
@@ -71,9 +76,15 @@ class Monitor:
             owner = self.first_seed + columns * self.seeds // done.numel()
             self.episodes.append(torch.cat((transition.metrics, success[None], owner[None]))[:, done])
 
+    def count(self, **more: Tensor) -> None:
+        """Adds to the sums of these names."""
+        for name, part in more.items():
+            self.sums[name] = part + self.sums[name] if name in self.sums else part
+
     def add(self, other: "Monitor") -> None:
         """Takes in the transitions of another monitor."""
-        self.sums.update(other.sums)
+        self.steps += other.steps
+        self.count(**other.sums)
         self.episodes += other.episodes
 
     def episode_means(self, seed: int | None = None) -> dict[str, float]:
@@ -90,7 +101,7 @@ class Monitor:
 
     def scalars(self) -> dict[str, float]:
         """Means since the last call: per episode ended, per interaction and per filter call."""
-        sums, steps, calls = self.sums, self.sums["steps"], int(self.sums["calls"])
+        sums, steps, calls = self.sums, self.steps, int(self.sums.get("calls", 0))
         out = self.episode_means()
         out |= {tag: total.item() / steps for tag, total in sums.items() if tag.startswith("step_reward/")}
         out |= self.by_constraint("violation_percent/", 100.0 * sums["violated"] / steps)

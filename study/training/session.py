@@ -238,7 +238,9 @@ def networks_of(path: Path, config: Config) -> dict[str, dict[str, Any]]:
                 f"--init-from {path}: its [ppo] {key} = {theirs}, not {ours} as in this run; set it with --config"
             )
     content = checkpoint.load(path, ("policy",))
-    networks = {name: content[name] for name in ("policy", "value") if name in content}
+    networks: dict[str, dict[str, Any]] = {
+        name: content[name] for name in ("policy", "value") if name in content
+    }
     for name, weights in networks.items():
         with refusing(f"--init-from {path}: its {name} network is damaged", *MALFORMED):
             check_weights(weights, path)

@@ -13,6 +13,7 @@ from inspection.closed_loop import Controller, Smallest
 from inspection.environment import InspectionEnv
 from inspection.model.state import CONTROL_SIZE
 from rta.qp.programs import Status
+from study.flight.answers import in_full
 
 CHECK_EVERY = 1.0  # s between two checks, where nothing else is wanted
 ROUNDING = 1e-10  # slack that does not count, in units of h's rate; even rows that never yield reach 1e-12
@@ -119,8 +120,8 @@ def fly(
     call = itertools.count()
     flown = env.inspect if looks else env.fly
     for hold in flown(controller, duration):
-        if (result := hold.correction) is not None:
-            i = next(call)
+        if hold.correction is not None:
+            i, result = next(call), in_full(hold.correction)
             flight.desired[i], flight.applied[i] = hold.desired, hold.applied
             yielded, time = result.slack > ROUNDING, torch.full_like(flight.excess, hold.time)
             status, slack = torch.nn.functional.one_hot(result.status, len(Status)).T, result.slack

@@ -41,7 +41,8 @@ def record(seeds: int, cases: int, generator: torch.Generator) -> Episodes:
 def ended(seed: int, reward: float) -> Monitor:
     """A monitor of one seed that saw an episode end."""
     monitor = Monitor(("near",), 1, seed)
-    monitor.sums.update(steps=BATCH, violated=torch.tensor([6 * (1 + seed)]))
+    monitor.steps += BATCH
+    monitor.count(violated=torch.tensor([6 * (1 + seed)]))
     metrics = torch.full((len(METRICS) + 2, 1), reward)
     metrics[-2], metrics[-1] = 100.0, seed
     monitor.episodes.append(metrics)
@@ -68,7 +69,8 @@ def test_an_update_is_shown_for_all_and_for_each_seed(tmp_path: Path) -> None:
         expected = "success 100 %, reward 3.00, dv 3.0 m/s, violation 3.0 %"
         assert log.bar.postfix == expected
         quiet = Monitor(("near",))  # no episode ended: the bar keeps what it shows
-        quiet.sums.update(steps=BATCH, violated=torch.tensor([0]))
+        quiet.steps += BATCH
+        quiet.count(violated=torch.tensor([0]))
         log.update([({"time/rollout_s": 1.0, "time/learning_s": 1.0}, quiet)], 2 * BATCH)
         assert log.bar.postfix == expected
     shown = charts(tmp_path)
