@@ -64,9 +64,8 @@ def trained(experiment: Experiment) -> tuple[Experiment, Agent] | None:
         print(f"no trained agent, so only programs of the untrained one are solved: {error}", flush=True)
         return None
     policy = policy.to(experiment.device)
-    observed = replace(experiment.config.inspection, observed=config.inspection.observed)
     seeing = copy(experiment)  # the filter is shared
-    seeing.config = replace(experiment.config, inspection=observed)
+    seeing.task = replace(experiment.task, observed=config.inspection.observed)
     return seeing, lambda observation: policy.mean_action(observation[None])[0]
 
 

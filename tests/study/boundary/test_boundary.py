@@ -71,7 +71,7 @@ def test_the_distances_to_limits_agree_with_the_filters_own(
     torch.testing.assert_close(h, nominal.filter.values(near.state), rtol=0.0, atol=1e-4)
     for degree in (1, 2):
         own = [each.degree == degree for each in entries(nominal.filter)]
-        held = torch.stack([group.holds(near.state, degree) for group in nominal.filter.groups]).all(0)
+        held = torch.stack([group.keeps(near.state, degree) for group in nominal.filter.groups]).all(0)
         assert ((enforced[torch.tensor(own)] >= 0.0).all(0) == held).all()
 
 
