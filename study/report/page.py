@@ -5,7 +5,7 @@ What it says stands in `page.html.j2`, what every page shares in `study/pages`.
 
 import base64
 import shlex
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
@@ -91,7 +91,11 @@ def plain(number: Estimate, digits: int) -> str:
     return (fixed if number.interval else percent)(number.value, digits)
 
 
-FILTERS = {"fixed": fixed, "percent": percent, "plain": plain}  # of the template
+FILTERS: dict[str, Callable[..., str]] = {
+    "fixed": fixed,
+    "percent": percent,
+    "plain": plain,
+}  # of the template
 
 
 def shown(results: Results, name: str) -> str:
