@@ -10,7 +10,9 @@ import numpy as np
 import pytest
 
 import main
+from inspection.model.parameters import Episode, InspectionParameters, Limits
 from rta.parameters import PERIODS
+from settings import settings
 from study import verified
 from study.config import Config, StudyConfig, override
 from study.files import ROOT
@@ -68,6 +70,12 @@ def test_the_shipped_reports_hold_the_fingerprint_of_their_settings(path: Path) 
 def test_what_changes_neither_plant_nor_filter_is_silent(tables: dict[str, Any]) -> None:
     assert fingerprint(configured(tables)) == fingerprint(Config())
     assert doubt(configured(tables), [], None) is None
+
+
+def test_of_the_task_all_but_the_episode_counts() -> None:
+    names = {name.split()[1] for name in verified.relevant(Config()) if name.startswith("[inspection]")}
+    assert names == {*settings(Limits)} == {*settings(InspectionParameters)} - {*settings(Episode)}
+    assert {"substep", "initial_energy", "initial_temperature"} < names  # which campaigns begin and step with
 
 
 @pytest.mark.parametrize(
