@@ -21,8 +21,9 @@ AXES = {"+x": (0, 1.0), "-x": (0, -1.0), "+y": (1, 1.0), "-y": (1, -1.0), "+z": 
 
 # What an agent may observe, see `inspection.observation`: the paper's, the axes of Hill's frame, where free flight
 # passes the chief, and how the chief turns.
-OBSERVED = tuple(
-    "position velocity angular_velocity energy temperature sun priority uninspected score".split()
+OBSERVED = (
+    *("position", "velocity", "angular_velocity", "energy", "temperature"),
+    *("sun", "priority", "uninspected", "score"),
 )
 OBSERVABLE = (*OBSERVED, "hill", "free_flight", "chief")
 
