@@ -91,11 +91,8 @@ def plain(number: Estimate, digits: int) -> str:
     return (fixed if number.interval else percent)(number.value, digits)
 
 
-FILTERS: dict[str, Callable[..., str]] = {
-    "fixed": fixed,
-    "percent": percent,
-    "plain": plain,
-}  # of the template
+# of the template
+FILTERS: dict[str, Callable[..., str]] = {"fixed": fixed, "percent": percent, "plain": plain}
 
 
 def shown(results: Results, name: str) -> str:
