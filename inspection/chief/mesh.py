@@ -38,7 +38,7 @@ def triangles_of_stl(content: bytes) -> np.ndarray:
     import trimesh  # half a second that who has no such file need not wait
 
     try:
-        return np.array(trimesh.load(io.BytesIO(content), file_type="stl", force="mesh").triangles)
+        return np.array(trimesh.load_mesh(io.BytesIO(content), file_type="stl").triangles)
     except ImportError as error:  # of what reads text, when it is none
         raise ValueError(error) from None
 

@@ -61,7 +61,8 @@ def surface(chief: ChiefParameters, c: InspectionParameters, device: torch.devic
         none = normals.new_zeros(0, 3, 3)
         return Surface(c.chief_radius * normals, normals, areas, none)
     *parts, cones = of_mesh(pinned(chief.mesh), c.num_points, c.chief_radius)
-    return Surface(*(part.to(device) for part in parts), tuple(group.to(device) for group in cones))
+    points, normals, areas, triangles = (part.to(device) for part in parts)
+    return Surface(points, normals, areas, triangles, tuple(group.to(device) for group in cones))
 
 
 @lru_cache(maxsize=4)  # a large mesh takes minutes; the file's digest is part of the key

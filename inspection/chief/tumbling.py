@@ -64,6 +64,7 @@ class Tumbling:
         motion[ATTITUDE, columns] = unit(q)[:, None].expand(4, len(columns))
         motion[RATE, columns] = motion.new_tensor(p.rate).deg2rad()[:, None].expand(3, len(columns))
         if p.is_drawn:
+            assert number is not None
             key = key_of(number)
             draws = hashed(key, torch.full_like(key, NUMBERS), 6)
             if p.random_attitude:

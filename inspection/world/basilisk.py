@@ -129,8 +129,8 @@ class Simulation:
             thrusterDynamicEffector.ThrusterDynamicEffector(),
             simIncludeThruster.thrusterFactory(),
         )
-        for axis in np.eye(3):
-            for side in (axis, -axis):
+        for direction in np.eye(3):
+            for side in (direction, -direction):
                 nozzles.create(
                     "Blank_Thruster",
                     [0.0] * 3,
@@ -249,7 +249,7 @@ class BasiliskPlant(Plant):
         self.frame: tuple[Tensor, Hill] | None = None  # of the chiefs of then
         import Basilisk.simulation  # noqa: F401
 
-    def begin(self, columns: Tensor, x: Tensor, number: Tensor) -> None:
+    def begin(self, columns: Tensor, x: Tensor, number: Tensor | None) -> None:
         """As `Plant.begin`; the chief is where the Sun's angle has it on its orbit."""
         super().begin(columns, x, number)
         self.wheels[:, columns] = 0.0

@@ -225,7 +225,7 @@ class Plant:
         ValueError: the parameters do not fit the model.
     """
 
-    STATE = ("key", "held", "missed", "history", "past")
+    STATE: tuple[str, ...] = ("key", "held", "missed", "history", "past")
     is_traceable = True  # `integrate` is of operations that PyTorch traces
 
     def __init__(
@@ -242,22 +242,23 @@ class Plant:
         self.key = torch.zeros(batch, dtype=torch.int64, device=device)
         self.held = torch.zeros(CONTROL_SIZE, batch, dtype=torch.float64, device=device)
         self.missed = torch.zeros_like(self.key)
-        length = bounds(parameters.latency)[1] + 1
+        length = int(bounds(parameters.latency)[1]) + 1
         self.history = torch.zeros(length, SIZE, batch, dtype=torch.float64, device=device)
         self.past = torch.zeros(length - 1, CONTROL_SIZE, batch, dtype=torch.float64, device=device)
         self.drawn = draw(parameters, c, self.key)
-        self.true = self.seen = None
+        self.true = self.seen = self.held[:0]  # none yet
         self.limit = self.held.new_tensor(c.control_limit)[:, None]
 
-    def begin(self, columns: Tensor, x: Tensor, number: Tensor) -> None:
+    def begin(self, columns: Tensor, x: Tensor, number: Tensor | None) -> None:
         """Begins episodes in the given columns, in states (16, k) and from a number in [0, 1) each, (k,)."""
+        assert number is not None
         self.key[columns] = key_of(number)
         self.held[:, columns] = 0.0
         self.past[..., columns] = 0.0
         self.missed[columns] = 0
         for whole, part in zip(self.drawn, draw(self.parameters, self.c, self.key[columns]), strict=True):
             whole[..., columns] = part
-        self.true = self.seen = None
+        self.true = self.seen = self.held[:0]
 
     def state_dict(self) -> dict[str, Tensor]:
         """What a resumed run needs; the rest follows from it."""
@@ -270,7 +271,7 @@ class Plant:
                 raise ValueError(f"plant {name} is {tuple(state[name].shape)}")
             setattr(self, name, state[name].clone())
         self.drawn = draw(self.parameters, self.c, self.key)
-        self.true = self.seen = None
+        self.true = self.seen = self.held[:0]
 
     @property
     def turns(self) -> bool:
