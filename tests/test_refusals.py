@@ -107,7 +107,10 @@ __all__ = ["run"]  # a fixture
         (["export", "--checkpoint", "x.pt", "--out", "nowhere/x.onnx"], ["--out", "cannot write"]),
         (
             [],
-            ["train | study | report | evaluate | simulate | replay | filter | verify | benchmark | export"],
+            [
+                "train | study | report | evaluate | simulate | replay | filter | verify | boundary | break-points | "
+                "refly | benchmark | export"
+            ],
         ),
     ],
 )
