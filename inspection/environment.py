@@ -79,6 +79,11 @@ class InspectionEnv:
         self.clocks = clocks_of(parameters, None, *self.asked_for)
         batch = num_envs * len(generators)
         device = generators[0].device
+
+        def zeros(*shape: int, dtype: torch.dtype = torch.float64) -> Tensor:
+            return torch.zeros(*shape, batch, dtype=dtype, device=device)
+
+        self.x = zeros(SIZE)  # first of all: it is refused where there is no room for the others
         self.plant: Plant | None = None
         if plant is not None and not plant.is_nominal:
             kind = BasiliskPlant if plant.simulator == "basilisk" else Plant
@@ -92,11 +97,6 @@ class InspectionEnv:
         ]
         self.num_envs = num_envs
         self.limit = torch.tensor(parameters.control_limit, dtype=torch.float64, device=device)[:, None]
-
-        def zeros(*shape: int, dtype: torch.dtype = torch.float64) -> Tensor:
-            return torch.zeros(*shape, batch, dtype=dtype, device=device)
-
-        self.x = zeros(SIZE)
         self.time = zeros()
         self.steps = zeros(dtype=torch.int64)
         self.totals = zeros(3)  # reward, delta v, torque
