@@ -51,9 +51,8 @@ class Sight:
         def zeros(*shape: int, dtype: torch.dtype = torch.float64) -> Tensor:
             return torch.zeros(*shape, batch, dtype=dtype, device=device)
 
-        # the largest first: more episodes than memory holds are refused before they fill it
-        self.weights = zeros(count)
         self.priority = zeros(3)
+        self.weights = zeros(count)
         self.inspected = zeros(count, dtype=torch.bool)
         self.centres = zeros(3, clusters, dtype=torch.float32)
         self.alive = zeros(clusters, dtype=torch.bool)
