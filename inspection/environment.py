@@ -298,11 +298,7 @@ class InspectionEnv:
                 self.sight.look(hold.after, self.time + hold.end)
 
     def fly(
-        self,
-        controller: Controller,
-        duration: float,
-        x: Tensor | None = None,
-        time: Tensor | None = None,
+        self, controller: Controller, duration: float, x: Tensor | None = None, time: Tensor | None = None
     ) -> Iterator[Hold]:
         """`closed_loop` by the environment's clocks and behind its filter, which leaves the episodes as they are.
 
