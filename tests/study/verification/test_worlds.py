@@ -3,7 +3,6 @@
 import dataclasses
 import json
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,6 +12,7 @@ from torch import Tensor
 import main
 from inspection.model.state import P
 from rta.constraints.constraint import CONSTRAINTS
+from rta.filter import FilterResult
 from study.config import Config, override
 from study.experiment import Experiment
 from study.verification import campaign
@@ -81,10 +81,12 @@ def test_a_campaign_goes_on_and_its_violations_fly_again(
     )
 
 
-def let_pass(x: Tensor, desired: Tensor) -> SimpleNamespace:
+def let_pass(x: Tensor, desired: Tensor) -> FilterResult:
     """A filter that corrects nothing."""
     nothing = x.new_zeros(len(CONSTRAINTS), x.shape[1])
-    return SimpleNamespace(control=desired, slack=nothing, status=nothing[0].long())
+    none, status = nothing > 0.0, nothing[0].long()
+    both = status.expand(2, -1)
+    return FilterResult(desired, none[0], none, nothing, status, both, nothing, nothing, nothing)
 
 
 def test_what_violates_is_the_true_state() -> None:
