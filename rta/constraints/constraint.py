@@ -30,6 +30,13 @@ ATTITUDE = (
     "angular_velocity_z",
 )
 CONSTRAINTS = TRANSLATIONAL + ATTITUDE
+UNITS = {  # of h, by limit
+    **dict.fromkeys(("collision", "dynamic_speed", "keep_in_zone"), "m/s"),
+    "passive_safety": "m",
+    **{f"velocity_{axis}": "m^2/s^2" for axis in "xyz"},
+    **{"attitude_exclusion": "rad", "temperature": "deg C", "battery": "kJ"},
+    **{f"angular_velocity_{axis}": "rad^2/s^2" for axis in "xyz"},
+}
 
 ACTUATORS = {"thrust": THRUST, "torque": TORQUE}
 

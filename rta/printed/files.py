@@ -14,6 +14,7 @@ from torch import Tensor
 
 from inspection.model.dynamics import step
 from kernels import printed
+from rta.constraints.constraint import UNITS
 from rta.printed.single import single
 from rta.printed.source import (
     constants,
@@ -58,12 +59,6 @@ MEANING = {
     Status.HARD: "clipped or corrected, every condition satisfied, at worst without its margin",
     Status.SLACK: "no control satisfies every condition: some yield, by slack, those of least weight first",
     Status.UNSOLVED: "no program was solved: the least-violating control known; where a number is none, zero",
-}
-UNITS = {  # of h; of the body's rates and velocities it is a difference of squares
-    **dict.fromkeys(("collision", "keep_in_zone", "passive_safety"), "m"),
-    **{"dynamic_speed": "m/s", "attitude_exclusion": "rad", "temperature": "deg C", "battery": "kJ"},
-    **{f"velocity_{i}": "(m/s)^2" for i in "xyz"},
-    **{f"angular_velocity_{i}": "(rad/s)^2" for i in "xyz"},
 }
 SECTIONS = {  # by file of the driver
     "solver.c": "Quadratic programs, solved by an active-set method",

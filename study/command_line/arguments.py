@@ -29,7 +29,9 @@ def build_parser(handlers: Mapping[str, Handler], description: str | None = None
     parser = Parser(prog="main.py", description=description, allow_abbrev=False)
     commands = parser.add_subparsers(dest="command", required=True, metavar=" | ".join(COMMANDS))
     for name, command in COMMANDS.items():
-        add_flags(commands.add_parser(name, allow_abbrev=False, help=command.about), command, handlers[name])
+        about = command.about[0].upper() + command.about[1:] + "."
+        own = commands.add_parser(name, allow_abbrev=False, help=command.about, description=about)
+        add_flags(own, command, handlers[name])
     return parser
 
 

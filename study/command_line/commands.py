@@ -100,7 +100,7 @@ COMMANDS = {
         ),
     ),
     "study": Command(
-        "train many seeds of both arms and evaluate them; the same command continues an interrupted study",
+        "train many seeds of each arm and evaluate them; the same command continues an interrupted study",
         *COMMON,
         THREADS,
         count("--seeds", "agents of each arm, trained as one batch", "study.seeds"),

@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from rta.constraints.constraint import UNITS
 from study.paper import PAPER_VIOLATIONS
 from study.results.numbers.evidence import (
     LABELS,
@@ -27,17 +28,7 @@ from study.verification.break_points import EFFECTS, said
 
 README, SAFETY, TESTS = "README.md", "docs/results/safety.md", "docs/results/safety_tests.md"
 IN_C = "docs/guides/filter_in_c.md"
-UNITS = {
-    "collision": "m/s",
-    "dynamic_speed": "m/s",
-    "keep_in_zone": "m/s",
-    "passive_safety": "m",
-    **{f"velocity_{axis}": "m²/s²" for axis in "xyz"},
-    "attitude_exclusion": "rad",
-    "temperature": "°C",
-    "battery": "kJ",
-    **{f"angular_velocity_{axis}": "rad²/s²" for axis in "xyz"},
-}  # of h
+WRITTEN = {limit: unit.replace("^2", "²").replace("deg ", "°") for limit, unit in UNITS.items()}  # units of h
 
 
 def both(name: str = "{}") -> list[Any]:
@@ -47,7 +38,7 @@ def both(name: str = "{}") -> list[Any]:
 
 def flown() -> Iterator[Row]:
     """Every limit under random and adversarial controls."""
-    for limit, unit in UNITS.items():
+    for limit, unit in WRITTEN.items():
         cells = []
         for each in both():
             worst, when = each["worst_value"][limit], each["worst_case"][limit]["time_s"]
@@ -179,7 +170,7 @@ def sentences() -> Iterator[tuple[str, str]]:
     names |= {f"velocity_{axis}": f"{axis} velocity" for axis in "xyz"} | {"temperature": "temperature"}
     for limit, label in names.items():
         count, worst = single["violating_draws"][limit], single["worst_value"][limit]
-        yield TESTS, f"{label} {count:,} (down to {worst:.1g} {UNITS[limit]})"
+        yield TESTS, f"{label} {count:,} (down to {worst:.1g} {WRITTEN[limit]})"
 
     random, adversarial = map(share_of_slack, both("u1_{}"))
     yield SAFETY, f"yielded in {random:.2f} % of the calls under random and {adversarial:.2f} % under"
