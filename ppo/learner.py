@@ -10,7 +10,7 @@ from torch import Tensor
 
 from ppo.distributed import ALONE, Ranks
 from ppo.network import Policy, Value, log_std_bias
-from settings import Settings, setting
+from setting import Settings, setting
 
 MAX_WIDTH = 65_536  # of a hidden layer
 MAX_LOG_RATIO = 20.0  # that e^x is finite, also of actions that no agent draws, see `collect`

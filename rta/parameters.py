@@ -4,7 +4,7 @@ import math
 from dataclasses import dataclass
 from itertools import pairwise
 
-from settings import Settings, setting
+from setting import Settings, setting
 
 PERIODS = (1.0, 5.0, 10.0)
 QP_SOLVERS = ("auto", "piqp", "batched")
@@ -22,7 +22,9 @@ class RtaParameters(Settings):
 
     period: float = setting(1.0, "s between two calls of the filter", among=PERIODS)
     qp_solver: str = setting(
-        "auto", "of the quadratic programs (auto: the faster one for device and batch)", among=QP_SOLVERS
+        "auto",
+        "solver of the quadratic programs; auto takes the faster one for device and batch",
+        among=QP_SOLVERS,
     )
 
     collision_gain: float = setting(0.1, "1/s, safe separation", note="relative degree one, 1/s")

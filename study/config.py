@@ -22,7 +22,7 @@ from ppo.learner import PPOParameters
 from rta.bounds.uncertainty import Uncertainty
 from rta.constraints.constraint import CONSTRAINTS
 from rta.parameters import RtaParameters
-from settings import Settings, setting, settings
+from setting import Settings, setting, settings
 from study.errors import InputError, refusing
 
 MAX_COUNT = 10**12
@@ -48,12 +48,14 @@ class TrainParameters(Settings):
 
     rta: bool = setting(True, "whether the filter corrects the agent's actions")
     seed: int = setting(0, "of everything random; of a study, the first one", below=2**63)
-    interactions: int = count(5_000_000, "agent steps in all; rounded up to whole updates")
+    interactions: int = count(5_000_000, "agent steps of 10 s in all; rounded up to whole updates")
     num_envs: int = count(256, "episodes simulated at once, of each seed")
     rollout_steps: int = count(64, "interactions of each episode between two updates")
     device: str = setting("auto", "where tensors live", among=("auto", "cpu", "cuda"))
     compile: str = setting(
-        "auto", "compile filter and simulator, on a GPU the learner, too", among=("auto", "on", "off")
+        "auto",
+        "compile filter and simulator with the C compiler, on a GPU the learner, too; auto: where that is repaid",
+        among=("auto", "on", "off"),
     )
     evaluation_interval: int = count(500_000, "interactions between two evaluations")
     early_evaluations: int = count(
@@ -72,7 +74,9 @@ class TrainParameters(Settings):
         among=LEARN_FROM,
     )
     adversary: tuple[str, ...] = setting(
-        (), "constraints whose smallest h it lowers, in place of the task; none: the task", among=CONSTRAINTS
+        (),
+        "constraints whose smallest h it lowers, in place of the task; left out, it learns the task",
+        among=CONSTRAINTS,
     )
 
     def __post_init__(self) -> None:

@@ -14,7 +14,7 @@ from inspection.chief.mesh import pinned
 from inspection.model.parameters import ChiefParameters, Limits
 from inspection.world.plant import PlantParameters
 from ppo.distributed import is_first
-from settings import settings
+from setting import settings
 from study import config as configuration
 from study.commands import command
 from study.config import Config, StudyConfig, override

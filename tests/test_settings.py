@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from settings import Settings, setting, settings
+from setting import Settings, setting, settings
 
 
 @dataclass(frozen=True)

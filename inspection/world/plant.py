@@ -18,7 +18,7 @@ from inspection.model.dynamics import Body, integrate
 from inspection.model.orbit import orbit_rate
 from inspection.model.parameters import Limits
 from inspection.model.state import CONTROL_SIZE, CONTROLS, OMEGA, SIZE, THETA_S, THRUST, TORQUE, P, Q, V
-from settings import Settings, setting
+from setting import Settings, setting
 
 Range = float | tuple[float, float]
 Count = int | tuple[int, int]
@@ -40,7 +40,7 @@ class PlantParameters(Settings):
 
     simulator: str = setting(
         "own",
-        "of the motion, basilisk where it is installed (docs/guides/basilisk.md)",
+        "simulator of the motion; basilisk must be installed (docs/guides/basilisk.md)",
         among=SIMULATORS,
         note="Simulator",
     )

@@ -13,7 +13,7 @@ from torch import Tensor
 from inspection.model.dynamics import euler
 from inspection.model.parameters import Limits
 from rta.parameters import RtaParameters
-from settings import Settings, setting
+from setting import Settings, setting
 
 LONGEST_HOLD = (
     10.0  # s; at 20 s, in which a body at 2 deg/s turns by 70 deg, one episode in ten broke a limit

@@ -7,7 +7,7 @@ from typing import Any, NoReturn
 
 from rta.constraints.constraint import CONSTRAINTS
 from rta.parameters import PERIODS
-from settings import Setting, Settings, settings
+from setting import Setting, Settings, settings
 from study.commands import FILES
 from study.config import ARMS, MAX_COUNT, StudyConfig
 from study.errors import in_one_line

@@ -78,8 +78,10 @@ def report_in(
     fresh = empty(campaign, config)
     if path is None or not path.is_file() or not path.stat().st_size:
         return fresh
-    with refusing(f"--json {path}: holds no report of verify", OSError, *MALFORMED):
+    with refusing(f"--json {path}: holds no report to go on with", OSError, *MALFORMED):
         report = json.loads(path.read_text(encoding="utf-8"))
+        if not report["campaign"].keys() <= vars(campaign).keys():
+            raise ValueError("it is of another command")
         same = type(campaign)(**report["campaign"]) == campaign and of_the_same(
             report["config"], config, path
         )

@@ -12,7 +12,7 @@ import pytest
 import main
 from inspection.model.parameters import Episode, InspectionParameters, Limits
 from rta.parameters import PERIODS
-from settings import settings
+from setting import settings
 from study import verified
 from study.config import Config, StudyConfig, override
 from study.files import ROOT

@@ -57,6 +57,8 @@ class Setting:
         """What `allows` asks for, in words."""
         if self.among:
             return joined(map(shown, self.among), "or")
+        if kind is str:
+            return ""
         words = ["an integer"] if kind is int else ["finite"] if self.most != math.inf else []
         for bound, of_zero, otherwise in (
             (self.above, "positive", "above"),
@@ -101,7 +103,9 @@ def check(of: Field, value: Any) -> None:
     if own.ordered:
         form = f"{RANGE}, "
     elif is_open:
-        form = "some of " if own.among else "one or more numbers, each "
+        form = (
+            "some of " if own.among else "one or more numbers, each " if element is not str else "one or more"
+        )
     elif count > 1 and not form:
         form = f"{count} numbers, each "
     fits = (bool(items) or of.default == ()) if is_open else len(items) == count
