@@ -87,7 +87,7 @@ def rotation_matrix(q: Tensor) -> Tensor:
 
 
 def quaternion_rate(q: Components, omega: Components) -> tuple[Tensor, ...]:
-    """The four components of dq/dt = Xi(q) omega / 2, the paper's Eq. (dQuat1)."""
+    """The four components of dq/dt = Xi(q) omega / 2, the quaternion's derivative (Sec. Attitude)."""
     (q1, q2, q3, q4), (w1, w2, w3) = q, omega
     return (
         0.5 * (q4 * w1 + q2 * w3 - q3 * w2),

@@ -45,7 +45,7 @@ def key_of(number: Tensor) -> Tensor:
 
 
 def spherical(radius: Tensor, azimuth: Tensor, elevation: Tensor) -> Tensor:
-    """Eq. (init): (k,) m, (k,) rad, (k,) rad to (3, k) m."""
+    """Radius, azimuth, elevation (Sec. Initial and Terminal Conditions): (k,) m, (k,) rad, (k,) rad to (3, k) m."""
     return radius * torch.stack(
         (azimuth.cos() * elevation.cos(), azimuth.sin() * elevation.cos(), elevation.sin())
     )

@@ -97,7 +97,7 @@ class ActuatorGroup:
 
         Where x are states so many s after others, `start`, what these were beyond counts.
 
-        Psi_1 = L_f h + alpha(h) with alpha(h) = k1 (h - margin), Eq. (HOCBF), within the limit. Beyond it alpha(h) =
+        Psi_1 = L_f h + alpha(h) with alpha(h) = k1 (h - margin), the HOCBF, within the limit. Beyond it alpha(h) =
         max(k2 h, -recovery) - k1 margin: k1 h would ask for faster cooling than there is in the dark (0.0015 of 1 deg C
         a second, of 0.00036), so that the row could not be satisfied for half an hour, or for a small part of what
         there is (battery). With k2 for k1 the way back is critically damped; -k1 margin, as within the limit, ends it
