@@ -132,21 +132,16 @@ def digest(path: Path) -> str:
 def made(sources: Mapping[str, str]) -> ctypes.CDLL:
     """Builds a library that no file is left of; NoCompilerError where that fails."""
     try:
-        return built_for_now(sources)
+        with tempfile.TemporaryDirectory(prefix=WORK, ignore_cleanup_errors=True) as work:
+            path = built(sources, Path(work))
+            try:
+                return ctypes.CDLL(str(path))
+            except OSError as error:
+                raise NoCompilerError(f"what {compiler()[0]} built cannot be loaded: {error}") from error
     except NoCompilerError:
         raise
     except OSError as error:
         raise NoCompilerError(f"nothing can be built here: {error.strerror or error}") from error
-
-
-def built_for_now(sources: Mapping[str, str]) -> ctypes.CDLL:
-    """`made`, with any OSError."""
-    with tempfile.TemporaryDirectory(prefix=WORK, ignore_cleanup_errors=True) as work:
-        path = built(sources, Path(work))
-        try:
-            return ctypes.CDLL(str(path))
-        except OSError as error:
-            raise NoCompilerError(f"what {compiler()[0]} built cannot be loaded: {error}") from error
 
 
 def built(sources: Mapping[str, str], work: Path) -> Path:

@@ -40,12 +40,6 @@ class Columns:
     def __init__(self, found: ctypes.CDLL, safety_filter: "SafetyFilter", seconds: float) -> None:
         self.constraints, self.holds = len(safety_filter.names), safety_filter.holds
         self.latency, self.seconds = safety_filter.known.latency, seconds
-        self.shapes: dict[str, tuple[int, ...]] = {
-            "x": (SIZE,),
-            "desired": (CONTROL_SIZE,),
-            "left": (CONTROL_SIZE,),
-        }
-        self.shapes["sent"] = (self.latency, CONTROL_SIZE)
         self.run = over_columns(found, "filter_batch")
         self.run.restype = ctypes.c_long
 
@@ -62,14 +56,15 @@ class Columns:
         numbers = torch.empty(CONTROL_SIZE + blocks * count, columns, dtype=torch.float64)
         statuses = torch.empty(3, columns, dtype=torch.int64)
         truths = torch.empty(1 + count, columns, dtype=torch.bool)
-        given = {"x": x, "desired": desired}
+        check("x", x, torch.float64, (SIZE, columns))
+        check("desired", desired, torch.float64, (CONTROL_SIZE, columns))
+        given = [strided(x), strided(desired)]
         if self.holds:
-            given["left"] = torch.ones_like(desired) if left is None else left
-            given["sent"] = self.aged(sent, x)
-        for name, each in given.items():
-            check(name, each, torch.float64, (*self.shapes[name], columns))
-        parts = [strided(given[name]) for name in ("x", "desired", "sent", "left") if name in given]
-        arguments = (*pointers(parts), *pointers([numbers, statuses, truths]))
+            sent, left = self.aged(sent, x), torch.ones_like(desired) if left is None else left
+            check("sent", sent, torch.float64, (self.latency, CONTROL_SIZE, columns))
+            check("left", left, torch.float64, (CONTROL_SIZE, columns))
+            given += [strided(sent), strided(left)]
+        arguments = (*pointers(given), *pointers([numbers, statuses, truths]))
         unsolved = in_shares(lambda first, last: self.run(first, last, *arguments), columns, self.seconds)
         slack, h, *tightenings = (numbers[CONTROL_SIZE + i * count :][:count] for i in range(blocks))
         nothing = numbers.new_zeros(1, 1).expand(count, columns)
