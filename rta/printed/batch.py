@@ -103,7 +103,7 @@ class BatchFilter(Columns):
             define("LATENCY", safety_filter.known.latency),
         ]
         many += [*(part.text for part in parts), *(batch(part) for part in shared)]
-        many += [driver_text("batch/batch.h"), driver_text("batch/store.c")]
+        many += [driver_text("batch/batch.h"), driver_text("batch/columns.c")]
         if holds:
             many += [driver_text("batch/block.c"), *(of_group(i, safety_filter) for i in range(2))]
         many.append(driver_text("batch/held.c" if holds else "batch/now.c"))

@@ -14,6 +14,7 @@ from torch import Tensor
 
 from inspection.model.dynamics import step
 from kernels import printed
+from kernels.directory import check_directory
 from rta.constraints.constraint import UNITS
 from rta.printed.single import single
 from rta.printed.source import (
@@ -91,29 +92,12 @@ def write(
         ValueError: the directory holds anything else; OSError: it cannot be written.
     """
     folder = Path(directory)
-    check_directory(folder)
+    check_directory(folder, "filter", MARK, (*NAMES, "Makefile", SUMS), BUILT)
     texts = sources(safety_filter, verified, configuration, real)
     folder.mkdir(parents=True, exist_ok=True)
     for name, text in texts.items():
         (folder / name).write_text(text, encoding="utf-8")
     return texts
-
-
-def check_directory(directory: Path) -> None:
-    """Raises ValueError where a directory holds anything but a filter that was written before."""
-    for path in sorted(directory.iterdir()) if directory.exists() else ():
-        if path.name in BUILT or (path.name in (*NAMES, "Makefile", SUMS) and is_own(path)):
-            continue
-        raise ValueError(f"{directory}: holds no filter but {path.name}; name a new directory")
-
-
-def is_own(path: Path) -> bool:
-    """Whether a file is one of those that are written, or is empty."""
-    if not path.is_file():
-        return False
-    with path.open("rb") as file:
-        head = file.readline(200)
-    return MARK.encode() in head or not head
 
 
 def sources(

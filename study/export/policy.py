@@ -17,9 +17,10 @@ from torch import Tensor
 from inspection.model.parameters import InspectionParameters
 from inspection.model.state import CONTROL_SIZE, CONTROLS
 from inspection.observation import GROUPS, components, scales
+from kernels.directory import check_directory
 from ppo.network import Policy
 from study.config import Config
-from study.errors import InputError, refusing
+from study.errors import refusing
 from study.files import write_text
 
 TEMPLATES = {  # by file
@@ -30,7 +31,7 @@ TEMPLATES = {  # by file
     "Makefile": "policy.mk.j2",
 }
 BUILT = "test_policy"  # by the Makefile
-MARK = b"Written by main.py export --c"  # on the first line of each
+MARK = "Written by main.py export --c"  # on the first line of each
 VECTORS = 100  # of the test
 TOLERANCE = 1e-6  # of it, in units of the actuators' limits
 WIDTH = 110  # of a line of a table
@@ -61,31 +62,14 @@ def write(policy: Policy, config: Config, checkpoint: str, directory: Path) -> s
         InputError: the directory holds anything else, or cannot be written.
     """
     texts = sources(policy, config.inspection, hashlib.sha256(Path(checkpoint).read_bytes()).hexdigest())
-    check_directory(directory)
     with refusing(f"--c {directory}: cannot write there", OSError, ValueError):
+        check_directory(directory, "agent", MARK, TEMPLATES, (*(f"{name}.tmp" for name in TEMPLATES), BUILT))
         directory.mkdir(parents=True, exist_ok=True)
         for name, text in texts.items():
             write_text(directory / name, text)
     weights = sum(each.numel() for layer in layers(policy) for each in layer)
     test = shlex.join(["make", "-C", str(directory), "test"])
     return f"{directory}: {', '.join(texts)}; {weights:,} weights and {VECTORS} of PyTorch's controls\nNext:\n  {test}"
-
-
-def check_directory(directory: Path) -> None:
-    """Refuses a directory that holds anything but an agent that was written before."""
-    with refusing(f"--c {directory}: cannot write there", OSError, ValueError):
-        for path in sorted(directory.iterdir()) if directory.exists() else ():
-            if path.name not in (*(f"{name}.tmp" for name in TEMPLATES), BUILT) and not is_own(path):
-                raise InputError(f"--c {directory}: holds no agent but {path.name}; name a new directory")
-
-
-def is_own(path: Path) -> bool:
-    """Whether a file in the directory is one of those that are written there, or is empty."""
-    if path.name not in TEMPLATES or not path.is_file():
-        return False
-    with path.open("rb") as file:
-        head = file.readline(200)
-    return MARK in head or not head
 
 
 def sources(policy: Policy, c: InspectionParameters, digest: str) -> dict[str, str]:
@@ -100,7 +84,7 @@ def sources(policy: Policy, c: InspectionParameters, digest: str) -> dict[str, s
     environment.filters |= {"rows": rows, "single": single, "wrapped": wrapped}
     observation, control = vectors(policy, c)
     values = {
-        "mark": MARK.decode(),
+        "mark": MARK,
         "digest": digest,
         "period": float(c.action_period),
         "groups": [

@@ -114,31 +114,6 @@ def test_a_campaign_flies_through_the_c(tmp_path: Path, capsys: pytest.CaptureFi
     assert_refused([*arguments, str(tmp_path / "c.json")], ["holds another campaign"], capsys)
 
 
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (["--filter", "file"], ["--filter file", "cannot write there"]),
-        (["--filter", "full"], ["--filter full", "holds no filter but main.c", "name a new directory"]),
-        (["--filter", "c", "--checkpoint", "p.pt"], ["--filter", "no use for --checkpoint"]),
-        (["--c", "c", "--checkpoint", "p.pt", "--float"], ["--c", "no use for --float"]),
-        (["--filter", "c", "--config", "odd.toml"], ["max_thrust"]),
-    ],
-)
-def test_bad_calls_are_refused(
-    arguments: list[str],
-    words: list[str],
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "file").touch()
-    (tmp_path / "full").mkdir()
-    (tmp_path / "full" / "main.c").write_text("int main(void) { return 0; }\n")
-    (tmp_path / "odd.toml").write_text("[inspection]\nmax_thrust = -1.0\n")
-    assert_refused(["export", *arguments], words, capsys)
-
-
 def test_forms_of_the_filter_are_those_that_verify_flies() -> None:
     (flag,) = [each for each in COMMANDS["verify"].flags if each.name == "--filter"]
     assert flag.options["choices"] == ("python", *REALS)

@@ -291,30 +291,6 @@ def test_what_is_not_an_agents_is_kept(
     assert name.endswith("/") or (directory / name).read_text() == "/* years of work */\n"
 
 
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (["--checkpoint", str(SHIPPED), "--c", "file"], ["--c file", "cannot write there"]),
-        (["--checkpoint", str(SHIPPED), "--c", "file/c"], ["--c file/c", "cannot write there"]),
-        (["--checkpoint", str(SHIPPED), "--c", "a\0b"], ["--c", "cannot write there"]),
-        (["--checkpoint", str(SHIPPED), "--c", "c", "--out", "o.onnx"], ["--c", "--out", "not allowed"]),
-        (["--checkpoint", "nowhere.pt", "--c", "c"], ["nowhere.pt", "no such checkpoint"]),
-        (["--c", "c"], ["--checkpoint F", "--c"]),
-        (["--out", "o.onnx"], ["--checkpoint F", "--out"]),
-    ],
-)
-def test_bad_calls_are_refused(
-    arguments: list[str],
-    words: list[str],
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "file").touch()
-    assert_refused(["export", *arguments], words, capsys)
-
-
 def test_a_missing_package_is_named(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -1,12 +1,5 @@
 /* Attempts all programs, W spacecraft at a time, torque first, and has those that are left searched for one by one. */
 
-static void load_block(const void *in, long step, long column, long lanes, int count, V *to)
-{
-    for (int i = 0; i < count; ++i) {
-        to[i] = load_double(in, i * step + column, lanes);
-    }
-}
-
 /* Brings states up to date by the controls that were sent since they were measured. */
 static void bring_up_to_date(const void *sent, long step, long column, long lanes, const V left[6], V x[16],
                              V error_bound[4])

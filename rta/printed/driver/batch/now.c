@@ -12,12 +12,8 @@ long filter_batch(long first, long last, const void *const *in, const long *in_s
         V program_status[2];
         M active[CONSTRAINTS];
         M left[1];
-        for (int i = 0; i < 16; ++i) {
-            x[i] = load_double(in[0], i * in_step[0] + column, lanes);
-        }
-        for (int j = 0; j < 6; ++j) {
-            desired[j] = load_double(in[1], j * in_step[1] + column, lanes);
-        }
+        load_block(in[0], in_step[0], column, lanes, 16, x);
+        load_block(in[1], in_step[1], column, lanes, 6, desired);
         first_attempt(x, desired, numbers, &numbers[6], &numbers[6 + CONSTRAINTS], program_status, active, left);
         for (int k = 0; k < 6 + 2 * CONSTRAINTS; ++k) {
             store_double(out[NUMBERS], k * out_step[NUMBERS] + column, lanes, numbers[k]);

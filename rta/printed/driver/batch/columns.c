@@ -1,3 +1,11 @@
+/* Components 0 to count of W columns. */
+static void load_block(const void *in, long step, long column, long lanes, int count, V *to)
+{
+    for (int i = 0; i < count; ++i) {
+        to[i] = load_double(in, i * step + column, lanes);
+    }
+}
+
 /* Of W columns: the worse status, both, whether another control is applied, and which constraints are active. */
 static void store_statuses(const V program_status[2], const M active[CONSTRAINTS], void *const *out,
                            const long *out_step, long column, long lanes)
@@ -12,4 +20,3 @@ static void store_statuses(const V program_status[2], const M active[CONSTRAINTS
         store_bool(out[TRUTHS], (1 + k) * out_step[TRUTHS] + column, lanes, active[k]);
     }
 }
-
