@@ -207,15 +207,18 @@ class InspectionEnv:
         """What the integration takes beside states and controls."""
         return (self.plant.body,) if self.plant else ()
 
-    def observation(self, seen: Tensor | None = None, columns: Tensor | slice = EVERYONE) -> Tensor:
+    def observation(
+        self, seen: Tensor | None = None, columns: Tensor | slice = EVERYONE, score: Tensor | None = None
+    ) -> Tensor:
         """Normalised observations (k, size) float32 of the given columns, of what has been seen of the chief so far.
 
         Args:
             seen: states (16, B) as they are sensed, which a controller is shown; None: the present ones.
+            score: `Sight.score` of the columns, if it is known.
         """
         if seen is None:
             seen = self.plant.sense(self.time, self.x) if self.plant else self.x
-        return self._normalised(seen[:, columns], *self.sight.observed(columns)).T
+        return self._normalised(seen[:, columns], *self.sight.observed(columns, score)).T
 
     def step(self, action: Tensor) -> Transition:
         """Holds one action for one action period.
@@ -264,7 +267,7 @@ class InspectionEnv:
         self.totals += torch.stack((reward, delta_v, torque))
 
         terminated = ended["crash"] | ended["out_of_bounds"] | ended["out_of_power"] | ended["success"]
-        observation = self.observation()
+        observation = self.observation(score=score)
         transition = Transition(
             observation=observation,
             final_observation=observation,

@@ -117,15 +117,19 @@ class Sight:
         """w_p (k,), the inspected weight of the given columns."""
         return torch.where(self.inspected[:, columns], self.weights[:, columns], 0.0).sum(0)
 
-    def observed(self, columns: Tensor | slice = EVERYONE) -> tuple[Tensor, ...]:
+    def observed(self, columns: Tensor | slice = EVERYONE, score: Tensor | None = None) -> tuple[Tensor, ...]:
         """What an agent observes beside its state, as `observation.normalised` takes it.
 
         r_p and r_UPS (3, k) in Hill's frame, w_p (k,) and, if it is observed, the chief's attitude and rate (7, k).
+
+        Args:
+            score: `score` of these columns, if it is known.
         """
         priority = self.priority[:, columns]
         if self.tumbling:
             priority = rotate(self.tumbling.attitude[:, columns], priority)
-        shown = priority, self.uninspected[:, columns], self.score(columns)
+        score = self.score(columns) if score is None else score
+        shown = priority, self.uninspected[:, columns], score
         if self.tumbling and "chief" in self.c.observed:
             return *shown, self.tumbling.motion[: RATE.stop, columns]
         return shown
