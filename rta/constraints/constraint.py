@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from numbers import Real
 from typing import Any
 
 import torch
@@ -90,10 +91,20 @@ class Constraint:
     def __post_init__(self) -> None:
         if self.held_by not in ACTUATORS:
             raise ValueError(f"{self.name}: held_by = {self.held_by!r}: must be {' or '.join(ACTUATORS)}")
-        if len(self.gains) not in (1, 2) or not all(0 < gain < math.inf for gain in self.gains):
-            raise ValueError(f"{self.name}: gains = {self.gains!r}: must be one or two positive numbers, 1/s")
-        if not 0 <= self.margin < math.inf or not (self.weight is None or self.weight > 0):
-            raise ValueError(f"{self.name}: margin must be finite and not negative, weight positive")
+        if not callable(self.h):
+            raise ValueError(f"{self.name}: h = {self.h!r}: must be a function of states (16, ...) to (...)")
+        if (
+            not isinstance(self.gains, tuple | list)
+            or len(self.gains) not in (1, 2)
+            or not all(isinstance(gain, Real) and 0 < gain < math.inf for gain in self.gains)
+        ):
+            raise ValueError(
+                f"{self.name}: gains = {self.gains!r}: must be a tuple of one or two positive numbers, 1/s: (0.2,)"
+            )
+        if not isinstance(self.margin, Real) or not 0 <= self.margin < math.inf:
+            raise ValueError(f"{self.name}: margin = {self.margin!r}: must be a finite number, not negative")
+        if self.weight is not None and not (isinstance(self.weight, Real) and self.weight > 0):
+            raise ValueError(f"{self.name}: weight = {self.weight!r}: must be a positive number or None")
 
     @property
     def degree(self) -> int:
@@ -124,13 +135,15 @@ def joined(thrust: Tensor, torque: Tensor) -> Tensor:
 
 def check(each: Constraint, x: Tensor) -> None:
     """Raises ValueError where h of states (16, B), or with an axis of directions between, is not as it must be."""
-    h = each.h(x)
+    h = value(each, x)
+    if not torch.is_tensor(h):
+        raise ValueError(f"{each.name}: h is of type {type(h).__name__}: must be a tensor")
+    if h.shape != x.shape[1:]:
+        raise ValueError(f"{each.name}: h of states (16, B) has shape {tuple(h.shape)}: must be (B,)")
     if not h.isfinite().all():
         raise ValueError(
             f"{each.name}: h is not finite: must be at every state, beyond other constraints too"
         )
-    if h.shape != x.shape[1:]:
-        raise ValueError(f"{each.name}: h of states (16, B) has shape {tuple(h.shape)}: must be (B,)")
     directions = 1 + CONTROL_SIZE  # the middle axis of `lie_derivatives`
     wide = x[:, None].expand(-1, directions, -1)
     try:
@@ -142,3 +155,14 @@ def check(each: Constraint, x: Tensor) -> None:
             f"{each.name}: h of states (16, {directions}, B) must have shape ({directions}, B): "
             "constants in h must broadcast over all trailing axes"
         )
+
+
+def value(each: Constraint, x: Tensor) -> Any:
+    """h of states (16, B), whatever it is; raises ValueError where h itself raises what a wrong shape or type does."""
+    try:
+        return each.h(x)
+    except (RuntimeError, IndexError, TypeError) as error:
+        reason = str(error).splitlines()[0]
+        raise ValueError(
+            f"{each.name}: h of states (16, B) in float64 cannot be computed: {reason}; must be a tensor (B,)"
+        ) from error
