@@ -9,7 +9,7 @@ from typing import Any
 from study import config as configuration
 from study.command_line.commands import COMMANDS, CONFIG
 from study.command_line.flags import Command, Parser
-from study.command_line.paths import check_inputs, check_outputs
+from study.command_line.paths import check_inputs, check_outputs, check_replaced
 from study.commands import in_file
 from study.config import AnyConfig, StudyConfig
 from study.errors import InputError
@@ -135,7 +135,7 @@ class Configure:
 
 
 def check_files(arguments: argparse.Namespace) -> None:
-    """Refuses files that the command would write in the place of what it reads, see `check_outputs`."""
+    """Refuses to write over what the command reads, and over files that are not its own, see `check_outputs`."""
     given = [
         (each, vars(arguments)[each.dest])
         for each in COMMANDS[arguments.command].flags
@@ -148,6 +148,9 @@ def check_files(arguments: argparse.Namespace) -> None:
             inputs |= {f"{each.name} {path}": in_file(path) for path in paths}
     check_inputs(inputs)
     check_outputs({each.name: (value, each.writes) for each, value in given if each.writes}, inputs)
+    for each, value in given:
+        if each.key:
+            check_replaced(value, arguments.command, each.key)
 
 
 def resolve(arguments: argparse.Namespace, base: AnyConfig) -> AnyConfig:

@@ -129,7 +129,7 @@ COMMANDS = {
         THREADS,
         count("--episodes", "test cases"),
         seed("of the test cases, of random controls and of an untrained agent"),
-        written(".json", "--json", "also write the results there"),
+        written(".json", "--json", "also write the results there", key="metrics"),
         one_of=(
             AGENT,
             Flag(
@@ -264,7 +264,7 @@ COMMANDS = {
             type=batch_list,
             metavar="N,N,...",
         ),
-        written(".json", "--json", "also write the results there"),
+        written(".json", "--json", "also write the results there", key="closed_loop_us"),
         written(".png", "--figure", "also draw rates over batches there", "F.png"),
         imposed={"train.compile": "on"},
     ),

@@ -115,6 +115,7 @@ class Flag:
         alone: what it names, if that holds all settings, so that no other flag is allowed beside it but those `beside`.
         without: flags that mean nothing beside it.
         reads: it names a file that is read; writes: the suffix of one that is written.
+        key: of the JSON that is written, by which the command knows a file that it may replace; "": it looks itself.
         options: what else `add_argument` takes: type, metavar, ...; without a type its choices are the setting's.
     """
 
@@ -128,6 +129,7 @@ class Flag:
         without: tuple[str, ...] = (),
         reads: bool = False,
         writes: str = "",
+        key: str = "",
         **options: Any,
     ) -> None:
         own = setting_of(sets)
@@ -135,7 +137,7 @@ class Flag:
             options = {"choices": tuple(own.among)} | options
         self.name, self.text = name, text or own.comment.replace("%", "%%")
         self.alone, self.beside, self.options = alone, beside, options
-        self.reads, self.writes, self.without = reads, writes, without
+        self.reads, self.writes, self.key, self.without = reads, writes, key, without
         self.dest = sets or name.removeprefix("--").replace("-", "_")
 
     def saying(self, text: str) -> "Flag":
@@ -164,6 +166,6 @@ directory = partial(Flag, metavar="D")
 read = partial(Flag, reads=True, metavar="F")
 
 
-def written(suffix: str, name: str, text: str, metavar: str = "F", without: tuple[str, ...] = ()) -> Flag:
-    """A flag for a file that is written; `without` as of `Flag`."""
-    return Flag(name, text, writes=suffix, metavar=metavar, without=without)
+def written(suffix: str, name: str, text: str, metavar: str = "F", **options: Any) -> Flag:
+    """A flag for a file that is written; the options are those of `Flag`."""
+    return Flag(name, text, writes=suffix, metavar=metavar, **options)

@@ -1,12 +1,13 @@
 """What a command may read and write: no file that it reads is written, and no other one of another suffix."""
 
+import json
 import os
 import sys
 from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
 
-from ppo.files import temporary_beside
+from ppo.files import is_written_in_place, temporary_beside
 from study.errors import InputError
 from study.files import check_writable
 
@@ -27,8 +28,8 @@ def check_outputs(outputs: Mapping[str, tuple[str, str]], inputs: Mapping[str, s
         outputs: by flag, the path and the suffix of what is written there; inputs: by flag, the path.
 
     Raises:
-        InputError: an output cannot be written, is also an input or another output, perhaps through a link, or is there
-            already under another suffix.
+        InputError: an output cannot be written, is also an input or another output, perhaps through a link, or has
+            another suffix, with which the next call would not know it as its own.
     """
     before = dict(inputs)
     for flag, (path, suffix) in outputs.items():
@@ -39,13 +40,28 @@ def check_outputs(outputs: Mapping[str, tuple[str, str]], inputs: Mapping[str, s
                 raise InputError(f"{flag} {path}: is written by way of the file of {other}; name another one")
         check_writable(path, flag)
         before[flag] = path
-        named = Path(path).suffix
-        if suffix == ".png" and named not in ("", suffix):
-            raise InputError(
-                f"{flag} {path}: figures are written in PNG format; name it {Path(path).stem}.png"
-            )
-        if named != suffix and would_be_lost(Path(path)):
+        target = Path(path)
+        if target.suffix == suffix:
+            continue
+        if not is_written_in_place(target):
+            raise InputError(f"{flag} {path}: must end in {suffix}; name it {target.stem}{suffix}")
+        if would_be_lost(target):
             raise InputError(f"{flag} {path}: exists and is no {suffix} file; name another one")
+
+
+def check_replaced(path: str, command: str, key: str) -> None:
+    """Refuses to write a command's results over a file of anything else; results have this key.
+
+    Raises:
+        InputError: see above; the message names the command.
+    """
+    if not would_be_lost(Path(path)):
+        return
+    content = None
+    with suppress(OSError, ValueError):
+        content = json.loads(Path(path).read_text(encoding="utf-8"))
+    if not isinstance(content, dict) or key not in content:
+        raise InputError(f"--json {path}: holds no results of {command}; name another file")
 
 
 def same(one: str, other: str) -> bool:

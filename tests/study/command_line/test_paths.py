@@ -1,5 +1,6 @@
 """No command writes over what it reads, nor over a file of another suffix."""
 
+import json
 import os
 import subprocess
 import sys
@@ -9,7 +10,7 @@ import pytest
 
 import main
 from study.command_line.commands import COMMANDS
-from study.command_line.paths import check_inputs, check_outputs
+from study.command_line.paths import check_inputs, check_outputs, check_replaced
 from study.errors import InputError
 from tests.test_main import call, write_inputs
 
@@ -95,7 +96,7 @@ def test_a_file_of_another_suffix_is_not_replaced(
     nameless.write_text("all:")
     for path in (*files.values(), nameless):
         if path.suffix != suffix:
-            with pytest.raises(InputError, match=rf"--out .* exists and is no \{suffix} file|PNG"):
+            with pytest.raises(InputError, match=rf"--out .* must end in \{suffix}; name it \w+\{suffix}"):
                 check_outputs({"--out": (str(path), suffix)}, {})
 
 
@@ -106,8 +107,6 @@ def test_a_file_of_the_same_suffix_is_replaced(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    (tmp_path / "empty").touch()  # nothing of it would be lost
-    check_outputs({"--out": ("empty", ".npz")}, {})
     zero = f"{ZERO} --no-rta --out o.npz --figure o.png"
     for command in (
         zero,
@@ -118,6 +117,40 @@ def test_a_file_of_the_same_suffix_is_replaced(
         for _ in range(2):
             code, _, err = call(command.split(), capsys)
             assert code == 0, err
+
+
+@pytest.mark.parametrize("path", ["out", "empty", "out.txt", "folder.json/out"])
+def test_a_name_without_the_suffix_is_refused_at_the_first_call(path: str, tmp_path: Path) -> None:
+    """And not at the second, whose own report would be there."""
+    (tmp_path / "empty").touch()
+    (tmp_path / "folder.json").mkdir()
+    with pytest.raises(InputError, match=r"must end in \.json; name it (out|empty)\.json"):
+        check_outputs({"--json": (str(tmp_path / path), ".json")}, {})
+    assert sorted(each.name for each in tmp_path.iterdir()) == ["empty", "folder.json"]
+
+
+def test_a_link_to_a_file_of_another_suffix_is_refused(files: dict[str, Path], tmp_path: Path) -> None:
+    (tmp_path / "link").symlink_to(files["c.toml"])
+    with pytest.raises(InputError, match=r"exists and is no \.json file"):
+        check_outputs({"--json": (str(tmp_path / "link"), ".json")}, {})
+
+
+@pytest.mark.parametrize(
+    ("command", "key"),
+    [("evaluate --controller zero --episodes 1", "metrics"), ("benchmark", "closed_loop_us")],
+)
+@pytest.mark.parametrize("content", ['{"campaign": {}, "episodes": 100000}', "[]", "no JSON"])
+def test_results_do_not_replace_a_report_of_another_command(
+    command: str, key: str, content: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "report.json"
+    path.write_text(content)
+    code, _, err = call([*command.split(), "--json", str(path)], capsys)
+    assert (code, err.count("\n")) == (2, 1)
+    assert f"--json {path}: holds no results of {command.split()[0]}; name another file" in err
+    assert path.read_text() == content
+    path.write_text(json.dumps({key: 0.0}))
+    check_replaced(str(path), "own", key)
 
 
 def test_a_figure_has_the_name_of_its_format(capsys: pytest.CaptureFixture[str]) -> None:
