@@ -22,6 +22,7 @@ from study.verification.adversaries import adversarial
 from study.verification.counter_examples import counter_example, refly
 from study.verification.flight import fly
 from study.verification.starts import initial_states
+from tests.rta.conditions.test_rows import FILTER
 from tests.study.verification.test_findings import verify
 from tests.test_main import assert_refused, call
 
@@ -143,7 +144,9 @@ def test_refly_does_not_depend_on_the_solvers_last_digits(monkeypatch: pytest.Mo
         for rta, name in ((True, "batched"), (False, "piqp"))
     )
     env = first.env(64, decide_every=10.0, report_every=1.0)
-    x, priority, _ = initial_states(64, 3, first.filter)
+    x, priority, _ = initial_states(
+        64, 3, FILTER
+    )  # whether 10 s can be held from there is not asked: it is slow
     flight = fly(env, adversarial(first.filter), x, priority, 50)
     example = counter_example(flight, "dynamic_speed", first.config, 1.0)
     solver = second.filter.solver
