@@ -132,18 +132,18 @@ def alike(config: Config, flown: Sequence[Flown]) -> list[Flown]:
 
 
 def say_unless_verified(
-    config: Config, files: Sequence[str | Path], checkpoint: str | Path | None = None
+    config: Config, config_files: Sequence[str | Path], checkpoint: str | Path | None = None
 ) -> None:
     """Says in a line on stderr that the filter in use has not been verified; of many ranks, the first one.
 
     Args:
-        files: of --config; checkpoint: the agent's file. Either may hold the settings.
+        config_files: those of --config; checkpoint: the agent's file. Either may hold the settings.
     """
-    if config.train.rta and is_first() and (reason := doubt(config, files, checkpoint)):
+    if config.train.rta and is_first() and (reason := doubt(config, config_files, checkpoint)):
         print(reason, file=sys.stderr)
 
 
-def doubt(config: Config, files: Sequence[str | Path], checkpoint: str | Path | None) -> str | None:
+def doubt(config: Config, config_files: Sequence[str | Path], checkpoint: str | Path | None) -> str | None:
     """Why a configuration does not count as verified, and what to do about it, in a line; None where it does.
 
     It does where there is a report of each of POLICIES on its plant and filter, large and without a violation.
@@ -161,7 +161,7 @@ def doubt(config: Config, files: Sequence[str | Path], checkpoint: str | Path | 
     if verified(same):
         return None
     begin = f"not verified: {difference(config, flown)}; see {PAGE}"
-    source = source_of(config, files, checkpoint)
+    source = source_of(config, config_files, checkpoint)
     if source is None:
         return begin
     commands = [f"mkdir -p {REPORTS}"] + [
@@ -209,14 +209,16 @@ def in_toml(value: Any, number: str) -> str:
     return number.format(value) if isinstance(value, float) else json.dumps(value)
 
 
-def source_of(config: Config, files: Sequence[str | Path], checkpoint: str | Path | None) -> list[str] | None:
+def source_of(
+    config: Config, config_files: Sequence[str | Path], checkpoint: str | Path | None
+) -> list[str] | None:
     """The flags with which `verify` has this plant and filter; None where none are found.
 
     The settings may come from --config, from the config.toml nearest above a checkpoint, and from two flags.
     """
     above = Path(checkpoint).absolute().parents if checkpoint else ()
     nearest = next((folder / "config.toml" for folder in above if (folder / "config.toml").is_file()), None)
-    for paths in (files, [nearest] if nearest else [], []):
+    for paths in (config_files, [nearest] if nearest else [], []):
         with suppress(InputError):  # somebody else's config.toml
             base = reduce(lambda under, path: configuration.load(path, under), paths, StudyConfig())
             flags, tables = [word for path in paths for word in ("--config", shown(path))], {}

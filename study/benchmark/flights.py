@@ -24,7 +24,7 @@ EPISODES, STEPS = 256, 60  # flown to record states, controls and programs, from
 Agent = Callable[[Tensor], Tensor]  # observations (B, n) to actions (B, 6)
 
 
-class Flight(NamedTuple):
+class Sample(NamedTuple):
     """What a closed loop met, shuffled: states (16, N), desired controls (6, N), programs by actuator group."""
 
     x: Tensor
@@ -69,7 +69,7 @@ def trained(experiment: Experiment) -> tuple[Experiment, Agent] | None:
     return seeing, lambda observation: policy.mean_action(observation[None])[0]
 
 
-def record(experiment: Experiment, agent: Agent) -> Flight:
+def record(experiment: Experiment, agent: Agent) -> Sample:
     """Plays EPISODES from the initial distribution, and keeps what the filter meets in the later half of STEPS.
 
     Of a filter whose rows are of the rate of now also programs that it must solve.
@@ -93,7 +93,7 @@ def record(experiment: Experiment, agent: Agent) -> Flight:
     some = (
         () if experiment.filter.holds else programs(experiment.filter, x[:, :RECORDED], desired[:, :RECORDED])
     )
-    return Flight(x, desired, [part for part in some if part.desired.numel()])
+    return Sample(x, desired, [part for part in some if part.desired.numel()])
 
 
 def programs(safety_filter: SafetyFilter, x: Tensor, desired: Tensor) -> list[Problems]:

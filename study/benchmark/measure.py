@@ -68,10 +68,10 @@ def benchmark(
     experiments = {f"{period:g}": experiment_at(config, period, largest) for period in PERIODS}
     experiment = experiments["1"]
     agent = untrained(experiment)
-    flight = record(experiment, agent)
-    filter_calls = {n: rates.filter_calls(experiment.filter, flight, n) for n in batches}
+    sample = record(experiment, agent)
+    filter_calls = {n: rates.filter_calls(experiment.filter, sample, n) for n in batches}
     onboard = experiment_at(config, 1.0, 1, "piqp").filter
-    latencies = rates.single_latencies(experiment.filter, flight)
+    latencies = rates.single_latencies(experiment.filter, sample)
     arithmetic = rates.arithmetic(experiment.filter) if experiment.filter.compiled else {}
     typical = nearest(batches, TYPICAL[experiment.device.type])
 
@@ -79,10 +79,10 @@ def benchmark(
     told = in_u1(config)
     of_u1 = experiment_at(told, 1.0, typical)
     # what it meets itself: the other filter leads to states that it would have kept away from
-    told_flight = record(of_u1, agent)._replace(programs=[])  # which are many
+    told_sample = record(of_u1, agent)._replace(programs=[])  # which are many
     # where controls are held, more at once take a minute each and are no faster
-    told_calls = {n: rates.filter_calls(of_u1.filter, told_flight, n) for n in batches if n <= typical}
-    told_latencies = rates.single_latencies(of_u1.filter, told_flight)
+    told_calls = {n: rates.filter_calls(of_u1.filter, told_sample, n) for n in batches if n <= typical}
+    told_latencies = rates.single_latencies(of_u1.filter, told_sample)
 
     simulator: dict[str, dict[int, Spread]] = {name: {} for name in ("native", *rates.KINDS)}
     closed_loop: dict[str, dict[int, Spread]] = {name: {} for name in experiments}
@@ -90,20 +90,20 @@ def benchmark(
     for n in batches:
         say(f"{n:,} episodes at once")
         gym_env = gymnasium(n, config, config.train.device, compiled)
-        for name, rate in rates.simulator(gym_env, flight).items():
+        for name, rate in rates.simulator(gym_env, sample).items():
             simulator[name][n] = rate
         env = gym_env.simulator
         for name, at_period in experiments.items():
             if at_period.filter.holds and n > typical:
                 continue
             env.put_behind(at_period.safety)
-            closed_loop[name][n] = rates.closed_loop(env, flight, agent)
-        flight.start(env)
+            closed_loop[name][n] = rates.closed_loop(env, sample, agent)
+        sample.start(env)
         parts[n] = breakdown(env, experiment.filter, agent)
 
     say("solvers")
     shipped = trained(experiment)
-    met = flight.programs + (record(*shipped).programs if shipped else [])
+    met = sample.programs + (record(*shipped).programs if shipped else [])
     solvers = {
         "piqp": onboard.solver,
         "batched": rates.batched_solver(experiment, TYPICAL_PROGRAMS, compiled),

@@ -14,7 +14,7 @@ from ppo.learner import PPO
 from rta.filter import SafetyFilter
 from rta.qp.batched_solver import BatchedSolver
 from rta.qp.programs import Problems, Solver
-from study.benchmark.flights import Agent, Flight
+from study.benchmark.flights import Agent, Sample
 from study.benchmark.timing import Spread, in_turn, per_second, seconds
 from study.experiment import Experiment
 from study.machine.compiling import compile_or_explain
@@ -39,7 +39,7 @@ class GymnasiumEnv(Protocol):
     def step(self, actions: Any) -> Any: ...
 
 
-def simulator(gym_env: GymnasiumEnv, flight: Flight) -> dict[str, Spread]:
+def simulator(gym_env: GymnasiumEnv, sample: Sample) -> dict[str, Spread]:
     """Environment steps per s under small random actions, those of an untrained policy.
 
     Returns:
@@ -47,7 +47,7 @@ def simulator(gym_env: GymnasiumEnv, flight: Flight) -> dict[str, Spread]:
     """
     env, device = gym_env.simulator, gym_env.simulator.x.device
     gym_env.reset(seed=0)
-    flight.start(env)
+    sample.start(env)
     generator = torch.Generator(device).manual_seed(0)
     action = 0.1 * torch.randn(gym_env.num_envs, CONTROL_SIZE, generator=generator, device=device)
     functions = {
@@ -58,9 +58,9 @@ def simulator(gym_env: GymnasiumEnv, flight: Flight) -> dict[str, Spread]:
     return in_turn(functions, gym_env.num_envs, device)
 
 
-def closed_loop(env: InspectionEnv, flight: Flight, agent: Agent) -> Spread:
+def closed_loop(env: InspectionEnv, sample: Sample, agent: Agent) -> Spread:
     """Environment steps per s, each of them observation, policy, filter calls and simulation."""
-    observation = flight.start(env)
+    observation = sample.start(env)
 
     def step() -> None:
         nonlocal observation
@@ -69,20 +69,20 @@ def closed_loop(env: InspectionEnv, flight: Flight, agent: Agent) -> Spread:
     return per_second(step, env.time.numel(), env.x.device)
 
 
-def filter_calls(safety_filter: SafetyFilter, flight: Flight, batch: int) -> Spread:
+def filter_calls(safety_filter: SafetyFilter, sample: Sample, batch: int) -> Spread:
     """Filter calls per s, one call being one spacecraft's."""
-    call = partial(safety_filter.correct, *flight.take(batch), nothing_sent(safety_filter, flight, batch))
-    return per_second(call, batch, flight.x.device)
+    call = partial(safety_filter.correct, *sample.take(batch), nothing_sent(safety_filter, sample, batch))
+    return per_second(call, batch, sample.x.device)
 
 
-def nothing_sent(safety_filter: SafetyFilter, flight: Flight, batch: int) -> Tensor:
+def nothing_sent(safety_filter: SafetyFilter, sample: Sample, batch: int) -> Tensor:
     """No control (calls, 6, batch) at each call that a state may be old: as much to compute as any."""
-    return flight.desired.new_zeros(safety_filter.known.latency, CONTROL_SIZE, batch)
+    return sample.desired.new_zeros(safety_filter.known.latency, CONTROL_SIZE, batch)
 
 
-def single_latencies(safety_filter: SafetyFilter, flight: Flight) -> list[float]:
+def single_latencies(safety_filter: SafetyFilter, sample: Sample) -> list[float]:
     """ms of SINGLE_CALLS filter calls, each of another single spacecraft, NumPy in and out, sorted."""
-    x, desired = (part.numpy(force=True).T.copy() for part in flight.take(WARM_CALLS + SINGLE_CALLS))
+    x, desired = (part.numpy(force=True).T.copy() for part in sample.take(WARM_CALLS + SINGLE_CALLS))
     calls = [partial(safety_filter, *given) for given in zip(x, desired, strict=True)]
     return sorted([1e3 * seconds(call, torch.device("cpu")) for call in calls][WARM_CALLS:])
 

@@ -5,7 +5,7 @@ How a state is drawn:
 1. A Latin hypercube all over the safe set (`study.verification.starts.states_of`); states outside it are left out.
 2. Half of the states go next to one limit, half next to two, by the weights AIMED. Of each constraint either h or the
    barrier that the filter enforces (Psi_1 where the relative degree is two) is to be small: a gap is drawn
-   log-uniformly from GAP, in units of `scales`. A third of the states has margins instead of limits, what the filter
+   log-uniformly from GAP, in units of `gap_units`. A third of the states has margins instead of limits, what the filter
    holds where it can.
 3. One component is moved towards an end beyond the limit, and bisected until the gap is left: distance, speed, attitude
    and so on, drawn from those in WAYS. Of two limits the first is approached again where the second led away from it.
@@ -122,8 +122,8 @@ def barriers(x: Tensor, safety_filter: SafetyFilter) -> Tensor:
     return torch.cat((h, enforced, torch.stack(inner)))
 
 
-def scales(safety_filter: SafetyFilter) -> list[float]:
-    """The unit in which the gap of each of `barriers` is drawn: of h, and k1 times that of a Psi_1."""
+def gap_units(safety_filter: SafetyFilter) -> list[float]:
+    """By each of `barriers` the unit in which its gap is drawn: of h, and k1 times that of a Psi_1."""
     c = safety_filter.c
     own = {name: c.max_speed**2 for name in CONSTRAINTS if name.startswith("velocity")}
     own |= {name: c.max_rate**2 for name in CONSTRAINTS if name.startswith("angular")}
@@ -223,7 +223,7 @@ def near_limits(
     of_hypercube, of_moves = spawned(seed, 2)
     sampler = qmc.LatinHypercube(NUMBERS, rng=np.random.default_rng(of_hypercube))
     generator = torch.Generator().manual_seed(of_moves)
-    scale = torch.tensor(scales(safety_filter), dtype=torch.float64, device=device)
+    scale = torch.tensor(gap_units(safety_filter), dtype=torch.float64, device=device)
     c, found, have = safety_filter.c, [], 0
     for _ in range(HYPERCUBES):
         x, _ = states_of(torch.from_numpy(sampler.random(CANDIDATES * count).T.copy()), c)

@@ -27,13 +27,13 @@ def test_a_flight_holds_what_the_filter_met_in_the_later_half(
     monkeypatch.setattr(flights, "EPISODES", 8)
     monkeypatch.setattr(flights, "STEPS", 2)
     generator = torch.Generator().manual_seed(1)
-    flight = flights.record(
+    sample = flights.record(
         experiment, lambda observation: 2.0 * torch.rand(len(observation), 6, generator=generator) - 1.0
     )
-    assert flight.x.shape == (16, 80) and flight.desired.shape == (6, 80)  # ten calls of one step
-    result = experiment.filter.correct(flight.x, flight.desired)  # every call, asked again
+    assert sample.x.shape == (16, 80) and sample.desired.shape == (6, 80)  # ten calls of one step
+    result = experiment.filter.correct(sample.x, sample.desired)  # every call, asked again
     unsafe = result.program_status > Status.UNTOUCHED
-    assert sorted(part.desired.shape[1] for part in flight.programs) == sorted(unsafe.sum(1).tolist())
+    assert sorted(part.desired.shape[1] for part in sample.programs) == sorted(unsafe.sum(1).tolist())
 
 
 def test_columns_are_repeated_as_often_as_needed() -> None:
@@ -45,9 +45,9 @@ def test_columns_are_repeated_as_often_as_needed() -> None:
 def test_every_episode_starts_from_a_state_met() -> None:
     env = InspectionEnv(5, InspectionParameters(), [torch.Generator().manual_seed(0)])
     env.reset()
-    flight = flights.Flight(env.x[:, :2], torch.zeros(6, 2, dtype=torch.float64), [])
-    observation = flight.start(env)
-    assert torch.equal(env.x, flight.x[:, [0, 1, 0, 1, 0]]) and observation.shape == (5, 26)
+    sample = flights.Sample(env.x[:, :2], torch.zeros(6, 2, dtype=torch.float64), [])
+    observation = sample.start(env)
+    assert torch.equal(env.x, sample.x[:, [0, 1, 0, 1, 0]]) and observation.shape == (5, 26)
     assert torch.equal(env.sight.priority, torch.eye(3, dtype=torch.float64)[:, [0, 1, 2, 0, 1]])
 
 

@@ -11,7 +11,7 @@ from inspection.model.state import CONTROL_SIZE
 from rta.filter import SafetyFilter
 from rta.qp.programs import Problems, Solutions
 from study.benchmark import rates
-from study.benchmark.flights import Flight
+from study.benchmark.flights import Sample
 from study.config import Config
 from study.experiment import Experiment
 
@@ -37,8 +37,8 @@ def test_single_calls_meet_one_spacecraft_after_another(monkeypatch) -> None:
         met.append(x[0])
 
     number = torch.arange(4.0)
-    flight = Flight(number.expand(16, -1), number.expand(6, -1), [])
-    latencies = rates.single_latencies(safety_filter, flight)
+    sample = Sample(number.expand(16, -1), number.expand(6, -1), [])
+    latencies = rates.single_latencies(safety_filter, sample)
     assert met == [0.0, 1.0, 2.0, 3.0, 0.0]
     assert len(latencies) == 3 and latencies == sorted(latencies)
 

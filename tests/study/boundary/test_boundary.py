@@ -55,7 +55,7 @@ def test_states_are_safe_and_next_to_what_they_were_aimed_at(
 ) -> None:
     assert nominal.filter.is_safe(near.state).all()
     values = limits.barriers(near.state, nominal.filter)
-    scale = torch.tensor(limits.scales(nominal.filter), dtype=torch.float64)
+    scale = torch.tensor(limits.gap_units(nominal.filter), dtype=torch.float64)
     left = values.gather(0, near.targets) / scale[near.targets]
     assert ((left >= 0.0) & (left <= limits.GAP[1])).all()
     assert (values[:, near.within] >= 0.0).all() and near.within.any() and not near.within.all()
