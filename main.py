@@ -248,7 +248,7 @@ def run_boundary(configure: Configure, draws: int = 4096, seed: int = 0, json: s
 def run_break_points(
     configure: Configure,
     episodes: int = 96,
-    policy: str = "random",
+    policy: str = "pressing",
     duration: int = 300,
     seed: int = 0,
     json: str | None = None,
@@ -258,7 +258,8 @@ def run_break_points(
     from study.verification import break_points
 
     config = with_filter(configure)
-    worlds = break_points.Worlds(policy, config.rta.period, duration, seed, episodes)
+    at_corners = " and ".join(break_points.ERRORS)
+    worlds = break_points.Worlds(policy, config.rta.period, duration, seed, episodes, errors=at_corners)
     report = break_points.measure(worlds, config, Path(json) if json else None)
     print(break_points.table(report))
     if figure:

@@ -19,7 +19,8 @@ from inspection.sight import EVERYONE, Sight
 from inspection.termination import ends, failures, outcome_of
 from inspection.transition import Transition
 from inspection.world.basilisk import BasiliskPlant
-from inspection.world.plant import Plant, PlantParameters
+from inspection.world.parameters import PlantParameters
+from inspection.world.plant import Plant
 from kernels import Compiled
 
 

@@ -16,7 +16,7 @@ from typing import Any, TypeVar, overload
 import tomli_w
 
 from inspection.model.parameters import ChiefParameters, InspectionParameters
-from inspection.world.plant import PlantParameters
+from inspection.world.parameters import PlantParameters
 from ppo.distributed import is_first
 from ppo.learner import PPOParameters
 from rta.bounds.uncertainty import Uncertainty

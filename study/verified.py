@@ -12,7 +12,7 @@ from typing import Any
 
 from inspection.chief.mesh import pinned
 from inspection.model.parameters import ChiefParameters, Limits
-from inspection.world.plant import PlantParameters
+from inspection.world.parameters import PlantParameters
 from ppo.distributed import is_first
 from setting import settings
 from study import config as configuration
@@ -25,7 +25,7 @@ from study.files import ROOT
 LATER = {
     *(f"[inspection] {key}" for key in ("orbit", "eccentricity", "sun_from_perigee", "hill_rotation")),
     "[inspection] gravitational_parameter",
-    *(f"[plant] {key}" for key in ("simulator", "j2", "drag", "actuators")),
+    *(f"[plant] {key}" for key in ("simulator", "j2", "drag", "actuators", "errors")),
 }
 POLICIES = ("random", "adversarial")  # each has to have flown
 EPISODES = 1000  # so many at least

@@ -20,7 +20,7 @@ from inspection import initial_state
 from inspection.model.parameters import InspectionParameters
 from inspection.model.state import OMEGA, SIZE, THETA_S, E, P, Q, T, V
 from inspection.transition import METRICS
-from inspection.world.plant import PlantParameters
+from inspection.world.parameters import PlantParameters
 from rta.constraints.constraint import CONSTRAINTS
 from study.config import ARMS, BASELINES, Config, StudyConfig
 from study.machine import progress

@@ -18,7 +18,8 @@ from inspection.model.dynamics import resource_rates
 from inspection.model.orbit import chief_at
 from inspection.model.parameters import Limits
 from inspection.model.state import OMEGA, THETA_S, THRUST, TORQUE, E, P, Q, T, V
-from inspection.world.plant import Plant, PlantParameters
+from inspection.world.parameters import PlantParameters
+from inspection.world.plant import Plant
 
 EARTH_RADIUS, EARTH_J2 = 6378136.3, 1.08262668e-3  # m and no unit, of the gravity model EGM96
 INCLINATION = math.radians(51.6)  # of the chief's orbit, which J2 depends on; the node is where the Sun is

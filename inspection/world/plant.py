@@ -6,118 +6,31 @@ episode is the same whatever flies beside it, and resumed where it stopped.
 """
 
 import math
-from dataclasses import dataclass, fields
+from collections.abc import Callable
 from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
-from inspection.model.attitude import rate_in_hill, turned_by
+from inspection.model.attitude import rate_in_hill
 from inspection.model.draws import hashed, isotropic, key_of
 from inspection.model.dynamics import Body, integrate
 from inspection.model.orbit import orbit_rate
 from inspection.model.parameters import Limits
-from inspection.model.state import CONTROL_SIZE, CONTROLS, OMEGA, SIZE, THETA_S, THRUST, TORQUE, P, Q, V
-from setting import Settings, setting
-
-Range = float | tuple[float, float]
-Count = int | tuple[int, int]
-
-SIMULATORS, ACTUATORS = ("own", "basilisk"), ("ideal", "real")
-OF_BASILISK = {"j2": False, "drag": False, "actuators": "ideal"}  # what no other simulator has
-NOT_OF_PULSES = {"thrust_gain": 1.0, "thrust_misalignment": 0.0}  # which are at full thrust along the axes
-FAILING = ("none", "thrust", "torque", "any", *CONTROLS)
-# What has no effect of its own.
-DETAILS = {"noise_bound", "missed_in_a_row", "failing_from", "failing_strength"}
-
-
-@dataclass(frozen=True)
-class PlantParameters(Settings):
-    """What differs from the model; by default nothing does.
-
-    A value, or a range [low, high] from which each episode draws its own, constant over the episode.
-    """
-
-    simulator: str = setting(
-        "own",
-        "simulator of the motion; basilisk must be installed (docs/guides/basilisk.md)",
-        among=SIMULATORS,
-        note="Simulator",
-    )
-    j2: bool = setting(False, "basilisk: the Earth is flattened")
-    drag: bool = setting(False, "basilisk: there is air at the chief's height")
-    actuators: str = setting("ideal", "of basilisk (real: wheels and pulsed thrusters)", among=ACTUATORS)
-
-    mass_factor: Range = setting(1.0, "true mass / [inspection] mass", above=0, note="Body")
-    inertia_factor: Range = setting(
-        1.0, "true moment / that of [inspection] inertia, of each axis apart", above=0
-    )
-    saturate_rates: bool = setting(
-        True, "false: body rates may exceed max_rate, as [inspection] saturate_rates"
-    )
-    hill_rotation: bool = setting(False, "attitude relative to Hill's frame as that turns")
-    acceleration: Range = setting(0.0, "m/s^2, unknown and constant, in a random direction of Hill's frame")
-
-    thrust_gain: Range = setting(
-        1.0, "what acts / what is commanded, of each axis apart", above=0, note="Actuators"
-    )
-    torque_gain: Range = setting(1.0, "what acts / what is commanded, of each axis apart", above=0)
-    thrust_misalignment: Range = setting(
-        0.0, "deg, between an axis and the thrust along it, of each axis apart", most=90
-    )
-    minimum_thrust: Range = setting(0.0, "N, dead-band: a smaller thrust of an axis is not given at all")
-    thrust_quantum: Range = setting(0.0, "N, the thrust of an axis is a multiple of it, the next one")
-    failing: str = setting("none", "what fails (thrust, torque, any: one axis at random)", among=FAILING)
-    failing_from: Range = setting(0.0, "s, time of the episode from which on it fails")
-    failing_strength: Range = setting(0.0, "share of its strength that is left then; 0: it is dead", most=1)
-
-    position_noise: Range = setting(0.0, "m, 1 sigma of each axis", note="Sensors")
-    velocity_noise: Range = setting(0.0, "m/s, 1 sigma of each axis")
-    attitude_noise: Range = setting(0.0, "deg, 1 sigma about each axis")
-    rate_noise: Range = setting(0.0, "deg/s, 1 sigma of each axis")
-    noise_bound: float = setting(3.0, "sigmas at which noise is clipped", above=0, most=10)
-    position_bias: Range = setting(0.0, "m, size of a constant error in a random direction")
-    velocity_bias: Range = setting(0.0, "m/s, size of a constant error in a random direction")
-    attitude_bias: Range = setting(0.0, "deg, angle of a constant error about a random axis")
-    rate_bias: Range = setting(0.0, "deg/s, size of a constant error in a random direction")
-
-    latency: Count = setting(
-        0, "calls of the filter, age of the state that is seen", most=1000, note="Computer"
-    )
-    missed_calls: Range = setting(
-        0.0, "probability that a call but the first is missed; the last control is held", most=1
-    )
-    missed_in_a_row: int = setting(1000, "calls, at most so many", above=0)
-
-    def check_simulator(self) -> None:
-        """Raises ValueError where something is asked for that the simulator does not have."""
-        for name, default in OF_BASILISK.items():
-            if self.simulator != "basilisk" and getattr(self, name) != default:
-                raise ValueError(f'{name}: needs --plant basilisk (simulator = "basilisk")')
-        for name, default in NOT_OF_PULSES.items():
-            if self.actuators == "real" and getattr(self, name) != default:
-                raise ValueError(
-                    f'{name}: is not there with actuators = "real", whose pulses are of full thrust'
-                )
-
-    @property
-    def is_nominal(self) -> bool:
-        """Whether the plant is the model."""
-        return all(getattr(self, f.name) == f.default for f in fields(self) if f.name not in DETAILS)
-
-    def check_body(self, c: Limits) -> None:
-        """Raises ValueError where moments of inertia could be drawn that no body has."""
-        low, high = bounds(self.inertia_factor)
-        if low < high and max(c.inertia) * (high + low) > sum(c.inertia) * low * (1 + 1e-9):
-            raise ValueError(
-                f"inertia_factor = {[low, high]}: of inertia = {list(c.inertia)}, one moment could exceed the sum of "
-                "the other two"
-            )
-
-
-def bounds(value: Range) -> tuple[float, float]:
-    """Low and high of a value or a range."""
-    return value if isinstance(value, tuple) else (value, value)
+from inspection.model.state import CONTROL_SIZE, CONTROLS, OMEGA, SIZE, THETA_S, THRUST, TORQUE, Q
+from inspection.world.corners import (
+    BEFORE,
+    CORNER,
+    ERRORS,
+    FIRST,
+    GAINS,
+    MISSED,
+    Adversary,
+    displaced,
+    held_ends,
+    wandering_ends,
+)
+from inspection.world.parameters import PlantParameters, Range, bounds
 
 
 class Drawn(NamedTuple):
@@ -125,10 +38,12 @@ class Drawn(NamedTuple):
 
     Attributes:
         body: (7, k) mass in kg, moments of inertia in kg m^2, acceleration in Hill's frame in m/s^2.
-        thrust: (3, 3, k) from what the thrusters of each axis give to what acts, without unit; torque: (3, k).
+        thrust: (3, 3, k) from what the thrusters of each axis give to what acts, without unit; torque: (3, k). At a
+            corner, without the gains, which are the corner's.
         minimum, quantum: (k,) N.
         fails: (6, k) bool; fails_from: (k,) s; strength: (k,) that is left.
-        noise: (12, k) 1 sigma of position, velocity, attitude, rates in m, m/s, rad, rad/s; bias: (12, k).
+        noise: (12, k) 1 sigma of position, velocity, attitude, rates in m, m/s, rad, rad/s; bias: (12, k). At a
+            corner there is no noise, and the bias is the size of the error of each axis, bias + noise_bound sigma.
         latency: (k,) calls; misses: (k,) probability.
     """
 
@@ -146,37 +61,48 @@ class Drawn(NamedTuple):
     misses: Tensor
 
 
-NUMBERS = 48  # of an episode's draw, at least as many as it takes
-BEFORE = -1  # the time in ms of these numbers
-
-
 def draw(parameters: PlantParameters, c: Limits, key: Tensor) -> Drawn:
-    """What follows from the episodes' keys (k,), each quantity from numbers of its own whatever else is set."""
-    rows = iter(hashed(key, torch.full_like(key, BEFORE), NUMBERS))
+    """What follows from the episodes' keys (k,), each quantity from numbers of its own whatever else is set.
+
+    At a corner a factor is one end of its range, and a size the largest.
+    """
+    rows = iter(hashed(key, torch.full_like(key, BEFORE), FIRST))
+    at_corner = parameters.errors != "drawn"
 
     def within(value: Range) -> Tensor:
         low, high = bounds(value)
         return low + (high - low) * next(rows)
 
-    def each(value: Range) -> Tensor:
-        return torch.stack([within(value) for _ in range(3)])
+    def factor(value: Range) -> Tensor:
+        low, high = bounds(value)
+        number = next(rows)
+        return low + (high - low) * (number.round() if at_corner else number)
+
+    def size(value: Range) -> Tensor:
+        return within(bounds(value)[1] if at_corner else value)
+
+    def gain(value: Range) -> Tensor:
+        return within(1.0 if at_corner else value)
+
+    def each(value: Range, drawn: Callable[[Range], Tensor]) -> Tensor:
+        return torch.stack([drawn(value) for _ in range(3)])
 
     def direction() -> Tensor:
         return isotropic(torch.stack((next(rows), next(rows))))
 
     p = parameters
-    mass = c.mass * within(p.mass_factor)
-    inertia = each(p.inertia_factor) * mass.new_tensor(c.inertia)[:, None]
-    push = within(p.acceleration) * direction()
-    gain, torque = each(p.thrust_gain), each(p.torque_gain)
-    tilt, side = each(p.thrust_misalignment).deg2rad(), each((0.0, 2 * math.pi))
+    mass = c.mass * factor(p.mass_factor)
+    inertia = each(p.inertia_factor, factor) * mass.new_tensor(c.inertia)[:, None]
+    push = size(p.acceleration) * direction()
+    along, torque = each(p.thrust_gain, gain), each(p.torque_gain, gain)
+    tilt, side = each(p.thrust_misalignment, size).deg2rad(), each((0.0, 2 * math.pi), within)
     thrust = mass.new_zeros(3, 3, mass.numel())
     for i in range(3):
         j, k = (i + 1) % 3, (i + 2) % 3
-        thrust[i, i] = gain[i] * tilt[i].cos()
-        thrust[j, i] = gain[i] * tilt[i].sin() * side[i].cos()
-        thrust[k, i] = gain[i] * tilt[i].sin() * side[i].sin()
-    minimum, quantum = within(p.minimum_thrust), within(p.thrust_quantum)
+        thrust[i, i] = along[i] * tilt[i].cos()
+        thrust[j, i] = along[i] * tilt[i].sin() * side[i].cos()
+        thrust[k, i] = along[i] * tilt[i].sin() * side[i].sin()
+    minimum, quantum = size(p.minimum_thrust), size(p.thrust_quantum)
     names = torch.arange(CONTROL_SIZE, device=key.device)[:, None]
     chance = next(rows)
     first, count = {"thrust": (0, 3), "torque": (3, 3), "any": (0, 6), "none": (0, 0)}.get(
@@ -186,11 +112,14 @@ def draw(parameters: PlantParameters, c: Limits, key: Tensor) -> Drawn:
     fails_from, strength = within(p.failing_from), within(p.failing_strength)
     to_si = mass.new_tensor([1.0, 1.0, math.radians(1.0), math.radians(1.0)])[:, None]
     kinds = ("position", "velocity", "attitude", "rate")
-    sigma = torch.stack([within(getattr(p, f"{kind}_noise")) for kind in kinds]) * to_si
-    sizes = torch.stack([within(getattr(p, f"{kind}_bias")) for kind in kinds]) * to_si
-    bias = torch.cat([size * direction() for size in sizes])
+    sigma = torch.stack([size(getattr(p, f"{kind}_noise")) for kind in kinds]) * to_si
+    biases = torch.stack([size(getattr(p, f"{kind}_bias")) for kind in kinds]) * to_si
+    bias, noise = torch.cat([each * direction() for each in biases]), sigma.repeat_interleave(3, 0)
+    if at_corner:
+        bias = biases.repeat_interleave(3, 0) + p.noise_bound * noise
+        noise = torch.zeros_like(noise)
     low, high = bounds(p.latency)
-    latency = low + ((high - low + 1) * next(rows)).long()
+    age = factor((0, high - low)) if at_corner else (high - low + 1) * next(rows)
     return Drawn(
         body=torch.cat((mass[None], inertia, push)),
         thrust=thrust,
@@ -200,9 +129,9 @@ def draw(parameters: PlantParameters, c: Limits, key: Tensor) -> Drawn:
         fails=fails,
         fails_from=fails_from,
         strength=strength,
-        noise=sigma.repeat_interleave(3, 0),
+        noise=noise,
         bias=bias,
-        latency=latency,
+        latency=low + age.long(),
         misses=within(p.missed_calls),
     )
 
@@ -216,7 +145,8 @@ class Plant:
 
     Attributes:
         every, acts_for: s between two calls and that a control acts, set by whose clocks they are.
-        drawn: what each episode's plant is.
+        drawn: what each episode's plant is; corner: (19, B) bool, where it is now, see `inspection.world.corners`.
+        adversary: who chooses the corner where errors are worst; None: chance.
         held: (6, B) the last control that a call gave; missed: (B,) calls missed since.
         past: (latency, 6, B) what was held from the last calls on, the oldest first.
         true, seen: (16, B) the states last sensed, and what they were taken for.
@@ -245,6 +175,11 @@ class Plant:
         length = int(bounds(parameters.latency)[1]) + 1
         self.history = torch.zeros(length, SIZE, batch, dtype=torch.float64, device=device)
         self.past = torch.zeros(length - 1, CONTROL_SIZE, batch, dtype=torch.float64, device=device)
+        self.corner = torch.zeros(CORNER, batch, dtype=torch.bool, device=device)
+        self.adversary: Adversary | None = None
+        self.at_corner, self.is_worst = parameters.errors != "drawn", parameters.errors == "worst"
+        gains = (bounds(each) for each in (parameters.thrust_gain, parameters.torque_gain) for _ in range(3))
+        self.gains = self.held.new_tensor(list(gains))  # (6, 2) low and high
         self.drawn = draw(parameters, c, self.key)
         self.true = self.seen = self.held[:0]  # none yet
         self.limit = self.held.new_tensor(c.control_limit)[:, None]
@@ -309,6 +244,8 @@ class Plant:
         u = torch.cat((thrust, u[TORQUE]))
         if p.failing != "none":
             u = self.left(time) * u
+        if self.at_corner:
+            u = torch.where(self.corner[GAINS], self.gains[:, 1:], self.gains[:, :1]) * u
         thrust = (drawn.thrust * u[THRUST]).sum(1)
         return torch.cat((thrust, drawn.torque * u[TORQUE]))
 
@@ -331,27 +268,46 @@ class Plant:
 
     def _measure(self, time: Tensor, x: Tensor) -> Tensor:
         """The states (16, B) with the sensors' errors, the rates relative to Hill's frame as the filter wants them."""
-        bound = self.parameters.noise_bound
-        noise = torch.special.ndtri(hashed(self.key, milliseconds(time), 12)).clamp(-bound, bound)
-        error = self.drawn.bias + self.drawn.noise * noise
-        seen = x.clone()
-        seen[P] += error[0:3]
-        seen[V] += error[3:6]
-        seen[Q] = turned_by(x[Q], error[6:9])
-        seen[OMEGA] += error[9:12]
+        if self.at_corner:
+            self.corner = torch.cat((self._ends(time, x), self.corner[MISSED:]))
+            error = torch.where(self.corner[ERRORS], self.drawn.bias, -self.drawn.bias)
+        else:
+            bound = self.parameters.noise_bound
+            noise = torch.special.ndtri(hashed(self.key, milliseconds(time), 12)).clamp(-bound, bound)
+            error = self.drawn.bias + self.drawn.noise * noise
+        seen = displaced(x, error)
         if self.turns and not self.c.hill_rotation:  # which the model does not know
-            turns = orbit_rate(x[THETA_S], self.c)
-            seen[OMEGA] = torch.stack(rate_in_hill(seen[Q], seen[OMEGA], turns))
+            turns, attitude = orbit_rate(x[THETA_S], self.c), seen[Q]
+            if (
+                self.at_corner
+            ):  # the error of what is seen is at its bound, not beyond by that of the attitude
+                attitude = x[Q]
+            seen[OMEGA] = torch.stack(rate_in_hill(attitude, seen[OMEGA], turns))
         return seen
+
+    def _ends(self, time: Tensor, x: Tensor) -> Tensor:
+        """(18, B) bool: the corner for a measurement of x; where an adversary answers the control, its gains follow."""
+        if not self.is_worst:
+            return held_ends(self.key)
+        if self.adversary is None:
+            return wandering_ends(self.key, time)
+        return torch.cat((self.adversary.errors(time, x), self.corner[GAINS]))
 
     def hold(self, time: Tensor, u: Tensor) -> tuple[Tensor, Tensor]:
         """What is held from a call on that wants u (6, B): that, or the last one where it is missed, (B,) bool.
 
         The first call of an episode is not, since there is no last one.
         """
-        chance = hashed(self.key, milliseconds(time), 1, first=12)[0]
-        likely = (chance < self.drawn.misses) & (time > 0.0)
-        missed = likely & (self.missed < self.parameters.missed_in_a_row)
+        possible = (time > 0.0) & (self.missed < self.parameters.missed_in_a_row) & (self.drawn.misses > 0.0)
+        if self.is_worst and self.adversary:
+            otherwise = torch.where(possible, self.held, u)
+            response = self.adversary.response(time, self.true, u, otherwise)
+            missed = possible & response[-1]
+            self.corner = torch.cat((self.corner[ERRORS], response))
+        else:
+            chance = hashed(self.key, milliseconds(time), 1, first=12)[0]
+            missed = possible & (chance < self.drawn.misses)
+            self.corner = torch.cat((self.corner[:MISSED], missed[None]))
         self.missed = torch.where(missed, self.missed + 1, 0)
         self.held = torch.where(missed, self.held, u)
         if len(self.past):

@@ -61,6 +61,7 @@ RTA = Flag("--rta", sets="train.rta", action=argparse.BooleanOptionalAction)
 FLOWN_RTA = RTA.saying(f"{RTA.text} (default: {{}}; with --checkpoint as it was trained)")
 INTERACTIONS = count("--interactions", sets="train.interactions")
 PLANT = Flag("--plant", sets="plant.simulator")
+ERRORS = Flag("--errors", sets="plant.errors")
 NUM_ENVS = count("--num-envs", sets="train.num_envs")
 LEARN = Flag("--learn-from", sets="train.learn_from")
 DURATION = count("--duration", "whole seconds of each episode", metavar="S")
@@ -126,6 +127,7 @@ COMMANDS = {
         FLOWN_RTA,
         *COMMON,
         PLANT,
+        ERRORS,
         THREADS,
         count("--episodes", "test cases"),
         seed("of the test cases, of random controls and of an untrained agent"),
@@ -146,6 +148,7 @@ COMMANDS = {
         FLOWN_RTA,
         *COMMON,
         PLANT,
+        ERRORS,
         THREADS,
         Flag(
             "--controller",
@@ -191,6 +194,7 @@ COMMANDS = {
         "count violations behind the filter over many random episodes",
         *COMMON,
         PLANT,
+        ERRORS,
         THREADS,
         count(
             "--episodes",
@@ -198,8 +202,9 @@ COMMANDS = {
         ),
         Flag(
             "--policy",
-            "random actions held for random times, adversarial (down the worst constraint's slope), lookahead (the "
-            "worst of many candidates, each tried in the true plant), learned:F (drawn from an agent of train "
+            "random actions held for random times, adversarial (down the worst constraint's slope), pressing (full "
+            "control against one constraint of an episode), lookahead (the worst of many candidates, each tried in the "
+            "true plant), learned:F (drawn from an agent of train "
             "--adversary) or checkpoint:F (any agent)",
             type=verified_policy,
             reads=True,
@@ -234,11 +239,16 @@ COMMANDS = {
         imposed={"train.rta": True},
     ),
     "break-points": Command(
-        "find the size at which each effect of [plant] breaks a limit, with and without [uncertainty]",
+        "find the size at which each effect of [plant] breaks a limit, with and without [uncertainty], its errors at "
+        "the corners of their bounds",
         *COMMON,
         THREADS,
-        count("--episodes", "of each effect and size"),
-        Flag("--policy", "who commands, see verify", choices=("random", "adversarial")),
+        count(
+            "--episodes", "of each effect and size, with errors that are steady and as many with the worst"
+        ),
+        Flag(
+            "--policy", "who commands, see verify", choices=("random", "adversarial", "pressing", "lookahead")
+        ),
         DURATION,
         EVERYTHING,
         REPORT,

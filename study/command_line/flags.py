@@ -90,9 +90,9 @@ def period(text: str) -> float:
 def verified_policy(text: str) -> str:
     """A policy of verify for argparse."""
     names_file = text.startswith(FILES) and text not in FILES
-    if text not in ("random", "adversarial", "lookahead") and not names_file:
+    if text not in ("random", "adversarial", "pressing", "lookahead") and not names_file:
         raise argparse.ArgumentTypeError(
-            f"{text!r}: must be random, adversarial, lookahead, learned:F or checkpoint:F"
+            f"{text!r}: must be random, adversarial, pressing, lookahead, learned:F or checkpoint:F"
         )
     return text
 

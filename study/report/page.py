@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from inspection.world.plant import PlantParameters
+from inspection.world.parameters import PlantParameters
 from study.errors import refusing
 from study.files import write_text
 from study.flight.figures import Episode, effort

@@ -23,7 +23,7 @@ from inspection.model.parameters import InspectionParameters
 from inspection.model.state import OMEGA, P, Q
 from inspection.transition import METRICS
 from inspection.world.basilisk import BasiliskPlant
-from inspection.world.plant import PlantParameters
+from inspection.world.parameters import PlantParameters
 from rta.filter import SafetyFilter
 from study.command_line.flags import Parser, positive_integer
 from study.config import TEST_CASES

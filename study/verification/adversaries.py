@@ -1,16 +1,26 @@
-"""What a campaign puts behind the filter: random controls, the steepest descent, an agent that was trained for it."""
+"""What a campaign puts behind the filter, and who chooses the worlds' corners: chance, descent, a trained agent."""
 
 import torch
 from torch import Tensor
 
 from inspection.closed_loop import Controller
 from inspection.environment import InspectionEnv
+from inspection.model.dynamics import step
 from inspection.model.parameters import Model
-from inspection.model.state import CONTROL_SIZE
+from inspection.model.state import CONTROL_SIZE, THRUST, TORQUE
+from inspection.world.corners import ERRORS, displaced
 from ppo.network import Policy
+from rta.constraints.constraint import ATTITUDE, TRANSLATIONAL
 from rta.filter import SafetyFilter
+from study.scales import scales
 
+NEXT_TO_NOTHING = 1e-9  # m, m/s, rad, rad/s; PyTorch has no derivative by a rotation vector at zero
 LONGEST_ACTION = 60  # s that the random policy holds an action
+# Rows of the constraints by who holds them, and the controls of theirs.
+GROUPS = (
+    (slice(0, len(TRANSLATIONAL)), THRUST),
+    (slice(len(TRANSLATIONAL), len(TRANSLATIONAL) + len(ATTITUDE)), TORQUE),
+)
 
 
 def held_at_random(c: Model, generator: torch.Generator, batch: int, first: int = 0) -> Controller:
@@ -65,3 +75,76 @@ def adversarial(safety_filter: SafetyFilter) -> Controller:
         return torch.cat(halves)
 
     return control
+
+
+class Greedy:
+    """Lowers the smallest h after the next call, by the model: an `Adversary` of the world, and a `Controller`.
+
+    J(x, e, u) is the smallest h of thrust's attacked constraints and that of torque's, in filter calls
+    (`study.scales`), added up, of states that are off by e after a control is held for a period. Then, to first order,
+
+    - the sensors err along dJ/de: what is measured looks safest;
+    - a gain is at its upper end where what is commanded along that axis lowers J, and at its lower end where it helps;
+    - a call is missed where the last control leads to a smaller J than the new one;
+    - as a controller it is full control along -dJ/du, of thrust and of torque apart.
+
+    Args:
+        attacked: (13, B) bool, the constraints that count in each episode; None: all.
+    """
+
+    def __init__(self, safety_filter: SafetyFilter, attacked: Tensor | None = None) -> None:
+        self.filter, self.attacked = safety_filter, attacked
+        self.scale = scales(safety_filter.c, safety_filter.period)
+        self.last: Tensor | None = None
+
+    def ahead(self, x: Tensor, error: Tensor, u: Tensor) -> Tensor:
+        """(B,) J of states (16, B), errors (12, B) and controls (6, B)."""
+        after = step(displaced(x, error), u, self.filter.period, self.filter.c)
+        h = self.filter.values(after) / x.new_tensor(self.scale)[:, None]
+        if self.attacked is not None:
+            h = h.masked_fill(~self.attacked.to(x.device), torch.inf)
+        return h[GROUPS[0][0]].amin(0) + h[GROUPS[1][0]].amin(0)
+
+    def slopes(self, x: Tensor, u: Tensor) -> tuple[Tensor, Tensor]:
+        """dJ/de (12, B), where the error is next to nothing, and dJ/du (6, B); zero where there is none."""
+        error = x.new_full((ERRORS.stop, x.shape[1]), NEXT_TO_NOTHING)
+        back = torch.func.vjp(lambda e, control: self.ahead(x, e, control), error, u)[1]
+        of_error, of_control = back(torch.ones_like(x[0]))
+        return of_error.nan_to_num(), of_control.nan_to_num()
+
+    def errors(self, time: Tensor, x: Tensor) -> Tensor:
+        """See `Adversary`; under the control of the last call."""
+        held = torch.zeros_like(x[:CONTROL_SIZE]) if self.last is None else self.last
+        return self.slopes(x, held)[0] > 0.0
+
+    def response(self, time: Tensor, x: Tensor, u: Tensor, held: Tensor) -> Tensor:
+        """See `Adversary`."""
+        nothing = x.new_zeros(ERRORS.stop, x.shape[1])
+        missed = self.ahead(x, nothing, held) < self.ahead(x, nothing, u)
+        self.last = torch.where(missed, held, u)
+        harms = self.slopes(x, self.last)[1] * self.last < 0.0
+        return torch.cat((harms, missed[None]))
+
+    def __call__(self, t: float, x: Tensor) -> Tensor:
+        slope = self.slopes(x, torch.zeros_like(x[:CONTROL_SIZE]))[1]
+        limit = x.new_tensor(self.filter.c.control_limit)[:, None]
+        tiny = torch.finfo(x.dtype).tiny
+        slope = slope * limit
+        parts = [-slope[own] / slope[own].abs().amax(0).clamp(min=tiny) for _, own in GROUPS]
+        return limit * torch.cat(parts)
+
+
+def attacked(column: Tensor) -> Tensor:
+    """(13, B) bool: which constraints are attacked in the columns (B,) of a batch.
+
+    One constraint of thrust and one of torque, or all of a group at once, in turns. A body rate is at its limit within
+    seconds and would else be all that is attacked.
+    """
+    thrust, torque = (rows.stop - rows.start for rows, _ in GROUPS)
+    pair = column // 2  # starts of two kinds alternate
+
+    def one_or_all(number: Tensor, count: int) -> Tensor:
+        target = number % (count + 1)  # the last one: all
+        return (target == torch.arange(count, device=column.device)[:, None]) | (target == count)
+
+    return torch.cat((one_or_all(pair, thrust), one_or_all(pair // (thrust + 1), torque)))

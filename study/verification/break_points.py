@@ -1,10 +1,12 @@
 """Where it breaks: one effect of the plant at a time, of rising size, behind a filter that is told of it or not.
 
-Each world is flown like a campaign of `study.verification.campaign`. The break point of a limit is the smallest size
-tried at which an episode violated it.
+Each world is flown like a campaign of `study.verification.campaign`, once with its errors held at a corner of their
+bounds and once with the worst. The break point of a limit is the smallest size tried at which an episode violated it in
+either; a size holds where none did.
 """
 
 import dataclasses
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -14,14 +16,15 @@ from typing import Any, NamedTuple
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
-from inspection.world.plant import PlantParameters
+from inspection.world.parameters import PlantParameters
+from rta.constraints.constraint import CONSTRAINTS
 from study.config import Config, override
 from study.errors import InputError
 from study.experiment import Experiment
 from study.files import write_json
 from study.flight.figures import GREY, SAFE, UNSAFE
 from study.machine.progress import bar
-from study.verification.campaign import run
+from study.verification.campaign import looking_ahead, run
 from study.verification.findings import WIDTH, Campaign, report_in
 from study.verified import fingerprint
 
@@ -37,6 +40,7 @@ COLUMNS = {
     "body\nrates": ("angular_velocity_x", "angular_velocity_y", "angular_velocity_z"),
 }
 MISSED = 0.8  # probability of a missed call, up to so many in a row as the size says: nine are met, too
+ERRORS = ("steady", "worst")  # in which each world is flown
 
 
 class Effect(NamedTuple):
@@ -99,7 +103,10 @@ EFFECTS = {
 
 @dataclasses.dataclass(frozen=True)
 class Worlds:
-    """What determines the numbers beside the configuration, see `Campaign`."""
+    """What determines the numbers beside the configuration, see `Campaign`.
+
+    In reports without `errors` these were drawn.
+    """
 
     policy: str
     period: float
@@ -107,13 +114,14 @@ class Worlds:
     seed: int
     episodes: int
     missed: float = MISSED
+    errors: str = "drawn"
 
 
 def empty_report(worlds: Any, config: Config) -> dict[str, Any]:
     """A report of no worlds, the form of `break-points --json`.
 
-    `worlds` has of each its effect, size, whether the filter was told, and either `violating_episodes` by limit and how
-    many filter calls were unsolved, or `refused`, why there was nothing to fly.
+    `worlds` has of each its effect, size, whether the filter was told, and either `violating_episodes` by limit, of all
+    ERRORS, and how many filter calls were unsolved, or `refused`, why there was nothing to fly.
     """
     return {
         "campaign": dataclasses.asdict(worlds),
@@ -158,22 +166,33 @@ def of(world: dict[str, Any]) -> tuple[str, float, bool]:
 
 def fly_world(worlds: Worlds, config: Config, effect: Effect, size: float, told: bool) -> dict[str, Any]:
     """What came of one world."""
-    own = {"plant": effect.plant(size)}
-    if told:
-        own["uncertainty"] = effect.told(size, worlds.period)
     drawn = worlds.episodes * 9 // 8  # a few starts are beyond braking and do not count
-    campaign = Campaign(worlds.policy, worlds.period, worlds.duration, worlds.seed, drawn)
-    try:
-        experiment = Experiment(override(config, own, "break-points"), worlds.episodes, worlds.duration)
-        *_, report = run(campaign, worlds.episodes, experiment, None, None)
-    except InputError as refused:
-        if not told:
-            raise
-        return {"refused": str(refused)}
-    return {
-        "violating_episodes": report["violating_episodes"],
-        "unsolved": report["filter_calls"]["unsolved"],
-    }
+    candidates, horizon = looking_ahead(worlds.policy, None, None)
+    campaign = Campaign(
+        worlds.policy,
+        worlds.period,
+        worlds.duration,
+        worlds.seed,
+        drawn,
+        candidates=candidates,
+        horizon=horizon,
+    )
+    violating, unsolved = Counter(dict.fromkeys((*CONSTRAINTS, "any"), 0)), 0
+    for errors in ERRORS:
+        own = {"plant": effect.plant(size) | {"errors": errors}}
+        if told:
+            own["uncertainty"] = effect.told(size, worlds.period)
+        try:
+            tried = worlds.episodes * (campaign.candidates or 1)
+            experiment = Experiment(override(config, own, "break-points"), tried, worlds.duration)
+            *_, report = run(campaign, worlds.episodes, experiment, None, None)
+        except InputError as refused:
+            if not told:
+                raise
+            return {"refused": str(refused)}
+        violating.update(report["violating_episodes"])
+        unsolved += report["filter_calls"]["unsolved"]
+    return {"violating_episodes": dict(violating), "unsolved": unsolved}
 
 
 def break_points(report: dict[str, Any], told: bool) -> dict[str, dict[str, float | None]]:

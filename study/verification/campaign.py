@@ -29,7 +29,7 @@ from study.files import write_json, write_npz
 from study.flight.controllers import agent
 from study.flight.summary import upper_bound
 from study.machine.progress import bar, step
-from study.verification.adversaries import adversarial, held_at_random, learned
+from study.verification.adversaries import Greedy, adversarial, attacked, held_at_random, learned
 from study.verification.counter_examples import counter_example
 from study.verification.findings import Campaign, report_in
 from study.verification.flight import CHECK_EVERY, fly
@@ -126,8 +126,18 @@ def commanding(
     seed: int,
     first: int,
 ) -> Controller:
-    """Who commands the episodes of `env`, the columns from `first` on of a batch whose controls have this seed."""
+    """Who commands the episodes of `env`, the columns from `first` on of a batch whose controls have this seed.
+
+    Where errors are worst, the corners of its world are chance's under random controls, those of lookahead under
+    lookahead, and else the greedy ones.
+    """
     generator, batch = torch.Generator().manual_seed(seed), campaign.batch_size
+    column = torch.arange(first, first + env.time.numel(), device=env.x.device)
+    aimed = campaign.policy in ("pressing", "lookahead")
+    greedy = Greedy(experiment.filter, attacked(column) if aimed else None)
+    is_worst = env.plant is not None and env.plant.is_worst
+    if env.plant and campaign.policy != "random":
+        env.plant.adversary = greedy
     if network and campaign.policy.startswith(LEARNED):
         return learned(network, env, generator, batch, first)
     if network:
@@ -136,9 +146,14 @@ def commanding(
         return held_at_random(experiment.config.inspection, generator, batch, first)
     if campaign.policy == "adversarial":
         return adversarial(experiment.filter)
+    if campaign.policy == "pressing":
+        return greedy
     count = env.time.numel() * campaign.candidates
     tried = experiment.env(count, None, campaign.period, CHECK_EVERY, experiment.filter_compiled)
-    return Lookahead(env, tried, campaign.horizon, generator, batch, first)
+    ahead = Lookahead(env, tried, campaign.horizon, generator, batch, first, greedy if is_worst else None)
+    if env.plant:
+        env.plant.adversary = ahead
+    return ahead
 
 
 def verify(

@@ -10,6 +10,7 @@ from torch import Tensor
 from inspection.closed_loop import Smallest
 from inspection.model.attitude import unit
 from inspection.model.state import SIZE, P
+from inspection.world.corners import Recorded
 from rta.constraints.constraint import CONSTRAINTS
 from rta.filter import FilterResult
 from study.config import Config, from_toml, override
@@ -34,7 +35,8 @@ def counter_example(
     row = CONSTRAINTS.index(constraint)
     k = int(flight.worst[row].argmin())
     calls = max(1, math.ceil(flight.when[row, k].item() / config.rta.period - 1e-9))
-    return {
+    corners = {"corners": flight.corners[:calls, :, k].cpu().numpy()} if flight.corners.shape[1] else {}
+    return corners | {
         "state": flight.start[:SIZE, k].cpu().numpy(),
         "control_desired": flight.desired[:calls, :, k].cpu().numpy(),
         "control_applied": flight.applied[:calls, :, k].cpu().numpy(),
@@ -67,6 +69,9 @@ def refly(experiment: Experiment, example: dict[str, np.ndarray]) -> tuple[float
         torch.from_numpy(example[name]).to(env.x)[..., None]
         for name in ("state", "control_desired", "control_applied")
     )
+    if env.plant and env.plant.is_worst:
+        corners = torch.from_numpy(example["corners"])[..., None].to(env.x.device)
+        env.plant.adversary = Recorded(corners, period)
     row = env.safety.names.index(str(example["constraint"]))
     again: list[Tensor] = []
 
@@ -116,7 +121,8 @@ def refly_file(path: str) -> str:
         config = override(from_toml(str(example["config"]), path), beside, path)
         check_clocks(config, config.rta.period, float(example["check_every"]), where=path)
         if not config.plant.is_nominal:
-            example |= load_arrays(path, ("number",), "counter-example", where_missing="")
+            more = ("number", "corners") if config.plant.errors == "worst" else ("number",)
+            example |= load_arrays(path, more, "counter-example", where_missing="")
         value, when, difference = refly(Experiment(config, 1), example)
         recorded = float(example["value"])
     outcome = (

@@ -24,8 +24,8 @@ class Campaign:
     """What determines a campaign's numbers beside the configuration. Reports that lack a setting have its default.
 
     Attributes:
-        policy: random, adversarial, lookahead, learned:F or checkpoint:F; weights: digest of the weights in F, else
-            empty.
+        policy: random, adversarial, pressing, lookahead, learned:F or checkpoint:F; weights: digest of the weights in
+            F, else empty.
         period: s between filter calls; duration: s per episode; batch_size: starts drawn at once.
         check_every: s between two checks of every constraint.
         candidates, horizon: of lookahead, see `study.verification.lookahead`; else 0.

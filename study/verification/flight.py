@@ -12,6 +12,7 @@ from torch import Tensor
 from inspection.closed_loop import Controller, Smallest
 from inspection.environment import InspectionEnv
 from inspection.model.state import CONTROL_SIZE
+from inspection.world.corners import CORNER
 from rta.qp.programs import Status
 from study.flight.answers import in_full
 
@@ -47,6 +48,7 @@ class Flight:
         excess: (B,) largest control in units of its actuator's limit.
         start: (16 + 3, B) initial states and priority vectors; desired, applied: (calls, 6, B) controls of each filter
             call.
+        corners: (calls, 19, B) bool, of the worlds at each filter call; of those that have none, (calls, 0, B).
         number: (B,) from which the episodes' plants follow.
         column: (B,) the episode's number; conflicts: calls with slack, by that number.
     """
@@ -62,6 +64,7 @@ class Flight:
     start: Tensor
     desired: Tensor
     applied: Tensor
+    corners: Tensor
     column: Tensor
     number: Tensor
     conflicts: Conflicts
@@ -97,6 +100,7 @@ def fly(
     number = torch.zeros_like(x[0]) if number is None else number
     env.start(x, priority, number)
     constraints, batch, calls = len(env.safety.names), x.shape[1], math.ceil(duration / env.safety.period)
+    corner = CORNER if env.plant and env.plant.is_worst else 0
     h, column = env.constraint_values(x), torch.arange(first, first + batch, device=x.device)
     smallest = Smallest(constraints, x)
     flight = Flight(
@@ -111,6 +115,7 @@ def fly(
         start=torch.cat((x, priority)),
         desired=x.new_zeros(calls, CONTROL_SIZE, batch),
         applied=x.new_zeros(calls, CONTROL_SIZE, batch),
+        corners=torch.zeros(calls, corner, batch, dtype=torch.bool, device=x.device),
         column=column,
         number=number,
         conflicts=Conflicts(column[:0], x[0, :0], x[:, :0], x[:CONTROL_SIZE, :0], h[:, :0], h[:, :0]),
@@ -123,6 +128,8 @@ def fly(
         if hold.correction is not None:
             i, result = next(call), in_full(hold.correction)
             flight.desired[i], flight.applied[i] = hold.desired, hold.applied
+            if env.plant and env.plant.is_worst:
+                flight.corners[i] = env.plant.corner
             yielded, time = result.slack > ROUNDING, torch.full_like(flight.excess, hold.time)
             status, slack = torch.nn.functional.one_hot(result.status, len(Status)).T, result.slack
             if hold.missed is not None:  # then nothing was asked

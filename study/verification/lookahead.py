@@ -7,17 +7,16 @@ from torch import Tensor
 
 from inspection.closed_loop import Smallest
 from inspection.environment import InspectionEnv
-from inspection.model.state import CONTROL_SIZE, THRUST, TORQUE
-from rta.constraints.constraint import ATTITUDE, TRANSLATIONAL
+from inspection.model.state import CONTROL_SIZE
+from inspection.world.corners import CORNER, ENDS, ERRORS, GAINS, MISSED, Recorded
 from study.scales import scales
+from study.verification.adversaries import GROUPS, Greedy, attacked
 
 CANDIDATES, HORIZON = 24, 3  # by default
-# Rows of the constraints by who holds them, and the controls of theirs.
-GROUPS = (
-    (slice(0, len(TRANSLATIONAL)), THRUST),
-    (slice(len(TRANSLATIONAL), len(TRANSLATIONAL) + len(ATTITUDE)), TORQUE),
-)
 VERTICES = torch.tensor(tuple(itertools.product((-1.0, 1.0), repeat=3)), dtype=torch.float64)  # (8, 3)
+# Of a corner, what thrust's worst candidate says: errors of position and velocity, gains of thrust.
+OF_THRUST = torch.tensor([end < 6 or GAINS.start <= end < GAINS.start + 3 for end in range(CORNER)])
+CHANGES = 0.125  # probability that an end of a corner is another one in a candidate that goes on from it
 
 
 class Lookahead:
@@ -29,15 +28,22 @@ class Lookahead:
     so that neither has to wait for the other.
 
     What an episode attacks: one constraint of thrust and one of torque, or all of a group at once, in turns by the
-    number of its column. A body rate is at its limit within seconds and would else be all that is attacked.
+    number of its column (`attacked`).
 
     The candidates are the control last chosen, the vertices of both boxes, and uniformly random ones.
+
+    In a world whose errors are worst it is the world's `Adversary`, too. Then it chooses when a state is measured, and
+    a candidate has a corner of the world for these calls as well: the one last chosen with some ends changed, or
+    the errors that `Greedy` would have, with gains by chance; and which of the calls are missed. Errors of position and
+    velocity and gains of thrust are then those of thrust's candidate, the others torque's. Whether the call is missed
+    says one of both, in turns.
 
     Args:
         env: that is flown; its plant is read and left as it is.
         tried: of K times as many episodes, behind the same filter and in a plant of the same parameters.
         horizon: H.
         generator, batch, first: numbers are drawn for a whole batch, of which env has the columns from `first` on.
+        greedy: who proposes corners, which attacks the same constraints; None: it does not choose any.
     """
 
     def __init__(
@@ -48,58 +54,90 @@ class Lookahead:
         generator: torch.Generator,
         batch: int,
         first: int = 0,
+        greedy: Greedy | None = None,
     ) -> None:
         self.env, self.tried, self.generator, self.batch, self.first = env, tried, generator, batch, first
-        period = env.safety.period
-        self.duration = horizon * period
+        self.greedy, self.horizon, self.period = greedy, horizon, env.safety.period
         self.candidates = tried.time.numel() // env.time.numel()
-        self.scale = env.x.new_tensor(scales(env.c, period))[:, None]
-        self.attacked = attacked(torch.arange(first, first + env.time.numel(), device=env.x.device))
+        self.scale = env.x.new_tensor(scales(env.c, self.period))[:, None]
+        column = torch.arange(first, first + env.time.numel(), device=env.x.device)
+        self.attacked = attacked(column)
+        self.thrust_leads = column // (2 * 8 * 7) % 2 == 0  # after every pair of constraints
         self.last = torch.zeros_like(env.x[:CONTROL_SIZE])
+        self.corner = torch.zeros(CORNER, env.time.numel(), dtype=torch.bool, device=env.x.device)
 
     def __call__(self, t: float, x: Tensor) -> Tensor:
-        desired = self.draw()  # (6, K, B)
-        h = self.outcome(t, self.env.plant.behind(x) if self.env.plant else x, desired)
-        h = h.masked_fill(~self.attacked[:, None], torch.inf)
-        chosen = [h[rows].amin(0).argmin(0).expand(3, 1, -1) for rows, _ in GROUPS]
-        parts = [
-            desired[controls].gather(1, worst)[:, 0]
-            for (_, controls), worst in zip(GROUPS, chosen, strict=True)
-        ]
-        self.last = torch.cat(parts)
+        if self.greedy is None:
+            self.choose(self.env.time + t, self.env.plant.behind(x) if self.env.plant else x)
         return self.last
+
+    def errors(self, time: Tensor, x: Tensor) -> Tensor:
+        """See `Adversary`."""
+        self.choose(time, x)
+        return self.corner[ERRORS]
+
+    def response(self, time: Tensor, x: Tensor, u: Tensor, held: Tensor) -> Tensor:
+        """See `Adversary`."""
+        return self.corner[GAINS.start :]
+
+    def choose(self, time: Tensor, x: Tensor) -> None:
+        """Takes the worst candidates at true states x (16, B) at the episodes' time (B,) in s."""
+        desired = self.draw()  # (6, K, B)
+        corners = self.draw_corners(time, x) if self.greedy else None  # (H, 19, K, B)
+        h = self.outcome(time, x, desired, corners).masked_fill(~self.attacked[:, None], torch.inf)
+        chosen = [h[rows].amin(0).argmin(0) for rows, _ in GROUPS]
+
+        def of(part: Tensor, worst: Tensor) -> Tensor:
+            return part.gather(1, worst.expand(len(part), 1, -1))[:, 0]
+
+        self.last = torch.cat(
+            [of(desired[own], worst) for (_, own), worst in zip(GROUPS, chosen, strict=True)]
+        )
+        if corners is not None:
+            thrust, torque = (of(corners[0], worst) for worst in chosen)
+            self.corner = torch.where(OF_THRUST.to(x.device)[:, None], thrust, torque)
+            self.corner[MISSED] = torch.where(self.thrust_leads, thrust[MISSED], torque[MISSED])
 
     def draw(self) -> Tensor:
         """The candidates (6, K, B) in N and N m."""
         vertices = VERTICES.to(self.last).T.repeat(2, 1)[..., None].expand(-1, -1, self.last.shape[1])
         count = max(self.candidates - 1 - vertices.shape[1], 0)
-        random = torch.rand(CONTROL_SIZE, count, self.batch, generator=self.generator, dtype=torch.float64)
-        random = random[..., self.first : self.first + self.last.shape[1]].to(self.last)
-        new = torch.cat((vertices, 2.0 * random - 1.0), 1) * self.env.limit[..., None]
+        new = (
+            torch.cat((vertices, 2.0 * self.random(CONTROL_SIZE, count) - 1.0), 1) * self.env.limit[..., None]
+        )
         return torch.cat((self.last[:, None], new), 1)[:, : self.candidates]
 
-    def outcome(self, t: float, x: Tensor, desired: Tensor) -> Tensor:
-        """The smallest h (13, K, B), in filter calls, over the checks after true states x (16, B) at t s."""
+    def draw_corners(self, time: Tensor, x: Tensor) -> Tensor:
+        """The candidates' corners (H, 19, K, B) bool, the same for all calls but for those that are missed.
+
+        The first one is the last one, in turns the others go on from it and from the greedy errors.
+        """
+        assert self.greedy
+        ends, missed = self.random(ENDS, self.candidates), self.random(self.horizon, self.candidates) < 0.5
+        kept = self.corner[:ENDS, None] ^ (ends < CHANGES)
+        greedy = ends < 0.5
+        greedy[ERRORS] = self.greedy.errors(time, x)[:, None]
+        ends = torch.where(torch.arange(self.candidates, device=x.device)[:, None] % 2 == 0, kept, greedy)
+        ends[:, 0], missed[:, 0] = self.corner[:ENDS], False
+        return torch.cat((ends.expand(self.horizon, -1, -1, -1), missed[:, None]), 1)
+
+    def random(self, *size: int) -> Tensor:
+        """(*size, B) numbers in [0, 1), by the columns' numbers."""
+        numbers = torch.rand(*size, self.batch, generator=self.generator, dtype=torch.float64)
+        return numbers[..., self.first : self.first + self.last.shape[1]].to(self.last)
+
+    def outcome(self, time: Tensor, x: Tensor, desired: Tensor, corners: Tensor | None = None) -> Tensor:
+        """The smallest h (13, K, B), in filter calls, over the checks after true states x (16, B) at times (B,)."""
         env, tried, control = self.env, self.tried, desired.flatten(1)
-        x, time = x.repeat(1, self.candidates), (env.time + t).repeat(self.candidates)
+        x, time = x.repeat(1, self.candidates), time.repeat(self.candidates)
         if env.plant and tried.plant:
             state = env.plant.state_dict()  # whose last axes are the episodes
             tried.plant.load_state_dict(
                 {name: part.repeat(*(1,) * (part.dim() - 1), self.candidates) for name, part in state.items()}
             )
+            if corners is not None:
+                tried.plant.adversary = Recorded(corners.flatten(2), self.period, time[0].item())
         smallest = Smallest(len(self.scale), x)
-        for hold in tried.fly(lambda _, seen: control, self.duration, x, time):
+        for hold in tried.fly(lambda _, seen: control, self.horizon * self.period, x, time):
             smallest.note(tried.constraint_values(hold.after))
         return (smallest.value / self.scale).unflatten(1, desired.shape[1:])
-
-
-def attacked(column: Tensor) -> Tensor:
-    """(13, B) bool: which constraints are attacked in the columns (B,) of a batch."""
-    thrust, torque = (rows.stop - rows.start for rows, _ in GROUPS)
-    pair = column // 2  # starts of two kinds alternate
-
-    def one_or_all(number: Tensor, count: int) -> Tensor:
-        target = number % (count + 1)  # the last one: all
-        return (target == torch.arange(count, device=column.device)[:, None]) | (target == count)
-
-    return torch.cat((one_or_all(pair, thrust), one_or_all(pair // (thrust + 1), torque)))

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from inspection.closed_loop import Clocks, closed_loop
 from inspection.model.state import SIZE
-from inspection.world.plant import PlantParameters
+from inspection.world.parameters import PlantParameters
 from tests.inspection.world.test_plant import begun, moments
 
 BATCH, CALLS = 40, 12

@@ -30,7 +30,7 @@ from inspection.world.basilisk import (
     chief_in_space,
     hill,
 )
-from inspection.world.plant import PlantParameters
+from inspection.world.parameters import PlantParameters
 from study import experiment
 from tests.test_main import call
 

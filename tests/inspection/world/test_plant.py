@@ -19,7 +19,8 @@ from inspection.initial_state import sample_initial_state
 from inspection.model.draws import hashed
 from inspection.model.parameters import InspectionParameters
 from inspection.model.state import CONTROLS, OMEGA, SIZE, THETA_S, THRUST, TORQUE, E, P, Q, T, V
-from inspection.world.plant import DETAILS, OF_BASILISK, Plant, PlantParameters, milliseconds
+from inspection.world.parameters import DETAILS, HOW, OF_BASILISK, PlantParameters
+from inspection.world.plant import Plant, milliseconds
 from kernels import Compiled
 from tests.inspection.model.test_dynamics import MASS, UNEQUAL, N, paper_rate
 
@@ -75,7 +76,13 @@ def moments(batch: int, seconds: float = 0.0) -> Tensor:
 
 
 def test_a_plant_that_is_the_model_takes_no_draw_and_is_not_there() -> None:
-    details = {"noise_bound": 1.0, "missed_in_a_row": 3, "failing_from": 5.0, "failing_strength": 0.5}
+    details: dict[str, Any] = {
+        "errors": "worst",
+        "noise_bound": 1.0,
+        "missed_in_a_row": 3,
+        "failing_from": 5.0,
+        "failing_strength": 0.5,
+    }
     assert details.keys() == DETAILS
     generators = seeded(1), seeded(1)
     for generator, plant in zip(generators, (None, PlantParameters(**details)), strict=True):
@@ -582,9 +589,11 @@ def test_a_restarted_episode_draws_anew_and_the_others_keep_theirs() -> None:
     assert not env.plant.held.any() and not env.plant.missed.any()
 
 
-def test_a_resumed_flight_goes_on_bit_for_bit() -> None:
+@pytest.mark.parametrize("errors", HOW)
+def test_a_resumed_flight_goes_on_bit_for_bit(errors: str) -> None:
     c = InspectionParameters(max_time=60.0)
-    world = PlantParameters(**(vars(U1) | {"missed_calls": 0.5, "latency": (1, 3), "failing": "any"}))
+    more = {"missed_calls": 0.5, "latency": (1, 3), "failing": "any", "errors": errors}
+    world = PlantParameters(**(vars(U1) | more))
 
     def fresh() -> tuple[InspectionEnv, list[torch.Generator]]:
         generators = [seeded(0), seeded(1)]

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from inspection.model.parameters import InspectionParameters
-from inspection.world.plant import PlantParameters
+from inspection.world.parameters import PlantParameters
 from rta.bounds.uncertainty import Uncertainty
 from rta.filter import SafetyFilter
 from rta.parameters import PERIODS, RtaParameters

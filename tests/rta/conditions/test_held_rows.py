@@ -18,7 +18,8 @@ from inspection.model.attitude import norm, rotation_matrix, turned_by
 from inspection.model.dynamics import integrate, step
 from inspection.model.parameters import InspectionParameters
 from inspection.model.state import OMEGA, THRUST, TORQUE, P, Q, V
-from inspection.world.plant import Plant, PlantParameters
+from inspection.world.parameters import PlantParameters
+from inspection.world.plant import Plant
 from rta.bounds.uncertainty import Uncertainty
 from rta.conditions.held_rows import KINDS, HeldGroup, predicted
 from rta.conditions.rows import Rows

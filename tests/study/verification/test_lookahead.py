@@ -10,12 +10,13 @@ import torch
 from torch import Tensor
 
 from inspection.environment import InspectionEnv
+from inspection.world.corners import CORNER, ENDS, MISSED, Recorded
 from study.config import Config, override
 from study.experiment import Experiment
 from study.scales import scales
-from study.verification.adversaries import held_at_random
+from study.verification.adversaries import Greedy, attacked, held_at_random
 from study.verification.flight import Flight, fly
-from study.verification.lookahead import Lookahead, attacked
+from study.verification.lookahead import Lookahead
 from study.verification.starts import initial_states
 from tests.study.verification.test_findings import verify
 from tests.test_main import assert_refused, call
@@ -87,7 +88,7 @@ def test_what_is_tried_is_what_comes(world: bool) -> None:
         desired = lookahead.draw()
         if t == 2.0:
             true = env.plant.behind(seen) if world else seen
-            promised.append(lookahead.outcome(t, true, desired)[:, 5])
+            promised.append(lookahead.outcome(env.time + t, true, desired)[:, 5])
             promised.append(desired[:, 5])
         return promised[1] if t >= 2.0 else desired[:, 1]
 
@@ -170,3 +171,72 @@ def test_the_command_line_flies_and_continues_it(tmp_path: Path, capsys: pytest.
     words = ["--policy random", "--candidates and --horizon", "lookahead"]
     assert_refused(["verify", "--policy", "random", "--candidates", "3"], words, capsys)
     assert_refused(["verify", "--policy", "adversarial", "--horizon", "3"], words[1:], capsys)
+
+
+# at the worst
+
+
+@functools.cache
+def at_worst() -> Experiment:
+    """In a plant at its corners, of which the filter knows nothing."""
+    gains = {"errors": "worst", "thrust_gain": [0.8, 1.2], "missed_in_a_row": 2}
+    tables = {"train": {"compile": "off", "device": "cpu"}, "plant": WORLD | gains}
+    return Experiment(override(Config(), tables, "test"), EPISODES * CANDIDATES, seconds=1.0)
+
+
+def choosing(batch: int, horizon: int) -> tuple[InspectionEnv, Lookahead, tuple[Tensor, Tensor, Tensor]]:
+    """An environment, the adversary of its world and of its controls, and starts."""
+    here = at_worst()
+    env, tried = (here.env(count, None, 1.0, 1.0) for count in (batch, batch * CANDIDATES))
+    greedy = Greedy(here.filter, attacked(torch.arange(batch)))
+    generator = torch.Generator().manual_seed(5)
+    lookahead = Lookahead(env, tried, horizon, generator, batch, 0, greedy)
+    env.plant.adversary = lookahead
+    x, priority, _ = initial_states(batch, 3, here.filter)
+    return env, lookahead, (x, priority, torch.linspace(0.1, 0.9, batch, dtype=torch.float64))
+
+
+def test_what_is_tried_at_a_corner_is_what_comes() -> None:
+    """The outcome of a candidate and its corners, recounted by flying on with both."""
+    env, lookahead, start = choosing(4, 3)
+    env.plant.adversary = None
+    env.start(*start)
+    desired, corners = lookahead.draw(), lookahead.draw_corners(env.time, env.x)
+    promised = lookahead.outcome(env.time, env.x, desired, corners)[:, 7]
+    env.start(*start)
+    env.plant.adversary = Recorded(corners[:, :, 7], 1.0)
+    came = [env.constraint_values(hold.after) for hold in env.fly(lambda t, x: desired[:, 7], 3.0)]
+    np.testing.assert_allclose(promised, torch.stack(came).amin(0) / lookahead.scale, rtol=1e-9, atol=1e-9)
+
+
+def test_corners_are_the_last_one_what_goes_on_from_it_and_greedy_ones() -> None:
+    env, lookahead, start = choosing(50, 3)
+    env.plant.adversary = None
+    env.start(*start)
+    lookahead.corner = torch.rand(CORNER, 50, generator=torch.Generator().manual_seed(1)) < 0.5
+    corners = lookahead.draw_corners(env.time, env.x)
+    ends, missed = corners[:, :ENDS], corners[:, MISSED]
+    assert torch.equal(ends[0], ends[1]) and torch.equal(ends[0], ends[2])  # the same in all calls
+    assert torch.equal(ends[0, :, 0], lookahead.corner[:ENDS]) and not missed[:, 0].any()
+    assert 0.4 < missed[:, 1:].double().mean() < 0.6 and not torch.equal(missed[0], missed[1])
+    changed = (ends[0, :, 2::2] != lookahead.corner[:ENDS, None]).double().mean()
+    assert changed == pytest.approx(0.125, abs=0.02)
+    greedy = lookahead.greedy.errors(env.time, env.x)
+    assert torch.equal(ends[0, :12, 1::2], greedy[:, None].expand(-1, CANDIDATES // 2, -1))
+
+
+def test_its_flight_is_flown_again_by_its_controls_and_corners_and_misses_calls() -> None:
+    env, lookahead, start = choosing(EPISODES, 2)
+    first = fly(env, lookahead, *start[:2], 12.0, number=start[2])
+    assert first.corners.shape == (12, CORNER, EPISODES)
+    alone = at_worst().env(EPISODES, None, 1.0, 1.0)
+    alone.plant.adversary = Recorded(first.corners, 1.0)
+    again = fly(alone, lambda t, x: first.desired[round(t)], *start[:2], 12.0, number=start[2])
+    assert torch.equal(again.applied, first.applied) and torch.equal(again.worst, first.worst)
+    missed = 12 - first.status.sum(0)
+    assert (missed > 0).sum() > EPISODES // 2
+    # chance at the same worst breaks less
+    by_chance = at_worst().env(EPISODES, None, 1.0, 1.0)
+    random = held_at_random(at_worst().config.inspection, torch.Generator().manual_seed(5), EPISODES)
+    chance = fly(by_chance, random, *start[:2], 12.0, number=start[2])
+    assert (first.violating[-1] > 0).sum() >= 4 + (chance.violating[-1] > 0).sum()

@@ -104,3 +104,43 @@ def test_what_violates_is_the_true_state() -> None:
     np.testing.assert_allclose(blind.worst, honest.worst, rtol=1e-9, atol=1e-9)
     assert torch.equal(blind.violating, honest.violating) and honest.violating.any()
     assert (env.plant.sense(env.time, env.x)[P] - env.x[P]).norm(dim=0).min() > 4999.0
+
+
+# at the corners of what the filter is told
+
+TOLD = """
+[plant]
+position_noise = 0.2
+errors = "{errors}"
+[uncertainty]
+position = 0.6
+"""
+
+
+@pytest.mark.parametrize("policy", ["random", "pressing", "lookahead"])
+def test_a_campaign_at_the_worst_goes_on_and_its_violations_fly_again(
+    policy: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(campaign, "BATCH", 12)
+    path = tmp_path / "worst.toml"
+    path.write_text(WORLD)
+    more = ["--policy", policy, "--errors", "worst", "--duration", "20"]
+    more += ["--candidates", "4", "--horizon", "2"] if policy == "lookahead" else []
+    for report, counts in (("parts", (5, 16)), ("whole", (16,))):
+        for count in counts:
+            assert main.main([*flags(path, f"{report}.json", count), *more]) == 0
+    parts, whole = (json.loads(path.with_name(f"{name}.json").read_text()) for name in ("parts", "whole"))
+    assert parts == whole and whole["config"]["plant"]["errors"] == "worst"
+    violated = [name for name in CONSTRAINTS if whole["violating_episodes"][name]]
+    assert len(violated) > 2
+    example = path.with_name(f"whole.json.{violated[0]}.npz")
+    capsys.readouterr()
+    code, out, err = call(["refly", str(example)], capsys)
+    assert code == 0, err
+    words = out.split()
+    assert float(words[words.index("most") + 1]) < 1e-6
+    held = dict(np.load(example))
+    for corners in (held["corners"][:1], held["corners"][:, :3]):
+        damaged = tmp_path / "damaged.npz"
+        np.savez(damaged, **(held | {"corners": corners}))
+        assert_refused(["refly", str(damaged)], [str(damaged)], capsys)
