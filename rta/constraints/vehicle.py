@@ -104,15 +104,16 @@ def check(c: Limits, period: float | None = None) -> None:
     if braking < falling:
         raise ValueError(
             f"max_thrust = {c.max_thrust:g}, mass = {c.mass:g}: brake by {braking:.3g} m/s^2, but the "
-            f"dynamic speed limit falls by up to {falling:.3g} m/s^2 on the way in: lower speed_slope, max_distance or "
-            "max_speed"
+            f"dynamic speed limit falls by up to {falling:.3g} m/s^2 on the way in: lower speed_slope below "
+            f"{braking / fastest:.3g} 1/s, or max_speed"
         )
     inwards = fastest**2 / c.max_distance
     if inwards > (1.0 - LEAST_BRAKING) * c.max_acceleration:
+        slow_enough = math.sqrt((1.0 - LEAST_BRAKING) * c.max_acceleration * c.max_distance / 3.0)
         raise ValueError(
             f"max_thrust = {c.max_thrust:g}, mass = {c.mass:g}: brake by {c.max_acceleration:.3g} m/s^2, but flying "
             f"across at the speed limit of max_distance takes {inwards:.3g} m/s^2 to stay within it: must be at most "
-            f"{1.0 - LEAST_BRAKING:.0%} of that: lower speed_slope, max_distance or max_speed"
+            f"{1.0 - LEAST_BRAKING:.0%} of that: lower max_speed below {slow_enough:.3g} m/s, or speed_slope"
         )
     slowest = c.docking_speed + c.speed_slope * c.least_distance
     gained = math.sqrt(3.0) * c.max_thrust / c.mass * (period or 0.0)
@@ -120,7 +121,8 @@ def check(c: Limits, period: float | None = None) -> None:
         raise ValueError(
             f"max_thrust = {c.max_thrust:g}, mass = {c.mass:g}: change the speed in {period:g} s by up to {gained:.3g} "
             f"m/s: must be at most {MOST_GAINED:.0%} of the limit beside the chief, {slowest:.3g} m/s at "
-            f"{c.least_distance:.3g} m from its centre: lower max_thrust, raise docking_speed"
+            f"{c.least_distance:.3g} m from its centre: lower max_thrust, or raise "
+            f"docking_speed above {c.docking_speed + gained / MOST_GAINED - slowest:.3g} m/s"
             + (' or keep clear of the sphere ([chief] collision = "sphere")' if c.planes else "")
         )
     gyroscopic = max(
