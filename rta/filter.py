@@ -30,7 +30,7 @@ from rta.parameters import RtaParameters
 from rta.printed.batch import BatchFilter
 from rta.qp.batched_solver import STEPS_HELD, BatchedSolver
 from rta.qp.piqp_solver import PiqpSolver
-from rta.qp.programs import Solver, Status, pick, put
+from rta.qp.programs import ENDLESS, LARGEST_DEMAND, Solver, Status, pick, put
 
 ROW_FIELDS = len(fields(Rows))
 
@@ -45,7 +45,7 @@ class FilterResult:
 
     Attributes:
         control: (6, B) safe control in N and N m, within the actuators' limits whatever was desired.
-        intervened: (B,) bool, the desired control was beyond the limits or violated a row, and another is applied.
+        intervened: (B,) bool, another control than the desired one is applied.
         active: (constraints, B) bool, a row of the constraint binds a corrected control.
         slack: (constraints, B) shortfall of the barrier condition without margin, in h's unit per s (per s^2 where
             the relative degree is two); zero unless a program needed slack.
@@ -68,6 +68,11 @@ class FilterResult:
     h: Tensor
     uncertainty: Tensor
     tightened: Tensor
+
+    @property
+    def violated(self) -> Any:
+        """(B,) bool: a limit is broken already, some h is negative, whatever the programs answered."""
+        return (self.h < 0.0).any(0)
 
 
 class SafetyFilter:
@@ -301,7 +306,7 @@ class SafetyFilter:
 
         Args:
             x: state (16,) or states (16, B), components in the order of `inspection.model.state`.
-            desired: control (6,) or controls (6, B) in N and N m in the body frame; clipped to the actuators' limits.
+            desired: control (6,) or controls (6, B) in N and N m in the body frame; beyond the actuators' limits, too.
 
         Both are NumPy arrays, PyTorch tensors or lists, of float64, float32 or integers.
 
@@ -337,7 +342,8 @@ class SafetyFilter:
 
         Args:
             x: states (16, B), float64.
-            desired: controls (6, B) in N and N m, float64; what is beyond the actuators' limits is clipped first.
+            desired: controls (6, B) in N and N m, float64, beyond the actuators' limits, too. Thrust or torque of
+                which a number is NaN is read as no wish, zero, and filtered.
             sent: (k, 6, B) the controls held since the states were measured, the oldest first, each for a period; NaN
                 where a state is younger. Of more than `latency` the status is UNSOLVED.
             left: (6, B) the share that each actuator gives of what it is told; None: all of it. It counts for a filter
@@ -367,9 +373,10 @@ class SafetyFilter:
     def _correct(self, x: Tensor, desired: Tensor, sent: Tensor | None, left: Tensor | None) -> FilterResult:
         """`correct` in PyTorch, and by the solver."""
         x = x.masked_fill(x.isinf(), torch.nan)  # infinitely safe is no state either
-        control, program_status = self.clip(desired)
+        wish = self.wish(desired)
+        control, program_status = self.clip(wish, desired)
         if self.holds:
-            return self._correct_held(x, control, program_status, sent, left)
+            return self._correct_held(x, desired, wish, control, program_status, sent, left)
         both = self._prepared(x, control)
         active = [torch.zeros_like(prepared.h, dtype=torch.bool) for prepared in both]
         slack = [torch.zeros_like(prepared.h) for prepared in both]
@@ -377,7 +384,7 @@ class SafetyFilter:
             unsafe = torch.nonzero(~(prepared.lowest[0] >= 0.0)).flatten()  # NaN must not pass
             if unsafe.numel():
                 wholes = control[group.controls], program_status[i], active[i], slack[i]
-                parts = self._solved(group, prepared, control[group.controls], unsafe)
+                parts = self._solved(group, prepared, wish[group.controls], unsafe)
                 for whole, part in zip(wholes, parts, strict=True):
                     put(whole, unsafe, part)
         status = program_status.amax(0)
@@ -385,7 +392,7 @@ class SafetyFilter:
         nothing = torch.zeros_like(h)
         return FilterResult(
             control=control,
-            intervened=status > Status.UNTOUCHED,
+            intervened=(control != desired).any(0),
             active=joined(*active),
             slack=joined(*slack),
             status=status,
@@ -395,14 +402,37 @@ class SafetyFilter:
             tightened=nothing,
         )
 
-    def clip(self, desired: Tensor) -> tuple[Tensor, Tensor]:
-        """Controls (6, B) within the actuators' limits, and (2, B) the status of each group: HARD where it was not."""
-        control = torch.cat([desired[each.controls].clamp(-each.limit, each.limit) for each in self.groups])
-        clipped = torch.stack([(control != desired)[each.controls].any(0) for each in self.groups])
-        return control, torch.where(clipped, Status.HARD, Status.UNTOUCHED)
+    def wish(self, desired: Tensor) -> Tensor:
+        """What is projected of desired controls (6, B): any size up to LARGEST_DEMAND limits, zero for NaN."""
+        wishes = []
+        for each in self.groups:
+            part = desired[each.controls]
+            part = torch.where(part.isnan().any(0), 0.0, part).clamp(-ENDLESS, ENDLESS)
+            times = part.abs().amax(0) / each.limit
+            wishes.append(part * (LARGEST_DEMAND / times.clamp(min=LARGEST_DEMAND)))
+        return torch.cat(wishes)
+
+    def clip(self, wish: Tensor, desired: Tensor) -> tuple[Tensor, Tensor]:
+        """Wishes (6, B) clipped to the actuators' limits; (2, B) each group's status: HARD where that is not desired.
+
+        If it satisfies every row this is the projection: none that is permitted is nearer to the wish.
+        """
+        control = torch.cat([wish[each.controls].clamp(-each.limit, each.limit) for each in self.groups])
+        return control, torch.where(self.differ(control, desired), Status.HARD, Status.UNTOUCHED)
+
+    def differ(self, one: Tensor, other: Tensor) -> Tensor:
+        """(2, B) bool: the groups of controls (6, B) are not the same."""
+        return torch.stack([(one != other)[each.controls].any(0) for each in self.groups])
 
     def _correct_held(
-        self, x: Tensor, control: Tensor, program_status: Tensor, sent: Tensor | None, left: Tensor | None
+        self,
+        x: Tensor,
+        desired: Tensor,
+        wish: Tensor,
+        control: Tensor,
+        program_status: Tensor,
+        sent: Tensor | None,
+        left: Tensor | None,
     ) -> FilterResult:
         """Torque first, since the body's turn decides where thrust held will act."""
         known, sent = self.known, x.new_zeros(0, *control.shape) if sent is None else sent
@@ -415,8 +445,9 @@ class SafetyFilter:
         control[THRUST] = known.given(control[THRUST], self.c.max_thrust)
         if known.health:
             control[TORQUE] = slewing(x, control[TORQUE], left, self.c, self.parameters, known)
-        changed = torch.stack([(control != asked)[each.controls].any(0) for each in self.groups])
+        changed = self.differ(control, asked)
         program_status = torch.where(changed, Status.HARD, program_status)
+        wish = torch.where(changed.repeat_interleave(3, 0), control, wish)
         parts: dict[int, list[Tensor]] = {}
         for i in (1, 0):
             group, run = self.held_groups[i], self._prepare_held[i]
@@ -427,7 +458,8 @@ class SafetyFilter:
             if unsafe.numel():
                 given = [pick(part, unsafe) for part in (x, control, error_bound, left)]
                 tangents = Prepared(*(pick(part, unsafe) for part in prepared))
-                answer = Settling(group, run, self.solver, given).search(tangents)
+                wanted = pick(wish[group.controls], unsafe) / group.limit
+                answer = Settling(group, run, self.solver, given, wanted).search(tangents)
                 wholes = control[group.controls], program_status[i], active, slack
                 for whole, part in zip(wholes, answer, strict=True):
                     put(whole, unsafe, part)
@@ -442,7 +474,7 @@ class SafetyFilter:
         )
         return FilterResult(
             control,
-            status > Status.UNTOUCHED,
+            (control != desired).any(0),
             active,
             slack,
             status,

@@ -23,7 +23,7 @@ INSET = 1e-3  # in the same unit, by which tangents ask for more, so that few of
 PASSES = 8
 PASSES_AT_REST = 3  # of the second search
 IN_VAIN = 2  # passes in a row that bring nothing where rows yield, after which no more are tried
-FARTHEST = 100.0  # above all distances squared, in the same unit
+FARTHEST = 100.0  # above all distances squared, in the same unit, or that of a demand beyond the limits
 ABOVE = 1e6  # by how much what a row lacks counts more than in the next class
 
 
@@ -102,19 +102,25 @@ class Settling:
     Args:
         run: `SafetyFilter.prepare_held` of the group.
         given: its other arguments, of the columns that are corrected, M.
+        desired: (3, M) controls in units of the actuators' limits, beyond these, too.
 
     Attributes:
         control: (3, M) the best so far in units of the actuators' limits; status: (M,).
         active, slack: (constraints, M), as in `rta.filter.FilterResult`.
-        score: (M,) what is greater the better a control is.
+        score: (M,) what is greater the better a control is; size: (M,) what distances are measured by.
     """
 
     def __init__(
-        self, group: HeldGroup, run: Callable[..., list[Tensor]], solver: Solver, given: list[Tensor]
+        self,
+        group: HeldGroup,
+        run: Callable[..., list[Tensor]],
+        solver: Solver,
+        given: list[Tensor],
+        desired: Tensor,
     ) -> None:
-        self.group, self.run, self.solver, self.given = group, run, solver, given
-        _, control, _, left = given
-        self.desired, self.limit = control[group.controls] / group.limit, group.limit * left[group.controls]
+        self.group, self.run, self.solver, self.given, self.desired = group, run, solver, given, desired
+        self.limit = group.limit * given[-1][group.controls]
+        self.size = desired.abs().amax(0).clamp(min=1.0)
         self.control = torch.zeros_like(self.desired)
         self.score = torch.full_like(self.desired[0], -torch.inf)
         self.status = torch.full_like(self.score, Status.UNSOLVED, dtype=torch.int64)
@@ -163,7 +169,8 @@ class Settling:
         """
         tangents, length = self.at(columns, u)
         within = total(tangents.a * u, 1) + tangents.b_bare
-        least, distance = within.amin(0), ((u - pick(self.desired, columns)) ** 2).sum(0)
+        away = (u - pick(self.desired, columns)) / self.size[columns]
+        least, distance = within.amin(0), (away**2).sum(0)
         held = least >= -TOLERATED
         status = torch.where(held, Status.HARD, Status.SLACK).masked_fill(~solved, Status.UNSOLVED)
         score = torch.where(held, FARTHEST - distance, -self.shortage(within)).nan_to_num(-torch.inf)

@@ -157,11 +157,12 @@ def first_attempt(safety_filter: "SafetyFilter", x: Tensor, desired: Tensor) -> 
         program is left to be solved.
     """
     x = x.masked_fill(x.isinf(), torch.nan)  # infinitely safe is no state either
-    control, clipped = safety_filter.clip(desired)
+    wish = safety_filter.wish(desired)
+    control, clipped = safety_filter.clip(wish, desired)
     controls, statuses, parts, left = [], [], [], torch.zeros_like(x[0], dtype=torch.bool)
     for i, group in enumerate(safety_filter.groups):
         prepared = prepared_now(group, x, control)
-        asked = problems(group, prepared, control[group.controls] / group.limit, group.limit)
+        asked = problems(group, prepared, wish[group.controls] / group.limit, group.limit)
         u, solved = attempted(asked)
         active, slack = answered(group, asked, prepared.length, u, torch.full_like(clipped[i], Status.HARD))
         safe = prepared.lowest[0] >= 0.0  # NaN is not
@@ -190,7 +191,7 @@ def held_parts(safety_filter: "SafetyFilter", rows: list[Printed]) -> list[Print
         *rows,
         printed(
             partial(begin, safety_filter), u, left, name="begin",
-            names=(("desired", "left"), ("control", "program_status", "open")),
+            names=(("desired", "left"), ("wish", "control", "program_status", "open")),
         )
     ]  # fmt: skip
     for name, group, own in zip(GROUPS, safety_filter.held_groups, rows, strict=False):
@@ -199,8 +200,8 @@ def held_parts(safety_filter: "SafetyFilter", rows: list[Printed]) -> list[Print
         more = {
             "near": (partial(near, group), (x, u), (("x", "control"), ("nearby",))),
             "attempt": (
-                partial(attempt_at, group), (*fields, u, u, left),
-                ((*given, "control", "nearby", "left"), ("answer", "safe", "solved")),
+                partial(attempt_at, group), (*fields, u, u, u, left),
+                ((*given, "wish", "control", "nearby", "left"), ("answer", "safe", "solved")),
             ),
             "judge": (
                 partial(judge, group), (*fields, u, left),
@@ -219,15 +220,18 @@ def begin(safety_filter: "SafetyFilter", desired: Tensor, left: Tensor) -> list[
     """What is filtered in the place of desired controls (6, B): within the limits, and what the thrusters give.
 
     Returns:
-        control (6, B); program statuses (2, B); (1, B) bool: the spacecraft may have to turn a weak axis away.
+        what is projected, and control (6, B); program statuses (2, B); (1, B) bool: the spacecraft may have to turn a
+        weak axis away.
     """
     known = safety_filter.known
-    clipped, status = safety_filter.clip(desired)
+    wish = safety_filter.wish(desired)
+    clipped, status = safety_filter.clip(wish, desired)
     control = torch.cat((known.given(clipped[THRUST], safety_filter.c.max_thrust), clipped[TORQUE]))
     given = (control != clipped)[THRUST].any(0)
+    wish = torch.cat((torch.where(given, control[THRUST], wish[THRUST]), wish[TORQUE]))
     status = torch.stack((torch.where(given, Status.HARD, status[0]), status[1]))
     weak = (left < 1.0).any(0) if known.health else torch.zeros_like(given)
-    return [control, status, weak[None]]
+    return [wish, control, status, weak[None]]
 
 
 def near(group: HeldGroup, x: Tensor, control: Tensor) -> list[Tensor]:
@@ -236,14 +240,14 @@ def near(group: HeldGroup, x: Tensor, control: Tensor) -> list[Tensor]:
 
 
 def attempt_at(group: HeldGroup, *given: Tensor) -> list[Tensor]:
-    """An attempt at the programs of rows near controls: `Prepared`, controls, those nearby, and `left`.
+    """An attempt at the programs of rows near controls: `Prepared`, wishes, controls, those nearby, and `left`.
 
     Returns:
         controls (6, B) with the answer for the group's own; (1, B) bool, the control is safe; the attempt is accurate.
     """
-    prepared, (control, nearby, left) = Prepared(*given[:-3]), given[-3:]
+    prepared, (wish, control, nearby, left) = Prepared(*given[:-4]), given[-4:]
     limit = group.limit * left[group.controls]
-    asked = inset(problems(group, prepared, control[group.controls] / group.limit, limit))
+    asked = inset(problems(group, prepared, wish[group.controls] / group.limit, limit))
     u, solved = attempted(asked, STEPS_HELD)
     safe = (prepared.lowest[0] >= 0.0) & ~(nearby != control).any(0)
     return [with_own(group, control, u * group.limit), safe[None], solved[None]]

@@ -57,9 +57,9 @@ CONTROL = {f"thrust_{i}": "N, in the body's frame" for i in "xyz"}
 CONTROL |= {f"torque_{i}": "N m, in the body's frame" for i in "xyz"}
 MEANING = {
     Status.UNTOUCHED: "the desired control, which satisfies every condition",
-    Status.HARD: "clipped or corrected, every condition satisfied, at worst without its margin",
+    Status.HARD: "within the limits or corrected, every condition satisfied, at worst without its margin",
     Status.SLACK: "no control satisfies every condition: some yield, by slack, those of least weight first",
-    Status.UNSOLVED: "no program was solved: the least-violating control known; where a number is none, zero",
+    Status.UNSOLVED: "no program was solved: the least-violating control known; of a state with NaN, zero",
 }
 SECTIONS = {  # by file of the driver
     "solver.c": "Quadratic programs, solved by an active-set method",
@@ -207,7 +207,7 @@ def about(safety_filter: "SafetyFilter", real: str) -> str:
         f"wanted, and answers with the control to hold. It computes in {precision} precision, allocates nothing, does "
         "not recurse, has no global state, and needs math.h alone. All vectors are in the order of the enumerations. "
         "It does not notice a quaternion whose length is not 1. If a desired thrust or torque is NaN, all three of "
-        f"them become zero, which is not filtered, and the status is 3.{relies if saturates else ''}"
+        f"them are read as zero, which is filtered.{relies if saturates else ''}"
     )
 
 
@@ -299,6 +299,7 @@ def vectors_header(safety_filter: "SafetyFilter", real: str) -> str:
             f"static const struct safety_filter_input given[VECTORS] = {{\n{inputs}\n}};",
             "",
             table("int expected_status[VECTORS]", result.status.tolist()),
+            table("int expected_violated[VECTORS]", result.violated.int().tolist()),
             table("double expected_control[VECTORS][6]", result.control.T.tolist()),
             table("double expected_h[VECTORS][SAFETY_FILTER_CONSTRAINTS]", result.h.T.tolist()),
             table("int expected_active[VECTORS][SAFETY_FILTER_CONSTRAINTS]", result.active.T.int().tolist()),

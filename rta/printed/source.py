@@ -193,6 +193,8 @@ def tolerances(holds: bool) -> list[str]:
         define(
             "REDUNDANT", qp.REDUNDANT, "|a u| <= sqrt(3) within the limits: with b >= 2 a row never binds"
         ),
+        define("LARGEST_DEMAND", qp.LARGEST_DEMAND, "longer demands are shortened to it"),
+        define("ENDLESS", qp.ENDLESS, "N or N m, for infinity"),
         define("HOPELESS", qp.HOPELESS, "keeps the slack of a row that no control can hold in range"),
     ]
     if holds:

@@ -1,10 +1,11 @@
 """The filter's programs solved all at once by the dual active-set method of Goldfarb and Idnani (1983).
 
 Each program is a projection, min |x - x_des|^2 / 2 subject to A_i x + b_i >= 0: the bounds are rows of their
-own, and slack is one more variable sqrt(w_i) delta_i per soft row. From x = x_des, with no row active, rows
-become active one by one, the most violated first, at the cost of active ones whose multiplier falls to zero,
-until no row is violated or the active rows exclude the next one. No more rows can be active than there are
-variables, so the state of a program is small, and one step is the same arithmetic for all of them.
+own, and slack is one more variable sqrt(w_i) delta_i per soft row. From x_des clipped to the bounds, where those it
+is beyond are active, rows become active one by one, the most violated first, at the cost of active ones whose
+multiplier falls to zero, until no row is violated or the active rows exclude the next one. No more rows can be
+active than there are variables, so the state of a program is small, and one step is the same arithmetic for all
+of them.
 """
 
 from collections.abc import Callable, Sequence
@@ -153,7 +154,7 @@ def attempt(desired: Tensor, a: Tensor, b: Tensor, steps: int = STEPS) -> list[T
     """
     nothing = torch.full_like(b[:, 0], torch.inf)  # no row has slack
     normals, offsets = with_bounds(a, b)
-    state = start(desired)
+    state = start(desired, len(b))
     for _ in range(steps):
         state = step(normals, offsets, state)
     u = state.x.clamp(-1.0, 1.0)
@@ -173,7 +174,7 @@ def project(desired: Tensor, a: Tensor, b: Tensor, weight: Tensor) -> tuple[Tens
     normals, offsets = with_bounds(a, b)
     normals = with_slack(normals, weight)
     slacks = normals.shape[1] - 3
-    every = part = start(torch.cat((desired, desired.new_zeros(slacks, batch))))
+    every = part = start(desired, rows, slacks)
     running = torch.arange(batch, device=a.device)
     for _ in range(MAX_ROUNDS):
         for _ in range(ROUND):
@@ -205,14 +206,23 @@ def with_slack(normals: Tensor, weight: Tensor) -> Tensor:
     return torch.cat((normals, slack[..., None].expand(-1, -1, normals.shape[2])), 1)
 
 
-def start(x: Tensor) -> State:
-    """The unconstrained optimum x (D, N), where no row is active."""
-    variables, batch = x.shape
+def start(desired: Tensor, rows: int, slacks: int = 0) -> State:
+    """The optimum within the bounds alone, where those are active, after so many rows, that desired (3, N) is beyond.
+
+    Their multipliers are what it is beyond them. From x = x_des the steps would lose as many digits as it is large.
+    """
+    batch = desired.shape[1]
+    within = desired.clamp(-1.0, 1.0)
+    inwards = (within - desired).sign()  # the normals of the bounds
+    of_bound = rows + torch.arange(3, device=desired.device)[:, None] + torch.where(inwards < 0.0, 3, 0)
+    more = desired.new_zeros(slacks, batch)
+    x = torch.cat((within, more))
     return State(
         x=x,
-        multiplier=torch.zeros_like(x),
-        row=torch.full_like(x, -1, dtype=torch.int64),
-        inverse=x.new_zeros(variables, variables, batch),
+        multiplier=torch.cat(((within - desired).abs(), more)),
+        row=torch.cat((torch.where(inwards == 0.0, -1, of_bound), more.long() - 1)),
+        inverse=torch.eye(3 + slacks, dtype=x.dtype, device=x.device)[..., None]
+        * torch.cat((inwards, more))[:, None],
         entering=x.new_zeros(batch, dtype=torch.int64),
         pressure=x.new_zeros(batch),
         outcome=x.new_full((batch,), RUNNING, dtype=torch.int64),

@@ -4,6 +4,9 @@ For three controls u in units of their actuators' limits,
 
     minimise |u - u_des|^2 + sum_i w_i delta_i^2   subject to   A_i u + b_i + delta_i >= 0,  -1 <= u <= 1.
 
+u_des may be beyond the limits, as in the paper: what is nearest to it is not always nearest to what is left of it
+within them. What is more than LARGEST_DEMAND times a limit is shortened to that first, see there.
+
 Rows are first held with margins, then without. Where both are infeasible, slack is given by priority: to the rows of
 the lowest weight alone, then to those of the next as well, and so on, until some control satisfies the rest. So the
 rows of a weight are held wherever they and those above can be; rows that have slack share it by their weights.
@@ -26,6 +29,11 @@ Array = TypeVar("Array", Tensor, np.ndarray)
 
 FEASIBLE = 1e-7  # largest row violation of an accepted solution, in units of the actuators' limits
 REDUNDANT = 2.0  # |A_i u| <= sqrt(3) inside the box, so a row with b >= 2 can never bind
+# A longer demand d is shortened to d', in its direction, so that no digits are lost. The projection u' of d' then gives
+# as much along d as any control v that is permitted but for 3 / (4 LARGEST_DEMAND): (d' - u') . (v - u') <= 0, so
+# d . (v - u') / |d| <= u' . (v - u') / |d'| <= |v|^2 / (4 |d'|) with |v|^2 <= 3 and |d'| >= LARGEST_DEMAND.
+LARGEST_DEMAND = 1e3  # in units of the actuators' limits, of an axis
+ENDLESS = 1e30  # N or N m, for infinity, and for all that is beyond
 HOPELESS = -100.0  # keeps the slack of a row that no control can satisfy in a range that solvers resolve
 
 
@@ -33,8 +41,8 @@ class Status(IntEnum):
     """How a control came about, in rising order of trouble."""
 
     UNTOUCHED = 0  # the desired control is within the actuators' limits and satisfies every row
-    HARD = 1  # clipped to the limits or corrected, every row satisfied, at worst without its margin
-    SLACK = 2  # no control satisfies every row: some yielded, by their slack
+    HARD = 1  # projected into the limits or corrected, every row satisfied, at worst without its margin
+    SLACK = 2  # a row is not satisfied, by its slack: they conflict, or a broken limit asks for more than there is
     UNSOLVED = 3  # no solver call succeeded: the least-violating control known, zero if rows are not finite
 
 
@@ -43,7 +51,7 @@ class Problems:
     """N programs of R rows each, float64, on any device.
 
     Attributes:
-        desired: (3, N) within [-1, 1].
+        desired: (3, N), of any size up to LARGEST_DEMAND.
         a: (R, 3, N) rows, of unit length or shorter.
         b: (R, N) with the margins; b_bare: (R, N) without, never smaller. Margins are spent before a limit is.
         weight: (R,) slack weights and priorities, infinite for a row that must hold.

@@ -98,12 +98,13 @@ def record(experiment: Experiment, agent: Agent) -> Sample:
 
 def programs(safety_filter: SafetyFilter, x: Tensor, desired: Tensor) -> list[Problems]:
     """What must be solved at states (16, B) where these controls (6, B) are desired, by actuator group."""
-    control, _ = safety_filter.clip(desired)
+    wish = safety_filter.wish(desired)
+    control, _ = safety_filter.clip(wish, desired)
     found = []
     for group in safety_filter.groups:
         prepared = prepared_now(group, x, control)
         unsafe = torch.nonzero(~(prepared.lowest[0] >= 0.0)).flatten()
-        own = control[group.controls] / group.limit
+        own = wish[group.controls] / group.limit
         found.append(problems(group, prepared, own, group.limit)[unsafe])
     return found
 

@@ -12,9 +12,8 @@ from inspection.chief.tumbling import ATTITUDE
 from inspection.closed_loop import Controller, Hold, is_multiple
 from inspection.environment import InspectionEnv
 from inspection.model.parameters import InspectionParameters
-from inspection.model.state import THETA_S, P
+from inspection.model.state import THETA_S, THRUST, TORQUE, P
 from ppo.network import Policy
-from rta.qp.programs import Status
 from study.config import Config
 from study.errors import InputError
 from study.experiment import (
@@ -74,8 +73,8 @@ class Recording:
         if hold.time == 0.0 or is_multiple(hold.time, self.env.clocks.report):
             self.add(hold.time, hold.state)
         if hold.correction is not None:
-            program_status = in_full(hold.correction).program_status[:, 0]
-            self.rows[-1]["intervened"] |= program_status > Status.UNTOUCHED
+            changed = (in_full(hold.correction).control != hold.desired)[:, 0]
+            self.rows[-1]["intervened"] |= torch.stack([changed[part].any() for part in (THRUST, TORQUE)])
 
     def end(self, **seen: Tensor) -> None:
         """Adds the last row, at the end of the hold; `seen` is what of it the environment no longer knows."""

@@ -2,7 +2,8 @@ typedef double safety_filter_real; /* of all numbers */
 
 struct safety_filter_input {
     safety_filter_real state[16];     /* in the order of enum safety_filter_state */
-    safety_filter_real desired[6];    /* in the order of enum safety_filter_control; any numbers */
+    safety_filter_real desired[6];    /* in the order of enum safety_filter_control; any numbers, also beyond the
+                                         actuators' limits */
     safety_filter_real sent[SAFETY_FILTER_SENT_ROOM][6]; /* controls held since the state was measured, the oldest
                                          first, each for a period; read where SAFETY_FILTER_LATENCY is not 0 */
     int sent_count;                   /* of them, 0 if there are none; of more than SAFETY_FILTER_LATENCY the state is too old: UNSOLVED */
@@ -16,6 +17,7 @@ struct safety_filter_output {
     safety_filter_real control[6];    /* as desired[6], within the actuators' limits, to be held for a period */
     int status;                       /* enum safety_filter_status, the worse of both below */
     int program_status[2];            /* of thrust, of torque */
+    int violated;                     /* 1: a limit is broken already, some h is negative, whatever the status */
     safety_filter_real residual[2];   /* of the optimality conditions of a program whose solution is applied, else 0 */
     safety_filter_real h[SAFETY_FILTER_CONSTRAINTS];     /* values of the constraints: negative is a violation */
     safety_filter_real slack[SAFETY_FILTER_CONSTRAINTS]; /* by how much a condition is not met, a rate; 0 where it is */

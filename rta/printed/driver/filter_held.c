@@ -24,8 +24,8 @@ static int bring_up_to_date(const struct safety_filter_input *in, const double l
     return (in->sent_count > LATENCY) ? 1 : 0;
 }
 
-/* Replaces what the thrusters do not give, and torque that would leave a dead axis on the radius. */
-static void replace_desired(const double x[16], const double left[6], double control[6],
+/* Replaces what the thrusters do not give, and torque that would leave a dead axis on the radius: that is projected. */
+static void replace_desired(const double x[16], const double left[6], double wish[6], double control[6],
                             struct safety_filter_output *out)
 {
     double asked[6];
@@ -43,7 +43,9 @@ static void replace_desired(const double x[16], const double left[6], double con
 #endif
     for (int j = 0; j < 6; ++j) {
         if (!((control[j] <= asked[j]) && (control[j] >= asked[j]))) {
+            const int first = 3 * (j / 3);
             out->program_status[j / 3] = HARD;
+            copy(&wish[first], &control[first], 3);
         }
     }
 }
@@ -102,7 +104,7 @@ static void report(int group, const struct rows *rows, struct safety_filter_outp
 }
 
 /* Searches for another control, from rows at one near the desired one. */
-static void correct(struct situation *where, const struct rows *rows, double control[6],
+static void correct(struct situation *where, const struct rows *rows, const double wish[6], double control[6],
                     struct safety_filter_output *out)
 {
     struct scaled tangents;
@@ -110,9 +112,10 @@ static void correct(struct situation *where, const struct rows *rows, double con
     const int first = 3 * where->group;
     copy(where->control, control, 6);
     for (int j = 0; j < 3; ++j) {
-        where->desired[j] = control[first + j] / LIMIT[where->group];
+        where->desired[j] = wish[first + j] / LIMIT[where->group];
         where->limit[j] = LIMIT[where->group] * where->left[first + j];
     }
+    where->size = fmax(1.0, fmax(fabs(where->desired[0]), fmax(fabs(where->desired[1]), fabs(where->desired[2]))));
     scale(where->group, rows, where->limit, &tangents);
     search(where, &tangents, &best);
 #if COARSE
@@ -123,7 +126,8 @@ static void correct(struct situation *where, const struct rows *rows, double con
     apply(where->group, &best.found, control, out);
 }
 
-static void filter_group(struct situation *where, double control[6], struct safety_filter_output *out)
+static void filter_group(struct situation *where, const double wish[6], double control[6],
+                         struct safety_filter_output *out)
 {
     struct rows rows;
     double near_by[6];
@@ -131,23 +135,24 @@ static void filter_group(struct situation *where, double control[6], struct safe
     rows_of(where->group, where->x, near_by, where->error_bound, where->left, &rows);
     report(where->group, &rows, out);
     if ((is_other != 0) || !(rows.lowest[0] >= 0.0)) { /* NaN must not pass */
-        correct(where, &rows, control, out);
+        correct(where, &rows, wish, control, out);
     }
 }
 
 void safety_filter(const struct safety_filter_input *in, struct safety_filter_output *out)
 {
     struct situation where = {.group = TORQUE};
+    double wish[6];
     double control[6];
-    begin(in, where.x, control, out);
+    begin(in, where.x, wish, control, out);
     for (int j = 0; j < 6; ++j) {
         where.left[j] = (HEALTH != 0) ? in->left[j] : 1.0;
     }
     const int is_stale = bring_up_to_date(in, where.left, where.x, where.error_bound);
-    replace_desired(where.x, where.left, control, out);
+    replace_desired(where.x, where.left, wish, control, out);
     for (int group = TORQUE; group >= THRUST; --group) {
         where.group = group;
-        filter_group(&where, control, out);
+        filter_group(&where, wish, control, out);
     }
     if (is_stale != 0) {
         out->program_status[THRUST] = UNSOLVED;

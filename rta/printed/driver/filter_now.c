@@ -9,7 +9,8 @@ static void rows_of(int group, const double x[16], const double control[6], stru
     }
 }
 
-static void correct(int group, const struct rows *rows, double control[6], struct safety_filter_output *out)
+static void correct(int group, const struct rows *rows, const double wish[6], double control[6],
+                    struct safety_filter_output *out)
 {
     static const double nothing[GROUP_ROWS_MAX] = {0.0};
     const double limit[3] = {LIMIT[group], LIMIT[group], LIMIT[group]};
@@ -19,7 +20,7 @@ static void correct(int group, const struct rows *rows, double control[6], struc
     struct answer answer;
     struct found found;
     for (int j = 0; j < 3; ++j) {
-        desired[j] = control[(3 * group) + j] / LIMIT[group];
+        desired[j] = wish[(3 * group) + j] / LIMIT[group];
     }
     scale(group, rows, limit, &scaled);
     begin_program(&program, desired);
@@ -35,16 +36,17 @@ static void correct(int group, const struct rows *rows, double control[6], struc
 void safety_filter(const struct safety_filter_input *in, struct safety_filter_output *out)
 {
     double x[16];
+    double wish[6];
     double control[6];
     struct rows rows;
-    begin(in, x, control, out);
+    begin(in, x, wish, control, out);
     for (int group = THRUST; group <= TORQUE; ++group) {
         rows_of(group, x, control, &rows);
         for (int k = 0; k < CONSTRAINTS_OF[group]; ++k) {
             out->h[PLACE[group][k]] = rows.h[k];
         }
         if (!(rows.lowest[0] >= 0.0)) { /* NaN must not pass */
-            correct(group, &rows, control, out);
+            correct(group, &rows, wish, control, out);
         }
     }
     end(control, out);

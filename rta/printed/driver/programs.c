@@ -99,9 +99,24 @@ static void apply(int group, const struct found *found, double control[6], struc
     }
 }
 
-/* The state, NaN where it is infinite: infinitely safe is no state either. The desired control, clipped to the limits.
- * A result that says of every constraint that there is nothing to say. */
-static void begin(const struct safety_filter_input *in, double x[16], double control[6],
+/* What is projected of a group's desired control: any size up to LARGEST_DEMAND limits, zero where a number is none. */
+static void wish_of(int group, const double desired[3], double wish[3])
+{
+    double most = LARGEST_DEMAND; /* in units of the actuators' limits */
+    int is_none = 0;
+    for (int j = 0; j < 3; ++j) {
+        wish[j] = clip(desired[j], -ENDLESS, ENDLESS);
+        is_none = (isnan(desired[j]) != 0) ? 1 : is_none;
+        most = fmax(most, fabs(wish[j]) / LIMIT[group]);
+    }
+    for (int j = 0; j < 3; ++j) {
+        wish[j] = (is_none != 0) ? 0.0 : (wish[j] * (LARGEST_DEMAND / most));
+    }
+}
+
+/* The state, NaN where it is infinite: infinitely safe is no state either. What is projected of the desired control,
+ * and that clipped to the limits. A result that says of every constraint that there is nothing to say. */
+static void begin(const struct safety_filter_input *in, double x[16], double wish[6], double control[6],
                   struct safety_filter_output *out)
 {
     for (int i = 0; i < 16; ++i) {
@@ -117,8 +132,9 @@ static void begin(const struct safety_filter_input *in, double x[16], double con
     for (int group = THRUST; group <= TORQUE; ++group) {
         out->program_status[group] = UNTOUCHED;
         out->residual[group] = 0.0;
+        wish_of(group, &in->desired[3 * group], &wish[3 * group]);
         for (int j = 3 * group; j < (3 * (group + 1)); ++j) {
-            control[j] = clip(in->desired[j], -LIMIT[group], LIMIT[group]);
+            control[j] = clip(wish[j], -LIMIT[group], LIMIT[group]);
             if (!((in->desired[j] >= -LIMIT[group]) && (in->desired[j] <= LIMIT[group]))) {
                 out->program_status[group] = HARD;
             }
@@ -132,4 +148,8 @@ static void end(const double control[6], struct safety_filter_output *out)
     const int torque = out->program_status[TORQUE];
     copy(out->control, control, 6);
     out->status = (thrust > torque) ? thrust : torque;
+    out->violated = 0;
+    for (int k = 0; k < CONSTRAINTS; ++k) {
+        out->violated = (out->h[k] < 0.0) ? 1 : out->violated;
+    }
 }

@@ -14,7 +14,8 @@ struct situation {
     double control[6];
     double error_bound[4];  /* by how far the state is off beyond its measurement: m, m/s, rad, rad/s */
     double left[6];
-    double desired[3]; /* the group's control in units of its actuators' limits */
+    double desired[3]; /* the group's control in units of its actuators' limits, beyond these, too */
+    double size;       /* its largest number, at least 1, by which distances are measured */
     double limit[3];   /* N or N m, what is there of its actuators */
 };
 
@@ -101,7 +102,7 @@ static void take(const struct situation *where, const struct answer *answer, str
         least = smaller(least, within[i]);
     }
     for (int j = 0; j < 3; ++j) {
-        const double off = answer->control[j] - where->desired[j];
+        const double off = (answer->control[j] - where->desired[j]) / where->size;
         distance += off * off;
     }
     tried->holds = (least >= -TOLERATED) ? 1 : 0;

@@ -5,7 +5,7 @@
  *
  *     minimise |u - u_des|^2 + sum_i w_i d_i^2   subject to   a_i u + b_i + d_i >= 0,  -1 <= u <= 1.
  *
- * From u = u_des, with no row active, rows become active one by one, the most violated first, at the cost of active
+ * From u_des clipped to the limits, where those it is beyond are active, rows become active one by one, the most violated first, at the cost of active
  * ones whose multiplier falls to zero, until no row is violated or the active rows exclude the next one. The limits of
  * the actuators are rows, too. In u and sqrt(w_i) d_i the program is a projection. Of the latter only those of active
  * rows are not zero (d_i = multiplier_i / w_i), so they are numbered by the places of active rows.
@@ -307,6 +307,35 @@ static double kkt_residual(const struct stage *s, const double u[3], const doubl
     return most;
 }
 
+/* The optimum within the actuators' limits alone: those that the desired control is beyond are active, and their
+ * multipliers are what it is beyond them. From u_des itself the steps would lose as many digits as it is large. */
+static void begin_solution(const struct program *p, struct solution *x)
+{
+    x->count = 0;
+    x->pressure = 0.0;
+    for (int i = 0; i < p->rows; ++i) {
+        x->multiplier[i] = 0.0;
+    }
+    for (int j = 0; j < 3; ++j) {
+        x->u[j] = clip(p->desired[j], -1.0, 1.0);
+        const double beyond = p->desired[j] - x->u[j];
+        if (fabs(beyond) > 0.0) {
+            double *inverse = x->inverse[x->count];
+            int bound = j;
+            if (beyond > 0.0) {
+                bound = 3 + j;
+            }
+            for (int i = 0; i < BOUNDS; ++i) {
+                inverse[i] = 0.0;
+            }
+            inverse[j] = p->a[bound][j];
+            x->row[x->count] = bound;
+            x->multiplier[bound] = fabs(beyond);
+            x->count += 1;
+        }
+    }
+}
+
 /* Rows of up to a weight have slack: none where that is zero. Returns the residual; INFINITY: no control was found.
  * What takes more steps or more active rows than there is room for keeps the control so far, and its residual. */
 static double solve_stage(const struct program *p, const double *side, double highest, double u[3])
@@ -314,12 +343,9 @@ static double solve_stage(const struct program *p, const double *side, double hi
     struct stage s = {.program = p, .side = side};
     struct solution x;
     int outcome = RUNNING;
-    x.count = 0;
-    x.pressure = 0.0;
-    copy(x.u, p->desired, 3);
+    begin_solution(p, &x);
     for (int i = 0; i < p->rows; ++i) {
         s.relief[i] = (p->weight[i] <= highest) ? (1.0 / (p->copies[i] * p->weight[i])) : 0.0;
-        x.multiplier[i] = 0.0;
     }
     for (int i = 0; (i < STEPS_MAX) && (outcome == RUNNING); ++i) {
         outcome = step(&s, &x);
@@ -377,7 +403,9 @@ static void solve(const struct program *p, struct answer *answer)
     int count = 2;
     double highest = 0.0;
     const int finite = is_finite(p);
-    copy(known[0], p->desired, 3);
+    for (int j = 0; j < 3; ++j) {
+        known[0][j] = clip(p->desired[j], -1.0, 1.0);
+    }
     copy(answer->control, known[1], 3);
     answer->status = UNSOLVED;
     answer->residual = INFINITY;

@@ -46,6 +46,9 @@ int main(void)
         struct safety_filter_output out;
         safety_filter(&given[n], &out);
         int same = (out.status == expected_status[n]) ? 1 : 0;
+        if ((out.status != SAFETY_FILTER_UNSOLVED) && (out.violated != expected_violated[n])) {
+            same = 0;
+        }
         for (int k = 0; (k < SAFETY_FILTER_CONSTRAINTS) && (out.status != SAFETY_FILTER_UNSOLVED); ++k) {
             same = ((same != 0) && (out.active[k] == expected_active[n][k])) ? 1 : 0;
         }

@@ -9,4 +9,4 @@ long filter_batch(long first, long last, const void *const *in, const long *in_s
 /* Of what comes out: numbers; the status, then of thrust and torque; whether another control than the desired one is
  * applied, then whether each constraint is active. */
 enum { NUMBERS = 0, STATUSES = 1, TRUTHS = 2 };
-enum { AS_DESIRED = 0, NO_SOLUTION = 3 }; /* of a status */
+enum { NO_SOLUTION = 3 }; /* of a status */

@@ -6,13 +6,23 @@ static void load_block(const void *in, long step, long column, long lanes, int c
     }
 }
 
+/* Whether another control than the desired one is applied; a number that is none is another, too. */
+static M differ(const V desired[6], const V control[6])
+{
+    M other = NO;
+    for (int j = 0; j < 6; ++j) {
+        other |= ~(control[j] == desired[j]);
+    }
+    return other;
+}
+
 /* Of W columns: the worse status, both, whether another control is applied, and which constraints are active. */
-static void store_statuses(const V program_status[2], const M active[CONSTRAINTS], void *const *out,
+static void store_statuses(const V program_status[2], M intervened, const M active[CONSTRAINTS], void *const *out,
                            const long *out_step, long column, long lanes)
 {
     const V status = MAX(program_status[0], program_status[1]);
     store_long(out[STATUSES], column, lanes, status);
-    store_bool(out[TRUTHS], column, lanes, status > 0.0);
+    store_bool(out[TRUTHS], column, lanes, intervened);
     for (int group = 0; group < 2; ++group) {
         store_long(out[STATUSES], (1 + group) * out_step[STATUSES] + column, lanes, program_status[group]);
     }

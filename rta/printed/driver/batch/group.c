@@ -1,5 +1,6 @@
 /* One group's controls of W spacecraft: rows at controls near the desired ones, an attempt, rows at its answer. */
-static void group_correct(const V x[16], const V error_bound[4], const V left[6], V control[6], struct block *block)
+static void group_correct(const V x[16], const V error_bound[4], const V left[6], const V wish[6], V control[6],
+                          struct block *block)
 {
     V nearby[6];
     V answer[6];
@@ -26,7 +27,8 @@ static void group_correct(const V x[16], const V error_bound[4], const V left[6]
     group_near(x, control, nearby);
     group_rows(x, nearby, error_bound, left, psi, a, b, b_bare, h, tightening, length, lowest);
     group_report(psi, a, b, b_bare, h, tightening, length, lowest, value, uncertainty, tightened);
-    group_attempt(psi, a, b, b_bare, h, tightening, length, lowest, control, nearby, left, answer, safe, solved);
+    group_attempt(psi, a, b, b_bare, h, tightening, length, lowest, wish, control, nearby, left, answer, safe,
+                  solved);
     if (any(~safe[0])) {
         group_rows(x, answer, error_bound, left, psi, a, b, b_bare, h, tightening, length, lowest);
         group_judge(psi, a, b, b_bare, h, tightening, length, lowest, answer, left, held, active, slack);

@@ -29,6 +29,7 @@ long filter_batch(long first, long last, const void *const *in, const long *in_s
         V x[16];
         V desired[6];
         V left[6];
+        V wish[6];
         V error_bound[4] = {{0}};
         struct block block;
         load_block(in[0], in_step[0], column, lanes, 16, x);
@@ -37,14 +38,14 @@ long filter_batch(long first, long last, const void *const *in, const long *in_s
         for (int i = 0; i < 16; ++i) {
             x[i] = SELECT(FABS(x[i]) == INFINITY, ALL(NAN), x[i]); /* infinitely safe is no state either */
         }
-        begin(desired, left, block.numbers, block.program_status, block.open);
+        begin(desired, left, wish, block.numbers, block.program_status, block.open);
         bring_up_to_date(in[2], in_step[2], column, lanes, left, x, error_bound);
-        torque_correct(x, error_bound, left, block.numbers, &block);
-        thrust_correct(x, error_bound, left, block.numbers, &block);
+        torque_correct(x, error_bound, left, wish, block.numbers, &block);
+        thrust_correct(x, error_bound, left, wish, block.numbers, &block);
         for (int k = 0; k < 6 + 4 * CONSTRAINTS; ++k) {
             store_double(out[NUMBERS], k * out_step[NUMBERS] + column, lanes, block.numbers[k]);
         }
-        store_statuses(block.program_status, block.active, out, out_step, column, lanes);
+        store_statuses(block.program_status, differ(desired, block.numbers), block.active, out, out_step, column, lanes);
         for (int lane = 0; lane < W && lane < lanes; ++lane) {
             if (block.open[0][lane]) {
                 unsolved += filter_one(column + lane, in, in_step, out, out_step);

@@ -1,10 +1,13 @@
-static void give(const struct safety_filter_output *found, long column, void *const *out, const long *out_step)
+static void give(const struct safety_filter_input *given, const struct safety_filter_output *found, long column,
+                 void *const *out, const long *out_step)
 {
     double *numbers = (double *)out[NUMBERS] + column;
     long *status = (long *)out[STATUSES] + column;
     unsigned char *truths = (unsigned char *)out[TRUTHS] + column;
+    truths[0] = 0; /* another control than the desired one is applied */
     for (int j = 0; j < 6; ++j) {
         numbers[j * out_step[NUMBERS]] = found->control[j];
+        truths[0] |= (unsigned char)!(found->control[j] == given->desired[j]);
     }
     for (int k = 0; k < SAFETY_FILTER_CONSTRAINTS; ++k) {
         numbers[(6 + k) * out_step[NUMBERS]] = found->slack[k];
@@ -16,7 +19,6 @@ static void give(const struct safety_filter_output *found, long column, void *co
 #endif
     }
     status[0] = found->status;
-    truths[0] = (unsigned char)(found->status > AS_DESIRED);
     for (int group = 0; group < 2; ++group) {
         status[(1 + group) * out_step[STATUSES]] = found->program_status[group];
     }
@@ -48,6 +50,6 @@ long filter_one(long column, const void *const *in, const long *in_step, void *c
     }
 #endif
     safety_filter(&given, &found);
-    give(&found, column, out, out_step);
+    give(&given, &found, column, out, out_step);
     return found.status == NO_SOLUTION;
 }
