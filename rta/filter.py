@@ -20,7 +20,16 @@ from rta.bounds.health import slewing
 from rta.bounds.uncertainty import NOTHING, Uncertainty
 from rta.conditions.held_rows import KINDS, HeldGroup, predicted
 from rta.conditions.rows import ActuatorGroup, Rows
-from rta.conditions.tangents import Prepared, Settling, answered, prepared_now, problems, scaled
+from rta.conditions.tangents import (
+    Prepared,
+    Settling,
+    answered,
+    prepared_now,
+    problems,
+    scaled,
+    shortfall,
+    with_shortfall,
+)
 from rta.constraints import vehicle
 from rta.constraints.constraint import ACTUATORS, Constraint, in_order, joined
 from rta.constraints.thrust import keep_in_zone, thrust_constraints
@@ -48,8 +57,9 @@ class FilterResult:
         intervened: (B,) bool, another control than the desired one is applied.
         active: (constraints, B) bool, a row of the constraint binds a corrected control.
         slack: (constraints, B) shortfall of the barrier condition without margin, in h's unit per s (per s^2 where
-            the relative degree is two); zero unless a program needed slack.
-        status: (B,) int64, the worse `Status` of the thrust and the torque program.
+            the relative degree is two); zero unless a program needed slack, or a broken limit asks for more than the
+            actuators give.
+        status: (B,) int64, the worse `Status` of the thrust and the torque program; SLACK, at least, where slack is.
         program_status: (2, B) int64, both of them.
         h: (constraints, B) values without margin, exact; that of passive safety by the times of its rows. Where a
             state is predicted, of the state of now.
@@ -387,6 +397,8 @@ class SafetyFilter:
                 parts = self._solved(group, prepared, wish[group.controls], unsafe)
                 for whole, part in zip(wholes, parts, strict=True):
                     put(whole, unsafe, part)
+            slack[i] = slack[i].maximum(shortfall(group, prepared, control[group.controls]))
+            program_status[i] = with_shortfall(program_status[i], slack[i])
         status = program_status.amax(0)
         h = joined(*(prepared.h for prepared in both))
         nothing = torch.zeros_like(h)
@@ -453,7 +465,8 @@ class SafetyFilter:
             group, run = self.held_groups[i], self._prepare_held[i]
             near = group.near(x, control)
             prepared = Prepared(*run(x, near, error_bound, left))
-            active, slack = torch.zeros_like(prepared.h, dtype=torch.bool), torch.zeros_like(prepared.h)
+            active = torch.zeros_like(prepared.h, dtype=torch.bool)
+            slack = shortfall(group, prepared, (left * control)[group.controls])
             unsafe = torch.nonzero(~(prepared.lowest[0] >= 0.0) | (near != control).any(0)).flatten()
             if unsafe.numel():
                 given = [pick(part, unsafe) for part in (x, control, error_bound, left)]
@@ -463,6 +476,7 @@ class SafetyFilter:
                 wholes = control[group.controls], program_status[i], active, slack
                 for whole, part in zip(wholes, answer, strict=True):
                     put(whole, unsafe, part)
+            program_status[i] = with_shortfall(program_status[i], slack)
             tightening = group.by_constraint(prepared.tightening, partial(torch.amax, dim=0))
             parts[i] = [active, slack, prepared.h, tightening]
         program_status = torch.where(stale, Status.UNSOLVED, program_status)

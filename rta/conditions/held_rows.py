@@ -48,7 +48,7 @@ from rta.parameters import RtaParameters
 from rta.qp.programs import total
 
 LONG = 3.0  # s, above which the middle of a hold has rows, too
-LEFT = 0.99  # share of what the actuators can give that a row beyond its limit asks for
+LEFT = 0.99  # `share`: a little less than there is, so that tangents that ask for more have it
 KINDS = 4  # of what is measured: position, velocity, attitude, rates
 
 
@@ -66,6 +66,7 @@ class HeldGroup(ActuatorGroup):
         hold = known.hold(r)
         self.moments = (0.5 * hold, hold) if hold > LONG else (hold,)  # s, at which rows are
         super().__init__(held_by, constraints, c, r, known)
+        self.share = LEFT
         self.is_coarse = held_by == "thrust" and known.is_coarse
         self.model = unsaturated(c)  # the filter holds the rates
         least, self.most = known.thrust if held_by == "thrust" else known.torque
@@ -175,6 +176,7 @@ class HeldGroup(ActuatorGroup):
             by_row(tangent),
             by_row(b),
             by_row(b_bare),
+            torch.zeros_like(by_row(b_bare)),
             h,
             by_row(tightening_now + gain * blur),
         )
@@ -292,12 +294,6 @@ class HeldGroup(ActuatorGroup):
             off = off + self.measured[kind] * (one.abs() + two.abs() + three.abs())
             off = off + error_bound[kind] * (one * one + two * two + three * three).sqrt()
         return off
-
-    def attainable(self, rows: Rows, limit: Tensor) -> Rows:
-        """A little less than the actuators can give, so that tangents that ask for more have it."""
-        rows, beyond = super().attainable(rows, limit), self.beyond(rows)
-        b, b_bare = (torch.where(beyond & (side < 0.0), LEFT * side, side) for side in (rows.b, rows.b_bare))
-        return replace(rows, b=b, b_bare=b_bare)
 
     def beyond(self, rows: Rows) -> Tensor:
         """(R, B) bool: the constraint is violated or its barrier may be."""

@@ -25,6 +25,7 @@ class Rows:
     Attributes:
         psi: (R, B) Psi_1 where the relative degree is two, else the barrier, less what a measurement may be wrong by.
         a: (R, 3, B); b: (R, B) with margins; b_bare: (R, B) without. Both are less what Psi can lose in a period.
+        waived: (R, B) by how much b_bare asks for less than the condition does, see `ActuatorGroup.attainable`.
         h: (constraints, B) values without margin, exact; where the smallest row is h, at the moments of the rows.
         tightening: (R, B) by how much b is less for what the filter does not know; (0, B) where it knows all.
     """
@@ -33,6 +34,7 @@ class Rows:
     a: Tensor
     b: Tensor
     b_bare: Tensor
+    waived: Tensor
     h: Tensor
     tightening: Tensor
 
@@ -47,6 +49,7 @@ class ActuatorGroup:
     Attributes:
         held_by; controls: its place in a control; limit: of each of its actuators in N or N m.
         names: of its constraints; of_row: the constraint of each row; weights: the slack weight of each row.
+        share: of what the actuators can give, which a row beyond its limit asks for at most.
 
     Raises:
         ValueError: a constraint of your own is not as it must be, see `check`, one of its derivatives is not finite, or
@@ -62,7 +65,7 @@ class ActuatorGroup:
         known: Uncertainty = NOTHING,
     ) -> None:
         self.c, self.r, self.known = c, r, known
-        self.held_by = held_by
+        self.held_by, self.share = held_by, 1.0
         self.controls = ACTUATORS[held_by]
         self.limit = c.control_limit[self.controls.start]
         own = [each for each in constraints if each.held_by == held_by]
@@ -158,7 +161,7 @@ class ActuatorGroup:
         gain, margin, inside = self.alpha(psi, rows)
         h = self.reported(x, constraints, psi)
         b, b_bare = lf + gain * (psi - margin) - loss, lf + gain * (psi + inside) - loss
-        return Rows(psi, a, b, b_bare, h, tightening=psi[:0])
+        return Rows(psi, a, b, b_bare, torch.zeros_like(b), h, tightening=psi[:0])
 
     def alpha(self, psi: Tensor, rows: Sequence[Constraint]) -> tuple[Tensor, Tensor, Tensor]:
         """Of rows (R, B): the gain of alpha(psi) = gain psi, what margin takes off psi, and what it took off before.
@@ -196,16 +199,18 @@ class ActuatorGroup:
 
         A row without slack may ask for all of the latter: 1 N may be too late to stay clear of the chief.
 
+        What a row no longer asks for is `waived`, and counts as slack where the control does not give it.
+
         Args:
             limit: (3, B) of the actuators, what is there of it, in N or N m.
         """
         everything = total(rows.a.abs() * self.room(rows, limit), 1)
         along = (limit.amax(0) * total(rows.a * rows.a, 1).sqrt()).minimum(everything)
         hard = rows.a.new_tensor(self.weights).isinf()[:, None]
-        least = -torch.where(hard, everything, along)
+        least = -self.share * torch.where(hard, everything, along)
         beyond = self.beyond(rows)
         b, b_bare = (torch.where(beyond, side.maximum(least), side) for side in (rows.b, rows.b_bare))
-        return replace(rows, b=b, b_bare=b_bare)
+        return replace(rows, b=b, b_bare=b_bare, waived=b_bare - rows.b_bare)
 
     def room(self, rows: Rows, limit: Tensor) -> Tensor:
         """How much of each actuator can raise each row within the rows that are bounds: (R, 3, B) in N or N m.

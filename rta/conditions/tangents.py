@@ -31,7 +31,7 @@ class Prepared(NamedTuple):
     """What is computed for every spacecraft, corrected or not, for one actuator group.
 
     Attributes:
-        psi, a, b, b_bare, h, tightening: the fields of `Rows`.
+        psi, a, b, b_bare, waived, h, tightening: the fields of `Rows`.
         length: (R, B) of the rows per actuator limit.
         lowest: (1, B) left-hand side of the scaled rows under the desired control; negative or NaN where it must
             be corrected.
@@ -41,6 +41,7 @@ class Prepared(NamedTuple):
     a: Tensor
     b: Tensor
     b_bare: Tensor
+    waived: Tensor
     h: Tensor
     tightening: Tensor
     length: Tensor
@@ -53,7 +54,15 @@ def scaled(rows: Rows, control: Tensor, limit: Tensor | float) -> Prepared:
     length = total(a * a, 1).sqrt().clamp(min=SHORTEST_ROW)  # thirty times as fast as Tensor.norm
     left = (total(a * control, 1) + rows.b) / length
     return Prepared(
-        rows.psi, rows.a, rows.b, rows.b_bare, rows.h, rows.tightening, length, lowest=smallest(left)[None]
+        rows.psi,
+        rows.a,
+        rows.b,
+        rows.b_bare,
+        rows.waived,
+        rows.h,
+        rows.tightening,
+        length,
+        lowest=smallest(left)[None],
     )
 
 
@@ -89,6 +98,18 @@ def answered(
         group.by_constraint(binding, partial(torch.any, dim=0)),
         group.by_constraint(short, partial(torch.amax, dim=0)),
     )
+
+
+def shortfall(group: ActuatorGroup, prepared: Prepared, control: Tensor) -> Tensor:
+    """By constraint, (constraints, B): what controls (3, B) in N or N m do not give of what rows waived, at least 0."""
+    left = total(prepared.a * control, 1) + prepared.b_bare - prepared.waived
+    short = (prepared.waived > 0.0) & (left < -FEASIBLE * prepared.length)
+    return group.by_constraint(torch.where(short, -left, 0.0), partial(torch.amax, dim=0))
+
+
+def with_shortfall(status: Tensor, slack: Tensor) -> Tensor:
+    """Statuses (B,): SLACK, at least, where slack (constraints, B) says that a row is not satisfied."""
+    return torch.where((slack > 0.0).any(0), status.clamp(min=Status.SLACK), status)
 
 
 class Settling:
@@ -154,12 +175,12 @@ class Settling:
             self.settle_for_what_is_given()
         return [self.control * self.group.limit, self.status, self.active, self.slack]
 
-    def at(self, columns: Tensor, u: Tensor) -> tuple[Problems, Tensor]:
-        """The rows' tangents at controls u (3, m) of these columns, and the rows' lengths (R, m)."""
+    def at(self, columns: Tensor, u: Tensor) -> tuple[Problems, Prepared]:
+        """The rows' tangents at controls u (3, m) of these columns, and the rows as prepared."""
         x, control, error_bound, left = (pick(part, columns) for part in self.given)
         control[self.group.controls] = u * self.group.limit
         there = Prepared(*self.run(x, control, error_bound, left))
-        return problems(self.group, there, u, pick(self.limit, columns)), there.length
+        return problems(self.group, there, u, pick(self.limit, columns)), there
 
     def take(self, columns: Tensor, u: Tensor, solved: Tensor) -> tuple[Problems, Tensor, Tensor, Tensor]:
         """Takes controls (3, m) where they are better: the nearest of those that hold the rows, else the least short.
@@ -167,7 +188,7 @@ class Settling:
         Returns:
             The tangents there; how far u is within the rows, (R, m); (m,) bool, it holds them; it is clearly better.
         """
-        tangents, length = self.at(columns, u)
+        tangents, there = self.at(columns, u)
         within = total(tangents.a * u, 1) + tangents.b_bare
         away = (u - pick(self.desired, columns)) / self.size[columns]
         least, distance = within.amin(0), (away**2).sum(0)
@@ -176,7 +197,8 @@ class Settling:
         score = torch.where(held, FARTHEST - distance, -self.shortage(within)).nan_to_num(-torch.inf)
         before = self.score[columns]
         better = torch.nonzero(before.isinf() | (solved & (score > before))).flatten()
-        active, slack = answered(self.group, tangents, length, u, status)
+        active, slack = answered(self.group, tangents, there.length, u, status)
+        slack = slack.maximum(shortfall(self.group, there, u * pick(self.limit, columns)))
         for whole, part in (
             (self.control, u),
             (self.status, status),
@@ -186,7 +208,7 @@ class Settling:
         ):
             put(whole, columns[better], pick(part, better))
         clearly = score - before > TOLERATED * before.abs().clamp(min=1.0)
-        return tangents, within * length, held, clearly | before.isinf()
+        return tangents, within * there.length, held, clearly | before.isinf()
 
     def shortage(self, within: Tensor) -> Tensor:
         """(m,) what controls lack where rows (R, m) are within so much, each class far more than those below it."""
@@ -215,8 +237,8 @@ class Settling:
     def go_back(self, columns: Tensor, u: Tensor, within: Tensor) -> None:
         """Where no control of the group's own holds the rows, takes as much of controls u (3, m) as does, too."""
         still = torch.zeros_like(u)
-        tangents, length = self.at(columns, still)
-        at_rest = tangents.b_bare * length
+        tangents, there = self.at(columns, still)
+        at_rest = tangents.b_bare * there.length
         share = torch.where(within < 0.0, at_rest / (at_rest - within), 1.0).amin(0)
         possible = at_rest.amin(0) >= 0.0
         self.take(columns, torch.where(possible, share * u, u), torch.ones_like(possible))

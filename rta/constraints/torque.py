@@ -2,21 +2,27 @@
 
 As in `rta.constraints.thrust`, each is a function of constants and parameters to its entry. The first three are of
 relative degree two. Reported values are exact; in what is enforced, slopes that would be infinite are continued as
-constants.
+constants, and the slope of a broken limit does not vanish at the pole where it is worst (`Side`).
 """
 
 import math
+from collections.abc import Sequence
 from functools import partial
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
+from inspection.model.attitude import norm
 from inspection.model.dynamics import cosine_to, energy_rate, sun_and_earth_in_body, temperature_rate
-from inspection.model.parameters import Limits
+from inspection.model.parameters import AXES, Limits
 from inspection.model.state import OMEGA, E, T
 from rta.bounds.uncertainty import NOTHING, Uncertainty
 from rta.constraints.constraint import Constraint
+from rta.lie_derivatives import Function
 from rta.parameters import RtaParameters
+
+ON_POLE = 1e-9  # rad, from a pole where no side is nearer
 
 Entry = partial(Constraint, held_by="torque", coupled=False)  # which no other actuator changes
 
@@ -40,6 +46,46 @@ def arccos(cosine: Tensor, pole: float = 0.0) -> Tensor:
     return inside.arccos() - (cosine - inside) / math.sin(pole)
 
 
+class Side(NamedTuple):
+    """To which side a direction in the body frame is to leave a pole, where a broken limit is worst.
+
+    The angle to the pole has no slope at the pole, and hardly one near it as a function of the cosine: no torque seems
+    to help. Along a fixed direction e across the pole, arcsin(r . e) has the slope 1; it is the angle of r where r is
+    on the side of e, and less elsewhere. So e is the side on which r is, at the pole itself the next body axis.
+
+    Attributes:
+        near: (B,) bool, the limit is broken, and the direction within the least angle to the pole.
+        across: (3, B) e, a unit vector in the body frame.
+        far: the pole is the axis' other end.
+    """
+
+    near: Tensor
+    across: Tensor
+    far: bool
+
+
+def side(axis: str, body: Tensor, broken: Tensor, pole: float, far: bool = False) -> Side:
+    """Of directions (3, B) near a body axis or, `far`, its other end, where the limit (B,) is broken."""
+    index, _ = AXES[axis]
+    one = torch.eye(3, dtype=body.dtype, device=body.device)[..., None]
+    across = (1.0 - one[index]) * body
+    length = norm(across)
+    unit = torch.where(length > ON_POLE, across / length.clamp(min=ON_POLE), one[(index + 1) % 3])
+    cosine = cosine_to(axis, body)
+    return Side(broken & ((-cosine if far else cosine) > math.cos(pole)), unit, far)
+
+
+def angle_to(axis: str, body: Tensor, pole: float = 0.0, leaving: Side | None = None) -> Tensor:
+    """The angle of directions (3, ...) to a body axis in rad: `arccos`, or along the side to which it is left."""
+    angle = arccos(cosine_to(axis, body), pole)
+    if leaving is None:
+        return angle
+    x, y, z = leaving.across  # of states; body may have an axis of directions before theirs
+    along = x * body[0] + y * body[1] + z * body[2]
+    aside = math.pi / 2 - along.clamp(-0.5, 0.5).arccos()  # arcsin
+    return torch.where(leaving.near, math.pi - aside if leaving.far else aside, angle)
+
+
 def positive_part(angle: Tensor, width: float = 0.0) -> Tensor:
     """max(angle, 0), within w = `width` of zero the parabola (angle + w)^2 / (4 w), which continues its slopes."""
     if width == 0.0:
@@ -51,9 +97,14 @@ def positive_part(angle: Tensor, width: float = 0.0) -> Tensor:
 def attitude_exclusion(c: Limits, r: RtaParameters) -> Constraint:
     """theta_EZ - alpha_FOV / 2 - beta in rad: the camera's boresight +n_x and the Sun."""
 
-    def h(x: Tensor, pole: float = 0.0) -> Tensor:
+    def h(x: Tensor, pole: float = 0.0, leaving: Side | None = None) -> Tensor:
         sun, _ = sun_and_earth_in_body(x)
-        return arccos(sun[0], pole) - c.field_of_view / 2 - c.exclusion_buffer
+        return angle_to("+x", sun, pole, leaving) - c.field_of_view / 2 - c.exclusion_buffer
+
+    def barrier(x: Tensor) -> Function:
+        sun, _ = sun_and_earth_in_body(x)
+        leaving = side("+x", sun, h(x) < 0.0, r.pole_angle)
+        return lambda y: h(y, r.pole_angle, leaving)[None]
 
     return Entry(
         "attitude_exclusion",
@@ -61,7 +112,7 @@ def attitude_exclusion(c: Limits, r: RtaParameters) -> Constraint:
         gains=r.exclusion_gains,
         margin=r.exclusion_margin,
         weight=r.slack_weight_critical,
-        barrier=lambda x: lambda y: h(y, r.pole_angle)[None],
+        barrier=barrier,
         recovery=0.5 * c.max_rate,  # of a turn at full rate
     )
 
@@ -72,10 +123,18 @@ def temperature(c: Limits, r: RtaParameters) -> Constraint:
     Incidence angles are defined on [0, pi/2], hence the positive parts.
     """
 
-    def h(x: Tensor, pole: float = 0.0, width: float = 0.0) -> Tensor:
-        directions = torch.stack([cosine_to(c.thermal_axis, body) for body in sun_and_earth_in_body(x)])
-        sun, earth = positive_part(math.pi / 2 - arccos(directions, pole), width)
+    def h(
+        x: Tensor, pole: float = 0.0, width: float = 0.0, leaving: Sequence[Side | None] = (None, None)
+    ) -> Tensor:
+        both = zip(sun_and_earth_in_body(x), leaving, strict=True)
+        angles = torch.stack([angle_to(c.thermal_axis, body, pole, to) for body, to in both])
+        sun, earth = positive_part(math.pi / 2 - angles, width)
         return c.max_temperature - x[T] - c.temperature_sun_slope * sun - c.temperature_earth_slope * earth
+
+    def barrier(x: Tensor) -> Function:
+        hot = h(x) < 0.0
+        leaving = [side(c.thermal_axis, body, hot, r.pole_angle) for body in sun_and_earth_in_body(x)]
+        return lambda y: h(y, r.pole_angle, r.incidence_rounding, leaving)[None]
 
     none, hot = torch.tensor((0.0, c.max_temperature), dtype=torch.float64)
     cooling = -temperature_rate(none, none, hot, c).item()  # in the dark
@@ -86,7 +145,7 @@ def temperature(c: Limits, r: RtaParameters) -> Constraint:
         gains=r.temperature_gains,
         margin=r.temperature_margin,
         weight=r.slack_weight_resource,
-        barrier=lambda x: lambda y: h(y, r.pole_angle, r.incidence_rounding)[None],
+        barrier=barrier,
         recovery=0.5 * cooling,
     )
 
@@ -94,10 +153,14 @@ def temperature(c: Limits, r: RtaParameters) -> Constraint:
 def battery(c: Limits, r: RtaParameters) -> Constraint:
     """E - E_min - delta_2 theta_SI in kJ: the solar panels and the Sun."""
 
-    def h(x: Tensor, pole: float = 0.0) -> Tensor:
+    def h(x: Tensor, pole: float = 0.0, leaving: Side | None = None) -> Tensor:
         sun, _ = sun_and_earth_in_body(x)
-        angle = arccos(cosine_to(c.solar_panel_axis, sun), pole)
-        return x[E] - c.min_energy - c.energy_sun_slope * angle
+        return x[E] - c.min_energy - c.energy_sun_slope * angle_to(c.solar_panel_axis, sun, pole, leaving)
+
+    def barrier(x: Tensor) -> Function:
+        sun, _ = sun_and_earth_in_body(x)
+        leaving = side(c.solar_panel_axis, sun, h(x) < 0.0, r.pole_angle, far=True)
+        return lambda y: h(y, r.pole_angle, leaving)[None]
 
     charging = energy_rate(torch.ones(()).double(), c).item()  # in full light
 
@@ -107,7 +170,7 @@ def battery(c: Limits, r: RtaParameters) -> Constraint:
         gains=r.battery_gains,
         margin=r.battery_margin,
         weight=r.slack_weight_resource,
-        barrier=lambda x: lambda y: h(y, r.pole_angle)[None],
+        barrier=barrier,
         recovery=max(0.5 * charging, 0.0),
     )
 

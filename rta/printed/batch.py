@@ -18,7 +18,16 @@ from kernels.build import for_vectors
 from kernels.compiled import check, in_shares, over_columns, pointers, strided, timed
 from rta.conditions.held_rows import HeldGroup
 from rta.conditions.rows import ActuatorGroup
-from rta.conditions.tangents import TOLERATED, Prepared, answered, inset, prepared_now, problems
+from rta.conditions.tangents import (
+    TOLERATED,
+    Prepared,
+    answered,
+    inset,
+    prepared_now,
+    problems,
+    shortfall,
+    with_shortfall,
+)
 from rta.constraints.constraint import joined
 from rta.printed.source import GROUPS, define, driver_text, functions, source, table
 from rta.qp.batched_solver import ACCURATE, STEPS_HELD, attempt
@@ -168,7 +177,8 @@ def first_attempt(safety_filter: "SafetyFilter", x: Tensor, desired: Tensor) -> 
         safe = prepared.lowest[0] >= 0.0  # NaN is not
         left = left | ~(safe | solved)
         controls.append(torch.where(safe, control[group.controls], u * group.limit))
-        statuses.append(torch.where(safe, clipped[i], Status.HARD))
+        slack = slack.maximum(shortfall(group, prepared, controls[i]))
+        statuses.append(with_shortfall(torch.where(safe, clipped[i], Status.HARD), slack))
         parts.append((active & ~safe, slack, prepared.h))
     active, slack, h = (joined(*each) for each in zip(*parts, strict=True))
     return [torch.cat(controls), slack, h, torch.stack(statuses), active, left[None]]
@@ -207,7 +217,10 @@ def held_parts(safety_filter: "SafetyFilter", rows: list[Printed]) -> list[Print
                 partial(judge, group), (*fields, u, left),
                 ((*given, "answer", "left"), ("held", "active", "slack")),
             ),
-            "report": (partial(report, group), (*fields,), (given, ("value", "uncertainty", "tightened"))),
+            "report": (
+                partial(report, group), (*fields, u, left),
+                ((*given, "control", "left"), ("value", "uncertainty", "tightened", "lacking")),
+            ),
         }  # fmt: skip
         parts += [
             printed(run, *examples, name=f"{name}_{verb}", names=names)
@@ -264,14 +277,17 @@ def judge(group: HeldGroup, *given: Tensor) -> list[Tensor]:
     tangents = problems(group, prepared, u, group.limit * left[group.controls])
     within = total(tangents.a * u, 1) + tangents.b_bare
     hard = torch.full_like(u[0], Status.HARD)
-    return [(within.amin(0) >= -TOLERATED)[None], *answered(group, tangents, prepared.length, u, hard)]
+    active, slack = answered(group, tangents, prepared.length, u, hard)
+    slack = slack.maximum(shortfall(group, prepared, (left * answer)[group.controls]))
+    return [(within.amin(0) >= -TOLERATED)[None], active, slack]
 
 
 def report(group: HeldGroup, *given: Tensor) -> list[Tensor]:
-    """h, uncertainty and tightened (constraints, B), from the rows at the controls that were desired: `Prepared`."""
-    prepared = Prepared(*given)
+    """h, uncertainty, tightened and `shortfall` (constraints, B): `Prepared` at desired controls, these, and `left`."""
+    prepared, (control, left) = Prepared(*given[:-2]), given[-2:]
     tightening = group.by_constraint(prepared.tightening, partial(torch.amax, dim=0))
-    return [prepared.h, tightening, group.tightened(tightening)]
+    short = shortfall(group, prepared, (left * control)[group.controls])
+    return [prepared.h, tightening, group.tightened(tightening), short]
 
 
 def with_own(group: ActuatorGroup, control: Tensor, own: Tensor) -> Tensor:

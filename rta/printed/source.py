@@ -268,7 +268,7 @@ def declared(name: str, group: ActuatorGroup, holds: bool) -> str:
     return (
         f"static void {name}_rows(const double x[{SIZE}], const double control[{CONTROL_SIZE}]{more},\n"
         f"    double psi[{rows}], double a[{3 * rows}], double b[{rows}], double b_bare[{rows}],\n"
-        f"    double h[{constraints}],{tightening} double length[{rows}], double lowest[1]);"
+        f"    double waived[{rows}], double h[{constraints}],{tightening} double length[{rows}], double lowest[1]);"
     )
 
 

@@ -72,7 +72,7 @@ def enforced(group: ActuatorGroup, rows: Rows, control: Tensor, status: Tensor) 
     """The rows of one program as they were finally enforced on controls (6, N), last axis the states."""
     length = (rows.a * group.limit).norm(dim=1).clamp(min=SHORTEST_ROW)
     reached = (rows.a * control[group.controls]).sum(1)
-    with_margins = ((reached + rows.b) / length >= -FEASIBLE).all(0) & (status <= Status.HARD)
+    with_margins = ((reached + rows.b) / length >= -FEASIBLE).all(0) & (status < Status.UNSOLVED)
     b = torch.where(with_margins, rows.b, rows.b_bare)
     a = rows.a.new_zeros(len(b), *control.shape)
     a[:, group.controls] = rows.a
@@ -110,6 +110,8 @@ def filter_chunk(safety_filter: SafetyFilter, x: Tensor, desired: Tensor) -> dic
         "active": result.active,
         "slack": every.pop("delta")[binding, columns],
         "status": result.status,
+        "violated": result.violated,
+        "shortfall": result.slack,
         **every,
     }
     return {name: array.movedim(-1, 0) for name, array in by_state.items()}

@@ -113,7 +113,6 @@ static void correct(struct situation *where, const struct rows *rows, const doub
     copy(where->control, control, 6);
     for (int j = 0; j < 3; ++j) {
         where->desired[j] = wish[first + j] / LIMIT[where->group];
-        where->limit[j] = LIMIT[where->group] * where->left[first + j];
     }
     where->size = fmax(1.0, fmax(fabs(where->desired[0]), fmax(fabs(where->desired[1]), fabs(where->desired[2]))));
     scale(where->group, rows, where->limit, &tangents);
@@ -134,8 +133,13 @@ static void filter_group(struct situation *where, const double wish[6], double c
     const int is_other = go_near(where->group, where->x, control, near_by);
     rows_of(where->group, where->x, near_by, where->error_bound, where->left, &rows);
     report(where->group, &rows, out);
+    for (int j = 0; j < 3; ++j) {
+        where->limit[j] = LIMIT[where->group] * where->left[(3 * where->group) + j];
+    }
     if ((is_other != 0) || !(rows.lowest[0] >= 0.0)) { /* NaN must not pass */
         correct(where, &rows, wish, control, out);
+    } else {
+        leave_as_is(where->group, &rows, where->limit, control, out);
     }
 }
 

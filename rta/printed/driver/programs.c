@@ -8,6 +8,7 @@ struct rows {
     double a[GROUP_ROWS_MAX * 3];
     double b[GROUP_ROWS_MAX];
     double b_bare[GROUP_ROWS_MAX]; /* without margin */
+    double waived[GROUP_ROWS_MAX]; /* by how much that asks for less than the condition does, beyond a limit */
     double h[GROUP_CONSTRAINTS_MAX];
     double tightening[GROUP_ROWS_MAX];  /* by how much b is less for what the filter does not know */
     double length[GROUP_ROWS_MAX]; /* per actuator limit */
@@ -19,6 +20,7 @@ struct scaled {
     double a[GROUP_ROWS_MAX][3];
     double b[GROUP_ROWS_MAX];
     double b_bare[GROUP_ROWS_MAX];
+    double waived[GROUP_ROWS_MAX]; /* not scaled, as length */
     double length[GROUP_ROWS_MAX];
 };
 
@@ -38,6 +40,7 @@ static void scale(int group, const struct rows *rows, const double limit[3], str
         const double length = rows->length[i];
         scaled->b[i] = clip(rows->b[i] / length, HOPELESS, REDUNDANT);
         scaled->b_bare[i] = clip(rows->b_bare[i] / length, HOPELESS, REDUNDANT);
+        scaled->waived[i] = rows->waived[i];
         scaled->length[i] = length;
         for (int j = 0; j < 3; ++j) {
             scaled->a[i][j] = rows->a[(3 * i) + j] * (limit[j] / length);
@@ -59,7 +62,8 @@ static void append(struct program *p, int group, const struct scaled *scaled, co
     }
 }
 
-/* Says by constraint whether a row binds the control found, and how far one falls short. */
+/* Says by constraint whether a row binds the control found, and how far one falls short: where rows yielded, and where
+ * a row beyond its limit asks for less than the condition does. */
 static void say(int group, const struct scaled *scaled, struct found *found)
 {
     double reached[GROUP_ROWS_MAX];
@@ -75,14 +79,43 @@ static void say(int group, const struct scaled *scaled, struct found *found)
     const double *side = (least >= -FEASIBLE) ? scaled->b : scaled->b_bare;
     for (int i = 0; i < ROWS[group]; ++i) {
         const int k = CONSTRAINT_OF_ROW[group][i];
-        const double lack = -smaller(reached[i] + scaled->b_bare[i], 0.0) * scaled->length[i];
+        const double lack = -(reached[i] + scaled->b_bare[i]) * scaled->length[i];
         if ((reached[i] + side[i]) <= FEASIBLE) {
             found->active[k] = 1;
         }
         if (found->status >= SLACK) {
             found->slack[k] = larger(found->slack[k], lack);
         }
+        if ((scaled->waived[i] > 0.0) && ((lack + scaled->waived[i]) > (FEASIBLE * scaled->length[i]))) {
+            found->slack[k] = larger(found->slack[k], lack + scaled->waived[i]);
+        }
     }
+}
+
+/* What rows lack is reported; then the status is SLACK at least. */
+static void report_slack(int group, const struct found *found, struct safety_filter_output *out)
+{
+    for (int k = 0; k < CONSTRAINTS_OF[group]; ++k) {
+        out->slack[PLACE[group][k]] = found->slack[k];
+        if ((found->slack[k] > 0.0) && (out->program_status[group] < SLACK)) {
+            out->program_status[group] = SLACK;
+        }
+    }
+}
+
+/* A control that satisfies the rows is applied as it is; what they waive is reported. `limit`: as in `scale`. */
+static void leave_as_is(int group, const struct rows *rows, const double limit[3], const double control[6],
+                        struct safety_filter_output *out)
+{
+    struct scaled scaled;
+    struct found found;
+    scale(group, rows, limit, &scaled);
+    for (int j = 0; j < 3; ++j) {
+        found.control[j] = control[(3 * group) + j] / LIMIT[group];
+    }
+    found.status = out->program_status[group];
+    say(group, &scaled, &found);
+    report_slack(group, &found, out);
 }
 
 /* What was found becomes the control, and is reported. */
@@ -95,8 +128,8 @@ static void apply(int group, const struct found *found, double control[6], struc
     out->residual[group] = found->residual;
     for (int k = 0; k < CONSTRAINTS_OF[group]; ++k) {
         out->active[PLACE[group][k]] = found->active[k];
-        out->slack[PLACE[group][k]] = found->slack[k];
     }
+    report_slack(group, found, out);
 }
 
 /* What is projected of a group's desired control: any size up to LARGEST_DEMAND limits, zero where a number is none. */

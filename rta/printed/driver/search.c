@@ -37,9 +37,11 @@ static void rows_of(int group, const double x[16], const double control[6], cons
                     const double left[6], struct rows *r)
 {
     if (group == THRUST) {
-        thrust_rows(x, control, error_bound, left, r->psi, r->a, r->b, r->b_bare, r->h, r->tightening, r->length, r->lowest);
+        thrust_rows(x, control, error_bound, left, r->psi, r->a, r->b, r->b_bare, r->waived, r->h, r->tightening, r->length,
+                    r->lowest);
     } else {
-        torque_rows(x, control, error_bound, left, r->psi, r->a, r->b, r->b_bare, r->h, r->tightening, r->length, r->lowest);
+        torque_rows(x, control, error_bound, left, r->psi, r->a, r->b, r->b_bare, r->waived, r->h, r->tightening, r->length,
+                    r->lowest);
     }
 }
 

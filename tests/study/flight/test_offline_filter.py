@@ -82,6 +82,8 @@ def test_the_file_holds_what_is_promised(result: dict[str, ndarray]) -> None:
         "active": (13,),
         "slack": (13,),
         "status": (),
+        "violated": (),
+        "shortfall": (13,),
         "A_all": (rows, 6),
         "b_all": (rows,),
         "slack_weight": (rows,),
