@@ -383,5 +383,6 @@ def test_smoothing_of_a_resource_is_covered_by_its_margin(row: int, margin: floa
     x = states(1, seed=7).repeat(2001, 1)
     half = np.linspace(0, np.pi / 2, 2001)  # turn about z: boresight and -n_y sweep from the Sun away
     x[6:10], x[15] = np.stack((0 * half, 0 * half, np.sin(half), np.cos(half))), 0.0
+    x[13], x[14] = 5.0, 6.0  # within the limits; beyond, no angle is smoothed where it is worst
     smooth = enforced(entries(C, RtaParameters(incidence_rounding=0.0))[TABLE_3[row]], x)[0]
     assert 1e-4 < (smooth - paper(x)[row]).max() < margin

@@ -1,0 +1,54 @@
+"""Attitudes where the angle that a broken limit counts has no slope: the filter turns away from them."""
+
+import math
+
+import pytest
+import torch
+from torch import Tensor
+
+from inspection.model.dynamics import step, sun_and_earth_in_body
+from inspection.model.parameters import InspectionParameters
+from rta.filter import SafetyFilter
+from rta.parameters import PERIODS, RtaParameters
+
+C = InspectionParameters()
+LIMIT = torch.tensor(C.control_limit, dtype=torch.float64)[:, None]
+# By limit, the angle theta_s of the Sun for a body whose axes are Hill's (camera +x, surface -y, panels -x) and what
+# breaks the limit: deg C, kJ.
+POINTS = {
+    "attitude_exclusion": (0.0, 5.0, 6.0),
+    "temperature": (-math.pi / 2, C.max_temperature + 0.2, 6.0),
+    "battery": (0.0, 5.0, C.min_energy - 0.2),
+}
+AXES = {"attitude_exclusion": (0, 1.0), "temperature": (1, -1.0), "battery": (0, 1.0)}  # that the Sun is at
+
+
+def at(limit: str) -> Tensor:
+    """(16, 1) exactly at the point, at rest 60 m above the chief."""
+    x = torch.zeros(16, 1, dtype=torch.float64)
+    x[0], x[9] = 60.0, 1.0
+    x[15], x[13], x[14] = POINTS[limit]
+    return x
+
+
+@pytest.mark.parametrize("demand", ["none", "torque"])
+@pytest.mark.parametrize("period", PERIODS)
+@pytest.mark.parametrize("limit", POINTS)
+def test_the_filter_turns_away_from_a_pole(limit: str, period: float, demand: str) -> None:
+    """By more than 40 deg, which is the exclusion zone, within a minute; what torque is desired is full, in turns."""
+    safety, x = SafetyFilter(C, RtaParameters(period=period)), at(limit)
+    index, sign = AXES[limit]
+    assert sun_and_earth_in_body(x)[0][index].item() * sign == pytest.approx(1.0, abs=1e-12)
+    assert safety.values(x)[safety.names.index(limit)] < 0.0
+    angle = []
+    for call in range(int(60 / period)):
+        desired = torch.zeros_like(LIMIT)
+        if demand == "torque":
+            desired[3:] = LIMIT[3:] * (-1.0) ** call
+        answer = safety.correct(x, desired)
+        if call == 0:
+            assert answer.violated.all() and (answer.control[3:] != 0.0).any()
+        for _ in range(int(period)):
+            x = step(x, answer.control, 1.0, C)
+        angle.append((sun_and_earth_in_body(x)[0][index] * sign).clamp(-1.0, 1.0).arccos().item())
+    assert max(angle) > math.radians(40.0)
