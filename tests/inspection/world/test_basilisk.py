@@ -6,6 +6,7 @@ What needs Basilisk skips itself where that is not installed; `.ci/run` has an e
 import math
 from dataclasses import replace
 from importlib.util import find_spec
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -250,6 +251,20 @@ def test_rates_saturate_only_where_the_plant_has_them_do_so() -> None:
         c = InspectionParameters()
         plant = begun(replace(FREE, saturate_rates=saturates), x, c)
         assert plant.integrate(x, nothing(x), plant.body, 1.0)[OMEGA.start].item() == pytest.approx(rate)
+
+
+@needs_basilisk
+@pytest.mark.parametrize("errors", ["steady", "worst"])
+def test_a_world_at_its_corners_flies_again(
+    errors: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "report.json"
+    flags = ["--config", "configs/plants/u1_basilisk.toml", "--errors", errors, "--policy", "adversarial"]
+    more = ["--episodes", "2", "--duration", "8", "--compile", "off", "--device", "cpu", "--json", str(path)]
+    assert call(["verify", *flags, *more, "--keep-worst"], capsys)[0] == 0
+    for constraint in ("keep_in_zone", "dynamic_speed"):
+        code, _, err = call(["refly", f"{path}.{constraint}.npz"], capsys)
+        assert code == 0, err
 
 
 @needs_basilisk
