@@ -4,7 +4,7 @@ Where the rows of a program conflict, slack is given class after class of their 
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import cached_property, partial
 from typing import Any
 
@@ -16,6 +16,7 @@ from inspection.model.parameters import InspectionParameters
 from inspection.model.state import CONTROL_SIZE, SIZE, THRUST, TORQUE, P, Q
 from kernels import Compiled, NoCompilerError
 from kernels.build import say
+from rta.backup.check import Backup
 from rta.bounds.health import slewing
 from rta.bounds.uncertainty import NOTHING, Uncertainty
 from rta.conditions.held_rows import KINDS, HeldGroup, predicted
@@ -55,6 +56,9 @@ class FilterResult:
     Attributes:
         control: (6, B) safe control in N and N m, within the actuators' limits whatever was desired.
         intervened: (B,) bool, another control than the desired one is applied.
+        verified: (B,) bool, the control keeps every limit until the next call, and a way to rest begins there on which
+            none is violated (`rta.backup`). False where none is known, as of a filter that is told of bounds.
+        backup: (B,) bool, another control is applied than the programs' solution, for that reason.
         active: (constraints, B) bool, a row of the constraint binds a corrected control.
         slack: (constraints, B) shortfall of the barrier condition without margin, in h's unit per s (per s^2 where
             the relative degree is two); zero unless a program needed slack, or a broken limit asks for more than the
@@ -71,6 +75,8 @@ class FilterResult:
 
     control: Tensor
     intervened: Tensor
+    verified: Tensor
+    backup: Tensor
     active: Tensor
     slack: Tensor
     status: Tensor
@@ -103,6 +109,7 @@ class SafetyFilter:
     Attributes:
         names: of all constraints: Table 3's, then those of your own that thrust holds, then those that torque holds.
         groups: of thrust and of torque.
+        backup: the check of its controls; None: there is none for this vehicle, or of what the filter is told.
         compiled: all of it as one C function; None: it is not compiled so.
 
     Raises:
@@ -123,6 +130,8 @@ class SafetyFilter:
         known.check(c, parameters)
         self.c, self.parameters, self.extra, self.known = c, parameters, tuple(extra), known
         self.holds = known.holds(parameters)
+        knows_way = known.is_nil and Backup.is_there(c)
+        self.backup = Backup(c, parameters.period) if knows_way else None
         # as fast as PIQP, which of 213,855 programs of tangents solved one wrongly (0.7.0; of 94,804 0.6.4 left 91)
         auto = "batched" if self.holds else "piqp"
         self.solver = self._own_solver = solver or make_solver(
@@ -185,6 +194,12 @@ class SafetyFilter:
     def can_brake(self, x: Tensor) -> Tensor:
         """(B,) bool: in any attitude thrust can keep the zone, see `keep_in_zone`."""
         return (keep_in_zone(self.c, self.parameters, self.known).barrier_at(x)(x) >= 0.0).all(0)
+
+    def has_way(self, x: Tensor) -> Tensor:
+        """(B,) bool: states (16, B) have a verified way to rest; without a backup, `is_in_safe_set`."""
+        if self.backup is None:
+            return self.is_in_safe_set(x)
+        return narrowed((self.values(x) >= 0.0).all(0), x, self.backup.has_way)
 
     def is_safe(self, x: Tensor) -> Tensor:
         """(B,) bool: the filter can keep every constraint from here on."""
@@ -386,7 +401,9 @@ class SafetyFilter:
         wish = self.wish(desired)
         control, program_status = self.clip(wish, desired)
         if self.holds:
-            return self._correct_held(x, desired, wish, control, program_status, sent, left)
+            return self._commit(
+                x, desired, self._correct_held(x, desired, wish, control, program_status, sent, left)
+            )
         both = self._prepared(x, control)
         active = [torch.zeros_like(prepared.h, dtype=torch.bool) for prepared in both]
         slack = [torch.zeros_like(prepared.h) for prepared in both]
@@ -402,9 +419,11 @@ class SafetyFilter:
         status = program_status.amax(0)
         h = joined(*(prepared.h for prepared in both))
         nothing = torch.zeros_like(h)
-        return FilterResult(
+        result = FilterResult(
             control=control,
             intervened=(control != desired).any(0),
+            verified=torch.zeros_like(status, dtype=torch.bool),
+            backup=torch.zeros_like(status, dtype=torch.bool),
             active=joined(*active),
             slack=joined(*slack),
             status=status,
@@ -412,6 +431,27 @@ class SafetyFilter:
             h=h,
             uncertainty=nothing,
             tightened=nothing,
+        )
+        return self._commit(x, desired, result)
+
+    def _commit(self, x: Tensor, desired: Tensor, result: FilterResult) -> FilterResult:
+        """The result with controls that the backup permits at states (16, B), see `rta.backup.check`."""
+        if self.backup is None:
+            return result
+        motion, attitude = result.h[: self.backup.motion], result.h[self.backup.motion : self.backup.limits]
+        broken = ~(motion >= 0.0).all(0), ~(attitude >= 0.0).all(0)
+        control, verified, changed = self.backup.committed(x, result.control, broken)
+        program_status = torch.where(
+            changed, result.program_status.clamp(min=Status.HARD), result.program_status
+        )
+        return replace(
+            result,
+            control=control,
+            intervened=(control != desired).any(0),
+            verified=verified.all(0),
+            backup=changed.any(0),
+            status=program_status.amax(0),
+            program_status=program_status,
         )
 
     def wish(self, desired: Tensor) -> Tensor:
@@ -489,6 +529,8 @@ class SafetyFilter:
         return FilterResult(
             control,
             (control != desired).any(0),
+            torch.zeros_like(stale),
+            torch.zeros_like(stale),
             active,
             slack,
             status,

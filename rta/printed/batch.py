@@ -30,6 +30,7 @@ from rta.conditions.tangents import (
 )
 from rta.constraints.constraint import joined
 from rta.printed.source import GROUPS, define, driver_text, functions, source, table
+from rta.printed.way import AT_A_GLANCE, checks
 from rta.qp.batched_solver import ACCURATE, STEPS_HELD, attempt
 from rta.qp.programs import Problems, Status, total
 
@@ -64,7 +65,7 @@ class Columns:
         blocks = 4 if self.holds else 2
         numbers = torch.empty(CONTROL_SIZE + blocks * count, columns, dtype=torch.float64)
         statuses = torch.empty(3, columns, dtype=torch.int64)
-        truths = torch.empty(1 + count, columns, dtype=torch.bool)
+        truths = torch.empty(3 + count, columns, dtype=torch.bool)
         check("x", x, torch.float64, (SIZE, columns))
         check("desired", desired, torch.float64, (CONTROL_SIZE, columns))
         given = [strided(x), strided(desired)]
@@ -78,8 +79,10 @@ class Columns:
         slack, h, *tightenings = (numbers[CONTROL_SIZE + i * count :][:count] for i in range(blocks))
         nothing = numbers.new_zeros(1, 1).expand(count, columns)
         uncertainty, tightened = tightenings or (nothing, nothing)
-        control, active = numbers[:CONTROL_SIZE], truths[1:]
-        fields = [control, truths[0], active, slack, statuses[0], statuses[1:], h, uncertainty, tightened]
+        control, (intervened, verified, backup), active = numbers[:CONTROL_SIZE], truths[:3], truths[3:]
+        status, program_status = statuses[0], statuses[1:]
+        checked = (intervened, verified, backup)
+        fields = [control, *checked, active, slack, status, program_status, h, uncertainty, tightened]
         return fields, unsolved
 
     def aged(self, sent: Tensor | None, x: Tensor) -> Tensor:
@@ -103,7 +106,8 @@ class BatchFilter(Columns):
 
     def __init__(self, safety_filter: "SafetyFilter") -> None:
         holds = safety_filter.holds
-        shared = functions(safety_filter) if holds else []  # which Python calls, too
+        own, ways = functions(safety_filter), checks(safety_filter)
+        shared = own if holds else []  # which Python calls, too
         parts = held_parts(safety_filter, shared) if holds else now_parts(safety_filter)
         self.statements = sum(part.statements for part in parts)
         many = [
@@ -111,12 +115,14 @@ class BatchFilter(Columns):
             define("CONSTRAINTS", len(safety_filter.names)),
             define("LATENCY", safety_filter.known.latency),
         ]
+        many.append(define("BACKUP", int(bool(ways))))
         many += [*(part.text for part in parts), *(batch(part) for part in shared)]
-        many += [driver_text("batch/batch.h"), driver_text("batch/columns.c")]
+        many += [part.text for part in ways if part.name in AT_A_GLANCE]
+        many += [driver_text("batch/batch.h"), driver_text("batch/columns.c"), driver_text("batch/commit.c")]
         if holds:
             many += [driver_text("batch/block.c"), *(of_group(i, safety_filter) for i in range(2))]
         many.append(driver_text("batch/held.c" if holds else "batch/now.c"))
-        one = [source(safety_filter, shared or None), by_column(holds)]
+        one = [source(safety_filter, [*own, *ways]), by_column(holds)]
         found = library({"one": "\n".join(one), "many": "\n".join(many)})
         super().__init__(found, safety_filter, 0.0)
         kernels = {part.name: Kernel(part, found) for part in shared}

@@ -29,6 +29,7 @@ from rta.printed.source import (
     table,
 )
 from rta.printed.vectors import vectors
+from rta.printed.way import checks
 from rta.qp.programs import Status
 
 if TYPE_CHECKING:
@@ -241,7 +242,7 @@ def quoted(text: str) -> str:
 
 def implementation(safety_filter: "SafetyFilter") -> str:
     """safety_filter.c: what people read first, printed functions last."""
-    printed_functions = for_one(functions(safety_filter))
+    printed_functions = for_one([*functions(safety_filter), *checks(safety_filter)])
     names = ",\n".join(f"    {quoted(name)}" for name in safety_filter.names)
     given = driver_files(safety_filter)
     titles = [

@@ -22,6 +22,7 @@ from rta.conditions.held_rows import KINDS, HeldGroup
 from rta.conditions.rows import ActuatorGroup
 from rta.conditions.tangents import PASSES, Prepared, prepared_now
 from rta.constraints.constraint import in_order
+from rta.printed import way
 from rta.qp import batched_solver
 from rta.qp import programs as qp
 
@@ -42,9 +43,10 @@ def source(safety_filter: "SafetyFilter", parts: Sequence[Printed] | None = None
     """All of the filter in C, in one text; the function to call is `safety_filter`.
 
     Args:
-        parts: what `functions` prints, if it is known.
+        parts: what `functions` and `checks` print, if it is known.
     """
-    return driver(safety_filter) + "\n" + for_one(parts or functions(safety_filter))
+    parts = parts or [*functions(safety_filter), *way.checks(safety_filter)]
+    return driver(safety_filter) + "\n" + for_one(parts)
 
 
 def driver(safety_filter: "SafetyFilter") -> str:
@@ -63,12 +65,13 @@ def driver_text(name: str) -> str:
 
 def driver_files(safety_filter: "SafetyFilter") -> list[str]:
     """The files of the driver that a filter needs."""
+    commit = ["commit.c"] if safety_filter.backup else []
     if not safety_filter.holds:
-        return ["solver.c", "programs.c", "filter_now.c"]
+        return ["solver.c", "programs.c", *commit, "filter_now.c"]
     known = safety_filter.known
     optional = [("thrusters.c", known.is_coarse), ("health.c", known.health)]
     used = [name for name, is_used in optional if is_used]
-    return ["solver.c", "programs.c", "search.c", *used, "filter_held.c"]
+    return ["solver.c", "programs.c", "search.c", *used, *commit, "filter_held.c"]
 
 
 def functions(safety_filter: "SafetyFilter") -> list[Printed]:
@@ -167,6 +170,12 @@ def constants(safety_filter: "SafetyFilter") -> str:
     ]
     if holds:
         lines += held_constants(safety_filter)
+    lines.append(
+        define("BACKUP", int(safety_filter.backup is not None), "1: controls are checked, see commit.c")
+    )
+    if safety_filter.backup:
+        lines += [define(name, *said) for name, said in way.constants(safety_filter.backup).items()]
+        lines += [f"static void {name}({given});" for name, given in way.DECLARED.items()]
     lines += [declared(name, group, holds) for name, group in zip(GROUPS, groups, strict=True)]
     if holds and safety_filter.known.latency:
         given = f"const double x[{SIZE}], const double error_bound[{KINDS}], const double u[{CONTROL_SIZE}]"

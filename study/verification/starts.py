@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+from collections.abc import Callable
 
 import numpy as np
 import torch
@@ -47,43 +48,50 @@ def states_of(s: Tensor, c: Limits) -> tuple[Tensor, Tensor]:
 
 
 def safe_set(count: int, seed: int, safety_filter: SafetyFilter) -> tuple[Tensor, Tensor, int]:
-    """Initial states from the whole safe set: every h and every Psi_1 is non-negative.
+    """Initial states from the whole safe set: those from which a way to rest is verified (`SafetyFilter.has_way`).
 
     A Latin hypercube over distance up to INSIDE of the zone, speed up to the limit there, all directions and attitudes,
-    body rates, temperature and energy down to their limits and the Sun's angle. h is exact; Psi_1 is the filter's,
-    with the margins of h inside it and the terminator rounded off (`RtaParameters.incidence_rounding`). States beyond
-    the filter's own keep-in barrier (`SafetyFilter.can_brake`) belong to the set.
+    body rates, temperature and energy down to their limits and the Sun's angle. Of a filter that knows no way, every h
+    and every Psi_1 is non-negative; Psi_1 is the filter's, with the margins of h inside it and the terminator rounded
+    off (`RtaParameters.incidence_rounding`), and states beyond its own keep-in barrier (`SafetyFilter.can_brake`) belong
+    to the set.
 
     Returns:
         States (16, count), priority vectors (3, count) and how many other states of the hypercubes, up to the last
-        one taken, are safe by the exact Psi_1 without margins alone.
+        one taken, have every h non-negative, or without a way are safe by the exact Psi_1 without margins alone.
 
     Raises:
         RuntimeError: fewer were found in HYPERCUBES hypercubes.
     """
-    c, parameters = safety_filter.c, safety_filter.parameters
+    c, left_out = safety_filter.c, safely(safety_filter)
+    sampler = qmc.LatinHypercube(NUMBERS, rng=np.random.default_rng(seed))
+    kept, rejected = torch.zeros(SIZE + 3, 0, dtype=torch.float64), 0
+    for _ in range(HYPERCUBES):
+        x, priority = states_of(torch.from_numpy(sampler.random(4 * count).T.copy()), c)
+        safe = safety_filter.has_way(x)
+        missing = count - kept.shape[1]
+        taken = torch.nonzero(safe).flatten()[:missing]
+        seen = int(taken[-1]) + 1 if taken.numel() == missing else safe.numel()
+        rejected += int(left_out(x[:, :seen][:, ~safe[:seen]]).sum())
+        kept = torch.cat((kept, torch.cat((x, priority))[:, taken]), 1)
+        if kept.shape[1] == count:
+            return kept[:SIZE], kept[SIZE:], rejected
+    raise RuntimeError(f"only {kept.shape[1]} of {count} initial states found in the safe set")
+
+
+def safely(safety_filter: SafetyFilter) -> Callable[[Tensor], Tensor]:
+    """What says of states (16, B) that are left out whether they are safe, (B,) bool; see `safe_set`."""
+    if safety_filter.backup:
+        return lambda x: (safety_filter.values(x) >= 0.0).all(0)
     without_margins = dataclasses.replace(
-        parameters,
+        safety_filter.parameters,
         exclusion_margin=0.0,
         temperature_margin=0.0,
         battery_margin=0.0,
         pole_angle=0.0,
         incidence_rounding=0.0,
     )
-    exact = SafetyFilter(c, without_margins)
-    sampler = qmc.LatinHypercube(NUMBERS, rng=np.random.default_rng(seed))
-    kept, rejected = torch.zeros(SIZE + 3, 0, dtype=torch.float64), 0
-    for _ in range(HYPERCUBES):
-        x, priority = states_of(torch.from_numpy(sampler.random(4 * count).T.copy()), c)
-        safe = safety_filter.is_in_safe_set(x)
-        missing = count - kept.shape[1]
-        taken = torch.nonzero(safe).flatten()[:missing]
-        seen = int(taken[-1]) + 1 if taken.numel() == missing else safe.numel()
-        rejected += int(exact.is_in_safe_set(x[:, :seen][:, ~safe[:seen]]).sum())
-        kept = torch.cat((kept, torch.cat((x, priority))[:, taken]), 1)
-        if kept.shape[1] == count:
-            return kept[:SIZE], kept[SIZE:], rejected
-    raise RuntimeError(f"only {kept.shape[1]} of {count} initial states found in the safe set")
+    return SafetyFilter(safety_filter.c, without_margins).is_in_safe_set
 
 
 def initial_states(count: int, seed: int, safety_filter: SafetyFilter) -> tuple[Tensor, Tensor, int]:

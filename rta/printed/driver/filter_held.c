@@ -162,5 +162,8 @@ void safety_filter(const struct safety_filter_input *in, struct safety_filter_ou
         out->program_status[THRUST] = UNSOLVED;
         out->program_status[TORQUE] = UNSOLVED;
     }
+#if BACKUP
+    commit(where.x, control, out);
+#endif
     end(control, out);
 }

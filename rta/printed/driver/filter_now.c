@@ -51,5 +51,8 @@ void safety_filter(const struct safety_filter_input *in, struct safety_filter_ou
             leave_as_is(group, &rows, limit, control, out);
         }
     }
+#if BACKUP
+    commit(x, control, out);
+#endif
     end(control, out);
 }

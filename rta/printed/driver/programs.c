@@ -162,6 +162,8 @@ static void begin(const struct safety_filter_input *in, double x[16], double wis
         out->uncertainty[k] = 0.0;
         out->tightened[k] = 0.0;
     }
+    out->verified = 0;
+    out->backup = 0;
     for (int group = THRUST; group <= TORQUE; ++group) {
         out->program_status[group] = UNTOUCHED;
         out->residual[group] = 0.0;

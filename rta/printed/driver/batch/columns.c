@@ -17,16 +17,18 @@ static M differ(const V desired[6], const V control[6])
 }
 
 /* Of W columns: the worse status, both, whether another control is applied, and which constraints are active. */
-static void store_statuses(const V program_status[2], M intervened, const M active[CONSTRAINTS], void *const *out,
+static void store_statuses(const V program_status[2], M intervened, M verified, const M active[CONSTRAINTS], void *const *out,
                            const long *out_step, long column, long lanes)
 {
     const V status = MAX(program_status[0], program_status[1]);
     store_long(out[STATUSES], column, lanes, status);
     store_bool(out[TRUTHS], column, lanes, intervened);
+    store_bool(out[TRUTHS], out_step[TRUTHS] + column, lanes, verified);
+    store_bool(out[TRUTHS], 2 * out_step[TRUTHS] + column, lanes, NO);
     for (int group = 0; group < 2; ++group) {
         store_long(out[STATUSES], (1 + group) * out_step[STATUSES] + column, lanes, program_status[group]);
     }
     for (int k = 0; k < CONSTRAINTS; ++k) {
-        store_bool(out[TRUTHS], (1 + k) * out_step[TRUTHS] + column, lanes, active[k]);
+        store_bool(out[TRUTHS], (3 + k) * out_step[TRUTHS] + column, lanes, active[k]);
     }
 }

@@ -45,9 +45,10 @@ long filter_batch(long first, long last, const void *const *in, const long *in_s
         for (int k = 0; k < 6 + 4 * CONSTRAINTS; ++k) {
             store_double(out[NUMBERS], k * out_step[NUMBERS] + column, lanes, block.numbers[k]);
         }
-        store_statuses(block.program_status, differ(desired, block.numbers), block.active, out, out_step, column, lanes);
+        const M unseen = unsure(x, block.numbers);
+        store_statuses(block.program_status, differ(desired, block.numbers), BACKUP ? ~unseen : NO, block.active, out, out_step, column, lanes);
         for (int lane = 0; lane < W && lane < lanes; ++lane) {
-            if (block.open[0][lane]) {
+            if (block.open[0][lane] || unseen[lane]) {
                 unsolved += filter_one(column + lane, in, in_step, out, out_step);
             }
         }

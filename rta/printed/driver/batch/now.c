@@ -18,9 +18,10 @@ long filter_batch(long first, long last, const void *const *in, const long *in_s
         for (int k = 0; k < 6 + 2 * CONSTRAINTS; ++k) {
             store_double(out[NUMBERS], k * out_step[NUMBERS] + column, lanes, numbers[k]);
         }
-        store_statuses(program_status, differ(desired, numbers), active, out, out_step, column, lanes);
+        const M unseen = unsure(x, numbers);
+        store_statuses(program_status, differ(desired, numbers), BACKUP ? ~unseen : NO, active, out, out_step, column, lanes);
         for (int lane = 0; lane < W && lane < lanes; ++lane) {
-            if (left[0][lane]) {
+            if (left[0][lane] || unseen[lane]) {
                 unsolved += filter_one(column + lane, in, in_step, out, out_step);
             }
         }

@@ -12,12 +12,14 @@ static void give(const struct safety_filter_input *given, const struct safety_fi
     for (int k = 0; k < SAFETY_FILTER_CONSTRAINTS; ++k) {
         numbers[(6 + k) * out_step[NUMBERS]] = found->slack[k];
         numbers[(6 + SAFETY_FILTER_CONSTRAINTS + k) * out_step[NUMBERS]] = found->h[k];
-        truths[(1 + k) * out_step[TRUTHS]] = (unsigned char)found->active[k];
+        truths[(3 + k) * out_step[TRUTHS]] = (unsigned char)found->active[k];
 #if HOLDS
         numbers[(6 + 2 * SAFETY_FILTER_CONSTRAINTS + k) * out_step[NUMBERS]] = found->uncertainty[k];
         numbers[(6 + 3 * SAFETY_FILTER_CONSTRAINTS + k) * out_step[NUMBERS]] = found->tightened[k];
 #endif
     }
+    truths[out_step[TRUTHS]] = (unsigned char)found->verified;
+    truths[2 * out_step[TRUTHS]] = (unsigned char)found->backup;
     status[0] = found->status;
     for (int group = 0; group < 2; ++group) {
         status[(1 + group) * out_step[STATUSES]] = found->program_status[group];

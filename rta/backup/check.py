@@ -1,0 +1,144 @@
+"""Propose, check, commit: a control is applied if it keeps all limits while held, and a way to rest begins at its end.
+
+If not, the nearest control that does, on the way from it to the backup law's; at worst that law's, the first hold of a
+way that was verified one call ago. By induction no limit is ever violated in the model (docs/reference/proof.md;
+Gurriet et al. 2020, backup barriers; Agrawal, Chen and Panagou 2023, gatekeeper).
+
+Torque comes first, since the attitude decides where thrust acts. Limits of motion are kept in whatever attitude.
+"""
+
+import math
+from collections.abc import Callable
+from functools import partial
+
+import torch
+from torch import Tensor
+
+from inspection.model.attitude import norm
+from inspection.model.parameters import Limits
+from inspection.model.state import THRUST, TORQUE, V
+from rta.backup import brake, slew
+from rta.backup.brake import AT_REST, Braking
+from rta.backup.slew import Slewing
+from rta.qp.programs import pick, put
+
+LOOK = 2.5  # s, between two looks at a hold at most
+MOTION, ATTITUDE = (
+    7,
+    3,
+)  # limits that a way keeps by thrust, and by torque: the first of Table 3, but for rates
+SHARES = (0.25, 0.5, 0.75)  # of the way from what is proposed to the backup law's control, that are tried
+
+
+class Backup:
+    """The check of a filter whose plant is the model.
+
+    Args:
+        c: the model and the limits; hold: s, that a control is held.
+
+    Attributes:
+        motion, limits: how many limits a way keeps by thrust, and in all, in the order of `CONSTRAINTS`.
+    """
+
+    motion, limits = MOTION, MOTION + ATTITUDE
+
+    def __init__(self, c: Limits, hold: float) -> None:
+        steps = math.ceil(hold / LOOK)
+        self.c, self.braking, self.slewing = c, Braking.of(c, hold, steps), Slewing.of(c, hold, steps)
+
+    @staticmethod
+    def is_there(c: Limits) -> bool:
+        """Whether a way to rest is known: on a circle, beside a sphere, in an attitude that charges and cools."""
+        return c.orbit == "clohessy-wiltshire" and not c.hill_rotation and not c.planes and slew.has_rest(c)
+
+    def has_way(self, x: Tensor) -> Tensor:
+        """(B,) bool: states (16, B) have a verified way to rest."""
+        at = brake.beginning(x, self.braking)
+        brakes = either(brake.at_once(at, self.braking), lambda columns: self.brakes(pick(at, columns)))
+        return brakes & (slew.way(x, self.slewing) >= 0.0)
+
+    def torque_is_safe(self, x: Tensor, u: Tensor) -> Tensor:
+        """(B,) bool: torque of controls (6, B) keeps the attitude's limits and leaves a way to rest."""
+        w = self.slewing
+        return either(slew.at_a_glance(x, u, w), lambda at: slew.verified(pick(x, at), pick(u, at), w) >= 0.0)
+
+    def thrust_is_safe(self, x: Tensor, u: Tensor) -> Tensor:
+        """(B,) bool: thrust of controls (6, B), with their torque, keeps the limits of motion, and a way to rest."""
+        w = self.braking
+
+        def looked_at(columns: Tensor) -> Tensor:
+            least, at = brake.held(pick(x, columns), pick(u, columns), w, w.free)
+            return (least >= 0.0) & self.brakes(at)
+
+        return either(brake.at_a_glance(x, u, w), looked_at)
+
+    def brakes(self, at: Tensor) -> Tensor:
+        """(B,) bool: ways from (10, B) as `brake.held` returns it keep the limits of motion and come to rest."""
+        safe, flying = torch.zeros_like(at[0], dtype=torch.bool), torch.arange(at.shape[1], device=at.device)
+        for _ in range(self.braking.holds):
+            rested = norm(at[V]) <= AT_REST
+            at, least = brake.braked(at, self.braking)
+            kept = least >= 0.0
+            put(safe, flying[kept & rested], torch.ones_like(flying[kept & rested], dtype=torch.bool))
+            on = torch.nonzero(kept & ~rested).flatten()
+            flying, at = flying[on], pick(at, on)
+            if not flying.numel():
+                break
+        return safe
+
+    def committed(self, x: Tensor, u: Tensor, broken: tuple[Tensor, Tensor]) -> tuple[Tensor, Tensor, Tensor]:
+        """What is applied in the place of proposed controls.
+
+        Args:
+            x: states (16, B); u: (6, B) as proposed.
+            broken: of motion and of attitude, (B,) bool: one of its limits is violated already, so there is no way.
+
+        Returns:
+            Controls (6, B); (2, B) bool: thrust and torque are verified; (2, B) bool: they are other ones.
+        """
+        u, verified, changed = u.clone(), torch.stack(broken), torch.stack(broken)
+        for group, own, law, is_safe in (
+            (1, TORQUE, partial(slew.slew, w=self.slewing), self.torque_is_safe),
+            (0, THRUST, None, self.thrust_is_safe),
+        ):
+            verified[group] = is_safe(x, u)
+            changed[group] = ~verified[group] & ~broken[group]
+            columns = torch.nonzero(changed[group]).flatten()
+            if columns.numel():
+                there, proposed = pick(x, columns), pick(u, columns)
+                safe = law(there) if law else brake.brake(there, proposed[TORQUE], self.braking)
+                control, found = nearest(there, proposed, own, safe, is_safe)
+                put(u, columns, control)
+                put(verified[group], columns, found)
+        return u, verified, changed
+
+
+def nearest(
+    x: Tensor, u: Tensor, own: slice, law: Tensor, is_safe: Callable[[Tensor, Tensor], Tensor]
+) -> tuple[Tensor, Tensor]:
+    """The first of controls on the way from u (6, M) to the law's (3, M) that is safe, else the law's.
+
+    Returns:
+        Controls (6, M); (M,) bool: they are verified.
+    """
+    there = u.clone()
+    there[own] = law
+    best, found = there.clone(), torch.zeros_like(u[0], dtype=torch.bool)
+    for share in (*SHARES, 1.0):
+        left = torch.nonzero(~found).flatten()
+        if not left.numel():
+            break
+        tried = pick(u, left) + share * (pick(there, left) - pick(u, left))
+        safe = is_safe(pick(x, left), tried)
+        put(best, left[safe], tried[:, safe])
+        put(found, left, safe)
+    return best, found
+
+
+def either(least: Tensor, look: Callable[[Tensor], Tensor]) -> Tensor:
+    """(B,) bool: the least of the limits (B,) is not negative at a glance, or a closer look at the columns finds so."""
+    safe = least >= 0.0
+    columns = torch.nonzero(~safe).flatten()
+    if columns.numel():
+        put(safe, columns, look(columns))
+    return safe

@@ -1,0 +1,29 @@
+#if BACKUP
+static int any_of(M m)
+{
+    int found = 0;
+    for (int lane = 0; lane < W; ++lane) {
+        found |= m[lane] != 0;
+    }
+    return found;
+}
+#endif
+
+/* Lanes whose controls are not seen at a glance to keep all limits and to leave a way to rest. */
+static M unsure(const V x[16], const V control[6])
+{
+#if BACKUP
+    V thrust[1];
+    V torque[1];
+    thrust_glance(x, control, thrust);
+    torque_sight(x, control, torque);
+    if (any_of(~(torque[0] >= 0.0))) {
+        torque_glance(x, control, torque);
+    }
+    return ~((thrust[0] >= 0.0) & (torque[0] >= 0.0));
+#else
+    (void)x;
+    (void)control;
+    return NO;
+#endif
+}

@@ -1,0 +1,100 @@
+/* Propose, check, commit: a control is applied if all limits are kept while it is held and a way to rest begins at its
+ * end; else the nearest control that is, on the way to the backup law's, which was verified one call ago. */
+
+static double speed_of(const double at[10])
+{
+    return sqrt(dot(&at[3], &at[3], 3));
+}
+
+/* Whether thrust of a control, with its torque, keeps the limits of motion and leaves a way to rest. */
+static int thrust_is_safe(const double x[16], const double control[6])
+{
+    double least[1];
+    double at[10];
+    double after[10];
+    thrust_glance(x, control, least);
+    if (least[0] >= 0.0) {
+        return 1;
+    }
+    thrust_held(x, control, least, at);
+    for (int k = 0; (k < BRAKING_HOLDS) && (least[0] >= 0.0); ++k) {
+        const double speed = speed_of(at);
+        braked(at, after, least);
+        copy(at, after, 10);
+        if ((speed <= AT_REST) && (least[0] >= 0.0)) {
+            return 1;
+        }
+    }
+    return 0;
+}
+
+/* Whether torque of a control keeps the attitude's limits and leaves a way to rest. */
+static int torque_is_safe(const double x[16], const double control[6])
+{
+    double least[1];
+    torque_sight(x, control, least);
+    if (!(least[0] >= 0.0)) {
+        torque_verified(x, control, least);
+    }
+    return (least[0] >= 0.0) ? 1 : 0;
+}
+
+static int is_safe(int group, const double x[16], const double control[6])
+{
+    return (group == THRUST) ? thrust_is_safe(x, control) : torque_is_safe(x, control);
+}
+
+/* The nearest control that is safe on the way to the backup law's; returns 0 if not even that is seen to be. */
+static int go_to_backup(int group, const double x[16], double control[6])
+{
+    static const double shares[SHARE_COUNT] = SHARES;
+    double proposed[3];
+    double law[3];
+    copy(proposed, &control[3 * group], 3);
+    if (group == THRUST) {
+        brake_law(x, control, law);
+    } else {
+        slew_law(x, law);
+    }
+    for (int i = 0; i < SHARE_COUNT; ++i) {
+        for (int j = 0; j < 3; ++j) {
+            control[(3 * group) + j] = proposed[j] + (shares[i] * (law[j] - proposed[j]));
+        }
+        if (is_safe(group, x, control) != 0) {
+            return 1;
+        }
+    }
+    return 0;
+}
+
+/* Whether one of a group's limits that a way keeps is violated already: there is none then. */
+static int is_broken(int group, const struct safety_filter_output *out)
+{
+    const int first = (group == THRUST) ? 0 : MOTION_LIMITS;
+    const int last = (group == THRUST) ? MOTION_LIMITS : (MOTION_LIMITS + ATTITUDE_LIMITS);
+    int found = 0;
+    for (int k = first; k < last; ++k) {
+        found |= (out->h[k] >= 0.0) ? 0 : 1;
+    }
+    return found;
+}
+
+/* Torque comes first, since the attitude decides where thrust acts. */
+static void commit(const double x[16], double control[6], struct safety_filter_output *out)
+{
+    out->verified = 1;
+    for (int group = TORQUE; group >= THRUST; --group) {
+        int verified = 0;
+        if (is_broken(group, out) == 0) {
+            verified = is_safe(group, x, control);
+            if (verified == 0) {
+                verified = go_to_backup(group, x, control);
+                out->backup = 1;
+                if (out->program_status[group] < HARD) {
+                    out->program_status[group] = HARD;
+                }
+            }
+        }
+        out->verified &= verified;
+    }
+}

@@ -1,0 +1,111 @@
+"""The check of a filter's controls as C: what the driver's commit.c is made of."""
+
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import TYPE_CHECKING
+
+import torch
+from torch import Tensor
+
+from inspection.model.state import CONTROL_SIZE, SIZE, TORQUE
+from kernels import Printed, printed
+from rta.backup import brake, slew
+from rta.backup.check import ATTITUDE, MOTION, SHARES, Backup
+
+if TYPE_CHECKING:
+    from rta.filter import SafetyFilter
+
+AT = 10  # components of where a way begins, see `rta.backup.brake.held`
+AT_A_GLANCE = ("thrust_glance", "torque_sight", "torque_glance")  # which are computed for every spacecraft
+
+Run = Callable[..., Sequence[Tensor]]
+
+
+def checks(safety_filter: "SafetyFilter") -> list[Printed]:
+    """The functions that commit.c calls; none where the filter knows no way to rest."""
+    if safety_filter.backup is None:
+        return []
+    x, u = safety_filter.probe("cpu")
+    at = torch.zeros(AT, 1, dtype=torch.float64)
+    at[:AT] = x[:AT]
+    named: list[tuple[str, Run, tuple[Tensor, ...], tuple[str, ...], tuple[str, ...]]] = [
+        ("thrust_glance", partial(thrust_glance, safety_filter.backup), (x, u), ("x", "control"), ("least",)),
+        ("torque_sight", partial(torque_sight, safety_filter.backup), (x, u), ("x", "control"), ("least",)),
+        ("torque_glance", partial(torque_glance, safety_filter.backup), (x, u), ("x", "control"), ("least",)),
+        ("thrust_held", partial(thrust_held, safety_filter.backup), (x, u), ("x", "control"), ("least", "at")),
+        ("torque_verified", partial(torque_verified, safety_filter.backup), (x, u), ("x", "control"), ("least",)),
+        ("braked", partial(braked, safety_filter.backup), (at,), ("at",), ("after", "least")),
+        ("brake_law", partial(brake_law, safety_filter.backup), (x, u), ("x", "control"), ("thrust",)),
+        ("slew_law", partial(slew_law, safety_filter.backup), (x,), ("x",), ("torque",)),
+    ]  # fmt: skip
+    return [
+        printed(run, *examples, name=name, names=(given, results))
+        for name, run, examples, given, results in named
+    ]
+
+
+def thrust_glance(backup: Backup, x: Tensor, u: Tensor) -> list[Tensor]:
+    """`brake.at_a_glance`."""
+    return [brake.at_a_glance(x, u, backup.braking)[None]]
+
+
+def torque_glance(backup: Backup, x: Tensor, u: Tensor) -> list[Tensor]:
+    """`slew.at_a_glance`."""
+    return [slew.at_a_glance(x, u, backup.slewing)[None]]
+
+
+def torque_sight(backup: Backup, x: Tensor, u: Tensor) -> list[Tensor]:
+    """`slew.at_first_sight`."""
+    return [slew.at_first_sight(x, u, backup.slewing)[None]]
+
+
+def thrust_held(backup: Backup, x: Tensor, u: Tensor) -> list[Tensor]:
+    """`brake.held`, closely."""
+    least, at = brake.held(x, u, backup.braking, backup.braking.free)
+    return [least[None], at]
+
+
+def torque_verified(backup: Backup, x: Tensor, u: Tensor) -> list[Tensor]:
+    """`slew.verified`."""
+    return [slew.verified(x, u, backup.slewing)[None]]
+
+
+def braked(backup: Backup, at: Tensor) -> list[Tensor]:
+    """`brake.braked`."""
+    after, least = brake.braked(at, backup.braking)
+    return [after, least[None]]
+
+
+def brake_law(backup: Backup, x: Tensor, u: Tensor) -> list[Tensor]:
+    """`brake.brake`, with the torque of controls (6, B)."""
+    return [brake.brake(x, u[TORQUE], backup.braking)]
+
+
+def slew_law(backup: Backup, x: Tensor) -> list[Tensor]:
+    """`slew.slew`."""
+    return [slew.slew(x, backup.slewing)]
+
+
+DECLARED = {
+    "thrust_glance": f"const double x[{SIZE}], const double control[{CONTROL_SIZE}], double least[1]",
+    "torque_sight": f"const double x[{SIZE}], const double control[{CONTROL_SIZE}], double least[1]",
+    "torque_glance": f"const double x[{SIZE}], const double control[{CONTROL_SIZE}], double least[1]",
+    "thrust_held": f"const double x[{SIZE}], const double control[{CONTROL_SIZE}], double least[1], double at[{AT}]",
+    "torque_verified": f"const double x[{SIZE}], const double control[{CONTROL_SIZE}], double least[1]",
+    "braked": f"const double at[{AT}], double after[{AT}], double least[1]",
+    "brake_law": f"const double x[{SIZE}], const double control[{CONTROL_SIZE}], double thrust[3]",
+    "slew_law": f"const double x[{SIZE}], double torque[3]",
+}
+
+
+def constants(backup: Backup) -> dict[str, tuple[int | float | str, str]]:
+    """What commit.c depends on: by name the value and what it is."""
+    shares = ", ".join(f"{share:g}" for share in (*SHARES, 1.0))
+    return {
+        "BRAKING_HOLDS": (backup.braking.holds, "after which a spacecraft that brakes must be at rest"),
+        "AT_REST": (brake.AT_REST, "m/s"),
+        "SHARE_COUNT": (len(SHARES) + 1, ""),
+        "SHARES": ("{" + shares + "}", "of the way from what is proposed to the backup law's control"),
+        "MOTION_LIMITS": (MOTION, "constraints, the first, that a way keeps by thrust"),
+        "ATTITUDE_LIMITS": (ATTITUDE, "the next, by torque"),
+    }
