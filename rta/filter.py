@@ -441,17 +441,19 @@ class SafetyFilter:
         motion, attitude = result.h[: self.backup.motion], result.h[self.backup.motion : self.backup.limits]
         broken = ~(motion >= 0.0).all(0), ~(attitude >= 0.0).all(0)
         control, verified, changed = self.backup.committed(x, result.control, broken)
-        program_status = torch.where(
-            changed, result.program_status.clamp(min=Status.HARD), result.program_status
-        )
+        status = result.program_status
+        status = torch.where(changed, status.clamp(min=Status.HARD), status)
+        status = torch.where(verified & (status == Status.SLACK), Status.HARD, status)  # no limit yields
+        of_torque = torch.tensor([name in self.groups[1].names for name in self.names], device=x.device)
         return replace(
             result,
             control=control,
             intervened=(control != desired).any(0),
             verified=verified.all(0),
             backup=changed.any(0),
-            status=program_status.amax(0),
-            program_status=program_status,
+            slack=result.slack.masked_fill(verified[of_torque.long()], 0.0),
+            status=status.amax(0),
+            program_status=status,
         )
 
     def wish(self, desired: Tensor) -> Tensor:

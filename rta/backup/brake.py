@@ -143,25 +143,29 @@ def thrust_along(given: Tensor, x: Tensor, torque: Tensor, w: Braking) -> Tensor
 
 
 def held(x: Tensor, u: Tensor, w: Braking, free: FreeFlight) -> tuple[Tensor, Tensor]:
-    """A hold of controls (6, B) at states (16, B): the least of the limits of motion, and where the way begins.
-
-    Returns:
-        (B,), see `between`; (10, B): position, velocity, the Sun's angle, the body's largest rate from there on, and by
-        how much the way strays from what is planned, in m and m/s.
-    """
-    seconds, y, parts = w.hold / w.steps, x, []
-    push = u[THRUST] / w.c.mass
+    """A hold of controls (6, B) at states (16, B): the least of the limits of motion (B,), and the states after it."""
+    parts = []
     for _ in range(w.steps):
-        z = step(y, u, seconds, w.c)
-        turn = torch.maximum(norm(y[OMEGA]), norm(z[OMEGA]))
-        mean = (rotate(y[Q], push) + rotate(z[Q], push)) / 2
-        parts.append(between(y[:6], z[:6], strays(y[:6], z[:6], seconds, mean, turn), w.c, free))
-        y = z
-    return lowest(torch.cat(parts)), beginning(y, w)
+        x, least = look(x, u, w, free)
+        parts.append(least)
+    return lowest(torch.stack(parts)), x
+
+
+def look(x: Tensor, u: Tensor, w: Braking, free: FreeFlight) -> tuple[Tensor, Tensor]:
+    """The states after one step of a hold, and the least of the limits in it, see `held`."""
+    seconds, push = w.hold / w.steps, u[THRUST] / w.c.mass
+    end = step(x, u, seconds, w.c)
+    mean = (rotate(x[Q], push) + rotate(end[Q], push)) / 2
+    turn = torch.maximum(norm(x[OMEGA]), norm(end[OMEGA]))
+    off = strays(x[:6], end[:6], seconds, mean, turn)
+    return end, lowest(between(x[:6], end[:6], off, w.c, free))
 
 
 def beginning(x: Tensor, w: Braking) -> Tensor:
-    """Where the way from states (16, B) begins, see `held`.
+    """Where the way from states (16, B) begins, (10, B).
+
+    Position, velocity, the Sun's angle, the body's largest rate from there on, and by how much the way strays from what
+    is planned, in m and m/s.
 
     Of each hold, an error of astray |G| T of velocity is left to the next, which takes it away, and a turn of
     a w T^3 / 12 of position stays. In all a way from a speed v has |v| / (a T) holds.
@@ -173,7 +177,7 @@ def beginning(x: Tensor, w: Braking) -> Tensor:
 
 
 def braked(at: Tensor, w: Braking) -> tuple[Tensor, Tensor]:
-    """One hold of the way, from (10, B) as `held` returns it: where it ends, the same, and the least of the limits."""
+    """One hold of the way, from (10, B) as of `beginning`: where it ends, the same, and the least of the limits."""
     start, theta_s, turn, off_p, off_v = at[:6], at[6], at[7], at[8], at[9]
     p, v, t = start[P], start[V], w.hold
     wanted, given = planned(p, v, theta_s, w)
@@ -187,12 +191,12 @@ def at_a_glance(x: Tensor, u: Tensor, w: Braking) -> Tensor:
 
     That is straight; all holds but the last are one parabola, the last is another.
     """
-    least, at = held(x, u, w, w.rough)
-    return torch.minimum(least, at_once(at, w))
+    least, end = held(x, u, w, w.rough)
+    return torch.minimum(least, at_once(beginning(end, w), w))
 
 
 def at_once(at: Tensor, w: Braking) -> Tensor:
-    """The same of the way alone, from (10, B) as `held` returns it, in a single chord from its beginning to its end.
+    """The same of the way alone, from (10, B) as of `beginning`, in a single chord from there to its end.
 
     Place and speed lie on one parabola until the last hold, and on another in it. From the chord they are at most as
     far as the parabolas are from theirs, (v - s)^2 / (8 a) and s T / 8, and as the point where they meet.

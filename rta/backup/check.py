@@ -67,13 +67,13 @@ class Backup:
         w = self.braking
 
         def looked_at(columns: Tensor) -> Tensor:
-            least, at = brake.held(pick(x, columns), pick(u, columns), w, w.free)
-            return (least >= 0.0) & self.brakes(at)
+            least, end = brake.held(pick(x, columns), pick(u, columns), w, w.free)
+            return (least >= 0.0) & self.brakes(brake.beginning(end, w))
 
         return either(brake.at_a_glance(x, u, w), looked_at)
 
     def brakes(self, at: Tensor) -> Tensor:
-        """(B,) bool: ways from (10, B) as `brake.held` returns it keep the limits of motion and come to rest."""
+        """(B,) bool: ways from (10, B) as of `brake.beginning` keep the limits of motion and come to rest."""
         safe, flying = torch.zeros_like(at[0], dtype=torch.bool), torch.arange(at.shape[1], device=at.device)
         for _ in range(self.braking.holds):
             rested = norm(at[V]) <= AT_REST

@@ -15,7 +15,7 @@ from rta.backup.check import ATTITUDE, MOTION, SHARES, Backup
 if TYPE_CHECKING:
     from rta.filter import SafetyFilter
 
-AT = 10  # components of where a way begins, see `rta.backup.brake.held`
+AT = 10  # components of where a way begins, see `rta.backup.brake.beginning`
 AT_A_GLANCE = ("thrust_glance", "torque_sight", "torque_glance")  # which are computed for every spacecraft
 
 Run = Callable[..., Sequence[Tensor]]
@@ -32,7 +32,8 @@ def checks(safety_filter: "SafetyFilter") -> list[Printed]:
         ("thrust_glance", partial(thrust_glance, safety_filter.backup), (x, u), ("x", "control"), ("least",)),
         ("torque_sight", partial(torque_sight, safety_filter.backup), (x, u), ("x", "control"), ("least",)),
         ("torque_glance", partial(torque_glance, safety_filter.backup), (x, u), ("x", "control"), ("least",)),
-        ("thrust_held", partial(thrust_held, safety_filter.backup), (x, u), ("x", "control"), ("least", "at")),
+        ("thrust_look", partial(thrust_look, safety_filter.backup), (x, u), ("x", "control"), ("after", "least")),
+        ("beginning", partial(beginning, safety_filter.backup), (x,), ("x",), ("at",)),
         ("torque_verified", partial(torque_verified, safety_filter.backup), (x, u), ("x", "control"), ("least",)),
         ("braked", partial(braked, safety_filter.backup), (at,), ("at",), ("after", "least")),
         ("brake_law", partial(brake_law, safety_filter.backup), (x, u), ("x", "control"), ("thrust",)),
@@ -59,10 +60,15 @@ def torque_sight(backup: Backup, x: Tensor, u: Tensor) -> list[Tensor]:
     return [slew.at_first_sight(x, u, backup.slewing)[None]]
 
 
-def thrust_held(backup: Backup, x: Tensor, u: Tensor) -> list[Tensor]:
-    """`brake.held`, closely."""
-    least, at = brake.held(x, u, backup.braking, backup.braking.free)
-    return [least[None], at]
+def thrust_look(backup: Backup, x: Tensor, u: Tensor) -> list[Tensor]:
+    """`brake.look`, closely."""
+    end, least = brake.look(x, u, backup.braking, backup.braking.free)
+    return [end, least[None]]
+
+
+def beginning(backup: Backup, x: Tensor) -> list[Tensor]:
+    """`brake.beginning`."""
+    return [brake.beginning(x, backup.braking)]
 
 
 def torque_verified(backup: Backup, x: Tensor, u: Tensor) -> list[Tensor]:
@@ -86,14 +92,16 @@ def slew_law(backup: Backup, x: Tensor) -> list[Tensor]:
     return [slew.slew(x, backup.slewing)]
 
 
+GIVEN = f"const double x[{SIZE}], const double control[{CONTROL_SIZE}]"
 DECLARED = {
-    "thrust_glance": f"const double x[{SIZE}], const double control[{CONTROL_SIZE}], double least[1]",
-    "torque_sight": f"const double x[{SIZE}], const double control[{CONTROL_SIZE}], double least[1]",
-    "torque_glance": f"const double x[{SIZE}], const double control[{CONTROL_SIZE}], double least[1]",
-    "thrust_held": f"const double x[{SIZE}], const double control[{CONTROL_SIZE}], double least[1], double at[{AT}]",
-    "torque_verified": f"const double x[{SIZE}], const double control[{CONTROL_SIZE}], double least[1]",
+    "thrust_glance": f"{GIVEN}, double least[1]",
+    "torque_sight": f"{GIVEN}, double least[1]",
+    "torque_glance": f"{GIVEN}, double least[1]",
+    "thrust_look": f"{GIVEN}, double after[{SIZE}], double least[1]",
+    "beginning": f"const double x[{SIZE}], double at[{AT}]",
+    "torque_verified": f"{GIVEN}, double least[1]",
     "braked": f"const double at[{AT}], double after[{AT}], double least[1]",
-    "brake_law": f"const double x[{SIZE}], const double control[{CONTROL_SIZE}], double thrust[3]",
+    "brake_law": f"{GIVEN}, double thrust[3]",
     "slew_law": f"const double x[{SIZE}], double torque[3]",
 }
 
@@ -102,6 +110,7 @@ def constants(backup: Backup) -> dict[str, tuple[int | float | str, str]]:
     """What commit.c depends on: by name the value and what it is."""
     shares = ", ".join(f"{share:g}" for share in (*SHARES, 1.0))
     return {
+        "LOOKS": (backup.braking.steps, "at a hold"),
         "BRAKING_HOLDS": (backup.braking.holds, "after which a spacecraft that brakes must be at rest"),
         "AT_REST": (brake.AT_REST, "m/s"),
         "SHARE_COUNT": (len(SHARES) + 1, ""),

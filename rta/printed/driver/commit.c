@@ -10,13 +10,21 @@ static double speed_of(const double at[10])
 static int thrust_is_safe(const double x[16], const double control[6])
 {
     double least[1];
+    double y[16];
     double at[10];
     double after[10];
     thrust_glance(x, control, least);
     if (least[0] >= 0.0) {
         return 1;
     }
-    thrust_held(x, control, least, at);
+    copy(y, x, 16);
+    least[0] = 0.0;
+    for (int i = 0; (i < LOOKS) && (least[0] >= 0.0); ++i) {
+        double end[16];
+        thrust_look(y, control, end, least);
+        copy(y, end, 16);
+    }
+    beginning(y, at);
     for (int k = 0; (k < BRAKING_HOLDS) && (least[0] >= 0.0); ++k) {
         const double speed = speed_of(at);
         braked(at, after, least);
@@ -79,6 +87,17 @@ static int is_broken(int group, const struct safety_filter_output *out)
     return found;
 }
 
+/* All limits are kept: what rows lacked was theirs alone. */
+static void nothing_yields(int group, struct safety_filter_output *out)
+{
+    if (out->program_status[group] == SLACK) {
+        out->program_status[group] = HARD;
+    }
+    for (int k = 0; k < CONSTRAINTS_OF[group]; ++k) {
+        out->slack[PLACE[group][k]] = 0.0;
+    }
+}
+
 /* Torque comes first, since the attitude decides where thrust acts. */
 static void commit(const double x[16], double control[6], struct safety_filter_output *out)
 {
@@ -94,6 +113,9 @@ static void commit(const double x[16], double control[6], struct safety_filter_o
                     out->program_status[group] = HARD;
                 }
             }
+        }
+        if (verified != 0) {
+            nothing_yields(group, out);
         }
         out->verified &= verified;
     }

@@ -27,3 +27,20 @@ static M unsure(const V x[16], const V control[6])
     return NO;
 #endif
 }
+
+/* Where controls are safe no limit yields: what rows lacked was theirs alone. */
+static void nothing_yields(M unseen, V program_status[2], V slack[CONSTRAINTS])
+{
+#if BACKUP
+    for (int group = 0; group < 2; ++group) {
+        program_status[group] = SELECT(unseen, program_status[group], MIN(program_status[group], ALL(1.0)));
+    }
+    for (int k = 0; k < CONSTRAINTS; ++k) {
+        slack[k] = SELECT(unseen, slack[k], ALL(0.0));
+    }
+#else
+    (void)unseen;
+    (void)program_status;
+    (void)slack;
+#endif
+}

@@ -42,10 +42,11 @@ long filter_batch(long first, long last, const void *const *in, const long *in_s
         bring_up_to_date(in[2], in_step[2], column, lanes, left, x, error_bound);
         torque_correct(x, error_bound, left, wish, block.numbers, &block);
         thrust_correct(x, error_bound, left, wish, block.numbers, &block);
+        const M unseen = unsure(x, block.numbers);
+        nothing_yields(unseen, block.program_status, &block.numbers[6]);
         for (int k = 0; k < 6 + 4 * CONSTRAINTS; ++k) {
             store_double(out[NUMBERS], k * out_step[NUMBERS] + column, lanes, block.numbers[k]);
         }
-        const M unseen = unsure(x, block.numbers);
         store_statuses(block.program_status, differ(desired, block.numbers), BACKUP ? ~unseen : NO, block.active, out, out_step, column, lanes);
         for (int lane = 0; lane < W && lane < lanes; ++lane) {
             if (block.open[0][lane] || unseen[lane]) {

@@ -15,10 +15,11 @@ long filter_batch(long first, long last, const void *const *in, const long *in_s
         load_block(in[0], in_step[0], column, lanes, 16, x);
         load_block(in[1], in_step[1], column, lanes, 6, desired);
         first_attempt(x, desired, numbers, &numbers[6], &numbers[6 + CONSTRAINTS], program_status, active, left);
+        const M unseen = unsure(x, numbers);
+        nothing_yields(unseen, program_status, &numbers[6]);
         for (int k = 0; k < 6 + 2 * CONSTRAINTS; ++k) {
             store_double(out[NUMBERS], k * out_step[NUMBERS] + column, lanes, numbers[k]);
         }
-        const M unseen = unsure(x, numbers);
         store_statuses(program_status, differ(desired, numbers), BACKUP ? ~unseen : NO, active, out, out_step, column, lanes);
         for (int lane = 0; lane < W && lane < lanes; ++lane) {
             if (left[0][lane] || unseen[lane]) {
