@@ -167,13 +167,18 @@ def beginning(x: Tensor, w: Braking) -> Tensor:
     Position, velocity, the Sun's angle, the body's largest rate from there on, and by how much the way strays from what
     is planned, in m and m/s.
 
-    Of each hold, an error of astray |G| T of velocity is left to the next, which takes it away, and a turn of
-    a w T^3 / 12 of position stays. In all a way from a speed v has |v| / (a T) holds.
+    Of each hold, an error of astray |G| T of velocity is left to the next, which takes it away. In all a way from a
+    speed v has |v| / (a T) holds.
     """
     speed = norm(x[V])
     off_v = w.astray * (speed + w.thrust * w.hold)
-    off_p = speed * (w.turn * w.hold**2 / 12 + w.astray * (speed / (2 * w.straight) + w.hold)) + w.creep
+    off_p = w.astray * speed * (speed / (2 * w.straight) + w.hold) + w.creep
     return torch.cat((x[:6], torch.stack((x[THETA_S], torch.full_like(speed, w.turn), off_p, off_v))))
+
+
+def aside(push: Tensor, turn: Tensor, w: Braking) -> Tensor:
+    """m by which a hold of thrust of so many m/s^2 leads past where it is planned to: a w T^3 / 12, see `strays`."""
+    return push * turn * w.hold**3 / 12
 
 
 def braked(at: Tensor, w: Braking) -> tuple[Tensor, Tensor]:
@@ -182,8 +187,10 @@ def braked(at: Tensor, w: Braking) -> tuple[Tensor, Tensor]:
     p, v, t = start[P], start[V], w.hold
     wanted, given = planned(p, v, theta_s, w)
     end = torch.cat((p + t * v + t**2 / 2 * wanted, v + t * wanted))
+    off_p = off_p + aside(norm(given), turn, w)
     least = lowest(between(start, end, strays(start, end, t, given, turn, off_p, off_v), w.c, w.free))
-    return torch.cat((end, sun_angle_after(theta_s, t, w.c)[None], at[7:])), least
+    rest = torch.stack((sun_angle_after(theta_s, t, w.c), turn, off_p, off_v))
+    return torch.cat((end, rest)), least
 
 
 def at_a_glance(x: Tensor, u: Tensor, w: Braking) -> Tensor:
@@ -214,7 +221,8 @@ def at_once(at: Tensor, w: Braking) -> Tensor:
     sag = meet + torch.maximum((speed - slow) ** 2 / (8 * w.straight), slow * t / 8)
     drift = w.thrust - w.straight  # of natural acceleration, at most and in any direction
     push = torch.minimum(speed / t, torch.full_like(speed, w.straight)) + drift
-    off = strays(start, torch.cat((p, v)), t, push * direction, turn, off_p, off_v)
+    off_p = off_p + (full + 1.0) * aside(push, turn, w)
+    off = strays(start, start, t, push * direction, turn, off_p, off_v)
     off = Strays(off.position + sag, off.velocity, off.speed + off.velocity * drift / w.straight)
     room = w.c.max_distance - INSIDE - w.buffer - norm(rest[P])
     return lowest(torch.cat((between(start, rest, off, w.c, w.rough), room[None])))

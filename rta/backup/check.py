@@ -9,6 +9,7 @@ Torque comes first, since the attitude decides where thrust acts. Limits of moti
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 
 import torch
@@ -44,7 +45,9 @@ class Backup:
 
     def __init__(self, c: Limits, hold: float) -> None:
         steps = math.ceil(hold / LOOK)
-        self.c, self.braking, self.slewing = c, Braking.of(c, hold, steps), Slewing.of(c, hold, steps)
+        # where the plant is stepped more often than a hold is looked at, it would hold the rates elsewhere
+        self.c = replace(c, saturate_rates=c.saturate_rates and hold / steps <= c.substep)
+        self.braking, self.slewing = Braking.of(self.c, hold, steps), Slewing.of(self.c, hold, steps)
 
     @staticmethod
     def is_there(c: Limits) -> bool:

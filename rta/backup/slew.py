@@ -211,7 +211,8 @@ def at_first_sight(x: Tensor, u: Tensor, w: Slewing) -> Tensor:
         x[E] - c.min_energy - turned * c.power_draw / 1000.0 - c.energy_sun_slope * math.pi,
     ]
     if not c.saturate_rates:
-        parts.append(torch.full_like(x[T], -math.inf))  # the rates must be looked at
+        faster = u[TORQUE].abs() / x.new_tensor(c.inertia)[:, None] + w.gyroscopic
+        parts.append(c.max_rate - (x[OMEGA].abs() + w.hold * faster).amax(0))
     return lowest(torch.stack(parts))
 
 
