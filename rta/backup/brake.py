@@ -43,7 +43,7 @@ class Braking:
         free, rough: of free flight, looked at closely and at a glance.
         hold: T in s; steps: in which the simulation of a hold is looked at.
         thrust: the largest |G|; straight: a, both in m/s^2.
-        turn: rad/s, that the body turns at most on its way to rest, and the direction of f.
+        turn: rad/s, that the body turns at most once it has the slew's rates, with the direction of f.
         astray: share of |G| by which the mean over a hold differs from the one wanted.
         buffer: m, of the zone, for how far a path strays in a hold; creep: m, that it may move while it hovers
             for an orbit; holds: after which it must be at rest.
@@ -63,7 +63,7 @@ class Braking:
     holds: int
 
     @classmethod
-    def of(cls, c: Limits, hold: float, steps: int) -> "Braking":
+    def of(cls, c: Limits, hold: float, steps: int, slewing: float) -> "Braking":
         rate = math.sqrt(3.0) * c.max_rate
         half, quickening = (
             rate * hold / 2,
@@ -74,7 +74,7 @@ class Braking:
         fastest = min(c.docking_speed + c.speed_slope * c.max_distance, math.sqrt(3.0) * c.max_speed)
         thrust = c.max_thrust / c.mass / (1 + off_mean)
         straight = thrust - c.largest_drift(c.max_distance, fastest)
-        turn = rate + 4 * c.mean_motion
+        turn = slewing + 4 * c.mean_motion
         orbit = 2 * math.pi / c.mean_motion
         creep = c.largest_drift(c.max_distance, 0.0) * (rate * SLEW + c.mean_motion * orbit) * hold**2 / 12
         buffer = straight * hold**2 / 4 + fastest * turn * hold**2 / 12 + creep
@@ -173,7 +173,7 @@ def beginning(x: Tensor, w: Braking) -> Tensor:
     speed = norm(x[V])
     off_v = w.astray * (speed + w.thrust * w.hold)
     off_p = w.astray * speed * (speed / (2 * w.straight) + w.hold) + w.creep
-    return torch.cat((x[:6], torch.stack((x[THETA_S], torch.full_like(speed, w.turn), off_p, off_v))))
+    return torch.cat((x[:6], torch.stack((x[THETA_S], norm(x[OMEGA]).clamp(min=w.turn), off_p, off_v))))
 
 
 def aside(push: Tensor, turn: Tensor, w: Braking) -> Tensor:

@@ -47,7 +47,8 @@ class Backup:
         steps = math.ceil(hold / LOOK)
         # where the plant is stepped more often than a hold is looked at, it would hold the rates elsewhere
         self.c = replace(c, saturate_rates=c.saturate_rates and hold / steps <= c.substep)
-        self.braking, self.slewing = Braking.of(self.c, hold, steps), Slewing.of(self.c, hold, steps)
+        self.slewing = Slewing.of(self.c, hold, steps)
+        self.braking = Braking.of(self.c, hold, steps, self.slewing.fastest)
 
     @staticmethod
     def is_there(c: Limits) -> bool:

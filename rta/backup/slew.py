@@ -35,6 +35,7 @@ from rta.backup.chords import lowest
 
 NODES, ROUGH_NODES = 8, 3  # of the turn to the Sun
 SLOWER = 0.99  # of the law's rate, at which it turns at least: what sampling and the Sun's own motion take
+FARTHEST = 0.175  # rad, that the law turns in a hold: a fast turn leads thrust that is held astray
 ROUNDED = 1e-12  # rad/s, by which a rate at its limit may be beyond
 FLAT = 1.5  # rad, whose cotangent counts where the camera is farther from the Sun
 
@@ -67,6 +68,7 @@ class Slewing:
         gyroscopic = math.hypot(*euler((c.max_rate,) * 3, c.inertia))
         alpha = c.max_torque / max(c.inertia) - gyroscopic
         rate = c.max_rate - 1.05 * c.fastest_orbit_rate - gyroscopic * hold / 8
+        rate = min(rate, FARTHEST / hold)
         roll = min(rate, 0.12 / hold)
         one, none = torch.ones((), dtype=torch.float64), torch.zeros((), dtype=torch.float64)
         cold = temperature_rate(none, none, none, c)
@@ -79,6 +81,11 @@ class Slewing:
             heating=(temperature_rate(one, one, none, c) - cold).item(),
             charging=energy_rate(one, c).item() + c.power_draw / 1000.0,
         )  # fmt: skip
+
+    @property
+    def fastest(self) -> float:
+        """rad/s, at which the law has a body turn at most, two axes pointing it and one rolling."""
+        return math.hypot(self.rate, self.rate, self.roll) + self.c.fastest_orbit_rate
 
 
 def has_rest(c: Limits) -> bool:
