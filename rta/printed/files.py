@@ -70,6 +70,7 @@ SECTIONS = {  # by file of the driver
     "thrusters.c": "Thrusters that give some values only",
     "health.c": "Turning a weak axis away in time",
     "filter_held.c": "The filter",
+    "commit.c": "Whether a control keeps the limits and leaves a way to rest",
 }
 
 
@@ -300,6 +301,8 @@ def vectors_header(safety_filter: "SafetyFilter", real: str) -> str:
             f"static const struct safety_filter_input given[VECTORS] = {{\n{inputs}\n}};",
             "",
             table("int expected_status[VECTORS]", result.status.tolist()),
+            table("int expected_verified[VECTORS]", result.verified.int().tolist()),
+            table("int expected_backup[VECTORS]", result.backup.int().tolist()),
             table("int expected_violated[VECTORS]", result.violated.int().tolist()),
             table("double expected_control[VECTORS][6]", result.control.T.tolist()),
             table("double expected_h[VECTORS][SAFETY_FILTER_CONSTRAINTS]", result.h.T.tolist()),

@@ -95,7 +95,7 @@ def independent(safety_filter: "SafetyFilter") -> "SafetyFilter":
 def is_steady(
     safety_filter: "SafetyFilter", given: list[Tensor], rounding: float, draw: torch.Generator
 ) -> Tensor:
-    """(B,) bool: every program is solved, and neither statuses nor active rows nor controls turn on rounding.
+    """(B,) bool: every program is solved, and no status, active row, check or control turns on rounding.
 
     In single precision none with slack is: weights of 1e5 leave few digits of its control.
     """
@@ -108,6 +108,7 @@ def is_steady(
         again = safety_filter.correct(*near, *given[2:])
         steady &= (again.program_status == first.program_status).all(0)
         steady &= (again.active == first.active).all(0)
+        steady &= (again.verified == first.verified) & (again.backup == first.backup)
         steady &= ((again.control - first.control).abs() / limit <= NEARLY).all(0)
     return steady
 

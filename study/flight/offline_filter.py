@@ -46,6 +46,7 @@ def filter_states(safety_filter: SafetyFilter, x: Tensor, desired: Tensor) -> di
         active: (N, 13) bool, a row of the constraint binds a corrected control.
         slack: (N, 13) delta <= 0 of A control_safe + b >= delta, zero where a program held without slack.
         status: (N,) `Status`, the worse of the thrust and the torque program.
+        verified, backup: (N,) bool, see `FilterResult`. Where backup is set, control_safe is not that u.
         constraints: (13,) names.
         A_all: (N, R, 6), b_all: (N, R) every row as it was finally enforced. b contains the margin if its program
             held with all margins, and does not if they had to be given up.
@@ -111,6 +112,8 @@ def filter_chunk(safety_filter: SafetyFilter, x: Tensor, desired: Tensor) -> dic
         "slack": every.pop("delta")[binding, columns],
         "status": result.status,
         "violated": result.violated,
+        "verified": result.verified,
+        "backup": result.backup,
         "shortfall": result.slack,
         **every,
     }

@@ -17,8 +17,9 @@ struct safety_filter_output {
     safety_filter_real control[6];    /* as desired[6], within the actuators' limits, to be held for a period */
     int status;                       /* enum safety_filter_status, the worse of both below */
     int program_status[2];            /* of thrust, of torque */
-    int verified;                     /* 1: a way to rest is known on which no limit is violated, from the end of the period on */
-    int backup;                       /* 1: another control is applied than the programs' solution, to keep one */
+    int verified;                     /* 1: no limit is violated while control is held, and then a way to rest is known
+                                         on which none is; 0: no such way is known, or there is no check */
+    int backup;                       /* 1: the check refused the programs' solution, and control is nearer to that way */
     int violated;                     /* 1: a limit is broken already, some h is negative, whatever the status */
     safety_filter_real residual[2];   /* of the optimality conditions of a program whose solution is applied, else 0 */
     safety_filter_real h[SAFETY_FILTER_CONSTRAINTS];     /* values of the constraints: negative is a violation */

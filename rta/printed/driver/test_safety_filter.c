@@ -41,11 +41,14 @@ int main(void)
 {
     double control = 0.0;
     double values = 0.0;
-    int others = 0; /* with another status, or other active constraints */
+    int others = 0; /* with another status, another answer of the check, or other active constraints */
     for (int n = 0; n < VECTORS; ++n) {
         struct safety_filter_output out;
         safety_filter(&given[n], &out);
         int same = (out.status == expected_status[n]) ? 1 : 0;
+        if ((out.verified != expected_verified[n]) || (out.backup != expected_backup[n])) {
+            same = 0;
+        }
         if ((out.status != SAFETY_FILTER_UNSOLVED) && (out.violated != expected_violated[n])) {
             same = 0;
         }
@@ -57,7 +60,7 @@ int main(void)
         values = fmax(values, off_values(n, &out));
     }
     const int passed = ((control <= TOLERANCE) && (values <= TOLERANCE_OF_H) && (others == 0)) ? 1 : 0;
-    (void)printf("%s: %d calls, %d with another status or other active constraints; controls at most %.1e of the "
+    (void)printf("%s: %d calls, %d with another status, check or active constraints; controls at most %.1e of the "
                  "limits from Python's, h %.1e\n", (passed != 0) ? "passed" : "FAILED", VECTORS, others, control, values);
     return (passed != 0) ? EXIT_SUCCESS : EXIT_FAILURE;
 }
