@@ -53,8 +53,8 @@ def safe_set(count: int, seed: int, safety_filter: SafetyFilter) -> tuple[Tensor
     A Latin hypercube over distance up to INSIDE of the zone, speed up to the limit there, all directions and attitudes,
     body rates, temperature and energy down to their limits and the Sun's angle. Of a filter that knows no way, every h
     and every Psi_1 is non-negative; Psi_1 is the filter's, with the margins of h inside it and the terminator rounded
-    off (`RtaParameters.incidence_rounding`), and states beyond its own keep-in barrier (`SafetyFilter.can_brake`) belong
-    to the set.
+    off (`RtaParameters.incidence_rounding`), and states beyond its own keep-in barrier (`SafetyFilter.can_brake`)
+    belong to the set.
 
     Returns:
         States (16, count), priority vectors (3, count) and how many other states of the hypercubes, up to the last
