@@ -113,6 +113,7 @@ def tried(
         before,
         after,
         unsolved,
+        backup=sum(int(answer.backup.sum()) for answer in answers),
         calls=2 * tries * batch,
     )
 

@@ -26,7 +26,7 @@ class Tried(NamedTuple):
         last: (13, B) h at its end, under the worst of the controls for that.
         desired, applied: (13, 6, B) those controls, and what the filter made of them.
         before, after: (13, B) largest slack of the rows at the state, and at the end of the period.
-        unsolved: filter calls, of `calls`.
+        unsolved: filter calls, of `calls`; backup: those in which the backup law decided.
     """
 
     smallest: Tensor
@@ -36,6 +36,7 @@ class Tried(NamedTuple):
     before: Tensor
     after: Tensor
     unsolved: int
+    backup: int
     calls: int
 
 
@@ -63,6 +64,7 @@ def empty_report(campaign: Any, config: Config) -> dict[str, Any]:
         "worst_value": dict.fromkeys(CONSTRAINTS),
         "filter_calls": 0,
         "unsolved": 0,
+        "backup_calls": 0,
         "limits": {},
         "pairs": {},
         "within_margins": {},
@@ -91,6 +93,7 @@ def add(
     report["draws"] += number.numel()
     report["filter_calls"] += result.calls
     report["unsolved"] += result.unsolved
+    report["backup_calls"] += result.backup
     counted = {
         "violating_draws": violating,
         "violating_at_end": result.last < 0.0,
@@ -190,7 +193,7 @@ def table(report: dict[str, Any]) -> str:
         "violated at the end of the period: " + described(report["violating_at_end"]),
         "lost, all rows held before the call and not after it: " + described(report["lost_draws"]),
         f"{report['yielding_draws']['any']:,} draws in which a row had slack before; {report['filter_calls']:,} "
-        f"filter calls, {report['unsolved']:,} unsolved",
+        f"filter calls, {report['unsolved']:,} unsolved, {report['backup_calls']:,} by the backup",
     ]
     return "\n".join(fill(line, WIDTH, subsequent_indent=" " * 11) for line in lines)
 

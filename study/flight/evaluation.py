@@ -43,7 +43,7 @@ class Episodes:
         violation_seconds: the same, percent of its integration steps.
         outcome: (episodes,) index into OUTCOMES.
         clear: (episodes,) bool, it succeeded and two days of free flight stay clear of the chief.
-        filter_calls, interventions, failures: (episodes,) counts.
+        filter_calls, interventions, failures, backup_calls: (episodes,) counts.
         filter_violations: (13, episodes) filter calls at which the constraint was violated.
         worst: (13, episodes) smallest constraint value after an integration step.
         extremes: (8, episodes) smallest `raw_quantities` after an integration step.
@@ -57,6 +57,7 @@ class Episodes:
     filter_calls: Tensor
     interventions: Tensor
     failures: Tensor
+    backup_calls: Tensor
     filter_violations: Tensor
     worst: Tensor
     extremes: Tensor
@@ -143,6 +144,7 @@ def run_episodes(
         filter_calls=zeros.clone(),
         interventions=zeros.clone(),
         failures=zeros.clone(),
+        backup_calls=zeros.clone(),
         filter_violations=zeros.repeat(constraints, 1),
         worst=worst.value,
         extremes=extremes.value,
@@ -187,7 +189,9 @@ def note_step(record: Episodes, transition: Transition, running: Tensor) -> None
         asked = running & answered
         record.filter_calls += asked
         record.interventions += asked & correction.intervened
-        record.failures += asked & (in_full(correction).status == Status.UNSOLVED)
+        answer = in_full(correction)
+        record.failures += asked & (answer.status == Status.UNSOLVED)
+        record.backup_calls += asked & answer.backup
         record.filter_violations += asked & (true < 0.0)
     ending = running & transition.done
     any_steps = transition.metrics[METRICS.index("violation_percent")]
@@ -213,6 +217,7 @@ def report(record: Episodes, config: Config, seed: int, seeds: int = 1) -> dict[
         "period_s": config.rta.period if config.train.rta else None,
         "intervention_percent": 100.0 * record.interventions.sum().item() / calls if calls else 0.0,
         "qp_failures": int(record.failures.sum().item()),
+        "backup_calls": int(record.backup_calls.sum().item()),
     }
     if calls:
         filter_steps = (100.0 * record.filter_violations.sum(1) / calls).tolist()

@@ -73,7 +73,8 @@ def report_in(
 
     The campaign is a dataclass of numbers and strings.
 
-    Older files may lack settings or have them by other names; what is written has those of today.
+    Older files may lack settings or have them by other names; what is written has those of today. From before there
+    was a backup they have no `backup_calls`: none.
     """
     fresh = empty(campaign, config)
     if path is None or not path.is_file() or not path.stat().st_size:
@@ -87,6 +88,8 @@ def report_in(
         )
     if not same:
         raise InputError(f"--json {path}: holds another campaign or configuration; name another file")
+    for counts in (report, report.get("starts_beyond_braking", {})):
+        counts.setdefault("backup_calls", 0)
     return report | {name: fresh[name] for name in ("campaign", "fingerprint", "config")}
 
 
@@ -116,7 +119,7 @@ def table(report: dict[str, Any]) -> str:
         f"{report['episodes']:,} episodes, {report['steps']:,} steps; violation probability per episode below "
         f"{report['upper_bound_95']:.2e} (95 %)",
         f"{total:,} filter calls, {corrected:.1f} % corrected, {calls['slack']:,} with slack, "
-        f"{report['unsolved']:,} unsolved; controls outside their bounds in "
+        f"{report['unsolved']:,} unsolved, {report['backup_calls']:,} by the backup; controls outside their bounds in "
         f"{report['controls_outside_bounds']:,} episodes",
         f"beside these {beyond['episodes']:,} starts beyond the filter's keep-in barrier: "
         f"{beyond['violating_episodes']['any']:,} with violations"

@@ -45,6 +45,7 @@ class Flight:
         worst: (13, B) smallest value; when: (13, B) s.
         status: (4, B) filter calls by `Status`.
         yielded: (13, B) calls at which a row had slack; slack: (13, B) its largest.
+        backup: (B,) calls at which another control was applied than the programs' solution, see `FilterResult.backup`.
         excess: (B,) largest control in units of its actuator's limit.
         start: (16 + 3, B) initial states and priority vectors; desired, applied: (calls, 6, B) controls of each filter
             call.
@@ -60,6 +61,7 @@ class Flight:
     status: Tensor
     yielded: Tensor
     slack: Tensor
+    backup: Tensor
     excess: Tensor
     start: Tensor
     desired: Tensor
@@ -111,6 +113,7 @@ def fly(
         status=x.new_zeros(len(Status), batch),
         yielded=x.new_zeros(constraints, batch),
         slack=x.new_zeros(constraints, batch),
+        backup=x.new_zeros(batch),
         excess=x.new_zeros(batch),
         start=torch.cat((x, priority)),
         desired=x.new_zeros(calls, CONTROL_SIZE, batch),
@@ -132,12 +135,15 @@ def fly(
                 flight.corners[i] = env.plant.corner
             yielded, time = result.slack > ROUNDING, torch.full_like(flight.excess, hold.time)
             status, slack = torch.nn.functional.one_hot(result.status, len(Status)).T, result.slack
+            backup = result.backup
             if hold.missed is not None:  # then nothing was asked
-                yielded, status, slack = (part * ~hold.missed for part in (yielded, status, slack))
+                asked = ~hold.missed
+                yielded, status, slack, backup = (part * asked for part in (yielded, status, slack, backup))
             parts = column, time, hold.seen, hold.desired, slack, h
             conflicts.append(Conflicts(*(part[..., yielded.any(0)] for part in parts)))
             flight.status += status
             flight.yielded += yielded
+            flight.backup += backup
             flight.slack = torch.maximum(flight.slack, slack)
             flight.excess = torch.maximum(flight.excess, (hold.applied.abs() / env.limit).amax(0))
         h = env.constraint_values(hold.after)

@@ -20,6 +20,7 @@ def empty_tally() -> dict[str, Any]:
     gave the `worst_value` and when; `initial_states` of that size and seed has it in that column. `yielded_calls` and
     `largest_slack`, in h's unit per s (per s^2 at relative degree two), are about filter calls in which a row of the
     constraint had slack, and `slack_together` about the constraints of one program, of thrust or of torque.
+    `backup_calls` are those in which the backup law decided, not the programs' solution (`FilterResult.backup`).
     `conflicts` has the first SHOWN of these calls per constraint in full, in the order of the starts.
     """
     return {
@@ -32,6 +33,7 @@ def empty_tally() -> dict[str, Any]:
         "filter_calls": {status.name.lower(): 0 for status in Status},
         "unsolved": 0,
         "controls_outside_bounds": 0,
+        "backup_calls": 0,
         "yielded_calls": dict.fromkeys(CONSTRAINTS, 0),
         "largest_slack": dict.fromkeys(CONSTRAINTS, 0.0),
         "slack_together": {},
@@ -66,6 +68,7 @@ def add(tally: dict[str, Any], flight: Flight, origin: dict[str, int]) -> None:
     for status, calls in zip(Status, flight.status, strict=True):
         tally["filter_calls"][status.name.lower()] += int(calls.sum())
     tally["unsolved"] = tally["filter_calls"]["unsolved"]
+    tally["backup_calls"] += int(flight.backup.sum())
     tally["controls_outside_bounds"] += int((flight.excess > 1.0 + 1e-12).sum())
     add_conflicts(tally, flight.conflicts, origin)
 

@@ -34,7 +34,7 @@ def record(seeds: int, cases: int, generator: torch.Generator) -> Episodes:
     nothing, percent, zeros = torch.zeros(13, count), torch.zeros(14, count), torch.zeros(count)
     extremes = torch.zeros(len(RAW_QUANTITIES), count)
     clear = torch.zeros(count, dtype=torch.bool)
-    counts = zeros, zeros, zeros, nothing
+    counts = zeros, zeros, zeros, zeros, nothing
     return Episodes(metrics, percent, percent, outcome, clear, *counts, nothing, extremes)
 
 

@@ -14,7 +14,7 @@ from rta.constraints.constraint import CONSTRAINTS
 from rta.filter import SafetyFilter
 from rta.parameters import RtaParameters
 from study.verification.adversaries import held_at_random
-from study.verification.flight import Flight, fly, note_state
+from study.verification.flight import ROUNDING, Flight, fly, note_state
 from study.verification.starts import safe_set
 from tests.rta.conditions import test_rows
 from tests.rta.conditions.test_rows import FILTER, LIMIT
@@ -34,11 +34,12 @@ def lax() -> SafetyFilter:
 
 @functools.cache
 def six_episodes() -> Flight:
-    """Six episodes that decide every 2 s and are filtered every second."""
+    """Six episodes that decide every 2 s and are filtered every second, next to the filter's limits or beyond them."""
     safety = Safety(CONSTRAINTS, FILTER.values, None, lax().correct, 1.0)
     env = InspectionEnv(6, C, [torch.Generator().manual_seed(0)], safety, DECIDE, 1.0)
     x, priority, _ = safe_set(6, 36, FILTER)
-    x[13], x[14] = 9.9, 1.1
+    x[3:6] *= 2.2
+    x[13], x[14] = 10.95, 0.52
     policy = held_at_random(C, torch.Generator().manual_seed(0), 6)
     return fly(env, policy, x, priority, SECONDS)
 
@@ -46,7 +47,7 @@ def six_episodes() -> Flight:
 def recount(flight: Flight, column: int) -> dict[str, ndarray]:
     """One episode again, second by second, from its start and what the policy desired every 2 s."""
     safety, x = lax(), flight.start[:16, column : column + 1].numpy()
-    states, statuses, slacks, largest = [x], [], [], 0.0
+    states, statuses, slacks, backups, largest = [x], [], [], [], 0.0
     u = np.zeros((6, 1))
     for second in range(SECONDS):
         if second % DECIDE == 0:
@@ -55,6 +56,7 @@ def recount(flight: Flight, column: int) -> dict[str, ndarray]:
         u = result.control.numpy()
         statuses.append(int(result.status))
         slacks.append(result.slack[:, 0].numpy())
+        backups.append(bool(result.backup))
         largest = max(largest, (np.abs(u) / LIMIT).max())
         x = test_rows.fly(x, u, steps=1)
         states.append(x)
@@ -65,8 +67,9 @@ def recount(flight: Flight, column: int) -> dict[str, ndarray]:
         "worst": h.min(0),
         "when": h.argmin(0),
         "status": np.bincount(statuses, minlength=4),
-        "yielded": (np.array(slacks) > 0).sum(0),
+        "yielded": (np.array(slacks) > ROUNDING).sum(0),
         "slack": np.max(slacks, 0),
+        "backup": sum(backups),
         "excess": largest,
     }
 
@@ -85,10 +88,12 @@ def test_a_flight_counts_what_a_loop_of_its_own_counts() -> None:
         np.testing.assert_allclose(actual["worst"], expected["worst"], rtol=0, atol=PSM_TOLERANCE)
         np.testing.assert_array_equal(actual["status"], expected["status"])
         np.testing.assert_array_equal(actual["yielded"], expected["yielded"])
+        assert actual["backup"] == expected["backup"]
         np.testing.assert_allclose(actual["slack"], expected["slack"], rtol=0, atol=1e-7)
         np.testing.assert_allclose(actual["excess"], expected["excess"], rtol=0, atol=1e-9)
         sharp = [i for i in range(13) if i != 3 and i < 10]
         np.testing.assert_array_equal(actual["when"][sharp], expected["when"][sharp])
+    assert flight.backup.sum() > 0
 
 
 def test_chosen_episodes_are_those_of_the_flight() -> None:
@@ -98,7 +103,7 @@ def test_chosen_episodes_are_those_of_the_flight() -> None:
     assert part.column.tolist() == [1, 3, 4]
     assert part.applied.shape == (SECONDS, 6, 3) and (part.worst == flight.worst[:, [1, 3, 4]]).all()
     yielded = flight.yielded[:, chosen].sum()
-    assert (part.conflicts.slack > 0).sum() == yielded
+    assert (part.conflicts.slack > ROUNDING).sum() == yielded
 
 
 def test_nan_is_a_violation_without_end() -> None:

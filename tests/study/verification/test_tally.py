@@ -9,7 +9,7 @@ import torch
 from rta.constraints.constraint import CONSTRAINTS
 from rta.qp.programs import Status
 from study.verification import tally
-from study.verification.flight import Flight
+from study.verification.flight import ROUNDING, Flight
 from tests.rta.constraints.test_constraints import PSM_TOLERANCE, paper, tensor
 from tests.study.verification.test_flight import DECIDE, SECONDS, lax, recounted, six_episodes
 
@@ -44,6 +44,7 @@ def test_a_report_adds_its_flights_up() -> None:
         assert report["yielded_calls"][name] == 2 * sum(one["yielded"][i] for one in episodes)
     calls = 2 * sum(one["status"] for one in episodes)
     assert list(report["filter_calls"].values()) == list(calls)
+    assert report["backup_calls"] == 2 * sum(one["backup"] for one in episodes) > 0
     assert report["unsolved"] == calls[Status.UNSOLVED] and report["controls_outside_bounds"] == 0
 
 
@@ -54,7 +55,7 @@ def test_calls_with_slack_are_shown_and_counted(monkeypatch: pytest.MonkeyPatch)
     total = tally.empty_tally()
     tally.add(total, flight, ORIGIN)
     together = total["slack_together"]
-    programs = sum(int((slack > 0).any(0).sum()) for slack in flight.conflicts.slack.split((7, 6)))
+    programs = sum(int((slack > ROUNDING).any(0).sum()) for slack in flight.conflicts.slack.split((7, 6)))
     assert sum(same["calls"] for same in together.values()) == programs > 5
     for i, name in enumerate(CONSTRAINTS):
         mine = [same for key, same in together.items() if name in key.split(" + ")]
