@@ -439,7 +439,8 @@ class SafetyFilter:
         if self.backup is None:
             return result
         motion, attitude = result.h[: self.backup.motion], result.h[self.backup.motion : self.backup.limits]
-        broken = ~(motion >= 0.0).all(0), ~(attitude >= 0.0).all(0)
+        strange = ~x.isfinite().all(0)  # nothing is known of the way from such a state
+        broken = strange | ~(motion >= 0.0).all(0), strange | ~(attitude >= 0.0).all(0)
         control, verified, changed = self.backup.committed(x, result.control, broken)
         status = result.program_status
         status = torch.where(changed, status.clamp(min=Status.HARD), status)

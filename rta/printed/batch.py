@@ -30,7 +30,7 @@ from rta.conditions.tangents import (
 )
 from rta.constraints.constraint import joined
 from rta.printed.source import GROUPS, define, driver_text, functions, source, table
-from rta.printed.way import AT_A_GLANCE, checks
+from rta.printed.way import AT_A_GLANCE, checks, of_one
 from rta.qp.batched_solver import ACCURATE, STEPS_HELD, attempt
 from rta.qp.programs import Problems, Status, total
 
@@ -122,7 +122,7 @@ class BatchFilter(Columns):
         if holds:
             many += [driver_text("batch/block.c"), *(of_group(i, safety_filter) for i in range(2))]
         many.append(driver_text("batch/held.c" if holds else "batch/now.c"))
-        one = [source(safety_filter, [*own, *ways]), by_column(holds)]
+        one = [source(safety_filter, [*own, *of_one(ways)]), by_column(holds)]
         found = library({"one": "\n".join(one), "many": "\n".join(many)})
         super().__init__(found, safety_filter, 0.0)
         kernels = {part.name: Kernel(part, found) for part in shared}

@@ -29,7 +29,7 @@ from rta.printed.source import (
     table,
 )
 from rta.printed.vectors import vectors
-from rta.printed.way import checks
+from rta.printed.way import checks, of_one
 from rta.qp.programs import Status
 
 if TYPE_CHECKING:
@@ -243,7 +243,7 @@ def quoted(text: str) -> str:
 
 def implementation(safety_filter: "SafetyFilter") -> str:
     """safety_filter.c: what people read first, printed functions last."""
-    printed_functions = for_one([*functions(safety_filter), *checks(safety_filter)])
+    printed_functions = for_one([*functions(safety_filter), *of_one(checks(safety_filter))])
     names = ",\n".join(f"    {quoted(name)}" for name in safety_filter.names)
     given = driver_files(safety_filter)
     titles = [

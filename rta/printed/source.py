@@ -43,9 +43,9 @@ def source(safety_filter: "SafetyFilter", parts: Sequence[Printed] | None = None
     """All of the filter in C, in one text; the function to call is `safety_filter`.
 
     Args:
-        parts: what `functions` and `checks` print, if it is known.
+        parts: what `functions` and `checks` of one print, if it is known.
     """
-    parts = parts or [*functions(safety_filter), *way.checks(safety_filter)]
+    parts = parts or [*functions(safety_filter), *way.of_one(way.checks(safety_filter))]
     return driver(safety_filter) + "\n" + for_one(parts)
 
 

@@ -22,7 +22,7 @@ Run = Callable[..., Sequence[Tensor]]
 
 
 def checks(safety_filter: "SafetyFilter") -> list[Printed]:
-    """The functions that commit.c calls; none where the filter knows no way to rest."""
+    """The functions that either commit.c calls; none where the filter knows no way to rest."""
     if safety_filter.backup is None:
         return []
     x, u = safety_filter.probe("cpu")
@@ -96,7 +96,6 @@ GIVEN = f"const double x[{SIZE}], const double control[{CONTROL_SIZE}]"
 DECLARED = {
     "thrust_glance": f"{GIVEN}, double least[1]",
     "torque_sight": f"{GIVEN}, double least[1]",
-    "torque_glance": f"{GIVEN}, double least[1]",
     "thrust_look": f"{GIVEN}, double after[{SIZE}], double least[1]",
     "beginning": f"const double x[{SIZE}], double at[{AT}]",
     "torque_verified": f"{GIVEN}, double least[1]",
@@ -104,6 +103,11 @@ DECLARED = {
     "brake_law": f"{GIVEN}, double thrust[3]",
     "slew_law": f"const double x[{SIZE}], double torque[3]",
 }
+
+
+def of_one(parts: Sequence[Printed]) -> list[Printed]:
+    """Those of `checks` that are called for one spacecraft; the others are a batch's."""
+    return [part for part in parts if part.name in DECLARED]
 
 
 def constants(backup: Backup) -> dict[str, tuple[int | float | str, str]]:

@@ -75,14 +75,17 @@ static int go_to_backup(int group, const double x[16], double control[6])
     return 0;
 }
 
-/* Whether one of a group's limits that a way keeps is violated already: there is none then. */
-static int is_broken(int group, const struct safety_filter_output *out)
+/* Whether one of a group's limits that a way keeps is violated already, or the state holds no numbers: there is none then. */
+static int is_broken(int group, const double x[16], const struct safety_filter_output *out)
 {
     const int first = (group == THRUST) ? 0 : MOTION_LIMITS;
     const int last = (group == THRUST) ? MOTION_LIMITS : (MOTION_LIMITS + ATTITUDE_LIMITS);
     int found = 0;
     for (int k = first; k < last; ++k) {
         found |= (out->h[k] >= 0.0) ? 0 : 1;
+    }
+    for (int i = 0; i < 16; ++i) {
+        found |= (isfinite(x[i]) != 0) ? 0 : 1;
     }
     return found;
 }
@@ -104,7 +107,7 @@ static void commit(const double x[16], double control[6], struct safety_filter_o
     out->verified = 1;
     for (int group = TORQUE; group >= THRUST; --group) {
         int verified = 0;
-        if (is_broken(group, out) == 0) {
+        if (is_broken(group, x, out) == 0) {
             verified = is_safe(group, x, control);
             if (verified == 0) {
                 verified = go_to_backup(group, x, control);
