@@ -107,9 +107,10 @@ def planned(p: Tensor, v: Tensor, theta_s: Tensor, w: Braking) -> tuple[Tensor, 
     needed = torch.maximum(needed, w.straight * radial / speed.clamp(min=1e-30))
     f = natural(straight)
     f_r, f_t = dot(f, outwards), dot(f, ahead)
-    aside = f - f_r * outwards - f_t * ahead
-    inwards = (needed + f_r).clamp(max=w.thrust)
-    left = (w.thrust**2 - inwards**2 - dot(aside, aside)).clamp(min=0.0).sqrt()
+    across_both = f - f_r * outwards - f_t * ahead
+    most = (w.thrust**2 - dot(across_both, across_both)).sqrt()
+    inwards = torch.minimum(needed + f_r, most)
+    left = (most**2 - inwards**2).clamp(min=0.0).sqrt()
     back = torch.minimum(tangential / t + f_t, left)
     along = (f_r - inwards) * outwards + (f_t - back) * ahead
 
@@ -152,12 +153,17 @@ def held(x: Tensor, u: Tensor, w: Braking, free: FreeFlight) -> tuple[Tensor, Te
 
 
 def look(x: Tensor, u: Tensor, w: Braking, free: FreeFlight) -> tuple[Tensor, Tensor]:
-    """The states after one step of a hold, and the least of the limits in it, see `held`."""
+    """The states after one step of a hold, and the least of the limits in it, see `held`.
+
+    Natural acceleration changes by 2 n |a| + 3 n^2 |v| a second at most, the first as if the body turned by 2 n more.
+    """
     seconds, push = w.hold / w.steps, u[THRUST] / w.c.mass
     end = step(x, u, seconds, w.c)
     mean = (rotate(x[Q], push) + rotate(end[Q], push)) / 2
-    turn = torch.maximum(norm(x[OMEGA]), norm(end[OMEGA]))
-    off = strays(x[:6], end[:6], seconds, mean, turn)
+    mean = mean * (norm(push) / norm(mean).clamp(min=1e-12))
+    turn = torch.maximum(norm(x[OMEGA]), norm(end[OMEGA])) + 2 * w.c.mean_motion
+    tide = 3 * w.c.mean_motion**2 * torch.maximum(norm(x[V]), norm(end[V])) * seconds**2 / 8
+    off = strays(x[:6], end[:6], seconds, mean, turn, tide * seconds, tide)
     return end, lowest(between(x[:6], end[:6], off, w.c, free))
 
 
@@ -224,5 +230,7 @@ def at_once(at: Tensor, w: Braking) -> Tensor:
     off_p = off_p + (full + 1.0) * aside(push, turn, w)
     off = strays(start, start, t, push * direction, turn, off_p, off_v)
     off = Strays(off.position + sag, off.velocity, off.speed + off.velocity * drift / w.straight)
-    room = w.c.max_distance - INSIDE - w.buffer - norm(rest[P])
+    # where the law takes the way to end, at first and at last: on the way the point moves from the one to the other
+    ends = [norm(p + direction * speed * (speed / (2 * w.straight) + late)) for late in (0.0, t / 2)]
+    room = w.c.max_distance - INSIDE - w.buffer - torch.maximum(*ends)
     return lowest(torch.cat((between(start, rest, off, w.c, w.rough), room[None])))

@@ -145,7 +145,7 @@ def between(start: Tensor, end: Tensor, seconds: float, w: Slewing) -> Tensor:
     light that changes by w t / 2 does in t.
     """
     c = w.c
-    turn = torch.maximum(norm(start[OMEGA]), norm(end[OMEGA])) + w.gyroscopic * seconds
+    turn = torch.maximum(norm(start[OMEGA]), norm(end[OMEGA])) + w.gyroscopic * seconds + c.fastest_orbit_rate
     faster = norm(end[OMEGA] - start[OMEGA]) / seconds + 2 * w.gyroscopic
     angle, temperature, energy = [], [], []
     for x in (start, end):
@@ -156,7 +156,7 @@ def between(start: Tensor, end: Tensor, seconds: float, w: Slewing) -> Tensor:
         temperature.append(c.max_temperature - x[T] - warm)
         energy.append(x[E] - c.min_energy - c.energy_sun_slope * incidence(c.solar_panel_axis, sun))
     nearest, astray = torch.minimum(*angle), turn * seconds / 2
-    curved = (faster + turn**2 * (0.5 + 1.0 / nearest.clamp(1e-3, FLAT).tan())) * seconds**2 / 8
+    curved = (faster + turn**2 * (0.5 + 1.0 / (nearest - astray).clamp(1e-3, FLAT).tan())) * seconds**2 / 8
     slopes = c.temperature_sun_slope + c.temperature_earth_slope + w.heating * seconds
     room = torch.full_like(nearest, math.inf)  # of the rates, where the plant does not hold them
     if not c.saturate_rates:
@@ -291,7 +291,7 @@ def turning(x: Tensor, w: Slewing, nodes: int) -> Tensor:
             (part[0].maximum(part[1]).maximum(part[2].maximum(part[3])) + sag).clamp(0.0, 1.0)
             for part in zip(*light, strict=True)
         )
-        tail = 3.0 / w.kappa if j == nodes else 0.0
+        tail = 3.0 / w.kappa + roll.abs() / w.roll if j == nodes else 0.0
         hot = hot + temperature_rate(lit, facing, x[T], c).clamp(min=0.0) * (seconds + tail)
         warm = c.temperature_sun_slope * lit.arcsin() + c.temperature_earth_slope * facing.arcsin()
         warmest = torch.maximum(warmest, hot + warm)
