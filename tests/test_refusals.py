@@ -103,7 +103,7 @@ __all__ = ["run"]  # a fixture
         ),
         (["train", "--config", "/dev/zero"], ["--config", "/dev/zero", "is a device"]),
         (["export", "--checkpoint", "x.pt"], ["--out", "--c"]),
-        (["export", "--checkpoint", "nowhere.pt", "--out", "x"], ["nowhere.pt", "no such checkpoint"]),
+        (["export", "--checkpoint", "nowhere.pt", "--out", "x.onnx"], ["nowhere.pt", "no such checkpoint"]),
         (["export", "--checkpoint", "x.pt", "--out", "nowhere/x.onnx"], ["--out", "cannot write"]),
         (
             [],

@@ -38,7 +38,7 @@ def six_episodes() -> Flight:
     safety = Safety(CONSTRAINTS, FILTER.values, None, lax().correct, 1.0)
     env = InspectionEnv(6, C, [torch.Generator().manual_seed(0)], safety, DECIDE, 1.0)
     x, priority, _ = safe_set(6, 36, FILTER)
-    x[3:6] *= 2.2
+    x[3:6] *= 1.9
     x[13], x[14] = 10.95, 0.52
     policy = held_at_random(C, torch.Generator().manual_seed(0), 6)
     return fly(env, policy, x, priority, SECONDS)
@@ -93,7 +93,6 @@ def test_a_flight_counts_what_a_loop_of_its_own_counts() -> None:
         np.testing.assert_allclose(actual["excess"], expected["excess"], rtol=0, atol=1e-9)
         sharp = [i for i in range(13) if i != 3 and i < 10]
         np.testing.assert_array_equal(actual["when"][sharp], expected["when"][sharp])
-    assert flight.backup.sum() > 0
 
 
 def test_chosen_episodes_are_those_of_the_flight() -> None:
