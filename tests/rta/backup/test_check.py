@@ -1,0 +1,179 @@
+"""Propose, check, commit: whatever is asked for no limit breaks, and each call ends where a way to rest begins."""
+
+import copy
+import pickle
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from inspection.model.dynamics import step
+from inspection.model.parameters import InspectionParameters
+from inspection.model.state import CONTROL_SIZE, THRUST, TORQUE
+from rta.backup import brake, slew
+from rta.backup.check import SHARES, Backup
+from rta.bounds.uncertainty import Uncertainty
+from rta.filter import SafetyFilter
+from rta.parameters import PERIODS, RtaParameters
+from rta.qp.programs import Status
+from study.verification.adversaries import adversarial
+from tests.rta.backup.brute_force import attitude, hypercube, motion
+
+C = InspectionParameters()
+LIMIT = torch.tensor(C.control_limit, dtype=torch.float64)[:, None]
+HOLDS = pytest.mark.parametrize("hold", PERIODS)
+LOOK = 0.5  # s
+ROUNDED = 1e-9
+
+
+def compiled(hold: float) -> SafetyFilter:
+    safety = SafetyFilter(C, RtaParameters(period=hold))
+    safety.compile("cpu", 64)
+    return safety
+
+
+@pytest.fixture(scope="module")
+def filters() -> dict[float, SafetyFilter]:
+    return {hold: compiled(hold) for hold in PERIODS}
+
+
+def demands(count: int, seed: int) -> Tensor:
+    """(6, count) from none to twice the actuators' limits."""
+    generator = torch.Generator().manual_seed(seed)
+    u = 4 * torch.rand(CONTROL_SIZE, count, generator=generator, dtype=torch.float64) - 2
+    return LIMIT * u
+
+
+def starts(safety: SafetyFilter, count: int, seed: int) -> Tensor:
+    """(16, count) from which a way to rest is verified."""
+    x = hypercube(3 * count, seed, C)
+    return x[:, safety.has_way(x)][:, :count]
+
+
+@HOLDS
+def test_no_limit_breaks_whatever_is_asked(filters: dict[float, SafetyFilter], hold: float) -> None:
+    safety = filters[hold]
+    count = 60
+    x = starts(safety, count, 1)
+    assert x.shape[1] == count
+    adversary, asked = adversarial(safety), torch.zeros(CONTROL_SIZE, count, dtype=torch.float64)
+    for call in range(round(200 / hold)):
+        if call % round(10 / hold) == 0:
+            asked = demands(count, call)
+        desired = asked.clone()
+        desired[:, ::2] = adversary(call * hold, x)[:, ::2]
+        result = safety.correct(x, desired)
+        assert result.verified.all(), (call, x[:, ~result.verified][:, 0].tolist())
+        for i in range(round(hold / LOOK)):
+            x = step(x, result.control, LOOK, C)
+            y, free = x.numpy(), 10.0 if i == 0 and call % 8 == 0 else None
+            least = np.concatenate((motion(y[:3], y[3:6], C, free), attitude(y, C)))
+            assert (least >= -ROUNDED).all(), (call, i, np.argwhere(least < -ROUNDED)[:3], least.min(1))
+
+
+def test_without_the_check_a_limit_breaks(filters: dict[float, SafetyFilter]) -> None:
+    alone, lowest = SafetyFilter(C, RtaParameters(period=5.0)), {}
+    alone.backup = None
+    alone.compile("cpu", 64)
+    x = starts(filters[5.0], 300, 2)
+    for name, safety in (("alone", alone), ("checked", filters[5.0])):
+        y, lowest[name] = x, np.inf
+        for call in range(12):
+            y = step(y, safety.correct(y, demands(300, call)).control, 5.0, C)
+            least = np.concatenate((motion(y[:3].numpy(), y[3:6].numpy(), C, None), attitude(y.numpy(), C)))
+            lowest[name] = min(lowest[name], least.min())
+    assert lowest["checked"] >= -ROUNDED and lowest["alone"] < -0.001, lowest
+
+
+@HOLDS
+def test_the_compiled_check_equals_pytorch(filters: dict[float, SafetyFilter], hold: float) -> None:
+    safety = filters[hold]
+    x, desired = hypercube(500, 5, C), demands(500, 6)
+    x[:, ::2] = starts(safety, 250, 7)
+    one, other = safety.correct(x, desired), safety._correct(x, desired, None, None)
+    torch.testing.assert_close(one.control, other.control, rtol=0, atol=1e-9)
+    assert torch.equal(one.verified, other.verified) and torch.equal(one.backup, other.backup)
+    assert torch.equal(one.status, other.status)
+    assert one.verified.any() and not one.verified.all()
+
+
+@HOLDS
+def test_what_replaces_a_control_is_the_first_safe_share_of_the_way_to_the_law(hold: float) -> None:
+    backup = Backup(C, hold)
+    x = hypercube(3000, 9, C)
+    x = x[:, backup.has_way(x)][:, :400]
+    u = demands(x.shape[1], 10).clamp(-LIMIT, LIMIT)
+    none = torch.zeros_like(x[0], dtype=torch.bool)
+    control, verified, changed = backup.committed(x, u, (none, none))
+    assert verified.all()
+    assert torch.equal(changed[1], ~backup.torque_is_safe(x, u)) and changed.sum() > 5
+    with_torque = torch.cat((u[THRUST], control[TORQUE]))
+    assert torch.equal(changed[0], ~backup.thrust_is_safe(x, with_torque))
+    laws = torch.cat((brake.brake(x, control[TORQUE], backup.braking), slew.slew(x, backup.slewing)))
+    shares = set()
+    for group, own in ((0, THRUST), (1, TORQUE)):
+        torch.testing.assert_close(
+            control[own][:, ~changed[group]], u[own][:, ~changed[group]], rtol=0, atol=0
+        )
+        for column in torch.nonzero(changed[group]).flatten().tolist():
+            way = laws[own, column] - u[own, column]
+            gone = control[own, column] - u[own, column]
+            share = (gone.norm() / way.norm()).item()
+            torch.testing.assert_close(gone, share * way, rtol=0, atol=1e-9)
+            shares.add(round(share, 6))
+            # no smaller share is safe
+            for less in (each for each in SHARES if each < share - 1e-6):
+                tried = with_torque[:, column : column + 1].clone()
+                tried[own, 0] = u[own, column] + less * way
+                is_safe = backup.torque_is_safe if group else backup.thrust_is_safe
+                assert not is_safe(x[:, column : column + 1], tried).any()
+    assert shares <= {*SHARES, 1.0} and len(shares) > 1, shares
+
+
+@HOLDS
+def test_a_broken_limit_leaves_the_programs_answer(filters: dict[float, SafetyFilter], hold: float) -> None:
+    safety = filters[hold]
+    x, desired = starts(safety, 60, 11), demands(60, 12)
+    x[13] = C.max_temperature + 0.5
+    x[3:6] *= 1.0 / x[3:6].norm(dim=0) * (C.docking_speed + C.speed_slope * x[:3].norm(dim=0) + 0.01)
+    alone = SafetyFilter(C, RtaParameters(period=hold))
+    alone.backup = None
+    result, answer = safety.correct(x, desired), alone.correct(x, desired)
+    assert not result.backup.any() and not result.verified.any()
+    torch.testing.assert_close(result.control, answer.control, rtol=0, atol=1e-7)
+
+
+def test_verified_controls_ask_for_no_slack(filters: dict[float, SafetyFilter]) -> None:
+    safety = filters[5.0]
+    x = starts(safety, 500, 13)
+    result = safety.correct(x, demands(500, 14))
+    assert result.verified.all()
+    assert (result.status <= Status.HARD).all() and (result.slack == 0).all()
+
+
+def test_copies_and_other_processes_keep_the_check() -> None:
+    safety = SafetyFilter(C)
+    x, desired = hypercube(20, 15, C), demands(20, 16)
+    expected = safety.correct(x, desired)
+    for other in (copy.copy(safety), copy.deepcopy(safety), pickle.loads(pickle.dumps(safety))):
+        assert isinstance(other.backup, Backup) and other.backup.braking.hold == safety.period
+        assert torch.equal(other.correct(x, desired).control, expected.control)
+
+
+def test_a_single_spacecraft_is_checked_too(filters: dict[float, SafetyFilter]) -> None:
+    safety = SafetyFilter(C)
+    x, desired = starts(filters[1.0], 5, 17), demands(5, 18)
+    for column in range(5):
+        result = safety(x[:, column], desired[:, column])
+        assert result.verified
+    assert safety._for_one.backup is not None
+
+
+def test_where_no_way_is_known_there_is_no_check() -> None:
+    for c in (replace(C, solar_panel_axis="+x"), replace(C, orbit="two-body")):
+        assert not Backup.is_there(c)
+        assert SafetyFilter(c).backup is None
+    assert SafetyFilter(C, known=Uncertainty(position=0.1)).backup is None
+    assert SafetyFilter(C).backup is not None
