@@ -89,6 +89,19 @@ def result(safety: SafetyFilter) -> FilterResult:
 
 
 @pytest.fixture(scope="module")
+def programs() -> SafetyFilter:
+    """The filter without the check of its controls, `rta.backup`: what its programs answer."""
+    alone = SafetyFilter(C, R)
+    alone.backup = None
+    return alone
+
+
+@pytest.fixture(scope="module")
+def solution(programs: SafetyFilter) -> FilterResult:
+    return programs.correct(X, U)
+
+
+@pytest.fixture(scope="module")
 def conditions(safety: SafetyFilter) -> tuple[Rows, Rows]:
     """The rows that tests/rta/test_lie_derivatives.py checks against finite differences."""
     return safety.rows(X)
@@ -103,12 +116,12 @@ def left_hand_sides(conditions: tuple[Rows, Rows], u: Tensor) -> Tensor:
     return torch.cat(parts)
 
 
-def test_safe_control_is_returned_untouched(conditions: tuple[Rows, Rows], result: FilterResult) -> None:
+def test_safe_control_is_returned_untouched(conditions: tuple[Rows, Rows], solution: FilterResult) -> None:
     safe = (left_hand_sides(conditions, U) > 1e-9).all(0)
     assert safe.sum() > 20
-    assert (result.control[:, safe] == U[:, safe]).all()
-    assert (result.status[safe] == Status.UNTOUCHED).all()
-    assert not result.intervened[safe].any()
+    assert (solution.control[:, safe] == U[:, safe]).all()
+    assert (solution.status[safe] == Status.UNTOUCHED).all()
+    assert not solution.intervened[safe].any()
 
 
 def test_unsafe_control_is_corrected(conditions: tuple[Rows, Rows], result: FilterResult) -> None:
@@ -117,19 +130,19 @@ def test_unsafe_control_is_corrected(conditions: tuple[Rows, Rows], result: Filt
     assert ((result.control - U)[:, unsafe].abs() > 0).any(0).all()
 
 
-def test_corrected_control_satisfies_every_row(conditions: tuple[Rows, Rows], result: FilterResult) -> None:
+def test_corrected_control_satisfies_every_row(conditions: tuple[Rows, Rows], solution: FilterResult) -> None:
     for rows, group in zip(conditions, (THRUST, TORQUE), strict=True):
-        bare = (rows.a * result.control[group]).sum(1) + rows.b_bare
+        bare = (rows.a * solution.control[group]).sum(1) + rows.b_bare
         assert (bare >= -FEASIBLE * (rows.a * LIMIT[group]).norm(dim=1))[
-            :, result.status <= Status.HARD
+            :, solution.status <= Status.HARD
         ].all()
 
 
-def test_filtering_twice_changes_nothing(safety: SafetyFilter, result: FilterResult) -> None:
-    again = safety.correct(X, result.control)
-    hard = result.status <= Status.HARD  # what is soft gives way a little more each time
+def test_filtering_twice_changes_nothing(programs: SafetyFilter, solution: FilterResult) -> None:
+    again = programs.correct(X, solution.control)
+    hard = solution.status <= Status.HARD  # what is soft gives way a little more each time
     assert hard.sum() > 300
-    assert ((again.control - result.control) / LIMIT)[:, hard].abs().max() < 1e-6
+    assert ((again.control - solution.control) / LIMIT)[:, hard].abs().max() < 1e-6
 
 
 @pytest.mark.parametrize("solver", SOLVERS)
@@ -282,18 +295,18 @@ def test_reported_values_are_exact_where_slopes_are_bounded(
     assert (gap > 1e-5).mean() > 0.8  # what is enforced there would not have done
 
 
-def test_slack_is_the_shortfall_of_the_bare_condition(safety: SafetyFilter, result: FilterResult) -> None:
+def test_slack_is_the_shortfall_of_the_bare_condition(programs: SafetyFilter, solution: FilterResult) -> None:
     """Of the condition itself, whatever a row beyond its limit asks for."""
     expected = torch.zeros(13, X.shape[1], dtype=torch.float64)
-    for group in safety.groups:
+    for group in programs.groups:
         rows = group.conditions(X, group.constraints, coupled=False)
-        short = -((rows.a * result.control[group.controls]).sum(1) + rows.b_bare)
+        short = -((rows.a * solution.control[group.controls]).sum(1) + rows.b_bare)
         for k, each in enumerate(group.of_row):
             i = CONSTRAINTS.index(each.name)
             expected[i] = torch.maximum(expected[i], short[k])
-    slack = result.status == Status.SLACK
-    torch.testing.assert_close(result.slack[:, slack], expected[:, slack], rtol=1e-6, atol=1e-6)
-    assert (result.slack[:, ~slack] == 0).all()
+    slack = solution.status == Status.SLACK
+    torch.testing.assert_close(solution.slack[:, slack], expected[:, slack], rtol=1e-6, atol=1e-6)
+    assert (solution.slack[:, ~slack] == 0).all()
 
 
 def test_what_a_row_waives_beyond_its_limit_is_said(
