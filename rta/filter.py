@@ -32,7 +32,7 @@ from rta.conditions.tangents import (
     with_shortfall,
 )
 from rta.constraints import vehicle
-from rta.constraints.constraint import ACTUATORS, Constraint, in_order, joined
+from rta.constraints.constraint import ACTUATORS, CONSTRAINTS, Constraint, in_order, joined
 from rta.constraints.thrust import keep_in_zone, thrust_constraints
 from rta.constraints.torque import torque_constraints
 from rta.given import Given
@@ -444,15 +444,20 @@ class SafetyFilter:
         control, verified, changed = self.backup.committed(x, result.control, broken)
         status = result.program_status
         status = torch.where(changed, status.clamp(min=Status.HARD), status)
-        status = torch.where(verified & (status == Status.SLACK), Status.HARD, status)  # no limit yields
-        of_torque = torch.tensor([name in self.groups[1].names for name in self.names], device=x.device)
+        of_torque = torch.tensor(
+            [name in self.groups[1].names for name in self.names], device=x.device
+        ).long()
+        kept = torch.tensor([name in CONSTRAINTS for name in self.names], device=x.device)[:, None]
+        slack = result.slack.masked_fill(verified[of_torque] & kept, 0.0)  # limits that are kept do not yield
+        yields = torch.stack([(slack * (of_torque == i)[:, None]).amax(0) > 0.0 for i in range(2)])
+        status = torch.where(verified & ~yields & (status == Status.SLACK), Status.HARD, status)
         return replace(
             result,
             control=control,
             intervened=(control != desired).any(0),
             verified=verified.all(0),
             backup=changed.any(0),
-            slack=result.slack.masked_fill(verified[of_torque.long()], 0.0),
+            slack=slack,
             status=status.amax(0),
             program_status=status,
         )

@@ -10,7 +10,6 @@ Torque comes first, since the attitude decides where thrust acts. Limits of moti
 import math
 from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
 
 import torch
 from torch import Tensor
@@ -102,19 +101,42 @@ class Backup:
         """
         u, verified, changed = u.clone(), torch.stack(broken), torch.stack(broken)
         for group, own, law, is_safe in (
-            (1, TORQUE, partial(slew.slew, w=self.slewing), self.torque_is_safe),
-            (0, THRUST, None, self.thrust_is_safe),
+            (1, TORQUE, self.slews, self.torque_is_safe),
+            (0, THRUST, self.brakes_with, self.thrust_is_safe),
         ):
             verified[group] = is_safe(x, u)
             changed[group] = ~verified[group] & ~broken[group]
             columns = torch.nonzero(changed[group]).flatten()
             if columns.numel():
                 there, proposed = pick(x, columns), pick(u, columns)
-                safe = law(there) if law else brake.brake(there, proposed[TORQUE], self.braking)
-                control, found = nearest(there, proposed, own, safe, is_safe)
+                control, found = nearest(there, proposed, own, law(there, proposed), is_safe)
                 put(u, columns, control)
                 put(verified[group], columns, found)
+        self.follow(x, u, verified, changed, broken[1])
         return u, verified, changed
+
+    def follow(
+        self, x: Tensor, u: Tensor, verified: Tensor, changed: Tensor, attitude_is_broken: Tensor
+    ) -> None:
+        """Where no thrust is seen to be safe, has both groups follow their laws: the way was verified with both."""
+        columns = torch.nonzero(changed[0] & ~verified[0] & ~attitude_is_broken).flatten()
+        if not columns.numel():
+            return
+        there, both = pick(x, columns), pick(u, columns)
+        both[TORQUE] = self.slews(there, both)
+        both[THRUST] = self.brakes_with(there, both)
+        put(u, columns, both)
+        put(changed[1], columns, torch.ones_like(columns, dtype=torch.bool))
+        put(verified[1], columns, self.torque_is_safe(there, both))
+        put(verified[0], columns, self.thrust_is_safe(there, both))
+
+    def slews(self, x: Tensor, u: Tensor) -> Tensor:
+        """The law's torque (3, B) at states (16, B); controls (6, B) do not matter."""
+        return slew.slew(x, self.slewing)
+
+    def brakes_with(self, x: Tensor, u: Tensor) -> Tensor:
+        """The law's thrust (3, B) at states (16, B) with the torque of controls (6, B)."""
+        return brake.brake(x, u[TORQUE], self.braking)
 
 
 def nearest(

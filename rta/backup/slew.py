@@ -248,7 +248,8 @@ def turning(x: Tensor, w: Slewing, nodes: int) -> Tensor:
     d, e = vector(c.solar_panel_axis, x), vector(c.thermal_axis, x)
     sun, earth = sun_and_earth_in_body(x)
     cosine = dot(d, sun).clamp(-1.0, 1.0)
-    delta = cosine.arccos() + w.astray + norm(wanted(x, w) - x[OMEGA]) * w.hold / 2
+    astray = w.astray + norm(wanted(x, w) - x[OMEGA]) * w.hold / 2  # the rates are the law's a hold later
+    delta = cosine.arccos() + astray
     g = sun - cosine * d
     g = g / norm(g).clamp(min=1e-12)
     axis = across(d, g)
@@ -286,7 +287,7 @@ def turning(x: Tensor, w: Slewing, nodes: int) -> Tensor:
         earliest = torch.minimum(roll.abs(), since * w.roll * 1.5)
         corners = [(start, latest), (end, latest), (start, earliest), (end, earliest)]
         light = [shone(e, at, roll.sign() * psi, delta, (d, g, axis), earth) for at, psi in corners]
-        sag = (start - end + earliest - latest) ** 2 / 8 + w.astray
+        sag = (start - end + earliest - latest) ** 2 / 8 + astray
         lit, facing = (
             (part[0].maximum(part[1]).maximum(part[2].maximum(part[3])) + sag).clamp(0.0, 1.0)
             for part in zip(*light, strict=True)

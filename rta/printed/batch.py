@@ -28,7 +28,7 @@ from rta.conditions.tangents import (
     shortfall,
     with_shortfall,
 )
-from rta.constraints.constraint import joined
+from rta.constraints.constraint import CONSTRAINTS, joined
 from rta.printed.source import GROUPS, define, driver_text, functions, source, table
 from rta.printed.way import AT_A_GLANCE, checks, of_one
 from rta.qp.batched_solver import ACCURATE, STEPS_HELD, attempt
@@ -115,7 +115,7 @@ class BatchFilter(Columns):
             define("CONSTRAINTS", len(safety_filter.names)),
             define("LATENCY", safety_filter.known.latency),
         ]
-        many.append(define("BACKUP", int(bool(ways))))
+        many += [define("BACKUP", int(bool(ways))), define("KEPT_LIMITS", len(CONSTRAINTS))]
         many += [*(part.text for part in parts), *(batch(part) for part in shared)]
         many += [part.text for part in ways if part.name in AT_A_GLANCE]
         many += [driver_text("batch/batch.h"), driver_text("batch/columns.c"), driver_text("batch/commit.c")]

@@ -11,6 +11,7 @@ from inspection.model.state import CONTROL_SIZE, SIZE, TORQUE
 from kernels import Printed, printed
 from rta.backup import brake, slew
 from rta.backup.check import ATTITUDE, MOTION, SHARES, Backup
+from rta.constraints.constraint import CONSTRAINTS
 
 if TYPE_CHECKING:
     from rta.filter import SafetyFilter
@@ -121,4 +122,5 @@ def constants(backup: Backup) -> dict[str, tuple[int | float | str, str]]:
         "SHARES": ("{" + shares + "}", "of the way from what is proposed to the backup law's control"),
         "MOTION_LIMITS": (MOTION, "constraints, the first, that a way keeps by thrust"),
         "ATTITUDE_LIMITS": (ATTITUDE, "the next, by torque"),
+        "KEPT_LIMITS": (len(CONSTRAINTS), "the first, that are kept where a way is verified: not who else's"),
     }

@@ -90,36 +90,55 @@ static int is_broken(int group, const double x[16], const struct safety_filter_o
     return found;
 }
 
-/* All limits are kept: what rows lacked was theirs alone. */
+/* The limits that a way keeps are kept: what their rows lacked was the rows' alone. */
 static void nothing_yields(int group, struct safety_filter_output *out)
 {
-    if (out->program_status[group] == SLACK) {
+    double left = 0.0;
+    for (int k = 0; k < CONSTRAINTS_OF[group]; ++k) {
+        const int place = PLACE[group][k];
+        out->slack[place] = (place < KEPT_LIMITS) ? 0.0 : out->slack[place];
+        left = larger(left, out->slack[place]);
+    }
+    if ((out->program_status[group] == SLACK) && !(left > 0.0)) {
         out->program_status[group] = HARD;
     }
-    for (int k = 0; k < CONSTRAINTS_OF[group]; ++k) {
-        out->slack[PLACE[group][k]] = 0.0;
-    }
+}
+
+/* Both groups follow their laws: the way was verified with both. */
+static void follow(const double x[16], double control[6], int verified[2])
+{
+    slew_law(x, &control[3]);
+    brake_law(x, control, control);
+    verified[TORQUE] = torque_is_safe(x, control);
+    verified[THRUST] = thrust_is_safe(x, control);
 }
 
 /* Torque comes first, since the attitude decides where thrust acts. */
 static void commit(const double x[16], double control[6], struct safety_filter_output *out)
 {
-    out->verified = 1;
+    int verified[2] = {0, 0};
+    int changed[2] = {0, 0};
     for (int group = TORQUE; group >= THRUST; --group) {
-        int verified = 0;
         if (is_broken(group, x, out) == 0) {
-            verified = is_safe(group, x, control);
-            if (verified == 0) {
-                verified = go_to_backup(group, x, control);
-                out->backup = 1;
-                if (out->program_status[group] < HARD) {
-                    out->program_status[group] = HARD;
-                }
+            verified[group] = is_safe(group, x, control);
+            if (verified[group] == 0) {
+                verified[group] = go_to_backup(group, x, control);
+                changed[group] = 1;
             }
         }
-        if (verified != 0) {
+    }
+    if ((changed[THRUST] != 0) && (verified[THRUST] == 0) && (is_broken(TORQUE, x, out) == 0)) {
+        follow(x, control, verified);
+        changed[TORQUE] = 1;
+    }
+    for (int group = THRUST; group <= TORQUE; ++group) {
+        if ((changed[group] != 0) && (out->program_status[group] < HARD)) {
+            out->program_status[group] = HARD;
+        }
+        if (verified[group] != 0) {
             nothing_yields(group, out);
         }
-        out->verified &= verified;
     }
+    out->backup = changed[THRUST] | changed[TORQUE];
+    out->verified = verified[THRUST] & verified[TORQUE];
 }

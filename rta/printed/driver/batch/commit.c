@@ -28,15 +28,18 @@ static M unsure(const V x[16], const V control[6])
 #endif
 }
 
-/* Where controls are safe no limit yields: what rows lacked was theirs alone. */
+/* Where controls are safe no limit that a way keeps yields: what its rows lacked was the rows' alone. */
 static void nothing_yields(M unseen, V program_status[2], V slack[CONSTRAINTS])
 {
 #if BACKUP
-    for (int group = 0; group < 2; ++group) {
-        program_status[group] = SELECT(unseen, program_status[group], MIN(program_status[group], ALL(1.0)));
-    }
+    V left = ALL(0.0);
     for (int k = 0; k < CONSTRAINTS; ++k) {
-        slack[k] = SELECT(unseen, slack[k], ALL(0.0));
+        slack[k] = (k < KEPT_LIMITS) ? SELECT(unseen, slack[k], ALL(0.0)) : slack[k];
+        left = MAX(left, slack[k]);
+    }
+    for (int group = 0; group < 2; ++group) {
+        const M lowered = ~unseen & (left <= 0.0);
+        program_status[group] = SELECT(lowered, MIN(program_status[group], ALL(1.0)), program_status[group]);
     }
 #else
     (void)unseen;
