@@ -53,7 +53,7 @@ __all__ = ["run"]  # a fixture
         (["verify", "--qp-solver", "osqp"], ["--qp-solver", "'osqp'", "auto", "piqp", "batched"]),
         (["evaluate"], ["--checkpoint"]),
         (
-            ["simulate", "--controller", "zero", "--duraton", "5", "--out", "x"],
+            ["simulate", "--controller", "zero", "--duraton", "5", "--out", "x.npz"],
             ["--duration", "unrecognized: --duraton"],
         ),
         (
@@ -68,21 +68,21 @@ __all__ = ["run"]  # a fixture
         (["evaluate", "--checkpoint", "nowhere.pt"], ["nowhere.pt", "no such checkpoint"]),
         (["evaluate", "--checkpoint", "x.pt", "--episodes", "0"], ["--episodes", "'0'", "positive"]),
         (["simulate", "--controller", "pid"], ["--controller", "'pid'", "lqr-pd"]),
-        (["simulate", "--controller", "zero", "--duration", "0", "--out", "x"], ["--duration", "'0'"]),
+        (["simulate", "--controller", "zero", "--duration", "0", "--out", "x.npz"], ["--duration", "'0'"]),
         (
-            ["simulate", "--controller", "policy", "--duration", "10", "--out", "x"],
+            ["simulate", "--controller", "policy", "--duration", "10", "--out", "x.npz"],
             ["--checkpoint", "--controller policy"],
         ),
         (
-            ["simulate", "--controller", "recorded", "--duration", "10", "--out", "x"],
+            ["simulate", "--controller", "recorded", "--duration", "10", "--out", "x.npz"],
             ["--actions", "--controller recorded"],
         ),
         (
-            ["simulate", "--controller", "zero", "--duration", "10", "--step", "3", "--out", "x"],
+            ["simulate", "--controller", "zero", "--duration", "10", "--step", "3", "--out", "x.npz"],
             ["--step 3", "10 s"],
         ),
         (
-            ["simulate", "--controller", "zero", "--duration", "15", "--step", "10", "--out", "x"],
+            ["simulate", "--controller", "zero", "--duration", "15", "--step", "10", "--out", "x.npz"],
             ["--duration 15", "--step"],
         ),
         (
@@ -90,12 +90,22 @@ __all__ = ["run"]  # a fixture
             ["--out", "cannot write"],
         ),
         (
-            ["simulate", "--controller", "zero", "--duration", "10", "--out", "x", "--figure", "no/x.png"],
+            [
+                "simulate",
+                "--controller",
+                "zero",
+                "--duration",
+                "10",
+                "--out",
+                "x.npz",
+                "--figure",
+                "no/x.png",
+            ],
             ["--figure", "cannot write"],
         ),
-        (["filter", "--out", "x"], ["--states"]),
-        (["filter", "--states", "nowhere.npz", "--out", "x"], ["nowhere.npz", "no such file"]),
-        (["filter", "--states", "x", "--out", "x", "--no-rta"], ["--no-rta"]),
+        (["filter", "--out", "x.npz"], ["--states"]),
+        (["filter", "--states", "nowhere.npz", "--out", "x.npz"], ["nowhere.npz", "no such file"]),
+        (["filter", "--states", "x", "--out", "x.npz", "--no-rta"], ["--no-rta"]),
         (["verify", "--policy", "checkpoint:"], ["--policy", "checkpoint:F"]),
         (
             ["train", "--num-envs", "1_000_000_000", "--no-rta", "--compile", "off"],
