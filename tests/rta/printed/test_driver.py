@@ -221,7 +221,9 @@ class Driver:
         count, room, real = len(safety.names), max(1, safety.known.latency), ctypes.c_double
         given = {"state": 16 * real, "desired": 6 * real, "sent": 6 * room * real}
         given |= {"sent_count": ctypes.c_int, "left": 6 * real}
+        truth = ctypes.c_int
         found = {"control": 6 * real, "status": ctypes.c_int, "program_status": 2 * ctypes.c_int}
+        found |= {"verified": truth, "backup": truth, "violated": truth}
         found |= {
             "residual": 2 * real,
             "h": count * real,
@@ -247,11 +249,10 @@ class Driver:
         def column(name: str) -> Tensor:
             return torch.from_numpy(np.array([getattr(each, name) for each in answers]).T.copy())
 
-        names = {field.name for field in dataclasses.fields(FilterResult)} - {"intervened", "active"}
-        parts = {name: column(name) for name in names}
-        return FilterResult(
-            **parts, intervened=parts["status"] > Status.UNTOUCHED, active=column("active") == 1
-        )
+        truths = {"active", "verified", "backup"}
+        names = {field.name for field in dataclasses.fields(FilterResult)} - {"intervened"}
+        parts = {name: column(name) == 1 if name in truths else column(name) for name in names}
+        return FilterResult(**parts, intervened=parts["status"] > Status.UNTOUCHED)
 
 
 KINDS: dict[str, tuple[float, Uncertainty | None]] = {  # of filters: period in s, what they are told
@@ -292,7 +293,7 @@ def assert_same(
     same = (((expected.control - found.control) * alive / LIMIT).abs() <= 1e-9).all(0)
     # a solution that is a multiple of the quantum but for rounding has others next to it
     assert (~same).sum() <= (len(same) / 100 if driver.safety.known.thrust_quantum else 0)
-    for name in ("status", "program_status", "intervened"):
+    for name in ("status", "program_status", "intervened", "verified", "backup"):
         assert (getattr(expected, name) == getattr(found, name)).all(), name
     # the printed rows of a state that is not finite may be: there 0 x is zero, whatever x is
     same &= x.isfinite().all(0) & u.isfinite().all(0)
