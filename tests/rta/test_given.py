@@ -52,7 +52,7 @@ def test_the_answer_is_in_kind(safety: SafetyFilter, kind: str, precision: type,
 
 
 def test_lists_and_integers_are_answered_in_float64(safety: SafetyFilter) -> None:
-    state = [60, 0, 0, 0, 0, 0, 0, 0, 0, 1, 0, 0, 0, 5, 6, 0]
+    state = [60, 0, 0, 0, 0, 0, 0, 0, 0, 1, 0, 0, 0, 5, 6, 2]  # the Sun beside the camera
     for one, other in (
         (state, [9, 0, 0, 0, 0, 0]),
         (np.array(state), np.array([9, 0, 0, 0, 0, 0])),
