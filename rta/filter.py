@@ -16,7 +16,7 @@ from inspection.model.parameters import InspectionParameters
 from inspection.model.state import CONTROL_SIZE, SIZE, THRUST, TORQUE, P, Q
 from kernels import Compiled, NoCompilerError
 from kernels.build import say
-from rta.backup.check import Backup
+from rta.backup.check import RATES_ROUNDED, Backup
 from rta.bounds.health import slewing
 from rta.bounds.uncertainty import NOTHING, Uncertainty
 from rta.conditions.held_rows import KINDS, HeldGroup, predicted
@@ -440,15 +440,19 @@ class SafetyFilter:
             return result
         motion, attitude = result.h[: self.backup.motion], result.h[self.backup.motion : self.backup.limits]
         strange = ~x.isfinite().all(0)  # nothing is known of the way from such a state
-        broken = strange | ~(motion >= 0.0).all(0), strange | ~(attitude >= 0.0).all(0)
+        turning = result.h[self.backup.limits : len(CONSTRAINTS)] >= -RATES_ROUNDED
+        kept = (motion >= 0.0).all(0), (attitude >= 0.0).all(0) & turning.all(0)
+        broken = strange | ~kept[0], strange | ~kept[1]
         control, verified, changed = self.backup.committed(x, result.control, broken)
         status = result.program_status
         status = torch.where(changed, status.clamp(min=Status.HARD), status)
         of_torque = torch.tensor(
             [name in self.groups[1].names for name in self.names], device=x.device
         ).long()
-        kept = torch.tensor([name in CONSTRAINTS for name in self.names], device=x.device)[:, None]
-        slack = result.slack.masked_fill(verified[of_torque] & kept, 0.0)  # limits that are kept do not yield
+        known = torch.tensor([name in CONSTRAINTS for name in self.names], device=x.device)[:, None]
+        slack = result.slack.masked_fill(
+            verified[of_torque] & known, 0.0
+        )  # limits that are kept do not yield
         yields = torch.stack([(slack * (of_torque == i)[:, None]).amax(0) > 0.0 for i in range(2)])
         status = torch.where(verified & ~yields & (status == Status.SLACK), Status.HARD, status)
         return replace(

@@ -27,6 +27,7 @@ MOTION, ATTITUDE = (
     7,
     3,
 )  # limits that a way keeps by thrust, and by torque: the first of Table 3, but for rates
+RATES_ROUNDED = 1e-9  # rad^2/s^2, by which rates at their limit may be beyond, where the plant holds them
 SHARES = (0.25, 0.5, 0.75)  # of the way from what is proposed to the backup law's control, that are tried
 
 
@@ -104,7 +105,7 @@ class Backup:
             (1, TORQUE, self.slews, self.torque_is_safe),
             (0, THRUST, self.brakes_with, self.thrust_is_safe),
         ):
-            verified[group] = is_safe(x, u)
+            verified[group] = is_safe(x, u) & ~broken[group]
             changed[group] = ~verified[group] & ~broken[group]
             columns = torch.nonzero(changed[group]).flatten()
             if columns.numel():

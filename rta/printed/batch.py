@@ -28,9 +28,9 @@ from rta.conditions.tangents import (
     shortfall,
     with_shortfall,
 )
-from rta.constraints.constraint import CONSTRAINTS, joined
+from rta.constraints.constraint import joined
 from rta.printed.source import GROUPS, define, driver_text, functions, source, table
-from rta.printed.way import AT_A_GLANCE, checks, of_one
+from rta.printed.way import AT_A_GLANCE, checks, limits, of_one
 from rta.qp.batched_solver import ACCURATE, STEPS_HELD, attempt
 from rta.qp.programs import Problems, Status, total
 
@@ -115,7 +115,8 @@ class BatchFilter(Columns):
             define("CONSTRAINTS", len(safety_filter.names)),
             define("LATENCY", safety_filter.known.latency),
         ]
-        many += [define("BACKUP", int(bool(ways))), define("KEPT_LIMITS", len(CONSTRAINTS))]
+        many.append(define("BACKUP", int(bool(ways))))
+        many += [define(name, *said) for name, said in limits().items()]
         many += [*(part.text for part in parts), *(batch(part) for part in shared)]
         many += [part.text for part in ways if part.name in AT_A_GLANCE]
         many += [driver_text("batch/batch.h"), driver_text("batch/columns.c"), driver_text("batch/commit.c")]

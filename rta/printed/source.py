@@ -21,7 +21,7 @@ from rta.conditions import tangents
 from rta.conditions.held_rows import KINDS, HeldGroup
 from rta.conditions.rows import ActuatorGroup
 from rta.conditions.tangents import PASSES, Prepared, prepared_now
-from rta.constraints.constraint import in_order
+from rta.constraints.constraint import CONSTRAINTS, in_order
 from rta.printed import way
 from rta.qp import batched_solver
 from rta.qp import programs as qp
@@ -175,6 +175,8 @@ def constants(safety_filter: "SafetyFilter") -> str:
     )
     if safety_filter.backup:
         lines += [define(name, *said) for name, said in way.constants(safety_filter.backup).items()]
+        kept = [int(name in CONSTRAINTS) for name in safety_filter.names]
+        lines.append(table("int IS_KEPT[CONSTRAINTS]", kept, "where a way is verified"))
         lines += [f"static void {name}({given});" for name, given in way.DECLARED.items()]
     lines += [declared(name, group, holds) for name, group in zip(GROUPS, groups, strict=True)]
     if holds and safety_filter.known.latency:

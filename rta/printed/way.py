@@ -10,7 +10,7 @@ from torch import Tensor
 from inspection.model.state import CONTROL_SIZE, SIZE, TORQUE
 from kernels import Printed, printed
 from rta.backup import brake, slew
-from rta.backup.check import ATTITUDE, MOTION, SHARES, Backup
+from rta.backup.check import ATTITUDE, MOTION, RATES_ROUNDED, SHARES, Backup
 from rta.constraints.constraint import CONSTRAINTS
 
 if TYPE_CHECKING:
@@ -114,13 +114,24 @@ def of_one(parts: Sequence[Printed]) -> list[Printed]:
 def constants(backup: Backup) -> dict[str, tuple[int | float | str, str]]:
     """What commit.c depends on: by name the value and what it is."""
     shares = ", ".join(f"{share:g}" for share in (*SHARES, 1.0))
-    return {
+    own: dict[str, tuple[int | float | str, str]] = {
         "LOOKS": (backup.braking.steps, "at a hold"),
         "BRAKING_HOLDS": (backup.braking.holds, "after which a spacecraft that brakes must be at rest"),
         "AT_REST": (brake.AT_REST, "m/s"),
         "SHARE_COUNT": (len(SHARES) + 1, ""),
         "SHARES": ("{" + shares + "}", "of the way from what is proposed to the backup law's control"),
+    }
+    return own | limits()
+
+
+def limits() -> dict[str, tuple[int | float | str, str]]:
+    """Which limits a way keeps, as `constants`."""
+    return {
         "MOTION_LIMITS": (MOTION, "constraints, the first, that a way keeps by thrust"),
         "ATTITUDE_LIMITS": (ATTITUDE, "the next, by torque"),
-        "KEPT_LIMITS": (len(CONSTRAINTS), "the first, that are kept where a way is verified: not who else's"),
+        "KEPT_LIMITS": (
+            len(CONSTRAINTS),
+            "the first: after these the rates, then the user's own, which it does not know",
+        ),
+        "RATES_ROUNDED": (RATES_ROUNDED, "rad^2/s^2, by which rates at their limit may be beyond"),
     }

@@ -179,6 +179,7 @@ def test_the_nearest_control_is_nearest_to_what_is_desired_itself(
 ) -> None:
     """u is the projection of d exactly where no control v that is permitted has (d - u) . (v - u) > 0."""
     safety = SafetyFilter(C, R, None if solver == "C" else make_solver(solver))
+    safety.backup = None
     if solver == "C":
         safety.compile("cpu", len(X[0]))
     answer, clipped = safety.correct(X, gain * U), safety.correct(X, (gain * U).clamp(-LIMIT, LIMIT))
@@ -200,9 +201,9 @@ def test_the_nearest_control_is_nearest_to_what_is_desired_itself(
 
 @pytest.mark.parametrize("gain", [3e3, 1e20, 1e300, math.inf])
 def test_a_demand_without_end_gets_as_much_along_it_as_is_permitted(
-    safety: SafetyFilter, conditions: tuple[Rows, Rows], gain: float
+    programs: SafetyFilter, conditions: tuple[Rows, Rows], gain: float
 ) -> None:
-    answer = safety.correct(X, gain * U)
+    answer = programs.correct(X, gain * U)
     way = U.sign() if gain > 1e30 else U / LIMIT
     for i, (rows, group) in enumerate(zip(conditions, (THRUST, TORQUE), strict=True)):
         a, u = rows.a * LIMIT[group], answer.control[group] / LIMIT[group]
@@ -477,9 +478,10 @@ def test_slower_filters_solve_every_program(
     assert (statuses != Status.UNSOLVED).all()
 
 
-def test_own_constraints_come_after_the_papers(safety: SafetyFilter, result: FilterResult) -> None:
-    papers, (cone, _), (ball, _) = safety, own.OWN["cone"], own.OWN["sphere"]
+def test_own_constraints_come_after_the_papers(programs: SafetyFilter, solution: FilterResult) -> None:
+    papers, result, (cone, _), (ball, _) = programs, solution, own.OWN["cone"], own.OWN["sphere"]
     safety = SafetyFilter(C, R, extra=(cone, ball))
+    safety.backup = None
     assert safety.safety().names == (*CONSTRAINTS, "sphere", "cone")
     answer = safety.correct(X, U)
     h = torch.stack((own.sphere(X), tensor(own.numpy_cone(X.numpy()))))

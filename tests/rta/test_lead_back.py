@@ -47,6 +47,8 @@ C = InspectionParameters()
 R = RtaParameters()
 ENTRIES = entries(C, R)
 _, TORQUE = FILTER.groups
+PROGRAMS = SafetyFilter(C, R)
+PROGRAMS.backup = None  # states are drawn from the programs' own safe set
 FREE = dataclasses.replace(C, saturate_rates=False)
 COUNT = 200
 SEED = 9  # of the first kind's states, one more for each other: among the last kind's are conflicts
@@ -169,7 +171,7 @@ def states(put: Callable[[Tensor, torch.Generator], Tensor], own: list[int], see
     """(16, COUNT) states of a kind."""
     g, kept, most = torch.Generator().manual_seed(seed), [], 40
     for i in range(most):
-        x = put(safe_set(2 * COUNT, most * seed + i, FILTER)[0], g)
+        x = put(safe_set(2 * COUNT, most * seed + i, PROGRAMS)[0], g)
         kept.append(x[:, others_hold(x, own)])
         if sum(part.shape[1] for part in kept) >= COUNT:
             return torch.cat(kept, 1)[:, :COUNT]
@@ -301,6 +303,7 @@ def flown() -> dict[str, Back]:
     last = torch.tensor([kind.longest for kind in kinds]).repeat_interleave(COLUMNS)
     place = torch.arange(COLUMNS).repeat(len(kinds))
     safety = SafetyFilter(C, R)
+    safety.backup = None  # the programs lead back; once all limits are kept again the check would take over
     safety.compile("cpu", x.shape[1])  # as campaigns fly: 4,000 spacecraft for 400 s
     rows = SafetyFilter(C, dataclasses.replace(R, qp_solver="piqp"))
     rows.compile("cpu", x.shape[1])  # which has rows alone compiled, of a filter in one piece they are not

@@ -452,7 +452,7 @@ def test_numbers_beside_tensors_cost_no_call_of_python_and_change_no_bit(
     monkeypatch.setattr(ByNumbers, "OPERATIONS", {})
     again, without = asked_of_python(lambda: safety.prepare(x, u))
     assert all(torch.equal(one, other) for one, other in zip(rows, again, strict=True))
-    assert 10 * count < without
+    assert count + 2000 < without  # what tensors alone ask of it is left, as of the sides of a pole
 
 
 def test_every_operation_of_a_number_is_differentiated() -> None:

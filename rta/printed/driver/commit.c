@@ -6,34 +6,43 @@ static double speed_of(const double at[10])
     return sqrt(dot(&at[3], &at[3], 3));
 }
 
+/* Whether a way keeps the limits of motion and comes to rest, hold by hold. */
+static int comes_to_rest(const double from[10])
+{
+    double at[10];
+    double after[10];
+    double least[1] = {0.0};
+    int is_at_rest = 0;
+    copy(at, from, 10);
+    for (int k = 0; (k < BRAKING_HOLDS) && (is_at_rest == 0) && (least[0] >= 0.0); ++k) {
+        const double speed = speed_of(at);
+        braked(at, after, least);
+        copy(at, after, 10);
+        is_at_rest = (speed <= AT_REST) ? 1 : 0;
+    }
+    return ((is_at_rest != 0) && (least[0] >= 0.0)) ? 1 : 0;
+}
+
 /* Whether thrust of a control, with its torque, keeps the limits of motion and leaves a way to rest. */
 static int thrust_is_safe(const double x[16], const double control[6])
 {
     double least[1];
-    double y[16];
-    double at[10];
-    double after[10];
+    int found = 1;
     thrust_glance(x, control, least);
-    if (least[0] >= 0.0) {
-        return 1;
-    }
-    copy(y, x, 16);
-    least[0] = 0.0;
-    for (int i = 0; (i < LOOKS) && (least[0] >= 0.0); ++i) {
-        double end[16];
-        thrust_look(y, control, end, least);
-        copy(y, end, 16);
-    }
-    beginning(y, at);
-    for (int k = 0; (k < BRAKING_HOLDS) && (least[0] >= 0.0); ++k) {
-        const double speed = speed_of(at);
-        braked(at, after, least);
-        copy(at, after, 10);
-        if ((speed <= AT_REST) && (least[0] >= 0.0)) {
-            return 1;
+    if (!(least[0] >= 0.0)) {
+        double y[16];
+        double at[10];
+        copy(y, x, 16);
+        least[0] = 0.0;
+        for (int i = 0; (i < LOOKS) && (least[0] >= 0.0); ++i) {
+            double later[16];
+            thrust_look(y, control, later, least);
+            copy(y, later, 16);
         }
+        beginning(y, at);
+        found = ((least[0] >= 0.0) && (comes_to_rest(at) != 0)) ? 1 : 0;
     }
-    return 0;
+    return found;
 }
 
 /* Whether torque of a control keeps the attitude's limits and leaves a way to rest. */
@@ -64,15 +73,14 @@ static int go_to_backup(int group, const double x[16], double control[6])
     } else {
         slew_law(x, law);
     }
-    for (int i = 0; i < SHARE_COUNT; ++i) {
+    int found = 0;
+    for (int i = 0; (i < SHARE_COUNT) && (found == 0); ++i) {
         for (int j = 0; j < 3; ++j) {
             control[(3 * group) + j] = proposed[j] + (shares[i] * (law[j] - proposed[j]));
         }
-        if (is_safe(group, x, control) != 0) {
-            return 1;
-        }
+        found = is_safe(group, x, control);
     }
-    return 0;
+    return found;
 }
 
 /* Whether one of a group's limits that a way keeps is violated already, or the state holds no numbers: there is none then. */
@@ -83,6 +91,9 @@ static int is_broken(int group, const double x[16], const struct safety_filter_o
     int found = 0;
     for (int k = first; k < last; ++k) {
         found |= (out->h[k] >= 0.0) ? 0 : 1;
+    }
+    for (int k = MOTION_LIMITS + ATTITUDE_LIMITS; (k < KEPT_LIMITS) && (group == TORQUE); ++k) {
+        found |= (out->h[k] >= -RATES_ROUNDED) ? 0 : 1; /* rates at their limit, where the plant holds them */
     }
     for (int i = 0; i < 16; ++i) {
         found |= (isfinite(x[i]) != 0) ? 0 : 1;
@@ -96,7 +107,9 @@ static void nothing_yields(int group, struct safety_filter_output *out)
     double left = 0.0;
     for (int k = 0; k < CONSTRAINTS_OF[group]; ++k) {
         const int place = PLACE[group][k];
-        out->slack[place] = (place < KEPT_LIMITS) ? 0.0 : out->slack[place];
+        if (IS_KEPT[place] != 0) {
+            out->slack[place] = 0.0;
+        }
         left = larger(left, out->slack[place]);
     }
     if ((out->program_status[group] == SLACK) && !(left > 0.0)) {

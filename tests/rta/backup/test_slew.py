@@ -81,7 +81,7 @@ def test_no_look_accepts_a_control_that_a_flight_shows_to_be_unsafe(look: str, h
     u = torch.cat((torch.zeros_like(torque), torque))
     told = getattr(slew, look)(x, u, w)
     accepted = torch.nonzero(told >= 0).flatten()
-    assert accepted.numel() > 100
+    assert accepted.numel() > 40
     closest = accepted[told[accepted].argsort()[:100]]
     law, first = by_the_law(w), [u[:, closest]]
     path = flown(x[:, closest], lambda y: first.pop() if first else law(y), PAPER, hold, 100.0, 0.25)

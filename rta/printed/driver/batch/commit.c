@@ -9,37 +9,42 @@ static int any_of(M m)
 }
 #endif
 
-/* Lanes whose controls are not seen at a glance to keep all limits and to leave a way to rest. */
-static M unsure(const V x[16], const V control[6])
+/* Lanes whose controls are not seen at a glance to keep all limits and to leave a way to rest, whose rates are beyond
+ * theirs, or in which a limit of the user's own yields. Numbers: controls, slack, h. */
+static M unsure(const V x[16], const V numbers[6 + 2 * CONSTRAINTS])
 {
 #if BACKUP
     V thrust[1];
     V torque[1];
-    thrust_glance(x, control, thrust);
-    torque_sight(x, control, torque);
+    M found = NO;
+    thrust_glance(x, numbers, thrust);
+    torque_sight(x, numbers, torque);
     if (any_of(~(torque[0] >= 0.0))) {
-        torque_glance(x, control, torque);
+        torque_glance(x, numbers, torque);
     }
-    return ~((thrust[0] >= 0.0) & (torque[0] >= 0.0));
+    for (int k = MOTION_LIMITS + ATTITUDE_LIMITS; k < KEPT_LIMITS; ++k) {
+        found |= ~(numbers[6 + CONSTRAINTS + k] >= -RATES_ROUNDED);
+    }
+    for (int k = KEPT_LIMITS; k < CONSTRAINTS; ++k) {
+        found |= numbers[6 + k] > 0.0;
+    }
+    return found | ~((thrust[0] >= 0.0) & (torque[0] >= 0.0));
 #else
     (void)x;
-    (void)control;
+    (void)numbers;
     return NO;
 #endif
 }
 
-/* Where controls are safe no limit that a way keeps yields: what its rows lacked was the rows' alone. */
+/* Where controls are safe no limit yields: what its rows lacked was the rows' alone. */
 static void nothing_yields(M unseen, V program_status[2], V slack[CONSTRAINTS])
 {
 #if BACKUP
-    V left = ALL(0.0);
-    for (int k = 0; k < CONSTRAINTS; ++k) {
-        slack[k] = (k < KEPT_LIMITS) ? SELECT(unseen, slack[k], ALL(0.0)) : slack[k];
-        left = MAX(left, slack[k]);
-    }
     for (int group = 0; group < 2; ++group) {
-        const M lowered = ~unseen & (left <= 0.0);
-        program_status[group] = SELECT(lowered, MIN(program_status[group], ALL(1.0)), program_status[group]);
+        program_status[group] = SELECT(unseen, program_status[group], MIN(program_status[group], ALL(1.0)));
+    }
+    for (int k = 0; k < CONSTRAINTS; ++k) {
+        slack[k] = SELECT(unseen, slack[k], ALL(0.0));
     }
 #else
     (void)unseen;
