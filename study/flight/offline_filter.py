@@ -32,11 +32,11 @@ def filter_states(safety_filter: SafetyFilter, x: Tensor, desired: Tensor) -> di
     a row of A and b is the rate of h (of Psi_1 where the relative degree is two) in h's unit per s (per s^2),
     columns of A are per N and per N m. `control_safe` is the u that minimises
 
-        |(u - clip(control_desired)) / limit|^2 + sum slack_weight delta^2
+        |(u - control_desired) / limit|^2 + sum slack_weight delta^2
 
-    with what is desired clipped to the actuators' limits, subject to A_all u + b_all >= delta and |u| <= limit, with
-    delta = 0 where slack_weight is infinite. That it is in a class of rows, equal in weight, wherever some control
-    holds the class and those of larger weight.
+    subject to A_all u + b_all >= delta and |u| <= limit, with delta = 0 where slack_weight is infinite. That it is in a
+    class of rows, equal in weight, wherever some control holds the class and those of larger weight. What is desired of
+    a group beyond LARGEST_DEMAND limits is shortened to that first, see `SafetyFilter.wish`.
 
     Returns:
         control_safe: (N, 6).
@@ -46,7 +46,8 @@ def filter_states(safety_filter: SafetyFilter, x: Tensor, desired: Tensor) -> di
         active: (N, 13) bool, a row of the constraint binds a corrected control.
         slack: (N, 13) delta <= 0 of A control_safe + b >= delta, zero where a program held without slack.
         status: (N,) `Status`, the worse of the thrust and the torque program.
-        verified, backup: (N,) bool, see `FilterResult`. Where backup is set, control_safe is not that u.
+        verified, backup: (N,) bool, see `FilterResult`. Where backup is set, control_safe is not that u. Slack of a
+            program whose control is verified is not said: its status is HARD, slack zero, slack_weight infinite.
         constraints: (13,) names.
         A_all: (N, R, 6), b_all: (N, R) every row as it was finally enforced. b contains the margin if its program
             held with all margins, and does not if they had to be given up.

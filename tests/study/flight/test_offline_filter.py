@@ -13,6 +13,7 @@ from scipy.optimize import nnls
 import main
 from inspection.model.dynamics import step
 from inspection.model.parameters import InspectionParameters
+from rta.backup.check import Backup
 from rta.constraints.constraint import CONSTRAINTS
 from rta.filter import SafetyFilter
 from rta.parameters import RtaParameters
@@ -40,14 +41,26 @@ def given() -> dict[str, ndarray]:
     return {"state": near_the_limits(COUNT).T.copy(), "control_desired": desired}
 
 
-@pytest.fixture(scope="module")
-def result(given: dict[str, ndarray], tmp_path_factory: pytest.TempPathFactory) -> dict[str, ndarray]:
-    """What the command writes for them."""
-    directory = tmp_path_factory.mktemp("offline")
+def written(given: dict[str, ndarray], directory: Path) -> dict[str, ndarray]:
+    """What the command writes for these states."""
     np.savez(directory / "states.npz", **given)
     arguments = ["--states", str(directory / "states.npz"), "--out", str(directory / "out.npz")]
     assert main.main(["filter", *arguments, "--device", "cpu", "--qp-solver", "piqp"]) == 0
     return dict(np.load(directory / "out.npz"))
+
+
+@pytest.fixture(scope="module")
+def result(given: dict[str, ndarray], tmp_path_factory: pytest.TempPathFactory) -> dict[str, ndarray]:
+    """What the command writes for them."""
+    return written(given, tmp_path_factory.mktemp("offline"))
+
+
+@pytest.fixture(scope="module")
+def solution(given: dict[str, ndarray], tmp_path_factory: pytest.TempPathFactory) -> dict[str, ndarray]:
+    """What it writes without the check of its controls, `rta.backup`: what the programs answer."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Backup, "is_there", lambda c: False)
+        return written(given, tmp_path_factory.mktemp("programs"))
 
 
 def optimum(u_desired: ndarray, a: ndarray, b: ndarray, weight: ndarray) -> ndarray:
@@ -83,6 +96,8 @@ def test_the_file_holds_what_is_promised(result: dict[str, ndarray]) -> None:
         "slack": (13,),
         "status": (),
         "violated": (),
+        "verified": (),
+        "backup": (),
         "shortfall": (13,),
         "A_all": (rows, 6),
         "b_all": (rows,),
@@ -94,33 +109,33 @@ def test_the_file_holds_what_is_promised(result: dict[str, ndarray]) -> None:
 
 
 def test_another_solver_finds_the_same_controls(
-    given: dict[str, ndarray], result: dict[str, ndarray]
+    given: dict[str, ndarray], solution: dict[str, ndarray]
 ) -> None:
-    chosen = [i for status in range(3) for i in np.flatnonzero(result["status"] == status)[:40]]
-    assert {status: (result["status"][chosen] == status).sum() >= 20 for status in (1, 2)} == {1: 1, 2: 1}
-    without_margins = (result["status"] == Status.HARD) & ~result["with_margins"].all(1)
+    chosen = [i for status in range(3) for i in np.flatnonzero(solution["status"] == status)[:40]]
+    assert {status: (solution["status"][chosen] == status).sum() >= 20 for status in (1, 2)} == {1: 1, 2: 1}
+    without_margins = (solution["status"] == Status.HARD) & ~solution["with_margins"].all(1)
     chosen += list(np.flatnonzero(without_margins)[:20])
     assert without_margins.any()
     for i in chosen:
-        a, b, weight = (result[name][i] for name in ("A_all", "b_all", "slack_weight"))
+        a, b, weight = (solution[name][i] for name in ("A_all", "b_all", "slack_weight"))
         floor = np.maximum(b, -100.0 * np.maximum(np.linalg.norm(a * LIMIT, axis=1), 1e-6))
         desired = given["control_desired"][i]
         again = optimum(desired, a, floor, weight)
         # at a bound that is reached without a force, an interior point stops the root of its tolerance short of it
         tolerance = 1e-5 if (np.abs(desired) > LIMIT).any() else 1e-6
-        np.testing.assert_allclose(again / LIMIT, result["control_safe"][i] / LIMIT, atol=tolerance)
+        np.testing.assert_allclose(again / LIMIT, solution["control_safe"][i] / LIMIT, atol=tolerance)
 
 
-def test_slack_weights_are_those_of_the_stage_used(result: dict[str, ndarray]) -> None:
+def test_slack_weights_are_those_of_the_stage_used(solution: dict[str, ndarray]) -> None:
     """Of the rows that must be given slack for some control to satisfy the others, by linear programming."""
-    yielded = result["status"] == Status.SLACK
-    assert np.isinf(result["slack_weight"][result["status"] < Status.SLACK]).all()
-    names = result["constraints"][result["constraint_of_row"]]
+    yielded = solution["status"] == Status.SLACK
+    assert np.isinf(solution["slack_weight"][solution["status"] < Status.SLACK]).all()
+    names = solution["constraints"][solution["constraint_of_row"]]
     weight = np.array([PRIORITY.get(name, 1e3) for name in names])
     stages = set()
     for group in (slice(0, 3), slice(3, 6)):
         own = np.array([name in (CONSTRAINTS[:7] if group.start == 0 else CONSTRAINTS[7:]) for name in names])
-        a, b, found = (result[name][yielded][:, own] for name in ("A_all", "b_all", "slack_weight"))
+        a, b, found = (solution[name][yielded][:, own] for name in ("A_all", "b_all", "slack_weight"))
         a = a[..., group] * LIMIT[group]
         length = np.linalg.norm(a, axis=2).clip(1e-6)
         a, b = a / length[..., None], (b / length).clip(-100.0, 2.0)
@@ -139,14 +154,32 @@ def test_each_constraints_row_is_the_one_that_binds(result: dict[str, ndarray]) 
     assert (result["constraint_of_row"] == CONSTRAINTS.index("passive_safety")).sum() == 5
 
 
-def test_conditions_hold_to_within_the_slack(result: dict[str, ndarray]) -> None:
-    shown = (result["A"] @ result["control_safe"][..., None])[..., 0] + result["b"]
-    length = np.linalg.norm(result["A"] * LIMIT, axis=2)
-    assert (shown >= result["slack"] - 1e-6 * length - 1e-12).all()
-    assert (result["slack"] <= 0).all()
-    assert (result["slack"][result["status"] <= Status.HARD] == 0).all()
-    assert (result["slack"] < 0).any()
-    assert (result["slack"][:, CONSTRAINTS.index("collision")] == 0)[result["status"] < Status.UNSOLVED].all()
+def test_only_the_backup_changes_what_the_programs_answer(
+    result: dict[str, ndarray], solution: dict[str, ndarray]
+) -> None:
+    """And slack is unsaid, of whole programs, where limits are known to be kept."""
+    changed = (result["control_safe"] != solution["control_safe"]).any(1)
+    np.testing.assert_array_equal(changed, result["backup"])
+    assert 0.0 < changed.mean() < 1.0
+    assert not (solution["verified"] | solution["backup"]).any()
+    fell = (result["status"] != solution["status"]) & ~changed
+    assert (fell & result["verified"]).any()
+    assert (solution["status"][fell] == Status.SLACK).all() and (result["status"][fell] == Status.HARD).all()
+    unsaid = result["shortfall"] != solution["shortfall"]
+    assert (result["shortfall"][unsaid] == 0.0).all()
+    assert (result["shortfall"][result["verified"]] == 0.0).all()
+
+
+def test_conditions_hold_to_within_the_slack(solution: dict[str, ndarray]) -> None:
+    shown = (solution["A"] @ solution["control_safe"][..., None])[..., 0] + solution["b"]
+    length = np.linalg.norm(solution["A"] * LIMIT, axis=2)
+    assert (shown >= solution["slack"] - 1e-6 * length - 1e-12).all()
+    assert (solution["slack"] <= 0).all()
+    assert (solution["slack"][solution["status"] <= Status.HARD] == 0).all()
+    assert (solution["slack"] < 0).any()
+    assert (solution["slack"][:, CONSTRAINTS.index("collision")] == 0)[
+        solution["status"] < Status.UNSOLVED
+    ].all()
 
 
 def test_rows_are_the_rates_of_the_papers_constraints(
