@@ -16,7 +16,7 @@ from inspection.model.parameters import InspectionParameters
 from inspection.model.state import CONTROL_SIZE, SIZE, THRUST, TORQUE, P, Q
 from kernels import Compiled, NoCompilerError
 from kernels.build import say
-from rta.backup.check import RATES_ROUNDED, Backup
+from rta.backup.check import RATES_ROUNDED, SLACK_ROUNDED, Backup
 from rta.bounds.health import slewing
 from rta.bounds.uncertainty import NOTHING, Uncertainty
 from rta.conditions.held_rows import KINDS, HeldGroup, predicted
@@ -453,7 +453,7 @@ class SafetyFilter:
         slack = result.slack.masked_fill(
             verified[of_torque] & known, 0.0
         )  # limits that are kept do not yield
-        yields = torch.stack([(slack * (of_torque == i)[:, None]).amax(0) > 0.0 for i in range(2)])
+        yields = torch.stack([(slack * (of_torque == i)[:, None]).amax(0) > SLACK_ROUNDED for i in range(2)])
         status = torch.where(verified & ~yields & (status == Status.SLACK), Status.HARD, status)
         return replace(
             result,

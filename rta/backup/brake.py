@@ -32,6 +32,9 @@ CLOSELY, ROUGHLY = (
     (10, 1),
 )  # cells of passive safety's horizon, and searches in each, see `FreeFlight`
 INSIDE = 1.0  # m, of the zone, where a straight way ends at the farthest
+SPARE = (
+    0.997  # of thrust, that the way along the zone uses: what f changes by, 2 n a T / 2, may need the rest
+)
 SURPLUS = 1.02  # of N, for what a hold and rounding leave out of it
 
 
@@ -108,7 +111,7 @@ def planned(p: Tensor, v: Tensor, theta_s: Tensor, w: Braking) -> tuple[Tensor, 
     f = natural(straight)
     f_r, f_t = dot(f, outwards), dot(f, ahead)
     across_both = f - f_r * outwards - f_t * ahead
-    most = (w.thrust**2 - dot(across_both, across_both)).sqrt()
+    most = ((SPARE * w.thrust) ** 2 - dot(across_both, across_both)).sqrt()  # f is another along another way
     inwards = torch.minimum(needed + f_r, most)
     left = (most**2 - inwards**2).clamp(min=0.0).sqrt()
     back = torch.minimum(tangential / t + f_t, left)
@@ -117,7 +120,7 @@ def planned(p: Tensor, v: Tensor, theta_s: Tensor, w: Braking) -> tuple[Tensor, 
     end = norm(p + direction * speed * (speed / (2 * w.straight) + t / 2))
     needs_zone = (end > c.max_distance - INSIDE - w.buffer) & (speed > w.straight * t)
     wanted = torch.where(needs_zone, along, straight)
-    return wanted, wanted - torch.where(needs_zone, f, natural(straight))
+    return wanted, wanted - natural(wanted)
 
 
 def brake(x: Tensor, torque: Tensor, w: Braking) -> Tensor:

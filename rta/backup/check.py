@@ -28,6 +28,7 @@ MOTION, ATTITUDE = (
     3,
 )  # limits that a way keeps by thrust, and by torque: the first of Table 3, but for rates
 RATES_ROUNDED = 1e-9  # rad^2/s^2, by which rates at their limit may be beyond, where the plant holds them
+SLACK_ROUNDED = 1e-9  # in the unit of slack, up to which it is a solver's rounding
 SHARES = (0.25, 0.5, 0.75)  # of the way from what is proposed to the backup law's control, that are tried
 
 
@@ -155,7 +156,8 @@ def nearest(
         left = torch.nonzero(~found).flatten()
         if not left.numel():
             break
-        tried = pick(u, left) + share * (pick(there, left) - pick(u, left))
+        one, other = pick(u, left), pick(there, left)
+        tried = (one + share * (other - one)).clamp(torch.minimum(one, other), torch.maximum(one, other))
         safe = is_safe(pick(x, left), tried)
         put(best, left[safe], tried[:, safe])
         put(found, left, safe)

@@ -10,7 +10,7 @@ from torch import Tensor
 from inspection.model.state import CONTROL_SIZE, SIZE, TORQUE
 from kernels import Printed, printed
 from rta.backup import brake, slew
-from rta.backup.check import ATTITUDE, MOTION, RATES_ROUNDED, SHARES, Backup
+from rta.backup.check import ATTITUDE, MOTION, RATES_ROUNDED, SHARES, SLACK_ROUNDED, Backup
 from rta.constraints.constraint import CONSTRAINTS
 
 if TYPE_CHECKING:
@@ -118,6 +118,7 @@ def constants(backup: Backup) -> dict[str, tuple[int | float | str, str]]:
         "LOOKS": (backup.braking.steps, "at a hold"),
         "BRAKING_HOLDS": (backup.braking.holds, "after which a spacecraft that brakes must be at rest"),
         "AT_REST": (brake.AT_REST, "m/s"),
+        "SLACK_ROUNDED": (SLACK_ROUNDED, "in the unit of slack, up to which it is a solver's rounding"),
         "SHARE_COUNT": (len(SHARES) + 1, ""),
         "SHARES": ("{" + shares + "}", "of the way from what is proposed to the backup law's control"),
     }

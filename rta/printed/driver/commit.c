@@ -76,7 +76,8 @@ static int go_to_backup(int group, const double x[16], double control[6])
     int found = 0;
     for (int i = 0; (i < SHARE_COUNT) && (found == 0); ++i) {
         for (int j = 0; j < 3; ++j) {
-            control[(3 * group) + j] = proposed[j] + (shares[i] * (law[j] - proposed[j]));
+            const double tried = proposed[j] + (shares[i] * (law[j] - proposed[j]));
+            control[(3 * group) + j] = clip(tried, smaller(proposed[j], law[j]), larger(proposed[j], law[j]));
         }
         found = is_safe(group, x, control);
     }
@@ -112,7 +113,7 @@ static void nothing_yields(int group, struct safety_filter_output *out)
         }
         left = larger(left, out->slack[place]);
     }
-    if ((out->program_status[group] == SLACK) && !(left > 0.0)) {
+    if ((out->program_status[group] == SLACK) && !(left > SLACK_ROUNDED)) {
         out->program_status[group] = HARD;
     }
 }
