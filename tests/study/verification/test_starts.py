@@ -30,7 +30,15 @@ R = RtaParameters()
 COUNT = 1500
 
 
-class Everything(SafetyFilter):
+class Programs(SafetyFilter):
+    """A filter that knows no way to rest: its starts are those in which every h and every Psi_1 is non-negative."""
+
+    def __init__(self) -> None:
+        super().__init__(C, R)
+        self.backup = None
+
+
+class Everything(Programs):
     """A filter that keeps every state, to see what is drawn."""
 
     def is_in_safe_set(self, x: Tensor) -> Tensor:
@@ -39,13 +47,13 @@ class Everything(SafetyFilter):
 
 @pytest.fixture(scope="module")
 def start() -> tuple[ndarray, ndarray]:
-    x, priority, _ = safe_set(COUNT, 0, FILTER)
+    x, priority, _ = safe_set(COUNT, 0, Programs())
     return x.numpy(), priority.numpy()
 
 
 @pytest.fixture(scope="module")
 def drawn() -> tuple[ndarray, ndarray]:
-    x, priority, _ = safe_set(COUNT, 0, Everything(C, R))
+    x, priority, _ = safe_set(COUNT, 0, Everything())
     return x.numpy(), priority.numpy()
 
 
@@ -69,7 +77,7 @@ def test_every_start_satisfies_every_constraint(start: tuple[ndarray, ndarray]) 
 
 def test_starts_beyond_braking_belong_to_the_safe_set() -> None:
     """Seldom: far out and fast across, with the keep-in zone's h positive and its curve negative."""
-    x = safe_set(6000, 0, FILTER)[0].numpy()
+    x = safe_set(6000, 0, Programs())[0].numpy()
     beyond = x[:, keep_in_curve(x) < 0]
     assert 5 < beyond.shape[1] < 60
     assert zone(beyond).min() >= 0 and length(beyond[:3]).min() > 600
@@ -80,12 +88,12 @@ def test_states_that_only_the_margins_reject_are_counted_up_to_the_last_one_take
 ) -> None:
     drawn = []
 
-    class Recording(SafetyFilter):
+    class Recording(Programs):
         def is_in_safe_set(self, x: Tensor) -> Tensor:
             drawn.append(x.numpy())
             return super().is_in_safe_set(x)
 
-    x, _, rejected = safe_set(500, 3, Recording(C, R))
+    x, _, rejected = safe_set(500, 3, Recording())
     every = np.hstack(drawn)
     last = np.flatnonzero((every == x[:, -1:].numpy()).all(0))[0]
     every = every[:, : last + 1]
@@ -165,13 +173,20 @@ def test_rejection_leaves_starts_near_every_limit(start: tuple[ndarray, ndarray]
 
 
 def test_starts_depend_on_the_seed_alone(start: tuple[ndarray, ndarray]) -> None:
-    again, other = (safe_set(COUNT, seed, FILTER)[0].numpy() for seed in (0, 1))
+    again, other = (safe_set(COUNT, seed, Programs())[0].numpy() for seed in (0, 1))
     np.testing.assert_array_equal(start[0], again)
     assert not (start[0] == other).all(0).any()
 
 
+def test_starts_of_a_filter_that_knows_a_way_are_the_states_that_have_one() -> None:
+    x, _, left_out = safe_set(300, 0, FILTER)
+    assert FILTER.has_way(x).all() and (FILTER.values(x) >= 0.0).all()
+    assert 0 < left_out < 60  # that keep every limit, and have none
+    assert not FILTER.is_in_safe_set(x).all()
+
+
 def test_an_empty_safe_set_is_refused() -> None:
-    nothing = Everything(C, R)
+    nothing = Everything()
     nothing.is_in_safe_set = lambda x: torch.zeros(x.shape[1], dtype=torch.bool)
     with pytest.raises(RuntimeError, match="0 of 1 initial states"):
         safe_set(1, 0, nothing)
