@@ -89,7 +89,8 @@ def let_pass(x: Tensor, desired: Tensor) -> FilterResult:
     nothing = x.new_zeros(len(CONSTRAINTS), x.shape[1])
     none, status = nothing > 0.0, nothing[0].long()
     both = status.expand(2, -1)
-    return FilterResult(desired, none[0], none, nothing, status, both, nothing, nothing, nothing)
+    checks = (none[0], none[0], none[0])
+    return FilterResult(desired, *checks, none, nothing, status, both, nothing, nothing, nothing)
 
 
 def test_what_violates_is_the_true_state() -> None:
