@@ -26,6 +26,8 @@ def correction(generator: torch.Generator) -> FilterResult:
     return FilterResult(
         control=torch.zeros(6, BATCH),
         intervened=status.amax(0) > Status.UNTOUCHED,
+        verified=status.amax(0) == Status.UNTOUCHED,
+        backup=status.amax(0) == Status.HARD,
         active=slack > 1.0,
         slack=slack.masked_fill(torch.rand(BATCH, generator=generator) < 0.7, 0.0),
         status=status.amax(0),
