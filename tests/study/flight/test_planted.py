@@ -53,7 +53,7 @@ def verified(
     """The report of a campaign of the adversary."""
     config, path = tmp_path / "config.toml", tmp_path / "report.json"
     config.write_text(f"[inspection]\nsubstep = {substep}\n")
-    arguments = ["--policy", "adversarial", "--episodes", "8", "--duration", "25", "--compile", "off"]
+    arguments = ["--policy", "adversarial", "--episodes", "8", "--duration", "50", "--compile", "off"]
     code, out, err = call(["verify", *arguments, "--config", str(config), "--json", str(path), *more], capsys)
     assert code == 0, err
     content = json.loads(path.read_text())
@@ -87,7 +87,7 @@ def test_verify_reports_a_filter_that_corrects_nothing(
     "command",
     [
         ["verify", "--episodes", "16", "--duration", "10"],
-        ["simulate", "--controller", "zero", "--duration", "10", "--out", "x"],
+        ["simulate", "--controller", "zero", "--duration", "10", "--out", "x.npz"],
         ["evaluate", "--controller", "natural-motion", "--episodes", "2"],
     ],
 )
