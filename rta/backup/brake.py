@@ -13,7 +13,7 @@ The body turns while thrust is held, so commands are of the mean attitude of the
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
@@ -27,14 +27,10 @@ from rta.backup.chords import FreeFlight, Strays, between, lowest, strays
 
 AT_REST = 1e-9  # m/s
 SLEW = 100.0  # s, that a body takes to its attitude of rest
-CLOSELY, ROUGHLY = (
-    (25, 3),
-    (10, 1),
-)  # cells of passive safety's horizon, and searches in each, see `FreeFlight`
+# Cells of passive safety's horizon, and searches in each, see `FreeFlight`.
+CLOSELY, ROUGHLY = (25, 3), (10, 1)
 INSIDE = 1.0  # m, of the zone, where a straight way ends at the farthest
-SPARE = (
-    0.997  # of thrust, that the way along the zone uses: what f changes by, 2 n a T / 2, may need the rest
-)
+SPARE = 0.997  # of thrust, used along the zone: what f changes by on the way, 2 n a T / 2, may need the rest
 SURPLUS = 1.02  # of N, for what a hold and rounding leave out of it
 
 
@@ -68,10 +64,8 @@ class Braking:
     @classmethod
     def of(cls, c: Limits, hold: float, steps: int, slewing: float) -> "Braking":
         rate = math.sqrt(3.0) * c.max_rate
-        half, quickening = (
-            rate * hold / 2,
-            math.sqrt(3.0) * min(c.max_torque / min(c.inertia), 2 * c.max_rate / hold),
-        )
+        half = rate * hold / 2
+        quickening = math.sqrt(3.0) * min(c.max_torque / min(c.inertia), 2 * c.max_rate / hold)
         off_mean = half**2 / 6 + quickening * hold**2 / 24  # |1 - M R_m'|, see `thrust_along`
         astray = off_mean**2 + (c.mean_motion * hold) ** 2
         fastest = min(c.docking_speed + c.speed_slope * c.max_distance, math.sqrt(3.0) * c.max_speed)
@@ -82,7 +76,8 @@ class Braking:
         creep = c.largest_drift(c.max_distance, 0.0) * (rate * SLEW + c.mean_motion * orbit) * hold**2 / 12
         buffer = straight * hold**2 / 4 + fastest * turn * hold**2 / 12 + creep
         holds = math.ceil(1.5 * fastest / (straight * hold)) + 3
-        free, rough = FreeFlight.of(c, *CLOSELY), FreeFlight.of(c, *ROUGHLY)
+        free = FreeFlight.of(c, *CLOSELY)
+        rough = replace(free, cells=ROUGHLY[0], searches=ROUGHLY[1])
         return cls(c, free, rough, hold, steps, thrust, straight, turn, astray, buffer, creep, holds)
 
 

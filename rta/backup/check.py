@@ -26,7 +26,7 @@ LOOK = 2.5  # s, between two looks at a hold at most
 MOTION, ATTITUDE = (
     7,
     3,
-)  # limits that a way keeps by thrust, and by torque: the first of Table 3, but for rates
+)  # limits that a way keeps by thrust, and by torque: the first of Table 3, then the rates
 RATES_ROUNDED = 1e-9  # rad^2/s^2, by which rates at their limit may be beyond, where the plant holds them
 SLACK_ROUNDED = 1e-9  # in the unit of slack, up to which it is a solver's rounding
 SHARES = (0.25, 0.5, 0.75)  # of the way from what is proposed to the backup law's control, that are tried

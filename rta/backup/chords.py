@@ -23,8 +23,8 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from inspection.model.attitude import dot, norm
-from inspection.model.orbit import coast
+from inspection.model.attitude import dot, norm, unit
+from inspection.model.orbit import coast, share
 from inspection.model.parameters import Limits
 from inspection.model.state import SIZE, P, V
 
@@ -97,8 +97,7 @@ def between(start: Tensor, end: Tensor, off: Strays, c: Limits, free: FreeFlight
     e_p, e_v, e_speed = off
     ends = start, end
     distance, speed = [norm(y[P]) for y in ends], [norm(y[V]) for y in ends]
-    n = start[P] + end[P]
-    n = n / norm(n).clamp(min=1e-12)
+    n = unit(start[P] + end[P])
     along = [dot(n, y[P]) for y in ends]  # at most the distance
     radial = [dot(y[V], y[P]) / d for y, d in zip(ends, distance, strict=True)]
     nearest, fastest = (torch.minimum(*along) - e_p).clamp(min=NEAREST), torch.maximum(*speed)
@@ -146,7 +145,7 @@ def clearance(
     nearest = nearer(corners[0] + corners[2], corners[1] + corners[3]) / 2
     beyond = torch.full_like(nearest[0], -math.inf)
     for _ in range(1 + free.searches):
-        m = nearest / norm(nearest).clamp(min=1e-12)
+        m = unit(nearest)
         corner, along = least_along(m, corners)
         beyond, nearest = torch.maximum(beyond, along), nearer(nearest, corner)
     beyond = beyond - free.velocity * times[1:] * e_v
@@ -157,8 +156,7 @@ def clearance(
 def nearer(first: Tensor, last: Tensor) -> Tensor:
     """The point next to the origin between two points (3, ...)."""
     chord = last - first
-    share = (-dot(first, chord) / dot(chord, chord).clamp(min=1e-12)).clamp(0.0, 1.0)
-    return first + share * chord
+    return first + share(first, chord) * chord
 
 
 def least_along(direction: Tensor, points: Sequence[Tensor]) -> tuple[Tensor, Tensor]:

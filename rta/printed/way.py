@@ -132,7 +132,7 @@ def limits() -> dict[str, tuple[int | float | str, str]]:
         "ATTITUDE_LIMITS": (ATTITUDE, "the next, by torque"),
         "KEPT_LIMITS": (
             len(CONSTRAINTS),
-            "the first: after these the rates, then the user's own, which it does not know",
+            "the first, the rates being their last; after these the user's own, which it does not know",
         ),
         "RATES_ROUNDED": (RATES_ROUNDED, "rad^2/s^2, by which rates at their limit may be beyond"),
     }

@@ -5,13 +5,3 @@ struct block {
     M active[CONSTRAINTS];
     M open[1]; /* lanes that are left to the filter for one spacecraft */
 };
-
-static int any(M m)
-{
-    int found = 0;
-    for (int lane = 0; lane < W; ++lane) {
-        found |= m[lane] != 0;
-    }
-    return found;
-}
-

@@ -1,14 +1,3 @@
-#if BACKUP
-static int any_of(M m)
-{
-    int found = 0;
-    for (int lane = 0; lane < W; ++lane) {
-        found |= m[lane] != 0;
-    }
-    return found;
-}
-#endif
-
 /* Lanes whose controls are not seen at a glance to keep all limits and to leave a way to rest, whose rates are beyond
  * theirs, or in which a limit of the user's own yields. Numbers: controls, slack, h. */
 static M unsure(const V x[16], const V numbers[6 + 2 * CONSTRAINTS])
@@ -19,7 +8,7 @@ static M unsure(const V x[16], const V numbers[6 + 2 * CONSTRAINTS])
     M found = NO;
     thrust_glance(x, numbers, thrust);
     torque_sight(x, numbers, torque);
-    if (any_of(~(torque[0] >= 0.0))) {
+    if (any(~(torque[0] >= 0.0))) {
         torque_glance(x, numbers, torque);
     }
     for (int k = MOTION_LIMITS + ATTITUDE_LIMITS; k < KEPT_LIMITS; ++k) {
