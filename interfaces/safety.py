@@ -12,7 +12,7 @@ from torch import Tensor
 
 from interfaces.environment import Inspection6DoF
 from interfaces.vector import VectorInspection6DoF, in_kind
-from rta.filter import FilterResult
+from rta.result import FilterResult
 from study import config as configuration
 from study.experiment import Experiment
 

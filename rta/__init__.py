@@ -9,8 +9,9 @@ its control came about.
 
 from rta.bounds.uncertainty import Uncertainty
 from rta.constraints.constraint import Constraint
-from rta.filter import FilterResult, SafetyFilter
+from rta.filter import SafetyFilter
 from rta.parameters import RtaParameters
 from rta.qp.programs import Status
+from rta.result import FilterResult
 
 __all__ = ["Constraint", "FilterResult", "RtaParameters", "SafetyFilter", "Status", "Uncertainty"]

@@ -1,11 +1,17 @@
-"""SafetyFilter: barrier rows, screening, two small programs per spacecraft, report (Sec. ASIF).
+"""SafetyFilter: the control next to a desired one that every barrier condition permits (Sec. ASIF, Eq. of the QP).
 
-Where the rows of a program conflict, slack is given class after class of their weights, see `rta.qp.programs.stages`.
+For thrust and for torque, each within its limits,
+
+    minimise |u - u_desired|^2    subject to    a_i u + b_i >= 0 for every row i.
+
+The rows are of one of two conditions (`rta.conditions`): of the rate now, or of what a held control leads to. Where
+they conflict, slack is given class after class of their weights (`rta.qp.programs.stages`). What the programs propose
+is applied if a way to rest remains (`rta.backup`).
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields, replace
-from functools import cached_property, partial
+from dataclasses import fields
+from functools import cached_property
 from typing import Any
 
 import torch
@@ -13,26 +19,17 @@ from torch import Tensor
 
 from inspection.closed_loop import Safety
 from inspection.model.parameters import InspectionParameters
-from inspection.model.state import CONTROL_SIZE, SIZE, THRUST, TORQUE, P, Q
+from inspection.model.state import CONTROL_SIZE, SIZE, P, Q
 from kernels import Compiled, NoCompilerError
 from kernels.build import say
-from rta.backup.check import RATES_ROUNDED, SLACK_ROUNDED, Backup
-from rta.bounds.health import slewing
+from rta.backup.check import Backup
 from rta.bounds.uncertainty import NOTHING, Uncertainty
-from rta.conditions.held_rows import KINDS, HeldGroup, predicted
-from rta.conditions.rows import ActuatorGroup, Rows
-from rta.conditions.tangents import (
-    Prepared,
-    Settling,
-    answered,
-    prepared_now,
-    problems,
-    scaled,
-    shortfall,
-    with_shortfall,
-)
+from rta.conditions.condition import Condition, demanded
+from rta.conditions.held import Held
+from rta.conditions.now import Now
+from rta.conditions.rows import Rows
 from rta.constraints import vehicle
-from rta.constraints.constraint import ACTUATORS, CONSTRAINTS, Constraint, in_order, joined
+from rta.constraints.constraint import Constraint, in_order, joined
 from rta.constraints.thrust import keep_in_zone, thrust_constraints
 from rta.constraints.torque import torque_constraints
 from rta.given import Given
@@ -40,55 +37,12 @@ from rta.parameters import RtaParameters
 from rta.printed.batch import BatchFilter
 from rta.qp.batched_solver import STEPS_HELD, BatchedSolver
 from rta.qp.piqp_solver import PiqpSolver
-from rta.qp.programs import ENDLESS, LARGEST_DEMAND, Solver, Status, pick, put
+from rta.qp.programs import Solver, Status, pick, put
+from rta.result import FilterResult
 
 ROW_FIELDS = len(fields(Rows))
 
 SOLVERS: dict[str, type[Solver]] = {"piqp": PiqpSolver, "batched": BatchedSolver}
-
-
-@dataclass
-class FilterResult:
-    """What the filter did, per spacecraft; constraints in the order of `SafetyFilter.names`.
-
-    For one spacecraft without the axis B, and in the kind of the desired control, see `SafetyFilter.__call__`.
-
-    Attributes:
-        control: (6, B) safe control in N and N m, within the actuators' limits whatever was desired.
-        intervened: (B,) bool, another control than the desired one is applied.
-        verified: (B,) bool, the control keeps every limit until the next call, and a way to rest begins there on which
-            none is violated (`rta.backup`). False where none is known, as of a filter that is told of bounds.
-        backup: (B,) bool, another control is applied than the programs' solution, for that reason.
-        active: (constraints, B) bool, a row of the constraint binds a corrected control.
-        slack: (constraints, B) shortfall of the barrier condition without margin, in h's unit per s (per s^2 where
-            the relative degree is two); zero unless a program needed slack, or a broken limit asks for more than the
-            actuators give.
-        status: (B,) int64, the worse `Status` of the thrust and the torque program; SLACK, at least, where slack is.
-        program_status: (2, B) int64, both of them.
-        h: (constraints, B) values without margin, exact; that of passive safety by the times of its rows. Where a
-            state is predicted, of the state of now.
-        uncertainty: (constraints, B) what `Uncertainty` takes off the constraint's condition, in h's unit per s (per
-            s^2 where the relative degree is two), at the desired control.
-        tightened: (constraints, B) what `uncertainty` is in the unit of the barrier (body rates: rad/s): the value at
-            which it is all that the row lets the barrier fall by.
-    """
-
-    control: Tensor
-    intervened: Tensor
-    verified: Tensor
-    backup: Tensor
-    active: Tensor
-    slack: Tensor
-    status: Tensor
-    program_status: Tensor
-    h: Tensor
-    uncertainty: Tensor
-    tightened: Tensor
-
-    @property
-    def violated(self) -> Any:
-        """(B,) bool: a limit is broken already, some h is negative, whatever the programs answered."""
-        return (self.h < 0.0).any(0)
 
 
 class SafetyFilter:
@@ -108,7 +62,7 @@ class SafetyFilter:
 
     Attributes:
         names: of all constraints: Table 3's, then those of your own that thrust holds, then those that torque holds.
-        groups: of thrust and of torque.
+        condition: on a control, of the rate of now or of a hold; groups: its rows of thrust and of torque.
         backup: the check of its controls; None: there is none for this vehicle, or of what the filter is told.
         compiled: all of it as one C function; None: it is not compiled so.
 
@@ -140,18 +94,17 @@ class SafetyFilter:
         own = vehicle.scaled(parameters, c)
         of_paper = (thrust_constraints(c, own, known), torque_constraints(c, own, known))
         constraints = (*of_paper[0], *of_paper[1], *extra)
-        kind = HeldGroup if self.holds else ActuatorGroup
-        self.groups = tuple(kind(by, constraints, c, own, known) for by in ACTUATORS)
+        kind: type[Now | Held] = Held if self.holds else Now
+        self.condition: Condition = kind(constraints, c, own, known)
+        self.groups = self.condition.groups
         thrust, torque = (group.names for group in self.groups)
         self.names = in_order(thrust, torque)
         if len(set(self.names)) < len(self.names):
             raise ValueError(f"constraints {', '.join(self.names)}: each name must be there once")
-        self._prepare: Callable[[Tensor, Tensor], list[Tensor]] = self.prepare
-        self._prepare_held: Sequence[Callable[..., list[Tensor]]] = self._uncompiled_held()
-        self._predict: Callable[..., list[Tensor]] = self.predict
         self._is_auto = solver is None and parameters.qp_solver == "auto"
         self._solves_in_c = isinstance(self.solver, BatchedSolver) or self._is_auto
         self.compiled: BatchFilter | None = None
+        self._is_traced = False
 
     def __reduce__(self) -> tuple[Any, ...]:
         return type(self), (self.c, self.parameters, self._given_solver, self.extra, self.known)
@@ -160,11 +113,6 @@ class SafetyFilter:
     def _given_solver(self) -> Solver | None:
         """The solver that was given, or has been put in its place; None where `auto` chose it."""
         return None if self._is_auto and self.solver is self._own_solver else self.solver
-
-    @property
-    def held_groups(self) -> list[HeldGroup]:
-        """`groups` where controls are held; none where rows are of the rate of now."""
-        return [group for group in self.groups if isinstance(group, HeldGroup)]
 
     @property
     def period(self) -> float:
@@ -214,54 +162,31 @@ class SafetyFilter:
         """
         if self._solves_in_c and torch.device(device).type == "cpu":
             self.compiled = BatchFilter(self)
-            if self.holds:
-                self._prepare_held = self.compiled.rows
-                self._predict = self.compiled.predict or self.predict
+            if self.compiled.parts:
+                self.condition.use(self.compiled.parts)
             return
         compiled = self._compiled(device, batch, trace_only=False)
         rows = max(len(group.weights) for group in self.groups)
         self.solver.compile([rows, 2 * rows] if self.holds else [rows], batch, device)  # held ones twice
-        self._take(compiled)
+        self._use(compiled)
 
     def trace(self, batch: int = 1, device: torch.device | str = "cpu") -> None:
-        """Traces `prepare` for tensors on this device and calls of about so many spacecraft.
+        """Traces what is computed for every spacecraft, on this device and in calls of about so many.
 
         Takes some seconds, or 20 where controls are held, and no compiler; calls then take half of their time, or four
         fifths, with the same bits in their results.
         """
-        self._take(self._compiled(device, batch, trace_only=True))
+        self._use(self._compiled(device, batch, trace_only=True))
+
+    def _use(self, compiled: list[Compiled]) -> None:
+        """Computes with what was compiled or traced from now on."""
+        self.condition.use(compiled)
+        self._is_traced = True
 
     def _compiled(self, device: torch.device | str, batch: int, trace_only: bool) -> list[Compiled]:
         """What is computed for every spacecraft, compiled."""
-        x, u = self.probe(device)
-        if not self.holds:
-            return [Compiled(self.prepare, x, u, batch=batch, trace_only=trace_only)]
-        error_bound = torch.zeros_like(x[:KINDS])
-        examples: list[tuple[Callable[..., list[Tensor]], tuple[Tensor, ...]]] = [
-            (run, (x, u, error_bound, torch.ones_like(u))) for run in self._uncompiled_held()
-        ]
-        if self.known.latency:
-            examples.append((self.predict, (x, error_bound, u)))
-        return [Compiled(run, *given, batch=batch, trace_only=trace_only) for run, given in examples]
-
-    def _uncompiled_held(self) -> list[Callable[..., list[Tensor]]]:
-        """`prepare_held` of each group."""
-        return [partial(self.prepare_held, group) for group in self.held_groups]
-
-    @property
-    def _is_compiled(self) -> bool:
-        """Whether what is computed for every spacecraft is compiled or traced."""
-        return self.compiled is not None or isinstance(
-            self._prepare_held[0] if self.holds else self._prepare, Compiled
-        )
-
-    def _take(self, compiled: list[Compiled]) -> None:
-        """Uses what was compiled from now on."""
-        if self.holds:
-            self._prepare_held = compiled[: len(self.groups)]
-            self._predict = compiled[-1] if self.known.latency else self.predict
-        else:
-            (self._prepare,) = compiled
+        parts = self.condition.parts(*self.probe(device))
+        return [Compiled(run, *given, batch=batch, trace_only=trace_only) for run, given in parts]
 
     def probe(self, device: torch.device | str) -> tuple[Tensor, Tensor]:
         """A state (16, 1) and a control (6, 1) to try functions of the batch with."""
@@ -283,45 +208,8 @@ class SafetyFilter:
     def rows(self, x: Tensor, control: Tensor | None = None) -> tuple[Rows, Rows]:
         """The conditions on thrust and on torque at states (16, B), as tangents at controls (6, B), None: at zero."""
         control = torch.zeros_like(x[:CONTROL_SIZE]) if control is None else control
-        if self.holds:
-            error_bound, left = torch.zeros_like(x[:KINDS]), torch.ones_like(control)
-            thrust, torque = (Prepared(*run(x, control, error_bound, left)) for run in self._prepare_held)
-        else:
-            thrust, torque = self._prepared(x, control)
+        thrust, torque = self.condition.prepared(x, control)
         return Rows(*thrust[:ROW_FIELDS]), Rows(*torque[:ROW_FIELDS])
-
-    def prepare(self, x: Tensor, desired: Tensor) -> list[Tensor]:
-        """`Prepared` for thrust, then for torque, as one list: (16, B) and (6, B) to fields (..., B)."""
-        parts: list[Tensor] = []
-        for group in self.groups:
-            parts += prepared_now(group, x, desired)
-        return parts
-
-    def prepare_held(
-        self, group: HeldGroup, x: Tensor, control: Tensor, error_bound: Tensor, left: Tensor
-    ) -> list[Tensor]:
-        """`Prepared` for one group, of its rows at controls (6, B); see `HeldGroup.conditions_at`.
-
-        Args:
-            left: (6, B) the share that each actuator gives of what it is told.
-        """
-        there = group.limit * left[group.controls]
-        return list(
-            scaled(
-                group.tangents(x, left * control, error_bound, there),
-                control[group.controls] / group.limit,
-                there,
-            )
-        )
-
-    def predict(self, x: Tensor, error_bound: Tensor, u: Tensor) -> list[Tensor]:
-        """`predicted` by this filter's model, of states (16, B) and (4, B) under controls (6, B)."""
-        return list(predicted(x, error_bound, u, self.c, self.parameters, self.known))
-
-    def _prepared(self, x: Tensor, desired: Tensor) -> tuple[Prepared, Prepared]:
-        parts = self._prepare(x, desired)
-        half = len(parts) // 2
-        return Prepared(*parts[:half]), Prepared(*parts[half:])
 
     def __call__(self, x: Any, desired: Any) -> FilterResult:
         """Filters a desired control: of one spacecraft, or of each of a batch.
@@ -343,7 +231,8 @@ class SafetyFilter:
             ValueError: another type or shape, a number that is not finite, or a quaternion that is not of length 1.
         """
         given = Given(x, desired)
-        fit = given.single and given.x.device.type == "cpu" and not self.holds and not self._is_compiled
+        is_slow = self.compiled is None and not self._is_traced
+        fit = given.single and given.x.device.type == "cpu" and not self.holds and is_slow
         result = (self._for_one if fit else self).correct(given.x, given.desired)
         return FilterResult(*(given.in_kind(getattr(result, field.name)) for field in fields(result)))
 
@@ -398,169 +287,12 @@ class SafetyFilter:
     def _correct(self, x: Tensor, desired: Tensor, sent: Tensor | None, left: Tensor | None) -> FilterResult:
         """`correct` in PyTorch, and by the solver."""
         x = x.masked_fill(x.isinf(), torch.nan)  # infinitely safe is no state either
-        wish = self.wish(desired)
-        control, program_status = self.clip(wish, desired)
-        if self.holds:
-            return self._commit(
-                x, desired, self._correct_held(x, desired, wish, control, program_status, sent, left)
-            )
-        both = self._prepared(x, control)
-        active = [torch.zeros_like(prepared.h, dtype=torch.bool) for prepared in both]
-        slack = [torch.zeros_like(prepared.h) for prepared in both]
-        for i, (group, prepared) in enumerate(zip(self.groups, both, strict=True)):
-            unsafe = torch.nonzero(~(prepared.lowest[0] >= 0.0)).flatten()  # NaN must not pass
-            if unsafe.numel():
-                wholes = control[group.controls], program_status[i], active[i], slack[i]
-                parts = self._solved(group, prepared, wish[group.controls], unsafe)
-                for whole, part in zip(wholes, parts, strict=True):
-                    put(whole, unsafe, part)
-            slack[i] = slack[i].maximum(shortfall(group, prepared, control[group.controls]))
-            program_status[i] = with_shortfall(program_status[i], slack[i])
-        status = program_status.amax(0)
-        h = joined(*(prepared.h for prepared in both))
-        nothing = torch.zeros_like(h)
-        result = FilterResult(
-            control=control,
-            intervened=(control != desired).any(0),
-            verified=torch.zeros_like(status, dtype=torch.bool),
-            backup=torch.zeros_like(status, dtype=torch.bool),
-            active=joined(*active),
-            slack=joined(*slack),
-            status=status,
-            program_status=program_status,
-            h=h,
-            uncertainty=nothing,
-            tightened=nothing,
-        )
-        return self._commit(x, desired, result)
-
-    def _commit(self, x: Tensor, desired: Tensor, result: FilterResult) -> FilterResult:
-        """The result with controls that the backup permits at states (16, B), see `rta.backup.check`."""
+        demand = demanded(desired, self.groups)
+        result = self.condition.propose(x, demand, self.solver, sent, left)
         if self.backup is None:
             return result
-        motion, attitude = result.h[: self.backup.motion], result.h[self.backup.motion : self.backup.limits]
-        strange = ~x.isfinite().all(0)  # nothing is known of the way from such a state
-        turning = result.h[self.backup.limits : len(CONSTRAINTS)] >= -RATES_ROUNDED
-        kept = (motion >= 0.0).all(0), (attitude >= 0.0).all(0) & turning.all(0)
-        broken = strange | ~kept[0], strange | ~kept[1]
-        control, verified, changed = self.backup.committed(x, result.control, broken)
-        status = result.program_status
-        status = torch.where(changed, status.clamp(min=Status.HARD), status)
-        of_torque = torch.tensor(
-            [name in self.groups[1].names for name in self.names], device=x.device
-        ).long()
-        known = torch.tensor([name in CONSTRAINTS for name in self.names], device=x.device)[:, None]
-        slack = result.slack.masked_fill(
-            verified[of_torque] & known, 0.0
-        )  # limits that are kept do not yield
-        yields = torch.stack([(slack * (of_torque == i)[:, None]).amax(0) > SLACK_ROUNDED for i in range(2)])
-        status = torch.where(verified & ~yields & (status == Status.SLACK), Status.HARD, status)
-        return replace(
-            result,
-            control=control,
-            intervened=(control != desired).any(0),
-            verified=verified.all(0),
-            backup=changed.any(0),
-            slack=slack,
-            status=status.amax(0),
-            program_status=status,
-        )
-
-    def wish(self, desired: Tensor) -> Tensor:
-        """What is projected of desired controls (6, B): any size up to LARGEST_DEMAND limits, zero for NaN."""
-        wishes = []
-        for each in self.groups:
-            part = desired[each.controls]
-            part = torch.where(part.isnan().any(0), 0.0, part).clamp(-ENDLESS, ENDLESS)
-            times = part.abs().amax(0) / each.limit
-            wishes.append(part * (LARGEST_DEMAND / times.clamp(min=LARGEST_DEMAND)))
-        return torch.cat(wishes)
-
-    def clip(self, wish: Tensor, desired: Tensor) -> tuple[Tensor, Tensor]:
-        """Wishes (6, B) clipped to the actuators' limits; (2, B) each group's status: HARD where that is not desired.
-
-        If it satisfies every row this is the projection: none that is permitted is nearer to the wish.
-        """
-        control = torch.cat([wish[each.controls].clamp(-each.limit, each.limit) for each in self.groups])
-        return control, torch.where(self.differ(control, desired), Status.HARD, Status.UNTOUCHED)
-
-    def differ(self, one: Tensor, other: Tensor) -> Tensor:
-        """(2, B) bool: the groups of controls (6, B) are not the same."""
-        return torch.stack([(one != other)[each.controls].any(0) for each in self.groups])
-
-    def _correct_held(
-        self,
-        x: Tensor,
-        desired: Tensor,
-        wish: Tensor,
-        control: Tensor,
-        program_status: Tensor,
-        sent: Tensor | None,
-        left: Tensor | None,
-    ) -> FilterResult:
-        """Torque first, since the body's turn decides where thrust held will act."""
-        known, sent = self.known, x.new_zeros(0, *control.shape) if sent is None else sent
-        stale = (~sent.isnan().any(1)).sum(0) > known.latency
-        left = torch.ones_like(control) if left is None or not known.health else left
-        error_bound = torch.zeros_like(x[:KINDS])
-        for u in sent:
-            x, error_bound = self._predict(x, error_bound, left * u)
-        asked = control.clone()
-        control[THRUST] = known.given(control[THRUST], self.c.max_thrust)
-        if known.health:
-            control[TORQUE] = slewing(x, control[TORQUE], left, self.c, self.parameters, known)
-        changed = self.differ(control, asked)
-        program_status = torch.where(changed, Status.HARD, program_status)
-        wish = torch.where(changed.repeat_interleave(3, 0), control, wish)
-        parts: dict[int, list[Tensor]] = {}
-        for i in (1, 0):
-            group, run = self.held_groups[i], self._prepare_held[i]
-            near = group.near(x, control)
-            prepared = Prepared(*run(x, near, error_bound, left))
-            active = torch.zeros_like(prepared.h, dtype=torch.bool)
-            slack = shortfall(group, prepared, (left * control)[group.controls])
-            unsafe = torch.nonzero(~(prepared.lowest[0] >= 0.0) | (near != control).any(0)).flatten()
-            if unsafe.numel():
-                given = [pick(part, unsafe) for part in (x, control, error_bound, left)]
-                tangents = Prepared(*(pick(part, unsafe) for part in prepared))
-                wanted = pick(wish[group.controls], unsafe) / group.limit
-                answer = Settling(group, run, self.solver, given, wanted).search(tangents)
-                wholes = control[group.controls], program_status[i], active, slack
-                for whole, part in zip(wholes, answer, strict=True):
-                    put(whole, unsafe, part)
-            program_status[i] = with_shortfall(program_status[i], slack)
-            tightening = group.by_constraint(prepared.tightening, partial(torch.amax, dim=0))
-            parts[i] = [active, slack, prepared.h, tightening]
-        program_status = torch.where(stale, Status.UNSOLVED, program_status)
-        status = program_status.amax(0)
-        ordered = parts[0], parts[1]
-        active, slack, h, tightening = (joined(*both) for both in zip(*ordered, strict=True))
-        tightened = joined(
-            *(group.tightened(own[-1]) for group, own in zip(self.held_groups, ordered, strict=True))
-        )
-        return FilterResult(
-            control,
-            (control != desired).any(0),
-            torch.zeros_like(stale),
-            torch.zeros_like(stale),
-            active,
-            slack,
-            status,
-            program_status,
-            h,
-            tightening,
-            tightened,
-        )
-
-    def _solved(
-        self, group: ActuatorGroup, prepared: Prepared, desired: Tensor, unsafe: Tensor
-    ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        """Scales and solves the programs of these columns (M,); returns control, status, active and slack."""
-        part = Prepared(*(pick(field, unsafe) for field in prepared))
-        asked = problems(group, part, pick(desired, unsafe) / group.limit, group.limit)
-        answer = self.solver.solve(asked)
-        active, slack = answered(group, asked, part.length, answer.control, answer.status)
-        return answer.control * group.limit, answer.status, active, slack
+        of_torque = [name in self.groups[1].names for name in self.names]
+        return self.backup.commit(x, desired, result, of_torque)
 
 
 def narrowed(chosen: Tensor, x: Tensor, accepts: Callable[[Tensor], Tensor]) -> Tensor:

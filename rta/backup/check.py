@@ -8,7 +8,7 @@ Torque comes first, since the attitude decides where thrust acts. Limits of moti
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import torch
@@ -20,7 +20,9 @@ from inspection.model.state import THRUST, TORQUE, V
 from rta.backup import brake, slew
 from rta.backup.brake import AT_REST, Braking
 from rta.backup.slew import Slewing
-from rta.qp.programs import pick, put
+from rta.constraints.constraint import CONSTRAINTS
+from rta.qp.programs import Status, pick, put
+from rta.result import FilterResult
 
 LOOK = 2.5  # s, between two looks at a hold at most
 MOTION, ATTITUDE = (
@@ -90,6 +92,39 @@ class Backup:
             if not flying.numel():
                 break
         return safe
+
+    def commit(
+        self, x: Tensor, desired: Tensor, result: FilterResult, of_torque: Sequence[bool]
+    ) -> FilterResult:
+        """What the programs propose at states (16, B), with the controls that may be applied.
+
+        A limit that is kept does not yield: where a control is verified only constraints of the user's own have slack.
+
+        Args:
+            of_torque: by constraint, torque holds it; else thrust does.
+        """
+        motion, attitude = result.h[: self.motion], result.h[self.motion : self.limits]
+        rates = result.h[self.limits : len(CONSTRAINTS)] >= -RATES_ROUNDED
+        strange = ~x.isfinite().all(0)  # nothing is known of the way from such a state
+        broken = strange | ~(motion >= 0.0).all(0), strange | ~((attitude >= 0.0).all(0) & rates.all(0))
+        control, verified, changed = self.committed(x, result.control, broken)
+        group = torch.tensor(of_torque, device=x.device).long()
+        kept = verified[group]
+        kept[len(CONSTRAINTS) :] = False
+        slack = result.slack.masked_fill(kept, 0.0)
+        yields = torch.stack([(slack[group == i] > SLACK_ROUNDED).any(0) for i in range(2)])
+        status = torch.where(changed, result.program_status.clamp(min=Status.HARD), result.program_status)
+        status = torch.where(verified & ~yields & (status == Status.SLACK), Status.HARD, status)
+        return replace(
+            result,
+            control=control,
+            intervened=(control != desired).any(0),
+            verified=verified.all(0),
+            backup=changed.any(0),
+            slack=slack,
+            status=status.amax(0),
+            program_status=status,
+        )
 
     def committed(self, x: Tensor, u: Tensor, broken: tuple[Tensor, Tensor]) -> tuple[Tensor, Tensor, Tensor]:
         """What is applied in the place of proposed controls.

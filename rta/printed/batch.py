@@ -16,6 +16,7 @@ from inspection.model.state import CONTROL_SIZE, SIZE, THRUST, TORQUE
 from kernels import Kernel, Printed, batch, library, printed
 from kernels.build import for_vectors
 from kernels.compiled import check, in_shares, over_columns, pointers, strided, timed
+from rta.conditions.condition import demanded
 from rta.conditions.held_rows import HeldGroup
 from rta.conditions.rows import ActuatorGroup
 from rta.conditions.tangents import (
@@ -29,7 +30,7 @@ from rta.conditions.tangents import (
     with_shortfall,
 )
 from rta.constraints.constraint import joined
-from rta.printed.source import GROUPS, define, driver_text, functions, source, table
+from rta.printed.source import GROUPS, define, driver_text, functions, held_groups, source, table
 from rta.printed.way import AT_A_GLANCE, checks, limits, of_one
 from rta.qp.batched_solver import ACCURATE, STEPS_HELD, attempt
 from rta.qp.programs import Problems, Status, total
@@ -99,7 +100,7 @@ class BatchFilter(Columns):
 
     Attributes:
         statements: of a spacecraft, that are printed for vectors.
-        rows: of each group where controls are held, `SafetyFilter.prepare_held`; predict: `SafetyFilter.predict`.
+        parts: of the filter's condition where controls are held, see `rta.conditions.held`.
 
     Raises as `kernels.Compiled`.
     """
@@ -126,9 +127,7 @@ class BatchFilter(Columns):
         one = [source(safety_filter, [*own, *of_one(ways)]), by_column(holds)]
         found = library({"one": "\n".join(one), "many": "\n".join(many)})
         super().__init__(found, safety_filter, 0.0)
-        kernels = {part.name: Kernel(part, found) for part in shared}
-        self.rows = [kernels[f"{name}_rows"] for name in GROUPS] if holds else []
-        self.predict = kernels.get("predict")
+        self.parts = [Kernel(part, found) for part in shared]
         x, u = (part.expand(-1, PROBED).contiguous() for part in safety_filter.probe("cpu"))
         self.seconds = min(timed(self, x, u) for _ in range(3)) / PROBED
 
@@ -140,7 +139,7 @@ def by_column(holds: bool) -> str:
 
 def of_group(index: int, safety_filter: "SafetyFilter") -> str:
     """The C function that corrects one group's controls where they are held."""
-    name, group = GROUPS[index], safety_filter.held_groups[index]
+    name, group = GROUPS[index], held_groups(safety_filter)[index]
     places = [safety_filter.names.index(each) for each in group.names]
     upper = name.upper()
     constants = [
@@ -173,8 +172,7 @@ def first_attempt(safety_filter: "SafetyFilter", x: Tensor, desired: Tensor) -> 
         program is left to be solved.
     """
     x = x.masked_fill(x.isinf(), torch.nan)  # infinitely safe is no state either
-    wish = safety_filter.wish(desired)
-    control, clipped = safety_filter.clip(wish, desired)
+    _, wish, control, clipped = demanded(desired, safety_filter.groups)
     controls, statuses, parts, left = [], [], [], torch.zeros_like(x[0], dtype=torch.bool)
     for i, group in enumerate(safety_filter.groups):
         prepared = prepared_now(group, x, control)
@@ -211,7 +209,7 @@ def held_parts(safety_filter: "SafetyFilter", rows: list[Printed]) -> list[Print
             names=(("desired", "left"), ("wish", "control", "program_status", "open")),
         )
     ]  # fmt: skip
-    for name, group, own in zip(GROUPS, safety_filter.held_groups, rows, strict=False):
+    for name, group, own in zip(GROUPS, held_groups(safety_filter), rows, strict=False):
         fields = [torch.zeros(*part.shape, 1, dtype=torch.float64) for part in own.outputs]
         given = tuple(part.name for part in own.outputs)
         more = {
@@ -244,8 +242,7 @@ def begin(safety_filter: "SafetyFilter", desired: Tensor, left: Tensor) -> list[
         weak axis away.
     """
     known = safety_filter.known
-    wish = safety_filter.wish(desired)
-    clipped, status = safety_filter.clip(wish, desired)
+    _, wish, clipped, status = demanded(desired, safety_filter.groups)
     control = torch.cat((known.given(clipped[THRUST], safety_filter.c.max_thrust), clipped[TORQUE]))
     given = (control != clipped)[THRUST].any(0)
     wish = torch.cat((torch.where(given, control[THRUST], wish[THRUST]), wish[TORQUE]))

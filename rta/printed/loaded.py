@@ -10,7 +10,8 @@ from rta.printed.files import sources
 from rta.printed.source import driver_text
 
 if TYPE_CHECKING:
-    from rta.filter import FilterResult, SafetyFilter
+    from rta.filter import SafetyFilter
+from rta.result import FilterResult
 
 REALS = {"c": "double", "c-float": "float"}
 SECONDS = 1e-5  # of a call, about
@@ -37,7 +38,7 @@ class InC:
         self, x: Tensor, desired: Tensor, sent: Tensor | None = None, left: Tensor | None = None
     ) -> "FilterResult":
         """As `SafetyFilter.correct`."""
-        from rta.filter import FilterResult
+        from rta.result import FilterResult
 
         room = self.columns.latency
         if sent is not None and len(sent) > room:

@@ -11,7 +11,6 @@ from functools import partial
 from importlib.resources import files
 from typing import TYPE_CHECKING, Any
 
-import torch
 from torch import Tensor
 
 from inspection.model.state import CONTROL_SIZE, SIZE
@@ -76,25 +75,24 @@ def driver_files(safety_filter: "SafetyFilter") -> list[str]:
 
 def functions(safety_filter: "SafetyFilter") -> list[Printed]:
     """The functions that the driver declares, printed."""
-    x, u = safety_filter.probe("cpu")
-    error_bound, left = torch.zeros_like(x[:KINDS]), torch.ones_like(u)
-    parts = []
-    for name, group in zip(GROUPS, safety_filter.groups, strict=True):
-        run: Callable[..., Sequence[Tensor]] = partial(prepared_now, group)
-        examples: tuple[Tensor, ...] = (x, u)
-        if isinstance(group, HeldGroup):
-            run, examples = partial(safety_filter.prepare_held, group), (x, u, error_bound, left)
-        names = ("x", "control", "error_bound", "left")[: len(examples)], Prepared._fields
-        long = len(safety_filter.c.planes)  # of a hull
-        parts.append(printed(run, *examples, name=f"{name}_rows", names=names, long=long))
-    if safety_filter.holds and safety_filter.known.latency:
-        parts.append(
-            printed(
-                safety_filter.predict, x, error_bound, u, name="predict",
-                names=(("x", "error_bound", "u"), ("x_after", "error_bound_after")),
-            )
-        )  # fmt: skip
-    return parts
+    given = safety_filter.probe("cpu")
+    parts: Sequence[tuple[Callable[..., Sequence[Tensor]], tuple[Tensor, ...]]]
+    parts = [(partial(prepared_now, group), given) for group in safety_filter.groups]
+    if safety_filter.holds:
+        parts = safety_filter.condition.parts(*given)
+    names: list[tuple[str, tuple[tuple[str, ...], tuple[str, ...]]]]
+    names = [(f"{name}_rows", (("x", "control", "error_bound", "left"), Prepared._fields)) for name in GROUPS]
+    names.append(("predict", (("x", "error_bound", "u"), ("x_after", "error_bound_after"))))
+    long = len(safety_filter.c.planes)  # of a hull
+    return [
+        printed(run, *examples, name=name, names=(before[: len(examples)], after), long=long)
+        for (run, examples), (name, (before, after)) in zip(parts, names, strict=False)
+    ]
+
+
+def held_groups(safety_filter: "SafetyFilter") -> list[HeldGroup]:
+    """Thrust and torque where controls are held; none where rows are of the rate now."""
+    return [group for group in safety_filter.groups if isinstance(group, HeldGroup)]
 
 
 def for_one(parts: Sequence[Printed]) -> str:
@@ -227,7 +225,7 @@ def tolerances(holds: bool) -> list[str]:
 def held_constants(safety_filter: "SafetyFilter") -> list[str]:
     """What only the driver of held controls needs."""
     c, r, known = safety_filter.c, safety_filter.parameters, safety_filter.known
-    group = safety_filter.held_groups[0]
+    group = held_groups(safety_filter)[0]
     constraints = in_order(*(each.constraints for each in safety_filter.groups))
     first = [group.gain(each.gains[0]) if each.degree == 2 else 0.0 for each in constraints]
     lines = [

@@ -13,7 +13,8 @@ from rta.qp.batched_solver import STEPS_HELD, BatchedSolver
 from rta.qp.programs import Status
 
 if TYPE_CHECKING:
-    from rta.filter import FilterResult, SafetyFilter
+    from rta.filter import SafetyFilter
+from rta.result import FilterResult
 
 DRAWN = 400  # states, of which those are kept whose answers rounding does not decide
 KEPT = 120

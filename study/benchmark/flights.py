@@ -11,6 +11,7 @@ from torch import Tensor
 from inspection.closed_loop import Correction
 from inspection.environment import InspectionEnv
 from ppo.checkpoint import CheckpointError
+from rta.conditions.condition import demanded
 from rta.conditions.tangents import prepared_now, problems
 from rta.filter import SafetyFilter
 from rta.qp.programs import Problems
@@ -98,8 +99,7 @@ def record(experiment: Experiment, agent: Agent) -> Sample:
 
 def programs(safety_filter: SafetyFilter, x: Tensor, desired: Tensor) -> list[Problems]:
     """What must be solved at states (16, B) where these controls (6, B) are desired, by actuator group."""
-    wish = safety_filter.wish(desired)
-    control, _ = safety_filter.clip(wish, desired)
+    _, wish, control, _ = demanded(desired, safety_filter.groups)
     found = []
     for group in safety_filter.groups:
         prepared = prepared_now(group, x, control)

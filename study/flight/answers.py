@@ -1,7 +1,7 @@
 """What a filter of ours answers in flight, in full: the task knows of an answer only what a `Correction` has."""
 
 from inspection.closed_loop import Correction
-from rta.filter import FilterResult
+from rta.result import FilterResult
 
 
 def in_full(correction: Correction | None) -> FilterResult:

@@ -12,7 +12,7 @@ from inspection.model.attitude import unit
 from inspection.model.state import SIZE, P
 from inspection.world.corners import Recorded
 from rta.constraints.constraint import CONSTRAINTS
-from rta.filter import FilterResult
+from rta.result import FilterResult
 from study.config import Config, from_toml, override
 from study.errors import MALFORMED, ReflyError, refusing
 from study.experiment import Experiment, check_clocks

@@ -20,10 +20,11 @@ from kernels import Compiled, NoCompilerError, build
 from kernels.compiled import in_shares, with_own_code
 from kernels.trace import without_repetitions
 from rta.bounds.uncertainty import Uncertainty
-from rta.filter import FilterResult, SafetyFilter
+from rta.filter import SafetyFilter
 from rta.parameters import RtaParameters
 from rta.qp import batched_solver
 from rta.qp.programs import Status
+from rta.result import FilterResult
 from study import experiment
 from study.config import Config, TrainParameters
 from study.machine import compiling

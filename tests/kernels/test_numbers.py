@@ -107,7 +107,7 @@ def states(name: str) -> dict[str, Tensor]:
 def test_rows_of_the_filter(name: str, held_by: int) -> None:
     safety = filter_of(name)
     limit = torch.tensor(safety.c.control_limit, dtype=torch.float64)[:, None]
-    run = partial(safety.prepare_held, safety.groups[held_by]) if safety.holds else safety.prepare
+    run, _ = safety.condition.parts(*safety.probe("cpu"))[held_by]
     compiled = None
     for kind, x in states(name).items():
         batch = x.shape[1]
@@ -225,7 +225,7 @@ def compared() -> dict[str, tuple[Callable[..., list[Tensor]], tuple[Tensor, ...
     return {
         "every operation": (mixture, special_pairs(torch.float64), 0),
         "every operation in single precision": (mixture, special_pairs(torch.float32), 0),
-        "rows": (safety.prepare, (x, u), 0),
+        "rows": (safety.condition.parts(x, u)[0][0], (x, u), 0),
         "points": (over_points, (uniform(-1.0, 1.0, 3, 50), uniform(-1.0, 1.0, LONG, 50)), LONG),
     }
 

@@ -25,9 +25,10 @@ from kernels import Compiled
 from rta.conditions.rows import Rows
 from rta.constraints.constraint import CONSTRAINTS, Constraint
 from rta.constraints.thrust import chord
-from rta.filter import SOLVERS, FilterResult, SafetyFilter, make_solver
+from rta.filter import SOLVERS, SafetyFilter, make_solver
 from rta.parameters import PERIODS, RtaParameters
 from rta.qp.programs import FEASIBLE, LARGEST_DEMAND, Status
+from rta.result import FilterResult
 from tests.rta.conditions import test_actuator_groups as own
 from tests.rta.constraints.test_constraints import (
     PSM_TOLERANCE,
@@ -516,8 +517,8 @@ def own_and_traced() -> SafetyFilter:
 
 def test_a_traced_filter_has_the_same_bits(own_and_traced: SafetyFilter) -> None:
     eager = with_a_ball()
-    assert isinstance(own_and_traced._prepare, Compiled)
-    assert not isinstance(eager._prepare, Compiled)
+    assert isinstance(own_and_traced.condition.run, Compiled)
+    assert not isinstance(eager.condition.run, Compiled)
     x, u = X[:, :100].clone(), 5 * U[:, :100]
     x[13, 7], x[0, 8], u[2, 9] = math.nan, math.inf, math.nan
     expected, found = (each.correct(x, u) for each in (eager, own_and_traced))

@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 import torch
 
-from rta.filter import FilterResult, SafetyFilter
+from rta.filter import SafetyFilter
 from rta.given import towards_zero
 from rta.qp.programs import Status
+from rta.result import FilterResult
 from tests.rta.test_filter import LIMIT, U, X
 
 STATE, CONTROL = X.numpy(), U.numpy()

@@ -14,6 +14,7 @@ from inspection.model.parameters import InspectionParameters
 from inspection.model.state import OMEGA, SIZE, THRUST, P, Q, V
 from kernels import Compiled
 from rta.bounds.uncertainty import Uncertainty
+from rta.conditions.held import Held
 from rta.conditions.held_rows import KINDS
 from rta.conditions.tangents import Prepared, Settling
 from rta.filter import SafetyFilter
@@ -47,9 +48,15 @@ def desired(count: int, seed: int = 0) -> Tensor:
     return u
 
 
+def thrust_rows(f: SafetyFilter) -> Callable[..., list[Tensor]]:
+    """What computes the rows of thrust."""
+    assert isinstance(f.condition, Held)
+    return f.condition.run[0]
+
+
 def true_condition(f: SafetyFilter, x: Tensor, u: Tensor, counted: list[bool] | None = None) -> Tensor:
     """The least of thrust's rows, or of those that count, at controls (6, B) themselves, in units of 1 N, (B,)."""
-    group, run = f.groups[0], f._prepare_held[0]
+    group, run = f.groups[0], thrust_rows(f)
     rows = Prepared(*run(x, u, torch.zeros_like(x[:KINDS]), torch.ones_like(u)))
     within = ((rows.a * u[group.controls, None].transpose(0, 1)).sum(1) + rows.b_bare) / rows.length
     return within[torch.tensor(counted or [True] * len(within))].amin(0)
@@ -89,7 +96,7 @@ def test_the_ball_of_the_speed_limit_is_held_and_as_near_as_a_fine_search_finds(
 
 def settled(f: SafetyFilter, x: Tensor, u: Tensor) -> tuple[Settling, Tensor]:
     """The search for thrust, and its controls (6, B)."""
-    run, given = f._prepare_held[0], [x, u, torch.zeros_like(x[:KINDS]), torch.ones_like(u)]
+    run, given = thrust_rows(f), [x, u, torch.zeros_like(x[:KINDS]), torch.ones_like(u)]
     settling = Settling(f.groups[0], run, f.solver, given, u[f.groups[0].controls] / f.groups[0].limit)
     thrust, *_ = settling.search(Prepared(*run(*given)))
     return settling, torch.cat((thrust, u[3:]))

@@ -17,11 +17,12 @@ from torch import Tensor
 
 from rta.bounds.health import slewing
 from rta.bounds.uncertainty import Uncertainty
-from rta.filter import STEPS_HELD, FilterResult, SafetyFilter
+from rta.filter import STEPS_HELD, SafetyFilter
 from rta.printed.source import source, tolerances
 from rta.qp import batched_solver
 from rta.qp.batched_solver import BatchedSolver
 from rta.qp.programs import Problems, Status
+from rta.result import FilterResult
 from study.config import Config, load
 from tests.rta.bounds.test_health import flying_out, without_one_axis
 from tests.rta.conditions import test_actuator_groups as own

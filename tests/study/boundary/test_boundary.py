@@ -10,7 +10,8 @@ import torch
 
 from inspection.environment import InspectionEnv
 from rta.constraints.constraint import CONSTRAINTS
-from rta.filter import FilterResult, SafetyFilter
+from rta.filter import SafetyFilter
+from rta.result import FilterResult
 from study.boundary import boundary, limits
 from study.boundary.boundary import Boundary, run, tried
 from study.boundary.report import empty_report, table

@@ -13,7 +13,8 @@ from numpy import ndarray
 from inspection.environment import InspectionEnv
 from inspection.model.state import CONTROL_SIZE
 from rta.constraints.constraint import CONSTRAINTS
-from rta.filter import FilterResult, SafetyFilter
+from rta.filter import SafetyFilter
+from rta.result import FilterResult
 from study.config import Config, override
 from study.experiment import Experiment
 from study.flight.evaluation import report, run_episodes

@@ -11,8 +11,8 @@ from torch import Tensor
 from inspection.closed_loop import Safety
 from inspection.termination import OUTCOMES
 from inspection.transition import Transition
-from rta.filter import FilterResult
 from rta.qp.programs import Status
+from rta.result import FilterResult
 from study.training.monitor import EPISODE, Monitor
 
 NAMES = ("near", "fast", "hot")

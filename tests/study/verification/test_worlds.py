@@ -15,7 +15,7 @@ from inspection.model.draws import isotropic
 from inspection.model.state import SIZE, THETA_S, E, P, Q, T, V
 from inspection.world.corners import CORNER, Recorded
 from rta.constraints.constraint import CONSTRAINTS
-from rta.filter import FilterResult
+from rta.result import FilterResult
 from study.config import Config, override
 from study.experiment import Experiment
 from study.verification import campaign

@@ -1,0 +1,79 @@
+"""What the filter says of a call."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from torch import Tensor
+
+
+@dataclass
+class FilterResult:
+    """What the filter did, per spacecraft; constraints in the order of `SafetyFilter.names`.
+
+    For one spacecraft without the axis B, and in the kind of the desired control, see `SafetyFilter.__call__`.
+
+    Attributes:
+        control: (6, B) safe control in N and N m, within the actuators' limits whatever was desired.
+        intervened: (B,) bool, another control than the desired one is applied.
+        verified: (B,) bool, the control keeps every limit until the next call, and a way to rest begins there on which
+            none is violated (`rta.backup`). False where none is known, as of a filter that is told of bounds.
+        backup: (B,) bool, another control is applied than the programs' solution, for that reason.
+        active: (constraints, B) bool, a row of the constraint binds a corrected control.
+        slack: (constraints, B) shortfall of the barrier condition without margin, in h's unit per s (per s^2 where
+            the relative degree is two); zero unless a program needed slack, or a broken limit asks for more than the
+            actuators give.
+        status: (B,) int64, the worse `Status` of the thrust and the torque program; SLACK, at least, where slack is.
+        program_status: (2, B) int64, both of them.
+        h: (constraints, B) values without margin, exact; that of passive safety by the times of its rows. Where a
+            state is predicted, of the state of now.
+        uncertainty: (constraints, B) what `Uncertainty` takes off the constraint's condition, in h's unit per s (per
+            s^2 where the relative degree is two), at the desired control.
+        tightened: (constraints, B) what `uncertainty` is in the unit of the barrier (body rates: rad/s): the value at
+            which it is all that the row lets the barrier fall by.
+    """
+
+    control: Tensor
+    intervened: Tensor
+    verified: Tensor
+    backup: Tensor
+    active: Tensor
+    slack: Tensor
+    status: Tensor
+    program_status: Tensor
+    h: Tensor
+    uncertainty: Tensor
+    tightened: Tensor
+
+    @property
+    def violated(self) -> Any:
+        """(B,) bool: a limit is broken already, some h is negative, whatever the programs answered."""
+        return (self.h < 0.0).any(0)
+
+    @classmethod
+    def proposed(
+        cls,
+        control: Tensor,
+        desired: Tensor,
+        active: Tensor,
+        slack: Tensor,
+        program_status: Tensor,
+        h: Tensor,
+        uncertainty: Tensor | None = None,
+        tightened: Tensor | None = None,
+    ) -> "FilterResult":
+        """What the programs answer to desired controls (6, B), not checked yet; None: the filter is told of nothing."""
+        unchecked, nothing = torch.zeros_like(control[0], dtype=torch.bool), torch.zeros_like(h)
+        return cls(
+            control=control,
+            intervened=(control != desired).any(0),
+            verified=unchecked,
+            backup=unchecked,
+            active=active,
+            slack=slack,
+            status=program_status.amax(0),
+            program_status=program_status,
+            h=h,
+            uncertainty=nothing if uncertainty is None else uncertainty,
+            tightened=nothing if tightened is None else tightened,
+        )
