@@ -121,7 +121,7 @@ class Settling:
     give some values only, their neighbours of the solution are tried. What is still broken is counted as slack.
 
     Args:
-        run: `SafetyFilter.prepare_held` of the group.
+        run: what computes the rows of the group, see `rta.conditions.held`.
         given: its other arguments, of the columns that are corrected, M.
         desired: (3, M) controls in units of the actuators' limits, beyond these, too.
 

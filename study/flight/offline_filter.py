@@ -36,7 +36,7 @@ def filter_states(safety_filter: SafetyFilter, x: Tensor, desired: Tensor) -> di
 
     subject to A_all u + b_all >= delta and |u| <= limit, with delta = 0 where slack_weight is infinite. That it is in a
     class of rows, equal in weight, wherever some control holds the class and those of larger weight. What is desired of
-    a group beyond LARGEST_DEMAND limits is shortened to that first, see `SafetyFilter.wish`.
+    a group beyond LARGEST_DEMAND limits is shortened to that first, see `rta.conditions.condition.demanded`.
 
     Returns:
         control_safe: (N, 6).
