@@ -447,10 +447,11 @@ def test_numbers_beside_tensors_cost_no_call_of_python_and_change_no_bit(
 ) -> None:
     safety, u = SafetyFilter(), torch.zeros(6, 3, dtype=torch.float64)
     x, _ = sample_initial_state(3, torch.Generator().manual_seed(0), safety.c)
-    safety.condition.prepared(x, u)
-    rows, count = asked_of_python(lambda: safety.condition.prepared(x, u))
+    (prepare, given), *_ = safety.condition.parts(x, u)
+    prepare(*given)
+    rows, count = asked_of_python(lambda: prepare(*given))
     monkeypatch.setattr(ByNumbers, "OPERATIONS", {})
-    again, without = asked_of_python(lambda: safety.condition.prepared(x, u))
+    again, without = asked_of_python(lambda: prepare(*given))
     assert all(torch.equal(one, other) for one, other in zip(rows, again, strict=True))
     assert count + 2000 < without  # what tensors alone ask of it is left, as of the sides of a pole
 
