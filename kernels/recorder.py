@@ -76,6 +76,11 @@ class Recorder(TorchDispatchMode):
         self.torn: set[int] = set()
         self.is_double = False
 
+    @classmethod
+    def _should_skip_dynamo(cls) -> bool:
+        """Of PyTorch's: no, nothing is compiled in here. Yes loads its compiler, which takes a second or two."""
+        return False
+
     def put(self, tensor: Tensor, array: ndarray, fixed: bool = False) -> None:
         """Says what a tensor's values are."""
         if array.shape != self.operations.axes.short(tensor.shape):

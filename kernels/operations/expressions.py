@@ -120,21 +120,20 @@ class Program:
         stage: int | None = None,
     ) -> Expression:
         """The expression, new or known."""
-        key = (operation, *(identity(a) for a in arguments))
-        if key not in self.known:
+        key = (operation, *map(identity, arguments))
+        found = self.known.get(key)
+        if found is None:
             if len(self.expressions) == MOST:
                 raise NotImplementedError(f"after {MOST:,} others, too many for a C compiler,")
             own = [a for a in arguments if isinstance(a, Expression)]
-            self.known[key] = Expression(
-                operation,
-                arguments,
-                kind,
-                len(self.expressions),
-                max((a.stage for a in own), default=0) if stage is None else stage,
-                any(a.varies for a in own) if varies is None else varies,
-            )
-            self.expressions.append(self.known[key])
-        return self.known[key]
+            if stage is None:
+                stage = max([a.stage for a in own], default=0)
+            if varies is None:
+                varies = any([a.varies for a in own])
+            found = Expression(operation, arguments, kind, len(self.expressions), stage, varies)
+            self.known[key] = found
+            self.expressions.append(found)
+        return found
 
     def input(self, text: str, kind: str, varies: bool = False, single: bool = False) -> Expression:
         """What C calls `text`; `single`: a number of single precision."""

@@ -67,7 +67,14 @@ class Backup:
     def torque_is_safe(self, x: Tensor, u: Tensor) -> Tensor:
         """(B,) bool: torque of controls (6, B) keeps the attitude's limits and leaves a way to rest."""
         w = self.slewing
-        return either(slew.at_a_glance(x, u, w), lambda at: slew.verified(pick(x, at), pick(u, at), w) >= 0.0)
+
+        def looked_at(columns: Tensor) -> Tensor:
+            y, v = pick(x, columns), pick(u, columns)
+            return either(
+                slew.at_a_glance(y, v, w), lambda at: slew.verified(pick(y, at), pick(v, at), w) >= 0.0
+            )
+
+        return either(slew.at_first_sight(x, u, w), looked_at)
 
     def thrust_is_safe(self, x: Tensor, u: Tensor) -> Tensor:
         """(B,) bool: thrust of controls (6, B), with their torque, keeps the limits of motion, and a way to rest."""

@@ -117,18 +117,17 @@ def test_what_replaces_a_control_is_the_first_safe_share_of_the_way_to_the_law(h
         torch.testing.assert_close(
             control[own][:, ~changed[group]], u[own][:, ~changed[group]], rtol=0, atol=0
         )
-        for column in torch.nonzero(changed[group]).flatten().tolist():
-            way = laws[own, column] - u[own, column]
-            gone = control[own, column] - u[own, column]
-            share = (gone.norm() / way.norm()).item()
-            torch.testing.assert_close(gone, share * way, rtol=0, atol=1e-9)
-            shares.add(round(share, 6))
-            # no smaller share is safe
-            for less in (each for each in SHARES if each < share - 1e-6):
-                tried = with_torque[:, column : column + 1].clone()
-                tried[own, 0] = u[own, column] + less * way
-                is_safe = backup.torque_is_safe if group else backup.thrust_is_safe
-                assert not is_safe(x[:, column : column + 1], tried).any()
+        there, before = x[:, changed[group]], with_torque[:, changed[group]]
+        before[own] = u[own][:, changed[group]]
+        way, gone = (part[own][:, changed[group]] - before[own] for part in (laws, control))
+        share = gone.norm(dim=0) / way.norm(dim=0)
+        torch.testing.assert_close(gone, share * way, rtol=0, atol=1e-9)
+        shares |= {round(each, 6) for each in share.tolist()}
+        is_safe = backup.torque_is_safe if group else backup.thrust_is_safe
+        for less in SHARES:  # that are smaller are not safe
+            tried, smaller = before.clone(), less < share - 1e-6
+            tried[own] += less * way
+            assert not is_safe(there[:, smaller], tried[:, smaller]).any()
     assert shares <= {*SHARES, 1.0} and len(shares) > 1, shares
 
 
