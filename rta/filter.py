@@ -130,18 +130,29 @@ class SafetyFilter:
         return narrowed(inside, x, self.is_holdable) if self.holds else inside
 
     def is_holdable(self, x: Tensor) -> Tensor:
-        """(B,) bool: no barrier is negative, however wrong the measurement was, and a control satisfies every row."""
-        thrust, torque = self.rows(x)
+        """(B,) bool: no barrier can be negative and a control satisfies every row, whatever is measured.
+
+        A measurement is off by what the filter is told, and what it is taken for by as much again.
+        """
+        further = x.new_tensor(self.known.radii)[:, None].expand(-1, x.shape[1])
+        thrust, torque = self.rows(x, error_bound=further)
         certain = (thrust.psi >= 0.0).all(0) & (torque.psi >= 0.0).all(0)
         return narrowed(certain, x, self._has_control)
 
     def _has_control(self, x: Tensor) -> Tensor:
-        """(B,) bool: a control satisfies every row."""
-        return self.correct(x, torch.zeros_like(x[:CONTROL_SIZE])).status < Status.SLACK
+        """(B,) bool: a control satisfies every row, whatever is measured."""
+        nothing = torch.zeros_like(x[:CONTROL_SIZE])
+        if not any(self.known.radii):
+            return self.correct(x, nothing).status < Status.SLACK
+        demand = demanded(nothing, self.groups)
+        further = x.new_tensor(self.known.radii)[:, None].expand(-1, x.shape[1])
+        return self.condition.propose(x, demand, self.solver, None, None, further).status < Status.SLACK
 
     def can_brake(self, x: Tensor) -> Tensor:
         """(B,) bool: in any attitude thrust can keep the zone, see `keep_in_zone`."""
-        return (keep_in_zone(self.c, self.parameters, self.known).barrier_at(x)(x) >= 0.0).all(0)
+        zone, none = keep_in_zone(self.c, self.parameters, self.known), torch.zeros_like(x[0])
+        off = self.known.errors(none, none)
+        return (zone.barrier_at(x, off=off)(x, off) >= 0.0).all(0)
 
     def has_way(self, x: Tensor) -> Tensor:
         """(B,) bool: states (16, B) have a verified way to rest; without a backup, `is_in_safe_set`."""
@@ -205,10 +216,15 @@ class SafetyFilter:
             informed=self.holds,
         )
 
-    def rows(self, x: Tensor, control: Tensor | None = None) -> tuple[Rows, Rows]:
-        """The conditions on thrust and on torque at states (16, B), as tangents at controls (6, B), None: at zero."""
+    def rows(
+        self, x: Tensor, control: Tensor | None = None, error_bound: Tensor | None = None
+    ) -> tuple[Rows, Rows]:
+        """The conditions on thrust and on torque at states (16, B), as tangents at controls (6, B), None: at zero.
+
+        `error_bound` is as of `Condition.propose`.
+        """
         control = torch.zeros_like(x[:CONTROL_SIZE]) if control is None else control
-        thrust, torque = self.condition.prepared(x, control)
+        thrust, torque = self.condition.prepared(x, control, error_bound)
         return Rows(*thrust[:ROW_FIELDS]), Rows(*torque[:ROW_FIELDS])
 
     def __call__(self, x: Any, desired: Any) -> FilterResult:

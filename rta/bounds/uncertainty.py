@@ -12,6 +12,7 @@ from torch import Tensor
 
 from inspection.model.dynamics import euler
 from inspection.model.parameters import Limits
+from rta.bounds.errors import Errors, Set
 from rta.parameters import RtaParameters
 from setting import Settings, setting
 
@@ -77,6 +78,17 @@ class Uncertainty(Settings):
         """Whether the filter is told of nothing."""
         return self == Uncertainty()
 
+    @property
+    def radii(self) -> tuple[float, float, float, float]:
+        """m, m/s, rad and rad/s, of the balls around the errors of position, velocity, attitude and rates."""
+        each = self.position, self.velocity, math.radians(self.attitude), math.radians(self.rate)
+        position, velocity, attitude, rate = (math.sqrt(3.0) * value for value in each)
+        return position, velocity, attitude, rate
+
+    def errors(self, further_position: Tensor, further_velocity: Tensor) -> Errors:
+        """Of a state that was measured, and predicted to within so many m and m/s (...) of what it should be."""
+        return Errors(Set(self.position, further_position), Set(self.velocity, further_velocity))
+
     def check(self, c: Limits, r: RtaParameters) -> None:
         """Raises ValueError where a bound leaves no control that could hold a limit."""
         if 0 < self.longest_hold < r.period:
@@ -96,6 +108,16 @@ class Uncertainty(Settings):
         if self.rate_offset(c) + math.radians(self.rate) >= c.max_rate:
             raise ValueError(
                 f"rate = {self.rate:g}: must be below max_rate, {math.degrees(c.max_rate):g} deg/s"
+            )
+        # at rest both rows of an axis ask for no more than unknown torque can do against them
+        kept = r.gain(r.rate_gain, self.longest_hold) * (
+            c.max_rate - self.rate_offset(c) - math.radians(self.rate)
+        )
+        if self.holds(r) and (unknown := self.angular_acceleration(c)) >= kept:
+            raise ValueError(
+                f"inertia = {self.inertia:g}, hill_rotation = {str(self.hill_rotation).lower()}: turn a body by up to "
+                f"{unknown:.3g} rad/s^2 otherwise than the model, held for {self.hold(r):g} s: must be below "
+                f"{kept:.3g} for the limits of the body rates"
             )
 
     def hold(self, r: RtaParameters) -> float:
@@ -128,6 +150,10 @@ class Uncertainty(Settings):
         """Largest share by which an angular acceleration is off."""
         least, most = self.torque
         return max(1.0 - least, most - 1.0)
+
+    def thrust_share(self, angle: Tensor) -> Tensor:
+        """The share of thrust that is off at most, in any direction, where it may be off by angles (...) in rad."""
+        return self.thrust_error + self.thrust[1] * angle
 
     def thrust_angle(self, c: Limits, r: RtaParameters) -> float:
         """rad, between the mean direction of a thruster over a hold and that of the rows at most, of a body at rest.

@@ -44,14 +44,26 @@ class Condition(Protocol):
         """Of thrust and of torque."""
         ...
 
-    def prepared(self, x: Tensor, control: Tensor) -> list[Prepared]:
+    def prepared(self, x: Tensor, control: Tensor, error_bound: Tensor | None = None) -> list[Prepared]:
         """Each group's rows at states (16, B) and controls (6, B)."""
         ...
 
     def propose(
-        self, x: Tensor, demand: Demand, solver: Solver, sent: Tensor | None, left: Tensor | None
+        self,
+        x: Tensor,
+        demand: Demand,
+        solver: Solver,
+        sent: Tensor | None,
+        left: Tensor | None,
+        error_bound: Tensor | None = None,
     ) -> FilterResult:
-        """What the programs answer; sent, left: as `SafetyFilter.correct` takes them."""
+        """What the programs answer.
+
+        Args:
+            sent, left: as `SafetyFilter.correct` takes them.
+            error_bound: (4, B) by how far the state is off beyond its measurement, in any direction: of position,
+                velocity, attitude and rates in m, m/s, rad, rad/s; None: not at all. It counts where controls are held.
+        """
         ...
 
     def parts(self, x: Tensor, u: Tensor) -> list[Part]:

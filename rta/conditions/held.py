@@ -56,19 +56,26 @@ class Held:
         """As of `Condition`."""
         self.run, (self.ahead,) = functions[:2], functions[2:] or [self.predict]
 
-    def prepared(self, x: Tensor, control: Tensor) -> list[Prepared]:
+    def prepared(self, x: Tensor, control: Tensor, error_bound: Tensor | None = None) -> list[Prepared]:
         """As of `Condition`: the tangents at controls (6, B)."""
-        error_bound, left = torch.zeros_like(x[:KINDS]), torch.ones_like(control)
+        error_bound = torch.zeros_like(x[:KINDS]) if error_bound is None else error_bound
+        left = torch.ones_like(control)
         return [Prepared(*run(x, control, error_bound, left)) for run in self.run]
 
     def propose(
-        self, x: Tensor, demand: Demand, solver: Solver, sent: Tensor | None, left: Tensor | None
+        self,
+        x: Tensor,
+        demand: Demand,
+        solver: Solver,
+        sent: Tensor | None,
+        left: Tensor | None,
+        error_bound: Tensor | None = None,
     ) -> FilterResult:
         """As of `Condition`. Torque first, since the body's turn decides where thrust held will act."""
         sent = x.new_zeros(0, *demand.control.shape) if sent is None else sent
         left = torch.ones_like(demand.control) if left is None or not self.known.health else left
         stale = (~sent.isnan().any(1)).sum(0) > self.known.latency
-        error_bound = torch.zeros_like(x[:KINDS])
+        error_bound = torch.zeros_like(x[:KINDS]) if error_bound is None else error_bound
         for u in sent:
             x, error_bound = self.ahead(x, error_bound, left * u)
         control, wish, status = self.given(x, demand, left)

@@ -9,10 +9,12 @@ end of its hold (and in its middle, where that is long) every psi is as sampled 
 It is taken as its tangent at a control, and once more at the solution (`SafetyFilter`). Of what the filter does not
 know (`rta.bounds.uncertainty`) the worst comes off, each in the unit of psi per s:
 
-    measurement     sum_i |d psi / d x_i| delta_i off psi within alpha, and its own change over the hold,
-                    sum_i |d (psi(phi_t) - psi) / d x_i| delta_i / t
+    measurement     in a barrier that says its least within errors (`Constraint.is_least`) that is psi, at both ends;
+                    to first order in others: sum_i |d psi / d x_i| delta_i off psi within alpha, and its own change
+                    over the hold, sum_i |d (psi(phi_t) - psi) / d x_i| delta_i / t
     input           sum_j |u_j| (eps_j |a_j| + most (angle |a without a_j| + angle^2 / 2 |a_j|)), with
-                    a = d psi(phi_t) / d u / t; eps_j is what is given less where it helps, or more where it harms
+                    a = d psi(phi_t) / d u / t; eps_j is what is given less where it helps, or more where it harms; and
+                    what the impulse of it does to a least barrier beyond that, to which |u| comes as its tangent
     acceleration    |a| m d: it acts as a force m d in any direction; of angular acceleration likewise
 
 A control may also be held for less than the longest time. On its way psi is held by the parabola between two moments.
@@ -26,7 +28,7 @@ is of second order in the hold, and are held in flights.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from itertools import pairwise
@@ -35,12 +37,13 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from inspection.model.attitude import norm, quaternion_rate, rotation_matrix
+from inspection.model.attitude import norm, quaternion_rate, rotation_matrix, unit
 from inspection.model.dynamics import step
-from inspection.model.orbit import orbit_rate
 from inspection.model.parameters import Limits
-from inspection.model.state import CONTROL_SIZE, OMEGA, THETA_S, THRUST, TORQUE, P, Q, V
+from inspection.model.state import CONTROL_SIZE, OMEGA, SIZE, THRUST, TORQUE, P, Q, V
+from rta.bounds.errors import Errors, after
 from rta.bounds.uncertainty import Uncertainty
+from rta.conditions.maps import Maps
 from rta.conditions.rows import ActuatorGroup, Rows
 from rta.constraints.constraint import Constraint
 from rta.lie_derivatives import Function, directional
@@ -122,7 +125,8 @@ class HeldGroup(ActuatorGroup):
                 velocity, attitude and rates in m, m/s, rad, rad/s.
         """
         own = slice(0, CONTROL_SIZE) if coupled else self.controls
-        psi, curvature, by_x, by_u, u_there = self.after(x, control, constraints, own, coupled)
+        flown, u_there = self.after(x, control, error_bound, constraints, own, coupled)
+        psi, nominal, curvature, by_x, by_u, by_impulse = flown
         before, later = psi[0], psi[1:]  # (moments, R, B)
         t = x.new_tensor(self.moments)[:, None, None]
         rate, slope = (later - before) / t, by_u[1:] / t[..., None]
@@ -139,7 +143,7 @@ class HeldGroup(ActuatorGroup):
         length = total(slope * slope, 2).sqrt()
         tightening = length * self.push
         blur = torch.zeros_like(before)
-        if self.tightenings:
+        if by_x.shape[-2]:
             blur = self.off(by_x[0], error_bound, coupled)
             tightening = tightening + self.off((by_x[1:] - by_x[0]) / t[..., None], error_bound, coupled)
         # the input's error, as a tangent: |u_j| rises with the sign of u_j, from zero with that which helps
@@ -147,16 +151,21 @@ class HeldGroup(ActuatorGroup):
         weight = torch.where(slope * sign > 0.0, self.less, self.more) * slope.abs()
         if self.held_by == "thrust":
             across = (length[:, :, None] ** 2 - slope**2).clamp(min=0.0).sqrt()
-            angle = self.angle_at_rest + error_bound[2] + error_bound[3] * self.moments[-1] / 2
+            angle = self.angle(error_bound)
             weight = weight + self.most * angle * (across + angle / 2 * slope.abs())  # sin and 1 - cos
             bulge = t.new_tensor(self.bulge)[:, None, None]
             between = bulge * length * (max(self.less, self.more) + self.most * angle)
             weight = weight + between[:, :, None]
+            # of an impulse, share |u| t / m, that least barriers have beyond the slopes
+            per_thrust = self.known.thrust_share(angle) / self.c.mass
+            slope = slope + by_impulse[1:, :, None] * per_thrust * unit(u)
         tangent = slope - weight * sign
         tightening_now = tightening + total(weight * u.abs(), 2)
 
         rows = [each for each in constraints for _ in range(each.rows)]
         gain, margin, inside = self.alpha(before, rows)
+        hidden = nominal - psi  # what errors take off a least barrier
+        in_least = (hidden[1:] - hidden[0]) / t + gain * hidden[0]
         # between two moments psi is at least the parabola through both that hangs by its curvature; it is not negative
         # if the sum of both is at least 4 times that
         off = torch.cat((blur[None], blur + (tightening_now * t)[:-1]))  # where a gap begins
@@ -178,7 +187,7 @@ class HeldGroup(ActuatorGroup):
             by_row(b_bare),
             torch.zeros_like(by_row(b_bare)),
             h,
-            by_row(tightening_now + gain * blur),
+            by_row(tightening_now + gain * blur + in_least),
         )
 
     def tightened(self, tightening: Tensor) -> Tensor:
@@ -197,8 +206,14 @@ class HeldGroup(ActuatorGroup):
         return torch.stack(values)
 
     def after(
-        self, x: Tensor, control: Tensor, constraints: Sequence[Constraint], own: slice, coupled: bool
-    ) -> tuple[Tensor, ...]:
+        self,
+        x: Tensor,
+        control: Tensor,
+        error_bound: Tensor,
+        constraints: Sequence[Constraint],
+        own: slice,
+        coupled: bool,
+    ) -> tuple["Flown", Tensor]:
         """`flown` at the control, for a barrier that looks ahead without the group's own, and those controls.
 
         How near a free flight comes to the chief is convex in thrust: its tangent anywhere is below it, and the one at
@@ -214,42 +229,68 @@ class HeldGroup(ActuatorGroup):
             own_kind = [each for each, kind in zip(constraints, kinds, strict=True) if kind == ahead]
             if own_kind:
                 counts = [each.rows for each in own_kind]
-                flown = [part.split(counts, 1) for part in self.flown(x, u, own_kind, coupled)]
+                flown = [part.split(counts, 1) for part in self.flown(x, u, error_bound, own_kind, coupled)]
                 there = [u[own].expand(count, -1, -1)[None] for count in counts]
                 parts[ahead] = [list(part) for part in zip(*flown, there, strict=True)]
         in_order = [parts[kind].pop(0) for kind in kinds]
-        return tuple(torch.cat(part, 1) for part in zip(*in_order, strict=True))
+        joined = [torch.cat(part, 1) for part in zip(*in_order, strict=True)]
+        return Flown(*joined[:-1]), joined[-1]
 
     def flown(
-        self, x: Tensor, control: Tensor, constraints: Sequence[Constraint], coupled: bool
-    ) -> tuple[Tensor, ...]:
+        self,
+        x: Tensor,
+        control: Tensor,
+        error_bound: Tensor,
+        constraints: Sequence[Constraint],
+        coupled: bool,
+    ) -> "Flown":
         """psi at the beginning and at each moment, and its derivatives by what is measured and by the own controls.
 
         psi is exact, at the end of the map. Its derivatives are those there, times the map's to first order in n t,
         0.01 at 10 s: a velocity moves a position by t, a force acts along the mean of the body's attitudes R(s), a rate
         turns by them, too.
-
-        Returns:
-            (1 + moments, R, B); how far psi hangs in the middle between two of them, (moments, R, B); derivatives
-            (1 + moments, R, D, B) by the D of `directions` and (1 + moments, R, m, B).
         """
-        start, y = self.psi_at(x, constraints), x
-        if self.tightenings:
-            before, by_x = self.differentiated(start, x, coupled)
+        is_least = self.is_least(constraints[0])
+        # what errors of thrust do to what is convex in it, as how near a free flight comes, slopes bound
+        thrust = control[THRUST] if constraints[0].later is None else torch.zeros_like(control[THRUST])
+        errors = partial(self.errors_after, error_bound)
+
+        def psi_after(y: Tensor, seconds: float) -> tuple[Function, Tensor, Function]:
+            """What is enforced at states (16, B) so many s into the hold, where it is, and the same if nothing is off.
+
+            The least of a barrier is taken at states and impulses, (17, B).
+            """
+            if not is_least:
+                psi = self.psi_at(y, constraints, x, seconds)
+                return psi, y, psi
+            impulse = self.impulse(thrust, error_bound, seconds)
+            psi = self.psi_at(y, constraints, x, seconds, errors(seconds, impulse))
+            least = partial(within, psi, partial(errors, seconds))
+            return least, torch.cat((y, impulse[None])), psi
+
+        least, there, psi = psi_after(x, 0.0)
+        y, by_slopes = x, self.tightenings and not is_least
+        if by_slopes:
+            before, by_x = self.differentiated(least, there, coupled)
         else:
-            before = start(x)
+            before = least(there)
             by_x = before.new_zeros(len(before), 0, before.shape[1])
         values, curvatures, slopes_x, slopes_u = [before], [], [by_x], []
+        nominal, slopes_impulse = [psi(x) if is_least else before], [torch.zeros_like(before)]
         turned = once = x.new_zeros(3, 3, x.shape[1])  # the integrals of R and of s R over the hold so far
         earlier = 0.0
         for moment in self.moments:
             gap = moment - earlier
             middle = step(y, control, gap / 2, self.model)
             end = step(middle, control, gap / 2, self.model)
-            psi = self.psi_at(end, constraints, x, moment)
-            value, by_end = self.differentiated(psi, end, coupled)
+            least, there, psi = psi_after(end, moment)
+            value, by_end = self.differentiated(least, there, coupled)
+            nominal.append(psi(end) if is_least else value)
+            slopes_impulse.append(by_end[:, -1] if is_least else torch.zeros_like(value))
+            by_end = by_end[:, :-1] if is_least else by_end
             if constraints[0].later is None:
-                hanging = self.psi_at(middle, constraints, x, moment - gap / 2)(middle)
+                between, there, _ = psi_after(middle, moment - gap / 2)
+                hanging = between(there)
                 curvatures.append(((values[-1] + value) / 2 - hanging).clamp(min=0.0))
             else:
                 curvatures.append(torch.zeros_like(value))
@@ -259,31 +300,49 @@ class HeldGroup(ActuatorGroup):
             once = once + gap / 6 * (earlier * first + 4.0 * half * second + moment * third)
             to_end = third.transpose(0, 1)
             maps = Maps(x, moment, turned, once, to_end, self.c)
-            slopes_x.append(maps.by_state(by_end, self.held_by, coupled) if self.tightenings else by_x)
+            slopes_x.append(maps.by_state(by_end, self.held_by, coupled) if by_slopes else by_x)
             slopes_u.append(maps.by_control(by_end, self.held_by, coupled))
             values.append(value)
             y, earlier = end, moment
-        return (
+        return Flown(
             torch.stack(values),
+            torch.stack(nominal),
             torch.stack(curvatures),
             torch.stack(slopes_x),
             torch.stack([torch.zeros_like(slopes_u[0]), *slopes_u]),
+            torch.stack(slopes_impulse),
         )
 
+    def impulse(self, thrust: Tensor, error_bound: Tensor, seconds: float) -> Tensor:
+        """(B,) m/s, by how much a velocity may change otherwise where thrust (3, B) in N acts for so many s."""
+        share = self.known.thrust_share(self.angle(error_bound))
+        return (share * norm(thrust) / self.c.mass + self.known.acceleration) * seconds
+
+    def angle(self, error_bound: Tensor) -> Tensor:
+        """(B,) rad, between a thruster's mean direction over the hold and that of the rows at most."""
+        return self.angle_at_rest + error_bound[2] + error_bound[3] * self.moments[-1] / 2
+
+    def errors_after(self, error_bound: Tensor, seconds: float, impulse: Tensor) -> Errors:
+        """Those of states after so many s of a hold, and an impulse in m/s."""
+        return after(self.known.errors(error_bound[0], error_bound[1]), seconds, self.c, impulse)
+
     def differentiated(self, psi: Function, y: Tensor, coupled: bool) -> tuple[Tensor, Tensor]:
-        """psi (R, B) at states and its derivatives (R, D, B) along `directions`."""
+        """psi (R, B) at states (16, B), with an impulse (17, B), and its derivatives (R, D, B) along `directions`."""
         along = self.directions(y, coupled)
         value, slopes = directional(psi, (y[:, None].repeat(1, along.shape[1], 1),), (along,))
         return value[:, 0], slopes
 
     def directions(self, x: Tensor, coupled: bool) -> Tensor:
-        """(16, D, B) unit changes of what is measured: of p and v for thrust, of attitude and rates for torque."""
+        """(16, D, B) unit changes of what is measured: of p and v for thrust, of attitude and rates for torque.
+
+        With an impulse, (17, D, B), that comes last.
+        """
         one = torch.eye(len(x), dtype=x.dtype, device=x.device)[..., None].expand(-1, -1, x.shape[1])
         turns = one.new_zeros(len(x), 3, x.shape[1])
         turns[Q] = torch.stack([torch.stack(quaternion_rate(x[Q], one[:3, i])) for i in range(3)], 1)
         parts = {"thrust": [one[:, P], one[:, V]], "torque": [turns, one[:, OMEGA]]}
         wanted = [*parts["thrust"], *parts["torque"]] if coupled else parts[self.held_by]
-        return torch.cat(wanted, 1)
+        return torch.cat([*wanted, one[:, SIZE:]], 1)
 
     def off(self, slopes: Tensor, error_bound: Tensor, coupled: bool) -> Tensor:
         """By how much psi may be off, from its slopes (..., D, B) along `directions`."""
@@ -302,59 +361,28 @@ class HeldGroup(ActuatorGroup):
         return torch.cat([(psi < 0.0) | ((h < 0.0) & (each.degree == 2)) for each, psi, h in parts])
 
 
-class Maps(NamedTuple):
-    """How a state at a moment of a hold changes with that at its beginning and with the control.
+def within(psi: Callable[..., Tensor], errors: Callable[[Tensor], Errors], z: Tensor) -> Tensor:
+    """A least barrier of states and impulses, (17, ...) to (R, ...)."""
+    return psi(z[:SIZE], errors(z[SIZE]))
+
+
+class Flown(NamedTuple):
+    """What a hold does to psi of R rows, at its beginning and at each of its moments.
 
     Attributes:
-        moment: s; turned, once: (3, 3, B) the integrals of R(s) and s R(s) up to it; to_end: (3, 3, B) from Hill's
-            frame into the body's there.
+        psi: (1 + moments, R, B), of a least barrier (`Constraint.is_least`) the least that it may be.
+        nominal: (1 + moments, R, B) the same of a state that is not off.
+        curvature: (moments, R, B) how far psi hangs in the middle between two of them.
+        by_x: (1 + moments, R, D, B) derivatives by the D of `directions`; D = 0 of least barriers.
+        by_u: (1 + moments, R, m, B) by the own controls; by_impulse: (1 + moments, R, B) by that in m/s.
     """
 
-    x: Tensor
-    moment: float
-    turned: Tensor
-    once: Tensor
-    to_end: Tensor
-    c: Limits
-
-    def by_state(self, by_end: Tensor, held_by: str, coupled: bool) -> Tensor:
-        """Derivatives (R, D, B) along `directions` at the moment to those along them at the beginning."""
-        parts = list(by_end.split(3, 1))
-        if coupled or held_by == "thrust":
-            parts[1] = parts[1] + self.moment * (parts[0] + self.coriolis(parts[1]))
-        if coupled or held_by == "torque":
-            attitude, rate = parts[-2:]
-            hill = times(attitude, self.to_end)
-            parts[-2] = times(hill, rotation_matrix(self.x[Q]))
-            parts[-1] = rate + times(hill, self.turned)
-        return torch.cat(parts, 1)
-
-    def coriolis(self, velocity: Tensor) -> Tensor:
-        """Derivatives (R, 3, B) by velocity to those by what Hill's turning frame adds to it in a second."""
-        x, y, z = velocity.unbind(1)
-        return 2 * orbit_rate(self.x[THETA_S], self.c) * torch.stack((-y, x, torch.zeros_like(z)), 1)
-
-    def by_control(self, by_end: Tensor, held_by: str, coupled: bool) -> Tensor:
-        """Derivatives along `directions` at the moment to those by controls, (R, m, B)."""
-        parts = by_end.split(3, 1)
-        both = []
-        if coupled or held_by == "thrust":
-            position, velocity = parts[:2]
-            later = self.moment * self.turned - self.once  # the integral of (t - s) R(s)
-            both.append(
-                (times(velocity, self.turned) + times(position + self.coriolis(velocity), later))
-                / self.c.mass
-            )
-        if coupled or held_by == "torque":
-            attitude, rate = parts[-2:]
-            moments = self.x.new_tensor(self.c.inertia)[:, None]
-            both.append((times(times(attitude, self.to_end), self.once) + self.moment * rate) / moments)
-        return torch.cat(both, 1)
-
-
-def times(rows: Tensor, matrix: Tensor) -> Tensor:
-    """Rows (R, 3, B) times matrices (3, 3, B)."""
-    return total(rows[:, :, None] * matrix, 1)
+    psi: Tensor
+    nominal: Tensor
+    curvature: Tensor
+    by_x: Tensor
+    by_u: Tensor
+    by_impulse: Tensor
 
 
 def unsaturated(c: Limits) -> Limits:

@@ -44,14 +44,20 @@ class Now:
         """As of `Condition`."""
         (self.run,) = functions
 
-    def prepared(self, x: Tensor, control: Tensor) -> list[Prepared]:
+    def prepared(self, x: Tensor, control: Tensor, error_bound: Tensor | None = None) -> list[Prepared]:
         """As of `Condition`; of the control the rows do not depend."""
         both = self.run(x, control)
         half = len(both) // 2
         return [Prepared(*both[:half]), Prepared(*both[half:])]
 
     def propose(
-        self, x: Tensor, demand: Demand, solver: Solver, sent: Tensor | None, left: Tensor | None
+        self,
+        x: Tensor,
+        demand: Demand,
+        solver: Solver,
+        sent: Tensor | None,
+        left: Tensor | None,
+        error_bound: Tensor | None = None,
     ) -> FilterResult:
         """As of `Condition`; nothing is told."""
         control, status = demand.control.clone(), demand.status.clone()

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import groupby
 
 import torch
 from torch import Tensor
@@ -11,8 +12,9 @@ from inspection.model.attitude import unit
 from inspection.model.dynamics import attitude_rate, control_matrix, drift
 from inspection.model.parameters import Limits
 from inspection.model.state import SIZE, P, Q
+from rta.bounds.errors import Errors
 from rta.bounds.uncertainty import NOTHING, Uncertainty
-from rta.constraints.constraint import ACTUATORS, Constraint, check
+from rta.constraints.constraint import ACTUATORS, Barrier, Constraint, check
 from rta.lie_derivatives import Function, lie_derivative, lie_derivatives
 from rta.parameters import RtaParameters
 from rta.qp.programs import total
@@ -69,7 +71,7 @@ class ActuatorGroup:
         self.controls = ACTUATORS[held_by]
         self.limit = c.control_limit[self.controls.start]
         own = [each for each in constraints if each.held_by == held_by]
-        self.constraints = sorted(own, key=lambda each: each.coupled)  # in the order of their rows
+        self.constraints = sorted(own, key=self.kind)  # in the order of their rows
         self.names = tuple(each.name for each in self.constraints)
         self.of_row = [each for each in self.constraints for _ in range(self.count(each))]
         self.weights = [
@@ -80,6 +82,14 @@ class ActuatorGroup:
     def count(self, each: Constraint) -> int:
         """How many rows a constraint has."""
         return each.rows
+
+    def kind(self, each: Constraint) -> tuple[bool, bool]:
+        """Rows of one kind are computed together: whether other controls change them, and errors are not in them."""
+        return each.coupled, not self.is_least(each)
+
+    def is_least(self, each: Constraint) -> bool:
+        """Whether the least of its barrier within errors is taken."""
+        return each.is_least and not self.known.is_nil
 
     def gain(self, value: float) -> float:
         """A gain in 1/s as used."""
@@ -95,10 +105,12 @@ class ActuatorGroup:
         constraints: Sequence[Constraint],
         start: Tensor | None = None,
         after: float = 0.0,
-    ) -> Function:
+        off: Errors | None = None,
+    ) -> Barrier:
         """What is differentiated at states x (16, B), each Psi_1 or barrier: (16, ...) to (R, ...).
 
-        Where x are states so many s after others, `start`, what these were beyond counts.
+        Where x are states so many s after others, `start`, what these were beyond counts. With errors the constraints'
+        barriers are to be least ones, and the function takes errors, too.
 
         Psi_1 = L_f h + alpha(h) with alpha(h) = k1 (h - margin), the HOCBF, within the limit. Beyond it alpha(h) =
         max(k2 h, -recovery) - k1 margin: k1 h would ask for faster cooling than there is in the dark (0.0015 of 1 deg C
@@ -106,13 +118,13 @@ class ActuatorGroup:
         there is (battery). With k2 for k1 the way back is critically damped; -k1 margin, as within the limit, ends it
         in finite time.
         """
-        barriers = [each.barrier_at(x, after) for each in constraints]
+        barriers = [each.barrier_at(x, after, off) for each in constraints]
         start = x if start is None else start
         beyond = {i: each.h(start) < 0.0 for i, each in enumerate(constraints) if each.recovery is not None}
         second = [i for i, each in enumerate(constraints) if each.degree == 2]
 
-        def psi(y: Tensor) -> Tensor:
-            rows = {i: barrier(y) for i, barrier in enumerate(barriers) if i not in second}
+        def psi(y: Tensor, *off: Errors) -> Tensor:
+            rows = {i: barrier(y, *off) for i, barrier in enumerate(barriers) if i not in second}
             if second:
                 h, rate = lie_derivative(
                     lambda z: torch.cat([barriers[i](z) for i in second]), y, drift(y, self.c)
@@ -136,11 +148,10 @@ class ActuatorGroup:
 
     def joined(self, conditions: Callable[[Sequence[Constraint], bool], Rows], limit: Tensor) -> Rows:
         """The conditions of the constraints that only this group changes, then those of the others."""
-        parts = []
-        for coupled in (False, True):
-            constraints = [each for each in self.constraints if each.coupled == coupled]
-            if constraints:
-                parts.append(conditions(constraints, coupled))
+        parts = [
+            conditions(list(constraints), coupled)
+            for (coupled, _), constraints in groupby(self.constraints, self.kind)
+        ]
         return self.attainable(
             Rows(*(torch.cat([getattr(part, name) for part in parts]) for name in vars(parts[0]))), limit
         )

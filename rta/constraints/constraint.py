@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from inspection.model.state import CONTROL_SIZE, THRUST, TORQUE
+from rta.bounds.errors import Errors
 from rta.lie_derivatives import Function
 
 # In the order of the paper's Table 3: seven that only thrust can influence, six that only torque can.
@@ -41,6 +42,8 @@ UNITS = {  # of h, by limit
 
 ACTUATORS = {"thrust": THRUST, "torque": TORQUE}
 
+Barrier = Callable[..., Tensor]  # of states (16, ...) to (rows, ...); with `Errors`, the least that it may be
+
 
 @dataclass(frozen=True)
 class Constraint:
@@ -57,6 +60,8 @@ class Constraint:
             for the filter's own `slack_weight_critical`.
         barrier: what is enforced in h's place, where that differs: maps states (16, B) to the function of states
             (16, ...) to (rows, ...) that is differentiated there.
+        is_least: this function and `barrier` take `Errors`, too, of states that may be off: then it is the least that
+            it may be. Without it the filter takes slopes times errors, which is a bound of the first order only.
         rows: how many rows the barrier has.
         loss: how far Psi (Psi_1 where the relative degree is two, else the barrier) can fall within one period below
             its linear prediction, over the period: half the period times the largest second derivative. A number
@@ -78,15 +83,16 @@ class Constraint:
     gains: tuple[float, ...]
     margin: float = 0.0
     weight: float | None = None
-    barrier: Callable[[Tensor], Function] | None = None
+    barrier: Callable[..., Barrier] | None = None
     rows: int = 1
     loss: float | Function = 0.0
     doubling: float = math.inf
     coupled: bool = True
     recovery: float | None = None
-    later: Callable[[Tensor, float], Function] | None = None
+    later: Callable[..., Barrier] | None = None
     exact: bool = False
     axis: int | None = None
+    is_least: bool = False
 
     def __post_init__(self) -> None:
         if self.held_by not in ACTUATORS:
@@ -111,11 +117,16 @@ class Constraint:
         """The relative degree."""
         return len(self.gains)
 
-    def barrier_at(self, x: Tensor, after: float = 0.0) -> Function:
-        """What is differentiated at states (16, B), so many s into a hold: (16, ...) to (rows, ...)."""
+    def barrier_at(self, x: Tensor, after: float = 0.0, off: Errors | None = None) -> Barrier:
+        """What is differentiated at states (16, B), so many s into a hold: (16, ...) to (rows, ...).
+
+        Args:
+            off: by how much the states may be off; it is for a barrier that `is_least` only.
+        """
+        errors = () if off is None else (off,)
         if self.later and after:
-            return self.later(x, after)
-        return self.barrier(x) if self.barrier else lambda y: self.h(y)[None]
+            return self.later(x, after, *errors)
+        return self.barrier(x, *errors) if self.barrier else lambda y: self.h(y)[None]
 
     def loss_at(self, x: Tensor) -> Tensor:
         """`loss` at states (16, B): (B,)."""

@@ -12,14 +12,14 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from inspection.chief.hull import Planes, planes_of
+from inspection.chief.hull import Planes, planes_of, widened
 from inspection.model.attitude import dot, norm
-from inspection.model.orbit import coast
+from inspection.model.orbit import coast, pulled_back
 from inspection.model.parameters import Limits
 from inspection.model.state import P, V
+from rta.bounds.errors import TINY, Errors
 from rta.bounds.uncertainty import NOTHING, Uncertainty
-from rta.constraints.constraint import Constraint
-from rta.lie_derivatives import Function
+from rta.constraints.constraint import Barrier, Constraint
 from rta.parameters import RtaParameters
 
 PASSES = 13  # grid points per segment of the free flight: at most 12 s apart in the default segments
@@ -37,7 +37,7 @@ def thrust_constraints(c: Limits, r: RtaParameters, known: Uncertainty = NOTHING
     """All seven in the order of Table 3."""
     return (
         collision(c, r, known),
-        dynamic_speed(c, r),
+        dynamic_speed(c, r, known),
         keep_in_zone(c, r, known),
         passive_safety(c, r, known),
         *(velocity(i, c, r, known) for i in range(3)),
@@ -97,23 +97,31 @@ def collision(c: Limits, r: RtaParameters, known: Uncertainty = NOTHING) -> Cons
     of the best plane now, and h in a period's end can only be more.
     """
 
-    def h(x: Tensor, floor: float = 0.0, braking: float = c.max_acceleration) -> Tensor:
+    def h(
+        x: Tensor, floor: float = 0.0, braking: float = c.max_acceleration, off: Errors | None = None
+    ) -> Tensor:
         if c.planes:
-            return beside_planes(x, floor, braking).amax(0)
-        distance = norm(x[P]) - c.collision_radius
-        return math.sqrt(2 * braking) * signed_sqrt(distance, floor) + radial_speed(x)
+            return beside_planes(x, floor, braking, off).amax(0)
+        distance = (off.least_distance(x) if off else norm(x[P])) - c.collision_radius
+        speed = radial_speed(x) - off.radial_speed(x) if off else radial_speed(x)
+        return math.sqrt(2 * braking) * signed_sqrt(distance, floor) + speed
 
-    def beside_planes(x: Tensor, floor: float, braking: float, which: Tensor | None = None) -> Tensor:
+    def beside_planes(
+        x: Tensor, floor: float, braking: float, off: Errors | None, which: Tensor | None = None
+    ) -> Tensor:
         """Of every plane, (planes, ...), or of `which` alone."""
         planes = planes_of(c, x) if which is None else planes_of(c, x).those(which)
         height, speed = planes.above(x[P][:, None]), planes.along(x[V][:, None])
+        if off:
+            normals = widened(planes.normals, x.dim() + 1, 2)
+            height, speed = height - off.position.support(normals), speed - off.velocity.support(normals)
         return math.sqrt(2 * braking) * signed_sqrt(height, floor) + speed
 
-    def barrier(x: Tensor) -> Function:
+    def barrier(x: Tensor, off: Errors | None = None) -> Barrier:
         if not c.planes:
-            return lambda y: h(y, floor, least)[None]
-        best = beside_planes(x, floor, least).argmax(0, keepdim=True)
-        return lambda y: beside_planes(y, floor, least, best)
+            return lambda y, off=None: h(y, floor, least, off)[None]
+        best = beside_planes(x, floor, least, off).argmax(0, keepdim=True)
+        return lambda y, off=None: beside_planes(y, floor, least, off, best)
 
     floor, least = chord(c, r, known), known.max_acceleration(c, r)
     return Entry(
@@ -124,6 +132,7 @@ def collision(c: Limits, r: RtaParameters, known: Uncertainty = NOTHING) -> Cons
         weight=math.inf,
         barrier=barrier,
         loss=turn(c, r),
+        is_least=True,
     )
 
 
@@ -132,13 +141,23 @@ def speed_limit(x: Tensor, c: Limits) -> Tensor:
     return c.docking_speed + c.speed_slope * norm(x[P])
 
 
-def dynamic_speed(c: Limits, r: RtaParameters) -> Constraint:
-    """nu_0 + nu_1 |p| - |v|, in m/s."""
+def dynamic_speed(c: Limits, r: RtaParameters, known: Uncertainty = NOTHING) -> Constraint:
+    """nu_0 + nu_1 |p| - |v|, in m/s.
+
+    An impulse e of thrust's errors turns |v| into at most sqrt(|v|^2 + 2 e . v + e^2). The rows' slopes have e . v /
+    |v|; what is left keeps the limit nu if sqrt(nu^2 - e^2) does, which is at most e^2 / nu below nu.
+    """
 
     def h(x: Tensor) -> Tensor:
         # The floor keeps the slope of |v| finite at rest, far below any speed that matters.
-        speed = (dot(x[V], x[V]) + 1e-24).sqrt()
+        speed = (dot(x[V], x[V]) + TINY).sqrt()
         return speed_limit(x, c) - speed
+
+    def least(x: Tensor, off: Errors | None = None) -> Tensor:
+        if not off:
+            return h(x)[None]
+        limit = c.docking_speed + c.speed_slope * off.least_distance(x).clamp(min=0.0)
+        return (limit - off.velocity.longest(x[V]) - off.impulse**2 / limit)[None]
 
     def loss(x: Tensor) -> Tensor:
         """|v| rises by a . v T / |v| and at most a^2 T^2 / (2 |v|), which counts near the limit, for |v| the limit."""
@@ -152,7 +171,9 @@ def dynamic_speed(c: Limits, r: RtaParameters) -> Constraint:
         h,
         gains=(r.speed_gain,),
         weight=r.slack_weight_motion,
+        barrier=None if known.is_nil else lambda x, off=None: least,
         loss=loss,
+        is_least=True,
     )
 
 
@@ -163,7 +184,7 @@ def keep_in_zone(c: Limits, r: RtaParameters, known: Uncertainty = NOTHING) -> C
         distance = c.max_distance - norm(x[P])
         return math.sqrt(2 * c.max_acceleration) * signed_sqrt(distance) - radial_speed(x)
 
-    def curve(x: Tensor) -> Tensor:
+    def curve(x: Tensor, off: Errors | None = None) -> Tensor:
         """The zone as thrust can hold it, never above h, in m/s: with a_max - v_t^2 / |p|.
 
         d v_pr / dt holds the centrifugal v_t^2 / |p|, v_t the speed across p, which a_max leaves out: up to
@@ -175,12 +196,16 @@ def keep_in_zone(c: Limits, r: RtaParameters, known: Uncertainty = NOTHING) -> C
         across would raise it. Instead of the root's chord, which would end above h, it has the tangent. So it falls at
         r_max, on the way out, by sqrt(a_max d / 2) with d for the floor. Here a_max is that of the worst case.
         """
-        across = dot(x[V], x[V]) - radial_speed(x) ** 2
-        braking = (least - across / norm(x[P])).clamp(min=LEAST_BRAKING * least)
-        distance = c.max_distance - norm(x[P])
+        speed, nearest, farthest = radial_speed(x), norm(x[P]), norm(x[P])
+        across = dot(x[V], x[V]) - speed**2
+        if off:
+            speed, across = speed + off.radial_speed(x), off.most_across(x) ** 2
+            nearest, farthest = off.least_distance(x).clamp(min=c.deputy_radius), off.position.longest(x[P])
+        braking = (least - across / nearest).clamp(min=LEAST_BRAKING * least)
+        distance = c.max_distance - farthest
         inside = (2 * braking).sqrt() * signed_sqrt(distance, floor)
         outside = -math.sqrt(2 * least) * root_above(-distance, floor)
-        return torch.where(distance < 0.0, outside, inside) - radial_speed(x)
+        return torch.where(distance < 0.0, outside, inside) - speed
 
     # v_t^2 / |p| grows with thrust along v
     fastest = c.docking_speed + c.speed_slope * c.max_distance
@@ -192,8 +217,9 @@ def keep_in_zone(c: Limits, r: RtaParameters, known: Uncertainty = NOTHING) -> C
         gains=(r.keep_in_gain,),
         margin=r.keep_in_margin,
         weight=r.slack_weight_critical,
-        barrier=lambda x: lambda y: curve(y)[None],
+        barrier=lambda x, off=None: lambda y, off=None: curve(y, off)[None],
         loss=turn(c, r) + swing,
+        is_least=True,
     )
 
 
@@ -208,29 +234,55 @@ class Passes(NamedTuple):
     planes: Planes | None = None
 
 
-def closest_passes(x: Tensor, segments: tuple[float, ...], c: Limits) -> Passes:
-    """Of states (16, ...)."""
-    return passes_of_hull(x, segments, c) if c.planes else Passes(closest_times(x, segments, c))
+def closest_passes(x: Tensor, segments: tuple[float, ...], c: Limits, off: Errors | None = None) -> Passes:
+    """Of states (16, ...), or of the least that their distances may be; beside a hull of the states."""
+    return passes_of_hull(x, segments, c) if c.planes else Passes(closest_times(x, segments, c, off))
 
 
-def closest_times(x: Tensor, segments: tuple[float, ...], c: Limits) -> Tensor:
+def closest_times(x: Tensor, segments: tuple[float, ...], c: Limits, off: Errors | None = None) -> Tensor:
     """When the free flight is nearest to the chief's centre within each segment: (16, ...) to (segments, ...) s.
 
     The best of a grid, refined by the parabola of |p(t)|^2 through it and its neighbours (exact for a
-    straight path, which the path is over two grid steps to a few centimetres).
+    straight path, which the path is over two grid steps to a few centimetres). With errors e(t) it is |p(t)| - e(t)
+    that is to be least, and the parabola is of |p(t)|^2 - 2 |p| e(t), |p| that of the best: its derivative is 2 |p|
+    times that of |p(t)| - e(t) there.
     """
     edges = x.new_tensor(segments)
     start, spacing = edges[:-1], edges.diff() / (PASSES - 1)
     shape = (-1, *(1,) * (x.dim() - 1))
     grid = start[:, None] + spacing[:, None] * torch.arange(PASSES, dtype=x.dtype, device=x.device)
-    path = coast(x, grid.reshape(*grid.shape, *shape[1:]), c)
+    times = grid.reshape(*grid.shape, *shape[1:])
+    path = coast(x, times, c)
     squared = dot(path, path)  # (segments, PASSES, ...)
-    best = squared.argmin(1, keepdim=True)
+    least = squared
+    if off:
+        distance = squared.sqrt()
+        error = strayed(x, path / distance, times, c, off)
+        least = distance - error
+        squared = squared - 2.0 * distance.gather(1, least.argmin(1, keepdim=True)) * error
+    best = least.argmin(1, keepdim=True)
     centre = best.clamp(1, PASSES - 2)
     before, middle, after = (squared.gather(1, centre + i)[:, 0] for i in (-1, 0, 1))
     bend = before - 2 * middle + after
     offset = torch.where(bend > 0, 0.5 * (before - after) / bend, (best - centre)[:, 0].to(x.dtype))
     return start.reshape(shape) + spacing.reshape(shape) * (centre[:, 0] + offset.clamp(-1.0, 1.0))
+
+
+def strayed(x: Tensor, n: Tensor, t: Tensor, c: Limits, off: Errors) -> Tensor:
+    """m, by how much n . p(t) of the free flight may be less, of unit directions n (3, *t) at times t (k, ...) in s.
+
+    On a circle, of the errors' sets mapped by Clohessy and Wiltshire's solution. On an ellipse a ball: the gradient of
+    gravity is at most k^2 = 2 mu / r^3 at perigee, and an error e in the frame of the stars grows to at most
+    |e| cosh(k t) + |de/dt| sinh(k t) / k.
+    """
+    if c.orbit == "clohessy-wiltshire":
+        by_position, by_velocity = pulled_back(n, t, c.mean_motion)
+        return off.position.support(by_position) + off.velocity.support(by_velocity)
+    perigee = c.semi_major_axis * (1.0 - c.eccentricity)
+    k = math.sqrt(2.0 * c.gravitational_parameter / perigee**3)
+    position = off.position.radius
+    speed = off.velocity.radius + c.fastest_orbit_rate * position
+    return position * (k * t).cosh() + speed * (k * t).sinh() / k
 
 
 def passes_of_hull(x: Tensor, segments: tuple[float, ...], c: Limits) -> Passes:
@@ -267,15 +319,20 @@ def passes_of_hull(x: Tensor, segments: tuple[float, ...], c: Limits) -> Passes:
     return Passes(share * low + (1.0 - share) * high, between)
 
 
-def clearance_at(x: Tensor, passes: Passes, c: Limits) -> Tensor:
+def clearance_at(x: Tensor, passes: Passes, c: Limits, off: Errors | None = None) -> Tensor:
     """|p(t)| - r_d - r_c, or n . p(t) - b - r_d, in m after coasting to each of k passes: (16, ...) to (k, ...).
 
-    With `closest_passes` its gradient is that of the infimum (envelope theorem).
+    With `closest_passes` its gradient is that of the infimum (envelope theorem). With errors it is the least that it
+    may be.
     """
     times, planes = passes
     directions = (1,) * (x.dim() - times.dim())  # that x has before the batch
-    p = coast(x, times.reshape(len(times), *directions, *times.shape[1:]), c)
-    return planes.above(p) if planes else norm(p) - c.collision_radius
+    t = times.reshape(len(times), *directions, *times.shape[1:])
+    p = coast(x, t, c)
+    clearance = planes.above(p) if planes else norm(p) - c.collision_radius
+    if not off:
+        return clearance
+    return clearance - strayed(x, widened(planes.normals, p.dim(), 2) if planes else p / norm(p), t, c, off)
 
 
 def passive_safety(c: Limits, r: RtaParameters, known: Uncertainty = NOTHING) -> Constraint:
@@ -304,9 +361,9 @@ def passive_safety(c: Limits, r: RtaParameters, known: Uncertainty = NOTHING) ->
     if known.holds(r):  # whose end has a horizon of its own
         segments = (*segments[:-1], segments[-1] + known.hold(r))
 
-    def barrier(x: Tensor, after: float = 0.0) -> Function:
-        passes = closest_passes(x, tuple(max(edge - after, 0.0) for edge in segments), c)
-        return lambda y: clearance_at(y, passes, c)
+    def later(x: Tensor, after: float, off: Errors | None = None) -> Barrier:
+        passes = closest_passes(x, tuple(max(edge - after, 0.0) for edge in segments), c, off)
+        return lambda y, off=None: clearance_at(y, passes, c, off)
 
     return Entry(
         "passive_safety",
@@ -314,11 +371,12 @@ def passive_safety(c: Limits, r: RtaParameters, known: Uncertainty = NOTHING) ->
         gains=(r.passive_safety_gain,),
         margin=r.passive_safety_margin,
         weight=r.slack_weight_critical,
-        barrier=barrier,
-        later=barrier,
+        barrier=lambda x, off=None: later(x, 0.0, off),
+        later=later,
         rows=len(segments) - 1,
         exact=not known.holds(r),
         doubling=r.passive_safety_doubling,
+        is_least=True,
     )
 
 
@@ -328,6 +386,14 @@ def velocity(axis: int, c: Limits, r: RtaParameters, known: Uncertainty = NOTHIN
     Where a control is held, the margin is what a thruster can take off it in a hold, 2 v_max a T: a call in which the
     zone needs all thrust then costs margin, not the limit. Without, one in 400,000 random calls at 5 s broke it.
     """
+
+    def least(x: Tensor, off: Errors | None = None) -> Tensor:
+        speed = x[V.start + axis]
+        if not off:
+            return (c.max_speed**2 - speed**2)[None]
+        fastest = speed.abs() + off.velocity.box + off.velocity.ball
+        return (c.max_speed**2 - fastest**2 - off.impulse**2)[None]
+
     kept = 2 * c.max_speed * c.max_thrust / c.mass * known.hold(r) if known.holds(r) else 0.0
     return Entry(
         f"velocity_{'xyz'[axis]}",
@@ -335,5 +401,7 @@ def velocity(axis: int, c: Limits, r: RtaParameters, known: Uncertainty = NOTHIN
         gains=(r.velocity_gain,),
         margin=min(kept, c.max_speed**2 / 2),
         weight=r.slack_weight_motion,
+        barrier=None if known.is_nil else lambda x, off=None: least,
         loss=bend(c, r) + 2 * c.max_speed * turn(c, r),
+        is_least=True,
     )

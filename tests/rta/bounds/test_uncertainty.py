@@ -11,10 +11,12 @@ import torch
 from torch import Tensor
 
 from inspection.model.parameters import InspectionParameters
+from inspection.model.state import THETA_S, E, P, Q, T
 from inspection.world.parameters import PlantParameters
 from rta.bounds.uncertainty import Uncertainty
 from rta.filter import SafetyFilter
 from rta.parameters import PERIODS, RtaParameters
+from rta.qp.programs import Status
 from tests.inspection.model.test_dynamics import UNEQUAL
 from tests.inspection.world.test_plant import begun, moments
 from tests.rta.constraints.test_constraints import tensor
@@ -70,6 +72,7 @@ def test_what_no_filter_could_use_is_refused(told: dict[str, float], named: str)
         ({"minimum_thrust": 2.0}, 1.0, "minimum_thrust = 2", "max_thrust, 1 N"),
         ({"rate": 2.0}, 1.0, "rate = 2", "max_rate, 2 deg/s"),
         ({"rate": 1.95, "hill_rotation": True}, 1.0, "rate = 1.95", "max_rate, 2 deg/s"),
+        ({"inertia": 0.3}, 10.0, "inertia = 0.3", "limits of the body rates"),
     ],
 )
 def test_a_bound_that_leaves_no_control_is_refused_with_the_limit_that_it_breaks(
@@ -89,6 +92,18 @@ def test_what_is_next_to_a_refusal_is_not_refused() -> None:
     Uncertainty(thrust_gain=share - 1e-6, acceleration=0.01).check(C, R)
     with pytest.raises(ValueError, match="thrust_gain"):
         Uncertainty(thrust_gain=share + 1e-6, acceleration=0.01).check(C, R)
+
+
+def test_of_moments_next_to_a_refusal_a_body_at_rest_keeps_its_rates() -> None:
+    """By the rows themselves, of which none gives way."""
+    r = RtaParameters(period=10.0)
+    safety = SafetyFilter(C, r, known=Uncertainty(inertia=0.29))
+    x = torch.zeros(16, 1, dtype=torch.float64)
+    x[P.start], x[Q.stop - 1], x[T], x[E], x[THETA_S] = 100.0, 1.0, 0.0, 10.0, 3.0
+    answer = safety.correct(x, torch.zeros(6, 1, dtype=torch.float64))
+    assert answer.status.item() <= Status.HARD
+    with pytest.raises(ValueError, match=r"0\.297"):
+        SafetyFilter(C, r, known=Uncertainty(inertia=0.297))
 
 
 # which rows

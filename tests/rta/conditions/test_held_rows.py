@@ -238,8 +238,9 @@ def relative(plant: Plant, x: Tensor) -> Tensor:
 def broken(held: HeldGroup, told: dict[str, Any]) -> set[str]:
     """The constraints whose condition truly is below what its rows say, in some of many worlds within the bounds.
 
-    By more than the second order, a share of what the rows take off. Where a barrier is positive, since beyond it has
-    kinks; passive safety's closest pass moves, which its margin is for.
+    That of a least barrier is on what psi truly is at the end, from the least that it may be now, which must not be
+    above what it truly is. By more than the second order, a share of what the rows take off. Where a barrier is
+    positive, since beyond it has kinks; passive safety's closest pass moves, which its margin is for.
     """
     x, u = tensor(some_states(WORLDS, seed=4)), tensor(some_controls(WORLDS, seed=4))
     x[OMEGA] *= 0.5
@@ -248,7 +249,17 @@ def broken(held: HeldGroup, told: dict[str, Any]) -> set[str]:
     rows = rows_at(held, seen, u)
     said = left_hand_side(held, rows, u)
     psi = held.psi_at(now, held.constraints)(now)
-    gain, margin, _ = held.alpha(psi, [each for each in held.constraints for _ in range(each.rows)])
+    of_row = [each for each in held.constraints for _ in range(each.rows)]
+    least = rows.psi.unflatten(0, (-1, len(held.moments)))[:, 0]
+    is_least = torch.tensor([held.is_least(each) for each in of_row])[:, None]
+    nearest = torch.tensor([each.later is not None for each in of_row])[:, None]  # whose time is refined
+    above = (
+        (is_least & (least > psi + torch.where(nearest, 0.1, 1e-9)))
+        .any(1)
+        .repeat_interleave(len(held.moments))
+    )
+    psi = torch.where(is_least, least, psi)
+    gain, margin, _ = held.alpha(psi, of_row)
     y, conditions = x, []
     for sooner, later in zip((0.0, *held.moments), held.moments, strict=False):
         acting = plant.actuate(moments(WORLDS), u)
@@ -261,7 +272,7 @@ def broken(held: HeldGroup, told: dict[str, Any]) -> set[str]:
     over = (torch.stack(conditions, 1).flatten(0, 1) - said).masked_fill(~positive, math.inf)
     assert (positive.sum(1) > WORLDS / 20).all()
     second_order = 2e-5 + 0.02 * rows.tightening.masked_fill(~positive, 0.0).amax(1)
-    beyond = (over.amin(1) < -second_order).tolist()
+    beyond = ((over.amin(1) < -second_order) | above).tolist()
     return {name for (name, _), is_beyond in zip(places(held), beyond, strict=True) if is_beyond} - {
         "passive_safety"
     }
@@ -277,10 +288,10 @@ CASES = [  # what is told, who holds, what the plant of a filter without it woul
     (
         {"position": 0.6},
         "thrust",
-        {"measured": (0.0,) * KINDS},
+        {"known": Uncertainty(position=1e-9)},
         {"collision", "dynamic_speed", "keep_in_zone"},
     ),
-    ({"velocity": 0.006}, "thrust", {"measured": (0.0,) * KINDS}, THRUST_ROWS),
+    ({"velocity": 0.006}, "thrust", {"known": Uncertainty(velocity=1e-9)}, THRUST_ROWS),
     ({"attitude": 0.3, "rate": 0.03}, "thrust", {"angle_at_rest": 0.0}, {"collision"}),
     ({"torque_gain": 0.05}, "torque", {"less": 0.0, "more": 0.0}, RATE_ROWS),
     ({"attitude": 0.3}, "torque", {"measured": (0.0,) * KINDS}, {"attitude_exclusion"}),
