@@ -5,8 +5,10 @@ others. What they do to numbers is done to values as well.
 """
 
 import functools
+import gc
 import traceback
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -131,12 +133,15 @@ class Recorder(TorchDispatchMode):
 
     def record(self, function: Any, result: Any, args: Sequence[Any], kwargs: dict[str, Any]) -> None:
         """Does an operation on values."""
-        name = function.name().split("::")[1].split(".")[0]
+        name, is_random, is_by_values = said_of(function)
         given = self.values(args)
         options = {key: self.values(each) for key, each in kwargs.items() if key not in PLACES_AND_TYPES}
-        operands = list(tensors([args, kwargs]))
+        operands = [*tensors(args), *tensors(kwargs)]
         fixed = all(self.is_fixed(each) for each in operands)
-        check_tags(name, function.tags, fixed)
+        if is_random:
+            raise NotImplementedError("of random numbers")
+        if is_by_values and not fixed:
+            raise NotImplementedError(BRANCH)
         own = [each for each in tensors(result) if not each.is_meta]  # which has no numbers
         if not own:
             return
@@ -233,7 +238,7 @@ def evaluated(
         array = argument(recorder, part)
         array.flags.writeable = False
         recorder.put(x, array)
-    with TRACING, Watch(recorder), recorder:
+    with TRACING, uncollected(), Watch(recorder), recorder:
         results = function(*inputs)
     return results, [recorder.values(each) for each in results]
 
@@ -262,13 +267,15 @@ def whole(p: Program, value: Value) -> Value:
     return p.number(value) if kind_of(value) == MASK else p.call("trunc", value)
 
 
-def tensors(given: Any) -> Iterator[Tensor]:
+def tensors(given: Any) -> list[Tensor]:
     """All tensors among arguments, in order."""
     if isinstance(given, Tensor):
-        yield given
-    elif isinstance(given, list | tuple | dict):
-        for each in given.values() if isinstance(given, dict) else given:
-            yield from tensors(each)
+        return [given]
+    if isinstance(given, dict):
+        given = given.values()
+    elif not isinstance(given, list | tuple):
+        return []
+    return [tensor for each in given for tensor in tensors(each)]
 
 
 def check_type(dtype: torch.dtype) -> None:
@@ -282,13 +289,28 @@ def memory(tensor: Tensor) -> int:
     return 0 if tensor._is_zerotensor() else tensor.untyped_storage().data_ptr()
 
 
-def check_tags(name: str, tags: Sequence[torch.Tag], fixed: bool) -> None:
-    """Refuses operations whose result is not determined, or not its shape, by what is recorded."""
-    if torch.Tag.nondeterministic_seeded in tags:
-        raise NotImplementedError("of random numbers")
+@functools.cache
+def said_of(function: Any) -> tuple[str, bool, bool]:
+    """An operation's name; whether its result is random, and whether values decide what it computes or its shape."""
+    name, tags = function.name().split("::")[1].split(".")[0], function.tags
     by_values = torch.Tag.dynamic_output_shape in tags and name != "index"
-    if not fixed and (by_values or torch.Tag.data_dependent_output in tags):
-        raise NotImplementedError(BRANCH)
+    return (
+        name,
+        torch.Tag.nondeterministic_seeded in tags,
+        by_values or torch.Tag.data_dependent_output in tags,
+    )
+
+
+@contextmanager
+def uncollected() -> Iterator[None]:
+    """Has the garbage collector wait: what is recorded stays, and to look through it takes a fifth of the time."""
+    collects = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if collects:
+            gc.enable()
 
 
 def explained(operation: str, reason: str) -> str:

@@ -57,8 +57,7 @@ def elementwise(function: Callable[..., Value]) -> Callable[..., ndarray]:
     """A function of values as one of arrays, which broadcast."""
 
     def run(*arrays: Any, **options: Any) -> ndarray:
-        parts = np.broadcast_arrays(*map(objects, arrays))
-        columns = zip(*(part.flat for part in parts), strict=True)
-        return filled([function(*each, **options) for each in columns], parts[0].shape)
+        columns = np.broadcast(*map(objects, arrays))
+        return filled([function(*each, **options) for each in columns], columns.shape)
 
     return run

@@ -120,7 +120,7 @@ class Program:
         stage: int | None = None,
     ) -> Expression:
         """The expression, new or known."""
-        key = (operation, *map(identity, arguments))
+        key = (operation, *[a.index if isinstance(a, Expression) else identity(a) for a in arguments])
         found = self.known.get(key)
         if found is None:
             if len(self.expressions) == MOST:

@@ -324,6 +324,4 @@ def whole(index: ndarray) -> ndarray:
 
 def filled(values: Sequence[Value], shape: tuple[int, ...]) -> ndarray:
     """An object array of this shape with these values."""
-    found = np.empty(len(values), dtype=object)
-    found[:] = values
-    return found.reshape(shape)
+    return np.fromiter(values, object, len(values)).reshape(shape)
