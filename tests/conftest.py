@@ -24,11 +24,20 @@ from inspection.world.parameters import PlantParameters
 from rta.constraints.constraint import CONSTRAINTS
 from study.config import ARMS, BASELINES, Config, StudyConfig
 from study.machine import progress
+from tests.shared import share
 
 torch.set_num_threads(1)
 os.environ["OMP_NUM_THREADS"] = "1"  # of the processes that tests start: nothing to measure, and to say
 settings.register_profile("project", deadline=None, derandomize=True, max_examples=40, database=None)
 settings.load_profile("project")
+
+
+@pytest.fixture(scope="session", autouse=True)
+def shared_filters() -> Iterator[None]:
+    """Filters in C that are traced and built once in a process, see `tests.shared`."""
+    with pytest.MonkeyPatch.context() as patch:
+        share(patch)
+        yield
 
 
 @pytest.fixture(autouse=True)

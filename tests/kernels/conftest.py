@@ -5,6 +5,7 @@ from pathlib import Path
 import pytest
 
 from kernels import build
+from tests.shared import OPTIMISED
 
 
 @pytest.fixture(scope="session")
@@ -20,3 +21,9 @@ def kernels_cache(pytestconfig: pytest.Config, tmp_path_factory: pytest.TempPath
 @pytest.fixture(autouse=True)
 def own_cache(kernels_cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv(build.VARIABLE, str(kernels_cache))
+
+
+@pytest.fixture(autouse=True)
+def optimised(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Builds as users do."""
+    monkeypatch.setattr(build, "FLAGS", OPTIMISED)

@@ -22,12 +22,14 @@ from kernels.trace import without_repetitions
 from rta.bounds.uncertainty import Uncertainty
 from rta.filter import SafetyFilter
 from rta.parameters import RtaParameters
+from rta.printed.vectors import states
 from rta.qp import batched_solver
 from rta.qp.programs import Status
 from rta.result import FilterResult
 from study import experiment
 from study.config import Config, TrainParameters
 from study.machine import compiling
+from tests.shared import OPTIMISED, QUICK
 
 C = InspectionParameters()
 
@@ -151,6 +153,20 @@ def test_compiled_filter_equals_the_eager_one(
             torch.testing.assert_close(
                 found, getattr(expected, field.name), rtol=1e-9, atol=1e-9, equal_nan=True
             )
+
+
+def test_optimisation_changes_no_bit_of_a_filter(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Most tests fly filters that are not optimised, see `tests.shared`."""
+    found = []
+    for flags in (OPTIMISED, QUICK):
+        monkeypatch.setattr(build, "FLAGS", flags)
+        safety = SafetyFilter(C, RtaParameters())
+        safety.compile("cpu", 64)
+        found.append(safety.correct(*states(2000, 3, C)))
+    assert found[0].status.unique().tolist() == list(Status) and found[0].backup.any()
+    for field in fields(FilterResult):
+        parts = (getattr(each, field.name) for each in found)
+        torch.testing.assert_close(*parts, rtol=0, atol=0, equal_nan=True)
 
 
 def test_without_a_compiler_nothing_is_compiled_and_one_line_says_so(

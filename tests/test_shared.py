@@ -1,0 +1,56 @@
+"""Filters that tests share are those that they would have had by themselves."""
+
+import pytest
+
+import rta.filter
+from rta import SafetyFilter
+from rta.backup import brake
+from rta.parameters import RtaParameters
+from tests.rta.conditions import test_actuator_groups as own
+from tests.shared import SHARED, Once
+
+
+@pytest.fixture
+def once() -> Once:
+    found = Once()
+    found.begin()
+    return found
+
+
+def made(safety_filter: SafetyFilter, *_: str) -> object:
+    return object()
+
+
+def test_equal_filters_are_shared_and_others_are_not(once: Once) -> None:
+    one, without_check = once.call(made, SafetyFilter()), SafetyFilter()
+    without_check.backup = None
+    others = [
+        SafetyFilter(parameters=RtaParameters(speed_gain=0.11)),
+        SafetyFilter(extra=[own.OWN["sphere"][0]]),
+        SafetyFilter(extra=[own.OWN["cone"][0]]),
+        without_check,
+    ]
+    assert once.call(made, SafetyFilter(parameters=RtaParameters())) is one
+    assert (
+        len({one, *(once.call(made, each) for each in others), once.call(made, SafetyFilter(), "float")}) == 6
+    )
+
+
+@pytest.mark.parametrize(
+    ("place", "name"),
+    [(brake, "AT_REST"), (brake, "braked"), (SafetyFilter, "values"), (RtaParameters, "period")],
+)
+def test_what_a_test_puts_in_a_parts_place_is_in_its_filter_alone(
+    place: object, name: str, once: Once, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    before = once.call(made, SafetyFilter())
+    with monkeypatch.context() as patch:
+        patch.setattr(place, name, 2.0)
+        assert once.call(made, SafetyFilter(parameters=RtaParameters(period=1.0))) is not before
+    assert once.call(made, SafetyFilter()) is before
+
+
+def test_what_is_shared_is_what_filters_call() -> None:
+    assert (rta.filter, "BatchFilter") in SHARED
+    for module, name in SHARED:
+        assert isinstance(getattr(module, name).func.__self__, Once)
