@@ -220,13 +220,15 @@ def test_a_demand_that_is_no_number_is_no_wish_and_filtered(solver: str) -> None
     safety = SafetyFilter(C, R, None if solver == "C" else make_solver(solver))
     if solver == "C":
         safety.compile("cpu", len(X[0]))
-    for component in range(6):
+    for group in (THRUST, TORQUE):
         nothing = U.clone()
-        nothing[THRUST if component < 3 else TORQUE] = 0.0
-        wish = nothing.index_put((torch.tensor([component]),), nothing.new_tensor(math.nan))
-        expected, answer = safety.correct(X, nothing), safety.correct(X, wish)
-        assert (answer.control == expected.control).all() and answer.intervened.all()
-        assert (answer.status == expected.status.clamp(min=Status.HARD)).all()
+        nothing[group] = 0.0
+        expected = safety.correct(X, nothing)
+        for component in range(6)[group]:
+            wish = nothing.index_put((torch.tensor([component]),), nothing.new_tensor(math.nan))
+            answer = safety.correct(X, wish)
+            assert (answer.control == expected.control).all() and answer.intervened.all()
+            assert (answer.status == expected.status.clamp(min=Status.HARD)).all()
 
 
 @pytest.mark.parametrize("compiled", [False, True])

@@ -35,6 +35,7 @@ def at(limit: str) -> Tensor:
 def test_the_filter_turns_away_from_a_pole(period: float) -> None:
     """By more than 40 deg, which is the exclusion zone, in a minute; nothing is desired, or full torque in turns."""
     safety, limits = SafetyFilter(C, RtaParameters(period=period)), list(POINTS)
+    safety.compile("cpu", 2 * len(limits))
     x = torch.cat([at(limit) for limit in limits] * 2, 1)
     torque = torch.tensor([0.0] * len(limits) + [1.0] * len(limits)) * LIMIT[3:]
     columns = torch.arange(x.shape[1])
