@@ -54,6 +54,7 @@ def config(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def flags(config: Path, report: str, episodes: int) -> list[str]:
     more = ["--config", str(config), "--rta-period", "1", "--duration", "40", "--episodes", str(episodes)]
+    more += ["--compile", "on"]
     return [*verify(config.with_name(report)), *more]
 
 
@@ -148,7 +149,7 @@ ERROR = 0.6  # m, of each axis; U1's
 def test_a_position_error_that_stays_at_its_bound_does_not_lead_out_of_the_zone() -> None:
     """Full thrust outwards from 700 m, each axis taken to be nearer to the chief than it is, in twelve directions."""
     tables = {
-        "train": {"compile": "off", "device": "cpu"},
+        "train": {"compile": "on", "device": "cpu"},
         "plant": {"errors": "worst", "position_bias": ERROR},
         "uncertainty": {"position": ERROR},
     }
