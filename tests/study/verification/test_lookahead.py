@@ -34,7 +34,7 @@ WORLD = {
 @functools.cache
 def experiment(world: bool) -> Experiment:
     """In the model, or in a plant of which the filter knows nothing."""
-    tables = {"train": {"compile": "off", "device": "cpu"}, "plant": WORLD if world else {}}
+    tables = {"train": {"compile": "on", "device": "cpu"}, "plant": WORLD if world else {}}
     return Experiment(override(Config(), tables, "test"), EPISODES * CANDIDATES, seconds=1.0)
 
 
@@ -180,7 +180,7 @@ def test_the_command_line_flies_and_continues_it(tmp_path: Path, capsys: pytest.
 def at_worst() -> Experiment:
     """In a plant at its corners, of which the filter knows nothing."""
     gains = {"errors": "worst", "thrust_gain": [0.8, 1.2], "missed_in_a_row": 2}
-    tables = {"train": {"compile": "off", "device": "cpu"}, "plant": WORLD | gains}
+    tables = {"train": {"compile": "on", "device": "cpu"}, "plant": WORLD | gains}
     return Experiment(override(Config(), tables, "test"), EPISODES * CANDIDATES, seconds=1.0)
 
 
