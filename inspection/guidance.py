@@ -1,7 +1,7 @@
 """Classical controllers to compare agents with, within the actuators' limits."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,15 +12,25 @@ from torch import Tensor
 
 from inspection.closed_loop import Controller
 from inspection.model.attitude import conjugate, cross, dot, norm, rotate, unit
-from inspection.model.dynamics import sun_direction
+from inspection.model.dynamics import sun_and_earth_in_body, sun_direction
 from inspection.model.parameters import AXES, Limits
-from inspection.model.state import CONTROL_SIZE, OMEGA, THETA_S, P, Q, V
+from inspection.model.state import CONTROL_SIZE, OMEGA, THETA_S, E, P, Q, V
 
 POINTING_FREQUENCY = 0.1  # rad/s, of the critically damped pointing law
 ABOVE = (
     6  # power of the sine of the elevation at which the phase, which nothing has at the pole, stops to count
 )
 HELD = 0.3  # of a law's frequency and the time for which its control is held
+TILT = math.radians(
+    18
+)  # of the camera off the chief, which stays in view from 50 m on: 30 deg less asin(10 / 50)
+RATE_SHARE = 0.9  # of the limit of body rates, asked for at most
+LOW = 3.0, 1.0  # energies of half a turn above the battery's limit between which it comes to be low
+GLARE = math.radians(30), math.radians(10)  # of the camera's angle above its limit from the Sun, the same
+DUSK = (
+    math.radians(90),
+    math.radians(110),
+)  # off the Sun: from where on less and less, then nothing, is worth a look
 
 # A tour of every boundary in 2,000 s: from when (s) the LQR's set point is where (m, Hill's frame). Axis velocities
 # reach their limit only beyond 623 m, where the dynamic speed limit is higher; hence the chords.
@@ -32,10 +42,34 @@ SET_POINTS = (
     (1100.0, (0.0, 0.0, 0.0)),  # into the chief
 )
 
+Knob = float | Tensor  # a number, or (B,), one per episode
+
+
+@dataclass(frozen=True)
+class Lead:
+    """The phase of `natural_motion` from the Sun's, by the inspected score: behind it at first, ahead of it later.
+
+    Points go dark behind the Sun and become lit ahead of it. So who looks behind first and ahead later sees more.
+
+    Attributes:
+        behind, ahead: rad, at first and at last.
+        begin, end: the scores between which the phase moves, linearly.
+    """
+
+    behind: Knob
+    ahead: Knob
+    begin: Knob = 0.0
+    end: Knob = 0.95
+
+    def at(self, score: Tensor) -> Tensor:
+        """How far ahead of the Sun's the phase is, (B,) rad, once a weight (B,) has been inspected."""
+        share = ((score - self.begin) / (self.end - self.begin)).clamp(0.0, 1.0)
+        return share * (self.behind + self.ahead) - self.behind
+
 
 @dataclass(frozen=True)
 class Orbit:
-    """The relative ellipse that `natural_motion` follows, and how it gets there.
+    """The relative ellipse that `natural_motion` follows, and how it gets there; each number may be one per episode.
 
     Attributes:
         semi_minor: b in m; the ellipse is twice as long along the track.
@@ -43,13 +77,31 @@ class Orbit:
         tracking: rad/s, frequency of the critically damped law that tracks it: short ways cost fuel.
         look_ahead: rad of phase, L. The chord between two points so far apart keeps b cos(L / 2) from the chief.
         approach: the fastest that it nears the orbit, as a share of the dynamic speed limit.
+        lead: where on it; None: at the Sun's phase.
     """
 
-    semi_minor: float = 40.0
-    out_of_plane: float = 0.0
-    tracking: float = 0.006
-    look_ahead: float = math.pi / 3
-    approach: float = math.inf
+    semi_minor: Knob = 40.0
+    out_of_plane: Knob = 0.0
+    tracking: Knob = 0.006
+    look_ahead: Knob = math.pi / 3
+    approach: Knob = math.inf
+    lead: Lead | None = None
+
+
+# What flies and teaches by name. "following": a larger ellipse sees more of the chief at once; its tilt, a wider way
+# there and 70 % of the dynamic speed limit keep away from every limit. The others lead the Sun, from thrifty to quick;
+# `study.results.guidance_search` has found their knobs, and `study.results.guidance_front` flies what nobody has seen.
+GUIDANCE: dict[str, Orbit] = {
+    "natural-motion": Orbit(),
+    "following": Orbit(
+        semi_minor=55.0, out_of_plane=30.0, tracking=0.01, look_ahead=math.pi / 6, approach=0.7
+    ),
+    "thrifty": Orbit(53.71, 19.08, 0.002632, 0.6557, 0.3374, Lead(0.7695, 0.6066, 0.1489, 0.9757)),
+    "calm": Orbit(49.7, 18.95, 0.004426, 0.6717, 0.3691, Lead(1.018, 0.585, 0.2444, 0.9632)),
+    "even": Orbit(54.2, 19.12, 0.006099, 0.7179, 0.4683, Lead(0.7902, 0.6877, 0.2279, 1.027)),
+    "brisk": Orbit(63.08, 19.97, 0.006164, 0.9743, 0.6111, Lead(0.9664, 0.4398, 0.3082, 0.8023)),
+    "quick": Orbit(57.36, 18.24, 0.009869, 0.9396, 0.6374, Lead(0.8342, 0.9062, 0.408, 0.9634)),
+}
 
 
 def limited(thrust_hill: Tensor, torque: Tensor, x: Tensor, c: Limits) -> Tensor:
@@ -111,30 +163,91 @@ def lqr_pd(c: Limits) -> Controller:
     return control
 
 
-def natural_motion(c: Limits, every: float = 1.0, orbit: Orbit | None = None) -> Controller:
-    """PD law towards the relative ellipse x = b cos(phi), y = 2 b sin(phi), z = a sin(phi) at phi = theta_S.
+def watch(x: Tensor, outward: Tensor, sun: Tensor, c: Limits) -> Tensor:
+    """Where the camera is to look, a unit vector (3, B): at the chief as far as power allows, and never at the Sun.
+
+    From the chief it is turned away from the Sun until the panels on its back make the power drawn, at most by TILT,
+    with the chief in view. On the dark side, while the battery is low and where the Sun is near the camera it is turned
+    further, up to straight away from the Sun.
+
+    Args:
+        outward, sun: unit vectors (3, B) from the chief and to the Sun.
+    """
+    half_a_turn = math.pi * (
+        c.power_draw / 1000.0 / c.max_rate + c.energy_sun_slope
+    )  # kJ, at most, in the dark
+    low = (LOW[0] - (x[E] - c.min_energy) / half_a_turn) / (LOW[0] - LOW[1])
+    angle = dot(outward, sun).clamp(-1.0, 1.0).arccos()
+    dark = (angle - DUSK[0]) / (DUSK[1] - DUSK[0])
+    off_limit = (
+        sun_and_earth_in_body(x)[0][0].clamp(-1.0, 1.0).arccos() - c.field_of_view / 2 - c.exclusion_buffer
+    )
+    glare = (GLARE[0] - off_limit) / (GLARE[0] - GLARE[1])
+    need = torch.stack((low, dark, glare)).amax(0).clamp(0.0, 1.0)
+    balanced = math.acos(min(1.0, c.power_draw / brightest(c)))
+    tilt = torch.minimum((angle - (1.0 - need) * balanced).clamp(min=0.0), TILT + need * math.pi)
+    across = unit(sun - dot(outward, sun) * outward)
+    return -(outward * tilt.cos() + across * tilt.sin())
+
+
+def look(x: Tensor, direction: Tensor, sun: Tensor, c: Limits, frequency: float) -> Tensor:
+    """PD torque (3, B) that turns the camera to a unit vector (3, B), and the thermal side away from the Sun.
+
+    Unlike that of `point` its error, 2 sin(angle / 2), does not vanish where the camera looks the other way, and the
+    rate that it asks for keeps within the limit.
+    """
+    target, light = (rotate(conjugate(x[Q]), each) for each in (direction, sun))
+    camera, cold = torch.zeros_like(target), torch.zeros_like(target)
+    camera[0] = 1.0
+    index, sign = AXES[c.thermal_axis]
+    cold[index] = -sign
+    error = torch.stack(cross(camera, target)) / ((1.0 + target[0]) / 2.0).clamp(min=1e-6).sqrt()
+    error[0] += cross(cold, light)[0]
+    most = 2.0 * RATE_SHARE * c.max_rate / frequency
+    error = error * (most / norm(error).clamp(min=1e-9)).clamp(max=1.0)
+    inertia = x.new_tensor(c.inertia)[:, None]
+    return inertia * (frequency**2 * error - 2.0 * frequency * x[OMEGA])
+
+
+def brightest(c: Limits) -> float:
+    """The power that panels make which face the Sun, in W."""
+    return c.panel_performance * c.panel_degradation * c.surface_area
+
+
+def natural_motion(
+    c: Limits, every: float = 1.0, orbit: Orbit | None = None, score: Callable[[], Tensor] | None = None
+) -> Controller:
+    """PD law towards the relative ellipse x = b cos(phi), y = 2 b sin(phi), z = a sin(phi) at phi = theta_S - lead.
 
     The ellipse is a free motion of the Clohessy-Wiltshire equations that turns with the Sun, so that holding
     it costs almost no fuel. With a > 0 it keeps min(a, b) from the whole line through the chief along the track, so
     that no drift along it ends in a collision (D'Amico and Montenbruck 2006: eccentricity and inclination vectors
-    apart). Away from the Sun's phase the target is a point of the ellipse a little ahead, so that the way leads around
-    the chief, unless it starts above or below the chief, with nothing in the way. The camera is on the chief where
-    panels on its back then make the power drawn, and elsewhere turned away from the Sun, which charges the battery.
+    apart). Away from the phase wanted the target is a point of the ellipse a little ahead, so that the way leads around
+    the chief, unless it starts above or below the chief, with nothing in the way. Without a lead the camera is on the
+    chief where panels on its back then make the power drawn, and elsewhere turned away from the Sun, which charges the
+    battery. With one, `watch` says where it looks.
 
     Args:
         every: s for which a control is held, T. The critically damped law, of frequency w, then multiplies angle and
             rate T by [[1 - h^2 / 2, 1 - h], [-h^2, 1 - 2 h]] with h = w T, which is stable for h < 1 (Jury): h <= HELD.
         orbit: None: the default one.
+        score: the inspected weight (B,) so far, which a lead needs, such as `Sight.score`.
+
+    Raises:
+        ValueError: the orbit leads, and no score is given.
     """
     orbit = orbit or Orbit()
+    lead = orbit.lead
+    if lead and score is None:
+        raise ValueError("a lead needs the inspected score")
     n, a, b, w = c.mean_motion, orbit.out_of_plane, orbit.semi_minor, orbit.tracking
     pointing = min(POINTING_FREQUENCY, HELD / every)
-    brightest = c.panel_performance * c.panel_degradation * c.surface_area  # W
 
     def control(t: float, x: Tensor) -> Tensor:
         sun, outward = sun_direction(x[THETA_S]), unit(x[P])
+        wanted = x[THETA_S] - lead.at(score()) if lead and score else x[THETA_S]
         phase = torch.atan2(x[1] / 2, x[0])
-        lag = torch.remainder(x[THETA_S] - phase + math.pi, 2 * math.pi) - math.pi
+        lag = torch.remainder(wanted - phase + math.pi, 2 * math.pi) - math.pi
         ahead = orbit.look_ahead + (math.pi - orbit.look_ahead) * outward[2] ** ABOVE
         phase = phase + torch.maximum(torch.minimum(lag, ahead), -ahead)
         cos, sin = phase.cos(), phase.sin()
@@ -142,12 +255,16 @@ def natural_motion(c: Limits, every: float = 1.0, orbit: Orbit | None = None) ->
         velocity = n * torch.stack((b * sin, -2 * b * cos, -a * cos))
         error = position - x[P]
         limit = orbit.approach * (c.docking_speed + c.speed_slope * norm(x[P]))
-        nearing = error * torch.minimum(limit / norm(error).clamp(min=1e-9), limit.new_tensor(w / 2))
+        nearing = error * torch.minimum(limit / norm(error).clamp(min=1e-9), torch.ones_like(limit) * (w / 2))
         thrust = (
             2 * w * c.mass * (nearing + velocity - x[V])
         )  # the law w^2 error + 2 w error' up to the limit
-        away = torch.where(brightest * dot(outward, sun) > c.power_draw, outward, sun)
-        return limited(thrust, point(x, "+x", -away, c, pointing), x, c)
+        if lead:
+            torque = look(x, watch(x, outward, sun, c), sun, c, pointing)
+        else:
+            away = torch.where(brightest(c) * dot(outward, sun) > c.power_draw, outward, sun)
+            torque = point(x, "+x", -away, c, pointing)
+        return limited(thrust, torque, x, c)
 
     return control
 

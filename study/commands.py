@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from inspection.guidance import GUIDANCE
 from study.config import TEST_CASES
 
 CHECKPOINT, LEARNED = FILES = (
@@ -61,7 +62,8 @@ def after_evaluation(
     """
     who = ["policy", "--checkpoint", checkpoint] if checkpoint else [controller]
     task = results["config"]["inspection"]
-    every = {"random": task["action_period"], "natural-motion": results["rta"]["period_s"] or task["substep"]}
+    calls = results["rta"]["period_s"] or task["substep"]
+    every = {"random": task["action_period"]} | dict.fromkeys(GUIDANCE, calls)
     if controller in every:
         who += ["--step", f"{every[controller]:g}"]
     if results["seed"] != TEST_CASES:

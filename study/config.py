@@ -15,6 +15,7 @@ from typing import Any, TypeVar, overload
 
 import tomli_w
 
+from inspection.guidance import GUIDANCE
 from inspection.model.parameters import ChiefParameters, InspectionParameters
 from inspection.world.parameters import PlantParameters
 from ppo.distributed import is_first
@@ -33,6 +34,7 @@ Tables = dict[str, dict[str, Any]]
 ARMS: dict[str, Tables] = {"no_rta": {"train": {"rta": False}}, "rta": {"train": {"rta": True}}}
 TEST_CASES = 0  # seed of the cases of every final evaluation
 BASELINES = ("untrained", "random", "zero", "natural-motion")  # controllers that agents are compared with
+EVALUATED = tuple(dict.fromkeys((*BASELINES, *GUIDANCE)))  # controllers that `evaluate` flies
 
 # Settings of older files and checkpoints that have moved: the table and key of then, and those of now.
 MOVED = {("train", "rta_period"): ("rta", "period"), ("train", "qp_solver"): ("rta", "qp_solver")}
@@ -67,6 +69,7 @@ class TrainParameters(Settings):
     jump_start: int = setting(
         0, "of these interactions, how many the guidance teaches before PPO begins; 0: none", most=MAX_COUNT
     )
+    teacher: str = setting("following", "the guidance of the jump start", among=tuple(GUIDANCE))
     learn_from: str = setting(
         "desired",
         "behind the filter (the action that the agent desired, what the filter applied in its place, or the former "

@@ -61,6 +61,7 @@ __all__ = ["run"]  # a fixture
             ["needs a mesh"],
         ),
         (["evaluate", "--controller", "lqr-pd"], ["--controller", "'lqr-pd'", "natural-motion"]),
+        (["evaluate", "--controller", "quik"], ["--controller", "'quik'", "thrifty", "quick"]),
         (
             ["evaluate", "--controller", "natural-motion", "--checkpoint", "x.pt"],
             ["--checkpoint", "not allowed", "--controller"],

@@ -5,6 +5,7 @@ What a flag that sets something says in --help is what its setting says of itsel
 
 import argparse
 
+from inspection.guidance import GUIDANCE
 from kernels.build import VARIABLE
 from study.command_line.flags import (
     Command,
@@ -21,7 +22,7 @@ from study.command_line.flags import (
     verified_policy,
     written,
 )
-from study.config import BASELINES
+from study.config import EVALUATED
 
 # of several commands
 DEVICE = Flag("--device", sets="train.device")
@@ -137,9 +138,9 @@ COMMANDS = {
             Flag(
                 "--controller",
                 "instead of an agent: untrained (as training begins), random or zero controls, which decide every "
-                "10 s as an agent does, or natural-motion, a classical guidance that decides at every call of the "
-                "filter, without it every second",
-                choices=BASELINES,
+                "10 s as an agent does, or a classical guidance, which decides at every call of the filter, without "
+                f"it every second: {', '.join(GUIDANCE)}",
+                choices=EVALUATED,
             ),
         ),
     ),
@@ -153,7 +154,7 @@ COMMANDS = {
         Flag(
             "--controller",
             "who commands the spacecraft",
-            choices=("policy", "recorded", "lqr-pd", *BASELINES),
+            choices=("policy", "recorded", "lqr-pd", *EVALUATED),
         ),
         AGENT.saying("the agent, for --controller policy"),
         read(

@@ -28,15 +28,16 @@ def untrained(experiment: Experiment, seed: int) -> Policy:
     return experiment.policy(experiment.generators([seed]))
 
 
-def classical(name: str, config: Config, seed: int, every: float = 1.0) -> Controller:
-    """A controller of `inspection.guidance` by its name, which decides every so many s.
+def classical(name: str, env: InspectionEnv, seed: int, every: float = 1.0) -> Controller:
+    """A controller of `inspection.guidance` by its name, which decides every so many s and is flown in `env`.
 
     Random draws from a stream of the seed's own.
     """
-    c = config.inspection
+    c = env.c
+    if name in guidance.GUIDANCE:
+        return guidance.natural_motion(c, every, guidance.GUIDANCE[name], env.sight.score)
     return {
         "lqr-pd": lambda: guidance.lqr_pd(c),
-        "natural-motion": lambda: guidance.natural_motion(c, every),
         "zero": guidance.zero,
         # not the numbers from which the test cases of this seed are made
         "random": lambda: guidance.random(c, torch.Generator().manual_seed(seed + 1)),

@@ -11,6 +11,7 @@ from torch import Tensor
 
 from inspection.closed_loop import Controller, Hold, Smallest
 from inspection.environment import InspectionEnv
+from inspection.guidance import GUIDANCE
 from inspection.model.attitude import norm
 from inspection.model.dynamics import sun_and_earth_in_body
 from inspection.model.state import OMEGA, E, P, T, V
@@ -283,27 +284,27 @@ def played_by(
 
 
 def play_controller(name: str, experiment: Experiment, episodes: int, seed: int) -> Episodes:
-    """Plays the common test cases with one of BASELINES.
+    """Plays the common test cases with one of EVALUATED.
 
-    `natural-motion` decides at every call of the filter, without it at every integration step. The others decide as an
+    Those of GUIDANCE decide at every call of the filter, without it at every integration step. The others decide as an
     agent does, once an action period: `untrained` takes the mean actions of the policy with which `train --seed`
     begins, `random` draws uniform controls anew each time, both from `seed`, and `zero` coasts.
     """
     if name == "untrained":
         return play(untrained(experiment, seed), experiment, episodes, seed)
     config, every = experiment.config, None
-    if name == "natural-motion":
+    if name in GUIDANCE:
         every = config.rta.period if config.train.rta else config.inspection.substep
     env = experiment.env(episodes, experiment.generators([seed + 1]), decide_every=every)
     return run_episodes(
         env,
-        classical(name, config, seed, every or config.inspection.action_period),
+        classical(name, env, seed, every or config.inspection.action_period),
         *test_cases(config, episodes, seed),
     )
 
 
 def evaluate(commander: Policy | str, experiment: Experiment, episodes: int, seed: int) -> dict[str, Any]:
-    """Plays the common test cases with a policy of one seed, or with one of BASELINES, and reports them."""
+    """Plays the common test cases with a policy of one seed, or with one of EVALUATED, and reports them."""
     if isinstance(commander, str):
         record = play_controller(commander, experiment, episodes, seed)
     else:

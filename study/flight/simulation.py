@@ -191,7 +191,7 @@ def run(
     elif actions:
         commander = recorded(actions, experiment.config, step, duration)
     else:
-        commander = classical(controller, experiment.config, seed, step)
+        commander = classical(controller, env, seed, step)
     return simulate(env, commander, *start, duration)
 
 

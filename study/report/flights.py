@@ -222,5 +222,5 @@ def demonstration(config: Config, rta: bool) -> Arrays:
     step = config.inspection.substep
     start = starting_point(str(DEMONSTRATION), experiment, TEST_CASES)
     env = experiment.env(1, decide_every=step, report_every=step)
-    controller = classical("lqr-pd", config, TEST_CASES)
+    controller = classical("lqr-pd", env, TEST_CASES)
     return simulate(env, controller, *start, DEMONSTRATION_DURATION)

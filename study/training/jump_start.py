@@ -17,9 +17,6 @@ from ppo.learner import PPO
 from ppo.network import Policy
 from ppo.rollout import collect
 
-# A larger orbit sees more of the chief at once; its tilt, a wider way there and 70 % of the dynamic speed limit keep
-# away from every limit: flown every 10 s without the filter, it violates nothing on the way there (tests).
-ORBIT = Orbit(semi_minor=55.0, out_of_plane=30.0, tracking=0.01, look_ahead=math.pi / 6, approach=0.7)
 LEARNING_RATE = 1e-3  # of the first batch, annealed linearly to a tenth
 STD_WEIGHT = 0.01  # of the squared error of the log standard deviation, which stays as it is at the start
 
@@ -28,16 +25,16 @@ class Taught:
     """An `InspectionEnv` as `ppo.rollout.Environment`, in which the guidance says what it would do.
 
     Args:
-        policy: whose actions are meant.
+        policy: whose actions are meant; orbit: of the guidance.
 
     Attributes:
         leads: the guidance acts, not the policy.
         lessons: of each step since they were taken last, the actions (B, 6) that the guidance wants.
     """
 
-    def __init__(self, env: InspectionEnv, policy: Policy) -> None:
+    def __init__(self, env: InspectionEnv, policy: Policy, orbit: Orbit) -> None:
         self.env, self.policy = env, policy
-        self.guidance = natural_motion(env.c, env.c.action_period, ORBIT)
+        self.guidance = natural_motion(env.c, env.c.action_period, orbit, env.sight.score)
         self.observation = env.observation
         self.leads = True
         self.lessons: list[Tensor] = []
@@ -51,6 +48,7 @@ class Taught:
 
 def jump_start(
     env: InspectionEnv,
+    orbit: Orbit,
     learner: PPO,
     steps: int,
     batches: int,
@@ -60,10 +58,10 @@ def jump_start(
     """Teaches a learner's policy the guidance, and its value network what the policy is worth.
 
     Args:
-        env: already reset; steps: interactions of each episode in a batch.
+        env: already reset; orbit: of the guidance; steps: interactions of each episode in a batch.
         generators: one per seed.
     """
-    taught = Taught(env, learner.policy)
+    taught = Taught(env, learner.policy, orbit)
     networks = learner.policy, learner.value
     weights = [weight for network in networks for weight in network.parameters()]
     optimiser = torch.optim.Adam(weights, LEARNING_RATE)

@@ -10,6 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from inspection.guidance import GUIDANCE
 from ppo import checkpoint
 from ppo.distributed import RankLostError, ranks
 from ppo.learner import PPO, NonFiniteError
@@ -123,7 +124,8 @@ class Run:
     def jump_start(self) -> None:
         """Lets the guidance teach the policy, in place of the first updates."""
         train, trainer = self.config.train, self.trainer
-        arguments = self.env, trainer.learner, train.rollout_steps, train.lessons, trainer.generators
+        lessons = trainer.learner, train.rollout_steps, train.lessons, trainer.generators
+        arguments = self.env, GUIDANCE[train.teacher], *lessons
         trainer.seconds += seconds_of(
             lambda: jump_start(*arguments, self.log.lesson if self.ranks.first else lambda: None)
         )

@@ -7,8 +7,10 @@ from typing import Any
 
 import numpy as np
 
+from inspection.guidance import GUIDANCE
 from study.config import ARMS
 from study.flight.summary import iqm
+from study.paper import Results
 from study.results.numbers.evidence import LABELS, Row, arms, middle, read, report, success
 
 README, RESULTS = "README.md", "docs/results/results.md"
@@ -78,6 +80,47 @@ def learned_from() -> Iterator[Row]:
             success(off),
             f"{off['violations_percent']:.2f}",
         )
+
+
+def guidance_knobs() -> Iterator[Row]:
+    """The guidance by its names, from the program itself."""
+    for name, orbit in GUIDANCE.items():
+        lead = orbit.lead
+        phase = scores = ""
+        if lead:
+            phase = f"{math.degrees(-lead.behind):.0f} to {math.degrees(lead.ahead):.0f}"
+            scores = f"{lead.begin:.2f} to {lead.end:.2f}"
+        approach = f"{100.0 * orbit.approach:.0f}" if math.isfinite(orbit.approach) else ""
+        numbers = f"{orbit.semi_minor:.1f}", f"{orbit.out_of_plane:.1f}", f"{1e3 * orbit.tracking:.1f}"
+        yield name, *numbers, f"{math.degrees(orbit.look_ahead):.0f}", approach, phase, scores
+
+
+def guidance_flown() -> Iterator[Row]:
+    """The guidance on unseen cases, as a teacher and as it is flown."""
+    found = read("guidance/guidance.json")
+    flown = {
+        "teaching": "every 10 s, no filter",
+        "without": "every second, no filter",
+        "with": "every second, filter",
+    }
+    for name, ways in found["guidance"].items():
+        for way, label in flown.items():
+            results = ways[way]
+
+            def cell(metric: str, digits: int, results: Results = results) -> str:
+                own = results["metrics"][metric]
+                return "{} ({}), {}".format(*(f"{own[key]:,.{digits}f}" for key in ("iqm", "mean", "p95")))
+
+            counts = results["violating_episodes"], results["drifting_successes"]
+            cells = cell("episode_length_s", 0), cell("delta_v_m_s", 2)
+            yield (
+                name,
+                label,
+                success(results),
+                success(results, "clean_success"),
+                *map(str, counts),
+                *cells,
+            )
 
 
 def sentences() -> Iterator[tuple[str, str]]:

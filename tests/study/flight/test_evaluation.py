@@ -31,6 +31,8 @@ def experiment_of(rta: bool, episodes: int) -> Experiment:
     [
         ("natural-motion", 1.0, False),
         ("natural-motion", 1.0, True),
+        ("quick", 1.0, False),
+        ("quick", 1.0, True),
         ("zero", 10.0, False),
         ("untrained", 10.0, False),
     ],
@@ -45,7 +47,7 @@ def test_a_baseline_is_evaluated_as_it_is_simulated(name: str, every: float, rta
     policy = untrained(experiment, 0)
     for i in range(2):
         case = x[:, i : i + 1], priority[:, i : i + 1]
-        controller = agent(policy, env) if name == "untrained" else classical(name, config, 0)
+        controller = agent(policy, env) if name == "untrained" else classical(name, env, 0)
         flight = simulate(env, controller, *case, c.max_time)
         control = abs(flight["control_applied"][:-1])  # the last row repeats the one before it
         expected = {
@@ -127,7 +129,7 @@ def test_a_success_is_clean_that_stays_clear_and_breaks_no_limit_in_any_second(
         env.sight.inspected[:, :3] = True
 
     monkeypatch.setattr(env, "start", start)
-    record = evaluation.run_episodes(env, classical("zero", experiment.config, 0), x, priority)
+    record = evaluation.run_episodes(env, classical("zero", env, 0), x, priority)
     results = evaluation.report(record, experiment.config, 0)
     assert record.outcome.tolist() == [3, 3, 3, 4]
     assert record.clear.tolist() == [True, False, True, False]

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from inspection.guidance import Orbit, natural_motion
+from inspection.guidance import GUIDANCE, Orbit, natural_motion
 from study import config as configuration
 from study.config import Config
 from study.experiment import Experiment
@@ -38,7 +38,7 @@ def config(**train: object) -> Config:
     return replace(base, train=replace(base.train, **train))
 
 
-@pytest.mark.parametrize("orbit", [jump_start.ORBIT, Orbit(out_of_plane=30.0, tracking=0.01)])
+@pytest.mark.parametrize("orbit", [GUIDANCE["following"], Orbit(out_of_plane=30.0, tracking=0.01)])
 def test_the_guidance_that_teaches_violates_nothing_without_the_filter(orbit: Orbit) -> None:
     experiment = Experiment(config(), 64)
     env = experiment.env(64, experiment.generators([0]), compiled=True)
@@ -48,7 +48,7 @@ def test_the_guidance_that_teaches_violates_nothing_without_the_filter(orbit: Or
     for _ in range(100):  # the way to the orbit
         env.advance(guidance, lambda hold: worst.append(env.constraint_values(hold.after).amin(1)))
     held = torch.stack(worst).amin() >= 0.0
-    assert held == (orbit == jump_start.ORBIT)
+    assert held == (orbit == GUIDANCE["following"])
 
 
 @pytest.fixture(scope="module")
@@ -65,7 +65,7 @@ def taught(run: session.Run) -> session.Run:
 
 def test_the_copy_does_what_the_guidance_would_in_states_of_its_own(run: session.Run) -> None:
     env, c = run.env, run.config.inspection
-    guidance = natural_motion(c, c.action_period, jump_start.ORBIT)
+    guidance = natural_motion(c, c.action_period, GUIDANCE[run.config.train.teacher])
     chance = run.experiment.policy(run.experiment.generators([1]))
     errors = {"taught": 0.0, "chance": 0.0}
     for _ in range(16):
@@ -120,6 +120,34 @@ def test_who_begins_as_another_agent_is_not_taught(run: session.Run, tmp_path: P
     other = session.start(config(), tmp_path / "run", run.directory / "policy.pt")
     assert other.interactions == other.config.train.jump_start == 0
     assert "jump_start = 0 " in (tmp_path / "run" / "config.toml").read_text()
+
+
+def test_the_guidance_that_is_named_teaches(run: session.Run) -> None:
+    """What it wants depends on the state and on the score, which both change on the way."""
+    env, policy = run.env, run.policy
+    taught = jump_start.Taught(env, policy, GUIDANCE["quick"])
+    quick, other = (
+        natural_motion(env.c, env.c.action_period, GUIDANCE[name], env.sight.score)
+        for name in ("quick", "thrifty")
+    )
+    for _ in range(16):
+        wanted, others = (
+            policy.unshaped((each(0.0, env.x) / env.limit).T.float()) for each in (quick, other)
+        )
+        taught.step(torch.zeros_like(wanted))
+        assert torch.equal(taught.lessons[-1], wanted) and not torch.equal(wanted, others)
+
+
+def test_a_run_hands_its_teacher_on(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    seen: list[Orbit] = []
+    monkeypatch.setattr("study.training.run.jump_start", lambda env, orbit, *others: seen.append(orbit))
+    taught(session.start(config(jump_start=8192, teacher="thrifty"), tmp_path / "run"))
+    assert seen == [GUIDANCE["thrifty"]]
+
+
+def test_a_teacher_that_there_is_not_is_refused_with_the_names_of_those_there_are() -> None:
+    with pytest.raises(ValueError, match=r"teacher = 'quik': must be natural-motion, .*thrifty, .* or quick"):
+        config(teacher="quik")
 
 
 def test_a_jump_start_is_refused_where_nothing_is_to_be_learned_from_it() -> None:
