@@ -51,6 +51,15 @@ def test_agents_are_faster_than_the_guidance_and_need_less_fuel_than_the_fast_gu
     assert middle(agents, "delta_v_m_s") < middle(fastest, "delta_v_m_s")
 
 
+def test_the_guidance_that_leads_the_sun_needs_less_of_both_than_the_agents() -> None:
+    leading, names = read("guidance/guidance.json")["guidance"], ("episode_length_s", "delta_v_m_s")
+    for agents in arms().values():
+        assert any(
+            all(middle(ways["with"], name) < middle(agents, name) for name in names)
+            for ways in leading.values()
+        )
+
+
 def test_the_papers_learner_pays_for_the_filter_in_reward_and_not_in_torque() -> None:
     without, behind = (arms("paper")[arm] for arm in ("no_rta", "rta"))
     assert all(middle(behind, name) < middle(without, name) for name in ("reward", "torque_n_m"))

@@ -125,6 +125,15 @@ def guidance_flown() -> Iterator[Row]:
 
 def sentences() -> Iterator[tuple[str, str]]:
     """Pages and the sentences that they have."""
+    ways = read("guidance/guidance.json")["guidance"]
+    thrifty, even, quick = (
+        f"{middle(ways[name]['with'], 'delta_v_m_s'):.1f} m/s in "
+        f"{round(middle(ways[name]['with'], 'episode_length_s'), -2):,.0f} s"
+        for name in ("thrifty", "even", "quick")
+    )
+    yield README, f"its settings run from {thrifty} over {even} to {quick}"
+    yield RESULTS, f"on 1,000 other cases it spends {even}"
+
     without, behind = (f"{succeeded(evaluations('paper', arm, 311_296)):.0f}" for arm in ARMS)
     yield README, f"succeeds in {behind} % after 0.31 million decisions with RTA, in {without} % without"
     said = f"{behind} % succeed after 0.31 million interactions with RTA, where {without} % do without"
