@@ -21,16 +21,13 @@ ABOVE = (
     6  # power of the sine of the elevation at which the phase, which nothing has at the pole, stops to count
 )
 HELD = 0.3  # of a law's frequency and the time for which its control is held
-TILT = math.radians(
-    18
-)  # of the camera off the chief, which stays in view from 50 m on: 30 deg less asin(10 / 50)
+# of the camera off the chief, which stays in view from 50 m on: 30 deg less asin(10 / 50)
+TILT = math.radians(18)
 RATE_SHARE = 0.9  # of the limit of body rates, asked for at most
 LOW = 3.0, 1.0  # energies of half a turn above the battery's limit between which it comes to be low
 GLARE = math.radians(30), math.radians(10)  # of the camera's angle above its limit from the Sun, the same
-DUSK = (
-    math.radians(90),
-    math.radians(110),
-)  # off the Sun: from where on less and less, then nothing, is worth a look
+# off the Sun: from where on less and less, then nothing, is worth a look
+DUSK = math.radians(90), math.radians(110)
 
 # A tour of every boundary in 2,000 s: from when (s) the LQR's set point is where (m, Hill's frame). Axis velocities
 # reach their limit only beyond 623 m, where the dynamic speed limit is higher; hence the chords.

@@ -134,8 +134,7 @@ class SafetyFilter:
 
         A measurement is off by what the filter is told, and what it is taken for by as much again.
         """
-        further = x.new_tensor(self.known.radii)[:, None].expand(-1, x.shape[1])
-        thrust, torque = self.rows(x, error_bound=further)
+        thrust, torque = self.rows(x, error_bound=self._measured_again(x))
         certain = (thrust.psi >= 0.0).all(0) & (torque.psi >= 0.0).all(0)
         return narrowed(certain, x, self._has_control)
 
@@ -144,9 +143,12 @@ class SafetyFilter:
         nothing = torch.zeros_like(x[:CONTROL_SIZE])
         if not any(self.known.radii):
             return self.correct(x, nothing).status < Status.SLACK
-        demand = demanded(nothing, self.groups)
-        further = x.new_tensor(self.known.radii)[:, None].expand(-1, x.shape[1])
+        demand, further = demanded(nothing, self.groups), self._measured_again(x)
         return self.condition.propose(x, demand, self.solver, None, None, further).status < Status.SLACK
+
+    def _measured_again(self, x: Tensor) -> Tensor:
+        """(4, B) by how far measurements of true states (16, B) are off, see `Condition.propose`."""
+        return x.new_tensor(self.known.radii)[:, None].expand(-1, x.shape[1])
 
     def can_brake(self, x: Tensor) -> Tensor:
         """(B,) bool: in any attitude thrust can keep the zone, see `keep_in_zone`."""

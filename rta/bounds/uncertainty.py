@@ -79,11 +79,16 @@ class Uncertainty(Settings):
         return self == Uncertainty()
 
     @property
-    def radii(self) -> tuple[float, float, float, float]:
-        """m, m/s, rad and rad/s, of the balls around the errors of position, velocity, attitude and rates."""
-        each = self.position, self.velocity, math.radians(self.attitude), math.radians(self.rate)
-        position, velocity, attitude, rate = (math.sqrt(3.0) * value for value in each)
-        return position, velocity, attitude, rate
+    def measured(self) -> tuple[float, ...]:
+        """m, m/s, rad and rad/s, of each axis of position, velocity, attitude and rates at most."""
+        return self.position, self.velocity, math.radians(self.attitude), math.radians(self.rate)
+
+    @property
+    def radii(self) -> tuple[float, ...]:
+        """m, m/s, rad and rad/s, of the balls around these."""
+        root = math.sqrt(3.0)
+        angles = (math.radians(root * angle) for angle in (self.attitude, self.rate))
+        return root * self.position, root * self.velocity, *angles
 
     def errors(self, further_position: Tensor, further_velocity: Tensor) -> Errors:
         """Of a state that was measured, and predicted to within so many m and m/s (...) of what it should be."""

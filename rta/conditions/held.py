@@ -11,7 +11,8 @@ from inspection.model.state import THRUST, TORQUE
 from rta.bounds.health import slewing
 from rta.bounds.uncertainty import Uncertainty
 from rta.conditions.condition import Demand, Part, differ
-from rta.conditions.held_rows import KINDS, HeldGroup, predicted
+from rta.conditions.held_rows import KINDS, HeldGroup
+from rta.conditions.prediction import predicted
 from rta.conditions.tangents import Prepared, Settling, scaled, shortfall, with_shortfall
 from rta.constraints.constraint import ACTUATORS, Constraint, joined
 from rta.parameters import RtaParameters

@@ -29,7 +29,6 @@ is of second order in the hold, and are held in flights.
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from functools import partial
 from itertools import pairwise
 from typing import NamedTuple
@@ -44,6 +43,7 @@ from inspection.model.state import CONTROL_SIZE, OMEGA, SIZE, THRUST, TORQUE, P,
 from rta.bounds.errors import Errors, after
 from rta.bounds.uncertainty import Uncertainty
 from rta.conditions.maps import Maps
+from rta.conditions.prediction import unsaturated
 from rta.conditions.rows import ActuatorGroup, Rows
 from rta.constraints.constraint import Constraint
 from rta.lie_derivatives import Function, directional
@@ -85,8 +85,7 @@ class HeldGroup(ActuatorGroup):
             math.sqrt(3.0) * c.max_rate * (end - start) ** 2 / (8.0 * end)
             for start, end in pairwise((0.0, *self.moments))
         ]
-        bounds = (known.position, known.velocity, math.radians(known.attitude), math.radians(known.rate))
-        self.measured = bounds
+        self.measured = known.measured
         self.tightenings = any(self.measured) or known.latency > 0
 
     def near(self, x: Tensor, control: Tensor) -> Tensor:
@@ -383,48 +382,3 @@ class Flown(NamedTuple):
     by_x: Tensor
     by_u: Tensor
     by_impulse: Tensor
-
-
-def unsaturated(c: Limits) -> Limits:
-    """The model without the saturation of rates."""
-    return replace(c, saturate_rates=False)
-
-
-def predicted(
-    x: Tensor, error_bound: Tensor, u: Tensor, c: Limits, r: RtaParameters, known: Uncertainty
-) -> tuple[Tensor, Tensor]:
-    """The states a period after others, and how much further they may be off than when they were measured.
-
-    An acceleration that is off by A for T changes a velocity by A T and a position by A T^2 / 2 more than it was off.
-    Thrust is off by its size's error, by each thruster's misalignment, and by how far the body is turned otherwise.
-
-    Args:
-        x: (16, B); error_bound: (4, B) how much further they may be off already, see `HeldGroup.conditions_at`.
-        u: (6, B) the controls held since, NaN where a state is younger; it is left as it is.
-
-    Returns:
-        States (16, B) and (4, B).
-    """
-    model, t = unsaturated(c), r.period
-    aside, attitude = (
-        math.sin(math.radians(known.thrust_misalignment)),
-        math.radians(math.sqrt(3.0) * known.attitude),
-    )
-    error, most, twist = known.thrust_error, known.thrust[1], known.torque_error
-    velocity, rate = math.sqrt(3.0) * known.velocity, math.radians(math.sqrt(3.0) * known.rate)
-    old = ~u.isnan().any(0)
-    u = u.nan_to_num()
-    p, v, q, omega = error_bound
-    twisted = twist * norm(u[TORQUE]) / min(c.inertia) + known.angular_acceleration(c)
-    angle = attitude + q + (rate + omega) * t / 2 + twisted * t**2 / 6
-    off = (error + most * angle) * norm(u[THRUST]) + most * aside * u[THRUST].abs().sum(0)
-    push = off / c.mass + known.acceleration
-    grown = torch.stack(
-        (
-            p + (velocity + v) * t + push * t**2 / 2,
-            v + push * t,
-            q + (rate + omega) * t + twisted * t**2 / 2,
-            omega + twisted * t,
-        )
-    )
-    return torch.where(old, step(x, u, t, model), x), torch.where(old, grown, error_bound)

@@ -7,26 +7,23 @@ h is the transformed, final form.
 
 import math
 from functools import partial
-from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
-from inspection.chief.hull import Planes, planes_of, widened
+from inspection.chief.hull import planes_of, widened
 from inspection.model.attitude import dot, norm
-from inspection.model.orbit import coast, pulled_back
 from inspection.model.parameters import Limits
 from inspection.model.state import P, V
 from rta.bounds.errors import TINY, Errors
 from rta.bounds.uncertainty import NOTHING, Uncertainty
 from rta.constraints.constraint import Barrier, Constraint
+from rta.constraints.passes import clearance_at, closest_passes
 from rta.parameters import RtaParameters
 
-PASSES = 13  # grid points per segment of the free flight: at most 12 s apart in the default segments
 LEAST_BRAKING = (
     0.1  # share of a_max that is left for braking across; `rta.constraints.vehicle` refuses who would need it
 )
-GRID, HALVINGS = 5, 10  # beside a hull: points per segment, and by how much they are refined, to 0.1 s
 SEGMENTS = 5  # of the free flight where its infimum is reported
 
 
@@ -223,118 +220,6 @@ def keep_in_zone(c: Limits, r: RtaParameters, known: Uncertainty = NOTHING) -> C
     )
 
 
-class Passes(NamedTuple):
-    """Where the free flight is nearest to the chief within each time segment.
-
-    Attributes:
-        times: (segments, ...) s; planes: beside a hull one of each segment, (3, segments, ...); None: beside a sphere.
-    """
-
-    times: Tensor
-    planes: Planes | None = None
-
-
-def closest_passes(x: Tensor, segments: tuple[float, ...], c: Limits, off: Errors | None = None) -> Passes:
-    """Of states (16, ...), or of the least that their distances may be; beside a hull of the states."""
-    return passes_of_hull(x, segments, c) if c.planes else Passes(closest_times(x, segments, c, off))
-
-
-def closest_times(x: Tensor, segments: tuple[float, ...], c: Limits, off: Errors | None = None) -> Tensor:
-    """When the free flight is nearest to the chief's centre within each segment: (16, ...) to (segments, ...) s.
-
-    The best of a grid, refined by the parabola of |p(t)|^2 through it and its neighbours (exact for a
-    straight path, which the path is over two grid steps to a few centimetres). With errors e(t) it is |p(t)| - e(t)
-    that is to be least, and the parabola is of |p(t)|^2 - 2 |p| e(t), |p| that of the best: its derivative is 2 |p|
-    times that of |p(t)| - e(t) there.
-    """
-    edges = x.new_tensor(segments)
-    start, spacing = edges[:-1], edges.diff() / (PASSES - 1)
-    shape = (-1, *(1,) * (x.dim() - 1))
-    grid = start[:, None] + spacing[:, None] * torch.arange(PASSES, dtype=x.dtype, device=x.device)
-    times = grid.reshape(*grid.shape, *shape[1:])
-    path = coast(x, times, c)
-    squared = dot(path, path)  # (segments, PASSES, ...)
-    least = squared
-    if off:
-        distance = squared.sqrt()
-        error = strayed(x, path / distance, times, c, off)
-        least = distance - error
-        squared = squared - 2.0 * distance.gather(1, least.argmin(1, keepdim=True)) * error
-    best = least.argmin(1, keepdim=True)
-    centre = best.clamp(1, PASSES - 2)
-    before, middle, after = (squared.gather(1, centre + i)[:, 0] for i in (-1, 0, 1))
-    bend = before - 2 * middle + after
-    offset = torch.where(bend > 0, 0.5 * (before - after) / bend, (best - centre)[:, 0].to(x.dtype))
-    return start.reshape(shape) + spacing.reshape(shape) * (centre[:, 0] + offset.clamp(-1.0, 1.0))
-
-
-def strayed(x: Tensor, n: Tensor, t: Tensor, c: Limits, off: Errors) -> Tensor:
-    """m, by how much n . p(t) of the free flight may be less, of unit directions n (3, *t) at times t (k, ...) in s.
-
-    On a circle, of the errors' sets mapped by Clohessy and Wiltshire's solution. On an ellipse a ball: the gradient of
-    gravity is at most k^2 = 2 mu / r^3 at perigee, and an error e in the frame of the stars grows to at most
-    |e| cosh(k t) + |de/dt| sinh(k t) / k.
-    """
-    if c.orbit == "clohessy-wiltshire":
-        by_position, by_velocity = pulled_back(n, t, c.mean_motion)
-        return off.position.support(by_position) + off.velocity.support(by_velocity)
-    perigee = c.semi_major_axis * (1.0 - c.eccentricity)
-    k = math.sqrt(2.0 * c.gravitational_parameter / perigee**3)
-    position = off.position.radius
-    speed = off.velocity.radius + c.fastest_orbit_rate * position
-    return position * (k * t).cosh() + speed * (k * t).sinh() / k
-
-
-def passes_of_hull(x: Tensor, segments: tuple[float, ...], c: Limits) -> Passes:
-    """Of states (16, ...) beside a hull: where the highest of the heights above all planes is lowest.
-
-    That is convex in time along a straight path. The least of a grid, then halving by the slope of the plane that is
-    the highest, i that falls before and j that rises after. Where they meet, the plane between them that does not rise
-    along the path, l n_i + (1 - l) n_j, bounds all of a straight path, as the plane that touches both would.
-    """
-    edges, every = x.new_tensor(segments), planes_of(c, x)
-    shape = (-1, *(1,) * (x.dim() - 1))
-    start, spacing = (each.reshape(shape) for each in (edges[:-1], edges.diff() / (GRID - 1)))
-
-    def highest(t: Tensor) -> tuple[Tensor, Tensor]:
-        """Height at times (segments, ...) above the highest plane, and which that is."""
-        return every.above(coast(x, t, c)[:, None]).max(0)
-
-    def rise(t: Tensor, planes: Planes) -> Tensor:
-        """m, of each segment's plane within a tenth of a second."""
-        return planes.along(coast(x, t + 0.1, c) - coast(x, t, c))
-
-    grid = torch.stack([highest((start + i * spacing).expand(-1, *x.shape[1:]))[0] for i in range(GRID)])
-    best = grid.argmin(0)
-    low, high = (start + spacing * (best + i).clamp(0, GRID - 1) for i in (-1, 1))
-    for _ in range(HALVINGS):
-        middle = (low + high) / 2
-        rises = rise(middle, every.those(highest(middle)[1])) > 0.0
-        low, high = torch.where(rises, low, middle), torch.where(rises, middle, high)
-    before, after = (every.those(highest(t)[1]) for t in (low, high))
-    falls, rises = -rise(low, before), rise(high, after)
-    share = torch.where(falls + rises > 0.0, rises / (falls + rises), 0.5)  # of the plane before
-    share = torch.where(falls <= 0.0, 1.0, torch.where(rises <= 0.0, 0.0, share))
-    between = Planes(*(share * one + (1.0 - share) * other for one, other in zip(before, after, strict=True)))
-    return Passes(share * low + (1.0 - share) * high, between)
-
-
-def clearance_at(x: Tensor, passes: Passes, c: Limits, off: Errors | None = None) -> Tensor:
-    """|p(t)| - r_d - r_c, or n . p(t) - b - r_d, in m after coasting to each of k passes: (16, ...) to (k, ...).
-
-    With `closest_passes` its gradient is that of the infimum (envelope theorem). With errors it is the least that it
-    may be.
-    """
-    times, planes = passes
-    directions = (1,) * (x.dim() - times.dim())  # that x has before the batch
-    t = times.reshape(len(times), *directions, *times.shape[1:])
-    p = coast(x, t, c)
-    clearance = planes.above(p) if planes else norm(p) - c.collision_radius
-    if not off:
-        return clearance
-    return clearance - strayed(x, widened(planes.normals, p.dim(), 2) if planes else p / norm(p), t, c, off)
-
-
 def passive_safety(c: Limits, r: RtaParameters, known: Uncertainty = NOTHING) -> Constraint:
     """inf |p(t)| - r_d - r_c in m over the free flight of the next T_f; a row per time segment of it.
 
@@ -387,17 +272,19 @@ def velocity(axis: int, c: Limits, r: RtaParameters, known: Uncertainty = NOTHIN
     zone needs all thrust then costs margin, not the limit. Without, one in 400,000 random calls at 5 s broke it.
     """
 
+    def h(x: Tensor) -> Tensor:
+        return c.max_speed**2 - x[V.start + axis] ** 2
+
     def least(x: Tensor, off: Errors | None = None) -> Tensor:
-        speed = x[V.start + axis]
         if not off:
-            return (c.max_speed**2 - speed**2)[None]
-        fastest = speed.abs() + off.velocity.box + off.velocity.ball
+            return h(x)[None]
+        fastest = x[V.start + axis].abs() + off.velocity.box + off.velocity.ball
         return (c.max_speed**2 - fastest**2 - off.impulse**2)[None]
 
     kept = 2 * c.max_speed * c.max_thrust / c.mass * known.hold(r) if known.holds(r) else 0.0
     return Entry(
         f"velocity_{'xyz'[axis]}",
-        lambda x: c.max_speed**2 - x[V.start + axis] ** 2,
+        h,
         gains=(r.velocity_gain,),
         margin=min(kept, c.max_speed**2 / 2),
         weight=r.slack_weight_motion,

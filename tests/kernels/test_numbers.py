@@ -1,6 +1,6 @@
 """Filter and simulator compiled give PyTorch's numbers to rounding, at states of every kind, in vectors of any width.
 
-What amplifies rounding most is the time of the closest pass (`rta.constraints.thrust.closest_times`), a difference of
+What amplifies rounding most is the time of the closest pass (`rta.constraints.passes.closest_times`), a difference of
 nearly equal |p|^2 by one that nearly cancels: of 600,000 flights both codes were off by up to 3e-10 of a row's size,
 measured against 80-bit numbers, but as they compute the same in the same order, by the same. They part where a root or
 an arccos begins, h at the zone's edge or towards the Sun: the root of a rounding error of 1e-16 is 1e-8.

@@ -15,7 +15,8 @@ from inspection.model.orbit import coast
 from inspection.model.state import THRUST
 from rta import RtaParameters, Uncertainty
 from rta.bounds.errors import Errors, Set, after
-from rta.constraints.thrust import strayed, thrust_constraints
+from rta.constraints.passes import strayed
+from rta.constraints.thrust import thrust_constraints
 from tests.inspection.chief.test_hull import MESHES, hull_of
 
 C, R = InspectionParameters(), RtaParameters()

@@ -21,7 +21,8 @@ from inspection.model.state import OMEGA, THRUST, TORQUE, P, Q, V
 from inspection.world.parameters import PlantParameters
 from inspection.world.plant import Plant
 from rta.bounds.uncertainty import Uncertainty
-from rta.conditions.held_rows import KINDS, HeldGroup, predicted
+from rta.conditions.held_rows import KINDS, HeldGroup
+from rta.conditions.prediction import predicted
 from rta.conditions.rows import Rows
 from rta.constraints.thrust import chord, thrust_constraints
 from rta.constraints.torque import torque_constraints
