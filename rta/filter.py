@@ -156,15 +156,14 @@ class SafetyFilter:
         off = self.known.errors(none, none)
         return (zone.barrier_at(x, off=off)(x, off) >= 0.0).all(0)
 
-    def has_way(self, x: Tensor) -> Tensor:
-        """(B,) bool: states (16, B) have a verified way to rest; without a backup, `is_in_safe_set`."""
-        if self.backup is None:
-            return self.is_in_safe_set(x)
-        return narrowed((self.values(x) >= 0.0).all(0), x, self.backup.has_way)
-
     def is_safe(self, x: Tensor) -> Tensor:
-        """(B,) bool: the filter can keep every constraint from here on."""
-        return self.is_in_safe_set(x) & self.can_brake(x)
+        """(B,) bool: the filter can keep every constraint from here on.
+
+        Every h is non-negative and a way to rest is verified. Without a backup every row says so, and thrust can brake.
+        """
+        if self.backup is None:
+            return self.is_in_safe_set(x) & self.can_brake(x)
+        return narrowed((self.values(x) >= 0.0).all(0), x, self.backup.has_way)
 
     def compile(self, device: torch.device | str, batch: int) -> None:
         """Compiles the filter for tensors on this device and calls of about so many spacecraft.

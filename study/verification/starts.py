@@ -48,7 +48,7 @@ def states_of(s: Tensor, c: Limits) -> tuple[Tensor, Tensor]:
 
 
 def safe_set(count: int, seed: int, safety_filter: SafetyFilter) -> tuple[Tensor, Tensor, int]:
-    """Initial states from the whole safe set: those from which a way to rest is verified (`SafetyFilter.has_way`).
+    """Initial states from the whole safe set: those from which a way to rest is verified (`SafetyFilter.is_safe`).
 
     A Latin hypercube over distance up to INSIDE of the zone, speed up to the limit there, all directions and attitudes,
     body rates, temperature and energy down to their limits and the Sun's angle. Of a filter that knows no way, every h
@@ -68,7 +68,7 @@ def safe_set(count: int, seed: int, safety_filter: SafetyFilter) -> tuple[Tensor
     kept, rejected = torch.zeros(SIZE + 3, 0, dtype=torch.float64), 0
     for _ in range(HYPERCUBES):
         x, priority = states_of(torch.from_numpy(sampler.random(4 * count).T.copy()), c)
-        safe = safety_filter.has_way(x)
+        safe = safety_filter.is_safe(x)
         missing = count - kept.shape[1]
         taken = torch.nonzero(safe).flatten()[:missing]
         seen = int(taken[-1]) + 1 if taken.numel() == missing else safe.numel()

@@ -118,7 +118,10 @@ def left_hand_sides(conditions: tuple[Rows, Rows], u: Tensor) -> Tensor:
 
 
 def test_safe_control_is_returned_untouched(conditions: tuple[Rows, Rows], solution: FilterResult) -> None:
-    safe = (left_hand_sides(conditions, U) > 1e-9).all(0)
+    weakened = torch.cat([rows.waived > 0.0 for rows in conditions]).any(
+        0
+    )  # which is slack, however little is asked
+    safe = (left_hand_sides(conditions, U) > 1e-9).all(0) & ~weakened
     assert safe.sum() > 20
     assert (solution.control[:, safe] == U[:, safe]).all()
     assert (solution.status[safe] == Status.UNTOUCHED).all()
@@ -401,15 +404,14 @@ def test_nan_state_is_unsolved_and_leaves_its_neighbours_alone(
         assert (getattr(faulty, field.name)[..., others] == getattr(result, field.name)[..., others]).all()
 
 
-def test_start_is_safe_exactly_where_every_h_and_psi_is() -> None:
+def test_a_state_is_in_the_safe_set_exactly_where_every_h_and_psi_is() -> None:
     x = near_the_limits(5000, seed=1)
     spent = [[R.exclusion_margin], [R.temperature_margin], [R.battery_margin]]
-    every = paper(x), keep_in_curve(x)[None], first_psi(x, C) - K1[:, None] * np.array(spent)
-    lowest = np.concatenate(every).min(0)
+    lowest = np.concatenate((paper(x), first_psi(x, C) - K1[:, None] * np.array(spent))).min(0)
     clear = (np.abs(cosines(x)) < math.cos(R.pole_angle)).all(0) & (np.abs(lowest) > 1e-4)
-    is_safe = SafetyFilter(C, RtaParameters(incidence_rounding=0.0)).is_safe(tensor(x)).numpy()
-    assert 0.1 < is_safe.mean() < 0.9
-    assert (is_safe[clear] == (lowest[clear] >= 0)).all()
+    inside = SafetyFilter(C, RtaParameters(incidence_rounding=0.0)).is_in_safe_set(tensor(x)).numpy()
+    assert 0.1 < inside.mean() < 0.9
+    assert (inside[clear] == (lowest[clear] >= 0)).all()
 
 
 @pytest.mark.parametrize("period", PERIODS)
@@ -417,11 +419,12 @@ def test_start_can_brake_where_thrust_can_keep_the_zone(period: float) -> None:
     count = 5000 if period == 1.0 else 250  # a held control is searched for at each
     x, safety = near_the_limits(count, seed=3), SafetyFilter(C, RtaParameters(period=period))
     curve = keep_in_curve(x, chord(C, safety.parameters))
-    can_brake, is_safe = safety.can_brake(tensor(x)), safety.is_safe(tensor(x))
+    can_brake = safety.can_brake(tensor(x))
     assert 0.5 < can_brake.double().mean() < 1.0
     assert (can_brake.numpy() == (curve >= 0)).all()
+    safety.backup = None
     inside = safety.is_in_safe_set(tensor(x))
-    assert (is_safe == (inside & can_brake)).all()
+    assert (safety.is_safe(tensor(x)) == (inside & can_brake)).all()
     # where rows are of a held control, no barrier of the safe set is negative, the zone's neither
     assert (inside & ~can_brake).any() == (period == 1.0)
 
@@ -490,7 +493,7 @@ def test_own_constraints_come_after_the_papers(programs: SafetyFilter, solution:
     h = torch.stack((own.sphere(X), tensor(own.numpy_cone(X.numpy()))))
     torch.testing.assert_close(answer.h, torch.cat((result.h, h)))
     torch.testing.assert_close(safety.values(X), torch.cat((papers.values(X), h)))
-    assert (safety.is_safe(X) <= (papers.is_safe(X) & (h >= 0).all(0))).all()
+    assert (safety.is_in_safe_set(X) <= (papers.is_in_safe_set(X) & (h >= 0).all(0))).all()
     torque, hard = safety.rows(X)[1], answer.status <= Status.HARD
     reached = (torque.a[-1] * answer.control[TORQUE]).sum(0)
     sides = torch.stack((reached + torque.b[-1], reached + torque.b_bare[-1]))

@@ -49,7 +49,7 @@ def demands(count: int, seed: int) -> Tensor:
 def starts(safety: SafetyFilter, count: int, seed: int) -> Tensor:
     """(16, count) from which a way to rest is verified."""
     x = hypercube(3 * count, seed, C)
-    return x[:, safety.has_way(x)][:, :count]
+    return x[:, safety.is_safe(x)][:, :count]
 
 
 @HOLDS
@@ -65,7 +65,8 @@ def test_no_limit_breaks_whatever_is_asked(filters: dict[float, SafetyFilter], h
         desired = asked.clone()
         desired[:, ::2] = adversary(call * hold, x)[:, ::2]
         result = safety.correct(x, desired)
-        assert result.verified.all(), (call, x[:, ~result.verified][:, 0].tolist())
+        # what is not verified anew is the way that an earlier call verified
+        assert (result.verified | result.backup).all(), (call, x[:, ~result.verified][:, 0].tolist())
         for i in range(round(hold / LOOK)):
             x = step(x, result.control, LOOK, C)
             y, free = x.numpy(), 10.0 if i == 0 and call % 8 == 0 else None

@@ -338,8 +338,10 @@ def test_safe_is_where_h_and_psi_are_not_negative() -> None:
     assert 0.5 < safe.mean() < 1.0
     assert (fulfilled != holds).any()
     assert (safe == (fulfilled & holds)).all()
-    papers = SafetyFilter(UNEQUAL, R).is_safe(STATES).numpy()
-    assert (SafetyFilter(UNEQUAL, R, extra=[constraint]).is_safe(STATES).numpy() == (papers & safe)).all()
+    papers = SafetyFilter(UNEQUAL, R).is_in_safe_set(STATES).numpy()
+    assert (
+        SafetyFilter(UNEQUAL, R, extra=[constraint]).is_in_safe_set(STATES).numpy() == (papers & safe)
+    ).all()
 
 
 def test_weight_is_the_filters_own_unless_given() -> None:
