@@ -47,7 +47,8 @@ class RtaParameters(Settings):
     exclusion_gains: tuple[float, float] = setting(
         (0.15, 0.2),
         "1/s, k1 and k2, attitude exclusion",
-        note="HOCBF, Psi_1 = dh/dt + k1 h and dPsi_1/dt + k2 Psi_1 >= 0, 1/s",
+        note="HOCBF, Psi_1 = dh/dt + k1 h and dPsi_1/dt + k2 Psi_1 >= 0, 1/s. Along Psi_1 = 0 the turn slows by k1 "
+        "|dh/dt|: at sqrt(2) times 2 deg/s by 0.0074 rad/s^2, less than half of the 0.0175 that torque gives.",
     )
     temperature_gains: tuple[float, float] = setting(
         (0.0015, 0.2), "1/s, k1: act while a 90 deg turn still helps; k2"
