@@ -42,6 +42,7 @@ SETTINGS = 256  # of the guidance, from which searches begin
 KEPT = 5  # of a case
 AT_ONCE = 320  # flights whose fuel is computed together
 SEED = 37  # of the settings
+HIGHEST = 0.8  # m/s, of a bound; above it `bound.TOLERANCE` would have to grow
 
 
 def environment(flights: int, every: float) -> InspectionEnv:
@@ -179,7 +180,7 @@ def bounds(
         for time, flights in zip(TIMES, best, strict=True):
             if (time, case) not in known:
                 most = flights["length_m_s"][case] or math.inf
-                proven = climbed(task, time, proven, seconds, min(most, 2.0))
+                proven = climbed(task, time, proven, seconds, min(most, HIGHEST))
                 known[time, case] = {"allowed_s": time, "case": case, "bound_m_s": proven}
                 append(path, known[time, case])
                 print(f"{time:,.0f} s, case {case}: at least {proven:.3f} m/s", flush=True)

@@ -144,7 +144,7 @@ def how_far() -> Iterator[Row]:
             mean(flights["delta_v_m_s"]),
             mean(length),
             f"{mean([length[i] for i in both])} ({len(both)})",
-            mean([bound[i] for i in both]),
+            mean([bound[i] for i in both], 3),
         )
 
 
