@@ -123,6 +123,31 @@ def guidance_flown() -> Iterator[Row]:
             )
 
 
+def how_far() -> Iterator[Row]:
+    """The guidance, the best flights found and the bound, in the first common cases."""
+    found = read("optimum/optimum.json")
+
+    def mean(values: list[float | None], digits: int = 2) -> str:
+        return f"{np.mean([value for value in values if value is not None]):,.{digits}f}"
+
+    for name, way in found["guidance"].items():
+        cells = mean(way["time_s"], 0), mean(way["delta_v_m_s"])
+        yield f"guidance, {name}", "", f"{way['clean']} of {found['cases']}", *cells, "", "", ""
+    for flights in found["times"]:
+        bound, length = flights["bound_m_s"], flights["length_m_s"]
+        both = [i for i in range(len(bound)) if length[i] is not None]
+        yield (
+            "best found",
+            f"{flights['allowed_s']:,.0f}",
+            f"{sum(each is not None for each in length)} of {found['cases']}",
+            mean(flights["time_s"], 0),
+            mean(flights["delta_v_m_s"]),
+            mean(length),
+            f"{mean([length[i] for i in both])} ({len(both)})",
+            mean([bound[i] for i in both], 3),
+        )
+
+
 def sentences() -> Iterator[tuple[str, str]]:
     """Pages and the sentences that they have."""
     ways = read("guidance/guidance.json")["guidance"]
