@@ -192,7 +192,7 @@ def main(argv: list[str] | None = None) -> None:
     parser = Parser(prog="python -m study.optimum")
     parser.add_argument("--out", type=Path, required=True, help="directory for optimum.json and optimum.png")
     parser.add_argument("--cases", type=positive_integer, default=20, help="that are flown (default: 20)")
-    parser.add_argument("--bounded", type=positive_integer, default=10, help="of them (default: 10)")
+    parser.add_argument("--bounded", type=positive_integer, default=8, help="of them (default: 8)")
     parser.add_argument("--steps", type=positive_integer, default=STEPS, help=f"of Adam (default: {STEPS})")
     parser.add_argument("--rung", type=float, default=30.0, help="s of a proof at most (default: 30)")
     parser.add_argument("--draw", action="store_true", help="only draw optimum.json anew")
