@@ -9,8 +9,8 @@ How a state is drawn:
    holds where it can.
 3. One component is moved towards an end beyond the limit, and bisected until the gap is left: distance, speed, attitude
    and so on, drawn from those in WAYS. Of two limits the first is approached again where the second led away from it.
-4. A state counts if every h, and every barrier that is enforced, is still non-negative, and those that were to be small
-   are at most the largest gap; within margins, if no margin is touched. So limits that are rarely met together have few
+4. A state counts if an episode may start there (`SafetyFilter.is_safe`), every barrier that is enforced is still
+   non-negative, and those that were to be small are at most the largest gap; within margins, if no margin is touched. So limits that are rarely met together have few
    states, and those that cannot be none.
 """
 
@@ -236,7 +236,7 @@ def near_limits(
         away = barriers_at(both.state).gather(0, both.targets[:1])[0] > GAP[1] * scale[both.targets[0]]
         near = together([near[~pair], both[~away], approach(both[away], 0, generator, barriers_at, c)])
         values = barriers_at(near.state)
-        counts = safe(values, near.within) & (safety_filter.values(near.state) >= 0.0).all(0)
+        counts = safe(values, near.within) & safety_filter.is_safe(near.state)
         counts &= (values.gather(0, near.targets) <= GAP[1] * scale[near.targets]).all(0)
         found.append(near[torch.nonzero(counts).flatten()])
         found[-1] = found[-1][found[-1].column.argsort()]

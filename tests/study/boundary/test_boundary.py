@@ -94,7 +94,7 @@ def test_nothing_is_violated_in_the_model(nominal: Experiment) -> None:
 
 
 def test_a_heavier_plant_is_reported_with_what_shows_it(nominal: Experiment) -> None:
-    heavy = experiment_in({"mass_factor": 1.3})
+    heavy = experiment_in({"mass_factor": 2.0})
     heavy.filter, heavy.safety = nominal.filter, nominal.safety
     report = report_of(heavy)
     violated = [name for name in CONSTRAINTS if report["violating_draws"][name]]
