@@ -353,9 +353,8 @@ def main(argv: list[str] | None = None) -> int:
     """Parses and dispatches; returns the exit code."""
     out, err = (sys.stdout, sys.stderr) if is_first() else (None, None)  # one of many ranks speaks for all
     with redirect_stdout(out), redirect_stderr(err):
-        arguments = build_parser(HANDLERS, __doc__).parse_args(
-            join_axis(sys.argv[1:] if argv is None else argv)
-        )
+        words = join_axis(sys.argv[1:] if argv is None else argv)
+        arguments = build_parser(HANDLERS, __doc__).parse_args(words or ["--help"])
     try:
         with redirect_stdout(out):
             if ranks().size > 1 and arguments.command not in ("train", "study"):

@@ -116,13 +116,6 @@ __all__ = ["run"]  # a fixture
         (["export", "--checkpoint", "x.pt"], ["--out", "--c"]),
         (["export", "--checkpoint", "nowhere.pt", "--out", "x.onnx"], ["nowhere.pt", "no such checkpoint"]),
         (["export", "--checkpoint", "x.pt", "--out", "nowhere/x.onnx"], ["--out", "cannot write"]),
-        (
-            [],
-            [
-                "train | study | report | evaluate | simulate | replay | filter | verify | boundary | break-points | "
-                "refly | benchmark | export"
-            ],
-        ),
     ],
 )
 def test_bad_flags_are_refused(
