@@ -21,6 +21,8 @@ __all__ = ["run"]  # a fixture
         (["train", "--num-envs", "0"], ["--num-envs", "'0'", "positive integer"]),
         (["train", "--interactions", "-5"], ["--interactions", "'-5'", "positive integer"]),
         (["train", "--interactions", "many"], ["--interactions", "'many'", "positive integer"]),
+        (["train", "--threads", "100000"], ["--threads 100000", "at most", "processors"]),
+        (["refly", "nowhere.npz", "--threads", "20000"], ["--threads 20000", "at most", "processors"]),
         (["train", "--learning-rate", "nan"], ["--learning-rate", "'nan'", "positive"]),
         (["train", "--seed", "-1"], ["--seed", "'-1'", "integer"]),
         (["train", "--device", "tpu"], ["--device", "'tpu'", "cuda"]),
