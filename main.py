@@ -28,6 +28,7 @@ from ppo.distributed import RankLostError, is_first, ranks
 from ppo.learner import NonFiniteError
 from ppo.network import Policy
 from study.command_line.arguments import Configure, Handler, build_parser, check_files, join_axis, parameters
+from study.command_line.output import CLOSED, NAME, Output, open_error_output
 from study.config import TEST_CASES, Config, StudyConfig
 from study.errors import ExportError, InputError, ReflyError, in_one_line, refusing
 from study.files import write_json, write_npz, writing
@@ -351,25 +352,44 @@ HANDLERS: dict[str, Handler] = {
 
 def main(argv: list[str] | None = None) -> int:
     """Parses and dispatches; returns the exit code."""
-    out, err = (sys.stdout, sys.stderr) if is_first() else (None, None)  # one of many ranks speaks for all
-    with redirect_stdout(out), redirect_stderr(err):
-        words = join_axis(sys.argv[1:] if argv is None else argv)
-        arguments = build_parser(HANDLERS, __doc__).parse_args(words or ["--help"])
+    open_error_output()
+    if sys.stdout is None:
+        return complain(CLOSED, 2)
+    code, output = 0, Output(sys.stdout)
     try:
-        with redirect_stdout(out):
-            if ranks().size > 1 and arguments.command not in ("train", "study"):
-                raise InputError(
-                    f"torchrun: {arguments.command} runs in one process; only train and study in many"
-                )
-            check_files(arguments)
-            THREADS.ask(getattr(arguments, "threads", None))
-            if cache := getattr(arguments, "cache_dir", None):
-                os.environ[VARIABLE] = cache
-            HANDLERS[arguments.command](**parameters(arguments))
+        with redirect_stdout(output if is_first() else None):  # one of many ranks speaks for all
+            code = call(sys.argv[1:] if argv is None else argv)
+        output.flush()
+    except BrokenPipeError:  # the reader of our output, such as head, has left
+        output.discard()
+    except OSError as error:
+        if error.filename != NAME:
+            raise
+        output.discard()
+        code = code or complain(f"{NAME}: {error.strerror}", 2)
+    return code
+
+
+def call(words: list[str]) -> int:
+    """What `main` does where standard output can be written."""
+    try:
+        with redirect_stderr(sys.stderr if is_first() else None):
+            arguments = build_parser(HANDLERS, __doc__).parse_args(join_axis(words) or ["--help"])
+        if ranks().size > 1 and arguments.command not in ("train", "study"):
+            raise InputError(
+                f"torchrun: {arguments.command} runs in one process; only train and study in many"
+            )
+        check_files(arguments)
+        THREADS.ask(getattr(arguments, "threads", None))
+        if cache := getattr(arguments, "cache_dir", None):
+            os.environ[VARIABLE] = cache
+        HANDLERS[arguments.command](**parameters(arguments))
+    except SystemExit as end:  # of the parser: help, or bad usage
+        return int(end.code or 0)
     except (InputError, CheckpointError) as error:
         return complain(f"{error}", 2)
-    except BrokenPipeError:  # the reader of our output, such as head, has left
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    except BrokenPipeError:
+        raise
     except OSError as error:
         if error.filename is None:
             raise

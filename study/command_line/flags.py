@@ -1,6 +1,7 @@
 """What a flag is: the setting or parameter that it reaches, and how its text is read and checked."""
 
 import argparse
+import sys
 from copy import copy
 from functools import partial
 from typing import Any, NoReturn
@@ -19,6 +20,9 @@ class Parser(argparse.ArgumentParser):
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
         self.given = list(args or [])
         return super().parse_known_args(args, namespace)
+
+    def _print_message(self, message: str, file: Any = None) -> None:
+        print(message, end="", file=file or sys.stderr)  # argparse would hide that it cannot be written
 
     def error(self, message: str) -> NoReturn:
         flags = [word.partition("=")[0] for word in self.given if word.startswith("--")]
