@@ -30,7 +30,7 @@ from ppo.network import Policy
 from study.command_line.arguments import Configure, Handler, build_parser, check_files, join_axis, parameters
 from study.command_line.output import CLOSED, NAME, Output, open_error_output
 from study.config import TEST_CASES, Config, StudyConfig
-from study.errors import ExportError, InputError, ReflyError, in_one_line, refusing
+from study.errors import ExportError, InputError, ReflyError, Stopped, in_one_line, refusing
 from study.files import write_json, write_npz, writing
 from study.machine.threads import THREADS
 
@@ -64,7 +64,6 @@ def run_train(
     """main.py train"""
     from study.machine.provenance import recorded_threads
     from study.training import session as training
-    from study.training.run import Stopped
     from study.verified import say_unless_verified
 
     if resume:
@@ -80,27 +79,20 @@ def run_train(
     with session as run:
         print(run, flush=True)
         say_unless_verified(run.config, [run.directory / "config.toml"])
-        try:
-            run.train()
-            if run.ranks.first:
-                print(run.conclude())
-        except Stopped as stopped:
-            print(stopped)
+        run.train()
+        if run.ranks.first:
+            print(run.conclude())
 
 
 def run_study(configure: Configure, study_dir: str = "runs/study") -> None:
     """main.py study"""
     from study.machine.provenance import recorded_threads
-    from study.training.run import Stopped
     from study.training.study import read_settings, train_and_evaluate
 
     directory = Path(study_dir)
     config = configure(read_settings(directory) or StudyConfig())
     THREADS.recorded = recorded_threads(directory)
-    try:
-        print(train_and_evaluate(config, directory))
-    except Stopped as stopped:
-        print(stopped)
+    print(train_and_evaluate(config, directory))
 
 
 def run_report(study: str, device: str | None = None) -> None:
@@ -394,6 +386,11 @@ def call(words: list[str]) -> int:
         if error.filename is None:
             raise
         return complain(f"{error.filename}: {error.strerror}", 2, "end")
+    except Stopped as stopped:
+        print(stopped)
+        return (
+            128 + stopped.number if ranks().size == 1 else 0
+        )  # all else torchrun calls a failure, and begins anew
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)
         return 130

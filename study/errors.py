@@ -20,6 +20,20 @@ class ExportError(Exception):
     """An exported agent does not act as the original: one line on stderr and exit code 1."""
 
 
+class Stopped(BaseException):
+    """A signal ended the work early; the directory holds what is needed to continue, and the message says how.
+
+    Like KeyboardInterrupt it can be raised anywhere, and nothing that handles an Exception may swallow it.
+
+    Attributes:
+        number: the signal's.
+    """
+
+    def __init__(self, message: str, number: int) -> None:
+        super().__init__(message)
+        self.number = number
+
+
 @contextmanager
 def refusing(where: str, *exceptions: type[BaseException]) -> Iterator[None]:
     """Turns the given exceptions into an InputError that begins with `where`."""
