@@ -56,8 +56,13 @@ __all__ = ["run"]  # a fixture
         (["evaluate"], ["--checkpoint"]),
         (
             ["simulate", "--controller", "zero", "--duraton", "5", "--out", "x.npz"],
-            ["--duration", "unrecognized: --duraton"],
+            ["--duration", "unrecognized: --duraton; did you mean --duration?"],
         ),
+        (["evaluate", "--controler", "quick"], ["unrecognized: --controler; did you mean --controller?"]),
+        (["train", "--run_dir=d", "--seed", "3"], ["unrecognized: --run_dir=d; did you mean --run-dir?"]),
+        (["train", "runs/x"], ["main.py train: unrecognized: runs/x (see --help)"]),
+        (["trian"], ["no command 'trian'; did you mean train?"]),
+        (["launch"], ["no command 'launch'; allowed are train, study, report"]),
         (
             ["train", "--config", str(Path(main.__file__).parent / "configs/chiefs/hull.toml")],
             ["needs a mesh"],

@@ -12,7 +12,7 @@ from inspection.model.attitude import norm, unit
 from inspection.model.parameters import Model
 from inspection.model.state import CONTROL_SIZE, OMEGA, SIZE, THETA_S, E, P, Q, T, V
 from study import files
-from study.errors import InputError, refusing
+from study.errors import InputError, instead, refusing
 
 LARGEST = 1e6  # of any number in a state
 MAX_STATES = 10**6
@@ -54,9 +54,8 @@ def read_state(path: str, c: Model) -> tuple[Tensor, Tensor | None]:
     if not isinstance(content, dict):
         raise InputError(f"{path}: must hold one JSON object with {', '.join(STATE_FIELDS)}")
     if unknown := content.keys() - STATE_FIELDS.keys() - {"priority_vector"}:
-        raise InputError(
-            f"{path}: unknown key {min(unknown)!r}; allowed are {', '.join(STATE_FIELDS)}, priority_vector"
-        )
+        allowed = (*STATE_FIELDS, "priority_vector")
+        raise InputError(f"{path}: unknown key {min(unknown)!r}{instead(min(unknown), allowed)}")
     x = torch.zeros(SIZE, 1, dtype=torch.float64)
     for key, (component, length) in STATE_FIELDS.items():
         if key not in content:
