@@ -22,7 +22,7 @@ from ppo.learner import PPOParameters
 from rta.bounds.uncertainty import Uncertainty
 from rta.constraints.constraint import CONSTRAINTS
 from rta.parameters import RtaParameters
-from setting import Settings, setting, settings
+from setting import KINDS, Settings, setting, settings
 from study.errors import InputError, instead, refusing
 
 MAX_COUNT = 10**12
@@ -247,7 +247,7 @@ def load(path: str | Path, base: AnyConfig) -> AnyConfig: ...
 def load(path: str | Path, base: Config | None = None) -> Config:
     """Reads a TOML file over a base configuration, by default the defaults."""
     try:
-        text = Path(path).read_text(encoding="utf-8")
+        text = Path(path).read_text(encoding="utf-8-sig")  # without the mark that some editors put first
     except OSError as error:
         raise InputError(f"{path}: cannot read the configuration: {error.strerror}") from None
     except ValueError as error:
@@ -347,5 +347,4 @@ def convert(value: Any, wanted: Any, where: str) -> Any:
             return float(value)
     if type(value) is wanted:
         return value
-    names = {bool: "true or false", int: "an integer", float: "a number", str: "a string"}
-    raise InputError(f"{where} = {value!r}: must be {names[wanted]}")
+    raise InputError(f"{where} = {value!r}: must be {KINDS[wanted]}")

@@ -25,6 +25,15 @@ def test_file_overrides_defaults_key_by_key() -> None:
     assert config.train.num_envs == Config().train.num_envs
 
 
+def test_a_byte_order_mark_is_read_over(tmp_path: Path) -> None:
+    path = tmp_path / "marked.toml"
+    path.write_bytes("\ufeff[train]\nseed = 7\n".encode())
+    assert configuration.load(path).train.seed == 7
+    path.write_bytes("[train]\n\ufeffseed = 7\n".encode())  # elsewhere it is none
+    with pytest.raises(InputError, match="not valid TOML"):
+        configuration.load(path)
+
+
 @pytest.mark.parametrize(
     ("text", "words"),
     [
