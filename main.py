@@ -11,7 +11,7 @@ import time
 
 
 def interrupted(*_: object) -> None:
-    """Ends the program in one line where nothing has begun: the imports below take seconds."""
+    """Ends the program in one line where nothing has begun: while the imports below are made."""
     print("interrupted", file=sys.stderr)
     os._exit(130)
 
@@ -21,24 +21,25 @@ if __name__ == "__main__":
 
 from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from kernels.build import VARIABLE
-from ppo.checkpoint import CheckpointError
-from ppo.distributed import RankLostError, is_first, ranks
-from ppo.learner import NonFiniteError
-from ppo.network import Policy
+from ppo.errors import CheckpointError, NonFiniteError, RankLostError
+from ppo.torchrun import is_first
 from study.command_line.arguments import Configure, Handler, build_parser, check_files, join_axis, parameters
 from study.command_line.output import CLOSED, NAME, Output, open_error_output
 from study.config import TEST_CASES, Config, StudyConfig
 from study.errors import ExportError, InputError, ReflyError, Stopped, in_one_line, refusing
 from study.files import write_json, write_npz, writing
-from study.machine.threads import THREADS
+
+if TYPE_CHECKING:  # help and refusals do not wait for PyTorch
+    from ppo.network import Policy
 
 # A command's parameters are its flags, whose help, limits and order are in `study.command_line.commands`. `configure`
 # puts --config and the other flags, those that set something, over a configuration; it goes no further than this file.
 
 
-def agent_and_config(configure: Configure, checkpoint: str | None) -> tuple[Policy | None, Config]:
+def agent_and_config(configure: Configure, checkpoint: str | None) -> "tuple[Policy | None, Config]":
     """The agent in a file, if one is named, and the configuration to fly it in: its own under --config and the flags.
 
     Its solver is chosen anew.
@@ -62,7 +63,9 @@ def run_train(
     configure: Configure, run_dir: str | None = None, init_from: str | None = None, resume: str | None = None
 ) -> None:
     """main.py train"""
+    from ppo.distributed import ranks
     from study.machine.provenance import recorded_threads
+    from study.machine.threads import THREADS
     from study.training import session as training
     from study.verified import say_unless_verified
 
@@ -87,6 +90,7 @@ def run_train(
 def run_study(configure: Configure, study_dir: str = "runs/study") -> None:
     """main.py study"""
     from study.machine.provenance import recorded_threads
+    from study.machine.threads import THREADS
     from study.training.study import read_settings, train_and_evaluate
 
     directory = Path(study_dir)
@@ -367,6 +371,9 @@ def call(words: list[str]) -> int:
     try:
         with redirect_stderr(sys.stderr if is_first() else None):
             arguments = build_parser(HANDLERS, __doc__).parse_args(join_axis(words) or ["--help"])
+        from ppo.distributed import ranks
+        from study.machine.threads import THREADS
+
         if ranks().size > 1 and arguments.command not in ("train", "study"):
             raise InputError(
                 f"torchrun: {arguments.command} runs in one process; only train and study in many"
@@ -406,6 +413,8 @@ def call(words: list[str]) -> int:
 
 def complain(reason: str, code: int, event: str = "") -> int:
     """One line on stderr, of ranks with the same reason, or of the same event, from one; returns the exit code."""
+    from ppo.distributed import ranks
+
     if ranks().first_to_say(event or reason):
         unfinished = "" if ranks().first else "\n"  # the first rank's progress bar, where it ended midway
         print(f"{unfinished}error: {in_one_line(reason)}", file=sys.stderr)

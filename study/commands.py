@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from inspection.guidance import GUIDANCE
+from inspection.orbits import GUIDANCE
 from study.config import TEST_CASES
 
 CHECKPOINT, LEARNED = FILES = (

@@ -14,13 +14,13 @@ from typing import Any, TypeVar, overload
 
 import tomli_w
 
-from inspection.guidance import GUIDANCE
 from inspection.model.parameters import ChiefParameters, InspectionParameters
+from inspection.orbits import GUIDANCE
 from inspection.world.parameters import PlantParameters
-from ppo.distributed import is_first
-from ppo.learner import PPOParameters
+from ppo.parameters import PPOParameters
+from ppo.torchrun import is_first
 from rta.bounds.uncertainty import Uncertainty
-from rta.constraints.constraint import CONSTRAINTS
+from rta.constraints.names import CONSTRAINTS
 from rta.parameters import RtaParameters
 from setting import KINDS, Settings, setting, settings
 from study.errors import InputError, instead, refusing

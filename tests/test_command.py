@@ -10,7 +10,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import inspection
+import kernels
 import main
+import ppo
+import rta
+import study
 from study.command_line.arguments import version
 from study.command_line.commands import COMMANDS
 from study.commands import command
@@ -101,3 +106,24 @@ def test_a_reader_that_has_left_is_no_error() -> None:
 def test_an_error_output_that_is_closed_goes_into_no_file(tmp_path: Path) -> None:
     assert shell(WORKS, "2>&- >/dev/null", tmp_path) == (0, "")
     assert np.load(tmp_path / "o.npz")["time"].tolist() == [0.0, 1.0, 2.0]
+
+
+def test_help_does_not_wait_for_pytorch() -> None:
+    """That takes seconds: neither help of any command nor a mistake imports it, while a call that works does."""
+    calls = [[], ["--version"], ["trian"], ["train", "--sed", "3"], *([name, "--help"] for name in COMMANDS)]
+    code = f"import sys, main\nfor words in {calls}:\n    main.main(words)\n"
+    loaded = "print([name for name in ('torch', 'scipy', 'matplotlib') if name in sys.modules])\n"
+    works = "main.main(['evaluate', '--checkpoint', 'nowhere.pt'])\n"
+    program = code + loaded + works + loaded
+    done = subprocess.run([sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True)
+    lines = done.stdout.splitlines()
+    assert lines[-2] == "[]" and "torch" in lines[-1], done.stderr
+
+
+def test_a_package_offers_what_it_lists_and_no_more() -> None:
+    for package in (inspection, kernels, ppo, rta, study):
+        for name in package.__all__:
+            offered = getattr(package, name)
+            assert getattr(offered, "__module__", package.__name__).startswith(package.__name__)
+        with pytest.raises(AttributeError, match=f"module '{package.__name__}' has no attribute 'nothing'"):
+            _ = package.nothing

@@ -13,7 +13,7 @@ import torch
 
 import main
 from inspection.transition import METRICS
-from rta.constraints.constraint import CONSTRAINTS
+from rta.constraints.names import CONSTRAINTS
 from rta.filter import SOLVERS
 from study import experiment
 from study.command_line.arguments import build_parser, resolve

@@ -7,7 +7,7 @@ from copy import copy
 from functools import partial
 from typing import Any, NoReturn
 
-from rta.constraints.constraint import CONSTRAINTS
+from rta.constraints.names import CONSTRAINTS
 from rta.parameters import PERIODS
 from setting import Setting, Settings, settings
 from study.commands import FILES

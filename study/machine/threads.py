@@ -10,7 +10,7 @@ import time
 
 import torch
 
-from ppo.distributed import is_first
+from ppo.torchrun import is_first
 from study.errors import InputError
 
 ROUNDS = 10  # of the measurement

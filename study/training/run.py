@@ -10,10 +10,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from inspection.guidance import GUIDANCE
+from inspection.orbits import GUIDANCE
 from ppo import checkpoint
-from ppo.distributed import RankLostError, ranks
-from ppo.learner import PPO, NonFiniteError
+from ppo.distributed import ranks
+from ppo.errors import NonFiniteError, RankLostError
+from ppo.learner import PPO
 from ppo.trainer import Trainer
 from study.commands import after_training, command
 from study.config import TEST_CASES, AnyConfig, Config

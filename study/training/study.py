@@ -9,7 +9,7 @@ import numpy as np
 from inspection.termination import OUTCOMES
 from inspection.transition import METRICS
 from ppo.distributed import ranks
-from rta.constraints.constraint import CONSTRAINTS
+from rta.constraints.names import CONSTRAINTS
 from study import config as configuration
 from study.commands import command
 from study.config import TEST_CASES, StudyConfig

@@ -16,7 +16,7 @@ import tomli_w
 import torch
 
 from ppo import checkpoint
-from ppo.learner import NonFiniteError
+from ppo.errors import NonFiniteError
 from study import config as configuration
 from study.config import Config, StudyConfig, StudyParameters
 from study.errors import Stopped
