@@ -11,7 +11,7 @@ import time
 
 
 def interrupted(*_: object) -> None:
-    """Ends the program in one line where nothing has begun: the imports below take seconds."""
+    """Ends the program in one line where nothing has begun: while the imports below are made."""
     print("interrupted", file=sys.stderr)
     os._exit(130)
 
@@ -21,23 +21,25 @@ if __name__ == "__main__":
 
 from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from kernels.build import VARIABLE
-from ppo.checkpoint import CheckpointError
-from ppo.distributed import RankLostError, is_first, ranks
-from ppo.learner import NonFiniteError
-from ppo.network import Policy
+from ppo.errors import CheckpointError, NonFiniteError, RankLostError
+from ppo.torchrun import is_first
 from study.command_line.arguments import Configure, Handler, build_parser, check_files, join_axis, parameters
+from study.command_line.output import CLOSED, NAME, Output, open_error_output
 from study.config import TEST_CASES, Config, StudyConfig
-from study.errors import ExportError, InputError, ReflyError, in_one_line, refusing
+from study.errors import ExportError, InputError, ReflyError, Stopped, in_one_line, refusing
 from study.files import write_json, write_npz, writing
-from study.machine.threads import THREADS
+
+if TYPE_CHECKING:  # help and refusals do not wait for PyTorch
+    from ppo.network import Policy
 
 # A command's parameters are its flags, whose help, limits and order are in `study.command_line.commands`. `configure`
 # puts --config and the other flags, those that set something, over a configuration; it goes no further than this file.
 
 
-def agent_and_config(configure: Configure, checkpoint: str | None) -> tuple[Policy | None, Config]:
+def agent_and_config(configure: Configure, checkpoint: str | None) -> "tuple[Policy | None, Config]":
     """The agent in a file, if one is named, and the configuration to fly it in: its own under --config and the flags.
 
     Its solver is chosen anew.
@@ -61,9 +63,10 @@ def run_train(
     configure: Configure, run_dir: str | None = None, init_from: str | None = None, resume: str | None = None
 ) -> None:
     """main.py train"""
+    from ppo.distributed import ranks
     from study.machine.provenance import recorded_threads
+    from study.machine.threads import THREADS
     from study.training import session as training
-    from study.training.run import Stopped
     from study.verified import say_unless_verified
 
     if resume:
@@ -79,27 +82,21 @@ def run_train(
     with session as run:
         print(run, flush=True)
         say_unless_verified(run.config, [run.directory / "config.toml"])
-        try:
-            run.train()
-            if run.ranks.first:
-                print(run.conclude())
-        except Stopped as stopped:
-            print(stopped)
+        run.train()
+        if run.ranks.first:
+            print(run.conclude())
 
 
 def run_study(configure: Configure, study_dir: str = "runs/study") -> None:
     """main.py study"""
     from study.machine.provenance import recorded_threads
-    from study.training.run import Stopped
+    from study.machine.threads import THREADS
     from study.training.study import read_settings, train_and_evaluate
 
     directory = Path(study_dir)
     config = configure(read_settings(directory) or StudyConfig())
     THREADS.recorded = recorded_threads(directory)
-    try:
-        print(train_and_evaluate(config, directory))
-    except Stopped as stopped:
-        print(stopped)
+    print(train_and_evaluate(config, directory))
 
 
 def run_report(study: str, device: str | None = None) -> None:
@@ -351,30 +348,56 @@ HANDLERS: dict[str, Handler] = {
 
 def main(argv: list[str] | None = None) -> int:
     """Parses and dispatches; returns the exit code."""
-    out, err = (sys.stdout, sys.stderr) if is_first() else (None, None)  # one of many ranks speaks for all
-    with redirect_stdout(out), redirect_stderr(err):
-        arguments = build_parser(HANDLERS, __doc__).parse_args(
-            join_axis(sys.argv[1:] if argv is None else argv)
-        )
+    open_error_output()
+    if sys.stdout is None:
+        return complain(CLOSED, 2)
+    code, output = 0, Output(sys.stdout)
     try:
-        with redirect_stdout(out):
-            if ranks().size > 1 and arguments.command not in ("train", "study"):
-                raise InputError(
-                    f"torchrun: {arguments.command} runs in one process; only train and study in many"
-                )
-            check_files(arguments)
-            THREADS.ask(getattr(arguments, "threads", None))
-            if cache := getattr(arguments, "cache_dir", None):
-                os.environ[VARIABLE] = cache
-            HANDLERS[arguments.command](**parameters(arguments))
+        with redirect_stdout(output if is_first() else None):  # one of many ranks speaks for all
+            code = call(sys.argv[1:] if argv is None else argv)
+        output.flush()
+    except BrokenPipeError:  # the reader of our output, such as head, has left
+        output.discard()
+    except OSError as error:
+        if error.filename != NAME:
+            raise
+        output.discard()
+        code = code or complain(f"{NAME}: {error.strerror}", 2)
+    return code
+
+
+def call(words: list[str]) -> int:
+    """What `main` does where standard output can be written."""
+    try:
+        with redirect_stderr(sys.stderr if is_first() else None):
+            arguments = build_parser(HANDLERS, __doc__).parse_args(join_axis(words) or ["--help"])
+        from ppo.distributed import ranks
+        from study.machine.threads import THREADS
+
+        if ranks().size > 1 and arguments.command not in ("train", "study"):
+            raise InputError(
+                f"torchrun: {arguments.command} runs in one process; only train and study in many"
+            )
+        check_files(arguments)
+        THREADS.ask(getattr(arguments, "threads", None))
+        if cache := getattr(arguments, "cache_dir", None):
+            os.environ[VARIABLE] = cache
+        HANDLERS[arguments.command](**parameters(arguments))
+    except SystemExit as end:  # of the parser: help, or bad usage
+        return int(end.code or 0)
     except (InputError, CheckpointError) as error:
         return complain(f"{error}", 2)
-    except BrokenPipeError:  # the reader of our output, such as head, has left
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    except BrokenPipeError:
+        raise
     except OSError as error:
         if error.filename is None:
             raise
         return complain(f"{error.filename}: {error.strerror}", 2, "end")
+    except Stopped as stopped:
+        print(stopped)
+        return (
+            128 + stopped.number if ranks().size == 1 else 0
+        )  # all else torchrun calls a failure, and begins anew
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)
         return 130
@@ -390,6 +413,8 @@ def main(argv: list[str] | None = None) -> int:
 
 def complain(reason: str, code: int, event: str = "") -> int:
     """One line on stderr, of ranks with the same reason, or of the same event, from one; returns the exit code."""
+    from ppo.distributed import ranks
+
     if ranks().first_to_say(event or reason):
         unfinished = "" if ranks().first else "\n"  # the first rank's progress bar, where it ended midway
         print(f"{unfinished}error: {in_one_line(reason)}", file=sys.stderr)

@@ -7,11 +7,13 @@ of a written configuration and whoever else explains a setting read the same wor
 import math
 from collections.abc import Collection, Iterable
 from dataclasses import Field, dataclass, field, fields
+from numbers import Integral, Real
 from types import UnionType
 from typing import Any, TypeVar, get_args
 
 Default = TypeVar("Default")
 RANGE = "[low, high] with low <= high"
+KINDS = {bool: "true or false", int: "an integer", float: "a number", str: "a string"}  # in words
 
 
 @dataclass(frozen=True)
@@ -37,11 +39,11 @@ class Setting:
     ordered: bool = False
 
     def allows(self, item: Any, kind: type) -> bool:
-        """Whether this may be the value, or an item of the list, of this type."""
+        """Whether this may be the value, or an item of the list, of this type, which it is of."""
         if self.among or kind in (bool, str):
             return not self.among or item in self.among
         return (
-            (isinstance(item, int) if kind is int else math.isfinite(item) or self.most == math.inf)
+            (kind is int or math.isfinite(item) or self.most == math.inf)
             and (self.above is None or item > self.above)
             and (self.least is None or item >= self.least)
             and (self.below is None or item < self.below)
@@ -57,7 +59,7 @@ class Setting:
         """What `allows` asks for, in words."""
         if self.among:
             return joined(map(shown, self.among), "or")
-        if kind is str:
+        if kind in (bool, str):
             return ""
         words = ["an integer"] if kind is int else ["finite"] if self.most != math.inf else []
         for bound, of_zero, otherwise in (
@@ -108,11 +110,25 @@ def check(of: Field, value: Any) -> None:
         )
     elif count > 1 and not form:
         form = f"{count} numbers, each "
-    fits = (bool(items) or of.default == ()) if is_open else len(items) == count
-    fits = fits and all(own.allows(item, element) for item in items)
+    is_tuple = bool(get_args(kind))
+    fits = isinstance(value, tuple) == is_tuple
+    fits = fits and ((bool(items) or of.default == ()) if is_open else len(items) == count)
+    right = all(is_a(element, item) for item in items)
+    fits = fits and right and all(own.allows(item, element) for item in items)
     if not fits or (RANGE in form and items[0] > items[-1]):
-        text = items if isinstance(value, tuple) else value
-        raise ValueError(f"{of.name} = {text!r}: must be {form}{own.rule(element)} ({own.about})")
+        text, rule = items if isinstance(value, tuple) else value, own.rule(element)
+        if is_tuple and isinstance(value, list):
+            form = f"a tuple, {form}"
+        elif not right and element is not int and not own.among:
+            rule = f"{KINDS[element]}, {rule}" if rule else KINDS[element]
+        raise ValueError(f"{of.name} = {text!r}: must be {form}{rule} ({own.about})")
+
+
+def is_a(kind: type, item: Any) -> bool:
+    """Whether it is a number, text or truth value as wanted; NumPy's numbers are numbers, true and false are none."""
+    if kind in (bool, str):
+        return isinstance(item, kind)
+    return isinstance(item, Integral if kind is int else Real) and not isinstance(item, bool)
 
 
 def shown(value: Any) -> str:

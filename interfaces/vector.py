@@ -16,7 +16,7 @@ from inspection.model.state import CONTROL_SIZE
 from inspection.observation import components
 from inspection.termination import OUTCOMES
 from inspection.transition import METRICS, Transition
-from rta.constraints.constraint import CONSTRAINTS
+from rta.constraints.names import CONSTRAINTS
 from study import config as configuration
 from study.config import Config
 from study.errors import refusing

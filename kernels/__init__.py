@@ -1,7 +1,25 @@
 """Functions of a batch made fast: traced, printed as C, built and loaded. It knows nothing of spacecraft."""
 
-from kernels.build import NoCompilerError, library
-from kernels.compiled import Compiled, Kernel, batch
-from kernels.printer import Printed, printed
+from typing import TYPE_CHECKING
+
+from on_demand import on_demand
+
+if TYPE_CHECKING:
+    from kernels.build import NoCompilerError, library
+    from kernels.compiled import Compiled, Kernel, batch
+    from kernels.printer import Printed, printed
 
 __all__ = ["Compiled", "Kernel", "NoCompilerError", "Printed", "batch", "library", "printed"]
+
+__getattr__ = on_demand(
+    __name__,
+    {
+        "NoCompilerError": "kernels.build.NoCompilerError",
+        "library": "kernels.build.library",
+        "Compiled": "kernels.compiled.Compiled",
+        "Kernel": "kernels.compiled.Kernel",
+        "batch": "kernels.compiled.batch",
+        "Printed": "kernels.printer.Printed",
+        "printed": "kernels.printer.printed",
+    },
+)

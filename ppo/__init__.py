@@ -4,8 +4,25 @@
 from what a rollout collects, with the advantages of `generalized_advantage`.
 """
 
-from ppo.gae import generalized_advantage
-from ppo.learner import PPO, PPOParameters
-from ppo.network import Policy, Value
+from typing import TYPE_CHECKING
+
+from on_demand import on_demand
+
+if TYPE_CHECKING:
+    from ppo.gae import generalized_advantage
+    from ppo.learner import PPO
+    from ppo.network import Policy, Value
+    from ppo.parameters import PPOParameters
 
 __all__ = ["PPO", "PPOParameters", "Policy", "Value", "generalized_advantage"]
+
+__getattr__ = on_demand(
+    __name__,
+    {
+        "generalized_advantage": "ppo.gae.generalized_advantage",
+        "PPO": "ppo.learner.PPO",
+        "PPOParameters": "ppo.parameters.PPOParameters",
+        "Policy": "ppo.network.Policy",
+        "Value": "ppo.network.Value",
+    },
+)

@@ -7,11 +7,8 @@ from typing import Any
 
 import torch
 
+from ppo.errors import CheckpointError
 from ppo.files import naming, replacing
-
-
-class CheckpointError(ValueError):
-    """The file is missing, damaged or not a checkpoint of this program."""
 
 
 def save(path: Path, content: dict[str, Any]) -> None:

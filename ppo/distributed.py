@@ -16,11 +16,10 @@ import torch
 import torch.distributed as dist
 from torch import Tensor
 
+from ppo.errors import RankLostError
+from ppo.torchrun import is_launched
+
 PATIENCE = timedelta(hours=1)  # with the others, which wait while the first rank evaluates
-
-
-class RankLostError(Exception):
-    """Another rank ended while this one counted on it."""
 
 
 @contextmanager
@@ -157,19 +156,9 @@ ALONE = Ranks()
 @functools.cache
 def ranks() -> Ranks:
     """The ranks of this job; the first call meets the others."""
-    if not dist.is_torchelastic_launched() or os.environ["WORLD_SIZE"] == "1":
+    if not is_launched() or os.environ["WORLD_SIZE"] == "1":
         return ALONE
     store, rank, size = next(dist.rendezvous("env://", timeout=PATIENCE))
     backend = "cpu:gloo,cuda:nccl" if torch.cuda.is_available() else "gloo"
     dist.init_process_group(backend, store=store, rank=rank, world_size=size, timeout=PATIENCE)
     return Ranks(rank, size, store)
-
-
-def is_first() -> bool:
-    """Whether this process is rank 0, without a meeting of the ranks."""
-    return not dist.is_torchelastic_launched() or os.environ["RANK"] == "0"
-
-
-def local_rank() -> int:
-    """The number of this process on its machine, from 0."""
-    return int(os.environ.get("LOCAL_RANK", 0))

@@ -2,65 +2,18 @@
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import torch
 from torch import Tensor
 
 from ppo.distributed import ALONE, Ranks
-from ppo.network import Policy, Value, log_std_bias
-from setting import Settings, setting
+from ppo.errors import NonFiniteError
+from ppo.network import Policy, Value
+from ppo.parameters import PPOParameters
 
-MAX_WIDTH = 65_536  # of a hidden layer
 MAX_LOG_RATIO = 20.0  # that e^x is finite, also of actions that no agent draws, see `collect`
-LARGEST_WEIGHT = 1e3  # of a term of the loss; far larger ones leave no number in a gradient
 TRAINED_ON = ("observation", "action", "log_prob", "advantage", "return_")
-
-
-class NonFiniteError(ArithmeticError):
-    """A loss, statistic or gradient became NaN or infinite; the message names it, its seed and minibatch."""
-
-
-@dataclass(frozen=True)
-class PPOParameters(Settings):
-    """Settings of the learner."""
-
-    gamma: float = setting(0.999, "discount per step", above=0, most=1)
-    gae_lambda: float = setting(
-        0.97, "GAE's lambda: 0 trusts the value network, 1 the observed returns", most=1
-    )
-    epochs: int = setting(4, "passes over each batch", above=0)
-    minibatch_size: int = setting(1024, "largest number of samples of a gradient step, per seed", least=2)
-    learning_rate: float = setting(
-        3e-4, "Adam's step size at the start, annealed linearly to 0 at the end", above=0
-    )
-    clip: float = setting(0.2, "largest rewarded change of the probability ratio from 1", above=0, below=1)
-    value_coefficient: float = setting(
-        0.5, "weight of the mean squared value error in the loss", most=LARGEST_WEIGHT
-    )
-    entropy_coefficient: float = setting(0.0, "weight of the entropy bonus, per nat", most=LARGEST_WEIGHT)
-    max_grad_norm: float = setting(
-        0.5,
-        "largest Euclidean gradient norm, per seed, policy and value together; infinity: no clipping",
-        above=0,
-        most=math.inf,
-    )
-    initial_std: float = setting(0.03, "standard deviation of each control before training, in action units")
-    log_std_bounds: tuple[float, float] = setting(
-        (-5.0, 0.0), "range of the log standard deviation, in nats", least=None
-    )
-    action_power: float = setting(
-        1.0, "k of u = sign(a) |a|^k, what is commanded for an action a; 1 is the paper's", least=1, most=10
-    )
-    action_dead_zone: float = setting(0.0, "size of an action below which nothing is commanded", most=0.5)
-    hidden: tuple[int, ...] = setting(
-        (256, 256), "widths of the hidden layers of policy and value network", above=0, most=MAX_WIDTH
-    )
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        log_std_bias(self.initial_std, self.log_std_bounds)  # raises where the two do not fit together
 
 
 def explained_variance(value: Tensor, return_: Tensor) -> Tensor:

@@ -11,6 +11,7 @@ import torch
 from torch import Tensor, nn
 
 from ppo.distributed import ALONE, Ranks
+from ppo.parameters import log_std_bias
 
 HIDDEN_GAIN = math.sqrt(2.0)
 POLICY_GAIN = 0.01  # small, so that the first policy hardly depends on the observation
@@ -68,23 +69,6 @@ def draw_noise(generators: Sequence[torch.Generator], shape: Sequence[int], devi
     """Return standard normal noise (S, *shape) on `device`, slice k drawn from generators[k] only."""
     draws = [torch.randn(shape, generator=generator, device=generator.device) for generator in generators]
     return torch.stack(draws).to(device)
-
-
-def log_std_bias(std: float, log_std_bounds: Sequence[float]) -> float:
-    """Return the output bias b at which the bounded log-std equals log(std).
-
-    Raises ValueError unless the bounds are finite and exp(low) < std < exp(high).
-    """
-    low, high = log_std_bounds
-    if not -math.inf < low < high < math.inf:
-        raise ValueError(f"log_std_bounds = {[low, high]}: must be two finite numbers, low < high")
-    if not math.exp(low) < std < math.exp(high):
-        raise ValueError(
-            f"initial_std = {std}: must lie strictly between exp(log_std_bounds), "
-            f"here {math.exp(low):.4g} and {math.exp(high):.4g}"
-        )
-    # log std = low + (high - low) (1 + tanh b) / 2, solved for b
-    return math.atanh(2.0 * (math.log(std) - low) / (high - low) - 1.0)
 
 
 def gaussian_log_prob(action: Tensor, mean: Tensor, log_std: Tensor) -> Tensor:

@@ -9,6 +9,7 @@ they conflict, slack is given class after class of their weights (`rta.qp.progra
 is applied if a way to rest remains (`rta.backup`).
 """
 
+import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import fields
 from functools import cached_property
@@ -18,6 +19,7 @@ import torch
 from torch import Tensor
 
 from inspection.closed_loop import Safety
+from inspection.model.doubts import doubts
 from inspection.model.parameters import InspectionParameters
 from inspection.model.state import CONTROL_SIZE, SIZE, P, Q
 from kernels import Compiled, NoCompilerError
@@ -246,8 +248,12 @@ class SafetyFilter:
 
         Raises:
             ValueError: another type or shape, a number that is not finite, or a quaternion that is not of length 1.
+
+        Warns where a state looks like one in other units, see `inspection.model.doubts`.
         """
         given = Given(x, desired)
+        for doubt in doubts(given.x, self.c):
+            warnings.warn(f"state: {doubt}", stacklevel=2)
         is_slow = self.compiled is None and not self._is_traced
         fit = given.single and given.x.device.type == "cpu" and not self.holds and is_slow
         result = (self._for_one if fit else self).correct(given.x, given.desired)

@@ -5,9 +5,25 @@ and an `Experiment` has what a configuration determines: device, filter, environ
 an `InputError`, which says so in a line.
 """
 
-from study.config import Config
-from study.config import load as load_config
-from study.errors import InputError
-from study.experiment import Experiment, load_policy
+from typing import TYPE_CHECKING
+
+from on_demand import on_demand
+
+if TYPE_CHECKING:
+    from study.config import Config
+    from study.config import load as load_config
+    from study.errors import InputError
+    from study.experiment import Experiment, load_policy
 
 __all__ = ["Config", "Experiment", "InputError", "load_config", "load_policy"]
+
+__getattr__ = on_demand(
+    __name__,
+    {
+        "Config": "study.config.Config",
+        "load_config": "study.config.load",
+        "InputError": "study.errors.InputError",
+        "Experiment": "study.experiment.Experiment",
+        "load_policy": "study.experiment.load_policy",
+    },
+)

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from inspection.guidance import GUIDANCE
+from inspection.orbits import GUIDANCE
 from study.config import TEST_CASES
 
 CHECKPOINT, LEARNED = FILES = (
@@ -14,6 +14,7 @@ CHECKPOINT, LEARNED = FILES = (
     "learned:",
 )  # begin an agent's file where other policies have names
 
+INSTALLED = "rta-inspection"  # the package, and the command that comes with it
 EPISODE = 3600  # s, about as long as an agent takes
 
 
@@ -22,10 +23,16 @@ def in_file(name: str) -> str:
     return name.removeprefix(CHECKPOINT).removeprefix(LEARNED)
 
 
+def called() -> str:
+    """What this program was called by: the installed command, or main.py."""
+    return INSTALLED if Path(sys.argv[0]).stem == INSTALLED else "main.py"
+
+
 def command(*words: str | Path) -> str:
     """A call of this program as it was called, its words quoted."""
-    program = sys.argv[0] if Path(sys.argv[0]).name == "main.py" else "main.py"
-    return shlex.join(["python", program, *map(str, words)])
+    source = sys.argv[0] if Path(sys.argv[0]).name == "main.py" else "main.py"
+    program = [INSTALLED] if called() == INSTALLED else ["python", source]
+    return shlex.join([*program, *map(str, words)])
 
 
 def after_training(directory: Path) -> str:

@@ -7,7 +7,6 @@ import tomllib
 import types
 import typing
 from dataclasses import dataclass, field
-from difflib import get_close_matches
 from functools import partial
 from pathlib import Path
 from textwrap import wrap
@@ -15,16 +14,16 @@ from typing import Any, TypeVar, overload
 
 import tomli_w
 
-from inspection.guidance import GUIDANCE
 from inspection.model.parameters import ChiefParameters, InspectionParameters
+from inspection.orbits import GUIDANCE
 from inspection.world.parameters import PlantParameters
-from ppo.distributed import is_first
-from ppo.learner import PPOParameters
+from ppo.parameters import PPOParameters
+from ppo.torchrun import is_first
 from rta.bounds.uncertainty import Uncertainty
-from rta.constraints.constraint import CONSTRAINTS
+from rta.constraints.names import CONSTRAINTS
 from rta.parameters import RtaParameters
-from setting import Settings, setting, settings
-from study.errors import InputError, refusing
+from setting import KINDS, Settings, setting, settings
+from study.errors import InputError, instead, refusing
 
 MAX_COUNT = 10**12
 LEARN_FROM = ("desired", "applied", "penalty")
@@ -248,7 +247,7 @@ def load(path: str | Path, base: AnyConfig) -> AnyConfig: ...
 def load(path: str | Path, base: Config | None = None) -> Config:
     """Reads a TOML file over a base configuration, by default the defaults."""
     try:
-        text = Path(path).read_text(encoding="utf-8")
+        text = Path(path).read_text(encoding="utf-8-sig")  # without the mark that some editors put first
     except OSError as error:
         raise InputError(f"{path}: cannot read the configuration: {error.strerror}") from None
     except ValueError as error:
@@ -263,11 +262,13 @@ def override(config: AnyConfig, tables: dict[str, Any], source: str) -> AnyConfi
         if table not in known and (owner := table_of(table, known)):
             raise InputError(f"{source}: {table} = {entries!r}: must stand below a table, [{owner}]")
         if table not in known:
-            raise InputError(f"{source}: unknown table [{table}]; allowed are {', '.join(known)}")
+            raise InputError(f"{source}: unknown table [{table}]{instead(table, known)}")
         if not isinstance(entries, dict):
             raise InputError(f"{source}: {table} = {entries!r}: must be a table, [{table}]")
     tables = with_keys_of_today(tables, source)
     arms: dict[str, Any] = {"arms": Arms.checked(tables.pop("arms"), source)} if "arms" in tables else {}
+    for table, entries in tables.items():
+        check_keys(table, entries, known, source)
     parts = {
         table: override_table(known[table], entries, f"{source}: [{table}]")
         for table, entries in tables.items()
@@ -275,9 +276,21 @@ def override(config: AnyConfig, tables: dict[str, Any], source: str) -> AnyConfi
     return dataclasses.replace(config, **parts, **arms)
 
 
+def check_keys(table: str, entries: dict[str, Any], known: dict[str, Any], source: str) -> None:
+    """Refuses a key that the table does not have, and says where it is or which one may have been meant."""
+    names = vars(known[table])
+    for key in entries:
+        if key in names:
+            continue
+        owner = table_of(key, known)
+        meant = f"; it stands in [{owner}]" if owner else instead(key, names)
+        listed = "" if meant else "; `config.toml` of a run lists all"
+        raise InputError(f"{source}: [{table}] unknown key {key!r}{meant}{listed}")
+
+
 def table_of(key: str, tables: dict[str, Any]) -> str | None:
     """The first table that has such a key."""
-    return next((name for name, part in tables.items() if hasattr(part, key)), None)
+    return next((name for name, part in tables.items() if key in vars(part)), None)
 
 
 def with_keys_of_today(tables: dict[str, dict[str, Any]], source: str) -> dict[str, dict[str, Any]]:
@@ -305,9 +318,6 @@ def override_table(part: Any, entries: dict[str, Any], where: str) -> Any:
     types = typing.get_type_hints(type(part))
     values = {}
     for key, value in entries.items():
-        if key not in types:
-            near = "".join(f" (did you mean {each}?)" for each in get_close_matches(key, types, 1))
-            raise InputError(f"{where} unknown key {key!r}{near}; allowed are {', '.join(sorted(types))}")
         values[key] = convert(value, types[key], f"{where} {key}")
     try:
         return dataclasses.replace(part, **values)
@@ -337,5 +347,4 @@ def convert(value: Any, wanted: Any, where: str) -> Any:
             return float(value)
     if type(value) is wanted:
         return value
-    names = {bool: "true or false", int: "an integer", float: "a number", str: "a string"}
-    raise InputError(f"{where} = {value!r}: must be {names[wanted]}")
+    raise InputError(f"{where} = {value!r}: must be {KINDS[wanted]}")

@@ -19,7 +19,7 @@ from inspection.model.parameters import InspectionParameters
 from inspection.model.state import CONTROL_SIZE
 from inspection.observation import components
 from ppo import checkpoint
-from ppo.checkpoint import CheckpointError
+from ppo.errors import CheckpointError
 from ppo.network import Policy, Value
 from rta.filter import SafetyFilter
 from rta.parameters import RtaParameters

@@ -3,7 +3,7 @@
 import math
 
 from inspection.model.parameters import Limits
-from rta.constraints.constraint import CONSTRAINTS
+from rta.constraints.names import CONSTRAINTS
 from rta.constraints.thrust import thrust_acceleration
 
 

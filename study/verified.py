@@ -13,7 +13,7 @@ from typing import Any
 from inspection.chief.mesh import pinned
 from inspection.model.parameters import ChiefParameters, Limits
 from inspection.world.parameters import PlantParameters
-from ppo.distributed import is_first
+from ppo.torchrun import is_first
 from setting import settings
 from study import config as configuration
 from study.commands import command

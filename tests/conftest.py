@@ -21,7 +21,7 @@ from inspection.model.parameters import InspectionParameters
 from inspection.model.state import OMEGA, SIZE, THETA_S, E, P, Q, T, V
 from inspection.transition import METRICS
 from inspection.world.parameters import PlantParameters
-from rta.constraints.constraint import CONSTRAINTS
+from rta.constraints.names import CONSTRAINTS
 from study.config import ARMS, BASELINES, Config, StudyConfig
 from study.machine import progress
 from tests.shared import share

@@ -6,8 +6,9 @@ import torch
 from inspection.environment import InspectionEnv
 from inspection.initial_state import sample_initial_state
 from inspection.model.parameters import InspectionParameters
-from ppo.learner import PPO, PPOParameters
+from ppo.learner import PPO
 from ppo.network import Policy, Value
+from ppo.parameters import PPOParameters
 from ppo.rollout import collect
 from rta.filter import SafetyFilter
 from rta.parameters import RtaParameters

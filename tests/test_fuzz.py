@@ -233,8 +233,6 @@ def complaint(words: list[str]) -> str:
     try:
         with at_most(LONGEST), contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
             code = main.main(words)
-    except SystemExit as end:
-        code = end.code
     except BaseException as error:
         return f"{type(error).__name__}: {error}"
     if contents() | before != contents():

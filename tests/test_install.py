@@ -87,6 +87,11 @@ def test_a_wheel_works_from_an_empty_directory(tmp_path: Path) -> None:
     assert {
         path.name for path in (installed / "study").rglob("*.*") if path.suffix in (".j2", ".css", ".js")
     } == {path.name for path in (ROOT / "study").rglob("*.*") if path.suffix in (".j2", ".css", ".js")}
+    own = home / "bin" / "rta-inspection"
+    version = PROJECT["project"]["version"]
+    assert command(own, "--version", cwd=empty) == f"rta-inspection {version}\n"
+    helped = command(own, cwd=empty)
+    assert helped.startswith("usage: rta-inspection ") and "break-points" in helped
     assert not list(empty.iterdir())
 
 

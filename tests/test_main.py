@@ -13,7 +13,7 @@ import torch
 
 import main
 from inspection.transition import METRICS
-from rta.constraints.constraint import CONSTRAINTS
+from rta.constraints.names import CONSTRAINTS
 from rta.filter import SOLVERS
 from study import experiment
 from study.command_line.arguments import build_parser, resolve
@@ -50,10 +50,7 @@ def write_inputs(directory: Path) -> dict[str, Path]:
 
 def call(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> tuple[int, str, str]:
     """Exit code, stdout and stderr."""
-    try:
-        code = main.main(arguments)
-    except SystemExit as stop:
-        code = stop.code
+    code = main.main(arguments)
     out, err = capsys.readouterr()
     return code, out, err
 

@@ -21,6 +21,8 @@ __all__ = ["run"]  # a fixture
         (["train", "--num-envs", "0"], ["--num-envs", "'0'", "positive integer"]),
         (["train", "--interactions", "-5"], ["--interactions", "'-5'", "positive integer"]),
         (["train", "--interactions", "many"], ["--interactions", "'many'", "positive integer"]),
+        (["train", "--threads", "100000"], ["--threads 100000", "at most", "processors"]),
+        (["refly", "nowhere.npz", "--threads", "20000"], ["--threads 20000", "at most", "processors"]),
         (["train", "--learning-rate", "nan"], ["--learning-rate", "'nan'", "positive"]),
         (["train", "--seed", "-1"], ["--seed", "'-1'", "integer"]),
         (["train", "--device", "tpu"], ["--device", "'tpu'", "cuda"]),
@@ -54,8 +56,13 @@ __all__ = ["run"]  # a fixture
         (["evaluate"], ["--checkpoint"]),
         (
             ["simulate", "--controller", "zero", "--duraton", "5", "--out", "x.npz"],
-            ["--duration", "unrecognized: --duraton"],
+            ["--duration", "unrecognized: --duraton; did you mean --duration?"],
         ),
+        (["evaluate", "--controler", "quick"], ["unrecognized: --controler; did you mean --controller?"]),
+        (["train", "--run_dir=d", "--seed", "3"], ["unrecognized: --run_dir=d; did you mean --run-dir?"]),
+        (["train", "runs/x"], ["main.py train: unrecognized: runs/x (see --help)"]),
+        (["trian"], ["no command 'trian'; did you mean train?"]),
+        (["launch"], ["no command 'launch'; allowed are train, study, report"]),
         (
             ["train", "--config", str(Path(main.__file__).parent / "configs/chiefs/hull.toml")],
             ["needs a mesh"],
@@ -116,13 +123,6 @@ __all__ = ["run"]  # a fixture
         (["export", "--checkpoint", "x.pt"], ["--out", "--c"]),
         (["export", "--checkpoint", "nowhere.pt", "--out", "x.onnx"], ["nowhere.pt", "no such checkpoint"]),
         (["export", "--checkpoint", "x.pt", "--out", "nowhere/x.onnx"], ["--out", "cannot write"]),
-        (
-            [],
-            [
-                "train | study | report | evaluate | simulate | replay | filter | verify | boundary | break-points | "
-                "refly | benchmark | export"
-            ],
-        ),
     ],
 )
 def test_bad_flags_are_refused(

@@ -11,7 +11,7 @@ import pytest
 from inspection.observation import components
 from inspection.reward import REWARDS
 from inspection.termination import OUTCOMES
-from rta.constraints.constraint import CONSTRAINTS
+from rta.constraints.names import CONSTRAINTS
 from rta.filter import SafetyFilter
 from study.files import ROOT
 from tests import test_readme

@@ -4,6 +4,7 @@ import math
 from dataclasses import dataclass, replace
 from typing import Any
 
+import numpy as np
 import pytest
 
 from setting import Settings, setting, settings
@@ -49,6 +50,21 @@ class Table(Settings):
         ({"gain": 3.0}, "gain = 3.0: must be a value or [low, high]"),
         ({"widths": ()}, "widths = []: must be one or more numbers, each an integer and positive (of layers)"),
         ({"widths": (8, 0)}, "widths = [8, 0]: must be one or more numbers, each an integer and positive (of layers)"),
+        ({"mass": "2"}, "mass = '2': must be a number, finite and positive (kg, of the body)"),
+        ({"mass": None}, "mass = None: must be a number, finite and positive (kg, of the body)"),
+        ({"mass": True}, "mass = True: must be a number, finite and positive (kg, of the body)"),
+        ({"mass": (2.0,)}, "mass = [2.0]: must be finite and positive (kg, of the body)"),
+        ({"count": "3"}, "count = '3': must be an integer, positive and at most 1,000 (points)"),
+        ({"count": True}, "count = True: must be an integer, positive and at most 1,000 (points)"),
+        ({"frame": ["hill"]}, "frame = ['hill']: must be hill or body (of the position)"),
+        ({"axes": ("1", 2.0)}, "axes = ['1', 2.0]: must be 2 numbers, each a number, finite and positive (m)"),
+        ({"axes": [1.0, 2.0]}, "axes = [1.0, 2.0]: must be a tuple, 2 numbers, each finite and positive (m)"),
+        ({"widths": 8}, "widths = 8: must be one or more numbers, each an integer and positive (of layers)"),
+        ({"gain": "1"}, "gain = '1': must be a value or [low, high] with low <= high, a number, finite, not negative "
+         "and at most 2 (no unit)"),
+        ({"name": 3}, "name = 3: must be a string (anything)"),
+        ({"on": "yes"}, "on = 'yes': must be true or false (whether)"),
+        ({"on": 1}, "on = 1: must be true or false (whether)"),
         ({"named": ("hill", "sun")}, "named = ['hill', 'sun']: must be some of hill or body (frames)"),
     ],
 )  # fmt: skip
@@ -62,6 +78,7 @@ def test_what_is_not_allowed_is_refused_with_what_is(values: dict[str, Any], sai
     "values",
     [
         {"offset": -1.0, "share": 0, "norm": math.inf, "count": 1, "axes": (2.0, 1.0)},
+        {"mass": np.float32(3.0), "offset": 1, "count": np.int64(2), "axes": (np.float64(1.0), 3)},
         {"span": (-1.0, -1.0), "gain": (0.0, 2.0), "widths": (1, 2, 3), "named": ("body", "hill")},
     ],
 )

@@ -67,6 +67,8 @@ def file_of(mesh: str) -> tuple[str, bytes]:
         found = found or digest
     if found:
         raise ValueError(f"mesh = {mesh!r}: is another file by now, whose sha256 begins with {found}")
+    if Path(path).is_dir() or (ROOT / path).is_dir():
+        raise ValueError(f"mesh = {path!r}: is a directory; name an .npz or .stl file")
     raise ValueError(f"mesh = {path!r}: there is no such file, here or below the project's folder")
 
 

@@ -20,7 +20,7 @@ from inspection.model.state import THRUST, TORQUE, V
 from rta.backup import brake, slew
 from rta.backup.brake import AT_REST, Braking
 from rta.backup.slew import Slewing
-from rta.constraints.constraint import CONSTRAINTS
+from rta.constraints.names import CONSTRAINTS
 from rta.qp.programs import Status, pick, put
 from rta.result import FilterResult
 

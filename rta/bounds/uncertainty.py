@@ -6,15 +6,16 @@ The worst of them are taken all at once. All zero: the plant is the model, and t
 import math
 from dataclasses import dataclass
 from itertools import product
+from typing import TYPE_CHECKING
 
-import torch
-from torch import Tensor
-
-from inspection.model.dynamics import euler
 from inspection.model.parameters import Limits
-from rta.bounds.errors import Errors, Set
 from rta.parameters import RtaParameters
 from setting import Settings, setting
+
+if TYPE_CHECKING:  # who asks for settings alone does not wait for PyTorch
+    from torch import Tensor
+
+    from rta.bounds.errors import Errors
 
 LONGEST_HOLD = (
     10.0  # s; at 20 s, in which a body at 2 deg/s turns by 70 deg, one episode in ten broke a limit
@@ -90,8 +91,10 @@ class Uncertainty(Settings):
         angles = (math.radians(root * angle) for angle in (self.attitude, self.rate))
         return root * self.position, root * self.velocity, *angles
 
-    def errors(self, further_position: Tensor, further_velocity: Tensor) -> Errors:
+    def errors(self, further_position: "Tensor", further_velocity: "Tensor") -> "Errors":
         """Of a state that was measured, and predicted to within so many m and m/s (...) of what it should be."""
+        from rta.bounds.errors import Errors, Set
+
         return Errors(Set(self.position, further_position), Set(self.velocity, further_velocity))
 
     def check(self, c: Limits, r: RtaParameters) -> None:
@@ -156,7 +159,7 @@ class Uncertainty(Settings):
         least, most = self.torque
         return max(1.0 - least, most - 1.0)
 
-    def thrust_share(self, angle: Tensor) -> Tensor:
+    def thrust_share(self, angle: "Tensor") -> "Tensor":
         """The share of thrust that is off at most, in any direction, where it may be off by angles (...) in rad."""
         return self.thrust_error + self.thrust[1] * angle
 
@@ -194,6 +197,8 @@ class Uncertainty(Settings):
         The gyroscopic one of other moments of inertia, at the worst corner of their bounds, and where Hill's frame
         turns by n, the rate of R^T (0, 0, n), n |omega|.
         """
+        from inspection.model.dynamics import euler
+
         at_most, worst = (c.max_rate,) * 3, [0.0] * 3  # plain numbers: the filter asks at every call
         nominal = euler(at_most, c.inertia)
         for factors in product((1 - self.inertia, 1 + self.inertia), repeat=3):
@@ -225,21 +230,25 @@ class Uncertainty(Settings):
         quantum = self.thrust_quantum
         return quantum * math.floor(limit / quantum + 1e-9) if quantum else limit
 
-    def given(self, thrust: Tensor, limit: float) -> Tensor:
+    def given(self, thrust: "Tensor", limit: float) -> "Tensor":
         """What the thrusters give where thrust in N is asked for, within their limit."""
+        from torch import where
+
         if quantum := self.thrust_quantum:
             most = self.largest_thrust(limit)
             return (quantum * (thrust / quantum).round()).clamp(-most, most)
-        return torch.where(thrust.abs() < self.minimum_thrust, 0.0, thrust)
+        return where(thrust.abs() < self.minimum_thrust, 0.0, thrust)
 
-    def neighbours(self, thrust: Tensor, limit: float) -> tuple[Tensor, Tensor]:
+    def neighbours(self, thrust: "Tensor", limit: float) -> "tuple[Tensor, Tensor]":
         """What the thrusters give next to thrust in N on either side, within their limit."""
+        from torch import where
+
         if quantum := self.thrust_quantum:
             low, most = (thrust / quantum).floor(), self.largest_thrust(limit)
             return (quantum * low).clamp(-most, most), (quantum * (low + 1.0)).clamp(-most, most)
         least = min(self.minimum_thrust * (1.0 + 1e-9), limit)  # rounded down it would be nothing
         within = thrust.abs() < self.minimum_thrust
-        return torch.where(within, 0.0, thrust), torch.where(within, least * thrust.sign(), thrust)
+        return where(within, 0.0, thrust), where(within, least * thrust.sign(), thrust)
 
 
 NOTHING = Uncertainty()

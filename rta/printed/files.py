@@ -15,7 +15,7 @@ from torch import Tensor
 from inspection.model.dynamics import step
 from kernels import printed
 from kernels.directory import check_directory
-from rta.constraints.constraint import UNITS
+from rta.constraints.names import UNITS
 from rta.printed.single import single
 from rta.printed.source import (
     constants,

@@ -20,7 +20,8 @@ from rta.conditions import tangents
 from rta.conditions.held_rows import KINDS, HeldGroup
 from rta.conditions.rows import ActuatorGroup
 from rta.conditions.tangents import PASSES, Prepared, prepared_now
-from rta.constraints.constraint import CONSTRAINTS, in_order
+from rta.constraints.constraint import in_order
+from rta.constraints.names import CONSTRAINTS
 from rta.printed import way
 from rta.qp import batched_solver
 from rta.qp import programs as qp

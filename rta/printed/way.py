@@ -11,7 +11,7 @@ from inspection.model.state import CONTROL_SIZE, SIZE, TORQUE
 from kernels import Printed, printed
 from rta.backup import brake, slew
 from rta.backup.check import ATTITUDE, MOTION, RATES_ROUNDED, SHARES, SLACK_ROUNDED, Backup
-from rta.constraints.constraint import CONSTRAINTS
+from rta.constraints.names import CONSTRAINTS
 
 if TYPE_CHECKING:
     from rta.filter import SafetyFilter

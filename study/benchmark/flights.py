@@ -10,7 +10,7 @@ from torch import Tensor
 
 from inspection.closed_loop import Correction
 from inspection.environment import InspectionEnv
-from ppo.checkpoint import CheckpointError
+from ppo.errors import CheckpointError
 from rta.conditions.condition import demanded
 from rta.conditions.tangents import prepared_now, problems
 from rta.filter import SafetyFilter

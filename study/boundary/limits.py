@@ -28,7 +28,7 @@ from inspection.model.attitude import cross, dot, norm, turned_by, unit
 from inspection.model.dynamics import sun_and_earth_in_body
 from inspection.model.parameters import AXES, Limits
 from inspection.model.state import OMEGA, SIZE, THETA_S, E, P, Q, T, V
-from rta.constraints.constraint import CONSTRAINTS
+from rta.constraints.names import CONSTRAINTS
 from rta.filter import SafetyFilter, in_order, joined
 from rta.lie_derivatives import Function
 from study.verification.starts import NUMBERS, spawned, states_of

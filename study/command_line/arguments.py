@@ -1,7 +1,9 @@
 """The command line: what the words of a call are, and what they set."""
 
 import argparse
+import importlib.metadata
 import inspect
+import tomllib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -10,9 +12,10 @@ from study import config as configuration
 from study.command_line.commands import COMMANDS, CONFIG
 from study.command_line.flags import Command, Parser
 from study.command_line.paths import check_inputs, check_outputs, check_replaced
-from study.commands import in_file
+from study.commands import INSTALLED, called, in_file
 from study.config import AnyConfig, StudyConfig
 from study.errors import InputError
+from study.files import ROOT
 
 # What flags can set, and its value where nothing does: --config, and each key as "table.key".
 SETTINGS = {"config": ()} | {
@@ -26,13 +29,22 @@ Handler = Callable[..., None]  # of a command; its parameters are `configure` an
 
 def build_parser(handlers: Mapping[str, Handler], description: str | None = None) -> Parser:
     """The whole command line, for the commands' functions; raises ValueError if a flag reaches nothing."""
-    parser = Parser(prog="main.py", description=description, allow_abbrev=False)
+    parser = Parser(prog=called(), description=description, allow_abbrev=False)
+    parser.add_argument("--version", action="version", version=f"{INSTALLED} {version()}")
     commands = parser.add_subparsers(dest="command", required=True, metavar=" | ".join(COMMANDS))
     for name, command in COMMANDS.items():
         about = command.about[0].upper() + command.about[1:] + "."
         own = commands.add_parser(name, allow_abbrev=False, help=command.about, description=about)
         add_flags(own, command, handlers[name])
     return parser
+
+
+def version() -> str:
+    """Of this code: what its pyproject.toml says or, where it is installed without one, the package."""
+    source = ROOT / "pyproject.toml"
+    if source.is_file():
+        return tomllib.loads(source.read_text(encoding="utf-8"))["project"]["version"]
+    return importlib.metadata.version(INSTALLED)
 
 
 def add_flags(parser: Parser, command: Command, handler: Handler) -> None:

@@ -5,7 +5,7 @@ What a flag that sets something says in --help is what its setting says of itsel
 
 import argparse
 
-from inspection.guidance import GUIDANCE
+from inspection.orbits import GUIDANCE
 from kernels.build import VARIABLE
 from study.command_line.flags import (
     Command,

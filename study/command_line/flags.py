@@ -1,30 +1,50 @@
 """What a flag is: the setting or parameter that it reaches, and how its text is read and checked."""
 
 import argparse
+import sys
+from collections.abc import Sequence
 from copy import copy
 from functools import partial
 from typing import Any, NoReturn
 
-from rta.constraints.constraint import CONSTRAINTS
+from rta.constraints.names import CONSTRAINTS
 from rta.parameters import PERIODS
 from setting import Setting, Settings, settings
 from study.commands import FILES
 from study.config import ARMS, MAX_COUNT, StudyConfig
-from study.errors import in_one_line
+from study.errors import in_one_line, instead, nearest
 
 
 class Parser(argparse.ArgumentParser):
-    """Bad usage ends with one line and exit code 2."""
+    """Bad usage ends with one line and exit code 2, and names what may have been meant."""
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
         self.given = list(args or [])
-        return super().parse_known_args(args, namespace)
+        known, rest = super().parse_known_args(args, namespace)
+        if rest:  # here, where a command's own flags are known
+            self.error(f"unrecognized: {' '.join(rest)}{self.meant(rest)}")
+        return known, rest
+
+    def _check_value(self, action: argparse.Action, value: Any) -> None:
+        if isinstance(action, argparse._SubParsersAction) and value not in action.choices:
+            raise argparse.ArgumentError(
+                None, f"there is no command {value!r}{instead(value, action.choices)}"
+            )
+        super()._check_value(action, value)
+
+    def _print_message(self, message: str, file: Any = None) -> None:
+        print(message, end="", file=file or sys.stderr)  # argparse would hide that it cannot be written
+
+    def meant(self, words: Sequence[str]) -> str:
+        """Which flags were meant by the first of words that looks like one; empty where none does."""
+        given = next((word for word in words if word.startswith("-")), "")
+        return nearest(given.partition("=")[0], self._option_string_actions)
 
     def error(self, message: str) -> NoReturn:
         flags = [word.partition("=")[0] for word in self.given if word.startswith("--")]
         unknown = [flag for flag in flags if flag not in self._option_string_actions]
-        if "are required" in message and unknown:  # one of those, mistyped
-            message += f"; unrecognized: {' '.join(unknown)}"
+        if "required" in message and unknown:  # one of those, mistyped
+            message += f"; unrecognized: {' '.join(unknown)}{self.meant(unknown)}"
         self.exit(2, f"error: {self.prog}: {in_one_line(message)} (see --help)\n")
 
 

@@ -6,6 +6,7 @@ from torch import Tensor
 from inspection import guidance
 from inspection.closed_loop import Controller
 from inspection.environment import InspectionEnv
+from inspection.orbits import GUIDANCE
 from ppo.network import Policy
 from study.config import Config
 from study.experiment import Experiment
@@ -34,8 +35,8 @@ def classical(name: str, env: InspectionEnv, seed: int, every: float = 1.0) -> C
     Random draws from a stream of the seed's own.
     """
     c = env.c
-    if name in guidance.GUIDANCE:
-        return guidance.natural_motion(c, every, guidance.GUIDANCE[name], env.sight.score)
+    if name in GUIDANCE:
+        return guidance.natural_motion(c, every, GUIDANCE[name], env.sight.score)
     return {
         "lqr-pd": lambda: guidance.lqr_pd(c),
         "zero": guidance.zero,

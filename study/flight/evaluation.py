@@ -11,15 +11,15 @@ from torch import Tensor
 
 from inspection.closed_loop import Controller, Hold, Smallest
 from inspection.environment import InspectionEnv
-from inspection.guidance import GUIDANCE
 from inspection.model.attitude import norm
 from inspection.model.dynamics import sun_and_earth_in_body
 from inspection.model.state import OMEGA, E, P, T, V
+from inspection.orbits import GUIDANCE
 from inspection.reward import stays_clear
 from inspection.termination import OUTCOMES, failures
 from inspection.transition import METRICS, Transition
 from ppo.network import Policy
-from rta.constraints.constraint import CONSTRAINTS
+from rta.constraints.names import CONSTRAINTS
 from rta.qp.programs import Status
 from study.config import TEST_CASES, Config
 from study.experiment import Experiment, case_numbers, test_cases

@@ -6,7 +6,7 @@ from torch import Tensor
 
 from rta.conditions.rows import ActuatorGroup, Rows
 from rta.conditions.tangents import SHORTEST_ROW
-from rta.constraints.constraint import CONSTRAINTS
+from rta.constraints.names import CONSTRAINTS
 from rta.filter import SafetyFilter
 from rta.qp.programs import FEASIBLE, Status
 from study.config import Config

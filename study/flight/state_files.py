@@ -1,6 +1,7 @@
 """Files of states and controls from elsewhere, read and checked."""
 
 import json
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -9,10 +10,11 @@ import torch
 from torch import Tensor
 
 from inspection.model.attitude import norm, unit
-from inspection.model.parameters import Model
+from inspection.model.doubts import doubts
+from inspection.model.parameters import Limits
 from inspection.model.state import CONTROL_SIZE, OMEGA, SIZE, THETA_S, E, P, Q, T, V
 from study import files
-from study.errors import InputError, refusing
+from study.errors import InputError, instead, refusing
 
 LARGEST = 1e6  # of any number in a state
 MAX_STATES = 10**6
@@ -28,8 +30,11 @@ STATE_FIELDS: dict[str, tuple[Any, int]] = {
 }
 
 
-def check_states(x: Tensor, c: Model, path: str) -> Tensor:
-    """States (16, N) with their quaternions at unit length exactly; refuses the first that no spacecraft can be in."""
+def check_states(x: Tensor, c: Limits, path: str) -> Tensor:
+    """States (16, N) with their quaternions at unit length exactly; refuses the first that no spacecraft can be in.
+
+    Says on stderr what looks like another unit or order.
+    """
     rules = {
         "state": (~(x.abs() <= LARGEST).all(0), f"must be finite, at most {LARGEST:g} in size"),
         "quaternion": ((norm(x[Q]) - 1.0).abs() > 1e-6, "must have length 1 (scalar last)"),
@@ -40,23 +45,24 @@ def check_states(x: Tensor, c: Model, path: str) -> Tensor:
     for what, (wrong, allowed) in rules.items():
         if wrong.any():
             raise InputError(f"{path}: {what} in row {torch.nonzero(wrong)[0].item()}: {allowed}")
+    for doubt in doubts(x, c):
+        print(f"{path}: {doubt}", file=sys.stderr)
     return torch.cat((x[: Q.start], unit(x[Q]), x[Q.stop :]))
 
 
-def read_state(path: str, c: Model) -> tuple[Tensor, Tensor | None]:
+def read_state(path: str, c: Limits) -> tuple[Tensor, Tensor | None]:
     """Reads a state file: state (16, 1) and priority unit vector (3, 1), None where the file has none.
 
     Raises:
         InputError: unreadable, not JSON, unknown or missing keys, wrong shapes, or see `check_states`.
     """
     with refusing(f"{path}: cannot read the state file", OSError, ValueError, RecursionError):
-        content = json.loads(Path(path).read_text(encoding="utf-8"))
+        content = json.loads(Path(path).read_text(encoding="utf-8-sig"))
     if not isinstance(content, dict):
         raise InputError(f"{path}: must hold one JSON object with {', '.join(STATE_FIELDS)}")
     if unknown := content.keys() - STATE_FIELDS.keys() - {"priority_vector"}:
-        raise InputError(
-            f"{path}: unknown key {min(unknown)!r}; allowed are {', '.join(STATE_FIELDS)}, priority_vector"
-        )
+        allowed = (*STATE_FIELDS, "priority_vector")
+        raise InputError(f"{path}: unknown key {min(unknown)!r}{instead(min(unknown), allowed)}")
     x = torch.zeros(SIZE, 1, dtype=torch.float64)
     for key, (component, length) in STATE_FIELDS.items():
         if key not in content:
@@ -84,7 +90,7 @@ def numbers(value: Any, length: int, where: str) -> Tensor:
     return torch.tensor(items, dtype=torch.float64)
 
 
-def read_states(path: str, c: Model) -> tuple[Tensor, Tensor]:
+def read_states(path: str, c: Limits) -> tuple[Tensor, Tensor]:
     """Reads `state` (N, 16) and `control_desired` (N, 6) from a .npz file: x (16, N) and u (6, N), float64.
 
     Raises:

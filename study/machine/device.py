@@ -2,7 +2,7 @@
 
 import torch
 
-from ppo.distributed import local_rank
+from ppo.torchrun import local_rank
 from study.errors import InputError
 
 

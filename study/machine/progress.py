@@ -10,7 +10,7 @@ from typing import Any
 
 from tqdm import tqdm
 
-from ppo.distributed import is_first
+from ppo.torchrun import is_first
 
 PATIENCE = 2.0  # s in which nobody wonders what is going on
 

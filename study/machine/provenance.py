@@ -16,6 +16,9 @@ from study.files import ROOT, write_json, write_text
 from study.machine.device import resolve_device
 from study.machine.threads import THREADS
 
+MOST_THREADS = (
+    4096  # that any machine was used with; so many more that they cannot be started end the process
+)
 PACKAGES = ("torch", "numpy", "piqp", "scipy", "tensorboard")
 
 
@@ -67,4 +70,4 @@ def recorded_threads(directory: Path) -> int | None:
         recorded = json.loads((directory / "provenance.json").read_text(encoding="utf-8"))["threads"]
     except (OSError, ValueError, KeyError, TypeError):
         return None
-    return recorded if type(recorded) is int and recorded > 0 else None
+    return recorded if type(recorded) is int and 0 < recorded <= MOST_THREADS else None

@@ -10,7 +10,8 @@ import time
 
 import torch
 
-from ppo.distributed import is_first
+from ppo.torchrun import is_first
+from study.errors import InputError
 
 ROUNDS = 10  # of the measurement
 REPEATS = 20
@@ -31,7 +32,15 @@ class Threads:
         self.recorded: int | None = None
 
     def ask(self, wanted: int | None) -> None:
-        """Has `settle` take the number that a person wants, else the recorded one, else the fastest."""
+        """Has `settle` take the number that a person wants, else the recorded one, else the fastest.
+
+        Raises InputError where a person wants more than there are processors.
+        """
+        if wanted is not None and wanted > (most := os.cpu_count() or 1):
+            raise InputError(
+                f"--threads {wanted}: must be at most {most}, the number of this machine's processors; more threads "
+                "only wait for each other, and very many cannot be started"
+            )
         self.asked, self.wanted, self.recorded = True, wanted, None
 
     def settle(self) -> None:

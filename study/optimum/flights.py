@@ -7,11 +7,12 @@ from torch import Tensor
 
 from inspection.closed_loop import Controller
 from inspection.environment import InspectionEnv
-from inspection.guidance import GUIDANCE, Lead, Orbit, limited, look, natural_motion, watch
+from inspection.guidance import limited, look, natural_motion, watch
 from inspection.model.attitude import rotate, unit
 from inspection.model.dynamics import sun_direction
 from inspection.model.parameters import InspectionParameters
 from inspection.model.state import THETA_S, THRUST, P, Q, V
+from inspection.orbits import GUIDANCE, Lead, Orbit
 from inspection.reward import stays_clear
 from study.optimum.motion import held
 

@@ -15,7 +15,7 @@ from inspection.chief.surface import Surface, hidden, hiding
 from inspection.model import attitude
 from inspection.model.dynamics import sun_direction
 from inspection.model.parameters import InspectionParameters
-from rta.constraints.constraint import CONSTRAINTS
+from rta.constraints.names import CONSTRAINTS
 from study import config as configuration
 from study.errors import InputError
 from study.files import load_arrays

@@ -10,7 +10,8 @@ from torch import Tensor
 
 from inspection.closed_loop import Controller
 from inspection.environment import InspectionEnv
-from inspection.guidance import Orbit, natural_motion
+from inspection.guidance import natural_motion
+from inspection.orbits import Orbit
 from inspection.transition import METRICS
 from rta.bounds.uncertainty import Uncertainty
 from rta.parameters import PERIODS

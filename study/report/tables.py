@@ -13,7 +13,7 @@ import numpy as np
 from scipy import stats
 
 from inspection.transition import METRICS
-from rta.constraints.constraint import CONSTRAINTS
+from rta.constraints.names import CONSTRAINTS
 from study.config import ARMS
 from study.errors import MALFORMED, refusing
 from study.files import write_json, write_text

@@ -13,7 +13,7 @@ from typing import Any
 
 import torch
 
-from inspection.guidance import GUIDANCE
+from inspection.orbits import GUIDANCE
 from study.command_line.flags import Parser, positive_integer
 from study.config import Config
 from study.experiment import Experiment, test_cases

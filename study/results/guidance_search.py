@@ -22,7 +22,8 @@ import torch
 from torch import Tensor
 
 from inspection.environment import InspectionEnv
-from inspection.guidance import Lead, Orbit, natural_motion
+from inspection.guidance import natural_motion
+from inspection.orbits import Lead, Orbit
 from inspection.transition import METRICS
 from study.command_line.flags import Parser, positive_integer
 from study.config import Config

@@ -11,7 +11,8 @@ import torch
 from torch import Tensor
 
 from inspection.environment import InspectionEnv
-from inspection.guidance import Orbit, natural_motion
+from inspection.guidance import natural_motion
+from inspection.orbits import Orbit
 from inspection.transition import Transition
 from ppo.learner import PPO
 from ppo.network import Policy

@@ -10,13 +10,15 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from inspection.guidance import GUIDANCE
+from inspection.orbits import GUIDANCE
 from ppo import checkpoint
-from ppo.distributed import RankLostError, ranks
-from ppo.learner import PPO, NonFiniteError
+from ppo.distributed import ranks
+from ppo.errors import NonFiniteError, RankLostError
+from ppo.learner import PPO
 from ppo.trainer import Trainer
 from study.commands import after_training, command
 from study.config import TEST_CASES, AnyConfig, Config
+from study.errors import Stopped
 from study.experiment import Experiment, settled
 from study.files import write_json
 from study.flight.evaluation import Episodes, play, play_and_record, report
@@ -34,18 +36,11 @@ CHECKPOINT = "checkpoint.pt"
 EVALUATION_CASES = 1_000_000  # seed of the periodic test cases, apart from those of the final evaluation
 
 
-class Stopped(BaseException):
-    """A signal ended the work early; the directory holds what is needed to continue.
-
-    Like KeyboardInterrupt it can be raised anywhere, and nothing that handles an Exception may swallow it.
-    """
-
-
 @contextmanager
-def on_signal(react: Callable[[], None]) -> Iterator[None]:
-    """Lets SIGINT and SIGTERM call `react`."""
+def on_signal(react: Callable[[int], None]) -> Iterator[None]:
+    """Lets SIGINT and SIGTERM call `react` with their number."""
     numbers = signal.SIGINT, signal.SIGTERM
-    previous = [signal.signal(number, lambda *_: react()) for number in numbers]
+    previous = [signal.signal(number, lambda number, _: react(number)) for number in numbers]
     try:
         yield
     finally:
@@ -181,12 +176,12 @@ class Run:
             Stopped: a signal came first; NonFiniteError: numbers went bad; RankLostError: another rank ended;
             OSError: something could not be written. All but the first name the last good checkpoint.
         """
-        stop: list[bool] = []  # a signal comes during an update, which can end first
+        stop: list[int] = []  # a signal comes during an update, which can end first
 
-        def react() -> None:
+        def react(number: int) -> None:
             if not stop and self.ranks.first:
                 say_in_a_handler("stopping where this update ends, and an evaluation that is due with it ...")
-            stop.append(True)
+            stop.append(number)
 
         total = self.config.train.updates * self.config.train.batch
         shown = self.log.open(self.interactions, total) if self.ranks.first else nullcontext()
@@ -199,10 +194,11 @@ class Run:
                     where, last = f"update {self.trainer.update + 1}", self.directory / CHECKPOINT
                     raise type(error)(f"{where}: {error}; last good checkpoint: {last}") from None
             self.save()
-        if self.ranks.any(bool(stop)):
+        if number := int(self.ranks.most(max(stop, default=0))):
             raise Stopped(
                 f"stopped after {self.interactions:,} interactions; continue with\n"
-                f"  {command('train', '--resume', self.directory)}"
+                f"  {command('train', '--resume', self.directory)}",
+                number,
             )
 
     def begin(self) -> None:
@@ -267,9 +263,9 @@ class Run:
             Stopped: a signal came before all was evaluated.
         """
 
-        def stop() -> None:
+        def stop(number: int) -> None:
             again = command("train", "--resume", self.directory)
-            raise Stopped(f"trained, but not evaluated to the end; continue with\n  {again}")
+            raise Stopped(f"trained, but not evaluated to the end; continue with\n  {again}", number)
 
         with on_signal(stop):
             cases = self.config.train.final_episodes

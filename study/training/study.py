@@ -9,17 +9,17 @@ import numpy as np
 from inspection.termination import OUTCOMES
 from inspection.transition import METRICS
 from ppo.distributed import ranks
-from rta.constraints.constraint import CONSTRAINTS
+from rta.constraints.names import CONSTRAINTS
 from study import config as configuration
 from study.commands import command
 from study.config import TEST_CASES, StudyConfig
-from study.errors import InputError, refusing
+from study.errors import InputError, Stopped, refusing
 from study.files import write_json, write_npz
 from study.flight.evaluation import Episodes, report
 from study.machine.lock import alone_in
 from study.machine.provenance import write_settings
 from study.paper import Results, tables
-from study.training.run import Run, Stopped, on_signal, settled_for_a_seed
+from study.training.run import Run, on_signal, settled_for_a_seed
 from study.training.session import check, create, resume
 from study.verified import fingerprint, say_unless_verified
 
@@ -42,8 +42,8 @@ def train_and_evaluate(config: StudyConfig, directory: Path) -> str:
     results = {}
     again = f"continue with\n  {command('study', '--study-dir', directory)}"
 
-    def stop() -> None:
-        raise Stopped(f"stopped; {again}")
+    def stop(number: int) -> None:
+        raise Stopped(f"stopped; {again}", number)
 
     # signals: outside an update, where nothing half done is kept
     with alone_in(directory, "--study-dir"), on_signal(stop):
@@ -139,10 +139,9 @@ def train_arm(config: StudyConfig, name: str, directory: Path, again: str) -> Ru
     print(run, flush=True)
     try:
         run.train()
-    except Stopped:
-        raise Stopped(
-            f"{name} stopped after {run.interactions:,} interactions of each seed; {again}"
-        ) from None
+    except Stopped as stopped:
+        said = f"{name} stopped after {run.interactions:,} interactions of each seed; {again}"
+        raise Stopped(said, stopped.number) from None
     return run
 
 

@@ -10,7 +10,7 @@ from inspection.model.parameters import Model
 from inspection.model.state import CONTROL_SIZE, THRUST, TORQUE
 from inspection.world.corners import ERRORS, displaced
 from ppo.network import Policy
-from rta.constraints.constraint import ATTITUDE, TRANSLATIONAL
+from rta.constraints.names import ATTITUDE, TRANSLATIONAL
 from rta.filter import SafetyFilter
 from study.scales import scales
 

@@ -17,7 +17,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
 from inspection.world.parameters import PlantParameters
-from rta.constraints.constraint import CONSTRAINTS
+from rta.constraints.names import CONSTRAINTS
 from study.config import Config, override
 from study.errors import InputError
 from study.experiment import Experiment

@@ -19,7 +19,7 @@ from inspection.model.draws import uniform
 from kernels import NoCompilerError
 from ppo.network import Policy
 from rta.bounds.uncertainty import Uncertainty
-from rta.constraints.constraint import CONSTRAINTS
+from rta.constraints.names import CONSTRAINTS
 from rta.printed.loaded import REALS, InC
 from study.commands import CHECKPOINT, FILES, LEARNED, in_file
 from study.config import Config

@@ -11,7 +11,7 @@ from inspection.closed_loop import Smallest
 from inspection.model.attitude import unit
 from inspection.model.state import SIZE, P
 from inspection.world.corners import Recorded
-from rta.constraints.constraint import CONSTRAINTS
+from rta.constraints.names import CONSTRAINTS
 from rta.result import FilterResult
 from study.config import Config, from_toml, override
 from study.errors import MALFORMED, ReflyError, refusing

@@ -6,7 +6,7 @@ from typing import Any
 import torch
 
 from inspection.model.state import SIZE
-from rta.constraints.constraint import ATTITUDE, CONSTRAINTS, TRANSLATIONAL
+from rta.constraints.names import ATTITUDE, CONSTRAINTS, TRANSLATIONAL
 from rta.qp.programs import Status
 from study.verification.flight import ROUNDING, Conflicts, Flight
 

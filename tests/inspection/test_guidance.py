@@ -13,7 +13,8 @@ from inspection.model.dynamics import step
 from inspection.model.orbit import free_flight
 from inspection.model.parameters import InspectionParameters
 from inspection.model.state import OMEGA, SIZE, THETA_S, E, P, Q, V
-from rta.constraints.constraint import CONSTRAINTS
+from inspection.orbits import Orbit
+from rta.constraints.names import CONSTRAINTS
 from rta.filter import SafetyFilter
 from rta.parameters import RtaParameters
 from study.flight.state_files import read_state
@@ -54,7 +55,7 @@ def test_lqr_gain_solves_the_riccati_equation_and_stabilises() -> None:
 
 
 def test_the_sun_following_ellipse_is_a_free_motion() -> None:
-    b, n, theta = guidance.Orbit().semi_minor, C.mean_motion, 0.7
+    b, n, theta = Orbit().semi_minor, C.mean_motion, 0.7
     p = torch.tensor([b * np.cos(theta), 2 * b * np.sin(theta), 0.0], dtype=torch.float64)
     v = n * torch.tensor([b * np.sin(theta), -2 * b * np.cos(theta), 0.0], dtype=torch.float64)
     t = torch.tensor(1500.0, dtype=torch.float64)
@@ -66,10 +67,10 @@ def test_the_sun_following_ellipse_is_a_free_motion() -> None:
 @pytest.mark.parametrize("a", [0.0, 30.0])
 def test_natural_motion_needs_no_thrust_on_its_ellipse_whose_drift_never_ends_in_the_chief(a: float) -> None:
     x = at_rest()
-    b, n, theta = guidance.Orbit().semi_minor, C.mean_motion, x[THETA_S]
+    b, n, theta = Orbit().semi_minor, C.mean_motion, x[THETA_S]
     x[P] = torch.stack((b * theta.cos(), 2 * b * theta.sin(), a * theta.sin()))
     x[V] = n * torch.stack((b * theta.sin(), -2 * b * theta.cos(), -a * theta.cos()))
-    assert guidance.natural_motion(C, orbit=guidance.Orbit(out_of_plane=a))(0.0, x)[:3].abs().max() < 1e-12
+    assert guidance.natural_motion(C, orbit=Orbit(out_of_plane=a))(0.0, x)[:3].abs().max() < 1e-12
     orbit = free_flight(x[P], x[V], torch.linspace(0.0, 2 * math.pi / n, 1000).double()[:, None], n)
     assert orbit[[0, 2]].norm(dim=0).min() == pytest.approx(min(a, b), abs=0.1)  # from the line y
 
@@ -106,7 +107,7 @@ def test_natural_motion_leads_around_the_chief_to_its_sunlit_side() -> None:
     assert way[:, P].norm(dim=1).min() > C.collision_radius
     half_a_turn = math.pi / C.max_rate  # s, in the dark at most, until the panels face the Sun
     assert way[:, E].min() > 5.0 - C.power_draw / 1000.0 * half_a_turn
-    b, theta = guidance.Orbit().semi_minor, x[THETA_S]
+    b, theta = Orbit().semi_minor, x[THETA_S]
     ellipse = torch.stack((b * theta.cos(), 2 * b * theta.sin(), torch.zeros(5)))
     torch.testing.assert_close(x[P], ellipse, atol=2.0, rtol=0.0)
     camera = guidance.rotate(x[Q], torch.eye(3, dtype=torch.float64)[:, :1])

@@ -7,13 +7,14 @@ import pytest
 import torch
 
 from inspection import guidance
-from inspection.guidance import GUIDANCE, Lead, Orbit, natural_motion
+from inspection.guidance import natural_motion
 from inspection.initial_state import sample_initial_state
 from inspection.model.attitude import dot, rotate, unit
 from inspection.model.dynamics import step, sun_direction
 from inspection.model.orbit import free_flight
 from inspection.model.parameters import InspectionParameters
 from inspection.model.state import OMEGA, SIZE, THETA_S, E, P, Q, T, V
+from inspection.orbits import GUIDANCE, Lead, Orbit
 from inspection.transition import METRICS
 from study.config import Config
 from study.experiment import Experiment

@@ -17,7 +17,7 @@ from inspection.environment import InspectionEnv
 from inspection.reward import REWARDS
 from inspection.termination import OUTCOMES
 from inspection.transition import METRICS
-from rta.constraints.constraint import CONSTRAINTS
+from rta.constraints.names import CONSTRAINTS
 from rta.filter import SafetyFilter
 from study.config import Config
 from study.errors import InputError

@@ -9,7 +9,7 @@ import torch
 
 from inspection.environment import InspectionEnv
 from interfaces.safety import RunTimeAssurance, VectorRunTimeAssurance
-from rta.constraints.constraint import CONSTRAINTS
+from rta.constraints.names import CONSTRAINTS
 from rta.filter import SafetyFilter
 from rta.parameters import RtaParameters
 from study.config import Config

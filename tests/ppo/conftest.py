@@ -6,8 +6,9 @@ import pytest
 import torch
 from torch import Tensor
 
-from ppo.learner import PPO, PPOParameters
+from ppo.learner import PPO
 from ppo.network import Policy, Value
+from ppo.parameters import PPOParameters
 from ppo.rollout import Transition
 
 # Each column's length of an episode and whether its end is a true one; the columns 0 and 1 are those of the first seed.

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from ppo import checkpoint
-from ppo.checkpoint import CheckpointError
+from ppo.errors import CheckpointError
 
 
 def test_a_write_that_dies_leaves_the_previous_checkpoint(

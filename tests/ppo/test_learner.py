@@ -9,8 +9,10 @@ import pytest
 import torch
 from torch import Tensor
 
-from ppo.learner import PPO, NonFiniteError, PPOParameters
+from ppo.errors import NonFiniteError
+from ppo.learner import PPO
 from ppo.network import Policy, Value
+from ppo.parameters import PPOParameters
 
 OBSERVATION, ACTION = 5, 2
 ONE_MINIBATCH = PPOParameters(epochs=1, minibatch_size=64, max_grad_norm=math.inf, entropy_coefficient=0.01)

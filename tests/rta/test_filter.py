@@ -23,7 +23,8 @@ from inspection.model.attitude import norm
 from inspection.model.parameters import InspectionParameters
 from kernels import Compiled
 from rta.conditions.rows import Rows
-from rta.constraints.constraint import CONSTRAINTS, Constraint
+from rta.constraints.constraint import Constraint
+from rta.constraints.names import CONSTRAINTS
 from rta.constraints.thrust import chord
 from rta.filter import SOLVERS, SafetyFilter, make_solver
 from rta.parameters import PERIODS, RtaParameters

@@ -2,6 +2,7 @@
 
 import math
 import re
+import warnings
 from dataclasses import fields
 from typing import Any
 
@@ -136,3 +137,14 @@ def test_what_is_wrong_is_refused_in_a_line(safety: SafetyFilter, x: Any, u: Any
     with pytest.raises(ValueError, match=f"^{pattern}") as refusal:
         safety(x, u)
     assert "\n" not in str(refusal.value)
+
+
+def test_a_state_that_looks_like_other_units_is_answered_and_warned_of(safety: SafetyFilter) -> None:
+    state, control = STATE[:, :3].copy(), CONTROL[:, :3]
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        safety(state, control)
+    state[13, 1] += 273.15
+    with pytest.warns(UserWarning, match=r"^state: temperature above 160 deg C: is it in K") as warned:
+        assert safety(state, control).control.shape == (6, 3)
+    assert [warning.filename for warning in warned] == [__file__]  # where it was called

@@ -32,7 +32,7 @@ from inspection.model.dynamics import energy_rate, step, sun_direction, temperat
 from inspection.model.orbit import free_flight
 from inspection.model.parameters import InspectionParameters
 from inspection.model.state import CONTROL_SIZE, OMEGA, THETA_S, E, P, Q, T, V
-from rta.constraints.constraint import CONSTRAINTS
+from rta.constraints.names import CONSTRAINTS
 from rta.constraints.thrust import radial_speed, speed_limit
 from rta.filter import SafetyFilter
 from rta.parameters import RtaParameters

@@ -22,7 +22,7 @@ from inspection.model.dynamics import control_matrix
 from inspection.model.dynamics import drift as torch_drift
 from inspection.model.parameters import InspectionParameters
 from rta.conditions.rows import Rows
-from rta.constraints.constraint import CONSTRAINTS
+from rta.constraints.names import CONSTRAINTS
 from rta.constraints.vehicle import scaled
 from rta.filter import SafetyFilter
 from rta.lie_derivatives import ByNumbers, lie_derivative, lie_derivatives

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from inspection.model.parameters import InspectionParameters
-from rta.constraints.constraint import CONSTRAINTS
+from rta.constraints.names import CONSTRAINTS
 from rta.filter import SafetyFilter
 from rta.parameters import PERIODS, QP_SOLVERS, RtaParameters
 from rta.qp.batched_solver import BatchedSolver

@@ -25,12 +25,27 @@ def test_file_overrides_defaults_key_by_key() -> None:
     assert config.train.num_envs == Config().train.num_envs
 
 
+def test_a_byte_order_mark_is_read_over(tmp_path: Path) -> None:
+    path = tmp_path / "marked.toml"
+    path.write_bytes("\ufeff[train]\nseed = 7\n".encode())
+    assert configuration.load(path).train.seed == 7
+    path.write_bytes("[train]\n\ufeffseed = 7\n".encode())  # elsewhere it is none
+    with pytest.raises(InputError, match="not valid TOML"):
+        configuration.load(path)
+
+
 @pytest.mark.parametrize(
     ("text", "words"),
     [
         ("[train]\nseeds = 1", ["[train]", "'seeds'", "seed"]),
         ("[learner]\nx = 1", ["[learner]", "train", "ppo"]),
         ("train = 3", ["train = 3", "table"]),
+        ("[trian]\nseed = 1", ["unknown table [trian]; did you mean train?"]),
+        ("mass = 3", ["mass = 3", "must stand below a table, [inspection]"]),
+        ("[train]\ngamma = 0.9", ["[train] unknown key 'gamma'; it stands in [ppo]"]),
+        ("[inspection]\nmas = 3", ["[inspection] unknown key 'mas'; did you mean mass?"]),
+        ("[inspection]\nweight = 3", ["[inspection] unknown key 'weight'; `config.toml` of a run lists all"]),
+        ("[study]\nseeds = 3", ["unknown table [study]; allowed are train, inspection"]),
         ("[train]\nseed = 1.5", ["seed = 1.5", "integer"]),
         ("[train]\nrta = 1", ["rta = 1", "true or false"]),
         ("[train]\nnum_envs = 0", ["num_envs = 0", "positive"]),
@@ -183,7 +198,7 @@ def test_a_study_has_arms_of_its_own() -> None:
         ("[arms.report.ppo]\ngamma = 0.9", "[arms.report]: must be a name of its own"),
         ("[arms.cubed.train]\nseed = 7", "[arms.cubed.train] seed: must be the study's, in [train]"),
         ("[arms.cubed.ppo]\ncube = 3", "[arms.cubed]: [ppo] unknown key 'cube'"),
-        ("[inspection]\nmas = 3", "unknown key 'mas' (did you mean mass?)"),
+        ("[inspection]\nmas = 3", "unknown key 'mas'; did you mean mass?"),
         ("mass = 3", "mass = 3: must stand below a table, [inspection]"),
         (
             "[arms.cubed.ppo]\ngamma = 3",

@@ -5,7 +5,7 @@ import os
 
 import pytest
 
-from study.errors import InputError, refusing
+from study.errors import InputError, instead, refusing
 
 
 @pytest.mark.parametrize(
@@ -34,3 +34,18 @@ def test_what_is_refused_already_keeps_its_words() -> None:
 def test_other_exceptions_pass() -> None:
     with pytest.raises(KeyError), refusing("here", ValueError, OSError):
         raise KeyError("x")
+
+
+@pytest.mark.parametrize(
+    ("word", "known", "said"),
+    [
+        ("evalute", ["train", "evaluate"], "; did you mean evaluate?"),
+        ("rate", ["rate_gain", "rates", "rare", "mass"], "; did you mean rates or rare?"),
+        ("fly", ["train", "evaluate"], "; allowed are train, evaluate"),
+        ("fly", [f"gain_{i}" for i in range(60)], ""),
+    ],
+)
+def test_an_unknown_word_is_answered_by_the_nearest_or_by_all_of_a_few(
+    word: str, known: list[str], said: str
+) -> None:
+    assert instead(word, known) == said

@@ -4,7 +4,7 @@ import dataclasses
 
 import pytest
 
-from rta.constraints.constraint import CONSTRAINTS
+from rta.constraints.names import CONSTRAINTS
 from study.paper import PAPER_METRICS, PAPER_VIOLATIONS, Estimate, Results, measured, tables
 
 

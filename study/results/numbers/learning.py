@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from inspection.guidance import GUIDANCE
+from inspection.orbits import GUIDANCE
 from study.config import ARMS
 from study.flight.summary import iqm
 from study.paper import Results

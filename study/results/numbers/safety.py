@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from rta.constraints.constraint import UNITS
+from rta.constraints.names import UNITS
 from study.paper import PAPER_VIOLATIONS
 from study.results.numbers.evidence import (
     LABELS,

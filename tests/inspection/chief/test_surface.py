@@ -319,6 +319,13 @@ def test_a_file_that_is_none_is_refused(name, words, tmp_path) -> None:
         surface(ChiefParameters(mesh=str(tmp_path / name)), C)
 
 
+@pytest.mark.parametrize("name", ["meshes", "a.npz"])
+def test_a_directory_is_named_as_one(name, tmp_path) -> None:
+    (tmp_path / name).mkdir()
+    with pytest.raises(ValueError, match=r"is a directory; name an \.npz or \.stl file"):
+        surface(ChiefParameters(mesh=str(tmp_path / name)), C)
+
+
 @pytest.mark.parametrize("mesh", MESHES)
 def test_a_file_that_was_cut_off_is_refused(mesh, tmp_path) -> None:
     whole = Path(ROOT / mesh).read_bytes()

@@ -20,7 +20,8 @@ from inspection.model.attitude import body_axis, dot, norm, unit
 from inspection.model.parameters import InspectionParameters
 from inspection.model.state import P, Q
 from rta.conditions.rows import ActuatorGroup, Rows
-from rta.constraints.constraint import ACTUATORS, CONSTRAINTS, Constraint
+from rta.constraints.constraint import ACTUATORS, Constraint
+from rta.constraints.names import CONSTRAINTS
 from rta.filter import SafetyFilter
 from rta.parameters import RtaParameters
 from rta.qp.programs import Status

@@ -19,7 +19,7 @@ import torch
 from torch import Tensor
 
 from rta import SafetyFilter, Status
-from rta.constraints.constraint import CONSTRAINTS
+from rta.constraints.names import CONSTRAINTS
 from rta.printed.files import (
     BUILT,
     NOT_VERIFIED,

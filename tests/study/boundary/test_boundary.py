@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from inspection.environment import InspectionEnv
-from rta.constraints.constraint import CONSTRAINTS
+from rta.constraints.names import CONSTRAINTS
 from rta.filter import SafetyFilter
 from rta.result import FilterResult
 from study.boundary import boundary, limits

@@ -14,7 +14,7 @@ import main
 from inspection.model.dynamics import step
 from inspection.model.parameters import InspectionParameters
 from rta.backup.check import Backup
-from rta.constraints.constraint import CONSTRAINTS
+from rta.constraints.names import CONSTRAINTS
 from rta.filter import SafetyFilter
 from rta.parameters import RtaParameters
 from rta.qp.programs import Status

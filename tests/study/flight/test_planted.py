@@ -12,7 +12,7 @@ from numpy import ndarray
 
 from inspection.environment import InspectionEnv
 from inspection.model.state import CONTROL_SIZE
-from rta.constraints.constraint import CONSTRAINTS
+from rta.constraints.names import CONSTRAINTS
 from rta.filter import SafetyFilter
 from rta.result import FilterResult
 from study.config import Config, override

@@ -1,9 +1,14 @@
 """The number of threads: what a person wants, what a run was begun with, else what is fastest."""
 
+import json
+from pathlib import Path
+
 import pytest
 import torch
 
+from study.errors import InputError
 from study.machine import threads
+from study.machine.provenance import recorded_threads
 from study.machine.threads import Threads, fastest, measured, said
 
 
@@ -55,6 +60,27 @@ def test_nothing_is_measured_where_the_environment_decides_or_nobody_asked(
     own = Threads()
     own.ask(None)
     own.settle()
+
+
+@pytest.mark.parametrize(("processors", "wanted"), [(2, 3), (2, 100_000), (None, 2), (64, 20_000)])
+def test_more_threads_than_processors_are_refused(
+    processors: int | None, wanted: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("os.cpu_count", lambda: processors)
+    own = Threads()
+    with pytest.raises(
+        InputError, match=f"--threads {wanted}: must be at most {processors or 1}, .*processors"
+    ):
+        own.ask(wanted)
+    own.settle()
+    assert torch.get_num_threads() == 2  # nothing was asked for
+    own.ask(processors or 1)
+
+
+@pytest.mark.parametrize(("written", "read"), [(8, 8), (100_000, None), (0, None), (True, None), ("2", None)])
+def test_a_record_of_impossible_threads_is_none(written: object, read: int | None, tmp_path: Path) -> None:
+    (tmp_path / "provenance.json").write_text(json.dumps({"threads": written}))
+    assert recorded_threads(tmp_path) == read
 
 
 def test_each_number_of_threads_is_measured() -> None:

@@ -8,10 +8,11 @@ import torch
 from torch import Tensor
 
 from inspection.environment import InspectionEnv
-from inspection.guidance import GUIDANCE, natural_motion
+from inspection.guidance import natural_motion
 from inspection.model.dynamics import integrate
 from inspection.model.parameters import InspectionParameters
 from inspection.model.state import SIZE, THETA_S, P, Q, V
+from inspection.orbits import GUIDANCE
 from inspection.transition import METRICS
 from rta.filter import SafetyFilter
 from study.config import TEST_CASES, Config

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 import main
 from inspection.chief.surface import light, surface
-from rta.constraints.constraint import CONSTRAINTS
+from rta.constraints.names import CONSTRAINTS
 from study.config import load
 from study.replay import page, scene
 from study.replay.scene import Replayed

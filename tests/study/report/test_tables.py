@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from inspection.transition import METRICS
-from rta.constraints.constraint import CONSTRAINTS
+from rta.constraints.names import CONSTRAINTS
 from study.config import StudyConfig
 from study.errors import InputError
 from study.paper import PAPER_METRICS, PAPER_VIOLATIONS

@@ -5,7 +5,7 @@ from itertools import combinations
 
 import pytest
 
-from inspection.guidance import GUIDANCE
+from inspection.orbits import GUIDANCE
 from study.config import TEST_CASES
 from study.files import ROOT
 from study.results.guidance_front import UNSEEN_CASES, WAYS

@@ -6,7 +6,8 @@ from pathlib import Path
 import pytest
 import torch
 
-from inspection.guidance import GUIDANCE, Orbit, natural_motion
+from inspection.guidance import natural_motion
+from inspection.orbits import GUIDANCE, Orbit
 from study import config as configuration
 from study.config import Config
 from study.experiment import Experiment

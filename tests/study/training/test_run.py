@@ -16,11 +16,11 @@ import tomli_w
 import torch
 
 from ppo import checkpoint
-from ppo.learner import NonFiniteError
+from ppo.errors import NonFiniteError
 from study import config as configuration
 from study.config import Config, StudyConfig, StudyParameters
+from study.errors import Stopped
 from study.training import session as training
-from study.training.run import Stopped
 
 MAIN = Path(__file__).parents[3] / "main.py"
 
@@ -196,8 +196,9 @@ def test_a_signal_in_the_last_evaluation_says_how_to_continue(
 ) -> None:
     run = training.start(tiny(), tmp_path / "run")
     monkeypatch.setattr("study.training.run.play_and_record", lambda *_: os.kill(os.getpid(), signal.SIGINT))
-    with pytest.raises(Stopped, match=r"continue with\n.*train --resume"):
+    with pytest.raises(Stopped, match=r"continue with\n.*train --resume") as stopped:
         run.conclude()
+    assert stopped.value.number == signal.SIGINT
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
@@ -213,8 +214,8 @@ def test_a_signal_ends_training_cleanly_and_resume_continues(tmp_path: Path, num
     time.sleep(1.0)
     process.send_signal(number)
     out, err = process.communicate(timeout=60)
-    assert process.returncode == 0, err
-    assert "--resume" in out
+    assert process.returncode == 128 + number, err
+    assert out.splitlines()[-1] == f"  python {MAIN} train --resume {run}"
     assert "\nstopping" in err
     assert "Traceback" not in err
     assert checkpoint.load(run / "checkpoint.pt", ("update",))["update"] >= 1

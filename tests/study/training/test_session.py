@@ -437,7 +437,7 @@ def test_evaluations_come_more_often_at_the_beginning_also_where_a_run_goes_on(
     for update, begin in ((0, [*train, str(runs[1])]), (1, ["train", "--resume", str(runs[1])])):
         with pytest.MonkeyPatch.context() as patch:
             after(patch, update + 1, lambda _: os.kill(os.getpid(), signal.SIGTERM))
-            assert main.main(begin) == 0
+            assert main.main(begin) == 143
     assert main.main(["train", "--resume", str(runs[1])]) == 0
     whole, stopped = (
         [json.loads(line) for line in (run / "evaluations.jsonl").read_text().splitlines()] for run in runs

@@ -179,7 +179,7 @@ def test_interruptions_change_nothing(
     first, second = tmp_path / "no_rta", tmp_path / "rta"
     with pytest.MonkeyPatch.context() as patch:  # in the first arm's training, after its first update
         kill_after(patch, Run, "after_update", 1, signal.SIGINT)
-        assert main.main(arguments) == 0
+        assert main.main(arguments) == 130
     assert checkpoint.load(first / "checkpoint.pt", ("update",))["update"] == 1
 
     with pytest.MonkeyPatch.context() as patch:  # killed outright after an evaluation, before its checkpoint
@@ -191,22 +191,22 @@ def test_interruptions_change_nothing(
 
     with pytest.MonkeyPatch.context() as patch:  # in the first arm's final evaluation
         kill_after(patch, arms, "write_episodes", 1, signal.SIGTERM)
-        assert main.main(arguments) == 0
+        assert main.main(arguments) == 143
     assert checkpoint.load(first / "checkpoint.pt", ("update",))["update"] == 3
     assert not (first / "results.json").exists()
 
     with pytest.MonkeyPatch.context() as patch:  # between the arms
         kill_after(patch, arms, "evaluate_arm", 1, signal.SIGTERM)
-        assert main.main(arguments) == 0
+        assert main.main(arguments) == 143
     assert (first / "results.json").exists()
     assert not second.exists()
 
     with pytest.MonkeyPatch.context() as patch:  # among the second arm's first episodes
         kill_after(patch, arms, "create", 1, signal.SIGTERM)
-        assert main.main(arguments) == 0
+        assert main.main(arguments) == 143
     with pytest.MonkeyPatch.context() as patch:  # in the second arm's training, after its last update
         kill_after(patch, Run, "after_update", 3, signal.SIGTERM)
-        assert main.main(arguments) == 0
+        assert main.main(arguments) == 143
     assert not (second / "episodes.npz").exists()
     assert (
         capsys.readouterr().out.count(f"continue with\n  python main.py study --study-dir {tmp_path}\n") == 5

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from inspection.world.parameters import PlantParameters
-from rta.constraints.constraint import CONSTRAINTS
+from rta.constraints.names import CONSTRAINTS
 from study.config import Config, override
 from study.verification import break_points
 from study.verification.break_points import COLUMNS, EFFECTS, Effect, figure, last_held, table

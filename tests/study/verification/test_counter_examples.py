@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import tomli_w
 
-from rta.constraints.constraint import CONSTRAINTS
+from rta.constraints.names import CONSTRAINTS
 from rta.filter import make_solver
 from rta.qp.programs import Problems, Solutions
 from study.config import Config, from_toml, override

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rta.constraints.constraint import CONSTRAINTS
+from rta.constraints.names import CONSTRAINTS
 from rta.filter import SafetyFilter
 from study.files import ROOT
 from study.verification import campaign, findings

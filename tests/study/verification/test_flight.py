@@ -10,7 +10,7 @@ from numpy import ndarray
 from inspection.closed_loop import Safety, Smallest
 from inspection.environment import InspectionEnv
 from inspection.model.parameters import InspectionParameters
-from rta.constraints.constraint import CONSTRAINTS
+from rta.constraints.names import CONSTRAINTS
 from rta.filter import SafetyFilter
 from rta.parameters import RtaParameters
 from study.verification.adversaries import held_at_random

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from rta.constraints.constraint import CONSTRAINTS
+from rta.constraints.names import CONSTRAINTS
 from rta.qp.programs import Status
 from study.verification import tally
 from study.verification.flight import ROUNDING, Flight

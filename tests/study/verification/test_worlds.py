@@ -14,7 +14,7 @@ from inspection.model.attitude import conjugate, rotate, unit
 from inspection.model.draws import isotropic
 from inspection.model.state import SIZE, THETA_S, E, P, Q, T, V
 from inspection.world.corners import CORNER, Recorded
-from rta.constraints.constraint import CONSTRAINTS
+from rta.constraints.names import CONSTRAINTS
 from rta.result import FilterResult
 from study.config import Config, override
 from study.experiment import Experiment

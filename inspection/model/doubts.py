@@ -1,0 +1,24 @@
+"""What of a state is probably in another unit, or in another order, than the state's."""
+
+from torch import Tensor
+
+from inspection.model.parameters import Limits
+from inspection.model.state import E, Q, T
+
+HOT = 150.0  # deg C above the limit: less than what 273 K make of a surface that keeps it
+RICH = 200.0  # times what a battery begins with at most; J in place of kJ are a thousand times as many
+
+
+def doubts(x: Tensor, c: Limits) -> list[str]:
+    """A phrase for each thing of states (16, B), finite, that nobody can have meant or hardly anybody has."""
+    most, least_energy = x.amax(1).tolist(), x[E].amin().item()
+    hot, rich, found = c.max_temperature + HOT, RICH * c.initial_energy[1], []
+    if most[T] > hot:
+        found.append(f"temperature above {hot:g} deg C: is it in K? It must be in deg C")
+    if most[E] > rich:
+        found.append(f"energy above {rich:g} kJ: is it in J? It must be in kJ")
+    if least_energy < 0.0:
+        found.append("energy below zero, which no battery holds")
+    if most[Q.start] == 1.0:
+        found.append("quaternion [1, 0, 0, 0], half a turn about x: is its scalar first? It must be last")
+    return found

@@ -1,0 +1,28 @@
+"""The limits by name, and the units of their h."""
+
+# In the order of the paper's Table 3: seven that only thrust can influence, six that only torque can.
+TRANSLATIONAL = (
+    "collision",
+    "dynamic_speed",
+    "keep_in_zone",
+    "passive_safety",
+    "velocity_x",
+    "velocity_y",
+    "velocity_z",
+)
+ATTITUDE = (
+    "attitude_exclusion",
+    "temperature",
+    "battery",
+    "angular_velocity_x",
+    "angular_velocity_y",
+    "angular_velocity_z",
+)
+CONSTRAINTS = TRANSLATIONAL + ATTITUDE
+UNITS = {  # of h, by limit
+    **dict.fromkeys(("collision", "dynamic_speed", "keep_in_zone"), "m/s"),
+    "passive_safety": "m",
+    **{f"velocity_{axis}": "m^2/s^2" for axis in "xyz"},
+    **{"attitude_exclusion": "rad", "temperature": "deg C", "battery": "kJ"},
+    **{f"angular_velocity_{axis}": "rad^2/s^2" for axis in "xyz"},
+}
