@@ -16,7 +16,7 @@ from numpy import ndarray
 from scipy.optimize import minimize_scalar
 
 from inspection.model.parameters import InspectionParameters
-from rta.constraints import constraint as constraints
+from rta.constraints import names
 from rta.constraints import thrust as thrust_constraints
 from rta.constraints import torque as torque_constraints
 from rta.constraints.constraint import Constraint
@@ -268,7 +268,7 @@ def test_collision_barrier_equals_numpy(period: float) -> None:
 
 
 def test_names_are_in_the_order_of_table_3() -> None:
-    assert constraints.CONSTRAINTS == TABLE_3
+    assert names.CONSTRAINTS == TABLE_3
 
 
 def test_entries_are_in_the_order_of_table_3() -> None:
