@@ -45,16 +45,15 @@ class RtaParameters(Settings):
     rate_gain: float = setting(0.5, "1/s, rate limits")
 
     exclusion_gains: tuple[float, float] = setting(
-        (0.15, 0.2),
+        (0.05, 0.2),
         "1/s, k1 and k2, attitude exclusion",
-        note="HOCBF, Psi_1 = dh/dt + k1 h and dPsi_1/dt + k2 Psi_1 >= 0, 1/s. Along Psi_1 = 0 the turn slows by k1 "
-        "|dh/dt|: at sqrt(2) times 2 deg/s by 0.0074 rad/s^2, less than half of the 0.0175 that torque gives.",
+        note="HOCBF, Psi_1 = dh/dt + k1 h and dPsi_1/dt + k2 Psi_1 >= 0, 1/s",
     )
     temperature_gains: tuple[float, float] = setting(
         (0.0015, 0.2), "1/s, k1: act while a 90 deg turn still helps; k2"
     )
     battery_gains: tuple[float, float] = setting(
-        (0.1, 0.2), "1/s, k1: a turn begins in time, see `battery`; k2"
+        (0.004, 0.1), "1/s, k1: 15 W of draw is held 3.75 kJ above it; k2"
     )
 
     collision_margin: float = setting(0.02, "m/s, safe separation", note="margins in the unit of each h")
@@ -68,7 +67,7 @@ class RtaParameters(Settings):
     )
     exclusion_margin: float = setting(0.01, "rad, attitude exclusion")
     temperature_margin: float = setting(0.05, "deg C, temperature")
-    battery_margin: float = setting(0.05, "kJ, battery; what the pole's smoothing takes off a turn's reserve")
+    battery_margin: float = setting(0.02, "kJ, battery")
     rate_margin: float = setting(0.0, "rad^2/s^2; the plant saturates at the limit itself")
 
     incidence_rounding: float = setting(

@@ -22,7 +22,6 @@ from rta.constraints.constraint import Constraint
 from rta.lie_derivatives import Function
 from rta.parameters import RtaParameters
 
-TURNING = 0.9  # share of the largest rate at which the battery counts on a turn
 ON_POLE = 1e-9  # rad, from a pole where no side is nearer
 
 Entry = partial(Constraint, held_by="torque", coupled=False)  # which no other actuator changes
@@ -152,43 +151,18 @@ def temperature(c: Limits, r: RtaParameters) -> Constraint:
 
 
 def battery(c: Limits, r: RtaParameters) -> Constraint:
-    """E - E_min - delta_2 theta_SI in kJ: the solar panels and the Sun.
+    """E - E_min - delta_2 theta_SI in kJ: the solar panels and the Sun."""
 
-    The barrier is h less what a turn of the panels to the Sun takes of it, at a rate rho from theta on. On the turn h
-    changes by (peak cos(theta)^+ - draw) / rho + delta_2 a rad, which is negative down to theta* with cos(theta*)
-    = (draw - delta_2 rho) / peak, and
-
-        reserve(theta) = int from theta* to theta of (draw - peak cos(theta')^+) / rho - delta_2  d theta'.
-
-    So who turns at rho loses nothing of the barrier, which is at most 0.8 kJ below h. Of h alone, k1 would have to be
-    low enough that a spacecraft with its panels in the dark turns in time: 0.004 1/s, 3.75 kJ above the limit.
-    """
-    charging = energy_rate(torch.ones((), dtype=torch.float64), c).item()  # kJ/s, in full light
-    draw = c.power_draw / 1000.0
-    peak = charging + draw
-    rho = TURNING * c.max_rate - c.fastest_orbit_rate
-    needed = (draw - c.energy_sun_slope * rho) / peak  # of full light; none: the turn costs nothing
-    edge = math.acos(min(needed, 1.0)) if needed > 0.0 else math.pi  # theta*
-
-    def reserve(angle: Tensor) -> Tensor:
-        beyond = angle.clamp(min=edge)
-        light = beyond.clamp(max=math.pi / 2).sin() - math.sin(min(edge, math.pi / 2))
-        return (draw / rho - c.energy_sun_slope) * (beyond - edge) - peak / rho * light
-
-    def h(x: Tensor) -> Tensor:
+    def h(x: Tensor, pole: float = 0.0, leaving: Side | None = None) -> Tensor:
         sun, _ = sun_and_earth_in_body(x)
-        return x[E] - c.min_energy - c.energy_sun_slope * angle_to(c.solar_panel_axis, sun)
+        return x[E] - c.min_energy - c.energy_sun_slope * angle_to(c.solar_panel_axis, sun, pole, leaving)
 
     def barrier(x: Tensor) -> Function:
         sun, _ = sun_and_earth_in_body(x)
         leaving = side(c.solar_panel_axis, sun, h(x) < 0.0, r.pole_angle, far=True)
+        return lambda y: h(y, r.pole_angle, leaving)[None]
 
-        def kept(y: Tensor) -> Tensor:
-            sun, _ = sun_and_earth_in_body(y)
-            angle = angle_to(c.solar_panel_axis, sun, r.pole_angle, leaving)
-            return (y[E] - c.min_energy - c.energy_sun_slope * angle - reserve(angle))[None]
-
-        return kept
+    charging = energy_rate(torch.ones(()).double(), c).item()  # in full light
 
     return Entry(
         "battery",

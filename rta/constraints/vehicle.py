@@ -5,8 +5,8 @@ for: times, angles and amounts that a vehicle needs to turn. For the paper's eve
 
 | quantity | of a vehicle | what it scales |
 |---|---|---|
-| time to stop a turn | omega / alpha | exclusion and battery gains, k2: faster ones ask for torque that is not there |
-| time to turn by 90 deg | (pi / 2) / omega + omega / alpha | k1 of temperature: act while a turn helps |
+| time to stop a turn | omega / alpha | exclusion gains, each k2: faster ones ask for torque that is not there |
+| time to turn by 90 deg | (pi / 2) / omega + omega / alpha | k1 of temperature and battery: act while a turn helps |
 | angle of a stop | omega^2 / (2 alpha) | rounding of the terminator, least angle to a pole |
 | speed of turning | alpha, omega^2 | exclusion margin: what a period at constant torque misses |
 | heat, charge of a turn | most of either, times the time to turn | margins of temperature and battery |
@@ -71,11 +71,14 @@ def scaled(r: RtaParameters, c: Limits) -> RtaParameters:
     strongest = (each.max_torque / min(each.inertia) for each in (c, PAPER))
     quick = max(ratio(*strongest), ratio(c.max_rate**2, PAPER.max_rate**2))
 
+    def slower(k1: float, k2: float) -> tuple[float, float]:
+        return k1 / turn, k2 / stop
+
     return replace(
         r,
         exclusion_gains=(r.exclusion_gains[0] / stop, r.exclusion_gains[1] / stop),
-        temperature_gains=(r.temperature_gains[0] / turn, r.temperature_gains[1] / stop),
-        battery_gains=(r.battery_gains[0] / stop, r.battery_gains[1] / stop),
+        temperature_gains=slower(*r.temperature_gains),
+        battery_gains=slower(*r.battery_gains),
         exclusion_margin=r.exclusion_margin * quick,
         temperature_margin=r.temperature_margin * ratio(heat_of_a_turn(c), heat_of_a_turn(PAPER)),
         battery_margin=r.battery_margin * ratio(charge_of_a_turn(c), charge_of_a_turn(PAPER)),

@@ -32,7 +32,6 @@ from tests.rta.constraints.test_constraints import (
     body_axis,
     cosines,
     keep_in_curve,
-    kept,
     length,
     orientation,
     paper,
@@ -196,11 +195,11 @@ def first_psi(x: ndarray, c: InspectionParameters) -> ndarray:
 
     k1 h, and beyond a limit k2 h, at most half of the rate of a turn, of cooling in the dark, of full charge.
     """
-    along = kept(x + 1e-30j * drift(x, c), panel(c)).imag / 1e-30
-    h, barrier = orientation(x, panel(c)), kept(x, panel(c))
+    along = orientation(x + 1e-30j * drift(x, c), panel(c)).imag / 1e-30
+    h = orientation(x, panel(c))
     cooling, charge = 5.67051e-8 * 0.06 * 0.03 * 283.15**4 / 1800, (983.3 * 0.77 * 0.03 - 15) / 1000
     half = np.array([[math.radians(2)], [cooling], [charge]]) / 2
-    return along + np.where(h < 0, np.maximum(TORQUE[0][:3] * barrier, -half), K1[:, None] * barrier)
+    return along + np.where(h < 0, np.maximum(TORQUE[0][:3] * h, -half), K1[:, None] * h)
 
 
 def torque_values(x: ndarray, c: InspectionParameters) -> ndarray:

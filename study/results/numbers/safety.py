@@ -48,23 +48,20 @@ def flown() -> Iterator[Row]:
     yield "any", random, "", adversarial, ""
 
 
-def of_period(period: str) -> list[Any]:
-    """The reports of random and of adversarial controls at a period in s."""
-    return both() if period == "1" else [read(f"frequency/{each}_{period}s.json") for each in POLICIES]
-
-
-def backup() -> Iterator[Row]:
-    """Calls in which the backup acts, and in which limits yield."""
-    for period in ("1", "5", "10"):
-        for policy, each in zip(POLICIES, of_period(period), strict=True):
-            share = 100.0 * each["backup_calls"] / calls(each)
-            yield (
-                period,
-                policy,
-                f"{calls(each):,}",
-                f"{each['backup_calls']:,} ({share:.3f} %)",
-                *slack(each),
-            )
+def yielded() -> Iterator[Row]:
+    """Calls in which rows yielded, because they conflicted."""
+    labels = {
+        "temperature": ("temperature",),
+        "battery": ("battery",),
+        "keep-in zone, inside its margin": ("keep_in_zone",),
+        "separation, passive safety, attitude exclusion, speed, velocity": (
+            *("collision", "passive_safety", "attitude_exclusion", "dynamic_speed"),
+            *(f"velocity_{axis}" for axis in "xyz"),
+        ),
+    }
+    yield "any", *slack(*both())
+    for label, limits in labels.items():
+        yield label, *(f"{sum(each['yielded_calls'][name] for name in limits):,}" for each in both())
 
 
 def came_of(campaign: Any) -> Row:
@@ -113,7 +110,8 @@ def periods_of_agents() -> Iterator[Row]:
 def periods_of_campaigns() -> Iterator[Row]:
     """Random and adversarial controls at each period."""
     for period in report("frequency"):
-        yield period, *map(violating, of_period(period))
+        found = both() if period == "1" else [read(f"frequency/{each}_{period}s.json") for each in POLICIES]
+        yield period, *map(violating, found)
 
 
 def told_worlds() -> Iterator[Row]:
@@ -155,8 +153,9 @@ def sentences() -> Iterator[tuple[str, str]]:
     bound = max(each["upper_bound_95"] for each in both())
     yield TESTS, f"violates anything is below {bound:.3g} under either kind"
     yield TESTS, f"None of {calls(*both()):,} filter calls was unsolved"
-    yield TESTS, f"{both()[0]['starts_rejected_by_margin']} states with every h non-negative were left out"
-    yield TESTS, f"{both()[0]['starts_beyond_braking']['episodes']} start was flown but"
+    yield TESTS, f"{both()[0]['starts_rejected_by_margin']} of the safe set's starts were left out"
+    yield TESTS, f"{both()[0]['starts_beyond_braking']['episodes']} starts were flown but"
+    yield TESTS, f"In these {episodes:,} episodes the limit itself"
     yield TESTS, f"in each of the {len(campaign('break_points')['worlds'])} worlds"
 
     single = campaign("boundary")
@@ -175,6 +174,8 @@ def sentences() -> Iterator[tuple[str, str]]:
 
     random, adversarial = map(share_of_slack, both("u1_{}"))
     yield SAFETY, f"yielded in {random:.2f} % of the calls under random and {adversarial:.2f} % under"
+    at_5, at_10 = (share_of_slack(read(f"frequency/random_{period}s.json")) for period in (5, 10))
+    yield SAFETY, f"in {at_5:.2f} % of the random calls at 5 s and in {at_10:.1f} % at 10 s"
 
     in_c = campaign("in_c_random")
     yield IN_C, f"campaign of {in_c['episodes']:,} random episodes at 1 s"

@@ -7,7 +7,6 @@ with the paper's numbers, and most of it also takes complex states, for derivati
 import functools
 import itertools
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -21,7 +20,7 @@ from rta.constraints import thrust as thrust_constraints
 from rta.constraints import torque as torque_constraints
 from rta.constraints.constraint import Constraint
 from rta.constraints.thrust import chord, signed_sqrt
-from rta.constraints.torque import arccos, battery
+from rta.constraints.torque import arccos
 from rta.filter import SafetyFilter
 from rta.parameters import PERIODS, RtaParameters
 
@@ -91,21 +90,6 @@ def orientation(x: ndarray, panel: float = -1.0) -> ndarray:
     return np.stack(
         (exclusion, 10 - x[13] - 0.05 * sun - 0.01 * earth, x[14] - 1 - 0.05 * np.arccos(on_panel))
     )
-
-
-def kept(x: ndarray, panel: float = -1.0) -> ndarray:
-    """What is held of exclusion, temperature and battery, (3, B): the paper's h, the battery's less a turn to the Sun.
-
-    The turn is at 90 % of 2 deg/s less the Sun's own motion in Hill's frame; until `edge` it costs more than it brings.
-    """
-    rho, peak, draw = 0.9 * math.radians(2) - MEAN_MOTION, 983.3 * 0.77 * 0.03 / 1000, 0.015
-    edge = math.acos((draw - 0.05 * rho) / peak)
-    angle = np.arccos(cosines(x, panel)[1])
-    beyond = np.where(angle.real > edge, angle, edge)
-    light = np.where(beyond.real < np.pi / 2, np.sin(beyond), 1.0) - np.sin(edge)
-    h = orientation(x, panel)
-    h[2] -= (draw / rho - 0.05) * (beyond - edge) - peak / rho * light
-    return h
 
 
 def coast(x: ndarray, t: ndarray) -> ndarray:
@@ -401,26 +385,4 @@ def test_smoothing_of_a_resource_is_covered_by_its_margin(row: int, margin: floa
     x[6:10], x[15] = np.stack((0 * half, 0 * half, np.sin(half), np.cos(half))), 0.0
     x[13], x[14] = 5.0, 6.0  # within the limits; beyond, no angle is smoothed where it is worst
     smooth = enforced(entries(C, RtaParameters(incidence_rounding=0.0))[TABLE_3[row]], x)[0]
-    assert 1e-4 < (smooth - kept(x)[row - 7]).max() < margin
-
-
-@pytest.mark.parametrize(
-    "c", [C, replace(C, power_draw=8.0, max_rate=0.02), replace(C, energy_sun_slope=0.9)]
-)
-def test_the_battery_is_left_what_a_turn_to_the_sun_takes(c: InspectionParameters) -> None:
-    """Flown in power and angle alone: at its lowest on the turn, h is what the barrier was at first."""
-    rho, delta = 0.9 * c.max_rate - c.fastest_orbit_rate, c.energy_sun_slope
-    seconds = np.linspace(0.0, np.pi / rho, 200_001)
-    angles = np.array([0.3, 0.8, 1.3, 1.9, 2.9])
-    x = torch.zeros(16, len(angles), dtype=torch.float64)
-    x[8], x[9] = (tensor(f(angles / 2)) for f in (np.sin, np.cos))  # about Hill's z
-    x[14], x[15] = 5.0, math.pi  # the panels, on -x, face the Sun at an angle of zero
-    entry = battery(c, R)
-    barrier = entry.barrier(x)(x)[0].numpy()
-    for angle, left in zip(angles, barrier, strict=True):
-        theta = (angle - rho * seconds).clip(min=0.0)
-        power = 983.3 * 0.77 * 0.03 * np.cos(theta).clip(min=0.0) - c.power_draw
-        energy = 5.0 + np.concatenate(([0.0], np.cumsum((power[1:] + power[:-1]) / 2000) * seconds[1]))
-        h = (energy - c.min_energy - delta * theta)[seconds <= angle / rho]
-        assert h.min() == pytest.approx(left, abs=1e-5)
-    assert (barrier < entry.h(x).numpy() - 0.1).any() == (c.power_draw / 1000 > delta * rho)
+    assert 1e-4 < (smooth - paper(x)[row]).max() < margin

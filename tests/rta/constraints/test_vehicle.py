@@ -46,7 +46,7 @@ def changed(**settings: Any) -> set[str]:
         # half the rate: half the time of a stop, an eighth... of its angle, but twice the time of a turn
         (
             {"max_rate": PAPER.max_rate / 2},
-            {"temperature_gains", "temperature_margin", "battery_margin"},
+            {"temperature_gains", "battery_gains", "temperature_margin", "battery_margin"},
         ),
         # twice the torque: a period misses more
         ({"max_angular_acceleration": 0.034906, "max_wheel_acceleration": 400.0}, {"exclusion_margin"}),
@@ -62,10 +62,9 @@ def test_gains_fall_and_margins_grow_as_the_equations_say() -> None:
     assert time_to_stop(slow) == pytest.approx(4 * time_to_stop(PAPER))
     longer = time_to_turn(slow) / time_to_turn(PAPER)
     assert longer == pytest.approx((45.0 + 8.0) / (45.0 + 2.0), rel=1e-4)
-    assert own.exclusion_gains == pytest.approx((0.15 / 4, 0.2 / 4))
-    assert own.battery_gains == pytest.approx((0.1 / 4, 0.2 / 4))
-    assert own.temperature_gains == pytest.approx((0.0015 / longer, 0.2 / 4))
-    assert own.battery_margin == pytest.approx(0.05 * longer)
+    assert own.exclusion_gains == pytest.approx((0.05 / 4, 0.2 / 4))
+    assert own.battery_gains == pytest.approx((0.004 / longer, 0.1 / 4))
+    assert own.battery_margin == pytest.approx(0.02 * longer)
     assert own.incidence_rounding == pytest.approx(1.0)  # 4 times 0.3 would be most of the sphere
     assert math.tan(own.pole_angle) == pytest.approx(4 * math.tan(0.2))
 

@@ -18,7 +18,6 @@ from tests.rta.constraints.test_constraints import (
     PSM_TOLERANCE,
     cosines,
     keep_in_curve,
-    kept,
     length,
     paper,
     positive,
@@ -59,12 +58,13 @@ def drawn() -> tuple[ndarray, ndarray]:
 
 
 def oriented(x: ndarray) -> ndarray:
-    """What is held of exclusion, temperature and battery, (3, B), the light's edge a parabola 2 w wide."""
-    w, h = R.incidence_rounding, kept(x)
-    height = [np.pi / 2 - np.arccos(cosine.clip(-1, 1)) for cosine in cosines(x)[2:]]
+    """Attitude exclusion, temperature and battery, (3, B), the light's edge a parabola 2 w wide."""
+    boresight, panel, *side = (np.arccos(cosine.clip(-1, 1)) for cosine in cosines(x))
+    w, height = R.incidence_rounding, [np.pi / 2 - angle for angle in side]
     sun, earth = (np.where(np.abs(z) < w, (z + w) ** 2 / (4 * w), positive(z)) for z in height)
-    h[1] = 10 - x[13] - 0.05 * sun - 0.01 * earth
-    return h
+    return np.stack(
+        (boresight - np.pi / 6 - np.pi / 18, 10 - x[13] - 0.05 * sun - 0.01 * earth, x[14] - 1 - 0.05 * panel)
+    )
 
 
 def test_every_start_satisfies_every_constraint(start: tuple[ndarray, ndarray]) -> None:
@@ -98,8 +98,11 @@ def test_states_that_only_the_margins_reject_are_counted_up_to_the_last_one_take
     last = np.flatnonzero((every == x[:, -1:].numpy()).all(0))[0]
     every = every[:, : last + 1]
 
+    def exact(y: ndarray) -> ndarray:
+        return paper(y)[[7, 8, 9]]
+
     k1 = np.array([[R.exclusion_gains[0]], [R.temperature_gains[0]], [R.battery_gains[0]]])
-    psi = slope(kept, every, drift(every, C), 1e-4) + k1 * kept(every)
+    psi = slope(exact, every, drift(every, C), 1e-4) + k1 * exact(every)
     expected = ((paper(every) >= 0).all(0) & (psi >= 0).all(0)).sum() - 500
     both = (
         ~(psi >= 0).all(0)[np.isin(every[0], x[0].numpy())]
