@@ -10,8 +10,8 @@ How a state is drawn:
 3. One component is moved towards an end beyond the limit, and bisected until the gap is left: distance, speed, attitude
    and so on, drawn from those in WAYS. Of two limits the first is approached again where the second led away from it.
 4. A state counts if an episode may start there (`SafetyFilter.is_safe`), every barrier that is enforced is still
-   non-negative, and those that were to be small are at most the largest gap; within margins, if no margin is touched. So limits that are rarely met together have few
-   states, and those that cannot be none.
+   non-negative, and those that were to be small are at most the largest gap; within margins, if no margin is touched.
+   So limits that are rarely met together have few states, and those that cannot be none.
 """
 
 import itertools

@@ -3,6 +3,7 @@
 import math
 
 import numpy as np
+import pytest
 import torch
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
@@ -99,4 +100,5 @@ def test_a_later_test_case_has_the_chief_that_it_was_evaluated_with() -> None:
     scores = record.metrics[0]
     assert len(set(scores.tolist())) == 4
     for case in range(4):
-        assert common_episode(policy, experiment, case)["inspected_score"][-1] == scores[case].item()
+        score = common_episode(policy, experiment, case)["inspected_score"][-1]
+        assert score == pytest.approx(scores[case].item(), rel=1e-14)  # a batch adds up in another order
