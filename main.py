@@ -395,9 +395,8 @@ def call(words: list[str]) -> int:
         return complain(f"{error.filename}: {error.strerror}", 2, "end")
     except Stopped as stopped:
         print(stopped)
-        return (
-            128 + stopped.number if ranks().size == 1 else 0
-        )  # all else torchrun calls a failure, and begins anew
+        # of many ranks zero: all else torchrun calls a failure, and begins anew
+        return 128 + stopped.number if ranks().size == 1 else 0
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)
         return 130

@@ -109,9 +109,8 @@ def watch(x: Tensor, outward: Tensor, sun: Tensor, c: Limits) -> Tensor:
     Args:
         outward, sun: unit vectors (3, B) from the chief and to the Sun.
     """
-    half_a_turn = math.pi * (
-        c.power_draw / 1000.0 / c.max_rate + c.energy_sun_slope
-    )  # kJ, at most, in the dark
+    # kJ, at most, in the dark
+    half_a_turn = math.pi * (c.power_draw / 1000.0 / c.max_rate + c.energy_sun_slope)
     low = (LOW[0] - (x[E] - c.min_energy) / half_a_turn) / (LOW[0] - LOW[1])
     angle = dot(outward, sun).clamp(-1.0, 1.0).arccos()
     dark = (angle - DUSK[0]) / (DUSK[1] - DUSK[0])
@@ -120,8 +119,12 @@ def watch(x: Tensor, outward: Tensor, sun: Tensor, c: Limits) -> Tensor:
     )
     glare = (GLARE[0] - off_limit) / (GLARE[0] - GLARE[1])
     need = torch.stack((low, dark, glare)).amax(0).clamp(0.0, 1.0)
-    balanced = math.acos(min(1.0, c.power_draw / brightest(c)))
-    tilt = torch.minimum((angle - (1.0 - need) * balanced).clamp(min=0.0), TILT + need * math.pi)
+    tilt = torch.minimum((angle - (1.0 - need) * balanced(c)).clamp(min=0.0), TILT + need * math.pi)
+    return tilted(outward, sun, tilt)
+
+
+def tilted(outward: Tensor, sun: Tensor, tilt: Tensor) -> Tensor:
+    """The unit vector (3, ...) to the chief, turned away from the Sun by (...) rad; arguments as of `watch`."""
     across = unit(sun - dot(outward, sun) * outward)
     return -(outward * tilt.cos() + across * tilt.sin())
 
@@ -143,6 +146,11 @@ def look(x: Tensor, direction: Tensor, sun: Tensor, c: Limits, frequency: float)
     error = error * (most / norm(error).clamp(min=1e-9)).clamp(max=1.0)
     inertia = x.new_tensor(c.inertia)[:, None]
     return inertia * (frequency**2 * error - 2.0 * frequency * x[OMEGA])
+
+
+def balanced(c: Limits) -> float:
+    """The panels' angle to the Sun in rad at which they make the power drawn; 0 where they never make more."""
+    return math.acos(min(1.0, c.power_draw / brightest(c)))
 
 
 def brightest(c: Limits) -> float:

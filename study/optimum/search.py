@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 from inspection.chief.points import fibonacci_sphere, point_weights
-from inspection.guidance import TILT, brightest
+from inspection.guidance import TILT, balanced, tilted
 from inspection.model.attitude import cross, dot, norm, unit
 from inspection.model.dynamics import sun_direction
 from inspection.model.orbit import free_flight
@@ -55,8 +55,7 @@ def camera_axes(p: Tensor, sun: Tensor, c: InspectionParameters) -> tuple[Tensor
     """The body's axes in Hill's frame, (3, ...) each, as the guidance's law turns them where the battery is full."""
     outward = unit(p)
     angle = dot(outward, sun).clamp(-0.9999, 0.9999).arccos()
-    tilt = (angle - math.acos(c.power_draw / brightest(c))).clamp(0.0, TILT)
-    x = -(outward * tilt.cos() + unit(sun - dot(outward, sun) * outward) * tilt.sin())
+    x = tilted(outward, sun, (angle - balanced(c)).clamp(0.0, TILT))
     y = unit(sun - dot(sun, x) * x)
     return x, y, torch.stack(cross(x, y))
 
@@ -131,9 +130,8 @@ def searched(cases: Cases, thrust: Tensor, c: InspectionParameters, steps: int =
         priced(motion, cases, thrust, c, between(SOFT, share)).sum().backward()
         optimiser.step()
         with torch.no_grad():
-            thrust.clamp_(
-                -c.max_thrust / 2, c.max_thrust / 2
-            )  # along any axis of the body still below the limit
+            # along any axis of the body still below the limit
+            thrust.clamp_(-c.max_thrust / 2, c.max_thrust / 2)
     return thrust.detach().double()
 
 
