@@ -185,9 +185,9 @@ class InspectionEnv:
         run = self._several(lambda *tensors: [function(*tensors)], *examples, points=points)
         return lambda *tensors, **times: run(*tensors, **times)[0]
 
-    def reset(self) -> Tensor:
-        """Starts every episode anew from the initial distribution; returns observations."""
-        self._restart(torch.ones_like(self.time, dtype=torch.bool))
+    def reset(self, mask: Tensor | None = None) -> Tensor:
+        """Starts episodes anew from the initial distribution, where mask (B,) is set or all; returns observations."""
+        self._restart(torch.ones_like(self.time, dtype=torch.bool) if mask is None else mask)
         return self.observation()
 
     def start(self, x: Tensor, priority: Tensor, number: Tensor | None = None) -> Tensor:

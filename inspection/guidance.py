@@ -158,6 +158,42 @@ def brightest(c: Limits) -> float:
     return c.panel_performance * c.panel_degradation * c.surface_area
 
 
+def along(p: Tensor, wanted: Tensor, orbit: Orbit, n: float) -> tuple[Tensor, Tensor]:
+    """The point of the ellipse at most `look_ahead` of phase from p (3, B) towards the phase wanted (B,).
+
+    Returns:
+        the point and its velocity in free motion, each (3, B). Above or below the chief a position has no phase, and
+        nothing is in the way: there the point is that of the phase wanted itself.
+    """
+    a, b = orbit.out_of_plane, orbit.semi_minor
+    phase = torch.atan2(p[1] / 2, p[0])
+    lag = torch.remainder(wanted - phase + math.pi, 2 * math.pi) - math.pi
+    ahead = orbit.look_ahead + (math.pi - orbit.look_ahead) * unit(p)[2] ** ABOVE
+    phase = phase + torch.maximum(torch.minimum(lag, ahead), -ahead)
+    cos, sin = phase.cos(), phase.sin()
+    position = torch.stack((b * cos, 2 * b * sin, a * sin))
+    return position, n * torch.stack((b * sin, -2 * b * cos, -a * cos))
+
+
+def aside(p: Tensor, wanted: Tensor, orbit: Orbit, n: float) -> tuple[Tensor, Tensor]:
+    """The point at most `look_ahead` from p (3, B) on the great circle towards the ellipse's at the phase wanted (B,).
+
+    The circle is around the chief where the along-track axis is shrunk by half, which makes the ellipse a circle, too.
+    So the way leads over a pole where that is shorter, and depends continuously on where it begins but opposite to its
+    end, which a copy can learn. `along` turns back where the phase is half a turn from the one wanted.
+
+    Returns:
+        the point and its velocity in a free motion of the ellipse's tilt, each (3, B).
+    """
+    a, b = orbit.out_of_plane, orbit.semi_minor
+    goal = torch.stack((wanted.cos(), wanted.sin(), a / b * wanted.sin()))
+    here, there = unit(torch.stack((p[0], p[1] / 2, p[2]))), unit(goal)
+    angle = dot(here, there).clamp(-1.0, 1.0).arccos()
+    ahead = torch.minimum(angle, orbit.look_ahead * torch.ones_like(angle))
+    x, y, z = b * norm(goal) * (here * ahead.cos() + unit(there - dot(here, there) * here) * ahead.sin())
+    return torch.stack((x, 2 * y, z)), n * torch.stack((y, -2 * x, -a / b * x))
+
+
 def natural_motion(
     c: Limits, every: float = 1.0, orbit: Orbit | None = None, score: Callable[[], Tensor] | None = None
 ) -> Controller:
@@ -184,19 +220,13 @@ def natural_motion(
     lead = orbit.lead
     if lead and score is None:
         raise ValueError("a lead needs the inspected score")
-    n, a, b, w = c.mean_motion, orbit.out_of_plane, orbit.semi_minor, orbit.tracking
+    n, w = c.mean_motion, orbit.tracking
     pointing = min(POINTING_FREQUENCY, HELD / every)
 
     def control(t: float, x: Tensor) -> Tensor:
         sun, outward = sun_direction(x[THETA_S]), unit(x[P])
         wanted = x[THETA_S] - lead.at(score()) if lead and score else x[THETA_S]
-        phase = torch.atan2(x[1] / 2, x[0])
-        lag = torch.remainder(wanted - phase + math.pi, 2 * math.pi) - math.pi
-        ahead = orbit.look_ahead + (math.pi - orbit.look_ahead) * outward[2] ** ABOVE
-        phase = phase + torch.maximum(torch.minimum(lag, ahead), -ahead)
-        cos, sin = phase.cos(), phase.sin()
-        position = torch.stack((b * cos, 2 * b * sin, a * sin))
-        velocity = n * torch.stack((b * sin, -2 * b * cos, -a * cos))
+        position, velocity = (aside if lead else along)(x[P], wanted, orbit, n)
         error = position - x[P]
         limit = orbit.approach * (c.docking_speed + c.speed_slope * norm(x[P]))
         nearing = error * torch.minimum(limit / norm(error).clamp(min=1e-9), torch.ones_like(limit) * (w / 2))

@@ -18,7 +18,10 @@ from ppo.learner import PPO
 from ppo.network import Policy
 from ppo.rollout import collect
 
-LEARNING_RATE = 1e-3  # of the first batch, annealed linearly to a tenth
+LEARNING_RATE = 8e-3  # of the first batch, annealed linearly to a tenth
+# Share of the episodes that begin anew with each batch: the way to the orbit is a tenth of an episode, and there an
+# error is worst.
+RESTARTED = 0.4
 STD_WEIGHT = 0.01  # of the squared error of the log standard deviation, which stays as it is at the start
 
 
@@ -66,9 +69,13 @@ def jump_start(
     networks = learner.policy, learner.value
     weights = [weight for network in networks for weight in network.parameters()]
     optimiser = torch.optim.Adam(weights, LEARNING_RATE)
+    episodes = env.num_envs * learner.ranks.size
+    beginners = learner.ranks.own(torch.arange(episodes, device=env.x.device) < RESTARTED * episodes, 0)
+    beginners = beginners.repeat(len(generators))
     batch: dict[str, Tensor] = {}
     for i in range(batches):
         optimiser.param_groups[0]["lr"] = LEARNING_RATE * (1.0 - 0.9 * i / batches)
+        env.reset(beginners)
         flown = collect(taught, learner, steps, generators)
         wanted = (
             torch.stack(taught.lessons).unflatten(1, (len(generators), -1)).transpose(0, 1)
