@@ -188,9 +188,10 @@ def aside(p: Tensor, wanted: Tensor, orbit: Orbit, n: float) -> tuple[Tensor, Te
     a, b = orbit.out_of_plane, orbit.semi_minor
     goal = torch.stack((wanted.cos(), wanted.sin(), a / b * wanted.sin()))
     here, there = unit(torch.stack((p[0], p[1] / 2, p[2]))), unit(goal)
-    angle = dot(here, there).clamp(-1.0, 1.0).arccos()
+    across = there - dot(here, there) * here
+    angle = torch.atan2(norm(across), dot(here, there))
     ahead = torch.minimum(angle, orbit.look_ahead * torch.ones_like(angle))
-    x, y, z = b * norm(goal) * (here * ahead.cos() + unit(there - dot(here, there) * here) * ahead.sin())
+    x, y, z = b * norm(goal) * (here * ahead.cos() + unit(across) * ahead.sin())
     return torch.stack((x, 2 * y, z)), n * torch.stack((y, -2 * x, -a / b * x))
 
 

@@ -32,7 +32,14 @@ Tables = dict[str, dict[str, Any]]
 # The paper's: by name, in what an arm of a study differs from the study's own tables. More are in a file's [arms].
 ARMS: dict[str, Tables] = {"no_rta": {"train": {"rta": False}}, "rta": {"train": {"rta": True}}}
 TEST_CASES = 0  # seed of the cases of every final evaluation
-BASELINES = ("untrained", "random", "zero", "natural-motion")  # controllers that agents are compared with
+GUIDE = "quick"  # the guidance with which agents are compared, and which teaches them unless another is named
+BASELINES = (
+    "untrained",
+    "random",
+    "zero",
+    "natural-motion",
+    GUIDE,
+)  # controllers that agents are compared with
 EVALUATED = tuple(dict.fromkeys((*BASELINES, *GUIDANCE)))  # controllers that `evaluate` flies
 
 # Settings of older files and checkpoints that have moved: the table and key of then, and those of now.
@@ -68,7 +75,7 @@ class TrainParameters(Settings):
     jump_start: int = setting(
         0, "of these interactions, how many the guidance teaches before PPO begins; 0: none", most=MAX_COUNT
     )
-    teacher: str = setting("following", "the guidance of the jump start", among=tuple(GUIDANCE))
+    teacher: str = setting(GUIDE, "the guidance of the jump start", among=tuple(GUIDANCE))
     learn_from: str = setting(
         "desired",
         "behind the filter (the action that the agent desired, what the filter applied in its place, or the former "

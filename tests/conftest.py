@@ -173,9 +173,7 @@ def made_up_study(tmp_path_factory: pytest.TempPathFactory) -> Path:
             name: {"off": made_up_evaluation(rng, None, 100), "on": made_up_evaluation(rng, 1.0, 100)}
             for name in BASELINES
         },
-        "report/orbits.json": [
-            {"semi_minor": semi_minor} | made_up_evaluation(rng, 1.0, 100) for semi_minor in (40.0, 60.0) * 2
-        ],
+        "report/front.json": {name: made_up_evaluation(rng, 1.0, 100) for name in ("thrifty", "quick")},
         "report/progress.json": {
             name: {"time_s": [0.0, 500.0, 1000.0], "weight": np.sort(rng.uniform(size=3)).tolist()}
             for name in (*ARMS, "guidance")

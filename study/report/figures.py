@@ -72,7 +72,7 @@ def draw(inputs: Inputs) -> None:
             draw_training(inputs)
         draw_episodes(inputs)
         save(cross_figure(inputs.cross), inputs.directory / "cross")
-        if inputs.orbits:
+        if inputs.front:
             save(front_figure(inputs), inputs.directory / "front")
         if inputs.progress:
             save(progress_figure(inputs.progress), inputs.directory / "progress")
@@ -209,11 +209,10 @@ def front_figure(inputs: Inputs) -> Figure:
             ls="",
             label=f"agents, {label(arm)}",
         )
-    for semi_minor in sorted({orbit["semi_minor"] for orbit in inputs.orbits}):
-        curve = [point(orbit) for orbit in inputs.orbits if orbit["semi_minor"] == semi_minor]
-        dashes = "--" if semi_minor == min(orbit["semi_minor"] for orbit in inputs.orbits) else "-"
-        name = f"classical guidance, ellipse of {semi_minor:g} m"
-        ax.plot(*zip(*curve, strict=True), color=GUIDANCE_COLOUR, ls=dashes, marker=".", lw=1.2, label=name)
+    curve = [point(results) for results in inputs.front.values()]
+    ax.plot(*zip(*curve, strict=True), color=GUIDANCE_COLOUR, marker=".", lw=1.2, label="classical guidance")
+    for name, place in zip(inputs.front, curve, strict=True):
+        ax.annotate(name, place, (4, 4), textcoords="offset points", fontsize=8, color=GUIDANCE_COLOUR)
     ax.set(xlabel="episode length (s)", ylabel="delta v (m/s)", ylim=(0, None))
     ax.grid(alpha=0.3)
     ax.legend(frameon=False, fontsize=9)

@@ -1,7 +1,6 @@
-"""What a report flies: agents and the guidance behind other filters, on other orbits and in other worlds."""
+"""What a report flies: agents behind other filters and in other worlds, and the guidance."""
 
-import math
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,13 +9,12 @@ from torch import Tensor
 
 from inspection.closed_loop import Controller
 from inspection.environment import InspectionEnv
-from inspection.guidance import natural_motion
-from inspection.orbits import Orbit
+from inspection.orbits import GUIDANCE
 from inspection.transition import METRICS
 from rta.bounds.uncertainty import Uncertainty
 from rta.parameters import PERIODS
 from study import config as configuration
-from study.config import BASELINES, TEST_CASES, Config
+from study.config import BASELINES, GUIDE, TEST_CASES, Config
 from study.errors import MALFORMED, refusing
 from study.experiment import Experiment, test_cases
 from study.files import ROOT
@@ -31,13 +29,6 @@ DEMONSTRATION = ROOT / "configs" / "demonstration.json"
 DEMONSTRATION_DURATION = 2000.0  # s
 GUIDANCE_CASES = 1000
 FILTER_PERIOD = 1.0  # s between two calls of the filter
-ORBITS = [  # two ways to be quick: a stiffer law, and nearing a larger ellipse faster
-    *(Orbit(tracking=frequency) for frequency in (0.004, 0.006, 0.01, 0.015, 0.02)),
-    *(
-        Orbit(semi_minor=55.0, tracking=0.01, look_ahead=math.pi / 6, approach=share)
-        for share in (0.3, 0.4, 0.5, 0.7, 1.0)
-    ),
-]
 PLANTS = ROOT / "configs" / "plants"
 WORLDS = ("nominal", "typical", "u1", "harsh")  # files there
 BOUNDS = PLANTS / "u1.toml"  # what the robust filter is told
@@ -97,27 +88,21 @@ def baselines(config: Config) -> dict[str, dict[str, Results]]:
 
 
 def guidance(config: Config) -> Results:
-    """The classical natural-motion guidance behind the filter."""
-    experiment = Experiment(with_rta(config, True, FILTER_PERIOD), GUIDANCE_CASES)
-    record = play_controller("natural-motion", experiment, GUIDANCE_CASES, TEST_CASES)
-    return report(record, experiment.config, TEST_CASES)
+    """The guidance with which agents are compared, behind the filter, on many cases."""
+    return guided(config, GUIDE, GUIDANCE_CASES)
 
 
-def orbits(config: Config) -> list[Results]:
-    """The guidance behind the filter on each of ORBITS, with its knobs."""
-    experiment = Experiment(with_rta(config, True, FILTER_PERIOD), config.train.final_episodes)
-    return [
-        asdict(orbit) | summarised(play_guidance(experiment, orbit), experiment.config) for orbit in ORBITS
-    ]
+def front(config: Config) -> dict[str, Results]:
+    """By name, each guidance that leads the Sun behind the filter, on the study's test cases."""
+    cases = config.train.final_episodes
+    names = [name for name, orbit in GUIDANCE.items() if orbit.lead]
+    return {name: guided(config, name, cases) for name in names}
 
 
-def play_guidance(experiment: Experiment, orbit: Orbit) -> Episodes:
-    """The guidance on an orbit, from the study's test cases."""
-    cases, every = experiment.config.train.final_episodes, experiment.config.rta.period
-    env = experiment.env(cases, experiment.generators([TEST_CASES + 1]), decide_every=every)
-    return run_episodes(
-        env, natural_motion(env.c, every, orbit), *test_cases(experiment.config, cases, TEST_CASES)
-    )
+def guided(config: Config, name: str, cases: int) -> Results:
+    """A guidance by its name, behind the filter, which it is asked as often as."""
+    experiment = Experiment(with_rta(config, True, FILTER_PERIOD), cases)
+    return report(play_controller(name, experiment, cases, TEST_CASES), experiment.config, TEST_CASES)
 
 
 def summarised(record: Episodes, config: Config, seeds: int = 1) -> Results:
@@ -165,8 +150,9 @@ def progress(arms: dict[str, Arm], config: Config) -> dict[str, dict[str, list[f
     every = FILTER_PERIOD
     experiment = Experiment(with_rta(config, True, every).unsettled(), cases)
     env = experiment.env(cases, experiment.generators([TEST_CASES + 1]), decide_every=every)
-    guided = weights_over_time(env, natural_motion(env.c, every), *test_cases(config, cases, TEST_CASES))
-    return {name: arm_progress(arm) for name, arm in arms.items()} | {"guidance": guided}
+    controller = classical(GUIDE, env, TEST_CASES, every)
+    curve = weights_over_time(env, controller, *test_cases(config, cases, TEST_CASES))
+    return {name: arm_progress(arm) for name, arm in arms.items()} | {"guidance": curve}
 
 
 def arm_progress(arm: Arm) -> dict[str, list[float]]:

@@ -26,8 +26,8 @@ class Inputs:
         arms: final evaluation of each of the paper's arms, with `seeds`, `interactions` and `wall_clock_s`; own: of the
             study's own arms.
         provenance: where they were trained, with `device`, `ranks` and `threads`.
-        guidance: evaluation of the classical guidance behind the filter; empty if there is none.
-        orbits: the guidance on other orbits: by its knobs, length against fuel; empty if it has not been flown.
+        guidance: evaluation of the guidance GUIDE behind the filter; empty if there is none.
+        front: by name, the guidance behind the filter; empty if it has not been flown.
         worlds: by plant, arm and filter (off, nominal, robust): the agents in worlds that are not the model; empty if
             they have not been flown there.
         progress: by arm, and "guidance": time_s and the inspected weight by then, mean of the middle half.
@@ -46,7 +46,7 @@ class Inputs:
     own: dict[str, Results]
     provenance: dict[str, Any]
     guidance: Results
-    orbits: list[Results]
+    front: dict[str, Results]
     worlds: dict[str, dict[str, dict[str, Results]]]
     progress: dict[str, dict[str, list[float]]]
     sunlight: dict[str, Any]
@@ -91,7 +91,7 @@ def read(study: Path) -> Inputs:
         cross=read_json(report / "cross.json"),
         training=read_curves(report / "training.csv"),
         guidance=read_json_if_any(report / "guidance.json"),
-        orbits=read_json_if_any(report / "orbits.json"),
+        front=read_json_if_any(report / "front.json"),
         worlds=read_json_if_any(report / "worlds.json"),
         progress=read_json_if_any(report / "progress.json"),
         sunlight=read_json_if_any(report / "sunlight.json"),

@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from inspection.world.parameters import PlantParameters
+from study.config import GUIDE
 from study.errors import refusing
 from study.files import write_text
 from study.flight.figures import Episode, effort
@@ -53,6 +54,7 @@ def document(inputs: Inputs) -> str:
         columns=inputs.columns,
         flyers={f"agents, {label(arm)}": flown for arm, flown in inputs.cross.items()} | inputs.baselines,
         period=f"{inputs.config.rta.period:g}",
+        GUIDE=GUIDE,
         study=shlex.quote(inputs.study.as_posix()),
         label=label,
         labels=ARM_LABELS,

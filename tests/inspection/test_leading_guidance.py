@@ -62,13 +62,51 @@ def test_ahead_is_where_the_free_motion_takes_it_later() -> None:
     torch.testing.assert_close(leading[P], later)
 
 
-def test_who_does_not_lead_flies_as_one_without_a_lead() -> None:
-    x, _ = sample_initial_state(500, torch.Generator().manual_seed(0), C)
-    x[V] = 0.1 * torch.randn(3, 500, generator=torch.Generator().manual_seed(1), dtype=x.dtype)
-    for name in ("natural-motion", "following"):
-        orbit, score = GUIDANCE[name], torch.linspace(0.0, 1.0, 500).double()
-        led = natural_motion(C, 10.0, replace(orbit, lead=Lead(0.0, 0.0)), lambda score=score: score)
-        assert torch.equal(led(0.0, x)[:3], natural_motion(C, 10.0, orbit)(0.0, x)[:3])
+def around_the_chief(count: int) -> tuple[torch.Tensor, torch.Tensor]:
+    """Positions (3, count) 50 to 150 m from the chief, and the phases that are wanted there."""
+    draws = torch.Generator().manual_seed(0)
+    away = 50.0 + 100.0 * torch.rand(count, generator=draws, dtype=torch.float64)
+    p = unit(torch.randn(3, count, generator=draws, dtype=torch.float64)) * away
+    return p, 2.0 * math.pi * torch.rand(count, generator=draws, dtype=torch.float64)
+
+
+def shrunk(p: torch.Tensor) -> torch.Tensor:
+    """The direction from the chief where the ellipse is a circle, (3, ...)."""
+    return unit(torch.stack((p[0], p[1] / 2, p[2])))
+
+
+def test_the_way_leads_along_a_great_circle_to_the_ellipse() -> None:
+    orbit, n = GUIDANCE["quick"], C.mean_motion
+    p, wanted = around_the_chief(1000)
+    aim, velocity = guidance.aside(p, wanted, orbit, n)
+    ends = [on_ellipse(orbit, phase, 0.0) for phase in wanted.tolist()]
+    end, moving = (torch.cat([x[part] for x in ends], 1) for part in (P, V))
+    here, there, to = shrunk(p), shrunk(end), shrunk(aim)
+    angle, ahead, left = (
+        dot(*pair).clamp(-1.0, 1.0).arccos() for pair in ((here, there), (here, to), (to, there))
+    )
+    torch.testing.assert_close(ahead, angle.clamp(max=orbit.look_ahead), rtol=1e-6, atol=1e-6)
+    torch.testing.assert_close(
+        left, angle - ahead, rtol=1e-5, atol=1e-5
+    )  # between the two, so on their circle
+    arrived = angle < orbit.look_ahead
+    assert 100 < arrived.sum() < 900
+    torch.testing.assert_close(aim[:, arrived], end[:, arrived])
+    torch.testing.assert_close(velocity[:, arrived], moving[:, arrived])
+
+
+def test_the_way_depends_continuously_on_where_it_begins_but_opposite_to_its_end() -> None:
+    """By at most 1 / sin(angle) on the sphere; the ellipse's own way turns back at half a turn of phase."""
+    orbit, n = GUIDANCE["quick"], C.mean_motion
+    p, wanted = around_the_chief(20_000)
+    goal = torch.stack((wanted.cos(), wanted.sin(), orbit.out_of_plane / orbit.semi_minor * wanted.sin()))
+    usual = dot(shrunk(p), unit(goal)).arccos() < math.radians(150)
+    near = p + 0.5 * unit(torch.randn(p.shape, generator=torch.Generator().manual_seed(1), dtype=p.dtype))
+    aside, along = (
+        (way(near, wanted, orbit, n)[0] - way(p, wanted, orbit, n)[0]).norm(dim=0)[usual].max().item()
+        for way in (guidance.aside, guidance.along)
+    )
+    assert aside < 0.5 * 2 * 2 * (orbit.semi_minor * 1.05 / 50) / math.sin(math.radians(150)) < 0.1 * along
 
 
 def test_a_lead_without_a_score_is_refused() -> None:

@@ -1,12 +1,11 @@
 """The study's agents, the classical guidance and the paper's agents."""
 
-import math
 from collections.abc import Callable, Iterator
 from functools import partial
 
 import numpy as np
 
-from study.config import ARMS
+from study.config import ARMS, GUIDE
 from study.paper import PAPER_METRICS, PAPER_VIOLATIONS, Results
 from study.report.tables import of_seeds, over_seeds
 from study.results.numbers.evidence import (
@@ -31,7 +30,7 @@ SWITCHES = {"off": "without", "on": "with"}  # the filter
 
 def guidance() -> Results:
     """The classical guidance behind the filter, on the study's test cases."""
-    return report("baselines")["natural-motion"]["on"]
+    return report("baselines")[GUIDE]["on"]
 
 
 def fuel_and_time(results: Results) -> tuple[float, float]:
@@ -108,14 +107,10 @@ def all_arms() -> Iterator[Row]:
 
 
 def time_against_fuel() -> Iterator[Row]:
-    """The guidance on two ellipses, from slow to fast."""
-    for orbit in report("orbits"):
-        quick = f"{orbit['tracking']:g} rad/s"
-        if math.isfinite(orbit["approach"] or math.inf):
-            quick = f"{100 * orbit['approach']:g} % of the limit"
-        fuel, time = fuel_and_time(orbit)
-        numbers = f"{time:,.0f}", f"{fuel:.2f}", success(orbit, "clean_success")
-        yield f"{orbit['semi_minor']:g}", quick, *numbers
+    """The guidance from thrifty to quick."""
+    for name, flown in report("front").items():
+        fuel, time = fuel_and_time(flown)
+        yield name, f"{time:,.0f}", f"{fuel:.2f}", success(flown, "clean_success")
 
 
 def baselines() -> Iterator[Row]:
@@ -124,7 +119,8 @@ def baselines() -> Iterator[Row]:
         "untrained": "untrained agent",
         "random": "random controls",
         "zero": "no control (coasting)",
-        "natural-motion": "classical guidance",
+        "natural-motion": "guidance natural-motion",
+        GUIDE: f"guidance {GUIDE}",
     }
     for name, label in flown_by.items():
         for switch, filtered in SWITCHES.items():

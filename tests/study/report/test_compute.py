@@ -11,6 +11,7 @@ import pytest
 import torch
 
 import main
+from inspection.orbits import GUIDANCE
 from study import config as configuration
 from study.config import StudyConfig
 from study.errors import InputError
@@ -47,7 +48,7 @@ FILES = {
     "frequency.json",
     "guidance.json",
     "baselines.json",
-    "orbits.json",
+    "front.json",
     "progress.json",
     "worlds.json",
     "sunlight.json",
@@ -66,7 +67,7 @@ def brief(small_pools: None, loose_figures: None) -> Any:
         patch.setattr(flights, "PERIODS", (1.0, 5.0))
         patch.setattr(flights, "DEMONSTRATION_DURATION", DURATION)
         patch.setattr(flights, "GUIDANCE_CASES", CASES)
-        patch.setattr(flights, "ORBITS", flights.ORBITS[:2])
+        patch.setattr(flights, "GUIDANCE", {name: GUIDANCE[name] for name in ("following", "even", "quick")})
         patch.setattr(flights, "WORLDS", ("nominal", "harsh"))
         patch.setattr(flights, "WORLDS_CASES", 1)
         patch.setattr(flights, "PROGRESS_UNTIL", 2 * DURATION)
@@ -205,10 +206,10 @@ def test_every_arm_of_the_shipped_study_can_fly_in_every_world() -> None:
         Experiment(own, 1).env(1, [torch.Generator()])
 
 
-def test_orbits_say_which_they_are(study: Path) -> None:
-    found = read(study / "report" / "orbits.json")
-    assert [each["tracking"] for each in found] == [orbit.tracking for orbit in flights.ORBITS]
-    assert {each["episodes"] for each in found} == {CASES}
+def test_the_front_is_of_the_guidance_that_leads_the_sun(study: Path) -> None:
+    found = read(study / "report" / "front.json")
+    assert list(found) == ["even", "quick"]
+    assert {each["episodes"] for each in found.values()} == {CASES}
 
 
 def test_progress_ends_at_the_weight_that_the_study_found(study: Path) -> None:

@@ -78,10 +78,10 @@ def test_the_front_sets_agents_beside_the_guidance(inputs: Inputs) -> None:
     drawn = {line.get_label(): list(zip(*line.get_data(), strict=True)) for line in ax.lines}
     metrics = inputs.arms["rta"]["metrics"]
     assert drawn["agents, RTA"] == [(metrics["episode_length_s"]["iqm"], metrics["delta_v_m_s"]["iqm"])]
-    for semi_minor in (40, 60):
-        flown = [orbit["metrics"] for orbit in inputs.orbits if orbit["semi_minor"] == semi_minor]
-        expected = [(each["episode_length_s"]["iqm"], each["delta_v_m_s"]["iqm"]) for each in flown]
-        assert drawn[f"classical guidance, ellipse of {semi_minor} m"] == expected
+    flown = [each["metrics"] for each in inputs.front.values()]
+    expected = [(each["episode_length_s"]["iqm"], each["delta_v_m_s"]["iqm"]) for each in flown]
+    assert drawn["classical guidance"] == expected
+    assert [text.get_text() for text in ax.texts] == ["thrifty", "quick"]
 
 
 def test_progress_is_drawn_over_time(inputs: Inputs) -> None:

@@ -182,7 +182,7 @@ def test_baselines_stand_below_the_agents(study: Path, text: str, reader: Reader
             ),
             f"{results['violations_percent']['any']:.3f}",
         ]
-    random = flown[-5][2]
+    random = flown[-7][2]
     assert f"random controls succeed in\n{100 * random['outcomes']['success']:.1f} %" in text
 
 
@@ -195,7 +195,7 @@ def test_half_a_study(study: Path, tmp_path: Path) -> None:
         (content["arms"] if name == "results" else content).pop("rta")
         (half / f"{name}.json").write_text(json.dumps(content))
     (half / "report/training.csv").write_text("interactions,arm,metric,iqm,low,high\n")
-    others = [f"{name}.json" for name in ("frequency", "baselines", "orbits", "progress", "worlds")]
+    others = [f"{name}.json" for name in ("frequency", "baselines", "front", "progress", "worlds")]
     for name in ("guidance.json", "episode_rta.npz", *others):
         (half / "report" / name).unlink()
     text = page.document(inputs.read(half))

@@ -56,7 +56,7 @@ def inputs(tmp_path: Path) -> Inputs:
         own={},
         provenance=PROVENANCE,
         guidance=evaluation(4.0),
-        orbits=[],
+        front={},
         worlds={"harsh": {"rta": {"robust": evaluation(9.0)}}},
         progress={},
         sunlight={},

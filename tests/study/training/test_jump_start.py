@@ -66,7 +66,7 @@ def taught(run: session.Run) -> session.Run:
 
 def test_the_copy_does_what_the_guidance_would_in_states_of_its_own(run: session.Run) -> None:
     env, c = run.env, run.config.inspection
-    guidance = natural_motion(c, c.action_period, GUIDANCE[run.config.train.teacher])
+    guidance = natural_motion(c, c.action_period, GUIDANCE[run.config.train.teacher], env.sight.score)
     chance = run.experiment.policy(run.experiment.generators([1]))
     errors = {"taught": 0.0, "chance": 0.0}
     for _ in range(16):
