@@ -52,16 +52,17 @@ def after_500_s(arm: str) -> float:
 
 
 def early() -> Iterator[Row]:
-    """The study's arms before training, after the lessons and after half a million interactions."""
+    """The study's arms before training, after the lessons and at the end, on the cases of the evaluations."""
     for arm in (*ARMS, "rta_5s", "rta_10s"):
-        before, lessons, later = (evaluations("study", arm, when) for when in (0, 163_840, 507_904))
-        yield (
-            LABELS[arm],
-            f"{middle_of_cases(before, 'inspected_score'):.2f}",
-            *(f"{succeeded(seeds):.1f}" for seeds in (before, lessons, later)),
-            f"{middle_of_cases(later, 'reward'):.3f}",
-            f"{after_500_s(arm):.2f}",
-        )
+        before, lessons, end = (evaluations("study", arm, when) for when in (0, 294_912, 507_904))
+
+        def cell(seeds: list[dict[str, Any]]) -> str:
+            reward = np.mean([seed["cases"]["reward"] for seed in seeds])
+            fuel, time = (middle_of_cases(seeds, name) for name in ("delta_v_m_s", "episode_length_s"))
+            return f"{succeeded(seeds):.1f}, {reward:.3f}, {fuel:.2f}, {time:,.0f}"
+
+        untaught = f"{middle_of_cases(before, 'inspected_score'):.2f}, {succeeded(before):.1f}"
+        yield LABELS[arm], untaught, cell(lessons), cell(end), f"{after_500_s(arm):.2f}"
 
 
 def learned_from() -> Iterator[Row]:
