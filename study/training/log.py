@@ -18,9 +18,9 @@ from study.machine.progress import bar
 from study.training.charts import Charts
 from study.training.monitor import EPISODE, Monitor
 
-BAR = "{percentage:3.0f}%|{bar}| {n:,}/{total:,} [{elapsed}<{remaining}, {rate_noinv_fmt}{postfix}]"
+BAR = "{percentage:3.0f}%|{bar}| {n:,}/{total:,} [{elapsed}<{remaining}, {rate_noinv:,.0f}/s{postfix}]"
 MEANING = (
-    "the bar counts interactions; beside it: means over the episodes that ended last, dv: delta v, violation: share of "
+    "interactions are counted; beside them: means over the episodes that ended last, dv: delta v, violation: share of "
     "their steps that broke a constraint"
 )
 # The episode's number and how it is written beside the bar
@@ -60,7 +60,7 @@ class Log:
             charts.open(interactions)
         if interactions < total:
             print(MEANING, file=sys.stderr)
-        with bar(total, "", initial=interactions, bar_format=BAR) as self.bar:
+        with bar(total, "interactions", initial=interactions, bar_format=BAR) as self.bar:
             yield
 
     def update(self, reports: Sequence[tuple[dict[str, float], Monitor]], interactions: int) -> None:
