@@ -39,6 +39,7 @@ def menu(pages: list[str]) -> list[Any]:
     """What the site's menu lists: the pages by folder, then the API."""
     return [
         {"Front page": "README.md"},
+        {"Five ways in": "docs/readers.md"},
         {"All pages": "docs/README.md"},
         *({name.capitalize(): [page for page in pages if f"docs/{name}/" in page]} for name in FOLDERS),
         {"API": [{name: f"api/{name}.md"} for name in PACKAGES]},
