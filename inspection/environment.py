@@ -50,7 +50,8 @@ class InspectionEnv:
         parameters: the task's constants.
         generators: one per seed, on the device of the batch.
         safety: constraint values, admissible starts and the control filter.
-        decide_every, report_every: clocks of `fly` in s; None: the action period and the integration step.
+        decide_every: clock of decisions in `fly` in s; None: the action period.
+        report_every: clock of what `fly` reports in s; None: the integration step.
         plant: in what the plant differs from `parameters`; None: in nothing.
         target: the chief; None: the paper's.
 

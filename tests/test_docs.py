@@ -11,15 +11,18 @@ import pytest
 
 import main
 from docs.guides import control_loop
+from study.config import StudyConfig, load
 
 ROOT = Path(main.__file__).parent
 COMMANDS_PAGE = "reference/commands"  # whose commands train for hours
+READERS = "readers"  # whose commands print much
 PAGES = sorted(
     str(page.relative_to(ROOT / "docs").with_suffix(""))
     for page in (ROOT / "docs").rglob("*.md")
     if "```python" in page.read_text(encoding="utf-8")
 )
 PAGES.remove(COMMANDS_PAGE)
+PAGES.remove(READERS)
 NUMBER = re.compile(r"-?\d[\d,]*\.?\d*")
 COMMAND = "python main.py "
 
@@ -68,6 +71,24 @@ def test_a_page_prints_what_it_says(page: str) -> None:
     assert NUMBER.sub("#", printed).split() == NUMBER.sub("#", promised).split()
     # another processor rounds otherwise; zero violations are zero everywhere
     np.testing.assert_allclose(numbers(printed), numbers(promised), rtol=0.03, atol=1e-9)
+
+
+def test_every_way_in_leads_somewhere(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The short commands run, each long one's settings are accepted."""
+    real = main.main
+    shorter = {"simulate": ["--duration", "20"]}
+    monkeypatch.setattr(main, "main", lambda words: real([*words, *shorter.get(words[0], [])]))
+    printed, promised = run(READERS)
+    (said,) = (line for line in printed.splitlines() if line.startswith("thrust"))
+    assert NUMBER.sub("#", said) == NUMBER.sub("#", promised.strip())
+    np.testing.assert_allclose(numbers(said), numbers(promised), rtol=0.03)
+    page = (ROOT / "docs" / f"{READERS}.md").read_text(encoding="utf-8")
+    commands = re.findall(rf"(?m)^    {COMMAND}(.*)$", page)
+    assert len(commands) > 10
+    for command in commands:
+        config = StudyConfig()
+        for file in re.findall(r"--config (\S+)", command):
+            config = load(file, config)
 
 
 def test_the_program_of_the_commands_writes_what_they_read() -> None:

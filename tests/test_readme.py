@@ -199,13 +199,13 @@ READ = (
     ),
     *("--resume", "--init-from", "--logdir", "-r"),
 )
-WRITTEN = ("save", "savez", "--out", "--json", "--figure", "--run-dir", "--study-dir")
+WRITTEN = ("save", "savez", "--out", "--json", "--figure", "--filter", "--c", "--run-dir", "--study-dir")
 
 
-@pytest.mark.parametrize("page", ["README.md", COMMANDS_PAGE])
+@pytest.mark.parametrize("page", ["README.md", COMMANDS_PAGE, "docs/readers.md"])
 def test_every_file_of_a_command_is_there_or_was_written_before(page: str) -> None:
     """In the order of the page, from a fresh clone."""
-    written: set[Path] = set()
+    written = {Path(name) for name in re.findall(r"`([\w.]+)`[^`]*\n\n```toml", text(page))}
     for words in commands(page):
         named = [(flag, Path(name)) for flag, name in pairwise(words)]
         for flag, path in named:

@@ -5,6 +5,7 @@ the guidance says what it would do. The value network learns what the copy is wo
 """
 
 import math
+import time
 from collections.abc import Callable, Sequence
 
 import torch
@@ -57,13 +58,15 @@ def jump_start(
     steps: int,
     batches: int,
     generators: Sequence[torch.Generator],
-    after_batch: Callable[[], None],
+    watch: Callable[[Transition], None],
+    after_batch: Callable[[dict[str, float]], None],
 ) -> None:
     """Teaches a learner's policy the guidance, and its value network what the policy is worth.
 
     Args:
         env: already reset; orbit: of the guidance; steps: interactions of each episode in a batch.
-        generators: one per seed.
+        generators: one per seed; watch: sees each transition.
+        after_batch: is told a batch's losses and how long it took, by TensorBoard's tags.
     """
     taught = Taught(env, learner.policy, orbit)
     networks = learner.policy, learner.value
@@ -75,8 +78,10 @@ def jump_start(
     batch: dict[str, Tensor] = {}
     for i in range(batches):
         optimiser.param_groups[0]["lr"] = LEARNING_RATE * (1.0 - 0.9 * i / batches)
+        started = time.perf_counter()
         env.reset(beginners)
-        flown = collect(taught, learner, steps, generators)
+        flown = collect(taught, learner, steps, generators, watch)
+        collected = time.perf_counter()
         wanted = (
             torch.stack(taught.lessons).unflatten(1, (len(generators), -1)).transpose(0, 1)
         )  # (S, T, E, 6)
@@ -87,15 +92,23 @@ def jump_start(
             "return_": flown["return_"],
         }
         batch = {name: torch.cat((batch[name], part), 1) if batch else part for name, part in lesson.items()}
-        learn(batch, learner, optimiser)
-        after_batch()
+        losses = learn(batch, learner, optimiser)
+        seconds = {"rollout_s": collected - started, "learning_s": time.perf_counter() - collected}
+        after_batch(
+            {f"losses/lesson_{name}": value for name, value in losses.items()}
+            | {f"time/{name}": value for name, value in seconds.items()}
+        )
 
 
-def learn(batch: dict[str, Tensor], learner: PPO, optimiser: torch.optim.Optimizer) -> None:
-    """Fits policy and value to all that has been flown, (S, N, ...), in as many epochs as an update of PPO has."""
+def learn(batch: dict[str, Tensor], learner: PPO, optimiser: torch.optim.Optimizer) -> dict[str, float]:
+    """Fits policy and value to all that has been flown, (S, N, ...), in as many epochs as an update of PPO has.
+
+    Returns the mean squared errors on the way: `action` of the actions, `value` of the returns.
+    """
     level = math.log(learner.parameters.initial_std)
     rows = {name: tensor.flatten(0, 1) for name, tensor in batch.items()}
     samples = batch["return_"].shape[1]
+    seen: list[Tensor] = []
     for index in learner.minibatches(samples, batch["return_"].device):
         own = {name: learner.ranks.own(tensor[index], 1) for name, tensor in rows.items()}
         mean, log_std = learner.policy(own["observation"])
@@ -109,3 +122,6 @@ def learn(batch: dict[str, Tensor], learner: PPO, optimiser: torch.optim.Optimiz
         gradients = [weight.grad for group in optimiser.param_groups for weight in group["params"]]
         learner.ranks.average(gradients, index.shape[1])
         optimiser.step()
+        seen.append(torch.stack((errors[0], errors[2])).detach().mean(1))
+    action, value = torch.stack(seen).mean(0).tolist()
+    return {"action": action, "value": value}

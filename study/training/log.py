@@ -18,11 +18,12 @@ from study.machine.progress import bar
 from study.training.charts import Charts
 from study.training.monitor import EPISODE, Monitor
 
-BAR = "{percentage:3.0f}%|{bar}| {n:,}/{total:,} [{elapsed}<{remaining}, {rate_noinv_fmt}{postfix}]"
+BAR = "{percentage:3.0f}%|{bar}| {n:,}/{total:,} [{elapsed}<{remaining}, {rate_noinv:,.0f}/s{postfix}]"
 MEANING = (
-    "the bar counts interactions; beside it: means over the episodes that ended last, dv: delta v, violation: share of "
+    "interactions are counted; beside them: means over the episodes that ended last, dv: delta v, violation: share of "
     "their steps that broke a constraint"
 )
+LESSON = "losses/lesson_action"  # only a lesson of the guidance has it
 # The episode's number and how it is written beside the bar
 LATEST = {
     "success_percent": "success {:.0f} %",
@@ -60,11 +61,11 @@ class Log:
             charts.open(interactions)
         if interactions < total:
             print(MEANING, file=sys.stderr)
-        with bar(total, "", initial=interactions, bar_format=BAR) as self.bar:
+        with bar(total, "interactions", initial=interactions, bar_format=BAR) as self.bar:
             yield
 
     def update(self, reports: Sequence[tuple[dict[str, float], Monitor]], interactions: int) -> None:
-        """Shows the statistics and the transitions of an update, from each rank."""
+        """Shows the statistics and the transitions of an update, or of a lesson, from each rank."""
         parts, (monitor, *others) = zip(*reports, strict=True)
         seeds = [each.seeds for _, each in reports]
         for other in others:
@@ -75,17 +76,15 @@ class Log:
         slowest = max(part["time/rollout_s"] + part["time/learning_s"] for part in parts)
         statistics |= monitor.scalars() | {"time/interactions_per_s": self.seeds * self.batch / slowest}
         self.charts[0].add(statistics, interactions)
-        if latest := [
+        latest = [
             text.format(statistics[f"episode/{name}"])
             for name, text in LATEST.items()
             if f"episode/{name}" in statistics
-        ]:
+        ]
+        if LESSON in statistics:
+            latest.insert(0, "learning from the guidance")
+        if latest:
             self.bar.set_postfix_str(", ".join(latest), refresh=False)
-        self.bar.update(self.batch)
-
-    def lesson(self) -> None:
-        """Shows that a batch has been flown and learned from the guidance."""
-        self.bar.set_postfix_str("learning from the guidance", refresh=False)
         self.bar.update(self.batch)
 
     def evaluation(

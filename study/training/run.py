@@ -121,11 +121,12 @@ class Run:
         train, trainer = self.config.train, self.trainer
         lessons = trainer.learner, train.rollout_steps, train.lessons, trainer.generators
         arguments = self.env, GUIDANCE[train.teacher], *lessons
-        trainer.seconds += seconds_of(
-            lambda: jump_start(*arguments, self.log.lesson if self.ranks.first else lambda: None)
-        )
-        trainer.update = train.lessons
-        self.monitor.clear()
+
+        def after_lesson(statistics: dict[str, float]) -> None:
+            trainer.update += 1
+            self.show(statistics)
+
+        trainer.seconds += seconds_of(lambda: jump_start(*arguments, self.monitor, after_lesson))
 
     @property
     def interactions(self) -> int:
@@ -218,18 +219,22 @@ class Run:
     def after_update(self, statistics: dict[str, float]) -> None:
         """Evaluates when due, logs the update, then checkpoints when due."""
         train = self.config.train
-        statistics["time/filter_s"] = self.monitor.filter_seconds
-        statistics["time/simulation_s"] = statistics["time/rollout_s"] - self.monitor.filter_seconds
         statistics |= self.last_save
         early = self.interactions < train.evaluation_interval
         if self.due(train.evaluation_interval // (train.early_evaluations if early else 1)):
             statistics["time/evaluation_s"] = seconds_of(self.evaluate)
-        if reports := self.ranks.collect((statistics, self.monitor), self.device):
-            self.log.update(reports, self.interactions)
-        self.monitor.clear()
+        self.show(statistics)
         self.last_save = {}
         if self.due(train.checkpoint_interval):  # last, so that a checkpoint knows what has been drawn
             self.last_save = {"time/checkpoint_s": seconds_of(self.save)}
+
+    def show(self, statistics: dict[str, float]) -> None:
+        """Logs an update or a lesson, of all ranks."""
+        statistics["time/filter_s"] = self.monitor.filter_seconds
+        statistics["time/simulation_s"] = statistics["time/rollout_s"] - self.monitor.filter_seconds
+        if reports := self.ranks.collect((statistics, self.monitor), self.device):
+            self.log.update(reports, self.interactions)
+        self.monitor.clear()
 
     def due(self, interval: int) -> bool:
         """Whether the last update completed so many interactions, once more."""

@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 import torch
 from torch import Tensor
-from tqdm import tqdm
 
 from inspection.closed_loop import Controller, Safety
 from inspection.environment import InspectionEnv
@@ -175,7 +174,6 @@ def verify(
     if campaign.filter != "python":
         experiment.safety = exported(experiment, campaign.filter)
     network = network.to(experiment.device) if network else None
-    shown: tqdm
 
     def tell(flown: float, violating: int, begun: int) -> None:
         shown.set_postfix_str(f"{violating:,} violating of {begun:,} begun", refresh=False)
