@@ -10,7 +10,7 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from datetime import timedelta
 from threading import Event, Thread, Timer
-from typing import Any, Self
+from typing import Any, ClassVar, Self
 
 from tqdm import tqdm
 
@@ -55,10 +55,14 @@ class Lines:
 
     `16,384 of 507,904 interactions (3 %), 1,170/s, 0:07:00 left, learning from the guidance`
 
+    While there is another within it, only that one speaks.
+
     Args:
         total: units, of which `initial` are done; desc: what is counted for; iterable: whose items are the units.
         silent: says nothing; leave: has a last line, if it had any.
     """
+
+    open: ClassVar[list["Lines"]] = []  # the innermost is the last
 
     def __init__(
         self,
@@ -75,6 +79,7 @@ class Lines:
         self.postfix = ""
         self.started, self.said, self.closed = time.perf_counter(), False, Event()
         self.teller = Thread(target=self.tell, daemon=True)
+        self.open.append(self)
         if not silent:
             self.teller.start()
 
@@ -82,7 +87,8 @@ class Lines:
         """Says how far it is, until closed."""
         pause = PATIENCE
         while not self.closed.wait(pause):
-            self.say()
+            if self.open[-1:] == [self]:
+                self.say()
             pause = INTERVAL
 
     def say(self) -> None:
@@ -111,6 +117,7 @@ class Lines:
         """Says no more, except how far it came, where it said anything."""
         if not self.closed.is_set():
             self.closed.set()
+            self.open.remove(self)
             if self.teller.is_alive():
                 self.teller.join()
             if self.said and self.leave:
@@ -132,7 +139,7 @@ class Lines:
 def bar(total: int, unit: str, bar_format: str | None = None, **options: Any) -> tqdm | Lines:
     """On stderr how many of so many units are done, from PATIENCE on: a bar on a terminal, `Lines` in a log.
 
-    Of many ranks, the first one's. Within another bar it has a line of its own.
+    Of many ranks, the first one's. Within another bar it has a line of its own; in a log it alone speaks.
 
     Args:
         bar_format: of the bar; options: those of `Lines`.

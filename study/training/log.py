@@ -24,6 +24,7 @@ MEANING = (
     "their steps that broke a constraint"
 )
 LESSON = "losses/lesson_action"  # only a lesson of the guidance has it
+TAUGHT = "learning from the guidance"
 # The episode's number and how it is written beside the bar
 LATEST = {
     "success_percent": "success {:.0f} %",
@@ -82,8 +83,8 @@ class Log:
             if f"episode/{name}" in statistics
         ]
         if LESSON in statistics:
-            latest.insert(0, "learning from the guidance")
-        if latest:
+            latest.insert(0, TAUGHT)
+        if latest or self.bar.postfix == TAUGHT:
             self.bar.set_postfix_str(", ".join(latest), refresh=False)
         self.bar.update(self.batch)
 

@@ -92,6 +92,19 @@ def test_a_log_has_plain_lines_also_while_nothing_moves(
     assert capsys.readouterr().err == ""  # once it is closed
 
 
+def test_of_two_bars_in_a_log_the_inner_one_speaks(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(progress, "PATIENCE", 0.01)
+    monkeypatch.setattr(progress, "INTERVAL", 0.01)
+    with progress.bar(4, "outer"), progress.bar(4, "inner", leave=False):
+        said = heard(capsys, 4).splitlines()
+    assert sum("outer" in line for line in said) <= 1  # before there was an inner one
+    assert sum("inner" in line for line in said) >= 3
+    with progress.bar(4, "outer"):
+        assert "outer" in heard(capsys, 1)
+
+
 def test_the_rate_of_a_run_that_goes_on_is_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
     now = 100.0
     monkeypatch.setattr(time, "perf_counter", lambda: now)

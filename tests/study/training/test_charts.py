@@ -18,7 +18,8 @@ from study.training.charts import Charts
 PAGE = Path(main.__file__).parent / "docs" / "reference" / "tensorboard.md"
 SHORT = """
 [train]
-interactions = 8
+interactions = 12
+jump_start = 4
 num_envs = 2
 rollout_steps = 2
 evaluation_interval = 4

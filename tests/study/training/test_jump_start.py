@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 import torch
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from inspection.guidance import natural_motion
 from inspection.orbits import GUIDANCE, Orbit
@@ -93,6 +94,19 @@ def test_what_is_flown_counts_as_interactions_and_ppo_does_the_rest(run: session
     run.trainer.run(lambda transition: None, lambda statistics: None, lambda: False)
     assert run.interactions == 28_672
     assert not any(torch.equal(*pair) for pair in zip(before, run.policy.parameters(), strict=True))
+
+
+def test_each_lesson_is_drawn(run: session.Run) -> None:
+    events = EventAccumulator(str(run.directory))
+    events.Reload()
+    shown = {tag: events.Scalars(tag) for tag in events.Tags()["scalars"]}
+    batches = [run.config.train.batch * (k + 1) for k in range(6)]
+    for tag in ("losses/lesson_action", "losses/lesson_value", "step_reward/points", "time/learning_s"):
+        assert [event.step for event in shown[tag]] == batches, tag
+    values = [event.value for event in shown["losses/lesson_value"]]
+    assert values[-1] < 0.5 * values[0]
+    # no episode is older than 3,000 s: each step brings the whole reward
+    assert [event.value for event in shown["step_reward/time"]] == pytest.approx([0.001] * 6)
 
 
 def test_seeds_side_by_side_are_taught_what_each_is_alone(tmp_path: Path) -> None:

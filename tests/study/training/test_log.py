@@ -12,7 +12,7 @@ from inspection.termination import OUTCOMES
 from inspection.transition import METRICS
 from study.flight.evaluation import RAW_QUANTITIES, Episodes
 from study.flight.summary import iqm
-from study.training.log import Log
+from study.training.log import LESSON, Log
 from study.training.monitor import EPISODE, Monitor
 
 BATCH = 24
@@ -49,6 +49,14 @@ def ended(seed: int, reward: float) -> Monitor:
     return monitor
 
 
+def quiet() -> Monitor:
+    """A monitor that saw no episode end."""
+    monitor = Monitor(("near",))
+    monitor.steps += BATCH
+    monitor.count(violated=torch.tensor([0]))
+    return monitor
+
+
 def test_an_update_is_shown_for_all_and_for_each_seed(tmp_path: Path) -> None:
     homes = [tmp_path / "seed5", tmp_path / "seed6", tmp_path / "seed7"]
     for home in homes:
@@ -68,11 +76,13 @@ def test_an_update_is_shown_for_all_and_for_each_seed(tmp_path: Path) -> None:
         assert (log.bar.n, log.bar.total) == (BATCH, 2 * BATCH)
         expected = "success 100 %, reward 3.00, dv 3.0 m/s, violation 3.0 %"
         assert log.bar.postfix == expected
-        quiet = Monitor(("near",))  # no episode ended: the bar keeps what it shows
-        quiet.steps += BATCH
-        quiet.count(violated=torch.tensor([0]))
-        log.update([({"time/rollout_s": 1.0, "time/learning_s": 1.0}, quiet)], 2 * BATCH)
+        seconds = {"time/rollout_s": 1.0, "time/learning_s": 1.0}
+        log.update([(dict(seconds), quiet())], 2 * BATCH)  # no episode ended: the bar keeps what it shows
         assert log.bar.postfix == expected
+        log.update([(seconds | {LESSON: 1.0}, quiet())], 2 * BATCH)
+        assert log.bar.postfix == "learning from the guidance"
+        log.update([(dict(seconds), quiet())], 2 * BATCH)
+        assert not log.bar.postfix
     shown = charts(tmp_path)
     assert shown["losses/x"] == [(BATCH, 3.0)]
     assert shown["time/interactions_per_s"][0] == (BATCH, 3 * BATCH / 3.0)  # by the rank that took longest
