@@ -28,7 +28,7 @@ from study.config import Config
 from study.verification.adversaries import adversarial
 
 GUIDE = "even"  # the guidance that flies the page by itself
-AHEAD = 100  # places of a line ahead, at most
+AHEAD = 250  # places of a line ahead, at most
 DRIVER = Path(__file__).parent / "driver"
 
 
