@@ -15,7 +15,9 @@ async function unpacked(base64) {
 }
 
 async function loaded(base64) {
-  return (await WebAssembly.instantiate(await unpacked(base64), {})).instance.exports;
+  const { exports } = (await WebAssembly.instantiate(await unpacked(base64), {})).instance;
+  exports._initialize();
+  return exports;
 }
 
 // numbers from 0 to 1 that follow from a seed (mulberry32)
@@ -50,7 +52,6 @@ class Flight {
     Object.entries(PARTS).forEach(([name, size], i) => {
       this[name] = new Float64Array(wasm.memory.buffer, wasm.at(i), lengths[size] || size);
     });
-    if (wasm._initialize) wasm._initialize();
   }
 
   get filter() { return this.task.periods.indexOf(this.period); }

@@ -26,7 +26,7 @@ from study.pages.template import render
 from study.play import printed, wasm
 from study.play.starts import starts
 
-NEEDED = {"ziglang": "compiles it", "meshcat": "has three.js in it"}
+NEEDED = {"ziglang": "a compiler", "meshcat": "which has three.js in it"}
 SCENE = Path("viewer/dist/main.min.js")  # in the package meshcat
 LICENCES = ("LICENSE", "dist/main.min.js.LICENSE.txt")
 HORIZON = 500  # s, of the line ahead
@@ -46,9 +46,19 @@ WORDS = {  # by limit: its name for a newcomer, why it is there, what its violat
         "Would hit the chief with dead thrusters",
         "m",
     ),
-    "velocity_x": ("Speed, from the Earth", "at most {c.max_speed:g} m/s", "Too fast away from the Earth", "%"),
+    "velocity_x": (
+        "Speed, from the Earth",
+        "at most {c.max_speed:g} m/s",
+        "Too fast away from the Earth",
+        "%",
+    ),
     "velocity_y": ("Speed, along the orbit", "at most {c.max_speed:g} m/s", "Too fast along the orbit", "%"),
-    "velocity_z": ("Speed, across the orbit", "at most {c.max_speed:g} m/s", "Too fast across the orbit", "%"),
+    "velocity_z": (
+        "Speed, across the orbit",
+        "at most {c.max_speed:g} m/s",
+        "Too fast across the orbit",
+        "%",
+    ),
     "attitude_exclusion": (
         "Camera off the Sun",
         "sunlight blinds it",
@@ -66,7 +76,7 @@ WORDS = {  # by limit: its name for a newcomer, why it is there, what its violat
 def check() -> None:
     """Raises InputError where a package is missing that the page is built with."""
     if missing := [f"{name} ({why})" for name, why in NEEDED.items() if find_spec(name) is None]:
-        raise InputError(f"play needs {' and '.join(missing)}: pip install '.[play]'")
+        raise InputError(f"play needs the packages {', '.join(missing)}: pip install '.[play]'")
 
 
 def check_config(config: Config) -> None:
@@ -76,7 +86,11 @@ def check_config(config: Config) -> None:
         raise InputError("[chief]: play flies around the paper's chief only")
     steps = 1.0 / min(c.substep, 1.0)
     if abs(steps - round(steps)) > 1e-9 or c.action_period % 1.0:
-        raise InputError("play flies in seconds: substep must divide 1 s, action_period must be whole seconds")
+        raise InputError(
+            "play flies in seconds: substep must divide 1 s, action_period must be whole seconds"
+        )
+    if not config.plant.is_nominal:
+        raise InputError("[plant]: play flies the filter's model only")
     if config.uncertainty.latency:
         raise InputError("[uncertainty]: play knows no latency")
 
@@ -107,7 +121,7 @@ def document(config: Config, module: bytes, begun: list[dict[str, Any]]) -> str:
     data = json.dumps(task(config.inspection) | {"starts": begun}, separators=(",", ":"))
     return render(
         "play/page.html.j2",
-        c=config.inspection,
+        periods=PERIODS,
         module=Markup(packed),
         data=Markup(data.replace("<", "\\u003c")),
         three=Markup(three()),
@@ -168,4 +182,3 @@ def three() -> str:
     said = "\n".join(texts).replace("*/", "* /")
     bundle = (folder / "dist" / SCENE.name).read_text(encoding="utf-8")
     return f"/* MeshCat, with three.js in it.\n{said}\n*/\n{bundle}".replace("</script", "<\\/script")
-

@@ -181,17 +181,17 @@ function show_bars() {
 function margin(h, unit, full) {
   if (unit === "%") return `${(100 * full).toFixed(0)} %`;
   const size = unit === "\u00b0" ? h * 180 / Math.PI : h;
-  return `${size.toFixed(size < 10 && unit !== "\u00b0" ? 2 : 0)}${unit === "\u00b0" ? "" : " "}${unit} left`;
+  return `${size.toFixed(size < 10 && unit !== "\u00b0" ? 2 : 0)}${unit === "\u00b0" ? "" : " "}${unit}`;
 }
 
 function show_status() {
   const { flight } = play, [status, , backup] = flight.answer;
   const acting = task.limits.filter((_, i) => flight.active[i] > 0).map(limit => limit.title.toLowerCase());
-  const because = acting.length ? `: ${acting.slice(0, 2).join("; ")}` : "";
+  const because = acting.length ? `, for: ${acting.slice(0, 2).join(", ")}` : "";
   const found = !flight.filtered ? ["off", "The filter is off: every command is flown as it is."]
     : backup ? ["backup", "Backup: the deputy follows the way to rest that was kept ready."]
     : status === 0 ? ["", "Untouched: the command is safe and is flown as it is."]
-    : status === 1 ? ["corrected", `Corrected${because || ": to what the thrusters can do"}.`]
+    : status === 1 ? ["corrected", `Corrected${because || " to what the thrusters can do"}.`]
     : status === 2 ? ["backup", `A limit yields${because}.`]
     : ["backup", "No solution: the least bad command is flown."];
   $("status").className = found[0];

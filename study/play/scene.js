@@ -18,7 +18,7 @@ class Scene {
     this.scene.background = new THREE.Color(0x05070b);
     this.camera = new THREE.PerspectiveCamera(50, 1, 0.2, 40000);
     this.view = "follow";
-    this.looks = { follow: { yaw: 0.3, pitch: 0.25, distance: 32 }, orbit: { yaw: -0.9, pitch: 0.4, distance: 0 } };
+    this.looks = { follow: { yaw: 0.3, pitch: 0.25, distance: 38 }, orbit: { yaw: -0.9, pitch: 0.4, distance: 0 } };
     this.surroundings();
     this.chief();
     this.deputy();
@@ -72,7 +72,7 @@ class Scene {
       this.points.setColorAt(i, linear(COLOURS.dark));
     });
     this.keepOut = this.see_through(new THREE.SphereGeometry(collision_radius, 24, 12), COLOURS.keepOut, 0, { wireframe: true });
-    this.zone = this.see_through(new THREE.SphereGeometry(max_distance, 48, 24), COLOURS.zone, 0, { wireframe: true });
+    this.zone = this.see_through(new THREE.SphereGeometry(max_distance, 36, 18), COLOURS.zone, 0, { wireframe: true });
     this.scene.add(this.points, this.keepOut, this.zone);
   }
 
@@ -196,7 +196,7 @@ class Scene {
     this.light.position.copy(sun).multiplyScalar(1000);
     this.sun.position.copy(sun).multiplyScalar(SUN_DISTANCE);
     this.keepOut.material.opacity = 0.22 * near(distance, 90, 25);
-    this.zone.material.opacity = 0.3 * near(this.task.max_distance - distance, 250, 30);
+    this.zone.material.opacity = 0.1 * near(this.task.max_distance - distance, 250, 30);
     this.thrust(flight, p, q);
     this.look(p, q);
     this.renderer.render(this.scene, this.camera);
