@@ -179,7 +179,7 @@ function show_bars() {
 }
 
 function margin(h, unit, full) {
-  if (unit === "%") return `${(100 * full).toFixed(0)} %`;
+  if (unit === "%") return `${(100 - 100 * full).toFixed(0)} %`;
   const size = unit === "\u00b0" ? h * 180 / Math.PI : h;
   return `${size.toFixed(size < 10 && unit !== "\u00b0" ? 2 : 0)}${unit === "\u00b0" ? "" : " "}${unit}`;
 }
@@ -187,7 +187,7 @@ function margin(h, unit, full) {
 function show_status() {
   const { flight } = play, [status, , backup] = flight.answer;
   const acting = task.limits.filter((_, i) => flight.active[i] > 0).map(limit => limit.title.toLowerCase());
-  const because = acting.length ? `, for: ${acting.slice(0, 2).join(", ")}` : "";
+  const because = acting.length ? ` because of: ${acting.slice(0, 2).join(", ")}` : "";
   const found = !flight.filtered ? ["off", "The filter is off: every command is flown as it is."]
     : backup ? ["backup", "Backup: the deputy follows the way to rest that was kept ready."]
     : status === 0 ? ["", "Untouched: the command is safe and is flown as it is."]
