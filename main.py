@@ -188,14 +188,14 @@ def run_replay(runs: list[str], out: str) -> None:
     print(f"{scene.printable(out)}: {1e-6 * size:.1f} MB, opens in a browser without a network")
 
 
-def run_play(configure: Configure, out: str) -> None:
+def run_play(configure: Configure, out: str, checkpoint: str | None = None) -> None:
     """main.py play"""
     with refusing("play needs the package jinja2 (pip install '.[play]')", ImportError):
         from study.play import page
     from study.replay.scene import printable
 
-    config = with_filter(configure)
-    size = page.write(config, Path(out))
+    policy, trained = agent_and_config(configure, checkpoint)
+    size = page.write(with_filter(configure, trained), Path(out), policy)
     print(f"{printable(out)}: {1e-6 * size:.1f} MB, opens in a browser without a network")
 
 

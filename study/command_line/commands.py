@@ -181,6 +181,7 @@ COMMANDS = {
     ),
     "play": Command(
         "write a page on which anybody flies the spacecraft in a browser, with the filter on or off",
+        AGENT.saying("an agent that can be let fly: policy.pt or checkpoint.pt of a run"),
         CONFIG,
         PANELS,
         written(".html", "--out", "page to write", "F.html"),

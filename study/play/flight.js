@@ -74,7 +74,9 @@ class Flight {
   // what is wanted, into `desired`
   command() {
     const { limit } = this.task, { wasm, desired } = this;
-    if (this.pilot === "guide") {
+    if (this.pilot === "agent") { // between its decisions the last control is wanted, as in the closed loop
+      if (this.time % this.task.action_period === 0) wasm.decide(); else desired.set(this.control);
+    } else if (this.pilot === "guide") {
       wasm.guide(this.filter);
     } else if (this.pilot === "adversary") {
       wasm.attack();

@@ -16,6 +16,7 @@ from markupsafe import Markup
 
 from inspection.chief.points import fibonacci_sphere
 from inspection.model.parameters import InspectionParameters
+from ppo.network import Policy
 from rta.constraints.names import CONSTRAINTS
 from rta.parameters import PERIODS
 from study.config import Config
@@ -23,7 +24,7 @@ from study.errors import InputError, refusing
 from study.files import write_text
 from study.machine.progress import step
 from study.pages.template import render
-from study.play import printed, wasm
+from study.play import agent, printed, wasm
 from study.play.starts import starts
 
 NEEDED = {"ziglang": "a compiler", "meshcat": "which has three.js in it"}
@@ -82,7 +83,7 @@ def check() -> None:
 def check_config(config: Config) -> None:
     """Raises InputError where the page cannot fly a configuration."""
     c = config.inspection
-    if not config.chief.is_the_papers:
+    if not config.chief.is_the_papers or "chief" in c.observed:
         raise InputError("[chief]: play flies around the paper's chief only")
     steps = 1.0 / min(c.substep, 1.0)
     if abs(steps - round(steps)) > 1e-9 or c.action_period % 1.0:
@@ -95,8 +96,8 @@ def check_config(config: Config) -> None:
         raise InputError("[uncertainty]: play knows no latency")
 
 
-def write(config: Config, out: Path) -> int:
-    """Writes the page of a configuration; returns its size in bytes.
+def write(config: Config, out: Path, policy: Policy | None = None) -> int:
+    """Writes the page of a configuration, with an agent if there is one; returns its size in bytes.
 
     Raises:
         InputError: a package is missing, the configuration does not fit, or the page cannot be written.
@@ -106,22 +107,26 @@ def write(config: Config, out: Path) -> int:
     with step("printing the filters of three periods, half a minute"):
         with refusing("[rta], [inspection] and [uncertainty]", ValueError, OverflowError):
             filters = printed.filters(config)
-        sources = printed.texts(filters)
+        begun = starts(config, filters)
+        sources = printed.texts(filters, policy is not None)
+        if policy:
+            sources |= agent.texts(policy, config.inspection)
     with step("compiling them to WebAssembly, a minute"):
         module = wasm.compiled(sources)
-    text = document(config, module, starts(config, filters))
+    text = document(config, module, begun, policy is not None)
     with refusing(f"--out {out}: cannot write it", OSError):
         write_text(out, text)
     return len(text.encode())
 
 
-def document(config: Config, module: bytes, begun: list[dict[str, Any]]) -> str:
+def document(config: Config, module: bytes, begun: list[dict[str, Any]], has_agent: bool = False) -> str:
     """The whole page."""
     packed = base64.b64encode(gzip.compress(module, 9, mtime=0)).decode("ascii")
     data = json.dumps(task(config.inspection) | {"starts": begun}, separators=(",", ":"))
     return render(
         "play/page.html.j2",
         periods=PERIODS,
+        has_agent=has_agent,
         module=Markup(packed),
         data=Markup(data.replace("<", "\\u003c")),
         three=Markup(three()),
@@ -142,6 +147,7 @@ def task(c: InspectionParameters) -> dict[str, Any]:
         "places": printed.AHEAD,
         "ahead_steps": round(HORIZON / printed.AHEAD / min(c.substep, 1.0)),
         "chief_radius": c.chief_radius,
+        "deputy_radius": c.deputy_radius,
         "collision_radius": c.collision_radius,
         "max_distance": c.max_distance,
         "field_of_view": c.field_of_view,

@@ -29,6 +29,11 @@ from study.verification.adversaries import adversarial
 
 GUIDE = "even"  # the guidance that flies the page by itself
 AHEAD = 250  # places of a line ahead, at most
+AGENT = (  # the functions of `study.play.agent`
+    "void agent_begin(void);",
+    "void agent_look(const double *, const double *, const double *);",
+    "void agent_decide(const double *, const double *, const double *, double *);",
+)
 DRIVER = Path(__file__).parent / "driver"
 
 
@@ -40,11 +45,11 @@ def filters(config: Config) -> list[SafetyFilter]:
     ]
 
 
-def texts(found: Sequence[SafetyFilter]) -> dict[str, str]:
-    """The C sources by file: one per filter, in its order, and `play.c`."""
+def texts(found: Sequence[SafetyFilter], has_agent: bool = False) -> dict[str, str]:
+    """The C sources by file: one per filter, in its order, and `play.c`; `study.play.agent` has an agent's."""
     header = sources(found[0], only=("safety_filter.h",))["safety_filter.h"]
     return {f"period{i}.c": of_filter(each, i) for i, each in enumerate(found)} | {
-        "play.c": of_flight(found[0], header, len(found))
+        "play.c": of_flight(found[0], header, len(found), has_agent)
     }
 
 
@@ -70,7 +75,7 @@ def of_filter(safety_filter: SafetyFilter, index: int) -> str:
     )
 
 
-def of_flight(safety_filter: SafetyFilter, header: str, count: int) -> str:
+def of_flight(safety_filter: SafetyFilter, header: str, count: int, has_agent: bool) -> str:
     """The model and what it comes to, with the page's functions around them, in one source."""
     c = safety_filter.c
     x, u = safety_filter.probe("cpu")
@@ -91,6 +96,8 @@ def of_flight(safety_filter: SafetyFilter, header: str, count: int) -> str:
             header,
             define("POINTS", c.num_points),
             define("AHEAD_MOST", AHEAD),
+            define("AGENT", int(has_agent)),
+            *(AGENT if has_agent else ()),
             *declarations(count),
             for_one(parts),
             driver("play.c"),

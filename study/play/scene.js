@@ -7,7 +7,8 @@ const COLOURS = { // Okabe and Ito's
 };
 const VIEWS = ["follow", "orbit", "onboard"];
 const STAR_DISTANCE = 15000, SUN_DISTANCE = 12000, EARTH_DISTANCE = 11000; // not to scale
-const DEPUTY = 2.4; // m, of its box; with the panels it fills the sphere of 5 m that must not touch the chief
+const DEPUTY = 2.4; // m, of its box where its radius, with the panels, is DRAWN
+const DRAWN = 5; // m
 
 class Scene {
   constructor(canvas, task) {
@@ -105,6 +106,7 @@ class Scene {
     cone.translate(0, -0.5, 0);
     cone.rotateZ(Math.PI / 2); // from its tip along +x
     this.cone = this.see_through(cone, COLOURS.cone, 0.07, { blending: THREE.AdditiveBlending });
+    body.scale.setScalar(this.task.deputy_radius / DRAWN);
     craft.add(body, this.cone);
     this.asked = this.arrow(COLOURS.asked, 0.36, 0.6);
     this.flown = this.arrow(COLOURS.flown, 0.17, 1);

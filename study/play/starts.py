@@ -19,7 +19,7 @@ RAM_SPEED = 1.0  # m/s
 RAM_SECONDS = range(540, 1600, 20)  # until it hits in free flight; the filter keeps 500 s clear
 LEAVING = 780.0  # m
 LEAVING_SPEEDS = [0.1 * k for k in range(12, 0, -1)]  # m/s
-RESERVES = [0.05 * k for k in range(1, 100)]  # kJ above the battery's limit
+RESERVES = [0.01 * k for k in range(1, 100)]  # above the battery's limit, of what is above it when full
 PRIORITY = (0.0, 0.0, 1.0)
 
 
@@ -106,5 +106,5 @@ def nearly_empty(c: InspectionParameters) -> Iterator[Tensor]:
     for reserve in RESERVES:
         x = at_rest(c, (-0.8, 0.5, 0.2), 1.9)
         x[P] = 6.0 * c.collision_radius * x[P]
-        x[E] = c.min_energy + reserve
+        x[E] = c.min_energy + reserve * (c.initial_energy[1] - c.min_energy)
         yield x

@@ -44,6 +44,9 @@ EXPORT(look) void look(void)
         inspected[i] = ((inspected[i] > 0.0) || (seen[i] > 0.0)) ? 1.0 : 0.0;
         score[0] += inspected[i] * weights[i];
     }
+#if AGENT
+    agent_look(state, lit, inspected);
+#endif
 }
 
 /* Starts from `state` and `priority`; points in view count as inspected. */
@@ -53,6 +56,9 @@ EXPORT(begin) void begin_flight(void)
         inspected[i] = 0.0;
     }
     point_weights(priority, weights);
+#if AGENT
+    agent_begin();
+#endif
     look();
     judge();
 }
@@ -107,6 +113,14 @@ EXPORT(assist) void assist(int filter)
 EXPORT(guide) void guide(int filter)
 {
     guides[filter](state, score, desired);
+}
+
+/* The agent's decision, into `desired`; as it is where there is none. */
+EXPORT(decide) void decide(void)
+{
+#if AGENT
+    agent_decide(state, priority, score, desired);
+#endif
 }
 
 /* Full control against the row that is nearest to be broken, into `desired`. */

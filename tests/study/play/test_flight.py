@@ -22,6 +22,7 @@ from rta.parameters import PERIODS
 from study.config import Config
 from study.files import ROOT
 
+AGENT = ROOT / "runs/reference/study/rta/seed0/policy.pt"
 PAGE = ROOT / "runs/reference/play.html"
 C = Config()
 LIMIT = np.array(C.inspection.control_limit)
@@ -208,6 +209,20 @@ def test_a_start_ends_badly_without_a_hand_and_without_the_filter(
     off, on = fly(free | {"filtered": False}, free)
     assert off["outcome"] == outcome and limit in off["broken"] and off["time"] < SECONDS
     assert on["outcome"] is None and on["broken"] == {}
+
+
+def test_the_agent_flies_as_in_python(tmp_path: Path) -> None:
+    """A whole episode; the network is of single precision there and of double here."""
+    (flight,) = fly({"start": "case 0", "pilot": "agent", "seconds": 6000, "period": 1, "calls": True})
+    assert flight["outcome"] == "success" and flight["broken"] == {}
+    start, out = tmp_path / "start.json", tmp_path / "flight.npz"
+    start.write_text(flight["saved_state"])
+    words = ["simulate", "--controller", "policy", "--checkpoint", str(AGENT), "--initial-state", str(start)]
+    assert main.main([*words, "--duration", str(flight["time"]), "--out", str(out)]) == 0
+    flown = np.load(out)
+    places = np.array([*flight["states"], flight["end"]])[:, :3]
+    assert np.abs(flown["position"] - places).max() < 1e-3
+    assert flown["inspected_score"][-1] == pytest.approx(flight["score"], abs=1e-9)
 
 
 def test_the_guidance_inspects_the_chief() -> None:

@@ -17,7 +17,7 @@ from study.errors import InputError
 from study.pages.template import STUDY
 from study.play import page, printed, wasm
 from study.play.starts import starts
-from tests.study.play.test_flight import PAGE
+from tests.study.play.test_flight import AGENT, PAGE
 from tests.study.replay.test_page import Browser, chromium
 from tests.test_main import assert_refused, call
 
@@ -112,7 +112,7 @@ def test_a_page_is_built(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> 
         if find_spec(name) is None:
             pytest.skip(f"{name} is not installed (requirements-optional.txt)")
     out = tmp_path / "page.html"
-    code, said, err = call(["play", "--out", str(out)], capsys)
+    code, said, err = call(["play", "--checkpoint", str(AGENT), "--out", str(out)], capsys)
     assert code == 0, err
     assert "page.html: 1." in said
     made = out.read_text(encoding="utf-8")
