@@ -10,6 +10,9 @@ const KEYS = { // by key: thrust or torque, its axis, its sign
   arrowleft: ["torque", 2, 1], arrowright: ["torque", 2, -1],
 };
 const ALONG_ORBIT = { w: [1, 1], s: [1, -1], a: [0, -1], d: [0, 1], r: [2, 1], f: [2, -1] }; // axis of Hill's frame, sign
+const STICKS = [["a", "d"], ["w", "s"], ["arrowleft", "arrowright"], ["arrowup", "arrowdown"]]; // of a gamepad, by axis
+const BUTTONS = { 4: "q", 5: "e", 6: "f", 7: "r" }; // of a gamepad; its first one switches the filter
+const AT_REST = 0.15; // of a stick
 const STARTS = { 1: "ram", 2: "leaving", 3: "battery", 4: "random" };
 const ENDS = {
   crash: ["Crash", "The deputy hit the chief."],
@@ -22,7 +25,7 @@ const ENDS = {
 const $ = id => document.getElementById(id);
 const task = JSON.parse($("data").textContent);
 const pressed = new Set();
-const play = { flight: null, scene: null, paused: true, speed: 10, ready: false, cases: dice(Date.now()) };
+const play = { flight: null, scene: null, paused: true, speed: 10, ready: false, pushed: {}, cases: dice(Date.now()) };
 
 function clock(seconds) {
   return `${Math.floor(seconds / 60)}:${String(Math.floor(seconds % 60)).padStart(2, "0")}`;
@@ -74,14 +77,36 @@ function steer() {
   const { keys, axes } = play.flight;
   keys.thrust.fill(0);
   keys.torque.fill(0);
-  for (const key of pressed) {
+  const all = { ...play.pushed, ...Object.fromEntries([...pressed].map(key => [key, 1])) };
+  for (const [key, strength] of Object.entries(all)) {
     let [kind, axis, sign] = KEYS[key];
     if (kind === "thrust" && axes === "hill") [axis, sign] = ALONG_ORBIT[key];
-    keys[kind][axis] += sign;
+    keys[kind][axis] += sign * strength;
   }
-  if (pressed.size && play.flight.pilot !== "you") { // whoever presses a key takes over
+  if (Object.keys(all).length && play.flight.pilot !== "you") { // whoever presses a key takes over
     $("pilot").value = play.flight.pilot = "you";
   }
+}
+
+// what sticks and buttons of a gamepad ask for, by the key that asks for the same
+function read_gamepad() {
+  const pad = Array.from(navigator.getGamepads ? navigator.getGamepads() : []).find(Boolean), pushed = {};
+  if (!pad && !Object.keys(play.pushed).length) return;
+  if (pad) {
+    STICKS.forEach((sides, i) => {
+      const along = pad.axes[i] || 0;
+      if (Math.abs(along) > AT_REST) pushed[sides[along < 0 ? 0 : 1]] = Math.abs(along);
+    });
+    for (const [i, key] of Object.entries(BUTTONS)) {
+      if (pad.buttons[i] && pad.buttons[i].value > AT_REST) pushed[key] = pad.buttons[i].value;
+    }
+    const switched = Boolean(pad.buttons[0] && pad.buttons[0].pressed);
+    if (switched && !play.switched) set_filter(!play.flight.filtered);
+    play.switched = switched;
+  }
+  if (Object.keys(pushed).length) welcomed();
+  play.pushed = pushed;
+  steer();
 }
 
 function press(key, down) {
@@ -93,6 +118,7 @@ function press(key, down) {
 
 function on_key(event) {
   const key = event.key.toLowerCase(), down = event.type === "keydown";
+  play.pointer = false;
   const typing = event.target.matches && event.target.matches("select, input, summary, button");
   if (event.ctrlKey || event.metaKey || event.altKey) return;
   if (typing && (key.startsWith("arrow") || key === " " || key === "enter") && $("welcome").hidden) return;
@@ -123,6 +149,10 @@ function on_key(event) {
 function listen() {
   addEventListener("keydown", on_key);
   addEventListener("keyup", on_key);
+  // what a pointer has chosen does not keep the keys
+  addEventListener("pointerdown", () => { play.pointer = true; });
+  addEventListener("change", event => { if (play.pointer) event.target.blur(); });
+  addEventListener("click", event => { if (play.pointer && event.target.closest("button")) document.activeElement.blur(); });
   addEventListener("blur", () => { pressed.clear(); steer(); });
   $("begin").onclick = welcomed;
   $("filter").onclick = () => set_filter(!play.flight.filtered);
@@ -235,6 +265,7 @@ function show() {
 function frame(now) {
   const { flight, scene } = play, passed = Math.min(0.25, (now - (play.last || now)) / 1000);
   play.last = now;
+  read_gamepad();
   if (!play.paused && !flight.outcome) {
     play.left += passed * play.speed;
     const count = Math.min(Math.floor(play.left), MOST);

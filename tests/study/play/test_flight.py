@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 import scipy.linalg
 import torch
+from scipy.spatial.transform import Rotation
 
 import main
 from inspection.model.dynamics import step
@@ -164,6 +165,17 @@ def test_a_saved_flight_is_flown_again(tmp_path: Path) -> None:
     np.testing.assert_array_equal(flown["inspected"][-1], np.array(flight["inspected"]) > 0.0)
     thrust = np.abs(controls(flight)[:, :3]).sum() / C.inspection.mass
     assert flight["deltaV"] == pytest.approx(thrust)
+
+
+@pytest.mark.parametrize("axis", range(3))
+def test_thrust_along_the_orbits_axes_is_turned_into_the_body(axis: int) -> None:
+    thrust = np.eye(3)[axis]
+    keys = {"thrust": thrust.tolist(), "torque": [0, 0, 0]}
+    asked = {"start": "case 7", "pilot": "you", "axes": "hill", "keys": keys, "filtered": False, "period": 1}
+    (flight,) = fly(asked | {"seconds": 30, "calls": True})
+    attitude = Rotation.from_quat(np.array(flight["states"])[:, 6:10])
+    along = attitude.apply(controls(flight)[:, :3]) / C.inspection.max_thrust
+    np.testing.assert_allclose(along, np.tile(thrust, (30, 1)), rtol=0, atol=1e-9)
 
 
 # what the page promises

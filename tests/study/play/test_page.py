@@ -179,6 +179,34 @@ def test_a_browser_flies_it_with_the_keyboard_alone(opened: Browser) -> None:
     keyboard.press("x")
 
 
+def test_a_browser_flies_it_with_a_gamepad(opened: Browser) -> None:
+    script = """([axes, button]) => {
+        const buttons = Array.from({ length: 8 }, (_, i) => ({ pressed: i === button, value: i === button ? 1 : 0 }));
+        Object.defineProperty(navigator, "getGamepads", { configurable: true, value: () => [null, { axes, buttons }] });
+        read_gamepad();
+        return [play.flight.keys, play.flight.filtered];
+    }"""
+    keys, filtered = opened.page.evaluate(script, [[0.1, -0.5, 1.0, 0.0], 7])
+    assert (
+        keys == {"thrust": [0.5, 0, 1], "torque": [0, 0, -1]} and filtered
+    )  # forward, up, turning to the right
+    keys, filtered = opened.page.evaluate(script, [[0.0, 0.0, 0.0, 0.0], 0])
+    assert keys == {"thrust": [0, 0, 0], "torque": [0, 0, 0]} and not filtered
+    assert not opened.page.evaluate(script, [[0.0, 0.0, 0.0, 0.0], 0])[1]  # held is not pressed again
+    opened.page.evaluate(script, [[0.0, 0.0, 0.0, 0.0], -1])
+    assert opened.page.evaluate(script, [[0.0, 0.0, 0.0, 0.0], 0])[1]
+
+
+def test_what_a_pointer_has_chosen_does_not_keep_the_keys(opened: Browser) -> None:
+    opened.page.locator("#filter").click()
+    assert not opened.page.evaluate("() => play.flight.filtered")
+    paused = opened.page.evaluate("() => play.paused")
+    opened.page.keyboard.press("Space")  # would press a button that has the focus
+    assert opened.page.evaluate("() => play.paused") is not paused
+    assert not opened.page.evaluate("() => play.flight.filtered")
+    opened.page.keyboard.press("x")
+
+
 def test_a_browser_keeps_the_promises_under_the_adversary(opened: Browser) -> None:
     opened.page.locator("#pilot").select_option("adversary")
     for key in "123":
