@@ -45,7 +45,7 @@ class Scene {
     const stars = new THREE.BufferGeometry();
     stars.setAttribute("position", new THREE.Float32BufferAttribute(places, 3));
     this.scene.add(new THREE.Points(stars, new THREE.PointsMaterial({ color: linear(0x9aa7b8), size: 1.5, sizeAttenuation: false })));
-    this.light = new THREE.DirectionalLight(0xfff3e0, 1.6);
+    this.light = new THREE.DirectionalLight(0xfff3e0, 1.45);
     this.scene.add(this.light, new THREE.AmbientLight(0x8899bb, 0.12));
     const glow = document.createElement("canvas").getContext("2d");
     glow.canvas.width = glow.canvas.height = 128;
@@ -79,7 +79,7 @@ class Scene {
 
   deputy() {
     const craft = this.craft = new THREE.Group(), body = this.body = new THREE.Group();
-    body.add(this.mesh(new THREE.BoxGeometry(DEPUTY, DEPUTY, DEPUTY), 0xc9a227, { metalness: 0.55, roughness: 0.45 }));
+    body.add(this.mesh(new THREE.BoxGeometry(DEPUTY, DEPUTY, DEPUTY), 0xb8942a, { metalness: 0.2, roughness: 0.6 }));
     const lens = this.mesh(new THREE.CylinderGeometry(0.7, 0.85, 1, 24), 0x22262e, { metalness: 0.3, roughness: 0.3 });
     lens.rotation.z = -Math.PI / 2;
     lens.position.x = DEPUTY / 2 + 0.4;
@@ -236,7 +236,7 @@ class Scene {
       const right = up.clone().cross(back);
       if (right.lengthSq() < 1e-4) right.set(0, 1, 0);
       right.normalize();
-      const over = back.clone().cross(right), r = distance || 1.7 * p.length() + 45;
+      const over = back.clone().cross(right), r = distance || 2 * p.length() + 45;
       const from = back.multiplyScalar(Math.cos(yaw) * Math.cos(pitch)).addScaledVector(right, Math.sin(yaw) * Math.cos(pitch));
       from.addScaledVector(over, Math.sin(pitch));
       const target = follow ? p.clone().multiplyScalar(1 - Math.min(16, 0.35 * p.length()) / p.length()) : new THREE.Vector3();
