@@ -188,6 +188,17 @@ def run_replay(runs: list[str], out: str) -> None:
     print(f"{scene.printable(out)}: {1e-6 * size:.1f} MB, opens in a browser without a network")
 
 
+def run_play(configure: Configure, out: str, checkpoint: str | None = None) -> None:
+    """main.py play"""
+    with refusing("play needs the package jinja2 (pip install '.[play]')", ImportError):
+        from study.play import page
+    from study.replay.scene import printable
+
+    policy, trained = agent_and_config(configure, checkpoint)
+    size = page.write(with_filter(configure, trained), Path(out), policy)
+    print(f"{printable(out)}: {1e-6 * size:.1f} MB, opens in a browser without a network")
+
+
 def run_filter(configure: Configure, states: str, out: str) -> None:
     """main.py filter"""
     from rta.qp.programs import Status
@@ -336,6 +347,7 @@ HANDLERS: dict[str, Handler] = {
     "evaluate": run_evaluate,
     "simulate": run_simulate,
     "replay": run_replay,
+    "play": run_play,
     "filter": run_filter,
     "verify": run_verify,
     "boundary": run_boundary,

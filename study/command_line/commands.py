@@ -179,6 +179,14 @@ COMMANDS = {
         read("runs", "a file of simulate, or two, side by side (required)", nargs="+", metavar="RUN.npz"),
         written(".html", "--out", "page to write", "F.html"),
     ),
+    "play": Command(
+        "write a page on which anybody flies the spacecraft in a browser, with the filter on or off",
+        AGENT.saying("an agent that can be let fly: policy.pt or checkpoint.pt of a run"),
+        CONFIG,
+        PANELS,
+        written(".html", "--out", "page to write", "F.html"),
+        imposed={"train.rta": True},
+    ),
     "filter": Command(
         "filter a batch of states from elsewhere and write out the quadratic programs",
         *COMMON,

@@ -1,0 +1,190 @@
+"""The page of `play`: one file, which flies the deputy in a browser and asks no network for anything.
+
+What it says stands in `page.html.j2`; what it does in `flight.js` (the flight), `scene.js` (the picture) and `panel.js`
+(keys, buttons, limits).
+"""
+
+import base64
+import gzip
+import json
+import math
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+from markupsafe import Markup
+
+from inspection.chief.points import fibonacci_sphere
+from inspection.model.parameters import InspectionParameters
+from ppo.network import Policy
+from rta.constraints.names import CONSTRAINTS
+from rta.parameters import PERIODS
+from study.config import Config
+from study.errors import InputError, refusing
+from study.files import write_text
+from study.machine.progress import step
+from study.pages.template import render
+from study.play import agent, printed, wasm
+from study.play.starts import starts
+
+NEEDED = {"ziglang": "a compiler", "meshcat": "which has three.js in it"}
+SCENE = Path("viewer/dist/main.min.js")  # in the package meshcat
+LICENCES = ("LICENSE", "dist/main.min.js.LICENSE.txt")
+HORIZON = 500  # s, of the line ahead
+
+WORDS = {  # by limit: its name for a newcomer, why it is there, what its violation is, and the unit that is shown
+    "collision": ("Can stop before the chief", "braking in time", "Too fast to stop before the chief", "m/s"),
+    "dynamic_speed": ("Speed near the chief", "the nearer, the slower", "Too fast so near the chief", "m/s"),
+    "keep_in_zone": (
+        "Can stop inside the zone",
+        "beyond {c.max_distance:g} m it is lost",
+        "Too fast to stop inside the zone",
+        "m/s",
+    ),
+    "passive_safety": (
+        "Free flight misses the chief",
+        "if the thrusters die, {c.passive_safety_horizon:g} s of free flight must miss it",
+        "Would hit the chief with dead thrusters",
+        "m",
+    ),
+    "velocity_x": (
+        "Speed, from the Earth",
+        "at most {c.max_speed:g} m/s",
+        "Too fast away from the Earth",
+        "%",
+    ),
+    "velocity_y": ("Speed, along the orbit", "at most {c.max_speed:g} m/s", "Too fast along the orbit", "%"),
+    "velocity_z": (
+        "Speed, across the orbit",
+        "at most {c.max_speed:g} m/s",
+        "Too fast across the orbit",
+        "%",
+    ),
+    "attitude_exclusion": (
+        "Camera off the Sun",
+        "sunlight blinds it",
+        "Blind: the Sun shines into the camera",
+        "\N{DEGREE SIGN}",
+    ),
+    "temperature": ("Temperature", "one side must stay cool", "Too hot", "\N{DEGREE SIGN}C"),
+    "battery": ("Battery", "the panels must see the Sun in time", "The battery is below its limit", "kJ"),
+    "angular_velocity_x": ("Roll rate", "at most {rate:g} deg/s", "Rolls too fast", "%"),
+    "angular_velocity_y": ("Pitch rate", "at most {rate:g} deg/s", "Pitches too fast", "%"),
+    "angular_velocity_z": ("Yaw rate", "at most {rate:g} deg/s", "Yaws too fast", "%"),
+}
+
+
+def check() -> None:
+    """Raises InputError where a package is missing that the page is built with."""
+    if missing := [f"{name} ({why})" for name, why in NEEDED.items() if find_spec(name) is None]:
+        raise InputError(f"play needs the packages {', '.join(missing)}: pip install '.[play]'")
+
+
+def check_config(config: Config) -> None:
+    """Raises InputError where the page cannot fly a configuration."""
+    c = config.inspection
+    if not config.chief.is_the_papers or "chief" in c.observed:
+        raise InputError("[chief]: play flies around the paper's chief only")
+    steps = 1.0 / min(c.substep, 1.0)
+    if abs(steps - round(steps)) > 1e-9 or c.action_period % 1.0:
+        raise InputError(
+            "play flies in seconds: substep must divide 1 s, action_period must be whole seconds"
+        )
+    if not config.plant.is_nominal:
+        raise InputError("[plant]: play flies the filter's model only")
+    if config.uncertainty.latency:
+        raise InputError("[uncertainty]: play knows no latency")
+
+
+def write(config: Config, out: Path, policy: Policy | None = None) -> int:
+    """Writes the page of a configuration, with an agent if there is one; returns its size in bytes.
+
+    Raises:
+        InputError: a package is missing, the configuration does not fit, or the page cannot be written.
+    """
+    check()
+    check_config(config)
+    with step("printing the filters of three periods, half a minute"):
+        with refusing("[rta], [inspection] and [uncertainty]", ValueError, OverflowError):
+            filters = printed.filters(config)
+        begun = starts(config, filters)
+        sources = printed.texts(filters, policy is not None)
+        if policy:
+            sources |= agent.texts(policy, config.inspection)
+    with step("compiling them to WebAssembly, a minute"):
+        module = wasm.compiled(sources)
+    text = document(config, module, begun, policy is not None)
+    with refusing(f"--out {out}: cannot write it", OSError):
+        write_text(out, text)
+    return len(text.encode())
+
+
+def document(config: Config, module: bytes, begun: list[dict[str, Any]], has_agent: bool = False) -> str:
+    """The whole page."""
+    packed = base64.b64encode(gzip.compress(module, 9, mtime=0)).decode("ascii")
+    data = json.dumps(task(config.inspection) | {"starts": begun}, separators=(",", ":"))
+    return render(
+        "play/page.html.j2",
+        periods=PERIODS,
+        has_agent=has_agent,
+        module=Markup(packed),
+        data=Markup(data.replace("<", "\\u003c")),
+        three=Markup(three()),
+    )
+
+
+def task(c: InspectionParameters) -> dict[str, Any]:
+    """What the page is told of the task."""
+    return {
+        "periods": list(PERIODS),
+        "limit": list(c.control_limit),
+        "mass": c.mass,
+        "steps": round(1.0 / min(c.substep, 1.0)),
+        "action_period": c.action_period,
+        "success_score": c.success_score,
+        "max_time": c.max_time,
+        "normals": fibonacci_sphere(c.num_points).T.tolist(),
+        "places": printed.AHEAD,
+        "ahead_steps": round(HORIZON / printed.AHEAD / min(c.substep, 1.0)),
+        "chief_radius": c.chief_radius,
+        "deputy_radius": c.deputy_radius,
+        "collision_radius": c.collision_radius,
+        "max_distance": c.max_distance,
+        "field_of_view": c.field_of_view,
+        "panel_axis": c.solar_panel_axis,
+        "limits": [limit(name, scale, c) for name, scale in zip(CONSTRAINTS, scales(c), strict=True)],
+    }
+
+
+def limit(name: str, scale: float, c: InspectionParameters) -> dict[str, Any]:
+    """What the page says of a limit."""
+    title, why, broken, unit = WORDS[name]
+    return {
+        "name": name,
+        "title": title,
+        "why": why.format(c=c, rate=math.degrees(c.max_rate)),
+        "broken": broken,
+        "unit": unit,
+        "scale": scale,
+    }
+
+
+def scales(c: InspectionParameters) -> tuple[float, ...]:
+    """By limit the h from which its bar is empty: far from it."""
+    return (
+        *(3.0, 1.0, 8.0, 100.0),
+        *(c.max_speed**2,) * 3,
+        *(1.5, 8.0, c.initial_energy[1] - c.min_energy),
+        *(c.max_rate**2,) * 3,
+    )
+
+
+def three() -> str:
+    """The bundle of three.js, with its licences before it."""
+    found = find_spec("meshcat")
+    assert found and found.submodule_search_locations  # see `check`
+    folder = Path(found.submodule_search_locations[0]) / SCENE.parent.parent
+    texts = [(folder / name).read_text(encoding="utf-8") for name in LICENCES]
+    said = "\n".join(texts).replace("*/", "* /")
+    bundle = (folder / "dist" / SCENE.name).read_text(encoding="utf-8")
+    return f"/* MeshCat, with three.js in it.\n{said}\n*/\n{bundle}".replace("</script", "<\\/script")

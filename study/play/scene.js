@@ -1,0 +1,284 @@
+// The picture of a flight: Hill's frame, x away from the Earth, y along the orbit, z up.
+"use strict";
+
+const COLOURS = { // Okabe and Ito's
+  inspected: 0x009e73, lit: 0xe69f00, dark: 0x4a4f58, asked: 0xe69f00, flown: 0x56b4e9, cone: 0x56b4e9, plume: 0xcfe8ff,
+  keepOut: 0xd55e00, zone: 0x56b4e9, ahead: 0xffffff, way: 0xf0e442, trail: 0x7a8798, earth: 0x2a5d9f,
+};
+const VIEWS = ["follow", "orbit", "onboard"];
+const STAR_DISTANCE = 15000, SUN_DISTANCE = 12000, EARTH_DISTANCE = 11000; // not to scale
+const DEPUTY = 2.4; // m, of its box where its radius, with the panels, is DRAWN
+const DRAWN = 5; // m
+
+class Scene {
+  constructor(canvas, task) {
+    this.task = task;
+    this.renderer = new THREE.WebGLRenderer({ canvas, antialias: true, logarithmicDepthBuffer: true });
+    this.renderer.outputEncoding = THREE.sRGBEncoding;
+    this.scene = new THREE.Scene();
+    this.scene.background = new THREE.Color(0x05070b);
+    this.camera = new THREE.PerspectiveCamera(50, 1, 0.2, 40000);
+    this.view = "follow";
+    this.looks = { follow: { yaw: 0.3, pitch: 0.25, distance: 38 }, orbit: { yaw: -0.9, pitch: 0.4, distance: 0 } };
+    this.surroundings();
+    this.chief();
+    this.deputy();
+    this.lines();
+    this.drag(canvas);
+  }
+
+  mesh(geometry, colour, more = {}, Material = THREE.MeshStandardMaterial) {
+    return new THREE.Mesh(geometry, new Material({ color: linear(colour), ...more }));
+  }
+
+  see_through(geometry, colour, opacity, more = {}) {
+    const material = { transparent: true, opacity, depthWrite: false, side: THREE.DoubleSide, ...more };
+    return this.mesh(geometry, colour, material, THREE.MeshBasicMaterial);
+  }
+
+  surroundings() {
+    const places = [], random = dice(7);
+    for (let i = 0; i < 1500; i++) {
+      const z = 2 * random() - 1, angle = 2 * Math.PI * random(), r = Math.sqrt(1 - z * z);
+      places.push(STAR_DISTANCE * r * Math.cos(angle), STAR_DISTANCE * r * Math.sin(angle), STAR_DISTANCE * z);
+    }
+    const stars = new THREE.BufferGeometry();
+    stars.setAttribute("position", new THREE.Float32BufferAttribute(places, 3));
+    this.scene.add(new THREE.Points(stars, new THREE.PointsMaterial({ color: linear(0x9aa7b8), size: 1.5, sizeAttenuation: false })));
+    this.light = new THREE.DirectionalLight(0xfff3e0, 1.45);
+    this.scene.add(this.light, new THREE.AmbientLight(0x8899bb, 0.12));
+    const glow = document.createElement("canvas").getContext("2d");
+    glow.canvas.width = glow.canvas.height = 128;
+    const fade = glow.createRadialGradient(64, 64, 4, 64, 64, 64);
+    for (const [at, colour] of [[0, "#fff"], [0.16, "#fff6dd"], [0.22, "rgba(255,226,160,.45)"], [1, "rgba(255,200,90,0)"]]) {
+      fade.addColorStop(at, colour);
+    }
+    glow.fillStyle = fade;
+    glow.fillRect(0, 0, 128, 128);
+    const map = new THREE.CanvasTexture(glow.canvas);
+    this.sun = new THREE.Sprite(new THREE.SpriteMaterial({ map, transparent: true, depthWrite: false }));
+    this.sun.scale.setScalar(2600);
+    const earth = this.mesh(new THREE.SphereGeometry(3600, 64, 32), COLOURS.earth, { roughness: 1 });
+    earth.position.x = -EARTH_DISTANCE;
+    this.scene.add(this.sun, earth);
+  }
+
+  chief() {
+    const { chief_radius: radius, normals, collision_radius, max_distance } = this.task;
+    this.scene.add(this.mesh(new THREE.SphereGeometry(0.985 * radius, 64, 32), 0x9aa0aa, { roughness: 0.75, metalness: 0.15 }));
+    const dot = new THREE.SphereGeometry(0.055 * radius, 12, 8);
+    this.points = new THREE.InstancedMesh(dot, new THREE.MeshBasicMaterial(), normals.length);
+    normals.forEach((n, i) => {
+      this.points.setMatrixAt(i, new THREE.Matrix4().makeTranslation(radius * n[0], radius * n[1], radius * n[2]));
+      this.points.setColorAt(i, linear(COLOURS.dark));
+    });
+    this.keepOut = this.see_through(new THREE.SphereGeometry(collision_radius, 24, 12), COLOURS.keepOut, 0, { wireframe: true });
+    this.zone = this.see_through(new THREE.SphereGeometry(max_distance, 36, 18), COLOURS.zone, 0, { wireframe: true });
+    this.scene.add(this.points, this.keepOut, this.zone);
+  }
+
+  deputy() {
+    const craft = this.craft = new THREE.Group(), body = this.body = new THREE.Group();
+    body.add(this.mesh(new THREE.BoxGeometry(DEPUTY, DEPUTY, DEPUTY), 0xb8942a, { metalness: 0.2, roughness: 0.6 }));
+    const lens = this.mesh(new THREE.CylinderGeometry(0.7, 0.85, 1, 24), 0x22262e, { metalness: 0.3, roughness: 0.3 });
+    lens.rotation.z = -Math.PI / 2;
+    lens.position.x = DEPUTY / 2 + 0.4;
+    body.add(lens);
+    const axis = "xyz".indexOf(this.task.panel_axis[1]), sign = this.task.panel_axis[0] === "-" ? -1 : 1;
+    const wing = axis === 1 ? 0 : 1; // the axis along which they stick out
+    for (const side of [-1, 1]) {
+      const size = [2.2, 2.2, 2.2], back = [2.2, 2.2, 2.2];
+      size[wing] = back[wing] = 3.4;
+      size[axis] = back[axis] = 0.08;
+      const cells = this.mesh(new THREE.BoxGeometry(...size), 0x1b3f8b, { metalness: 0.5, roughness: 0.35 });
+      const behind = this.mesh(new THREE.BoxGeometry(...back), 0x6d737c, { roughness: 0.9 });
+      for (const [part, shift] of [[cells, 0.09], [behind, 0]]) {
+        const place = [0, 0, 0];
+        place[wing] = side * (DEPUTY / 2 + 1.9);
+        place[axis] = sign * shift;
+        part.position.set(...place);
+        body.add(part);
+      }
+    }
+    this.plumes = [0, 1, 2].map(() => this.see_through(new THREE.ConeGeometry(0.55, 1, 20, 1, true), COLOURS.plume, 0.6));
+    body.add(...this.plumes);
+    const half = Math.tan(this.task.field_of_view / 2), cone = new THREE.ConeGeometry(half, 1, 48, 1, true);
+    cone.translate(0, -0.5, 0);
+    cone.rotateZ(Math.PI / 2); // from its tip along +x
+    this.cone = this.see_through(cone, COLOURS.cone, 0.07, { blending: THREE.AdditiveBlending });
+    body.scale.setScalar(this.task.deputy_radius / DRAWN);
+    craft.add(body, this.cone);
+    this.asked = this.arrow(COLOURS.asked, 0.36, 0.6);
+    this.flown = this.arrow(COLOURS.flown, 0.17, 1);
+    this.scene.add(craft, this.asked, this.flown);
+  }
+
+  // along +y, one metre long
+  arrow(colour, radius, opacity) {
+    const group = new THREE.Group();
+    const shaft = this.see_through(new THREE.CylinderGeometry(radius, radius, 1, 16), colour, opacity);
+    const tip = this.see_through(new THREE.ConeGeometry(2.6 * radius, 4.5 * radius, 20), colour, opacity);
+    shaft.renderOrder = tip.renderOrder = 1 + opacity; // the thin one shows through the other
+    group.add(shaft, tip);
+    group.userData = { shaft, tip };
+    return group;
+  }
+
+  point(arrow, from, direction, length) {
+    arrow.visible = length > 0.3;
+    if (!arrow.visible) return;
+    const { shaft, tip } = arrow.userData;
+    shaft.scale.y = length;
+    shaft.position.y = length / 2;
+    tip.position.y = length;
+    arrow.position.copy(from);
+    arrow.quaternion.setFromUnitVectors(new THREE.Vector3(0, 1, 0), direction.clone().normalize());
+  }
+
+  line(colour, opacity, count, dots = 0) {
+    const geometry = new THREE.BufferGeometry();
+    geometry.setAttribute("position", new THREE.BufferAttribute(new Float32Array(3 * count), 3));
+    geometry.setDrawRange(0, 0);
+    const look = { color: linear(colour), transparent: true, opacity };
+    const line = dots
+      ? new THREE.Points(geometry, new THREE.PointsMaterial({ ...look, size: dots, sizeAttenuation: false }))
+      : new THREE.Line(geometry, new THREE.LineBasicMaterial(look));
+    line.frustumCulled = false;
+    this.scene.add(line);
+    return line;
+  }
+
+  fill(line, places, count) {
+    line.geometry.attributes.position.array.set(places.subarray(0, 3 * count));
+    line.geometry.attributes.position.needsUpdate = true;
+    line.geometry.setDrawRange(0, count);
+  }
+
+  lines() {
+    this.ahead = this.line(COLOURS.ahead, 0.45, this.task.places);
+    this.way = this.line(COLOURS.way, 1, this.task.places, 4);
+    this.trail = this.line(COLOURS.trail, 0.8, this.task.max_time + 2);
+  }
+
+  begin(flight) {
+    this.flownTo = 0;
+    this.trail.geometry.setDrawRange(0, 0);
+    this.renew(flight);
+  }
+
+  // what changes with each second
+  renew(flight) {
+    const { inspected, lit, state } = flight;
+    for (let i = 0; i < inspected.length; i++) {
+      const colour = inspected[i] ? COLOURS.inspected : lit[i] ? COLOURS.lit : COLOURS.dark;
+      this.points.setColorAt(i, linear(colour));
+    }
+    this.points.instanceColor.needsUpdate = true;
+    const trail = this.trail.geometry.attributes.position;
+    if (this.flownTo < trail.count) {
+      trail.setXYZ(this.flownTo++, state[0], state[1], state[2]);
+      trail.needsUpdate = true;
+      this.trail.geometry.setDrawRange(0, this.flownTo);
+    }
+    flight.wasm.coast(this.task.ahead_steps);
+    this.fill(this.ahead, flight.ahead, this.task.places);
+    this.fill(this.way, flight.way, flight.filtered ? flight.wasm.rest(flight.filter) : 0);
+  }
+
+  // a share of the way from the state before to the one now
+  draw(flight, share) {
+    const { before: a, state: b } = flight;
+    const mixed = i => a[i] + share * (b[i] - a[i]);
+    const p = new THREE.Vector3(mixed(0), mixed(1), mixed(2)), distance = p.length();
+    const q = new THREE.Quaternion(a[6], a[7], a[8], a[9]).slerp(new THREE.Quaternion(b[6], b[7], b[8], b[9]), share);
+    const sun = new THREE.Vector3(Math.cos(mixed(15)), Math.sin(mixed(15)), 0);
+    this.craft.position.copy(p);
+    this.craft.quaternion.copy(q);
+    this.cone.scale.setScalar(Math.max(8, Math.min(distance - this.task.chief_radius, 60)));
+    this.light.position.copy(sun).multiplyScalar(1000);
+    this.sun.position.copy(sun).multiplyScalar(SUN_DISTANCE);
+    this.keepOut.material.opacity = 0.22 * near(distance, 90, 25);
+    this.zone.material.opacity = 0.1 * near(this.task.max_distance - distance, 250, 30);
+    this.thrust(flight, p, q);
+    this.look(p, q);
+    this.renderer.render(this.scene, this.camera);
+  }
+
+  thrust({ control, desired }, p, q) {
+    const most = this.task.limit[0];
+    const arrows = [[this.asked, desired], [this.flown, control]];
+    for (const [arrow, u] of arrows) {
+      const along = new THREE.Vector3(u[0], u[1], u[2]);
+      this.point(arrow, p, along.clone().applyQuaternion(q), 11 * along.length() / most);
+      arrow.visible = arrow.visible && this.view !== "onboard";
+    }
+    this.plumes.forEach((plume, j) => {
+      const share = control[j] / most, way = new THREE.Vector3().setComponent(j, -Math.sign(share) || 1);
+      plume.visible = Math.abs(share) > 0.02;
+      plume.scale.set(1, 3.5 * Math.abs(share), 1);
+      plume.quaternion.setFromUnitVectors(new THREE.Vector3(0, -1, 0), way);
+      plume.position.copy(way).multiplyScalar(DEPUTY / 2 + 1.75 * Math.abs(share));
+    });
+  }
+
+  look(p, q) {
+    const { camera, view } = this, onboard = view === "onboard";
+    this.body.visible = this.cone.visible = !onboard;
+    camera.fov = onboard ? this.task.field_of_view * 180 / Math.PI : 50;
+    if (onboard) {
+      const ahead = new THREE.Vector3(1, 0, 0).applyQuaternion(q);
+      camera.up.set(0, 0, 1).applyQuaternion(q);
+      camera.position.copy(p).addScaledVector(ahead, DEPUTY / 2);
+      camera.lookAt(camera.position.clone().add(ahead));
+    } else {
+      const { yaw, pitch, distance } = this.looks[view], up = new THREE.Vector3(0, 0, 1);
+      const follow = view === "follow", back = follow ? p.clone().normalize() : new THREE.Vector3(1, 0, 0);
+      const right = up.clone().cross(back);
+      if (right.lengthSq() < 1e-4) right.set(0, 1, 0);
+      right.normalize();
+      const over = back.clone().cross(right), r = distance || 2 * p.length() + 45;
+      const from = back.multiplyScalar(Math.cos(yaw) * Math.cos(pitch)).addScaledVector(right, Math.sin(yaw) * Math.cos(pitch));
+      from.addScaledVector(over, Math.sin(pitch));
+      const target = follow ? p.clone().multiplyScalar(1 - Math.min(16, 0.35 * p.length()) / p.length()) : new THREE.Vector3();
+      camera.up.copy(follow ? over : up);
+      camera.position.copy(target).addScaledVector(from, r);
+      camera.lookAt(target);
+    }
+    camera.updateProjectionMatrix();
+  }
+
+  size(width, height) {
+    this.renderer.setPixelRatio(Math.min(devicePixelRatio, 2));
+    this.renderer.setSize(width, height, false);
+    this.camera.aspect = width / height;
+  }
+
+  // turns and zooms the view with mouse or fingers
+  drag(canvas) {
+    let last = null;
+    canvas.addEventListener("pointerdown", event => { last = event; canvas.setPointerCapture(event.pointerId); });
+    canvas.addEventListener("pointerup", () => { last = null; });
+    canvas.addEventListener("pointermove", event => {
+      const look = this.looks[this.view];
+      if (!last || !look) return;
+      look.yaw -= 0.006 * (event.clientX - last.clientX);
+      look.pitch = Math.max(-1.5, Math.min(1.5, look.pitch + 0.006 * (event.clientY - last.clientY)));
+      last = event;
+    });
+    canvas.addEventListener("wheel", event => {
+      const look = this.looks[this.view];
+      if (look) look.distance = Math.max(8, Math.min(4000, (look.distance || 150) * Math.exp(0.001 * event.deltaY)));
+      event.preventDefault();
+    }, { passive: false });
+  }
+}
+
+// a colour as the renderer computes with it
+function linear(hex) {
+  return new THREE.Color(hex).convertSRGBToLinear();
+}
+
+// from 0 at `far` and beyond to 1 at `close` and nearer
+function near(value, far, close) {
+  return Math.max(0, Math.min(1, (far - value) / (far - close)));
+}

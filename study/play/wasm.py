@@ -1,0 +1,51 @@
+"""C sources as WebAssembly, by the compiler of the package ziglang."""
+
+import subprocess
+import sys
+import tempfile
+from collections.abc import Mapping
+from importlib.util import find_spec
+from pathlib import Path
+
+from study.errors import InputError
+
+# no fused products, as in `kernels.build`, so that each operation rounds as it does in Python
+FLAGS = (
+    "-target",
+    "wasm32-wasi",
+    "-mexec-model=reactor",
+    "-std=gnu11",
+    "-O2",
+    "-ffp-contract=off",
+    "-fno-math-errno",
+    "-fno-tree-slp-vectorize",
+    "-w",
+    "-s",
+)
+MISSING = "play needs the package ziglang (pip install '.[play]')"
+
+
+def check() -> None:
+    """Raises InputError where there is no compiler."""
+    if find_spec("ziglang") is None:
+        raise InputError(MISSING)
+
+
+def compiled(sources: Mapping[str, str]) -> bytes:
+    """The WebAssembly module of C sources by name, which asks its surroundings for nothing.
+
+    Raises:
+        InputError: there is no compiler, or it fails.
+    """
+    check()
+    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as work:
+        folder = Path(work)
+        for name, text in sources.items():
+            (folder / name).write_text(text, encoding="utf-8")
+        command = [sys.executable, "-m", "ziglang", "cc", *FLAGS, *sources, "-o", "play.wasm", "-lm"]
+        done = subprocess.run(command, cwd=folder, capture_output=True, text=True, errors="replace")
+        if done.returncode:
+            said = [line.strip() for line in done.stderr.splitlines() if line.strip()]
+            reason = next((line for line in said if "error" in line), said[-1] if said else "no reason given")
+            raise InputError(f"the compiler of ziglang failed ({done.returncode}): {reason}")
+        return (folder / "play.wasm").read_bytes()

@@ -1,0 +1,248 @@
+"""The page of `play`: what is in it, what it asks a network for, and that the shipped one is of this code."""
+
+import json
+import re
+import time
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from rta.constraints.names import CONSTRAINTS
+from study.config import Config
+from study.errors import InputError
+from study.pages.template import STUDY
+from study.play import page, printed, wasm
+from study.play.starts import starts
+from tests.study.play.test_flight import AGENT, PAGE
+from tests.study.replay.test_page import Browser, chromium
+from tests.test_main import assert_refused, call
+
+__all__ = ["chromium"]  # a fixture
+TEXT = PAGE.read_text(encoding="utf-8")
+SCRIPTS = ("flight.js", "scene.js", "panel.js")
+NAMES = {"http://www.w3.org/1999/xhtml"}  # of an XML vocabulary, which nothing is asked for
+
+
+def data(text: str) -> dict[str, Any]:
+    found = re.search(r'id="data">(.*?)</script>', text, re.DOTALL)
+    assert found
+    return dict(json.loads(found[1]))
+
+
+def test_the_shipped_page_is_of_this_code() -> None:
+    """Its module is flown beside Python in `test_flight`."""
+    for name in (*SCRIPTS, "play.css"):
+        assert (STUDY / "play" / name).read_text(encoding="utf-8") in TEXT, name
+    config = Config()
+    of_page = data(TEXT)
+    begun = of_page.pop("starts")
+    assert of_page == json.loads(json.dumps(page.task(config.inspection)))
+    for given, found in zip(begun, starts(config, printed.filters(config)), strict=True):
+        assert given["name"] == found["name"]
+        assert given["state"] == pytest.approx(found["state"], abs=1e-9)
+        assert given["priority"] == pytest.approx(found["priority"], abs=1e-9)
+
+
+def test_nothing_is_asked_of_a_network() -> None:
+    policy = re.search(r'<meta http-equiv="Content-Security-Policy" content="([^"]*)">', TEXT)
+    assert policy and policy.start() < TEXT.index("<script")
+    rules = dict(rule.strip().split(" ", 1) for rule in policy[1].split(";"))
+    assert rules["default-src"] == "'none'" and rules["form-action"] == "'none'"
+    assert not any("http" in each or "*" in each or "connect" in each for each in policy[1].split())
+    assert not re.search(r'(?:src|href|action)\s*=\s*["\']?\s*(?:https?:)?//', TEXT)
+    code = re.sub(r"/\*.*?\*/", "", TEXT, flags=re.DOTALL)
+    assert set(re.findall(r"https?://[\w./-]+", code)) <= NAMES
+    own = "".join((STUDY / "play" / name).read_text(encoding="utf-8") for name in SCRIPTS)
+    assert not re.search(r"\b(fetch|XMLHttpRequest|WebSocket|EventSource|sendBeacon|import)\b\s*\(", own)
+
+
+def test_the_page_is_small() -> None:
+    assert len(TEXT.encode()) < 2_000_000
+
+
+def test_every_limit_is_explained() -> None:
+    limits = data(TEXT)["limits"]
+    assert [each["name"] for each in limits] == list(CONSTRAINTS)
+    assert all(each["scale"] > 0 and "{" not in each["why"] for each in limits)
+    assert len({each["title"] for each in limits}) == len(limits)
+
+
+def test_three_js_is_shipped_with_its_licences() -> None:
+    (head,) = re.findall(r"<script>\s*(/\* MeshCat, with three\.js in it.*?\*/)\s", TEXT, re.DOTALL)
+    assert "Three.js Authors" in head and "MIT License" in head
+
+
+def test_without_its_packages_the_command_says_so(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(page, "find_spec", lambda name: None if name == "ziglang" else object())
+    code, _, err = call(["play", "--out", str(tmp_path / "page.html")], capsys)
+    assert code == 2 and "ziglang" in err and "meshcat" not in err and ".[play]" in err
+    assert not (tmp_path / "page.html").exists()
+
+
+@pytest.mark.parametrize(
+    ("settings", "said"),
+    [
+        ("[inspection]\nsubstep = 0.3\naction_period = 9.0\n", "substep"),
+        ("[chief]\nrandom_attitude = true\n", "chief"),
+        ("[uncertainty]\nlatency = 1\n", "latency"),
+        ("[plant]\nmass = 0.1\n", "plant"),
+    ],
+)
+def test_a_configuration_that_it_cannot_fly_is_refused(
+    settings: str,
+    said: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.setattr(page, "find_spec", lambda name: object())
+    (tmp_path / "own.toml").write_text(settings)
+    words = ["play", "--config", str(tmp_path / "own.toml"), "--out", str(tmp_path / "page.html")]
+    assert_refused(words, [said], capsys)
+
+
+def test_a_page_is_built(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for name in ("ziglang", "meshcat"):
+        if find_spec(name) is None:
+            pytest.skip(f"{name} is not installed (requirements-optional.txt)")
+    out = tmp_path / "page.html"
+    code, said, err = call(["play", "--checkpoint", str(AGENT), "--out", str(out)], capsys)
+    assert code == 0, err
+    assert "page.html: 1." in said
+    made = out.read_text(encoding="utf-8")
+    rest = re.compile(r'id="(?:data|module)">.*?</script>', re.DOTALL)  # where processors may round otherwise
+    assert rest.sub("", made) == rest.sub("", TEXT)
+    assert len(made) == pytest.approx(len(TEXT), rel=0.02) and data(made).keys() == data(TEXT).keys()
+
+
+def test_a_failure_of_the_compiler_is_one_line() -> None:
+    if find_spec("ziglang") is None:
+        pytest.skip("ziglang is not installed (requirements-optional.txt)")
+    with pytest.raises(InputError, match=r"^the compiler of ziglang failed \(1\): .*error: .*nothing"):
+        wasm.compiled({"wrong.c": "int main(void) { return nothing; }"})
+
+
+# in a browser
+
+
+@pytest.fixture(scope="module")
+def opened(chromium: Any) -> Browser:
+    browser = Browser(chromium, PAGE, 1280, 800)
+    until(browser, "play.ready")
+    return browser
+
+
+def until(browser: Browser, holds: str) -> None:
+    """Waits for what a script says; Playwright's own waiting evaluates text, which the page does not allow."""
+    end = time.monotonic() + 60.0
+    while not browser.page.evaluate(f"() => {holds}"):
+        assert time.monotonic() < end, holds
+        time.sleep(0.05)
+
+
+def seconds(browser: Browser, count: int) -> dict[str, Any]:
+    """What has become of the flight so many seconds later, the clock of the page standing still."""
+    script = """count => {
+        pause(true);
+        for (let i = 0; i < count; i++) { play.flight.second(); play.scene.renew(play.flight); }
+        show();
+        return { outcome: play.flight.outcome, broken: play.flight.broken, control: Array.from(play.flight.control) };
+    }"""
+    return dict(browser.page.evaluate(script, count))
+
+
+def test_a_browser_flies_it_with_the_keyboard_alone(opened: Browser) -> None:
+    keyboard = opened.page.keyboard
+    assert opened.page.locator("#welcome").is_visible()
+    keyboard.press("Enter")
+    assert opened.page.locator("#welcome").is_hidden()
+    until(opened, "play.flight.time > 0")  # the clock runs
+    keyboard.press("1")
+    keyboard.down("w")
+    assert opened.page.evaluate("play.flight.keys.thrust") == [1, 0, 0]
+    assert seconds(opened, 300)["broken"] == {}
+    assert opened.page.locator(".bar.acts").count() > 0
+    assert "Corrected" in opened.page.locator("#status").inner_text()
+    keyboard.press("x")
+    found = seconds(opened, 300)
+    keyboard.up("w")
+    assert found["outcome"] == "crash" and "Crash" in opened.page.locator("#end").inner_text()
+    assert opened.page.locator("#broken li").count() == len(found["broken"]) > 0
+    keyboard.press("n")
+    assert opened.page.locator("#end").is_hidden() and opened.page.locator("#broken li").count() == 0
+    keyboard.press("x")
+
+
+def test_a_browser_flies_it_with_a_gamepad(opened: Browser) -> None:
+    script = """([axes, button]) => {
+        const buttons = Array.from({ length: 8 }, (_, i) => ({ pressed: i === button, value: i === button ? 1 : 0 }));
+        Object.defineProperty(navigator, "getGamepads", { configurable: true, value: () => [null, { axes, buttons }] });
+        read_gamepad();
+        return [play.flight.keys, play.flight.filtered];
+    }"""
+    keys, filtered = opened.page.evaluate(script, [[0.1, -0.5, 1.0, 0.0], 7])
+    assert (
+        keys == {"thrust": [0.5, 0, 1], "torque": [0, 0, -1]} and filtered
+    )  # forward, up, turning to the right
+    keys, filtered = opened.page.evaluate(script, [[0.0, 0.0, 0.0, 0.0], 0])
+    assert keys == {"thrust": [0, 0, 0], "torque": [0, 0, 0]} and not filtered
+    assert not opened.page.evaluate(script, [[0.0, 0.0, 0.0, 0.0], 0])[1]  # held is not pressed again
+    opened.page.evaluate(script, [[0.0, 0.0, 0.0, 0.0], -1])
+    assert opened.page.evaluate(script, [[0.0, 0.0, 0.0, 0.0], 0])[1]
+
+
+def test_what_a_pointer_has_chosen_does_not_keep_the_keys(opened: Browser) -> None:
+    opened.page.locator("#filter").click()
+    assert not opened.page.evaluate("() => play.flight.filtered")
+    paused = opened.page.evaluate("() => play.paused")
+    opened.page.keyboard.press("Space")  # would press a button that has the focus
+    assert opened.page.evaluate("() => play.paused") is not paused
+    assert not opened.page.evaluate("() => play.flight.filtered")
+    opened.page.keyboard.press("x")
+
+
+def test_a_browser_keeps_the_promises_under_the_adversary(opened: Browser) -> None:
+    opened.page.locator("#pilot").select_option("adversary")
+    for key in "123":
+        opened.page.keyboard.press(key)
+        found = seconds(opened, 600)
+        assert found["broken"] == {} and found["outcome"] is None
+
+
+def test_a_browser_draws_what_is_flown(opened: Browser) -> None:
+    """The deputy where it is, its camera's axis where it looks, the light from the Sun."""
+    opened.page.locator("#pilot").select_option("guide")
+    opened.page.keyboard.press("1")
+    seconds(opened, 200)
+    script = """() => {
+        const { scene, flight } = play;
+        scene.draw(flight, 1);
+        const axis = new THREE.Vector3(1, 0, 0).applyQuaternion(scene.craft.quaternion);
+        return { place: scene.craft.position.toArray(), axis: axis.toArray(),
+                 sun: scene.light.position.toArray(), state: Array.from(flight.state) };
+    }"""
+    found = opened.page.evaluate(script)
+    x = np.array(found["state"])
+    np.testing.assert_allclose(found["place"], x[:3], atol=1e-6)
+    np.testing.assert_allclose(found["axis"], Rotation.from_quat(x[6:10]).as_matrix()[:, 0], atol=1e-6)
+    sun = np.array(found["sun"]) / np.linalg.norm(found["sun"])
+    np.testing.assert_allclose(sun, [np.cos(x[15]), np.sin(x[15]), 0.0], atol=1e-6)
+
+
+def test_a_browser_asks_for_nothing_and_has_no_error(opened: Browser) -> None:
+    assert opened.errors == []
+    assert len(opened.requests) == 1  # the page itself
+
+
+@pytest.mark.parametrize("width", [320, 800])
+def test_the_page_fits(width: int, chromium: Any) -> None:
+    narrow = Browser(chromium, PAGE, width, 800)
+    until(narrow, "play.ready")
+    assert narrow.page.evaluate("document.documentElement.scrollWidth") <= width
+    assert narrow.errors == []
