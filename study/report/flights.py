@@ -19,7 +19,7 @@ from study.errors import MALFORMED, refusing
 from study.experiment import Experiment, test_cases
 from study.files import ROOT
 from study.flight.controllers import agent, classical
-from study.flight.evaluation import Episodes, common_episode, play, play_controller, report, run_episodes
+from study.flight.evaluation import Episodes, common_episode, play, play_controller, report
 from study.flight.simulation import simulate, starting_point
 from study.flight.summary import iqm
 from study.paper import Results

@@ -8,7 +8,6 @@ import torch
 
 from inspection import guidance
 from inspection.guidance import natural_motion
-from inspection.initial_state import sample_initial_state
 from inspection.model.attitude import dot, rotate, unit
 from inspection.model.dynamics import step, sun_direction
 from inspection.model.orbit import free_flight

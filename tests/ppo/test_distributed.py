@@ -25,8 +25,8 @@ from ppo.errors import NonFiniteError, RankLostError
 from study import config as configuration
 from study.config import Config, StudyConfig
 from study.errors import InputError
+from study.training import jump_start, shards
 from study.training import session as training
-from study.training import shards
 
 ROOT = Path(main.__file__).parent
 # Weights of 2 ranks from those of 1 after 3 updates of 12 gradient steps: the order of sums alone differs.
@@ -59,13 +59,14 @@ missed_calls = 0.3
 """
 STUDY = '[study]\nseeds = 3\narms = ["no_rta"]\n' + SETTINGS.replace("72", "48")
 TAUGHT = SETTINGS.replace("72", "72\njump_start = 48")
+RATE = 1e-3  # of the lessons: at an agent's, eight times as high, rounding grows likewise
 POOL = 16  # initial states drawn at once, so that more are drawn in the midst of a run
 
 
 def job(directory: Path) -> None:
     """What each of two ranks does under torchrun; rank 1 does not live to see the end."""
     torch.set_num_threads(1)
-    initial_state.POOL = POOL
+    initial_state.POOL, jump_start.LEARNING_RATE = POOL, RATE
     settings, after_update = directory / "train.toml", training.Run.after_update
     config = configuration.load(settings)
     training.start(config, directory / "whole").train()
@@ -168,8 +169,9 @@ def test_two_ranks_follow_one(done: tuple[Path, str, list[str]], alone: Path) ->
 
 
 def test_two_ranks_are_taught_what_one_is(
-    done: tuple[Path, str, list[str]], alone: Path, tmp_path: Path
+    done: tuple[Path, str, list[str]], alone: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr(jump_start, "LEARNING_RATE", RATE)
     training.start(configuration.from_toml(TAUGHT, "test"), tmp_path / "run").train()
     assert_close(state(tmp_path / "run"), state(done[0] / "taught"), 1e-5)
     weights = (next(iter(state(run)["policy"].values())) for run in (alone, tmp_path / "run"))
