@@ -220,7 +220,7 @@ def sentences() -> Iterator[tuple[str, str]]:
     yield RESULTS, f"Training took {minutes:.0f} minutes"
     without, behind = (f"{middle(arms()[arm], 'episode_length_s'):,.0f}" for arm in ARMS)
     paper = [f"{each.value:,.0f}" for each in PAPER_METRICS["episode_length_s"].by_arm.values()]
-    yield RESULTS, f"({behind} and {without} s against {paper[1]} and {paper[0]} s)"
+    yield RESULTS, f"take {behind} and {without} s against {paper[1]} and {paper[0]} s"
     lit = report("sunlight")["earliest_success_s"]
     low, high = lit["ci95"]
     yield RESULTS, f"it takes {lit['iqm']:,.0f} s [{low:,.0f}, {high:,.0f}] until"
