@@ -213,6 +213,7 @@ def front_figure(inputs: Inputs) -> Figure:
     ax.plot(*zip(*curve, strict=True), color=GUIDANCE_COLOUR, marker=".", lw=1.2, label="classical guidance")
     for name, place in zip(inputs.front, curve, strict=True):
         ax.annotate(name, place, (4, 4), textcoords="offset points", fontsize=8, color=GUIDANCE_COLOUR)
+    ax.margins(0.1)  # room for the names
     ax.set(xlabel="episode length (s)", ylabel="delta v (m/s)", ylim=(0, None))
     ax.grid(alpha=0.3)
     ax.legend(frameon=False, fontsize=9)

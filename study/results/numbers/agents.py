@@ -214,7 +214,7 @@ def sentences() -> Iterator[tuple[str, str]]:
     off = report("cross")["rta"]["off"]
     shares = success(off), success(off, "clean_success")
     yield README, f"succeed without it in {shares[0]} % of the episodes ({shares[1]} % clean)"
-    yield README, f"a limit in {off['violations_percent']['any']:.2f} % of the steps"
+    yield README, f"a limit in {off['violations_percent']['any']:.3f} % of the steps"
 
     minutes = sum(each["wall_clock_s"] for each in arms().values()) / 60.0
     yield RESULTS, f"Training took {minutes:.0f} minutes"
