@@ -203,10 +203,10 @@ def natural_motion(
     The ellipse is a free motion of the Clohessy-Wiltshire equations that turns with the Sun, so that holding
     it costs almost no fuel. With a > 0 it keeps min(a, b) from the whole line through the chief along the track, so
     that no drift along it ends in a collision (D'Amico and Montenbruck 2006: eccentricity and inclination vectors
-    apart). Away from the phase wanted the target is a point of the ellipse a little ahead, so that the way leads around
-    the chief, unless it starts above or below the chief, with nothing in the way. Without a lead the camera is on the
-    chief where panels on its back then make the power drawn, and elsewhere turned away from the Sun, which charges the
-    battery. With one, `watch` says where it looks.
+    apart). Away from the phase wanted the target is a point a little ahead, so that the way leads around the chief:
+    without a lead along the ellipse (`along`), with one on a great circle (`aside`). Without a lead the camera is on
+    the chief where panels on its back then make the power drawn, and elsewhere turned away from the Sun, which charges
+    the battery. With one, `watch` says where it looks.
 
     Args:
         every: s for which a control is held, T. The critically damped law, of frequency w, then multiplies angle and

@@ -34,7 +34,7 @@ def compute(study: Path, device: str | None = None) -> None:
     directory = study / "report"
     todo = work(study, arms)
     with refusing(f"--study {study}: cannot write there", OSError):
-        begin(directory, {name: arm.digests for name, arm in arms.items()}, todo)
+        begin(directory, {name: arm.digests for name, arm in arms.items()} | {"guidance": guided_by()}, todo)
         for name, (what, make) in todo.items():
             if not (directory / name).exists():
                 print(f"{directory / name}: {what} ...", flush=True)  # a line, since bars may follow
@@ -43,8 +43,13 @@ def compute(study: Path, device: str | None = None) -> None:
                 print(f"{directory / name}: {time.perf_counter() - started:.0f} s", flush=True)
 
 
+def guided_by() -> dict[str, str]:
+    """By name, the knobs of the guidance that a report compares agents with."""
+    return {name: repr(orbit) for name, orbit in flights.GUIDANCE.items()}
+
+
 def begin(directory: Path, digests: dict[str, dict[str, str]], todo: Work) -> None:
-    """Drops what was computed for other policies than those with the given digests."""
+    """Drops what was computed for other policies, or with another guidance, than those with the given digests."""
     directory.mkdir(exist_ok=True)
     path = directory / "policies.json"
     text = json.dumps(digests, indent=2) + "\n"

@@ -206,6 +206,19 @@ def test_every_arm_of_the_shipped_study_can_fly_in_every_world() -> None:
         Experiment(own, 1).env(1, [torch.Generator()])
 
 
+@pytest.mark.parametrize(
+    ("agents", "guided", "kept"), [("a", "g", True), ("b", "g", False), ("a", "h", False)]
+)
+def test_what_was_flown_by_other_agents_or_another_guidance_is_dropped(
+    agents: str, guided: str, kept: bool, tmp_path: Path
+) -> None:
+    todo = {"guidance.json": ("", dict)}
+    compute.begin(tmp_path, {"rta": {"seed0": "a"}, "guidance": {"quick": "g"}}, todo)
+    (tmp_path / "guidance.json").touch()
+    compute.begin(tmp_path, {"rta": {"seed0": agents}, "guidance": {"quick": guided}}, todo)
+    assert (tmp_path / "guidance.json").exists() == kept
+
+
 def test_the_front_is_of_the_guidance_that_leads_the_sun(study: Path) -> None:
     found = read(study / "report" / "front.json")
     assert list(found) == ["even", "quick"]
