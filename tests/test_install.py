@@ -31,7 +31,7 @@ for package in (inspection, interfaces, ppo, rta, study):
     assert Path(sys.prefix) in Path(package.__file__).parents, package.__file__
     assert all(hasattr(package, name) for name in package.__all__)
 policy, config = load_policy({str(SHIPPED)!r})
-assert config.train.rta and sum(weight.numel() for weight in policy.parameters()) == 7_052
+assert config.train.rta and sum(weight.numel() for weight in policy.parameters()) == 7_436
 """
 
 

@@ -47,10 +47,10 @@ def page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 @pytest.mark.parametrize(
     ("right", "wrong"),
     [
-        ("| 1.405 [1.385, 1.426] |", "| 1.505 [1.385, 1.426] |"),
-        ("| Power | 0.005 | 0.000 |", "| Power | 0.005 |"),
+        ("| 1.626 [1.615, 1.636] |", "| 1.505 [1.615, 1.636] |"),
+        ("| PSM | 0.052 | 0.989 |", "| PSM | 0.052 |"),
         ("| y velocity limit | 0.000 | 0.000 | 0.000 | 0.079 |\n", ""),
-        ("Training took 67 minutes", "Training took 1,067.5 minutes"),
+        ("Training took 106 minutes", "Training took 1,067.5 minutes"),
         ("order of fuel: 5.6 m/s", "order\nof fuel: -5e-06 m/s"),
     ],
 )
@@ -67,7 +67,7 @@ def test_a_wrong_number_is_found_and_renewed(
 @pytest.mark.parametrize(
     ("right", "wrong", "said"),
     [
-        ("Training took", "Learning took", "0 sentences instead of one with the words of 'Training took 67"),
+        ("Training took", "Learning took", "0 sentences instead of one with the words of 'Training took 106"),
         ("## Seeds\n", "## Seeds\n\nTraining took 1 minutes", "2 sentences instead of one"),
         (
             "<!-- rows: agents.hidden",

@@ -293,7 +293,7 @@ def test_the_shipped_configurations_are_the_papers_study_and_what_goes_past_it()
     assert (arms["robust"].plant, arms["robust"].uncertainty) == (typical.plant, u1.uncertainty)
     paper = configuration.load(configs / "paper.toml", StudyConfig())
     assert paper.study.arms == ("no_rta", "rta")
-    for each, interactions in ((config, 2_000_000), (paper, 5_000_000)):
+    for each, interactions in ((config, 500_000), (paper, 5_000_000)):
         assert each.train.interactions == interactions and each.train.early_evaluations == 10
     default = Config()
     assert (paper.ppo, paper.inspection, paper.rta) == (default.ppo, default.inspection, default.rta)
