@@ -148,6 +148,11 @@ def look(x: Tensor, direction: Tensor, sun: Tensor, c: Limits, frequency: float)
     return inertia * (frequency**2 * error - 2.0 * frequency * x[OMEGA])
 
 
+def pointing_frequency(every: float) -> float:
+    """The frequency in rad/s at which a pointing law may be held for so many s, see `natural_motion`."""
+    return min(POINTING_FREQUENCY, HELD / every)
+
+
 def balanced(c: Limits) -> float:
     """The panels' angle to the Sun in rad at which they make the power drawn; 0 where they never make more."""
     return math.acos(min(1.0, c.power_draw / brightest(c)))
@@ -222,7 +227,7 @@ def natural_motion(
     if lead and score is None:
         raise ValueError("a lead needs the inspected score")
     n, w = c.mean_motion, orbit.tracking
-    pointing = min(POINTING_FREQUENCY, HELD / every)
+    pointing = pointing_frequency(every)
 
     def control(t: float, x: Tensor) -> Tensor:
         sun, outward = sun_direction(x[THETA_S]), unit(x[P])

@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from inspection.chief.points import fibonacci_sphere, in_view, point_weights
-from inspection.guidance import HELD, POINTING_FREQUENCY, limited, look, natural_motion
+from inspection.guidance import limited, look, natural_motion, pointing_frequency
 from inspection.model.attitude import unit
 from inspection.model.dynamics import step, sun_direction
 from inspection.model.parameters import InspectionParameters
@@ -27,7 +27,7 @@ from rta.printed.source import define, for_one
 from study.config import Config
 from study.verification.adversaries import adversarial
 
-GUIDE = "even"  # the guidance that flies the page by itself
+PILOT = "even"  # the guidance that flies the page by itself
 AHEAD = 250  # places of a line ahead, at most
 AGENT = (  # the functions of `study.play.agent`
     "void agent_begin(void);",
@@ -157,15 +157,14 @@ def weights(normals: Tensor, priority: Tensor) -> list[Tensor]:
 
 def assistant(c: InspectionParameters, every: float, x: Tensor) -> list[Tensor]:
     """Torque that points the camera at the chief, held for `every` s, and the cold side away from the Sun."""
-    frequency = min(POINTING_FREQUENCY, HELD / every)
     sun = sun_direction(x[THETA_S])
-    torque = look(x, -unit(x[P]), sun, c, frequency)
+    torque = look(x, -unit(x[P]), sun, c, pointing_frequency(every))
     return [limited(torch.zeros_like(torque), torque, x, c)[TORQUE]]
 
 
 def guidance(c: InspectionParameters, every: float, x: Tensor, score: Tensor) -> list[Tensor]:
-    """The control of GUIDE, held for `every` s, once a weight (1,) has been inspected."""
-    return [natural_motion(c, every, GUIDANCE[GUIDE], lambda: score)(0.0, x)]
+    """The control of PILOT, held for `every` s, once a weight (1,) has been inspected."""
+    return [natural_motion(c, every, GUIDANCE[PILOT], lambda: score)(0.0, x)]
 
 
 def adversary(safety_filter: SafetyFilter, x: Tensor) -> list[Tensor]:

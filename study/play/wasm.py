@@ -4,7 +4,6 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Mapping
-from importlib.util import find_spec
 from pathlib import Path
 
 from study.errors import InputError
@@ -22,22 +21,14 @@ FLAGS = (
     "-w",
     "-s",
 )
-MISSING = "play needs the package ziglang (pip install '.[play]')"
-
-
-def check() -> None:
-    """Raises InputError where there is no compiler."""
-    if find_spec("ziglang") is None:
-        raise InputError(MISSING)
 
 
 def compiled(sources: Mapping[str, str]) -> bytes:
     """The WebAssembly module of C sources by name, which asks its surroundings for nothing.
 
     Raises:
-        InputError: there is no compiler, or it fails.
+        InputError: the compiler fails, or is not there (`study.play.page.check` says so earlier).
     """
-    check()
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as work:
         folder = Path(work)
         for name, text in sources.items():

@@ -5,9 +5,8 @@
 NSGA-II (Deb et al. 2002) over KNOBS: each generation flies its candidates through the same cases at once, with a
 decision every 10 s and without the filter, as a teacher flies. Candidates that fail in a case, come nearer to a limit
 than MARGINS in some second or would drift into the chief afterwards rank behind those that do not: a copy is not as
-exact as its teacher. Every generation is a line of
-search.jsonl; the same command continues after the last one. At the end the front flies cases of its own, into
-front.json. Takes ten minutes on one core.
+exact as its teacher. Every generation is a line of search.jsonl; the same command continues after the last one. At the
+end the front flies cases of its own, into front.json. Takes a quarter of an hour on one core.
 """
 
 import json
