@@ -21,13 +21,18 @@ def traced(function: Callable[..., list[Tensor]], *examples: Tensor) -> GraphMod
 
     Nested forward-mode differentiation is most of the time of a call for few columns; make_fx does it once.
     """
-    from torch.fx.experimental.proxy_tensor import make_fx  # a second that a command without it need not wait
+    # a second that a command without it need not wait
+    from torch._guards import TracingContext, tracing
+    from torch._subclasses import FakeTensorMode
+    from torch.fx.experimental.proxy_tensor import make_fx
 
     def plain(*tensors: Tensor) -> list[Tensor]:
         return function(*tensors)
 
     pure = torch.func.functionalize(plain, remove="mutations")  # mutations would hide common subexpressions
-    with TRACING:
+    # PyTorch notes each value's shape; without one mode for all it makes a mode for each, which takes half of the time
+    shapes = TracingContext(FakeTensorMode())
+    with TRACING, tracing(shapes):
         return without_repetitions(make_fx(pure)(*examples))
 
 

@@ -14,6 +14,7 @@ import sys
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
+from unittest import mock
 
 import numpy as np
 import pytest
@@ -252,7 +253,8 @@ def complaint(words: list[str]) -> str:
 def complaints(seed: int, count: int) -> Iterator[str]:
     """Of so many calls those that end badly, in a directory of their own."""
     draw, here = random.Random(seed), os.getcwd()
-    with tempfile.TemporaryDirectory() as directory:
+    # --cache-dir sets a variable, which tests that follow would build with
+    with tempfile.TemporaryDirectory() as directory, mock.patch.dict(os.environ):
         os.chdir(directory)
         try:
             make_files()
