@@ -26,17 +26,47 @@ from study.config import ARMS, BASELINES, Config, StudyConfig
 from study.machine import progress
 from tests.shared import share
 
+# Files that take half a minute of a core or more, the longest first: what begins last must not be long, or one of the
+# workers of pytest-xdist ends minutes after the others. By itself it begins with the files of most tests.
+LONGEST = (
+    "test_docs.py",
+    "rta/printed/test_driver.py",
+    "rta/backup/test_check.py",
+    "rta/printed/test_export.py",
+    "rta/constraints/test_vehicle.py",
+    "test_install.py",
+    "rta/conditions/test_tangents.py",
+    "rta/backup/test_slew.py",
+    "test_command.py",
+)
+
 torch.set_num_threads(1)
 os.environ["OMP_NUM_THREADS"] = "1"  # of the processes that tests start: nothing to measure, and to say
 settings.register_profile("project", deadline=None, derandomize=True, max_examples=40, database=None)
 settings.load_profile("project")
 
 
+def pytest_configure(config: pytest.Config) -> None:
+    """Has pytest-xdist take the files in the order of `pytest_collection_modifyitems`."""
+    config.option.loadscopereorder = False
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Puts the files of LONGEST first, where there are several."""
+    tests = Path(__file__).parent
+    place = {tests / name: i for i, name in enumerate(LONGEST)}
+    items.sort(key=lambda item: place.get(item.path, len(place)))
+
+
 @pytest.fixture(scope="session", autouse=True)
-def shared_filters() -> Iterator[None]:
-    """Filters in C that are traced and built once in a process, see `tests.shared`."""
+def shared_filters(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """Filters in C that are traced once in a run, and built once in a process, see `tests.shared`."""
+    directory = None
+    if "PYTEST_XDIST_WORKER" in os.environ:
+        directory = tmp_path_factory.getbasetemp().parent / "printed"  # of all workers of this run
+        directory.mkdir(exist_ok=True)
     with pytest.MonkeyPatch.context() as patch:
-        share(patch)
+        share(patch, directory)
         yield
 
 

@@ -1,13 +1,17 @@
 """Filters in C that tests share: each is traced and built once in a process, and not optimised.
 
-That takes ten seconds, and many tests fly the same few filters. A test that puts something in a part's place has a
-filter of its own. tests/kernels builds as users do; `test_optimisation_changes_no_bit_of_a_filter` there says that the
-compiler's optimisation does not matter.
+That takes ten seconds, and many tests fly the same few filters. Processes of one run of pytest-xdist read what another
+one has printed. A test that puts something in a part's place has a filter of its own. tests/kernels builds as users do;
+`test_optimisation_changes_no_bit_of_a_filter` there says that the compiler's optimisation does not matter.
 """
 
+import hashlib
+import os
+import pickle
 import sys
 from collections.abc import Callable
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -18,6 +22,7 @@ import rta.printed.files
 import rta.printed.source
 from kernels import build
 from rta import SafetyFilter
+from rta.printed.batch import Columns
 from rta.printed.files import fingerprint
 
 ROOMS = ("inspection.chief", "inspection.model", "kernels", "rta")  # of what a filter is printed from
@@ -28,6 +33,8 @@ SHARED = [  # functions of a filter, where they are called from
         for module in (rta.printed.batch, rta.printed.files)
         for name in ("functions", "checks")
     ),
+    (rta.printed.batch, "now_parts"),
+    (rta.printed.batch, "held_parts"),
     (rta.printed.source, "functions"),
     (rta.printed.files, "vectors"),
 ]
@@ -36,9 +43,14 @@ QUICK = tuple(flag.replace("-O2", "-O0") for flag in OPTIMISED)
 
 
 class Once:
-    """Functions of a filter that are called once for equal filters, as long as the code is as it was written."""
+    """Functions of a filter that are called once for equal filters, as long as the code is as it was written.
 
-    def __init__(self) -> None:
+    Args:
+        directory: where other processes with the same code leave what they computed, and read it; None: there are none.
+    """
+
+    def __init__(self, directory: Path | None = None) -> None:
+        self.directory = directory
         self.known: dict[tuple[Any, ...], Any] = {}
         self.written: dict[tuple[str, ...], object] = {}
 
@@ -52,10 +64,27 @@ class Once:
         if any(now.get(name) is not value for name, value in self.written.items()):
             return run(safety_filter, *more)  # a test has put something in a part's place
         own = tuple(map(id, safety_filter.extra))
-        key = (run, *more, fingerprint(safety_filter), own, safety_filter.backup is None)
+        said = tuple(each for each in more if isinstance(each, str))  # all else is made from the filter
+        key = (run, *said, fingerprint(safety_filter), own, safety_filter.backup is None)
         if key not in self.known:
-            self.known[key] = run(safety_filter, *more), safety_filter.extra  # kept, so that ids stay theirs
+            compute = partial(run, safety_filter, *more)
+            name = f"{run.__module__}.{run.__qualname__}"
+            found = compute() if own or self.directory is None else self.kept(compute, repr((name, *key[1:])))
+            self.known[key] = found, safety_filter.extra  # kept, so that ids stay theirs
         return self.known[key][0]
+
+    def kept(self, compute: Callable[[], Any], name: str) -> Any:
+        """What is in the directory under a name, or is computed and put there; a library that is loaded cannot be."""
+        assert self.directory is not None
+        path = self.directory / hashlib.sha256(name.encode()).hexdigest()
+        if path.exists():
+            return pickle.loads(path.read_bytes())
+        found = compute()
+        if not isinstance(found, Columns):
+            own = path.with_suffix(f".{os.getpid()}")
+            own.write_bytes(pickle.dumps(found))
+            own.replace(path)  # whole or not at all
+        return found
 
 
 def code() -> dict[tuple[str, ...], object]:
@@ -70,9 +99,9 @@ def code() -> dict[tuple[str, ...], object]:
     return found
 
 
-def share(patch: pytest.MonkeyPatch) -> None:
-    """Shares what is printed and built from now on."""
-    once = Once()
+def share(patch: pytest.MonkeyPatch, directory: Path | None) -> None:
+    """Shares what is printed and built from now on, see `Once`."""
+    once = Once(directory)
     for module, name in SHARED:
         patch.setattr(module, name, partial(once.call, getattr(module, name)))
     patch.setattr(build, "FLAGS", QUICK)

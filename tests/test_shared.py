@@ -1,12 +1,14 @@
 """Filters that tests share are those that they would have had by themselves."""
 
+from pathlib import Path
+
 import pytest
 
 import rta.filter
 from rta import SafetyFilter
 from rta.backup import brake
 from rta.parameters import RtaParameters
-from tests.rta.conditions import test_actuator_groups as own
+from tests.rta.conditions import test_actuator_groups as own_constraints
 from tests.shared import SHARED, Once
 
 
@@ -26,14 +28,29 @@ def test_equal_filters_are_shared_and_others_are_not(once: Once) -> None:
     without_check.backup = None
     others = [
         SafetyFilter(parameters=RtaParameters(speed_gain=0.11)),
-        SafetyFilter(extra=[own.OWN["sphere"][0]]),
-        SafetyFilter(extra=[own.OWN["cone"][0]]),
+        SafetyFilter(extra=[own_constraints.OWN["sphere"][0]]),
+        SafetyFilter(extra=[own_constraints.OWN["cone"][0]]),
         without_check,
     ]
     assert once.call(made, SafetyFilter(parameters=RtaParameters())) is one
     assert (
         len({one, *(once.call(made, each) for each in others), once.call(made, SafetyFilter(), "float")}) == 6
     )
+
+
+def test_what_one_process_has_printed_another_one_reads(tmp_path: Path) -> None:
+    computed: list[float] = []
+
+    def printed(safety_filter: SafetyFilter) -> list[float]:
+        computed.append(safety_filter.period)
+        return [safety_filter.period]
+
+    told, own = RtaParameters(period=5.0), own_constraints.OWN["sphere"][0]
+    for once in (Once(tmp_path), Once(tmp_path)):
+        once.begin()
+        assert once.call(printed, SafetyFilter(parameters=told)) == [5.0]
+        assert once.call(printed, SafetyFilter()) == once.call(printed, SafetyFilter(extra=[own])) == [1.0]
+    assert computed == [5.0, 1.0, 1.0, 1.0]  # a constraint of a test's own has no name that others know
 
 
 @pytest.mark.parametrize(

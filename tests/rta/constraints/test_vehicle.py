@@ -98,6 +98,7 @@ def test_a_vehicle_that_cannot_hold_a_limit_is_refused_with_the_number(
 def test_shipped_vehicles_violate_nothing(path: Path) -> None:
     c: InspectionParameters = config.load(path).inspection
     safety = SafetyFilter(c, R, BatchedSolver())
+    safety.compile("cpu", 64)
     x, _, _ = initial_states(64, 3, safety)
     random, adversary = held_at_random(c, torch.Generator().manual_seed(0), 64), adversarial(safety)
     smallest = torch.full((len(safety.names),), torch.inf, dtype=torch.float64)
