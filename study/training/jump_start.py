@@ -40,9 +40,16 @@ class Taught:
     def __init__(self, env: InspectionEnv, policy: Policy, orbit: Orbit) -> None:
         self.env, self.policy = env, policy
         self.guidance = natural_motion(env.c, env.c.action_period, orbit, env.sight.score)
-        self.observation = env.observation
         self.leads = True
         self.lessons: list[Tensor] = []
+
+    def reset(self, mask: Tensor) -> None:
+        """`InspectionEnv.reset`, before a batch."""
+        self.observed = self.env.reset(mask)
+
+    def observation(self) -> Tensor:
+        """What the reset has observed; a batch asks for no more."""
+        return self.observed
 
     def step(self, action: Tensor) -> Transition:
         """`InspectionEnv.step`; the guidance knows the true states."""
@@ -79,7 +86,7 @@ def jump_start(
     for i in range(batches):
         optimiser.param_groups[0]["lr"] = LEARNING_RATE * (1.0 - 0.9 * i / batches)
         started = time.perf_counter()
-        env.reset(beginners)
+        taught.reset(beginners)
         flown = collect(taught, learner, steps, generators, watch)
         collected = time.perf_counter()
         wanted = (

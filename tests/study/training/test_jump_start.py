@@ -153,6 +153,18 @@ def test_the_guidance_that_is_named_teaches(run: session.Run) -> None:
         assert torch.equal(taught.lessons[-1], wanted) and not torch.equal(wanted, others)
 
 
+def test_each_batch_is_observed_once_before_it_is_flown(
+    run: session.Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    env, learner, seen = run.env, run.trainer.learner, []
+    observe = env.observation
+    monkeypatch.setattr(env, "observation", lambda *of, **more: seen.append(more) or observe(*of, **more))
+    arguments = env, GUIDANCE["quick"], learner, 2, 3, run.trainer.generators
+    jump_start.jump_start(*arguments, lambda transition: None, lambda losses: None)
+    assert seen.count({}) == 3  # what is left is seen by steps
+    assert sum("score" in each for each in seen) == 3 * 2
+
+
 def test_a_run_hands_its_teacher_on(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     seen: list[Orbit] = []
     monkeypatch.setattr("study.training.run.jump_start", lambda env, orbit, *others: seen.append(orbit))
