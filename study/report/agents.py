@@ -2,6 +2,7 @@
 
 import hashlib
 import sys
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -62,12 +63,17 @@ def load_arm(directory: Path, results: Results, device: str | None) -> Arm:
     loaded = [load_policy(path) for path in paths]
     policies = [policy for policy, _ in loaded]
     config = loaded[0][1]
-    weights = [policy.state_dict() for policy in policies]
-    together = make_policy(config, [torch.Generator() for _ in policies])
-    together.load_state_dict({name: torch.cat([own[name] for own in weights]) for name in weights[0]})
     return Arm(
         config=replace(config, train=replace(config.train, device=device or config.train.device)),
-        policy=together,
+        policy=stacked(config, policies),
         results=results,
         digests={path.parent.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in paths},
     )
+
+
+def stacked(config: Config, policies: Sequence[Policy]) -> Policy:
+    """Policies that a configuration shapes as one, whose seeds are those of all, one policy after another."""
+    weights = [policy.state_dict() for policy in policies]
+    together = make_policy(config, [torch.Generator() for policy in policies for _ in range(policy.seeds)])
+    together.load_state_dict({name: torch.cat([own[name] for own in weights]) for name in weights[0]})
+    return together

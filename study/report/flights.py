@@ -1,7 +1,10 @@
 """What a report flies: agents behind other filters and in other worlds, and the guidance."""
 
+from collections.abc import Sequence
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -16,14 +19,14 @@ from rta.parameters import PERIODS
 from study import config as configuration
 from study.config import BASELINES, GUIDE, TEST_CASES, Config
 from study.errors import MALFORMED, refusing
-from study.experiment import Experiment, test_cases
+from study.experiment import Experiment, priced, test_cases
 from study.files import ROOT
 from study.flight.controllers import agent, classical
 from study.flight.evaluation import Episodes, common_episode, play, play_controller, report
 from study.flight.simulation import simulate, starting_point
 from study.flight.summary import iqm
 from study.paper import Results
-from study.report.agents import Arm
+from study.report.agents import Arm, stacked
 
 DEMONSTRATION = ROOT / "configs" / "demonstration.json"
 DEMONSTRATION_DURATION = 2000.0  # s
@@ -105,13 +108,6 @@ def guided(config: Config, name: str, cases: int) -> Results:
     return report(play_controller(name, experiment, cases, TEST_CASES), experiment.config, TEST_CASES)
 
 
-def summarised(record: Episodes, config: Config, seeds: int = 1) -> Results:
-    """`report` without the configuration, of which there are many here."""
-    results = report(record, config, TEST_CASES, seeds)
-    del results["config"]
-    return results
-
-
 def worlds(arms: dict[str, Arm]) -> dict[str, dict[str, dict[str, Results]]]:
     """By plant and arm: its agents without filter, behind one that believes the model and behind one that is told.
 
@@ -119,29 +115,56 @@ def worlds(arms: dict[str, Arm]) -> dict[str, dict[str, dict[str, Results]]]:
     """
     told = configuration.load(BOUNDS).uncertainty
     filters = {"off": (False, Uncertainty()), "nominal": (True, Uncertainty()), "robust": (True, told)}
-    return {
-        plant: {
-            name: {switch: in_world(arm, plant, rta, known) for switch, (rta, known) in filters.items()}
-            for name, arm in arms.items()
-        }
-        for plant in WORLDS
-    }
+    found: dict[str, dict[str, dict[str, Results]]] = {plant: {name: {} for name in arms} for plant in WORLDS}
+    for names in side_by_side(arms):
+        for plant, (switch, (rta, known)) in product(WORLDS, filters.items()):
+            flown = in_world([arms[name] for name in names], plant, rta, known)
+            for name, results in zip(names, flown, strict=True):
+                found[plant][name][switch] = results
+    return found
 
 
-def in_world(arm: Arm, plant: str, rta: bool, known: Uncertainty) -> Results:
-    """An arm's agents in the plant of that file, the filter on or off and told of so much."""
+def side_by_side(arms: dict[str, Arm]) -> list[list[str]]:
+    """The names of arms, in groups whose agents can fly in one environment: what it is made from is the same."""
+    groups: list[tuple[tuple[Any, ...], list[str]]] = []
+    for name, arm in arms.items():
+        config = with_rta(arm.config, True, FILTER_PERIOD).unsettled()
+        train, ppo = config.train, config.ppo
+        needs = (
+            *(priced(config), config.rta, config.chief, len(arm.digests)),
+            *(train.device, train.compile, train.final_episodes),
+            *(ppo.hidden, ppo.log_std_bounds, ppo.action_power, ppo.action_dead_zone),
+        )
+        group = next((names for others, names in groups if others == needs), None)
+        if group is None:
+            groups.append((needs, [name]))
+        else:
+            group.append(name)
+    return [names for _, names in groups]
+
+
+def in_world(arms: Sequence[Arm], plant: str, rta: bool, known: Uncertainty) -> list[Results]:
+    """The agents of arms that fly side by side in the plant of that file, the filter on or off and told of so much."""
+    first = arms[0]
     config = replace(
-        with_rta(arm.config, rta, FILTER_PERIOD).unsettled(),
+        with_rta(first.config, rta, FILTER_PERIOD).unsettled(),
         plant=configuration.load(PLANTS / f"{plant}.toml").plant,
         uncertainty=known,
     )
-    seeds = len(arm.digests)
+    seeds = len(first.digests)
     cases = min(WORLDS_CASES, config.train.final_episodes)
     experiment = Experiment(config, seeds * cases)
-    record = play(arm.policy.to(experiment.device), experiment, cases, TEST_CASES)
+    agents = stacked(config, [arm.policy for arm in arms]).to(experiment.device)
+    record = play(agents, experiment, cases, TEST_CASES)
+    return [in_short(own, experiment.config, seeds) for own in record.split(len(arms))]
+
+
+def in_short(record: Episodes, config: Config, seeds: int) -> Results:
+    """`report` with the reward of each seed, and without the configuration, of which there are many here."""
     rewards = record.metrics[METRICS.index("reward")].unflatten(0, (seeds, -1)).cpu().numpy()
-    of_seeds = {"reward_of_seeds": [float(value) for value in iqm(rewards)]}
-    return summarised(record, experiment.config, seeds) | of_seeds
+    results = report(record, config, TEST_CASES, seeds)
+    del results["config"]
+    return results | {"reward_of_seeds": [float(value) for value in iqm(rewards)]}
 
 
 def progress(arms: dict[str, Arm], config: Config) -> dict[str, dict[str, list[float]]]:

@@ -167,6 +167,30 @@ def test_worlds_are_those_of_evaluate(study: Path, tmp_path: Path) -> None:
     assert found["nominal"]["no_rta"]["off"] != found["harsh"]["no_rta"]["off"]
 
 
+def test_arms_fly_side_by_side_as_they_fly_alone(study: Path) -> None:
+    """Bit for bit, in a plant whose errors are drawn by the columns' numbers."""
+    arms = agents.load(study, None)
+    told = configuration.load(flights.BOUNDS).uncertainty
+    together = flights.in_world(list(arms.values()), "harsh", True, told)
+    assert together == [flights.in_world([arm], "harsh", True, told)[0] for arm in arms.values()]
+    assert together[0]["metrics"] != together[1]["metrics"]
+
+
+def test_only_arms_of_one_task_fly_side_by_side(study: Path) -> None:
+    arms = agents.load(study, None)
+    rta = arms["rta"]
+    others = {
+        "period": {"rta": replace(rta.config.rta, period=5.0)},  # in all worlds it is one second
+        "gain": {"rta": replace(rta.config.rta, speed_gain=0.11)},
+        "task": {"inspection": replace(rta.config.inspection, max_time=10.0)},
+        "price": {"train": replace(rta.config.train, learn_from="penalty")},
+        "network": {"ppo": replace(rta.config.ppo, hidden=(32, 32))},
+    }
+    arms |= {name: replace(rta, config=replace(rta.config, **parts)) for name, parts in others.items()}
+    groups = flights.side_by_side(arms | {"seeds": replace(rta, digests={"seed5": ""})})
+    assert groups == [["no_rta", "rta", "period"], ["gain"], ["task"], ["price"], ["network"], ["seeds"]]
+
+
 def test_the_episode_that_violates_most_is_a_success_that_does(tmp_path: Path) -> None:
     path = tmp_path / "episodes.npz"
     outcome = np.array([[0, 1, 1], [1, 1, 0]])  # of two seeds and three cases
