@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -140,6 +141,26 @@ class Experiment:
     def value(self, generators: Sequence[torch.Generator]) -> Value:
         """A freshly initialised value network, one seed per generator."""
         return Value(len(components(self.config.inspection.observed)), generators, self.config.ppo.hidden)
+
+
+def paper_task(
+    batch: int, seed: int, rta: bool = False, decide_every: float | None = None, **task: Any
+) -> tuple[Experiment, InspectionEnv]:
+    """The default task, compiled on the CPU, as programs fly the guidance in it: without the filter, or behind it.
+
+    Args:
+        batch: episodes; seed: of what they draw; decide_every: as of `InspectionEnv`.
+        task: constants that are others, as of `InspectionParameters`.
+    """
+    base = Config()
+    config = replace(
+        base,
+        train=replace(base.train, rta=rta, device="cpu", compile="on"),
+        inspection=replace(base.inspection, **task),
+    )
+    experiment = Experiment(config, batch)
+    generators = experiment.generators([seed])
+    return experiment, experiment.env(batch, generators, decide_every=decide_every, compiled=True)
 
 
 def test_cases(config: Config, episodes: int, seed: int) -> tuple[Tensor, Tensor]:

@@ -15,7 +15,6 @@ import json
 import math
 import os
 from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -23,12 +22,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from inspection.environment import InspectionEnv
 from inspection.guidance import natural_motion
 from inspection.model.state import P, V
 from study.command_line.flags import Parser, positive_integer
 from study.config import TEST_CASES, Config
-from study.experiment import Experiment, test_cases
+from study.experiment import paper_task, test_cases
 from study.files import write_json
 from study.optimum.bound import Task, climbed
 from study.optimum.figure import draw
@@ -43,14 +41,6 @@ KEPT = 5  # of a case
 AT_ONCE = 320  # flights whose fuel is computed together
 SEED = 37  # of the settings
 HIGHEST = 0.8  # m/s, of a bound; above it `bound.TOLERANCE` would have to grow
-
-
-def environment(flights: int, every: float) -> InspectionEnv:
-    """The task without the filter, with a decision every so many s."""
-    base = Config()
-    config = replace(base, train=replace(base.train, rta=False, device="cpu", compile="on"))
-    experiment = Experiment(config, flights)
-    return experiment.env(flights, experiment.generators([SEED]), decide_every=every, compiled=True)
 
 
 def lines(path: Path) -> list[Any]:
@@ -71,7 +61,7 @@ def append(path: Path, line: Any) -> None:
 def begun(x: Tensor, priority: Tensor, settings: int) -> Tensor:
     """Thrusts (K, 3, settings x B) in N of the guidance with random knobs, each setting in all cases, to TIMES[0]."""
     cases = x.shape[1]
-    env = environment(settings * cases, Config().inspection.action_period)
+    _, env = paper_task(settings * cases, SEED)
     draws = np.random.default_rng(SEED).random((settings, len(KNOBS)))
     knobs = torch.tensor([knobs_at(place) for place in draws], dtype=torch.float64).T
     orbit = orbit_of(dict(zip(KNOBS, knobs.repeat_interleave(cases, 1), strict=True)))
@@ -121,7 +111,7 @@ def best_found(out: Path, x: Tensor, priority: Tensor, steps: int) -> list[dict[
     thrust = begun(x, priority, SETTINGS) if missing else None
     for time in missing:
         assert thrust is not None
-        env = environment(KEPT * x.shape[1], EVERY)
+        _, env = paper_task(KEPT * x.shape[1], SEED, decide_every=EVERY)
         first = best_starts(thrust[: round(time / env.c.action_period)], x, priority, KEPT)
         states, priorities = x.repeat(1, KEPT), priority.repeat(1, KEPT)
         plan = searched(Cases.of(states, priorities, len(first), env.c), first, env.c, steps)
@@ -156,7 +146,7 @@ def cheapest(found: list[dict[str, Any]]) -> list[dict[str, Any]]:
 def guidance(x: Tensor, priority: Tensor) -> dict[str, Any]:
     """What the guidance by its names needs in the same cases."""
     cases = x.shape[1]
-    env = environment(len(TEACHERS) * cases, EVERY)
+    _, env = paper_task(len(TEACHERS) * cases, SEED, decide_every=EVERY)
     many = x.repeat(1, len(TEACHERS)), priority.repeat(1, len(TEACHERS))
     record = flown(env, guided(env, TEACHERS, cases), *many, LONGEST)
     return {

@@ -7,7 +7,6 @@ without the filter and behind it. Takes ten minutes.
 """
 
 import os
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,14 +14,12 @@ import torch
 
 from inspection.orbits import GUIDANCE
 from study.command_line.flags import Parser, positive_integer
-from study.config import Config
-from study.experiment import Experiment, test_cases
+from study.experiment import paper_task, test_cases
 from study.files import write_json
 from study.flight.controllers import classical
 from study.flight.evaluation import report, run_episodes
 
 UNSEEN_CASES = 3703  # seed of the cases; those of the search are others
-PERIOD = 1.0  # s, of the filter
 WAYS = {
     "teaching": (False, 10.0),
     "without": (False, 1.0),
@@ -34,16 +31,9 @@ KEPT = ("mean", "iqm", "ci95", "p5", "p95", "max")
 
 def flown(name: str, rta: bool, every: float, cases: int) -> dict[str, Any]:
     """What the pages show of a guidance that decides every so many s."""
-    base = Config()
-    config = replace(
-        base,
-        train=replace(base.train, rta=rta, device="cpu", compile="on"),
-        rta=replace(base.rta, period=PERIOD),
-    )
-    experiment = Experiment(config, cases)
-    env = experiment.env(cases, experiment.generators([UNSEEN_CASES + 1]), decide_every=every, compiled=True)
+    experiment, env = paper_task(cases, UNSEEN_CASES + 1, rta, decide_every=every)
     controller = classical(name, env, UNSEEN_CASES, every)
-    record = run_episodes(env, controller, *test_cases(config, cases, UNSEEN_CASES))
+    record = run_episodes(env, controller, *test_cases(experiment.config, cases, UNSEEN_CASES))
     results = report(record, experiment.config, UNSEEN_CASES)
     return {
         "outcomes": results["outcomes"],

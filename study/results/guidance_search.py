@@ -13,7 +13,6 @@ import json
 import math
 import os
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -21,14 +20,12 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from inspection.environment import InspectionEnv
 from inspection.guidance import natural_motion
 from inspection.orbits import Lead, Orbit
 from inspection.transition import METRICS
 from rta.constraints.names import CONSTRAINTS
 from study.command_line.flags import Parser, positive_integer
-from study.config import Config
-from study.experiment import Experiment, test_cases
+from study.experiment import paper_task, test_cases
 from study.files import write_json
 from study.flight.evaluation import run_episodes
 
@@ -103,18 +100,9 @@ class Flights:
     """
 
     def __init__(self, candidates: int, cases: int, seed: int) -> None:
-        base = Config()
-        config = replace(
-            base,
-            train=replace(base.train, rta=False, device="cpu", compile="on"),
-            inspection=replace(base.inspection, max_time=LONGEST),
-        )
-        experiment = Experiment(config, candidates * cases)
         self.cases, self.candidates = cases, candidates
-        self.env: InspectionEnv = experiment.env(
-            candidates * cases, experiment.generators([seed + 1]), compiled=True
-        )
-        self.starts = test_cases(config, cases, seed)
+        experiment, self.env = paper_task(candidates * cases, seed + 1, max_time=LONGEST)
+        self.starts = test_cases(experiment.config, cases, seed)
 
     def fly(self, knobs: Sequence[tuple[float, ...]]) -> list[Candidate]:
         """What comes of as many candidates as the environment has room for."""

@@ -5,7 +5,7 @@ import torch
 
 from study.config import Config, override
 from study.errors import InputError
-from study.experiment import Experiment, priced
+from study.experiment import Experiment, paper_task, priced
 from study.experiment import test_cases as common_cases
 
 HULL = {"mesh": "configs/chiefs/box.npz", "collision": "hull"}
@@ -49,3 +49,12 @@ def test_test_cases_beside_a_hull_may_be_where_the_sphere_would_be(small_pools) 
     )
     x, _ = common_cases(near, 4, 0)
     assert (x[:3].norm(dim=0) < near.inspection.collision_radius).all()
+
+
+def test_the_guidance_is_flown_in_the_default_task_without_the_filter_and_with_what_is_asked_for() -> None:
+    experiment, env = paper_task(3, 5, decide_every=1.0, max_time=70.0)
+    default = override(Config(), {"inspection": {"max_time": 70.0}}, "test")
+    assert env.c == experiment.config.inspection == default.inspection
+    assert env.safety.correct is None and env.time.shape == (3,) and env.clocks.decision == 1.0
+    assert (experiment.config.rta.period, experiment.device.type) == (1.0, "cpu")
+    assert [each.generator.initial_seed() for each in env.starts] == [5]
