@@ -103,7 +103,7 @@ def run_report(study: str, device: str | None = None) -> None:
     """main.py report"""
     from study.machine.progress import step
 
-    with refusing("report needs the packages jinja2 and plotly (pip install '.[report]')", ImportError):
+    with refusing("report needs the package jinja2 (pip install '.[report]')", ImportError):
         from study.report import figures, inputs, page, tables
     from study.report.compute import compute
 
@@ -180,7 +180,7 @@ def run_simulate(
 
 def run_replay(runs: list[str], out: str) -> None:
     """main.py replay"""
-    with refusing("replay needs the packages jinja2 and plotly (pip install '.[report]')", ImportError):
+    with refusing("replay needs the package jinja2 (pip install '.[report]')", ImportError):
         from study.replay import page, scene
     if len(runs) > 2:
         raise InputError(f"{len(runs)} runs: at most two are shown side by side")

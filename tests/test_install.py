@@ -85,8 +85,12 @@ def test_a_wheel_works_from_an_empty_directory(tmp_path: Path) -> None:
     program, promised = page()
     assert command(python, "-W", "ignore", "-c", program + AFTERWARDS, cwd=empty) == promised
     assert {
-        path.name for path in (installed / "study").rglob("*.*") if path.suffix in (".j2", ".css", ".js")
-    } == {path.name for path in (ROOT / "study").rglob("*.*") if path.suffix in (".j2", ".css", ".js")}
+        path.name
+        for path in (installed / "study").rglob("*.*")
+        if path.suffix in (".j2", ".css", ".js", ".txt")
+    } == {
+        path.name for path in (ROOT / "study").rglob("*.*") if path.suffix in (".j2", ".css", ".js", ".txt")
+    }
     own = home / "bin" / "rta-inspection"
     version = PROJECT["project"]["version"]
     assert command(own, "--version", cwd=empty) == f"rta-inspection {version}\n"

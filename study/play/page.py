@@ -1,7 +1,7 @@
 """The page of `play`: one file, which flies the deputy in a browser and asks no network for anything.
 
-What it says stands in `page.html.j2`; what it does in `flight.js` (the flight), `scene.js` (the picture) and `panel.js`
-(keys, buttons, limits).
+What it says stands in `page.html.j2`; what it does in `flight.js` (the flight), `picture.js` (how it looks, with what
+`study.pages.scene` draws) and `panel.js` (keys, buttons, limits).
 """
 
 import base64
@@ -23,13 +23,12 @@ from study.config import Config
 from study.errors import InputError, refusing
 from study.files import write_text
 from study.machine.progress import step
+from study.pages import scene
 from study.pages.template import render
 from study.play import agent, printed, wasm
 from study.play.starts import starts
 
-NEEDED = {"ziglang": "a compiler", "meshcat": "which has three.js in it"}
-SCENE = Path("viewer/dist/main.min.js")  # in the package meshcat
-LICENCES = ("LICENSE", "dist/main.min.js.LICENSE.txt")
+NEEDED = {"ziglang": "a compiler", "trimesh": "which has three.js"}
 HORIZON = 500  # s, of the line ahead
 
 WORDS = {  # by limit: its name for a newcomer, why it is there, what its violation is, and the unit that is shown
@@ -129,7 +128,7 @@ def document(config: Config, module: bytes, begun: list[dict[str, Any]], has_age
         has_agent=has_agent,
         module=Markup(packed),
         data=Markup(data.replace("<", "\\u003c")),
-        three=Markup(three()),
+        three=Markup(scene.three()),
     )
 
 
@@ -146,12 +145,7 @@ def task(c: InspectionParameters) -> dict[str, Any]:
         "normals": fibonacci_sphere(c.num_points).T.tolist(),
         "places": printed.AHEAD,
         "ahead_steps": round(HORIZON / printed.AHEAD / min(c.substep, 1.0)),
-        "chief_radius": c.chief_radius,
-        "deputy_radius": c.deputy_radius,
-        "collision_radius": c.collision_radius,
-        "max_distance": c.max_distance,
-        "field_of_view": c.field_of_view,
-        "panel_axis": c.solar_panel_axis,
+        **scene.task(c),
         "limits": [limit(name, scale, c) for name, scale in zip(CONSTRAINTS, scales(c), strict=True)],
     }
 
@@ -177,14 +171,3 @@ def scales(c: InspectionParameters) -> tuple[float, ...]:
         *(1.5, 8.0, c.initial_energy[1] - c.min_energy),
         *(c.max_rate**2,) * 3,
     )
-
-
-def three() -> str:
-    """The bundle of three.js, with its licences before it."""
-    found = find_spec("meshcat")
-    assert found and found.submodule_search_locations  # see `check`
-    folder = Path(found.submodule_search_locations[0]) / SCENE.parent.parent
-    texts = [(folder / name).read_text(encoding="utf-8") for name in LICENCES]
-    said = "\n".join(texts).replace("*/", "* /")
-    bundle = (folder / "dist" / SCENE.name).read_text(encoding="utf-8")
-    return f"/* MeshCat, with three.js in it.\n{said}\n*/\n{bundle}".replace("</script", "<\\/script")

@@ -1,7 +1,6 @@
 // What stands around the picture: keys, buttons, limits, numbers; and the clock that drives the flight.
 "use strict";
 
-const THREE = self.MeshCat && MeshCat.THREE;
 const SPEEDS = [1, 2, 5, 10, 20, 50]; // seconds of the flight in a second
 const MOST = 60; // seconds of the flight in one picture
 const KEYS = { // by key: thrust or torque, its axis, its sign
@@ -282,7 +281,7 @@ function frame(now) {
       [play.width, play.height] = [box.clientWidth, box.clientHeight];
       scene.size(play.width, play.height);
     }
-    scene.draw(flight, flight.outcome ? 1 : play.left);
+    scene.show(flight, flight.outcome ? 1 : play.left);
   }
   requestAnimationFrame(frame);
 }
@@ -290,7 +289,7 @@ function frame(now) {
 async function main() {
   play.flight = new Flight(await loaded($("module").textContent.trim()), task, Date.now());
   try {
-    play.scene = new Scene($("scene"), task);
+    play.scene = new Picture($("scene"), task);
   } catch (error) { // no WebGL here
     $("nothing").hidden = false;
   }

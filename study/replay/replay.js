@@ -1,15 +1,14 @@
+// Shows every run at the clock's time: its scene, and the cursor and values of its plots.
 "use strict";
-// Shows every run at the clock's time: the moving traces of its scene, and the cursor and values of its plots.
 
 const data = JSON.parse(document.getElementById("data").textContent);
-const { runs, colours } = data;
+const { runs } = data;
 const FRAME = 1000 / 30; // ms between two drawings while playing
-const MARGIN = { l: 56, r: 10, t: 6, b: 24 }; // px around a plot
-// Of every plot: its toolbar has no button that uploads the chart, and no address to send it to.
-const LOCAL = { responsive: true, displaylogo: false, showSendToCloud: false, plotlyServerURL: "" };
-const MAX_PATH = 500; // corners of the flown path
-const VIEW = [1.15, 1.15, 0.65]; // from the chief to the camera, in plotly's units
-const SEEN = 0.65; // how far from the chief all is in that view; what is farther is looked at from farther away
+const AXES = { x: 0x0072b2, y: 0xcc79a7, z: 0xf0e442 }; // of the body
+const AXIS = 9; // m, their length
+const FOOT = 0.04; // of a plot's height, where interventions are marked
+const ACROSS = 1000, DOWN = 100; // of a plot, in its own units
+const SVG = "http://www.w3.org/2000/svg"; // a name, which nothing is asked for
 
 const byId = (name) => document.getElementById(name);
 const end = Math.max(...runs.map((run) => run.end)); // s
@@ -25,6 +24,7 @@ function element(tag, className, parent, text = "") {
 
 // With so many decimals, and no sign before zero.
 const shortened = (value, decimals) => value.toFixed(decimals).replace(/^-(?=[0.]*$)/, "");
+const decimals_of = (range) => Math.min(6, Math.max(0, 2 - Math.floor(Math.log10(range))));
 
 // The last row that is not after t.
 function rowAt(run, t) {
@@ -37,145 +37,140 @@ function rowAt(run, t) {
   return low;
 }
 
+// A share of the way from one list of numbers to another.
+const mixed = (a, b, share) => a.map((each, i) => each + share * (b[i] - each));
+const turned = (a, b, share) => new THREE.Quaternion(...a).slerp(new THREE.Quaternion(...b), share).toArray();
+
 // ---- the scene ----
 
-const scaled = (a, factor) => a.map((component) => factor * component);
-const sum = (a, b) => a.map((component, i) => component + b[i]);
-const inner = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
-// A vector along a body's axes, in Hill's frame.
-const along = (axes, v) => axes.map((axis, i) => scaled(axis, v[i])).reduce(sum);
-const ofChief = (run, row, v) => (run.chief_axes ? along(run.chief_axes[row], v) : v);
-// A ball just below the points, or of a mesh the corners of its faces, one after the other.
-const chief = (run, row) =>
-  run.corners
-    ? run.corners.map((corner) => ofChief(run, row, corner))
-    : run.points.map((point) => ofChief(run, row, scaled(point, 0.97)));
+class Film extends Scene {
+  constructor(canvas, run, looks) {
+    super(canvas, run, looks);
+    this.run = run;
+    const count = run.position.length;
+    this.whole = this.line(COLOURS.trail, 0.3, count);
+    this.fill(this.whole, Float32Array.from(run.position.flat()), count);
+    this.trail = this.line(COLOURS.trail, 0.9, count + 1);
+    this.ahead = this.line(COLOURS.ahead, 0.6, run.ahead[0].length);
+    this.pointers();
+  }
 
-// Corners of the traces that change with the row, by name, each [x, y, z] in m in Hill's frame.
-function moving(run, row) {
-  const p = run.position[row];
-  const axes = run.axes[row];
-  const sun = [Math.cos(run.sun_angle[row]), Math.sin(run.sun_angle[row]), 0];
-  const points = { inspected: [], lit: [], dark: [] };
-  run.normals.forEach((normal, i) => {
-    const inspected = run.inspected[i] !== null && run.inspected[i] <= run.time[row];
-    const lit = inner(ofChief(run, row, normal), sun) > 0 && !(run.shaded && run.shaded[row].includes(i));
-    const kind = inspected ? "inspected" : lit ? "lit" : "dark";
-    points[kind].push(ofChief(run, row, run.points[i]));
-  });
-  const stride = Math.ceil(run.position.length / MAX_PATH);
-  const flown = run.position.slice(0, row).filter((_, i) => i % stride === 0);
-  const axis = (i) => [p, sum(p, scaled(axes[i], data.lengths.axis))];
-  return {
-    ...(run.corners && { chief: chief(run, row) }),
-    ...points,
-    flown: [...flown, p],
-    deputy: [p],
-    sun: [scaled(sun, 1.2 * run.chief_radius), scaled(sun, data.lengths.direction)],
-    cone: [p, ...run.rim.map((edge) => sum(p, scaled(along(axes, edge), data.lengths.cone)))],
-    x: axis(0),
-    y: axis(1),
-    z: axis(2),
-  };
+  // the body's axes, and where the Sun and the Earth are
+  pointers() {
+    Object.entries(AXES).forEach(([name, colour], i) => {
+      const along = [0, 1, 2].map((j) => (i === j ? AXIS : 0));
+      this.craft.add(this.segment(colour, [0, 0, 0], along));
+    });
+    const [near, far] = [1.3, 2.4].map((times) => times * this.reach());
+    this.toSun = new THREE.Group();
+    this.toSun.add(this.segment(COLOURS.lit, [near, 0, 0], [far, 0, 0]), this.word("Sun", 1.1 * far));
+    this.scene.add(this.toSun, this.segment(COLOURS.earth, [-near, 0, 0], [-far, 0, 0]), this.word("Earth", -1.1 * far));
+  }
+
+  // m from the chief's centre to its farthest point
+  reach() {
+    return Math.max(...this.run.points.map((point) => Math.hypot(...point)));
+  }
+
+  segment(colour, from, to) {
+    const shape = new THREE.BufferGeometry();
+    shape.setAttribute("position", new THREE.Float32BufferAttribute([...from, ...to], 3));
+    return new THREE.Line(shape, new THREE.LineBasicMaterial({ color: linear(colour) }));
+  }
+
+  // a word at x m along an axis, always of the same size
+  word(text, x) {
+    const paper = document.createElement("canvas").getContext("2d");
+    [paper.canvas.width, paper.canvas.height] = [256, 64];
+    paper.font = "44px sans-serif";
+    paper.textAlign = "center";
+    paper.fillStyle = "#c8d0da";
+    paper.fillText(text, 128, 46);
+    const map = new THREE.CanvasTexture(paper.canvas);
+    const word = new THREE.Sprite(new THREE.SpriteMaterial({ map, depthWrite: false, sizeAttenuation: false }));
+    word.scale.set(0.13, 0.0325, 1);
+    word.position.x = x;
+    return word;
+  }
+
+  // inspected, lit or dark: of each point in a row
+  kinds(row) {
+    const { run } = this, angle = run.sun_angle[row], time = run.time[row];
+    const sun = new THREE.Vector3(Math.cos(angle), Math.sin(angle), 0);
+    if (run.chief) sun.applyQuaternion(new THREE.Quaternion(...run.chief[row]).invert());
+    const shaded = new Set(run.shaded ? run.shaded[row] : []);
+    return run.normals.map(([x, y, z], i) => {
+      if (run.inspected[i] !== null && run.inspected[i] <= time) return "inspected";
+      return x * sun.x + y * sun.y + z * sun.z > 0 && !shaded.has(i) ? "lit" : "dark";
+    });
+  }
+
+  // the row's numbers, and between two rows evenly from one to the other
+  show(t) {
+    const { run } = this, last = run.time.length - 1;
+    const row = rowAt(run, t), next = Math.min(row + 1, last);
+    const share = row < last ? Math.min(1, (t - run.time[row]) / (run.time[next] - run.time[row])) : 0;
+    const between = (values) => mixed(values[row], values[next], share);
+    const p = between(run.position);
+    if (row !== this.row) {
+      this.row = row;
+      this.colour(this.kinds(row));
+      this.fill(this.trail, Float32Array.from(run.position.slice(0, row + 1).flat()), row + 1);
+    }
+    this.trail.geometry.attributes.position.setXYZ(row + 1, ...p);
+    this.trail.geometry.setDrawRange(0, row + 2);
+    this.coast(p, (row + share) / Math.ceil(run.time.length / run.ahead.length));
+    this.toSun.rotation.z = run.sun_angle[row];
+    this.draw({
+      p,
+      q: turned(run.quaternion[row], run.quaternion[next], share),
+      sun: run.sun_angle[row],
+      ...(run.chief && { chief: turned(run.chief[row], run.chief[next], share) }),
+      desired: run.desired[row],
+      control: run.control[row],
+      from: Math.max(...runs.map((each) => Math.hypot(...each.position[rowAt(each, t)]))), // of all, one scale
+    });
+  }
+
+  // where free flight leads from p, between two of the flights that are known
+  coast(p, place) {
+    const { ahead } = this.run, at = Math.min(Math.floor(place), ahead.length - 1);
+    const later = ahead[Math.min(at + 1, ahead.length - 1)];
+    const places = ahead[at].map((each, i) => (i ? mixed(each, later[i], place - at) : p));
+    this.fill(this.ahead, Float32Array.from(places.flat()), places.length);
+  }
 }
 
-const place = ([x, y, z]) => ({ x, y, z });
-
-// What a trace of no point needs to be drawn later: one that is nowhere.
-const columns = (corners) => {
-  const drawn = corners.length ? corners : [[null, null, null]];
-  return { x: drawn.map((p) => p[0]), y: drawn.map((p) => p[1]), z: drawn.map((p) => p[2]) };
-};
-
-// Which corners make a face; without a mesh, those of the hull.
-function faces(run) {
-  if (!run.corners) return { alphahull: 0 };
-  const third = (k) => run.corners.map((_, i) => i).filter((i) => i % 3 === k);
-  return { i: third(0), j: third(1), k: third(2) };
-}
-
-function style(name, run, dot) {
-  const line = (width, text) => ({
-    type: "scatter3d",
-    mode: text ? "lines+text" : "lines",
-    line: { color: colours[name], width },
-    ...(text && { text: ["", text], textfont: { color: colours.text, size: 13 } }),
-  });
-  const markers = (symbol, size) => ({
-    type: "scatter3d",
-    mode: "markers",
-    marker: { color: colours[name], symbol, size, line: { width: 0 } },
-  });
-  const first = run.rim.map(() => 0);
-  const second = run.rim.map((_, i) => i + 1);
-  const third = run.rim.map((_, i) => ((i + 1) % run.rim.length) + 1);
-  return {
-    chief: { type: "mesh3d", ...faces(run), color: colours.chief, flatshading: true },
-    path: line(2),
-    earth: line(5, "Earth"),
-    inspected: markers("circle", dot),
-    lit: markers("diamond", dot),
-    dark: markers("square", 0.8 * dot),
-    flown: line(4),
-    deputy: markers("circle", 5),
-    sun: line(5, "Sun"),
-    cone: { type: "mesh3d", i: first, j: second, k: third, color: colours.cone, opacity: 0.2 },
-    x: line(6, "x"),
-    y: line(6, "y"),
-    z: line(6, "z"),
-  }[name];
-}
+const looks = first_looks(); // of all scenes
+const films = [];
 
 function drawScene(run, i) {
   const figure = element("figure", "run", byId("scenes"));
   element("h2", "", figure, label(i) + run.name);
-  const plot = element("div", "scene", figure);
+  const canvas = element("canvas", "scene", figure);
+  canvas.tabIndex = 0;
+  canvas.setAttribute("aria-label", "The deputy, the chief and the Sun");
   const status = element("figcaption", "status", figure);
-  const fixed = {
-    ...(!run.corners && { chief: chief(run, 0) }), // as a sphere, it looks the same however it turns
-    path: run.position,
-    earth: [
-      [-1.2 * run.chief_radius, 0, 0],
-      [-data.lengths.direction, 0, 0],
-    ],
-  };
-  const traces = Object.entries({ ...fixed, ...moving(run, 0) }).map(([name, corners]) => ({
-    name,
-    hoverinfo: "skip",
-    ...style(name, run, data.dot * Math.min(1, plot.clientWidth / 550)),
-    ...columns(corners),
-  }));
-  const axis = (name, k) => ({
-    title: { text: `${name} (m)` },
-    range: data.ranges[k],
-    showbackground: false,
-    gridcolor: "#e2e2e2",
-    zeroline: false,
-    nticks: 6,
+  const numbers = data.sections[data.beside].map((panel) => {
+    const own = panel.runs[i], [{ values }] = own.lines;
+    const decimals = decimals_of(panel.range[1] - panel.range[0]);
+    return (row) => `${own.title.toLowerCase()} ${shortened(values[row], decimals)} ${own.unit}`.trim();
   });
-  const layout = {
-    margin: { l: 0, r: 0, t: 0, b: 0 },
-    showlegend: false,
-    hovermode: false,
-    scene: {
-      aspectmode: "manual",
-      aspectratio: place(data.aspect),
-      dragmode: "turntable",
-      camera: {
-        eye: place(sum(data.centre, scaled(VIEW, Math.max(1, data.reach / SEEN)))),
-        center: place(data.centre),
-      },
-      xaxis: axis("x", 0),
-      yaxis: axis("y", 1),
-      zaxis: axis("z", 2),
-    },
-  };
-  Plotly.newPlot(plot, traces, layout, LOCAL);
-  const first = Object.keys(fixed).length;
-  const indices = traces.map((_, k) => k).slice(first);
-  let shown = 0;
-  let turned = false;
-  plot.addEventListener("pointerdown", () => (turned = true));
+  let film = null;
+  try {
+    film = new Film(canvas, run, looks);
+    film.view = byId("view").value;
+    film.turned = () => show(time);
+    canvas.addEventListener("keydown", (event) => steer(film, event));
+    new ResizeObserver(() => {
+      if (!canvas.clientWidth) return;
+      film.size(canvas.clientWidth, canvas.clientHeight);
+      film.show(time);
+    }).observe(canvas);
+  } catch (error) { // no WebGL here
+    canvas.replaceWith(element("p", "missing", figure, "This browser draws no WebGL: the plots below still play."));
+  }
+  films.push(film);
 
   return (t) => {
     const row = rowAt(run, t);
@@ -183,22 +178,42 @@ function drawScene(run, i) {
       run.interventions[control].some(([from, to]) => from <= t && t < to),
     );
     status.textContent = [
-      `distance ${Math.hypot(...run.position[row]).toFixed(1)} m`,
-      `speed ${run.speed[row].toFixed(2)} m/s`,
+      ...numbers.map((number) => number(row)),
       corrected.length ? `filter corrects ${corrected.join(" and ")}` : "no correction",
       ...(t >= run.end && run.end < end ? [`ends at ${run.end} s`] : []),
     ].join(" · ");
-    if (row === shown) return;
-    shown = row;
-    const now = Object.values(moving(run, row)).map(columns);
-    const update = Object.fromEntries(["x", "y", "z"].map((name) => [name, now.map((c) => c[name])]));
-    // restyle puts the camera where the layout has it, which does not follow a hand before it lets go
-    if (turned) plot.layout.scene.camera = plot._fullLayout.scene._scene.getCamera();
-    Plotly.restyle(plot, update, indices);
+    if (film) film.show(t);
   };
 }
 
+function steer(film, event) {
+  const turns = { ArrowLeft: [0.1, 0], ArrowRight: [-0.1, 0], ArrowUp: [0, 0.1], ArrowDown: [0, -0.1] };
+  if (event.key in turns) film.turn(...turns[event.key]);
+  else if (event.key === "+" || event.key === "=") film.zoom(0.9);
+  else if (event.key === "-") film.zoom(1 / 0.9);
+  else return;
+  event.preventDefault();
+  event.stopPropagation();
+}
+
 // ---- the plots ----
+
+// Round numbers within a range, about so many.
+function ticks(low, high, count) {
+  const least = (high - low) / count, power = 10 ** Math.floor(Math.log10(least));
+  const step = power * [1, 2, 5, 10].find((times) => times * power >= least);
+  const first = Math.ceil(low / step), digits = Math.max(0, -Math.floor(Math.log10(step)));
+  const found = Array.from({ length: Math.floor(high / step) - first + 1 }, (_, i) => (first + i) * step);
+  return found.map((value) => [value, shortened(value, digits)]);
+}
+
+function shape(tag, parent, attributes, colour = "") {
+  const made = document.createElementNS(SVG, tag);
+  for (const [name, value] of Object.entries(attributes)) made.setAttribute(name, value);
+  if (colour) made.style[tag === "rect" ? "fill" : "stroke"] = `var(--${colour})`;
+  parent.append(made);
+  return made;
+}
 
 function drawPanel(panel, run, i, [low, high], parent) {
   const figure = element("figure", "panel", parent);
@@ -207,64 +222,56 @@ function drawPanel(panel, run, i, [low, high], parent) {
   element("span", "", caption, panel.unit && `(${panel.unit}) `);
   const values = panel.lines.map((line) => {
     const value = element("span", "value", caption);
-    value.style.color = line.colour;
+    value.style.color = `var(--${line.colour})`;
     return value;
   });
   const plot = element("div", "plot", figure);
-  const lines = panel.lines.map((line) => ({
-    x: run.time,
-    y: line.values,
-    mode: "lines",
-    line: { color: line.colour, width: line.width, shape: line.held ? "hv" : "linear" },
-  }));
-  const corrected = run.interventions[panel.acts] ?? [];
-  const foot = low + 0.04 * (high - low);
-  lines.push({
-    x: corrected.flatMap((interval) => [...interval, null]),
-    y: corrected.flatMap(() => [foot, foot, null]),
-    mode: "lines",
-    line: { color: colours.intervention, width: 6 },
-  });
+  const drawing = shape("svg", plot, { viewBox: `0 0 ${ACROSS} ${DOWN}`, preserveAspectRatio: "none", "aria-hidden": "true" });
+  const x = (t) => ((ACROSS * t) / end).toFixed(2);
+  const y = (value) => ((DOWN * (high - value)) / (high - low)).toFixed(2);
+  const rectangle = (from, to, colour) =>
+    shape("rect", drawing, { x: 0, width: ACROSS, y: y(to), height: y(from) - y(to) }, colour);
+  const line = (d, width, colour, dash = "none") =>
+    shape("path", drawing, { d, "stroke-width": width, "stroke-dasharray": dash }, colour);
+
   const [least, most] = panel.safe;
   const limits = panel.safe.filter((limit) => limit !== null);
-  const rectangle = { type: "rect", layer: "below", line: { width: 0 }, xref: "paper", x0: 0, x1: 1 };
-  const shapes = limits.map((y) => ({
-    type: "line",
-    xref: "paper",
-    x0: 0,
-    x1: 1,
-    y0: y,
-    y1: y,
-    line: { color: colours.text, width: 1, dash: "dot" },
-  }));
   if (limits.length) {
-    shapes.push({ ...rectangle, y0: low, y1: high, fillcolor: colours.unsafe });
-    shapes.push({ ...rectangle, y0: least ?? low, y1: most ?? high, fillcolor: colours.safe });
+    rectangle(low, high, "unsafe");
+    rectangle(least ?? low, most ?? high, "safe");
   }
-  const axis = { fixedrange: true, zeroline: false, gridcolor: "#ececec", tickfont: { size: 11 } };
-  const layout = {
-    margin: MARGIN,
-    showlegend: false,
-    xaxis: { ...axis, range: [0, end], ticksuffix: " s", nticks: 6 },
-    yaxis: { ...axis, range: [low, high], nticks: 5 },
-    shapes,
-  };
-  Plotly.newPlot(plot, lines, layout, { ...LOCAL, staticPlot: true });
+  for (const [t, text] of ticks(0, end, 5)) {
+    line(`M${x(t)} 0V${DOWN}`, 1, "grid");
+    element("span", "tick x", plot, `${text} s`).style.left = `${(100 * t) / end}%`;
+  }
+  for (const [value, text] of ticks(low, high, 4)) {
+    line(`M0 ${y(value)}H${ACROSS}`, 1, "grid");
+    element("span", "tick y", plot, text).style.top = `${y(value)}%`;
+  }
+  for (const limit of limits) line(`M0 ${y(limit)}H${ACROSS}`, 1, "text", "2 3");
+  for (const each of panel.lines) {
+    const step = each.held ? (t, value) => `H${x(t)}V${y(value)}` : (t, value) => `L${x(t)} ${y(value)}`;
+    const path = each.values.map((value, row) => (row ? step(run.time[row], value) : `M${x(run.time[0])} ${y(value)}`));
+    line(path.join(""), each.width, each.colour);
+  }
+  const foot = y(low + FOOT * (high - low));
+  const corrected = run.interventions[panel.acts] ?? [];
+  line(corrected.map(([from, to]) => `M${x(from)} ${foot}H${x(to)}`).join(""), 6, "corrected");
+
   const cursor = element("div", "cursor", plot);
   const scrub = (event) => {
     const box = plot.getBoundingClientRect();
-    const share = (event.clientX - box.left - MARGIN.l) / (box.width - MARGIN.l - MARGIN.r);
-    if (event.buttons === 1) show(share * end);
+    if (event.buttons === 1) show(((event.clientX - box.left) / box.width) * end);
   };
   plot.addEventListener("pointerdown", scrub);
   plot.addEventListener("pointermove", scrub);
 
-  const decimals = Math.min(6, Math.max(0, 2 - Math.floor(Math.log10(high - low))));
+  const decimals = decimals_of(high - low);
   return (t) => {
     const row = rowAt(run, t);
-    cursor.style.left = `calc(${MARGIN.l}px + (100% - ${MARGIN.l + MARGIN.r}px) * ${t / end})`;
-    panel.lines.forEach((line, k) => {
-      values[k].textContent = `${line.name} ${shortened(line.values[row], decimals)} `;
+    cursor.style.left = `${(100 * t) / end}%`;
+    panel.lines.forEach((each, k) => {
+      values[k].textContent = `${each.name} ${shortened(each.values[row], decimals)} `;
     });
   };
 }
@@ -314,13 +321,21 @@ function frame(now) {
   nextFrame = requestAnimationFrame(frame);
 }
 
+function look(view) {
+  byId("view").value = view;
+  for (const film of films) if (film) film.view = view;
+  show(time);
+}
+
 byId("scrub").max = end;
 byId("scrub").addEventListener("input", (event) => show(Number(event.target.value)));
 byId("play").addEventListener("click", () => play(!playing));
+byId("view").addEventListener("change", (event) => look(event.target.value));
 document.addEventListener("keydown", (event) => {
   const steps = { ArrowLeft: -data.step, ArrowRight: data.step };
   if (event.target.matches("select") || event.ctrlKey || event.altKey || event.metaKey) return;
   if (event.key === " " && !event.target.matches("button")) play(!playing);
+  else if (event.key.toLowerCase() === "c") look(VIEWS[(VIEWS.indexOf(byId("view").value) + 1) % VIEWS.length]);
   else if (event.key in steps) show(time + steps[event.key]);
   else return;
   event.preventDefault();

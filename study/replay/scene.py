@@ -9,21 +9,28 @@ from typing import Any
 
 import numpy as np
 import torch
+from scipy.spatial import ConvexHull
 
 from inspection.chief.points import fibonacci_sphere
 from inspection.chief.surface import Surface, hidden, hiding
 from inspection.model import attitude
 from inspection.model.dynamics import sun_direction
+from inspection.model.orbit import coast
 from inspection.model.parameters import InspectionParameters
+from inspection.model.state import SIZE, THETA_S, P, V
 from rta.constraints.names import CONSTRAINTS
 from study import config as configuration
 from study.errors import InputError
 from study.files import load_arrays
-from study.flight.figures import BLUE, GREY, ORANGE, Episode, rotate, speeds
+from study.flight.figures import Episode, effort, speeds
+from study.pages import scene
 
 MAX_ROWS = 5000  # of a run in the page
-RIM = 24  # corners of the cone's rim
-DIGITS, TIME_DIGITS = 4, 8  # significant ones of the page's numbers
+MAX_AHEAD = 400  # rows of a run from which the page knows where free flight leads
+AHEAD = 25  # places of such a flight
+DIGITS, PLACE_DIGITS, TIME_DIGITS = 4, 6, 8  # significant ones of the page's numbers
+FIRST, SECOND, THIRD, WANTED = "first", "second", "third", "wanted"  # colours of lines, see `replay.css`
+FLIGHT = "Flight"  # the section whose numbers stand beside the scene, too
 Line = dict[str, Any]
 Panel = dict[str, Any]
 
@@ -50,9 +57,11 @@ CHIEF: dict[str, tuple[int, ...]] = {
     "chief_triangles": (3, 3),
 }
 
+HULL = "clearance"  # the array in m that is there where the chief's hull is what to stay clear of
+
 ROUNDING = 1e-9  # of whatever unit: less of a difference is not drawn
 RISE = 0.01  # of the chief's radius, by which a mesh's points are drawn above it
-AXIS = 0.12  # of what is flown through, the length of the body's axes
+WITHIN = 0.97  # of the way to the points, the corners of the body that is drawn where there are points alone
 
 # panels of the constraints: title, unit, factor from the file's unit, constraints, the control that acts on them
 SQUARE_DEGREES = math.degrees(1.0) ** 2
@@ -91,9 +100,10 @@ def read(path: str, rows: int = MAX_ROWS) -> Replayed:
     """Reads and checks a file of `simulate`, or an episode of a study's report in single precision."""
     names = (*COLUMNS, "inspected", "intervened", "parameters")
     older = ": not a file that simulate wrote, or one of an older version"
-    episode = load_arrays(path, names, "run", older, maybe=tuple(CHIEF))
+    episode = load_arrays(path, names, "run", older, maybe=(*CHIEF, HULL))
     c = configuration.from_toml(str(episode["parameters"]), f"{path}: parameters").inspection
     of_chief = {name: row for name, row in CHIEF.items() if "chief_points" in episode}
+    of_chief |= {HULL: ()} if HULL in episode else {}
     points = len(episode["chief_points"]) if of_chief else c.num_points
     flags = {"inspected": (points,), "intervened": (2,)}
     length = episode["time"].size
@@ -126,36 +136,55 @@ def thinned(run: Replayed) -> Episode:
     for name in COLUMNS:
         values = run.episode[name]
         thin[name] = np.minimum.reduceat(values, starts) if name.startswith("h_") else values[starts]
+    if HULL in run.episode:
+        thin[HULL] = np.minimum.reduceat(run.episode[HULL], starts)
     if "chief_attitude" in run.episode:
         thin["chief_attitude"] = run.episode["chief_attitude"][starts]
+    thin["delta_v"] = effort(run.episode, run.c)[0][starts]
     return thin
 
 
-def axes(quaternion: np.ndarray) -> np.ndarray:
-    """A body's three axes in Hill's frame, (rows, 3 axes, 3), of attitudes (rows, 4)."""
-    return np.stack([rotate(quaternion, axis) for axis in np.eye(3)], 1)
-
-
 def chief(run: Replayed, episode: Episode) -> dict[str, Any]:
-    """Points and normals (N, 3) of the chief, the corners of its faces, as indices, and its axes where it has any."""
+    """Points and normals (N, 3) of the chief, corners of its faces and of its hull's, (3 F, 3), and its attitudes.
+
+    What it does not have, or what is not to be drawn, is None.
+    """
     if "chief_points" not in run.episode:
         normals = fibonacci_sphere(run.c.num_points).numpy().T
         return {
             "points": run.c.chief_radius * normals,
             "normals": normals,
-            "corners": None,
-            "chief_axes": None,
-            "shaded": None,
+            **dict.fromkeys(("triangles", "hull", "chief", "shaded")),
         }
-    triangles = run.episode["chief_triangles"]
+    points, normals = run.episode["chief_points"], run.episode["chief_normals"]
+    triangles = run.episode["chief_triangles"].reshape(-1, 3)
+    corners = triangles if len(triangles) else points
     return {
         # drawn a little above the faces, which would hide some of them
-        "points": run.episode["chief_points"] + RISE * run.c.chief_radius * run.episode["chief_normals"],
-        "normals": run.episode["chief_normals"],
-        "corners": triangles.reshape(-1, 3) if len(triangles) else None,
-        "chief_axes": axes(episode["chief_attitude"]),
+        "points": points + RISE * run.c.chief_radius * normals,
+        "normals": normals,
+        "triangles": triangles if len(triangles) else WITHIN * hull(points),
+        "hull": hull(corners) if HULL in run.episode else None,
+        "chief": rounded(episode["chief_attitude"], PLACE_DIGITS),
         "shaded": shaded(run, episode) if len(triangles) else None,
     }
+
+
+def hull(corners: np.ndarray) -> np.ndarray:
+    """Corners (3 F, 3) of the faces of the convex hull of corners (k, 3), or none where all are in a plane."""
+    if len(corners) < 4 or np.linalg.matrix_rank(corners - corners[0], tol=ROUNDING) < 3:
+        return np.zeros((0, 3))
+    return corners[ConvexHull(corners).simplices].reshape(-1, 3)
+
+
+def ahead(episode: Episode, c: InspectionParameters) -> np.ndarray:
+    """Where free flight leads within the horizon of passive safety: from rows evenly apart, (rows, AHEAD, 3) in m."""
+    rows = np.arange(0, len(episode["time"]), -(-len(episode["time"]) // MAX_AHEAD))
+    x = torch.zeros(SIZE, len(rows), dtype=torch.float64)
+    x[P], x[V] = (torch.as_tensor(episode[name][rows]).T for name in ("position", "velocity"))
+    x[THETA_S] = torch.as_tensor(episode["sun_angle"][rows])
+    times = torch.linspace(0.0, c.passive_safety_horizon, AHEAD, dtype=torch.float64)
+    return coast(x[:, None], times[:, None], c).permute(2, 1, 0).numpy()
 
 
 def shaded(run: Replayed, episode: Episode) -> list[list[int]]:
@@ -185,13 +214,6 @@ def inspection_times(episode: Episode) -> list[float | None]:
     return [t if ever else None for t, ever in zip(first, inspected.max(0).tolist(), strict=True)]
 
 
-def cone_rim(c: InspectionParameters) -> np.ndarray:
-    """Unit vectors (RIM, 3) in the body frame along the edge of the camera's field of view about +x."""
-    half, turn = c.field_of_view / 2, np.linspace(0.0, 2 * np.pi, RIM, endpoint=False)
-    across = math.sin(half) * np.stack((np.cos(turn), np.sin(turn)), 1)
-    return np.column_stack((np.full(RIM, math.cos(half)), across))
-
-
 def rounded(values: np.ndarray, digits: int = DIGITS) -> Any:
     """Nested lists of numbers with so many significant digits, which keeps the page small."""
     if values.ndim > 1:
@@ -200,7 +222,7 @@ def rounded(values: np.ndarray, digits: int = DIGITS) -> Any:
 
 
 def line(
-    values: np.ndarray, name: str = "", colour: str = BLUE, width: float = 1.4, held: bool = False
+    values: np.ndarray, name: str = "", colour: str = FIRST, width: float = 1.4, held: bool = False
 ) -> Line:
     """A quantity, which is held until the next row or changes evenly until then."""
     return {"name": name, "colour": colour, "width": width, "held": held, "values": values}
@@ -224,15 +246,28 @@ def panel(
 
 def panels(episode: Episode, c: InspectionParameters) -> dict[str, list[Panel]]:
     """Everything that is drawn over time, by section."""
-    energy, temperature, weight = (
-        [line(episode[name])] for name in ("energy", "temperature", "inspected_score")
+    energy, temperature, weight, spent = (
+        [line(episode[name])] for name in ("energy", "temperature", "inspected_score", "delta_v")
+    )
+    distance, clear = (
+        [line(np.linalg.norm(episode["position"], axis=1))],
+        (c.collision_radius, c.max_distance),
+    )
+    of_hull = (
+        [panel("Clearance", "m", [line(episode[HULL])], "thrust", (0.0, None))] if HULL in episode else []
     )
     return {
+        FLIGHT: [
+            panel("Distance", "m", distance, "thrust", (None, c.max_distance) if of_hull else clear),
+            *of_hull,
+            panel("Speed", "m/s", [line(speeds(episode))], "thrust"),
+            panel("Inspected weight", "", weight),
+            panel("Delta v", "m/s", spent, "thrust"),
+        ],
         "Control, body frame": control_panels(episode),
-        "Battery, temperature and inspection": [
+        "Battery and temperature": [
             panel("Energy", "kJ", energy, "torque", (c.min_energy, None)),
             panel("Temperature", "°C", temperature, "torque", (None, c.max_temperature)),
-            panel("Inspected weight", "", weight),
         ],
         "Constraints, safe where h ≥ 0": [
             panel(title, unit, constraint_lines(episode, names, factor), acts, (0.0, None))
@@ -249,7 +284,7 @@ def control_panels(episode: Episode) -> list[Panel]:
             # the applied control lies on top, and hides the desired one where they are equal
             lines = [
                 line(factor * episode[f"control_{name}"][:, i], name, colour, width, held=True)
-                for name, colour, width in (("desired", GREY, 2.5), ("applied", BLUE, 1.2))
+                for name, colour, width in (("desired", WANTED, 2.5), ("applied", FIRST, 1.2))
             ]
             found.append(panel(f"{acts.capitalize()} {axis}", unit, lines, acts))
     return found
@@ -260,7 +295,7 @@ def constraint_lines(episode: Episode, names: Sequence[str], factor: float) -> l
     axes = [name[-1] for name in names] if len(names) > 1 else [""]
     return [
         line(factor * episode[f"h_{name}"], axis, colour)
-        for name, axis, colour in zip(names, axes, (BLUE, ORANGE, "#000000"), strict=False)
+        for name, axis, colour in zip(names, axes, (FIRST, SECOND, THIRD), strict=False)
     ]
 
 
@@ -283,42 +318,19 @@ def run_data(run: Replayed, episode: Episode) -> dict[str, Any]:
         "name": run.name,
         "time": rounded(episode["time"], TIME_DIGITS),
         "end": rounded(run.episode["time"][-1:], TIME_DIGITS)[0],
-        "position": episode["position"],
-        "axes": axes(episode["quaternion"]),
+        "position": rounded(episode["position"], PLACE_DIGITS),
+        "quaternion": rounded(episode["quaternion"], PLACE_DIGITS),
         "sun_angle": episode["sun_angle"],
-        "speed": speeds(episode),
+        "desired": episode["control_desired"][:, :3],
+        "control": episode["control_applied"][:, :3],
+        "ahead": ahead(episode, c),
+        **scene.task(c),
         **chief(run, episode),
-        "chief_radius": c.chief_radius,
         "inspected": inspection_times(run.episode),
-        "rim": cone_rim(c),
         "interventions": {
             control: interventions(run.episode, program)
             for program, control in enumerate(("thrust", "torque"))
         },
-    }
-
-
-def box(runs: Sequence[Replayed]) -> dict[str, Any]:
-    """The scenes, which have one scale: [low, high] of each of Hill's axes and the lengths of what is drawn, in m.
-
-    `aspect`, `centre`, the chief's place, and `reach`, the farthest from there, are in the units of plotly's camera;
-    `dot` is a point's size in px on a large screen.
-    """
-    positions = np.concatenate([run.episode["position"] for run in runs])
-    radius = max(run.c.chief_radius for run in runs)
-    size = max(np.ptp(positions, axis=0).max(), 4.0 * radius)
-    direction = max(2.5 * radius, 0.3 * size)  # to the Sun and the Earth
-    inside = np.array([direction, direction, 1.5 * radius])
-    low = np.minimum(positions.min(0), -inside) - AXIS * size
-    high = np.maximum(positions.max(0), inside) + AXIS * size
-    unit = np.prod(high - low) ** (1 / 3)
-    return {
-        "ranges": np.stack((low, high), 1),
-        "lengths": {"axis": AXIS * size, "cone": 0.25 * size, "direction": direction},
-        "aspect": (high - low) / unit,
-        "centre": -(low + high) / 2 / unit,
-        "reach": np.linalg.norm(positions, axis=1).max() / unit,
-        "dot": min(4.0, max(1.5, 48.0 * radius / size)),
     }
 
 
@@ -336,6 +348,6 @@ def content(runs: Sequence[Replayed]) -> dict[str, Any]:
     return {
         "runs": [run_data(run, episode) for run, episode in zip(runs, episodes, strict=True)],
         "sections": sections,
-        **box(runs),
+        "beside": FLIGHT,
         "step": runs[0].c.action_period,
     }

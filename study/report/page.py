@@ -24,9 +24,7 @@ from study.report.figures import ARM_LABELS, TRAINING, label
 from study.report.inputs import Inputs
 from study.report.tables import of_seeds, over_seeds, throughput
 
-REPLAYED_ROWS = (
-    400  # of an episode: about one per action, so that its page is hardly larger than Plotly alone
-)
+REPLAYED_ROWS = 400  # of an episode, about one per action: its page is hardly larger than three.js alone
 MEDIA_TYPES = {".png": "image/png", ".svg": "image/svg+xml"}
 PAPER = PAPER_METRICS | PAPER_VIOLATIONS
 DIGITS = {name: paper.digits for name, paper in PAPER.items()} | {"success": 1}

@@ -8,12 +8,13 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
 import main
 from inspection.chief.surface import light, surface
 from rta.constraints.names import CONSTRAINTS
-from study.config import load
+from study.config import Config, load
 from study.replay import page, scene
 from study.replay.scene import Replayed
 
@@ -29,18 +30,34 @@ def as_written(run: Replayed) -> dict[str, Any]:
     return json.loads(json.dumps(scene.content([run]), default=scene.rounded))
 
 
-def test_body_axes_are_the_columns_of_the_rotation(
-    flown: dict[str, np.ndarray], shown: dict[str, Any]
-) -> None:
-    expected = Rotation.from_quat(flown["quaternion"]).as_matrix()
-    np.testing.assert_allclose(shown["runs"][0]["axes"], expected.transpose(0, 2, 1), atol=1e-4)
+def test_the_attitude_is_the_files(flown: dict[str, np.ndarray], shown: dict[str, Any]) -> None:
+    found = Rotation.from_quat(shown["runs"][0]["quaternion"]).as_matrix()
+    np.testing.assert_allclose(found, Rotation.from_quat(flown["quaternion"]).as_matrix(), atol=1e-5)
 
 
-def test_the_cone_lies_half_the_field_of_view_about_the_camera(shown: dict[str, Any]) -> None:
-    rim = np.array(shown["runs"][0]["rim"])
-    np.testing.assert_allclose(np.linalg.norm(rim, axis=1), 1.0, atol=1e-3)
-    np.testing.assert_allclose(np.degrees(np.arccos(rim[:, 0])), 30.0, atol=0.01)
-    np.testing.assert_allclose(rim[:, 1:].sum(0), 0.0, atol=1e-3)
+def test_free_flight_is_that_of_an_integrator(flown: dict[str, np.ndarray], shown: dict[str, Any]) -> None:
+    c = Config().inspection
+    n, times = c.mean_motion, np.linspace(0.0, c.passive_safety_horizon, scene.AHEAD)
+
+    def coasting(_: float, y: np.ndarray) -> np.ndarray:
+        (x, _, z), (dx, dy, _) = y[:3], y[3:]
+        return np.array([*y[3:], 3 * n**2 * x + 2 * n * dy, -2 * n * dx, -(n**2) * z])
+
+    for row, places in enumerate(shown["runs"][0]["ahead"]):
+        begun = np.concatenate((flown["position"][row], flown["velocity"][row]))
+        found = solve_ivp(coasting, (0.0, times[-1]), begun, t_eval=times, rtol=1e-9, atol=1e-9)
+        np.testing.assert_allclose(places, found.y[:3].T, rtol=1e-3, atol=0.02)
+
+
+def test_delta_v_is_the_applied_thrusts(flown: dict[str, np.ndarray], shown: dict[str, Any]) -> None:
+    """Each row's control acts until the next, here for 10 s; the last one not at all."""
+    (found,) = [
+        panel["runs"][0]["lines"][0]["values"]
+        for panel in shown["sections"]["Flight"]
+        if panel["runs"][0]["title"] == "Delta v"
+    ]
+    each = np.abs(flown["control_applied"][:-1, :3]).sum(1) * 10.0 / 12.0
+    np.testing.assert_allclose(found, [0.0, *np.cumsum(each)], rtol=1e-3)
 
 
 def test_interventions_are_where_the_filter_corrected_not_where_a_correction_is_kept(
@@ -73,6 +90,7 @@ def test_points_in_the_meshs_own_shade_are_not_shown_as_lit(
     capsys.readouterr()
     run = scene.read(str(out))
     content = as_written(run)["runs"][0]
+    assert content["hull"] is None  # it is a sphere that is to stay clear
     config = load(own)
     whole = surface(config.chief, config.inspection)
     for row, shaded in enumerate(content["shaded"]):
@@ -92,7 +110,15 @@ def test_a_flight_beside_a_hull_is_shown(tmp_path: Path, capsys: pytest.CaptureF
     capsys.readouterr()
     run = scene.read(str(out))
     shown = as_written(run)["runs"][0]
-    assert figure.is_file() and len(shown["corners"]) == 3 * len(run.episode["chief_triangles"])
+    assert figure.is_file() and len(shown["triangles"]) == 3 * len(run.episode["chief_triangles"])
+    faces, corners = (np.array(shown[name]).reshape(-1, 3, 3) for name in ("hull", "triangles"))
+    for a, b, c in faces:  # all of the chief is on one side of each
+        above = (corners - a) @ np.cross(b - a, c - a) / np.linalg.norm(np.cross(b - a, c - a))
+        assert above.min() > -1e-2 or above.max() < 1e-2
+    (clear,) = [
+        panel for panel in as_written(run)["sections"]["Flight"] if panel["runs"][0]["title"] == "Clearance"
+    ]
+    assert clear["runs"][0]["lines"][0]["values"] == pytest.approx(run.episode["clearance"], rel=1e-3)
     # points are drawn in front of their faces
     above = np.array(shown["points"]) - run.episode["chief_points"]
     assert ((above * run.episode["chief_normals"]).sum(1) > 0.05).all()
@@ -110,6 +136,9 @@ def test_panels_hold_every_constraint_and_both_controls_within_their_range(
     degrees |= {f"angular_velocity_{axis}": math.degrees(1.0) ** 2 for axis in "xyz"}
     expected = [degrees.get(name, 1.0) * flown[f"h_{name}"] for name in CONSTRAINTS]
     expected += [flown["energy"], flown["temperature"], flown["inspected_score"]]
+    expected += [np.linalg.norm(flown[name], axis=1) for name in ("position", "velocity")]
+    spent = np.abs(flown["control_applied"][:-1, :3]).sum(1).cumsum() * 10.0 / 12.0
+    expected.append(np.array([0.0, *spent]))
     for kind in ("desired", "applied"):
         expected += list((flown[f"control_{kind}"] * [1.0, 1.0, 1.0, 1e3, 1e3, 1e3]).T)
     assert len(lines) == len(expected)
@@ -139,5 +168,5 @@ def test_single_precision_shows_the_same(
     single = {name: a.astype(np.float32) if a.dtype == np.float64 else a for name, a in flown.items()}
     np.savez(tmp_path / "single.npz", **single)
     (run,), (expected,) = as_written(scene.read(str(tmp_path / "single.npz")))["runs"], shown["runs"]
-    for name in ("time", "position", "axes"):
+    for name in ("time", "position", "quaternion"):
         np.testing.assert_allclose(run[name], expected[name], rtol=1e-4, atol=1e-4)

@@ -15,6 +15,9 @@ from study.config import BASELINES
 from study.errors import InputError
 from study.paper import PAPER_METRICS, PAPER_VIOLATIONS, Estimate
 from study.report import figures, inputs, page, tables
+from tests.study.replay.test_page import Browser, asks_nothing, chromium
+
+__all__ = ["chromium"]  # a fixture
 
 VOID = {"meta", "img", "br"}
 
@@ -87,6 +90,23 @@ def test_nothing_comes_from_the_network(text: str, reader: Reader) -> None:
     assert reader.resources == []
     assert re.search(r"https?://|@import|url\(", text) is None
     assert all(image["src"].startswith("data:image/") for image in reader.images)
+
+
+def test_the_pages_policy_lets_no_request_out(text: str) -> None:
+    asks_nothing(text)
+
+
+def test_a_browser_shows_it_whole_and_asks_for_nothing(chromium: Any, study: Path) -> None:
+    """Report and replays, which the policy must let show their images, styles and scripts."""
+    for path in (study / "report.html", *sorted((study / "report").glob("*.html"))):
+        shown = Browser(chromium, path, 1000, 800)
+        assert shown.errors == [] and all(each.startswith(("file:", "data:")) for each in shown.requests)
+        assert sum(each.startswith("file:") for each in shown.requests) == 1  # the page itself
+        assert shown.page.evaluate(
+            "() => [...document.images].every(image => image.complete && image.naturalWidth > 0)"
+        )
+        assert shown.page.evaluate("() => getComputedStyle(document.body).maxWidth") != "none"
+        shown.page.close()
 
 
 def test_links_lead_somewhere(study: Path, reader: Reader) -> None:

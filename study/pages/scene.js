@@ -1,29 +1,39 @@
-// The picture of a flight: Hill's frame, x away from the Earth, y along the orbit, z up.
+// The picture of a flight: Hill's frame, x away from the Earth, y along the orbit, z up. Where the flight comes from, live or
+// from a file, is no matter here: a page gives the points' kinds, the lines' places, and who is where.
 "use strict";
 
 const COLOURS = { // Okabe and Ito's
   inspected: 0x009e73, lit: 0xe69f00, dark: 0x4a4f58, asked: 0xe69f00, flown: 0x56b4e9, cone: 0x56b4e9, plume: 0xcfe8ff,
-  keepOut: 0xd55e00, zone: 0x56b4e9, ahead: 0xffffff, way: 0xf0e442, trail: 0x7a8798, earth: 0x2a5d9f,
+  keepOut: 0xd55e00, hull: 0xd55e00, zone: 0x56b4e9, ahead: 0xffffff, way: 0xf0e442, trail: 0x7a8798, earth: 0x2a5d9f,
 };
 const VIEWS = ["follow", "orbit", "onboard"];
 const STAR_DISTANCE = 15000, SUN_DISTANCE = 12000, EARTH_DISTANCE = 11000; // not to scale
+const LIGHT = 1000; // m, of the Sun's light from the chief
+const BODY = 0x9aa0aa; // of the chief
 const DEPUTY = 2.4; // m, of its box where its radius, with the panels, is DRAWN
 const DRAWN = 5; // m
+const MANY = 100; // points, of which more are drawn smaller
+const WIDE_ENOUGH = 1.4; // width to height of a picture whose ends are farther away than its top
+
+// how a view is turned, and from how far: 0, the page's own
+const first_looks = () => ({ follow: { yaw: 0.3, pitch: 0.25, distance: 38 }, orbit: { yaw: -0.9, pitch: 0.4, distance: 0 } });
 
 class Scene {
-  constructor(canvas, task) {
+  // task: what scene.py says of it, and of the chief, in its own frame, `points`, each [x, y, z] in m; `triangles` and `hull`, null
+  // or corners of faces, one after the other; looks: of other scenes that are to be turned with this one
+  constructor(canvas, task, looks = first_looks()) {
     this.task = task;
+    this.turned = () => {}; // what a page does when its view is turned
     this.renderer = new THREE.WebGLRenderer({ canvas, antialias: true, logarithmicDepthBuffer: true });
     this.renderer.outputEncoding = THREE.sRGBEncoding;
     this.scene = new THREE.Scene();
     this.scene.background = new THREE.Color(0x05070b);
     this.camera = new THREE.PerspectiveCamera(50, 1, 0.2, 40000);
     this.view = "follow";
-    this.looks = { follow: { yaw: 0.3, pitch: 0.25, distance: 38 }, orbit: { yaw: -0.9, pitch: 0.4, distance: 0 } };
+    this.looks = looks;
     this.surroundings();
     this.chief();
     this.deputy();
-    this.lines();
     this.drag(canvas);
   }
 
@@ -37,9 +47,9 @@ class Scene {
   }
 
   surroundings() {
-    const places = [], random = dice(7);
+    const places = [];
     for (let i = 0; i < 1500; i++) {
-      const z = 2 * random() - 1, angle = 2 * Math.PI * random(), r = Math.sqrt(1 - z * z);
+      const z = 2 * scattered(2 * i) - 1, angle = 2 * Math.PI * scattered(2 * i + 1), r = Math.sqrt(1 - z * z);
       places.push(STAR_DISTANCE * r * Math.cos(angle), STAR_DISTANCE * r * Math.sin(angle), STAR_DISTANCE * z);
     }
     const stars = new THREE.BufferGeometry();
@@ -64,17 +74,48 @@ class Scene {
   }
 
   chief() {
-    const { chief_radius: radius, normals, collision_radius, max_distance } = this.task;
-    this.scene.add(this.mesh(new THREE.SphereGeometry(0.985 * radius, 64, 32), 0x9aa0aa, { roughness: 0.75, metalness: 0.15 }));
-    const dot = new THREE.SphereGeometry(0.055 * radius, 12, 8);
-    this.points = new THREE.InstancedMesh(dot, new THREE.MeshBasicMaterial(), normals.length);
-    normals.forEach((n, i) => {
-      this.points.setMatrixAt(i, new THREE.Matrix4().makeTranslation(radius * n[0], radius * n[1], radius * n[2]));
+    const { chief_radius: radius, points, triangles, hull, collision_radius, max_distance } = this.task;
+    const look = { roughness: 0.75, metalness: 0.15 };
+    this.body_of_chief = triangles
+      ? this.mesh(of_triangles(triangles), BODY, { ...look, flatShading: true, side: THREE.DoubleSide })
+      : this.mesh(new THREE.SphereGeometry(0.985 * radius, 64, 32), BODY, look);
+    const size = 0.055 * Math.max(...points.map(place => Math.hypot(...place)));
+    const dot = new THREE.SphereGeometry(size * Math.min(1, Math.sqrt(MANY / points.length)), 10, 6);
+    this.points = new THREE.InstancedMesh(dot, new THREE.MeshBasicMaterial(), points.length);
+    points.forEach((place, i) => {
+      this.points.setMatrixAt(i, new THREE.Matrix4().makeTranslation(...place));
       this.points.setColorAt(i, linear(COLOURS.dark));
     });
+    this.points.frustumCulled = false;
+    this.whole_chief = new THREE.Group();
+    this.whole_chief.add(this.body_of_chief, this.points);
+    if (hull) {
+      const shape = of_triangles(hull), edges = new THREE.EdgesGeometry(shape);
+      const look = { color: linear(COLOURS.hull), transparent: true, opacity: 0.5 };
+      this.hull = this.see_through(shape, COLOURS.hull, 0.1);
+      this.hull.add(new THREE.LineSegments(edges, new THREE.LineBasicMaterial(look)));
+      this.whole_chief.add(this.hull);
+    }
+    if (triangles && triangles.length) this.shade(triangles);
     this.keepOut = this.see_through(new THREE.SphereGeometry(collision_radius, 24, 12), COLOURS.keepOut, 0, { wireframe: true });
     this.zone = this.see_through(new THREE.SphereGeometry(max_distance, 36, 18), COLOURS.zone, 0, { wireframe: true });
-    this.scene.add(this.points, this.keepOut, this.zone);
+    this.scene.add(this.whole_chief, this.keepOut, this.zone);
+  }
+
+  // lets parts of a chief that is no sphere throw a shadow on others
+  shade(triangles) {
+    const reach = Math.max(...triangles.map(corner => Math.hypot(...corner)));
+    this.renderer.shadowMap.enabled = true;
+    this.body_of_chief.castShadow = this.body_of_chief.receiveShadow = this.light.castShadow = true;
+    this.light.shadow.mapSize.set(2048, 2048);
+    this.light.shadow.normalBias = 0.01 * reach;
+    Object.assign(this.light.shadow.camera, { left: -reach, right: reach, bottom: -reach, top: reach, near: LIGHT - reach, far: LIGHT + reach });
+  }
+
+  // kinds: of each point "inspected", "lit" or "dark"
+  colour(kinds) {
+    kinds.forEach((kind, i) => this.points.setColorAt(i, linear(COLOURS[kind])));
+    this.points.instanceColor.needsUpdate = true;
   }
 
   deputy() {
@@ -154,58 +195,26 @@ class Scene {
     line.geometry.setDrawRange(0, count);
   }
 
-  lines() {
-    this.ahead = this.line(COLOURS.ahead, 0.45, this.task.places);
-    this.way = this.line(COLOURS.way, 1, this.task.places, 4);
-    this.trail = this.line(COLOURS.trail, 0.8, this.task.max_time + 2);
-  }
-
-  begin(flight) {
-    this.flownTo = 0;
-    this.trail.geometry.setDrawRange(0, 0);
-    this.renew(flight);
-  }
-
-  // what changes with each second
-  renew(flight) {
-    const { inspected, lit, state } = flight;
-    for (let i = 0; i < inspected.length; i++) {
-      const colour = inspected[i] ? COLOURS.inspected : lit[i] ? COLOURS.lit : COLOURS.dark;
-      this.points.setColorAt(i, linear(colour));
-    }
-    this.points.instanceColor.needsUpdate = true;
-    const trail = this.trail.geometry.attributes.position;
-    if (this.flownTo < trail.count) {
-      trail.setXYZ(this.flownTo++, state[0], state[1], state[2]);
-      trail.needsUpdate = true;
-      this.trail.geometry.setDrawRange(0, this.flownTo);
-    }
-    flight.wasm.coast(this.task.ahead_steps);
-    this.fill(this.ahead, flight.ahead, this.task.places);
-    this.fill(this.way, flight.way, flight.filtered ? flight.wasm.rest(flight.filter) : 0);
-  }
-
-  // a share of the way from the state before to the one now
-  draw(flight, share) {
-    const { before: a, state: b } = flight;
-    const mixed = i => a[i] + share * (b[i] - a[i]);
-    const p = new THREE.Vector3(mixed(0), mixed(1), mixed(2)), distance = p.length();
-    const q = new THREE.Quaternion(a[6], a[7], a[8], a[9]).slerp(new THREE.Quaternion(b[6], b[7], b[8], b[9]), share);
-    const sun = new THREE.Vector3(Math.cos(mixed(15)), Math.sin(mixed(15)), 0);
+  // what is flown now: position p in m, attitudes q and chief from the bodies' axes to Hill's, scalar last, the Sun's angle in rad,
+  // thrust desired and applied in N; from: m, what a view around the chief has to hold
+  draw({ p: place, q: attitude, sun: angle, chief = [0, 0, 0, 1], desired, control, from = Math.hypot(...place) }) {
+    const p = new THREE.Vector3(...place), q = new THREE.Quaternion(...attitude), distance = p.length();
+    const sun = new THREE.Vector3(Math.cos(angle), Math.sin(angle), 0);
     this.craft.position.copy(p);
     this.craft.quaternion.copy(q);
+    this.whole_chief.quaternion.set(...chief);
     this.cone.scale.setScalar(Math.max(8, Math.min(distance - this.task.chief_radius, 60)));
-    this.light.position.copy(sun).multiplyScalar(1000);
+    this.light.position.copy(sun).multiplyScalar(LIGHT);
     this.sun.position.copy(sun).multiplyScalar(SUN_DISTANCE);
-    this.keepOut.material.opacity = 0.22 * near(distance, 90, 25);
+    this.keepOut.material.opacity = this.hull ? 0 : 0.22 * near(distance, 90, 25);
     this.zone.material.opacity = 0.1 * near(this.task.max_distance - distance, 250, 30);
-    this.thrust(flight, p, q);
-    this.look(p, q);
+    this.thrust(control, desired, p, q);
+    this.look(p, q, from);
     this.renderer.render(this.scene, this.camera);
   }
 
-  thrust({ control, desired }, p, q) {
-    const most = this.task.limit[0];
+  thrust(control, desired, p, q) {
+    const most = this.task.max_thrust;
     const arrows = [[this.asked, desired], [this.flown, control]];
     for (const [arrow, u] of arrows) {
       const along = new THREE.Vector3(u[0], u[1], u[2]);
@@ -221,7 +230,7 @@ class Scene {
     });
   }
 
-  look(p, q) {
+  look(p, q, from) {
     const { camera, view } = this, onboard = view === "onboard";
     this.body.visible = this.cone.visible = !onboard;
     camera.fov = onboard ? this.task.field_of_view * 180 / Math.PI : 50;
@@ -236,12 +245,12 @@ class Scene {
       const right = up.clone().cross(back);
       if (right.lengthSq() < 1e-4) right.set(0, 1, 0);
       right.normalize();
-      const over = back.clone().cross(right), r = distance || 2 * p.length() + 45;
-      const from = back.multiplyScalar(Math.cos(yaw) * Math.cos(pitch)).addScaledVector(right, Math.sin(yaw) * Math.cos(pitch));
-      from.addScaledVector(over, Math.sin(pitch));
+      const over = back.clone().cross(right), r = distance || (camera.aspect > WIDE_ENOUGH ? 1.4 : 2) * from + 35;
+      const eye = back.multiplyScalar(Math.cos(yaw) * Math.cos(pitch)).addScaledVector(right, Math.sin(yaw) * Math.cos(pitch));
+      eye.addScaledVector(over, Math.sin(pitch));
       const target = follow ? p.clone().multiplyScalar(1 - Math.min(16, 0.35 * p.length()) / p.length()) : new THREE.Vector3();
       camera.up.copy(follow ? over : up);
-      camera.position.copy(target).addScaledVector(from, r);
+      camera.position.copy(target).addScaledVector(eye, r);
       camera.lookAt(target);
     }
     camera.updateProjectionMatrix();
@@ -253,24 +262,60 @@ class Scene {
     this.camera.aspect = width / height;
   }
 
+  // turns the view, by rad
+  turn(yaw, pitch) {
+    const look = this.looks[this.view];
+    if (!look) return;
+    look.yaw += yaw;
+    look.pitch = Math.max(-1.5, Math.min(1.5, look.pitch + pitch));
+    this.turned();
+  }
+
+  // farther by a factor, or nearer
+  zoom(factor) {
+    const look = this.looks[this.view];
+    if (look) look.distance = Math.max(8, Math.min(4000, (look.distance || this.camera.position.length()) * factor));
+    this.turned();
+  }
+
   // turns and zooms the view with mouse or fingers
   drag(canvas) {
-    let last = null;
-    canvas.addEventListener("pointerdown", event => { last = event; canvas.setPointerCapture(event.pointerId); });
-    canvas.addEventListener("pointerup", () => { last = null; });
+    const held = new Map(); // by pointer, where it is
+    const apart = () => {
+      const [a, b] = [...held.values()];
+      return Math.hypot(a.clientX - b.clientX, a.clientY - b.clientY);
+    };
+    canvas.addEventListener("pointerdown", event => {
+      held.set(event.pointerId, event);
+      canvas.setPointerCapture(event.pointerId);
+    });
+    for (const end of ["pointerup", "pointercancel"]) canvas.addEventListener(end, event => held.delete(event.pointerId));
     canvas.addEventListener("pointermove", event => {
-      const look = this.looks[this.view];
-      if (!last || !look) return;
-      look.yaw -= 0.006 * (event.clientX - last.clientX);
-      look.pitch = Math.max(-1.5, Math.min(1.5, look.pitch + 0.006 * (event.clientY - last.clientY)));
-      last = event;
+      const last = held.get(event.pointerId), before = held.size === 2 ? apart() : 0;
+      if (!last) return;
+      held.set(event.pointerId, event);
+      if (held.size === 1) this.turn(-0.006 * (event.clientX - last.clientX), 0.006 * (event.clientY - last.clientY));
+      if (before && apart()) this.zoom(before / apart());
     });
     canvas.addEventListener("wheel", event => {
-      const look = this.looks[this.view];
-      if (look) look.distance = Math.max(8, Math.min(4000, (look.distance || 150) * Math.exp(0.001 * event.deltaY)));
+      this.zoom(Math.exp(0.001 * event.deltaY));
       event.preventDefault();
     }, { passive: false });
   }
+}
+
+// the shape of faces by their corners, one after the other
+function of_triangles(corners) {
+  const shape = new THREE.BufferGeometry();
+  shape.setAttribute("position", new THREE.Float32BufferAttribute(corners.flat(), 3));
+  shape.computeVertexNormals();
+  return shape;
+}
+
+// from 0 to 1, and of no order
+function scattered(i) {
+  const x = 43758.5453 * Math.sin(12.9898 * (i + 1));
+  return x - Math.floor(x);
 }
 
 // a colour as the renderer computes with it
