@@ -7,6 +7,7 @@ import torch
 from torch import Tensor
 
 from inspection.model.attitude import norm, unit
+from inspection.model.orbit import free_flight
 from inspection.model.parameters import InspectionParameters
 from inspection.model.state import SIZE, THETA_S, E, P, Q, T, V
 from rta.filter import SafetyFilter
@@ -79,14 +80,11 @@ def turn_to(camera: Tensor) -> list[float]:
 
 def ramming(c: InspectionParameters) -> Iterator[Tensor]:
     """Ways on which free flight hits the chief's centre, the shortest first."""
-    n = c.mean_motion
-    a = torch.zeros(6, 6, dtype=torch.float64)
-    a[:3, 3:] = torch.eye(3)
-    a[3, 0], a[3, 4], a[4, 3], a[5, 2] = 3 * n**2, 2 * n, -2 * n, -(n**2)
+    each, none = torch.eye(3, dtype=torch.float64), torch.zeros(3, 3, dtype=torch.float64)
     for seconds in RAM_SECONDS:
-        flow = torch.linalg.matrix_exp(a * seconds)
-        x = at_rest(c, (0.5, -0.75, 0.45), 0.6)
-        x[V] = -torch.linalg.solve(flow[:3, 3:], flow[:3, :3] @ x[P])
+        x, t = at_rest(c, (0.5, -0.75, 0.45), 0.6), each.new_tensor(seconds)
+        by_speed = free_flight(none, each, t, c.mean_motion)  # m by m/s: the flow is linear
+        x[V] = -torch.linalg.solve(by_speed, free_flight(x[P], none[:, :1], t, c.mean_motion))
         scale = RAM_SPEED / norm(x[V])
         x[P], x[V] = x[P] * scale, x[V] * scale
         yield x
