@@ -155,6 +155,13 @@ class Flight {
     });
   }
 
+  // what flies the saved flight again, with the settings of the page where they are not the usual ones
+  command_again() {
+    const settings = this.task.settings ? " --config flight.toml" : "";
+    return `python main.py simulate${settings} --no-rta --controller recorded --actions flight.npy --initial-state flight.json `
+      + `--step 1 --duration ${Math.max(1, this.time)} --out flight.npz && python main.py replay flight.npz --out flight.html`;
+  }
+
   // what --actions of simulate reads: the controls that were flown, one a second, as an .npy file
   saved_controls() {
     const text = `{'descr': '<f8', 'fortran_order': False, 'shape': (${this.controls.length}, 6), }`;

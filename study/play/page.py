@@ -8,10 +8,12 @@ import base64
 import gzip
 import json
 import math
+from collections.abc import Callable
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
+import tomli_w
 from markupsafe import Markup
 
 from inspection.chief.points import fibonacci_sphere
@@ -30,6 +32,12 @@ from study.play.starts import starts
 
 NEEDED = {"ziglang": "a compiler", "trimesh": "which has three.js"}
 HORIZON = 500  # s, of the line ahead
+# by table, what no saved flight depends on: what an agent is shown and rewarded for, and what the page chooses
+IDLE: dict[str, Callable[[str], bool]] = {
+    "inspection": lambda key: key == "observed" or key.endswith(("_reward", "_reward_until", "_width")),
+    "rta": lambda key: key in ("period", "qp_solver"),
+    "uncertainty": lambda key: False,
+}
 
 WORDS = {  # by limit: its name for a newcomer, why it is there, what its violation is, and the unit that is shown
     "collision": ("Can stop before the chief", "braking in time", "Too fast to stop before the chief", "m/s"),
@@ -121,7 +129,8 @@ def write(config: Config, out: Path, policy: Policy | None = None) -> int:
 def document(config: Config, module: bytes, begun: list[dict[str, Any]], has_agent: bool = False) -> str:
     """The whole page."""
     packed = base64.b64encode(gzip.compress(module, 9, mtime=0)).decode("ascii")
-    data = json.dumps(task(config.inspection) | {"starts": begun}, separators=(",", ":"))
+    own = {"starts": begun, "settings": settings(config)}
+    data = json.dumps(task(config.inspection) | own, separators=(",", ":"))
     return render(
         "play/page.html.j2",
         periods=PERIODS,
@@ -130,6 +139,17 @@ def document(config: Config, module: bytes, begun: list[dict[str, Any]], has_age
         data=Markup(data.replace("<", "\\u003c")),
         three=Markup(scene.three()),
     )
+
+
+def settings(config: Config) -> str:
+    """What of a configuration a saved flight depends on, where it differs from the defaults: TOML, or nothing."""
+    usual, tables = Config(), {}
+    for table, is_idle in IDLE.items():
+        own, defaults = vars(getattr(config, table)), vars(getattr(usual, table))
+        tables[table] = {
+            key: value for key, value in own.items() if value != defaults[key] and not is_idle(key)
+        }
+    return tomli_w.dumps({table: entries for table, entries in tables.items() if entries})
 
 
 def task(c: InspectionParameters) -> dict[str, Any]:

@@ -169,6 +169,8 @@ function listen() {
     button.onpointerup = button.onpointercancel = button.onpointerleave = () => press(button.dataset.key, false);
     button.oncontextmenu = event => event.preventDefault();
   }
+  $("save-settings").hidden = !task.settings;
+  $("save-settings").onclick = () => save("flight.toml", task.settings);
   $("save-state").onclick = () => save("flight.json", play.flight.saved_state());
   $("save-controls").onclick = () => save("flight.npy", play.flight.saved_controls());
 }
@@ -255,8 +257,7 @@ function show() {
     item.textContent = `${clock(flight.broken[name])} ${text}`;
     return item;
   }));
-  $("command").textContent = `python main.py simulate --no-rta --controller recorded --actions flight.npy --initial-state flight.json `
-    + `--step 1 --duration ${Math.max(1, flight.time)} --out flight.npz && python main.py replay flight.npz --out flight.html`;
+  $("command").textContent = flight.command_again();
 }
 
 // the clock

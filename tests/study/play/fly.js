@@ -45,7 +45,7 @@ function flown(wasm, { start, seconds, seed = 0, calls = false, toggle = 0, ...c
   return {
     ...found, time: flight.time, outcome: flight.outcome, broken: flight.broken, score: flight.score[0], deltaV: flight.deltaV,
     end: Array.from(flight.state), inspected: Array.from(flight.inspected), ahead: Array.from(flight.ahead),
-    statuses: flight.calls, saved_state: flight.saved_state(), saved_controls: Buffer.from(flight.saved_controls()).toString("base64"),
+    statuses: flight.calls, command: flight.command_again(), saved_state: flight.saved_state(), saved_controls: Buffer.from(flight.saved_controls()).toString("base64"),
   };
 }
 

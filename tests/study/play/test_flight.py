@@ -32,13 +32,13 @@ PILOTS = ("keys", "random", "outward", "adversary")
 SECONDS = 600  # of each flight of a promise
 
 
-def fly(*flights: dict[str, Any]) -> list[dict[str, Any]]:
-    """What `fly.js` says of flights."""
+def fly(*flights: dict[str, Any], page: Path = PAGE) -> list[dict[str, Any]]:
+    """What `fly.js` says of flights of a page."""
     node = shutil.which("node")
     if node is None:
         pytest.skip("there is no Node here")
     done = subprocess.run(
-        [node, str(Path(__file__).with_name("fly.js")), str(PAGE)],
+        [node, str(Path(__file__).with_name("fly.js")), str(page)],
         input=json.dumps(flights),
         capture_output=True,
         text=True,

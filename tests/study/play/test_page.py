@@ -1,7 +1,9 @@
 """The page of `play`: what is in it, what it asks a network for, and that the shipped one is of this code."""
 
+import base64
 import json
 import re
+from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -11,13 +13,14 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from rta.constraints.names import CONSTRAINTS
-from study.config import Config
+from study.config import Config, from_toml, load
 from study.errors import InputError
+from study.experiment import load_policy
 from study.pages.scene import three
 from study.pages.template import STUDY
 from study.play import page, printed, wasm
 from study.play.starts import starts
-from tests.study.play.test_flight import AGENT, PAGE
+from tests.study.play.test_flight import AGENT, PAGE, fly
 from tests.study.replay.test_page import Browser, asks_nothing, chromium
 from tests.test_main import assert_refused, call
 
@@ -46,6 +49,7 @@ def test_the_shipped_page_is_of_this_code() -> None:
     config = Config()
     of_page = data(TEXT)
     begun = of_page.pop("starts")
+    assert of_page.pop("settings") == ""
     assert of_page == json.loads(json.dumps(page.task(config.inspection)))
     for given, found in zip(begun, starts(config, printed.filters(config)), strict=True):
         assert given["name"] == found["name"]
@@ -101,6 +105,44 @@ def test_a_configuration_that_it_cannot_fly_is_refused(
     (tmp_path / "own.toml").write_text(settings)
     words = ["play", "--config", str(tmp_path / "own.toml"), "--out", str(tmp_path / "page.html")]
     assert_refused(words, [said], capsys)
+
+
+def test_settings_that_are_not_the_usual_ones_are_saved_whole() -> None:
+    """Read over the defaults, they give the page's vehicle, limits and filter."""
+    agent = load_policy(str(AGENT))[1]
+    assert (
+        page.settings(Config()) == page.settings(agent.unsettled()) == ""
+    )  # rewards and observations fly nothing
+    own = load("configs/vehicles/3u.toml", load("configs/single_slack.toml"))
+    own = replace(own, uncertainty=replace(own.uncertainty, mass=0.05), rta=replace(own.rta, period=5.0))
+    saved = from_toml(page.settings(own), "saved")
+    assert saved.inspection == own.inspection and saved.uncertainty == own.uncertainty
+    assert saved.rta == replace(own.rta, period=saved.rta.period)
+    assert own.inspection != Config().inspection and own.rta != Config().rta
+
+
+def test_a_flight_of_another_vehicle_is_flown_again_by_the_command_it_prints(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Built for a 3U, which the same controls would carry elsewhere than a 6U."""
+    for name in ("ziglang", "trimesh"):
+        if find_spec(name) is None:
+            pytest.skip(f"{name} is not installed (requirements-optional.txt)")
+    out = tmp_path / "page.html"
+    assert call(["play", "--config", "configs/vehicles/3u.toml", "--out", str(out)], capsys)[0] == 0
+    (flight,) = fly({"start": "case 0", "pilot": "guide", "seconds": 300, "period": 1}, page=out)
+    (tmp_path / "flight.toml").write_text(data(out.read_text(encoding="utf-8"))["settings"])
+    (tmp_path / "flight.json").write_text(flight["saved_state"])
+    (tmp_path / "flight.npy").write_bytes(base64.b64decode(flight["saved_controls"]))
+    monkeypatch.chdir(tmp_path)
+    for command in flight["command"].split(" && "):
+        words = command.removeprefix("python main.py ").split()
+        assert call(words, capsys)[0] == 0, command
+    flown = np.load("flight.npz")
+    np.testing.assert_allclose(flown["position"][-1], flight["end"][:3], atol=1e-9)
+    np.testing.assert_allclose(flown["quaternion"][-1], flight["end"][6:10], atol=1e-9)
+    assert flown["energy"][-1] == pytest.approx(flight["end"][14], abs=1e-9)
+    assert Path("flight.html").stat().st_size > 0
 
 
 def test_a_page_is_built(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
