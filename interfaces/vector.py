@@ -30,8 +30,8 @@ class VectorInspection6DoF(VectorEnv):
 
     Args:
         num_envs: episodes at once, B.
-        config: a configuration or the path of a TOML file, of which [inspection], [chief], [plant] and [rta] count;
-            None means the defaults.
+        config: a configuration or a TOML file, by its path or the name of a shipped one, of which
+            [inspection], [chief], [plant] and [rta] count; None means the defaults.
         device: cpu, cuda or auto.
         compile: compile the simulator, at the first `reset`, and the filter if there is one, which takes seconds
             the first time.
@@ -59,7 +59,13 @@ class VectorInspection6DoF(VectorEnv):
         compile: bool = False,
         tensors: bool = False,
     ) -> None:
-        base = config if isinstance(config, Config) else configuration.load(config) if config else Config()
+        base = (
+            config
+            if isinstance(config, Config)
+            else configuration.load(configuration.find(str(config)))
+            if config
+            else Config()
+        )
         source = "Inspection6DoF-v0"
         compiled = configuration.convert(compile, bool, f"{source}: compile")
         here = {"num_envs": num_envs, "device": device, "rta": False, "compile": "on" if compiled else "off"}

@@ -1,6 +1,7 @@
 """The configuration of an experiment: frozen dataclasses, one TOML table each."""
 
 import dataclasses
+import os
 import re
 import sys
 import tomllib
@@ -23,8 +24,12 @@ from rta.bounds.uncertainty import Uncertainty
 from rta.constraints.names import CONSTRAINTS
 from rta.parameters import RtaParameters
 from setting import KINDS, Settings, setting, settings
-from study.errors import InputError, instead, refusing
+from study.errors import InputError, instead, nearest, refusing
 
+CONFIGS = (
+    Path(__file__).parents[1] / "configs"
+)  # beside the packages, in a checkout and where they are installed
+SUCH_AS = "quickstart, vehicles/12u or plants/u1"
 MAX_COUNT = 10**12
 LEARN_FROM = ("desired", "applied", "penalty")
 MAX_SEEDS = 1000  # of a study; they share the memory
@@ -245,6 +250,37 @@ def from_toml(text: str, source: str, base: Config | None = None) -> Config:
     except (tomllib.TOMLDecodeError, RecursionError) as error:
         raise InputError(f"{source}: not valid TOML: {error}") from None
     return override(base or Config(), tables, source)
+
+
+def shipped() -> dict[str, Path]:
+    """The configurations that come with this code, by name: `quickstart`, `vehicles/12u`."""
+    return {
+        path.relative_to(CONFIGS).with_suffix("").as_posix(): path for path in sorted(CONFIGS.rglob("*.toml"))
+    }
+
+
+def find(given: str) -> str:
+    """The path of a configuration: the file of that path or, where there is none, the shipped one of that name.
+
+    `vehicles/12u`, `12u` and, so that what the pages say holds in any directory, `configs/vehicles/12u.toml` are names.
+
+    Raises:
+        InputError: there is neither, or several have the name.
+    """
+    if os.path.exists(given) and not os.path.isdir(given):
+        return given
+    name = given.removesuffix(".toml").removeprefix(f"{CONFIGS.name}/")
+    known = shipped()
+    found = [each for each in known if each == name or each.endswith(f"/{name}")]
+    if len(found) > 1:
+        raise InputError(f"{given}: could be any of {', '.join(found)}; give one of these")
+    if not found and not os.path.isdir(given):
+        words = dict.fromkeys((*known, *(each.rpartition("/")[2] for each in known)))
+        meant = nearest(name, words) or nearest(name.rpartition("/")[2], words) or f", such as {SUCH_AS}"
+        raise InputError(
+            f"{given or 'an empty name'}: cannot read the configuration: neither a file nor a shipped one{meant}"
+        )
+    return str(known[found[0]]) if found else given
 
 
 @overload

@@ -9,6 +9,7 @@ import tomllib
 from itertools import chain
 from pathlib import Path
 
+import numpy as np
 from packaging.requirements import Requirement
 
 import main
@@ -91,7 +92,17 @@ def test_a_wheel_works_from_an_empty_directory(tmp_path: Path) -> None:
     } == {
         path.name for path in (ROOT / "study").rglob("*.*") if path.suffix in (".j2", ".css", ".js", ".txt")
     }
+    settings = {path.relative_to(ROOT) for path in (ROOT / "configs").rglob("*.*") if path.suffix != ".py"}
+    assert all(
+        (installed / path).read_bytes() == (ROOT / path).read_bytes()
+        for path in settings
+        if path.suffix != ".pyc"
+    )
     own = home / "bin" / "rta-inspection"
+    flight = tmp_path / "flight.npz"
+    named = ("--config", "chiefs/satellite", "--config", "3u", "--out", flight)  # a mesh, and a vehicle
+    command(own, "simulate", "--controller", "zero", "--no-rta", "--duration", "2", *named, cwd=empty)
+    assert "mass = 4.0" in str(np.load(flight)["parameters"]) and np.load(flight)["chief_triangles"].size
     version = PROJECT["project"]["version"]
     assert command(own, "--version", cwd=empty) == f"rta-inspection {version}\n"
     helped = command(own, cwd=empty)
@@ -109,6 +120,7 @@ def modules() -> list[Path]:
 def test_every_package_is_listed() -> None:
     top = {package.split(".")[0] for package in PACKAGES}
     found = {path.parent.relative_to(ROOT) for name in top for path in (ROOT / name).rglob("*.py")}
+    found |= {path.parent.relative_to(ROOT) for path in (ROOT / "configs").rglob("*.toml")}
     assert {".".join(path.parts) for path in found} == set(PACKAGES)
 
 

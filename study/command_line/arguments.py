@@ -128,7 +128,7 @@ class Configure:
 
     @property
     def files(self) -> list[str]:
-        return getattr(self.arguments, "config", [])
+        return [configuration.find(each) for each in getattr(self.arguments, "config", [])]
 
     @property
     def words(self) -> list[str]:
@@ -169,7 +169,7 @@ def resolve(arguments: argparse.Namespace, base: AnyConfig) -> AnyConfig:
     """The base configuration under each --config under the flags."""
     values = {name: value for name, value in vars(arguments).items() if name in SETTINGS}
     for file in values.pop("config", []):
-        base = configuration.load(file, base)
+        base = configuration.load(configuration.find(file), base)
     tables: dict[str, dict[str, Any]] = {}
     for name, value in values.items():
         table, key = name.split(".")

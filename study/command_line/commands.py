@@ -28,7 +28,8 @@ from study.config import EVALUATED
 DEVICE = Flag("--device", sets="train.device")
 CONFIG = read(
     "--config",
-    "TOML file with settings, under the flags; of several, each over the one before",
+    "TOML file with settings, or the name of a shipped one (12u, plants/u1), under the flags; of several, each over "
+    "the one before",
     metavar="FILE",
     action="append",
 )

@@ -35,6 +35,57 @@ def test_a_byte_order_mark_is_read_over(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
+    "name", ["vehicles/12u", "12u", "12u.toml", "configs/vehicles/12u.toml", "vehicles/12u.toml"]
+)
+def test_a_shipped_configuration_is_found_by_name_in_any_directory(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert Path(configuration.find(name)).samefile(CONFIGS / "vehicles" / "12u.toml")
+    (tmp_path / "12u").mkdir()  # a directory is no configuration
+    assert Path(configuration.find(name)).samefile(CONFIGS / "vehicles" / "12u.toml")
+    own = tmp_path / name
+    if own.is_dir():
+        return
+    own.parent.mkdir(parents=True, exist_ok=True)
+    own.write_text("[inspection]\nmass = 3.0\n")
+    assert configuration.load(configuration.find(name)).inspection.mass == 3.0  # a file comes first
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("12", ["12u"]),
+        ("vehicle/12u", ["did you mean", "vehicles/12u"]),
+        ("quikstart", ["did you mean quickstart"]),
+        ("nothing-like-it", ["such as quickstart, vehicles/12u or plants/u1"]),
+        ("", ["such as"]),
+        ("a\0b", ["neither"]),
+        ("/somewhere/else/paper.toml", ["did you mean paper"]),
+        ("x" * 5000, ["neither"]),
+        ("../configs/vehicles/12u", ["did you mean"]),
+    ],
+)
+def test_an_unknown_name_says_what_may_have_been_meant(
+    name: str, words: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(InputError) as refused:
+        configuration.find(name)
+    assert all(word in str(refused.value) for word in words), refused.value
+
+
+def test_a_name_of_several_configurations_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for folder in ("vehicles", "plants"):
+        (tmp_path / "configs" / folder).mkdir(parents=True)
+        (tmp_path / "configs" / folder / "heavy.toml").write_text("")
+    monkeypatch.setattr(configuration, "CONFIGS", tmp_path / "configs")
+    with pytest.raises(InputError, match=r"^heavy: could be any of plants/heavy, vehicles/heavy; give one"):
+        configuration.find("heavy")
+    assert configuration.find("plants/heavy") == str(tmp_path / "configs" / "plants" / "heavy.toml")
+
+
+@pytest.mark.parametrize(
     ("text", "words"),
     [
         ("[train]\nseeds = 1", ["[train]", "'seeds'", "seed"]),
