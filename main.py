@@ -16,7 +16,10 @@ def interrupted(*_: object) -> None:
     os._exit(130)
 
 
-if __name__ == "__main__":
+IS_PROGRAM = __name__ == "__main__" or os.path.basename(sys.argv[0]).startswith(
+    "rta-inspection"
+)  # and no library
+if IS_PROGRAM:
     signal.signal(signal.SIGINT, interrupted)
 
 from contextlib import redirect_stderr, redirect_stdout
@@ -432,6 +435,11 @@ def complain(reason: str, code: int, event: str = "") -> int:
     return code
 
 
-if __name__ == "__main__":
+def program() -> None:
+    """The installed command, and this file as it is called: ends the process with the exit code."""
     signal.signal(signal.SIGINT, signal.default_int_handler)
     sys.exit(main())
+
+
+if __name__ == "__main__":
+    program()

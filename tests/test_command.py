@@ -127,3 +127,31 @@ def test_a_package_offers_what_it_lists_and_no_more() -> None:
             assert getattr(offered, "__module__", package.__name__).startswith(package.__name__)
         with pytest.raises(AttributeError, match=f"module '{package.__name__}' has no attribute 'nothing'"):
             _ = package.nothing
+
+
+@pytest.mark.parametrize(
+    "name", ["kernels.build", "study.command_line.arguments", "torch", "inspection.sight"]
+)
+def test_ctrl_c_while_the_installed_command_imports_is_one_line(name: str, tmp_path: Path) -> None:
+    """Its program as pip writes it, and before it what interrupts when a module is looked for."""
+    program = tmp_path / "rta-inspection"
+    program.write_text(
+        f"""import os, signal, sys
+class Interrupting:
+    def find_spec(self, name, path=None, target=None):
+        if name == {name!r}:
+            os.kill(os.getpid(), signal.SIGINT)
+sys.meta_path.insert(0, Interrupting())
+from main import program
+sys.exit(program())
+"""
+    )
+    words = ["simulate", "--controller", "zero", "--no-rta", "--duration", "2", "--out", "o.npz"]
+    environment = os.environ | {"PYTHONPATH": str(ROOT)}
+    done = subprocess.run(
+        [sys.executable, program, *words], cwd=tmp_path, env=environment, capture_output=True, text=True
+    )
+    assert (done.returncode, done.stderr) == (130, "interrupted\n")
+    assert not (tmp_path / "o.npz").exists()
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    assert project["scripts"] == {"rta-inspection": "main:program"}
