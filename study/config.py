@@ -276,7 +276,8 @@ def find(given: str) -> str:
         raise InputError(f"{given}: could be any of {', '.join(found)}; give one of these")
     if not found and not os.path.isdir(given):
         words = dict.fromkeys((*known, *(each.rpartition("/")[2] for each in known)))
-        meant = nearest(name, words) or nearest(name.rpartition("/")[2], words) or f", such as {SUCH_AS}"
+        near = name.lower()
+        meant = nearest(near, words) or nearest(near.rpartition("/")[2], words) or f", such as {SUCH_AS}"
         raise InputError(
             f"{given or 'an empty name'}: cannot read the configuration: neither a file nor a shipped one{meant}"
         )

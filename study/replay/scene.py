@@ -28,6 +28,7 @@ from study.pages import scene
 MAX_ROWS = 5000  # of a run in the page
 MAX_AHEAD = 400  # rows of a run from which the page knows where free flight leads
 AHEAD = 25  # places of such a flight
+LARGEST = 1e12  # of any number, whose square is finite in single precision, too
 DIGITS, PLACE_DIGITS, TIME_DIGITS = 4, 6, 8  # significant ones of the page's numbers
 FIRST, SECOND, THIRD, WANTED = "first", "second", "third", "wanted"  # colours of lines, see `replay.css`
 FLIGHT = "Flight"  # the section whose numbers stand beside the scene, too
@@ -116,8 +117,8 @@ def read(path: str, rows: int = MAX_ROWS) -> Replayed:
         )
         if array.shape != (many, *row) or array.dtype.kind != ("b" if name in flags else "f"):
             raise InputError(f"{path}: {name} is {array.dtype} {array.shape}: must be {kind} {(many, *row)}")
-        if not np.isfinite(array).all():
-            raise InputError(f"{path}: {name} must hold finite numbers only")
+        if not np.isfinite(array).all() or (array.dtype.kind == "f" and (np.abs(array) > LARGEST).any()):
+            raise InputError(f"{path}: {name} must hold finite numbers only, up to {LARGEST:g}")
     if length < 2 or not (np.diff(episode["time"]) > 0.0).all():
         raise InputError(f"{path}: time must rise over at least two rows")
     double = {name: episode[name].astype(np.float64) for name in (*COLUMNS, *of_chief)}

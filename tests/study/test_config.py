@@ -56,6 +56,7 @@ def test_a_shipped_configuration_is_found_by_name_in_any_directory(
     ("name", "words"),
     [
         ("12", ["12u"]),
+        ("12U", ["did you mean 12u"]),
         ("vehicle/12u", ["did you mean", "vehicles/12u"]),
         ("quikstart", ["did you mean quickstart"]),
         ("nothing-like-it", ["such as quickstart, vehicles/12u or plants/u1"]),

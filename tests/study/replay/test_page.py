@@ -68,6 +68,7 @@ def test_simulate_writes_what_replay_needs(tmp_path: Path, capsys: pytest.Captur
         ({"inspected": np.zeros((30, 100))}, ["inspected", "float64", "bool"]),
         ({"intervened": np.zeros((30, 6), dtype=bool)}, ["intervened", "(30, 6)", "(30, 2)"]),
         ({"energy": np.full(30, np.nan)}, ["energy", "finite"]),
+        ({"position": np.full((30, 3), 1e300)}, ["position", "up to 1e+12"]),
         ({"time": np.zeros(30)}, ["time", "rise"]),
     ],
 )
