@@ -254,13 +254,13 @@ def panels(episode: Episode, c: InspectionParameters) -> dict[str, list[Panel]]:
         [line(np.linalg.norm(episode["position"], axis=1))],
         (c.collision_radius, c.max_distance),
     )
-    of_hull = (
+    of_clearance = (
         [panel("Clearance", "m", [line(episode[HULL])], "thrust", (0.0, None))] if HULL in episode else []
     )
     return {
         FLIGHT: [
-            panel("Distance", "m", distance, "thrust", (None, c.max_distance) if of_hull else clear),
-            *of_hull,
+            panel("Distance", "m", distance, "thrust", (None, c.max_distance) if of_clearance else clear),
+            *of_clearance,
             panel("Speed", "m/s", [line(speeds(episode))], "thrust"),
             panel("Inspected weight", "", weight),
             panel("Delta v", "m/s", spent, "thrust"),
@@ -338,6 +338,10 @@ def run_data(run: Replayed, episode: Episode) -> dict[str, Any]:
 def content(runs: Sequence[Replayed]) -> dict[str, Any]:
     """Everything that `replay.js` shows."""
     episodes = [thinned(run) for run in runs]
+    if any(HULL in episode for episode in episodes):  # all have the same panels
+        for run, episode in zip(runs, episodes, strict=True):
+            of_sphere = np.linalg.norm(episode["position"], axis=1) - run.c.collision_radius
+            episode.setdefault(HULL, of_sphere)
     of_runs = [panels(episode, run.c) for run, episode in zip(runs, episodes, strict=True)]
     sections = {
         title: [

@@ -124,6 +124,26 @@ def test_a_flight_beside_a_hull_is_shown(tmp_path: Path, capsys: pytest.CaptureF
     assert ((above * run.episode["chief_normals"]).sum(1) > 0.05).all()
 
 
+def test_beside_a_run_with_a_hull_the_other_has_a_clearance_too(
+    flown: dict[str, np.ndarray], flown_files: tuple[Path, Path], tmp_path: Path
+) -> None:
+    """Of the sphere that it stays clear of, 15 m."""
+    still = {"chief_attitude": np.tile([0.0, 0.0, 0.0, 1.0], (30, 1)), "clearance": np.linspace(9.0, 1.0, 30)}
+    corners = 5.0 * np.array([[1.0, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]])
+    body = {"points": corners, "normals": corners / np.linalg.norm(corners, axis=1)[:, None]}
+    faces = corners[[[0, 1, 2], [0, 3, 1], [0, 2, 3], [1, 3, 2]]]
+    own = {f"chief_{name}": each for name, each in (body | {"triangles": faces}).items()}
+    inspected = {"inspected": flown["inspected"][:, :4]}
+    np.savez(tmp_path / "hull.npz", **(flown | still | own | inspected))
+    runs = [scene.read(str(path)) for path in (flown_files[0], tmp_path / "hull.npz")]
+    content = json.loads(json.dumps(scene.content(runs), default=scene.rounded))
+    (panel,) = [each for each in content["sections"]["Flight"] if each["runs"][0]["title"] == "Clearance"]
+    sphere, hull = (each["lines"][0]["values"] for each in panel["runs"])
+    np.testing.assert_allclose(sphere, np.linalg.norm(flown["position"], axis=1) - 15.0, rtol=1e-3)
+    np.testing.assert_allclose(hull, still["clearance"], rtol=1e-3)
+    assert content["runs"][0]["hull"] is None and len(content["runs"][1]["hull"]) == 12
+
+
 def test_panels_hold_every_constraint_and_both_controls_within_their_range(
     flown: dict[str, np.ndarray], shown: dict[str, Any]
 ) -> None:
