@@ -99,6 +99,7 @@ class SafetyFilter:
         kind: type[Now | Held] = Held if self.holds else Now
         self.condition: Condition = kind(constraints, c, own, known)
         self.groups = self.condition.groups
+        self.turn = self.condition.turn if isinstance(self.condition, Held) else None
         thrust, torque = (group.names for group in self.groups)
         self.names = in_order(thrust, torque)
         if len(set(self.names)) < len(self.names):
@@ -137,16 +138,20 @@ class SafetyFilter:
         A measurement is off by what the filter is told, and what it is taken for by as much again.
         """
         thrust, torque = self.rows(x, error_bound=self._measured_again(x))
-        certain = (thrust.psi >= 0.0).all(0) & (torque.psi >= 0.0).all(0)
+        certain = (thrust.psi >= 0.0).all(0)
+        if not self.turn:
+            certain = certain & (torque.psi >= 0.0).all(0)
         return narrowed(certain, x, self._has_control)
 
     def _has_control(self, x: Tensor) -> Tensor:
         """(B,) bool: a control satisfies every row, whatever is measured."""
         nothing = torch.zeros_like(x[:CONTROL_SIZE])
         if not any(self.known.radii):
-            return self.correct(x, nothing).status < Status.SLACK
-        demand, further = demanded(nothing, self.groups), self._measured_again(x)
-        return self.condition.propose(x, demand, self.solver, None, None, further).status < Status.SLACK
+            found = self.correct(x, nothing)
+        else:
+            demand, further = demanded(nothing, self.groups), self._measured_again(x)
+            found = self.condition.propose(x, demand, self.solver, None, None, further)
+        return (found.program_status[0] if self.turn else found.status) < Status.SLACK
 
     def _measured_again(self, x: Tensor) -> Tensor:
         """(4, B) by how far measurements of true states (16, B) are off, see `Condition.propose`."""
@@ -163,6 +168,9 @@ class SafetyFilter:
 
         Every h is non-negative and a way to rest is verified. Without a backup every row says so, and thrust can brake.
         """
+        if self.turn:
+            kept = (self.values(x) >= 0.0).all(0) & self.groups[0].keeps(x, degree=2) & self.can_brake(x)
+            return narrowed(narrowed(kept, x, self.turn.has_way), x, self.is_holdable)
         if self.backup is None:
             return self.is_in_safe_set(x) & self.can_brake(x)
         return narrowed((self.values(x) >= 0.0).all(0), x, self.backup.has_way)

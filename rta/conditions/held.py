@@ -1,6 +1,7 @@
 """The condition of a held control: the state is predicted, and rows are of what the control leads to."""
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import partial
 
 import torch
@@ -8,6 +9,8 @@ from torch import Tensor
 
 from inspection.model.parameters import Limits
 from inspection.model.state import THRUST, TORQUE
+from rta.backup.check import SLACK_ROUNDED
+from rta.backup.within_bounds import TurnBackup
 from rta.bounds.health import slewing
 from rta.bounds.uncertainty import Uncertainty
 from rta.conditions.condition import Demand, Part, differ
@@ -15,6 +18,7 @@ from rta.conditions.held_rows import KINDS, HeldGroup
 from rta.conditions.prediction import predicted
 from rta.conditions.tangents import Prepared, Settling, scaled, shortfall, with_shortfall
 from rta.constraints.constraint import ACTUATORS, Constraint, joined
+from rta.constraints.names import CONSTRAINTS
 from rta.parameters import RtaParameters
 from rta.qp.programs import Solver, Status, pick, put
 from rta.result import FilterResult
@@ -28,6 +32,7 @@ class Held:
     ) -> None:
         self.c, self.r, self.known = c, r, known
         self.groups = tuple(HeldGroup(by, constraints, c, r, known) for by in ACTUATORS)
+        self.turn = TurnBackup.of(c, r, known)
         self.use([partial(self.prepare, group) for group in self.groups])
 
     def prepare(
@@ -97,13 +102,17 @@ class Held:
                 for whole, part in zip(wholes, answer, strict=True):
                     put(whole, unsafe, part)
             status[i] = with_shortfall(status[i], slack)
+            if i == 1 and self.turn:  # before thrust, whose rows depend on what the body does
+                control, verified, backup = self.turn.committed(x, control, error_bound)
+                slack, status[i] = kept(slack, status[i], verified, backup, group)
             tightening = group.by_constraint(prepared.tightening, partial(torch.amax, dim=0))
             parts[i] = [active, slack, prepared.h, tightening, group.tightened(tightening)]
         active, slack, h, tightening, tightened = (
             joined(*both) for both in zip(parts[0], parts[1], strict=True)
         )
         status = torch.where(stale, Status.UNSOLVED, status)
-        return FilterResult.proposed(control, demand.desired, active, slack, status, h, tightening, tightened)
+        result = FilterResult.proposed(control, demand.desired, active, slack, status, h, tightening, tightened)
+        return replace(result, backup=backup) if self.turn else result
 
     def given(self, x: Tensor, demand: Demand, left: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Controls that the thrusters give, and that turn a weak axis away, what is projected, and status (2, B)."""
@@ -114,3 +123,18 @@ class Held:
         changed = differ(control, demand.control, self.groups)
         wish = torch.where(changed.repeat_interleave(3, 0), control, demand.wish)
         return control, wish, torch.where(changed, Status.HARD, demand.status)
+
+
+def kept(
+    slack: Tensor, status: Tensor, verified: Tensor, changed: Tensor, group: HeldGroup
+) -> tuple[Tensor, Tensor]:
+    """Slack (constraints, B) and statuses (B,) of torque that is checked: a limit that is kept does not yield.
+
+    Args:
+        verified, changed: (B,) bool, the torque is, and is another than was proposed.
+    """
+    own = torch.tensor([name in CONSTRAINTS for name in group.names], device=slack.device)
+    slack = slack.masked_fill(own[:, None] & verified, 0.0)
+    status = torch.where(changed, status.clamp(min=Status.HARD), status)
+    yields = (slack > SLACK_ROUNDED).any(0)
+    return slack, torch.where(verified & ~yields & (status == Status.SLACK), Status.HARD, status)

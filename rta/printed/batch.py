@@ -116,7 +116,8 @@ class BatchFilter(Columns):
             define("CONSTRAINTS", len(safety_filter.names)),
             define("LATENCY", safety_filter.known.latency),
         ]
-        many.append(define("BACKUP", int(bool(ways))))
+        many.append(define("BACKUP", int(safety_filter.backup is not None)))
+        many.append(define("TURN", int(safety_filter.turn is not None)))
         many += [define(name, *said) for name, said in limits().items()]
         many += [*(part.text for part in parts), *(batch(part) for part in shared)]
         many += [part.text for part in ways if part.name in AT_A_GLANCE]

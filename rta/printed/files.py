@@ -71,6 +71,7 @@ SECTIONS = {  # by file of the driver
     "health.c": "Turning a weak axis away in time",
     "filter_held.c": "The filter",
     "commit.c": "Whether a control keeps the limits and leaves a way to rest",
+    "turn.c": "Whether torque keeps the attitude's limits and leaves a way to rest",
 }
 
 

@@ -71,7 +71,8 @@ def driver_files(safety_filter: "SafetyFilter") -> list[str]:
     known = safety_filter.known
     optional = [("thrusters.c", known.is_coarse), ("health.c", known.health)]
     used = [name for name, is_used in optional if is_used]
-    return ["solver.c", "programs.c", "search.c", *used, *commit, "filter_held.c"]
+    turn = ["turn.c"] if safety_filter.turn else []
+    return ["solver.c", "programs.c", "search.c", *used, *commit, *turn, "filter_held.c"]
 
 
 def functions(safety_filter: "SafetyFilter") -> list[Printed]:
@@ -177,6 +178,12 @@ def constants(safety_filter: "SafetyFilter") -> str:
         kept = [int(name in CONSTRAINTS) for name in safety_filter.names]
         lines.append(table("int IS_KEPT[CONSTRAINTS]", kept, "where a way is verified"))
         lines += [f"static void {name}({given});" for name, given in way.DECLARED.items()]
+    if safety_filter.turn:
+        lines.append(define("TURN", 1, "torque is checked, see turn.c"))
+        lines += [define(name, *said) for name, said in way.trials().items()]
+        kept = [int(name in CONSTRAINTS) for name in safety_filter.names]
+        lines.append(table("int IS_KEPT[CONSTRAINTS]", kept, "where a way is verified"))
+        lines += [f"static void {name}({given});" for name, given in way.OF_TURN.items()]
     lines += [declared(name, group, holds) for name, group in zip(GROUPS, groups, strict=True)]
     if holds and safety_filter.known.latency:
         given = f"const double x[{SIZE}], const double error_bound[{KINDS}], const double u[{CONTROL_SIZE}]"

@@ -9,24 +9,28 @@ from torch import Tensor
 
 from inspection.model.state import CONTROL_SIZE, SIZE, TORQUE
 from kernels import Printed, printed
-from rta.backup import brake, slew
+from rta.backup import brake, slew, within_bounds
 from rta.backup.check import ATTITUDE, MOTION, RATES_ROUNDED, SHARES, SLACK_ROUNDED, Backup
+from rta.backup.within_bounds import TurnBackup, Turning
+from rta.conditions.held_rows import KINDS
 from rta.constraints.names import CONSTRAINTS
 
 if TYPE_CHECKING:
     from rta.filter import SafetyFilter
 
 AT = 10  # components of where a way begins, see `rta.backup.brake.beginning`
-AT_A_GLANCE = ("thrust_glance", "torque_sight", "torque_glance")  # which are computed for every spacecraft
+AT_A_GLANCE = ("thrust_glance", "torque_sight", "torque_glance", "turn_verified")  # which are computed for every spacecraft
 
 Run = Callable[..., Sequence[Tensor]]
 
 
 def checks(safety_filter: "SafetyFilter") -> list[Printed]:
     """The functions that either commit.c calls; none where the filter knows no way to rest."""
+    x, u = safety_filter.probe("cpu")
+    if safety_filter.turn:
+        return turn_checks(safety_filter.turn, x, u)
     if safety_filter.backup is None:
         return []
-    x, u = safety_filter.probe("cpu")
     at = torch.zeros(AT, 1, dtype=torch.float64)
     at[:AT] = x[:AT]
     named: list[tuple[str, Run, tuple[Tensor, ...], tuple[str, ...], tuple[str, ...]]] = [
@@ -44,6 +48,37 @@ def checks(safety_filter: "SafetyFilter") -> list[Printed]:
         printed(run, *examples, name=name, names=(given, results))
         for name, run, examples, given, results in named
     ]
+
+
+def turn_checks(turn: TurnBackup, x: Tensor, u: Tensor) -> list[Printed]:
+    """The functions that turn.c calls, of a filter that is told of bounds."""
+    bound = torch.zeros(KINDS, 1, dtype=torch.float64)
+    least = ("least",)
+    return [
+        printed(
+            partial(turn_verified, turn.turning), x, u, bound, name="turn_verified",
+            names=(("x", "control", "error_bound"), least),
+        ),
+        printed(
+            partial(turn_kept, turn.turning), x, bound, name="turn_kept", names=(("x", "error_bound"), least)
+        ),
+        printed(partial(turn_law, turn.turning), x, name="turn_law", names=(("x",), ("torque",))),
+    ]  # fmt: skip
+
+
+def turn_verified(turning: Turning, x: Tensor, u: Tensor, error_bound: Tensor) -> list[Tensor]:
+    """`within_bounds.verified`."""
+    return [within_bounds.verified(x, u, error_bound, turning)[None]]
+
+
+def turn_kept(turning: Turning, x: Tensor, error_bound: Tensor) -> list[Tensor]:
+    """`within_bounds.may_be_kept`."""
+    return [within_bounds.may_be_kept(x, error_bound, turning)[None]]
+
+
+def turn_law(turning: Turning, x: Tensor) -> list[Tensor]:
+    """`within_bounds.turn`."""
+    return [within_bounds.turn(x, turning)]
 
 
 def thrust_glance(backup: Backup, x: Tensor, u: Tensor) -> list[Tensor]:
@@ -104,25 +139,36 @@ DECLARED = {
     "brake_law": f"{GIVEN}, double thrust[3]",
     "slew_law": f"const double x[{SIZE}], double torque[3]",
 }
+OF_TURN = {
+    "turn_verified": f"{GIVEN}, const double error_bound[{KINDS}], double least[1]",
+    "turn_kept": f"const double x[{SIZE}], const double error_bound[{KINDS}], double least[1]",
+    "turn_law": f"const double x[{SIZE}], double torque[3]",
+}
 
 
 def of_one(parts: Sequence[Printed]) -> list[Printed]:
     """Those of `checks` that are called for one spacecraft; the others are a batch's."""
-    return [part for part in parts if part.name in DECLARED]
+    return [part for part in parts if part.name in DECLARED or part.name in OF_TURN]
 
 
 def constants(backup: Backup) -> dict[str, tuple[int | float | str, str]]:
     """What commit.c depends on: by name the value and what it is."""
-    shares = ", ".join(f"{share:g}" for share in (*SHARES, 1.0))
     own: dict[str, tuple[int | float | str, str]] = {
         "LOOKS": (backup.braking.steps, "at a hold"),
         "BRAKING_HOLDS": (backup.braking.holds, "after which a spacecraft that brakes must be at rest"),
         "AT_REST": (brake.AT_REST, "m/s"),
+    }
+    return own | trials() | limits()
+
+
+def trials() -> dict[str, tuple[int | float | str, str]]:
+    """What is tried in the place of a control, as `constants`."""
+    shares = ", ".join(f"{share:g}" for share in (*SHARES, 1.0))
+    return {
         "SLACK_ROUNDED": (SLACK_ROUNDED, "in the unit of slack, up to which it is a solver's rounding"),
         "SHARE_COUNT": (len(SHARES) + 1, ""),
         "SHARES": ("{" + shares + "}", "of the way from what is proposed to the backup law's control"),
     }
-    return own | limits()
 
 
 def limits() -> dict[str, tuple[int | float | str, str]]:

@@ -157,6 +157,11 @@ void safety_filter(const struct safety_filter_input *in, struct safety_filter_ou
     for (int group = TORQUE; group >= THRUST; --group) {
         where.group = group;
         filter_group(&where, wish, control, out);
+#ifdef TURN
+        if (group == TORQUE) { /* before thrust, whose rows depend on what the body does */
+            commit_turn(where.x, where.error_bound, control, out);
+        }
+#endif
     }
     if (is_stale != 0) {
         out->program_status[THRUST] = UNSOLVED;

@@ -20,6 +20,30 @@ static void bring_up_to_date(const void *sent, long step, long column, long lane
 #endif
 }
 
+/* Lanes whose torque is not seen to keep the attitude's limits and to leave a way to rest, or in which a limit of the
+ * user's own yields; elsewhere what the rows of torque lacked was the rows' alone. */
+static M check_turn(const V x[16], const V error_bound[4], struct block *block)
+{
+#if TURN
+    V least[1];
+    turn_verified(x, block->numbers, error_bound, least);
+    M found = ~(least[0] >= 0.0);
+    for (int k = KEPT_LIMITS; k < CONSTRAINTS; ++k) {
+        found |= block->numbers[6 + k] > 0.0;
+    }
+    for (int k = MOTION_LIMITS; k < KEPT_LIMITS; ++k) {
+        block->numbers[6 + k] = SELECT(found, block->numbers[6 + k], ALL(0.0));
+    }
+    block->program_status[1] = SELECT(found, block->program_status[1], MIN(block->program_status[1], ALL(1.0)));
+    return found;
+#else
+    (void)x;
+    (void)error_bound;
+    (void)block;
+    return NO;
+#endif
+}
+
 long filter_batch(long first, long last, const void *const *in, const long *in_step, void *const *out,
                   const long *out_step)
 {
@@ -41,8 +65,9 @@ long filter_batch(long first, long last, const void *const *in, const long *in_s
         begin(desired, left, wish, block.numbers, block.program_status, block.open);
         bring_up_to_date(in[2], in_step[2], column, lanes, left, x, error_bound);
         torque_correct(x, error_bound, left, wish, block.numbers, &block);
+        const M unturned = check_turn(x, error_bound, &block);
         thrust_correct(x, error_bound, left, wish, block.numbers, &block);
-        const M unseen = unsure(x, block.numbers);
+        const M unseen = unsure(x, block.numbers) | unturned;
         nothing_yields(unseen, block.program_status, &block.numbers[6]);
         for (int k = 0; k < 6 + 4 * CONSTRAINTS; ++k) {
             store_double(out[NUMBERS], k * out_step[NUMBERS] + column, lanes, block.numbers[k]);
