@@ -10,7 +10,7 @@ from torch import Tensor
 from inspection.model.parameters import Limits
 from inspection.model.state import THRUST, TORQUE
 from rta.backup.check import SLACK_ROUNDED
-from rta.backup.within_bounds import TurnBackup
+from rta.backup.turn import TurnBackup
 from rta.bounds.health import slewing
 from rta.bounds.uncertainty import Uncertainty
 from rta.conditions.condition import Demand, Part, differ
@@ -111,7 +111,9 @@ class Held:
             joined(*both) for both in zip(parts[0], parts[1], strict=True)
         )
         status = torch.where(stale, Status.UNSOLVED, status)
-        result = FilterResult.proposed(control, demand.desired, active, slack, status, h, tightening, tightened)
+        result = FilterResult.proposed(
+            control, demand.desired, active, slack, status, h, tightening, tightened
+        )
         return replace(result, backup=backup) if self.turn else result
 
     def given(self, x: Tensor, demand: Demand, left: Tensor) -> tuple[Tensor, Tensor, Tensor]:

@@ -9,9 +9,10 @@ from torch import Tensor
 
 from inspection.model.state import CONTROL_SIZE, SIZE, TORQUE
 from kernels import Printed, printed
-from rta.backup import brake, slew, within_bounds
+from rta.backup import brake, slew, turn
 from rta.backup.check import ATTITUDE, MOTION, RATES_ROUNDED, SHARES, SLACK_ROUNDED, Backup
-from rta.backup.within_bounds import TurnBackup, Turning
+from rta.backup.turn import TurnBackup
+from rta.backup.turning import Turning
 from rta.conditions.held_rows import KINDS
 from rta.constraints.names import CONSTRAINTS
 
@@ -19,7 +20,12 @@ if TYPE_CHECKING:
     from rta.filter import SafetyFilter
 
 AT = 10  # components of where a way begins, see `rta.backup.brake.beginning`
-AT_A_GLANCE = ("thrust_glance", "torque_sight", "torque_glance", "turn_verified")  # which are computed for every spacecraft
+AT_A_GLANCE = (
+    "thrust_glance",
+    "torque_sight",
+    "torque_glance",
+    "turn_verified",
+)  # which are computed for every spacecraft
 
 Run = Callable[..., Sequence[Tensor]]
 
@@ -50,35 +56,35 @@ def checks(safety_filter: "SafetyFilter") -> list[Printed]:
     ]
 
 
-def turn_checks(turn: TurnBackup, x: Tensor, u: Tensor) -> list[Printed]:
+def turn_checks(backup: TurnBackup, x: Tensor, u: Tensor) -> list[Printed]:
     """The functions that turn.c calls, of a filter that is told of bounds."""
     bound = torch.zeros(KINDS, 1, dtype=torch.float64)
     least = ("least",)
     return [
         printed(
-            partial(turn_verified, turn.turning), x, u, bound, name="turn_verified",
+            partial(turn_verified, backup.turning), x, u, bound, name="turn_verified",
             names=(("x", "control", "error_bound"), least),
         ),
         printed(
-            partial(turn_kept, turn.turning), x, bound, name="turn_kept", names=(("x", "error_bound"), least)
+            partial(turn_kept, backup.turning), x, bound, name="turn_kept", names=(("x", "error_bound"), least)
         ),
-        printed(partial(turn_law, turn.turning), x, name="turn_law", names=(("x",), ("torque",))),
+        printed(partial(turn_law, backup.turning), x, name="turn_law", names=(("x",), ("torque",))),
     ]  # fmt: skip
 
 
 def turn_verified(turning: Turning, x: Tensor, u: Tensor, error_bound: Tensor) -> list[Tensor]:
-    """`within_bounds.verified`."""
-    return [within_bounds.verified(x, u, error_bound, turning)[None]]
+    """`turn.verified`."""
+    return [turn.verified(x, u, error_bound, turning)[None]]
 
 
 def turn_kept(turning: Turning, x: Tensor, error_bound: Tensor) -> list[Tensor]:
-    """`within_bounds.may_be_kept`."""
-    return [within_bounds.may_be_kept(x, error_bound, turning)[None]]
+    """`turn.may_be_kept`."""
+    return [turn.may_be_kept(x, error_bound, turning)[None]]
 
 
 def turn_law(turning: Turning, x: Tensor) -> list[Tensor]:
-    """`within_bounds.turn`."""
-    return [within_bounds.turn(x, turning)]
+    """`turn.law`."""
+    return [turn.law(x, turning)]
 
 
 def thrust_glance(backup: Backup, x: Tensor, u: Tensor) -> list[Tensor]:

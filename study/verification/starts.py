@@ -68,7 +68,11 @@ def safe_set(count: int, seed: int, safety_filter: SafetyFilter) -> tuple[Tensor
     kept, rejected = torch.zeros(SIZE + 3, 0, dtype=torch.float64), 0
     for _ in range(HYPERCUBES):
         x, priority = states_of(torch.from_numpy(sampler.random(4 * count).T.copy()), c)
-        safe = safety_filter.is_safe(x) if safety_filter.backup or safety_filter.turn else safety_filter.is_in_safe_set(x)
+        safe = (
+            safety_filter.is_safe(x)
+            if safety_filter.backup or safety_filter.turn
+            else safety_filter.is_in_safe_set(x)
+        )
         missing = count - kept.shape[1]
         taken = torch.nonzero(safe).flatten()[:missing]
         seen = int(taken[-1]) + 1 if taken.numel() == missing else safe.numel()

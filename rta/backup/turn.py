@@ -1,0 +1,372 @@
+"""The way to rest of torque where the world differs from the model within bounds that are told.
+
+The law is that of `rta.backup.slew` in a form that errors do not lead astray: Lipschitz in the attitude, with one place
+of rest, slow enough to be followed. With d the panels' axis, s the direction to the Sun and w the body's rate relative
+to the Sun it asks for
+
+    w* = kappa proj(d x s) + roll d,    torque = J (w* - w) / tau less the gyroscopic one,    tau = G times the hold,
+
+proj shortening what is longer than W / kappa, G the largest gain. At rest the panels face the Sun and the cooled axis e
+is along Hill's z. In a hold the error z = w - w* shrinks by the share g t / tau, between 0 and 1 whenever the hold
+ends, so a missed call does not overshoot. What is left is bounded per axis, call by call (`followed`); its sums are all
+that the limits' bounds need (`way`). Derivation, and what is not proven: docs/reference/proof.md.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from inspection.model.attitude import dot, norm, rotation_matrix
+from inspection.model.dynamics import euler, step, sun_and_earth_in_body, temperature_rate
+from inspection.model.parameters import Limits
+from inspection.model.state import OMEGA, SIZE, TORQUE, E, Q, T
+from rta.backup import slew
+from rta.backup.check import LOOK, nearest
+from rta.backup.chords import lowest
+from rta.backup.slew import across, incidence, upright, vector
+from rta.backup.turning import BEGINS, FULL, LOOKAHEAD, ROOT2, ROOT3, NoRestError, Turning, heating
+from rta.bounds.uncertainty import Uncertainty
+from rta.parameters import RtaParameters
+from rta.qp.programs import pick, put
+
+
+@dataclass(frozen=True)
+class Spread:
+    """How far true states may be from others (16, ...) at a call.
+
+    Attributes:
+        angle: (...) rad, in any direction; rate: (...) rad/s, of each axis.
+        temperature, energy: (...) deg C, kJ.
+        command: (...) rad/s^2, of each axis, of what acted since the state was measured that is answered at the call.
+    """
+
+    angle: Tensor
+    rate: Tensor
+    temperature: Tensor
+    energy: Tensor
+    command: Tensor
+
+
+class Start(NamedTuple):
+    """Where a way begins; all at most, but for the last two.
+
+    Attributes:
+        delta: (...) rad, of the panels from the Sun; z: (2, ...) rad/s, by which the rates across d are not the law's.
+        rolling: (...) rad/s, of the rate about d; command: (...) rad/s^2, see `Spread`; hot: (...) deg C.
+        near, energy: (...) rad, delta, and kJ, at least.
+    """
+
+    delta: Tensor
+    z: Tensor
+    rolling: Tensor
+    command: Tensor
+    hot: Tensor
+    near: Tensor
+    energy: Tensor
+
+    @classmethod
+    def any_of(cls, starts: Sequence["Start"]) -> "Start":
+        """Bounds of several."""
+        *most, near, energy = zip(*starts, strict=True)
+        least = (-maximum([-each for each in parts]) for parts in (near, energy))
+        return cls(*(maximum(list(parts)) for parts in most), *least)
+
+
+def maximum(parts: list[Tensor]) -> Tensor:
+    """The largest of several tensors, element by element."""
+    most, *others = parts
+    for part in others:
+        most = torch.maximum(most, part)
+    return most
+
+
+def wanted(x: Tensor, w: Turning) -> Tensor:
+    """The law: omega (3, ...) in rad/s, relative to Hill's frame, for states (16, ...)."""
+    d, e = vector(w.c.solar_panel_axis, x), vector(w.c.thermal_axis, x)
+    s, _ = sun_and_earth_in_body(x)
+    axis, cosine = across(d, s), dot(d, s)
+    begins, full = math.cos(BEGINS), math.cos(FULL)
+    off = (w.kappa_roll * dot(d, across(e, upright(x, d, s)))).clamp(-w.roll, w.roll)
+    roll = off * ((cosine - begins) / (full - begins)).clamp(0.0, 1.0)
+    pointing = (w.rate / norm(axis).clamp(min=1e-12)).clamp(max=w.kappa)
+    return pointing * axis + roll * d - w.c.mean_motion * rotation_matrix(x[Q])[2]
+
+
+def law(x: Tensor, w: Turning) -> Tensor:
+    """The law as torque (3, B) in N m at states (16, B), as they are measured."""
+    inertia = x.new_tensor(w.c.inertia)[:, None]
+    faster = (wanted(x, w) - x[OMEGA]) / w.tau - torch.stack(euler(x[OMEGA], w.c.inertia))
+    return (inertia * faster).clamp(-w.c.max_torque, w.c.max_torque)
+
+
+def followed(start: Start, w: Turning) -> tuple[list[Tensor], list[Tensor], Tensor]:
+    """Bounds of the error of the law's rates, call by call, whichever calls are missed.
+
+    In a hold from a call at which an error is z_i it is at most |1 - b| |z_i| + b e + F t with b between g t / tau and
+    G t / tau: e is what is measured amiss, F what the model does not know and how the law's rates change.
+
+    Returns:
+        For each period from the call on, |z| (...) at most; delta at least before and after each; at the end, |z| of an
+        axis at most.
+    """
+    steps = math.ceil(LOOKAHEAD / (w.slowest * w.period))
+    limit, long = w.c.max_rate + w.unknown, w.holds * w.period
+    none = torch.full_like(start.rolling, -math.inf)
+    errors = [start.z, *[torch.stack((none, none))] * (steps + w.holds)]
+    rolls = [start.rolling, *[none] * (steps + w.holds)]
+    most = max(w.spin) * limit**2 + w.unknown * ROOT3 * limit
+    commands = [start.command], [start.command]  # across d, and about it
+    unknowns = [torch.full_like(none, most)], [torch.full_like(none, most)]
+    sums: list[Tensor] = []
+    least, slower = [start.near], math.asin(w.rate / w.kappa)
+    for i in range(steps):
+        z, rolling = errors[i], rolls[i]
+        # at the earliest in the hold; the law's rate changes its direction, then its size, and then the body rolls
+        nearest_to = least[i] - ROOT2 * long * limit
+        is_far = nearest_to > slower
+        turned_by = torch.where(is_far, w.rate * w.steepest, w.kappa)
+        slowing = torch.where(is_far, 0.0, w.kappa * w.rate)
+        roll = torch.where(nearest_to > BEGINS + w.angle, 0.0, w.roll)
+        calls = round(w.lag / w.period)
+        first = max(i - calls - w.holds + 1, 0 if i >= calls else -1) if calls else i - 1
+        ago = slice(first + 1, i + 1) if calls else slice(0, 1)
+
+        def amiss(commands: list[Tensor], unknowns: list[Tensor], ago: slice = ago) -> tuple[Tensor, Tensor]:
+            """rad/s and rad, what is measured of one axis is off by at most."""
+            off = w.share * maximum(commands[ago]) + maximum(unknowns[ago])
+            angle = w.attitude + w.lag * w.noise + off * (w.lag**2 / 2)
+            return w.noise + w.unknown * ROOT2 * angle + w.lag * off, angle
+
+        (e, angle), (e_d, angle_d) = amiss(commands[0], unknowns[0]), amiss(commands[1], unknowns[1])
+        e = e + w.kappa * torch.maximum(angle, angle_d) * ROOT3
+        high = torch.maximum(z, e)
+        fast = torch.maximum(rolling, roll + e_d) + most * long
+        at_most = norm(high)
+        share = w.spin[1] * fast + w.unknown + turned_by  # of what z adds to its own change
+        change = w.spin[1] * fast * w.rate + w.unknown * (fast + w.rate + w.unknown)
+        change = change + w.rate * fast + slowing + share * at_most
+        change = change / (1.0 - ROOT2 * long * share).clamp(min=1e-3)
+        turned = w.rate + at_most + ROOT2 * long * change
+        along = w.spin[0] * turned**2 / 2 + w.unknown * (fast + turned + w.unknown)
+        commands[0].append((high.amax(0) + e) / w.tau + w.look.gyroscopic)
+        commands[1].append((rolling + roll + e_d) / w.tau + w.look.gyroscopic)
+        unknowns[0].append(w.spin[1] * fast * turned + w.unknown * (fast + turned + w.unknown))
+        unknowns[1].append(along)
+        for j in range(1, w.holds + 1):
+            t = j * w.period
+            less, more = w.slowest * t, w.fastest * t
+            ends = [abs(1.0 - b) * z + b * e + change * t for b in (less, more)]
+            turns = [abs(1.0 - b) * rolling + b * (roll + e_d) + along * t for b in (less, more)]
+            errors[i + j] = torch.maximum(errors[i + j], torch.maximum(*ends))
+            rolls[i + j] = torch.maximum(rolls[i + j], torch.maximum(*turns))
+        sums.append(norm(torch.maximum(z, errors[i + 1])))
+        least.append(least[i] - (w.rate + sums[i]) * w.period)
+    return sums, least, maximum(errors[steps : steps + w.holds]).amax(0)
+
+
+def way(x: Tensor, off: Spread, w: Turning) -> Tensor:
+    """A lower bound of the least of the attitude's limits on the way to rest from states (16, B), at a call: (B,)."""
+    return from_here(beginning(x, off, w), w)
+
+
+def beginning(x: Tensor, off: Spread, w: Turning) -> Start:
+    """What the way from states (16, B) depends on."""
+    d = vector(w.c.solar_panel_axis, x)
+    s, _ = sun_and_earth_in_body(x)
+    delta = dot(d, s).clamp(-1.0, 1.0).arccos()
+    further = off.rate + (w.kappa + w.unknown) * off.angle
+    z = (wanted(x, w) - x[OMEGA])[1:].abs() + further  # d is along the first axis
+    rolling = (
+        (x[OMEGA.start] + w.unknown * rotation_matrix(x[Q])[2, 0]).abs() + off.rate + w.unknown * off.angle
+    )
+    hot, energy = x[T] + off.temperature, x[E] - off.energy
+    return Start(delta + off.angle, z, rolling, off.command, hot, delta - off.angle, energy)
+
+
+def from_here(start: Start, w: Turning) -> Tensor:
+    """`way` from what it depends on."""
+    c, t, delta = w.c, w.period, start.delta
+    sums, least, last = followed(start, w)
+    gone, farthest = torch.zeros_like(delta), torch.zeros_like(delta)
+    late, late_near = torch.zeros_like(delta), torch.zeros_like(delta)
+    returns = torch.zeros_like(delta, dtype=torch.bool)
+    turned = w.lowest_at(w.slow)
+    for each, at_least in zip(sums, least[1:], strict=True):
+        gone = gone + (each - w.rate) * t
+        farthest = torch.maximum(farthest, gone)
+        late = late + (each - (w.rate - w.slow)).clamp(min=0.0) * t
+        late_near = late_near + (each - (w.rate - w.slow_near)).clamp(min=0.0) * t
+        returns = returns | ((each > w.rate) & (at_least < turned))
+    tail = 2.0 * ROOT2 / w.slowest
+    late = late + tail * (last - w.turning.across).clamp(min=0.0)
+    late_near = late_near + tail * (last - w.near.across).clamp(min=0.0)
+    returns = returns | (ROOT2 * last > w.rate)
+    slower = math.asin(w.rate / w.kappa)
+    begin = torch.where(returns, delta.clamp(min=slower) + late_near, delta.clamp(min=BEGINS) + late)
+    slow = torch.where(returns, w.slow_near, w.slow)
+    exclusion = math.pi - delta - farthest - c.field_of_view / 2 - c.exclusion_buffer
+
+    draw, right = c.power_draw / 1000.0, math.pi / 2
+    charging = w.look.charging
+    lowest_at = torch.where(returns, w.lowest_at(w.slow_near), turned)
+
+    def spent(first: Tensor, end: Tensor) -> Tensor:
+        """kJ while delta falls from a first to a last angle."""
+        first = torch.maximum(first, end)
+        light = first.clamp(max=right).sin() - end.clamp(max=right).sin()
+        return (draw * (first - end) - charging * light.clamp(min=0.0)) / slow
+
+    battery = (
+        start.energy
+        - c.min_energy
+        - spent(begin, lowest_at)
+        - c.energy_sun_slope * torch.minimum(begin, lowest_at)
+    )
+
+    hot, begin = start.hot, begin.clamp(min=slower)
+    light = (begin - right).clamp(min=0.0) + (math.cos(slower) - begin.clamp(max=right).cos()).clamp(min=0.0)
+    none = torch.zeros_like(hot)
+    sun, earth, _ = heating(c)
+    net = (temperature_rate(none, none, hot, c) + earth).clamp(min=0.0)
+    gain = sun * (light / slow + w.lit) + net * ((begin - slower) / slow + w.facing) + earth * w.rolling
+    warm = (c.temperature_sun_slope + c.temperature_earth_slope) * right
+    temperature = c.max_temperature - hot.clamp(min=w.warmest) - gain - warm
+    return lowest(torch.stack((exclusion, temperature, battery)))
+
+
+def held(x: Tensor, u: Tensor, error_bound: Tensor, w: Turning) -> tuple[Tensor, Start]:
+    """A hold of controls (6, B), however long, at states (16, B) as they are predicted.
+
+    Args:
+        error_bound: (4, B) by how far the states are off beyond their measurement, see `Condition.propose`.
+
+    Returns:
+        The least of the attitude's limits (B,), and where the way begins at the next call, whenever that is.
+    """
+    c, looks = w.c, math.ceil(w.period / LOOK)
+    t = w.period / looks
+    angle, rate = off(error_bound, w)
+    command = (u[TORQUE].abs() / x.new_tensor(c.inertia)[:, None]).amax(0)
+    faster = w.share * command + w.worst
+    slopes = c.temperature_sun_slope + c.temperature_earth_slope
+    parts, ends, y = [room(x, angle, rate, w)], [], x
+    for i in range(1, w.holds * looks + 1):
+        z, seconds = step(y, u, t, w.look.c), i * t
+        least = slew.between(y, z, t, w.look)
+        later = rate + faster * seconds
+        wider = angle + ROOT3 * (rate * seconds + faster * seconds**2 / 2)
+        astray = wider * (w.lag + seconds)
+        parts += [
+            least[0] - wider,
+            least[1] - slopes * wider - w.look.heating * astray,
+            least[2] - c.energy_sun_slope * wider - w.look.charging * astray,
+            room(z, wider, later, w) - w.look.gyroscopic * t / 8,
+        ]
+        if i % looks == 0:
+            spread = Spread(wider, later, w.look.heating * astray, w.look.charging * astray, command)
+            ends.append(beginning(z, spread, w))
+        y = z
+    return lowest(torch.stack(parts)), Start.any_of(ends)
+
+
+def off(error_bound: Tensor, w: Turning) -> tuple[Tensor, Tensor]:
+    """By how far an attitude is off, in rad, and a rate of each axis, in rad/s: (B,) each; as `held`."""
+    angle = math.sqrt(3.0) * w.attitude + error_bound[2]
+    return angle, w.noise + error_bound[3] + w.unknown * angle
+
+
+def room(x: Tensor, angle: Tensor, rate: Tensor, w: Turning) -> Tensor:
+    """rad/s, that rates of states (16, B) are within their limits at least, off by so much."""
+    omega = x[OMEGA].abs().amax(0)
+    if w.offset:
+        gyro = (x[OMEGA] + w.offset * rotation_matrix(x[Q])[2]).abs().amax(0)
+        omega = gyro + w.offset * angle
+    return w.c.max_rate - omega - rate
+
+
+def within(x: Tensor, angle: Tensor, rate: Tensor, astray: Tensor, w: Turning) -> list[Tensor]:
+    """By how much exclusion, temperature, battery and rates of states (16, B) are kept at most.
+
+    Each where the states may be off by so many rad and rad/s, and heat and charge by what light that is off does in
+    `astray` rad s.
+    """
+    c = w.c
+    sun, earth = sun_and_earth_in_body(x)
+    lit, facing = ((math.pi / 2 - incidence(c.thermal_axis, r)).clamp(min=0.0) for r in (sun, earth))
+    warm = c.temperature_sun_slope * lit + c.temperature_earth_slope * facing
+    slopes = c.temperature_sun_slope + c.temperature_earth_slope
+    return [
+        incidence("+x", sun) - c.field_of_view / 2 - c.exclusion_buffer + angle,
+        c.max_temperature - x[T] - warm + slopes * angle + w.look.heating * astray,
+        x[E]
+        - c.min_energy
+        - c.energy_sun_slope * (incidence(c.solar_panel_axis, sun) - angle)
+        + w.look.charging * astray,
+        room(x, -angle, -rate, w),
+    ]
+
+
+def may_be_kept(x: Tensor, error_bound: Tensor, w: Turning) -> Tensor:
+    """Not negative where each of the attitude's limits may be kept now, states (16, B) being off as of `held`: (B,)."""
+    angle, rate = off(error_bound, w)
+    return lowest(torch.stack(within(x, angle, rate, angle * w.lag, w)))
+
+
+def verified(x: Tensor, u: Tensor, error_bound: Tensor, w: Turning) -> Tensor:
+    """A lower bound of the least of the limits in a hold of controls (6, B) and on the way after it, as `held`."""
+    least, start = held(x, u, error_bound, w)
+    return torch.minimum(least, from_here(start, w))
+
+
+class TurnBackup:
+    """The check of torque, of a filter that is told of bounds.
+
+    Attributes:
+        turning: the law and what its check depends on.
+    """
+
+    def __init__(self, turning: Turning) -> None:
+        self.turning = turning
+
+    @classmethod
+    def of(cls, c: Limits, r: RtaParameters, known: Uncertainty) -> "TurnBackup | None":
+        """None: no way is known within the bounds, with this vehicle, or where actuators may fail."""
+        if not (c.is_circular and not c.hill_rotation and slew.has_rest(c)) or known.is_nil or known.health:
+            return None
+        try:
+            return cls(Turning.of(c, r, known))
+        except NoRestError:
+            return None
+
+    def has_way(self, x: Tensor) -> Tensor:
+        """(B,) bool: from true states (16, B) whatever is measured the law keeps the attitude's limits."""
+        w, none = self.turning, torch.zeros_like(x[0])
+        # a plant's rate may be one relative to the stars
+        return way(x, Spread(none, none + w.offset, none, none, none), w) >= 0.0
+
+    def torque_is_safe(self, y: Tensor, u: Tensor) -> Tensor:
+        """(B,) bool: torque of controls (6, B) keeps the limits, and a way is left; y (20, B): states, error bounds."""
+        return verified(y[:SIZE], u, y[SIZE:], self.turning) >= 0.0
+
+    def committed(self, x: Tensor, u: Tensor, error_bound: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """What is applied in the place of proposed controls (6, B) at predicted states (16, B).
+
+        Returns:
+            Controls (6, B); (B,) bool each: their torque is verified; it is another.
+        """
+        u, y = u.clone(), torch.cat((x, error_bound))
+        checked = y.isfinite().all(0) & (may_be_kept(x, error_bound, self.turning) >= 0.0)
+        kept = self.torque_is_safe(y, u) & checked
+        changed = ~kept & checked
+        columns = torch.nonzero(changed).flatten()
+        if columns.numel():
+            there, proposed = pick(y, columns), pick(u, columns)
+            torque = law(there[:SIZE], self.turning)
+            control, found = nearest(there, proposed, TORQUE, torque, self.torque_is_safe)
+            put(u, columns, control)
+            put(kept, columns, found)
+        return u, kept, changed
