@@ -66,6 +66,7 @@ class SafetyFilter:
         names: of all constraints: Table 3's, then those of your own that thrust holds, then those that torque holds.
         condition: on a control, of the rate of now or of a hold; groups: its rows of thrust and of torque.
         backup: the check of its controls; None: there is none for this vehicle, or of what the filter is told.
+        turn: the check of torque alone, of a filter that is told of bounds; None: it knows no way within them.
         compiled: all of it as one C function; None: it is not compiled so.
 
     Raises:
@@ -166,7 +167,8 @@ class SafetyFilter:
     def is_safe(self, x: Tensor) -> Tensor:
         """(B,) bool: the filter can keep every constraint from here on.
 
-        Every h is non-negative and a way to rest is verified. Without a backup every row says so, and thrust can brake.
+        Every h is non-negative and a way to rest is verified. Of what no way is known every row says so, and thrust can
+        brake.
         """
         if self.turn:
             kept = (self.values(x) >= 0.0).all(0) & self.groups[0].keeps(x, degree=2) & self.can_brake(x)

@@ -1,0 +1,241 @@
+"""The turn to the Sun within bounds, flown in worlds at their corners: exclusion, temperature, battery, rates hold."""
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from inspection.model.attitude import rate_in_hill, rotation_matrix, turned_by
+from inspection.model.dynamics import Body, step, sun_and_earth_in_body
+from inspection.model.parameters import InspectionParameters
+from inspection.model.state import OMEGA, TORQUE, E, Q, T
+from rta.backup.turn import Spread, TurnBackup, beginning, followed, law, wanted
+from rta.bounds.uncertainty import Uncertainty
+from rta.conditions.prediction import predicted
+from rta.filter import SafetyFilter
+from rta.parameters import RtaParameters
+from tests.rta.backup.brute_force import attitude, hypercube
+
+C, R = InspectionParameters(), RtaParameters()
+U1 = Uncertainty(
+    inertia=0.2,
+    torque_gain=0.05,
+    attitude=0.3,
+    rate=0.03,
+    latency=1,
+    longest_hold=3.0,
+    hill_rotation=True,
+    saturates_rates=False,
+)
+INERTIA = torch.tensor(C.inertia, dtype=torch.float64)[:, None]
+SUBSTEP = 0.25  # s
+ROUNDED = 1e-9
+
+
+def backup(known: Uncertainty = U1, r: RtaParameters = R) -> TurnBackup:
+    found = TurnBackup.of(C, r, known)
+    assert found is not None
+    return found
+
+
+class World:
+    """Spacecraft that differ from the model by bounds at their corners, with a gyro that is relative to the stars.
+
+    The errors are steady in every third episode, change now and then in the next, and resist the law in the last.
+    """
+
+    def __init__(self, x: Tensor, known: Uncertainty, r: RtaParameters, seed: int) -> None:
+        self.generator = torch.Generator().manual_seed(seed)
+        self.x, self.known, self.r = x, known, r
+        count = x.shape[1]
+        self.kind = torch.arange(count) % 3
+        moments = INERTIA * (1 + known.inertia * self.sign(3))
+        still = [torch.zeros_like(x[0])] * 3
+        self.body = Body(torch.full_like(x[0], C.mass), moments.unbind(), still, known.hill_rotation, False)
+        self.angle, self.gyro, self.gain = self.sign(3), self.sign(3), self.sign(3)
+        self.missed = torch.zeros(count)
+        self.held = torch.zeros(6, count, dtype=x.dtype)
+        self.seen: Tensor | None = None
+
+    def sign(self, rows: int) -> Tensor:
+        """(rows, B) of 1 and -1."""
+        return 2.0 * self.chance(rows).lt(0.5).to(self.x.dtype) - 1.0
+
+    def chance(self, rows: int) -> Tensor:
+        return torch.rand(rows, self.x.shape[1], generator=self.generator, dtype=self.x.dtype)
+
+    def rates(self) -> Tensor:
+        """(3, B) of the body relative to Hill's frame."""
+        n = C.mean_motion if self.known.hill_rotation else 0.0
+        return torch.stack(rate_in_hill(self.x[Q], self.x[OMEGA], n))
+
+    def measured(self) -> tuple[Tensor, Tensor]:
+        """States (16, B) as they are predicted, and by how much further they may be off (4, B)."""
+        changes = self.chance(6) < torch.tensor([0.0, 0.03, 0.0])[self.kind]
+        self.angle = torch.where(changes[:3], self.sign(3), self.angle)
+        resists = (self.kind == 2) & (self.chance(1)[0] < 0.9)
+        true = self.x.clone()
+        true[OMEGA] = self.rates()
+        behind = (wanted(true, self.turning) - true[OMEGA]).sign()
+        self.gyro = torch.where(resists, behind, torch.where(changes[3:], self.sign(3), self.gyro))
+        seen = true.clone()
+        seen[Q] = turned_by(true[Q], math.radians(self.known.attitude) * self.angle)
+        seen[OMEGA] = true[OMEGA] + math.radians(self.known.rate) * self.gyro
+        none = torch.zeros(4, seen.shape[1], dtype=seen.dtype)
+        before, self.seen = self.seen, seen
+        if before is None or not self.known.latency:
+            return seen, none
+        return predicted(before, none, self.held, C, self.r, self.known)
+
+    turning = backup().turning
+
+    def fly(self, u: Tensor, misses: bool = True) -> list[Tensor]:
+        """The states on the way to the next call, at which u (6, B) is the answer, or missed."""
+        longest = round(self.known.hold(self.r) / self.r.period)
+        often = torch.tensor([0.05, 0.5, 0.9])[torch.arange(u.shape[1]) // 3 % 3]
+        miss = (self.chance(1)[0] < often) & (self.missed < longest - 1) & misses
+        self.missed = torch.where(miss, self.missed + 1, 0)
+        self.held = torch.where(miss, self.held, u)
+        # the gain that helps least, once more in the last kind
+        true = self.x.clone()
+        true[OMEGA] = self.rates()
+        helps = self.held[TORQUE].sign() * (wanted(true, self.turning) - true[OMEGA]).sign()
+        self.gain = torch.where(self.kind == 2, -helps, self.gain)
+        acts = self.held.clone()
+        acts[TORQUE] *= 1 + self.known.torque_gain * self.gain
+        path = []
+        for _ in range(round(self.r.period / SUBSTEP)):
+            self.x = step(self.x, acts, SUBSTEP, C, self.body)
+            path.append(self.x)
+        return path
+
+
+def starts(found: TurnBackup, count: int, seed: int) -> Tensor:
+    """States (16, count) from which a way is verified, every other one as hot, or as empty, as is accepted."""
+    x = hypercube(6 * count, seed, C)
+    x = x[:, found.has_way(x) & torch.from_numpy((attitude(x.numpy(), C) >= 0.0).all(0))][:, :count]
+    assert x.shape[1] == count
+    for row, bad, which in ((T, C.max_temperature, 0), (E, C.min_energy, 1)):
+        columns = torch.arange(count) % 4 == which
+        y = x[:, columns]
+        good, low, high = y[row].clone(), torch.zeros_like(y[0]), torch.ones_like(y[0])
+        for _ in range(16):
+            share = (low + high) / 2
+            y[row] = good + share * (bad - good)
+            fine = found.has_way(y)
+            low, high = torch.where(fine, share, low), torch.where(fine, high, share)
+        y[row] = good + low * (bad - good)
+        x[:, columns] = y
+    return x
+
+
+def at_law(found: TurnBackup) -> Callable[[Tensor, Tensor], Tensor]:
+    return lambda x, bound: torch.cat((torch.zeros_like(x[:3]), law(x, found.turning)))
+
+
+CASES = [(U1, R), (replace(U1, latency=0, longest_hold=0.0), R), (Uncertainty(attitude=0.1, rate=0.01), R)]
+
+
+@pytest.mark.parametrize(("known", "r"), CASES, ids=["u1", "each call", "sensors"])
+def test_the_law_keeps_the_limits_from_the_edge_whatever_is_measured(
+    known: Uncertainty, r: RtaParameters
+) -> None:
+    found = backup(known, r)
+    world = World(starts(found, 240, 1), known, r, 2)
+    answer = at_law(found)
+    for k in range(400):
+        u = answer(*world.measured())
+        for x in world.fly(u, misses=k > 0):
+            least = attitude(x.numpy(), C)
+            assert (least >= -ROUNDED).all(), (k, np.argwhere(least < -ROUNDED)[:3], least.min(1))
+    sun, _ = sun_and_earth_in_body(world.x)
+    assert (-sun[0]).min() > math.cos(2.0 * found.turning.angle + 0.1)  # the panels are at the Sun
+    before, after = world.x, world.fly(answer(*world.measured()))[-1]
+    assert (after[E] > before[E]).all()
+    assert (
+        after[T] < before[T]
+    ).double().mean() > 0.9  # some still leave the cold attitude that is no place of rest
+
+
+def test_any_torque_is_asked_for_and_no_limit_breaks() -> None:
+    found = backup()
+    world = World(starts(found, 240, 3), U1, R, 4)
+    limit, acted = C.max_torque, 0
+    torque = torch.zeros(3, 240, dtype=torch.float64)
+    for k in range(250):
+        if k % 5 == 0:
+            torque = limit * world.sign(3)
+        x, bound = world.measured()
+        # towards the limit of the rates, or the camera to the Sun
+        away = (x[OMEGA] - wanted(x, found.turning)).sign() * limit
+        asked = torch.where(torch.arange(240) % 2 == 0, torque, away)
+        u, verified, changed = found.committed(x, torch.cat((torch.zeros_like(asked), asked)), bound)
+        acted += int(changed.sum())
+        assert not (~verified & ~changed).any()
+        for x in world.fly(u, misses=k > 0):
+            least = attitude(x.numpy(), C)
+            assert (least >= -ROUNDED).all(), (k, np.argwhere(least < -ROUNDED)[:3], least.min(1))
+    assert 1000 < acted < 50_000
+
+
+DEFECTS = {
+    "none": {},
+    "no error of rates": {"noise": 0.0},
+    "no misjudged torque": {"share": 0.0},
+    "no missed call": {"holds": 1},
+    "the torque of the model": {"slowest": 0.3},
+}
+
+
+@pytest.mark.parametrize("defect", DEFECTS)
+def test_errors_of_rates_stay_below_their_bounds(defect: str) -> None:
+    found = backup()
+    w = found.turning
+    x = hypercube(900, 5, C)
+    world = World(x, U1, R, 6)
+    true = x.clone()
+    true[OMEGA] = world.rates()
+    none = torch.zeros_like(x[0])
+    bounds, _, _ = followed(
+        beginning(true, Spread(none, none, none, none, none), w), replace(w, **DEFECTS[defect])
+    )
+    broken, answer = 0, at_law(found)
+    for k, bound in enumerate(bounds):
+        for y in world.fly(answer(*world.measured()), misses=k > 0):
+            true = y.clone()
+            true[OMEGA] = world.rates()
+            z = (wanted(true, w) - true[OMEGA])[1:].norm(dim=0)
+            broken += int((z > bound + ROUNDED).sum())
+    assert (broken > 0) == (defect != "none"), broken
+
+
+def test_bounds_without_a_rest_have_no_check() -> None:
+    assert SafetyFilter().turn is None
+    for wide in ({"rate": 0.5}, {"attitude": 20.0}, {"torque_gain": 0.9}, {"health": True}):
+        assert TurnBackup.of(C, R, replace(U1, **wide)) is None
+    assert TurnBackup.of(replace(C, solar_panel_axis="+x"), R, U1) is None
+    assert TurnBackup.of(replace(C, orbit="two-body", eccentricity=0.1), R, U1) is None
+
+
+def test_more_is_accepted_where_less_is_unknown() -> None:
+    x = hypercube(1500, 7, C)
+    x = x[:, torch.from_numpy((attitude(x.numpy(), C) >= 0.0).all(0))]
+    shares = [
+        backup(known).has_way(x).double().mean().item()
+        for known in (U1, replace(U1, longest_hold=0.0), Uncertainty(attitude=0.1, rate=0.01))
+    ]
+    assert 0.7 < shares[0] < shares[1] < shares[2], shares
+
+
+def test_what_is_taken_for_the_sun_does_not_turn_the_panels_away() -> None:
+    w = backup().turning
+    x = hypercube(500, 8, C)
+    off = x.clone()
+    off[Q] = turned_by(x[Q], torch.full_like(x[:3], 0.01))
+    change = (wanted(off, w) - wanted(x, w))[1:].norm(dim=0)
+    frame = C.mean_motion * (rotation_matrix(off[Q])[2] - rotation_matrix(x[Q])[2]).norm(dim=0)
+    assert (change <= w.kappa * 0.01 * 3**0.5 + frame + 1e-12).all()
