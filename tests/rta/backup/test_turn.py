@@ -145,7 +145,7 @@ def test_the_law_keeps_the_limits_from_the_edge_whatever_is_measured(
     known: Uncertainty, r: RtaParameters
 ) -> None:
     found = backup(known, r)
-    world = World(starts(found, 240, 1), known, r, 2)
+    world = World(starts(found, 120, 1), known, r, 2)
     answer = at_law(found)
     for k in range(400):
         u = answer(*world.measured())
@@ -163,23 +163,23 @@ def test_the_law_keeps_the_limits_from_the_edge_whatever_is_measured(
 
 def test_any_torque_is_asked_for_and_no_limit_breaks() -> None:
     found = backup()
-    world = World(starts(found, 240, 3), U1, R, 4)
-    limit, acted = C.max_torque, 0
-    torque = torch.zeros(3, 240, dtype=torch.float64)
-    for k in range(250):
+    world = World(starts(found, 90, 3), U1, R, 4)
+    limit, acted = C.max_torque * torch.linspace(0.02, 1.0, 90, dtype=torch.float64), 0
+    torque = torch.zeros(3, 90, dtype=torch.float64)
+    for k in range(120):
         if k % 5 == 0:
             torque = limit * world.sign(3)
         x, bound = world.measured()
         # towards the limit of the rates, or the camera to the Sun
         away = (x[OMEGA] - wanted(x, found.turning)).sign() * limit
-        asked = torch.where(torch.arange(240) % 2 == 0, torque, away)
+        asked = torch.where(torch.arange(90) % 2 == 0, torque, away)
         u, verified, changed = found.committed(x, torch.cat((torch.zeros_like(asked), asked)), bound)
         acted += int(changed.sum())
         assert not (~verified & ~changed).any()
         for x in world.fly(u, misses=k > 0):
             least = attitude(x.numpy(), C)
             assert (least >= -ROUNDED).all(), (k, np.argwhere(least < -ROUNDED)[:3], least.min(1))
-    assert 1000 < acted < 50_000
+    assert 1000 < acted < 10_000
 
 
 DEFECTS = {
@@ -195,7 +195,7 @@ DEFECTS = {
 def test_errors_of_rates_stay_below_their_bounds(defect: str) -> None:
     found = backup()
     w = found.turning
-    x = hypercube(900, 5, C)
+    x = hypercube(600, 5, C)
     world = World(x, U1, R, 6)
     true = x.clone()
     true[OMEGA] = world.rates()
