@@ -182,27 +182,23 @@ def test_any_torque_is_asked_for_and_no_limit_breaks() -> None:
     assert 1000 < acted < 10_000
 
 
-DEFECTS = {
-    "none": {},
-    "no error of rates": {"noise": 0.0},
-    "no misjudged torque": {"share": 0.0},
-    "no missed call": {"holds": 1},
-    "the torque of the model": {"slowest": 0.3},
-}
+BLIND = {"noise": 0.0, "attitude": 0.0, "share": 0.0}
 
 
-@pytest.mark.parametrize("defect", DEFECTS)
-def test_errors_of_rates_stay_below_their_bounds(defect: str) -> None:
+@pytest.mark.parametrize(("defect", "at_law_first"), [({}, False), ({}, True), (BLIND, True)])
+def test_errors_of_rates_stay_below_their_bounds(defect: dict[str, float], at_law_first: bool) -> None:
+    """Bounds that leave out what is measured amiss are seen to be broken."""
     found = backup()
     w = found.turning
-    x = hypercube(600, 5, C)
+    x = hypercube(300, 5, C)
+    if at_law_first:
+        x[OMEGA] = wanted(x, w) + C.mean_motion * rotation_matrix(x[Q])[2]
     world = World(x, U1, R, 6)
     true = x.clone()
     true[OMEGA] = world.rates()
     none = torch.zeros_like(x[0])
-    bounds, _, _ = followed(
-        beginning(true, Spread(none, none, none, none, none), w), replace(w, **DEFECTS[defect])
-    )
+    start = beginning(true, Spread(none, none, none, none, none), w)
+    bounds, _, _ = followed(start, replace(w, **defect))
     broken, answer = 0, at_law(found)
     for k, bound in enumerate(bounds):
         for y in world.fly(answer(*world.measured()), misses=k > 0):
@@ -210,7 +206,26 @@ def test_errors_of_rates_stay_below_their_bounds(defect: str) -> None:
             true[OMEGA] = world.rates()
             z = (wanted(true, w) - true[OMEGA])[1:].norm(dim=0)
             broken += int((z > bound + ROUNDED).sum())
-    assert (broken > 0) == (defect != "none"), broken
+    assert (broken > 0) == bool(defect), broken
+
+
+UNTOLD = {
+    "missed calls": (replace(U1, longest_hold=0.0), replace(U1, longest_hold=6.0)),
+    "errors of rates": (replace(U1, rate=0.0), replace(U1, rate=0.5)),
+    "inertia": (replace(U1, inertia=0.0, torque_gain=0.0), replace(U1, inertia=0.5)),
+}
+
+
+@pytest.mark.parametrize("what", UNTOLD)
+def test_a_limit_breaks_where_the_check_is_not_told(what: str) -> None:
+    told, true = UNTOLD[what]
+    found = backup(told)
+    world = World(starts(found, 90, 1), true, R, 2)
+    least, answer = np.inf, at_law(found)
+    for k in range(90):
+        for x in world.fly(answer(*world.measured()), misses=k > 0):
+            least = min(least, attitude(x.numpy(), C).min())
+    assert least < -0.01
 
 
 def test_bounds_without_a_rest_have_no_check() -> None:
