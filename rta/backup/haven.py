@@ -1,0 +1,373 @@
+"""Motion within bounds that are told: the law that brakes, what is not known of it, and the haven where it ends.
+
+The law is a function of what is measured, as that of `rta.backup.brake`. There is a field of velocities v_ref(p):
+outwards beside the chief, inwards at the edge of the zone, none between. With w = v - v_ref(p), thrust is to give, from
+each call to the next,
+
+    G = A - f,    A = -w min(a / |w|, 1 / slow),
+
+f being the natural acceleration. Of what is asked for, the mean over a hold acts along it by a share kappa between
+`low` and `high`, and across it by the share `across` of that at most. So from call to call
+
+    w+ = w - lambda (w + e) - c + d,    lambda = kappa hold min(a / |w + e|, 1 / slow) <= SHARE,
+
+where w is seen off by e, |c| <= across lambda |w + e|, and d is what else accelerates. |w| falls to what the errors
+leave of it, and stays there. A spacecraft whose velocity is not known never rests: it drifts. So there is no rest to
+come to, but a *haven*, which it never leaves, whatever is measured,
+
+    nearest <= |p| <= max_distance,    |v - v_ref(p)| <= calm(|p|),
+
+since the field is faster than `calm` at both ends. Every limit of motion is kept in it: `Haven.of` certifies that once,
+and raises where it is not so. See docs/reference/proof.md, *Within bounds*.
+"""
+
+import math
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor
+
+from inspection.model.attitude import norm, rotation_matrix
+from inspection.model.dynamics import step
+from inspection.model.orbit import free_flight, natural_acceleration
+from inspection.model.parameters import Limits
+from inspection.model.state import THETA_S, P, Q, V
+from rta.backup.chords import FreeFlight
+from rta.bounds.uncertainty import Uncertainty
+from rta.conditions.prediction import unsaturated
+from rta.parameters import RtaParameters
+
+# Tuned on U1 for the share of states from which a way is verified.
+SHARE = 0.25  # of w, that a hold takes away at most: more leads farther astray, less takes longer
+OUTWARDS, INWARDS = 1.2, 1.3  # of the calm speed, that the field has beside the chief and at the edge
+STEEP = 5e-4  # 1/s, by which the field falls off with distance
+CALMER = 1.5  # of what the errors leave of w, that counts as calm: a way need not come down to it
+RISING = 1.8  # of the rate at which that grows with distance
+BESIDE = 4.0 / 3.0  # of the radius of collision, up to which the field leads outwards as fast as anywhere
+EDGE = 1.0  # m inside the zone, from where on the field leads inwards as fast as anywhere
+CELLS = (10, 1)  # of passive safety's horizon, and searches in each
+ROUNDS = 40  # of the equation for the calm speed, which the field depends on, which it depends on
+GRID = 4000, 100  # distances and times at which the haven is looked at
+
+
+class NoHavenError(ValueError):
+    """The bounds leave no haven."""
+
+
+@dataclass(frozen=True)
+class Errors:
+    """What the law leaves of w on a way, by its errors there, each (...); see `Haven.errors`.
+
+    Attributes:
+        calm: m/s, of |w| in the end.
+        share: of |w| that goes astray while it falls; decay: of what went astray, that is taken back meanwhile.
+        swift: by which |w| itself falls. All three are per share by which w is taken away.
+        seen, late: m/s and share, |e| <= seen + late |w|.
+        steep, drift: 1/s and m/s, of the field.
+    """
+
+    calm: Tensor
+    share: Tensor
+    decay: Tensor
+    swift: Tensor
+    seen: Tensor
+    late: float
+    steep: Tensor
+    drift: Tensor
+
+
+@dataclass(frozen=True)
+class Haven:
+    """The law, the shares of what is not known of it, and the haven.
+
+    Attributes:
+        free: of free flight.
+        period, longest: s, of a call and of a control that is held at most; old: s, of a measurement at most.
+        aim: s of a hold, after which the body has the attitude that thrust is meant for.
+        full, slow: a in m/s^2, and s.
+        low, high: kappa; across: share of it.
+        turning: rad/s, of the body at most.
+        place, seen: m and m/s, by which a state is seen elsewhere.
+        lag: by how much of w + e w is seen off, per share of what thrust did otherwise since the measurement.
+        out, beside, ends: m/s and m: the field's speed beside the chief, up to where, and from where on it has none.
+        back, begins, edge: m/s and m, the same at the edge of the zone: from where on, and from where on all of it.
+        still, rising: m/s and 1/s, the calm speed at the chief, and by how much it rises with distance.
+        nearest: m from the chief's centre.
+    """
+
+    c: Limits
+    known: Uncertainty
+    free: FreeFlight
+    period: float
+    longest: float
+    old: float
+    aim: float
+    full: float
+    slow: float
+    low: float
+    high: float
+    across: float
+    turning: float
+    place: float
+    seen: float
+    lag: float
+    out: float = 0.0
+    beside: float = 0.0
+    ends: float = 1.0
+    back: float = 0.0
+    begins: float = 1e8
+    edge: float = 1e9
+    still: float = 0.0
+    rising: float = 0.0
+    nearest: float = 0.0
+
+    @classmethod
+    def of(cls, c: Limits, r: RtaParameters, known: Uncertainty) -> "Haven":
+        """Raises NoHavenError where the bounds leave none."""
+        holds = math.ceil(known.hold(r) / r.period - 1e-9)
+        longest, old = holds * r.period, known.latency * r.period
+        aim = (longest + r.period) / 4
+        turning = math.sqrt(3.0) * c.max_rate
+        position, velocity, attitude, rate = known.radii
+        # rad, by which the mean attitude of a hold is another than the one predicted for its aim
+        quickening = math.sqrt(3.0) * c.max_torque / min(c.inertia)
+        other = known.torque_error * quickening + known.angular_acceleration(c)
+        ahead = old + aim
+        angle = attitude + rate * ahead + min(other * ahead**2 / 2, 2 * turning * ahead)
+        faster = known.torque[1] * quickening + known.angular_acceleration(c)
+        angle += max(astray(r.period * (i + 1), aim, turning, faster) for i in range(holds))
+        # of thrust in the body: the gains of the axes, and each axis aslant
+        tilt = math.radians(known.thrust_misalignment)
+        least, most = (1 - known.thrust_gain) * math.cos(tilt), 1 + known.thrust_gain
+        aslant, uneven = math.sqrt(2.0) * math.sin(tilt) * most, (most - least) / 2
+        mixed = aslant + angle * (uneven + aslant)
+        along = least - mixed - angle**2 / 2 * most
+        if along <= 0.0:
+            raise NoHavenError("thrust may act in any direction")
+        low, high = along / (1 + known.mass), (most + mixed) / (1 - known.mass)
+        across = (uneven + aslant + angle * (most + aslant)) / along
+        slow = high * longest / SHARE
+        fastest = min(c.docking_speed + c.speed_slope * c.max_distance, math.sqrt(3.0) * c.max_speed)
+        # since a measurement w has fallen by this share at most
+        before = SHARE * (old + longest - r.period) / longest if old else 0.0
+        if before >= 1.0:
+            raise NoHavenError("the state is too old")
+        place = position + velocity * old + math.sqrt(3.0) * c.max_thrust / c.mass * old**2
+        w = cls(
+            c, known, FreeFlight.of(c, *CELLS), r.period, longest, old, aim,
+            full=c.max_thrust / c.mass - c.largest_drift(c.max_distance + place, fastest + velocity),
+            slow=slow, low=low, high=high, across=across, turning=turning, place=place, seen=velocity,
+            lag=old / slow / (1 - before),
+        )  # fmt: skip
+        if w.full <= 0.0 or w.late >= 0.5:
+            raise NoHavenError("thrust does too much otherwise")
+        for _ in range(ROUNDS):
+            w = w.with_field()
+            if not w.still + w.rising * c.max_distance < c.docking_speed:
+                raise NoHavenError("the errors leave too much of the speed")
+        return w.certified()
+
+    @property
+    def off(self) -> float:
+        """|1 - kappa| at most."""
+        return max(1.0 - self.low, self.high - 1.0)
+
+    @property
+    def amiss(self) -> float:
+        """|1 - K| at most, K being what acts of what is asked for."""
+        return self.off + self.across * self.high
+
+    @property
+    def late(self) -> float:
+        """The share of w + e by which w is seen off, for what thrust did otherwise since the measurement."""
+        return self.lag * self.amiss
+
+    @property
+    def stretch(self) -> float:
+        """Beta, the share of w by which it is seen longer or shorter."""
+        return self.lag * self.off
+
+    @property
+    def most(self) -> float:
+        """The share of S that a hold takes away at most."""
+        return SHARE * (1.0 + self.stretch)
+
+    def with_field(self) -> "Haven":
+        """The same, with a field that is faster than this one's calm speed, and with the calm speed in it."""
+        c, farthest = self.c, self.c.max_distance
+        beside, edge = BESIDE * c.collision_radius, farthest - EDGE
+        out, back = OUTWARDS * self.still, INWARDS * (self.still + self.rising * farthest)
+        w = replace(
+            self, out=out, beside=beside, ends=beside + max(out, 1e-6) / STEEP,
+            back=back, begins=edge - max(back, 1e-6) / STEEP, edge=edge,
+        )  # fmt: skip
+        none = torch.zeros((), dtype=torch.float64)
+        near, far = (
+            w.errors(none, none + beside, none + w.ends),
+            w.errors(none, none + w.begins, none + farthest),
+        )
+        rising = RISING * 3 * c.mean_motion**2 * self.amiss * self.slow / self.low / near.decay.item()
+        still = CALMER * max(near.calm.item(), far.calm.item() - rising * farthest)
+        return replace(w, still=still, rising=rising)
+
+    def calm(self, distance: Tensor) -> Tensor:
+        """m/s, of |w| in the haven at a call at most, at distances (...) in m."""
+        return self.still + self.rising * distance
+
+    def stray(self, speed: Tensor, farthest: Tensor) -> Tensor:
+        """m/s, by which w is off its chord in a hold, for thrust turns with the body; |w| and |p| (...)."""
+        natural = 3 * self.c.mean_motion**2 * farthest + 2 * self.c.mean_motion * speed
+        asked = ((speed * (1.0 + self.late) + self.seen) / ((1.0 - self.late) * self.slow)).clamp(
+            max=self.full
+        )
+        return self.high * (1 + self.across) * (asked + natural) * self.turning * self.longest**2 / 8
+
+    def field(self, p: Tensor) -> Tensor:
+        """v_ref (3, ...) in m/s at positions (3, ...) in m."""
+        r = norm(p).clamp(min=1.0)
+        return self.speed(r) / r * p
+
+    def speed(self, r: Tensor) -> Tensor:
+        """m/s, of the field outwards at distances (...) in m; it falls with distance."""
+        out = self.out * ((self.ends - r) / (self.ends - self.beside)).clamp(0.0, 1.0)
+        return out - self.back * ((r - self.begins) / (self.edge - self.begins)).clamp(0.0, 1.0)
+
+    def steepness(self, nearest: Tensor, farthest: Tensor) -> Tensor:
+        """1/s, the largest slope of the field between two distances (...) in m: along the radius, or across it."""
+        out = self.out * ((self.ends - nearest) / (self.ends - self.beside)).clamp(0.0, 1.0)
+        near = torch.where(nearest < self.ends, (out / nearest).clamp(min=STEEP), 0.0)
+        return torch.maximum(near, torch.where(farthest > self.begins, STEEP, 0.0))
+
+    def errors(self, fastest: Tensor, nearest: Tensor, farthest: Tensor) -> Errors:
+        """Of ways at |w| up to a speed in m/s, between two distances in m from the chief, (...)."""
+        n, late, sees = self.c.mean_motion, self.late, 1.0 - self.late
+        steep = self.steepness(nearest, farthest)
+        drift = torch.maximum(self.speed(nearest).abs(), self.speed(farthest).abs())
+        seen = self.seen + steep * self.place
+        # m/s^2 that are there at any speed: f that is not what thrust was meant to cancel, what is unknown, and the
+        # field's own change along it, which is along the radius
+        always = (
+            self.amiss * (3 * n**2 * farthest + 2 * n * drift)
+            + 3 * n**2 * (self.place + drift * self.longest)
+            + 2 * n * (1.0 + self.amiss) * seen / sees
+            + self.known.acceleration
+            + (STEEP + self.rising) * drift
+        ) * (1.0 + n * self.longest)
+        # s, that a hold is per share that it takes away at most
+        lasting = ((fastest + seen) / (sees * self.full)).clamp(min=self.slow) / self.low
+        rate = 2 * n * (self.amiss + late) / sees + 3 * n**2 * self.longest + steep + self.rising
+        growing = lasting * rate + n * self.longest * (1.0 + self.across) / sees
+        saturated = (fastest + seen) / sees > self.full * self.slow
+        growing = growing + torch.where(saturated, always / (self.full * self.low), 0.0)
+
+        own = 1.0 - self.stretch
+        share = (self.across / sees + self.lag * self.across * self.high + late**2 / sees + growing) / own
+        decay = 1.0 / (1.0 + self.stretch) - self.stretch / own - share
+        error = (seen * (1.0 + self.across) / sees + always * self.slow / self.low) / own
+        second = self.across**2 * SHARE / (2 * (1.0 - SHARE))  # across |w| counts to second order
+        slower = (1.0 + 2 * self.across + 3 * second) * late / sees + second + growing
+        return Errors(
+            calm=error / decay.clamp(min=1e-3), share=share, decay=decay, swift=(1.0 - slower) / (1.0 + self.stretch),
+            seen=seen / sees, late=late / sees, steep=steep, drift=drift,
+        )  # fmt: skip
+
+    def certified(self) -> "Haven":
+        """The same, with the nearest distance from which on it is a haven."""
+        c, count, moments = self.c, *GRID
+        if not self.beside < self.ends < self.begins:
+            raise NoHavenError("the zone is too small for the field")
+        r = torch.linspace(c.collision_radius, c.max_distance, count, dtype=torch.float64)
+        gap = (r[1] - r[0]).item()
+        most = self.calm(r) + self.stray(self.calm(r), r)
+        speed = self.speed(r)
+        outwards = (2 * c.max_acceleration * (c.max_distance - r).clamp(min=0.0)).sqrt()
+        inwards = (2 * c.max_acceleration * (r - c.collision_radius)).sqrt()
+        limit = (c.docking_speed + c.speed_slope * r).clamp(max=c.max_speed)
+        rounded = gap * (STEEP + self.rising)  # of speeds between two distances
+        fine = (outwards >= most + speed + rounded) & (inwards >= most - speed + rounded)
+        fine &= (
+            (limit >= speed.abs() + most + rounded)
+            & (self.clearances(r, moments, gap) >= 0.0)
+            & self.stays(r)
+        )
+        bad = torch.nonzero(~fine[:-1]).flatten()
+        first = int(bad.max()) + 1 if bad.numel() else 0
+        if r[first] > self.beside or self.out <= most[first] or self.back <= most[-1]:
+            raise NoHavenError("the calm speed is too large")
+        return replace(self, nearest=r[first].item())
+
+    def clearances(self, r: Tensor, moments: int, gap: float) -> Tensor:
+        """m, by which free flight from the haven at distances (k,) up to a gap apart stays clear at least.
+
+        It is (Phi_rr + s / r Phi_rv) p + Phi_rv w. The first part is at least its least singular value times r,
+        whatever the direction of p. Both matrices are of x and y, and of z apart. Between moments a flight is off its
+        chord by what it bends.
+        """
+        c, times = (
+            self.c,
+            torch.linspace(0.0, self.c.passive_safety_horizon, moments + 1, dtype=torch.float64),
+        )
+        speed, most = self.speed(r), self.calm(r) + self.stray(self.calm(r), r)
+        unit = torch.eye(3, dtype=torch.float64)[:, :, None]
+        none = torch.zeros_like(unit[0])
+        of_p = [free_flight(e, none, times, c.mean_motion) for e in unit]  # (3, times), by where it begins
+        of_v = [free_flight(none, e, times, c.mean_motion) for e in unit]
+        (xx, yx, _), (xy, yy, _), (_, _, zz) = (
+            p[:, :, None] + v[:, :, None] * (speed / r) for p, v in zip(of_p, of_v, strict=True)
+        )
+        squares, determinant = xx**2 + xy**2 + yx**2 + yy**2, xx * yy - xy * yx
+        flat = ((squares - (squares**2 - 4 * determinant**2).clamp(min=0.0).sqrt()) / 2).sqrt()
+        least = torch.minimum(flat, zz.abs()) * r - self.free.velocity * times[:, None] * most
+        bend = self.free.bend_position * r + self.free.bend_velocity * (speed.abs() + most)
+        sag = bend * (times[1] ** 2) / 8
+        lost = gap * (
+            self.free.position + self.free.velocity * times[-1] * (2 * STEEP + self.out / self.beside)
+        )
+        return least.amin(0) - sag - lost - c.collision_radius
+
+    def stays(self, r: Tensor) -> Tensor:
+        """(k,) bool: at distances (k,) |w| that is calm stays so, and the bounds of `cone.Fall` hold down to it."""
+        calm = self.calm(r)
+        moved = calm * self.longest + self.out * self.longest
+        errors = self.errors(calm / (1.0 - self.most), (r - moved).clamp(min=1.0), r + moved)
+        second = self.across**2 * SHARE / (2 * (1.0 - SHARE))
+        left = errors.seen * (1.0 + 2 * self.across + 3 * second) + errors.calm * errors.decay * (
+            1.0 - self.stretch
+        )
+        left = left - errors.seen * (1.0 + self.across)
+        seen = errors.seen + errors.late * errors.calm / (1.0 - self.most)
+        return (
+            (errors.decay > 0.0)
+            & (errors.calm <= calm)
+            & (left <= errors.swift * (1.0 + self.stretch) * errors.calm)
+            & ((1.0 + 2 * SHARE * self.across) * seen <= errors.calm)
+        )
+
+
+def astray(hold: float, aim: float, turning: float, faster: float) -> float:
+    """rad, by which the mean attitude over a hold is off that at its aim, both in s.
+
+    The body turns at `turning` rad/s at most, which changes by `faster` rad/s^2 at most. The mean of the angle from the
+    aim on is the integral of rate (hold - s) after it, less that of rate s before it, by the hold: a steady rate makes
+    up on one side for the other.
+    """
+    if hold <= aim:
+        return turning * (aim - hold / 2)
+    after, before = (hold - aim) ** 2 / 2, aim**2 / 2
+    change = min(faster * max(hold - aim, aim) / 3, 2 * turning)
+    kept = abs(after - before) * turning + min(after, before) * change + faster * aim**3 / 6
+    return min(kept, (after + before) * turning) / hold
+
+
+def law(x: Tensor, w: Haven) -> Tensor:
+    """G (3, B) in m/s^2 in Hill's frame, at states (16, B) as they are taken for."""
+    off = x[V] - w.field(x[P])
+    wanted = -off * (w.full / norm(off).clamp(min=1e-30)).clamp(max=1.0 / w.slow)
+    return wanted - torch.stack(natural_acceleration(x[P].unbind(), x[V].unbind(), x[THETA_S], w.c))
+
+
+def thrust(x: Tensor, torque: Tensor, w: Haven) -> Tensor:
+    """The law as thrust (3, B) in N, in the body, at states (16, B) as they are taken for; torque (3, B) is held."""
+    aimed = step(x, torch.cat((torch.zeros_like(torque), torque)), w.aim, unsaturated(w.c))
+    limit = w.c.max_thrust
+    return (w.c.mass * (rotation_matrix(aimed[Q]) * law(x, w)[:, None]).sum(0)).clamp(-limit, limit)

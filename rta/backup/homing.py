@@ -1,0 +1,135 @@
+"""The check of thrust, of a filter that is told of bounds: it is applied if it leaves a way into the haven for sure.
+
+A state is known within bounds only, and a control may be held for one call or for several. It is applied if, from
+every state that may be true, it keeps the limits of motion while it is held, and a way (`rta.backup.cone`) begins at
+every call that may end that. If not, the nearest control that does, on the way to the law's; at worst the law's own.
+That keeps the limits from every state from which a way begins, whatever is measured. So, by induction over the true
+states, no limit of motion is ever broken (docs/reference/proof.md, *Within bounds*).
+"""
+
+import torch
+from torch import Tensor
+
+from inspection.model.attitude import norm, rotate
+from inspection.model.parameters import Limits
+from inspection.model.state import SIZE, THRUST, TORQUE, P, Q, V
+from rta.backup.check import nearest
+from rta.backup.chords import lowest, strays
+from rta.backup.cone import Node, between, way
+from rta.backup.haven import Haven, NoHavenError, thrust
+from rta.bounds.uncertainty import Uncertainty
+from rta.conditions.prediction import predicted
+from rta.parameters import RtaParameters
+from rta.qp.programs import pick, put
+
+FAR = 1e6  # m, beyond every distance: of a hold nothing is assumed of where it leads
+
+
+class Homing:
+    """The check of thrust within bounds.
+
+    Attributes:
+        haven: the law and what its check depends on.
+    """
+
+    def __init__(self, haven: Haven, r: RtaParameters) -> None:
+        self.haven, self.r = haven, r
+
+    @classmethod
+    def of(cls, c: Limits, r: RtaParameters, known: Uncertainty) -> "Homing | None":
+        """None: the bounds leave no haven, or none is known.
+
+        That is on an ellipse, beside a hull, with thrusters that may fail or that give some values only.
+        """
+        knows = c.orbit == "clohessy-wiltshire" and not c.hill_rotation and not c.planes
+        if known.is_nil or known.health or known.is_coarse or not knows:
+            return None
+        try:
+            return cls(Haven.of(c, r, known), r)
+        except NoHavenError:
+            return None
+
+    def has_way(self, x: Tensor) -> Tensor:
+        """(B,) bool: from true states (16, B) the law keeps the limits of motion, whatever is measured."""
+        none = torch.zeros_like(x[0])
+        return way(x[P], x[V], none, none, none, self.haven) >= 0.0
+
+    def thrust_is_safe(self, y: Tensor, u: Tensor) -> Tensor:
+        """(B,) bool: thrust of controls (6, B) keeps the limits, and a way is left; y (20, B): states, error bounds."""
+        return held(y[:SIZE], u, y[SIZE:], self.haven, self.r) >= 0.0
+
+    def committed(self, x: Tensor, u: Tensor, error_bound: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """What is applied in the place of proposed controls (6, B) at predicted states (16, B).
+
+        Args:
+            error_bound: (4, B) by how much further than measured the states may be off.
+
+        Returns:
+            Controls (6, B); (B,) bool each: their thrust is verified; it is another.
+        """
+        u, y = u.clone(), torch.cat((x, error_bound))
+        checked = y.isfinite().all(0) & (may_be_kept(x, error_bound, self.haven) >= 0.0)
+        kept = self.thrust_is_safe(y, u) & checked
+        changed = ~kept & checked
+        columns = torch.nonzero(changed).flatten()
+        if columns.numel():
+            there, proposed = pick(y, columns), pick(u, columns)
+            own = thrust(there[:SIZE], proposed[TORQUE], self.haven)
+            control, found = nearest(there, proposed, THRUST, own, self.thrust_is_safe)
+            put(u, columns, control)
+            put(kept, columns, found)
+        return u, kept, changed
+
+
+def may_be_kept(x: Tensor, error_bound: Tensor, w: Haven) -> Tensor:
+    """The most that the least limit of motion but passive safety can be, (B,); below zero one is broken for sure.
+
+    States (16, B) may be off by what was measured and (4, B). From a state in which a limit is broken no way begins.
+    """
+    c = w.c
+    position, velocity, _, _ = w.known.radii
+    e_p, e_v = position + error_bound[0], velocity + error_bound[1]
+    distance, speed = norm(x[P]), norm(x[V])
+    return lowest(
+        torch.stack(
+            (
+                distance + e_p - c.collision_radius,
+                c.max_distance - distance + e_p,
+                c.docking_speed + c.speed_slope * (distance + e_p) - speed + e_v,
+                c.max_speed - x[V].abs().amax(0) + e_v,
+            )
+        )
+    )
+
+
+def held(x: Tensor, u: Tensor, error_bound: Tensor, w: Haven, r: RtaParameters) -> Tensor:
+    """A lower bound of the limits of motion while u (6, B) is held, and on the ways that begin where that ends: (B,).
+
+    Args:
+        x: states (16, B) as predicted; error_bound: (4, B) by how much further than measured they may be off.
+    """
+    c, n, none = w.c, w.c.mean_motion, torch.zeros_like(x[0])
+    position, velocity, _, _ = w.known.radii
+    parts, grown = [], [error_bound[1]]
+    for _ in range(round(w.longest / w.period)):
+        end, bound = predicted(x, error_bound, u, c, r, w.known)
+        # natural acceleration is another at another state
+        drift = (3 * n**2 * (position + bound[0]) + 2 * n * (velocity + bound[1])) * w.period
+        bound = torch.stack((bound[0] + drift * w.period, bound[1] + drift, bound[2], bound[3]))
+        push = (rotate(x[Q], u[THRUST]) + rotate(end[Q], u[THRUST])) / (2 * c.mass)
+        push = push * (w.high * norm(u[THRUST]) / c.mass / norm(push).clamp(min=1e-12))
+        off = strays(x[:6], end[:6], w.period, push, none + w.turning + 2 * n)
+        ends = [
+            Node(y[:6], e_p, e_p, e_v, e_v, norm(y[V]) + e_v)
+            for y, e_p, e_v in (
+                (y, position + e[0] + off.position, velocity + e[1] + off.velocity)
+                for y, e in ((x, error_bound), (end, bound))
+            )
+        ]
+        parts.append(lowest(between(ends[0], ends[1], torch.zeros_like(x[P]), none - FAR, none + FAR, w)))
+        grown.append(bound[1])
+        calls = len(grown) - 1 - w.known.latency  # what happened before was measured
+        late = bound[1] - grown[calls] if calls >= 0 else bound[1]
+        parts.append(way(end[P], end[V], position + bound[0], velocity + bound[1], late, w))
+        x, error_bound = end, bound
+    return lowest(torch.stack(parts))

@@ -1,0 +1,134 @@
+"""The world of U1 at its worst, and flights in it: what the cone and the haven are compared with."""
+
+from collections.abc import Callable
+
+import numpy as np
+import torch
+from numpy import ndarray
+from torch import Tensor
+
+from inspection.model.dynamics import Body, step
+from inspection.model.parameters import InspectionParameters
+from inspection.model.state import OMEGA, THRUST, TORQUE, P, V
+from inspection.world.corners import displaced
+from rta.backup.haven import Haven, thrust
+from rta.bounds.uncertainty import Uncertainty
+from rta.conditions.prediction import predicted
+from rta.parameters import RtaParameters
+from tests.rta.backup.brute_force import motion
+
+C, R = InspectionParameters(), RtaParameters()
+U1 = Uncertainty(
+    mass=0.1,
+    inertia=0.2,
+    thrust_gain=0.05,
+    torque_gain=0.05,
+    thrust_misalignment=1.0,
+    acceleration=1e-5,
+    position=0.6,
+    velocity=0.006,
+    attitude=0.3,
+    rate=0.03,
+    latency=1,
+    longest_hold=3.0,
+    hill_rotation=True,
+    saturates_rates=False,
+)
+LOOK = 0.5  # s
+Law = Callable[[Tensor, Tensor], Tensor]
+
+
+class World:
+    """U1's world, in which everything that may be wrong is at its bound.
+
+    Args:
+        batch: spacecraft; seed: of what each has for good: mass, moments, a push, the tilt of its thrusters.
+        how: steady: errors and gains stay; worst: they change at each call, towards the chief or the edge of the zone.
+        misses: calls missed after each: always two, or at random.
+    """
+
+    def __init__(self, batch: int, seed: int, how: str, misses: str, known: Uncertainty = U1) -> None:
+        self.generator, self.how, self.misses = torch.Generator().manual_seed(seed), how, misses
+        self.known, self.batch = known, batch
+        sign = self.signs
+        push = torch.randn(3, batch, generator=self.generator, dtype=torch.float64)
+        push = known.acceleration * push / push.norm(dim=0)
+        inertia = torch.tensor(C.inertia, dtype=torch.float64)[:, None] * (1 + known.inertia * sign(3))
+        self.body = Body(
+            C.mass * (1 + known.mass * sign(1)[0]), list(inertia), list(push), known.hill_rotation, False
+        )
+        self.gains = 1 + known.thrust_gain * sign(3)
+        self.turns = 1 + known.torque_gain * sign(3)
+        tilt, side = np.radians(known.thrust_misalignment), 2 * np.pi * self.uniform(3)
+        self.aslant = torch.zeros(3, 3, batch, dtype=torch.float64)
+        for i in range(3):
+            j, k = (i + 1) % 3, (i + 2) % 3
+            self.aslant[i, i] = np.cos(tilt)
+            self.aslant[j, i], self.aslant[k, i] = np.sin(tilt) * side[i].cos(), np.sin(tilt) * side[i].sin()
+        self.errors = sign(12)
+        self.torque = C.max_torque * sign(3)
+
+    def uniform(self, count: int) -> Tensor:
+        return torch.rand(count, self.batch, generator=self.generator, dtype=torch.float64)
+
+    def signs(self, count: int) -> Tensor:
+        return 2 * self.uniform(count).round() - 1
+
+    def sees(self, x: Tensor, w: Haven) -> Tensor:
+        """A measurement of true states (16, B), each error at its bound."""
+        if self.how == "worst":
+            # velocity is seen so that the law lets the spacecraft drift to where it must not: nearer, or farther out
+            inwards = torch.where(x[P].norm(dim=0) < 400.0, 1.0, -1.0)
+            self.errors[:3], self.errors[3:6] = (x[P] * inwards).sign(), (x[P] * inwards).sign()
+        sizes = torch.tensor(self.known.measured, dtype=torch.float64).repeat_interleave(3)[:, None]
+        return displaced(x, self.errors * sizes)
+
+    def asks_torque(self, x: Tensor) -> Tensor:
+        """Torque (3, B) in N m that turns the body as fast as it may, now and then the other way round."""
+        self.torque = torch.where(self.uniform(3) < 0.1, -self.torque, self.torque)
+        limit = C.max_rate - 3 * 1.3 * C.max_torque / min(C.inertia)
+        rates = x[OMEGA]
+        slow = torch.where(rates.abs() > limit, -rates.sign() * C.max_torque, self.torque)
+        return torch.where((rates.abs() > limit) & (rates.sign() != self.torque.sign()), self.torque, slow)
+
+    def acts(self, x: Tensor, u: Tensor) -> Tensor:
+        """What acts (6, B) where u is asked for."""
+        if self.how == "worst":
+            self.gains = torch.where(self.uniform(3) < 0.5, self.gains, 2 - self.gains)
+        force = (self.aslant * (self.gains * u[THRUST])).sum(1)
+        return torch.cat((force, self.turns * u[TORQUE]))
+
+    def held_for(self) -> int:
+        """Calls that all of them are held for."""
+        if self.misses == "always":
+            return round(self.known.longest_hold)
+        return int(torch.randint(1, 4, (1,), generator=self.generator))
+
+
+def flown(
+    x: Tensor, w: Haven, world: World, seconds: float, spacing: float | None, law: Law | None = None
+) -> tuple[ndarray, Tensor, list[Tensor]]:
+    """The least of the seven limits (7, B) on a flight of the law, the last states, and those of each call.
+
+    Args:
+        spacing: s, between two looks at free flight, which is looked at in every call; None: it is not.
+    """
+    least = np.full((7, x.shape[1]), np.inf)
+    measured, sent, time, states = world.sees(x, w), None, 0.0, []
+    none = torch.zeros(4, x.shape[1], dtype=x.dtype)
+    while time < seconds:
+        states.append(x.clone())
+        taken = measured
+        if sent is not None:
+            taken, _ = predicted(measured, none, sent, C, R, w.known)
+        u = torch.zeros(6, x.shape[1], dtype=x.dtype)
+        u[TORQUE] = world.asks_torque(taken)
+        u[THRUST] = (law or (lambda y, torque: thrust(y, torque, w)))(taken, u[TORQUE])
+        for _ in range(world.held_for()):
+            measured, sent = world.sees(x, w), u
+            acting = world.acts(x, u)
+            for _ in range(round(w.period / LOOK)):
+                x = step(x, acting, LOOK, C, world.body)
+                time += LOOK
+                least = np.minimum(least, motion(x[P].numpy(), x[V].numpy(), C, spacing))
+    return least, x, states
