@@ -1,0 +1,163 @@
+"""The cone around a braking path, against an adversary of its recursion, sampled chords and flights in U1's world."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from inspection.model.state import OMEGA, P, V
+from rta.backup.cone import Fall, Node, between, way
+from rta.backup.haven import SHARE, Haven, thrust
+from tests.rta.backup.brute_force import hypercube, motion
+from tests.rta.backup.told_world import U1, C, R, World, flown
+from tests.rta.constraints.test_constraints import length, tensor
+
+HAVEN = Haven.of(C, R, U1)
+ROUNDING = 1e-9
+
+
+def accepts(x: Tensor, w: Haven = HAVEN) -> Tensor:
+    none = torch.zeros_like(x[0])
+    return way(x[P], x[V], none, none, none, w) >= 0.0
+
+
+def edges(x: Tensor, w: Haven = HAVEN) -> Tensor:
+    """The fastest of states (16, B) along their velocities from which a way is accepted."""
+    fast = 1.6 * x[V]
+    x[V] = 0.0
+    fit = accepts(x, w)
+    x, fast = x[:, fit], fast[:, fit]
+    low, high = torch.zeros_like(x[0]), torch.ones_like(x[0])
+    for _ in range(14):
+        share = (low + high) / 2
+        x[V] = share * fast
+        fine = accepts(x, w)
+        low, high = torch.where(fine, share, low), torch.where(fine, high, share)
+    x[V] = low * fast
+    x[OMEGA] = 0.0
+    return x
+
+
+def beside(count: int, seed: int) -> Tensor:
+    """States (16, count) near the chief, with velocities in any direction."""
+    x = hypercube(count, seed, C)
+    generator = torch.Generator().manual_seed(seed)
+    r = 20 + 80 * torch.rand(count, generator=generator, dtype=torch.float64)
+    x[V] *= (C.docking_speed + C.speed_slope * r) / (C.docking_speed + C.speed_slope * x[P].norm(dim=0))
+    x[P] *= r / x[P].norm(dim=0)
+    return x
+
+
+def worst_of_recursion(speed: float, seed: int, w: Haven, longest: int = 3) -> tuple[np.ndarray, ...]:
+    """S, |w| and |r| of w+ = w - lambda (w + e) - c where all that is not known turns w the same way: (calls,) each.
+
+    A call old, the law sees w without what the last hold did otherwise.
+    """
+    rng = np.random.default_rng(seed)
+    v, s, off, found = np.array((speed, 0.0)), 1.0, np.zeros(2), [(1.0, speed, 0.0)]
+    while s > 1e-3 and len(found) < 400:
+        e = w.seen * np.array((0.0, -1.0) if seed % 2 else (np.cos(seed), -np.sin(seed))) - off
+        asked = (v + e) * min(w.full / np.linalg.norm(v + e), 1 / w.slow)
+        hold = w.period * (rng.integers(1, longest + 1) if seed % 3 else longest)
+        kappa = (w.low, w.high)[rng.integers(2) if seed % 3 else seed % 2]
+        acts = kappa * (asked - w.across * np.array((asked[1], -asked[0])) * -1.0)
+        off = w.old * (asked - acts)
+        s *= 1 - hold * kappa * np.linalg.norm(asked) / np.linalg.norm(v + e)
+        v = v - hold * acts
+        found.append((s, float(np.linalg.norm(v)), float(np.linalg.norm(v - s * np.array((speed, 0.0))))))
+    return tuple(np.array(found).T)
+
+
+def bounds(s: np.ndarray, speed: float, w: Haven) -> tuple[np.ndarray, np.ndarray]:
+    """Bounds of |w| and |r| at S (k,), in one piece."""
+    whole = torch.tensor([speed], dtype=torch.float64)
+    errors = w.errors(whole, whole * 0 + 300.0, whole * 0 + 301.0)
+    fall = Fall.of(torch.ones_like(whole), whole, torch.zeros_like(whole), whole, errors, w)
+    return fall.speed(tensor(s)).numpy(), fall.wide(tensor(s)).numpy()
+
+
+@pytest.mark.parametrize("speed", [0.3, 1.0, 5.0])
+def test_no_errors_lead_out_of_the_cone(speed: float) -> None:
+    nearest = np.zeros(2)
+    for seed in range(24):
+        s, swift, wide = worst_of_recursion(speed, seed, HAVEN)
+        most, widest = bounds(s, speed, HAVEN)
+        assert (swift <= most + ROUNDING).all() and (wide <= widest + ROUNDING).all()
+        nearest = np.maximum(nearest, ((wide[1:] / widest[1:]).max(), (swift / most).max()))
+    assert nearest[0] > 0.5 and nearest[1] > 0.95, nearest  # half of the cone would not do
+
+
+def test_a_hold_takes_away_no_more_than_it_may_unless_a_missed_call_is_forgotten() -> None:
+    forgetful = Haven.of(C, R, replace(U1, longest_hold=1.0))
+    most = []
+    for w in (HAVEN, forgetful):
+        falls = [worst_of_recursion(1.0, seed, w)[0] for seed in range(6)]
+        most.append(max((1 - s[1:] / s[:-1]).max() for s in falls))
+    assert most[0] <= SHARE + ROUNDING < most[1]
+
+
+def test_no_state_within_the_strays_is_below_the_bound() -> None:
+    rng, count = np.random.default_rng(2), 500
+    unit = [a / length(a) for a in rng.standard_normal((5, 3, count))]
+    r = rng.choice((18.0, 40.0, 300.0, 780.0), count)
+    u, p, v = unit[0], r * unit[1], 0.3 * unit[2]
+    speed = (C.docking_speed + C.speed_slope * r) * rng.uniform(0, 1, count)
+    y = [np.concatenate((p, speed * u + v)), np.concatenate((p + 4.0 * u, 0.4 * speed * u + 0.5 * v))]
+    sizes = rng.uniform(0, 1, (2, 4, count)) * np.array((5.0, 2.0, 0.1, 0.05))[None, :, None]
+    nodes = [
+        Node(tensor(a), *(tensor(e) for e in (s[0], s[1], s[2] + s[3], s[3], length(a[3:]) + s[2] + s[3])))
+        for a, s in zip(y, sizes, strict=True)
+    ]
+    far = torch.full((count,), 1e6, dtype=torch.float64)
+    bound = between(nodes[0], nodes[1], tensor(u), -far, far, HAVEN)[:7].numpy()
+    least = np.full_like(bound, np.inf)
+    for share in np.linspace(0, 1, 6):
+        middle, e = y[0] + share * (y[1] - y[0]), sizes[0] + share * (sizes[1] - sizes[0])
+        for k in range(24):
+            side = np.cross(u, rng.standard_normal((3, count)), axis=0) if k % 2 else middle[:3]
+            side = side - (side * u).sum(0) * u
+            side = side / np.maximum(length(side), 1e-12) * rng.choice((-1.0, 1.0))
+            place = middle[:3] + rng.choice((-1.0, 1.0)) * e[0] * u + e[1] * side
+            # w by at most `ahead` more along u, all in all within the velocity's stray
+            other = (unit[3] if k % 3 else -middle[:3] / length(middle[:3])) * (e[2] + e[3])
+            along = (other * u).sum(0)
+            other = other + (np.minimum(along, e[3]) - along) * u
+            path = motion(place, middle[3:] + other, C, spacing=20.0)
+            least = np.minimum(least, path)
+    assert (bound <= least + ROUNDING).all(), (bound - least).max(1)
+    assert np.median((least - bound)[1]) < 0.1 and np.median((least - bound)[3]) < 20.0
+
+
+@pytest.mark.parametrize(("how", "misses"), [("steady", "random"), ("worst", "always"), ("worst", "random")])
+def test_the_fastest_that_are_accepted_keep_the_limits_of_motion(how: str, misses: str) -> None:
+    x = torch.cat((edges(hypercube(150, 3, C)), edges(beside(150, 4))), 1)
+    least, end, _ = flown(x, HAVEN, World(x.shape[1], 5, how, misses), 120.0, 20.0)
+    assert (least >= 0.0).all(), least.min(1)
+    r = end[P].norm(dim=0)
+    assert ((end[V] - HAVEN.field(end[P])).norm(dim=0) <= HAVEN.calm(r)).all() and (r >= HAVEN.nearest).all()
+
+
+def test_without_what_a_way_strays_limits_break() -> None:
+    """The check of a spacecraft that is told of nothing accepts what the world of U1 does not keep."""
+    trusting = replace(HAVEN, low=1.0, high=1.0, across=0.0, seen=0.0, lag=0.0, turning=0.0, place=0.0)
+    x = torch.cat((edges(hypercube(150, 3, C), trusting), edges(beside(150, 4), trusting)), 1)
+    least, _, _ = flown(x, HAVEN, World(x.shape[1], 5, "steady", "always"), 120.0, 20.0)
+    assert least.min() < -0.1, least.min(1)
+
+
+def test_another_law_than_that_which_was_checked_breaks_limits() -> None:
+    x = torch.cat((edges(hypercube(100, 3, C)), edges(beside(100, 4))), 1)
+
+    def weak(y: Tensor, torque: Tensor) -> Tensor:
+        return 0.3 * thrust(y, torque, HAVEN)
+
+    least, _, _ = flown(x, HAVEN, World(x.shape[1], 5, "worst", "always"), 120.0, 20.0, weak)
+    assert least.min() < 0.0
+
+
+def test_most_states_within_the_limits_have_a_way() -> None:
+    x = hypercube(1500, 8, C)
+    x = x[:, (tensor(motion(x[:3].numpy(), x[3:6].numpy(), C, 10.0)) >= 0.0).all(0)]
+    assert accepts(x).double().mean() > 0.8

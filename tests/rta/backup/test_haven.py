@@ -1,0 +1,144 @@
+"""The law within bounds and its haven, against thrust summed up over holds, densely sampled states and long drifts."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from scipy.spatial.transform import Rotation
+
+from inspection.model.state import P, Q, V
+from rta.backup.haven import Haven, NoHavenError, astray
+from rta.bounds.uncertainty import Uncertainty
+from rta.parameters import RtaParameters
+from tests.rta.backup.brute_force import motion
+from tests.rta.backup.told_world import U1, C, R, World, flown
+from tests.rta.constraints.test_constraints import length
+
+HAVEN = Haven.of(C, R, U1)
+EVERYWHERE = np.array((HAVEN.nearest, 18.0, 20.0, 25.0, 40.0, 80.0, 130.0, 300.0, 560.0, 790.0, 799.5))
+
+
+def unit(a: np.ndarray) -> np.ndarray:
+    return a / length(a)
+
+
+def within(w: Haven, count: int, seed: int, at_call: bool = False) -> torch.Tensor:
+    """States (16, count) on the edge of the haven: |w| as large as it may be, or at a call, at all distances."""
+    rng = np.random.default_rng(seed)
+    x = torch.zeros(16, count, dtype=torch.float64)
+    r = torch.from_numpy(rng.choice(EVERYWHERE, count))
+    p, off, q = (torch.from_numpy(unit(rng.standard_normal((n, count)))) for n in (3, 3, 4))
+    off[:, ::3] = -p[:, ::3]  # towards the chief
+    x[P] = r * p
+    most = w.calm(r) + (-1e-9 if at_call else w.stray(w.calm(r), r))
+    x[V] = w.field(x[P]) + most * off
+    x[Q] = q
+    return x
+
+
+def test_every_limit_is_kept_in_the_haven() -> None:
+    x = within(HAVEN, 4000, 0).numpy()
+    least = motion(x[:3], x[3:6], C, spacing=5.0).min(1)
+    assert (least >= 0.0).all() and least[3] < 3.0, least  # and at its edge there is little to spare
+
+
+def test_free_flight_from_nearer_is_not_clear() -> None:
+    x = within(replace(HAVEN, out=0.0), 4000, 0).numpy()  # a field that leads nowhere
+    near = length(x[:3]) < 30.0
+    assert motion(x[:3], x[3:6], C, spacing=5.0)[3][near].min() < 0.0
+    with pytest.raises(NoHavenError):
+        replace(HAVEN, out=0.0).certified()
+
+
+@pytest.mark.parametrize(("how", "misses"), [("steady", "random"), ("worst", "always")])
+def test_nothing_leads_out_of_the_haven(how: str, misses: str) -> None:
+    x = within(HAVEN, 150, 1, at_call=True)
+    x[P] *= 1 + 1e-9
+    x[P] *= (C.max_distance / x[P].norm(dim=0)).clamp(max=1.0)
+    least, end, states = flown(x, HAVEN, World(150, 2, how, misses), 1000.0, None)
+    assert (least >= 0.0).all()
+    for y in (*states, end):
+        r = y[P].norm(dim=0)
+        assert ((y[V] - HAVEN.field(y[P])).norm(dim=0) <= HAVEN.calm(r)).all()
+        assert (r >= HAVEN.nearest).all() and (r <= C.max_distance).all()
+
+
+def test_without_the_field_it_drifts_out_of_it() -> None:
+    still = replace(HAVEN, out=0.0, back=0.0)
+    x = within(still, 60, 3)
+    x[P] = x[P] / x[P].norm(dim=0) * torch.where(torch.arange(60) % 2 == 0, 20.0, 798.0)
+    x[V] = 0.0
+    _, end, _ = flown(x, still, World(60, 4, "worst", "always"), 1000.0, None)
+    r = end[P].norm(dim=0)
+    assert (r[::2] < HAVEN.nearest).any() and (r[1::2] > C.max_distance).any()
+
+
+@pytest.mark.parametrize("hold", [1.0, 2.0, 3.0])
+def test_thrust_acts_within_its_shares(hold: float) -> None:
+    """Of the law's thrust, gains, tilts, a body that turns as fast as it may and an attitude that is seen elsewhere."""
+    rng, worst = np.random.default_rng(5), np.zeros(2)
+    tilt, gain = np.radians(U1.thrust_misalignment), U1.thrust_gain
+    t = np.linspace(0.0, hold, 61)
+    for k in range(1500):
+        asked = unit(rng.choice((-1.0, 0.2, 1.0), 3) if k % 2 else rng.standard_normal(3))
+        axis = unit(rng.standard_normal(3)) if k % 3 else unit(np.cross(asked, rng.standard_normal(3)))
+        body = np.diag(1 + gain * rng.choice((-1.0, 1.0), 3))
+        for i in range(3):
+            aside = unit(np.cross(np.eye(3)[i], axis if k % 5 else rng.standard_normal(3)) + 1e-12)
+            body[:, i] = body[i, i] * (np.cos(tilt) * np.eye(3)[i] + np.sin(tilt) * aside)
+        seen = np.radians(U1.attitude + U1.rate * (HAVEN.old + HAVEN.aim)) * np.sqrt(3.0)
+        turned = HAVEN.turning * (t - HAVEN.aim)
+        force = Rotation.from_rotvec((seen + turned)[:, None] * axis).apply(body @ asked)
+        mean = np.trapezoid(force, t, axis=0) / hold / (1 + U1.mass * rng.choice((-1.0, 1.0)))
+        along = mean @ asked
+        assert HAVEN.low <= along <= HAVEN.high
+        across = np.linalg.norm(mean - along * asked) / along
+        assert across <= HAVEN.across
+        worst = np.maximum(worst, (across / HAVEN.across, along / HAVEN.high))
+    assert (worst > (0.55, 0.95)).all(), worst  # the bounds are not empty
+
+
+@pytest.mark.parametrize("hold", [1.0, 2.0, 3.0])
+def test_a_mean_attitude_is_off_that_of_the_aim_by_no_more(hold: float) -> None:
+    rng, worst = np.random.default_rng(6), 0.0
+    turning, faster, aim = 0.06, 0.04, 1.0
+    told = astray(hold, aim, turning, faster)
+    t = np.linspace(0.0, hold, 301)
+    for _ in range(400):
+        rate = np.clip(
+            rng.uniform(-turning, turning) + faster * rng.choice((-1.0, 0.0, 1.0)) * t, -turning, turning
+        )
+        if rng.uniform() < 0.3:
+            rate = np.full_like(t, turning)
+        angle = np.concatenate(((0.0,), np.cumsum((rate[1:] + rate[:-1]) / 2 * t[1])))
+        off = abs(np.trapezoid(angle, t) / hold - np.interp(aim, t, angle))
+        assert off <= told + 1e-9
+        worst = max(worst, off / told)
+    assert worst > (0.1 if hold == 2.0 else 0.7), worst
+
+
+@pytest.mark.parametrize(
+    "told",
+    [
+        replace(U1, velocity=0.2),
+        replace(U1, thrust_gain=0.6),
+        replace(U1, attitude=60.0),
+        replace(U1, latency=10),
+        replace(U1, position=150.0),
+    ],
+)
+def test_bounds_that_leave_no_haven_are_refused(told: Uncertainty) -> None:
+    with pytest.raises(NoHavenError):
+        Haven.of(C, R, told)
+
+
+def test_a_haven_is_there_for_single_bounds_and_other_periods() -> None:
+    for told in (
+        Uncertainty(position=0.6),
+        Uncertainty(mass=0.1),
+        Uncertainty(latency=1),
+        Uncertainty(velocity=0.006),
+    ):
+        assert Haven.of(C, R, told).nearest <= 20.0
+    assert Haven.of(C, RtaParameters(period=5.0), Uncertainty(position=0.6, velocity=0.006)).nearest <= 20.0
