@@ -108,28 +108,43 @@ def held(x: Tensor, u: Tensor, error_bound: Tensor, w: Haven, r: RtaParameters) 
     Args:
         x: states (16, B) as predicted; error_bound: (4, B) by how much further than measured they may be off.
     """
+    parts, grown = [], [error_bound[1]]
+    for call in range(calls(w)):
+        x, error_bound, least = look(x, u, error_bound, w, r)
+        grown.append(error_bound[1])
+        before = call + 1 - w.known.latency  # what happened until then is measured by the law's first call
+        late = error_bound[1] - grown[before] if before >= 0 else error_bound[1]
+        parts += [least, home(x, error_bound, late, w)]
+    return lowest(torch.stack(parts))
+
+
+def calls(w: Haven) -> int:
+    """For which a control may be held."""
+    return round(w.longest / w.period)
+
+
+def home(x: Tensor, error_bound: Tensor, late: Tensor, w: Haven) -> Tensor:
+    """`way` from states (16, B) that may be off by (4, B) more than measured, see `held`."""
+    position, velocity, _, _ = w.known.radii
+    return way(x[P], x[V], position + error_bound[0], velocity + error_bound[1], late, w)
+
+
+def look(
+    x: Tensor, u: Tensor, error_bound: Tensor, w: Haven, r: RtaParameters
+) -> tuple[Tensor, Tensor, Tensor]:
+    """A period of a hold: the states and error bounds after it, and a lower bound of the limits in it, as `held`."""
     c, n, none = w.c, w.c.mean_motion, torch.zeros_like(x[0])
     position, velocity, _, _ = w.known.radii
-    parts, grown = [], [error_bound[1]]
-    for _ in range(round(w.longest / w.period)):
-        end, bound = predicted(x, error_bound, u, c, r, w.known)
-        # natural acceleration is another at another state
-        drift = (3 * n**2 * (position + bound[0]) + 2 * n * (velocity + bound[1])) * w.period
-        bound = torch.stack((bound[0] + drift * w.period, bound[1] + drift, bound[2], bound[3]))
-        push = (rotate(x[Q], u[THRUST]) + rotate(end[Q], u[THRUST])) / (2 * c.mass)
-        push = push * (w.high * norm(u[THRUST]) / c.mass / norm(push).clamp(min=1e-12))
-        off = strays(x[:6], end[:6], w.period, push, none + w.turning + 2 * n)
-        ends = [
-            Node(y[:6], e_p, e_p, e_v, e_v, norm(y[V]) + e_v)
-            for y, e_p, e_v in (
-                (y, position + e[0] + off.position, velocity + e[1] + off.velocity)
-                for y, e in ((x, error_bound), (end, bound))
-            )
-        ]
-        parts.append(lowest(between(ends[0], ends[1], torch.zeros_like(x[P]), none - FAR, none + FAR, w)))
-        grown.append(bound[1])
-        calls = len(grown) - 1 - w.known.latency  # what happened before was measured
-        late = bound[1] - grown[calls] if calls >= 0 else bound[1]
-        parts.append(way(end[P], end[V], position + bound[0], velocity + bound[1], late, w))
-        x, error_bound = end, bound
-    return lowest(torch.stack(parts))
+    end, bound = predicted(x, error_bound, u, c, r, w.known)
+    # natural acceleration is another at another state
+    drift = (3 * n**2 * (position + bound[0]) + 2 * n * (velocity + bound[1])) * w.period
+    bound = torch.stack((bound[0] + drift * w.period, bound[1] + drift, bound[2], bound[3]))
+    push = (rotate(x[Q], u[THRUST]) + rotate(end[Q], u[THRUST])) / (2 * c.mass)
+    push = push * (w.high * norm(u[THRUST]) / c.mass / norm(push).clamp(min=1e-12))
+    off = strays(x[:6], end[:6], w.period, push, none + w.turning + 2 * n)
+    nodes = []
+    for y, e in ((x, error_bound), (end, bound)):
+        e_p, e_v = position + e[0] + off.position, velocity + e[1] + off.velocity
+        nodes.append(Node(y[:6], e_p, e_p, e_v, e_v, norm(y[V]) + e_v))
+    least = lowest(between(nodes[0], nodes[1], torch.zeros_like(x[P]), none - FAR, none + FAR, w))
+    return end, bound, least

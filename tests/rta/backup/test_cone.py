@@ -150,7 +150,7 @@ def test_without_what_a_way_strays_limits_break() -> None:
 def test_another_law_than_that_which_was_checked_breaks_limits() -> None:
     x = torch.cat((edges(hypercube(100, 3, C)), edges(beside(100, 4))), 1)
 
-    def weak(y: Tensor, torque: Tensor) -> Tensor:
+    def weak(y: Tensor, torque: Tensor, bound: Tensor) -> Tensor:
         return 0.3 * thrust(y, torque, HAVEN)
 
     least, _, _ = flown(x, HAVEN, World(x.shape[1], 5, "worst", "always"), 120.0, 20.0, weak)

@@ -35,7 +35,7 @@ U1 = Uncertainty(
     saturates_rates=False,
 )
 LOOK = 0.5  # s
-Law = Callable[[Tensor, Tensor], Tensor]
+Law = Callable[[Tensor, Tensor, Tensor], Tensor]  # states, torque and error bounds to thrust
 
 
 class World:
@@ -118,12 +118,12 @@ def flown(
     none = torch.zeros(4, x.shape[1], dtype=x.dtype)
     while time < seconds:
         states.append(x.clone())
-        taken = measured
+        taken, bound = measured, none
         if sent is not None:
-            taken, _ = predicted(measured, none, sent, C, R, w.known)
+            taken, bound = predicted(measured, none, sent, C, R, w.known)
         u = torch.zeros(6, x.shape[1], dtype=x.dtype)
         u[TORQUE] = world.asks_torque(taken)
-        u[THRUST] = (law or (lambda y, torque: thrust(y, torque, w)))(taken, u[TORQUE])
+        u[THRUST] = law(taken, u[TORQUE], bound) if law else thrust(taken, u[TORQUE], w)
         for _ in range(world.held_for()):
             measured, sent = world.sees(x, w), u
             acting = world.acts(x, u)

@@ -1,0 +1,116 @@
+"""Thrust that is checked within bounds: whatever is asked for, no limit of motion breaks in U1's world at its worst."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+from torch import Tensor
+
+from inspection.model.parameters import InspectionParameters
+from inspection.model.state import OMEGA, THRUST, P, V
+from rta.backup.homing import Homing, calls, may_be_kept
+from rta.bounds.uncertainty import Uncertainty
+from tests.rta.backup.brute_force import hypercube, motion
+from tests.rta.backup.test_cone import accepts, beside
+from tests.rta.backup.told_world import U1, C, R, World, flown
+
+HOMING = Homing.of(C, R, U1)
+assert HOMING
+COUNT = 120
+
+
+def starts(seed: int) -> Tensor:
+    """States (16, COUNT) all over the zone and beside the chief from which a way is verified."""
+    x = torch.cat((hypercube(2 * COUNT, seed, C), beside(2 * COUNT, seed + 1)), 1)
+    x[OMEGA] = 0.0
+    x = x[:, accepts(x)]
+    return x[:, torch.linspace(0, x.shape[1] - 1, COUNT).long()]
+
+
+class Demands:
+    """Thrust that is asked for: outwards, to the chief, along v or at random, and what the check makes of it.
+
+    Attributes:
+        refused, verified, asked: how many demands were, of how many.
+    """
+
+    def __init__(self, homing: Homing | None, seed: int) -> None:
+        self.homing, self.generator = homing, torch.Generator().manual_seed(seed)
+        self.refused = self.verified = self.asked = 0
+
+    def __call__(self, x: Tensor, torque: Tensor, bound: Tensor) -> Tensor:
+        count = x.shape[1]
+        random = 2 * torch.rand(3, count, generator=self.generator, dtype=torch.float64) - 1
+        wanted = torch.stack((x[P], -x[P], x[V], random))[torch.arange(count) % 4, :, torch.arange(count)].T
+        q = x[6:10]
+        body = wanted + 2 * torch.linalg.cross(
+            -q[:3], torch.linalg.cross(-q[:3], wanted, dim=0) + q[3] * wanted, dim=0
+        )
+        u = torch.cat((C.max_thrust * body / body.abs().amax(0).clamp(min=1e-9), torque))
+        if self.homing:
+            u, kept, changed = self.homing.committed(x, u, bound)
+            self.refused, self.verified = self.refused + int(changed.sum()), self.verified + int(kept.sum())
+        self.asked += count
+        return u[THRUST]
+
+
+@pytest.mark.parametrize(("how", "misses"), [("steady", "random"), ("worst", "always")])
+def test_no_limit_breaks_whatever_is_asked(how: str, misses: str) -> None:
+    x, demands = starts(1), Demands(HOMING, 2)
+    least, _, _ = flown(x, HOMING.haven, World(COUNT, 3, how, misses), 100.0, 20.0, demands)
+    assert (least >= 0.0).all(), least.min(1)
+    assert 0.1 < demands.refused / demands.asked < 0.95 and demands.verified > demands.asked / 4
+
+
+def test_unchecked_the_same_demands_break_limits() -> None:
+    least, _, _ = flown(
+        starts(1), HOMING.haven, World(COUNT, 3, "steady", "random"), 100.0, 20.0, Demands(None, 2)
+    )
+    assert (least.min(1)[[1, 2, 3]] < 0.0).all()
+
+
+def test_a_check_that_forgets_missed_calls_lets_limits_break() -> None:
+    forgetful = Homing.of(C, R, replace(U1, longest_hold=1.0))
+    assert forgetful and calls(forgetful.haven) == 1
+    demands = Demands(forgetful, 2)
+    least, _, _ = flown(starts(1), forgetful.haven, World(COUNT, 3, "worst", "always"), 100.0, 20.0, demands)
+    assert least.min() < 0.0
+
+
+def test_what_is_verified_ends_where_a_way_begins() -> None:
+    """The true state after a hold that was verified has a way, however long the hold, wherever it began."""
+    x, world = starts(4), World(COUNT, 5, "worst", "random")
+    seen, bound = world.sees(x, HOMING.haven), torch.zeros(4, COUNT, dtype=torch.float64)
+    demands = Demands(None, 6)
+    torque = torch.zeros(3, COUNT, dtype=torch.float64)
+    u = torch.cat((demands(seen, torque, bound), torque))
+    safe = HOMING.thrust_is_safe(torch.cat((seen, bound)), u)
+    assert 10 < safe.sum() < COUNT
+    for held in (1, 2, 3):
+        world = World(COUNT, 5, "worst", "random")
+        world.held_for = lambda held=held: held  # type: ignore[method-assign]
+        world.asks_torque = lambda _: torque  # type: ignore[method-assign]
+        _, end, _ = flown(x, HOMING.haven, world, float(held), None, lambda *_: u[THRUST])
+        assert accepts(end)[safe].all()
+
+
+def test_only_what_may_still_be_kept_is_checked() -> None:
+    x = hypercube(300, 7, C)
+    none = torch.zeros(4, 300, dtype=torch.float64)
+    kept = torch.from_numpy(motion(x[P].numpy(), x[V].numpy(), C, None).min(0)) >= 0.0
+    assert (may_be_kept(x, none, HOMING.haven) >= 0.0)[kept].all()
+    x[V] *= 3.0
+    x[P] *= 800.0 / x[P].norm(dim=0)
+    broken = (x[V].norm(dim=0) > 7.0) | (x[V].abs().amax(0) > 5.2)
+    assert broken.any() and (may_be_kept(x, none, HOMING.haven) < 0.0)[broken].all()
+
+
+def test_where_no_haven_is_known_there_is_no_check() -> None:
+    for told in (
+        Uncertainty(),
+        replace(U1, health=True),
+        replace(U1, minimum_thrust=0.02),
+        replace(U1, velocity=0.3),
+    ):
+        assert Homing.of(C, R, told) is None
+    assert Homing.of(InspectionParameters(orbit="two-body"), R, U1) is None
