@@ -66,7 +66,7 @@ class SafetyFilter:
         names: of all constraints: Table 3's, then those of your own that thrust holds, then those that torque holds.
         condition: on a control, of the rate of now or of a hold; groups: its rows of thrust and of torque.
         backup: the check of its controls; None: there is none for this vehicle, or of what the filter is told.
-        turn: the check of torque alone, of a filter that is told of bounds; None: it knows no way within them.
+        turn, homing: of a filter that is told of bounds, the checks of torque and of thrust; None: it knows no way.
         compiled: all of it as one C function; None: it is not compiled so.
 
     Raises:
@@ -100,7 +100,8 @@ class SafetyFilter:
         kind: type[Now | Held] = Held if self.holds else Now
         self.condition: Condition = kind(constraints, c, own, known)
         self.groups = self.condition.groups
-        self.turn = self.condition.turn if isinstance(self.condition, Held) else None
+        held = self.condition if isinstance(self.condition, Held) else None
+        self.turn, self.homing = (held.turn, held.homing) if held else (None, None)
         thrust, torque = (group.names for group in self.groups)
         self.names = in_order(thrust, torque)
         if len(set(self.names)) < len(self.names):
@@ -170,6 +171,9 @@ class SafetyFilter:
         Every h is non-negative and a way to rest is verified. Of what no way is known every row says so, and thrust can
         brake.
         """
+        if self.turn and self.homing:
+            kept = (self.values(x) >= 0.0).all(0)
+            return narrowed(narrowed(kept, x, self.homing.has_way), x, self.turn.has_way)
         if self.turn:
             kept = (self.values(x) >= 0.0).all(0) & self.groups[0].keeps(x, degree=2) & self.can_brake(x)
             return narrowed(narrowed(kept, x, self.turn.has_way), x, self.is_holdable)

@@ -10,6 +10,7 @@ from torch import Tensor
 from inspection.model.parameters import Limits
 from inspection.model.state import THRUST, TORQUE
 from rta.backup.check import SLACK_ROUNDED
+from rta.backup.homing import Homing
 from rta.backup.turn import TurnBackup
 from rta.bounds.health import slewing
 from rta.bounds.uncertainty import Uncertainty
@@ -32,7 +33,7 @@ class Held:
     ) -> None:
         self.c, self.r, self.known = c, r, known
         self.groups = tuple(HeldGroup(by, constraints, c, r, known) for by in ACTUATORS)
-        self.turn = TurnBackup.of(c, r, known)
+        self.turn, self.homing = TurnBackup.of(c, r, known), Homing.of(c, r, known)
         self.use([partial(self.prepare, group) for group in self.groups])
 
     def prepare(
@@ -86,6 +87,8 @@ class Held:
             x, error_bound = self.ahead(x, error_bound, left * u)
         control, wish, status = self.given(x, demand, left)
         parts: dict[int, list[Tensor]] = {}
+        seen = [torch.zeros_like(stale)] * 2  # thrust and torque are verified
+        backup = torch.zeros_like(stale)
         for i in (1, 0):
             group = self.groups[i]
             near = group.near(x, control)
@@ -102,9 +105,12 @@ class Held:
                 for whole, part in zip(wholes, answer, strict=True):
                     put(whole, unsafe, part)
             status[i] = with_shortfall(status[i], slack)
-            if i == 1 and self.turn:  # before thrust, whose rows depend on what the body does
-                control, verified, backup = self.turn.committed(x, control, error_bound)
-                slack, status[i] = kept(slack, status[i], verified, backup, group)
+            if check := (self.homing, self.turn)[
+                i
+            ]:  # of torque before thrust, whose rows depend on the body's turn
+                control, seen[i], changed = check.committed(x, control, error_bound)
+                slack, status[i] = kept(slack, status[i], seen[i], changed, group)
+                backup = backup | changed
             tightening = group.by_constraint(prepared.tightening, partial(torch.amax, dim=0))
             parts[i] = [active, slack, prepared.h, tightening, group.tightened(tightening)]
         active, slack, h, tightening, tightened = (
@@ -114,7 +120,7 @@ class Held:
         result = FilterResult.proposed(
             control, demand.desired, active, slack, status, h, tightening, tightened
         )
-        return replace(result, backup=backup) if self.turn else result
+        return replace(result, backup=backup, verified=seen[0] & seen[1] & ~stale)
 
     def given(self, x: Tensor, demand: Demand, left: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Controls that the thrusters give, and that turn a weak axis away, what is projected, and status (2, B)."""

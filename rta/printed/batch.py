@@ -16,6 +16,7 @@ from inspection.model.state import CONTROL_SIZE, SIZE, THRUST, TORQUE
 from kernels import Kernel, Printed, batch, library, printed
 from kernels.build import for_vectors
 from kernels.compiled import check, in_shares, over_columns, pointers, strided, timed
+from rta.backup.homing import calls
 from rta.conditions.condition import demanded
 from rta.conditions.held_rows import HeldGroup
 from rta.conditions.rows import ActuatorGroup
@@ -118,6 +119,7 @@ class BatchFilter(Columns):
         ]
         many.append(define("BACKUP", int(safety_filter.backup is not None)))
         many.append(define("TURN", int(safety_filter.turn is not None)))
+        many.append(define("HELD_CALLS", calls(safety_filter.homing.haven) if safety_filter.homing else 0))
         many += [define(name, *said) for name, said in limits().items()]
         many += [*(part.text for part in parts), *(batch(part) for part in shared)]
         many += [part.text for part in ways if part.name in AT_A_GLANCE]

@@ -71,6 +71,7 @@ SECTIONS = {  # by file of the driver
     "health.c": "Turning a weak axis away in time",
     "filter_held.c": "The filter",
     "commit.c": "Whether a control keeps the limits and leaves a way to rest",
+    "homing.c": "Whether thrust keeps the limits of motion and leaves a way into the haven",
     "turn.c": "Whether torque keeps the attitude's limits and leaves a way to rest",
 }
 

@@ -15,6 +15,7 @@ from torch import Tensor
 
 from inspection.model.state import CONTROL_SIZE, SIZE
 from kernels import Printed, printed
+from rta.backup import homing
 from rta.bounds.health import NEAR
 from rta.conditions import tangents
 from rta.conditions.held_rows import KINDS, HeldGroup
@@ -72,6 +73,7 @@ def driver_files(safety_filter: "SafetyFilter") -> list[str]:
     optional = [("thrusters.c", known.is_coarse), ("health.c", known.health)]
     used = [name for name, is_used in optional if is_used]
     turn = ["turn.c"] if safety_filter.turn else []
+    turn += ["homing.c"] if safety_filter.homing else []
     return ["solver.c", "programs.c", "search.c", *used, *commit, *turn, "filter_held.c"]
 
 
@@ -178,12 +180,18 @@ def constants(safety_filter: "SafetyFilter") -> str:
         kept = [int(name in CONSTRAINTS) for name in safety_filter.names]
         lines.append(table("int IS_KEPT[CONSTRAINTS]", kept, "where a way is verified"))
         lines += [f"static void {name}({given});" for name, given in way.DECLARED.items()]
+    if safety_filter.homing:
+        lines.append(
+            define("HELD_CALLS", homing.calls(safety_filter.homing.haven), "thrust is checked, see homing.c")
+        )
+        lines += [f"static void {name}({given});" for name, given in way.OF_HOMING.items()]
     if safety_filter.turn:
         lines.append(define("TURN", 1, "torque is checked, see turn.c"))
+        lines += [f"static void {name}({given});" for name, given in way.OF_TURN.items()]
+    if safety_filter.homing or safety_filter.turn:
         lines += [define(name, *said) for name, said in way.trials().items()]
         kept = [int(name in CONSTRAINTS) for name in safety_filter.names]
         lines.append(table("int IS_KEPT[CONSTRAINTS]", kept, "where a way is verified"))
-        lines += [f"static void {name}({given});" for name, given in way.OF_TURN.items()]
     lines += [declared(name, group, holds) for name, group in zip(GROUPS, groups, strict=True)]
     if holds and safety_filter.known.latency:
         given = f"const double x[{SIZE}], const double error_bound[{KINDS}], const double u[{CONTROL_SIZE}]"

@@ -9,8 +9,10 @@ from torch import Tensor
 
 from inspection.model.state import CONTROL_SIZE, SIZE, TORQUE
 from kernels import Printed, printed
-from rta.backup import brake, slew, turn
+from rta.backup import brake, homing, slew, turn
 from rta.backup.check import ATTITUDE, MOTION, RATES_ROUNDED, SHARES, SLACK_ROUNDED, Backup
+from rta.backup.haven import thrust
+from rta.backup.homing import Homing
 from rta.backup.turn import TurnBackup
 from rta.backup.turning import Turning
 from rta.conditions.held_rows import KINDS
@@ -25,7 +27,11 @@ AT_A_GLANCE = (
     "torque_sight",
     "torque_glance",
     "turn_verified",
+    "homing_look",
+    "homing_way",
 )  # which are computed for every spacecraft
+
+GIVEN_BOUND = ("x", "control", "error_bound")
 
 Run = Callable[..., Sequence[Tensor]]
 
@@ -33,8 +39,11 @@ Run = Callable[..., Sequence[Tensor]]
 def checks(safety_filter: "SafetyFilter") -> list[Printed]:
     """The functions that either commit.c calls; none where the filter knows no way to rest."""
     x, u = safety_filter.probe("cpu")
+    told = homing_checks(safety_filter.homing, x, u) if safety_filter.homing else []
     if safety_filter.turn:
-        return turn_checks(safety_filter.turn, x, u)
+        told += turn_checks(safety_filter.turn, x, u)
+    if told:
+        return told
     if safety_filter.backup is None:
         return []
     at = torch.zeros(AT, 1, dtype=torch.float64)
@@ -70,6 +79,42 @@ def turn_checks(backup: TurnBackup, x: Tensor, u: Tensor) -> list[Printed]:
         ),
         printed(partial(turn_law, backup.turning), x, name="turn_law", names=(("x",), ("torque",))),
     ]  # fmt: skip
+
+
+def homing_checks(check: Homing, x: Tensor, u: Tensor) -> list[Printed]:
+    """The functions that homing.c calls, of a filter that is told of bounds."""
+    bound, late = torch.zeros(KINDS, 1, dtype=torch.float64), torch.zeros(1, 1, dtype=torch.float64)
+    named: list[tuple[str, Run, tuple[Tensor, ...], tuple[str, ...], tuple[str, ...]]] = [
+        ("homing_look", partial(homing_look, check), (x, u, bound), GIVEN_BOUND, ("after", "bound_after", "least")),
+        ("homing_way", partial(homing_way, check), (x, bound, late), ("x", "error_bound", "late"), ("least",)),
+        ("homing_kept", partial(homing_kept, check), (x, bound), ("x", "error_bound"), ("least",)),
+        ("homing_law", partial(homing_law, check), (x, u), ("x", "control"), ("thrust",)),
+    ]  # fmt: skip
+    return [
+        printed(run, *examples, name=name, names=(given, results))
+        for name, run, examples, given, results in named
+    ]
+
+
+def homing_look(check: Homing, x: Tensor, u: Tensor, error_bound: Tensor) -> list[Tensor]:
+    """`homing.look`."""
+    end, bound, least = homing.look(x, u, error_bound, check.haven, check.r)
+    return [end, bound, least[None]]
+
+
+def homing_way(check: Homing, x: Tensor, error_bound: Tensor, late: Tensor) -> list[Tensor]:
+    """`homing.home`."""
+    return [homing.home(x, error_bound, late[0], check.haven)[None]]
+
+
+def homing_kept(check: Homing, x: Tensor, error_bound: Tensor) -> list[Tensor]:
+    """`homing.may_be_kept`."""
+    return [homing.may_be_kept(x, error_bound, check.haven)[None]]
+
+
+def homing_law(check: Homing, x: Tensor, u: Tensor) -> list[Tensor]:
+    """`haven.thrust`."""
+    return [thrust(x, u[TORQUE], check.haven)]
 
 
 def turn_verified(turning: Turning, x: Tensor, u: Tensor, error_bound: Tensor) -> list[Tensor]:
@@ -145,6 +190,13 @@ DECLARED = {
     "brake_law": f"{GIVEN}, double thrust[3]",
     "slew_law": f"const double x[{SIZE}], double torque[3]",
 }
+OF_HOMING = {
+    "homing_look": f"{GIVEN}, const double error_bound[{KINDS}],\n    double after[{SIZE}], "
+    f"double bound_after[{KINDS}], double least[1]",
+    "homing_way": f"const double x[{SIZE}], const double error_bound[{KINDS}], const double late[1], double least[1]",
+    "homing_kept": f"const double x[{SIZE}], const double error_bound[{KINDS}], double least[1]",
+    "homing_law": f"{GIVEN}, double thrust[3]",
+}
 OF_TURN = {
     "turn_verified": f"{GIVEN}, const double error_bound[{KINDS}], double least[1]",
     "turn_kept": f"const double x[{SIZE}], const double error_bound[{KINDS}], double least[1]",
@@ -154,7 +206,7 @@ OF_TURN = {
 
 def of_one(parts: Sequence[Printed]) -> list[Printed]:
     """Those of `checks` that are called for one spacecraft; the others are a batch's."""
-    return [part for part in parts if part.name in DECLARED or part.name in OF_TURN]
+    return [part for part in parts if part.name in DECLARED or part.name in OF_TURN or part.name in OF_HOMING]
 
 
 def constants(backup: Backup) -> dict[str, tuple[int | float | str, str]]:

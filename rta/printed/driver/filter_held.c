@@ -148,6 +148,7 @@ void safety_filter(const struct safety_filter_input *in, struct safety_filter_ou
     struct situation where = {.group = TORQUE};
     double wish[6];
     double control[6];
+    int verified[2] = {0, 0}; /* within bounds that are told */
     begin(in, where.x, wish, control, out);
     for (int j = 0; j < 6; ++j) {
         where.left[j] = (HEALTH != 0) ? in->left[j] : 1.0;
@@ -159,10 +160,16 @@ void safety_filter(const struct safety_filter_input *in, struct safety_filter_ou
         filter_group(&where, wish, control, out);
 #ifdef TURN
         if (group == TORQUE) { /* before thrust, whose rows depend on what the body does */
-            commit_turn(where.x, where.error_bound, control, out);
+            verified[TORQUE] = commit_turn(where.x, where.error_bound, control, out);
+        }
+#endif
+#ifdef HELD_CALLS
+        if (group == THRUST) {
+            verified[THRUST] = commit_thrust(where.x, where.error_bound, control, out);
         }
 #endif
     }
+    out->verified = ((verified[THRUST] != 0) && (verified[TORQUE] != 0) && (is_stale == 0)) ? 1 : 0;
     if (is_stale != 0) {
         out->program_status[THRUST] = UNSOLVED;
         out->program_status[TORQUE] = UNSOLVED;

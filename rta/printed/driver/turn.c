@@ -58,11 +58,13 @@ static void nothing_of_torque_yields(struct safety_filter_output *out)
     }
 }
 
-static void commit_turn(const double x[16], const double error_bound[4], double control[6],
-                        struct safety_filter_output *out)
+/* Returns whether the torque that is applied is verified. */
+static int commit_turn(const double x[16], const double error_bound[4], double control[6],
+                       struct safety_filter_output *out)
 {
+    int verified = 0;
     if (may_be_kept(x, error_bound) != 0) {
-        int verified = turn_is_safe(x, error_bound, control);
+        verified = turn_is_safe(x, error_bound, control);
         if (verified == 0) {
             verified = turn_to_backup(x, error_bound, control);
             out->backup = 1;
@@ -74,4 +76,5 @@ static void commit_turn(const double x[16], const double error_bound[4], double 
             nothing_of_torque_yields(out);
         }
     }
+    return verified;
 }

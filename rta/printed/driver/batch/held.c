@@ -44,6 +44,47 @@ static M check_turn(const V x[16], const V error_bound[4], struct block *block)
 #endif
 }
 
+/* Lanes whose thrust is not seen to keep the limits of motion and to leave a way into the haven, likewise. */
+static M check_thrust(const V x[16], const V error_bound[4], struct block *block)
+{
+#if HELD_CALLS > 0
+    V now[16];
+    V bound[4];
+    V grown[HELD_CALLS + 1];
+    V least[1];
+    M found = NO;
+    memcpy(now, x, sizeof now);
+    memcpy(bound, error_bound, sizeof bound);
+    grown[0] = bound[1];
+    for (int call = 0; call < HELD_CALLS; ++call) {
+        V after[16];
+        V bound_after[4];
+        V late[1];
+        homing_look(now, block->numbers, bound, after, bound_after, least);
+        found |= ~(least[0] >= 0.0);
+        memcpy(now, after, sizeof now);
+        memcpy(bound, bound_after, sizeof bound);
+        grown[call + 1] = bound[1];
+        late[0] = (call + 1 >= LATENCY) ? (bound[1] - grown[call + 1 - LATENCY]) : bound[1];
+        homing_way(now, bound, late, least);
+        found |= ~(least[0] >= 0.0);
+    }
+    for (int k = KEPT_LIMITS; k < CONSTRAINTS; ++k) {
+        found |= block->numbers[6 + k] > 0.0;
+    }
+    for (int k = 0; k < MOTION_LIMITS; ++k) {
+        block->numbers[6 + k] = SELECT(found, block->numbers[6 + k], ALL(0.0));
+    }
+    block->program_status[0] = SELECT(found, block->program_status[0], MIN(block->program_status[0], ALL(1.0)));
+    return found;
+#else
+    (void)x;
+    (void)error_bound;
+    (void)block;
+    return NO;
+#endif
+}
+
 long filter_batch(long first, long last, const void *const *in, const long *in_step, void *const *out,
                   const long *out_step)
 {
@@ -67,12 +108,13 @@ long filter_batch(long first, long last, const void *const *in, const long *in_s
         torque_correct(x, error_bound, left, wish, block.numbers, &block);
         const M unturned = check_turn(x, error_bound, &block);
         thrust_correct(x, error_bound, left, wish, block.numbers, &block);
-        const M unseen = unsure(x, block.numbers) | unturned;
+        const M unhomed = check_thrust(x, error_bound, &block);
+        const M unseen = unsure(x, block.numbers) | unturned | unhomed;
         nothing_yields(unseen, block.program_status, &block.numbers[6]);
         for (int k = 0; k < 6 + 4 * CONSTRAINTS; ++k) {
             store_double(out[NUMBERS], k * out_step[NUMBERS] + column, lanes, block.numbers[k]);
         }
-        store_statuses(block.program_status, differ(desired, block.numbers), BACKUP ? ~unseen : NO, block.active, out, out_step, column, lanes);
+        store_statuses(block.program_status, differ(desired, block.numbers), (BACKUP || (TURN && HELD_CALLS > 0)) ? ~unseen : NO, block.active, out, out_step, column, lanes);
         for (int lane = 0; lane < W && lane < lanes; ++lane) {
             if (block.open[0][lane] || unseen[lane]) {
                 unsolved += filter_one(column + lane, in, in_step, out, out_step);
