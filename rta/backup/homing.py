@@ -7,13 +7,15 @@ That keeps the limits from every state from which a way begins, whatever is meas
 states, no limit of motion is ever broken (docs/reference/proof.md, *Within bounds*).
 """
 
+from typing import NamedTuple
+
 import torch
 from torch import Tensor
 
 from inspection.model.attitude import norm, rotate
 from inspection.model.parameters import Limits
 from inspection.model.state import SIZE, THRUST, TORQUE, P, Q, V
-from rta.backup.check import nearest
+from rta.backup.check import either, nearest
 from rta.backup.chords import lowest, strays
 from rta.backup.cone import Node, between, way
 from rta.backup.haven import Haven, NoHavenError, thrust
@@ -56,7 +58,13 @@ class Homing:
 
     def thrust_is_safe(self, y: Tensor, u: Tensor) -> Tensor:
         """(B,) bool: thrust of controls (6, B) keeps the limits, and a way is left; y (20, B): states, error bounds."""
-        return held(y[:SIZE], u, y[SIZE:], self.haven, self.r) >= 0.0
+        w, r = self.haven, self.r
+
+        def looked_at(columns: Tensor) -> Tensor:
+            there = pick(y, columns)
+            return closely(held(there[:SIZE], pick(u, columns), there[SIZE:], w, r), w) >= 0.0
+
+        return either(at_a_glance(held(y[:SIZE], u, y[SIZE:], w, r), w), looked_at)
 
     def committed(self, x: Tensor, u: Tensor, error_bound: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """What is applied in the place of proposed controls (6, B) at predicted states (16, B).
@@ -102,20 +110,57 @@ def may_be_kept(x: Tensor, error_bound: Tensor, w: Haven) -> Tensor:
     )
 
 
-def held(x: Tensor, u: Tensor, error_bound: Tensor, w: Haven, r: RtaParameters) -> Tensor:
-    """A lower bound of the limits of motion while u (6, B) is held, and on the ways that begin where that ends: (B,).
+class Held(NamedTuple):
+    """What a hold leads to, call by call.
+
+    Attributes:
+        least: (B,) lower bound of the limits while it lasts.
+        x, error_bound: states (16, B) and (4, B) at every call that may end it.
+        late: (B,) m/s each, by which the law's first calls see v farther off then.
+    """
+
+    least: Tensor
+    x: list[Tensor]
+    error_bound: list[Tensor]
+    late: list[Tensor]
+
+
+def held(x: Tensor, u: Tensor, error_bound: Tensor, w: Haven, r: RtaParameters) -> Held:
+    """A hold of u (6, B).
 
     Args:
         x: states (16, B) as predicted; error_bound: (4, B) by how much further than measured they may be off.
     """
     parts, grown = [], [error_bound[1]]
+    found = Held(x[0], [], [], [])
     for call in range(calls(w)):
         x, error_bound, least = look(x, u, error_bound, w, r)
+        parts.append(least)
         grown.append(error_bound[1])
         before = call + 1 - w.known.latency  # what happened until then is measured by the law's first call
-        late = error_bound[1] - grown[before] if before >= 0 else error_bound[1]
-        parts += [least, home(x, error_bound, late, w)]
-    return lowest(torch.stack(parts))
+        found.x.append(x)
+        found.error_bound.append(error_bound)
+        found.late.append(error_bound[1] - grown[before] if before >= 0 else error_bound[1])
+    return found._replace(least=lowest(torch.stack(parts)))
+
+
+def at_a_glance(hold: Held, w: Haven) -> Tensor:
+    """A lower bound of the limits in a hold and on all ways after it, (B,): of one that begins wherever it may end."""
+    middle = hold.x[(len(hold.x) - 1) // 2]
+    shifted = [
+        torch.stack(
+            (bound[0] + norm(x[P] - middle[P]), bound[1] + norm(x[V] - middle[V]), bound[2], bound[3])
+        )
+        for x, bound in zip(hold.x, hold.error_bound, strict=True)
+    ]
+    widest, late = torch.stack(shifted).amax(0), torch.stack(hold.late).amax(0)
+    return torch.minimum(hold.least, home(middle, widest, late, w))
+
+
+def closely(hold: Held, w: Haven) -> Tensor:
+    """The same, by a look at each way."""
+    ways = [home(*each, w) for each in zip(hold.x, hold.error_bound, hold.late, strict=True)]
+    return lowest(torch.stack((hold.least, *ways)))
 
 
 def calls(w: Haven) -> int:

@@ -2,8 +2,44 @@
  * while it is held, however long within the bounds, and a way into the haven begins then; else the nearest that is, on the
  * way to the law's. */
 
+static double apart(const double first[3], const double last[3])
+{
+    double sum = 0.0;
+    for (int i = 0; i < 3; ++i) {
+        sum += (first[i] - last[i]) * (first[i] - last[i]);
+    }
+    return sqrt(sum);
+}
+
+/* Where a hold may end, call by call. */
+struct hold_ends {
+    double x[HELD_CALLS][16];
+    double error_bound[HELD_CALLS][4];
+    double late[HELD_CALLS];
+};
+
+/* Whether a way begins wherever a hold may end, by one look. */
+static int home_at_a_glance(const struct hold_ends *ends)
+{
+    const double *middle = ends->x[(HELD_CALLS - 1) / 2];
+    double widest[4] = {0.0, 0.0, 0.0, 0.0};
+    double late[1] = {0.0};
+    double least[1];
+    for (int call = 0; call < HELD_CALLS; ++call) {
+        const double *bound = ends->error_bound[call];
+        widest[0] = larger(widest[0], bound[0] + apart(ends->x[call], middle));
+        widest[1] = larger(widest[1], bound[1] + apart(&ends->x[call][3], &middle[3]));
+        widest[2] = larger(widest[2], bound[2]);
+        widest[3] = larger(widest[3], bound[3]);
+        late[0] = larger(late[0], ends->late[call]);
+    }
+    homing_way(middle, widest, late, least);
+    return (least[0] >= 0.0) ? 1 : 0;
+}
+
 static int homes(const double x[16], const double error_bound[4], const double control[6])
 {
+    struct hold_ends ends;
     double now[16];
     double bound[4];
     double grown[HELD_CALLS + 1];
@@ -13,17 +49,16 @@ static int homes(const double x[16], const double error_bound[4], const double c
     copy(bound, error_bound, 4);
     grown[0] = bound[1];
     for (int call = 0; (call < HELD_CALLS) && (found != 0); ++call) {
-        double after[16];
-        double bound_after[4];
-        double late[1];
-        homing_look(now, control, bound, after, bound_after, least);
+        homing_look(now, control, bound, ends.x[call], ends.error_bound[call], least);
         found = (least[0] >= 0.0) ? 1 : 0;
-        copy(now, after, 16);
-        copy(bound, bound_after, 4);
+        copy(now, ends.x[call], 16);
+        copy(bound, ends.error_bound[call], 4);
         grown[call + 1] = bound[1];
-        late[0] = (call + 1 >= LATENCY) ? (bound[1] - grown[call + 1 - LATENCY]) : bound[1];
-        if (found != 0) {
-            homing_way(now, bound, late, least);
+        ends.late[call] = (call + 1 >= LATENCY) ? (bound[1] - grown[call + 1 - LATENCY]) : bound[1];
+    }
+    if ((found != 0) && (home_at_a_glance(&ends) == 0)) {
+        for (int call = 0; (call < HELD_CALLS) && (found != 0); ++call) {
+            homing_way(ends.x[call], ends.error_bound[call], &ends.late[call], least);
             found = (least[0] >= 0.0) ? 1 : 0;
         }
     }

@@ -48,27 +48,42 @@ static M check_turn(const V x[16], const V error_bound[4], struct block *block)
 static M check_thrust(const V x[16], const V error_bound[4], struct block *block)
 {
 #if HELD_CALLS > 0
-    V now[16];
-    V bound[4];
+    V ends[HELD_CALLS][16];
+    V bounds[HELD_CALLS][4];
     V grown[HELD_CALLS + 1];
+    V widest[4];
+    V late[1];
     V least[1];
     M found = NO;
-    memcpy(now, x, sizeof now);
-    memcpy(bound, error_bound, sizeof bound);
+    const V *now = x;
+    const V *bound = error_bound;
     grown[0] = bound[1];
     for (int call = 0; call < HELD_CALLS; ++call) {
-        V after[16];
-        V bound_after[4];
-        V late[1];
-        homing_look(now, block->numbers, bound, after, bound_after, least);
+        homing_look(now, block->numbers, bound, ends[call], bounds[call], least);
         found |= ~(least[0] >= 0.0);
-        memcpy(now, after, sizeof now);
-        memcpy(bound, bound_after, sizeof bound);
+        now = ends[call];
+        bound = bounds[call];
         grown[call + 1] = bound[1];
-        late[0] = (call + 1 >= LATENCY) ? (bound[1] - grown[call + 1 - LATENCY]) : bound[1];
-        homing_way(now, bound, late, least);
-        found |= ~(least[0] >= 0.0);
     }
+    for (int call = 0; call < HELD_CALLS; ++call) { /* all at once, see homing.c */
+        const V *middle = ends[(HELD_CALLS - 1) / 2];
+        V shifted[4];
+        memcpy(shifted, bounds[call], sizeof shifted);
+        for (int k = 0; k < 2; ++k) {
+            V sum = ALL(0.0);
+            for (int i = 3 * k; i < 3 * k + 3; ++i) {
+                sum += (ends[call][i] - middle[i]) * (ends[call][i] - middle[i]);
+            }
+            shifted[k] += SQRT(sum);
+        }
+        const V since = bounds[call][1] - ((call + 1 >= LATENCY) ? grown[call + 1 - LATENCY] : ALL(0.0));
+        late[0] = call ? MAX(late[0], since) : since;
+        for (int i = 0; i < 4; ++i) {
+            widest[i] = call ? MAX(widest[i], shifted[i]) : shifted[i];
+        }
+    }
+    homing_way(ends[(HELD_CALLS - 1) / 2], widest, late, least);
+    found |= ~(least[0] >= 0.0);
     for (int k = KEPT_LIMITS; k < CONSTRAINTS; ++k) {
         found |= block->numbers[6 + k] > 0.0;
     }
