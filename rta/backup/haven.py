@@ -196,12 +196,15 @@ class Haven:
         """The same, with a field that is faster than this one's calm speed, and with the calm speed in it."""
         c, farthest = self.c, self.c.max_distance
         beside, edge = BESIDE * c.collision_radius, farthest - EDGE
-        out, back = OUTWARDS * self.still, INWARDS * (self.still + self.rising * farthest)
+        none = torch.zeros((), dtype=torch.float64)
+        out, back = (
+            OUTWARDS * self.wanders(none + beside).item(),
+            INWARDS * self.wanders(none + farthest).item(),
+        )
         w = replace(
             self, out=out, beside=beside, ends=beside + max(out, 1e-6) / STEEP,
             back=back, begins=edge - max(back, 1e-6) / STEEP, edge=edge,
         )  # fmt: skip
-        none = torch.zeros((), dtype=torch.float64)
         near, far = (
             w.errors(none, none + beside, none + w.ends),
             w.errors(none, none + w.begins, none + farthest),
@@ -213,6 +216,10 @@ class Haven:
     def calm(self, distance: Tensor) -> Tensor:
         """m/s, of |w| in the haven at a call at most, at distances (...) in m."""
         return self.still + self.rising * distance
+
+    def wanders(self, distance: Tensor) -> Tensor:
+        """m/s, of |w| in the haven at most, between calls, too."""
+        return self.calm(distance) + self.stray(self.calm(distance), distance)
 
     def stray(self, speed: Tensor, farthest: Tensor) -> Tensor:
         """m/s, by which w is off its chord in a hold, for thrust turns with the body; |w| and |p| (...)."""
@@ -278,8 +285,7 @@ class Haven:
             raise NoHavenError("the zone is too small for the field")
         r = torch.linspace(c.collision_radius, c.max_distance, count, dtype=torch.float64)
         gap = (r[1] - r[0]).item()
-        most = self.calm(r) + self.stray(self.calm(r), r)
-        speed = self.speed(r)
+        speed, most = self.speed(r), self.wanders(r)
         outwards = (2 * c.max_acceleration * (c.max_distance - r).clamp(min=0.0)).sqrt()
         inwards = (2 * c.max_acceleration * (r - c.collision_radius)).sqrt()
         limit = (c.docking_speed + c.speed_slope * r).clamp(max=c.max_speed)
@@ -307,7 +313,7 @@ class Haven:
             self.c,
             torch.linspace(0.0, self.c.passive_safety_horizon, moments + 1, dtype=torch.float64),
         )
-        speed, most = self.speed(r), self.calm(r) + self.stray(self.calm(r), r)
+        speed, most = self.speed(r), self.wanders(r)
         unit = torch.eye(3, dtype=torch.float64)[:, :, None]
         none = torch.zeros_like(unit[0])
         of_p = [free_flight(e, none, times, c.mean_motion) for e in unit]  # (3, times), by where it begins

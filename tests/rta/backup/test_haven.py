@@ -53,10 +53,10 @@ def test_free_flight_from_nearer_is_not_clear() -> None:
 
 @pytest.mark.parametrize(("how", "misses"), [("steady", "random"), ("worst", "always")])
 def test_nothing_leads_out_of_the_haven(how: str, misses: str) -> None:
-    x = within(HAVEN, 150, 1, at_call=True)
+    x = within(HAVEN, 50, 1, at_call=True)
     x[P] *= 1 + 1e-9
     x[P] *= (C.max_distance / x[P].norm(dim=0)).clamp(max=1.0)
-    least, end, states = flown(x, HAVEN, World(150, 2, how, misses), 1000.0, None)
+    least, end, states = flown(x, HAVEN, World(50, 2, how, misses), 1000.0, None)
     assert (least >= 0.0).all()
     for y in (*states, end):
         r = y[P].norm(dim=0)
@@ -96,7 +96,7 @@ def test_thrust_acts_within_its_shares(hold: float) -> None:
         across = np.linalg.norm(mean - along * asked) / along
         assert across <= HAVEN.across
         worst = np.maximum(worst, (across / HAVEN.across, along / HAVEN.high))
-    assert (worst > (0.55, 0.95)).all(), worst  # the bounds are not empty
+    assert (worst > (0.4, 0.95)).all(), worst  # the bounds are not empty
 
 
 @pytest.mark.parametrize("hold", [1.0, 2.0, 3.0])
@@ -104,7 +104,7 @@ def test_a_mean_attitude_is_off_that_of_the_aim_by_no_more(hold: float) -> None:
     rng, worst = np.random.default_rng(6), 0.0
     turning, faster, aim = 0.06, 0.04, 1.0
     told = astray(hold, aim, turning, faster)
-    t = np.linspace(0.0, hold, 301)
+    t = np.linspace(0.0, hold, 3001)
     for _ in range(400):
         rate = np.clip(
             rng.uniform(-turning, turning) + faster * rng.choice((-1.0, 0.0, 1.0)) * t, -turning, turning
@@ -113,7 +113,7 @@ def test_a_mean_attitude_is_off_that_of_the_aim_by_no_more(hold: float) -> None:
             rate = np.full_like(t, turning)
         angle = np.concatenate(((0.0,), np.cumsum((rate[1:] + rate[:-1]) / 2 * t[1])))
         off = abs(np.trapezoid(angle, t) / hold - np.interp(aim, t, angle))
-        assert off <= told + 1e-9
+        assert off <= told + 1e-8
         worst = max(worst, off / told)
     assert worst > (0.1 if hold == 2.0 else 0.7), worst
 
