@@ -189,7 +189,7 @@ def difference(config: Config, flown: list[Flown]) -> str:
 
     trusted = [each for each in flown if verified(alike(each.config, flown))]
     if not trusted:
-        return "no configuration has been verified here"
+        return "no campaign is at hand; the shipped ones are in the repository, not in the installed package"
     nearest = min(trusted, key=lambda each: len(names(each)))
     name, *others = names(nearest)
     values = [ours[name], nearest.relevant[name]]
