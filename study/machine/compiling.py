@@ -48,7 +48,7 @@ def finds_compiler() -> bool:
 def compile_or_explain(what: str, compile: Callable[[], None]) -> bool:
     """Compiles; where that fails, says so in a line. Returns whether it went well."""
     try:
-        with step(f"compiling the {what}, seconds"):
+        with step(f"compiling the {what}, up to a minute"):
             compile()
     except Exception as error:  # a missing or broken compiler, a full or read-only cache: in many ways
         reason = error.strerror if isinstance(error, OSError) and error.strerror else type(error).__name__
