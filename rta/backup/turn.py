@@ -103,15 +103,28 @@ def law(x: Tensor, w: Turning) -> Tensor:
     return (inertia * faster).clamp(-w.c.max_torque, w.c.max_torque)
 
 
-def followed(start: Start, w: Turning) -> tuple[list[Tensor], list[Tensor], Tensor]:
+class Followed(NamedTuple):
+    """How the law is followed, for each period from a call on.
+
+    Attributes:
+        errors: (...) rad/s each, |z| at most; paces: (...) rad/s, at which the law turns the panels at least until they
+            are near the Sun.
+        least: (...) rad, delta at least, before each period and after the last.
+        farthest: (...) rad, delta at most at the end, or a right angle; last: (...) rad/s, |z| of an axis there.
+    """
+
+    errors: list[Tensor]
+    paces: list[Tensor]
+    least: list[Tensor]
+    farthest: Tensor
+    last: Tensor
+
+
+def followed(start: Start, w: Turning) -> Followed:
     """Bounds of the error of the law's rates, call by call, whichever calls are missed.
 
     In a hold from a call at which an error is z_i it is at most |1 - b| |z_i| + b e + F t with b between g t / tau and
     G t / tau: e is what is measured amiss, F what the model does not know and how the law's rates change.
-
-    Returns:
-        For each period from the call on, |z| (...) at most; delta at least before and after each; at the end, |z| of an
-        axis at most.
     """
     steps = math.ceil(LOOKAHEAD / (w.slowest * w.period))
     limit, long = w.c.max_rate + w.unknown, w.holds * w.period
@@ -122,14 +135,15 @@ def followed(start: Start, w: Turning) -> tuple[list[Tensor], list[Tensor], Tens
     commands = [start.command], [start.command]  # across d, and about it
     unknowns = [torch.full_like(none, most)], [torch.full_like(none, most)]
     sums: list[Tensor] = []
+    paces: list[Tensor] = []
     least, slower = [start.near], math.asin(w.rate / w.kappa)
+    farthest, right = start.delta, math.pi / 2
+    slowest = w.pace(math.pi - w.c.field_of_view / 2 - w.c.exclusion_buffer)
+    beyond = 2 * max(w.fastest * long, 1.0) - 1.0  # of |z| or e, where b is beyond 1
     for i in range(steps):
         z, rolling = errors[i], rolls[i]
         # at the earliest in the hold; the law's rate changes its direction, then its size, and then the body rolls
         nearest_to = least[i] - ROOT2 * long * limit
-        is_far = nearest_to > slower
-        turned_by = torch.where(is_far, w.rate * w.steepest, w.kappa)
-        slowing = torch.where(is_far, 0.0, w.kappa * w.rate)
         roll = torch.where(nearest_to > BEGINS + w.angle, 0.0, w.roll)
         calls = round(w.lag / w.period)
         first = max(i - calls - w.holds + 1, 0 if i >= calls else -1) if calls else i - 1
@@ -146,10 +160,27 @@ def followed(start: Start, w: Turning) -> tuple[list[Tensor], list[Tensor], Tens
         high = torch.maximum(z, e)
         fast = torch.maximum(rolling, roll + e_d) + most * long
         at_most = norm(high)
-        share = w.spin[1] * fast + w.unknown + turned_by  # of what z adds to its own change
-        change = w.spin[1] * fast * w.rate + w.unknown * (fast + w.rate + w.unknown)
-        change = change + w.rate * fast + slowing + share * at_most
-        change = change / (1.0 - ROOT2 * long * share).clamp(min=1e-3)
+
+        def changes(
+            turned_by: Tensor | float,
+            slowing: Tensor | float,
+            fast: Tensor = fast,
+            at_most: Tensor = at_most,
+        ) -> Tensor:
+            """rad/s^2, F of an axis, where z adds a share to its own change."""
+            share = w.spin[1] * fast + w.unknown + turned_by
+            change = w.spin[1] * fast * w.rate + w.unknown * (fast + w.rate + w.unknown)
+            change = change + w.rate * fast + slowing + share * at_most
+            return change / (1.0 - ROOT2 * long * share).clamp(min=1e-3)
+
+        steep = w.rate * w.steepest
+        change = changes(max(w.kappa, steep), w.kappa * w.rate)
+        rises = long * (beyond * at_most + ROOT2 * long * change / 2 - slowest)
+        opposite_to = farthest + rises.clamp(min=0.0)
+        # elsewhere the law's rate changes its size, too
+        is_steady = (nearest_to > slower) & (opposite_to < math.pi - slower)
+        turned_by = torch.where(is_steady, steep, max(w.kappa, steep))
+        change = changes(turned_by, torch.where(is_steady, 0.0, w.kappa * w.rate))
         turned = w.rate + at_most + ROOT2 * long * change
         along = w.spin[0] * turned**2 / 2 + w.unknown * (fast + turned + w.unknown)
         commands[0].append((high.amax(0) + e) / w.tau + w.look.gyroscopic)
@@ -165,7 +196,10 @@ def followed(start: Start, w: Turning) -> tuple[list[Tensor], list[Tensor], Tens
             rolls[i + j] = torch.maximum(rolls[i + j], torch.maximum(*turns))
         sums.append(norm(torch.maximum(z, errors[i + 1])))
         least.append(least[i] - (w.rate + sums[i]) * w.period)
-    return sums, least, maximum(errors[steps : steps + w.holds]).amax(0)
+        opposite = (farthest + sums[i] * w.period).clamp(min=right, max=math.pi)
+        paces.append((w.kappa * opposite.sin()).clamp(max=w.rate))
+        farthest = (farthest + (sums[i] - paces[i]) * w.period).clamp(min=right)
+    return Followed(sums, paces, least, farthest, maximum(errors[steps : steps + w.holds]).amax(0))
 
 
 def way(x: Tensor, off: Spread, w: Turning) -> Tensor:
@@ -190,22 +224,26 @@ def beginning(x: Tensor, off: Spread, w: Turning) -> Start:
 def from_here(start: Start, w: Turning) -> Tensor:
     """`way` from what it depends on."""
     c, t, delta = w.c, w.period, start.delta
-    sums, least, last = followed(start, w)
+    sums, paces, least, opposite, last = followed(start, w)
     gone, farthest = torch.zeros_like(delta), torch.zeros_like(delta)
     late, late_near = torch.zeros_like(delta), torch.zeros_like(delta)
     returns = torch.zeros_like(delta, dtype=torch.bool)
     turned = w.lowest_at(w.slow)
-    for each, at_least in zip(sums, least[1:], strict=True):
-        gone = gone + (each - w.rate) * t
+    for each, pace, at_least in zip(sums, paces, least[1:], strict=True):
+        gone = gone + (each - pace) * t
         farthest = torch.maximum(farthest, gone)
-        late = late + (each - (w.rate - w.slow)).clamp(min=0.0) * t
-        late_near = late_near + (each - (w.rate - w.slow_near)).clamp(min=0.0) * t
+        late = late + (each - (pace - w.slow)).clamp(min=0.0) * t
+        late_near = late_near + (each - (pace - w.slow_near)).clamp(min=0.0) * t
         returns = returns | ((each > w.rate) & (at_least < turned))
     tail = 2.0 * ROOT2 / w.slowest
-    late = late + tail * (last - w.turning.across).clamp(min=0.0)
-    late_near = late_near + tail * (last - w.near.across).clamp(min=0.0)
-    returns = returns | (ROOT2 * last > w.rate)
+    more, more_near = (tail * (last - each.across).clamp(min=0.0) for each in (w.turning, w.near))
     slower = math.asin(w.rate / w.kappa)
+    farthest = torch.maximum(farthest, gone + more_near)
+    # where the panels have not come to W yet
+    still = (opposite + more - (math.pi - slower)).clamp(min=0.0) / w.slow_far
+    late = late + more + still * max(w.slow - w.slow_far, 0.0)
+    late_near = late_near + more_near + still * max(w.slow_near - w.slow_far, 0.0)
+    returns = returns | (ROOT2 * last > w.rate)
     begin = torch.where(returns, delta.clamp(min=slower) + late_near, delta.clamp(min=BEGINS) + late)
     slow = torch.where(returns, w.slow_near, w.slow)
     exclusion = math.pi - delta - farthest - c.field_of_view / 2 - c.exclusion_buffer

@@ -58,7 +58,8 @@ class Turning:
         steepest: cot(delta) at most, while the panels turn at `rate`.
         rate, roll: rad/s at most, W and R.
         turning, near: levels of errors where the panels turn at W, and where they slow down.
-        slow, slow_near: rad/s, by which delta falls there at least.
+        slow, slow_near, slow_far: rad/s, by which delta falls there at least, and where the panels face away from the
+            Sun and have not come to W yet.
         angle: rad, by which an attitude is taken for another at most.
         lit, facing, rolling: s, of full light by the Sun, of the Earth's beside it, and of the Earth's alone while the
             body hardly rolls, that heat the surface as much as the way does once the panels slow down.
@@ -88,6 +89,7 @@ class Turning:
     near: Level = Level(0.0, 0.0, 0.0)
     slow: float = 0.0
     slow_near: float = 0.0
+    slow_far: float = 0.0
     angle: float = 0.0
     lit: float = 0.0
     facing: float = 0.0
@@ -112,10 +114,11 @@ class Turning:
             c, Slewing.of(replace(c, saturate_rates=False), holds * period, holds), period, lag, holds, tau, slowest,
             most / tau, known.torque_error, POINTING * slowest, ROLLING * slowest, spins(c, known, most),
             math.radians(known.attitude), math.radians(known.rate), n, known.unknown_turning(c),
-            max(1.0 / math.tan(angle) for angle in (c.field_of_view / 2 + c.exclusion_buffer, SATURATED)),
+            1.0 / math.tan(SATURATED),
         )  # fmt: skip
         at_first = c.max_torque / min(c.inertia)
         amiss, angle = w.measured(at_first, w.worst)
+        excluded = c.field_of_view / 2 + c.exclusion_buffer
         over = max(w.fastest * holds * period, 1.0)
         rates = (
             c.max_rate - w.worst / w.slowest,  # a body that turns at its limit is braked
@@ -131,20 +134,26 @@ class Turning:
             angle=ROOT3 * angle,
             rate=rate,
             roll=min(ROLL * rate, 2 * w.kappa_roll),
+            steepest=1.0 / math.tan(min(math.asin(rate / w.kappa), excluded)),
         )
         turning, near = w.level(None, 0.0), w.level(rate / w.kappa, 0.0)
         slow, slow_near = (rate - ROOT2 * level.across for level in (turning, near))
+        slow_far = w.pace(math.pi - excluded) - ROOT2 * near.across
         coupled = ROOT2 * (max(rate * w.steepest, w.kappa) + max(w.spin) * (w.roll + near.along) + n)
         coupled += w.slowest * w.share * w.lag / w.tau
-        if slow_near <= 0.0 or coupled > w.slowest / 2 or w.lowest_at(slow) < SATURATED:
+        if min(slow_near, slow_far) <= 0.0 or coupled > w.slowest / 2 or w.lowest_at(slow) < SATURATED:
             raise NoRestError("the turn to the Sun")
-        w = replace(w, turning=turning, near=near, slow=slow, slow_near=slow_near)
+        w = replace(w, turning=turning, near=near, slow=slow, slow_near=slow_near, slow_far=slow_far)
         return w.settled()
 
     @property
     def worst(self) -> float:
         """rad/s^2, of each axis, that the model does not know of, within the limits of the rates."""
         return max(self.spin) * self.c.max_rate**2 + self.unknown * ROOT3 * self.c.max_rate
+
+    def pace(self, delta: float) -> float:
+        """rad/s, at which the panels turn so far from the Sun, in rad."""
+        return min(self.kappa * math.sin(delta), self.rate)
 
     def measured(self, command: float, unknown: float) -> tuple[float, float]:
         """rad/s and rad, of each axis, by which a rate and an attitude are off when a call answers.
