@@ -7,7 +7,7 @@ R(S), for the law aims anew at every call. So a way is a path of S alone, and wh
     p   is along w_0 between two distances, as thrust is stronger or weaker, and across it within the integral of R
 
 Each limit has a lower bound on a chord between two values of S, as of `rta.backup.chords`, with strays of each end. The
-way ends in the haven. The derivation is in docs/reference/proof.md, *Within bounds*.
+way ends in the haven. The derivation is in docs/reference/proof.md, *With bounds: motion*.
 """
 
 import math

@@ -18,7 +18,7 @@ come to, but a *haven*, which it never leaves, whatever is measured,
     nearest <= |p| <= max_distance,    |v - v_ref(p)| <= calm(|p|),
 
 since the field is faster than `calm` at both ends. Every limit of motion is kept in it: `Haven.of` certifies that once,
-and raises where it is not so. See docs/reference/proof.md, *Within bounds*.
+and raises where it is not so. See docs/reference/proof.md, *With bounds: motion*.
 """
 
 import math
@@ -28,7 +28,7 @@ import torch
 from torch import Tensor
 
 from inspection.model.attitude import norm, rotation_matrix
-from inspection.model.dynamics import step
+from inspection.model.dynamics import euler, step
 from inspection.model.orbit import free_flight, natural_acceleration
 from inspection.model.parameters import Limits
 from inspection.model.state import THETA_S, P, Q, V
@@ -127,7 +127,7 @@ class Haven:
         holds = math.ceil(known.hold(r) / r.period - 1e-9)
         longest, old = holds * r.period, known.latency * r.period
         aim = (longest + r.period) / 4
-        turning = math.sqrt(3.0) * c.max_rate
+        turning = math.sqrt(3.0) * c.max_rate + known.unknown_turning(c)  # relative to Hill's frame
         position, velocity, attitude, rate = known.radii
         # rad, by which the mean attitude of a hold is another than the one predicted for its aim
         quickening = math.sqrt(3.0) * c.max_torque / min(c.inertia)
@@ -135,13 +135,17 @@ class Haven:
         ahead = old + aim
         angle = attitude + rate * ahead + min(other * ahead**2 / 2, 2 * turning * ahead)
         faster = known.torque[1] * quickening + known.angular_acceleration(c)
-        angle += max(astray(r.period * (i + 1), aim, turning, faster) for i in range(holds))
+        faster += math.hypot(*euler((c.max_rate,) * 3, c.inertia))
+        hold = [r.period * (i + 1) for i in range(holds)]
+        # thrust that sweeps about its mean direction gives less along it
+        sweeps = angle + turning * max(math.sqrt(((t - aim) ** 3 + aim**3) / (3 * t)) for t in hold)
+        angle += max(astray(t, aim, turning, faster) for t in hold)
         # of thrust in the body: the gains of the axes, and each axis aslant
         tilt = math.radians(known.thrust_misalignment)
         least, most = (1 - known.thrust_gain) * math.cos(tilt), 1 + known.thrust_gain
         aslant, uneven = math.sqrt(2.0) * math.sin(tilt) * most, (most - least) / 2
         mixed = aslant + angle * (uneven + aslant)
-        along = least - mixed - angle**2 / 2 * most
+        along = least - mixed - max(angle, sweeps) ** 2 / 2 * most
         if along <= 0.0:
             raise NoHavenError("thrust may act in any direction")
         low, high = along / (1 + known.mass), (most + mixed) / (1 - known.mass)
@@ -223,10 +227,10 @@ class Haven:
 
     def stray(self, speed: Tensor, farthest: Tensor) -> Tensor:
         """m/s, by which w is off its chord in a hold, for thrust turns with the body; |w| and |p| (...)."""
-        natural = 3 * self.c.mean_motion**2 * farthest + 2 * self.c.mean_motion * speed
-        asked = ((speed * (1.0 + self.late) + self.seen) / ((1.0 - self.late) * self.slow)).clamp(
-            max=self.full
-        )
+        n, field = self.c.mean_motion, max(self.out, self.back)
+        natural = 3 * n**2 * (farthest + self.place) + 2 * n * (speed + field + self.seen)
+        seen = self.seen + max(self.out / self.c.collision_radius, STEEP) * self.place + self.old * natural
+        asked = ((speed * (1.0 + self.late) + seen) / ((1.0 - self.late) * self.slow)).clamp(max=self.full)
         return self.high * (1 + self.across) * (asked + natural) * self.turning * self.longest**2 / 8
 
     def field(self, p: Tensor) -> Tensor:
@@ -250,7 +254,11 @@ class Haven:
         n, late, sees = self.c.mean_motion, self.late, 1.0 - self.late
         steep = self.steepness(nearest, farthest)
         drift = torch.maximum(self.speed(nearest).abs(), self.speed(farthest).abs())
-        seen = self.seen + steep * self.place
+        # what thrust that meets f, and the unknown, did otherwise since the measurement, counts beside the share `late`
+        since = self.old * (
+            self.amiss * (3 * n**2 * (farthest + self.place) + 2 * n * drift) + self.known.acceleration
+        )
+        seen = self.seen + steep * self.place + since
         # m/s^2 that are there at any speed: f that is not what thrust was meant to cancel, what is unknown, and the
         # field's own change along it, which is along the radius
         always = (
@@ -263,7 +271,7 @@ class Haven:
         # s, that a hold is per share that it takes away at most
         lasting = ((fastest + seen) / (sees * self.full)).clamp(min=self.slow) / self.low
         rate = 2 * n * (self.amiss + late) / sees + 3 * n**2 * self.longest + steep + self.rising
-        growing = lasting * rate + n * self.longest * (1.0 + self.across) / sees
+        growing = lasting * rate + n * (self.longest + 2 * self.old * self.amiss) * (1.0 + self.across) / sees
         saturated = (fastest + seen) / sees > self.full * self.slow
         growing = growing + torch.where(saturated, always / (self.full * self.low), 0.0)
 

@@ -4,7 +4,7 @@ A state is known within bounds only, and a control may be held for one call or f
 every state that may be true, it keeps the limits of motion while it is held, and a way (`rta.backup.cone`) begins at
 every call that may end that. If not, the nearest control that does, on the way to the law's; at worst the law's own.
 That keeps the limits from every state from which a way begins, whatever is measured. So, by induction over the true
-states, no limit of motion is ever broken (docs/reference/proof.md, *Within bounds*).
+states, no limit of motion is ever broken (docs/reference/proof.md, *With bounds: motion*).
 """
 
 from typing import NamedTuple

@@ -105,9 +105,8 @@ class Held:
                 for whole, part in zip(wholes, answer, strict=True):
                     put(whole, unsafe, part)
             status[i] = with_shortfall(status[i], slack)
-            if check := (self.homing, self.turn)[
-                i
-            ]:  # of torque before thrust, whose rows depend on the body's turn
+            check = (self.homing, self.turn)[i]
+            if check:  # of torque before thrust, whose rows depend on the body's turn
                 control, seen[i], changed = check.committed(x, control, error_bound)
                 slack, status[i] = kept(slack, status[i], seen[i], changed, group)
                 backup = backup | changed
@@ -136,10 +135,10 @@ class Held:
 def kept(
     slack: Tensor, status: Tensor, verified: Tensor, changed: Tensor, group: HeldGroup
 ) -> tuple[Tensor, Tensor]:
-    """Slack (constraints, B) and statuses (B,) of torque that is checked: a limit that is kept does not yield.
+    """Slack (constraints, B) and statuses (B,) of a group that is checked: a limit that is kept does not yield.
 
     Args:
-        verified, changed: (B,) bool, the torque is, and is another than was proposed.
+        verified, changed: (B,) bool, its controls are, and are others than were proposed.
     """
     own = torch.tensor([name in CONSTRAINTS for name in group.names], device=slack.device)
     slack = slack.masked_fill(own[:, None] & verified, 0.0)

@@ -142,3 +142,18 @@ def test_a_haven_is_there_for_single_bounds_and_other_periods() -> None:
     ):
         assert Haven.of(C, R, told).nearest <= 20.0
     assert Haven.of(C, RtaParameters(period=5.0), Uncertainty(position=0.6, velocity=0.006)).nearest <= 20.0
+
+
+def test_thrust_that_sweeps_with_a_body_gives_less() -> None:
+    """A body that turns steadily about an axis across its thrust, aimed at the middle of a hold."""
+    w = Haven.of(C, R, Uncertainty(acceleration=1e-5))
+    half = np.sqrt(3.0) * C.max_rate * R.period / 2
+    assert w.low <= np.sin(half) / half
+
+
+def test_what_thrust_did_otherwise_since_a_measurement_is_seen_even_at_rest() -> None:
+    """There it meets natural acceleration, with the least of its gains and the heaviest body."""
+    w = replace(HAVEN, seen=0.0)
+    at = torch.tensor(500.0, dtype=torch.float64)
+    lost = 1.0 - (1.0 - U1.thrust_gain) / (1.0 + U1.mass)
+    assert w.errors(0.0 * at, at, at).seen >= lost * 3 * C.mean_motion**2 * at * R.period
