@@ -104,7 +104,7 @@ def test_a_mean_attitude_is_off_that_of_the_aim_by_no_more(hold: float) -> None:
     rng, worst = np.random.default_rng(6), 0.0
     turning, faster, aim = 0.06, 0.04, 1.0
     told = astray(hold, aim, turning, faster)
-    t = np.linspace(0.0, hold, 3001)
+    t = np.linspace(0.0, hold, 10_001)
     for _ in range(400):
         rate = np.clip(
             rng.uniform(-turning, turning) + faster * rng.choice((-1.0, 0.0, 1.0)) * t, -turning, turning
