@@ -139,7 +139,12 @@ def followed(start: Start, w: Turning) -> Followed:
     least, slower = [start.near], math.asin(w.rate / w.kappa)
     farthest, right = start.delta, math.pi / 2
     slowest = w.pace(math.pi - w.c.field_of_view / 2 - w.c.exclusion_buffer)
-    beyond = 2 * max(w.fastest * long, 1.0) - 1.0  # of |z| or e, where b is beyond 1
+    over = max(w.fastest * long, 1.0)  # b at most
+
+    def overshot(first: Tensor, last: Tensor) -> Tensor:
+        """|1 - b| first + b last at most, whichever b is reached."""
+        return maximum([first, last, (over - 1.0) * first + over * last])
+
     for i in range(steps):
         z, rolling = errors[i], rolls[i]
         # at the earliest in the hold; the law's rate changes its direction, then its size, and then the body rolls
@@ -157,8 +162,8 @@ def followed(start: Start, w: Turning) -> Followed:
 
         (e, angle), (e_d, angle_d) = amiss(commands[0], unknowns[0]), amiss(commands[1], unknowns[1])
         e = e + w.kappa * torch.maximum(angle, angle_d) * ROOT3
-        high = torch.maximum(z, e)
-        fast = torch.maximum(rolling, roll + e_d) + most * long
+        high = overshot(z, e)
+        fast = overshot(rolling, roll + e_d) + e_d + most * long
         at_most = norm(high)
 
         def changes(
@@ -175,7 +180,7 @@ def followed(start: Start, w: Turning) -> Followed:
 
         steep = w.rate * w.steepest
         change = changes(max(w.kappa, steep), w.kappa * w.rate)
-        rises = long * (beyond * at_most + ROOT2 * long * change / 2 - slowest)
+        rises = long * (at_most + ROOT2 * long * change / 2 - slowest)
         opposite_to = farthest + rises.clamp(min=0.0)
         # elsewhere the law's rate changes its size, too
         is_steady = (nearest_to > slower) & (opposite_to < math.pi - slower)
