@@ -1,6 +1,7 @@
 """Time against fuel of the paper, the guidance, the study's agents, the best flights found and the bound."""
 
 import json
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,8 @@ from study.files import ROOT, writing
 from study.flight.figures import BLUE, GREEN, GREY, ORANGE
 from study.paper import PAPER_METRICS
 
-AGENTS = ROOT / "runs/reference/study/results.json"
+AGENTS, FRONT = (ROOT / f"runs/reference/{study}/results.json" for study in ("study", "front"))
+GUIDED = ROOT / "runs/reference/study/report/front.json"  # the guidance on the agents' cases
 RED = "#D55E00"
 METRICS = "episode_length_s", "delta_v_m_s"
 NAMES = {"no_rta": "without RTA", "rta": "with RTA"}
@@ -32,17 +34,31 @@ def mean(values: list[float], cases: list[int]) -> float:
 
 def draw(found: dict[str, Any], path: Path) -> None:
     """Draws the content of optimum.json."""
-    drawn = Figure(figsize=(8, 5), layout="constrained")
+    drawn = Figure(figsize=(8, 6), layout="constrained")
     axis = drawn.subplots()
     cases, times = solved(found), found["times"]
-    agents = json.loads(AGENTS.read_text(encoding="utf-8"))["arms"]
+    agents, thriftier = (json.loads(path.read_text(encoding="utf-8"))["arms"] for path in (AGENTS, FRONT))
+    guided = json.loads(GUIDED.read_text(encoding="utf-8"))
+
+    def line(of: dict[str, Any]) -> Iterator[tuple[float, ...]]:
+        """Times and fuel, from thrifty to quick."""
+        return zip(*([each["metrics"][name]["iqm"] for name in METRICS] for each in of.values()), strict=True)
+
+    axis.plot(
+        *line({**thriftier, "quick": agents["rta"]}),
+        "D-",
+        color=ORANGE,
+        ms=5,
+        label="our agents, by their teacher",
+    )
+    axis.plot(*line(guided), "o--", color=BLUE, ms=5, label="guidance that leads the Sun, the same cases")
     for arm, marker in zip(ARMS, "sD", strict=True):
         own = [agents[arm]["metrics"][name]["iqm"] for name in METRICS]
         papers = [PAPER_METRICS[name].by_arm[arm].value for name in METRICS]
         axis.plot(*papers, marker, color=GREY, ms=8, label=f"the paper's agents, {NAMES[arm]}")
         axis.plot(*own, marker, color=ORANGE, ms=8, label=f"our agents, {NAMES[arm]}")
     for rows, colour, label in (
-        (list(found["guidance"].values()), BLUE, "guidance that leads the Sun"),
+        (list(found["guidance"].values()), BLUE, "guidance, the cases of the best found"),
         (times, GREEN, "best found, case known in advance"),
     ):
         points = ([mean(row[name], cases) for row in rows] for name in ("time_s", "delta_v_m_s"))
@@ -58,6 +74,6 @@ def draw(found: dict[str, Any], path: Path) -> None:
     axis.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
     axis.yaxis.set_minor_formatter(NullFormatter())
     axis.grid(alpha=0.3)
-    axis.legend(fontsize=9, loc="upper right")
+    drawn.legend(fontsize=9, loc="outside lower center", ncols=2)
     with writing(path) as file:
         drawn.savefig(file, dpi=100, format="png")

@@ -113,6 +113,23 @@ def time_against_fuel() -> Iterator[Row]:
         yield name, f"{time:,.0f}", f"{fuel:.2f}", success(flown, "clean_success")
 
 
+def thrifty_to_quick() -> Iterator[Row]:
+    """Agents by the guidance that taught them: those of the front, then the study's."""
+    for teacher, flown in {**arms("front"), GUIDE: arms()["rta"]}.items():
+        fuel, time = fuel_and_time(flown)
+        shares = success(flown), success(flown, "clean_success")
+        longest = f"{flown['metrics']['episode_length_s']['max']:,.0f}"
+        yield (
+            teacher,
+            f"{len(flown['per_seed'])}",
+            f"{time:,.0f}",
+            longest,
+            f"{fuel:.2f}",
+            *shares,
+            violation(flown),
+        )
+
+
 def baselines() -> Iterator[Row]:
     """The test cases flown without learning."""
     flown_by = {
