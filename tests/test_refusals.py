@@ -27,7 +27,7 @@ __all__ = ["run"]  # a fixture
         (["train", "--seed", "-1"], ["--seed", "'-1'", "integer"]),
         (["train", "--device", "tpu"], ["--device", "'tpu'", "cuda"]),
         (["train", "--solar-panel-axis", "x"], ["--solar-panel-axis", "'x'", "+x"]),
-        (["train", "--config", "nowhere.toml"], ["nowhere.toml", "No such file"]),
+        (["train", "--config", "nowhere.toml"], ["nowhere.toml", "neither a file nor a shipped one"]),
         (["train", "--resume", "nowhere"], ["nowhere", "no run there"]),
         (["train", "--resume", "nowhere", "--seed", "3"], ["--resume", "--seed"]),
         (["train", "--unknown"], ["--unknown"]),
@@ -43,7 +43,7 @@ __all__ = ["run"]  # a fixture
         (["study", "--arms", "rta,both"], ["--arms", "'both'", "no_rta, rta"]),
         (["study", "--arms", "rta,rta"], ["--arms", "'rta,rta'", "each once"]),
         (["study", "--arms", "rta,rta"], ["--arms", "'rta,rta'", "no_rta,rta"]),
-        (["study", "--config", "nowhere.toml"], ["nowhere.toml", "No such file"]),
+        (["study", "--config", "nowhere.toml"], ["nowhere.toml", "neither a file nor a shipped one"]),
         (["study", "--study-dir", "/proc/nowhere"], ["--study-dir", "cannot write there"]),
         (
             ["train", "--config", str(Path(main.__file__).parent / "configs" / "study.toml")],
