@@ -14,7 +14,7 @@ from study.files import ROOT, writing
 from study.flight.figures import BLUE, GREEN, GREY, ORANGE
 from study.paper import PAPER_METRICS
 
-AGENTS, FRONT = (ROOT / f"runs/reference/{study}/results.json" for study in ("study", "front"))
+AGENTS, FRONT = (ROOT / f"runs/reference/{study}/results.json" for study in ("study", "teachers"))
 GUIDED = ROOT / "runs/reference/study/report/front.json"  # the guidance on the agents' cases
 RED = "#D55E00"
 METRICS = "episode_length_s", "delta_v_m_s"

@@ -115,7 +115,7 @@ def time_against_fuel() -> Iterator[Row]:
 
 def thrifty_to_quick() -> Iterator[Row]:
     """Agents by the guidance that taught them: those of the front, then the study's."""
-    for teacher, flown in {**arms("front"), GUIDE: arms()["rta"]}.items():
+    for teacher, flown in {**arms("teachers"), GUIDE: arms()["rta"]}.items():
         fuel, time = fuel_and_time(flown)
         shares = success(flown), success(flown, "clean_success")
         longest = f"{flown['metrics']['episode_length_s']['max']:,.0f}"
