@@ -183,6 +183,36 @@ class Backup:
         return brake.brake(x, u[TORQUE], self.braking)
 
 
+def verified_or_nearest(
+    y: Tensor,
+    u: Tensor,
+    own: slice,
+    may_be_kept: Tensor,
+    law: Callable[[Tensor, Tensor], Tensor],
+    is_safe: Callable[[Tensor, Tensor], Tensor],
+) -> tuple[Tensor, Tensor, Tensor]:
+    """What is applied of one group in the place of proposed controls (6, B).
+
+    Args:
+        y: (n, B) what `law` and `is_safe` are given, columns of B, states first.
+        own: the group's controls; may_be_kept: (B,) bool: none of its limits is violated already for sure.
+        law: its controls (3, M) at M columns of y and u; is_safe: (M,) bool: the group's controls are.
+
+    Returns:
+        Controls (6, B); (B,) bool each: the group's are verified; they are others.
+    """
+    u, checked = u.clone(), y.isfinite().all(0) & may_be_kept
+    kept = is_safe(y, u) & checked
+    changed = ~kept & checked
+    columns = torch.nonzero(changed).flatten()
+    if columns.numel():
+        there, proposed = pick(y, columns), pick(u, columns)
+        control, found = nearest(there, proposed, own, law(there, proposed), is_safe)
+        put(u, columns, control)
+        put(kept, columns, found)
+    return u, kept, changed
+
+
 def nearest(
     x: Tensor, u: Tensor, own: slice, law: Tensor, is_safe: Callable[[Tensor, Tensor], Tensor]
 ) -> tuple[Tensor, Tensor]:

@@ -15,14 +15,14 @@ from torch import Tensor
 from inspection.model.attitude import norm, rotate
 from inspection.model.parameters import Limits
 from inspection.model.state import SIZE, THRUST, TORQUE, P, Q, V
-from rta.backup.check import either, nearest
+from rta.backup.check import either, verified_or_nearest
 from rta.backup.chords import lowest, strays
 from rta.backup.cone import Node, between, way
 from rta.backup.haven import Haven, NoHavenError, thrust
 from rta.bounds.uncertainty import Uncertainty
 from rta.conditions.prediction import predicted
 from rta.parameters import RtaParameters
-from rta.qp.programs import pick, put
+from rta.qp.programs import pick
 
 FAR = 1e6  # m, beyond every distance: of a hold nothing is assumed of where it leads
 
@@ -75,18 +75,12 @@ class Homing:
         Returns:
             Controls (6, B); (B,) bool each: their thrust is verified; it is another.
         """
-        u, y = u.clone(), torch.cat((x, error_bound))
-        checked = y.isfinite().all(0) & (may_be_kept(x, error_bound, self.haven) >= 0.0)
-        kept = self.thrust_is_safe(y, u) & checked
-        changed = ~kept & checked
-        columns = torch.nonzero(changed).flatten()
-        if columns.numel():
-            there, proposed = pick(y, columns), pick(u, columns)
-            own = thrust(there[:SIZE], proposed[TORQUE], self.haven)
-            control, found = nearest(there, proposed, THRUST, own, self.thrust_is_safe)
-            put(u, columns, control)
-            put(kept, columns, found)
-        return u, kept, changed
+        y, fit = torch.cat((x, error_bound)), may_be_kept(x, error_bound, self.haven) >= 0.0
+        return verified_or_nearest(y, u, THRUST, fit, self.thrust, self.thrust_is_safe)
+
+    def thrust(self, y: Tensor, u: Tensor) -> Tensor:
+        """The law's thrust (3, B) with the torque of controls (6, B), y as of `thrust_is_safe`."""
+        return thrust(y[:SIZE], u[TORQUE], self.haven)
 
 
 def may_be_kept(x: Tensor, error_bound: Tensor, w: Haven) -> Tensor:

@@ -25,13 +25,12 @@ from inspection.model.dynamics import euler, step, sun_and_earth_in_body, temper
 from inspection.model.parameters import Limits
 from inspection.model.state import OMEGA, SIZE, TORQUE, E, Q, T
 from rta.backup import slew
-from rta.backup.check import LOOK, nearest
+from rta.backup.check import LOOK, verified_or_nearest
 from rta.backup.chords import lowest
 from rta.backup.slew import across, incidence, upright, vector
 from rta.backup.turning import BEGINS, FULL, LOOKAHEAD, ROOT2, ROOT3, NoRestError, Turning, heating
 from rta.bounds.uncertainty import Uncertainty
 from rta.parameters import RtaParameters
-from rta.qp.programs import pick, put
 
 
 @dataclass(frozen=True)
@@ -401,15 +400,9 @@ class TurnBackup:
         Returns:
             Controls (6, B); (B,) bool each: their torque is verified; it is another.
         """
-        u, y = u.clone(), torch.cat((x, error_bound))
-        checked = y.isfinite().all(0) & (may_be_kept(x, error_bound, self.turning) >= 0.0)
-        kept = self.torque_is_safe(y, u) & checked
-        changed = ~kept & checked
-        columns = torch.nonzero(changed).flatten()
-        if columns.numel():
-            there, proposed = pick(y, columns), pick(u, columns)
-            torque = law(there[:SIZE], self.turning)
-            control, found = nearest(there, proposed, TORQUE, torque, self.torque_is_safe)
-            put(u, columns, control)
-            put(kept, columns, found)
-        return u, kept, changed
+        y, fit = torch.cat((x, error_bound)), may_be_kept(x, error_bound, self.turning) >= 0.0
+        return verified_or_nearest(y, u, TORQUE, fit, self.torque, self.torque_is_safe)
+
+    def torque(self, y: Tensor, u: Tensor) -> Tensor:
+        """The law's torque (3, B), y as of `torque_is_safe`; controls (6, B) do not matter."""
+        return law(y[:SIZE], self.turning)
