@@ -12,6 +12,7 @@ from typing import Any
 
 import torch
 from torch import Tensor
+from torch.autograd.forward_ad import unpack_dual
 from torch.overrides import TorchFunctionMode
 
 Function = Callable[[Tensor], Tensor]
@@ -19,11 +20,12 @@ Function = Callable[[Tensor], Tensor]
 FORWARD_MODE = threading.RLock()  # PyTorch counts the levels of forward mode for all threads together
 
 
-class ByNumbers(TorchFunctionMode):
-    """Has a tensor and a number added, subtracted, multiplied or divided by what PyTorch has for numbers.
+class WithoutShapes(TorchFunctionMode):
+    """Has sums, differences, products and quotients in forward mode formed without asking Python for shapes.
 
-    Else it takes the number for a tensor, whose derivative is zero, and asks Python for the shape of every such zero:
-    half a millisecond each, two thirds of a call of the filter that is not traced. The results' bits are the same.
+    PyTorch does that for every derivative that is zero as the operand does not depend on x: half a millisecond each,
+    two thirds of a call of the filter that is not traced. For numbers it has operations of their own; a tensor is given
+    a derivative of zeros. The results' bits are the same.
     """
 
     OPERATIONS = {  # noqa: RUF012
@@ -38,9 +40,25 @@ class ByNumbers(TorchFunctionMode):
         self, function: Callable[..., Any], types: Any, args: Any = (), kwargs: Any = None
     ) -> Any:
         """Any call that involves a tensor."""
-        if not kwargs and function in self.OPERATIONS and isinstance(args[1], int | float):
-            function = self.OPERATIONS[function]
+        if not kwargs and function in self.OPERATIONS:
+            first, second = args
+            if isinstance(second, int | float):
+                function = self.OPERATIONS[function]
+            elif isinstance(second, Tensor):
+                args = with_derivative(first, second), with_derivative(second, first)
         return function(*args, **(kwargs or {}))
+
+
+def with_derivative(operand: Tensor, other: Tensor) -> Tensor:
+    """An operand with a derivative, of zeros if it has none and the other one has."""
+    if operand.dtype != other.dtype or depends(operand) or not depends(other):
+        return operand
+    return torch.where(torch.zeros((), dtype=torch.bool, device=other.device), other, operand)
+
+
+def depends(operand: Tensor) -> bool:
+    """Whether an operand has a derivative."""
+    return unpack_dual(operand).tangent is not None
 
 
 def directional(
@@ -49,7 +67,7 @@ def directional(
     """A function of several tensors and its derivative along tensors of their shapes, by one forward-mode pass."""
     if torch.compiler.is_compiling():  # which knows no locks
         return torch.func.jvp(function, tuple(at), tuple(along))[:2]
-    with FORWARD_MODE, ByNumbers():
+    with FORWARD_MODE, WithoutShapes():
         load_forward_mode()
         return torch.func.jvp(function, tuple(at), tuple(along))[:2]
 
