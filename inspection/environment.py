@@ -21,7 +21,7 @@ from inspection.transition import Transition
 from inspection.world.basilisk import BasiliskPlant
 from inspection.world.parameters import PlantParameters
 from inspection.world.plant import Plant
-from kernels import Compiled
+from kernels import Compiled, if_long
 
 
 def clocks_of(
@@ -176,7 +176,10 @@ class InspectionEnv:
         """A function compiled for tensors like the examples, with loops over so many points, None: all of them."""
         columns = [example[..., :1] for example in examples]
         return Compiled(
-            function, *columns, batch=self.time.numel(), long=points or self.sight.points.shape[1]
+            function,
+            *columns,
+            batch=self.time.numel(),
+            long=if_long(points or self.sight.points.shape[1]),
         )
 
     def _compiled(

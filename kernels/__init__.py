@@ -7,9 +7,9 @@ from on_demand import on_demand
 if TYPE_CHECKING:
     from kernels.build import NoCompilerError, library
     from kernels.compiled import Compiled, Kernel, batch
-    from kernels.printer import Printed, printed
+    from kernels.printer import Printed, if_long, printed
 
-__all__ = ["Compiled", "Kernel", "NoCompilerError", "Printed", "batch", "library", "printed"]
+__all__ = ["Compiled", "Kernel", "NoCompilerError", "Printed", "batch", "if_long", "library", "printed"]
 
 __getattr__ = on_demand(
     __name__,
@@ -20,6 +20,7 @@ __getattr__ = on_demand(
         "Kernel": "kernels.compiled.Kernel",
         "batch": "kernels.compiled.batch",
         "Printed": "kernels.printer.Printed",
+        "if_long": "kernels.printer.if_long",
         "printed": "kernels.printer.printed",
     },
 )

@@ -14,7 +14,7 @@ from kernels.operations.expressions import Program
 from kernels.recorder import Recorder, evaluated
 from kernels.text import TYPES, Body, Part
 
-LEAST_LONG = 64  # an axis of less is written out: it may be as long as another one
+LEAST_LONG = 64  # an axis of less may be as long as another one
 
 
 @dataclass(frozen=True)
@@ -54,13 +54,13 @@ def printed(
         function: without control flow that depends on values.
         examples: arguments of one column.
         name: in C.
-        long: length of an axis that is looped over instead of written out, as of a table of points.
+        long: length of an axis that is looped over instead of written out, as of a table of points; 0: none is.
+            The length of another axis must be no multiple of it.
         names: of arguments and results in C; None: x0, x1, ... and y0, y1, ...
 
     Raises:
         NotImplementedError: an operation of it cannot be printed; names it, and the line that wants it.
     """
-    long = long if long >= LEAST_LONG else 0
     given, found = names or ([f"x{i}" for i in range(len(examples))], None)
     inputs = [part_of(n, x) for n, x in zip(given, examples, strict=True)]
     real = "float" if {"float"} <= {part.kind for part in inputs} <= {"float", "bool"} else "double"
@@ -87,6 +87,11 @@ def printed(
         [x.shape[:-1] for x in examples],
         [y.dtype for y in results],
     )
+
+
+def if_long(length: int) -> int:
+    """`long` of `printed` for an axis of any length: 0 where another one may be as long, so that it is written out."""
+    return length if length >= LEAST_LONG else 0
 
 
 def part_of(name: str, column: Tensor) -> Part:

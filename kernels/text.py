@@ -1,6 +1,7 @@
 """Expressions as the lines of a function in C."""
 
 import math
+import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -13,6 +14,7 @@ from kernels.operations.expressions import MASK, NUMBER, REDUCTIONS, Expression,
 # in memory
 TYPES = {torch.float64: "double", torch.float32: "float", torch.bool: "bool", torch.int64: "long"}
 INFIX = {"add": "+", "sub": "-", "mul": "*", "div": "/", "lt": "<", "le": "<=", "eq": "=="}
+WIDTH = 110  # of a table's lines
 START = {"sum": 0.0, "least": math.inf, "most": -math.inf, "any": False}
 
 
@@ -74,7 +76,7 @@ class Body:
         needed = with_arguments(self.program.expressions, wanted)
         last = max((each.stage for each in needed), default=0)
         used = sorted({int(each.arguments[0]) for each in needed if each.operation in ("table", "lookup")})
-        lines = [f"    static const real table{i}[{self.long}] = {{{self.entries(i)}}};" for i in used]
+        lines = [self.table(i) for i in used]
         for stage in range(last + 1):
             own = [each for each in needed if not each.varies and each.stage == stage]
             lines += [self.line(each, 1) for each in own if each.operation not in (*REDUCTIONS, "input")]
@@ -82,9 +84,11 @@ class Body:
         stores = [each for each in self.stores if not varying(each[0])]
         return lines + [f"    {place} = {self.operand(value, kind)};" for place, value, kind in stores]
 
-    def entries(self, table: int) -> str:
-        """The numbers of a table in C."""
-        return ", ".join(self.literal(value) for value in self.tables[table])
+    def table(self, index: int) -> str:
+        """A table in C."""
+        numbers = ", ".join(self.literal(value) for value in self.tables[index])
+        rows = textwrap.indent(textwrap.fill(numbers, WIDTH, break_long_words=False), " " * 8)
+        return f"    static const real table{index}[{self.long}] = {{\n{rows}\n    }};"
 
     def loop(self, needed: list[Expression], stage: int, is_last: bool) -> list[str]:
         """The loop over the long axis after this stage: what the reductions of the next one add up, at last outputs."""

@@ -49,6 +49,12 @@ class FreeFlight:
     cells: int
     searches: int
 
+    def times(self, y: Tensor, c: Limits) -> tuple[float, list[Tensor]]:
+        """Length of a cell in s; when each begins and ends, in s: (cells, 1, ...), as many axes as y (6, ...)."""
+        cell = c.passive_safety_horizon / self.cells
+        first = torch.arange(self.cells, dtype=y.dtype, device=y.device)
+        return cell, [(cell * each).reshape(-1, *(1,) * (y.dim() - 1)) for each in (first, first + 1)]
+
     @classmethod
     def of(cls, c: Limits, cells: int, searches: int) -> "FreeFlight":
         """Of a grid of a second each, 0.1 % up: the entries turn by n t, 0.06 deg a second."""
@@ -136,21 +142,22 @@ def clearance(
     free: FreeFlight,
 ) -> Tensor:
     """The least clearance in m of all free flights that begin between two nodes, over the horizon: (...)."""
-    cell = c.passive_safety_horizon / free.cells
-    times = cell * torch.arange(free.cells + 1, dtype=start.dtype, device=start.device)
-    times = times.reshape(-1, *(1,) * (start.dim() - 1))
-    rest = start.new_zeros(SIZE - 6, *start.shape[1:])
-    a, b = (coast(torch.cat((y, rest)), times, c) for y in (start, end))
-    corners = a[:, :-1], a[:, 1:], b[:, :-1], b[:, 1:]
+    cell, times = free.times(start, c)
+    corners = [flown(y, t, c) for y in (start, end) for t in times]
     nearest = nearer(corners[0] + corners[2], corners[1] + corners[3]) / 2
     beyond = torch.full_like(nearest[0], -math.inf)
     for _ in range(1 + free.searches):
         m = unit(nearest)
         corner, along = least_along(m, corners)
         beyond, nearest = torch.maximum(beyond, along), nearer(nearest, corner)
-    beyond = beyond - free.velocity * times[1:] * e_v
+    beyond = beyond - free.velocity * times[1] * e_v
     bend = (free.bend_position * (farthest + e_p) + free.bend_velocity * (fastest + e_v)) * cell**2 / 8
     return beyond.amin(0) - c.collision_radius - free.position * e_p - bend
+
+
+def flown(y: Tensor, t: Tensor, c: Limits) -> Tensor:
+    """Positions (3, cells, ...) after free flight from nodes (6, ...) for t s, (cells, 1, ...)."""
+    return coast(torch.cat((y, y.new_zeros(SIZE - 6, *y.shape[1:]))), t, c)
 
 
 def nearer(first: Tensor, last: Tensor) -> Tensor:

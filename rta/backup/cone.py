@@ -18,9 +18,8 @@ import torch
 from torch import Tensor
 
 from inspection.model.attitude import dot, norm, unit
-from inspection.model.orbit import coast
-from inspection.model.state import SIZE, P, V
-from rta.backup.chords import NEAREST, NEVER, lowest, nearer
+from inspection.model.state import P, V
+from rta.backup.chords import NEAREST, NEVER, flown, lowest, nearer
 from rta.backup.haven import SHARE, Errors, Haven
 
 CHORDS, DENSER = 7, 2.0  # of a way; the power of evenly spaced numbers that S is at their ends
@@ -259,15 +258,11 @@ def between(start: Node, end: Node, u: Tensor, nearest: Tensor, farthest: Tensor
 def clearance(ends: Sequence[Node], farthest: Tensor, fastest: Tensor, w: Haven) -> Tensor:
     """As `rta.backup.chords.clearance`, each node with its own strays: (...) in m."""
     c, free, y = w.c, w.free, ends[0].y
-    cell = c.passive_safety_horizon / free.cells
-    times = cell * torch.arange(free.cells + 1, dtype=y.dtype, device=y.device)
-    times = times.reshape(-1, *(1,) * (y.dim() - 1))
-    rest = y.new_zeros(SIZE - 6, *y.shape[1:])
+    cell, times = free.times(y, c)
     corners = []
     for e in ends:
-        flight = coast(torch.cat((e.y, rest)), times, c)
-        lost = free.position * torch.hypot(e.along, e.aside) + free.velocity * times[1:] * e.velocity
-        corners += [(flight[:, :-1], lost), (flight[:, 1:], lost)]
+        lost = free.position * torch.hypot(e.along, e.aside) + free.velocity * times[1] * e.velocity
+        corners += [(flown(e.y, t, c), lost) for t in times]
     nearest = nearer(corners[0][0] + corners[2][0], corners[1][0] + corners[3][0]) / 2
     beyond = torch.full_like(nearest[0], -math.inf)
     for _ in range(1 + free.searches):

@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from inspection.model.state import CONTROL_SIZE, SIZE, THRUST, TORQUE
-from kernels import Kernel, Printed, batch, library, printed
+from kernels import Kernel, Printed, batch, if_long, library, printed
 from kernels.build import for_vectors
 from kernels.compiled import check, in_shares, over_columns, pointers, strided, timed
 from rta.backup.homing import calls
@@ -32,7 +32,7 @@ from rta.conditions.tangents import (
 )
 from rta.constraints.constraint import joined
 from rta.printed.source import GROUPS, define, driver_text, functions, held_groups, source, table
-from rta.printed.way import AT_A_GLANCE, checks, limits, of_one
+from rta.printed.way import AT_A_GLANCE, checks, constants, limits, of_one
 from rta.qp.batched_solver import ACCURATE, STEPS_HELD, attempt
 from rta.qp.programs import Problems, Status, total
 
@@ -112,15 +112,17 @@ class BatchFilter(Columns):
         shared = own if holds else []  # which Python calls, too
         parts = held_parts(safety_filter, shared) if holds else now_parts(safety_filter)
         self.statements = sum(part.statements for part in parts)
+        backup = safety_filter.backup
         many = [
             for_vectors("double"),
             define("CONSTRAINTS", len(safety_filter.names)),
             define("LATENCY", safety_filter.known.latency),
         ]
-        many.append(define("BACKUP", int(safety_filter.backup is not None)))
+        many.append(define("BACKUP", int(backup is not None)))
         many.append(define("TURN", int(safety_filter.turn is not None)))
         many.append(define("HELD_CALLS", calls(safety_filter.homing.haven) if safety_filter.homing else 0))
-        many += [define(name, *said) for name, said in limits().items()]
+        known = constants(backup) if backup else limits()
+        many += [define(name, *said) for name, said in known.items()]
         many += [*(part.text for part in parts), *(batch(part) for part in shared)]
         many += [part.text for part in ways if part.name in AT_A_GLANCE]
         many += [driver_text("batch/batch.h"), driver_text("batch/columns.c"), driver_text("batch/commit.c")]
@@ -163,7 +165,7 @@ def now_parts(safety_filter: "SafetyFilter") -> list[Printed]:
     """What is printed for vectors: all of it at once, for both groups begin alike."""
     names = ("x", "desired"), ("control", "slack", "h", "program_status", "active", "left")
     run = partial(first_attempt, safety_filter)
-    long = len(safety_filter.c.planes)  # of a hull
+    long = if_long(len(safety_filter.c.planes))  # of a hull
     return [printed(run, *safety_filter.probe("cpu"), name="first_attempt", names=names, long=long)]
 
 

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 from torch import Tensor
 
 from inspection.model.state import CONTROL_SIZE, SIZE
-from kernels import Printed, printed
+from kernels import Printed, if_long, printed
 from rta.backup import homing
 from rta.bounds.health import NEAR
 from rta.conditions import tangents
@@ -87,7 +87,7 @@ def functions(safety_filter: "SafetyFilter") -> list[Printed]:
     names: list[tuple[str, tuple[tuple[str, ...], tuple[str, ...]]]]
     names = [(f"{name}_rows", (("x", "control", "error_bound", "left"), Prepared._fields)) for name in GROUPS]
     names.append(("predict", (("x", "error_bound", "u"), ("x_after", "error_bound_after"))))
-    long = len(safety_filter.c.planes)  # of a hull
+    long = if_long(len(safety_filter.c.planes))  # of a hull
     return [
         printed(run, *examples, name=name, names=(before[: len(examples)], after), long=long)
         for (run, examples), (name, (before, after)) in zip(parts, names, strict=False)

@@ -26,10 +26,13 @@ AT_A_GLANCE = (
     "thrust_glance",
     "torque_sight",
     "torque_glance",
+    "thrust_look",
+    "beginning",
+    "braked",
     "turn_verified",
     "homing_look",
     "homing_way",
-)  # which are computed for every spacecraft
+)  # which are computed for vectors of spacecraft
 
 GIVEN_BOUND = ("x", "control", "error_bound")
 
@@ -48,20 +51,22 @@ def checks(safety_filter: "SafetyFilter") -> list[Printed]:
         return []
     at = torch.zeros(AT, 1, dtype=torch.float64)
     at[:AT] = x[:AT]
-    named: list[tuple[str, Run, tuple[Tensor, ...], tuple[str, ...], tuple[str, ...]]] = [
-        ("thrust_glance", partial(thrust_glance, safety_filter.backup), (x, u), ("x", "control"), ("least",)),
-        ("torque_sight", partial(torque_sight, safety_filter.backup), (x, u), ("x", "control"), ("least",)),
-        ("torque_glance", partial(torque_glance, safety_filter.backup), (x, u), ("x", "control"), ("least",)),
-        ("thrust_look", partial(thrust_look, safety_filter.backup), (x, u), ("x", "control"), ("after", "least")),
-        ("beginning", partial(beginning, safety_filter.backup), (x,), ("x",), ("at",)),
-        ("torque_verified", partial(torque_verified, safety_filter.backup), (x, u), ("x", "control"), ("least",)),
-        ("braked", partial(braked, safety_filter.backup), (at,), ("at",), ("after", "least")),
-        ("brake_law", partial(brake_law, safety_filter.backup), (x, u), ("x", "control"), ("thrust",)),
-        ("slew_law", partial(slew_law, safety_filter.backup), (x,), ("x",), ("torque",)),
-    ]  # fmt: skip
+    backup = safety_filter.backup
+    rough, close = backup.braking.rough.cells, backup.braking.free.cells  # looped over
+    named: list[tuple[str, Run, tuple[Tensor, ...], tuple[str, ...], tuple[str, ...], int]] = [
+        ("thrust_glance", partial(thrust_glance, backup), (x, u), ("x", "control"), ("least",), rough),
+        ("torque_sight", partial(torque_sight, backup), (x, u), ("x", "control"), ("least",), 0),
+        ("torque_glance", partial(torque_glance, backup), (x, u), ("x", "control"), ("least",), 0),
+        ("thrust_look", partial(thrust_look, backup), (x, u), ("x", "control"), ("after", "least"), close),
+        ("beginning", partial(beginning, backup), (x,), ("x",), ("at",), 0),
+        ("torque_verified", partial(torque_verified, backup), (x, u), ("x", "control"), ("least",), 0),
+        ("braked", partial(braked, backup), (at,), ("at",), ("after", "least"), close),
+        ("brake_law", partial(brake_law, backup), (x, u), ("x", "control"), ("thrust",), 0),
+        ("slew_law", partial(slew_law, backup), (x,), ("x",), ("torque",), 0),
+    ]
     return [
-        printed(run, *examples, name=name, names=(given, results))
-        for name, run, examples, given, results in named
+        printed(run, *examples, name=name, names=(given, results), long=long)
+        for name, run, examples, given, results, long in named
     ]
 
 
@@ -90,8 +95,9 @@ def homing_checks(check: Homing, x: Tensor, u: Tensor) -> list[Printed]:
         ("homing_kept", partial(homing_kept, check), (x, bound), ("x", "error_bound"), ("least",)),
         ("homing_law", partial(homing_law, check), (x, u), ("x", "control"), ("thrust",)),
     ]  # fmt: skip
+    cells = check.haven.free.cells  # looped over
     return [
-        printed(run, *examples, name=name, names=(given, results))
+        printed(run, *examples, name=name, names=(given, results), long=cells)
         for name, run, examples, given, results in named
     ]
 

@@ -15,7 +15,7 @@ from inspection.chief.points import (
 from inspection.model.parameters import InspectionParameters
 from inspection.model.state import SIZE, P
 from inspection.observation import observe
-from kernels import printed
+from kernels import if_long, printed
 from ppo.network import Policy
 from rta.printed.source import define, for_one
 from study.export.policy import sources
@@ -43,7 +43,7 @@ def of_clusters(c: InspectionParameters, normals: Tensor, count: int, sizes: lis
         alive,
         name="lloyd",
         names=(("centres", "wanted", "alive"), ("after", "size")),
-        long=c.num_points,
+        long=if_long(c.num_points),
     )
     assert part.real == "float"  # as `inspection.sight` computes it
     rows = ",\n".join(f"    {{{', '.join(f'{x!r}F' for x in row)}}}" for row in points.T.tolist())

@@ -4,7 +4,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from kernels import printed
+from kernels import if_long, printed
 from tests.kernels.test_operations import Function, assert_same, uniform, written
 
 LONG = 100  # points
@@ -86,7 +86,7 @@ def test_an_axis_that_is_looped_over_is_not_written_out() -> None:
 
 def test_a_short_axis_is_written_out_as_another_may_be_as_long() -> None:
     x = uniform(-1.0, 1.0, 16, 3)
-    assert_same({"a part": lambda x: x[:3] * x.new_ones(16, 1).sum(0)}, x, long=16)
+    assert_same({"a part": lambda x: x[:3] * x.new_ones(16, 1).sum(0)}, x, long=if_long(16))
 
 
 @pytest.mark.parametrize(

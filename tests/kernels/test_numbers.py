@@ -22,7 +22,7 @@ from inspection.environment import InspectionEnv
 from inspection.initial_state import InitialStates
 from inspection.model.parameters import InspectionParameters
 from inspection.model.state import CONTROL_SIZE, OMEGA, SIZE, THETA_S, E, P, Q, T, V
-from kernels import Compiled, Printed, build, printed
+from kernels import Compiled, Printed, build, if_long, printed
 from kernels.compiled import pointers
 from kernels.text import Part
 from rta.conditions.held_rows import KINDS
@@ -132,7 +132,9 @@ def test_what_the_simulator_computes(name: str, monkeypatch: pytest.MonkeyPatch)
         self: InspectionEnv, function: Callable[..., list[Tensor]], *examples: Tensor, points: int = 0
     ) -> Any:
         compiled = Compiled(
-            function, *(part[..., :1] for part in examples), long=points or self.sight.points.shape[1]
+            function,
+            *(part[..., :1] for part in examples),
+            long=if_long(points or self.sight.points.shape[1]),
         )
         wholes.append(examples)
         x = torch.cat(list(states("1 s").values()), 1)

@@ -104,6 +104,7 @@ long filter_batch(long first, long last, const void *const *in, const long *in_s
                   const long *out_step)
 {
     long unsolved = 0;
+    struct waiting these = {.count = 0};
     for (long column = first; column < last; column += W) {
         const long lanes = last - column;
         V x[16];
@@ -111,7 +112,8 @@ long filter_batch(long first, long last, const void *const *in, const long *in_s
         V left[6];
         V wish[6];
         V error_bound[4] = {{0}};
-        struct block block;
+        struct block block = {0};
+        M thrust_alone;
         load_block(in[0], in_step[0], column, lanes, 16, x);
         load_block(in[1], in_step[1], column, lanes, 6, desired);
         load_block(in[3], in_step[3], column, lanes, 6, left);
@@ -124,17 +126,15 @@ long filter_batch(long first, long last, const void *const *in, const long *in_s
         const M unturned = check_turn(x, error_bound, &block);
         thrust_correct(x, error_bound, left, wish, block.numbers, &block);
         const M unhomed = check_thrust(x, error_bound, &block);
-        const M unseen = unsure(x, block.numbers) | unturned | unhomed;
+        const M unseen = unsure(x, block.numbers, &thrust_alone) | unturned | unhomed;
         nothing_yields(unseen, block.program_status, &block.numbers[6]);
         for (int k = 0; k < 6 + 4 * CONSTRAINTS; ++k) {
             store_double(out[NUMBERS], k * out_step[NUMBERS] + column, lanes, block.numbers[k]);
         }
         store_statuses(block.program_status, differ(desired, block.numbers), (BACKUP || (TURN && HELD_CALLS > 0)) ? ~unseen : NO, block.active, out, out_step, column, lanes);
-        for (int lane = 0; lane < W && lane < lanes; ++lane) {
-            if (block.open[0][lane] || unseen[lane]) {
-                unsolved += filter_one(column + lane, in, in_step, out, out_step);
-            }
-        }
+        unsolved += finish(block.open[0] | (unseen & ~thrust_alone), thrust_alone, &these, x, block.numbers, column, lanes,
+                           in, in_step, out, out_step);
     }
+    unsolved += look_closely(&these, in, in_step, out, out_step);
     return unsolved;
 }
