@@ -26,18 +26,37 @@ from study.config import ARMS, BASELINES, Config, StudyConfig
 from study.machine import progress
 from tests.shared import share
 
-# Files that take half a minute of a core or more, the longest first: what begins last must not be long, or one of the
+# Files that take more than half a minute of a core, the longest first: what begins last must not be long, or one of the
 # workers of pytest-xdist ends minutes after the others. By itself it begins with the files of most tests.
 LONGEST = (
     "test_docs.py",
+    "rta/test_filter.py",
     "rta/printed/test_driver.py",
-    "rta/backup/test_check.py",
     "rta/printed/test_export.py",
-    "rta/constraints/test_vehicle.py",
-    "test_install.py",
-    "rta/conditions/test_tangents.py",
-    "rta/backup/test_slew.py",
+    "study/report/test_compute.py",
+    "rta/backup/test_homing.py",
+    "study/flight/test_planted.py",
+    "rta/backup/test_check.py",
+    "kernels/test_numbers.py",
+    "study/verification/test_counter_examples.py",
+    "study/benchmark/test_measure.py",
+    "study/verification/test_worlds.py",
+    "rta/backup/test_turn.py",
+    "study/training/test_study.py",
+    "study/training/test_session.py",
+    "study/verification/test_break_points.py",
+    "study/verification/test_flight.py",
+    "study/verification/test_findings.py",
+    "study/export/test_filter.py",
+    "rta/backup/test_haven.py",
+    "rta/test_orbits.py",
+    "study/play/test_flight.py",
     "test_command.py",
+    "kernels/test_project.py",
+    "ppo/test_distributed.py",
+    "study/verification/test_tally.py",
+    "rta/conditions/test_tangents.py",
+    "test_install.py",
 )
 
 torch.set_num_threads(1)

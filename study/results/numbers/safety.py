@@ -18,6 +18,7 @@ from study.results.numbers.evidence import (
     middle,
     read,
     report,
+    share_of_backup,
     share_of_slack,
     slack,
     success,
@@ -174,8 +175,14 @@ def sentences() -> Iterator[tuple[str, str]]:
 
     random, adversarial = map(share_of_slack, both("u1_{}"))
     yield SAFETY, f"yielded in {random:.2f} % of the calls under random and {adversarial:.2f} % under"
-    at_5, at_10 = (share_of_slack(read(f"frequency/random_{period}s.json")) for period in (5, 10))
-    yield SAFETY, f"in {at_5:.2f} % of the random calls at 5 s and in {at_10:.1f} % at 10 s"
+    for period in (5, 10):
+        of_random, of_adversarial = (
+            share_of_backup(read(f"frequency/{each}_{period}s.json")) for each in POLICIES
+        )
+        yield (
+            SAFETY,
+            f"{of_random:.1f} % of the random and {of_adversarial:.1f} % of the adversarial calls at {period} s",
+        )
 
     in_c = campaign("in_c_random")
     yield IN_C, f"campaign of {in_c['episodes']:,} random episodes at 1 s"
