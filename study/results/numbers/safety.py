@@ -175,14 +175,11 @@ def sentences() -> Iterator[tuple[str, str]]:
 
     random, adversarial = map(share_of_slack, both("u1_{}"))
     yield SAFETY, f"yielded in {random:.2f} % of the calls under random and {adversarial:.2f} % under"
-    for period in (5, 10):
-        of_random, of_adversarial = (
-            share_of_backup(read(f"frequency/{each}_{period}s.json")) for each in POLICIES
-        )
-        yield (
-            SAFETY,
-            f"{of_random:.1f} % of the random and {of_adversarial:.1f} % of the adversarial calls at {period} s",
-        )
+    at_5, at_10 = (
+        [share_of_backup(read(f"frequency/{each}_{period}s.json")) for each in POLICIES] for period in (5, 10)
+    )
+    both_at_5 = f"{at_5[0]:.1f} % of the random and {at_5[1]:.1f} % of the adversarial calls at 5 s"
+    yield SAFETY, f"{both_at_5}, {at_10[0]:.1f} % and {at_10[1]:.1f} % at 10 s"
 
     in_c = campaign("in_c_random")
     yield IN_C, f"campaign of {in_c['episodes']:,} random episodes at 1 s"
