@@ -28,7 +28,7 @@ from study.results.numbers.evidence import (
 from study.verification.break_points import EFFECTS, said
 
 README, SAFETY, TESTS = "README.md", "docs/results/safety.md", "docs/results/safety_tests.md"
-IN_C = "docs/guides/filter_in_c.md"
+LIMITS, IN_C = "docs/results/safety_limits.md", "docs/guides/filter_in_c.md"
 WRITTEN = {limit: unit.replace("^2", "²").replace("deg ", "°") for limit, unit in UNITS.items()}  # units of h
 
 
@@ -160,18 +160,10 @@ def sentences() -> Iterator[tuple[str, str]]:
     yield TESTS, f"in each of the {len(campaign('break_points')['worlds'])} worlds"
 
     single = campaign("boundary")
-    inside = single["within_margins"]["any"]
-    share, bound = single["violating_draws"]["any"] / single["draws"], single["upper_bound_95"]
     yield TESTS, f"{single['violating_draws']['any']:,} of {single['draws']:,} draws went below zero"
-    yield TESTS, f"({share:.3%}; below {bound:.2g} with 95 % confidence)".replace("%;", " %;")
-    yield TESTS, f"All but {inside['violating']} of them were drawn"
-    yield TESTS, f"Of the {inside['draws']:,} draws that"
-    yield TESTS, f"these are {inside['violating']} (below {inside['upper_bound_95']:.0e} with 95 %)"
-    names = {"passive_safety": "passive safety", "dynamic_speed": "dynamic speed", "collision": "separation"}
-    names |= {f"velocity_{axis}": f"{axis} velocity" for axis in "xyz"} | {"temperature": "temperature"}
-    for limit, label in names.items():
-        count, worst = single["violating_draws"][limit], single["worst_value"][limit]
-        yield TESTS, f"{label} {count:,} (down to {worst:.1g} {WRITTEN[limit]})"
+    yield TESTS, f"(below {single['upper_bound_95']:.1e} with 95 % confidence)"
+    share = 100.0 * single["backup_calls"] / single["filter_calls"]
+    yield TESTS, f"The backup decided {share:.1f} % of these calls"
 
     random, adversarial = map(share_of_slack, both("u1_{}"))
     yield SAFETY, f"yielded in {random:.2f} % of the calls under random and {adversarial:.2f} % under"
@@ -180,6 +172,11 @@ def sentences() -> Iterator[tuple[str, str]]:
     )
     both_at_5 = f"{at_5[0]:.1f} % of the random and {at_5[1]:.1f} % of the adversarial calls at 5 s"
     yield SAFETY, f"{both_at_5}, {at_10[0]:.1f} % and {at_10[1]:.1f} % at 10 s"
+    ahead = [read(f"frequency/lookahead_{period}s.json") for period in (5, 10)]
+    flown = f"{ahead[0]['episodes']:,} at 5 s and {ahead[1]['episodes']:,} at 10 s"
+    yield LIMITS, f"{sum(each['violating_episodes']['any'] for each in ahead)} of {flown} violated a limit"
+    of_5, of_10 = map(share_of_backup, ahead)
+    yield LIMITS, f"the backup decided {of_5:.0f} % and {of_10:.0f} % of the calls"
 
     in_c = campaign("in_c_random")
     yield IN_C, f"campaign of {in_c['episodes']:,} random episodes at 1 s"
