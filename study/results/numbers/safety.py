@@ -164,6 +164,9 @@ def sentences() -> Iterator[tuple[str, str]]:
     yield TESTS, f"(below {single['upper_bound_95']:.1e} with 95 % confidence)"
     share = 100.0 * single["backup_calls"] / single["filter_calls"]
     yield TESTS, f"The backup decided {share:.1f} % of these calls"
+    slower = [read(f"frequency/boundary_{period}s.json") for period in (5, 10)]
+    draws = f"{slower[0]['draws']:,} at 5 s and {slower[1]['draws']:,} at 10 s"
+    yield TESTS, f"{sum(each['violating_draws']['any'] for each in slower)} of {draws} did"
 
     random, adversarial = map(share_of_slack, both("u1_{}"))
     yield SAFETY, f"yielded in {random:.2f} % of the calls under random and {adversarial:.2f} % under"
