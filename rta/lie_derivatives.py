@@ -25,7 +25,7 @@ class WithoutShapes(TorchFunctionMode):
 
     PyTorch does that for every derivative that is zero as the operand does not depend on x: half a millisecond each,
     two thirds of a call of the filter that is not traced. For numbers it has operations of their own; a tensor is given
-    a derivative of zeros. The results' bits are the same.
+    a derivative of zeros. The results' bits are the same where all operands are finite.
     """
 
     OPERATIONS = {  # noqa: RUF012

@@ -27,7 +27,8 @@ from rta.backup.chords import FreeFlight, Strays, between, lowest, strays
 
 AT_REST = 1e-9  # m/s
 SLEW = 100.0  # s, that a body takes to its attitude of rest
-# Cells of passive safety's horizon, and searches in each, see `FreeFlight`.
+# Cells of passive safety's horizon, and searches in each, see `FreeFlight`. In C they are looped over, so that no other
+# axis may be a multiple of them: primes.
 CLOSELY, ROUGHLY = (29, 1), (11, 1)
 INSIDE = 1.0  # m, of the zone, where a straight way ends at the farthest
 SPARE = 0.997  # of thrust, used along the zone: what f changes by on the way, 2 n a T / 2, may need the rest

@@ -163,10 +163,10 @@ def sentences() -> Iterator[tuple[str, str]]:
     yield TESTS, f"{single['violating_draws']['any']:,} of {single['draws']:,} draws went below zero"
     yield TESTS, f"(below {single['upper_bound_95']:.1e} with 95 % confidence)"
     share = 100.0 * single["backup_calls"] / single["filter_calls"]
-    yield TESTS, f"The backup decided {share:.1f} % of these calls"
+    yield TESTS, f"The backup decided {share:.1f} % of the filter's calls"
     slower = [read(f"frequency/boundary_{period}s.json") for period in (5, 10)]
     draws = f"{slower[0]['draws']:,} at 5 s and {slower[1]['draws']:,} at 10 s"
-    yield TESTS, f"{sum(each['violating_draws']['any'] for each in slower)} of {draws} did"
+    yield TESTS, f"of {draws} {sum(each['violating_draws']['any'] for each in slower)} did"
 
     random, adversarial = map(share_of_slack, both("u1_{}"))
     yield SAFETY, f"yielded in {random:.2f} % of the calls under random and {adversarial:.2f} % under"
@@ -177,7 +177,7 @@ def sentences() -> Iterator[tuple[str, str]]:
     yield SAFETY, f"{both_at_5}, {at_10[0]:.1f} % and {at_10[1]:.1f} % at 10 s"
     ahead = [read(f"frequency/lookahead_{period}s.json") for period in (5, 10)]
     flown = f"{ahead[0]['episodes']:,} at 5 s and {ahead[1]['episodes']:,} at 10 s"
-    yield LIMITS, f"{sum(each['violating_episodes']['any'] for each in ahead)} of {flown} violated a limit"
+    yield LIMITS, f"of {flown} {sum(each['violating_episodes']['any'] for each in ahead)} violated a limit"
     of_5, of_10 = map(share_of_backup, ahead)
     yield LIMITS, f"the backup decided {of_5:.0f} % and {of_10:.0f} % of the calls"
 

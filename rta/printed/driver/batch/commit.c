@@ -90,7 +90,8 @@ static M are_safe(const V x[16], const V control[6])
 }
 #endif
 
-/* Whether a column's control is verified: then none of its limits yields. */
+#if BACKUP
+/* Says of a column's control that it is verified: none of its limits yields. */
 static void verify(long column, void *const *out, const long *out_step)
 {
     double *const slack = (double *)out[NUMBERS] + 6 * out_step[NUMBERS] + column;
@@ -102,9 +103,12 @@ static void verify(long column, void *const *out, const long *out_step)
         long *const own = &status[(1 + group) * out_step[STATUSES]];
         *own = (*own > 1) ? 1 : *own;
     }
-    status[0] = (status[out_step[STATUSES]] > status[2 * out_step[STATUSES]]) ? status[out_step[STATUSES]] : status[2 * out_step[STATUSES]];
+    const long thrust = status[out_step[STATUSES]];
+    const long torque = status[2 * out_step[STATUSES]];
+    status[0] = (thrust > torque) ? thrust : torque;
     ((unsigned char *)out[TRUTHS])[out_step[TRUTHS] + column] = 1;
 }
+#endif
 
 /* Looks closely at those that wait; what is not safe goes to the filter for one spacecraft. Returns how many of these have
  * no solution. */
@@ -128,6 +132,12 @@ static long look_closely(struct waiting *these, const void *const *in, const lon
         }
     }
     these->count = 0;
+#else
+    (void)these;
+    (void)in;
+    (void)in_step;
+    (void)out;
+    (void)out_step;
 #endif
     return unsolved;
 }

@@ -127,6 +127,7 @@ long filter_batch(long first, long last, const void *const *in, const long *in_s
         thrust_correct(x, error_bound, left, wish, block.numbers, &block);
         const M unhomed = check_thrust(x, error_bound, &block);
         const M unseen = unsure(x, block.numbers, &thrust_alone) | unturned | unhomed;
+        thrust_alone &= ~(unturned | unhomed);
         nothing_yields(unseen, block.program_status, &block.numbers[6]);
         for (int k = 0; k < 6 + 4 * CONSTRAINTS; ++k) {
             store_double(out[NUMBERS], k * out_step[NUMBERS] + column, lanes, block.numbers[k]);
