@@ -1,6 +1,6 @@
 /* Lanes whose controls are not seen at a glance to keep all limits and to leave a way to rest, whose rates are beyond
- * theirs, or in which a limit of the user's own yields. Numbers: controls, slack, h. Of these lanes `thrust_alone` are
- * those in which nothing but thrust is to be looked at closely. */
+ * theirs, or in which a limit of the user's own yields. Numbers: controls, slack, h. Not among them, but in
+ * `thrust_alone`, are lanes in which nothing but thrust is to be looked at closely. */
 static M unsure(const V x[16], const V numbers[6 + 2 * CONSTRAINTS], M *thrust_alone)
 {
     M found = NO;
@@ -20,12 +20,12 @@ static M unsure(const V x[16], const V numbers[6 + 2 * CONSTRAINTS], M *thrust_a
         found |= numbers[6 + k] > 0.0;
     }
     found |= ~(torque[0] >= 0.0);
-    *thrust_alone = ~found;
+    *thrust_alone = ~(found | (thrust[0] >= 0.0));
     found |= ~(thrust[0] >= 0.0);
-    *thrust_alone &= found;
     for (int k = 0; k < MOTION_LIMITS; ++k) {
         *thrust_alone &= numbers[6 + CONSTRAINTS + k] >= 0.0; /* there is no way from beyond a limit */
     }
+    found &= ~*thrust_alone;
 #else
     (void)x;
     (void)numbers;
@@ -90,28 +90,8 @@ static M are_safe(const V x[16], const V control[6])
 }
 #endif
 
-#if BACKUP
-/* Says of a column's control that it is verified: none of its limits yields. */
-static void verify(long column, void *const *out, const long *out_step)
-{
-    double *const slack = (double *)out[NUMBERS] + 6 * out_step[NUMBERS] + column;
-    long *const status = (long *)out[STATUSES] + column;
-    for (int k = 0; k < CONSTRAINTS; ++k) {
-        slack[k * out_step[NUMBERS]] = 0.0;
-    }
-    for (int group = 0; group < 2; ++group) {
-        long *const own = &status[(1 + group) * out_step[STATUSES]];
-        *own = (*own > 1) ? 1 : *own;
-    }
-    const long thrust = status[out_step[STATUSES]];
-    const long torque = status[2 * out_step[STATUSES]];
-    status[0] = (thrust > torque) ? thrust : torque;
-    ((unsigned char *)out[TRUTHS])[out_step[TRUTHS] + column] = 1;
-}
-#endif
-
-/* Looks closely at those that wait; what is not safe goes to the filter for one spacecraft. Returns how many of these have
- * no solution. */
+/* Looks closely at those that wait. What is stored of them says that they are safe; who is not goes to the filter for one
+ * spacecraft, which stores all of it anew. Returns how many of these have no solution. */
 static long look_closely(struct waiting *these, const void *const *in, const long *in_step, void *const *out,
                          const long *out_step)
 {
@@ -125,9 +105,7 @@ static long look_closely(struct waiting *these, const void *const *in, const lon
     }
     const M safe = (these->count > 0) ? are_safe(these->x, these->control) : NO;
     for (int lane = 0; lane < these->count; ++lane) {
-        if (safe[lane]) {
-            verify(these->column[lane], out, out_step);
-        } else {
+        if (!safe[lane]) {
             unsolved += filter_one(these->column[lane], in, in_step, out, out_step);
         }
     }

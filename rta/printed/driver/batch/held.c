@@ -127,13 +127,12 @@ long filter_batch(long first, long last, const void *const *in, const long *in_s
         thrust_correct(x, error_bound, left, wish, block.numbers, &block);
         const M unhomed = check_thrust(x, error_bound, &block);
         const M unseen = unsure(x, block.numbers, &thrust_alone) | unturned | unhomed;
-        thrust_alone &= ~(unturned | unhomed);
         nothing_yields(unseen, block.program_status, &block.numbers[6]);
         for (int k = 0; k < 6 + 4 * CONSTRAINTS; ++k) {
             store_double(out[NUMBERS], k * out_step[NUMBERS] + column, lanes, block.numbers[k]);
         }
         store_statuses(block.program_status, differ(desired, block.numbers), (BACKUP || (TURN && HELD_CALLS > 0)) ? ~unseen : NO, block.active, out, out_step, column, lanes);
-        unsolved += finish(block.open[0] | (unseen & ~thrust_alone), thrust_alone, &these, x, block.numbers, column, lanes,
+        unsolved += finish(block.open[0] | unseen, thrust_alone, &these, x, block.numbers, column, lanes,
                            in, in_step, out, out_step);
     }
     unsolved += look_closely(&these, in, in_step, out, out_step);

@@ -23,7 +23,7 @@ long filter_batch(long first, long last, const void *const *in, const long *in_s
             store_double(out[NUMBERS], k * out_step[NUMBERS] + column, lanes, numbers[k]);
         }
         store_statuses(program_status, differ(desired, numbers), BACKUP ? ~unseen : NO, active, out, out_step, column, lanes);
-        unsolved += finish(left[0] | (unseen & ~thrust_alone), thrust_alone, &these, x, numbers, column, lanes, in, in_step,
+        unsolved += finish(left[0] | unseen, thrust_alone, &these, x, numbers, column, lanes, in, in_step,
                            out, out_step);
     }
     unsolved += look_closely(&these, in, in_step, out, out_step);
