@@ -128,17 +128,22 @@ def write(config: Config, out: Path, policy: Policy | None = None) -> int:
 
 def document(config: Config, module: bytes, begun: list[dict[str, Any]], has_agent: bool = False) -> str:
     """The whole page."""
-    packed = base64.b64encode(gzip.compress(module, 9, mtime=0)).decode("ascii")
     own = {"starts": begun, "settings": settings(config)}
     data = json.dumps(task(config.inspection) | own, separators=(",", ":"))
     return render(
         "play/page.html.j2",
         periods=PERIODS,
         has_agent=has_agent,
-        module=Markup(packed),
+        module=packed(module),
         data=Markup(data.replace("<", "\\u003c")),
-        three=Markup(scene.three()),
+        licence=Markup(scene.LICENCE.read_text(encoding="utf-8")),
+        three=packed(scene.three().encode()),
     )
+
+
+def packed(content: bytes) -> str:
+    """What `unpacked` of `flight.js` unpacks."""
+    return base64.b64encode(gzip.compress(content, 9, mtime=0)).decode("ascii")
 
 
 def settings(config: Config) -> str:

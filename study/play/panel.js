@@ -287,7 +287,15 @@ function frame(now) {
   requestAnimationFrame(frame);
 }
 
+// three.js is of half the size so
+async function draw_with(base64) {
+  const script = document.createElement("script");
+  script.textContent = new TextDecoder().decode(await unpacked(base64));
+  document.head.append(script);
+}
+
 async function main() {
+  await draw_with($("three").textContent);
   play.flight = new Flight(await loaded($("module").textContent.trim()), task, Date.now());
   try {
     play.scene = new Picture($("scene"), task);

@@ -1,6 +1,7 @@
 """The page of `play`: what is in it, what it asks a network for, and that the shipped one is of this code."""
 
 import base64
+import gzip
 import json
 import re
 from dataclasses import replace
@@ -16,7 +17,7 @@ from rta.constraints.names import CONSTRAINTS
 from study.config import Config, from_toml, load
 from study.errors import InputError
 from study.experiment import load_policy
-from study.pages.scene import three
+from study.pages.scene import LICENCE, three
 from study.pages.template import STUDY
 from study.play import page, printed, wasm
 from study.play.starts import starts
@@ -42,6 +43,13 @@ def data(text: str) -> dict[str, Any]:
     return dict(json.loads(found[1]))
 
 
+def drawn_with(text: str) -> str:
+    """three.js, as a page unpacks it."""
+    found = re.search(r'id="three">(.*?)</script>', text)
+    assert found
+    return gzip.decompress(base64.b64decode(found[1])).decode()
+
+
 def test_the_shipped_page_is_of_this_code() -> None:
     """Its module is flown beside Python in `test_flight`."""
     for name in SOURCES:
@@ -58,7 +66,7 @@ def test_the_shipped_page_is_of_this_code() -> None:
 
 
 def test_nothing_is_asked_of_a_network() -> None:
-    asks_nothing(TEXT)
+    asks_nothing(TEXT.replace("</body>", f"<script>{drawn_with(TEXT)}</script></body>"))
 
 
 def test_the_page_is_small() -> None:
@@ -73,7 +81,8 @@ def test_every_limit_is_explained() -> None:
 
 
 def test_three_js_is_shipped_with_its_licence() -> None:
-    assert three() in TEXT
+    assert drawn_with(TEXT) == three()
+    assert LICENCE.read_text(encoding="utf-8") in TEXT
 
 
 def test_without_its_packages_the_command_says_so(
@@ -152,10 +161,11 @@ def test_a_page_is_built(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> 
     out = tmp_path / "page.html"
     code, said, err = call(["play", "--checkpoint", str(AGENT), "--out", str(out)], capsys)
     assert code == 0, err
-    assert "page.html: 1." in said
+    assert "page.html: 0.7 MB" in said
     made = out.read_text(encoding="utf-8")
-    rest = re.compile(r'id="(?:data|module)">.*?</script>', re.DOTALL)  # where processors may round otherwise
-    assert rest.sub("", made) == rest.sub("", TEXT)
+    # where processors may round otherwise, or pack otherwise
+    rest = re.compile(r'id="(?:data|module|three)">.*?</script>', re.DOTALL)
+    assert rest.sub("", made) == rest.sub("", TEXT) and drawn_with(made) == drawn_with(TEXT)
     assert len(made) == pytest.approx(len(TEXT), rel=0.02) and data(made).keys() == data(TEXT).keys()
 
 
