@@ -6,9 +6,11 @@ from torch import Tensor
 from inspection import guidance
 from inspection.closed_loop import Controller
 from inspection.environment import InspectionEnv
+from inspection.model.state import CONTROL_SIZE
 from inspection.orbits import GUIDANCE
+from inspection.world.corners import Recorded
 from ppo.network import Policy
-from study.config import Config
+from study.errors import InputError
 from study.experiment import Experiment
 from study.flight.state_files import read_actions
 
@@ -45,7 +47,17 @@ def classical(name: str, env: InspectionEnv, seed: int, every: float = 1.0) -> C
     }[name]()
 
 
-def recorded(path: str, config: Config, step: float, duration: float) -> Controller:
-    """The controls in a file, one every `step` s, enough for the duration in s."""
-    actions = read_actions(path, config.inspection.control_limit, round(duration / step))
+def recorded(path: str, env: InspectionEnv, step: float, duration: float) -> Controller:
+    """The controls in a file, one every `step` s, enough for the duration in s.
+
+    Corners beside them are put into the plant of `env`; InputError where it has none.
+    """
+    rows = read_actions(path, env.c.control_limit, round(duration / step))
+    actions, corners = rows[:, :CONTROL_SIZE], rows[:, CONTROL_SIZE:]
+    if corners.size:
+        if env.plant is None or not env.plant.is_worst:
+            raise InputError(
+                f"{path}: has corners of errors at their worst, too: give the --config saved beside it"
+            )
+        env.plant.adversary = Recorded(torch.from_numpy(corners > 0.0)[..., None].to(env.x.device), step)
     return guidance.recorded(actions, step)

@@ -189,7 +189,7 @@ def run(
     if policy:
         commander = agent(policy.to(experiment.device), env)
     elif actions:
-        commander = recorded(actions, experiment.config, step, duration)
+        commander = recorded(actions, env, step, duration)
     else:
         commander = classical(controller, env, seed, step)
     return simulate(env, commander, *start, duration)

@@ -13,6 +13,7 @@ from inspection.model.attitude import norm, unit
 from inspection.model.doubts import doubts
 from inspection.model.parameters import Limits
 from inspection.model.state import CONTROL_SIZE, OMEGA, SIZE, THETA_S, E, P, Q, T, V
+from inspection.world.corners import CORNER
 from study import files
 from study.errors import InputError, instead, refusing
 
@@ -114,7 +115,10 @@ def read_states(path: str, c: Limits) -> tuple[Tensor, Tensor]:
 
 
 def read_actions(path: str, limit: tuple[float, ...], rows: int) -> np.ndarray:
-    """Reads an N x 6 array of controls in N and N m; refuses what the actuators cannot do, and N < `rows`."""
+    """Reads an N x 6 array of controls in N and N m, or N x 25 with corners (`inspection.world.corners`) after them.
+
+    Refuses what the actuators cannot do, and N < `rows`.
+    """
     try:
         actions = np.load(path, allow_pickle=False)
     except FileNotFoundError:
@@ -122,9 +126,14 @@ def read_actions(path: str, limit: tuple[float, ...], rows: int) -> np.ndarray:
     except (Exception, MemoryError):  # numpy reports damage through many exception types
         raise InputError(f"{path}: cannot read the actions: not a .npy file of numbers") from None
     shape = getattr(actions, "shape", None)  # an archive has none
-    if shape is None or len(shape) != 2 or shape[1] != CONTROL_SIZE or not shape[0]:
+    if (
+        shape is None
+        or len(shape) != 2
+        or shape[1] not in (CONTROL_SIZE, CONTROL_SIZE + CORNER)
+        or not shape[0]
+    ):
         raise InputError(f"{path}: shape {shape}: must be (N, 6), in N and N m")
-    check_controls(actions, limit, path)
+    check_controls(actions[:, :CONTROL_SIZE], limit, path)
     if len(actions) < rows:
         raise InputError(f"{path}: {len(actions):,} rows: --duration and --step need {rows:,}")
     return actions

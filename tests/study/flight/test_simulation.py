@@ -1,6 +1,7 @@
 """What `simulate` records, against the same flight step by step."""
 
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -8,8 +9,10 @@ import torch
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
+import main
 from inspection.guidance import recorded
 from inspection.model.dynamics import step as integrate
+from inspection.model.parameters import InspectionParameters
 from rta.filter import SafetyFilter
 from rta.parameters import RtaParameters
 from study.config import Config, override
@@ -102,3 +105,23 @@ def test_a_later_test_case_has_the_chief_that_it_was_evaluated_with() -> None:
     for case in range(4):
         score = common_episode(policy, experiment, case)["inspected_score"][-1]
         assert score == pytest.approx(scores[case].item(), rel=1e-14)  # a batch adds up in another order
+
+
+def test_recorded_corners_say_at_which_end_each_error_is(tmp_path: Path) -> None:
+    """Full thrust along the three axes, weak for two seconds and then strong along x alone."""
+    config, actions, out = (tmp_path / name for name in ("own.toml", "flight.npy", "flight.npz"))
+    config.write_text('[plant]\nerrors = "worst"\nthrust_gain = [0.5, 1.5]\n')
+    rows = np.zeros((4, 25))
+    rows[:, :3] = 1.0
+    rows[2:, 6 + 12] = 1.0  # the first gain
+    np.save(actions, rows)
+    words = ["simulate", "--config", str(config), "--no-rta", "--controller", "recorded", "--step", "1"]
+    words += ["--actions", str(actions), "--initial-state", "configs/demonstration.json", "--duration", "4"]
+    assert main.main([*words, "--out", str(out)]) == 0
+    flown = np.load(out)
+    attitude = Rotation.from_quat(flown["quaternion"][:-1])
+    given = attitude.inv().apply(np.diff(flown["velocity"], axis=0)) * InspectionParameters().mass
+    wanted = [[0.5, 0.5, 0.5], [0.5, 0.5, 0.5], [1.5, 0.5, 0.5], [1.5, 0.5, 0.5]]
+    np.testing.assert_allclose(given, wanted, rtol=0, atol=0.05)  # the orbit's acceleration and the turn
+    np.save(actions, rows[:, :24])
+    assert main.main([*words, "--out", str(out)]) == 2
