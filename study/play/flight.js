@@ -4,6 +4,7 @@
 const PARTS = {
   state: 16, desired: 6, control: 6, priority: 3, h: 13, active: 13, weights: "points", lit: "points",
   inspected: "points", ahead: "line", way: "line", answer: 3, failed: 3, score: 1,
+  seen: 16, acting: 6, plant: 20, corner: 19,
 };
 const FAILURES = ["crash", "out_of_bounds", "out_of_power"];
 const LONGEST_ACTION = 60; // s that random controls are held
@@ -46,6 +47,7 @@ class Flight {
   constructor(wasm, task, seed = 0) {
     Object.assign(this, { wasm, task, filtered: true, period: task.periods[0], pilot: "you", assistant: true });
     this.axes = "camera";
+    this.erring = false; // errors are at their worst, from the next start on
     this.keys = { thrust: [0, 0, 0], torque: [0, 0, 0] }; // from -1 to 1
     this.random = dice(seed);
     const lengths = { points: task.normals.length, line: 3 * task.places };
@@ -54,19 +56,29 @@ class Flight {
     });
   }
 
-  get filter() { return this.task.periods.indexOf(this.period); }
+  // the one that is told of errors is the last
+  get filter() { return this.worst ? this.task.periods.length : this.task.periods.indexOf(this.period); }
 
-  begin(start) {
+  // seconds between two calls
+  get every() { return this.worst ? this.worst.period : this.filtered ? this.period : 1; }
+
+  get starts() { return (this.erring ? this.task.worst : this.task).starts; }
+
+  // seed: of the plant that has the errors
+  begin(start, seed = 0) {
+    this.worst = this.erring ? this.task.worst : null;
+    if (this.worst) this.plant.set(this.worst.plants[seed]);
     this.state.set(start.state);
     this.priority.set(start.priority);
-    this.start = start;
+    Object.assign(this, { start, seed });
     this.control.fill(0);
     this.desired.fill(0);
     this.answer.fill(0);
     this.active.fill(0);
-    this.wasm.begin();
+    this.acting.fill(0);
+    this.wasm.begin(this.worst ? 1 : 0);
     this.before = Float64Array.from(this.state);
-    Object.assign(this, { time: 0, outcome: null, deltaV: 0, controls: [], broken: {}, calls: [0, 0, 0, 0], backups: 0 });
+    Object.assign(this, { time: 0, outcome: null, deltaV: 0, controls: [], corners: [], broken: {}, calls: [0, 0, 0, 0], backups: 0 });
     this.held = { until: -1, control: null };
     this.judge();
   }
@@ -75,7 +87,8 @@ class Flight {
   command() {
     const { limit } = this.task, { wasm, desired } = this;
     if (this.pilot === "agent") { // between its decisions the last control is wanted, as in the closed loop
-      if (this.time % this.task.action_period === 0) wasm.decide(); else desired.set(this.control);
+      if (this.time % this.task.action_period === 0) wasm.decide();
+      else if (!this.missed) desired.set(this.control);
     } else if (this.pilot === "guide") {
       wasm.guide(this.filter);
     } else if (this.pilot === "adversary") {
@@ -110,24 +123,30 @@ class Flight {
     if (this.assistant && !turns) this.wasm.assist(this.filter);
   }
 
+  // whether the last call was, so that the control before it is held
+  get missed() { return this.corner[18] > 0; }
+
   // one second
   second() {
     if (this.outcome) return;
     const { wasm, task } = this;
-    if (this.time % (this.filtered ? this.period : 1) === 0) {
+    if (this.time % this.every === 0) {
+      wasm.sense();
       this.command();
       wasm.ask(this.filter, this.filtered ? 1 : 0);
-      if (this.filtered) {
+      if (this.filtered && !this.missed) {
         this.calls[this.answer[0]] += 1;
         this.backups += this.answer[2];
       }
     }
     this.before.set(this.state);
     this.controls.push(Array.from(this.control));
-    const thrust = this.control.slice(0, 3).reduce((sum, each) => sum + Math.abs(each), 0);
+    this.corners.push(Array.from(this.corner));
+    const thrust = this.acting.slice(0, 3).reduce((sum, each) => sum + Math.abs(each), 0);
+    const mass = this.worst ? this.plant[0] : task.mass;
     for (let k = 0; k < task.steps && !this.outcome; k++) {
       wasm.fly();
-      this.deltaV += thrust / task.mass / task.steps;
+      this.deltaV += thrust / mass / task.steps;
       this.outcome = FAILURES.find((_, i) => this.failed[i] > 0) || null;
     }
     this.time += 1;
@@ -155,25 +174,29 @@ class Flight {
     });
   }
 
+  get settings() { return (this.worst || this.task).settings; }
+
   // what flies the saved flight again, with the settings of the page where they are not the usual ones
   command_again() {
-    const settings = this.task.settings ? " --config flight.toml" : "";
+    const settings = this.settings ? " --config flight.toml" : "", seed = this.worst ? `--seed ${this.seed} ` : "";
     return `python main.py simulate${settings} --no-rta --controller recorded --actions flight.npy --initial-state flight.json `
-      + `--step 1 --duration ${Math.max(1, this.time)} --out flight.npz && python main.py replay flight.npz --out flight.html`;
+      + `${seed}--step 1 --duration ${Math.max(1, this.time)} --out flight.npz && python main.py replay flight.npz --out flight.html`;
   }
 
-  // what --actions of simulate reads: the controls that were flown, one a second, as an .npy file
+  // what --actions of simulate reads: the controls that were flown and, with errors, where these were, a row a second, as an .npy
+  // file
   saved_controls() {
-    const text = `{'descr': '<f8', 'fortran_order': False, 'shape': (${this.controls.length}, 6), }`;
+    const rows = this.controls.map((control, i) => (this.worst ? [...control, ...this.corners[i]] : control));
+    const text = `{'descr': '<f8', 'fortran_order': False, 'shape': (${rows.length}, ${this.worst ? 25 : 6}), }`;
     const length = Math.ceil((10 + text.length + 1) / 64) * 64;
     const head = new Uint8Array(length).fill(32);
     head.set([0x93, 78, 85, 77, 80, 89, 1, 0, (length - 10) & 255, (length - 10) >> 8]);
     head.set(Uint8Array.from(text, letter => letter.charCodeAt(0)), 10);
     head[length - 1] = 10;
-    const bytes = new Uint8Array(length + 48 * this.controls.length);
+    const bytes = new Uint8Array(length + 8 * rows.flat().length);
     bytes.set(head);
     const view = new DataView(bytes.buffer);
-    this.controls.flat().forEach((each, i) => view.setFloat64(length + 8 * i, each, true));
+    rows.flat().forEach((each, i) => view.setFloat64(length + 8 * i, each, true));
     return bytes;
   }
 }

@@ -9,6 +9,7 @@ import gzip
 import json
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -18,8 +19,11 @@ from markupsafe import Markup
 
 from inspection.chief.points import fibonacci_sphere
 from inspection.model.parameters import InspectionParameters
+from inspection.world.parameters import PlantParameters
 from ppo.network import Policy
+from rta.bounds.uncertainty import NOTHING
 from rta.constraints.names import CONSTRAINTS
+from rta.filter import SafetyFilter
 from rta.parameters import PERIODS
 from study.config import Config
 from study.errors import InputError, refusing
@@ -27,7 +31,7 @@ from study.files import write_text
 from study.machine.progress import step
 from study.pages import scene
 from study.pages.template import render
-from study.play import agent, printed, wasm
+from study.play import agent, printed, wasm, worst
 from study.play.starts import starts
 
 NEEDED = {"ziglang": "a compiler", "trimesh": "which has three.js"}
@@ -36,6 +40,7 @@ HORIZON = 500  # s, of the line ahead
 IDLE: dict[str, Callable[[str], bool]] = {
     "inspection": lambda key: key == "observed" or key.endswith(("_reward", "_reward_until", "_width")),
     "rta": lambda key: key in ("period", "qp_solver"),
+    "plant": lambda key: False,
     "uncertainty": lambda key: False,
 }
 
@@ -97,10 +102,12 @@ def check_config(config: Config) -> None:
         raise InputError(
             "play flies in seconds: substep must divide 1 s, action_period must be whole seconds"
         )
-    if not config.plant.is_nominal:
-        raise InputError("[plant]: play flies the filter's model only")
-    if config.uncertainty.latency:
-        raise InputError("[uncertainty]: play knows no latency")
+    if config.plant.simulator != "own" or config.plant.failing != "none":
+        raise InputError("[plant]: play flies its own simulator, and no failures")
+    if config.plant.is_nominal != config.uncertainty.is_nil:
+        raise InputError(
+            "play flies errors with a filter that is told of them: give [plant] and [uncertainty], or neither"
+        )
 
 
 def write(config: Config, out: Path, policy: Policy | None = None) -> int:
@@ -111,29 +118,47 @@ def write(config: Config, out: Path, policy: Policy | None = None) -> int:
     """
     check()
     check_config(config)
-    with step("printing the filters of three periods, half a minute"):
-        with refusing("[rta], [inspection] and [uncertainty]", ValueError, OverflowError):
+    told: SafetyFilter | None = None
+    with step("printing the filters, a minute"):
+        with refusing("[rta], [inspection], [plant] and [uncertainty]", ValueError, OverflowError):
             filters = printed.filters(config)
+            if not config.plant.is_nominal:
+                config = replace(config, plant=replace(config.plant, errors="worst"))
+                told = worst.told(config)
         begun = starts(config, filters)
-        sources = printed.texts(filters, policy is not None)
+        sources = printed.texts(filters, told, policy is not None)
+        if told:
+            sources |= worst.texts(told, config.plant)
         if policy:
             sources |= agent.texts(policy, config.inspection)
     with step("compiling them to WebAssembly, a minute"):
         module = wasm.compiled(sources)
-    text = document(config, module, begun, policy is not None)
+    text = document(config, module, begun, policy is not None, told)
     with refusing(f"--out {out}: cannot write it", OSError):
         write_text(out, text)
     return len(text.encode())
 
 
-def document(config: Config, module: bytes, begun: list[dict[str, Any]], has_agent: bool = False) -> str:
-    """The whole page."""
-    own = {"starts": begun, "settings": settings(config)}
+def document(
+    config: Config,
+    module: bytes,
+    begun: list[dict[str, Any]],
+    has_agent: bool = False,
+    told: SafetyFilter | None = None,
+) -> str:
+    """The whole page, with a world whose errors are worst where a filter is told of them."""
+    nominal = replace(config, plant=PlantParameters(), uncertainty=NOTHING)
+    own = {
+        "starts": begun,
+        "settings": settings(nominal),
+        "worst": told and worst.described(config, told) | {"settings": settings(config)},
+    }
     data = json.dumps(task(config.inspection) | own, separators=(",", ":"))
     return render(
         "play/page.html.j2",
         periods=PERIODS,
         has_agent=has_agent,
+        has_errors=told is not None,
         module=packed(module),
         data=Markup(data.replace("<", "\\u003c")),
         licence=Markup(scene.LICENCE.read_text(encoding="utf-8")),

@@ -24,7 +24,7 @@ const ENDS = {
 const $ = id => document.getElementById(id);
 const task = JSON.parse($("data").textContent);
 const pressed = new Set();
-const play = { flight: null, scene: null, paused: true, speed: 10, ready: false, pushed: {}, cases: dice(Date.now()) };
+const play = { flight: null, scene: null, paused: true, speed: 10, ready: false, begun: 0, pushed: {}, cases: dice(Date.now()) };
 
 function clock(seconds) {
   return `${Math.floor(seconds / 60)}:${String(Math.floor(seconds % 60)).padStart(2, "0")}`;
@@ -33,9 +33,9 @@ function clock(seconds) {
 // starts and switches
 
 function begin(name = $("start").value) {
-  const cases = task.starts.filter(each => each.name.startsWith("case"));
-  const start = name === "random" ? cases[Math.floor(play.cases() * cases.length)] : task.starts.find(each => each.name === name);
-  play.flight.begin(start);
+  const { starts } = play.flight, cases = starts.filter(each => each.name.startsWith("case"));
+  const start = name === "random" ? cases[Math.floor(play.cases() * cases.length)] : starts.find(each => each.name === name) || cases[0];
+  play.flight.begin(start, task.worst ? play.begun++ % task.worst.plants.length : 0);
   if (play.scene) play.scene.begin(play.flight);
   $("end").hidden = true;
   play.left = 0;
@@ -47,6 +47,14 @@ function set_filter(on) {
   $("filter").setAttribute("aria-pressed", on);
   $("filter").innerHTML = on ? "Safety filter ON <kbd>X</kbd>" : "Safety filter OFF <kbd>X</kbd>";
   show();
+}
+
+// the filter that is told of errors has a period of its own
+function set_errors(worst) {
+  play.flight.erring = worst;
+  $("period").disabled = worst;
+  $("period").value = worst ? task.worst.period : play.flight.period;
+  $("about-errors").hidden = !worst;
 }
 
 function pause(still) {
@@ -160,6 +168,7 @@ function listen() {
   $("start").onchange = () => begin();
   $("pilot").onchange = () => { play.flight.pilot = $("pilot").value; play.flight.held.until = -1; };
   $("period").onchange = () => { play.flight.period = Number($("period").value); };
+  if (task.worst) $("errors").onchange = () => { set_errors($("errors").value === "worst"); begin(); };
   $("axes").onchange = () => { play.flight.axes = $("axes").value; steer(); };
   $("assistant").onchange = () => { play.flight.assistant = $("assistant").checked; };
   $("speed").oninput = () => set_speed($("speed").value);
@@ -169,8 +178,7 @@ function listen() {
     button.onpointerup = button.onpointercancel = button.onpointerleave = () => press(button.dataset.key, false);
     button.oncontextmenu = event => event.preventDefault();
   }
-  $("save-settings").hidden = !task.settings;
-  $("save-settings").onclick = () => save("flight.toml", task.settings);
+  $("save-settings").onclick = () => save("flight.toml", play.flight.settings);
   $("save-state").onclick = () => save("flight.json", play.flight.saved_state());
   $("save-controls").onclick = () => save("flight.npy", play.flight.saved_controls());
 }
@@ -220,7 +228,8 @@ function show_status() {
   const acting = task.limits.filter((_, i) => flight.active[i] > 0).map(limit => limit.title.toLowerCase());
   const because = acting.length ? ` because of: ${acting.slice(0, 2).join(", ")}` : "";
   const found = !flight.filtered ? ["off", "The filter is off: every command is flown as it is."]
-    : backup ? ["backup", "Backup: the deputy follows the way to rest that was kept ready."]
+    : flight.missed ? ["corrected", "This call was missed: the last command is still flown."]
+    : backup ? ["backup", `Backup: the deputy follows the way ${flight.worst ? "" : "to rest "}that was kept ready.`]
     : status === 0 ? ["", "Untouched: the command is safe and is flown as it is."]
     : status === 1 ? ["corrected", `Corrected${because || " to what the thrusters can do"}.`]
     : status === 2 ? ["backup", `A limit yields${because}.`]
@@ -257,6 +266,7 @@ function show() {
     item.textContent = `${clock(flight.broken[name])} ${text}`;
     return item;
   }));
+  $("save-settings").hidden = !flight.settings;
   $("command").textContent = flight.command_again();
 }
 
@@ -306,6 +316,7 @@ async function main() {
   listen();
   begin();
   set_filter(true);
+  if (task.worst) set_errors(false);
   set_speed(3);
   pause(true);
   play.ready = true;

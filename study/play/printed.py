@@ -29,6 +29,13 @@ from study.verification.adversaries import adversarial
 
 PILOT = "even"  # the guidance that flies the page by itself
 AHEAD = 250  # places of a line ahead, at most
+WORST = (  # the functions of `study.play.worst`
+    "void worst_begin(void);",
+    "void worst_sense(const double *, const double *, double *, double *);",
+    "const double *worst_sent(const double *, int *);",
+    "void worst_hold(const double *, const double *, double *, double *, double *);",
+    "void worst_move(const double *, double *, const double *);",
+)
 AGENT = (  # the functions of `study.play.agent`
     "void agent_begin(void);",
     "void agent_look(const double *, const double *, const double *);",
@@ -38,18 +45,22 @@ DRIVER = Path(__file__).parent / "driver"
 
 
 def filters(config: Config) -> list[SafetyFilter]:
-    """The configuration's filter for each period; ValueError where one of its parts does not fit."""
-    return [
-        SafetyFilter(config.inspection, replace(config.rta, period=period), known=config.uncertainty)
-        for period in PERIODS
-    ]
+    """The filter for each period that is told of no errors; ValueError where one of its parts does not fit."""
+    return [SafetyFilter(config.inspection, replace(config.rta, period=period)) for period in PERIODS]
 
 
-def texts(found: Sequence[SafetyFilter], has_agent: bool = False) -> dict[str, str]:
-    """The C sources by file: one per filter, in its order, and `play.c`; `study.play.agent` has an agent's."""
-    header = sources(found[0], only=("safety_filter.h",))["safety_filter.h"]
-    return {f"period{i}.c": of_filter(each, i) for i, each in enumerate(found)} | {
-        "play.c": of_flight(found[0], header, len(found), has_agent)
+def texts(
+    nominal: Sequence[SafetyFilter], told: SafetyFilter | None = None, has_agent: bool = False
+) -> dict[str, str]:
+    """The C sources by file: one per filter and `play.c`.
+
+    Args:
+        told: the last filter, of a world whose errors are worst, of which `study.play.worst` has the other sources.
+        has_agent: there is an agent, of which `study.play.agent` has them.
+    """
+    found = [*nominal, told] if told else nominal
+    return {f"filter{i}.c": of_filter(each, i) for i, each in enumerate(found)} | {
+        "play.c": of_flight(found, has_agent, told is not None)
     }
 
 
@@ -75,8 +86,9 @@ def of_filter(safety_filter: SafetyFilter, index: int) -> str:
     )
 
 
-def of_flight(safety_filter: SafetyFilter, header: str, count: int, has_agent: bool) -> str:
+def of_flight(found: Sequence[SafetyFilter], has_agent: bool, has_worst: bool) -> str:
     """The model and what it comes to, with the page's functions around them, in one source."""
+    safety_filter = found[0]
     c = safety_filter.c
     x, u = safety_filter.probe("cpu")
     normals = fibonacci_sphere(c.num_points)
@@ -93,12 +105,14 @@ def of_flight(safety_filter: SafetyFilter, header: str, count: int, has_agent: b
     return "\n".join(
         [
             "#include <math.h>",
-            header,
             define("POINTS", c.num_points),
             define("AHEAD_MOST", AHEAD),
+            define("LIMITS", len(safety_filter.names)),
             define("AGENT", int(has_agent)),
             *(AGENT if has_agent else ()),
-            *declarations(count),
+            define("WORST", int(has_worst)),
+            *(WORST if has_worst else ()),
+            *declarations(len(found)),
             for_one(parts),
             driver("play.c"),
         ]
@@ -108,7 +122,10 @@ def of_flight(safety_filter: SafetyFilter, header: str, count: int, has_agent: b
 def declarations(count: int) -> list[str]:
     """The functions of the filters' sources, and tables of them by index."""
     kinds = {
-        "correct": ("void", "const struct safety_filter_input *, struct safety_filter_output *"),
+        "correct": (
+            "void",
+            "const double *, const double *, const double *, int, double *, double *, double *",
+        ),
         "assist": ("void", "const double *, double *"),
         "guide": ("void", "const double *, const double *, double *"),
         "way": ("int", "const double *, const double *, double *, int"),

@@ -1,8 +1,25 @@
 /* What the page asks of one filter; it follows safety_filter.c, whose functions it calls. PLAY gives each a name of its own. */
 
-void PLAY(correct)(const struct safety_filter_input *in, struct safety_filter_output *out)
+/* From a state as it is seen, and what is desired, to a control, which rows act, and status, verified, backup.
+ * `sent` are the controls held since the state was measured, the oldest first. */
+void PLAY(correct)(const double x[16], const double desired[6], const double *sent, int count, double control[6],
+                   double active[SAFETY_FILTER_CONSTRAINTS], double answer[3])
 {
-    safety_filter(in, out);
+    struct safety_filter_input in = {.sent_count = count, .left = {1.0, 1.0, 1.0, 1.0, 1.0, 1.0}};
+    struct safety_filter_output out;
+    copy(in.state, x, 16);
+    copy(in.desired, desired, 6);
+    for (int i = 0; (i < count) && (i < SAFETY_FILTER_SENT_ROOM); ++i) {
+        copy(in.sent[i], &sent[6 * i], 6);
+    }
+    safety_filter(&in, &out);
+    copy(control, out.control, 6);
+    for (int k = 0; k < SAFETY_FILTER_CONSTRAINTS; ++k) {
+        active[k] = out.active[k];
+    }
+    answer[0] = out.status;
+    answer[1] = out.verified;
+    answer[2] = out.backup;
 }
 
 void PLAY(assist)(const double x[16], double torque[3])

@@ -19,17 +19,18 @@ function keys(flight, random) {
   if (random() < 0.5) flight.keys.torque = [0, 0, 0]; // the assistant's turn
 }
 
-function flown(wasm, { start, seconds, seed = 0, calls = false, toggle = 0, ...chosen }) {
+// plant: the number of the one that has the errors, where `erring`
+function flown(wasm, { start, seconds, seed = 0, plant = 0, calls = false, toggle = 0, ...chosen }) {
   const flight = Object.assign(new Flight(wasm, task, seed), chosen, { until: 0 });
   const random = dice(seed + 1), found = { calls: [], states: [] };
   if (chosen.pilot === "keys") flight.pilot = "you";
-  flight.begin(task.starts.find(each => each.name === start));
+  flight.begin(flight.starts.find(each => each.name === start), plant);
   const ask = wasm.ask, asking = (filter, on) => {
-    const before = Array.from(flight.state), desired = Array.from(flight.desired), h = Array.from(flight.h);
+    const before = Array.from(flight.state), seen = Array.from(flight.seen), desired = Array.from(flight.desired), h = Array.from(flight.h);
     ask(filter, on);
     if (calls && on) {
       found.calls.push({
-        state: before, desired, h, control: Array.from(flight.control), answer: Array.from(flight.answer),
+        state: before, seen, desired, h, missed: flight.missed, corner: Array.from(flight.corner), control: Array.from(flight.control), answer: Array.from(flight.answer),
         active: Array.from(flight.active), places: wasm.rest(filter), way: Array.from(flight.way.slice(0, 30)),
       });
     }
@@ -43,7 +44,7 @@ function flown(wasm, { start, seconds, seed = 0, calls = false, toggle = 0, ...c
   }
   wasm.coast(task.ahead_steps);
   return {
-    ...found, time: flight.time, outcome: flight.outcome, broken: flight.broken, score: flight.score[0], deltaV: flight.deltaV,
+    ...found, settings: flight.settings, time: flight.time, outcome: flight.outcome, broken: flight.broken, score: flight.score[0], deltaV: flight.deltaV,
     end: Array.from(flight.state), inspected: Array.from(flight.inspected), ahead: Array.from(flight.ahead),
     statuses: flight.calls, command: flight.command_again(), saved_state: flight.saved_state(), saved_controls: Buffer.from(flight.saved_controls()).toString("base64"),
   };

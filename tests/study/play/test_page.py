@@ -19,9 +19,9 @@ from study.errors import InputError
 from study.experiment import load_policy
 from study.pages.scene import LICENCE, three
 from study.pages.template import STUDY
-from study.play import page, printed, wasm
+from study.play import page, printed, wasm, worst
 from study.play.starts import starts
-from tests.study.play.test_flight import AGENT, PAGE, fly
+from tests.study.play.test_flight import AGENT, PAGE, U1, fly
 from tests.study.replay.test_page import Browser, asks_nothing, chromium
 from tests.test_main import assert_refused, call
 
@@ -54,15 +54,21 @@ def test_the_shipped_page_is_of_this_code() -> None:
     """Its module is flown beside Python in `test_flight`."""
     for name in SOURCES:
         assert (STUDY / name).read_text(encoding="utf-8") in TEXT, name
-    config = Config()
     of_page = data(TEXT)
-    begun = of_page.pop("starts")
+    begun, of_worst = of_page.pop("starts"), of_page.pop("worst")
     assert of_page.pop("settings") == ""
-    assert of_page == json.loads(json.dumps(page.task(config.inspection)))
-    for given, found in zip(begun, starts(config, printed.filters(config)), strict=True):
+    assert of_page == json.loads(json.dumps(page.task(U1.inspection)))
+    assert from_toml(of_worst.pop("settings"), "saved") == U1
+    wanted = worst.described(U1, worst.told(U1))
+    for given, found in (
+        *zip(begun, starts(U1, printed.filters(U1)), strict=True),
+        *zip(of_worst["starts"], wanted.pop("starts"), strict=True),
+    ):
         assert given["name"] == found["name"]
         assert given["state"] == pytest.approx(found["state"], abs=1e-9)
         assert given["priority"] == pytest.approx(found["priority"], abs=1e-9)
+    np.testing.assert_allclose(of_worst["plants"], wanted.pop("plants"), rtol=1e-12, atol=1e-20)
+    assert wanted == {"period": of_worst["period"]}
 
 
 def test_nothing_is_asked_of_a_network() -> None:
@@ -99,8 +105,10 @@ def test_without_its_packages_the_command_says_so(
     [
         ("[inspection]\nsubstep = 0.3\naction_period = 9.0\n", "substep"),
         ("[chief]\nrandom_attitude = true\n", "chief"),
-        ("[uncertainty]\nlatency = 1\n", "latency"),
-        ("[plant]\nmass = 0.1\n", "plant"),
+        ("[uncertainty]\nlatency = 1\n", "[plant]"),
+        ("[plant]\nmass_factor = 0.9\n", "[uncertainty]"),
+        ('[plant]\nfailing = "any"\n[uncertainty]\nmass = 0.1\n', "failures"),
+        ('[plant]\nsimulator = "basilisk"\n[uncertainty]\nmass = 0.1\n', "simulator"),
     ],
 )
 def test_a_configuration_that_it_cannot_fly_is_refused(
@@ -159,9 +167,10 @@ def test_a_page_is_built(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> 
         if find_spec(name) is None:
             pytest.skip(f"{name} is not installed (requirements-optional.txt)")
     out = tmp_path / "page.html"
-    code, said, err = call(["play", "--checkpoint", str(AGENT), "--out", str(out)], capsys)
+    words = ["play", "--config", "configs/plants/u1.toml", "--checkpoint", str(AGENT), "--out", str(out)]
+    code, said, err = call(words, capsys)
     assert code == 0, err
-    assert "page.html: 0.7 MB" in said
+    assert "page.html: 0.8 MB" in said
     made = out.read_text(encoding="utf-8")
     # where processors may round otherwise, or pack otherwise
     rest = re.compile(r'id="(?:data|module|three)">.*?</script>', re.DOTALL)
@@ -253,6 +262,26 @@ def test_a_browser_keeps_the_promises_under_the_adversary(opened: Browser) -> No
         opened.page.keyboard.press(key)
         found = seconds(opened, 600)
         assert found["broken"] == {} and found["outcome"] is None
+
+
+def test_a_browser_flies_errors_at_their_worst(opened: Browser) -> None:
+    """In another spacecraft at each start, with a period of the filter's own."""
+    about = opened.page.locator("#about-errors")
+    assert about.is_hidden()
+    opened.page.locator("#errors").select_option("worst")
+    assert about.is_visible() and opened.page.locator("#period").is_disabled()
+    assert opened.page.locator("#period").input_value() == "1"
+    plants = []
+    for key in "123":
+        opened.page.keyboard.press(key)
+        assert seconds(opened, 60)["broken"] == {}
+        plants.append(opened.page.evaluate("Array.from(play.flight.plant)"))
+        assert "--config flight.toml" in opened.page.evaluate("play.flight.command_again()")
+    assert plants[0] != plants[1] != plants[2] and opened.page.locator("#save-settings").count() == 1
+    assert opened.page.evaluate("play.flight.corners.some(corner => corner[18])")
+    opened.page.locator("#errors").select_option("none")
+    assert about.is_hidden() and opened.page.locator("#period").is_enabled()
+    assert not opened.page.evaluate("play.flight.missed")
 
 
 def test_a_browser_draws_what_is_flown(opened: Browser) -> None:
