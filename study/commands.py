@@ -15,6 +15,7 @@ CHECKPOINT, LEARNED = FILES = (
 )  # begin an agent's file where other policies have names
 
 INSTALLED = "rta-inspection"  # the package, and the command that comes with it
+RUNS = "runs"  # below the working directory: what commands write
 EPISODE = 3600  # s, about as long as an agent takes
 
 
@@ -76,5 +77,7 @@ def after_evaluation(
     if results["seed"] != TEST_CASES:
         who += ["--seed", str(results["seed"])]
     length = "--duration", f"{EPISODE}"
-    fly = command("simulate", "--controller", *who, *settings, *length, "--out", "run.npz")
-    return f"Watch one: {fly} && {command('replay', 'run.npz', '--out', 'run.html')}"
+    begin = "" if Path(RUNS).is_dir() else f"mkdir {RUNS} && "
+    flight, page = f"{RUNS}/flight.npz", f"{RUNS}/flight.html"
+    fly = command("simulate", "--controller", *who, *settings, *length, "--out", flight)
+    return f"Watch one: {begin}{fly} && {command('replay', flight, '--out', page)}"
