@@ -166,7 +166,7 @@ def run_episodes(
             if failed and hold.end < env.c.action_period:
                 recording.end()
 
-    with bar(count, "episodes", desc=what, leave=False, bar_format=BAR) as shown:
+    with bar(count, "have ended", desc=what, leave=False, bar_format=BAR) as shown:
         while running.any():
             transition = env.advance(controller, watch)
             note_step(record, transition, running)
@@ -177,7 +177,7 @@ def run_episodes(
                 recording.end(inspected_score=score, inspected=transition.inspected[:, 0])
             running = running & ~ending
             flown = int(transition.steps.max()) * env.c.action_period
-            shown.set_postfix_str(f"{flown:,.0f} s of at most {env.c.max_time:,.0f}", refresh=False)
+            shown.set_postfix_str(f"{flown:,.0f} s flown of at most {env.c.max_time:,.0f}", refresh=False)
             shown.update(count - int(running.sum()) - shown.n)
     record.worst, record.extremes = worst.value, extremes.value
     record.violation_seconds *= 100.0 / record.metrics[METRICS.index("episode_length_s")]

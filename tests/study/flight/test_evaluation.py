@@ -108,7 +108,7 @@ def test_the_bar_counts_episodes_and_shows_the_time_simulated(monkeypatch: pytes
     play_controller("zero", experiment_of(False, 3), 3, 0)
     (shown,) = bars
     assert (shown.n, shown.total, shown.desc) == (3, 3, "flying 3 test cases")
-    assert shown.postfix == "20 s of at most 20"
+    assert shown.postfix == "20 s flown of at most 20"
 
 
 def test_a_success_is_clean_that_stays_clear_and_breaks_no_limit_in_any_second(
