@@ -28,6 +28,7 @@ from study import config as configuration
 from study.commands import EPISODE
 from study.config import AnyConfig, Config
 from study.errors import InputError, refusing
+from study.files import see
 from study.machine.compiling import (
     WORTH_COMPILING_SIMULATOR,
     compile_or_explain,
@@ -211,7 +212,8 @@ def check_plant(config: Config) -> None:
         config.plant.check_simulator()
     if config.plant.simulator == "basilisk" and not find_spec("Basilisk"):
         raise InputError(
-            "--plant basilisk ([plant] simulator): Basilisk is not installed here; docs/guides/basilisk.md says how"
+            "--plant basilisk ([plant] simulator): Basilisk is not installed here"
+            + see("docs/guides/basilisk.md")
         )
 
 

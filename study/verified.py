@@ -19,7 +19,7 @@ from study import config as configuration
 from study.commands import command
 from study.config import Config, StudyConfig, override
 from study.errors import MALFORMED, InputError
-from study.files import ROOT
+from study.files import ROOT, see
 
 # Settings that came later: at their defaults they are what was flown before, and its fingerprint stays.
 LATER = {
@@ -157,10 +157,11 @@ def doubt(config: Config, config_files: Sequence[str | Path], checkpoint: str | 
             if worst.violating
             else f"{worst.report['unsolved']:,} calls of this filter were not solved"
         )
-        return f"not safe: {difference(config, flown)}: {said} ({shown(worst.path)}); see {PAGE}"
+        return f"not safe: {difference(config, flown)}: {said} ({shown(worst.path)}){see(PAGE)}"
     if verified(same):
         return None
-    begin = f"not verified: {difference(config, flown)}; see {PAGE}"
+    page = see(PAGE)
+    begin = f"not verified: {difference(config, flown)}{page}"
     source = source_of(config, config_files, checkpoint)
     if source is None:
         return begin
@@ -170,7 +171,7 @@ def doubt(config: Config, config_files: Sequence[str | Path], checkpoint: str | 
         )
         for policy in POLICIES
     ]
-    return f"{begin}, or verify it: {' && '.join(commands)}"
+    return f"{begin}{', or' if page else ';'} verify it: {' && '.join(commands)}"
 
 
 def verified(same: list[Flown]) -> bool:

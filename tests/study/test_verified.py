@@ -13,7 +13,7 @@ import main
 from inspection.model.parameters import Episode, InspectionParameters, Limits
 from rta.parameters import PERIODS
 from setting import settings
-from study import verified
+from study import files, verified
 from study.config import Config, StudyConfig, override
 from study.files import ROOT
 from study.verification.findings import Campaign, empty_report
@@ -207,6 +207,16 @@ def test_settings_of_a_checkpoint_come_from_the_file_above_it(elsewhere: Path) -
     (seed / "config.toml").write_text("no configuration")
     line = doubt(config, [], seed / "policy.pt")
     assert line and "python" not in line
+
+
+def test_an_installed_copy_names_no_page_of_the_repository(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(files, "ROOT", tmp_path)
+    own = tmp_path / "own.toml"
+    own.write_text(configured(FAST).to_toml())
+    line = doubt(configured(FAST), [own], None)
+    assert line and ".md" not in line and "; verify it: " in line
 
 
 def test_without_the_filter_nothing_is_said(capsys: pytest.CaptureFixture[str]) -> None:
