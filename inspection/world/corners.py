@@ -47,7 +47,8 @@ class Recorded:
         self.corners, self.every, self.start = corners, every, start
 
     def _now(self, time: Tensor) -> Tensor:
-        return self.corners[round((time[0].item() - self.start) / self.every)]
+        # the one that has begun: calls may come between
+        return self.corners[int((time[0].item() - self.start) / self.every + 1e-6)]
 
     def errors(self, time: Tensor, x: Tensor) -> Tensor:
         """See `Adversary`."""

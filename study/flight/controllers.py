@@ -57,7 +57,8 @@ def recorded(path: str, env: InspectionEnv, step: float, duration: float) -> Con
     if corners.size:
         if env.plant is None or not env.plant.is_worst:
             raise InputError(
-                f"{path}: has corners of errors at their worst, too: give the --config saved beside it"
+                f'{path}: has corners, which needs a world with `[plant] errors = "worst"`: '
+                "give the flight.toml saved beside it"
             )
         env.plant.adversary = Recorded(torch.from_numpy(corners > 0.0)[..., None].to(env.x.device), step)
     return guidance.recorded(actions, step)

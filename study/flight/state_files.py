@@ -117,7 +117,7 @@ def read_states(path: str, c: Limits) -> tuple[Tensor, Tensor]:
 def read_actions(path: str, limit: tuple[float, ...], rows: int) -> np.ndarray:
     """Reads an N x 6 array of controls in N and N m, or N x 25 with corners (`inspection.world.corners`) after them.
 
-    Refuses what the actuators cannot do, and N < `rows`.
+    Refuses what the actuators cannot do, corners other than 0 and 1, and N < `rows`.
     """
     try:
         actions = np.load(path, allow_pickle=False)
@@ -132,8 +132,9 @@ def read_actions(path: str, limit: tuple[float, ...], rows: int) -> np.ndarray:
         or shape[1] not in (CONTROL_SIZE, CONTROL_SIZE + CORNER)
         or not shape[0]
     ):
-        raise InputError(f"{path}: shape {shape}: must be (N, 6), in N and N m")
+        raise InputError(f"{path}: shape {shape}: must be (N, 6), in N and N m, or (N, 25) with corners")
     check_controls(actions[:, :CONTROL_SIZE], limit, path)
+    check_corners(actions[:, CONTROL_SIZE:], path)
     if len(actions) < rows:
         raise InputError(f"{path}: {len(actions):,} rows: --duration and --step need {rows:,}")
     return actions
@@ -154,4 +155,14 @@ def check_controls(controls: np.ndarray, limit: tuple[float, ...], where: str) -
         raise InputError(
             f"{where}: row {row}, column {column} = {controls[row, column]:g}: "
             f"must be within +-{limit[column]:g} {'N' if column < 3 else 'N m'}"
+        )
+
+
+def check_corners(corners: np.ndarray, where: str) -> None:
+    """Refuses corners (N, 19), which follow the controls in a row, that are neither 0 nor 1."""
+    wrong = (corners != 0.0) & (corners != 1.0)  # NaN is, too
+    if wrong.any():
+        row, column = np.argwhere(wrong)[0]
+        raise InputError(
+            f"{where}: row {row}, column {CONTROL_SIZE + column} = {corners[row, column]:g}: a corner must be 0 or 1"
         )
