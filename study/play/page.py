@@ -19,7 +19,7 @@ from markupsafe import Markup
 
 from inspection.chief.points import fibonacci_sphere
 from inspection.model.parameters import InspectionParameters
-from inspection.world.parameters import PlantParameters
+from inspection.world.parameters import PlantParameters, bounds
 from ppo.network import Policy
 from rta.bounds.uncertainty import NOTHING
 from rta.constraints.names import CONSTRAINTS
@@ -108,6 +108,10 @@ def check_config(config: Config) -> None:
         raise InputError(
             "play flies errors with a filter that is told of them: give [plant] and [uncertainty], or neither"
         )
+    if bounds(config.plant.latency)[1] > config.uncertainty.latency:
+        raise InputError(
+            "play: [plant] latency is above [uncertainty] latency: the filter could never answer a state so old"
+        )
 
 
 def write(config: Config, out: Path, policy: Policy | None = None) -> int:
@@ -119,6 +123,7 @@ def write(config: Config, out: Path, policy: Policy | None = None) -> int:
     check()
     check_config(config)
     told: SafetyFilter | None = None
+    of_worst: dict[str, Any] | None = None
     with step("printing the filters, a minute"):
         with refusing("[rta], [inspection], [plant] and [uncertainty]", ValueError, OverflowError):
             filters = printed.filters(config)
@@ -128,12 +133,13 @@ def write(config: Config, out: Path, policy: Policy | None = None) -> int:
         begun = starts(config, filters)
         sources = printed.texts(filters, told, policy is not None)
         if told:
+            of_worst = worst.described(config, told)
             sources |= worst.texts(told, config.plant)
         if policy:
             sources |= agent.texts(policy, config.inspection)
     with step("compiling them to WebAssembly, a minute"):
         module = wasm.compiled(sources)
-    text = document(config, module, begun, policy is not None, told)
+    text = document(config, module, begun, policy is not None, of_worst)
     with refusing(f"--out {out}: cannot write it", OSError):
         write_text(out, text)
     return len(text.encode())
@@ -144,21 +150,21 @@ def document(
     module: bytes,
     begun: list[dict[str, Any]],
     has_agent: bool = False,
-    told: SafetyFilter | None = None,
+    of_worst: dict[str, Any] | None = None,
 ) -> str:
-    """The whole page, with a world whose errors are worst where a filter is told of them."""
+    """The whole page, with a world whose errors are worst where that is described."""
     nominal = replace(config, plant=PlantParameters(), uncertainty=NOTHING)
     own = {
         "starts": begun,
         "settings": settings(nominal),
-        "worst": told and worst.described(config, told) | {"settings": settings(config)},
+        "worst": of_worst and of_worst | {"settings": settings(config)},
     }
     data = json.dumps(task(config.inspection) | own, separators=(",", ":"))
     return render(
         "play/page.html.j2",
         periods=PERIODS,
         has_agent=has_agent,
-        has_errors=told is not None,
+        has_errors=of_worst is not None,
         module=packed(module),
         data=Markup(data.replace("<", "\\u003c")),
         licence=Markup(scene.LICENCE.read_text(encoding="utf-8")),

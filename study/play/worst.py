@@ -1,6 +1,7 @@
 """A world whose errors are at their worst as C, for the page: its plant, its sensors, and who chooses its corners.
 
-By hand is only what `driver/worst.c` keeps from call to call.
+By hand, in `driver/worst.c`, are what is kept from call to call, by the rules of `hold`, `sense` and `tell` of `Plant`,
+and the decisions of `Greedy`: it compares the slopes and margins that are printed.
 """
 
 from collections.abc import Iterable, Sequence
@@ -22,9 +23,10 @@ from rta.filter import SafetyFilter
 from rta.parameters import PERIODS
 from rta.printed.source import define, for_one
 from study.config import Config
+from study.errors import InputError
 from study.experiment import case_numbers
 from study.play.printed import driver
-from study.play.starts import starts
+from study.play.starts import CASES, starts
 from study.verification.adversaries import NEXT_TO_NOTHING, Greedy
 
 SEEDS = range(8)  # of `simulate`, whose plants are flown in turns
@@ -36,13 +38,21 @@ def told(config: Config) -> SafetyFilter:
 
 
 def described(config: Config, safety_filter: SafetyFilter) -> dict[str, Any]:
-    """What the page is told of it: starts that the filter accepts, and plants by the seed of `simulate`."""
+    """What the page is told of it: starts that the filter accepts, and plants by the seed of `simulate`.
+
+    Raises:
+        InputError: the filter accepts none of the test cases.
+    """
     begun = starts(config, [safety_filter])
     x = torch.tensor([each["state"] for each in begun], dtype=torch.float64).T
-    accepted = safety_filter.is_safe(x).tolist()
+    accepted = safety_filter.is_safe(x)
+    if not accepted[:CASES].any():
+        raise InputError(
+            f"[uncertainty]: the filter that is told of it accepts none of the first {CASES} test cases as a start"
+        )
     return {
         "period": safety_filter.period,
-        "starts": [each for each, is_safe in zip(begun, accepted, strict=True) if is_safe],
+        "starts": [each for each, is_safe in zip(begun, accepted.tolist(), strict=True) if is_safe],
         "plants": plants(config.plant, config.inspection, SEEDS),
     }
 

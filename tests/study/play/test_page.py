@@ -14,13 +14,14 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from rta.constraints.names import CONSTRAINTS
+from rta.filter import SafetyFilter
 from study.config import Config, from_toml, load
 from study.errors import InputError
 from study.experiment import load_policy
 from study.pages.scene import LICENCE, three
 from study.pages.template import STUDY
 from study.play import page, printed, wasm, worst
-from study.play.starts import starts
+from study.play.starts import CASES, starts
 from tests.study.play.test_flight import AGENT, PAGE, U1, fly
 from tests.study.replay.test_page import Browser, asks_nothing, chromium
 from tests.test_main import assert_refused, call
@@ -72,11 +73,11 @@ def test_the_shipped_page_is_of_this_code() -> None:
 
 
 def test_nothing_is_asked_of_a_network() -> None:
-    asks_nothing(TEXT.replace("</body>", f"<script>{drawn_with(TEXT)}</script></body>"))
+    asks_nothing(TEXT + f"<script>{drawn_with(TEXT)}</script>")
 
 
 def test_the_page_is_small() -> None:
-    assert len(TEXT.encode()) < 2_000_000
+    assert len(TEXT.encode()) < 1_000_000
 
 
 def test_every_limit_is_explained() -> None:
@@ -107,6 +108,7 @@ def test_without_its_packages_the_command_says_so(
         ("[chief]\nrandom_attitude = true\n", "chief"),
         ("[uncertainty]\nlatency = 1\n", "[plant]"),
         ("[plant]\nmass_factor = 0.9\n", "[uncertainty]"),
+        ("[plant]\nlatency = [0, 2]\n[uncertainty]\nlatency = 1\n", "latency is above"),
         ('[plant]\nfailing = "any"\n[uncertainty]\nmass = 0.1\n', "failures"),
         ('[plant]\nsimulator = "basilisk"\n[uncertainty]\nmass = 0.1\n', "simulator"),
     ],
@@ -122,6 +124,20 @@ def test_a_configuration_that_it_cannot_fly_is_refused(
     (tmp_path / "own.toml").write_text(settings)
     words = ["play", "--config", str(tmp_path / "own.toml"), "--out", str(tmp_path / "page.html")]
     assert_refused(words, [said], capsys)
+
+
+def test_a_filter_that_accepts_no_case_is_refused_before_it_is_compiled(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(page, "find_spec", lambda name: object())
+    together = CASES + 3  # with those that are made, after each was accepted alone
+    monkeypatch.setattr(SafetyFilter, "is_safe", lambda self, x: x[0].isfinite() & (x.shape[1] != together))
+    for module, name in ((printed, "texts"), (worst, "texts"), (wasm, "compiled")):
+        monkeypatch.setattr(module, name, lambda *given: {})
+    words = ["play", "--config", "configs/plants/u1.toml", "--out", str(tmp_path / "page.html")]
+    code, _, err = call(words, capsys)
+    assert code == 2 and "error: [uncertainty]: " in err and "accepts none" in err and "Traceback" not in err
+    assert not (tmp_path / "page.html").exists()
 
 
 def test_settings_that_are_not_the_usual_ones_are_saved_whole() -> None:
