@@ -297,7 +297,7 @@ function frame(now) {
   requestAnimationFrame(frame);
 }
 
-// three.js is of half the size so
+// packed, three.js has half the size
 async function draw_with(base64) {
   const script = document.createElement("script");
   script.textContent = new TextDecoder().decode(await unpacked(base64));
