@@ -20,7 +20,7 @@ from study.training.monitor import EPISODE, Monitor
 
 BAR = "{percentage:3.0f}%|{bar}| {n:,}/{total:,} [{elapsed}<{remaining}, {rate_noinv:,.0f}/s{postfix}]"
 MEANING = (
-    "an interaction is one decision of the agent; behind their number: means over the episodes that ended last (dv: "
+    "an interaction is one decision of the agent; after the count come means over the episodes that ended last (dv: "
     "delta v, violation: share of their steps that broke a limit); flying test cases: an evaluation of the agent so far"
 )
 LESSON = "losses/lesson_action"  # only a lesson of the guidance has it
