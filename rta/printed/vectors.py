@@ -100,18 +100,22 @@ def is_steady(
 
     In single precision none with slack is: weights of 1e5 leave few digits of its control.
     """
-    first = safety_filter.correct(*given)
-    limit = first.control.new_tensor(safety_filter.c.control_limit)[:, None]
-    steady = first.status < (Status.SLACK if rounding > 1e-9 else Status.UNSOLVED)
-    for _ in range(PERTURBED):
-        noise = [torch.randn(part.shape, generator=draw, dtype=torch.float64) for part in given[:2]]
-        near = [part * (1.0 + rounding * each) for part, each in zip(given, noise, strict=False)]
-        again = safety_filter.correct(*near, *given[2:])
-        steady &= (again.program_status == first.program_status).all(0)
-        steady &= (again.active == first.active).all(0)
-        steady &= (again.verified == first.verified) & (again.backup == first.backup)
-        steady &= ((again.control - first.control).abs() / limit <= NEARLY).all(0)
-    return steady
+    count = 1 + PERTURBED  # of calls at each state, as they are and perturbed, all of them in one batch
+    near = [part.unsqueeze(-2).repeat_interleave(count, -2) for part in given]
+    for part in near[:2]:
+        part[:, 1:] *= 1.0 + rounding * torch.randn(part[:, 1:].shape, generator=draw, dtype=torch.float64)
+    answer = safety_filter.correct(*(part.flatten(-2) for part in near))
+    limit = answer.control.new_tensor(safety_filter.c.control_limit)[:, None, None]
+
+    def differs(values: Tensor) -> Tensor:
+        """By how much those of perturbed calls are off, (..., PERTURBED, B)."""
+        each = values.unflatten(-1, (count, -1)).double()
+        return (each[..., 1:, :] - each[..., :1, :]).abs()
+
+    steady = answer.status[: given[0].shape[1]] < (Status.SLACK if rounding > 1e-9 else Status.UNSOLVED)
+    for values in (answer.program_status, answer.active, answer.verified[None], answer.backup[None]):
+        steady &= (differs(values) == 0.0).all(0).all(0)
+    return steady & (differs(answer.control) / limit <= NEARLY).all(0).all(0)
 
 
 def hostile(given: list[Tensor]) -> list[Tensor]:
