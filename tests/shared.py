@@ -10,9 +10,11 @@ import os
 import pickle
 import sys
 from collections.abc import Callable
+from dataclasses import fields, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import pytest
 
@@ -20,6 +22,7 @@ import rta.filter
 import rta.printed.batch
 import rta.printed.files
 import rta.printed.source
+from inspection.model.parameters import Episode
 from kernels import build
 from rta import SafetyFilter
 from rta.printed.batch import Columns
@@ -38,6 +41,8 @@ SHARED = [  # functions of a filter, where they are called from
     (rta.printed.source, "functions"),
     (rta.printed.files, "vectors"),
 ]
+PARTS = "parameters", "known", "extra"  # of a filter, beside the limits
+ANSWERS = ("rta.filter", "SafetyFilter", "correct")  # what calls the printed functions is not printed
 OPTIMISED = build.FLAGS
 QUICK = tuple(flag.replace("-O2", "-O0") for flag in OPTIMISED)
 
@@ -65,7 +70,7 @@ class Once:
             return run(safety_filter, *more)  # a test has put something in a part's place
         own = tuple(map(id, safety_filter.extra))
         said = tuple(each for each in more if isinstance(each, str))  # all else is made from the filter
-        key = (run, *said, fingerprint(safety_filter), own, safety_filter.backup is None)
+        key = (run, *said, printed_from(safety_filter), own, safety_filter.backup is None)
         if key not in self.known:
             compute = partial(run, safety_filter, *more)
             name = f"{run.__module__}.{run.__qualname__}"
@@ -87,6 +92,15 @@ class Once:
         return found
 
 
+def printed_from(safety_filter: SafetyFilter) -> str:
+    """What a filter is printed from: its `fingerprint`, less what episodes have beside `Limits`."""
+    c, episode = safety_filter.c, Episode()
+    if isinstance(c, Episode):
+        c = replace(c, **{field.name: getattr(episode, field.name) for field in fields(Episode)})
+    given = safety_filter.parameters, safety_filter.known, safety_filter.extra
+    return fingerprint(cast(SafetyFilter, SimpleNamespace(c=c, **dict(zip(PARTS, given, strict=True)))))
+
+
 def code() -> dict[tuple[str, ...], object]:
     """All functions, classes and constants of ROOMS, and what the classes hold, by name."""
     found: dict[tuple[str, ...], object] = {}
@@ -96,6 +110,7 @@ def code() -> dict[tuple[str, ...], object]:
                 found[name, own] = value
                 if isinstance(value, type) and value.__module__ == name:
                     found |= {(name, own, part): each for part, each in vars(value).items()}
+    del found[ANSWERS]
     return found
 
 

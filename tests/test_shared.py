@@ -5,6 +5,7 @@ from pathlib import Path
 import pytest
 
 import rta.filter
+from inspection.model.parameters import InspectionParameters
 from rta import SafetyFilter
 from rta.backup import brake
 from rta.parameters import RtaParameters
@@ -28,13 +29,15 @@ def test_equal_filters_are_shared_and_others_are_not(once: Once) -> None:
     without_check.backup = None
     others = [
         SafetyFilter(parameters=RtaParameters(speed_gain=0.11)),
+        SafetyFilter(InspectionParameters(mass=12.5)),
         SafetyFilter(extra=[own_constraints.OWN["sphere"][0]]),
         SafetyFilter(extra=[own_constraints.OWN["cone"][0]]),
         without_check,
     ]
     assert once.call(made, SafetyFilter(parameters=RtaParameters())) is one
+    assert once.call(made, SafetyFilter(InspectionParameters(max_time=20.0))) is one  # no filter reads it
     assert (
-        len({one, *(once.call(made, each) for each in others), once.call(made, SafetyFilter(), "float")}) == 6
+        len({one, *(once.call(made, each) for each in others), once.call(made, SafetyFilter(), "float")}) == 7
     )
 
 

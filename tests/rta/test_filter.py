@@ -221,7 +221,9 @@ def test_a_demand_without_end_gets_as_much_along_it_as_is_permitted(
 
 @pytest.mark.parametrize("solver", [*SOLVERS, "C"])
 def test_a_demand_that_is_no_number_is_no_wish_and_filtered(solver: str) -> None:
+    """The programs read demands, so that the check has no part in this."""
     safety = SafetyFilter(C, R, None if solver == "C" else make_solver(solver))
+    safety.backup = None
     if solver == "C":
         safety.compile("cpu", len(X[0]))
     for group in (THRUST, TORQUE):
@@ -477,10 +479,10 @@ def test_random_flight_at_1_s_never_leaves_the_safe_set() -> None:
 def test_slower_filters_solve_every_program(
     period: float, calls: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(
-        initial_state, "POOL", 64
-    )  # starts drawn at once, at each of which a control is searched
-    _, statuses = fly(SafetyFilter(C, RtaParameters(period=period)), episodes=64, actions=5)
+    monkeypatch.setattr(initial_state, "POOL", 64)  # starts drawn at once, at each of which a way is searched
+    safety = SafetyFilter(C, RtaParameters(period=period))
+    safety.compile("cpu", 64)
+    _, statuses = fly(safety, episodes=64, actions=5)
     assert statuses.shape == (calls, 64)
     assert (statuses != Status.UNSOLVED).all()
 
@@ -546,7 +548,7 @@ def restless() -> Iterator[None]:
 
 @pytest.mark.usefixtures("restless")
 @pytest.mark.parametrize("solver", SOLVERS)
-@pytest.mark.parametrize(("is_traced", "calls"), [(False, 3), (True, 40)])
+@pytest.mark.parametrize(("is_traced", "calls"), [(False, 2), (True, 20)])
 def test_threads_may_share_a_filter(
     solver: str,
     is_traced: bool,

@@ -57,7 +57,7 @@ class Demands:
 @pytest.mark.parametrize(("how", "misses"), [("steady", "random"), ("worst", "always")])
 def test_no_limit_breaks_whatever_is_asked(how: str, misses: str) -> None:
     x, demands = starts(1), Demands(HOMING, 2)
-    least, _, _ = flown(x, HOMING.haven, World(COUNT, 3, how, misses), 100.0, 20.0, demands)
+    least, _, _ = flown(x, HOMING.haven, World(COUNT, 3, how, misses), 60.0, 20.0, demands)
     assert (least >= 0.0).all(), least.min(1)
     assert 0.1 < demands.refused / demands.asked < 0.95 and demands.verified > demands.asked / 4
 
@@ -73,7 +73,7 @@ def test_a_check_that_forgets_missed_calls_lets_limits_break() -> None:
     forgetful = Homing.of(C, R, replace(U1, longest_hold=1.0))
     assert forgetful and calls(forgetful.haven) == 1
     demands = Demands(forgetful, 2)
-    least, _, _ = flown(starts(1), forgetful.haven, World(COUNT, 3, "worst", "always"), 100.0, 20.0, demands)
+    least, _, _ = flown(starts(1), forgetful.haven, World(COUNT, 3, "worst", "always"), 60.0, 20.0, demands)
     assert least.min() < 0.0
 
 

@@ -42,7 +42,7 @@ def test_benchmark_writes_the_promised_json_and_figure(
         for name, value in settings.items():
             monkeypatch.setattr(module, name, value)
     results, drawing = tmp_path / "b.json", tmp_path / "b.png"
-    arguments = ["benchmark", "--device", "cpu", "--compile", "off", "--batches", "16,64"]
+    arguments = ["benchmark", "--device", "cpu", "--compile", "on", "--batches", "16,64"]
     assert main.main([*arguments, "--json", str(results), "--figure", str(drawing)]) == 0
     out = capsys.readouterr().out
     found = json.loads(results.read_text())

@@ -23,7 +23,7 @@ BATCH = 48
 
 
 def experiment_in(plant: dict[str, Any]) -> Experiment:
-    train = {"compile": "off", "device": "cpu"}
+    train = {"compile": "on", "device": "cpu"}
     return Experiment(override(Config(), {"train": train, "plant": plant}, "test"), BATCH * boundary.TRIES)
 
 

@@ -14,6 +14,7 @@ from inspection.environment import InspectionEnv
 from inspection.model.state import CONTROL_SIZE
 from rta.constraints.names import CONSTRAINTS
 from rta.filter import SafetyFilter
+from rta.parameters import RtaParameters
 from rta.result import FilterResult
 from study.config import Config, override
 from study.experiment import Experiment
@@ -28,7 +29,7 @@ from tests.test_main import STATE, assert_refused, call
 pytestmark = pytest.mark.usefixtures("small_pools")
 
 FILTERED = SafetyFilter.correct
-UNCOMPILED = {"train": {"compile": "off", "device": "cpu"}}
+COMPILED = {"train": {"compile": "on", "device": "cpu"}}
 
 
 def let_pass(self: SafetyFilter, x: torch.Tensor, desired: torch.Tensor) -> FilterResult:
@@ -54,7 +55,7 @@ def verified(
     """The report of a campaign of the adversary."""
     config, path = tmp_path / "config.toml", tmp_path / "report.json"
     config.write_text(f"[inspection]\nsubstep = {substep}\n")
-    arguments = ["--policy", "adversarial", "--episodes", "8", "--duration", "50", "--compile", "off"]
+    arguments = ["--policy", "adversarial", "--episodes", "8", "--duration", "50", "--compile", "on"]
     code, out, err = call(["verify", *arguments, "--config", str(config), "--json", str(path), *more], capsys)
     assert code == 0, err
     content = json.loads(path.read_text())
@@ -159,7 +160,7 @@ def test_simulate_reports_what_a_filter_that_corrects_nothing_lets_pass(
 def experiment(period: float, seconds: float) -> Experiment:
     """Of episodes so many s long."""
     tables = {"inspection": {"max_time": seconds}, "rta": {"period": period}}
-    return Experiment(override(Config(), UNCOMPILED | tables, "test"), 1)
+    return Experiment(override(Config(), COMPILED | tables, "test"), 1)
 
 
 def coasting(t: float, x: torch.Tensor) -> torch.Tensor:
@@ -230,7 +231,7 @@ def test_evaluate_counts_exact_values_at_the_filters_calls() -> None:
 
 
 def test_the_values_of_a_filter_call_are_exact_where_the_enforced_barriers_are_smoothed() -> None:
-    filtered = experiment(10.0, 10.0).filter
+    filtered = SafetyFilter(parameters=RtaParameters(period=10.0))
     rng = np.random.default_rng(0)
     x, _, _ = safe_set(300, 1, FILTER)
     x[:3] *= torch.from_numpy(rng.uniform(0.03, 1.0, 300))

@@ -33,7 +33,7 @@ evaluation_interval = 12
 evaluation_episodes = 2
 final_episodes = {CASES}
 rta_period = 1.0
-compile = "off"
+compile = "on"
 device = "cpu"
 qp_solver = "batched"
 [inspection]

@@ -407,7 +407,9 @@ def test_widths_are_keys_from_training_to_export_and_the_last_lines_can_be_paste
     assert (run / "flight.html").exists()
 
 
-def test_the_threads_that_a_run_computes_with_are_recorded(settings: Path, tmp_path: Path) -> None:
+def test_the_threads_that_a_run_computes_with_are_recorded(
+    small_pools: None, settings: Path, tmp_path: Path
+) -> None:
     before, run = torch.get_num_threads(), tmp_path / "run"
     train = ["train", "--config", str(settings), "--run-dir", str(run), "--interactions", "16"]
     try:

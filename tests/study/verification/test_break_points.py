@@ -79,7 +79,7 @@ def test_worlds_are_flown_once_and_break_where_they_must(
     effect = Effect("", plant, lambda size, _: {"thrust_gain": size}, (1e-9, 0.99))
     monkeypatch.setattr(break_points, "EFFECTS", {"mass": effect})
     path, picture = tmp_path / "report.json", tmp_path / "figure.png"
-    flags = ["--episodes", "12", "--duration", "10", "--json", str(path), "--compile", "off"]
+    flags = ["--episodes", "12", "--duration", "10", "--json", str(path), "--compile", "on"]
     command = ["break-points", "--figure", str(picture), *flags]
     code, out, err = call(command, capsys)
     assert code == 0, err

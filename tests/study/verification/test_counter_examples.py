@@ -37,7 +37,7 @@ def violated(small_pools: None, tmp_path_factory: pytest.TempPathFactory) -> Pat
     path = tmp_path_factory.mktemp("violated") / "report.json"
     config = path.with_name("weak.toml")
     config.write_text("[inspection]\nmax_thrust = 1.05\n[plant]\nmass_factor = 2.0\n")
-    arguments = ["--policy", "adversarial", "--rta-period", "10", "--duration", "60", "--episodes", "64"]
+    arguments = ["--policy", "adversarial", "--rta-period", "10", "--duration", "30", "--episodes", "64"]
     arguments += ["--qp-solver", "piqp"]
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(campaign, "BATCH", 64)  # it draws the starts of no more episodes than it flies
@@ -133,7 +133,7 @@ def test_refly_does_not_depend_on_the_solvers_last_digits(monkeypatch: pytest.Mo
             override(
                 Config(),
                 {
-                    "train": {"rta": rta, "compile": "off"},
+                    "train": {"rta": rta, "compile": "on" if rta else "off"},
                     "rta": {"period": 10.0, "qp_solver": name},
                     "plant": {"mass_factor": 0.5},
                 },

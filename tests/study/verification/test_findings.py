@@ -21,7 +21,7 @@ NEWER = {"check_every", "candidates", "horizon"}  # of a campaign
 
 
 def verify(path: Path, *more: str) -> list[str]:
-    flags = ["--compile", "off", "--device", "cpu", "--json", str(path)]
+    flags = ["--compile", "on", "--device", "cpu", "--json", str(path)]
     return ["verify", "--episodes", "16", "--duration", "20", *flags, *more]
 
 

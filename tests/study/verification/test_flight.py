@@ -24,12 +24,15 @@ C = InspectionParameters()
 SECONDS, DECIDE = 24, 2  # of an episode, and between two decisions
 
 
+@functools.cache
 def lax() -> SafetyFilter:
     """A filter that believes in wider limits than those that are counted."""
     wide = dataclasses.replace(
         C, docking_speed=0.4, speed_slope=0.008, max_temperature=11.0, min_energy=0.5, field_of_view=0.5
     )
-    return SafetyFilter(wide, RtaParameters())
+    safety = SafetyFilter(wide, RtaParameters())
+    safety.compile("cpu", 6)
+    return safety
 
 
 @functools.cache
