@@ -308,24 +308,26 @@ def assert_same(
 @pytest.mark.parametrize("kind", KINDS)  # 10 s and U1 are compared in `test_export`
 def test_a_filter_in_c_is_that_in_python(made: Callable[[str], Driver], kind: str) -> None:
     """Also where a number of a state or of a control is none."""
-    driver, finite, count = made(kind), 400, 444
+    driver, count = made(kind), 400
     known = driver.safety.known
-    x, u = tensor(near_the_limits(count, seed=5)), 1.1 * commands(count, seed=5)
+    bad_x, bad_u = tensor(near_the_limits(44, seed=7)), commands(44, seed=7)
     for i, value in enumerate((np.nan, np.inf)):
         for row in range(16):
-            x[row, finite + 22 * i + row] = value
+            bad_x[row, 22 * i + row] = value
         for row in range(6):
-            u[row, finite + 22 * i + 16 + row] = value
-    sent = commands(count, seed=6)[None] if known.latency else None
+            bad_u[row, 22 * i + 16 + row] = value
+    x = torch.cat((tensor(near_the_limits(count, seed=5)), bad_x), 1)
+    u = torch.cat((1.1 * commands(count, seed=5), bad_u), 1)
+    sent = commands(count + 44, seed=6)[None] if known.latency else None
     left = None
     if known.health:
         rng = np.random.default_rng(0)
         left = torch.ones_like(u)
         left[rng.integers(0, 3, count), range(count)] = tensor(rng.choice([0.0, 0.5, 1.0], count))
-        left[TORQUE] = tensor(rng.uniform(0.5, 1.0, (3, count)))
+        left[TORQUE, :count] = tensor(rng.uniform(0.5, 1.0, (3, count)))
     result = assert_same(driver, x, u, sent, left)
-    assert all((result.status[:finite] == status).sum() > 30 for status in (Status.HARD, Status.SLACK))
-    assert (result.status[finite:] == Status.UNSOLVED).sum() > 20 and result.control.isfinite().all()
+    assert all((result.status[:count] == status).sum() > 30 for status in (Status.HARD, Status.SLACK))
+    assert (result.status[count:] == Status.UNSOLVED).sum() > 20 and result.control.isfinite().all()
 
 
 def test_a_state_that_is_too_old_is_unsolved(made: Callable[[str], Driver]) -> None:
