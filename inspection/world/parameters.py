@@ -37,7 +37,7 @@ class PlantParameters(Settings):
 
     errors: str = setting(
         "drawn",
-        "of the effects below, within their bounds (at random; held at a corner of the bounds for the episode; "
+        "of all effects with bounds, within them (at random; held at a corner of the bounds for the episode; "
         "at a corner that an adversary chooses at every call)",
         among=HOW,
         note="How far it goes",

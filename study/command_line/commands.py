@@ -160,7 +160,8 @@ COMMANDS = {
         AGENT.saying("the agent, for --controller policy"),
         read(
             "--actions",
-            "N x 6 controls in N and N m, a row per --step, for --controller recorded",
+            "N x 6 controls in N and N m, a row per --step, for --controller recorded; N x 25 with the corners of a "
+            "flight that play saved, where [plant] errors are worst",
             metavar="F.npy",
         ),
         read("--initial-state", "state file (default: drawn from --seed)", metavar="F.json"),

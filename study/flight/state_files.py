@@ -125,14 +125,12 @@ def read_actions(path: str, limit: tuple[float, ...], rows: int) -> np.ndarray:
         raise InputError(f"{path}: cannot read the actions: no such file") from None
     except (Exception, MemoryError):  # numpy reports damage through many exception types
         raise InputError(f"{path}: cannot read the actions: not a .npy file of numbers") from None
-    shape = getattr(actions, "shape", None)  # an archive has none
-    if (
-        shape is None
-        or len(shape) != 2
-        or shape[1] not in (CONTROL_SIZE, CONTROL_SIZE + CORNER)
-        or not shape[0]
-    ):
-        raise InputError(f"{path}: shape {shape}: must be (N, 6), in N and N m, or (N, 25) with corners")
+    if not isinstance(actions, np.ndarray):
+        raise InputError(f"{path}: cannot read the actions: an archive of arrays, not a .npy file of one")
+    if actions.ndim != 2 or actions.shape[1] not in (CONTROL_SIZE, CONTROL_SIZE + CORNER) or not len(actions):
+        raise InputError(
+            f"{path}: shape {actions.shape}: must be (N, 6), in N and N m, or (N, 25) with corners, N 1 or more"
+        )
     check_controls(actions[:, :CONTROL_SIZE], limit, path)
     check_corners(actions[:, CONTROL_SIZE:], path)
     if len(actions) < rows:
@@ -142,7 +140,9 @@ def read_actions(path: str, limit: tuple[float, ...], rows: int) -> np.ndarray:
 
 def check_finite(controls: np.ndarray, where: str) -> None:
     """Refuses controls that are not finite numbers."""
-    if controls.dtype.kind not in "fiu" or not np.isfinite(controls).all():
+    if controls.dtype.kind not in "fiu":
+        raise InputError(f"{where}: must hold numbers, not {controls.dtype.name}")
+    if not np.isfinite(controls).all():
         raise InputError(f"{where}: must hold finite numbers only")
 
 

@@ -102,8 +102,10 @@ def check_config(config: Config) -> None:
         raise InputError(
             "play flies in seconds: substep must divide 1 s, action_period must be whole seconds"
         )
-    if config.plant.simulator != "own" or config.plant.failing != "none":
-        raise InputError("[plant]: play flies its own simulator, and no failures")
+    if config.plant.simulator != "own":
+        raise InputError(f'[plant] simulator = "{config.plant.simulator}": play flies its own simulator only')
+    if config.plant.failing != "none":
+        raise InputError(f'[plant] failing = "{config.plant.failing}": play flies no failures')
     if config.plant.is_nominal != config.uncertainty.is_nil:
         raise InputError(
             "play flies errors with a filter that is told of them: give [plant] and [uncertainty], or neither"
@@ -120,8 +122,8 @@ def write(config: Config, out: Path, policy: Policy | None = None) -> int:
     Raises:
         InputError: a package is missing, the configuration does not fit, or the page cannot be written.
     """
-    check()
     check_config(config)
+    check()
     told: SafetyFilter | None = None
     of_worst: dict[str, Any] | None = None
     with step("printing the filters, a minute"):
