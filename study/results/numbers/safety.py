@@ -148,6 +148,17 @@ def sentences() -> Iterator[tuple[str, str]]:
     """Pages and the sentences that they have."""
     episodes = sum(each["episodes"] for each in both())
     yield README, f"{episodes:,} episodes, half of them"
+    at_random, ahead = (
+        [read(f"frequency/{policy}_{period}s.json") for policy in policies for period in (5, 10)]
+        for policies in (POLICIES, ["lookahead"])
+    )
+    slower, looking = (sum(each["episodes"] for each in found) for found in (at_random, ahead))
+    broken = sum(each["violating_episodes"]["any"] for each in (*at_random, *ahead))
+    yield (
+        README,
+        f"In {slower:,} random and adversarial episodes and {looking:,} against an adversary that looks",
+    )
+    yield README, f"ahead, {broken} violated a limit"
     yield README, f"{calls(*both()) / 1e6:.0f} million calls: no violation"
     yield README, f"kept every limit in {sum(each['episodes'] for each in both('u1_{}')):,} episodes"
 
