@@ -1,6 +1,7 @@
 """Checkpoints: tensors and plain values only, written atomically."""
 
 import io
+import pickle
 import warnings
 from pathlib import Path
 from typing import Any
@@ -39,6 +40,10 @@ def load(path: str | Path, keys: tuple[str, ...], device: str | torch.device = "
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # damage is reported below, in one line
             content = torch.load(path, map_location=device, weights_only=True)
+    except (pickle.UnpicklingError, EOFError):  # in words that speak of weights and versions
+        raise CheckpointError(
+            f"{path}: not a readable checkpoint: damaged, or no policy.pt or checkpoint.pt of train"
+        ) from None
     except Exception as error:  # torch reports damage through many exception types
         tells = str(error) and not isinstance(error, KeyError)  # whose text is a key alone
         reason = str(error).splitlines()[0] if tells else type(error).__name__

@@ -33,7 +33,7 @@ def test_what_is_no_checkpoint_is_refused_in_one_line(tmp_path: Path) -> None:
     checkpoint.save(other, {"update": torch.tensor(1)})
     for path, words in (
         (tmp_path / "none.pt", "no such checkpoint file"),
-        (damaged, "not a readable checkpoint"),
+        (damaged, "not a readable checkpoint: damaged, or no policy.pt"),
         (other, "it lacks policy, value"),
     ):
         with pytest.raises(CheckpointError, match=words) as refusal:
