@@ -148,17 +148,17 @@ def sentences() -> Iterator[tuple[str, str]]:
     """Pages and the sentences that they have."""
     episodes = sum(each["episodes"] for each in both())
     yield README, f"{episodes:,} episodes, half of them"
-    at_random, ahead = (
-        [read(f"frequency/{policy}_{period}s.json") for policy in policies for period in (5, 10)]
-        for policies in (POLICIES, ["lookahead"])
+    at_random, at_worst, ahead = (  # at 5 and at 10 s
+        [read(f"frequency/{policy}_{period}s.json") for period in (5, 10)]
+        for policy in (*POLICIES, "lookahead")
     )
-    slower, looking = (sum(each["episodes"] for each in found) for found in (at_random, ahead))
-    broken = sum(each["violating_episodes"]["any"] for each in (*at_random, *ahead))
+    flown = [sum(each["episodes"] for each in found) for found in ([*at_random, *at_worst], ahead)]
+    broken = sum(each["violating_episodes"]["any"] for each in (*at_random, *at_worst, *ahead))
     yield (
         README,
-        f"In {slower:,} random and adversarial episodes and {looking:,} against an adversary that looks",
+        f"In {flown[0]:,} random and adversarial episodes and {flown[1]:,} against an adversary that",
     )
-    yield README, f"ahead, {broken} violated a limit"
+    yield README, f"looks ahead, {broken} violated a limit"
     yield README, f"{calls(*both()) / 1e6:.0f} million calls: no violation"
     yield README, f"kept every limit in {sum(each['episodes'] for each in both('u1_{}')):,} episodes"
 
@@ -181,14 +181,11 @@ def sentences() -> Iterator[tuple[str, str]]:
 
     random, adversarial = map(share_of_slack, both("u1_{}"))
     yield SAFETY, f"yielded in {random:.2f} % of the calls under random and {adversarial:.2f} % under"
-    at_5, at_10 = (
-        [share_of_backup(read(f"frequency/{each}_{period}s.json")) for each in POLICIES] for period in (5, 10)
-    )
+    at_5, at_10 = (list(map(share_of_backup, found)) for found in zip(at_random, at_worst, strict=True))
     both_at_5 = f"{at_5[0]:.1f} % of the random and {at_5[1]:.1f} % of the adversarial calls at 5 s"
     yield SAFETY, f"{both_at_5}, {at_10[0]:.1f} % and {at_10[1]:.1f} % at 10 s"
-    ahead = [read(f"frequency/lookahead_{period}s.json") for period in (5, 10)]
-    flown = f"{ahead[0]['episodes']:,} at 5 s and {ahead[1]['episodes']:,} at 10 s"
-    yield LIMITS, f"of {flown} {sum(each['violating_episodes']['any'] for each in ahead)} violated a limit"
+    looking = f"{ahead[0]['episodes']:,} at 5 s and {ahead[1]['episodes']:,} at 10 s"
+    yield LIMITS, f"of {looking} {sum(each['violating_episodes']['any'] for each in ahead)} violated a limit"
     of_5, of_10 = map(share_of_backup, ahead)
     yield LIMITS, f"the backup decided {of_5:.0f} % and {of_10:.0f} % of the calls"
 
