@@ -6,8 +6,7 @@ enum { BODY = 0, THRUST = 7, TORQUE = 16, LATENCY = 19, ERRORS = 12, GAINS = 6, 
 
 static double history[PAST + 1][16]; /* what was measured, by call */
 static double past[PAST + 1][6];     /* what was held, by call */
-static double held[6];               /* what the last call gave */
-static double last[6];               /* the same, as the adversary has it */
+static double held[6];               /* what the last call gave, and the adversary goes by */
 static int calls;
 static int missed; /* calls in a row */
 
@@ -53,7 +52,7 @@ void worst_begin(void)
     calls = 0;
     missed = 0;
     for (int j = 0; j < 6; ++j) {
-        held[j] = last[j] = 0.0;
+        held[j] = 0.0;
     }
 }
 
@@ -67,7 +66,7 @@ static int age(const double plant[20])
 void worst_sense(const double plant[20], const double x[16], double corner[19], double seen[16])
 {
     for (int i = 0; i < ERRORS; ++i) {
-        corner[i] = (slope_along(x, last, i) > 0.0) ? 1.0 : 0.0;
+        corner[i] = (slope_along(x, held, i) > 0.0) ? 1.0 : 0.0;
     }
     sensed(x, corner, history[calls % (PAST + 1)]);
     copy(seen, history[(calls - age(plant)) % (PAST + 1)], 16);
@@ -94,12 +93,11 @@ void worst_hold(const double plant[20], const double x[16], double control[6], d
     }
     missed = is_missed ? (missed + 1) : 0;
     copy(held, control, 6);
-    copy(last, control, 6);
     copy(past[calls % (PAST + 1)], control, 6);
     calls += 1;
     corner[MISSED] = is_missed ? 1.0 : 0.0;
     for (int j = 0; j < GAINS; ++j) {
-        corner[ERRORS + j] = ((slope_along(x, last, ERRORS + j) * last[j]) < 0.0) ? 1.0 : 0.0;
+        corner[ERRORS + j] = ((slope_along(x, held, ERRORS + j) * held[j]) < 0.0) ? 1.0 : 0.0;
     }
     actuated(&plant[THRUST], &plant[TORQUE], &corner[ERRORS], control, acting);
 }
