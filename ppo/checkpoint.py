@@ -1,7 +1,6 @@
 """Checkpoints: tensors and plain values only, written atomically."""
 
 import io
-import pickle
 import warnings
 from pathlib import Path
 from typing import Any
@@ -40,15 +39,14 @@ def load(path: str | Path, keys: tuple[str, ...], device: str | torch.device = "
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # damage is reported below, in one line
             content = torch.load(path, map_location=device, weights_only=True)
-    except (pickle.UnpicklingError, EOFError):  # in words that speak of weights and versions
+    except (OSError, RuntimeError) as error:  # the system, or torch's own reader: they say what is wrong
+        reason = str(error).splitlines()[0].partition(". ")[0][:120]
+        raise CheckpointError(f"{path}: not a readable checkpoint ({reason})") from None
+    except (
+        Exception
+    ):  # bytes that are no checkpoint, read as pickle: a key, an index, an end, of no use to anybody
         raise CheckpointError(
             f"{path}: not a readable checkpoint: damaged, or no policy.pt or checkpoint.pt of train"
-        ) from None
-    except Exception as error:  # torch reports damage through many exception types
-        tells = str(error) and not isinstance(error, KeyError)  # whose text is a key alone
-        reason = str(error).splitlines()[0] if tells else type(error).__name__
-        raise CheckpointError(
-            f"{path}: not a readable checkpoint ({reason.partition('. ')[0][:120]})"
         ) from None
     missing = [key for key in keys if not isinstance(content, dict) or key not in content]
     if missing:

@@ -28,12 +28,16 @@ def test_a_write_that_dies_leaves_the_previous_checkpoint(
 
 
 def test_what_is_no_checkpoint_is_refused_in_one_line(tmp_path: Path) -> None:
-    damaged, other = tmp_path / "damaged.pt", tmp_path / "other.pt"
-    damaged.write_bytes(b"half a checkpo")
+    damaged, notes, other = tmp_path / "damaged.pt", tmp_path / "notes.pt", tmp_path / "other.pt"
+    damaged.write_bytes(
+        b"half a checkpo"
+    )  # which pickle reads as a key of its memo, and the notes as no code of its
+    notes.write_bytes(b"# what was flown")
     checkpoint.save(other, {"update": torch.tensor(1)})
     for path, words in (
         (tmp_path / "none.pt", "no such checkpoint file"),
         (damaged, "not a readable checkpoint: damaged, or no policy.pt"),
+        (notes, "not a readable checkpoint: damaged, or no policy.pt"),
         (other, "it lacks policy, value"),
     ):
         with pytest.raises(CheckpointError, match=words) as refusal:
