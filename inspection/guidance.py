@@ -13,7 +13,7 @@ from inspection.closed_loop import Controller
 from inspection.model.attitude import conjugate, cross, dot, norm, rotate, unit
 from inspection.model.dynamics import sun_and_earth_in_body, sun_direction
 from inspection.model.parameters import AXES, Limits
-from inspection.model.state import CONTROL_SIZE, OMEGA, THETA_S, E, P, Q, V
+from inspection.model.state import CONTROL_SIZE, OMEGA, THETA_S, E, P, Q, T, V
 from inspection.orbits import Orbit
 
 POINTING_FREQUENCY = 0.1  # rad/s, of the critically damped pointing law
@@ -26,6 +26,9 @@ TILT = math.radians(18)
 RATE_SHARE = 0.9  # of the limit of body rates, asked for at most
 LOW = 3.0, 1.0  # energies of half a turn above the battery's limit between which it comes to be low
 GLARE = math.radians(30), math.radians(10)  # of the camera's angle above its limit from the Sun, the same
+ALONG = 8.0  # gain of the roll that lays thrust along a body axis; today's holds allow 13, see `roll`
+MUCH = 0.01  # N across the camera, from which on that counts in full
+WARM = 3.0, 2.0  # deg C below the limit of temperature between which the shade comes to count alone
 # off the Sun: from where on less and less, then nothing, is worth a look
 DUSK = math.radians(90), math.radians(110)
 
@@ -129,21 +132,52 @@ def tilted(outward: Tensor, sun: Tensor, tilt: Tensor) -> Tensor:
     return -(outward * tilt.cos() + across * tilt.sin())
 
 
-def look(x: Tensor, direction: Tensor, sun: Tensor, c: Limits, frequency: float) -> Tensor:
-    """PD torque (3, B) that turns the camera to a unit vector (3, B), and the thermal side away from the Sun.
+def roll(x: Tensor, light: Tensor, thrust: Tensor, c: Limits) -> Tensor:
+    """The error (B,) of the roll about the camera: a body axis to the thrust, or the thermal side away from the Sun.
 
-    Unlike that of `point` its error, 2 sin(angle / 2), does not vanish where the camera looks the other way, and the
-    rate that it asks for keeps within the limit.
+    Fuel is the sum of |F| over the body's axes, so the part of the thrust across the camera, of size F at the angle phi
+    from y to z, costs least along one of them. A roll by psi turns phi into phi - psi. So an error of
+    g sin(4 phi) / 4 brings the nearest axis there: it is zero at each, with slope g, and half way between two. With
+    it, the law of `natural_motion` that is held multiplies angle and rate T by
+    [[1 - g h^2 / 2, 1 - h], [-g h^2, 1 - 2 h]], which is stable for h < 1 and g h < 4 (Jury): ALONG HELD = 2.4.
+
+    Where little thrust is wanted, or the temperature is near its limit, the roll is to the shade instead. The two are
+    mixed by shares whose sum is 1, so that no slope exceeds g.
+
+    Args:
+        light: unit vector (3, B) to the Sun; thrust: (3, B) in N, both in the body frame.
     """
-    target, light = (rotate(conjugate(x[Q]), each) for each in (direction, sun))
-    camera, cold = torch.zeros_like(target), torch.zeros_like(target)
-    camera[0] = 1.0
+    cold = torch.zeros_like(light)
     index, sign = AXES[c.thermal_axis]
     cold[index] = -sign
+    size = norm(thrust[1:])
+    y, z = thrust[1:] / size.clamp(min=1e-9)
+    warm = (WARM[0] - (c.max_temperature - x[T])) / (WARM[0] - WARM[1])
+    share = (size / MUCH).clamp(max=1.0) * (1.0 - warm.clamp(0.0, 1.0))
+    quarter_sine = y * z * (y * y - z * z)  # sin(4 phi) / 4
+    return share * ALONG * quarter_sine + (1.0 - share) * cross(cold, light)[0]
+
+
+def look(
+    x: Tensor, direction: Tensor, sun: Tensor, c: Limits, frequency: float, thrust: Tensor | None = None
+) -> Tensor:
+    """PD torque (3, B) that turns the camera to a unit vector (3, B), and rolls about it.
+
+    Unlike that of `point` its error, 2 sin(angle / 2), does not vanish where the camera looks the other way, and the
+    rates that it asks for keep within the limit: that of the roll, and that of the camera, which no roll delays.
+
+    Args:
+        direction, sun: unit vectors (3, B) in Hill's frame, where to look and to the Sun.
+        thrust: (3, B) in N in Hill's frame, along which to `roll` a body axis; None: none is wanted.
+    """
+    thrust = torch.zeros_like(direction) if thrust is None else thrust
+    target, light, wanted = (rotate(conjugate(x[Q]), each) for each in (direction, sun, thrust))
+    camera = torch.zeros_like(target)
+    camera[0] = 1.0
     error = torch.stack(cross(camera, target)) / ((1.0 + target[0]) / 2.0).clamp(min=1e-6).sqrt()
-    error[0] += cross(cold, light)[0]
     most = 2.0 * RATE_SHARE * c.max_rate / frequency
     error = error * (most / norm(error).clamp(min=1e-9)).clamp(max=1.0)
+    error[0] = roll(x, light, wanted, c).clamp(-most, most)
     inertia = x.new_tensor(c.inertia)[:, None]
     return inertia * (frequency**2 * error - 2.0 * frequency * x[OMEGA])
 
@@ -240,7 +274,7 @@ def natural_motion(
             2 * w * c.mass * (nearing + velocity - x[V])
         )  # the law w^2 error + 2 w error' up to the limit
         if lead:
-            torque = look(x, watch(x, outward, sun, c), sun, c, pointing)
+            torque = look(x, watch(x, outward, sun, c), sun, c, pointing, thrust)
         else:
             away = torch.where(brightest(c) * dot(outward, sun) > c.power_draw, outward, sun)
             torque = point(x, "+x", -away, c, pointing)
