@@ -179,6 +179,84 @@ def test_a_camera_that_looks_the_other_way_turns_in_time_and_the_thermal_side_to
     assert fastest < C.max_rate
 
 
+def held(x: torch.Tensor, thrust: torch.Tensor, every: float, times: int) -> tuple[torch.Tensor, float]:
+    """The state after so many holds of `look` along +x of Hill's frame, thrust wanted, and the fastest body rate."""
+    direction = torch.eye(3, dtype=torch.float64)[:, :1].expand(-1, x.shape[1])
+    limit = torch.tensor(C.control_limit, dtype=torch.float64)[:, None]
+    fastest, unsaturated = 0.0, replace(C, saturate_rates=False)
+    for _ in range(times):
+        frequency = guidance.pointing_frequency(every)
+        torque = guidance.look(x, direction, sun_direction(x[THETA_S]), C, frequency, thrust)
+        u = torch.maximum(torch.minimum(torch.cat((torch.zeros_like(torque), torque)), limit), -limit)
+        for _ in range(math.ceil(every / 5.0)):
+            x = step(x, u, every / math.ceil(every / 5.0), unsaturated)
+            fastest = max(fastest, x[OMEGA].abs().max().item())
+    return x, fastest
+
+
+def across(degrees: torch.Tensor, size: float, temperature: float = 5.0) -> tuple[torch.Tensor, torch.Tensor]:
+    """States with their axes along Hill's, and thrust at these angles (B,) from y to z, as large along the camera."""
+    x = torch.zeros(SIZE, len(degrees), dtype=torch.float64)
+    x[Q.start + 3], x[E], x[T], x[THETA_S] = 1.0, 6.0, temperature, math.radians(100)
+    radians = degrees.double().deg2rad()
+    return x, size * torch.stack((torch.ones_like(radians), radians.cos(), radians.sin()))
+
+
+@pytest.mark.parametrize("every", [1.0, 3.0, 10.0, 30.0])
+def test_the_nearest_body_axis_rolls_to_the_thrust_and_the_camera_stays(every: float) -> None:
+    degrees = torch.tensor([-170.0, -130.0, -100.0, -50.0, -20.0, 5.0, 40.0, 50.0, 85.0, 140.0])
+    x, thrust = across(degrees, 0.05)
+    x, fastest = held(x, thrust, every, max(60, round(200 / every)))
+    camera, y = (rotate(x[Q], torch.eye(3, dtype=torch.float64)[:, [i]]) for i in (0, 1))
+    rolled = torch.atan2(y[2], y[1]).rad2deg()
+    nearest = (degrees / 90).round() * 90
+    torch.testing.assert_close(rolled, (degrees - nearest).double(), atol=0.1, rtol=0.0)
+    assert camera[0].min() > math.cos(1e-3) and fastest < C.max_rate
+
+
+@pytest.mark.parametrize(("gain", "stable"), [(guidance.ALONG, True), (13.2, True), (13.5, False)])
+@pytest.mark.parametrize("every", [3.0, 30.0])  # w T is HELD
+def test_a_hold_of_the_roll_multiplies_angle_and_rate_as_derived(
+    every: float, gain: float, stable: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of the simulator, by small differences. It is stable for g h < 4, so for g < 13.3."""
+    monkeypatch.setattr(guidance, "ALONG", gain)
+    x, thrust = across(torch.tensor([0.0, 0.0]), 0.05)
+    small = 1e-5  # rad
+    x[Q.start, 0], x[OMEGA.start, 1] = small / 2, small / every
+    x, _ = held(x, thrust, every, 1)
+    found = torch.stack((2.0 * x[Q.start], every * x[OMEGA.start])) / small
+    h, g = guidance.HELD, gain
+    derived = torch.tensor([[1 - g * h**2 / 2, 1 - h], [-g * h**2, 1 - 2 * h]], dtype=torch.float64)
+    torch.testing.assert_close(found, derived, atol=1e-5, rtol=0.0)
+    assert (torch.linalg.eigvals(found).abs().max().item() < 1.0) == stable
+
+
+@pytest.mark.parametrize(
+    ("size", "temperature", "shaded"),
+    [(0.05, 5.0, False), (1e-4, 5.0, True), (0.05, C.max_temperature - 1.0, True)],
+)
+def test_the_thermal_side_goes_first_where_it_is_warm_or_little_thrust_is_wanted(
+    size: float, temperature: float, shaded: bool
+) -> None:
+    x, thrust = across(torch.tensor([35.0]), size, temperature)
+    x, _ = held(x, thrust, 10.0, 60)
+    cold = rotate(x[Q], torch.tensor([[0.0], [1.0], [0.0]], dtype=torch.float64))
+    off = dot(cold, torch.tensor([[0.0], [1.0], [0.0]], dtype=torch.float64)).arccos()  # of the Sun's part
+    assert off.rad2deg().item() == pytest.approx(0.0 if shaded else 35.0, abs=2.0)
+
+
+def test_no_roll_delays_the_camera() -> None:
+    x, thrust = across(torch.tensor([22.5]), 0.05)
+    direction = unit(torch.tensor([[-1.0], [0.3], [0.2]], dtype=torch.float64))
+    frequency = guidance.POINTING_FREQUENCY
+    arguments = x, direction, sun_direction(x[THETA_S]), C, frequency
+    rolling, calm = guidance.look(*arguments, thrust), guidance.look(*arguments)
+    torch.testing.assert_close(rolling[1:], calm[1:], atol=0.0, rtol=0.0)
+    asked = rolling / (2.0 * frequency * C.inertia[0])  # rad/s, where the law's torque ends
+    assert asked.abs().max() < C.max_rate < 1.2 * asked[0].abs().max()  # both are at their most
+
+
 def flown() -> Episodes:
     """All guidance that leads, one after the other, every 10 s and without the filter, in the same unseen cases."""
     config = Config()
@@ -196,15 +274,32 @@ def flown() -> Episodes:
     return run_episodes(env, control, *starts)
 
 
-def test_every_lead_is_safe_by_itself_and_who_spends_more_is_quicker() -> None:
-    record = flown()
+@pytest.fixture(scope="module")
+def record() -> Episodes:
+    return flown()
+
+
+def means(record: Episodes) -> tuple[torch.Tensor, torch.Tensor]:
+    """Each guidance's mean time in s and delta v in m/s."""
+    rows = (record.metrics[METRICS.index(name)] for name in ("episode_length_s", "delta_v_m_s"))
+    time, fuel = (row.unflatten(0, (len(LEADING), CASES)).mean(1) for row in rows)
+    return time, fuel
+
+
+def test_every_lead_is_safe_by_itself_and_who_spends_more_is_quicker(record: Episodes) -> None:
     assert record.clean.all()
-    time, fuel = (
-        record.metrics[METRICS.index(name)].unflatten(0, (len(LEADING), CASES)).mean(1)
-        for name in ("episode_length_s", "delta_v_m_s")
-    )
+    time, fuel = means(record)
     assert LEADING == ["thrifty", "calm", "even", "brisk", "quick"]
     assert (time.diff() < 0.0).all() and (fuel.diff() > 0.0).all()
+
+
+def test_the_roll_saves_fuel_of_every_lead_and_takes_no_time(
+    record: Episodes, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(guidance, "MUCH", math.inf)  # the roll is to the shade alone
+    (time, fuel), (shaded_time, shaded_fuel) = means(record), means(flown())
+    assert (fuel < 0.97 * shaded_fuel).all() and fuel.sum() < 0.95 * shaded_fuel.sum()
+    assert (time < 1.005 * shaded_time).all()
 
 
 def test_a_camera_that_never_leaves_the_chief_is_found_to_break_limits(
