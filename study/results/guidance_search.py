@@ -1,17 +1,20 @@
 """Searches the knobs of the guidance that leads the Sun for time against delta v (docs/results/learning.md).
 
     python -m study.results.guidance_search --out runs/guidance_search
+    python -m study.results.guidance_search --out runs/guidance_search --start runs/reference/guidance/front.json
 
 NSGA-II (Deb et al. 2002) over KNOBS: each generation flies its candidates through the same cases at once, with a
-decision every 10 s and without the filter, as a teacher flies. Candidates that fail in a case, come nearer to a limit
+decision every 10 s and without the filter, as an agent flies. Candidates that fail in a case, come nearer to a limit
 than MARGINS in some second or would drift into the chief afterwards rank behind those that do not: a copy is not as
-exact as its teacher. Every generation is a line of search.jsonl; the same command continues after the last one. At the
-end the front flies cases of its own, into front.json. Takes a quarter of an hour on one core.
+exact as its teacher. The first generation is by chance, or of an earlier front. Every generation is a line of
+search.jsonl; the same command continues after the last one. At the end the front flies cases of its own, into
+front.json. Takes a quarter of an hour on one core.
 """
 
 import json
 import math
 import os
+from argparse import ArgumentTypeError
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -162,9 +165,16 @@ def survivors(candidates: Sequence[Candidate], count: int) -> list[Candidate]:
     return [candidates[int(i)] for i in order[:count]]
 
 
-def children(parents: Sequence[Candidate], count: int, generation: int) -> list[tuple[float, ...]]:
-    """The knobs of a generation, which follow from its number and its parents; the first one's fill the ranges."""
+def children(
+    parents: Sequence[Candidate], count: int, generation: int, start: Sequence[tuple[float, ...]] = ()
+) -> list[tuple[float, ...]]:
+    """The knobs of a generation, which follow from its number and its parents.
+
+    Those of the first are evenly of the start's, in its order, or fill the ranges.
+    """
     draws = np.random.default_rng((SEED, generation))
+    if not parents and start:
+        return [start[round(i)] for i in np.linspace(0, len(start) - 1, count)]
     if not parents:
         strata = np.stack([draws.permutation(count) for _ in KNOBS], 1)
         return [knobs_at(place) for place in (strata + draws.random(strata.shape)) / count]
@@ -187,14 +197,16 @@ def searched(path: Path) -> list[list[Candidate]]:
     return [[Candidate(tuple(knobs), *rest) for knobs, *rest in json.loads(line)] for line in lines]
 
 
-def search(path: Path, population: int, generations: int, cases: int) -> list[Candidate]:
-    """All candidates of the generations, those already in the file as they are there."""
+def search(
+    path: Path, population: int, generations: int, cases: int, start: Sequence[tuple[float, ...]] = ()
+) -> list[Candidate]:
+    """All candidates of the generations, those already in the file as they are there; `start` as of `children`."""
     found = searched(path)
     flights = Flights(population, cases, SEARCH_CASES) if len(found) < generations else None
     path.write_text("".join(line(each) for each in found), encoding="utf-8")
     while flights and len(found) < generations:
         parents = survivors([each for born in found for each in born], population) if found else []
-        found.append(flights.fly(children(parents, population, len(found))))
+        found.append(flights.fly(children(parents, population, len(found), start)))
         with path.open("a", encoding="utf-8") as file:
             file.write(line(found[-1]))
         clean = [each for each in found[-1] if not each.unclean]
@@ -214,17 +226,33 @@ def front(candidates: Sequence[Candidate]) -> list[Candidate]:
     return sorted(best, key=lambda each: each.time_s)
 
 
+def known(name: str) -> list[tuple[float, ...]]:
+    """The knobs of the front in a front.json.
+
+    Raises:
+        ArgumentTypeError: it is no such file.
+    """
+    try:
+        rows = json.loads(Path(name).read_text(encoding="utf-8"))["front"]
+        return [tuple(float(row["knobs"][name]) for name in KNOBS) for row in rows]
+    except (OSError, ValueError, LookupError, TypeError) as error:
+        raise ArgumentTypeError(f"{name}: not the front of a search: {error!r}") from error
+
+
 def main(argv: list[str] | None = None) -> None:
     parser = Parser(prog="python -m study.results.guidance_search")
     parser.add_argument("--out", type=Path, required=True, help="directory for search.jsonl and front.json")
     parser.add_argument("--population", type=positive_integer, default=40, help="candidates (default: 40)")
     parser.add_argument("--generations", type=positive_integer, default=25, help="(default: 25)")
     parser.add_argument("--cases", type=positive_integer, default=96, help="of each candidate (default: 96)")
+    parser.add_argument(
+        "--start", type=known, default=[], metavar="F", help="front.json to begin with (default: by chance)"
+    )
     arguments = parser.parse_args(argv)
     torch.set_num_threads(int(os.environ.get("OMP_NUM_THREADS", "1")))
     arguments.out.mkdir(parents=True, exist_ok=True)
     sizes = arguments.population, arguments.generations, arguments.cases
-    best = front(search(arguments.out / "search.jsonl", *sizes))
+    best = front(search(arguments.out / "search.jsonl", *sizes, arguments.start))
     confirmed = Flights(len(best), CONFIRMED, CONFIRM_CASES).fly([each.knobs for each in best])
     rows = [
         {"knobs": dict(zip(KNOBS, each.knobs, strict=True))}

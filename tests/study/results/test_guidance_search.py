@@ -1,5 +1,7 @@
 """The search of the guidance's knobs: its order against a definition, its front against a known one, its file."""
 
+import json
+from argparse import ArgumentTypeError
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -7,7 +9,17 @@ import numpy as np
 import pytest
 
 from study.results import guidance_search
-from study.results.guidance_search import KNOBS, Candidate, Flights, front, place_of, ranks, search
+from study.results.guidance_search import (
+    KNOBS,
+    Candidate,
+    Flights,
+    front,
+    knobs_at,
+    place_of,
+    ranks,
+    search,
+    searched,
+)
 
 CENTRE = 0.5  # of all knobs but the first on the known front
 
@@ -72,6 +84,20 @@ def test_a_search_that_stopped_goes_on_as_if_it_had_not(tmp_path: Path) -> None:
         file.write(whole.read_text(encoding="utf-8").splitlines()[2][:50])
     search(stopped, 8, 4, 1)
     assert stopped.read_text(encoding="utf-8") == whole.read_text(encoding="utf-8")
+
+
+@pytest.mark.usefixtures("known")
+def test_a_search_begins_with_an_earlier_front_from_end_to_end(tmp_path: Path) -> None:
+    earlier = [knobs_at(np.full(len(KNOBS), place)) for place in np.linspace(0.2, 0.9, 15)]
+    front_json = {"front": [{"knobs": dict(zip(KNOBS, each, strict=True))} for each in earlier]}
+    (tmp_path / "front.json").write_text(json.dumps(front_json), encoding="utf-8")
+    start = guidance_search.known(str(tmp_path / "front.json"))
+    assert start == earlier
+    first, second = search(tmp_path / "search.jsonl", 8, 2, 1, start)[::8]
+    assert [each.knobs for each in searched(tmp_path / "search.jsonl")[0]] == earlier[::2]
+    assert first.knobs == earlier[0] and second.knobs not in earlier
+    with pytest.raises(ArgumentTypeError, match="not the front of a search"):
+        guidance_search.known(str(tmp_path / "search.jsonl"))
 
 
 @pytest.mark.usefixtures("known")
