@@ -26,7 +26,7 @@ TILT = math.radians(18)
 RATE_SHARE = 0.9  # of the limit of body rates, asked for at most
 LOW = 3.0, 1.0  # energies of half a turn above the battery's limit between which it comes to be low
 GLARE = math.radians(30), math.radians(10)  # of the camera's angle above its limit from the Sun, the same
-ALONG = 8.0  # gain of the roll that lays thrust along a body axis; today's holds allow 13, see `roll`
+ALONG = 8.0  # gain of the roll that lays thrust along a body axis; `roll` says below which it is stable
 MUCH = 0.01  # N across the camera, from which on that counts in full
 WARM = 3.0, 2.0  # deg C below the limit of temperature between which the shade comes to count alone
 # off the Sun: from where on less and less, then nothing, is worth a look
@@ -235,7 +235,11 @@ def aside(p: Tensor, wanted: Tensor, orbit: Orbit, n: float) -> tuple[Tensor, Te
 
 
 def natural_motion(
-    c: Limits, every: float = 1.0, orbit: Orbit | None = None, score: Callable[[], Tensor] | None = None
+    c: Limits,
+    every: float = 1.0,
+    orbit: Orbit | None = None,
+    score: Callable[[], Tensor] | None = None,
+    rolls: bool = True,
 ) -> Controller:
     """PD law towards the relative ellipse x = b cos(phi), y = 2 b sin(phi), z = a sin(phi) at phi = theta_S - lead.
 
@@ -245,13 +249,14 @@ def natural_motion(
     apart). Away from the phase wanted the target is a point a little ahead, so that the way leads around the chief:
     without a lead along the ellipse (`along`), with one on a great circle (`aside`). Without a lead the camera is on
     the chief where panels on its back then make the power drawn, and elsewhere turned away from the Sun, which charges
-    the battery. With one, `watch` says where it looks.
+    the battery. With one, `watch` says where it looks, and `look` how it turns there.
 
     Args:
         every: s for which a control is held, T. The critically damped law, of frequency w, then multiplies angle and
             rate T by [[1 - h^2 / 2, 1 - h], [-h^2, 1 - 2 h]] with h = w T, which is stable for h < 1 (Jury): h <= HELD.
         orbit: None: the default one.
         score: the inspected weight (B,) so far, which a lead needs, such as `Sight.score`.
+        rolls: with a lead, a body axis rolls to the thrust, which saves fuel; else only to the shade.
 
     Raises:
         ValueError: the orbit leads, and no score is given.
@@ -274,7 +279,7 @@ def natural_motion(
             2 * w * c.mass * (nearing + velocity - x[V])
         )  # the law w^2 error + 2 w error' up to the limit
         if lead:
-            torque = look(x, watch(x, outward, sun, c), sun, c, pointing, thrust)
+            torque = look(x, watch(x, outward, sun, c), sun, c, pointing, thrust if rolls else None)
         else:
             away = torch.where(brightest(c) * dot(outward, sun) > c.power_draw, outward, sun)
             torque = point(x, "+x", -away, c, pointing)

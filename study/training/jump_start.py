@@ -29,6 +29,8 @@ STD_WEIGHT = 0.01  # of the squared error of the log standard deviation, which s
 class Taught:
     """An `InspectionEnv` as `ppo.rollout.Environment`, in which the guidance says what it would do.
 
+    It does not roll to the thrust: copies of that spend no less, and follow the rest worse (docs/results/learning.md).
+
     Args:
         policy: whose actions are meant; orbit: of the guidance.
 
@@ -39,7 +41,7 @@ class Taught:
 
     def __init__(self, env: InspectionEnv, policy: Policy, orbit: Orbit) -> None:
         self.env, self.policy = env, policy
-        self.guidance = natural_motion(env.c, env.c.action_period, orbit, env.sight.score)
+        self.guidance = natural_motion(env.c, env.c.action_period, orbit, env.sight.score, rolls=False)
         self.leads = True
         self.lessons: list[Tensor] = []
 

@@ -67,7 +67,9 @@ def taught(run: session.Run) -> session.Run:
 
 def test_the_copy_does_what_the_guidance_would_in_states_of_its_own(run: session.Run) -> None:
     env, c = run.env, run.config.inspection
-    guidance = natural_motion(c, c.action_period, GUIDANCE[run.config.train.teacher], env.sight.score)
+    guidance = natural_motion(
+        c, c.action_period, GUIDANCE[run.config.train.teacher], env.sight.score, rolls=False
+    )
     chance = run.experiment.policy(run.experiment.generators([1]))
     errors = {"taught": 0.0, "chance": 0.0}
     for _ in range(16):
@@ -138,19 +140,20 @@ def test_who_begins_as_another_agent_is_not_taught(run: session.Run, tmp_path: P
 
 
 def test_the_guidance_that_is_named_teaches(run: session.Run) -> None:
-    """What it wants depends on the state and on the score, which both change on the way."""
+    """Without its roll. What it wants depends on the state and on the score, which both change on the way."""
     env, policy = run.env, run.policy
     taught = jump_start.Taught(env, policy, GUIDANCE["quick"])
-    quick, other = (
-        natural_motion(env.c, env.c.action_period, GUIDANCE[name], env.sight.score)
-        for name in ("quick", "thrifty")
+    quick, *others = (
+        natural_motion(env.c, env.c.action_period, GUIDANCE[name], env.sight.score, rolls)
+        for name, rolls in (("quick", False), ("thrifty", False), ("quick", True))
     )
     for _ in range(16):
-        wanted, others = (
-            policy.unshaped((each(0.0, env.x) / env.limit).T.float()) for each in (quick, other)
+        wanted, *unwanted = (
+            policy.unshaped((each(0.0, env.x) / env.limit).T.float()) for each in (quick, *others)
         )
         taught.step(torch.zeros_like(wanted))
-        assert torch.equal(taught.lessons[-1], wanted) and not torch.equal(wanted, others)
+        assert torch.equal(taught.lessons[-1], wanted)
+        assert not any(torch.equal(wanted, other) for other in unwanted)
 
 
 def test_each_batch_is_observed_once_before_it_is_flown(
