@@ -55,16 +55,15 @@ class Orbit:
 
 # What flies and teaches by name. "following": a larger ellipse sees more of the chief at once; its tilt, a wider way
 # there and 70 % of the dynamic speed limit keep away from every limit. The others lead the Sun, from thrifty to quick;
-# `study.results.guidance_search` has found their knobs, those of quick before it asked for margins;
-# `study.results.guidance_front` flies what nobody has seen.
+# `study.results.guidance_search` has found their knobs, `study.results.guidance_front` flies what nobody has seen.
 GUIDANCE: dict[str, Orbit] = {
     "natural-motion": Orbit(),
     "following": Orbit(
         semi_minor=55.0, out_of_plane=30.0, tracking=0.01, look_ahead=math.pi / 6, approach=0.7
     ),
-    "thrifty": Orbit(58.85, 18.27, 0.00445, 0.6639, 0.2401, Lead(0.961, 0.3486, 0.09419, 0.9757)),
+    "thrifty": Orbit(52.91, 16.32, 0.004475, 0.5698, 0.4246, Lead(0.9712, 0.9242, 0.2988, 1.128)),
     "calm": Orbit(57.36, 15.54, 0.005793, 0.7627, 0.2911, Lead(0.8259, 0.8441, 0.2744, 1.095)),
-    "even": Orbit(57.42, 16.4, 0.00691, 0.7352, 0.291, Lead(0.9613, 0.7755, 0.3056, 1.027)),
-    "brisk": Orbit(62.79, 15.52, 0.006963, 0.8109, 0.4446, Lead(0.9319, 1.114, 0.2531, 1.085)),
-    "quick": Orbit(57.36, 18.24, 0.009869, 0.9396, 0.6374, Lead(0.8342, 0.9062, 0.408, 0.9634)),
+    "even": Orbit(56.88, 16.18, 0.006578, 0.7525, 0.3837, Lead(0.8978, 0.8653, 0.3076, 1.013)),
+    "brisk": Orbit(58.9, 16.69, 0.007132, 0.8286, 0.4463, Lead(0.8698, 0.6595, 0.3447, 0.9669)),
+    "quick": Orbit(60.43, 17.67, 0.01044, 0.9391, 0.555, Lead(0.8659, 0.9986, 0.448, 1.001)),
 }

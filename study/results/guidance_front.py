@@ -2,8 +2,8 @@
 
     python -m study.results.guidance_front --out runs/reference/guidance
 
-Flies each of `GUIDANCE` as it teaches, with a decision every 10 s and without the filter, then with one every second,
-without the filter and behind it. Takes ten minutes.
+Flies each of `GUIDANCE` with a decision every 10 s and without the filter, as it teaches but for its roll, then with
+one every second, without the filter and behind it. Takes ten minutes.
 """
 
 import os

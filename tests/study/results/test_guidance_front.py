@@ -15,13 +15,13 @@ FOUND = ROOT / "runs/reference/guidance"
 LEADING = [name for name, orbit in GUIDANCE.items() if orbit.lead]
 
 
-@pytest.mark.parametrize("name", [name for name in LEADING if name != "quick"])  # whose knobs are older
+@pytest.mark.parametrize("name", LEADING)
 def test_each_setting_is_of_the_front_and_keeps_the_margins_in_all_cases_of_the_search(name: str) -> None:
     """And in all of the 480 others but one, as the page says."""
     rows = json.loads((FOUND / "front.json").read_text(encoding="utf-8"))["front"]
     row, *_ = [row for row in rows if orbit_of(row["knobs"]) == GUIDANCE[name]]
     assert row["search"]["unclean"] == 0
-    assert row["confirmed"]["unclean"] == (name != "thrifty")
+    assert row["confirmed"]["unclean"] == 1
 
 
 def test_what_is_shown_was_flown_by_every_guidance_on_cases_of_its_own() -> None:
