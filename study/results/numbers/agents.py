@@ -10,12 +10,9 @@ from study.paper import PAPER_METRICS, PAPER_VIOLATIONS, Results
 from study.report.tables import of_seeds, over_seeds
 from study.results.numbers.evidence import (
     LABELS,
-    POLICIES,
     REFERENCE,
     Row,
     arms,
-    calls,
-    campaign,
     corrected,
     interval,
     middle,
@@ -195,21 +192,6 @@ def worlds() -> Iterator[Row]:
                 for each in flown[arm].values()
             )
             yield plant, label, *cells
-
-
-def one_weight() -> Iterator[Row]:
-    """Calls in a million in which a limit yields, with one weight for all and with three classes."""
-    yielding = ("attitude_exclusion", "keep_in_zone", "battery", "temperature")
-    rates = (f"angular_velocity_{axis}" for axis in "xyz")
-    reports = [campaign(f"{weights}{policy}") for policy in POLICIES for weights in ("single_slack_", "")]
-
-    def row(label: str, *counts: int) -> Row:
-        shares = (1e6 * count / calls(each) for count, each in zip(counts, reports, strict=True))
-        return label, *(f"{share:.1f}" for share in shares)
-
-    yield row("Any", *(each["filter_calls"]["slack"] for each in reports))
-    for limit in (*yielding, *rates):
-        yield row(PAPER_VIOLATIONS[limit].label, *(each["yielded_calls"][limit] for each in reports))
 
 
 def panels_on_plus_x() -> Iterator[Row]:

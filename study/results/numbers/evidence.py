@@ -87,8 +87,3 @@ def slack(*campaigns: Any) -> list[str]:
 def share_of_backup(campaign: Any) -> float:
     """The share of a campaign's calls in which the backup decided, in %."""
     return 100.0 * campaign["backup_calls"] / calls(campaign)
-
-
-def share_of_slack(campaign: Any) -> float:
-    """The share of a campaign's calls in which a row yielded, in %."""
-    return 100.0 * campaign["filter_calls"]["slack"] / calls(campaign)

@@ -1,5 +1,6 @@
 """What the campaigns against the filter found."""
 
+import math
 from collections.abc import Iterator
 from typing import Any
 
@@ -19,7 +20,6 @@ from study.results.numbers.evidence import (
     read,
     report,
     share_of_backup,
-    share_of_slack,
     slack,
     success,
     violating,
@@ -51,18 +51,19 @@ def flown() -> Iterator[Row]:
 
 def yielded() -> Iterator[Row]:
     """Calls in which rows yielded, because they conflicted."""
-    labels = {
-        "temperature": ("temperature",),
-        "battery": ("battery",),
-        "keep-in zone, inside its margin": ("keep_in_zone",),
-        "separation, passive safety, attitude exclusion, speed, velocity": (
-            *("collision", "passive_safety", "attitude_exclusion", "dynamic_speed"),
-            *(f"velocity_{axis}" for axis in "xyz"),
-        ),
-    }
+    rates = [f"angular_velocity_{axis}" for axis in "xyz"]
+
+    def calls_of(each: Any, of_rates: bool) -> int:
+        """Calls in which a body rate yielded, or another limit."""
+        return sum(
+            group["calls"]
+            for names, group in each["slack_together"].items()
+            if any((name in rates) == of_rates for name in names.split(" + "))
+        )
+
     yield "any", *slack(*both())
-    for label, limits in labels.items():
-        yield label, *(f"{sum(each['yielded_calls'][name] for name in limits):,}" for each in both())
+    for label, of_rates in (("body rates", True), ("the other ten limits", False)):
+        yield label, *(f"{calls_of(each, of_rates):,}" for each in both())
 
 
 def came_of(campaign: Any) -> Row:
@@ -120,6 +121,7 @@ def told_worlds() -> Iterator[Row]:
     worlds = {
         "u1_random": ("U1", "random"),
         "u1_adversarial": ("U1", "adversarial"),
+        "u1_worst_random": ("U1, the worst errors at every call", "random"),
         "u1_minimum_thrust": ("U1, minimum impulse", "adversarial"),
         "u1_thrust_quantum": ("U1, quanta", "adversarial"),
     }
@@ -160,14 +162,18 @@ def sentences() -> Iterator[tuple[str, str]]:
     )
     yield README, f"looks ahead, {broken} violated a limit"
     yield README, f"{calls(*both()) / 1e6:.0f} million calls: no violation"
+    bound = max(each["upper_bound_95"] for each in both())
+    yield README, f"is below {math.ceil(1e4 * bound)} in 10,000 (95 % confidence)"
+    of_1 = list(map(share_of_backup, both()))
+    yield TESTS, f"The backup decided {of_1[0]:.2f} % of the random and {of_1[1]:.2f} % of the adversarial"
+    yield SAFETY, f"The backup decided {max(of_1):.1f} % of the calls at 1 s"
     yield README, f"kept every limit in {sum(each['episodes'] for each in both('u1_{}')):,} episodes"
 
-    bound = max(each["upper_bound_95"] for each in both())
     yield TESTS, f"violates anything is below {bound:.3g} under either kind"
     yield TESTS, f"None of {calls(*both()):,} filter calls was unsolved"
     yield TESTS, f"{both()[0]['starts_rejected_by_margin']} of the safe set's starts were left out"
     yield TESTS, f"{both()[0]['starts_beyond_braking']['episodes']} starts were flown but"
-    yield TESTS, f"In these {episodes:,} episodes the limit itself"
+    yield TESTS, f"In these {episodes:,} episodes a row yielded"
     yield TESTS, f"in each of the {len(campaign('break_points')['worlds'])} worlds"
 
     single = campaign("boundary")
@@ -179,8 +185,11 @@ def sentences() -> Iterator[tuple[str, str]]:
     draws = f"{slower[0]['draws']:,} at 5 s and {slower[1]['draws']:,} at 10 s"
     yield TESTS, f"of {draws} {sum(each['violating_draws']['any'] for each in slower)} did"
 
-    random, adversarial = map(share_of_slack, both("u1_{}"))
-    yield SAFETY, f"yielded in {random:.2f} % of the calls under random and {adversarial:.2f} % under"
+    told = both("u1_{}")
+    random, adversarial = (f"{each['filter_calls']['slack']} of the {calls(each):,}" for each in told)
+    yield SAFETY, f"yielded in {random} calls under random and in {adversarial} under"
+    random, adversarial = (f"{share_of_backup(each):.0f} %" for each in told)
+    yield SAFETY, f"The backup decided {random} of the calls in the first row, {adversarial} in the second"
     at_5, at_10 = (list(map(share_of_backup, found)) for found in zip(at_random, at_worst, strict=True))
     both_at_5 = f"{at_5[0]:.1f} % of the random and {at_5[1]:.1f} % of the adversarial calls at 5 s"
     yield SAFETY, f"{both_at_5}, {at_10[0]:.1f} % and {at_10[1]:.1f} % at 10 s"

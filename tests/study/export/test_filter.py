@@ -35,7 +35,7 @@ def test_the_header_names_the_campaigns_of_its_configuration(
     code, out, err = call(["export", "--filter", str(tmp_path / "c")], capsys)
     assert code == 0, err
     head = (tmp_path / "c" / "safety_filter.h").read_text()
-    assert "SAFETY_FILTER_VERIFIED 1" in head and "random.json: random, 30,000 episodes" in head
+    assert "SAFETY_FILTER_VERIFIED 1" in head and "random.json: random, 10,000 episodes" in head
     digest = re.findall(r'CONFIGURATION "([0-9a-f]{64})"', head)
     assert digest == [verified.settings_digest(Config())] and verified.fingerprint(Config()) in head
     assert "make -C" in out and "Verified" in out

@@ -74,7 +74,7 @@ def test_a_wrong_number_is_found_and_renewed(
             "<!-- rows: agents.absent",
             "agents.absent -->: there is no such function",
         ),
-        ("<!-- rows: agents.hidden -->\n", "<!-- rows: agents.hidden -->\n\n", "13 marks"),
+        ("<!-- rows: agents.hidden -->\n", "<!-- rows: agents.hidden -->\n\n", "12 marks"),
     ],
 )
 def test_what_cannot_be_written_ends_in_one_line_and_exit_code_2(
