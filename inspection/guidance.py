@@ -26,7 +26,7 @@ TILT = math.radians(18)
 RATE_SHARE = 0.9  # of the limit of body rates, asked for at most
 LOW = 3.0, 1.0  # energies of half a turn above the battery's limit between which it comes to be low
 GLARE = math.radians(30), math.radians(10)  # of the camera's angle above its limit from the Sun, the same
-ALONG = 8.0  # gain of the roll that lays thrust along a body axis; `roll` says below which it is stable
+ALONG = 8.0  # gain of the roll that lays thrust along a body axis; `roll` says up to which it is stable
 MUCH = 0.01  # N across the camera, from which on that counts in full
 WARM = 3.0, 2.0  # deg C below the limit of temperature between which the shade comes to count alone
 # off the Sun: from where on less and less, then nothing, is worth a look
@@ -150,8 +150,8 @@ def roll(x: Tensor, light: Tensor, thrust: Tensor, c: Limits) -> Tensor:
     cold = torch.zeros_like(light)
     index, sign = AXES[c.thermal_axis]
     cold[index] = -sign
-    size = norm(thrust[1:])
-    y, z = thrust[1:] / size.clamp(min=1e-9)
+    size = dot(thrust[1:], thrust[1:]).clamp(min=1e-18).sqrt()  # whose slope is finite at zero, too
+    y, z = thrust[1:] / size
     warm = (WARM[0] - (c.max_temperature - x[T])) / (WARM[0] - WARM[1])
     share = (size / MUCH).clamp(max=1.0) * (1.0 - warm.clamp(0.0, 1.0))
     quarter_sine = y * z * (y * y - z * z)  # sin(4 phi) / 4
