@@ -106,8 +106,7 @@ def guided(env: InspectionEnv, names: tuple[str, ...], cases: int) -> Controller
 def planned(start: Tensor, thrust: Tensor, c: InspectionParameters) -> Controller:
     """Follows the flight of thrusts (K, 3, B) in N from (p, v) (6, B), with the attitude of the guidance that leads.
 
-    The body does not roll to the thrust. Of its own the controller has a law that takes away what turning within a second
-    adds.
+    The body does not roll to the thrust. The controller's own law takes away what turning within a second adds.
     """
     step, push = held(EVERY, c)
     reference, per_action = [start], round(c.action_period / EVERY)
