@@ -46,11 +46,11 @@ def test_random_controls_succeed_behind_the_filter_with_hundreds_of_times_the_fu
     )
 
 
-def test_agents_need_less_fuel_than_the_guidance_at_equal_time() -> None:
+def test_the_guidance_that_rolls_needs_less_fuel_than_agents_at_equal_time() -> None:
     fuel, time = zip(*(fuel_and_time(each) for each in reversed(report("front").values())), strict=True)
     for agents in arms().values():
         own, flown = fuel_and_time(agents)
-        assert own < np.interp(flown, time, fuel)
+        assert 1.0 < own / np.interp(flown, time, fuel) < 1.2
 
 
 def test_the_papers_learner_pays_for_the_filter_in_reward_and_not_in_torque() -> None:

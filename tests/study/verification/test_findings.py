@@ -168,7 +168,7 @@ def test_the_reference_reports_can_be_continued(
     arguments = ["--policy", policy, "--episodes", "100", "--json", str(path)]
     code, out, err = call(["verify", *arguments], capsys)
     assert code == 0, err
-    assert "30,000 episodes, " in out and "holds 30,000 episodes already" in err
+    assert "10,000 episodes, " in out and "holds 10,000 episodes already" in err
 
 
 @pytest.mark.parametrize(
