@@ -44,7 +44,7 @@ def load(path: str | Path, keys: tuple[str, ...], device: str | torch.device = "
         raise CheckpointError(f"{path}: not a readable checkpoint ({reason})") from None
     except (
         Exception
-    ):  # bytes that are no checkpoint, read as pickle: a key, an index, an end, of no use to anybody
+    ):  # other bytes, read as pickle: it names a key, an index, an end, which tells nobody anything
         raise CheckpointError(
             f"{path}: not a readable checkpoint: damaged, or no policy.pt or checkpoint.pt of train"
         ) from None

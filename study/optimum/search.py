@@ -54,7 +54,7 @@ class Cases:
 def camera_axes(p: Tensor, sun: Tensor, c: InspectionParameters) -> tuple[Tensor, Tensor, Tensor]:
     """The body's axes in Hill's frame, (3, ...) each, as the guidance turns them while the battery is full.
 
-    But for its roll to the thrust.
+    It is the guidance without its roll to the thrust.
     """
     outward = unit(p)
     angle = dot(outward, sun).clamp(-0.9999, 0.9999).arccos()

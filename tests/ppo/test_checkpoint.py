@@ -29,10 +29,8 @@ def test_a_write_that_dies_leaves_the_previous_checkpoint(
 
 def test_what_is_no_checkpoint_is_refused_in_one_line(tmp_path: Path) -> None:
     damaged, notes, other = tmp_path / "damaged.pt", tmp_path / "notes.pt", tmp_path / "other.pt"
-    damaged.write_bytes(
-        b"half a checkpo"
-    )  # which pickle reads as a key of its memo, and the notes as no code of its
-    notes.write_bytes(b"# what was flown")
+    damaged.write_bytes(b"half a checkpo")  # which pickle reads as a key of its memo
+    notes.write_bytes(b"# what was flown")  # in which it finds no code of its own
     checkpoint.save(other, {"update": torch.tensor(1)})
     for path, words in (
         (tmp_path / "none.pt", "no such checkpoint file"),

@@ -239,6 +239,7 @@ def flies_as_in_python(pilot: str, directory: Path, *controller: str) -> None:
     """From a common case to its success, beside `simulate` with a controller and its flags."""
     (flight,) = fly({"start": "case 0", "pilot": pilot, "seconds": 6000, "period": 1, "calls": True})
     assert flight["outcome"] == "success" and flight["broken"] == {}
+    assert flight["score"] >= C.inspection.success_score
     start, out = directory / "start.json", directory / "flight.npz"
     start.write_text(flight["saved_state"])
     words = ["simulate", "--controller", *controller, "--initial-state", str(start)]
