@@ -1,7 +1,8 @@
-"""Filters in C that tests share: each is traced and built once in a process, and not optimised.
+"""Filters in C and initial states that tests share: each is made once in a process, and filters are not optimised.
 
-That takes ten seconds, and many tests fly the same few filters. Processes of one run of pytest-xdist read what another
-one has printed. A test that puts something in a part's place has a filter of its own. tests/kernels builds as users do;
+To trace and build a filter takes ten seconds, and to draw a pool of states that it accepts a quarter of one; many tests
+fly the same few filters from the same seeds. Processes of one run of pytest-xdist read what another one has made. A
+test that puts something in a part's place has a filter and states of its own. tests/kernels builds as users do;
 `test_optimisation_changes_no_bit_of_a_filter` there says that the compiler's optimisation does not matter.
 """
 
@@ -17,12 +18,16 @@ from types import SimpleNamespace
 from typing import Any, cast
 
 import pytest
+import torch
+from torch import Tensor
 
 import rta.filter
 import rta.printed.batch
 import rta.printed.files
 import rta.printed.source
-from inspection.model.parameters import Episode
+from inspection import initial_state
+from inspection.initial_state import sample_initial_state
+from inspection.model.parameters import Episode, InspectionParameters
 from kernels import build
 from rta import SafetyFilter
 from rta.printed.batch import Columns
@@ -101,6 +106,37 @@ def printed_from(safety_filter: SafetyFilter) -> str:
     return fingerprint(cast(SafetyFilter, SimpleNamespace(c=c, **dict(zip(PARTS, given, strict=True)))))
 
 
+def drawn(
+    safety_filter: SafetyFilter, c: InspectionParameters, count: str, seed: str, _: str
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Initial states that a filter accepts, priority vectors, and the state that the generator is left in.
+
+    Args:
+        count, seed: how many, and the generator's state as it is before.
+    """
+    generator = torch.Generator()
+    generator.set_state(torch.frombuffer(bytearray.fromhex(seed), dtype=torch.uint8))
+    x, priority = sample_initial_state(int(count), generator, c, safety_filter.is_safe)
+    return x, priority, generator.get_state()
+
+
+def draw(
+    once: Once,
+    count: int,
+    generator: torch.Generator,
+    c: InspectionParameters,
+    is_safe: Callable[[Tensor], Tensor] | None = None,
+) -> tuple[Tensor, Tensor]:
+    """`sample_initial_state`, once for equal generators and filters."""
+    owner = getattr(is_safe, "__self__", None)
+    if type(owner) is not SafetyFilter or generator.device.type != "cpu":
+        return sample_initial_state(count, generator, c, is_safe)
+    seed = generator.get_state().numpy().tobytes().hex()
+    x, priority, left = once.call(drawn, owner, c, str(count), seed, repr(c))
+    generator.set_state(left)
+    return x.clone(), priority.clone()
+
+
 def code() -> dict[tuple[str, ...], object]:
     """All functions, classes and constants of ROOMS, and what the classes hold, by name."""
     found: dict[tuple[str, ...], object] = {}
@@ -115,9 +151,10 @@ def code() -> dict[tuple[str, ...], object]:
 
 
 def share(patch: pytest.MonkeyPatch, directory: Path | None) -> None:
-    """Shares what is printed and built from now on, see `Once`."""
+    """Shares what is printed, built and drawn from now on, see `Once`."""
     once = Once(directory)
     for module, name in SHARED:
         patch.setattr(module, name, partial(once.call, getattr(module, name)))
     patch.setattr(build, "FLAGS", QUICK)
+    patch.setattr(initial_state, "sample_initial_state", partial(draw, once))
     once.begin()

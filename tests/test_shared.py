@@ -5,12 +5,14 @@ from pathlib import Path
 import pytest
 
 import rta.filter
+import torch
+from inspection.initial_state import sample_initial_state
 from inspection.model.parameters import InspectionParameters
 from rta import SafetyFilter
 from rta.backup import brake
 from rta.parameters import RtaParameters
 from tests.rta.conditions import test_actuator_groups as own_constraints
-from tests.shared import SHARED, Once
+from tests.shared import SHARED, Once, draw
 
 
 @pytest.fixture
@@ -68,6 +70,33 @@ def test_what_a_test_puts_in_a_parts_place_is_in_its_filter_alone(
         patch.setattr(place, name, 2.0)
         assert once.call(made, SafetyFilter(parameters=RtaParameters(period=1.0))) is not before
     assert once.call(made, SafetyFilter()) is before
+
+
+def test_initial_states_are_drawn_once_for_equal_generators_and_filters(
+    once: Once, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    c, calls = InspectionParameters(), []
+    is_safe = SafetyFilter.is_safe
+    monkeypatch.setattr(SafetyFilter, "is_safe", lambda self, x: calls.append(x) or is_safe(self, x))
+    once.begin()
+    strict = SafetyFilter(InspectionParameters(exclusion_buffer=0.5))
+
+    def both(seed: int, safety_filter: SafetyFilter) -> int:
+        """How often the filter was asked for what is shared; that is what is drawn by itself."""
+        ours, own = (torch.Generator().manual_seed(seed) for _ in range(2))
+        asked = len(calls)
+        found = [draw(once, 40, ours, c, safety_filter.is_safe) for _ in range(2)]  # one pool after another
+        asked = len(calls) - asked
+        for each in found:
+            for part, expected in zip(
+                each, sample_initial_state(40, own, c, safety_filter.is_safe), strict=True
+            ):
+                assert torch.equal(part, expected)
+        assert torch.equal(ours.get_state(), own.get_state())
+        return asked
+
+    assert both(1, SafetyFilter()) and both(2, SafetyFilter()) and both(1, strict)
+    assert both(1, SafetyFilter()) == both(1, strict) == 0
 
 
 def test_what_is_shared_is_what_filters_call() -> None:

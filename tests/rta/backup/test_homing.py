@@ -7,9 +7,13 @@ import torch
 from torch import Tensor
 
 from inspection.model.parameters import InspectionParameters
-from inspection.model.state import OMEGA, THRUST, P, V
-from rta.backup.homing import Homing, calls, may_be_kept
+from inspection.model.state import CONTROL_SIZE, OMEGA, SIZE, THRUST, P, V
+from kernels import Compiled
+from rta.backup.haven import Haven
+from rta.backup.homing import Homing, at_a_glance, calls, closely, held, may_be_kept
 from rta.bounds.uncertainty import Uncertainty
+from rta.conditions.held_rows import KINDS
+from rta.parameters import RtaParameters
 from tests.rta.backup.brute_force import hypercube, motion
 from tests.rta.backup.test_cone import accepts, beside
 from tests.rta.backup.told_world import U1, C, R, World, flown
@@ -25,6 +29,34 @@ def starts(seed: int) -> Tensor:
     x[OMEGA] = 0.0
     x = x[:, accepts(x)]
     return x[:, torch.linspace(0, x.shape[1] - 1, COUNT).long()]
+
+
+class InC(Homing):
+    """The check, of which what a control leads to is computed in C."""
+
+    def __init__(self, haven: Haven, r: RtaParameters) -> None:
+        super().__init__(haven, r)
+        examples = (torch.ones(size, 1, dtype=torch.float64) for size in (SIZE + KINDS, CONTROL_SIZE))
+        self.looked_at = Compiled(self.look, *examples, long=haven.free.cells)
+
+    def look(self, y: Tensor, u: Tensor) -> list[Tensor]:
+        hold = held(y[:SIZE], u, y[SIZE:], self.haven, self.r)
+        return [torch.stack((at_a_glance(hold, self.haven), closely(hold, self.haven)))]
+
+    def thrust_is_safe(self, y: Tensor, u: Tensor) -> Tensor:
+        return (self.looked_at(y, u)[0] >= 0.0).any(0)
+
+
+@pytest.fixture(scope="module")
+def in_c() -> Homing:
+    """HOMING in C, which answers alike."""
+    found, x, generator = InC(HOMING.haven, R), starts(8), torch.Generator().manual_seed(9)
+    y = torch.cat((x, torch.zeros(KINDS, COUNT, dtype=x.dtype)))
+    u = torch.rand(CONTROL_SIZE, COUNT, generator=generator, dtype=x.dtype) - 0.5
+    u *= torch.tensor(C.control_limit, dtype=x.dtype)[:, None]
+    safe = HOMING.thrust_is_safe(y, u)
+    assert 10 < safe.sum() < COUNT and torch.equal(found.thrust_is_safe(y, u), safe)
+    return found
 
 
 class Demands:
@@ -55,8 +87,8 @@ class Demands:
 
 
 @pytest.mark.parametrize(("how", "misses"), [("steady", "random"), ("worst", "always")])
-def test_no_limit_breaks_whatever_is_asked(how: str, misses: str) -> None:
-    x, demands = starts(1), Demands(HOMING, 2)
+def test_no_limit_breaks_whatever_is_asked(how: str, misses: str, in_c: Homing) -> None:
+    x, demands = starts(1), Demands(in_c, 2)
     least, _, _ = flown(x, HOMING.haven, World(COUNT, 3, how, misses), 60.0, 20.0, demands)
     assert (least >= 0.0).all(), least.min(1)
     assert 0.1 < demands.refused / demands.asked < 0.95 and demands.verified > demands.asked / 4
@@ -86,11 +118,11 @@ def test_what_is_verified_ends_where_a_way_begins() -> None:
     u = torch.cat((demands(seen, torque, bound), torque))
     safe = HOMING.thrust_is_safe(torch.cat((seen, bound)), u)
     assert 10 < safe.sum() < COUNT
-    for held in (1, 2, 3):
+    for calls_held in (1, 2, 3):
         world = World(COUNT, 5, "worst", "random")
-        world.held_for = lambda held=held: held  # type: ignore[method-assign]
+        world.held_for = lambda count=calls_held: count  # type: ignore[method-assign]
         world.asks_torque = lambda _: torque  # type: ignore[method-assign]
-        _, end, _ = flown(x, HOMING.haven, world, float(held), None, lambda *_: u[THRUST])
+        _, end, _ = flown(x, HOMING.haven, world, float(calls_held), None, lambda *_: u[THRUST])
         assert accepts(end)[safe].all()
 
 

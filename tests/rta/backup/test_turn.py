@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -11,15 +12,20 @@ import torch
 from torch import Tensor
 
 from inspection.model.attitude import rate_in_hill, rotation_matrix, turned_by
-from inspection.model.dynamics import Body, step, sun_and_earth_in_body
+from inspection.model.dynamics import Body, sun_and_earth_in_body
 from inspection.model.parameters import InspectionParameters
-from inspection.model.state import OMEGA, TORQUE, E, Q, T
+from inspection.model.state import CONTROL_SIZE, OMEGA, SIZE, TORQUE, E, Q, T
+from kernels import Compiled
 from rta.backup.turn import Spread, TurnBackup, beginning, followed, law, wanted
+from rta.backup.turning import Turning
 from rta.bounds.uncertainty import Uncertainty
+from rta.conditions.held_rows import KINDS
 from rta.conditions.prediction import predicted
 from rta.filter import SafetyFilter
 from rta.parameters import RtaParameters
+from rta.printed.way import turn_verified
 from tests.rta.backup.brute_force import attitude, hypercube
+from tests.rta.backup.told_world import moved
 
 C, R = InspectionParameters(), RtaParameters()
 U1 = Uncertainty(
@@ -110,7 +116,7 @@ class World:
         acts[TORQUE] *= 1 + self.known.torque_gain * self.gain
         path = []
         for _ in range(round(self.r.period / SUBSTEP)):
-            self.x = step(self.x, acts, SUBSTEP, C, self.body)
+            self.x = moved(self.x, acts, SUBSTEP, self.body)
             path.append(self.x)
         return path
 
@@ -162,8 +168,20 @@ def test_the_law_keeps_the_limits_from_the_edge_whatever_is_measured(
     ).double().mean() > 0.9  # some still leave the cold attitude that is no place of rest
 
 
+class InC(TurnBackup):
+    """The check, of which what a control leads to is computed in C."""
+
+    def __init__(self, turning: Turning) -> None:
+        super().__init__(turning)
+        examples = (torch.ones(size, 1, dtype=torch.float64) for size in (SIZE, CONTROL_SIZE, KINDS))
+        self.verified = Compiled(partial(turn_verified, turning), *examples)
+
+    def torque_is_safe(self, y: Tensor, u: Tensor) -> Tensor:
+        return self.verified(y[:SIZE], u, y[SIZE:])[0][0] >= 0.0
+
+
 def test_any_torque_is_asked_for_and_no_limit_breaks() -> None:
-    found = backup()
+    found = InC(backup().turning)
     world = World(starts(found, 90, 3), U1, R, 4)
     limit, acted = C.max_torque * torch.linspace(0.02, 1.0, 90, dtype=torch.float64), 0
     torque = torch.zeros(3, 90, dtype=torch.float64)
