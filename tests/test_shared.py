@@ -3,9 +3,9 @@
 from pathlib import Path
 
 import pytest
+import torch
 
 import rta.filter
-import torch
 from inspection.initial_state import sample_initial_state
 from inspection.model.parameters import InspectionParameters
 from rta import SafetyFilter

@@ -1,5 +1,6 @@
 """The limits in NumPy, and dense flights of a law: what the lemmas of the way to rest are compared with."""
 
+import functools
 import math
 from collections.abc import Callable
 
@@ -11,6 +12,8 @@ from torch import Tensor
 
 from inspection.model.dynamics import step
 from inspection.model.parameters import InspectionParameters
+from inspection.model.state import CONTROL_SIZE, SIZE
+from kernels import Compiled
 from study.verification.starts import states_of
 from tests.rta.constraints.test_constraints import body_axis, length
 
@@ -88,6 +91,18 @@ def attitude(x: ndarray, c: InspectionParameters) -> ndarray:
     )
 
 
+@functools.cache
+def stepping(seconds: float, c: InspectionParameters) -> Compiled:
+    """`step` in C."""
+    examples = (torch.ones(size, 1, dtype=torch.float64) for size in (SIZE, CONTROL_SIZE))
+    return Compiled(lambda x, u: [step(x, u, seconds, c)], *examples)
+
+
+def moved(x: Tensor, u: Tensor, seconds: float, c: InspectionParameters) -> Tensor:
+    """The states (16, B) after controls (6, B) have acted for some s."""
+    return stepping(seconds, c)(x, u)[0]
+
+
 def flown(
     x: Tensor, law: Law, c: InspectionParameters, hold: float, seconds: float, look: float
 ) -> list[ndarray]:
@@ -96,6 +111,6 @@ def flown(
     for _ in range(math.ceil(seconds / hold)):
         u = law(x)
         for _ in range(steps):
-            x = step(x, u, look, c)
+            x = moved(x, u, look, c)
             path.append(x.numpy())
     return path

@@ -8,13 +8,12 @@ import torch
 from torch import Tensor
 
 from inspection.model.attitude import rotate
-from inspection.model.dynamics import step
 from inspection.model.parameters import InspectionParameters
 from inspection.model.state import OMEGA, Q
 from rta.backup import brake
 from rta.backup.check import Backup
 from rta.parameters import PERIODS
-from tests.rta.backup.brute_force import flown, hypercube, motion
+from tests.rta.backup.brute_force import flown, hypercube, motion, moved
 from tests.rta.constraints.test_constraints import length
 
 C = InspectionParameters()
@@ -106,7 +105,7 @@ def test_a_hold_is_never_below_what_is_told(hold: float) -> None:
     told, end = brake.held(x, u, w, w.free)
     dense, least = x, motion(x[:3].numpy(), x[3:6].numpy(), C, spacing=5.0)
     for _ in range(round(hold / LOOK)):
-        dense = step(dense, u, LOOK, C)
+        dense = moved(dense, u, LOOK, C)
         least = np.minimum(least, motion(dense[:3].numpy(), dense[3:6].numpy(), C, spacing=None))
     least = np.minimum(least, motion(dense[:3].numpy(), dense[3:6].numpy(), C, spacing=5.0)).min(0)
     assert (told.numpy() <= least + 1e-9).all(), (told.numpy() - least).max()
@@ -127,7 +126,7 @@ def test_the_mean_force_of_a_hold_is_the_wanted_one(hold: float, share: float) -
     look, mean = hold / 400, torch.zeros_like(wanted)
     for i in range(401):
         mean += (0.5 if i in (0, 400) else 1.0) * rotate(x[Q], u[:3]) / C.mass / 400
-        x = step(x, u, look, C)
+        x = moved(x, u, look, C)
     off = (mean - wanted).norm(dim=0) / w.thrust
     assert off.max() < share
     assert off.max() < w.astray

@@ -9,7 +9,6 @@ import pytest
 import torch
 from torch import Tensor
 
-from inspection.model.dynamics import step
 from inspection.model.parameters import InspectionParameters
 from inspection.model.state import CONTROL_SIZE, THRUST, TORQUE
 from rta.backup import brake, slew
@@ -19,7 +18,7 @@ from rta.filter import SafetyFilter
 from rta.parameters import PERIODS, RtaParameters
 from rta.qp.programs import Status
 from study.verification.adversaries import adversarial
-from tests.rta.backup.brute_force import attitude, hypercube, motion
+from tests.rta.backup.brute_force import attitude, hypercube, motion, moved
 
 C = InspectionParameters()
 LIMIT = torch.tensor(C.control_limit, dtype=torch.float64)[:, None]
@@ -68,7 +67,7 @@ def test_no_limit_breaks_whatever_is_asked(filters: dict[float, SafetyFilter], h
         # what is not verified anew is the way that an earlier call verified
         assert (result.verified | result.backup).all(), (call, x[:, ~result.verified][:, 0].tolist())
         for i in range(round(hold / LOOK)):
-            x = step(x, result.control, LOOK, C)
+            x = moved(x, result.control, LOOK, C)
             y, free = x.numpy(), 10.0 if i == 0 and call % 8 == 0 else None
             least = np.concatenate((motion(y[:3], y[3:6], C, free), attitude(y, C)))
             assert (least >= -ROUNDED).all(), (call, i, np.argwhere(least < -ROUNDED)[:3], least.min(1))
@@ -82,7 +81,7 @@ def test_without_the_check_a_limit_breaks(filters: dict[float, SafetyFilter]) ->
     for name, safety in (("alone", alone), ("checked", filters[5.0])):
         y, lowest[name] = x, np.inf
         for call in range(12):
-            y = step(y, safety.correct(y, demands(300, call)).control, 5.0, C)
+            y = moved(y, safety.correct(y, demands(300, call)).control, 5.0, C)
             least = np.concatenate((motion(y[:3].numpy(), y[3:6].numpy(), C, None), attitude(y.numpy(), C)))
             lowest[name] = min(lowest[name], least.min())
     assert lowest["checked"] >= -ROUNDED and lowest["alone"] < -0.001, lowest

@@ -8,13 +8,13 @@ import torch
 from scipy.stats import qmc
 from torch import Tensor
 
-from inspection.model.dynamics import step
 from inspection.model.parameters import InspectionParameters
 from inspection.model.state import CONTROL_SIZE, OMEGA, THETA_S, THRUST, TORQUE, E, P, Q, T, V
 from rta import SafetyFilter
 from rta.backup import brake, slew
 from rta.backup.check import Backup
 from study.verification.starts import NUMBERS, states_of
+from tests.rta.backup.brute_force import moved
 
 C = InspectionParameters()
 VALUES = SafetyFilter(C).values
@@ -54,7 +54,7 @@ def least_on_the_way(x: Tensor, backup: Backup, moves: bool) -> Tensor:
         if moves:
             u[THRUST] = backup.brakes_with(x, u)
         for _ in range(2 * backup.slewing.steps):
-            x = step(x, u, seconds, backup.c)
+            x = moved(x, u, seconds, backup.c)
             if not moves:
                 x[P], x[V] = start[P], start[V]
             least = torch.minimum(least, VALUES(x))

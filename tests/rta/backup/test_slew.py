@@ -9,14 +9,13 @@ import pytest
 import torch
 from torch import Tensor
 
-from inspection.model.dynamics import step
 from inspection.model.parameters import InspectionParameters
 from inspection.model.state import OMEGA, E, T
 from rta.backup import slew
 from rta.backup.check import Backup
 from rta.parameters import PERIODS
 from study.config import load
-from tests.rta.backup.brute_force import attitude, flown, hypercube
+from tests.rta.backup.brute_force import attitude, flown, hypercube, moved
 from tests.rta.constraints.test_constraints import body_axis
 
 PAPER = InspectionParameters()
@@ -102,7 +101,7 @@ def test_a_hold_is_never_below_what_is_told(hold: float) -> None:
     told, _ = slew.held(x, u, w)
     least = attitude(x.numpy(), c)
     for _ in range(round(hold / 0.05)):
-        x = step(x, u, 0.05, c)
+        x = moved(x, u, 0.05, c)
         least = np.minimum(least, attitude(x.numpy(), c))
     bound, lowest = told.numpy(), least[:RATES].min(0)
     assert (bound <= lowest + ROUNDED).all(), (bound - lowest).max()
