@@ -151,7 +151,9 @@ def test_the_demonstration_crosses_every_boundary_without_the_filter() -> None:
 
 
 def test_the_filter_holds_the_demonstration_at_its_first_boundaries() -> None:
-    states = tour(140.0, 1.0, FILTER)
+    safety = SafetyFilter(C)
+    safety.compile("cpu", 1)
+    states = tour(140.0, 1.0, safety)
     h = dict(zip(CONSTRAINTS, FILTER.values(states), strict=True))
     assert min(h[name].min() for name in CONSTRAINTS) >= 0.0
     assert h["dynamic_speed"].min() < 0.2  # m/s

@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 import main
 from inspection.model.state import OMEGA, THRUST, TORQUE, P, Q, V
 from rta import SafetyFilter
+from rta.result import FilterResult
 from study.verification.adversaries import Greedy
 from tests.study.play.test_flight import LIMIT, U1, columns, controls, fly
 from tests.test_main import assert_refused
@@ -48,10 +49,16 @@ def sent(flight: dict[str, Any]) -> torch.Tensor:
     return torch.cat((torch.full_like(held[:, :1], torch.nan), held[:, :-1]), 1)[None]
 
 
-def test_the_told_filter_answers_as_in_python(flights: list[dict[str, Any]], told: SafetyFilter) -> None:
+@pytest.fixture(scope="module")
+def result(flights: list[dict[str, Any]], told: SafetyFilter) -> FilterResult:
+    """What Python answers to the calls of all flights."""
     calls = [call for flight in flights for call in flight["calls"]]
     given = columns(calls, "seen"), columns(calls, "desired"), torch.cat([sent(each) for each in flights], -1)
-    result = told.correct(given[0], given[1], sent=given[2])
+    return told.correct(given[0], given[1], sent=given[2])
+
+
+def test_the_told_filter_answers_as_in_python(flights: list[dict[str, Any]], result: FilterResult) -> None:
+    calls = [call for flight in flights for call in flight["calls"]]
     status, verified, backup = columns(calls, "answer")
     np.testing.assert_array_equal(result.status, status)
     np.testing.assert_array_equal(result.verified, verified)
@@ -92,14 +99,14 @@ def test_the_corners_are_those_of_the_adversary(flights: list[dict[str, Any]], t
 
 
 def test_a_call_is_missed_where_the_last_command_does_more_harm(
-    flights: list[dict[str, Any]], told: SafetyFilter
+    flights: list[dict[str, Any]], told: SafetyFilter, result: FilterResult
 ) -> None:
     """By Python's margins of the last command and of Python's answer; two in a row at most, none of them the first."""
     greedy, kept = Greedy(told), 0
-    for flight in flights:
+    answers = result.control.split([len(flight["calls"]) for flight in flights], 1)
+    for flight, answer in zip(flights, answers, strict=True):
         calls = flight["calls"]
         x, before = columns(calls, "state"), sent(flight)[0].nan_to_num()
-        answer = told.correct(columns(calls, "seen"), columns(calls, "desired"), sent=sent(flight)).control
         nothing = x.new_zeros(12, len(calls))
         harms = greedy.ahead(x, nothing, before) < greedy.ahead(x, nothing, answer)
         in_a_row = 0
