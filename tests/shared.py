@@ -47,7 +47,9 @@ SHARED = [  # functions of a filter, where they are called from
     (rta.printed.files, "vectors"),
 ]
 PARTS = "parameters", "known", "extra"  # of a filter, beside the limits
-ANSWERS = ("rta.filter", "SafetyFilter", "correct")  # what calls the printed functions is not printed
+ASKED = "rta.filter", "SafetyFilter"  # what calls the printed functions is not printed:
+ANSWERS = [(*ASKED, name) for name in ("correct", "can_brake")]
+CAN_BRAKE = SafetyFilter.can_brake
 OPTIMISED = build.FLAGS
 QUICK = tuple(flag.replace("-O2", "-O0") for flag in OPTIMISED)
 
@@ -129,7 +131,11 @@ def draw(
 ) -> tuple[Tensor, Tensor]:
     """`sample_initial_state`, once for equal generators and filters."""
     owner = getattr(is_safe, "__self__", None)
-    if type(owner) is not SafetyFilter or generator.device.type != "cpu":
+    if (
+        type(owner) is not SafetyFilter
+        or SafetyFilter.can_brake is not CAN_BRAKE
+        or generator.device.type != "cpu"
+    ):
         return sample_initial_state(count, generator, c, is_safe)
     seed = generator.get_state().numpy().tobytes().hex()
     x, priority, left = once.call(drawn, owner, c, str(count), seed, repr(c))
@@ -146,7 +152,8 @@ def code() -> dict[tuple[str, ...], object]:
                 found[name, own] = value
                 if isinstance(value, type) and value.__module__ == name:
                     found |= {(name, own, part): each for part, each in vars(value).items()}
-    del found[ANSWERS]
+    for name in ANSWERS:
+        del found[name]
     return found
 
 
