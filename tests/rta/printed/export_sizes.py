@@ -1,0 +1,147 @@
+"""Stack, code and time of the filter in C, and how far single precision is from double.
+
+    python -m tests.rta.printed.export_sizes
+
+prints the rows of these tables of docs/guides/filter_in_c.md, in some minutes; gcc, and its compilers for ARM, are
+needed.
+"""
+
+import re
+import subprocess
+import tempfile
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from rta import Status
+from rta.printed.files import sources
+from tests.rta.printed.export_states import PROGRAM, Answers, in_c, made, states
+
+GRAPH = ("-fstack-usage", "-fcallgraph-info=su")  # writes what calls what, and the stack of each
+COMPILERS = ("aarch64-linux-gnu-gcc", "arm-linux-gnueabihf-gcc", "gcc")
+PARTS = ("safety_filter.h", "safety_filter.c")
+KINDS = ("1", "5", "10", "u1")
+COUNT, REPEATED = 20_000, 3  # states, and calls of each, of which the shortest counts
+TIMED = """#define _POSIX_C_SOURCE 199309L
+#include <stdio.h>
+#include <time.h>
+#include "safety_filter.h"
+
+int main(void)
+{
+    double given[22];
+    struct safety_filter_input in = {.left = {1, 1, 1, 1, 1, 1}};
+    while (fread(given, sizeof given, 1, stdin) == 1) {
+        double least = 1e9;
+        for (int i = 0; i < 16; ++i) {
+            in.state[i] = (safety_filter_real)given[i];
+        }
+        for (int j = 0; j < 6; ++j) {
+            in.desired[j] = (safety_filter_real)given[16 + j];
+        }
+        for (int k = 0; k < REPEATED; ++k) {
+            struct safety_filter_output out;
+            struct timespec begin, end;
+            clock_gettime(CLOCK_MONOTONIC, &begin);
+            safety_filter(&in, &out);
+            clock_gettime(CLOCK_MONOTONIC, &end);
+            double took = 1e6 * (double)(end.tv_sec - begin.tv_sec) + 1e-3 * (double)(end.tv_nsec - begin.tv_nsec);
+            least = took < least ? took : least;
+        }
+        if (fwrite(&least, sizeof least, 1, stdout) != 1) {
+            return 1;
+        }
+    }
+    return 0;
+}
+"""
+
+
+def deepest(graph: str) -> int:
+    """The stack of the deepest chain of calls from safety_filter, in B; fails where one recurses."""
+    sizes = {
+        name: int(size) for name, size in re.findall(r'title: "([^"]+)" label: "[^"]*?\\n(\d+) bytes', graph)
+    }
+    calls: dict[str, set[str]] = {}
+    for caller, called in re.findall(r'sourcename: "([^"]+)" targetname: "([^"]+)"', graph):
+        calls.setdefault(caller, set()).add(called)
+
+    def below(name: str, above: tuple[str, ...]) -> int:
+        assert name not in above, f"{name} recurses"
+        return sizes.get(name, 0) + max((below(n, (*above, name)) for n in calls.get(name, ())), default=0)
+
+    return below("safety_filter", ())
+
+
+def stack_and_code(directory: Path, compiler: str) -> tuple[int, int]:
+    """The deepest stack and the size of code and constants, in B, as a compiler makes them."""
+    command = (compiler, "-std=c99", "-O2", *GRAPH, "-c", directory / "safety_filter.c")
+    subprocess.run(command, cwd=directory, check=True)
+    size = subprocess.run(
+        ("size", directory / "safety_filter.o"), capture_output=True, text=True, check=True
+    ).stdout
+    return deepest((directory / "safety_filter.ci").read_text()), int(size.splitlines()[1].split()[0])
+
+
+def linked(directory: Path, name: str, text: str, *more: str) -> Path:
+    """A program with the filter that `stack_and_code` has compiled for this machine."""
+    (directory / f"{name}.c").write_text(text)
+    own = (directory / f"{name}.c", directory / "safety_filter.o", "-o", directory / name, "-lm")
+    subprocess.run(("gcc", "-O2", *more, "-I", directory, *own), check=True)
+    return directory / name
+
+
+def times(program: Path, x: Tensor, desired: Tensor) -> np.ndarray:
+    """us of a call, of each state; program: of TIMED."""
+    given = torch.cat((x, desired)).T.contiguous().numpy().tobytes()
+    return np.frombuffer(subprocess.run([program], input=given, capture_output=True, check=True).stdout)
+
+
+def apart(double: Answers, single: Answers, limit: Tensor) -> str:
+    """How far single precision is off: statuses, and controls over the actuators' limits without and with slack."""
+    one, other = double.program_status.amax(0), single.program_status.amax(0)
+    off = ((double.control - single.control).abs() / limit[:, None]).amax(0)
+    solved = (one < Status.UNSOLVED) & (other < Status.UNSOLVED)
+    hard, soft = (off[solved & ((one == Status.SLACK) == slack)] for slack in (False, True))
+    without, slack = (
+        ", ".join(f"{each:.0e}" for each in np.quantile(part, shares))
+        for part, shares in ((hard, (0.5, 0.99, 0.999)), (soft, (0.5, 0.99)))
+    )
+    return f"{int((one != other).sum())} | {without} | {slack}"
+
+
+def main() -> None:
+    """Measures and prints."""
+    x, desired = states(COUNT, seed=1)
+    finite = x.isfinite().all(0)
+    x, desired = x[:, finite], desired[:, finite]
+    print(f"{x.shape[1]:,} states")
+    answers: dict[str, Answers] = {}
+    for real in ("double", "float"):
+        for kind in KINDS:
+            safety_filter = made(kind)
+            with tempfile.TemporaryDirectory() as folder:
+                directory = Path(folder)
+                for name, text in sources(safety_filter, real=real, only=PARTS).items():
+                    (directory / name).write_text(text)
+                *of_arm, own = (stack_and_code(directory, compiler) for compiler in COMPILERS)
+                took = times(linked(directory, "timed", TIMED, f"-DREPEATED={REPEATED}"), x, desired)
+                mine = in_c([linked(directory, "program", PROGRAM)], x, desired)
+            (stack, code), ((stack_64, code_64), (stack_32, _)) = own, of_arm
+            middle, high, longest = (*np.quantile(took, (0.5, 0.99)), took.max())
+            print(
+                f"| {kind}, {real} | {stack:,} | {stack_64:,} / {stack_32:,} | {code / 1e3:.0f} | "
+                f"{code_64 / 1e3:.0f} | {middle:.1f}, {high:.1f}, {longest:.1f} |",
+                flush=True,
+            )
+            if real == "double":
+                answers[kind] = mine
+            else:
+                limit = torch.tensor(safety_filter.c.control_limit, dtype=torch.float64)
+                print(f"| {kind} | {apart(answers[kind], mine, limit)} |", flush=True)
+
+
+if __name__ == "__main__":
+    main()
