@@ -171,15 +171,18 @@ class SafetyFilter:
         Every h is non-negative and a way to rest is verified. Of what no way is known every row says so, and thrust can
         brake.
         """
-        if self.turn and self.homing:
-            kept = (self.values(x) >= 0.0).all(0)
-            return narrowed(narrowed(kept, x, self.homing.has_way), x, self.turn.has_way)
-        if self.turn:
-            kept = (self.values(x) >= 0.0).all(0) & self.groups[0].keeps(x, degree=2) & self.can_brake(x)
-            return narrowed(narrowed(kept, x, self.turn.has_way), x, self.is_holdable)
-        if self.backup is None:
-            return self.is_in_safe_set(x) & self.can_brake(x)
-        return narrowed((self.values(x) >= 0.0).all(0), x, self.backup.has_way)
+        kept = (self.values(x) >= 0.0).all(0)
+        if self.backup:
+            return narrowed(kept, x, self.backup.has_way)
+        thrust, torque = self.groups
+        kept = (
+            narrowed(kept, x, self.homing.has_way)
+            if self.homing
+            else kept & thrust.keeps(x, degree=2) & self.can_brake(x)
+        )
+        kept = narrowed(kept, x, self.turn.has_way) if self.turn else kept & torque.keeps(x, degree=2)
+        rows_decide = self.holds and not (self.turn and self.homing)
+        return narrowed(kept, x, self.is_holdable) if rows_decide else kept
 
     def compile(self, device: torch.device | str, batch: int) -> None:
         """Compiles the filter for tensors on this device and calls of about so many spacecraft.

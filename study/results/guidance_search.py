@@ -173,9 +173,9 @@ def children(
     Those of the first are evenly of the start's, in its order, or fill the ranges.
     """
     draws = np.random.default_rng((SEED, generation))
-    if not parents and start:
-        return [start[round(i)] for i in np.linspace(0, len(start) - 1, count)]
     if not parents:
+        if start:
+            return [start[round(i)] for i in np.linspace(0, len(start) - 1, count)]
         strata = np.stack([draws.permutation(count) for _ in KNOBS], 1)
         return [knobs_at(place) for place in (strata + draws.random(strata.shape)) / count]
     born = []

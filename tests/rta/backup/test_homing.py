@@ -13,6 +13,7 @@ from rta.backup.haven import Haven
 from rta.backup.homing import Homing, at_a_glance, calls, closely, held, may_be_kept
 from rta.bounds.uncertainty import Uncertainty
 from rta.conditions.held_rows import KINDS
+from rta.filter import SafetyFilter
 from rta.parameters import RtaParameters
 from tests.rta.backup.brute_force import hypercube, motion
 from tests.rta.backup.test_cone import accepts, beside
@@ -146,3 +147,16 @@ def test_where_no_haven_is_known_there_is_no_check() -> None:
     ):
         assert Homing.of(C, R, told) is None
     assert Homing.of(InspectionParameters(orbit="two-body"), R, U1) is None
+
+
+@pytest.mark.parametrize("told", [{"torque_gain": 0.6}, {"rate": 0.3}, {"longest_hold": 10.0}])
+def test_a_start_has_a_way_also_where_only_thrust_is_checked(told: dict[str, float]) -> None:
+    """With torque gains off by 0.6 and full thrust outwards, such a start left the zone by 1.9 m."""
+    safety = SafetyFilter(C, R, known=Uncertainty(**told))
+    assert safety.homing and not safety.turn
+    flown = [-689.517, -118.445, 35.9689, -3.17297, -0.4764, -3.54167, 0.751987, -0.532918, 0.352355, -0.162358,
+             -0.0237629, 0.0284278, -0.0326149, 5.26168, 6.07567, 2.28658]  # fmt: skip
+    x = torch.cat((hypercube(400, 9, C), torch.tensor(flown, dtype=torch.float64)[:, None]), 1)
+    x = x[:, (safety.values(x) >= 0.0).all(0)]
+    safe, has_way = safety.is_safe(x), safety.homing.has_way(x)
+    assert safe.sum() > 20 and not (safe & ~has_way).any()

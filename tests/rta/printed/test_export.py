@@ -32,11 +32,11 @@ from rta.printed.files import (
 )
 from rta.printed.single import FUNCTIONS, TOLERANCES, single
 from tests.rta.conditions import test_actuator_groups as own
+from tests.rta.printed.export_sizes import GRAPH, deepest
 from tests.rta.printed.export_states import PROGRAM, Answers, compared, in_c, in_python, made, states
 
 STRICT = ("-std=c99", "-O2", "-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Werror")
 STRICTER = ("-Wshadow", "-Wstrict-prototypes", "-Wmissing-prototypes", "-Wcast-qual", "-Wundef", "-Wvla")
-GRAPH = ("-fstack-usage", "-fcallgraph-info=su")  # writes what calls what, and the stack of each
 # Not optimised: the compiler then takes a sixth of the time, and removes nothing before it can be looked at.
 SANITIZED = ("-std=c99", "-O0", "-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
 CROSS = {
@@ -277,22 +277,6 @@ def test_the_stack_is_bounded_and_nothing_recurses(
         pytest.skip("this gcc knows no call graphs")
     built = program(exported(kind).directory, *optimised())
     assert 1000 < deepest((built.parent / "filter.ci").read_text()) <= most
-
-
-def deepest(graph: str) -> int:
-    """The stack of the deepest chain of calls from safety_filter, in B; fails where one recurses."""
-    sizes = {
-        name: int(size) for name, size in re.findall(r'title: "([^"]+)" label: "[^"]*?\\n(\d+) bytes', graph)
-    }
-    calls: dict[str, set[str]] = {}
-    for caller, called in re.findall(r'sourcename: "([^"]+)" targetname: "([^"]+)"', graph):
-        calls.setdefault(caller, set()).add(called)
-
-    def below(name: str, above: tuple[str, ...]) -> int:
-        assert name not in above, f"{name} recurses"
-        return sizes.get(name, 0) + max((below(n, (*above, name)) for n in calls.get(name, ())), default=0)
-
-    return below("safety_filter", ())
 
 
 @pytest.mark.parametrize("kind", ["1", "u1_thrust_quantum"])
