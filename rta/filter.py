@@ -168,18 +168,17 @@ class SafetyFilter:
     def is_safe(self, x: Tensor) -> Tensor:
         """(B,) bool: the filter can keep every constraint from here on.
 
-        Every h is non-negative and a way to rest is verified. Of what no way is known every row says so, and thrust can
-        brake.
+        Every h is non-negative and a way to rest is verified. Where none is known of attitude, or of motion, every Psi_1
+        of that is non-negative and a control satisfies every row; of motion thrust can brake, too.
         """
         kept = (self.values(x) >= 0.0).all(0)
         if self.backup:
             return narrowed(kept, x, self.backup.has_way)
         thrust, torque = self.groups
-        kept = (
-            narrowed(kept, x, self.homing.has_way)
-            if self.homing
-            else kept & thrust.keeps(x, degree=2) & self.can_brake(x)
-        )
+        if self.homing:
+            kept = narrowed(kept, x, self.homing.has_way)
+        else:
+            kept = kept & thrust.keeps(x, degree=2) & self.can_brake(x)
         kept = narrowed(kept, x, self.turn.has_way) if self.turn else kept & torque.keeps(x, degree=2)
         rows_decide = self.holds and not (self.turn and self.homing)
         return narrowed(kept, x, self.is_holdable) if rows_decide else kept

@@ -48,13 +48,13 @@ def states_of(s: Tensor, c: Limits) -> tuple[Tensor, Tensor]:
 
 
 def safe_set(count: int, seed: int, safety_filter: SafetyFilter) -> tuple[Tensor, Tensor, int]:
-    """Initial states from the whole safe set: those from which a way to rest is verified (`SafetyFilter.is_safe`).
+    """Initial states from the whole safe set: those that the filter takes for safe (`SafetyFilter.is_safe`).
 
     A Latin hypercube over distance up to INSIDE of the zone, speed up to the limit there, all directions and attitudes,
-    body rates, temperature and energy down to their limits and the Sun's angle. Of a filter that knows no way, every h
-    and every Psi_1 is non-negative; Psi_1 is the filter's, with the margins of h inside it and the terminator rounded
-    off (`RtaParameters.incidence_rounding`), and states beyond its own keep-in barrier (`SafetyFilter.can_brake`)
-    belong to the set.
+    body rates, temperature and energy down to their limits and the Sun's angle. Of a filter that knows no way at all
+    every h and every Psi_1 is non-negative; Psi_1 is the filter's, with the margins of h inside it and the terminator
+    rounded off (`RtaParameters.incidence_rounding`), and states beyond its own keep-in barrier
+    (`SafetyFilter.can_brake`) belong to the set.
 
     Returns:
         States (16, count), priority vectors (3, count) and how many other states of the hypercubes, up to the last
@@ -70,7 +70,7 @@ def safe_set(count: int, seed: int, safety_filter: SafetyFilter) -> tuple[Tensor
         x, priority = states_of(torch.from_numpy(sampler.random(4 * count).T.copy()), c)
         safe = (
             safety_filter.is_safe(x)
-            if safety_filter.backup or safety_filter.turn
+            if safety_filter.backup or safety_filter.turn or safety_filter.homing
             else safety_filter.is_in_safe_set(x)
         )
         missing = count - kept.shape[1]
