@@ -168,8 +168,8 @@ class SafetyFilter:
     def is_safe(self, x: Tensor) -> Tensor:
         """(B,) bool: the filter can keep every constraint from here on.
 
-        Every h is non-negative and a way to rest is verified. Where none is known of attitude, or of motion, every Psi_1
-        of that is non-negative and a control satisfies every row; of motion thrust can brake, too.
+        Every h is non-negative and a way to rest is verified. Where none is known of attitude, or of motion, its Psi_1
+        are non-negative and a control satisfies every row; of motion thrust can brake, too.
         """
         kept = (self.values(x) >= 0.0).all(0)
         if self.backup:

@@ -47,9 +47,10 @@ SHARED = [  # functions of a filter, where they are called from
     (rta.printed.files, "vectors"),
 ]
 PARTS = "parameters", "known", "extra"  # of a filter, beside the limits
-ASKED = "rta.filter", "SafetyFilter"  # what calls the printed functions is not printed:
-ANSWERS = [(*ASKED, name) for name in ("correct", "can_brake")]
-CAN_BRAKE = SafetyFilter.can_brake
+UNPRINTED = {
+    name: getattr(SafetyFilter, name) for name in ("correct", "can_brake")
+}  # they call what is printed
+LIMITS = "MAX_ATTITUDES", "MAX_STATES", "IN_VAIN"  # of how often states are drawn
 OPTIMISED = build.FLAGS
 QUICK = tuple(flag.replace("-O2", "-O0") for flag in OPTIMISED)
 
@@ -70,14 +71,16 @@ class Once:
         """Takes the code as it is now for how it was written."""
         self.written = code()
 
-    def call(self, run: Callable[..., Any], safety_filter: SafetyFilter, *more: Any) -> Any:
-        """What the function gives, computed or known."""
+    def call(self, run: Callable[..., Any], safety_filter: SafetyFilter, *more: Any, also: str = "") -> Any:
+        """What the function gives, computed or known; `also`: what that depends on beside the filter and texts."""
         now = code()
         if any(now.get(name) is not value for name, value in self.written.items()):
             return run(safety_filter, *more)  # a test has put something in a part's place
         own = tuple(map(id, safety_filter.extra))
-        said = tuple(each for each in more if isinstance(each, str))  # all else is made from the filter
-        key = (run, *said, printed_from(safety_filter), own, safety_filter.backup is None)
+        said = tuple(
+            each for each in more if isinstance(each, str)
+        )  # all else is made from the filter, or in `also`
+        key = (run, *said, also, printed_from(safety_filter), own, safety_filter.backup is None)
         if key not in self.known:
             compute = partial(run, safety_filter, *more)
             name = f"{run.__module__}.{run.__qualname__}"
@@ -109,16 +112,10 @@ def printed_from(safety_filter: SafetyFilter) -> str:
 
 
 def drawn(
-    safety_filter: SafetyFilter, c: InspectionParameters, count: str, seed: str, _: str
+    safety_filter: SafetyFilter, c: InspectionParameters, count: int, generator: torch.Generator
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Initial states that a filter accepts, priority vectors, and the state that the generator is left in.
-
-    Args:
-        count, seed: how many, and the generator's state as it is before.
-    """
-    generator = torch.Generator()
-    generator.set_state(torch.frombuffer(bytearray.fromhex(seed), dtype=torch.uint8))
-    x, priority = sample_initial_state(int(count), generator, c, safety_filter.is_safe)
+    """Initial states that a filter accepts, priority vectors, and the state that the generator is left in."""
+    x, priority = sample_initial_state(count, generator, c, safety_filter.is_safe)
     return x, priority, generator.get_state()
 
 
@@ -129,16 +126,16 @@ def draw(
     c: InspectionParameters,
     is_safe: Callable[[Tensor], Tensor] | None = None,
 ) -> tuple[Tensor, Tensor]:
-    """`sample_initial_state`, once for equal generators and filters."""
+    """`sample_initial_state`, once for equal generators and filters, of which no part is a test's own."""
     owner = getattr(is_safe, "__self__", None)
-    if (
-        type(owner) is not SafetyFilter
-        or SafetyFilter.can_brake is not CAN_BRAKE
-        or generator.device.type != "cpu"
-    ):
+    is_own = any(getattr(SafetyFilter, name) is not written for name, written in UNPRINTED.items())
+    if type(owner) is not SafetyFilter or is_own or generator.device.type != "cpu":
         return sample_initial_state(count, generator, c, is_safe)
-    seed = generator.get_state().numpy().tobytes().hex()
-    x, priority, left = once.call(drawn, owner, c, str(count), seed, repr(c))
+    known = [part is None for part in (owner.turn, owner.homing)]
+    solver, limits = type(owner.solver).__name__, [getattr(initial_state, name) for name in LIMITS]
+    own = torch.Generator().set_state(generator.get_state())
+    also = repr((count, c, known, solver, limits, own.get_state().numpy().tobytes()))
+    x, priority, left = once.call(drawn, owner, c, count, own, also=also)
     generator.set_state(left)
     return x.clone(), priority.clone()
 
@@ -152,8 +149,8 @@ def code() -> dict[tuple[str, ...], object]:
                 found[name, own] = value
                 if isinstance(value, type) and value.__module__ == name:
                     found |= {(name, own, part): each for part, each in vars(value).items()}
-    for name in ANSWERS:
-        del found[name]
+    for name in UNPRINTED:
+        del found["rta.filter", "SafetyFilter", name]
     return found
 
 

@@ -10,7 +10,7 @@ from numpy import ndarray
 from scipy.stats import qmc
 from torch import Tensor
 
-from inspection.model.dynamics import step
+from inspection.model.dynamics import Body, step
 from inspection.model.parameters import InspectionParameters
 from inspection.model.state import CONTROL_SIZE, SIZE
 from kernels import Compiled
@@ -92,15 +92,26 @@ def attitude(x: ndarray, c: InspectionParameters) -> ndarray:
 
 
 @functools.cache
-def stepping(seconds: float, c: InspectionParameters) -> Compiled:
-    """`step` in C."""
-    examples = (torch.ones(size, 1, dtype=torch.float64) for size in (SIZE, CONTROL_SIZE))
-    return Compiled(lambda x, u: [step(x, u, seconds, c)], *examples)
+def stepping(seconds: float, c: InspectionParameters, turns: bool | None) -> Compiled:
+    """`step` in C, with `turns` of bodies: mass, moments and push, (7, B); in a frame that turns, or not."""
+
+    def stepped(x: Tensor, u: Tensor, *bodies: Tensor) -> list[Tensor]:
+        if turns is None:
+            return [step(x, u, seconds, c)]
+        mass, inertia, push = bodies[0].split((1, 3, 3))
+        return [step(x, u, seconds, c, Body(mass[0], list(inertia), list(push), turns, saturates=False))]
+
+    sizes = SIZE, CONTROL_SIZE, *([] if turns is None else [7])
+    return Compiled(stepped, *(torch.ones(size, 1, dtype=torch.float64) for size in sizes))
 
 
-def moved(x: Tensor, u: Tensor, seconds: float, c: InspectionParameters) -> Tensor:
-    """The states (16, B) after controls (6, B) have acted for some s."""
-    return stepping(seconds, c)(x, u)[0]
+def moved(x: Tensor, u: Tensor, seconds: float, c: InspectionParameters, body: Body | None = None) -> Tensor:
+    """The states (16, B) after controls (6, B) have acted for some s; body: one whose rates nothing saturates."""
+    if body is None:
+        return stepping(seconds, c, None)(x, u)[0]
+    assert not body.saturates
+    own = torch.stack((body.mass, *body.inertia, *body.push))
+    return stepping(seconds, c, body.in_turning_frame)(x, u, own)[0]
 
 
 def flown(

@@ -53,7 +53,10 @@ class InC(Homing):
 def in_c() -> Homing:
     """HOMING in C, which answers alike."""
     found, x, generator = InC(HOMING.haven, R), starts(8), torch.Generator().manual_seed(9)
-    y = torch.cat((x, torch.zeros(KINDS, COUNT, dtype=x.dtype)))
+    further = torch.rand(
+        KINDS, COUNT, generator=generator, dtype=x.dtype
+    )  # than measured, m, m/s, rad and rad/s
+    y = torch.cat((x, torch.tensor([0.1, 0.01, 0.005, 0.001], dtype=x.dtype)[:, None] * further))
     u = torch.rand(CONTROL_SIZE, COUNT, generator=generator, dtype=x.dtype) - 0.5
     u *= torch.tensor(C.control_limit, dtype=x.dtype)[:, None]
     safe = HOMING.thrust_is_safe(y, u)

@@ -24,8 +24,7 @@ from rta.conditions.prediction import predicted
 from rta.filter import SafetyFilter
 from rta.parameters import RtaParameters
 from rta.printed.way import turn_verified
-from tests.rta.backup.brute_force import attitude, hypercube
-from tests.rta.backup.told_world import moved
+from tests.rta.backup.brute_force import attitude, hypercube, moved
 
 C, R = InspectionParameters(), RtaParameters()
 U1 = Uncertainty(
@@ -116,7 +115,7 @@ class World:
         acts[TORQUE] *= 1 + self.known.torque_gain * self.gain
         path = []
         for _ in range(round(self.r.period / SUBSTEP)):
-            self.x = moved(self.x, acts, SUBSTEP, self.body)
+            self.x = moved(self.x, acts, SUBSTEP, C, self.body)
             path.append(self.x)
         return path
 
@@ -180,8 +179,25 @@ class InC(TurnBackup):
         return self.verified(y[:SIZE], u, y[SIZE:])[0][0] >= 0.0
 
 
-def test_any_torque_is_asked_for_and_no_limit_breaks() -> None:
-    found = InC(backup().turning)
+@pytest.fixture(scope="module")
+def in_c() -> TurnBackup:
+    """The check of U1 in C, which answers alike."""
+    told, generator = backup(), torch.Generator().manual_seed(9)
+    found, x = InC(told.turning), hypercube(900, 8, C)
+    x = x[:, told.has_way(x)][:, :90]
+    further = torch.rand(
+        KINDS, 90, generator=generator, dtype=x.dtype
+    )  # than measured, m, m/s, rad and rad/s
+    bound = torch.tensor([0.1, 0.01, 1e-3, 1e-4], dtype=x.dtype)[:, None] * further
+    y, u = torch.cat((x, bound)), torch.zeros(CONTROL_SIZE, 90, dtype=x.dtype)
+    u[TORQUE] = C.max_torque / 2 * (2 * torch.rand(3, 90, generator=generator, dtype=x.dtype) - 1)
+    safe = told.torque_is_safe(y, u)
+    assert 10 < safe.sum() < 80 and torch.equal(found.torque_is_safe(y, u), safe)
+    return found
+
+
+def test_any_torque_is_asked_for_and_no_limit_breaks(in_c: TurnBackup) -> None:
+    found = in_c
     world = World(starts(found, 90, 3), U1, R, 4)
     limit, acted = C.max_torque * torch.linspace(0.02, 1.0, 90, dtype=torch.float64), 0
     torque = torch.zeros(3, 90, dtype=torch.float64)

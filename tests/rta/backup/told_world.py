@@ -1,6 +1,5 @@
 """The world of U1 at its worst, and flights in it: what the cone and the haven are compared with."""
 
-import functools
 from collections.abc import Callable
 
 import numpy as np
@@ -8,16 +7,15 @@ import torch
 from numpy import ndarray
 from torch import Tensor
 
-from inspection.model.dynamics import Body, step
+from inspection.model.dynamics import Body
 from inspection.model.parameters import InspectionParameters
-from inspection.model.state import CONTROL_SIZE, OMEGA, SIZE, THRUST, TORQUE, P, V
+from inspection.model.state import OMEGA, THRUST, TORQUE, P, V
 from inspection.world.corners import displaced
-from kernels import Compiled
 from rta.backup.haven import Haven, thrust
 from rta.bounds.uncertainty import Uncertainty
 from rta.conditions.prediction import predicted
 from rta.parameters import RtaParameters
-from tests.rta.backup.brute_force import motion
+from tests.rta.backup.brute_force import motion, moved
 
 C, R = InspectionParameters(), RtaParameters()
 U1 = Uncertainty(
@@ -107,25 +105,6 @@ class World:
         return int(torch.randint(1, 4, (1,), generator=self.generator))
 
 
-@functools.cache
-def stepping(seconds: float, in_turning_frame: bool) -> Compiled:
-    """`step` in C, of bodies of which nothing saturates the rates: states, controls, mass, moments and push."""
-
-    def stepped(x: Tensor, u: Tensor, body: Tensor) -> list[Tensor]:
-        mass, inertia, push = body.split((1, 3, 3))
-        return [step(x, u, seconds, C, Body(mass[0], list(inertia), list(push), in_turning_frame, False))]
-
-    sizes = SIZE, CONTROL_SIZE, 7
-    return Compiled(stepped, *(torch.ones(size, 1, dtype=torch.float64) for size in sizes))
-
-
-def moved(x: Tensor, u: Tensor, seconds: float, body: Body) -> Tensor:
-    """The states (16, B) after some s."""
-    assert not body.saturates
-    own = torch.stack((body.mass, *body.inertia, *body.push))
-    return stepping(seconds, body.in_turning_frame)(x, u, own)[0]
-
-
 def flown(
     x: Tensor, w: Haven, world: World, seconds: float, spacing: float | None, law: Law | None = None
 ) -> tuple[ndarray, Tensor, list[Tensor]]:
@@ -149,7 +128,7 @@ def flown(
             measured, sent = world.sees(x, w), u
             acting = world.acts(x, u)
             for _ in range(round(w.period / LOOK)):
-                x = moved(x, acting, LOOK, world.body)
+                x = moved(x, acting, LOOK, C, world.body)
                 time += LOOK
                 least = np.minimum(least, motion(x[P].numpy(), x[V].numpy(), C, spacing))
     return least, x, states
