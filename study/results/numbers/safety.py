@@ -29,6 +29,12 @@ from study.verification.break_points import EFFECTS, said
 
 README, SAFETY, TESTS = "README.md", "docs/results/safety.md", "docs/results/safety_tests.md"
 LIMITS, IN_C = "docs/results/safety_limits.md", "docs/guides/filter_in_c.md"
+ADVERSARIES = (
+    "lookahead",
+    "learned_motion",
+    "learned_passive",
+    "learned_attitude",
+)  # of which U1 has reports, too
 WRITTEN = {limit: unit.replace("^2", "²").replace("deg ", "°") for limit, unit in UNITS.items()}  # units of h
 
 
@@ -174,6 +180,17 @@ def sentences() -> Iterator[tuple[str, str]]:
     yield TESTS, f"{both()[0]['starts_beyond_braking']['episodes']} starts were flown but"
     yield TESTS, f"In these {episodes:,} episodes a row yielded"
     yield TESTS, f"in each of the {len(campaign('break_points')['worlds'])} worlds"
+
+    looks, *learns = (share_of_backup(campaign(f"u1_{name}")) for name in ADVERSARIES)
+    yield TESTS, f"in U1 {looks:.0f} % of what `lookahead` asked"
+    yield TESTS, f"and {learns[0]:.1f}, {learns[1]:.1f} and {learns[2]:.1f} %"
+    between, ahead_at_1, *learned = (campaign(name) for name in ("adversarial_between", *ADVERSARIES))
+    yield TESTS, f"the backup decided {between['backup_calls']:,} of the {calls(between):,} calls"
+    yield TESTS, f"{share_of_backup(ahead_at_1):.2f} % of those of `lookahead`"
+    counts = [f"{each['backup_calls']:,}" for each in learned]
+    yield TESTS, f"and {counts[0]}, {counts[1]} and {counts[2]} of the {calls(learned[0]):,} of each"
+    nearest = ahead_at_1["worst_value"]["passive_safety"]
+    yield TESTS, f"{nearest:.3f} m, to the limit of passive safety: nearer in {calls(ahead_at_1):,} calls"
 
     single = campaign("boundary")
     yield TESTS, f"{single['violating_draws']['any']:,} of {single['draws']:,} draws went below zero"

@@ -20,7 +20,7 @@ from rta.printed.files import sources
 from tests.rta.printed.export_states import PROGRAM, Answers, in_c, made, states
 
 GRAPH = ("-fstack-usage", "-fcallgraph-info=su")  # writes what calls what, and the stack of each
-COMPILERS = ("aarch64-linux-gnu-gcc", "arm-linux-gnueabihf-gcc", "gcc")
+COMPILERS = ("gcc", "aarch64-linux-gnu-gcc", "arm-linux-gnueabihf-gcc")
 PARTS = ("safety_filter.h", "safety_filter.c")
 KINDS = ("1", "5", "10", "u1")
 COUNT, REPEATED = 20_000, 3  # states, and calls of each, of which the shortest counts
@@ -76,19 +76,19 @@ def deepest(graph: str) -> int:
 
 
 def stack_and_code(directory: Path, compiler: str) -> tuple[int, int]:
-    """The deepest stack and the size of code and constants, in B, as a compiler makes them."""
-    command = (compiler, "-std=c99", "-O2", *GRAPH, "-c", directory / "safety_filter.c")
-    subprocess.run(command, cwd=directory, check=True)
+    """The deepest stack and the size of code and constants, in B, of what a compiler makes, COMPILER.o."""
+    own = ("-c", directory / "safety_filter.c", "-o", f"{compiler}.o")
+    subprocess.run((compiler, "-std=c99", "-O2", *GRAPH, *own), cwd=directory, check=True)
     size = subprocess.run(
-        ("size", directory / "safety_filter.o"), capture_output=True, text=True, check=True
+        ("size", directory / f"{compiler}.o"), capture_output=True, text=True, check=True
     ).stdout
-    return deepest((directory / "safety_filter.ci").read_text()), int(size.splitlines()[1].split()[0])
+    return deepest((directory / f"{compiler}.ci").read_text()), int(size.splitlines()[1].split()[0])
 
 
 def linked(directory: Path, name: str, text: str, *more: str) -> Path:
-    """A program with the filter that `stack_and_code` has compiled for this machine."""
+    """A program with the filter that `stack_and_code` has made with gcc."""
     (directory / f"{name}.c").write_text(text)
-    own = (directory / f"{name}.c", directory / "safety_filter.o", "-o", directory / name, "-lm")
+    own = (directory / f"{name}.c", directory / "gcc.o", "-o", directory / name, "-lm")
     subprocess.run(("gcc", "-O2", *more, "-I", directory, *own), check=True)
     return directory / name
 
@@ -118,7 +118,7 @@ def main() -> None:
     finite = x.isfinite().all(0)
     x, desired = x[:, finite], desired[:, finite]
     print(f"{x.shape[1]:,} states")
-    answers: dict[str, Answers] = {}
+    answers: dict[tuple[str, str], Answers] = {}
     for real in ("double", "float"):
         for kind in KINDS:
             safety_filter = made(kind)
@@ -126,7 +126,7 @@ def main() -> None:
                 directory = Path(folder)
                 for name, text in sources(safety_filter, real=real, only=PARTS).items():
                     (directory / name).write_text(text)
-                *of_arm, own = (stack_and_code(directory, compiler) for compiler in COMPILERS)
+                own, *of_arm = (stack_and_code(directory, compiler) for compiler in COMPILERS)
                 took = times(linked(directory, "timed", TIMED, f"-DREPEATED={REPEATED}"), x, desired)
                 mine = in_c([linked(directory, "program", PROGRAM)], x, desired)
             (stack, code), ((stack_64, code_64), (stack_32, _)) = own, of_arm
@@ -136,11 +136,10 @@ def main() -> None:
                 f"{code_64 / 1e3:.0f} | {middle:.1f}, {high:.1f}, {longest:.1f} |",
                 flush=True,
             )
-            if real == "double":
-                answers[kind] = mine
-            else:
-                limit = torch.tensor(safety_filter.c.control_limit, dtype=torch.float64)
-                print(f"| {kind} | {apart(answers[kind], mine, limit)} |", flush=True)
+            answers[kind, real] = mine
+    for kind in KINDS:
+        limit = torch.tensor(made(kind).c.control_limit, dtype=torch.float64)
+        print(f"| {kind} | {apart(answers[kind, 'double'], answers[kind, 'float'], limit)} |")
 
 
 if __name__ == "__main__":
