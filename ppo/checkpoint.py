@@ -42,9 +42,7 @@ def load(path: str | Path, keys: tuple[str, ...], device: str | torch.device = "
     except (OSError, RuntimeError) as error:  # the system, or torch's own reader: they say what is wrong
         reason = str(error).splitlines()[0].partition(". ")[0][:120]
         raise CheckpointError(f"{path}: not a readable checkpoint ({reason})") from None
-    except (
-        Exception
-    ):  # other bytes, read as pickle: it names a key, an index, an end, which tells nobody anything
+    except Exception:  # of other bytes, read as pickle: a key, an index, an end, which tells nobody anything
         raise CheckpointError(
             f"{path}: not a readable checkpoint: damaged, or no policy.pt or checkpoint.pt of train"
         ) from None

@@ -47,9 +47,8 @@ SHARED = [  # functions of a filter, where they are called from
     (rta.printed.files, "vectors"),
 ]
 PARTS = "parameters", "known", "extra"  # of a filter, beside the limits
-UNPRINTED = {
-    name: getattr(SafetyFilter, name) for name in ("correct", "can_brake")
-}  # they call what is printed
+# of a filter, as they are written: they call what is printed
+UNPRINTED = {name: getattr(SafetyFilter, name) for name in ("correct", "can_brake")}
 RAND = torch.rand
 LIMITS = "MAX_ATTITUDES", "MAX_STATES", "IN_VAIN"  # of how often states are drawn
 OPTIMISED = build.FLAGS
@@ -78,9 +77,7 @@ class Once:
         if any(now.get(name) is not value for name, value in self.written.items()):
             return run(safety_filter, *more)  # a test has put something in a part's place
         own = tuple(map(id, safety_filter.extra))
-        said = tuple(
-            each for each in more if isinstance(each, str)
-        )  # all else is made from the filter, or in `also`
+        said = tuple(each for each in more if isinstance(each, str))  # all else is in filter or `also`
         key = (run, *said, also, printed_from(safety_filter), own, safety_filter.backup is None)
         if key not in self.known:
             compute = partial(run, safety_filter, *more)
