@@ -12,7 +12,7 @@ import pickle
 import sys
 from collections.abc import Callable
 from dataclasses import fields, replace
-from functools import partial
+from functools import partial, update_wrapper
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
@@ -159,5 +159,6 @@ def share(patch: pytest.MonkeyPatch, directory: Path | None) -> None:
     for module, name in SHARED:
         patch.setattr(module, name, partial(once.call, getattr(module, name)))
     patch.setattr(build, "FLAGS", QUICK)
-    patch.setattr(initial_state, "sample_initial_state", partial(draw, once))
+    shared = update_wrapper(partial(draw, once), sample_initial_state)  # a package still offers it as its own
+    patch.setattr(initial_state, "sample_initial_state", shared)
     once.begin()
