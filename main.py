@@ -70,7 +70,7 @@ def run_train(
     from study.machine.provenance import recorded_threads
     from study.machine.threads import THREADS
     from study.training import session as training
-    from study.verified import say_unless_verified
+    from study.verified import say_doubts
 
     if resume:
         THREADS.recorded = recorded_threads(Path(resume))
@@ -84,7 +84,7 @@ def run_train(
         session = training.starting(config, directory, Path(init_from) if init_from else None)
     with session as run:
         print(run, flush=True)
-        say_unless_verified(run.config, [run.directory / "config.toml"])
+        say_doubts(run.config, [run.directory / "config.toml"])
         run.train()
         if run.ranks.first:
             print(run.conclude())
@@ -134,11 +134,11 @@ def run_evaluate(
     from study.experiment import Experiment
     from study.flight.evaluation import evaluate
     from study.paper import tables
-    from study.verified import say_unless_verified
+    from study.verified import say_doubts
 
     policy, config = agent_and_config(configure, checkpoint)
     experiment = Experiment(config, episodes)
-    say_unless_verified(config, configure.files, checkpoint)
+    say_doubts(config, configure.files, checkpoint)
     commander = policy or controller
     assert commander is not None  # the parser sees to it
     results = evaluate(commander, experiment, episodes, seed)
@@ -164,7 +164,7 @@ def run_simulate(
     from study.experiment import Experiment
     from study.flight import simulation
     from study.flight.figures import constraint_figure
-    from study.verified import say_unless_verified
+    from study.verified import say_doubts
 
     if (controller == "policy") != bool(checkpoint):
         raise InputError("--checkpoint F is needed by --controller policy and by no other")
@@ -173,7 +173,7 @@ def run_simulate(
     policy, config = agent_and_config(configure, checkpoint)
     simulation.check_rows(step, duration, config, controller)
     experiment = Experiment(config, 1, duration)
-    say_unless_verified(config, configure.files, checkpoint)
+    say_doubts(config, configure.files, checkpoint)
     flown = simulation.run(experiment, controller, duration, step, seed, policy, actions, initial_state)
     write_npz(out, flown)
     if figure:
@@ -231,9 +231,11 @@ def run_verify(
     from study.experiment import check_observed
     from study.verification.campaign import BATCH, digest, load_commander, looking_ahead, verify
     from study.verification.findings import Campaign, table, what_next
+    from study.verified import say_unchecked
 
     network, trained = load_commander(policy)
     config = with_filter(configure, trained)
+    say_unchecked(config)
     if network:
         check_observed(config, trained)
     ahead = looking_ahead(policy, candidates, horizon)
@@ -249,8 +251,10 @@ def run_boundary(configure: Configure, draws: int = 4096, seed: int = 0, json: s
     """main.py boundary"""
     from study.boundary.boundary import BATCH, Boundary, search
     from study.boundary.report import table
+    from study.verified import say_unchecked
 
     config = with_filter(configure)
+    say_unchecked(config)
     print(
         table(search(Boundary(config.rta.period, seed, BATCH), draws, config, Path(json) if json else None))
     )

@@ -124,6 +124,12 @@ class SafetyFilter:
         """s between two calls."""
         return self.parameters.period
 
+    @property
+    def unchecked(self) -> list[str]:
+        """What is not checked, since no way to rest is known: "motion", "attitude", both or nothing."""
+        ways = {"motion": self.backup or self.homing, "attitude": self.backup or self.turn}
+        return [name for name, way in ways.items() if not way]
+
     def values(self, x: Tensor) -> Tensor:
         """Every constraint's h, the 13 exactly as in the paper: (16, B) to (constraints, B)."""
         return joined(*(group.values(x) for group in self.groups))

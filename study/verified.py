@@ -10,15 +10,17 @@ from functools import cached_property, reduce
 from pathlib import Path
 from typing import Any
 
+from inspection.chief.hull import beside
 from inspection.chief.mesh import pinned
 from inspection.model.parameters import ChiefParameters, Limits
 from inspection.world.parameters import PlantParameters
 from ppo.torchrun import is_first
+from rta.filter import SafetyFilter
 from setting import settings
 from study import config as configuration
 from study.commands import command
 from study.config import Config, StudyConfig, override
-from study.errors import MALFORMED, InputError
+from study.errors import MALFORMED, InputError, refusing
 from study.files import ROOT, see
 
 # Settings that came later: at their defaults they are what was flown before, and its fingerprint stays.
@@ -31,6 +33,7 @@ POLICIES = ("random", "adversarial")  # each has to have flown
 EPISODES = 1000  # so many at least
 DURATION = 2000  # s, each at least so long
 PAGE = "docs/guides/changed_constants.md"
+CHECK = "docs/reference/filter.md"
 REPORTS = "runs/verification"  # below the working directory: a person's own; the shipped ones are below runs/reference
 
 
@@ -131,16 +134,36 @@ def alike(config: Config, flown: Sequence[Flown]) -> list[Flown]:
     return [each for each in flown if each.relevant == own]
 
 
-def say_unless_verified(
+def say_doubts(
     config: Config, config_files: Sequence[str | Path], checkpoint: str | Path | None = None
 ) -> None:
-    """Says in a line on stderr that the filter in use has not been verified; of many ranks, the first one.
+    """Says on stderr what the filter in use does not check, and that it has not been verified, in a line each.
+
+    Of many ranks, the first one does.
 
     Args:
         config_files: those of --config; checkpoint: the agent's file. Either may hold the settings.
     """
+    say_unchecked(config)
     if config.train.rta and is_first() and (reason := doubt(config, config_files, checkpoint)):
         print(reason, file=sys.stderr)
+
+
+def say_unchecked(config: Config) -> None:
+    """Says in a line on stderr what the filter in use does not check, if anything; of many ranks, the first one."""
+    if config.train.rta and is_first() and (said := unchecked(config)):
+        print(said, file=sys.stderr)
+
+
+def unchecked(config: Config) -> str | None:
+    """What the filter of a configuration does not check, in a line; None: it checks everything."""
+    with refusing("[rta], [inspection], [chief] and [uncertainty]", ValueError, OverflowError):
+        task = beside(config.inspection, config.chief)
+        names = SafetyFilter(task, config.rta, known=config.uncertainty).unchecked
+    if not names:
+        return None
+    why = "with these settings the filter knows no way to rest, so it corrects without a guarantee"
+    return f"not checked: {' and '.join(names)}; {why}{see(CHECK)}"
 
 
 def doubt(config: Config, config_files: Sequence[str | Path], checkpoint: str | Path | None) -> str | None:

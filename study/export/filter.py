@@ -9,7 +9,7 @@ from rta.printed.files import NOT_VERIFIED, write
 from study.config import Config
 from study.errors import refusing
 from study.experiment import check_chief
-from study.verified import Flown, alike, fingerprint, reports, settings_digest, shown, verified
+from study.verified import Flown, alike, fingerprint, reports, settings_digest, shown, unchecked, verified
 
 IN_C = {"double": ("python", "c"), "float": ("c-float",)}  # forms of the filter that count for it
 
@@ -34,11 +34,13 @@ def export(config: Config, directory: Path, real: str) -> str:
 
 
 def said_of(config: Config, real: str) -> str:
-    """Which campaigns have flown the filter of a configuration, and what came out; in a line each."""
+    """What the filter of a configuration does not check, which campaigns have flown it, and what came out."""
     own = fingerprint(config)
     same = alike(config, list(reports(IN_C[real])))
     counted = [each for each in same if each.large or not each.clean]
     lines = [of_campaign(each) for each in counted]
+    if missing := unchecked(config):
+        lines.insert(0, missing)
     if not all(each.clean for each in same):
         first = f"NOT VERIFIED: campaigns broke this filter (fingerprint {own})."
     elif verified(same):

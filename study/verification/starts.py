@@ -64,15 +64,13 @@ def safe_set(count: int, seed: int, safety_filter: SafetyFilter) -> tuple[Tensor
         RuntimeError: fewer were found in HYPERCUBES hypercubes.
     """
     c, left_out = safety_filter.c, safely(safety_filter)
+    knows_no_way = safety_filter.unchecked == ["motion", "attitude"]
+    accepts = safety_filter.is_in_safe_set if knows_no_way else safety_filter.is_safe
     sampler = qmc.LatinHypercube(NUMBERS, rng=np.random.default_rng(seed))
     kept, rejected = torch.zeros(SIZE + 3, 0, dtype=torch.float64), 0
     for _ in range(HYPERCUBES):
         x, priority = states_of(torch.from_numpy(sampler.random(4 * count).T.copy()), c)
-        safe = (
-            safety_filter.is_safe(x)
-            if safety_filter.backup or safety_filter.turn or safety_filter.homing
-            else safety_filter.is_in_safe_set(x)
-        )
+        safe = accepts(x)
         missing = count - kept.shape[1]
         taken = torch.nonzero(safe).flatten()[:missing]
         seen = int(taken[-1]) + 1 if taken.numel() == missing else safe.numel()

@@ -15,6 +15,7 @@ from rta.parameters import PERIODS
 from setting import settings
 from study import files, verified
 from study.config import Config, StudyConfig, override
+from study.export import filter as filter_in_c
 from study.files import ROOT
 from study.verification.findings import Campaign, empty_report
 from study.verified import doubt, fingerprint
@@ -164,16 +165,18 @@ def test_violations_and_damaged_files_are_told_apart() -> None:
     assert str(Path("runs/verification/random.json")) in line and "python main.py verify" not in line
 
 
-def test_the_printed_commands_verify_and_then_it_is_silent(
+def test_the_printed_commands_verify_and_then_no_line_asks_for_it(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """From a file and a flag, with campaigns of two episodes."""
+    """From a file and a flag, with campaigns of two episodes, of a spacecraft that has no check."""
     own = {"inspection": {"min_energy": 0.9}, "train": {"device": "cpu", "compile": "off"}}
     Path("own.toml").write_text(configured(own).to_toml())
     simulate = ["simulate", "--controller", "zero", "--duration", "10", "--out", "x.npz"]
     simulate += ["--config", "own.toml", "--solar-panel-axis=+x"]
     code, _, err = call(simulate, capsys)
-    assert code == 0 and err.count("\n") == 1
+    unchecked, unverified = err.splitlines()
+    assert code == 0 and unchecked.startswith("not checked: motion and attitude; ")
+    assert unverified.startswith("not verified: ")
     made, *commands = err.split("verify it: ")[1].split(" && ")
     assert made == "mkdir -p runs/verification" and len(commands) == 2
     Path("runs/verification").mkdir(parents=True)
@@ -186,7 +189,7 @@ def test_the_printed_commands_verify_and_then_it_is_silent(
         code, out, err = call([*words, "--episodes", "2", "--duration", "10"], capsys)
         assert code == 0, err
         assert f"Written to {words[-1]}" in out
-    assert call(simulate, capsys)[2] == ""
+    assert call(simulate, capsys)[2] == f"{unchecked}\n"
 
 
 def test_verify_passes_over_the_table_of_a_study(capsys: pytest.CaptureFixture[str]) -> None:
@@ -219,10 +222,34 @@ def test_an_installed_copy_names_no_page_of_the_repository(
     assert line and ".md" not in line and "; verify it: " in line
 
 
-def test_without_the_filter_nothing_is_said(capsys: pytest.CaptureFixture[str]) -> None:
-    verified.say_unless_verified(configured(FAST | {"train": {"rta": False}}), [])
+@pytest.mark.parametrize(
+    ("what", "tables"),
+    [
+        (None, {}),
+        (None, {"uncertainty": {"torque_gain": 0.1}}),
+        ("motion", {"uncertainty": {"thrust_quantum": 1e-3}}),
+        ("attitude", {"uncertainty": {"torque_gain": 0.6}}),
+        ("motion and attitude", {"uncertainty": {"health": True}}),
+        ("motion and attitude", {"inspection": {"orbit": "two-body"}}),
+        ("motion and attitude", {"chief": {"mesh": "configs/chiefs/box.npz", "collision": "hull"}}),
+    ],
+)
+def test_what_a_filter_does_not_check_is_said_in_a_line(
+    what: str | None, tables: dict[str, Any], capsys: pytest.CaptureFixture[str]
+) -> None:
+    config = configured(tables)
+    verified.say_unchecked(config)
+    lines = capsys.readouterr().err.splitlines()
+    assert [line.split(";")[0] for line in lines] == [f"not checked: {what}"] * (what is not None)
+    assert (filter_in_c.said_of(config, "double").count(lines[0]) if lines else 0) == len(lines)
+    verified.say_unchecked(configured(tables | {"train": {"rta": False}}))
     assert capsys.readouterr().err == ""
-    verified.say_unless_verified(configured(FAST), [])
+
+
+def test_without_the_filter_nothing_is_said(capsys: pytest.CaptureFixture[str]) -> None:
+    verified.say_doubts(configured(FAST | {"train": {"rta": False}}), [])
+    assert capsys.readouterr().err == ""
+    verified.say_doubts(configured(FAST), [])
     assert capsys.readouterr().err.startswith("not verified: ")
 
 
