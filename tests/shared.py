@@ -10,7 +10,7 @@ import hashlib
 import os
 import pickle
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import fields, replace
 from functools import partial, update_wrapper
 from pathlib import Path
@@ -65,7 +65,7 @@ class Once:
     def __init__(self, directory: Path | None = None) -> None:
         self.directory = directory
         self.known: dict[tuple[Any, ...], Any] = {}
-        self.written: dict[tuple[str, ...], object] = {}
+        self.written: list[tuple[Mapping[str, object], str, object]] = []
 
     def begin(self) -> None:
         """Takes the code as it is now for how it was written."""
@@ -73,8 +73,7 @@ class Once:
 
     def call(self, run: Callable[..., Any], safety_filter: SafetyFilter, *more: Any, also: str = "") -> Any:
         """What the function gives, computed or known; `also`: what that depends on beside the filter and texts."""
-        now = code()
-        if any(now.get(name) is not value for name, value in self.written.items()):
+        if any(names.get(name) is not value for names, name, value in self.written):
             return run(safety_filter, *more)  # a test has put something in a part's place
         own = tuple(map(id, safety_filter.extra))
         said = tuple(each for each in more if isinstance(each, str))  # all else is in filter or `also`
@@ -139,17 +138,18 @@ def draw(
     return x.clone(), priority.clone()
 
 
-def code() -> dict[tuple[str, ...], object]:
-    """All functions, classes and constants of ROOMS, and what the classes hold, by name."""
-    found: dict[tuple[str, ...], object] = {}
+def code() -> list[tuple[Mapping[str, object], str, object]]:
+    """All functions, classes and constants of ROOMS, and what the classes hold: in what, by which name, and what.
+
+    That a whole module is put in another's place is not seen.
+    """
+    found: list[tuple[Mapping[str, object], str, object]] = []
     for name, module in list(sys.modules.items()):
         if name.startswith(ROOMS):
-            for own, value in vars(module).items():
-                found[name, own] = value
-                if isinstance(value, type) and value.__module__ == name:
-                    found |= {(name, own, part): each for part, each in vars(value).items()}
-    for name in UNPRINTED:
-        del found["rta.filter", "SafetyFilter", name]
+            types = [value for value in vars(module).values() if isinstance(value, type)]
+            for each in (module, *(own for own in types if own.__module__ == name)):
+                left_out = UNPRINTED if each is SafetyFilter else {}
+                found += [(vars(each), own, part) for own, part in vars(each).items() if own not in left_out]
     return found
 
 
