@@ -92,20 +92,20 @@ def baselines(config: Config) -> dict[str, dict[str, Results]]:
 
 def guidance(config: Config) -> Results:
     """The guidance with which agents are compared, behind the filter, on many cases."""
-    return guided(config, GUIDE, GUIDANCE_CASES)
+    return guided([GUIDE], config, GUIDANCE_CASES)[GUIDE]
 
 
 def front(config: Config) -> dict[str, Results]:
     """By name, each guidance that leads the Sun behind the filter, on the study's test cases."""
-    cases = config.train.final_episodes
     names = [name for name, orbit in GUIDANCE.items() if orbit.lead]
-    return {name: guided(config, name, cases) for name in names}
+    return guided(names, config, config.train.final_episodes)
 
 
-def guided(config: Config, name: str, cases: int) -> Results:
-    """A guidance by its name, behind the filter, which it is asked as often as."""
+def guided(names: Sequence[str], config: Config, cases: int) -> dict[str, Results]:
+    """What each of these guidances flies behind the filter, deciding as often as that is called."""
     experiment = Experiment(with_rta(config, True, FILTER_PERIOD), cases)
-    return report(play_controller(name, experiment, cases, TEST_CASES), experiment.config, TEST_CASES)
+    flown = {name: play_controller(name, experiment, cases, TEST_CASES) for name in names}
+    return {name: report(record, experiment.config, TEST_CASES) for name, record in flown.items()}
 
 
 def worlds(arms: dict[str, Arm]) -> dict[str, dict[str, dict[str, Results]]]:
