@@ -94,7 +94,7 @@ def test_what_breaks_the_filter_stands_beside_what_it_held() -> None:
 
 def test_both_simulators_agree_as_the_page_says() -> None:
     coasting = basilisk()["coasting"]
-    assert min(coasting["one_alone_times_real_time"], coasting["times_real_time"]) > 1000
+    assert coasting["times_real_time"] > coasting["one_alone_times_real_time"] > 100
     assert coasting["perturbed"]["drag"]["position_m"] == pytest.approx(1e-3, rel=0.2)  # "a millimetre"
     names = ("reward", "episode_length_s", "delta_v_m_s")
     for worlds in basilisk()["agents"].values():
@@ -103,8 +103,8 @@ def test_both_simulators_agree_as_the_page_says() -> None:
             apart = worlds[world]["difference"]
             assert all(abs(apart[name]["mean"]) <= 2 * apart[name]["standard_error"] for name in names)
         pulses = worlds["basilisk, wheels and pulses"]["difference"]
-        assert 0.12 <= -round(pulses["delta_v_m_s"]["mean"], 2) <= 0.15
-        assert 35 < pulses["episode_length_s"]["mean"] < 75
+        assert 0.18 <= -round(pulses["delta_v_m_s"]["mean"], 2) <= 0.20
+        assert 2 <= round(pulses["episode_length_s"]["mean"]) <= 14
 
 
 @pytest.mark.parametrize("policy", [*POLICIES, "lookahead"])
