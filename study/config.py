@@ -87,6 +87,11 @@ class TrainParameters(Settings):
         "with a price on corrections)",
         among=LEARN_FROM,
     )
+    keep_clear: bool = setting(
+        False,
+        "whether, behind a filter that is told of no bounds, what is desired is led so that two days of free flight "
+        "stay clear of the chief",
+    )
     adversary: tuple[str, ...] = setting(
         (),
         "constraints whose smallest h it lowers, in place of the task; left out, it learns the task",

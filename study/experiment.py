@@ -23,6 +23,7 @@ from ppo import checkpoint
 from ppo.errors import CheckpointError
 from ppo.network import Policy, Value
 from rta.filter import SafetyFilter
+from rta.keep_clear import kept_clear
 from rta.parameters import RtaParameters
 from study import config as configuration
 from study.commands import EPISODE
@@ -95,6 +96,8 @@ class Experiment:
         if worth and not self.filter_compiled and self.device.type == "cpu":
             self.trace_filter(batch)
         self.safety = self.filter.safety(config.train.rta)
+        if config.train.keep_clear and config.uncertainty.is_nil:
+            self.safety = kept_clear(self.safety, self.task)
 
     def trace_filter(self, batch: int) -> None:
         """Has the filter traced for calls of about so many spacecraft, which saves three quarters of a call's time."""

@@ -61,6 +61,7 @@ THREADS = count(
 )
 RTA = Flag("--rta", sets="train.rta", action=argparse.BooleanOptionalAction)
 FLOWN_RTA = RTA.saying(f"{RTA.text} (default: {{}}; with --checkpoint as it was trained)")
+KEEP_CLEAR = Flag("--keep-clear", sets="train.keep_clear", action=argparse.BooleanOptionalAction)
 INTERACTIONS = count("--interactions", sets="train.interactions")
 PLANT = Flag("--plant", sets="plant.simulator")
 ERRORS = Flag("--errors", sets="plant.errors")
@@ -76,6 +77,7 @@ COMMANDS = {
     "train": Command(
         "train an agent with or without run time assurance",
         RTA,
+        KEEP_CLEAR,
         *COMMON,
         THREADS,
         INTERACTIONS,
@@ -127,6 +129,7 @@ COMMANDS = {
     "evaluate": Command(
         "report an agent or a controller in the metrics of the paper's Tables 2 and 3",
         FLOWN_RTA,
+        KEEP_CLEAR,
         *COMMON,
         PLANT,
         ERRORS,
@@ -148,6 +151,7 @@ COMMANDS = {
     "simulate": Command(
         "simulate one spacecraft and write everything over time",
         FLOWN_RTA,
+        KEEP_CLEAR,
         *COMMON,
         PLANT,
         ERRORS,

@@ -1,0 +1,161 @@
+"""What is desired is led to free flights that stay clear of the chief, by a little, before it is filtered."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from inspection.closed_loop import Safety
+from inspection.environment import InspectionEnv
+from inspection.model.attitude import rotate
+from inspection.model.draws import isotropic, shoemake
+from inspection.model.dynamics import step
+from inspection.model.parameters import InspectionParameters
+from inspection.model.state import SIZE, THRUST, TORQUE, E, P, Q, T, V
+from rta import keep_clear
+from rta.filter import SafetyFilter
+from rta.keep_clear import kept_clear, led
+
+C = InspectionParameters()
+DAYS = 172_800
+
+
+def returning(count: int, seed: int) -> Tensor:
+    """States (16, B) that come back to within 10 m of the chief after half an hour to two days, in any attitude."""
+    generator = torch.Generator().manual_seed(seed)
+    s = torch.rand(9, count, generator=generator, dtype=torch.float64)
+    x = torch.zeros(SIZE, count, dtype=torch.float64)
+    t, n = 1800.0 + (DAYS - 3600.0) * s[0], C.mean_motion
+    p, v = 10.0 * s[1] * isotropic(s[2:4]), 0.02 * isotropic(s[4:6])
+    # Clohessy and Wiltshire's solution, back from the pass
+    x[:6] = torch.stack(
+        [torch.from_numpy(solution(-float(t[i]), n)) @ torch.cat((p, v))[:, i] for i in range(count)], 1
+    )
+    x[Q], x[T], x[E] = shoemake(s[6:9]), C.initial_temperature[0], C.initial_energy[1]
+    near = (x[P].norm(dim=0) > 40.0) & (x[P].norm(dim=0) < 700.0)
+    return x[:, near]
+
+
+def solution(t: float | np.ndarray, n: float) -> np.ndarray:
+    """Clohessy and Wiltshire's transition matrix, (6, 6) or (6, 6, times), as textbooks print it."""
+    s, c, zero, one = np.sin(n * t), np.cos(n * t), np.zeros_like(t), np.ones_like(t)
+    return np.array([
+        [4 - 3 * c, zero, zero, s / n, 2 / n * (1 - c), zero],
+        [6 * (s - n * t), one, zero, -2 / n * (1 - c), (4 * s - 3 * n * t) / n, zero],
+        [zero, zero, c, zero, zero, s / n],
+        [3 * n * s, zero, zero, c, 2 * s, zero],
+        [-6 * n * (1 - c), zero, zero, -2 * s, 4 * c - 3, zero],
+        [zero, zero, -n * s, zero, zero, c],
+    ])  # fmt: skip
+
+
+def nearest(x: Tensor) -> np.ndarray:
+    """The smallest distance in m from the chief in two days, looked at every 5 s."""
+    phi = solution(np.arange(0.0, DAYS, 5.0), C.mean_motion)[:3]
+    return np.array(
+        [np.linalg.norm(np.einsum("ijt,j->it", phi, each), axis=0).min() for each in x[:6].T.numpy()]
+    )
+
+
+def desired(count: int, seed: int, largest: float) -> Tensor:
+    """Controls (6, B) with a thrust of up to so many N."""
+    generator = torch.Generator().manual_seed(seed)
+    u = 2.0 * torch.rand(6, count, generator=generator, dtype=torch.float64) - 1.0
+    u[THRUST] *= largest
+    u[TORQUE] *= 1e-3
+    return u
+
+
+@pytest.mark.parametrize("period", [1.0, 10.0])
+def test_what_is_led_stays_clear_and_nothing_else_is_changed(period: float) -> None:
+    x = returning(800, 0)
+    u = desired(x.shape[1], 1, 0.1 / period)
+    asked = led(x, u, period, C)
+    changed = (asked != u).any(0).numpy()
+    unled, after = nearest(step(x, u, period, C)), nearest(step(x, asked, period, C))
+    assert changed.sum() > 20 and (~changed).sum() > 20
+    assert (unled[changed] < C.collision_radius + 2.0 * keep_clear.MARGIN).all()
+    assert (unled < C.collision_radius).sum() > 20 and (after >= C.collision_radius).all()
+    assert (asked[TORQUE] == u[TORQUE]).all() and (asked[THRUST].abs() <= C.max_thrust).all()
+
+
+def test_a_little_along_the_track_is_enough() -> None:
+    x = returning(800, 2)
+    u = torch.zeros(6, x.shape[1], dtype=torch.float64)
+    added = rotate(x[Q], (led(x, u, 1.0, C) - u)[THRUST])
+    assert (added[1] != 0.0).sum() > 100
+    assert added[0].abs().max() < 1e-12 and added[2].abs().max() < 1e-12
+    assert 0.0 < added[1].abs().median() <= 0.01  # N, for a second: less than 1 mm/s
+
+
+def test_what_nothing_helps_is_asked_for_as_it_is_desired() -> None:
+    x = torch.zeros(SIZE, 1, dtype=torch.float64)
+    x[P], x[V] = torch.tensor([[30.0], [0.0], [0.0]]), torch.tensor([[-3.0], [0.0], [0.0]])
+    x[Q.stop - 1] = 1.0
+    u = desired(1, 9, 0.1)
+    assert (led(x, u, 1.0, C) == u).all()
+
+
+@pytest.mark.parametrize("steps", [keep_clear.STEPS, []])
+def test_once_clear_it_stays_clear_whatever_is_desired(
+    steps: list[float], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """100 calls of random thrust; by itself it loses a third on the way. Without a step that helps it coasts."""
+    monkeypatch.setattr(keep_clear, "STEPS", steps)
+    x = returning(400, 3)
+    nothing = torch.zeros(6, x.shape[1], dtype=torch.float64)
+    x = step(x, nothing + torch.tensor([[0.3], [0.2], [0.1], [0.0], [0.0], [0.0]]), 1.0, C)
+    x = x[:, keep_clear.is_clear(x, nothing, 1.0, C)][:, :60]
+    bare, lost = x, torch.zeros(x.shape[1], dtype=torch.bool)
+    for i in range(100):
+        u = desired(x.shape[1], 10 + i, 0.1)
+        x, bare = step(x, led(x, u, 1.0, C), 1.0, C), step(bare, u, 1.0, C)
+        lost |= ~keep_clear.is_clear(bare, torch.zeros_like(u), 1.0, C)
+        if i % 10 == 9:
+            assert (nearest(x) >= C.collision_radius).all()
+    assert lost.sum() > 20
+
+
+def test_the_filter_has_the_last_word() -> None:
+    safety = SafetyFilter(C).safety()
+    x = returning(400, 4)
+    x = x[:, SafetyFilter(C).is_safe(x)]
+    u = desired(x.shape[1], 5, 1.0)
+    asked = led(x, u, 1.0, C)
+    assert kept_clear(replace(safety, correct=None), C).correct is None
+    assert safety.correct
+    answer, alone = kept_clear(safety, C).correct(x, u), safety.correct(x, asked)  # type: ignore[misc]
+    assert (answer.control == alone.control).all()
+    assert (answer.intervened == (answer.control != u).any(0) | (asked != u).any(0)).all()
+
+
+def test_a_filter_is_told_what_the_world_tells_it() -> None:
+    x = returning(200, 6)
+    u, sent = desired(x.shape[1], 7, 0.01), torch.ones(1, 6, x.shape[1], dtype=torch.float64)
+    told = []
+
+    class Answer:
+        control, intervened, h = u, torch.zeros(x.shape[1], dtype=torch.bool), torch.zeros(1, x.shape[1])
+
+    def correct(x: Tensor, desired: Tensor, sent: Tensor) -> Answer:
+        told.append(sent)
+        return Answer()
+
+    kept_clear(Safety(correct=correct, informed=True), C).correct(x, u, sent=sent)  # type: ignore
+    assert told == [sent]
+
+
+def test_an_environment_that_ends_anywhere_ends_clear() -> None:
+    x = returning(400, 8)
+    safety = SafetyFilter(C).safety()
+    x = x[:, SafetyFilter(C).is_safe(x)][:, :40]
+    shares = []
+    for each in (safety, kept_clear(safety, C)):
+        env = InspectionEnv(x.shape[1], C, [torch.Generator().manual_seed(0)], each)
+        env.start(x, torch.tensor([[1.0], [0.0], [0.0]], dtype=torch.float64).expand(3, x.shape[1]))
+        env.step(torch.zeros(x.shape[1], 6))
+        shares.append(float((nearest(env.x) >= C.collision_radius).mean()))
+    assert shares[0] < 0.5 and shares[1] == 1.0 and math.isfinite(env.x.sum())
