@@ -1,8 +1,11 @@
 """What an experiment makes of its configuration: the price on corrections, and the hull to stay clear of."""
 
+import math
+
 import pytest
 import torch
 
+from inspection.model.state import SIZE, THRUST, E, P, Q, V
 from study.config import Config, override
 from study.errors import InputError
 from study.experiment import Experiment, paper_task, priced
@@ -35,6 +38,28 @@ def test_filter_and_environment_stay_clear_of_the_hull() -> None:
     assert (experiment.filter.values(env.x)[0] > 0.0).all()
     transition = env.step(torch.zeros(2, 6))
     assert not transition.terminated.any()
+
+
+@pytest.mark.parametrize(
+    ("leads", "tables"),
+    [
+        (True, {"train": {"keep_clear": True}}),
+        (False, {}),
+        (False, {"train": {"keep_clear": True, "rta": False}}),
+        (False, {"train": {"keep_clear": True}, "uncertainty": {"position": 0.1}}),
+    ],
+)
+def test_free_flight_is_kept_clear_only_behind_a_filter_of_the_model(
+    leads: bool, tables: dict[str, dict[str, object]]
+) -> None:
+    experiment = Experiment(override(made(), tables, "test"), 2, seconds=1.0)
+    x = torch.zeros(SIZE, 1, dtype=torch.float64)
+    # 300 m ahead it drifts back by 100 m in an orbit, 6 pi v_y / n: the third leads through the chief
+    x[P][1], x[V][1] = 300.0, 100.0 * experiment.task.mean_motion / (6.0 * math.pi)
+    x[Q.stop - 1], x[E] = 1.0, 2.0
+    nothing = torch.zeros(6, 1, dtype=torch.float64)
+    correct = experiment.safety.correct
+    assert bool(correct and (correct(x, nothing).control[THRUST] != 0.0).any()) == leads
 
 
 def test_a_hull_of_what_turns_is_refused_in_a_line() -> None:

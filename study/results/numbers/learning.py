@@ -11,7 +11,17 @@ from inspection.orbits import GUIDANCE
 from study.config import ARMS
 from study.flight.summary import iqm
 from study.paper import Results
-from study.results.numbers.evidence import LABELS, Row, arms, middle, read, report, success
+from study.results.numbers.evidence import (
+    LABELS,
+    Row,
+    arms,
+    corrected,
+    middle,
+    read,
+    report,
+    success,
+    violation,
+)
 
 README, RESULTS = "README.md", "docs/results/results.md"
 EARLY = (0, 65_536, 163_840, 311_296, 507_904, 1_015_808, 2_015_232)  # interactions of the table's rows
@@ -149,6 +159,25 @@ def how_far() -> Iterator[Row]:
         )
 
 
+def kept_clear() -> Iterator[Row]:
+    """The study's agents with RTA, as they are and led to free flights that stay clear."""
+    led = read("keep_clear/keep_clear.json")
+    for label, found in (("as in the study", arms()["rta"]), ("with `keep_clear`", led)):
+        fuel, time, reward = (
+            found["metrics"][name] for name in ("delta_v_m_s", "episode_length_s", "reward")
+        )
+        yield (
+            label,
+            success(found),
+            success(found, "clean_success"),
+            violation(found),
+            f"{time['iqm']:,.0f} ({time['mean']:,.0f})",
+            f"{fuel['iqm']:.2f} ({fuel['mean']:.2f})",
+            f"{reward['iqm']:.3f} ({reward['mean']:.3f})",
+            corrected(found, 2),
+        )
+
+
 def sentences() -> Iterator[tuple[str, str]]:
     """Pages and the sentences that they have."""
     ways = read("guidance/guidance.json")["guidance"]
@@ -163,6 +192,11 @@ def sentences() -> Iterator[tuple[str, str]]:
     yield README, f"succeeds in {behind} % after 0.31 million decisions with RTA, in {without} % without"
     said = f"{behind} % succeed after 0.31 million interactions with RTA, where {without} % do without"
     yield RESULTS, said
+
+    led = read("keep_clear/keep_clear.json")
+    fuel, time = (middle(led, metric) for metric in ("delta_v_m_s", "episode_length_s"))
+    clean = f"{success(led, 'clean_success')} % of the episodes of the same agents with RTA are clean"
+    yield README, f"{clean}, for {fuel:.2f} m/s in {time:,.0f} s"
 
     trained = [arms("paper")[arm] for arm in ARMS]
     without, behind = (f"{middle(each, 'delta_v_m_s'):.1f}" for each in trained)
