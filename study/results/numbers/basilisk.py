@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 from typing import Any
 
-from study.results.numbers.evidence import Row, read
+from study.results.numbers.evidence import POLICIES, Row, calls, read
 
 PAGE = "docs/results/basilisk.md"
 MODELS = (
@@ -50,16 +50,17 @@ def agents() -> Iterator[Row]:
 
 def campaigns() -> Iterator[Row]:
     """The filter with U1's bounds."""
-    for policy in ("random", "adversarial", "lookahead"):
+    for policy in (*POLICIES, "lookahead"):
         report = read(f"basilisk/u1_{policy}.json")
         worst = report["worst_value"]
         yield (
             policy,
-            f"{report['episodes']:,}",
+            f"{report['episodes']:,}, {report['campaign']['duration']:,}",
             f"{report['violating_episodes']['any']}",
             f"{worst['keep_in_zone']:.2f}",
             f"{worst['passive_safety']:.1f}",
             f"{report['filter_calls']['slack']:,}",
+            f"{100.0 * report['backup_calls'] / calls(report):.0f}",
         )
 
 
@@ -68,6 +69,12 @@ def sentences() -> Iterator[tuple[str, str]]:
     coasted = basilisk()["coasting"]
     one, many = coasted["one_alone_times_real_time"], coasted["times_real_time"]
     yield PAGE, f"flies {one:,.0f} times as fast as real time, a hundred at once {many:,.0f} times"
+    random, adversarial, ahead = (read(f"basilisk/u1_{policy}.json") for policy in (*POLICIES, "lookahead"))
+    many = f"There, {random['episodes'] + adversarial['episodes']:,} episodes of {random['campaign']['duration']:,} s"
+    few = (
+        f"{ahead['episodes']:,} of {ahead['campaign']['duration']:,} s against an adversary that looks ahead"
+    )
+    yield "README.md", f"{many}, and {few}"
     moved = coasted["perturbed"]["J2"]
     typical, most = moved["position_median_m"], moved["position_m"]
     yield PAGE, f"deputy by {typical:.1f} m in the median and {most:.1f} m at most"
