@@ -166,6 +166,8 @@ def sentences() -> Iterator[tuple[str, str]]:
         f"In {flown[0]:,} random and adversarial episodes and {flown[1]:,} against an adversary that",
     )
     yield README, f"looks ahead, {broken} violated a limit"
+    broken_ahead = sum(each["violating_episodes"]["any"] for each in ahead)
+    yield SAFETY, f"behind it, {broken_ahead} of {flown[1]:,} such episodes"
     yield README, f"{calls(*both()) / 1e6:.0f} million calls: no violation"
     bound = max(each["upper_bound_95"] for each in both())
     yield README, f"is below {math.ceil(1e4 * bound)} in 10,000 (95 % confidence)"
