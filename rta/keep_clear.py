@@ -1,10 +1,10 @@
 """Leads what is desired so that two days of free flight stay clear of the chief (off by default).
 
 Free flight drifts along the track by 3 dv t, so a little thrust along it moves every later pass. Where what is desired
-would lead to a free flight that is not clear, the least of STEPS along the track is added that helps. If the free
-flight was clear, thrust zero always helps: coasting stays on it. So in the model it stays clear wherever the filter,
-which corrects what comes out, changes nothing. The filter's limits come first; what they guarantee does not depend on
-this.
+would lead to a free flight that is not clear, the least of STEPS along the track is added that helps, or else there is
+no thrust: coasting stays on a free flight. Nothing is guaranteed, since coasting also brings in what lies beyond the
+two days, and a missed call, another plant or the filter, which corrects what comes out, may lead elsewhere. The
+filter's limits come first, and what is proven of them does not depend on this.
 """
 
 from collections.abc import Callable
@@ -17,14 +17,14 @@ from torch import Tensor
 
 from inspection.closed_loop import Correction, Safety
 from inspection.model.attitude import conjugate, norm, rotate
-from inspection.model.dynamics import step
+from inspection.model.dynamics import integrate
 from inspection.model.orbit import closest_pass
 from inspection.model.parameters import InspectionParameters
 from inspection.model.state import THRUST, Q
 
 SPACING = 60.0  # s between two looks at a free flight
-# m, beyond what a success asks for: between two looks a path strays (3 n^2 r + 2 n v) SPACING^2 / 8, which is 0.5 m
-# where it passes the chief at 0.5 m/s
+# m, beyond what a success asks for: between two looks a path strays (3 n^2 r + 2 n v) SPACING^2 / 8, which is less
+# where it passes the chief at up to 1 m/s
 MARGIN = 1.0
 STEPS = [
     sign * 2.0**k / 1000.0 for k in range(10) for sign in (1.0, -1.0)
@@ -46,10 +46,9 @@ def corrected(
     desired: Tensor,
     **told: Any,
 ) -> Correction:
-    """What the filter answers to `led`; where that is not what is desired it has intervened."""
-    asked = led(x, desired, period, c)
-    answer = correct(x, asked, **told)
-    answer.intervened = answer.intervened | (asked != desired).any(0)
+    """What the filter answers to `led`; it has intervened where that is not what was desired."""
+    answer = correct(x, led(x, desired, period, c), **told)
+    answer.intervened = (answer.control != desired).any(0)
     return answer
 
 
@@ -61,15 +60,17 @@ def led(x: Tensor, desired: Tensor, period: float, c: InspectionParameters) -> T
         x: states (16, B); desired: controls (6, B) in N and N m, held for `period` s.
 
     Returns:
-        (6, B). As desired where nothing helps, which is where the free flight of x is not clear either.
+        (6, B). As desired where nothing helps or is needed.
     """
-    asked, left = desired.clone(), torch.nonzero(~is_clear(x, desired, period, c)).flatten()
+    limit = x.new_tensor(c.control_limit)[:, None]
+    given = desired.nan_to_num(0.0).clamp(-limit, limit)  # as the filter reads it
+    asked, left = desired.clone(), torch.nonzero(~is_clear(x, given, period, c)).flatten()
     along = x.new_tensor([0.0, 1.0, 0.0])[:, None].expand(3, x.shape[1])
     along = c.max_thrust * rotate(conjugate(x[Q]), along)
     for share in (*STEPS, None):
         if not left.numel():
             break
-        tried = desired[:, left]
+        tried = given[:, left]
         thrust = torch.zeros_like(tried[THRUST]) if share is None else tried[THRUST] + share * along[:, left]
         tried[THRUST] = thrust.clamp(-c.max_thrust, c.max_thrust)
         helps = is_clear(x[:, left], tried, period, c)
@@ -80,5 +81,6 @@ def led(x: Tensor, desired: Tensor, period: float, c: InspectionParameters) -> T
 
 def is_clear(x: Tensor, control: Tensor, period: float, c: InspectionParameters) -> Tensor:
     """(B,) bool: after a control (6, B) is held for `period` s, free flight stays clear by MARGIN, too."""
-    after = step(x, control, period, c)
+    times = max(1, round(period / c.substep))
+    after = integrate(x, control, period / times, c, times)
     return norm(closest_pass(after, c.free_flight_horizon, c, SPACING)) >= c.collision_radius + MARGIN

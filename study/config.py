@@ -113,6 +113,8 @@ class TrainParameters(Settings):
             )
         if self.jump_start and self.adversary:
             raise ValueError("jump_start: an adversary has no guidance to learn from; it must be 0")
+        if self.keep_clear and self.adversary:
+            raise ValueError("keep_clear: what an adversary desires is not led; it must be false")
 
     @property
     def updates(self) -> int:

@@ -62,6 +62,8 @@ THREADS = count(
 RTA = Flag("--rta", sets="train.rta", action=argparse.BooleanOptionalAction)
 FLOWN_RTA = RTA.saying(f"{RTA.text} (default: {{}}; with --checkpoint as it was trained)")
 KEEP_CLEAR = Flag("--keep-clear", sets="train.keep_clear", action=argparse.BooleanOptionalAction)
+FLOWN_CLEAR = KEEP_CLEAR.saying(f"{KEEP_CLEAR.text} (default: {{}}; with --checkpoint as it was trained)")
+FILTERED = {"train.rta": True, "train.keep_clear": False}  # of what tries the filter itself
 INTERACTIONS = count("--interactions", sets="train.interactions")
 PLANT = Flag("--plant", sets="plant.simulator")
 ERRORS = Flag("--errors", sets="plant.errors")
@@ -129,7 +131,7 @@ COMMANDS = {
     "evaluate": Command(
         "report an agent or a controller in the metrics of the paper's Tables 2 and 3",
         FLOWN_RTA,
-        KEEP_CLEAR,
+        FLOWN_CLEAR,
         *COMMON,
         PLANT,
         ERRORS,
@@ -151,7 +153,7 @@ COMMANDS = {
     "simulate": Command(
         "simulate one spacecraft and write everything over time",
         FLOWN_RTA,
-        KEEP_CLEAR,
+        FLOWN_CLEAR,
         *COMMON,
         PLANT,
         ERRORS,
@@ -191,7 +193,7 @@ COMMANDS = {
         CONFIG,
         PANELS,
         written(".html", "--out", "page to write", "F.html"),
-        imposed={"train.rta": True},
+        imposed=FILTERED,
     ),
     "filter": Command(
         "filter a batch of states from elsewhere and write out the quadratic programs",
@@ -203,7 +205,7 @@ COMMANDS = {
             metavar="F.npz",
         ),
         written(".npz", "--out", "file to write", "G.npz"),
-        imposed={"train.rta": True},
+        imposed=FILTERED,
     ),
     "verify": Command(
         "count violations behind the filter over many random episodes",
@@ -241,7 +243,7 @@ COMMANDS = {
             "keep the worst episode of every constraint beside --json, not only of those violated",
             action=argparse.BooleanOptionalAction,
         ),
-        imposed={"train.rta": True},
+        imposed=FILTERED,
     ),
     "boundary": Command(
         "try single calls of the filter at states next to its limits",
@@ -251,7 +253,7 @@ COMMANDS = {
         count("--draws", "states next to one limit or two, in whole batches"),
         EVERYTHING,
         REPORT,
-        imposed={"train.rta": True},
+        imposed=FILTERED,
     ),
     "break-points": Command(
         "find the size at which each effect of [plant] breaks a limit, with and without [uncertainty], its errors at "
@@ -268,7 +270,7 @@ COMMANDS = {
         EVERYTHING,
         REPORT,
         written(".png", "--figure", "also draw the table there", "F.png"),
-        imposed={"train.rta": True},
+        imposed=FILTERED,
     ),
     "refly": Command(
         "fly a counter-example of verify again",

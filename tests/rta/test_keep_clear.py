@@ -12,7 +12,7 @@ from inspection.closed_loop import Safety
 from inspection.environment import InspectionEnv
 from inspection.model.attitude import rotate
 from inspection.model.draws import isotropic, shoemake
-from inspection.model.dynamics import step
+from inspection.model.dynamics import integrate, step
 from inspection.model.parameters import InspectionParameters
 from inspection.model.state import SIZE, THRUST, TORQUE, E, P, Q, T, V
 from rta import keep_clear
@@ -75,7 +75,7 @@ def test_what_is_led_stays_clear_and_nothing_else_is_changed(period: float) -> N
     u = desired(x.shape[1], 1, 0.1 / period)
     asked = led(x, u, period, C)
     changed = (asked != u).any(0).numpy()
-    unled, after = nearest(step(x, u, period, C)), nearest(step(x, asked, period, C))
+    unled, after = (nearest(integrate(x, each, 1.0, C, int(period))) for each in (u, asked))
     assert changed.sum() > 20 and (~changed).sum() > 20
     assert (unled[changed] < C.collision_radius + 2.0 * keep_clear.MARGIN).all()
     assert (unled < C.collision_radius).sum() > 20 and (after >= C.collision_radius).all()
@@ -129,7 +129,7 @@ def test_the_filter_has_the_last_word() -> None:
     assert safety.correct
     answer, alone = kept_clear(safety, C).correct(x, u), safety.correct(x, asked)  # type: ignore[misc]
     assert (answer.control == alone.control).all()
-    assert (answer.intervened == (answer.control != u).any(0) | (asked != u).any(0)).all()
+    assert (answer.intervened == (answer.control != u).any(0)).all() and answer.intervened.any()
 
 
 def test_a_filter_is_told_what_the_world_tells_it() -> None:
