@@ -26,9 +26,8 @@ SPACING = 60.0  # s between two looks at a free flight
 # m, beyond what a success asks for: between two looks a path strays (3 n^2 r + 2 n v) SPACING^2 / 8, which is less
 # where it passes the chief at up to 1 m/s
 MARGIN = 1.0
-STEPS = [
-    sign * 2.0**k / 1000.0 for k in range(10) for sign in (1.0, -1.0)
-]  # of the largest thrust, the least first
+# of the largest thrust, the least first
+STEPS = [sign * 2.0**k / 1000.0 for k in range(10) for sign in (1.0, -1.0)]
 
 
 def kept_clear(safety: Safety, c: InspectionParameters) -> Safety:

@@ -147,6 +147,12 @@ class Experiment:
         return Value(len(components(self.config.inspection.observed)), generators, self.config.ppo.hidden)
 
 
+def filter_of(config: Config) -> SafetyFilter:
+    """The filter of a configuration by itself; raises InputError where its parts do not fit together."""
+    with refusing("[rta], [inspection] and [uncertainty]", ValueError, OverflowError):
+        return SafetyFilter(beside(config.inspection, config.chief), config.rta, known=config.uncertainty)
+
+
 def paper_task(
     batch: int, seed: int, rta: bool = False, decide_every: float | None = None, **task: Any
 ) -> tuple[Experiment, InspectionEnv]:

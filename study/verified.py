@@ -10,17 +10,16 @@ from functools import cached_property, reduce
 from pathlib import Path
 from typing import Any
 
-from inspection.chief.hull import beside
 from inspection.chief.mesh import pinned
 from inspection.model.parameters import ChiefParameters, Limits
 from inspection.world.parameters import PlantParameters
 from ppo.torchrun import is_first
-from rta.filter import SafetyFilter
 from setting import settings
 from study import config as configuration
 from study.commands import command
 from study.config import Config, StudyConfig, override
-from study.errors import MALFORMED, InputError, refusing
+from study.errors import MALFORMED, InputError
+from study.experiment import filter_of
 from study.files import ROOT, see
 
 # Settings that came later: at their defaults they are what was flown before, and its fingerprint stays.
@@ -157,9 +156,7 @@ def say_unchecked(config: Config) -> None:
 
 def unchecked(config: Config) -> str | None:
     """What the filter of a configuration does not check, in a line; None: it checks everything."""
-    with refusing("[rta], [inspection], [chief] and [uncertainty]", ValueError, OverflowError):
-        task = beside(config.inspection, config.chief)
-        names = SafetyFilter(task, config.rta, known=config.uncertainty).unchecked
+    names = filter_of(config).unchecked
     if not names:
         return None
     why = "with these settings the filter knows no way to rest, so it corrects without a guarantee"

@@ -60,9 +60,9 @@ THREADS = count(
     "continued keeps its own)",
 )
 RTA = Flag("--rta", sets="train.rta", action=argparse.BooleanOptionalAction)
-FLOWN_RTA = RTA.saying(f"{RTA.text} (default: {{}}; with --checkpoint as it was trained)")
 KEEP_CLEAR = Flag("--keep-clear", sets="train.keep_clear", action=argparse.BooleanOptionalAction)
-FLOWN_CLEAR = KEEP_CLEAR.saying(f"{KEEP_CLEAR.text} (default: {{}}; with --checkpoint as it was trained)")
+AS_TRAINED = "{} (default: {{}}; with --checkpoint as it was trained)"
+FLOWN = [each.saying(AS_TRAINED.format(each.text)) for each in (RTA, KEEP_CLEAR)]
 FILTERED = {"train.rta": True, "train.keep_clear": False}  # of what tries the filter itself
 INTERACTIONS = count("--interactions", sets="train.interactions")
 PLANT = Flag("--plant", sets="plant.simulator")
@@ -130,8 +130,7 @@ COMMANDS = {
     ),
     "evaluate": Command(
         "report an agent or a controller in the metrics of the paper's Tables 2 and 3",
-        FLOWN_RTA,
-        FLOWN_CLEAR,
+        *FLOWN,
         *COMMON,
         PLANT,
         ERRORS,
@@ -152,8 +151,7 @@ COMMANDS = {
     ),
     "simulate": Command(
         "simulate one spacecraft and write everything over time",
-        FLOWN_RTA,
-        FLOWN_CLEAR,
+        *FLOWN,
         *COMMON,
         PLANT,
         ERRORS,

@@ -3,12 +3,10 @@
 import shlex
 from pathlib import Path
 
-from inspection.chief.hull import beside
-from rta.filter import SafetyFilter
 from rta.printed.files import NOT_VERIFIED, write
 from study.config import Config
 from study.errors import refusing
-from study.experiment import check_chief
+from study.experiment import check_chief, filter_of
 from study.verified import Flown, alike, fingerprint, reports, settings_digest, shown, unchecked, verified
 
 IN_C = {"double": ("python", "c"), "float": ("c-float",)}  # forms of the filter that count for it
@@ -21,10 +19,7 @@ def export(config: Config, directory: Path, real: str) -> str:
         InputError: a part of the configuration does not fit, the directory holds anything else, or cannot be written.
     """
     check_chief(config)
-    with refusing("[rta], [inspection] and [uncertainty]", ValueError, OverflowError):
-        safety_filter = SafetyFilter(
-            beside(config.inspection, config.chief), config.rta, known=config.uncertainty
-        )
+    safety_filter = filter_of(config)
     said = said_of(config, real)
     with refusing(f"--filter {directory}: cannot write there", OSError, ValueError):
         texts = write(safety_filter, directory, said, settings_digest(config), real)

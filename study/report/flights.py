@@ -62,8 +62,12 @@ def with_rta(config: Config, rta: bool, period: float) -> Config:
 
 
 def evaluate(arm: Arm, rta: bool, period: float) -> Results:
-    """The arm's agents on the study's test cases; the study's own results where it had the same filter."""
-    config = with_rta(arm.config, rta, period)
+    """The arm's agents on the study's test cases, the filter off or called every `period` s."""
+    return flown_with(arm, with_rta(arm.config, rta, period))
+
+
+def flown_with(arm: Arm, config: Config) -> Results:
+    """The arm's agents on the study's test cases with another configuration; with the arm's the study's own results."""
     if config == arm.config:
         return arm.results
     seeds, episodes = len(arm.digests), config.train.final_episodes

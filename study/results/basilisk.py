@@ -25,13 +25,14 @@ from inspection.transition import METRICS
 from inspection.world.basilisk import BasiliskPlant
 from inspection.world.parameters import PlantParameters
 from rta.filter import SafetyFilter
-from study.command_line.flags import Parser, positive_integer
+from study.command_line.flags import positive_integer
 from study.config import TEST_CASES
 from study.experiment import Experiment
 from study.files import write_json, writing
 from study.flight.evaluation import SUCCESS, Episodes, play
 from study.flight.figures import BLUE, GREEN, ORANGE
 from study.report.agents import Arm, load
+from study.results.arguments import of_a_study
 from study.verification.starts import safe_set
 
 SPACECRAFT, SECONDS, EVERY = 100, 1000, 20  # that coast, for so many s, compared every so many s
@@ -187,11 +188,7 @@ def figure(results: dict[str, Any], path: Path) -> None:
 
 
 def main(argv: list[str] | None = None) -> None:
-    parser = Parser(prog="python -m study.results.basilisk")
-    parser.add_argument("--study", type=Path, required=True, help="directory of a finished study")
-    parser.add_argument(
-        "--out", type=Path, required=True, help="directory for basilisk.json and basilisk.png"
-    )
+    parser = of_a_study("basilisk", "basilisk.json and basilisk.png")
     parser.add_argument("--cases", type=positive_integer, default=20, help="of each agent (default: 20)")
     arguments = parser.parse_args(argv)
     torch.set_num_threads(int(os.environ.get("OMP_NUM_THREADS", "1")))

@@ -14,11 +14,11 @@ from typing import Any
 import numpy as np
 import torch
 
-from study.command_line.flags import Parser
 from study.files import write_json, writing
 from study.flight.figures import BLUE, GREEN, ORANGE
 from study.report.agents import load
 from study.report.flights import evaluate
+from study.results.arguments import of_a_study
 
 KEPT = ("reward", "delta_v_m_s", "episode_length_s")
 ENOUGH = 0.99  # of a seed's cases, to have learned
@@ -85,10 +85,7 @@ def figure(results: dict[str, Any], path: Path) -> None:
 
 
 def main(argv: list[str] | None = None) -> None:
-    parser = Parser(prog="python -m study.results.learn_from")
-    parser.add_argument("--study", type=Path, required=True, help="directory of a finished study")
-    parser.add_argument("--out", type=Path, required=True, help="directory for results.json and figure.png")
-    arguments = parser.parse_args(argv)
+    arguments = of_a_study("learn_from", "results.json and figure.png").parse_args(argv)
     torch.set_num_threads(int(os.environ.get("OMP_NUM_THREADS", "1")))
     found: dict[str, Any] = {}
     for name, arm in load(arguments.study, "cpu").items():

@@ -70,11 +70,9 @@ def sentences() -> Iterator[tuple[str, str]]:
     one, many = coasted["one_alone_times_real_time"], coasted["times_real_time"]
     yield PAGE, f"flies {one:,.0f} times as fast as real time, a hundred at once {many:,.0f} times"
     random, adversarial, ahead = (read(f"basilisk/u1_{policy}.json") for policy in (*POLICIES, "lookahead"))
-    many = f"There, {random['episodes'] + adversarial['episodes']:,} episodes of {random['campaign']['duration']:,} s"
-    few = (
-        f"{ahead['episodes']:,} of {ahead['campaign']['duration']:,} s against an adversary that looks ahead"
-    )
-    yield "README.md", f"{many}, and {few}"
+    long = f"There, {random['episodes'] + adversarial['episodes']:,} episodes of {random['campaign']['duration']:,} s"
+    short = f"{ahead['episodes']:,} of {ahead['campaign']['duration']:,} s"
+    yield "README.md", f"{long}, and {short} against an adversary that looks ahead"
     moved = coasted["perturbed"]["J2"]
     typical, most = moved["position_median_m"], moved["position_m"]
     yield PAGE, f"deputy by {typical:.1f} m in the median and {most:.1f} m at most"
