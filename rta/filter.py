@@ -11,7 +11,7 @@ is applied if a way to rest remains (`rta.backup`).
 
 import warnings
 from collections.abc import Callable, Sequence
-from dataclasses import fields
+from dataclasses import fields, replace
 from functools import cached_property
 from typing import Any
 
@@ -304,13 +304,14 @@ class SafetyFilter:
             desired: controls (6, B) in N and N m, float64, beyond the actuators' limits, too. Thrust or torque of
                 which a number is NaN is read as no wish, zero, and filtered.
             sent: (k, 6, B) the controls held since the states were measured, the oldest first, each for a period; NaN
-                where a state is younger. Of more than `latency` the status is UNSOLVED.
+                where a state is younger. Of more than `latency` (0 without `Uncertainty`) the state is too old: the
+                status is UNSOLVED, and the control is not verified.
             left: (6, B) the share that each actuator gives of what it is told; None: all of it. It counts for a filter
-                with `Uncertainty`, as does `sent`.
+                with `Uncertainty`.
         """
         too_old = sent is not None and len(sent) > self.known.latency
         elsewhere = x.device.type != "cpu" or self.solver is not self._own_solver
-        if self.compiled is None or elsewhere or (self.holds and too_old):
+        if self.compiled is None or elsewhere or too_old:
             return self._correct(x, desired, sent, left)
         answer, unsolved = self.compiled(x, desired, sent, left)
         result = FilterResult(*answer)
@@ -334,10 +335,18 @@ class SafetyFilter:
         x = x.masked_fill(x.isinf(), torch.nan)  # infinitely safe is no state either
         demand = demanded(desired, self.groups)
         result = self.condition.propose(x, demand, self.solver, sent, left)
-        if self.backup is None:
+        if self.backup is not None:
+            of_torque = [name in self.groups[1].names for name in self.names]
+            result = self.backup.commit(x, desired, result, of_torque)
+        if sent is None:
             return result
-        of_torque = [name in self.groups[1].names for name in self.names]
-        return self.backup.commit(x, desired, result, of_torque)
+        too_old = (~sent.isnan().any(1)).sum(0) > self.known.latency
+        return replace(
+            result,
+            verified=result.verified & ~too_old,
+            status=torch.where(too_old, Status.UNSOLVED, result.status),
+            program_status=torch.where(too_old, Status.UNSOLVED, result.program_status),
+        )
 
 
 def narrowed(chosen: Tensor, x: Tensor, accepts: Callable[[Tensor], Tensor]) -> Tensor:

@@ -81,14 +81,13 @@ class Held:
         """As of `Condition`. Torque first, since the body's turn decides where thrust held will act."""
         sent = x.new_zeros(0, *demand.control.shape) if sent is None else sent
         left = torch.ones_like(demand.control) if left is None or not self.known.health else left
-        stale = (~sent.isnan().any(1)).sum(0) > self.known.latency
         error_bound = torch.zeros_like(x[:KINDS]) if error_bound is None else error_bound
         for u in sent:
             x, error_bound = self.ahead(x, error_bound, left * u)
         control, wish, status = self.given(x, demand, left)
         parts: dict[int, list[Tensor]] = {}
-        seen = [torch.zeros_like(stale)] * 2  # thrust and torque are verified
-        backup = torch.zeros_like(stale)
+        backup = torch.zeros_like(x[0], dtype=torch.bool)
+        seen = [backup, backup]  # thrust and torque are verified
         for i in (1, 0):
             group = self.groups[i]
             near = group.near(x, control)
@@ -115,11 +114,10 @@ class Held:
         active, slack, h, tightening, tightened = (
             joined(*both) for both in zip(parts[0], parts[1], strict=True)
         )
-        status = torch.where(stale, Status.UNSOLVED, status)
         result = FilterResult.proposed(
             control, demand.desired, active, slack, status, h, tightening, tightened
         )
-        return replace(result, backup=backup, verified=seen[0] & seen[1] & ~stale)
+        return replace(result, backup=backup, verified=seen[0] & seen[1])
 
     def given(self, x: Tensor, demand: Demand, left: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Controls that the thrusters give, and that turn a weak axis away, what is projected, and status (2, B)."""

@@ -86,7 +86,7 @@ def vectors(safety_filter: "SafetyFilter", real: str) -> Vectors:
 
 
 def independent(safety_filter: "SafetyFilter") -> "SafetyFilter":
-    """The same filter, uncompiled, whose programs are solved by PyTorch as accurately as by the C."""
+    """The same filter, uncompiled, whose programs are solved as accurately as by the C."""
     steps = BatchedSolver(STEPS_HELD) if safety_filter.holds else BatchedSolver()
     steps.piqp_first = ()
     f = safety_filter

@@ -17,7 +17,18 @@ from torch import Tensor
 
 from kernels import Compiled
 from rta.qp.piqp_solver import PiqpSolver
-from rta.qp.programs import REDUNDANT, Problems, Solutions, Status, kkt_residual, pick, put, stages, total
+from rta.qp.programs import (
+    REDUNDANT,
+    Problems,
+    Solutions,
+    Status,
+    kkt_residual,
+    least_violating,
+    pick,
+    put,
+    stages,
+    total,
+)
 
 ACCURATE = 1e-8  # largest KKT residual that is not solved again by PIQP
 VIOLATED = 1e-12  # a row is violated below minus this, in units of the actuators' limits
@@ -113,8 +124,8 @@ class BatchedSolver:
         again = torch.nonzero(problems.finite & (answer.status == Status.UNSOLVED)).flatten()
         if again.numel():
             second = other(problems[again])
-            # what neither solves keeps PIQP's least-violating control
-            taken = torch.nonzero((second.status != Status.UNSOLVED) | (not piqp_first)).flatten()
+            # what neither solves keeps the first one's least-violating control
+            taken = torch.nonzero(second.status != Status.UNSOLVED).flatten()
             for whole, part in (
                 (answer.control, second.control),
                 (answer.status, second.status),
@@ -128,7 +139,8 @@ class BatchedSolver:
         control = torch.zeros_like(problems.desired)
         status = torch.full_like(control[0], Status.UNSOLVED, dtype=torch.int64)
         residual = torch.full_like(control[0], torch.inf)
-        left = torch.nonzero(problems.finite).flatten()
+        left = finite = torch.nonzero(problems.finite).flatten()
+        known = [problems.desired, torch.zeros_like(control)]
         for side, weight, solved in stages(problems):
             if not left.numel():
                 break
@@ -138,8 +150,12 @@ class BatchedSolver:
             accurate = (outcome == OPTIMAL) & (error <= ACCURATE)
             put(control, left, u)
             put(status, left, torch.where(accurate, solved, Status.UNSOLVED))
-            put(residual, left, error)
+            put(residual, left, torch.where(accurate, error, torch.inf))
+            known.append(torch.full_like(control, torch.nan))
+            put(known[-1], left, u.masked_fill(outcome == INFEASIBLE, torch.nan))
             left = left[outcome == INFEASIBLE]
+        unsolved = finite[status[finite] == Status.UNSOLVED]
+        put(control, unsolved, least_violating([pick(u, unsolved) for u in known], problems[unsolved]))
         return Solutions(control, status, residual)
 
 

@@ -10,7 +10,7 @@ import torch
 from numpy import ndarray
 from torch import Tensor
 
-from rta.qp.programs import FEASIBLE, Problems, Solutions, Status, kkt_residual, stages
+from rta.qp.programs import FEASIBLE, Problems, Solutions, Status, kkt_residual, least_violating, stages
 
 UNBOUNDED = 1e30  # PIQP's infinity
 
@@ -40,11 +40,9 @@ class PiqpSolver:
     def solve(self, problems: Problems) -> Solutions:
         """See `Solver`."""
         # batch first: PIQP reads one contiguous program after the other
-        desired, a, b_bare = (
-            part.movedim(-1, 0).contiguous().cpu().numpy()
-            for part in (problems.desired, problems.a, problems.b_bare)
+        desired, a = (
+            part.movedim(-1, 0).contiguous().cpu().numpy() for part in (problems.desired, problems.a)
         )
-        weight = problems.weight.cpu().numpy()
         candidates = [desired, np.zeros_like(desired)]
         control, status = desired.copy(), np.full(len(desired), Status.UNSOLVED)
         residual = np.full(len(desired), np.inf)
@@ -72,10 +70,12 @@ class PiqpSolver:
             answers[left] = np.where(np.isfinite(u), u, desired[left])
             candidates.append(answers)
 
-        for i in np.flatnonzero(status == Status.UNSOLVED):
-            known = [u[i] for u in candidates]
-            control[i] = least_violating(known, a[i], b_bare[i], weight) if finite[i] else 0.0
+        control[~finite] = 0.0
         device = problems.desired.device
+        if (unsolved := np.flatnonzero((status == Status.UNSOLVED) & finite)).size:
+            known = [columns(u[unsolved]).to(device) for u in candidates]
+            last = least_violating(known, problems[torch.from_numpy(unsolved).to(device)])
+            control[unsolved] = last.movedim(-1, 0).cpu().numpy()
         return Solutions(
             columns(control).contiguous().to(device),
             torch.from_numpy(status).to(device),
@@ -139,15 +139,3 @@ def columns(array: ndarray) -> Tensor:
 def lhs(u: ndarray, a: ndarray, b: ndarray) -> ndarray:
     """a u + b: (..., 3), (..., R, 3), (..., R) to (..., R); negative where a row is violated."""
     return (a @ u[..., None])[..., 0] + b
-
-
-def least_violating(candidates: list[ndarray], a: ndarray, b: ndarray, weight: ndarray) -> ndarray:
-    """The candidate (3,) with the smallest weighted violation; rows that must hold decide first."""
-    clipped = [np.clip(u, -1.0, 1.0) for u in candidates if np.isfinite(u).all()]
-    must = np.isinf(weight)
-
-    def violation(u: ndarray) -> tuple[float, float]:
-        short = np.maximum(0.0, -lhs(u, a, b))
-        return float((short[must] ** 2).sum()), float((weight[~must] * short[~must] ** 2).sum())
-
-    return min(clipped, key=violation)

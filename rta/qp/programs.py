@@ -126,6 +126,25 @@ def total(x: Tensor, dim: int) -> Tensor:
     return reduce(torch.add, x.unbind(dim))
 
 
+def least_violating(known: Sequence[Tensor], problems: Problems) -> Tensor:
+    """The last resort: of known controls (3, N) the first that violates the rows without margin least, (3, N).
+
+    Rows that must hold decide first, by the sum of d_i^2; then the others, by that of w_i d_i^2, their slack's cost.
+    """
+    must = problems.weight.isinf()
+    weight = problems.weight.masked_fill(must, 0.0)[:, None]
+    best = torch.zeros_like(problems.desired)
+    least, least_soft = torch.full_like(best[:2], torch.inf)
+    for control in known:
+        u = control.clamp(-1.0, 1.0)
+        short = (-total(problems.a * u, 1) - problems.b_bare).clamp(min=0.0) ** 2
+        hard, soft = total(short * must[:, None], 0), total(short * weight, 0)
+        better = (hard < least) | ((hard == least) & (soft < least_soft))
+        best = torch.where(better, u, best)
+        least, least_soft = torch.where(better, hard, least), torch.where(better, soft, least_soft)
+    return best
+
+
 def kkt_residual(u: Array, multiplier: Array, desired: Array, a: Array, b: Array, weight: Array) -> Array:
     """The largest violation of the optimality conditions of min |u - u_des|^2 / 2 + sum_i w_i delta_i^2 / 2.
 

@@ -1,7 +1,7 @@
 /* The filter where controls are held: torque first, since the body's turn decides where thrust will act. */
 
-/* The state now, from one that is as old as the controls sent since; says whether it is too old. */
-static int bring_up_to_date(const struct safety_filter_input *in, const double left[6], double x[16],
+/* The state now, from one that is as old as the controls sent since. */
+static void bring_up_to_date(const struct safety_filter_input *in, const double left[6], double x[16],
                             double error_bound[4])
 {
 #if LATENCY > 0
@@ -17,11 +17,11 @@ static int bring_up_to_date(const struct safety_filter_input *in, const double l
         copy(error_bound, error_bound_after, 4);
     }
 #else
+    (void)in;
     (void)left;
     (void)x;
     (void)error_bound;
 #endif
-    return (in->sent_count > LATENCY) ? 1 : 0;
 }
 
 /* Replaces what the thrusters do not give, and torque that would leave a dead axis on the radius: that is projected. */
@@ -153,7 +153,7 @@ void safety_filter(const struct safety_filter_input *in, struct safety_filter_ou
     for (int j = 0; j < 6; ++j) {
         where.left[j] = (HEALTH != 0) ? in->left[j] : 1.0;
     }
-    const int is_stale = bring_up_to_date(in, where.left, where.x, where.error_bound);
+    bring_up_to_date(in, where.left, where.x, where.error_bound);
     replace_desired(where.x, where.left, wish, control, out);
     for (int group = TORQUE; group >= THRUST; --group) {
         where.group = group;
@@ -169,13 +169,9 @@ void safety_filter(const struct safety_filter_input *in, struct safety_filter_ou
         }
 #endif
     }
-    out->verified = ((verified[THRUST] != 0) && (verified[TORQUE] != 0) && (is_stale == 0)) ? 1 : 0;
-    if (is_stale != 0) {
-        out->program_status[THRUST] = UNSOLVED;
-        out->program_status[TORQUE] = UNSOLVED;
-    }
+    out->verified = verified[THRUST] & verified[TORQUE];
 #if BACKUP
     commit(where.x, control, out);
 #endif
-    end(control, out);
+    end(in, control, out);
 }

@@ -54,5 +54,5 @@ void safety_filter(const struct safety_filter_input *in, struct safety_filter_ou
 #if BACKUP
     commit(x, control, out);
 #endif
-    end(control, out);
+    end(in, control, out);
 }

@@ -177,8 +177,14 @@ static void begin(const struct safety_filter_input *in, double x[16], double wis
     }
 }
 
-static void end(const double control[6], struct safety_filter_output *out)
+/* The control and the worse status. Nothing is verified of a state that is older than what the filter was told. */
+static void end(const struct safety_filter_input *in, const double control[6], struct safety_filter_output *out)
 {
+    if (in->sent_count > LATENCY) {
+        out->program_status[THRUST] = UNSOLVED;
+        out->program_status[TORQUE] = UNSOLVED;
+        out->verified = 0;
+    }
     const int thrust = out->program_status[THRUST];
     const int torque = out->program_status[TORQUE];
     copy(out->control, control, 6);

@@ -381,7 +381,7 @@ static void least_violating(const struct program *p, double known[][3], int coun
             if (isinf(p->weight[i]) != 0) {
                 must += p->copies[i] * (lack * lack);
             } else {
-                rest += p->copies[i] * ((p->weight[i] * lack) * (p->weight[i] * lack));
+                rest += p->copies[i] * (p->weight[i] * (lack * lack));
             }
         }
         if ((must < least_must) || ((must <= least_must) && (rest < least_rest))) {

@@ -174,9 +174,12 @@ def test_a_filter_that_is_told_of_nothing_is_the_papers_at_1_s() -> None:
     x, u = across(8, 0.97), desired(8)
     one, other = SafetyFilter(C), SafetyFilter(C, known=Uncertainty())
     assert not one.holds and not other.holds
-    a, b = one.correct(x, u), other.correct(x, u, sent=torch.zeros(1, 6, 8).double(), left=0.5 * u.abs())
+    young = torch.full((1, 6, 8), math.nan, dtype=torch.float64)  # no control was sent since
+    a, b = one.correct(x, u), other.correct(x, u, sent=young, left=0.5 * u.abs())
     for field in dataclasses.fields(a):
         assert torch.equal(getattr(a, field.name), getattr(b, field.name))
+    old = other.correct(x, u, sent=torch.zeros_like(young))  # one was: older than it is told
+    assert torch.equal(a.control, old.control) and a.verified.all() and not old.verified.any()
     assert (a.uncertainty == 0.0).all()
     told = SafetyFilter(C, known=Uncertainty(mass=0.1))
     assert told.holds and not torch.equal(told.correct(x, u).control, a.control)

@@ -34,7 +34,7 @@ int main(void)
     struct safety_filter_input in = {.left = {1, 1, 1, 1, 1, 1}};
     while (fread(given, sizeof given, 1, stdin) == 1) {
         struct safety_filter_output out;
-        double found[9 + (3 * SAFETY_FILTER_CONSTRAINTS)];
+        double found[11 + (3 * SAFETY_FILTER_CONSTRAINTS)];
         for (int i = 0; i < 16; ++i) {
             in.state[i] = (safety_filter_real)given[i];
         }
@@ -48,10 +48,12 @@ int main(void)
         found[6] = out.status;
         found[7] = out.program_status[0];
         found[8] = out.program_status[1];
+        found[9] = out.verified;
+        found[10] = out.backup;
         for (int k = 0; k < SAFETY_FILTER_CONSTRAINTS; ++k) {
-            found[9 + k] = (double)out.h[k];
-            found[9 + SAFETY_FILTER_CONSTRAINTS + k] = (double)out.slack[k];
-            found[9 + (2 * SAFETY_FILTER_CONSTRAINTS) + k] = out.active[k];
+            found[11 + k] = (double)out.h[k];
+            found[11 + SAFETY_FILTER_CONSTRAINTS + k] = (double)out.slack[k];
+            found[11 + (2 * SAFETY_FILTER_CONSTRAINTS) + k] = out.active[k];
         }
         if (fwrite(found, sizeof found, 1, stdout) != 1) {
             return 1;
@@ -63,10 +65,15 @@ int main(void)
 
 
 class Answers(NamedTuple):
-    """Of N calls: control (6, N), program statuses (2, N), h, slack and active (constraints, N)."""
+    """Of N calls: control (6, N), program statuses (2, N), check (2, N), h, slack and active (constraints, N).
+
+    Attributes:
+        check: verified, and another control is applied for that.
+    """
 
     control: Tensor
     program_status: Tensor
+    check: Tensor
     h: Tensor
     slack: Tensor
     active: Tensor
@@ -119,7 +126,11 @@ def in_python(safety_filter: SafetyFilter, x: Tensor, desired: Tensor) -> Answer
     """What PyTorch answers, by operations in batches, uncompiled."""
     other = independent(safety_filter)
     parts = [other.correct(*pair) for pair in zip(x.split(CHUNK, 1), desired.split(CHUNK, 1), strict=True)]
-    return Answers(*(torch.cat([getattr(each, name) for each in parts], 1) for name in Answers._fields))
+    answers = [
+        Answers(r.control, r.program_status, torch.stack((r.verified, r.backup)), r.h, r.slack, r.active)
+        for r in parts
+    ]
+    return Answers(*(torch.cat(each, 1) for each in zip(*answers, strict=True)))
 
 
 def in_c(program: list[str | Path], x: Tensor, desired: Tensor) -> Answers:
@@ -128,35 +139,38 @@ def in_c(program: list[str | Path], x: Tensor, desired: Tensor) -> Answers:
     done = subprocess.run(program, input=given.tobytes(), capture_output=True, timeout=3600)
     assert done.returncode == 0, done.stderr.decode(errors="replace")[:3000]
     found = torch.from_numpy(np.frombuffer(done.stdout).reshape(len(given), -1).T.copy())
-    count = (len(found) - 9) // 3
-    control, _, program_status, h, slack, active = found.split([6, 1, 2, count, count, count])
-    return Answers(control, program_status.long(), h, slack, active > 0)
+    count = (len(found) - 11) // 3
+    control, _, program_status, check, h, slack, active = found.split([6, 1, 2, 2, count, count, count])
+    return Answers(control, program_status.long(), check > 0, h, slack, active > 0)
 
 
 class Comparison(NamedTuple):
     """Of two answers: by call (N,).
 
     Attributes:
-        other_status: a program's status differs; control: in units of the actuators' limits; h: relative to those above
-            1, 0 where the state is none; failed: a program of a state that is one is unsolved in either.
+        other_status: a program's status differs, or what the check says; control: in units of the actuators' limits;
+            h: relative to those above 1, 0 where the state is none; unsolved: a program of a state that is one is
+            unsolved in both; in_one: in one alone, which PIQP may solve, that the C does not have.
     """
 
     other_status: Tensor
     control: Tensor
     h: Tensor
-    failed: Tensor
+    unsolved: Tensor
+    in_one: Tensor
 
 
 def compared(x: Tensor, one: Answers, other: Answers, limit: Tensor) -> Comparison:
     """What differs."""
     sound = x.isfinite().all(0)
     h = ((one.h - other.h).abs() / one.h.abs().clamp(min=1.0)).amax(0)
-    failed = ((one.program_status == Status.UNSOLVED) | (other.program_status == Status.UNSOLVED)).any(0)
+    mine, others = one.program_status == Status.UNSOLVED, other.program_status == Status.UNSOLVED
     return Comparison(
-        (one.program_status != other.program_status).any(0),
+        ((one.program_status != other.program_status) | (one.check != other.check)).any(0),
         ((one.control - other.control).abs() / limit[:, None]).amax(0),
         torch.where(sound, h, 0.0),
-        failed & sound,
+        (mine & others).any(0) & sound,
+        (mine != others).any(0) & sound,
     )
 
 
@@ -185,17 +199,16 @@ def main(count: int, kinds: list[str]) -> None:
         ended = time.perf_counter()
         c = compared(x, expected, found, torch.tensor(safety_filter.c.control_limit, dtype=torch.float64))
         status = expected.program_status.amax(0).bincount(minlength=4).tolist()
-        differ = (c.other_status | (c.control > 1e-9)) & ~c.failed
-        rest = ~differ & ~c.failed
+        differ = (c.other_status | (c.control > 1e-9)) & ~c.in_one
         print(
-            f"{kind}: {count:,} states, by status {status}; {int(c.failed.sum())} unsolved in one, "
-            f"{int((c.other_status & c.failed).sum())} of them solved in the other; of the others "
-            f"{int((c.other_status & ~c.failed).sum())} with another status, {int(differ.sum())} differ; the rest by "
-            f"{c.control[rest].max():.1e}, h of all by {c.h.max():.1e}; C {between - started:.0f} s, Python "
-            f"{ended - between:.0f} s",
+            f"{kind}: {count:,} states, by status {status}; {int(c.in_one.sum())} unsolved in one alone, "
+            f"{int(c.unsolved.sum())} in both; of the others {int((differ & c.other_status).sum())} with another "
+            f"status or check, {int(differ.sum())} differ, {int((differ & c.unsolved).sum())} of them unsolved; rest "
+            f"by {c.control[~differ & ~c.in_one].max():.1e}, h of all by {c.h.max():.1e}; C {between - started:.0f} s, "
+            f"Python {ended - between:.0f} s",
             flush=True,
         )
-        torch.save((x[:, differ | c.failed], desired[:, differ | c.failed]), folder / "differing.pt")
+        torch.save((x[:, differ], desired[:, differ]), folder / "differing.pt")
 
 
 if __name__ == "__main__":

@@ -15,6 +15,7 @@ import torch
 from numpy import ndarray
 from torch import Tensor
 
+from inspection.initial_state import sample_initial_state
 from rta.bounds.health import slewing
 from rta.bounds.uncertainty import Uncertainty
 from rta.filter import STEPS_HELD, SafetyFilter
@@ -67,6 +68,25 @@ void solve_all(int count, int rows, const double *desired, const double *a, cons
         residual[i] = answer.residual;
         (void)larger(0.0, 0.0);
     }
+}
+
+void last_resort(const double needed[2], const double weight[2], double known[2][3], double u[3]);
+
+void last_resort(const double needed[2], const double weight[2], double known[2][3], double u[3])
+{
+    const double nothing[3] = {0.0};
+    struct program program;
+    begin_program(&program, nothing);
+    for (int i = 0; i < 2; ++i) {
+        for (int j = 0; j < 3; ++j) {
+            program.a[program.rows][j] = (i == j) ? 1.0 : 0.0;
+        }
+        program.b_bare[program.rows] = -needed[i];
+        program.weight[program.rows] = weight[i];
+        program.copies[program.rows] = 1.0;
+        program.rows += 1;
+    }
+    least_violating(&program, known, 2, u);
 }
 
 double residual_of_nan(void);
@@ -209,6 +229,17 @@ def test_what_cannot_be_held_gets_the_least_violating_control(solver: ctypes.CDL
     np.testing.assert_allclose(control, expected.control.T, rtol=0, atol=1e-9)
 
 
+@pytest.mark.parametrize(("lack", "chosen"), [(0.05, 1), (0.2, 0)])
+def test_the_last_resort_weighs_rows_as_their_slack_costs(
+    solver: ctypes.CDLL, lack: float, chosen: int
+) -> None:
+    """1 on a row of 1e3 costs 1,000; on one of 1e5 0.05 costs 250, 0.2 costs 4,000."""
+    known = np.array([[0.5, -0.5, 0.0], [0.5 - lack, 0.5, 0.0]])
+    found = np.zeros(3)
+    solver.last_resort(*map(pointer, (np.full(2, 0.5), np.array([1e5, 1e3]), known, found)))
+    assert (found == known[chosen]).all()
+
+
 def told(name: str, **more: Any) -> Uncertainty:
     """What a filter is told in one of configs/plants."""
     return dataclasses.replace(load(Path(f"configs/plants/{name}.toml"), Config()).uncertainty, **more)
@@ -242,7 +273,7 @@ class Driver:
             given.state[:], given.desired[:] = x[:, i].tolist(), desired[:, i].tolist()
             given.left[:] = [1.0] * 6 if left is None else left[:, i].tolist()
             given.sent_count = 0 if sent is None else len(sent)
-            if sent is not None:
+            if sent is not None and self.safety.known.latency:
                 given.sent[:] = sent[: self.safety.known.latency, :, i].flatten().tolist()
             self.library.safety_filter(ctypes.byref(given), ctypes.byref(found))
             answers.append(found)
@@ -330,12 +361,30 @@ def test_a_filter_in_c_is_that_in_python(made: Callable[[str], Driver], kind: st
     assert (result.status[count:] == Status.UNSOLVED).sum() > 20 and result.control.isfinite().all()
 
 
-def test_a_state_that_is_too_old_is_unsolved(made: Callable[[str], Driver]) -> None:
-    driver = made("quantum")
-    x, u = tensor(near_the_limits(10, seed=8)), commands(10, seed=8)
-    assert (driver(x, u, u[None].repeat(2, 1, 1), None).program_status == Status.UNSOLVED).all()
-    assert_same(driver, x, u)  # of no age
-    assert_same(driver, x, u, torch.full_like(u[None], torch.nan))
+@pytest.mark.parametrize("kind", ["now", "5 s", "quantum"])
+def test_a_state_that_is_too_old_is_unsolved_and_never_verified(
+    made: Callable[[str], Driver], kind: str
+) -> None:
+    """In Python, compiled or not, and in C; what is next to the limits, and starts, of which all are verified."""
+    driver = made(kind)
+    safety, latency = driver.safety, driver.safety.known.latency
+    starts = sample_initial_state(10, torch.Generator().manual_seed(0), C, SafetyFilter(C).is_safe)[0]
+    x, u = torch.cat((tensor(near_the_limits(10, seed=8)), starts), 1), commands(20, seed=8)
+    sent = u[None].repeat(latency + 1, 1, 1)
+    compiled_filter = SafetyFilter(C, safety.parameters, known=safety.known)
+    compiled_filter.compile("cpu", 20)
+    for correct in (driver, safety.correct, compiled_filter.correct):
+        result = correct(x, u, sent, None)
+        assert (result.program_status == Status.UNSOLVED).all() and (result.status == Status.UNSOLVED).all()
+        assert not result.verified.any() and result.control.isfinite().all()
+    younger = sent.clone()
+    younger[0, :, ::2] = torch.nan
+    result = safety.correct(x, u, younger)
+    assert ((result.status == Status.UNSOLVED) == ~younger[0, 0].isnan()).all()
+    assert not safety.backup or result.verified[10::2].all()
+    if latency:
+        assert_same(driver, x, u)  # of no age
+        assert_same(driver, x, u, torch.full_like(u[None], torch.nan))
 
 
 def test_a_dead_axis_is_turned_off_the_radius_as_in_python(made: Callable[[str], Driver]) -> None:

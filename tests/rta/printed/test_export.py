@@ -138,13 +138,13 @@ def optimised() -> tuple[str, ...]:
 
 
 def assert_same(safety_filter: SafetyFilter, x: Tensor, expected: Answers, found: Answers) -> None:
-    """Statuses are equal; controls and values to 1e-9, but for programs that none or one of the solvers solves."""
+    """Statuses and checks are equal, controls and values to 1e-9, of unsolved calls, too. PIQP may solve more."""
     limit = torch.tensor(safety_filter.c.control_limit, dtype=torch.float64)
     result = compared(x, expected, found, limit)
-    solved = ~result.failed
-    assert not (result.other_status & solved).any()
-    assert result.failed.sum() <= len(solved) / 100
-    assert result.control[solved].max() <= 1e-9 and result.h.max() <= 1e-9
+    same = ~result.in_one
+    assert result.in_one.sum() <= len(same) / 1000
+    assert not (result.other_status & same).any()
+    assert result.control[same].max() <= 1e-9 and result.h.max() <= 1e-9
     assert (found.control.abs() <= limit[:, None]).all()
 
 

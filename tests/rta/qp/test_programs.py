@@ -14,7 +14,7 @@ from scipy.sparse import block_diag
 from rta.filter import SOLVERS, make_solver
 from rta.qp import programs as qp
 from rta.qp.piqp_solver import lhs
-from rta.qp.programs import FEASIBLE, Solver, Status
+from rta.qp.programs import FEASIBLE, Solver, Status, least_violating
 
 INF = np.inf
 
@@ -412,3 +412,28 @@ def test_kkt_residual_knows_the_bounds(desired: float, u: float, expected: float
     # a multiplier of 0.5 pushes u1 up, at most to its bound
     found = kkt_residual([u, 0, 0], [0.5], [desired, 0, 0], [[1, 0, 0, -u]], [INF])
     assert found == pytest.approx(expected, abs=1e-15)
+
+
+def last_resort(known: list[list[float]], needed: list[float], weight: list[float]) -> list[float]:
+    """The least-violating of known controls where u_i >= needed_i."""
+    a, b = np.eye(3)[None, : len(needed)], -np.array([needed])
+    problems = Problems(np.zeros((1, 3)), a, b, b, np.array(weight)).tensors()
+    found = least_violating([torch.tensor([u], dtype=torch.float64).T for u in known], problems)
+    return found[:, 0].tolist()
+
+
+def test_least_violating_satisfies_first_what_must_hold() -> None:
+    breaks_must, breaks_soft = [0.3, 1.0, 0.0], [0.4, -1.0, 0.0]
+    assert last_resort([breaks_must, breaks_soft], [0.5, 0.5], [INF, 1e5]) == breaks_soft
+
+
+def test_least_violating_weighs_soft_rows_as_their_slack_costs() -> None:
+    """1e5 x 0.05^2 = 250 against 1e3 x 1^2 = 1,000, whatever the squares of the weights say."""
+    breaks_heavy, breaks_light = [0.45, 0.5, 0.0], [0.5, -0.5, 0.0]
+    assert last_resort([breaks_light, breaks_heavy], [0.5, 0.5], [1e5, 1e3]) == breaks_heavy
+    breaks_heavy[0] = 0.3
+    assert last_resort([breaks_heavy, breaks_light], [0.5, 0.5], [1e5, 1e3]) == breaks_light
+
+
+def test_least_violating_passes_over_what_is_not_finite() -> None:
+    assert last_resort([[np.nan] * 3, [2.0, 0.0, 0.0]], [0.0], [1e3]) == [1.0, 0.0, 0.0]
