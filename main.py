@@ -317,14 +317,17 @@ def run_export(
     c: str | None = None,
     filter: str | None = None,
     float: bool = False,
+    prefix: str | None = None,
 ) -> None:
     """main.py export"""
+    named = {} if prefix is None else {"prefix": prefix}
     from study.experiment import load_policy
 
     if filter is not None:
         from study.export import filter as export_filter
 
-        print(export_filter.export(with_filter(configure), Path(filter), "float" if float else "double"))
+        real = "float" if float else "double"
+        print(export_filter.export(with_filter(configure), Path(filter), real, **named))
         return
     if checkpoint is None:
         raise InputError(f"--checkpoint F is needed by {'--out' if c is None else '--c'}")
@@ -332,7 +335,7 @@ def run_export(
     if c is not None:
         with refusing("export --c needs the package jinja2 (pip install '.[report]')", ImportError):
             from study.export import policy as export_policy
-        print(export_policy.write(policy, config, checkpoint, Path(c)))
+        print(export_policy.write(policy, config, checkpoint, Path(c), **named))
         return
     with refusing("export needs the packages onnx and onnxruntime of requirements.txt", ImportError):
         from study.export import onnx as export

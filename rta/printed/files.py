@@ -14,7 +14,7 @@ from torch import Tensor
 
 from inspection.model.dynamics import step
 from kernels import printed
-from kernels.directory import check_directory
+from kernels.exported import REFUSES_FAST_MATH, check_directory, check_prefix, prefixed
 from rta.constraints.names import UNITS
 from rta.printed.single import single
 from rta.printed.source import (
@@ -40,6 +40,7 @@ MARK = "Written by main.py export --filter"  # on the first line of each
 NOT_VERIFIED = "NOT VERIFIED: no campaign is known that has flown this filter."
 TOLERANCE = {"double": 1e-9, "float": 5e-2}  # of the test, in units of the actuators' limits
 TOLERANCE_OF_H = {"double": 1e-9, "float": 1e-4}  # relative to those above 1
+NAME = "safety_filter"  # that files, functions, types and macros begin with
 NAMES = ("safety_filter.h", "safety_filter.c", "safety_filter_vectors.h", "test_safety_filter.c", "example.c")
 SUMS = "safety_filter.sha256"
 BUILT = ("test_safety_filter", "example", "safety_filter.o", "safety_filter.su")  # by the Makefile
@@ -82,22 +83,26 @@ def write(
     verified: str = NOT_VERIFIED,
     configuration: str = "",
     real: str = "double",
+    prefix: str = NAME,
 ) -> dict[str, str]:
     """Writes a filter, constraints of your own included, into a directory, which may hold an older one.
 
     Args:
         verified: what the header says of that; configuration: the SHA-256 of all settings, "": of the filter's own.
         real: "double", or "float" for single precision.
+        prefix: of all files, functions, types and macros, so that several filters fit into one program.
 
     Returns:
         The text of each file.
 
     Raises:
-        ValueError: the directory holds anything else; OSError: it cannot be written.
+        ValueError: the directory holds anything else, or the prefix is no name in C; OSError: it cannot be written.
     """
     folder = Path(directory)
-    check_directory(folder, "filter", MARK, (*NAMES, "Makefile", SUMS), BUILT)
-    texts = sources(safety_filter, verified, configuration, real)
+    check_prefix(prefix)
+    names, built = ([prefixed(each, NAME, prefix) for each in own] for own in ((*NAMES, SUMS), BUILT))
+    check_directory(folder, "filter", MARK, (*names, "Makefile"), built)
+    texts = sources(safety_filter, verified, configuration, real, prefix)
     folder.mkdir(parents=True, exist_ok=True)
     for name, text in texts.items():
         (folder / name).write_text(text, encoding="utf-8")
@@ -109,24 +114,28 @@ def sources(
     verified: str = NOT_VERIFIED,
     configuration: str = "",
     real: str = "double",
+    prefix: str = NAME,
     only: Sequence[str] = (*NAMES, "Makefile", SUMS),
 ) -> dict[str, str]:
     """The text of each file, or of some of them; see `write`."""
-    change = single if real == "float" else str
+
+    def change(text: str) -> str:
+        return prefixed(single(text) if real == "float" else text, NAME, prefix)
+
     source = change(implementation(safety_filter))
     known = configuration or fingerprint(safety_filter)
     head = change(header(safety_filter, verified, known, digest(source), real))
-    sums = [f"{digest(text)}  {name}" for name, text in zip(NAMES, (head, source), strict=False)]
+    sums = [f"{digest(text)}  {change(name)}" for name, text in zip(NAMES, (head, source), strict=False)]
     texts: dict[str, Callable[[], str]] = {
         "safety_filter.h": lambda: head,
         "safety_filter.c": lambda: source,
         "safety_filter_vectors.h": lambda: change(vectors_header(safety_filter, real)),
         "test_safety_filter.c": lambda: marked(change(driver_text("test_safety_filter.c"))),
         "example.c": lambda: marked(change(driver_text("example.c") + "\n" + model(safety_filter))),
-        "Makefile": lambda: f"# {MARK}.\n" + driver_text("safety_filter.mk"),
+        "Makefile": lambda: f"# {MARK}.\n" + change(driver_text("safety_filter.mk")),
         SUMS: lambda: "\n".join([f"# {MARK}", *sums, ""]),
     }
-    return {name: texts[name]() for name in only}
+    return {change(name): texts[name]() for name in only}
 
 
 def marked(text: str) -> str:
@@ -263,9 +272,7 @@ def implementation(safety_filter: "SafetyFilter") -> str:
         "",
         "#include <math.h>",
         "",
-        "#ifdef __FAST_MATH__",
-        '#error "safety_filter.c tells numbers from what is none: compile it without -ffast-math"',
-        "#endif",
+        REFUSES_FAST_MATH.format(name="safety_filter.c"),
     ]
     sections = [
         f"\n/* ---- {i}. {title} ---- */\n\n{text}"

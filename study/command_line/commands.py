@@ -300,8 +300,14 @@ COMMANDS = {
         PERIOD,
         PANELS,
         Flag("--float", "the filter in single precision", action=argparse.BooleanOptionalAction),
+        Flag(
+            "--prefix",
+            "what files, functions, types and macros of the C begin with, so that several fit into one program "
+            "(default: policy, or safety_filter)",
+            metavar="NAME",
+        ),
         one_of=(
-            written(".onnx", "--out", "ONNX file to write", "F.onnx", without=OF_THE_FILTER),
+            written(".onnx", "--out", "ONNX file to write", "F.onnx", without=(*OF_THE_FILTER, "--prefix")),
             directory(
                 "--c",
                 "directory to create for C99 sources, or that holds those of an agent",

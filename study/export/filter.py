@@ -3,7 +3,8 @@
 import shlex
 from pathlib import Path
 
-from rta.printed.files import NOT_VERIFIED, write
+from kernels.exported import check_prefix
+from rta.printed.files import NAME, NOT_VERIFIED, write
 from study.config import Config
 from study.errors import refusing
 from study.experiment import check_chief, filter_of
@@ -12,18 +13,23 @@ from study.verified import Flown, alike, fingerprint, reports, settings_digest, 
 IN_C = {"double": ("python", "c"), "float": ("c-float",)}  # forms of the filter that count for it
 
 
-def export(config: Config, directory: Path, real: str) -> str:
+def export(config: Config, directory: Path, real: str, prefix: str = NAME) -> str:
     """Writes the filter of a configuration into a directory, which may hold an older one; returns what to say of it.
+
+    Args:
+        real, prefix: as of `rta.printed.files.write`.
 
     Raises:
         InputError: a part of the configuration does not fit, the directory holds anything else, or cannot be written.
     """
+    with refusing("--prefix", ValueError):
+        check_prefix(prefix)
     check_chief(config)
     safety_filter = filter_of(config)
     said = said_of(config, real)
     with refusing(f"--filter {directory}: cannot write there", OSError, ValueError):
-        texts = write(safety_filter, directory, said, settings_digest(config), real)
-    lines = texts["safety_filter.c"].count("\n")
+        texts = write(safety_filter, directory, said, settings_digest(config), real, prefix)
+    lines = texts[f"{prefix}.c"].count("\n")
     test = shlex.join(["make", "-C", str(directory), "test"])
     return f"{directory}: {', '.join(texts)}; {lines:,} lines\n{said}\nNext:\n  {test}"
 

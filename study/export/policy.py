@@ -17,7 +17,7 @@ from torch import Tensor
 from inspection.model.parameters import InspectionParameters
 from inspection.model.state import CONTROL_SIZE, CONTROLS
 from inspection.observation import GROUPS, components, scales
-from kernels.directory import check_directory
+from kernels.exported import REFUSES_FAST_MATH, check_directory, check_prefix, prefixed
 from ppo.network import Policy
 from study.config import Config
 from study.errors import refusing
@@ -30,6 +30,7 @@ TEMPLATES = {  # by file
     "test_policy.c": "policy_test.c.j2",
     "Makefile": "policy.mk.j2",
 }
+NAME = "policy"  # that files, functions, types and macros begin with
 BUILT = "test_policy"  # by the Makefile
 MARK = "Written by main.py export --c"  # on the first line of each
 VECTORS = 100  # of the test
@@ -55,15 +56,26 @@ MEANINGS = {
 }
 
 
-def write(policy: Policy, config: Config, checkpoint: str, directory: Path) -> str:
+def write(policy: Policy, config: Config, checkpoint: str, directory: Path, prefix: str = NAME) -> str:
     """Writes the agent of a checkpoint into a directory, which may hold an older one; returns what to say of it.
+
+    Args:
+        prefix: of all files, functions, types and macros, so that several agents fit into one program.
 
     Raises:
         InputError: the directory holds anything else, or cannot be written.
     """
-    texts = sources(policy, config.inspection, hashlib.sha256(Path(checkpoint).read_bytes()).hexdigest())
+    texts = {
+        prefixed(name, NAME, prefix): prefixed(text, NAME, prefix)
+        for name, text in sources(
+            policy, config.inspection, hashlib.sha256(Path(checkpoint).read_bytes()).hexdigest()
+        ).items()
+    }
+    built = prefixed(BUILT, NAME, prefix)
+    with refusing("--prefix", ValueError):
+        check_prefix(prefix)
     with refusing(f"--c {directory}: cannot write there", OSError, ValueError):
-        check_directory(directory, "agent", MARK, TEMPLATES, (*(f"{name}.tmp" for name in TEMPLATES), BUILT))
+        check_directory(directory, "agent", MARK, texts, (*(f"{name}.tmp" for name in texts), built))
         directory.mkdir(parents=True, exist_ok=True)
         for name, text in texts.items():
             write_text(directory / name, text)
@@ -103,6 +115,7 @@ def sources(policy: Policy, c: InspectionParameters, digest: str) -> dict[str, s
         "control": control.tolist(),
         "tolerance": TOLERANCE,
         "flags": FLAGS,
+        "refuses_fast_math": REFUSES_FAST_MATH.format(name="policy.c"),
         "built": BUILT,
     }
     return {name: environment.get_template(template).render(values) for name, template in TEMPLATES.items()}

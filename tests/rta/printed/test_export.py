@@ -267,6 +267,59 @@ def test_it_keeps_nothing_and_calls_nothing_but_the_mathematics(
     assert not {name for symbol, name in symbols if symbol in "dDbB"} - {"safety_filter_names"}
 
 
+@pytest.mark.parametrize("flag", ["-ffast-math", "-Ofast", "-ffinite-math-only"])
+def test_it_refuses_flags_that_take_nan_away(
+    flag: str, compiler: str, exported: Callable[..., Made], tmp_path: Path
+) -> None:
+    source = exported("1").directory / "safety_filter.c"
+    done = run(compiler, "-std=c99", flag, "-fsyntax-only", source)
+    assert done.returncode and "compile it without -ffast-math" in done.stderr
+
+
+def test_filters_of_two_prefixes_fit_into_one_program(tmp_path: Path) -> None:
+    gcc, safety_filter = tool("gcc"), made("1")
+    for prefix in ("near", "far_away"):
+        texts = write(safety_filter, tmp_path / prefix, prefix=prefix)
+        assert f"test_{prefix}.c" in texts and not any(
+            "safety_filter" in text.lower() for text in texts.values()
+        )
+        succeed(
+            gcc, "-std=c99", "-O0", "-c", tmp_path / prefix / f"{prefix}.c", "-o", tmp_path / f"{prefix}.o"
+        )
+        symbols = [line.split()[-2:] for line in succeed(tool("nm"), tmp_path / f"{prefix}.o").splitlines()]
+        assert {name for kind, name in symbols if kind in "TDRB"} == {prefix, f"{prefix}_names"}
+    (tmp_path / "both.c").write_text(
+        """#include "near/near.h"
+#include "far_away/far_away.h"
+
+int main(void)
+{
+    struct near_input in = {.state = {60.0, [9] = 1.0, [13] = 5.0, [14] = 6.0}, .left = {1, 1, 1, 1, 1, 1}};
+    struct near_output out;
+    struct far_away_output other;
+    near(&in, &out);
+    far_away(&(struct far_away_input){.state = {60.0, [9] = 1.0, [13] = 5.0, [14] = 6.0}}, &other);
+    return (out.status == NEAR_UNSOLVED) || (other.status == FAR_AWAY_UNSOLVED);
+}
+"""
+    )
+    parts = tmp_path / "both.c", tmp_path / "near.o", tmp_path / "far_away.o"
+    succeed(gcc, "-std=c99", "-o", tmp_path / "both", *parts, "-lm")
+    succeed(tmp_path / "both")
+    done = run(tool("make"), "-C", tmp_path / "far_away", "CFLAGS=-std=c99 -O0", "test")
+    assert done.returncode == 0 and "passed" in done.stdout and "NOT VERIFIED: far_away" not in done.stdout
+    write(safety_filter, tmp_path / "near", prefix="near")  # an older one of its own
+    with pytest.raises(ValueError, match=r"holds no filter but .*near"):
+        write(safety_filter, tmp_path / "near", prefix="far_away")
+
+
+@pytest.mark.parametrize("prefix", ["", "3u", "Near", "a-b", "é"])
+def test_a_prefix_is_a_name_in_c(prefix: str, tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="lower-case letters, digits and _"):
+        write(made("1"), tmp_path / "c", prefix=prefix)
+    assert not (tmp_path / "c").exists()
+
+
 @pytest.mark.parametrize(
     ("kind", "most"), [("1", 16_000), ("u1", LARGEST_STACK), thorough("10", LARGEST_STACK)]
 )

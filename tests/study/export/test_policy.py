@@ -151,6 +151,49 @@ def test_c_answers_as_pytorch(
         assert 0.02 < (action == 0.0).mean() < 0.5
 
 
+@pytest.mark.parametrize("flag", ["-ffast-math", "-Ofast", "-ffinite-math-only"])
+def test_it_refuses_flags_that_take_nan_away(
+    flag: str, compiler: str, exported: Callable[[str], Exported]
+) -> None:
+    done = run(compiler, "-std=c99", flag, "-fsyntax-only", exported("shipped").directory / "policy.c")
+    assert done.returncode and b"compile it without -ffast-math" in done.stderr
+
+
+def test_agents_of_two_prefixes_fit_into_one_program(
+    exported: Callable[[str], Exported], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    gcc = tool("gcc")
+    (tmp_path / "both.c").write_text(
+        """#include "here/here.h"
+#include "there/there.h"
+
+int main(void)
+{
+    const double observation[HERE_OBSERVATIONS] = {0.0};
+    double control[THERE_CONTROLS];
+    return !(here_control(observation, control) && there_control(observation, control));
+}
+"""
+    )
+    for prefix in ("here", "there"):
+        words = ["export", "--checkpoint", str(SHIPPED), "--c", str(tmp_path / prefix), "--prefix", prefix]
+        code, _, err = call(words, capsys)
+        assert code == 0, err
+        source = tmp_path / prefix / f"{prefix}.c"
+        succeed(gcc, *STRICT, "-c", source, "-o", tmp_path / f"{prefix}.o")
+        symbols = [line.split()[-2:] for line in succeed(tool("nm"), tmp_path / f"{prefix}.o").splitlines()]
+        assert [name for kind, name in symbols if kind in (b"T", b"D", b"R", b"B")] == [
+            f"{prefix}_control".encode()
+        ]
+    parts = tmp_path / "both.c", tmp_path / "here.o", tmp_path / "there.o"
+    succeed(gcc, "-std=c99", "-o", tmp_path / "both", *parts, "-lm")
+    succeed(tmp_path / "both")
+    assert b"passed" in succeed(tool("make"), "-C", tmp_path / "there", "test")
+    assert_refused([*words[:-1], "3u"], ["--prefix: '3u': must be a name in C"], capsys)
+    out = ["export", "--checkpoint", str(SHIPPED), "--out", str(tmp_path / "a.onnx"), "--prefix", "a"]
+    assert_refused(out, ["--prefix"], capsys)
+
+
 @pytest.mark.parametrize("agent", AGENTS)
 def test_its_own_test_passes_without_a_warning(
     agent: str, compiler: str, exported: Callable[[str], Exported], tmp_path: Path

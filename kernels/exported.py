@@ -1,7 +1,28 @@
-"""A directory that C is written into: it may hold what was written there before, and nothing else."""
+"""What all exported C has in common: a prefix, flags that it refuses, and a directory that holds nothing else."""
 
+import re
 from collections.abc import Collection
 from pathlib import Path
+
+# Macros of compilers that may assume that no number is NaN: gcc, clang and icx by -ffast-math, -Ofast or
+# -ffinite-math-only, Microsoft's by /fp:fast. clang's -fno-honor-nans alone defines none.
+REFUSES_FAST_MATH = """#if defined(__FAST_MATH__) || defined(_M_FP_FAST) || \\
+    (defined(__FINITE_MATH_ONLY__) && (__FINITE_MATH_ONLY__ != 0))
+#error "{name} must see NaN: compile it without -ffast-math, -Ofast, -ffinite-math-only and /fp:fast"
+#endif"""
+
+
+def check_prefix(prefix: str) -> None:
+    """Raises ValueError where files, functions, types and macros of C cannot begin with the prefix."""
+    if not re.fullmatch("[a-z][a-z0-9_]*", prefix):
+        raise ValueError(
+            f"{prefix!r}: must be a name in C of lower-case letters, digits and _ that begins with a letter"
+        )
+
+
+def prefixed(text: str, name: str, prefix: str) -> str:
+    """A text, or a file's name, in which what is called by a name has the prefix in its place."""
+    return text.replace(name, prefix).replace(name.upper(), prefix.upper())
 
 
 def check_directory(
