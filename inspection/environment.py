@@ -22,6 +22,7 @@ from inspection.world.basilisk import BasiliskPlant
 from inspection.world.parameters import PlantParameters
 from inspection.world.plant import Plant
 from kernels import Compiled, if_long
+from kernels.modes import in_full_precision
 
 
 def clocks_of(
@@ -65,6 +66,7 @@ class InspectionEnv:
         ValueError: the clocks do not divide, or the plant does not fit the parameters.
     """
 
+    @in_full_precision
     def __init__(
         self,
         num_envs: int,
@@ -141,6 +143,7 @@ class InspectionEnv:
             own["chief"] = self.sight.tumbling.motion.clone()
         return own | {"pools": [starts.pool.clone() for starts in self.starts]}
 
+    @in_full_precision
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Restores `state_dict`; raises KeyError or ValueError where it does not fit."""
         for part, name in self._kept():
@@ -157,6 +160,7 @@ class InspectionEnv:
         for starts, pool in zip(self.starts, state["pools"], strict=True):
             starts.pool = pool.clone()
 
+    @in_full_precision
     def compile(self) -> None:
         """Compiles integration, observation, constraint values, visibility and k-means for about as many episodes.
 
@@ -189,11 +193,13 @@ class InspectionEnv:
         run = self._several(lambda *tensors: [function(*tensors)], *examples, points=points)
         return lambda *tensors, **times: run(*tensors, **times)[0]
 
+    @in_full_precision
     def reset(self, mask: Tensor | None = None) -> Tensor:
         """Starts episodes anew from the initial distribution, where mask (B,) is set or all; returns observations."""
         self._restart(torch.ones_like(self.time, dtype=torch.bool) if mask is None else mask)
         return self.observation()
 
+    @in_full_precision
     def start(self, x: Tensor, priority: Tensor, number: Tensor | None = None) -> Tensor:
         """Starts every episode from given states (16, B) and priority vectors (3, B); returns observations.
 
@@ -212,6 +218,7 @@ class InspectionEnv:
         """What the integration takes beside states and controls."""
         return (self.plant.body,) if self.plant else ()
 
+    @in_full_precision
     def observation(
         self, seen: Tensor | None = None, columns: Tensor | slice = EVERYONE, score: Tensor | None = None
     ) -> Tensor:
@@ -225,6 +232,7 @@ class InspectionEnv:
             seen = self.plant.sense(self.time, self.x) if self.plant else self.x
         return self._normalised(seen[:, columns], *self.sight.observed(columns, score)).T
 
+    @in_full_precision
     def step(self, action: Tensor) -> Transition:
         """Holds one action for one action period.
 
@@ -245,6 +253,7 @@ class InspectionEnv:
         """An action (B, 6) in units of the actuators' limits as a control (6, B) in N and N m, clipped to them."""
         return action.T.to(self.x.dtype).clamp(-1.0, 1.0) * self.limit
 
+    @in_full_precision
     def advance(
         self, controller: Controller, watch: Callable[[Hold], None] = lambda hold: None
     ) -> Transition:
@@ -325,10 +334,12 @@ class InspectionEnv:
             self.safety.informed,
         )
 
+    @in_full_precision
     def integrate(self, x: Tensor, u: Tensor, seconds: float) -> Tensor:
         """The states (16, B) after u has acted for some s."""
         return self._integrate(x, u, *self._bodies, times=round(seconds / self.clocks.step))
 
+    @in_full_precision
     def constraint_values(self, x: Tensor) -> Tensor:
         """Constraint values (constraints, B) at states (16, B)."""
         if self._values is None:

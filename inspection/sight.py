@@ -13,6 +13,7 @@ from inspection.chief.tumbling import RATE, Tumbling
 from inspection.model.attitude import conjugate, rotate
 from inspection.model.parameters import ChiefParameters, InspectionParameters
 from inspection.model.state import THETA_S, P
+from kernels.modes import in_full_precision
 from kernels.printer import LEAST_LONG
 
 EVERYONE = slice(None)  # of the batch's columns
@@ -83,6 +84,7 @@ class Sight:
         self.weights[:, columns] = chief.point_weights(self.surface.normals, priority, self.surface.areas)
         self.mark(x, columns)
 
+    @in_full_precision
     def look(self, x: Tensor, time: Tensor) -> None:
         """Looks at every chief from states x (16, B), at the episodes' time (B,) in s."""
         if self.tumbling:

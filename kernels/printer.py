@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from kernels.modes import in_full_precision
 from kernels.operations.expressions import Program
 from kernels.recorder import Recorder, evaluated
 from kernels.text import TYPES, Body, Part
@@ -39,6 +40,7 @@ class Printed:
     dtypes: list[torch.dtype]
 
 
+@in_full_precision
 def printed(
     function: Callable[..., Sequence[Tensor]],
     *examples: Tensor,

@@ -8,6 +8,8 @@ import torch
 from torch import Tensor
 from torch.fx import GraphModule, Node
 
+from kernels.modes import in_full_precision
+
 COPIES = {  # and other names of the same values
     getattr(torch.ops.aten, name).default for name in ("alias", "detach", "clone", "lift_fresh_copy")
 }
@@ -15,6 +17,7 @@ COPIES = {  # and other names of the same values
 TRACING = threading.RLock()  # PyTorch's tracer changes what all threads share
 
 
+@in_full_precision
 @torch.no_grad()
 def traced(function: Callable[..., list[Tensor]], *examples: Tensor) -> GraphModule:
     """`function` as a flat list of operations on tensors like the examples.

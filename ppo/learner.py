@@ -97,7 +97,8 @@ class PPO:
             loss, statistics = self._loss({name: tensor[index] for name, tensor in rows.items()})
             self.optimiser.zero_grad()
             # the sum over seeds leaves each seed the gradient it would have alone
-            loss.sum().backward()
+            with torch.autocast(loss.device.type, enabled=False):
+                loss.sum().backward()
             self.ranks.average([gradient_of(weight) for weight in self._named.values()], size)
             statistics |= self._clip_gradients()
             self.optimiser.step()

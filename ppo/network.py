@@ -26,7 +26,9 @@ class StackedLinear(nn.Module):
 
     def __init__(self, inputs: int, outputs: int, generators: Sequence[torch.Generator], gain: float) -> None:
         super().__init__()
-        weights = [torch.empty(inputs, outputs, device=generator.device) for generator in generators]
+        weights = [
+            torch.empty(inputs, outputs, device=each.device, dtype=torch.float32) for each in generators
+        ]
         for weight, generator in zip(weights, generators, strict=True):
             nn.init.orthogonal_(weight, gain, generator=generator)
         self.weight = nn.Parameter(torch.stack(weights))
@@ -58,16 +60,19 @@ class StackedMLP(nn.Module):
         )
 
     def forward(self, x: Tensor) -> Tensor:
-        """Map (S, B, sizes[0]) to (S, B, sizes[-1])."""
+        """Map (S, B, sizes[0]) to (S, B, sizes[-1]), in single precision whatever `torch.autocast` says."""
         *hidden, last = self.layers
-        for layer in hidden:
-            x = torch.tanh(layer(x))
-        return last(x)
+        with torch.autocast(x.device.type, enabled=False):
+            for layer in hidden:
+                x = torch.tanh(layer(x))
+            return last(x)
 
 
 def draw_noise(generators: Sequence[torch.Generator], shape: Sequence[int], device: torch.device) -> Tensor:
     """Return standard normal noise (S, *shape) on `device`, slice k drawn from generators[k] only."""
-    draws = [torch.randn(shape, generator=generator, device=generator.device) for generator in generators]
+    draws = [
+        torch.randn(shape, generator=each, device=each.device, dtype=torch.float32) for each in generators
+    ]
     return torch.stack(draws).to(device)
 
 

@@ -24,6 +24,7 @@ from inspection.model.parameters import InspectionParameters
 from inspection.model.state import CONTROL_SIZE, SIZE, P, Q
 from kernels import Compiled, NoCompilerError
 from kernels.build import say
+from kernels.modes import in_full_precision
 from rta.backup.check import Backup
 from rta.bounds.uncertainty import NOTHING, Uncertainty
 from rta.conditions.condition import Condition, demanded
@@ -73,6 +74,7 @@ class SafetyFilter:
         ValueError: parameters or constraints that do not fit together.
     """
 
+    @in_full_precision
     def __init__(
         self,
         c: InspectionParameters | None = None,
@@ -130,10 +132,12 @@ class SafetyFilter:
         ways = {"motion": self.backup or self.homing, "attitude": self.backup or self.turn}
         return [name for name, way in ways.items() if not way]
 
+    @in_full_precision
     def values(self, x: Tensor) -> Tensor:
         """Every constraint's h, the 13 exactly as in the paper: (16, B) to (constraints, B)."""
         return joined(*(group.values(x) for group in self.groups))
 
+    @in_full_precision
     def is_in_safe_set(self, x: Tensor) -> Tensor:
         """(B,) bool: every h and every Psi_1 is non-negative."""
         thrust, torque = self.groups
@@ -171,6 +175,7 @@ class SafetyFilter:
         off = self.known.errors(none, none)
         return (zone.barrier_at(x, off=off)(x, off) >= 0.0).all(0)
 
+    @in_full_precision
     def is_safe(self, x: Tensor) -> Tensor:
         """(B,) bool: the filter can keep every constraint from here on.
 
@@ -189,6 +194,7 @@ class SafetyFilter:
         rows_decide = self.holds and not (self.turn and self.homing)
         return narrowed(kept, x, self.is_holdable) if rows_decide else kept
 
+    @in_full_precision
     def compile(self, device: torch.device | str, batch: int) -> None:
         """Compiles the filter for tensors on this device and calls of about so many spacecraft.
 
@@ -206,6 +212,7 @@ class SafetyFilter:
         self.solver.compile([rows, 2 * rows] if self.holds else [rows], batch, device)  # held ones twice
         self._use(compiled)
 
+    @in_full_precision
     def trace(self, batch: int = 1, device: torch.device | str = "cpu") -> None:
         """Traces what is computed for every spacecraft, on this device and in calls of about so many.
 
@@ -241,6 +248,7 @@ class SafetyFilter:
             informed=self.holds,
         )
 
+    @in_full_precision
     def rows(
         self, x: Tensor, control: Tensor | None = None, error_bound: Tensor | None = None
     ) -> tuple[Rows, Rows]:
@@ -252,6 +260,7 @@ class SafetyFilter:
         thrust, torque = self.condition.prepared(x, control, error_bound)
         return Rows(*thrust[:ROW_FIELDS]), Rows(*torque[:ROW_FIELDS])
 
+    @in_full_precision
     def __call__(self, x: Any, desired: Any) -> FilterResult:
         """Filters a desired control: of one spacecraft, or of each of a batch.
 
@@ -275,7 +284,7 @@ class SafetyFilter:
         """
         given = Given(x, desired)
         for doubt in doubts(given.x, self.c):
-            warnings.warn(f"state: {doubt}", stacklevel=2)
+            warnings.warn(f"state: {doubt}", stacklevel=3)  # a decorator is between
         is_slow = self.compiled is None and not self._is_traced
         fit = given.single and given.x.device.type == "cpu" and not self.holds and is_slow
         result = (self._for_one if fit else self).correct(given.x, given.desired)
@@ -292,6 +301,7 @@ class SafetyFilter:
             other.trace()
         return other
 
+    @in_full_precision
     def correct(
         self, x: Tensor, desired: Tensor, sent: Tensor | None = None, left: Tensor | None = None
     ) -> FilterResult:

@@ -247,7 +247,7 @@ class Haven:
         """1/s, the largest slope of the field between two distances (...) in m: along the radius, or across it."""
         out = self.out * ((self.ends - nearest) / (self.ends - self.beside)).clamp(0.0, 1.0)
         near = torch.where(nearest < self.ends, (out / nearest).clamp(min=STEEP), 0.0)
-        return torch.maximum(near, torch.where(farthest > self.begins, STEEP, 0.0))
+        return torch.where(farthest > self.begins, near.clamp(min=STEEP), near)
 
     def errors(self, fastest: Tensor, nearest: Tensor, farthest: Tensor) -> Errors:
         """Of ways at |w| up to a speed in m/s, between two distances in m from the chief, (...)."""

@@ -148,7 +148,7 @@ def followed(start: Start, w: Turning) -> Followed:
         z, rolling = errors[i], rolls[i]
         # at the earliest in the hold; the law's rate changes its direction, then its size, and then the body rolls
         nearest_to = least[i] - ROOT2 * long * limit
-        roll = torch.where(nearest_to > BEGINS + w.angle, 0.0, w.roll)
+        roll = torch.where(nearest_to > BEGINS + w.angle, 0.0, nearest_to.new_tensor(w.roll))
         calls = round(w.lag / w.period)
         first = max(i - calls - w.holds + 1, 0 if i >= calls else -1) if calls else i - 1
         ago = slice(first + 1, i + 1) if calls else slice(0, 1)
@@ -183,8 +183,8 @@ def followed(start: Start, w: Turning) -> Followed:
         opposite_to = farthest + rises.clamp(min=0.0)
         # elsewhere the law's rate changes its size, too
         is_steady = (nearest_to > slower) & (opposite_to < math.pi - slower)
-        turned_by = torch.where(is_steady, steep, max(w.kappa, steep))
-        change = changes(turned_by, torch.where(is_steady, 0.0, w.kappa * w.rate))
+        turned_by = torch.where(is_steady, steep, nearest_to.new_tensor(max(w.kappa, steep)))
+        change = changes(turned_by, torch.where(is_steady, 0.0, nearest_to.new_tensor(w.kappa * w.rate)))
         turned = w.rate + at_most + ROOT2 * long * change
         along = w.spin[0] * turned**2 / 2 + w.unknown * (fast + turned + w.unknown)
         commands[0].append((high.amax(0) + e) / w.tau + w.look.gyroscopic)
@@ -249,12 +249,12 @@ def from_here(start: Start, w: Turning) -> Tensor:
     late_near = late_near + more_near + still * max(w.slow_near - w.slow_far, 0.0)
     returns = returns | (ROOT2 * last > w.rate)
     begin = torch.where(returns, delta.clamp(min=slower) + late_near, delta.clamp(min=BEGINS) + late)
-    slow = torch.where(returns, w.slow_near, w.slow)
+    slow = torch.where(returns, w.slow_near, delta.new_tensor(w.slow))
     exclusion = math.pi - delta - farthest - c.field_of_view / 2 - c.exclusion_buffer
 
     draw, right = c.power_draw / 1000.0, math.pi / 2
     charging = w.look.charging
-    lowest_at = torch.where(returns, w.lowest_at(w.slow_near), turned)
+    lowest_at = torch.where(returns, w.lowest_at(w.slow_near), delta.new_tensor(turned))
 
     def spent(first: Tensor, end: Tensor) -> Tensor:
         """kJ while delta falls from a first to a last angle."""

@@ -147,7 +147,7 @@ class HeldGroup(ActuatorGroup):
             tightening = tightening + self.off((by_x[1:] - by_x[0]) / t[..., None], error_bound, coupled)
         # the input's error, as a tangent: |u_j| rises with the sign of u_j, from zero with that which helps
         sign = torch.where(u == 0.0, slope.sign(), u.sign())
-        weight = torch.where(slope * sign > 0.0, self.less, self.more) * slope.abs()
+        weight = torch.where(slope * sign > 0.0, self.less * slope.abs(), self.more * slope.abs())
         if self.held_by == "thrust":
             across = (length[:, :, None] ** 2 - slope**2).clamp(min=0.0).sqrt()
             angle = self.angle(error_bound)

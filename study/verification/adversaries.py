@@ -53,7 +53,8 @@ def learned(
     @torch.no_grad()
     def control(t: float, x: Tensor) -> Tensor:
         mean, log_std = policy(env.observation(x)[None])
-        noise = torch.randn(batch, CONTROL_SIZE, generator=generator)[first : first + x.shape[1]].to(mean)
+        noise = torch.randn(batch, CONTROL_SIZE, generator=generator, dtype=torch.float32)
+        noise = noise[first : first + x.shape[1]].to(mean)
         return env.control(policy.shaped(mean + log_std.exp() * noise)[0])
 
     return control

@@ -1,0 +1,148 @@
+"""PyTorch's modes of the moment change no result: autocast, inference mode, another default type of numbers."""
+
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager, nullcontext
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+from torch.utils._python_dispatch import TorchDispatchMode
+
+from inspection import InspectionEnv, InspectionParameters
+from inspection.initial_state import sample_initial_state
+from ppo.learner import PPO
+from ppo.network import Policy, Value
+from ppo.parameters import PPOParameters
+from ppo.rollout import collect
+from rta import RtaParameters, SafetyFilter
+from rta.lie_derivatives import load_forward_mode
+from study.config import Config, load
+
+C = InspectionParameters()
+U1 = load(Path("configs/plants/u1.toml"), Config())
+
+
+@contextmanager
+def default(dtype: torch.dtype) -> Iterator[None]:
+    before = torch.get_default_dtype()
+    torch.set_default_dtype(dtype)
+    try:
+        yield
+    finally:
+        torch.set_default_dtype(before)
+
+
+MODES: dict[str, Callable[[], AbstractContextManager[Any]]] = {
+    "autocast": partial(torch.autocast, "cpu", dtype=torch.bfloat16),
+    "inference": torch.inference_mode,
+    "double": partial(default, torch.float64),
+    "half": partial(default, torch.float16),
+}
+
+
+def episodes(rta: bool, period: float = 1.0, compiled: bool = False, told: bool = False) -> list[Tensor]:
+    """Observations, rewards and states of random actions; in an imperfect world where the filter is told of it."""
+    c = U1.inspection if told else C
+    known = {"known": U1.uncertainty} if told else {}
+    safety_filter = SafetyFilter(c, RtaParameters(period=period), **known)
+    env = InspectionEnv(
+        8, c, [torch.Generator().manual_seed(0)], safety_filter.safety(rta), plant=U1.plant if told else None
+    )
+    if compiled:
+        safety_filter.compile("cpu", 8)
+        env.compile()
+    draw = torch.Generator().manual_seed(1)
+    found = [env.reset()]
+    for _ in range(1 if told or period > 1.0 else 3):
+        flown = env.step(2.0 * torch.rand(8, 6, generator=draw, dtype=torch.float32) - 1.0)
+        found += [flown.observation, flown.reward, flown.state]
+    return found
+
+
+def learned() -> list[Tensor]:
+    """An agent's weights after an update, what it decides, and statistics."""
+    generators = [torch.Generator().manual_seed(0)]
+    env = InspectionEnv(8, C, [torch.Generator().manual_seed(3)], SafetyFilter(C).safety(False))
+    learner = PPO(
+        Policy(26, 6, generators), Value(26, generators), PPOParameters(minibatch_size=32), generators
+    )
+    observation = env.reset()
+    statistics = learner.update(collect(env, learner, 8, generators), 0.0)
+    decided = learner.policy.mean_action(observation[None])
+    return [decided, *(each.detach() for each in learner.policy.parameters()), *statistics.values()]
+
+
+def called() -> list[Tensor]:
+    """Of the filter as a function: control, values, starts; compiled at the first call."""
+    safety_filter = SafetyFilter(C)
+    x = np.zeros(16)
+    x[[0, 3, 9, 13, 14]] = 60.0, -1.5, 1.0, 5.0, 6.0
+    result = safety_filter(x, [-1.0, 0.5, 0.0, 0.0, 1e-3, 0.0])
+    column = torch.from_numpy(x)[:, None]
+    return [torch.from_numpy(result.control), safety_filter.values(column), safety_filter.is_safe(column)]
+
+
+COMPUTED: dict[str, Callable[[], list[Tensor]]] = {
+    "episodes": partial(episodes, rta=False),
+    "episodes behind the filter": partial(episodes, rta=True),
+    "episodes behind the filter at 5 s": partial(episodes, rta=True, period=5.0),
+    "episodes in U1": partial(episodes, rta=True, told=True),
+    "compiled episodes behind the filter": partial(episodes, rta=True, compiled=True),
+    "the filter as a function": called,
+    "an update": learned,
+}
+
+
+@pytest.mark.parametrize("name", COMPUTED)
+def test_no_mode_changes_a_result(name: str) -> None:
+    expected = COMPUTED[name]()
+    for mode, within in MODES.items():
+        if name == "an update" and mode == "inference":
+            continue  # there are no gradients
+        with within():
+            found = COMPUTED[name]()
+        for one, other in zip(expected, found, strict=True):
+            assert one.dtype == other.dtype and torch.equal(one, other), mode
+
+
+class Watching(TorchDispatchMode):
+    """Notes which operations answer in another precision than double."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.seen: set[str] = set()
+
+    def __torch_dispatch__(self, function: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
+        answer = function(*args, **(kwargs or {}))
+        if isinstance(answer, Tensor) and answer.is_floating_point() and answer.dtype != torch.float64:
+            self.seen.add(str(function))
+        return answer
+
+
+@pytest.mark.parametrize(
+    "safety_filter", [SafetyFilter(C), SafetyFilter(U1.inspection, known=U1.uncertainty)]
+)
+def test_the_filter_computes_in_double(safety_filter: SafetyFilter) -> None:
+    """A choice between two Python numbers is in PyTorch's default type, in single: bounds within U1 were, once."""
+    x, _ = sample_initial_state(32, torch.Generator().manual_seed(0), safety_filter.c)
+    load_forward_mode()
+    with Watching() as watching:
+        safety_filter.values(x)
+        safety_filter.is_safe(x)
+        safety_filter.correct(x, torch.ones(6, 32, dtype=torch.float64))
+    assert not watching.seen
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_episodes_begin_in_a_mode_and_go_on_in_another(mode: str) -> None:
+    def flown(first: Callable[[], AbstractContextManager[Any]]) -> Tensor:
+        env = InspectionEnv(4, C, [torch.Generator().manual_seed(0)], SafetyFilter(C).safety())
+        with first():
+            env.reset()
+        return env.step(torch.ones(4, 6)).observation
+
+    assert torch.equal(flown(MODES[mode]), flown(nullcontext))
