@@ -33,14 +33,32 @@ def arrays_of_npz(content: bytes) -> dict[str, np.ndarray]:
         return {name: arrays[name] for name in arrays.files}
 
 
-def triangles_of_stl(content: bytes) -> np.ndarray:
-    """(F, 3, 3), corner by corner."""
+def triangles_of(content: bytes, kind: str) -> np.ndarray:
+    """(F, 3, 3), corner by corner, of a file of one of trimesh's kinds ("stl"); KeyError: there is none such."""
     import trimesh  # half a second that who has no such file need not wait
 
-    try:
-        return np.array(trimesh.load_mesh(io.BytesIO(content), file_type="stl").triangles)
-    except ImportError as error:  # of what reads text, when it is none
-        raise ValueError(error) from None
+    if kind not in (kinds := trimesh.exchange.load.mesh_formats()):
+        raise KeyError(", ".join(f".{each}" for each in sorted(kinds)))
+    plain = plain_stl(content) if kind in ("stl", "stl_ascii") else content
+    return np.array(trimesh.load_mesh(io.BytesIO(plain), file_type=kind).triangles)
+
+
+def plain_stl(content: bytes) -> bytes:
+    """An STL file as trimesh reads it: without bytes behind the last triangle; text in UTF-8, line by line."""
+    count = int.from_bytes(content[80:84], "little")  # four letters would be more than fit into a file
+    if (size := 84 + 50 * count) <= len(content) and count:
+        return content[:size]
+    for encoding in (
+        "latin-1",
+        "utf-16",
+        "utf-16-le",
+        "utf-16-be",
+        "utf-32",
+    ):  # of all but names ASCII is enough
+        text = content.decode(encoding, errors="replace")
+        if "facet" in text.lower():
+            break
+    return "\n".join(text.splitlines()).encode()
 
 
 def path_of(mesh: str) -> str:
@@ -68,7 +86,7 @@ def file_of(mesh: str) -> tuple[str, bytes]:
     if found:
         raise ValueError(f"mesh = {mesh!r}: is another file by now, whose sha256 begins with {found}")
     if Path(path).is_dir() or (ROOT / path).is_dir():
-        raise ValueError(f"mesh = {path!r}: is a directory; name an .npz or .stl file")
+        raise ValueError(f"mesh = {path!r}: is a directory; name a file, such as .npz or .stl")
     raise ValueError(f"mesh = {path!r}: there is no such file, here or below the project's folder")
 
 
@@ -91,15 +109,23 @@ def read(mesh: str) -> dict[str, np.ndarray]:
     ValueError where it holds anything else.
     """
     path, content = file_of(mesh)
-    suffix = Path(path).suffix
-    if suffix not in (".npz", ".stl"):
-        raise ValueError(f"mesh = {path!r}: must end in .npz or .stl")
+    suffix = Path(path).suffix.lower()
     try:
-        arrays = arrays_of_npz(content) if suffix == ".npz" else {"triangles": triangles_of_stl(content)}
-    except ImportError:
+        arrays = (
+            arrays_of_npz(content) if suffix == ".npz" else {"triangles": triangles_of(content, suffix[1:])}
+        )
+    except KeyError as error:
+        raise ValueError(
+            f"mesh = {path!r}: must end in .npz, or in what trimesh reads: {error.args[0]}"
+        ) from None
+    except ImportError as error:
+        if error.name not in ("trimesh", None):  # of what reads a file that is none
+            raise ValueError(f"mesh = {path!r}: cannot be read: needs {error.name}") from None
         raise ValueError(f"mesh = {path!r}: needs trimesh: pip install trimesh") from None
     except Exception:  # both libraries report damage through many exception types
-        raise ValueError(f"mesh = {path!r}: cannot be read: is damaged, or no {suffix} file") from None
+        raise ValueError(
+            f"mesh = {path!r}: cannot be read: is damaged, no {suffix} file, or needs another file beside it"
+        ) from None
     arrays.setdefault("triangles", np.zeros((0, 3, 3)))
     known = {name: arrays[name] for name in SHAPES if name in arrays}
     for name, array in known.items():
@@ -107,7 +133,7 @@ def read(mesh: str) -> dict[str, np.ndarray]:
             raise ValueError(f"mesh = {path!r}: {name} must hold finite numbers only")
         known[name] = array.astype(np.float64)
     has = [name for name in ("points", "normals", "areas") if name in known]
-    if suffix == ".stl" and not known["triangles"].size:
+    if suffix != ".npz" and not known["triangles"].size:
         raise ValueError(f"mesh = {path!r}: holds no triangles")
     if len(has) not in (0, 3) or not (has or known["triangles"].size):
         raise ValueError(f"mesh = {path!r}: needs triangles, or points, normals and areas")

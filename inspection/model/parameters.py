@@ -293,7 +293,8 @@ class ChiefParameters(Settings):
     """What is inspected, and how it turns; by default the paper's sphere, fixed in Hill's frame."""
 
     mesh: str = setting(
-        "", ".npz or .stl file in m; `#` and how its sha256 begins are added where it is used"
+        "",
+        "in m, .npz, .stl or another that trimesh reads; `#` and how its sha256 begins are added where it is used",
     )
     attitude: tuple[float, float, float, float] = setting(
         ALIGNED, "at first, from its axes to Hill's, scalar last", least=None

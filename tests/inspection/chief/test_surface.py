@@ -322,7 +322,7 @@ def test_a_file_that_is_none_is_refused(name, words, tmp_path) -> None:
 @pytest.mark.parametrize("name", ["meshes", "a.npz"])
 def test_a_directory_is_named_as_one(name, tmp_path) -> None:
     (tmp_path / name).mkdir()
-    with pytest.raises(ValueError, match=r"is a directory; name an \.npz or \.stl file"):
+    with pytest.raises(ValueError, match=r"is a directory; name a file, such as \.npz or \.stl"):
         surface(ChiefParameters(mesh=str(tmp_path / name)), C)
 
 
@@ -343,6 +343,69 @@ def test_another_kind_of_file_is_refused(name, content, tmp_path) -> None:
     with pytest.raises(ValueError, match=r"cannot be read|needs triangles|holds no triangles") as refusal:
         surface(ChiefParameters(mesh=str(tmp_path / name)), C)
     assert "pickle" not in str(refusal.value) and "\n" not in str(refusal.value)
+
+
+def stl_text(name: str = "box", end: str = "\n") -> str:
+    """The box as text, of which a name may hold anything."""
+    lines = [f"solid {name}"]
+    for triangle in BOX.tolist():
+        corners = [f"vertex {x!r} {y!r} {z!r}" for x, y, z in triangle]
+        lines += ["facet normal 0 0 0", "outer loop", *corners, "endloop", "endfacet"]
+    return end.join([*lines, f"endsolid {name}", ""])
+
+
+def stl_binary(head: bytes = b"") -> bytes:
+    record = np.zeros(len(BOX), dtype=[("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("more", "<u2")])
+    record["corners"] = BOX
+    return head.ljust(80, b" ") + np.uint32(len(BOX)).tobytes() + record.tobytes()
+
+
+BOX = np.array(trimesh.creation.box((4.0, 3.0, 2.0)).triangles)
+SPELLINGS: dict[str, tuple[str, bytes]] = {
+    "binary": ("a.stl", stl_binary()),
+    "upper case": ("A.STL", stl_binary()),
+    "binary that begins like text": ("a.stl", stl_binary(b"solid facet")),
+    "bytes behind the last triangle": ("a.stl", stl_binary() + b"made by nobody"),
+    "as many as of a triangle": ("a.stl", stl_binary() + bytes(50)),
+    "text": ("a.Stl", stl_text().encode()),
+    "text in upper case": ("a.stl", stl_text().upper().encode()),
+    "text of Windows": ("a.stl", stl_text(end="\r\n").encode()),
+    "text of an old Mac": ("a.stl", stl_text(end="\r").encode()),
+    "a name in UTF-8": ("a.stl", stl_text("Raumfähre 宇宙").encode()),
+    "with a mark": ("a.stl", stl_text("Raumfähre").encode("utf-8-sig")),
+    "a name in Latin-1": ("a.stl", stl_text("Raumfähre").encode("latin-1")),
+    "a long name in Windows' code page": ("a.stl", stl_text("„Raumfähre“ " * 40).encode("cp1252")),
+    "UTF-16": ("a.stl", stl_text("Raumfähre 宇宙").encode("utf-16")),
+    "UTF-16 without a mark": ("a.stl", stl_text().encode("utf-16-le")),
+    "UTF-16, big end first": ("a.stl", stl_text().encode("utf-16-be")),
+    "two solids": ("a.stl", (stl_text().split("facet", 1)[0] + "endsolid\n" + stl_text()).encode()),
+}
+
+
+@pytest.mark.parametrize("spelling", SPELLINGS)
+def test_an_stl_file_is_read_however_it_is_spelt(spelling: str, tmp_path: Path) -> None:
+    name, content = SPELLINGS[spelling]
+    (tmp_path / name).write_bytes(content)
+    np.testing.assert_allclose(read(str(tmp_path / name))["triangles"], BOX, atol=1e-6)
+
+
+@pytest.mark.parametrize("kind", ["obj", "off", "ply", "glb", "stl", "stl_ascii", "OBJ", "Ply"])
+def test_what_trimesh_reads_is_read(kind: str, tmp_path: Path) -> None:
+    content = trimesh.Trimesh(BOX.reshape(-1, 3), np.arange(3 * len(BOX)).reshape(-1, 3)).export(
+        file_type=kind.lower()
+    )
+    path = tmp_path / f"a.{kind}"
+    path.write_bytes(content.encode() if isinstance(content, str) else content)
+    triangles = read(str(path))["triangles"]
+    volume = np.linalg.det(triangles).sum() / 6.0
+    assert len(triangles) == len(BOX) and abs(volume - np.linalg.det(BOX).sum() / 6.0) < 1e-5
+
+
+@pytest.mark.parametrize("name", ["a.zip", "a.step", "a"])
+def test_a_kind_that_trimesh_does_not_read_is_refused(name: str, tmp_path: Path) -> None:
+    (tmp_path / name).write_bytes(stl_binary())
+    with pytest.raises(ValueError, match=r"must end in \.npz, or in what trimesh reads: .*\.obj.*\.stl"):
+        read(str(tmp_path / name))
 
 
 def test_without_trimesh_an_stl_is_refused_in_a_line(monkeypatch) -> None:
