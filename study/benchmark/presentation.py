@@ -4,11 +4,10 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from matplotlib.figure import Figure
-
 from study.benchmark.measure import TYPICAL_PROGRAMS
 from study.benchmark.rates import KINDS
 from study.benchmark.timing import REPEATS, Spread, us
+from study.drawing import Figure
 
 # Okabe and Ito's
 PALETTE = ("#0072B2", "#000000", "#D55E00", "#E69F00", "#CC79A7", "#009E73", "#56B4E9", "#666666", "#F0E442")

@@ -6,10 +6,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib.figure import Figure
-from matplotlib.ticker import NullFormatter, StrMethodFormatter
 
 from study.config import ARMS
+from study.drawing import Figure, NullFormatter, StrMethodFormatter
 from study.files import ROOT, writing
 from study.flight.figures import BLUE, GREEN, GREY, ORANGE
 from study.paper import PAPER_METRICS

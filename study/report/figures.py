@@ -4,13 +4,10 @@ from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 
-import matplotlib
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 
 from inspection.model.parameters import InspectionParameters
+from study.drawing import Axes, Figure, Line2D, rc_context
 from study.errors import refusing
 from study.files import writing
 from study.flight.figures import (
@@ -115,7 +112,7 @@ def save(figure: Figure, stem: Path) -> None:
     """Writes a figure as PNG and as SVG; equal figures become equal files."""
     with writing(stem.with_suffix(".png")) as file:
         figure.savefig(file, dpi=DPI, format="png")
-    with writing(stem.with_suffix(".svg")) as file, matplotlib.rc_context({"svg.hashsalt": stem.name}):
+    with writing(stem.with_suffix(".svg")) as file, rc_context({"svg.hashsalt": stem.name}):
         figure.savefig(file, metadata={"Date": None}, format="svg")
 
 

@@ -161,7 +161,7 @@ def closed_loop(study: Path, cases: int) -> dict[str, Any]:
 
 def figure(results: dict[str, Any], path: Path) -> None:
     """Coasting: differences over time; agents: each episode in both simulators."""
-    from matplotlib.figure import Figure
+    from study.drawing import Figure
 
     drawn = Figure(figsize=(11, 7), layout="constrained")
     axes = drawn.subplots(2, 2)

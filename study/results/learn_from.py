@@ -68,7 +68,7 @@ def learned_at(curve: dict[str, list[Any]]) -> list[int | None]:
 
 def figure(results: dict[str, Any], path: Path) -> None:
     """Medians over the seeds of the periodic evaluations, and the range of the middle half of them."""
-    from matplotlib.figure import Figure
+    from study.drawing import Figure
 
     drawn = Figure(figsize=(11, 6), layout="constrained")
     for axis, (name, text) in zip(drawn.subplots(2, 2).flat, CURVES.items(), strict=True):

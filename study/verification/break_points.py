@@ -13,12 +13,10 @@ from pathlib import Path
 from textwrap import fill
 from typing import Any, NamedTuple
 
-from matplotlib.figure import Figure
-from matplotlib.patches import Rectangle
-
 from inspection.world.parameters import PlantParameters
 from rta.constraints.names import CONSTRAINTS
 from study.config import Config, override
+from study.drawing import Figure, Rectangle
 from study.errors import InputError
 from study.experiment import Experiment
 from study.files import write_json
