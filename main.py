@@ -31,7 +31,7 @@ from ppo.errors import CheckpointError, NonFiniteError, RankLostError
 from ppo.torchrun import is_first
 from study.command_line.arguments import Configure, Handler, build_parser, check_files, join_axis, parameters
 from study.command_line.output import CLOSED, NAME, Output, open_error_output
-from study.config import TEST_CASES, Config, StudyConfig
+from study.config import ARMS, TEST_CASES, Config, StudyConfig, override
 from study.errors import ExportError, InputError, ReflyError, Stopped, in_one_line, refusing
 from study.files import write_json, write_npz, writing
 
@@ -58,8 +58,8 @@ def agent_and_config(configure: Configure, checkpoint: str | None) -> "tuple[Pol
 
 
 def with_filter(configure: Configure, trained: Config | None = None) -> Config:
-    """The configuration with the filter on, over an agent's; of a study's file, its table [study] is left out."""
-    return configure(StudyConfig(**vars((trained or Config()).unsettled()))).of_arm("rta")
+    """The configuration with the filter on, over an agent's."""
+    return override(configure((trained or Config()).unsettled()), ARMS["rta"], "the filter")
 
 
 def run_train(

@@ -209,19 +209,20 @@ def pointers(tensors: Sequence[Tensor]) -> tuple[Any, Any]:
     return places, steps
 
 
+most_threads: int | None = None  # that share a batch's columns; None: as many as PyTorch has
 POOLS: dict[int, ThreadPoolExecutor] = {}
 os.register_at_fork(after_in_child=POOLS.clear)  # where their threads are not
 
 
 def in_shares(run: Callable[[int, int], int | None], columns: int, seconds: float) -> int:
-    """Runs over columns in as many ranges as PyTorch has threads, if each then has enough to do; sums what it returns.
+    """Runs over columns in as many ranges as there are threads, if each then has enough to do; sums what it returns.
 
     Args:
         run: of columns first to last.
         seconds: that a column takes.
     """
     shares = int(columns * seconds / WORTH_A_THREAD)
-    shares = min(torch.get_num_threads(), shares) if shares > 1 else shares
+    shares = min(most_threads or torch.get_num_threads(), shares) if shares > 1 else shares
     if shares < 2:
         return run(0, columns) or 0
     size = -(-columns // shares)
@@ -236,13 +237,16 @@ def in_shares(run: Callable[[int, int], int | None], columns: int, seconds: floa
     return own + sum(other.result() or 0 for other in others)
 
 
-def with_own_code(function: Any) -> FunctionType:
-    """The function with a copy of its code, which `torch.compile` counts its recompilations by.
+def with_own_code(function: Callable[..., Parts]) -> FunctionType:
+    """A function, a method or a partial as a function with code of its own, which `torch.compile` counts by.
 
-    Functions that share it have eight between them; what is compiled after those runs uncompiled.
+    Functions that share code have eight recompilations between them; what is compiled after those runs uncompiled.
     """
-    parts = function.__globals__, function.__name__, function.__defaults__, function.__closure__
-    return FunctionType(function.__code__.replace(), *parts)
+
+    def run(*tensors: Tensor) -> Parts:
+        return function(*tensors)
+
+    return FunctionType(run.__code__.replace(), run.__globals__, run.__name__, None, run.__closure__)
 
 
 def timed(function: Callable[..., Any], *arguments: Any) -> float:

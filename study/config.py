@@ -243,7 +243,7 @@ def from_toml(text: str, source: str) -> Config: ...
 @overload
 def from_toml(text: str, source: str, base: AnyConfig) -> AnyConfig: ...
 def from_toml(text: str, source: str, base: Config | None = None) -> Config:
-    """Parses and checks TOML text.
+    """Parses and checks TOML text; of a study's what its arms share, where the base is not a study's, too.
 
     Args:
         source: what to call the text in an error, usually the file's path.
@@ -256,7 +256,9 @@ def from_toml(text: str, source: str, base: Config | None = None) -> Config:
         tables = tomllib.loads(text)
     except (tomllib.TOMLDecodeError, RecursionError) as error:
         raise InputError(f"{source}: not valid TOML: {error}") from None
-    return override(base or Config(), tables, source)
+    base = base or Config()
+    left_out = () if isinstance(base, StudyConfig) else ("study", "arms")
+    return override(base, {name: each for name, each in tables.items() if name not in left_out}, source)
 
 
 def shipped() -> dict[str, Path]:

@@ -52,13 +52,22 @@ PENALTY = -0.003  # [inspection] correction_reward that "penalty" comes with; th
 LARGEST_WEIGHT = 1e3  # of a policy; training leaves weights of 2 at most
 
 
+def ignores_keep_clear(config: Config) -> str | None:
+    """Why `[train] keep_clear` means nothing in a configuration that asks for it; None: it means something."""
+    if config.train.keep_clear and not config.train.rta:
+        return "it leads what the filter is asked for, and there is none (--no-rta)"
+    if config.train.keep_clear and not config.uncertainty.is_nil:
+        return "within [uncertainty] no free flight is known"
+    return None
+
+
 class Experiment:
     """What a configuration determines.
 
     Args:
         config: its `auto` solver is settled here.
         batch: about how many spacecraft a call of the filter will have.
-        seconds: that the experiment simulates, and steps: of its environment, to judge whether compiling is repaid.
+        seconds: that the experiment simulates, to judge whether compiling is repaid; None: an episode.
 
     Attributes:
         config: with the solver that is used; device; filter.
@@ -71,14 +80,16 @@ class Experiment:
         InputError: the configuration's parts do not fit together or the machine.
     """
 
-    def __init__(self, config: Config, batch: int, seconds: float = EPISODE, steps: int = 0) -> None:
+    def __init__(self, config: Config, batch: int, seconds: float | None = None) -> None:
         check_clocks(config)
         check_plant(config)
         check_chief(config)
         check_cache()
         self.device = resolve_device(config.train.device)
         THREADS.settle()
+        seconds = min(EPISODE, config.inspection.max_time) if seconds is None else seconds
         choice, calls = config.train.compile, seconds / config.rta.period
+        steps = seconds / config.inspection.action_period
         worth_compiling, self.worth_tracing = repaid_after(config.uncertainty.holds(config.rta))
         self.filter_compiled = config.train.rta and wants_compile(choice, calls >= worth_compiling)
         self.config = settled(config, batch, self.device, self.filter_compiled)
@@ -96,7 +107,7 @@ class Experiment:
         if worth and not self.filter_compiled and self.device.type == "cpu":
             self.trace_filter(batch)
         self.safety = self.filter.safety(config.train.rta)
-        if config.train.keep_clear and config.uncertainty.is_nil:
+        if config.train.keep_clear and not ignores_keep_clear(config):
             self.safety = kept_clear(self.safety, self.task)
 
     def trace_filter(self, batch: int) -> None:

@@ -19,7 +19,7 @@ from study import config as configuration
 from study.commands import command
 from study.config import Config, StudyConfig, override
 from study.errors import MALFORMED, InputError
-from study.experiment import filter_of
+from study.experiment import filter_of, ignores_keep_clear
 from study.files import ROOT, see
 
 # Settings that came later: at their defaults they are what was flown before, and its fingerprint stays.
@@ -149,7 +149,9 @@ def say_doubts(
 
 
 def say_unchecked(config: Config) -> None:
-    """Says in a line on stderr what the filter in use does not check, if anything; of many ranks, the first one."""
+    """Says in a line each what the filter does not check, and what is ignored; of many ranks, the first one."""
+    if is_first() and (why := ignores_keep_clear(config)):
+        print(f"--keep-clear ([train] keep_clear) is ignored: {why}", file=sys.stderr)
     if config.train.rta and is_first() and (said := unchecked(config)):
         print(said, file=sys.stderr)
 

@@ -45,10 +45,6 @@ __all__ = ["run"]  # a fixture
         (["study", "--arms", "rta,rta"], ["--arms", "'rta,rta'", "no_rta,rta"]),
         (["study", "--config", "nowhere.toml"], ["nowhere.toml", "neither a file nor a shipped one"]),
         (["study", "--study-dir", "/proc/nowhere"], ["--study-dir", "cannot write there"]),
-        (
-            ["train", "--config", str(Path(main.__file__).parent / "configs" / "study.toml")],
-            ["unknown table [study]"],
-        ),
         (["benchmark", "--batches", "256,none"], ["--batches", "'none'", "positive integer"]),
         (["benchmark", "--json", "nowhere/x.json"], ["--json", "cannot write"]),
         (["train", "--qp-solver", "osqp"], ["--qp-solver", "'osqp'", "auto", "piqp", "batched"]),

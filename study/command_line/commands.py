@@ -56,8 +56,8 @@ COMMON = (
 )
 THREADS = count(
     "--threads",
-    "processor threads (default: what a short measurement finds fastest, or OMP_NUM_THREADS; a run or a study that is "
-    "continued keeps its own)",
+    "processor threads (default: OMP_NUM_THREADS, else 1 for PyTorch, whose last digits depend on it, and all for "
+    "compiled functions; a run or a study that is continued keeps its own)",
 )
 RTA = Flag("--rta", sets="train.rta", action=argparse.BooleanOptionalAction)
 KEEP_CLEAR = Flag("--keep-clear", sets="train.keep_clear", action=argparse.BooleanOptionalAction)

@@ -295,7 +295,8 @@ def play_controller(name: str, experiment: Experiment, episodes: int, seed: int)
     config, every = experiment.config, None
     if name in GUIDANCE:
         every = config.rta.period if config.train.rta else config.inspection.substep
-    env = experiment.env(episodes, experiment.generators([seed + 1]), decide_every=every)
+    generators = experiment.generators([seed + 1])
+    env = experiment.env(episodes, generators, decide_every=every, compiled=experiment.compiled)
     return run_episodes(
         env,
         classical(name, env, seed, every or config.inspection.action_period),

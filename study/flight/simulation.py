@@ -183,7 +183,7 @@ def run(
     start = starting_point(initial_state, experiment, seed)
     # the plant is that of the first test case of `evaluate` with this seed
     decide_every = decides_every(experiment.config, controller, step)
-    env = experiment.env(1, experiment.generators([seed + 1]), decide_every, step)
+    env = experiment.env(1, experiment.generators([seed + 1]), decide_every, step, experiment.compiled)
     if controller == "untrained":
         policy = untrained(experiment, seed)
     if policy:

@@ -1,29 +1,25 @@
-"""How many processor threads to compute with: what is asked for, or what is fastest on this machine now.
+"""How many processor threads to compute with: never by the load of the machine, so that a seed fixes a run.
 
-Threads that wait for each other spin. Where another process has the core that one of them needs, all wait: on two cores
-that others use, two threads can be many times slower than one.
+PyTorch adds up in another order with another number of threads, so that it has one by default. More would also wait for
+each other: where another process has the core that one of them needs, two threads can be many times slower than one. A
+printed function computes columns apart, with the same bits on any number of threads: it has all processors.
 """
 
 import os
-import sys
-import time
 
 import torch
 
-from ppo.torchrun import is_first
+from kernels import compiled
 from study.errors import InputError
 
-ROUNDS = 10  # of the measurement
-REPEATS = 20
-LONGEST = 0.5  # s, after which no round is begun
-WORTH = 0.9  # share of the time of fewer threads, at which more are worth it
+DEFAULT = 1  # of PyTorch's
 
 
 class Threads:
     """How many threads this process computes with; nothing changes in a process that never asks.
 
     Attributes:
-        recorded: with how many a run was begun that is to continue bit for bit.
+        recorded: with how many of PyTorch's a run was begun that is to continue bit for bit.
     """
 
     def __init__(self) -> None:
@@ -32,7 +28,7 @@ class Threads:
         self.recorded: int | None = None
 
     def ask(self, wanted: int | None) -> None:
-        """Has `settle` take the number that a person wants, else the recorded one, else the fastest.
+        """Has `settle` take the number that a person wants, else the recorded one, else DEFAULT.
 
         Raises InputError where a person wants more than there are processors.
         """
@@ -44,54 +40,21 @@ class Threads:
         self.asked, self.wanted, self.recorded = True, wanted, None
 
     def settle(self) -> None:
-        """Sets PyTorch's threads if asked to, and says on stderr how many where it measured.
-
-        OMP_NUM_THREADS comes before a measurement.
-        """
+        """Sets the threads if asked to; what a person wants, or OMP_NUM_THREADS, is for printed functions, too."""
         asked, self.asked = self.asked, False
-        if asked and (given := self.wanted or self.recorded):
+        if not asked:
+            return
+        said = self.wanted is not None or "OMP_NUM_THREADS" in os.environ
+        compiled.most_threads = None if said else processors()
+        if given := self.wanted or self.recorded:
             torch.set_num_threads(given)
-        elif asked and "OMP_NUM_THREADS" not in os.environ and torch.get_num_threads() > 1:
-            times = measured(torch.get_num_threads())
-            torch.set_num_threads(fastest(times))
-            if is_first():
-                print(said(times), file=sys.stderr)
+        elif not said:
+            torch.set_num_threads(DEFAULT)
+
+
+def processors() -> int:
+    """How many this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 THREADS = Threads()
-
-
-def measured(most: int) -> dict[int, float]:
-    """s of computing by the number of threads, in powers of two up to `most`, stalls included."""
-    candidates = sorted({min(2**k, most) for k in range(most.bit_length() + 1)})
-    x, weight = torch.ones(256, 256), torch.full((256, 256), 1e-3)
-    times = dict.fromkeys(candidates, 0.0)
-    for _ in range(ROUNDS):  # in turns, since a machine's load changes
-        if sum(times.values()) > LONGEST:
-            break
-        for threads in candidates:
-            torch.set_num_threads(threads)
-            started = time.perf_counter()
-            for _ in range(REPEATS):  # the learner's layers, and operations as short as the simulator's
-                torch.tanh(x @ weight)
-            times[threads] += time.perf_counter() - started
-    return times
-
-
-def fastest(times: dict[int, float]) -> int:
-    """The number of threads to take: more only where they pay."""
-    best = 1
-    for threads in sorted(times):
-        if times[threads] < WORTH * times[best]:
-            best = threads
-    return best
-
-
-def said(times: dict[int, float]) -> str:
-    """The choice in a line."""
-    chosen, most = fastest(times), max(times)
-    other = most if chosen != most else 1
-    return (
-        f"threads: {chosen} of {most}, which took {times[chosen] / times[other]:.2f} of the time of {other} "
-        "in a short measurement; --threads N overrides it"
-    )

@@ -176,7 +176,8 @@ def progress(arms: dict[str, Arm], config: Config) -> dict[str, dict[str, list[f
     cases = config.train.final_episodes
     every = FILTER_PERIOD
     experiment = Experiment(with_rta(config, True, every).unsettled(), cases)
-    env = experiment.env(cases, experiment.generators([TEST_CASES + 1]), decide_every=every)
+    generators = experiment.generators([TEST_CASES + 1])
+    env = experiment.env(cases, generators, decide_every=every, compiled=experiment.compiled)
     controller = classical(GUIDE, env, TEST_CASES, every)
     curve = weights_over_time(env, controller, *test_cases(config, cases, TEST_CASES))
     return {name: arm_progress(arm) for name, arm in arms.items()} | {"guidance": curve}

@@ -7,6 +7,7 @@ the guidance says what it would do. The value network learns what the copy is wo
 import math
 import time
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -24,6 +25,8 @@ LEARNING_RATE = 8e-3  # of the first batch, annealed linearly to a tenth
 # error is worst.
 RESTARTED = 0.4
 STD_WEIGHT = 0.01  # of the squared error of the log standard deviation, which stays as it is at the start
+
+Batch = dict[str, Tensor]  # observation, action and return_, (S, N, ...)
 
 
 class Taught:
@@ -60,56 +63,93 @@ class Taught:
         return self.env.step(control if self.leads else action)
 
 
-def jump_start(
-    env: InspectionEnv,
-    orbit: Orbit,
-    learner: PPO,
-    steps: int,
-    batches: int,
-    generators: Sequence[torch.Generator],
-    watch: Callable[[Transition], None],
-    after_batch: Callable[[dict[str, float]], None],
-) -> None:
-    """Teaches a learner's policy the guidance, and its value network what the policy is worth.
+class JumpStart:
+    """Teaches a learner's policy the guidance, and its value network what the policy is worth, batch by batch.
 
     Args:
-        env: already reset; orbit: of the guidance; steps: interactions of each episode in a batch.
-        generators: one per seed; watch: sees each transition.
-        after_batch: is told a batch's losses and how long it took, by TensorBoard's tags.
+        env: already reset; orbit: of the guidance; steps: interactions of each episode in a batch; batches: in all.
+        generators: one per seed.
+
+    Attributes:
+        taught: batches so far.
+        latest: what the last one was taught, (S, N, ...); `flown`: that of all of them.
     """
-    taught = Taught(env, learner.policy, orbit)
-    networks = learner.policy, learner.value
-    weights = [weight for network in networks for weight in network.parameters()]
-    optimiser = torch.optim.Adam(weights, LEARNING_RATE)
-    episodes = env.num_envs * learner.ranks.size
-    beginners = learner.ranks.own(torch.arange(episodes, device=env.x.device) < RESTARTED * episodes, 0)
-    beginners = beginners.repeat(len(generators))
-    batch: dict[str, Tensor] = {}
-    for i in range(batches):
-        optimiser.param_groups[0]["lr"] = LEARNING_RATE * (1.0 - 0.9 * i / batches)
+
+    def __init__(
+        self,
+        env: InspectionEnv,
+        orbit: Orbit,
+        learner: PPO,
+        steps: int,
+        batches: int,
+        generators: Sequence[torch.Generator],
+    ) -> None:
+        self.env = Taught(env, learner.policy, orbit)
+        self.learner, self.steps, self.batches, self.generators = learner, steps, batches, generators
+        networks = learner.policy, learner.value
+        weights = [weight for network in networks for weight in network.parameters()]
+        self.optimiser = torch.optim.Adam(weights, LEARNING_RATE)
+        episodes = env.num_envs * learner.ranks.size
+        beginners = torch.arange(episodes, device=env.x.device) < RESTARTED * episodes
+        self.beginners = learner.ranks.own(beginners, 0).repeat(len(generators))
+        self.taught = 0
+        self.latest: Batch = {}
+        self.flown: Batch = {}
+
+    @property
+    def done(self) -> bool:
+        """Whether nothing is left to be taught."""
+        return self.taught >= self.batches
+
+    def teach(self, watch: Callable[[Transition], None]) -> dict[str, float]:
+        """Flies one more batch and learns from all of them.
+
+        Args:
+            watch: sees each transition.
+
+        Returns:
+            The losses, and how long it took, by TensorBoard's tags.
+        """
+        self.optimiser.param_groups[0]["lr"] = LEARNING_RATE * (1.0 - 0.9 * self.taught / self.batches)
         started = time.perf_counter()
-        taught.reset(beginners)
-        flown = collect(taught, learner, steps, generators, watch)
+        self.env.leads, self.env.lessons = self.taught == 0, []
+        self.env.reset(self.beginners)
+        flown = collect(self.env, self.learner, self.steps, self.generators, watch)
         collected = time.perf_counter()
-        wanted = (
-            torch.stack(taught.lessons).unflatten(1, (len(generators), -1)).transpose(0, 1)
-        )  # (S, T, E, 6)
-        taught.leads, taught.lessons = False, []
-        lesson = {
+        wanted = torch.stack(self.env.lessons).unflatten(1, (len(self.generators), -1)).transpose(0, 1)
+        self.latest = {
             "observation": flown["observation"],
-            "action": learner.ranks.whole(wanted, 2).flatten(1, 2),
+            "action": self.learner.ranks.whole(wanted, 2).flatten(1, 2),  # of (S, T, E, 6)
             "return_": flown["return_"],
         }
-        batch = {name: torch.cat((batch[name], part), 1) if batch else part for name, part in lesson.items()}
-        losses = learn(batch, learner, optimiser)
-        seconds = {"rollout_s": collected - started, "learning_s": time.perf_counter() - collected}
-        after_batch(
-            {f"losses/lesson_{name}": value for name, value in losses.items()}
-            | {f"time/{name}": value for name, value in seconds.items()}
-        )
+        self.remember(self.latest)
+        losses = learn(self.flown, self.learner, self.optimiser)
+        self.taught += 1
+        return {f"losses/lesson_{name}": value for name, value in losses.items()} | {
+            "time/rollout_s": collected - started,
+            "time/learning_s": time.perf_counter() - collected,
+        }
+
+    def remember(self, batch: Batch) -> None:
+        """Adds what a batch was taught to that of those before it."""
+        self.flown = {
+            name: torch.cat((self.flown[name], part), 1) if self.flown else part
+            for name, part in batch.items()
+        }
+
+    def state_dict(self) -> dict[str, Any]:
+        """What continues it exactly, beside learner, environment, generators and what was flown."""
+        return {"taught": self.taught, "optimiser": self.optimiser.state_dict()}
+
+    def load_state_dict(self, state: dict[str, Any], batches: Sequence[Batch]) -> None:
+        """Restores `state_dict`, and what was taught in each batch."""
+        self.taught = int(state["taught"])
+        self.optimiser.load_state_dict(state["optimiser"])
+        for batch in batches:
+            self.remember(batch)
 
 
-def learn(batch: dict[str, Tensor], learner: PPO, optimiser: torch.optim.Optimizer) -> dict[str, float]:
+def learn(batch: Batch, learner: PPO, optimiser: torch.optim.Optimizer) -> dict[str, float]:
     """Fits policy and value to all that has been flown, (S, N, ...), in as many epochs as an update of PPO has.
 
     Returns the mean squared errors on the way: `action` of the actions, `value` of the returns.

@@ -1,6 +1,7 @@
 """One training run on disk: begun, checkpointed, interrupted, continued and concluded."""
 
 import os
+import shutil
 import signal
 import sys
 import time
@@ -27,12 +28,13 @@ from study.machine.compiling import compile_or_explain
 from study.machine.device import resolve_device
 from study.paper import tables
 from study.training.adversary import Adversary
-from study.training.jump_start import jump_start
+from study.training.jump_start import JumpStart
 from study.training.log import Log
 from study.training.monitor import Monitor
 from study.training.shards import shard_of_episodes, shard_of_seeds
 
 CHECKPOINT = "checkpoint.pt"
+LESSONS = "lessons"  # the directory of what is taught, a file to a batch, as long as the lessons last
 EVALUATION_CASES = 1_000_000  # seed of the periodic test cases, apart from those of the final evaluation
 
 
@@ -83,9 +85,8 @@ class Run:
             self.homes = [directory / f"seed{seed}" for seed in seeds]
             self.shard = shard_of_seeds(config, self.ranks, len(self.seeds))
         own_seeds, num_envs = self.seeds[self.shard.seeds], self.shard.num_envs
-        steps = train.updates * train.rollout_steps
-        seconds = steps * config.inspection.action_period
-        self.experiment = Experiment(config, num_envs * len(own_seeds), seconds, steps)
+        seconds = train.updates * train.rollout_steps * config.inspection.action_period
+        self.experiment = Experiment(config, num_envs * len(own_seeds), seconds)
         self.config, self.device = self.experiment.config, self.experiment.device
         self.monitor = Monitor(self.experiment.safety.names, len(own_seeds), self.shard.seeds.start)
         self.log = Log(directory, self.homes, train.batch)
@@ -103,6 +104,10 @@ class Run:
         env = Adversary(self.env, train.adversary) if train.adversary else self.env
         from_applied = train.learn_from == "applied"
         self.trainer = Trainer(env, learner, train.rollout_steps, train.updates, generators, from_applied)
+        self.lessons: JumpStart | None = None
+        if train.jump_start:
+            lessons = learner, train.rollout_steps, train.lessons, generators
+            self.lessons = JumpStart(self.env, GUIDANCE[train.teacher], *lessons)
         self.last_save: dict[str, float] = {}  # statistics that the next update shows
 
     def __str__(self) -> str:
@@ -116,17 +121,15 @@ class Run:
         episodes = len(self.seeds) * config.train.num_envs
         return f"{self.directory}: {arm}, {which}, {episodes} episodes at once on {where}{self.annealing}"
 
-    def jump_start(self) -> None:
-        """Lets the guidance teach the policy, in place of the first updates."""
-        train, trainer = self.config.train, self.trainer
-        lessons = trainer.learner, train.rollout_steps, train.lessons, trainer.generators
-        arguments = self.env, GUIDANCE[train.teacher], *lessons
-
-        def after_lesson(statistics: dict[str, float]) -> None:
+    def be_taught(self, lessons: JumpStart, stopped: Callable[[], bool]) -> None:
+        """Lets the guidance teach the policy, in place of the first updates; each lesson is saved."""
+        trainer = self.trainer
+        while not lessons.done and not stopped():
+            statistics = lessons.teach(self.monitor)
             trainer.update += 1
-            self.show(statistics)
-
-        trainer.seconds += seconds_of(lambda: jump_start(*arguments, self.monitor, after_lesson))
+            trainer.seconds += statistics["time/rollout_s"] + statistics["time/learning_s"]
+            self.show(statistics | self.last_save)
+            self.last_save = {"time/checkpoint_s": seconds_of(self.save)}
 
     @property
     def interactions(self) -> int:
@@ -139,15 +142,37 @@ class Run:
 
     def save(self) -> None:
         """Writes the checkpoint of all ranks and each seed's policy alone."""
-        states = self.ranks.collect(self.trainer.state_dict(), self.device)
+        own = self.trainer.state_dict()
+        if self.lessons and self.lessons.taught > 0 and not self.lessons.done:
+            own |= {"lessons": self.lessons.state_dict(), "lesson": self.lessons.latest}
+        states = self.ranks.collect(own, self.device)
         if not states:
             return
         state = self.shard.join(states)
+        if lesson := state.pop("lesson", None):
+            folder = self.directory / LESSONS
+            folder.mkdir(exist_ok=True)
+            checkpoint.save(folder / f"{state['lessons']['taught']}.pt", lesson)
         about = {"config": self.config.to_toml(), "charts": self.log.state()}
         checkpoint.save(self.directory / CHECKPOINT, state | about)
         for k, (seed, home) in enumerate(zip(self.seeds, self.homes, strict=True)):
-            own = {name: stacked[k : k + 1].clone() for name, stacked in state["policy"].items()}
-            checkpoint.save(home / "policy.pt", {"policy": own, "config": self.config_of(seed).to_toml()})
+            policy = {name: stacked[k : k + 1].clone() for name, stacked in state["policy"].items()}
+            checkpoint.save(home / "policy.pt", {"policy": policy, "config": self.config_of(seed).to_toml()})
+        if "lessons" not in state:  # they are over, and the checkpoint knows that
+            shutil.rmtree(self.directory / LESSONS, ignore_errors=True)
+
+    def load_state_dict(self, saved: dict[str, Any]) -> None:
+        """Restores what `save` has written of training; raises as a checkpoint that does not fit."""
+        self.trainer.load_state_dict(self.shard.split(saved))
+        self.log.load_state(saved.get("charts", []))
+        if self.lessons and (state := saved.get("lessons")):
+            files = [self.directory / LESSONS / f"{i + 1}.pt" for i in range(int(state["taught"]))]
+            batches = [
+                checkpoint.load(file, ("observation", "action", "return_"), self.device) for file in files
+            ]
+            self.lessons.load_state_dict(
+                self.shard.split(state), [self.shard.split(each) for each in batches]
+            )
 
     def config_of(self, seed: int) -> Config:
         """The configuration with which `train` trains this seed alone."""
@@ -181,16 +206,21 @@ class Run:
 
         def react(number: int) -> None:
             if not stop and self.ranks.first:
-                say_in_a_handler("stopping where this update ends, and an evaluation that is due with it ...")
+                say_in_a_handler(
+                    "stopping where this update or lesson ends, and an evaluation due with it ..."
+                )
             stop.append(number)
+
+        def stopped() -> bool:
+            return self.ranks.any(bool(stop))
 
         total = self.config.train.updates * self.config.train.batch
         shown = self.log.open(self.interactions, total) if self.ranks.first else nullcontext()
         with self.naming_the_checkpoint():
             with on_signal(react), shown:
-                self.begin()
+                self.begin(stopped)
                 try:
-                    self.trainer.run(self.monitor, self.after_update, lambda: self.ranks.any(bool(stop)))
+                    self.trainer.run(self.monitor, self.after_update, stopped)
                 except (NonFiniteError, RankLostError) as error:
                     where, last = f"update {self.trainer.update + 1}", self.directory / CHECKPOINT
                     raise type(error)(f"{where}: {error}; last good checkpoint: {last}") from None
@@ -202,18 +232,15 @@ class Run:
                 number,
             )
 
-    def begin(self) -> None:
+    def begin(self, stopped: Callable[[], bool]) -> None:
         """What comes before the first update: the lessons of the guidance, and evaluations before and after them."""
-        train = self.config.train
-        if self.interactions:
-            return
-        early = train.early_evaluations > 1
-        if early and not self.ranks.agree(self.log.begun()):
+        early = self.config.train.early_evaluations > 1
+        if early and not self.interactions and not self.ranks.agree(self.log.begun()):
             self.evaluate()
-        if train.jump_start:
-            self.jump_start()
-            self.save()
-            if early:
+        if self.lessons and self.trainer.update < self.lessons.batches:
+            self.be_taught(self.lessons, stopped)
+            self.lessons.flown.clear()  # which is large
+            if early and self.lessons.done:
                 self.evaluate()
 
     def after_update(self, statistics: dict[str, float]) -> None:

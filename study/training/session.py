@@ -206,8 +206,7 @@ def resume(directory: Path, config: Config | None = None, seeds: Sequence[int] |
             f"not at {before.interactions:,}"
         )
     with refusing(f"{path}: does not fit this run", *MALFORMED):
-        run.trainer.load_state_dict(run.shard.split(saved))
-        run.log.load_state(saved.get("charts", []))
+        run.load_state_dict(saved)
     if run.ranks.first:
         with run.naming_the_checkpoint():
             for file in run.written():  # what a kill left, which may be what fills the disk

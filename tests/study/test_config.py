@@ -97,7 +97,7 @@ def test_a_name_of_several_configurations_is_refused(tmp_path: Path, monkeypatch
         ("[train]\ngamma = 0.9", ["[train] unknown key 'gamma'; it stands in [ppo]"]),
         ("[inspection]\nmas = 3", ["[inspection] unknown key 'mas'; did you mean mass?"]),
         ("[inspection]\nweight = 3", ["[inspection] unknown key 'weight'; `config.toml` of a run lists all"]),
-        ("[study]\nseeds = 3", ["unknown table [study]; allowed are train, inspection"]),
+        ("[studies]\nseeds = 3", ["unknown table [studies]; allowed are train, inspection"]),
         ("[train]\nseed = 1.5", ["seed = 1.5", "integer"]),
         ("[train]\nrta = 1", ["rta = 1", "true or false"]),
         ("[train]\nnum_envs = 0", ["num_envs = 0", "positive"]),
@@ -277,3 +277,13 @@ def test_an_arm_that_alone_holds_controls_chooses_its_own_solver() -> None:
     study = configuration.from_toml(text, "s.toml", StudyConfig())
     solvers = {name: study.of_arm(name).rta.qp_solver for name in ("rta", "told", "named")}
     assert solvers == {"rta": "piqp", "told": "auto", "named": "piqp"}
+
+
+def test_a_studys_file_holds_what_its_arms_share_for_every_other_command() -> None:
+    """As `train`, `evaluate`, `verify` and all others read it; its own tables are the study's."""
+    path = configuration.find("study")
+    shared, whole = configuration.load(path), configuration.load(path, StudyConfig())
+    assert type(shared) is Config and "rta_5s" in whole.arms
+    for part in dataclasses.fields(Config):
+        assert getattr(shared, part.name) == getattr(whole, part.name)
+    assert shared.ppo.action_power == 3.0

@@ -5,11 +5,15 @@ import math
 import pytest
 import torch
 
+from inspection.environment import InspectionEnv
 from inspection.model.state import SIZE, THRUST, E, P, Q, V
 from study.config import Config, override
 from study.errors import InputError
 from study.experiment import Experiment, paper_task, priced
 from study.experiment import test_cases as common_cases
+from study.flight import evaluation
+from study.flight.controllers import untrained
+from study.machine import compiling
 
 HULL = {"mesh": "configs/chiefs/box.npz", "collision": "hull"}
 
@@ -60,6 +64,27 @@ def test_free_flight_is_kept_clear_only_behind_a_filter_of_the_model(
     nothing = torch.zeros(6, 1, dtype=torch.float64)
     correct = experiment.safety.correct
     assert bool(correct and (correct(x, nothing).control[THRUST] != 0.0).any()) == leads
+
+
+@pytest.mark.parametrize(
+    ("max_time", "choice", "compiled"),
+    [(4000.0, "auto", True), (100.0, "auto", False), (4000.0, "off", False)],
+)
+def test_evaluated_episodes_are_compiled_where_that_is_repaid(
+    max_time: float, choice: str, compiled: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of agents and of other controllers alike."""
+    seen: list[bool] = []
+    monkeypatch.setattr(compiling, "finds_compiler", lambda: True)
+    monkeypatch.setattr(InspectionEnv, "compile", lambda env: seen.append(True))
+    monkeypatch.setattr(evaluation, "run_episodes", lambda *flown: None)
+    config = override(
+        made(), {"train": {"compile": choice, "rta": False}, "inspection": {"max_time": max_time}}, "test"
+    )
+    experiment = Experiment(config, 2)
+    evaluation.play(untrained(experiment, 0), experiment, 2, 0)
+    evaluation.play_controller("quick", experiment, 2, 0)
+    assert seen == [True, True] * compiled
 
 
 def test_a_hull_of_what_turns_is_refused_in_a_line() -> None:

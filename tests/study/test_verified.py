@@ -246,6 +246,23 @@ def test_what_a_filter_does_not_check_is_said_in_a_line(
     assert capsys.readouterr().err == ""
 
 
+@pytest.mark.parametrize(
+    ("why", "tables"),
+    [
+        (None, {}),
+        (None, {"train": {"keep_clear": True}}),
+        ("there is none", {"train": {"keep_clear": True, "rta": False}}),
+        ("no free flight is known", {"train": {"keep_clear": True}, "uncertainty": {"position": 0.1}}),
+    ],
+)
+def test_it_is_said_where_free_flights_are_not_kept_clear_though_asked_for(
+    why: str | None, tables: dict[str, Any], capsys: pytest.CaptureFixture[str]
+) -> None:
+    verified.say_unchecked(configured(tables))
+    said = [line for line in capsys.readouterr().err.splitlines() if "keep_clear" in line]
+    assert len(said) == (why is not None) and all("ignored" in line and str(why) in line for line in said)
+
+
 def test_without_the_filter_nothing_is_said(capsys: pytest.CaptureFixture[str]) -> None:
     verified.say_doubts(configured(FAST | {"train": {"rta": False}}), [])
     assert capsys.readouterr().err == ""

@@ -1,65 +1,67 @@
-"""The number of threads: what a person wants, what a run was begun with, else what is fastest."""
+"""The number of threads: what a person wants, what a run was begun with, else one, whatever the load."""
 
 import json
+import os
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 import torch
 
+from kernels import compiled
 from study.errors import InputError
-from study.machine import threads
 from study.machine.provenance import recorded_threads
-from study.machine.threads import Threads, fastest, measured, said
+from study.machine.threads import Threads
 
 
 @pytest.fixture(autouse=True)
-def afterwards(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Undoes what a test sets; two threads, of which OMP_NUM_THREADS says nothing."""
+def afterwards(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """Undoes what a test sets; two threads, of which OMP_NUM_THREADS says nothing, on a machine with three."""
     before = torch.get_num_threads()
     monkeypatch.delenv("OMP_NUM_THREADS", raising=False)
+    monkeypatch.setattr(os, "sched_getaffinity", lambda process: {0, 1, 2}, raising=False)
+    monkeypatch.setattr(compiled, "most_threads", None)
     torch.set_num_threads(2)
     yield
     torch.set_num_threads(before)
 
 
 @pytest.mark.parametrize(
-    ("times", "number"),
-    [({1: 1.0, 2: 0.5}, 2), ({1: 1.0, 2: 0.95}, 1), ({1: 1.0, 2: 14.0}, 1), ({1: 1.0, 2: 0.6, 4: 0.59}, 2)],
+    ("wanted", "recorded", "number", "of_printed"),
+    [(1, 2, 1, None), (2, None, 2, None), (None, 2, 2, 3), (None, 1, 1, 3), (None, None, 1, 3)],
 )
-def test_more_threads_are_taken_only_where_they_pay(times: dict[int, float], number: int) -> None:
-    assert fastest(times) == number
-    assert said(times).startswith(f"threads: {number} of {max(times)}, ")
-
-
-@pytest.mark.parametrize(("wanted", "recorded", "number"), [(1, 2, 1), (None, 1, 1), (None, None, 2)])
-def test_a_person_comes_before_the_record_and_that_before_a_measurement(
-    wanted: int | None,
-    recorded: int | None,
-    number: int,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+def test_a_person_comes_before_the_record_and_that_before_the_default(
+    wanted: int | None, recorded: int | None, number: int, of_printed: int | None
 ) -> None:
-    monkeypatch.setattr(threads, "measured", lambda most: {1: 1.0, most: 0.5})
     own = Threads()
     own.ask(wanted)
     own.recorded = recorded
     own.settle()
-    assert torch.get_num_threads() == number
-    assert ("measurement" in capsys.readouterr().err) == (wanted is None and recorded is None)
+    assert torch.get_num_threads() == number and compiled.most_threads == of_printed
     torch.set_num_threads(2)
     own.settle()  # once is enough
-    assert torch.get_num_threads() == 2 and not capsys.readouterr().err
+    assert torch.get_num_threads() == 2
 
 
-def test_nothing_is_measured_where_the_environment_decides_or_nobody_asked(
+def test_nothing_changes_where_the_environment_decides_or_nobody_asked(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(threads, "measured", lambda most: pytest.fail("measured"))
     Threads().settle()
+    assert torch.get_num_threads() == 2 and compiled.most_threads is None
     monkeypatch.setenv("OMP_NUM_THREADS", "2")
     own = Threads()
     own.ask(None)
     own.settle()
+    assert torch.get_num_threads() == 2 and compiled.most_threads is None
+
+
+def test_the_load_does_not_matter(monkeypatch: pytest.MonkeyPatch) -> None:
+    """No clock is asked, by which a measurement could choose."""
+    monkeypatch.setattr("time.perf_counter", lambda: pytest.fail("measured"))
+    own = Threads()
+    own.ask(None)
+    own.settle()
+    assert torch.get_num_threads() == 1
 
 
 @pytest.mark.parametrize(("processors", "wanted"), [(2, 3), (2, 100_000), (None, 2), (64, 20_000)])
@@ -81,8 +83,3 @@ def test_more_threads_than_processors_are_refused(
 def test_a_record_of_impossible_threads_is_none(written: object, read: int | None, tmp_path: Path) -> None:
     (tmp_path / "provenance.json").write_text(json.dumps({"threads": written}))
     assert recorded_threads(tmp_path) == read
-
-
-def test_each_number_of_threads_is_measured() -> None:
-    times = measured(2)
-    assert set(times) == {1, 2} and min(times.values()) > 0.0

@@ -1,5 +1,7 @@
 """The jump start: the policy does what the guidance would, and PPO goes on from there."""
 
+import os
+import signal
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,6 +13,7 @@ from inspection.guidance import natural_motion
 from inspection.orbits import GUIDANCE, Orbit
 from study import config as configuration
 from study.config import Config
+from study.errors import InputError, Stopped
 from study.experiment import Experiment
 from study.experiment import test_cases as common_cases
 from study.training import jump_start, session
@@ -61,7 +64,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> session.Run:
 
 def taught(run: session.Run) -> session.Run:
     with run.log.open(0, run.config.train.interactions):
-        run.begin()
+        run.begin(lambda: False)
     return run
 
 
@@ -125,7 +128,6 @@ def test_it_is_evaluated_before_and_after_its_lessons_which_come_once(
     seen: list[int] = []
     monkeypatch.setattr(session.Run, "evaluate", lambda self: seen.append(self.interactions))
     run = session.start(config(jump_start=8192, early_evaluations=2), tmp_path / "run")
-    assert session.resume(run.directory).interactions == 0  # as one killed in its lessons goes on
     taught(run)
     assert seen == [0, 8192]
     other = session.resume(run.directory)
@@ -162,17 +164,89 @@ def test_each_batch_is_observed_once_before_it_is_flown(
     env, learner, seen = run.env, run.trainer.learner, []
     observe = env.observation
     monkeypatch.setattr(env, "observation", lambda *of, **more: seen.append(more) or observe(*of, **more))
-    arguments = env, GUIDANCE["quick"], learner, 2, 3, run.trainer.generators
-    jump_start.jump_start(*arguments, lambda transition: None, lambda losses: None)
+    lessons = jump_start.JumpStart(env, GUIDANCE["quick"], learner, 2, 3, run.trainer.generators)
+    while not lessons.done:
+        lessons.teach(lambda transition: None)
     assert seen.count({}) == 3  # what is left is seen by steps
     assert sum("score" in each for each in seen) == 3 * 2
 
 
 def test_a_run_hands_its_teacher_on(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     seen: list[Orbit] = []
-    monkeypatch.setattr("study.training.run.jump_start", lambda env, orbit, *others: seen.append(orbit))
-    taught(session.start(config(jump_start=8192, teacher="thrifty"), tmp_path / "run"))
+    made = jump_start.Taught
+    monkeypatch.setattr(
+        jump_start, "Taught", lambda env, policy, orbit: seen.append(orbit) or made(env, policy, orbit)
+    )
+    session.start(config(jump_start=8192, teacher="thrifty"), tmp_path / "run")
     assert seen == [GUIDANCE["thrifty"]]
+
+
+SHORT = {"jump_start": 4 * 512, "interactions": 6 * 512, "num_envs": 128, "rollout_steps": 4}
+
+
+@pytest.fixture(scope="module", params=[None, [3, 4]], ids=["a seed", "two seeds"])
+def whole(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> session.Run:
+    """A short run that nothing interrupted."""
+    short = session.settled_for_a_seed(config(**SHORT))
+    run = session.create(short, tmp_path_factory.mktemp("whole") / "run", request.param)
+    run.train()
+    return run
+
+
+def continued(whole: session.Run, directory: Path) -> session.Run:
+    """The run in a directory, trained to its end."""
+    run = session.resume(directory, whole.config, whole.seeds if len(whole.seeds) > 1 else None)
+    run.train()
+    return run
+
+
+def assert_same(one: session.Run, other: session.Run) -> None:
+    learners = one.trainer.learner, other.trainer.learner
+    for network in ("policy", "value"):
+        pairs = zip(*(getattr(each, network).parameters() for each in learners), strict=True)
+        assert all(torch.equal(*pair) for pair in pairs)
+    assert torch.equal(one.env.x, other.env.x) and one.interactions == other.interactions
+
+
+@pytest.mark.parametrize("after", [1, 3])
+@pytest.mark.parametrize("how", ["signal", "kill"])
+def test_a_run_that_ends_in_its_lessons_goes_on_as_if_it_had_not(
+    whole: session.Run, how: str, after: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    seeds = whole.seeds if len(whole.seeds) > 1 else None
+    run = session.create(whole.config, tmp_path / "run", seeds)
+    teach = jump_start.JumpStart.teach
+
+    def interrupted(self: jump_start.JumpStart, watch: object) -> dict[str, float]:
+        if self.taught == after and how == "kill":
+            raise MemoryError  # after which nothing is saved
+        if self.taught == after - 1 and how == "signal":
+            os.kill(os.getpid(), signal.SIGINT)
+        return teach(self, watch)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(jump_start.JumpStart, "teach", interrupted)
+        with pytest.raises(Stopped if how == "signal" else MemoryError):
+            run.train()
+    (tmp_path / "run" / "lessons" / f"{after + 1}.pt").write_bytes(
+        b"half a lesso"
+    )  # whose checkpoint never came
+    assert run.interactions == after * 512
+    other = continued(whole, tmp_path / "run")
+    assert_same(whole, other)
+    assert not (tmp_path / "run" / "lessons").exists()
+
+
+def test_a_lesson_that_is_lost_is_named(whole: session.Run, tmp_path: Path) -> None:
+    if len(whole.seeds) > 1:
+        pytest.skip("one is enough")
+    run = session.create(whole.config, tmp_path / "run")
+    assert run.lessons
+    with run.log.open(0, 1):
+        run.be_taught(run.lessons, lambda: run.interactions == 2 * 512)
+    (tmp_path / "run" / "lessons" / "1.pt").unlink()
+    with pytest.raises(InputError, match=r"lessons/1\.pt: no such checkpoint file"):
+        session.resume(tmp_path / "run", whole.config)
 
 
 def test_a_teacher_that_there_is_not_is_refused_with_the_names_of_those_there_are() -> None:
