@@ -211,7 +211,15 @@ def pointers(tensors: Sequence[Tensor]) -> tuple[Any, Any]:
 
 most_threads: int | None = None  # that share a batch's columns; None: as many as PyTorch has
 POOLS: dict[int, ThreadPoolExecutor] = {}
-os.register_at_fork(after_in_child=POOLS.clear)  # where their threads are not
+
+
+def with_one_thread() -> None:
+    """Has a forked process compute with one thread: it inherits no other, and PyTorch would wait for its own ones."""
+    POOLS.clear()
+    torch.set_num_threads(1)
+
+
+os.register_at_fork(after_in_child=with_one_thread)
 
 
 def in_shares(run: Callable[[int, int], int | None], columns: int, seconds: float) -> int:
