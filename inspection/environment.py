@@ -194,9 +194,17 @@ class InspectionEnv:
         return lambda *tensors, **times: run(*tensors, **times)[0]
 
     @in_full_precision
-    def reset(self, mask: Tensor | None = None) -> Tensor:
-        """Starts episodes anew from the initial distribution, where mask (B,) is set or all; returns observations."""
-        self._restart(torch.ones_like(self.time, dtype=torch.bool) if mask is None else mask)
+    def reset(
+        self, mask: Tensor | None = None, x: Tensor | None = None, priority: Tensor | None = None
+    ) -> Tensor:
+        """Starts episodes anew, where mask (B,) is set or all; returns observations of all.
+
+        Args:
+            x: states (16, B) and priority: unit vectors (3, B) that they start from; None: drawn from the initial
+                distribution. What else is drawn does not depend on these.
+        """
+        everyone = torch.ones_like(self.time, dtype=torch.bool)
+        self._restart(everyone if mask is None else mask, x, priority)
         return self.observation()
 
     @in_full_precision
@@ -357,14 +365,19 @@ class InspectionEnv:
         percent = 100.0 * self.any_violation_steps / self.steps
         return torch.stack((score, self.totals[0], self.time, self.totals[1], self.totals[2], percent))
 
-    def _restart(self, mask: Tensor) -> Tensor:
-        """Draws new initial conditions where mask (B,) is set, each seed's from its own generator; returns where."""
+    def _restart(self, mask: Tensor, x: Tensor | None = None, priority: Tensor | None = None) -> Tensor:
+        """Draws new initial conditions where mask (B,) is set, each seed's from its own generator; returns where.
+
+        States x (16, B) and priority vectors (3, B) that are given take the place of drawn ones.
+        """
         columns = torch.nonzero(mask).flatten()
         counts = torch.bincount(columns // self.num_envs, minlength=len(self.starts)).tolist()
         for starts, own in zip(self.starts, columns.split(counts), strict=True):
-            states = starts.take(own.numel())  # none, too: others may be taking theirs
+            drawn = starts.take(own.numel())  # none, too: others may be taking theirs
             if own.numel():
-                self._begin(own, *states)
+                fixed = (each if each is None else each[:, own] for each in (x, priority))
+                states = (a if b is None else b for a, b in zip(drawn[:2], fixed, strict=True))
+                self._begin(own, *states, *drawn[2:])
         return columns
 
     def _begin(self, columns: Tensor, x: Tensor, priority: Tensor, number: Tensor | None = None) -> None:

@@ -7,6 +7,7 @@ import gymnasium
 import numpy as np
 from gymnasium.vector import VectorEnv
 
+from interfaces.options import STARTS, check_names
 from interfaces.vector import VectorInspection6DoF
 from study.config import Config
 
@@ -33,9 +34,17 @@ class Inspection6DoF(gymnasium.Env):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[np.ndarray, dict[str, Any]]:
-        """Starts an episode; returns its observation (26,) float32 and an empty info."""
+        """Starts an episode; returns its observation (26,) float32 and an empty info.
+
+        Args:
+            options: state (16,) and priority (3,), as of the vector environment.
+
+        Raises:
+            InputError: as there.
+        """
+        check_names({} if options is None else options, STARTS)
+        observation, info = self.batch.reset(seed=seed, options=options)
         super().reset(seed=seed)
-        observation, info = self.batch.reset(seed=seed)
         self.running = True
         return observation[0], info
 

@@ -16,6 +16,7 @@ from inspection.model.state import CONTROL_SIZE
 from inspection.observation import components
 from inspection.termination import OUTCOMES
 from inspection.transition import METRICS, Transition
+from interfaces.options import read
 from rta.constraints.names import CONSTRAINTS
 from study import config as configuration
 from study.config import Config
@@ -92,14 +93,23 @@ class VectorInspection6DoF(VectorEnv):
         return self.experiment.env(self.num_envs, compiled=self.experiment.compiled)
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict]:
-        """Starts every episode anew; without a seed the draws go on, at first from a random one.
+        """Starts episodes anew; without a seed the draws go on, at first from a random one.
+
+        Args:
+            options: reset_mask (B,) bool: only these begin anew, and the others go on; state (16,) or (B, 16) and
+                priority (3,) or (B, 3), a unit vector: where they begin, for all alike or row by row. What is not
+                given is drawn. A given state need not be one that the filter accepts, and may violate limits.
 
         Returns:
-            Observations (B, 26) float32 and an empty info.
+            Observations (B, 26) float32 of all episodes and an empty info.
 
         Raises:
-            InputError: the configuration leaves no start within the constraints, or so many episodes no memory.
+            InputError: a wrong option, the configuration leaves no start within the constraints, or so many episodes
+                no memory. ResetNeeded: some are to go on, and none has begun.
         """
+        given = read(options, self.num_envs, self.experiment.task)
+        if not self.started and not given["mask"].all():
+            raise gymnasium.error.ResetNeeded("Inspection6DoF-v0: call reset() without reset_mask first")
         super().reset(seed=seed)
         if seed is None and not self.started:
             seed = self.np_random_seed
@@ -107,7 +117,8 @@ class VectorInspection6DoF(VectorEnv):
             for starts in self.simulator.starts:
                 starts.seed(seed % 2**63)  # a random one of NumPy's has 128 bits
         with refusing("[inspection]", RuntimeError):  # no start within the constraints
-            observation = self.simulator.reset()
+            device = self.experiment.device
+            observation = self.simulator.reset(**{name: each.to(device) for name, each in given.items()})
         self.started = True
         return in_kind(observation, self.tensors), {}
 
