@@ -300,6 +300,7 @@ class InspectionEnv:
             terminated=terminated,
             truncated=ended["timeout"] & ~terminated,
             violated=violated,
+            h=h,
             corrections=[hold.correction for hold in holds if hold.correction is not None],
             held=[hold.applied for hold in holds],
             limit=self.limit,

@@ -23,7 +23,7 @@ class Transition:
         reward: (B,); reward_terms: what it is the sum of, by name, the nine and those of our own that have a weight.
         terminated, truncated: (B,) bool, true end or time limit; an episode that failed within the step flew on to its
             end.
-        violated: (constraints, B) bool at the end of the step.
+        violated: (constraints, B) bool at the end of the step; h: (constraints, B) the values that say so.
         corrections: the filter's answers, one per filter call of the step; see `calls`.
         held: (6, B) each control that was applied, in N and N m, all for as long; limit: (6, 1) the actuators' limits.
         outcome: (B,) index into OUTCOMES, -1 while running.
@@ -42,6 +42,7 @@ class Transition:
     terminated: Tensor
     truncated: Tensor
     violated: Tensor
+    h: Tensor
     corrections: list[Correction]
     held: list[Tensor]
     limit: Tensor

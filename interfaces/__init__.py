@@ -14,12 +14,12 @@ except ModuleNotFoundError as error:
 
 from interfaces.environment import Inspection6DoF
 from interfaces.safety import RunTimeAssurance, VectorRunTimeAssurance
-from interfaces.vector import VectorInspection6DoF
+from interfaces.vector import ID, VectorInspection6DoF
 
 __all__ = ["Inspection6DoF", "RunTimeAssurance", "VectorInspection6DoF", "VectorRunTimeAssurance"]
 
 gymnasium.register(
-    "Inspection6DoF-v0",
+    ID,
     entry_point="interfaces.environment:Inspection6DoF",
     vector_entry_point="interfaces.vector:VectorInspection6DoF",
 )

@@ -26,6 +26,8 @@ class VectorRunTimeAssurance(VectorWrapper):
         u_des, u_safe: (B, calls, 6), desired and safe control in N and N m; the latter is applied, unless [plant] has
             the call missed,
         intervened: (B, calls) bool, u_safe is a correction,
+        backup: (B, calls) bool, u_safe is not what the programs answered, which could not be verified,
+        verified: (B, calls) bool, u_safe keeps every limit in the model, see `rta.FilterResult`,
         active: (B, calls, 13) bool, a row of the constraint binds it,
         status: (B, calls), `rta.qp.programs.Status` of the solver.
 
@@ -74,6 +76,8 @@ class VectorRunTimeAssurance(VectorWrapper):
             "u_des": by_call(desired),
             "u_safe": by_call([result.control for result in results]),
             "intervened": by_call([result.intervened for result in results]),
+            "backup": by_call([result.backup for result in results]),
+            "verified": by_call([result.verified for result in results]),
             "active": by_call([result.active for result in results]),
             "status": by_call([result.status for result in results]),
         }

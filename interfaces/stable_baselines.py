@@ -1,20 +1,26 @@
 """The vector environment for Stable-Baselines3, which has a vector interface of its own."""
 
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
-from gymnasium.vector import VectorEnv
+from gymnasium.vector import VectorEnv, VectorWrapper
 from stable_baselines3.common.vec_env import VecEnv
 
+from interfaces.options import MASK, STARTS, check_names
 from interfaces.vector import VectorInspection6DoF
+from study.errors import InputError
+
+Indices = int | Iterable[int] | None
 
 
 class StableBaselinesEnv(VecEnv):
     """A `VectorInspection6DoF`, wrapped or not, as Stable-Baselines3 wants it.
 
-    Both begin an ended episode anew in the same step. An info is empty but for the steps that end an episode: these
-    have terminal_observation, TimeLimit.truncated, and episode with the return r and the steps l. The episodes
-    share one simulator, so its attributes and methods are those of all, whatever `indices` says.
+    Both begin an ended episode anew in the same step. An info is that of the environment for one episode, arrays
+    without the axis B; in steps that end an episode also with terminal_observation, TimeLimit.truncated, and episode
+    with the return r and the steps l. The episodes share one simulator, so its attributes and methods are those of
+    all, and `indices` only say how many answers are wanted.
 
     Raises:
         TypeError: another environment. ValueError: it returns tensors.
@@ -31,10 +37,37 @@ class StableBaselinesEnv(VecEnv):
         super().__init__(env.num_envs, env.single_observation_space, env.single_action_space)
 
     def reset(self) -> np.ndarray:
-        """Starts every episode anew, after `seed` from its seed; returns observations (B, 26)."""
+        """Starts every episode anew, after `seed` from its seed; returns observations (B, 26).
+
+        After `set_options`, each episode begins from its own state (16,) and priority (3,), if its dictionary has one.
+
+        Raises:
+            InputError: other options, or wrong ones.
+        """
+        given = self.starts()
         observation, _ = self.env.reset(seed=self._seeds[0])
+        for options in given:
+            observation, _ = self.env.reset(options=options)
         self._reset_seeds()
+        self._reset_options()
         return observation
+
+    def starts(self) -> list[dict[str, np.ndarray]]:
+        """What `set_options` was given as options of the environment's `reset`, for each set of names by itself."""
+        if len(self._options) != self.num_envs:
+            raise InputError(f"set_options: {len(self._options)} of them: must be one, or {self.num_envs}")
+        groups: dict[frozenset[str], dict[str, np.ndarray]] = {}
+        for i, each in enumerate(self._options):
+            check_names(each, STARTS)
+            own = groups.setdefault(frozenset(each), {MASK: np.zeros(self.num_envs, dtype=np.bool_)})
+            own[MASK][i] = True
+            for name, value in each.items():
+                if np.shape(value) != (STARTS[name],):
+                    raise InputError(
+                        f"set_options: {name} of episode {i} has shape {np.shape(value)}: must be ({STARTS[name]},)"
+                    )
+                own.setdefault(name, np.zeros((self.num_envs, STARTS[name])))[i] = value
+        return [own for names, own in groups.items() if names]
 
     def step_async(self, actions: np.ndarray) -> None:
         """Keeps actions (B, 6) for `step_wait`."""
@@ -44,10 +77,10 @@ class StableBaselinesEnv(VecEnv):
         """Observations (B, 26), rewards (B,), done (B,) and one info per episode."""
         observation, reward, terminated, truncated, info = self.env.step(self.actions)
         done = terminated | truncated
-        infos: list[dict[str, Any]] = [{} for _ in done]
+        infos = by_episode({name: part for name, part in info.items() if "final_" not in name})
         for i in np.flatnonzero(done):
             episode = info["final_info"]["episode"]
-            infos[i] = {
+            infos[i] |= {
                 "terminal_observation": info["final_obs"][i],
                 "TimeLimit.truncated": bool(truncated[i]),
                 "episode": {"r": float(episode["r"][i]), "l": int(episode["l"][i])},
@@ -58,18 +91,51 @@ class StableBaselinesEnv(VecEnv):
         """Closes the environment."""
         self.env.close()
 
-    def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
-        """An attribute of the environment, once per episode."""
-        return [getattr(self.env, attr_name)] * self.num_envs
+    def get_attr(self, attr_name: str, indices: Indices = None) -> list[Any]:
+        """An attribute of the environment or of a wrapper, once per episode asked for."""
+        return [getattr(self.owner(attr_name), attr_name)] * self.count(indices)
 
-    def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
-        """Sets an attribute of the environment."""
-        setattr(self.env, attr_name, value)
+    def set_attr(self, attr_name: str, value: Any, indices: Indices = None) -> None:
+        """Sets an attribute for all episodes; raises ValueError where `indices` leave some out."""
+        if self.count(indices) != self.num_envs:
+            raise ValueError(
+                f"set_attr {attr_name!r}: the episodes share it: indices must be None, or all of them"
+            )
+        setattr(self.owner(attr_name), attr_name, value)
 
-    def env_method(self, method_name: str, *args: Any, indices: Any = None, **kwargs: Any) -> list[Any]:
-        """Calls a method of the environment once; returns its result once per episode."""
-        return [getattr(self.env, method_name)(*args, **kwargs)] * self.num_envs
+    def env_method(self, method_name: str, *args: Any, indices: Indices = None, **kwargs: Any) -> list[Any]:
+        """Calls a method of the environment or of a wrapper once; returns its result once per episode asked for."""
+        count = self.count(indices)
+        return [getattr(self.owner(method_name), method_name)(*args, **kwargs)] * count
 
-    def env_is_wrapped(self, wrapper_class: type, indices: Any = None) -> list[bool]:
-        """Whether Gymnasium's wrapper for single environments is around each episode: never."""
-        return [False] * self.num_envs
+    def env_is_wrapped(self, wrapper_class: type, indices: Indices = None) -> list[bool]:
+        """Whether a wrapper of this class is around the environment, once per episode asked for."""
+        found = any(isinstance(each, wrapper_class) for each in self.layers()[:-1])
+        return [found] * self.count(indices)
+
+    def get_images(self) -> Sequence[np.ndarray | None]:
+        """No images: None per episode, since nothing is rendered."""
+        return [None] * self.num_envs
+
+    def count(self, indices: Indices) -> int:
+        """How many episodes are asked for; raises IndexError where there is no such one."""
+        return len([range(self.num_envs)[i] for i in self._get_indices(indices)])
+
+    def layers(self) -> list[VectorEnv]:
+        """The wrappers and the environment in them, the outermost first."""
+        layers = [self.env]
+        while isinstance(layers[-1], VectorWrapper):
+            layers.append(layers[-1].env)
+        return layers
+
+    def owner(self, name: str) -> VectorEnv:
+        """The outermost layer that has an attribute; the environment where none has."""
+        return next((each for each in self.layers() if hasattr(each, name)), self.env.unwrapped)
+
+
+def by_episode(value: Any) -> list[Any]:
+    """An array (B, ...), or a dictionary of them, as one of each episode; numbers as Python's."""
+    if isinstance(value, dict):
+        parts = zip(*map(by_episode, value.values()), strict=True)
+        return [dict(zip(value, own, strict=True)) for own in parts]
+    return value.tolist() if value.ndim == 1 else list(value)

@@ -1,5 +1,6 @@
 """The batch of episodes as a Gymnasium vector environment."""
 
+from collections.abc import Sequence
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
 from inspection.environment import InspectionEnv
+from inspection.model.parameters import InspectionParameters
 from inspection.model.state import CONTROL_SIZE
 from inspection.observation import components
 from inspection.termination import OUTCOMES
@@ -20,9 +22,10 @@ from interfaces.options import read
 from rta.constraints.names import CONSTRAINTS
 from study import config as configuration
 from study.config import Config
-from study.errors import refusing
+from study.errors import InputError, refusing
 from study.experiment import Experiment
 
+ID = "Inspection6DoF-v0"
 LARGEST = float(np.finfo(np.float32).max)  # no observation has a limit, and Gymnasium warns of infinite ones
 
 
@@ -37,6 +40,8 @@ class VectorInspection6DoF(VectorEnv):
         compile: compile the simulator, at the first `reset`, and the filter if there is one, which takes seconds
             the first time.
         tensors: `reset` returns tensors on the device; `step` answers in the kind of its actions.
+        max_episode_steps: after which an episode is truncated as by the configuration's max_time, if that is not
+            reached before; None or -1: by that alone.
 
     Attributes:
         experiment: what is flown, the filter included; simulator: the episodes.
@@ -59,6 +64,7 @@ class VectorInspection6DoF(VectorEnv):
         device: str = "cpu",
         compile: bool = False,
         tensors: bool = False,
+        max_episode_steps: int | None = None,
     ) -> None:
         base = (
             config
@@ -67,11 +73,11 @@ class VectorInspection6DoF(VectorEnv):
             if config
             else Config()
         )
-        source = "Inspection6DoF-v0"
-        compiled = configuration.convert(compile, bool, f"{source}: compile")
+        compiled = configuration.convert(compile, bool, f"{ID}: compile")
         here = {"num_envs": num_envs, "device": device, "rta": False, "compile": "on" if compiled else "off"}
-        config = configuration.override(base, {"train": here}, source)
-        self.tensors = configuration.convert(tensors, bool, f"{source}: tensors")
+        end = {"max_time": end_of(max_episode_steps, base.inspection)}
+        config = configuration.override(base, {"train": here, "inspection": end}, ID)
+        self.tensors = configuration.convert(tensors, bool, f"{ID}: tensors")
         self.num_envs = num_envs
         size = len(components(config.inspection.observed))
         self.single_observation_space = spaces.Box(-LARGEST, LARGEST, (size,), np.float32)
@@ -109,7 +115,7 @@ class VectorInspection6DoF(VectorEnv):
         """
         given = read(options, self.num_envs, self.experiment.task)
         if not self.started and not given["mask"].all():
-            raise gymnasium.error.ResetNeeded("Inspection6DoF-v0: call reset() without reset_mask first")
+            raise gymnasium.error.ResetNeeded(f"{ID}: call reset() without reset_mask first")
         super().reset(seed=seed)
         if seed is None and not self.started:
             seed = self.np_random_seed
@@ -130,22 +136,23 @@ class VectorInspection6DoF(VectorEnv):
 
         Returns:
             Observations (B, 26) float32, rewards (B,), terminated and truncated (B,) bool, and an info about the
-            step: reward_terms by name (B,), violated (B, 13) bool at its end, outcome (B,) index into OUTCOMES or
-            -1, metrics of the episode so far by name (B,). Where an episode ended, info also has final_obs
-            (B, 26) and final_info, the same entries and `episode` with return r and steps l; their masks (B,) are
-            _final_obs, _final_info and _episode.
+            step: reward_terms by name (B,); of its end violated (B, 13) bool, cost (B,) float32, 1 where any limit is
+            violated and else 0, and h by name (B,), the constraints' values, negative where violated; outcome (B,)
+            index into OUTCOMES or -1; metrics of the episode so far by name (B,). Where an episode ended, info also
+            has final_obs (B, 26) and final_info, the same entries and `episode` with return r and steps l; their
+            masks (B,) are _final_obs, _final_info and _episode.
 
         Raises:
             ResetNeeded: `reset` was not called. ValueError: wrong shape, or actions that are not finite.
         """
         if not self.started:
-            raise gymnasium.error.ResetNeeded("Inspection6DoF-v0: call reset() before step()")
+            raise gymnasium.error.ResetNeeded(f"{ID}: call reset() before step()")
         tensors = torch.is_tensor(actions)
         given = actions.detach() if tensors else torch.from_numpy(np.array(actions, dtype=np.float64))
         if not given.isfinite().all():
             raise ValueError("actions contain NaN or infinity: must be finite")
         transition = self.simulator.step(given.to(self.experiment.device))
-        info = about(transition)
+        info = about(transition, self.experiment.safety.names)
         done = transition.done
         if done.any():
             episode = {"r": info["metrics"]["reward"], "l": transition.steps}
@@ -156,11 +163,24 @@ class VectorInspection6DoF(VectorEnv):
         return tuple(in_kind(part, tensors) for part in answer)
 
 
-def about(transition: Transition) -> dict[str, Any]:
+def end_of(max_episode_steps: int | None, c: InspectionParameters) -> float:
+    """The time in s from which on an episode is ended; raises InputError where the steps are not allowed."""
+    if max_episode_steps in (None, -1):
+        return c.max_time
+    if (steps := configuration.convert(max_episode_steps, int, f"{ID}: max_episode_steps")) < 1:
+        raise InputError(
+            f"{ID}: max_episode_steps = {steps}: must be positive, or -1 for no limit but max_time"
+        )
+    return min(c.max_time, (steps - 0.5) * c.action_period)  # within the last step, as times are rounded
+
+
+def about(transition: Transition, constraints: Sequence[str]) -> dict[str, Any]:
     """The step's info, tensors with the batch first."""
     return {
         "reward_terms": transition.reward_terms,
+        "cost": transition.violated.any(0).float(),
         "violated": transition.violated.T,
+        "h": dict(zip(constraints, transition.h, strict=True)),
         "outcome": transition.outcome,
         "metrics": dict(zip(METRICS, transition.metrics, strict=True)),
     }

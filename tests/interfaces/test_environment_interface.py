@@ -69,7 +69,8 @@ def test_make_vec_gives_the_batched_form():
 def test_the_vector_form_has_the_simulators_numbers_in_the_kind_of_the_actions(short, tensors):
     native = simulator(short, EPISODES)
     env = gymnasium.make_vec(ID, num_envs=EPISODES, config=short, tensors=tensors)
-    kind, ended = torch.Tensor if tensors else np.ndarray, set()
+    kind, ended, costs = torch.Tensor if tensors else np.ndarray, set(), set()
+    safety = SafetyFilter(short.inspection, short.rta).safety(enabled=False)
 
     def check(found, expected):
         assert isinstance(found, kind)
@@ -84,6 +85,13 @@ def test_the_vector_form_has_the_simulators_numbers_in_the_kind_of_the_actions(s
         check(terminated, expected.terminated)
         check(truncated, expected.truncated)
         check(info["violated"], expected.violated.T)
+        check(info["cost"], expected.violated.any(0))
+        assert info["cost"].dtype in (torch.float32, np.float32)
+        values = safety.values(expected.state)
+        assert tuple(info["h"]) == CONSTRAINTS
+        for i, name in enumerate(CONSTRAINTS):
+            check(info["h"][name], values[i])
+        costs |= set(info["cost"].tolist())
         check(info["outcome"], expected.outcome)
         for i, name in enumerate(METRICS):
             check(info["metrics"][name], expected.metrics[i])
@@ -95,12 +103,13 @@ def test_the_vector_form_has_the_simulators_numbers_in_the_kind_of_the_actions(s
             check(info["_final_obs"], expected.done)
             check(info["_final_info"], expected.done)
             check(info["final_info"]["outcome"], expected.outcome)
+            check(info["final_info"]["cost"], expected.violated.any(0))
             check(info["final_info"]["episode"]["r"], expected.metrics[1])
             check(info["final_info"]["episode"]["l"], expected.steps)
             assert not np.array_equal(info["final_obs"], observation)
         assert all(isinstance(leaf, kind) for leaf in leaves(info))
         ended |= {OUTCOMES[i] for i in expected.outcome.tolist() if i >= 0}
-    assert ended == {"success", "timeout"}
+    assert ended == {"success", "timeout"} and costs == {0.0, 1.0}
 
 
 def test_the_single_form_has_the_simulators_numbers(short):
@@ -119,12 +128,55 @@ def test_the_single_form_has_the_simulators_numbers(short):
         assert info["metrics"] == dict(zip(METRICS, expected.metrics[:, 0].tolist(), strict=True))
         assert sum(info["reward_terms"].values()) == pytest.approx(reward)
         assert info["violated"].shape == (13,) and "final_obs" not in info
+        assert info["h"] == dict(zip(CONSTRAINTS, expected.h[:, 0].tolist(), strict=True))
+        assert info["cost"] == float(min(info["h"].values()) < 0.0) and info["cost"].dtype == np.float32
         if terminated or truncated:
             lengths.append(lasted)
             assert OUTCOMES[info["outcome"]] == ("timeout" if truncated else "success")
             np.testing.assert_array_equal(env.reset()[0], native.reset()[0])
             lasted = 0
     assert 5 in lengths
+
+
+@pytest.mark.parametrize("behind_filter", [False, True])
+def test_episodes_are_truncated_after_the_steps_that_make_vec_is_given(behind_filter):
+    env = gymnasium.make_vec(ID, num_envs=EPISODES, max_episode_steps=3)
+    env = interfaces.VectorRunTimeAssurance(env, period=10.0) if behind_filter else env
+    endless = simulator(Config(), EPISODES)
+    env.reset(seed=SEED), endless.reset()
+    for step in range(1, 8):
+        observation, reward, terminated, truncated, info = env.step(np.zeros((EPISODES, 6)))
+        assert not terminated.any() and truncated.tolist() == [step % 3 == 0] * EPISODES
+        assert ("final_obs" in info) == ("final_info" in info) == (step % 3 == 0)
+        if step <= 3 and not behind_filter:
+            expected = endless.step(torch.zeros(EPISODES, 6))
+            np.testing.assert_array_equal(info.get("final_obs", observation), expected.observation)
+            np.testing.assert_array_equal(reward, expected.reward)
+        if step % 3 == 0:
+            assert info["final_info"]["episode"]["l"].tolist() == [3] * EPISODES
+            assert not np.array_equal(info["final_obs"], observation)
+
+
+@pytest.mark.parametrize(("given", "lasts"), [(None, 5), (-1, 5), (9, 5), (4, 4), (1, 1)])
+def test_the_shorter_of_both_limits_ends_an_episode(c, given, lasts):
+    config = Config(inspection=replace(c, max_time=50.0, success_score=1.0))
+    env = gymnasium.make_vec(ID, num_envs=2, config=config, max_episode_steps=given)
+    env.reset(seed=SEED)
+    ends = [env.step(np.zeros((2, 6)))[3].all() for _ in range(5)]
+    assert ends.index(True) + 1 == lasts
+
+
+def test_every_form_is_truncated_alike():
+    options = {"num_envs": 2, "max_episode_steps": 3}
+    forms = [gymnasium.make_vec(ID, **options), gymnasium.make_vec(ID, vectorization_mode="sync", **options)]
+    for env in forms:
+        env.reset(seed=SEED)
+        assert [env.step(np.zeros((2, 6)))[3].tolist() for _ in range(3)] == [[False] * 2] * 2 + [[True] * 2]
+    env = gymnasium.make(ID, max_episode_steps=3)
+    env.reset(seed=SEED)
+    assert [env.step(np.zeros(6))[3] for _ in range(3)] == [False, False, True]
+    again = gymnasium.make_vec(forms[0].spec)  # as Gymnasium recorded it
+    assert again.num_envs == 2 and again.config == forms[0].config
 
 
 def test_a_seed_decides_the_draws_and_without_one_they_differ():
@@ -179,6 +231,12 @@ def test_gymnasiums_own_vector_form_takes_the_single_form():
         ({"device": "gpu"}, "device = 'gpu': must be auto, cpu or cuda"),
         ({"compile": "on"}, "compile = 'on': must be true or false"),
         ({"config": "no/such.toml"}, "no/such.toml: cannot read the configuration"),
+        (
+            {"max_episode_steps": 0},
+            "max_episode_steps = 0: must be positive, or -1 for no limit but max_time",
+        ),
+        ({"max_episode_steps": -2}, "max_episode_steps = -2: must be positive"),
+        ({"max_episode_steps": 2.5}, "max_episode_steps = 2.5: must be an integer"),
     ],
 )
 def test_wrong_options_are_named(options, message):

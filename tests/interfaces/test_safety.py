@@ -17,7 +17,7 @@ from study.errors import InputError
 
 ID = "interfaces:Inspection6DoF-v0"
 EPISODES, STEPS, SEED = 4, 6, 5
-REPORTS = {"u_des", "u_safe", "intervened", "active", "status"}
+REPORTS = {"u_des", "u_safe", "intervened", "backup", "verified", "active", "status"}
 
 
 @pytest.fixture
@@ -53,6 +53,8 @@ def test_every_call_is_reported_as_the_filter_answers_it(c):
             torch.testing.assert_close(info["u_des"][:, call], u.T, rtol=0.0, atol=0.0)
             torch.testing.assert_close(info["u_safe"][:, call], expected.control.T, rtol=0.0, atol=0.0)
             assert torch.equal(info["intervened"][:, call], expected.intervened)
+            assert torch.equal(info["backup"][:, call], expected.backup)
+            assert torch.equal(info["verified"][:, call], expected.verified)
             assert torch.equal(info["active"][:, call], expected.active.T)
             assert torch.equal(info["status"][:, call], expected.status)
             u = expected.control
@@ -92,7 +94,8 @@ def test_the_single_form_reports_without_the_batchs_axis():
     *_, info = env.step(action)
     assert info["u_des"].shape == info["u_safe"].shape == (10, 6)
     assert info["active"].shape == (10, len(CONSTRAINTS))
-    assert info["intervened"].shape == info["status"].shape == (10,)
+    for name in ("intervened", "backup", "verified", "status"):
+        assert info[name].shape == (10,)
     again = gymnasium.make(env.spec)
     again.reset(seed=SEED)
     *_, repeated = again.step(action)

@@ -52,6 +52,7 @@ def transition(generator: torch.Generator, ending: bool = True, filtered: bool =
         terminated=ended,
         truncated=truncated & ~ended,
         violated=numbers[3:6] < 0.0,
+        h=numbers[3:6],
         corrections=[correction(generator) for _ in range(CALLS)] if filtered else [],
         held=[torch.zeros(6, BATCH)] * CALLS,
         limit=torch.ones(6, 1),
