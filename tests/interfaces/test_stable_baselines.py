@@ -12,10 +12,16 @@ pytest.importorskip(
     reason="Stable-Baselines3 is not installed: python -m pip install -r requirements-optional.txt",
 )
 
+from gymnasium.wrappers.vector import RecordEpisodeStatistics
 from stable_baselines3 import PPO
+from stable_baselines3.common.env_checker import check_env
+from stable_baselines3.common.monitor import Monitor
+from stable_baselines3.common.vec_env import VecMonitor, VecNormalize
 
+from interfaces import RunTimeAssurance, VectorRunTimeAssurance
 from interfaces.stable_baselines import StableBaselinesEnv
 from study.config import Config
+from study.errors import InputError
 
 ID = "interfaces:Inspection6DoF-v0"
 
@@ -47,7 +53,13 @@ def test_ends_are_told_as_stable_baselines_wants_them(c):
         np.testing.assert_array_equal(observation, expected)
         np.testing.assert_array_equal(reward, expected_reward)
         np.testing.assert_array_equal(done, terminated | truncated)
-        assert [bool(info) for info in infos] == done.tolist()
+        assert ["terminal_observation" in info for info in infos] == done.tolist()
+        assert ["episode" in info for info in infos] == done.tolist()
+        for i, own in enumerate(infos):
+            assert own["cost"] == info["cost"][i] and own["outcome"] == info["outcome"][i]
+            assert own["h"] == {name: values[i] for name, values in info["h"].items()}
+            np.testing.assert_array_equal(own["violated"], info["violated"][i])
+            assert not any("final_" in name for name in own)
         for i in np.flatnonzero(done):
             np.testing.assert_array_equal(infos[i]["terminal_observation"], info["final_obs"][i])
             assert infos[i]["TimeLimit.truncated"] == truncated[i]
@@ -59,3 +71,116 @@ def test_ends_are_told_as_stable_baselines_wants_them(c):
 def test_an_environment_of_tensors_is_refused():
     with pytest.raises(ValueError, match="tensors=True"):
         StableBaselinesEnv(gymnasium.make_vec(ID, num_envs=2, tensors=True))
+
+
+@pytest.fixture
+def env():
+    """Four episodes of three steps behind the filter, with a wrapper around."""
+    batch = VectorRunTimeAssurance(gymnasium.make_vec(ID, num_envs=4, max_episode_steps=3), period=10.0)
+    return StableBaselinesEnv(RecordEpisodeStatistics(batch))
+
+
+def test_the_filters_reports_reach_every_info(env):
+    env.reset()
+    *_, infos = env.step(np.ones((4, 6)))
+    for info in infos:
+        assert info["u_safe"].shape == (1, 6)
+        for name in ("intervened", "backup", "verified"):
+            assert info[name].shape == (1,) and info[name].dtype == bool
+
+
+@pytest.mark.parametrize(("indices", "count"), [(None, 4), (2, 1), ([0, 3], 2), (range(3), 3), ([], 0)])
+def test_as_many_answers_as_indices(env, indices, count):
+    assert env.get_attr("render_mode", indices) == [None] * count
+    assert env.get_attr("filter", indices) == [env.env.env.filter] * count  # through the wrapper around it
+    assert env.env_is_wrapped(VectorRunTimeAssurance, indices) == [True] * count
+    assert env.env_is_wrapped(Monitor, indices) == [False] * count
+    assert env.env_method("__repr__", indices=indices) == [repr(env.env)] * count
+
+
+def test_attributes_are_of_all_episodes(env):
+    env.set_attr("started", False)
+    assert env.get_attr("started") == [False] * 4 and env.env.unwrapped.started is False
+    with pytest.raises(ValueError, match="'started': the episodes share it: indices must be None, or all"):
+        env.set_attr("started", True, indices=[0])
+    for call in (env.get_attr, env.env_method):
+        with pytest.raises(IndexError):
+            call("reset", indices=4)
+    with pytest.raises(AttributeError, match="nothing_like_it"):
+        env.get_attr("nothing_like_it")
+    assert not env.has_attr("nothing_like_it") and env.has_attr("filter")
+
+
+def test_nothing_is_rendered(env):
+    assert env.render_mode is None and list(env.get_images()) == [None] * 4
+    with pytest.warns(UserWarning, match="no `render_mode`"):
+        assert env.render() is None
+
+
+def start(env, seed):
+    """States (4, 16) and priority vectors (4, 3)."""
+    env.env.reset(seed=seed)
+    simulator = env.env.unwrapped.simulator
+    return simulator.x.T.numpy().copy(), simulator.sight.priority.T.numpy().copy()
+
+
+def test_options_are_the_starts_of_the_next_reset(env):
+    x, priority = start(env, 1)
+    simulator = env.env.unwrapped.simulator
+    env.set_options([{"state": own, "priority": other} for own, other in zip(x, priority, strict=True)])
+    env.reset()
+    np.testing.assert_allclose(simulator.x.T, x, rtol=0.0, atol=1e-15)
+    np.testing.assert_allclose(simulator.sight.priority.T, priority, rtol=0.0, atol=1e-15)
+    env.reset()
+    assert not np.isclose(simulator.x.T, x).all(1).any()
+    env.set_options({"state": x[2]})
+    env.reset()
+    np.testing.assert_allclose(simulator.x.T, x[[2] * 4], rtol=0.0, atol=1e-15)
+
+
+def test_episodes_without_options_are_drawn(env):
+    x, priority = start(env, 1)
+    simulator = env.env.unwrapped.simulator
+    env.seed(5)
+    expected = env.reset()
+    env.seed(5)
+    env.set_options([{}, {"state": x[1]}, {"priority": priority[2]}, {}])
+    observation = env.reset()
+    np.testing.assert_array_equal(observation[[0, 3]], expected[[0, 3]])
+    np.testing.assert_allclose(simulator.x[:, 1], x[1], rtol=0.0, atol=1e-15)
+    np.testing.assert_allclose(simulator.sight.priority[:, 2], priority[2], rtol=0.0, atol=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ([{}] * 3, "set_options: 3 of them: must be one, or 4"),
+        ({"reset_mask": np.ones(4, dtype=bool)}, "unknown 'reset_mask'; allowed are state, priority"),
+        ({"state": np.zeros((4, 16))}, r"state of episode 0 has shape \(4, 16\): must be \(16,\)"),
+        ([{}, {}, {"state": np.full(16, np.nan)}, {}], "state in row 2: must be finite"),
+    ],
+)
+def test_wrong_options_are_refused(env, options, message):
+    env.set_options(options)
+    with pytest.raises(InputError, match=message):
+        env.reset()
+
+
+def test_stable_baselines_own_wrappers_go_around_it(env):
+    env.seed(0)
+    wrapped = VecMonitor(VecNormalize(env))
+    wrapped.reset()
+    ended = [wrapped.step(np.zeros((4, 6)))[2:] for _ in range(3)][-1]
+    done, infos = ended
+    assert done.all() and all(info["TimeLimit.truncated"] for info in infos)
+    for info in infos:
+        assert info["terminal_observation"].shape == (26,) and info["episode"]["l"] == 3
+    seeds = env.seed(7)
+    assert seeds == [7, 8, 9, 10]
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("behind_filter", [False, True])
+def test_stable_baselines_finds_nothing_to_complain_about(behind_filter):
+    single = gymnasium.make(ID)
+    check_env(RunTimeAssurance(single, period=10.0) if behind_filter else single)
