@@ -4,6 +4,7 @@ import contextlib
 import io
 import re
 import shlex
+import textwrap
 from pathlib import Path
 
 import numpy as np
@@ -71,6 +72,27 @@ def test_a_page_prints_what_it_says(page: str) -> None:
     assert NUMBER.sub("#", printed).split() == NUMBER.sub("#", promised).split()
     # another processor rounds otherwise; zero violations are zero everywhere
     np.testing.assert_allclose(numbers(printed), numbers(promised), rtol=0.03, atol=1e-9)
+
+
+def test_the_constrained_learners_train(capsys: pytest.CaptureFixture[str]) -> None:
+    """The page's program, for few steps, prints what the page says but for the numbers."""
+    pytest.importorskip(
+        "stable_baselines3",
+        reason="Stable-Baselines3 is not installed: python -m pip install -r requirements-optional.txt",
+    )
+    text = (ROOT / "docs/guides/constrained_learning.md").read_text(encoding="utf-8")
+    indented = [part for part in re.findall(r"(?m)(?:^(?: {4}.*)?\n)+", text) if part.strip()]
+    program, promised = map(textwrap.dedent, indented)
+    smaller = {
+        "64, 128, 200_000": "4, 8, 64",
+        "batch_size=1024": "batch_size=32",
+        "compile=True": "compile=False",
+    }
+    for said, instead in smaller.items():
+        assert said in program
+        program = program.replace(said, instead)
+    exec(compile(program, "docs/guides/constrained_learning.md", "exec"), {})
+    assert NUMBER.sub("#", capsys.readouterr().out).split() == NUMBER.sub("#", promised).split()
 
 
 def test_every_way_in_leads_somewhere(monkeypatch: pytest.MonkeyPatch) -> None:
