@@ -54,6 +54,10 @@ class Given:
                 f"quaternion (components 6 to 9 of the state){where}: must have length 1 to {tolerance:g}, "
                 f"has {length[wrong[0]].item():.9g}"
             )
+        self.x = (
+            self.x.clone()
+        )  # a length that is off by rounding would be taken for another angle to the Sun
+        self.x[Q] /= length
 
     def in_kind(self, part: Tensor) -> Any:
         """A field (..., B) of the filter's answer as the desired control was given."""

@@ -14,6 +14,8 @@ from inspection.chief.mesh import pinned
 from inspection.model.parameters import ChiefParameters, Limits
 from inspection.world.parameters import PlantParameters
 from ppo.torchrun import is_first
+from rta.printed import source
+from rta.printed.files import implementation
 from setting import settings
 from study import config as configuration
 from study.commands import command
@@ -65,6 +67,14 @@ def of_hull(chief: ChiefParameters) -> dict[str, Any]:
 def fingerprint(config: Config) -> str:
     """The first 12 hexadecimal digits of `settings_digest`."""
     return settings_digest(config)[:12]
+
+
+def code_digest(config: Config) -> str:
+    """The first 12 hexadecimal digits of the SHA-256 of a configuration's filter as C, for one and for vectors."""
+    safety_filter = filter_of(config)
+    vectors = sorted((Path(source.__file__).parent / "driver" / "batch").iterdir())
+    texts = [implementation(safety_filter), *(path.read_text(encoding="utf-8") for path in vectors)]
+    return hashlib.sha256("".join(texts).encode()).hexdigest()[:12]
 
 
 def settings_digest(config: Config) -> str:

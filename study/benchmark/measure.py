@@ -20,16 +20,19 @@ from study.benchmark import rates
 from study.benchmark.breakdown import breakdown
 from study.benchmark.flights import record, trained, untrained
 from study.benchmark.timing import Spread, seconds, us
-from study.config import Config, load
+from study.config import Config, load, override
 from study.experiment import Experiment
 from study.files import ROOT
 from study.machine.compiling import compile_or_explain, wants_compile
+from study.verification import measure as demands
+from study.verified import code_digest, fingerprint
 
 BATCHES = (256, 1024, 4096, 16384, 65536)
 TYPICAL = {"cpu": 4096, "cuda": 65536}  # the batch of the headline numbers
 U1 = ROOT / "configs/plants/u1.toml"
 PROGRAMS = (1, 16, 64, 256, 1024, 4096)  # solved at once
 TYPICAL_PROGRAMS = 1024
+FLOWN = 1024  # spacecraft under random demands
 
 
 def experiment_at(config: Config, period: float, batch: int, solver: str = "batched") -> Experiment:
@@ -52,7 +55,8 @@ def benchmark(
         next to TYPICAL, the learner's at that next to its minibatch. `min_max` has the smallest and largest
         measurement of each under the same key; `scaling` has all three by batch: environments, spacecraft or
         samples at once, or programs for `qp_us`. `closed_loop_us` has `breakdown` by batch, and
-        `compile_s` what `compile_times` says. `arithmetic` is of the filter, see `rates.arithmetic`.
+        `compile_s` what `compile_times` says. `arithmetic` is of the filter, see `rates.arithmetic`. `random_call_us`
+        has us a call under random demands from three kinds of starts, `filter` what filters were measured.
     """
     compiled, largest = wants_compile(config.train.compile, True), max(batches)
     say = partial(print, file=sys.stderr, flush=True)
@@ -83,6 +87,10 @@ def benchmark(
     # where controls are held, more at once take a minute each and are no faster
     told_calls = {n: rates.filter_calls(of_u1.filter, told_sample, n) for n in batches if n <= typical}
     told_latencies = rates.single_latencies(of_u1.filter, told_sample)
+
+    say("filter under random demands")
+    flown = {"paper": (config, "paper"), "edge": (config, "edge"), "u1": (told, "paper")}
+    random_us = {name: us(random_calls(own, where)) for name, (own, where) in flown.items()}
 
     simulator: dict[str, dict[int, Spread]] = {name: {} for name in ("native", *rates.KINDS)}
     closed_loop: dict[str, dict[int, Spread]] = {name: {} for name in experiments}
@@ -122,6 +130,7 @@ def benchmark(
     }
     counts = {"learner_samples_per_s": minibatch, "qp_us": TYPICAL_PROGRAMS}
     headline = {name: at(counts.get(name, typical), curves) for name, curves in scaling.items()}
+    headline["random_call_us"] = random_us
     headline["matmul_gflops"] = {key: rate / 1e9 for key, rate in matrix_product.items()}
     flops = learner[minibatch]["median"] * rates.learner_flops(rates.fresh_learner(bare))
     single = {"single_filter_latency_ms": latencies, "told_filter_latency_ms": told_latencies}
@@ -137,6 +146,8 @@ def benchmark(
         | {name: [ms[0], ms[-1]] for name, ms in single.items()},
         "batch": typical,
         "threads": torch.get_num_threads(),
+        "filter": {name: identity(each) for name, each in filters(config).items()},
+        "torch": torch.__version__,
         "device": device_name(experiment.device),
         "compiled": compiled,
     }
@@ -148,6 +159,24 @@ def in_u1(config: Config) -> Config:
         return config
     u1 = load(U1, Config())
     return replace(config, uncertainty=u1.uncertainty, plant=u1.plant)
+
+
+def random_calls(config: Config, where: str) -> Spread:
+    """Filter calls per s of spacecraft that are flown for a minute under random demands, see `measure.starts`."""
+    own = override(config, {"train": {"rta": True}}, "benchmark")
+    rates = sorted(demands.measure(own, "random", where, FLOWN, 60.0)["calls_per_s"] for _ in range(3))
+    return {"median": rates[1], "min": rates[0], "max": rates[2]}
+
+
+def filters(config: Config) -> dict[str, Config]:
+    """The configurations of the filters that are measured, by name."""
+    at = {f"{period:g}": override(config, {"rta": {"period": period}}, "benchmark") for period in PERIODS}
+    return at | {"u1": in_u1(config)}
+
+
+def identity(config: Config) -> dict[str, str]:
+    """What says that numbers are of a configuration's filter as it is now: of its settings, and of its code as C."""
+    return {"settings": fingerprint(config), "code": code_digest(config)}
 
 
 def compile_times(bare: Experiment, told: Experiment, batch: int) -> dict[str, float]:

@@ -12,6 +12,8 @@ from study.drawing import Figure
 # Okabe and Ito's
 PALETTE = ("#0072B2", "#000000", "#D55E00", "#E69F00", "#CC79A7", "#009E73", "#56B4E9", "#666666", "#F0E442")
 
+RANDOM = {"paper": "the paper's starts", "edge": "the edge of the zone", "u1": "U1"}
+
 
 def table(results: dict[str, Any]) -> str:
     """The results for a person."""
@@ -40,6 +42,8 @@ def table(results: dict[str, Any]) -> str:
     of_filter = 100 * results["told_filter_calls_per_s"] / results["filter_calls_per_s"]
     unit = f"calls/s, {of_filter:.0f} % of the filter's"
     measured("filter with [uncertainty]", unit, "told_filter_calls_per_s")
+    for name, label in RANDOM.items():
+        measured(f"random demands, {label}", "us a call", "random_call_us", name)
     for name in results["qp_us"]:
         measured(f"{name}, {TYPICAL_PROGRAMS:,} programs at once", "us per QP", "qp_us", name)
     singles = {"": "single_filter_latency_ms", ", with [uncertainty]": "told_filter_latency_ms"}

@@ -19,7 +19,7 @@ from study.machine.threads import THREADS
 MOST_THREADS = (
     4096  # that any machine was used with; so many more that they cannot be started end the process
 )
-PACKAGES = ("torch", "numpy", "piqp", "scipy", "tensorboard")
+PACKAGES = ("numpy", "piqp", "scipy", "tensorboard")  # beside PyTorch
 
 
 def git_revision() -> str:
@@ -44,7 +44,8 @@ def provenance(device: torch.device) -> dict[str, Any]:
     return {
         "git_revision": git_revision(),
         "python": platform.python_version(),
-        "packages": {name: importlib.metadata.version(name) for name in PACKAGES},
+        "packages": {"torch": torch.__version__}  # which says of which build, too
+        | {name: importlib.metadata.version(name) for name in PACKAGES},
         "device": torch.cuda.get_device_name(device)
         if device.type == "cuda"
         else platform.processor() or "cpu",

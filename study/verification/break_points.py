@@ -2,7 +2,8 @@
 
 Each world is flown like a campaign of `study.verification.campaign`, once with its errors held at a corner of their
 bounds and once with the worst. The break point of a limit is the smallest size tried at which an episode violated it in
-either; a size holds where none did.
+either; a size holds where none did and the filter checks motion and attitude. Where it does not check both, what was
+flown says nothing of other flights: that size is unchecked.
 """
 
 import dataclasses
@@ -119,7 +120,8 @@ def empty_report(worlds: Any, config: Config) -> dict[str, Any]:
     """A report of no worlds, the form of `break-points --json`.
 
     `worlds` has of each its effect, size, whether the filter was told, and either `violating_episodes` by limit, of all
-    ERRORS, and how many filter calls were unsolved, or `refused`, why there was nothing to fly.
+    ERRORS, how many filter calls were unsolved, and what the filter left `unchecked`, or `refused`, why there was
+    nothing to fly.
     """
     return {
         "campaign": dataclasses.asdict(worlds),
@@ -175,7 +177,7 @@ def fly_world(worlds: Worlds, config: Config, effect: Effect, size: float, told:
         candidates=candidates,
         horizon=horizon,
     )
-    violating, unsolved = Counter(dict.fromkeys((*CONSTRAINTS, "any"), 0)), 0
+    violating, unsolved, unchecked = Counter(dict.fromkeys((*CONSTRAINTS, "any"), 0)), 0, list[str]()
     for errors in ERRORS:
         own = {"plant": effect.plant(size) | {"errors": errors}}
         if told:
@@ -190,7 +192,8 @@ def fly_world(worlds: Worlds, config: Config, effect: Effect, size: float, told:
             return {"refused": str(refused)}
         violating.update(report["violating_episodes"])
         unsolved += report["filter_calls"]["unsolved"]
-    return {"violating_episodes": dict(violating), "unsolved": unsolved}
+        unchecked = experiment.filter.unchecked
+    return {"violating_episodes": dict(violating), "unsolved": unsolved, "unchecked": unchecked}
 
 
 def break_points(report: dict[str, Any], told: bool) -> dict[str, dict[str, float | None]]:
@@ -207,21 +210,33 @@ def break_points(report: dict[str, Any], told: bool) -> dict[str, dict[str, floa
 
 
 def last_held(report: dict[str, Any], effect: str, told: bool) -> tuple[float | None, float | None]:
-    """The largest size below all that broke or were refused, None: not even the smallest; and the smallest refused."""
+    """The largest size below what broke, was refused or is unchecked, None if there is none; the smallest refused."""
     held = None
     worlds = [world for world in report["worlds"] if world["effect"] == effect and world["told"] == told]
     for world in sorted(worlds, key=lambda world: world["size"]):
-        if "refused" in world or world["violating_episodes"]["any"]:
+        if "refused" in world or world["violating_episodes"]["any"] or (told and world.get("unchecked")):
             break
         held = world["size"]
     return held, min((world["size"] for world in worlds if "refused" in world), default=None)
 
 
+def unchecked_from(report: dict[str, Any], effect: str) -> tuple[float, list[str]] | None:
+    """The smallest size whose bound leaves motion or attitude unchecked, and which; None: there is none."""
+    found = [
+        (world["size"], world["unchecked"])
+        for world in report["worlds"]
+        if world["effect"] == effect and world["told"] and world.get("unchecked")
+    ]
+    return min(found, default=None)
+
+
 def said(report: dict[str, Any], effect: str, told: bool) -> str:
-    """Of an effect: the last size that held, the smallest that broke a limit and which ones, the smallest refused."""
+    """Of an effect: the last size that held, from which on it is unchecked, what broke first, the smallest refused."""
     held, refused = last_held(report, effect, told)
     broken = {name: size for name, size in break_points(report, told)[effect].items() if size is not None}
     text = "holds none" if held is None else f"holds {held:g}"
+    if told and (found := unchecked_from(report, effect)):
+        text += f", unchecked from {found[0]:g} ({' and '.join(found[1])})"
     if broken:
         least = min(broken.values())
         first = [name.replace("\n", " ") for name, size in broken.items() if size == least]
@@ -257,6 +272,8 @@ def figure(report: dict[str, Any]) -> Figure:
                 )
             largest = EFFECTS[effect].sizes[-1]
             tried = f"to {largest:g}" if refused is None else f"refused from {refused:g}"
+            if told and (open_from := unchecked_from(report, effect)):
+                tried += f", unchecked from {open_from[0]:g}"
             ax.text(len(COLUMNS) + 0.1, row + 0.5, tried, va="center", color=GREY)
         units = [f"{effect} ({EFFECTS[effect].unit or 'share'})" for effect in effects]
         ax.set_yticks([row + 0.5 for row in range(len(effects))], units)

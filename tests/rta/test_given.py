@@ -10,6 +10,8 @@ import numpy as np
 import pytest
 import torch
 
+from inspection.model.attitude import norm
+from inspection.model.state import Q
 from rta.filter import SafetyFilter
 from rta.given import towards_zero
 from rta.qp.programs import Status
@@ -36,7 +38,9 @@ def test_the_answer_is_in_kind(safety: SafetyFilter, kind: str, precision: type,
     columns = 3 if single else slice(40)
     x, u = (array[:, columns].astype(precision) for array in (STATE, 1.2 * CONTROL))
     result = values(safety(KINDS[kind](x), KINDS[kind](u)))
-    same = safety.correct(*(torch.from_numpy(part.astype(float)).view(len(part), -1) for part in (x, u)))
+    given, desired = (torch.from_numpy(part.astype(float)).view(len(part), -1) for part in (x, u))
+    given[Q] /= norm(given[Q])
+    same = safety.correct(given, desired)
     for name, expected in values(same).items():
         found = result[name]
         assert torch.is_tensor(found) == (kind == "torch")
@@ -148,3 +152,17 @@ def test_a_state_that_looks_like_other_units_is_answered_and_warned_of(safety: S
     with pytest.warns(UserWarning, match=r"^state: temperature above 160 deg C: is it in K") as warned:
         assert safety(state, control).control.shape == (6, 3)
     assert [warning.filename for warning in warned] == [__file__]  # where it was called
+
+
+def test_a_quaternion_in_single_precision_is_taken_for_a_rotation(safety: SafetyFilter) -> None:
+    """Its length is accepted up to 1e-4 from 1, which would otherwise be 2e-4 rad of the angle to the Sun."""
+    half = math.radians(20.0 - 1e-3)  # the camera is turned to 40 deg from the Sun but for 0.002 deg
+    state = np.zeros(16, dtype=np.float32)
+    state[0], state[8], state[9], state[13], state[14] = 60.0, math.sin(half), math.cos(half), 5.0, 6.0
+    exact = safety.names.index("attitude_exclusion")
+    for length in (1.0 - 9e-5, 1.0, 1.0 + 9e-5):
+        x = state.copy()
+        x[6:10] *= length
+        result = safety(x, np.zeros(6, dtype=np.float32))
+        assert result.h[exact] == pytest.approx(2.0 * half - math.radians(40.0), abs=2e-6) and result.violated
+        assert x[9] == state[9] * np.float32(length)  # what was given is left as it was

@@ -4,10 +4,13 @@ import json
 from pathlib import Path
 
 import pytest
+import torch
 
 import main
+from study import verified
 from study.benchmark import breakdown, flights, measure, presentation, rates, timing
 from study.config import Config, load, override
+from study.files import ROOT
 
 KEYS = {
     "simulator_steps_per_s",
@@ -21,6 +24,8 @@ KEYS = {
     "learner_samples_per_s",
     "matmul_gflops",
     "closed_loop_us",
+    "random_call_us",
+    "filter",
     "learner_matmul_share",
     "peak_memory_mb",
     "scaling",
@@ -34,7 +39,7 @@ def test_benchmark_writes_the_promised_json_and_figure(
         timing: {"SHORTEST": 0.0, "REPEATS": 1},
         flights: {"STEPS": 2, "EPISODES": 64},
         rates: {"WARM_CALLS": 1, "SINGLE_CALLS": 5, "SAMPLES": 256},
-        measure: {"PROGRAMS": (1, 64), "TYPICAL_PROGRAMS": 64},
+        measure: {"PROGRAMS": (1, 64), "TYPICAL_PROGRAMS": 64, "FLOWN": 8},
         presentation: {"TYPICAL_PROGRAMS": 64},
         breakdown: {"STEPS": 2},
     }
@@ -83,3 +88,24 @@ def test_the_told_filter_is_measured_in_the_world_that_it_is_told_of() -> None:
     assert (told.plant, told.uncertainty) == (u1.plant, u1.uncertainty) and not told.uncertainty.is_nil
     own = override(Config(), {"uncertainty": {"mass": 0.1}}, "test")
     assert measure.in_u1(own) is own
+
+
+@pytest.mark.parametrize("name", ["1", "5", "10", "u1"])
+def test_the_shipped_numbers_are_of_the_filter_that_ships(name: str) -> None:
+    """Who changes the filter runs the benchmark again on a quiet machine, or takes its numbers away."""
+    shipped = json.loads((ROOT / "runs/reference/benchmark.json").read_text())
+    if shipped["torch"].partition("+")[0] != torch.__version__.partition("+")[0]:
+        pytest.skip("another PyTorch may record another C")
+    assert shipped["filter"][name] == measure.identity(measure.filters(Config())[name])
+
+
+def test_another_filter_has_another_identity(monkeypatch: pytest.MonkeyPatch) -> None:
+    """By its settings, and by its code where these are the same."""
+    config = Config()
+    before = measure.identity(config)
+    faster = override(config, {"rta": {"speed_gain": 0.21}}, "test")
+    assert all(a != b for a, b in zip(before.values(), measure.identity(faster).values(), strict=True))
+    implementation = verified.implementation
+    monkeypatch.setattr(verified, "implementation", lambda f: implementation(f).replace("0.25", "0.26"))
+    after = measure.identity(config)
+    assert after["settings"] == before["settings"] and after["code"] != before["code"]

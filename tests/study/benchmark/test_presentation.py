@@ -27,6 +27,7 @@ def results() -> dict[str, Any]:
     }
     headline = {"simulator_steps_per_s": 4000.0, "filter_calls_per_s": 2000.0, "matmul_gflops": 12.5}
     headline["told_filter_calls_per_s"] = 500.0
+    headline["random_call_us"] = {"paper": 1.5, "edge": 20.0, "u1": 60.0}
     headline |= {"learner_samples_per_s": 3000.0, "gymnasium_steps_per_s": {"numpy": 3000.0, "torch": 4000.0}}
     headline |= {"closed_loop_steps_per_s": {"1": 100.0, "5": 200.0, "10": 300.0}}
     headline |= {"qp_us": {"piqp": 20.0, "batched": 2.0}}

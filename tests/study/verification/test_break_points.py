@@ -68,6 +68,23 @@ def test_a_break_point_is_the_smallest_size_that_was_violated() -> None:
     assert texts.count("0.1") == 1 and texts.count("0.3") == 1 and "refused from 0.3" in texts
 
 
+def test_a_size_that_is_not_checked_never_holds() -> None:
+    """Whatever broke there or not; of a filter that is told of nothing the check says nothing of the effect."""
+    checked = [
+        world("mass", size, told) | {"unchecked": []} for size in (0.03, 0.1) for told in (False, True)
+    ]
+    open_ones = [
+        world("mass", size, True, *broken) | {"unchecked": ["motion"]}
+        for size, broken in ((0.3, ()), (0.5, ("keep_in_zone",)))
+    ]
+    report = {"worlds": [*open_ones, *checked, world("mass", 0.3, False)]}
+    assert last_held(report, "mass", told=True) == (0.1, None)
+    said = break_points.said(report, "mass", told=True)
+    assert said == "holds 0.1, unchecked from 0.3 (motion), breaks at 0.5 (zone)"
+    assert break_points.said(report, "mass", told=False) == "holds 0.3"
+    assert any("unchecked from 0.3" in text.get_text() for ax in figure(report).axes for text in ax.texts)
+
+
 def test_worlds_are_flown_once_and_break_where_they_must(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -92,6 +109,7 @@ def test_worlds_are_flown_once_and_break_where_they_must(
     ]
     violated = [world["violating_episodes"]["any"] for world in worlds[:3]]
     assert violated[:2] == [0, 0] and violated[2] > 0
+    assert [each["unchecked"] for each in worlds[:3]] == [[], [], []]
     assert "thrust_gain = 0.99" in worlds[3]["refused"]
     assert "holds 1e-09, breaks at 0.99 (speed" in out and "refuses 0.99" in out
     assert picture.stat().st_size > 10_000

@@ -1,0 +1,234 @@
+"""What a filter makes of what is demanded: how much it corrects, what its check moves, how fast it is, where it starts.
+
+    python -m study.verification.measure --demand random --rta-period 10
+
+Designs of a filter are compared by it. `--json F` keeps the numbers.
+"""
+
+import argparse
+import math
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from inspection.closed_loop import Controller
+from inspection.environment import InspectionEnv
+from inspection.guidance import limited, point
+from inspection.initial_state import sample_initial_state
+from inspection.model.attitude import unit
+from inspection.model.draws import isotropic
+from inspection.model.parameters import InspectionParameters
+from inspection.model.state import CONTROL_SIZE, P, V
+from ppo.errors import CheckpointError
+from ppo.network import Policy
+from rta.filter import SafetyFilter
+from rta.result import FilterResult
+from study import config as configuration
+from study.command_line.flags import Parser, period, positive_integer, positive_number
+from study.config import Config, override
+from study.errors import InputError
+from study.experiment import Experiment, load_policy
+from study.files import write_json
+from study.flight.controllers import agent
+from study.machine.threads import THREADS
+from study.verification.adversaries import held_at_random
+from study.verification.starts import NUMBERS, safe_set, states_of
+from study.verified import fingerprint
+
+DRAWN = 4000  # states whose share of starts is counted
+HELD = 60.0  # s that full control is held
+WAYPOINT, NEAREST, FARTHEST = 100.0, 30.0, 400.0  # s between two waypoints; m from the chief
+FREQUENCY = 0.02  # rad/s, of the controller to waypoints, which is critically damped
+EDGE = 0.95  # of the distances of the safe set, that starts at the edge of the zone have at least
+
+
+def full(c: InspectionParameters, generator: torch.Generator, batch: int) -> Controller:
+    """Full thrust and torque of every axis, with signs that are drawn anew every HELD s."""
+    sign = torch.ones(CONTROL_SIZE, batch, dtype=torch.float64)
+
+    def control(t: float, x: Tensor) -> Tensor:
+        if math.isclose(t % HELD, 0.0):
+            sign.copy_(2.0 * torch.randint(0, 2, sign.shape, generator=generator) - 1.0)
+        return sign.to(x) * x.new_tensor(c.control_limit)[:, None]
+
+    return control
+
+
+def to_waypoints(c: InspectionParameters, generator: torch.Generator, batch: int) -> Controller:
+    """A proportional-derivative controller to one waypoint after another, with the camera at the chief."""
+    target = torch.zeros(3, batch, dtype=torch.float64)
+
+    def control(t: float, x: Tensor) -> Tensor:
+        if math.isclose(t % WAYPOINT, 0.0):
+            drawn = torch.rand(3, batch, generator=generator, dtype=torch.float64)
+            target.copy_((NEAREST + (FARTHEST - NEAREST) * drawn[2]) * isotropic(drawn[:2]))
+        thrust = -c.mass * (FREQUENCY**2 * (x[P] - target.to(x)) + 2.0 * FREQUENCY * x[V])
+        return limited(thrust, point(x, "+x", -unit(x[P]), c), x, c)
+
+    return control
+
+
+DEMANDS: dict[str, Callable[[InspectionParameters, torch.Generator, int], Controller]] = {
+    "random": held_at_random,
+    "full": full,
+    "waypoints": to_waypoints,
+}
+
+
+class Counted:
+    """`SafetyFilter.correct` that counts what it does.
+
+    Attributes:
+        calls: of one spacecraft each; seconds: that they took.
+        corrected, moved, unverified: calls with another control than was desired, with another one than the programs'
+            for the check's sake, and with one that is not verified.
+        change: (2,) sums of |u - u_des| over the limit, of thrust and of torque.
+    """
+
+    def __init__(self, safety_filter: SafetyFilter) -> None:
+        self.filter = safety_filter
+        self.calls, self.seconds = 0, 0.0
+        self.corrected = self.moved = self.unverified = 0
+        self.change = torch.zeros(2, dtype=torch.float64)
+
+    def correct(self, x: Tensor, desired: Tensor, **told: Tensor) -> FilterResult:
+        """See `SafetyFilter.correct`."""
+        started = time.perf_counter()
+        answer = self.filter.correct(x, desired, **told)
+        self.seconds += time.perf_counter() - started
+        self.calls += x.shape[1]
+        self.corrected += int(answer.intervened.sum())
+        self.moved += int(answer.backup.sum())
+        self.unverified += int((~answer.verified).sum())
+        shares = (answer.control - desired) / x.new_tensor(self.filter.c.control_limit)[:, None]
+        self.change += shares.unflatten(0, (2, 3)).norm(dim=1).sum(1).cpu()
+        return answer
+
+
+def starts(where: str, count: int, seed: int, safety_filter: SafetyFilter) -> tuple[Tensor, Tensor]:
+    """States (16, count) that the filter accepts, and priority vectors (3, count): "paper", "safe-set" or "edge"."""
+    if where == "safe-set":
+        return safe_set(count, seed, safety_filter)[:2]
+    generator = torch.Generator().manual_seed(seed)
+    if where == "paper":
+        return sample_initial_state(count, generator, safety_filter.c, safety_filter.is_safe)
+    found: list[Tensor] = []
+    while sum(part.shape[1] for part in found) < count:
+        s = torch.rand(NUMBERS, DRAWN, generator=generator, dtype=torch.float64)
+        s[0] = EDGE + (1.0 - EDGE) * s[0]
+        drawn = torch.cat(states_of(s, safety_filter.c))
+        found.append(drawn[:, safety_filter.is_safe(drawn[:16])])
+    both = torch.cat(found, 1)[:, :count]
+    return both[:16], both[16:]
+
+
+def accepted(safety_filter: SafetyFilter, seed: int) -> float:
+    """The share of states with every h >= 0 that the filter accepts as starts, of DRAWN all over the safe set."""
+    generator = torch.Generator().manual_seed(seed)
+    x, _ = states_of(torch.rand(NUMBERS, DRAWN, generator=generator, dtype=torch.float64), safety_filter.c)
+    x = x[:, (safety_filter.values(x) >= 0.0).all(0)]
+    return safety_filter.is_safe(x).double().mean().item()
+
+
+def measure(
+    config: Config, demand: str, where: str, episodes: int, duration: float, policy: Policy | None = None
+) -> dict[str, Any]:
+    """Flies episodes behind the filter under a demand, for a duration in s.
+
+    Args:
+        demand: one of DEMANDS, or "agent", who is `policy` then; where: as of `starts`.
+
+    Returns:
+        Shares of calls in percent, mean changes in units of the actuators' limits, a rate, the share of starts in
+        percent, episodes in which a limit was broken, and what was measured.
+    """
+    experiment = Experiment(config, episodes, math.inf)  # compiled, however short the flight
+    counted = Counted(experiment.filter)
+    decide = None if policy else config.rta.period
+    env: InspectionEnv = experiment.env(episodes, decide_every=decide, compiled=experiment.compiled)
+    env.put_behind(replace(experiment.safety, correct=counted.correct))
+    x, priority = starts(where, episodes, 0, experiment.filter)
+    env.start(x.to(experiment.device), priority.to(experiment.device))
+    generator = torch.Generator().manual_seed(1)
+    controller = agent(policy, env) if policy else DEMANDS[demand](env.c, generator, episodes)
+    low = env.constraint_values(env.x)
+    for hold in env.inspect(controller, duration):
+        low = torch.minimum(low, env.constraint_values(hold.after))
+    share = 100.0 / counted.calls
+    change = (counted.change / counted.calls).tolist()
+    return {
+        "corrected_percent": share * counted.corrected,
+        "change_of_thrust": change[0],
+        "change_of_torque": change[1],
+        "moved_by_check_percent": share * counted.moved,
+        "unverified_percent": share * counted.unverified,
+        "calls_per_s": counted.calls / counted.seconds,
+        "starts_percent": 100.0 * accepted(experiment.filter, 2),
+        "broken_episodes": int((low < 0.0).any(0).sum()),
+        "calls": counted.calls,
+        "measured": {"demand": demand, "starts": where, "episodes": episodes, "duration": duration},
+        "threads": torch.get_num_threads(),
+        "fingerprint": fingerprint(config),
+    }
+
+
+def table(found: dict[str, Any]) -> str:
+    """The numbers for a person, a line each."""
+    words = {
+        "corrected_percent": "calls corrected, %",
+        "change_of_thrust": "mean |u - u_des| of thrust, in limits",
+        "change_of_torque": "mean |u - u_des| of torque, in limits",
+        "moved_by_check_percent": "calls moved by the check, %",
+        "unverified_percent": "calls not verified, %",
+        "calls_per_s": "calls per s, with all that they compute",
+        "starts_percent": "states with every h >= 0 that are starts, %",
+        "broken_episodes": f"episodes of {found['measured']['episodes']:,} in which a limit was broken",
+    }
+    return "\n".join(f"{text:48}{found[name]:>12,.4g}" for name, text in words.items())
+
+
+def main(argv: list[str] | None = None) -> None:
+    """Measures, and says what was found."""
+    parser = Parser(prog=f"python -m {__package__}.measure", description=__doc__.partition("\n")[0])
+    parser.add_argument("--config", action="append", default=[], metavar="FILE", help="as of main.py")
+    parser.add_argument("--rta-period", type=period, metavar="S", help="s between two calls, 1, 5 or 10")
+    parser.add_argument("--demand", choices=(*DEMANDS, "agent"), default="random", help="who demands")
+    parser.add_argument("--checkpoint", metavar="F", help="of --demand agent")
+    parser.add_argument(
+        "--starts", choices=("paper", "safe-set", "edge"), default="safe-set", help="from where"
+    )
+    parser.add_argument("--episodes", type=positive_integer, default=256, metavar="N", help="at once")
+    parser.add_argument("--duration", type=positive_number, default=300.0, metavar="S", help="of each, in s")
+    parser.add_argument("--json", type=Path, metavar="F", help="also write the numbers there")
+    arguments = parser.parse_args(argv)
+    try:
+        print(table(measured(arguments)))
+    except (InputError, CheckpointError) as error:
+        parser.error(str(error))
+
+
+def measured(arguments: argparse.Namespace) -> dict[str, Any]:
+    """What the words of a call ask for, written to their file, too."""
+    if (arguments.demand == "agent") != bool(arguments.checkpoint):
+        raise InputError("--checkpoint F is needed by --demand agent and by no other")
+    THREADS.ask(None)
+    policy, config = load_policy(arguments.checkpoint) if arguments.checkpoint else (None, Config())
+    for file in arguments.config:
+        config = configuration.load(configuration.find(file), config)
+    own = {"train": {"rta": True}, "rta": {"period": arguments.rta_period or config.rta.period}}
+    config = override(config.unsettled(), own, "command line")
+    found = measure(
+        config, arguments.demand, arguments.starts, arguments.episodes, arguments.duration, policy
+    )
+    if arguments.json:
+        write_json(arguments.json, found)
+    return found
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,86 @@
+"""What a filter makes of a demand: what is counted, against numbers made by hand, and who demands."""
+
+import json
+import math
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+import torch
+from torch import Tensor
+
+from inspection import InspectionParameters
+from inspection.model.state import P
+from rta import SafetyFilter
+from study.config import Config, override
+from study.verification import measure
+from study.verification.measure import Counted, accepted, full, starts
+
+C = InspectionParameters()
+
+
+class Halving:
+    """A filter that applies half of the thrust; every second call is moved by its check, every third not verified."""
+
+    c = C
+
+    def correct(self, x: Tensor, desired: Tensor) -> SimpleNamespace:
+        control = desired.clone()
+        control[:3] *= 0.5
+        column = torch.arange(x.shape[1])
+        return SimpleNamespace(
+            control=control,
+            intervened=(control != desired).any(0),
+            backup=column % 2 == 0,
+            verified=column % 3 != 0,
+        )
+
+
+def test_calls_are_counted_and_changes_are_in_limits() -> None:
+    counted = Counted(Halving())  # type: ignore[arg-type]
+    desired = torch.zeros(6, 6, dtype=torch.float64)
+    desired[:2, :4] = C.max_thrust
+    for _ in range(2):
+        counted.correct(torch.zeros(16, 6, dtype=torch.float64), desired)
+    assert (counted.calls, counted.corrected, counted.moved, counted.unverified) == (12, 8, 6, 4)
+    assert counted.change.tolist() == pytest.approx([8 * math.sqrt(0.5), 0.0])
+    assert counted.seconds > 0.0
+
+
+def test_full_control_is_at_the_limits_and_is_held() -> None:
+    controller, x = full(C, torch.Generator().manual_seed(0), 8), torch.zeros(16, 8, dtype=torch.float64)
+    first, same, other = (controller(t, x).clone() for t in (0.0, 10.0, 60.0))
+    limit = torch.tensor(C.control_limit, dtype=torch.float64)[:, None]
+    assert (first.abs() == limit).all() and torch.equal(first, same) and not torch.equal(first, other)
+
+
+@pytest.mark.parametrize("where", ["paper", "safe-set", "edge"])
+def test_starts_are_accepted_and_where_they_should_be(where: str) -> None:
+    safety_filter = SafetyFilter(C)
+    x, priority = starts(where, 20, 0, safety_filter)
+    assert x.shape == (16, 20) and priority.shape == (3, 20) and safety_filter.is_safe(x).all()
+    distance = x[P].norm(dim=0)
+    assert (distance.amin() > 0.94 * C.max_distance) == (where == "edge")
+    assert 0.9 < accepted(safety_filter, 0) < 1.0
+
+
+def test_a_demand_is_measured(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "found.json"
+    measure.main(["--demand", "waypoints", "--episodes", "8", "--duration", "20", "--json", str(path)])
+    found = json.loads(path.read_text())
+    assert found["calls"] == 160 and found["broken_episodes"] == 0 and found["unverified_percent"] == 0.0
+    assert 0.0 <= found["moved_by_check_percent"] <= found["corrected_percent"] <= 100.0
+    assert "calls moved by the check, %" in capsys.readouterr().out
+
+
+def test_a_filter_that_is_wrong_about_the_mass_is_seen_to_break_limits() -> None:
+    """The planted fault: from the edge of the zone, in a world that the filter is not told of."""
+    config = override(Config(), {"plant": {"mass_factor": 2.0}}, "test")
+    assert measure.measure(config, "full", "edge", 32, 60.0)["broken_episodes"] > 0
+
+
+@pytest.mark.parametrize("words", [["--demand", "agent"], ["--checkpoint", "x.pt"], ["--config", "nowhere"]])
+def test_what_does_not_fit_ends_in_a_line(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as end:
+        measure.main(words)
+    assert end.value.code == 2 and capsys.readouterr().err.count("\n") == 1
