@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from inspection.model.attitude import rate_in_hill, rotation_matrix, turned_by
-from inspection.model.dynamics import Body, sun_and_earth_in_body
+from inspection.model.dynamics import Body, step, sun_and_earth_in_body
 from inspection.model.parameters import InspectionParameters
 from inspection.model.state import CONTROL_SIZE, OMEGA, SIZE, TORQUE, E, Q, T
 from kernels import Compiled
@@ -290,6 +290,23 @@ def test_bounds_without_a_rest_have_no_check() -> None:
         assert TurnBackup.of(C, R, replace(U1, **wide)) is None
     assert TurnBackup.of(replace(C, solar_panel_axis="+x"), R, U1) is None
     assert TurnBackup.of(replace(C, orbit="two-body", eccentricity=0.1), R, U1) is None
+
+
+def test_an_attitude_that_is_not_checked_can_break_a_limit() -> None:
+    """With torque gains off by 0.5, from a start that is accepted: what was flown elsewhere is no promise."""
+    safety = SafetyFilter(C, known=Uncertainty(torque_gain=0.5))
+    assert safety.unchecked == ["attitude"]
+    start = """-29.19113607 1.84431565 -10.45851161  -0.00527415 -0.3152207 0.30496715
+               0.60185129 0.65051919 -0.05255201 -0.46025873  0.01196009 0.01766524 -0.01720103
+               9.991737365722656 7 1.84094703"""
+    x = torch.tensor([*map(float, start.split())], dtype=torch.float64)[:, None]
+    assert safety.is_safe(x).all()
+    gains = torch.tensor([1.0, 1.0, 1.0, 0.5, 1.5, 0.5], dtype=torch.float64)[:, None]
+    lowest = safety.values(x)
+    for _ in range(60):
+        x = step(x, gains * safety.correct(x, torch.zeros_like(gains)).control, 1.0, C)
+        lowest = lowest.minimum(safety.values(x))
+    assert [name for name, h in zip(safety.names, lowest[:, 0], strict=True) if h < 0.0] == ["temperature"]
 
 
 def test_more_is_accepted_where_less_is_unknown() -> None:
