@@ -7,6 +7,7 @@ import sys
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import fields
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -249,6 +250,23 @@ def test_a_forked_process_has_threads_of_its_own() -> None:
             signal.alarm(20)
             os._exit(0 if add_up() == 1000 else 1)
         assert os.waitpid(child, 0)[1] == 0
+
+
+class Doubling:
+    def of(self, x: Tensor) -> list[Tensor]:
+        return [2.0 * x]
+
+
+@pytest.mark.parametrize(
+    "function", [Doubling().of, partial(lambda by, x: [by * x], 2.0), lambda x: [2.0 * x]]
+)
+def test_methods_and_partials_are_functions_with_code_of_their_own(
+    function: Callable[..., list[Tensor]],
+) -> None:
+    """As `torch.compile` takes them on a GPU, where a method lost its object and a partial had no code."""
+    run, other = with_own_code(function), with_own_code(function)
+    assert torch.equal(run(torch.ones(3))[0], torch.full((3,), 2.0))
+    assert run.__code__ is not other.__code__
 
 
 def test_many_functions_stay_compiled_on_one_device() -> None:
