@@ -1,0 +1,352 @@
+"""Golden numbers: what the code computed when they were recorded, and what has moved since.
+
+    python -m tests.golden                     # all parts, three minutes
+    python -m tests.golden filter campaign/u1  # the parts whose names begin so
+    python -m tests.golden training --renew    # record these parts anew, and show what is replaced
+
+prints a line per quantity and ends with exit code 1 if one is beyond its tolerance. golden.json holds a digest of each
+quantity's bits and, of each of its rows, samples, a summary and the totals of successive blocks. A digest says whether
+bits have moved. Samples and totals say by how much, in units of the row's largest magnitude: a single number that moved
+shows in the total of its block.
+"""
+
+import argparse
+import hashlib
+import io
+import json
+import sys
+import tempfile
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import redirect_stdout
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+import main as command_line
+from inspection.model.parameters import InspectionParameters
+from inspection.model.state import CONTROLS
+from inspection.termination import OUTCOMES
+from inspection.transition import METRICS
+from rta import SafetyFilter, Status
+from rta.constraints.names import CONSTRAINTS
+from rta.parameters import RtaParameters
+from study.config import TEST_CASES, Config, find, load
+from study.experiment import Experiment, load_policy
+from study.flight.evaluation import play
+
+ROOT = Path(__file__).parents[1]
+FILE = Path(__file__).with_suffix(".json")
+AGENT = ROOT / "runs/reference/study/rta/seed0/policy.pt"
+SAMPLES, BLOCKS = 100, 10  # of a quantity, at least one of each row; of a row
+# By how much a quantity may move, in units of a row's largest magnitude: other processors and versions of PyTorch round
+# otherwise, in an agent's network by 1e-7. Training multiplies every difference. What has labels must stay the same.
+TOLERANCES = {"agent": 1e-4, "campaign": 1e-6, "filter": 1e-9, "training": 0.0}
+CALLS = "filter_calls", "interventions", "failures", "backup_calls"
+TRAINING = """
+[train]
+interactions = 163_840
+jump_start = 0
+evaluation_interval = 1_000_000
+early_evaluations = 1
+final_episodes = 1
+"""
+
+Labels = list[str]
+Rows = Mapping[str, Any]  # by name: what NumPy takes for an array of float64
+Quantities = dict[str, Labels | Rows]
+Recorded = dict[str, Any]
+
+
+def rows(names: tuple[str, ...], values: Any) -> Rows:
+    """Rows by name, where there are as many of both."""
+    return dict(zip(names, values, strict=True))
+
+
+def states(count: int, seed: int) -> tuple[torch.Tensor, torch.Tensor]:
+    """States (16, N) and desired controls (6, N), some beyond the actuators' limits.
+
+    Of each 20, 8 are slow and well inside the zone, 8 within some limits and beyond others, 3 far beyond, and 1 has a
+    number that is none.
+    """
+    rng = np.random.default_rng(seed)
+    kind = rng.permutation(np.arange(count) % 20)
+    p, v, q = rng.standard_normal((3, 4, count))
+    near = rng.choice((18.0, 50.0, 200.0, 790.0), count) * rng.uniform(1.0, 1.01, count)
+    distance = np.where(kind < 8, rng.uniform(50.0, 600.0, count), near)
+    distance = np.where(kind >= 16, distance * rng.uniform(0.3, 1.5, count), distance)
+    share = rng.uniform(0.0, 1.1, count) * np.where(kind < 8, 0.3, np.where(kind < 16, 1.0, 3.0))
+    p, v = (each[:3] / np.linalg.norm(each[:3], axis=0) for each in (p, v))
+    omega = np.radians(rng.uniform(-2.0, 2.0, (3, count))) * np.where(kind < 16, 1.0, 2.0)
+    x = np.vstack(
+        (
+            distance * p,
+            share * (0.2 + 0.0077 * distance) * v,
+            q / np.linalg.norm(q, axis=0),
+            omega,
+            rng.uniform(0.0, np.where(kind < 16, 10.0, 60.0)),
+            rng.uniform(np.where(kind < 16, 1.0, -1.0), 5.0),
+            rng.uniform(0.0, 2.0 * np.pi, count),
+        )
+    )
+    x[rng.integers(0, 16, count)[kind == 19], kind == 19] = rng.choice(
+        (np.nan, np.inf, -np.inf), (kind == 19).sum()
+    )
+    desired = rng.uniform(-1.1, 1.1, (6, count))
+    desired = np.where(rng.random(count) < 0.3, 1.1 * np.sign(desired), desired)
+    limit = np.array(InspectionParameters().control_limit)[:, None]
+    return torch.from_numpy(x), torch.from_numpy(desired * limit)
+
+
+def filtered(count: int, period: float, config: str | None = None) -> Quantities:
+    """What the compiled filter answers to states, at a period and told of the bounds of a shipped configuration."""
+    told = load(find(config)) if config else Config()
+    try:
+        own = SafetyFilter(told.inspection, RtaParameters(period=period), known=told.uncertainty)
+    except ValueError as error:
+        return {"refused": [str(error)]}
+    x, desired = states(count, seed=0)
+    own.compile("cpu", count)
+    result = own.correct(x, desired)
+    return {
+        "control": rows(CONTROLS, result.control),
+        "h": rows(own.names, result.h),
+        "slack": rows(own.names, result.slack),
+        "status": [Status(status).name for status in result.status.tolist()],
+        "verified": [str(verified) for verified in result.verified.tolist()],
+        "backup": [str(backup) for backup in result.backup.tolist()],
+    }
+
+
+def flown(cases: int, rta: bool) -> Quantities:
+    """What becomes of common test cases that a shipped agent flies."""
+    policy, trained = load_policy(AGENT)
+    trained = trained.unsettled()
+    config = replace(trained, train=replace(trained.train, rta=rta, device="cpu"))
+    record = play(policy, Experiment(config, cases), cases, TEST_CASES)
+    return {
+        "metrics": rows(METRICS, record.metrics),
+        "violations": rows((*CONSTRAINTS, "any"), record.violations),
+        "violation seconds": rows((*CONSTRAINTS, "any"), record.violation_seconds),
+        "worst h": rows(CONSTRAINTS, record.worst),
+        "outcome": [OUTCOMES[i] for i in record.outcome.tolist()],
+        "clean": [str(clean) for clean in record.clean.tolist()],
+        "filter calls": {name: getattr(record, name) for name in CALLS},
+    }
+
+
+def command(*words: str) -> None:
+    """Runs a command of main.py, without what it prints; raises RuntimeError where it fails."""
+    with redirect_stdout(io.StringIO()):
+        code = command_line.main(list(words))
+    if code:
+        raise RuntimeError(f"main.py {' '.join(words)}: exit code {code}")
+
+
+def verified(policy: str, *flags: str) -> Quantities:
+    """What a campaign of verification counts, its least h, and the controls of the episodes that these are of."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "report.json"
+        campaign = "--episodes", "64", "--duration", "300", "--device", "cpu", "--json", str(path)
+        command("verify", "--policy", policy, *campaign, "--keep-worst", *flags)
+        report = json.loads(path.read_text())
+        worst = [np.load(f"{path}.{name}.npz")["control_applied"] for name in CONSTRAINTS]
+    counts = "episodes", "steps", "starts_rejected_by_margin", "backup_calls", "controls_outside_bounds"
+    tables = "violating_episodes", "violating_steps", "filter_calls", "yielded_calls"
+    of_tables = {f"{table} {key}": value for table in tables for key, value in report[table].items()}
+    return {
+        "counts": {name: report[name] for name in counts} | of_tables,
+        "least h": report["worst_value"],
+        "largest slack": report["largest_slack"],
+        "controls": rows(CONTROLS, np.concatenate(worst).T),
+    }
+
+
+def trained(*flags: str) -> Quantities:
+    """The weights of an agent after ten updates, and the statistics of the last one."""
+    with tempfile.TemporaryDirectory() as folder:
+        settings, run = Path(folder) / "golden.toml", Path(folder) / "run"
+        settings.write_text(TRAINING)
+        files = "--config", "study", "--config", str(settings)
+        command("train", *files, "--device", "cpu", "--run-dir", str(run), *flags)
+        policy, _ = load_policy(run / "policy.pt")
+        events = EventAccumulator(str(run))
+        events.Reload()
+        tags = sorted(tag for tag in events.Tags()["scalars"] if not tag.startswith(("time/", "evaluation/")))
+        return {
+            "weights": {name: weight.flatten() for name, weight in policy.state_dict().items()},
+            "statistics": {tag: events.Scalars(tag)[-1].value for tag in tags},
+        }
+
+
+U1 = "plants/u1"
+PARTS: dict[str, Callable[[], Quantities]] = {
+    "filter/quick": partial(filtered, 500, 1.0),
+    "agent/quick": partial(flown, 2, rta=True),
+    "filter/1": partial(filtered, 20_000, 1.0),
+    "filter/5": partial(filtered, 20_000, 5.0),
+    "filter/10": partial(filtered, 20_000, 10.0),
+    "filter/u1/1": partial(filtered, 20_000, 1.0, U1),
+    "filter/u1/5": partial(filtered, 20_000, 5.0, U1),
+    "filter/u1/10": partial(filtered, 20_000, 10.0, U1),
+    "agent/no_rta": partial(flown, 20, rta=False),
+    "agent/rta": partial(flown, 20, rta=True),
+    **{
+        f"campaign/{name}/{policy}": partial(verified, policy, *flags)
+        for name, flags in {
+            **{period: ("--rta-period", period) for period in ("1", "5", "10")},
+            "u1": ("--config", U1),
+        }.items()
+        for policy in ("random", "adversarial")
+    },
+    "training/no_rta": partial(trained, "--no-rta"),
+    "training/rta": partial(trained, "--rta", "--rta-period", "1"),
+}
+
+
+def recorded(quantity: Labels | Rows) -> Recorded:
+    """What golden.json holds of a quantity: of labels, counts and samples; of rows, see `recorded_row`."""
+    if isinstance(quantity, list):
+        bits = "\n".join(quantity).encode()
+        samples = quantity[:: max(1, len(quantity) // SAMPLES)][:SAMPLES]
+        return {"digest": digest(bits), "counts": dict(sorted(Counter(quantity).items())), "samples": samples}
+    values = {name: np.atleast_1d(np.asarray(row, np.float64)) for name, row in quantity.items()}
+    values = {name: np.where(np.isnan(row), np.nan, row) for name, row in values.items()}  # NaN has many bits
+    bits = b"".join(name.encode() + row.tobytes() for name, row in values.items())
+    count = max(1, SAMPLES // len(values))
+    return {
+        "digest": digest(bits),
+        "rows": {name: recorded_row(row, count) for name, row in values.items()},
+    }
+
+
+def digest(bits: bytes) -> str:
+    """Of bytes, 64 hexadecimal digits."""
+    return hashlib.sha256(bits).hexdigest()
+
+
+def recorded_row(row: np.ndarray, count: int) -> Recorded:
+    """About so many samples of a row and, of a row that is longer, extremes, mean and totals of its finite numbers."""
+    if len(row) <= 2 * count:
+        return {"samples": row.tolist()}
+    finite = row[np.isfinite(row)]
+    return {
+        "samples": row[:: len(row) // count][:count].tolist(),
+        "finite": len(finite),
+        "least": finite.min(initial=np.inf),
+        "most": finite.max(initial=-np.inf),
+        "mean": finite.sum() / max(1, len(finite)),
+        "totals": [float(block[np.isfinite(block)].sum()) for block in np.array_split(row, BLOCKS)],
+    }
+
+
+def moved(old: Recorded, new: Recorded, tolerance: float) -> tuple[bool, str]:
+    """Whether a quantity is within its tolerance, and in words what has moved."""
+    if old["digest"] == new["digest"]:
+        return True, "same bits"
+    if old.keys() != new.keys() or old.get("rows", {}).keys() != new.get("rows", {}).keys():
+        return False, "OTHER ROWS"
+    if "counts" in old:
+        return False, moved_labels(old, new)
+    moves = list(moves_of(old["rows"], new["rows"]))
+    if not moves:
+        return False, "OTHER LENGTHS"
+    furthest = max(moves, key=lambda move: move[0])
+    apart = {kind: [move[0] for move in moves if move[1] == kind] for kind in ("samples", "totals")}
+    counts = ", ".join(
+        f"{sum(size > 0 for size in sizes):,} of {len(sizes):,} {kind} moved"
+        for kind, sizes in apart.items()
+        if sizes
+    )
+    size, _, name, before, after = furthest
+    where = f" in {name}: {before!r} -> {after!r}" if size else ""
+    within = size <= tolerance
+    limit = f"{'within' if within else 'BEYOND'} {tolerance:g}"
+    return within, f"bits differ, {limit}; {counts}, by at most {size:.1e}{where}"
+
+
+def moved_labels(old: Recorded, new: Recorded) -> str:
+    """What has moved of labels, in words."""
+    then, now = old["counts"], new["counts"]
+    changes = [
+        f"{then.get(label, 0):,} {label} -> {now.get(label, 0):,}"
+        for label in sorted(then.keys() | now.keys())
+        if then.get(label) != now.get(label)
+    ]
+    pairs = list(zip(old["samples"], new["samples"], strict=False))
+    others = f"{sum(a != b for a, b in pairs)} of {len(pairs)} samples differ"
+    return f"MOVED: {', '.join(changes or ['same counts in other places'])}; {others}"
+
+
+def moves_of(old: Recorded, new: Recorded) -> Iterator[tuple[float, str, str, float, float]]:
+    """Of each sample and total: by how much it moved, which of the two it is, its row, its number then and now."""
+    for name, then in old.items():
+        now = new[name]
+        finite = [abs(value) for value in then["samples"] if np.isfinite(value)]
+        if "totals" in then:
+            finite += [abs(then["least"]), abs(then["most"])]
+        scale = max(finite, default=0.0)
+        if len(then["samples"]) == 1:  # a number by itself may be close to zero by chance
+            scale = max(scale, 1.0)
+        for kind in ("samples", "totals"):
+            for before, after in zip(then.get(kind, []), now.get(kind, []), strict=False):
+                same = before == after or (before != before and after != after)
+                size = 0.0 if same else abs(after - before) / (scale or 1.0)
+                yield size if size == size else np.inf, kind, name, before, after
+
+
+def compare(name: str, old: dict[str, Recorded], new: dict[str, Recorded]) -> bool:
+    """Prints a line per quantity of a part; returns whether all are within their tolerance."""
+    tolerance = TOLERANCES[name.partition("/")[0]]
+    all_within = True
+    for quantity in {**old, **new}:
+        if quantity in old and quantity in new:
+            within, verdict = moved(old[quantity], new[quantity], tolerance)
+        else:
+            within, verdict = False, "NO LONGER THERE" if quantity in old else "NEW"
+        print(f"{name:25} {quantity:18} {verdict}", flush=True)
+        all_within = all_within and within
+    return all_within
+
+
+def text_of(golden: dict[str, dict[str, Recorded]]) -> str:
+    """The content of golden.json, a line per row, so that a difference of two versions can be read."""
+
+    def lines(value: Any, depth: int) -> str:
+        if depth == 0 or not isinstance(value, dict):
+            return json.dumps(value)
+        inner = ",\n".join(f"{json.dumps(key)}: {lines(part, depth - 1)}" for key, part in value.items())
+        return "{\n" + inner + "\n}"
+
+    return lines(golden, 4) + "\n"
+
+
+def main(words: list[str] | None = None) -> int:
+    """Computes parts and compares them with golden.json; returns the exit code."""
+    parser = argparse.ArgumentParser(prog="python -m tests.golden", description=__doc__.partition("\n")[0])
+    parser.add_argument("names", nargs="*", help=f"how names of parts begin: {', '.join(PARTS)}")
+    parser.add_argument("--renew", action="store_true", help="record these parts anew")
+    arguments = parser.parse_args(words)
+    for given in arguments.names:
+        if not any(name.startswith(given) for name in PARTS):
+            parser.error(f"{given}: no part's name begins so")
+    torch.set_num_threads(1)
+    golden = json.loads(FILE.read_text()) if FILE.exists() else {}
+    all_within = True
+    for name, part in PARTS.items():
+        if name.startswith(tuple(arguments.names) or ""):
+            found = {quantity: recorded(values) for quantity, values in part().items()}
+            all_within = compare(name, golden.get(name, {}), found) and all_within
+            golden[name] = found
+            if arguments.renew:
+                FILE.write_text(text_of({name: golden[name] for name in PARTS if name in golden}))
+    return 0 if all_within or arguments.renew else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())
