@@ -1,6 +1,6 @@
 """Golden numbers: what the code computed when they were recorded, and what has moved since.
 
-    python -m tests.golden                     # all parts, three minutes
+    python -m tests.golden                     # all parts, two minutes
     python -m tests.golden filter campaign/u1  # the parts whose names begin so
     python -m tests.golden training --renew    # record these parts anew, and show what is replaced
 
@@ -43,10 +43,13 @@ from study.flight.evaluation import play
 ROOT = Path(__file__).parents[1]
 FILE = Path(__file__).with_suffix(".json")
 AGENT = ROOT / "runs/reference/study/rta/seed0/policy.pt"
-SAMPLES, BLOCKS = 100, 10  # of a quantity, at least one of each row; of a row
-# By how much a quantity may move, in units of a row's largest magnitude: other processors and versions of PyTorch round
-# otherwise, in an agent's network by 1e-7. Training multiplies every difference. What has labels must stay the same.
-TOLERANCES = {"agent": 1e-4, "campaign": 1e-6, "filter": 1e-9, "training": 0.0}
+SAMPLES, BLOCKS = 90, 10  # of a quantity, at least one of each row; of a row
+# By how much a quantity may move, in units of a row's largest magnitude. Other processors and versions of PyTorch round
+# otherwise: with other vector instructions in PyTorch, filters moved by less than 1e-12, campaigns by less than 1e-9,
+# and flights of an agent, whose network computes in float32, by 1e-3. Training multiplies every difference: of it the
+# bits count. So do the bits of labels.
+TOLERANCES = {"agent": 5e-3, "campaign": 1e-6, "filter": 1e-9, "training": 0.0}
+SAME = "same bits"
 CALLS = "filter_calls", "interventions", "failures", "backup_calls"
 TRAINING = """
 [train]
@@ -232,7 +235,7 @@ def digest(bits: bytes) -> str:
 
 def recorded_row(row: np.ndarray, count: int) -> Recorded:
     """About so many samples of a row and, of a row that is longer, extremes, mean and totals of its finite numbers."""
-    if len(row) <= 2 * count:
+    if len(row) <= max(count, 2 * BLOCKS):
         return {"samples": row.tolist()}
     finite = row[np.isfinite(row)]
     return {
@@ -248,7 +251,7 @@ def recorded_row(row: np.ndarray, count: int) -> Recorded:
 def moved(old: Recorded, new: Recorded, tolerance: float) -> tuple[bool, str]:
     """Whether a quantity is within its tolerance, and in words what has moved."""
     if old["digest"] == new["digest"]:
-        return True, "same bits"
+        return True, SAME
     if old.keys() != new.keys() or old.get("rows", {}).keys() != new.get("rows", {}).keys():
         return False, "OTHER ROWS"
     if "counts" in old:
@@ -300,18 +303,16 @@ def moves_of(old: Recorded, new: Recorded) -> Iterator[tuple[float, str, str, fl
                 yield size if size == size else np.inf, kind, name, before, after
 
 
-def compare(name: str, old: dict[str, Recorded], new: dict[str, Recorded]) -> bool:
-    """Prints a line per quantity of a part; returns whether all are within their tolerance."""
-    tolerance = TOLERANCES[name.partition("/")[0]]
-    all_within = True
+def compare(name: str, old: dict[str, Recorded], new: dict[str, Recorded]) -> list[tuple[bool, str]]:
+    """Prints a line per quantity of a part; returns what `moved` says of each."""
+    tolerance, verdicts = TOLERANCES[name.partition("/")[0]], []
     for quantity in {**old, **new}:
         if quantity in old and quantity in new:
-            within, verdict = moved(old[quantity], new[quantity], tolerance)
+            verdicts.append(moved(old[quantity], new[quantity], tolerance))
         else:
-            within, verdict = False, "NO LONGER THERE" if quantity in old else "NEW"
-        print(f"{name:25} {quantity:18} {verdict}", flush=True)
-        all_within = all_within and within
-    return all_within
+            verdicts.append((False, "NO LONGER THERE" if quantity in old else "NEW"))
+        print(f"{name:24} {quantity:18} {verdicts[-1][1]}", flush=True)
+    return verdicts
 
 
 def text_of(golden: dict[str, dict[str, Recorded]]) -> str:
@@ -337,15 +338,19 @@ def main(words: list[str] | None = None) -> int:
             parser.error(f"{given}: no part's name begins so")
     torch.set_num_threads(1)
     golden = json.loads(FILE.read_text()) if FILE.exists() else {}
-    all_within = True
+    verdicts = []
     for name, part in PARTS.items():
         if name.startswith(tuple(arguments.names) or ""):
             found = {quantity: recorded(values) for quantity, values in part().items()}
-            all_within = compare(name, golden.get(name, {}), found) and all_within
+            verdicts += compare(name, golden.get(name, {}), found)
             golden[name] = found
             if arguments.renew:
                 FILE.write_text(text_of({name: golden[name] for name in PARTS if name in golden}))
-    return 0 if all_within or arguments.renew else 1
+    same, beyond = sum(said == SAME for _, said in verdicts), sum(not within for within, _ in verdicts)
+    print(
+        f"Of {len(verdicts)} quantities {same} have the same bits, and {beyond} moved beyond their tolerances."
+    )
+    return int(beyond > 0 and not arguments.renew)
 
 
 if __name__ == "__main__":
