@@ -215,7 +215,9 @@ POOLS: dict[int, ThreadPoolExecutor] = {}
 
 def with_one_thread() -> None:
     """Has a forked process compute with one thread: it inherits no other, and PyTorch would wait for its own ones."""
+    global most_threads
     POOLS.clear()
+    most_threads = None
     torch.set_num_threads(1)
 
 
