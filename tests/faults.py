@@ -1,0 +1,775 @@
+"""Faults that a careless change could bring in, one line each, and the test that has to find it.
+
+`tests.mutants` plants them, one at a time. Each is in what the code does rather than in how it does it: in the physics,
+the limits, the programs and their solver, the check, the learner, what is counted and what is reported.
+"""
+
+from typing import NamedTuple
+
+
+class Fault(NamedTuple):
+    """A line of code that is another.
+
+    Attributes:
+        path: the file; old: a part of a line, which stands there once; new: what is put in its place.
+        test: the file of tests that has to fail, below tests/, and which of its tests, as of pytest's -k.
+    """
+
+    path: str
+    old: str
+    new: str
+    test: str
+
+    @property
+    def test_file(self) -> str:
+        """The file of tests."""
+        return f"tests/{self.test.partition(' ')[0]}"
+
+    def __str__(self) -> str:
+        """The fault in a line."""
+        return f"{self.path}: {self.old!r} is {self.new!r}"
+
+
+def faults(path: str, test: str, *pairs: tuple[str, str]) -> list[Fault]:
+    """Faults of a file that the same test has to find."""
+    return [Fault(path, old, new, test) for old, new in pairs]
+
+
+MODEL = [
+    *faults(
+        "inspection/model/dynamics.py",
+        "inspection/model/test_dynamics.py",
+        ("sign * (cos * n_x + sin * n_y), -sign * n_x", "sign * (cos * n_x + sin * n_y), sign * n_x"),
+        ("return (j2 - j3) / j1 * w2 * w3", "return (j3 - j2) / j1 * w2 * w3"),
+        ("-orbit_rate(theta_s, c),", "orbit_rate(theta_s, c),"),
+        ("c.surface_area * cos_panel.clamp(min=0.0)", "c.surface_area * cos_panel"),
+        ("area * (temperature + c.zero_celsius) ** 4", "area * temperature**4"),
+        ("rotation_matrix(x[Q]) / c.mass", "rotation_matrix(x[Q]).transpose(0, 1) / c.mass"),
+        ("end[Q] = unit(torch.stack(end[Q]))", "end[Q] = torch.stack(end[Q])"),
+    ),
+    *faults(
+        "inspection/model/rk4.py",
+        "inspection/model/test_rk4.py",
+        ("k1_i + 2.0 * (k2_i + k3_i) + k4_i", "k1_i + 2.0 * (k2_i + k2_i) + k4_i"),
+    ),
+    *faults(
+        "inspection/model/orbit.py",
+        "inspection/model/test_orbit.py",
+        ("6 * (s - n * t) * x + y", "6 * (s - n * t) * x - y"),
+        ("-2 * w * v[0] - chief.quickening * x", "-2 * w * v[0] + chief.quickening * x"),
+        ("weaker = -(-1.5 * q.log1p()).expm1()", "weaker = -(-1.0 * q.log1p()).expm1()"),
+        ("closest = start + share(start, chord) * chord", "closest = start"),  # no pass between two samples
+        ("passed.clamp(min=0.0).minimum(orbits) * drift", "passed.clamp(min=0.0) * drift"),
+    ),
+    *faults(
+        "inspection/model/orbit.py",
+        "inspection/model/test_dynamics.py",
+        ("3 * n**2 * p[0] + 2 * n * v[1], -2 * n * v[0]", "3 * n**2 * p[0] + 2 * n * v[1], 2 * n * v[0]"),
+    ),
+    *faults(
+        "inspection/model/attitude.py",
+        "inspection/model/test_attitude.py",
+        ("0.5 * (q4 * w2 + q3 * w1 - q1 * w3)", "0.5 * (q4 * w2 - q3 * w1 + q1 * w3)"),
+    ),
+    *faults(
+        "inspection/model/attitude.py",
+        "inspection/model/test_orbit.py -k inertial_one_turned_back",
+        ("omega_i - n * body_axis(q, i)[2]", "omega_i + n * body_axis(q, i)[2]"),
+    ),
+    *faults(
+        "inspection/model/attitude.py",
+        "inspection/world/test_corners.py",
+        ("torch.stack(cross(q[:3], half[0]))", "torch.stack(cross(half[0], q[:3]))"),  # in Hill's frame
+    ),
+    *faults(
+        "inspection/model/draws.py",
+        "inspection/model/test_draws.py",
+        # elevations are uniform, so that poles are favoured
+        ("azimuth, height.arcsin())", "azimuth, height * math.pi / 2)"),
+    ),
+]
+
+CHIEF = [
+    *faults(
+        "inspection/chief/points.py",
+        "inspection/chief/test_points.py",
+        ("angle = (-(normals.T @ priority))", "angle = (normals.T @ priority)"),
+        ("(lit, in_cone, height - r)", "(lit, in_cone, height)"),  # the horizon of the centre
+        ("math.cos(c.field_of_view / 2) * to_point", "math.cos(c.field_of_view) * to_point"),
+        ("norm(centres - p[:, None]).masked_fill(~alive, math.inf)", "norm(centres - p[:, None])"),
+        ("count = -(-wanted.sum(0) // per_cluster)", "count = wanted.sum(0) // per_cluster"),
+    ),
+    *faults(
+        "inspection/chief/surface.py",
+        "inspection/chief/test_surface.py",
+        ("normalize(planes * volume.sign()[..., None], dim=-1)", "normalize(planes, dim=-1)"),
+        ("torch.where(covered(whole, sun) > 0.0, -1.0, facing)", "facing"),  # the chief has no shadow
+    ),
+    *faults(
+        "inspection/chief/mesh.py",
+        "inspection/chief/test_surface.py",
+        (".abs() > 2.0 * math.pi)", ".abs() > 5.0 * math.pi)"),  # nothing is enclosed
+    ),
+    *faults(
+        "inspection/chief/hull.py",
+        "inspection/chief/test_hull.py",
+        ("offsets + c.deputy_radius)", "offsets)"),
+        ("planes_of(c, p).above(p[:, None]).amax(0)", "planes_of(c, p).above(p[:, None]).amin(0)"),
+    ),
+    *faults(
+        "inspection/chief/tumbling.py",
+        "inspection/chief/test_tumbling.py -k adaptive or eccentric",
+        ("orbit_rate(middle, self.c) if self.c.hill_rotation else None", "None"),
+        ("sun_angle_after(theta_s, -seconds / 2, self.c)", "sun_angle_after(theta_s, seconds / 2, self.c)"),
+    ),
+    *faults(
+        "inspection/sight.py",
+        "inspection/chief/test_tumbling.py -k whole_scene",
+        ("p = rotate(conjugate(attitude), x[P])", "p = rotate(attitude, x[P])"),
+    ),
+]
+
+TASK = [
+    *faults(
+        "inspection/reward.py",
+        "inspection/test_observation_and_reward.py",
+        ("misalignment <= 1.0", "misalignment <= 0.5"),
+        ("time <= c.time_reward_until", "time < c.time_reward_until"),
+        ("norm(pass_) >= c.collision_radius", "norm(pass_) >= c.chief_radius"),
+        ('"torque": c.torque_reward * torque', '"torque": c.delta_v_reward * torque'),
+        ("torch.hypot(path[0], path[2])", "torch.hypot(path[0], path[1])"),
+    ),
+    *faults(
+        "inspection/observation.py",
+        "inspection/test_observation_and_reward.py",
+        ("radial, along_track, _", "along_track, radial, _"),
+        ("to_body = conjugate(x[Q])", "to_body = x[Q]"),
+    ),
+    *faults(
+        "inspection/termination.py",
+        "inspection/test_observation_and_reward.py",
+        ('"out_of_power": x[E] <= 0.0', '"out_of_power": x[E] < 0.0'),
+        ("reversed(range(len(OUTCOMES)))", "range(len(OUTCOMES))"),  # the last of several names the outcome
+    ),
+    *faults(
+        "inspection/environment.py",
+        "inspection/test_environment.py",
+        ('truncated=ended["timeout"] & ~terminated', 'truncated=ended["timeout"]'),
+        ("each.any(0) for name, each in failures", "each[-1] for name, each in failures"),
+        ("rewards(self.x, score - before,", "rewards(self.x, score,"),
+        ("delta_v += thrust / mass * hold.seconds", "delta_v += thrust / mass"),
+        ("[fresh] = self.observation(columns=fresh)", "[fresh] = observation[fresh]"),
+    ),
+    *faults(
+        "inspection/sight.py",
+        "inspection/test_environment.py -k observation_points_at",
+        ("wanted = lit & ~inspected", "wanted = lit"),
+    ),
+    *faults(
+        "inspection/closed_loop.py",
+        "inspection/test_closed_loop.py",
+        ("called = i % calls == 0 if correct else decided", "called = True"),
+        ("torch.where(values.isnan(), -torch.inf, values)", "torch.where(values.isnan(), torch.inf, values)"),
+    ),
+    *faults(
+        "inspection/closed_loop.py",
+        "inspection/world/test_plant.py -k missed",
+        ("torch.where(missed, desired, applied)", "applied"),  # a missed call is not asked for the same again
+    ),
+    *faults(
+        "inspection/initial_state.py",
+        "inspection/test_initial_state.py",
+        ("left = rejected[~is_safe(x[:, rejected])]", "left = rejected[is_safe(x[:, rejected])]"),
+        ("uniform(-math.pi / 2, math.pi / 2, count, generator)", "uniform(0.0, math.pi, count, generator)"),
+    ),
+    *faults(
+        "inspection/guidance.py",
+        "inspection/test_guidance.py -k free_motion or riccati",
+        (
+            "n * torch.stack((b * sin, -2 * b * cos, -a * cos))",
+            "n * torch.stack((b * sin, 2 * b * cos, -a * cos))",
+        ),
+        ("3 * n**2, 2 * n, -2 * n, -(n**2)", "3 * n**2, 2 * n, 2 * n, -(n**2)"),
+    ),
+    *faults(
+        "inspection/orbits.py",
+        "inspection/test_leading_guidance.py -k phase_leads",
+        (
+            "share * (self.behind + self.ahead) - self.behind",
+            "share * (self.behind + self.ahead) + self.behind",
+        ),
+    ),
+]
+
+WORLD = [
+    *faults(
+        "inspection/world/plant.py",
+        "inspection/world/test_plant.py",
+        (
+            "& (self.missed < self.parameters.missed_in_a_row)",
+            "& (self.missed <= self.parameters.missed_in_a_row)",
+        ),
+        ("thrust.abs() < drawn.minimum", "thrust.abs() > drawn.minimum"),
+        ("thrust[j, i] = along[i]", "thrust[i, j] = along[i]"),
+        ("past = (call - self.drawn.latency)", "past = (call - self.drawn.latency + 1)"),
+        ("drawn.fails & (time >= drawn.fails_from)", "drawn.fails & (time <= drawn.fails_from)"),
+    ),
+]
+
+LIMITS = [
+    *faults(
+        "rta/constraints/thrust.py",
+        "rta/constraints/test_constraints.py",
+        ("* signed_sqrt(distance, floor) + speed", "* signed_sqrt(distance, floor) - speed"),
+        ("c.docking_speed + c.speed_slope * norm(x[P])", "c.docking_speed - c.speed_slope * norm(x[P])"),
+        ("* signed_sqrt(distance) - radial_speed(x)", "* signed_sqrt(distance) + radial_speed(x)"),
+        ("c.max_speed**2 - x[V.start + axis] ** 2", "c.max_speed**2 - x[V.start] ** 2"),
+        ("across = dot(x[V], x[V]) - speed**2", "across = dot(x[V], x[V])"),
+    ),
+    *faults(
+        "rta/constraints/torque.py",
+        "rta/constraints/test_constraints.py",
+        (
+            "leaving) - c.field_of_view / 2 - c.exclusion_buffer",
+            "leaving) - c.field_of_view - c.exclusion_buffer",
+        ),
+        ("* sun - c.temperature_earth_slope * earth", "* sun + c.temperature_earth_slope * earth"),
+        ("x[E] - c.min_energy - c.energy_sun_slope", "x[E] - c.energy_sun_slope"),
+        ("c.max_rate**2 - x[OMEGA.start + axis] ** 2", "c.max_rate**2 - x[OMEGA.start] ** 2"),
+    ),
+    *faults(
+        "rta/constraints/torque.py",
+        "rta/test_singular_points.py",
+        ("math.pi - aside if leaving.far else aside", "aside"),
+    ),
+    *faults(
+        "rta/constraints/passes.py",
+        "rta/constraints/test_constraints.py -k infimum",
+        ("0.5 * (before - after) / bend", "0.5 * (after - before) / bend"),
+    ),
+    *faults(
+        "rta/constraints/passes.py",
+        "rta/bounds/test_errors.py",
+        ("support(by_position) + off.velocity.support(by_velocity)", "support(by_position)"),
+    ),
+    *faults(
+        "rta/constraints/vehicle.py",
+        "rta/constraints/test_vehicle.py -k gains_fall",
+        ("return k1 / turn, k2 / stop", "return k1 / stop, k2 / turn"),
+    ),
+]
+
+CONDITIONS = [
+    *faults(
+        "rta/conditions/rows.py",
+        "rta/conditions/test_actuator_groups.py",
+        ("lf + gain * (psi - margin) - loss", "lf + gain * (psi - margin) + loss"),
+        ("loss = loss + (most.sum(1)", "loss = loss - (most.sum(1)"),  # other actuators do their best
+        (
+            "(psi / fixed([each.doubling for each in rows])) ** 2",
+            "(psi / fixed([each.doubling for each in rows]))",
+        ),
+    ),
+    *faults(
+        "rta/conditions/rows.py",
+        "rta/test_lie_derivatives.py",
+        ("alpha = k1 * (h_i - each.margin)", "alpha = k1 * h_i"),
+        ("x[Q] + 0.5 * period * torch", "x[Q] + period * torch"),
+    ),
+    *faults(
+        "rta/parameters.py",
+        "rta/test_parameters.py",
+        (
+            "return min(value, 0.5 / max(self.period, hold))",
+            "return min(value, 1.0 / max(self.period, hold))",
+        ),
+    ),
+    *faults(
+        "rta/conditions/held_rows.py",
+        "rta/conditions/test_held_rows.py",
+        ("rate, slope = (later - before) / t", "rate, slope = (before - later) / t"),
+        ("tangent = slope - weight * sign", "tangent = slope + weight * sign"),
+        ("slope * sign > 0.0, self.less, self.more", "slope * sign > 0.0, self.more, self.less"),
+        ("tightening = length * self.push", "tightening = 0.0 * length"),
+    ),
+    *faults(
+        "rta/conditions/maps.py",
+        "rta/conditions/test_held_rows.py -k turn_of_hills_frame",
+        ("self.moment * (parts[0] + self.coriolis(parts[1]))", "self.moment * parts[0]"),
+    ),
+    *faults(
+        "rta/conditions/prediction.py",
+        "rta/conditions/test_held_rows.py -k predicted",
+        ("(error + most * angle) * norm(u[THRUST])", "error * norm(u[THRUST])"),
+        ("velocity + v) * t + push * t**2 / 2", "velocity + v) * t"),
+    ),
+    *faults(
+        "rta/conditions/condition.py",
+        "rta/test_filter.py -k no_wish",
+        ("torch.where(part.isnan().any(0), 0.0, part)", "part.nan_to_num(0.0)"),
+    ),
+    *faults(
+        "rta/conditions/now.py",
+        "rta/test_filter.py -k nan_state",
+        ("~(prepared.lowest[0] >= 0.0)", "prepared.lowest[0] < 0.0"),
+    ),
+    *faults(
+        "rta/conditions/tangents.py",
+        "rta/test_filter.py -k waives",
+        ("prepared.b_bare - prepared.waived", "prepared.b_bare + prepared.waived"),
+    ),
+    *faults(
+        "rta/conditions/tangents.py",
+        "rta/conditions/test_tangents.py -k yields_by_priority",
+        ("sorted(set(weights), reverse=True)", "sorted(set(weights))"),
+    ),
+]
+
+PROGRAMS = [
+    *faults(
+        "rta/qp/programs.py",
+        "rta/qp/test_programs.py",
+        ("torch.where(problems.weight <= highest,", "torch.where(problems.weight >= highest,"),
+        ("b + multiplier / weight[:, None]", "b + multiplier * weight[:, None]"),
+    ),
+    *faults(
+        "rta/qp/piqp_solver.py",
+        "rta/qp/test_programs.py",
+        ("np.eye(rows)[:, soft] / np.sqrt(weight[soft])", "np.eye(rows)[:, soft] * np.sqrt(weight[soft])"),
+    ),
+    *faults(
+        "rta/qp/batched_solver.py",
+        "rta/qp/test_batched_solver.py -k kkt or infeasible or never",
+        ("multiplier = multiplier - length * r", "multiplier = multiplier + length * r"),
+        ("entering = torch.where(pressure > 0.0, entering, violated_most)", "entering = violated_most"),
+        ("slack = torch.diag(weight.rsqrt())", "slack = torch.diag(weight)"),
+    ),
+]
+
+BOUNDS = [
+    *faults(
+        "rta/bounds/errors.py",
+        "rta/bounds/test_errors.py",
+        ("self.box * n.abs().sum(0)", "self.box * n.abs().amax(0)"),
+        ("self.across(x) * sine + radial.abs() * sine**2", "self.across(x) * sine"),
+        ("(drift + impulse) * seconds / 2.0", "drift * seconds / 2.0"),
+    ),
+    *faults(
+        "rta/bounds/uncertainty.py",
+        "rta/bounds/test_uncertainty.py",
+        (
+            "(math.radians(self.thrust_misalignment)) / (1 + self.mass)",
+            "(math.radians(self.thrust_misalignment))",
+        ),
+        ("- lost / c.mass - self.acceleration", "- lost / c.mass"),
+        ("(1 + self.torque_gain) / (1 - self.inertia)", "(1 + self.torque_gain) / (1 + self.inertia)"),
+        ("(quantum * (low + 1.0)).clamp", "(quantum * (low - 1.0)).clamp"),
+    ),
+    *faults(
+        "rta/bounds/health.py",
+        "rta/bounds/test_health.py",
+        ("rotate(conjugate(x[Q]), x[P]) / distance", "rotate(x[Q], x[P]) / distance"),
+    ),
+]
+
+CHECK = [
+    *faults(
+        "rta/backup/brake.py",
+        "rta/backup/test_brake.py",
+        ("straight = -direction * (speed / t)", "straight = direction * (speed / t)"),
+        ("left = 2.0 * given - (mean * body).sum(1)", "left = given"),
+        ("needed = SURPLUS * (tangential**2 / distance + radial", "needed = SURPLUS * (radial"),
+    ),
+    *faults(
+        "rta/backup/check.py",
+        "rta/backup/test_check.py -k first_safe_share",
+        ("for share in (*SHARES, 1.0):", "for share in (*SHARES[::-1], 1.0):"),
+        (
+            "(0, THRUST, self.brakes_with, self.thrust_is_safe)",
+            "(0, THRUST, self.brakes_with, self.torque_is_safe)",
+        ),
+    ),
+    *faults(
+        "rta/backup/check.py",
+        "rta/backup/test_brake.py -k never_rests",
+        ("torch.nonzero(kept & ~rested)", "torch.nonzero(kept)"),
+    ),
+    *faults(
+        "rta/backup/slew.py",
+        "rta/backup/test_slew.py",
+        (
+            "/ w.hold - torch.stack(euler(x[OMEGA], w.c.inertia))",
+            "/ w.hold + torch.stack(euler(x[OMEGA], w.c.inertia))",
+        ),
+        ("- torch.minimum(curved, astray)", ""),
+        ("torch.minimum(*temperature) - slopes * astray", "torch.minimum(*temperature)"),
+    ),
+    *faults(
+        "rta/backup/chords.py",
+        "rta/backup/test_chords.py",
+        ("/ 8 + e_v + fastest * e_p / nearest", "/ 8 + fastest * e_p / nearest"),
+        ("a - e_p - c.collision_radius) + r)", "a - c.collision_radius) + r)"),
+        ("free.velocity * times[1] * e_v", "free.velocity * times[0] * e_v"),
+    ),
+    *faults(
+        "rta/backup/cone.py",
+        "rta/backup/test_cone.py",
+        (
+            "braking(c.max_distance - b) - radial - outwards",
+            "braking(c.max_distance - b) - radial + outwards",
+        ),
+    ),
+    *faults(
+        "rta/backup/haven.py",
+        "rta/backup/test_haven.py",
+        ("return out - self.back *", "return out + self.back *"),  # at the edge of the zone it leads outwards
+    ),
+    *faults(
+        "rta/backup/homing.py",
+        "rta/backup/test_homing.py -k still_be_kept",
+        ("distance + e_p - c.collision_radius", "distance - e_p - c.collision_radius"),
+    ),
+    *faults(
+        "rta/backup/turn.py",
+        "rta/backup/test_turn.py",
+        ("(wanted(x, w) - x[OMEGA]) / w.tau - torch", "(wanted(x, w) - x[OMEGA]) / w.tau + torch"),
+    ),
+    *faults(
+        "rta/keep_clear.py",
+        "rta/test_keep_clear.py",
+        ("norm(closest_pass(after, c", "norm(closest_pass(x, c"),
+    ),
+    *faults(
+        "rta/filter.py",
+        "rta/test_filter.py -k not_finite",
+        ("x = x.masked_fill(x.isinf(), torch.nan)", "x = x.clone()"),
+    ),
+]
+
+IN_C = [
+    *faults(
+        "rta/printed/driver/solver.c",
+        "rta/printed/test_driver.py -k programs or rows",
+        (
+            "x->multiplier[x->row[k]] -= length * way->r[k];",
+            "x->multiplier[x->row[k]] += length * way->r[k];",
+        ),
+        ("(p->weight[i] > highest) && (p->weight[i] < next)", "(p->weight[i] > highest)"),
+        ("solve_stage(p, (i == 0) ? p->b : p->b_bare,", "solve_stage(p, p->b_bare,"),
+        ("-way->r[k] / way->z2, way->z, size", "way->r[k] / way->z2, way->z, size"),
+        ("= (full <= partial) ? full : partial;", "= full;"),
+    ),
+    *faults(
+        "rta/printed/driver/programs.c",
+        "rta/printed/test_driver.py -k in_c_is and now",
+        ("rows->a[(3 * i) + j] * (limit[j] / length)", "rows->a[(3 * i) + j] / length"),
+        ("is_none = (isnan(desired[j]) != 0) ? 1 : is_none", "is_none = 0"),
+        ("found->slack[k] = larger(found->slack[k], lack);", "found->slack[k] = lack;"),
+    ),
+    *faults(
+        "rta/printed/driver/commit.c",
+        "rta/printed/test_driver.py -k in_c_is and now",
+        (
+            "proposed[j] + (shares[i] * (law[j] - proposed[j]))",
+            "law[j] + (shares[i] * (proposed[j] - law[j]))",
+        ),
+        (
+            "for (int group = TORQUE; group >= THRUST; --group)",
+            "for (int group = THRUST; group <= TORQUE; ++group)",
+        ),
+    ),
+    *faults(
+        "rta/printed/driver/search.c",
+        "rta/printed/test_driver.py -k in_c_is and 5",
+        ("(at_rest / (at_rest - within[i]))", "(at_rest / (at_rest + within[i]))"),
+        ("(ABOVE * lack) + larger(-TOLERATED - least, 0.0)", "lack + larger(-TOLERATED - least, 0.0)"),
+    ),
+    *faults(
+        "rta/printed/driver/thrusters.c",
+        "rta/printed/test_driver.py -k in_c_is and quantum",
+        ("rint(thrust / THRUST_QUANTUM)", "floor(thrust / THRUST_QUANTUM)"),
+    ),
+    *faults(
+        "rta/printed/driver/filter_held.c",
+        "rta/printed/test_driver.py -k in_c_is and health",
+        ("u[j] = left[j] * in->sent[k][j];", "u[j] = in->sent[k][j];"),
+    ),
+    *faults(
+        "rta/printed/driver/health.c",
+        "rta/printed/test_driver.py -k dead_axis",
+        ("INERTIA[j] * (rate - x[10 + j]) / HOLD", "INERTIA[j] * (rate + x[10 + j]) / HOLD"),
+    ),
+    *faults(
+        "rta/printed/driver/batch/commit.c",
+        "rta/backup/test_check.py -k compiled_check",
+        ("found |= ~(torque[0] >= 0.0);", "found |= NO;"),
+        ("safe |= flying & is_at_rest;", "safe |= flying;"),
+    ),
+    *faults(
+        "rta/printed/driver/batch/now.c",
+        "rta/backup/test_check.py -k compiled_check",
+        ("unsolved += finish(left[0] | unseen,", "unsolved += finish(left[0],"),
+    ),
+    *faults(
+        "rta/printed/driver/batch/group.c",
+        "kernels/test_compiled.py -k filter_equals",
+        ("MAX(status, ALL(2.0))", "MAX(status, ALL(1.0))"),
+    ),
+    *faults(
+        "rta/printed/driver/batch/one.c",
+        "kernels/test_compiled.py -k filter_equals",
+        ("= found->slack[k];", "= found->h[k];"),
+    ),
+]
+
+LEARNER = [
+    *faults(
+        "ppo/gae.py",
+        "ppo/test_gae.py",
+        ("next_value.masked_fill(terminated, 0.0)", "next_value"),
+        ("(gamma * lam) * (~done)", "(gamma * lam) * (~terminated)"),
+        ("return advantage, advantage + value", "return advantage, advantage + next_value"),
+    ),
+    *faults(
+        "ppo/learner.py",
+        "ppo/test_learner.py",
+        ("ratio.clamp(1.0 - clip, 1.0 + clip) * advantage", "ratio * advantage"),
+        ("surrogate = torch.minimum(", "surrogate = torch.maximum("),
+        ("(ratio - 1.0 - log_ratio)", "(ratio - 1.0 + log_ratio)"),
+        ("((ratio - 1.0).abs() > clip)", "((ratio - 1.0) > clip)"),
+        ("- self.parameters.entropy_coefficient *", "+ self.parameters.entropy_coefficient *"),
+        ("/ (total + 1e-6)).clamp(max=1.0)", "/ (total + 1e-6))"),
+        ("learning_rate * (1.0 - progress)", "learning_rate"),
+        ("(return_ - value).var(1) / return_.var(1)", "(return_ - value).var(1) / value.var(1)"),
+    ),
+    *faults(
+        "ppo/network.py",
+        "ppo/test_network.py",
+        ("low + (high - low) * 0.5 * (1.0 + level)", "low + (high - low) * (1.0 + level)"),
+        ("(action - mean) * torch.exp(-log_std)", "(action - mean) * torch.exp(log_std)"),
+        ("log_std + 0.5 * (1.0 + math.log(2.0 * math.pi))", "log_std + 0.5 * math.log(2.0 * math.pi)"),
+        ("(action.abs() - self.dead_zone) / (1.0 - self.dead_zone)", "(action.abs() - self.dead_zone)"),
+    ),
+    *faults(
+        "ppo/rollout.py",
+        "ppo/test_rollout.py",
+        (
+            "torch.where(done.unflatten(0, (seeds, -1)), learner.value(final), following_value)",
+            "following_value",
+        ),
+        ("torch.where(changed, policy.unshaped(", "torch.where(~changed, policy.unshaped("),
+        ('"log_prob": log_prob,', '"log_prob": torch.zeros_like(log_prob),'),
+    ),
+    *faults(
+        "ppo/trainer.py",
+        "ppo/test_trainer.py",
+        ("self.update / self.updates)", "(self.update + 1) / self.updates)"),
+        ("generator.set_state(saved.cpu())", "generator.get_state()"),
+    ),
+    *faults(
+        "ppo/checkpoint.py",
+        "ppo/test_checkpoint.py",
+        ("if not isinstance(content, dict) or key not in content]", "if not isinstance(content, dict)]"),
+    ),
+    *faults(
+        "ppo/distributed.py",
+        "ppo/test_distributed.py -k shares_cover",
+        (
+            "slice(self.rank * count // self.size, (self.rank + 1)",
+            "slice(self.rank * count // self.size, self.rank",
+        ),
+    ),
+]
+
+PRINTER = [
+    *faults(
+        "kernels/operations/expressions.py",
+        "kernels/test_operations.py",
+        ("return self.sub(a, b.arguments[0])", "return self.add(a, b.arguments[0])"),
+        (
+            "return self.select(condition.arguments[0], b, a)",
+            "return self.select(condition.arguments[0], a, b)",
+        ),
+    ),
+    *faults(
+        "kernels/operations/scalars.py",
+        "kernels/test_operations.py",
+        ("return p.add(a, p.mul(float(alpha), b))", "return p.add(a, b)"),
+        ("p.select(has_other_sign(p, rest, b), p.add(rest, b), rest)", "rest"),  # remainders of C
+    ),
+    *faults(
+        "kernels/operations/reductions.py",
+        "kernels/test_operations.py",
+        ("for i, j in ((1, 2), (2, 0), (0, 1))", "for i, j in ((1, 2), (0, 2), (0, 1))"),
+        ("count / (count - (1.0 if correction is None else correction))", "1.0"),
+    ),
+    *faults(
+        "kernels/vector.h",
+        "kernels/test_operations.py",
+        (
+            "#define MIN(a, b) SELECT(((a) < (b)) | ((a) != (a)), a, b)",
+            "#define MIN(a, b) SELECT((a) < (b), a, b)",
+        ),
+    ),
+    *faults(
+        "kernels/recorder.py",
+        "kernels/test_operations.py -k written_through",
+        ("own[...] = array", "own[...] = own"),
+    ),
+    *faults(
+        "kernels/printer.py",
+        "kernels/test_types.py",
+        ('if real == "float" and recorder.is_double:', 'if real == "double" and recorder.is_double:'),
+    ),
+    *faults(
+        "kernels/compiled.py",
+        "kernels/test_compiled.py -k any_batch",
+        ("for i in range(size, columns, size)]", "for i in range(size, columns - size, size)]"),
+    ),
+    *faults(
+        "kernels/build.py",
+        "kernels/test_build.py -k damaged or fused",
+        ('if path.name == f"{name}.{digest(path)}.so":', "if path.exists():"),
+        ('"-ffp-contract=off"', '"-ffp-contract=fast"'),
+    ),
+]
+
+INTERFACES = [
+    *faults(
+        "interfaces/vector.py",
+        "interfaces/test_environment_interface.py",
+        ('"final_obs": transition.final_observation', '"final_obs": transition.observation'),
+        ('"violated": transition.violated.T', '"violated": ~transition.violated.T'),
+    ),
+    *faults(
+        "interfaces/environment.py",
+        "interfaces/test_environment_interface.py",
+        ("self.running = not (terminated[0] or truncated[0])", "self.running = True"),
+    ),
+    *faults(
+        "interfaces/safety.py",
+        "interfaces/test_safety.py",
+        ('"u_des": by_call(desired)', '"u_des": by_call([result.control for result in results])'),
+        ("self.calls.clear()", "self.calls[:-1] = []"),
+    ),
+    *faults(
+        "interfaces/stable_baselines.py",
+        "interfaces/test_stable_baselines.py -k ends",
+        ('"TimeLimit.truncated": bool(truncated[i])', '"TimeLimit.truncated": bool(terminated[i])'),
+    ),
+]
+
+STUDY = [
+    *faults(
+        "study/flight/summary.py",
+        "study/flight/test_summary.py",
+        ("stats.trim_mean(values, 0.25, axis=axis)", "stats.trim_mean(values, 0.2, axis=axis)"),
+        ("np.percentile(resampled, [2.5, 97.5])", "np.percentile(resampled, [5.0, 95.0])"),
+        ("CONFIDENCE, events + 1, trials - events", "CONFIDENCE, events, trials - events + 1"),
+    ),
+    *faults(
+        "study/flight/evaluation.py",
+        "study/flight/test_evaluation.py -k clean",
+        ("self.clear & (self.violation_seconds[-1] == 0.0)", "self.clear & (self.violations[-1] == 0.0)"),
+    ),
+    *faults(
+        "study/flight/evaluation.py",
+        "study/flight/test_planted.py -k evaluate",
+        ("asked & (true < 0.0)", "asked & (true > 0.0)"),
+    ),
+    *faults(
+        "study/paper.py",
+        "study/test_paper.py",
+        ('Estimate(summary["iqm"], (low, high))', 'Estimate(summary["mean"], (low, high))'),
+    ),
+    *faults(
+        "study/report/tables.py",
+        "study/report/test_tables.py",
+        ("ours.value - theirs.value", "theirs.value - ours.value"),
+        ("stats.t.ppf(0.975,", "stats.t.ppf(0.95,"),
+        ('len(arm["seeds"]) * arm["interactions"] / arm', 'arm["interactions"] / arm'),
+    ),
+    *faults(
+        "study/config.py",
+        "study/test_config.py",
+        ("own.uncertainty.holds(own.rta) == rest.uncertainty.holds(rest.rta)", "True"),
+    ),
+    *faults(
+        "study/experiment.py",
+        "study/test_experiment.py",
+        ("config.train.keep_clear and config.uncertainty.is_nil", "config.train.keep_clear"),
+        ("wanted = config.train.learn_from == ", "wanted = config.train.learn_from != "),
+    ),
+    *faults(
+        "study/verification/flight.py",
+        "study/verification/test_flight.py",
+        ("note_state(flight, smallest, h, hold.end)", "note_state(flight, smallest, h, hold.time)"),
+        ("broken = smallest.note(h, t) < 0.0", "broken = h < 0.0"),  # NaN is none
+    ),
+    *faults(
+        "study/verification/tally.py",
+        "study/verification/test_tally.py",
+        ("int((steps > 0).sum())", "int((steps > 1).sum())"),
+        ("value.item() < tally", "value.item() > tally"),
+    ),
+    *faults(
+        "study/verification/adversaries.py",
+        "study/verification/test_adversaries.py",
+        ("descent = -a.gather(0,", "descent = a.gather(0,"),
+        ("self.slopes(x, held)[0] > 0.0", "self.slopes(x, held)[0] < 0.0"),
+        ("self.ahead(x, nothing, held) < self.ahead", "self.ahead(x, nothing, held) > self.ahead"),
+    ),
+    *faults(
+        "study/verification/starts.py",
+        "study/verification/test_starts.py",
+        ("c.max_rate * (2 * s[9:12] - 1)", "c.max_rate * s[9:12]"),
+    ),
+    *faults(
+        "study/verification/campaign.py",
+        "study/verification/test_campaign.py",
+        ("spawned(int(batch_seed), 3)", "[int(batch_seed)] * 3"),
+    ),
+    *faults(
+        "study/verification/break_points.py",
+        "study/verification/test_break_points.py -k told or smallest",
+        ('"longest_hold": (s + 1.0) * period', '"longest_hold": s * period'),
+    ),
+    *faults(
+        "study/verification/lookahead.py",
+        "study/verification/test_lookahead.py -k worst_candidate or scale",
+        ("smallest.value / self.scale", "smallest.value * self.scale"),
+    ),
+    *faults(
+        "study/training/adversary.py",
+        "study/training/test_adversary.py -k nearness",
+        ("reward = -WEIGHT * h.asinh()", "reward = WEIGHT * h.asinh()"),
+    ),
+    *faults(
+        "study/export/policy.c.j2",
+        "study/export/test_policy.py",
+        ("layer_0[i] = observation[i] / scale[i];", "layer_0[i] = observation[i] * scale[i];"),
+        ("return (action < 0.0) ? -size : size;", "return size;"),
+    ),
+    *faults(
+        "study/export/onnx.py",
+        "study/export/test_onnx.py",
+        ('"slope": 1.0 / (1.0 - d)', '"slope": 1.0'),
+    ),
+]
+
+FAULTS = [
+    *MODEL,
+    *CHIEF,
+    *TASK,
+    *WORLD,
+    *LIMITS,
+    *CONDITIONS,
+    *PROGRAMS,
+    *BOUNDS,
+    *CHECK,
+    *IN_C,
+    *LEARNER,
+    *PRINTER,
+    *INTERFACES,
+    *STUDY,
+]
