@@ -30,6 +30,8 @@ from tests.faults import FAULTS, Fault
 
 ROOT = Path(__file__).parents[1]
 PASSED, FAILED, LATE = 0, 1, -1  # exit codes of pytest, and of a run that took too long
+# only a test that ran and failed, or did not end, has killed a fault
+VERDICTS = {PASSED: "survived", FAILED: "killed", LATE: "killed, the test does not end"}
 SLOWER, MORE = 4.0, 60.0  # a test may take so many times as long as without a fault, and so many s more
 PYTEST = ("-m", "pytest", "-x", "-rfE", "-p", "no:xdist", "-p", "no:cacheprovider")
 
@@ -48,7 +50,8 @@ class Log:
     def __init__(self, path: Path | None) -> None:
         self.path, self.lock = path, Lock()
         lines = path.read_text().splitlines() if path and path.exists() else []
-        self.known = {digest: outcome for outcome, _, digest, *_ in (line.split("\t") for line in lines)}
+        parts = [line.split("\t") for line in lines]
+        self.known = {digest: outcome for outcome, _, digest, *_ in parts if outcome in VERDICTS.values()}
 
     def note(self, fault: Fault, outcome: str, run: Run) -> None:
         """Adds a fault's line."""
@@ -111,7 +114,7 @@ def tested(test: str, tree: Path, patience: float | None = None) -> Run:
             )
         except subprocess.TimeoutExpired:
             return Run(LATE, time.perf_counter() - started, "")
-    found = re.search(r"^(?:FAILED|ERROR) (\S+)", done.stdout, re.MULTILINE)
+    found = re.search(r"^(?:FAILED|ERROR) (.+?)(?: - .*)?$", done.stdout, re.MULTILINE)
     return Run(done.returncode, time.perf_counter() - started, found[1] if found else "")
 
 
@@ -130,13 +133,7 @@ def tried(faults: Sequence[Fault], tree: Path, log: Log) -> None:
         except ValueError as error:
             log.note(fault, f"no verdict, {error}", sound)
         else:
-            log.note(fault, outcome_of(run.code), run)
-
-
-def outcome_of(code: int) -> str:
-    """In words; only tests that ran and failed, or never ended, have killed a fault."""
-    words = {PASSED: "survived", FAILED: "killed", LATE: "killed, since the test does not end"}
-    return words.get(code, f"no verdict, exit code {code}")
+            log.note(fault, VERDICTS.get(run.code, f"no verdict, exit code {run.code}"), run)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -4,6 +4,7 @@ import copy
 import io
 import math
 import shutil
+from dataclasses import replace
 
 import pytest
 import torch
@@ -85,6 +86,27 @@ def test_first_minibatch_starts_at_ratio_one() -> None:
     error = batch["return_"] - batch["value"]
     torch.testing.assert_close(statistics["value_loss"], error.square().mean(1))
     torch.testing.assert_close(statistics["explained_variance"], 1 - error.var(1) / batch["return_"].var(1))
+
+
+def test_what_is_said_of_the_ratio_is_that_of_two_gaussians() -> None:
+    """The divergence of the closed form, and the share of ratios beyond the clip as two densities have it."""
+    samples = 40_000
+    ppo = learner((3,), replace(ONE_MINIBATCH, minibatch_size=samples))
+    old = torch.distributions.Normal(torch.tensor([0.1, -0.2]), torch.tensor([0.3, 0.2]))
+    new = torch.distributions.Normal(torch.tensor([0.25, -0.3]), torch.tensor([0.4, 0.15]))
+    last, level = ppo.policy.network.layers[-1], (new.scale.log() + 4.0) / 2.0 - 1.0
+    with torch.no_grad():  # whatever is observed
+        last.weight.zero_()
+        last.bias[:] = torch.cat((new.loc, level)).atanh()
+    noise = torch.randn(samples, ACTION, generator=ppo.generators[0])
+    action = old.loc + old.scale * noise
+    drawn = {"action": action[None], "log_prob": old.log_prob(action).sum(-1)[None]}
+    statistics = ppo.update(batch_of(ppo, samples) | drawn, 1.0)
+    divergence = torch.distributions.kl_divergence(old, new).sum().item()
+    assert statistics["approx_kl"].item() == pytest.approx(divergence, rel=0.02)
+    ratio = (new.log_prob(action) - old.log_prob(action)).sum(-1).exp()
+    beyond = ((ratio < 0.8) | (ratio > 1.2)).float().mean().item()
+    assert statistics["clip_fraction"].item() == pytest.approx(beyond, abs=1e-4)
 
 
 def reference_loss(
