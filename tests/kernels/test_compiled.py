@@ -71,6 +71,17 @@ def test_any_batch_on_any_number_of_threads(batch: int, threads: int, cache: Pat
     np.testing.assert_allclose(product, np.array([[1, 2], [3, 4]]) @ y.numpy(), rtol=1e-13)
 
 
+@pytest.mark.parametrize("threads", [2, 3])
+def test_shares_cover_every_column_once(threads: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(torch, "get_num_threads", lambda: threads)
+    for columns in (1, 64, 65, 128, 129, 1000, 1025):
+        seen: list[int] = []
+        count = in_shares(
+            lambda first, last, seen=seen: seen.extend(range(first, last)) or last - first, columns, 1.0
+        )
+        assert count == columns and sorted(seen) == list(range(columns))
+
+
 def test_what_was_compiled_is_not_compiled_again(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     x, y = arguments(20)
     Compiled(polynomial, *arguments(1))(x, y)

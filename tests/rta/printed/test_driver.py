@@ -361,6 +361,20 @@ def test_a_filter_in_c_is_that_in_python(made: Callable[[str], Driver], kind: st
     assert (result.status[count:] == Status.UNSOLVED).sum() > 20 and result.control.isfinite().all()
 
 
+def test_what_rows_waive_is_said_of_a_batch_as_in_python() -> None:
+    """What was filtered already is applied as it is, though a limit that is broken asks for more than there is."""
+    known, solver = Uncertainty(health=True), BatchedSolver(STEPS_HELD)  # no check overrules these rows
+    batch, python = SafetyFilter(C, R, solver, known=known), SafetyFilter(C, R, solver, known=known)
+    batch.compile("cpu", 64)
+    x = tensor(near_the_limits(200, seed=5))
+    u = python.correct(x, commands(200, seed=5)).control
+    found, expected = batch.correct(x, u), python.correct(x, u)
+    waives = (expected.slack > 0.0).any(0) & ~expected.intervened
+    assert waives.sum() > 100 and (expected.status[waives] == Status.SLACK).all()
+    assert torch.equal(found.program_status, expected.program_status)
+    torch.testing.assert_close(found.slack, expected.slack, rtol=0, atol=1e-9)
+
+
 @pytest.mark.parametrize("kind", ["now", "5 s", "quantum"])
 def test_a_state_that_is_too_old_is_unsolved_and_never_verified(
     made: Callable[[str], Driver], kind: str
