@@ -293,7 +293,10 @@ CONDITIONS = [
         "rta/conditions/test_held_rows.py",
         ("rate, slope = (later - before) / t", "rate, slope = (before - later) / t"),
         ("tangent = slope - weight * sign", "tangent = slope + weight * sign"),
-        ("slope * sign > 0.0, self.less, self.more", "slope * sign > 0.0, self.more, self.less"),
+        (
+            "self.less * slope.abs(), self.more * slope.abs()",
+            "self.more * slope.abs(), self.less * slope.abs()",
+        ),
         ("tightening = length * self.push", "tightening = 0.0 * length"),
     ),
     *faults(
