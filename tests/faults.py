@@ -302,7 +302,7 @@ CONDITIONS = [
     *faults(
         "rta/conditions/maps.py",
         "rta/conditions/test_held_rows.py -k turn_of_hills_frame",
-        ("self.moment * (parts[0] + self.coriolis(parts[1]))", "self.moment * parts[0]"),
+        ("times(position + self.coriolis(velocity), later)", "times(position, later)"),
     ),
     *faults(
         "rta/conditions/prediction.py",
@@ -399,7 +399,7 @@ CHECK = [
     *faults(
         "rta/backup/check.py",
         "rta/backup/test_brake.py -k never_rests",
-        ("torch.nonzero(kept & ~rested)", "torch.nonzero(kept)"),
+        ("rested = norm(at[V]) <= AT_REST", "rested = norm(at[V]) >= 0.0"),
     ),
     *faults(
         "rta/backup/slew.py",
@@ -429,11 +429,11 @@ CHECK = [
     *faults(
         "rta/backup/haven.py",
         "rta/backup/test_haven.py",
-        ("return out - self.back *", "return out + self.back *"),  # at the edge of the zone it leads outwards
+        ("along / (1 + known.mass), (most + mixed) / (1 - known.mass)", "along, most + mixed"),
     ),
     *faults(
         "rta/backup/homing.py",
-        "rta/backup/test_homing.py -k still_be_kept",
+        "rta/backup/test_homing.py -k kept",
         ("distance + e_p - c.collision_radius", "distance - e_p - c.collision_radius"),
     ),
     *faults(

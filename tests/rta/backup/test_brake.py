@@ -97,6 +97,21 @@ def test_what_is_verified_keeps_every_limit_and_comes_to_rest(hold: float) -> No
 
 
 @HOLDS
+def test_a_way_is_found_along_the_zone_where_the_closed_form_has_one(hold: float) -> None:
+    """Thrust turns a flight before r_max where a_max - v_t^2 / r, against v_r^2 / 2, is enough for the way there."""
+    w, x = BACKUPS[hold].braking, near_the_zone(1500, 3)
+    p, v = x[:3].numpy(), x[3:6].numpy()
+    distance, a_max = length(p), C.max_acceleration
+    radial = (p * v).sum(0) / distance
+    left = a_max - ((v * v).sum(0) - radial**2) / distance
+    room = 0.9 * (C.max_distance - brake.INSIDE - w.buffer - distance)
+    suffices = (left > 0.05 * a_max) & (np.maximum(radial, 0.0) ** 2 / 2 < left * room) & (room > 0.0)
+    suffices &= (motion(p, v, C, spacing=10.0) >= 0.0).all(0)
+    assert suffices.sum() > 1000
+    assert BACKUPS[hold].brakes(brake.beginning(x, w)).numpy()[suffices].mean() > 0.998
+
+
+@HOLDS
 def test_a_hold_is_never_below_what_is_told(hold: float) -> None:
     w = BACKUPS[hold].braking
     x, generator = hypercube(400, 7, C), torch.Generator().manual_seed(0)

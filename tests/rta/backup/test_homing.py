@@ -1,5 +1,6 @@
 """Thrust that is checked within bounds: whatever is asked for, no limit of motion breaks in U1's world at its worst."""
 
+import math
 from dataclasses import replace
 
 import pytest
@@ -140,6 +141,22 @@ def test_only_what_may_still_be_kept_is_checked() -> None:
     x[P] *= 800.0 / x[P].norm(dim=0)
     broken = (x[V].norm(dim=0) > 7.0) | (x[V].abs().amax(0) > 5.2)
     assert broken.any() and (may_be_kept(x, none, HOMING.haven) < 0.0)[broken].all()
+
+
+def test_a_limit_may_be_kept_as_far_beyond_it_as_a_state_may_be_off() -> None:
+    further = torch.tensor([0.2, 0.01, 0.0, 0.0], dtype=torch.float64)[:, None]
+    e_p, e_v = math.sqrt(3.0) * U1.position + 0.2, math.sqrt(3.0) * U1.velocity + 0.01
+    limit = C.docking_speed + C.speed_slope * (100.0 + e_p)
+    for beyond, kept in ((0.9, True), (1.1, False)):
+        for distance, speed in (
+            (C.collision_radius - beyond * e_p, 0.0),
+            (C.max_distance + beyond * e_p, 0.0),
+            (100.0, limit + beyond * e_v),
+            (C.max_distance, C.max_speed + beyond * e_v),
+        ):
+            x = torch.zeros(SIZE, 1, dtype=torch.float64)
+            x[P.start], x[V.start + 1] = distance, speed
+            assert (may_be_kept(x, further, HOMING.haven) >= 0.0) == kept, (distance, speed)
 
 
 def test_where_no_haven_is_known_there_is_no_check() -> None:

@@ -48,6 +48,18 @@ def near_the_limits(count: int, seed: int, c: InspectionParameters) -> Tensor:
 CASES = [("paper", hold) for hold in PERIODS] + [("3u", 1.0), ("12u", 10.0), ("espa", 5.0)]
 
 
+def test_a_body_that_has_the_laws_rates_keeps_them() -> None:
+    """The law's torque is then the gyroscopic one alone, which is held for 0.1 s."""
+    c = VEHICLES["12u"]  # whose moments of inertia are not equal
+    w, x = Backup(c, 1.0).slewing, hypercube(300, 5, c)
+    x[OMEGA] = slew.wanted(x, w)
+    after = moved(x, by_the_law(w)(x), 0.1, c)
+    alone = moved(x, torch.zeros(6, 300, dtype=torch.float64), 0.1, c)
+    by_itself = (alone - x)[OMEGA].norm(dim=0)
+    assert by_itself.max() > 1e-5  # rad/s
+    assert ((after - x)[OMEGA].norm(dim=0) <= 0.01 * by_itself + 1e-9).all()
+
+
 @pytest.mark.parametrize(("vehicle", "hold"), CASES)
 def test_what_is_verified_keeps_every_limit_and_ends_at_the_sun(vehicle: str, hold: float) -> None:
     c = VEHICLES[vehicle]

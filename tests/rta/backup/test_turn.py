@@ -48,6 +48,17 @@ def backup(known: Uncertainty = U1, r: RtaParameters = R) -> TurnBackup:
     return found
 
 
+def test_a_body_that_has_the_laws_rates_keeps_them() -> None:
+    """The law's torque is then the gyroscopic one alone, which is held for 0.1 s."""
+    c = replace(C, inertia=(0.02, 0.04, 0.05))
+    x, w = hypercube(300, 5, c), replace(backup().turning, c=c)
+    x[OMEGA], none = wanted(x, w), torch.zeros(3, 300, dtype=torch.float64)
+    after = moved(x, torch.cat((none, law(x, w))), 0.1, c)
+    by_itself = (moved(x, torch.cat((none, none)), 0.1, c) - x)[OMEGA].norm(dim=0)
+    assert by_itself.max() > 1e-6  # rad/s
+    assert ((after - x)[OMEGA].norm(dim=0) <= 0.01 * by_itself + 1e-9).all()
+
+
 class World:
     """Spacecraft that differ from the model by bounds at their corners, with a gyro that is relative to the stars.
 

@@ -58,6 +58,15 @@ def worlds(x: Tensor, off: Errors) -> Tensor:
     return true
 
 
+def test_a_speed_along_the_radius_is_less_where_the_chief_is_seen_askew() -> None:
+    """By hand: of 5 m/s at 100 m, from a place 20 m off at a right angle to where it is then, sin phi = 0.2."""
+    x, one = torch.zeros(16, 1, dtype=torch.float64), torch.ones(1, dtype=torch.float64)
+    x[P.start], x[V.start] = 100.0, 5.0
+    off = Errors(Set(0.0, 20.0 * one), Set(0.0, 0.0 * one))
+    less = 5.0 * (1.0 - 0.96**0.5)
+    assert less <= off.radial_speed(x).item() <= 2.0 * less
+
+
 SMALL = (0.6, 0.006, 0.05, 0.002)
 LARGE = (5.0, 0.1, 1.0, 0.05)
 

@@ -466,6 +466,16 @@ def without_bound(*given: Any) -> tuple[Tensor, Tensor]:
 predict = predicted
 
 
+def test_a_predicted_velocity_is_off_by_what_thrust_does_in_another_attitude() -> None:
+    """By hand: a body at rest, turned by the largest error across its thrust, F / m 2 sin(angle / 2) T."""
+    x, u = torch.zeros(16, 1, dtype=torch.float64), torch.zeros(6, 1, dtype=torch.float64)
+    x[P.start], x[Q.stop - 1], u[0] = 100.0, 1.0, C.max_thrust
+    angle = math.sqrt(3.0) * math.radians(3.0)
+    _, bound = predicted(x, torch.zeros(KINDS, 1).double(), u, C, RtaParameters(), Uncertainty(attitude=3.0))
+    off = C.max_thrust / C.mass * 2.0 * math.sin(angle / 2.0)
+    assert off <= bound[1].item() <= 1.01 * off
+
+
 def test_a_younger_state_is_not_predicted_on() -> None:
     x, u = tensor(some_states(3)), tensor(some_controls(3))
     sent = torch.stack((u, u))

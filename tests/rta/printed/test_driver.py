@@ -16,6 +16,7 @@ from numpy import ndarray
 from torch import Tensor
 
 from inspection.initial_state import sample_initial_state
+from inspection.model.state import OMEGA
 from rta.bounds.health import slewing
 from rta.bounds.uncertainty import Uncertainty
 from rta.filter import STEPS_HELD, SafetyFilter
@@ -407,6 +408,9 @@ def test_a_dead_axis_is_turned_off_the_radius_as_in_python(made: Callable[[str],
     u = torch.zeros(6, 200, dtype=torch.float64)
     torque = slewing(x, u[TORQUE], left, C, R, driver.safety.known)
     assert (torque != 0.0).any(0).sum() > 100
+    assert_same(driver, x, u, left=left)
+    generator = torch.Generator().manual_seed(2)  # of bodies that turn already
+    x[OMEGA] = 0.01 * (2.0 * torch.rand(3, 200, generator=generator, dtype=torch.float64) - 1.0)
     assert_same(driver, x, u, left=left)
 
 
