@@ -704,7 +704,7 @@ STUDY = [
     *faults(
         "study/experiment.py",
         "study/test_experiment.py",
-        ("config.train.keep_clear and config.uncertainty.is_nil", "config.train.keep_clear"),
+        ("config.train.keep_clear and not ignores_keep_clear(config)", "config.train.keep_clear"),
         ("wanted = config.train.learn_from == ", "wanted = config.train.learn_from != "),
     ),
     *faults(
