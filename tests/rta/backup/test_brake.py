@@ -148,6 +148,23 @@ def test_the_mean_force_of_a_hold_is_the_wanted_one(hold: float, share: float) -
     assert x[OMEGA].abs().max() > 0.9 * C.max_rate  # the bodies did turn
 
 
+@HOLDS
+def test_every_hold_of_a_way_counts_until_it_rests(hold: float) -> None:
+    """Also where the first ones keep the limits and a later one does not."""
+    backup, x = BACKUPS[hold], torch.cat([start(1500, 5) for start in STARTS], 1)
+    at = brake.beginning(x, backup.braking)
+    told, flies = backup.brakes(at), torch.ones_like(x[0], dtype=torch.bool)
+    first, kept = torch.zeros_like(flies), torch.ones_like(flies)
+    for call in range(backup.braking.holds):
+        rests = at[3:6].norm(dim=0) <= brake.AT_REST
+        at, least = brake.braked(at, backup.braking)
+        kept &= (least >= 0.0) | ~flies
+        first = kept.clone() if call == 0 else first
+        flies = flies & ~rests
+    assert torch.equal(told, kept & ~flies)
+    assert (first & ~kept).any()
+
+
 def test_a_way_that_never_rests_is_none() -> None:
     backup = BACKUPS[1.0]
     x = hypercube(50, 1, C)

@@ -34,9 +34,17 @@ def compiled(hold: float) -> SafetyFilter:
     return safety
 
 
+class Filters(dict[float, SafetyFilter]):
+    """By hold, each compiled when it is first asked for."""
+
+    def __missing__(self, hold: float) -> SafetyFilter:
+        self[hold] = compiled(hold)
+        return self[hold]
+
+
 @pytest.fixture(scope="module")
 def filters() -> dict[float, SafetyFilter]:
-    return {hold: compiled(hold) for hold in PERIODS}
+    return Filters()
 
 
 def demands(count: int, seed: int) -> Tensor:
