@@ -243,7 +243,7 @@ LIMITS = [
     ),
     *faults(
         "rta/constraints/torque.py",
-        "rta/test_singular_points.py",
+        "rta/constraints/test_constraints.py",
         ("math.pi - aside if leaving.far else aside", "aside"),
     ),
     *faults(
@@ -480,6 +480,10 @@ IN_C = [
             "proposed[j] + (shares[i] * (law[j] - proposed[j]))",
             "law[j] + (shares[i] * (proposed[j] - law[j]))",
         ),
+    ),
+    *faults(
+        "rta/printed/driver/commit.c",
+        "rta/printed/test_driver.py -k torque_that_is_applied",
         (
             "for (int group = TORQUE; group >= THRUST; --group)",
             "for (int group = THRUST; group <= TORQUE; ++group)",

@@ -20,7 +20,7 @@ from rta.constraints import thrust as thrust_constraints
 from rta.constraints import torque as torque_constraints
 from rta.constraints.constraint import Constraint
 from rta.constraints.thrust import chord, signed_sqrt
-from rta.constraints.torque import arccos
+from rta.constraints.torque import angle_to, arccos, side
 from rta.filter import SafetyFilter
 from rta.parameters import PERIODS, RtaParameters
 
@@ -340,6 +340,22 @@ def test_smooth_arccos_is_the_tangent_inside_its_zone(pole: float) -> None:
     edge = math.acos(pole * math.cos(R.pole_angle))
     tangent = edge - (cosine - math.cos(edge)) / math.sin(edge)
     np.testing.assert_allclose(arccos(tensor(cosine), R.pole_angle), tangent, rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("far", [False, True])
+@pytest.mark.parametrize("axis", ["+x", "-x", "-y"])
+def test_the_side_on_which_a_direction_leaves_a_pole_has_its_angle(axis: str, far: bool) -> None:
+    """The enforced angle is that of the direction itself, from the axis, also next to its other end."""
+    index, sign = "xyz".index(axis[1]), -1.0 if axis[0] == "-" else 1.0
+    off = tensor(np.linspace(1e-6, 0.9 * R.pole_angle, 50))
+    around = tensor(np.linspace(0.0, 2 * np.pi, 50))
+    parts = [off.sin() * around.cos(), off.sin() * around.sin()]
+    parts.insert(index, sign * (-off.cos() if far else off.cos()))
+    body = torch.stack(parts)
+    leaving = side(axis, body, torch.ones(50, dtype=torch.bool), R.pole_angle, far)
+    assert leaving.near.all()
+    found = angle_to(axis, body, R.pole_angle, leaving)
+    torch.testing.assert_close(found, math.pi - off if far else off, rtol=0, atol=1e-9)
 
 
 def test_smooth_arccos_has_a_continuous_slope() -> None:

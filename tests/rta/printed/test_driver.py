@@ -26,12 +26,14 @@ from rta.qp.batched_solver import BatchedSolver
 from rta.qp.programs import Problems, Status
 from rta.result import FilterResult
 from study.config import Config, load
+from study.verification.adversaries import adversarial
+from tests.rta.backup.test_brake import at_the_chief, near_the_zone
 from tests.rta.bounds.test_health import flying_out, without_one_axis
 from tests.rta.conditions import test_actuator_groups as own
 from tests.rta.constraints.test_constraints import tensor
 from tests.rta.qp.test_batched_solver import ADDED, FIELDS, arrays, fly, held, synthetic
 from tests.rta.qp.test_programs import projection
-from tests.rta.test_filter import LIMIT, TORQUE, C, R, commands, near_the_limits
+from tests.rta.test_filter import LIMIT, THRUST, TORQUE, C, R, commands, near_the_limits
 
 COMPILERS = [name for name in ("gcc", "clang") if shutil.which(name)]
 WARNINGS = ["-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Wshadow", "-Werror"]
@@ -412,6 +414,18 @@ def test_a_dead_axis_is_turned_off_the_radius_as_in_python(made: Callable[[str],
     generator = torch.Generator().manual_seed(2)  # of bodies that turn already
     x[OMEGA] = 0.01 * (2.0 * torch.rand(3, 200, generator=generator, dtype=torch.float64) - 1.0)
     assert_same(driver, x, u, left=left)
+
+
+def test_thrust_that_is_replaced_is_for_the_torque_that_is_applied(made: Callable[[str], Driver]) -> None:
+    driver = made("5 s")
+    x = torch.cat((near_the_zone(800, 3), at_the_chief(800, 3)), 1)
+    u = adversarial(driver.safety)(0.0, x)
+    unchecked = SafetyFilter(C, driver.safety.parameters, driver.safety.solver)
+    unchecked.backup = None
+    checked, proposed = driver.safety.correct(x, u), unchecked.correct(x, u)
+    both = torch.stack([(checked.control != proposed.control)[own].any(0) for own in (THRUST, TORQUE)]).all(0)
+    assert both.sum() > 10
+    assert_same(driver, x[:, both], u[:, both])
 
 
 def test_calls_leave_nothing_behind(made: Callable[[str], Driver]) -> None:
