@@ -747,7 +747,7 @@ STUDY = [
     ),
     *faults(
         "study/verification/lookahead.py",
-        "study/verification/test_lookahead.py -k worst_candidate or scale",
+        "study/verification/test_lookahead.py -k tried_is_what_comes",
         ("smallest.value / self.scale", "smallest.value * self.scale"),
     ),
     *faults(

@@ -49,6 +49,16 @@ def test_a_report_adds_its_flights_up() -> None:
     assert report["unsolved"] == calls[Status.UNSOLVED] and report["controls_outside_bounds"] == 0
 
 
+def test_one_step_beyond_a_limit_makes_an_episode_a_violating_one() -> None:
+    flight, report = from_the_third(), tally.empty_tally()
+    violating = torch.zeros_like(flight.violating)
+    violating[2, 1] = violating[-1, 1] = 1.0
+    violating[2, 4] = violating[-1, 4] = 3.0
+    tally.add(report, dataclasses.replace(flight, violating=violating), ORIGIN)
+    for name in (CONSTRAINTS[2], "any"):
+        assert (report["violating_steps"][name], report["violating_episodes"][name]) == (4, 2)
+
+
 def test_calls_with_slack_are_shown_and_counted(monkeypatch: pytest.MonkeyPatch) -> None:
     """Asked again, the filter has the same slack in each of them."""
     flight = from_the_third()
