@@ -13,6 +13,7 @@ from inspection.model.state import CONTROL_SIZE, SIZE, Q
 # How far a quaternion's length may be from 1: float32 resolves 1e-7, and a state estimate in it drifts by more.
 UNIT = {torch.float32: 1e-4}
 UNIT_ELSE = 1e-6
+ROUNDED = 1e-12  # by which the length of a quaternion in double precision may be off
 INTEGERS = (torch.uint8, torch.int8, torch.int16, torch.int32, torch.int64)
 
 
@@ -54,10 +55,9 @@ class Given:
                 f"quaternion (components 6 to 9 of the state){where}: must have length 1 to {tolerance:g}, "
                 f"has {length[wrong[0]].item():.9g}"
             )
-        self.x = (
-            self.x.clone()
-        )  # a length that is off by rounding would be taken for another angle to the Sun
-        self.x[Q] /= length
+        if (off := (length - 1.0).abs() > ROUNDED).any():  # which would be taken for another angle to the Sun
+            self.x = self.x.clone()
+            self.x[Q] = torch.where(off, self.x[Q] / length, self.x[Q])
 
     def in_kind(self, part: Tensor) -> Any:
         """A field (..., B) of the filter's answer as the desired control was given."""

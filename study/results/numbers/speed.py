@@ -95,10 +95,7 @@ def sentences() -> Iterator[tuple[str, str]]:
     own, simulator, told = b["compile_s"].values()
     yield SPEED, f"takes {own:.0f} s to record, print and build, the simulator {simulator:.0f} s,"
     yield SPEED, f"a filter with U1's bounds {told:.0f} s"
-    call = b["arithmetic"]
-    share = 100 * call["statements_per_s"] / call["peak"]
-    yield SPEED, f"A call of the filter has {call['statements']:,} statements"
-    yield SPEED, f"in {call['us']:.2f} µs, {share:.0f} % of its rate"
+    yield SPEED, f"A call of the filter has {b['arithmetic']['statements']:,} statements"
     numpy, torch = (100 * rate / free for rate in b["gymnasium_steps_per_s"].values())
     yield GYMNASIUM, f"{numpy:.0f} % of the simulator's own rate with NumPy arrays and {torch:.0f} % with"
     one, two = one_and_two_ranks()
