@@ -12,11 +12,22 @@ REFUSES_FAST_MATH = """#if defined(__FAST_MATH__) || defined(_M_FP_FAST) || \\
 #endif"""
 
 
+TAKEN = re.compile(  # by C and C++, and by math.h
+    "and|asm|auto|bool|break|case|catch|char|class|const|continue|default|delete|do|double|else|enum|extern|false|float|"
+    "for|friend|goto|if|inline|int|long|main|mutable|namespace|new|not|operator|or|private|protected|public|register|"
+    "restrict|return|short|signed|sizeof|static|struct|switch|template|this|throw|true|try|typedef|typename|union|"
+    "unsigned|using|virtual|void|volatile|while|xor|a?(cos|sin|tan)h?|atan2|cbrt|ceil|copysign|erfc?|exp2?|expm1|fabs|fdim|"
+    "floor|fma|fmax|fmin|fmod|frexp|gamma|hypot|ilogb|is(finite|inf|nan|normal)|[jy][01n]|ldexp|lgamma|log(10|1p|2|b)?|"
+    "l?l?r(int|ound)|modf|nan|nearbyint|pow|remainder|round|scalb|signbit|sqrt|tgamma|trunc"
+)
+
+
 def check_prefix(prefix: str) -> None:
     """Raises ValueError where files, functions, types and macros of C cannot begin with the prefix."""
-    if not re.fullmatch("[a-z][a-z0-9_]*", prefix):
+    if not re.fullmatch("[a-z][a-z0-9_]*", prefix) or TAKEN.fullmatch(prefix):
         raise ValueError(
-            f"{prefix!r}: must be a name in C of lower-case letters, digits and _ that begins with a letter"
+            f"{prefix!r}: must be a name in C of lower-case letters, digits and _ that begins with a letter, and no "
+            "word or function of C's"
         )
 
 

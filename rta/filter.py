@@ -177,7 +177,7 @@ class SafetyFilter:
 
     @in_full_precision
     def is_safe(self, x: Tensor) -> Tensor:
-        """(B,) bool: the filter can keep every constraint from here on.
+        """(B,) bool: a state that may start an episode (docs/reference/proof.md, with its counterexample).
 
         Every h is non-negative and a way to rest is verified. Where none is known of attitude, or of motion, its Psi_1
         are non-negative and a control satisfies every row; of motion thrust can brake, too.

@@ -16,9 +16,10 @@ class FilterResult:
     Attributes:
         control: (6, B) safe control in N and N m, within the actuators' limits whatever was desired.
         intervened: (B,) bool, another control than the desired one is applied.
-        verified: (B,) bool, the control keeps every limit until the next call, and a way to rest begins there on which
-            none is violated (`rta.backup`). Of a filter that is told of bounds: whatever is true within them, whenever
-            the next call is, and motion comes into a haven. False where no way is known of motion or attitude.
+        verified: (B,) bool, the control keeps every limit until the next call, and the plan of a way to rest from there
+            does (`rta.backup`; docs/reference/proof.md, the counterexample). Of a filter that is told of bounds:
+            whatever is true within them, whenever the next call is, and motion comes into a haven. False where no way
+            is known of motion or attitude.
         backup: (B,) bool, another control is applied than the programs' solution, for that reason.
         active: (constraints, B) bool, a row of the constraint binds a corrected control.
         slack: (constraints, B) shortfall of the barrier condition without margin, in h's unit per s (per s^2 where

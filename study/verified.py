@@ -171,7 +171,7 @@ def unchecked(config: Config) -> str | None:
     names = filter_of(config).unchecked
     if not names:
         return None
-    why = "with these settings the filter knows no way to rest, so it corrects without a guarantee"
+    why = "with these settings the filter knows no way to rest, so it corrects without a check"
     return f"not checked: {' and '.join(names)}; {why}{see(CHECK)}"
 
 

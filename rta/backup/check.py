@@ -1,8 +1,9 @@
 """Propose, check, commit: a control is applied if it keeps all limits while held, and a way to rest begins at its end.
 
 If not, the nearest control that does, on the way from it to the backup law's; at worst that law's, the first hold of a
-way that was verified one call ago. By induction no limit is ever violated in the model (docs/reference/proof.md;
-Gurriet et al. 2020, backup barriers; Agrawal, Chen and Panagou 2023, gatekeeper).
+way that was verified one call ago. By induction no limit should be violated in the model; along the zone the law leaves
+what was verified (docs/reference/proof.md, the counterexample). Gurriet et al. 2020, backup barriers; Agrawal, Chen and
+Panagou 2023, gatekeeper.
 
 Torque comes first, since the attitude decides where thrust acts. Limits of motion are kept in whatever attitude.
 """

@@ -47,7 +47,7 @@ def said_of(config: Config, real: str) -> str:
     elif verified(same):
         first = (
             f"Verified (fingerprint {own}) by campaigns under random and adversarial controls. "
-            "docs/results/safety_limits.md says what of other kinds broke a filter."
+            "docs/results/safety_limits.md says what of other kinds broke a filter, and what is wrong with its check."
         )
     else:
         in_single = " in single precision" if real == "float" else ""

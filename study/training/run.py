@@ -207,7 +207,7 @@ class Run:
         def react(number: int) -> None:
             if not stop and self.ranks.first:
                 say_in_a_handler(
-                    "stopping where this update or lesson ends, and an evaluation due with it ..."
+                    "stopping after this update or lesson, and an evaluation that is due then ..."
                 )
             stop.append(number)
 

@@ -313,7 +313,7 @@ int main(void)
         write(safety_filter, tmp_path / "near", prefix="far_away")
 
 
-@pytest.mark.parametrize("prefix", ["", "3u", "Near", "a-b", "é"])
+@pytest.mark.parametrize("prefix", ["", "3u", "Near", "a-b", "é", "int", "sin", "main"])
 def test_a_prefix_is_a_name_in_c(prefix: str, tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="lower-case letters, digits and _"):
         write(made("1"), tmp_path / "c", prefix=prefix)
