@@ -3,6 +3,7 @@
 They are expected to fail. Who mends the check takes the mark away.
 """
 
+import math
 from dataclasses import replace
 
 import pytest
@@ -10,7 +11,7 @@ import torch
 from torch import Tensor
 
 from inspection import InspectionParameters, Q, step
-from rta import RtaParameters, SafetyFilter
+from rta import Constraint, RtaParameters, SafetyFilter
 from study import config as configuration
 
 # position, velocity, attitude, rates, and temperature, charge and the Sun's angle
@@ -54,6 +55,49 @@ def least_of_the_laws(safety: SafetyFilter, x: Tensor, seconds: float) -> Tensor
 def test_a_verified_way_along_the_zone_keeps_the_limits(period: float) -> None:
     safety = SafetyFilter(InspectionParameters(), RtaParameters(period=period))
     assert (least_of_the_laws(safety, column(ALONG_THE_ZONE[period]), 70.0) >= 0.0).all()
+
+
+LIMITS = {  # a velocity limit of the user's own that never yields: direction, and m/s, by period in s
+    1.0: (0.5173, 0.7682, 0.3771, 1.5284),
+    5.0: (0.3212, 0.474, -0.8199, 1.0741),
+    10.0: (-0.279, 0.6202, 0.7332, 0.7996),
+}
+
+
+def behind_the_filter(period: float) -> tuple[list[bool], list[bool]]:
+    """Of each call with zero control desired and such a limit: it is verified; all 13 limits are kept after it."""
+    *n, most = LIMITS[period]
+
+    def own(y: Tensor) -> Tensor:
+        return n[0] * y[3] + n[1] * y[4] + n[2] * y[5] - most
+
+    mine = Constraint("mine", own, held_by="thrust", gains=(0.5,), weight=math.inf)
+    safety = SafetyFilter(InspectionParameters(), RtaParameters(period=period), extra=[mine])
+    x = column(ALONG_THE_ZONE[period])
+    verified: list[bool] = []
+    kept: list[bool] = []
+    for _ in range(round(50 / period)):
+        answer = safety.correct(x, torch.zeros(6, 1, dtype=torch.float64))
+        verified.append(bool(answer.verified))
+        kept.append(True)
+        for _ in range(round(period)):
+            x = step(x, answer.control, 1.0, safety.c)
+            kept[-1] &= bool((safety.values(x)[:13] >= 0.0).all())
+    return verified, kept
+
+
+@pytest.mark.xfail(
+    strict=True, raises=AssertionError, reason="the plan that is verified is not the law that is flown"
+)
+@pytest.mark.parametrize("period", LIMITS)
+def test_a_limit_of_the_users_own_does_not_lead_beyond_the_papers(period: float) -> None:
+    assert all(behind_the_filter(period)[1])
+
+
+@pytest.mark.parametrize("period", LIMITS)
+def test_no_limit_breaks_in_a_call_that_is_verified(period: float) -> None:
+    verified, kept = behind_the_filter(period)
+    assert not any(said and not held for said, held in zip(verified, kept, strict=True))
 
 
 @pytest.mark.xfail(
