@@ -77,7 +77,11 @@ class StableBaselinesEnv(VecEnv):
         """Observations (B, 26), rewards (B,), done (B,) and one info per episode."""
         observation, reward, terminated, truncated, info = self.env.step(self.actions)
         done = terminated | truncated
-        infos = by_episode({name: part for name, part in info.items() if "final_" not in name})
+        # what Gymnasium masks by `_name` is of some episodes only: of those that end, which `final_info` has
+        masked = {name[1:] for name in info if name.startswith("_")}
+        infos = by_episode(
+            {name: part for name, part in info.items() if name[0] != "_" and name not in masked}
+        )
         for i in np.flatnonzero(done):
             episode = info["final_info"]["episode"]
             infos[i] |= {

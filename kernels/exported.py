@@ -18,7 +18,9 @@ TAKEN = re.compile(  # by C and C++, and by math.h
     "restrict|return|short|signed|sizeof|static|struct|switch|template|this|throw|true|try|typedef|typename|union|"
     "unsigned|using|virtual|void|volatile|while|xor|a?(cos|sin|tan)h?|atan2|cbrt|ceil|copysign|erfc?|exp2?|expm1|fabs|fdim|"
     "floor|fma|fmax|fmin|fmod|frexp|gamma|hypot|ilogb|is(finite|inf|nan|normal)|[jy][01n]|ldexp|lgamma|log(10|1p|2|b)?|"
-    "l?l?r(int|ound)|modf|nan|nearbyint|pow|remainder|round|scalb|signbit|sqrt|tgamma|trunc"
+    "l?l?r(int|ound)|modf|nan|nearbyint|pow|remainder|round|scalb|signbit|sqrt|tgamma|trunc|"
+    "abort|abs|atoi|calloc|exit|f?puts|free|labs|malloc|[fs]?n?printf|f?(open|close|read|write)|remove|rename|std(in|out|err)|"
+    "system"
 )
 
 
@@ -32,7 +34,12 @@ def check_prefix(prefix: str) -> None:
 
 
 def prefixed(text: str, name: str, prefix: str) -> str:
-    """A text, or a file's name, in which what is called by a name has the prefix in its place."""
+    """A text, or a file's name, in which what is called by a name has the prefix in its place.
+
+    Raises ValueError where something else in the text is called like the prefix.
+    """
+    if prefix != name and re.search(rf"\b{prefix}\b", re.sub(r"/\*.*?\*/", "", text, flags=re.DOTALL)):
+        raise ValueError(f"{prefix!r}: is the name of something else in it; give another")
     return text.replace(name, prefix).replace(name.upper(), prefix.upper())
 
 

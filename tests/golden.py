@@ -256,6 +256,10 @@ def moved(old: Recorded, new: Recorded, tolerance: float) -> tuple[bool, str]:
         return False, "OTHER ROWS"
     if "counts" in old:
         return False, moved_labels(old, new)
+    pairs = [(name, row.get("finite"), new["rows"][name].get("finite")) for name, row in old["rows"].items()]
+    for name, then, now in pairs:
+        if then != now:
+            return False, f"OTHER FINITE NUMBERS in {name}: {then} -> {now}"
     moves = list(moves_of(old["rows"], new["rows"]))
     if not moves:
         return False, "OTHER LENGTHS"

@@ -45,20 +45,21 @@ def triangles_of(content: bytes, kind: str) -> np.ndarray:
 
 def plain_stl(content: bytes) -> bytes:
     """An STL file as trimesh reads it: without bytes behind the last triangle; text in UTF-8, line by line."""
+    wide = [
+        each for each in ("utf-32-le", "utf-32-be", "utf-16-le", "utf-16-be") if has_facets(content, each)
+    ]
     count = int.from_bytes(content[80:84], "little")  # four letters would be more than fit into a file
-    if (size := 84 + 50 * count) <= len(content) and count:
+    if not wide and (size := 84 + 50 * count) <= len(content) and count:
         return content[:size]
-    for encoding in (
-        "latin-1",
-        "utf-16",
-        "utf-16-le",
-        "utf-16-be",
-        "utf-32",
-    ):  # of all but names ASCII is enough
-        text = content.decode(encoding, errors="replace")
-        if "facet" in text.lower():
-            break
+    encoding = wide[0] if wide else "latin-1"  # of all but names ASCII is enough
+    text = content.decode(encoding, errors="replace")
     return "\n".join(text.splitlines()).encode()
+
+
+def has_facets(content: bytes, encoding: str) -> bool:
+    """Whether a file has the word in an encoding of whole numbers, in letters of either case."""
+    at = content.lower().find("facet".encode(encoding))
+    return at >= 0 and at % len("f".encode(encoding)) == 0
 
 
 def path_of(mesh: str) -> str:

@@ -65,15 +65,11 @@ def write(policy: Policy, config: Config, checkpoint: str, directory: Path, pref
     Raises:
         InputError: the directory holds anything else, or cannot be written.
     """
-    texts = {
-        prefixed(name, NAME, prefix): prefixed(text, NAME, prefix)
-        for name, text in sources(
-            policy, config.inspection, hashlib.sha256(Path(checkpoint).read_bytes()).hexdigest()
-        ).items()
-    }
-    built = prefixed(BUILT, NAME, prefix)
+    own = sources(policy, config.inspection, hashlib.sha256(Path(checkpoint).read_bytes()).hexdigest())
     with refusing("--prefix", ValueError):
         check_prefix(prefix)
+        texts = {prefixed(name, NAME, prefix): prefixed(text, NAME, prefix) for name, text in own.items()}
+    built = prefixed(BUILT, NAME, prefix)
     with refusing(f"--c {directory}: cannot write there", OSError, ValueError):
         check_directory(directory, "agent", MARK, texts, (*(f"{name}.tmp" for name in texts), built))
         directory.mkdir(parents=True, exist_ok=True)

@@ -218,8 +218,8 @@ class Run:
         shown = self.log.open(self.interactions, total) if self.ranks.first else nullcontext()
         with self.naming_the_checkpoint():
             with on_signal(react), shown:
-                self.begin(stopped)
                 try:
+                    self.begin(stopped)
                     self.trainer.run(self.monitor, self.after_update, stopped)
                 except (NonFiniteError, RankLostError) as error:
                     where, last = f"update {self.trainer.update + 1}", self.directory / CHECKPOINT
@@ -239,7 +239,8 @@ class Run:
             self.evaluate()
         if self.lessons and self.trainer.update < self.lessons.batches:
             self.be_taught(self.lessons, stopped)
-            self.lessons.flown.clear()  # which is large
+            for batch in (self.lessons.flown, self.lessons.latest):  # which are large
+                batch.clear()
             if early and self.lessons.done:
                 self.evaluate()
 

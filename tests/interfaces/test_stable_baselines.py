@@ -184,3 +184,17 @@ def test_stable_baselines_own_wrappers_go_around_it(env):
 def test_stable_baselines_finds_nothing_to_complain_about(behind_filter):
     single = gymnasium.make(ID)
     check_env(RunTimeAssurance(single, period=10.0) if behind_filter else single)
+
+
+def test_only_an_episode_that_ends_has_an_episode_in_its_info() -> None:
+    """Behind Gymnasium's statistics, too, whose entries are masked: SB3 would count the others as ended with 0."""
+    inner = gymnasium.make_vec(ID, num_envs=2, max_episode_steps=2)
+    env = StableBaselinesEnv(gymnasium.wrappers.vector.RecordEpisodeStatistics(inner))
+    env.reset()
+    actions = np.zeros((2, 6), dtype=np.float32)
+    env.step(actions)
+    inner.reset(options={"reset_mask": np.array([True, False])})  # the other one ends first
+    _, _, done, infos = env.step(actions)
+    assert done.tolist() == [False, True]
+    assert ["episode" in info for info in infos] == [False, True]
+    assert not any(name.startswith("_") for info in infos for name in info)

@@ -378,6 +378,9 @@ SPELLINGS: dict[str, tuple[str, bytes]] = {
     "UTF-16": ("a.stl", stl_text("Raumfähre 宇宙").encode("utf-16")),
     "UTF-16 without a mark": ("a.stl", stl_text().encode("utf-16-le")),
     "UTF-16, big end first": ("a.stl", stl_text().encode("utf-16-be")),
+    "UTF-32": ("a.stl", stl_text("Raumfähre").encode("utf-32")),
+    "UTF-32 without a mark": ("a.stl", (stl_text() + " " * 9000).encode("utf-32-le")),
+    "UTF-32, big end first": ("a.stl", stl_text().encode("utf-32-be")),
     "two solids": ("a.stl", (stl_text().split("facet", 1)[0] + "endsolid\n" + stl_text()).encode()),
 }
 

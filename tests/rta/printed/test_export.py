@@ -313,9 +313,16 @@ int main(void)
         write(safety_filter, tmp_path / "near", prefix="far_away")
 
 
-@pytest.mark.parametrize("prefix", ["", "3u", "Near", "a-b", "é", "int", "sin", "main"])
+@pytest.mark.parametrize("prefix", ["", "3u", "Near", "a-b", "é", "int", "sin", "main", "stdin"])
 def test_a_prefix_is_a_name_in_c(prefix: str, tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="lower-case letters, digits and _"):
+        write(made("1"), tmp_path / "c", prefix=prefix)
+    assert not (tmp_path / "c").exists()
+
+
+@pytest.mark.parametrize("prefix", ["step", "commit", "copy", "given", "limit"])
+def test_a_prefix_is_not_the_name_of_something_in_the_sources(prefix: str, tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="name of something else"):
         write(made("1"), tmp_path / "c", prefix=prefix)
     assert not (tmp_path / "c").exists()
 
