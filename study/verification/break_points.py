@@ -7,6 +7,7 @@ flown says nothing of other flights: that size is unchecked.
 """
 
 import dataclasses
+import math
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import replace
@@ -262,7 +263,10 @@ def figure(report: dict[str, Any]) -> Figure:
         found = break_points(report, told)
         for row, effect in enumerate(effects):
             _, refused = last_held(report, effect, told)
-            flown = refused is None or refused > EFFECTS[effect].sizes[0]
+            open_from = unchecked_from(report, effect) if told else None
+            # from the smallest size on no flight says that it is safe
+            nothing_from = min(refused or math.inf, open_from[0] if open_from else math.inf)
+            flown = nothing_from > EFFECTS[effect].sizes[0]
             for column, name in enumerate(COLUMNS):
                 size = found[effect][name]
                 colour = UNSAFE if size is not None else SAFE if flown else "white"
@@ -272,7 +276,7 @@ def figure(report: dict[str, Any]) -> Figure:
                 )
             largest = EFFECTS[effect].sizes[-1]
             tried = f"to {largest:g}" if refused is None else f"refused from {refused:g}"
-            if told and (open_from := unchecked_from(report, effect)):
+            if open_from:
                 tried += f", unchecked from {open_from[0]:g}"
             ax.text(len(COLUMNS) + 0.1, row + 0.5, tried, va="center", color=GREY)
         units = [f"{effect} ({EFFECTS[effect].unit or 'share'})" for effect in effects]
