@@ -4,9 +4,9 @@ For thrust and for torque, each within its limits,
 
     minimise |u - u_desired|^2    subject to    a_i u + b_i >= 0 for every row i.
 
-The rows are of one of two conditions (`rta.conditions`): of the rate now, or of what a held control leads to. Where
-they conflict, slack is given class after class of their weights (`rta.qp.programs.stages`). What the programs propose
-is applied if a way to rest remains (`rta.backup`).
+The rows are of one of two kinds (`rta.barrier`): of the rate now, or of what a held control leads to. Where they
+conflict, slack is given class after class of their weights (`rta.qp.programs.stages`). What the programs propose
+(`rta.propose`) is applied if a way to rest remains (`rta.backup`).
 """
 
 import warnings
@@ -26,11 +26,8 @@ from kernels import Compiled, NoCompilerError
 from kernels.build import say
 from kernels.modes import in_full_precision
 from rta.backup.check import Backup
+from rta.barrier import Rows
 from rta.bounds.uncertainty import NOTHING, Uncertainty
-from rta.conditions.condition import Condition, demanded
-from rta.conditions.held import Held
-from rta.conditions.now import Now
-from rta.conditions.rows import Rows
 from rta.constraints import vehicle
 from rta.constraints.constraint import Constraint, in_order, joined
 from rta.constraints.thrust import keep_in_zone, thrust_constraints
@@ -38,12 +35,11 @@ from rta.constraints.torque import torque_constraints
 from rta.given import Given
 from rta.parameters import RtaParameters
 from rta.printed.batch import BatchFilter
+from rta.propose import Propose
 from rta.qp.batched_solver import STEPS_HELD, BatchedSolver
 from rta.qp.piqp_solver import PiqpSolver
 from rta.qp.programs import Solver, Status, pick, put
 from rta.result import FilterResult
-
-ROW_FIELDS = len(fields(Rows))
 
 SOLVERS: dict[str, type[Solver]] = {"piqp": PiqpSolver, "batched": BatchedSolver}
 
@@ -65,7 +61,7 @@ class SafetyFilter:
 
     Attributes:
         names: of all constraints: Table 3's, then those of your own that thrust holds, then those that torque holds.
-        condition: on a control, of the rate of now or of a hold; groups: its rows of thrust and of torque.
+        propose: the programs, and all that comes before the check; groups: their rows of thrust and of torque.
         backup: the check of its controls; None: there is none for this vehicle, or of what the filter is told.
         turn, homing: of a filter that is told of bounds, the checks of torque and of thrust; None: it knows no way.
         compiled: all of it as one C function; None: it is not compiled so.
@@ -91,7 +87,7 @@ class SafetyFilter:
         self.holds = known.holds(parameters)
         knows_way = known.is_nil and Backup.is_there(c)
         self.backup = Backup(c, parameters.period) if knows_way else None
-        # as fast as PIQP, which of 213,855 programs of tangents solved one wrongly (0.7.0; of 94,804 0.6.4 left 91)
+        # as fast as PIQP where controls are held, with more rows
         auto = "batched" if self.holds else "piqp"
         self.solver = self._own_solver = solver or make_solver(
             parameters.qp_solver.replace("auto", auto), self.holds
@@ -99,11 +95,13 @@ class SafetyFilter:
         own = vehicle.scaled(parameters, c)
         of_paper = (thrust_constraints(c, own, known), torque_constraints(c, own, known))
         constraints = (*of_paper[0], *of_paper[1], *extra)
-        kind: type[Now | Held] = Held if self.holds else Now
-        self.condition: Condition = kind(constraints, c, own, known)
-        self.groups = self.condition.groups
-        held = self.condition if isinstance(self.condition, Held) else None
-        self.turn, self.homing = (held.turn, held.homing) if held else (None, None)
+        self.propose = Propose(constraints, c, own, known)
+        self.groups, self.turn, self.homing = self.propose.groups, self.propose.turn, self.propose.homing
+        if self.propose.kind == "none" and self.unchecked:
+            raise ValueError(
+                f'rows = "none": nothing would keep the limits of {" and ".join(self.unchecked)}, of which no way to '
+                'rest is known with these settings: must be "auto", "paper" or "sampled"'
+            )
         thrust, torque = (group.names for group in self.groups)
         self.names = in_order(thrust, torque)
         if len(set(self.names)) < len(self.names):
@@ -145,35 +143,22 @@ class SafetyFilter:
         return narrowed(inside, x, self.is_holdable) if self.holds else inside
 
     def is_holdable(self, x: Tensor) -> Tensor:
-        """(B,) bool: no barrier can be negative and a control satisfies every row, whatever is measured.
-
-        A measurement is off by what the filter is told, and what it is taken for by as much again.
-        """
-        thrust, torque = self.rows(x, error_bound=self._measured_again(x))
+        """(B,) bool: no barrier is negative and a control satisfies every row."""
+        thrust, torque = self.rows(x)
         certain = (thrust.psi >= 0.0).all(0)
         if not self.turn:
             certain = certain & (torque.psi >= 0.0).all(0)
         return narrowed(certain, x, self._has_control)
 
     def _has_control(self, x: Tensor) -> Tensor:
-        """(B,) bool: a control satisfies every row, whatever is measured."""
-        nothing = torch.zeros_like(x[:CONTROL_SIZE])
-        if not any(self.known.radii):
-            found = self.correct(x, nothing)
-        else:
-            demand, further = demanded(nothing, self.groups), self._measured_again(x)
-            found = self.condition.propose(x, demand, self.solver, None, None, further)
+        """(B,) bool: a control satisfies every row."""
+        found = self.correct(x, torch.zeros_like(x[:CONTROL_SIZE]))
         return (found.program_status[0] if self.turn else found.status) < Status.SLACK
-
-    def _measured_again(self, x: Tensor) -> Tensor:
-        """(4, B) by how far measurements of true states (16, B) are off, see `Condition.propose`."""
-        return x.new_tensor(self.known.radii)[:, None].expand(-1, x.shape[1])
 
     def can_brake(self, x: Tensor) -> Tensor:
         """(B,) bool: in any attitude thrust can keep the zone, see `keep_in_zone`."""
-        zone, none = keep_in_zone(self.c, self.parameters, self.known), torch.zeros_like(x[0])
-        off = self.known.errors(none, none)
-        return (zone.barrier_at(x, off=off)(x, off) >= 0.0).all(0)
+        zone = keep_in_zone(self.c, self.parameters, self.known)
+        return (zone.barrier_at(x)(x) >= 0.0).all(0)
 
     @in_full_precision
     def is_safe(self, x: Tensor) -> Tensor:
@@ -204,8 +189,6 @@ class SafetyFilter:
         """
         if self._solves_in_c and torch.device(device).type == "cpu":
             self.compiled = BatchFilter(self)
-            if self.compiled.parts:
-                self.condition.use(self.compiled.parts)
             return
         compiled = self._compiled(device, batch, trace_only=False)
         rows = max(len(group.weights) for group in self.groups)
@@ -223,12 +206,12 @@ class SafetyFilter:
 
     def _use(self, compiled: list[Compiled]) -> None:
         """Computes with what was compiled or traced from now on."""
-        self.condition.use(compiled)
+        self.propose.use(compiled)
         self._is_traced = True
 
     def _compiled(self, device: torch.device | str, batch: int, trace_only: bool) -> list[Compiled]:
         """What is computed for every spacecraft, compiled."""
-        parts = self.condition.parts(*self.probe(device))
+        parts = self.propose.parts(*self.probe(device))
         return [Compiled(run, *given, batch=batch, trace_only=trace_only) for run, given in parts]
 
     def probe(self, device: torch.device | str) -> tuple[Tensor, Tensor]:
@@ -249,16 +232,10 @@ class SafetyFilter:
         )
 
     @in_full_precision
-    def rows(
-        self, x: Tensor, control: Tensor | None = None, error_bound: Tensor | None = None
-    ) -> tuple[Rows, Rows]:
-        """The conditions on thrust and on torque at states (16, B), as tangents at controls (6, B), None: at zero.
-
-        `error_bound` is as of `Condition.propose`.
-        """
-        control = torch.zeros_like(x[:CONTROL_SIZE]) if control is None else control
-        thrust, torque = self.condition.prepared(x, control, error_bound)
-        return Rows(*thrust[:ROW_FIELDS]), Rows(*torque[:ROW_FIELDS])
+    def rows(self, x: Tensor, control: Tensor | None = None) -> tuple[Rows, Rows]:
+        """The conditions on thrust and on torque at states (16, B), as tangents at controls (6, B), None: at zero."""
+        thrust, torque = self.groups
+        return thrust(x, control), torque(x, control)
 
     @in_full_precision
     def __call__(self, x: Any, desired: Any) -> FilterResult:
@@ -317,7 +294,7 @@ class SafetyFilter:
                 where a state is younger. Of more than `latency` (0 without `Uncertainty`) the state is too old: the
                 status is UNSOLVED, and the control is not verified.
             left: (6, B) the share that each actuator gives of what it is told; None: all of it. It counts for a filter
-                with `Uncertainty`.
+                with `health` in its `Uncertainty`.
         """
         too_old = sent is not None and len(sent) > self.known.latency
         elsewhere = x.device.type != "cpu" or self.solver is not self._own_solver
@@ -343,8 +320,7 @@ class SafetyFilter:
     def _correct(self, x: Tensor, desired: Tensor, sent: Tensor | None, left: Tensor | None) -> FilterResult:
         """`correct` in PyTorch, and by the solver."""
         x = x.masked_fill(x.isinf(), torch.nan)  # infinitely safe is no state either
-        demand = demanded(desired, self.groups)
-        result = self.condition.propose(x, demand, self.solver, sent, left)
+        result = self.propose(x, desired, self.solver, sent, left)
         if self.backup is not None:
             of_torque = [name in self.groups[1].names for name in self.names]
             result = self.backup.commit(x, desired, result, of_torque)

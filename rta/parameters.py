@@ -8,6 +8,7 @@ from setting import Settings, setting
 
 PERIODS = (1.0, 5.0, 10.0)
 QP_SOLVERS = ("auto", "piqp", "batched")
+ROWS = ("auto", "paper", "sampled", "none")
 
 
 @dataclass(frozen=True)
@@ -25,6 +26,12 @@ class RtaParameters(Settings):
         "auto",
         "solver of the quadratic programs; auto takes the faster one for device and batch",
         among=QP_SOLVERS,
+    )
+    rows: str = setting(
+        "auto",
+        "conditions of the programs: paper (of the rate now), sampled (of a hold) or none (the check alone); auto: the "
+        "paper's at 1 s without bounds, else sampled",
+        among=ROWS,
     )
 
     collision_gain: float = setting(0.1, "1/s, safe separation", note="relative degree one, 1/s")

@@ -3,7 +3,6 @@
 from dataclasses import dataclass
 from typing import Any
 
-import torch
 from torch import Tensor
 
 
@@ -29,10 +28,6 @@ class FilterResult:
         program_status: (2, B) int64, both of them.
         h: (constraints, B) values without margin, exact; that of passive safety by the times of its rows. Where a
             state is predicted, of the state of now.
-        uncertainty: (constraints, B) what `Uncertainty` takes off the constraint's condition, in h's unit per s (per
-            s^2 where the relative degree is two), at the desired control.
-        tightened: (constraints, B) what `uncertainty` is in the unit of the barrier (body rates: rad/s): the value at
-            which it is all that the row lets the barrier fall by.
     """
 
     control: Tensor
@@ -44,38 +39,8 @@ class FilterResult:
     status: Tensor
     program_status: Tensor
     h: Tensor
-    uncertainty: Tensor
-    tightened: Tensor
 
     @property
     def violated(self) -> Any:
         """(B,) bool: a limit is broken already, some h is negative, whatever the programs answered."""
         return (self.h < 0.0).any(0)
-
-    @classmethod
-    def proposed(
-        cls,
-        control: Tensor,
-        desired: Tensor,
-        active: Tensor,
-        slack: Tensor,
-        program_status: Tensor,
-        h: Tensor,
-        uncertainty: Tensor | None = None,
-        tightened: Tensor | None = None,
-    ) -> "FilterResult":
-        """What the programs answer to desired controls (6, B), not checked yet; None: the filter is told of nothing."""
-        unchecked, nothing = torch.zeros_like(control[0], dtype=torch.bool), torch.zeros_like(h)
-        return cls(
-            control=control,
-            intervened=(control != desired).any(0),
-            verified=unchecked,
-            backup=unchecked,
-            active=active,
-            slack=slack,
-            status=program_status.amax(0),
-            program_status=program_status,
-            h=h,
-            uncertainty=nothing if uncertainty is None else uncertainty,
-            tightened=nothing if tightened is None else tightened,
-        )

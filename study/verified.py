@@ -28,6 +28,7 @@ from study.files import ROOT, see
 LATER = {
     *(f"[inspection] {key}" for key in ("orbit", "eccentricity", "sun_from_perigee", "hill_rotation")),
     "[inspection] gravitational_parameter",
+    "[rta] rows",
     *(f"[plant] {key}" for key in ("simulator", "j2", "drag", "actuators", "errors")),
 }
 POLICIES = ("random", "adversarial")  # each has to have flown

@@ -42,7 +42,6 @@ LONGEST = (
     "kernels/test_numbers.py",
     "study/flight/test_planted.py",
     "rta/backup/test_check.py",
-    "rta/conditions/test_tangents.py",
     "study/verification/test_counter_examples.py",
     "test_install.py",
     "rta/backup/test_haven.py",

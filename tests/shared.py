@@ -41,8 +41,7 @@ SHARED = [  # functions of a filter, where they are called from
         for module in (rta.printed.batch, rta.printed.files)
         for name in ("functions", "checks")
     ),
-    (rta.printed.batch, "now_parts"),
-    (rta.printed.batch, "held_parts"),
+    (rta.printed.batch, "printed_attempt"),
     (rta.printed.source, "functions"),
     (rta.printed.files, "vectors"),
 ]

@@ -11,7 +11,7 @@ from inspection.model.parameters import InspectionParameters
 from rta import SafetyFilter
 from rta.backup import brake
 from rta.parameters import RtaParameters
-from tests.rta.conditions import test_actuator_groups as own_constraints
+from tests.rta import test_actuator_groups as own_constraints
 from tests.shared import SHARED, Once, draw
 
 

@@ -33,8 +33,8 @@ from inspection.model.orbit import free_flight, natural_acceleration
 from inspection.model.parameters import Limits
 from inspection.model.state import THETA_S, P, Q, V
 from rta.backup.chords import FreeFlight
+from rta.bounds.prediction import unsaturated
 from rta.bounds.uncertainty import Uncertainty
-from rta.conditions.prediction import unsaturated
 from rta.parameters import RtaParameters
 
 # Tuned on U1 for the share of states from which a way is verified.

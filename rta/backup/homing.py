@@ -19,8 +19,8 @@ from rta.backup.check import either, verified_or_nearest
 from rta.backup.chords import lowest, strays
 from rta.backup.cone import Node, between, way
 from rta.backup.haven import Haven, NoHavenError, thrust
+from rta.bounds.prediction import predicted
 from rta.bounds.uncertainty import Uncertainty
-from rta.conditions.prediction import predicted
 from rta.parameters import RtaParameters
 from rta.qp.programs import pick
 

@@ -6,7 +6,7 @@ the torque that is asked for gives way to one that turns the dead axis across th
 """
 
 import math
-from itertools import product
+from itertools import accumulate, product
 
 import torch
 from torch import Tensor
@@ -19,7 +19,7 @@ from rta.bounds.uncertainty import Uncertainty
 from rta.parameters import RtaParameters
 
 STEP = math.radians(7.5)  # between the turns that are compared
-TURNS = 24  # of them about each axis, up to half a turn
+AXES, TURNS = 26, 24  # of the turns; angles about each of them, up to half a turn
 NEAR = math.sin(STEP)  # of the radius, along axes that give nothing, which is left as it is
 
 
@@ -56,44 +56,44 @@ def slewing(
     astray = norm(weakness * outwards)
     turned = math.sqrt(3.0) * limit * hold  # rad, in a hold at most
     weak = (astray > NEAR - turned) & (weakness.amax(0) > 0.0) & (torques > 0.0)
-    needed = torch.nonzero(weak & (later > 0.0) & (reached > c.max_distance)).flatten()
-    if not needed.numel():
-        return torque
-    sun, _ = sun_and_earth_in_body(x[:, needed])
-    axis, angle = soonest(outwards[:, needed], sun, weakness[:, needed], c)
+    needed = weak & (later > 0.0) & (reached > c.max_distance)
+    sun, _ = sun_and_earth_in_body(x)
+    axis, angle = soonest(outwards, sun, weakness, c)
     rate = axis * (limit / axis.abs().amax(0)).minimum(angle / hold)
-    wanted = inertia * (rate * (astray[needed] > NEAR) - x[OMEGA][:, needed]) / hold
-    torque = torque.clone()
-    torque[:, needed] = (wanted / left[TORQUE][:, needed]).clamp(-c.max_torque, c.max_torque)
-    return torque
+    wanted = inertia * (rate * (astray > NEAR) - x[OMEGA]) / hold
+    return torch.where(needed, (wanted / left[TORQUE]).clamp(-c.max_torque, c.max_torque), torque)
 
 
 def soonest(outwards: Tensor, sun: Tensor, weakness: Tensor, c: Limits) -> tuple[Tensor, Tensor]:
     """The turn after which healthy axes are along the radius soonest, past the Sun where possible.
 
     Args:
-        outwards, sun: (3, M) directions in the body's frame; weakness: (3, M) the share that each axis lacks to the
+        outwards, sun: (3, B) directions in the body's frame; weakness: (3, B) the share that each axis lacks to the
             strongest.
 
     Returns:
-        The axis (3, M) of the turn, of length one, and its angle (M,) in rad.
+        The axis (3, B) of the turn, of length one, and its angle (B,) in rad.
     """
-    axes = torch.tensor([axis for axis in product((-1.0, 0.0, 1.0), repeat=3) if any(axis)], dtype=sun.dtype)
-    axes = unit(axes.to(sun).T)[:, :, None, None]  # (3, axes, 1, 1)
-    angles = sun.new_tensor([i * STEP for i in range(1, TURNS + 1)])[:, None]  # (angles, 1)
+    whole = [axis for axis in product((-1.0, 0.0, 1.0), repeat=3) if any(axis)]
+    axes = unit(sun.new_tensor(whole).T)  # (3, AXES)
+    angles = sun.new_tensor([i * STEP for i in range(1, TURNS + 1)])
 
-    def seen(a: Tensor) -> Tensor:
-        """Directions (3, M) in the frame of a body that was turned: (3, axes, angles, M)."""
-        a = a[:, None, None]
-        across = torch.stack(cross(axes.expand(-1, -1, 1, a.shape[-1]), a.expand(-1, axes.shape[1], -1, -1)))
-        along = (axes * a).sum(0) * axes
-        return a * angles.cos() - across * angles.sin() + along * (1.0 - angles.cos())
+    def costs(about: Tensor) -> Tensor:
+        """Of turns about axes (3, k, 1 or B) by all angles: (k, TURNS, B)."""
+        n, cosine, sine = about[:, :, None], angles[:, None].cos(), angles[:, None].sin()
 
-    astray = norm(weakness[:, None, None] * seen(outwards))  # (axes, angles, M)
-    dark = seen(sun)[0] <= math.cos(c.field_of_view / 2 + c.exclusion_buffer)
-    clear = dark.cummin(1).values
-    time = angles * axes.abs().amax(0)  # each axis turns at the limit at most
-    never = time.max() + 1.0
-    cost = time + never * ((astray - NEAR).clamp(min=0.0) / NEAR + torch.where(clear, 0.0, 1.0 / NEAR))
-    turn = cost.flatten(0, 1).argmin(0)
-    return axes[:, :, 0, 0][:, turn // TURNS], angles[turn % TURNS, 0]
+        def seen(a: Tensor) -> Tensor:
+            """Directions (3, B) in the frame of a body that was turned: (3, k, TURNS, B)."""
+            a = a[:, None, None]
+            across = torch.stack(cross(*torch.broadcast_tensors(n, a)))
+            return a * cosine - across * sine + (n * a).sum(0) * n * (1.0 - cosine)
+
+        astray = norm(weakness[:, None, None] * seen(outwards))
+        dark = seen(sun)[0] <= math.cos(c.field_of_view / 2 + c.exclusion_buffer)
+        clear = torch.stack(list(accumulate(dark.unbind(1), torch.logical_and)), 1)  # so far
+        time = angles[:, None] * n.abs().amax(0)  # each axis turns at the limit at most
+        too_far = (astray - NEAR).clamp(min=0.0) / NEAR
+        return time + (STEP * TURNS + 1.0) * (too_far + torch.where(clear, 0.0, 1.0 / NEAR))
+
+    best = axes[:, costs(axes[:, :, None]).amin(1).argmin(0)]
+    return best, angles[costs(best[:, None])[0].argmin(0)]

@@ -1,4 +1,4 @@
-"""What the filter is told about the world's bounds, from which every row is tightened.
+"""What the filter is told about the world's bounds, within which it checks its controls.
 
 The worst of them are taken all at once. All zero: the plant is the model, and the filter that of the paper.
 """
@@ -14,8 +14,6 @@ from setting import Settings, setting
 
 if TYPE_CHECKING:  # who asks for settings alone does not wait for PyTorch
     from torch import Tensor
-
-    from rta.bounds.errors import Errors
 
 LONGEST_HOLD = (
     10.0  # s; at 20 s, in which a body at 2 deg/s turns by 70 deg, one episode in ten broke a limit
@@ -80,22 +78,11 @@ class Uncertainty(Settings):
         return self == Uncertainty()
 
     @property
-    def measured(self) -> tuple[float, ...]:
-        """m, m/s, rad and rad/s, of each axis of position, velocity, attitude and rates at most."""
-        return self.position, self.velocity, math.radians(self.attitude), math.radians(self.rate)
-
-    @property
     def radii(self) -> tuple[float, ...]:
         """m, m/s, rad and rad/s, of the balls around these."""
         root = math.sqrt(3.0)
         angles = (math.radians(root * angle) for angle in (self.attitude, self.rate))
         return root * self.position, root * self.velocity, *angles
-
-    def errors(self, further_position: "Tensor", further_velocity: "Tensor") -> "Errors":
-        """Of a state that was measured, and predicted to within so many m and m/s (...) of what it should be."""
-        from rta.bounds.errors import Errors, Set
-
-        return Errors(Set(self.position, further_position), Set(self.velocity, further_velocity))
 
     def check(self, c: Limits, r: RtaParameters) -> None:
         """Raises ValueError where a bound leaves no control that could hold a limit."""
@@ -133,8 +120,12 @@ class Uncertainty(Settings):
         return max(r.period, self.longest_hold)
 
     def holds(self, r: RtaParameters) -> bool:
-        """Whether rows are of a held control, see `rta.conditions.held_rows`; if not, of the rate of now."""
+        """Whether the filter counts on a control being held: for longer than SHORT, or in a world unlike the model."""
         return self.hold(r) > SHORT or not self.is_nil
+
+    def rows(self, r: RtaParameters) -> str:
+        """Which rows the filter has, "paper", "sampled" or "none"; see `rta.barrier`."""
+        return r.rows.replace("auto", "sampled" if self.holds(r) else "paper")
 
     @property
     def thrust(self) -> tuple[float, float]:
@@ -158,10 +149,6 @@ class Uncertainty(Settings):
         """Largest share by which an angular acceleration is off."""
         least, most = self.torque
         return max(1.0 - least, most - 1.0)
-
-    def thrust_share(self, angle: "Tensor") -> "Tensor":
-        """The share of thrust that is off at most, in any direction, where it may be off by angles (...) in rad."""
-        return self.thrust_error + self.thrust[1] * angle
 
     def thrust_angle(self, c: Limits, r: RtaParameters) -> float:
         """rad, between the mean direction of a thruster over a hold and that of the rows at most, of a body at rest.
@@ -220,11 +207,6 @@ class Uncertainty(Settings):
         """Whether thrusters give some values only."""
         return self.minimum_thrust > 0.0 or self.thrust_quantum > 0.0
 
-    @property
-    def gap(self) -> float:
-        """N, between two values that thrusters give, up to the largest."""
-        return max(self.minimum_thrust, self.thrust_quantum)
-
     def largest_thrust(self, limit: float) -> float:
         """N, that thrusters give within their limit."""
         quantum = self.thrust_quantum
@@ -238,17 +220,6 @@ class Uncertainty(Settings):
             most = self.largest_thrust(limit)
             return (quantum * (thrust / quantum).round()).clamp(-most, most)
         return where(thrust.abs() < self.minimum_thrust, 0.0, thrust)
-
-    def neighbours(self, thrust: "Tensor", limit: float) -> "tuple[Tensor, Tensor]":
-        """What the thrusters give next to thrust in N on either side, within their limit."""
-        from torch import where
-
-        if quantum := self.thrust_quantum:
-            low, most = (thrust / quantum).floor(), self.largest_thrust(limit)
-            return (quantum * low).clamp(-most, most), (quantum * (low + 1.0)).clamp(-most, most)
-        least = min(self.minimum_thrust * (1.0 + 1e-9), limit)  # rounded down it would be nothing
-        within = thrust.abs() < self.minimum_thrust
-        return where(within, 0.0, thrust), where(within, least * thrust.sign(), thrust)
 
 
 NOTHING = Uncertainty()

@@ -10,13 +10,10 @@ import torch
 from torch import Tensor
 
 from inspection.model.state import CONTROL_SIZE, THRUST, TORQUE
-from rta.bounds.errors import Errors
 from rta.constraints.names import ATTITUDE, TRANSLATIONAL
 from rta.lie_derivatives import Function
 
 ACTUATORS = {"thrust": THRUST, "torque": TORQUE}
-
-Barrier = Callable[..., Tensor]  # of states (16, ...) to (rows, ...); with `Errors`, the least that it may be
 
 
 @dataclass(frozen=True)
@@ -34,8 +31,6 @@ class Constraint:
             for the filter's own `slack_weight_critical`.
         barrier: what is enforced in h's place, where that differs: maps states (16, B) to the function of states
             (16, ...) to (rows, ...) that is differentiated there.
-        is_least: this function and `barrier` take `Errors`, too, of states that may be off: then it is the least that
-            it may be. Without it the filter takes slopes times errors, which is a bound of the first order only.
         rows: how many rows the barrier has.
         loss: how far Psi (Psi_1 where the relative degree is two, else the barrier) can fall within one period below
             its linear prediction, over the period: half the period times the largest second derivative. A number
@@ -44,8 +39,7 @@ class Constraint:
         coupled: the other group's controls change it, too; they are then taken to do their worst.
         recovery: at relative degree two, how fast h is to rise at most on its way back from beyond the limit, in its
             unit per s; None where the gains may ask for anything.
-        later: as `barrier`, where it looks ahead: maps states (16, B), so many s into a hold, to the function that is
-            differentiated there and looks at the same moments; None: `barrier` does.
+        looks_ahead: `barrier` is also given by how many s the states are into a hold, to look at the same moments.
         exact: the smallest of the barrier's rows is h itself.
         axis: of the one actuator of the group that changes it, so that its row is a bound of that actuator; None for
             all others.
@@ -57,16 +51,15 @@ class Constraint:
     gains: tuple[float, ...]
     margin: float = 0.0
     weight: float | None = None
-    barrier: Callable[..., Barrier] | None = None
+    barrier: Callable[..., Function] | None = None
     rows: int = 1
     loss: float | Function = 0.0
     doubling: float = math.inf
     coupled: bool = True
     recovery: float | None = None
-    later: Callable[..., Barrier] | None = None
+    looks_ahead: bool = False
     exact: bool = False
     axis: int | None = None
-    is_least: bool = False
 
     def __post_init__(self) -> None:
         if self.held_by not in ACTUATORS:
@@ -91,16 +84,11 @@ class Constraint:
         """The relative degree."""
         return len(self.gains)
 
-    def barrier_at(self, x: Tensor, after: float = 0.0, off: Errors | None = None) -> Barrier:
-        """What is differentiated at states (16, B), so many s into a hold: (16, ...) to (rows, ...).
-
-        Args:
-            off: by how much the states may be off; it is for a barrier that `is_least` only.
-        """
-        errors = () if off is None else (off,)
-        if self.later and after:
-            return self.later(x, after, *errors)
-        return self.barrier(x, *errors) if self.barrier else lambda y: self.h(y)[None]
+    def barrier_at(self, x: Tensor, after: float = 0.0) -> Function:
+        """What is differentiated at states (16, B), so many s into a hold: (16, ...) to (rows, ...)."""
+        if self.barrier is None:
+            return lambda y: self.h(y)[None]
+        return self.barrier(x, after) if self.looks_ahead else self.barrier(x)
 
     def loss_at(self, x: Tensor) -> Tensor:
         """`loss` at states (16, B): (B,)."""

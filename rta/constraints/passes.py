@@ -1,16 +1,14 @@
 """Where the free flight is nearest to the chief, and how clear of it, for passive safety (Sec. PSM)."""
 
-import math
 from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
-from inspection.chief.hull import Planes, planes_of, widened
+from inspection.chief.hull import Planes, planes_of
 from inspection.model.attitude import dot, norm
-from inspection.model.orbit import coast, pulled_back
+from inspection.model.orbit import coast
 from inspection.model.parameters import Limits
-from rta.bounds.errors import Errors
 
 PASSES = 13  # grid points per segment of the free flight: at most 12 s apart in the default segments
 GRID, HALVINGS = 5, 10  # beside a hull: points per segment, and by how much they are refined, to 0.1 s
@@ -27,18 +25,16 @@ class Passes(NamedTuple):
     planes: Planes | None = None
 
 
-def closest_passes(x: Tensor, segments: tuple[float, ...], c: Limits, off: Errors | None = None) -> Passes:
-    """Of states (16, ...), or of the least that their distances may be; beside a hull of the states."""
-    return passes_of_hull(x, segments, c) if c.planes else Passes(closest_times(x, segments, c, off))
+def closest_passes(x: Tensor, segments: tuple[float, ...], c: Limits) -> Passes:
+    """Of states (16, ...)."""
+    return passes_of_hull(x, segments, c) if c.planes else Passes(closest_times(x, segments, c))
 
 
-def closest_times(x: Tensor, segments: tuple[float, ...], c: Limits, off: Errors | None = None) -> Tensor:
+def closest_times(x: Tensor, segments: tuple[float, ...], c: Limits) -> Tensor:
     """When the free flight is nearest to the chief's centre within each segment: (16, ...) to (segments, ...) s.
 
     The best of a grid, refined by the parabola of |p(t)|^2 through it and its neighbours (exact for a
-    straight path, which the path is over two grid steps to a few centimetres). With errors e(t) it is |p(t)| - e(t)
-    that is to be least, and the parabola is of |p(t)|^2 - 2 |p| e(t), |p| that of the best: its derivative is 2 |p|
-    times that of |p(t)| - e(t) there.
+    straight path, which the path is over two grid steps to a few centimetres).
     """
     edges = x.new_tensor(segments)
     start, spacing = edges[:-1], edges.diff() / (PASSES - 1)
@@ -47,35 +43,12 @@ def closest_times(x: Tensor, segments: tuple[float, ...], c: Limits, off: Errors
     times = grid.reshape(*grid.shape, *shape[1:])
     path = coast(x, times, c)
     squared = dot(path, path)  # (segments, PASSES, ...)
-    least = squared
-    if off:
-        distance = squared.sqrt()
-        error = strayed(x, path / distance, times, c, off)
-        least = distance - error
-        squared = squared - 2.0 * distance.gather(1, least.argmin(1, keepdim=True)) * error
-    best = least.argmin(1, keepdim=True)
+    best = squared.argmin(1, keepdim=True)
     centre = best.clamp(1, PASSES - 2)
     before, middle, after = (squared.gather(1, centre + i)[:, 0] for i in (-1, 0, 1))
     bend = before - 2 * middle + after
     offset = torch.where(bend > 0, 0.5 * (before - after) / bend, (best - centre)[:, 0].to(x.dtype))
     return start.reshape(shape) + spacing.reshape(shape) * (centre[:, 0] + offset.clamp(-1.0, 1.0))
-
-
-def strayed(x: Tensor, n: Tensor, t: Tensor, c: Limits, off: Errors) -> Tensor:
-    """m, by how much n . p(t) of the free flight may be less, of unit directions n (3, *t) at times t (k, ...) in s.
-
-    On a circle, of the errors' sets mapped by Clohessy and Wiltshire's solution. On an ellipse a ball: the gradient of
-    gravity is at most k^2 = 2 mu / r^3 at perigee, and an error e in the frame of the stars grows to at most
-    |e| cosh(k t) + |de/dt| sinh(k t) / k.
-    """
-    if c.orbit == "clohessy-wiltshire":
-        by_position, by_velocity = pulled_back(n, t, c.mean_motion)
-        return off.position.support(by_position) + off.velocity.support(by_velocity)
-    perigee = c.semi_major_axis * (1.0 - c.eccentricity)
-    k = math.sqrt(2.0 * c.gravitational_parameter / perigee**3)
-    position = off.position.radius
-    speed = off.velocity.radius + c.fastest_orbit_rate * position
-    return position * (k * t).cosh() + speed * (k * t).sinh() / k
 
 
 def passes_of_hull(x: Tensor, segments: tuple[float, ...], c: Limits) -> Passes:
@@ -112,17 +85,12 @@ def passes_of_hull(x: Tensor, segments: tuple[float, ...], c: Limits) -> Passes:
     return Passes(share * low + (1.0 - share) * high, between)
 
 
-def clearance_at(x: Tensor, passes: Passes, c: Limits, off: Errors | None = None) -> Tensor:
+def clearance_at(x: Tensor, passes: Passes, c: Limits) -> Tensor:
     """|p(t)| - r_d - r_c, or n . p(t) - b - r_d, in m after coasting to each of k passes: (16, ...) to (k, ...).
 
-    With `closest_passes` its gradient is that of the infimum (envelope theorem). With errors it is the least that it
-    may be.
+    With `closest_passes` its gradient is that of the infimum (envelope theorem).
     """
     times, planes = passes
     directions = (1,) * (x.dim() - times.dim())  # that x has before the batch
-    t = times.reshape(len(times), *directions, *times.shape[1:])
-    p = coast(x, t, c)
-    clearance = planes.above(p) if planes else norm(p) - c.collision_radius
-    if not off:
-        return clearance
-    return clearance - strayed(x, widened(planes.normals, p.dim(), 2) if planes else p / norm(p), t, c, off)
+    p = coast(x, times.reshape(len(times), *directions, *times.shape[1:]), c)
+    return planes.above(p) if planes else norm(p) - c.collision_radius

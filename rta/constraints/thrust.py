@@ -11,19 +11,20 @@ from functools import partial
 import torch
 from torch import Tensor
 
-from inspection.chief.hull import planes_of, widened
+from inspection.chief.hull import planes_of
 from inspection.model.attitude import dot, norm
 from inspection.model.parameters import Limits
 from inspection.model.state import P, V
-from rta.bounds.errors import TINY, Errors
 from rta.bounds.uncertainty import NOTHING, Uncertainty
-from rta.constraints.constraint import Barrier, Constraint
+from rta.constraints.constraint import Constraint
 from rta.constraints.passes import clearance_at, closest_passes
+from rta.lie_derivatives import Function
 from rta.parameters import RtaParameters
 
 LEAST_BRAKING = (
     0.1  # share of a_max that is left for braking across; `rta.constraints.vehicle` refuses who would need it
 )
+TINY = 1e-24  # m^2/s^2, keeps the slope of a speed finite at rest, far below any that matters
 SEGMENTS = 5  # of the free flight where its infimum is reported
 
 
@@ -34,7 +35,7 @@ def thrust_constraints(c: Limits, r: RtaParameters, known: Uncertainty = NOTHING
     """All seven in the order of Table 3."""
     return (
         collision(c, r, known),
-        dynamic_speed(c, r, known),
+        dynamic_speed(c, r),
         keep_in_zone(c, r, known),
         passive_safety(c, r, known),
         *(velocity(i, c, r, known) for i in range(3)),
@@ -73,7 +74,7 @@ def thrust_acceleration(c: Limits) -> float:
 def turn(c: Limits, r: RtaParameters) -> float:
     """m/s^2 of thrust, averaged over a period, that may act elsewhere than the row says, since it turns with the body.
 
-    By alpha_max T^2 / 6 otherwise than the constant rates that `half_a_period_ahead` in `rta.conditions.rows` takes
+    By alpha_max T^2 / 6 otherwise than the constant rates that `half_a_period_ahead` in `rta.barrier` takes
     into account, and by (omega T)^2 / 8 around the middle.
     """
     angular = math.sqrt(3.0) * c.max_torque / min(c.inertia)
@@ -94,31 +95,23 @@ def collision(c: Limits, r: RtaParameters, known: Uncertainty = NOTHING) -> Cons
     of the best plane now, and h in a period's end can only be more.
     """
 
-    def h(
-        x: Tensor, floor: float = 0.0, braking: float = c.max_acceleration, off: Errors | None = None
-    ) -> Tensor:
+    def h(x: Tensor, floor: float = 0.0, braking: float = c.max_acceleration) -> Tensor:
         if c.planes:
-            return beside_planes(x, floor, braking, off).amax(0)
-        distance = (off.least_distance(x) if off else norm(x[P])) - c.collision_radius
-        speed = radial_speed(x) - off.radial_speed(x) if off else radial_speed(x)
-        return math.sqrt(2 * braking) * signed_sqrt(distance, floor) + speed
+            return beside_planes(x, floor, braking).amax(0)
+        distance = norm(x[P]) - c.collision_radius
+        return math.sqrt(2 * braking) * signed_sqrt(distance, floor) + radial_speed(x)
 
-    def beside_planes(
-        x: Tensor, floor: float, braking: float, off: Errors | None, which: Tensor | None = None
-    ) -> Tensor:
+    def beside_planes(x: Tensor, floor: float, braking: float, which: Tensor | None = None) -> Tensor:
         """Of every plane, (planes, ...), or of `which` alone."""
         planes = planes_of(c, x) if which is None else planes_of(c, x).those(which)
         height, speed = planes.above(x[P][:, None]), planes.along(x[V][:, None])
-        if off:
-            normals = widened(planes.normals, x.dim() + 1, 2)
-            height, speed = height - off.position.support(normals), speed - off.velocity.support(normals)
         return math.sqrt(2 * braking) * signed_sqrt(height, floor) + speed
 
-    def barrier(x: Tensor, off: Errors | None = None) -> Barrier:
+    def barrier(x: Tensor) -> Function:
         if not c.planes:
-            return lambda y, off=None: h(y, floor, least, off)[None]
-        best = beside_planes(x, floor, least, off).argmax(0, keepdim=True)
-        return lambda y, off=None: beside_planes(y, floor, least, off, best)
+            return lambda y: h(y, floor, least)[None]
+        best = beside_planes(x, floor, least).argmax(0, keepdim=True)
+        return lambda y: beside_planes(y, floor, least, best)
 
     floor, least = chord(c, r, known), known.max_acceleration(c, r)
     return Entry(
@@ -129,7 +122,6 @@ def collision(c: Limits, r: RtaParameters, known: Uncertainty = NOTHING) -> Cons
         weight=math.inf,
         barrier=barrier,
         loss=turn(c, r),
-        is_least=True,
     )
 
 
@@ -138,23 +130,11 @@ def speed_limit(x: Tensor, c: Limits) -> Tensor:
     return c.docking_speed + c.speed_slope * norm(x[P])
 
 
-def dynamic_speed(c: Limits, r: RtaParameters, known: Uncertainty = NOTHING) -> Constraint:
-    """nu_0 + nu_1 |p| - |v|, in m/s.
-
-    An impulse e of thrust's errors turns |v| into at most sqrt(|v|^2 + 2 e . v + e^2). The rows' slopes have e . v /
-    |v|; what is left keeps the limit nu if sqrt(nu^2 - e^2) does, which is at most e^2 / nu below nu.
-    """
+def dynamic_speed(c: Limits, r: RtaParameters) -> Constraint:
+    """nu_0 + nu_1 |p| - |v|, in m/s."""
 
     def h(x: Tensor) -> Tensor:
-        # The floor keeps the slope of |v| finite at rest, far below any speed that matters.
-        speed = (dot(x[V], x[V]) + TINY).sqrt()
-        return speed_limit(x, c) - speed
-
-    def least(x: Tensor, off: Errors | None = None) -> Tensor:
-        if not off:
-            return h(x)[None]
-        limit = c.docking_speed + c.speed_slope * off.least_distance(x).clamp(min=0.0)
-        return (limit - off.velocity.longest(x[V]) - off.impulse**2 / limit)[None]
+        return speed_limit(x, c) - (dot(x[V], x[V]) + TINY).sqrt()
 
     def loss(x: Tensor) -> Tensor:
         """|v| rises by a . v T / |v| and at most a^2 T^2 / (2 |v|), which counts near the limit, for |v| the limit."""
@@ -168,9 +148,7 @@ def dynamic_speed(c: Limits, r: RtaParameters, known: Uncertainty = NOTHING) -> 
         h,
         gains=(r.speed_gain,),
         weight=r.slack_weight_motion,
-        barrier=None if known.is_nil else lambda x, off=None: least,
         loss=loss,
-        is_least=True,
     )
 
 
@@ -181,7 +159,7 @@ def keep_in_zone(c: Limits, r: RtaParameters, known: Uncertainty = NOTHING) -> C
         distance = c.max_distance - norm(x[P])
         return math.sqrt(2 * c.max_acceleration) * signed_sqrt(distance) - radial_speed(x)
 
-    def curve(x: Tensor, off: Errors | None = None) -> Tensor:
+    def curve(x: Tensor) -> Tensor:
         """The zone as thrust can hold it, never above h, in m/s: with a_max - v_t^2 / |p|.
 
         d v_pr / dt holds the centrifugal v_t^2 / |p|, v_t the speed across p, which a_max leaves out: up to
@@ -193,13 +171,9 @@ def keep_in_zone(c: Limits, r: RtaParameters, known: Uncertainty = NOTHING) -> C
         across would raise it. Instead of the root's chord, which would end above h, it has the tangent. So it falls at
         r_max, on the way out, by sqrt(a_max d / 2) with d for the floor. Here a_max is that of the worst case.
         """
-        speed, nearest, farthest = radial_speed(x), norm(x[P]), norm(x[P])
+        speed, distance = radial_speed(x), c.max_distance - norm(x[P])
         across = dot(x[V], x[V]) - speed**2
-        if off:
-            speed, across = speed + off.radial_speed(x), off.most_across(x) ** 2
-            nearest, farthest = off.least_distance(x).clamp(min=c.deputy_radius), off.position.longest(x[P])
-        braking = (least - across / nearest).clamp(min=LEAST_BRAKING * least)
-        distance = c.max_distance - farthest
+        braking = (least - across / norm(x[P])).clamp(min=LEAST_BRAKING * least)
         inside = (2 * braking).sqrt() * signed_sqrt(distance, floor)
         outside = -math.sqrt(2 * least) * root_above(-distance, floor)
         return torch.where(distance < 0.0, outside, inside) - speed
@@ -214,9 +188,8 @@ def keep_in_zone(c: Limits, r: RtaParameters, known: Uncertainty = NOTHING) -> C
         gains=(r.keep_in_gain,),
         margin=r.keep_in_margin,
         weight=r.slack_weight_critical,
-        barrier=lambda x, off=None: lambda y, off=None: curve(y, off)[None],
+        barrier=lambda x: lambda y: curve(y)[None],
         loss=turn(c, r) + swing,
-        is_least=True,
     )
 
 
@@ -246,9 +219,9 @@ def passive_safety(c: Limits, r: RtaParameters, known: Uncertainty = NOTHING) ->
     if known.holds(r):  # whose end has a horizon of its own
         segments = (*segments[:-1], segments[-1] + known.hold(r))
 
-    def later(x: Tensor, after: float, off: Errors | None = None) -> Barrier:
-        passes = closest_passes(x, tuple(max(edge - after, 0.0) for edge in segments), c, off)
-        return lambda y, off=None: clearance_at(y, passes, c, off)
+    def barrier(x: Tensor, after: float) -> Function:
+        passes = closest_passes(x, tuple(max(edge - after, 0.0) for edge in segments), c)
+        return lambda y: clearance_at(y, passes, c)
 
     return Entry(
         "passive_safety",
@@ -256,12 +229,11 @@ def passive_safety(c: Limits, r: RtaParameters, known: Uncertainty = NOTHING) ->
         gains=(r.passive_safety_gain,),
         margin=r.passive_safety_margin,
         weight=r.slack_weight_critical,
-        barrier=lambda x, off=None: later(x, 0.0, off),
-        later=later,
+        barrier=barrier,
+        looks_ahead=True,
         rows=len(segments) - 1,
         exact=not known.holds(r),
         doubling=r.passive_safety_doubling,
-        is_least=True,
     )
 
 
@@ -275,12 +247,6 @@ def velocity(axis: int, c: Limits, r: RtaParameters, known: Uncertainty = NOTHIN
     def h(x: Tensor) -> Tensor:
         return c.max_speed**2 - x[V.start + axis] ** 2
 
-    def least(x: Tensor, off: Errors | None = None) -> Tensor:
-        if not off:
-            return h(x)[None]
-        fastest = x[V.start + axis].abs() + off.velocity.box + off.velocity.ball
-        return (c.max_speed**2 - fastest**2 - off.impulse**2)[None]
-
     kept = 2 * c.max_speed * c.max_thrust / c.mass * known.hold(r) if known.holds(r) else 0.0
     return Entry(
         f"velocity_{'xyz'[axis]}",
@@ -288,7 +254,5 @@ def velocity(axis: int, c: Limits, r: RtaParameters, known: Uncertainty = NOTHIN
         gains=(r.velocity_gain,),
         margin=min(kept, c.max_speed**2 / 2),
         weight=r.slack_weight_motion,
-        barrier=None if known.is_nil else lambda x, off=None: least,
         loss=bend(c, r) + 2 * c.max_speed * turn(c, r),
-        is_least=True,
     )

@@ -64,13 +64,10 @@ MEANING = {
     Status.UNSOLVED: "no program was solved: the least-violating control known; of a state with NaN, zero",
 }
 SECTIONS = {  # by file of the driver
+    "numbers.c": "Numbers and groups of actuators",
     "solver.c": "Quadratic programs, solved by an active-set method",
-    "programs.c": "From rows to programs, and to what is reported",
-    "filter_now.c": "The filter",
-    "search.c": "The search for a control that can be held",
-    "thrusters.c": "Thrusters that give some values only",
-    "health.c": "Turning a weak axis away in time",
-    "filter_held.c": "The filter",
+    "rows.c": "From rows to programs, and to what is reported",
+    "filter.c": "The order of a call",
     "commit.c": "Whether a control keeps the limits and leaves a way to rest",
     "homing.c": "Whether thrust keeps the limits of motion and leaves a way into the haven",
     "turn.c": "Whether torque keeps the attitude's limits and leaves a way to rest",
@@ -254,7 +251,7 @@ def quoted(text: str) -> str:
 
 def implementation(safety_filter: "SafetyFilter") -> str:
     """safety_filter.c: what people read first, printed functions last."""
-    printed_functions = for_one([*functions(safety_filter), *of_one(checks(safety_filter))])
+    parts = [*functions(safety_filter), *of_one(checks(safety_filter))]
     names = ",\n".join(f"    {quoted(name)}" for name in safety_filter.names)
     given = driver_files(safety_filter)
     titles = [
@@ -262,7 +259,7 @@ def implementation(safety_filter: "SafetyFilter") -> str:
         *(SECTIONS[name] for name in given),
         "Rows, printed from Python",
     ]
-    texts = [constants(safety_filter), *map(driver_text, given), printed_functions]
+    texts = [constants(safety_filter, parts), *map(driver_text, given), for_one(parts)]
     texts[0] += f"\nconst char *const safety_filter_names[CONSTRAINTS] = {{\n{names}\n}};\n"
     head = [
         f"/* {MARK}: see safety_filter.h. Contents:",

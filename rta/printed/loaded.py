@@ -30,7 +30,7 @@ class InC:
         texts = sources(safety_filter, real=real, only=("safety_filter.h", "safety_filter.c"))
         head = texts["safety_filter.h"]
         source = texts["safety_filter.c"].replace('#include "safety_filter.h"\n', head)
-        loop = ["#include <math.h>", head, by_column(safety_filter.holds), driver_text("batch/alone.c")]
+        loop = ["#include <math.h>", head, by_column(safety_filter), driver_text("batch/alone.c")]
         found = library({"filter": source, "columns": "\n".join(loop)})
         self.columns = Columns(found, safety_filter, SECONDS)
 

@@ -15,7 +15,7 @@ from rta.backup.haven import thrust
 from rta.backup.homing import Homing
 from rta.backup.turn import TurnBackup
 from rta.backup.turning import Turning
-from rta.conditions.held_rows import KINDS
+from rta.bounds.prediction import KINDS
 from rta.constraints.names import CONSTRAINTS
 
 if TYPE_CHECKING:

@@ -11,10 +11,10 @@ from torch import Tensor
 from inspection.closed_loop import Correction
 from inspection.environment import InspectionEnv
 from ppo.errors import CheckpointError
-from rta.conditions.condition import demanded
-from rta.conditions.tangents import prepared_now, problems
 from rta.filter import SafetyFilter
+from rta.propose import demanded
 from rta.qp.programs import Problems
+from rta.qp.scaled import prepared, problems
 from study.errors import InputError
 from study.experiment import Experiment, load_policy
 from study.files import ROOT
@@ -99,13 +99,12 @@ def record(experiment: Experiment, agent: Agent) -> Sample:
 
 def programs(safety_filter: SafetyFilter, x: Tensor, desired: Tensor) -> list[Problems]:
     """What must be solved at states (16, B) where these controls (6, B) are desired, by actuator group."""
-    _, wish, control, _ = demanded(desired, safety_filter.groups)
+    wish, control, _ = demanded(desired, safety_filter.groups)
     found = []
     for group in safety_filter.groups:
-        prepared = prepared_now(group, x, control)
-        unsafe = torch.nonzero(~(prepared.lowest[0] >= 0.0)).flatten()
-        own = wish[group.controls] / group.limit
-        found.append(problems(group, prepared, own, group.limit)[unsafe])
+        rows = prepared(group, x, control)
+        unsafe = torch.nonzero(~(rows.lowest[0] >= 0.0)).flatten()
+        found.append(problems(group, rows, wish[group.controls] / group.limit)[unsafe])
     return found
 
 

@@ -1,7 +1,6 @@
 """Figures of simulated episodes, from the arrays that `simulate` returns."""
 
 import math
-from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -118,28 +117,6 @@ def band(ax: Axes, low: float = -math.inf, high: float = math.inf) -> None:
     ax.set_ylim(bottom, top)
 
 
-def tightened(
-    ax: Axes,
-    episode: Episode,
-    names: Sequence[str],
-    line: Callable[[np.ndarray], np.ndarray],
-    both: bool = False,
-) -> None:
-    """A dashed line, where the filter is told of uncertainty, from what that takes off the constraints at most.
-
-    both: the limit is one of either sign.
-    """
-    parts = [episode[f"tightened_{name}"] for name in names if f"tightened_{name}" in episode]
-    for sign in (1.0, -1.0)[: 1 + both] if parts else ():
-        kept = sign * line(np.max(parts, axis=0))
-        ax.plot(episode["time"], kept, color="black", ls="--", lw=0.8, drawstyle="steps-post")
-
-
-def each(name: str) -> list[str]:
-    """The constraints of a kind, one for each axis."""
-    return [f"{name}_{axis}" for axis in "xyz"]
-
-
 def speed_panel(ax: Axes, episode: Episode, c: InspectionParameters) -> None:
     """|v| and the limit that grows with the distance."""
     t, speed = episode["time"], speeds(episode)
@@ -149,7 +126,6 @@ def speed_panel(ax: Axes, episode: Episode, c: InspectionParameters) -> None:
     ax.set(ylabel="speed (m/s)", ylim=(0, 1.15 * max(limit.max(), speed.max())))
     ax.fill_between(t, 0, limit, color=SAFE, lw=0, zorder=0)
     ax.fill_between(t, limit, ax.get_ylim()[1], color=UNSAFE, lw=0, zorder=0)
-    tightened(ax, episode, ("dynamic_speed",), lambda off: limit - off)
 
 
 def sun_panel(ax: Axes, episode: Episode, c: InspectionParameters) -> None:
@@ -161,7 +137,6 @@ def sun_panel(ax: Axes, episode: Episode, c: InspectionParameters) -> None:
     ax.set(ylabel="Sun off boresight (deg)", ylim=(0, 182))
     closest = c.field_of_view / 2 + c.exclusion_buffer
     band(ax, low=math.degrees(closest))
-    tightened(ax, episode, ("attitude_exclusion",), lambda off: np.degrees(closest + off))
 
 
 def temperature_panel(ax: Axes, episode: Episode, c: InspectionParameters) -> None:
@@ -169,7 +144,6 @@ def temperature_panel(ax: Axes, episode: Episode, c: InspectionParameters) -> No
     ax.plot(episode["time"], episode["temperature"], color=BLUE)
     ax.set(ylabel="temperature (°C)")
     band(ax, high=c.max_temperature)
-    tightened(ax, episode, ("temperature",), lambda off: c.max_temperature - off)
 
 
 def energy_panel(ax: Axes, episode: Episode, c: InspectionParameters) -> None:
@@ -177,7 +151,6 @@ def energy_panel(ax: Axes, episode: Episode, c: InspectionParameters) -> None:
     ax.plot(episode["time"], episode["energy"], color=BLUE)
     ax.set(ylabel="energy (kJ)", ylim=(0, 1.05 * max(episode["energy"].max(), c.min_energy)))
     band(ax, low=c.min_energy)
-    tightened(ax, episode, ("battery",), lambda off: c.min_energy + off)
 
 
 def components(ax: Axes, t: np.ndarray, values: np.ndarray, limit: float, label: str) -> None:
@@ -191,16 +164,10 @@ def components(ax: Axes, t: np.ndarray, values: np.ndarray, limit: float, label:
 
 
 def constraint_figure(episode: Episode, c: InspectionParameters, path: Path) -> None:
-    """The paper's figure of the filter: what each constraint limits and both controls over time, as a PNG.
-
-    Dotted lines are the limits; dashed ones, where the filter is told of uncertainty, as `FilterResult.tightened`.
-    """
+    """The paper's figure of the filter: what each constraint limits, dotted, and both controls over time, as a PNG."""
     t = episode["time"]
     figure = Figure(figsize=(10, 7), layout="constrained")
     axes = figure.subplots(3, 3, sharex=True)
-    if any(name.startswith("tightened_") for name in episode):
-        about = "dashed: the limit less what uncertainty takes at the desired control, mostly more than at the applied"
-        figure.suptitle(about, fontsize=9)
     titles = (
         "Collision, keep in zone and PSM",
         "Dynamic speed",
@@ -230,21 +197,15 @@ def constraint_figure(episode: Episode, c: InspectionParameters, path: Path) -> 
     ax.set(ylabel=label, yscale=scale, ylim=(low, 1300))
     ax.yaxis.set_major_formatter("{x:g}")
     band(ax, least, farthest)
-    tightened(ax, episode, ("passive_safety",), lambda off: least + off)
     ax.legend(loc=place, fontsize=8, frameon=False, handlelength=1.3)
 
     speed_panel(axes[0, 1], episode, c)
     components(axes[0, 2], t, episode["velocity"], c.max_speed, "velocity (m/s)")
-    tightened(
-        axes[0, 2], episode, each("velocity"), lambda off: np.sqrt((c.max_speed**2 - off).clip(0.0)), True
-    )
     sun_panel(axes[1, 0], episode, c)
     temperature_panel(axes[1, 1], episode, c)
     energy_panel(axes[1, 2], episode, c)
     rates = np.degrees(episode["angular_velocity"])
     components(axes[2, 0], t, rates, math.degrees(c.max_rate), "body rate (deg/s)")
-    kept = each("angular_velocity")
-    tightened(axes[2, 0], episode, kept, lambda off: np.degrees((c.max_rate - off).clip(0.0)), True)
     applied = episode["control_applied"]
     components(axes[2, 1], t, applied[:, :3], c.max_thrust, "thrust (N)")
     components(axes[2, 2], t, 1e3 * applied[:, 3:], 1e3 * c.max_torque, "torque (mN m)")

@@ -4,11 +4,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from rta.conditions.rows import ActuatorGroup, Rows
-from rta.conditions.tangents import SHORTEST_ROW
+from rta.barrier import ActuatorGroup, Rows
 from rta.constraints.names import CONSTRAINTS
 from rta.filter import SafetyFilter
 from rta.qp.programs import FEASIBLE, Status
+from rta.qp.scaled import SHORTEST_ROW
 from study.config import Config
 from study.experiment import Experiment
 from study.flight.state_files import read_states
@@ -36,7 +36,7 @@ def filter_states(safety_filter: SafetyFilter, x: Tensor, desired: Tensor) -> di
 
     subject to A_all u + b_all >= delta and |u| <= limit, with delta = 0 where slack_weight is infinite. That it is in a
     class of rows, equal in weight, wherever some control holds the class and those of larger weight. What is desired of
-    a group beyond LARGEST_DEMAND limits is shortened to that first, see `rta.conditions.condition.demanded`.
+    a group beyond LARGEST_DEMAND limits is shortened to that first, see `rta.propose.demanded`.
 
     Returns:
         control_safe: (N, 6).

@@ -59,7 +59,6 @@ class Recording:
     def __init__(self, env: InspectionEnv) -> None:
         self.env, self.ended, self.tumbling = env, False, env.sight.tumbling
         self.rows: list[dict[str, Tensor]] = []
-        self.tightened = env.x.new_zeros(len(env.safety.names))
 
     def note(self, hold: Hold) -> None:
         """Adds what is new in a hold."""
@@ -68,8 +67,6 @@ class Recording:
             self.motion = self.tumbling.motion[:, :1]
         if hold.decided:
             self.decision = hold.desired[:, 0].clone()
-        if hold.correction is not None:
-            self.tightened = in_full(hold.correction).tightened[:, 0].clone()
         if hold.time == 0.0 or is_multiple(hold.time, self.env.clocks.report):
             self.add(hold.time, hold.state)
         if hold.correction is not None:
@@ -94,7 +91,6 @@ class Recording:
                 "inspected_score": env.sight.score()[:1].clone(),
                 "inspected": env.sight.inspected[:, 0].clone(),  # which the next look writes into
                 "intervened": x.new_zeros(2, dtype=torch.bool),
-                "tightened": self.tightened,
             }
         )
         if self.tumbling:
@@ -105,7 +101,7 @@ class Recording:
         """What `simulate` returns."""
         env = self.env
         columns = {name: torch.stack([row[name] for row in self.rows]) for name in self.rows[0]}
-        x, tightened = columns.pop("x").T, columns.pop("tightened")
+        x = columns.pop("x").T
         h = env.constraint_values(x)
         columns |= {
             name: x[component].reshape(-1, x.shape[1]).T for name, (component, _) in STATE_FIELDS.items()
@@ -113,8 +109,6 @@ class Recording:
         columns |= {f"h_{name}": h[i] for i, name in enumerate(env.safety.names)}
         if env.c.planes:
             columns["clearance"] = clearance(x[P], env.c)
-        if tightened.any():
-            columns |= {f"tightened_{name}": tightened[:, i] for i, name in enumerate(env.safety.names)}
         arrays = {name: column.cpu().numpy() for name, column in columns.items()}
         arrays = {name: array[:, 0] if name in SCALARS else array for name, array in arrays.items()}
         if self.tumbling:
@@ -146,7 +140,6 @@ def simulate(
         Arrays by name over time, the initial state first; `control_applied` is the control from the row's
         time on, and the last row repeats the one before it. `inspected` is (rows, points) bool. `intervened`
         is (rows, 2) bool, whether a call of the filter from the row up to the next corrected thrust, torque.
-        `tightened_*`, by constraint as in `FilterResult`, are there where the filter is told of uncertainty.
         `chief_attitude` (rows, 4) is there where the chief is not the paper's, and `clearance` (rows,) in m where its
         hull is what to stay clear of.
         Not over time are `parameters`, the task's table of a configuration file, and such a chief's `chief_points`,

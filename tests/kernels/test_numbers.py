@@ -25,13 +25,13 @@ from inspection.model.state import CONTROL_SIZE, OMEGA, SIZE, THETA_S, E, P, Q, 
 from kernels import Compiled, Printed, build, if_long, printed
 from kernels.compiled import pointers
 from kernels.text import Part
-from rta.conditions.held_rows import KINDS
 from rta.filter import SafetyFilter
+from rta.qp.scaled import Prepared
 from tests.kernels.test_long_axis import LONG, OVER_POINTS
 from tests.kernels.test_operations import OF_ONE, OF_TWO, special_pairs, uniform
 from tests.kernels.test_project import env_of, filter_of
 
-FIELDS = "psi", "a", "b", "b_bare", "h", "tightening", "length", "lowest"
+FIELDS = Prepared._fields
 
 
 def flights(c: InspectionParameters, count: int) -> Tensor:
@@ -107,13 +107,11 @@ def states(name: str) -> dict[str, Tensor]:
 def test_rows_of_the_filter(name: str, held_by: int) -> None:
     safety = filter_of(name)
     limit = torch.tensor(safety.c.control_limit, dtype=torch.float64)[:, None]
-    run, _ = safety.condition.parts(*safety.probe("cpu"))[held_by]
+    run, _ = safety.propose.parts(*safety.probe("cpu"))[held_by]
     compiled = None
     for kind, x in states(name).items():
         batch = x.shape[1]
         given = [x, uniform(-1.5, 1.5, CONTROL_SIZE, batch) * limit]
-        if safety.holds:
-            given += [uniform(0.0, 0.1, KINDS, batch), uniform(0.1, 1.0, CONTROL_SIZE, batch)]
         compiled = compiled or Compiled(run, *(part[:, :1] for part in given))
         for i, (found, expected) in enumerate(zip(compiled(*given), run(*given), strict=True)):
             assert_near(found, expected, f"{kind}: {FIELDS[i % len(FIELDS)]}")
@@ -227,7 +225,7 @@ def compared() -> dict[str, tuple[Callable[..., list[Tensor]], tuple[Tensor, ...
     return {
         "every operation": (mixture, special_pairs(torch.float64), 0),
         "every operation in single precision": (mixture, special_pairs(torch.float32), 0),
-        "rows": (safety.condition.parts(x, u)[0][0], (x, u), 0),
+        "rows": (safety.propose.parts(x, u)[0][0], (x, u), 0),
         "points": (over_points, (uniform(-1.0, 1.0, 3, 50), uniform(-1.0, 1.0, LONG, 50)), LONG),
     }
 

@@ -22,7 +22,7 @@ from inspection.environment import InspectionEnv
 from inspection.model.attitude import norm
 from inspection.model.parameters import InspectionParameters
 from kernels import Compiled
-from rta.conditions.rows import Rows
+from rta.barrier import Rows
 from rta.constraints.constraint import Constraint
 from rta.constraints.names import CONSTRAINTS
 from rta.constraints.thrust import chord
@@ -30,7 +30,7 @@ from rta.filter import SOLVERS, SafetyFilter, make_solver
 from rta.parameters import PERIODS, RtaParameters
 from rta.qp.programs import FEASIBLE, LARGEST_DEMAND, Status
 from rta.result import FilterResult
-from tests.rta.conditions import test_actuator_groups as own
+from tests.rta import test_actuator_groups as own
 from tests.rta.constraints.test_constraints import (
     PSM_TOLERANCE,
     at_the_edge,
@@ -317,7 +317,7 @@ def test_slack_is_the_shortfall_of_the_bare_condition(programs: SafetyFilter, so
     """Of the condition itself, whatever a row beyond its limit asks for."""
     expected = torch.zeros(13, X.shape[1], dtype=torch.float64)
     for group in programs.groups:
-        rows = group.conditions(X, group.constraints, coupled=False)
+        rows = group.paper(X, group.constraints, coupled=False)
         short = -((rows.a * solution.control[group.controls]).sum(1) + rows.b_bare)
         for k, each in enumerate(group.of_row):
             i = CONSTRAINTS.index(each.name)
@@ -533,8 +533,8 @@ def own_and_traced() -> SafetyFilter:
 
 def test_a_traced_filter_has_the_same_bits(own_and_traced: SafetyFilter) -> None:
     eager = with_a_ball()
-    assert isinstance(own_and_traced.condition.run, Compiled)
-    assert not isinstance(eager.condition.run, Compiled)
+    assert isinstance(own_and_traced.propose.rows_of[0], Compiled)
+    assert not isinstance(eager.propose.rows_of[0], Compiled)
     x, u = X[:, :100].clone(), 5 * U[:, :100]
     x[13, 7], x[0, 8], u[2, 9] = math.nan, math.inf, math.nan
     expected, found = (each.correct(x, u) for each in (eager, own_and_traced))

@@ -39,8 +39,8 @@ from rta.parameters import RtaParameters
 from rta.qp.programs import Status
 from study.verification.adversaries import adversarial, held_at_random
 from study.verification.starts import safe_set
-from tests.rta.conditions.test_rows import FILTER
 from tests.rta.constraints.test_constraints import entries, tensor
+from tests.rta.test_barrier import FILTER
 from tests.rta.test_lie_derivatives import thrust_fall, torque_fall
 
 C = InspectionParameters()

@@ -21,7 +21,7 @@ from inspection.initial_state import sample_initial_state
 from inspection.model.dynamics import control_matrix
 from inspection.model.dynamics import drift as torch_drift
 from inspection.model.parameters import InspectionParameters
-from rta.conditions.rows import Rows
+from rta.barrier import Rows
 from rta.constraints.names import CONSTRAINTS
 from rta.constraints.vehicle import scaled
 from rta.filter import SafetyFilter
@@ -447,11 +447,14 @@ def test_no_derivative_of_zero_costs_a_call_of_python_or_changes_a_bit(
 ) -> None:
     safety, u = SafetyFilter(), torch.zeros(6, 3, dtype=torch.float64)
     x, _ = sample_initial_state(3, torch.Generator().manual_seed(0), safety.c)
-    (prepare, given), *_ = safety.condition.parts(x, u)
-    prepare(*given)
-    rows, count = asked_of_python(lambda: prepare(*given))
+
+    def prepare() -> list[Tensor]:
+        return [part for run, given in safety.propose.parts(x, u) for part in run(*given)]
+
+    prepare()
+    rows, count = asked_of_python(prepare)
     monkeypatch.setattr(WithoutShapes, "OPERATIONS", {})
-    again, without = asked_of_python(lambda: prepare(*given))
+    again, without = asked_of_python(prepare)
     assert all(torch.equal(one, other) for one, other in zip(rows, again, strict=True))
     assert count == 0 < 2000 < without
 

@@ -25,8 +25,6 @@ struct safety_filter_output {
     safety_filter_real h[SAFETY_FILTER_CONSTRAINTS];     /* values of the constraints: negative is a violation */
     safety_filter_real slack[SAFETY_FILTER_CONSTRAINTS]; /* by how much a condition is not met, a rate; 0 where it is */
     int active[SAFETY_FILTER_CONSTRAINTS];               /* 1: the constraint determines the corrected control */
-    safety_filter_real uncertainty[SAFETY_FILTER_CONSTRAINTS]; /* what bounds of the unknown take off, a rate */
-    safety_filter_real tightened[SAFETY_FILTER_CONSTRAINTS];   /* that, in the unit of h */
 };
 
 /* Fills all of *out. It keeps nothing between calls: any number of threads may call it. */

@@ -15,7 +15,6 @@
 #define STAGES_MAX (2 + CLASSES_MAX)
 #define NORMAL_MAX (3 + ACTIVE_MAX) /* numbers of a normal: by u, and by the slack of the row at each place */
 
-enum { UNTOUCHED = 0, HARD = 1, SLACK = 2, UNSOLVED = 3 };       /* status */
 enum { RUNNING = 0, OPTIMAL = 1, INFEASIBLE = 2, FULL = 3 };     /* outcome of a step */
 
 struct program {
@@ -25,7 +24,6 @@ struct program {
     double b[ROWS_MAX];      /* with margins, which are spent before a limit is */
     double b_bare[ROWS_MAX]; /* without */
     double weight[ROWS_MAX]; /* of slack, and its priority; INFINITY: the row must hold */
-    double copies[ROWS_MAX]; /* as how many equal rows it counts */
 };
 
 struct answer {
@@ -34,7 +32,7 @@ struct answer {
     double residual; /* largest violation of the optimality conditions, INFINITY where nothing was solved */
 };
 
-/* What is asked in one stage: a side, and 1 / w_i, of all copies together, zero where a row must hold. */
+/* What is asked in one stage: a side, and 1 / w_i, zero where a row must hold. */
 struct stage {
     const struct program *program;
     const double *side;
@@ -61,45 +59,11 @@ struct way {
     double z2; /* |z|^2; zero if the row depends on the active ones */
 };
 
-/* NaN stays. */
-static double clip(double x, double low, double high)
-{
-    const double raised = (x < low) ? low : x;
-    return (raised > high) ? high : raised;
-}
-
-/* NaN if either is. */
-static double smaller(double a, double b)
-{
-    return ((a <= b) || isnan(a)) ? a : b;
-}
-
-static double larger(double a, double b)
-{
-    return -smaller(-a, -b);
-}
-
-static double dot(const double *a, const double *b, int size)
-{
-    double sum = 0.0;
-    for (int i = 0; i < size; ++i) {
-        sum += a[i] * b[i];
-    }
-    return sum;
-}
-
 /* x += share y */
 static void add(double *x, double share, const double *y, int size)
 {
     for (int i = 0; i < size; ++i) {
         x[i] += share * y[i];
-    }
-}
-
-static void copy(double *x, const double *y, int size)
-{
-    for (int i = 0; i < size; ++i) {
-        x[i] = y[i];
     }
 }
 
@@ -115,7 +79,6 @@ static void begin_program(struct program *p, const double desired[3])
         p->b[i] = 1.0;
         p->b_bare[i] = 1.0;
         p->weight[i] = INFINITY;
-        p->copies[i] = 1.0;
     }
 }
 
@@ -345,7 +308,7 @@ static double solve_stage(const struct program *p, const double *side, double hi
     int outcome = RUNNING;
     begin_solution(p, &x);
     for (int i = 0; i < p->rows; ++i) {
-        s.relief[i] = (p->weight[i] <= highest) ? (1.0 / (p->copies[i] * p->weight[i])) : 0.0;
+        s.relief[i] = (p->weight[i] <= highest) ? (1.0 / p->weight[i]) : 0.0;
     }
     for (int i = 0; (i < STEPS_MAX) && (outcome == RUNNING); ++i) {
         outcome = step(&s, &x);
@@ -379,9 +342,9 @@ static void least_violating(const struct program *p, double known[][3], int coun
         for (int i = 0; i < p->rows; ++i) {
             const double lack = fmax(0.0, -(dot(p->a[i], known[k], 3) + p->b_bare[i]));
             if (isinf(p->weight[i]) != 0) {
-                must += p->copies[i] * (lack * lack);
+                must += lack * lack;
             } else {
-                rest += p->copies[i] * (p->weight[i] * (lack * lack));
+                rest += p->weight[i] * (lack * lack);
             }
         }
         if ((must < least_must) || ((must <= least_must) && (rest < least_rest))) {

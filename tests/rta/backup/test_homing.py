@@ -12,8 +12,8 @@ from inspection.model.state import CONTROL_SIZE, OMEGA, SIZE, THRUST, P, V
 from kernels import Compiled
 from rta.backup.haven import Haven
 from rta.backup.homing import Homing, at_a_glance, calls, closely, held, may_be_kept
+from rta.bounds.prediction import KINDS
 from rta.bounds.uncertainty import Uncertainty
-from rta.conditions.held_rows import KINDS
 from rta.filter import SafetyFilter
 from rta.parameters import RtaParameters
 from study.verification.starts import safe_set

@@ -18,9 +18,8 @@ from inspection.model.state import CONTROL_SIZE, OMEGA, SIZE, TORQUE, E, Q, T
 from kernels import Compiled
 from rta.backup.turn import Spread, TurnBackup, beginning, followed, law, wanted
 from rta.backup.turning import Turning
+from rta.bounds.prediction import KINDS, predicted
 from rta.bounds.uncertainty import Uncertainty
-from rta.conditions.held_rows import KINDS
-from rta.conditions.prediction import predicted
 from rta.filter import SafetyFilter
 from rta.parameters import RtaParameters
 from rta.printed.way import turn_verified

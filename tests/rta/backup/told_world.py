@@ -12,8 +12,8 @@ from inspection.model.parameters import InspectionParameters
 from inspection.model.state import OMEGA, THRUST, TORQUE, P, V
 from inspection.world.corners import displaced
 from rta.backup.haven import Haven, thrust
+from rta.bounds.prediction import predicted
 from rta.bounds.uncertainty import Uncertainty
-from rta.conditions.prediction import predicted
 from rta.parameters import RtaParameters
 from tests.rta.backup.brute_force import motion, moved
 

@@ -263,27 +263,16 @@ def test_what_is_given_is_what_the_thrusters_of_the_plant_give() -> None:
 
 
 @pytest.mark.parametrize("quantum", [0.05, 0.25, 0.3])
-def test_neighbours_on_the_grid_are_the_nearest_on_either_side(quantum: float) -> None:
+def test_what_is_given_of_quanta_is_the_nearest_within_the_limit(quantum: float) -> None:
     told = Uncertainty(thrust_quantum=quantum)
-    thrust = tensor(np.random.default_rng(3).uniform(-1, 1, (3, 300)))
+    thrust = np.random.default_rng(3).uniform(-1, 1, (3, 300))
     most = math.floor(1.0 / quantum + 1e-9)
     grid = quantum * np.arange(-most, most + 1)
-    low, high = told.neighbours(thrust, 1.0)
-    for u, below, above in zip(*(part.flatten().tolist() for part in (thrust, low, high)), strict=True):
-        expected = grid[grid <= u].max(initial=-math.inf), grid[grid >= u].min(initial=math.inf)
-        expected = np.clip(expected, grid[0], grid[-1])  # beyond the last there is but that one
-        assert (below, above) == pytest.approx(tuple(expected))
-    assert torch.equal(told.given(low, C.max_thrust), low) and torch.equal(
-        told.given(high, C.max_thrust), high
-    )
+    nearest = grid[np.abs(thrust[..., None] - grid).argmin(-1)]
+    np.testing.assert_allclose(told.given(tensor(thrust), 1.0), nearest, rtol=0, atol=1e-12)
 
 
-def test_neighbours_of_a_dead_band_are_nothing_and_the_least() -> None:
-    told = Uncertainty(minimum_thrust=0.1)
+def test_within_a_dead_band_nothing_is_given() -> None:
     thrust = tensor([[0.05, -0.05, 0.0, 0.1, -0.7, 1.0]])
-    low, high = told.neighbours(thrust, 1.0)
-    torch.testing.assert_close(low, tensor([[0.0, 0.0, 0.0, 0.1, -0.7, 1.0]]))
-    torch.testing.assert_close(high, tensor([[0.1, -0.1, 0.0, 0.1, -0.7, 1.0]]))
-    assert torch.equal(told.given(low, C.max_thrust), low) and torch.equal(
-        told.given(high, C.max_thrust), high
-    )
+    given = Uncertainty(minimum_thrust=0.1).given(thrust, 1.0)
+    assert given.tolist() == [[0.0, 0.0, 0.0, 0.1, -0.7, 1.0]]

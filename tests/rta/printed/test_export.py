@@ -31,7 +31,7 @@ from rta.printed.files import (
     write,
 )
 from rta.printed.single import FUNCTIONS, TOLERANCES, single
-from tests.rta.conditions import test_actuator_groups as own
+from tests.rta import test_actuator_groups as own
 from tests.rta.printed.export_sizes import GRAPH, deepest
 from tests.rta.printed.export_states import PROGRAM, Answers, compared, in_c, in_python, made, states
 

@@ -22,8 +22,8 @@ from study.flight.evaluation import report, run_episodes
 from study.flight.simulation import simulate
 from study.verification import campaign
 from study.verification.starts import safe_set
-from tests.rta.conditions.test_rows import FILTER
 from tests.rta.constraints.test_constraints import PSM_TOLERANCE, paper, tensor
+from tests.rta.test_barrier import FILTER
 from tests.test_main import STATE, assert_refused, call
 
 pytestmark = pytest.mark.usefixtures("small_pools")

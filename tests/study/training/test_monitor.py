@@ -33,8 +33,6 @@ def correction(generator: torch.Generator) -> FilterResult:
         status=status.amax(0),
         program_status=status,
         h=torch.randn(len(NAMES), BATCH, generator=generator, dtype=torch.float64),
-        uncertainty=torch.zeros(len(NAMES), BATCH),
-        tightened=torch.zeros(len(NAMES), BATCH),
     )
 
 

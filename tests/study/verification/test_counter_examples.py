@@ -22,7 +22,7 @@ from study.verification.adversaries import adversarial
 from study.verification.counter_examples import counter_example, refly
 from study.verification.flight import fly
 from study.verification.starts import initial_states
-from tests.rta.conditions.test_rows import FILTER
+from tests.rta.test_barrier import FILTER
 from tests.study.verification.test_findings import verify
 from tests.test_main import assert_refused, call
 

@@ -13,7 +13,7 @@ from rta.filter import SafetyFilter
 from study.files import ROOT
 from study.verification import campaign, findings
 from study.verification.starts import initial_states
-from tests.rta.conditions.test_rows import FILTER
+from tests.rta.test_barrier import FILTER
 from tests.test_main import assert_refused, call
 
 OLDER = {"rta_period": "period", "qp_solver": "qp_solver"}  # of [train], now of [rta]

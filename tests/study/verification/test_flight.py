@@ -16,9 +16,9 @@ from rta.parameters import RtaParameters
 from study.verification.adversaries import held_at_random
 from study.verification.flight import ROUNDING, Flight, fly, note_state
 from study.verification.starts import safe_set
-from tests.rta.conditions import test_rows
-from tests.rta.conditions.test_rows import FILTER, LIMIT
+from tests.rta import test_barrier as test_rows
 from tests.rta.constraints.test_constraints import PSM_TOLERANCE, paper, tensor
+from tests.rta.test_barrier import FILTER, LIMIT
 
 C = InspectionParameters()
 SECONDS, DECIDE = 24, 2  # of an episode, and between two decisions

@@ -13,7 +13,6 @@ from inspection.model.parameters import InspectionParameters
 from rta.filter import SafetyFilter
 from rta.parameters import RtaParameters
 from study.verification.starts import initial_states, safe_set
-from tests.rta.conditions.test_rows import FILTER, zone
 from tests.rta.constraints.test_constraints import (
     PSM_TOLERANCE,
     cosines,
@@ -23,6 +22,7 @@ from tests.rta.constraints.test_constraints import (
     positive,
     speed_limit,
 )
+from tests.rta.test_barrier import FILTER, zone
 from tests.rta.test_lie_derivatives import drift, slope
 
 C = InspectionParameters()

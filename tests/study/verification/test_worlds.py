@@ -91,7 +91,7 @@ def let_pass(x: Tensor, desired: Tensor) -> FilterResult:
     none, status = nothing > 0.0, nothing[0].long()
     both = status.expand(2, -1)
     checks = (none[0], none[0], none[0])
-    return FilterResult(desired, *checks, none, nothing, status, both, nothing, nothing, nothing)
+    return FilterResult(desired, *checks, none, nothing, status, both, nothing)
 
 
 def test_what_violates_is_the_true_state() -> None:

@@ -13,10 +13,6 @@ static void give(const struct safety_filter_input *given, const struct safety_fi
         numbers[(6 + k) * out_step[NUMBERS]] = found->slack[k];
         numbers[(6 + SAFETY_FILTER_CONSTRAINTS + k) * out_step[NUMBERS]] = found->h[k];
         truths[(3 + k) * out_step[TRUTHS]] = (unsigned char)found->active[k];
-#if HOLDS
-        numbers[(6 + 2 * SAFETY_FILTER_CONSTRAINTS + k) * out_step[NUMBERS]] = found->uncertainty[k];
-        numbers[(6 + 3 * SAFETY_FILTER_CONSTRAINTS + k) * out_step[NUMBERS]] = found->tightened[k];
-#endif
     }
     truths[out_step[TRUTHS]] = (unsigned char)found->verified;
     truths[2 * out_step[TRUTHS]] = (unsigned char)found->backup;
@@ -39,7 +35,7 @@ long filter_one(long column, const void *const *in, const long *in_step, void *c
     struct safety_filter_output found;
     column_of(given.state, 16, in[0], in_step[0], column);
     column_of(given.desired, 6, in[1], in_step[1], column);
-#if HOLDS
+#if TOLD
     column_of(given.left, 6, in[3], in_step[3], column);
     for (int k = 0; k < SAFETY_FILTER_LATENCY; ++k) {
         safety_filter_real *sent = given.sent[given.sent_count];

@@ -19,7 +19,7 @@ from inspection.initial_state import sample_initial_state
 from inspection.model.attitude import body_axis, dot, norm, unit
 from inspection.model.parameters import InspectionParameters
 from inspection.model.state import P, Q
-from rta.conditions.rows import ActuatorGroup, Rows
+from rta.barrier import ActuatorGroup, Rows
 from rta.constraints.constraint import ACTUATORS, Constraint
 from rta.constraints.names import CONSTRAINTS
 from rta.filter import SafetyFilter

@@ -1,5 +1,15 @@
-"""The barrier conditions a u + b >= 0 of a list of constraints at a batch of states."""
+"""The barrier conditions a u + b >= 0 of a list of constraints at a batch of states, of one of two kinds.
 
+The paper's are of the rate now, L_f psi + L_g psi u + alpha(psi) >= 0. Sampled ones are of what a control does that is
+held for T, in the simulator's own steps phi_T (discrete-time barriers, Agrawal and Sreenath 2017),
+
+    (psi(phi_T(x, u)) - psi(x)) / T + alpha(psi(x)) >= 0,
+
+as the tangent at the control that is desired. As T goes to zero they become the paper's. Neither takes off what the
+filter does not know of the world, nor what a tangent leaves out: that is for the check (`rta.backup`).
+"""
+
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -9,15 +19,17 @@ import torch
 from torch import Tensor
 
 from inspection.model.attitude import unit
-from inspection.model.dynamics import attitude_rate, control_matrix, drift
+from inspection.model.dynamics import attitude_rate, control_matrix, drift, integrate
 from inspection.model.parameters import Limits
-from inspection.model.state import SIZE, P, Q
-from rta.bounds.errors import Errors
+from inspection.model.state import CONTROL_SIZE, OMEGA, SIZE, THRUST, TORQUE, P, Q
+from rta.bounds.prediction import unsaturated
 from rta.bounds.uncertainty import NOTHING, Uncertainty
-from rta.constraints.constraint import ACTUATORS, Barrier, Constraint, check
-from rta.lie_derivatives import Function, lie_derivative, lie_derivatives
+from rta.constraints.constraint import ACTUATORS, Constraint, check
+from rta.lie_derivatives import Function, directional, lie_derivative, lie_derivatives
 from rta.parameters import RtaParameters
 from rta.qp.programs import total
+
+STEP = 2.5  # s, of the steps in which a hold is computed at most
 
 
 @dataclass
@@ -25,11 +37,10 @@ class Rows:
     """Conditions of one actuator group on u in N or N m.
 
     Attributes:
-        psi: (R, B) Psi_1 where the relative degree is two, else the barrier, less what a measurement may be wrong by.
-        a: (R, 3, B); b: (R, B) with margins; b_bare: (R, B) without. Both are less what Psi can lose in a period.
+        psi: (R, B) Psi_1 where the relative degree is two, else the barrier.
+        a: (R, 3, B); b: (R, B) with margins; b_bare: (R, B) without.
         waived: (R, B) by how much b_bare asks for less than the condition does, see `ActuatorGroup.attainable`.
         h: (constraints, B) values without margin, exact; where the smallest row is h, at the moments of the rows.
-        tightening: (R, B) by how much b is less for what the filter does not know; (0, B) where it knows all.
     """
 
     psi: Tensor
@@ -38,7 +49,6 @@ class Rows:
     b_bare: Tensor
     waived: Tensor
     h: Tensor
-    tightening: Tensor
 
 
 class ActuatorGroup:
@@ -51,7 +61,7 @@ class ActuatorGroup:
     Attributes:
         held_by; controls: its place in a control; limit: of each of its actuators in N or N m.
         names: of its constraints; of_row: the constraint of each row; weights: the slack weight of each row.
-        share: of what the actuators can give, which a row beyond its limit asks for at most.
+        kind: of its rows, see `Uncertainty.rows`; hold: s, that sampled ones are of.
 
     Raises:
         ValueError: a constraint of your own is not as it must be, see `check`, one of its derivatives is not finite, or
@@ -67,29 +77,18 @@ class ActuatorGroup:
         known: Uncertainty = NOTHING,
     ) -> None:
         self.c, self.r, self.known = c, r, known
-        self.held_by, self.share = held_by, 1.0
+        self.held_by, self.kind, self.hold = held_by, known.rows(r), known.hold(r)
+        self.model = unsaturated(c)  # the rates' own rows hold these: saturated they would have no slope
         self.controls = ACTUATORS[held_by]
         self.limit = c.control_limit[self.controls.start]
         own = [each for each in constraints if each.held_by == held_by]
-        self.constraints = sorted(own, key=self.kind)  # in the order of their rows
+        self.constraints = sorted(own, key=is_coupled)  # in the order of their rows
         self.names = tuple(each.name for each in self.constraints)
-        self.of_row = [each for each in self.constraints for _ in range(self.count(each))]
+        self.of_row = [each for each in self.constraints for _ in range(each.rows)]
         self.weights = [
             r.slack_weight_critical if each.weight is None else each.weight for each in self.of_row
         ]
         self.check([each for each in self.constraints if each.coupled])
-
-    def count(self, each: Constraint) -> int:
-        """How many rows a constraint has."""
-        return each.rows
-
-    def kind(self, each: Constraint) -> tuple[bool, bool]:
-        """Rows of one kind are computed together: whether other controls change them, and errors are not in them."""
-        return each.coupled, not self.is_least(each)
-
-    def is_least(self, each: Constraint) -> bool:
-        """Whether the least of its barrier within errors is taken."""
-        return each.is_least and not self.known.is_nil
 
     def gain(self, value: float) -> float:
         """A gain in 1/s as used."""
@@ -105,12 +104,10 @@ class ActuatorGroup:
         constraints: Sequence[Constraint],
         start: Tensor | None = None,
         after: float = 0.0,
-        off: Errors | None = None,
-    ) -> Barrier:
+    ) -> Function:
         """What is differentiated at states x (16, B), each Psi_1 or barrier: (16, ...) to (R, ...).
 
-        Where x are states so many s after others, `start`, what these were beyond counts. With errors the constraints'
-        barriers are to be least ones, and the function takes errors, too.
+        Where x are states so many s after others, `start`, what these were beyond counts.
 
         Psi_1 = L_f h + alpha(h) with alpha(h) = k1 (h - margin), the HOCBF, within the limit. Beyond it alpha(h) =
         max(k2 h, -recovery) - k1 margin: k1 h would ask for faster cooling than there is in the dark (0.0015 of 1 deg C
@@ -118,13 +115,13 @@ class ActuatorGroup:
         there is (battery). With k2 for k1 the way back is critically damped; -k1 margin, as within the limit, ends it
         in finite time.
         """
-        barriers = [each.barrier_at(x, after, off) for each in constraints]
+        barriers = [each.barrier_at(x, after) for each in constraints]
         start = x if start is None else start
         beyond = {i: each.h(start) < 0.0 for i, each in enumerate(constraints) if each.recovery is not None}
         second = [i for i, each in enumerate(constraints) if each.degree == 2]
 
-        def psi(y: Tensor, *off: Errors) -> Tensor:
-            rows = {i: barrier(y, *off) for i, barrier in enumerate(barriers) if i not in second}
+        def psi(y: Tensor) -> Tensor:
+            rows = {i: barrier(y) for i, barrier in enumerate(barriers) if i not in second}
             if second:
                 h, rate = lie_derivative(
                     lambda z: torch.cat([barriers[i](z) for i in second]), y, drift(y, self.c)
@@ -142,37 +139,83 @@ class ActuatorGroup:
 
         return psi
 
-    def __call__(self, x: Tensor) -> Rows:
-        """The conditions at states (16, B)."""
-        return self.joined(partial(self.conditions, x), torch.full_like(x[:3], self.limit))
+    def __call__(self, x: Tensor, control: Tensor | None = None, limit: Tensor | None = None) -> Rows:
+        """The conditions at states (16, B).
 
-    def joined(self, conditions: Callable[[Sequence[Constraint], bool], Rows], limit: Tensor) -> Rows:
-        """The conditions of the constraints that only this group changes, then those of the others."""
-        parts = [
-            conditions(list(constraints), coupled)
-            for (coupled, _), constraints in groupby(self.constraints, self.kind)
-        ]
+        Args:
+            control: (6, B) at which the tangents of sampled ones are taken, in N and N m; None: at zero.
+            limit: (3, B) what is there of each actuator, in N or N m; None: all of it.
+        """
+        limit = torch.full_like(x[:3], self.limit) if limit is None else limit
+        if self.kind == "sampled":
+            control = torch.zeros_like(x[:CONTROL_SIZE]) if control is None else control
+            rows_of = partial(self.sampled, x, self.near(x, control))
+        else:
+            rows_of = partial(self.paper, x)
+        # the constraints that only this group changes, then those that the other one changes, too
+        parts = [rows_of(list(own), coupled) for coupled, own in groupby(self.constraints, is_coupled)]
         return self.attainable(
             Rows(*(torch.cat([getattr(part, name) for part in parts]) for name in vars(parts[0]))), limit
         )
 
-    def conditions(self, x: Tensor, constraints: Sequence[Constraint], coupled: bool) -> Rows:
+    def paper(self, x: Tensor, constraints: Sequence[Constraint], coupled: bool) -> Rows:
         """BC: L_f psi + L_g psi u + alpha(psi) >= 0, less what psi can lose and the worst that others can do."""
         c, r = self.c, self.r
         g = control_matrix(half_a_period_ahead(x, r.period, c), c)
         along = g if coupled else g[:, self.controls]
         psi, lf, a = lie_derivatives(self.psi_at(x, constraints), x, drift(x, c), along)
-        rows = [each for each in constraints for _ in range(each.rows)]
-        loss = torch.stack([each.loss_at(x) for each in rows])
-        if coupled:
-            most = a.abs() * x.new_tensor(c.control_limit)[:, None]
+        loss = torch.stack([each.loss_at(x) for each in constraints for _ in range(each.rows)])
+        return self.conditions(x, constraints, psi, lf, a, loss)
+
+    def sampled(self, x: Tensor, control: Tensor, constraints: Sequence[Constraint], coupled: bool) -> Rows:
+        """The tangent, at controls (6, B) that are held for T, of (psi(phi_T(x, u)) - psi(x)) / T + alpha(psi(x)) >= 0.
+
+        The rate at no control and its slopes by the controls take the places of L_f psi and L_g psi.
+        """
+        steps = math.ceil(self.hold / STEP)
+        fly = partial(integrate, duration=self.hold / steps, c=self.model, times=steps)
+        own = slice(0, CONTROL_SIZE) if coupled else self.controls
+        psi, there = self.psi_at(x, constraints)(x), self.psi_at(fly(x, control), constraints, x, self.hold)
+        one = torch.eye(CONTROL_SIZE, dtype=x.dtype, device=x.device)[:, own, None].expand(-1, -1, x.shape[1])
+
+        def end(u: Tensor) -> Tensor:
+            return there(fly(x[:, None].expand(-1, u.shape[1], -1), u))
+
+        at = control[:, None].repeat(1, one.shape[1], 1)
+        after, slope = directional(end, (at,), (one,))
+        a = slope / self.hold
+        rate = (after[:, 0] - psi) / self.hold - total(a * control[own], 1)
+        return self.conditions(x, constraints, psi, rate, a, torch.zeros_like(rate))
+
+    def conditions(
+        self, x: Tensor, constraints: Sequence[Constraint], psi: Tensor, rate: Tensor, a: Tensor, loss: Tensor
+    ) -> Rows:
+        """rate + a u + alpha(psi) - loss >= 0 at states (16, B), of psi, rate, loss (R, B).
+
+        Args:
+            a: (R, 3, B), or (R, 6, B) where the other group's controls count, too, of which the worst is taken.
+        """
+        if a.shape[1] == CONTROL_SIZE:
+            most = a.abs() * x.new_tensor(self.c.control_limit)[:, None]
             a = a[:, self.controls]
             loss = loss + (most.sum(1) - most[:, self.controls].sum(1))
-
-        gain, margin, inside = self.alpha(psi, rows)
+        gain, margin, inside = self.alpha(psi, [each for each in constraints for _ in range(each.rows)])
         h = self.reported(x, constraints, psi)
-        b, b_bare = lf + gain * (psi - margin) - loss, lf + gain * (psi + inside) - loss
-        return Rows(psi, a, b, b_bare, torch.zeros_like(b), h, tightening=psi[:0])
+        b, b_bare = rate + gain * (psi - margin) - loss, rate + gain * (psi + inside) - loss
+        return Rows(psi, a, b, b_bare, torch.zeros_like(b), h)
+
+    def near(self, x: Tensor, control: Tensor) -> Tensor:
+        """Controls (6, B) with torque that keeps the rates within their limits over a hold, near which tangents help.
+
+        Full torque for 10 s would turn a body by 50 deg, of which no tangent says anything about less.
+        """
+        if self.held_by == "thrust":
+            return control
+        limit = self.c.max_rate - self.known.rate_offset(self.c)
+        per_rate = x.new_tensor(self.c.inertia)[:, None] / self.hold
+        low, high = per_rate * (-limit - x[OMEGA]), per_rate * (limit - x[OMEGA])
+        torque = control[TORQUE].minimum(high.clamp(min=0.0)).maximum(low.clamp(max=0.0))
+        return torch.cat((control[THRUST], torque))
 
     def alpha(self, psi: Tensor, rows: Sequence[Constraint]) -> tuple[Tensor, Tensor, Tensor]:
         """Of rows (R, B): the gain of alpha(psi) = gain psi, what margin takes off psi, and what it took off before.
@@ -218,7 +261,7 @@ class ActuatorGroup:
         everything = total(rows.a.abs() * self.room(rows, limit), 1)
         along = (limit.amax(0) * total(rows.a * rows.a, 1).sqrt()).minimum(everything)
         hard = rows.a.new_tensor(self.weights).isinf()[:, None]
-        least = -self.share * torch.where(hard, everything, along)
+        least = -torch.where(hard, everything, along)
         beyond = self.beyond(rows)
         b, b_bare = (torch.where(beyond, side.maximum(least), side) for side in (rows.b, rows.b_bare))
         return replace(rows, b=b, b_bare=b_bare, waived=b_bare - rows.b_bare)
@@ -239,7 +282,7 @@ class ActuatorGroup:
 
     def beyond(self, rows: Rows) -> Tensor:
         """(R, B) bool: the constraint is violated; of several rows of relative degree one, by that row."""
-        counts = [self.count(each) for each in self.constraints]
+        counts = [each.rows for each in self.constraints]
         parts = zip(self.constraints, rows.psi.split(counts), rows.h, strict=True)
         return torch.cat(
             [(psi if each.degree == 1 < each.rows else h.expand_as(psi)) < 0.0 for each, psi, h in parts]
@@ -247,7 +290,7 @@ class ActuatorGroup:
 
     def by_constraint(self, rows: Tensor, join: Callable[[Tensor], Tensor]) -> Tensor:
         """Joins the rows (R, B) of each constraint that has several, (k, B) to (B,); returns (constraints, B)."""
-        parts = rows.split([self.count(each) for each in self.constraints])
+        parts = rows.split([each.rows for each in self.constraints])
         return torch.cat([part if len(part) == 1 else join(part)[None] for part in parts])
 
     def keeps(self, x: Tensor, degree: int) -> Tensor:
@@ -275,6 +318,11 @@ class ActuatorGroup:
                     f"{each.name}: gains = {each.gains!r}: "
                     f"{each.held_by} does not first enter derivative {each.degree} of h"
                 )
+
+
+def is_coupled(each: Constraint) -> bool:
+    """Whether the other group's controls change a constraint."""
+    return each.coupled
 
 
 def alone(h: Function, x: Tensor) -> Tensor:

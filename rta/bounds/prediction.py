@@ -13,6 +13,8 @@ from inspection.model.state import THRUST, TORQUE
 from rta.bounds.uncertainty import Uncertainty
 from rta.parameters import RtaParameters
 
+KINDS = 4  # of what is measured: position, velocity, attitude, rates
+
 
 def unsaturated(c: Limits) -> Limits:
     """The model without the saturation of rates."""
@@ -28,7 +30,7 @@ def predicted(
     Thrust is off by its size's error, by each thruster's misalignment, and by how far the body is turned otherwise.
 
     Args:
-        x: (16, B); error_bound: (4, B) how much further they may be off already, see `HeldGroup.conditions_at`.
+        x: (16, B); error_bound: (4, B) in m, m/s, rad, rad/s, how much further than measured they may be off already.
         u: (6, B) the controls held since, NaN where a state is younger; it is left as it is.
 
     Returns:

@@ -1,0 +1,64 @@
+/* Attempts all programs, W spacecraft at a time, and has those that are left solved one by one. */
+
+/* The states now, from those that are as old as the controls sent since. Lanes in which something is told that is left to
+ * the filter for one spacecraft: that an actuator gives less. */
+static M bring_up_to_date(const void *const *in, const long *in_step, long column, long lanes, V x[16], V error_bound[4])
+{
+    M open = NO;
+#if HEALTH
+    V left[6];
+    load_block(in[3], in_step[3], column, lanes, 6, left);
+    for (int j = 0; j < 6; ++j) {
+        open |= ~(left[j] == 1.0);
+    }
+#endif
+#if LATENCY > 0
+    for (int i = 0; i < 16; ++i) {
+        x[i] = SELECT(FABS(x[i]) == INFINITY, ALL(NAN), x[i]); /* infinitely safe is no state either */
+    }
+    for (int k = 0; k < LATENCY; ++k) {
+        V u[6];
+        V x_after[16];
+        V error_bound_after[4];
+        load_block(in[2], in_step[2], 6 * k * in_step[2] + column, lanes, 6, u);
+        predict(x, error_bound, u, x_after, error_bound_after);
+        memcpy(x, x_after, sizeof x_after);
+        memcpy(error_bound, error_bound_after, sizeof error_bound_after);
+    }
+#endif
+    return open;
+}
+
+long filter_batch(long first, long last, const void *const *in, const long *in_step, void *const *out,
+                  const long *out_step)
+{
+    long unsolved = 0;
+    struct waiting these = {.count = 0};
+    for (long column = first; column < last; column += W) {
+        const long lanes = last - column;
+        V x[16];
+        V desired[6];
+        V numbers[6 + 2 * CONSTRAINTS]; /* control, slack, h */
+        V error_bound[4] = {{0}};
+        V program_status[2];
+        M active[CONSTRAINTS];
+        M open[1];
+        M thrust_alone;
+        load_block(in[0], in_step[0], column, lanes, 16, x);
+        load_block(in[1], in_step[1], column, lanes, 6, desired);
+        const M told = bring_up_to_date(in, in_step, column, lanes, x, error_bound);
+        first_attempt(x, desired, numbers, &numbers[6], &numbers[6 + CONSTRAINTS], program_status, active, open);
+        const M unchecked = check_turn(x, error_bound, numbers, program_status) |
+                            check_thrust(x, error_bound, numbers, program_status);
+        const M unseen = unsure(x, numbers, &thrust_alone) | unchecked;
+        nothing_yields(unseen, program_status, &numbers[6]);
+        for (int k = 0; k < 6 + 2 * CONSTRAINTS; ++k) {
+            store_double(out[NUMBERS], k * out_step[NUMBERS] + column, lanes, numbers[k]);
+        }
+        store_statuses(program_status, differ(desired, numbers), CHECKS ? ~unseen : NO, active, out, out_step, column, lanes);
+        unsolved += finish(open[0] | told | unseen, thrust_alone, &these, x, numbers, column, lanes, in, in_step, out,
+                           out_step);
+    }
+    unsolved += look_closely(&these, in, in_step, out, out_step);
+    return unsolved;
+}

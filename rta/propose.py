@@ -1,0 +1,272 @@
+"""What a call proposes: controls of both actuator groups that satisfy their rows, or come as near to it as can be.
+
+The state is predicted where it is old, and thrusters are asked for what they give. Torque comes before thrust, since
+the attitude decides where thrust acts: thrust's sampled rows are with the torque that was found. A filter that is told
+of bounds checks each group as it is found; the check of the model is of both, at the end (`rta.backup`).
+"""
+
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from inspection.model.parameters import Limits
+from inspection.model.state import THRUST, TORQUE
+from rta.backup.check import SLACK_ROUNDED
+from rta.backup.homing import Homing
+from rta.backup.turn import TurnBackup
+from rta.barrier import ActuatorGroup
+from rta.bounds.health import slewing
+from rta.bounds.prediction import KINDS, predicted
+from rta.bounds.uncertainty import Uncertainty
+from rta.constraints.constraint import ACTUATORS, Constraint, joined
+from rta.constraints.names import CONSTRAINTS
+from rta.parameters import RtaParameters
+from rta.qp.programs import ENDLESS, LARGEST_DEMAND, Solver, Status, pick, put
+from rta.qp.scaled import Prepared, answered, prepared, problems, shortfall, with_shortfall
+from rta.result import FilterResult
+
+IN_TURN = 1, 0  # of the groups
+
+
+class Demand(NamedTuple):
+    """What is filtered.
+
+    Attributes:
+        wish: (6, B) what is projected of what is desired: any size up to LARGEST_DEMAND limits, zero for NaN.
+        control: (6, B) the wish clipped to the actuators' limits. If it satisfies every row this is the projection:
+            none that is permitted is nearer to the wish.
+        status: (2, B) of each group: HARD where that is not desired.
+    """
+
+    wish: Tensor
+    control: Tensor
+    status: Tensor
+
+
+class Found(NamedTuple):
+    """What is found for one group.
+
+    Attributes:
+        control: (3, B) in N or N m; status: (B,).
+        active, slack, h: (constraints, B) of the group's, as in `FilterResult`.
+        verified, changed: (B,) bool, the group's check has found it safe; has changed it.
+    """
+
+    control: Tensor
+    status: Tensor
+    active: Tensor
+    slack: Tensor
+    h: Tensor
+    verified: Tensor
+    changed: Tensor
+
+    @classmethod
+    def as_desired(cls, control: Tensor, status: Tensor, h: Tensor) -> "Found":
+        """A control that is not corrected."""
+        no = torch.zeros_like(h, dtype=torch.bool)
+        return cls(control, status, no, torch.zeros_like(h), h, no[0], no[0])
+
+
+# Of a group, its rows at the desired control, what is projected (3, B), that control, and the share (3, B) that its
+# actuators give, or None.
+Settle = Callable[[ActuatorGroup, Prepared, Tensor, Found, Tensor | None], Found]
+# What is computed for every spacecraft, compiled or not: a group's rows at states (16, B) and controls (6, B), and,
+# where it is told, what is left of actuators (6, B); or a prediction.
+Run = Callable[..., list[Tensor]]
+Part = tuple[Run, tuple[Tensor, ...]]  # with an example of what it is given
+
+
+class Propose:
+    """The order of a call, up to the check of both groups.
+
+    Attributes:
+        groups: of thrust and of torque; kind: of their rows, see `Uncertainty.rows`.
+        turn, homing: of a filter that is told of bounds, the checks of torque and of thrust; None: it knows no way.
+    """
+
+    def __init__(
+        self, constraints: Sequence[Constraint], c: Limits, r: RtaParameters, known: Uncertainty
+    ) -> None:
+        self.c, self.r, self.known, self.kind = c, r, known, known.rows(r)
+        self.groups = tuple(ActuatorGroup(by, constraints, c, r, known) for by in ACTUATORS)
+        self.turn, self.homing = TurnBackup.of(c, r, known), Homing.of(c, r, known)
+        self.rows_of: Sequence[Run] = [partial(self.rows, group) for group in self.groups]
+        self.ahead: Run = self.predict
+
+    def parts(self, x: Tensor, u: Tensor) -> list[Part]:
+        """Each group's rows and, where a state may be old, `predict`; given a state (16, 1) and a control (6, 1)."""
+        left = (torch.ones_like(u),) if self.known.health else ()
+        rows: list[Part] = [(partial(self.rows, group), (x, u, *left)) for group in self.groups]
+        ahead: list[Part] = [(self.predict, (x, torch.zeros_like(x[:KINDS]), u))]
+        return (rows if self.kind != "none" else []) + (ahead if self.known.latency else [])
+
+    def use(self, functions: Sequence[Run]) -> None:
+        """Takes the functions of `parts`, compiled, in their place."""
+        self.rows_of = functions[:2] if self.kind != "none" else self.rows_of
+        self.ahead = functions[-1] if self.known.latency else self.ahead
+
+    @staticmethod
+    def rows(group: ActuatorGroup, *given: Tensor) -> list[Tensor]:
+        """`prepared`."""
+        return list(prepared(group, *given))
+
+    def predict(self, x: Tensor, error_bound: Tensor, u: Tensor) -> list[Tensor]:
+        """`predicted` by the filter's model, of states (16, B) and (4, B) under controls (6, B)."""
+        return list(predicted(x, error_bound, u, self.c, self.r, self.known))
+
+    def __call__(
+        self, x: Tensor, desired: Tensor, solver: Solver, sent: Tensor | None, left: Tensor | None
+    ) -> FilterResult:
+        """What is proposed to desired controls; arguments as of `SafetyFilter.correct`."""
+        left = (torch.ones_like(desired) if left is None else left) if self.known.health else None
+        error_bound = torch.zeros_like(x[:KINDS])
+        for u in () if sent is None else sent[: self.known.latency]:
+            x, error_bound = self.ahead(x, error_bound, u if left is None else left * u)
+        check = partial(self.checked, x, error_bound)
+        control, found = self.in_turn(x, desired, left, self.rows_of, partial(solved, solver), check)
+        status = torch.stack([each.status for each in found])
+        return FilterResult(
+            control=control,
+            intervened=(control != desired).any(0),
+            verified=found[0].verified & found[1].verified,
+            backup=found[0].changed | found[1].changed,
+            active=joined(*(each.active for each in found)),
+            slack=joined(*(each.slack for each in found)),
+            status=status.amax(0),
+            program_status=status,
+            h=joined(*(each.h for each in found)),
+        )
+
+    def in_turn(
+        self,
+        x: Tensor,
+        desired: Tensor,
+        left: Tensor | None,
+        rows_of: Sequence[Run],
+        settle: Settle,
+        check: Callable[[int, Tensor, Found], tuple[Tensor, Found]] | None = None,
+    ) -> tuple[Tensor, list[Found]]:
+        """Controls (6, B) at predicted states (16, B), and what is found for each group, thrust first.
+
+        Args:
+            left: (6, B) the share that each actuator gives; None: all of it.
+            rows_of: each group; settle: finds its controls; check: changes them, and what is said of the group.
+        """
+        demand = self.demand(x, desired, left)
+        control, both = demand.control, {}
+        for i in IN_TURN:
+            group, own = self.groups[i], self.groups[i].controls
+            if self.kind == "none":
+                found = unless_lost(x, Found.as_desired(control[own], demand.status[i], group.values(x)))
+            else:
+                told, share = ([], None) if left is None else ([left], left[own])
+                rows = Prepared(*rows_of[i](x, control, *told))
+                found = Found.as_desired(control[own], demand.status[i], rows.h)
+                found = settle(group, rows, demand.wish[own], found, share)
+                slack = found.slack.maximum(
+                    shortfall(group, rows, found.control if share is None else share * found.control)
+                )
+                found = found._replace(slack=slack, status=with_shortfall(found.status, slack))
+                if self.known.is_coarse and own == THRUST:
+                    found = found._replace(control=self.known.given(found.control, group.limit))
+            control = with_own(control, group, found.control)
+            if check:
+                control, found = check(i, control, found)
+            both[i] = found
+        return control, [both[0], both[1]]
+
+    def demand(self, x: Tensor, desired: Tensor, left: Tensor | None) -> Demand:
+        """What is filtered at states (16, B): what thrusters give, and torque that turns a weak axis away."""
+        demand = demanded(desired, self.groups)
+        if not self.known.is_coarse and left is None:
+            return demand
+        control = demand.control.clone()
+        control[THRUST] = self.known.given(control[THRUST], self.c.max_thrust)
+        if left is not None:
+            control[TORQUE] = slewing(x, control[TORQUE], left, self.c, self.r, self.known)
+        changed = differ(control, demand.control, self.groups)
+        wish = torch.where(changed.repeat_interleave(3, 0), control, demand.wish)
+        return Demand(wish, control, torch.where(changed, Status.HARD, demand.status))
+
+    def checked(
+        self, x: Tensor, error_bound: Tensor, i: int, control: Tensor, found: Found
+    ) -> tuple[Tensor, Found]:
+        """Controls (6, B) as the check of a group, if it has one, lets them be applied, and what is said of that group.
+
+        A limit that is kept does not yield.
+        """
+        check, group = (self.homing, self.turn)[i], self.groups[i]
+        if check is None:
+            return control, found
+        control, verified, changed = check.committed(x, control, error_bound)
+        own = torch.tensor([name in CONSTRAINTS for name in group.names], device=x.device)
+        slack = found.slack.masked_fill(own[:, None] & verified, 0.0)
+        status = torch.where(changed, found.status.clamp(min=Status.HARD), found.status)
+        kept = verified & ~(slack > SLACK_ROUNDED).any(0) & (status == Status.SLACK)
+        return control, found._replace(
+            control=control[group.controls],
+            status=torch.where(kept, Status.HARD, status),
+            slack=slack,
+            verified=verified,
+            changed=changed,
+        )
+
+
+def demanded(desired: Tensor, groups: Sequence[ActuatorGroup]) -> Demand:
+    """What is filtered where controls (6, B) are desired; thrust or torque of which a number is NaN is no wish."""
+    wishes, controls = [], []
+    for each in groups:
+        part = desired[each.controls]
+        part = torch.where(part.isnan().any(0), 0.0, part).clamp(-ENDLESS, ENDLESS)
+        times = part.abs().amax(0) / each.limit
+        wishes.append(part * (LARGEST_DEMAND / times.clamp(min=LARGEST_DEMAND)))
+        controls.append(wishes[-1].clamp(-each.limit, each.limit))
+    control = torch.cat(controls)
+    status = torch.where(differ(control, desired, groups), Status.HARD, Status.UNTOUCHED)
+    return Demand(torch.cat(wishes), control, status)
+
+
+def differ(one: Tensor, other: Tensor, groups: Sequence[ActuatorGroup]) -> Tensor:
+    """(2, B) bool: the groups of controls (6, B) are not the same."""
+    return torch.stack([(one != other)[each.controls].any(0) for each in groups])
+
+
+def with_own(control: Tensor, group: ActuatorGroup, own: Tensor) -> Tensor:
+    """Controls (6, B) with others (3, B) of the group's own."""
+    return torch.cat((own, control[TORQUE]) if group.controls == THRUST else (control[THRUST], own))
+
+
+def unless_lost(x: Tensor, found: Found) -> Found:
+    """What is found without a program: nothing is done in a state (16, B) that is none."""
+    lost = ~x.isfinite().all(0)
+    control, status = (
+        torch.where(lost, nothing, part)
+        for nothing, part in ((0.0, found.control), (Status.UNSOLVED, found.status))
+    )
+    return found._replace(control=control, status=status)
+
+
+def solved(
+    solver: Solver, group: ActuatorGroup, rows: Prepared, wish: Tensor, found: Found, share: Tensor | None
+) -> Found:
+    """What a solver finds, as `Settle`: the answers to the programs of those whose desired control breaks a row."""
+    unsafe = torch.nonzero(~(rows.lowest[0] >= 0.0)).flatten()  # NaN must not pass
+    if not unsafe.numel():
+        return found
+    broken = Prepared(*(pick(field, unsafe) for field in rows))
+    share = None if share is None else pick(share, unsafe)
+    asked = problems(group, broken, pick(wish, unsafe) / group.limit, share)
+    answer = solver.solve(asked)
+    active, slack = answered(group, asked, broken.length, answer.control, answer.status)
+    found = Found(*(part.clone() for part in found))
+    for whole, part in (
+        (found.control, answer.control * group.limit),
+        (found.status, answer.status),
+        (found.active, active),
+        (found.slack, slack),
+    ):
+        put(whole, unsafe, part)
+    return found
