@@ -179,8 +179,9 @@ def angular_velocity(axis: int, c: Limits, r: RtaParameters, known: Uncertainty 
     """omega_max^2 - omega_i^2 for a body axis, in rad^2/s^2.
 
     Where a control is held for longer than a body needs to stop, or the plant does not saturate, the filter holds the
-    rates itself: by omega_max -+ omega_i, which are linear. Braking a turn is always possible and raises them, so they
-    have no slack; what can yield to them are the resources.
+    rates itself: by omega_max -+ omega_i, which are linear, less what a rate may be measured wrong and turn otherwise
+    in a hold. Braking a turn is always possible and raises them, so they have no slack; what can yield to them are the
+    resources.
     """
 
     def h(x: Tensor) -> Tensor:
@@ -190,7 +191,8 @@ def angular_velocity(axis: int, c: Limits, r: RtaParameters, known: Uncertainty 
         rate = x[OMEGA.start + axis]
         return torch.stack((limit - rate, limit + rate))
 
-    limit = c.max_rate - known.rate_offset(c)
+    unknown = math.radians(known.rate) + known.angular_acceleration(c) * known.hold(r)
+    limit = c.max_rate - known.rate_offset(c) - unknown
     if known.holds(r):
         return Entry(
             f"angular_velocity_{'xyz'[axis]}",

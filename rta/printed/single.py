@@ -13,8 +13,6 @@ TOLERANCES = {
     "ACCURATE": "1e-2f",
     "ROUNDED": "5e-7f",
     "FEASIBLE": "1e-5f",
-    "TOLERATED": "1e-5f",
-    "ABOVE_LEAST": "1e-6f",
 }
 LARGEST, SMALLEST = 3.4028234e38, 1e-37  # numbers that stay what they are
 FUNCTIONS = (*QUICK, *OF_ONE, *OF_TWO, "fabs", "fmin", "fmax")

@@ -80,7 +80,7 @@ class World:
             # velocity is seen so that the law lets the spacecraft drift to where it must not: nearer, or farther out
             inwards = torch.where(x[P].norm(dim=0) < 400.0, 1.0, -1.0)
             self.errors[:3], self.errors[3:6] = (x[P] * inwards).sign(), (x[P] * inwards).sign()
-        sizes = torch.tensor(self.known.measured, dtype=torch.float64).repeat_interleave(3)[:, None]
+        sizes = (torch.tensor(self.known.radii, dtype=torch.float64) / 3.0**0.5).repeat_interleave(3)[:, None]
         return displaced(x, self.errors * sizes)
 
     def asks_torque(self, x: Tensor) -> Tensor:
