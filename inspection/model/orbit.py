@@ -115,20 +115,6 @@ def free_flight(p: Tensor, v: Tensor, t: Tensor, n: float) -> Tensor:
     )
 
 
-def pulled_back(direction: Tensor, t: Tensor, n: float) -> tuple[Tensor, Tensor]:
-    """What of p and v at t = 0 `free_flight`'s component along a direction (3, k, ...) after t s is made of.
-
-    Its inner products with p, without unit, and with v, in s: the transposed solution times the direction.
-    """
-    x, y, z = direction
-    s, co = (n * t).sin(), (n * t).cos()
-    along, aside = s / n, 2 / n * (1 - co)
-    return (
-        torch.stack(((4 - 3 * co) * x + 6 * (s - n * t) * y, y, co * z)),
-        torch.stack((along * x - aside * y, aside * x + (4 * s - 3 * n * t) / n * y, along * z)),
-    )
-
-
 def kepler_flight(p: Tensor, v: Tensor, chief: Chief, t: Tensor, mu: float) -> Tensor:
     """Position after coasting for t s, exact: both on Kepler's orbits, and Hill's frame of then.
 
