@@ -8,6 +8,7 @@ typedef int M;
 #define NOT(m) (!(m))
 #define AND(m, n) ((m) && (n))
 #define OR(m, n) ((m) || (n))
+#define ANY(m) (m)
 #define SELECT(m, a, b) ((m) ? (a) : (b))
 /* NaN if either is; of a literal, which is none, if a is */
 #define MIN(a, b) ((((a) < (b)) || ((a) != (a))) ? (a) : (b))

@@ -9,6 +9,7 @@ typedef whole M __attribute__((vector_size(W * sizeof(real))));
 #define NOT(m) (~(m))
 #define AND(m, n) ((m) & (n))
 #define OR(m, n) ((m) | (n))
+#define ANY(m) any_v(m)
 #define SELECT(m, a, b) select_v(m, a, b)
 /* NaN if either is; of a literal, which is none, if a is */
 #define MIN(a, b) SELECT(((a) < (b)) | ((a) != (a)), a, b)
@@ -20,6 +21,15 @@ typedef whole M __attribute__((vector_size(W * sizeof(real))));
 static inline __attribute__((always_inline)) V select_v(M m, V a, V b)
 {
     return (V)((m & (M)a) | (~m & (M)b));
+}
+
+static inline int any_v(M m)
+{
+    int found = 0;
+    for (int lane = 0; lane < W; lane++) {
+        found |= m[lane] != 0;
+    }
+    return found;
 }
 
 /* LANES and LANES_OF_TWO list what a function gives of each lane, without a loop, which compilers take long for */

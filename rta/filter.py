@@ -85,8 +85,7 @@ class SafetyFilter:
         known.check(c, parameters)
         self.c, self.parameters, self.extra, self.known = c, parameters, tuple(extra), known
         self.holds = known.holds(parameters)
-        knows_way = known.is_nil and Backup.is_there(c)
-        self.backup = Backup(c, parameters.period) if knows_way else None
+        self.backup = Backup.of(c, parameters.period) if known.is_nil else None
         # as fast as PIQP where controls are held, with more rows
         auto = "batched" if self.holds else "piqp"
         self.solver = self._own_solver = solver or make_solver(
@@ -169,7 +168,8 @@ class SafetyFilter:
         """
         kept = (self.values(x) >= 0.0).all(0)
         if self.backup:
-            return narrowed(kept, x, self.backup.has_way)
+            in_c = self.compiled is not None and x.device.type == "cpu"
+            return narrowed(kept, x, self.compiled.have_ways if in_c else self.backup.has_way)
         thrust, torque = self.groups
         if self.homing:
             kept = narrowed(kept, x, self.homing.has_way)

@@ -1,11 +1,13 @@
-"""Propose, check, commit: a control is applied if it keeps all limits while held, and a way to rest begins at its end.
+"""Propose, check, commit: a control is applied if the flight that would follow keeps all limits.
 
-If not, the nearest control that does, on the way from it to the backup law's; at worst that law's, the first hold of a
-way that was verified one call ago. By induction no limit should be violated in the model; along the zone the law leaves
-what was verified (docs/reference/proof.md, the counterexample). Gurriet et al. 2020, backup barriers; Agrawal, Chen and
-Panagou 2023, gatekeeper.
+A control is held, and after it both backup laws are flown, in the plant's own steps, until the spacecraft is in a set
+that they never leave. If every limit is kept on the way, the control is applied; if not, the nearest that leads to such
+a flight, on the way from it to the law's; at last the laws' own, whose flight was looked at one call ago. The state at
+the next call lies on the flight that was looked at, so no limit is ever violated in the model (docs/reference/proof.md).
+Gurriet et al. 2020, backup barriers; Agrawal, Chen and Panagou 2023, gatekeeper.
 
-Torque comes first, since the attitude decides where thrust acts. Limits of motion are kept in whatever attitude.
+Torque comes first, since the attitude decides where thrust acts. A limit that is violated already is not asked for; the
+others are.
 """
 
 import math
@@ -15,173 +17,246 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from inspection.model.attitude import norm
 from inspection.model.parameters import Limits
-from inspection.model.state import THRUST, TORQUE, V
-from rta.backup import brake, slew
-from rta.backup.brake import AT_REST, Braking
-from rta.backup.slew import Slewing
+from inspection.model.state import THRUST, TORQUE
+from rta.backup.attitude_law import Pointing, has_rest, slew
+from rta.backup.coarse import Coarse
+from rta.backup.flight import Flight, hold
+from rta.backup.motion_law import Braking, brake
+from rta.backup.terminal import NoTerminalSetError, TerminalSet
 from rta.constraints.names import CONSTRAINTS
 from rta.qp.programs import Status, pick, put
 from rta.result import FilterResult
 
 LOOK = 2.5  # s, between two looks at a hold at most
-MOTION, ATTITUDE = (
-    7,
-    3,
-)  # limits that a way keeps by thrust, and by torque: the first of Table 3, then the rates
+MOTION, ATTITUDE = 7, 3  # limits that a flight keeps by thrust, and by torque: the first of Table 3, then the rates
+LIMITS = MOTION + ATTITUDE + 1  # the body rates are one
+KEPT = 1e-9  # in the unit of each limit, m/s, m, rad, deg C, kJ: what rounding may take
 RATES_ROUNDED = 1e-9  # rad^2/s^2, by which rates at their limit may be beyond, where the plant holds them
 SLACK_ROUNDED = 1e-9  # in the unit of slack, up to which it is a solver's rounding
 SHARES = (0.25, 0.5, 0.75)  # of the way from what is proposed to the backup law's control, that are tried
+# Where a flight ends, by the entries of `TerminalSet.room`, and the limits that, once broken, excuse from each.
+ENDS = {0: (0, 3, 4), 1: (0, 1, 2)}  # of thrust, of torque
+EXCUSED = {1: (8,), 2: (9,), 4: (0, 2, 3)}  # temperature; battery; separation, zone and passive safety
 
 
 class Backup:
     """The check of a filter whose plant is the model.
 
     Args:
-        c: the model and the limits; hold: s, that a control is held.
+        c: the model and the limits; period: s, that a control is held.
 
     Attributes:
-        motion, limits: how many limits a way keeps by thrust, and in all, in the order of `CONSTRAINTS`.
+        holds: of a flight at most.
+
+    Raises:
+        NoTerminalSetError: the laws leave every set that is known.
     """
 
-    motion, limits = MOTION, MOTION + ATTITUDE
+    def __init__(self, c: Limits, period: float) -> None:
+        self.c = c
+        self.pointing = Pointing.of(c, period)
+        self.braking = Braking.of(c, period, self.pointing.fastest)
+        self.terminal = TerminalSet.of(self.pointing, self.braking)
+        self.flight = Flight.of(c, period, self.braking.fastest)
+        self.coarse = Coarse.of(self.pointing, self.braking, self.flight, self.terminal)
+        braking = 1.5 * self.braking.fastest / self.braking.straight + self.terminal.leaves
+        self.holds = math.ceil(max(self.coarse.arrives, braking) / period)
 
-    def __init__(self, c: Limits, hold: float) -> None:
-        steps = math.ceil(hold / LOOK)
-        # where the plant is stepped more often than a hold is looked at, it would hold the rates elsewhere
-        self.c = replace(c, saturate_rates=c.saturate_rates and hold / steps <= c.substep)
-        self.slewing = Slewing.of(self.c, hold, steps)
-        self.braking = Braking.of(self.c, hold, steps, self.slewing.fastest)
+    @classmethod
+    def of(cls, c: Limits, period: float) -> "Backup | None":
+        """None: no flight is known that ends; it is on a circle, beside a sphere, in an attitude that charges and cools."""
+        if c.orbit != "clohessy-wiltshire" or c.hill_rotation or c.planes or not has_rest(c):
+            return None
+        try:
+            return cls(c, period)
+        except NoTerminalSetError:
+            return None
 
-    @staticmethod
-    def is_there(c: Limits) -> bool:
-        """Whether a way to rest is known: on a circle, beside a sphere, in an attitude that charges and cools."""
-        return c.orbit == "clohessy-wiltshire" and not c.hill_rotation and not c.planes and slew.has_rest(c)
+    # what a flight is made of
+
+    def torque(self, x: Tensor) -> Tensor:
+        """The law's torque (3, B) in N m at states (16, B)."""
+        return slew(x, self.pointing)
+
+    def thrust(self, x: Tensor, torque: Tensor) -> Tensor:
+        """The law's thrust (3, B) in N at states (16, B) while torque (3, B) is held."""
+        return brake(x, torque, self.braking)
+
+    def law(self, x: Tensor) -> Tensor:
+        """Both laws' control (6, B) at states (16, B)."""
+        torque = self.torque(x)
+        return torch.cat((self.thrust(x, torque), torque))
+
+    def hold(self, x: Tensor, u: Tensor) -> tuple[Tensor, Tensor]:
+        """The states after a hold of controls (6, B) at states (16, B), and the least of each limit in it (11, B)."""
+        return hold(x, u, self.flight)
+
+    def at_once(self, x: Tensor) -> Tensor:
+        """A lower bound of each limit on the laws' flight from states (16, B), by one look: (11, B)."""
+        return torch.cat((self.coarse.motion(x), self.coarse.attitude(x)))
+
+    # the check
 
     def has_way(self, x: Tensor) -> Tensor:
-        """(B,) bool: states (16, B) have a verified way to rest."""
-        at = brake.beginning(x, self.braking)
-        brakes = either(brake.at_once(at, self.braking), lambda columns: self.brakes(pick(at, columns)))
-        return brakes & (slew.way(x, self.slewing) >= 0.0)
+        """(B,) bool: from states (16, B) the laws keep all limits for good."""
+        return self.ways(x, torch.zeros_like(x[:LIMITS], dtype=torch.bool)).all(0)
 
-    def torque_is_safe(self, x: Tensor, u: Tensor) -> Tensor:
-        """(B,) bool: torque of controls (6, B) keeps the attitude's limits and leaves a way to rest."""
-        w = self.slewing
+    def ways(self, x: Tensor, broken: Tensor, asked: Sequence[int] = (0, 1)) -> Tensor:
+        """(2, B) bool: the laws' flight from states (16, B) keeps the limits of thrust, of torque that are not broken.
 
-        def looked_at(columns: Tensor) -> Tensor:
-            y, v = pick(x, columns), pick(u, columns)
-            return either(
-                slew.at_a_glance(y, v, w), lambda at: slew.verified(pick(y, at), pick(v, at), w) >= 0.0
-            )
-
-        return either(slew.at_first_sight(x, u, w), looked_at)
-
-    def thrust_is_safe(self, x: Tensor, u: Tensor) -> Tensor:
-        """(B,) bool: thrust of controls (6, B), with their torque, keeps the limits of motion, and a way to rest."""
-        w = self.braking
-
-        def looked_at(columns: Tensor) -> Tensor:
-            least, end = brake.held(pick(x, columns), pick(u, columns), w, w.free)
-            return (least >= 0.0) & self.brakes(brake.beginning(end, w))
-
-        return either(brake.at_a_glance(x, u, w), looked_at)
-
-    def brakes(self, at: Tensor) -> Tensor:
-        """(B,) bool: ways from (10, B) as of `brake.beginning` keep the limits of motion and come to rest."""
-        safe, flying = torch.zeros_like(at[0], dtype=torch.bool), torch.arange(at.shape[1], device=at.device)
-        for _ in range(self.braking.holds):
-            rested = norm(at[V]) <= AT_REST
-            at, least = brake.braked(at, self.braking)
-            kept = least >= 0.0
-            put(safe, flying[kept & rested], torch.ones_like(flying[kept & rested], dtype=torch.bool))
-            on = torch.nonzero(kept & ~rested).flatten()
-            flying, at = flying[on], pick(at, on)
+        Args:
+            broken: (11, B) bool, limits that are not asked for.
+            asked: the groups whose limits matter; of the other one nothing is said.
+        """
+        found = self.kept(self.at_once(x), broken)
+        found[[group for group in range(2) if group not in asked]] = True
+        flying = torch.nonzero(~found.all(0)).flatten()
+        x, broken = pick(x, flying), pick(broken, flying)
+        alive = ~pick(found, flying)
+        for _ in range(self.holds):
             if not flying.numel():
                 break
-        return safe
+            arrived = alive & self.arrived(x, broken)
+            put(found, flying, pick(found, flying) | arrived)
+            alive = alive & ~arrived
+            x, least = self.hold(x, self.law(x))
+            alive = alive & self.kept(least, broken)
+            on = torch.nonzero(alive.any(0)).flatten()
+            flying, x, broken, alive = flying[on], pick(x, on), pick(broken, on), pick(alive, on)
+        return found
+
+    def is_safe(self, x: Tensor, u: Tensor, broken: Tensor, asked: Sequence[int] = (0, 1)) -> Tensor:
+        """(2, B) bool: a hold of controls (6, B) and the laws' flight after it keep the limits, as `ways`."""
+        end, least = self.hold(x, u)
+        kept = self.kept(least, broken)
+        columns = torch.nonzero(kept[list(asked)].any(0)).flatten()
+        if columns.numel():
+            ways = self.ways(pick(end, columns), pick(broken, columns), asked)
+            put(kept, columns, pick(kept, columns) & ways)
+        return kept
+
+    @staticmethod
+    def kept(least: Tensor, broken: Tensor) -> Tensor:
+        """(2, B) bool: the least of each limit (11, B) is not negative, of thrust and of torque, or it is broken."""
+        fine = (least >= KEPT) | broken  # NaN is not
+        return torch.stack((fine[:MOTION].all(0), fine[MOTION:].all(0)))
+
+    def arrived(self, x: Tensor, broken: Tensor) -> Tensor:
+        """(2, B) bool: states (16, B) are where the laws stay, of thrust and of torque; `broken` as of `ways`."""
+        inside = self.terminal.room(x) >= 0.0
+        for entry, limits in EXCUSED.items():
+            inside[entry] |= broken[list(limits)].any(0)
+        return torch.stack([inside[list(ENDS[group])].all(0) for group in range(2)])
 
     def commit(
         self, x: Tensor, desired: Tensor, result: FilterResult, of_torque: Sequence[bool]
     ) -> FilterResult:
         """What the programs propose at states (16, B), with the controls that may be applied.
 
-        A limit that is kept does not yield: where a control is verified only constraints of the user's own have slack.
+        A limit that is kept does not yield: where a control is safe only a broken one, and those of the user's own,
+        have slack.
 
         Args:
             of_torque: by constraint, torque holds it; else thrust does.
         """
-        motion, attitude = result.h[: self.motion], result.h[self.motion : self.limits]
-        rates = result.h[self.limits : len(CONSTRAINTS)] >= -RATES_ROUNDED
+        own = result.h[: len(CONSTRAINTS)]
+        rates = (own[MOTION + ATTITUDE :] >= -RATES_ROUNDED).all(0, keepdim=True)
+        broken = ~torch.cat((own[: MOTION + ATTITUDE] >= 0.0, rates))
         strange = ~x.isfinite().all(0)  # nothing is known of the way from such a state
-        broken = strange | ~(motion >= 0.0).all(0), strange | ~((attitude >= 0.0).all(0) & rates.all(0))
-        control, verified, changed = self.committed(x, result.control, broken)
+        control, safe, changed = self.committed(x, result.control, broken, strange)
         group = torch.tensor(of_torque, device=x.device).long()
-        kept = verified[group]
+        kept = safe[group]
+        kept[: MOTION + ATTITUDE] &= ~broken[: MOTION + ATTITUDE]
+        kept[MOTION + ATTITUDE : len(CONSTRAINTS)] &= ~broken[-1]
         kept[len(CONSTRAINTS) :] = False
         slack = result.slack.masked_fill(kept, 0.0)
         yields = torch.stack([(slack[group == i] > SLACK_ROUNDED).any(0) for i in range(2)])
         status = torch.where(changed, result.program_status.clamp(min=Status.HARD), result.program_status)
-        status = torch.where(verified & ~yields & (status == Status.SLACK), Status.HARD, status)
+        status = torch.where(safe & ~yields & (status == Status.SLACK), Status.HARD, status)
         return replace(
             result,
             control=control,
             intervened=(control != desired).any(0),
-            verified=verified.all(0),
+            verified=safe.all(0) & ~broken.any(0),
             backup=changed.any(0),
             slack=slack,
             status=status.amax(0),
             program_status=status,
         )
 
-    def committed(self, x: Tensor, u: Tensor, broken: tuple[Tensor, Tensor]) -> tuple[Tensor, Tensor, Tensor]:
-        """What is applied in the place of proposed controls.
+    def committed(
+        self, x: Tensor, u: Tensor, broken: Tensor, strange: Tensor
+    ) -> tuple[Tensor, Tensor, Tensor]:
+        """What is applied in the place of proposed controls (6, B) at states (16, B).
 
         Args:
-            x: states (16, B); u: (6, B) as proposed.
-            broken: of motion and of attitude, (B,) bool: one of its limits is violated already, so there is no way.
+            broken: (11, B) bool, limits that are violated already; strange: (B,) bool, nothing can be checked.
 
         Returns:
-            Controls (6, B); (2, B) bool: thrust and torque are verified; (2, B) bool: they are other ones.
+            Controls (6, B); (2, B) bool: thrust and torque are safe; (2, B) bool: they are other ones.
         """
-        u, verified, changed = u.clone(), torch.stack(broken), torch.stack(broken)
-        for group, own, law, is_safe in (
-            (1, TORQUE, self.slews, self.torque_is_safe),
-            (0, THRUST, self.brakes_with, self.thrust_is_safe),
-        ):
-            verified[group] = is_safe(x, u) & ~broken[group]
-            changed[group] = ~verified[group] & ~broken[group]
+        u = u.clone()
+        safe = self.is_safe(x, u, broken) & ~strange
+        changed = ~safe & ~strange
+        for group, own in ((1, TORQUE), (0, THRUST)):
             columns = torch.nonzero(changed[group]).flatten()
-            if columns.numel():
-                there, proposed = pick(x, columns), pick(u, columns)
-                control, found = nearest(there, proposed, own, law(there, proposed), is_safe)
-                put(u, columns, control)
-                put(verified[group], columns, found)
-        self.follow(x, u, verified, changed, broken[1])
-        return u, verified, changed
+            if not columns.numel():
+                continue
+            there, asked, others = pick(x, columns), pick(u, columns), pick(broken, columns)
+            law = self.thrust(there, asked[TORQUE]) if group == 0 else self.torque(there)
 
-    def follow(
-        self, x: Tensor, u: Tensor, verified: Tensor, changed: Tensor, attitude_is_broken: Tensor
-    ) -> None:
-        """Where no thrust is seen to be safe, has both groups follow their laws: the way was verified with both."""
-        columns = torch.nonzero(changed[0] & ~verified[0] & ~attitude_is_broken).flatten()
+            def is_safe(
+                at: Tensor, tried: Tensor, there: Tensor = there, others: Tensor = others, group: int = group
+            ) -> Tensor:
+                return self.is_safe(pick(there, at), tried, pick(others, at), (group,))[group]
+
+            control, found = nearest(asked, own, law, is_safe)
+            put(u, columns, control)
+            put(safe[group], columns, found)
+            if group == 1:  # thrust is looked at again, with the torque that is applied
+                again = self.is_safe(there, control, others)[0]
+                put(safe[0], columns, again)
+                put(changed[0], columns, ~again)
+        self.follow(x, u, safe, changed, broken)
+        return u, safe, changed
+
+    def follow(self, x: Tensor, u: Tensor, safe: Tensor, changed: Tensor, broken: Tensor) -> None:
+        """Has both groups follow their laws where that is safe and no other control is: it was flown a call ago."""
+        columns = torch.nonzero(changed.any(0) & ~safe.all(0)).flatten()
         if not columns.numel():
             return
-        there, both = pick(x, columns), pick(u, columns)
-        both[TORQUE] = self.slews(there, both)
-        both[THRUST] = self.brakes_with(there, both)
-        put(u, columns, both)
-        put(changed[1], columns, torch.ones_like(columns, dtype=torch.bool))
-        put(verified[1], columns, self.torque_is_safe(there, both))
-        put(verified[0], columns, self.thrust_is_safe(there, both))
+        found = self.ways(pick(x, columns), pick(broken, columns)).all(0)
+        columns = columns[found]
+        put(u, columns, self.law(pick(x, columns)))
+        for part in (safe, changed):
+            put(part, columns, torch.ones_like(part[:, : columns.numel()]))
 
-    def slews(self, x: Tensor, u: Tensor) -> Tensor:
-        """The law's torque (3, B) at states (16, B); controls (6, B) do not matter."""
-        return slew.slew(x, self.slewing)
 
-    def brakes_with(self, x: Tensor, u: Tensor) -> Tensor:
-        """The law's thrust (3, B) at states (16, B) with the torque of controls (6, B)."""
-        return brake.brake(x, u[TORQUE], self.braking)
+def nearest(
+    u: Tensor, own: slice, law: Tensor, is_safe: Callable[[Tensor, Tensor], Tensor]
+) -> tuple[Tensor, Tensor]:
+    """The first of controls on the way from u (6, M) to the law's (3, M) that is safe, else the law's.
+
+    Args:
+        own: the controls of a group; is_safe: of indices (k,) of M and controls (6, k), (k,) bool.
+
+    Returns:
+        Controls (6, M); (M,) bool: they are safe.
+    """
+    there = u.clone()
+    there[own] = law
+    best, found = there.clone(), torch.zeros_like(u[0], dtype=torch.bool)
+    for share in (*SHARES, 1.0):
+        left = torch.nonzero(~found).flatten()
+        if not left.numel():
+            break
+        one, other = pick(u, left), pick(there, left)
+        tried = (one + share * (other - one)).clamp(torch.minimum(one, other), torch.maximum(one, other))
+        safe = is_safe(left, tried)
+        put(best, left[safe], tried[:, safe])
+        put(found, left, safe)
+    return best, found
 
 
 def verified_or_nearest(
@@ -208,33 +283,12 @@ def verified_or_nearest(
     columns = torch.nonzero(changed).flatten()
     if columns.numel():
         there, proposed = pick(y, columns), pick(u, columns)
-        control, found = nearest(there, proposed, own, law(there, proposed), is_safe)
+        control, found = nearest(
+            proposed, own, law(there, proposed), lambda at, tried: is_safe(pick(there, at), tried)
+        )
         put(u, columns, control)
         put(kept, columns, found)
     return u, kept, changed
-
-
-def nearest(
-    x: Tensor, u: Tensor, own: slice, law: Tensor, is_safe: Callable[[Tensor, Tensor], Tensor]
-) -> tuple[Tensor, Tensor]:
-    """The first of controls on the way from u (6, M) to the law's (3, M) that is safe, else the law's.
-
-    Returns:
-        Controls (6, M); (M,) bool: they are verified.
-    """
-    there = u.clone()
-    there[own] = law
-    best, found = there.clone(), torch.zeros_like(u[0], dtype=torch.bool)
-    for share in (*SHARES, 1.0):
-        left = torch.nonzero(~found).flatten()
-        if not left.numel():
-            break
-        one, other = pick(u, left), pick(there, left)
-        tried = (one + share * (other - one)).clamp(torch.minimum(one, other), torch.maximum(one, other))
-        safe = is_safe(pick(x, left), tried)
-        put(best, left[safe], tried[:, safe])
-        put(found, left, safe)
-    return best, found
 
 
 def either(least: Tensor, look: Callable[[Tensor], Tensor]) -> Tensor:

@@ -1,6 +1,6 @@
 """Motion within bounds that are told: the law that brakes, what is not known of it, and the haven where it ends.
 
-The law is a function of what is measured, as that of `rta.backup.brake`. There is a field of velocities v_ref(p):
+The law is a function of what is measured, as that of `rta.backup.motion_law`. There is a field of velocities v_ref(p):
 outwards beside the chief, inwards at the edge of the zone, none between. With w = v - v_ref(p), thrust is to give, from
 each call to the next,
 
@@ -45,7 +45,7 @@ CALMER = 1.5  # of what the errors leave of w, that counts as calm: a way need n
 RISING = 1.8  # of the rate at which that grows with distance
 BESIDE = 4.0 / 3.0  # of the radius of collision, up to which the field leads outwards as fast as anywhere
 EDGE = 1.0  # m inside the zone, from where on the field leads inwards as fast as anywhere
-CELLS = (11, 1)  # of passive safety's horizon, and searches in each; a prime, see `rta.backup.brake`
+CELLS = (11, 1)  # of passive safety's horizon, and searches in each; a prime, see `rta.backup.flight`
 ROUNDS = 40  # of the equation for the calm speed, which the field depends on, which it depends on
 GRID = 4000, 100  # distances and times at which the haven is looked at
 

@@ -1,6 +1,6 @@
 """The way to rest of torque where the world differs from the model within bounds that are told.
 
-The law is that of `rta.backup.slew` in a form that errors do not lead astray: Lipschitz in the attitude, with one place
+The law is that of `rta.backup.attitude_law` in a form that errors do not lead astray: Lipschitz in the attitude, with one place
 of rest, slow enough to be followed. With d the panels' axis, s the direction to the Sun and w the body's rate relative
 to the Sun it asks for
 
@@ -24,10 +24,10 @@ from inspection.model.attitude import dot, norm, rotation_matrix
 from inspection.model.dynamics import euler, step, sun_and_earth_in_body, temperature_rate
 from inspection.model.parameters import Limits
 from inspection.model.state import OMEGA, SIZE, TORQUE, E, Q, T
-from rta.backup import slew
+from rta.backup.attitude_law import across, has_rest, upright, vector
 from rta.backup.check import LOOK, verified_or_nearest
 from rta.backup.chords import lowest
-from rta.backup.slew import across, incidence, upright, vector
+from rta.backup.flight import attitude_between, incidence
 from rta.backup.turning import BEGINS, FULL, LOOKAHEAD, ROOT2, ROOT3, NoRestError, Turning, heating
 from rta.bounds.uncertainty import Uncertainty
 from rta.parameters import RtaParameters
@@ -298,7 +298,7 @@ def held(x: Tensor, u: Tensor, error_bound: Tensor, w: Turning) -> tuple[Tensor,
     parts, ends, y = [room(x, angle, rate, w)], [], x
     for i in range(1, w.holds * looks + 1):
         z, seconds = step(y, u, t, w.look.c), i * t
-        least = slew.between(y, z, t, w.look)
+        least = attitude_between(y, z, u, t, w.look)
         later = rate + faster * seconds
         wider = angle + ROOT3 * (rate * seconds + faster * seconds**2 / 2)
         astray = wider * (w.lag + seconds)
@@ -306,7 +306,7 @@ def held(x: Tensor, u: Tensor, error_bound: Tensor, w: Turning) -> tuple[Tensor,
             least[0] - wider,
             least[1] - slopes * wider - w.look.heating * astray,
             least[2] - c.energy_sun_slope * wider - w.look.charging * astray,
-            room(z, wider, later, w) - w.look.gyroscopic * t / 8,
+            room(z, wider, later, w) - w.look.gyroscopic * t / 2,
         ]
         if i % looks == 0:
             spread = Spread(wider, later, w.look.heating * astray, w.look.charging * astray, command)
@@ -377,7 +377,7 @@ class TurnBackup:
     @classmethod
     def of(cls, c: Limits, r: RtaParameters, known: Uncertainty) -> "TurnBackup | None":
         """None: no way is known within the bounds, with this vehicle, or where actuators may fail."""
-        if not (c.is_circular and not c.hill_rotation and slew.has_rest(c)) or known.is_nil or known.health:
+        if not (c.is_circular and not c.hill_rotation and has_rest(c)) or known.is_nil or known.health:
             return None
         try:
             return cls(Turning.of(c, r, known))

@@ -12,7 +12,7 @@ import torch
 
 from inspection.model.dynamics import energy_rate, euler, temperature_rate
 from inspection.model.parameters import Limits
-from rta.backup.slew import Slewing
+from rta.backup.flight import Flight
 from rta.bounds.uncertainty import Uncertainty
 from rta.parameters import RtaParameters
 
@@ -67,7 +67,7 @@ class Turning:
     """
 
     c: Limits
-    look: Slewing
+    look: Flight
     period: float
     lag: float
     holds: int
@@ -111,7 +111,7 @@ class Turning:
         tau = max(most * holds * period / OVERSHOOT, TORQUE_LEFT * c.max_rate / strongest)
         slowest = least / tau
         w = cls(
-            c, Slewing.of(replace(c, saturate_rates=False), holds * period, holds), period, lag, holds, tau, slowest,
+            c, Flight.of(replace(c, saturate_rates=False), period, 0.0), period, lag, holds, tau, slowest,
             most / tau, known.torque_error, POINTING * slowest, ROLLING * slowest, spins(c, known, most),
             math.radians(known.attitude), math.radians(known.rate), n, known.unknown_turning(c),
             1.0 / math.tan(SATURATED),

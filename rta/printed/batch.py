@@ -18,8 +18,8 @@ from kernels.compiled import check, in_shares, over_columns, pointers, strided, 
 from rta.backup.homing import calls
 from rta.barrier import ActuatorGroup
 from rta.constraints.constraint import joined
-from rta.printed.source import define, driver_text, functions, source
-from rta.printed.way import AT_A_GLANCE, checks, constants, limits, of_one
+from rta.printed.source import define, driver_text, functions, group_of, source
+from rta.printed.way import FOR_VECTORS, checks, constants, limits
 from rta.propose import Found
 from rta.qp.batched_solver import ACCURATE, STEPS, STEPS_HELD, attempt
 from rta.qp.programs import Status
@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from rta.filter import SafetyFilter
 
 PROBED = 256  # columns whose time says what a column takes
+FLIGHT = 2e-5  # s, that a flight of the backup laws takes on one core, about
 
 
 class Columns:
@@ -105,17 +106,29 @@ class BatchFilter(Columns):
             define("CHECKS", int(not f.unchecked)),
             *(define(name, *said) for name, said in (constants(f.backup) if f.backup else limits()).items()),
             *(part.text for part in parts),
-            *(part.text for part in ways if part.name in AT_A_GLANCE),
+            *([group_of(f)] if f.backup else []),
+            *(part.text for part in ways if f.backup or part.name in FOR_VECTORS),
+            *([driver_text("commit.c")] if f.backup else []),
             *(
                 driver_text(f"batch/{name}")
                 for name in ("batch.h", "columns.c", "commit.c", "told.c", "batch.c")
             ),
         ]
-        one = [source(f, [*own, *of_one(ways)]), by_column(f)]
+        one = [source(f, [*own, *ways]), by_column(f)]
         found = library({"one": "\n".join(one), "many": "\n".join(many)})
         super().__init__(found, f, 0.0)
+        self.ways = over_columns(found, "filter_ways") if f.backup else None
         x, u = (part.expand(-1, PROBED).contiguous() for part in f.probe("cpu"))
         self.seconds = min(timed(self, x, u) for _ in range(3)) / PROBED
+
+
+    def have_ways(self, x: Tensor) -> Tensor:
+        """`Backup.has_way`."""
+        assert self.ways is not None
+        found = torch.empty(1, x.shape[1], dtype=torch.bool)
+        run, arguments = self.ways, (*pointers([strided(x)]), *pointers([found]))
+        in_shares(lambda first, last: run(first, last, *arguments), x.shape[1], FLIGHT)
+        return found[0]
 
 
 def by_column(safety_filter: "SafetyFilter") -> str:

@@ -27,9 +27,10 @@ from rta.printed.source import (
     functions,
     interface,
     table,
+    text_of,
 )
 from rta.printed.vectors import vectors
-from rta.printed.way import checks, of_one
+from rta.printed.way import checks
 from rta.qp.programs import Status
 
 if TYPE_CHECKING:
@@ -68,7 +69,8 @@ SECTIONS = {  # by file of the driver
     "solver.c": "Quadratic programs, solved by an active-set method",
     "rows.c": "From rows to programs, and to what is reported",
     "filter.c": "The order of a call",
-    "commit.c": "Whether a control keeps the limits and leaves a way to rest",
+    "commit.c": "Whether a control keeps the limits, and the flight of the backup laws after it does",
+    "commit_one.c": "The check of one spacecraft",
     "homing.c": "Whether thrust keeps the limits of motion and leaves a way into the haven",
     "turn.c": "Whether torque keeps the attitude's limits and leaves a way to rest",
 }
@@ -251,7 +253,7 @@ def quoted(text: str) -> str:
 
 def implementation(safety_filter: "SafetyFilter") -> str:
     """safety_filter.c: what people read first, printed functions last."""
-    parts = [*functions(safety_filter), *of_one(checks(safety_filter))]
+    parts = [*functions(safety_filter), *checks(safety_filter)]
     names = ",\n".join(f"    {quoted(name)}" for name in safety_filter.names)
     given = driver_files(safety_filter)
     titles = [
@@ -259,7 +261,8 @@ def implementation(safety_filter: "SafetyFilter") -> str:
         *(SECTIONS[name] for name in given),
         "Rows, printed from Python",
     ]
-    texts = [constants(safety_filter, parts), *map(driver_text, given), for_one(parts)]
+    texts = [*map(driver_text, given), text_of(parts)]
+    texts.insert(0, constants(safety_filter, parts, "\n".join(texts)))
     texts[0] += f"\nconst char *const safety_filter_names[CONSTRAINTS] = {{\n{names}\n}};\n"
     head = [
         f"/* {MARK}: see safety_filter.h. Contents:",

@@ -16,6 +16,7 @@ from torch import Tensor
 
 from inspection.model.state import THRUST, TORQUE
 from kernels import Printed, if_long, printed
+from kernels.build import OF_ONE, OF_TWO, QUICK
 from rta.backup import homing
 from rta.barrier import ActuatorGroup
 from rta.bounds.health import AXES, slewing
@@ -44,10 +45,11 @@ def source(safety_filter: "SafetyFilter", parts: Sequence[Printed] | None = None
     Args:
         parts: what `functions` and `checks` of one print, if it is known.
     """
-    parts = parts or [*functions(safety_filter), *way.of_one(way.checks(safety_filter))]
-    texts = [driver_text(name) for name in ("filter.h", *driver_files(safety_filter))]
-    head = ["#include <math.h>\n", interface(safety_filter), texts[0], constants(safety_filter, parts)]
-    return "\n".join([*head, *texts[1:], for_one(parts)])
+    parts = parts or [*functions(safety_filter), *way.checks(safety_filter)]
+    drivers, printed_text = map(driver_text, driver_files(safety_filter)), text_of(parts)
+    texts = [*drivers, printed_text]
+    head = ["#include <math.h>\n", interface(safety_filter), driver_text("filter.h")]
+    return "\n".join([*head, constants(safety_filter, parts, "\n".join(texts)), *texts])
 
 
 def driver_text(name: str) -> str:
@@ -58,7 +60,7 @@ def driver_text(name: str) -> str:
 def driver_files(safety_filter: "SafetyFilter") -> list[str]:
     """The files of the driver that a filter needs."""
     f = safety_filter
-    checks = [("commit.c", f.backup), ("turn.c", f.turn), ("homing.c", f.homing)]
+    checks = [("commit.c", f.backup), ("commit_one.c", f.backup), ("turn.c", f.turn), ("homing.c", f.homing)]
     programs = ["solver.c", "rows.c"] if f.propose.kind != "none" else []
     return ["numbers.c", *programs, *(name for name, check in checks if check), "filter.c"]
 
@@ -108,13 +110,22 @@ def turn_in_time(safety_filter: "SafetyFilter", x: Tensor, torque: Tensor, left:
 
 def for_one(parts: Sequence[Printed]) -> str:
     """Printed functions for one spacecraft, and what they are made of."""
-    text = "\n".join(part.text for part in parts)
-    calls = sorted(
-        set(re.findall(r"\b([A-Z][A-Z0-9_]*)\(", text)) - set(re.findall(r"define (\w+)\(", SCALAR))
-    )
+    text = text_of(parts)
+    return operations(text) + "\n" + text
+
+
+def text_of(parts: Sequence[Printed]) -> str:
+    """Printed functions."""
+    return "\n".join(part.text for part in parts)
+
+
+def operations(text: str) -> str:
+    """What a text for one spacecraft is made of that is printed, or written alike."""
+    known = {name.upper() for name in (*QUICK, *OF_ONE, *OF_TWO, "fabs")}
+    calls = sorted(set(re.findall(r"\b([A-Z][A-Z0-9_]*)\(", text)) & known)
     own = [f"#define {call}(...) {call.lower()}(__VA_ARGS__)" for call in calls]
-    known = [line for line in SCALAR.splitlines() if is_needed(line, text)]
-    return "\n".join(["typedef double real;", *known, *own, "", text])
+    needed = [line for line in SCALAR.splitlines() if is_needed(line, text)]
+    return "\n".join(["typedef double real;", *needed, *own, ""])
 
 
 def is_needed(line: str, text: str) -> bool:
@@ -140,8 +151,12 @@ def interface(safety_filter: "SafetyFilter") -> str:
     )
 
 
-def constants(safety_filter: "SafetyFilter", parts: Sequence[Printed]) -> str:
-    """What the driver depends on of a filter's configuration, and the functions that it calls, in C."""
+def constants(safety_filter: "SafetyFilter", parts: Sequence[Printed], text: str) -> str:
+    """What the driver depends on of a filter's configuration, and the functions that it calls, in C.
+
+    Args:
+        text: of all that follows.
+    """
     groups = safety_filter.groups
     rows = max(len(group.weights) for group in groups)
     soft = max(sum(map(math.isfinite, group.weights)) for group in groups)
@@ -177,8 +192,7 @@ def constants(safety_filter: "SafetyFilter", parts: Sequence[Printed]) -> str:
     )
     if safety_filter.backup:
         lines += [define(name, *said) for name, said in way.constants(safety_filter.backup).items()]
-        kept = [int(name in CONSTRAINTS) for name in safety_filter.names]
-        lines.append(table("int IS_KEPT[CONSTRAINTS]", kept, "where a way is verified"))
+        lines.append(group_of(safety_filter))
     if safety_filter.homing:
         lines.append(
             define("HELD_CALLS", homing.calls(safety_filter.homing.haven), "thrust is checked, see homing.c")
@@ -189,7 +203,13 @@ def constants(safety_filter: "SafetyFilter", parts: Sequence[Printed]) -> str:
         lines += [define(name, *said) for name, said in way.trials().items()]
         kept = [int(name in CONSTRAINTS) for name in safety_filter.names]
         lines.append(table("int IS_KEPT[CONSTRAINTS]", kept, "where a way is verified"))
-    return "\n".join([*lines, *map(declared, parts)]) + "\n"
+    return "\n".join([*lines, operations(text), *map(declared, parts)]) + "\n"
+
+
+def group_of(safety_filter: "SafetyFilter") -> str:
+    """Which group holds each constraint, in C."""
+    torque = [int(name in safety_filter.groups[1].names) for name in safety_filter.names]
+    return table("int GROUP_OF[CONSTRAINTS]", torque, "0: thrust holds it, 1: torque")
 
 
 def tolerances() -> list[str]:
@@ -218,8 +238,8 @@ def tolerances() -> list[str]:
 
 def declared(function: Printed) -> str:
     """The prototype of a printed function for one spacecraft; arrays of several axes are row-major."""
-    given = [f"const double {part.name}[{part.size}]" for part in function.inputs]
-    found = [f"double {part.name}[{part.size}]" for part in function.outputs]
+    given = [f"const V {part.name}[{part.size}]" for part in function.inputs]
+    found = [f"V {part.name}[{part.size}]" for part in function.outputs]
     return f"static void {function.name}({', '.join([*given, *found])});"
 
 

@@ -7,10 +7,11 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor
 
-from inspection.model.state import CONTROL_SIZE, SIZE, TORQUE
+from inspection.model.state import TORQUE
 from kernels import Printed, printed
-from rta.backup import brake, homing, slew, turn
-from rta.backup.check import ATTITUDE, MOTION, RATES_ROUNDED, SHARES, SLACK_ROUNDED, Backup
+from rta.backup import homing, turn
+from rta.backup.check import ATTITUDE, KEPT, LIMITS, MOTION, RATES_ROUNDED, SHARES, SLACK_ROUNDED, Backup
+from rta.backup.flight import CELLS
 from rta.backup.haven import thrust
 from rta.backup.homing import Homing
 from rta.backup.turn import TurnBackup
@@ -21,18 +22,8 @@ from rta.constraints.names import CONSTRAINTS
 if TYPE_CHECKING:
     from rta.filter import SafetyFilter
 
-AT = 10  # components of where a way begins, see `rta.backup.brake.beginning`
-AT_A_GLANCE = (
-    "thrust_glance",
-    "torque_sight",
-    "torque_glance",
-    "thrust_look",
-    "beginning",
-    "braked",
-    "turn_verified",
-    "homing_look",
-    "homing_way",
-)  # which are computed for vectors of spacecraft
+# of the checks within bounds, which are computed for vectors of spacecraft
+FOR_VECTORS = "turn_verified", "homing_look", "homing_way"
 
 GIVEN_BOUND = ("x", "control", "error_bound")
 
@@ -49,24 +40,17 @@ def checks(safety_filter: "SafetyFilter") -> list[Printed]:
         return told
     if safety_filter.backup is None:
         return []
-    at = torch.zeros(AT, 1, dtype=torch.float64)
-    at[:AT] = x[:AT]
-    backup = safety_filter.backup
-    rough, close = backup.braking.rough.cells, backup.braking.free.cells  # looped over
-    named: list[tuple[str, Run, tuple[Tensor, ...], tuple[str, ...], tuple[str, ...], int]] = [
-        ("thrust_glance", partial(thrust_glance, backup), (x, u), ("x", "control"), ("least",), rough),
-        ("torque_sight", partial(torque_sight, backup), (x, u), ("x", "control"), ("least",), 0),
-        ("torque_glance", partial(torque_glance, backup), (x, u), ("x", "control"), ("least",), 0),
-        ("thrust_look", partial(thrust_look, backup), (x, u), ("x", "control"), ("after", "least"), close),
-        ("beginning", partial(beginning, backup), (x,), ("x",), ("at",), 0),
-        ("torque_verified", partial(torque_verified, backup), (x, u), ("x", "control"), ("least",), 0),
-        ("braked", partial(braked, backup), (at,), ("at",), ("after", "least"), close),
-        ("brake_law", partial(brake_law, backup), (x, u), ("x", "control"), ("thrust",), 0),
-        ("slew_law", partial(slew_law, backup), (x,), ("x",), ("torque",), 0),
+    b = safety_filter.backup
+    named: list[tuple[str, Run, tuple[Tensor, ...], tuple[str, ...], tuple[str, ...]]] = [
+        ("flown", lambda x, u: list(b.hold(x, u)), (x, u), ("x", "control"), ("after", "least")),
+        ("at_once", lambda x: [b.at_once(x)], (x,), ("x",), ("least",)),
+        ("terminal_room", lambda x: [b.terminal.room(x)], (x,), ("x",), ("room",)),
+        ("backup_torque", lambda x: [b.torque(x)], (x,), ("x",), ("torque",)),
+        ("backup_thrust", lambda x, torque: [b.thrust(x, torque)], (x, u[TORQUE]), ("x", "torque"), ("thrust",)),
     ]
     return [
-        printed(run, *examples, name=name, names=(given, results), long=long)
-        for name, run, examples, given, results, long in named
+        printed(run, *examples, name=name, names=(given, results), long=CELLS[0])
+        for name, run, examples, given, results in named
     ]
 
 
@@ -138,91 +122,15 @@ def turn_law(turning: Turning, x: Tensor) -> list[Tensor]:
     return [turn.law(x, turning)]
 
 
-def thrust_glance(backup: Backup, x: Tensor, u: Tensor) -> list[Tensor]:
-    """`brake.at_a_glance`."""
-    return [brake.at_a_glance(x, u, backup.braking)[None]]
-
-
-def torque_glance(backup: Backup, x: Tensor, u: Tensor) -> list[Tensor]:
-    """`slew.at_a_glance`."""
-    return [slew.at_a_glance(x, u, backup.slewing)[None]]
-
-
-def torque_sight(backup: Backup, x: Tensor, u: Tensor) -> list[Tensor]:
-    """`slew.at_first_sight`."""
-    return [slew.at_first_sight(x, u, backup.slewing)[None]]
-
-
-def thrust_look(backup: Backup, x: Tensor, u: Tensor) -> list[Tensor]:
-    """`brake.look`, closely."""
-    end, least = brake.look(x, u, backup.braking, backup.braking.free)
-    return [end, least[None]]
-
-
-def beginning(backup: Backup, x: Tensor) -> list[Tensor]:
-    """`brake.beginning`."""
-    return [brake.beginning(x, backup.braking)]
-
-
-def torque_verified(backup: Backup, x: Tensor, u: Tensor) -> list[Tensor]:
-    """`slew.verified`."""
-    return [slew.verified(x, u, backup.slewing)[None]]
-
-
-def braked(backup: Backup, at: Tensor) -> list[Tensor]:
-    """`brake.braked`."""
-    after, least = brake.braked(at, backup.braking)
-    return [after, least[None]]
-
-
-def brake_law(backup: Backup, x: Tensor, u: Tensor) -> list[Tensor]:
-    """`brake.brake`, with the torque of controls (6, B)."""
-    return [brake.brake(x, u[TORQUE], backup.braking)]
-
-
-def slew_law(backup: Backup, x: Tensor) -> list[Tensor]:
-    """`slew.slew`."""
-    return [slew.slew(x, backup.slewing)]
-
-
-GIVEN = f"const double x[{SIZE}], const double control[{CONTROL_SIZE}]"
-DECLARED = {
-    "thrust_glance": f"{GIVEN}, double least[1]",
-    "torque_sight": f"{GIVEN}, double least[1]",
-    "thrust_look": f"{GIVEN}, double after[{SIZE}], double least[1]",
-    "beginning": f"const double x[{SIZE}], double at[{AT}]",
-    "torque_verified": f"{GIVEN}, double least[1]",
-    "braked": f"const double at[{AT}], double after[{AT}], double least[1]",
-    "brake_law": f"{GIVEN}, double thrust[3]",
-    "slew_law": f"const double x[{SIZE}], double torque[3]",
-}
-OF_HOMING = {
-    "homing_look": f"{GIVEN}, const double error_bound[{KINDS}],\n    double after[{SIZE}], "
-    f"double bound_after[{KINDS}], double least[1]",
-    "homing_way": f"const double x[{SIZE}], const double error_bound[{KINDS}], const double late[1], double least[1]",
-    "homing_kept": f"const double x[{SIZE}], const double error_bound[{KINDS}], double least[1]",
-    "homing_law": f"{GIVEN}, double thrust[3]",
-}
-OF_TURN = {
-    "turn_verified": f"{GIVEN}, const double error_bound[{KINDS}], double least[1]",
-    "turn_kept": f"const double x[{SIZE}], const double error_bound[{KINDS}], double least[1]",
-    "turn_law": f"const double x[{SIZE}], double torque[3]",
-}
-
-
-def of_one(parts: Sequence[Printed]) -> list[Printed]:
-    """Those of `checks` that are called for one spacecraft; the others are a batch's."""
-    return [part for part in parts if part.name in DECLARED or part.name in OF_TURN or part.name in OF_HOMING]
-
-
 def constants(backup: Backup) -> dict[str, tuple[int | float | str, str]]:
     """What commit.c depends on: by name the value and what it is."""
+    names = ("SEPARATION", 0), ("ZONE", 2), ("PASSIVE", 3), ("TEMPERATURE", 8), ("BATTERY", 9)
     own: dict[str, tuple[int | float | str, str]] = {
-        "LOOKS": (backup.braking.steps, "at a hold"),
-        "BRAKING_HOLDS": (backup.braking.holds, "after which a spacecraft that brakes must be at rest"),
-        "AT_REST": (brake.AT_REST, "m/s"),
+        "LIMITS": (LIMITS, "of which the body rates are one, the last"),
+        "KEPT": (KEPT, "in the unit of each limit: what rounding may take"),
+        "FLIGHT_HOLDS": (backup.holds, "of a flight at most"),
     }
-    return own | trials() | limits()
+    return own | {f"{name}_LIMIT": (place, "") for name, place in names} | trials() | limits()
 
 
 def trials() -> dict[str, tuple[int | float | str, str]]:

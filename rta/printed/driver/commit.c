@@ -1,158 +1,221 @@
-/* Propose, check, commit: a control is applied if all limits are kept while it is held and a way to rest begins at its
- * end; else the nearest control that is, on the way to the backup law's, which was verified one call ago. */
+/* Propose, check, commit: a control is applied if a hold of it, and the flight of both backup laws after it, keep all
+ * limits and end where the laws stay; else the nearest that does, on the way to the laws' control; at last that.
+ *
+ * The same text checks one spacecraft and vectors of them: V is a number, M a truth value, of each. */
 
-static double speed_of(const double at[10])
-{
-    return sqrt(dot(&at[3], &at[3], 3));
-}
+enum { THRUSTS = 0, TORQUES = 1 };
 
-/* Whether a way keeps the limits of motion and comes to rest, hold by hold. */
-static int comes_to_rest(const double from[10])
+/* The limits of thrust, and of torque, in the order of the constraints; the body rates are one. */
+static const int FIRST_LIMIT[2] = {0, MOTION_LIMITS};
+static const int LAST_LIMIT[2] = {MOTION_LIMITS, LIMITS};
+
+static void assign(V *to, const V *from, int count)
 {
-    double at[10];
-    double after[10];
-    double least[1] = {0.0};
-    int is_at_rest = 0;
-    copy(at, from, 10);
-    for (int k = 0; (k < BRAKING_HOLDS) && (is_at_rest == 0) && (least[0] >= 0.0); ++k) {
-        const double speed = speed_of(at);
-        braked(at, after, least);
-        copy(at, after, 10);
-        is_at_rest = (speed <= AT_REST) ? 1 : 0;
+    for (int i = 0; i < count; ++i) {
+        to[i] = from[i];
     }
-    return ((is_at_rest != 0) && (least[0] >= 0.0)) ? 1 : 0;
 }
 
-/* Whether thrust of a control, with its torque, keeps the limits of motion and leaves a way to rest. */
-static int thrust_is_safe(const double x[16], const double control[6])
+/* Whether the least of each limit is not negative, of thrust and of torque, or it is broken already. */
+static void are_kept(const V least[LIMITS], const M broken[LIMITS], M found[2])
 {
-    double least[1];
-    int found = 1;
-    thrust_glance(x, control, least);
-    if (!(least[0] >= 0.0)) {
-        double y[16];
-        double at[10];
-        copy(y, x, 16);
-        least[0] = 0.0;
-        for (int i = 0; (i < LOOKS) && (least[0] >= 0.0); ++i) {
-            double later[16];
-            thrust_look(y, control, later, least);
-            copy(y, later, 16);
+    for (int group = THRUSTS; group <= TORQUES; ++group) {
+        found[group] = YES;
+        for (int k = FIRST_LIMIT[group]; k < LAST_LIMIT[group]; ++k) {
+            found[group] = AND(found[group], OR(least[k] >= KEPT, broken[k]));
         }
-        beginning(y, at);
-        found = ((least[0] >= 0.0) && (comes_to_rest(at) != 0)) ? 1 : 0;
     }
-    return found;
 }
 
-/* Whether torque of a control keeps the attitude's limits and leaves a way to rest. */
-static int torque_is_safe(const double x[16], const double control[6])
+/* Whether a state is where the laws stay: in a cone of attitudes, cool, charged, slow, and clear of chief and edge. Limits
+ * that are broken excuse from what comes back slowly. */
+static void have_arrived(const V x[16], const M broken[LIMITS], M found[2])
 {
-    double least[1];
-    torque_sight(x, control, least);
-    if (!(least[0] >= 0.0)) {
-        torque_verified(x, control, least);
+    V room[5];
+    M inside[5];
+    terminal_room(x, room);
+    for (int i = 0; i < 5; ++i) {
+        inside[i] = room[i] >= 0.0;
     }
-    return (least[0] >= 0.0) ? 1 : 0;
+    inside[1] = OR(inside[1], broken[TEMPERATURE_LIMIT]);
+    inside[2] = OR(inside[2], broken[BATTERY_LIMIT]);
+    inside[4] = OR(inside[4], OR(broken[SEPARATION_LIMIT], OR(broken[ZONE_LIMIT], broken[PASSIVE_LIMIT])));
+    found[THRUSTS] = AND(inside[0], AND(inside[3], inside[4]));
+    found[TORQUES] = AND(inside[0], AND(inside[1], inside[2]));
 }
 
-static int is_safe(int group, const double x[16], const double control[6])
+/* Whether the laws' flight keeps the limits of each group that is asked for, and ends. */
+static void have_ways(const V x[16], const M broken[LIMITS], const M asked[2], M found[2])
 {
-    return (group == THRUST) ? thrust_is_safe(x, control) : torque_is_safe(x, control);
+    V y[16];
+    V least[LIMITS];
+    M alive[2];
+    at_once(x, least);
+    are_kept(least, broken, found);
+    for (int group = THRUSTS; group <= TORQUES; ++group) {
+        found[group] = OR(found[group], NOT(asked[group]));
+        alive[group] = NOT(found[group]);
+    }
+    assign(y, x, 16);
+    for (int k = 0; (k < FLIGHT_HOLDS) && ANY(OR(alive[THRUSTS], alive[TORQUES])); ++k) {
+        V u[6];
+        V after[16];
+        M there[2];
+        M fine[2];
+        have_arrived(y, broken, there);
+        backup_torque(y, &u[3]);
+        backup_thrust(y, &u[3], u);
+        flown(y, u, after, least);
+        are_kept(least, broken, fine);
+        for (int group = THRUSTS; group <= TORQUES; ++group) {
+            found[group] = OR(found[group], AND(alive[group], there[group]));
+            alive[group] = AND(alive[group], AND(fine[group], NOT(there[group])));
+        }
+        assign(y, after, 16);
+    }
 }
 
-/* The nearest control that is safe on the way to the backup law's; returns 0 if not even that is seen to be. */
-static int go_to_backup(int group, const double x[16], double control[6])
+/* Whether a hold of a control, and the flight after it, keep the limits of each group that is asked for. */
+static void are_safe(const V x[16], const V control[6], const M broken[LIMITS], const M asked[2], M found[2])
+{
+    V after[16];
+    V least[LIMITS];
+    M open[2];
+    M kept[2];
+    flown(x, control, after, least);
+    are_kept(least, broken, kept);
+    for (int group = THRUSTS; group <= TORQUES; ++group) {
+        open[group] = AND(asked[group], kept[group]);
+    }
+    have_ways(after, broken, open, found);
+    for (int group = THRUSTS; group <= TORQUES; ++group) {
+        found[group] = AND(found[group], kept[group]);
+    }
+}
+
+/* Of spacecraft whose control is refused the first that is safe on the way to the law's, else that. Returns where it is. */
+static M go_towards_law(const V x[16], int group, M refused, const M broken[LIMITS], V control[6])
 {
     static const double shares[SHARE_COUNT] = SHARES;
-    double proposed[3];
-    double law[3];
-    copy(proposed, &control[3 * group], 3);
-    if (group == THRUST) {
-        brake_law(x, control, law);
+    V law[3];
+    V tried[6];
+    M open = refused;
+    const int first = 3 * group;
+    if (group == THRUSTS) {
+        backup_thrust(x, &control[3], law);
     } else {
-        slew_law(x, law);
+        backup_torque(x, law);
     }
-    int found = 0;
-    for (int i = 0; (i < SHARE_COUNT) && (found == 0); ++i) {
+    V proposed[3];
+    assign(proposed, &control[first], 3);
+    for (int j = 0; j < 3; ++j) {
+        control[first + j] = SELECT(refused, law[j], proposed[j]);
+    }
+    for (int i = 0; (i < SHARE_COUNT) && ANY(open); ++i) {
+        M asked[2] = {NO, NO};
+        M found[2];
+        assign(tried, control, 6);
         for (int j = 0; j < 3; ++j) {
-            const double tried = proposed[j] + (shares[i] * (law[j] - proposed[j]));
-            control[(3 * group) + j] = clip(tried, smaller(proposed[j], law[j]), larger(proposed[j], law[j]));
+            const V way = proposed[j] + (ALL(shares[i]) * (law[j] - proposed[j]));
+            const V low = MIN(proposed[j], law[j]);
+            const V high = MAX(proposed[j], law[j]);
+            tried[first + j] = MIN(MAX(way, low), high);
         }
-        found = is_safe(group, x, control);
-    }
-    return found;
-}
-
-/* Whether one of a group's limits that a way keeps is violated already, or the state holds no numbers: there is none then. */
-static int is_broken(int group, const double x[16], const struct safety_filter_output *out)
-{
-    const int first = (group == THRUST) ? 0 : MOTION_LIMITS;
-    const int last = (group == THRUST) ? MOTION_LIMITS : (MOTION_LIMITS + ATTITUDE_LIMITS);
-    int found = 0;
-    for (int k = first; k < last; ++k) {
-        found |= (out->h[k] >= 0.0) ? 0 : 1;
-    }
-    for (int k = MOTION_LIMITS + ATTITUDE_LIMITS; (k < KEPT_LIMITS) && (group == TORQUE); ++k) {
-        found |= (out->h[k] >= -RATES_ROUNDED) ? 0 : 1; /* rates at their limit, where the plant holds them */
-    }
-    for (int i = 0; i < 16; ++i) {
-        found |= (isfinite(x[i]) != 0) ? 0 : 1;
-    }
-    return found;
-}
-
-/* The limits that a way keeps are kept: what their rows lacked was the rows' alone. */
-static void nothing_yields(int group, struct safety_filter_output *out)
-{
-    double left = 0.0;
-    for (int k = 0; k < CONSTRAINTS_OF[group]; ++k) {
-        const int place = PLACE[group][k];
-        if (IS_KEPT[place] != 0) {
-            out->slack[place] = 0.0;
+        asked[group] = open;
+        are_safe(x, tried, broken, asked, found);
+        const M taken = AND(open, found[group]);
+        for (int j = first; j < (first + 3); ++j) {
+            control[j] = SELECT(taken, tried[j], control[j]);
         }
-        left = larger(left, out->slack[place]);
+        open = AND(open, NOT(taken));
     }
-    if ((out->program_status[group] == SLACK) && !(left > SLACK_ROUNDED)) {
-        out->program_status[group] = HARD;
-    }
+    return AND(refused, NOT(open));
 }
 
-/* Both groups follow their laws: the way was verified with both. */
-static void follow(const double x[16], double control[6], int verified[2])
+/* Puts what may be applied in the place of a proposed control.
+ *
+ * broken: limits that are violated already; strange: the state holds no numbers, and nothing can be checked.
+ * safe, changed: of thrust and of torque. Torque comes first, since the attitude decides where thrust acts. */
+static void commit(const V x[16], const M broken[LIMITS], M strange, V control[6], M safe[2], M changed[2])
 {
-    slew_law(x, &control[3]);
-    brake_law(x, control, control);
-    verified[TORQUE] = torque_is_safe(x, control);
-    verified[THRUST] = thrust_is_safe(x, control);
-}
-
-/* Torque comes first, since the attitude decides where thrust acts. */
-static void commit(const double x[16], double control[6], struct safety_filter_output *out)
-{
-    int verified[2] = {0, 0};
-    int changed[2] = {0, 0};
-    for (int group = TORQUE; group >= THRUST; --group) {
-        if (is_broken(group, x, out) == 0) {
-            verified[group] = is_safe(group, x, control);
-            if (verified[group] == 0) {
-                verified[group] = go_to_backup(group, x, control);
-                changed[group] = 1;
+    const M fit = NOT(strange);
+    const M both[2] = {fit, fit};
+    are_safe(x, control, broken, both, safe);
+    for (int group = THRUSTS; group <= TORQUES; ++group) {
+        safe[group] = AND(safe[group], fit);
+    }
+    for (int group = TORQUES; group >= THRUSTS; --group) {
+        changed[group] = AND(fit, NOT(safe[group]));
+        if (ANY(changed[group])) {
+            safe[group] = OR(safe[group], go_towards_law(x, group, changed[group], broken, control));
+            if (group == TORQUES) { /* thrust is looked at again, with the torque that is applied */
+                const M asked[2] = {changed[TORQUES], NO};
+                M found[2];
+                are_safe(x, control, broken, asked, found);
+                safe[THRUSTS] = AND(safe[THRUSTS], OR(found[THRUSTS], NOT(changed[TORQUES])));
+                safe[THRUSTS] = OR(safe[THRUSTS], AND(found[THRUSTS], changed[TORQUES]));
             }
         }
     }
-    if ((changed[THRUST] != 0) && (verified[THRUST] == 0) && (is_broken(TORQUE, x, out) == 0)) {
-        follow(x, control, verified);
-        changed[TORQUE] = 1;
-    }
-    for (int group = THRUST; group <= TORQUE; ++group) {
-        if ((changed[group] != 0) && (out->program_status[group] < HARD)) {
-            out->program_status[group] = HARD;
+    /* both groups follow their laws where that is safe and no other control is: it was flown a call ago */
+    const M open = AND(OR(changed[THRUSTS], changed[TORQUES]), NOT(AND(safe[THRUSTS], safe[TORQUES])));
+    if (ANY(open)) {
+        V law[6];
+        M found[2];
+        const M asked[2] = {open, open};
+        have_ways(x, broken, asked, found);
+        backup_torque(x, &law[3]);
+        backup_thrust(x, &law[3], law);
+        const M follow = AND(open, AND(found[THRUSTS], found[TORQUES]));
+        for (int j = 0; j < 6; ++j) {
+            control[j] = SELECT(follow, law[j], control[j]);
         }
-        if (verified[group] != 0) {
-            nothing_yields(group, out);
+        for (int group = THRUSTS; group <= TORQUES; ++group) {
+            safe[group] = OR(safe[group], follow);
+            changed[group] = OR(changed[group], follow);
         }
     }
-    out->backup = changed[THRUST] | changed[TORQUE];
-    out->verified = verified[THRUST] & verified[TORQUE];
+}
+
+/* Which limits are violated already, from the values of the constraints. Rates may be at theirs, where the plant holds them. */
+static void are_broken(const V h[CONSTRAINTS], M broken[LIMITS])
+{
+    broken[LIMITS - 1] = NO;
+    for (int k = 0; k < (LIMITS - 1); ++k) {
+        broken[k] = NOT(h[k] >= 0.0);
+    }
+    for (int k = LIMITS - 1; k < KEPT_LIMITS; ++k) {
+        broken[LIMITS - 1] = OR(broken[LIMITS - 1], NOT(h[k] >= -RATES_ROUNDED));
+    }
+}
+
+/* A limit that is kept does not yield: what its row lacked was the row's alone. */
+static void nothing_yields(const M broken[LIMITS], const M safe[2], const M changed[2], V slack[CONSTRAINTS],
+                           V program_status[2])
+{
+    for (int group = THRUSTS; group <= TORQUES; ++group) {
+        V left = ALL(0.0);
+        for (int k = 0; k < CONSTRAINTS; ++k) {
+            if (GROUP_OF[k] == group) {
+                if (k < KEPT_LIMITS) {
+                    const M is_kept = AND(safe[group], NOT(broken[(k < LIMITS) ? k : (LIMITS - 1)]));
+                    slack[k] = SELECT(is_kept, ALL(0.0), slack[k]);
+                }
+                left = MAX(left, slack[k]);
+            }
+        }
+        const V status = SELECT(changed[group], MAX(program_status[group], ALL(1.0)), program_status[group]);
+        const M held = AND(AND(safe[group], NOT(left > SLACK_ROUNDED)), status == 2.0);
+        program_status[group] = SELECT(held, ALL(1.0), status);
+    }
+}
+
+/* Whether all limits are kept, now and on the flight. */
+static M is_verified(const M broken[LIMITS], const M safe[2])
+{
+    M found = AND(safe[THRUSTS], safe[TORQUES]);
+    for (int k = 0; k < LIMITS; ++k) {
+        found = AND(found, NOT(broken[k]));
+    }
+    return found;
 }

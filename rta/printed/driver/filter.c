@@ -220,7 +220,7 @@ void safety_filter(const struct safety_filter_input *in, struct safety_filter_ou
 #endif
     out->verified = verified[THRUST] & verified[TORQUE];
 #if BACKUP
-    commit(x, control, out);
+    check_control(x, control, out);
 #endif
     end(in, control, out);
 }

@@ -43,22 +43,43 @@ long filter_batch(long first, long last, const void *const *in, const long *in_s
         V program_status[2];
         M active[CONSTRAINTS];
         M open[1];
-        M thrust_alone;
+        M unsure = NO;
         load_block(in[0], in_step[0], column, lanes, 16, x);
         load_block(in[1], in_step[1], column, lanes, 6, desired);
         const M told = bring_up_to_date(in, in_step, column, lanes, x, error_bound);
         first_attempt(x, desired, numbers, &numbers[6], &numbers[6 + CONSTRAINTS], program_status, active, open);
         const M unchecked = check_turn(x, error_bound, numbers, program_status) |
                             check_thrust(x, error_bound, numbers, program_status);
-        const M unseen = unsure(x, numbers, &thrust_alone) | unchecked;
-        nothing_yields(unseen, program_status, &numbers[6]);
+#if BACKUP
+        unsure = are_unsure(x, numbers, program_status);
+#endif
         for (int k = 0; k < 6 + 2 * CONSTRAINTS; ++k) {
             store_double(out[NUMBERS], k * out_step[NUMBERS] + column, lanes, numbers[k]);
         }
-        store_statuses(program_status, differ(desired, numbers), CHECKS ? ~unseen : NO, active, out, out_step, column, lanes);
-        unsolved += finish(open[0] | told | unseen, thrust_alone, &these, x, numbers, column, lanes, in, in_step, out,
-                           out_step);
+        store_statuses(program_status, differ(desired, numbers), CHECKS ? ~(unsure | unchecked) : NO, active, out, out_step, column, lanes);
+        unsolved += finish(open[0] | told | unchecked, unsure, &these, x, desired, numbers, program_status, column, lanes, in,
+                           in_step, out, out_step);
     }
-    unsolved += look_closely(&these, in, in_step, out, out_step);
+#if BACKUP
+    check_waiting(&these, out, out_step);
+#endif
     return unsolved;
 }
+
+#if BACKUP
+/* Whether the laws' flight from each state keeps all limits. */
+long filter_ways(long first, long last, const void *const *in, const long *in_step, void *const *out, const long *out_step)
+{
+    static const M none[LIMITS] = {{0}};
+    static const M both[2] = {YES, YES};
+    (void)out_step;
+    for (long column = first; column < last; column += W) {
+        V x[16];
+        M found[2];
+        load_block(in[0], in_step[0], column, last - column, 16, x);
+        have_ways(x, none, both, found);
+        store_bool(out[0], column, last - column, found[0] & found[1]);
+    }
+    return 0;
+}
+#endif

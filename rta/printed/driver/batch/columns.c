@@ -1,12 +1,3 @@
-static int any(M m)
-{
-    int found = 0;
-    for (int lane = 0; lane < W; ++lane) {
-        found |= m[lane] != 0;
-    }
-    return found;
-}
-
 /* Components 0 to count of W columns. */
 static void load_block(const void *in, long step, long column, long lanes, int count, V *to)
 {

@@ -1,0 +1,194 @@
+"""The set in which a flight of the backup laws ends, and which they never leave: certified once per configuration.
+
+Attitude: with a = d x s + sin(psi) d of `attitude_law.astray`, and w the body's rate relative to the Sun, a hold takes
+(a, T w) to M (a, T w) and an error, with z = kappa T and
+
+    M = [1 - z / 2, -1/2; z, 0],        M' P M - P = -1,        V = (a, T w)' P (a, T w).
+
+Where V <= R^2 the error is small enough that V <= R^2 after the hold, too (`cone`). Motion: |v - v_ref(p)| <= CALM and
+nearest <= |p| <= r_max; a hold leaves less than that of it (`TerminalSet.of`), and the field leads away from both ends.
+"""
+
+import math
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from inspection.model.attitude import dot, norm, rotation_matrix
+from inspection.model.dynamics import energy_rate, euler, temperature_rate
+from inspection.model.orbit import free_flight
+from inspection.model.parameters import Limits
+from inspection.model.state import OMEGA, E, P, Q, T, V
+from rta.backup.attitude_law import Pointing, astray
+from rta.backup.chords import FreeFlight
+from rta.backup.motion_law import BESIDE, DRIFT, INSIDE, STEEP, Braking, field
+
+CALM = 2e-3  # m/s
+WIDEST, PARTS = 0.1, 200  # rad, of R at most, and how many smaller ones are tried
+GRID = 4000, 100  # distances and times at which free flight is looked at
+
+
+class NoTerminalSetError(ValueError):
+    """The laws leave every set that is known."""
+
+
+@dataclass(frozen=True)
+class TerminalSet:
+    """Where a flight ends.
+
+    Attributes:
+        quadratic: P, by its entries 11, 12 and 22; radius: R.
+        hottest: deg C; emptiest: kJ; nearest, farthest: m from the chief.
+    """
+
+    c: Limits
+    hold: float
+    quadratic: tuple[float, float, float]
+    radius: float
+    hottest: float
+    emptiest: float
+    nearest: float
+    farthest: float
+
+    @property
+    def leaves(self) -> float:
+        """s, that the field takes from a radius of collision to `nearest` at most."""
+        return (self.nearest - self.c.collision_radius) / (DRIFT - CALM)
+
+    @classmethod
+    def of(cls, pointing: Pointing, braking: Braking) -> "TerminalSet":
+        """Raises NoTerminalSetError."""
+        c, hold = pointing.c, pointing.hold
+        quadratic, contracts = lyapunov(pointing.kappa * hold)
+        radius, far, rate = cone(pointing, quadratic, contracts)
+        hottest, emptiest, _ = resources(far, c)
+        if (left := leftover(braking, rate)) > CALM / 2:
+            raise NoTerminalSetError(f"a hold leaves {left:.2g} m/s")
+        return cls(c, hold, quadratic, radius, hottest, emptiest, nearest(c), c.max_distance)
+
+    def room(self, x: Tensor) -> Tensor:
+        """Not negative where states (16, ...) are in the set: of the cone, heat, charge, speed and place, (5, ...)."""
+        axis, off, cosine = astray(x, self.c)
+        turn = self.hold * (x[OMEGA] + self.c.mean_motion * rotation_matrix(x[Q])[2])
+        d = -turn[0]  # of the panels' axis, -x
+        one, mixed, two = self.quadratic
+        v = one * (dot(axis, axis) + off**2) + 2 * mixed * (dot(axis, turn) + off * d) + two * dot(turn, turn)
+        cone = torch.where(cosine > 0.0, self.radius**2 - v, -1.0)
+        r = norm(x[P])
+        return torch.stack(
+            (
+                cone,
+                self.hottest - x[T],
+                x[E] - self.emptiest,
+                CALM - norm(x[V] - field(x[P], self.c)),
+                torch.minimum(r - self.nearest, self.farthest - r),
+            )
+        )
+
+
+def lyapunov(z: float) -> tuple[tuple[float, float, float], float]:
+    """P as of `TerminalSet`, and by what sqrt(V) is multiplied in a hold at most."""
+    m = torch.tensor([[1 - z / 2, -0.5], [z, 0.0]], dtype=torch.float64)
+    kron = torch.kron(m.T, m.T) - torch.eye(4, dtype=torch.float64)
+    p = torch.linalg.solve(kron, -torch.eye(2, dtype=torch.float64).flatten()).reshape(2, 2)
+    return (p[0, 0].item(), p[0, 1].item(), p[1, 1].item()), math.sqrt(1 - 1 / torch.linalg.eigvalsh(p)[-1].item())
+
+
+def cone(w: Pointing, quadratic: tuple[float, float, float], contracts: float) -> tuple[float, float, float]:
+    """The largest R that the law keeps, with rad from rest and rad/s relative to the Sun in it at most.
+
+    In a hold a changes by -w but for |w| g, as d x s does by -w cos(delta) + s (d . w) and psi by -d . w but for
+    tan(delta / 2) |w|. At its end w is kappa a but for how the body has rolled, for gyroscopic accelerations, which
+    change, and for how n z has turned.
+    """
+    c, t, kappa = w.c, w.hold, w.kappa
+    p = torch.tensor([[quadratic[0], quadratic[1]], [quadratic[1], quadratic[2]]], dtype=torch.float64)
+    inverse, most = torch.linalg.inv(p), torch.linalg.eigvalsh(p)[-1].item()
+    spin, n = max(abs(each) for each in euler((1.0,) * 3, c.inertia)), c.mean_motion
+    for i in range(PARTS, 0, -1):
+        radius = WIDEST * i / PARTS
+        angle = math.asin(min(1.0, radius * math.sqrt(inverse[0, 0].item())))
+        rate = 1.05 * max(radius * math.sqrt(inverse[1, 1].item()) / t, kappa * angle)
+        far = angle + rate * t
+        if far > 0.3:
+            continue
+        g = math.hypot(far + far**2 / 2, far**2 / 2 + math.tan(far / 2))
+        gyroscopic = spin * 2 * (rate + n) * 2 * rate * t
+        amiss = gyroscopic + n * rate * t + 1e-9
+        of_w = t * (kappa * kappa * t / 2 * angle**2 + amiss)
+        of_a = t * rate * g + t * amiss + of_w / 2
+        torque = max(c.inertia) * (2 * rate / t + spin * (rate + n) ** 2)
+        kept = contracts * radius + math.sqrt(most) * math.hypot(of_w, of_a) <= radius
+        kept &= (of_w / t + kappa * angle <= rate) and torque <= c.max_torque
+        kept &= kappa * math.sin(far) <= min(w.rate, w.roll) and math.cos(far) > 0.25
+        if kept and rate + n <= c.max_rate and resources(far, c)[2]:
+            return radius, far, rate
+    raise NoTerminalSetError("the attitude of rest")
+
+
+def resources(far: float, c: Limits) -> tuple[float, float, bool]:
+    """deg C and kJ, up to and from which the limits are kept so many rad from rest, and whether that stays so there.
+
+    The cooled axis is across d, so the Sun shines on it along sin(delta); from z it is delta and psi away.
+    """
+    aside = math.sqrt(2.0) * far
+    hottest = c.max_temperature - c.temperature_sun_slope * far - c.temperature_earth_slope * aside
+    sun, earth, facing = torch.tensor([math.sin(far), math.sin(aside), math.cos(far)], dtype=torch.float64)
+    cools = temperature_rate(sun, earth, torch.full_like(sun, hottest), c) <= 0.0
+    return hottest, c.min_energy + c.energy_sun_slope * far, bool(cools and energy_rate(facing, c) >= 0.0)
+
+
+def leftover(w: Braking, rate: float) -> float:
+    """m/s, that a hold in the set leaves of v - v_ref at most, the body turning by so many rad/s relative to the Sun.
+
+    What `thrust_along` leaves of G, with Simpson's rule off by (w T)^4 / 100 or less; what f changes by where thrust
+    that turns leads astray; and how the field changes on the way.
+    """
+    c, t, n = w.c, w.hold, w.c.mean_motion
+    turned = (rate + n) * t
+    amiss = (turned**2 / 24 + 2 * turned / 24) ** 2 + turned**4 / 100
+    speed = DRIFT + 1.2 * CALM
+    given = CALM / t + c.largest_drift(c.max_distance, speed)
+    astray = given * turned * t / 8  # m/s, in the hold
+    tide = 3 * n**2 * (given * t**2 / 24 + astray * t) + 2 * n * astray
+    steep = max(STEEP, DRIFT / (BESIDE * c.collision_radius))
+    return given * t * amiss + tide * t + steep * speed * t
+
+
+def nearest(c: Limits) -> float:
+    """m from the chief, from where on all limits of motion are kept at speeds that are v_ref but for CALM.
+
+    Free flight is (Phi_rr + s / r Phi_rv) p + Phi_rv w with the field's speed s. The first part is at least its least
+    singular value times r, whatever the direction of p; both matrices are of x and y, and of z apart.
+    """
+    count, moments = GRID
+    beside, most = BESIDE * c.collision_radius, 1.2 * CALM
+    r = torch.linspace(c.collision_radius, c.max_distance, count, dtype=torch.float64)
+    times = torch.linspace(0.0, c.passive_safety_horizon, moments + 1, dtype=torch.float64)
+    along = torch.zeros(3, count, dtype=torch.float64)
+    along[0] = r
+    speed = field(along, c)[0]
+    eye, none = torch.eye(3, dtype=torch.float64)[:, :, None], torch.zeros(3, 1, dtype=torch.float64)
+    of_p = [free_flight(e, none, times, c.mean_motion) for e in eye]  # (3, times), by where it begins
+    of_v = [free_flight(none, e, times, c.mean_motion) for e in eye]
+    (xx, yx, _), (xy, yy, _), (_, _, zz) = (
+        p[:, :, None] + v[:, :, None] * (speed / r) for p, v in zip(of_p, of_v, strict=True)
+    )
+    squares, determinant = xx**2 + xy**2 + yx**2 + yy**2, xx * yy - xy * yx
+    flat = ((squares - (squares**2 - 4 * determinant**2).clamp(min=0.0).sqrt()) / 2).sqrt()
+    free = FreeFlight.of(c, 1, 0)
+    clear = (torch.minimum(flat, zz.abs()) * r - free.velocity * times[:, None] * most).amin(0)
+    gap = (r[1] - r[0]).item()
+    bend = (free.bend_position * r + free.bend_velocity * (speed.abs() + most)) * times[1] ** 2 / 8
+    lost = gap * (free.position + free.velocity * c.passive_safety_horizon * (2 * STEEP + DRIFT / beside))
+    outwards = (2 * c.max_acceleration * (c.max_distance - r).clamp(min=0.0)).sqrt()
+    inwards = (2 * c.max_acceleration * (r - c.collision_radius)).sqrt()
+    limit = (c.docking_speed + c.speed_slope * r).clamp(max=c.max_speed)
+    fine = (clear - bend - lost >= c.collision_radius) & (limit >= speed.abs() + most)
+    fine &= (outwards >= speed + most) & (inwards >= most - speed)
+    bad = torch.nonzero(~fine[:-1]).flatten()
+    first = int(bad.max()) + 1 if bad.numel() else 0
+    if not (r[first] <= beside and beside + DRIFT / STEEP < c.max_distance - INSIDE - DRIFT / STEEP and most < DRIFT):
+        raise NoTerminalSetError("the zone is too small, or no rest beside the chief stays clear")
+    return r[first].item()
