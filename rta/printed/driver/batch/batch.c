@@ -70,8 +70,8 @@ long filter_batch(long first, long last, const void *const *in, const long *in_s
 /* Whether the laws' flight from each state keeps all limits. */
 long filter_ways(long first, long last, const void *const *in, const long *in_step, void *const *out, const long *out_step)
 {
-    static const M none[LIMITS] = {{0}};
-    static const M both[2] = {YES, YES};
+    const M none[LIMITS] = {NO};
+    const M both[2] = {YES, YES};
     (void)out_step;
     for (long column = first; column < last; column += W) {
         V x[16];

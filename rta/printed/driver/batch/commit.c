@@ -16,7 +16,7 @@ struct waiting {
  * yields. Numbers: controls, slack, h. */
 static M are_unsure(const V x[16], V numbers[6 + 2 * CONSTRAINTS], V program_status[2])
 {
-    static const M unchanged[2] = {NO, NO};
+    const M unchanged[2] = {NO, NO};
     V after[16];
     V least[LIMITS];
     M broken[LIMITS];
