@@ -15,6 +15,7 @@ from torch import Tensor
 from inspection.model.state import CONTROL_SIZE, SIZE, THRUST, TORQUE
 from kernels import Kernel, Printed, batch, if_long, library, printed
 from kernels.build import for_vectors
+from kernels.cache import remembered
 from kernels.compiled import check, in_shares, over_columns, pointers, strided, timed
 from rta.backup.homing import calls
 from rta.conditions.condition import demanded
@@ -108,9 +109,8 @@ class BatchFilter(Columns):
 
     def __init__(self, safety_filter: "SafetyFilter") -> None:
         holds = safety_filter.holds
-        own, ways = functions(safety_filter), checks(safety_filter)
+        own, ways, parts = remembered(recorded, safety_filter)
         shared = own if holds else []  # which Python calls, too
-        parts = held_parts(safety_filter, shared) if holds else now_parts(safety_filter)
         self.statements = sum(part.statements for part in parts)
         backup = safety_filter.backup
         many = [
@@ -135,6 +135,12 @@ class BatchFilter(Columns):
         self.parts = [Kernel(part, found) for part in shared]
         x, u = (part.expand(-1, PROBED).contiguous() for part in safety_filter.probe("cpu"))
         self.seconds = min(timed(self, x, u) for _ in range(3)) / PROBED
+
+
+def recorded(safety_filter: "SafetyFilter") -> tuple[list[Printed], list[Printed], list[Printed]]:
+    """What is printed of a filter: `functions`, `checks`, and what else is for vectors."""
+    own, ways = functions(safety_filter), checks(safety_filter)
+    return own, ways, held_parts(safety_filter, own) if safety_filter.holds else now_parts(safety_filter)
 
 
 def by_column(holds: bool) -> str:

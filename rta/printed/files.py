@@ -14,8 +14,10 @@ from torch import Tensor
 
 from inspection.model.dynamics import step
 from kernels import printed
+from kernels.cache import remembered
 from kernels.exported import REFUSES_FAST_MATH, check_directory, check_prefix, prefixed
 from rta.constraints.names import UNITS
+from rta.printed.batch import recorded
 from rta.printed.single import single
 from rta.printed.source import (
     constants,
@@ -24,12 +26,11 @@ from rta.printed.source import (
     driver_text,
     entries,
     for_one,
-    functions,
     interface,
     table,
 )
 from rta.printed.vectors import vectors
-from rta.printed.way import checks, of_one
+from rta.printed.way import of_one
 from rta.qp.programs import Status
 
 if TYPE_CHECKING:
@@ -254,7 +255,8 @@ def quoted(text: str) -> str:
 
 def implementation(safety_filter: "SafetyFilter") -> str:
     """safety_filter.c: what people read first, printed functions last."""
-    printed_functions = for_one([*functions(safety_filter), *of_one(checks(safety_filter))])
+    own, ways, _ = remembered(recorded, safety_filter)
+    printed_functions = for_one([*own, *of_one(ways)])
     names = ",\n".join(f"    {quoted(name)}" for name in safety_filter.names)
     given = driver_files(safety_filter)
     titles = [

@@ -30,7 +30,7 @@ from rta.result import FilterResult
 from study import experiment
 from study.config import Config, TrainParameters
 from study.machine import compiling
-from tests.shared import OPTIMISED, QUICK
+from tests.optimised import OPTIMISED, QUICK
 
 C = InspectionParameters()
 
@@ -168,7 +168,7 @@ def test_compiled_filter_equals_the_eager_one(
 
 
 def test_optimisation_changes_no_bit_of_a_filter(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Most tests fly filters that are not optimised, see `tests.shared`."""
+    """Most tests fly filters that are not optimised, see `kernels_cache`."""
     found = []
     for flags in (OPTIMISED, QUICK):
         monkeypatch.setattr(build, "FLAGS", flags)
