@@ -33,8 +33,6 @@ def arithmetic(p: Program) -> dict[str, Scalar]:
         return p.power(a, float(b)) if isinstance(b, int | float) else p.call("pow", a, b)
 
     def divided(a: Value, b: Value, rounding_mode: str | None = None) -> Value:
-        if rounding_mode == "floor":
-            return floor_divided(p, a, b)
         return p.call(rounding_mode, p.div(a, b)) if rounding_mode else p.div(a, b)
 
     def remainder(a: Value, b: Value) -> Value:
@@ -47,7 +45,6 @@ def arithmetic(p: Program) -> dict[str, Scalar]:
         "rsub": lambda a, b, alpha=1: add(b, a, -alpha),
         "mul": p.mul,
         "div": divided,
-        "floor_divide": partial(floor_divided, p),
         "remainder": remainder,
         "pow": power,
     }
@@ -85,7 +82,6 @@ def comparisons(p: Program) -> dict[str, Scalar]:
         "isnan": lambda a: p.not_(p.eq(a, a)),
         "isinf": lambda a: p.eq(p.call("fabs", a), math.inf),
         "isfinite": finite,
-        "signbit": lambda a: p.lt(p.call("copysign", 1.0, a), 0.0),
     }
 
 
@@ -94,13 +90,6 @@ def of_one(p: Program) -> dict[str, Scalar]:
 
     def sign(a: Value) -> Value:
         return p.sub(p.number(p.lt(0.0, a)), p.number(p.lt(a, 0.0)))
-
-    def elu(a: Value, alpha: float = 1.0, scale: float = 1.0, input_scale: float = 1.0) -> Value:
-        below = p.mul(float(alpha * scale), p.call("expm1", p.mul(a, float(input_scale))))
-        return p.select(p.lt(0.0, a), p.mul(a, float(scale)), below)
-
-    def gelu(a: Value) -> Value:
-        return p.mul(p.mul(0.5, a), p.add(1.0, p.call("erf", p.mul(a, math.sqrt(0.5)))))
 
     return {
         "neg": p.neg,
@@ -113,18 +102,11 @@ def of_one(p: Program) -> dict[str, Scalar]:
         "round": partial(p.call, "rint"),
         "sigmoid": lambda a: p.div(1.0, p.add(1.0, p.call("exp", p.neg(a)))),
         "relu": lambda a: p.max(a, 0.0),
-        "leaky_relu": lambda a, slope=0.01: p.select(p.lt(0.0, a), a, p.mul(float(slope), a)),
-        "elu": elu,
-        "gelu": gelu,
     }
 
 
 def of_several(p: Program) -> dict[str, Scalar]:
     """Choices."""
-
-    def fmin(a: Value, b: Value, least: Scalar = p.min) -> Value:
-        """Of NaN and a number the number."""
-        return p.select(p.eq(a, a), p.select(p.eq(b, b), least(a, b), a), b)
 
     def clamp(a: Value, low: Any = None, high: Any = None) -> Value:
         """Of NaN it is NaN; where the bounds cross, the upper one."""
@@ -134,11 +116,9 @@ def of_several(p: Program) -> dict[str, Scalar]:
     return {
         "minimum": p.min,
         "maximum": p.max,
-        "fmin": fmin,
-        "fmax": partial(fmin, least=p.max),
         "where": p.select,
         "masked_fill": lambda x, mask, value: p.select(mask, value, x),
-        **{name: clamp for name in ("clamp", "clamp_min", "hardtanh")},
+        **{name: clamp for name in ("clamp", "clamp_min")},
         "clamp_max": p.min,
     }
 
@@ -148,14 +128,3 @@ def has_other_sign(p: Program, rest: Value, b: Value) -> Value:
     negative = p.lt(rest, 0.0)
     differs = p.select(p.lt(b, 0.0), p.not_(negative), negative)
     return p.and_(p.not_(p.eq(rest, 0.0)), differs)
-
-
-def floor_divided(p: Program, a: Value, b: Value) -> Value:
-    """a // b as PyTorch has it: from the exact remainder, so that 1 // 0.1 is 9."""
-    rest = p.call("fmod", a, b)
-    whole = p.div(p.sub(a, rest), b)
-    whole = p.sub(whole, p.number(has_other_sign(p, rest, b)))
-    down = p.call("floor", whole)
-    down = p.add(down, p.number(p.lt(0.5, p.sub(whole, down))))
-    down = p.select(p.eq(whole, 0.0), p.call("copysign", 0.0, p.div(a, b)), down)
-    return p.select(p.eq(b, 0.0), p.div(a, b), down)

@@ -60,6 +60,11 @@ def test_a_refusal_shows_the_line_that_wants_it() -> None:
 
 REFUSED: dict[str, tuple[Function, str]] = {
     "a mask that selects": (lambda x: x[x > 0.0][None], "aten::index.Tensor with a mask that is computed"),
+    "cumulative sums": (lambda x: x.cumsum(0), "aten::cumsum"),
+    "a variance": (lambda x: x.var(0)[None], "aten::var.correction"),
+    "a whole quotient": (lambda x: x // 0.1, "aten::floor_divide"),
+    "entries moved": (lambda x: x.roll(1, 0), "aten::roll"),
+    "entries scattered": (lambda x: x.scatter(0, x.argmax(0, keepdim=True), 7.0), "aten::scatter.value"),
     "linear equations": (lambda x: torch.linalg.solve(x.expand(3, 3), x), "aten::_linalg_solve_ex"),
     "random numbers": (lambda x: x + torch.rand(3, 1), "aten::rand of random numbers"),
     "like another": (lambda x: x + torch.randn_like(x), "aten::randn_like of random numbers"),
