@@ -7,12 +7,14 @@ of the interpreter, PyTorch and their like goes by name and version. Files that 
 import dis
 import functools
 import hashlib
-import importlib
+import importlib.util
 import platform
 import sys
+import sysconfig
 import threading
 import types
 from collections.abc import Callable, Collection, Iterable, Iterator
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -31,6 +33,7 @@ OF_RUNS = {
     f"kernels.{name}" for name in ("build", "cache", "compiled", "digest")
 }  # nothing that is recorded there
 BY_TEXT = {"getattr", "vars", "globals", "eval", "exec"}  # with which code reads what it does not name
+PYTHON = Path(sysconfig.get_path("stdlib"))
 SLOT = types.MemberDescriptorType
 IMPORT = dis.opmap["IMPORT_NAME"]
 PLAIN = (type(None), bool, int, float, complex, str, bytes, type(...), range, slice, np.generic, np.ufunc, torch.dtype,
@@ -86,7 +89,16 @@ def parts_of(thing: Any) -> Iterable[Any]:
 
 def is_library(module: str | None) -> bool:
     """Whether the code of a module, by its name, goes by name."""
-    return (module or "builtins").partition(".")[0] in LIBRARIES or module in OF_RUNS
+    top = (module or "builtins").partition(".")[0]
+    return (top in LIBRARIES and is_installed(top)) or module in OF_RUNS
+
+
+@functools.cache
+def is_installed(top: str) -> bool:
+    """Whether a module of a library's name is the library's, and not somebody's own `statistics.py`."""
+    found = importlib.util.find_spec(top)
+    path = Path(found.origin if found and found.has_location and found.origin else PYTHON)
+    return path.is_relative_to(PYTHON) or not {"site-packages", "dist-packages"}.isdisjoint(path.parts)
 
 
 def of_function(f: types.FunctionType) -> Iterator[Any]:

@@ -30,9 +30,9 @@ OWN = {
     "own": "import helper\nGAIN = 2.0\ndef made(x):\n    print('computed')\n    return GAIN * helper.turned(x)\n",
     "helper": "from functools import cache\nclass Turn:\n    by = -1.0\n    def of(self, x):\n"
     "        return x * self.by\n"
-    "@cache\ndef turned(x):\n    from late import more\n    return Turn().of(x) + more()\n",
-    "late": "def more():\n    return 0.0\n",
-}  # modules of somebody's own
+    "@cache\ndef turned(x):\n    from this import more\n    return Turn().of(x) + more()\n",
+    "this": "def more():\n    return 0.0\n",
+}  # modules of somebody's own, one with the name of one of Python's
 RUN = "from kernels.cache import remembered; import own; print(remembered(own.made, 1.0))"
 
 
@@ -90,7 +90,7 @@ def test_processes_may_compute_the_same_at_once_and_others_read_it(
         ("own", "GAIN * helper", "helper", "-1.0"),
         ("helper", "by = -1.0", "by = 4.0", "8.0"),
         ("helper", "x * self.by", "x + self.by", "0.0"),
-        ("late", "0.0", "1.0", "0.0"),
+        ("this", "0.0", "1.0", "0.0"),
     ],
 )
 def test_a_changed_line_of_anybodys_is_another_function(
