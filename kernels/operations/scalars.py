@@ -33,6 +33,8 @@ def arithmetic(p: Program) -> dict[str, Scalar]:
         return p.power(a, float(b)) if isinstance(b, int | float) else p.call("pow", a, b)
 
     def divided(a: Value, b: Value, rounding_mode: str | None = None) -> Value:
+        if rounding_mode == "floor":
+            return floor_divided(p, a, b)
         return p.call(rounding_mode, p.div(a, b)) if rounding_mode else p.div(a, b)
 
     def remainder(a: Value, b: Value) -> Value:
@@ -45,6 +47,7 @@ def arithmetic(p: Program) -> dict[str, Scalar]:
         "rsub": lambda a, b, alpha=1: add(b, a, -alpha),
         "mul": p.mul,
         "div": divided,
+        "floor_divide": partial(floor_divided, p),
         "remainder": remainder,
         "pow": power,
     }
@@ -128,3 +131,14 @@ def has_other_sign(p: Program, rest: Value, b: Value) -> Value:
     negative = p.lt(rest, 0.0)
     differs = p.select(p.lt(b, 0.0), p.not_(negative), negative)
     return p.and_(p.not_(p.eq(rest, 0.0)), differs)
+
+
+def floor_divided(p: Program, a: Value, b: Value) -> Value:
+    """a // b as PyTorch has it: from the exact remainder, so that 1 // 0.1 is 9."""
+    rest = p.call("fmod", a, b)
+    whole = p.div(p.sub(a, rest), b)
+    whole = p.sub(whole, p.number(has_other_sign(p, rest, b)))
+    down = p.call("floor", whole)
+    down = p.add(down, p.number(p.lt(0.5, p.sub(whole, down))))
+    down = p.select(p.eq(whole, 0.0), p.call("copysign", 0.0, p.div(a, b)), down)
+    return p.select(p.eq(b, 0.0), p.div(a, b), down)

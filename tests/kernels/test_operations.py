@@ -74,6 +74,7 @@ OF_ONE: dict[str, Function] = {
     "where of a number": lambda x: torch.where(x > 0.5, x, -1.0),
     "masked_fill": lambda x: x.masked_fill(x.isnan() | (x < 0.0), 4.0),
     "remainder of a number": lambda x: x % 0.7,
+    "floor_divide by a number": lambda x: x // 0.1,
     "bool": lambda x: x.bool(),
     "long": lambda x: x.nan_to_num(posinf=3.0, neginf=4.0).clamp(-9.9, 9.9).long(),
     "min with NaN": lambda x: x.clamp(min=math.nan),
@@ -81,12 +82,13 @@ OF_ONE: dict[str, Function] = {
 OF_TWO: dict[str, Function] = {
     **named(
         torch,
-        "add sub rsub mul div pow minimum maximum atan2 hypot fmod remainder copysign "
+        "add sub rsub mul div pow minimum maximum atan2 hypot fmod remainder floor_divide copysign "
         "heaviside logaddexp xlogy lt le gt ge eq ne logical_and logical_or logical_xor",
     ),
     "add alpha": lambda x, y: torch.add(x, y, alpha=3),
     "sub alpha": lambda x, y: torch.sub(x, y, alpha=0.25),
     "div trunc": lambda x, y: torch.div(x, y, rounding_mode="trunc"),
+    "div floor": lambda x, y: torch.div(x, y, rounding_mode="floor"),
     "lerp": lambda x, y: torch.lerp(x, y, 0.3),
     "addcmul": lambda x, y: torch.addcmul(x, x, y, value=2.0),
     "addcdiv": lambda x, y: torch.addcdiv(x, x, y, value=2.0),
@@ -154,7 +156,7 @@ def test_a_literal_zero_or_one_folds_as_is_said() -> None:
 
 # derivatives
 
-NOT_DIFFERENTIATED = ("heaviside", "long", "bool", "numbers", "isclose", "remainder")
+NOT_DIFFERENTIATED = ("heaviside", "floor_divide", "long", "bool", "numbers", "isclose", "remainder")
 ONCE = ("silu", "softplus of 2")  # at most, by PyTorch's forward mode
 
 
