@@ -316,7 +316,6 @@ def run_export(
     out: str | None = None,
     c: str | None = None,
     filter: str | None = None,
-    float: bool = False,
     prefix: str | None = None,
 ) -> None:
     """main.py export"""
@@ -326,8 +325,7 @@ def run_export(
     if filter is not None:
         from study.export import filter as export_filter
 
-        real = "float" if float else "double"
-        print(export_filter.export(with_filter(configure), Path(filter), real, **named))
+        print(export_filter.export(with_filter(configure), Path(filter), **named))
         return
     if checkpoint is None:
         raise InputError(f"--checkpoint F is needed by {'--out' if c is None else '--c'}")

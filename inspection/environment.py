@@ -167,7 +167,7 @@ class InspectionEnv:
         Raises as `Compiled`, and changes nothing then.
         """
         own = {"_normalised": self._compiled(self._normalised, self.x, *self.sight.observed())}
-        if not (self.plant and not self.plant.is_traceable):
+        if not (self.plant and not self.plant.is_recordable):
             own["_integrate"] = self._compiled(self._integrate, self.x, self.x[:CONTROL_SIZE], *self._bodies)
         if self.safety.values:
             own["_values"] = self._compiled(self.safety.values, self.x, points=len(self.c.planes))

@@ -1,4 +1,4 @@
-"""Functions of a batch made fast: traced, printed as C, built and loaded. It knows nothing of spacecraft."""
+"""Functions of a batch made fast: recorded, printed as C, built and loaded. It knows nothing of spacecraft."""
 
 from typing import TYPE_CHECKING
 

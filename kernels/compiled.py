@@ -1,4 +1,4 @@
-"""Functions of a batch, compiled: printed as C on a CPU, by torch.compile on CUDA. Or traced only."""
+"""Functions of a batch, compiled: printed as C on a CPU, by torch.compile on CUDA."""
 
 import ctypes
 import math
@@ -15,9 +15,7 @@ from torch import Tensor
 from kernels import build
 from kernels.build import for_vectors
 from kernels.printer import Part, Printed, printed
-from kernels.trace import traced
 
-SIZES = (16, 256)  # of a chunk that is traced: for few spacecraft, for many; a CPU's caches hold the latter
 WORTH_A_THREAD = 6e-5  # s of computing that repay handing a share to a thread
 PROBED = 512  # columns whose time says what a column takes
 
@@ -33,7 +31,6 @@ class Compiled:
         function: what to compile; without control flow that depends on values.
         examples: arguments of one column, on the device to compile for.
         batch: how many columns a call will usually have; any number is allowed.
-        trace_only: run the traced operations one by one, bit for bit what `function` does, without a compiler.
         long: length of an axis that is looped over, see `printed`.
 
     Raises:
@@ -45,14 +42,11 @@ class Compiled:
         self,
         function: Callable[..., Parts],
         *examples: Tensor,
-        batch: int = SIZES[-1],
-        trace_only: bool = False,
+        batch: int = 256,
         long: int = 0,
     ) -> None:
-        if trace_only:
-            self.run: Callable[..., Parts] = Chunks(function, *examples, batch=batch)
-        elif examples[0].device.type == "cpu":
-            self.run = Kernel(printed(function, *examples, long=long))
+        if examples[0].device.type == "cpu":
+            self.run: Callable[..., Parts] = Kernel(printed(function, *examples, long=long))
         else:
             self.run = torch.compile(with_own_code(function), dynamic=True)
             self(*(example.expand(*example.shape[:-1], batch).contiguous() for example in examples))
@@ -66,32 +60,6 @@ class Compiled:
         for _ in range(times - 1):
             parts = self.run(parts[0], *tensors[1:])
         return parts
-
-
-class Chunks:
-    """The traced operations of a function, by chunks of a fixed size, the last one filled up with copies."""
-
-    def __init__(self, function: Callable[..., Parts], *examples: Tensor, batch: int) -> None:
-        self.size = next((size for size in SIZES if batch <= size), SIZES[-1])
-        columns = [example.expand(*example.shape[:-1], self.size).contiguous() for example in examples]
-        self.run = traced(function, *columns)
-        with torch.no_grad():
-            self.nothing = [part[..., :0] for part in self.run(*columns)]
-
-    def __call__(self, *tensors: Tensor) -> Parts:
-        """What the function returns."""
-        batch = tensors[0].shape[-1]
-        starts = range(0, batch, self.size)
-        if not starts:
-            return self.nothing
-        found = [self.run(*(filled(x[..., i : i + self.size], self.size) for x in tensors)) for i in starts]
-        return [torch.cat(parts, -1)[..., :batch] for parts in zip(*found, strict=True)]
-
-
-def filled(x: Tensor, size: int) -> Tensor:
-    """x (..., n) with its first column repeated at the end, contiguous (..., size)."""
-    missing = size - x.shape[-1]
-    return torch.cat((x, x[..., :1].expand(*x.shape[:-1], missing)), -1) if missing else x.contiguous()
 
 
 class Kernel:

@@ -6,6 +6,7 @@ others. What they do to numbers is done to values as well.
 
 import functools
 import gc
+import threading
 import traceback
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -24,7 +25,6 @@ from kernels.operations.aten import Operations
 from kernels.operations.expressions import MASK, NUMBER, Program, Value, kind_of
 from kernels.operations.shapes import filled
 from kernels.text import TYPES, Part, element
-from kernels.trace import TRACING
 
 INTEGERS = {torch.int64, torch.int32, torch.int16, torch.int8, torch.uint8}  # numbers without a fraction here
 PLACES_AND_TYPES = {"dtype", "device", "layout", "pin_memory", "memory_format", "implicit", "non_blocking"}
@@ -36,6 +36,7 @@ OF_SHAPE = {
     "_efficientzerotensor",
     "_new_zeros_with_same_feature_meta",
 }
+RECORDING = threading.RLock()  # the garbage collector is everybody's
 SEEN_BY = (Tensor.tolist, Tensor.numpy, Tensor.__array__)  # without an operation
 BRANCH = "values that decide what is computed, as in `if`, float() or x[x > 0], cannot be printed as C: use torch.where"
 
@@ -238,7 +239,7 @@ def evaluated(
         array = argument(recorder, part)
         array.flags.writeable = False
         recorder.put(x, array)
-    with TRACING, uncollected(), Watch(recorder), recorder:
+    with RECORDING, uncollected(), Watch(recorder), recorder:
         results = function(*inputs)
     return results, [recorder.values(each) for each in results]
 

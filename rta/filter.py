@@ -48,7 +48,7 @@ class SafetyFilter:
     """The minimally invasive correction of a desired control.
 
     Call it as a function; `correct` is the same without its checks, for batches in float64. Any thread may call it. A
-    copy, or what another process is given, is not traced or compiled.
+    copy, or what another process is given, is not compiled.
 
     Args:
         c: the task's constants; None: the paper's.
@@ -108,7 +108,7 @@ class SafetyFilter:
         self._is_auto = solver is None and parameters.qp_solver == "auto"
         self._solves_in_c = isinstance(self.solver, BatchedSolver) or self._is_auto
         self.compiled: BatchFilter | None = None
-        self._is_traced = False
+        self._is_compiled = False
 
     def __reduce__(self) -> tuple[Any, ...]:
         return type(self), (self.c, self.parameters, self._given_solver, self.extra, self.known)
@@ -168,8 +168,8 @@ class SafetyFilter:
         """
         kept = (self.values(x) >= 0.0).all(0)
         if self.backup:
-            in_c = self.compiled is not None and x.device.type == "cpu"
-            return narrowed(kept, x, self.compiled.have_ways if in_c else self.backup.has_way)
+            compiled = self.compiled if x.device.type == "cpu" else None
+            return narrowed(kept, x, compiled.have_ways if compiled else self.backup.has_way)
         thrust, torque = self.groups
         if self.homing:
             kept = narrowed(kept, x, self.homing.has_way)
@@ -189,30 +189,15 @@ class SafetyFilter:
         """
         if self._solves_in_c and torch.device(device).type == "cpu":
             self.compiled = BatchFilter(self)
+            self._is_compiled = True
             return
-        compiled = self._compiled(device, batch, trace_only=False)
+        compiled = [
+            Compiled(run, *given, batch=batch) for run, given in self.propose.parts(*self.probe(device))
+        ]
         rows = max(len(group.weights) for group in self.groups)
         self.solver.compile([rows, 2 * rows] if self.holds else [rows], batch, device)  # held ones twice
-        self._use(compiled)
-
-    @in_full_precision
-    def trace(self, batch: int = 1, device: torch.device | str = "cpu") -> None:
-        """Traces what is computed for every spacecraft, on this device and in calls of about so many.
-
-        Takes some seconds, or 20 where controls are held, and no compiler; calls then take half of their time, or four
-        fifths, with the same bits in their results.
-        """
-        self._use(self._compiled(device, batch, trace_only=True))
-
-    def _use(self, compiled: list[Compiled]) -> None:
-        """Computes with what was compiled or traced from now on."""
         self.propose.use(compiled)
-        self._is_traced = True
-
-    def _compiled(self, device: torch.device | str, batch: int, trace_only: bool) -> list[Compiled]:
-        """What is computed for every spacecraft, compiled."""
-        parts = self.propose.parts(*self.probe(device))
-        return [Compiled(run, *given, batch=batch, trace_only=trace_only) for run, given in parts]
+        self._is_compiled = True
 
     def probe(self, device: torch.device | str) -> tuple[Tensor, Tensor]:
         """A state (16, 1) and a control (6, 1) to try functions of the batch with."""
@@ -241,8 +226,7 @@ class SafetyFilter:
     def __call__(self, x: Any, desired: Any) -> FilterResult:
         """Filters a desired control: of one spacecraft, or of each of a batch.
 
-        Where no control is held the first call for one spacecraft compiles the filter, which takes 3 s the first time,
-        or traces it where there is no compiler.
+        Where no control is held the first call for one spacecraft compiles the filter, which takes 3 s the first time.
 
         Args:
             x: state (16,) or states (16, B), components in the order of `inspection.model.state`.
@@ -262,20 +246,18 @@ class SafetyFilter:
         given = Given(x, desired)
         for doubt in doubts(given.x, self.c):
             warnings.warn(f"state: {doubt}", stacklevel=3)  # a decorator is between
-        is_slow = self.compiled is None and not self._is_traced
-        fit = given.single and given.x.device.type == "cpu" and not self.holds and is_slow
+        fit = given.single and given.x.device.type == "cpu" and not self.holds and not self._is_compiled
         result = (self._for_one if fit else self).correct(given.x, given.desired)
         return FilterResult(*(given.in_kind(getattr(result, field.name)) for field in fields(result)))
 
     @cached_property
     def _for_one(self) -> "SafetyFilter":
-        """This filter, compiled or traced for one spacecraft at a time."""
+        """This filter for one spacecraft at a time: compiled, where it can be."""
         other = SafetyFilter(self.c, self.parameters, self._given_solver, self.extra, self.known)
         try:
             other.compile("cpu", 1)
         except (NoCompilerError, NotImplementedError) as error:
-            say(f"{error}: the filter is traced instead, which takes seconds")
-            other.trace()
+            say(f"{error}: the filter is not compiled, which makes it slower")
         return other
 
     @in_full_precision

@@ -24,8 +24,8 @@ class WithoutShapes(TorchFunctionMode):
     """Has sums, differences, products and quotients in forward mode formed without asking Python for shapes.
 
     PyTorch does that for every derivative that is zero as the operand does not depend on x: half a millisecond each,
-    two thirds of a call of the filter that is not traced. For numbers it has operations of their own; a tensor is given
-    a derivative of zeros. The results' bits are the same where all operands are finite.
+    two thirds of a call of the filter that is not compiled. For numbers it has operations of their own; a tensor is
+    given a derivative of zeros. The results' bits are the same where all operands are finite.
     """
 
     OPERATIONS = {  # noqa: RUF012

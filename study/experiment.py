@@ -74,7 +74,6 @@ class Experiment:
         task: `priced`, with the chief's hull where it is that to stay clear of.
         safety: constraints, admissible starts and, if the configuration wants it, the filter.
         filter_compiled, compiled: the filter is compiled; simulator and learner are to be.
-        worth_tracing: calls that repay tracing the filter.
 
     Raises:
         InputError: the configuration's parts do not fit together or the machine.
@@ -90,7 +89,7 @@ class Experiment:
         seconds = min(EPISODE, config.inspection.max_time) if seconds is None else seconds
         choice, calls = config.train.compile, seconds / config.rta.period
         steps = seconds / config.inspection.action_period
-        worth_compiling, self.worth_tracing = repaid_after(config.uncertainty.holds(config.rta))
+        worth_compiling = repaid_after(config.uncertainty.holds(config.rta))
         self.filter_compiled = config.train.rta and wants_compile(choice, calls >= worth_compiling)
         self.config = settled(config, batch, self.device, self.filter_compiled)
         self.compiled = wants_compile(choice, steps >= WORTH_COMPILING_SIMULATOR)
@@ -103,17 +102,9 @@ class Experiment:
             self.filter_compiled = compile_or_explain(
                 "filter", lambda: self.filter.compile(self.device, batch)
             )
-        worth = config.train.rta and choice != "off" and calls >= self.worth_tracing
-        if worth and not self.filter_compiled and self.device.type == "cpu":
-            self.trace_filter(batch)
         self.safety = self.filter.safety(config.train.rta)
         if config.train.keep_clear and not ignores_keep_clear(config):
             self.safety = kept_clear(self.safety, self.task)
-
-    def trace_filter(self, batch: int) -> None:
-        """Has the filter traced for calls of about so many spacecraft, which saves three quarters of a call's time."""
-        with step("tracing the filter, seconds, or 20 with [uncertainty] or a period above 1 s"):
-            self.filter.trace(batch, self.device)
 
     def generators(self, seeds: Sequence[int] = (0,)) -> list[torch.Generator]:
         """One per seed, on the device."""

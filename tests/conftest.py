@@ -21,10 +21,11 @@ from inspection.model.parameters import InspectionParameters
 from inspection.model.state import OMEGA, SIZE, THETA_S, E, P, Q, T, V
 from inspection.transition import METRICS
 from inspection.world.parameters import PlantParameters
+from kernels import build
 from rta.constraints.names import CONSTRAINTS
 from study.config import ARMS, BASELINES, Config, StudyConfig
 from study.machine import progress
-from tests.shared import share
+from tests.optimised import QUICK
 
 # Files that take more than half a minute of a core, the longest first: what begins last must not be long, or one of the
 # workers of pytest-xdist ends minutes after the others. By itself it begins with the files of most tests.
@@ -80,15 +81,19 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 
 @pytest.fixture(scope="session", autouse=True)
-def shared_filters(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    """Filters in C that are traced once in a run, and built once in a process, see `tests.shared`."""
-    directory = None
-    if "PYTEST_XDIST_WORKER" in os.environ:
-        directory = tmp_path_factory.getbasetemp().parent / "printed"  # of all workers of this run
-        directory.mkdir(exist_ok=True)
+def kernels_cache(pytestconfig: pytest.Config, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """A cache of what is recorded and built, in pytest's own, and libraries that are not optimised.
+
+    Nothing is recorded or built twice, in no run: what is kept goes by the code, compiler and processor. `pytest
+    --cache-clear` empties it. tests/kernels builds as users do; `test_optimisation_changes_no_bit_of_a_filter` there
+    says that the compiler's optimisation does not matter.
+    """
+    kept = getattr(pytestconfig, "cache", None)  # None under -p no:cacheprovider
+    directory = kept.mkdir("kernels") if kept else tmp_path_factory.mktemp("kernels")
     with pytest.MonkeyPatch.context() as patch:
-        share(patch, directory)
-        yield
+        patch.setenv(build.VARIABLE, str(directory))
+        patch.setattr(build, "FLAGS", QUICK)
+        yield directory
 
 
 @pytest.fixture(autouse=True)

@@ -596,7 +596,10 @@ PRINTER = [
         "kernels/operations/reductions.py",
         "kernels/test_operations.py",
         ("for i, j in ((1, 2), (2, 0), (0, 1))", "for i, j in ((1, 2), (0, 2), (0, 1))"),
-        ("count / (count - (1.0 if correction is None else correction))", "1.0"),
+        (
+            'self.call("div", self.by_name["sum"](x, dim, keepdim), self.count(dim))',
+            'self.by_name["sum"](x, dim, keepdim)',
+        ),
     ),
     *faults(
         "kernels/vector.h",
@@ -626,6 +629,20 @@ PRINTER = [
         "kernels/test_build.py -k damaged or fused",
         ('if path.name == f"{name}.{digest(path)}.so":', "if path.exists():"),
         ('"-ffp-contract=off"', '"-ffp-contract=fast"'),
+    ),
+    *faults(
+        "kernels/cache.py",
+        "kernels/test_cache.py -k damaged or something_else",
+        ("if given != seal(path.name, found):", "if len(given) < 32:"),
+        ("hashlib.sha256(name.encode() + contents)", "hashlib.sha256(contents)"),
+    ),
+    *faults(
+        "kernels/digest.py",
+        "kernels/test_cache.py -k not at_once and not not_recorded",
+        ("for name in sorted(names & where.keys()):", "for name in ():"),
+        ("f.__kwdefaults__, f.__closure__, vars(f))", "f.__kwdefaults__, vars(f))"),
+        ('yield from (kind, getattr(it, "__dict__", None))', "yield kind"),
+        ("(it.__wrapped__,)", "()"),
     ),
 ]
 

@@ -232,7 +232,7 @@ class BasiliskPlant(Plant):
     """
 
     STATE: tuple[str, ...] = (*Plant.STATE, "chief", "wheels", "rates")
-    is_traceable = False
+    is_recordable = False
 
     def __init__(self, parameters: PlantParameters, c: Limits, batch: int, device: Any) -> None:
         super().__init__(parameters, c, batch, device)

@@ -156,7 +156,7 @@ class Plant:
     """
 
     STATE: tuple[str, ...] = ("key", "held", "missed", "history", "past")
-    is_traceable = True  # `integrate` is of operations that PyTorch traces
+    is_recordable = True  # `integrate` is of operations that can be recorded
 
     def __init__(
         self,

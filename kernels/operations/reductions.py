@@ -3,7 +3,6 @@
 import math
 from collections.abc import Callable, Sequence
 from functools import partial, reduce
-from itertools import accumulate
 from typing import Any
 
 import numpy as np
@@ -12,7 +11,6 @@ from numpy import ndarray
 from kernels.operations.expressions import Program, Value
 from kernels.operations.shapes import Axes, depends, objects
 
-Join = Callable[[Value, Value], Value]
 Dims = int | Sequence[int] | None
 
 
@@ -28,7 +26,6 @@ class Reductions:
 
     def __init__(self, program: Program, axes: Axes, call: Callable[..., ndarray]) -> None:
         self.program, self.axes, self.call = program, axes, call
-        p = program
         self.sum = partial(self.joined, "add", "sum", 0.0)
         self.least = partial(self.joined, "minimum", "least", math.inf)
         self.most = partial(self.joined, "maximum", "most", -math.inf)
@@ -36,7 +33,6 @@ class Reductions:
         self.by_name: dict[str, Callable[..., Any]] = {
             "sum": lambda x, *given, **kept: self.sum(self.call("positive", x), *given, **kept),
             "mean": self.mean,
-            "prod": partial(self.joined, "mul", None, 1.0),
             "amin": self.least,
             "amax": self.most,
             "any": self.any,
@@ -47,11 +43,6 @@ class Reductions:
             "argmax": lambda *given: self.first("most", *given)[1],
             "linalg_vector_norm": self.norm,
             "logsumexp": self.logsumexp,
-            "_softmax": self.softmax,
-            "_log_softmax": lambda x, dim, *_: self.call("sub", x, self.logsumexp(x, dim, True)),
-            "var": self.variance,
-            "cumsum": partial(self.accumulated, p.add),
-            "cumprod": partial(self.accumulated, p.mul),
             "linalg_cross": self.cross,
             **{name: self.product for name in ("mm", "bmm")},
             "mv": lambda a, b: self.product(a, b[:, None])[..., 0],
@@ -60,7 +51,7 @@ class Reductions:
         }  # fmt: skip
 
     def joined(
-        self, join: str, along: str | None, start: Value, x: ndarray, dim: Dims = None, keepdim: bool = False
+        self, join: str, along: str, start: Value, x: ndarray, dim: Dims = None, keepdim: bool = False
     ) -> ndarray:
         """x joined along one or several axes, in order; `along`: the reduction over the long axis."""
         dims = [dim] if isinstance(dim, int) else dim
@@ -69,7 +60,7 @@ class Reductions:
                 raise NotImplementedError("over all axes, so also over the columns; name an axis (dim)")
             dims = range(x.ndim)
         for axis in sorted((dim % x.ndim for dim in dims), reverse=True):
-            if along and self.axes.is_long(axis):
+            if self.axes.is_long(axis):
                 x = self.over_long(along, x.squeeze(axis))
             else:
                 parts = list(np.moveaxis(x, self.axes.written(axis), 0))
@@ -88,15 +79,6 @@ class Reductions:
     def mean(self, x: ndarray, dim: Dims = None, keepdim: bool = False) -> ndarray:
         """Of the entries along axes."""
         return self.call("div", self.by_name["sum"](x, dim, keepdim), self.count(dim))
-
-    def variance(
-        self, x: ndarray, dim: Dims = None, *, correction: float | None = None, keepdim: bool = False
-    ) -> ndarray:
-        """Of the entries along axes; `correction` counts as so many fewer, 1 if it is None."""
-        off = self.call("sub", x, self.mean(x, dim, True))
-        mean = self.mean(self.call("mul", off, off), dim, keepdim)
-        count = self.count(dim)
-        return self.call("mul", mean, count / (count - (1.0 if correction is None else correction)))
 
     def count(self, dim: Dims) -> float:
         """How many entries there are along axes."""
@@ -125,11 +107,6 @@ class Reductions:
         dims = (dim,) if isinstance(dim, int) else tuple(dim)
         return found if keepdim else found.squeeze(dims)
 
-    def softmax(self, x: ndarray, dim: int, *_: Any) -> ndarray:
-        """exp x / sum exp x along an axis."""
-        share = self.call("exp", self.call("sub", x, self.most(x, dim, True)))
-        return self.call("div", share, self.sum(share, dim, True))
-
     def first(self, kind: str, x: ndarray, dim: int, keepdim: bool = False) -> tuple[ndarray, ...]:
         """The first least or most entry along an axis, and its index; NaN comes before all else."""
         p = self.program
@@ -152,14 +129,6 @@ class Reductions:
         if keepdim:
             return np.expand_dims(best, dim), np.expand_dims(index, dim)
         return best, index
-
-    def accumulated(self, join: Join, x: ndarray, dim: int) -> ndarray:
-        """The joined entries along an axis up to each."""
-        found = np.empty(x.shape, dtype=object)
-        entries, results = (np.moveaxis(each, self.axes.written(dim), 0) for each in (x, found))
-        for place in np.ndindex(entries.shape[1:]):
-            results[(slice(None), *place)] = list(accumulate(entries[(slice(None), *place)], join))
-        return found
 
     def cross(self, a: ndarray, b: ndarray, dim: int = -1) -> ndarray:
         """a x b along an axis of three."""

@@ -85,7 +85,6 @@ def comparisons(p: Program) -> dict[str, Scalar]:
         "isnan": lambda a: p.not_(p.eq(a, a)),
         "isinf": lambda a: p.eq(p.call("fabs", a), math.inf),
         "isfinite": finite,
-        "signbit": lambda a: p.lt(p.call("copysign", 1.0, a), 0.0),
     }
 
 
@@ -94,13 +93,6 @@ def of_one(p: Program) -> dict[str, Scalar]:
 
     def sign(a: Value) -> Value:
         return p.sub(p.number(p.lt(0.0, a)), p.number(p.lt(a, 0.0)))
-
-    def elu(a: Value, alpha: float = 1.0, scale: float = 1.0, input_scale: float = 1.0) -> Value:
-        below = p.mul(float(alpha * scale), p.call("expm1", p.mul(a, float(input_scale))))
-        return p.select(p.lt(0.0, a), p.mul(a, float(scale)), below)
-
-    def gelu(a: Value) -> Value:
-        return p.mul(p.mul(0.5, a), p.add(1.0, p.call("erf", p.mul(a, math.sqrt(0.5)))))
 
     return {
         "neg": p.neg,
@@ -113,18 +105,11 @@ def of_one(p: Program) -> dict[str, Scalar]:
         "round": partial(p.call, "rint"),
         "sigmoid": lambda a: p.div(1.0, p.add(1.0, p.call("exp", p.neg(a)))),
         "relu": lambda a: p.max(a, 0.0),
-        "leaky_relu": lambda a, slope=0.01: p.select(p.lt(0.0, a), a, p.mul(float(slope), a)),
-        "elu": elu,
-        "gelu": gelu,
     }
 
 
 def of_several(p: Program) -> dict[str, Scalar]:
     """Choices."""
-
-    def fmin(a: Value, b: Value, least: Scalar = p.min) -> Value:
-        """Of NaN and a number the number."""
-        return p.select(p.eq(a, a), p.select(p.eq(b, b), least(a, b), a), b)
 
     def clamp(a: Value, low: Any = None, high: Any = None) -> Value:
         """Of NaN it is NaN; where the bounds cross, the upper one."""
@@ -134,11 +119,9 @@ def of_several(p: Program) -> dict[str, Scalar]:
     return {
         "minimum": p.min,
         "maximum": p.max,
-        "fmin": fmin,
-        "fmax": partial(fmin, least=p.max),
         "where": p.select,
         "masked_fill": lambda x, mask, value: p.select(mask, value, x),
-        **{name: clamp for name in ("clamp", "clamp_min", "hardtanh")},
+        **{name: clamp for name in ("clamp", "clamp_min")},
         "clamp_max": p.min,
     }
 

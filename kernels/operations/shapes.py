@@ -86,9 +86,6 @@ class Shapes:
             "unbind": self.unbind,
             "split": self.split,
             "split_with_sizes": self.split,
-            "diagonal": lambda x, offset=0, dim1=0, dim2=1: x.diagonal(
-                offset, axes.written(dim1), axes.written(dim2)
-            ),
         }
         self.others: dict[str, Callable[..., Any]] = {
             **{name: lambda x, *_, **__: x.copy() for name in ("_to_copy", "to", "clone")},
@@ -96,21 +93,16 @@ class Shapes:
             "cat": lambda parts, dim=0: np.concatenate([part for part in parts if part.shape != (0,)], dim),
             "stack": lambda parts, dim=0: np.stack(parts, dim),
             "flip": lambda x, dims: np.flip(x, [axes.written(dim) for dim in dims]),
-            "roll": self.roll,
             "repeat": lambda x, times: np.tile(x, times),
             "copy": lambda x, other, *_: np.broadcast_to(other, x.shape),
             "fill": lambda x, value: np.full(x.shape, value, dtype=object),
             "zero": lambda x: np.full(x.shape, 0.0, dtype=object),
-            "constant_pad_nd": self.padded,
-            "select_scatter": self.select_scatter,
-            "slice_scatter": self.slice_scatter,
             "index": self.index,
             "index_select": lambda x, dim, index: x.take(whole(index), axes.written(dim)),
             "index_fill": self.index_fill,
             "index_copy": self.index_fill,
             "index_put": self.index_put,
             "gather": self.gather,
-            "scatter": self.scatter,
         }
 
     # views
@@ -163,40 +155,6 @@ class Shapes:
 
     # others
 
-    def roll(self, x: ndarray, shifts: Sequence[int], dims: Sequence[int]) -> ndarray:
-        """x with entries moved along axes."""
-        if not dims:
-            raise NotImplementedError("along no axis")
-        return np.roll(x, shifts, [self.axes.written(dim) for dim in dims])
-
-    def padded(self, x: ndarray, pad: Sequence[int], value: Value = 0.0) -> ndarray:
-        """x with so many values more before and after it, from the last axis on."""
-        widths = [(0, 0)] * (x.ndim - len(pad) // 2) + list(zip(pad[::2], pad[1::2], strict=True))[::-1]
-        for axis, width in enumerate(widths):
-            if width != (0, 0):
-                self.axes.written(axis)
-        return np.pad(x, widths, constant_values=value)
-
-    def select_scatter(self, x: ndarray, part: ndarray, dim: int, index: int) -> ndarray:
-        """x with x[index] along an axis replaced."""
-        x = x.copy()
-        np.moveaxis(x, self.axes.written(dim), 0)[index] = part
-        return x
-
-    def slice_scatter(
-        self,
-        x: ndarray,
-        part: ndarray,
-        dim: int = 0,
-        start: int | None = None,
-        end: int | None = None,
-        step: int = 1,
-    ) -> ndarray:
-        """x with x[start:end:step] along an axis replaced."""
-        x = x.copy()
-        self.slice(x, dim, start, end, step)[...] = part
-        return x
-
     def index_fill(self, x: ndarray, dim: int, index: ndarray, value: Any) -> ndarray:
         """x with entries at known places along an axis replaced, by a value or by x's shape of them."""
         x = x.copy()
@@ -240,26 +198,14 @@ class Shapes:
                 axis = self.axes.written(axis) + 1
         return tuple(found)
 
-    def index_put(
-        self, x: ndarray, indices: Sequence[Any], value: ndarray, accumulate: bool = False
-    ) -> ndarray:
+    def index_put(self, x: ndarray, indices: Sequence[Any], value: ndarray) -> ndarray:
         """x with x[indices] replaced: of known indices, or by one number where a computed mask is true."""
-        if accumulate:
-            return self.index_add(x, indices, value)
         if len(indices) == 1 and depends(indices[0]) and value.size == 1:
             mask = indices[0].reshape(*indices[0].shape, *[1] * (x.ndim - indices[0].ndim))
             pairs = zip(np.broadcast_to(mask, x.shape).flat, x.flat, strict=True)
             return filled([self.program.select(each, value.item(), old) for each, old in pairs], x.shape)
         x = x.copy()
         x[self.known(indices)] = value
-        return x
-
-    def index_add(self, x: ndarray, indices: Sequence[Any], value: ndarray) -> ndarray:
-        """x with values added at known indices, where one is named twice both."""
-        x = x.copy()
-        places = np.arange(x.size).reshape(x.shape)[self.known(indices)]
-        for place, each in zip(places.flat, np.broadcast_to(value, places.shape).flat, strict=True):
-            x.flat[place] = self.program.add(x.flat[place], each)
         return x
 
     def gather(self, x: ndarray, dim: int, index: ndarray, **_: Any) -> ndarray:
@@ -282,18 +228,6 @@ class Shapes:
         for i in reversed(range(len(entries) - 1)):
             result = self.program.select(self.program.eq(wanted, float(i)), entries[i], result)
         return result
-
-    def scatter(self, x: ndarray, dim: int, index: ndarray, source: Any) -> ndarray:
-        """x with x[index] along an axis replaced, the index known or computed."""
-        axis = self.axes.written(dim)
-        x = x.copy()
-        source = np.broadcast_to(objects(source), index.shape) if np.ndim(source) == 0 else source
-        for place in np.ndindex(index.shape):
-            column = np.moveaxis(x, axis, 0)[(slice(None), *place[:axis], *place[axis + 1 :])]
-            for i in range(len(column)):
-                here = self.program.eq(index[place], float(i))
-                column[i] = self.program.select(here, source[place], column[i])
-        return x
 
 
 def objects(value: Any) -> ndarray:

@@ -3,7 +3,7 @@
 A control is held, and after it both backup laws are flown, in the plant's own steps, until the spacecraft is in a set
 that they never leave. If every limit is kept on the way, the control is applied; if not, the nearest that leads to such
 a flight, on the way from it to the law's; at last the laws' own, whose flight was looked at one call ago. The state at
-the next call lies on the flight that was looked at, so no limit is ever violated in the model (docs/reference/proof.md).
+the next call lies on that flight, so no limit is ever violated in the model (docs/reference/proof.md).
 Gurriet et al. 2020, backup barriers; Agrawal, Chen and Panagou 2023, gatekeeper.
 
 Torque comes first, since the attitude decides where thrust acts. A limit that is violated already is not asked for; the
@@ -29,7 +29,10 @@ from rta.qp.programs import Status, pick, put
 from rta.result import FilterResult
 
 LOOK = 2.5  # s, between two looks at a hold at most
-MOTION, ATTITUDE = 7, 3  # limits that a flight keeps by thrust, and by torque: the first of Table 3, then the rates
+MOTION, ATTITUDE = (
+    7,
+    3,
+)  # limits that a flight keeps by thrust, and by torque: the first of Table 3, then the rates
 LIMITS = MOTION + ATTITUDE + 1  # the body rates are one
 KEPT = 1e-9  # in the unit of each limit, m/s, m, rad, deg C, kJ: what rounding may take
 RATES_ROUNDED = 1e-9  # rad^2/s^2, by which rates at their limit may be beyond, where the plant holds them
@@ -65,7 +68,7 @@ class Backup:
 
     @classmethod
     def of(cls, c: Limits, period: float) -> "Backup | None":
-        """None: no flight is known that ends; it is on a circle, beside a sphere, in an attitude that charges and cools."""
+        """None: no set is known in which flights end: it is on a circle, beside a sphere, and cools and charges there."""
         if c.orbit != "clohessy-wiltshire" or c.hill_rotation or c.planes or not has_rest(c):
             return None
         try:

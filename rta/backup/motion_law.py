@@ -141,7 +141,7 @@ def thrust_along(given: Tensor, x: Tensor, torque: Tensor, w: Braking) -> Tensor
 
 
 def attitude_after(x: Tensor, torque: Tensor, seconds: float, c: Limits) -> Tensor:
-    """The quaternion (4, B) after torque (3, B) has acted for some s, by one step, as if the rates stayed within limits."""
+    """The quaternion (4, B) after torque (3, B) has acted for some s, by one step with rates within their limits."""
     limit = c.max_rate
 
     def rate(y: list[Tensor]) -> list[Tensor]:

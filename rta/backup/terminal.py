@@ -92,7 +92,9 @@ def lyapunov(z: float) -> tuple[tuple[float, float, float], float]:
     m = torch.tensor([[1 - z / 2, -0.5], [z, 0.0]], dtype=torch.float64)
     kron = torch.kron(m.T, m.T) - torch.eye(4, dtype=torch.float64)
     p = torch.linalg.solve(kron, -torch.eye(2, dtype=torch.float64).flatten()).reshape(2, 2)
-    return (p[0, 0].item(), p[0, 1].item(), p[1, 1].item()), math.sqrt(1 - 1 / torch.linalg.eigvalsh(p)[-1].item())
+    return (p[0, 0].item(), p[0, 1].item(), p[1, 1].item()), math.sqrt(
+        1 - 1 / torch.linalg.eigvalsh(p)[-1].item()
+    )
 
 
 def cone(w: Pointing, quadratic: tuple[float, float, float], contracts: float) -> tuple[float, float, float]:
@@ -189,6 +191,10 @@ def nearest(c: Limits) -> float:
     fine &= (outwards >= speed + most) & (inwards >= most - speed)
     bad = torch.nonzero(~fine[:-1]).flatten()
     first = int(bad.max()) + 1 if bad.numel() else 0
-    if not (r[first] <= beside and beside + DRIFT / STEEP < c.max_distance - INSIDE - DRIFT / STEEP and most < DRIFT):
+    if not (
+        r[first] <= beside
+        and beside + DRIFT / STEEP < c.max_distance - INSIDE - DRIFT / STEEP
+        and most < DRIFT
+    ):
         raise NoTerminalSetError("the zone is too small, or no rest beside the chief stays clear")
     return r[first].item()

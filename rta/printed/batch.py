@@ -14,6 +14,7 @@ from torch import Tensor
 from inspection.model.state import CONTROL_SIZE, SIZE
 from kernels import Printed, if_long, library, printed
 from kernels.build import for_vectors
+from kernels.cache import remembered
 from kernels.compiled import check, in_shares, over_columns, pointers, strided, timed
 from rta.backup.homing import calls
 from rta.barrier import ActuatorGroup
@@ -92,8 +93,7 @@ class BatchFilter(Columns):
 
     def __init__(self, safety_filter: "SafetyFilter") -> None:
         f = safety_filter
-        own, ways = functions(f), checks(f)
-        parts = [printed_attempt(f), *(part for part in own if part.name == "predict")]
+        own, ways, parts = remembered(recorded, f)
         self.statements = sum(part.statements for part in parts)
         many = [
             for_vectors("double"),
@@ -121,7 +121,6 @@ class BatchFilter(Columns):
         x, u = (part.expand(-1, PROBED).contiguous() for part in f.probe("cpu"))
         self.seconds = min(timed(self, x, u) for _ in range(3)) / PROBED
 
-
     def have_ways(self, x: Tensor) -> Tensor:
         """`Backup.has_way`."""
         assert self.ways is not None
@@ -129,6 +128,12 @@ class BatchFilter(Columns):
         run, arguments = self.ways, (*pointers([strided(x)]), *pointers([found]))
         in_shares(lambda first, last: run(first, last, *arguments), x.shape[1], FLIGHT)
         return found[0]
+
+
+def recorded(safety_filter: "SafetyFilter") -> tuple[list[Printed], list[Printed], list[Printed]]:
+    """What is printed of a filter: `functions`, `checks`, and what else is for vectors."""
+    own, ways = functions(safety_filter), checks(safety_filter)
+    return own, ways, [printed_attempt(safety_filter), *(part for part in own if part.name == "predict")]
 
 
 def by_column(safety_filter: "SafetyFilter") -> str:

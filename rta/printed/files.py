@@ -14,9 +14,10 @@ from torch import Tensor
 
 from inspection.model.dynamics import step
 from kernels import printed
+from kernels.cache import remembered
 from kernels.exported import REFUSES_FAST_MATH, check_directory, check_prefix, prefixed
 from rta.constraints.names import UNITS
-from rta.printed.single import single
+from rta.printed.batch import recorded
 from rta.printed.source import (
     constants,
     define,
@@ -24,13 +25,11 @@ from rta.printed.source import (
     driver_text,
     entries,
     for_one,
-    functions,
     interface,
     table,
     text_of,
 )
 from rta.printed.vectors import vectors
-from rta.printed.way import checks
 from rta.qp.programs import Status
 
 if TYPE_CHECKING:
@@ -39,8 +38,8 @@ if TYPE_CHECKING:
 VERSION = "1.0.0"  # of this program
 MARK = "Written by main.py export --filter"  # on the first line of each
 NOT_VERIFIED = "NOT VERIFIED: no campaign is known that has flown this filter."
-TOLERANCE = {"double": 1e-9, "float": 5e-2}  # of the test, in units of the actuators' limits
-TOLERANCE_OF_H = {"double": 1e-9, "float": 1e-4}  # relative to those above 1
+TOLERANCE = 1e-9  # of the test, in units of the actuators' limits
+TOLERANCE_OF_H = 1e-9  # relative to those above 1
 NAME = "safety_filter"  # that files, functions, types and macros begin with
 NAMES = ("safety_filter.h", "safety_filter.c", "safety_filter_vectors.h", "test_safety_filter.c", "example.c")
 SUMS = "safety_filter.sha256"
@@ -81,14 +80,12 @@ def write(
     directory: str | Path,
     verified: str = NOT_VERIFIED,
     configuration: str = "",
-    real: str = "double",
     prefix: str = NAME,
 ) -> dict[str, str]:
     """Writes a filter, constraints of your own included, into a directory, which may hold an older one.
 
     Args:
         verified: what the header says of that; configuration: the SHA-256 of all settings, "": of the filter's own.
-        real: "double", or "float" for single precision.
         prefix: of all files, functions, types and macros, so that several filters fit into one program.
 
     Returns:
@@ -101,7 +98,7 @@ def write(
     check_prefix(prefix)
     names, built = ([prefixed(each, NAME, prefix) for each in own] for own in ((*NAMES, SUMS), BUILT))
     check_directory(folder, "filter", MARK, (*names, "Makefile"), built)
-    texts = sources(safety_filter, verified, configuration, real, prefix)
+    texts = sources(safety_filter, verified, configuration, prefix)
     folder.mkdir(parents=True, exist_ok=True)
     for name, text in texts.items():
         (folder / name).write_text(text, encoding="utf-8")
@@ -112,23 +109,22 @@ def sources(
     safety_filter: "SafetyFilter",
     verified: str = NOT_VERIFIED,
     configuration: str = "",
-    real: str = "double",
     prefix: str = NAME,
     only: Sequence[str] = (*NAMES, "Makefile", SUMS),
 ) -> dict[str, str]:
     """The text of each file, or of some of them; see `write`."""
 
     def change(text: str) -> str:
-        return prefixed(single(text) if real == "float" else text, NAME, prefix)
+        return prefixed(text, NAME, prefix)
 
     source = change(implementation(safety_filter))
     known = configuration or fingerprint(safety_filter)
-    head = change(header(safety_filter, verified, known, digest(source), real))
+    head = change(header(safety_filter, verified, known, digest(source)))
     sums = [f"{digest(text)}  {change(name)}" for name, text in zip(NAMES, (head, source), strict=False)]
     texts: dict[str, Callable[[], str]] = {
         "safety_filter.h": lambda: head,
         "safety_filter.c": lambda: source,
-        "safety_filter_vectors.h": lambda: change(vectors_header(safety_filter, real)),
+        "safety_filter_vectors.h": lambda: change(vectors_header(safety_filter)),
         "test_safety_filter.c": lambda: marked(change(driver_text("test_safety_filter.c"))),
         "example.c": lambda: marked(change(driver_text("example.c") + "\n" + model(safety_filter))),
         "Makefile": lambda: f"# {MARK}.\n" + change(driver_text("safety_filter.mk")),
@@ -158,7 +154,7 @@ def fingerprint(safety_filter: "SafetyFilter") -> str:
 # the header
 
 
-def header(safety_filter: "SafetyFilter", verified: str, configuration: str, source: str, real: str) -> str:
+def header(safety_filter: "SafetyFilter", verified: str, configuration: str, source: str) -> str:
     """safety_filter.h."""
     places = [(name, f"h in {UNITS.get(name, 'a unit of its own')}") for name in safety_filter.names]
     status = [(each.name, text) for each, text in MEANING.items()]
@@ -167,7 +163,7 @@ def header(safety_filter: "SafetyFilter", verified: str, configuration: str, sou
         " *",
         *(
             f" * {line}".rstrip()
-            for paragraph in (verified, about(safety_filter, real))
+            for paragraph in (verified, about(safety_filter))
             for line in folded(paragraph)
         ),
         " */",
@@ -205,9 +201,8 @@ def header(safety_filter: "SafetyFilter", verified: str, configuration: str, sou
     return "\n".join(lines)
 
 
-def about(safety_filter: "SafetyFilter", real: str) -> str:
+def about(safety_filter: "SafetyFilter") -> str:
     """What a reader of the header is told of its numbers."""
-    precision = "single" if real == "float" else "double"
     saturates = safety_filter.c.saturate_rates and safety_filter.known.saturates_rates
     relies = (
         " It counts on a spacecraft that itself keeps every body rate within "
@@ -216,7 +211,7 @@ def about(safety_filter: "SafetyFilter", real: str) -> str:
     )
     return (
         f"It is to be called every {safety_filter.period:g} s, with the state as measured and the control that is "
-        f"wanted, and answers with the control to hold. It computes in {precision} precision, allocates nothing, does "
+        f"wanted, and answers with the control to hold. It computes in double precision, allocates nothing, does "
         "not recurse, has no global state, and needs math.h alone. All vectors are in the order of the enumerations. "
         "It does not notice a quaternion whose length is not 1. If a desired thrust or torque is NaN, all three of "
         f"them are read as zero, which is filtered.{relies if saturates else ''}"
@@ -253,7 +248,8 @@ def quoted(text: str) -> str:
 
 def implementation(safety_filter: "SafetyFilter") -> str:
     """safety_filter.c: what people read first, printed functions last."""
-    parts = [*functions(safety_filter), *checks(safety_filter)]
+    own, ways, _ = remembered(recorded, safety_filter)
+    parts = [*own, *ways]
     names = ",\n".join(f"    {quoted(name)}" for name in safety_filter.names)
     given = driver_files(safety_filter)
     titles = [
@@ -284,9 +280,9 @@ def implementation(safety_filter: "SafetyFilter") -> str:
 # what is compared and flown
 
 
-def vectors_header(safety_filter: "SafetyFilter", real: str) -> str:
+def vectors_header(safety_filter: "SafetyFilter") -> str:
     """safety_filter_vectors.h."""
-    found = vectors(safety_filter, real)
+    found = vectors(safety_filter)
     result, count = found.result, found.state.shape[1]
     inputs = ",\n".join(of_call(*(part[..., i] for part in found[:4])) for i in range(count))
     return "\n".join(
@@ -300,10 +296,10 @@ def vectors_header(safety_filter: "SafetyFilter", real: str) -> str:
             '#include "safety_filter.h"',
             "",
             define("VECTORS", count),
-            define("TOLERANCE", TOLERANCE[real], "of controls, in units of the actuators' limits"),
+            define("TOLERANCE", TOLERANCE, "of controls, in units of the actuators' limits"),
             define(
                 "TOLERANCE_OF_H",
-                TOLERANCE_OF_H[real],
+                TOLERANCE_OF_H,
                 "of the constraints' values, relative to those above 1",
             ),
             "",

@@ -13,21 +13,17 @@ if TYPE_CHECKING:
     from rta.filter import SafetyFilter
 from rta.result import FilterResult
 
-REALS = {"c": "double", "c-float": "float"}
 SECONDS = 1e-5  # of a call, about
 
 
 class InC:
     """`correct` of a filter by the C that `rta.printed.files` writes, for batches on a CPU.
 
-    Args:
-        real: "double", or "float" for single precision.
-
     Raises NoCompilerError where there is no working C compiler.
     """
 
-    def __init__(self, safety_filter: "SafetyFilter", real: str = "double") -> None:
-        texts = sources(safety_filter, real=real, only=("safety_filter.h", "safety_filter.c"))
+    def __init__(self, safety_filter: "SafetyFilter") -> None:
+        texts = sources(safety_filter, only=("safety_filter.h", "safety_filter.c"))
         head = texts["safety_filter.h"]
         source = texts["safety_filter.c"].replace('#include "safety_filter.h"\n', head)
         loop = ["#include <math.h>", head, by_column(safety_filter), driver_text("batch/alone.c")]

@@ -18,7 +18,7 @@ from rta.result import FilterResult
 
 DRAWN = 400  # states, of which those are kept whose answers rounding does not decide
 KEPT = 120
-ROUNDING = {"double": 1e-12, "float": 1e-5}  # relative, what comes of it inside included
+ROUNDING = 1e-12  # relative, what comes of it inside included
 PERTURBED = 6  # times
 NEARLY = 1e-3  # of a control, and of what it is compared within
 
@@ -61,13 +61,11 @@ def states(count: int, seed: int, c: Limits) -> tuple[Tensor, Tensor]:
     return x, uniform(-1.2, 1.2, CONTROL_SIZE) * x.new_tensor(c.control_limit)[:, None]
 
 
-def vectors(safety_filter: "SafetyFilter", real: str) -> Vectors:
+def vectors(safety_filter: "SafetyFilter") -> Vectors:
     """KEPT calls, and one for every number of a call that is none."""
     other = independent(safety_filter)
     x, desired = states(DRAWN, 0, other.c)
     draw = torch.Generator().manual_seed(1)
-    if real == "float":  # what the C is given
-        x, desired = x.float().double(), desired.float().double()
     known = other.known
     sent = desired.flip(1)[None].repeat(known.latency if other.holds else 0, 1, 1)
     sent = torch.minimum(torch.maximum(sent, -sent.new_tensor(other.c.control_limit)[:, None]),
@@ -76,7 +74,7 @@ def vectors(safety_filter: "SafetyFilter", real: str) -> Vectors:
     if other.holds and known.health:
         left[torch.randint(0, 3, (DRAWN,), generator=draw), range(DRAWN)] = 0.5
     given = [x, desired, sent, left]
-    kept = torch.nonzero(is_steady(other, given, ROUNDING[real], draw)).flatten()[:KEPT]
+    kept = torch.nonzero(is_steady(other, given, draw)).flatten()[:KEPT]
     given = [part[..., kept] for part in given]
     given = [
         torch.cat(pair, -1) for pair in zip(given, hostile([part[..., :22] for part in given]), strict=True)
@@ -93,17 +91,12 @@ def independent(safety_filter: "SafetyFilter") -> "SafetyFilter":
     return type(f)(f.c, f.parameters, steps, f.extra, f.known)
 
 
-def is_steady(
-    safety_filter: "SafetyFilter", given: list[Tensor], rounding: float, draw: torch.Generator
-) -> Tensor:
-    """(B,) bool: every program is solved, and no status, active row, check or control turns on rounding.
-
-    In single precision none with slack is: weights of 1e5 leave few digits of its control.
-    """
+def is_steady(safety_filter: "SafetyFilter", given: list[Tensor], draw: torch.Generator) -> Tensor:
+    """(B,) bool: every program is solved, and no status, active row, check or control turns on rounding."""
     count = 1 + PERTURBED  # of calls at each state, as they are and perturbed, all of them in one batch
     near = [part.unsqueeze(-2).repeat_interleave(count, -2) for part in given]
     for part in near[:2]:
-        part[:, 1:] *= 1.0 + rounding * torch.randn(part[:, 1:].shape, generator=draw, dtype=torch.float64)
+        part[:, 1:] *= 1.0 + ROUNDING * torch.randn(part[:, 1:].shape, generator=draw, dtype=torch.float64)
     answer = safety_filter.correct(*(part.flatten(-2) for part in near))
     limit = answer.control.new_tensor(safety_filter.c.control_limit)[:, None, None]
 
@@ -112,7 +105,7 @@ def is_steady(
         each = values.unflatten(-1, (count, -1)).double()
         return (each[..., 1:, :] - each[..., :1, :]).abs()
 
-    steady = answer.status[: given[0].shape[1]] < (Status.SLACK if rounding > 1e-9 else Status.UNSOLVED)
+    steady = answer.status[: given[0].shape[1]] < Status.UNSOLVED
     for values in (answer.program_status, answer.active, answer.verified[None], answer.backup[None]):
         steady &= (differs(values) == 0.0).all(0).all(0)
     return steady & (differs(answer.control) / limit <= NEARLY).all(0).all(0)

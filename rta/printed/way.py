@@ -46,7 +46,13 @@ def checks(safety_filter: "SafetyFilter") -> list[Printed]:
         ("at_once", lambda x: [b.at_once(x)], (x,), ("x",), ("least",)),
         ("terminal_room", lambda x: [b.terminal.room(x)], (x,), ("x",), ("room",)),
         ("backup_torque", lambda x: [b.torque(x)], (x,), ("x",), ("torque",)),
-        ("backup_thrust", lambda x, torque: [b.thrust(x, torque)], (x, u[TORQUE]), ("x", "torque"), ("thrust",)),
+        (
+            "backup_thrust",
+            lambda x, torque: [b.thrust(x, torque)],
+            (x, u[TORQUE]),
+            ("x", "torque"),
+            ("thrust",),
+        ),
     ]
     return [
         printed(run, *examples, name=name, names=(given, results), long=CELLS[0])

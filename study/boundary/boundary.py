@@ -123,7 +123,7 @@ def barriers_of(experiment: Experiment) -> Function:
     safety_filter, compiled = experiment.filter, []
 
     def compile() -> None:
-        bare = copy(safety_filter)  # not compiled: of compiled code nothing can be traced
+        bare = copy(safety_filter)  # not compiled: compiled code cannot be recorded
         x, _ = safety_filter.probe(experiment.device)
         compiled.append(Compiled(lambda y: [barriers(y, bare)], x, batch=BATCH))
 

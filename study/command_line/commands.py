@@ -44,7 +44,7 @@ CACHE = Flag(
     f"directory that keeps what is compiled (default: ${VARIABLE}, or rta-inspection in the user's cache directory)",
     metavar="DIR",
 )
-OF_THE_FILTER = ("--config", "--rta-period", "--solar-panel-axis", "--float")
+OF_THE_FILTER = ("--config", "--rta-period", "--solar-panel-axis")
 COMMON = (
     CONFIG,
     PERIOD,
@@ -231,8 +231,8 @@ COMMANDS = {
         number("--check-every", "seconds between two checks of all constraints", metavar="S"),
         Flag(
             "--filter",
-            "what filters: python, or as `export --filter` writes it, c, or c-float in single precision",
-            choices=("python", "c", "c-float"),
+            "what filters: python, or c, as `export --filter` writes it",
+            choices=("python", "c"),
         ),
         EVERYTHING,
         REPORT,
@@ -299,7 +299,6 @@ COMMANDS = {
         CONFIG.saying("TOML file with the filter's settings; of several, each over the one before"),
         PERIOD,
         PANELS,
-        Flag("--float", "the filter in single precision", action=argparse.BooleanOptionalAction),
         Flag(
             "--prefix",
             "what files, functions, types and macros of the C begin with, so that several fit into one program "

@@ -10,14 +10,12 @@ from study.errors import refusing
 from study.experiment import check_chief, filter_of
 from study.verified import Flown, alike, fingerprint, reports, settings_digest, shown, unchecked, verified
 
-IN_C = {"double": ("python", "c"), "float": ("c-float",)}  # forms of the filter that count for it
 
-
-def export(config: Config, directory: Path, real: str, prefix: str = NAME) -> str:
+def export(config: Config, directory: Path, prefix: str = NAME) -> str:
     """Writes the filter of a configuration into a directory, which may hold an older one; returns what to say of it.
 
     Args:
-        real, prefix: as of `rta.printed.files.write`.
+        prefix: as of `rta.printed.files.write`.
 
     Raises:
         InputError: a part of the configuration does not fit, the directory holds anything else, or cannot be written.
@@ -26,18 +24,18 @@ def export(config: Config, directory: Path, real: str, prefix: str = NAME) -> st
         check_prefix(prefix)
     check_chief(config)
     safety_filter = filter_of(config)
-    said = said_of(config, real)
+    said = said_of(config)
     with refusing(f"--filter {directory}: cannot write there", OSError, ValueError):
-        texts = write(safety_filter, directory, said, settings_digest(config), real, prefix)
+        texts = write(safety_filter, directory, said, settings_digest(config), prefix)
     lines = texts[f"{prefix}.c"].count("\n")
     test = shlex.join(["make", "-C", str(directory), "test"])
     return f"{directory}: {', '.join(texts)}; {lines:,} lines\n{said}\nNext:\n  {test}"
 
 
-def said_of(config: Config, real: str) -> str:
+def said_of(config: Config) -> str:
     """What the filter of a configuration does not check, which campaigns have flown it, and what came out."""
     own = fingerprint(config)
-    same = alike(config, list(reports(IN_C[real])))
+    same = alike(config, list(reports(("python", "c"))))
     counted = [each for each in same if each.large or not each.clean]
     lines = [of_campaign(each) for each in counted]
     if missing := unchecked(config):
@@ -50,15 +48,14 @@ def said_of(config: Config, real: str) -> str:
             "docs/results/safety_limits.md says what of other kinds broke a filter, and what is wrong with its check."
         )
     else:
-        in_single = " in single precision" if real == "float" else ""
-        first = NOT_VERIFIED.replace("this filter", f"this filter{in_single} (fingerprint {own}) enough")
+        first = NOT_VERIFIED.replace("this filter", f"this filter (fingerprint {own}) enough")
     return "\n".join([first, *lines])
 
 
 def of_campaign(flown: Flown) -> str:
     """A campaign in a line."""
     report, campaign = flown.report, flown.report["campaign"]
-    form = {"python": "in Python", "c": "in C", "c-float": "in C, single precision"}
+    form = {"python": "in Python", "c": "in C"}
     return (
         f"  {shown(flown.path)}: {campaign['policy']}, {report['episodes']:,} episodes of {campaign['duration']:,} s "
         f"{form[campaign.get('filter', 'python')]}, {flown.violating:,} with a violation, "

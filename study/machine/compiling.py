@@ -11,22 +11,17 @@ from study.machine.progress import step
 # Compiling takes 3 s the first time, which as many filter calls or steps (of a batch each) repay.
 WORTH_COMPILING_FILTER = 150
 WORTH_COMPILING_SIMULATOR = 150
-# Where there is no compiler: tracing takes 5 s and saves 10 ms of a call's 20, for one spacecraft as for hundreds.
-WORTH_TRACING_FILTER = 500
-# Where controls are held a call takes 0.5 to 1.4 s (32 to 256 spacecraft), traced a fifth less, compiled some ms;
-# tracing takes 20 s, compiling 4 to 10 the first time.
-WORTH_COMPILING_HELD, WORTH_TRACING_HELD = 30, 150
+# Where controls are held a call takes 0.5 to 1.4 s (32 to 256 spacecraft), compiled some ms; compiling takes 4 to 10.
+WORTH_COMPILING_HELD = 30
 
 
-def repaid_after(holds: bool) -> tuple[int, int]:
-    """Filter calls that repay compiling it, and tracing it.
+def repaid_after(holds: bool) -> int:
+    """Filter calls that repay compiling it.
 
     Args:
         holds: the filter's rows are of a control that is held, see `Uncertainty.holds`.
     """
-    if holds:
-        return WORTH_COMPILING_HELD, WORTH_TRACING_HELD
-    return WORTH_COMPILING_FILTER, WORTH_TRACING_FILTER
+    return WORTH_COMPILING_HELD if holds else WORTH_COMPILING_FILTER
 
 
 def wants_compile(choice: str, repaid: bool) -> bool:

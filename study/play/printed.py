@@ -1,4 +1,4 @@
-"""The flight of a page as C: the filters of a configuration and what surrounds them, printed from the traced functions.
+"""The flight of a page as C: the filters of a configuration and what surrounds them, printed from Python.
 
 By hand is only what stands in `driver`: it calls them in their order.
 """

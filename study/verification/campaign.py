@@ -19,7 +19,7 @@ from kernels import NoCompilerError
 from ppo.network import Policy
 from rta.bounds.uncertainty import Uncertainty
 from rta.constraints.names import CONSTRAINTS
-from rta.printed.loaded import REALS, InC
+from rta.printed.loaded import InC
 from study.commands import CHECKPOINT, FILES, LEARNED, in_file
 from study.config import Config
 from study.errors import InputError, refusing
@@ -230,7 +230,7 @@ def exported(experiment: Experiment, filter_in: str) -> Safety:
         refusing(f"--filter {filter_in}: cannot be compiled", NoCompilerError),
         step("compiling it, seconds"),
     ):
-        in_c = InC(experiment.filter, REALS[filter_in])
+        in_c = InC(experiment.filter)
     return dataclasses.replace(experiment.safety, correct=in_c.correct)
 
 

@@ -86,8 +86,6 @@ def refly(experiment: Experiment, example: dict[str, np.ndarray]) -> tuple[float
     env.start(x, unit(x[P]), torch.as_tensor(example.get("number", 0.0)).reshape(1).to(x))
     smallest, difference = Smallest(len(env.safety.names), x), 0.0
     smallest.note(env.constraint_values(x))
-    if len(applied) >= experiment.worth_tracing:
-        experiment.trace_filter(1)
     duration = len(applied) * period
     holds = env.fly(lambda t, x: desired[round(t / period)], duration)
     for hold in bar(env.clocks.count(duration), "checks", iterable=holds, leave=False):

@@ -29,7 +29,7 @@ class Campaign:
         period: s between filter calls; duration: s per episode; batch_size: starts drawn at once.
         check_every: s between two checks of every constraint.
         candidates, horizon: of lookahead, see `study.verification.lookahead`; else 0.
-        filter: what filters: "python", or what is exported, "c", or "c-float" in single precision.
+        filter: what filters: "python", or what is exported, "c".
     """
 
     policy: str

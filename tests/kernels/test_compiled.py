@@ -14,12 +14,10 @@ import numpy as np
 import pytest
 import torch
 from torch import Tensor
-from torch.fx.experimental.proxy_tensor import make_fx
 
 from inspection.model.parameters import InspectionParameters
-from kernels import Compiled, NoCompilerError, build
+from kernels import Compiled, NoCompilerError, build, printed
 from kernels.compiled import in_shares, with_own_code
-from kernels.trace import without_repetitions
 from rta.bounds.uncertainty import Uncertainty
 from rta.filter import SafetyFilter
 from rta.parameters import RtaParameters
@@ -30,7 +28,7 @@ from rta.result import FilterResult
 from study import experiment
 from study.config import Config, TrainParameters
 from study.machine import compiling
-from tests.shared import OPTIMISED, QUICK
+from tests.optimised import OPTIMISED, QUICK
 
 C = InspectionParameters()
 
@@ -91,47 +89,26 @@ def test_what_was_compiled_is_not_compiled_again(cache: Path, monkeypatch: pytes
         Compiled(lambda x, y: [x + 1.5, *polynomial(x, y)], *arguments(1))
 
 
-def cubes(x: Tensor, y: Tensor) -> list[Tensor]:
-    return [x**3, y**3]
+def test_threads_may_record_at_once() -> None:
+    def cubes(x: Tensor, y: Tensor) -> list[Tensor]:
+        return [x**3, y**3]
 
-
-def test_threads_may_trace_at_once() -> None:
     interval = sys.getswitchinterval()
     sys.setswitchinterval(1e-6)
     try:
         with ThreadPoolExecutor(4) as threads:
-            made = threads.map(lambda _: Compiled(cubes, *arguments(1), trace_only=True), range(16))
-            for each in made:
-                torch.testing.assert_close(each(*arguments(5)), cubes(*arguments(5)), rtol=0, atol=0)
+            made = threads.map(lambda _: printed(cubes, *arguments(1)).text, range(16))
+            assert len(set(made)) == 1
     finally:
         sys.setswitchinterval(interval)
 
 
-def test_what_is_written_twice_is_computed_once() -> None:
-    def twice(x: Tensor) -> Tensor:
-        first, second = (x * x.new_tensor([[2.0], [3.0]]) for _ in range(2))
-        other = x * x.new_tensor([[2.0], [4.0]])
-        return first.sin() + second.sin() + other.sin()
-
-    x, _ = arguments(4)
-    traced = make_fx(torch.func.functionalize(twice, remove="mutations"))(x[:2])
-    short = without_repetitions(traced)
-    operations = [
-        len(graph.graph.find_nodes(op="call_function", target=target))
-        for graph in (traced, short)
-        for target in (torch.ops.aten.mul.Tensor, torch.ops.aten.sin.default)
-    ]
-    assert operations == [3, 3, 2, 2]
-    assert torch.equal(short(x[:2]), twice(x[:2]))
-
-
-@pytest.mark.parametrize("trace_only", [True, False])
-def test_what_is_copied_for_its_order_in_memory_is_copied(trace_only: bool, cache: Path) -> None:
+def test_what_is_copied_for_its_order_in_memory_is_copied(cache: Path) -> None:
     def swapped(x: Tensor) -> list[Tensor]:
         return [x.view(3, 2, -1).transpose(0, 1).reshape(6, -1) * 2.0]
 
     x = torch.randn(6, 5, dtype=torch.float64, generator=torch.Generator().manual_seed(0))
-    (found,) = Compiled(swapped, x[:, :1], batch=16, trace_only=trace_only)(x)
+    (found,) = Compiled(swapped, x[:, :1], batch=16)(x)
     assert torch.equal(found, swapped(x)[0])
 
 
@@ -168,7 +145,7 @@ def test_compiled_filter_equals_the_eager_one(
 
 
 def test_optimisation_changes_no_bit_of_a_filter(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Most tests fly filters that are not optimised, see `tests.shared`."""
+    """Most tests fly filters that are not optimised, see `kernels_cache`."""
     found = []
     for flags in (OPTIMISED, QUICK):
         monkeypatch.setattr(build, "FLAGS", flags)
@@ -212,19 +189,15 @@ def test_the_filter_is_compiled_for_the_device(monkeypatch: pytest.MonkeyPatch) 
     [
         ("auto", 0.0, 149, True, []),
         ("auto", 0.0, 150, True, ["compile"]),
-        ("auto", 0.0, 499, False, ["compile"]),
-        ("auto", 0.0, 500, False, ["compile", "trace"]),
-        ("on", 0.0, 500, False, ["compile", "trace"]),
+        ("auto", 0.0, 500, False, ["compile"]),
         ("on", 0.0, 1, True, ["compile"]),
         ("off", 0.0, 1000, True, []),
         # where controls are held
         ("auto", 0.1, 29, True, []),
         ("auto", 0.1, 30, True, ["compile"]),
-        ("auto", 0.1, 149, False, ["compile"]),
-        ("auto", 0.1, 150, False, ["compile", "trace"]),
     ],
 )
-def test_a_filter_that_is_not_compiled_is_traced_where_that_is_repaid(
+def test_a_filter_is_compiled_where_that_is_repaid(
     choice: str, mass: float, calls: int, works: bool, expected: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     done = []
@@ -235,16 +208,14 @@ def test_a_filter_that_is_not_compiled_is_traced_where_that_is_repaid(
             raise RuntimeError("no compiler")
 
     monkeypatch.setattr(SafetyFilter, "compile", compile_)
-    monkeypatch.setattr(SafetyFilter, "trace", lambda *_: done.append("trace"))
     monkeypatch.setattr(compiling, "finds_compiler", lambda: True)
     config = Config(TrainParameters(compile=choice, rta=True), uncertainty=Uncertainty(mass=mass))
     made = experiment.Experiment(config, 7, float(calls))
-    assert done == expected and made.filter_compiled == (works and "compile" in expected)
+    assert done == expected and made.filter_compiled == (works and bool(expected))
 
 
-@pytest.mark.parametrize("trace_only", [True, False])
-def test_nothing_comes_of_no_columns(trace_only: bool, cache: Path) -> None:
-    run = Compiled(lambda x: [2 * x, x[:1]], torch.ones(3, 1), trace_only=trace_only)
+def test_nothing_comes_of_no_columns(cache: Path) -> None:
+    run = Compiled(lambda x: [2 * x, x[:1]], torch.ones(3, 1))
     assert [part.shape for part in run(torch.ones(3, 0))] == [(3, 0), (1, 0)]
 
 

@@ -21,7 +21,6 @@ from inspection import initial_state
 from inspection.environment import InspectionEnv
 from inspection.model.attitude import norm
 from inspection.model.parameters import InspectionParameters
-from kernels import Compiled
 from rta.barrier import Rows
 from rta.constraints.constraint import Constraint
 from rta.constraints.names import CONSTRAINTS
@@ -517,32 +516,11 @@ def test_own_constraints_come_after_the_papers(programs: SafetyFilter, solution:
     torch.testing.assert_close(answer.control[:, alone], result.control[:, alone], rtol=0, atol=1e-6)
 
 
-def with_a_ball() -> SafetyFilter:
+def with_a_ball(solver: str | None = None) -> SafetyFilter:
     """A filter of another mass with a constraint of its own."""
     ball = Constraint("ball", clear_of_a_ball, "thrust", (0.05, 0.2), 1.0)
-    return SafetyFilter(dataclasses.replace(C, mass=14.0), extra=[ball])
-
-
-@pytest.fixture(scope="module")
-def own_and_traced() -> SafetyFilter:
-    """That filter traced, which takes seconds; each test gives it its solver."""
-    safety = with_a_ball()
-    safety.trace(100)
-    return safety
-
-
-def test_a_traced_filter_has_the_same_bits(own_and_traced: SafetyFilter) -> None:
-    eager = with_a_ball()
-    assert isinstance(own_and_traced.propose.rows_of[0], Compiled)
-    assert not isinstance(eager.propose.rows_of[0], Compiled)
-    x, u = X[:, :100].clone(), 5 * U[:, :100]
-    x[13, 7], x[0, 8], u[2, 9] = math.nan, math.inf, math.nan
-    expected, found = (each.correct(x, u) for each in (eager, own_and_traced))
-    assert set(expected.status.tolist()) >= {Status.HARD, Status.SLACK, Status.UNSOLVED}
-    for field in dataclasses.fields(FilterResult):
-        parts = (getattr(each, field.name) for each in (found, expected))
-        torch.testing.assert_close(*parts, rtol=0, atol=0, equal_nan=True)
-    assert (found.control.abs() <= LIMIT).all()
+    own = make_solver(solver) if solver else None
+    return SafetyFilter(dataclasses.replace(C, mass=14.0), solver=own, extra=[ball])
 
 
 @pytest.fixture
@@ -556,20 +534,12 @@ def restless() -> Iterator[None]:
 
 @pytest.mark.usefixtures("restless")
 @pytest.mark.parametrize("solver", SOLVERS)
-@pytest.mark.parametrize(("is_traced", "calls"), [(False, 2), (True, 20)])
-def test_threads_may_share_a_filter(
-    solver: str,
-    is_traced: bool,
-    calls: int,
-    request: pytest.FixtureRequest,
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    shared = request.getfixturevalue("own_and_traced") if is_traced else with_a_ball()
-    monkeypatch.setattr(shared, "solver", make_solver(solver))
-    other = with_a_ball()
-    if is_traced:  # many calls of what keeps tensors between them; the check keeps none
-        monkeypatch.setattr(shared, "backup", None)
-        other.backup = None
+@pytest.mark.parametrize(("is_compiled", "calls"), [(False, 2), (True, 20)])
+def test_threads_may_share_a_filter(solver: str, is_compiled: bool, calls: int) -> None:
+    shared, other = (with_a_ball(solver) for _ in range(2))
+    if is_compiled:  # many calls of what keeps tensors between them; the check keeps none
+        shared.backup = other.backup = None
+        shared.compile("cpu", 16)
     blocks = [slice(start, start + 16) for start in range(0, 64, 16)]
     expected = shared.correct(X[:, :64], U[:, :64]).control
     alone = other.correct(X[:, :64], U[:, :64]).control
@@ -585,11 +555,8 @@ def test_threads_may_share_a_filter(
 
 
 @pytest.mark.parametrize("solver", SOLVERS)
-def test_a_copy_is_the_same_filter(
-    solver: str, own_and_traced: SafetyFilter, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    safety = own_and_traced
-    monkeypatch.setattr(safety, "solver", make_solver(solver))
+def test_a_copy_is_the_same_filter(solver: str) -> None:
+    safety = with_a_ball(solver)
     x, u = X[:, :100], U[:, :100]
     expected = safety.correct(x, u)
     for other in (copy(safety), deepcopy(safety), pickle.loads(pickle.dumps(safety))):

@@ -219,7 +219,3 @@ def sentences() -> Iterator[tuple[str, str]]:
     in_c = campaign("in_c_random")
     yield IN_C, f"campaign of {in_c['episodes']:,} random episodes at 1 s"
     yield IN_C, f"{in_c['violating_episodes']['any']} violations in {calls(in_c):,} calls"
-    single = slack(*both("in_c_float_{}"), campaign("u1_in_c_float_random"))
-    yield IN_C, f"and {single[0]}, {single[1]} and {single[2]} calls with slack"
-    double = slack(campaign("in_c_adversarial"), campaign("u1_in_c_random"))
-    yield IN_C, f"the latter two have {double[0]} and {double[1]} (`in_c"

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 import torch
 from numpy import ndarray
+from rta.backup.brake import CLOSELY, ROUGHLY
 from scipy.spatial.transform import Rotation
 
 from inspection.model.parameters import InspectionParameters
-from rta.backup.brake import CLOSELY, ROUGHLY
 from rta.backup.chords import FreeFlight, Strays, between, strays
 from tests.rta.backup.brute_force import free_flight, motion
 from tests.rta.constraints.test_constraints import length, tensor

@@ -1,8 +1,8 @@
-"""Stack, code and time of the filter in C, and how far single precision is from double.
+"""Stack, code and time of the filter in C.
 
     python -m tests.rta.printed.export_sizes
 
-prints the rows of these tables of docs/guides/filter_in_c.md, in some minutes; gcc, and its compilers for ARM, are
+prints the rows of this table of docs/guides/filter_in_c.md, in some minutes; gcc, and its compilers for ARM, are
 needed.
 """
 
@@ -15,9 +15,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from rta import Status
 from rta.printed.files import sources
-from tests.rta.printed.export_states import PROGRAM, Answers, in_c, made, states
+from tests.rta.printed.export_states import made, states
 
 GRAPH = ("-fstack-usage", "-fcallgraph-info=su")  # writes what calls what, and the stack of each
 COMPILERS = ("gcc", "aarch64-linux-gnu-gcc", "arm-linux-gnueabihf-gcc")
@@ -99,47 +98,27 @@ def times(program: Path, x: Tensor, desired: Tensor) -> np.ndarray:
     return np.frombuffer(subprocess.run([program], input=given, capture_output=True, check=True).stdout)
 
 
-def apart(double: Answers, single: Answers, limit: Tensor) -> str:
-    """How far single precision is off: statuses, and controls over the actuators' limits without and with slack."""
-    one, other = double.program_status.amax(0), single.program_status.amax(0)
-    off = ((double.control - single.control).abs() / limit[:, None]).amax(0)
-    solved = (one < Status.UNSOLVED) & (other < Status.UNSOLVED)
-    hard, soft = (off[solved & ((one == Status.SLACK) == slack)] for slack in (False, True))
-    without, slack = (
-        ", ".join(f"{each:.0e}" for each in np.quantile(part, shares))
-        for part, shares in ((hard, (0.5, 0.99, 0.999)), (soft, (0.5, 0.99)))
-    )
-    return f"{int((one != other).sum())} | {without} | {slack}"
-
-
 def main() -> None:
     """Measures and prints."""
     x, desired = states(COUNT, seed=1)
     finite = x.isfinite().all(0)
     x, desired = x[:, finite], desired[:, finite]
     print(f"{x.shape[1]:,} states")
-    answers: dict[tuple[str, str], Answers] = {}
-    for real in ("double", "float"):
-        for kind in KINDS:
-            safety_filter = made(kind)
-            with tempfile.TemporaryDirectory() as folder:
-                directory = Path(folder)
-                for name, text in sources(safety_filter, real=real, only=PARTS).items():
-                    (directory / name).write_text(text)
-                own, *of_arm = (stack_and_code(directory, compiler) for compiler in COMPILERS)
-                took = times(linked(directory, "timed", TIMED, f"-DREPEATED={REPEATED}"), x, desired)
-                mine = in_c([linked(directory, "program", PROGRAM)], x, desired)
-            (stack, code), ((stack_64, code_64), (stack_32, _)) = own, of_arm
-            middle, high, longest = (*np.quantile(took, (0.5, 0.99)), took.max())
-            print(
-                f"| {kind}, {real} | {stack:,} | {stack_64:,} / {stack_32:,} | {code / 1e3:.0f} | "
-                f"{code_64 / 1e3:.0f} | {middle:.1f}, {high:.1f}, {longest:.1f} |",
-                flush=True,
-            )
-            answers[kind, real] = mine
     for kind in KINDS:
-        limit = torch.tensor(made(kind).c.control_limit, dtype=torch.float64)
-        print(f"| {kind} | {apart(answers[kind, 'double'], answers[kind, 'float'], limit)} |")
+        safety_filter = made(kind)
+        with tempfile.TemporaryDirectory() as folder:
+            directory = Path(folder)
+            for name, text in sources(safety_filter, only=PARTS).items():
+                (directory / name).write_text(text)
+            own, *of_arm = (stack_and_code(directory, compiler) for compiler in COMPILERS)
+            took = times(linked(directory, "timed", TIMED, f"-DREPEATED={REPEATED}"), x, desired)
+        (stack, code), ((stack_64, code_64), (stack_32, _)) = own, of_arm
+        middle, high, longest = (*np.quantile(took, (0.5, 0.99)), took.max())
+        print(
+            f"| {kind} | {stack:,} | {stack_64:,} / {stack_32:,} | {code / 1e3:.0f} | "
+            f"{code_64 / 1e3:.0f} | {middle:.1f}, {high:.1f}, {longest:.1f} |",
+            flush=True,
+        )
 
 
 if __name__ == "__main__":

@@ -18,6 +18,7 @@ import pytest
 import torch
 from torch import Tensor
 
+from kernels.build import OF_ONE, OF_TWO, QUICK
 from rta import SafetyFilter, Status
 from rta.constraints.names import CONSTRAINTS
 from rta.printed.files import (
@@ -25,12 +26,10 @@ from rta.printed.files import (
     NOT_VERIFIED,
     VERSION,
     enumeration,
-    implementation,
     quoted,
     sources,
     write,
 )
-from rta.printed.single import FUNCTIONS, TOLERANCES, single
 from tests.rta import test_actuator_groups as own
 from tests.rta.printed.export_sizes import GRAPH, deepest
 from tests.rta.printed.export_states import PROGRAM, Answers, compared, in_c, in_python, made, states
@@ -63,21 +62,21 @@ class Made(NamedTuple):
 @pytest.fixture(scope="module")
 def exported(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Made]:
     """Each filter, written once, only for reading; without `whole` header, source and example alone."""
-    found: dict[tuple[str, str, bool], Made] = {}
+    found: dict[tuple[str, bool], Made] = {}
 
-    def export(kind: str, real: str = "double", whole: bool = False) -> Made:
-        if (kind, real, whole) not in found:
+    def export(kind: str, whole: bool = False) -> Made:
+        if (kind, whole) not in found:
             extra = [own.OWN[name][0] for name in ("cone", "sphere")] if kind == "own" else []
             safety_filter = made("1", extra=extra) if extra else made(kind)
             directory = tmp_path_factory.mktemp("export") / "c"
             if whole:
-                write(safety_filter, directory, real=real)
+                write(safety_filter, directory)
             else:
                 directory.mkdir()
-                for name, text in sources(safety_filter, real=real, only=PARTS).items():
+                for name, text in sources(safety_filter, only=PARTS).items():
                     (directory / name).write_text(text)
-            found[kind, real, whole] = Made(safety_filter, directory)
-        return found[kind, real, whole]
+            found[kind, whole] = Made(safety_filter, directory)
+        return found[kind, whole]
 
     return export
 
@@ -168,31 +167,22 @@ def test_c_answers_as_pytorch(
     assert_same(safety_filter, x, expected, in_c([program(directory, *optimised())], x, desired))
 
 
-@pytest.mark.parametrize("real", ["double", "float"])
 @pytest.mark.parametrize("kind", ["1", "own", thorough("u1_thrust_quantum"), thorough("10")])
-def test_no_compiler_has_anything_to_say(
-    kind: str, real: str, compiler: str, exported: Callable[..., Made]
-) -> None:
-    directory = exported(kind, real).directory
-    promotion = ("-Wdouble-promotion",) if real == "float" else ()
-    succeed(compiler, *STRICT, *STRICTER, *promotion, "-fsyntax-only", directory / "safety_filter.c")
+def test_no_compiler_has_anything_to_say(kind: str, compiler: str, exported: Callable[..., Made]) -> None:
+    directory = exported(kind).directory
+    succeed(compiler, *STRICT, *STRICTER, "-fsyntax-only", directory / "safety_filter.c")
     succeed(compiler, *STRICT, *STRICTER, "-fsyntax-only", directory / "example.c")
 
 
-@pytest.mark.parametrize(
-    ("kind", "real"),
-    [("1", "double"), ("1", "float"), ("own", "double"), thorough("u1", "float"), thorough("10", "float")],
-)
-def test_its_own_test_and_its_example_pass(
-    kind: str, real: str, exported: Callable[..., Made], tmp_path: Path
-) -> None:
-    directory = shutil.copytree(exported(kind, real, whole=True).directory, tmp_path / "c")
-    flags = [] if (kind, real) == ("1", "double") else ["CFLAGS=-std=c99 -O0 -ffp-contract=off -Werror"]
+@pytest.mark.parametrize("kind", ["1", "own", thorough("u1"), thorough("10")])
+def test_its_own_test_and_its_example_pass(kind: str, exported: Callable[..., Made], tmp_path: Path) -> None:
+    directory = shutil.copytree(exported(kind, whole=True).directory, tmp_path / "c")
+    flags = [] if kind == "1" else ["CFLAGS=-std=c99 -O0 -ffp-contract=off -Werror"]
     said = succeed(tool("make"), "-C", directory, *flags, "test", "run")
     assert re.search(r"passed: 1[0-4]\d calls, 0 with another status", said) and "NOT VERIFIED" not in said
     assert re.search(r"calls: 0 as desired, \d+ corrected, \d+ with slack, 0 unsolved; 0 violations", said)
     assert set(BUILT) <= {path.name for path in directory.iterdir()}
-    write(exported(kind, real, whole=True).safety_filter, directory, real=real)  # over what was built
+    write(exported(kind, whole=True).safety_filter, directory)  # over what was built
 
 
 FLAWS = {
@@ -258,7 +248,7 @@ def test_it_keeps_nothing_and_calls_nothing_but_the_mathematics(
     symbols = [line.split()[-2:] for line in succeed(tool("nm"), tmp_path / "filter.o").splitlines()]
     needed = {name for symbol, name in symbols if symbol == "U"}
     allowed = {"memcpy", "memset", "_GLOBAL_OFFSET_TABLE_", "__stack_chk_fail"}  # a compiler's own
-    assert needed - allowed <= {*FUNCTIONS, "sincos"}
+    assert needed - allowed <= {*QUICK, *OF_ONE, *OF_TWO, "fabs", "fmin", "fmax", "sincos"}
     assert {name for symbol, name in symbols if symbol in "TDRB"} == {
         "safety_filter",
         "safety_filter_names",
@@ -405,12 +395,3 @@ def test_names_of_constraints_are_texts_of_c() -> None:
     assert quoted('say "what??/" \\') == r'"say \"what?\?/\" \\"'
     with pytest.raises(ValueError, match="two constraints would be H_A_B in C"):
         enumeration("constraint", "H_", [("a-b", ""), ("a b", "")])
-
-
-def test_single_precision_has_no_double() -> None:
-    text = single(implementation(made("u1_thrust_quantum")))
-    code = re.sub(r"(?s)/\*.*?\*/", "", text)
-    assert not re.search(r"\bdouble\b|(?<![\w.])\d+\.\d+(?:e[+-]?\d+)?(?![\w.])", code)
-    assert not re.search(r"\b(sqrt|fmin|fmax|fabs|rint|sin|cos)\(", code)
-    for name, value in TOLERANCES.items():
-        assert f"#define {name} {value}" in text or name in code

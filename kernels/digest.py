@@ -1,0 +1,205 @@
+"""A digest of what a function computes: of its code, its constants, and all that these reach.
+
+The code is the loaded one, so that what a program puts in a part's place counts as much as a line that was edited. Code
+of the interpreter, PyTorch and their like goes by name and version. Files that a function reads are not seen.
+"""
+
+import dis
+import functools
+import hashlib
+import importlib.util
+import platform
+import sys
+import sysconfig
+import threading
+import types
+from collections.abc import Callable, Collection, Iterable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+LIBRARIES = {
+    *sys.stdlib_module_names,
+    "torch",
+    "functorch",
+    "numpy",
+    "scipy",
+    "piqp",
+}  # whose code goes by name
+OF_RUNS = {
+    f"kernels.{name}" for name in ("build", "cache", "compiled", "digest")
+}  # nothing that is recorded there
+BY_TEXT = {"getattr", "vars", "globals", "eval", "exec"}  # with which code reads what it does not name
+PYTHON = Path(sysconfig.get_path("stdlib"))
+SLOT = types.MemberDescriptorType
+IMPORT = dis.opmap["IMPORT_NAME"]
+PLAIN = (type(None), bool, int, float, complex, str, bytes, type(...), range, slice, np.generic, np.ufunc, torch.dtype,
+         torch.device)  # fmt: skip
+BUILTINS = (types.BuiltinFunctionType, types.MethodDescriptorType, types.WrapperDescriptorType, types.MethodWrapperType,
+            types.ClassMethodDescriptorType, types.GetSetDescriptorType, SLOT)  # fmt: skip
+UNREAD = {"__dict__", "__weakref__", "__doc__", "__annotations__", "__abstractmethods__", "_abc_impl",
+          "__dataclass_fields__", "__dataclass_params__", "__slotnames__"}  # of a class  # fmt: skip
+
+
+class Reached:
+    """A module, as far as code with these names reads it."""
+
+    def __init__(self, module: types.ModuleType, names: frozenset[str]) -> None:
+        self.module, self.names = module, names
+
+
+def digest(*things: Any) -> str | None:
+    """Of functions and what they are given, the same in every process; None where it cannot be told what they reach."""
+    versions = platform.python_version(), torch.__version__, np.__version__, torch.get_default_dtype()
+    found = hashlib.sha256()
+    places: dict[Any, int] = {}
+    kept, left = [], [*versions, *things]  # kept, so that no other thing is given its id
+    try:
+        while left:
+            thing = left.pop()
+            if not isinstance(thing, PLAIN):
+                key = (id(thing.module), thing.names) if isinstance(thing, Reached) else id(thing)
+                if key in places:
+                    found.update(f"{places[key]};".encode())
+                    continue
+                places[key] = len(places)
+                kept.append(thing)
+            parts = list(parts_of(thing))
+            found.update(f"{type(thing).__qualname__}({len(parts)});".encode())
+            if isinstance(thing, PLAIN):
+                found.update(repr(thing).encode())
+            left += reversed(parts)
+    except Exception:  # of what is no function, no data and no object of these
+        return None
+    return found.hexdigest()[:32]
+
+
+def parts_of(thing: Any) -> Iterable[Any]:
+    """What tells a thing from others of its type."""
+    if isinstance(thing, PLAIN):
+        return ()
+    for kinds, parts in PARTS:
+        if isinstance(thing, kinds):
+            return parts(thing)
+    return of_object(thing)
+
+
+def is_library(module: str | None) -> bool:
+    """Whether the code of a module, by its name, goes by name."""
+    top = (module or "builtins").partition(".")[0]
+    return (top in LIBRARIES and is_installed(top)) or module in OF_RUNS
+
+
+@functools.cache
+def is_installed(top: str) -> bool:
+    """Whether a module of a library's name is the library's, and not somebody's own `statistics.py`."""
+    found = importlib.util.find_spec(top)
+    path = Path(found.origin if found and found.has_location and found.origin else PYTHON)
+    return path.is_relative_to(PYTHON) or not {"site-packages", "dist-packages"}.isdisjoint(path.parts)
+
+
+def of_function(f: types.FunctionType) -> Iterator[Any]:
+    """Its code or name, all that the code names, and what it was made with."""
+    yield from (f.__defaults__, f.__kwdefaults__, f.__closure__, vars(f))
+    where = f.__globals__
+    if is_library(where.get("__name__")):
+        yield f"{where['__name__']}.{f.__qualname__}"
+        return
+    yield f.__code__
+    codes = list(nested(f.__code__))
+    names = frozenset(name for code in codes for name in code.co_names)
+    for name in sorted(names & where.keys()):
+        yield reached(where[name], names)
+    for code in codes:
+        steps = list(dis.get_instructions(code)) if IMPORT in code.co_code[::2] else []
+        for level, step in zip(steps, steps[2:], strict=False):
+            if step.opcode == IMPORT and (level.argval or not is_library(step.argval)):
+                name = "." * level.argval + step.argval
+                yield reached(importlib.import_module(name, where.get("__package__")), names)
+
+
+def nested(code: types.CodeType) -> Iterator[types.CodeType]:
+    """Code, and that of functions in it."""
+    yield code
+    for each in code.co_consts:
+        if isinstance(each, types.CodeType):
+            yield from nested(each)
+
+
+def reached(value: Any, names: frozenset[str]) -> Any:
+    """What code with these names reads of a value: of a module some."""
+    return Reached(value, names) if isinstance(value, types.ModuleType) else value
+
+
+def of_module(it: Reached) -> Iterator[Any]:
+    """Its name, and what is read of it where its code does not go by name."""
+    yield it.module.__name__
+    if not is_library(it.module.__name__):
+        own = vars(it.module)
+        offered = own.keys() if it.names & BY_TEXT else it.names & {*own, *own.get("__all__", ())}
+        for name in sorted(offered):
+            yield reached(getattr(it.module, name), it.names)
+
+
+def of_class(it: type) -> Iterator[Any]:
+    """Its name, and what it holds where its code does not go by name."""
+    yield f"{it.__module__}.{it.__qualname__}"
+    if not is_library(it.__module__):
+        yield from it.__bases__
+        for name, value in vars(it).items():
+            if name not in UNREAD:
+                yield from (name, value)
+
+
+def of_object(it: Any) -> Iterator[Any]:
+    """Its class and its state; where the class is a library's, as pickling has them."""
+    kind = type(it)
+    if kind in (dict, list, tuple):
+        yield from it.items() if kind is dict else it
+    elif kind.__module__ == "typing" or isinstance(it, types.GenericAlias | types.UnionType):
+        yield repr(it)
+    elif is_library(kind.__module__):
+        yield from (kind, it.__reduce_ex__(4))
+    else:
+        yield from (kind, getattr(it, "__dict__", None))
+        slots = [slot for own in kind.__mro__ for slot in vars(own).values() if isinstance(slot, SLOT)]
+        yield from (slot.__get__(it) for slot in slots if hasattr(it, slot.__name__))
+        yield from it.items() if isinstance(it, dict) else it if isinstance(it, list | tuple) else ()
+
+
+def of_set(it: Collection[Any]) -> list[str]:
+    """Its members' texts, in order, none of which may be of a place in memory."""
+    texts = sorted(map(repr, it))
+    if any(" at 0x" in text for text in texts):
+        raise TypeError(texts)
+    return texts
+
+
+def of_builtin(it: Any) -> tuple[Any, ...]:
+    """Its name, and what it is a method of."""
+    return it.__qualname__, *(getattr(it, name, None) for name in ("__module__", "__objclass__", "__self__"))
+
+
+PARTS: list[tuple[Any, Callable[[Any], Iterable[Any]]]] = [
+    (types.FunctionType, of_function),
+    (type, of_class),
+    (Reached, of_module),
+    (types.ModuleType, lambda it: of_module(Reached(it, frozenset(BY_TEXT)))),
+    (types.CodeType, lambda it: (it.co_code, it.co_names, it.co_consts)),
+    (types.CellType, lambda it: () if it == types.CellType() else (it.cell_contents,)),
+    (types.MethodType, lambda it: (it.__func__, it.__self__)),
+    (BUILTINS, of_builtin),
+    (types.MappingProxyType, lambda it: (dict(it),)),
+    (type(threading.RLock()), lambda it: ()),
+    (functools._lru_cache_wrapper, lambda it: (it.__wrapped__,)),
+    (functools.partial, lambda it: (it.func, it.args, it.keywords)),
+    (functools.cached_property, lambda it: (it.func,)),
+    (property, lambda it: (it.fget,)),
+    (staticmethod | classmethod, lambda it: (it.__func__,)),
+    (Tensor, lambda it: (it.dtype, tuple(it.shape), str(it.device), it.detach().cpu().numpy().tobytes())),
+    (np.ndarray, lambda it: (str(it.dtype), it.shape, it.tolist())),
+    (set | frozenset, of_set),
+]

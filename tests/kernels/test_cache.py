@@ -1,0 +1,232 @@
+"""What is recorded once is read in later runs, unless anything that it depends on is another."""
+
+import importlib
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+import pytest
+import torch
+from tests.rta.conditions import test_actuator_groups as own_constraints
+from torch import Tensor
+
+from inspection.model.parameters import InspectionParameters
+from kernels import build
+from kernels.cache import remembered
+from kernels.digest import digest
+from rta import SafetyFilter
+from rta.backup import brake
+from rta.bounds.uncertainty import Uncertainty
+from rta.constraints import thrust
+from rta.parameters import RtaParameters
+from rta.printed.batch import recorded
+
+ROOT = Path(__file__).parents[2]
+OWN = {
+    "own": "import helper\nGAIN = 2.0\ndef made(x):\n    print('computed')\n    return GAIN * helper.turned(x)\n",
+    "helper": "from functools import cache\nclass Turn:\n    by = -1.0\n    def of(self, x):\n"
+    "        return x * self.by\n"
+    "@cache\ndef turned(x):\n    from this import more\n    return Turn().of(x) + more()\n",
+    "this": "def more():\n    return 0.0\n",
+}  # modules of somebody's own, one with the name of one of Python's
+RUN = "from kernels.cache import remembered; import own; print(remembered(own.made, 1.0))"
+
+
+@pytest.fixture
+def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """One of its own."""
+    monkeypatch.setenv(build.VARIABLE, str(tmp_path / "cache"))
+    build.say.cache_clear()
+    return tmp_path / "cache"
+
+
+@pytest.fixture
+def written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A directory with OWN, of which modules are taken."""
+    for name, text in OWN.items():
+        (tmp_path / f"{name}.py").write_text(text)
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setattr(sys, "dont_write_bytecode", True)
+    return tmp_path
+
+
+def started(directory: Path) -> "subprocess.Popen[str]":
+    """RUN in a process of its own."""
+    paths = os.pathsep.join([str(ROOT), str(directory)])
+    command = [sys.executable, "-B", "-c", RUN]
+    return subprocess.Popen(
+        command, env=os.environ | {"PYTHONPATH": paths}, stdout=subprocess.PIPE, text=True
+    )
+
+
+def answers(capsys: pytest.CaptureFixture[str], x: float = 1.0) -> list[str]:
+    """What RUN prints, by modules as they are now."""
+    for name in OWN:
+        sys.modules.pop(name, None)
+    importlib.invalidate_caches()
+    capsys.readouterr()
+    print(remembered(importlib.import_module("own").made, x))
+    return capsys.readouterr().out.split()
+
+
+def test_processes_may_compute_the_same_at_once_and_others_read_it(
+    cache: Path, written: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    both = [started(written) for _ in range(2)]
+    assert [each.communicate()[0].split()[-1] for each in both] == ["-2.0"] * 2
+    assert len(list(cache.iterdir())) == 1
+    assert answers(capsys) == ["-2.0"]
+    assert answers(capsys, 3.0) == ["computed", "-6.0"]
+
+
+@pytest.mark.parametrize(
+    ("name", "old", "new", "expected"),
+    [
+        ("own", "GAIN = 2.0", "GAIN = 3.0", "-3.0"),
+        ("own", "GAIN * helper", "helper", "-1.0"),
+        ("helper", "by = -1.0", "by = 4.0", "8.0"),
+        ("helper", "x * self.by", "x + self.by", "0.0"),
+        ("this", "0.0", "1.0", "0.0"),
+    ],
+)
+def test_a_changed_line_of_anybodys_is_another_function(
+    name: str,
+    old: str,
+    new: str,
+    expected: str,
+    cache: Path,
+    written: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    answers(capsys)
+    path = written / f"{name}.py"
+    path.write_text(path.read_text().replace(old, new))
+    assert answers(capsys) == ["computed", expected]
+
+
+def entry(cache: Path) -> Path:
+    (path,) = cache.glob("*.recorded")
+    return path
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [lambda whole: whole[: len(whole) // 2], lambda whole: b"", lambda whole: os.urandom(len(whole))],
+)
+def test_a_damaged_entry_is_written_anew(
+    damage: Callable[[bytes], bytes], cache: Path, written: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    answers(capsys)
+    entry(cache).write_bytes(damage(entry(cache).read_bytes()))
+    assert answers(capsys) == ["computed", "-2.0"]
+    assert answers(capsys) == ["-2.0"]
+
+
+def test_an_entry_of_something_else_is_not_taken(
+    cache: Path, written: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A stale one under the name of this one."""
+    answers(capsys, 3.0)
+    stale = entry(cache).read_bytes()
+    entry(cache).unlink()
+    answers(capsys)
+    entry(cache).write_bytes(stale)
+    assert answers(capsys) == ["computed", "-2.0"]
+
+
+@pytest.mark.parametrize("bad", ["file", "missing"])
+def test_without_a_cache_it_is_computed(
+    bad: str, cache: Path, written: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    cache.write_text("a list of things to buy")
+    if bad == "missing":
+        for name in (build.VARIABLE, "XDG_CACHE_HOME"):
+            monkeypatch.delenv(name, raising=False)
+        monkeypatch.setenv("HOME", "nowhere")  # no absolute path
+    assert answers(capsys) == answers(capsys) == ["computed", "-2.0"]
+
+
+def test_what_cannot_be_told_is_not_kept(cache: Path) -> None:
+    numbers = iter([1.0, 2.0, 3.0])
+    handle = (value for value in numbers)
+
+    def following() -> float:
+        return next(handle)
+
+    assert digest(following) is None
+    assert [remembered(following), remembered(following)] == [1.0, 2.0]
+    assert not cache.exists()
+
+
+def half(x: Tensor) -> Tensor:
+    return 0.5 * x
+
+
+def test_closures_partials_methods_and_tensors_count() -> None:
+    def by(factor: object) -> Callable[[Tensor], Tensor]:
+        return lambda x: factor * x
+
+    tensor = torch.arange(3.0)
+    things = [by(1.0), by(1), by(-0.0), by(0.0), by(tensor), by(tensor.double()), by(tensor[:2]), partial(half),
+              partial(half, tensor), half, InspectionParameters().__eq__, {1: 2}, {2: 1}, {1, 2}, [1, 2], (1, 2),
+              Uncertainty(mass=0.1), brake, torch.sin, torch.cos, tensor.sin, len, [].append]  # fmt: skip
+    assert len({digest(each) for each in things}) == len(things) and None not in map(digest, things)
+    assert digest(by(tensor)) == digest(by(tensor.clone()))
+
+
+def name_of(safety_filter: SafetyFilter) -> str | None:
+    return digest(recorded, safety_filter)
+
+
+def test_equal_filters_are_recorded_once_and_others_by_themselves() -> None:
+    without_check = SafetyFilter()
+    without_check.backup = None
+    own = own_constraints.OWN
+    others = [
+        SafetyFilter(),
+        SafetyFilter(parameters=RtaParameters(speed_gain=0.11)),
+        SafetyFilter(parameters=RtaParameters(period=5.0)),
+        SafetyFilter(InspectionParameters(mass=12.5)),
+        SafetyFilter(extra=[own["sphere"][0]]),
+        SafetyFilter(extra=[own["cone"][0]]),
+        SafetyFilter(extra=[replace(own["cone"][0], margin=0.125)]),
+        SafetyFilter(known=Uncertainty(mass=0.1)),
+        without_check,
+    ]
+    names = [name_of(each) for each in others]
+    assert len(set(names)) == len(names) and None not in names
+    assert names[0] == name_of(SafetyFilter(InspectionParameters(), RtaParameters()))
+    assert names[4] == name_of(SafetyFilter(extra=[own["sphere"][0]]))
+
+
+@pytest.mark.parametrize(
+    ("place", "name", "other"),
+    [
+        (brake, "AT_REST", 2.0),
+        (brake, "between", lambda *_: None),
+        (thrust, "keep_in_zone", lambda *_: None),
+        (SafetyFilter, "values", lambda *_: None),
+    ],
+)
+def test_what_is_put_in_a_parts_place_is_another_filter(
+    place: object, name: str, other: object, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    safety = SafetyFilter()
+    before = name_of(safety)
+    with monkeypatch.context() as patch:
+        patch.setattr(place, name, other)
+        assert name_of(safety) not in (before, None)
+    assert name_of(safety) == before
+
+
+def test_a_filter_that_is_known_is_not_recorded(cache: Path) -> None:
+    found = []
+    for _ in range(2):
+        safety = SafetyFilter()
+        safety.compile("cpu", 64)
+        found.append((entry(cache), entry(cache).stat().st_ino))
+    assert found[0] == found[1]
