@@ -68,7 +68,7 @@ class Backup:
 
     @classmethod
     def of(cls, c: Limits, period: float) -> "Backup | None":
-        """None: no set is known in which flights end: it is on a circle, beside a sphere, and cools and charges there."""
+        """None: no set is known in which flights end. It is on a circle, beside a sphere, cools and charges."""
         if c.orbit != "clohessy-wiltshire" or c.hill_rotation or c.planes or not has_rest(c):
             return None
         try:

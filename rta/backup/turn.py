@@ -1,8 +1,8 @@
 """The way to rest of torque where the world differs from the model within bounds that are told.
 
 The law is that of `rta.backup.attitude_law` in a form that errors do not lead astray: Lipschitz in the attitude, with
-one place of rest, slow enough to be followed. With d the panels' axis, s the direction to the Sun and w the body's rate relative
-to the Sun it asks for
+one place of rest, slow enough to be followed. With d the panels' axis, s the direction to the Sun and w the body's rate
+relative to the Sun it asks for
 
     w* = kappa proj(d x s) + roll d,    torque = J (w* - w) / tau less the gyroscopic one,    tau = G times the hold,
 
