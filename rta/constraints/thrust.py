@@ -25,6 +25,8 @@ LEAST_BRAKING = (
     0.1  # share of a_max that is left for braking across; `rta.constraints.vehicle` refuses who would need it
 )
 TINY = 1e-24  # m^2/s^2, keeps the slope of a speed finite at rest, far below any that matters
+# m/s, kept of the zone's barrier where thrusters may be dead: nothing checks how much a hold turns of what is left away
+WEAK = 0.2
 SEGMENTS = 5  # of the free flight where its infimum is reported
 
 
@@ -186,7 +188,7 @@ def keep_in_zone(c: Limits, r: RtaParameters, known: Uncertainty = NOTHING) -> C
         "keep_in_zone",
         h,
         gains=(r.keep_in_gain,),
-        margin=r.keep_in_margin,
+        margin=r.keep_in_margin + (WEAK if known.health else 0.0),
         weight=r.slack_weight_critical,
         barrier=lambda x: lambda y: curve(y)[None],
         loss=turn(c, r) + swing,

@@ -11,7 +11,6 @@ from pathlib import Path
 
 import pytest
 import torch
-from tests.rta.conditions import test_actuator_groups as own_constraints
 from torch import Tensor
 
 from inspection.model.parameters import InspectionParameters
@@ -24,6 +23,7 @@ from rta.bounds.uncertainty import Uncertainty
 from rta.constraints import thrust
 from rta.parameters import RtaParameters
 from rta.printed.batch import recorded
+from tests.rta import test_actuator_groups as own_constraints
 
 ROOT = Path(__file__).parents[2]
 OWN = {

@@ -37,24 +37,21 @@ int PLAY(way)(const double x[16], const double control[6], double *places, int m
 {
     int count = 0;
 #if BACKUP
-    double least[1];
+    static const int none[LIMITS] = {0};
     double y[16];
-    double at[10];
-    double after[10];
-    int is_at_rest = 0;
-    copy(y, x, 16);
-    for (int i = 0; i < LOOKS; ++i) {
-        double later[16];
-        thrust_look(y, control, later, least);
-        copy(y, later, 16);
-    }
-    beginning(y, at);
-    for (int k = 0; (k < BRAKING_HOLDS) && (count < most) && (is_at_rest == 0); ++k) {
-        copy(&places[3 * count], at, 3);
+    double u[6];
+    double after[16];
+    double least[LIMITS];
+    int arrived[2] = {0, 0};
+    flown(x, control, y, least);
+    for (int k = 0; (k < FLIGHT_HOLDS) && (count < most) && (arrived[THRUST] == 0); ++k) {
+        copy(&places[3 * count], y, 3);
         count += 1;
-        is_at_rest = (speed_of(at) <= AT_REST) ? 1 : 0;
-        braked(at, after, least);
-        copy(at, after, 10);
+        have_arrived(y, none, arrived);
+        backup_torque(y, &u[3]);
+        backup_thrust(y, &u[3], u);
+        flown(y, u, after, least);
+        copy(y, after, 16);
     }
 #else
     (void)x;
