@@ -11,6 +11,7 @@ conflict, slack is given class after class of their weights (`rta.qp.programs.st
 
 import warnings
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import fields, replace
 from functools import cached_property
 from typing import Any
@@ -34,7 +35,7 @@ from rta.constraints.thrust import keep_in_zone, thrust_constraints
 from rta.constraints.torque import torque_constraints
 from rta.given import Given
 from rta.parameters import RtaParameters
-from rta.printed.batch import BatchFilter
+from rta.printed.batch import BatchFilter, Flights
 from rta.propose import Propose
 from rta.qp.batched_solver import STEPS_HELD, BatchedSolver
 from rta.qp.piqp_solver import PiqpSolver
@@ -108,6 +109,7 @@ class SafetyFilter:
         self._is_auto = solver is None and parameters.qp_solver == "auto"
         self._solves_in_c = isinstance(self.solver, BatchedSolver) or self._is_auto
         self.compiled: BatchFilter | None = None
+        self._has_tried = False
         self._is_compiled = False
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -168,8 +170,8 @@ class SafetyFilter:
         """
         kept = (self.values(x) >= 0.0).all(0)
         if self.backup:
-            compiled = self.compiled if x.device.type == "cpu" else None
-            return narrowed(kept, x, compiled.have_ways if compiled else self.backup.has_way)
+            self._compile_flights(x)
+            return narrowed(kept, x, self.backup.has_way)
         thrust, torque = self.groups
         if self.homing:
             kept = narrowed(kept, x, self.homing.has_way)
@@ -298,12 +300,23 @@ class SafetyFilter:
             if whole.stride(0):  # else there is nothing to say of any constraint
                 put(whole, columns, getattr(again, field.name))
 
+    def _compile_flights(self, x: Tensor) -> None:
+        """Has the flights of the check from states on a CPU computed in C, once, where there is a compiler.
+
+        A flight has a hundred holds, each of a thousand operations.
+        """
+        if self.backup and not self._has_tried and x.device.type == "cpu":
+            self._has_tried = True
+            with suppress(NoCompilerError):
+                self.backup.flights = self.backup.flights or Flights(self)
+
     @torch.no_grad()
     def _correct(self, x: Tensor, desired: Tensor, sent: Tensor | None, left: Tensor | None) -> FilterResult:
         """`correct` in PyTorch, and by the solver."""
         x = x.masked_fill(x.isinf(), torch.nan)  # infinitely safe is no state either
         result = self.propose(x, desired, self.solver, sent, left)
         if self.backup is not None:
+            self._compile_flights(x)
             of_torque = [name in self.groups[1].names for name in self.names]
             result = self.backup.commit(x, desired, result, of_torque)
         if sent is None:

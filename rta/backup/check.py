@@ -51,6 +51,7 @@ class Backup:
 
     Attributes:
         holds: of a flight at most.
+        flights: `fly` of states on a CPU, compiled; None: it is not.
 
     Raises:
         NoTerminalSetError: the laws leave every set that is known.
@@ -65,6 +66,7 @@ class Backup:
         self.coarse = Coarse.of(self.pointing, self.braking, self.flight, self.terminal)
         braking = 1.5 * self.braking.fastest / self.braking.straight + self.terminal.leaves
         self.holds = math.ceil(max(self.coarse.arrives, braking) / period)
+        self.flights: Callable[[Tensor, Tensor, Sequence[int]], Tensor] | None = None
 
     @classmethod
     def of(cls, c: Limits, period: float) -> "Backup | None":
@@ -106,6 +108,11 @@ class Backup:
         return self.ways(x, torch.zeros_like(x[:LIMITS], dtype=torch.bool)).all(0)
 
     def ways(self, x: Tensor, broken: Tensor, asked: Sequence[int] = (0, 1)) -> Tensor:
+        """`fly`, in C where it can be."""
+        flights = self.flights if x.device.type == "cpu" else None
+        return (flights or self.fly)(x, broken, asked)
+
+    def fly(self, x: Tensor, broken: Tensor, asked: Sequence[int] = (0, 1)) -> Tensor:
         """(2, B) bool: the laws' flight from states (16, B) keeps the limits of thrust, of torque that are not broken.
 
         Args:

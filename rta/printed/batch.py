@@ -5,6 +5,8 @@ and attempts the programs of the others. What the attempt leaves, the driver tha
 """
 
 import ctypes
+from collections.abc import Sequence
+from copy import copy
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -31,6 +33,8 @@ if TYPE_CHECKING:
 
 PROBED = 256  # columns whose time says what a column takes
 FLIGHT = 2e-5  # s, that a flight of the backup laws takes on one core, about
+HEAD = "\n".join(driver_text(f"batch/{name}") for name in ("batch.h", "columns.c"))
+FLIGHTS = driver_text("batch/flights.c")
 
 
 class Columns:
@@ -93,41 +97,65 @@ class BatchFilter(Columns):
 
     def __init__(self, safety_filter: "SafetyFilter") -> None:
         f = safety_filter
-        own, ways, parts = remembered(recorded, f)
+        own, ways, parts = remembered(recorded, copy(f))  # what is compiled has no digest
         self.statements = sum(part.statements for part in parts)
+        told_limits = [define(name, *said) for name, said in limits().items()]
         many = [
             for_vectors("double"),
-            define("CONSTRAINTS", len(f.names)),
+            *(checked(f, ways) or [define("CONSTRAINTS", len(f.names)), *told_limits, HEAD]),
             define("LATENCY", f.known.latency),
             define("HEALTH", int(f.known.health)),
             define("BACKUP", int(f.backup is not None)),
             define("TURN", int(f.turn is not None)),
             define("HELD_CALLS", calls(f.homing.haven) if f.homing else 0),
             define("CHECKS", int(not f.unchecked)),
-            *(define(name, *said) for name, said in (constants(f.backup) if f.backup else limits()).items()),
             *(part.text for part in parts),
-            *([group_of(f)] if f.backup else []),
-            *(part.text for part in ways if f.backup or part.name in FOR_VECTORS),
-            *([driver_text("commit.c")] if f.backup else []),
-            *(
-                driver_text(f"batch/{name}")
-                for name in ("batch.h", "columns.c", "commit.c", "told.c", "batch.c")
-            ),
+            *(part.text for part in ways if part.name in FOR_VECTORS),
+            *([FLIGHTS] if f.backup else []),
+            *(driver_text(f"batch/{name}") for name in ("commit.c", "told.c", "batch.c")),
         ]
         one = [source(f, [*own, *ways]), by_column(f)]
         found = library({"one": "\n".join(one), "many": "\n".join(many)})
         super().__init__(found, f, 0.0)
-        self.ways = over_columns(found, "filter_ways") if f.backup else None
+        if f.backup:
+            f.backup.flights = Flights(f, found)
         x, u = (part.expand(-1, PROBED).contiguous() for part in f.probe("cpu"))
         self.seconds = min(timed(self, x, u) for _ in range(3)) / PROBED
 
-    def have_ways(self, x: Tensor) -> Tensor:
-        """`Backup.has_way`."""
-        assert self.ways is not None
-        found = torch.empty(1, x.shape[1], dtype=torch.bool)
-        run, arguments = self.ways, (*pointers([strided(x)]), *pointers([found]))
-        in_shares(lambda first, last: run(first, last, *arguments), x.shape[1], FLIGHT)
-        return found[0]
+
+class Flights:
+    """`Backup.ways` of states on a CPU, by a C function of a library.
+
+    Args:
+        found: the library; None: one is made of the filter's check alone. Raises as `kernels.Compiled`.
+    """
+
+    def __init__(self, safety_filter: "SafetyFilter", found: ctypes.CDLL | None = None) -> None:
+        if found is None:
+            ways = remembered(checks, copy(safety_filter))
+            found = library(
+                {"flights": "\n".join([for_vectors("double"), *checked(safety_filter, ways), FLIGHTS])}
+            )
+        self.run = over_columns(found, "filter_flights")
+
+    def __call__(self, x: Tensor, broken: Tensor, asked: Sequence[int] = (0, 1)) -> Tensor:
+        """As `Backup.ways`."""
+        wanted = torch.zeros(2, x.shape[1], dtype=torch.bool)
+        wanted[list(asked)] = True
+        result = torch.empty(2, x.shape[1], dtype=torch.bool)
+        arguments = *pointers([strided(x), strided(broken), wanted]), *pointers([result])
+        in_shares(lambda first, last: self.run(first, last, *arguments), x.shape[1], FLIGHT)
+        return result
+
+
+def checked(safety_filter: "SafetyFilter", ways: Sequence[Printed]) -> list[str]:
+    """The check of the model, in C for vectors of spacecraft; nothing where there is none."""
+    if not safety_filter.backup:
+        return []
+    known = [define(name, *said) for name, said in constants(safety_filter.backup).items()]
+    number = define("CONSTRAINTS", len(safety_filter.names))
+    texts = [part.text for part in ways]
+    return [number, *known, group_of(safety_filter), *texts, driver_text("commit.c"), HEAD]
 
 
 def recorded(safety_filter: "SafetyFilter") -> tuple[list[Printed], list[Printed], list[Printed]]:

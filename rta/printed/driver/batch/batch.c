@@ -65,21 +65,3 @@ long filter_batch(long first, long last, const void *const *in, const long *in_s
 #endif
     return unsolved;
 }
-
-#if BACKUP
-/* Whether the laws' flight from each state keeps all limits. */
-long filter_ways(long first, long last, const void *const *in, const long *in_step, void *const *out, const long *out_step)
-{
-    const M none[LIMITS] = {NO};
-    const M both[2] = {YES, YES};
-    (void)out_step;
-    for (long column = first; column < last; column += W) {
-        V x[16];
-        M found[2];
-        load_block(in[0], in_step[0], column, last - column, 16, x);
-        have_ways(x, none, both, found);
-        store_bool(out[0], column, last - column, found[0] & found[1]);
-    }
-    return 0;
-}
-#endif
