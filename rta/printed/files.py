@@ -5,6 +5,7 @@ import hashlib
 import json
 import re
 from collections.abc import Callable, Sequence
+from copy import copy
 from functools import partial
 from pathlib import Path
 from textwrap import wrap
@@ -248,7 +249,7 @@ def quoted(text: str) -> str:
 
 def implementation(safety_filter: "SafetyFilter") -> str:
     """safety_filter.c: what people read first, printed functions last."""
-    own, ways, _ = remembered(recorded, safety_filter)
+    own, ways, _ = remembered(recorded, copy(safety_filter))
     parts = [*own, *ways]
     names = ",\n".join(f"    {quoted(name)}" for name in safety_filter.names)
     given = driver_files(safety_filter)
