@@ -27,6 +27,7 @@ from inspection.model.state import CONTROL_SIZE, P, V
 from ppo.errors import CheckpointError
 from ppo.network import Policy
 from rta.filter import SafetyFilter
+from rta.parameters import ROWS
 from rta.result import FilterResult
 from study import config as configuration
 from study.command_line.flags import Parser, period, positive_integer, positive_number
@@ -73,11 +74,23 @@ def to_waypoints(c: InspectionParameters, generator: torch.Generator, batch: int
     return control
 
 
+def opposite(safety_filter: SafetyFilter) -> Controller:
+    """Full control against that of the backup laws: who asks for it wants to leave the flight that is verified."""
+    if not (backup := safety_filter.backup):
+        raise InputError("--demand opposite: this filter has no backup laws of the model to oppose")
+
+    def control(t: float, x: Tensor) -> Tensor:
+        return -backup.law(x).sign() * x.new_tensor(safety_filter.c.control_limit)[:, None]
+
+    return control
+
+
 DEMANDS: dict[str, Callable[[InspectionParameters, torch.Generator, int], Controller]] = {
     "random": held_at_random,
     "full": full,
     "waypoints": to_waypoints,
 }
+AGENT, OPPOSITE = "agent", "opposite"
 
 
 class Counted:
@@ -141,7 +154,7 @@ def measure(
     """Flies episodes behind the filter under a demand, for a duration in s.
 
     Args:
-        demand: one of DEMANDS, or "agent", who is `policy` then; where: as of `starts`.
+        demand: one of DEMANDS, "opposite", or "agent", who is `policy` then; where: as of `starts`.
 
     Returns:
         Shares of calls in percent, mean changes in units of the actuators' limits, a rate, the share of starts in
@@ -155,7 +168,12 @@ def measure(
     x, priority = starts(where, episodes, 0, experiment.filter)
     env.start(x.to(experiment.device), priority.to(experiment.device))
     generator = torch.Generator().manual_seed(1)
-    controller = agent(policy, env) if policy else DEMANDS[demand](env.c, generator, episodes)
+    if policy:
+        controller = agent(policy, env)
+    elif demand == OPPOSITE:
+        controller = opposite(experiment.filter)
+    else:
+        controller = DEMANDS[demand](env.c, generator, episodes)
     low = env.constraint_values(env.x)
     for hold in env.inspect(controller, duration):
         low = torch.minimum(low, env.constraint_values(hold.after))
@@ -197,7 +215,8 @@ def main(argv: list[str] | None = None) -> None:
     parser = Parser(prog=f"python -m {__package__}.measure", description=__doc__.partition("\n")[0])
     parser.add_argument("--config", action="append", default=[], metavar="FILE", help="as of main.py")
     parser.add_argument("--rta-period", type=period, metavar="S", help="s between two calls, 1, 5 or 10")
-    parser.add_argument("--demand", choices=(*DEMANDS, "agent"), default="random", help="who demands")
+    parser.add_argument("--rows", choices=ROWS, help="kind of the filter's rows")
+    parser.add_argument("--demand", choices=(*DEMANDS, OPPOSITE, AGENT), default="random", help="who demands")
     parser.add_argument("--checkpoint", metavar="F", help="of --demand agent")
     parser.add_argument(
         "--starts", choices=("paper", "safe-set", "edge"), default="safe-set", help="from where"
@@ -214,13 +233,14 @@ def main(argv: list[str] | None = None) -> None:
 
 def measured(arguments: argparse.Namespace) -> dict[str, Any]:
     """What the words of a call ask for, written to their file, too."""
-    if (arguments.demand == "agent") != bool(arguments.checkpoint):
+    if (arguments.demand == AGENT) != bool(arguments.checkpoint):
         raise InputError("--checkpoint F is needed by --demand agent and by no other")
     THREADS.ask(None)
     policy, config = load_policy(arguments.checkpoint) if arguments.checkpoint else (None, Config())
     for file in arguments.config:
         config = configuration.load(configuration.find(file), config)
-    own = {"train": {"rta": True}, "rta": {"period": arguments.rta_period or config.rta.period}}
+    asked = {"period": arguments.rta_period, "rows": arguments.rows}
+    own = {"train": {"rta": True}, "rta": {key: value for key, value in asked.items() if value}}
     config = override(config.unsettled(), own, "command line")
     found = measure(
         config, arguments.demand, arguments.starts, arguments.episodes, arguments.duration, policy
