@@ -11,6 +11,7 @@ nearest <= |p| <= r_max; a hold leaves less than that of it (`TerminalSet.of`), 
 
 import math
 from dataclasses import dataclass
+from functools import cache
 
 import torch
 from torch import Tensor
@@ -57,6 +58,7 @@ class TerminalSet:
         return (self.nearest - self.c.collision_radius) / (DRIFT - CALM)
 
     @classmethod
+    @cache
     def of(cls, pointing: Pointing, braking: Braking) -> "TerminalSet":
         """Raises NoTerminalSetError."""
         c, hold = pointing.c, pointing.hold
