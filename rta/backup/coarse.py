@@ -100,8 +100,8 @@ class Coarse:
             far + length / 2 > c.max_distance - INSIDE - DRIFT / STEEP - 1.0
         )
         e_v = holds * w.astray * w.thrust * t + (push * turn + 2 * n * w.thrust + 3 * n**2 * speed) * t**2 / 8
-        e_v = e_v + torch.where(fields, DRIFT, 0.0)
-        e_p = e_v * (holds * t + self.arrives * torch.where(fields, 1.0, 0.05))
+        e_v = e_v + torch.where(fields, DRIFT, torch.zeros_like(speed))
+        e_p = e_v * (holds * t + self.arrives * torch.where(fields, 1.0, torch.full_like(speed, 0.05)))
         limits = between(start, rest, Strays(e_p + sag, e_v, e_v), c, self.flight.free)
         # where the law takes the way to end, at first and at last: on the way the point moves from the one to the other
         ends = [norm(p + direction * speed * (speed / (2 * w.straight) + late)) for late in (0.0, t / 2)]

@@ -15,6 +15,7 @@ from kernels import Compiled
 from rta.bounds.uncertainty import Uncertainty
 from rta.filter import SafetyFilter
 from rta.parameters import RtaParameters
+from rta.qp.piqp_solver import PiqpSolver
 from rta.qp.programs import Status
 from tests.rta.constraints.test_constraints import tensor
 from tests.rta.test_filter import LIMIT, commands, near_the_limits
@@ -174,13 +175,13 @@ def test_a_late_state_is_predicted_by_what_is_compiled(monkeypatch: pytest.Monke
     ) -> Callable[..., list[Tensor]]:
         if len(examples) < 3:  # rows
             return run
-        traced = Compiled(run, *examples, trace_only=True)
-        return lambda *given: called.append(len(given)) or traced(*given)
+        made = Compiled(run, *examples, batch=4)
+        return lambda *given: called.append(len(given)) or made(*given)
 
     known = Uncertainty(latency=2, mass=0.1, velocity=0.002)
-    f, other = SafetyFilter(C, known=known), SafetyFilter(C, known=known)
+    f, other = (SafetyFilter(C, known=known, solver=PiqpSolver()) for _ in range(2))
     monkeypatch.setattr("rta.filter.Compiled", compiled)
-    other.trace()
+    other.compile("cpu", 4)
     x, u = across(4, 0.9), desired(4)
     sent = desired(8).reshape(6, 2, 4).transpose(0, 1).contiguous()
     sent[0, :, 2:] = math.nan
