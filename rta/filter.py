@@ -161,9 +161,9 @@ class SafetyFilter:
 
     @in_full_precision
     def is_safe(self, x: Tensor) -> Tensor:
-        """(B,) bool: a state that may start an episode (docs/reference/proof.md, with its counterexample).
+        """(B,) bool: a state that may start an episode (docs/reference/proof.md).
 
-        Every h is non-negative and a way to rest is verified. Where none is known of attitude, or of motion, its Psi_1
+        Every h is non-negative and the laws' flight keeps the limits. Where none is known of attitude, or of motion, its Psi_1
         are non-negative and a control satisfies every row; of motion thrust can brake, too.
         """
         kept = (self.values(x) >= 0.0).all(0)
