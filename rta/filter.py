@@ -6,7 +6,7 @@ For thrust and for torque, each within its limits,
 
 The rows are of one of two kinds (`rta.barrier`): of the rate now, or of what a held control leads to. Where they
 conflict, slack is given class after class of their weights (`rta.qp.programs.stages`). What the programs propose
-(`rta.propose`) is applied if a way to rest remains (`rta.backup`).
+(`rta.propose`) is applied if it and the backup laws' flight after it keep the limits (`rta.backup`).
 """
 
 import warnings
@@ -163,10 +163,10 @@ class SafetyFilter:
 
     @in_full_precision
     def is_safe(self, x: Tensor) -> Tensor:
-        """(B,) bool: a state that may start an episode (docs/reference/proof.md, with its counterexample).
+        """(B,) bool: a state that may start an episode (docs/reference/proof.md).
 
-        Every h is non-negative and a way to rest is verified. Where none is known of attitude, or of motion, its Psi_1
-        are non-negative and a control satisfies every row; of motion thrust can brake, too.
+        Every h is non-negative and the laws' flight keeps the limits. Where none is known of attitude, or of motion,
+        its Psi_1 are non-negative and a control satisfies every row; of motion thrust can brake, too.
         """
         kept = (self.values(x) >= 0.0).all(0)
         if self.backup:

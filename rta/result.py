@@ -15,8 +15,8 @@ class FilterResult:
     Attributes:
         control: (6, B) safe control in N and N m, within the actuators' limits whatever was desired.
         intervened: (B,) bool, another control than the desired one is applied.
-        verified: (B,) bool, the control keeps every limit until the next call, and the plan of a way to rest from there
-            does (`rta.backup`; docs/reference/proof.md, the counterexample). Of a filter that is told of bounds:
+        verified: (B,) bool, the control keeps every limit until the next call, and the backup laws' flight from there
+            does (`rta.backup`; docs/reference/proof.md). Of a filter that is told of bounds:
             whatever is true within them, whenever the next call is, and motion comes into a haven. False where no way
             is known of motion or attitude.
         backup: (B,) bool, another control is applied than the programs' solution, for that reason.

@@ -1,1 +1,1 @@
-"""The way to rest: manoeuvres that keep every limit and end where the spacecraft can stay, and the check of them."""
+"""The backup laws, which keep every limit and end where the spacecraft can stay, and the checks of their flight."""
