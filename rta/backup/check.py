@@ -63,6 +63,8 @@ class Backup:
         self.braking = Braking.of(c, period, self.pointing.fastest)
         self.terminal = TerminalSet.of(self.pointing, self.braking)
         self.flight = Flight.of(c, period, self.braking.fastest)
+        if self.flight.spin * self.flight.seconds * 2 * math.sqrt(3.0) * c.max_rate > 0.2:  # see `peak`
+            raise NoTerminalSetError("gyroscopic torque")
         self.coarse = Coarse.of(self.pointing, self.braking, self.flight, self.terminal)
         braking = 1.5 * self.braking.fastest / self.braking.straight + self.terminal.leaves
         self.holds = math.ceil(max(self.coarse.arrives, braking) / period)

@@ -188,8 +188,9 @@ def strays(
 
     Thrust is fixed in the body. Of a body that turns at w at most, a thrust of a m/s^2 goes astray from its mean over t
     by a w |s - t/2|, across it, and by a w^2 (s - t/2)^2 / 2 along it. So the velocity strays from its chord across
-    thrust by e = a w t^2 / 8 and along it by a w^2 t^3 / 100 at most, and |v| by (e |v across thrust| + e^2 / 2) / |v|
-    and that. A position under a steady acceleration strays from its chord by |dv| t / 8.
+    thrust by e = a w t^2 / 8 and along it by a w^2 t^3 / 60 at most, also where the plant holds the rates on the way,
+    and |v| by (e |v across thrust| + e^2 / 2) / |v| and that. A position under a steady acceleration strays from its
+    chord by |dv| t / 8.
 
     Args:
         seconds: between the nodes; thrust: its mean in m/s^2, (3, ...); turn: rad/s, (...).
@@ -197,7 +198,7 @@ def strays(
     """
     push = norm(thrust)
     direction = thrust / push.clamp(min=1e-12)
-    e_v, along = push * turn * seconds**2 / 8, push * turn**2 * seconds**3 / 100
+    e_v, along = push * turn * seconds**2 / 8, push * turn**2 * seconds**3 / 60
     e_v = e_v + along
     faster = torch.zeros_like(push)
     for y in (start, end):

@@ -55,6 +55,8 @@ class Flight:
     def of(cls, c: Limits, hold: float, fastest: float) -> "Flight":
         seconds = min(c.substep, hold)
         steps = round(hold / seconds)
+        if not math.isclose(steps * seconds, hold):
+            raise ValueError(f"substep = {c.substep:g}: must divide the period, {hold:g} s")
         most = max(1, math.floor(LOOK / seconds + 1e-9))
         looks = math.ceil(steps / most)
         counts = tuple(steps * (i + 1) // looks - steps * i // looks for i in range(looks))
@@ -110,7 +112,7 @@ def attitude_between(start: Tensor, end: Tensor, u: Tensor, t: float, w: Flight)
     c = w.c
     fast = peak(start, u, t, w)
     turn = fast + c.fastest_orbit_rate
-    faster = norm(angular(u, c)) + w.spin * fast**2
+    faster = norm(angular(u, c)) + w.spin * fast**2 + c.fastest_orbit_rate * turn
     angle, temperature, energy = [], [], []
     for x in (start, end):
         sun, earth = sun_and_earth_in_body(x)

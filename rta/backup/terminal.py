@@ -26,6 +26,7 @@ from rta.backup.chords import FreeFlight
 from rta.backup.motion_law import BESIDE, DRIFT, INSIDE, STEEP, Braking, field
 
 CALM = 2e-3  # m/s
+AROUND = 1.2  # of it, between calls
 WIDEST, PARTS = 0.1, 200  # rad, of R at most, and how many smaller ones are tried
 GRID = 4000, 100  # distances and times at which free flight is looked at
 
@@ -62,6 +63,10 @@ class TerminalSet:
     def of(cls, pointing: Pointing, braking: Braking) -> "TerminalSet":
         """Raises NoTerminalSetError."""
         c, hold = pointing.c, pointing.hold
+        if not (pointing.rate > 0.0 and 0.0 < pointing.kappa * hold < 1.0):
+            raise NoTerminalSetError("torque is too weak for the body's rates")
+        if braking.straight * hold <= DRIFT + AROUND * CALM:
+            raise NoTerminalSetError("thrust is too weak")
         quadratic, contracts = lyapunov(pointing.kappa * hold)
         radius, far, rate = cone(pointing, quadratic, contracts)
         hottest, emptiest, _ = resources(far, c)
@@ -113,7 +118,7 @@ def cone(w: Pointing, quadratic: tuple[float, float, float], contracts: float) -
     for i in range(PARTS, 0, -1):
         radius = WIDEST * i / PARTS
         angle = math.asin(min(1.0, radius * math.sqrt(inverse[0, 0].item())))
-        rate = 1.05 * max(radius * math.sqrt(inverse[1, 1].item()) / t, kappa * angle)
+        rate = 1.2 * max(radius * math.sqrt(inverse[1, 1].item()) / t, kappa * angle)
         far = angle + rate * t
         if far > 0.3:
             continue
@@ -125,6 +130,8 @@ def cone(w: Pointing, quadratic: tuple[float, float, float], contracts: float) -
         torque = max(c.inertia) * (2 * rate / t + spin * (rate + n) ** 2)
         kept = contracts * radius + math.sqrt(most) * math.hypot(of_w, of_a) <= radius
         kept &= (of_w / t + kappa * angle <= rate) and torque <= c.max_torque
+        kept &= radius * math.sqrt(inverse[1, 1].item()) / t + amiss <= rate
+        kept &= math.pi - far >= c.field_of_view / 2 + c.exclusion_buffer
         kept &= kappa * math.sin(far) <= min(w.rate, w.roll) and math.cos(far) > 0.25
         if kept and rate + n <= c.max_rate and resources(far, c)[2]:
             return radius, far, rate
@@ -146,15 +153,17 @@ def resources(far: float, c: Limits) -> tuple[float, float, bool]:
 def leftover(w: Braking, rate: float) -> float:
     """m/s, that a hold in the set leaves of v - v_ref at most, the body turning by so many rad/s relative to the Sun.
 
-    What `thrust_along` leaves of G, with Simpson's rule off by (w T)^4 / 100 or less; what f changes by where thrust
-    that turns leads astray; and how the field changes on the way.
+    What `thrust_along` leaves of G, and Simpson's rule, with an angular acceleration up to 2 w / T; what f changes by
+    where thrust that turns leads astray; and how the field changes on the way.
     """
     c, t, n = w.c, w.hold, w.c.mean_motion
     turned = (rate + n) * t
-    amiss = (turned**2 / 24 + 2 * turned / 24) ** 2 + turned**4 / 100
-    speed = DRIFT + 1.2 * CALM
+    amiss = (turned**2 / 24 + 2 * turned / 24) ** 2 + (turned**4 + 12 * turned**3 + 12 * turned**2) / 2880
+    speed = DRIFT + AROUND * CALM
     given = CALM / t + c.largest_drift(c.max_distance, speed)
     astray = given * turned * t / 8  # m/s, in the hold
+    if astray > (AROUND - 1.0) * CALM:
+        raise NoTerminalSetError("a hold strays too far")
     tide = 3 * n**2 * (given * t**2 / 24 + astray * t) + 2 * n * astray
     steep = max(STEEP, DRIFT / (BESIDE * c.collision_radius))
     return given * t * amiss + tide * t + steep * speed * t
@@ -167,7 +176,7 @@ def nearest(c: Limits) -> float:
     singular value times r, whatever the direction of p; both matrices are of x and y, and of z apart.
     """
     count, moments = GRID
-    beside, most = BESIDE * c.collision_radius, 1.2 * CALM
+    beside, most = BESIDE * c.collision_radius, AROUND * CALM
     r = torch.linspace(c.collision_radius, c.max_distance, count, dtype=torch.float64)
     times = torch.linspace(0.0, c.passive_safety_horizon, moments + 1, dtype=torch.float64)
     along = torch.zeros(3, count, dtype=torch.float64)
@@ -185,6 +194,8 @@ def nearest(c: Limits) -> float:
     clear = (torch.minimum(flat, zz.abs()) * r - free.velocity * times[:, None] * most).amin(0)
     gap = (r[1] - r[0]).item()
     bend = (free.bend_position * r + free.bend_velocity * (speed.abs() + most)) * times[1] ** 2 / 8
+    # between two times the chord passes nearer than both its ends
+    bend = bend + (times[1] * (3 * c.mean_motion * r + 2 * (speed.abs() + most))) ** 2 / (8 * r)
     lost = gap * (free.position + free.velocity * c.passive_safety_horizon * (2 * STEEP + DRIFT / beside))
     outwards = (2 * c.max_acceleration * (c.max_distance - r).clamp(min=0.0)).sqrt()
     inwards = (2 * c.max_acceleration * (r - c.collision_radius)).sqrt()

@@ -162,7 +162,7 @@ def battery(c: Limits, r: RtaParameters) -> Constraint:
         leaving = side(c.solar_panel_axis, sun, h(x) < 0.0, r.pole_angle, far=True)
         return lambda y: h(y, r.pole_angle, leaving)[None]
 
-    charging = energy_rate(torch.ones(()).double(), c).item()  # in full light
+    charging = energy_rate(torch.ones((), dtype=torch.float64), c).item()  # in full light
 
     return Entry(
         "battery",
