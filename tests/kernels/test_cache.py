@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 import torch
-from tests.rta.conditions import test_actuator_groups as own_constraints
+from tests.rta import test_actuator_groups as own_constraints
 from torch import Tensor
 
 from inspection.model.parameters import InspectionParameters
@@ -19,7 +19,7 @@ from kernels import build
 from kernels.cache import remembered
 from kernels.digest import digest
 from rta import SafetyFilter
-from rta.backup import brake
+from rta.backup import flight
 from rta.bounds.uncertainty import Uncertainty
 from rta.constraints import thrust
 from rta.parameters import RtaParameters
@@ -173,7 +173,7 @@ def test_closures_partials_methods_and_tensors_count() -> None:
     tensor = torch.arange(3.0)
     things = [by(1.0), by(1), by(-0.0), by(0.0), by(tensor), by(tensor.double()), by(tensor[:2]), partial(half),
               partial(half, tensor), half, InspectionParameters().__eq__, {1: 2}, {2: 1}, {1, 2}, [1, 2], (1, 2),
-              Uncertainty(mass=0.1), brake, torch.sin, torch.cos, tensor.sin, len, [].append]  # fmt: skip
+              Uncertainty(mass=0.1), flight, torch.sin, torch.cos, tensor.sin, len, [].append]  # fmt: skip
     assert len({digest(each) for each in things}) == len(things) and None not in map(digest, things)
     assert digest(by(tensor)) == digest(by(tensor.clone()))
 
@@ -206,8 +206,8 @@ def test_equal_filters_are_recorded_once_and_others_by_themselves() -> None:
 @pytest.mark.parametrize(
     ("place", "name", "other"),
     [
-        (brake, "AT_REST", 2.0),
-        (brake, "between", lambda *_: None),
+        (flight, "FLAT", 2.0),
+        (flight, "between", lambda *_: None),
         (thrust, "keep_in_zone", lambda *_: None),
         (SafetyFilter, "values", lambda *_: None),
     ],
