@@ -42,9 +42,9 @@ def backup(name: str, hold: float, saturates: bool = True) -> Backup:
 
 @functools.cache
 def safety(name: str, hold: float, saturates: bool = True, compiled: bool = True) -> SafetyFilter:
-    """The filter of a vehicle."""
+    """The check of a vehicle as a filter, behind no rows: it has to find all."""
     own = RtaParameters() if name == "paper" else config.load(config.find(f"vehicles/{name}")).rta
-    found = SafetyFilter(vehicle(name, saturates), replace(own, period=hold))
+    found = SafetyFilter(vehicle(name, saturates), replace(own, period=hold, rows="none"))
     if compiled:
         found.compile("cpu", 64)
     return found
