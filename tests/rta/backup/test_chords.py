@@ -4,16 +4,16 @@ import numpy as np
 import pytest
 import torch
 from numpy import ndarray
-from rta.backup.brake import CLOSELY, ROUGHLY
 from scipy.spatial.transform import Rotation
 
 from inspection.model.parameters import InspectionParameters
 from rta.backup.chords import FreeFlight, Strays, between, strays
+from rta.backup.flight import CELLS
 from tests.rta.backup.brute_force import free_flight, motion
 from tests.rta.constraints.test_constraints import length, tensor
 
 C = InspectionParameters()
-FREE, ROUGH = FreeFlight.of(C, *CLOSELY), FreeFlight.of(C, *ROUGHLY)
+FREE, CLOSE = FreeFlight.of(C, *CELLS), FreeFlight.of(C, 29, 1)
 ROUNDING = 1e-9
 
 
@@ -34,7 +34,7 @@ def nodes(count: int, step: float, faster: float, seed: int) -> tuple[ndarray, n
     return start, end
 
 
-@pytest.mark.parametrize("free", [FREE, ROUGH], ids=["closely", "roughly"])
+@pytest.mark.parametrize("free", [CLOSE, FREE], ids=["closely", "roughly"])
 @pytest.mark.parametrize(
     ("step", "faster", "e_p", "e_v"), [(0, 0, 0, 0), (3, 0.3, 0, 0), (20, 1, 2, 0.05), (2, 0.2, 0.2, 0.2)]
 )
@@ -65,7 +65,7 @@ def test_no_path_within_the_strays_is_below_the_bound(
 def test_bounds_of_short_chords_are_near() -> None:
     start, end = nodes(600, 0.05, 0.005, seed=5)
     none = torch.zeros(600, dtype=torch.float64)
-    bound = between(tensor(start), tensor(end), Strays(none, none, none), C, FREE).numpy()
+    bound = between(tensor(start), tensor(end), Strays(none, none, none), C, CLOSE).numpy()
     least = np.minimum(*(motion(y[:3], y[3:], C, spacing=1.0) for y in (start, end)))
     inside = least > 0.05
     for row, most in enumerate((0.02, 0.02, 0.02, 1.5, 0.001, 0.001, 0.001)):

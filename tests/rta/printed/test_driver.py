@@ -29,7 +29,7 @@ from rta.result import FilterResult
 from study.config import Config, load
 from study.verification.adversaries import adversarial
 from tests.rta import test_actuator_groups as own
-from tests.rta.backup.test_brake import at_the_chief, near_the_zone
+from tests.rta.backup.flights import at_the_chief, near_the_zone
 from tests.rta.bounds.test_health import flying_out, without_one_axis
 from tests.rta.constraints.test_constraints import tensor
 from tests.rta.qp.test_batched_solver import ADDED, FIELDS, arrays, fly, held, synthetic

@@ -59,7 +59,7 @@ def result(given: dict[str, ndarray], tmp_path_factory: pytest.TempPathFactory) 
 def solution(given: dict[str, ndarray], tmp_path_factory: pytest.TempPathFactory) -> dict[str, ndarray]:
     """What it writes without the check of its controls, `rta.backup`: what the programs answer."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(Backup, "is_there", lambda c: False)
+        patch.setattr(Backup, "of", lambda c, period: None)
         return written(given, tmp_path_factory.mktemp("programs"))
 
 

@@ -1,0 +1,62 @@
+"""What is accepted by one look is accepted by the flight, too, which takes no more holds than are allowed."""
+
+import pytest
+import torch
+from torch import Tensor
+
+from rta.backup.check import ENDS, KEPT, MOTION
+from tests.rta.backup.flights import CASES, backup, everywhere, in_c, least_of, opposite, safety, vehicle
+
+COUNT = 20_000  # states of each case
+EACH = pytest.mark.parametrize(("name", "hold", "saturates"), CASES)
+
+
+def of_groups(least: Tensor) -> Tensor:
+    """(2, B) the least of the limits of thrust and of torque."""
+    return torch.stack((least[:MOTION].amin(0), least[MOTION:].amin(0)))
+
+
+def flights(name: str, hold: float, saturates: bool, x: Tensor) -> tuple[Tensor, Tensor]:
+    """Whether flights from states (16, B) keep the limits of thrust, of torque, and end; the holds they take, (2, B)."""
+    flight, terminal = in_c(name, hold, saturates), backup(name, hold, saturates).terminal
+    kept = torch.zeros(2, x.shape[1], dtype=torch.bool)
+    holds = torch.zeros(2, x.shape[1], dtype=torch.long)
+    flying, alive, room = torch.arange(x.shape[1]), torch.ones_like(kept), terminal.room(x)
+    for call in range(2 * backup(name, hold, saturates).holds):
+        there = torch.stack([(room[list(ENDS[group])] >= 0.0).all(0) for group in range(2)])
+        kept[:, flying] |= alive & there
+        holds[:, flying] = torch.where(alive, call, holds[:, flying])
+        x, told, _, _, room = flight(x)
+        alive = alive & ~there & (of_groups(told) >= KEPT)
+        on = alive.any(0)
+        if not on.any():
+            break
+        flying, x, room, alive = flying[on], x[:, on], room[:, on], alive[:, on]
+    return kept, holds
+
+
+@EACH
+def test_what_one_look_accepts_the_flight_accepts(name: str, hold: float, saturates: bool) -> None:
+    c, b = vehicle(name, saturates), backup(name, hold, saturates)
+    x = everywhere(COUNT, 21, c)
+    x = x[:, torch.from_numpy((least_of(x, c) >= 0.0).all(0))]
+    accepted = of_groups(in_c(name, hold, saturates)(x)[3]) >= KEPT
+    assert (accepted.double().mean(1) > 0.1).all(), accepted.double().mean(1)
+    kept, holds = flights(name, hold, saturates, x)
+    missed = accepted & ~kept
+    assert not missed.any(), x[:, missed.any(0)][:, 0].tolist()
+    assert (kept & ~accepted).any(1).all()  # it is a bound of the flight, not the flight
+    longest = holds[kept].max()
+    assert 0.3 * b.holds < longest <= 0.95 * b.holds, (longest, b.holds)
+
+
+@EACH
+def test_so_it_is_behind_a_hold_opposite_to_the_laws(name: str, hold: float, saturates: bool) -> None:
+    """Where the filter asks it: after whatever is proposed."""
+    c, flight = vehicle(name, saturates), in_c(name, hold, saturates)
+    x = everywhere(3000, 23, c)
+    x = x[:, safety(name, hold, saturates).is_safe(x)]
+    y = backup(name, hold, saturates).hold(x, opposite(flight(x)[2], c))[0]
+    accepted = of_groups(flight(y)[3]) >= KEPT
+    kept, _ = flights(name, hold, saturates, y)
+    assert accepted[0].any() and not (accepted & ~kept).any()

@@ -1,0 +1,106 @@
+"""A hold as it is looked at: it ends where the plant is, and nothing between is below the least that is told."""
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from inspection.model.dynamics import step
+from inspection.model.parameters import InspectionParameters
+from inspection.model.state import OMEGA
+from rta.backup.flight import Flight, attitude_between, hold
+from tests.rta.backup.brute_force import attitude, moved
+from tests.rta.backup.flights import (
+    CASES,
+    backup,
+    everywhere,
+    least_between,
+    limits,
+    random,
+    torque_alone,
+    turning,
+    vehicle,
+)
+
+COUNT = 1000
+ROUNDED = 1e-9
+EACH = pytest.mark.parametrize(("name", "period", "saturates"), CASES)
+
+
+def controls(x: Tensor, period: float, c: InspectionParameters) -> Tensor:
+    """Of any size, with little torque; at the corners; of torque that takes rates to their limits; and of the laws."""
+    count = x.shape[1]
+    any_size, corners = random(6, count, 1), random(6, count, 2).sign()
+    kind = torch.arange(count) % 4
+    u = limits(c) * torch.where(kind % 2 == 0, any_size, corners)
+    u[3:, kind == 0] *= 0.05
+    u[3:, kind >= 2] = turning(x, period, 3, c)[:, kind >= 2]
+    return u
+
+
+@EACH
+def test_a_hold_ends_where_the_plant_does(name: str, period: float, saturates: bool) -> None:
+    c, w = vehicle(name, saturates), backup(name, period, saturates).flight
+    x = everywhere(COUNT, 1, c)
+    u = controls(x, period, c)
+    seconds = min(c.substep, period)
+    expected = x
+    for _ in range(round(period / seconds)):
+        expected = step(expected, u, seconds, c)
+    assert torch.equal(hold(x, u, w)[0], expected)
+
+
+def test_a_hold_of_less_than_a_step_and_of_odd_ones_is_flown_in_the_plants_steps() -> None:
+    c = vehicle("paper")
+    assert Flight.of(c, 0.5, 5.0).seconds == 0.5 and sum(Flight.of(c, 0.5, 5.0).looks) == 1
+    for period in (2.0, 3.0, 7.0, 10.0, 13.0):
+        w = Flight.of(c, period, 5.0)
+        assert sum(w.looks) * w.seconds == period and max(w.looks) * w.seconds <= 3.5
+        x = everywhere(20, 1, c)
+        u = controls(x, period, c)
+        assert torch.equal(hold(x, u, w)[0], moved_in_steps(x, u, period, c))
+
+
+def moved_in_steps(x: Tensor, u: Tensor, seconds: float, c: InspectionParameters) -> Tensor:
+    for _ in range(round(seconds / c.substep)):
+        x = step(x, u, c.substep, c)
+    return x
+
+
+@EACH
+def test_no_limit_is_below_its_least_in_a_hold(name: str, period: float, saturates: bool) -> None:
+    c, w = vehicle(name, saturates), backup(name, period, saturates).flight
+    x = everywhere(COUNT, 5, c)
+    x[OMEGA, ::3] = c.max_rate * random(3, COUNT, 7).sign()[:, ::3]  # full torque may be held at the limit
+    u = controls(x, period, c)
+    told, least = hold(x, u, w)[1].numpy(), least_between(x, u, period, c, spacing=5.0, look=0.1)
+    rows = 10 if saturates else 11
+    assert np.isinf(told[rows:]).all()
+    below = told[:rows] - least[:rows]
+    assert (below <= ROUNDED).all(), below.max(1)
+    lost_by = (0.05, 0.05, 0.05, 3.0, 0.02, 0.02, 0.02, 0.01, 0.01, 0.05, 1e-3)
+    for row, most in enumerate(lost_by[:rows]):
+        inside = least[row] > (2e-3 if row == 10 else 0.05)
+        assert inside.sum() > 50, row
+        lost = np.median(-below[row][inside])
+        assert lost < most * (2.0 if row < 7 and period > 1.0 else 1.0), (row, lost)
+
+
+@pytest.mark.parametrize("saturates", [True, False])
+def test_a_body_that_a_step_takes_beyond_its_rates_is_looked_at_as_it_turns(saturates: bool) -> None:
+    """Full torque at the limit of the rates: the plant holds them at the end of a step only."""
+    c, w = vehicle("espa", saturates), backup("espa", 1.0, saturates).flight
+    x = everywhere(4000, 9, c)
+    x[OMEGA] = c.max_rate * random(3, 4000, 1).sign()
+    u = torque_alone(c.max_torque * x[OMEGA].sign())
+    end = step(x, u, w.seconds, c)
+    told = attitude_between(x, end, u, w.seconds, w).numpy()
+    least = np.minimum(attitude(x.numpy(), c), attitude(end.numpy(), c))
+    free, fastest = vehicle("espa", False), 0.0
+    for i in range(1, 20):
+        y = moved(x, u, i * w.seconds / 20, free)
+        least = np.minimum(least, attitude(y.numpy(), c))
+        fastest = max(fastest, y[OMEGA].abs().max().item())
+    assert fastest > 1.2 * c.max_rate
+    rows = slice(0, 3) if saturates else slice(0, 4)
+    assert (told[rows] <= least[rows] + ROUNDED).all(), (told - least)[rows].max(1)

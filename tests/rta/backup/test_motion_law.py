@@ -1,0 +1,145 @@
+"""The law of thrust: the mean force of a hold, a straight way to rest, along the zone, and away from both ends."""
+
+import numpy as np
+import pytest
+import torch
+
+from inspection.model.attitude import rotate
+from inspection.model.state import OMEGA, THETA_S, P, Q, V
+from rta.backup.motion_law import BESIDE, DRIFT, INSIDE, field, planned, thrust_along
+from rta.parameters import PERIODS
+from tests.rta.backup.brute_force import free_flight, moved
+from tests.rta.backup.flights import (
+    C,
+    anywhere,
+    backup,
+    in_c,
+    near_the_zone,
+    random,
+    turning,
+    unit,
+)
+from tests.rta.constraints.test_constraints import length
+
+HOLDS = pytest.mark.parametrize("hold", PERIODS)
+
+
+@pytest.mark.parametrize(("hold", "share"), [(1.0, 1e-5), (5.0, 1e-3), (10.0, 5e-3)])
+def test_the_mean_force_of_a_hold_is_the_wanted_one(hold: float, share: float) -> None:
+    w, x = backup("paper", hold).braking, anywhere(300, 11)
+    torque = turning(x, hold, 1)
+    wanted = w.thrust * unit(
+        torch.randn(3, 300, generator=torch.Generator().manual_seed(2), dtype=torch.float64)
+    )
+    u = torch.cat((thrust_along(wanted, x, torque, w), torque))
+    assert (u[:3].abs() <= C.max_thrust).all()
+    look, mean = hold / 400, torch.zeros_like(wanted)
+    for i in range(401):
+        mean += (0.5 if i in (0, 400) else 1.0) * rotate(x[Q], u[:3]) / C.mass / 400
+        x = moved(x, u, look, C)
+    off = (mean - wanted).norm(dim=0) / w.thrust
+    assert off.max() < share
+    assert off.max() < w.astray
+    assert x[OMEGA].abs().max() > 0.9 * C.max_rate  # the bodies did turn
+
+
+@HOLDS
+def test_a_body_that_turns_anyhow_comes_to_rest_straight_and_when_expected(hold: float) -> None:
+    """a T off |v| in each hold, by Clohessy and Wiltshire's plant: after |v| / (a T) holds nothing is left."""
+    b = backup("paper", hold)
+    w, x = b.braking, anywhere(300, 3)
+    x[P] = (100.0 + 200.0 * random(1, 300, 1).abs()) * unit(x[P])  # where the field is zero
+    x[V] = (0.1 + 3.0 * random(1, 300, 2).abs()) * unit(x[V])
+    start, direction, speed = x.clone(), unit(x[V]), x[V].norm(dim=0)
+    holds = (speed / (w.straight * hold)).ceil()
+    for call in range(int(holds.max())):
+        torque = turning(x, hold, call // 3)
+        x = moved(x, torch.cat((b.thrust(x, torque), torque)), hold, C)
+        left = (speed - (call + 1) * w.straight * hold).clamp(min=0.0)
+        strayed = 0.01 * w.thrust * hold + 1e-3 * call
+        assert ((x[V] - left * direction).norm(dim=0) < strayed).all(), call
+    assert (x[V].norm(dim=0) < 0.01).all()
+    gone = x[P] - start[P]
+    along = (gone * direction).sum(0)
+    assert ((gone - along * direction).norm(dim=0) < 0.5 + 0.02 * along).all()
+    ideal = speed**2 / (2 * w.straight) + speed * hold / 2
+    assert (along < ideal + 0.5).all() and (
+        along > ideal - speed * hold / 2 - w.straight * hold**2 - 0.5
+    ).all()
+
+
+def test_natural_acceleration_is_cancelled() -> None:
+    """What is given and what acts by the closed form of free flight together are the straight deceleration."""
+    w, x = backup("paper", 1.0).braking, anywhere(200, 5)
+    x[P] = 300.0 * unit(x[P])
+    given = planned(x[P], x[V], x[THETA_S], w)
+    n, step = C.mean_motion, 0.5
+    middle = [free_flight(x[P].numpy(), x[V].numpy(), np.float64(t), n) for t in (0.0, step, 2 * step)]
+    natural = (middle[0] - 2 * middle[1] + middle[2]) / step**2
+    decelerated = given.numpy() + natural
+    expected = -unit(x[V]) * torch.clamp(x[V].norm(dim=0), max=w.straight)
+    assert length(decelerated - expected.numpy()).max() < 5e-4
+    assert length(natural).max() > 2e-3  # it would be seen
+
+
+def test_nothing_that_is_asked_for_is_beyond_what_an_axis_gives() -> None:
+    for hold in PERIODS:
+        w, x = backup("paper", hold).braking, near_the_zone(2000, 3)
+        given = planned(x[P], x[V], x[THETA_S], w)
+        assert (given.norm(dim=0) <= C.max_thrust / C.mass).all()
+
+
+@HOLDS
+def test_the_zone_is_kept_where_the_closed_form_has_a_way(hold: float) -> None:
+    """Thrust turns a flight before r_max where a_max - v_t^2 / r, against v_r^2 / 2, is enough for the way there."""
+    x, flight = near_the_zone(2000, 3), in_c("paper", hold)
+    p, v = x[P].numpy(), x[V].numpy()
+    w, a_max = backup("paper", hold).braking, C.max_acceleration
+    distance = length(p)
+    radial = (p * v).sum(0) / distance
+    left = a_max - ((v * v).sum(0) - radial**2) / distance
+    room = 0.9 * (C.max_distance - INSIDE - w.buffer - distance)
+    suffices = (left > 0.05 * a_max) & (np.maximum(radial, 0.0) ** 2 / 2 < left * room) & (room > 0.0)
+    x = x[:, suffices]
+    assert x.shape[1] > 1000
+    farthest, slowest = x[P].norm(dim=0), x[V].norm(dim=0)
+    for _ in range(round(150 / hold)):
+        x = flight(x)[0]
+        farthest, slowest = torch.maximum(farthest, x[P].norm(dim=0)), x[V].norm(dim=0)
+    assert (farthest < C.max_distance).double().mean() > 0.998
+    assert (slowest < 0.03).all()
+
+
+@HOLDS
+def test_a_spacecraft_at_rest_drifts_away_from_both_ends(hold: float) -> None:
+    """Outwards beside the chief, inwards at the edge of the zone; between them it stays where it is."""
+    flight, x = in_c("paper", hold), anywhere(300, 7)
+    x[V] = 0.0
+    x[P] = torch.tensor([15.2, C.max_distance - 0.5, 200.0], dtype=torch.float64).repeat(100) * unit(x[P])
+    start, seconds = x[P].clone(), 300.0
+    for _ in range(round(seconds / hold)):
+        x = flight(x)[0]
+    moved_out = x[P].norm(dim=0) - start.norm(dim=0)
+    near, far, between = (moved_out[i::3] for i in range(3))
+    assert ((near > 0.5 * DRIFT * seconds) & (near < 1.1 * DRIFT * seconds)).all()
+    assert ((far < -0.5 * DRIFT * seconds) & (far > -1.1 * DRIFT * seconds)).all()
+    assert (between.abs() < 0.3).all()
+
+
+def test_the_field_leads_away_from_both_ends_and_back_from_beyond() -> None:
+    x = anywhere(400, 9)
+    direction = unit(x[P])
+    for distance, least, most in (
+        (C.collision_radius - 1.0, DRIFT, DRIFT + 0.1),
+        (C.collision_radius + 0.5, DRIFT, DRIFT),
+        (BESIDE * C.collision_radius - 1.0, DRIFT, DRIFT),
+        (BESIDE * C.collision_radius + DRIFT / 5e-4 + 1.0, 0.0, 0.0),
+        (400.0, 0.0, 0.0),
+        (C.max_distance - INSIDE - DRIFT / 5e-4 - 1.0, 0.0, 0.0),
+        (C.max_distance - 0.5, -DRIFT, -DRIFT),
+        (C.max_distance + 20.0, -DRIFT - 0.1, -DRIFT - 1e-3),
+    ):
+        v = field(distance * direction, C)
+        along = (v * direction).sum(0)
+        assert (along >= least - 1e-12).all() and (along <= most + 1e-12).all(), distance
+        assert (v - along * direction).norm(dim=0).max() < 1e-12
