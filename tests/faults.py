@@ -362,35 +362,48 @@ BOUNDS = [
 
 CHECK = [
     *faults(
-        "rta/backup/brake.py",
-        "rta/backup/test_brake.py",
-        ("straight = -direction * (speed / t)", "straight = direction * (speed / t)"),
+        "rta/backup/motion_law.py",
+        "rta/backup/test_motion_law.py",
+        ("straight = -off / amiss", "straight = off / amiss"),
         ("left = 2.0 * given - (mean * body).sum(1)", "left = given"),
         ("needed = SURPLUS * (tangential**2 / distance + radial", "needed = SURPLUS * (radial"),
+    ),
+    *faults(
+        "rta/backup/attitude_law.py",
+        "rta/backup/test_attitude_law.py",
+        (
+            "/ w.hold - torch.stack(euler(x[OMEGA], w.c.inertia))",
+            "/ w.hold + torch.stack(euler(x[OMEGA], w.c.inertia))",
+        ),
+        ("torch.where(dot(e, z) < 0.0, -off, off)", "off"),
+    ),
+    *faults(
+        "rta/backup/flight.py",
+        "rta/backup/test_flight.py",
+        ("- torch.minimum(curved, astray)", ""),
+        ("torch.minimum(*temperature) - slopes * astray", "torch.minimum(*temperature)"),
+        ("z = step(y, u, w.seconds, w.c)", "z = step(y, u, 0.99 * w.seconds, w.c)"),
+    ),
+    *faults(
+        "rta/backup/terminal.py",
+        "rta/backup/test_terminal.py",
+        ("contracts * radius + math.sqrt(most)", "0.5 * contracts * radius + 0.5 * math.sqrt(most)"),
+        ("self.hottest - x[T]", "self.hottest + 1.0 - x[T]"),
+    ),
+    *faults(
+        "rta/backup/coarse.py",
+        "rta/backup/test_coarse.py",
+        ("used = (self.stopping + falling)", "used = 0.0 * (self.stopping + falling)"),
+        (
+            "limits = between(start, rest, Strays(e_p + sag, e_v, e_v)",
+            "limits = between(start, rest, Strays(e_p, e_v, e_v)",
+        ),
     ),
     *faults(
         "rta/backup/check.py",
         "rta/backup/test_check.py -k first_safe_share",
         ("for share in (*SHARES, 1.0):", "for share in (*SHARES[::-1], 1.0):"),
-        (
-            "(0, THRUST, self.brakes_with, self.thrust_is_safe)",
-            "(0, THRUST, self.brakes_with, self.torque_is_safe)",
-        ),
-    ),
-    *faults(
-        "rta/backup/check.py",
-        "rta/backup/test_brake.py -k every_hold",
-        ("rested = norm(at[V]) <= AT_REST", "rested = norm(at[V]) >= 0.0"),
-    ),
-    *faults(
-        "rta/backup/slew.py",
-        "rta/backup/test_slew.py",
-        (
-            "/ w.hold - torch.stack(euler(x[OMEGA], w.c.inertia))",
-            "/ w.hold + torch.stack(euler(x[OMEGA], w.c.inertia))",
-        ),
-        ("- torch.minimum(curved, astray)", ""),
-        ("torch.minimum(*temperature) - slopes * astray", "torch.minimum(*temperature)"),
+        ("put(changed[0], columns, ~again)", "put(changed[0], columns, again)"),
     ),
     *faults(
         "rta/backup/chords.py",
@@ -460,19 +473,21 @@ IN_C = [
     ),
     *faults(
         "rta/printed/driver/commit.c",
-        "rta/printed/test_driver.py -k in_c_is and now",
+        "rta/backup/test_check.py -k compiled_check and 10.0 or fail_later",
         (
-            "proposed[j] + (shares[i] * (law[j] - proposed[j]))",
-            "law[j] + (shares[i] * (proposed[j] - law[j]))",
+            "proposed[j] + (ALL(shares[i]) * (law[j] - proposed[j]))",
+            "law[j] + (ALL(shares[i]) * (proposed[j] - law[j]))",
         ),
-    ),
-    *faults(
-        "rta/printed/driver/commit.c",
-        "rta/printed/test_driver.py -k torque_that_is_applied",
         (
-            "for (int group = TORQUE; group >= THRUST; --group)",
-            "for (int group = THRUST; group <= TORQUE; ++group)",
+            "for (int group = TORQUES; group >= THRUSTS; --group)",
+            "for (int group = TORQUES; group >= TORQUES; --group)",
         ),
+        ("broken[k] = NOT(h[k] >= 0.0);", "broken[k] = NO;"),
+        (
+            "alive[group] = AND(alive[group], AND(fine[group], NOT(there[group])));",
+            "alive[group] = AND(alive[group], NOT(there[group]));",
+        ),
+        ("found[THRUSTS] = AND(inside[0], AND(inside[3], inside[4]));", "found[THRUSTS] = inside[3];"),
     ),
     *faults(
         "rta/printed/driver/filter.c",
@@ -494,13 +509,16 @@ IN_C = [
     *faults(
         "rta/printed/driver/batch/commit.c",
         "rta/backup/test_check.py -k compiled_check and 1.0 or fail_later",
-        ("found |= ~(torque[0] >= 0.0);", "found |= NO;"),
-        ("safe |= flying & is_at_rest;", "safe |= flying;"),
+        (
+            "const M both = kept[0] & later[0] & kept[1] & later[1];",
+            "const M both = kept[0] & later[0] & kept[1];",
+        ),
+        ("truths[0] = other[lane] != 0;", "truths[0] = 0;"),
     ),
     *faults(
         "rta/printed/driver/batch/batch.c",
         "rta/backup/test_check.py -k compiled_check and 1.0 or fail_later",
-        ("finish(open[0] | told | unseen,", "finish(open[0] | told,"),
+        ("finish(open[0] | told | unchecked, unsure,", "finish(open[0] | told | unchecked, NO,"),
     ),
     *faults(
         "rta/printed/batch.py",

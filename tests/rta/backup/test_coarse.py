@@ -17,7 +17,7 @@ def of_groups(least: Tensor) -> Tensor:
 
 
 def flights(name: str, hold: float, saturates: bool, x: Tensor) -> tuple[Tensor, Tensor]:
-    """Whether flights from states (16, B) keep the limits of thrust, of torque, and end; the holds they take, (2, B)."""
+    """Whether flights from states (16, B) keep limits of thrust, of torque, and end; the holds they take, (2, B)."""
     flight, terminal = in_c(name, hold, saturates), backup(name, hold, saturates).terminal
     kept = torch.zeros(2, x.shape[1], dtype=torch.bool)
     holds = torch.zeros(2, x.shape[1], dtype=torch.long)

@@ -1,8 +1,9 @@
-"""States on whose ways a law of before broke a limit that a plan kept: they are refused, or flown with nothing broken."""
+"""States on whose ways a law broke a limit that its plan kept: they are refused, or flown with nothing broken."""
 
 import functools
 import math
 from dataclasses import replace
+from itertools import pairwise
 
 import pytest
 import torch
@@ -80,7 +81,7 @@ def behind_the_filter(period: float) -> tuple[list[bool], list[bool]]:
 def test_a_limit_of_the_users_own_does_not_lead_beyond_the_papers(period: float) -> None:
     verified, kept = behind_the_filter(period)
     assert all(kept) or not verified[0]
-    assert not any(after < before for before, after in zip(verified, verified[1:], strict=False))
+    assert not any(after < before for before, after in pairwise(verified))
 
 
 @pytest.mark.parametrize("period", LIMITS)

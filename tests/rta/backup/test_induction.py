@@ -1,4 +1,4 @@
-"""What was verified once is verified for ever, whatever is proposed: the next state lies on what was flown in the check.
+"""What was verified once is verified for ever, whatever is proposed: the next state lies on what the check flew.
 
 In PyTorch, in C for batches and in the exported C; at 1, 5 and 10 s, with rates that the plant holds and that it does
 not; from states all over the safe set, from starts that are far out and fast, and from those next to the limits.
@@ -44,7 +44,7 @@ Ask = Callable[[int, Tensor], Tensor]  # which call it is, and states, to desire
 
 
 def proposals(name: str, period: float, saturates: bool) -> Ask:
-    """A column each of what is opposite to the laws, at a random corner, held for some calls, nothing, and no number."""
+    """A column each of what is opposite to the laws, at a random corner, held for a while, nothing, and no number."""
     c, flight = vehicle(name, saturates), in_c(name, period, saturates)
 
     def ask(call: int, x: Tensor) -> Tensor:

@@ -1,4 +1,4 @@
-"""The set in which flights end: the laws do not leave it, whatever the limits are on its way, and all limits hold in it."""
+"""The set in which flights end: the laws do not leave it, and all limits are kept in it."""
 
 from dataclasses import replace
 
