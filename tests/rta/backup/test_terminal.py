@@ -191,6 +191,7 @@ def test_where_the_laws_stay_nowhere_there_is_no_set() -> None:
     with pytest.raises(NoTerminalSetError, match="zone"):
         TerminalSet.of(Pointing.of(small, 1.0), Braking.of(small, 1.0, 0.05))
     long = Braking.of(C, 60.0, 0.03)
-    assert leftover(long, 0.02) > CALM / 2
-    with pytest.raises(NoTerminalSetError, match="leaves"):
+    with pytest.raises(NoTerminalSetError, match="strays"):
+        leftover(long, 0.02)
+    with pytest.raises(NoTerminalSetError, match="strays"):
         TerminalSet.of(Pointing.of(C, 10.0), long)
