@@ -56,7 +56,7 @@ class Flight:
         seconds = min(c.substep, hold)
         steps = round(hold / seconds)
         if not math.isclose(steps * seconds, hold):
-            raise ValueError(f"substep = {c.substep:g}: must divide the period, {hold:g} s")
+            raise ValueError(f"substep = {c.substep:g} s: must divide the period, {hold:g} s")
         most = max(1, math.floor(LOOK / seconds + 1e-9))
         looks = math.ceil(steps / most)
         counts = tuple(steps * (i + 1) // looks - steps * i // looks for i in range(looks))
