@@ -28,11 +28,8 @@ from rta.constraints.names import CONSTRAINTS
 from rta.qp.programs import Status, pick, put
 from rta.result import FilterResult
 
-LOOK = 2.5  # s, between two looks at a hold at most
-MOTION, ATTITUDE = (
-    7,
-    3,
-)  # limits that a flight keeps by thrust, and by torque: the first of Table 3, then the rates
+# limits that a flight keeps by thrust, and by torque: the first of Table 3, then the rates
+MOTION, ATTITUDE = 7, 3
 LIMITS = MOTION + ATTITUDE + 1  # the body rates are one
 KEPT = 1e-9  # in the unit of each limit, m/s, m, rad, deg C, kJ: what rounding may take
 RATES_ROUNDED = 1e-9  # rad^2/s^2, by which rates at their limit may be beyond, where the plant holds them
@@ -40,7 +37,14 @@ SLACK_ROUNDED = 1e-9  # in the unit of slack, up to which it is a solver's round
 SHARES = (0.25, 0.5, 0.75)  # of the way from what is proposed to the backup law's control, that are tried
 # Where a flight ends, by the entries of `TerminalSet.room`, and the limits that, once broken, excuse from each.
 ENDS = {0: (0, 3, 4), 1: (0, 1, 2)}  # of thrust, of torque
-EXCUSED = {1: (8,), 2: (9,), 4: (0, 2, 3)}  # temperature; battery; separation, zone and passive safety
+EXCUSED = {
+    entry: tuple(map(CONSTRAINTS.index, names))
+    for entry, names in {
+        1: ("temperature",),
+        2: ("battery",),
+        4: ("collision", "keep_in_zone", "passive_safety"),
+    }.items()
+}
 
 
 class Backup:
@@ -301,12 +305,3 @@ def verified_or_nearest(
         put(u, columns, control)
         put(kept, columns, found)
     return u, kept, changed
-
-
-def either(least: Tensor, look: Callable[[Tensor], Tensor]) -> Tensor:
-    """(B,) bool: the least of the limits (B,) is not negative at a glance, or a closer look at the columns finds so."""
-    safe = least >= 0.0
-    columns = torch.nonzero(~safe).flatten()
-    if columns.numel():
-        put(safe, columns, look(columns))
-    return safe

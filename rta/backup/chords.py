@@ -24,7 +24,7 @@ import torch
 from torch import Tensor
 
 from inspection.model.attitude import dot, norm, unit
-from inspection.model.orbit import coast, share
+from inspection.model.orbit import coast, free_flight, share
 from inspection.model.parameters import Limits
 from inspection.model.state import SIZE, P, V
 
@@ -77,6 +77,24 @@ class FreeFlight:
         largest[1] = largest[1] / t
         position, velocity, bend_position, bend_velocity = (1.001 * part.max().item() for part in largest)
         return cls(position, velocity, bend_position, bend_velocity, cells, searches)
+
+
+def least_stretch(slope: Tensor, times: Tensor, n: float) -> Tensor:
+    """The least singular value of Phi_rr + slope Phi_rv, by times (m,) in s and slopes (k,) in 1/s: (m, k).
+
+    Free flight from p at a velocity of slope p stretches p by that at least, in whatever direction p is. Both matrices
+    are of x and y, and of z apart.
+    """
+    eye = torch.eye(3, dtype=times.dtype)[:, :, None]
+    none = torch.zeros_like(eye[0])
+    of_p = [free_flight(e, none, times, n) for e in eye]  # (3, times), by where it begins
+    of_v = [free_flight(none, e, times, n) for e in eye]
+    (xx, yx, _), (xy, yy, _), (_, _, zz) = (
+        p[:, :, None] + v[:, :, None] * slope for p, v in zip(of_p, of_v, strict=True)
+    )
+    squares, determinant = xx**2 + xy**2 + yx**2 + yy**2, xx * yy - xy * yx
+    flat = ((squares - (squares**2 - 4 * determinant**2).clamp(min=0.0).sqrt()) / 2).sqrt()
+    return torch.minimum(flat, zz.abs())
 
 
 class Strays(NamedTuple):

@@ -29,10 +29,10 @@ from torch import Tensor
 
 from inspection.model.attitude import norm, rotation_matrix
 from inspection.model.dynamics import euler, step
-from inspection.model.orbit import free_flight, natural_acceleration
+from inspection.model.orbit import natural_acceleration
 from inspection.model.parameters import Limits
 from inspection.model.state import THETA_S, P, Q, V
-from rta.backup.chords import FreeFlight
+from rta.backup.chords import FreeFlight, least_stretch
 from rta.bounds.prediction import unsaturated
 from rta.bounds.uncertainty import Uncertainty
 from rta.parameters import RtaParameters
@@ -313,25 +313,17 @@ class Haven:
     def clearances(self, r: Tensor, moments: int, gap: float) -> Tensor:
         """m, by which free flight from the haven at distances (k,) up to a gap apart stays clear at least.
 
-        It is (Phi_rr + s / r Phi_rv) p + Phi_rv w. The first part is at least its least singular value times r,
-        whatever the direction of p. Both matrices are of x and y, and of z apart. Between moments a flight is off its
-        chord by what it bends.
+        It is (Phi_rr + s / r Phi_rv) p + Phi_rv w. The first part is at least its least singular value times r. Between
+        moments a flight is off its chord by what it bends.
         """
         c, times = (
             self.c,
             torch.linspace(0.0, self.c.passive_safety_horizon, moments + 1, dtype=torch.float64),
         )
         speed, most = self.speed(r), self.wanders(r)
-        unit = torch.eye(3, dtype=torch.float64)[:, :, None]
-        none = torch.zeros_like(unit[0])
-        of_p = [free_flight(e, none, times, c.mean_motion) for e in unit]  # (3, times), by where it begins
-        of_v = [free_flight(none, e, times, c.mean_motion) for e in unit]
-        (xx, yx, _), (xy, yy, _), (_, _, zz) = (
-            p[:, :, None] + v[:, :, None] * (speed / r) for p, v in zip(of_p, of_v, strict=True)
+        least = (
+            least_stretch(speed / r, times, c.mean_motion) * r - self.free.velocity * times[:, None] * most
         )
-        squares, determinant = xx**2 + xy**2 + yx**2 + yy**2, xx * yy - xy * yx
-        flat = ((squares - (squares**2 - 4 * determinant**2).clamp(min=0.0).sqrt()) / 2).sqrt()
-        least = torch.minimum(flat, zz.abs()) * r - self.free.velocity * times[:, None] * most
         bend = self.free.bend_position * r + self.free.bend_velocity * (speed.abs() + most)
         sag = bend * (times[1] ** 2) / 8
         lost = gap * (

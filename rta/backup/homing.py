@@ -7,6 +7,7 @@ That keeps the limits from every state from which a way begins, whatever is meas
 states, no limit of motion is ever broken (docs/reference/proof.md, *With bounds: motion*).
 """
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import torch
@@ -15,14 +16,14 @@ from torch import Tensor
 from inspection.model.attitude import norm, rotate
 from inspection.model.parameters import Limits
 from inspection.model.state import SIZE, THRUST, TORQUE, P, Q, V
-from rta.backup.check import either, verified_or_nearest
+from rta.backup.check import verified_or_nearest
 from rta.backup.chords import lowest, strays
 from rta.backup.cone import Node, between, way
 from rta.backup.haven import Haven, NoHavenError, thrust
 from rta.bounds.prediction import predicted
 from rta.bounds.uncertainty import Uncertainty
 from rta.parameters import RtaParameters
-from rta.qp.programs import pick
+from rta.qp.programs import pick, put
 
 FAR = 1e6  # m, beyond every distance: of a hold nothing is assumed of where it leads
 
@@ -81,6 +82,15 @@ class Homing:
     def thrust(self, y: Tensor, u: Tensor) -> Tensor:
         """The law's thrust (3, B) with the torque of controls (6, B), y as of `thrust_is_safe`."""
         return thrust(y[:SIZE], u[TORQUE], self.haven)
+
+
+def either(least: Tensor, look: Callable[[Tensor], Tensor]) -> Tensor:
+    """(B,) bool: the least of the limits (B,) is not negative at a glance, or a closer look at the columns finds so."""
+    safe = least >= 0.0
+    columns = torch.nonzero(~safe).flatten()
+    if columns.numel():
+        put(safe, columns, look(columns))
+    return safe
 
 
 def may_be_kept(x: Tensor, error_bound: Tensor, w: Haven) -> Tensor:

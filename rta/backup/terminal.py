@@ -18,11 +18,10 @@ from torch import Tensor
 
 from inspection.model.attitude import dot, norm, rotation_matrix
 from inspection.model.dynamics import energy_rate, euler, temperature_rate
-from inspection.model.orbit import free_flight
 from inspection.model.parameters import Limits
 from inspection.model.state import OMEGA, E, P, Q, T, V
 from rta.backup.attitude_law import Pointing, astray
-from rta.backup.chords import FreeFlight
+from rta.backup.chords import FreeFlight, least_stretch
 from rta.backup.motion_law import BESIDE, DRIFT, INSIDE, STEEP, Braking, field
 
 CALM = 2e-3  # m/s
@@ -173,7 +172,7 @@ def nearest(c: Limits) -> float:
     """m from the chief, from where on all limits of motion are kept at speeds that are v_ref but for CALM.
 
     Free flight is (Phi_rr + s / r Phi_rv) p + Phi_rv w with the field's speed s. The first part is at least its least
-    singular value times r, whatever the direction of p; both matrices are of x and y, and of z apart.
+    singular value times r.
     """
     count, moments = GRID
     beside, most = BESIDE * c.collision_radius, AROUND * CALM
@@ -182,16 +181,10 @@ def nearest(c: Limits) -> float:
     along = torch.zeros(3, count, dtype=torch.float64)
     along[0] = r
     speed = field(along, c)[0]
-    eye, none = torch.eye(3, dtype=torch.float64)[:, :, None], torch.zeros(3, 1, dtype=torch.float64)
-    of_p = [free_flight(e, none, times, c.mean_motion) for e in eye]  # (3, times), by where it begins
-    of_v = [free_flight(none, e, times, c.mean_motion) for e in eye]
-    (xx, yx, _), (xy, yy, _), (_, _, zz) = (
-        p[:, :, None] + v[:, :, None] * (speed / r) for p, v in zip(of_p, of_v, strict=True)
-    )
-    squares, determinant = xx**2 + xy**2 + yx**2 + yy**2, xx * yy - xy * yx
-    flat = ((squares - (squares**2 - 4 * determinant**2).clamp(min=0.0).sqrt()) / 2).sqrt()
     free = FreeFlight.of(c, 1, 0)
-    clear = (torch.minimum(flat, zz.abs()) * r - free.velocity * times[:, None] * most).amin(0)
+    clear = (least_stretch(speed / r, times, c.mean_motion) * r - free.velocity * times[:, None] * most).amin(
+        0
+    )
     gap = (r[1] - r[0]).item()
     bend = (free.bend_position * r + free.bend_velocity * (speed.abs() + most)) * times[1] ** 2 / 8
     # between two times the chord passes nearer than both its ends

@@ -25,12 +25,14 @@ from inspection.model.dynamics import euler, step, sun_and_earth_in_body, temper
 from inspection.model.parameters import Limits
 from inspection.model.state import OMEGA, SIZE, TORQUE, E, Q, T
 from rta.backup.attitude_law import across, has_rest, upright, vector
-from rta.backup.check import LOOK, verified_or_nearest
+from rta.backup.check import verified_or_nearest
 from rta.backup.chords import lowest
 from rta.backup.flight import attitude_between, incidence
 from rta.backup.turning import BEGINS, FULL, LOOKAHEAD, ROOT2, ROOT3, NoRestError, Turning, heating
 from rta.bounds.uncertainty import Uncertainty
 from rta.parameters import RtaParameters
+
+LOOK = 2.5  # s, between two looks at a hold at most
 
 
 @dataclass(frozen=True)

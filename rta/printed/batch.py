@@ -33,8 +33,6 @@ if TYPE_CHECKING:
 
 PROBED = 256  # columns whose time says what a column takes
 FLIGHT = 2e-5  # s, that a flight of the backup laws takes on one core, about
-HEAD = "\n".join(driver_text(f"batch/{name}") for name in ("batch.h", "columns.c"))
-FLIGHTS = driver_text("batch/flights.c")
 
 
 class Columns:
@@ -99,10 +97,9 @@ class BatchFilter(Columns):
         f = safety_filter
         own, ways, parts = remembered(recorded, copy(f))  # what is compiled has no digest
         self.statements = sum(part.statements for part in parts)
-        told_limits = [define(name, *said) for name, said in limits().items()]
         many = [
             for_vectors("double"),
-            *(checked(f, ways) or [define("CONSTRAINTS", len(f.names)), *told_limits, HEAD]),
+            *checked(f, ways),
             define("LATENCY", f.known.latency),
             define("HEALTH", int(f.known.health)),
             define("BACKUP", int(f.backup is not None)),
@@ -111,7 +108,6 @@ class BatchFilter(Columns):
             define("CHECKS", int(not f.unchecked)),
             *(part.text for part in parts),
             *(part.text for part in ways if part.name in FOR_VECTORS),
-            *([FLIGHTS] if f.backup else []),
             *(driver_text(f"batch/{name}") for name in ("commit.c", "told.c", "batch.c")),
         ]
         one = [source(f, [*own, *ways]), by_column(f)]
@@ -133,9 +129,7 @@ class Flights:
     def __init__(self, safety_filter: "SafetyFilter", found: ctypes.CDLL | None = None) -> None:
         if found is None:
             ways = remembered(checks, copy(safety_filter))
-            found = library(
-                {"flights": "\n".join([for_vectors("double"), *checked(safety_filter, ways), FLIGHTS])}
-            )
+            found = library({"flights": "\n".join([for_vectors("double"), *checked(safety_filter, ways)])})
         self.run = over_columns(found, "filter_flights")
 
     def __call__(self, x: Tensor, broken: Tensor, asked: Sequence[int] = (0, 1)) -> Tensor:
@@ -149,13 +143,18 @@ class Flights:
 
 
 def checked(safety_filter: "SafetyFilter", ways: Sequence[Printed]) -> list[str]:
-    """The check of the model, in C for vectors of spacecraft; nothing where there is none."""
-    if not safety_filter.backup:
-        return []
-    known = [define(name, *said) for name, said in constants(safety_filter.backup).items()]
-    number = define("CONSTRAINTS", len(safety_filter.names))
-    texts = [part.text for part in ways]
-    return [number, *known, group_of(safety_filter), *texts, driver_text("commit.c"), HEAD]
+    """What a batch's checks are made of in C for vectors of spacecraft; of the model also the check, and `Flights`."""
+    backup = safety_filter.backup
+    own = constants(backup) if backup else limits()
+    texts = [
+        define("CONSTRAINTS", len(safety_filter.names)),
+        *(define(name, *said) for name, said in own.items()),
+    ]
+    files = ["batch/batch.h", "batch/columns.c"]
+    if backup:
+        texts += [group_of(safety_filter), *(part.text for part in ways)]
+        files = ["commit.c", *files, "batch/flights.c"]
+    return [*texts, *map(driver_text, files)]
 
 
 def recorded(safety_filter: "SafetyFilter") -> tuple[list[Printed], list[Printed], list[Printed]]:

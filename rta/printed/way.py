@@ -1,7 +1,6 @@
 """The check of a filter's controls as C: what the driver's commit.c is made of."""
 
 from collections.abc import Callable, Sequence
-from functools import partial
 from typing import TYPE_CHECKING
 
 import torch
@@ -15,7 +14,6 @@ from rta.backup.flight import CELLS
 from rta.backup.haven import thrust
 from rta.backup.homing import Homing
 from rta.backup.turn import TurnBackup
-from rta.backup.turning import Turning
 from rta.bounds.prediction import KINDS
 from rta.constraints.names import CONSTRAINTS
 
@@ -27,7 +25,8 @@ FOR_VECTORS = "turn_verified", "homing_look", "homing_way"
 
 GIVEN_BOUND = ("x", "control", "error_bound")
 
-Run = Callable[..., Sequence[Tensor]]
+# of a function: its name in C, itself, examples, and what it is given and gives
+Named = tuple[str, Callable[..., Sequence[Tensor]], tuple[Tensor, ...], Sequence[str], Sequence[str]]
 
 
 def checks(safety_filter: "SafetyFilter") -> list[Printed]:
@@ -41,102 +40,73 @@ def checks(safety_filter: "SafetyFilter") -> list[Printed]:
     if safety_filter.backup is None:
         return []
     b = safety_filter.backup
-    named: list[tuple[str, Run, tuple[Tensor, ...], tuple[str, ...], tuple[str, ...]]] = [
+    return all_printed(
         ("flown", lambda x, u: list(b.hold(x, u)), (x, u), ("x", "control"), ("after", "least")),
         ("at_once", lambda x: [b.at_once(x)], (x,), ("x",), ("least",)),
         ("terminal_room", lambda x: [b.terminal.room(x)], (x,), ("x",), ("room",)),
         ("backup_torque", lambda x: [b.torque(x)], (x,), ("x",), ("torque",)),
-        (
-            "backup_thrust",
-            lambda x, torque: [b.thrust(x, torque)],
-            (x, u[TORQUE]),
-            ("x", "torque"),
-            ("thrust",),
-        ),
-    ]
-    return [
-        printed(run, *examples, name=name, names=(given, results), long=CELLS[0])
-        for name, run, examples, given, results in named
-    ]
+        ("backup_thrust", lambda x, torque: [b.thrust(x, torque)], (x, u[TORQUE]), ("x", "torque"), ("thrust",)),
+        long=CELLS[0],
+    )  # fmt: skip
 
 
 def turn_checks(backup: TurnBackup, x: Tensor, u: Tensor) -> list[Printed]:
     """The functions that turn.c calls, of a filter that is told of bounds."""
-    bound = torch.zeros(KINDS, 1, dtype=torch.float64)
-    least = ("least",)
-    return [
-        printed(
-            partial(turn_verified, backup.turning), x, u, bound, name="turn_verified",
-            names=(("x", "control", "error_bound"), least),
-        ),
-        printed(
-            partial(turn_kept, backup.turning), x, bound, name="turn_kept", names=(("x", "error_bound"), least)
-        ),
-        printed(partial(turn_law, backup.turning), x, name="turn_law", names=(("x",), ("torque",))),
-    ]  # fmt: skip
+    w, bound = backup.turning, torch.zeros(KINDS, 1, dtype=torch.float64)
+    return all_printed(
+        ("turn_verified", lambda x, u, e: [turn.verified(x, u, e, w)[None]], (x, u, bound), GIVEN_BOUND, ("least",)),
+        ("turn_kept", lambda x, e: [turn.may_be_kept(x, e, w)[None]], (x, bound), ("x", "error_bound"), ("least",)),
+        ("turn_law", lambda x: [turn.law(x, w)], (x,), ("x",), ("torque",)),
+    )  # fmt: skip
 
 
 def homing_checks(check: Homing, x: Tensor, u: Tensor) -> list[Printed]:
     """The functions that homing.c calls, of a filter that is told of bounds."""
+    w, r = check.haven, check.r
     bound, late = torch.zeros(KINDS, 1, dtype=torch.float64), torch.zeros(1, 1, dtype=torch.float64)
-    named: list[tuple[str, Run, tuple[Tensor, ...], tuple[str, ...], tuple[str, ...]]] = [
-        ("homing_look", partial(homing_look, check), (x, u, bound), GIVEN_BOUND, ("after", "bound_after", "least")),
-        ("homing_way", partial(homing_way, check), (x, bound, late), ("x", "error_bound", "late"), ("least",)),
-        ("homing_kept", partial(homing_kept, check), (x, bound), ("x", "error_bound"), ("least",)),
-        ("homing_law", partial(homing_law, check), (x, u), ("x", "control"), ("thrust",)),
-    ]  # fmt: skip
-    cells = check.haven.free.cells  # looped over
+    bounded, least = ("x", "error_bound"), ("least",)
+
+    def look(x: Tensor, u: Tensor, error_bound: Tensor) -> list[Tensor]:
+        end, after, least = homing.look(x, u, error_bound, w, r)
+        return [end, after, least[None]]
+
+    return all_printed(
+        ("homing_look", look, (x, u, bound), GIVEN_BOUND, ("after", "bound_after", "least")),
+        ("homing_way", lambda x, e, t: [homing.home(x, e, t[0], w)[None]], (x, bound, late), (*bounded, "late"), least),
+        ("homing_kept", lambda x, e: [homing.may_be_kept(x, e, w)[None]], (x, bound), bounded, least),
+        ("homing_law", lambda x, u: [thrust(x, u[TORQUE], w)], (x, u), ("x", "control"), ("thrust",)),
+        long=w.free.cells,
+    )  # fmt: skip
+
+
+def all_printed(*named: Named, long: int = 0) -> list[Printed]:
+    """Functions, with examples and names of what they are given and of their results; an axis is `long`."""
     return [
-        printed(run, *examples, name=name, names=(given, results), long=cells)
+        printed(run, *examples, name=name, names=(given, results), long=long)
         for name, run, examples, given, results in named
     ]
 
 
-def homing_look(check: Homing, x: Tensor, u: Tensor, error_bound: Tensor) -> list[Tensor]:
-    """`homing.look`."""
-    end, bound, least = homing.look(x, u, error_bound, check.haven, check.r)
-    return [end, bound, least[None]]
-
-
-def homing_way(check: Homing, x: Tensor, error_bound: Tensor, late: Tensor) -> list[Tensor]:
-    """`homing.home`."""
-    return [homing.home(x, error_bound, late[0], check.haven)[None]]
-
-
-def homing_kept(check: Homing, x: Tensor, error_bound: Tensor) -> list[Tensor]:
-    """`homing.may_be_kept`."""
-    return [homing.may_be_kept(x, error_bound, check.haven)[None]]
-
-
-def homing_law(check: Homing, x: Tensor, u: Tensor) -> list[Tensor]:
-    """`haven.thrust`."""
-    return [thrust(x, u[TORQUE], check.haven)]
-
-
-def turn_verified(turning: Turning, x: Tensor, u: Tensor, error_bound: Tensor) -> list[Tensor]:
-    """`turn.verified`."""
-    return [turn.verified(x, u, error_bound, turning)[None]]
-
-
-def turn_kept(turning: Turning, x: Tensor, error_bound: Tensor) -> list[Tensor]:
-    """`turn.may_be_kept`."""
-    return [turn.may_be_kept(x, error_bound, turning)[None]]
-
-
-def turn_law(turning: Turning, x: Tensor) -> list[Tensor]:
-    """`turn.law`."""
-    return [turn.law(x, turning)]
-
-
 def constants(backup: Backup) -> dict[str, tuple[int | float | str, str]]:
     """What commit.c depends on: by name the value and what it is."""
-    names = ("SEPARATION", 0), ("ZONE", 2), ("PASSIVE", 3), ("TEMPERATURE", 8), ("BATTERY", 9)
+    names = {
+        "SEPARATION": "collision",
+        "ZONE": "keep_in_zone",
+        "PASSIVE": "passive_safety",
+        "TEMPERATURE": "temperature",
+        "BATTERY": "battery",
+    }
     own: dict[str, tuple[int | float | str, str]] = {
         "LIMITS": (LIMITS, "of which the body rates are one, the last"),
         "KEPT": (KEPT, "in the unit of each limit: what rounding may take"),
         "FLIGHT_HOLDS": (backup.holds, "of a flight at most"),
     }
-    return own | {f"{name}_LIMIT": (place, "") for name, place in names} | trials() | limits()
+    return (
+        own
+        | {f"{name}_LIMIT": (CONSTRAINTS.index(limit), "") for name, limit in names.items()}
+        | trials()
+        | limits()
+    )
 
 
 def trials() -> dict[str, tuple[int | float | str, str]]:

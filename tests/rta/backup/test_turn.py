@@ -3,7 +3,6 @@
 import math
 from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -16,13 +15,12 @@ from inspection.model.dynamics import Body, step, sun_and_earth_in_body
 from inspection.model.parameters import InspectionParameters
 from inspection.model.state import CONTROL_SIZE, OMEGA, SIZE, TORQUE, E, Q, T
 from kernels import Compiled
-from rta.backup.turn import Spread, TurnBackup, beginning, followed, law, wanted
+from rta.backup.turn import Spread, TurnBackup, beginning, followed, law, verified, wanted
 from rta.backup.turning import Turning
 from rta.bounds.prediction import KINDS, predicted
 from rta.bounds.uncertainty import Uncertainty
 from rta.filter import SafetyFilter
 from rta.parameters import RtaParameters
-from rta.printed.way import turn_verified
 from tests.rta.backup.brute_force import attitude, hypercube, moved
 
 C, R = InspectionParameters(), RtaParameters()
@@ -183,7 +181,7 @@ class InC(TurnBackup):
     def __init__(self, turning: Turning) -> None:
         super().__init__(turning)
         examples = (torch.ones(size, 1, dtype=torch.float64) for size in (SIZE, CONTROL_SIZE, KINDS))
-        self.verified = Compiled(partial(turn_verified, turning), *examples)
+        self.verified = Compiled(lambda x, u, e: [verified(x, u, e, turning)[None]], *examples)
 
     def torque_is_safe(self, y: Tensor, u: Tensor) -> Tensor:
         return self.verified(y[:SIZE], u, y[SIZE:])[0][0] >= 0.0

@@ -1,5 +1,22 @@
 /* The checks of a filter that is told of bounds, of W spacecraft at a time. */
 
+#if TURN || HELD_CALLS > 0
+/* Lanes whose control is refused, or in which a limit of the user's own yields; elsewhere what the rows of a group lacked of
+ * limits first to last is the rows' alone. */
+static M refused_or_yielding(M refused, int group, int first, int last, V numbers[6 + 2 * CONSTRAINTS], V program_status[2])
+{
+    M found = refused;
+    for (int k = KEPT_LIMITS; k < CONSTRAINTS; ++k) {
+        found |= numbers[6 + k] > 0.0;
+    }
+    for (int k = first; k < last; ++k) {
+        numbers[6 + k] = SELECT(found, numbers[6 + k], ALL(0.0));
+    }
+    program_status[group] = SELECT(found, program_status[group], MIN(program_status[group], ALL(1.0)));
+    return found;
+}
+#endif
+
 /* Lanes whose torque is not seen to keep the attitude's limits and to leave a way to rest, or in which a limit of the
  * user's own yields; elsewhere what the rows of torque lacked was the rows' alone. */
 static M check_turn(const V x[16], const V error_bound[4], V numbers[6 + 2 * CONSTRAINTS], V program_status[2])
@@ -7,15 +24,7 @@ static M check_turn(const V x[16], const V error_bound[4], V numbers[6 + 2 * CON
 #if TURN
     V least[1];
     turn_verified(x, numbers, error_bound, least);
-    M found = ~(least[0] >= 0.0);
-    for (int k = KEPT_LIMITS; k < CONSTRAINTS; ++k) {
-        found |= numbers[6 + k] > 0.0;
-    }
-    for (int k = MOTION_LIMITS; k < KEPT_LIMITS; ++k) {
-        numbers[6 + k] = SELECT(found, numbers[6 + k], ALL(0.0));
-    }
-    program_status[1] = SELECT(found, program_status[1], MIN(program_status[1], ALL(1.0)));
-    return found;
+    return refused_or_yielding(~(least[0] >= 0.0), 1, MOTION_LIMITS, KEPT_LIMITS, numbers, program_status);
 #else
     (void)x;
     (void)error_bound;
@@ -64,15 +73,7 @@ static M check_thrust(const V x[16], const V error_bound[4], V numbers[6 + 2 * C
         }
     }
     homing_way(ends[(HELD_CALLS - 1) / 2], widest, late, least);
-    found |= ~(least[0] >= 0.0);
-    for (int k = KEPT_LIMITS; k < CONSTRAINTS; ++k) {
-        found |= numbers[6 + k] > 0.0;
-    }
-    for (int k = 0; k < MOTION_LIMITS; ++k) {
-        numbers[6 + k] = SELECT(found, numbers[6 + k], ALL(0.0));
-    }
-    program_status[0] = SELECT(found, program_status[0], MIN(program_status[0], ALL(1.0)));
-    return found;
+    return refused_or_yielding(found | ~(least[0] >= 0.0), 0, 0, MOTION_LIMITS, numbers, program_status);
 #else
     (void)x;
     (void)error_bound;
