@@ -41,6 +41,7 @@ ABANDONED = 3600.0  # s after which a process that was to clear its own away did
 QUICK = ("sqrt", "rint", "floor", "ceil", "trunc")  # single instructions
 OF_ONE = ("sin", "cos", "tan", "asin", "acos", "atan", "sinh", "cosh", "tanh", "asinh", "acosh", "atanh", "exp", "exp2",
           "expm1", "log", "log2", "log10", "log1p", "erf", "erfc")  # fmt: skip
+OWN = ("sin", "cos", "acos")  # in double precision, see functions.h
 OF_TWO = ("atan2", "pow", "fmod", "hypot", "copysign")
 
 
@@ -259,9 +260,11 @@ def for_vectors(real: str) -> str:
     head.append(f"#define LANES_OF_TWO(f) {', '.join(f'f(a[{lane}], b[{lane}])' for lane in range(lanes))}")
     suffix = "" if real == "double" else "f"
     by_lane = [f"BY_LANE({name.upper()}, {name}{suffix}, inline)" for name in QUICK]
-    by_lane += [f"BY_LANE({name.upper()}, {name}{suffix}, )" for name in OF_ONE]
+    own = {name: f"LIBRARY_{name.upper()}" for name in OWN if real == "double"}
+    by_lane += [f"BY_LANE({own.get(name, name.upper())}, {name}{suffix}, )" for name in OF_ONE]
     by_lane += [f"BY_LANE_OF_TWO({name.upper()}, {name}{suffix})" for name in OF_TWO]
-    return "\n".join([*numbers(real), *head, header("vector.h"), *by_lane, ""])
+    functions = [header("functions.h")] if own else []
+    return "\n".join([*numbers(real), *head, header("vector.h"), *by_lane, *functions, ""])
 
 
 def numbers(real: str) -> list[str]:

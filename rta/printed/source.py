@@ -16,7 +16,7 @@ from torch import Tensor
 
 from inspection.model.state import THRUST, TORQUE
 from kernels import Printed, if_long, printed
-from kernels.build import OF_ONE, OF_TWO, QUICK
+from kernels.build import OF_ONE, OF_TWO, OWN, QUICK, header
 from rta.backup import homing
 from rta.barrier import ActuatorGroup
 from rta.bounds.health import AXES, slewing
@@ -36,7 +36,7 @@ ACTIVE_MOST = 40
 STEPS_PER_ROW = 4
 
 GROUPS = ("thrust", "torque")
-SCALAR = (files("kernels") / "scalar.h").read_text(encoding="utf-8")
+SCALAR, FUNCTIONS = header("scalar.h"), header("functions.h")
 
 
 def source(safety_filter: "SafetyFilter", parts: Sequence[Printed] | None = None) -> str:
@@ -121,11 +121,18 @@ def text_of(parts: Sequence[Printed]) -> str:
 
 def operations(text: str) -> str:
     """What a text for one spacecraft is made of that is printed, or written alike."""
-    known = {name.upper() for name in (*QUICK, *OF_ONE, *OF_TWO, "fabs")}
-    calls = sorted(set(re.findall(r"\b([A-Z][A-Z0-9_]*)\(", text)) & known)
-    own = [f"#define {call}(...) {call.lower()}(__VA_ARGS__)" for call in calls]
-    needed = [line for line in SCALAR.splitlines() if is_needed(line, text)]
-    return "\n".join(["typedef double real;", *needed, *own, ""])
+    called = set(re.findall(r"\b([A-Z][A-Z0-9_]*)\(", text))
+    functions = ""
+    if called & {name.upper() for name in OWN}:
+        functions = FUNCTIONS
+        called |= set(re.findall(r"\b([A-Z][A-Z0-9_]*)\(", functions))
+    known = {name.upper() for name in (*QUICK, *OF_ONE, *OF_TWO, "fabs")} - {name.upper() for name in OWN}
+    of_c = {call: call.lower() for call in called & known} | {f"LIBRARY_{name.upper()}": name for name in OWN}
+    own = [
+        f"#define {call}(...) {name}(__VA_ARGS__)" for call, name in sorted(of_c.items()) if call in called
+    ]
+    needed = [line for line in SCALAR.splitlines() if is_needed(line, text + functions)]
+    return "\n".join(["typedef double real;", *needed, *own, functions, ""])
 
 
 def is_needed(line: str, text: str) -> bool:
