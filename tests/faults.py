@@ -387,7 +387,8 @@ CHECK = [
     *faults(
         "rta/backup/terminal.py",
         "rta/backup/test_terminal.py",
-        ("contracts * radius + math.sqrt(most)", "0.5 * contracts * radius + 0.5 * math.sqrt(most)"),
+        ("of_w = t * (w.kappa**2 * t / 2 * angle**2", "of_w = t * (w.kappa**2 * t / 4 * angle**2"),
+        ("g = math.hypot(far + far**2 / 2,", "g = 0.2 * math.hypot(far + far**2 / 2,"),
         ("self.hottest - x[T]", "self.hottest + 1.0 - x[T]"),
     ),
     *faults(
@@ -403,6 +404,10 @@ CHECK = [
         "rta/backup/check.py",
         "rta/backup/test_check.py -k first_safe_share",
         ("for share in (*SHARES, 1.0):", "for share in (*SHARES[::-1], 1.0):"),
+    ),
+    *faults(
+        "rta/backup/check.py",
+        "rta/backup/test_check.py -k compiled_check and 10.0 or fail_later",
         ("put(changed[0], columns, ~again)", "put(changed[0], columns, again)"),
     ),
     *faults(
@@ -483,10 +488,8 @@ IN_C = [
             "for (int group = TORQUES; group >= TORQUES; --group)",
         ),
         ("broken[k] = NOT(h[k] >= 0.0);", "broken[k] = NO;"),
-        (
-            "alive[group] = AND(alive[group], AND(fine[group], NOT(there[group])));",
-            "alive[group] = AND(alive[group], NOT(there[group]));",
-        ),
+        ("alive[group] = AND(alive[group], fine[group]);", ""),
+        ("turned(y, u, after, &least[MOTION_LIMITS]);", "turned(y, u, after, least);"),
         ("found[THRUSTS] = AND(inside[0], AND(inside[3], inside[4]));", "found[THRUSTS] = inside[3];"),
     ),
     *faults(

@@ -34,6 +34,7 @@ LIMITS = MOTION + ATTITUDE + 1  # the body rates are one
 KEPT = 1e-9  # in the unit of each limit, m/s, m, rad, deg C, kJ: what rounding may take
 RATES_ROUNDED = 1e-9  # rad^2/s^2, by which rates at their limit may be beyond, where the plant holds them
 SLACK_ROUNDED = 1e-9  # in the unit of slack, up to which it is a solver's rounding
+GLANCE = 4.0  # s of a flight, between two looks at all that is left of it at once
 SHARES = (0.25, 0.5, 0.75)  # of the way from what is proposed to the backup law's control, that are tried
 # Where a flight ends, by the entries of `TerminalSet.room`, and the limits that, once broken, excuse from each.
 ENDS = {0: (0, 3, 4), 1: (0, 1, 2)}  # of thrust, of torque
@@ -54,7 +55,7 @@ class Backup:
         c: the model and the limits; period: s, that a control is held.
 
     Attributes:
-        holds: of a flight at most.
+        holds: of a flight at most; glances: between two looks at all that is left of it at once.
         flights: `fly` of states on a CPU, compiled; None: it is not.
 
     Raises:
@@ -72,6 +73,7 @@ class Backup:
         self.coarse = Coarse.of(self.pointing, self.braking, self.flight, self.terminal)
         braking = 1.5 * self.braking.fastest / self.braking.straight + self.terminal.leaves
         self.holds = math.ceil(max(self.coarse.arrives, braking) / period)
+        self.glances = max(1, round(GLANCE / period))
         self.flights: Callable[[Tensor, Tensor, Sequence[int]], Tensor] | None = None
 
     @classmethod
@@ -125,15 +127,16 @@ class Backup:
             broken: (11, B) bool, limits that are not asked for.
             asked: the groups whose limits matter; of the other one nothing is said.
         """
-        found = self.kept(self.at_once(x), broken)
+        found = torch.zeros_like(x[:2], dtype=torch.bool)
         found[[group for group in range(2) if group not in asked]] = True
-        flying = torch.nonzero(~found.all(0)).flatten()
-        x, broken = pick(x, flying), pick(broken, flying)
-        alive = ~pick(found, flying)
-        for _ in range(self.holds):
+        flying, alive = torch.arange(x.shape[1], device=x.device), ~found
+        for k in range(self.holds):
             if not flying.numel():
                 break
-            arrived = alive & self.arrived(x, broken)
+            arrived = self.arrived(x, broken)
+            if k % self.glances == 0:
+                arrived = arrived | self.kept(self.at_once(x), broken)
+            arrived = alive & arrived
             put(found, flying, pick(found, flying) | arrived)
             alive = alive & ~arrived
             x, least = self.hold(x, self.law(x))

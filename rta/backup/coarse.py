@@ -15,12 +15,13 @@ from inspection.model.attitude import norm
 from inspection.model.dynamics import sun_and_earth_in_body, temperature_rate
 from inspection.model.state import OMEGA, E, P, T, V
 from rta.backup.attitude_law import Pointing
-from rta.backup.chords import Strays, between
+from rta.backup.chords import FreeFlight, Strays, between
 from rta.backup.flight import Flight, incidence
 from rta.backup.motion_law import BESIDE, DRIFT, INSIDE, STEEP, Braking
 from rta.backup.terminal import TerminalSet
 
 SLOWER = 0.8  # of the law's rate, at which the panels turn to the Sun at least
+CELLS = (5, 1)  # as of `flight`
 SLACK = 0.1  # rad, of every angle, for what is not known of the turn
 
 
@@ -29,15 +30,18 @@ class Coarse:
     """What the bound depends on.
 
     Attributes:
-        flight: how a hold is flown.
+        flight: how a hold is flown; free: of free flight.
         stopping: s, until a body has the law's rates; arrives: s, until it is at rest.
+        sunlight: deg C/s, by which the Sun heats at most.
     """
 
     pointing: Pointing
     braking: Braking
     flight: Flight
+    free: FreeFlight
     stopping: float
     arrives: float
+    sunlight: float
 
     @classmethod
     def of(cls, pointing: Pointing, braking: Braking, flight: Flight, terminal: TerminalSet) -> "Coarse":
@@ -45,7 +49,10 @@ class Coarse:
         alpha = c.max_torque / max(c.inertia)
         stopping = math.ceil((c.max_rate + w.rate) / (alpha * w.hold) - 1e-9) * w.hold
         turn = math.pi / w.rate + math.pi / 2 / w.roll + math.log(1.0 / terminal.radius) / w.kappa
-        return cls(pointing, braking, flight, stopping, stopping + turn / SLOWER)
+        one, none = torch.ones((), dtype=torch.float64), torch.zeros((), dtype=torch.float64)
+        sunlight = (temperature_rate(one, none, none, c) - temperature_rate(none, none, none, c)).item()
+        free = FreeFlight.of(c, *CELLS)
+        return cls(pointing, braking, flight, free, stopping, stopping + turn / SLOWER, sunlight)
 
     def attitude(self, x: Tensor) -> Tensor:
         """Exclusion, temperature, battery and rates from states (16, B) on, at least: (4, B)."""
@@ -53,11 +60,14 @@ class Coarse:
         # while the body comes to the law's rates
         swept = 0.6 * self.stopping * (norm(x[OMEGA]) + self.pointing.fastest) + SLACK
         sun, _ = sun_and_earth_in_body(x)
-        full = torch.ones_like(x[T])
-        heat = temperature_rate(full, full, x[T], c).clamp(min=0.0) * self.arrives
-        warm = (c.temperature_sun_slope + c.temperature_earth_slope) * (math.pi / 2 + SLACK)
-        # the panels charge enough from an angle on, to which they fall at a share of the law's rate
         delta = incidence(c.solar_panel_axis, sun) + swept
+        # e . s is sin(delta) at most; delta falls at a share of the law's rate, and at last of kappa delta
+        full, none = torch.ones_like(x[T]), torch.zeros_like(x[T])
+        turning = (1.0 - delta.clamp(max=math.pi).cos()) / (SLOWER * self.pointing.rate)
+        lit = self.stopping + turning + self.pointing.rate / (SLOWER * self.pointing.kappa**2)
+        heat = temperature_rate(none, full, x[T], c).clamp(min=0.0) * self.arrives + self.sunlight * lit
+        warm = (c.temperature_sun_slope + c.temperature_earth_slope) * (math.pi / 2 + SLACK)
+        # the panels charge enough from an angle on
         charged = math.acos(c.power_draw / 1000.0 / w.charging) - SLACK
         falling = (delta - charged).clamp(min=0.0) / (SLOWER * self.pointing.rate)
         used = (self.stopping + falling) * c.power_draw / 1000.0 + w.charging * SLACK
@@ -102,7 +112,7 @@ class Coarse:
         e_v = holds * w.astray * w.thrust * t + (push * turn + 2 * n * w.thrust + 3 * n**2 * speed) * t**2 / 8
         e_v = e_v + torch.where(fields, DRIFT, torch.zeros_like(speed))
         e_p = e_v * (holds * t + self.arrives * torch.where(fields, 1.0, torch.full_like(speed, 0.05)))
-        limits = between(start, rest, Strays(e_p + sag, e_v, e_v), c, self.flight.free)
+        limits = between(start, rest, Strays(e_p + sag, e_v, e_v), c, self.free)
         # where the law takes the way to end, at first and at last: on the way the point moves from the one to the other
         ends = [norm(p + direction * speed * (speed / (2 * w.straight) + late)) for late in (0.0, t / 2)]
         straight = c.max_distance - INSIDE - w.buffer - torch.maximum(*ends) - e_p

@@ -1,7 +1,9 @@
 """A hold as the plant flies it, and the least that each limit can be on it."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import torch
 from torch import Tensor
@@ -21,7 +23,7 @@ from rta.backup.chords import FreeFlight, between, strays
 
 LOOK = 3.5  # s, between two looks at motion at most
 # Cells of passive safety's horizon, and searches in each, see `FreeFlight`. In C they are looped over, so that no other
-# axis may be a multiple of them: a prime.
+# axis may be a multiple of them.
 CELLS = (13, 1)
 FLAT = 1.5  # rad, whose cotangent counts where the camera is farther from the Sun
 
@@ -83,22 +85,34 @@ def peak(x: Tensor, u: Tensor, t: float, w: Flight) -> Tensor:
     return fast * (1.0 + 2.0 * w.spin * fast * t)
 
 
-def hold(x: Tensor, u: Tensor, w: Flight) -> tuple[Tensor, Tensor]:
-    """A hold of controls (6, B) at states (16, B): the states after it, and the least of each limit in it (11, B).
+def path(x: Tensor, u: Tensor, w: Flight) -> list[Tensor]:
+    """The states (16, B) of a hold of controls (6, B), from the first on, after each step of the plant."""
+    states = [x]
+    for _ in range(sum(w.looks)):
+        states.append(step(states[-1], u, w.seconds, w.c))
+    return states
 
-    Those of attitude are looked at after each step of the plant, which may hold the rates there.
-    """
-    motion, attitude = [], []
+
+def hold(x: Tensor, u: Tensor, w: Flight) -> tuple[Tensor, Tensor]:
+    """A hold of controls (6, B) at states (16, B): the states after it, and the least of each limit in it (11, B)."""
+    states, motion, first = path(x, u, w), [], 0
     for steps in w.looks:
-        y, fast = x, torch.zeros_like(x[0])
-        for _ in range(steps):
-            fast = torch.maximum(fast, peak(y, u, w.seconds, w))
-            z = step(y, u, w.seconds, w.c)
-            attitude.append(attitude_between(y, z, u, w.seconds, w))
-            y = z
-        motion.append(motion_between(x, y, u, fast, steps * w.seconds, w))
-        x = y
-    return x, torch.cat((torch.stack(motion).amin(0), torch.stack(attitude).amin(0)))
+        last = first + steps
+        fast = torch.stack([peak(y, u, w.seconds, w) for y in states[first:last]]).amax(0)
+        motion.append(motion_between(states[first], states[last], u, fast, steps * w.seconds, w))
+        first = last
+    return states[-1], torch.cat((torch.stack(motion).amin(0), attitude_along(states, u, w)))
+
+
+def turn(x: Tensor, u: Tensor, w: Flight) -> tuple[Tensor, Tensor]:
+    """As `hold`, with the limits of attitude alone: (4, B)."""
+    states = path(x, u, w)
+    return states[-1], attitude_along(states, u, w)
+
+
+def attitude_along(states: Sequence[Tensor], u: Tensor, w: Flight) -> Tensor:
+    """The least of each limit of attitude in a hold (4, B): after each step the plant may hold the rates."""
+    return torch.stack([attitude_between(y, z, u, w.seconds, w) for y, z in pairwise(states)]).amin(0)
 
 
 def attitude_between(start: Tensor, end: Tensor, u: Tensor, t: float, w: Flight) -> Tensor:

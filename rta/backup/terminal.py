@@ -103,13 +103,25 @@ def lyapunov(z: float) -> tuple[tuple[float, float, float], float]:
     )
 
 
-def cone(w: Pointing, quadratic: tuple[float, float, float], contracts: float) -> tuple[float, float, float]:
-    """The largest R that the law keeps, with rad from rest and rad/s relative to the Sun in it at most.
+def amiss(w: Pointing, angle: float, rate: float) -> tuple[float, float, float]:
+    """By how much a hold's end differs at most from M (a, T w), while |a| <= sin(angle) and |w| <= rate.
+
+    Of a; of T w; and of w by what torque does not count on, in rad/s.
 
     In a hold a changes by -w but for |w| g, as d x s does by -w cos(delta) + s (d . w) and psi by -d . w but for
     tan(delta / 2) |w|. At its end w is kappa a but for how the body has rolled, for gyroscopic accelerations, which
     change, and for how n z has turned.
     """
+    c, t, n = w.c, w.hold, w.c.mean_motion
+    spin, far = max(abs(each) for each in euler((1.0,) * 3, c.inertia)), angle + rate * t
+    g = math.hypot(far + far**2 / 2, far**2 / 2 + math.tan(far / 2))
+    otherwise = spin * 2 * (rate + n) * 2 * rate * t + n * rate * t + 1e-9
+    of_w = t * (w.kappa**2 * t / 2 * angle**2 + otherwise)
+    return t * rate * g + t * otherwise + of_w / 2, of_w, otherwise
+
+
+def cone(w: Pointing, quadratic: tuple[float, float, float], contracts: float) -> tuple[float, float, float]:
+    """The largest R that the law keeps, with rad from rest and rad/s relative to the Sun in it at most."""
     c, t, kappa = w.c, w.hold, w.kappa
     p = torch.tensor([[quadratic[0], quadratic[1]], [quadratic[1], quadratic[2]]], dtype=torch.float64)
     inverse, most = torch.linalg.inv(p), torch.linalg.eigvalsh(p)[-1].item()
@@ -121,15 +133,11 @@ def cone(w: Pointing, quadratic: tuple[float, float, float], contracts: float) -
         far = angle + rate * t
         if far > 0.3:
             continue
-        g = math.hypot(far + far**2 / 2, far**2 / 2 + math.tan(far / 2))
-        gyroscopic = spin * 2 * (rate + n) * 2 * rate * t
-        amiss = gyroscopic + n * rate * t + 1e-9
-        of_w = t * (kappa * kappa * t / 2 * angle**2 + amiss)
-        of_a = t * rate * g + t * amiss + of_w / 2
+        of_a, of_w, otherwise = amiss(w, angle, rate)
         torque = max(c.inertia) * (2 * rate / t + spin * (rate + n) ** 2)
         kept = contracts * radius + math.sqrt(most) * math.hypot(of_w, of_a) <= radius
         kept &= (of_w / t + kappa * angle <= rate) and torque <= c.max_torque
-        kept &= radius * math.sqrt(inverse[1, 1].item()) / t + amiss <= rate
+        kept &= radius * math.sqrt(inverse[1, 1].item()) / t + otherwise <= rate
         kept &= math.pi - far >= c.field_of_view / 2 + c.exclusion_buffer
         kept &= kappa * math.sin(far) <= min(w.rate, w.roll) and math.cos(far) > 0.25
         if kept and rate + n <= c.max_rate and resources(far, c)[2]:

@@ -11,6 +11,7 @@ from kernels import Printed, printed
 from rta.backup import homing, turn
 from rta.backup.check import ATTITUDE, KEPT, LIMITS, MOTION, RATES_ROUNDED, SHARES, SLACK_ROUNDED, Backup
 from rta.backup.flight import CELLS
+from rta.backup.flight import turn as turn_in
 from rta.backup.haven import thrust
 from rta.backup.homing import Homing
 from rta.backup.turn import TurnBackup
@@ -40,13 +41,16 @@ def checks(safety_filter: "SafetyFilter") -> list[Printed]:
     if safety_filter.backup is None:
         return []
     b = safety_filter.backup
-    return all_printed(
+    holds = all_printed(
         ("flown", lambda x, u: list(b.hold(x, u)), (x, u), ("x", "control"), ("after", "least")),
+        long=CELLS[0],
+    )
+    return holds + all_printed(
+        ("turned", lambda x, u: list(turn_in(x, u, b.flight)), (x, u), ("x", "control"), ("after", "least")),
         ("at_once", lambda x: [b.at_once(x)], (x,), ("x",), ("least",)),
         ("terminal_room", lambda x: [b.terminal.room(x)], (x,), ("x",), ("room",)),
         ("backup_torque", lambda x: [b.torque(x)], (x,), ("x",), ("torque",)),
         ("backup_thrust", lambda x, torque: [b.thrust(x, torque)], (x, u[TORQUE]), ("x", "torque"), ("thrust",)),
-        long=CELLS[0],
     )  # fmt: skip
 
 
@@ -100,6 +104,7 @@ def constants(backup: Backup) -> dict[str, tuple[int | float | str, str]]:
         "LIMITS": (LIMITS, "of which the body rates are one, the last"),
         "KEPT": (KEPT, "in the unit of each limit: what rounding may take"),
         "FLIGHT_HOLDS": (backup.holds, "of a flight at most"),
+        "GLANCES": (backup.glances, "holds, between two looks at all that is left of a flight"),
     }
     return (
         own

@@ -50,26 +50,38 @@ static void have_ways(const V x[16], const M broken[LIMITS], const M asked[2], M
     V y[16];
     V least[LIMITS];
     M alive[2];
-    at_once(x, least);
-    are_kept(least, broken, found);
     for (int group = THRUSTS; group <= TORQUES; ++group) {
-        found[group] = OR(found[group], NOT(asked[group]));
-        alive[group] = NOT(found[group]);
+        found[group] = NOT(asked[group]);
+        alive[group] = asked[group];
     }
     assign(y, x, 16);
     for (int k = 0; (k < FLIGHT_HOLDS) && ANY(OR(alive[THRUSTS], alive[TORQUES])); ++k) {
         V u[6];
         V after[16];
         M there[2];
-        M fine[2];
+        M fine[2] = {NO, NO};
         have_arrived(y, broken, there);
+        if ((k % GLANCES) == 0) { /* at all that is left of the flight at once */
+            at_once(y, least);
+            are_kept(least, broken, fine);
+        }
+        for (int group = THRUSTS; group <= TORQUES; ++group) {
+            found[group] = OR(found[group], AND(alive[group], OR(there[group], fine[group])));
+            alive[group] = AND(alive[group], NOT(found[group]));
+        }
+        if (!ANY(OR(alive[THRUSTS], alive[TORQUES]))) {
+            break;
+        }
         backup_torque(y, &u[3]);
         backup_thrust(y, &u[3], u);
-        flown(y, u, after, least);
+        if (ANY(alive[THRUSTS])) {
+            flown(y, u, after, least);
+        } else {
+            turned(y, u, after, &least[MOTION_LIMITS]);
+        }
         are_kept(least, broken, fine);
         for (int group = THRUSTS; group <= TORQUES; ++group) {
-            found[group] = OR(found[group], AND(alive[group], there[group]));
-            alive[group] = AND(alive[group], AND(fine[group], NOT(there[group])));
+            alive[group] = AND(alive[group], fine[group]);
         }
         assign(y, after, 16);
     }

@@ -18,7 +18,7 @@ from rta.parameters import PERIODS, RtaParameters
 from rta.qp.programs import Status
 from study.verification.adversaries import adversarial
 from tests.rta.backup.brute_force import attitude, hypercube, motion, moved
-from tests.rta.backup.flights import least_of, near_the_zone, opposite
+from tests.rta.backup.flights import at_the_chief, least_of, near_the_zone, opposite
 
 C = InspectionParameters()
 LIMIT = torch.tensor(C.control_limit, dtype=torch.float64)[:, None]
@@ -103,6 +103,7 @@ def test_the_compiled_check_equals_pytorch(filters: dict[float, SafetyFilter], h
     one, other = safety.correct(x, desired), safety._correct(x, desired, None, None)
     torch.testing.assert_close(one.control, other.control, rtol=0, atol=1e-9)
     assert torch.equal(one.verified, other.verified) and torch.equal(one.backup, other.backup)
+    assert torch.equal(one.intervened, other.intervened)
     assert torch.equal(one.status, other.status)
     assert one.verified.any() and not one.verified.all()
 
@@ -110,10 +111,11 @@ def test_the_compiled_check_equals_pytorch(filters: dict[float, SafetyFilter], h
 def test_ways_that_fail_later_are_found_by_the_compiled_check_too(filters: dict[float, SafetyFilter]) -> None:
     """A way may keep the limits for some holds and break one then, under one of a thousand of these controls."""
     safety = filters[1.0]
-    x = torch.cat((near_the_zone(3000, 3), hypercube(3000, 3, C)), 1)
+    x = torch.cat((near_the_zone(2000, 3), hypercube(2000, 3, C), at_the_chief(2000, 3)), 1)
     desired = adversarial(safety)(0.0, x)
     one, other = safety.correct(x, desired), safety._correct(x, desired, None, None)
     assert torch.equal(one.verified, other.verified) and torch.equal(one.backup, other.backup)
+    assert torch.equal(one.intervened, other.intervened)
     torch.testing.assert_close(one.control, other.control, rtol=0, atol=1e-9)
 
 

@@ -1,10 +1,12 @@
 """What is accepted by one look is accepted by the flight, too, which takes no more holds than are allowed."""
 
+import numpy as np
 import pytest
 import torch
 from torch import Tensor
 
 from rta.backup.check import ENDS, KEPT, MOTION
+from tests.rta.backup.brute_force import moved
 from tests.rta.backup.flights import CASES, backup, everywhere, in_c, least_of, opposite, safety, vehicle
 
 COUNT = 20_000  # states of each case
@@ -60,3 +62,19 @@ def test_so_it_is_behind_a_hold_opposite_to_the_laws(name: str, hold: float, sat
     accepted = of_groups(flight(y)[3]) >= KEPT
     kept, _ = flights(name, hold, saturates, y)
     assert accepted[0].any() and not (accepted & ~kept).any()
+
+
+@pytest.mark.parametrize("hold", [1.0, 10.0])
+def test_no_limit_is_below_what_one_look_says_on_the_flight(hold: float) -> None:
+    """Each limit at the plant's steps of a flight, by formulas of its own: at a path's nodes a chord says too much."""
+    c, flight = vehicle("paper"), in_c("paper", hold)
+    x = everywhere(4000, 25, c)
+    told = flight(x)[3]
+    x, told = x[:, (told[:MOTION] >= KEPT).all(0)], told[:, (told[:MOTION] >= KEPT).all(0)]
+    least = least_of(x, c)
+    for _ in range(round(100 / hold)):  # by then all rest that brake on a straight line
+        u = flight(x)[2]
+        for _ in range(round(hold)):
+            x = moved(x, u, 1.0, c)
+            least = np.minimum(least, least_of(x, c))
+    assert (told.numpy()[:MOTION] <= least[:MOTION] + 1e-9).all()

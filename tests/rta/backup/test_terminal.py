@@ -9,10 +9,10 @@ from torch import Tensor
 
 from inspection.model.attitude import rotation_matrix
 from inspection.model.state import OMEGA, THETA_S, E, P, Q, T, V
-from rta.backup.attitude_law import Pointing
+from rta.backup.attitude_law import Pointing, astray
 from rta.backup.check import Backup
 from rta.backup.motion_law import Braking, field
-from rta.backup.terminal import CALM, NoTerminalSetError, TerminalSet, cone, leftover, lyapunov
+from rta.backup.terminal import CALM, NoTerminalSetError, TerminalSet, amiss, cone, leftover, lyapunov
 from tests.rta.backup.brute_force import moved
 from tests.rta.backup.flights import NAMES, C, anywhere, backup, in_c, least_of, random, unit, vehicle
 
@@ -161,7 +161,8 @@ def test_a_larger_set_would_hold_states_that_break_a_limit(what: str, by: float)
         x[V] = field(x[P], C) - CALM * unit(x[P])
     else:
         x[T if what == "hottest" else E] += by
-    assert (wide.room(x) >= -ROUNDED).all(0).any()
+    row = {"hottest": 1, "emptiest": 2, "nearest": 4}[what]
+    assert (wide.room(x) >= -ROUNDED).all(0).any() and (own.room(x)[row, ::3] < 0.0).all()
     _, limit = least_kept(x, "paper", 5.0, True, 20)
     assert (limit < 0.0).any()
 
@@ -174,6 +175,31 @@ def test_the_quadratic_form_falls_as_it_says() -> None:
         y = np.random.default_rng(0).standard_normal((2, 1000))
         before, after = ((each * (p @ each)).sum(0) ** 0.5 for each in (y, m @ y))
         assert (after <= contracts * before + 1e-12).all() and contracts < 1.0
+
+
+@EACH
+@HOLDS
+def test_a_hold_of_the_law_ends_where_the_form_says_but_for_what_is_told(name: str, hold: float) -> None:
+    """(a, T w) becomes M (a, T w), but for what is non-linear: the step of the proof that flights alone do not show."""
+    c, b = vehicle(name), backup(name, hold)
+
+    def coordinates(x: Tensor) -> tuple[Tensor, Tensor]:
+        """a and T w in the body, (3, B) each."""
+        a, roll, _ = astray(x, c)
+        a[0] -= roll  # about the panels' axis, -x
+        return a, hold * (x[OMEGA] + c.mean_motion * rotation_matrix(x[Q])[2])
+
+    x, z = inside(name, hold, True, 300, 7), b.pointing.kappa * hold
+    (a, turn), (a_after, turn_after) = coordinates(x), coordinates(b.hold(x, b.law(x))[0])
+    of_a = (a_after - (1 - z / 2) * a + turn / 2).norm(dim=0)
+    of_turn = (turn_after - z * a).norm(dim=0)
+    angle = a.norm(dim=0).asin()
+    rate = torch.maximum(turn.norm(dim=0) / hold, b.pointing.kappa * angle)
+    told = [amiss(b.pointing, *each)[:2] for each in zip(angle.tolist(), rate.tolist(), strict=True)]
+    shares = torch.stack((of_a, of_turn)) / torch.tensor(told, dtype=torch.float64).T
+    assert (shares <= 1.0).all(), shares.amax(1)
+    if name == "paper":  # of equal moments: what is told of gyroscopic torque is zero
+        assert (shares.amax(1) > torch.tensor([0.2, 0.6])).all(), shares.amax(1)
 
 
 def test_where_the_laws_stay_nowhere_there_is_no_set() -> None:
