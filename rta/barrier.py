@@ -5,8 +5,9 @@ held for T, in the simulator's own steps phi_T (discrete-time barriers, Agrawal 
 
     (psi(phi_T(x, u)) - psi(x)) / T + alpha(psi(x)) >= 0,
 
-as the tangent at the control that is desired. As T goes to zero they become the paper's. Neither takes off what the
-filter does not know of the world, nor what a tangent leaves out: that is for the check (`rta.backup`).
+as the tangent at the control that is desired. As T goes to zero they become the paper's. What a tangent leaves out, and
+what the filter does not know of the world, is for the check (`rta.backup`). Where no check is known, sampled rows take
+off the latter, to first order.
 """
 
 import math
@@ -18,10 +19,10 @@ from itertools import groupby
 import torch
 from torch import Tensor
 
-from inspection.model.attitude import unit
+from inspection.model.attitude import quaternion_rate, unit
 from inspection.model.dynamics import attitude_rate, control_matrix, drift, integrate
 from inspection.model.parameters import Limits
-from inspection.model.state import CONTROL_SIZE, OMEGA, SIZE, THRUST, TORQUE, P, Q
+from inspection.model.state import CONTROL_SIZE, OMEGA, SIZE, THRUST, TORQUE, P, Q, V
 from rta.bounds.prediction import unsaturated
 from rta.bounds.uncertainty import NOTHING, Uncertainty
 from rta.constraints.constraint import ACTUATORS, Constraint, check
@@ -57,6 +58,7 @@ class ActuatorGroup:
     Args:
         held_by: a key of ACTUATORS; others of the constraints are left out.
         constraints: the paper's and your own.
+        checked: its controls are checked within what is told.
 
     Attributes:
         held_by; controls: its place in a control; limit: of each of its actuators in N or N m.
@@ -75,8 +77,10 @@ class ActuatorGroup:
         c: Limits,
         r: RtaParameters,
         known: Uncertainty = NOTHING,
+        checked: bool = True,
     ) -> None:
         self.c, self.r, self.known = c, r, known
+        self.doubts = () if checked or known.is_nil else known.doubts(c, r)
         self.held_by, self.kind, self.hold = held_by, known.rows(r), known.hold(r)
         self.model = unsaturated(c)  # the rates' own rows hold these: saturated they would have no slope
         self.controls = ACTUATORS[held_by]
@@ -185,7 +189,54 @@ class ActuatorGroup:
         after, slope = directional(end, (at,), (one,))
         a = slope / self.hold
         rate = (after[:, 0] - psi) / self.hold - total(a * control[own], 1)
-        return self.conditions(x, constraints, psi, rate, a, torch.zeros_like(rate))
+        loss = torch.zeros_like(rate)
+        if any(self.doubts):
+            loss = self.doubted(
+                x,
+                control,
+                constraints,
+                a,
+                lambda y: there(fly(y, control[:, None].expand(-1, y.shape[1], -1))),
+            )
+        return self.conditions(x, constraints, psi, rate, a, loss)
+
+    def doubted(
+        self, x: Tensor, control: Tensor, constraints: Sequence[Constraint], a: Tensor, end: Function
+    ) -> Tensor:
+        """What sampled rows lose in the worst of states (16, B) that are told, and of actuators: (R, B).
+
+        The worst state of a row is where its slopes lead: as far as may be in place, velocity, attitude and rates each.
+
+        Args:
+            control: (6, B) held; a: (R, 3 or 6, B) slopes by the controls; end: Psi at the end of a hold, of states.
+        """
+        radii, shares, unknown = self.doubts[:4], self.doubts[4:6], self.doubts[6:]
+        now, rows = self.psi_at(x, constraints), [each for each in constraints for _ in range(each.rows)]
+
+        def condition(y: Tensor) -> Tensor:
+            """Of states (16, k, B), as many as are looked at: (R, k, B)."""
+            psi = now(y)
+            gain = torch.stack([self.alpha(part, rows)[0] for part in psi.unbind(1)], 1)
+            return (end(y) - psi) / self.hold + gain * psi
+
+        worst = x[:, None].repeat(1, len(rows), 1)
+        for radius, along in zip(radii, deviations(x), strict=True):
+            if radius > 0.0:
+                slope = directional(condition, (x[:, None].repeat(1, 3, 1),), (along,))[1]
+                towards = slope / total(slope**2, 1).sqrt().clamp(min=1e-30)[:, None]
+                worst = worst - radius * total(along[:, None] * towards, 2)
+        lost = condition(x[:, None]) - condition(worst)
+        loss = torch.stack([lost[i, i] for i in range(len(rows))]).clamp(min=0.0)
+        own = (slice(0, 3), slice(3, 6)) if a.shape[1] == CONTROL_SIZE else (slice(0, 3),)
+        groups = (THRUST, TORQUE) if a.shape[1] == CONTROL_SIZE else (self.controls,)
+        for part, group in zip(own, groups, strict=True):
+            i = (THRUST, TORQUE).index(group)
+            size = total(control[group] ** 2, 0).sqrt()
+            loss = loss + total(a[:, part] ** 2, 1).sqrt() * (shares[i] * size + unknown[i])
+        known = [
+            each.axis is not None for each in rows
+        ]  # the limits of the rates have taken theirs off already
+        return loss.masked_fill(torch.tensor(known, device=x.device)[:, None], 0.0)
 
     def conditions(
         self, x: Tensor, constraints: Sequence[Constraint], psi: Tensor, rate: Tensor, a: Tensor, loss: Tensor
@@ -318,6 +369,18 @@ class ActuatorGroup:
                     f"{each.name}: gains = {each.gains!r}: "
                     f"{each.held_by} does not first enter derivative {each.degree} of h"
                 )
+
+
+def deviations(x: Tensor) -> tuple[Tensor, ...]:
+    """How states (16, B) differ by 1 m, 1 m/s, 1 rad and 1 rad/s along each axis: (16, 3, B) each."""
+    found = []
+    for part in (P, V, OMEGA):
+        along = torch.zeros_like(x)[:, None].repeat(1, 3, 1)
+        along[part] = torch.eye(3, dtype=x.dtype, device=x.device)[..., None]
+        found.append(along)
+    turned = torch.zeros_like(x)[:, None].repeat(1, 3, 1)
+    turned[Q] = torch.stack(quaternion_rate(x[Q, None].unbind(), found[2][OMEGA].unbind()))
+    return found[0], found[1], turned, found[2]
 
 
 def is_coupled(each: Constraint) -> bool:

@@ -91,8 +91,11 @@ class Propose:
         self, constraints: Sequence[Constraint], c: Limits, r: RtaParameters, known: Uncertainty
     ) -> None:
         self.c, self.r, self.known, self.kind = c, r, known, known.rows(r)
-        self.groups = tuple(ActuatorGroup(by, constraints, c, r, known) for by in ACTUATORS)
         self.turn, self.homing = TurnBackup.of(c, r, known), Homing.of(c, r, known)
+        self.groups = tuple(
+            ActuatorGroup(by, constraints, c, r, known, checked=check is not None)
+            for by, check in zip(ACTUATORS, (self.homing, self.turn), strict=True)
+        )
         self.rows_of: Sequence[Run] = [partial(self.rows, group) for group in self.groups]
         self.ahead: Run = self.predict
 

@@ -84,6 +84,20 @@ class Uncertainty(Settings):
         angles = (math.radians(root * angle) for angle in (self.attitude, self.rate))
         return root * self.position, root * self.velocity, *angles
 
+    def doubts(self, c: Limits, r: RtaParameters) -> tuple[float, ...]:
+        """What is not known of a hold: m, m/s, rad and rad/s of its state; shares of thrust and torque; N and N m more.
+
+        A state that is old has been moved by what is not known, too.
+        """
+        position, velocity, attitude, rate = self.radii
+        thrust = self.thrust_error + self.thrust[1] * self.thrust_angle(c, r)
+        force, twist = c.mass * self.acceleration, max(c.inertia) * self.angular_acceleration(c)
+        old = self.latency * r.period
+        push = (math.sqrt(3.0) * c.max_thrust * thrust + force) / c.mass * old
+        faster = (math.sqrt(3.0) * c.max_torque * self.torque_error + twist) / min(c.inertia) * old
+        position, attitude = position + (velocity + push / 2) * old, attitude + (rate + faster / 2) * old
+        return position, velocity + push, attitude, rate + faster, thrust, self.torque_error, force, twist
+
     def check(self, c: Limits, r: RtaParameters) -> None:
         """Raises ValueError where a bound leaves no control that could hold a limit."""
         if 0 < self.longest_hold < r.period:

@@ -11,6 +11,7 @@ from numpy import ndarray
 from scipy.integrate import solve_ivp
 from torch import Tensor
 
+from inspection.model.attitude import turned_by
 from inspection.model.dynamics import control_matrix, drift, integrate
 from inspection.model.parameters import InspectionParameters
 from inspection.model.state import OMEGA, THRUST, TORQUE
@@ -197,3 +198,56 @@ def test_of_a_constraint_that_the_other_group_changes_its_worst_comes_off() -> N
     b = after(u) + (0.02 - 1 / hold) * nose.h(x) - (a * u).sum(0) - (a[TORQUE].abs() * limit[TORQUE]).sum(0)
     torch.testing.assert_close(row.a[0], a[THRUST], rtol=1e-5, atol=1e-9)
     torch.testing.assert_close(row.b[0], b, rtol=1e-5, atol=1e-9)
+
+
+@pytest.mark.parametrize("by", ["thrust", "torque"])
+def test_where_no_check_is_known_rows_take_off_what_is_not_known(by: str) -> None:
+    """The condition in any state and under any thrust or torque within the bounds, where a row of the model sees it."""
+    told = {
+        "position": 0.3,
+        "velocity": 0.02,
+        "attitude": 0.2,
+        "rate": 0.02,
+        "thrust_gain": 0.02,
+        "torque_gain": 0.02,
+    }
+    known, generator = Uncertainty(**told), np.random.default_rng(0)
+    own = group(by, 5.0)
+    tight = ActuatorGroup(by, own.constraints, C, own.r, known, checked=False)
+    model = ActuatorGroup(by, own.constraints, C, own.r, known)
+    x = tensor(some_states(60))
+    u = 0.5 * tensor(commands(60, 3) * LIMIT)
+
+    def least(group: ActuatorGroup, x: Tensor, asked: Tensor, given: Tensor) -> Tensor:
+        """The left-hand sides, before any is softened, of controls `given`, by tangents at `asked`."""
+        rows = [
+            part for coupled in (False, True)
+            if (part := [each for each in group.constraints if each.coupled == coupled])
+        ]  # fmt: skip
+        sides = []
+        for coupled, constraints in zip((False, True), rows, strict=False):
+            found = group.sampled(x, group.near(x, asked), constraints, coupled)
+            sides.append((found.a * given[group.controls]).sum(1) + found.b)
+        return torch.cat(sides)
+
+    told_least, lowest = least(tight, x, u, u), torch.full_like(least(model, x, u, u), math.inf)
+    for _ in range(300):
+        away = [generator.standard_normal((3, 60)) for _ in range(6)]
+        p, v, turn, rate, thrust, torque = (tensor(part / length(part)) for part in away)
+        y = x.clone()
+        y[:3] += known.radii[0] * p
+        y[3:6] += known.radii[1] * v
+        y[6:10] = turned_by(x[6:10], known.radii[2] * turn)
+        y[OMEGA] += known.radii[3] * rate
+        given = u.clone()
+        given[THRUST] += 0.02 * u[THRUST].norm(dim=0) * thrust
+        given[TORQUE] += 0.02 * u[TORQUE].norm(dim=0) * torque
+        lowest = lowest.minimum(least(model, y, u, given))
+    free = torch.tensor([each.axis is None for each in own.of_row])
+    lost = (least(model, x, u, u) - told_least)[free]
+    missed = (told_least - lowest)[free]
+    assert (lost > 0.0).any(1).all()
+    # but where a row has a kink: at a limit that is broken, or where a light begins to shine
+    seen = (missed <= 0.1 * lost + 1e-9).double().mean(1)
+    assert (seen > 0.9).all(), seen
+    assert (missed > -0.9 * lost).any(1).all()  # it takes off no more than can be lost

@@ -10,15 +10,17 @@ import torch
 from torch import Tensor
 
 from inspection.model.parameters import InspectionParameters
-from inspection.model.state import CONTROL_SIZE, THRUST, TORQUE
+from inspection.model.state import CONTROL_SIZE, THRUST, TORQUE, P, V
 from rta.backup.check import LIMITS, SHARES, Backup
+from rta.backup.motion_law import field
+from rta.backup.terminal import CALM
 from rta.bounds.uncertainty import Uncertainty
 from rta.filter import SafetyFilter
 from rta.parameters import PERIODS, RtaParameters
 from rta.qp.programs import Status
 from study.verification.adversaries import adversarial
 from tests.rta.backup.brute_force import attitude, hypercube, motion, moved
-from tests.rta.backup.flights import at_the_chief, least_of, near_the_zone, opposite
+from tests.rta.backup.flights import at_the_chief, everywhere, least_of, near_the_zone, opposite, unit
 
 C = InspectionParameters()
 LIMIT = torch.tensor(C.control_limit, dtype=torch.float64)[:, None]
@@ -117,6 +119,22 @@ def test_ways_that_fail_later_are_found_by_the_compiled_check_too(filters: dict[
     assert torch.equal(one.verified, other.verified) and torch.equal(one.backup, other.backup)
     assert torch.equal(one.intervened, other.intervened)
     torch.testing.assert_close(one.control, other.control, rtol=0, atol=1e-9)
+
+
+@HOLDS
+def test_flights_in_c_keep_the_limits_that_flights_in_pytorch_keep(
+    filters: dict[float, SafetyFilter], hold: float
+) -> None:
+    """From states all over, half of them next to the chief and as slow as the laws leave them."""
+    backup = filters[hold].backup
+    assert backup and backup.flights
+    x = everywhere(1500, 31, C)
+    x[P, ::2] *= (C.collision_radius + 8.0 * torch.rand(750, dtype=torch.float64)) / x[P, ::2].norm(dim=0)
+    x[V, ::2] = field(x[P, ::2], C) + 0.5 * CALM * unit(x[V, ::2])
+    broken = torch.zeros(LIMITS, x.shape[1], dtype=torch.bool)
+    found = backup.flights(x, broken, (0, 1))
+    assert torch.equal(found, backup.fly(x, broken))
+    assert (found.any(1) & ~found.all(1)).all()
 
 
 @HOLDS
