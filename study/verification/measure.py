@@ -38,6 +38,8 @@ from study.files import write_json
 from study.flight.controllers import agent
 from study.machine.threads import THREADS
 from study.verification.adversaries import held_at_random
+from study.verification.flight import CHECK_EVERY
+from study.verification.lookahead import CANDIDATES, HORIZON, Lookahead
 from study.verification.starts import NUMBERS, safe_set, states_of
 from study.verified import fingerprint
 
@@ -90,7 +92,9 @@ DEMANDS: dict[str, Callable[[InspectionParameters, torch.Generator, int], Contro
     "full": full,
     "waypoints": to_waypoints,
 }
-AGENT, OPPOSITE = "agent", "opposite"
+AGENT, OPPOSITE, LOOKAHEAD, BARELY = "agent", "opposite", "lookahead", "barely"
+STARTS = "paper", "safe-set", "edge", BARELY
+HALVINGS = 40  # of a way between a start and a state that is none
 
 
 class Counted:
@@ -124,9 +128,11 @@ class Counted:
 
 
 def starts(where: str, count: int, seed: int, safety_filter: SafetyFilter) -> tuple[Tensor, Tensor]:
-    """States (16, count) that the filter accepts, and priority vectors (3, count): "paper", "safe-set" or "edge"."""
+    """States (16, count) that the filter accepts, and priority vectors (3, count); `where` is one of STARTS."""
     if where == "safe-set":
         return safe_set(count, seed, safety_filter)[:2]
+    if where == BARELY:
+        return barely(count, seed, safety_filter)
     generator = torch.Generator().manual_seed(seed)
     if where == "paper":
         return sample_initial_state(count, generator, safety_filter.c, safety_filter.is_safe)
@@ -138,6 +144,31 @@ def starts(where: str, count: int, seed: int, safety_filter: SafetyFilter) -> tu
         found.append(drawn[:, safety_filter.is_safe(drawn[:16])])
     both = torch.cat(found, 1)[:, :count]
     return both[:16], both[16:]
+
+
+def barely(count: int, seed: int, safety_filter: SafetyFilter) -> tuple[Tensor, Tensor]:
+    """States that the filter hardly accepts: the last ones on the way to others within all limits, which it refuses."""
+    generator, c = torch.Generator().manual_seed(seed), safety_filter.c
+
+    def accepts(s: Tensor) -> Tensor:
+        return safety_filter.is_safe(states_of(s, c)[0])
+
+    inside, outside = (
+        torch.zeros(NUMBERS, 0, dtype=torch.float64),
+        torch.zeros(NUMBERS, 0, dtype=torch.float64),
+    )
+    while min(inside.shape[1], outside.shape[1]) < count:
+        s = torch.rand(NUMBERS, 8 * DRAWN, generator=generator, dtype=torch.float64)
+        safe, kept = accepts(s), (safety_filter.values(states_of(s, c)[0]) >= 0.0).all(0)
+        inside, outside = (
+            torch.cat(both, 1) for both in ((inside, s[:, safe]), (outside, s[:, kept & ~safe]))
+        )
+    inside, outside = inside[:, :count], outside[:, :count]
+    for _ in range(HALVINGS):
+        middle = (inside + outside) / 2
+        safe = accepts(middle)
+        inside, outside = torch.where(safe, middle, inside), torch.where(safe, outside, middle)
+    return states_of(inside, c)
 
 
 def accepted(safety_filter: SafetyFilter, seed: int) -> float:
@@ -154,7 +185,7 @@ def measure(
     """Flies episodes behind the filter under a demand, for a duration in s.
 
     Args:
-        demand: one of DEMANDS, "opposite", or "agent", who is `policy` then; where: as of `starts`.
+        demand: one of DEMANDS, "opposite", "lookahead", or "agent", who is `policy` then; where: as of `starts`.
 
     Returns:
         Shares of calls in percent, mean changes in units of the actuators' limits, a rate, the share of starts in
@@ -172,6 +203,9 @@ def measure(
         controller = agent(policy, env)
     elif demand == OPPOSITE:
         controller = opposite(experiment.filter)
+    elif demand == LOOKAHEAD:
+        tried = experiment.env(episodes * CANDIDATES, None, config.rta.period, CHECK_EVERY, True)
+        controller = Lookahead(env, tried, HORIZON, generator, episodes)
     else:
         controller = DEMANDS[demand](env.c, generator, episodes)
     low = env.constraint_values(env.x)
@@ -216,11 +250,11 @@ def main(argv: list[str] | None = None) -> None:
     parser.add_argument("--config", action="append", default=[], metavar="FILE", help="as of main.py")
     parser.add_argument("--rta-period", type=period, metavar="S", help="s between two calls, 1, 5 or 10")
     parser.add_argument("--rows", choices=ROWS, help="kind of the filter's rows")
-    parser.add_argument("--demand", choices=(*DEMANDS, OPPOSITE, AGENT), default="random", help="who demands")
-    parser.add_argument("--checkpoint", metavar="F", help="of --demand agent")
     parser.add_argument(
-        "--starts", choices=("paper", "safe-set", "edge"), default="safe-set", help="from where"
+        "--demand", choices=(*DEMANDS, OPPOSITE, LOOKAHEAD, AGENT), default="random", help="who demands"
     )
+    parser.add_argument("--checkpoint", metavar="F", help="of --demand agent")
+    parser.add_argument("--starts", choices=STARTS, default="safe-set", help="from where")
     parser.add_argument("--episodes", type=positive_integer, default=256, metavar="N", help="at once")
     parser.add_argument("--duration", type=positive_number, default=300.0, metavar="S", help="of each, in s")
     parser.add_argument("--json", type=Path, metavar="F", help="also write the numbers there")

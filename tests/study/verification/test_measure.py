@@ -11,7 +11,7 @@ from torch import Tensor
 
 from inspection import InspectionParameters
 from inspection.model.state import P
-from rta import SafetyFilter
+from rta import RtaParameters, SafetyFilter
 from study.config import Config, override
 from study.verification import measure
 from study.verification.measure import Counted, accepted, full, starts
@@ -62,6 +62,27 @@ def test_starts_are_accepted_and_where_they_should_be(where: str) -> None:
     distance = x[P].norm(dim=0)
     assert (distance.amin() > 0.94 * C.max_distance) == (where == "edge")
     assert 0.9 < accepted(safety_filter, 0) < 1.0
+
+
+@pytest.mark.parametrize("period", [1.0, 10.0])
+def test_beside_states_that_are_barely_starts_there_are_others_that_are_none(period: float) -> None:
+    safety_filter = SafetyFilter(C, RtaParameters(period=period))
+    shares = []
+    for where in ("barely", "safe-set"):
+        x, _ = starts(where, 200, 0, safety_filter)
+        assert safety_filter.is_safe(x).all() and (safety_filter.values(x) >= 0.0).all()
+        beside = x.clone()
+        beside[P] += 1e-6
+        beside[13:15] += torch.tensor([[1e-8], [-1e-8]], dtype=torch.float64)  # warmer, and less energy
+        shares.append(safety_filter.is_safe(beside).double().mean().item())
+    assert shares[0] < 0.8 and shares[1] > 0.99, shares
+
+
+def test_who_looks_ahead_from_there_breaks_nothing_and_is_corrected() -> None:
+    config = override(Config(), {"train": {"rta": True}}, "test")
+    found = measure.measure(config, "lookahead", "barely", 16, 10.0)
+    assert found["broken_episodes"] == 0 and found["unverified_percent"] == 0.0
+    assert found["moved_by_check_percent"] > 0.0
 
 
 def test_a_demand_is_measured(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
