@@ -49,9 +49,9 @@ static inline V arc_cosine(V x)
                     0.030381944137085216) * z + 0.04464285714637338) * z + 0.07499999999998425) * z +
                  0.16666666666666669) * z;
     const V sine_is = s + s * p; /* the angle whose sine is s */
-    const V near = 1.5707963267948966 - (s - (6.123233995736766e-17 - s * p));
-    const V far = 2.0 * sine_is;
-    return SELECT(is_far, SELECT(x < 0.0, 3.141592653589793 - (far - 1.2246467991473532e-16), far), near);
+    const V direct = 1.5707963267948966 - (s - (6.123233995736766e-17 - s * p));
+    const V doubled = 2.0 * sine_is;
+    return SELECT(is_far, SELECT(x < 0.0, 3.141592653589793 - (doubled - 1.2246467991473532e-16), doubled), direct);
 }
 
 #define SIN(x) sine(x)
