@@ -104,14 +104,15 @@ class Counted:
         calls: of one spacecraft each; seconds: that they took.
         corrected, moved, unverified: calls with another control than was desired, with another one than the programs'
             for the check's sake, and with one that is not verified.
-        change: (2,) sums of |u - u_des| over the limit, of thrust and of torque.
+        change, chatter: (2,) sums of |u - u_des| and of |u - u of the last call| over the limit, of thrust and of torque.
     """
 
     def __init__(self, safety_filter: SafetyFilter) -> None:
         self.filter = safety_filter
         self.calls, self.seconds = 0, 0.0
         self.corrected = self.moved = self.unverified = 0
-        self.change = torch.zeros(2, dtype=torch.float64)
+        self.change, self.chatter = torch.zeros(2, 2, dtype=torch.float64)
+        self.last: Tensor | None = None
 
     def correct(self, x: Tensor, desired: Tensor, **told: Tensor) -> FilterResult:
         """See `SafetyFilter.correct`."""
@@ -122,8 +123,11 @@ class Counted:
         self.corrected += int(answer.intervened.sum())
         self.moved += int(answer.backup.sum())
         self.unverified += int((~answer.verified).sum())
-        shares = (answer.control - desired) / x.new_tensor(self.filter.c.control_limit)[:, None]
-        self.change += shares.unflatten(0, (2, 3)).norm(dim=1).sum(1).cpu()
+        limit = x.new_tensor(self.filter.c.control_limit)[:, None]
+        last = answer.control if self.last is None else self.last
+        for total, other in ((self.change, desired), (self.chatter, last)):
+            total += ((answer.control - other) / limit).unflatten(0, (2, 3)).norm(dim=1).sum(1).cpu()
+        self.last = answer.control
         return answer
 
 
@@ -212,11 +216,13 @@ def measure(
     for hold in env.inspect(controller, duration):
         low = torch.minimum(low, env.constraint_values(hold.after))
     share = 100.0 / counted.calls
-    change = (counted.change / counted.calls).tolist()
+    change, chatter = ((each / counted.calls).tolist() for each in (counted.change, counted.chatter))
     return {
         "corrected_percent": share * counted.corrected,
         "change_of_thrust": change[0],
         "change_of_torque": change[1],
+        "chatter_of_thrust": chatter[0],
+        "chatter_of_torque": chatter[1],
         "moved_by_check_percent": share * counted.moved,
         "unverified_percent": share * counted.unverified,
         "calls_per_s": counted.calls / counted.seconds,
@@ -235,6 +241,8 @@ def table(found: dict[str, Any]) -> str:
         "corrected_percent": "calls corrected, %",
         "change_of_thrust": "mean |u - u_des| of thrust, in limits",
         "change_of_torque": "mean |u - u_des| of torque, in limits",
+        "chatter_of_thrust": "mean |u - u of the last call| of thrust",
+        "chatter_of_torque": "mean |u - u of the last call| of torque",
         "moved_by_check_percent": "calls moved by the check, %",
         "unverified_percent": "calls not verified, %",
         "calls_per_s": "calls per s, with all that they compute",

@@ -44,6 +44,9 @@ def test_calls_are_counted_and_changes_are_in_limits() -> None:
         counted.correct(torch.zeros(16, 6, dtype=torch.float64), desired)
     assert (counted.calls, counted.corrected, counted.moved, counted.unverified) == (12, 8, 6, 4)
     assert counted.change.tolist() == pytest.approx([8 * math.sqrt(0.5), 0.0])
+    assert counted.chatter.tolist() == [0.0, 0.0]
+    counted.correct(torch.zeros(16, 6, dtype=torch.float64), 0.0 * desired)
+    assert counted.chatter.tolist() == pytest.approx([4 * math.sqrt(0.5), 0.0])
     assert counted.seconds > 0.0
 
 
