@@ -253,25 +253,31 @@ class Backup:
 
 
 def nearest(
-    u: Tensor, own: slice, law: Tensor, is_safe: Callable[[Tensor, Tensor], Tensor]
+    u: Tensor,
+    own: slice,
+    law: Tensor,
+    is_safe: Callable[[Tensor, Tensor], Tensor],
+    given: Callable[[Tensor], Tensor] = lambda u: u,
 ) -> tuple[Tensor, Tensor]:
     """The first of controls on the way from u (6, M) to the law's (3, M) that is safe, else the law's.
 
     Args:
         own: the controls of a group; is_safe: of indices (k,) of M and controls (6, k), (k,) bool.
+        given: what actuators give of controls (6, k).
 
     Returns:
         Controls (6, M); (M,) bool: they are safe.
     """
     there = u.clone()
     there[own] = law
-    best, found = there.clone(), torch.zeros_like(u[0], dtype=torch.bool)
+    best, found = given(there), torch.zeros_like(u[0], dtype=torch.bool)
     for share in (*SHARES, 1.0):
         left = torch.nonzero(~found).flatten()
         if not left.numel():
             break
         one, other = pick(u, left), pick(there, left)
         tried = (one + share * (other - one)).clamp(torch.minimum(one, other), torch.maximum(one, other))
+        tried = given(tried)
         safe = is_safe(left, tried)
         put(best, left[safe], tried[:, safe])
         put(found, left, safe)
@@ -285,6 +291,7 @@ def verified_or_nearest(
     may_be_kept: Tensor,
     law: Callable[[Tensor, Tensor], Tensor],
     is_safe: Callable[[Tensor, Tensor], Tensor],
+    given: Callable[[Tensor], Tensor] = lambda u: u,
 ) -> tuple[Tensor, Tensor, Tensor]:
     """What is applied of one group in the place of proposed controls (6, B).
 
@@ -292,6 +299,7 @@ def verified_or_nearest(
         y: (n, B) what `law` and `is_safe` are given, columns of B, states first.
         own: the group's controls; may_be_kept: (B,) bool: none of its limits is violated already for sure.
         law: its controls (3, M) at M columns of y and u; is_safe: (M,) bool: the group's controls are.
+        given: what actuators give of controls (6, M).
 
     Returns:
         Controls (6, B); (B,) bool each: the group's are verified; they are others.
@@ -303,7 +311,7 @@ def verified_or_nearest(
     if columns.numel():
         there, proposed = pick(y, columns), pick(u, columns)
         control, found = nearest(
-            proposed, own, law(there, proposed), lambda at, tried: is_safe(pick(there, at), tried)
+            proposed, own, law(there, proposed), lambda at, tried: is_safe(pick(there, at), tried), given
         )
         put(u, columns, control)
         put(kept, columns, found)

@@ -123,7 +123,12 @@ class Haven:
 
     @classmethod
     def of(cls, c: Limits, r: RtaParameters, known: Uncertainty) -> "Haven":
-        """Raises NoHavenError where the bounds leave none."""
+        """Raises NoHavenError where the bounds leave none.
+
+        What thrusters round off the law's thrust is an acceleration that is not known.
+        """
+        rounded = math.sqrt(3.0) * known.thrust[1] * known.rounding(c.max_thrust) / c.mass
+        known = replace(known, acceleration=known.acceleration + rounded)
         holds = math.ceil(known.hold(r) / r.period - 1e-9)
         longest, old = holds * r.period, known.latency * r.period
         aim = (longest + r.period) / 4

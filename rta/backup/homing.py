@@ -42,10 +42,10 @@ class Homing:
     def of(cls, c: Limits, r: RtaParameters, known: Uncertainty) -> "Homing | None":
         """None: the bounds leave no haven, or none is known.
 
-        That is on an ellipse, beside a hull, with thrusters that may fail or that give some values only.
+        That is on an ellipse, beside a hull, and with thrusters that may fail.
         """
         knows = c.orbit == "clohessy-wiltshire" and not c.hill_rotation and not c.planes
-        if known.is_nil or known.health or known.is_coarse or not knows:
+        if known.is_nil or known.health or not knows:
             return None
         try:
             return cls(Haven.of(c, r, known), r)
@@ -77,11 +77,18 @@ class Homing:
             Controls (6, B); (B,) bool each: their thrust is verified; it is another.
         """
         y, fit = torch.cat((x, error_bound)), may_be_kept(x, error_bound, self.haven) >= 0.0
-        return verified_or_nearest(y, u, THRUST, fit, self.thrust, self.thrust_is_safe)
+        return verified_or_nearest(y, u, THRUST, fit, self.thrust, self.thrust_is_safe, self.given)
 
     def thrust(self, y: Tensor, u: Tensor) -> Tensor:
         """The law's thrust (3, B) with the torque of controls (6, B), y as of `thrust_is_safe`."""
         return thrust(y[:SIZE], u[TORQUE], self.haven)
+
+    def given(self, u: Tensor) -> Tensor:
+        """Controls (6, B) with thrust that the thrusters give."""
+        known = self.haven.known
+        if not known.is_coarse:
+            return u
+        return torch.cat((known.given(u[THRUST], self.haven.c.max_thrust), u[TORQUE]))
 
 
 def either(least: Tensor, look: Callable[[Tensor], Tensor]) -> Tensor:

@@ -226,6 +226,10 @@ class Uncertainty(Settings):
         quantum = self.thrust_quantum
         return quantum * math.floor(limit / quantum + 1e-9) if quantum else limit
 
+    def rounding(self, limit: float) -> float:
+        """N, by which thrust within its limit is given otherwise along an axis at most."""
+        return max(self.minimum_thrust, self.thrust_quantum / 2, limit - self.largest_thrust(limit))
+
     def given(self, thrust: "Tensor", limit: float) -> "Tensor":
         """What the thrusters give where thrust in N is asked for, within their limit."""
         from torch import where

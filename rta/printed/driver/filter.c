@@ -85,18 +85,6 @@ static void bring_up_to_date(const struct safety_filter_input *in, const double 
 #endif
 }
 
-/* Thrust that the thrusters give. */
-static void round_thrust(double control[6])
-{
-#if COARSE
-    double given[3];
-    given_thrust(control, given);
-    copy(control, given, 3);
-#else
-    (void)control;
-#endif
-}
-
 /* Replaces what the thrusters do not give, and torque that would leave a dead axis on the radius: that is projected. */
 static void replace_desired(const double x[16], const double left[6], double wish[6], double control[6],
                             struct safety_filter_output *out)

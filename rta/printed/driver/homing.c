@@ -79,6 +79,7 @@ static int home_to_law(const double x[16], const double error_bound[4], double c
             const double tried = proposed[j] + (shares[i] * (law[j] - proposed[j]));
             control[j] = clip(tried, smaller(proposed[j], law[j]), larger(proposed[j], law[j]));
         }
+        round_thrust(control);
         found = homes(x, error_bound, control);
     }
     return found;

@@ -64,6 +64,20 @@ def test_nothing_leads_out_of_the_haven(how: str, misses: str) -> None:
         assert (r >= HAVEN.nearest).all() and (r <= C.max_distance).all()
 
 
+@pytest.mark.parametrize("coarse", [{"thrust_quantum": 0.1}, {"minimum_thrust": 0.02}], ids=str)
+def test_nothing_leads_out_of_the_haven_of_thrusters_that_give_some_values_only(coarse: dict[str, float]) -> None:
+    """What they round off counts in the haven: one without it they leave."""
+    told = Uncertainty(latency=1, longest_hold=1.0, position=0.1, velocity=0.001)
+    known = replace(told, **coarse)
+    for haven, stays in ((Haven.of(C, R, known), True), (Haven.of(C, R, told), False)):
+        x, world = within(haven, 50, 1, at_call=True), World(50, 2, "worst", "always", known)
+        least, end, states = flown(x, haven, world, 600.0, None)
+        calm = torch.stack([haven.calm(y[P].norm(dim=0)) for y in (*states, end)])
+        off = torch.stack([(y[V] - haven.field(y[P])).norm(dim=0) for y in (*states, end)])
+        assert (off <= calm).all() == stays
+        assert not stays or (least >= 0.0).all()
+
+
 def test_without_the_field_it_drifts_out_of_it() -> None:
     still = replace(HAVEN, out=0.0, back=0.0)
     x = within(still, 60, 3)

@@ -100,6 +100,28 @@ def test_no_limit_breaks_whatever_is_asked(how: str, misses: str, in_c: Homing) 
     assert 0.1 < demands.refused / demands.asked < 0.95 and demands.verified > demands.asked / 4
 
 
+@pytest.mark.parametrize("coarse", [{"thrust_quantum": 0.1}, {"minimum_thrust": 0.02}], ids=str)
+def test_thrusters_that_give_some_values_only_break_no_limit(coarse: dict[str, float]) -> None:
+    """What is proposed is rounded before it is looked at, and so is what replaces it."""
+    homing = Homing.of(C, R, known := Uncertainty(latency=1, longest_hold=1.0, position=0.1, velocity=0.001, **coarse))
+    assert homing and homing.haven.known.acceleration > 0.0
+    x, proposals = starts(1), Demands(None, 2)
+    x, refused = x[:, homing.has_way(x)], 0
+    assert x.shape[1] > COUNT / 3
+
+    def law(x: Tensor, torque: Tensor, bound: Tensor) -> Tensor:
+        nonlocal refused
+        u = torch.cat((known.given(proposals(x, torque, bound), C.max_thrust), torque))
+        u, _, changed = homing.committed(x, u, bound)
+        assert torch.equal(known.given(u[THRUST], C.max_thrust), u[THRUST])
+        refused += int(changed.sum())
+        return u[THRUST]
+
+    least, _, _ = flown(x, homing.haven, World(x.shape[1], 3, "worst", "always", known), 30.0, 20.0, law)
+    assert (least >= 0.0).all(), least.min(1)
+    assert refused > 100
+
+
 def test_unchecked_the_same_demands_break_limits() -> None:
     least, _, _ = flown(
         starts(1), HOMING.haven, World(COUNT, 3, "steady", "random"), 100.0, 20.0, Demands(None, 2)

@@ -95,7 +95,8 @@ class World:
         """What acts (6, B) where u is asked for."""
         if self.how == "worst":
             self.gains = torch.where(self.uniform(3) < 0.5, self.gains, 2 - self.gains)
-        force = (self.aslant * (self.gains * u[THRUST])).sum(1)
+        given = self.known.given(u[THRUST], C.max_thrust) if self.known.is_coarse else u[THRUST]
+        force = (self.aslant * (self.gains * given)).sum(1)
         return torch.cat((force, self.turns * u[TORQUE]))
 
     def held_for(self) -> int:
