@@ -391,6 +391,17 @@ CHECK = [
         ("(shares[i] * size + unknown[i])", "unknown[i]"),
     ),
     *faults(
+        "rta/backup/haven.py",
+        "rta/backup/test_haven.py -k some_values",
+        ("acceleration=known.acceleration + rounded", "acceleration=known.acceleration"),
+    ),
+    *faults(
+        "rta/backup/check.py",
+        "rta/backup/test_homing.py -k some_values",
+        ("        tried = given(tried)\n", ""),
+        ("best, found = given(there),", "best, found = there.clone(),"),
+    ),
+    *faults(
         "rta/backup/terminal.py",
         "rta/backup/test_terminal.py",
         ("of_w = t * (w.kappa**2 * t / 2 * angle**2", "of_w = t * (w.kappa**2 * t / 40 * angle**2"),
@@ -522,16 +533,22 @@ IN_C = [
     *faults(
         "rta/printed/driver/batch/commit.c",
         "rta/backup/test_check.py -k compiled_check and 1.0 or fail_later",
-        (
-            "const M both = kept[0] & later[0] & kept[1] & later[1];",
-            "const M both = kept[0] & later[0] & kept[1];",
-        ),
-        ("truths[0] = other[lane] != 0;", "truths[0] = 0;"),
+        ("const M sure = *hopes & later[0] & later[1];", "const M sure = *hopes & later[0];"),
+        ("truths[0] = other != 0;", "truths[0] = 0;"),
+        ("if (flights->found[0][lane] & flights->found[1][lane]) {", "if (flights->found[0][lane]) {"),
+        ("put_waiting(these, lane, these, flights->count - 1);", ""),
+    ),
+    *faults(
+        "rta/printed/driver/batch/flights.c",
+        "rta/backup/test_check.py -k flights_in_c and 1.0",
+        ("put_lane(these->y, lane, these->y, last, 16);", ""),
+        ("these->holds[lane] >= FLIGHT_HOLDS;", "these->holds[lane] >= GLANCES;"),
     ),
     *faults(
         "rta/printed/driver/batch/batch.c",
         "rta/backup/test_check.py -k compiled_check and 1.0 or fail_later",
-        ("finish(open[0] | told | unchecked, unsure,", "finish(open[0] | told | unchecked, NO,"),
+        ("look_closely(unsure & ~alone, hopes,", "look_closely(NO, hopes,"),
+        ("fly_hopeful(&hopeful, 1, &refused, out, out_step);", ""),
     ),
     *faults(
         "rta/printed/batch.py",

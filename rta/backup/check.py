@@ -72,8 +72,9 @@ class Backup:
             raise NoTerminalSetError("gyroscopic torque")
         self.coarse = Coarse.of(self.pointing, self.braking, self.flight, self.terminal)
         braking = 1.5 * self.braking.fastest / self.braking.straight + self.terminal.leaves
-        self.holds = math.ceil(max(self.coarse.arrives, braking) / period)
         self.glances = max(1, round(GLANCE / period))
+        longest = max(self.coarse.arrives, braking)
+        self.holds = self.glances * math.ceil(longest / (self.glances * period))
         self.flights: Callable[[Tensor, Tensor, Sequence[int]], Tensor] | None = None
 
     @classmethod

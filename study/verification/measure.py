@@ -104,7 +104,7 @@ class Counted:
         calls: of one spacecraft each; seconds: that they took.
         corrected, moved, unverified: calls with another control than was desired, with another one than the programs'
             for the check's sake, and with one that is not verified.
-        change, chatter: (2,) sums of |u - u_des| and of |u - u of the last call| over the limit, of thrust and of torque.
+        change, chatter: (2,) sums of |u - u_des| and of |u - u of the last call| in limits, of thrust and of torque.
     """
 
     def __init__(self, safety_filter: SafetyFilter) -> None:

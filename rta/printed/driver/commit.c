@@ -44,25 +44,19 @@ static void have_arrived(const V x[16], const M broken[LIMITS], M found[2])
     found[TORQUES] = AND(inside[0], AND(inside[1], inside[2]));
 }
 
-/* Whether the laws' flight keeps the limits of each group that is asked for, and ends. */
-static void have_ways(const V x[16], const M broken[LIMITS], const M asked[2], M found[2])
+/* Flies states on for some holds of the laws, at first with a look at all that is left of the flight at once. Alive: whose
+ * flights have kept the limits of each group and not ended; found: whose have ended, or are seen to keep them for good. */
+static void fly_on(V x[16], const M broken[LIMITS], int holds, M alive[2], M found[2])
 {
-    V y[16];
-    V least[LIMITS];
-    M alive[2];
-    for (int group = THRUSTS; group <= TORQUES; ++group) {
-        found[group] = NOT(asked[group]);
-        alive[group] = asked[group];
-    }
-    assign(y, x, 16);
-    for (int k = 0; (k < FLIGHT_HOLDS) && ANY(OR(alive[THRUSTS], alive[TORQUES])); ++k) {
+    for (int k = 0; (k < holds) && ANY(OR(alive[THRUSTS], alive[TORQUES])); ++k) {
         V u[6];
         V after[16];
+        V least[LIMITS];
         M there[2];
         M fine[2] = {NO, NO};
-        have_arrived(y, broken, there);
-        if ((k % GLANCES) == 0) { /* at all that is left of the flight at once */
-            at_once(y, least);
+        have_arrived(x, broken, there);
+        if (k == 0) {
+            at_once(x, least);
             are_kept(least, broken, fine);
         }
         for (int group = THRUSTS; group <= TORQUES; ++group) {
@@ -72,18 +66,33 @@ static void have_ways(const V x[16], const M broken[LIMITS], const M asked[2], M
         if (!ANY(OR(alive[THRUSTS], alive[TORQUES]))) {
             break;
         }
-        backup_torque(y, &u[3]);
-        backup_thrust(y, &u[3], u);
+        backup_torque(x, &u[3]);
+        backup_thrust(x, &u[3], u);
         if (ANY(alive[THRUSTS])) {
-            flown(y, u, after, least);
+            flown(x, u, after, least);
         } else {
-            turned(y, u, after, &least[MOTION_LIMITS]);
+            turned(x, u, after, &least[MOTION_LIMITS]);
         }
         are_kept(least, broken, fine);
         for (int group = THRUSTS; group <= TORQUES; ++group) {
             alive[group] = AND(alive[group], fine[group]);
         }
-        assign(y, after, 16);
+        assign(x, after, 16);
+    }
+}
+
+/* Whether the laws' flight keeps the limits of each group that is asked for, and ends. */
+static void have_ways(const V x[16], const M broken[LIMITS], const M asked[2], M found[2])
+{
+    V y[16];
+    M alive[2];
+    for (int group = THRUSTS; group <= TORQUES; ++group) {
+        found[group] = NOT(asked[group]);
+        alive[group] = asked[group];
+    }
+    assign(y, x, 16);
+    for (int k = 0; k < FLIGHT_HOLDS; k += GLANCES) {
+        fly_on(y, broken, GLANCES, alive, found);
     }
 }
 

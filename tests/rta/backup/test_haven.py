@@ -65,7 +65,9 @@ def test_nothing_leads_out_of_the_haven(how: str, misses: str) -> None:
 
 
 @pytest.mark.parametrize("coarse", [{"thrust_quantum": 0.1}, {"minimum_thrust": 0.02}], ids=str)
-def test_nothing_leads_out_of_the_haven_of_thrusters_that_give_some_values_only(coarse: dict[str, float]) -> None:
+def test_nothing_leads_out_of_the_haven_of_thrusters_that_give_some_values_only(
+    coarse: dict[str, float],
+) -> None:
     """What they round off counts in the haven: one without it they leave."""
     told = Uncertainty(latency=1, longest_hold=1.0, position=0.1, velocity=0.001)
     known = replace(told, **coarse)

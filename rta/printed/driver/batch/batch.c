@@ -33,7 +33,10 @@ long filter_batch(long first, long last, const void *const *in, const long *in_s
                   const long *out_step)
 {
     long unsolved = 0;
-    struct waiting these = {.count = 0};
+#if BACKUP
+    struct hopeful hopeful = {.flights = {.count = 0}};
+    struct waiting refused = {.count = 0};
+#endif
     for (long column = first; column < last; column += W) {
         const long lanes = last - column;
         V x[16];
@@ -50,18 +53,35 @@ long filter_batch(long first, long last, const void *const *in, const long *in_s
         first_attempt(x, desired, numbers, &numbers[6], &numbers[6 + CONSTRAINTS], program_status, active, open);
         const M unchecked = check_turn(x, error_bound, numbers, program_status) |
                             check_thrust(x, error_bound, numbers, program_status);
+        const M alone = open[0] | told | unchecked; /* filtered one by one */
 #if BACKUP
-        unsure = are_unsure(x, numbers, program_status);
+        V after[16];
+        M hopes;
+        unsure = are_unsure(x, numbers, program_status, after, &hopes);
 #endif
         for (int k = 0; k < 6 + 2 * CONSTRAINTS; ++k) {
             store_double(out[NUMBERS], k * out_step[NUMBERS] + column, lanes, numbers[k]);
         }
         store_statuses(program_status, differ(desired, numbers), CHECKS ? ~(unsure | unchecked) : NO, active, out, out_step, column, lanes);
-        unsolved += finish(open[0] | told | unchecked, unsure, &these, x, desired, numbers, program_status, column, lanes, in,
-                           in_step, out, out_step);
+        for (int lane = 0; lane < W && lane < lanes; ++lane) {
+            unsolved += alone[lane] ? filter_one(column + lane, in, in_step, out, out_step) : 0;
+        }
+#if BACKUP
+        if (ANY(unsure & ~alone)) {
+            struct waiting block;
+            memcpy(block.x, x, sizeof x);
+            memcpy(block.desired, desired, sizeof desired);
+            memcpy(block.control, numbers, sizeof block.control);
+            memcpy(block.slack, &numbers[6], sizeof block.slack);
+            memcpy(block.h, &numbers[6 + CONSTRAINTS], sizeof block.h);
+            memcpy(block.program_status, program_status, sizeof program_status);
+            look_closely(unsure & ~alone, hopes, after, &block, &hopeful, &refused, column, lanes, out, out_step);
+        }
+#endif
     }
 #if BACKUP
-    check_waiting(&these, out, out_step);
+    fly_hopeful(&hopeful, 1, &refused, out, out_step);
+    check_waiting(&refused, out, out_step);
 #endif
     return unsolved;
 }
