@@ -1,5 +1,7 @@
 """What a campaign puts behind the filter, and who chooses the worlds' corners: chance, descent, a trained agent."""
 
+from collections.abc import Callable
+
 import torch
 from torch import Tensor
 
@@ -9,6 +11,7 @@ from inspection.model.dynamics import step
 from inspection.model.parameters import Model
 from inspection.model.state import CONTROL_SIZE, THRUST, TORQUE
 from inspection.world.corners import ERRORS, displaced
+from kernels import Compiled
 from ppo.network import Policy
 from rta.constraints.names import ATTITUDE, TRANSLATIONAL
 from rta.filter import SafetyFilter
@@ -66,11 +69,20 @@ def adversarial(safety_filter: SafetyFilter) -> Controller:
     The worst row is the one that zero control comes closest to breaking, in units of the actuators' limits.
     """
 
+    def of_states(x: Tensor) -> list[Tensor]:
+        thrust, torque = safety_filter.rows(x)
+        return [thrust.a, thrust.b, torque.a, torque.b]
+
+    rows_at: Callable[[Tensor], list[Tensor]] = of_states
+    if safety_filter.compiled:
+        rows_at = Compiled(of_states, safety_filter.probe("cpu")[0])
+
     def control(t: float, x: Tensor) -> Tensor:
         halves = []
-        for group, rows in zip(safety_filter.groups, safety_filter.rows(x), strict=True):
-            a = rows.a * group.limit
-            worst = (rows.b / a.norm(dim=1).clamp(min=1e-9)).argmin(0)
+        rows = rows_at(x)
+        for group, a, b in zip(safety_filter.groups, rows[::2], rows[1::2], strict=True):
+            a = a * group.limit
+            worst = (b / a.norm(dim=1).clamp(min=1e-9)).argmin(0)
             descent = -a.gather(0, worst.expand(1, 3, -1))[0]
             halves.append(group.limit * descent / descent.abs().amax(0).clamp(min=1e-12))
         return torch.cat(halves)
