@@ -2,6 +2,7 @@
  * with every library of C. The polynomials are fits at Chebyshev's points; an error is 1.75 units in the last place at most,
  * measured against 40 digits (tests/kernels/test_functions.py). */
 
+#ifndef FARTHEST_ANGLE
 #define FARTHEST_ANGLE 1e5 /* rad, up to which the three parts of pi / 2 take it to within pi / 4 */
 
 /* Sine of x + quarter pi / 2, |x| at most FARTHEST_ANGLE. */
@@ -57,3 +58,4 @@ static inline V arc_cosine(V x)
 #define SIN(x) sine(x)
 #define COS(x) cosine(x)
 #define ACOS(x) arc_cosine(x)
+#endif

@@ -505,7 +505,7 @@ IN_C = [
             "for (int group = TORQUES; group >= TORQUES; --group)",
         ),
         ("broken[k] = NOT(h[k] >= 0.0);", "broken[k] = NO;"),
-        ("turned(y, u, after, &least[MOTION_LIMITS]);", "turned(y, u, after, least);"),
+        ("turned(x, u, after, &least[MOTION_LIMITS]);", "turned(x, u, after, least);"),
     ),
     *faults(
         "rta/printed/driver/commit.c",

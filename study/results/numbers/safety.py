@@ -151,6 +151,37 @@ def agents_in_u1() -> Iterator[Row]:
         )
 
 
+def barely() -> Iterator[Row]:
+    """What the check makes of who asks for anything, from states that are barely starts."""
+    for vehicle, period in (("", "1"), ("", "5"), ("", "10"), ("espa_", "10")):
+        for demand in ("opposite", "full", "lookahead"):
+            found = read(f"measure/{vehicle}barely_{demand}_{period}s.json")
+            yield (
+                f"{'ESPA' if vehicle else 'the paper' + chr(39) + 's'}, {period} s",
+                demand,
+                f"{found['calls']:,}",
+                f"{found['moved_by_check_percent']:.2f}",
+                f"{found['unverified_percent']:.3g}",
+                f"{found['broken_episodes']} of {found['measured']['episodes']:,}",
+            )
+
+
+def rows_of_a_filter() -> Iterator[Row]:
+    """What rows add to the check, by who demands."""
+    for demand in ("random", "waypoints", "agent"):
+        for kind in ("paper", "sampled", "none"):
+            found = read(f"measure/rows_{kind}_{demand}.json")
+            yield (
+                demand,
+                kind,
+                f"{found['corrected_percent']:.2f}",
+                *(f"{found[f'change_of_{group}']:.4f}" for group in ("thrust", "torque")),
+                *(f"{found[f'chatter_of_{group}']:.4f}" for group in ("thrust", "torque")),
+                f"{found['moved_by_check_percent']:.2f}",
+                f"{1e6 / found['calls_per_s']:.1f}",
+            )
+
+
 def sentences() -> Iterator[tuple[str, str]]:
     """Pages and the sentences that they have."""
     episodes = sum(each["episodes"] for each in both())
