@@ -398,7 +398,11 @@ CHECK = [
     *faults(
         "rta/backup/check.py",
         "rta/backup/test_homing.py -k some_values",
-        ("        tried = given(tried)\n", ""),
+        ("tried = given(tried)", "pass"),
+    ),
+    *faults(
+        "rta/backup/check.py",
+        "rta/backup/test_check.py -k actuators_give",
         ("best, found = given(there),", "best, found = there.clone(),"),
     ),
     *faults(

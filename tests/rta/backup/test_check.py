@@ -11,7 +11,7 @@ from torch import Tensor
 
 from inspection.model.parameters import InspectionParameters
 from inspection.model.state import CONTROL_SIZE, THRUST, TORQUE, P, V
-from rta.backup.check import LIMITS, SHARES, Backup
+from rta.backup.check import LIMITS, SHARES, Backup, nearest
 from rta.backup.motion_law import field
 from rta.backup.terminal import CALM
 from rta.bounds.uncertainty import Uncertainty
@@ -167,6 +167,24 @@ def test_what_replaces_a_control_is_the_first_safe_share_of_the_way_to_the_law(h
             found = backup.is_safe(there[:, smaller], tried[:, smaller], none[:, : int(smaller.sum())])
             assert not found[group].any()
     assert shares <= {*SHARES, 1.0} and len(shares) > 1, shares
+
+
+@pytest.mark.parametrize("safe", [0.0, 0.5, 1.0])
+def test_what_actuators_give_is_tried_and_applied(safe: float) -> None:
+    """Of controls of which all, those near the law's, or none are refused."""
+    u, law = torch.full((6, 4), 0.91, dtype=torch.float64), torch.full((3, 4), -0.32, dtype=torch.float64)
+
+    def is_safe(at: Tensor, tried: Tensor) -> Tensor:
+        assert torch.equal(tried[THRUST], tried[THRUST].mul(2).round() / 2) and len(at) == tried.shape[1]
+        return tried[0] < 2.0 * safe - 1.0
+
+    control, found = nearest(
+        u, THRUST, law, is_safe, lambda u: torch.cat((u[THRUST].mul(2).round() / 2, u[TORQUE]))
+    )
+    assert found.all() == (safe > 0.0)
+    assert (control[THRUST] == {0.0: -0.5, 0.5: -0.5, 1.0: 0.5}[safe]).all() and (
+        control[TORQUE] == 0.91
+    ).all()
 
 
 BROKEN = {  # a limit, and what breaks it by little and by much

@@ -186,7 +186,7 @@ def test_a_page_is_built(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> 
     words = ["play", "--config", "configs/plants/u1.toml", "--checkpoint", str(AGENT), "--out", str(out)]
     code, said, err = call(words, capsys)
     assert code == 0, err
-    assert "page.html: 0.7 MB" in said
+    assert "page.html: 0.8 MB" in said
     made = out.read_text(encoding="utf-8")
     # where processors may round otherwise, or pack otherwise
     rest = re.compile(r'id="(?:data|module|three)">.*?</script>', re.DOTALL)
