@@ -530,7 +530,7 @@ IN_C = [
         ("copy(&control[3 * group], nothing, 3);", ""),
     ),
     *faults(
-        "rta/printed/driver/filter.c",
+        "rta/printed/driver/numbers.c",
         "rta/printed/test_driver.py -k in_c_is and quantum",
         ("copy(control, given, 3);", "copy(given, control, 3);"),
     ),
