@@ -30,6 +30,7 @@ from rta.lie_derivatives import Function, directional, lie_derivative, lie_deriv
 from rta.parameters import RtaParameters
 from rta.qp.programs import total
 
+MOST_DOUBTED = 0.9  # share of a control that rows count as an error at most
 STEP = 2.5  # s, of the steps in which a hold is computed at most
 
 
@@ -225,18 +226,24 @@ class ActuatorGroup:
                 slope = directional(condition, (x[:, None].repeat(1, 3, 1),), (along,))[1]
                 towards = slope / total(slope**2, 1).sqrt().clamp(min=1e-30)[:, None]
                 worst = worst - radius * total(along[:, None] * towards, 2)
-        lost = condition(x[:, None]) - condition(worst)
+        here = condition(x[:, None])
+        lost = here - condition(worst)
         loss = torch.stack([lost[i, i] for i in range(len(rows))]).clamp(min=0.0)
-        own = (slice(0, 3), slice(3, 6)) if a.shape[1] == CONTROL_SIZE else (slice(0, 3),)
-        groups = (THRUST, TORQUE) if a.shape[1] == CONTROL_SIZE else (self.controls,)
-        for part, group in zip(own, groups, strict=True):
-            i = (THRUST, TORQUE).index(group)
-            size = total(control[group] ** 2, 0).sqrt()
-            loss = loss + total(a[:, part] ** 2, 1).sqrt() * (shares[i] * size + unknown[i])
-        known = [
-            each.axis is not None for each in rows
-        ]  # the limits of the rates have taken theirs off already
-        return loss.masked_fill(torch.tensor(known, device=x.device)[:, None], 0.0)
+        own = slice(0, CONTROL_SIZE) if a.shape[1] == CONTROL_SIZE else self.controls
+        asked = (loss + total(a * control[own], 1) - here[:, 0]).clamp(
+            min=0.0
+        )  # of controls, without their errors
+        is_known = torch.tensor([each.axis is not None for each in rows], device=x.device)[:, None]
+        loss = loss.masked_fill(is_known, 0.0)  # the limits of the rates have taken theirs off already
+        for i, group in enumerate((THRUST, TORQUE)):
+            if a.shape[1] == CONTROL_SIZE or group == self.controls:
+                part = a[:, group] if a.shape[1] == CONTROL_SIZE else a
+                length = total(part**2, 1).sqrt()
+                used = length * total(control[group] ** 2, 0).sqrt()
+                if group == self.controls:  # what answers the row is as large as it asks for
+                    used = used.maximum(asked / (1.0 - min(shares[i], MOST_DOUBTED)))
+                loss = loss + shares[i] * used + (length * unknown[i]).masked_fill(is_known, 0.0)
+        return loss
 
     def conditions(
         self, x: Tensor, constraints: Sequence[Constraint], psi: Tensor, rate: Tensor, a: Tensor, loss: Tensor

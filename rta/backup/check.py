@@ -264,7 +264,7 @@ def nearest(
 
     Args:
         own: the controls of a group; is_safe: of indices (k,) of M and controls (6, k), (k,) bool.
-        given: what actuators give of controls (6, k).
+        given: what actuators do where controls (6, k) are asked for.
 
     Returns:
         Controls (6, M); (M,) bool: they are safe.
@@ -300,7 +300,7 @@ def verified_or_nearest(
         y: (n, B) what `law` and `is_safe` are given, columns of B, states first.
         own: the group's controls; may_be_kept: (B,) bool: none of its limits is violated already for sure.
         law: its controls (3, M) at M columns of y and u; is_safe: (M,) bool: the group's controls are.
-        given: what actuators give of controls (6, M).
+        given: what actuators do where controls (6, M) are asked for.
 
     Returns:
         Controls (6, B); (B,) bool each: the group's are verified; they are others.

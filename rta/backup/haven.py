@@ -89,6 +89,7 @@ class Haven:
         turning: rad/s, of the body at most.
         place, seen: m and m/s, by which a state is seen elsewhere.
         lag: by how much of w + e w is seen off, per share of what thrust did otherwise since the measurement.
+        rounded: m/s^2, of what thrusters round off.
         out, beside, ends: m/s and m: the field's speed beside the chief, up to where, and from where on it has none.
         back, begins, edge: m/s and m, the same at the edge of the zone: from where on, and from where on all of it.
         still, rising: m/s and 1/s, the calm speed at the chief, and by how much it rises with distance.
@@ -111,6 +112,7 @@ class Haven:
     place: float
     seen: float
     lag: float
+    rounded: float = 0.0
     out: float = 0.0
     beside: float = 0.0
     ends: float = 1.0
@@ -127,7 +129,9 @@ class Haven:
 
         What thrusters round off the law's thrust is an acceleration that is not known.
         """
-        rounded = math.sqrt(3.0) * known.thrust[1] * known.rounding(c.max_thrust) / c.mass
+        aslant = 1.0 + math.sqrt(2.0) * math.sin(math.radians(known.thrust_misalignment))
+        rounded = math.sqrt(3.0) * (1 + known.thrust_gain) * aslant * known.rounding(c.max_thrust)
+        rounded /= (1 - known.mass) * c.mass
         known = replace(known, acceleration=known.acceleration + rounded)
         holds = math.ceil(known.hold(r) / r.period - 1e-9)
         longest, old = holds * r.period, known.latency * r.period
@@ -166,7 +170,7 @@ class Haven:
             c, known, FreeFlight.of(c, *CELLS), r.period, longest, old, aim,
             full=c.max_thrust / c.mass - c.largest_drift(c.max_distance + place, fastest + velocity),
             slow=slow, low=low, high=high, across=across, turning=turning, place=place, seen=velocity,
-            lag=old / slow / (1 - before),
+            lag=old / slow / (1 - before), rounded=rounded,
         )  # fmt: skip
         if w.full <= 0.0 or w.late >= 0.5:
             raise NoHavenError("thrust does too much otherwise")
@@ -236,7 +240,8 @@ class Haven:
         natural = 3 * n**2 * (farthest + self.place) + 2 * n * (speed + field + self.seen)
         seen = self.seen + max(self.out / self.c.collision_radius, STEEP) * self.place + self.old * natural
         asked = ((speed * (1.0 + self.late) + seen) / ((1.0 - self.late) * self.slow)).clamp(max=self.full)
-        return self.high * (1 + self.across) * (asked + natural) * self.turning * self.longest**2 / 8
+        turned = self.high * (1 + self.across) * (asked + natural) + self.rounded
+        return turned * self.turning * self.longest**2 / 8
 
     def field(self, p: Tensor) -> Tensor:
         """v_ref (3, ...) in m/s at positions (3, ...) in m."""

@@ -44,7 +44,7 @@ static void have_arrived(const V x[16], const M broken[LIMITS], M found[2])
     found[TORQUES] = AND(inside[0], AND(inside[1], inside[2]));
 }
 
-/* Flies states on for some holds of the laws, at first with a look at all that is left of the flight at once. Alive: whose
+/* Flies states on for up to so many holds of the laws, at first with a look at all that is left of the flight at once. Alive: whose
  * flights have kept the limits of each group and not ended; found: whose have ended, or are seen to keep them for good. */
 static void fly_on(V x[16], const M broken[LIMITS], int holds, M alive[2], M found[2])
 {
@@ -71,6 +71,9 @@ static void fly_on(V x[16], const M broken[LIMITS], int holds, M alive[2], M fou
         if (ANY(alive[THRUSTS])) {
             flown(x, u, after, least);
         } else {
+            for (int i = 0; i < MOTION_LIMITS; ++i) {
+                least[i] = ALL(0.0);
+            }
             turned(x, u, after, &least[MOTION_LIMITS]);
         }
         are_kept(least, broken, fine);

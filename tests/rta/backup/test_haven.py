@@ -69,7 +69,7 @@ def test_nothing_leads_out_of_the_haven_of_thrusters_that_give_some_values_only(
     coarse: dict[str, float],
 ) -> None:
     """What they round off counts in the haven: one without it they leave."""
-    told = Uncertainty(latency=1, longest_hold=1.0, position=0.1, velocity=0.001)
+    told = Uncertainty(latency=1, longest_hold=1.0, position=0.1, velocity=0.001, thrust_misalignment=1.0)
     known = replace(told, **coarse)
     for haven, stays in ((Haven.of(C, R, known), True), (Haven.of(C, R, told), False)):
         x, world = within(haven, 50, 1, at_call=True), World(50, 2, "worst", "always", known)

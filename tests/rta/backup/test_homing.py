@@ -104,7 +104,11 @@ def test_no_limit_breaks_whatever_is_asked(how: str, misses: str, in_c: Homing) 
 def test_thrusters_that_give_some_values_only_break_no_limit(coarse: dict[str, float]) -> None:
     """What is proposed is rounded before it is looked at, and so is what replaces it."""
     homing = Homing.of(
-        C, R, known := Uncertainty(latency=1, longest_hold=1.0, position=0.1, velocity=0.001, **coarse)
+        C,
+        R,
+        known := Uncertainty(
+            latency=1, longest_hold=1.0, position=0.1, velocity=0.001, thrust_misalignment=1.0, **coarse
+        ),
     )
     assert homing and homing.haven.known.acceleration > 0.0
     x, proposals = starts(1), Demands(None, 2)
