@@ -388,7 +388,7 @@ CHECK = [
         "rta/barrier.py",
         "rta/test_sampled_rows.py -k take_off",
         ("worst = worst - radius * total(", "worst = worst + radius * total("),
-        ("(shares[i] * size + unknown[i])", "unknown[i]"),
+        ("loss = loss + shares[i] * used + (length", "loss = loss + (length"),
     ),
     *faults(
         "rta/backup/haven.py",
