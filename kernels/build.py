@@ -260,11 +260,15 @@ def for_vectors(real: str) -> str:
     head.append(f"#define LANES_OF_TWO(f) {', '.join(f'f(a[{lane}], b[{lane}])' for lane in range(lanes))}")
     suffix = "" if real == "double" else "f"
     by_lane = [f"BY_LANE({name.upper()}, {name}{suffix}, inline)" for name in QUICK]
-    own = {name: f"LIBRARY_{name.upper()}" for name in OWN if real == "double"}
-    by_lane += [f"BY_LANE({own.get(name, name.upper())}, {name}{suffix}, )" for name in OF_ONE]
+    by_lane += [f"BY_LANE({macro(name, real)}, {name}{suffix}, )" for name in OF_ONE]
     by_lane += [f"BY_LANE_OF_TWO({name.upper()}, {name}{suffix})" for name in OF_TWO]
-    functions = [header("functions.h")] if own else []
+    functions = [header("functions.h")] if real == "double" else []
     return "\n".join([*numbers(real), *head, header("vector.h"), *by_lane, *functions, ""])
+
+
+def macro(name: str, real: str) -> str:
+    """What a function of math.h is called before `functions.h`, which has names of OWN for functions of its own."""
+    return f"LIBRARY_{name.upper()}" if real == "double" and name in OWN else name.upper()
 
 
 def numbers(real: str) -> list[str]:

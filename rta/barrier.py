@@ -229,20 +229,21 @@ class ActuatorGroup:
         here = condition(x[:, None])
         lost = here - condition(worst)
         loss = torch.stack([lost[i, i] for i in range(len(rows))]).clamp(min=0.0)
-        own = slice(0, CONTROL_SIZE) if a.shape[1] == CONTROL_SIZE else self.controls
-        asked = (loss + total(a * control[own], 1) - here[:, 0]).clamp(
-            min=0.0
-        )  # of controls, without their errors
+        coupled = a.shape[1] == CONTROL_SIZE
+        groups, own = (
+            ((THRUST, TORQUE), slice(0, CONTROL_SIZE)) if coupled else ((self.controls,), self.controls)
+        )
+        # what the row asks of controls, without their errors
+        asked = (loss + total(a * control[own], 1) - here[:, 0]).clamp(min=0.0)
         is_known = torch.tensor([each.axis is not None for each in rows], device=x.device)[:, None]
         loss = loss.masked_fill(is_known, 0.0)  # the limits of the rates have taken theirs off already
-        for i, group in enumerate((THRUST, TORQUE)):
-            if a.shape[1] == CONTROL_SIZE or group == self.controls:
-                part = a[:, group] if a.shape[1] == CONTROL_SIZE else a
-                length = total(part**2, 1).sqrt()
-                used = length * total(control[group] ** 2, 0).sqrt()
-                if group == self.controls:  # what answers the row is as large as it asks for
-                    used = used.maximum(asked / (1.0 - min(shares[i], MOST_DOUBTED)))
-                loss = loss + shares[i] * used + (length * unknown[i]).masked_fill(is_known, 0.0)
+        for group, part in zip(groups, a.split(3, 1), strict=True):
+            i = (THRUST, TORQUE).index(group)
+            length = total(part**2, 1).sqrt()
+            used = length * total(control[group] ** 2, 0).sqrt()
+            if group == self.controls:  # what answers the row is as large as it asks for
+                used = used.maximum(asked / (1.0 - min(shares[i], MOST_DOUBTED)))
+            loss = loss + shares[i] * used + (length * unknown[i]).masked_fill(is_known, 0.0)
         return loss
 
     def conditions(

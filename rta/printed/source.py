@@ -16,7 +16,7 @@ from torch import Tensor
 
 from inspection.model.state import THRUST, TORQUE
 from kernels import Printed, if_long, printed
-from kernels.build import OF_ONE, OF_TWO, OWN, QUICK, header
+from kernels.build import OF_ONE, OF_TWO, OWN, QUICK, header, macro
 from rta.backup import homing
 from rta.barrier import ActuatorGroup
 from rta.bounds.health import AXES, slewing
@@ -126,11 +126,8 @@ def operations(text: str) -> str:
     if called & {name.upper() for name in OWN}:
         functions = FUNCTIONS
         called |= set(re.findall(r"\b([A-Z][A-Z0-9_]*)\(", functions))
-    known = {name.upper() for name in (*QUICK, *OF_ONE, *OF_TWO, "fabs")} - {name.upper() for name in OWN}
-    of_c = {call: call.lower() for call in called & known} | {f"LIBRARY_{name.upper()}": name for name in OWN}
-    own = [
-        f"#define {call}(...) {name}(__VA_ARGS__)" for call, name in sorted(of_c.items()) if call in called
-    ]
+    of_c = {macro(name, "double"): name for name in (*QUICK, *OF_ONE, *OF_TWO, "fabs")}
+    own = [f"#define {call}(...) {of_c[call]}(__VA_ARGS__)" for call in sorted(called & of_c.keys())]
     needed = [line for line in SCALAR.splitlines() if is_needed(line, text + functions)]
     return "\n".join(["typedef double real;", *needed, *own, functions, ""])
 

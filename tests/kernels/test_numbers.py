@@ -199,10 +199,9 @@ def one_by_one(function: Printed) -> Callable[..., list[Tensor]]:
         "}",
     ]
     suffix = "" if function.real == "double" else "f"
-    own = {name: f"LIBRARY_{name.upper()}" for name in build.OWN if function.real == "double"}
     of_math = (*build.QUICK, *build.OF_ONE, *build.OF_TWO, "fabs")
-    names = [f"#define {own.get(name, name.upper())} {name}{suffix}" for name in of_math]
-    functions = [build.header("functions.h")] if own else []
+    names = [f"#define {build.macro(name, function.real)} {name}{suffix}" for name in of_math]
+    functions = [build.header("functions.h")] if function.real == "double" else []
     head = [*build.numbers(function.real), build.header("scalar.h"), *names, *functions]
     text = "\n".join([*head, function.text, *lines])
     run = build.library({"one": text}).columns

@@ -153,11 +153,12 @@ def agents_in_u1() -> Iterator[Row]:
 
 def barely() -> Iterator[Row]:
     """What the check makes of who asks for anything, from states that are barely starts."""
-    for vehicle, period in (("", "1"), ("", "5"), ("", "10"), ("espa_", "10")):
+    flown = (("the paper's", "", 1), ("the paper's", "", 5), ("the paper's", "", 10), ("ESPA", "espa_", 10))
+    for vehicle, prefix, period in flown:
         for demand in ("opposite", "full", "lookahead"):
-            found = read(f"measure/{vehicle}barely_{demand}_{period}s.json")
+            found = read(f"measure/{prefix}barely_{demand}_{period}s.json")
             yield (
-                f"{'ESPA' if vehicle else 'the paper' + chr(39) + 's'}, {period} s",
+                f"{vehicle}, {period} s",
                 demand,
                 f"{found['calls']:,}",
                 f"{found['moved_by_check_percent']:.2f}",
