@@ -19,13 +19,15 @@ def in_full_precision(function: Callable[P, R]) -> Callable[P, R]:
 
     @wraps(function)
     def run(*args: P.args, **kwargs: P.kwargs) -> R:
+        rounding = [device for device in ("cpu", "cuda") if torch.is_autocast_enabled(device)]
+        if not rounding and not torch.is_inference_mode_enabled():
+            return function(*args, **kwargs)
         with ExitStack() as modes:
             if torch.is_inference_mode_enabled():
                 modes.enter_context(torch.inference_mode(False))
                 modes.enter_context(torch.no_grad())  # which inference mode implies
-            for device in ("cpu", "cuda"):
-                if torch.is_autocast_enabled(device):
-                    modes.enter_context(torch.autocast(device, enabled=False))
+            for device in rounding:
+                modes.enter_context(torch.autocast(device, enabled=False))
             return function(*args, **kwargs)
 
     return run

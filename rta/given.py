@@ -47,25 +47,25 @@ class Given:
             if not math.isfinite(part.sum()) and not part.isfinite().all():
                 raise ValueError(f"{name} holds NaN or infinity: must be finite")
         length, tolerance = norm(self.x[Q]), UNIT.get(state.dtype, UNIT_ELSE)
-        right = (length - 1.0).abs() <= tolerance
-        if not right.all():
-            wrong = torch.nonzero(~right).flatten()
+        off = (length - 1.0).abs()
+        farthest = off.max().item()
+        if farthest > tolerance:
+            wrong = torch.nonzero(off > tolerance).flatten()
             where = "" if self.single else f" in column {wrong[0].item()}"
             raise ValueError(
                 f"quaternion (components 6 to 9 of the state){where}: must have length 1 to {tolerance:g}, "
                 f"has {length[wrong[0]].item():.9g}"
             )
-        if (off := (length - 1.0).abs() > ROUNDED).any():  # which would be taken for another angle to the Sun
+        if farthest > ROUNDED:  # which would be taken for another angle to the Sun
             self.x = self.x.clone()
-            self.x[Q] = torch.where(off, self.x[Q] / length, self.x[Q])
+            self.x[Q] = torch.where(off > ROUNDED, self.x[Q] / length, self.x[Q])
 
     def in_kind(self, part: Tensor) -> Any:
         """A field (..., B) of the filter's answer as the desired control was given."""
         if part.dtype != self.dtype and part.is_floating_point():
             part = towards_zero(part, self.dtype)
-        if self.single:
-            part = part[..., 0]
-        return part if self.tensors else part.numpy()[()]
+        kind = part if self.tensors else part.numpy()
+        return kind[..., 0][()] if self.single else kind
 
 
 def numbers(name: str, given: Any) -> Tensor:
