@@ -183,6 +183,25 @@ def rows_of_a_filter() -> Iterator[Row]:
             )
 
 
+def rows_of_agents() -> Iterator[Row]:
+    """Agents that were trained behind each kind of rows."""
+    for kind, results in read("rows/results.json")["arms"].items():
+        means = (results["metrics"][name]["mean"] for name in ("episode_length_s", "delta_v_m_s"))
+        yield (
+            kind,
+            success(results),
+            success(results, "clean_success"),
+            violation(results),
+            corrected(results, 3),
+            f"{results['rta']['backup_calls']:,}",
+            *(
+                f"{middle(results, name):,.{k}f}"
+                for name, k in (("reward", 3), ("episode_length_s", 0), ("delta_v_m_s", 2))
+            ),
+            "{:,.0f}, {:.2f}".format(*means),
+        )
+
+
 def sentences() -> Iterator[tuple[str, str]]:
     """Pages and the sentences that they have."""
     episodes = sum(each["episodes"] for each in both())
