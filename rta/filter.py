@@ -27,6 +27,8 @@ from kernels import Compiled, NoCompilerError
 from kernels.build import say
 from kernels.modes import in_full_precision
 from rta.backup.check import Backup
+from rta.backup.commit import Check
+from rta.backup.told import ToldBackup
 from rta.barrier import Rows
 from rta.bounds.uncertainty import NOTHING, Uncertainty
 from rta.constraints import vehicle
@@ -63,8 +65,8 @@ class SafetyFilter:
     Attributes:
         names: of all constraints: Table 3's, then those of your own that thrust holds, then those that torque holds.
         propose: the programs, and all that comes before the check; groups: their rows of thrust and of torque.
-        backup: the check of its controls; None: there is none for this vehicle, or of what the filter is told.
-        turn, homing: of a filter that is told of bounds, the checks of torque and of thrust; None: it knows no way.
+        backup: the check of its controls; None: no way to rest is known for this vehicle, or within what it is told.
+        checked: whether thrust is checked, and torque.
         compiled: all of it as one C function; None: it is not compiled so.
 
     Raises:
@@ -86,7 +88,6 @@ class SafetyFilter:
         known.check(c, parameters)
         self.c, self.parameters, self.extra, self.known = c, parameters, tuple(extra), known
         self.holds = known.holds(parameters)
-        self.backup = Backup.of(c, parameters.period) if known.is_nil else None
         # as fast as PIQP where controls are held, with more rows
         auto = "batched" if self.holds else "piqp"
         self.solver = self._own_solver = solver or make_solver(
@@ -95,8 +96,12 @@ class SafetyFilter:
         own = vehicle.scaled(parameters, c)
         of_paper = (thrust_constraints(c, own, known), torque_constraints(c, own, known))
         constraints = (*of_paper[0], *of_paper[1], *extra)
-        self.propose = Propose(constraints, c, own, known)
-        self.groups, self.turn, self.homing = self.propose.groups, self.propose.turn, self.propose.homing
+        self.backup: Check | None = (
+            Backup.of(c, parameters.period) if known.is_nil else ToldBackup.of(c, own, known)
+        )
+        self.checked = self.backup.knows if self.backup else (False, False)
+        self.propose = Propose(constraints, c, own, known, self.checked)
+        self.groups = self.propose.groups
         if self.propose.kind == "none" and self.unchecked:
             raise ValueError(
                 f'rows = "none": nothing would keep the limits of {" and ".join(self.unchecked)}, of which no way to '
@@ -128,8 +133,7 @@ class SafetyFilter:
     @property
     def unchecked(self) -> list[str]:
         """What is not checked, since no way to rest is known: "motion", "attitude", both or nothing."""
-        ways = {"motion": self.backup or self.homing, "attitude": self.backup or self.turn}
-        return [name for name, way in ways.items() if not way]
+        return [name for name, known in zip(("motion", "attitude"), self.checked, strict=True) if not known]
 
     @in_full_precision
     def values(self, x: Tensor) -> Tensor:
@@ -147,14 +151,14 @@ class SafetyFilter:
         """(B,) bool: no barrier is negative and a control satisfies every row."""
         thrust, torque = self.rows(x)
         certain = (thrust.psi >= 0.0).all(0)
-        if not self.turn:
+        if not self.checked[1]:
             certain = certain & (torque.psi >= 0.0).all(0)
         return narrowed(certain, x, self._has_control)
 
     def _has_control(self, x: Tensor) -> Tensor:
         """(B,) bool: a control satisfies every row."""
         found = self.correct(x, torch.zeros_like(x[:CONTROL_SIZE]))
-        return (found.program_status[0] if self.turn else found.status) < Status.SLACK
+        return (found.program_status[0] if self.checked[1] else found.status) < Status.SLACK
 
     def can_brake(self, x: Tensor) -> Tensor:
         """(B,) bool: in any attitude thrust can keep the zone, see `keep_in_zone`."""
@@ -168,18 +172,15 @@ class SafetyFilter:
         Every h is non-negative and the laws' flight keeps the limits. Where none is known of attitude, or of motion,
         its Psi_1 are non-negative and a control satisfies every row; of motion thrust can brake, too.
         """
-        kept = (self.values(x) >= 0.0).all(0)
+        kept, (thrust, torque) = (self.values(x) >= 0.0).all(0), self.groups
         if self.backup:
             self._compile_flights(x)
-            return narrowed(kept, x, self.backup.has_way)
-        thrust, torque = self.groups
-        if self.homing:
-            kept = narrowed(kept, x, self.homing.has_way)
-        else:
+            kept = narrowed(kept, x, self.backup.has_way)
+        if not self.checked[0]:
             kept = kept & thrust.keeps(x, degree=2) & self.can_brake(x)
-        kept = narrowed(kept, x, self.turn.has_way) if self.turn else kept & torque.keeps(x, degree=2)
-        rows_decide = self.holds and not (self.turn and self.homing)
-        return narrowed(kept, x, self.is_holdable) if rows_decide else kept
+        if not self.checked[1]:
+            kept = kept & torque.keeps(x, degree=2)
+        return narrowed(kept, x, self.is_holdable) if self.holds and self.unchecked else kept
 
     @in_full_precision
     def compile(self, device: torch.device | str, batch: int) -> None:
@@ -305,7 +306,7 @@ class SafetyFilter:
 
         A flight has a hundred holds, each of a thousand operations.
         """
-        if self.backup and not self._has_tried and x.device.type == "cpu":
+        if isinstance(self.backup, Backup) and not self._has_tried and x.device.type == "cpu":
             self._has_tried = True
             with suppress(NoCompilerError):
                 self.backup.flights = self.backup.flights or Flights(self)
@@ -314,11 +315,11 @@ class SafetyFilter:
     def _correct(self, x: Tensor, desired: Tensor, sent: Tensor | None, left: Tensor | None) -> FilterResult:
         """`correct` in PyTorch, and by the solver."""
         x = x.masked_fill(x.isinf(), torch.nan)  # infinitely safe is no state either
-        result = self.propose(x, desired, self.solver, sent, left)
+        x, error_bound, result = self.propose(x, desired, self.solver, sent, left)
         if self.backup is not None:
             self._compile_flights(x)
             of_torque = [name in self.groups[1].names for name in self.names]
-            result = self.backup.commit(x, desired, result, of_torque)
+            result = self.backup.commit(x, error_bound, desired, result, of_torque)
         if sent is None:
             return result
         too_old = (~sent.isnan().any(1)).sum(0) > self.known.latency

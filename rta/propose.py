@@ -1,8 +1,7 @@
 """What a call proposes: controls of both actuator groups that satisfy their rows, or come as near to it as can be.
 
 The state is predicted where it is old, and thrusters are asked for what they give. Torque comes before thrust, since
-the attitude decides where thrust acts: thrust's sampled rows are with the torque that was found. A filter that is told
-of bounds checks each group as it is found; the check of the model is of both, at the end (`rta.backup`).
+the attitude decides where thrust acts: thrust's sampled rows are with the torque that was found.
 """
 
 from collections.abc import Callable, Sequence
@@ -14,15 +13,11 @@ from torch import Tensor
 
 from inspection.model.parameters import Limits
 from inspection.model.state import THRUST, TORQUE
-from rta.backup.check import SLACK_ROUNDED
-from rta.backup.homing import Homing
-from rta.backup.turn import TurnBackup
 from rta.barrier import ActuatorGroup
 from rta.bounds.health import slewing
 from rta.bounds.prediction import KINDS, predicted
 from rta.bounds.uncertainty import Uncertainty
 from rta.constraints.constraint import ACTUATORS, Constraint, joined
-from rta.constraints.names import CONSTRAINTS
 from rta.parameters import RtaParameters
 from rta.qp.programs import ENDLESS, LARGEST_DEMAND, Solver, Status, pick, put
 from rta.qp.scaled import Prepared, answered, prepared, problems, shortfall, with_shortfall
@@ -52,7 +47,6 @@ class Found(NamedTuple):
     Attributes:
         control: (3, B) in N or N m; status: (B,).
         active, slack, h: (constraints, B) of the group's, as in `FilterResult`.
-        verified, changed: (B,) bool, the group's check has found it safe; has changed it.
     """
 
     control: Tensor
@@ -60,14 +54,11 @@ class Found(NamedTuple):
     active: Tensor
     slack: Tensor
     h: Tensor
-    verified: Tensor
-    changed: Tensor
 
     @classmethod
     def as_desired(cls, control: Tensor, status: Tensor, h: Tensor) -> "Found":
         """A control that is not corrected."""
-        no = torch.zeros_like(h, dtype=torch.bool)
-        return cls(control, status, no, torch.zeros_like(h), h, no[0], no[0])
+        return cls(control, status, torch.zeros_like(h, dtype=torch.bool), torch.zeros_like(h), h)
 
 
 # Of a group, its rows at the desired control, what is projected (3, B), that control, and the share (3, B) that its
@@ -84,17 +75,23 @@ class Propose:
 
     Attributes:
         groups: of thrust and of torque; kind: of their rows, see `Uncertainty.rows`.
-        turn, homing: of a filter that is told of bounds, the checks of torque and of thrust; None: it knows no way.
+
+    Args:
+        checked: whether what is proposed of thrust, and of torque, is checked.
     """
 
     def __init__(
-        self, constraints: Sequence[Constraint], c: Limits, r: RtaParameters, known: Uncertainty
+        self,
+        constraints: Sequence[Constraint],
+        c: Limits,
+        r: RtaParameters,
+        known: Uncertainty,
+        checked: tuple[bool, bool],
     ) -> None:
         self.c, self.r, self.known, self.kind = c, r, known, known.rows(r)
-        self.turn, self.homing = TurnBackup.of(c, r, known), Homing.of(c, r, known)
         self.groups = tuple(
-            ActuatorGroup(by, constraints, c, r, known, checked=check is not None)
-            for by, check in zip(ACTUATORS, (self.homing, self.turn), strict=True)
+            ActuatorGroup(by, constraints, c, r, known, each)
+            for by, each in zip(ACTUATORS, checked, strict=True)
         )
         self.rows_of: Sequence[Run] = [partial(self.rows, group) for group in self.groups]
         self.ahead: Run = self.predict
@@ -122,25 +119,33 @@ class Propose:
 
     def __call__(
         self, x: Tensor, desired: Tensor, solver: Solver, sent: Tensor | None, left: Tensor | None
-    ) -> FilterResult:
-        """What is proposed to desired controls; arguments as of `SafetyFilter.correct`."""
+    ) -> tuple[Tensor, Tensor, FilterResult]:
+        """What is proposed to desired controls; arguments as of `SafetyFilter.correct`.
+
+        Returns:
+            The states now, as they are predicted (16, B); by how much further than measured they may be off (4, B);
+            what is proposed, not verified.
+        """
         left = (torch.ones_like(desired) if left is None else left) if self.known.health else None
         error_bound = torch.zeros_like(x[:KINDS])
         for u in () if sent is None else sent[: self.known.latency]:
             x, error_bound = self.ahead(x, error_bound, u if left is None else left * u)
-        check = partial(self.checked, x, error_bound)
-        control, found = self.in_turn(x, desired, left, self.rows_of, partial(solved, solver), check)
-        status = torch.stack([each.status for each in found])
-        return FilterResult(
-            control=control,
-            intervened=(control != desired).any(0),
-            verified=found[0].verified & found[1].verified,
-            backup=found[0].changed | found[1].changed,
-            active=joined(*(each.active for each in found)),
-            slack=joined(*(each.slack for each in found)),
-            status=status.amax(0),
-            program_status=status,
-            h=joined(*(each.h for each in found)),
+        control, found = self.in_turn(x, desired, left, self.rows_of, partial(solved, solver))
+        status, no = torch.stack([each.status for each in found]), torch.zeros_like(x[0], dtype=torch.bool)
+        return (
+            x,
+            error_bound,
+            FilterResult(
+                control=control,
+                intervened=(control != desired).any(0),
+                verified=no,
+                backup=no,
+                active=joined(*(each.active for each in found)),
+                slack=joined(*(each.slack for each in found)),
+                status=status.amax(0),
+                program_status=status,
+                h=joined(*(each.h for each in found)),
+            ),
         )
 
     def in_turn(
@@ -150,13 +155,12 @@ class Propose:
         left: Tensor | None,
         rows_of: Sequence[Run],
         settle: Settle,
-        check: Callable[[int, Tensor, Found], tuple[Tensor, Found]] | None = None,
     ) -> tuple[Tensor, list[Found]]:
         """Controls (6, B) at predicted states (16, B), and what is found for each group, thrust first.
 
         Args:
             left: (6, B) the share that each actuator gives; None: all of it.
-            rows_of: each group; settle: finds its controls; check: changes them, and what is said of the group.
+            rows_of: each group; settle: finds its controls.
         """
         demand = self.demand(x, desired, left)
         control, both = demand.control, {}
@@ -176,8 +180,6 @@ class Propose:
                 if self.known.is_coarse and own == THRUST:
                     found = found._replace(control=self.known.given(found.control, group.limit))
             control = with_own(control, group, found.control)
-            if check:
-                control, found = check(i, control, found)
             both[i] = found
         return control, [both[0], both[1]]
 
@@ -193,29 +195,6 @@ class Propose:
         changed = differ(control, demand.control, self.groups)
         wish = torch.where(changed.repeat_interleave(3, 0), control, demand.wish)
         return Demand(wish, control, torch.where(changed, Status.HARD, demand.status))
-
-    def checked(
-        self, x: Tensor, error_bound: Tensor, i: int, control: Tensor, found: Found
-    ) -> tuple[Tensor, Found]:
-        """Controls (6, B) as the check of a group, if it has one, lets them be applied, and what is said of that group.
-
-        A limit that is kept does not yield.
-        """
-        check, group = (self.homing, self.turn)[i], self.groups[i]
-        if check is None:
-            return control, found
-        control, verified, changed = check.committed(x, control, error_bound)
-        own = torch.tensor([name in CONSTRAINTS for name in group.names], device=x.device)
-        slack = found.slack.masked_fill(own[:, None] & verified, 0.0)
-        status = torch.where(changed, found.status.clamp(min=Status.HARD), found.status)
-        kept = verified & ~(slack > SLACK_ROUNDED).any(0) & (status == Status.SLACK)
-        return control, found._replace(
-            control=control[group.controls],
-            status=torch.where(kept, Status.HARD, status),
-            slack=slack,
-            verified=verified,
-            changed=changed,
-        )
 
 
 def demanded(desired: Tensor, groups: Sequence[ActuatorGroup]) -> Demand:

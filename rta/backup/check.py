@@ -1,4 +1,4 @@
-"""Propose, check, commit: a control is applied if the flight that would follow keeps all limits.
+"""The check of the model: a control is applied if the flight that would follow keeps all limits.
 
 A control is held, and after it both backup laws are flown, in the plant's own steps, until the spacecraft is in a set
 that they never leave. If every limit is kept on the way, the control is applied; if not, the nearest that leads to such
@@ -12,30 +12,23 @@ others are.
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 
 import torch
 from torch import Tensor
 
 from inspection.model.parameters import Limits
-from inspection.model.state import THRUST, TORQUE
 from rta.backup.attitude_law import Pointing, has_rest, slew
 from rta.backup.coarse import Coarse
+from rta.backup.commit import ATTITUDE, LIMITS, MOTION, Check
 from rta.backup.flight import Flight, hold
 from rta.backup.motion_law import Braking, brake
 from rta.backup.terminal import NoTerminalSetError, TerminalSet
 from rta.constraints.names import CONSTRAINTS
-from rta.qp.programs import Status, pick, put
-from rta.result import FilterResult
+from rta.qp.programs import pick, put
 
-# limits that a flight keeps by thrust, and by torque: the first of Table 3, then the rates
-MOTION, ATTITUDE = 7, 3
-LIMITS = MOTION + ATTITUDE + 1  # the body rates are one
 KEPT = 1e-9  # in the unit of each limit, m/s, m, rad, deg C, kJ: what rounding may take
 RATES_ROUNDED = 1e-9  # rad^2/s^2, by which rates at their limit may be beyond, where the plant holds them
-SLACK_ROUNDED = 1e-9  # in the unit of slack, up to which it is a solver's rounding
 GLANCE = 4.0  # s of a flight, between two looks at all that is left of it at once
-SHARES = (0.25, 0.5, 0.75)  # of the way from what is proposed to the backup law's control, that are tried
 # Where a flight ends, by the entries of `TerminalSet.room`, and the limits that, once broken, excuse from each.
 ENDS = {0: (0, 3, 4), 1: (0, 1, 2)}  # of thrust, of torque
 EXCUSED = {
@@ -48,7 +41,7 @@ EXCUSED = {
 }
 
 
-class Backup:
+class Backup(Check):
     """The check of a filter whose plant is the model.
 
     Args:
@@ -61,6 +54,8 @@ class Backup:
     Raises:
         NoTerminalSetError: the laws leave every set that is known.
     """
+
+    knows = True, True
 
     def __init__(self, c: Limits, period: float) -> None:
         self.c = c
@@ -97,11 +92,6 @@ class Backup:
         """The law's thrust (3, B) in N at states (16, B) while torque (3, B) is held."""
         return brake(x, torque, self.braking)
 
-    def law(self, x: Tensor) -> Tensor:
-        """Both laws' control (6, B) at states (16, B)."""
-        torque = self.torque(x)
-        return torch.cat((self.thrust(x, torque), torque))
-
     def hold(self, x: Tensor, u: Tensor) -> tuple[Tensor, Tensor]:
         """The states after a hold of controls (6, B) at states (16, B), and the least of each limit in it (11, B)."""
         return hold(x, u, self.flight)
@@ -111,6 +101,16 @@ class Backup:
         return torch.cat((self.coarse.motion(x), self.coarse.attitude(x)))
 
     # the check
+
+    def seen(self, x: Tensor, error_bound: Tensor) -> Tensor:
+        """The states."""
+        return x
+
+    def fit(self, y: Tensor, h: Tensor) -> tuple[Tensor, Tensor]:
+        """Nothing can be checked where states (16, B) are no numbers. Rates may be at their limit."""
+        rates = (h[MOTION + ATTITUDE :] >= -RATES_ROUNDED).all(0, keepdim=True)
+        broken = ~torch.cat((h[: MOTION + ATTITUDE] >= 0.0, rates))
+        return broken, y.isfinite().all(0).repeat(2, 1)
 
     def has_way(self, x: Tensor) -> Tensor:
         """(B,) bool: from states (16, B) the laws keep all limits for good."""
@@ -169,78 +169,6 @@ class Backup:
             inside[entry] |= broken[list(limits)].any(0)
         return torch.stack([inside[list(ENDS[group])].all(0) for group in range(2)])
 
-    def commit(
-        self, x: Tensor, desired: Tensor, result: FilterResult, of_torque: Sequence[bool]
-    ) -> FilterResult:
-        """What the programs propose at states (16, B), with the controls that may be applied.
-
-        A limit that is kept does not yield: where a control is safe only a broken one, and those of the user's own,
-        have slack.
-
-        Args:
-            of_torque: by constraint, torque holds it; else thrust does.
-        """
-        own = result.h[: len(CONSTRAINTS)]
-        rates = (own[MOTION + ATTITUDE :] >= -RATES_ROUNDED).all(0, keepdim=True)
-        broken = ~torch.cat((own[: MOTION + ATTITUDE] >= 0.0, rates))
-        strange = ~x.isfinite().all(0)  # nothing is known of the way from such a state
-        control, safe, changed = self.committed(x, result.control, broken, strange)
-        group = torch.tensor(of_torque, device=x.device).long()
-        kept = safe[group]
-        kept[: MOTION + ATTITUDE] &= ~broken[: MOTION + ATTITUDE]
-        kept[MOTION + ATTITUDE : len(CONSTRAINTS)] &= ~broken[-1]
-        kept[len(CONSTRAINTS) :] = False
-        slack = result.slack.masked_fill(kept, 0.0)
-        yields = torch.stack([(slack[group == i] > SLACK_ROUNDED).any(0) for i in range(2)])
-        status = torch.where(changed, result.program_status.clamp(min=Status.HARD), result.program_status)
-        status = torch.where(safe & ~yields & (status == Status.SLACK), Status.HARD, status)
-        return replace(
-            result,
-            control=control,
-            intervened=(control != desired).any(0),
-            verified=safe.all(0) & ~broken.any(0),
-            backup=changed.any(0),
-            slack=slack,
-            status=status.amax(0),
-            program_status=status,
-        )
-
-    def committed(
-        self, x: Tensor, u: Tensor, broken: Tensor, strange: Tensor
-    ) -> tuple[Tensor, Tensor, Tensor]:
-        """What is applied in the place of proposed controls (6, B) at states (16, B).
-
-        Args:
-            broken: (11, B) bool, limits that are violated already; strange: (B,) bool, nothing can be checked.
-
-        Returns:
-            Controls (6, B); (2, B) bool: thrust and torque are safe; (2, B) bool: they are other ones.
-        """
-        u = u.clone()
-        safe = self.is_safe(x, u, broken) & ~strange
-        changed = ~safe & ~strange
-        for group, own in ((1, TORQUE), (0, THRUST)):
-            columns = torch.nonzero(changed[group]).flatten()
-            if not columns.numel():
-                continue
-            there, asked, others = pick(x, columns), pick(u, columns), pick(broken, columns)
-            law = self.thrust(there, asked[TORQUE]) if group == 0 else self.torque(there)
-
-            def is_safe(
-                at: Tensor, tried: Tensor, there: Tensor = there, others: Tensor = others, group: int = group
-            ) -> Tensor:
-                return self.is_safe(pick(there, at), tried, pick(others, at), (group,))[group]
-
-            control, found = nearest(asked, own, law, is_safe)
-            put(u, columns, control)
-            put(safe[group], columns, found)
-            if group == 1:  # thrust is looked at again, with the torque that is applied
-                again = self.is_safe(there, control, others)[0]
-                put(safe[0], columns, again)
-                put(changed[0], columns, ~again)
-        self.follow(x, u, safe, changed, broken)
-        return u, safe, changed
-
     def follow(self, x: Tensor, u: Tensor, safe: Tensor, changed: Tensor, broken: Tensor) -> None:
         """Has both groups follow their laws where that is safe and no other control is: it was flown a call ago."""
         columns = torch.nonzero(changed.any(0) & ~safe.all(0)).flatten()
@@ -251,69 +179,3 @@ class Backup:
         put(u, columns, self.law(pick(x, columns)))
         for part in (safe, changed):
             put(part, columns, torch.ones_like(part[:, : columns.numel()]))
-
-
-def nearest(
-    u: Tensor,
-    own: slice,
-    law: Tensor,
-    is_safe: Callable[[Tensor, Tensor], Tensor],
-    given: Callable[[Tensor], Tensor] = lambda u: u,
-) -> tuple[Tensor, Tensor]:
-    """The first of controls on the way from u (6, M) to the law's (3, M) that is safe, else the law's.
-
-    Args:
-        own: the controls of a group; is_safe: of indices (k,) of M and controls (6, k), (k,) bool.
-        given: what actuators do where controls (6, k) are asked for.
-
-    Returns:
-        Controls (6, M); (M,) bool: they are safe.
-    """
-    there = u.clone()
-    there[own] = law
-    best, found = given(there), torch.zeros_like(u[0], dtype=torch.bool)
-    for share in (*SHARES, 1.0):
-        left = torch.nonzero(~found).flatten()
-        if not left.numel():
-            break
-        one, other = pick(u, left), pick(there, left)
-        tried = (one + share * (other - one)).clamp(torch.minimum(one, other), torch.maximum(one, other))
-        tried = given(tried)
-        safe = is_safe(left, tried)
-        put(best, left[safe], tried[:, safe])
-        put(found, left, safe)
-    return best, found
-
-
-def verified_or_nearest(
-    y: Tensor,
-    u: Tensor,
-    own: slice,
-    may_be_kept: Tensor,
-    law: Callable[[Tensor, Tensor], Tensor],
-    is_safe: Callable[[Tensor, Tensor], Tensor],
-    given: Callable[[Tensor], Tensor] = lambda u: u,
-) -> tuple[Tensor, Tensor, Tensor]:
-    """What is applied of one group in the place of proposed controls (6, B).
-
-    Args:
-        y: (n, B) what `law` and `is_safe` are given, columns of B, states first.
-        own: the group's controls; may_be_kept: (B,) bool: none of its limits is violated already for sure.
-        law: its controls (3, M) at M columns of y and u; is_safe: (M,) bool: the group's controls are.
-        given: what actuators do where controls (6, M) are asked for.
-
-    Returns:
-        Controls (6, B); (B,) bool each: the group's are verified; they are others.
-    """
-    u, checked = u.clone(), y.isfinite().all(0) & may_be_kept
-    kept = is_safe(y, u) & checked
-    changed = ~kept & checked
-    columns = torch.nonzero(changed).flatten()
-    if columns.numel():
-        there, proposed = pick(y, columns), pick(u, columns)
-        control, found = nearest(
-            proposed, own, law(there, proposed), lambda at, tried: is_safe(pick(there, at), tried), given
-        )
-        put(u, columns, control)
-        put(kept, columns, found)
-    return u, kept, changed

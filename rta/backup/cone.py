@@ -89,6 +89,11 @@ class Fall(NamedTuple):
         return self.wide((self.s * ratio ** (1.0 / (self.gamma - 1.0))).minimum(self.s).maximum(after))
 
 
+def across(along: Tensor, aside: Tensor) -> Tensor:
+    """The length of what is so long in two right-angled directions, in operations that vectors have."""
+    return (along**2 + aside**2).sqrt()
+
+
 def power(share: Tensor, w: Haven) -> Tensor:
     """The largest k with 1 - share x <= (1 - x)^k for all x up to `Haven.most`: as a hold takes x of S away."""
     return (1.0 - w.most * share).clamp(min=1e-9).log() / math.log(1.0 - w.most)
@@ -196,7 +201,7 @@ def way(p: Tensor, v: Tensor, e_p: Tensor, e_v: Tensor, first: Tensor, w: Haven)
             bounds.speed(after),
             bounds.wide(after),
         )
-    least = norm(at) - torch.hypot(along, aside)
+    least = norm(at) - across(along, aside)
     arrived = torch.stack((least - w.nearest, w.calm(least) - goal, goal - swift))
     return torch.minimum(lowest(torch.cat(parts)), lowest(arrived))
 
@@ -218,7 +223,7 @@ def between(start: Node, end: Node, u: Tensor, nearest: Tensor, farthest: Tensor
     least, fastest = torch.minimum(*close).clamp(min=NEAREST), torch.maximum(start.speed, end.speed)
     ahead = [dot(e.y[P], u) for e in ends]
     beside = [norm(e.y[P] - a * u) for e, a in zip(ends, ahead, strict=True)]
-    far = [torch.hypot(a.abs() + e.along, b + e.aside) for e, a, b in zip(ends, ahead, beside, strict=True)]
+    far = [across(a.abs() + e.along, b + e.aside) for e, a, b in zip(ends, ahead, beside, strict=True)]
     eta = norm(end.y[P] - start.y[P]) / least
     sag = (2 * norm(end.y[V] - start.y[V]) * eta + 3 * fastest * eta**2) / 8
 
@@ -227,7 +232,7 @@ def between(start: Node, end: Node, u: Tensor, nearest: Tensor, farthest: Tensor
     sine = torch.where(ahead[0] * ahead[1] <= 0.0, 1.0, sine)
     leaves = torch.minimum(*ahead) > 0.0
     # p may be seen from the chief in another direction, so that v is less or more along it
-    turned = (torch.maximum(*(torch.hypot(e.along, e.aside) for e in ends)) / least).clamp(max=1.0)
+    turned = (torch.maximum(*(across(e.along, e.aside) for e in ends)) / least).clamp(max=1.0)
     stray = torch.maximum(*(e.velocity + e.ahead for e in ends))
     turned = sine * fastest * turned + fastest * turned**2 + math.sqrt(2.0) * turned * stray
 
@@ -261,7 +266,7 @@ def clearance(ends: Sequence[Node], farthest: Tensor, fastest: Tensor, w: Haven)
     cell, times = free.times(y, c)
     corners = []
     for e in ends:
-        lost = free.position * torch.hypot(e.along, e.aside) + free.velocity * times[1] * e.velocity
+        lost = free.position * across(e.along, e.aside) + free.velocity * times[1] * e.velocity
         corners += [(flown(e.y, t, c), lost) for t in times]
     nearest = nearer(corners[0][0] + corners[2][0], corners[1][0] + corners[3][0]) / 2
     beyond = torch.full_like(nearest[0], -math.inf)

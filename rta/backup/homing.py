@@ -1,10 +1,7 @@
-"""The check of thrust, of a filter that is told of bounds: it is applied if it leaves a way into the haven for sure.
+"""What thrust leads to within bounds: from every state that may be true, while it is held, and on a way into the haven.
 
-A state is known within bounds only, and a control may be held for one call or for several. It is applied if, from
-every state that may be true, it keeps the limits of motion while it is held, and a way (`rta.backup.cone`) begins at
-every call that may end that. If not, the nearest control that does, on the way to the law's; at worst the law's own.
-That keeps the limits from every state from which a way begins, whatever is measured. So, by induction over the true
-states, no limit of motion is ever broken (docs/reference/proof.md, *With bounds: motion*).
+A way (`rta.backup.cone`) has to begin at every call that may end the hold (docs/reference/proof.md, *With bounds:
+motion*).
 """
 
 from collections.abc import Callable
@@ -14,81 +11,31 @@ import torch
 from torch import Tensor
 
 from inspection.model.attitude import norm, rotate
-from inspection.model.parameters import Limits
-from inspection.model.state import SIZE, THRUST, TORQUE, P, Q, V
-from rta.backup.check import verified_or_nearest
+from inspection.model.state import THRUST, P, Q, V
 from rta.backup.chords import lowest, strays
 from rta.backup.cone import Node, between, way
-from rta.backup.haven import Haven, NoHavenError, thrust
+from rta.backup.haven import Haven
 from rta.bounds.prediction import predicted
-from rta.bounds.uncertainty import Uncertainty
 from rta.parameters import RtaParameters
 from rta.qp.programs import pick, put
 
 FAR = 1e6  # m, beyond every distance: of a hold nothing is assumed of where it leads
 
 
-class Homing:
-    """The check of thrust within bounds.
+def has_way(x: Tensor, w: Haven) -> Tensor:
+    """(B,) bool: from true states (16, B) the law keeps the limits of motion, whatever is measured."""
+    none = torch.zeros_like(x[0])
+    return way(x[P], x[V], none, none, none, w) >= 0.0
 
-    Attributes:
-        haven: the law and what its check depends on.
-    """
 
-    def __init__(self, haven: Haven, r: RtaParameters) -> None:
-        self.haven, self.r = haven, r
+def is_safe(x: Tensor, u: Tensor, error_bound: Tensor, w: Haven, r: RtaParameters) -> Tensor:
+    """(B,) bool: thrust of controls (6, B) keeps the limits, and a way is left; arguments as of `held`."""
 
-    @classmethod
-    def of(cls, c: Limits, r: RtaParameters, known: Uncertainty) -> "Homing | None":
-        """None: the bounds leave no haven, or none is known.
+    def looked_at(columns: Tensor) -> Tensor:
+        hold = held(pick(x, columns), pick(u, columns), pick(error_bound, columns), w, r)
+        return closely(hold, w) >= 0.0
 
-        That is on an ellipse, beside a hull, and with thrusters that may fail.
-        """
-        knows = c.orbit == "clohessy-wiltshire" and not c.hill_rotation and not c.planes
-        if known.is_nil or known.health or not knows:
-            return None
-        try:
-            return cls(Haven.of(c, r, known), r)
-        except NoHavenError:
-            return None
-
-    def has_way(self, x: Tensor) -> Tensor:
-        """(B,) bool: from true states (16, B) the law keeps the limits of motion, whatever is measured."""
-        none = torch.zeros_like(x[0])
-        return way(x[P], x[V], none, none, none, self.haven) >= 0.0
-
-    def thrust_is_safe(self, y: Tensor, u: Tensor) -> Tensor:
-        """(B,) bool: thrust of controls (6, B) keeps the limits, and a way is left; y (20, B): states, error bounds."""
-        w, r = self.haven, self.r
-
-        def looked_at(columns: Tensor) -> Tensor:
-            there = pick(y, columns)
-            return closely(held(there[:SIZE], pick(u, columns), there[SIZE:], w, r), w) >= 0.0
-
-        return either(at_a_glance(held(y[:SIZE], u, y[SIZE:], w, r), w), looked_at)
-
-    def committed(self, x: Tensor, u: Tensor, error_bound: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """What is applied in the place of proposed controls (6, B) at predicted states (16, B).
-
-        Args:
-            error_bound: (4, B) by how much further than measured the states may be off.
-
-        Returns:
-            Controls (6, B); (B,) bool each: their thrust is verified; it is another.
-        """
-        y, fit = torch.cat((x, error_bound)), may_be_kept(x, error_bound, self.haven) >= 0.0
-        return verified_or_nearest(y, u, THRUST, fit, self.thrust, self.thrust_is_safe, self.given)
-
-    def thrust(self, y: Tensor, u: Tensor) -> Tensor:
-        """The law's thrust (3, B) with the torque of controls (6, B), y as of `thrust_is_safe`."""
-        return thrust(y[:SIZE], u[TORQUE], self.haven)
-
-    def given(self, u: Tensor) -> Tensor:
-        """Controls (6, B) with thrust that the thrusters give."""
-        known = self.haven.known
-        if not known.is_coarse:
-            return u
-        return torch.cat((known.given(u[THRUST], self.haven.c.max_thrust), u[TORQUE]))
+    return either(at_a_glance(held(x, u, error_bound, w, r), w), looked_at)
 
 
 def either(least: Tensor, look: Callable[[Tensor], Tensor]) -> Tensor:

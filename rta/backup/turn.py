@@ -22,15 +22,11 @@ from torch import Tensor
 
 from inspection.model.attitude import dot, norm, rotation_matrix
 from inspection.model.dynamics import euler, step, sun_and_earth_in_body, temperature_rate
-from inspection.model.parameters import Limits
-from inspection.model.state import OMEGA, SIZE, TORQUE, E, Q, T
-from rta.backup.attitude_law import across, has_rest, upright, vector
-from rta.backup.check import verified_or_nearest
+from inspection.model.state import OMEGA, TORQUE, E, Q, T
+from rta.backup.attitude_law import across, upright, vector
 from rta.backup.chords import lowest
 from rta.backup.flight import attitude_between, incidence
-from rta.backup.turning import BEGINS, FULL, LOOKAHEAD, ROOT2, ROOT3, NoRestError, Turning, heating
-from rta.bounds.uncertainty import Uncertainty
-from rta.parameters import RtaParameters
+from rta.backup.turning import BEGINS, FULL, LOOKAHEAD, ROOT2, ROOT3, Turning, heating
 
 LOOK = 2.5  # s, between two looks at a hold at most
 
@@ -366,45 +362,8 @@ def verified(x: Tensor, u: Tensor, error_bound: Tensor, w: Turning) -> Tensor:
     return torch.minimum(least, from_here(start, w))
 
 
-class TurnBackup:
-    """The check of torque, of a filter that is told of bounds.
-
-    Attributes:
-        turning: the law and what its check depends on.
-    """
-
-    def __init__(self, turning: Turning) -> None:
-        self.turning = turning
-
-    @classmethod
-    def of(cls, c: Limits, r: RtaParameters, known: Uncertainty) -> "TurnBackup | None":
-        """None: no way is known within the bounds, with this vehicle, or where actuators may fail."""
-        if not (c.is_circular and not c.hill_rotation and has_rest(c)) or known.is_nil or known.health:
-            return None
-        try:
-            return cls(Turning.of(c, r, known))
-        except NoRestError:
-            return None
-
-    def has_way(self, x: Tensor) -> Tensor:
-        """(B,) bool: from true states (16, B) whatever is measured the law keeps the attitude's limits."""
-        w, none = self.turning, torch.zeros_like(x[0])
-        # a plant's rate may be one relative to the stars
-        return way(x, Spread(none, none + w.offset, none, none, none), w) >= 0.0
-
-    def torque_is_safe(self, y: Tensor, u: Tensor) -> Tensor:
-        """(B,) bool: torque of controls (6, B) keeps the limits, and a way is left; y (20, B): states, error bounds."""
-        return verified(y[:SIZE], u, y[SIZE:], self.turning) >= 0.0
-
-    def committed(self, x: Tensor, u: Tensor, error_bound: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """What is applied in the place of proposed controls (6, B) at predicted states (16, B).
-
-        Returns:
-            Controls (6, B); (B,) bool each: their torque is verified; it is another.
-        """
-        y, fit = torch.cat((x, error_bound)), may_be_kept(x, error_bound, self.turning) >= 0.0
-        return verified_or_nearest(y, u, TORQUE, fit, self.torque, self.torque_is_safe)
-
-    def torque(self, y: Tensor, u: Tensor) -> Tensor:
-        """The law's torque (3, B), y as of `torque_is_safe`; controls (6, B) do not matter."""
-        return law(y[:SIZE], self.turning)
+def has_way(x: Tensor, w: Turning) -> Tensor:
+    """(B,) bool: from true states (16, B) whatever is measured the law keeps the attitude's limits."""
+    none = torch.zeros_like(x[0])
+    # a plant's rate may be one relative to the stars
+    return way(x, Spread(none, none + w.offset, none, none, none), w) >= 0.0

@@ -18,11 +18,11 @@ from kernels import Printed, if_long, library, printed
 from kernels.build import for_vectors
 from kernels.cache import remembered
 from kernels.compiled import check, in_shares, over_columns, pointers, strided, timed
-from rta.backup.homing import calls
+from rta.backup.check import Backup
 from rta.barrier import ActuatorGroup
 from rta.constraints.constraint import joined
-from rta.printed.source import define, driver_text, functions, group_of, source
-from rta.printed.way import FOR_VECTORS, checks, constants, limits
+from rta.printed.source import check_files, define, driver_text, functions, group_of, source
+from rta.printed.way import checks, constants
 from rta.propose import Found
 from rta.qp.batched_solver import ACCURATE, STEPS, STEPS_HELD, attempt
 from rta.qp.programs import Status
@@ -99,21 +99,16 @@ class BatchFilter(Columns):
         self.statements = sum(part.statements for part in parts)
         many = [
             for_vectors("double"),
-            *checked(f, ways),
             define("LATENCY", f.known.latency),
-            define("HEALTH", int(f.known.health)),
-            define("BACKUP", int(f.backup is not None)),
-            define("TURN", int(f.turn is not None)),
-            define("HELD_CALLS", calls(f.homing.haven) if f.homing else 0),
-            define("CHECKS", int(not f.unchecked)),
             *(part.text for part in parts),
-            *(part.text for part in ways if part.name in FOR_VECTORS),
-            *(driver_text(f"batch/{name}") for name in ("commit.c", "told.c", "batch.c")),
+            *checked(f, ways),
+            define("HEALTH", int(f.known.health)),
+            driver_text("batch/batch.c"),
         ]
         one = [source(f, [*own, *ways]), by_column(f)]
         found = library({"one": "\n".join(one), "many": "\n".join(many)})
         super().__init__(found, f, 0.0)
-        if f.backup:
+        if isinstance(f.backup, Backup):
             f.backup.flights = Flights(f, found)
         x, u = (part.expand(-1, PROBED).contiguous() for part in f.probe("cpu"))
         self.seconds = min(timed(self, x, u) for _ in range(3)) / PROBED
@@ -143,24 +138,27 @@ class Flights:
 
 
 def checked(safety_filter: "SafetyFilter", ways: Sequence[Printed]) -> list[str]:
-    """What a batch's checks are made of in C for vectors of spacecraft; of the model also the check, and `Flights`."""
-    backup = safety_filter.backup
-    own = constants(backup) if backup else limits()
+    """What a batch's check is made of in C for vectors of spacecraft; of the model also `Flights`."""
+    f = safety_filter
     texts = [
-        define("CONSTRAINTS", len(safety_filter.names)),
-        *(define(name, *said) for name, said in own.items()),
+        define("CONSTRAINTS", len(f.names)),
+        define("COARSE", int(f.known.is_coarse)),
+        *(define(name, *said) for name, said in constants(f.backup).items()),
     ]
     files = ["batch/batch.h", "batch/columns.c"]
-    if backup:
-        texts += [group_of(safety_filter), *(part.text for part in ways)]
-        files = ["commit.c", *files, "batch/flights.c"]
+    if f.backup:
+        texts += [group_of(f), *(part.text for part in ways)]
+        files = ["round.c", *check_files(f), *files]
+        own = ["commit", "flights", "hopeful"] if isinstance(f.backup, Backup) else ["sure"]
+        files += [f"batch/{name}.c" for name in own]
     return [*texts, *map(driver_text, files)]
 
 
 def recorded(safety_filter: "SafetyFilter") -> tuple[list[Printed], list[Printed], list[Printed]]:
     """What is printed of a filter: `functions`, `checks`, and what else is for vectors."""
     own, ways = functions(safety_filter), checks(safety_filter)
-    return own, ways, [printed_attempt(safety_filter), *(part for part in own if part.name == "predict")]
+    for_many = [part for part in own if part.name in ("predict", "given_thrust")]
+    return own, ways, [printed_attempt(safety_filter), *for_many]
 
 
 def by_column(safety_filter: "SafetyFilter") -> str:

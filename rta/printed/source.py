@@ -17,11 +17,9 @@ from torch import Tensor
 from inspection.model.state import THRUST, TORQUE
 from kernels import Printed, if_long, printed
 from kernels.build import OF_ONE, OF_TWO, OWN, QUICK, header, macro
-from rta.backup import homing
 from rta.barrier import ActuatorGroup
 from rta.bounds.health import AXES, slewing
 from rta.constraints.constraint import in_order, joined
-from rta.constraints.names import CONSTRAINTS
 from rta.printed import way
 from rta.qp import batched_solver
 from rta.qp import programs as qp
@@ -59,10 +57,14 @@ def driver_text(name: str) -> str:
 
 def driver_files(safety_filter: "SafetyFilter") -> list[str]:
     """The files of the driver that a filter needs."""
-    f = safety_filter
-    checks = [("commit.c", f.backup), ("commit_one.c", f.backup), ("turn.c", f.turn), ("homing.c", f.homing)]
-    programs = ["solver.c", "rows.c"] if f.propose.kind != "none" else []
-    return ["numbers.c", *programs, *(name for name, check in checks if check), "filter.c"]
+    programs = ["solver.c", "rows.c"] if safety_filter.propose.kind != "none" else []
+    check = [*check_files(safety_filter), "commit_one.c"] if safety_filter.backup else []
+    return ["numbers.c", "round.c", *programs, *check, "filter.c"]
+
+
+def check_files(safety_filter: "SafetyFilter") -> list[str]:
+    """The files of the driver that check one spacecraft, and vectors of them."""
+    return ["commit.c", "flight.c" if safety_filter.known.is_nil else "told.c"]
 
 
 def functions(safety_filter: "SafetyFilter") -> list[Printed]:
@@ -191,22 +193,9 @@ def constants(safety_filter: "SafetyFilter", parts: Sequence[Printed], text: str
             "in the constraints' order, of each that a group holds",
         ),
     ]
-    lines.append(
-        define("BACKUP", int(safety_filter.backup is not None), "1: controls are checked, see commit.c")
-    )
+    lines += [define(name, *said) for name, said in way.constants(safety_filter.backup).items()]
     if safety_filter.backup:
-        lines += [define(name, *said) for name, said in way.constants(safety_filter.backup).items()]
         lines.append(group_of(safety_filter))
-    if safety_filter.homing:
-        lines.append(
-            define("HELD_CALLS", homing.calls(safety_filter.homing.haven), "thrust is checked, see homing.c")
-        )
-    if safety_filter.turn:
-        lines.append(define("TURN", 1, "torque is checked, see turn.c"))
-    if safety_filter.homing or safety_filter.turn:
-        lines += [define(name, *said) for name, said in way.trials().items()]
-        kept = [int(name in CONSTRAINTS) for name in safety_filter.names]
-        lines.append(table("int IS_KEPT[CONSTRAINTS]", kept, "where a way is verified"))
     return "\n".join([*lines, operations(text), *map(declared, parts)]) + "\n"
 
 

@@ -6,23 +6,19 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor
 
-from inspection.model.state import TORQUE
+from inspection.model.state import SIZE, TORQUE
 from kernels import Printed, printed
 from rta.backup import homing, turn
-from rta.backup.check import ATTITUDE, KEPT, LIMITS, MOTION, RATES_ROUNDED, SHARES, SLACK_ROUNDED, Backup
+from rta.backup.check import KEPT, RATES_ROUNDED, Backup
+from rta.backup.commit import ATTITUDE, LIMITS, MOTION, SHARES, SLACK_ROUNDED, Check
 from rta.backup.flight import CELLS
 from rta.backup.flight import turn as turn_in
-from rta.backup.haven import thrust
-from rta.backup.homing import Homing
-from rta.backup.turn import TurnBackup
+from rta.backup.told import ToldBackup
 from rta.bounds.prediction import KINDS
 from rta.constraints.names import CONSTRAINTS
 
 if TYPE_CHECKING:
     from rta.filter import SafetyFilter
-
-# of the checks within bounds, which are computed for vectors of spacecraft
-FOR_VECTORS = "turn_verified", "homing_look", "homing_way"
 
 GIVEN_BOUND = ("x", "control", "error_bound")
 
@@ -31,56 +27,56 @@ Named = tuple[str, Callable[..., Sequence[Tensor]], tuple[Tensor, ...], Sequence
 
 
 def checks(safety_filter: "SafetyFilter") -> list[Printed]:
-    """The functions that either commit.c calls; none where the filter knows no way to rest."""
-    x, u = safety_filter.probe("cpu")
-    told = homing_checks(safety_filter.homing, x, u) if safety_filter.homing else []
-    if safety_filter.turn:
-        told += turn_checks(safety_filter.turn, x, u)
-    if told:
-        return told
-    if safety_filter.backup is None:
+    """The functions that the driver's check calls; none where the filter knows no way to rest."""
+    b, (x, u) = safety_filter.backup, safety_filter.probe("cpu")
+    if b is None:
         return []
-    b = safety_filter.backup
+    if isinstance(b, ToldBackup):
+        return told_checks(b, x, u)
+    assert isinstance(b, Backup)
     holds = all_printed(
         ("flown", lambda x, u: list(b.hold(x, u)), (x, u), ("x", "control"), ("after", "least")),
         long=CELLS[0],
     )
-    return holds + all_printed(
+    return holds + laws(b, x, u) + all_printed(
         ("turned", lambda x, u: list(turn_in(x, u, b.flight)), (x, u), ("x", "control"), ("after", "least")),
         ("at_once", lambda x: [b.at_once(x)], (x,), ("x",), ("least",)),
         ("terminal_room", lambda x: [b.terminal.room(x)], (x,), ("x",), ("room",)),
-        ("backup_torque", lambda x: [b.torque(x)], (x,), ("x",), ("torque",)),
-        ("backup_thrust", lambda x, torque: [b.thrust(x, torque)], (x, u[TORQUE]), ("x", "torque"), ("thrust",)),
     )  # fmt: skip
 
 
-def turn_checks(backup: TurnBackup, x: Tensor, u: Tensor) -> list[Printed]:
-    """The functions that turn.c calls, of a filter that is told of bounds."""
-    w, bound = backup.turning, torch.zeros(KINDS, 1, dtype=torch.float64)
+def laws(check: Check, x: Tensor, u: Tensor) -> list[Printed]:
+    """Both backup laws."""
     return all_printed(
-        ("turn_verified", lambda x, u, e: [turn.verified(x, u, e, w)[None]], (x, u, bound), GIVEN_BOUND, ("least",)),
-        ("turn_kept", lambda x, e: [turn.may_be_kept(x, e, w)[None]], (x, bound), ("x", "error_bound"), ("least",)),
-        ("turn_law", lambda x: [turn.law(x, w)], (x,), ("x",), ("torque",)),
+        ("backup_torque", lambda x: [check.torque(x)], (x,), ("x",), ("torque",)),
+        ("backup_thrust", lambda x, torque: [check.thrust(x, torque)], (x, u[TORQUE]), ("x", "torque"), ("thrust",)),
     )  # fmt: skip
 
 
-def homing_checks(check: Homing, x: Tensor, u: Tensor) -> list[Printed]:
-    """The functions that homing.c calls, of a filter that is told of bounds."""
-    w, r = check.haven, check.r
+def told_checks(b: ToldBackup, x: Tensor, u: Tensor) -> list[Printed]:
+    """The functions that told.c calls."""
     bound, late = torch.zeros(KINDS, 1, dtype=torch.float64), torch.zeros(1, 1, dtype=torch.float64)
-    bounded, least = ("x", "error_bound"), ("least",)
+    y, least, found = torch.cat((x, bound)), ("least",), []
+    if w := b.turning:
+        run = lambda x, u, e: [turn.verified(x, u, e, w)[None]]  # noqa: E731
+        found += all_printed(("turn_verified", run, (x, u, bound), GIVEN_BOUND, least))
+    if v := b.haven:
 
-    def look(x: Tensor, u: Tensor, error_bound: Tensor) -> list[Tensor]:
-        end, after, least = homing.look(x, u, error_bound, w, r)
-        return [end, after, least[None]]
+        def look(x: Tensor, u: Tensor, error_bound: Tensor) -> list[Tensor]:
+            end, after, least = homing.look(x, u, error_bound, v, b.r)
+            return [end, after, least[None]]
 
-    return all_printed(
-        ("homing_look", look, (x, u, bound), GIVEN_BOUND, ("after", "bound_after", "least")),
-        ("homing_way", lambda x, e, t: [homing.home(x, e, t[0], w)[None]], (x, bound, late), (*bounded, "late"), least),
-        ("homing_kept", lambda x, e: [homing.may_be_kept(x, e, w)[None]], (x, bound), bounded, least),
-        ("homing_law", lambda x, u: [thrust(x, u[TORQUE], w)], (x, u), ("x", "control"), ("thrust",)),
-        long=w.free.cells,
-    )  # fmt: skip
+        def home(x: Tensor, error_bound: Tensor, late: Tensor) -> list[Tensor]:
+            return [homing.home(x, error_bound, late[0], v)[None]]
+
+        found += all_printed(
+            ("homing_look", look, (x, u, bound), GIVEN_BOUND, ("after", "bound_after", "least")),
+            ("homing_way", home, (x, bound, late), ("x", "error_bound", "late"), least),
+            long=v.free.cells,
+        )
+    return (
+        found + laws(b, x, u) + all_printed(("told_kept", lambda y: [b.may_be_kept(y)], (y,), ("y",), least))
+    )
 
 
 def all_printed(*named: Named, long: int = 0) -> list[Printed]:
@@ -91,8 +87,36 @@ def all_printed(*named: Named, long: int = 0) -> list[Printed]:
     ]
 
 
-def constants(backup: Backup) -> dict[str, tuple[int | float | str, str]]:
-    """What commit.c depends on: by name the value and what it is."""
+def constants(backup: Check | None) -> dict[str, tuple[int | float | str, str]]:
+    """What a check in C depends on: by name the value and what it is."""
+    if backup is None:
+        return {"CHECKED": (0, ""), "FLIES": (0, ""), "ALL_CHECKED": (0, ""), "SEEN": (SIZE, "")}
+    found = {
+        "CHECKED": (1, "what is proposed is checked"),
+        "ALL_CHECKED": (int(all(backup.knows)), "thrust and torque are"),
+        "FLIES": (int(isinstance(backup, Backup)), "by flights of the laws, see flight.c"),
+        "LIMITS": (LIMITS, "of which the body rates are one, the last"),
+        **trials(),
+        **limits(),
+    }
+    assert isinstance(backup, Backup | ToldBackup)
+    return found | (of_flights(backup) if isinstance(backup, Backup) else of_bounds(backup))
+
+
+def of_bounds(backup: ToldBackup) -> dict[str, tuple[int | float | str, str]]:
+    """Of told.c, as `constants`."""
+    return {
+        "SEEN": (SIZE + KINDS, "numbers: a state, and by how much further than measured it may be off"),
+        "TURN": (int(backup.turning is not None), "1: torque is checked"),
+        "HELD_CALLS": (
+            homing.calls(backup.haven) if backup.haven else 0,
+            "of a hold; 0: thrust is not checked",
+        ),
+    }
+
+
+def of_flights(backup: Backup) -> dict[str, tuple[int | float | str, str]]:
+    """Of flight.c, as `constants`."""
     names = {
         "SEPARATION": "collision",
         "ZONE": "keep_in_zone",
@@ -101,17 +125,12 @@ def constants(backup: Backup) -> dict[str, tuple[int | float | str, str]]:
         "BATTERY": "battery",
     }
     own: dict[str, tuple[int | float | str, str]] = {
-        "LIMITS": (LIMITS, "of which the body rates are one, the last"),
+        "SEEN": (SIZE, "numbers of a state"),
         "KEPT": (KEPT, "in the unit of each limit: what rounding may take"),
         "FLIGHT_HOLDS": (backup.holds, "of a flight at most"),
         "GLANCES": (backup.glances, "holds, between two looks at all that is left of a flight"),
     }
-    return (
-        own
-        | {f"{name}_LIMIT": (CONSTRAINTS.index(limit), "") for name, limit in names.items()}
-        | trials()
-        | limits()
-    )
+    return own | {f"{name}_LIMIT": (CONSTRAINTS.index(limit), "") for name, limit in names.items()}
 
 
 def trials() -> dict[str, tuple[int | float | str, str]]:

@@ -26,6 +26,7 @@ from inspection.model.parameters import InspectionParameters
 from inspection.model.state import CONTROL_SIZE, P, V
 from ppo.errors import CheckpointError
 from ppo.network import Policy
+from rta.bounds.prediction import KINDS
 from rta.filter import SafetyFilter
 from rta.parameters import ROWS
 from rta.result import FilterResult
@@ -79,10 +80,11 @@ def to_waypoints(c: InspectionParameters, generator: torch.Generator, batch: int
 def opposite(safety_filter: SafetyFilter) -> Controller:
     """Full control against that of the backup laws: who asks for it wants to leave the flight that is verified."""
     if not (backup := safety_filter.backup):
-        raise InputError("--demand opposite: this filter has no backup laws of the model to oppose")
+        raise InputError("--demand opposite: this filter has no backup laws to oppose")
 
     def control(t: float, x: Tensor) -> Tensor:
-        return -backup.law(x).sign() * x.new_tensor(safety_filter.c.control_limit)[:, None]
+        seen = backup.seen(x, torch.zeros_like(x[:KINDS]))
+        return -backup.law(seen).sign() * x.new_tensor(safety_filter.c.control_limit)[:, None]
 
     return control
 

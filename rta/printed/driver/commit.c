@@ -1,13 +1,10 @@
-/* Propose, check, commit: a control is applied if a hold of it, and the flight of both backup laws after it, keep all
- * limits and end where the laws stay; else the nearest that does, on the way to the laws' control; at last that.
+/* Propose, check, commit: a control is applied if it leaves a way to keep all limits; else the nearest that does, on the
+ * way to the laws' control; at last that. What a way is, flight.c or told.c says.
  *
- * The same text checks one spacecraft and vectors of them: V is a number, M a truth value, of each. */
+ * The same text checks one spacecraft and vectors of them: V is a number, M a truth value, of each. y: the state and, of a
+ * filter that is told of bounds, by how much further than measured it may be off. */
 
 enum { THRUSTS = 0, TORQUES = 1 };
-
-/* The limits of thrust, and of torque, in the order of the constraints; the body rates are one. */
-static const int FIRST_LIMIT[2] = {0, MOTION_LIMITS};
-static const int LAST_LIMIT[2] = {MOTION_LIMITS, LIMITS};
 
 static void assign(V *to, const V *from, int count)
 {
@@ -16,124 +13,35 @@ static void assign(V *to, const V *from, int count)
     }
 }
 
-/* Whether the least of each limit is not negative, of thrust and of torque, or it is broken already. */
-static void are_kept(const V least[LIMITS], const M broken[LIMITS], M found[2])
-{
-    for (int group = THRUSTS; group <= TORQUES; ++group) {
-        found[group] = YES;
-        for (int k = FIRST_LIMIT[group]; k < LAST_LIMIT[group]; ++k) {
-            found[group] = AND(found[group], OR(least[k] >= KEPT, broken[k]));
-        }
-    }
-}
+/* Which limits are broken already, and not asked for, and whether controls of each group can be checked. */
+static void are_fit(const V y[SEEN], const V h[CONSTRAINTS], M broken[LIMITS], M fit[2]);
 
-/* Whether a state is where the laws stay: in a cone of attitudes, cool, charged, slow, and clear of chief and edge. Limits
- * that are broken excuse from what comes back slowly. */
-static void have_arrived(const V x[16], const M broken[LIMITS], M found[2])
-{
-    V room[5];
-    M inside[5];
-    terminal_room(x, room);
-    for (int i = 0; i < 5; ++i) {
-        inside[i] = room[i] >= 0.0;
-    }
-    inside[1] = OR(inside[1], broken[TEMPERATURE_LIMIT]);
-    inside[2] = OR(inside[2], broken[BATTERY_LIMIT]);
-    inside[4] = OR(inside[4], OR(broken[SEPARATION_LIMIT], OR(broken[ZONE_LIMIT], broken[PASSIVE_LIMIT])));
-    found[THRUSTS] = AND(inside[0], AND(inside[3], inside[4]));
-    found[TORQUES] = AND(inside[0], AND(inside[1], inside[2]));
-}
+/* Whether a control keeps the limits of each group that is asked for while it is held, and leaves a way. */
+static void are_safe(const V y[SEEN], const V control[6], const M broken[LIMITS], const M asked[2], M found[2]);
 
-/* Flies states on for up to so many holds of the laws, at first with a look at all that is left of the flight at once. Alive: whose
- * flights have kept the limits of each group and not ended; found: whose have ended, or are seen to keep them for good. */
-static void fly_on(V x[16], const M broken[LIMITS], int holds, M alive[2], M found[2])
-{
-    for (int k = 0; (k < holds) && ANY(OR(alive[THRUSTS], alive[TORQUES])); ++k) {
-        V u[6];
-        V after[16];
-        V least[LIMITS];
-        M there[2];
-        M fine[2] = {NO, NO};
-        have_arrived(x, broken, there);
-        if (k == 0) {
-            at_once(x, least);
-            are_kept(least, broken, fine);
-        }
-        for (int group = THRUSTS; group <= TORQUES; ++group) {
-            found[group] = OR(found[group], AND(alive[group], OR(there[group], fine[group])));
-            alive[group] = AND(alive[group], NOT(found[group]));
-        }
-        if (!ANY(OR(alive[THRUSTS], alive[TORQUES]))) {
-            break;
-        }
-        backup_torque(x, &u[3]);
-        backup_thrust(x, &u[3], u);
-        if (ANY(alive[THRUSTS])) {
-            flown(x, u, after, least);
-        } else {
-            for (int i = 0; i < MOTION_LIMITS; ++i) {
-                least[i] = ALL(0.0);
-            }
-            turned(x, u, after, &least[MOTION_LIMITS]);
-        }
-        are_kept(least, broken, fine);
-        for (int group = THRUSTS; group <= TORQUES; ++group) {
-            alive[group] = AND(alive[group], fine[group]);
-        }
-        assign(x, after, 16);
-    }
-}
-
-/* Whether the laws' flight keeps the limits of each group that is asked for, and ends. */
-static void have_ways(const V x[16], const M broken[LIMITS], const M asked[2], M found[2])
-{
-    V y[16];
-    M alive[2];
-    for (int group = THRUSTS; group <= TORQUES; ++group) {
-        found[group] = NOT(asked[group]);
-        alive[group] = asked[group];
-    }
-    assign(y, x, 16);
-    for (int k = 0; k < FLIGHT_HOLDS; k += GLANCES) {
-        fly_on(y, broken, GLANCES, alive, found);
-    }
-}
-
-/* Whether a hold of a control, and the flight after it, keep the limits of each group that is asked for. */
-static void are_safe(const V x[16], const V control[6], const M broken[LIMITS], const M asked[2], M found[2])
-{
-    V after[16];
-    V least[LIMITS];
-    M open[2];
-    M kept[2];
-    flown(x, control, after, least);
-    are_kept(least, broken, kept);
-    for (int group = THRUSTS; group <= TORQUES; ++group) {
-        open[group] = AND(asked[group], kept[group]);
-    }
-    have_ways(after, broken, open, found);
-    for (int group = THRUSTS; group <= TORQUES; ++group) {
-        found[group] = AND(found[group], kept[group]);
-    }
-}
+/* Has both groups follow their laws where that is known to be safe. Returns where it is. */
+static M follow(const V y[SEEN], M open, const M broken[LIMITS], V control[6]);
 
 /* Of spacecraft whose control is refused the first that is safe on the way to the law's, else that. Returns where it is. */
-static M go_towards_law(const V x[16], int group, M refused, const M broken[LIMITS], V control[6])
+static M go_towards_law(const V y[SEEN], int group, M refused, const M broken[LIMITS], V control[6])
 {
     static const double shares[SHARE_COUNT] = SHARES;
     V law[3];
+    V proposed[3];
     V tried[6];
     M open = refused;
     const int first = 3 * group;
     if (group == THRUSTS) {
-        backup_thrust(x, &control[3], law);
+        backup_thrust(y, &control[3], law);
     } else {
-        backup_torque(x, law);
+        backup_torque(y, law);
     }
-    V proposed[3];
     assign(proposed, &control[first], 3);
-    for (int j = 0; j < 3; ++j) {
-        control[first + j] = SELECT(refused, law[j], proposed[j]);
+    assign(tried, control, 6);
+    assign(&tried[first], law, 3);
+    round_thrust(tried);
+    for (int j = first; j < (first + 3); ++j) {
+        control[j] = SELECT(refused, tried[j], control[j]);
     }
     for (int i = 0; (i < SHARE_COUNT) && ANY(open); ++i) {
         M asked[2] = {NO, NO};
@@ -145,8 +53,9 @@ static M go_towards_law(const V x[16], int group, M refused, const M broken[LIMI
             const V high = MAX(proposed[j], law[j]);
             tried[first + j] = MIN(MAX(way, low), high);
         }
+        round_thrust(tried);
         asked[group] = open;
-        are_safe(x, tried, broken, asked, found);
+        are_safe(y, tried, broken, asked, found);
         const M taken = AND(open, found[group]);
         for (int j = first; j < (first + 3); ++j) {
             control[j] = SELECT(taken, tried[j], control[j]);
@@ -158,58 +67,35 @@ static M go_towards_law(const V x[16], int group, M refused, const M broken[LIMI
 
 /* Puts what may be applied in the place of a proposed control.
  *
- * broken: limits that are violated already; strange: the state holds no numbers, and nothing can be checked.
- * safe, changed: of thrust and of torque. Torque comes first, since the attitude decides where thrust acts. */
-static void commit(const V x[16], const M broken[LIMITS], M strange, V control[6], M safe[2], M changed[2])
+ * broken, fit: see are_fit; safe, changed: of thrust and of torque. Torque comes first, since the attitude decides where
+ * thrust acts. */
+static void commit(const V y[SEEN], const M broken[LIMITS], const M fit[2], V control[6], M safe[2], M changed[2])
 {
-    const M fit = NOT(strange);
-    const M both[2] = {fit, fit};
-    are_safe(x, control, broken, both, safe);
+    are_safe(y, control, broken, fit, safe);
     for (int group = THRUSTS; group <= TORQUES; ++group) {
-        safe[group] = AND(safe[group], fit);
+        safe[group] = AND(safe[group], fit[group]);
     }
     for (int group = TORQUES; group >= THRUSTS; --group) {
-        changed[group] = AND(fit, NOT(safe[group]));
+        changed[group] = AND(fit[group], NOT(safe[group]));
         if (ANY(changed[group])) {
-            safe[group] = OR(safe[group], go_towards_law(x, group, changed[group], broken, control));
+            safe[group] = OR(safe[group], go_towards_law(y, group, changed[group], broken, control));
             if (group == TORQUES) { /* thrust is looked at again, with the torque that is applied */
-                const M asked[2] = {changed[TORQUES], NO};
+                const M asked[2] = {AND(changed[TORQUES], fit[THRUSTS]), NO};
                 M found[2];
-                are_safe(x, control, broken, asked, found);
-                safe[THRUSTS] = AND(safe[THRUSTS], OR(found[THRUSTS], NOT(changed[TORQUES])));
-                safe[THRUSTS] = OR(safe[THRUSTS], AND(found[THRUSTS], changed[TORQUES]));
+                are_safe(y, control, broken, asked, found);
+                safe[THRUSTS] = AND(safe[THRUSTS], NOT(changed[TORQUES]));
+                safe[THRUSTS] = OR(safe[THRUSTS], AND(found[THRUSTS], asked[THRUSTS]));
             }
         }
     }
-    /* both groups follow their laws where that is safe and no other control is: it was flown a call ago */
+    /* both follow their laws where no other control is safe and that is */
     const M open = AND(OR(changed[THRUSTS], changed[TORQUES]), NOT(AND(safe[THRUSTS], safe[TORQUES])));
     if (ANY(open)) {
-        V law[6];
-        M found[2];
-        const M asked[2] = {open, open};
-        have_ways(x, broken, asked, found);
-        backup_torque(x, &law[3]);
-        backup_thrust(x, &law[3], law);
-        const M follow = AND(open, AND(found[THRUSTS], found[TORQUES]));
-        for (int j = 0; j < 6; ++j) {
-            control[j] = SELECT(follow, law[j], control[j]);
-        }
+        const M followed = follow(y, open, broken, control);
         for (int group = THRUSTS; group <= TORQUES; ++group) {
-            safe[group] = OR(safe[group], follow);
-            changed[group] = OR(changed[group], follow);
+            safe[group] = OR(safe[group], followed);
+            changed[group] = OR(changed[group], followed);
         }
-    }
-}
-
-/* Which limits are violated already, from the values of the constraints. Rates may be at theirs, where the plant holds them. */
-static void are_broken(const V h[CONSTRAINTS], M broken[LIMITS])
-{
-    broken[LIMITS - 1] = NO;
-    for (int k = 0; k < (LIMITS - 1); ++k) {
-        broken[k] = NOT(h[k] >= 0.0);
-    }
-    for (int k = LIMITS - 1; k < KEPT_LIMITS; ++k) {
-        broken[LIMITS - 1] = OR(broken[LIMITS - 1], NOT(h[k] >= -RATES_ROUNDED));
     }
 }
 

@@ -1,19 +1,19 @@
 /* The check of one spacecraft's control. */
-static void check_control(const double x[16], double control[6], struct safety_filter_output *out)
+static void check_control(const double x[16], const double error_bound[4], double control[6], struct safety_filter_output *out)
 {
+    double y[20];
     int broken[LIMITS];
+    int fit[2];
     int safe[2];
     int changed[2];
     double status[2];
-    int strange = 0;
-    for (int i = 0; i < 16; ++i) {
-        strange |= (isfinite(x[i]) != 0) ? 0 : 1;
-    }
+    copy(y, x, 16);
+    copy(&y[16], error_bound, 4);
     for (int group = THRUST; group <= TORQUE; ++group) {
         status[group] = out->program_status[group];
     }
-    are_broken(out->h, broken);
-    commit(x, broken, strange, control, safe, changed);
+    are_fit(y, out->h, broken, fit);
+    commit(y, broken, fit, control, safe, changed);
     nothing_yields(broken, safe, changed, out->slack, status);
     for (int group = THRUST; group <= TORQUE; ++group) {
         out->program_status[group] = (int)status[group];

@@ -191,7 +191,6 @@ void safety_filter(const struct safety_filter_input *in, struct safety_filter_ou
     double left[6];
     double wish[6];
     double control[6];
-    int verified[2] = {0, 0}; /* within bounds that are told */
     begin(in, x, wish, control, out);
     for (int j = 0; j < 6; ++j) {
         left[j] = (HEALTH != 0) ? in->left[j] : 1.0;
@@ -199,16 +198,9 @@ void safety_filter(const struct safety_filter_input *in, struct safety_filter_ou
     bring_up_to_date(in, left, x, error_bound);
     replace_desired(x, left, wish, control, out);
     propose(TORQUE, x, left, wish, control, out);
-#ifdef TURN
-    verified[TORQUE] = commit_turn(x, error_bound, control, out);
-#endif
-    propose(THRUST, x, left, wish, control, out); /* with the torque that is applied */
-#ifdef HELD_CALLS
-    verified[THRUST] = commit_thrust(x, error_bound, control, out);
-#endif
-    out->verified = verified[THRUST] & verified[TORQUE];
-#if BACKUP
-    check_control(x, control, out);
+    propose(THRUST, x, left, wish, control, out); /* with the torque that is found */
+#if CHECKED
+    check_control(x, error_bound, control, out);
 #endif
     end(in, control, out);
 }

@@ -38,15 +38,3 @@ static void copy(double *x, const double *y, int size)
         x[i] = y[i];
     }
 }
-
-/* Thrust that the thrusters give. */
-static void round_thrust(double control[6])
-{
-#if COARSE
-    double given[3];
-    given_thrust(control, given);
-    copy(control, given, 3);
-#else
-    (void)control;
-#endif
-}

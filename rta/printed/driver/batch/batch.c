@@ -2,7 +2,7 @@
 
 /* The states now, from those that are as old as the controls sent since. Lanes in which something is told that is left to
  * the filter for one spacecraft: that an actuator gives less. */
-static M bring_up_to_date(const void *const *in, const long *in_step, long column, long lanes, V x[16], V error_bound[4])
+static M bring_up_to_date(const void *const *in, const long *in_step, long column, long lanes, V x[SEEN], V error_bound[4])
 {
     M open = NO;
 #if HEALTH
@@ -33,13 +33,12 @@ long filter_batch(long first, long last, const void *const *in, const long *in_s
                   const long *out_step)
 {
     long unsolved = 0;
-#if BACKUP
-    struct hopeful hopeful = {.flights = {.count = 0}};
-    struct waiting refused = {.count = 0};
+#if FLIES
+    struct pending pending = {.refused = {.count = 0}};
 #endif
     for (long column = first; column < last; column += W) {
         const long lanes = last - column;
-        V x[16];
+        V y[SEEN];
         V desired[6];
         V numbers[6 + 2 * CONSTRAINTS]; /* control, slack, h */
         V error_bound[4] = {{0}};
@@ -47,41 +46,45 @@ long filter_batch(long first, long last, const void *const *in, const long *in_s
         M active[CONSTRAINTS];
         M open[1];
         M unsure = NO;
-        load_block(in[0], in_step[0], column, lanes, 16, x);
+        load_block(in[0], in_step[0], column, lanes, 16, y);
         load_block(in[1], in_step[1], column, lanes, 6, desired);
-        const M told = bring_up_to_date(in, in_step, column, lanes, x, error_bound);
-        first_attempt(x, desired, numbers, &numbers[6], &numbers[6 + CONSTRAINTS], program_status, active, open);
-        const M unchecked = check_turn(x, error_bound, numbers, program_status) |
-                            check_thrust(x, error_bound, numbers, program_status);
-        const M alone = open[0] | told | unchecked; /* filtered one by one */
-#if BACKUP
+        const M told = bring_up_to_date(in, in_step, column, lanes, y, error_bound);
+        memcpy(&y[16], error_bound, (SEEN - 16) * sizeof(V));
+        first_attempt(y, desired, numbers, &numbers[6], &numbers[6 + CONSTRAINTS], program_status, active, open);
+        M alone = open[0] | told; /* filtered one by one */
+#if FLIES
         V after[16];
         M hopes;
-        unsure = are_unsure(x, numbers, program_status, after, &hopes);
+        unsure = are_unsure(y, numbers, program_status, after, &hopes);
+#elif CHECKED
+        unsure = are_unsure(y, numbers, program_status);
+        alone |= unsure;
 #endif
         for (int k = 0; k < 6 + 2 * CONSTRAINTS; ++k) {
             store_double(out[NUMBERS], k * out_step[NUMBERS] + column, lanes, numbers[k]);
         }
-        store_statuses(program_status, differ(desired, numbers), CHECKS ? ~(unsure | unchecked) : NO, active, out, out_step, column, lanes);
+        store_statuses(program_status, differ(desired, numbers), ALL_CHECKED ? ~unsure : NO, active, out, out_step, column, lanes);
         for (int lane = 0; lane < W && lane < lanes; ++lane) {
             unsolved += alone[lane] ? filter_one(column + lane, in, in_step, out, out_step) : 0;
         }
-#if BACKUP
+#if FLIES
         if (ANY(unsure & ~alone)) {
             struct waiting block;
-            memcpy(block.x, x, sizeof x);
+            memcpy(block.y, y, sizeof y);
             memcpy(block.desired, desired, sizeof desired);
             memcpy(block.control, numbers, sizeof block.control);
             memcpy(block.slack, &numbers[6], sizeof block.slack);
             memcpy(block.h, &numbers[6 + CONSTRAINTS], sizeof block.h);
             memcpy(block.program_status, program_status, sizeof program_status);
-            look_closely(unsure & ~alone, hopes, after, &block, &hopeful, &refused, column, lanes, out, out_step);
+            for (int lane = 0; lane < W; ++lane) {
+                block.column[lane] = column + lane;
+            }
+            look_closely(unsure & ~alone, hopes, after, &block, lanes, &pending, out, out_step);
         }
 #endif
     }
-#if BACKUP
-    fly_hopeful(&hopeful, 1, &refused, out, out_step);
-    check_waiting(&refused, out, out_step);
+#if FLIES
+    finish(&pending, out, out_step);
 #endif
     return unsolved;
 }

@@ -9,13 +9,6 @@ struct flights {
     int count;
 };
 
-static void put_lane(V *to, int place, const V *from, int lane, int count)
-{
-    for (int i = 0; i < count; ++i) {
-        to[i][place] = from[i][lane];
-    }
-}
-
 static void put_truths(M *to, int place, const M *from, int lane, int count)
 {
     for (int i = 0; i < count; ++i) {

@@ -1,0 +1,181 @@
+"""Propose, check, commit: a control is applied if it leaves a way to keep all limits, else the nearest that does.
+
+The nearest is sought on the way from what is proposed to the backup law's control, in a few steps; at last it is that.
+Torque comes first, since the attitude decides where thrust acts. This order is one for all. What a way is, a check says
+for itself: the flight of both laws in the model (`rta.backup.check`), or, of a filter that is told of bounds, what they
+leave sure of it (`rta.backup.told`). Gurriet et al. 2020, backup barriers; Agrawal, Chen and Panagou 2023, gatekeeper.
+"""
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import torch
+from torch import Tensor
+
+from inspection.model.state import THRUST, TORQUE
+from rta.constraints.names import CONSTRAINTS
+from rta.qp.programs import Status, pick, put
+from rta.result import FilterResult
+
+# limits that are kept by thrust, and by torque: the first of Table 3, then the rates
+MOTION, ATTITUDE = 7, 3
+LIMITS = MOTION + ATTITUDE + 1  # the body rates are one
+SLACK_ROUNDED = 1e-9  # in the unit of slack, up to which it is a solver's rounding
+SHARES = (0.25, 0.5, 0.75)  # of the way from what is proposed to the backup law's control, that are tried
+
+
+class Check(ABC):
+    """A check of controls; states y (n, B) are what it is given by `seen`.
+
+    Attributes:
+        knows: whether a way is known of thrust, and of torque.
+    """
+
+    knows: tuple[bool, bool]
+
+    @abstractmethod
+    def has_way(self, x: Tensor) -> Tensor:
+        """(B,) bool: from true states (16, B) the laws that are known keep their limits for good."""
+
+    @abstractmethod
+    def seen(self, x: Tensor, error_bound: Tensor) -> Tensor:
+        """What the check depends on: of states (16, B) that may be off by (4, B) more than measured."""
+
+    @abstractmethod
+    def fit(self, y: Tensor, h: Tensor) -> tuple[Tensor, Tensor]:
+        """(11, B) bool, limits that are broken already and not asked for; (2, B) bool, groups that can be checked.
+
+        Args:
+            h: (13, B) the limits' values.
+        """
+
+    @abstractmethod
+    def torque(self, y: Tensor) -> Tensor:
+        """The law's torque (3, B) in N m."""
+
+    @abstractmethod
+    def thrust(self, y: Tensor, torque: Tensor) -> Tensor:
+        """The law's thrust (3, B) in N while torque (3, B) is held."""
+
+    def law(self, y: Tensor) -> Tensor:
+        """Both laws' control (6, B)."""
+        torque = self.torque(y)
+        return torch.cat((self.thrust(y, torque), torque))
+
+    @abstractmethod
+    def is_safe(self, y: Tensor, u: Tensor, broken: Tensor, asked: Sequence[int] = (0, 1)) -> Tensor:
+        """(2, B) bool: thrust, torque of controls (6, B) keep their limits while they are held, and leave a way.
+
+        Args:
+            broken: as of `fit`; asked: the groups that matter; of the other one nothing is said.
+        """
+
+    def given(self, u: Tensor) -> Tensor:
+        """What actuators do where controls (6, B) are asked for."""
+        return u
+
+    def follow(self, y: Tensor, u: Tensor, safe: Tensor, changed: Tensor, broken: Tensor) -> None:  # noqa: B027
+        """Has both groups follow their laws where no other control is safe and that is; arguments as in `committed`."""
+
+    def commit(
+        self, x: Tensor, error_bound: Tensor, desired: Tensor, result: FilterResult, of_torque: Sequence[bool]
+    ) -> FilterResult:
+        """What the programs propose at states (16, B), with the controls that may be applied.
+
+        A limit that is kept does not yield: where a control is safe only a broken one, and those of the user's own,
+        have slack.
+
+        Args:
+            error_bound: (4, B) by how much further than measured the states may be off.
+            of_torque: by constraint, torque holds it; else thrust does.
+        """
+        y = self.seen(x, error_bound)
+        broken, fit = self.fit(y, result.h[: len(CONSTRAINTS)])
+        control, safe, changed = self.committed(y, result.control, broken, fit)
+        group = torch.tensor(of_torque, device=x.device).long()
+        kept = safe[group]
+        kept[: MOTION + ATTITUDE] &= ~broken[: MOTION + ATTITUDE]
+        kept[MOTION + ATTITUDE : len(CONSTRAINTS)] &= ~broken[-1]
+        kept[len(CONSTRAINTS) :] = False
+        slack = result.slack.masked_fill(kept, 0.0)
+        yields = torch.stack([(slack[group == i] > SLACK_ROUNDED).any(0) for i in range(2)])
+        status = torch.where(changed, result.program_status.clamp(min=Status.HARD), result.program_status)
+        status = torch.where(safe & ~yields & (status == Status.SLACK), Status.HARD, status)
+        return replace(
+            result,
+            control=control,
+            intervened=(control != desired).any(0),
+            verified=safe.all(0) & ~broken.any(0),
+            backup=changed.any(0),
+            slack=slack,
+            status=status.amax(0),
+            program_status=status,
+        )
+
+    def committed(self, y: Tensor, u: Tensor, broken: Tensor, fit: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """What is applied in the place of proposed controls (6, B).
+
+        Args:
+            broken, fit: as of `fit`.
+
+        Returns:
+            Controls (6, B); (2, B) bool: thrust and torque are safe; (2, B) bool: they are other ones.
+        """
+        u = u.clone()
+        safe = self.is_safe(y, u, broken) & fit
+        changed = ~safe & fit
+        for group, own in ((1, TORQUE), (0, THRUST)):
+            columns = torch.nonzero(changed[group]).flatten()
+            if not columns.numel():
+                continue
+            there, asked, others = pick(y, columns), pick(u, columns), pick(broken, columns)
+            law = self.thrust(there, asked[TORQUE]) if group == 0 else self.torque(there)
+
+            def is_safe(
+                at: Tensor, tried: Tensor, there: Tensor = there, others: Tensor = others, group: int = group
+            ) -> Tensor:
+                return self.is_safe(pick(there, at), tried, pick(others, at), (group,))[group]
+
+            control, found = nearest(asked, own, law, is_safe, self.given)
+            put(u, columns, control)
+            put(safe[group], columns, found)
+            if group == 1:  # thrust is looked at again, with the torque that is applied
+                can = pick(fit[0], columns)
+                again = self.is_safe(there, control, others, (0,))[0] & can
+                put(safe[0], columns, again)
+                put(changed[0], columns, ~again & can)
+        self.follow(y, u, safe, changed, broken)
+        return u, safe, changed
+
+
+def nearest(
+    u: Tensor,
+    own: slice,
+    law: Tensor,
+    is_safe: Callable[[Tensor, Tensor], Tensor],
+    given: Callable[[Tensor], Tensor],
+) -> tuple[Tensor, Tensor]:
+    """The first of controls on the way from u (6, M) to the law's (3, M) that is safe, else the law's.
+
+    Args:
+        own: the controls of a group; is_safe: of indices (k,) of M and controls (6, k), (k,) bool.
+        given: what actuators do where controls (6, k) are asked for.
+
+    Returns:
+        Controls (6, M); (M,) bool: they are safe.
+    """
+    there = u.clone()
+    there[own] = law
+    best, found = given(there), torch.zeros_like(u[0], dtype=torch.bool)
+    for share in (*SHARES, 1.0):
+        left = torch.nonzero(~found).flatten()
+        if not left.numel():
+            break
+        one, other = pick(u, left), pick(there, left)
+        tried = (one + share * (other - one)).clamp(torch.minimum(one, other), torch.maximum(one, other))
+        tried = given(tried)
+        safe = is_safe(left, tried)
+        put(best, left[safe], tried[:, safe])
+        put(found, left, safe)
+    return best, found
