@@ -457,6 +457,11 @@ CHECK = [
         ("distance + e_p - c.collision_radius", "distance - e_p - c.collision_radius"),
     ),
     *faults(
+        "rta/backup/turning.py",
+        "rta/backup/test_turn.py -k heat",
+        ("max(math.asin(min(self.c.temperature_sun_slope * self.rate / sun, 1.0)), FULL)", "FULL"),
+    ),
+    *faults(
         "rta/backup/turn.py",
         "rta/backup/test_turn.py",
         ("(wanted(x, w) - x[OMEGA]) / w.tau - torch", "(wanted(x, w) - x[OMEGA]) / w.tau + torch"),

@@ -273,7 +273,7 @@ def from_here(start: Start, w: Turning) -> Tensor:
     sun, earth, _ = heating(c)
     net = (temperature_rate(none, none, hot, c) + earth).clamp(min=0.0)
     gain = sun * (light / slow + w.lit) + net * ((begin - slower) / slow + w.facing) + earth * w.rolling
-    warm = (c.temperature_sun_slope + c.temperature_earth_slope) * right
+    warm = c.temperature_sun_slope * w.dim + c.temperature_earth_slope * right
     temperature = c.max_temperature - hot.clamp(min=w.warmest) - gain - warm
     return lowest(torch.stack((exclusion, temperature, battery)))
 

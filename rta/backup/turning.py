@@ -16,12 +16,12 @@ from rta.backup.flight import Flight
 from rta.bounds.uncertainty import Uncertainty
 from rta.parameters import RtaParameters
 
-POINTING, ROLLING = 0.13, 0.09  # kappa, of pointing and of rolling, as shares of g / tau
-ROLL = 0.6  # of W
-SATURATED = 0.9  # rad, from which on the panels turn at W: before the battery is at its lowest
-BEGINS, FULL = 0.4, 0.25  # rad from the Sun, at which the roll begins, and at which it is full
+POINTING, ROLLING = 0.123, 0.098  # kappa, of pointing and of rolling, as shares of g / tau
+ROLL = 0.9  # of W
+SATURATED = 0.84  # rad, from which on the panels turn at W: before the battery is at its lowest
+BEGINS, FULL = 0.32, 0.2  # rad from the Sun, at which the roll begins, and at which it is full
 OVERSHOOT = 1.2  # of a hold's G t / tau at most: an error may change its sign, and leaves a fifth
-TORQUE_LEFT = 1.85  # of max_rate, that rates may be from the law's: what a torque brings them to in tau
+TORQUE_LEFT = 1.745  # of max_rate, that rates may be from the law's: what a torque brings them to in tau
 LOOKAHEAD = 4.0  # times tau / g, of `followed`
 ROOT2, ROOT3 = math.sqrt(2.0), math.sqrt(3.0)
 TURNS, FALLS = 80, 100  # of a fixed point's iteration; parts of the fall of delta
@@ -150,6 +150,12 @@ class Turning:
     def worst(self) -> float:
         """rad/s^2, of each axis, that the model does not know of, within the limits of the rates."""
         return max(self.spin) * self.c.max_rate**2 + self.unknown * ROOT3 * self.c.max_rate
+
+    @property
+    def dim(self) -> float:
+        """rad from the Sun, down to which a way warms the surface by more than the limit gives way to less light."""
+        sun, _, _ = heating(self.c)
+        return max(math.asin(min(self.c.temperature_sun_slope * self.rate / sun, 1.0)), FULL)
 
     def pace(self, delta: float) -> float:
         """rad/s, at which the panels turn so far from the Sun, in rad."""

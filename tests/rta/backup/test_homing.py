@@ -202,7 +202,7 @@ LEFT_THE_ZONE = [-689.517, -118.445, 35.9689, -3.17297, -0.4764, -3.54167, 0.751
                  -0.0237629, 0.0284278, -0.0326149, 5.26168, 6.07567, 2.28658]  # fmt: skip
 
 
-@pytest.mark.parametrize("told", [{"torque_gain": 0.6}, {"rate": 0.3}, {"longest_hold": 10.0}])
+@pytest.mark.parametrize("told", [{"torque_gain": 0.6, "rate": 0.2}, {"rate": 0.3}, {"attitude": 3.0}])
 def test_starts_have_a_way_also_where_only_thrust_is_checked(told: dict[str, float]) -> None:
     """With torque gains off by 0.6 and full thrust outwards a start without one left the zone by 1.9 m."""
     safety = SafetyFilter(C, R, known=Uncertainty(**told))

@@ -16,7 +16,7 @@ from inspection.model.parameters import InspectionParameters
 from inspection.model.state import CONTROL_SIZE, OMEGA, SIZE, TORQUE, E, Q, T
 from kernels import Compiled
 from rta.backup.turn import Spread, TurnBackup, beginning, followed, law, verified, wanted
-from rta.backup.turning import Turning
+from rta.backup.turning import Turning, heating
 from rta.bounds.prediction import KINDS, predicted
 from rta.bounds.uncertainty import Uncertainty
 from rta.filter import SafetyFilter
@@ -254,13 +254,15 @@ def test_errors_of_rates_stay_below_their_bounds(defect: dict[str, Any], at_law_
 
 @pytest.mark.parametrize("is_told", [True, False])
 def test_panels_fall_behind_far_from_the_sun(is_told: bool) -> None:
-    """The law turns slower than W beyond 130 deg; a bound that takes W for it is seen to be broken."""
-    found = backup()
+    """The law turns slower than W beyond 132 deg; a bound that takes W for it is seen to be broken."""
+    known = replace(U1, latency=0, longest_hold=0.0)
+    found = backup(known)
     w, x = found.turning, hypercube(40_000, 5, C)
     angle = (-sun_and_earth_in_body(x)[0][0]).arccos()  # of the panels
-    x = x[:, (angle > math.radians(131.0)) & (angle < math.radians(139.5))][:, :400]
+    x = x[:, (angle > math.radians(132.0)) & (angle < math.radians(139.5))][:, :400]
     x[OMEGA] = wanted(x, w) + C.mean_motion * rotation_matrix(x[Q])[2]
-    world = World(x, U1, R, 6)
+    world = World(x, known, R, 6)
+    world.turning = w
     true, none = x.clone(), torch.zeros_like(x[0])
     true[OMEGA] = world.rates()
     start = beginning(true, Spread(none, none, none, none, none), w)
@@ -271,6 +273,18 @@ def test_panels_fall_behind_far_from_the_sun(is_told: bool) -> None:
         sun, _ = sun_and_earth_in_body(world.x)
         broken += int(((-sun[0]).arccos() > most + ROUNDED).sum())
     assert (broken == 0) == is_told, broken
+
+
+@pytest.mark.parametrize("slope", [0.05, 0.16, 0.3])
+def test_the_limit_of_heat_is_least_in_the_end_but_for_light_of_a_dim_sun(slope: float) -> None:
+    """At most as much as the surface is warmer where the panels have come to, with light from `dim`."""
+    w = backup().turning
+    w = replace(w, c=replace(C, temperature_sun_slope=slope))
+    angle = torch.linspace(math.pi / 2, 0.0, 20_001, dtype=torch.float64)
+    pace = (w.kappa * angle.sin()).clamp(max=w.rate)
+    light = (angle.sin() / pace)[:-1] * (angle[0] - angle[1])
+    warmer = torch.cat((angle[:1] * 0.0, (heating(w.c)[0] * light).cumsum(0)))
+    assert (warmer + slope * angle <= warmer[-1] + slope * w.dim + 1e-4).all()
 
 
 UNTOLD = {
@@ -301,10 +315,10 @@ def test_bounds_without_a_rest_have_no_check() -> None:
 
 
 def test_an_attitude_that_is_not_checked_can_break_a_limit() -> None:
-    """With torque gains off by 0.5, from a start that is accepted: what was flown elsewhere is no promise."""
-    safety = SafetyFilter(C, known=Uncertainty(torque_gain=0.5))
+    """From a start that is accepted, with torque gains off by 0.5: what was flown elsewhere is no promise."""
+    safety = SafetyFilter(C, known=Uncertainty(torque_gain=0.5, rate=0.05))
     assert safety.unchecked == ["attitude"]
-    start = """-29.19113607 1.84431565 -10.45851161  -0.00527415 -0.3152207 0.30496715
+    start = """100 0 0  0 0 0
                0.60185129 0.65051919 -0.05255201 -0.46025873  0.01196009 0.01766524 -0.01720103
                9.991737365722656 7 1.84094703"""
     x = torch.tensor([*map(float, start.split())], dtype=torch.float64)[:, None]
