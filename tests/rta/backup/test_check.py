@@ -11,7 +11,8 @@ from torch import Tensor
 
 from inspection.model.parameters import InspectionParameters
 from inspection.model.state import CONTROL_SIZE, THRUST, TORQUE, P, V
-from rta.backup.check import LIMITS, SHARES, Backup, nearest
+from rta.backup.check import Backup
+from rta.backup.commit import LIMITS, SHARES, nearest
 from rta.backup.motion_law import field
 from rta.backup.terminal import CALM
 from rta.bounds.uncertainty import Uncertainty
@@ -144,7 +145,7 @@ def test_what_replaces_a_control_is_the_first_safe_share_of_the_way_to_the_law(h
     x = x[:, backup.has_way(x)][:, :300]
     u = opposite(backup.law(x), C)
     none = torch.zeros(LIMITS, x.shape[1], dtype=torch.bool)
-    control, safe, changed = backup.committed(x, u, none, none[0])
+    control, safe, changed = backup.committed(x, u, none, ~none[:2])
     assert safe.all()
     assert torch.equal(changed[1], ~backup.is_safe(x, u, none)[1]) and changed.sum() > 5
     with_torque = torch.cat((u[THRUST], control[TORQUE]))

@@ -5,7 +5,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from rta.backup.check import ENDS, KEPT, MOTION
+from rta.backup.check import ENDS, KEPT
+from rta.backup.commit import MOTION
 from tests.rta.backup.brute_force import moved
 from tests.rta.backup.flights import CASES, backup, everywhere, in_c, least_of, opposite, safety, vehicle
 

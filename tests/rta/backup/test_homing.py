@@ -1,6 +1,7 @@
 """Thrust that is checked within bounds: whatever is asked for, no limit of motion breaks in U1's world at its worst."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 
 import pytest
@@ -11,7 +12,8 @@ from inspection.model.parameters import InspectionParameters
 from inspection.model.state import CONTROL_SIZE, OMEGA, SIZE, THRUST, P, V
 from kernels import Compiled
 from rta.backup.haven import Haven
-from rta.backup.homing import Homing, at_a_glance, calls, closely, held, may_be_kept
+from rta.backup.homing import at_a_glance, calls, closely, held, may_be_kept
+from rta.backup.told import ToldBackup
 from rta.bounds.prediction import KINDS
 from rta.bounds.uncertainty import Uncertainty
 from rta.filter import SafetyFilter
@@ -19,10 +21,11 @@ from rta.parameters import RtaParameters
 from study.verification.starts import safe_set
 from tests.rta.backup.brute_force import hypercube, motion
 from tests.rta.backup.test_cone import accepts, beside
-from tests.rta.backup.told_world import U1, C, R, World, flown
+from tests.rta.backup.told_world import U1, C, R, World, committed, flown, is_safe, of_thrust
 
-HOMING = Homing.of(C, R, U1)
-assert HOMING
+HOMING = of_thrust(C, R, U1)
+assert HOMING and HOMING.haven
+HAVEN = HOMING.haven
 COUNT = 120
 
 
@@ -34,34 +37,34 @@ def starts(seed: int) -> Tensor:
     return x[:, torch.linspace(0, x.shape[1] - 1, COUNT).long()]
 
 
-class InC(Homing):
+class InC(ToldBackup):
     """The check, of which what a control leads to is computed in C."""
 
     def __init__(self, haven: Haven, r: RtaParameters) -> None:
-        super().__init__(haven, r)
+        super().__init__(haven, None, r)
         examples = (torch.ones(size, 1, dtype=torch.float64) for size in (SIZE + KINDS, CONTROL_SIZE))
         self.looked_at = Compiled(self.look, *examples, long=haven.free.cells)
 
     def look(self, y: Tensor, u: Tensor) -> list[Tensor]:
-        hold = held(y[:SIZE], u, y[SIZE:], self.haven, self.r)
-        return [torch.stack((at_a_glance(hold, self.haven), closely(hold, self.haven)))]
+        hold = held(y[:SIZE], u, y[SIZE:], HAVEN, self.r)
+        return [torch.stack((at_a_glance(hold, HAVEN), closely(hold, HAVEN)))]
 
-    def thrust_is_safe(self, y: Tensor, u: Tensor) -> Tensor:
-        return (self.looked_at(y, u)[0] >= 0.0).any(0)
+    def is_safe(self, y: Tensor, u: Tensor, broken: Tensor, asked: Sequence[int] = (0, 1)) -> Tensor:
+        return (self.looked_at(y, u)[0] >= 0.0).any(0).repeat(2, 1)
 
 
 @pytest.fixture(scope="module")
-def in_c() -> Homing:
+def in_c() -> ToldBackup:
     """HOMING in C, which answers alike."""
-    found, x, generator = InC(HOMING.haven, R), starts(8), torch.Generator().manual_seed(9)
+    found, x, generator = InC(HAVEN, R), starts(8), torch.Generator().manual_seed(9)
     further = torch.rand(
         KINDS, COUNT, generator=generator, dtype=x.dtype
     )  # than measured, m, m/s, rad and rad/s
     y = torch.cat((x, torch.tensor([0.1, 0.01, 0.005, 0.001], dtype=x.dtype)[:, None] * further))
     u = torch.rand(CONTROL_SIZE, COUNT, generator=generator, dtype=x.dtype) - 0.5
     u *= torch.tensor(C.control_limit, dtype=x.dtype)[:, None]
-    safe = HOMING.thrust_is_safe(y, u)
-    assert 10 < safe.sum() < COUNT and torch.equal(found.thrust_is_safe(y, u), safe)
+    safe = is_safe(HOMING, 0, y, u)
+    assert 10 < safe.sum() < COUNT and torch.equal(is_safe(found, 0, y, u), safe)
     return found
 
 
@@ -72,7 +75,7 @@ class Demands:
         refused, verified, asked: how many demands were, of how many.
     """
 
-    def __init__(self, homing: Homing | None, seed: int) -> None:
+    def __init__(self, homing: ToldBackup | None, seed: int) -> None:
         self.homing, self.generator = homing, torch.Generator().manual_seed(seed)
         self.refused = self.verified = self.asked = 0
 
@@ -86,16 +89,16 @@ class Demands:
         )
         u = torch.cat((C.max_thrust * body / body.abs().amax(0).clamp(min=1e-9), torque))
         if self.homing:
-            u, kept, changed = self.homing.committed(x, u, bound)
+            u, kept, changed = committed(self.homing, 0, x, u, bound)
             self.refused, self.verified = self.refused + int(changed.sum()), self.verified + int(kept.sum())
         self.asked += count
         return u[THRUST]
 
 
 @pytest.mark.parametrize(("how", "misses"), [("steady", "random"), ("worst", "always")])
-def test_no_limit_breaks_whatever_is_asked(how: str, misses: str, in_c: Homing) -> None:
+def test_no_limit_breaks_whatever_is_asked(how: str, misses: str, in_c: ToldBackup) -> None:
     x, demands = starts(1), Demands(in_c, 2)
-    least, _, _ = flown(x, HOMING.haven, World(COUNT, 3, how, misses), 60.0, 20.0, demands)
+    least, _, _ = flown(x, HAVEN, World(COUNT, 3, how, misses), 60.0, 20.0, demands)
     assert (least >= 0.0).all(), least.min(1)
     assert 0.1 < demands.refused / demands.asked < 0.95 and demands.verified > demands.asked / 4
 
@@ -103,14 +106,14 @@ def test_no_limit_breaks_whatever_is_asked(how: str, misses: str, in_c: Homing) 
 @pytest.mark.parametrize("coarse", [{"thrust_quantum": 0.1}, {"minimum_thrust": 0.02}], ids=str)
 def test_thrusters_that_give_some_values_only_break_no_limit(coarse: dict[str, float]) -> None:
     """What is proposed is rounded before it is looked at, and so is what replaces it."""
-    homing = Homing.of(
+    homing = of_thrust(
         C,
         R,
         known := Uncertainty(
             latency=1, longest_hold=1.0, position=0.1, velocity=0.001, thrust_misalignment=1.0, **coarse
         ),
     )
-    assert homing and homing.haven.known.acceleration > 0.0
+    assert homing and homing.haven and homing.haven.known.acceleration > 0.0
     x, proposals = starts(1), Demands(None, 2)
     x, refused = x[:, homing.has_way(x)], 0
     assert x.shape[1] > COUNT / 3
@@ -118,7 +121,7 @@ def test_thrusters_that_give_some_values_only_break_no_limit(coarse: dict[str, f
     def law(x: Tensor, torque: Tensor, bound: Tensor) -> Tensor:
         nonlocal refused
         u = torch.cat((known.given(proposals(x, torque, bound), C.max_thrust), torque))
-        u, _, changed = homing.committed(x, u, bound)
+        u, _, changed = committed(homing, 0, x, u, bound)
         assert torch.equal(known.given(u[THRUST], C.max_thrust), u[THRUST])
         refused += int(changed.sum())
         return u[THRUST]
@@ -129,15 +132,13 @@ def test_thrusters_that_give_some_values_only_break_no_limit(coarse: dict[str, f
 
 
 def test_unchecked_the_same_demands_break_limits() -> None:
-    least, _, _ = flown(
-        starts(1), HOMING.haven, World(COUNT, 3, "steady", "random"), 100.0, 20.0, Demands(None, 2)
-    )
+    least, _, _ = flown(starts(1), HAVEN, World(COUNT, 3, "steady", "random"), 100.0, 20.0, Demands(None, 2))
     assert (least.min(1)[[1, 2, 3]] < 0.0).all()
 
 
 def test_a_check_that_forgets_missed_calls_lets_limits_break() -> None:
-    forgetful = Homing.of(C, R, replace(U1, longest_hold=1.0))
-    assert forgetful and calls(forgetful.haven) == 1
+    forgetful = of_thrust(C, R, replace(U1, longest_hold=1.0))
+    assert forgetful and forgetful.haven and calls(forgetful.haven) == 1
     demands = Demands(forgetful, 2)
     least, _, _ = flown(starts(1), forgetful.haven, World(COUNT, 3, "worst", "always"), 60.0, 20.0, demands)
     assert least.min() < 0.0
@@ -146,17 +147,17 @@ def test_a_check_that_forgets_missed_calls_lets_limits_break() -> None:
 def test_what_is_verified_ends_where_a_way_begins() -> None:
     """The true state after a hold that was verified has a way, however long the hold, wherever it began."""
     x, world = starts(4), World(COUNT, 5, "worst", "random")
-    seen, bound = world.sees(x, HOMING.haven), torch.zeros(4, COUNT, dtype=torch.float64)
+    seen, bound = world.sees(x, HAVEN), torch.zeros(4, COUNT, dtype=torch.float64)
     demands = Demands(None, 6)
     torque = torch.zeros(3, COUNT, dtype=torch.float64)
     u = torch.cat((demands(seen, torque, bound), torque))
-    safe = HOMING.thrust_is_safe(torch.cat((seen, bound)), u)
+    safe = is_safe(HOMING, 0, torch.cat((seen, bound)), u)
     assert 10 < safe.sum() < COUNT
     for calls_held in (1, 2, 3):
         world = World(COUNT, 5, "worst", "random")
         world.held_for = lambda count=calls_held: count  # type: ignore[method-assign]
         world.asks_torque = lambda _: torque  # type: ignore[method-assign]
-        _, end, _ = flown(x, HOMING.haven, world, float(calls_held), None, lambda *_: u[THRUST])
+        _, end, _ = flown(x, HAVEN, world, float(calls_held), None, lambda *_: u[THRUST])
         assert accepts(end)[safe].all()
 
 
@@ -164,11 +165,11 @@ def test_only_what_may_still_be_kept_is_checked() -> None:
     x = hypercube(300, 7, C)
     none = torch.zeros(4, 300, dtype=torch.float64)
     kept = torch.from_numpy(motion(x[P].numpy(), x[V].numpy(), C, None).min(0)) >= 0.0
-    assert (may_be_kept(x, none, HOMING.haven) >= 0.0)[kept].all()
+    assert (may_be_kept(x, none, HAVEN) >= 0.0)[kept].all()
     x[V] *= 3.0
     x[P] *= 800.0 / x[P].norm(dim=0)
     broken = (x[V].norm(dim=0) > 7.0) | (x[V].abs().amax(0) > 5.2)
-    assert broken.any() and (may_be_kept(x, none, HOMING.haven) < 0.0)[broken].all()
+    assert broken.any() and (may_be_kept(x, none, HAVEN) < 0.0)[broken].all()
 
 
 def test_a_limit_may_be_kept_as_far_beyond_it_as_a_state_may_be_off() -> None:
@@ -184,7 +185,7 @@ def test_a_limit_may_be_kept_as_far_beyond_it_as_a_state_may_be_off() -> None:
         ):
             x = torch.zeros(SIZE, 1, dtype=torch.float64)
             x[P.start], x[V.start + 1] = distance, speed
-            assert (may_be_kept(x, further, HOMING.haven) >= 0.0) == kept, (distance, speed)
+            assert (may_be_kept(x, further, HAVEN) >= 0.0) == kept, (distance, speed)
 
 
 def test_where_no_haven_is_known_there_is_no_check() -> None:
@@ -194,8 +195,8 @@ def test_where_no_haven_is_known_there_is_no_check() -> None:
         replace(U1, minimum_thrust=0.02),
         replace(U1, velocity=0.3),
     ):
-        assert Homing.of(C, R, told) is None
-    assert Homing.of(InspectionParameters(orbit="two-body"), R, U1) is None
+        assert of_thrust(C, R, told) is None
+    assert of_thrust(InspectionParameters(orbit="two-body"), R, U1) is None
 
 
 LEFT_THE_ZONE = [-689.517, -118.445, 35.9689, -3.17297, -0.4764, -3.54167, 0.751987, -0.532918, 0.352355, -0.162358,
@@ -206,8 +207,8 @@ LEFT_THE_ZONE = [-689.517, -118.445, 35.9689, -3.17297, -0.4764, -3.54167, 0.751
 def test_starts_have_a_way_also_where_only_thrust_is_checked(told: dict[str, float]) -> None:
     """With torque gains off by 0.6 and full thrust outwards a start without one left the zone by 1.9 m."""
     safety = SafetyFilter(C, R, known=Uncertainty(**told))
-    assert safety.homing and not safety.turn
+    assert safety.backup and safety.checked == (True, False)
     without_a_way = torch.tensor(LEFT_THE_ZONE, dtype=torch.float64)[:, None]
     assert (safety.values(without_a_way) >= 0.0).all() and not safety.is_safe(without_a_way)
     x, _, _ = safe_set(200, 9, safety)
-    assert safety.is_safe(x).all() and safety.homing.has_way(x).all()
+    assert safety.is_safe(x).all() and safety.backup.has_way(x).all()

@@ -1,7 +1,7 @@
 """The turn to the Sun within bounds, flown in worlds at their corners: exclusion, temperature, battery, rates hold."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -15,13 +15,15 @@ from inspection.model.dynamics import Body, step, sun_and_earth_in_body
 from inspection.model.parameters import InspectionParameters
 from inspection.model.state import CONTROL_SIZE, OMEGA, SIZE, TORQUE, E, Q, T
 from kernels import Compiled
-from rta.backup.turn import Spread, TurnBackup, beginning, followed, law, verified, wanted
+from rta.backup.told import ToldBackup
+from rta.backup.turn import Spread, beginning, followed, law, verified, wanted
 from rta.backup.turning import Turning, heating
 from rta.bounds.prediction import KINDS, predicted
 from rta.bounds.uncertainty import Uncertainty
 from rta.filter import SafetyFilter
 from rta.parameters import RtaParameters
 from tests.rta.backup.brute_force import attitude, hypercube, moved
+from tests.rta.backup.told_world import committed, is_safe, of_torque
 
 C, R = InspectionParameters(), RtaParameters()
 U1 = Uncertainty(
@@ -39,8 +41,8 @@ SUBSTEP = 0.25  # s
 ROUNDED = 1e-9
 
 
-def backup(known: Uncertainty = U1, r: RtaParameters = R) -> TurnBackup:
-    found = TurnBackup.of(C, r, known)
+def backup(known: Uncertainty = U1, r: RtaParameters = R) -> ToldBackup:
+    found = of_torque(C, r, known)
     assert found is not None
     return found
 
@@ -128,7 +130,7 @@ class World:
         return path
 
 
-def starts(found: TurnBackup, count: int, seed: int) -> Tensor:
+def starts(found: ToldBackup, count: int, seed: int) -> Tensor:
     """States (16, count) from which a way is verified, every other one as hot, or as empty, as is accepted."""
     x = hypercube(6 * count, seed, C)
     x = x[:, found.has_way(x) & torch.from_numpy((attitude(x.numpy(), C) >= 0.0).all(0))][:, :count]
@@ -147,7 +149,7 @@ def starts(found: TurnBackup, count: int, seed: int) -> Tensor:
     return x
 
 
-def at_law(found: TurnBackup) -> Callable[[Tensor, Tensor], Tensor]:
+def at_law(found: ToldBackup) -> Callable[[Tensor, Tensor], Tensor]:
     return lambda x, bound: torch.cat((torch.zeros_like(x[:3]), law(x, found.turning)))
 
 
@@ -175,20 +177,20 @@ def test_the_law_keeps_the_limits_from_the_edge_whatever_is_measured(
     ).double().mean() > 0.9  # some still leave the cold attitude that is no place of rest
 
 
-class InC(TurnBackup):
+class InC(ToldBackup):
     """The check, of which what a control leads to is computed in C."""
 
     def __init__(self, turning: Turning) -> None:
-        super().__init__(turning)
+        super().__init__(None, turning, R)
         examples = (torch.ones(size, 1, dtype=torch.float64) for size in (SIZE, CONTROL_SIZE, KINDS))
         self.verified = Compiled(lambda x, u, e: [verified(x, u, e, turning)[None]], *examples)
 
-    def torque_is_safe(self, y: Tensor, u: Tensor) -> Tensor:
-        return self.verified(y[:SIZE], u, y[SIZE:])[0][0] >= 0.0
+    def is_safe(self, y: Tensor, u: Tensor, broken: Tensor, asked: Sequence[int] = (0, 1)) -> Tensor:
+        return self.verified(y[:SIZE], u, y[SIZE:])[0].repeat(2, 1) >= 0.0
 
 
 @pytest.fixture(scope="module")
-def in_c() -> TurnBackup:
+def in_c() -> ToldBackup:
     """The check of U1 in C, which answers alike."""
     told, generator = backup(), torch.Generator().manual_seed(9)
     found, x = InC(told.turning), hypercube(900, 8, C)
@@ -199,12 +201,12 @@ def in_c() -> TurnBackup:
     bound = torch.tensor([0.1, 0.01, 1e-3, 1e-4], dtype=x.dtype)[:, None] * further
     y, u = torch.cat((x, bound)), torch.zeros(CONTROL_SIZE, 90, dtype=x.dtype)
     u[TORQUE] = C.max_torque / 2 * (2 * torch.rand(3, 90, generator=generator, dtype=x.dtype) - 1)
-    safe = told.torque_is_safe(y, u)
-    assert 10 < safe.sum() < 80 and torch.equal(found.torque_is_safe(y, u), safe)
+    safe = is_safe(told, 1, y, u)
+    assert 10 < safe.sum() < 80 and torch.equal(is_safe(found, 1, y, u), safe)
     return found
 
 
-def test_any_torque_is_asked_for_and_no_limit_breaks(in_c: TurnBackup) -> None:
+def test_any_torque_is_asked_for_and_no_limit_breaks(in_c: ToldBackup) -> None:
     found = in_c
     world = World(starts(found, 90, 3), U1, R, 4)
     limit, acted = C.max_torque * torch.linspace(0.02, 1.0, 90, dtype=torch.float64), 0
@@ -216,7 +218,7 @@ def test_any_torque_is_asked_for_and_no_limit_breaks(in_c: TurnBackup) -> None:
         # towards the limit of the rates, or the camera to the Sun
         away = (x[OMEGA] - wanted(x, found.turning)).sign() * limit
         asked = torch.where(torch.arange(90) % 2 == 0, torque, away)
-        u, verified, changed = found.committed(x, torch.cat((torch.zeros_like(asked), asked)), bound)
+        u, verified, changed = committed(found, 1, x, torch.cat((torch.zeros_like(asked), asked)), bound)
         acted += int(changed.sum())
         assert not (~verified & ~changed).any()
         for x in world.fly(u, misses=k > 0):
@@ -309,9 +311,9 @@ def test_a_limit_breaks_where_the_check_is_not_told(what: str) -> None:
 def test_bounds_without_a_rest_have_no_check() -> None:
     assert SafetyFilter().turn is None
     for wide in ({"rate": 0.5}, {"attitude": 20.0}, {"torque_gain": 0.9}, {"health": True}):
-        assert TurnBackup.of(C, R, replace(U1, **wide)) is None
-    assert TurnBackup.of(replace(C, solar_panel_axis="+x"), R, U1) is None
-    assert TurnBackup.of(replace(C, orbit="two-body", eccentricity=0.1), R, U1) is None
+        assert of_torque(C, R, replace(U1, **wide)) is None
+    assert of_torque(replace(C, solar_panel_axis="+x"), R, U1) is None
+    assert of_torque(replace(C, orbit="two-body", eccentricity=0.1), R, U1) is None
 
 
 def test_an_attitude_that_is_not_checked_can_break_a_limit() -> None:

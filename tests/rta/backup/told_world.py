@@ -11,7 +11,9 @@ from inspection.model.dynamics import Body
 from inspection.model.parameters import InspectionParameters
 from inspection.model.state import OMEGA, THRUST, TORQUE, P, V
 from inspection.world.corners import displaced
+from rta.backup.commit import LIMITS
 from rta.backup.haven import Haven, thrust
+from rta.backup.told import ToldBackup
 from rta.bounds.prediction import predicted
 from rta.bounds.uncertainty import Uncertainty
 from rta.parameters import RtaParameters
@@ -133,3 +135,29 @@ def flown(
                 time += LOOK
                 least = np.minimum(least, motion(x[P].numpy(), x[V].numpy(), C, spacing))
     return least, x, states
+
+
+def of_thrust(c: InspectionParameters, r: RtaParameters, known: Uncertainty) -> ToldBackup | None:
+    """The check of thrust alone; None: no haven is known."""
+    check = ToldBackup.of(c, r, known)
+    return ToldBackup(check.haven, None, r) if check and check.haven else None
+
+
+def of_torque(c: InspectionParameters, r: RtaParameters, known: Uncertainty) -> ToldBackup | None:
+    """The check of torque alone; None: no way to rest is known."""
+    check = ToldBackup.of(c, r, known)
+    return ToldBackup(None, check.turning, r) if check and check.turning else None
+
+
+def committed(
+    check: ToldBackup, group: int, x: Tensor, u: Tensor, bound: Tensor
+) -> tuple[Tensor, Tensor, Tensor]:
+    """What is applied in the place of controls (6, B), and whether those of a group are safe, and others."""
+    y = check.seen(x, bound)
+    control, safe, changed = check.committed(y, u, *check.fit(y, y))
+    return control, safe[group], changed[group]
+
+
+def is_safe(check: ToldBackup, group: int, y: Tensor, u: Tensor) -> Tensor:
+    """(B,) bool: a group of controls (6, B) is."""
+    return check.is_safe(y, u, torch.zeros_like(y[:LIMITS], dtype=torch.bool), (group,))[group]
