@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 from inspection.model.state import TORQUE
-from kernels import Printed, printed
+from kernels import Printed, if_long, printed
 from rta.backup import homing, turn
 from rta.backup.check import ATTITUDE, KEPT, LIMITS, MOTION, RATES_ROUNDED, SHARES, SLACK_ROUNDED, Backup
 from rta.backup.flight import CELLS
@@ -40,10 +40,10 @@ def checks(safety_filter: "SafetyFilter") -> list[Printed]:
         return told
     if safety_filter.backup is None:
         return []
-    b = safety_filter.backup
+    b, planes = safety_filter.backup, if_long(len(safety_filter.c.planes))  # of a hull
     holds = all_printed(
         ("flown", lambda x, u: list(b.hold(x, u)), (x, u), ("x", "control"), ("after", "least")),
-        long=CELLS[0],
+        long=planes or CELLS[0],
     )
     return holds + all_printed(
         ("turned", lambda x, u: list(turn_in(x, u, b.flight)), (x, u), ("x", "control"), ("after", "least")),
@@ -51,6 +51,7 @@ def checks(safety_filter: "SafetyFilter") -> list[Printed]:
         ("terminal_room", lambda x: [b.terminal.room(x)], (x,), ("x",), ("room",)),
         ("backup_torque", lambda x: [b.torque(x)], (x,), ("x",), ("torque",)),
         ("backup_thrust", lambda x, torque: [b.thrust(x, torque)], (x, u[TORQUE]), ("x", "torque"), ("thrust",)),
+        long=planes,
     )  # fmt: skip
 
 
