@@ -12,6 +12,9 @@ a share s of the way, by at most e_p in position and e_v in velocity. Each limit
                         largest |p''(t)|. So all paths from all of a chord within dt lie in the hull of four points,
                         which is beyond the sphere if m . p > R at each of them for one direction m
 
+Beside a hull the collision's z and v_r are heights above a plane and speeds away from it, linear both, and m is a
+plane's normal; of all planes the best counts.
+
 What the path strays counts as it is: e_p and e_v, and in free flight |Phi_rr| e_p + |Phi_rv| e_v.
 """
 
