@@ -17,7 +17,7 @@ from inspection.model.state import OMEGA, E, P, T, V
 from rta.backup.attitude_law import Pointing
 from rta.backup.chords import FreeFlight, Strays, between
 from rta.backup.flight import Flight, incidence
-from rta.backup.motion_law import BACK, BESIDE, DRIFT, INSIDE, STEEP, Braking
+from rta.backup.motion_law import BESIDE, DRIFT, INSIDE, STEEP, Braking
 from rta.backup.terminal import TerminalSet
 
 SLOWER = 0.8  # of the law's rate, at which the panels turn to the Sun at least
@@ -111,10 +111,6 @@ class Coarse:
         )
         e_v = holds * w.astray * w.thrust * t + (push * turn + 2 * n * w.thrust + 3 * n**2 * speed) * t**2 / 8
         e_v = e_v + torch.where(fields, DRIFT, torch.zeros_like(speed))
-        if c.planes:
-            e_v = e_v + torch.where(
-                far - length / 2 < c.collision_radius + 1.0, BACK, torch.zeros_like(speed)
-            )
         e_p = e_v * (holds * t + self.arrives * torch.where(fields, 1.0, torch.full_like(speed, 0.05)))
         limits = between(start, rest, Strays(e_p + sag, e_v, e_v), c, self.free)
         # where the law takes the way to end, at first and at last: on the way the point moves from the one to the other

@@ -32,7 +32,6 @@ SPARE = 0.997  # of thrust, used along the zone: what f changes by on the way, 2
 SURPLUS = 1.02  # of N, for what a hold and rounding leave out of it
 DRIFT = 0.02  # m/s, of the field beside the chief and at the edge of the zone
 STEEP = 5e-4  # 1/s, by which it falls off with distance, and rises beyond either limit
-DEEP = 0.02  # 1/s, by which it rises within the radius of collision beside a hull
 BACK = 0.1  # m/s more, beyond a limit at most
 BESIDE = 4.0 / 3.0  # of the radius of collision, up to which it leads outwards
 
@@ -77,7 +76,7 @@ def field(p: Tensor, c: Limits) -> Tensor:
     beside, edge = BESIDE * c.collision_radius, c.max_distance - INSIDE
     out = (DRIFT - STEEP * (r - beside)).clamp(0.0, DRIFT)
     back = (DRIFT + STEEP * (r - edge)).clamp(0.0, DRIFT)
-    deep = ((DEEP if c.planes else STEEP) * (c.collision_radius - r)).clamp(0.0, BACK)
+    deep = (STEEP * (c.collision_radius - r)).clamp(0.0, BACK)
     far = (STEEP * (r - c.max_distance)).clamp(0.0, BACK)
     return (out + deep - back - far) / r * p
 
