@@ -396,12 +396,12 @@ CHECK = [
         ("acceleration=known.acceleration + rounded", "acceleration=known.acceleration"),
     ),
     *faults(
-        "rta/backup/check.py",
+        "rta/backup/commit.py",
         "rta/backup/test_homing.py -k some_values",
         ("tried = given(tried)", "pass"),
     ),
     *faults(
-        "rta/backup/check.py",
+        "rta/backup/commit.py",
         "rta/backup/test_check.py -k actuators_give",
         ("best, found = given(there),", "best, found = there.clone(),"),
     ),
@@ -422,14 +422,14 @@ CHECK = [
         ),
     ),
     *faults(
-        "rta/backup/check.py",
+        "rta/backup/commit.py",
         "rta/backup/test_check.py -k first_safe_share",
         ("for share in (*SHARES, 1.0):", "for share in (*SHARES[::-1], 1.0):"),
     ),
     *faults(
-        "rta/backup/check.py",
+        "rta/backup/commit.py",
         "rta/backup/test_check.py -k compiled_check and 10.0 or fail_later",
-        ("put(changed[0], columns, ~again)", "put(changed[0], columns, again)"),
+        ("put(changed[0], columns, ~again & can)", "put(changed[0], columns, again & can)"),
     ),
     *faults(
         "rta/backup/chords.py",
@@ -437,6 +437,18 @@ CHECK = [
         ("/ 8 + e_v + fastest * e_p / nearest", "/ 8 + fastest * e_p / nearest"),
         ("a - e_p - c.collision_radius) + r)", "a - c.collision_radius) + r)"),
         ("free.velocity * times[1] * e_v", "free.velocity * times[0] * e_v"),
+    ),
+    *faults(
+        "rta/backup/chords.py",
+        "rta/backup/test_beside_hull.py -k strays",
+        ("above_planes() - e_v if", "above_planes() if"),
+        ("planes.above(y[P][:, None]) - e_p)", "planes.above(y[P][:, None]))"),
+        ("for corner in corners]).amin(0)", "for corner in corners[:2]]).amin(0)"),
+    ),
+    *faults(
+        "inspection/chief/hull.py",
+        "rta/backup/test_beside_hull.py -k beyond_all",
+        (".intersections, axis=1).max()", ".intersections, axis=1).mean()"),
     ),
     *faults(
         "rta/backup/cone.py",
@@ -513,11 +525,26 @@ IN_C = [
             "for (int group = TORQUES; group >= THRUSTS; --group)",
             "for (int group = TORQUES; group >= TORQUES; --group)",
         ),
+    ),
+    *faults(
+        "rta/printed/driver/flight.c",
+        "rta/backup/test_check.py -k compiled_check and 10.0 or fail_later",
         ("broken[k] = NOT(h[k] >= 0.0);", "broken[k] = NO;"),
         ("turned(x, u, after, &least[MOTION_LIMITS]);", "turned(x, u, after, least);"),
     ),
     *faults(
-        "rta/printed/driver/commit.c",
+        "rta/printed/driver/told.c",
+        "rta/printed/test_driver.py -k in_c_is and u1",
+        (
+            "ends.late[call] = (call + 1 >= LATENCY) ? (bound[1] - grown[call + 1 - LATENCY]) : bound[1];",
+            "ends.late[call] = bound[1];",
+        ),
+        ("return OR(seen, open);", "return seen;"),
+        ("fit[group] = AND(finite, least[group] >= 0.0);", "fit[group] = finite;"),
+        ("bound[1] += apart(&ends->x[call][3], &middle[3]);", ""),
+    ),
+    *faults(
+        "rta/printed/driver/flight.c",
         "rta/backup/test_check.py -k flights_in_c and 1.0",
         ("alive[group] = AND(alive[group], fine[group]);", ""),
         ("found[THRUSTS] = AND(inside[0], AND(inside[3], inside[4]));", "found[THRUSTS] = inside[3];"),
@@ -535,15 +562,19 @@ IN_C = [
         ("copy(&control[3 * group], nothing, 3);", ""),
     ),
     *faults(
-        "rta/printed/driver/numbers.c",
+        "rta/printed/driver/round.c",
         "rta/printed/test_driver.py -k in_c_is and quantum",
-        ("copy(control, given, 3);", "copy(given, control, 3);"),
+        ("control[j] = given[j];", "given[j] = control[j];"),
     ),
     *faults(
         "rta/printed/driver/batch/commit.c",
         "rta/backup/test_check.py -k compiled_check and 1.0 or fail_later",
-        ("const M sure = *hopes & later[0] & later[1];", "const M sure = *hopes & later[0];"),
         ("truths[0] = other != 0;", "truths[0] = 0;"),
+    ),
+    *faults(
+        "rta/printed/driver/batch/hopeful.c",
+        "rta/backup/test_check.py -k compiled_check and 1.0 or fail_later",
+        ("const M sure = *hopes & later[0] & later[1];", "const M sure = *hopes & later[0];"),
         ("if (flights->found[0][lane] & flights->found[1][lane]) {", "if (flights->found[0][lane]) {"),
         ("put_waiting(these, lane, these, flights->count - 1);", ""),
     ),
@@ -557,7 +588,7 @@ IN_C = [
         "rta/printed/driver/batch/batch.c",
         "rta/backup/test_check.py -k compiled_check and 1.0 or fail_later",
         ("look_closely(unsure & ~alone, hopes,", "look_closely(NO, hopes,"),
-        ("fly_hopeful(&hopeful, 1, &refused, out, out_step);", ""),
+        ("    finish(&pending, out, out_step);", ""),
     ),
     *faults(
         "rta/printed/batch.py",

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 import torch
-from scipy.spatial import ConvexHull, QhullError
+from scipy.spatial import ConvexHull, HalfspaceIntersection, QhullError
 from torch import Tensor
 
 from inspection.chief.mesh import path_of, read
@@ -104,6 +104,15 @@ def planes_of(c: Limits, like: Tensor) -> Planes:
 def clearance(p: Tensor, c: Limits) -> Tensor:
     """What is left between deputy and chief at p (3, ...) in m: exact beside a sphere, a lower bound beside a hull."""
     return planes_of(c, p).above(p[:, None]).amax(0) if c.planes else norm(p) - c.collision_radius
+
+
+def farthest(c: Limits) -> float:
+    """m from the chief's centre, beyond which `clearance` is positive."""
+    if not c.planes:
+        return c.collision_radius
+    planes = planes_of(c, torch.zeros(3, dtype=torch.float64))
+    sides = torch.cat((planes.normals, -planes.offsets[None])).T.numpy()
+    return float(np.linalg.norm(HalfspaceIntersection(sides, np.zeros(3)).intersections, axis=1).max())
 
 
 def reach(direction: Tensor, c: Limits) -> Tensor:

@@ -74,8 +74,8 @@ class Backup(Check):
 
     @classmethod
     def of(cls, c: Limits, period: float) -> "Backup | None":
-        """None: no set is known in which flights end. It is on a circle, beside a sphere, cools and charges."""
-        if c.orbit != "clohessy-wiltshire" or c.hill_rotation or c.planes or not has_rest(c):
+        """None: no set is known in which flights end. It is on a circle, cools and charges."""
+        if c.orbit != "clohessy-wiltshire" or c.hill_rotation or not has_rest(c):
             return None
         try:
             return cls(c, period)

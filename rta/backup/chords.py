@@ -12,6 +12,9 @@ a share s of the way, by at most e_p in position and e_v in velocity. Each limit
                         largest |p''(t)|. So all paths from all of a chord within dt lie in the hull of four points,
                         which is beyond the sphere if m . p > R at each of them for one direction m
 
+Beside a hull the collision's z and v_r are heights above a plane and speeds away from it, linear both, and m is a
+plane's normal; of all planes the best counts.
+
 What the path strays counts as it is: e_p and e_v, and in free flight |Phi_rr| e_p + |Phi_rv| e_v.
 """
 
@@ -23,6 +26,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from inspection.chief.hull import planes_of
 from inspection.model.attitude import dot, norm, unit
 from inspection.model.orbit import coast, free_flight, share
 from inspection.model.parameters import Limits
@@ -132,6 +136,12 @@ def between(start: Tensor, end: Tensor, off: Strays, c: Limits, free: FreeFlight
         """sqrt(2 a_max z) in m/s."""
         return torch.where(z > 0.0, (2 * c.max_acceleration * z.clamp(min=0.0)).sqrt(), -NEVER)
 
+    def above_planes() -> Tensor:
+        """sqrt(2 a_max z) + n . v in m/s of the plane where the least of both ends is largest."""
+        planes = planes_of(c, start)
+        each = [braking(planes.above(y[P][:, None]) - e_p) + planes.along(y[V][:, None]) for y in ends]
+        return torch.minimum(*each).amax(0)
+
     collision, zone, limit = [], [], []
     for d, a, r, v in zip(distance, along, radial, speed, strict=True):
         collision.append(braking(a - e_p - c.collision_radius) + r)
@@ -140,7 +150,7 @@ def between(start: Tensor, end: Tensor, off: Strays, c: Limits, free: FreeFlight
     axes = c.max_speed - torch.maximum(start[V].abs(), end[V].abs()) - e_v
     return torch.stack(
         (
-            torch.minimum(*collision) - sag,
+            above_planes() - e_v if c.planes else torch.minimum(*collision) - sag,
             torch.minimum(*limit) - e_speed,
             torch.minimum(*zone) - sag,
             clearance(start, end, e_p, e_v, torch.maximum(*distance), fastest, c, free),
@@ -163,14 +173,17 @@ def clearance(
     cell, times = free.times(start, c)
     corners = [flown(y, t, c) for y in (start, end) for t in times]
     nearest = nearer(corners[0] + corners[2], corners[1] + corners[3]) / 2
-    beyond = torch.full_like(nearest[0], -math.inf)
+    beyond, radius = torch.full_like(nearest[0], -math.inf), c.collision_radius
     for _ in range(1 + free.searches):
         m = unit(nearest)
         corner, along = least_along(m, corners)
         beyond, nearest = torch.maximum(beyond, along), nearer(nearest, corner)
+    if c.planes:
+        planes, radius = planes_of(c, start), 0.0
+        beyond = torch.stack([planes.above(corner[:, None]) for corner in corners]).amin(0).amax(0)
     beyond = beyond - free.velocity * times[1] * e_v
     bend = (free.bend_position * (farthest + e_p) + free.bend_velocity * (fastest + e_v)) * cell**2 / 8
-    return beyond.amin(0) - c.collision_radius - free.position * e_p - bend
+    return beyond.amin(0) - radius - free.position * e_p - bend
 
 
 def flown(y: Tensor, t: Tensor, c: Limits) -> Tensor:

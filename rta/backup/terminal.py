@@ -16,6 +16,7 @@ from functools import cache
 import torch
 from torch import Tensor
 
+from inspection.chief.hull import farthest
 from inspection.model.attitude import dot, norm, rotation_matrix
 from inspection.model.dynamics import energy_rate, euler, temperature_rate
 from inspection.model.parameters import Limits
@@ -54,8 +55,8 @@ class TerminalSet:
 
     @property
     def leaves(self) -> float:
-        """s, that the field takes from a radius of collision to `nearest` at most."""
-        return (self.nearest - self.c.collision_radius) / (DRIFT - CALM)
+        """s, that the field takes from where the bodies touch to `nearest` at most."""
+        return (self.nearest - self.c.least_distance) / (DRIFT - CALM)
 
     @classmethod
     @cache
@@ -183,7 +184,7 @@ def nearest(c: Limits) -> float:
     singular value times r.
     """
     count, moments = GRID
-    beside, most = BESIDE * c.collision_radius, AROUND * CALM
+    beside, most, touching = BESIDE * c.collision_radius, AROUND * CALM, farthest(c)
     r = torch.linspace(c.collision_radius, c.max_distance, count, dtype=torch.float64)
     times = torch.linspace(0.0, c.passive_safety_horizon, moments + 1, dtype=torch.float64)
     along = torch.zeros(3, count, dtype=torch.float64)
@@ -201,14 +202,14 @@ def nearest(c: Limits) -> float:
     outwards = (2 * c.max_acceleration * (c.max_distance - r).clamp(min=0.0)).sqrt()
     inwards = (2 * c.max_acceleration * (r - c.collision_radius)).sqrt()
     limit = (c.docking_speed + c.speed_slope * r).clamp(max=c.max_speed)
-    fine = (clear - bend - lost >= c.collision_radius) & (limit >= speed.abs() + most)
+    fine = (clear - bend - lost >= touching) & (limit >= speed.abs() + most)
     fine &= (outwards >= speed + most) & (inwards >= most - speed)
     bad = torch.nonzero(~fine[:-1]).flatten()
     first = int(bad.max()) + 1 if bad.numel() else 0
     if not (
         r[first] <= beside
         and beside + DRIFT / STEEP < c.max_distance - INSIDE - DRIFT / STEEP
-        and most < DRIFT
+        and most < DRIFT * c.least_distance / touching
     ):
         raise NoTerminalSetError("the zone is too small, or no rest beside the chief stays clear")
     return r[first].item()

@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 from inspection.model.state import SIZE, TORQUE
-from kernels import Printed, printed
+from kernels import Printed, if_long, printed
 from rta.backup import homing, turn
 from rta.backup.check import KEPT, RATES_ROUNDED, Backup
 from rta.backup.commit import ATTITUDE, LIMITS, MOTION, SHARES, SLACK_ROUNDED, Check
@@ -34,14 +34,16 @@ def checks(safety_filter: "SafetyFilter") -> list[Printed]:
     if isinstance(b, ToldBackup):
         return told_checks(b, x, u)
     assert isinstance(b, Backup)
+    planes = if_long(len(safety_filter.c.planes))  # of a hull
     holds = all_printed(
         ("flown", lambda x, u: list(b.hold(x, u)), (x, u), ("x", "control"), ("after", "least")),
-        long=CELLS[0],
+        long=planes or CELLS[0],
     )
     return holds + laws(b, x, u) + all_printed(
         ("turned", lambda x, u: list(turn_in(x, u, b.flight)), (x, u), ("x", "control"), ("after", "least")),
         ("at_once", lambda x: [b.at_once(x)], (x,), ("x",), ("least",)),
         ("terminal_room", lambda x: [b.terminal.room(x)], (x,), ("x",), ("room",)),
+        long=planes,
     )  # fmt: skip
 
 

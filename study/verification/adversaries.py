@@ -11,7 +11,7 @@ from inspection.model.dynamics import step
 from inspection.model.parameters import Model
 from inspection.model.state import CONTROL_SIZE, THRUST, TORQUE
 from inspection.world.corners import ERRORS, displaced
-from kernels import Compiled
+from kernels import Compiled, if_long
 from ppo.network import Policy
 from rta.constraints.names import ATTITUDE, TRANSLATIONAL
 from rta.filter import SafetyFilter
@@ -75,7 +75,8 @@ def adversarial(safety_filter: SafetyFilter) -> Controller:
 
     rows_at: Callable[[Tensor], list[Tensor]] = of_states
     if safety_filter.compiled:
-        rows_at = Compiled(of_states, safety_filter.probe("cpu")[0])
+        long = if_long(len(safety_filter.c.planes))  # of a hull
+        rows_at = Compiled(of_states, safety_filter.probe("cpu")[0], long=long)
 
     def control(t: float, x: Tensor) -> Tensor:
         halves = []

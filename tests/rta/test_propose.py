@@ -75,7 +75,7 @@ def test_kinds_of_rows_differ_and_report_the_same_h() -> None:
 def test_without_rows_the_check_alone_changes_what_is_within_the_limits() -> None:
     f = SafetyFilter(C, RtaParameters(rows="none"))
     x, u = tensor(near_the_limits(400, seed=5)), 1.2 * commands(400, seed=5)
-    proposed = f.propose(x, u, f.solver, None, None)
+    _, _, proposed = f.propose(x, u, f.solver, None, None)
     assert torch.equal(proposed.control, u.clamp(-LIMIT, LIMIT))
     clipped = torch.stack([(u.abs() > LIMIT)[part].any(0) for part in (THRUST, slice(3, 6))])
     assert torch.equal(proposed.program_status, torch.where(clipped, Status.HARD, Status.UNTOUCHED))

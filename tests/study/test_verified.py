@@ -231,7 +231,7 @@ def test_an_installed_copy_names_no_page_of_the_repository(
         ("attitude", {"uncertainty": {"torque_gain": 0.6}}),
         ("motion and attitude", {"uncertainty": {"health": True}}),
         ("motion and attitude", {"inspection": {"orbit": "two-body"}}),
-        ("motion and attitude", {"chief": {"mesh": "configs/chiefs/box.npz", "collision": "hull"}}),
+        (None, {"chief": {"mesh": "configs/chiefs/box.npz", "collision": "hull"}}),
     ],
 )
 def test_what_a_filter_does_not_check_is_said_in_a_line(

@@ -15,6 +15,7 @@ from inspection.model.dynamics import Body, step, sun_and_earth_in_body
 from inspection.model.parameters import InspectionParameters
 from inspection.model.state import CONTROL_SIZE, OMEGA, SIZE, TORQUE, E, Q, T
 from kernels import Compiled
+from rta.backup.check import Backup
 from rta.backup.told import ToldBackup
 from rta.backup.turn import Spread, beginning, followed, law, verified, wanted
 from rta.backup.turning import Turning, heating
@@ -309,7 +310,7 @@ def test_a_limit_breaks_where_the_check_is_not_told(what: str) -> None:
 
 
 def test_bounds_without_a_rest_have_no_check() -> None:
-    assert SafetyFilter().turn is None
+    assert isinstance(SafetyFilter().backup, Backup)
     for wide in ({"rate": 0.5}, {"attitude": 20.0}, {"torque_gain": 0.9}, {"health": True}):
         assert of_torque(C, R, replace(U1, **wide)) is None
     assert of_torque(replace(C, solar_panel_axis="+x"), R, U1) is None

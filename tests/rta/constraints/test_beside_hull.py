@@ -16,6 +16,7 @@ from rta.constraints.thrust import collision, passive_safety
 from rta.filter import SafetyFilter
 from rta.parameters import RtaParameters
 from rta.qp.batched_solver import BatchedSolver
+from study.verification.adversaries import adversarial
 from tests.inspection.chief.test_hull import MESHES, corners, distance, hull_of, some_positions
 
 PAPER, R = InspectionParameters(), RtaParameters()
@@ -88,6 +89,7 @@ def test_pushed_against_the_chief_it_comes_nearer_than_the_sphere_and_never_too_
     safety = SafetyFilter(c, R)
     safety.compile("cpu", 48)
     x = x[:, safety.is_safe(x)]
+    assert adversarial(safety)(0.0, x).isfinite().all()  # its rows are compiled, too
     body, nearest = corners(mesh), math.inf
     for _ in range(150):
         # all thrust towards the chief, in a body that does not turn

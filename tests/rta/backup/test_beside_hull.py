@@ -1,0 +1,198 @@
+"""The check beside a convex hull, against dense paths, planes in NumPy and distances by non-negative least squares."""
+
+import functools
+
+import numpy as np
+import pytest
+import torch
+from numpy import ndarray
+from torch import Tensor
+
+from inspection.chief.hull import beside, farthest, reach
+from inspection.model.parameters import InspectionParameters
+from inspection.model.state import CONTROL_SIZE, SIZE, P, V
+from kernels import Compiled
+from rta.backup.check import KEPT, LIMITS, Backup
+from rta.backup.chords import FreeFlight, Strays, between
+from rta.backup.flight import CELLS
+from rta.backup.motion_law import field
+from rta.backup.terminal import AROUND, CALM
+from rta.filter import SafetyFilter
+from rta.parameters import RtaParameters
+from rta.printed.batch import Flights
+from tests.inspection.chief.test_hull import MESHES, corners, distance, hull_of, some_positions
+from tests.rta.backup.brute_force import attitude, free_flight, hypercube, moved
+from tests.rta.backup.brute_force import motion as beside_sphere
+from tests.rta.backup.flights import limits, opposite, random, unit
+from tests.rta.constraints.test_constraints import length, tensor
+
+C = InspectionParameters()
+HOLDS = pytest.mark.parametrize("hold", [1.0, 10.0])
+EACH = pytest.mark.parametrize("mesh", MESHES)
+ROUNDING = 1e-9
+
+
+@functools.cache
+def task(mesh: str) -> InspectionParameters:
+    return beside(C, hull_of(mesh))
+
+
+def motion(p: ndarray, v: ndarray, c: InspectionParameters, spacing: float | None) -> ndarray:
+    """`brute_force.motion` with planes in the place of the sphere; p, v (3, B)."""
+    *normals, b = np.array(c.planes).T
+    n, b = np.array(normals).T, b[:, None] + c.deputy_radius
+    least = beside_sphere(p, v, c, None)
+    z, most = n @ p - b, (c.max_speed, c.docking_speed + c.speed_slope * c.max_distance)
+    a_max = c.max_thrust / c.mass - 3 * c.mean_motion**2 * c.max_distance - 2 * c.mean_motion * min(most)
+    least[0] = (np.sign(z) * np.sqrt(2 * a_max * np.abs(z)) + n @ v).max(0)
+    for t in np.arange(0.0, c.passive_safety_horizon + 1e-9, spacing) if spacing else ():
+        least[3] = np.minimum(least[3], (n @ free_flight(p, v, t, c.mean_motion) - b).max(0))
+    return least
+
+
+def nearby(count: int, seed: int, c: InspectionParameters, within: float = 40.0) -> Tensor:
+    """States (16, count) of which most touch no plane, at speeds up to the limit, that far from the hull at most."""
+    x, draw = hypercube(count, seed, c), (random(2, count, seed) + 1) / 2
+    out = unit(x[P])
+    x[P] = out * (reach(out, c) + within * draw[0] ** 2)
+    x[V] = unit(x[V]) * draw[1] * (c.docking_speed + c.speed_slope * x[P].norm(dim=0))
+    return x
+
+
+def inside(x: Tensor, c: InspectionParameters, spacing: float = 5.0) -> ndarray:
+    """(B,) bool: all limits are kept."""
+    y = x.numpy()
+    return np.concatenate((motion(y[:3], y[3:6], c, spacing), attitude(y, c))).min(0) >= 0.0
+
+
+@EACH
+@pytest.mark.parametrize(
+    ("step", "faster", "e_p", "e_v"), [(0, 0, 0, 0), (3, 0.3, 0, 0), (8, 0.5, 1, 0.05), (0.1, 0.1, 0.3, 0.2)]
+)
+def test_no_path_within_the_strays_is_below_the_bound(
+    mesh: str, step: float, faster: float, e_p: float, e_v: float
+) -> None:
+    c, count, rng = task(mesh), 300, np.random.default_rng(0)
+    start = nearby(count, 1, c)[:6].numpy()
+    aside = rng.standard_normal((2, 3, count))
+    aside = aside / np.linalg.norm(aside, axis=1, keepdims=True) * rng.uniform(0, 1, count)
+    end = start + np.concatenate((step * aside[0], faster * aside[1]))
+    off = Strays(*(torch.full((count,), e, dtype=torch.float64) for e in (e_p, e_v, e_v)))
+    bound = between(tensor(start), tensor(end), off, c, FreeFlight.of(c, *CELLS)).numpy()
+    least, normals = np.full_like(bound, np.inf), np.array(c.planes)[:, :3]
+    for share in np.linspace(0, 1, 7):
+        middle = start + share * (end - start)
+        best = normals[(normals @ middle[:3] - np.array(c.planes)[:, 3:]).argmax(0)].T
+        for inwards in (-best, best) if e_p or e_v else (best,):
+            for swifter in (inwards, middle[3:] / length(middle[3:])):
+                path = motion(middle[:3] + e_p * inwards, middle[3:] + e_v * swifter, c, 10.0)
+                least = np.minimum(least, path)
+    assert (bound <= least + ROUNDING).all(), (bound - least).max(1)
+    assert (bound[[0, 3]] > 0.0).any(1).all() and (bound[[0, 3]] < 0.0).any(1).all()
+    if not step:  # and hardly less than there is
+        lost = (least - bound)[0][bound[0] > 0.0] - e_v
+        assert np.median(lost) < 0.01 + 0.5 * e_p
+
+
+@EACH
+def test_the_clearance_is_never_above_distances_to_the_hull(mesh: str) -> None:
+    """On free flights from all of a chord, every 2 s where they are nearest to the chief."""
+    c, body = task(mesh), corners(mesh)
+    x = nearby(40, 2, c)[:6]
+    end = x + torch.cat((0.5 * random(3, 40, 3), 0.02 * random(3, 40, 4)))
+    none = torch.zeros(40, dtype=torch.float64)
+    told = between(x, end, Strays(none, none, none), c, FreeFlight.of(c, *CELLS))[3].numpy()
+    times, lost = np.arange(0.0, c.passive_safety_horizon + 1.0, 2.0)[:, None], []
+    for column in np.flatnonzero(told > 0.0):
+        share = np.random.default_rng(column).uniform(0.0, 1.0)
+        y = (x + share * (end - x))[:, column].numpy()[:, None]
+        path = free_flight(y[:3, :, None], y[3:, :, None], times, c.mean_motion).reshape(3, -1).T
+        near = path[np.argsort(np.linalg.norm(path, axis=1))[:40]]
+        lost.append(min(distance(p, body) for p in near) - c.deputy_radius - told[column])
+    assert len(lost) > 10 and min(lost) > 0.0 and np.median(lost) < 3.0
+
+
+@EACH
+def test_what_lies_beyond_all_of_it_is_above_a_plane(mesh: str) -> None:
+    c = task(mesh)
+    touching = reach(some_positions(50_000, 1.0, 1.0), c).max()
+    assert touching <= farthest(c) < touching + 0.1
+    assert farthest(C) == C.collision_radius
+
+
+@EACH
+def test_in_the_terminal_set_all_limits_of_motion_are_kept(mesh: str) -> None:
+    c = task(mesh)
+    end = Backup(c, 1.0).terminal
+    p = some_positions(3000, end.nearest, end.nearest + 10.0)
+    v = field(p, c) + AROUND * CALM * unit(random(3, 3000, 5))
+    assert motion(p.numpy(), v.numpy(), c, 5.0).min() > 0.0
+
+
+@HOLDS
+@EACH
+def test_flights_that_are_accepted_keep_every_limit_and_end(mesh: str, hold: float) -> None:
+    """Also where one look accepts them. Each step of the plant is looked into, free flight every few minutes."""
+    c = task(mesh)
+    safety = SafetyFilter(c, RtaParameters(period=hold))
+    b, x = safety.backup, nearby(700, 6, c)
+    assert b is not None
+    x = x[:, torch.from_numpy(inside(x, c))]
+    found = Flights(safety)(x, torch.zeros(LIMITS, x.shape[1], dtype=torch.bool)).all(0)
+    assert found.double().mean() > 0.85
+    law = Compiled(
+        lambda x: [b.law(x), b.at_once(x)], torch.ones(SIZE, 1, dtype=torch.float64), long=len(c.planes)
+    )
+    assert (law(x)[1].amin(0) >= KEPT).any()
+    x = x[:, found]
+    for call in range(round(700 / hold)):
+        u = law(x)[0]
+        spacing = 10.0 if call % round(50 / hold) == 0 else None
+        for i in range(round(hold)):
+            y = x.numpy()
+            least = np.concatenate((motion(y[:3], y[3:6], c, None if i else spacing), attitude(y, c)))
+            assert (least > -ROUNDING).all(), (call, i, least.min(1))
+            x = moved(x, u, 1.0, c)
+    assert (b.terminal.room(x) >= 0.0).all()
+    assert Flights(safety)(x, torch.zeros(LIMITS, x.shape[1], dtype=torch.bool)).all()
+
+
+@HOLDS
+def test_flights_in_c_keep_the_limits_that_flights_in_pytorch_keep(hold: float) -> None:
+    safety = SafetyFilter(task(MESHES[0]), RtaParameters(period=hold))
+    x = nearby(120, 7, safety.c)
+    broken = torch.zeros(LIMITS, x.shape[1], dtype=torch.bool)
+    assert safety.backup
+    found = safety.backup.fly(x, broken)
+    assert torch.equal(Flights(safety)(x, broken), found)
+    assert (found.any(1) & ~found.all(1)).all()
+
+
+def test_pushed_at_the_hull_it_stays_clear_whatever_the_body_does() -> None:
+    """The compiled filter, without rows, so that the check has to find all; by the least distance there is."""
+    c, body = task(MESHES[0]), corners(MESHES[0])
+    safety = SafetyFilter(c, RtaParameters(period=10.0, rows="none"))
+    safety.compile("cpu", 64)
+    x = nearby(200, 8, c)
+    x = x[:, safety.is_safe(x)][:, :64]
+    one, other = (
+        f(x, limits(c) * random(CONTROL_SIZE, 64, 9), None, None) for f in (safety.correct, safety._correct)
+    )
+    torch.testing.assert_close(one.control, other.control, rtol=0, atol=1e-9)
+    assert torch.equal(one.verified, other.verified) and one.verified.all()
+    nearest, backup = np.inf, safety.backup
+    assert backup
+    for call in range(30):
+        desired = opposite(backup.law(x), c)
+        if call % 2:
+            desired[:3] = -c.max_thrust * unit(x[P])
+        answer = safety.correct(x, desired)
+        assert answer.verified.all()
+        for _ in range(10):
+            x = moved(x, answer.control, 1.0, c)
+            y = x.numpy()
+            least = np.concatenate((motion(y[:3], y[3:6], c, None), attitude(y, c)))
+            assert (least > -ROUNDING).all(), (call, least.min(1))
+        close = x[P].norm(dim=0).topk(4, largest=False).indices
+        nearest = min(nearest, *(distance(p, body) for p in x[P, close].T.numpy()))
+    assert c.deputy_radius <= nearest < c.deputy_radius + 3.0
