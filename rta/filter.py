@@ -66,7 +66,6 @@ class SafetyFilter:
         names: of all constraints: Table 3's, then those of your own that thrust holds, then those that torque holds.
         propose: the programs, and all that comes before the check; groups: their rows of thrust and of torque.
         backup: the check of its controls; None: no way to rest is known for this vehicle, or within what it is told.
-        checked: whether thrust is checked, and torque.
         compiled: all of it as one C function; None: it is not compiled so.
 
     Raises:
@@ -99,7 +98,6 @@ class SafetyFilter:
         self.backup: Check | None = (
             Backup.of(c, parameters.period) if known.is_nil else ToldBackup.of(c, own, known)
         )
-        self.checked = self.backup.knows if self.backup else (False, False)
         self.propose = Propose(constraints, c, own, known, self.checked)
         self.groups = self.propose.groups
         if self.propose.kind == "none" and self.unchecked:
@@ -129,6 +127,11 @@ class SafetyFilter:
     def period(self) -> float:
         """s between two calls."""
         return self.parameters.period
+
+    @property
+    def checked(self) -> tuple[bool, bool]:
+        """Whether thrust is checked, and torque."""
+        return self.backup.knows if self.backup else (False, False)
 
     @property
     def unchecked(self) -> list[str]:

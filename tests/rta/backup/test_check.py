@@ -15,6 +15,7 @@ from rta.backup.check import Backup
 from rta.backup.commit import LIMITS, SHARES, nearest
 from rta.backup.motion_law import field
 from rta.backup.terminal import CALM
+from rta.backup.told import ToldBackup
 from rta.bounds.uncertainty import Uncertainty
 from rta.filter import SafetyFilter
 from rta.parameters import PERIODS, RtaParameters
@@ -254,5 +255,5 @@ def test_where_no_way_is_known_there_is_no_check() -> None:
     for c in (replace(C, solar_panel_axis="+x"), replace(C, orbit="two-body")):
         assert Backup.of(c, 1.0) is None
         assert SafetyFilter(c).backup is None
-    assert SafetyFilter(C, known=Uncertainty(position=0.1)).backup is None
+    assert isinstance(SafetyFilter(C, known=Uncertainty(position=0.1)).backup, ToldBackup)
     assert SafetyFilter(C).backup is not None
