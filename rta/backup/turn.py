@@ -282,7 +282,7 @@ def held(x: Tensor, u: Tensor, error_bound: Tensor, w: Turning) -> tuple[Tensor,
     """A hold of controls (6, B), however long, at states (16, B) as they are predicted.
 
     Args:
-        error_bound: (4, B) by how far the states are off beyond their measurement, see `Condition.propose`.
+        error_bound: (4, B) by how far the states are off beyond their measurement, see `Propose`.
 
     Returns:
         The least of the attitude's limits (B,), and where the way begins at the next call, whenever that is.

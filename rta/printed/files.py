@@ -69,10 +69,11 @@ SECTIONS = {  # by file of the driver
     "solver.c": "Quadratic programs, solved by an active-set method",
     "rows.c": "From rows to programs, and to what is reported",
     "filter.c": "The order of a call",
-    "commit.c": "Whether a control keeps the limits, and the flight of the backup laws after it does",
+    "round.c": "What thrusters give",
+    "commit.c": "What is applied in the place of a control that leaves no way",
+    "flight.c": "Whether a control keeps the limits, and the flight of the backup laws after it does",
+    "told.c": "Whether within bounds a control keeps the limits and leaves a way",
     "commit_one.c": "The check of one spacecraft",
-    "homing.c": "Whether thrust keeps the limits of motion and leaves a way into the haven",
-    "turn.c": "Whether torque keeps the attitude's limits and leaves a way to rest",
 }
 
 

@@ -1,4 +1,4 @@
-"""The check of a filter's controls as C: what the driver's commit.c is made of."""
+"""The check of a filter's controls as C: what its driver is made of."""
 
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
