@@ -228,7 +228,7 @@ def test_an_installed_copy_names_no_page_of_the_repository(
         (None, {}),
         (None, {"uncertainty": {"torque_gain": 0.1}}),
         ("motion", {"uncertainty": {"thrust_quantum": 1.0}}),
-        ("attitude", {"uncertainty": {"torque_gain": 0.6}}),
+        ("attitude", {"uncertainty": {"torque_gain": 0.6, "rate": 0.2}}),
         ("motion and attitude", {"uncertainty": {"health": True}}),
         ("motion and attitude", {"inspection": {"orbit": "two-body"}}),
         (None, {"chief": {"mesh": "configs/chiefs/box.npz", "collision": "hull"}}),
