@@ -151,7 +151,7 @@ class SafetyFilter:
         return narrowed(inside, x, self.is_holdable) if self.holds else inside
 
     def is_holdable(self, x: Tensor) -> Tensor:
-        """(B,) bool: no barrier is negative and a control satisfies every row."""
+        """(B,) bool: no barrier is negative and a control satisfies every row; of torque if it is not checked."""
         thrust, torque = self.rows(x)
         certain = (thrust.psi >= 0.0).all(0)
         if not self.checked[1]:
@@ -159,7 +159,7 @@ class SafetyFilter:
         return narrowed(certain, x, self._has_control)
 
     def _has_control(self, x: Tensor) -> Tensor:
-        """(B,) bool: a control satisfies every row."""
+        """(B,) bool: a control satisfies every row, of torque only where it is not checked."""
         found = self.correct(x, torch.zeros_like(x[:CONTROL_SIZE]))
         return (found.program_status[0] if self.checked[1] else found.status) < Status.SLACK
 

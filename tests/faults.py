@@ -575,7 +575,7 @@ IN_C = [
         "rta/printed/driver/batch/hopeful.c",
         "rta/backup/test_check.py -k compiled_check and 1.0 or fail_later",
         ("const M sure = *hopes & later[0] & later[1];", "const M sure = *hopes & later[0];"),
-        ("if (flights->found[0][lane] & flights->found[1][lane]) {", "if (flights->found[0][lane]) {"),
+        ("const M both = flights->found[0] & flights->found[1];", "const M both = flights->found[0];"),
         ("put_waiting(these, lane, these, flights->count - 1);", ""),
     ),
     *faults(

@@ -4,10 +4,7 @@ A control is held, and after it both backup laws are flown, in the plant's own s
 that they never leave. If every limit is kept on the way, the control is applied; if not, the nearest that leads to such
 a flight, on the way from it to the law's; at last the laws' own, whose flight was looked at one call ago. The state at
 the next call lies on that flight, so no limit is ever violated in the model (docs/reference/proof.md).
-Gurriet et al. 2020, backup barriers; Agrawal, Chen and Panagou 2023, gatekeeper.
-
-Torque comes first, since the attitude decides where thrust acts. A limit that is violated already is not asked for; the
-others are.
+A limit that is violated already is not asked for; the others are.
 """
 
 import math

@@ -174,13 +174,13 @@ def clearance(
     corners = [flown(y, t, c) for y in (start, end) for t in times]
     nearest = nearer(corners[0] + corners[2], corners[1] + corners[3]) / 2
     beyond, radius = torch.full_like(nearest[0], -math.inf), c.collision_radius
-    for _ in range(1 + free.searches):
-        m = unit(nearest)
-        corner, along = least_along(m, corners)
-        beyond, nearest = torch.maximum(beyond, along), nearer(nearest, corner)
     if c.planes:
         planes, radius = planes_of(c, start), 0.0
         beyond = torch.stack([planes.above(corner[:, None]) for corner in corners]).amin(0).amax(0)
+    for _ in () if c.planes else range(1 + free.searches):
+        m = unit(nearest)
+        corner, along = least_along(m, corners)
+        beyond, nearest = torch.maximum(beyond, along), nearer(nearest, corner)
     beyond = beyond - free.velocity * times[1] * e_v
     bend = (free.bend_position * (farthest + e_p) + free.bend_velocity * (fastest + e_v)) * cell**2 / 8
     return beyond.amin(0) - radius - free.position * e_p - bend

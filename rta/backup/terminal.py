@@ -204,12 +204,11 @@ def nearest(c: Limits) -> float:
     limit = (c.docking_speed + c.speed_slope * r).clamp(max=c.max_speed)
     fine = (clear - bend - lost >= touching) & (limit >= speed.abs() + most)
     fine &= (outwards >= speed + most) & (inwards >= most - speed)
+    height = c.least_distance * (r / touching - 1.0)  # above one of a hull's planes, at least
+    away = torch.where(speed > 0.0, speed * c.least_distance / touching, speed)
+    fine &= (2 * c.max_acceleration * height.clamp(min=0.0)).sqrt() >= most - away
     bad = torch.nonzero(~fine[:-1]).flatten()
     first = int(bad.max()) + 1 if bad.numel() else 0
-    if not (
-        r[first] <= beside
-        and beside + DRIFT / STEEP < c.max_distance - INSIDE - DRIFT / STEEP
-        and most < DRIFT * c.least_distance / touching
-    ):
+    if not (r[first] <= beside and beside + DRIFT / STEEP < c.max_distance - INSIDE - DRIFT / STEEP):
         raise NoTerminalSetError("the zone is too small, or no rest beside the chief stays clear")
     return r[first].item()

@@ -183,10 +183,12 @@ def constants(safety_filter: "SafetyFilter", parts: Sequence[Printed], text: str
         define("PROGRAMS", int(safety_filter.propose.kind != "none"), "0: there are no rows"),
         *tolerances(),
         "static const double LIMIT[2] = {SAFETY_FILTER_THRUST, SAFETY_FILTER_TORQUE};",
+        "#if PROGRAMS",
         table("int ROWS[2]", [len(group.weights) for group in groups]),
-        table("int CONSTRAINTS_OF[2]", [len(group.names) for group in groups]),
         table("int CONSTRAINT_OF_ROW[2][GROUP_ROWS_MAX]", [constraint_of_row(group) for group in groups]),
         table("double WEIGHT[2][GROUP_ROWS_MAX]", [group.weights for group in groups], "of slack, by row"),
+        "#endif",
+        table("int CONSTRAINTS_OF[2]", [len(group.names) for group in groups]),
         table(
             "int PLACE[2][GROUP_CONSTRAINTS_MAX]",
             [[places.index((i, k)) for k in range(len(group.names))] for i, group in enumerate(groups)],

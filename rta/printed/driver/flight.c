@@ -32,8 +32,8 @@ static void have_arrived(const V x[16], const M broken[LIMITS], M found[2])
     found[TORQUES] = AND(inside[0], AND(inside[1], inside[2]));
 }
 
-/* Flies states on for up to so many holds of the laws, at first with a look at all that is left of the flight at once. Alive: whose
- * flights have kept the limits of each group and not ended; found: whose have ended, or are seen to keep them for good. */
+/* Flies states on for up to so many holds of the laws, at first with a look at all that is left of the flight at once. Alive: flights
+ * that have kept the limits of each group and not ended; found: those that ended well, or are seen to keep them for good. */
 static void fly_on(V x[16], const M broken[LIMITS], int holds, M alive[2], M found[2])
 {
     for (int k = 0; (k < holds) && ANY(OR(alive[THRUSTS], alive[TORQUES])); ++k) {

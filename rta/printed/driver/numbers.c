@@ -10,6 +10,7 @@ static double clip(double x, double low, double high)
     return (raised > high) ? high : raised;
 }
 
+#if PROGRAMS
 /* NaN if either is. */
 static double smaller(double a, double b)
 {
@@ -21,7 +22,6 @@ static double larger(double a, double b)
     return -smaller(-a, -b);
 }
 
-#if PROGRAMS || BACKUP
 static double dot(const double *a, const double *b, int size)
 {
     double sum = 0.0;

@@ -17,10 +17,11 @@ from torch import Tensor
 
 from inspection.initial_state import sample_initial_state
 from inspection.model.attitude import conjugate, rotate
-from inspection.model.state import OMEGA, Q, V
+from inspection.model.state import OMEGA, E, Q, T, V
 from rta.bounds.health import slewing
 from rta.bounds.uncertainty import Uncertainty
 from rta.filter import STEPS_HELD, SafetyFilter
+from rta.parameters import RtaParameters
 from rta.printed.source import driver_text, source, tolerances
 from rta.qp import batched_solver
 from rta.qp.batched_solver import BatchedSolver
@@ -444,3 +445,17 @@ def test_calls_leave_nothing_behind(made: Callable[[str], Driver]) -> None:
     x, u = tensor(near_the_limits(40, seed=9)), commands(40, seed=9)
     forth, back = driver(x, u, None, None), driver(x.flip(1), u.flip(1), None, None)
     assert torch.equal(forth.control, back.control.flip(1)) and torch.equal(forth.slack, back.slack.flip(1))
+
+
+@pytest.mark.parametrize("known", [Uncertainty(), Uncertainty(position=0.3)], ids=["model", "told"])
+def test_states_that_are_not_finite_are_never_verified(known: Uncertainty) -> None:
+    """Also where there are no rows, of which a number that is none would show it."""
+    safety = SafetyFilter(C, RtaParameters(rows="none"), known=known)
+    x = sample_initial_state(16, torch.Generator().manual_seed(0), C, safety.is_safe)[0]
+    u, far = torch.zeros(6, 16, dtype=torch.float64), torch.arange(0, 16, 2)
+    x[E, far], x[T, far[::2]] = math.inf, -math.inf
+    expected = safety.correct(x, u)
+    safety.compile("cpu", 16)
+    found = safety.correct(x, u)
+    assert not found.verified[far].any() and found.verified[1::2].all()
+    assert torch.equal(found.verified, expected.verified) and torch.equal(found.status, expected.status)

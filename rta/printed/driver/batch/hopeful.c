@@ -37,10 +37,12 @@ static void fly_hopeful(struct pending *pending, int all, void *const *out, cons
         const M unchanged[2] = {NO, NO};
         fly_all(flights);
         const M other = differ(these->desired, these->control);
-        nothing_yields(flights->broken, flights->found, unchanged, these->slack, these->program_status);
+        const M both = flights->found[0] & flights->found[1];
+        const M seen[2] = {both, both};
+        nothing_yields(flights->broken, seen, unchanged, these->slack, these->program_status);
         for (int lane = flights->count - 1; lane >= 0; --lane) {
             if (has_ended(flights, lane)) {
-                if (flights->found[0][lane] & flights->found[1][lane]) {
+                if (both[lane]) {
                     store_waiting(these, lane, other[lane] != 0, 1, 0, out, out_step);
                 } else {
                     wait_for_a_check(&pending->refused, these, lane, out, out_step);
