@@ -36,7 +36,7 @@ void PLAY(guide)(const double x[16], const double score[1], double u[6])
 int PLAY(way)(const double x[16], const double control[6], double *places, int most)
 {
     int count = 0;
-#if BACKUP
+#if FLIES
     static const int none[LIMITS] = {0};
     double y[16];
     double u[6];
