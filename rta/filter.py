@@ -284,15 +284,25 @@ class SafetyFilter:
             left: (6, B) the share that each actuator gives of what it is told; None: all of it. It counts for a filter
                 with `health` in its `Uncertainty`.
         """
-        too_old = sent is not None and len(sent) > self.known.latency
         elsewhere = x.device.type != "cpu" or self.solver is not self._own_solver
-        if self.compiled is None or elsewhere or too_old:
-            return self._correct(x, desired, sent, left)
-        answer, unsolved = self.compiled(x, desired, sent, left)
-        result = FilterResult(*answer)
-        if unsolved:  # PIQP may know an answer
-            self._correct_again(result, x, desired, sent, left)
-        return result
+        # where a state is younger the first are NaN
+        newest = None if sent is None else sent[max(0, len(sent) - self.known.latency) :]
+        if self.compiled is None or elsewhere:
+            result = self._correct(x, desired, newest, left)
+        else:
+            answer, unsolved = self.compiled(x, desired, newest, left)
+            result = FilterResult(*answer)
+            if unsolved:  # PIQP may know an answer
+                self._correct_again(result, x, desired, newest, left)
+        if sent is None:
+            return result
+        too_old = (~sent.isnan().any(1)).sum(0) > self.known.latency
+        return replace(
+            result,
+            verified=result.verified & ~too_old,
+            status=torch.where(too_old, Status.UNSOLVED, result.status),
+            program_status=torch.where(too_old, Status.UNSOLVED, result.program_status),
+        )
 
     def _correct_again(self, result: FilterResult, x: Tensor, desired: Tensor, *given: Tensor | None) -> None:
         """Puts what `_correct` answers into a result where that has no solution."""
@@ -323,15 +333,7 @@ class SafetyFilter:
             self._compile_flights(x)
             of_torque = [name in self.groups[1].names for name in self.names]
             result = self.backup.commit(x, error_bound, desired, result, of_torque)
-        if sent is None:
-            return result
-        too_old = (~sent.isnan().any(1)).sum(0) > self.known.latency
-        return replace(
-            result,
-            verified=result.verified & ~too_old,
-            status=torch.where(too_old, Status.UNSOLVED, result.status),
-            program_status=torch.where(too_old, Status.UNSOLVED, result.program_status),
-        )
+        return result
 
 
 def narrowed(chosen: Tensor, x: Tensor, accepts: Callable[[Tensor], Tensor]) -> Tensor:

@@ -128,7 +128,7 @@ class Propose:
         """
         left = (torch.ones_like(desired) if left is None else left) if self.known.health else None
         error_bound = torch.zeros_like(x[:KINDS])
-        for u in () if sent is None else sent[: self.known.latency]:
+        for u in () if sent is None else sent:
             x, error_bound = self.ahead(x, error_bound, u if left is None else left * u)
         control, found = self.in_turn(x, desired, left, self.rows_of, partial(solved, solver))
         status, no = torch.stack([each.status for each in found]), torch.zeros_like(x[0], dtype=torch.bool)

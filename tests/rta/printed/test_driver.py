@@ -410,6 +410,10 @@ def test_a_state_that_is_too_old_is_unsolved_and_never_verified(
     younger[0, :, ::2] = torch.nan
     result = safety.correct(x, u, younger)
     assert ((result.status == Status.UNSOLVED) == ~younger[0, 0].isnan()).all()
+    for correct in (safety.correct, compiled_filter.correct):  # what was sent to others makes no difference
+        whole, alone = correct(x, u, younger), correct(x, u, younger[1:])
+        assert torch.equal(whole.control[:, ::2], alone.control[:, ::2])
+        assert torch.equal(whole.verified[::2], alone.verified[::2])
     assert safety.unchecked or not safety.known.is_nil or result.verified[10::2].all()
     if latency:
         assert_same(driver, x, u)  # of no age
