@@ -1,8 +1,9 @@
 """An exported agent and the filter in the control loop of one spacecraft, and how long their calls take.
 
-    python main.py export --checkpoint runs/reference/study/rta/seed0/policy.pt --out policy.onnx
-    python -m docs.guides.control_loop policy.onnx
+    python main.py export --checkpoint runs/reference/study/rta/seed0/policy.pt --out runs/policy.onnx
+    python -m docs.guides.control_loop runs/policy.onnx --compile
 
+Without --compile 1,000 calls take about a minute.
 Every 10 s the agent observes and decides, every second the filter corrects, in between the spacecraft flies. The agent
 runs in ONNX Runtime, the filter in PyTorch, both on one thread.
 """

@@ -128,8 +128,8 @@ def table(report: dict[str, Any]) -> str:
             for name, count in beyond["violating_steps"].items()
             if count and name != "any"
         ),
-        f"{report['starts_rejected_by_margin']:,} states of the batches drawn left out that are safe, but not by the "
-        "filter's margins and bounds",
+        f"{report['starts_rejected_by_margin']:,} states that keep every limit are no starts: the filter does not "
+        "accept them",
     ]
     together = sorted(report["slack_together"].values(), key=lambda same: -same["calls"])
     if together:

@@ -189,7 +189,7 @@ def sentences() -> Iterator[tuple[str, str]]:
     yield README, f"its settings run from {thrifty} over {even} to {quick}"
 
     without, behind = (f"{succeeded(evaluations('paper', arm, 311_296)):.0f}" for arm in ARMS)
-    yield README, f"succeeds in {behind} % after 0.31 million decisions with RTA, in {without} % without"
+    yield README, f"succeeds in {behind} % of the episodes with RTA, and in {without} % without"
     said = f"{behind} % succeed after 0.31 million interactions with RTA, where {without} % do without"
     yield RESULTS, said
 

@@ -86,9 +86,9 @@ def sentences() -> Iterator[tuple[str, str]]:
     yield README, f"makes {round(calls, -4):,.0f} calls per second under an untrained agent"
     yield (
         README,
-        f"takes {us['paper']:.0f} µs from the paper's starts, {us['edge']:.0f} at the edge of the zone and",
+        f"takes {us['paper']:.0f} µs from the paper's starts, {us['edge']:.0f} µs at the edge of the zone and",
     )
-    yield README, f"and {us['u1']:.0f} within large error bounds"
+    yield README, f"and {us['u1']:.0f} µs within large error bounds"
     share = 100 * b["told_filter_calls_per_s"] / calls
     yield SPEED, f"makes {share:.0f} % of the calls"
     yield SPEED, f"the edge of the zone takes {us['edge'] / us['paper']:.0f} times as long as"
