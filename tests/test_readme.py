@@ -89,7 +89,7 @@ def test_what_breaks_the_filter_stands_beside_what_it_held() -> None:
     (starts,) = re.findall(r"(?m)^1 s: (\d+) % of [\d,]+ states$", text(SAFETY_LIMITS))
     said = " ".join(text("README.md").split())
     checked, unchecked = map(float, beyond)
-    assert checked < 0.0 and unchecked < 0.0 and "They no longer do where it is checked" in said
+    assert checked < 0.0 and unchecked < 0.0 and "where the filter checks, they no longer do" in said
     assert f"states as starts**: {starts} % of those within every limit" in said
 
 
