@@ -86,10 +86,9 @@ class ToldBackup(Check):
         return found
 
     def given(self, u: Tensor) -> Tensor:
-        known = self.haven.known if self.haven else None
-        if known is None or not known.is_coarse or self.haven is None:
+        if not (self.haven and self.haven.known.is_coarse):
             return u
-        return torch.cat((known.given(u[THRUST], self.haven.c.max_thrust), u[TORQUE]))
+        return torch.cat((self.haven.known.given(u[THRUST], self.haven.c.max_thrust), u[TORQUE]))
 
 
 def haven_of(c: Limits, r: RtaParameters, known: Uncertainty) -> Haven | None:
