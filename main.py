@@ -1,117 +1,280 @@
 #!/usr/bin/env python
 """Run-time-assured reinforcement learning for spacecraft inspection: the command line.
 
-Settings come from defaults, then from --config FILE.toml, then from flags.
+Settings come from defaults, then from each --config FILE.toml, then from flags.
 """
 
+import importlib.metadata
 import os
-import signal
+import re
 import sys
 import time
-
-
-def interrupted(*_: object) -> None:
-    """Ends the program in one line where nothing has begun: while the imports below are made."""
-    print("interrupted", file=sys.stderr)
-    os._exit(130)
-
-
-IS_PROGRAM = __name__ == "__main__" or os.path.basename(sys.argv[0]).startswith(
-    "rta-inspection"
-)  # and no library
-if IS_PROGRAM:
-    signal.signal(signal.SIGINT, interrupted)
-
-from contextlib import redirect_stderr, redirect_stdout
+import tomllib
+from argparse import ArgumentTypeError, BooleanOptionalAction, Namespace
+from collections.abc import Callable, Collection
+from contextlib import redirect_stdout
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from kernels.build import VARIABLE
+from inspection.orbits import GUIDANCE
 from ppo.errors import CheckpointError, NonFiniteError, RankLostError
 from ppo.torchrun import is_first
-from study.command_line.arguments import Configure, Handler, build_parser, check_files, join_axis, parameters
-from study.command_line.output import CLOSED, NAME, Output, open_error_output
-from study.config import ARMS, TEST_CASES, Config, StudyConfig, override
-from study.errors import ExportError, InputError, ReflyError, Stopped, in_one_line, refusing
-from study.files import write_json, write_npz, writing
+from settings import (
+    InputError,
+    Parser,
+    add_flags,
+    configured,
+    in_one_line,
+    override,
+    positive_integer,
+    positive_number,
+    to_toml,
+)
+from study.config import EVALUATED, TEST_CASES, Config, StudyConfig
+from study.errors import ExportError, ReflyError, Stopped, refusing
+from study.files import check_writable, write_json, write_npz, writing
 
-if TYPE_CHECKING:  # help and refusals do not wait for PyTorch
+if TYPE_CHECKING:  # help and refusals do not wait for PyTorch, which the commands import
     from ppo.network import Policy
 
-# A command's parameters are its flags, whose help, limits and order are in `study.command_line.commands`. `configure`
-# puts --config and the other flags, those that set something, over a configuration; it goes no further than this file.
+COMMANDS: dict[str, Callable[[Namespace], None]] = {}
+DECLARED: dict[str, Callable[[Any], None]] = {}  # what adds each command to the parser
+
+# Names of flags beside --table.key, which every setting has.
+SHORT = {
+    "--rta": "train.rta",
+    "--keep-clear": "train.keep_clear",
+    "--rta-period": "rta.period",
+    "--qp-solver": "rta.qp_solver",
+    "--solar-panel-axis": "inspection.solar_panel_axis",
+    "--plant": "plant.simulator",
+    "--errors": "plant.errors",
+    "--device": "train.device",
+    "--compile": "train.compile",
+    "--seed": "train.seed",
+    "--interactions": "train.interactions",
+    "--num-envs": "train.num_envs",
+    "--rollout-steps": "train.rollout_steps",
+    "--evaluation-interval": "train.evaluation_interval",
+    "--evaluation-episodes": "train.evaluation_episodes",
+    "--final-episodes": "train.final_episodes",
+    "--epochs": "ppo.epochs",
+    "--minibatch-size": "ppo.minibatch_size",
+    "--learning-rate": "ppo.learning_rate",
+    "--learn-from": "train.learn_from",
+    "--adversary": "train.adversary",
+    "--seeds": "study.seeds",
+    "--arms": "study.arms",
+}
+# Which settings the commands' flags reach: tables, or single ones.
+FILTER = ("inspection", "chief", "rta", "uncertainty")
+MACHINE = ("train.device", "train.compile")
+FLOWN = (*FILTER, "plant", *MACHINE)
+TRAINED = (*FILTER, "plant", "train", "ppo")
 
 
-def agent_and_config(configure: Configure, checkpoint: str | None) -> "tuple[Policy | None, Config]":
-    """The agent in a file, if one is named, and the configuration to fly it in: its own under --config and the flags.
+def command(about: str, *flags: Any, settings: Collection[str] = (), one_of: Collection[Any] = ()) -> Any:
+    """Makes a function a command of the same name, less "run_".
 
-    Its solver is chosen anew.
+    Args:
+        about: its line in --help.
+        flags: see `flag`; one_of: of these exactly one must be given.
+        settings: tables, or settings as "table.key", that flags can set, too.
+    """
+
+    def declare(function: Callable[[Namespace], None]) -> Callable[[Namespace], None]:
+        name = function.__name__.removeprefix("run_").replace("_", "-")
+
+        def add_to(commands: Any) -> None:
+            parser = commands.add_parser(name, help=about, description=f"{about[0].upper()}{about[1:]}.")
+            for names, options in (*flags, THREADS, CACHE):
+                parser.add_argument(*names, **options)
+            if one_of:
+                group = parser.add_mutually_exclusive_group(required=True)
+                for names, options in one_of:
+                    group.add_argument(*names, **options)
+            if settings:
+                add_flags(parser, StudyConfig() if "study" in settings else Config(), settings, SHORT)
+
+        COMMANDS[name], DECLARED[name] = function, add_to
+        return function
+
+    return declare
+
+
+def flag(*names: str, **options: Any) -> tuple[tuple[str, ...], dict[str, Any]]:
+    """Returns the arguments of `add_argument`; the help goes on with the default, if there is one."""
+    if options.get("default") is not None:
+        shown = {True: "on", False: "off"}.get(options["default"], options["default"])
+        text = f"{shown:,}" if isinstance(shown, int) else f"{shown:g}" if isinstance(shown, float) else shown
+        options["help"] += f" (default: {text})"
+    return names, options
+
+
+def to_write(suffix: str) -> Callable[[str], Path]:
+    """Returns what reads the name of a file to write, with this suffix or of something else than a file."""
+
+    def read(text: str) -> Path:
+        if not text.endswith(suffix) and (os.path.isfile(text) or not os.path.exists(text)):
+            raise ArgumentTypeError(f"{text[:40]!r}: must end in {suffix}")
+        return Path(text)
+
+    return read
+
+
+def count(name: str, default: int | None, text: str) -> Any:
+    """Returns a flag with a positive integer."""
+    return flag(name, type=positive_integer, metavar="N", default=default, help=text)
+
+
+def seconds(name: str, default: float | None, text: str, **options: Any) -> Any:
+    """Returns a flag with a positive number of seconds."""
+    return flag(name, type=positive_number, metavar="S", default=default, help=text, **options)
+
+
+def seed(default: int, text: str) -> Any:
+    """Returns the flag of a seed."""
+    return flag("--seed", type=seed_number, metavar="N", default=default, help=text)
+
+
+def seed_number(text: str) -> int:
+    """Returns a seed from its text."""
+    if not (text.isascii() and text.isdecimal() and len(text) < 20) or int(text) >= 2**63:
+        raise ArgumentTypeError(f"{text[:40]!r}: must be an integer from 0 to 2^63 - 1")
+    return int(text)
+
+
+def counts(text: str) -> tuple[int, ...]:
+    """Returns positive integers from their text with commas."""
+    return tuple(positive_integer(word) for word in text.split(","))
+
+
+THREADS = count(
+    "--threads",
+    None,
+    "processor threads (default: OMP_NUM_THREADS, else 1 for PyTorch, whose last digits depend on it, and all for "
+    "compiled functions; a run or a study that is continued keeps its own)",
+)
+CACHE = flag(
+    "--cache-dir",
+    metavar="DIR",
+    help="directory that keeps what is compiled (default: $RTA_CACHE_DIR, or rta-inspection in the user's "
+    "cache directory)",
+)
+AGENT = flag("--checkpoint", metavar="F", help="the agent: policy.pt or checkpoint.pt of a run")
+REPORT = flag(
+    "--json",
+    type=to_write(".json"),
+    metavar="F",
+    help="write the report there, and continue the one it holds",
+)
+RESULTS = flag("--json", type=to_write(".json"), metavar="F", help="also write the results there")
+
+
+def agent_and_config(given: Namespace) -> "tuple[Policy | None, Config]":
+    """Returns the agent of --checkpoint, if there is one, and the settings to fly it in, over those of its training.
+
+    The solver is chosen anew.
     """
     from study.experiment import check_observed, load_policy
 
-    if checkpoint is None:
-        return None, configure(Config())
-    policy, trained = load_policy(checkpoint)
-    config = configure(trained.unsettled())
+    if given.checkpoint is None:
+        return None, configured(given, Config())
+    policy, trained = load_policy(given.checkpoint)
+    config = configured(given, trained.with_solver("auto"))
     check_observed(config, trained)
     return policy, config
 
 
-def with_filter(configure: Configure, trained: Config | None = None) -> Config:
-    """The configuration with the filter on, over an agent's."""
-    return override(configure((trained or Config()).unsettled()), ARMS["rta"], "the filter")
+def filtered(config: Config) -> Config:
+    """Returns the configuration with the filter on, and nothing else that corrects."""
+    return override(config, {"train": {"rta": True, "keep_clear": False}}, "the filter")
 
 
-def run_train(
-    configure: Configure, run_dir: str | None = None, init_from: str | None = None, resume: str | None = None
-) -> None:
-    """main.py train"""
+@command(
+    "train an agent with or without run time assurance",
+    flag("--run-dir", metavar="D", help="directory to create (default: runs/<arm>__<seed>__<time>)"),
+    flag(
+        "--init-from",
+        metavar="F",
+        help="start from the agent in F, policy.pt or checkpoint.pt of a run, which gives its value network, too",
+    ),
+    flag(
+        "--resume",
+        metavar="D",
+        help="continue the run in D exactly where it stopped; with --interactions N go on to N",
+    ),
+    settings=TRAINED,
+)
+def run_train(given: Namespace) -> None:
     from ppo.distributed import ranks
     from study.machine.provenance import recorded_threads
     from study.machine.threads import THREADS
     from study.training import session as training
     from study.verified import say_doubts
 
-    if resume:
-        THREADS.recorded = recorded_threads(Path(resume))
-        config = configure(training.settings(Path(resume)))
-        session = training.resuming(Path(resume), config)
+    if given.resume:
+        changed = {name for name in vars(given) if "." in name} - {"train.interactions"}
+        if changed or given.config or given.run_dir or given.init_from:
+            raise InputError(
+                "--resume takes its settings from the run; only --interactions may stand beside it"
+            )
+        THREADS.recorded = recorded_threads(Path(given.resume))
+        config = configured(given, training.settings(Path(given.resume)))
+        session = training.resuming(Path(given.resume), config)
     else:
-        config = configure(Config())
+        config = configured(given, Config())
         arm = f"rta_{config.rta.period:g}s" if config.train.rta else "no_rta"
         name = f"{arm}__{config.train.seed}__{time.strftime('%Y%m%d-%H%M%S')}"
-        directory = Path(run_dir or Path("runs") / ranks().agree(name))
-        session = training.starting(config, directory, Path(init_from) if init_from else None)
+        directory = Path(given.run_dir or Path("runs") / ranks().agree(name))
+        session = training.starting(config, directory, Path(given.init_from) if given.init_from else None)
     with session as run:
         print(run, flush=True)
-        say_doubts(run.config, [run.directory / "config.toml"])
+        say_doubts(run.config)
         run.train()
         if run.ranks.first:
             print(run.conclude())
 
 
-def run_study(configure: Configure, study_dir: str = "runs/study") -> None:
-    """main.py study"""
+@command(
+    "train many seeds of each arm and evaluate them; the same command continues an interrupted study",
+    flag(
+        "--study-dir",
+        metavar="D",
+        default="runs/study",
+        help="directory to create, or of the study to continue",
+    ),
+    settings=(*TRAINED, "study"),
+)
+def run_study(given: Namespace) -> None:
     from study.machine.provenance import recorded_threads
     from study.machine.threads import THREADS
     from study.training.study import read_settings, train_and_evaluate
 
-    directory = Path(study_dir)
-    config = configure(read_settings(directory) or StudyConfig())
+    directory = Path(given.study_dir)
+    config = configured(given, read_settings(directory) or StudyConfig())
     THREADS.recorded = recorded_threads(directory)
     print(train_and_evaluate(config, directory))
 
 
-def run_report(study: str, device: str | None = None) -> None:
-    """main.py report"""
+@command(
+    "write a finished study's results as one page, with its figures and the data behind them",
+    flag("--study", metavar="D", required=True, help="directory of a finished study"),
+    flag(
+        "--device",
+        choices=("auto", "cpu", "cuda"),
+        help="where tensors live (default: as in the study)",
+    ),
+)
+def run_report(given: Namespace) -> None:
     from study.machine.progress import step
 
     with refusing("report needs the package jinja2 (pip install '.[report]')", ImportError):
         from study.report import figures, inputs, page, tables
     from study.report.compute import compute
 
-    directory = Path(study)
-    compute(directory, device)
+    directory = Path(given.study)
+    compute(directory, given.device)
     with step("drawing the figures and the page, seconds"):
         found = inputs.read(directory)
         tables.write(found)
@@ -121,317 +284,448 @@ def run_report(study: str, device: str | None = None) -> None:
     print(f"Open it in a browser: {(directory / 'report.html').absolute().as_uri()}")
 
 
-def run_evaluate(
-    configure: Configure,
-    checkpoint: str | None = None,
-    controller: str | None = None,
-    episodes: int = 100,
-    seed: int = TEST_CASES,
-    json: str | None = None,
-) -> None:
-    """main.py evaluate"""
-    from study.commands import after_evaluation
+@command(
+    "report an agent or a controller in the metrics of the paper's Tables 2 and 3",
+    count("--episodes", 100, "test cases"),
+    seed(TEST_CASES, "of the test cases, of random controls and of an untrained agent"),
+    RESULTS,
+    settings=("train.rta", "train.keep_clear", *FLOWN),
+    one_of=(
+        AGENT,
+        flag(
+            "--controller",
+            choices=EVALUATED,
+            help="instead of an agent: untrained (as training begins), random or zero controls, which decide every "
+            "10 s as an agent does, or a classical guidance, which decides at every call of the filter, without "
+            f"it every second: {', '.join(GUIDANCE)}",
+        ),
+    ),
+)
+def run_evaluate(given: Namespace) -> None:
     from study.experiment import Experiment
     from study.flight.evaluation import evaluate
     from study.paper import tables
     from study.verified import say_doubts
 
-    policy, config = agent_and_config(configure, checkpoint)
-    experiment = Experiment(config, episodes)
-    say_doubts(config, configure.files, checkpoint)
-    commander = policy or controller
-    assert commander is not None  # the parser sees to it
-    results = evaluate(commander, experiment, episodes, seed)
+    policy, config = agent_and_config(given)
+    experiment = Experiment(config, given.episodes)
+    say_doubts(config)
+    results = evaluate(policy or given.controller, experiment, given.episodes, given.seed)
     print(tables(results))
-    print(after_evaluation(results, checkpoint, controller, configure.words))
-    if json:  # which may be standard output
-        write_json(json, results)
+    if given.json:  # which may be standard output
+        write_json(given.json, results)
 
 
-def run_simulate(
-    configure: Configure,
-    controller: str,
-    duration: float,
-    out: str,
-    checkpoint: str | None = None,
-    actions: str | None = None,
-    initial_state: str | None = None,
-    seed: int = TEST_CASES,
-    step: float = 1.0,
-    figure: str | None = None,
-) -> None:
-    """main.py simulate"""
+@command(
+    "simulate one spacecraft and write everything over time",
+    flag(
+        "--controller",
+        required=True,
+        choices=("policy", "recorded", "lqr-pd", *EVALUATED),
+        help="who commands the spacecraft",
+    ),
+    AGENT,
+    flag(
+        "--actions",
+        metavar="F.npy",
+        help="N x 6 controls in N and N m, a row per --step, for --controller recorded; N x 25 with the corners of a "
+        "flight that play saved, where [plant] errors are worst",
+    ),
+    flag("--initial-state", metavar="F.json", help="state file (default: drawn from --seed)"),
+    seed(TEST_CASES, "of what is drawn"),
+    seconds("--duration", None, "seconds to simulate", required=True),
+    seconds(
+        "--step",
+        1.0,
+        "seconds between two rows of the output, two decisions of a classical controller and two rows of "
+        "--actions; an agent, trained or not, decides every 10 s",
+    ),
+    flag("--out", type=to_write(".npz"), required=True, metavar="F.npz", help="file to write"),
+    flag(
+        "--figure",
+        type=to_write(".png"),
+        metavar="F.png",
+        help="also draw limits and controls over time there",
+    ),
+    settings=("train.rta", "train.keep_clear", *FLOWN),
+)
+def run_simulate(given: Namespace) -> None:
     from study.experiment import Experiment
     from study.flight import simulation
     from study.flight.figures import constraint_figure
     from study.verified import say_doubts
 
-    if (controller == "policy") != bool(checkpoint):
+    if (given.controller == "policy") != bool(given.checkpoint):
         raise InputError("--checkpoint F is needed by --controller policy and by no other")
-    if (controller == "recorded") != bool(actions):
+    if (given.controller == "recorded") != bool(given.actions):
         raise InputError("--actions F.npy is needed by --controller recorded and by no other")
-    policy, config = agent_and_config(configure, checkpoint)
-    simulation.check_rows(step, duration, config, controller)
-    experiment = Experiment(config, 1, duration)
-    say_doubts(config, configure.files, checkpoint)
-    flown = simulation.run(experiment, controller, duration, step, seed, policy, actions, initial_state)
-    write_npz(out, flown)
-    if figure:
-        constraint_figure(flown, config.inspection, Path(figure))
-    print(f"{out}: {simulation.described(flown)}")
+    policy, config = agent_and_config(given)
+    simulation.check_rows(given.step, given.duration, config, given.controller)
+    experiment = Experiment(config, 1, given.duration)
+    say_doubts(config)
+    flown = simulation.run(
+        experiment,
+        given.controller,
+        given.duration,
+        given.step,
+        given.seed,
+        policy,
+        given.actions,
+        given.initial_state,
+    )
+    write_npz(given.out, flown)
+    if given.figure:
+        constraint_figure(flown, config.inspection, given.figure)
+    print(f"{given.out}: {simulation.described(flown)}")
 
 
-def run_replay(runs: list[str], out: str) -> None:
-    """main.py replay"""
+@command(
+    "write a page that plays one or two simulated runs in 3-D",
+    flag("runs", nargs="+", metavar="RUN.npz", help="a file of simulate, or two, side by side"),
+    flag("--out", type=to_write(".html"), required=True, metavar="F.html", help="page to write"),
+)
+def run_replay(given: Namespace) -> None:
     with refusing("replay needs the package jinja2 (pip install '.[report]')", ImportError):
         from study.replay import page, scene
-    if len(runs) > 2:
-        raise InputError(f"{len(runs)} runs: at most two are shown side by side")
-    size = page.write(runs, Path(out))
-    print(f"{scene.printable(out)}: {1e-6 * size:.1f} MB, opens in a browser without a network")
+    if len(given.runs) > 2:
+        raise InputError(f"{len(given.runs)} runs: at most two are shown side by side")
+    size = page.write(given.runs, given.out)
+    print(f"{scene.printable(str(given.out))}: {1e-6 * size:.1f} MB, opens in a browser without a network")
 
 
-def run_play(configure: Configure, out: str, checkpoint: str | None = None) -> None:
-    """main.py play"""
+@command(
+    "write a page on which anybody flies the spacecraft in a browser, with the filter on or off",
+    AGENT,
+    flag("--out", type=to_write(".html"), required=True, metavar="F.html", help="page to write"),
+    settings=(*FILTER, "plant"),
+)
+def run_play(given: Namespace) -> None:
     with refusing("play needs the package jinja2 (pip install '.[play]')", ImportError):
         from study.play import page
     from study.replay.scene import printable
 
-    policy, trained = agent_and_config(configure, checkpoint)
-    size = page.write(with_filter(configure, trained), Path(out), policy)
-    print(f"{printable(out)}: {1e-6 * size:.1f} MB, opens in a browser without a network")
+    policy, config = agent_and_config(given)
+    size = page.write(filtered(config), given.out, policy)
+    print(f"{printable(str(given.out))}: {1e-6 * size:.1f} MB, opens in a browser without a network")
 
 
-def run_filter(configure: Configure, states: str, out: str) -> None:
-    """main.py filter"""
+@command(
+    "filter a batch of states from elsewhere and write out the quadratic programs",
+    flag(
+        "--states",
+        required=True,
+        metavar="F.npz",
+        help="file with state (N x 16, the order of inspection/model/state.py) and control_desired (N x 6, N and N m)",
+    ),
+    flag("--out", type=to_write(".npz"), required=True, metavar="G.npz", help="file to write"),
+    settings=(*FILTER, *MACHINE),
+)
+def run_filter(given: Namespace) -> None:
     from rta.qp.programs import Status
     from study.flight import offline_filter
 
-    config = configure(Config())
-    result = offline_filter.run(config, states)
-    write_npz(out, result)
-    counts = [f"{(result['status'] == status).sum():,} {status.name.lower()}" for status in Status]
-    print(f"{out}: {len(result['status']):,} states, {', '.join(counts)}")
+    if os.path.realpath(given.states) == os.path.realpath(given.out):
+        raise InputError(f"--out {given.out}: is the file of --states; name another one")
+    result = offline_filter.run(filtered(configured(given, Config())), given.states)
+    write_npz(given.out, result)
+    counted = [f"{(result['status'] == status).sum():,} {status.name.lower()}" for status in Status]
+    print(f"{given.out}: {len(result['status']):,} states, {', '.join(counted)}")
 
 
-def run_verify(
-    configure: Configure,
-    episodes: int = 1000,
-    policy: str = "random",
-    candidates: int | None = None,
-    horizon: int | None = None,
-    duration: int = 2000,
-    check_every: float = 1.0,
-    filter: str = "python",
-    seed: int = 0,
-    json: str | None = None,
-    keep_worst: bool = False,
-) -> None:
-    """main.py verify"""
+@command(
+    "count violations behind the filter over many random episodes",
+    count(
+        "--episodes",
+        1000,
+        "in all, from starts that the filter can hold; the others met on the way are reported beside them",
+    ),
+    flag(
+        "--policy",
+        metavar="P",
+        default="random",
+        help="random actions held for random times, adversarial (down the worst constraint's slope), pressing (full "
+        "control against one constraint of an episode), lookahead (the worst of many candidates, each tried in the "
+        "true plant), learned:F (drawn from an agent of train --adversary) or checkpoint:F (any agent)",
+    ),
+    count("--candidates", None, "of lookahead, per spacecraft and call of the filter (default: 24)"),
+    count(
+        "--horizon", None, "of lookahead, calls of the filter that each candidate is tried for (default: 3)"
+    ),
+    count("--duration", 2000, "whole seconds of each episode"),
+    seconds("--check-every", 1.0, "seconds between two checks of all constraints"),
+    flag(
+        "--filter",
+        choices=("python", "c"),
+        default="python",
+        help="what filters: python, or c, as `export --filter` writes it",
+    ),
+    seed(0, "of everything random"),
+    REPORT,
+    flag(
+        "--keep-worst",
+        action=BooleanOptionalAction,
+        default=False,
+        help="keep the worst episode of every constraint beside --json, not only of those violated",
+    ),
+    settings=FLOWN,
+)
+def run_verify(given: Namespace) -> None:
     from study.experiment import check_observed
     from study.verification.campaign import BATCH, digest, load_commander, looking_ahead, verify
     from study.verification.findings import Campaign, table, what_next
     from study.verified import say_unchecked
 
-    network, trained = load_commander(policy)
-    config = with_filter(configure, trained)
+    network, trained = load_commander(given.policy)
+    config = filtered(configured(given, (trained or Config()).with_solver("auto")))
     say_unchecked(config)
     if network:
         check_observed(config, trained)
-    ahead = looking_ahead(policy, candidates, horizon)
-    period, weights = config.rta.period, digest(network)
-    campaign = Campaign(policy, period, duration, seed, BATCH, weights, check_every, *ahead, filter)
-    kept = Path(json) if json else None
-    report = verify(campaign, episodes, config, network, kept, keep_worst)
+    campaign = Campaign(
+        given.policy,
+        config.rta.period,
+        given.duration,
+        given.seed,
+        BATCH,
+        digest(network),
+        given.check_every,
+        *looking_ahead(given.policy, given.candidates, given.horizon),
+        given.filter,
+    )
+    report = verify(campaign, given.episodes, config, network, given.json, given.keep_worst)
     print(table(report))
-    print(what_next(report, kept))
+    print(what_next(report, given.json))
 
 
-def run_boundary(configure: Configure, draws: int = 4096, seed: int = 0, json: str | None = None) -> None:
-    """main.py boundary"""
+@command(
+    "try single calls of the filter at states next to its limits",
+    count("--draws", 4096, "states next to one limit or two, in whole batches"),
+    seed(0, "of everything random"),
+    REPORT,
+    settings=FLOWN,
+)
+def run_boundary(given: Namespace) -> None:
     from study.boundary.boundary import BATCH, Boundary, search
     from study.boundary.report import table
     from study.verified import say_unchecked
 
-    config = with_filter(configure)
+    config = filtered(configured(given, Config()))
     say_unchecked(config)
-    print(
-        table(search(Boundary(config.rta.period, seed, BATCH), draws, config, Path(json) if json else None))
-    )
+    print(table(search(Boundary(config.rta.period, given.seed, BATCH), given.draws, config, given.json)))
 
 
-def run_break_points(
-    configure: Configure,
-    episodes: int = 96,
-    policy: str = "pressing",
-    duration: int = 300,
-    seed: int = 0,
-    json: str | None = None,
-    figure: str | None = None,
-) -> None:
-    """main.py break-points"""
+@command(
+    "find the size at which each effect of [plant] breaks a limit, with and without [uncertainty], its errors at the "
+    "corners of their bounds",
+    count(
+        "--episodes", 96, "of each effect and size, with errors that are steady and as many with the worst"
+    ),
+    flag(
+        "--policy",
+        choices=("random", "adversarial", "pressing", "lookahead"),
+        default="pressing",
+        help="who commands, see verify",
+    ),
+    count("--duration", 300, "whole seconds of each episode"),
+    seed(0, "of everything random"),
+    REPORT,
+    flag("--figure", type=to_write(".png"), metavar="F.png", help="also draw the table there"),
+    settings=(*FILTER, *MACHINE),
+)
+def run_break_points(given: Namespace) -> None:
     from study.verification import break_points
 
-    config = with_filter(configure)
+    config = filtered(configured(given, Config()))
     at_corners = " and ".join(break_points.ERRORS)
-    worlds = break_points.Worlds(policy, config.rta.period, duration, seed, episodes, errors=at_corners)
-    report = break_points.measure(worlds, config, Path(json) if json else None)
+    worlds = break_points.Worlds(
+        given.policy, config.rta.period, given.duration, given.seed, given.episodes, errors=at_corners
+    )
+    report = break_points.measure(worlds, config, given.json)
     print(break_points.table(report))
-    if figure:
-        with writing(figure) as file:
+    if given.figure:
+        with writing(given.figure) as file:
             break_points.figure(report).savefig(file, dpi=90)
 
 
-def run_refly(file: str) -> None:
-    """main.py refly"""
+@command(
+    "fly a counter-example of verify again",
+    flag("file", metavar="F.npz", help="what verify kept beside --json, with all settings"),
+)
+def run_refly(given: Namespace) -> None:
     from study.verification.counter_examples import refly_file
 
-    print(refly_file(file))
+    print(refly_file(given.file))
 
 
-def run_benchmark(
-    configure: Configure,
-    batches: tuple[int, ...] | None = None,
-    json: str | None = None,
-    figure: str | None = None,
-) -> None:
-    """main.py benchmark"""
+@command(
+    "measure the speed of simulator, filter, solvers and learner",
+    flag(
+        "--batches",
+        type=counts,
+        metavar="N,N,...",
+        help="episodes, spacecraft and samples at once (default: 256 to 65,536 in powers of 4)",
+    ),
+    RESULTS,
+    flag("--figure", type=to_write(".png"), metavar="F.png", help="also draw rates over batches there"),
+    settings=(*FLOWN, "ppo"),
+)
+def run_benchmark(given: Namespace) -> None:
     from study.benchmark import measure, presentation
 
     with refusing("benchmark needs the package gymnasium (pip install '.[gymnasium]')", ImportError):
         from interfaces.vector import VectorInspection6DoF
-    config = configure(Config())
-    results = measure.benchmark(config, batches or measure.BATCHES, VectorInspection6DoF)
+    config = configured(given, override(Config(), {"train": {"compile": "on"}}, "benchmark"))
+    results = measure.benchmark(config, given.batches or measure.BATCHES, VectorInspection6DoF)
     print(presentation.table(results))
-    if json:
-        write_json(json, results)
-    if figure:
-        with writing(figure) as file:
+    if given.json:
+        write_json(given.json, results)
+    if given.figure:
+        with writing(given.figure) as file:
             presentation.figure(results, file)
 
 
-def run_export(
-    configure: Configure,
-    checkpoint: str | None = None,
-    out: str | None = None,
-    c: str | None = None,
-    filter: str | None = None,
-    prefix: str | None = None,
-) -> None:
-    """main.py export"""
-    named = {} if prefix is None else {"prefix": prefix}
+@command(
+    "write an agent as an ONNX file, checked against PyTorch, or as C with a test that does so; or the filter as C",
+    AGENT,
+    flag(
+        "--prefix",
+        metavar="NAME",
+        help="what files, functions, types and macros of the C begin with, so that several fit into one program "
+        "(default: policy, or safety_filter)",
+    ),
+    settings=FILTER,
+    one_of=(
+        flag("--out", type=to_write(".onnx"), metavar="F.onnx", help="ONNX file to write"),
+        flag("--c", metavar="D", help="directory to create for C99 sources, or that holds those of an agent"),
+        flag(
+            "--filter",
+            metavar="D",
+            help="directory to create for the filter's C99 sources, or that holds those of a filter",
+        ),
+    ),
+)
+def run_export(given: Namespace) -> None:
     from study.experiment import load_policy
 
-    if filter is not None:
+    named = {} if given.prefix is None else {"prefix": given.prefix}
+    if given.filter is not None:
         from study.export import filter as export_filter
 
-        print(export_filter.export(with_filter(configure), Path(filter), **named))
+        if given.checkpoint:
+            raise InputError("--filter has no use for --checkpoint; drop it")
+        print(export_filter.export(filtered(configured(given, Config())), Path(given.filter), **named))
         return
-    if checkpoint is None:
-        raise InputError(f"--checkpoint F is needed by {'--out' if c is None else '--c'}")
-    policy, config = load_policy(checkpoint)
-    if c is not None:
+    if given.config or any("." in name for name in vars(given)):
+        raise InputError("--config and settings are of --filter; an agent has those of its training")
+    if given.checkpoint is None:
+        raise InputError(f"--checkpoint F is needed by {'--out' if given.c is None else '--c'}")
+    policy, config = load_policy(given.checkpoint)
+    if given.c is not None:
         with refusing("export --c needs the package jinja2 (pip install '.[report]')", ImportError):
             from study.export import policy as export_policy
-        print(export_policy.write(policy, config, checkpoint, Path(c), **named))
+        print(export_policy.write(policy, config, given.checkpoint, Path(given.c), **named))
         return
+    if named:
+        raise InputError("--out has no use for --prefix; drop it")
     with refusing("export needs the packages onnx and onnxruntime of requirements.txt", ImportError):
         from study.export import onnx as export
     model = export.to_onnx(policy, config.inspection, config.chief)
     difference = export.check(model, policy)
-    assert out is not None  # the parser sees to it
-    with writing(out) as file:
+    with writing(given.out) as file:
         file.write(model)
     print(
-        f"{out}: {len(model):,} bytes, at most {difference:.1g} from PyTorch's controls "
+        f"{given.out}: {len(model):,} bytes, at most {difference:.1g} from PyTorch's controls "
         f"over {export.SAMPLES:,} observations"
     )
 
 
-HANDLERS: dict[str, Handler] = {
-    "train": run_train,
-    "study": run_study,
-    "report": run_report,
-    "evaluate": run_evaluate,
-    "simulate": run_simulate,
-    "replay": run_replay,
-    "play": run_play,
-    "filter": run_filter,
-    "verify": run_verify,
-    "boundary": run_boundary,
-    "break-points": run_break_points,
-    "refly": run_refly,
-    "benchmark": run_benchmark,
-    "export": run_export,
-}
+def build_parser() -> Parser:
+    """Returns the parser of the whole command line."""
+    called = Path(sys.argv[0]).stem
+    parser = Parser(prog=called if called == "rta-inspection" else "main.py", description=__doc__)
+    parser.add_argument("--version", action="version", version=f"rta-inspection {version()}")
+    commands = parser.add_subparsers(dest="command", required=True, metavar=" | ".join(COMMANDS))
+    for add_to in DECLARED.values():
+        add_to(commands)
+    return parser
+
+
+def version() -> str:
+    """Returns the version that pyproject.toml says or, where this is installed without one, the package's."""
+    source = Path(__file__).parent / "pyproject.toml"
+    if source.is_file():
+        return tomllib.loads(source.read_text(encoding="utf-8"))["project"]["version"]
+    return importlib.metadata.version("rta-inspection")
+
+
+def with_values(words: Collection[str]) -> list[str]:
+    """Returns the words with "--flag -x" and "--flag -0.1,2" as "--flag=-x", since argparse takes -x for a flag."""
+    joined: list[str] = []
+    for word in words:
+        if re.fullmatch(r"-[xyz\d.].*", word) and joined and re.fullmatch(r"--[^=]+", joined[-1]):
+            joined[-1] += f"={word}"
+        else:
+            joined.append(word)
+    return joined
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Parses and dispatches; returns the exit code."""
-    open_error_output()
-    if sys.stdout is None:
-        return complain(CLOSED, 2)
-    code, output = 0, Output(sys.stdout)
+    """Runs a command and returns the exit code; whatever bad input raises is caught here and ends in one line."""
     try:
-        with redirect_stdout(output if is_first() else None):  # one of many ranks speaks for all
-            code = call(sys.argv[1:] if argv is None else argv)
-        output.flush()
-    except BrokenPipeError:  # the reader of our output, such as head, has left
-        output.discard()
-    except OSError as error:
-        if error.filename != NAME:
-            raise
-        output.discard()
-        code = code or complain(f"{NAME}: {error.strerror}", 2)
-    return code
-
-
-def call(words: list[str]) -> int:
-    """What `main` does where standard output can be written."""
-    try:
-        with redirect_stderr(sys.stderr if is_first() else None):
-            arguments = build_parser(HANDLERS, __doc__).parse_args(join_axis(words) or ["--help"])
-        from ppo.distributed import ranks
-        from study.machine.threads import THREADS
-
-        if ranks().size > 1 and arguments.command not in ("train", "study"):
-            raise InputError(
-                f"torchrun: {arguments.command} runs in one process; only train and study in many"
-            )
-        check_files(arguments)
-        THREADS.ask(getattr(arguments, "threads", None))
-        if cache := getattr(arguments, "cache_dir", None):
-            os.environ[VARIABLE] = cache
-        HANDLERS[arguments.command](**parameters(arguments))
+        with redirect_stdout(sys.stdout if is_first() else None):  # one of many ranks speaks for all
+            try:
+                run(with_values(sys.argv[1:] if argv is None else argv))
+            finally:
+                sys.stdout.flush()
     except SystemExit as end:  # of the parser: help, or bad usage
         return int(end.code or 0)
     except (InputError, CheckpointError) as error:
         return complain(f"{error}", 2)
-    except BrokenPipeError:
-        raise
+    except BrokenPipeError:  # the reader of our output, such as head, has left
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # where Python sends the rest as it ends
+        return 0
     except OSError as error:
-        if error.filename is None:
-            raise
-        return complain(f"{error.filename}: {error.strerror}", 2, "end")
+        return complain(f"{error.filename or 'standard output'}: {error.strerror}", 2, "end")
     except Stopped as stopped:
         print(stopped)
         # of many ranks zero: all else torchrun calls a failure, and begins anew
-        return 128 + stopped.number if ranks().size == 1 else 0
+        return 128 + stopped.number if "RANK" not in os.environ else 0
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)
         return 130
     except (ReflyError, ExportError) as error:
         return complain(f"{error}", 1)
     except RankLostError as error:
-        signal.signal(signal.SIGTERM, signal.SIG_IGN)  # from torchrun, which has noticed, too; we are leaving
         return complain(f"{error}", 1, "end")
     except NonFiniteError as error:
         return complain(f"training stopped at {error}", 1, "end")
     return 0
 
 
+def run(words: list[str]) -> None:
+    """Parses the words of a call and calls its command."""
+    given = build_parser().parse_args(words or ["--help"])
+    if getattr(given, "print_config", False):
+        print(to_toml(configured(given, StudyConfig() if given.command == "study" else Config())), end="")
+        return
+    from ppo.distributed import ranks
+    from study.machine.threads import THREADS
+
+    if ranks().size > 1 and given.command not in ("train", "study"):
+        raise InputError(f"torchrun: {given.command} runs in one process; only train and study in many")
+    for name, path in vars(given).items():
+        if isinstance(path, Path):  # an output, see `to_write`
+            with refusing(f"--{name} {str(path)!r}: cannot write it", OSError, ValueError):
+                check_writable(path)
+    THREADS.ask(given.threads)
+    if given.cache_dir:
+        from kernels.build import VARIABLE
+
+        os.environ[VARIABLE] = given.cache_dir
+    COMMANDS[given.command](given)
+
+
 def complain(reason: str, code: int, event: str = "") -> int:
-    """One line on stderr, of ranks with the same reason, or of the same event, from one; returns the exit code."""
+    """Says a line on stderr, of ranks with the same reason, or of the same event, one; returns the exit code."""
     from ppo.distributed import ranks
 
     if ranks().first_to_say(event or reason):
@@ -441,8 +735,7 @@ def complain(reason: str, code: int, event: str = "") -> int:
 
 
 def program() -> None:
-    """The installed command, and this file as it is called: ends the process with the exit code."""
-    signal.signal(signal.SIGINT, signal.default_int_handler)
+    """Ends the process with the exit code: the installed command."""
     sys.exit(main())
 
 

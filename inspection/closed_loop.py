@@ -62,7 +62,7 @@ class World(Protocol):
         ...
 
     def tell(self, time: Tensor) -> dict[str, Tensor]:
-        """What a filter is told beside the state: `sent` and `left`, as `rta.SafetyFilter.correct` takes them."""
+        """What a filter is told beside the state, `sent` and `left`, see `rta.filter.SafetyFilter.correct`."""
         ...
 
     def hold(self, time: Tensor, u: Tensor) -> tuple[Tensor, Tensor]:

@@ -21,8 +21,9 @@ from inspection.transition import Transition
 from inspection.world.basilisk import BasiliskPlant
 from inspection.world.parameters import PlantParameters
 from inspection.world.plant import Plant
-from kernels import Compiled, if_long
+from kernels.compiled import Compiled
 from kernels.modes import in_full_precision
+from kernels.printer import if_long
 
 
 def clocks_of(

@@ -11,7 +11,8 @@ from inspection.model.attitude import norm, unit
 from inspection.model.parameters import Limits
 from inspection.model.state import SIZE, P, Q
 from rta.given import numbers
-from study.errors import InputError, instead, refusing
+from settings import InputError, instead
+from study.errors import refusing
 from study.flight.state_files import LARGEST, check_states
 
 MASK = "reset_mask"

@@ -13,7 +13,7 @@ from torch import Tensor
 from interfaces.environment import Inspection6DoF
 from interfaces.vector import VectorInspection6DoF, in_kind
 from rta.result import FilterResult
-from study import config as configuration
+from settings import override
 from study.experiment import Experiment
 
 
@@ -27,7 +27,7 @@ class VectorRunTimeAssurance(VectorWrapper):
             the call missed,
         intervened: (B, calls) bool, u_safe is a correction,
         backup: (B, calls) bool, u_safe is not what the programs answered, which could not be verified,
-        verified: (B, calls) bool, u_safe keeps every limit in the model, see `rta.FilterResult`,
+        verified: (B, calls) bool, u_safe keeps every limit in the model, see `rta.result.FilterResult`,
         active: (B, calls, 13) bool, a row of the constraint binds it,
         status: (B, calls), `rta.qp.programs.Status` of the solver.
 
@@ -47,7 +47,7 @@ class VectorRunTimeAssurance(VectorWrapper):
         if base.experiment.safety.correct:
             raise ValueError("the environment is behind a filter already")
         own = {"train": {"rta": True}, "rta": {} if period is None else {"period": period}}
-        config = configuration.override(base.config, own, "RunTimeAssurance")
+        config = override(base.config, own, "RunTimeAssurance")
         experiment = Experiment(config, base.num_envs)
         self.filter = experiment.filter
         self.calls: list[tuple[Tensor, FilterResult]] = []

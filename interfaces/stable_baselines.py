@@ -9,7 +9,7 @@ from stable_baselines3.common.vec_env import VecEnv
 
 from interfaces.options import MASK, STARTS, check_names
 from interfaces.vector import VectorInspection6DoF
-from study.errors import InputError
+from settings import InputError
 
 Indices = int | Iterable[int] | None
 

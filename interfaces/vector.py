@@ -20,9 +20,9 @@ from inspection.termination import OUTCOMES
 from inspection.transition import METRICS, Transition
 from interfaces.options import read
 from rta.constraints.names import CONSTRAINTS
-from study import config as configuration
+from settings import InputError, load, override, typed
 from study.config import Config
-from study.errors import InputError, refusing
+from study.errors import refusing
 from study.experiment import Experiment
 
 ID = "Inspection6DoF-v0"
@@ -66,18 +66,12 @@ class VectorInspection6DoF(VectorEnv):
         tensors: bool = False,
         max_episode_steps: int | None = None,
     ) -> None:
-        base = (
-            config
-            if isinstance(config, Config)
-            else configuration.load(configuration.find(str(config)))
-            if config
-            else Config()
-        )
-        compiled = configuration.convert(compile, bool, f"{ID}: compile")
+        base = config if isinstance(config, Config) else load(str(config), Config()) if config else Config()
+        compiled = typed(compile, bool, f"{ID}: compile")
         here = {"num_envs": num_envs, "device": device, "rta": False, "compile": "on" if compiled else "off"}
         end = {"max_time": end_of(max_episode_steps, base.inspection)}
-        config = configuration.override(base, {"train": here, "inspection": end}, ID)
-        self.tensors = configuration.convert(tensors, bool, f"{ID}: tensors")
+        config = override(base, {"train": here, "inspection": end}, ID)
+        self.tensors = typed(tensors, bool, f"{ID}: tensors")
         self.num_envs = num_envs
         size = len(components(config.inspection.observed))
         self.single_observation_space = spaces.Box(-LARGEST, LARGEST, (size,), np.float32)
@@ -167,7 +161,7 @@ def end_of(max_episode_steps: int | None, c: InspectionParameters) -> float:
     """The time in s from which on an episode is ended; raises InputError where the steps are not allowed."""
     if max_episode_steps in (None, -1):
         return c.max_time
-    if (steps := configuration.convert(max_episode_steps, int, f"{ID}: max_episode_steps")) < 1:
+    if (steps := typed(max_episode_steps, int, f"{ID}: max_episode_steps")) < 1:
         raise InputError(
             f"{ID}: max_episode_steps = {steps}: must be positive, or -1 for no limit but max_time"
         )

@@ -4,7 +4,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from setting import Settings, setting
+from settings import Settings, setting
 
 MAX_WIDTH = 65_536  # of a hidden layer
 LARGEST_WEIGHT = 1e3  # of a term of the loss; far larger ones leave no number in a gradient

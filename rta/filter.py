@@ -23,8 +23,8 @@ from inspection.closed_loop import Safety
 from inspection.model.doubts import doubts
 from inspection.model.parameters import InspectionParameters
 from inspection.model.state import CONTROL_SIZE, SIZE, P, Q
-from kernels import Compiled, NoCompilerError
-from kernels.build import say
+from kernels.build import NoCompilerError, say
+from kernels.compiled import Compiled
 from kernels.modes import in_full_precision
 from rta.backup.check import Backup
 from rta.backup.commit import Check
@@ -191,7 +191,7 @@ class SafetyFilter:
 
         On a CPU all of it is one C function, solver included, unless PIQP is asked for; then, and on a GPU, what is
         computed for every spacecraft. Takes some seconds, up to ten where controls are held, once: what was compiled
-        is kept across runs. Raises as `kernels.Compiled`, and changes nothing then.
+        is kept across runs. Raises as `kernels.compiled.Compiled`, and changes nothing then.
         """
         if self._solves_in_c and torch.device(device).type == "cpu":
             self.compiled = BatchFilter(self)

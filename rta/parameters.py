@@ -4,7 +4,7 @@ import math
 from dataclasses import dataclass
 from itertools import pairwise
 
-from setting import Settings, setting
+from settings import Settings, setting
 
 PERIODS = (1.0, 5.0, 10.0)
 QP_SOLVERS = ("auto", "piqp", "batched")

@@ -1,20 +1,13 @@
-"""Bad input: the exception that the command line turns into one line on stderr and exit code 2."""
+"""How commands end badly, and what turns the errors of libraries into bad input."""
 
-from collections.abc import Collection, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
-from difflib import get_close_matches
 
-from setting import joined
+from settings import InputError
 
 MALFORMED = (KeyError, TypeError, ValueError, RuntimeError, AttributeError)  # what damaged contents raise
 LONGEST = 600  # characters of what a library says
-NEAR = 0.7  # share of letters in common from which on a word may have been meant
-FEW = 20  # words that are read at a glance
 NO_MEMORY = "can't allocate memory", "out of memory"  # in what PyTorch raises on a CPU and on a GPU
-
-
-class InputError(ValueError):
-    """Bad input from a person: the message says what was wrong, where, and what is allowed."""
 
 
 class ReflyError(Exception):
@@ -39,19 +32,6 @@ class Stopped(BaseException):
         self.number = number
 
 
-def instead(word: str, known: Collection[str]) -> str:
-    """What ends a message about an unknown word: the known ones nearest to it or, if none is near, all of a few."""
-    if meant := nearest(word, known):
-        return meant
-    return f"; allowed are {', '.join(known)}" if len(known) <= FEW else ""
-
-
-def nearest(word: str, known: Collection[str]) -> str:
-    """A question whether one of the known words was meant; empty where none is near."""
-    near = get_close_matches(word, known, 3, NEAR)
-    return f"; did you mean {joined(near, 'or')}?" if near else ""
-
-
 @contextmanager
 def refusing(where: str, *exceptions: type[BaseException]) -> Iterator[None]:
     """Turns the given exceptions into an InputError that begins with `where`."""
@@ -67,8 +47,3 @@ def refusing(where: str, *exceptions: type[BaseException]) -> Iterator[None]:
         else:
             reason = (str(error) or type(error).__name__).splitlines()[0]
         raise InputError(f"{where}: {reason[:LONGEST]}") from None
-
-
-def in_one_line(text: str) -> str:
-    """A message as one line, whatever the names in it hold."""
-    return "".join(each if each.isprintable() else repr(each)[1:-1] for each in text)

@@ -25,10 +25,9 @@ from ppo.network import Policy, Value
 from rta.filter import SafetyFilter
 from rta.keep_clear import kept_clear
 from rta.parameters import RtaParameters
-from study import config as configuration
-from study.commands import EPISODE
+from settings import InputError, from_toml
 from study.config import AnyConfig, Config
-from study.errors import InputError, refusing
+from study.errors import refusing
 from study.files import see
 from study.machine.compiling import (
     WORTH_COMPILING_SIMULATOR,
@@ -39,6 +38,8 @@ from study.machine.compiling import (
 from study.machine.device import resolve_device
 from study.machine.progress import step
 from study.machine.threads import THREADS
+
+EPISODE = 3600  # s, about as long as an agent takes
 
 # Spacecraft from which the batched solver is the faster one on a CPU where nothing is compiled: about half of them have
 # a program to solve, and `python main.py benchmark` shows both solvers by the number of programs at once, which cross
@@ -284,7 +285,7 @@ def load_policy(path: str | Path) -> tuple[Policy, Config]:
     """
     content = checkpoint.load(path, ("policy", "config"))
     with refusing(f"{path}: not a checkpoint of this program", AttributeError, TypeError, RuntimeError):
-        config = configuration.from_toml(content["config"], str(path))
+        config = from_toml(content["config"], str(path), Config())
         policy = make_policy(config, [torch.Generator()])
         check_weights(content["policy"], path)
         policy.load_state_dict(content["policy"])

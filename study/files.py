@@ -10,7 +10,7 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from ppo.files import is_written_in_place, naming, replacing, temporary_beside
-from study.errors import InputError, refusing
+from settings import InputError
 
 ROOT = Path(__file__).parent.parent  # of the repository
 
@@ -43,19 +43,15 @@ def load_arrays(
     return found
 
 
-def check_writable(path: str | None, flag: str) -> None:
-    """Refuses an output file that cannot be written, before any work is done; leaves nothing behind. None is fine."""
-    if path is None:
+def check_writable(path: Path) -> None:
+    """Raises OSError or ValueError for an output that cannot be written; leaves nothing behind."""
+    if path.is_fifo():  # opened and closed, it would tell its reader that all was written
         return
-    target = Path(path)
-    with refusing(f"{flag} {path!r}: cannot write it", OSError, ValueError):
-        if target.is_fifo():  # opened and closed, it would tell its reader that all was written
-            return
-        if target.exists():
-            target.open("ab").close()
-        if not is_written_in_place(target):
-            temporary_beside(target).open("wb").close()
-            temporary_beside(target).unlink()
+    if path.exists():
+        path.open("ab").close()
+    if not is_written_in_place(path):
+        temporary_beside(path).open("wb").close()
+        temporary_beside(path).unlink()
 
 
 NUMBERS = re.compile(r"(?<=\[)\n[-\d.eE+,\s]+(?=\])")  # of an indented list that holds nothing else

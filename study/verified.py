@@ -6,7 +6,7 @@ import sys
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from functools import cached_property, reduce
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -16,11 +16,9 @@ from inspection.world.parameters import PlantParameters
 from ppo.torchrun import is_first
 from rta.printed import source
 from rta.printed.files import implementation
-from setting import settings
-from study import config as configuration
-from study.commands import command
-from study.config import Config, StudyConfig, override
-from study.errors import MALFORMED, InputError
+from settings import override, rules
+from study.config import Config
+from study.errors import MALFORMED
 from study.experiment import filter_of, ignores_keep_clear
 from study.files import ROOT, see
 
@@ -46,7 +44,7 @@ def relevant(config: Config) -> dict[str, Any]:
     """
     plant = PlantParameters() if config.plant.is_nominal else config.plant
     tables = {
-        "inspection": {key: getattr(config.inspection, key) for key in settings(Limits)},
+        "inspection": {key: getattr(config.inspection, key) for key in rules(Limits)},
         "chief": of_hull(config.chief),
         "rta": {key: value for key, value in vars(config.rta).items() if key != "qp_solver"},
         "plant": vars(plant),
@@ -144,18 +142,10 @@ def alike(config: Config, flown: Sequence[Flown]) -> list[Flown]:
     return [each for each in flown if each.relevant == own]
 
 
-def say_doubts(
-    config: Config, config_files: Sequence[str | Path], checkpoint: str | Path | None = None
-) -> None:
-    """Says on stderr what the filter in use does not check, and that it has not been verified, in a line each.
-
-    Of many ranks, the first one does.
-
-    Args:
-        config_files: those of --config; checkpoint: the agent's file. Either may hold the settings.
-    """
+def say_doubts(config: Config) -> None:
+    """Says on stderr what the filter in use does not check, and that it has not been verified, in a line each."""
     say_unchecked(config)
-    if config.train.rta and is_first() and (reason := doubt(config, config_files, checkpoint)):
+    if config.train.rta and is_first() and (reason := doubt(config)):
         print(reason, file=sys.stderr)
 
 
@@ -176,8 +166,8 @@ def unchecked(config: Config) -> str | None:
     return f"not checked: {' and '.join(names)}; {why}{see(CHECK)}"
 
 
-def doubt(config: Config, config_files: Sequence[str | Path], checkpoint: str | Path | None) -> str | None:
-    """Why a configuration does not count as verified, and what to do about it, in a line; None where it does.
+def doubt(config: Config) -> str | None:
+    """Says why a configuration does not count as verified, in a line; None where it does.
 
     It does where there is a report of each of POLICIES on its plant and filter, large and without a violation.
     """
@@ -191,20 +181,7 @@ def doubt(config: Config, config_files: Sequence[str | Path], checkpoint: str | 
             else f"{worst.report['unsolved']:,} calls of this filter were not solved"
         )
         return f"not safe: {difference(config, flown)}: {said} ({shown(worst.path)}){see(PAGE)}"
-    if verified(same):
-        return None
-    page = see(PAGE)
-    begin = f"not verified: {difference(config, flown)}{page}"
-    source = source_of(config, config_files, checkpoint)
-    if source is None:
-        return begin
-    commands = [f"mkdir -p {REPORTS}"] + [
-        command(
-            "verify", *source, "--policy", policy, "--json", f"{REPORTS}/{fingerprint(config)}_{policy}.json"
-        )
-        for policy in POLICIES
-    ]
-    return f"{begin}{', or' if page else ';'} verify it: {' && '.join(commands)}"
+    return None if verified(same) else f"not verified: {difference(config, flown)}{see(PAGE)}"
 
 
 def verified(same: list[Flown]) -> bool:
@@ -241,32 +218,6 @@ def in_toml(value: Any, number: str) -> str:
     if isinstance(value, tuple):
         return f"[{', '.join(in_toml(each, number) for each in value)}]"
     return number.format(value) if isinstance(value, float) else json.dumps(value)
-
-
-def source_of(
-    config: Config, config_files: Sequence[str | Path], checkpoint: str | Path | None
-) -> list[str] | None:
-    """The flags with which `verify` has this plant and filter; None where none are found.
-
-    The settings may come from --config, from the config.toml nearest above a checkpoint, and from two flags.
-    """
-    above = Path(checkpoint).absolute().parents if checkpoint else ()
-    nearest = next((folder / "config.toml" for folder in above if (folder / "config.toml").is_file()), None)
-    for paths in (config_files, [nearest] if nearest else [], []):
-        with suppress(InputError):  # somebody else's config.toml
-            base = reduce(lambda under, path: configuration.load(path, under), paths, StudyConfig())
-            flags, tables = [word for path in paths for word in ("--config", shown(path))], {}
-            for flag, table, key in (
-                ("--rta-period", "rta", "period"),
-                ("--solar-panel-axis", "inspection", "solar_panel_axis"),
-            ):
-                value = getattr(getattr(config, table), key)
-                if value != getattr(getattr(base, table), key):
-                    flags += [flag, value if isinstance(value, str) else f"{value:g}"]
-                    tables[table] = {key: value}
-            if relevant(override(base, tables, "command line")) == relevant(config):
-                return flags
-    return None
 
 
 def shown(path: str | Path) -> str:

@@ -23,6 +23,7 @@ from inspection.transition import METRICS
 from inspection.world.parameters import PlantParameters
 from kernels import build
 from rta.constraints.names import CONSTRAINTS
+from settings import to_toml
 from study.config import ARMS, BASELINES, Config, StudyConfig
 from study.machine import progress
 from tests.optimised import QUICK
@@ -199,7 +200,7 @@ def made_up_episode(rng: np.random.Generator) -> dict[str, np.ndarray]:
         "control_applied": control,
         "inspected_score": t / t[-1],
         "inspected": t[:, None] >= rng.uniform(0.0, 1.3 * t[-1], 100),
-        "parameters": np.array(Config().to_toml()),
+        "parameters": np.array(to_toml(Config())),
         "intervened": np.zeros((len(t), 2), dtype=bool),
         **{f"h_{name}": ones for name in CONSTRAINTS},
     }
@@ -245,7 +246,7 @@ def made_up_study(tmp_path_factory: pytest.TempPathFactory) -> Path:
     }
     for name, content in contents.items():
         (study / name).write_text(json.dumps(content))
-    (study / "config.toml").write_text(StudyConfig().to_toml())
+    (study / "config.toml").write_text(to_toml(StudyConfig()))
     lines = ["interactions,arm,metric,iqm,low,high"]
     for interactions, arm, metric in itertools.product((500_000, 1_000_000, 1_500_000), ARMS, METRICS):
         low, middle, high = np.sort(rng.uniform(0.0, 5.0, 3))

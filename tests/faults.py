@@ -792,7 +792,7 @@ STUDY = [
     *faults(
         "study/config.py",
         "study/test_config.py",
-        ("own.uncertainty.holds(own.rta) == rest.uncertainty.holds(rest.rta)", "True"),
+        ("arm.uncertainty.holds(arm.rta) == shared.uncertainty.holds(shared.rta)", "True"),
     ),
     *faults(
         "study/experiment.py",

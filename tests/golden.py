@@ -33,10 +33,12 @@ from inspection.model.parameters import InspectionParameters
 from inspection.model.state import CONTROLS
 from inspection.termination import OUTCOMES
 from inspection.transition import METRICS
-from rta import SafetyFilter, Status
 from rta.constraints.names import CONSTRAINTS
+from rta.filter import SafetyFilter
 from rta.parameters import RtaParameters
-from study.config import TEST_CASES, Config, find, load
+from rta.qp.programs import Status
+from settings import load
+from study.config import TEST_CASES, Config
 from study.experiment import Experiment, load_policy
 from study.flight.evaluation import play
 
@@ -108,7 +110,7 @@ def states(count: int, seed: int) -> tuple[torch.Tensor, torch.Tensor]:
 
 def filtered(count: int, period: float, config: str | None = None) -> Quantities:
     """What the compiled filter answers to states, at a period and told of the bounds of a shipped configuration."""
-    told = load(find(config)) if config else Config()
+    told = load(config, Config()) if config else Config()
     try:
         own = SafetyFilter(told.inspection, RtaParameters(period=period), known=told.uncertainty)
     except ValueError as error:
@@ -129,7 +131,7 @@ def filtered(count: int, period: float, config: str | None = None) -> Quantities
 def flown(cases: int, rta: bool) -> Quantities:
     """What becomes of common test cases that a shipped agent flies."""
     policy, trained = load_policy(AGENT)
-    trained = trained.unsettled()
+    trained = trained.with_solver("auto")
     config = replace(trained, train=replace(trained.train, rta=rta, device="cpu"))
     record = play(policy, Experiment(config, cases), cases, TEST_CASES)
     return {

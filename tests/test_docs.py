@@ -12,7 +12,8 @@ import pytest
 
 import main
 from docs.guides import control_loop
-from study.config import StudyConfig, load
+from settings import load
+from study.config import StudyConfig
 
 ROOT = Path(main.__file__).parent
 COMMANDS_PAGE = "reference/commands"  # whose commands train for hours

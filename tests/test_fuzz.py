@@ -4,6 +4,7 @@ Calls are drawn from a seed: a call that works, then one to three things in it m
 key of the configuration, or its words. `python -m tests.test_fuzz SEED COUNT` draws others.
 """
 
+import argparse
 import contextlib
 import io
 import json
@@ -21,8 +22,6 @@ import pytest
 import torch
 
 import main
-from study.command_line.commands import COMMANDS
-from study.command_line.flags import Flag
 from study.config import StudyConfig
 from tests.test_main import STATE, write_inputs
 
@@ -62,7 +61,7 @@ TEXTS = (
     "../..", "%s%n", "checkpoint:", "é",
 )  # fmt: skip
 PATHS = (
-    "", ".", "/", "/dev/null", "/dev/zero", "/dev/full", "/proc/self/mem", "nowhere/x", "x" * 300, "a\0b",
+    "", ".", "/", "/dev/null", "/dev/full", "/proc/self/mem", "nowhere/x", "x" * 300, "a\0b",
     "directory", "empty", "garbage", "latin1", "loop", "dangling", "p.pt", "c.toml", "s.json", "u.npy",
     "x.npz", "r.npz", "deep.toml", "deep.json", "objects.npz", "complex.npy", "link", "a\nb",
     "checkpoint:p.pt", "~", "--", "sparse", "half.pt",
@@ -96,26 +95,38 @@ def make_files() -> None:
         file.truncate(2**42)
 
 
-def values_of(words: list[str], flag: Flag) -> list[int]:
+def flags_of(command: str) -> list[argparse.Action]:
+    """A command's flags, less --help, and its positional arguments."""
+    commands = main.build_parser()._subparsers._group_actions[0].choices
+    return [action for action in commands[command]._actions if action.dest != "help"]
+
+
+def is_output(flag: argparse.Action) -> bool:
+    """Whether it names a file that is written."""
+    return getattr(flag.type, "__qualname__", "").startswith("to_write")
+
+
+def values_of(words: list[str], flag: argparse.Action) -> list[int]:
     """Where a flag's values stand among the words of a call."""
-    if not flag.name.startswith("--"):
+    if not flag.option_strings:
         return [1]
-    return [i + 1 for i, word in enumerate(words[:-1]) if word == flag.name]
+    return [i + 1 for i, word in enumerate(words[:-1]) if word in flag.option_strings]
 
 
 def hostile_flag(draw: random.Random, words: list[str]) -> None:
     """Gives one of the command's flags a hostile value."""
-    flag = draw.choice(COMMANDS[words[0]].flags)
-    if "action" in flag.options:
-        words.append(draw.choice((flag.name, flag.name.replace("--", "--no-"), f"{flag.name}=1")))
+    flag = draw.choice(flags_of(words[0]))
+    if flag.nargs == 0:
+        name = draw.choice(flag.option_strings)
+        words.append(draw.choice((name, f"{name}=1")))
         return
-    is_path = flag.reads or flag.writes or flag.options.get("metavar") == "D"
+    is_path = is_output(flag) or str(flag.metavar or "")[:1] in ("F", "D", "G", "R")
     value = draw.choice(PATHS if is_path and draw.random() < 0.9 else TEXTS)
     places = values_of(words, flag)
     if places:
         words[places[-1]] = value
     else:
-        words += [flag.name, value]
+        words += [flag.option_strings[0], value]
 
 
 def hostile_words(draw: random.Random, words: list[str]) -> None:
@@ -132,10 +143,10 @@ def hostile_words(draw: random.Random, words: list[str]) -> None:
 
 def hostile_output(draw: random.Random, words: list[str]) -> None:
     """Lets an output be one of the inputs."""
-    outputs = [flag for flag in COMMANDS[words[0]].flags if flag.writes]
+    outputs = [flag for flag in flags_of(words[0]) if is_output(flag)]
     if outputs:
         flag = draw.choice(outputs)
-        words += [flag.name, draw.choice([word for word in words if word in INPUTS] or INPUTS)]
+        words += [flag.option_strings[0], draw.choice([word for word in words if word in INPUTS] or INPUTS)]
 
 
 def toml(tables: dict[str, dict[str, str]]) -> str:
@@ -148,7 +159,9 @@ def toml(tables: dict[str, dict[str, str]]) -> str:
 
 def hostile_key(draw: random.Random, words: list[str]) -> None:
     """Writes a configuration with a hostile key or two."""
-    known = {name: list(vars(part)) for name, part in vars(StudyConfig()).items()} | {"nonsense": []}
+    known = {name: list(getattr(part, "__dict__", ())) for name, part in vars(StudyConfig()).items()} | {
+        "nonsense": []
+    }
     tables = {name: dict(table) for name, table in SHORT.items()}
     for _ in range(draw.randrange(1, 3)):
         table = draw.choice(list(known))

@@ -26,7 +26,7 @@ import sys
 from pathlib import Path
 
 import inspection, interfaces, ppo, rta, study
-from study import load_policy
+from study.experiment import load_policy
 
 for package in (inspection, interfaces, ppo, rta, study):
     assert Path(sys.prefix) in Path(package.__file__).parents, package.__file__

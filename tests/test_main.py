@@ -15,10 +15,9 @@ import main
 from inspection.transition import METRICS
 from rta.constraints.names import CONSTRAINTS
 from rta.filter import SOLVERS
+from settings import InputError, configured, from_toml, override
 from study import experiment
-from study.command_line.arguments import build_parser, resolve
-from study.config import Config, from_toml, override
-from study.errors import InputError
+from study.config import Config
 from study.training import session as training
 
 STATE: dict[str, Any] = {
@@ -177,7 +176,7 @@ def test_simulate_replays_recorded_controls_from_a_state(
     np.testing.assert_allclose(result["control_applied"][:-1], actions, atol=1e-15)
     np.testing.assert_allclose(np.linalg.norm(result["quaternion"], axis=1), 1.0, atol=1e-12)
     assert result["temperature"].shape == result["h_battery"].shape == (9,)
-    assert from_toml(str(result["parameters"]), "it").inspection == Config().inspection
+    assert from_toml(str(result["parameters"]), "it", Config()).inspection == Config().inspection
     assert result["inspected"].shape == (9, Config().inspection.num_points)
     assert result["intervened"].shape == (9, 2) and not result["intervened"].any()  # there is no filter
 
@@ -223,7 +222,7 @@ def test_flags_override_the_file(tmp_path: Path) -> None:
     path = tmp_path / "some.toml"
     path.write_text("[train]\nseed = 5\nnum_envs = 8\n")
     words = ["train", "--config", str(path), "--seed", "6", "--no-rta"]
-    train = resolve(build_parser(main.HANDLERS).parse_args(words), Config()).train
+    train = configured(main.build_parser().parse_args(words), Config()).train
     assert (train.seed, train.num_envs, train.rta) == (6, 8, False)
 
 
@@ -247,8 +246,8 @@ def test_a_run_says_which_solver_it_uses_and_keeps_it(
 @pytest.mark.parametrize(("flags", "used"), [([], "auto"), (["--qp-solver", "batched"], "batched")])
 def test_evaluate_chooses_its_solver_however_the_agent_was_trained(flags: list[str], used: str) -> None:
     trained = override(Config(), {"rta": {"qp_solver": "batched", "period": 5.0}}, "test")
-    arguments = build_parser(main.HANDLERS).parse_args(["evaluate", "--checkpoint", "x.pt", *flags])
-    rta = resolve(arguments, trained.unsettled()).rta
+    arguments = main.build_parser().parse_args(["evaluate", "--checkpoint", "x.pt", *flags])
+    rta = configured(arguments, trained.with_solver("auto")).rta
     assert (rta.qp_solver, rta.period) == (used, 5.0)
 
 

@@ -1,13 +1,18 @@
-"""What a setting says of itself: what is allowed, in the check and in words."""
+"""Settings: what is allowed, in the check and in words; files over defaults, and flags over files."""
 
+import argparse
 import math
 from dataclasses import dataclass, replace
-from typing import Any
+from pathlib import Path
+from types import UnionType
+from typing import Any, get_args, get_type_hints
 
 import numpy as np
 import pytest
 
-from setting import Settings, setting, settings
+import main
+from settings import InputError, Settings, configured, literal, override, rules, setting, to_toml
+from study.config import Config, StudyConfig
 
 
 @dataclass(frozen=True)
@@ -93,9 +98,135 @@ def test_a_table_below_others_has_their_settings_and_checks() -> None:
 
         last: float = setting(1.0, "s")
 
-    assert [*settings(More)] == [*settings(Table), "last"]
-    assert settings(More)["mass"].about == "kg, of the body" and settings(More)["mass"].note == "Body"
-    assert settings(More)["frame"].comment == "of the position: hill or body"
+    assert [*rules(More)] == [*rules(Table), "last"]
+    assert rules(More)["mass"].about == "kg, of the body" and rules(More)["mass"].note == "Body"
+    assert rules(More)["frame"].comment == "of the position: hill or body"
     for values in ({"mass": -1.0}, {"last": -1.0}):
         with pytest.raises(ValueError, match=next(iter(values))):
             More(**values)
+
+
+# all settings of the program
+
+
+EVERY = [
+    pytest.param(table, key, id=f"{table}.{key}")
+    for table, part in vars(StudyConfig()).items()
+    if isinstance(part, Settings)
+    for key in rules(type(part))
+]
+
+
+def beyond(rule: Any, kind: type) -> list[Any]:
+    """Values beyond each bound of a setting, and of other types."""
+    if rule.among or kind in (str, bool):
+        return [3.5, *(["no such word"] if rule.among else [])]
+    found: list[Any] = ["word", True]
+    step = 1 if kind is int else 1e-6
+    found += [rule.above, rule.above - step] if rule.above is not None else []
+    found += [rule.least - step] if rule.above is None and rule.least is not None else []
+    found += [rule.below] if rule.below is not None else []
+    found += [math.nan, math.inf] if kind is float and rule.most != math.inf else []
+    return found + ([rule.most + max(step, rule.most * 1e-9)] if rule.most not in (None, math.inf) else [])
+
+
+@pytest.mark.parametrize(("table", "key"), EVERY)
+def test_every_declared_bound_is_enforced(table: str, key: str) -> None:
+    part = vars(StudyConfig())[table]
+    rule, kind = rules(type(part))[key], get_type_hints(type(part))[key]
+    if isinstance(kind, UnionType):
+        kind = get_args(kind)[0]
+    element = (get_args(kind) or (kind,))[0]
+    value = getattr(part, key)
+    for bad in beyond(rule, element):
+        items = tuple(bad for _ in value) or (bad,) if isinstance(value, tuple) else bad
+        with pytest.raises(ValueError, match=rf"^{key} = .*: must be "):
+            replace(part, **{key: items})
+
+
+@pytest.mark.parametrize(("table", "key"), EVERY)
+def test_every_setting_has_a_flag_and_a_meaning(table: str, key: str) -> None:
+    part = vars(StudyConfig())[table]
+    assert rules(type(part))[key].about
+    value = getattr(part, key)
+    text = f"--{table}.{key}={literal(value).strip(chr(34))}"
+    if isinstance(value, bool):
+        text = f"--{'' if value else 'no-'}{table}.{key}"
+    given = main.build_parser().parse_args(["study", text])
+    assert f"{table}.{key}" in vars(given)
+    assert configured(given, StudyConfig()) == StudyConfig()
+
+
+@pytest.mark.parametrize(
+    ("words", "table", "key", "value"),
+    [
+        ("--no-rta", "train", "rta", False),
+        ("--no-train.rta", "train", "rta", False),
+        ("--rta-period 5", "rta", "period", 5.0),
+        ("--rta.period 10.0", "rta", "period", 10.0),
+        ("--inspection.mass 1e1", "inspection", "mass", 10.0),
+        ("--interactions 1_000", "train", "interactions", 1000),
+        ("--solar-panel-axis -z", "inspection", "solar_panel_axis", "-z"),
+        ("--solar-panel-axis=+z", "inspection", "solar_panel_axis", "+z"),
+        ("--adversary battery,collision", "train", "adversary", ("battery", "collision")),
+        ("--inspection.inertia 0.1,0.1,0.15", "inspection", "inertia", (0.1, 0.1, 0.15)),
+        ("--inspection.initial_temperature -1,2", "inspection", "initial_temperature", (-1.0, 2.0)),
+        ("--plant.mass_factor 1.1", "plant", "mass_factor", 1.1),
+        ("--plant.mass_factor [0.9,1.1]", "plant", "mass_factor", (0.9, 1.1)),
+        ("--plant.latency 0,2", "plant", "latency", (0, 2)),
+    ],
+)
+def test_a_flag_changes_its_setting_and_no_other(words: str, table: str, key: str, value: Any) -> None:
+    given = main.build_parser().parse_args(main.with_values(["train", *words.split()]))
+    config = configured(given, Config())
+    assert getattr(vars(config)[table], key) == value
+    assert config == replace(Config(), **{table: replace(vars(Config())[table], **{key: value})})
+
+
+def test_files_go_over_the_base_in_their_order_and_flags_over_them(tmp_path: Path) -> None:
+    files = [tmp_path / "one.toml", tmp_path / "two.toml"]
+    files[0].write_text("[inspection]\nmass = 20.0\nmax_thrust = 2.0\n[train]\nseed = 5\n", encoding="utf-8")
+    files[1].write_text("[inspection]\nmass = 30.0\n", encoding="utf-8")
+    words = [word for file in files for word in ("--config", str(file))]
+    base = override(Config(), {"inspection": {"mass": 40.0, "deputy_radius": 4.0}}, "test")
+    found = configured(main.build_parser().parse_args(["train", *words, "--seed", "6"]), base)
+    task = found.inspection
+    assert (task.mass, task.max_thrust, task.deputy_radius, found.train.seed) == (30.0, 2.0, 4.0, 6)
+
+
+def test_the_configuration_is_printed_as_toml(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main.main(["train", "--seed", "6", "--print-config"]) == 0
+    printed = capsys.readouterr().out
+    assert printed == to_toml(override(Config(), {"train": {"seed": 6}}, "test"))
+    assert "seed = 6 # of everything random" in printed
+
+
+def flags_of(command: str) -> list[argparse.Action]:
+    parser = main.build_parser()._subparsers._group_actions[0].choices[command]  # type: ignore[union-attr, index]
+    return parser._actions
+
+
+@pytest.mark.parametrize("command", main.COMMANDS)
+def test_help_says_of_every_flag_what_it_is_and_its_default(command: str) -> None:
+    for action in flags_of(command):
+        assert action.help, action.dest
+        if action.help != argparse.SUPPRESS and "." in action.dest:
+            assert "(default: " in action.help
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("[train]\nseed = true", "[train] seed = True: must be an integer"),
+        (
+            "[inspection]\ninertia = [1.0, 2.0]",
+            "[inspection] inertia = [1.0, 2.0]: must be a list of 3 floats",
+        ),
+    ],
+)
+def test_a_value_of_another_type_is_refused(text: str, said: str, tmp_path: Path) -> None:
+    path = tmp_path / "bad.toml"
+    path.write_text(text)
+    with pytest.raises(InputError) as refusal:
+        configured(main.build_parser().parse_args(["train", "--config", str(path)]), Config())
+    assert str(refusal.value) == f"{path}: {said}"

@@ -22,8 +22,8 @@ from inspection.environment import InspectionEnv
 from inspection.model.parameters import ChiefParameters, InspectionParameters
 from rta.filter import SafetyFilter
 from rta.parameters import RtaParameters
+from settings import Parser, positive_integer
 from study.benchmark.timing import Stopwatch
-from study.command_line.flags import Parser, positive_integer
 
 TABLES = (("inspection", InspectionParameters), ("chief", ChiefParameters))
 Constants = TypeVar("Constants", InspectionParameters, ChiefParameters)

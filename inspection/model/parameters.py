@@ -7,7 +7,7 @@ contradiction in the paper; docs/reference/differences.md gives the reason for e
 import math
 from dataclasses import dataclass
 
-from setting import Settings, setting
+from settings import Settings, setting
 
 ORBITS = ("clohessy-wiltshire", "two-body")
 SLOWEST_ORBIT = 1e-12  # rad/s; that slow, nothing turns

@@ -4,7 +4,7 @@ from dataclasses import dataclass, fields
 
 from inspection.model.parameters import Limits
 from inspection.model.state import CONTROLS
-from setting import Settings, setting
+from settings import Settings, setting
 
 Range = float | tuple[float, float]
 Count = int | tuple[int, int]

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from inspection.model.parameters import Limits
 from rta.parameters import RtaParameters
-from setting import Settings, setting
+from settings import Settings, setting
 
 if TYPE_CHECKING:  # who asks for settings alone does not wait for PyTorch
     from torch import Tensor

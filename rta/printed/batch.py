@@ -14,10 +14,10 @@ import torch
 from torch import Tensor
 
 from inspection.model.state import CONTROL_SIZE, SIZE
-from kernels import Printed, if_long, library, printed
-from kernels.build import for_vectors
+from kernels.build import for_vectors, library
 from kernels.cache import remembered
 from kernels.compiled import check, in_shares, over_columns, pointers, strided, timed
+from kernels.printer import Printed, if_long, printed
 from rta.backup.check import Backup
 from rta.barrier import ActuatorGroup
 from rta.constraints.constraint import joined
@@ -90,7 +90,7 @@ class BatchFilter(Columns):
     Attributes:
         statements: of a spacecraft, that are printed for vectors.
 
-    Raises as `kernels.Compiled`.
+    Raises as `kernels.compiled.Compiled`.
     """
 
     def __init__(self, safety_filter: "SafetyFilter") -> None:
@@ -118,7 +118,7 @@ class Flights:
     """`Backup.ways` of states on a CPU, by a C function of a library.
 
     Args:
-        found: the library; None: one is made of the filter's check alone. Raises as `kernels.Compiled`.
+        found: the library; None: one is made of the filter's check alone. Raises as `kernels.compiled.Compiled`.
     """
 
     def __init__(self, safety_filter: "SafetyFilter", found: ctypes.CDLL | None = None) -> None:

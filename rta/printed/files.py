@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING
 from torch import Tensor
 
 from inspection.model.dynamics import step
-from kernels import printed
 from kernels.cache import remembered
 from kernels.exported import REFUSES_FAST_MATH, check_directory, check_prefix, prefixed
+from kernels.printer import printed
 from rta.constraints.names import UNITS
 from rta.printed.batch import recorded
 from rta.printed.source import (

@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING
 
 from torch import Tensor
 
-from kernels import library
+from kernels.build import library
 from rta.printed.batch import Columns, by_column
 from rta.printed.files import sources
 from rta.printed.source import driver_text

@@ -15,8 +15,8 @@ import torch
 from torch import Tensor
 
 from inspection.model.state import THRUST, TORQUE
-from kernels import Printed, if_long, printed
 from kernels.build import OF_ONE, OF_TWO, OWN, QUICK, header, macro
+from kernels.printer import Printed, if_long, printed
 from rta.barrier import ActuatorGroup
 from rta.bounds.health import AXES, slewing
 from rta.constraints.constraint import in_order, joined

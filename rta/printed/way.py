@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 from inspection.model.state import SIZE, TORQUE
-from kernels import Printed, if_long, printed
+from kernels.printer import Printed, if_long, printed
 from rta.backup import homing, turn
 from rta.backup.check import KEPT, RATES_ROUNDED, Backup
 from rta.backup.commit import ATTITUDE, LIMITS, MOTION, SHARES, SLACK_ROUNDED, Check

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
-from kernels import Compiled
+from kernels.compiled import Compiled
 from rta.qp.piqp_solver import PiqpSolver
 from rta.qp.programs import (
     REDUNDANT,

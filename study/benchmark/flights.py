@@ -15,7 +15,7 @@ from rta.filter import SafetyFilter
 from rta.propose import demanded
 from rta.qp.programs import Problems
 from rta.qp.scaled import prepared, problems
-from study.errors import InputError
+from settings import InputError
 from study.experiment import Experiment, load_policy
 from study.files import ROOT
 

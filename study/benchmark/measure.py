@@ -16,11 +16,12 @@ import torch
 
 from kernels.build import VARIABLE
 from rta.parameters import PERIODS
+from settings import load, override
 from study.benchmark import rates
 from study.benchmark.breakdown import breakdown
 from study.benchmark.flights import record, trained, untrained
 from study.benchmark.timing import Spread, seconds, us
-from study.config import Config, load, override
+from study.config import Config
 from study.experiment import Experiment
 from study.files import ROOT
 from study.machine.compiling import compile_or_explain, wants_compile

@@ -21,9 +21,8 @@ from inspection.model.state import CONTROL_SIZE
 from inspection.observation import components
 from ppo.distributed import ranks
 from ppo.rollout import collect
-from study import config as configuration
+from settings import Parser, load, override
 from study.benchmark.timing import typical_seconds
-from study.command_line.flags import Parser
 from study.config import Config
 from study.files import ROOT, write_json
 from study.machine.provenance import provenance
@@ -202,5 +201,5 @@ if __name__ == "__main__":
     parser = Parser(description=__doc__.splitlines()[0])
     parser.add_argument("directory", type=Path, metavar="DIR", help="for the measurements")
     directory = parser.parse_args().directory
-    settings = configuration.load(ROOT / "configs" / "rta.toml")
-    main(directory, configuration.override(settings, {"train": {"compile": "on"}}, "ranks"))
+    settings = load(ROOT / "configs" / "rta.toml", Config())
+    main(directory, override(settings, {"train": {"compile": "on"}}, "ranks"))

@@ -9,7 +9,8 @@ from torch import Tensor
 
 from inspection.environment import InspectionEnv
 from inspection.model.state import CONTROL_SIZE
-from kernels import Kernel, printed
+from kernels.compiled import Kernel
+from kernels.printer import printed
 from ppo.learner import PPO
 from rta.filter import SafetyFilter
 from rta.qp.batched_solver import BatchedSolver

@@ -22,7 +22,7 @@ from torch import Tensor
 from inspection.closed_loop import Smallest
 from inspection.environment import InspectionEnv
 from inspection.model.state import CONTROL_SIZE
-from kernels import Compiled
+from kernels.compiled import Compiled
 from rta.filter import SafetyFilter
 from rta.lie_derivatives import Function
 from rta.qp.programs import Status

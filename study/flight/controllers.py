@@ -10,7 +10,7 @@ from inspection.model.state import CONTROL_SIZE
 from inspection.orbits import GUIDANCE
 from inspection.world.corners import Recorded
 from ppo.network import Policy
-from study.errors import InputError
+from settings import InputError
 from study.experiment import Experiment
 from study.flight.state_files import read_actions
 

@@ -14,8 +14,8 @@ from inspection.environment import InspectionEnv
 from inspection.model.parameters import InspectionParameters
 from inspection.model.state import THETA_S, THRUST, TORQUE, P
 from ppo.network import Policy
+from settings import InputError
 from study.config import Config
-from study.errors import InputError
 from study.experiment import (
     Experiment,
     check_clocks,

@@ -14,8 +14,9 @@ from inspection.model.doubts import doubts
 from inspection.model.parameters import Limits
 from inspection.model.state import CONTROL_SIZE, OMEGA, SIZE, THETA_S, E, P, Q, T, V
 from inspection.world.corners import CORNER
+from settings import InputError, instead
 from study import files
-from study.errors import InputError, instead, refusing
+from study.errors import refusing
 
 LARGEST = 1e6  # of any number in a state
 MAX_STATES = 10**6

@@ -5,7 +5,7 @@ import sys
 from collections.abc import Callable
 
 from kernels.build import NoCompilerError, compiler
-from study.errors import in_one_line
+from settings import in_one_line
 from study.machine.progress import step
 
 # Compiling takes 3 s the first time, which as many filter calls or steps (of a batch each) repay.

@@ -3,7 +3,7 @@
 import torch
 
 from ppo.torchrun import local_rank
-from study.errors import InputError
+from settings import InputError
 
 
 def resolve_device(name: str) -> torch.device:

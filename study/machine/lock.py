@@ -6,7 +6,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from ppo.distributed import ranks
-from study.errors import InputError
+from settings import InputError
 
 try:
     import fcntl

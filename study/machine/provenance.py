@@ -11,6 +11,7 @@ from typing import Any
 import torch
 
 from ppo.distributed import ranks
+from settings import to_toml
 from study.config import Config
 from study.files import ROOT, write_json, write_text
 from study.machine.device import resolve_device
@@ -62,7 +63,7 @@ def write_settings(config: Config, directory: Path, init_from: Path | None = Non
         digest = hashlib.sha256(init_from.read_bytes()).hexdigest()
         about["init_from"] = {"file": str(init_from), "sha256": digest}
     write_json(directory / "provenance.json", about)
-    write_text(directory / "config.toml", config.to_toml())
+    write_text(directory / "config.toml", to_toml(config))
 
 
 def recorded_threads(directory: Path) -> int | None:

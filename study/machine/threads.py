@@ -10,7 +10,7 @@ import os
 import torch
 
 from kernels import compiled
-from study.errors import InputError
+from settings import InputError
 
 DEFAULT = 1  # of PyTorch's
 

@@ -24,7 +24,7 @@ from torch import Tensor
 
 from inspection.guidance import natural_motion
 from inspection.model.state import P, V
-from study.command_line.flags import Parser, positive_integer
+from settings import Parser, positive_integer
 from study.config import TEST_CASES, Config
 from study.experiment import paper_task, test_cases
 from study.files import write_json

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from inspection.model.parameters import InspectionParameters
-from study.errors import InputError
+from settings import InputError
 
 VIEWER = Path("resources/templates/viewer.zip")  # in the package trimesh
 LIBRARY = re.compile(r"/\*\*\n \* @license\n.*?\*/\n!function[^\n]*\n", re.DOTALL)  # within the viewer's page

@@ -15,7 +15,7 @@ from inspection.chief.points import (
 from inspection.model.parameters import InspectionParameters
 from inspection.model.state import SIZE, P
 from inspection.observation import observe
-from kernels import if_long, printed
+from kernels.printer import if_long, printed
 from ppo.network import Policy
 from rta.printed.source import define, for_one
 from study.export.policy import sources

@@ -25,8 +25,9 @@ from rta.bounds.uncertainty import NOTHING
 from rta.constraints.names import CONSTRAINTS
 from rta.filter import SafetyFilter
 from rta.parameters import PERIODS
+from settings import InputError
 from study.config import Config
-from study.errors import InputError, refusing
+from study.errors import refusing
 from study.files import write_text
 from study.machine.progress import step
 from study.pages import scene

@@ -19,7 +19,7 @@ from inspection.model.parameters import InspectionParameters
 from inspection.model.state import THETA_S, TORQUE, P
 from inspection.orbits import GUIDANCE
 from inspection.termination import failures
-from kernels import printed
+from kernels.printer import printed
 from rta.filter import SafetyFilter
 from rta.parameters import PERIODS
 from rta.printed.files import sources

@@ -11,8 +11,8 @@ from inspection.model.orbit import free_flight
 from inspection.model.parameters import InspectionParameters
 from inspection.model.state import SIZE, THETA_S, E, P, Q, T, V
 from rta.filter import SafetyFilter
+from settings import InputError
 from study.config import TEST_CASES, Config
-from study.errors import InputError
 from study.experiment import test_cases
 
 CASES = 40  # of `evaluate` and `simulate`, the first

@@ -6,7 +6,7 @@ import tempfile
 from collections.abc import Mapping
 from pathlib import Path
 
-from study.errors import InputError
+from settings import InputError
 
 # no fused products, as in `kernels.build`, so that each operation rounds as it does in Python
 FLAGS = (

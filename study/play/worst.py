@@ -18,12 +18,12 @@ from inspection.model.parameters import InspectionParameters
 from inspection.world.corners import CORNER, ERRORS, GAINS, Recorded
 from inspection.world.parameters import PlantParameters, bounds
 from inspection.world.plant import Plant, draw
-from kernels import printed
+from kernels.printer import printed
 from rta.filter import SafetyFilter
 from rta.parameters import PERIODS
 from rta.printed.source import define, for_one
+from settings import InputError
 from study.config import Config
-from study.errors import InputError
 from study.experiment import case_numbers
 from study.play.printed import driver
 from study.play.starts import CASES, starts

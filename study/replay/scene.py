@@ -19,8 +19,8 @@ from inspection.model.orbit import coast
 from inspection.model.parameters import InspectionParameters
 from inspection.model.state import SIZE, THETA_S, P, V
 from rta.constraints.names import CONSTRAINTS
-from study import config as configuration
-from study.errors import InputError
+from settings import InputError, from_toml
+from study.config import Config
 from study.files import load_arrays
 from study.flight.figures import Episode, effort, speeds
 from study.pages import scene
@@ -102,7 +102,7 @@ def read(path: str, rows: int = MAX_ROWS) -> Replayed:
     names = (*COLUMNS, "inspected", "intervened", "parameters")
     older = ": not a file that simulate wrote, or one of an older version"
     episode = load_arrays(path, names, "run", older, maybe=(*CHIEF, HULL))
-    c = configuration.from_toml(str(episode["parameters"]), f"{path}: parameters").inspection
+    c = from_toml(str(episode["parameters"]), f"{path}: parameters", Config()).inspection
     of_chief = {name: row for name, row in CHIEF.items() if "chief_points" in episode}
     of_chief |= {HULL: ()} if HULL in episode else {}
     points = len(episode["chief_points"]) if of_chief else c.num_points

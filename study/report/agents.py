@@ -9,9 +9,8 @@ from pathlib import Path
 import torch
 
 from ppo.network import Policy
-from study import config as configuration
+from settings import InputError, load
 from study.config import Config, StudyConfig
-from study.errors import InputError
 from study.experiment import load_policy, make_policy
 from study.paper import Results
 from study.report.inputs import read_arms
@@ -39,7 +38,7 @@ class Arm:
         return policy
 
 
-def load(study: Path, device: str | None) -> dict[str, Arm]:
+def agents_of(study: Path, device: str | None) -> dict[str, Arm]:
     """The arms of a finished study by name."""
     path = study / "results.json"
     if not path.is_file():
@@ -51,7 +50,7 @@ def load(study: Path, device: str | None) -> dict[str, Arm]:
         raise InputError(
             f"{path}: {', '.join(old)} was evaluated by an older revision; that one can report it"
         )
-    wanted = configuration.load(study / "config.toml", StudyConfig()).study.arms
+    wanted = load(study / "config.toml", StudyConfig()).study.arms
     if unfinished := [name for name in wanted if name not in arms]:
         print(f"--study {study}: {', '.join(unfinished)} is not finished and is left out", file=sys.stderr)
     return {name: load_arm(study / name, results, device) for name, results in arms.items()}

@@ -9,11 +9,12 @@ from typing import Any
 
 import numpy as np
 
+from settings import InputError
 from study.config import ARMS, BASELINES, GUIDE, TEST_CASES
-from study.errors import MALFORMED, InputError, refusing
+from study.errors import MALFORMED, refusing
 from study.files import write_json, write_npz, write_text
 from study.report import flights, tables
-from study.report.agents import Arm, load
+from study.report.agents import Arm, agents_of
 from study.report.sunlight import shortest_episodes
 
 Work = dict[
@@ -30,7 +31,7 @@ def compute(study: Path, device: str | None = None) -> None:
     Raises:
         InputError, CheckpointError: there is no finished study, it is damaged, or nothing can be written there.
     """
-    arms = load(study, device)
+    arms = agents_of(study, device)
     directory = study / "report"
     todo = work(study, arms)
     with refusing(f"--study {study}: cannot write there", OSError):

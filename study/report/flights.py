@@ -16,7 +16,7 @@ from inspection.orbits import GUIDANCE
 from inspection.transition import METRICS
 from rta.bounds.uncertainty import Uncertainty
 from rta.parameters import PERIODS
-from study import config as configuration
+from settings import load
 from study.config import BASELINES, GUIDE, TEST_CASES, Config
 from study.errors import MALFORMED, refusing
 from study.experiment import Experiment, priced, test_cases
@@ -80,7 +80,7 @@ def baselines(config: Config) -> dict[str, dict[str, Results]]:
     """Every controller of BASELINES on the study's test cases, without filter and behind it."""
     episodes = config.train.final_episodes
     experiments = {
-        switch: Experiment(with_rta(config, rta, config.rta.period).unsettled(), episodes)
+        switch: Experiment(with_rta(config, rta, config.rta.period).with_solver("auto"), episodes)
         for switch, rta in (("off", False), ("on", True))
     }
 
@@ -117,7 +117,7 @@ def worlds(arms: dict[str, Arm]) -> dict[str, dict[str, dict[str, Results]]]:
 
     The filter is called every second: its bounds are those of a spacecraft that does so.
     """
-    told = configuration.load(BOUNDS).uncertainty
+    told = load(BOUNDS, Config()).uncertainty
     filters = {"off": (False, Uncertainty()), "nominal": (True, Uncertainty()), "robust": (True, told)}
     found: dict[str, dict[str, dict[str, Results]]] = {plant: {name: {} for name in arms} for plant in WORLDS}
     for names in side_by_side(arms):
@@ -132,7 +132,7 @@ def side_by_side(arms: dict[str, Arm]) -> list[list[str]]:
     """The names of arms, in groups whose agents can fly in one environment: what it is made from is the same."""
     groups: list[tuple[tuple[Any, ...], list[str]]] = []
     for name, arm in arms.items():
-        config = with_rta(arm.config, True, FILTER_PERIOD).unsettled()
+        config = with_rta(arm.config, True, FILTER_PERIOD).with_solver("auto")
         train, ppo = config.train, config.ppo
         needs = (
             *(priced(config), config.rta, config.chief, len(arm.digests)),
@@ -151,8 +151,8 @@ def in_world(arms: Sequence[Arm], plant: str, rta: bool, known: Uncertainty) -> 
     """The agents of arms that fly side by side in the plant of that file, the filter on or off and told of so much."""
     first = arms[0]
     config = replace(
-        with_rta(first.config, rta, FILTER_PERIOD).unsettled(),
-        plant=configuration.load(PLANTS / f"{plant}.toml").plant,
+        with_rta(first.config, rta, FILTER_PERIOD).with_solver("auto"),
+        plant=load(PLANTS / f"{plant}.toml", Config()).plant,
         uncertainty=known,
     )
     seeds = len(first.digests)
@@ -175,7 +175,7 @@ def progress(arms: dict[str, Arm], config: Config) -> dict[str, dict[str, list[f
     """By arm, and "guidance" behind the filter: the inspected weight over time, IQM over the study's episodes."""
     cases = config.train.final_episodes
     every = FILTER_PERIOD
-    experiment = Experiment(with_rta(config, True, every).unsettled(), cases)
+    experiment = Experiment(with_rta(config, True, every).with_solver("auto"), cases)
     generators = experiment.generators([TEST_CASES + 1])
     env = experiment.env(cases, generators, decide_every=every, compiled=experiment.compiled)
     controller = classical(GUIDE, env, TEST_CASES, every)

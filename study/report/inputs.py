@@ -9,7 +9,7 @@ from zipfile import BadZipFile
 
 import numpy as np
 
-from study import config as configuration
+from settings import load
 from study.config import ARMS, StudyConfig
 from study.errors import MALFORMED, refusing
 from study.flight.figures import Episode
@@ -84,7 +84,7 @@ def read(study: Path) -> Inputs:
     arms = read_arms(study)
     return Inputs(
         study=study,
-        config=configuration.load(study / "config.toml", StudyConfig()),
+        config=load(study / "config.toml", StudyConfig()),
         arms=arms,
         own=read_arms(study, own=True),
         provenance=read_json(study / "provenance.json"),

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from study.command_line.flags import Parser
+from settings import Parser
 
 
 def of_a_study(program: str, files: str) -> Parser:

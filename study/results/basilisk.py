@@ -25,13 +25,13 @@ from inspection.transition import METRICS
 from inspection.world.basilisk import BasiliskPlant
 from inspection.world.parameters import PlantParameters
 from rta.filter import SafetyFilter
-from study.command_line.flags import positive_integer
+from settings import positive_integer
 from study.config import TEST_CASES
 from study.experiment import Experiment
 from study.files import write_json, writing
 from study.flight.evaluation import SUCCESS, Episodes, play
 from study.flight.figures import BLUE, GREEN, ORANGE
-from study.report.agents import Arm, load
+from study.report.agents import Arm, agents_of
 from study.results.arguments import of_a_study
 from study.verification.starts import safe_set
 
@@ -115,7 +115,7 @@ def one_alone() -> float:
 
 def flown(arm: Arm, plant: PlantParameters, cases: int) -> Episodes:
     """All agents of an arm through the first common test cases."""
-    config = replace(arm.config.unsettled(), plant=plant)
+    config = replace(arm.config.with_solver("auto"), plant=plant)
     return play(arm.policy, Experiment(config, cases * arm.policy.seeds), cases, TEST_CASES)
 
 
@@ -148,7 +148,7 @@ def summary(own: Episodes, other: Episodes) -> dict[str, Any]:
 def closed_loop(study: Path, cases: int) -> dict[str, Any]:
     """By arm and world, `summary`."""
     found: dict[str, Any] = {}
-    for name, arm in load(study, "cpu").items():
+    for name, arm in agents_of(study, "cpu").items():
         if name in ARMS:
             own = flown(arm, PlantParameters(), cases)
             found[name] = {"own": summary(own, own)}

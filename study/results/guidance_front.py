@@ -13,7 +13,7 @@ from typing import Any
 import torch
 
 from inspection.orbits import GUIDANCE
-from study.command_line.flags import Parser, positive_integer
+from settings import Parser, positive_integer
 from study.experiment import paper_task, test_cases
 from study.files import write_json
 from study.flight.controllers import classical

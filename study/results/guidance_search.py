@@ -27,7 +27,7 @@ from inspection.guidance import natural_motion
 from inspection.orbits import Lead, Orbit
 from inspection.transition import METRICS
 from rta.constraints.names import CONSTRAINTS
-from study.command_line.flags import Parser, positive_integer
+from settings import Parser, positive_integer
 from study.experiment import paper_task, test_cases
 from study.files import write_json
 from study.flight.evaluation import run_episodes

@@ -12,7 +12,7 @@ import torch
 
 from study.files import write_json
 from study.paper import Results
-from study.report.agents import Arm, load
+from study.report.agents import Arm, agents_of
 from study.report.flights import flown_with
 from study.results.arguments import of_a_study
 
@@ -27,7 +27,7 @@ def led(arm: Arm) -> Results:
 def main(argv: list[str] | None = None) -> None:
     arguments = of_a_study("keep_clear", "keep_clear.json").parse_args(argv)
     torch.set_num_threads(int(os.environ.get("OMP_NUM_THREADS", "1")))
-    results = led(load(arguments.study, "cpu")[ARM])
+    results = led(agents_of(arguments.study, "cpu")[ARM])
     arguments.out.mkdir(parents=True, exist_ok=True)
     write_json(arguments.out / "keep_clear.json", results)
 

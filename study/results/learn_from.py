@@ -16,7 +16,7 @@ import torch
 
 from study.files import write_json, writing
 from study.flight.figures import BLUE, GREEN, ORANGE
-from study.report.agents import load
+from study.report.agents import agents_of
 from study.report.flights import evaluate
 from study.results.arguments import of_a_study
 
@@ -88,7 +88,7 @@ def main(argv: list[str] | None = None) -> None:
     arguments = of_a_study("learn_from", "results.json and figure.png").parse_args(argv)
     torch.set_num_threads(int(os.environ.get("OMP_NUM_THREADS", "1")))
     found: dict[str, Any] = {}
-    for name, arm in load(arguments.study, "cpu").items():
+    for name, arm in agents_of(arguments.study, "cpu").items():
         own = curves(arguments.study / name / "evaluations.jsonl")
         found[name] = {
             "seeds": len(arm.digests),

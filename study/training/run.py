@@ -1,6 +1,7 @@
 """One training run on disk: begun, checkpointed, interrupted, continued and concluded."""
 
 import os
+import shlex
 import shutil
 import signal
 import sys
@@ -17,7 +18,7 @@ from ppo.distributed import ranks
 from ppo.errors import NonFiniteError, RankLostError
 from ppo.learner import PPO
 from ppo.trainer import Trainer
-from study.commands import after_training, command
+from settings import to_toml
 from study.config import TEST_CASES, AnyConfig, Config
 from study.errors import Stopped
 from study.experiment import Experiment, settled
@@ -153,11 +154,11 @@ class Run:
             folder = self.directory / LESSONS
             folder.mkdir(exist_ok=True)
             checkpoint.save(folder / f"{state['lessons']['taught']}.pt", lesson)
-        about = {"config": self.config.to_toml(), "charts": self.log.state()}
+        about = {"config": to_toml(self.config), "charts": self.log.state()}
         checkpoint.save(self.directory / CHECKPOINT, state | about)
         for k, (seed, home) in enumerate(zip(self.seeds, self.homes, strict=True)):
             policy = {name: stacked[k : k + 1].clone() for name, stacked in state["policy"].items()}
-            checkpoint.save(home / "policy.pt", {"policy": policy, "config": self.config_of(seed).to_toml()})
+            checkpoint.save(home / "policy.pt", {"policy": policy, "config": to_toml(self.config_of(seed))})
         if "lessons" not in state:  # they are over, and the checkpoint knows that
             shutil.rmtree(self.directory / LESSONS, ignore_errors=True)
 
@@ -228,7 +229,7 @@ class Run:
         if number := int(self.ranks.most(max(stop, default=0))):
             raise Stopped(
                 f"stopped after {self.interactions:,} interactions; continue with\n"
-                f"  {command('train', '--resume', self.directory)}",
+                f"  python main.py train --resume {shlex.quote(str(self.directory))}",
                 number,
             )
 
@@ -297,7 +298,7 @@ class Run:
         """
 
         def stop(number: int) -> None:
-            again = command("train", "--resume", self.directory)
+            again = f"python main.py train --resume {shlex.quote(str(self.directory))}"
             raise Stopped(f"trained, but not evaluated to the end; continue with\n  {again}", number)
 
         with on_signal(stop):
@@ -308,7 +309,24 @@ class Run:
             write_json(self.directory / "evaluation.json", results)
             episode_figure(first.arrays(), self.config.inspection, self.directory / "episode.png")
         written = f"Written to {self.directory}: policy.pt, evaluation.json, episode.png"
-        return "\n".join((tables(results), written, after_training(self.directory)))
+        return "\n".join((tables(results), written, what_next(self.directory)))
+
+
+def what_next(directory: Path) -> str:
+    """Returns commands that measure a trained agent, watch it fly and show how it learned."""
+    agent, flight, page, logs = (
+        shlex.quote(str(path))
+        for path in (directory / "policy.pt", directory / "flight.npz", directory / "flight.html", directory)
+    )
+    fly = f"python main.py simulate --controller policy --checkpoint {agent} --duration 3600 --out {flight}"
+    return "\n  ".join(
+        (
+            "Next:",
+            f"python main.py evaluate --checkpoint {agent} --episodes 1000",
+            f"{fly} && python main.py replay {flight} --out {page}",
+            f"tensorboard --logdir {logs}",
+        )
+    )
 
 
 def seconds_of(deed: Callable[[], None]) -> float:

@@ -10,9 +10,9 @@ from typing import Any
 from ppo import checkpoint
 from ppo.distributed import ranks
 from ppo.files import naming, temporary_beside
-from study import config as configuration
+from settings import InputError, from_toml, load, to_toml
 from study.config import Config
-from study.errors import MALFORMED, InputError, refusing
+from study.errors import MALFORMED, refusing
 from study.experiment import (
     check_chief,
     check_clocks,
@@ -87,7 +87,7 @@ def settings(directory: Path) -> Config:
     path = directory / "config.toml"
     if not path.is_file():
         raise InputError(f"--resume {directory}: no run there (it lacks config.toml)")
-    return configuration.load(path)
+    return load(path, Config())
 
 
 def start(config: Config, directory: Path, init_from: Path | None = None) -> Run:
@@ -183,11 +183,11 @@ def resume(directory: Path, config: Config | None = None, seeds: Sequence[int] |
     The configuration of a run of one seed may want other interactions than the checkpoint's: they are then what
     config.toml wants, too.
     """
-    config = config or configuration.load(directory / "config.toml")
+    config = config or load(directory / "config.toml", Config())
     path = directory / CHECKPOINT
     saved = checkpoint.load(path, RESUMABLE, resolve_device(config.train.device))
     with refusing(str(path), KeyError, TypeError, ValueError, AttributeError):
-        trained = configuration.from_toml(saved["config"], str(path))
+        trained = from_toml(saved["config"], str(path), Config())
         done, rate = int(saved["update"]), trained.ppo.learning_rate
     config, trained = (settled_for_a_seed(each) for each in (config, trained))  # which older ones may not be
     before, total = trained.train, config.train.interactions
@@ -214,7 +214,7 @@ def resume(directory: Path, config: Config | None = None, seeds: Sequence[int] |
                     temporary_beside(file).unlink(missing_ok=True)
             run.log.forget_evaluations_after(run.interactions)
             if moved:  # from here on, config.toml alone says so
-                write_text(directory / "config.toml", config.to_toml())
+                write_text(directory / "config.toml", to_toml(config))
     return run
 
 

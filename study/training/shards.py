@@ -8,8 +8,9 @@ from typing import Any
 import torch
 
 from ppo.distributed import ALONE, Ranks
+from settings import InputError
 from study.config import Config
-from study.errors import InputError, refusing
+from study.errors import refusing
 
 State = dict[str, Any]
 Stacked = torch.Tensor | list[torch.Tensor]

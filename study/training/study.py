@@ -1,6 +1,7 @@
 """The study: all seeds of each arm trained as one batch, evaluated, and continued wherever it was interrupted."""
 
 import json
+import shlex
 from dataclasses import asdict
 from pathlib import Path
 
@@ -10,10 +11,9 @@ from inspection.termination import OUTCOMES
 from inspection.transition import METRICS
 from ppo.distributed import ranks
 from rta.constraints.names import CONSTRAINTS
-from study import config as configuration
-from study.commands import command
+from settings import InputError, load
 from study.config import TEST_CASES, StudyConfig
-from study.errors import InputError, Stopped, refusing
+from study.errors import Stopped, refusing
 from study.files import write_json, write_npz
 from study.flight.evaluation import Episodes, report
 from study.machine.lock import alone_in
@@ -40,7 +40,7 @@ def train_and_evaluate(config: StudyConfig, directory: Path) -> str:
     with refusing(f"--study-dir {directory}: cannot write there", OSError, ValueError):
         ranks().first_does(lambda: directory.mkdir(parents=True, exist_ok=True))
     results = {}
-    again = f"continue with\n  {command('study', '--study-dir', directory)}"
+    again = f"continue with\n  python main.py study --study-dir {shlex.quote(str(directory))}"
 
     def stop(number: int) -> None:
         raise Stopped(f"stopped; {again}", number)
@@ -50,7 +50,7 @@ def train_and_evaluate(config: StudyConfig, directory: Path) -> str:
         ranks().first_does(lambda: begin_or_continue(config, directory))
         flown = [config.of_arm(name) for name in config.study.arms]
         for each in {fingerprint(own): own for own in flown if own.train.rta}.values():
-            say_doubts(each, [directory / "config.toml"])
+            say_doubts(each)
         for name in config.study.arms:
             path = directory / name / "results.json"
             if not ranks().agree(path.exists()):
@@ -64,7 +64,9 @@ def train_and_evaluate(config: StudyConfig, directory: Path) -> str:
     if len(results) > 1:
         shown.append(f"{overview(results)}\n")
     written = f"Written to {directory}: results.json and, for each arm, policies and episodes"
-    return "\n".join((*shown, written, f"Next:\n  {command('report', '--study', directory)}"))
+    return "\n".join(
+        (*shown, written, f"Next:\n  python main.py report --study {shlex.quote(str(directory))}")
+    )
 
 
 def overview(results: dict[str, Results]) -> str:
@@ -117,7 +119,7 @@ def read_settings(directory: Path) -> StudyConfig | None:
         if (directory / "checkpoint.pt").exists() or (directory / "policy.pt").exists():
             raise InputError(f"--study-dir {directory}: holds a run of train, not a study")
         begun = (directory / "config.toml").exists()
-    return configuration.load(directory / "config.toml", StudyConfig()) if begun else None
+    return load(directory / "config.toml", StudyConfig()) if begun else None
 
 
 def first_difference(one: StudyConfig, other: StudyConfig) -> str:

@@ -11,7 +11,8 @@ from inspection.model.dynamics import step
 from inspection.model.parameters import Model
 from inspection.model.state import CONTROL_SIZE, THRUST, TORQUE
 from inspection.world.corners import ERRORS, displaced
-from kernels import Compiled, if_long
+from kernels.compiled import Compiled
+from kernels.printer import if_long
 from ppo.network import Policy
 from rta.constraints.names import ATTITUDE, TRANSLATIONAL
 from rta.filter import SafetyFilter

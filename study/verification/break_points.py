@@ -17,9 +17,9 @@ from typing import Any, NamedTuple
 
 from inspection.world.parameters import PlantParameters
 from rta.constraints.names import CONSTRAINTS
-from study.config import Config, override
+from settings import InputError, override
+from study.config import Config
 from study.drawing import Figure, Rectangle
-from study.errors import InputError
 from study.experiment import Experiment
 from study.files import write_json
 from study.flight.figures import GREY, SAFE, UNSAFE

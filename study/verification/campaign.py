@@ -15,14 +15,14 @@ from torch import Tensor
 from inspection.closed_loop import Controller, Safety
 from inspection.environment import InspectionEnv
 from inspection.model.draws import uniform
-from kernels import NoCompilerError
+from kernels.build import NoCompilerError
 from ppo.network import Policy
 from rta.bounds.uncertainty import Uncertainty
 from rta.constraints.names import CONSTRAINTS
 from rta.printed.loaded import InC
-from study.commands import CHECKPOINT, FILES, LEARNED, in_file
+from settings import InputError
 from study.config import Config
-from study.errors import InputError, refusing
+from study.errors import refusing
 from study.experiment import Experiment, check_clocks, load_policy
 from study.files import write_json, write_npz
 from study.flight.controllers import agent
@@ -36,6 +36,8 @@ from study.verification.lookahead import CANDIDATES, HORIZON, Lookahead
 from study.verification.starts import initial_states, spawned
 from study.verification.tally import add
 
+CHECKPOINT, LEARNED = FILES = ("checkpoint:", "learned:")  # before the file of an agent that is the policy
+POLICIES = ("random", "adversarial", "pressing", "lookahead")
 BATCH = 1024  # starts drawn at once
 BAR = "{percentage:3.0f}%|{bar}| {n:,.0f}/{total:,} episodes [{elapsed}<{remaining}{postfix}]"  # n: also in part
 
@@ -191,9 +193,12 @@ def verify(
 
 def load_commander(policy: str) -> tuple[Policy | None, Config]:
     """The network of a policy in a file and the configuration it was trained in; None and the defaults for others."""
-    if not policy.startswith(FILES):
+    if policy in POLICIES:
         return None, Config()
-    network, trained = load_policy(in_file(policy))
+    prefix, _, file = policy.partition(":")
+    if f"{prefix}:" not in FILES or not file:
+        raise InputError(f"--policy {policy!r}: must be {', '.join(POLICIES)}, learned:F or checkpoint:F")
+    network, trained = load_policy(file)
     if policy.startswith(LEARNED) and not trained.train.adversary:
         raise InputError(f"--policy {policy}: was not trained as an adversary; fly it as {CHECKPOINT}F")
     return network, trained

@@ -13,7 +13,8 @@ from inspection.model.state import SIZE, P
 from inspection.world.corners import Recorded
 from rta.constraints.names import CONSTRAINTS
 from rta.result import FilterResult
-from study.config import Config, from_toml, override
+from settings import from_toml, override, to_toml
+from study.config import Config
 from study.errors import MALFORMED, ReflyError, refusing
 from study.experiment import Experiment, check_clocks
 from study.files import load_arrays
@@ -44,7 +45,7 @@ def counter_example(
         "value": flight.worst[row, k].cpu().numpy(),
         "period": np.array(config.rta.period),
         "check_every": np.array(check_every),
-        "config": np.array(config.to_toml()),
+        "config": np.array(to_toml(config)),
         "number": flight.number[k].cpu().numpy(),
     }
 
@@ -116,7 +117,7 @@ def refly_file(path: str) -> str:
     with refusing(f"{path}: not a counter-example of verify", *MALFORMED, LookupError, ArithmeticError):
         # any machine can fly it: the filter is asked beside the loop
         beside = {"train": {"rta": False, "device": "cpu"}, "rta": {"period": float(example["period"])}}
-        config = override(from_toml(str(example["config"]), path), beside, path)
+        config = override(from_toml(str(example["config"]), path, Config()), beside, path)
         check_clocks(config, config.rta.period, float(example["check_every"]), where=path)
         if not config.plant.is_nominal:
             more = ("number", "corners") if config.plant.errors == "worst" else ("number",)

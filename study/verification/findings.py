@@ -2,15 +2,16 @@
 
 import dataclasses
 import json
+import shlex
 from collections.abc import Callable
 from pathlib import Path
 from textwrap import fill
 from typing import Any
 
 from rta.constraints.names import CONSTRAINTS
-from study.commands import command
-from study.config import Config, override
-from study.errors import MALFORMED, InputError, refusing
+from settings import InputError, override
+from study.config import Config
+from study.errors import MALFORMED, refusing
 from study.verification.flight import CHECK_EVERY
 from study.verification.tally import empty_tally
 from study.verified import fingerprint
@@ -155,5 +156,5 @@ def what_next(report: dict[str, Any], path: Path | None) -> str:
         lines.append(
             f"The worst episodes, first those with violations: {path}.CONSTRAINT.npz of {', '.join(examples)}"
         )
-        lines.append(f"Fly one again: {command('refly', f'{path}.{examples[0]}.npz')}")
+        lines.append(f"Fly one again: python main.py refly {shlex.quote(f'{path}.{examples[0]}.npz')}")
     return "\n".join(lines)

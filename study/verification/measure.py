@@ -28,12 +28,9 @@ from ppo.errors import CheckpointError
 from ppo.network import Policy
 from rta.bounds.prediction import KINDS
 from rta.filter import SafetyFilter
-from rta.parameters import ROWS
 from rta.result import FilterResult
-from study import config as configuration
-from study.command_line.flags import Parser, period, positive_integer, positive_number
-from study.config import Config, override
-from study.errors import InputError
+from settings import InputError, Parser, add_flags, configured, override, positive_integer, positive_number
+from study.config import Config
 from study.experiment import Experiment, load_policy
 from study.files import write_json
 from study.flight.controllers import agent
@@ -44,6 +41,7 @@ from study.verification.lookahead import CANDIDATES, HORIZON, Lookahead
 from study.verification.starts import NUMBERS, safe_set, states_of
 from study.verified import fingerprint
 
+SHORT = {"--rta-period": "rta.period", "--rows": "rta.rows"}
 DRAWN = 4000  # states whose share of starts is counted
 HELD = 60.0  # s that full control is held
 WAYPOINT, NEAREST, FARTHEST = 100.0, 30.0, 400.0  # s between two waypoints; m from the chief
@@ -257,9 +255,7 @@ def table(found: dict[str, Any]) -> str:
 def main(argv: list[str] | None = None) -> None:
     """Measures, and says what was found."""
     parser = Parser(prog=f"python -m {__package__}.measure", description=__doc__.partition("\n")[0])
-    parser.add_argument("--config", action="append", default=[], metavar="FILE", help="as of main.py")
-    parser.add_argument("--rta-period", type=period, metavar="S", help="s between two calls, 1, 5 or 10")
-    parser.add_argument("--rows", choices=ROWS, help="kind of the filter's rows")
+    add_flags(parser, Config(), ("inspection", "chief", "rta", "uncertainty"), SHORT)
     parser.add_argument(
         "--demand", choices=(*DEMANDS, OPPOSITE, LOOKAHEAD, AGENT), default="random", help="who demands"
     )
@@ -281,11 +277,9 @@ def measured(arguments: argparse.Namespace) -> dict[str, Any]:
         raise InputError("--checkpoint F is needed by --demand agent and by no other")
     THREADS.ask(None)
     policy, config = load_policy(arguments.checkpoint) if arguments.checkpoint else (None, Config())
-    for file in arguments.config:
-        config = configuration.load(configuration.find(file), config)
-    asked = {"period": arguments.rta_period, "rows": arguments.rows}
-    own = {"train": {"rta": True}, "rta": {key: value for key, value in asked.items() if value}}
-    config = override(config.unsettled(), own, "command line")
+    config = override(
+        configured(arguments, config.with_solver("auto")), {"train": {"rta": True}}, "the filter"
+    )
     found = measure(
         config, arguments.demand, arguments.starts, arguments.episodes, arguments.duration, policy
     )

@@ -19,8 +19,8 @@ from inspection.termination import OUTCOMES
 from inspection.transition import METRICS
 from rta.constraints.names import CONSTRAINTS
 from rta.filter import SafetyFilter
+from settings import InputError
 from study.config import Config
-from study.errors import InputError
 
 gymnasium.register_envs(interfaces)
 ID = "interfaces:Inspection6DoF-v0"

@@ -11,8 +11,8 @@ from gymnasium.wrappers.vector import RecordEpisodeStatistics
 
 from inspection.model.state import OMEGA, Q, T, V
 from interfaces import RunTimeAssurance, VectorRunTimeAssurance
-from study.config import Config, load
-from study.errors import InputError
+from settings import InputError, load
+from study.config import Config
 from study.files import ROOT
 
 ID = "interfaces:Inspection6DoF-v0"
@@ -97,7 +97,7 @@ def test_given_starts_reach_the_episodes_of_the_mask_only():
 
 @pytest.mark.parametrize("name", ["state", "priority"])
 def test_what_is_not_given_is_drawn_as_ever(name):
-    config = load(ROOT / "configs/plants/typical.toml")
+    config = load(ROOT / "configs/plants/typical.toml", Config())
     x, priority = start()
     env, drawn = made(config=config), made(config=config)
     env.reset(seed=SEED, options={name: {"state": x, "priority": priority}[name]})

@@ -12,8 +12,8 @@ from interfaces.safety import RunTimeAssurance, VectorRunTimeAssurance
 from rta.constraints.names import CONSTRAINTS
 from rta.filter import SafetyFilter
 from rta.parameters import RtaParameters
+from settings import InputError
 from study.config import Config
-from study.errors import InputError
 
 ID = "interfaces:Inspection6DoF-v0"
 EPISODES, STEPS, SEED = 4, 6, 5

@@ -20,8 +20,8 @@ from stable_baselines3.common.vec_env import VecMonitor, VecNormalize
 
 from interfaces import RunTimeAssurance, VectorRunTimeAssurance
 from interfaces.stable_baselines import StableBaselinesEnv
+from settings import InputError
 from study.config import Config
-from study.errors import InputError
 
 ID = "interfaces:Inspection6DoF-v0"
 

@@ -16,7 +16,9 @@ from pathlib import Path
 import pytest
 import torch
 
-from kernels import Compiled, NoCompilerError, build
+from kernels import build
+from kernels.build import NoCompilerError
+from kernels.compiled import Compiled
 
 SOURCE = {"one": "int three(void) { return 3; }", "other": "int four(void) { return 4; }"}
 # what another process runs: only this module, which needs no PyTorch

@@ -17,10 +17,10 @@ from inspection.model.parameters import InspectionParameters
 from kernels import build
 from kernels.cache import remembered
 from kernels.digest import digest
-from rta import SafetyFilter
 from rta.backup import flight, motion_law
 from rta.bounds.uncertainty import Uncertainty
 from rta.constraints import thrust
+from rta.filter import SafetyFilter
 from rta.parameters import RtaParameters
 from rta.printed.batch import recorded
 from tests.rta import test_actuator_groups as own_constraints

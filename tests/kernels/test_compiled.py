@@ -16,8 +16,10 @@ import torch
 from torch import Tensor
 
 from inspection.model.parameters import InspectionParameters
-from kernels import Compiled, NoCompilerError, build, printed
-from kernels.compiled import in_shares, with_own_code
+from kernels import build
+from kernels.build import NoCompilerError
+from kernels.compiled import Compiled, in_shares, with_own_code
+from kernels.printer import printed
 from rta.bounds.uncertainty import Uncertainty
 from rta.filter import SafetyFilter
 from rta.parameters import RtaParameters

@@ -8,7 +8,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from kernels import Compiled
+from kernels.compiled import Compiled
 
 UNITS = 1.75  # in the last place, at most
 

@@ -4,7 +4,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from kernels import if_long, printed
+from kernels.printer import if_long, printed
 from tests.kernels.test_operations import Function, assert_same, uniform, written
 
 LONG = 100  # points

@@ -12,15 +12,18 @@ import torch
 from torch import Tensor
 from torch.utils._python_dispatch import TorchDispatchMode
 
-from inspection import InspectionEnv, InspectionParameters
+from inspection.environment import InspectionEnv
 from inspection.initial_state import sample_initial_state
+from inspection.model.parameters import InspectionParameters
 from ppo.learner import PPO
 from ppo.network import Policy, Value
 from ppo.parameters import PPOParameters
 from ppo.rollout import collect
-from rta import RtaParameters, SafetyFilter
+from rta.filter import SafetyFilter
 from rta.lie_derivatives import load_forward_mode
-from study.config import Config, load
+from rta.parameters import RtaParameters
+from settings import load
+from study.config import Config
 
 C = InspectionParameters()
 U1 = load(Path("configs/plants/u1.toml"), Config())

@@ -22,8 +22,9 @@ from inspection.environment import InspectionEnv
 from inspection.initial_state import InitialStates
 from inspection.model.parameters import InspectionParameters
 from inspection.model.state import CONTROL_SIZE, OMEGA, SIZE, THETA_S, E, P, Q, T, V
-from kernels import Compiled, Printed, build, if_long, printed
-from kernels.compiled import pointers
+from kernels import build
+from kernels.compiled import Compiled, pointers
+from kernels.printer import Printed, if_long, printed
 from kernels.text import Part
 from rta.filter import SafetyFilter
 from rta.qp.scaled import Prepared

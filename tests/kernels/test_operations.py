@@ -10,7 +10,8 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from kernels import Compiled, printed
+from kernels.compiled import Compiled
+from kernels.printer import printed
 
 Function = Callable[..., Tensor]
 

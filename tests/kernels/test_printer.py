@@ -7,8 +7,9 @@ import pytest
 import torch
 from torch import Tensor
 
-from kernels import Compiled, printed
+from kernels.compiled import Compiled
 from kernels.operations import expressions
+from kernels.printer import printed
 from kernels.recorder import BRANCH
 from tests.kernels.test_operations import Function, uniform
 

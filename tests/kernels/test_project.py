@@ -14,11 +14,12 @@ import main
 from inspection import environment
 from inspection.chief.hull import beside
 from inspection.environment import InspectionEnv
-from kernels import printed
+from kernels.printer import printed
 from rta.filter import SafetyFilter
 from rta.printed import batch
 from rta.printed import source as export
-from study import config as configuration
+from settings import load
+from study.config import Config
 
 CONFIGS = Path(main.__file__).parent / "configs"
 FILES = {
@@ -45,10 +46,10 @@ class StopError(Exception):
 
 
 @functools.cache
-def config_of(name: str) -> configuration.Config:
-    config = configuration.Config()
+def config_of(name: str) -> Config:
+    config = Config()
     for file in FILES[name]:
-        config = configuration.load(CONFIGS / file, config)
+        config = load(CONFIGS / file, config)
     orbit = {"orbit": "two-body", "eccentricity": 0.1} if name == "two-body" else {}
     return replace(config, inspection=replace(config.inspection, **orbit))
 

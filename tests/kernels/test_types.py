@@ -3,7 +3,8 @@
 import torch
 from torch import Tensor
 
-from kernels import Compiled, printed
+from kernels.compiled import Compiled
+from kernels.printer import printed
 from tests.kernels.test_operations import uniform
 
 

@@ -22,9 +22,8 @@ from inspection import initial_state
 from ppo import checkpoint
 from ppo.distributed import ALONE, Ranks, ranks
 from ppo.errors import NonFiniteError, RankLostError
-from study import config as configuration
+from settings import InputError, from_toml, load, override
 from study.config import Config, StudyConfig
-from study.errors import InputError
 from study.training import jump_start, shards
 from study.training import session as training
 
@@ -68,9 +67,9 @@ def job(directory: Path) -> None:
     torch.set_num_threads(1)
     initial_state.POOL, jump_start.LEARNING_RATE = POOL, RATE
     settings, after_update = directory / "train.toml", training.Run.after_update
-    config = configuration.load(settings)
+    config = load(settings, Config())
     training.start(config, directory / "whole").train()
-    training.start(configuration.from_toml(TAUGHT, "test"), directory / "taught").train()
+    training.start(from_toml(TAUGHT, "test", Config()), directory / "taught").train()
 
     def end(signal_number: int, update: int) -> None:
         """Lets rank 1 signal itself at the end of an update."""
@@ -143,7 +142,7 @@ def assert_close(one: Any, other: Any, tolerance: float) -> None:
 def alone(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The directory of the same run by one process."""
     directory = tmp_path_factory.mktemp("alone") / "run"
-    training.start(configuration.from_toml(SETTINGS, "test"), directory).train()
+    training.start(from_toml(SETTINGS, "test", Config()), directory).train()
     return directory
 
 
@@ -172,7 +171,7 @@ def test_two_ranks_are_taught_what_one_is(
     done: tuple[Path, str, list[str]], alone: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(jump_start, "LEARNING_RATE", RATE)
-    training.start(configuration.from_toml(TAUGHT, "test"), tmp_path / "run").train()
+    training.start(from_toml(TAUGHT, "test", Config()), tmp_path / "run").train()
     assert_close(state(tmp_path / "run"), state(done[0] / "taught"), 1e-5)
     weights = (next(iter(state(run)["policy"].values())) for run in (alone, tmp_path / "run"))
     assert not torch.allclose(*weights, rtol=1e-2, atol=1e-3)
@@ -248,11 +247,11 @@ def test_shares_cover_everything_once() -> None:
 
 @pytest.mark.parametrize("size", [2, 3])
 def test_states_split_and_joined_are_the_same(size: int, alone: Path, tmp_path: Path) -> None:
-    config = configuration.load(alone / "config.toml")
+    config = load(alone / "config.toml", Config())
     whole = state(alone)
     parts = [shards.shard_of_episodes(config, Ranks(rank, size)) for rank in range(size)]
     assert_close(whole, parts[0].join([part.split(whole) for part in parts]), 0.0)
-    study = configuration.from_toml(STUDY, "test", StudyConfig())
+    study = from_toml(STUDY, "test", StudyConfig())
     training.create(study.of_arm("no_rta"), tmp_path, study.seeds)
     whole = state(tmp_path)
     parts = [shards.shard_of_seeds(config, Ranks(rank, size), 3) for rank in range(size)]
@@ -261,16 +260,16 @@ def test_states_split_and_joined_are_the_same(size: int, alone: Path, tmp_path: 
 
 
 def test_a_study_took_as_long_as_its_slowest_rank(alone: Path) -> None:
-    part = shards.shard_of_seeds(configuration.load(alone / "config.toml"), Ranks(0, 3), 3)
+    part = shards.shard_of_seeds(load(alone / "config.toml", Config()), Ranks(0, 3), 3)
     states = [state(alone) | {"seconds": seconds} for seconds in (1.0, 3.0, 2.0)]
     assert part.join(states)["seconds"] == 3.0
 
 
 def test_too_many_ranks_are_refused() -> None:
-    config = configuration.override(Config(), {"train": {"num_envs": 6}}, "test")
+    config = override(Config(), {"train": {"num_envs": 6}}, "test")
     with pytest.raises(InputError, match="num_envs = 6: must be a multiple of the 4 ranks"):
         shards.shard_of_episodes(config, Ranks(0, 4))
-    config = configuration.override(config, {"ppo": {"minibatch_size": 2}}, "test")
+    config = override(config, {"ppo": {"minibatch_size": 2}}, "test")
     with pytest.raises(InputError, match=r"minibatch_size = 2: .*3 ranks"):
         shards.shard_of_episodes(config, Ranks(0, 3))
     with pytest.raises(InputError, match=r"seeds = 2: .*3 ranks"):

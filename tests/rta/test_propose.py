@@ -11,7 +11,7 @@ from torch import Tensor
 from inspection.model.dynamics import step
 from inspection.model.parameters import InspectionParameters
 from inspection.model.state import SIZE, THRUST, P, Q, V
-from kernels import Compiled
+from kernels.compiled import Compiled
 from rta.bounds.uncertainty import Uncertainty
 from rta.filter import SafetyFilter
 from rta.parameters import RtaParameters

@@ -7,20 +7,16 @@ from pathlib import Path
 
 import pytest
 
-from study import config as configuration
+from settings import CONFIGS, InputError, find, from_toml, load, override, to_toml
 from study.config import Config, StudyConfig
-from study.errors import InputError
-
-CONFIGS = Path(configuration.__file__).parents[1] / "configs"
-OLDER = "[train]\nseed = 3\nrta_period = 5.0\nqp_solver = 'piqp'\n[rta]\nspeed_gain = 0.25\n"
 
 
 def test_defaults_survive_a_round_trip_through_toml() -> None:
-    assert configuration.from_toml(Config().to_toml(), "text") == Config()
+    assert from_toml(to_toml(Config()), "text", Config()) == Config()
 
 
 def test_file_overrides_defaults_key_by_key() -> None:
-    config = configuration.from_toml("[train]\nseed = 7\n[inspection]\nmass = 20\n", "text")
+    config = from_toml("[train]\nseed = 7\n[inspection]\nmass = 20\n", "text", Config())
     assert (config.train.seed, config.inspection.mass) == (7, 20.0)
     assert config.train.num_envs == Config().train.num_envs
 
@@ -28,10 +24,10 @@ def test_file_overrides_defaults_key_by_key() -> None:
 def test_a_byte_order_mark_is_read_over(tmp_path: Path) -> None:
     path = tmp_path / "marked.toml"
     path.write_bytes("\ufeff[train]\nseed = 7\n".encode())
-    assert configuration.load(path).train.seed == 7
+    assert load(path, Config()).train.seed == 7
     path.write_bytes("[train]\n\ufeffseed = 7\n".encode())  # elsewhere it is none
     with pytest.raises(InputError, match="not valid TOML"):
-        configuration.load(path)
+        load(path, Config())
 
 
 @pytest.mark.parametrize(
@@ -41,15 +37,15 @@ def test_a_shipped_configuration_is_found_by_name_in_any_directory(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    assert Path(configuration.find(name)).samefile(CONFIGS / "vehicles" / "12u.toml")
+    assert Path(find(name)).samefile(CONFIGS / "vehicles" / "12u.toml")
     (tmp_path / "12u").mkdir()  # a directory is no configuration
-    assert Path(configuration.find(name)).samefile(CONFIGS / "vehicles" / "12u.toml")
+    assert Path(find(name)).samefile(CONFIGS / "vehicles" / "12u.toml")
     own = tmp_path / name
     if own.is_dir():
         return
     own.parent.mkdir(parents=True, exist_ok=True)
     own.write_text("[inspection]\nmass = 3.0\n")
-    assert configuration.load(configuration.find(name)).inspection.mass == 3.0  # a file comes first
+    assert load(name, Config()).inspection.mass == 3.0  # a file comes first
 
 
 @pytest.mark.parametrize(
@@ -72,7 +68,7 @@ def test_an_unknown_name_says_what_may_have_been_meant(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     with pytest.raises(InputError) as refused:
-        configuration.find(name)
+        find(name)
     assert all(word in str(refused.value) for word in words), refused.value
 
 
@@ -80,10 +76,10 @@ def test_a_name_of_several_configurations_is_refused(tmp_path: Path, monkeypatch
     for folder in ("vehicles", "plants"):
         (tmp_path / "configs" / folder).mkdir(parents=True)
         (tmp_path / "configs" / folder / "heavy.toml").write_text("")
-    monkeypatch.setattr(configuration, "CONFIGS", tmp_path / "configs")
+    monkeypatch.setattr("settings.CONFIGS", tmp_path / "configs")
     with pytest.raises(InputError, match=r"^heavy: could be any of plants/heavy, vehicles/heavy; give one"):
-        configuration.find("heavy")
-    assert configuration.find("plants/heavy") == str(tmp_path / "configs" / "plants" / "heavy.toml")
+        find("heavy")
+    assert find("plants/heavy") == tmp_path / "configs" / "plants" / "heavy.toml"
 
 
 @pytest.mark.parametrize(
@@ -103,9 +99,6 @@ def test_a_name_of_several_configurations_is_refused(tmp_path: Path, monkeypatch
         ("[train]\nnum_envs = 0", ["num_envs = 0", "positive"]),
         ("[rta]\nperiod = 2.0", ["[rta] period = 2", "1, 5 or 10"]),
         ("[rta]\nperiod = true", ["[rta] period = True", "number"]),
-        ("[train]\nrta_period = 2.0", ["[rta] period = 2", "1, 5 or 10"]),
-        ("[train]\nrta_period = 5.0\n[rta]\nperiod = 5.0", ["[train] rta_period", "[rta] period"]),
-        ("rta = 3\n[train]\nrta_period = 5.0", ["rta = 3", "table"]),
         ("[train]\ndevice = 'tpu'", ["device", "'tpu'", "cuda"]),
         ("[inspection]\nsolar_panel_axis = 'x'", ["solar_panel_axis", "'x'", "+x"]),
         ("[inspection]\ninertia = [1.0, 2.0]", ["inertia", "3"]),
@@ -124,7 +117,7 @@ def test_a_name_of_several_configurations_is_refused(tmp_path: Path, monkeypatch
 )
 def test_bad_configuration_is_named(text: str, words: list[str]) -> None:
     with pytest.raises(InputError) as caught:
-        configuration.from_toml(text, "file.toml")
+        from_toml(text, "file.toml", Config())
     message = str(caught.value)
     assert message.startswith("file.toml")
     assert "\n" not in message
@@ -133,20 +126,22 @@ def test_bad_configuration_is_named(text: str, words: list[str]) -> None:
 
 
 def test_a_value_or_a_range_of_them_survives_a_round_trip() -> None:
-    config = configuration.from_toml(
-        "[plant]\nmass_factor = [1, 1.2]\nrate_bias = 2\nlatency = [0, 3]\nfailing = 'torque_z'\n", "text"
+    config = from_toml(
+        "[plant]\nmass_factor = [1, 1.2]\nrate_bias = 2\nlatency = [0, 3]\nfailing = 'torque_z'\n",
+        "text",
+        Config(),
     )
     plant = config.plant
     assert (plant.mass_factor, plant.rate_bias, plant.latency) == ((1.0, 1.2), 2.0, (0, 3))
-    assert "mass_factor = [1.0, 1.2] # true mass" in config.to_toml()
-    assert configuration.from_toml(config.to_toml(), "text") == config
+    assert "mass_factor = [1.0, 1.2] # true mass" in to_toml(config)
+    assert from_toml(to_toml(config), "text", Config()) == config
     assert StudyConfig(**vars(config)).of_arm("rta").plant == plant
 
 
 @pytest.mark.parametrize("path", sorted(CONFIGS.glob("plants/*.toml")), ids=lambda path: path.stem)
 def test_the_shipped_plants_can_be_flown(path: Path) -> None:
     """Each states its effect and where it comes from, and nominal.toml takes every one of them away."""
-    config = configuration.load(path)
+    config = load(path, Config())
     assert config.plant.is_nominal == (path.stem == "nominal")
     assert path.read_text(encoding="utf-8").startswith("# ")
     told = path.stem.startswith("u1")
@@ -154,67 +149,31 @@ def test_the_shipped_plants_can_be_flown(path: Path) -> None:
     model = Config()
     assert dataclasses.replace(config, plant=model.plant, uncertainty=model.uncertainty) == model
     config.plant.check_body(config.inspection)
-    taken = configuration.load(CONFIGS / "plants/nominal.toml", config)
+    taken = load(CONFIGS / "plants/nominal.toml", config)
     assert dataclasses.replace(taken, uncertainty=model.uncertainty) == model
 
 
-@pytest.fixture
-def nothing_announced(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A process that has not told of older keys yet."""
-    monkeypatch.setattr(configuration, "announced", set())
-
-
-def test_older_keys_are_read_where_they_are_now(
-    nothing_announced: None, capsys: pytest.CaptureFixture[str]
-) -> None:
-    config = configuration.from_toml(OLDER, "runs/x/config.toml")
-    rta = {"period": 5.0, "qp_solver": "piqp", "speed_gain": 0.25}
-    assert config == configuration.override(Config(), {"train": {"seed": 3}, "rta": rta}, "test")
-    assert capsys.readouterr().err == (
-        "runs/x/config.toml: older keys: [train] rta_period read as [rta] period, "
-        "[train] qp_solver read as [rta] qp_solver\n"
-    )
-
-
-def test_older_keys_are_told_of_once(nothing_announced: None, capsys: pytest.CaptureFixture[str]) -> None:
-    for source in ("agent.pt", "one.toml", "two.toml", "three.toml"):  # an agent's file is nobody's to edit
-        assert configuration.from_toml(OLDER, source).rta.period == 5.0
-    configuration.from_toml("[train]\nrta_period = 10.0", "four.toml")  # other keys
-    told = capsys.readouterr().err.splitlines()
-    assert [line.partition(":")[0] for line in told] == ["one.toml", "four.toml"]
-
-
-def test_keys_of_today_are_told_of_never(nothing_announced: None, capsys: pytest.CaptureFixture[str]) -> None:
-    configuration.from_toml(Config().to_toml(), "text")
-    assert capsys.readouterr().err == ""
-
-
 @pytest.mark.parametrize("name", sorted(path.name for path in CONFIGS.glob("*.toml")))
-def test_the_shipped_configurations_have_the_keys_of_today(
-    name: str, nothing_announced: None, capsys: pytest.CaptureFixture[str]
-) -> None:
-    config = configuration.load(CONFIGS / name, StudyConfig())
+def test_the_shipped_configurations_are_of_their_period(name: str) -> None:
+    config = load(CONFIGS / name, StudyConfig())
     assert config.rta.period == {"rta_5s.toml": 5.0, "rta_10s.toml": 10.0}.get(name, 1.0)
-    assert capsys.readouterr().err == ""
 
 
-def test_a_run_of_before_keeps_its_settings(nothing_announced: None) -> None:
-    """A shipped study was written with the older keys."""
-    study = configuration.load(CONFIGS.parent / "runs/reference/study_plus_x/config.toml", StudyConfig())
-    assert (study.rta.period, study.rta.qp_solver) == (1.0, "batched")
-    assert configuration.from_toml(study.to_toml(), "text", StudyConfig()) == study
+def test_a_shipped_study_is_read_and_written_back() -> None:
+    study = load(CONFIGS.parent / "runs/reference/study_plus_x/config.toml", StudyConfig())
+    assert from_toml(to_toml(study), "text", StudyConfig()) == study
 
 
 def test_every_key_is_explained_and_read_back() -> None:
-    config = configuration.override(
+    config = override(
         StudyConfig(),
         {"ppo": {"max_grad_norm": math.inf, "hidden": [64, 64, 64]}, "inspection": {"thermal_axis": "+z"}},
         "test",
     )
-    text = config.to_toml()
-    assert configuration.from_toml(text, "text", StudyConfig()) == config
+    text = to_toml(config)
+    assert from_toml(text, "text", StudyConfig()) == config
     keys = [line for line in text.splitlines() if " = " in line and not line.startswith("#")]
-    assert len(keys) == sum(len(vars(part)) for part in vars(config).values())
+    assert len(keys) == sum(len(getattr(part, "__dict__", ())) for part in vars(config).values())
     assert not [line for line in keys if not re.search(r" # \S+", line)]
     assert "hidden = [64, 64, 64] # widths of the hidden layers of policy and value network\n" in text
     assert "\n\n# Orbit and translation (Sec. Dynamics, Translational Motion)\nmean_motion = " in text
@@ -232,11 +191,11 @@ hidden = [32, 32]
 
 
 def test_a_study_has_arms_of_its_own() -> None:
-    study = configuration.from_toml(OWN_ARMS, "s.toml", StudyConfig())
+    study = from_toml(OWN_ARMS, "s.toml", StudyConfig())
     squared = study.of_arm("squared")
     assert (squared.train.rta, squared.ppo.action_power, squared.ppo.hidden) == (False, 2.0, (32, 32))
     assert study.of_arm("no_rta").ppo == Config().ppo and study.of_arm("rta").train.rta
-    assert configuration.from_toml(study.to_toml(), "s.toml", StudyConfig()) == study
+    assert from_toml(to_toml(study), "s.toml", StudyConfig()) == study
 
 
 @pytest.mark.parametrize(
@@ -261,7 +220,7 @@ def test_a_study_has_arms_of_its_own() -> None:
 )
 def test_arms_that_make_no_sense_are_refused(text: str, said: str) -> None:
     with pytest.raises(InputError, match=re.escape(said)):
-        configuration.from_toml(text, "s.toml", StudyConfig())
+        from_toml(text, "s.toml", StudyConfig())
 
 
 def test_an_arm_that_alone_holds_controls_chooses_its_own_solver() -> None:
@@ -274,15 +233,15 @@ def test_an_arm_that_alone_holds_controls_chooses_its_own_solver() -> None:
     uncertainty.mass = 0.1
     rta.qp_solver = "piqp"
     """
-    study = configuration.from_toml(text, "s.toml", StudyConfig())
+    study = from_toml(text, "s.toml", StudyConfig())
     solvers = {name: study.of_arm(name).rta.qp_solver for name in ("rta", "told", "named")}
     assert solvers == {"rta": "piqp", "told": "auto", "named": "piqp"}
 
 
 def test_a_studys_file_holds_what_its_arms_share_for_every_other_command() -> None:
     """As `train`, `evaluate`, `verify` and all others read it; its own tables are the study's."""
-    path = configuration.find("study")
-    shared, whole = configuration.load(path), configuration.load(path, StudyConfig())
+    path = find("study")
+    shared, whole = load(path, Config()), load(path, StudyConfig())
     assert type(shared) is Config and "rta_5s" in whole.arms
     for part in dataclasses.fields(Config):
         assert getattr(shared, part.name) == getattr(whole, part.name)

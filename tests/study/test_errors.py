@@ -5,7 +5,8 @@ import os
 
 import pytest
 
-from study.errors import InputError, instead, refusing
+from settings import InputError, instead
+from study.errors import refusing
 
 
 @pytest.mark.parametrize(

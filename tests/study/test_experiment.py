@@ -7,8 +7,8 @@ import torch
 
 from inspection.environment import InspectionEnv
 from inspection.model.state import SIZE, THRUST, E, P, Q, V
-from study.config import Config, override
-from study.errors import InputError
+from settings import InputError, override
+from study.config import Config
 from study.experiment import Experiment, paper_task, priced
 from study.experiment import test_cases as common_cases
 from study.flight import evaluation

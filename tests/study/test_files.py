@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from ppo import checkpoint
-from study.errors import InputError
+from settings import InputError
 from study.files import check_writable, load_arrays, write_json, write_npz, write_text, writing
 
 ROOT = Path(checkpoint.__file__).parents[1]
@@ -86,8 +86,8 @@ def test_a_checkpoint_that_cannot_be_written_leaves_nothing_behind(tmp_path: Pat
 
 def test_standard_output_is_written_in_place() -> None:
     code = (
-        "from study.files import check_writable, write_json\n"
-        "check_writable('/dev/stdout', '--json')\n"
+        "from pathlib import Path\nfrom study.files import check_writable, write_json\n"
+        "check_writable(Path('/dev/stdout'))\n"
         "print('a table')\n"
         "write_json('/dev/stdout', {'a': 1})\n"
     )
@@ -104,7 +104,7 @@ def test_a_pipe_is_written_in_place_and_its_check_ends_nothing(tmp_path: Path) -
     read: list[str] = []
     reader = threading.Thread(target=lambda: read.append(path.read_text()), daemon=True)
     reader.start()
-    check_writable(str(path), "--json")
+    check_writable(path)
     write_text(path, "through")
     reader.join(timeout=30)
     assert read == ["through"]
@@ -121,14 +121,12 @@ def test_a_link_stays_a_link(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("path", ["nowhere/x.json", "/proc/nothing", "x" * 300, "a\0b", "."])
-def test_what_cannot_be_written_is_refused_in_one_line(
+def test_what_cannot_be_written_is_refused(
     path: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    with pytest.raises(InputError) as caught:
-        check_writable(path, "--json")
-    assert str(caught.value).startswith(f"--json {path!r}: cannot write it: ")
-    assert "\n" not in str(caught.value)
+    with pytest.raises((OSError, ValueError)):
+        check_writable(Path(path))
     assert os.listdir() == []
 
 
@@ -136,8 +134,7 @@ def test_what_cannot_be_written_is_refused_in_one_line(
 def test_the_check_leaves_everything_as_it_was(existed: bool, tmp_path: Path) -> None:
     if existed:
         (tmp_path / "x.json").write_text("old")
-    check_writable(str(tmp_path / "x.json"), "--json")
-    check_writable(None, "--json")
+    check_writable(tmp_path / "x.json")
     assert {each.name: each.read_text() for each in tmp_path.iterdir()} == (
         {"x.json": "old"} if existed else {}
     )

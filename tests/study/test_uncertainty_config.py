@@ -5,23 +5,22 @@ from pathlib import Path
 import pytest
 
 from rta.bounds.uncertainty import Uncertainty
-from study import config as configuration
+from settings import CONFIGS, InputError, from_toml, to_toml
 from study.config import Config
-from study.errors import InputError
 
-PLANTS = sorted((Path(configuration.__file__).parents[1] / "configs" / "plants").glob("*.toml"))
+PLANTS = sorted((CONFIGS / "plants").glob("*.toml"))
 
 
 def test_without_the_table_the_filter_is_told_of_nothing() -> None:
     assert Config().uncertainty.is_nil
-    assert configuration.from_toml("[train]\nseed = 1\n", "text").uncertainty == Uncertainty()
+    assert from_toml("[train]\nseed = 1\n", "text", Config()).uncertainty == Uncertainty()
 
 
 def test_what_is_told_survives_a_round_trip_through_toml() -> None:
     text = "[uncertainty]\nmass = 0.1\nlatency = 2\nhealth = true\nsaturates_rates = false\n"
-    config = configuration.from_toml(text, "text")
+    config = from_toml(text, "text", Config())
     assert config.uncertainty == Uncertainty(mass=0.1, latency=2, health=True, saturates_rates=False)
-    assert configuration.from_toml(config.to_toml(), "text") == config
+    assert from_toml(to_toml(config), "text", Config()) == config
 
 
 @pytest.mark.parametrize(
@@ -40,7 +39,7 @@ def test_what_is_told_survives_a_round_trip_through_toml() -> None:
 )
 def test_a_bad_bound_ends_with_one_line_that_names_it(line: str, words: list[str]) -> None:
     with pytest.raises(InputError) as caught:
-        configuration.from_toml(f"[uncertainty]\n{line}\n", "file.toml")
+        from_toml(f"[uncertainty]\n{line}\n", "file.toml", Config())
     message = str(caught.value)
     assert "\n" not in message
     for word in words:
@@ -49,5 +48,5 @@ def test_a_bad_bound_ends_with_one_line_that_names_it(line: str, words: list[str
 
 @pytest.mark.parametrize("path", PLANTS, ids=lambda path: path.stem)
 def test_every_world_that_is_shipped_can_be_told_to_a_filter(path: Path) -> None:
-    config = configuration.from_toml(path.read_text(), path.name)
+    config = from_toml(path.read_text(), path.name, Config())
     config.uncertainty.check(config.inspection, config.rta)

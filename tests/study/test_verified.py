@@ -1,8 +1,6 @@
-"""What has been verified is silent; whatever else is said in one line, with commands that work."""
+"""What has been verified is silent; whatever else is said in one line."""
 
-import inspect
 import json
-import shlex
 from pathlib import Path
 from typing import Any
 
@@ -12,14 +10,14 @@ import pytest
 import main
 from inspection.model.parameters import Episode, InspectionParameters, Limits
 from rta.parameters import PERIODS
-from setting import settings
+from settings import override, rules, to_toml
 from study import files, verified
-from study.config import Config, StudyConfig, override
+from study.config import Config, StudyConfig
 from study.export import filter as filter_in_c
 from study.files import ROOT
 from study.verification.findings import Campaign, empty_report
 from study.verified import doubt, fingerprint
-from tests.test_main import assert_refused, call
+from tests.test_main import assert_refused
 
 FAST = {"inspection": {"max_rate": 0.3}}
 
@@ -46,7 +44,7 @@ def put(config: Config, policy: str, **more: Any) -> None:
 @pytest.mark.parametrize(
     "path", sorted((ROOT / "runs" / "reference").glob("[vf]*/*.json")), ids=lambda p: p.stem
 )
-def test_the_shipped_reports_hold_the_fingerprint_of_their_settings(path: Path) -> None:
+def test_the_shipped_reports_hold_the_fingerprint_of_their_rules(path: Path) -> None:
     report = json.loads(path.read_text())
     assert report["fingerprint"] == fingerprint(override(Config(), report["config"], "test"))
 
@@ -70,12 +68,12 @@ def test_the_shipped_reports_hold_the_fingerprint_of_their_settings(path: Path) 
 )
 def test_what_changes_neither_plant_nor_filter_is_silent(tables: dict[str, Any]) -> None:
     assert fingerprint(configured(tables)) == fingerprint(Config())
-    assert doubt(configured(tables), [], None) is None
+    assert doubt(configured(tables)) is None
 
 
 def test_of_the_task_all_but_the_episode_counts() -> None:
     names = {name.split()[1] for name in verified.relevant(Config()) if name.startswith("[inspection]")}
-    assert names == {*settings(Limits)} == {*settings(InspectionParameters)} - {*settings(Episode)}
+    assert names == {*rules(Limits)} == {*rules(InspectionParameters)} - {*rules(Episode)}
     assert {"substep", "initial_energy", "initial_temperature"} < names  # which campaigns begin and step with
 
 
@@ -94,7 +92,7 @@ def test_of_the_task_all_but_the_episode_counts() -> None:
     ],
 )
 def test_what_differs_is_said_with_both_values(tables: dict[str, Any], words: list[str]) -> None:
-    line = doubt(configured(tables), [], None)
+    line = doubt(configured(tables))
     assert line and "\n" not in line and verified.PAGE in line
     for word in words:
         assert word in line
@@ -114,14 +112,14 @@ def test_what_differs_is_said_with_both_values(tables: dict[str, Any], words: li
 def test_two_large_and_clean_campaigns_are_needed(more: dict[str, Any], trusted: bool) -> None:
     config = configured(FAST)
     put(config, "random")
-    assert doubt(config, [], None)
+    assert doubt(config)
     put(config, "adversarial", **more)
-    assert (doubt(config, [], None) is None) == trusted
+    assert (doubt(config) is None) == trusted
 
 
 @pytest.mark.parametrize("period", PERIODS)
 def test_the_shipped_campaigns_verify_every_period(period: float) -> None:
-    assert doubt(configured({"rta": {"period": period}}), [], None) is None
+    assert doubt(configured({"rta": {"period": period}})) is None
 
 
 def test_a_hull_counts_by_what_its_file_holds_wherever_it_lies(elsewhere: Path) -> None:
@@ -135,7 +133,7 @@ def test_a_hull_counts_by_what_its_file_holds_wherever_it_lies(elsewhere: Path) 
     (elsewhere / "configs/chiefs").mkdir(parents=True)
     np.savez(elsewhere / name, triangles=np.load(ROOT / name)["triangles"] * 1.1)
     assert of(name) != shipped
-    line = doubt(configured({"chief": {"mesh": name, "collision": "hull"}}), [], None)
+    line = doubt(configured({"chief": {"mesh": name, "collision": "hull"}}))
     assert line and f'[chief] mesh = "{name}" (verified: "' in line
 
 
@@ -143,15 +141,13 @@ def test_reports_of_another_plant_verify_none() -> None:
     heavy, noisy = (configured({"plant": plant}) for plant in ({"mass_factor": 1.1}, {"position_noise": 0.2}))
     for policy in verified.POLICIES:
         put(heavy, policy)
-    assert doubt(heavy, [], None) is None
-    assert "mass_factor = 1 (verified: 1.1)" in doubt(noisy, [], None) or "position_noise" in doubt(
-        noisy, [], None
-    )
-    assert doubt(configured({"plant": {"mass_factor": [1.0, 1.1]}}), [], None)
-    assert doubt(Config(), [], None) is None
+    assert doubt(heavy) is None
+    assert "mass_factor = 1 (verified: 1.1)" in doubt(noisy) or "position_noise" in doubt(noisy)
+    assert doubt(configured({"plant": {"mass_factor": [1.0, 1.1]}}))
+    assert doubt(Config()) is None
     put(heavy, "random", violating_episodes={"any": 7})
-    assert "not safe" in doubt(heavy, [], None)
-    assert doubt(Config(), [], None) is None
+    assert "not safe" in doubt(heavy)
+    assert doubt(Config()) is None
 
 
 def test_violations_and_damaged_files_are_told_apart() -> None:
@@ -160,66 +156,23 @@ def test_violations_and_damaged_files_are_told_apart() -> None:
     for i, text in enumerate(("{", "[]", '{"config": 3}', '{"config": {"rta": {"colour": 1}}}')):
         Path(f"runs/verification/{i}.json").write_text(text)
     put(config, "adversarial", violating_episodes={"any": "many"})
-    line = doubt(config, [], None)
+    line = doubt(config)
     assert line and "7 of 1,000 episodes behind this filter violated" in line
-    assert str(Path("runs/verification/random.json")) in line and "python main.py verify" not in line
-
-
-def test_the_printed_commands_verify_and_then_no_line_asks_for_it(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """From a file and a flag, with campaigns of two episodes, of a spacecraft that has no check."""
-    own = {"inspection": {"min_energy": 0.9}, "train": {"device": "cpu", "compile": "off"}}
-    Path("own.toml").write_text(configured(own).to_toml())
-    simulate = ["simulate", "--controller", "zero", "--duration", "10", "--out", "x.npz"]
-    simulate += ["--config", "own.toml", "--solar-panel-axis=+x"]
-    code, _, err = call(simulate, capsys)
-    unchecked, unverified = err.splitlines()
-    assert code == 0 and unchecked.startswith("not checked: motion and attitude; ")
-    assert unverified.startswith("not verified: ")
-    made, *commands = err.split("verify it: ")[1].split(" && ")
-    assert made == "mkdir -p runs/verification" and len(commands) == 2
-    Path("runs/verification").mkdir(parents=True)
-    monkeypatch.setattr(verified, "EPISODES", 2)
-    monkeypatch.setattr(verified, "DURATION", 10)
-    monkeypatch.setattr("study.verification.campaign.BATCH", 16)
-    for command in commands:
-        python, program, *words = shlex.split(command)
-        assert (python, program) == ("python", "main.py")
-        code, out, err = call([*words, "--episodes", "2", "--duration", "10"], capsys)
-        assert code == 0, err
-        assert f"Written to {words[-1]}" in out
-    assert call(simulate, capsys)[2] == f"{unchecked}\n"
+    assert str(Path("runs/verification/random.json")) in line
 
 
 def test_verify_passes_over_the_table_of_a_study(capsys: pytest.CaptureFixture[str]) -> None:
-    Path("study.toml").write_text(StudyConfig().to_toml())
+    Path("study.toml").write_text(to_toml(StudyConfig()))
     words = ["--config", "study.toml", "--rta-period", "10", "--duration", "25"]
     assert_refused(["verify", *words], ["--duration 25", "10 s"], capsys)
-
-
-def test_settings_of_a_checkpoint_come_from_the_file_above_it(elsewhere: Path) -> None:
-    config = configured(FAST)
-    seed = elsewhere / "a run" / "seed0"
-    seed.mkdir(parents=True)
-    line = doubt(config, [], seed / "policy.pt")
-    assert line and "python" not in line  # nothing leads to these settings
-    (seed.parent / "config.toml").write_text(config.to_toml())
-    line = doubt(config, [], seed / "policy.pt")
-    assert line and "--config 'a run/config.toml' --policy random" in line
-    (seed / "config.toml").write_text("no configuration")
-    line = doubt(config, [], seed / "policy.pt")
-    assert line and "python" not in line
 
 
 def test_an_installed_copy_names_no_page_of_the_repository(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(files, "ROOT", tmp_path)
-    own = tmp_path / "own.toml"
-    own.write_text(configured(FAST).to_toml())
-    line = doubt(configured(FAST), [own], None)
-    assert line and ".md" not in line and "; verify it: " in line
+    line = doubt(configured(FAST))
+    assert line and ".md" not in line
 
 
 @pytest.mark.parametrize(
@@ -264,12 +217,12 @@ def test_it_is_said_where_free_flights_are_not_kept_clear_though_asked_for(
 
 
 def test_without_the_filter_nothing_is_said(capsys: pytest.CaptureFixture[str]) -> None:
-    verified.say_doubts(configured(FAST | {"train": {"rta": False}}), [])
+    verified.say_doubts(configured(FAST | {"train": {"rta": False}}))
     assert capsys.readouterr().err == ""
-    verified.say_doubts(configured(FAST), [])
+    verified.say_doubts(configured(FAST))
     assert capsys.readouterr().err.startswith("not verified: ")
 
 
-def test_the_pasted_commands_fly_as_much_as_counts() -> None:
-    defaults = {name: each.default for name, each in inspect.signature(main.run_verify).parameters.items()}
-    assert (defaults["episodes"], defaults["duration"]) == (verified.EPISODES, verified.DURATION)
+def test_verify_flies_as_much_as_counts() -> None:
+    given = main.build_parser().parse_args(["verify"])
+    assert (given.episodes, given.duration) == (verified.EPISODES, verified.DURATION)

@@ -11,8 +11,8 @@ import re
 import sys
 from itertools import zip_longest
 
-from study.command_line.flags import Parser
-from study.errors import MALFORMED, InputError, refusing
+from settings import InputError, Parser
+from study.errors import MALFORMED, refusing
 from study.files import ROOT, write_text
 from study.results.numbers import agents, basilisk, learning, safety, speed, vehicles
 

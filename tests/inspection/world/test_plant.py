@@ -21,7 +21,7 @@ from inspection.model.parameters import InspectionParameters
 from inspection.model.state import CONTROLS, OMEGA, SIZE, THETA_S, THRUST, TORQUE, E, P, Q, T, V
 from inspection.world.parameters import DETAILS, HOW, OF_BASILISK, PlantParameters
 from inspection.world.plant import Plant, milliseconds
-from kernels import Compiled
+from kernels.compiled import Compiled
 from tests.inspection.model.test_dynamics import MASS, UNEQUAL, N, paper_rate
 
 C = InspectionParameters(inertia=UNEQUAL)

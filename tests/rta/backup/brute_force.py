@@ -13,7 +13,7 @@ from torch import Tensor
 from inspection.model.dynamics import Body, step
 from inspection.model.parameters import InspectionParameters
 from inspection.model.state import CONTROL_SIZE, SIZE
-from kernels import Compiled
+from kernels.compiled import Compiled
 from study.verification.starts import states_of
 from tests.rta.constraints.test_constraints import body_axis, length
 

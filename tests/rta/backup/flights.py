@@ -9,12 +9,13 @@ from torch import Tensor
 
 from inspection.model.parameters import InspectionParameters
 from inspection.model.state import OMEGA, SIZE, TORQUE, E, P, T, V
-from kernels import Compiled
+from kernels.compiled import Compiled
 from rta.backup.check import Backup
 from rta.backup.flight import CELLS
 from rta.filter import SafetyFilter
 from rta.parameters import PERIODS, RtaParameters
-from study import config
+from settings import load
+from study.config import Config
 from tests.rta.backup.brute_force import attitude, hypercube, motion, moved
 from tests.rta.constraints.test_constraints import length
 
@@ -28,7 +29,7 @@ LOOK = 0.5  # s
 @functools.cache
 def vehicle(name: str, saturates: bool = True) -> InspectionParameters:
     """A shipped vehicle's constants."""
-    found = C if name == "paper" else config.load(config.find(f"vehicles/{name}")).inspection
+    found = C if name == "paper" else load(f"vehicles/{name}", Config()).inspection
     return replace(found, saturate_rates=saturates)
 
 
@@ -43,7 +44,7 @@ def backup(name: str, hold: float, saturates: bool = True) -> Backup:
 @functools.cache
 def safety(name: str, hold: float, saturates: bool = True, compiled: bool = True) -> SafetyFilter:
     """The check of a vehicle as a filter, behind no rows: it has to find all."""
-    own = RtaParameters() if name == "paper" else config.load(config.find(f"vehicles/{name}")).rta
+    own = RtaParameters() if name == "paper" else load(f"vehicles/{name}", Config()).rta
     found = SafetyFilter(vehicle(name, saturates), replace(own, period=hold, rows="none"))
     if compiled:
         found.compile("cpu", 64)

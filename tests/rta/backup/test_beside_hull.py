@@ -11,7 +11,7 @@ from torch import Tensor
 from inspection.chief.hull import beside, farthest, reach
 from inspection.model.parameters import InspectionParameters
 from inspection.model.state import CONTROL_SIZE, SIZE, P, V
-from kernels import Compiled
+from kernels.compiled import Compiled
 from rta.backup.check import KEPT, LIMITS, Backup
 from rta.backup.chords import FreeFlight, Strays, between
 from rta.backup.flight import CELLS

@@ -9,9 +9,14 @@ import pytest
 import torch
 from torch import Tensor
 
-from inspection import InspectionParameters, Q, step
-from rta import Constraint, RtaParameters, SafetyFilter
-from study import config as configuration
+from inspection.model.dynamics import step
+from inspection.model.parameters import InspectionParameters
+from inspection.model.state import Q
+from rta.constraints.constraint import Constraint
+from rta.filter import SafetyFilter
+from rta.parameters import RtaParameters
+from settings import load
+from study.config import Config
 
 # position, velocity, attitude, rates, and temperature, charge and the Sun's angle
 ALONG_THE_ZONE = {  # starts that are far out and fast, by period in s
@@ -91,7 +96,7 @@ def test_no_limit_breaks_in_a_call_that_is_verified(period: float) -> None:
 
 
 def test_a_turn_with_unequal_moments_keeps_the_rates() -> None:
-    config = configuration.load(configuration.find("vehicles/espa"))
+    config = load("vehicles/espa", Config())
     c = replace(config.inspection, saturate_rates=False)
     safety = SafetyFilter(c, replace(config.rta, period=10.0))
     x = column(UNEQUAL_MOMENTS)

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from inspection.model.parameters import InspectionParameters
 from inspection.model.state import CONTROL_SIZE, OMEGA, SIZE, THRUST, P, V
-from kernels import Compiled
+from kernels.compiled import Compiled
 from rta.backup.haven import Haven
 from rta.backup.homing import at_a_glance, calls, closely, held, may_be_kept
 from rta.backup.told import ToldBackup

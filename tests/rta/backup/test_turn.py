@@ -14,7 +14,7 @@ from inspection.model.attitude import rate_in_hill, rotation_matrix, turned_by
 from inspection.model.dynamics import Body, step, sun_and_earth_in_body
 from inspection.model.parameters import InspectionParameters
 from inspection.model.state import CONTROL_SIZE, OMEGA, SIZE, TORQUE, E, Q, T
-from kernels import Compiled
+from kernels.compiled import Compiled
 from rta.backup.check import Backup
 from rta.backup.told import ToldBackup
 from rta.backup.turn import Spread, beginning, followed, law, verified, wanted

@@ -6,8 +6,8 @@ from typing import Any
 import pytest
 import torch
 
-from rta import SafetyFilter
 from rta.constraints.constraint import Constraint
+from rta.filter import SafetyFilter
 
 SLOW = "slow"
 

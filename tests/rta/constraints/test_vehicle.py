@@ -14,7 +14,8 @@ from rta.constraints.vehicle import PAPER, check, scaled, time_to_stop, time_to_
 from rta.filter import SafetyFilter
 from rta.parameters import RtaParameters
 from rta.qp.batched_solver import BatchedSolver
-from study import config
+from settings import load
+from study.config import Config
 from study.verification.adversaries import adversarial, held_at_random
 from study.verification.starts import initial_states
 
@@ -96,7 +97,7 @@ def test_a_vehicle_that_cannot_hold_a_limit_is_refused_with_the_number(
 @pytest.mark.parametrize("path", VEHICLES, ids=lambda path: path.stem)
 @torch.no_grad()
 def test_shipped_vehicles_violate_nothing(path: Path) -> None:
-    c: InspectionParameters = config.load(path).inspection
+    c: InspectionParameters = load(path, Config()).inspection
     safety = SafetyFilter(c, R, BatchedSolver())
     safety.compile("cpu", 64)
     x, _, _ = initial_states(64, 3, safety)

@@ -16,11 +16,13 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from rta import SafetyFilter, Status
+from rta.filter import SafetyFilter
 from rta.parameters import RtaParameters
 from rta.printed.vectors import independent
+from rta.qp.programs import Status
+from settings import load
 from study.boundary.limits import barriers, near_limits
-from study.config import Config, load
+from study.config import Config
 from study.verification.starts import initial_states
 from tests.rta.test_filter import CONFLICTS, commands, near_the_limits
 

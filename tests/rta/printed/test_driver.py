@@ -27,7 +27,8 @@ from rta.qp import batched_solver
 from rta.qp.batched_solver import BatchedSolver
 from rta.qp.programs import Problems, Status
 from rta.result import FilterResult
-from study.config import Config, load
+from settings import load
+from study.config import Config
 from study.verification.adversaries import adversarial
 from tests.rta import test_actuator_groups as own
 from tests.rta.backup.flights import at_the_chief, near_the_zone

@@ -19,9 +19,9 @@ import torch
 from torch import Tensor
 
 from kernels.build import OF_ONE, OF_TWO, QUICK
-from rta import SafetyFilter, Status
 from rta.bounds.uncertainty import Uncertainty
 from rta.constraints.names import CONSTRAINTS
+from rta.filter import SafetyFilter
 from rta.parameters import RtaParameters
 from rta.printed.files import (
     BUILT,
@@ -32,6 +32,7 @@ from rta.printed.files import (
     sources,
     write,
 )
+from rta.qp.programs import Status
 from tests.rta import test_actuator_groups as own
 from tests.rta.printed.export_sizes import GRAPH, deepest
 from tests.rta.printed.export_states import PROGRAM, Answers, compared, in_c, in_python, made, states

@@ -10,6 +10,7 @@ from inspection.environment import InspectionEnv
 from inspection.model.parameters import InspectionParameters
 from ppo import checkpoint
 from rta.qp.programs import Status
+from settings import to_toml
 from study.benchmark import flights
 from study.config import Config
 from study.experiment import Experiment, load_policy, make_policy
@@ -68,7 +69,7 @@ def test_the_shipped_agent_acts_on_what_it_observes(
     shipped, config = load_policy(flights.TRAINED)
     seen = Config(inspection=replace(config.inspection, observed=("sun", "hill")), ppo=config.ppo)
     other = make_policy(seen, [torch.Generator()])
-    checkpoint.save(tmp_path / "other.pt", {"policy": other.state_dict(), "config": seen.to_toml()})
+    checkpoint.save(tmp_path / "other.pt", {"policy": other.state_dict(), "config": to_toml(seen)})
     for path, policy in ((flights.TRAINED, shipped), (tmp_path / "other.pt", other)):
         monkeypatch.setattr(flights, "TRAINED", path)
         found = flights.trained(experiment)

@@ -7,9 +7,10 @@ import pytest
 import torch
 
 import main
+from settings import load, override
 from study import verified
 from study.benchmark import breakdown, flights, measure, presentation, rates, timing
-from study.config import Config, load, override
+from study.config import Config
 from study.files import ROOT
 
 KEYS = {

@@ -5,16 +5,14 @@ from pathlib import Path
 
 import pytest
 
-from study import config as configuration
+from settings import override
 from study.benchmark import ranks
 from study.config import Config
 
 
 def test_a_process_measures_itself(tmp_path: Path) -> None:
     train = {"rta": False, "num_envs": 32, "rollout_steps": 4, "device": "cpu", "compile": "off"}
-    config = configuration.override(
-        Config(), {"train": train, "ppo": {"minibatch_size": 64, "epochs": 1}}, "test"
-    )
+    config = override(Config(), {"train": train, "ppo": {"minibatch_size": 64, "epochs": 1}}, "test")
     ranks.main(tmp_path, config)
     (file,) = tmp_path.iterdir()
     result = json.loads(file.read_text())

@@ -12,10 +12,11 @@ from inspection.environment import InspectionEnv
 from rta.constraints.names import CONSTRAINTS
 from rta.filter import SafetyFilter
 from rta.result import FilterResult
+from settings import override
 from study.boundary import boundary, limits
 from study.boundary.boundary import Boundary, run, tried
 from study.boundary.report import empty_report, table
-from study.config import Config, override
+from study.config import Config
 from study.experiment import Experiment
 from tests.test_main import assert_refused
 

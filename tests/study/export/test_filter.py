@@ -10,8 +10,9 @@ import torch
 from kernels import build
 from rta.filter import SafetyFilter
 from rta.printed.loaded import InC
+from settings import load
 from study import verified
-from study.config import Config, load
+from study.config import Config
 from study.export.filter import said_of
 from tests.rta.constraints.test_constraints import tensor
 from tests.rta.test_filter import C, R, commands, near_the_limits

@@ -15,7 +15,8 @@ from inspection.environment import InspectionEnv
 from inspection.model.parameters import ChiefParameters, InspectionParameters
 from inspection.observation import observe
 from ppo.network import Policy
-from study.config import Config, override
+from settings import override, to_toml
+from study.config import Config
 from study.errors import ExportError
 from study.experiment import load_policy, make_policy
 from study.export import onnx as export
@@ -122,7 +123,7 @@ def test_a_difference_ends_in_one_line_and_exit_code_1(
 
 def test_limits_are_those_of_the_checkpoint(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     config = override(Config(), {"inspection": {"max_thrust": 0.5}}, "test")
-    content = {"policy": untrained(0).state_dict(), "config": config.to_toml()}
+    content = {"policy": untrained(0).state_dict(), "config": to_toml(config)}
     torch.save(content, tmp_path / "policy.pt")
     out = tmp_path / "policy.onnx"
     arguments = ["export", "--checkpoint", str(tmp_path / "policy.pt"), "--out", str(out)]

@@ -18,7 +18,8 @@ import main
 from inspection.model.parameters import OBSERVED
 from inspection.observation import GROUPS, components, scales
 from ppo.network import Policy
-from study.config import Config, override
+from settings import override, to_toml
+from study.config import Config
 from study.experiment import load_policy, make_policy
 from study.export import policy as export_policy
 from tests.test_main import assert_refused, call
@@ -77,7 +78,7 @@ def untrained(tables: dict[str, Any], path: Path) -> Path:
     with torch.no_grad():
         policy.network.layers[-1].weight *= 100
         policy.network.layers[0].bias += 0.1
-    torch.save({"policy": policy.state_dict(), "config": config.to_toml()}, path)
+    torch.save({"policy": policy.state_dict(), "config": to_toml(config)}, path)
     return path
 
 

@@ -9,7 +9,8 @@ import pytest
 import torch
 
 from inspection.model.state import OMEGA, THETA_S, P, Q, V
-from study.config import Config, override
+from settings import override
+from study.config import Config
 from study.experiment import Experiment
 from study.experiment import test_cases as common_cases
 from study.flight import evaluation

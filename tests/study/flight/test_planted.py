@@ -16,7 +16,8 @@ from rta.constraints.names import CONSTRAINTS
 from rta.filter import SafetyFilter
 from rta.parameters import RtaParameters
 from rta.result import FilterResult
-from study.config import Config, override
+from settings import override
+from study.config import Config
 from study.experiment import Experiment
 from study.flight.evaluation import report, run_episodes
 from study.flight.simulation import simulate

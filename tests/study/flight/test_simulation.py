@@ -16,7 +16,8 @@ from inspection.model.parameters import InspectionParameters
 from inspection.world.plant import Plant
 from rta.filter import SafetyFilter
 from rta.parameters import RtaParameters
-from study.config import Config, override
+from settings import override
+from study.config import Config
 from study.experiment import Experiment
 from study.experiment import test_cases as common_cases
 from study.flight.evaluation import common_episode, play

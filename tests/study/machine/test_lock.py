@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from study.errors import InputError
+from settings import InputError
 from study.machine import lock
 
 

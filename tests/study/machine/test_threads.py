@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from kernels import compiled
-from study.errors import InputError
+from settings import InputError
 from study.machine.provenance import recorded_threads
 from study.machine.threads import Threads
 

@@ -18,16 +18,17 @@ from scipy.spatial.transform import Rotation
 import main
 from inspection.model.dynamics import step
 from inspection.model.state import THRUST, TORQUE, P
-from rta import SafetyFilter
+from rta.filter import SafetyFilter
 from rta.parameters import PERIODS
-from study.config import Config, load
+from settings import load
+from study.config import Config
 from study.files import ROOT
 from study.play.printed import PILOT
 
 AGENT = ROOT / "runs/reference/study/rta/seed0/policy.pt"
 PAGE = ROOT / "runs/reference/play.html"
 C = Config()
-U1 = load("configs/plants/u1.toml")
+U1 = load("configs/plants/u1.toml", Config())
 U1 = replace(U1, plant=replace(U1.plant, errors="worst"))  # the page's other world
 LIMIT = np.array(C.inspection.control_limit)
 STARTS = ("case 0", "case 7", "ram", "leaving", "battery")

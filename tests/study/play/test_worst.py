@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 import main
 from inspection.model.state import OMEGA, THRUST, TORQUE, P, Q, V
-from rta import SafetyFilter
+from rta.filter import SafetyFilter
 from rta.result import FilterResult
 from study.verification.adversaries import Greedy
 from tests.study.play.test_flight import LIMIT, U1, columns, controls, fly

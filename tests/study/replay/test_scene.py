@@ -14,7 +14,8 @@ from scipy.spatial.transform import Rotation
 import main
 from inspection.chief.surface import light, surface
 from rta.constraints.names import CONSTRAINTS
-from study.config import Config, load
+from settings import load
+from study.config import Config
 from study.replay import page, scene
 from study.replay.scene import Replayed
 
@@ -91,7 +92,7 @@ def test_points_in_the_meshs_own_shade_are_not_shown_as_lit(
     run = scene.read(str(out))
     content = as_written(run)["runs"][0]
     assert content["hull"] is None  # it is a sphere that is to stay clear
-    config = load(own)
+    config = load(own, Config())
     whole = surface(config.chief, config.inspection)
     for row, shaded in enumerate(content["shaded"]):
         angle, to_hill = content["sun_angle"][row], Rotation.from_quat(run.episode["chief_attitude"][row])

@@ -12,9 +12,8 @@ import torch
 
 import main
 from inspection.orbits import GUIDANCE
-from study import config as configuration
-from study.config import StudyConfig
-from study.errors import InputError
+from settings import InputError, load
+from study.config import Config, StudyConfig
 from study.experiment import Experiment
 from study.report import agents, compute, flights, inputs, tables
 
@@ -170,7 +169,7 @@ def test_worlds_are_those_of_evaluate(study: Path, tmp_path: Path) -> None:
 def test_arms_fly_side_by_side_as_they_fly_alone(study: Path) -> None:
     """Bit for bit, in a plant whose errors are drawn by the columns' numbers."""
     arms = agents.load(study, None)
-    told = configuration.load(flights.BOUNDS).uncertainty
+    told = load(flights.BOUNDS, Config()).uncertainty
     together = flights.in_world(list(arms.values()), "harsh", True, told)
     assert together == [flights.in_world([arm], "harsh", True, told)[0] for arm in arms.values()]
     assert together[0]["metrics"] != together[1]["metrics"]
@@ -222,8 +221,8 @@ def test_an_older_revisions_study_is_refused(study: Path, tmp_path: Path) -> Non
 
 
 def test_every_arm_of_the_shipped_study_can_fly_in_every_world() -> None:
-    config = configuration.load(flights.ROOT / "configs" / "study.toml", StudyConfig())
-    told = configuration.load(flights.BOUNDS).uncertainty
+    config = load(flights.ROOT / "configs" / "study.toml", StudyConfig())
+    told = load(flights.BOUNDS, Config()).uncertainty
     for name in config.study.arms:
         own = replace(flights.with_rta(config.of_arm(name), True, flights.FILTER_PERIOD), uncertainty=told)
         own = replace(own, train=replace(own.train, compile="off"))  # which takes minutes and refuses nothing

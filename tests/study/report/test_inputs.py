@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from settings import InputError
 from study.config import ARMS
-from study.errors import InputError
 from study.report import inputs
 
 

@@ -11,8 +11,8 @@ from typing import Any
 import pytest
 from jinja2 import UndefinedError
 
+from settings import InputError
 from study.config import BASELINES
-from study.errors import InputError
 from study.paper import PAPER_METRICS, PAPER_VIOLATIONS, Estimate
 from study.report import figures, inputs, page, tables
 from tests.study.replay.test_page import Browser, asks_nothing, chromium

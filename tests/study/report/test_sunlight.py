@@ -10,7 +10,8 @@ from inspection.chief import points as chief
 from inspection.model.dynamics import integrate
 from inspection.model.parameters import ChiefParameters, InspectionParameters
 from inspection.model.state import SIZE, THETA_S, P
-from study.config import Config, override
+from settings import override
+from study.config import Config
 from study.report.sunlight import earliest_success, shortest_episodes
 
 

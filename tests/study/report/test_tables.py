@@ -10,8 +10,8 @@ import pytest
 
 from inspection.transition import METRICS
 from rta.constraints.names import CONSTRAINTS
+from settings import InputError
 from study.config import StudyConfig
-from study.errors import InputError
 from study.paper import PAPER_METRICS, PAPER_VIOLATIONS
 from study.report import tables
 from study.report.inputs import Inputs

@@ -10,7 +10,8 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 
 import main
 from rta.constraints.names import CONSTRAINTS
-from study import config as configuration
+from settings import from_toml, override
+from study.config import Config
 from study.training import charts as charts_of_training
 from study.training import session as training
 from study.training.charts import Charts
@@ -105,9 +106,7 @@ def test_the_page_explains_every_tag_and_no_other(tmp_path: Path, monkeypatch: p
         monkeypatch.setattr(
             Charts, "add", lambda self, scalars, at, tags=tags: (tags.update(scalars), add(self, scalars, at))
         )
-        config = configuration.override(
-            configuration.from_toml(SHORT, "test"), {"train": {"rta": rta}}, "test"
-        )
+        config = override(from_toml(SHORT, "test", Config()), {"train": {"rta": rta}}, "test")
         run = training.start(config, tmp_path / str(rta))
         run.train()
     assert len(documented()) == len(set(documented()))

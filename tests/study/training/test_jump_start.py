@@ -11,9 +11,9 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 
 from inspection.guidance import natural_motion
 from inspection.orbits import GUIDANCE, Orbit
-from study import config as configuration
+from settings import InputError, from_toml
 from study.config import Config
-from study.errors import InputError, Stopped
+from study.errors import Stopped
 from study.experiment import Experiment
 from study.experiment import test_cases as common_cases
 from study.training import jump_start, session
@@ -39,7 +39,7 @@ minibatch_size = 256
 
 
 def config(**train: object) -> Config:
-    base = configuration.from_toml(SETTINGS, "test")
+    base = from_toml(SETTINGS, "test", Config())
     return replace(base, train=replace(base.train, **train))
 
 

@@ -17,7 +17,7 @@ import torch
 
 from ppo import checkpoint
 from ppo.errors import NonFiniteError
-from study import config as configuration
+from settings import from_toml, load, override, to_toml
 from study.config import Config, StudyConfig, StudyParameters
 from study.errors import Stopped
 from study.training import session as training
@@ -48,7 +48,7 @@ def tiny(
         "rta": {"period": period, "qp_solver": qp_solver},
         "ppo": {"epochs": 2, "minibatch_size": minibatch_size},
     }
-    return configuration.override(Config(), tables, "test")
+    return override(Config(), tables, "test")
 
 
 def stop_after(run: training.Run, updates: int) -> None:
@@ -127,7 +127,7 @@ def test_a_run_of_an_earlier_version_continues(tmp_path: Path) -> None:
 
 def test_a_run_from_before_meshes_had_digests_goes_on_again_and_again(tmp_path: Path) -> None:
     mesh = "configs/chiefs/box.npz"
-    config = configuration.override(tiny(interactions=32 * 4), {"chief": {"mesh": mesh}}, "test")
+    config = override(tiny(interactions=32 * 4), {"chief": {"mesh": mesh}}, "test")
     training.start(config, tmp_path)
     for name in ("config.toml", "checkpoint.pt"):
         path = tmp_path / name
@@ -155,8 +155,8 @@ def test_same_seed_gives_the_same_weights_and_another_seed_others(tmp_path: Path
 def test_checkpoint_holds_configuration_and_loads_weights_only(tmp_path: Path) -> None:
     run = training.start(tiny(), tmp_path)
     content = torch.load(tmp_path / "checkpoint.pt", weights_only=True)
-    assert configuration.from_toml(content["config"], "checkpoint") == run.config
-    assert configuration.load(tmp_path / "config.toml") == run.config
+    assert from_toml(content["config"], "checkpoint", Config()) == run.config
+    assert load(tmp_path / "config.toml", Config()) == run.config
 
 
 def test_provenance_names_versions_and_revision(tmp_path: Path) -> None:
@@ -204,7 +204,7 @@ def test_a_signal_in_the_last_evaluation_says_how_to_continue(
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_signal_ends_training_cleanly_and_resume_continues(tmp_path: Path, number: int) -> None:
     config = tmp_path / "tiny.toml"
-    config.write_text(tiny(interactions=10**7).to_toml())
+    config.write_text(to_toml(tiny(interactions=10**7)))
     run = tmp_path / "run"
     command = [sys.executable, str(MAIN), "train", "--config", str(config), "--run-dir", str(run)]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)

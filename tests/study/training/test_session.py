@@ -19,7 +19,8 @@ import torch
 import main
 from ppo import checkpoint, trainer
 from ppo.learner import PPO
-from study import config as configuration
+from settings import load
+from study.config import Config
 from study.experiment import load_policy
 from study.machine import lock, provenance
 from study.training import session as training
@@ -259,7 +260,7 @@ def test_what_another_process_has_begun_is_not_taken_away(
 
 def test_a_run_that_has_begun_is_not_taken_away(settings: Path, tmp_path: Path) -> None:
     run = tmp_path / "run"
-    with pytest.raises(KeyboardInterrupt), training.starting(configuration.load(settings), run):
+    with pytest.raises(KeyboardInterrupt), training.starting(load(settings, Config()), run):
         for name in ("checkpoint.pt", "policy.pt"):  # moved elsewhere by a person
             (run / name).unlink()
         raise KeyboardInterrupt
@@ -314,7 +315,7 @@ def test_a_finished_run_goes_on_as_a_longer_one_but_for_the_annealing(
     line = "learning rate from 0 to 0.0002, since it is annealed to 0 at 96 interactions now, not at 32\n"
     assert line in capsys.readouterr().out
     assert_same(tmp_path / "long", tmp_path / "short")
-    assert configuration.load(tmp_path / "short" / "config.toml").train.interactions == 96
+    assert load(tmp_path / "short" / "config.toml", Config()).train.interactions == 96
     assert not (tmp_path / "short" / "config.toml.tmp").exists()
 
 

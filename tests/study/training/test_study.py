@@ -16,7 +16,7 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 import main
 from inspection.transition import METRICS
 from ppo import checkpoint
-from study import config as configuration
+from settings import load, override
 from study.config import Config, StudyConfig
 from study.experiment import load_policy
 from study.flight.summary import stratified_summary
@@ -99,7 +99,7 @@ def test_each_seed_of_an_arm_equals_that_seed_trained_alone(arm: str, whole: Pat
     for k, seed in enumerate(SEEDS):
         directory = tmp_path / str(seed)
         tables = {"train": {"seed": seed}}
-        start(configuration.override(config, tables, "test"), directory).train()
+        start(override(config, tables, "test"), directory).train()
         alone = checkpoint.load(directory / "checkpoint.pt", RESUMABLE)
         for network in ("policy", "value"):
             for name, weight in alone[network].items():
@@ -284,14 +284,14 @@ def test_directories_of_others_are_refused(
 
 def test_the_shipped_configurations_are_the_papers_study_and_what_goes_past_it() -> None:
     configs = Path(main.__file__).parent / "configs"
-    config = configuration.load(configs / "study.toml", StudyConfig())
+    config = load(configs / "study.toml", StudyConfig())
     assert config.study.seeds == 10
     arms = {name: config.of_arm(name) for name in config.study.arms}
     periods = {name: arm.rta.period if arm.train.rta else None for name, arm in arms.items()}
     assert periods == {"no_rta": None, "rta": 1.0, "rta_5s": 5.0, "rta_10s": 10.0, "robust": 1.0}
-    typical, u1 = (configuration.load(configs / f"plants/{name}.toml") for name in ("typical", "u1"))
+    typical, u1 = (load(configs / f"plants/{name}.toml", Config()) for name in ("typical", "u1"))
     assert (arms["robust"].plant, arms["robust"].uncertainty) == (typical.plant, u1.uncertainty)
-    paper = configuration.load(configs / "paper.toml", StudyConfig())
+    paper = load(configs / "paper.toml", StudyConfig())
     assert paper.study.arms == ("no_rta", "rta")
     for each, interactions in ((config, 500_000), (paper, 5_000_000)):
         assert each.train.interactions == interactions and each.train.early_evaluations == 10
@@ -346,7 +346,7 @@ def test_an_arm_is_checked_before_anything_is_trained(
 
 
 def test_a_study_from_before_meshes_had_digests_goes_on(tmp_path: Path) -> None:
-    config = configuration.override(StudyConfig(), {"chief": {"mesh": "configs/chiefs/box.npz"}}, "test")
+    config = override(StudyConfig(), {"chief": {"mesh": "configs/chiefs/box.npz"}}, "test")
     config = arms.settled_for_a_seed(config)
     arms.begin_or_continue(config, tmp_path)
     path = tmp_path / "config.toml"

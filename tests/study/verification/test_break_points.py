@@ -8,7 +8,8 @@ import pytest
 
 from inspection.world.parameters import PlantParameters
 from rta.constraints.names import CONSTRAINTS
-from study.config import Config, override
+from settings import override
+from study.config import Config
 from study.verification import break_points
 from study.verification.break_points import COLUMNS, EFFECTS, Effect, figure, last_held, table
 from tests.test_main import assert_refused, call

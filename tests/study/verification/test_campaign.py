@@ -13,7 +13,8 @@ from inspection.environment import InspectionEnv
 from inspection.model.state import THETA_S
 from inspection.sight import Sight
 from rta.filter import SafetyFilter
-from study.config import Config, override
+from settings import override
+from study.config import Config
 from study.experiment import Experiment, make_policy
 from study.verification.campaign import Campaign, blamed, digest, run
 from study.verification.counter_examples import refly_file

@@ -15,7 +15,8 @@ import tomli_w
 from rta.constraints.names import CONSTRAINTS
 from rta.filter import make_solver
 from rta.qp.programs import Problems, Solutions
-from study.config import Config, from_toml, override
+from settings import from_toml, override, to_toml
+from study.config import Config
 from study.experiment import Experiment
 from study.verification import campaign
 from study.verification.adversaries import adversarial
@@ -73,7 +74,7 @@ def test_refly_uses_the_solver_of_the_campaign(
     violated: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = next(violated.parent.glob("*.npz"))
-    assert from_toml(str(np.load(path)["config"]), "it").rta.qp_solver == "piqp"
+    assert from_toml(str(np.load(path)["config"]), "it", Config()).rta.qp_solver == "piqp"
     used = []
     monkeypatch.setattr(
         "rta.filter.make_solver", lambda name, held: used.append(name) or make_solver(name, held)
@@ -102,9 +103,9 @@ def test_a_recorded_gpu_is_not_needed_to_fly_it_again(
     violated: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     example = dict(np.load(next(violated.parent.glob("*.npz"))))
-    config = override(from_toml(str(example["config"]), "it"), {"train": {"device": "cuda"}}, "it")
+    config = override(from_toml(str(example["config"]), "it", Config()), {"train": {"device": "cuda"}}, "it")
     path = tmp_path / "example.npz"
-    np.savez(path, **(example | {"config": np.array(config.to_toml())}))
+    np.savez(path, **(example | {"config": np.array(to_toml(config))}))
     assert call(["refly", str(path)], capsys)[0] == 0
 
 

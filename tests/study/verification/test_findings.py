@@ -3,7 +3,6 @@
 import json
 import shutil
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -121,40 +120,6 @@ def test_a_longer_campaign_goes_on_where_the_report_ends(
         for tally in ("worst_value", "largest_slack"):
             assert texts[0][tally].pop(name) == pytest.approx(texts[1][tally].pop(name), rel=1e-9, abs=1e-9)
     assert texts[0] == texts[1]
-
-
-def with_older_keys(report: dict[str, Any]) -> dict[str, Any]:
-    """The report with its settings where they stood before, and without what was not counted yet."""
-    config = {table: dict(entries) for table, entries in report["config"].items()}
-    config["train"] |= {key: config["rta"].pop(name) for key, name in OLDER.items()}
-    del config["ppo"]["hidden"]
-    campaign = {name: value for name, value in report["campaign"].items() if name not in NEWER}
-    report = report | {"config": config, "campaign": campaign}
-    beyond = report.pop("starts_beyond_braking")
-    counts, beyond = (
-        {name: count for name, count in each.items() if name != "backup_calls"} for each in (report, beyond)
-    )
-    return counts | {"starts_beyond_braking": beyond}
-
-
-def test_a_report_of_older_keys_is_continued_in_those_of_today(
-    finished: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    path = tmp_path / "report.json"
-    report = with_older_keys(json.loads(finished.read_text()))
-    path.write_text(json.dumps(report))
-    assert_refused(verify(path, "--rta-period", "10"), [str(path), "another campaign"], capsys)
-    rta = report["config"]["rta"] | {"speed_gain": 0.4}
-    path.write_text(json.dumps(report | {"config": report["config"] | {"rta": rta}}))
-    code, _, err = call(verify(path), capsys)
-    assert code == 2 and f"{path}: holds another campaign or configuration" in err
-    path.write_text(json.dumps(report))
-    assert call(verify(path, "--episodes", "18"), capsys)[0] == 0
-    continued = json.loads(path.read_text())
-    assert continued["episodes"] == 18 and continued["backup_calls"] >= 0
-    for part in ("config", "campaign"):
-        assert continued[part] == json.loads(finished.read_text())[part]
-    assert not set(OLDER) & set(continued["config"]["train"])
 
 
 @pytest.mark.parametrize("policy", ["random", "adversarial"])

@@ -11,7 +11,8 @@ from torch import Tensor
 
 from inspection.environment import InspectionEnv
 from inspection.world.corners import CORNER, ENDS, MISSED, Recorded
-from study.config import Config, override
+from settings import override
+from study.config import Config
 from study.experiment import Experiment
 from study.scales import scales
 from study.verification.adversaries import Greedy, attacked, held_at_random

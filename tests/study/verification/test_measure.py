@@ -9,10 +9,12 @@ import pytest
 import torch
 from torch import Tensor
 
-from inspection import InspectionParameters
+from inspection.model.parameters import InspectionParameters
 from inspection.model.state import P
-from rta import RtaParameters, SafetyFilter
-from study.config import Config, override
+from rta.filter import SafetyFilter
+from rta.parameters import RtaParameters
+from settings import override
+from study.config import Config
 from study.verification import measure
 from study.verification.measure import Counted, accepted, full, starts
 

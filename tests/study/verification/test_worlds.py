@@ -16,7 +16,8 @@ from inspection.model.state import SIZE, THETA_S, E, P, Q, T, V
 from inspection.world.corners import CORNER, Recorded
 from rta.constraints.names import CONSTRAINTS
 from rta.result import FilterResult
-from study.config import Config, override
+from settings import override
+from study.config import Config
 from study.experiment import Experiment
 from study.verification import campaign
 from study.verification.adversaries import held_at_random

@@ -1,1 +1,0 @@
-"""The command line: flags, what they reach, and which files they may name."""
