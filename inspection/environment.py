@@ -9,7 +9,6 @@ from torch import Tensor
 
 from inspection.closed_loop import Clocks, Controller, Hold, Safety, closed_loop, is_multiple
 from inspection.initial_state import InitialStates
-from inspection.model.draws import uniform
 from inspection.model.dynamics import integrate
 from inspection.model.parameters import ChiefParameters, InspectionParameters
 from inspection.model.state import CONTROL_SIZE, SIZE, THRUST, TORQUE
@@ -52,8 +51,8 @@ class InspectionEnv:
         parameters: the task's constants.
         generators: one per seed, on the device of the batch.
         safety: constraint values, admissible starts and the control filter.
-        decide_every: clock of decisions in `fly` in s; None: the action period.
-        report_every: clock of what `fly` reports in s; None: the integration step.
+        decide_every: s between two decisions of a controller; None: the action period.
+        report_every: the longest time in s between two holds that are reported; None: the integration step.
         plant: in what the plant differs from `parameters`; None: in nothing.
         target: the chief; None: the paper's.
 
@@ -79,9 +78,9 @@ class InspectionEnv:
         plant: PlantParameters | None = None,
         target: ChiefParameters | None = None,
     ) -> None:
-        self.c = parameters
-        self.asked_for = decide_every, report_every
-        self.clocks = clocks_of(parameters, None, *self.asked_for)
+        self.c, self.safety = parameters, safety or Safety()
+        filter_period = self.safety.period if self.safety.correct else None
+        self.clocks = clocks_of(parameters, filter_period, decide_every, report_every)
         batch = num_envs * len(generators)
         device = generators[0].device
 
@@ -93,7 +92,10 @@ class InspectionEnv:
         if plant is not None and not plant.is_nominal:
             kind = BasiliskPlant if plant.simulator == "basilisk" else Plant
             self.plant = kind(plant, parameters, batch, device)
-        self.put_behind(safety or Safety())
+            self.plant.every, self.plant.acts_for = (
+                self.clocks.filter or self.clocks.decision,
+                self.clocks.hold,
+            )
         target = target or ChiefParameters()
         self.sight = Sight(target, parameters, batch, device)
         numbered = self.plant is not None or target.is_drawn
@@ -114,20 +116,6 @@ class InspectionEnv:
             self._integrate = partial(integrate, duration=self.clocks.step, c=parameters)
         self._normalised = partial(normalised, c=parameters)
         self._values = self.safety.values
-
-    def put_behind(self, safety: Safety) -> None:
-        """Has the episodes fly behind another filter of the same constraints.
-
-        Raises ValueError where its clock does not divide the others or would need a shorter integration step.
-        """
-        clocks = clocks_of(self.c, safety.period if safety.correct else None, *self.asked_for)
-        if "_integrate" in vars(self) and clocks.step != self.clocks.step:
-            raise ValueError(
-                f"a filter every {safety.period:g} s: the simulator takes {self.clocks.step:g} s a step"
-            )
-        self.safety, self.clocks = safety, clocks
-        if self.plant:
-            self.plant.every, self.plant.acts_for = clocks.filter or clocks.decision, clocks.hold
 
     STATE = ("x", "time", "steps", "totals", "violation_steps", "any_violation_steps")
 
@@ -213,12 +201,9 @@ class InspectionEnv:
         """Starts every episode from given states (16, B) and priority vectors (3, B); returns observations.
 
         Args:
-            number: (B,) in [0, 1), from which the episodes' plants follow; None: the first ones of the seeds, by
-                episode, the same at every call and on every device.
+            number: (B,) in [0, 1), from which the episodes' plants and chiefs follow; None: 0.
         """
-        if (self.plant or self.sight.tumbling) and number is None:
-            seeds = [torch.Generator().manual_seed(starts.generator.initial_seed()) for starts in self.starts]
-            number = torch.cat([uniform(0.0, 1.0, self.num_envs, seed) for seed in seeds]).to(x.device)
+        number = torch.zeros_like(self.time) if number is None else number
         self._begin(torch.arange(self.time.numel(), device=x.device), x, priority, number)
         return self.observation()
 
@@ -241,38 +226,35 @@ class InspectionEnv:
             seen = self.plant.sense(self.time, self.x) if self.plant else self.x
         return self._normalised(seen[:, columns], *self.sight.observed(columns, score)).T
 
-    @in_full_precision
-    def step(self, action: Tensor) -> Transition:
-        """Holds one action for one action period.
-
-        Args:
-            action: (B, 6), thrust and torque in units of the actuators' limits; clipped to [-1, 1].
-
-        Raises:
-            ValueError: wrong shape.
-        """
-        if action.shape != (self.time.numel(), CONTROL_SIZE):
-            raise ValueError(
-                f"action has shape {tuple(action.shape)}: must be ({self.time.numel()}, {CONTROL_SIZE})"
-            )
-        desired = self.control(action)
-        return self.advance(lambda t, x: desired)
-
     def control(self, action: Tensor) -> Tensor:
         """An action (B, 6) in units of the actuators' limits as a control (6, B) in N and N m, clipped to them."""
         return action.T.to(self.x.dtype).clamp(-1.0, 1.0) * self.limit
 
     @in_full_precision
-    def advance(
-        self, controller: Controller, watch: Callable[[Hold], None] = lambda hold: None
+    def step(
+        self, command: Tensor | Controller, watch: Callable[[Hold], None] = lambda hold: None
     ) -> Transition:
-        """Flies every episode for one action period, at whose beginning the controller's time is 0 s.
+        """Flies every episode for one action period; those that end begin anew.
 
         Args:
+            command: actions (B, 6), thrust and torque in units of the actuators' limits, clipped to [-1, 1] and held;
+                or a controller, whose time is 0 s at the beginning.
             watch: is shown every hold of a control.
+
+        Raises:
+            ValueError: actions of another shape.
         """
+        controller: Controller
+        if isinstance(command, Tensor):
+            if command.shape != (self.time.numel(), CONTROL_SIZE):
+                wanted = (self.time.numel(), CONTROL_SIZE)
+                raise ValueError(f"action has shape {tuple(command.shape)}: must be {wanted}")
+            desired = self.control(command)
+            controller = lambda t, x: desired  # noqa: E731
+        else:
+            controller = command
         c, before, holds = self.c, self.sight.score(), []
-        for hold in self.inspect(controller, c.action_period):
+        for hold in self.fly(controller, c.action_period):
             holds.append(hold)
             watch(hold)
         self.x = hold.after
@@ -317,22 +299,17 @@ class InspectionEnv:
             transition.observation[fresh] = self.observation(columns=fresh)
         return transition
 
-    def inspect(self, controller: Controller, duration: float) -> Iterator[Hold]:
-        """`fly`; after the last hold of every action period, once it is handed out, the chief is looked at."""
-        for hold in self.fly(controller, duration):
-            yield hold
-            if is_multiple(hold.end, self.c.action_period):
-                self.sight.look(hold.after, self.time + hold.end)
-
     def fly(
         self, controller: Controller, duration: float, x: Tensor | None = None, time: Tensor | None = None
     ) -> Iterator[Hold]:
-        """`closed_loop` by the environment's clocks and behind its filter, which leaves the episodes as they are.
+        """Runs the closed loop for a duration in s; no episode ends, and none is paid.
+
+        After the last hold of every action period, once it is handed out, the chief is looked at.
 
         Args:
-            x: states (16, B) at the episodes' time (B,) in s; None: the present ones.
+            x: states (16, B) to fly from at times (B,) in s, which leave the episodes as they are; None: the episodes'.
         """
-        return closed_loop(
+        holds = closed_loop(
             self.x if x is None else x,
             controller,
             self.safety.correct,
@@ -343,6 +320,10 @@ class InspectionEnv:
             self.time.clone() if time is None else time,
             self.safety.informed,
         )
+        for hold in holds:
+            yield hold
+            if x is None and is_multiple(hold.end, self.c.action_period):
+                self.sight.look(hold.after, self.time + hold.end)
 
     @in_full_precision
     def integrate(self, x: Tensor, u: Tensor, seconds: float) -> Tensor:

@@ -13,6 +13,7 @@ from torch import Tensor
 from inspection.chief.hull import beside
 from inspection.chief.mesh import pinned
 from inspection.chief.surface import surface
+from inspection.closed_loop import Safety
 from inspection.environment import InspectionEnv, clocks_of
 from inspection.initial_state import InitialStates
 from inspection.model.draws import uniform
@@ -29,6 +30,7 @@ from settings import InputError, from_toml
 from study.config import AnyConfig, Config
 from study.errors import refusing
 from study.files import see
+from study.flight.fly import Starts
 from study.machine.compiling import (
     WORTH_COMPILING_SIMULATOR,
     compile_or_explain,
@@ -118,8 +120,14 @@ class Experiment:
         decide_every: float | None = None,
         report_every: float | None = None,
         compiled: bool = False,
+        safety: Safety | None = None,
     ) -> InspectionEnv:
-        """A batch of num_envs episodes per generator, compiled if wanted and possible; clocks as of `InspectionEnv`."""
+        """Makes a batch of num_envs episodes per generator, compiled if wanted and possible.
+
+        Args:
+            decide_every, report_every: as of `InspectionEnv`.
+            safety: in place of the experiment's.
+        """
         with refusing(
             f"[inspection] and [chief], {num_envs:,} episodes",
             ValueError,
@@ -131,7 +139,7 @@ class Experiment:
                 num_envs,
                 self.task,
                 generators or self.generators(),
-                self.safety,
+                safety or self.safety,
                 decide_every,
                 report_every,
                 self.config.plant,
@@ -176,11 +184,8 @@ def paper_task(
     return experiment, experiment.env(batch, generators, decide_every=decide_every, compiled=True)
 
 
-def test_cases(config: Config, episodes: int, seed: int) -> tuple[Tensor, Tensor]:
-    """Initial states (16, episodes) and priority vectors (3, episodes), the same for every agent and device.
-
-    Case i does not depend on how many cases there are.
-    """
+def test_cases(config: Config, episodes: int, seed: int) -> Starts:
+    """Returns the common test cases, the same for every agent and device; none depends on how many there are."""
     c = beside(config.inspection, config.chief)
     # default gains, so that agents trained behind different filters meet the same cases
     gains = RtaParameters(passive_safety_segments=config.rta.passive_safety_segments)
@@ -190,12 +195,12 @@ def test_cases(config: Config, episodes: int, seed: int) -> tuple[Tensor, Tensor
         step("drawing the test cases, seconds"),
     ):
         x, priority = starts.take(episodes)
-    return x, priority
+    return Starts(x, priority, plant_numbers(episodes, seed))
 
 
-def case_numbers(episodes: int, seed: int) -> Tensor:
-    """Numbers (episodes,) from which the test cases' plants and chiefs follow, as `InspectionEnv.start` has them."""
-    return uniform(0.0, 1.0, episodes, torch.Generator().manual_seed(seed + 1))
+def plant_numbers(episodes: int, seed: int) -> Tensor:
+    """Returns the numbers (episodes,) from which the plants and chiefs of the test cases of a seed follow."""
+    return uniform(0.0, 1.0, episodes, torch.Generator().manual_seed(seed + 1))  # no stream of the states
 
 
 def check_clocks(

@@ -773,9 +773,9 @@ STUDY = [
         ("self.clear & (self.violation_seconds[-1] == 0.0)", "self.clear & (self.violations[-1] == 0.0)"),
     ),
     *faults(
-        "study/flight/evaluation.py",
+        "study/flight/fly.py",
         "study/flight/test_planted.py -k evaluate",
-        ("asked & (true < 0.0)", "asked & (true > 0.0)"),
+        ("(self.limits.before < 0.0) & asked", "(self.limits.before > 0.0) & asked"),
     ),
     *faults(
         "study/paper.py",
@@ -801,10 +801,10 @@ STUDY = [
         ("wanted = config.train.learn_from == ", "wanted = config.train.learn_from != "),
     ),
     *faults(
-        "study/verification/flight.py",
+        "study/flight/fly.py",
         "study/verification/test_flight.py",
-        ("note_state(flight, smallest, h, hold.end)", "note_state(flight, smallest, h, hold.time)"),
-        ("broken = smallest.note(h, t) < 0.0", "broken = h < 0.0"),  # NaN is none
+        ("self.smallest.note(h, hold.end)", "self.smallest.note(h, hold.time)"),
+        ("self.violating += with_any(self.smallest.note(h, hold.end) < 0.0)", "self.violating += with_any(h < 0.0)"),
     ),
     *faults(
         "study/verification/tally.py",

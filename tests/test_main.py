@@ -252,9 +252,9 @@ def test_evaluate_chooses_its_solver_however_the_agent_was_trained(flags: list[s
 
 
 def test_test_cases_do_not_depend_on_their_number_or_on_the_filter() -> None:
-    few, _ = experiment.test_cases(Config(), 2, 0)
+    few = experiment.test_cases(Config(), 2, 0).x
     gains = {"exclusion_margin": 0.1, "battery_gains": [0.001, 0.1]}
-    many, _ = experiment.test_cases(override(Config(), {"rta": gains}, "test"), 300, 0)
+    many = experiment.test_cases(override(Config(), {"rta": gains}, "test"), 300, 0).x
     assert torch.equal(few, many[:, :2])
 
 

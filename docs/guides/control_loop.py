@@ -64,7 +64,7 @@ def control_loop(
         (action,) = decide(None, {"observation": env.observation(x).numpy()})
         return torch.from_numpy(action.T) * scale
 
-    violated = [safety_filter.values(hold.after) < 0.0 for hold in env.inspect(agent, seconds)]
+    violated = [safety_filter.values(hold.after) < 0.0 for hold in env.fly(agent, seconds)]
     return watch.calls, sum(bool(each.any()) for each in violated)
 
 

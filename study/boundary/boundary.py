@@ -32,7 +32,6 @@ from study.config import Config
 from study.errors import refusing
 from study.experiment import Experiment, check_clocks
 from study.files import write_json
-from study.flight.answers import in_full
 from study.machine.compiling import compile_or_explain
 from study.machine.progress import bar
 from study.verification.adversaries import adversarial
@@ -97,7 +96,7 @@ def tried(
         return part.unflatten(-1, (tries, batch))
 
     smallest, worst = apart(h.value).min(1)
-    answers = in_full(first.correction), again
+    answers: tuple[Any, Any] = first.correction, again
     before, after = (apart(answer.slack).amax(1) for answer in answers)
 
     def of_worst(control: Tensor) -> Tensor:

@@ -10,9 +10,9 @@ from torch import Tensor
 from rta.constraints.names import CONSTRAINTS
 from study.boundary.limits import NearLimits
 from study.config import Config
+from study.flight.fly import ROUNDING
 from study.flight.summary import upper_bound
 from study.verification.findings import WIDTH
-from study.verification.flight import ROUNDING
 from study.verified import fingerprint
 
 SHOWN = 5  # worst cases that a report holds, per constraint

@@ -15,23 +15,21 @@ from inspection.model.attitude import norm
 from inspection.model.dynamics import sun_and_earth_in_body
 from inspection.model.state import OMEGA, E, P, T, V
 from inspection.orbits import GUIDANCE
-from inspection.reward import stays_clear
-from inspection.termination import OUTCOMES, failures
+from inspection.termination import OUTCOMES
 from inspection.transition import METRICS, Transition
 from ppo.network import Policy
 from rta.constraints.names import CONSTRAINTS
 from rta.qp.programs import Status
 from study.config import TEST_CASES, Config
-from study.experiment import Experiment, case_numbers, test_cases
-from study.flight.answers import in_full
+from study.experiment import Experiment, test_cases
 from study.flight.controllers import agent, classical, untrained
+from study.flight.fly import Limits, Observer, Starts, fly
 from study.flight.simulation import Recording
 from study.flight.summary import summary_of_runs
 from study.machine.progress import bar
 
 # Without the time that is left: the last episode may take as long as all before it, and nobody knows.
 BAR = "{desc}: |{bar}| {n_fmt}/{total_fmt} ended [{elapsed}{postfix}]"
-SUCCESS = OUTCOMES.index("success")
 
 
 @dataclass
@@ -46,7 +44,7 @@ class Episodes:
         clear: (episodes,) bool, it succeeded and two days of free flight stay clear of the chief.
         filter_calls, interventions, failures, backup_calls: (episodes,) counts.
         filter_violations: (13, episodes) filter calls at which the constraint was violated.
-        worst: (13, episodes) smallest constraint value after an integration step.
+        worst: (13, episodes) smallest constraint value, at the start or after an integration step.
         extremes: (8, episodes) smallest `raw_quantities` after an integration step.
     """
 
@@ -116,90 +114,62 @@ def raw_quantities(x: Tensor) -> Tensor:
     )
 
 
-@torch.no_grad()
+class Extremes(Observer):
+    """The smallest `raw_quantities` after a hold, (8, B)."""
+
+    def begin(self, env: InspectionEnv, limits: Limits) -> None:
+        self.smallest = Smallest(len(RAW_QUANTITIES), env.x)
+
+    def hold(self, hold: Hold, running: Tensor) -> None:
+        self.smallest.note(torch.where(running, raw_quantities(hold.after), math.inf))
+
+
+class Progress(Observer):
+    """Shows on a bar how many of the episodes have ended, and how far the others are."""
+
+    def __init__(self, shown: Any) -> None:
+        self.shown = shown
+
+    def begin(self, env: InspectionEnv, limits: Limits) -> None:
+        self.c, self.ended = env.c, torch.zeros_like(env.time, dtype=torch.bool)
+
+    def step(self, transition: Transition, running: Tensor) -> None:
+        self.ended |= transition.done
+        flown = int(transition.steps.max()) * self.c.action_period
+        self.shown.set_postfix_str(f"{flown:,.0f} s flown of at most {self.c.max_time:,.0f}", refresh=False)
+        self.shown.update(int(self.ended.sum()) - self.shown.n)
+
+
 def run_episodes(
-    env: InspectionEnv,
-    controller: Controller,
-    x: Tensor,
-    priority: Tensor,
-    recording: Recording | None = None,
-    number: Tensor | None = None,
+    env: InspectionEnv, controller: Controller, starts: Starts, recording: Recording | None = None
 ) -> Episodes:
-    """Plays one episode per column of the environment from the given states, behind a bar of those that ended.
+    """Plays one episode per column of the environment to its end, behind a bar of those that ended.
 
     Args:
-        recording: of the environment, takes down the first episode.
-        number: (B,) as of `InspectionEnv.start`.
+        recording: takes down the first episode.
     """
-    env.start(x.to(env.x.device), priority.to(env.x.device), number)
-    running = torch.ones_like(env.time, dtype=torch.bool)
-    zeros = torch.zeros_like(env.time)
-    constraints = len(env.safety.names)
-    worst, extremes = Smallest(constraints, env.x), Smallest(len(RAW_QUANTITIES), env.x)
-    record = Episodes(
-        metrics=torch.full_like(zeros, math.nan).repeat(len(METRICS), 1),
-        violations=zeros.repeat(constraints + 1, 1),
-        violation_seconds=zeros.repeat(constraints + 1, 1),
-        outcome=torch.full_like(env.steps, -1),
-        clear=torch.zeros_like(running),
-        filter_calls=zeros.clone(),
-        interventions=zeros.clone(),
-        failures=zeros.clone(),
-        backup_calls=zeros.clone(),
-        filter_violations=zeros.repeat(constraints, 1),
-        worst=worst.value,
-        extremes=extremes.value,
-    )
-    count = x.shape[1]
+    count, extremes = starts.x.shape[1], Extremes()
     what = f"flying {count:,} test case{'s' * (count > 1)}"
-
-    def watch(hold: Hold) -> None:
-        h = env.constraint_values(hold.after)
-        worst.note(torch.where(running, h, math.inf))
-        extremes.note(torch.where(running, raw_quantities(hold.after), math.inf))
-        violated = (h < 0.0) & running
-        record.violation_seconds += hold.seconds * torch.cat((violated, violated.any(0)[None]))
-        if recording and not recording.ended:
-            recording.note(hold)
-            # at the end of an action the chief is looked at first
-            failed = any(bool(each[0]) for each in failures(hold.after, env.c).values())
-            if failed and hold.end < env.c.action_period:
-                recording.end()
-
     with bar(count, "have ended", desc=what, leave=False, bar_format=BAR) as shown:
-        while running.any():
-            transition = env.advance(controller, watch)
-            note_step(record, transition, running)
-            ending = running & transition.done
-            record.clear |= stays_clear(transition.state, ending & (transition.outcome == SUCCESS), env.c)
-            if recording and not recording.ended and ending[0]:
-                score = transition.metrics[METRICS.index("inspected_score"), :1]
-                recording.end(inspected_score=score, inspected=transition.inspected[:, 0])
-            running = running & ~ending
-            flown = int(transition.steps.max()) * env.c.action_period
-            shown.set_postfix_str(f"{flown:,.0f} s flown of at most {env.c.max_time:,.0f}", refresh=False)
-            shown.update(count - int(running.sum()) - shown.n)
-    record.worst, record.extremes = worst.value, extremes.value
-    record.violation_seconds *= 100.0 / record.metrics[METRICS.index("episode_length_s")]
-    return record
-
-
-def note_step(record: Episodes, transition: Transition, running: Tensor) -> None:
-    """Adds one step of the episodes still running, in place."""
-    for correction, answered, true in transition.calls():
-        asked = running & answered
-        record.filter_calls += asked
-        record.interventions += asked & correction.intervened
-        answer = in_full(correction)
-        record.failures += asked & (answer.status == Status.UNSOLVED)
-        record.backup_calls += asked & answer.backup
-        record.filter_violations += asked & (true < 0.0)
-    ending = running & transition.done
-    any_steps = transition.metrics[METRICS.index("violation_percent")]
-    percent = torch.cat((100.0 * transition.violation_steps / transition.steps, any_steps[None]))
-    record.metrics = torch.where(ending, transition.metrics, record.metrics)
-    record.violations = torch.where(ending, percent, record.violations)
-    record.outcome = torch.where(ending, transition.outcome, record.outcome)
+        observers = [extremes, Progress(shown), *([recording] if recording else [])]
+        record = fly(env, controller, starts, observers=observers)
+    assert record.ends
+    limits, calls, ends = record.limits, record.calls, record.ends
+    seconds = (limits.violating - limits.at_start) * env.clocks.hold
+    return Episodes(
+        metrics=ends.metrics,
+        violations=ends.violations,
+        violation_seconds=100.0 * seconds / ends.metrics[METRICS.index("episode_length_s")],
+        outcome=ends.outcome,
+        clear=ends.clear,
+        filter_calls=calls.count,
+        interventions=calls.intervened,
+        failures=calls.status[Status.UNSOLVED],
+        backup_calls=calls.backup,
+        filter_violations=calls.violated,
+        worst=limits.worst,
+        extremes=extremes.smallest.value,
+    )
 
 
 def report(record: Episodes, config: Config, seed: int, seeds: int = 1) -> dict[str, Any]:
@@ -247,40 +217,30 @@ def report(record: Episodes, config: Config, seed: int, seeds: int = 1) -> dict[
     }
 
 
-def play(policy: Policy, experiment: Experiment, episodes: int, seed: int) -> Episodes:
-    """Plays the same common test cases with every seed of a policy at once, deterministically, seed after seed."""
-    return run_episodes(*played_by(policy, experiment, episodes, seed))
+def play(
+    policy: Policy, experiment: Experiment, episodes: int, seed: int, recorded: list[Recording] | None = None
+) -> Episodes:
+    """Plays the same common test cases with every seed of a policy at once, deterministically, seed after seed.
 
-
-def play_and_record(
-    policy: Policy, experiment: Experiment, episodes: int, seed: int
-) -> tuple[Episodes, Recording]:
-    """`play`, and the first episode over time."""
-    env, controller, x, priority = played_by(policy, experiment, episodes, seed)
-    recording = Recording(env)
-    return run_episodes(env, controller, x, priority, recording), recording
+    Args:
+        recorded: is given the first episode over time.
+    """
+    env = experiment.env(episodes, experiment.generators([seed] * policy.seeds), compiled=experiment.compiled)
+    starts = test_cases(experiment.config, episodes, seed).repeat(policy.seeds)
+    recording = Recording() if recorded is not None else None
+    record = run_episodes(env, agent(policy, env), starts, recording)
+    if recorded is not None and recording:
+        recorded.append(recording)
+    return record
 
 
 def common_episode(policy: Policy, experiment: Experiment, case: int = 0) -> dict[str, np.ndarray]:
     """The agent's episode from a common test case until it ends, as `simulate` has it, a row per integration step."""
-    c, generators = experiment.config.inspection, experiment.generators([TEST_CASES + 1])
-    env = experiment.env(1, generators, report_every=min(experiment.config.rta.period, c.substep))
-    cases = *test_cases(experiment.config, case + 1, TEST_CASES), case_numbers(case + 1, TEST_CASES)
-    x, priority, number = (each[..., case:].to(experiment.device) for each in cases)
-    recording = Recording(env)
-    run_episodes(env, agent(policy, env), x, priority, recording, number)
+    every = min(experiment.config.rta.period, experiment.config.inspection.substep)
+    env, recording = experiment.env(1, report_every=every), Recording()
+    start = test_cases(experiment.config, case + 1, TEST_CASES).one(case)
+    run_episodes(env, agent(policy, env), start, recording)
     return recording.arrays()
-
-
-def played_by(
-    policy: Policy, experiment: Experiment, episodes: int, seed: int
-) -> tuple[InspectionEnv, Controller, Tensor, Tensor]:
-    """Who plays what: the environment, the agents of all seeds, and each one's states and priority vectors."""
-    # for restarts of ended columns, which nobody sees
-    generators = experiment.generators([seed + 1] * policy.seeds)
-    env = experiment.env(episodes, generators, compiled=experiment.compiled)
-    x, priority = test_cases(experiment.config, episodes, seed)
-    return env, agent(policy, env), x.repeat(1, policy.seeds), priority.repeat(1, policy.seeds)
 
 
 def play_controller(name: str, experiment: Experiment, episodes: int, seed: int) -> Episodes:
@@ -295,13 +255,9 @@ def play_controller(name: str, experiment: Experiment, episodes: int, seed: int)
     config, every = experiment.config, None
     if name in GUIDANCE:
         every = config.rta.period if config.train.rta else config.inspection.substep
-    generators = experiment.generators([seed + 1])
-    env = experiment.env(episodes, generators, decide_every=every, compiled=experiment.compiled)
-    return run_episodes(
-        env,
-        classical(name, env, seed, every or config.inspection.action_period),
-        *test_cases(config, episodes, seed),
-    )
+    env = experiment.env(episodes, decide_every=every, compiled=experiment.compiled)
+    controller = classical(name, env, seed, every or config.inspection.action_period)
+    return run_episodes(env, controller, test_cases(config, episodes, seed))
 
 
 def evaluate(commander: Policy | str, experiment: Experiment, episodes: int, seed: int) -> dict[str, Any]:

@@ -1,6 +1,7 @@
 """Simulating one spacecraft under any controller, with everything over time."""
 
 from dataclasses import fields
+from typing import Any
 
 import numpy as np
 import tomli_w
@@ -13,6 +14,8 @@ from inspection.closed_loop import Controller, Hold, is_multiple
 from inspection.environment import InspectionEnv
 from inspection.model.parameters import InspectionParameters
 from inspection.model.state import THETA_S, THRUST, TORQUE, P
+from inspection.termination import failures
+from inspection.transition import METRICS, Transition
 from ppo.network import Policy
 from settings import InputError
 from study.config import Config
@@ -21,8 +24,8 @@ from study.experiment import (
     check_clocks,
     test_cases,
 )
-from study.flight.answers import in_full
 from study.flight.controllers import agent, classical, recorded, untrained
+from study.flight.fly import Limits, Observer, Starts, fly
 from study.flight.state_files import STATE_FIELDS, read_state
 from study.machine.progress import bar
 
@@ -40,29 +43,36 @@ def check_rows(step: float, duration: float, config: Config, controller: str) ->
     check_clocks(config, decide_every, step, duration, f"--step {step:g}, --duration {duration:g}")
 
 
-def starting_point(path: str | None, experiment: Experiment, seed: int) -> tuple[Tensor, Tensor]:
-    """State (16, 1) and priority vector (3, 1) on the device; what no state file gives is drawn from the seed."""
-    x, priority = test_cases(experiment.config, 1, seed)
-    if path is not None:
-        x, given = read_state(path, experiment.config.inspection)
-        priority = priority if given is None else given
-    return x.to(experiment.device), priority.to(experiment.device)
+def starting_point(path: str | None, experiment: Experiment, seed: int) -> Starts:
+    """The first test case of a seed, with what a state file gives in its place."""
+    start = test_cases(experiment.config, 1, seed)
+    if path is None:
+        return start
+    x, given = read_state(path, experiment.config.inspection)
+    return Starts(x, start.priority if given is None else given, start.number)
 
 
-class Recording:
+class Recording(Observer):
     """The first spacecraft of an environment over time, a row at every report of its clocks.
 
+    Args:
+        fails: the episode ends where it fails, also in the middle of an action.
+
     Attributes:
-        ended: the last row is there, and nothing more may be recorded.
+        ended: the last row is there, and nothing more is recorded.
     """
 
-    def __init__(self, env: InspectionEnv) -> None:
+    def __init__(self, fails: bool = True) -> None:
+        self.fails = fails
+
+    def begin(self, env: InspectionEnv, limits: Limits) -> None:
         self.env, self.ended, self.tumbling = env, False, env.sight.tumbling
         self.rows: list[dict[str, Tensor]] = []
 
-    def note(self, hold: Hold) -> None:
-        """Adds what is new in a hold."""
-        self.hold, self.begun = hold, float(self.env.time[0])
+    def hold(self, hold: Hold, running: Tensor) -> None:
+        if self.ended:
+            return
+        self.last, self.begun = hold, float(self.env.time[0])
         if self.tumbling:  # of now: where the hold ends, the next episode may have begun
             self.motion = self.tumbling.motion[:, :1]
         if hold.decided:
@@ -70,13 +80,23 @@ class Recording:
         if hold.time == 0.0 or is_multiple(hold.time, self.env.clocks.report):
             self.add(hold.time, hold.state)
         if hold.correction is not None:
-            changed = (in_full(hold.correction).control != hold.desired)[:, 0]
+            changed = (hold.correction.control != hold.desired)[:, 0]
             self.rows[-1]["intervened"] |= torch.stack([changed[part].any() for part in (THRUST, TORQUE)])
+        failed = any(bool(each[0]) for each in failures(hold.after, self.env.c).values())
+        # at the end of an action the chief is looked at first
+        if self.fails and failed and hold.end < self.env.c.action_period:
+            self.end()
+
+    def step(self, transition: Transition, running: Tensor) -> None:
+        if self.ended or not transition.done[0]:
+            return
+        score = transition.metrics[METRICS.index("inspected_score"), :1]
+        self.end(inspected_score=score, inspected=transition.inspected[:, 0])
 
     def end(self, **seen: Tensor) -> None:
         """Adds the last row, at the end of the hold; `seen` is what of it the environment no longer knows."""
         self.ended = True
-        self.add(self.hold.end, self.hold.after)
+        self.add(self.last.end, self.last.after)
         self.rows[-1] |= seen
 
     def add(self, time: float, x: Tensor) -> None:
@@ -87,7 +107,7 @@ class Recording:
                 "time": x.new_tensor([self.begun + time]),
                 "x": x[:, 0].clone(),  # a view would keep the whole batch
                 "control_desired": self.decision,
-                "control_applied": self.hold.applied[:, 0].clone(),
+                "control_applied": self.last.applied[:, 0].clone(),
                 "inspected_score": env.sight.score()[:1].clone(),
                 "inspected": env.sight.inspected[:, 0].clone(),  # which the next look writes into
                 "intervened": x.new_zeros(2, dtype=torch.bool),
@@ -119,22 +139,13 @@ class Recording:
         return arrays | {"parameters": np.array(tomli_w.dumps({"inspection": task}))}
 
 
-@torch.no_grad()
 def simulate(
-    env: InspectionEnv,
-    controller: Controller,
-    x: Tensor,
-    priority: Tensor,
-    duration: float,
-    number: Tensor | None = None,
+    env: InspectionEnv, controller: Controller, start: Starts, duration: float
 ) -> dict[str, np.ndarray]:
-    """Simulates one spacecraft, with a row at every report of the environment's clocks.
+    """Simulates one spacecraft for a duration in s, with a row at every report of the environment's clocks.
 
     Args:
         env: of one episode; its safety holds the filter, if any. Points are inspected every action period.
-        x, priority: initial state (16, 1) and priority vector (3, 1).
-        duration: s.
-        number: (1,) as of `InspectionEnv.start`.
 
     Returns:
         Arrays by name over time, the initial state first; `control_applied` is the control from the row's
@@ -145,14 +156,21 @@ def simulate(
         Not over time are `parameters`, the task's table of a configuration file, and such a chief's `chief_points`,
         `chief_normals` (N, 3) and `chief_triangles` (F, 3, 3) in its own frame.
     """
-    env.start(x, priority, number)
-    recording = Recording(env)
-    holds = env.inspect(controller, duration)
-    count = env.clocks.count(duration)
-    for hold in bar(count, "steps", iterable=holds, desc=f"flying {duration:g} s", leave=False):
-        recording.note(hold)
+    recording = Recording(fails=False)
+    with bar(env.clocks.count(duration), "steps", desc=f"flying {duration:g} s", leave=False) as shown:
+        fly(env, controller, start, duration, [recording, Steps(shown)])
     recording.end()
     return recording.arrays()
+
+
+class Steps(Observer):
+    """Shows every hold on a bar."""
+
+    def __init__(self, shown: Any) -> None:
+        self.shown = shown
+
+    def hold(self, hold: Hold, running: Tensor) -> None:
+        self.shown.update(1)
 
 
 def run(
@@ -174,9 +192,8 @@ def run(
         InputError: a file is missing or damaged.
     """
     start = starting_point(initial_state, experiment, seed)
-    # the plant is that of the first test case of `evaluate` with this seed
     decide_every = decides_every(experiment.config, controller, step)
-    env = experiment.env(1, experiment.generators([seed + 1]), decide_every, step, experiment.compiled)
+    env = experiment.env(1, None, decide_every, step, experiment.compiled)
     if controller == "untrained":
         policy = untrained(experiment, seed)
     if policy:
@@ -185,7 +202,7 @@ def run(
         commander = recorded(actions, env, step, duration)
     else:
         commander = classical(controller, env, seed, step)
-    return simulate(env, commander, *start, duration)
+    return simulate(env, commander, start, duration)
 
 
 def decides_every(config: Config, controller: str, step: float) -> float:

@@ -62,7 +62,7 @@ def flown(env: InspectionEnv, controller: Controller, x: Tensor, priority: Tenso
     worst = env.constraint_values(x)
     mean, thrusts = torch.zeros_like(x[P]), []
     looks = 0
-    for hold in env.inspect(controller, duration):
+    for hold in env.fly(controller, duration):
         if hold.time >= (looks + 1) * c.action_period:  # the chief has been looked at since the last hold
             looks += 1
             done, clear, last = ended(env, done, clear, hold.state)

@@ -32,7 +32,7 @@ def starts(config: Config, filters: Sequence[SafetyFilter]) -> list[dict[str, An
     Raises:
         InputError: there is none, or no case can be drawn.
     """
-    x, priority = test_cases(config, CASES, TEST_CASES)
+    x, priority, _ = test_cases(config, CASES, TEST_CASES)
     cases = [
         {"name": f"case {i}", "state": x[:, i].tolist(), "priority": priority[:, i].tolist()}
         for i in range(CASES)

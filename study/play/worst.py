@@ -24,7 +24,7 @@ from rta.parameters import PERIODS
 from rta.printed.source import define, for_one
 from settings import InputError
 from study.config import Config
-from study.experiment import case_numbers
+from study.experiment import plant_numbers
 from study.play.printed import driver
 from study.play.starts import CASES, starts
 from study.verification.adversaries import NEXT_TO_NOTHING, Greedy
@@ -59,7 +59,7 @@ def described(config: Config, safety_filter: SafetyFilter) -> dict[str, Any]:
 
 def plants(parameters: PlantParameters, c: InspectionParameters, seeds: Iterable[int]) -> list[list[float]]:
     """By seed of `simulate` what its plant is: body [7], thrust [9] and torque [3] as of `Drawn`, latency in calls."""
-    every = (draw(parameters, c, key_of(case_numbers(1, seed))) for seed in seeds)
+    every = (draw(parameters, c, key_of(plant_numbers(1, seed))) for seed in seeds)
     return [
         torch.cat([part.flatten() for part in (each.body, each.thrust, each.torque, each.latency)]).tolist()
         for each in every

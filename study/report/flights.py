@@ -13,7 +13,7 @@ from torch import Tensor
 from inspection.closed_loop import Controller
 from inspection.environment import InspectionEnv
 from inspection.orbits import GUIDANCE
-from inspection.transition import METRICS
+from inspection.transition import METRICS, Transition
 from rta.bounds.uncertainty import Uncertainty
 from rta.parameters import PERIODS
 from settings import load
@@ -23,6 +23,7 @@ from study.experiment import Experiment, priced, test_cases
 from study.files import ROOT
 from study.flight.controllers import agent, classical
 from study.flight.evaluation import Episodes, common_episode, play, play_controller, report
+from study.flight.fly import Limits, Observer, Starts, fly
 from study.flight.simulation import simulate, starting_point
 from study.flight.summary import iqm
 from study.paper import Results
@@ -176,10 +177,9 @@ def progress(arms: dict[str, Arm], config: Config) -> dict[str, dict[str, list[f
     cases = config.train.final_episodes
     every = FILTER_PERIOD
     experiment = Experiment(with_rta(config, True, every).with_solver("auto"), cases)
-    generators = experiment.generators([TEST_CASES + 1])
-    env = experiment.env(cases, generators, decide_every=every, compiled=experiment.compiled)
+    env = experiment.env(cases, decide_every=every, compiled=experiment.compiled)
     controller = classical(GUIDE, env, TEST_CASES, every)
-    curve = weights_over_time(env, controller, *test_cases(config, cases, TEST_CASES))
+    curve = weights_over_time(env, controller, test_cases(config, cases, TEST_CASES))
     return {name: arm_progress(arm) for name, arm in arms.items()} | {"guidance": curve}
 
 
@@ -187,26 +187,32 @@ def arm_progress(arm: Arm) -> dict[str, list[float]]:
     """The inspected weight over time of an arm's agents."""
     seeds, cases = len(arm.digests), arm.config.train.final_episodes
     experiment = Experiment(arm.config, seeds * cases)
-    env = experiment.env(cases, experiment.generators([TEST_CASES + 1] * seeds), compiled=experiment.compiled)
-    starts = (each.repeat(1, seeds) for each in test_cases(arm.config, cases, TEST_CASES))
-    return weights_over_time(env, agent(arm.policy.to(experiment.device), env), *starts)
+    env = experiment.env(cases, experiment.generators([TEST_CASES] * seeds), compiled=experiment.compiled)
+    starts = test_cases(arm.config, cases, TEST_CASES).repeat(seeds)
+    return weights_over_time(env, agent(arm.policy.to(experiment.device), env), starts)
 
 
-@torch.no_grad()
-def weights_over_time(
-    env: InspectionEnv, controller: Controller, x: Tensor, priority: Tensor
-) -> dict[str, list[float]]:
+class Weights(Observer):
+    """The inspected weight of every episode over time, a place for each action; an ended episode keeps its last."""
+
+    def begin(self, env: InspectionEnv, limits: Limits) -> None:
+        self.weights = [env.sight.score()]
+
+    def step(self, transition: Transition, running: Tensor) -> None:
+        score = transition.metrics[METRICS.index("inspected_score")]
+        self.weights.append(torch.where(running, score, self.weights[-1]))
+
+
+def weights_over_time(env: InspectionEnv, controller: Controller, starts: Starts) -> dict[str, list[float]]:
     """`time_s`, and by then the inspected `weight`, mean of the middle half; an ended episode keeps its last."""
-    env.start(x.to(env.x.device), priority.to(env.x.device))
-    weight, running = env.sight.score(), torch.ones_like(env.time, dtype=torch.bool)
-    times, weights = [0.0], [weight]
-    for i in range(round(PROGRESS_UNTIL / env.c.action_period)):
-        transition = env.advance(controller)
-        weight = torch.where(running, transition.metrics[METRICS.index("inspected_score")], weight)
-        running = running & ~transition.done
-        times.append((i + 1) * env.c.action_period)
-        weights.append(weight)
-    return {"time_s": times, "weight": [float(iqm(each.cpu().numpy())) for each in weights]}
+    flown, every = Weights(), env.c.action_period
+    fly(env, controller, starts, observers=[flown])
+    count = round(PROGRESS_UNTIL / every) + 1
+    weights = (flown.weights + flown.weights[-1:] * count)[:count]
+    return {
+        "time_s": [i * every for i in range(count)],
+        "weight": [float(iqm(weight.cpu().numpy())) for weight in weights],
+    }
 
 
 def episode(arm: Arm) -> Arrays:
@@ -238,4 +244,4 @@ def demonstration(config: Config, rta: bool) -> Arrays:
     start = starting_point(str(DEMONSTRATION), experiment, TEST_CASES)
     env = experiment.env(1, decide_every=step, report_every=step)
     controller = classical("lqr-pd", env, TEST_CASES)
-    return simulate(env, controller, *start, DEMONSTRATION_DURATION)
+    return simulate(env, controller, start, DEMONSTRATION_DURATION)

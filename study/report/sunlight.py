@@ -14,7 +14,7 @@ from inspection.model.orbit import sun_angle_after
 from inspection.model.parameters import ChiefParameters, InspectionParameters
 from inspection.model.state import THETA_S
 from study.config import Config
-from study.experiment import case_numbers, test_cases
+from study.experiment import test_cases
 from study.flight.summary import summary
 
 
@@ -54,8 +54,7 @@ def shortest_episodes(config: Config, episodes: int, seed: int) -> dict[str, Any
 
     These count with the timeout.
     """
-    x, priority = test_cases(config, episodes, seed)
-    number = case_numbers(episodes, seed)
+    x, priority, number = test_cases(config, episodes, seed)
     times = earliest_success(x[THETA_S], priority, config.inspection, config.chief, number)
     shown = times.clamp(max=config.inspection.max_time)
     return {

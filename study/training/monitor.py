@@ -13,7 +13,6 @@ from inspection.closed_loop import Correction, Safety
 from inspection.termination import OUTCOMES
 from inspection.transition import METRICS, Transition
 from rta.qp.programs import Status
-from study.flight.answers import in_full
 
 EPISODE = tuple(name.removeprefix("episode_") for name in (*METRICS, "success_percent"))
 
@@ -60,8 +59,7 @@ class Monitor:
         self.steps += transition.reward.numel()
         self.count(violated=transition.violated.sum(1))
         self.count(**{f"step_reward/{name}": term.sum() for name, term in transition.reward_terms.items()})
-        for correction, answered, true in transition.calls():
-            answer = in_full(correction)
+        for answer, answered, true in transition.calls():
             self.count(
                 calls=answered.sum(),
                 intervention=(answered & answer.intervened).sum(),

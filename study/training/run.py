@@ -23,8 +23,9 @@ from study.config import TEST_CASES, AnyConfig, Config
 from study.errors import Stopped
 from study.experiment import Experiment, settled
 from study.files import write_json
-from study.flight.evaluation import Episodes, play, play_and_record, report
+from study.flight.evaluation import Episodes, play, report
 from study.flight.figures import episode_figure
+from study.flight.simulation import Recording
 from study.machine.compiling import compile_or_explain
 from study.machine.device import resolve_device
 from study.paper import tables
@@ -93,8 +94,8 @@ class Run:
         self.log = Log(directory, self.homes, train.batch)
 
         generators = self.experiment.generators(own_seeds)
-        self.env = self.experiment.env(num_envs, generators, compiled=self.experiment.compiled)
-        self.env.put_behind(self.monitor.timed(self.env.safety))
+        safety = self.monitor.timed(self.experiment.safety)
+        self.env = self.experiment.env(num_envs, generators, compiled=self.experiment.compiled, safety=safety)
         for starts in self.env.starts:
             starts.turn = self.shard.learners.turn
         self.policy = self.experiment.policy(generators)
@@ -303,11 +304,12 @@ class Run:
 
         with on_signal(stop):
             cases = self.config.train.final_episodes
-            record, first = play_and_record(self.policy, self.experiment, cases, TEST_CASES)
+            recorded: list[Recording] = []
+            record = play(self.policy, self.experiment, cases, TEST_CASES, recorded)
         results = report(record, self.config, TEST_CASES)
         with self.naming_the_checkpoint():
             write_json(self.directory / "evaluation.json", results)
-            episode_figure(first.arrays(), self.config.inspection, self.directory / "episode.png")
+            episode_figure(recorded[0].arrays(), self.config.inspection, self.directory / "episode.png")
         written = f"Written to {self.directory}: policy.pt, evaluation.json, episode.png"
         return "\n".join((tables(results), written, what_next(self.directory)))
 

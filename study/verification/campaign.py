@@ -26,15 +26,16 @@ from study.errors import refusing
 from study.experiment import Experiment, check_clocks, load_policy
 from study.files import write_json, write_npz
 from study.flight.controllers import agent
+from study.flight.fly import Starts, fly
 from study.flight.summary import upper_bound
 from study.machine.progress import bar, step
 from study.verification.adversaries import Greedy, adversarial, attacked, held_at_random, learned
 from study.verification.counter_examples import counter_example
 from study.verification.findings import Campaign, report_in
-from study.verification.flight import CHECK_EVERY, fly
 from study.verification.lookahead import CANDIDATES, HORIZON, Lookahead
 from study.verification.starts import initial_states, spawned
 from study.verification.tally import add
+from study.verification.tape import CHECK_EVERY, Tape, Teller
 
 CHECKPOINT, LEARNED = FILES = ("checkpoint:", "learned:")  # before the file of an agent that is the policy
 POLICIES = ("random", "adversarial", "pressing", "lookahead")
@@ -95,15 +96,14 @@ def run(
         x, priority = (part[:, first : first + count].to(env.x) for part in (x, priority))
         held, before = held.to(env.x.device), dict(report["worst_value"])
 
-        progress = telling(tell, report, held, campaign.duration)
+        tape = Tape(campaign.duration, first)
+        progress = Teller(telling(tell, report, held, campaign.duration))
         plants = torch.Generator().manual_seed(seed_of_plants)
         number = uniform(0.0, 1.0, campaign.batch_size, plants)[first : first + count].to(env.x)
-        looks, duration = network is not None, campaign.duration
-        flight = fly(env, controller, x, priority, duration, first, number, progress, looks)
+        flight = fly(env, controller, Starts(x, priority, number), campaign.duration, [tape, progress])
         origin = {"batch_seed": seed_of_starts, "batch_size": campaign.batch_size}
-        add(beyond, flight[~held], origin)
-        flight = flight[held]
-        add(report, flight, origin)
+        add(beyond, flight, tape, ~held, origin)
+        add(report, flight, tape, held, origin)
         report["upper_bound_95"] = upper_bound(report["violating_episodes"]["any"], report["episodes"])
         if first == 0:
             report["starts_rejected_by_margin"] += rejected
@@ -113,7 +113,7 @@ def run(
                     math.inf if w[name] is None else w[name] for w in (report["worst_value"], before)
                 )
                 if now < min(then, kept_below):
-                    example = counter_example(flight, name, config, campaign.check_every)
+                    example = counter_example(flight, tape, held, name, config, campaign.check_every)
                     write_npz(f"{path}.{name}.npz", example)
             write_json(path, report)
     yield report

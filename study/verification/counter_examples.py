@@ -1,15 +1,16 @@
 """Counter-examples: the worst episode of a violated constraint in a file, and flying it again."""
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from inspection.closed_loop import Smallest
+from inspection.closed_loop import Hold
 from inspection.model.attitude import unit
-from inspection.model.state import SIZE, P
+from inspection.model.state import P
 from inspection.world.corners import Recorded
 from rta.constraints.names import CONSTRAINTS
 from rta.result import FilterResult
@@ -18,36 +19,61 @@ from study.config import Config
 from study.errors import MALFORMED, ReflyError, refusing
 from study.experiment import Experiment, check_clocks
 from study.files import load_arrays
-from study.machine.progress import bar
-from study.verification.flight import Flight
+from study.flight.fly import Observer, Record, Starts, fly
+from study.verification.tape import Tape
 
 # Flying again flies the recorded controls, so only the plant's rounding differs: compiled or not, on a CPU or a GPU.
 AGREES = 1e-8  # relative to the value or to 1 in the unit of h
 
 
 def counter_example(
-    flight: Flight, constraint: str, config: Config, check_every: float
+    record: Record, tape: Tape, chosen: Tensor, constraint: str, config: Config, check_every: float
 ) -> dict[str, np.ndarray]:
-    """The flight's worst episode for a constraint, up to its worst moment: all that `refly_file` needs.
+    """Returns the worst episode for a constraint up to its worst moment, with all that `refly_file` needs.
 
     Args:
-        check_every: s between two checks of the flight.
+        chosen: (B,) bool, the episodes that count; check_every: s between two checks of the flight.
     """
     row = CONSTRAINTS.index(constraint)
-    k = int(flight.worst[row].argmin())
-    calls = max(1, math.ceil(flight.when[row, k].item() / config.rta.period - 1e-9))
-    corners = {"corners": flight.corners[:calls, :, k].cpu().numpy()} if flight.corners.shape[1] else {}
+    k = int(torch.where(chosen, record.limits.worst[row], math.inf).argmin())
+    calls = max(1, math.ceil(record.limits.when[row, k].item() / config.rta.period - 1e-9))
+    corners = {"corners": tape.corners[:calls, :, k].cpu().numpy()} if tape.corners.shape[1] else {}
     return corners | {
-        "state": flight.start[:SIZE, k].cpu().numpy(),
-        "control_desired": flight.desired[:calls, :, k].cpu().numpy(),
-        "control_applied": flight.applied[:calls, :, k].cpu().numpy(),
+        "state": record.starts.x[:, k].cpu().numpy(),
+        "control_desired": tape.desired[:calls, :, k].cpu().numpy(),
+        "control_applied": tape.applied[:calls, :, k].cpu().numpy(),
         "constraint": np.array(constraint),
-        "value": flight.worst[row, k].cpu().numpy(),
+        "value": record.limits.worst[row, k].cpu().numpy(),
         "period": np.array(config.rta.period),
         "check_every": np.array(check_every),
         "config": np.array(to_toml(config)),
-        "number": flight.number[k].cpu().numpy(),
+        "number": np.array(0.0 if record.starts.number is None else record.starts.number[k].item()),
     }
+
+
+class Asking(Observer):
+    """A filter that flies recorded controls, and asks another one what it would have answered.
+
+    Attributes:
+        difference: by how much the answers differ from the controls at most, in units of the actuators' limits.
+    """
+
+    def __init__(
+        self, correct: Callable[..., FilterResult], desired: Tensor, applied: Tensor, limit: Tensor
+    ) -> None:
+        self.correct, self.desired, self.applied, self.limit = correct, desired, applied, limit
+        self.calls, self.difference = 0, 0.0
+
+    def __call__(self, seen: Tensor, _: Tensor, **told: Tensor) -> FilterResult:
+        answer = self.correct(seen, self.desired[self.calls], **told)
+        applied = self.applied[self.calls]
+        self.calls += 1
+        self.last = ((answer.control - applied).abs() / self.limit).max().item()
+        return replace(answer, control=applied)
+
+    def hold(self, hold: Hold, running: Tensor) -> None:
+        if hold.correction is not None and not (hold.missed is not None and hold.missed.any()):
+            self.difference = max(self.difference, self.last)
 
 
 @torch.no_grad()
@@ -64,36 +90,22 @@ def refly(experiment: Experiment, example: dict[str, np.ndarray]) -> tuple[float
         The smallest value of the example's constraint, when in s, and by how much the filter's controls now
         differ at most, in units of the actuators' limits.
     """
-    safety_filter, period = experiment.filter, experiment.filter.period
-    env = experiment.env(1, None, period, float(example["check_every"]))
-    x, desired, applied = (
-        torch.from_numpy(example[name]).to(env.x)[..., None]
-        for name in ("state", "control_desired", "control_applied")
+    period = experiment.filter.period
+    names = ("state", "control_desired", "control_applied")
+    x, desired, applied = (torch.from_numpy(example[name]).to(experiment.device)[..., None] for name in names)
+    asking = Asking(
+        experiment.filter.correct, desired, applied, x.new_tensor(experiment.task.control_limit)[:, None]
     )
+    safety = replace(experiment.safety, correct=asking, period=period)
+    env = experiment.env(1, None, period, float(example["check_every"]), safety=safety)
     if env.plant and env.plant.is_worst:
         corners = torch.from_numpy(example["corners"])[..., None].to(env.x.device)
         env.plant.adversary = Recorded(corners, period)
+    number = torch.as_tensor(example.get("number", 0.0)).reshape(1).to(x)
+    starts, duration = Starts(x, unit(x[P]), number), len(applied) * period
+    limits = fly(env, lambda t, x: desired[round(t / period)], starts, duration, [asking]).limits
     row = env.safety.names.index(str(example["constraint"]))
-    again: list[Tensor] = []
-
-    def correct(seen: Tensor, _: Tensor, **told: Tensor) -> FilterResult:
-        """Flies what was flown then, and asks the filter."""
-        i = len(again)
-        answer = safety_filter.correct(seen, desired[i], **told)
-        again.append(answer.control)
-        return replace(answer, control=applied[i])
-
-    env.put_behind(replace(env.safety, correct=correct, period=period))
-    env.start(x, unit(x[P]), torch.as_tensor(example.get("number", 0.0)).reshape(1).to(x))
-    smallest, difference = Smallest(len(env.safety.names), x), 0.0
-    smallest.note(env.constraint_values(x))
-    duration = len(applied) * period
-    holds = env.fly(lambda t, x: desired[round(t / period)], duration)
-    for hold in bar(env.clocks.count(duration), "checks", iterable=holds, leave=False):
-        if hold.correction is not None and not (hold.missed is not None and hold.missed.any()):
-            difference = max(difference, ((again[-1] - hold.applied).abs() / env.limit).max().item())
-        smallest.note(env.constraint_values(hold.after), hold.end)
-    return smallest.value[row].item(), smallest.when[row].item(), difference
+    return limits.worst[row].item(), limits.when[row].item(), asking.difference
 
 
 def refly_file(path: str) -> str:

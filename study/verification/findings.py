@@ -12,8 +12,8 @@ from rta.constraints.names import CONSTRAINTS
 from settings import InputError, override
 from study.config import Config
 from study.errors import MALFORMED, refusing
-from study.verification.flight import CHECK_EVERY
 from study.verification.tally import empty_tally
+from study.verification.tape import CHECK_EVERY
 from study.verified import fingerprint
 
 WIDTH = 100  # of the text

@@ -17,7 +17,6 @@ import torch
 from torch import Tensor
 
 from inspection.closed_loop import Controller
-from inspection.environment import InspectionEnv
 from inspection.guidance import limited, point
 from inspection.initial_state import sample_initial_state
 from inspection.model.attitude import unit
@@ -34,11 +33,12 @@ from study.config import Config
 from study.experiment import Experiment, load_policy
 from study.files import write_json
 from study.flight.controllers import agent
+from study.flight.fly import Starts, fly
 from study.machine.threads import THREADS
 from study.verification.adversaries import held_at_random
-from study.verification.flight import CHECK_EVERY
 from study.verification.lookahead import CANDIDATES, HORIZON, Lookahead
 from study.verification.starts import NUMBERS, safe_set, states_of
+from study.verification.tape import CHECK_EVERY
 from study.verified import fingerprint
 
 SHORT = {"--rta-period": "rta.period", "--rows": "rta.rows"}
@@ -198,10 +198,9 @@ def measure(
     experiment = Experiment(config, episodes, math.inf)  # compiled, however short the flight
     counted = Counted(experiment.filter)
     decide = None if policy else config.rta.period
-    env: InspectionEnv = experiment.env(episodes, decide_every=decide, compiled=experiment.compiled)
-    env.put_behind(replace(experiment.safety, correct=counted.correct))
+    safety = replace(experiment.safety, correct=counted.correct)
+    env = experiment.env(episodes, decide_every=decide, compiled=experiment.compiled, safety=safety)
     x, priority = starts(where, episodes, 0, experiment.filter)
-    env.start(x.to(experiment.device), priority.to(experiment.device))
     generator = torch.Generator().manual_seed(1)
     if policy:
         controller = agent(policy, env)
@@ -212,9 +211,7 @@ def measure(
         controller = Lookahead(env, tried, HORIZON, generator, episodes)
     else:
         controller = DEMANDS[demand](env.c, generator, episodes)
-    low = env.constraint_values(env.x)
-    for hold in env.inspect(controller, duration):
-        low = torch.minimum(low, env.constraint_values(hold.after))
+    worst = fly(env, controller, Starts(x, priority), duration).limits.worst
     share = 100.0 / counted.calls
     change, chatter = ((each / counted.calls).tolist() for each in (counted.change, counted.chatter))
     return {
@@ -227,7 +224,7 @@ def measure(
         "unverified_percent": share * counted.unverified,
         "calls_per_s": counted.calls / counted.seconds,
         "starts_percent": 100.0 * accepted(experiment.filter, 2),
-        "broken_episodes": int((low < 0.0).any(0).sum()),
+        "broken_episodes": int((worst < 0.0).any(0).sum()),
         "calls": counted.calls,
         "measured": {"demand": demand, "starts": where, "episodes": episodes, "duration": duration},
         "threads": torch.get_num_threads(),

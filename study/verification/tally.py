@@ -4,11 +4,12 @@ from collections import Counter
 from typing import Any
 
 import torch
+from torch import Tensor
 
-from inspection.model.state import SIZE
 from rta.constraints.names import ATTITUDE, CONSTRAINTS, TRANSLATIONAL
 from rta.qp.programs import Status
-from study.verification.flight import ROUNDING, Conflicts, Flight
+from study.flight.fly import ROUNDING, Record
+from study.verification.tape import Conflicts, Tape
 
 SHOWN = 10  # calls with slack that a report holds, per constraint
 
@@ -41,17 +42,23 @@ def empty_tally() -> dict[str, Any]:
     }
 
 
-def add(tally: dict[str, Any], flight: Flight, origin: dict[str, int]) -> None:
-    """Adds episodes to a tally, in place; their columns are those of `initial_states` of the origin's size and seed."""
-    batch = flight.excess.numel()
+def add(tally: dict[str, Any], record: Record, tape: Tape, chosen: Tensor, origin: dict[str, int]) -> None:
+    """Adds the episodes where `chosen` (B,) bool is set to a tally, in place.
+
+    Their columns are those of `initial_states` of the origin's size and seed.
+    """
+    batch = int(chosen.sum())
     if batch == 0:
         return
+    limits, calls, starts = record.limits, record.calls, record.starts
     tally["episodes"] += batch
-    tally["steps"] += int(flight.steps.sum())
-    for name, steps in zip((*CONSTRAINTS, "any"), flight.violating, strict=True):
+    tally["steps"] += int(limits.checked[chosen].sum())
+    for name, steps in zip((*CONSTRAINTS, "any"), limits.violating[:, chosen], strict=True):
         tally["violating_steps"][name] += int(steps.sum())
         tally["violating_episodes"][name] += int((steps > 0).sum())
-    rows = zip(CONSTRAINTS, flight.worst, flight.when, flight.yielded, flight.slack, strict=True)
+    columns = chosen.nonzero().flatten()
+    parts = (limits.worst, limits.when, calls.yielded, calls.slack)
+    rows = zip(CONSTRAINTS, *(part[:, chosen] for part in parts), strict=True)
     for name, worst, when, yielded, slack in rows:
         tally["yielded_calls"][name] += int(yielded.sum())
         tally["largest_slack"][name] = max(tally["largest_slack"][name], slack.max().item())
@@ -60,17 +67,17 @@ def add(tally: dict[str, Any], flight: Flight, origin: dict[str, int]) -> None:
             tally["worst_value"][name] = value.item()
             tally["worst_case"][name] = {
                 **origin,
-                "column": int(flight.column[k]),
+                "column": int(tape.column[columns[k]]),
                 "time_s": when[k].item(),
-                "initial_state": flight.start[:SIZE, k].tolist(),
-                "priority": flight.start[SIZE:, k].tolist(),
+                "initial_state": starts.x[:, columns[k]].tolist(),
+                "priority": starts.priority[:, columns[k]].tolist(),
             }
-    for status, calls in zip(Status, flight.status, strict=True):
-        tally["filter_calls"][status.name.lower()] += int(calls.sum())
+    for status, answered in zip(Status, calls.status[:, chosen], strict=True):
+        tally["filter_calls"][status.name.lower()] += int(answered.sum())
     tally["unsolved"] = tally["filter_calls"]["unsolved"]
-    tally["backup_calls"] += int(flight.backup.sum())
-    tally["controls_outside_bounds"] += int((flight.excess > 1.0 + 1e-12).sum())
-    add_conflicts(tally, flight.conflicts, origin)
+    tally["backup_calls"] += int(calls.backup[chosen].sum())
+    tally["controls_outside_bounds"] += int((calls.excess[chosen] > 1.0 + 1e-12).sum())
+    add_conflicts(tally, tape.conflicts.of(tape.column[chosen]), origin)
 
 
 def add_conflicts(tally: dict[str, Any], conflicts: Conflicts, origin: dict[str, int]) -> None:

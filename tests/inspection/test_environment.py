@@ -106,7 +106,7 @@ def test_an_episode_fails_in_any_second_of_an_action(c, end):
         env.x[E, 0], env.x[12, 0] = 0.001, -c.max_rate
         env.x[THETA_S, 0] = math.radians(125.0)  # the panels turn towards it, enough from 49 deg on
     states = []
-    transition = env.advance(lambda t, x: env.control(action), lambda hold: states.append(hold.after))
+    transition = env.step(lambda t, x: env.control(action), lambda hold: states.append(hold.after))
     assert len(states) == 10
     assert transition.outcome.tolist() == [OUTCOMES.index(end), -1]
     assert transition.terminated.tolist() == [True, False]
@@ -285,7 +285,7 @@ def test_advancing_asks_the_controller_from_0_s_on_in_every_step(c, decide_every
         asked.append((t, x[0].item()))
         return env.limit * torch.tensor([[0.1 * (t + 1), 0, 0, 0, 0, 0]], dtype=torch.float64).T
 
-    first, second = env.advance(controller), env.advance(controller)
+    first, second = env.step(controller), env.step(controller)
     times = np.arange(0.0, 10.0, decide_every or 10.0)
     assert [t for t, _ in asked] == [*times, *times]
     assert asked[len(times)][1] == first.state[0].item() != 0.0
@@ -296,42 +296,21 @@ def test_advancing_asks_the_controller_from_0_s_on_in_every_step(c, decide_every
 
 def test_a_constant_controller_does_what_its_action_does(c):
     action, (one, other) = random_actions(1, 3)[0], (started(c, 3) for _ in range(2))
-    step, advanced = one.step(action), other.advance(lambda t, x: other.control(action))
+    step, advanced = one.step(action), other.step(lambda t, x: other.control(action))
     for name in ("state", "reward", "metrics", "observation"):
         assert torch.equal(getattr(step, name), getattr(advanced, name))
-
-
-def test_the_filter_is_exchanged_where_its_clock_fits(c):
-    def by(factor, period):
-        def scale(x, desired):
-            return SimpleNamespace(control=factor * desired)
-
-        return Safety(correct=scale, period=period)
-
-    env, action = started(c, safety=by(0.5, 1.0)), torch.tensor([[1.0, 0, 0, 0, 0, 0]])
-    first = env.step(action)
-    env.put_behind(by(0.25, 5.0))
-    second = env.step(action)
-    assert (len(first.corrections), len(second.corrections)) == (10, 2)
-    spent = [(1 - 0.5**10) / 12.0, (0.25 + 0.25**2) * 5.0 / 12.0]
-    assert second.metrics[3].item() == pytest.approx(sum(spent))
-    with pytest.raises(ValueError, match=r"a filter every 0.5 s: the simulator takes 1 s a step"):
-        env.put_behind(by(0.5, 0.5))
-    with pytest.raises(ValueError, match="must be a multiple of 3 s, the time between the filter's calls"):
-        env.put_behind(by(0.5, 3.0))
-    assert env.clocks.filter == env.safety.period == 5.0  # what is refused changes nothing
 
 
 def test_a_flight_looks_at_the_end_of_every_action_period_and_leaves_the_episodes(c, monkeypatch):
     env, looked, flown = started(c), [], []
     monkeypatch.setattr(env.sight, "mark", looked.append)
     x, nothing = env.x, torch.zeros(6, 1).double()
-    for hold in env.inspect(lambda t, x: nothing, 30.0):
+    for hold in env.fly(lambda t, x: nothing, 30.0):
         assert len(looked) == len(flown) // 10  # not before the hold is handed out
         flown.append(hold)
     assert all(at is hold.after for at, hold in zip(looked, flown[9::10], strict=True))
     assert env.x is x and env.time == 0.0
-    again = list(env.fly(lambda t, x: nothing, 30.0))
+    again = list(env.fly(lambda t, x: nothing, 30.0, env.x))  # what might be
     assert torch.equal(again[-1].after, hold.after) and len(looked) == 3
     (later,) = list(env.fly(lambda t, x: nothing, 1.0, hold.state))
     assert torch.equal(later.after, hold.after)

@@ -271,8 +271,7 @@ def flown() -> Episodes:
         every = [controller(t, x).split(CASES, 1)[i] for i, controller in enumerate(controllers)]
         return torch.cat(every, 1)
 
-    starts = (each.repeat(1, len(LEADING)) for each in common_cases(config, CASES, UNSEEN))
-    return run_episodes(env, control, *starts)
+    return run_episodes(env, control, common_cases(config, CASES, UNSEEN).repeat(len(LEADING)))
 
 
 @pytest.fixture(scope="module")

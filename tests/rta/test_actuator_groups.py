@@ -25,6 +25,7 @@ from rta.constraints.names import CONSTRAINTS
 from rta.filter import SafetyFilter
 from rta.parameters import RtaParameters
 from rta.qp.programs import Status
+from study.flight.fly import Starts
 from study.flight.simulation import simulate
 from tests.rta.constraints import test_constraints as reference
 from tests.rta.constraints.test_constraints import MEAN_MOTION, entries, length, paper, tensor
@@ -381,7 +382,7 @@ def test_simulation_of_one_spacecraft_returns_every_h() -> None:
     generator = torch.Generator().manual_seed(0)
     env = InspectionEnv(1, UNEQUAL, [generator], safety.safety(enabled=False))
     flight = simulate(
-        env, natural_motion(UNEQUAL), *sample_initial_state(1, generator, UNEQUAL), duration=20.0
+        env, natural_motion(UNEQUAL), Starts(*sample_initial_state(1, generator, UNEQUAL)), duration=20.0
     )
     components = ("position", "velocity", "quaternion", "angular_velocity")
     x = np.concatenate([flight[name] for name in components], 1).T

@@ -97,7 +97,7 @@ def test_test_cases_beside_a_hull_may_be_where_the_sphere_would_be(small_pools) 
         chief={"mesh": "configs/chiefs/box.npz", "collision": "hull"},
         inspection={"initial_radius": [9.5, 14.0]},
     )
-    x, _ = common_cases(near, 4, 0)
+    x = common_cases(near, 4, 0).x
     assert (x[:3].norm(dim=0) < near.inspection.collision_radius).all()
 
 

@@ -527,7 +527,7 @@ def test_agent_and_filter_see_what_is_measured_and_all_that_is_reported_is_true(
 
     for step in range(5):
         actions = torch.randn(4, 6, generator=seeded(step))
-        one, other = env.advance(commander(actions)), honest.advance(commander(actions))
+        one, other = env.step(commander(actions)), honest.step(commander(actions))
         torch.testing.assert_close(one.state, other.state, rtol=1e-12, atol=1e-12)
         torch.testing.assert_close(one.reward, other.reward, rtol=1e-9, atol=1e-9)
         torch.testing.assert_close(one.metrics, other.metrics, rtol=1e-9, atol=1e-9)
@@ -558,7 +558,7 @@ def test_an_agent_in_flight_observes_what_is_measured_and_looks_from_where_it_is
             observed[each].append(each.observation(x))
             return torch.zeros(6, 4, dtype=torch.float64)
 
-        assert [hold.end for hold in each.inspect(control, 30.0) if hold.decided] == [1.0, 11.0, 21.0]
+        assert [hold.end for hold in each.fly(control, 30.0) if hold.decided] == [1.0, 11.0, 21.0]
     assert torch.equal(env.sight.inspected, honest.sight.inspected) and honest.sight.inspected.any()
     for one, other in zip(*observed.values(), strict=True):
         assert (one[:, 0] > 8.0).all() and (other[:, 0] < 1.5).all()

@@ -16,6 +16,7 @@ from study.experiment import test_cases as common_cases
 from study.flight import evaluation
 from study.flight.controllers import agent, classical, untrained
 from study.flight.evaluation import METRICS, play_controller, run_episodes
+from study.flight.fly import Starts
 from study.flight.simulation import Recording, simulate
 from study.training import session as training
 
@@ -43,13 +44,12 @@ def test_a_baseline_is_evaluated_as_it_is_simulated(name: str, every: float, rta
     config = experiment.config
     c = config.inspection
     record = play_controller(name, experiment, 2, 0)
-    x, priority = common_cases(config, 2, 0)
+    cases = common_cases(config, 2, 0)
     env = experiment.env(1, decide_every=every, report_every=1.0)
     policy = untrained(experiment, 0)
     for i in range(2):
-        case = x[:, i : i + 1], priority[:, i : i + 1]
         controller = agent(policy, env) if name == "untrained" else classical(name, env, 0)
-        flight = simulate(env, controller, *case, c.max_time)
+        flight = simulate(env, controller, cases.one(i), c.max_time)
         control = abs(flight["control_applied"][:-1])  # the last row repeats the one before it
         expected = {
             "inspected_score": flight["inspected_score"][-1],
@@ -81,7 +81,7 @@ def test_random_controls_are_the_seeds_and_held_for_an_action(monkeypatch: pytes
             controls = [part for part in drawn if tuple(part.shape) == (6, 50)]
             drawn.clear()
             common_cases(experiment.config, 50, seed)
-            starts = torch.cat([part.flatten() for part in drawn])
+            starts = torch.cat([part.flatten() for part in drawn[:-1]])  # the last ones number the plants
         assert len(controls) == 2  # 20 s, an action holds 10 s
         assert not torch.isin(torch.cat(controls), starts).any()
     first, again, other = (record.metrics[METRICS.index("delta_v_m_s")] for record in records)
@@ -117,7 +117,7 @@ def test_a_success_is_clean_that_stays_clear_and_breaks_no_limit_in_any_second(
 ) -> None:
     """Four cases at rest: nothing wrong; above the chief, to swing through it; a little too hot; no success."""
     experiment = experiment_of(False, 4)
-    x, priority = common_cases(experiment.config, 4, 0)
+    x, priority, _ = common_cases(experiment.config, 4, 0)
     x[:13], x[13], x[14], x[15] = 0.0, 5.0, 6.0, math.pi  # the panels are lit
     x[1], x[9] = 60.0, 1.0
     x[:3, 1] = torch.tensor([0.0, 0.0, 60.0])  # swings through the orbital plane
@@ -130,7 +130,7 @@ def test_a_success_is_clean_that_stays_clear_and_breaks_no_limit_in_any_second(
         env.sight.inspected[:, :3] = True
 
     monkeypatch.setattr(env, "start", start)
-    record = evaluation.run_episodes(env, classical("zero", env, 0), x, priority)
+    record = evaluation.run_episodes(env, classical("zero", env, 0), Starts(x, priority))
     results = evaluation.report(record, experiment.config, 0)
     assert record.outcome.tolist() == [3, 3, 3, 4]
     assert record.clear.tolist() == [True, False, True, False]
@@ -145,18 +145,18 @@ def test_the_first_episode_of_an_evaluation_is_recorded_as_it_is_simulated(end: 
     """Also where it crashes between two actions."""
     experiment = experiment_of(end == "timeout", 2)
     c = experiment.config.inspection
-    x, priority = common_cases(experiment.config, 2, 0)
+    x, priority, _ = common_cases(experiment.config, 2, 0)
     x[P, 0], x[THETA_S, 0] = torch.tensor([60.0, 0.0, 0.0]).double(), 0.0
     x[Q, 0], x[OMEGA, 0] = torch.tensor([0.0, 0.0, 1.0, 0.0]).double(), 0.0  # looks at the lit side
     if end == "crash":
         x[P, 0], x[V, 0] = torch.tensor([[0.0, 17.0, 0.0], [0.0, -0.6, 0.0]]).double()  # in four seconds
     policy = untrained(experiment, 0)
     env = experiment.env(2)
-    recording = Recording(env)
-    run_episodes(env, agent(policy, env), x, priority, recording)
+    recording, starts = Recording(), Starts(x, priority)
+    run_episodes(env, agent(policy, env), starts, recording)
     alone = experiment.env(1)
     length = 4.0 if end == "crash" else c.max_time
-    flight = simulate(alone, agent(policy, alone), x[:, :1], priority[:, :1], length)
+    flight = simulate(alone, agent(policy, alone), starts.one(0), length)
     recorded = recording.arrays()
     assert list(recorded) == list(flight)
     assert recorded["time"][-1] == length

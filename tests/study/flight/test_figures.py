@@ -43,7 +43,7 @@ def test_effort_is_what_the_environment_counts() -> None:
 
     env = experiment.env(1, report_every=1.0)
     controls = (actions * env.limit[:, 0]).numpy()
-    episode = simulate(env, recorded(controls, 10.0), *start, 60.0)
+    episode = simulate(env, recorded(controls, 10.0), start, 60.0)
     delta_v, torque = effort(episode, config.inspection)
 
     at_steps = slice(10, None, 10)

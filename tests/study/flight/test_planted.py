@@ -20,6 +20,7 @@ from settings import override
 from study.config import Config
 from study.experiment import Experiment
 from study.flight.evaluation import report, run_episodes
+from study.flight.fly import Starts
 from study.flight.simulation import simulate
 from study.verification import campaign
 from study.verification.starts import safe_set
@@ -189,12 +190,11 @@ def test_evaluate_reports_what_a_weaker_plant_violates(period: float) -> None:
     def env(columns: int, **clocks: float) -> InspectionEnv:
         return InspectionEnv(columns, plant, behind.generators(), behind.safety, period, **clocks)
 
-    record = run_episodes(env(count), coasting, x, priority)
+    record = run_episodes(env(count), coasting, Starts(x, priority))
     results = report(record, behind.config, 0)
     ends, seconds, calls = [], [], []
     for i, length in enumerate(record.metrics[2].tolist()):
-        case = (part[:, i : i + 1] for part in (x, priority))
-        run = simulate(env(1, report_every=1.0), coasting, *case, length)
+        run = simulate(env(1, report_every=1.0), coasting, Starts(x, priority).one(i), length)
         h = paper(states_of(run)) < 0.0
         every = np.vstack((h, h.any(0)))
         ends.append(every[:, 10::10].mean(1))
@@ -224,7 +224,7 @@ def test_evaluate_counts_exact_values_at_the_filters_calls() -> None:
     assert enforced["collision"](x)(x).item() < 0.0
     priority = torch.tensor([[1.0], [0.0], [0.0]], dtype=torch.float64)
     env = behind.env(1, decide_every=10.0)
-    results = report(run_episodes(env, coasting, x, priority), behind.config, 0)
+    results = report(run_episodes(env, coasting, Starts(x, priority)), behind.config, 0)
     h = dict(zip(CONSTRAINTS, paper(near_the_chief())[:, 0], strict=True))
     assert h["collision"] > 0.1 and h["dynamic_speed"] < 0.0
     percent = {name: 100.0 * (value < 0.0) for name, value in h.items()}

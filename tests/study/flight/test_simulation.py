@@ -22,6 +22,7 @@ from study.experiment import Experiment
 from study.experiment import test_cases as common_cases
 from study.flight.evaluation import common_episode, play
 from study.flight.figures import points_of_chief
+from study.flight.fly import Starts
 from study.flight.simulation import simulate
 from tests.test_main import assert_refused
 
@@ -31,11 +32,11 @@ DURATION, DECIDE_EVERY, STEP = 60, 10, 5  # s, with a call of the filter each se
 def test_intervened_tells_which_calls_since_the_row_changed_the_control_they_were_given() -> None:
     experiment = Experiment(override(Config(), {"train": {"device": "cpu"}}, "test"), 1, DURATION)
     c = experiment.config.inspection
-    x, priority = common_cases(experiment.config, 1, 0)
+    x, priority, _ = common_cases(experiment.config, 1, 0)
     draws = np.random.default_rng(0).uniform(-1.0, 1.0, (DURATION // DECIDE_EVERY, 6))
     env = experiment.env(1, decide_every=DECIDE_EVERY, report_every=STEP)
     decisions = recorded(draws * c.control_limit, DECIDE_EVERY)
-    run = simulate(env, decisions, x, priority, DURATION)
+    run = simulate(env, decisions, Starts(x, priority), DURATION)
 
     correct = SafetyFilter(c, RtaParameters())
     changed, applied = np.zeros((DURATION, 2), dtype=bool), x.new_zeros(6, 1)
@@ -68,11 +69,11 @@ def test_a_chief_tumbles_in_it_as_an_adaptive_integrator_has_it_and_is_seen_as_b
     experiment = beside_a_chief(
         SATELLITE | {"rate": np.degrees(rate).tolist(), "attitude": [0.1, 0.2, 0.3, 0.9]}
     )
-    x, priority = common_cases(experiment.config, 1, 0)
+    x, priority, _ = common_cases(experiment.config, 1, 0)
     x[:3, 0], x[6:10, 0], x[15] = x.new_tensor([-60.0, 0.0, 0.0]), x.new_tensor([0.0, 0.0, 0.0, 1.0]), math.pi
     x[3:6], x[10:13] = 0.0, 0.0  # looks at the chief with the Sun behind
     env = experiment.env(1, report_every=STEP)
-    run = simulate(env, lambda t, x: x.new_zeros(6, 1), x, priority, DURATION)
+    run = simulate(env, lambda t, x: x.new_zeros(6, 1), Starts(x, priority), DURATION)
 
     def derivative(t: float, y: np.ndarray) -> np.ndarray:
         (a, b, c, d), (p, q, r) = y[:4], y[4:]

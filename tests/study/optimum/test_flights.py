@@ -76,7 +76,7 @@ def test_a_plan_is_flown_as_it_says(cases: tuple[Tensor, Tensor]) -> None:
     env = flying(2)
     found = flown(env, planned(start, thrust, C), x, priority, 200.0)
     last = Motion.of(20, C.action_period, C).states(start, thrust)[-1]
-    *_, hold = env.inspect(planned(start, thrust, C), 200.0)
+    *_, hold = env.fly(planned(start, thrust, C), 200.0)
     assert (hold.after[:3] - last[:3]).norm(dim=0).max() < 0.1  # m, of 30
     torch.testing.assert_close(found.thrust, thrust, rtol=0.0, atol=2e-3)
     length = thrust.norm(dim=1).sum(0) * C.action_period / C.mass
@@ -103,7 +103,7 @@ def test_the_search_goes_down_a_slope_that_differences_confirm(cases: tuple[Tens
 def test_suns_of_the_search_are_those_of_the_simulator(cases: tuple[Tensor, Tensor]) -> None:
     env = flying(2)
     env.start(*cases)
-    *_, last = env.inspect(lambda t, y: y.new_zeros(6, 2), 50.0)
+    *_, last = env.fly(lambda t, y: y.new_zeros(6, 2), 50.0)
     angle, sun = last.after[THETA_S], Cases.of(*cases, 5, C).suns[:, -1]
     assert (sun[0] - angle.cos()).abs().max() < 1e-6 and (sun[1] - angle.sin()).abs().max() < 1e-6
 

@@ -113,7 +113,7 @@ def test_what_is_no_adversary_is_refused(tmp_path: Path, capsys: pytest.CaptureF
     words = [str(agent), "not trained as an adversary", "checkpoint:F"]
     assert_refused(["verify", "--policy", f"learned:{agent}"], words, capsys)
     assert_refused(["verify", "--policy", "learned:nowhere.pt"], ["nowhere.pt", "no such checkpoint"], capsys)
-    assert_refused(["train", "--adversary", "colour"], ["--adversary", "'colour'", "keep_in_zone"], capsys)
+    assert_refused(["train", "--adversary", "colour"], ["adversary = ['colour']", "keep_in_zone"], capsys)
     (tmp_path / "c.toml").write_text('[train]\nadversary = ["colour"]\n')
     words = ["adversary = ['colour']", "keep_in_zone"]
     assert_refused(["train", "--config", str(tmp_path / "c.toml")], words, capsys)

@@ -51,7 +51,7 @@ def test_the_guidance_that_teaches_violates_nothing_without_the_filter(orbit: Or
     env.start(*common_cases(experiment.config, 64, 1))
     guidance, worst = natural_motion(c, c.action_period, orbit), []
     for _ in range(100):  # the way to the orbit
-        env.advance(guidance, lambda hold: worst.append(env.constraint_values(hold.after).amin(1)))
+        env.step(guidance, lambda hold: worst.append(env.constraint_values(hold.after).amin(1)))
     held = torch.stack(worst).amin() >= 0.0
     assert held == (orbit == GUIDANCE["following"])
 

@@ -1,7 +1,6 @@
 """Counter-examples, and flying them again."""
 
 import json
-import tomllib
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
@@ -10,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-import tomli_w
+import torch
 
 from rta.constraints.names import CONSTRAINTS
 from rta.filter import make_solver
@@ -21,9 +20,9 @@ from study.experiment import Experiment
 from study.verification import campaign
 from study.verification.adversaries import adversarial
 from study.verification.counter_examples import counter_example, refly
-from study.verification.flight import fly
 from study.verification.starts import initial_states
 from tests.rta.test_barrier import FILTER
+from tests.study.verification.flown import flown as fly
 from tests.study.verification.test_findings import verify
 from tests.test_main import assert_refused, call
 
@@ -83,22 +82,6 @@ def test_refly_uses_the_solver_of_the_campaign(
     assert used == ["piqp"]
 
 
-def test_a_counter_example_of_older_keys_flies_again(
-    violated: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    example = dict(np.load(next(violated.parent.glob("*.npz"))))
-    config = tomllib.loads(str(example["config"]))
-    config["train"] |= {
-        "rta_period": config["rta"].pop("period"),
-        "qp_solver": config["rta"].pop("qp_solver"),
-    }
-    path = tmp_path / "example.npz"
-    np.savez(path, **(example | {"config": np.array(tomli_w.dumps(config))}))
-    code, out, err = call(["refly", str(path)], capsys)
-    assert code == 0, err
-    assert f"recorded {example['value']:.12g}" in out
-
-
 def test_a_recorded_gpu_is_not_needed_to_fly_it_again(
     violated: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -149,7 +132,9 @@ def test_refly_does_not_depend_on_the_solvers_last_digits(monkeypatch: pytest.Mo
         64, 3, FILTER
     )  # whether 10 s can be held from there is not asked: it is slow
     flight = fly(env, adversarial(first.filter), x, priority, 50)
-    example = counter_example(flight, "dynamic_speed", first.config, 1.0)
+    example = counter_example(
+        flight.record, flight.tape, torch.ones(64, dtype=torch.bool), "dynamic_speed", first.config, 1.0
+    )
     solver = second.filter.solver
     monkeypatch.setattr(solver, "solve", partial(rounded, solver.solve))
     value, when, difference = refly(second, example)

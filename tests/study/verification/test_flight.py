@@ -2,23 +2,25 @@
 
 import dataclasses
 import functools
+from types import SimpleNamespace
 
 import numpy as np
 import torch
 from numpy import ndarray
 
-from inspection.closed_loop import Safety, Smallest
+from inspection.closed_loop import Safety
 from inspection.environment import InspectionEnv
 from inspection.model.parameters import InspectionParameters
 from rta.constraints.names import CONSTRAINTS
 from rta.filter import SafetyFilter
 from rta.parameters import RtaParameters
+from study.flight.fly import ROUNDING, Limits
 from study.verification.adversaries import held_at_random
-from study.verification.flight import ROUNDING, Flight, fly, note_state
 from study.verification.starts import safe_set
 from tests.rta import test_barrier as test_rows
 from tests.rta.constraints.test_constraints import PSM_TOLERANCE, paper, tensor
 from tests.rta.test_barrier import FILTER, LIMIT
+from tests.study.verification.flown import flown
 
 C = InspectionParameters()
 SECONDS, DECIDE = 24, 2  # of an episode, and between two decisions
@@ -36,7 +38,7 @@ def lax() -> SafetyFilter:
 
 
 @functools.cache
-def six_episodes() -> Flight:
+def six_episodes() -> SimpleNamespace:
     """Six episodes that decide every 2 s and are filtered every second, next to the filter's limits or beyond them."""
     safety = Safety(CONSTRAINTS, FILTER.values, None, lax().correct, 1.0)
     env = InspectionEnv(6, C, [torch.Generator().manual_seed(0)], safety, DECIDE, 1.0)
@@ -44,12 +46,12 @@ def six_episodes() -> Flight:
     x[3:6] *= 1.9
     x[13], x[14] = 10.95, 0.52
     policy = held_at_random(C, torch.Generator().manual_seed(0), 6)
-    return fly(env, policy, x, priority, SECONDS)
+    return flown(env, policy, x, priority, SECONDS, first=3)
 
 
-def recount(flight: Flight, column: int) -> dict[str, ndarray]:
+def recount(flight: SimpleNamespace, column: int) -> dict[str, ndarray]:
     """One episode again, second by second, from its start and what the policy desired every 2 s."""
-    safety, x = lax(), flight.start[:16, column : column + 1].numpy()
+    safety, x = lax(), flight.starts.x[:, column : column + 1].numpy()
     states, statuses, slacks, backups, largest = [x], [], [], [], 0.0
     u = np.zeros((6, 1))
     for second in range(SECONDS):
@@ -98,29 +100,14 @@ def test_a_flight_counts_what_a_loop_of_its_own_counts() -> None:
         np.testing.assert_array_equal(actual["when"][sharp], expected["when"][sharp])
 
 
-def test_chosen_episodes_are_those_of_the_flight() -> None:
-    flight = six_episodes()
-    chosen = torch.tensor([False, True, False, True, True, False])
-    part = flight[chosen]
-    assert part.column.tolist() == [1, 3, 4]
-    assert part.applied.shape == (SECONDS, 6, 3) and (part.worst == flight.worst[:, [1, 3, 4]]).all()
-    yielded = flight.yielded[:, chosen].sum()
-    assert (part.conflicts.slack > ROUNDING).sum() == yielded
-
-
 def test_nan_is_a_violation_without_end() -> None:
-    one = dataclasses.replace(
-        six_episodes(),
-        violating=torch.zeros(14, 2),
-        steps=torch.zeros(2),
-        worst=torch.full((13, 2), torch.inf),
-        when=torch.zeros(13, 2),
-    )
-    h = torch.ones(13, 2)
-    h[4, 1] = torch.nan
-    note_state(one, Smallest(13, h), h, 3.0)
-    assert (one.violating[:, 0] == 0).all() and one.violating[[4, 13], 1].tolist() == [1, 1]
-    assert one.worst[4].tolist() == [1.0, -torch.inf] and one.when[4, 1] == 3.0
+    values = torch.ones(13, 2)
+    env = SimpleNamespace(x=torch.zeros(16, 2), constraint_values=lambda x: values.clone())
+    limits = Limits(env)
+    values[4, 1] = torch.nan
+    limits.hold(SimpleNamespace(after=env.x, end=3.0), torch.ones(2, dtype=torch.bool))
+    assert (limits.violating[:, 0] == 0).all() and limits.violating[[4, 13], 1].tolist() == [1, 1]
+    assert limits.worst[4].tolist() == [1.0, -torch.inf] and limits.when[4, 1] == 3.0
 
 
 def test_a_long_substep_is_cut_to_the_second_between_two_checks() -> None:
@@ -131,7 +118,7 @@ def test_a_long_substep_is_cut_to_the_second_between_two_checks() -> None:
         c = dataclasses.replace(C, substep=substep)
         safety = SafetyFilter(c, RtaParameters(period=5.0)).safety()
         env = InspectionEnv(4, c, [torch.Generator()], safety, 5.0, 1.0)
-        flights.append(fly(env, held_at_random(c, torch.Generator().manual_seed(0), 4), x, priority, 20))
+        flights.append(flown(env, held_at_random(c, torch.Generator().manual_seed(0), 4), x, priority, 20))
     short, long = flights
     assert len(long.applied) == 4 and (long.status.sum(0) == 4).all()
     for name in ("violating", "worst", "when", "applied"):

@@ -3,6 +3,7 @@
 import functools
 import json
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -16,9 +17,9 @@ from study.config import Config
 from study.experiment import Experiment
 from study.scales import scales
 from study.verification.adversaries import Greedy, attacked, held_at_random
-from study.verification.flight import Flight, fly
 from study.verification.lookahead import Lookahead
 from study.verification.starts import initial_states
+from tests.study.verification.flown import flown as fly
 from tests.study.verification.test_findings import verify
 from tests.test_main import assert_refused, call
 
@@ -39,7 +40,7 @@ def experiment(world: bool) -> Experiment:
     return Experiment(override(Config(), tables, "test"), EPISODES * CANDIDATES, seconds=1.0)
 
 
-def flown(world: bool, looking: bool, duration: float = 10.0) -> tuple[Flight, InspectionEnv]:
+def flown(world: bool, looking: bool, duration: float = 10.0) -> tuple[SimpleNamespace, InspectionEnv]:
     """The same starts and plants under lookahead or random controls."""
     here = experiment(world)
     env = here.env(EPISODES, None, 1.0, 1.0)
@@ -67,9 +68,7 @@ def test_the_same_seed_flies_the_same_and_leaves_the_plant_as_it_is() -> None:
         assert torch.equal(getattr(first, name), getattr(again, name)), name
     recorded = first.desired
     alone = experiment(True).env(EPISODES, None, 1.0, 1.0)
-    flight = fly(
-        alone, lambda t, x: recorded[round(t)], first.start[:16], first.start[16:], 4.0, number=first.number
-    )
+    flight = fly(alone, lambda t, x: recorded[round(t)], *first.starts[:2], 4.0, number=first.starts.number)
     assert torch.equal(flight.applied, first.applied) and torch.equal(flight.worst, first.worst)
     for name, part in alone.plant.state_dict().items():
         assert torch.equal(part, env.plant.state_dict()[name]), name

@@ -1,34 +1,35 @@
 """Tallies of flights against sums over each episode's own recount."""
 
-import dataclasses
+from typing import Any
 
 import numpy as np
 import pytest
 import torch
+from torch import Tensor
 
 from rta.constraints.names import CONSTRAINTS
 from rta.qp.programs import Status
+from study.flight.fly import ROUNDING
 from study.verification import tally
-from study.verification.flight import ROUNDING, Flight
 from tests.rta.constraints.test_constraints import PSM_TOLERANCE, paper, tensor
 from tests.study.verification.test_flight import DECIDE, SECONDS, lax, recounted, six_episodes
 
 ORIGIN = {"batch_seed": 17, "batch_size": 20}
 
 
-def from_the_third() -> Flight:
-    """The six episodes, of columns 3 to 8 of a batch."""
+ALL = torch.ones(6, dtype=torch.bool)
+
+
+def added(report: dict[str, Any], chosen: Tensor = ALL, **origin: int) -> dict[str, Any]:
+    """The six episodes, of columns 3 to 8 of a batch, or some of them added to a report."""
     flight = six_episodes()
-    calls = flight.conflicts._replace(column=flight.conflicts.column + 3)
-    return dataclasses.replace(flight, column=flight.column + 3, conflicts=calls)
+    tally.add(report, flight.record, flight.tape, chosen, ORIGIN | origin)
+    return report
 
 
 def test_a_report_adds_its_flights_up() -> None:
-    flight, episodes = from_the_third(), recounted()
-    flight = dataclasses.replace(flight, backup=torch.arange(6.0))
-    report = tally.empty_tally()
-    tally.add(report, flight, ORIGIN)
-    tally.add(report, flight, ORIGIN | {"batch_seed": 18})
+    flight, episodes = six_episodes(), recounted()
+    report = added(added(tally.empty_tally()), batch_seed=18)
     violating = np.array([one["violating"] for one in episodes])
     worst = np.array([one["worst"] for one in episodes])
     assert (report["episodes"], report["steps"]) == (12, 12 * (SECONDS + 1))
@@ -40,31 +41,31 @@ def test_a_report_adds_its_flights_up() -> None:
         assert report["worst_value"][name] == pytest.approx(worst[:, i].min(), abs=PSM_TOLERANCE)
         case = report["worst_case"][name]
         assert (case["batch_seed"], case["batch_size"]) == (17, 20)  # the first of equals
-        start = flight.start[:, case["column"] - 3]
+        start = torch.cat(flight.starts[:2])[:, case["column"] - 3]
         np.testing.assert_array_equal(case["initial_state"] + case["priority"], start)
         assert report["yielded_calls"][name] == 2 * sum(one["yielded"][i] for one in episodes)
     calls = 2 * sum(one["status"] for one in episodes)
     assert list(report["filter_calls"].values()) == list(calls)
-    assert report["backup_calls"] == 2 * 15
+    assert report["backup_calls"] == 2 * sum(one["backup"] for one in episodes)
     assert report["unsolved"] == calls[Status.UNSOLVED] and report["controls_outside_bounds"] == 0
 
 
-def test_one_step_beyond_a_limit_makes_an_episode_a_violating_one() -> None:
-    flight, report = from_the_third(), tally.empty_tally()
-    violating = torch.zeros_like(flight.violating)
+def test_one_step_beyond_a_limit_makes_an_episode_a_violating_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    limits = six_episodes().record.limits
+    violating = torch.zeros_like(limits.violating)
     violating[2, 1] = violating[-1, 1] = 1.0
     violating[2, 4] = violating[-1, 4] = 3.0
-    tally.add(report, dataclasses.replace(flight, violating=violating), ORIGIN)
+    monkeypatch.setattr(limits, "violating", violating)
+    report = added(tally.empty_tally())
     for name in (CONSTRAINTS[2], "any"):
         assert (report["violating_steps"][name], report["violating_episodes"][name]) == (4, 2)
 
 
 def test_calls_with_slack_are_shown_and_counted(monkeypatch: pytest.MonkeyPatch) -> None:
     """Asked again, the filter has the same slack in each of them."""
-    flight = from_the_third()
+    flight = six_episodes()
     monkeypatch.setattr(tally, "SHOWN", 2)
-    total = tally.empty_tally()
-    tally.add(total, flight, ORIGIN)
+    total = added(tally.empty_tally())
     together = total["slack_together"]
     programs = sum(int((slack > ROUNDING).any(0).sum()) for slack in flight.conflicts.slack.split((7, 6)))
     assert sum(same["calls"] for same in together.values()) == programs > 5
@@ -87,12 +88,10 @@ def test_calls_with_slack_are_shown_and_counted(monkeypatch: pytest.MonkeyPatch)
 
 
 def test_the_calls_shown_do_not_depend_on_how_episodes_are_divided(monkeypatch: pytest.MonkeyPatch) -> None:
-    flight = from_the_third()
     monkeypatch.setattr(tally, "SHOWN", 2)
-    whole, parts = tally.empty_tally(), tally.empty_tally()
-    tally.add(whole, flight, ORIGIN)
+    whole, parts = added(tally.empty_tally()), tally.empty_tally()
     for chosen in ([0, 1], [2, 3, 4, 5]):
         mask = torch.zeros(6, dtype=torch.bool)
         mask[chosen] = True
-        tally.add(parts, flight[mask], ORIGIN)
+        added(parts, mask)
     assert whole == parts

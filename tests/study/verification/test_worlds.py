@@ -21,8 +21,8 @@ from study.config import Config
 from study.experiment import Experiment
 from study.verification import campaign
 from study.verification.adversaries import held_at_random
-from study.verification.flight import fly
 from study.verification.starts import initial_states
+from tests.study.verification.flown import flown as fly
 from tests.study.verification.test_findings import verify
 from tests.test_main import assert_refused, call
 
@@ -102,8 +102,8 @@ def test_what_violates_is_the_true_state() -> None:
     for plant in ({}, {"position_bias": 5000.0, "velocity_bias": 90.0, "attitude_bias": 170.0}):
         experiment = Experiment(override(Config(), tables | {"plant": plant}, "test"), 16)
         x, priority, _ = initial_states(16, 3, experiment.filter)
-        env = experiment.env(16, None, 1.0, 1.0)
-        env.put_behind(dataclasses.replace(experiment.safety, correct=let_pass))
+        safety = dataclasses.replace(experiment.safety, correct=let_pass)
+        env = experiment.env(16, None, 1.0, 1.0, safety=safety)
         controller = held_at_random(env.c, torch.Generator().manual_seed(1), 16)
         flights.append(fly(env, controller, x, priority, 40.0))
     honest, blind = flights

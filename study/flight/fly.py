@@ -1,0 +1,207 @@
+"""The one flight of a batch of episodes, and the one record of what they did."""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import torch
+from torch import Tensor
+
+from inspection.closed_loop import Controller, Hold, Smallest
+from inspection.environment import InspectionEnv
+from inspection.reward import stays_clear
+from inspection.termination import OUTCOMES
+from inspection.transition import METRICS, Transition
+from rta.qp.programs import Status
+
+SUCCESS = OUTCOMES.index("success")
+ROUNDING = 1e-10  # slack that does not count, in units of h's rate; even rows that never yield reach 1e-12
+
+
+class Starts(NamedTuple):
+    """Where a batch of episodes starts.
+
+    Attributes:
+        x: states (16, B); priority: unit vectors (3, B).
+        number: (B,) in [0, 1), from which the episodes' plants and chiefs follow; None: 0.
+    """
+
+    x: Tensor
+    priority: Tensor
+    number: Tensor | None = None
+
+    def map(self, change: Callable[[Tensor], Tensor]) -> "Starts":
+        """Returns the starts with each part changed."""
+        number = None if self.number is None else change(self.number)
+        return Starts(change(self.x), change(self.priority), number)
+
+    def repeat(self, times: int) -> "Starts":
+        """Returns all starts so many times, one after another."""
+        return self.map(lambda part: part.repeat(*(1,) * (part.dim() - 1), times))
+
+    def one(self, case: int) -> "Starts":
+        """Returns one of the starts, as a batch."""
+        return self.map(lambda part: part[..., case : case + 1])
+
+
+class Limits:
+    """How the constraints fared at the start and after every hold; last axis the episodes, "any" last of 13 + 1.
+
+    Attributes:
+        before, h: (13, B) the values at the beginning and at the end of the last hold.
+        violating: (14, B) states at which the constraint was negative, out of checked: (B,); at_start: (14, B) those
+            at the start.
+        worst: (13, B) the smallest value, when: (13, B) s; NaN counts as minus infinity.
+    """
+
+    def __init__(self, env: InspectionEnv) -> None:
+        self.env, self.h = env, env.constraint_values(env.x)
+        self.smallest = Smallest(len(self.h), env.x)
+        self.at_start = with_any(self.smallest.note(self.h) < 0.0).to(env.x)
+        self.violating, self.checked = self.at_start.clone(), torch.ones_like(env.x[0])
+
+    def hold(self, hold: Hold, running: Tensor) -> None:
+        """Takes in what follows a hold of the episodes that are running."""
+        self.before, self.h = self.h, self.env.constraint_values(hold.after)
+        h = torch.where(running, self.h, math.inf)
+        self.violating += with_any(self.smallest.note(h, hold.end) < 0.0)
+        self.checked += running
+
+    @property
+    def worst(self) -> Tensor:
+        return self.smallest.value
+
+    @property
+    def when(self) -> Tensor:
+        return self.smallest.when
+
+
+class Observer:
+    """Looks on while episodes fly; this one does nothing. `running` (B,) bool: the episode has not ended before."""
+
+    def begin(self, env: InspectionEnv, limits: Limits) -> None:
+        """Sees the episodes at their start."""
+
+    def hold(self, hold: Hold, running: Tensor) -> None:
+        """Sees a time in which a control was held; the limits have taken it in."""
+
+    def step(self, transition: Transition, running: Tensor) -> None:
+        """Sees an interaction, in a flight that lasts until the episodes end."""
+
+
+def with_any(violated: Tensor) -> Tensor:
+    """Returns (constraints, B) bool with a row more: any of them."""
+    return torch.cat((violated, violated.any(0)[None]))
+
+
+class Calls(Observer):
+    """What the filter answered; last axis the episodes. A missed call was not asked.
+
+    Attributes:
+        status: (4, B) calls by `Status`; intervened, backup: (B,) calls.
+        violated: (13, B) calls at whose true state the constraint was negative.
+        yielded: (13, B) calls at which a row had slack; slack: (13, B) its largest.
+        excess: (B,) the largest control in units of its actuator's limit.
+    """
+
+    def begin(self, env: InspectionEnv, limits: Limits) -> None:
+        constraints, x = len(limits.h), env.x
+        self.limits, self.limit = limits, env.limit
+        self.status = x.new_zeros(len(Status), x.shape[1])
+        self.intervened, self.backup, self.excess = (x.new_zeros(x.shape[1]) for _ in range(3))
+        self.violated, self.yielded, self.slack = (x.new_zeros(constraints, x.shape[1]) for _ in range(3))
+
+    def hold(self, hold: Hold, running: Tensor) -> None:
+        if hold.correction is None:
+            return
+        answer: Any = hold.correction  # of the project's own filter
+        asked = running if hold.missed is None else running & ~hold.missed
+        slack = answer.slack * asked
+        self.status += torch.nn.functional.one_hot(answer.status, len(Status)).T * asked
+        self.intervened += answer.intervened & asked
+        self.backup += answer.backup & asked
+        self.violated += (self.limits.before < 0.0) & asked
+        self.yielded += slack > ROUNDING
+        self.slack = torch.maximum(self.slack, slack)
+        control = hold.applied.abs() / self.limit
+        self.excess = torch.maximum(self.excess, torch.where(running, control.amax(0), 0.0))
+
+    @property
+    def count(self) -> Tensor:
+        """(B,) calls that were asked."""
+        return self.status.sum(0)
+
+
+class Ends(Observer):
+    """How the episodes ended; last axis the episodes.
+
+    Attributes:
+        metrics: (6, B) in the order of METRICS; outcome: (B,) index into OUTCOMES.
+        violations: (13 + 1, B) percent of the episode's steps, "any" last.
+        clear: (B,) bool, it succeeded and two days of free flight stay clear of the chief.
+    """
+
+    def begin(self, env: InspectionEnv, limits: Limits) -> None:
+        self.c, x = env.c, env.x
+        self.metrics = x.new_full((len(METRICS), x.shape[1]), math.nan)
+        self.violations = x.new_zeros(len(env.safety.names) + 1, x.shape[1])
+        self.outcome = torch.full_like(env.steps, -1)
+        self.clear = torch.zeros_like(x[0], dtype=torch.bool)
+
+    def step(self, transition: Transition, running: Tensor) -> None:
+        ending = running & transition.done
+        any_steps = transition.metrics[METRICS.index("violation_percent")]
+        percent = torch.cat((100.0 * transition.violation_steps / transition.steps, any_steps[None]))
+        self.metrics = torch.where(ending, transition.metrics, self.metrics)
+        self.violations = torch.where(ending, percent, self.violations)
+        self.outcome = torch.where(ending, transition.outcome, self.outcome)
+        self.clear |= stays_clear(transition.state, ending & (transition.outcome == SUCCESS), self.c)
+
+
+@dataclass
+class Record:
+    """What a flight was: its starts, its constraints, the filter's calls and, if they ended, the episodes' ends."""
+
+    starts: Starts
+    limits: Limits
+    calls: Calls
+    ends: Ends | None
+
+
+@torch.no_grad()
+def fly(
+    env: InspectionEnv,
+    controller: Controller,
+    starts: Starts,
+    duration: float | None = None,
+    observers: Sequence[Observer] = (),
+) -> Record:
+    """Flies an episode per column of the environment from given starts, and returns what they did.
+
+    Args:
+        duration: s, for which all fly on whatever happens; None: until every episode has ended.
+        observers: look on, too.
+    """
+    starts = starts.map(lambda part: part.to(env.x.device))
+    env.start(*starts)
+    limits, calls, ends = Limits(env), Calls(), Ends() if duration is None else None
+    watching: list[Observer] = [calls, *([ends] if ends else []), *observers]
+    for observer in watching:
+        observer.begin(env, limits)
+    running = torch.ones_like(env.time, dtype=torch.bool)
+
+    def watch(hold: Hold) -> None:
+        limits.hold(hold, running)
+        for observer in watching:
+            observer.hold(hold, running)
+
+    if duration is not None:
+        for hold in env.fly(controller, duration):
+            watch(hold)
+    while duration is None and running.any():
+        transition = env.step(controller, watch)
+        for observer in watching:
+            observer.step(transition, running)
+        running = running & ~transition.done
+    return Record(starts, limits, calls, ends)
