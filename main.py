@@ -7,18 +7,18 @@ Settings come from defaults, then from each --config FILE.toml, then from flags.
 import importlib.metadata
 import os
 import re
+import signal
 import sys
 import time
 import tomllib
 from argparse import ArgumentTypeError, BooleanOptionalAction, Namespace
 from collections.abc import Callable, Collection
-from contextlib import redirect_stdout
+from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TextIO
 
 from inspection.orbits import GUIDANCE
 from ppo.errors import CheckpointError, NonFiniteError, RankLostError
-from ppo.torchrun import is_first
 from settings import (
     InputError,
     Parser,
@@ -208,8 +208,7 @@ def filtered(config: Config) -> Config:
 )
 def run_train(given: Namespace) -> None:
     from ppo.distributed import ranks
-    from study.machine.provenance import recorded_threads
-    from study.machine.threads import THREADS
+    from study.machine import recorded_threads, set_threads
     from study.training import session as training
     from study.verified import say_doubts
 
@@ -219,7 +218,7 @@ def run_train(given: Namespace) -> None:
             raise InputError(
                 "--resume takes its settings from the run; only --interactions may stand beside it"
             )
-        THREADS.recorded = recorded_threads(Path(given.resume))
+        set_threads(given.threads, recorded_threads(Path(given.resume)))
         config = configured(given, training.settings(Path(given.resume)))
         session = training.resuming(Path(given.resume), config)
     else:
@@ -247,13 +246,12 @@ def run_train(given: Namespace) -> None:
     settings=(*TRAINED, "study"),
 )
 def run_study(given: Namespace) -> None:
-    from study.machine.provenance import recorded_threads
-    from study.machine.threads import THREADS
+    from study.machine import recorded_threads, set_threads
     from study.training.study import read_settings, train_and_evaluate
 
     directory = Path(given.study_dir)
     config = configured(given, read_settings(directory) or StudyConfig())
-    THREADS.recorded = recorded_threads(directory)
+    set_threads(given.threads, recorded_threads(directory))
     print(train_and_evaluate(config, directory))
 
 
@@ -267,7 +265,7 @@ def run_study(given: Namespace) -> None:
     ),
 )
 def run_report(given: Namespace) -> None:
-    from study.machine.progress import step
+    from study.machine import step
 
     with refusing("report needs the package jinja2 (pip install '.[report]')", ImportError):
         from study.report import figures, inputs, page, tables
@@ -669,13 +667,25 @@ def with_values(words: Collection[str]) -> list[str]:
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Runs a command and returns the exit code; whatever bad input raises is caught here and ends in one line."""
+    """Runs a command and returns the exit code; of many ranks, one speaks for all."""
+    first = os.environ.get("RANK", "0") == "0"
+    with redirect_stdout(sys.stdout if first else None):
+        return outcome(with_values(sys.argv[1:] if argv is None else argv), sys.stderr if first else None)
+
+
+def outcome(words: list[str], errors: TextIO | None) -> int:
+    """Runs a command and returns the exit code; whatever bad input raises is caught here and ends in one line.
+
+    Args:
+        errors: where bad usage is said.
+    """
     try:
-        with redirect_stdout(sys.stdout if is_first() else None):  # one of many ranks speaks for all
-            try:
-                run(with_values(sys.argv[1:] if argv is None else argv))
-            finally:
-                sys.stdout.flush()
+        try:
+            with redirect_stderr(errors):
+                given = build_parser().parse_args(words or ["--help"])
+            run(given)
+        finally:
+            print(end="", flush=True)
     except SystemExit as end:  # of the parser: help, or bad usage
         return int(end.code or 0)
     except (InputError, CheckpointError) as error:
@@ -684,7 +694,7 @@ def main(argv: list[str] | None = None) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # where Python sends the rest as it ends
         return 0
     except OSError as error:
-        return complain(f"{error.filename or 'standard output'}: {error.strerror}", 2, "end")
+        return complain(f"{error.filename}: {error.strerror}" if error.filename else f"{error}", 2, "end")
     except Stopped as stopped:
         print(stopped)
         # of many ranks zero: all else torchrun calls a failure, and begins anew
@@ -695,20 +705,20 @@ def main(argv: list[str] | None = None) -> int:
     except (ReflyError, ExportError) as error:
         return complain(f"{error}", 1)
     except RankLostError as error:
+        signal.signal(signal.SIGTERM, signal.SIG_IGN)  # from torchrun, which has noticed, too; we are leaving
         return complain(f"{error}", 1, "end")
     except NonFiniteError as error:
         return complain(f"training stopped at {error}", 1, "end")
     return 0
 
 
-def run(words: list[str]) -> None:
-    """Parses the words of a call and calls its command."""
-    given = build_parser().parse_args(words or ["--help"])
+def run(given: Namespace) -> None:
+    """Calls the command of a call."""
     if getattr(given, "print_config", False):
         print(to_toml(configured(given, StudyConfig() if given.command == "study" else Config())), end="")
         return
     from ppo.distributed import ranks
-    from study.machine.threads import THREADS
+    from study.machine import set_threads
 
     if ranks().size > 1 and given.command not in ("train", "study"):
         raise InputError(f"torchrun: {given.command} runs in one process; only train and study in many")
@@ -716,7 +726,7 @@ def run(words: list[str]) -> None:
         if isinstance(path, Path):  # an output, see `to_write`
             with refusing(f"--{name} {str(path)!r}: cannot write it", OSError, ValueError):
                 check_writable(path)
-    THREADS.ask(given.threads)
+    set_threads(given.threads)
     if given.cache_dir:
         from kernels.build import VARIABLE
 

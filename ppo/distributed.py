@@ -1,4 +1,4 @@
-"""The processes that torchrun started, called ranks, and what they tell each other.
+"""The processes that torchrun started, called ranks: what they tell each other, and which part of a run each has.
 
 The only file that knows torch.distributed. A process that runs alone is rank 0 of 1: its exchanges return what they
 were given and cost nothing.
@@ -9,7 +9,9 @@ import io
 import os
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from datetime import timedelta
+from itertools import chain
 from typing import Any
 
 import torch
@@ -17,9 +19,23 @@ import torch.distributed as dist
 from torch import Tensor
 
 from ppo.errors import RankLostError
-from ppo.torchrun import is_launched
 
 PATIENCE = timedelta(hours=1)  # with the others, which wait while the first rank evaluates
+
+
+def is_launched() -> bool:
+    """Tells whether torchrun started this process."""
+    return "TORCHELASTIC_RUN_ID" in os.environ
+
+
+def is_first() -> bool:
+    """Tells whether this process is rank 0, without a meeting of the ranks."""
+    return not is_launched() or os.environ["RANK"] == "0"
+
+
+def local_rank() -> int:
+    """Returns the number of this process on its machine, from 0."""
+    return int(os.environ.get("LOCAL_RANK", 0))
 
 
 @contextmanager
@@ -162,3 +178,77 @@ def ranks() -> Ranks:
     backend = "cpu:gloo,cuda:nccl" if torch.cuda.is_available() else "gloo"
     dist.init_process_group(backend, store=store, rank=rank, world_size=size, timeout=PATIENCE)
     return Ranks(rank, size, store)
+
+
+State = dict[str, Any]
+Stacked = Tensor | list[Tensor]
+
+
+@dataclass(frozen=True)
+class Shard:
+    """A rank's part of a run's S seeds of E episodes each, which follow one another: S x E columns.
+
+    Attributes:
+        seeds: which of the seeds; columns: which of the episodes; num_envs: episodes of each seed.
+        learners: the ranks that train the same seeds.
+    """
+
+    ranks: Ranks
+    seeds: slice
+    columns: slice
+    num_envs: int
+    learners: Ranks
+
+    def split(self, state: State) -> State:
+        """This rank's part of the state of a whole run."""
+
+        def part(axis: int, values: Any) -> Stacked:
+            return values[self.seeds] if axis == 0 else values[..., self.columns]
+
+        return state if self.ranks.size == 1 else each(part, state)
+
+    def join(self, states: list[State]) -> State:
+        """The state of the whole run from those of all ranks in order."""
+        shared = self.learners.size > 1  # the seed: all ranks have the same but for the episodes
+
+        def whole(axis: int, *parts: Any) -> Stacked:
+            if axis == 0 and shared:
+                return parts[0]
+            return list(chain(*parts)) if isinstance(parts[0], list) else torch.cat(parts, axis)
+
+        if len(states) == 1:
+            return states[0]
+        # the other ranks waited for the slowest
+        return each(whole, *states) | {"seconds": max(state["seconds"] for state in states)}
+
+
+def each(function: Callable[..., Stacked], *states: Any, axis: int = 0) -> Any:
+    """A function of all that has a place per seed or per episode in nested states; of the rest what the first has.
+
+    Args:
+        function: of the axis, 0 for seeds or -1 for the episodes of the environment, and what each state has there.
+    """
+    first, *_ = states
+    if isinstance(first, dict):
+        axes = {"env": -1}
+        return {key: each(function, *(s[key] for s in states), axis=axes.get(key, axis)) for key in first}
+    if isinstance(first, list) and all(isinstance(item, Tensor) for item in first):
+        return function(0, *states)
+    return function(axis, *states) if isinstance(first, Tensor) and first.dim() > 0 else first
+
+
+def shard_of_episodes(num_envs: int, minibatch_size: int, ranks: Ranks) -> Shard:
+    """Returns a rank's part of the episodes of the one seed that all ranks train; ValueError where they do not fit."""
+    if num_envs % ranks.size:
+        raise ValueError(f"[train] num_envs = {num_envs}: must be a multiple of the {ranks.size} ranks")
+    if minibatch_size < ranks.size:
+        raise ValueError(f"[ppo] minibatch_size = {minibatch_size}: cannot be shared by {ranks.size} ranks")
+    return Shard(ranks, slice(0, 1), ranks.share(num_envs), num_envs // ranks.size, ranks)
+
+
+def shard_of_seeds(num_envs: int, count: int, ranks: Ranks) -> Shard:
+    """Returns a rank's part of so many seeds, which it trains by itself; ValueError where there are too few."""
+    if count < ranks.size:
+        raise ValueError(f"[study] seeds = {count}: cannot be shared by {ranks.size} ranks")
+    seeds = ranks.share(count)
+    return Shard(ranks, seeds, slice(seeds.start * num_envs, seeds.stop * num_envs), num_envs, ALONE)

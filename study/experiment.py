@@ -31,15 +31,7 @@ from study.config import AnyConfig, Config
 from study.errors import refusing
 from study.files import see
 from study.flight.fly import Starts
-from study.machine.compiling import (
-    WORTH_COMPILING_SIMULATOR,
-    compile_or_explain,
-    repaid_after,
-    wants_compile,
-)
-from study.machine.device import resolve_device
-from study.machine.progress import step
-from study.machine.threads import THREADS
+from study.machine import compile_or_explain, resolve_device, step, wants_compile
 
 EPISODE = 3600  # s, about as long as an agent takes
 
@@ -88,14 +80,13 @@ class Experiment:
         check_chief(config)
         check_cache()
         self.device = resolve_device(config.train.device)
-        THREADS.settle()
         seconds = min(EPISODE, config.inspection.max_time) if seconds is None else seconds
         choice, calls = config.train.compile, seconds / config.rta.period
         steps = seconds / config.inspection.action_period
-        worth_compiling = repaid_after(config.uncertainty.holds(config.rta))
-        self.filter_compiled = config.train.rta and wants_compile(choice, calls >= worth_compiling)
+        holds = config.uncertainty.holds(config.rta)
+        self.filter_compiled = config.train.rta and wants_compile(choice, calls, holds)
         self.config = settled(config, batch, self.device, self.filter_compiled)
-        self.compiled = wants_compile(choice, steps >= WORTH_COMPILING_SIMULATOR)
+        self.compiled = wants_compile(choice, steps)
         self.task = beside(priced(config), config.chief)
         with refusing("[rta], [inspection] and [uncertainty]", ValueError, OverflowError):
             self.filter = SafetyFilter(self.task, self.config.rta, known=config.uncertainty)

@@ -13,7 +13,7 @@ from typing import Any
 from inspection.chief.mesh import pinned
 from inspection.model.parameters import ChiefParameters, Limits
 from inspection.world.parameters import PlantParameters
-from ppo.torchrun import is_first
+from ppo.distributed import is_first
 from rta.printed import source
 from rta.printed.files import implementation
 from settings import override, rules

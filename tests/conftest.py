@@ -24,8 +24,8 @@ from inspection.world.parameters import PlantParameters
 from kernels import build
 from rta.constraints.names import CONSTRAINTS
 from settings import to_toml
+from study import machine
 from study.config import ARMS, BASELINES, Config, StudyConfig
-from study.machine import progress
 from tests.optimised import QUICK
 
 # Files that take more than half a minute of a core, the longest first: what begins last must not be long, or one of the
@@ -100,7 +100,7 @@ def kernels_cache(pytestconfig: pytest.Config, tmp_path_factory: pytest.TempPath
 @pytest.fixture(autouse=True)
 def patience(monkeypatch):
     """Keeps bars and what is said of long steps out of stderr, however busy the machine is."""
-    monkeypatch.setattr(progress, "PATIENCE", 1e9)
+    monkeypatch.setattr(machine, "PATIENCE", 1e9)
 
 
 @pytest.fixture(scope="module")

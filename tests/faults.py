@@ -804,7 +804,10 @@ STUDY = [
         "study/flight/fly.py",
         "study/verification/test_flight.py",
         ("self.smallest.note(h, hold.end)", "self.smallest.note(h, hold.time)"),
-        ("self.violating += with_any(self.smallest.note(h, hold.end) < 0.0)", "self.violating += with_any(h < 0.0)"),
+        (
+            "self.violating += with_any(self.smallest.note(h, hold.end) < 0.0)",
+            "self.violating += with_any(h < 0.0)",
+        ),
     ),
     *faults(
         "study/verification/tally.py",

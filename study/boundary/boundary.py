@@ -32,8 +32,7 @@ from study.config import Config
 from study.errors import refusing
 from study.experiment import Experiment, check_clocks
 from study.files import write_json
-from study.machine.compiling import compile_or_explain
-from study.machine.progress import bar
+from study.machine import bar, compile_or_explain
 from study.verification.adversaries import adversarial
 from study.verification.campaign import blamed
 from study.verification.findings import report_in

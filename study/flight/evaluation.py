@@ -26,7 +26,7 @@ from study.flight.controllers import agent, classical, untrained
 from study.flight.fly import Limits, Observer, Starts, fly
 from study.flight.simulation import Recording
 from study.flight.summary import summary_of_runs
-from study.machine.progress import bar
+from study.machine import bar
 
 # Without the time that is left: the last episode may take as long as all before it, and nobody knows.
 BAR = "{desc}: |{bar}| {n_fmt}/{total_fmt} ended [{elapsed}{postfix}]"

@@ -12,7 +12,7 @@ from rta.qp.scaled import SHORTEST_ROW
 from study.config import Config
 from study.experiment import Experiment
 from study.flight.state_files import read_states
-from study.machine.progress import bar
+from study.machine import bar
 
 CHUNK = 4096  # states filtered at once, so that memory does not grow with their number
 

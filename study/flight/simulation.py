@@ -27,7 +27,7 @@ from study.experiment import (
 from study.flight.controllers import agent, classical, recorded, untrained
 from study.flight.fly import Limits, Observer, Starts, fly
 from study.flight.state_files import STATE_FIELDS, read_state
-from study.machine.progress import bar
+from study.machine import bar
 
 MAX_ROWS = 10**7
 SCALARS = ("time", "inspected_score", "temperature", "energy", "sun_angle")

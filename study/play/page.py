@@ -29,7 +29,7 @@ from settings import InputError
 from study.config import Config
 from study.errors import refusing
 from study.files import write_text
-from study.machine.progress import step
+from study.machine import step
 from study.pages import scene
 from study.pages.template import render
 from study.play import agent, printed, wasm, worst

@@ -2,11 +2,13 @@
 
 import json
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from statistics import fmean
 from typing import Any
+
+from torch.utils.tensorboard import SummaryWriter
 
 from inspection.termination import OUTCOMES
 from inspection.transition import METRICS
@@ -14,11 +16,9 @@ from ppo.files import naming
 from study.files import write_text
 from study.flight.evaluation import Episodes
 from study.flight.summary import iqm
-from study.machine.progress import bar
-from study.training.charts import Charts
+from study.machine import bar
 from study.training.monitor import EPISODE, Monitor
 
-BAR = "{percentage:3.0f}%|{bar}| {n:,}/{total:,} [{elapsed}<{remaining}, {rate_noinv:,.0f}/s{postfix}]"
 MEANING = (
     "an interaction is one decision of the agent; after the count come means over the episodes that ended last (dv: "
     "delta v, violation: share of their steps that broke a limit); flying test cases: an evaluation of the agent so far"
@@ -43,27 +43,28 @@ class Log:
 
     def __init__(self, directory: Path, homes: Sequence[Path], batch: int) -> None:
         self.evaluations = directory / "evaluations.jsonl"
-        self.charts = [Charts(folder) for folder in ([directory, *homes] if len(homes) > 1 else [directory])]
+        self.folders = [directory, *homes] if len(homes) > 1 else [directory]
         self.seeds, self.batch = len(homes), batch
-
-    def state(self) -> list[list[str]]:
-        """What a checkpoint keeps, so that a resumed run draws what one session would: the series that have begun."""
-        return [sorted(charts.begun) for charts in self.charts]
-
-    def load_state(self, state: list[list[str]]) -> None:
-        """Restores `state`; that of a run that kept none is empty, and every series begins anew."""
-        for charts, begun in zip(self.charts, state, strict=False):
-            charts.begun = set(begun)
 
     @contextmanager
     def open(self, interactions: int, total: int) -> Iterator[None]:
-        """Shows training from so many interactions of each seed on."""
-        for charts in self.charts:
-            charts.open(interactions)
+        """Shows training from so many interactions of each seed on; what was drawn after them is forgotten."""
+        self.charts = [SummaryWriter(str(folder), purge_step=interactions + 1) for folder in self.folders]
         if interactions < total:
             print(MEANING, file=sys.stderr)
-        with bar(total, "interactions", initial=interactions, bar_format=BAR) as self.bar:
-            yield
+        try:
+            with bar(total, "interactions", initial=interactions) as self.bar:
+                yield
+        finally:
+            for charts in self.charts:
+                charts.close()
+
+    def draw(self, charts: SummaryWriter, scalars: Mapping[str, float], interactions: int) -> None:
+        """Adds a point to each chart."""
+        with naming(charts.log_dir):
+            for tag, value in scalars.items():
+                charts.add_scalar(tag, value, interactions)
+            charts.flush()
 
     def update(self, reports: Sequence[tuple[dict[str, float], Monitor]], interactions: int) -> None:
         """Shows the statistics and the transitions of an update, or of a lesson, from each rank."""
@@ -72,11 +73,11 @@ class Log:
         for other in others:
             monitor.add(other)
         for k, charts in enumerate(self.charts[1:]):
-            charts.add(monitor.episode_means(k), interactions)
+            self.draw(charts, monitor.episode_means(k), interactions)
         statistics = {tag: fmean((part[tag] for part in parts), seeds) for tag in parts[0]}
         slowest = max(part["time/rollout_s"] + part["time/learning_s"] for part in parts)
         statistics |= monitor.scalars() | {"time/interactions_per_s": self.seeds * self.batch / slowest}
-        self.charts[0].add(statistics, interactions)
+        self.draw(self.charts[0], statistics, interactions)
         latest = [
             text.format(statistics[f"episode/{name}"])
             for name, text in LATEST.items()
@@ -84,8 +85,7 @@ class Log:
         ]
         if LESSON in statistics:
             latest.insert(0, TAUGHT)
-        if latest or self.bar.postfix == TAUGHT:
-            self.bar.set_postfix_str(", ".join(latest), refresh=False)
+        self.bar.set_postfix_str(", ".join(latest), refresh=False)
         self.bar.update(self.batch)
 
     def evaluation(
@@ -98,7 +98,7 @@ class Log:
         """
         episodes = record.split(self.seeds)
         for charts, shown in zip(self.charts, (record, *episodes), strict=False):
-            charts.add(evaluation_scalars(shown), interactions)
+            self.draw(charts, evaluation_scalars(shown), interactions)
         lines = []
         for own, results in zip(episodes, reports, strict=True):
             cases = dict(zip(METRICS, own.metrics.tolist(), strict=True))

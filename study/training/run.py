@@ -14,26 +14,24 @@ from typing import Any
 
 from inspection.orbits import GUIDANCE
 from ppo import checkpoint
-from ppo.distributed import ranks
+from ppo.distributed import ranks, shard_of_episodes, shard_of_seeds
 from ppo.errors import NonFiniteError, RankLostError
 from ppo.learner import PPO
 from ppo.trainer import Trainer
 from settings import to_toml
 from study.config import TEST_CASES, AnyConfig, Config
-from study.errors import Stopped
+from study.errors import Stopped, refusing
 from study.experiment import Experiment, settled
 from study.files import write_json
 from study.flight.evaluation import Episodes, play, report
 from study.flight.figures import episode_figure
 from study.flight.simulation import Recording
-from study.machine.compiling import compile_or_explain
-from study.machine.device import resolve_device
+from study.machine import compile_or_explain, resolve_device
 from study.paper import tables
 from study.training.adversary import Adversary
 from study.training.jump_start import JumpStart
 from study.training.log import Log
 from study.training.monitor import Monitor
-from study.training.shards import shard_of_episodes, shard_of_seeds
 
 CHECKPOINT = "checkpoint.pt"
 LESSONS = "lessons"  # the directory of what is taught, a file to a batch, as long as the lessons last
@@ -80,12 +78,12 @@ class Run:
         train = config.train
         self.directory, self.ranks = directory, ranks()
         self.seeds = (train.seed,) if seeds is None else tuple(seeds)
-        if seeds is None:
-            self.homes = [directory]
-            self.shard = shard_of_episodes(config, self.ranks)
-        else:
-            self.homes = [directory / f"seed{seed}" for seed in seeds]
-            self.shard = shard_of_seeds(config, self.ranks, len(self.seeds))
+        self.homes = [directory] if seeds is None else [directory / f"seed{seed}" for seed in seeds]
+        with refusing("torchrun", ValueError):
+            if seeds is None:
+                self.shard = shard_of_episodes(train.num_envs, config.ppo.minibatch_size, self.ranks)
+            else:
+                self.shard = shard_of_seeds(train.num_envs, len(seeds), self.ranks)
         own_seeds, num_envs = self.seeds[self.shard.seeds], self.shard.num_envs
         seconds = train.updates * train.rollout_steps * config.inspection.action_period
         self.experiment = Experiment(config, num_envs * len(own_seeds), seconds)
@@ -155,7 +153,7 @@ class Run:
             folder = self.directory / LESSONS
             folder.mkdir(exist_ok=True)
             checkpoint.save(folder / f"{state['lessons']['taught']}.pt", lesson)
-        about = {"config": to_toml(self.config), "charts": self.log.state()}
+        about = {"config": to_toml(self.config)}
         checkpoint.save(self.directory / CHECKPOINT, state | about)
         for k, (seed, home) in enumerate(zip(self.seeds, self.homes, strict=True)):
             policy = {name: stacked[k : k + 1].clone() for name, stacked in state["policy"].items()}
@@ -166,7 +164,6 @@ class Run:
     def load_state_dict(self, saved: dict[str, Any]) -> None:
         """Restores what `save` has written of training; raises as a checkpoint that does not fit."""
         self.trainer.load_state_dict(self.shard.split(saved))
-        self.log.load_state(saved.get("charts", []))
         if self.lessons and (state := saved.get("lessons")):
             files = [self.directory / LESSONS / f"{i + 1}.pt" for i in range(int(state["taught"]))]
             batches = [

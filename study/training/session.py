@@ -22,9 +22,7 @@ from study.experiment import (
     load_policy,
 )
 from study.files import write_text
-from study.machine.device import resolve_device
-from study.machine.lock import alone_in
-from study.machine.provenance import write_settings
+from study.machine import LOCK, alone_in, resolve_device, write_settings
 from study.training.run import CHECKPOINT, Run, settled_for_a_seed
 
 # What a run writes first, in this order; before the last one, there is no run yet.
@@ -68,6 +66,7 @@ def check(config: Config) -> None:
 @contextmanager
 def starting(config: Config, directory: Path, init_from: Path | None = None) -> Iterator[Run]:
     """A fresh run, see `start`, with its directory to itself; leaves no directory where it comes to nothing."""
+    check_empty(directory)  # before anything is left in it
     new = made(directory)
     with alone_in(directory, "--run-dir"):
         with taken_away(new):
@@ -147,7 +146,7 @@ def taken_away(new: Sequence[Path]) -> Iterator[None]:
 def check_empty(directory: Path) -> None:
     """Refuses the directory of a new run that holds one, or anything but what a kill at the start left."""
     with refusing(f"--run-dir {directory}: cannot write there", OSError, ValueError):
-        found = {path.name for path in directory.iterdir()} if directory.exists() else set()
+        found = {path.name for path in directory.iterdir()} - {LOCK} if directory.exists() else set()
     if found & {CHECKPOINT, "policy.pt"}:
         raise InputError(f"--run-dir {directory}: holds a run already; continue it with --resume")
     left = {*BEGUN, *(f"{name}.tmp" for name in BEGUN)}

@@ -16,14 +16,13 @@ from study.config import TEST_CASES, StudyConfig
 from study.errors import Stopped, refusing
 from study.files import write_json, write_npz
 from study.flight.evaluation import Episodes, report
-from study.machine.lock import alone_in
-from study.machine.provenance import write_settings
+from study.machine import LOCK, alone_in, write_settings
 from study.paper import Results, tables
 from study.training.run import Run, on_signal, settled_for_a_seed
 from study.training.session import check, create, resume
 from study.verified import fingerprint, say_doubts
 
-LEFT_BY_A_KILL = ("provenance.json", "provenance.json.tmp", "config.toml.tmp")  # at the start
+LEFT_BY_A_KILL = (LOCK, "provenance.json", "provenance.json.tmp", "config.toml.tmp")  # at the start
 
 
 def train_and_evaluate(config: StudyConfig, directory: Path) -> str:
@@ -45,6 +44,7 @@ def train_and_evaluate(config: StudyConfig, directory: Path) -> str:
     def stop(number: int) -> None:
         raise Stopped(f"stopped; {again}", number)
 
+    check_directory(directory)  # before anything is left in it
     # signals: outside an update, where nothing half done is kept
     with alone_in(directory, "--study-dir"), on_signal(stop):
         ranks().first_does(lambda: begin_or_continue(config, directory))
@@ -104,13 +104,17 @@ def begin_or_continue(config: StudyConfig, directory: Path) -> None:
     before = before and settled_for_a_seed(before)  # which an older one may not be
     if before is None:
         with refusing(f"--study-dir {directory}: cannot write there", OSError, ValueError):
-            if other := sorted(path.name for path in directory.iterdir() if path.name not in LEFT_BY_A_KILL):
-                raise InputError(
-                    f"--study-dir {directory}: holds no study but {other[0]}; name a new directory"
-                )
+            check_directory(directory)
             write_settings(config, directory)
     elif before != config:
         raise InputError(f"--study-dir {directory}: holds a study with {first_difference(before, config)}")
+
+
+def check_directory(directory: Path) -> None:
+    """Refuses a directory that holds other things than a study, or what a kill at the start left of one."""
+    names = {path.name for path in directory.iterdir()}
+    if "config.toml" not in names and (other := sorted(names - set(LEFT_BY_A_KILL))):
+        raise InputError(f"--study-dir {directory}: holds no study but {other[0]}; name a new directory")
 
 
 def read_settings(directory: Path) -> StudyConfig | None:

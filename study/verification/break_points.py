@@ -23,7 +23,7 @@ from study.drawing import Figure, Rectangle
 from study.experiment import Experiment
 from study.files import write_json
 from study.flight.figures import GREY, SAFE, UNSAFE
-from study.machine.progress import bar
+from study.machine import bar
 from study.verification.campaign import looking_ahead, run
 from study.verification.findings import WIDTH, Campaign, report_in
 from study.verified import fingerprint

@@ -28,7 +28,7 @@ from study.files import write_json, write_npz
 from study.flight.controllers import agent
 from study.flight.fly import Starts, fly
 from study.flight.summary import upper_bound
-from study.machine.progress import bar, step
+from study.machine import bar, step
 from study.verification.adversaries import Greedy, adversarial, attacked, held_at_random, learned
 from study.verification.counter_examples import counter_example
 from study.verification.findings import Campaign, report_in

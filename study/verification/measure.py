@@ -34,7 +34,7 @@ from study.experiment import Experiment, load_policy
 from study.files import write_json
 from study.flight.controllers import agent
 from study.flight.fly import Starts, fly
-from study.machine.threads import THREADS
+from study.machine import set_threads
 from study.verification.adversaries import held_at_random
 from study.verification.lookahead import CANDIDATES, HORIZON, Lookahead
 from study.verification.starts import NUMBERS, safe_set, states_of
@@ -272,7 +272,7 @@ def measured(arguments: argparse.Namespace) -> dict[str, Any]:
     """What the words of a call ask for, written to their file, too."""
     if (arguments.demand == AGENT) != bool(arguments.checkpoint):
         raise InputError("--checkpoint F is needed by --demand agent and by no other")
-    THREADS.ask(None)
+    set_threads(None)
     policy, config = load_policy(arguments.checkpoint) if arguments.checkpoint else (None, Config())
     config = override(
         configured(arguments, config.with_solver("auto")), {"train": {"rta": True}}, "the filter"

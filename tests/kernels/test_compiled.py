@@ -27,9 +27,8 @@ from rta.printed.vectors import states
 from rta.qp import batched_solver
 from rta.qp.programs import Status
 from rta.result import FilterResult
-from study import experiment
+from study import experiment, machine
 from study.config import Config, TrainParameters
-from study.machine import compiling
 from tests.optimised import OPTIMISED, QUICK
 
 C = InspectionParameters()
@@ -166,13 +165,13 @@ def test_without_a_compiler_nothing_is_compiled_and_one_line_says_so(
     def missing() -> str:
         raise NoCompilerError("no C compiler was found")
 
-    monkeypatch.setattr(compiling, "compiler", missing)
-    compiling.finds_compiler.cache_clear()
+    monkeypatch.setattr(machine, "compiler", missing)
+    machine.finds_compiler.cache_clear()
     try:
-        assert not compiling.wants_compile("on", True)
-        assert not compiling.wants_compile("auto", True)
+        assert not machine.wants_compile("on", math.inf)
+        assert not machine.wants_compile("auto", math.inf)
     finally:
-        compiling.finds_compiler.cache_clear()
+        machine.finds_compiler.cache_clear()
     message = capsys.readouterr().err
     assert message.count("\n") == 1 and "compiler" in message
 
@@ -181,7 +180,7 @@ def test_the_filter_is_compiled_for_the_device(monkeypatch: pytest.MonkeyPatch) 
     used, elsewhere = [], torch.device("meta")
     monkeypatch.setattr(SafetyFilter, "compile", lambda _, device, batch: used.append((device, batch)))
     monkeypatch.setattr(experiment, "resolve_device", lambda _: elsewhere)
-    monkeypatch.setattr(compiling, "finds_compiler", lambda: True)
+    monkeypatch.setattr(machine, "finds_compiler", lambda: True)
     experiment.Experiment(Config(TrainParameters(compile="on")), batch=7)
     assert used == [(elsewhere, 7)]
 
@@ -210,7 +209,7 @@ def test_a_filter_is_compiled_where_that_is_repaid(
             raise RuntimeError("no compiler")
 
     monkeypatch.setattr(SafetyFilter, "compile", compile_)
-    monkeypatch.setattr(compiling, "finds_compiler", lambda: True)
+    monkeypatch.setattr(machine, "finds_compiler", lambda: True)
     config = Config(TrainParameters(compile=choice, rta=True), uncertainty=Uncertainty(mass=mass))
     made = experiment.Experiment(config, 7, float(calls))
     assert done == expected and made.filter_compiled == (works and bool(expected))

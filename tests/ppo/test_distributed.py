@@ -1,6 +1,5 @@
 """Two ranks under torchrun: they follow one, stop together, continue bit for bit, and survive one another's end."""
 
-import functools
 import itertools
 import json
 import os
@@ -20,11 +19,11 @@ from torch.distributed import HashStore
 import main
 from inspection import initial_state
 from ppo import checkpoint
-from ppo.distributed import ALONE, Ranks, ranks
+from ppo.distributed import ALONE, Ranks, ranks, shard_of_episodes, shard_of_seeds
 from ppo.errors import NonFiniteError, RankLostError
-from settings import InputError, from_toml, load, override
+from settings import from_toml, load
 from study.config import Config, StudyConfig
-from study.training import jump_start, shards
+from study.training import jump_start
 from study.training import session as training
 
 ROOT = Path(main.__file__).parent
@@ -134,7 +133,7 @@ def state(directory: Path) -> dict[str, Any]:
 def assert_close(one: Any, other: Any, tolerance: float) -> None:
     """Equal keys, shapes and, within the tolerance, numbers."""
     one, other = ({name: part for name, part in state.items() if name != "seconds"} for state in (one, other))
-    assert all(one.pop(name) == other.pop(name) for name in ("config", "charts"))
+    assert all(one.pop(name) == other.pop(name) for name in ("config",))
     torch.testing.assert_close(one, other, rtol=tolerance, atol=tolerance)
 
 
@@ -249,31 +248,32 @@ def test_shares_cover_everything_once() -> None:
 def test_states_split_and_joined_are_the_same(size: int, alone: Path, tmp_path: Path) -> None:
     config = load(alone / "config.toml", Config())
     whole = state(alone)
-    parts = [shards.shard_of_episodes(config, Ranks(rank, size)) for rank in range(size)]
+    parts = [
+        shard_of_episodes(config.train.num_envs, config.ppo.minibatch_size, Ranks(rank, size))
+        for rank in range(size)
+    ]
     assert_close(whole, parts[0].join([part.split(whole) for part in parts]), 0.0)
     study = from_toml(STUDY, "test", StudyConfig())
     training.create(study.of_arm("no_rta"), tmp_path, study.seeds)
     whole = state(tmp_path)
-    parts = [shards.shard_of_seeds(config, Ranks(rank, size), 3) for rank in range(size)]
+    parts = [shard_of_seeds(config.train.num_envs, 3, Ranks(rank, size)) for rank in range(size)]
     assert parts[1].split(whole)["env"]["x"].shape[1] == 6 * len(study.seeds[parts[1].seeds])
     assert_close(whole, parts[0].join([part.split(whole) for part in parts]), 0.0)
 
 
 def test_a_study_took_as_long_as_its_slowest_rank(alone: Path) -> None:
-    part = shards.shard_of_seeds(load(alone / "config.toml", Config()), Ranks(0, 3), 3)
+    part = shard_of_seeds(6, 3, Ranks(0, 3))
     states = [state(alone) | {"seconds": seconds} for seconds in (1.0, 3.0, 2.0)]
     assert part.join(states)["seconds"] == 3.0
 
 
 def test_too_many_ranks_are_refused() -> None:
-    config = override(Config(), {"train": {"num_envs": 6}}, "test")
-    with pytest.raises(InputError, match="num_envs = 6: must be a multiple of the 4 ranks"):
-        shards.shard_of_episodes(config, Ranks(0, 4))
-    config = override(config, {"ppo": {"minibatch_size": 2}}, "test")
-    with pytest.raises(InputError, match=r"minibatch_size = 2: .*3 ranks"):
-        shards.shard_of_episodes(config, Ranks(0, 3))
-    with pytest.raises(InputError, match=r"seeds = 2: .*3 ranks"):
-        shards.shard_of_seeds(config, Ranks(0, 3), 2)
+    with pytest.raises(ValueError, match="num_envs = 6: must be a multiple of the 4 ranks"):
+        shard_of_episodes(6, 1024, Ranks(0, 4))
+    with pytest.raises(ValueError, match=r"minibatch_size = 2: .*3 ranks"):
+        shard_of_episodes(6, 2, Ranks(0, 3))
+    with pytest.raises(ValueError, match=r"seeds = 2: .*3 ranks"):
+        shard_of_seeds(6, 2, Ranks(0, 3))
 
 
 def test_the_first_rank_to_notice_an_end_speaks_for_all(
@@ -284,12 +284,11 @@ def test_the_first_rank_to_notice_an_end_speaks_for_all(
     def train(rank: int, error: Exception) -> int:
         """Exit code of a rank that stops so."""
 
-        @functools.wraps(main.run_train)
-        def ended(**_: object) -> None:
+        def ended(given: object) -> None:
             raise error
 
         monkeypatch.setattr("ppo.distributed.ranks", lambda: Ranks(rank, 3, store))
-        monkeypatch.setitem(main.HANDLERS, "train", ended)
+        monkeypatch.setitem(main.COMMANDS, "train", ended)
         return main.main(["train"])
 
     previous = signal.getsignal(signal.SIGTERM)
@@ -305,7 +304,7 @@ def test_a_bad_flag_is_named_once(
 ) -> None:
     monkeypatch.setenv("TORCHELASTIC_RUN_ID", "test")
     monkeypatch.setenv("RANK", f"{rank}")
-    assert main.main(["train", "--num-envs", "0"]) == 2
+    assert main.main(["train", "--num-envs", "many"]) == 2
     assert capsys.readouterr().err.count("\n") == lines
 
 

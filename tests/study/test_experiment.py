@@ -8,12 +8,12 @@ import torch
 from inspection.environment import InspectionEnv
 from inspection.model.state import SIZE, THRUST, E, P, Q, V
 from settings import InputError, override
+from study import machine
 from study.config import Config
 from study.experiment import Experiment, paper_task, priced
 from study.experiment import test_cases as common_cases
 from study.flight import evaluation
 from study.flight.controllers import untrained
-from study.machine import compiling
 
 HULL = {"mesh": "configs/chiefs/box.npz", "collision": "hull"}
 
@@ -75,7 +75,7 @@ def test_evaluated_episodes_are_compiled_where_that_is_repaid(
 ) -> None:
     """Of agents and of other controllers alike."""
     seen: list[bool] = []
-    monkeypatch.setattr(compiling, "finds_compiler", lambda: True)
+    monkeypatch.setattr(machine, "finds_compiler", lambda: True)
     monkeypatch.setattr(InspectionEnv, "compile", lambda env: seen.append(True))
     monkeypatch.setattr(evaluation, "run_episodes", lambda *flown: None)
     config = override(

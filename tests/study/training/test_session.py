@@ -15,14 +15,15 @@ from typing import Any
 
 import pytest
 import torch
+from filelock import FileLock
 
 import main
 from ppo import checkpoint, trainer
 from ppo.learner import PPO
 from settings import load
+from study import machine
 from study.config import Config
 from study.experiment import load_policy
-from study.machine import lock, provenance
 from study.training import session as training
 
 ROOT = Path(main.__file__).parent
@@ -115,22 +116,15 @@ def one_line(capsys: pytest.CaptureFixture[str], *words: str) -> str:
     return line
 
 
-@pytest.mark.parametrize(("size", "file"), [(700, "events.out"), (40_000, "checkpoint.pt: ")])
 def test_a_full_disk_ends_training_in_a_line_and_room_lets_it_go_on(
-    size: int,
-    file: str,
-    settings: Path,
-    whole: Path,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    limits: None,
+    settings: Path, whole: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], limits: None
 ) -> None:
     run, (_, hard) = tmp_path / "run", resource.getrlimit(resource.RLIMIT_FSIZE)
     with pytest.MonkeyPatch.context() as patch:
-        after(patch, 4, lambda _: resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard)))
+        after(patch, 4, lambda _: resource.setrlimit(resource.RLIMIT_FSIZE, (40_000, hard)))
         assert main.main(["train", "--config", str(settings), "--run-dir", str(run)]) == 2
     resource.setrlimit(resource.RLIMIT_FSIZE, (hard, hard))
-    one_line(capsys, file, "File too large", f"last good checkpoint: {run / 'checkpoint.pt'}")
+    one_line(capsys, "checkpoint.pt: ", "File too large", f"last good checkpoint: {run / 'checkpoint.pt'}")
     assert not list(run.glob("*.tmp"))
     assert checkpoint.load(run / "checkpoint.pt", ("update",))["update"] == 2
     for name in ("checkpoint.pt", "policy.pt", "evaluations.jsonl", "config.toml"):  # by an earlier kill
@@ -206,7 +200,7 @@ def test_a_live_run_is_nobody_elses_until_a_kill_in_the_midst_of_a_save(
 def test_a_study_has_its_directory_to_itself(
     settings: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    with lock.alone_in(tmp_path, "--study-dir"):
+    with machine.alone_in(tmp_path, "--study-dir"):
         assert main.main(["study", "--config", str(settings), "--study-dir", str(tmp_path)]) == 2
     one_line(capsys, f"--study-dir {tmp_path}: is being trained by another process")
 
@@ -243,11 +237,11 @@ def test_what_another_process_has_begun_is_not_taken_away(
 ) -> None:
     """It has come between the making of the directory and its lock."""
     run, made = tmp_path / "run", training.made
-    others: list[int] = []
+    theirs = FileLock(run / machine.LOCK)
 
     def overtaken(directory: Path) -> list[Path]:
         new = made(directory)
-        others.extend(lock.lock(directory, "--run-dir"))
+        theirs.acquire()
         (directory / "provenance.json").write_text("theirs")
         return new
 
@@ -255,7 +249,7 @@ def test_what_another_process_has_begun_is_not_taken_away(
     assert main.main(["train", "--config", str(settings), "--run-dir", str(run)]) == 2
     one_line(capsys, f"--run-dir {run}: is being trained by another process")
     assert (run / "provenance.json").read_text() == "theirs"
-    os.close(*others)
+    theirs.release()
 
 
 def test_a_run_that_has_begun_is_not_taken_away(settings: Path, tmp_path: Path) -> None:
@@ -415,17 +409,17 @@ def test_the_threads_that_a_run_computes_with_are_recorded(
     train = ["train", "--config", str(settings), "--run-dir", str(run), "--interactions", "16"]
     try:
         assert main.main([*train, "--threads", str(before + 1)]) == 0
-        assert provenance.recorded_threads(run) == torch.get_num_threads() == before + 1
+        assert machine.recorded_threads(run) == torch.get_num_threads() == before + 1
     finally:
         torch.set_num_threads(before)
 
 
 def test_the_threads_of_a_run_are_recorded(whole: Path, tmp_path: Path) -> None:
-    assert provenance.recorded_threads(whole) == torch.get_num_threads()
-    assert provenance.recorded_threads(tmp_path) is None
+    assert machine.recorded_threads(whole) == torch.get_num_threads()
+    assert machine.recorded_threads(tmp_path) is None
     for text in ("{", "[]", "{}", '{"threads": "two"}', '{"threads": true}', '{"threads": 0}'):
         (tmp_path / "provenance.json").write_text(text)
-        assert provenance.recorded_threads(tmp_path) is None
+        assert machine.recorded_threads(tmp_path) is None
 
 
 def test_evaluations_come_more_often_at_the_beginning_also_where_a_run_goes_on(

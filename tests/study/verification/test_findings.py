@@ -127,7 +127,7 @@ def test_the_reference_reports_can_be_continued(
     policy: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = Path(shutil.copy(ROOT / "runs" / "reference" / "verification" / f"{policy}.json", tmp_path))
-    monkeypatch.setattr("study.machine.compiling.finds_compiler", lambda: False)
+    monkeypatch.setattr("study.machine.finds_compiler", lambda: False)
     monkeypatch.setattr(campaign, "fly", lambda *_: pytest.fail("flew"))
     arguments = ["--policy", policy, "--episodes", "100", "--json", str(path)]
     code, out, err = call(["verify", *arguments], capsys)

@@ -1,21 +1,23 @@
-"""The number of threads: what a person wants, what a run was begun with, else one, whatever the load."""
+"""Threads, locks and what takes long: what a person wants, what a run was begun with, else the default."""
 
 import json
 import os
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 import torch
+from filelock import FileLock
 
 from kernels import compiled
 from settings import InputError
-from study.machine.provenance import recorded_threads
-from study.machine.threads import Threads
+from study import machine
+from study.machine import alone_in, recorded_threads, set_threads, step
 
 
-@pytest.fixture(autouse=True)
-def afterwards(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+@pytest.fixture
+def two_threads(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """Undoes what a test sets; two threads, of which OMP_NUM_THREADS says nothing, on a machine with three."""
     before = torch.get_num_threads()
     monkeypatch.delenv("OMP_NUM_THREADS", raising=False)
@@ -31,55 +33,57 @@ def afterwards(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     [(1, 2, 1, None), (2, None, 2, None), (None, 2, 2, 3), (None, 1, 1, 3), (None, None, 1, 3)],
 )
 def test_a_person_comes_before_the_record_and_that_before_the_default(
-    wanted: int | None, recorded: int | None, number: int, of_printed: int | None
+    wanted: int | None, recorded: int | None, number: int, of_printed: int | None, two_threads: None
 ) -> None:
-    own = Threads()
-    own.ask(wanted)
-    own.recorded = recorded
-    own.settle()
+    set_threads(wanted, recorded)
     assert torch.get_num_threads() == number and compiled.most_threads == of_printed
-    torch.set_num_threads(2)
-    own.settle()  # once is enough
-    assert torch.get_num_threads() == 2
 
 
-def test_nothing_changes_where_the_environment_decides_or_nobody_asked(
-    monkeypatch: pytest.MonkeyPatch,
+def test_the_environment_decides_before_the_default_and_the_load_never(
+    two_threads: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    Threads().settle()
-    assert torch.get_num_threads() == 2 and compiled.most_threads is None
-    monkeypatch.setenv("OMP_NUM_THREADS", "2")
-    own = Threads()
-    own.ask(None)
-    own.settle()
-    assert torch.get_num_threads() == 2 and compiled.most_threads is None
-
-
-def test_the_load_does_not_matter(monkeypatch: pytest.MonkeyPatch) -> None:
-    """No clock is asked, by which a measurement could choose."""
     monkeypatch.setattr("time.perf_counter", lambda: pytest.fail("measured"))
-    own = Threads()
-    own.ask(None)
-    own.settle()
-    assert torch.get_num_threads() == 1
+    monkeypatch.setenv("OMP_NUM_THREADS", "2")
+    set_threads(None)
+    assert torch.get_num_threads() == 2 and compiled.most_threads is None
 
 
 @pytest.mark.parametrize(("processors", "wanted"), [(2, 3), (2, 100_000), (None, 2), (64, 20_000)])
 def test_more_threads_than_processors_are_refused(
-    processors: int | None, wanted: int, monkeypatch: pytest.MonkeyPatch
+    processors: int | None, wanted: int, two_threads: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("os.cpu_count", lambda: processors)
-    own = Threads()
     with pytest.raises(
         InputError, match=f"--threads {wanted}: must be at most {processors or 1}, .*processors"
     ):
-        own.ask(wanted)
-    own.settle()
-    assert torch.get_num_threads() == 2  # nothing was asked for
-    own.ask(processors or 1)
+        set_threads(wanted)
+    assert torch.get_num_threads() == 2
 
 
 @pytest.mark.parametrize(("written", "read"), [(8, 8), (100_000, None), (0, None), (True, None), ("2", None)])
 def test_a_record_of_impossible_threads_is_none(written: object, read: int | None, tmp_path: Path) -> None:
     (tmp_path / "provenance.json").write_text(json.dumps({"threads": written}))
     assert recorded_threads(tmp_path) == read
+
+
+def test_a_directory_is_one_process_s_at_a_time(tmp_path: Path) -> None:
+    theirs = FileLock(tmp_path / machine.LOCK)
+    theirs.acquire()
+    with pytest.raises(InputError, match="another process"), alone_in(tmp_path, "--run-dir"):
+        pass
+    theirs.release()
+    with alone_in(tmp_path, "--run-dir"):
+        pass
+    with pytest.raises(InputError, match="No such file"), alone_in(tmp_path / "nowhere", "--run-dir"):
+        pass
+
+
+def test_a_long_step_says_what_it_does_and_a_short_one_nothing(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(ValueError), step("compiling"):
+        raise ValueError
+    monkeypatch.setattr(machine, "PATIENCE", 0.02)
+    with step("compiling, about a minute"):
+        time.sleep(0.3)
+    assert capsys.readouterr().err == "compiling, about a minute ...\n"
