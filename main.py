@@ -4,13 +4,11 @@
 Settings come from defaults, then from each --config FILE.toml, then from flags.
 """
 
-import importlib.metadata
 import os
 import re
 import signal
 import sys
 import time
-import tomllib
 from argparse import ArgumentTypeError, BooleanOptionalAction, Namespace
 from collections.abc import Callable, Collection
 from contextlib import redirect_stderr, redirect_stdout
@@ -266,9 +264,7 @@ def run_study(given: Namespace) -> None:
 )
 def run_report(given: Namespace) -> None:
     from study.machine import step
-
-    with refusing("report needs the package jinja2 (pip install '.[report]')", ImportError):
-        from study.report import figures, inputs, page, tables
+    from study.report import figures, inputs, page, tables
     from study.report.compute import compute
 
     directory = Path(given.study)
@@ -383,8 +379,8 @@ def run_simulate(given: Namespace) -> None:
     flag("--out", type=to_write(".html"), required=True, metavar="F.html", help="page to write"),
 )
 def run_replay(given: Namespace) -> None:
-    with refusing("replay needs the package jinja2 (pip install '.[report]')", ImportError):
-        from study.replay import page, scene
+    from study.replay import page, scene
+
     if len(given.runs) > 2:
         raise InputError(f"{len(given.runs)} runs: at most two are shown side by side")
     size = page.write(given.runs, given.out)
@@ -398,8 +394,7 @@ def run_replay(given: Namespace) -> None:
     settings=(*FILTER, "plant"),
 )
 def run_play(given: Namespace) -> None:
-    with refusing("play needs the package jinja2 (pip install '.[play]')", ImportError):
-        from study.play import page
+    from study.play import page
     from study.replay.scene import printable
 
     policy, config = agent_and_config(given)
@@ -567,10 +562,9 @@ def run_refly(given: Namespace) -> None:
     settings=(*FLOWN, "ppo"),
 )
 def run_benchmark(given: Namespace) -> None:
+    from interfaces.vector import VectorInspection6DoF
     from study.benchmark import measure, presentation
 
-    with refusing("benchmark needs the package gymnasium (pip install '.[gymnasium]')", ImportError):
-        from interfaces.vector import VectorInspection6DoF
     config = configured(given, override(Config(), {"train": {"compile": "on"}}, "benchmark"))
     results = measure.benchmark(config, given.batches or measure.BATCHES, VectorInspection6DoF)
     print(presentation.table(results))
@@ -618,14 +612,14 @@ def run_export(given: Namespace) -> None:
         raise InputError(f"--checkpoint F is needed by {'--out' if given.c is None else '--c'}")
     policy, config = load_policy(given.checkpoint)
     if given.c is not None:
-        with refusing("export --c needs the package jinja2 (pip install '.[report]')", ImportError):
-            from study.export import policy as export_policy
+        from study.export import policy as export_policy
+
         print(export_policy.write(policy, config, given.checkpoint, Path(given.c), **named))
         return
     if named:
         raise InputError("--out has no use for --prefix; drop it")
-    with refusing("export needs the packages onnx and onnxruntime of requirements.txt", ImportError):
-        from study.export import onnx as export
+    from study.export import onnx as export
+
     model = export.to_onnx(policy, config.inspection, config.chief)
     difference = export.check(model, policy)
     with writing(given.out) as file:
@@ -638,21 +632,11 @@ def run_export(given: Namespace) -> None:
 
 def build_parser() -> Parser:
     """Returns the parser of the whole command line."""
-    called = Path(sys.argv[0]).stem
-    parser = Parser(prog=called if called == "rta-inspection" else "main.py", description=__doc__)
-    parser.add_argument("--version", action="version", version=f"rta-inspection {version()}")
+    parser = Parser(prog="main.py", description=__doc__)
     commands = parser.add_subparsers(dest="command", required=True, metavar=" | ".join(COMMANDS))
     for add_to in DECLARED.values():
         add_to(commands)
     return parser
-
-
-def version() -> str:
-    """Returns the version that pyproject.toml says or, where this is installed without one, the package's."""
-    source = Path(__file__).parent / "pyproject.toml"
-    if source.is_file():
-        return tomllib.loads(source.read_text(encoding="utf-8"))["project"]["version"]
-    return importlib.metadata.version("rta-inspection")
 
 
 def with_values(words: Collection[str]) -> list[str]:
@@ -690,6 +674,8 @@ def outcome(words: list[str], errors: TextIO | None) -> int:
         return int(end.code or 0)
     except (InputError, CheckpointError) as error:
         return complain(f"{error}", 2)
+    except ModuleNotFoundError as error:
+        return complain(f"needs the package {error.name}: python -m pip install -r requirements.txt", 2)
     except BrokenPipeError:  # the reader of our output, such as head, has left
         os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # where Python sends the rest as it ends
         return 0
@@ -744,10 +730,5 @@ def complain(reason: str, code: int, event: str = "") -> int:
     return code
 
 
-def program() -> None:
-    """Ends the process with the exit code: the installed command."""
-    sys.exit(main())
-
-
 if __name__ == "__main__":
-    program()
+    sys.exit(main())

@@ -29,7 +29,6 @@ from rta.parameters import RtaParameters
 from settings import InputError, from_toml
 from study.config import AnyConfig, Config
 from study.errors import refusing
-from study.files import see
 from study.flight.fly import Starts
 from study.machine import compile_or_explain, resolve_device, step, wants_compile
 
@@ -220,8 +219,7 @@ def check_plant(config: Config) -> None:
         config.plant.check_simulator()
     if config.plant.simulator == "basilisk" and not find_spec("Basilisk"):
         raise InputError(
-            "--plant basilisk ([plant] simulator): Basilisk is not installed here"
-            + see("docs/guides/basilisk.md")
+            "--plant basilisk ([plant] simulator): Basilisk is not installed here; see docs/guides/basilisk.md"
         )
 
 

@@ -15,11 +15,6 @@ from settings import InputError
 ROOT = Path(__file__).parent.parent  # of the repository
 
 
-def see(page: str) -> str:
-    """Where to read on: "; see" and a page of the repository, or nothing in an installed copy, which has none."""
-    return f"; see {page}" if (ROOT / page).is_file() else ""
-
-
 def load_arrays(
     path: str, names: tuple[str, ...], what: str, where_missing: str, maybe: tuple[str, ...] = ()
 ) -> dict[str, np.ndarray]:

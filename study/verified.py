@@ -20,7 +20,7 @@ from settings import override, rules
 from study.config import Config
 from study.errors import MALFORMED
 from study.experiment import filter_of, ignores_keep_clear
-from study.files import ROOT, see
+from study.files import ROOT
 
 # Settings that came later: at their defaults they are what was flown before, and its fingerprint stays.
 LATER = {
@@ -163,7 +163,7 @@ def unchecked(config: Config) -> str | None:
     if not names:
         return None
     why = "with these settings the filter knows no way to rest, so it corrects without a check"
-    return f"not checked: {' and '.join(names)}; {why}{see(CHECK)}"
+    return f"not checked: {' and '.join(names)}; {why}; see {CHECK}"
 
 
 def doubt(config: Config) -> str | None:
@@ -180,8 +180,8 @@ def doubt(config: Config) -> str | None:
             if worst.violating
             else f"{worst.report['unsolved']:,} calls of this filter were not solved"
         )
-        return f"not safe: {difference(config, flown)}: {said} ({shown(worst.path)}){see(PAGE)}"
-    return None if verified(same) else f"not verified: {difference(config, flown)}{see(PAGE)}"
+        return f"not safe: {difference(config, flown)}: {said} ({shown(worst.path)}); see {PAGE}"
+    return None if verified(same) else f"not verified: {difference(config, flown)}; see {PAGE}"
 
 
 def verified(same: list[Flown]) -> bool:
@@ -200,7 +200,7 @@ def difference(config: Config, flown: list[Flown]) -> str:
 
     trusted = [each for each in flown if verified(alike(each.config, flown))]
     if not trusted:
-        return "no campaign is at hand; the shipped ones are in the repository, not in the installed package"
+        return "no campaign is at hand"
     nearest = min(trusted, key=lambda each: len(names(each)))
     name, *others = names(nearest)
     values = [ours[name], nearest.relevant[name]]

@@ -3,7 +3,6 @@
 import os
 import subprocess
 import sys
-import tomllib
 from pathlib import Path
 
 import pytest
@@ -19,17 +18,6 @@ def test_a_bare_call_prints_the_help(capsys: pytest.CaptureFixture[str]) -> None
     assert main.main(["--help"]) == 0
     assert bare == capsys.readouterr() and not bare.err
     assert all(name in bare.out for name in main.COMMANDS)
-
-
-def test_the_version_is_that_of_the_source(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    wanted = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["version"]
-    assert main.main(["--version"]) == 0
-    assert capsys.readouterr().out == f"rta-inspection {wanted}\n"
-    monkeypatch.setattr(main, "__file__", str(tmp_path / "main.py"))  # as installed
-    monkeypatch.setattr("importlib.metadata.version", {"rta-inspection": "3.2.1"}.get)
-    assert main.version() == "3.2.1"
 
 
 def test_a_reader_that_has_left_is_no_error() -> None:

@@ -11,7 +11,7 @@ import main
 from inspection.model.parameters import Episode, InspectionParameters, Limits
 from rta.parameters import PERIODS
 from settings import override, rules, to_toml
-from study import files, verified
+from study import verified
 from study.config import Config, StudyConfig
 from study.export import filter as filter_in_c
 from study.files import ROOT
@@ -165,14 +165,6 @@ def test_verify_passes_over_the_table_of_a_study(capsys: pytest.CaptureFixture[s
     Path("study.toml").write_text(to_toml(StudyConfig()))
     words = ["--config", "study.toml", "--rta-period", "10", "--duration", "25"]
     assert_refused(["verify", *words], ["--duration 25", "10 s"], capsys)
-
-
-def test_an_installed_copy_names_no_page_of_the_repository(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(files, "ROOT", tmp_path)
-    line = doubt(configured(FAST))
-    assert line and ".md" not in line
 
 
 @pytest.mark.parametrize(
