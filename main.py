@@ -562,17 +562,16 @@ def run_refly(given: Namespace) -> None:
     settings=(*FLOWN, "ppo"),
 )
 def run_benchmark(given: Namespace) -> None:
-    from interfaces.vector import VectorInspection6DoF
-    from study.benchmark import measure, presentation
+    from experiments import benchmark
 
     config = configured(given, override(Config(), {"train": {"compile": "on"}}, "benchmark"))
-    results = measure.benchmark(config, given.batches or measure.BATCHES, VectorInspection6DoF)
-    print(presentation.table(results))
+    results = benchmark.benchmark(config, given.batches or benchmark.BATCHES)
+    print(benchmark.table(results))
     if given.json:
         write_json(given.json, results)
     if given.figure:
         with writing(given.figure) as file:
-            presentation.figure(results, file)
+            benchmark.figure(results, file)
 
 
 @command(

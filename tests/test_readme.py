@@ -161,7 +161,7 @@ def test_the_index_has_every_page() -> None:
 
 
 def test_every_page_that_the_code_names_is_there() -> None:
-    folders = ("inspection", "rta", "ppo", "interfaces", "study", "configs", "docs", "tests")
+    folders = ("inspection", "rta", "ppo", "interfaces", "study", "experiments", "configs", "docs", "tests")
     for folder in folders:
         for path in (ROOT / folder).rglob("*"):
             if path.suffix in (".py", ".toml", ".j2", ".slurm"):

@@ -3,11 +3,9 @@
 from collections.abc import Iterator
 from typing import Any
 
-from study.benchmark import ranks
 from study.results.numbers.evidence import Row, read
 
 README, SPEED, GYMNASIUM = "README.md", "docs/results/speed.md", "docs/guides/gymnasium.md"
-SCALING = "docs/guides/scaling.md"
 BATCHES = ("256", "1024", "4096", "65536")
 FLOWN = {"paper": "from the paper's starts", "edge": "from the edge of the zone", "u1": "within U1"}
 PARTS = {
@@ -57,26 +55,6 @@ def parts_of_a_step() -> Iterator[Row]:
         yield PARTS[part], *(f"{by_batch[batch]:.1f}" for batch in BATCHES)
 
 
-def one_and_two_ranks() -> list[dict[str, Any]]:
-    """What `study.benchmark.ranks` measured."""
-    return [read(f"scaling/ranks_{count}.json") for count in (1, 2)]
-
-
-def updates_of_ranks() -> Iterator[Row]:
-    """Updates by one and two ranks."""
-    return ranks.updates(*one_and_two_ranks())
-
-
-def exchanges_of_ranks() -> Iterator[Row]:
-    """Exchanges between two ranks."""
-    return ranks.exchanges(*one_and_two_ranks())
-
-
-def projection_of_ranks() -> Iterator[Row]:
-    """Updates by more ranks, from these two."""
-    return ranks.projection(*one_and_two_ranks())
-
-
 def sentences() -> Iterator[tuple[str, str]]:
     """Pages and the sentences that they have."""
     b = benchmark()
@@ -95,13 +73,5 @@ def sentences() -> Iterator[tuple[str, str]]:
     own, simulator, told = b["compile_s"].values()
     yield SPEED, f"takes {own:.0f} s to record, print and build, the simulator {simulator:.0f} s,"
     yield SPEED, f"a filter with U1's bounds {told:.0f} s"
-    yield SPEED, f"A call of the filter has {b['arithmetic']['statements']:,} statements"
     numpy, torch = (100 * rate / free for rate in b["gymnasium_steps_per_s"].values())
     yield GYMNASIUM, f"{numpy:.0f} % of the simulator's own rate with NumPy arrays and {torch:.0f} % with"
-    one, two = one_and_two_ranks()
-    times, each = one["gradient_steps_per_update"], one["bytes_per_exchange"]
-    yield SCALING, f"learns from {one['interactions_per_update']:,} interactions in {times} gradient steps"
-    yield SCALING, f"gradients: {one['parameters']:,} float32 | {times} | {each:,} | {each * times:,} |"
-    yield SCALING, f"float32 per interaction | 1 | {one['bytes_per_batch']:,} | {one['bytes_per_batch']:,} |"
-    faster = one["update_s"]["learning_s"] / two["update_s"]["learning_s"]
-    yield SCALING, f"two ranks learn {faster:.2f} times as fast as one"

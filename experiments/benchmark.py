@@ -1,0 +1,515 @@
+"""Measures how fast simulator, filter, solvers and learner are: `main.py benchmark` (docs/results/speed.md)."""
+
+import math
+import os
+import platform
+import resource
+import sys
+import tempfile
+import time
+from collections import defaultdict
+from collections.abc import Callable, Mapping
+from copy import copy
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from statistics import median
+from typing import Any, BinaryIO
+from unittest.mock import patch
+
+import torch
+from torch import Tensor
+
+from inspection.closed_loop import Correction
+from inspection.environment import InspectionEnv
+from inspection.model.state import CONTROL_SIZE
+from interfaces.vector import VectorInspection6DoF
+from kernels.build import VARIABLE
+from ppo.learner import PPO
+from rta.filter import SafetyFilter
+from rta.parameters import PERIODS
+from rta.propose import demanded
+from rta.qp.batched_solver import BatchedSolver
+from rta.qp.programs import Problems, Solver
+from rta.qp.scaled import prepared, problems
+from settings import load, override
+from study.config import Config
+from study.drawing import Figure
+from study.experiment import Experiment, load_policy
+from study.files import ROOT
+from study.machine import compile_or_explain, wants_compile
+from study.verification import measure as demands
+from study.verified import code_digest, fingerprint
+
+BATCHES = (256, 1024, 4096, 16384, 65536)
+TYPICAL = {"cpu": 4096, "cuda": 65536}  # the batch of the headline numbers
+PROGRAMS, TYPICAL_PROGRAMS = (1, 16, 64, 256, 1024, 4096), 1024  # solved at once
+REPEATS = 5  # of a measurement
+SHORTEST = 0.05  # s that a repeat lasts at least: clocks and schedulers are coarse
+EPISODES, STEPS = 256, 60  # flown to record states, controls and programs, from a typical half of them on
+RECORDED = 16_384  # states whose programs are kept
+FLOWN = 1024  # spacecraft under random demands
+WARM_CALLS, SINGLE_CALLS = 50, 1000
+SAMPLES = 16_384  # of an update, at least
+PARTS_STEPS = 10  # environment steps whose parts are timed
+MATRIX = 1024  # rows and columns
+PARTS = ("total", "filter", "integration", "visibility and k-means", "agent", "rest")
+TRAINED = ROOT / "runs/reference/study/rta/seed0/policy.pt"
+U1 = ROOT / "configs/plants/u1.toml"
+# Okabe and Ito's
+PALETTE = ("#0072B2", "#000000", "#D55E00", "#E69F00", "#CC79A7", "#009E73", "#56B4E9", "#666666", "#F0E442")
+
+Spread = dict[str, float]  # "median", "min" and "max"
+Agent = Callable[[Tensor], Tensor]  # observations (B, n) to actions (B, 6)
+
+
+# the clock
+
+
+def seconds(function: Callable[[], Any], device: torch.device, calls: int = 1) -> float:
+    """Returns the s that so many calls take, until the device has done what it was asked."""
+    wait = partial(torch.cuda.synchronize, device) if device.type == "cuda" else lambda: None
+    wait()
+    started = time.perf_counter()
+    for _ in range(calls):
+        function()
+    wait()
+    return time.perf_counter() - started
+
+
+def in_turn(
+    functions: Mapping[str, Callable[[], Any]], work: float, device: torch.device
+) -> dict[str, Spread]:
+    """Measures `work` per s of several functions, a repeat of one after the other: all meet the same disturbances.
+
+    Every function is warmed up and called as often in a repeat as SHORTEST needs.
+    """
+    calls, rates = {}, defaultdict(list)
+    for name, function in functions.items():
+        function()
+        calls[name] = max(1, round(SHORTEST / seconds(function, device)))
+    for _ in range(REPEATS):
+        for name, function in functions.items():
+            rates[name].append(work * calls[name] / seconds(function, device, calls[name]))
+    return {name: spread(values) for name, values in rates.items()}
+
+
+def per_second(function: Callable[[], Any], work: float, device: torch.device) -> Spread:
+    """Measures `work` per s of one function, see `in_turn`."""
+    return in_turn({"": function}, work, device)[""]
+
+
+def spread(values: list[float]) -> Spread:
+    """Returns the median and the extremes."""
+    return {"median": median(values), "min": min(values), "max": max(values)}
+
+
+def us(rate: Spread) -> Spread:
+    """Converts how many a second into microseconds for one, and the other way round."""
+    return {"median": 1e6 / rate["median"], "min": 1e6 / rate["max"], "max": 1e6 / rate["min"]}
+
+
+# what is measured
+
+
+def filters(config: Config) -> dict[str, Config]:
+    """Returns the configurations of the filters that are measured: by period in s, and "u1" with that set's bounds.
+
+    A configuration with bounds keeps them.
+    """
+    at = {f"{period:g}": override(config, {"rta": {"period": period}}, "benchmark") for period in PERIODS}
+    u1 = config if not config.uncertainty.is_nil else load(U1, Config())
+    return at | {"u1": replace(config, uncertainty=u1.uncertainty, plant=u1.plant)}
+
+
+def identity(config: Config) -> dict[str, str]:
+    """Returns digests of a filter's settings and of its code as C: numbers are of the filter that has the same."""
+    return {"settings": fingerprint(config), "code": code_digest(config)}
+
+
+def untrained(experiment: Experiment) -> Agent:
+    """Returns a policy as training begins with it, exploring."""
+    generators = experiment.generators()
+    policy = experiment.policy(generators)
+    return lambda observation: policy.shaped(policy.sample(observation[None], generators)[0])[0]
+
+
+def trained(experiment: Experiment) -> tuple[Experiment, Agent]:
+    """Returns the shipped agent, and the experiment with what it observes; the filter is shared."""
+    policy, config = load_policy(TRAINED)
+    policy, seeing = policy.to(experiment.device), copy(experiment)
+    seeing.task = replace(experiment.task, observed=config.inspection.observed)
+    return seeing, lambda observation: policy.mean_action(observation[None])[0]
+
+
+def record(experiment: Experiment, agent: Agent) -> tuple[Tensor, Tensor]:
+    """Plays EPISODES from the initial distribution.
+
+    Returns:
+        States (16, N) and desired controls (6, N) of the filter's calls in the later half of STEPS, shuffled.
+    """
+    met: list[tuple[Tensor, Tensor]] = []
+
+    def correct(x: Tensor, desired: Tensor, **told: Tensor) -> Correction:
+        met.append((x, desired))
+        return experiment.filter.correct(x, desired, **told)
+
+    safety = replace(experiment.safety, correct=correct)
+    env = experiment.env(EPISODES, compiled=experiment.compiled, safety=safety)
+    observation = env.reset()
+    for _ in range(STEPS):
+        observation = env.step(agent(observation)).observation
+    x, desired = (torch.cat(parts[len(met) // 2 :], 1) for parts in zip(*met, strict=True))
+    # the same order on every device
+    order = torch.randperm(x.shape[1], generator=torch.Generator().manual_seed(0)).to(x.device)
+    return x[:, order], desired[:, order]
+
+
+def repeated(columns: Tensor, count: int) -> Tensor:
+    """Returns the first `count` columns, (..., count), from the first again where there are fewer."""
+    return columns[..., torch.arange(count, device=columns.device) % columns.shape[-1]].contiguous()
+
+
+def start(env: InspectionEnv, x: Tensor) -> Tensor:
+    """Puts states (16, N) that were met in flight into every episode; returns the observations."""
+    count = env.time.numel()
+    return env.start(repeated(x, count), repeated(torch.eye(3).to(x), count))
+
+
+def programs(safety_filter: SafetyFilter, x: Tensor, desired: Tensor) -> list[Problems]:
+    """Returns what must be solved at states (16, B) with desired controls (6, B), by actuator group."""
+    wish, control, _ = demanded(desired, safety_filter.groups)
+    found = []
+    for group in safety_filter.groups:
+        rows = prepared(group, x, control)
+        unsafe = torch.nonzero(~(rows.lowest[0] >= 0.0)).flatten()
+        found.append(problems(group, rows, wish[group.controls] / group.limit)[unsafe])
+    return [part for part in found if part.desired.numel()]
+
+
+# how fast
+
+
+def simulator_rates(gym_env: VectorInspection6DoF, x: Tensor) -> dict[str, Spread]:
+    """Measures environment steps per s from states (16, N) under small random actions, as of an untrained policy.
+
+    Returns:
+        "native", of the simulator itself, and "numpy" and "torch", of the same through Gymnasium's interface.
+    """
+    count = gym_env.num_envs
+    gym_env.reset(seed=0)
+    start(gym_env.simulator, x)
+    generator = torch.Generator(x.device).manual_seed(0)
+    action = 0.1 * torch.randn(count, CONTROL_SIZE, generator=generator, device=x.device)
+    functions: dict[str, Callable[[], Any]] = {
+        "native": partial(gym_env.simulator.step, action),
+        "numpy": partial(gym_env.step, action.cpu().numpy()),
+        "torch": partial(gym_env.step, action),
+    }
+    return in_turn(functions, count, x.device)
+
+
+def closed_loop_rate(env: InspectionEnv, x: Tensor, agent: Agent) -> Spread:
+    """Measures environment steps per s, with observation, policy, filter calls and simulation."""
+    observation = start(env, x)
+
+    def step() -> None:
+        nonlocal observation
+        observation = env.step(agent(observation)).observation
+
+    return per_second(step, env.time.numel(), env.x.device)
+
+
+def parts_of_a_step(experiment: Experiment, count: int, x: Tensor, agent: Agent) -> dict[str, float]:
+    """Plays PARTS_STEPS steps of so many episodes that start from states (16, N).
+
+    Returns:
+        Microseconds per environment step by PARTS: "total", and what it consists of.
+    """
+    spent: dict[str, float] = defaultdict(float)
+
+    def timed(name: str, function: Callable[..., Any]) -> Callable[..., Any]:
+        def run(*args: Any, **kwargs: Any) -> Any:
+            answers: list[Any] = []
+            spent[name] += seconds(lambda: answers.append(function(*args, **kwargs)), experiment.device)
+            return answers[0]
+
+        return run
+
+    safety = replace(experiment.safety, correct=timed("filter", experiment.filter.correct))
+    env = experiment.env(count, compiled=experiment.compiled, safety=safety)
+    start(env, x)
+    vars(env)["integrate"] = timed("integration", env.integrate)
+    vars(env.sight)["mark"] = timed("visibility and k-means", env.sight.mark)
+    decide = timed("agent", agent)
+
+    def play() -> None:
+        observation = env.observation()
+        for _ in range(PARTS_STEPS):
+            observation = env.step(decide(observation)).observation
+
+    play()  # warm
+    spent.clear()
+    timed("total", play)()
+    spent["rest"] = 2.0 * spent["total"] - sum(spent.values())
+    return {name: 1e6 * spent[name] / PARTS_STEPS / count for name in PARTS}
+
+
+def filter_rate(safety_filter: SafetyFilter, x: Tensor, desired: Tensor, batch: int) -> Spread:
+    """Measures filter calls per s, where a call is that of one spacecraft.
+
+    Where states may be old the filter is given the controls sent since, all zero: as much to compute as any.
+    """
+    sent = desired.new_zeros(safety_filter.known.latency, CONTROL_SIZE, batch)
+    call = partial(safety_filter.correct, repeated(x, batch), repeated(desired, batch), sent)
+    return per_second(call, batch, x.device)
+
+
+def single_latencies(safety_filter: SafetyFilter, *met: Tensor) -> list[float]:
+    """Returns the ms of SINGLE_CALLS filter calls, sorted, all of other spacecraft, NumPy in and out."""
+    given = (repeated(part, WARM_CALLS + SINGLE_CALLS).numpy(force=True).T.copy() for part in met)
+    calls = [partial(safety_filter, *pair) for pair in zip(*given, strict=True)]
+    return sorted([1e3 * seconds(call, torch.device("cpu")) for call in calls][WARM_CALLS:])
+
+
+def random_demands(config: Config, where: str) -> Spread:
+    """Measures microseconds per filter call, in flights of a minute under random demands from these starts."""
+    flights = [demands.measure(config, "random", where, FLOWN, 60.0) for _ in range(3)]
+    return us(spread([flight["calls_per_s"] for flight in flights]))
+
+
+def solver_rate(solver: Solver, met: list[Problems], batch: int) -> Spread:
+    """Measures programs per s where a call of the solver is given `batch` of one actuator group."""
+    parts = [part[repeated(torch.arange(part.desired.shape[1], device=part.a.device), batch)] for part in met]
+
+    def solve() -> None:
+        for part in parts:
+            solver.solve(part)
+
+    return per_second(solve, batch * len(parts), parts[0].a.device)
+
+
+def fresh_learner(experiment: Experiment, **settings: Any) -> PPO:
+    """Returns a learner as training begins with it, with some of [ppo]'s settings replaced."""
+    generators = experiment.generators()
+    policy, value = experiment.policy(generators), experiment.value(generators)
+    return PPO(policy, value, replace(experiment.config.ppo, **settings), generators)
+
+
+@torch.enable_grad()
+def learner_rate(experiment: Experiment, minibatch: int, compiled: bool) -> Spread:
+    """Measures samples per s of PPO updates: a sample counts once per epoch that trains on it."""
+    fresh = fresh_learner(experiment, epochs=1, minibatch_size=minibatch)
+    samples = max(SAMPLES, minibatch)
+    if compiled and experiment.device.type == "cuda":
+        compile_or_explain("learner", partial(fresh.compile, samples))
+    noise = partial(torch.randn, generator=fresh.generators[0], device=experiment.device)
+    batch = {"observation": noise(1, samples, fresh.policy.network.layers[0].weight.shape[1])}
+    batch["action"], batch["log_prob"] = fresh.policy.sample(batch["observation"], fresh.generators)
+    batch |= {name: noise(1, samples) for name in ("advantage", "return_", "value")}
+    return per_second(partial(fresh.update, batch, 0.5), samples, experiment.device)
+
+
+def learner_flops(learner: PPO) -> float:
+    """Returns the flop of matrix products per sample of an update.
+
+    A layer of n x m weights takes 2 n m flop forward, as many for the weights' gradient and, but in the first layer, as
+    many for its input's. The value is multiplied as two columns, see StackedLinear.
+    """
+    flops = 0
+    for network in (learner.policy.network, learner.value.network):
+        for i, layer in enumerate(network.layers):
+            inputs, outputs = layer.weight.shape[1:]
+            flops += (4 if i == 0 else 6) * inputs * max(outputs, 2)
+    return float(flops)
+
+
+def compile_times(bare: Experiment, told: Experiment, batch: int) -> dict[str, float]:
+    """Returns the s that compiling filter and simulator takes with an empty cache, and that of a filter with bounds."""
+    parts: dict[str, Callable[[], None]] = {
+        "filter": partial(bare.filter.compile, bare.device, batch),
+        "simulator": bare.env(batch).compile,
+        "filter with [uncertainty]": partial(told.filter.compile, told.device, batch),
+    }
+    with tempfile.TemporaryDirectory() as empty, patch.dict(os.environ, {VARIABLE: empty}):
+        return {
+            name: seconds(partial(compile_or_explain, name, part), bare.device)
+            for name, part in parts.items()
+        }
+
+
+def peak_memory_mb(device: torch.device) -> float:
+    """Returns the most memory of the process so far; on a GPU, of PyTorch's tensors there."""
+    if device.type == "cuda":
+        return torch.cuda.max_memory_allocated(device) / 2**20
+    unit = 1 if sys.platform == "darwin" else 1024  # bytes, elsewhere KiB
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit / 2**20
+
+
+# everything
+
+
+@torch.no_grad()
+def benchmark(config: Config, batches: tuple[int, ...] = BATCHES) -> dict[str, Any]:
+    """Measures everything, compiled unless config.train.compile is "off".
+
+    Returns:
+        The content of `benchmark --json`. Headline numbers are medians, rates those at the batch of `batches`
+        next to TYPICAL, the learner's at that next to its minibatch. `min_max` has the smallest and largest
+        measurement of each under the same key; `scaling` has all three by batch: environments, spacecraft or
+        samples at once, or programs for `qp_us`. `closed_loop_us` has `parts_of_a_step` by batch, `compile_s` what
+        `compile_times` says, `random_call_us` us a call under random demands, `filter` what filters were measured.
+    """
+    config = override(config, {"train": {"rta": True}, "rta": {"qp_solver": "batched"}}, "benchmark")
+    compiled, largest = wants_compile(config.train.compile, math.inf), max(batches)
+    named = filters(config)
+    built = partial(Experiment, seconds=math.inf)  # compiled, however short
+    uncompiled = partial(replace, train=replace(config.train, compile="off"))
+    say = partial(print, file=sys.stderr, flush=True)
+    curves: dict[tuple[str, ...], dict[int, Spread]] = defaultdict(dict)  # by their keys in `scaling`
+    parts: dict[str, dict[int, float]] = {name: {} for name in PARTS}
+
+    say("learner and matrix products")
+    bare = built(uncompiled(named["1"]), largest)
+    device = bare.device
+    a, b = torch.randn(2, MATRIX, MATRIX, device=device)
+    matrix_product = per_second(partial(torch.mm, a, b, out=torch.empty_like(a)), 2e-9 * MATRIX**3, device)
+    compile_s = compile_times(bare, built(uncompiled(named["u1"]), largest), largest) if compiled else {}
+    for n in batches:
+        curves["learner_samples_per_s",][n] = learner_rate(bare, n, compiled)
+
+    say("filter")
+    typical = nearest(batches, TYPICAL[device.type])
+    experiments = {name: built(each, typical if name == "u1" else largest) for name, each in named.items()}
+    experiment, told = experiments["1"], experiments.pop("u1")
+    agent = untrained(experiment)
+    met = record(experiment, agent)
+    told_met = record(told, agent)  # the other filter leads to states that this one keeps away from
+    single = {
+        "single_filter_latency_ms": single_latencies(experiment.filter, *met),
+        "told_filter_latency_ms": single_latencies(told.filter, *told_met),
+    }
+    flown = {"paper": ("1", "paper"), "edge": ("1", "edge"), "u1": ("u1", "paper")}
+    random_us = {name: random_demands(named[own], where) for name, (own, where) in flown.items()}
+
+    for n in batches:
+        say(f"{n:,} at once")
+        gym_env = VectorInspection6DoF(n, config, config.train.device, compiled)
+        rates = simulator_rates(gym_env, met[0])
+        curves["simulator_steps_per_s",][n] = rates.pop("native")
+        for name, rate in rates.items():
+            curves["gymnasium_steps_per_s", name][n] = rate
+        for name, at_period in experiments.items():
+            # where controls are held, more at once take a minute and are no faster
+            if not at_period.filter.holds or n <= typical:
+                env = at_period.env(n, compiled=at_period.compiled)
+                curves["closed_loop_steps_per_s", name][n] = closed_loop_rate(env, met[0], agent)
+        curves["filter_calls_per_s",][n] = filter_rate(experiment.filter, *met, n)
+        if n <= typical:
+            curves["told_filter_calls_per_s",][n] = filter_rate(told.filter, *told_met, n)
+        for name, spent in parts_of_a_step(experiment, n, met[0], agent).items():
+            parts[name][n] = spent
+
+    say("solvers")
+    flights = met, record(*trained(experiment))
+    asked = [
+        part for x, u in flights for part in programs(experiment.filter, x[:, :RECORDED], u[:, :RECORDED])
+    ]
+    onboard = override(named["1"], {"rta": {"qp_solver": "piqp"}}, "benchmark")
+    batched = BatchedSolver()
+    if compiled:
+        rows = max(len(group.weights) for group in experiment.filter.groups)
+        compile_or_explain("solver", partial(batched.compile, [rows], TYPICAL_PROGRAMS, device))
+    solvers: dict[str, Solver] = {"piqp": built(onboard, 1).filter.solver, "batched": batched}
+    for name, solver in solvers.items():
+        for n in PROGRAMS:
+            curves["qp_us", name][n] = us(solver_rate(solver, asked, n))
+
+    minibatch = nearest(batches, config.ppo.minibatch_size)
+    counts = {"learner_samples_per_s": minibatch, "qp_us": TYPICAL_PROGRAMS}
+    headline = {path: by_count[counts.get(path[0], typical)] for path, by_count in curves.items()}
+    headline |= {("random_call_us", name): spent for name, spent in random_us.items()}
+    headline["matmul_gflops",] = matrix_product
+    flops = curves["learner_samples_per_s",][minibatch]["median"] * learner_flops(fresh_learner(bare))
+    cpu = f"cpu ({platform.processor() or platform.machine()})"
+    return nested({path: rate["median"] for path, rate in headline.items()}) | {
+        **{name: {"median": median(ms), "p99": ms[int(0.99 * len(ms))]} for name, ms in single.items()},
+        "closed_loop_us": parts,
+        "learner_matmul_share": 1e-9 * flops / matrix_product["median"],
+        "peak_memory_mb": peak_memory_mb(device),
+        "compile_s": compile_s,
+        "scaling": nested(curves),
+        "min_max": nested({path: [rate["min"], rate["max"]] for path, rate in headline.items()})
+        | {name: [ms[0], ms[-1]] for name, ms in single.items()},
+        "batch": typical,
+        "threads": torch.get_num_threads(),
+        "filter": {name: identity(each) for name, each in named.items()},
+        "torch": torch.__version__,
+        "device": torch.cuda.get_device_name(device) if device.type == "cuda" else cpu,
+        "compiled": compiled,
+    }
+
+
+def nearest(batches: tuple[int, ...], wanted: int) -> int:
+    """Returns the batch next to the one wanted."""
+    return min(batches, key=lambda n: abs(n - wanted))
+
+
+def nested(flat: Mapping[tuple[str, ...], Any]) -> dict[str, Any]:
+    """Returns values by one key or two as a nested dictionary."""
+    found: dict[str, Any] = {}
+    for (key, *name), value in flat.items():
+        found |= {key: found.get(key, {}) | {name[0]: value}} if name else {key: value}
+    return found
+
+
+# for people
+
+
+def table(results: dict[str, Any]) -> str:
+    """Returns the headline numbers as text, a line for a key of the JSON, which also has them by batch."""
+
+    def text(value: Any, extremes: Any = None) -> str:
+        if isinstance(value, dict):
+            parts = {name: extremes.get(name) if isinstance(extremes, dict) else extremes for name in value}
+            return ", ".join(f"{name}: {text(value[name], parts[name])}" for name in value)
+        if isinstance(value, float):
+            return f"{value:,.{0 if value >= 1000 else 3}f}" + (f" [{text(extremes)}]" if extremes else "")
+        return " to ".join(map(text, value)) if isinstance(value, list) else f"{value}"
+
+    parts = {name: by_batch[results["batch"]] for name, by_batch in results["closed_loop_us"].items()}
+    lines = [f"medians of {REPEATS} repeats [smallest to largest]", ""]
+    for key, value in (results | {"closed_loop_us": parts}).items():
+        if key not in ("scaling", "min_max", "filter"):
+            lines.append(f"{key.replace('_', ' '):26}{text(value, results['min_max'].get(key))}")
+    return "\n".join(lines)
+
+
+LABELS = {
+    "filter_calls_per_s": "filter calls",
+    "told_filter_calls_per_s": "filter calls, told",
+    "simulator_steps_per_s": "simulator steps",
+    "closed_loop_steps_per_s": "closed-loop steps, {} s",
+    "learner_samples_per_s": "learner samples",
+    "qp_us": "{} programs",
+}
+
+
+def figure(results: dict[str, Any], file: Path | BinaryIO) -> None:
+    """Draws every rate over the batch as a log-log plot, a PNG."""
+    drawing = Figure(figsize=(8, 5.2), layout="constrained")
+    ax = drawing.subplots()
+    style = zip("os^v<D*PX", PALETTE, strict=True)
+    for key, label in LABELS.items():
+        found = results["scaling"][key]
+        for name, by_count in found.items() if "{}" in label else [("", found)]:
+            rates = [us(rate) if key == "qp_us" else rate for rate in by_count.values()]
+            marker, colour = next(style)
+            medians = [rate["median"] for rate in rates]
+            ax.plot(list(by_count), medians, marker=marker, color=colour, label=label.format(name))
+    ax.set(xscale="log", yscale="log", ylabel="per second")
+    ax.set_xlabel("at once (episodes, spacecraft, samples, programs)")
+    ax.grid(True, which="major", alpha=0.4)
+    ax.set_title(f"{results['device']}, {results['threads']} threads", fontsize=10)
+    drawing.legend(loc="outside right upper", frameon=False, fontsize=9)
+    drawing.savefig(file, dpi=120, format="png")
