@@ -54,8 +54,8 @@ class Orbit:
 
 
 # What flies and teaches by name. "following": a larger ellipse sees more of the chief at once; its tilt, a wider way
-# there and 70 % of the dynamic speed limit keep away from every limit. The others lead the Sun, from thrifty to quick;
-# `study.results.guidance_search` has found their knobs, `study.results.guidance_front` flies what nobody has seen.
+# there and 70 % of the dynamic speed limit keep away from every limit. The others lead the Sun, from thrifty to quick:
+# a search for time against fuel found their knobs, and `experiments.guidance` flies cases that nobody has seen.
 GUIDANCE: dict[str, Orbit] = {
     "natural-motion": Orbit(),
     "following": Orbit(

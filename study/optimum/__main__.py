@@ -15,6 +15,7 @@ import json
 import math
 import os
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +25,7 @@ from torch import Tensor
 
 from inspection.guidance import natural_motion
 from inspection.model.state import P, V
+from inspection.orbits import Lead, Orbit
 from settings import Parser, positive_integer
 from study.config import TEST_CASES, Config
 from study.experiment import paper_task, test_cases
@@ -32,7 +34,6 @@ from study.optimum.bound import Task, climbed
 from study.optimum.figure import draw
 from study.optimum.flights import EVERY, TEACHERS, Flown, flown, guided, planned
 from study.optimum.search import STEPS, Cases, cost, searched
-from study.results.guidance_search import KNOBS, knobs_at, orbit_of
 
 TIMES = (3600.0, 3400.0, 3200.0, 3000.0)  # s, the longest first, whose bounds hold for the shorter ones
 LONGEST = 6000.0  # s, that the guidance is given
@@ -40,6 +41,19 @@ SETTINGS = 256  # of the guidance, from which searches begin
 KEPT = 5  # of a case
 AT_ONCE = 320  # flights whose fuel is computed together
 SEED = 37  # of the settings
+# lowest and highest, as `Orbit` and `Lead` have them; those of a ratio are drawn by their logarithm
+KNOBS = {
+    "semi_minor": (40.0, 100.0),
+    "out_of_plane": (15.0, 80.0),
+    "tracking": (0.002, 0.015),
+    "look_ahead": (0.3, 1.2),
+    "approach": (0.1, 1.0),
+    "behind": (0.0, math.radians(90)),
+    "ahead": (0.0, math.radians(120)),
+    "begin": (0.0, 0.6),
+    "end": (0.65, 1.2),
+}
+RATIOS = ("semi_minor", "out_of_plane", "tracking", "approach")
 HIGHEST = 0.8  # m/s, of a bound; above it `bound.TOLERANCE` would have to grow
 
 
@@ -62,9 +76,12 @@ def begun(x: Tensor, priority: Tensor, settings: int) -> Tensor:
     """Thrusts (K, 3, settings x B) in N of the guidance with random knobs, each setting in all cases, to TIMES[0]."""
     cases = x.shape[1]
     _, env = paper_task(settings * cases, SEED)
-    draws = np.random.default_rng(SEED).random((settings, len(KNOBS)))
-    knobs = torch.tensor([knobs_at(place) for place in draws], dtype=torch.float64).T
-    orbit = orbit_of(dict(zip(KNOBS, knobs.repeat_interleave(cases, 1), strict=True)))
+    draws = torch.tensor(np.random.default_rng(SEED).random((settings, len(KNOBS))))
+    low, high = torch.tensor(list(KNOBS.values()), dtype=torch.float64).T
+    ratio = torch.tensor([name in RATIOS for name in KNOBS])
+    knobs = torch.where(ratio, low * (high / low) ** draws, low + draws * (high - low)).T
+    *ellipse, behind, ahead, begin, end = knobs.repeat_interleave(cases, 1)
+    orbit = replace(Orbit(*ellipse), lead=Lead(behind, ahead, begin, end))
     guidance = natural_motion(env.c, env.c.action_period, orbit, env.sight.score)
     return flown(env, guidance, x.repeat(1, settings), priority.repeat(1, settings), max(TIMES)).thrust
 
@@ -191,7 +208,7 @@ def main(argv: list[str] | None = None) -> None:
     torch.set_num_threads(int(os.environ.get("OMP_NUM_THREADS", "1")))
     if not arguments.draw:
         out.mkdir(parents=True, exist_ok=True)
-        x, priority = test_cases(Config(), arguments.cases, TEST_CASES)
+        x, priority, _ = test_cases(Config(), arguments.cases, TEST_CASES)
         best = cheapest(best_found(out, x, priority, arguments.steps))
         proven = list(bounds(out, x, priority, best, min(arguments.bounded, arguments.cases), arguments.rung))
         for flights in best:

@@ -21,7 +21,7 @@ METRICS = {"reward": 3, "episode_length_s": 0, "delta_v_m_s": 3}  # and their di
 
 
 def basilisk() -> Any:
-    """What `study.results.basilisk` found."""
+    """What `experiments.basilisk` found."""
     return read("basilisk/basilisk.json")
 
 

@@ -18,6 +18,7 @@ from rta.filter import SafetyFilter
 from study.config import TEST_CASES, Config
 from study.experiment import test_cases as common_cases
 from study.flight.evaluation import run_episodes
+from study.flight.fly import Starts
 from study.optimum.__main__ import summary
 from study.optimum.flights import TEACHERS, Flown, flown, guided, planned
 from study.optimum.motion import Motion
@@ -36,7 +37,7 @@ def flying(count: int, c: InspectionParameters = C) -> InspectionEnv:
 
 @pytest.fixture(scope="module")
 def cases() -> tuple[Tensor, Tensor]:
-    return common_cases(Config(), 2, TEST_CASES)
+    return common_cases(Config(), 2, TEST_CASES)[:2]
 
 
 def test_the_knots_are_those_of_the_simulator() -> None:
@@ -58,7 +59,7 @@ def test_a_flight_counts_what_an_evaluation_counts(cases: tuple[Tensor, Tensor])
     mine_in, theirs_in = flying(2, SHORT), flying(2, SHORT)
     mine = flown(mine_in, guided(mine_in, TEACHERS[-1:], 2), *cases, 1500.0)
     guidance = natural_motion(SHORT, 1.0, GUIDANCE[TEACHERS[-1]], theirs_in.sight.score)
-    theirs = run_episodes(theirs_in, guidance, *cases)
+    theirs = run_episodes(theirs_in, guidance, Starts(*cases))
     metrics = dict(zip(METRICS, theirs.metrics, strict=True))
     assert mine.succeeded.all()
     torch.testing.assert_close(mine.delta_v, metrics["delta_v_m_s"], rtol=0.0, atol=1e-12)
