@@ -525,7 +525,7 @@ def run_boundary(given: Namespace) -> None:
     settings=(*FILTER, *MACHINE),
 )
 def run_break_points(given: Namespace) -> None:
-    from study.verification import break_points
+    from experiments import break_points
 
     config = filtered(configured(given, Config()))
     at_corners = " and ".join(break_points.ERRORS)

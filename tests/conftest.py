@@ -52,7 +52,7 @@ LONGEST = (
     "kernels/test_project.py",
     "test_command.py",
     "study/export/test_filter.py",
-    "study/verification/test_break_points.py",
+    "experiments/test_break_points.py",
     "inspection/test_leading_guidance.py",
     "rta/test_orbits.py",
     "study/verification/test_findings.py",

@@ -833,8 +833,8 @@ STUDY = [
         ("spawned(int(batch_seed), 3)", "[int(batch_seed)] * 3"),
     ),
     *faults(
-        "study/verification/break_points.py",
-        "study/verification/test_break_points.py -k told or smallest",
+        "experiments/break_points.py",
+        "experiments/test_break_points.py -k told or smallest",
         ('"longest_hold": (s + 1.0) * period', '"longest_hold": s * period'),
     ),
     *faults(

@@ -8,7 +8,7 @@ import pytest
 from tests.faults import FAULTS, Fault
 from tests.mutants import ROOT, planted
 
-PACKAGES = {"inspection", "rta", "ppo", "kernels", "interfaces", "study"}
+PACKAGES = {"experiments", "inspection", "rta", "ppo", "kernels", "interfaces", "study"}
 
 
 def test_every_fault_can_be_planted_where_it_says() -> None:

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from experiments.break_points import EFFECTS, said
 from rta.constraints.names import UNITS
 from study.paper import PAPER_VIOLATIONS
 from study.results.numbers.evidence import (
@@ -25,7 +26,6 @@ from study.results.numbers.evidence import (
     violating,
     violation,
 )
-from study.verification.break_points import EFFECTS, said
 
 README, SAFETY, TESTS = "README.md", "docs/results/safety.md", "docs/results/safety_tests.md"
 LIMITS, IN_C = "docs/results/safety_limits.md", "docs/guides/filter_in_c.md"

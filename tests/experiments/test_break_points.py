@@ -6,30 +6,21 @@ from typing import Any
 
 import pytest
 
+from experiments import break_points
+from experiments.break_points import COLUMNS, EFFECTS, Effect, figure, outcome, said, table
 from inspection.world.parameters import PlantParameters
 from rta.constraints.names import CONSTRAINTS
 from settings import override
 from study.config import Config
-from study.verification import break_points
-from study.verification.break_points import COLUMNS, EFFECTS, Effect, figure, last_held, table
 from tests.test_main import assert_refused, call
 
 
-def world(effect: str, size: float, told: bool, *violated: str) -> dict[str, Any]:
+def world(
+    effect: str, size: float, told: bool, *violated: str, unchecked: tuple[str, ...] = ()
+) -> dict[str, Any]:
     counts = {name: 2 * (name in violated) for name in CONSTRAINTS} | {"any": 2 * bool(violated)}
-    return {"effect": effect, "size": size, "told": told, "violating_episodes": counts}
-
-
-REPORT = {
-    "worlds": [
-        world("mass", 0.3, False, "keep_in_zone", "velocity_y"),
-        world("mass", 0.03, False),
-        world("mass", 0.1, False, "keep_in_zone"),
-        world("mass", 0.03, True),
-        world("mass", 0.1, True),
-        {"effect": "mass", "size": 0.3, "told": True, "refused": "leaves no braking"},
-    ]
-}
+    found = {"effect": effect, "size": size, "told": told, "violating_episodes": counts}
+    return found | {"unchecked": list(unchecked)}
 
 
 def test_every_limit_has_one_column() -> None:
@@ -56,33 +47,36 @@ def test_what_is_told_bounds_what_is_flown(effect: str) -> None:
 
 
 def test_a_break_point_is_the_smallest_size_that_was_violated() -> None:
-    found = break_points.break_points(REPORT, told=False)["mass"]
-    assert (found["zone"], found["velocity"], found["speed"]) == (0.1, 0.3, None)
-    assert set(break_points.break_points(REPORT, told=True)["mass"].values()) == {None}
-    assert last_held(REPORT, "mass", told=False) == (0.03, None)
-    assert last_held(REPORT, "mass", told=True) == (0.1, 0.3)
-    lines = table(REPORT).splitlines()
-    assert lines[1].endswith(" holds 0.03, breaks at 0.1 (zone)") and lines[2].endswith(
-        " holds 0.1, refuses 0.3"
-    )
-    texts = [text.get_text() for ax in figure(REPORT).axes for text in ax.texts]
+    worlds = [
+        world("mass", 0.3, False, "keep_in_zone", "velocity_y"),
+        world("mass", 0.03, False),
+        world("mass", 0.1, False, "keep_in_zone"),
+        world("mass", 0.03, True),
+        world("mass", 0.1, True),
+        {"effect": "mass", "size": 0.3, "told": True, "refused": "leaves no braking"},
+    ]
+    report = {"worlds": worlds}
+    found = outcome(report, "mass", told=False)
+    assert found.broken == {"zone": 0.1, "velocity": 0.3} and found.held == 0.03 and found.refused is None
+    assert outcome(report, "mass", told=True) == (0.1, {}, 0.3, None, [])
+    lines = table(report).splitlines()
+    assert lines[1].endswith(" holds 0.03, breaks at 0.1 (zone)")
+    assert lines[2].endswith(" holds 0.1, refuses 0.3")
+    texts = [text.get_text() for ax in figure(report).axes for text in ax.texts]
     assert texts.count("0.1") == 1 and texts.count("0.3") == 1 and "refused from 0.3" in texts
 
 
 def test_a_size_that_is_not_checked_never_holds() -> None:
     """Whatever broke there or not; of a filter that is told of nothing the check says nothing of the effect."""
-    checked = [
-        world("mass", size, told) | {"unchecked": []} for size in (0.03, 0.1) for told in (False, True)
+    checked = [world("mass", size, told) for size in (0.03, 0.1) for told in (False, True)]
+    unchecked = [
+        world("mass", 0.3, True, unchecked=("motion",)),
+        world("mass", 0.5, True, "keep_in_zone", unchecked=("motion",)),
     ]
-    open_ones = [
-        world("mass", size, True, *broken) | {"unchecked": ["motion"]}
-        for size, broken in ((0.3, ()), (0.5, ("keep_in_zone",)))
-    ]
-    report = {"worlds": [*open_ones, *checked, world("mass", 0.3, False)]}
-    assert last_held(report, "mass", told=True) == (0.1, None)
-    said = break_points.said(report, "mass", told=True)
-    assert said == "holds 0.1, unchecked from 0.3 (motion), breaks at 0.5 (zone)"
-    assert break_points.said(report, "mass", told=False) == "holds 0.3"
+    report = {"worlds": [*unchecked, *checked, world("mass", 0.3, False, unchecked=("motion",))]}
+    assert outcome(report, "mass", told=True).held == 0.1
+    assert said(report, "mass", told=True) == "holds 0.1, unchecked from 0.3 (motion), breaks at 0.5 (zone)"
+    assert said(report, "mass", told=False) == "holds 0.3"
     assert any("unchecked from 0.3" in text.get_text() for ax in figure(report).axes for text in ax.texts)
 
 
@@ -90,11 +84,9 @@ def test_worlds_are_flown_once_and_break_where_they_must(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """One that nothing changes, one in which the filter is wrong about the speed."""
-
-    def plant(size: float) -> dict[str, Any]:
-        return {"velocity_bias": 3.0 * size}
-
-    effect = Effect("", plant, lambda size, _: {"thrust_gain": size}, (1e-9, 0.99))
+    effect = Effect(
+        "", (1e-9, 0.99), lambda size: {"velocity_bias": 3.0 * size}, lambda size, _: {"thrust_gain": size}
+    )
     monkeypatch.setattr(break_points, "EFFECTS", {"mass": effect})
     path, picture = tmp_path / "report.json", tmp_path / "figure.png"
     flags = ["--episodes", "12", "--duration", "10", "--json", str(path), "--compile", "on"]
@@ -102,15 +94,11 @@ def test_worlds_are_flown_once_and_break_where_they_must(
     code, out, err = call(command, capsys)
     assert code == 0, err
     worlds = json.loads(path.read_text())["worlds"]
-    assert [(world["size"], world["told"]) for world in worlds] == [
-        (1e-9, False),
-        (1e-9, True),
-        (0.99, False),
-        (0.99, True),
-    ]
+    known = [(world["size"], world["told"]) for world in worlds]
+    assert known == [(1e-9, False), (1e-9, True), (0.99, False), (0.99, True)]
     violated = [world["violating_episodes"]["any"] for world in worlds[:3]]
     assert violated[:2] == [0, 0] and violated[2] > 0
-    assert [each["unchecked"] for each in worlds[:3]] == [[], [], []]
+    assert [world["unchecked"] for world in worlds[:3]] == [[], [], []]
     assert "thrust_gain = 0.99" in worlds[3]["refused"]
     assert "holds 1e-09, breaks at 0.99 (speed" in out and "refuses 0.99" in out
     assert picture.stat().st_size > 10_000

@@ -1,0 +1,275 @@
+"""Finds where the filter breaks: one effect of the plant at a time, of rising size, with and without bounds on it.
+
+`main.py break-points`. Each world is flown like a campaign of `study.verification.campaign`, once with its errors held
+at a corner of their bounds and once with the worst. The break point of a limit is the smallest size tried at which an
+episode violated it in either; a size holds where none did and the filter checks motion and attitude. Where it does not
+check both, what was flown says nothing of other flights: that size is unchecked.
+"""
+
+import dataclasses
+import math
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from textwrap import fill
+from typing import Any, NamedTuple
+
+from inspection.world.parameters import PlantParameters
+from rta.constraints.names import CONSTRAINTS
+from settings import InputError, override
+from study.config import Config
+from study.drawing import Figure, Rectangle
+from study.experiment import Experiment
+from study.files import write_json
+from study.flight.figures import GREY, SAFE, UNSAFE
+from study.machine import bar
+from study.verification.campaign import looking_ahead, run
+from study.verification.findings import WIDTH, Campaign, report_in
+from study.verified import fingerprint
+
+COLUMNS = {
+    "separation": ("collision",),
+    "speed": ("dynamic_speed",),
+    "zone": ("keep_in_zone",),
+    "passive\nsafety": ("passive_safety",),
+    "velocity": ("velocity_x", "velocity_y", "velocity_z"),
+    "Sun\nexclusion": ("attitude_exclusion",),
+    "heat": ("temperature",),
+    "battery": ("battery",),
+    "body\nrates": ("angular_velocity_x", "angular_velocity_y", "angular_velocity_z"),
+}
+MISSED = 0.8  # probability of a missed call, up to so many in a row as the size says: nine are met, too
+ERRORS = ("steady", "worst")  # in which each world is flown
+
+
+class Effect(NamedTuple):
+    """One effect, by size in its unit: the sizes tried, `[plant]` of the world, and `[uncertainty]` that says so.
+
+    `told` is of the size and the filter's period in s.
+    """
+
+    unit: str
+    sizes: tuple[float, ...]
+    plant: Callable[[float], dict[str, Any]]
+    told: Callable[[float, float], dict[str, Any]]
+
+
+def factor(key: str, told: str, *sizes: float) -> Effect:
+    """Returns the effect of a factor of 1 -+ size."""
+    return Effect("", sizes, lambda s: {key: [1.0 - s, 1.0 + s]}, lambda s, _: {told: s})
+
+
+def noise(key: str, unit: str, *sizes: float) -> Effect:
+    """Returns the effect of a sensor whose axes err by up to the size."""
+    return Effect(
+        unit, sizes, lambda s: {f"{key}_noise": s / PlantParameters.noise_bound}, lambda s, _: {key: s}
+    )
+
+
+def alike(key: str, unit: str, *sizes: float, kind: type = float) -> Effect:
+    """Returns the effect of a key that [plant] and [uncertainty] share."""
+    return Effect(unit, sizes, lambda s: {key: kind(s)}, lambda s, _: {key: kind(s)})
+
+
+EFFECTS = {
+    "mass": factor("mass_factor", "mass", 0.03, 0.1, 0.3, 0.5),
+    # beyond a third no such body is possible
+    "inertia": factor("inertia_factor", "inertia", 0.03, 0.1, 0.2, 0.3),
+    "thrust gain": factor("thrust_gain", "thrust_gain", 0.03, 0.1, 0.3, 0.5),
+    "torque gain": factor("torque_gain", "torque_gain", 0.1, 0.3, 0.6, 0.9),
+    "misalignment": alike("thrust_misalignment", "deg", 1.0, 3.0, 10.0, 30.0),
+    "acceleration": alike("acceleration", "m/s²", 1e-5, 1e-3, 1e-2, 3e-2),
+    "position error": noise("position", "m", 0.1, 0.6, 3.0, 20.0),
+    "velocity error": noise("velocity", "m/s", 0.001, 0.006, 0.03, 0.1),
+    "attitude error": noise("attitude", "deg", 0.3, 1.0, 3.0, 10.0),
+    "rate error": noise("rate", "deg/s", 0.03, 0.1, 0.3, 1.0),
+    "latency": alike("latency", "calls", 1.0, 2.0, 5.0, 10.0, kind=int),
+    "missed in a row": Effect(
+        "calls",
+        (1.0, 2.0, 4.0, 9.0),
+        lambda s: {"missed_calls": MISSED, "missed_in_a_row": int(s)},
+        lambda s, period: {"longest_hold": (s + 1.0) * period},
+    ),
+    "least impulse": alike("minimum_thrust", "N", 0.02, 0.1, 0.3, 0.6),
+    "quantum": alike("thrust_quantum", "N", 0.05, 0.2, 0.5, 1.0),
+}
+
+
+@dataclasses.dataclass(frozen=True)
+class Worlds:
+    """What determines the numbers beside the configuration, see `Campaign`."""
+
+    policy: str
+    period: float
+    duration: float
+    seed: int
+    episodes: int
+    missed: float = MISSED
+    errors: str = "drawn"  # what they were in reports that do not say
+
+
+def empty_report(worlds: Any, config: Config) -> dict[str, Any]:
+    """Returns a report of no worlds, the form of `break-points --json`.
+
+    `worlds` has of each its effect, size, whether the filter was told, and either `violating_episodes` by limit, of all
+    ERRORS, how many filter calls were unsolved, and what the filter left `unchecked`, or `refused`, why there was
+    nothing to fly.
+    """
+    return {
+        "campaign": dataclasses.asdict(worlds),
+        "worlds": [],
+        "fingerprint": fingerprint(config),
+        "config": dataclasses.asdict(config),
+    }
+
+
+def measure(worlds: Worlds, config: Config, path: Path | None) -> dict[str, Any]:
+    """Flies all worlds with a progress bar; returns the report, which `path` holds too and is resumed from.
+
+    Args:
+        config: with the filter on, nominal plant and nil bounds.
+
+    Raises:
+        InputError: the configuration has others, or cannot be flown.
+    """
+    if config.plant != PlantParameters() or not config.uncertainty.is_nil:
+        raise InputError("break-points brings its own worlds; leave out [plant] and [uncertainty]")
+    # refuses before there is a bar what would refuse every world
+    Experiment(replace(config, train=replace(config.train, compile="off")), worlds.episodes)
+    report = report_in(path, worlds, config, empty_report)
+    flown = {(world["effect"], world["size"], world["told"]): world for world in report["worlds"]}
+    every = [(name, size, told) for name in EFFECTS for size in EFFECTS[name].sizes for told in (False, True)]
+    todo = [world for world in every if world not in flown]
+    with bar(len(every), "worlds", initial=len(every) - len(todo)) as shown:
+        for name, size, told in todo:
+            came = fly_world(worlds, config, EFFECTS[name], size, told)
+            flown[name, size, told] = {"effect": name, "size": size, "told": told} | came
+            report["worlds"] = [flown[world] for world in every if world in flown]
+            if path is not None:
+                write_json(path, report)
+            shown.update()
+    return report
+
+
+def fly_world(worlds: Worlds, config: Config, effect: Effect, size: float, told: bool) -> dict[str, Any]:
+    """Returns what came of one world."""
+    drawn = worlds.episodes * 9 // 8  # a few starts are beyond braking and do not count
+    candidates, horizon = looking_ahead(worlds.policy, None, None)
+    campaign = Campaign(
+        *(worlds.policy, worlds.period, worlds.duration, worlds.seed, drawn),
+        candidates=candidates,
+        horizon=horizon,
+    )
+    violating, unsolved, unchecked = Counter(dict.fromkeys((*CONSTRAINTS, "any"), 0)), 0, list[str]()
+    for errors in ERRORS:
+        tables = {"plant": effect.plant(size) | {"errors": errors}}
+        if told:
+            tables["uncertainty"] = effect.told(size, worlds.period)
+        try:
+            tried = worlds.episodes * (campaign.candidates or 1)
+            experiment = Experiment(override(config, tables, "break-points"), tried, worlds.duration)
+            *_, report = run(campaign, worlds.episodes, experiment, None, None)
+        except InputError as refused:
+            if not told:
+                raise
+            return {"refused": str(refused)}
+        violating.update(report["violating_episodes"])
+        unsolved += report["filter_calls"]["unsolved"]
+        unchecked = experiment.filter.unchecked
+    return {"violating_episodes": dict(violating), "unsolved": unsolved, "unchecked": unchecked}
+
+
+class Outcome(NamedTuple):
+    """What came of an effect, told or not, by size; None where there is no such size.
+
+    Attributes:
+        held: the largest below what broke, was refused or is unchecked.
+        broken: by column of COLUMNS, the smallest that violated one of its limits.
+        refused, unchecked: the smallest that was refused, and that left motion or attitude unchecked; open: which.
+    """
+
+    held: float | None
+    broken: dict[str, float]
+    refused: float | None
+    unchecked: float | None
+    open: list[str]
+
+
+def outcome(report: dict[str, Any], effect: str, told: bool) -> Outcome:
+    """Returns what a report says of an effect."""
+    worlds = [world for world in report["worlds"] if world["effect"] == effect and world["told"] == told]
+    held, broken, refused, unchecked = (
+        None,
+        dict[str, float](),
+        list[float](),
+        list[tuple[float, list[str]]](),
+    )
+    holds = True
+    for world in sorted(worlds, key=lambda world: world["size"]):
+        size, counts = world["size"], world.get("violating_episodes", {})
+        if "refused" in world:
+            refused.append(size)
+        # the check of a filter that is told of nothing says nothing of the effect
+        if told and world.get("unchecked"):
+            unchecked.append((size, world["unchecked"]))
+        for column, limits in COLUMNS.items():
+            if any(counts.get(name) for name in limits):
+                broken.setdefault(column, size)
+        holds = holds and not (refused or unchecked or broken)
+        held = size if holds else held
+    first, which = unchecked[0] if unchecked else (None, [])
+    return Outcome(held, broken, refused[0] if refused else None, first, which)
+
+
+def said(report: dict[str, Any], effect: str, told: bool) -> str:
+    """Says of an effect the last size that held, from where it is unchecked or refused, and what broke first."""
+    found = outcome(report, effect, told)
+    text = "holds none" if found.held is None else f"holds {found.held:g}"
+    if found.unchecked is not None:
+        text += f", unchecked from {found.unchecked:g} ({' and '.join(found.open)})"
+    if found.broken:
+        least = min(found.broken.values())
+        first = [column.replace("\n", " ") for column in COLUMNS if found.broken.get(column) == least]
+        text += f", breaks at {least:g} ({', '.join(first)})"
+    return text + (f", refuses {found.refused:g}" if found.refused else "")
+
+
+def table(report: dict[str, Any]) -> str:
+    """Returns a report as text."""
+    lines = []
+    for effect in dict.fromkeys(world["effect"] for world in report["worlds"]):
+        lines.append(f"{effect} ({EFFECTS[effect].unit or 'share'})")
+        lines += [f"    told of nothing: {said(report, effect, False)}"]
+        lines += [f"    told of it:      {said(report, effect, True)}"]
+    return "\n".join(fill(line, WIDTH, subsequent_indent=" " * 8) for line in lines)
+
+
+def figure(report: dict[str, Any]) -> Figure:
+    """Draws two panels, without and with `[uncertainty]`: effects by limits, in each cell the size that broke it."""
+    fig = Figure(figsize=(9.0, 9.5), layout="constrained")
+    effects = list(dict.fromkeys(world["effect"] for world in report["worlds"]))
+    for i, (ax, told) in enumerate(zip(fig.subplots(2, 1), (False, True), strict=True)):
+        for row, effect in enumerate(effects):
+            found, sizes = outcome(report, effect, told), EFFECTS[effect].sizes
+            # from the smallest size on no flight says that it is safe
+            flown = min(found.refused or math.inf, found.unchecked or math.inf) > sizes[0]
+            for column, name in enumerate(COLUMNS):
+                broken = name in found.broken
+                colour = UNSAFE if broken else SAFE if flown else "white"
+                ax.add_patch(Rectangle((column, row), 1, 1, facecolor=colour, ec="white"))
+                text = f"{found.broken[name]:g}" if broken else ""
+                ax.text(column + 0.5, row + 0.5, text, ha="center", va="center")
+            tried = f"refused from {found.refused:g}" if found.refused else f"to {sizes[-1]:g}"
+            if found.unchecked:
+                tried += f", unchecked from {found.unchecked:g}"
+            ax.text(len(COLUMNS) + 0.1, row + 0.5, tried, va="center", color=GREY)
+        units = [f"{effect} ({EFFECTS[effect].unit or 'share'})" for effect in effects]
+        ax.set_yticks([row + 0.5 for row in range(len(effects))], units)
+        ax.set_xticks([column + 0.5 for column in range(len(COLUMNS))], COLUMNS)
+        ax.set(xlim=(0, len(COLUMNS)), ylim=(len(effects), 0))
+        ax.tick_params(length=0)
+        ax.spines[:].set_visible(False)
+        told_of = "told of the effect, as [uncertainty]" if told else "told of nothing"
+        ax.set_title(f"{'ab'[i]}) the filter is {told_of}: smallest size that broke a limit", loc="left")
+    return fig
