@@ -1,12 +1,28 @@
 """Motion, the search and the flights of its plans against the simulator and the study's own evaluation."""
 
+import json
 import math
 from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
 from torch import Tensor
 
+from experiments import optimum
+from experiments.optimum import (
+    Cases,
+    Flown,
+    best_starts,
+    cheapest,
+    cost,
+    flown,
+    motion,
+    planned,
+    searched,
+    summary,
+)
 from inspection.environment import InspectionEnv
 from inspection.guidance import natural_motion
 from inspection.model.dynamics import integrate
@@ -17,12 +33,9 @@ from inspection.transition import METRICS
 from rta.filter import SafetyFilter
 from study.config import TEST_CASES, Config
 from study.experiment import test_cases as common_cases
+from study.files import ROOT
 from study.flight.evaluation import run_episodes
 from study.flight.fly import Starts
-from study.optimum.__main__ import summary
-from study.optimum.flights import TEACHERS, Flown, flown, guided, planned
-from study.optimum.motion import Motion
-from study.optimum.search import Cases, cost, searched
 
 C = InspectionParameters()
 SHORT = replace(C, substep=5.0, success_score=0.3)  # which is reached in ten minutes
@@ -33,6 +46,12 @@ def flying(count: int, c: InspectionParameters = C) -> InspectionEnv:
     return InspectionEnv(
         count, c, [torch.Generator().manual_seed(1)], SafetyFilter(c).safety(False), c.substep
     )
+
+
+def states(start: Tensor, thrust: Tensor) -> Tensor:
+    """(p, v) at the knots, (K, 6, B)."""
+    free, forced = motion(len(thrust), C.action_period, C)
+    return (free @ start + forced @ thrust.flatten(0, 1)).unflatten(0, (-1, 6))
 
 
 @pytest.fixture(scope="module")
@@ -48,8 +67,7 @@ def test_the_knots_are_those_of_the_simulator() -> None:
     x[P] = 60.0 * torch.randn(3, flights, generator=draws, dtype=torch.float64)
     x[V] = 0.1 * torch.randn(3, flights, generator=draws, dtype=torch.float64)
     x[Q.stop - 1] = 1.0  # the body's axes are Hill's
-    found = Motion.of(knots, C.action_period, C).states(x[:6].clone(), thrust)
-    for force, knot in zip(thrust, found, strict=True):
+    for force, knot in zip(thrust, states(x[:6].clone(), thrust), strict=True):
         u = torch.cat((force, torch.zeros_like(force)))
         x = integrate(x, u, C.substep, C, times=round(C.action_period / C.substep))
         assert (x[:6] - knot).abs().max() < 1e-9  # of 300 m, with RK4 of 1 s
@@ -57,16 +75,17 @@ def test_the_knots_are_those_of_the_simulator() -> None:
 
 def test_a_flight_counts_what_an_evaluation_counts(cases: tuple[Tensor, Tensor]) -> None:
     mine_in, theirs_in = flying(2, SHORT), flying(2, SHORT)
-    mine = flown(mine_in, guided(mine_in, TEACHERS[-1:], 2), *cases, 1500.0)
-    guidance = natural_motion(SHORT, 1.0, GUIDANCE[TEACHERS[-1]], theirs_in.sight.score)
-    theirs = run_episodes(theirs_in, guidance, Starts(*cases))
+    guidances = (
+        natural_motion(SHORT, 1.0, GUIDANCE["quick"], env.sight.score) for env in (mine_in, theirs_in)
+    )
+    mine = flown(mine_in, next(guidances), *cases, 1500.0)
+    theirs = run_episodes(theirs_in, next(guidances), Starts(*cases))
     metrics = dict(zip(METRICS, theirs.metrics, strict=True))
     assert mine.succeeded.all()
     torch.testing.assert_close(mine.delta_v, metrics["delta_v_m_s"], rtol=0.0, atol=1e-12)
     assert torch.equal(mine.time, metrics["episode_length_s"])
-    assert torch.equal(mine.clear, theirs.clear) and torch.equal(mine.clean, theirs.clean)
-    torch.testing.assert_close(mine.worst.minimum(theirs.worst), mine.worst)  # which has the start, too
-    assert (mine.least <= mine.delta_v).all() and (mine.delta_v <= math.sqrt(3) * mine.least).all()
+    assert torch.equal(mine.clean, theirs.clean)
+    assert (mine.length <= mine.delta_v).all() and (mine.delta_v <= math.sqrt(3) * mine.length).all()
 
 
 def test_a_plan_is_flown_as_it_says(cases: tuple[Tensor, Tensor]) -> None:
@@ -76,12 +95,12 @@ def test_a_plan_is_flown_as_it_says(cases: tuple[Tensor, Tensor]) -> None:
     start = torch.cat((x[P], x[V]))
     env = flying(2)
     found = flown(env, planned(start, thrust, C), x, priority, 200.0)
-    last = Motion.of(20, C.action_period, C).states(start, thrust)[-1]
+    last = states(start, thrust)[-1]
     *_, hold = env.fly(planned(start, thrust, C), 200.0)
     assert (hold.after[:3] - last[:3]).norm(dim=0).max() < 0.1  # m, of 30
     torch.testing.assert_close(found.thrust, thrust, rtol=0.0, atol=2e-3)
     length = thrust.norm(dim=1).sum(0) * C.action_period / C.mass
-    torch.testing.assert_close(found.least, length, rtol=0.03, atol=0.0)
+    torch.testing.assert_close(found.length, length, rtol=0.03, atol=0.0)
 
 
 def test_the_search_goes_down_a_slope_that_differences_confirm(cases: tuple[Tensor, Tensor]) -> None:
@@ -110,15 +129,57 @@ def test_suns_of_the_search_are_those_of_the_simulator(cases: tuple[Tensor, Tens
 
 
 def test_only_clean_flights_are_among_the_best() -> None:
-    """Of three flights of one case the cheapest violates a limit by 1e-9 and the next one drifts."""
-    ones = torch.ones(3, dtype=torch.float64)
-    worst = torch.full((13, 3), 0.5, dtype=torch.float64)
-    worst[3, 0] = -1e-9
-    clear = torch.tensor([True, False, True])
-    fuel = torch.tensor([0.1, 0.2, 0.3], dtype=torch.float64)
-    found = Flown(ones > 0, clear, 3000.0 * ones, fuel, 0.6 * fuel, ones, worst, torch.zeros(1, 3, 3))
-    assert summary(found, 1)["delta_v_m_s"] == [0.3]
-    worst[0, 2] = -1e-9
-    assert summary(found, 1)["delta_v_m_s"] == [None]
-    worst[:] = 0.5
-    assert summary(found, 1)["delta_v_m_s"] == [0.1]
+    """Of three flights of one case the cheapest is not clean."""
+    ones, fuel = torch.ones(3, dtype=torch.float64), torch.tensor([0.1, 0.2, 0.3], dtype=torch.float64)
+    clean = torch.tensor([False, True, True])
+    found = Flown(ones > 0, clean, 3000.0 * ones, fuel, 0.6 * fuel, torch.zeros(1, 3, 3))
+    assert summary(found, 1)["delta_v_m_s"] == [0.2] and summary(found, 1)["clean_flights"] == 2
+    assert summary(found._replace(clean=ones < 0), 1)["delta_v_m_s"] == [None]
+
+
+def test_a_shorter_flight_counts_for_a_longer_time_and_not_the_other_way() -> None:
+    def row(allowed: float, times: list[float | None], fuel: list[float | None]) -> dict[str, Any]:
+        half = [value and value / 2 for value in fuel]
+        return {"allowed_s": allowed, "time_s": times, "delta_v_m_s": fuel, "length_m_s": half}
+
+    found = [
+        row(3600.0, [3500.0, 3550.0, None], [0.5, 0.3, None]),
+        row(3000.0, [2900.0, None, None], [0.4, None, None]),
+    ]
+    assert cheapest(found) == [row(3600.0, [2900.0, 3550.0, None], [0.4, 0.3, None]), found[1]]
+
+
+def test_each_case_keeps_its_own_best_starts(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(optimum, "cost", lambda cases, thrust, c: thrust[0, 0])
+    monkeypatch.setattr(optimum, "AT_ONCE", 4)
+    x, priority = torch.zeros(16, 2, dtype=torch.float64), torch.ones(3, 2, dtype=torch.float64)
+    # settings 0 to 2, cases 0 and 1 of each
+    thrust = torch.tensor([5.0, 1.0, 3.0, 4.0, 4.0, 2.0]).expand(1, 3, 6)
+    assert best_starts(thrust, x, priority, 2)[0, 0].tolist() == [3.0, 1.0, 4.0, 2.0]
+
+
+def test_the_program_writes_what_is_shipped_for_fewer_cases(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    smaller = {"SETTINGS": 3, "KEPT": 1, "TIMES": (3000.0,), "TEACHERS": ("quick",), "LONGEST": 3000.0}
+    smaller["draw"] = lambda found, path: None
+    for name, value in smaller.items():
+        monkeypatch.setattr(optimum, name, value)
+    few = ["--cases", "2", "--bounded", "1", "--steps", "3", "--rung", "0.5"]
+    optimum.main(["--out", str(tmp_path), *few])
+    found = json.loads((tmp_path / "optimum.json").read_text())
+    shipped = json.loads((ROOT / "runs/reference/optimum/optimum.json").read_text(encoding="utf-8"))
+    assert list(found) == list(shipped)
+    (row,), theirs = found["times"], shipped["times"][-1]
+    assert (
+        list(row) == list(theirs) and row["allowed_s"] == theirs["allowed_s"] and len(row["bound_m_s"]) == 1
+    )
+    quick, theirs = found["guidance"]["quick"], shipped["guidance"]["quick"]
+    assert quick["time_s"] == theirs["time_s"][:2] and quick["clean"] == 2
+    assert quick["delta_v_m_s"] == pytest.approx(theirs["delta_v_m_s"][:2], abs=1e-4)
+
+
+def test_the_figure_is_drawn_from_the_file(tmp_path: Path) -> None:
+    (tmp_path / "optimum.json").write_bytes((ROOT / "runs/reference/optimum/optimum.json").read_bytes())
+    optimum.main(["--out", str(tmp_path), "--draw"])
+    assert (tmp_path / "optimum.png").read_bytes().startswith(b"\x89PNG")
