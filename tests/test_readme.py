@@ -1,6 +1,6 @@
 """The links and commands of the README and of docs lead somewhere, and what their words say of the results is true.
 
-Their numbers are written by `study.results.numbers`, see `tests/study/results/test_numbers.py`.
+Their tables are written by `docs.tables`, see `tests/test_tables.py`.
 """
 
 import argparse
@@ -9,22 +9,24 @@ import shlex
 from collections.abc import Iterator
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 import main
+from docs.tables import CHIEFS, PAGES, POLICIES, VEHICLES, arms, campaign, read, report
 from settings import load
 from study.config import Config
 from study.files import ROOT
-from study.results.numbers.__main__ import PAGES
-from study.results.numbers.agents import fuel_and_time
-from study.results.numbers.basilisk import basilisk
-from study.results.numbers.evidence import POLICIES, arms, campaign, middle, read, report
-from study.results.numbers.vehicles import CHIEFS, VEHICLES
 from study.verified import fingerprint
 
 SAFETY_LIMITS, COMMANDS_PAGE = "docs/results/safety_limits.md", "docs/reference/commands.md"
+
+
+def middle(results: dict[str, Any], metric: str) -> float:
+    """The interquartile mean."""
+    return results["metrics"][metric]["iqm"]
 
 
 def text(page: str) -> str:
@@ -47,9 +49,10 @@ def test_random_controls_succeed_behind_the_filter_with_hundreds_of_times_the_fu
 
 
 def test_the_guidance_that_rolls_needs_less_fuel_than_agents_at_equal_time() -> None:
-    fuel, time = zip(*(fuel_and_time(each) for each in reversed(report("front").values())), strict=True)
+    names = "delta_v_m_s", "episode_length_s"
+    fuel, time = ([middle(each, name) for each in reversed(report("front").values())] for name in names)
     for agents in arms().values():
-        own, flown = fuel_and_time(agents)
+        own, flown = (middle(agents, name) for name in names)
         assert 1.0 < own / np.interp(flown, time, fuel) < 1.2
 
 
@@ -71,20 +74,13 @@ def test_every_campaign_kept_every_limit(name: str) -> None:
     found = campaign(name)
     assert not found["violating_episodes"]["any"] and not found["unsolved"]
     assert not found["filter_calls"]["unsolved"]
-    if name in POLICIES:  # "below 3 in 10,000"
-        assert found["upper_bound_95"] < 3e-4
     if name.startswith(("learned", "u1_learned", "lookahead", "u1_lookahead", "adversarial_")):
         seconds = 300 if "lookahead" in name else 2000  # as safety_tests.md says
         assert found["campaign"]["duration"] == seconds
 
 
 def test_what_breaks_the_filter_stands_beside_what_it_held() -> None:
-    """No page has the episodes in U1 without how their noise was drawn, nor the front page another number."""
-    flown = sum(campaign(f"u1_{policy}")["episodes"] for policy in POLICIES)
-    for page in PAGES:
-        for claim in re.finditer(rf"\b{flown:,} episodes", said := " ".join(text(page).split())):
-            about = said[max(0, claim.start() - 100) : claim.end() + 300]
-            assert "drawn anew" in about and re.search("(?i)steady errors", about), page
+    """On the front page, as the programs of the other one print it."""
     beyond = re.findall(r"(?m)^beyond the edge: (-?[\d.]+) m with errors that stay", text(SAFETY_LIMITS))
     (starts,) = re.findall(r"(?m)^1 s: (\d+) % of [\d,]+ states$", text(SAFETY_LIMITS))
     said = " ".join(text("README.md").split())
@@ -94,18 +90,24 @@ def test_what_breaks_the_filter_stands_beside_what_it_held() -> None:
 
 
 def test_both_simulators_agree_as_the_page_says() -> None:
-    coasting = basilisk()["coasting"]
-    assert coasting["times_real_time"] > coasting["one_alone_times_real_time"] > 100
+    found = read("basilisk/basilisk.json")
+    coasting = found["coasting"]
+    assert coasting["times_real_time"] > 1000 > coasting["one_alone_times_real_time"] > 100
     assert coasting["perturbed"]["drag"]["position_m"] == pytest.approx(1e-3, rel=0.2)  # "a millimetre"
     names = ("reward", "episode_length_s", "delta_v_m_s")
-    for worlds in basilisk()["agents"].values():
+    for worlds in found["agents"].values():
         assert not any(found["other_outcomes"] for found in worlds.values())
         for world in ("basilisk", "basilisk, J2 and drag"):  # "no mean differs by two standard errors"
             apart = worlds[world]["difference"]
             assert all(abs(apart[name]["mean"]) <= 2 * apart[name]["standard_error"] for name in names)
-        pulses = worlds["basilisk, wheels and pulses"]["difference"]
-        assert 0.18 <= -round(pulses["delta_v_m_s"]["mean"], 2) <= 0.20
-        assert 2 <= round(pulses["episode_length_s"]["mean"]) <= 14
+        pulses = worlds[
+            "basilisk, wheels and pulses"
+        ]  # "save a tenth of the fuel and take some seconds longer"
+        apart, mean = pulses["difference"], pulses["mean"]
+        assert (
+            0.09 < -apart["delta_v_m_s"]["mean"] / (mean["delta_v_m_s"] - apart["delta_v_m_s"]["mean"]) < 0.13
+        )
+        assert 2 <= round(apart["episode_length_s"]["mean"]) <= 14
 
 
 @pytest.mark.parametrize("policy", [*POLICIES, "lookahead"])

@@ -1,0 +1,604 @@
+"""Writes the rows of the tables on the pages, README.md and docs/, from the files in runs/reference/.
+
+    python -m docs.tables
+
+A comment above a table names an entry of TABLES here: `<!-- rows: break_points -->`. The heading is the page's own.
+Prose quotes no number that one of these files has: it points to a table.
+"""
+
+import functools
+import json
+import math
+import re
+import statistics
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from typing import Any
+
+import numpy as np
+
+from experiments.break_points import EFFECTS, said
+from rta.constraints.names import UNITS
+from study.config import ARMS, GUIDE
+from study.files import ROOT, write_text
+from study.flight.summary import iqm
+from study.paper import PAPER_METRICS, PAPER_VIOLATIONS, Published, Results, measured
+from study.report.tables import of_seeds, over_seeds
+
+REFERENCE = ROOT / "runs/reference"
+PAGES = ("README.md", *sorted(str(page.relative_to(ROOT)) for page in (ROOT / "docs").rglob("*.md")))
+MARK = "<!-- rows:"
+TABLE = re.compile(rf"(?m)^({MARK} (\w+) -->\n(?:\|.*\n){{2}})(?:\|.*\n)*")  # the mark, the heading; the rows
+
+Rows = Iterable[Iterable[str]]  # of cells
+Column = Callable[[Any], str]  # from what a file says of something to a cell
+# what the pages call the study's arms, vehicles and chiefs
+LABELS = {
+    "no_rta": "without RTA",
+    "rta": "with RTA",
+    "rta_5s": "with RTA at 5 s",
+    "rta_10s": "with RTA at 10 s",
+    "robust": "robust",
+}
+VEHICLES = {"3u": "3U, 4 kg", "12u": "12U, 20 kg", "espa": "ESPA-class, 180 kg"}
+CHIEFS = {"box": "box between panels, fixed", "satellite": "satellite, tumbling"}
+POLICIES = ("random", "adversarial")  # of the campaigns
+DIGITS = {"reward": 3, "episode_length_s": 0, "delta_v_m_s": 2}
+
+
+def renewed(text: str) -> str:
+    """Returns a page's text with the rows of its marked tables.
+
+    Raises:
+        ValueError: a mark names no table here, or no table follows it.
+    """
+
+    def rows(found: re.Match[str]) -> str:
+        heading, name = found.groups()
+        if name not in TABLES:
+            raise ValueError(f"{MARK} {name} -->: docs/tables.py has no such table")
+        return heading + "".join(f"| {' | '.join(row)} |\n" for row in TABLES[name]())
+
+    text, count = TABLE.subn(rows, text)
+    if count != text.count(MARK):
+        raise ValueError(f"{text.count(MARK)} marks '{MARK} NAME -->', but {count} tables after one")
+    return text
+
+
+def main() -> None:
+    """Renews every page and says which changed."""
+    for name in PAGES:
+        old = (ROOT / name).read_text(encoding="utf-8")
+        try:
+            new = renewed(old)
+        except ValueError as error:
+            raise SystemExit(f"error: {name}: {error}") from None
+        if new != old:
+            write_text(ROOT / name, new)
+            print(f"{name}: renewed")
+
+
+# files
+
+
+@functools.cache
+def read(path: str) -> Any:
+    """Returns a .json or .jsonl file of runs/reference; of the latter a list of its lines."""
+    text = (REFERENCE / path).read_text(encoding="utf-8")
+    return [json.loads(line) for line in text.splitlines()] if path.endswith("l") else json.loads(text)
+
+
+def report(name: str) -> Any:
+    """Returns a file that `report` wrote about the study."""
+    return read(f"study/report/{name}.json")
+
+
+def arms(study: str = "study") -> dict[str, Results]:
+    """Returns the results of a study's arms, by their names."""
+    return read(f"{study}/results.json")["arms"]
+
+
+def campaign(name: str, period: int = 1) -> Any:
+    """Returns a report of `verify`, `boundary` or `break-points`, with the filter called every so many s."""
+    return read(f"verification/{name}.json" if period == 1 else f"frequency/{name}_{period}s.json")
+
+
+# columns
+
+
+def rows(found: Mapping[Any, Any], *columns: Column) -> Rows:
+    """Yields a row for each entry: its key, a cell or several, then what the columns say of its value."""
+    for key, value in found.items():
+        yield *([key] if isinstance(key, str) else key), *(column(value) for column in columns)
+
+
+def number(path: str, form: str = ",") -> Column:
+    """Returns the column of the number under these keys, "violating_episodes/any"."""
+    return lambda found: format(functools.reduce(lambda part, key: part[key], path.split("/"), found), form)
+
+
+def metric(name: str, pattern: str = "{iqm}") -> Column:
+    """Returns the column of a metric's numbers in a pattern of iqm, mean, p5, p95 and max."""
+
+    def cell(results: Results) -> str:
+        numbers = {key: value for key, value in results["metrics"][name].items() if key != "ci95"}
+        return pattern.format(**{key: f"{value:,.{DIGITS[name]}f}" for key, value in numbers.items()})
+
+    return cell
+
+
+def interval(name: str) -> Column:
+    """Returns the column of IQM [95 % interval], with as many digits as the paper's."""
+    return lambda results: measured(results, name).text(PAPER_METRICS[name].digits)
+
+
+def share(name: str) -> Column:
+    """Returns the column of the share of "success" or "clean_success", in %."""
+    return lambda results: f"{100.0 * results['outcomes'][name]:.1f}"
+
+
+def corrected(results: Results) -> str:
+    """Returns the share of the filter's calls that it corrects, in %."""
+    return f"{results['rta']['intervention_percent']:.2f}" if results["rta"]["period_s"] else "-"
+
+
+def over_the_seeds(name: str) -> Column:
+    """Returns the column of IQM [its interval over seeds], mean."""
+
+    def cell(results: Results) -> str:
+        found = results["metrics"][name]
+        numbers = found["iqm"], *over_seeds(results, name), found["mean"]
+        return "{} [{}, {}], {}".format(*(f"{each:,.{DIGITS[name]}f}" for each in numbers))
+
+    return cell
+
+
+def violating(*campaigns: Any) -> str:
+    """Returns how many episodes of campaigns violated a limit."""
+    broken = sum(each["violating_episodes"]["any"] for each in campaigns)
+    return f"{broken:,} of {sum(each['episodes'] for each in campaigns):,}"
+
+
+def calls(found: Any) -> int:
+    """Returns the filter calls of a campaign."""
+    return sum(found["filter_calls"].values())
+
+
+def backup(found: Any) -> str:
+    """Returns the share of a campaign's calls in which the backup decided, in %."""
+    return f"{100.0 * found['backup_calls'] / calls(found):.2g}"
+
+
+TIME, FUEL, REWARD = (metric(name) for name in ("episode_length_s", "delta_v_m_s", "reward"))
+SUCCESS, CLEAN = share("success"), share("clean_success")
+VIOLATION = number("violations_percent/any", ".3f")
+
+
+def agents(found: Mapping[Any, Results]) -> Rows:
+    """Yields: success and clean success (%), steps with a violation (%), calls corrected (%), reward, time, fuel."""
+    return rows(found, SUCCESS, CLEAN, VIOLATION, corrected, REWARD, TIME, FUEL)
+
+
+def campaigns(found: Mapping[Any, Any]) -> Rows:
+    """Yields: episodes with a violation, its probability below, h of zone and PSM, calls with slack, by the backup."""
+    smallest = number("worst_value/keep_in_zone", ".3f"), number("worst_value/passive_safety", ".2f")
+    return rows(
+        found, violating, number("upper_bound_95", ".2g"), *smallest, number("filter_calls/slack"), backup
+    )
+
+
+def both(label: str, name: str) -> dict[tuple[str, str], Any]:
+    """Returns the campaigns of random and of adversarial controls, by label and policy; `name` has {} for these."""
+    return {(label, policy): campaign(name.format(policy)) for policy in POLICIES}
+
+
+# tables
+
+
+def front() -> Rows:
+    yield from agents(
+        {
+            "agents trained and flown without RTA": arms()["no_rta"],
+            "agents trained and flown with RTA": arms()["rta"],
+            "the same agents with `--keep-clear`": read("keep_clear/keep_clear.json"),
+            "the same agents without RTA": report("cross")["rta"]["off"],
+            "agents of an imperfect world, with robust RTA": arms()["robust"],
+            "classical guidance with RTA": report("baselines")[GUIDE]["on"],
+        }
+    )
+    fuel, time, reward = (
+        PAPER_METRICS[name].by_arm["rta"].value for name in ("delta_v_m_s", "episode_length_s", "reward")
+    )
+    any_limit = PAPER_VIOLATIONS["any"].by_arm["rta"].value
+    yield (
+        "*the paper's agents with RTA*",
+        "",
+        "",
+        f"{any_limit:.3f}",
+        "",
+        f"{reward:.3f}",
+        f"{time:,.0f}",
+        f"{fuel:.2f}",
+    )
+
+
+def front_safety() -> Rows:
+    basilisk = [read(f"basilisk/u1_{policy}.json") for policy in (*POLICIES, "lookahead")]
+    for label, *flown in (
+        ("every second, random and adversarial controls", *both("", "{}").values()),
+        (
+            "every 5 or 10 s, random and adversarial",
+            *(campaign(each, s) for each in POLICIES for s in (5, 10)),
+        ),
+        (
+            "every 1, 5 or 10 s, an adversary that looks ahead",
+            *(campaign("lookahead", s) for s in (1, 5, 10)),
+        ),
+        (
+            "every second, all errors at once, drawn anew each second, their bounds given",
+            *both("", "u1_{}").values(),
+        ),
+        ("the same in Basilisk, also against an adversary that looks ahead", *basilisk),
+    ):
+        yield label, violating(*flown), f"{sum(map(calls, flown)) / 1e6:,.1f} million"
+
+
+def performance() -> Rows:
+    def row(label: str, column: Column, published: Published | None = None) -> Iterator[str]:
+        yield label
+        for arm in ARMS:
+            yield column(arms()[arm])
+            yield published.by_arm[arm].text(published.digits) if published else ""
+        yield column(report("guidance"))
+
+    for name, published in PAPER_METRICS.items():
+        yield row(published.label, interval(name), published)
+    yield row("Success (%)", SUCCESS)
+    yield row("Clean success (%)", CLEAN)
+    yield row("Any violation (mean % of steps)", VIOLATION, PAPER_VIOLATIONS["any"])
+    yield row("Any violation (mean % of seconds)", number("violations_percent_of_seconds/any", ".3f"))
+
+
+def violations() -> Rows:
+    for name, published in PAPER_VIOLATIONS.items():
+        ours = [f"{arms()[arm]['violations_percent'][name]:.3f}" for arm in ARMS]
+        paper = [published.by_arm[arm].text(published.digits) for arm in ARMS]
+        yield published.label, ours[0], paper[0], ours[1], paper[1]
+
+
+def all_arms() -> Rows:
+    worst = lambda each: f"{min(of_seeds(each, 'reward')):.3f}"  # noqa: E731
+    tails = {name: metric(name, "{p5} to {p95}, {max}") for name in ("episode_length_s", "delta_v_m_s")}
+    columns = [over_the_seeds("reward"), worst]
+    for name, tail in tails.items():
+        columns += [over_the_seeds(name), tail]
+    return rows({label: arms()[arm] for arm, label in LABELS.items()}, CLEAN, VIOLATION, *columns)
+
+
+def hidden() -> Rows:
+    columns = []
+    for arm in LABELS:
+        with np.load(REFERENCE / "study" / arm / "episodes.npz") as episodes:
+            metrics = dict(zip(episodes["metric_names"], episodes["metrics"], strict=True))
+            violated = dict(zip(episodes["constraint_names"], episodes["violation_seconds"], strict=True))
+            succeeded = episodes["outcome"] == list(episodes["outcome_names"]).index("success")
+            drift = "succeed, but would drift into the chief within two days if thrust stopped at the end"
+            counts = {
+                "succeed": succeeded,
+                drift: succeeded & ~episodes["clear"],
+                "violate a limit in some second": violated["any"] > 0.0,
+                "last longer than 4,500 s": metrics["episode_length_s"] > 4500.0,
+            }
+            column = {label: f"{found.sum():,}" for label, found in counts.items()}
+            farthest = f"{episodes['max_distance_m'].max():.2f}"
+            columns.append(column | {"farthest from the chief (m); the limit is 800": farthest})
+    return ([label, *(column[label] for column in columns)] for label in columns[0])
+
+
+def dependence() -> Rows:
+    for arm, label in LABELS.items():
+        found = {(label, "without"): report("cross")[arm]["off"], (label, "with"): report("cross")[arm]["on"]}
+        if arm == "rta":
+            found[label, "with, and `keep_clear`"] = read("keep_clear/keep_clear.json")
+        yield from agents(found)
+
+
+def baselines() -> Rows:
+    names = {
+        "untrained": "untrained agent",
+        "random": "random controls",
+        "zero": "no control (coasting)",
+        "natural-motion": "guidance natural-motion",
+        GUIDE: f"guidance {GUIDE}",
+    }
+    found = report("baselines")
+    switches = {"off": "without", "on": "with"}
+    return agents({(names[name], switches[key]): found[name][key] for name in names for key in switches})
+
+
+def worlds() -> Rows:
+    for plant, flown in report("worlds").items():
+        for arm, label in LABELS.items():
+            cells = (f"{SUCCESS(each)}, {VIOLATION(each)}, {REWARD(each)}" for each in flown[arm].values())
+            yield plant, label, *cells
+
+
+def panels_on_plus_x() -> Rows:
+    columns = arms("study_plus_x").values()
+    for name, published in PAPER_METRICS.items():
+        yield f"{published.label} (IQM [95 % interval])", *map(interval(name), columns)
+    yield "Success (%)", *map(SUCCESS, columns)
+    for limit in ("any", "attitude_exclusion", "temperature", "battery", "dynamic_speed", "passive_safety"):
+        yield PAPER_VIOLATIONS[limit].label, *map(number(f"violations_percent/{limit}", ".3f"), columns)
+
+
+def middle_of_cases(seeds: list[Any], name: str) -> float:
+    """Returns the interquartile mean over the cases of evaluations."""
+    return float(iqm(np.concatenate([seed["cases"][name] for seed in seeds])))
+
+
+def evaluated(study: str, arm: str, interactions: int) -> dict[str, float]:
+    """Returns means over the seeds' evaluations of an arm after so many interactions; nothing where there are none."""
+    lines = read(f"{study}/{arm}/evaluations.jsonl")
+    seeds = [line for line in lines if line["interactions"] == interactions]
+    if not seeds:
+        return {}
+    found = {
+        name: middle_of_cases(seeds, name) for name in ("inspected_score", "delta_v_m_s", "episode_length_s")
+    }
+    found["success"] = 100.0 * float(np.mean([seed["outcomes"]["success"] for seed in seeds]))
+    return found | {"reward": float(np.mean([seed["cases"]["reward"] for seed in seeds]))}
+
+
+def papers_learner() -> Rows:
+    for when in (0, 65_536, 163_840, 311_296, 507_904, 1_015_808, 2_015_232):
+        found = [evaluated("paper", arm, when) for arm in ARMS]
+        forms = {"success": ".0f", "inspected_score": ".2f", "delta_v_m_s": ".1f"}
+        yield f"{when:,}", *(f"{each[name]:{form}}" for name, form in forms.items() for each in found)
+
+
+def early() -> Rows:
+    trained = "{success:.1f}, {reward:.3f}, {delta_v_m_s:.2f}, {episode_length_s:,.0f}"
+    for arm, label in LABELS.items():
+        curve, cells = report("progress")[arm], []
+        for when, form in (
+            (0, "{inspected_score:.2f}, {success:.1f}"),
+            (294_912, trained),
+            (507_904, trained),
+        ):
+            found = evaluated("study", arm, when)  # the robust agents were evaluated only at the end
+            cells.append(form.format(**found) if found else "")
+        yield label, *cells, f"{np.interp(500.0, curve['time_s'], curve['weight']):.2f}"
+
+
+def learned_from() -> Rows:
+    for name, found in read("learn_from/results.json").items():
+        on, off, at = found["with_filter"], found["without"], found["learned_at"]
+        typical = statistics.median(math.inf if each is None else each for each in at)
+        learned = f"{typical:,.0f} ({sum(each is not None for each in at)} of {found['seeds']})"
+        with_filter = metric("reward", "{iqm} ({mean})")(on), FUEL(on), f"{on['corrected_percent']:.1f}"
+        yield name, SUCCESS(on), *with_filter, learned, SUCCESS(off), f"{off['violations_percent']:.2f}"
+
+
+def guidance_flown() -> Rows:
+    ways = ("every 10 s, no filter", "every second, no filter", "every second, filter")
+    for name, flown in read("guidance/guidance.json")["guidance"].items():
+        found = {(name, way): results for way, results in zip(ways, flown.values(), strict=True)}
+        counts = number("violating_episodes"), number("drifting_successes")
+        means = (metric(each, "{iqm} ({mean}), {p95}") for each in ("episode_length_s", "delta_v_m_s"))
+        yield from rows(found, SUCCESS, CLEAN, *counts, *means)
+
+
+def how_far() -> Rows:
+    found = read("optimum/optimum.json")
+
+    def mean(values: list[float | None], digits: int = 2) -> str:
+        return f"{np.mean([value for value in values if value is not None]):,.{digits}f}"
+
+    for name, way in found["guidance"].items():
+        cells = mean(way["time_s"], 0), mean(way["delta_v_m_s"])
+        yield f"guidance, {name}", "", f"{way['clean']} of {found['cases']}", *cells, "", "", ""
+    for flights in found["times"]:
+        bound, length = flights["bound_m_s"], flights["length_m_s"]
+        proven = [i for i in range(len(bound)) if length[i] is not None]
+        clean = f"{sum(each is not None for each in length)} of {found['cases']}"
+        means = mean(flights["time_s"], 0), mean(flights["delta_v_m_s"]), mean(length)
+        of_proven = f"{mean([length[i] for i in proven])} ({len(proven)})"
+        least = mean([bound[i] for i in proven], 3)
+        yield "best found", f"{flights['allowed_s']:,.0f}", clean, *means, of_proven, least
+
+
+def flown() -> Rows:
+    found = [campaign(policy) for policy in POLICIES]
+    for limit, unit in UNITS.items():
+        label = f"{PAPER_VIOLATIONS[limit].label} ({unit.replace('^2', '²').replace('deg ', '°')})"
+        smallest = (
+            f"{each['worst_value'][limit]:.3g} at {each['worst_case'][limit]['time_s']:g} s" for each in found
+        )
+        broken = (f"{each['violating_episodes'][limit]:,}" for each in found)
+        yield label, next(broken), next(smallest), next(broken), next(smallest)
+    for label, column in {
+        "any: episodes violated": violating,
+        "probability that an episode violates any, below": number("upper_bound_95", ".2g"),
+        "calls of the filter": lambda each: f"{calls(each):,}",
+        "of these unsolved": number("filter_calls/unsolved"),
+        "in which a row yielded": number("filter_calls/slack"),
+        "in which the backup decided (%)": backup,
+        "states that keep every limit and are no starts": number("starts_rejected_by_margin"),
+        "starts beyond braking, not counted above": number("starts_beyond_braking/episodes"),
+        "of these violated": number("starts_beyond_braking/violating_episodes/any"),
+    }.items():
+        random, adversarial = map(column, found)
+        yield label, random, "", adversarial, ""
+
+
+def adversaries() -> Rows:
+    learned = {"motion": "motion", "passive": "passive safety", "attitude": "attitude, temperature, energy"}
+    names = {
+        ("the model", "adversarial"): "adversarial_between",
+        ("the model", "lookahead"): "lookahead",
+        **{("the model", f"learned: {label}"): f"learned_{name}" for name, label in learned.items()},
+        ("U1", "lookahead, 8 for two calls"): "u1_lookahead",
+        **{("U1", f"learned: {label}"): f"u1_learned_{name}" for name, label in learned.items()},
+    }
+    found = {label: campaign(name) for label, name in names.items()}
+    return campaigns(
+        {(*label, f"{each['campaign']['check_every']:g}"): each for label, each in found.items()}
+    )
+
+
+def told_worlds() -> Rows:
+    yield from campaigns(both("U1", "u1_{}"))
+    for label, name in (
+        (("U1, the worst errors at every call", "random"), "u1_worst_random"),
+        (("U1, minimum impulse", "adversarial"), "u1_minimum_thrust"),
+        (("U1, quanta", "adversarial"), "u1_thrust_quantum"),
+    ):
+        yield from campaigns({label: campaign(name)})
+
+
+def barely() -> Rows:
+    found = {
+        (f"{vehicle}, {period} s", demand): read(f"measure/{prefix}barely_{demand}_{period}s.json")
+        for vehicle, prefix, periods in (("the paper's", "", (1, 5, 10)), ("ESPA", "espa_", (10,)))
+        for period in periods
+        for demand in ("opposite", "full", "lookahead")
+    }
+    shares = number("moved_by_check_percent", ".2f"), number("unverified_percent", ".3g")
+    return rows(found, number("calls"), *shares, number("measured/episodes"), number("broken_episodes"))
+
+
+def rows_of_a_filter() -> Rows:
+    groups = [f"{change}_of_{group}" for change in ("change", "chatter") for group in ("thrust", "torque")]
+    forms = {"corrected_percent": ".2f"} | dict.fromkeys(groups, ".4f") | {"moved_by_check_percent": ".2f"}
+    for demand in ("random", "waypoints", "agent"):
+        for kind in ("paper", "sampled", "none"):
+            found = read(f"measure/rows_{kind}_{demand}.json")
+            cells = (f"{found[name]:{form}}" for name, form in forms.items())
+            yield demand, kind, *cells, f"{1e6 / found['calls_per_s']:.1f}"
+
+
+def coasting() -> Rows:
+    labels = (
+        "as the paper: gravity linear, Hill's frame at rest",
+        "`hill_rotation = true`",
+        '`hill_rotation = true`, `orbit = "two-body"`',
+        "Basilisk itself with J2",
+        "Basilisk itself with drag",
+    )
+    found = read("basilisk/basilisk.json")["coasting"]
+    last = [{key: values[-1] for key, values in errors.items()} for errors in found["models"].values()]
+    names = {"position_m": ".2g", "position_median_m": ".2g", "attitude_deg": ".2g", "rate_rad_s": ".1g"}
+    for label, error in zip(labels, [*last, *found["perturbed"].values()], strict=True):
+        yield label, *(f"{error[name]:{form}}" for name, form in names.items())
+
+
+def agents_in_basilisk() -> Rows:
+    places = "ours", "Basilisk", "with J2 and drag", "with wheels and pulses"
+    for arm, worlds in read("basilisk/basilisk.json")["agents"].items():
+        for place, found in zip(places, worlds.values(), strict=True):
+            cells = [number("episodes")(found), number("violating_episodes")(found)]
+            cells[1:1] = [number(name, ".1f")(found) for name in ("success_percent", "clean_percent")]
+            for name, digits in {"reward": 3, "episode_length_s": 0, "delta_v_m_s": 3}.items():
+                apart = found["difference"][name]
+                beside = f" ({apart['mean']:+.{digits}f} ± {apart['standard_error']:.{digits}f})"
+                cells.append(f"{found['mean'][name]:,.{digits}f}" + (beside if place != "ours" else ""))
+            yield LABELS[arm], place, *cells
+
+
+def speed() -> Iterator[tuple[str, str, str]]:
+    b = read("benchmark.json")
+
+    def per_s(name: str) -> str:
+        rates = b[name].values() if isinstance(b[name], dict) else [b[name]]
+        return " / ".join(f"{rate:,.0f}" for rate in rates) + " per s"
+
+    def latency(name: str) -> str:
+        return f"{b[name]['median']:.3f} ms, 99 % below {b[name]['p99']:.3f} ms"
+
+    yield "decisions of 10 s, no RTA", per_s("simulator_steps_per_s"), "53 per s"
+    yield "decisions of 10 s, with RTA at 1 / 5 / 10 s", per_s("closed_loop_steps_per_s"), "8 per s at 1 s"
+    yield "filter calls", per_s("filter_calls_per_s"), "2,000 to 2,600 per s"
+    starts = "from the paper's starts", "from the edge of the zone", "from the paper's starts in U1"
+    for where, us, (low, high) in zip(
+        starts, b["random_call_us"].values(), b["min_max"]["random_call_us"].values(), strict=True
+    ):
+        yield f"a filter call under random demands, {where}", f"{us:.1f} µs [{low:.1f}, {high:.1f}]", ""
+    yield "filter calls, with U1's bounds", per_s("told_filter_calls_per_s"), ""
+    yield "through Gymnasium, no RTA, NumPy / PyTorch", per_s("gymnasium_steps_per_s"), ""
+    problem = "one optimisation problem of the filter, PIQP / batched solver, 1,024 at once"
+    yield problem, " / ".join(f"{us:.2f}" for us in b["qp_us"].values()) + " µs", ""
+    yield "one filter call alone, NumPy in and out", latency("single_filter_latency_ms"), "0.36 to 0.49 ms"
+    yield "one filter call alone, with U1's bounds", latency("told_filter_latency_ms"), ""
+    part = f"{100 * b['learner_matmul_share']:.0f} % of the float32 matrix-product rate"
+    learner = f"{per_s('learner_samples_per_s')}, {part} ({b['matmul_gflops']:.0f} Gflop/s)"
+    yield "samples learned, 1,024 at once", learner, ""
+    yield "peak memory, up to 65,536 episodes", f"{b['peak_memory_mb']:,.0f} MB", ""
+    for name, s in b["compile_s"].items():
+        yield f"to compile the {name} for the first time", f"{s:.0f} s", ""
+
+
+def parts_of_a_step() -> Rows:
+    labels = (
+        "whole closed loop",
+        "of this: the filter",
+        "integration, ten substeps",
+        "point visibility and k-means",
+        "agent",
+        "observation, rewards, constraint values, restarts",
+    )
+    parts = dict(zip(labels, read("benchmark.json")["closed_loop_us"].values(), strict=True))
+    return rows(parts, *(number(batch, ".1f") for batch in ("256", "1024", "4096", "65536")))
+
+
+def break_points() -> Rows:
+    found = campaign("break_points")
+    for effect in dict.fromkeys(world["effect"] for world in found["worlds"]):
+        yield effect, EFFECTS[effect].unit or "share", said(found, effect, False), said(found, effect, True)
+
+
+def boundary() -> Rows:
+    for period in (1, 5, 10):
+        found = campaign("boundary", period)
+        broken = f"{found['violating_draws']['any']:,} of {found['draws']:,}"
+        decided = 100.0 * found["backup_calls"] / found["filter_calls"]
+        yield f"{period}", broken, f"{found['upper_bound_95']:.1e}", f"{decided:.1f}"
+
+
+TABLES: dict[str, Callable[[], Rows]] = {
+    **{
+        table.__name__: table
+        for table in (
+            *(front, front_safety, performance, violations, all_arms, hidden, dependence, baselines, worlds),
+            *(panels_on_plus_x, papers_learner, early, learned_from, guidance_flown, how_far, flown),
+            *(adversaries, told_worlds, barely, rows_of_a_filter, break_points, boundary, coasting),
+            *(agents_in_basilisk, speed, parts_of_a_step),
+        )
+    },
+    "front_speed": lambda: (row[:2] for row in list(speed())[:6]),
+    "guidance_front": lambda: agents(report("front")),
+    "thrifty_to_quick": lambda: agents({**arms("teachers"), GUIDE: arms()["rta"]}),
+    "periods_of_agents": lambda: agents(report("frequency")),
+    "periods_of_campaigns": lambda: campaigns(
+        {(f"{s}", each): campaign(each, s) for s in (1, 5, 10) for each in (*POLICIES, "lookahead")}
+    ),
+    "rows_of_agents": lambda: agents(arms("rows")),
+    "vehicles": lambda: campaigns(
+        {key: each for name, label in VEHICLES.items() for key, each in both(label, f"{name}_{{}}").items()}
+    ),
+    "agents_of_vehicles": lambda: agents(
+        {label: arms(f"vehicles/{name}")["rta"] for name, label in VEHICLES.items()}
+    ),
+    "agents_of_chiefs": lambda: agents(
+        {label: arms(f"chiefs/{name}")["rta"] for name, label in CHIEFS.items()}
+    ),
+    "beside_the_hull": lambda: campaigns({policy: campaign(f"hull_{policy}") for policy in POLICIES}),
+    "in_c": lambda: campaigns(
+        both("1 s", "in_c_{}") | {("U1's bounds", "random"): campaign("u1_in_c_random")}
+    ),
+    "campaigns_in_basilisk": lambda: campaigns(
+        {policy: read(f"basilisk/u1_{policy}.json") for policy in (*POLICIES, "lookahead")}
+    ),
+}
+
+if __name__ == "__main__":
+    main()

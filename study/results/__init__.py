@@ -1,1 +1,0 @@
-"""Programs that renew pages of docs/results from finished studies."""
