@@ -4,8 +4,8 @@ import hashlib
 import io
 import math
 import re
-from collections import Counter
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -39,27 +39,7 @@ def triangles_of(content: bytes, kind: str) -> np.ndarray:
 
     if kind not in (kinds := trimesh.exchange.load.mesh_formats()):
         raise KeyError(", ".join(f".{each}" for each in sorted(kinds)))
-    plain = plain_stl(content) if kind in ("stl", "stl_ascii") else content
-    return np.array(trimesh.load_mesh(io.BytesIO(plain), file_type=kind).triangles)
-
-
-def plain_stl(content: bytes) -> bytes:
-    """An STL file as trimesh reads it: without bytes behind the last triangle; text in UTF-8, line by line."""
-    wide = [
-        each for each in ("utf-32-le", "utf-32-be", "utf-16-le", "utf-16-be") if has_facets(content, each)
-    ]
-    count = int.from_bytes(content[80:84], "little")  # four letters would be more than fit into a file
-    if not wide and (size := 84 + 50 * count) <= len(content) and count:
-        return content[:size]
-    encoding = wide[0] if wide else "latin-1"  # of all but names ASCII is enough
-    text = content.decode(encoding, errors="replace")
-    return "\n".join(text.splitlines()).encode()
-
-
-def has_facets(content: bytes, encoding: str) -> bool:
-    """Whether a file has the word in an encoding of whole numbers, in letters of either case."""
-    at = content.lower().find("facet".encode(encoding))
-    return at >= 0 and at % len("f".encode(encoding)) == 0
+    return np.array(trimesh.load_mesh(io.BytesIO(content), file_type=kind).triangles)
 
 
 def path_of(mesh: str) -> str:
@@ -163,31 +143,27 @@ def sampled(triangles: Tensor, count: int) -> tuple[Tensor, Tensor, Tensor]:
     return points, unit(normals)[:, which], (areas.sum() / count).expand(count).clone()
 
 
-def numbered(triangles: Tensor) -> Tensor:
-    """(F, 3) which corner each is: those at the same place, to a micrometre, are one."""
-    places = (triangles * 1e6).round().long().reshape(-1, 3)
-    return torch.unique(places, dim=0, return_inverse=True)[1].reshape(-1, 3)
+def body_of(triangles: Tensor) -> Any:
+    """Returns triangles (F, 3, 3) as a body of trimesh, in which corners at the same place are one."""
+    import trimesh
 
-
-def edges_of(triangles: Tensor) -> list[tuple[int, int]]:
-    """Three of each triangle, along its way, as pairs of numbered corners."""
-    return [edge for a, b, c in numbered(triangles).tolist() for edge in ((a, b), (b, c), (c, a))]
+    return trimesh.Trimesh(**trimesh.triangles.to_kwargs(triangles.numpy()))
 
 
 def is_closed(triangles: Tensor) -> bool:
-    """Whether every edge of the triangles (F, 3, 3) is one of another, the other way round."""
-    edges = Counter(edges_of(triangles))
-    return all(count == edges[last, first] for (first, last), count in edges.items())
+    """Tells whether every edge of the triangles (F, 3, 3) is one of another, the other way round."""
+    if not len(triangles):
+        return True
+    body = body_of(triangles)
+    return bool(body.is_watertight and body.is_winding_consistent)
 
 
 def check_winding(triangles: Tensor, path: str) -> None:
     """Raises ValueError where neighbours are not counterclockwise from the same side, and one's points face inwards."""
-    edges = Counter(edges_of(triangles))
-    wrong = sum(count == 2 and (last, first) not in edges for (first, last), count in edges.items())
-    if wrong:
+    if not body_of(triangles).is_winding_consistent:
         raise ValueError(
-            f"mesh = {path!r}: {wrong:,} pairs of neighbours are not counterclockwise from the same side: mend the "
-            "order of their corners (trimesh.repair.fix_normals)"
+            f"mesh = {path!r}: some neighbours are not counterclockwise from the same side: mend the order of their "
+            "corners (trimesh.repair.fix_normals)"
         )
 
 
@@ -196,7 +172,10 @@ def faces(triangles: Tensor) -> Tensor:
 
     That has four planes around its cone, two triangles have six. What is left repeats its last corner.
     """
-    by_edge = {edge: divmod(n, 3) for n, edge in enumerate(edges_of(triangles))}
+    places = (triangles * 1e6).round().long().reshape(-1, 3)  # corners within a micrometre are one
+    corners = torch.unique(places, dim=0, return_inverse=True)[1].reshape(-1, 3).tolist()
+    edges = [edge for a, b, c in corners for edge in ((a, b), (b, c), (c, a))]
+    by_edge = {edge: divmod(n, 3) for n, edge in enumerate(edges)}
     paired: set[int] = set()
     found = []
     for (first, second), (i, k) in by_edge.items():
