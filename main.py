@@ -497,8 +497,7 @@ def run_verify(given: Namespace) -> None:
     settings=FLOWN,
 )
 def run_boundary(given: Namespace) -> None:
-    from study.boundary.boundary import BATCH, Boundary, search
-    from study.boundary.report import table
+    from study.verification.boundary import BATCH, Boundary, search, table
     from study.verified import say_unchecked
 
     config = filtered(configured(given, Config()))

@@ -1,1 +1,0 @@
-"""Single calls next to the limits."""
