@@ -31,9 +31,9 @@ interactions = 24
 evaluation_interval = 12
 evaluation_episodes = 2
 final_episodes = {CASES}
-rta_period = 1.0
 compile = "on"
 device = "cpu"
+[rta]
 qp_solver = "batched"
 [inspection]
 action_period = {DURATION}

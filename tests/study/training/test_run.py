@@ -7,12 +7,10 @@ import signal
 import subprocess
 import sys
 import time
-import tomllib
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
-import tomli_w
 import torch
 
 from ppo import checkpoint
@@ -97,32 +95,6 @@ def test_interrupted_and_resumed_equals_uninterrupted(tmp_path: Path, rta: bool)
     for a, b in zip(weights(whole), weights(second), strict=True):
         assert torch.equal(a, b)
     assert torch.equal(whole.env.x, second.env.x)
-
-
-def older(text: str) -> str:
-    """A configuration as earlier versions wrote it: the filter's period and solver in [train], no widths."""
-    tables = tomllib.loads(text)
-    tables["train"] |= {
-        "rta_period": tables["rta"].pop("period"),
-        "qp_solver": tables["rta"].pop("qp_solver"),
-    }
-    del tables["ppo"]["hidden"]
-    return tomli_w.dumps(tables)
-
-
-def test_a_run_of_an_earlier_version_continues(tmp_path: Path) -> None:
-    run = training.start(tiny(action_period=1.0, rta=True, qp_solver="piqp", interactions=32 * 4), tmp_path)
-    for path in (tmp_path / "config.toml", tmp_path / "checkpoint.pt"):
-        if path.suffix == ".toml":
-            path.write_text(older(path.read_text()))
-        else:
-            content = torch.load(path, weights_only=True)
-            torch.save(content | {"config": older(content["config"])}, path)
-    resumed = training.resume(tmp_path)
-    assert resumed.config == run.config
-    resumed.train()
-    run.train()
-    assert all(map(torch.equal, weights(run), weights(resumed)))
 
 
 def test_a_run_from_before_meshes_had_digests_goes_on_again_and_again(tmp_path: Path) -> None:

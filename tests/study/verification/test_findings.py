@@ -15,7 +15,6 @@ from study.verification.starts import initial_states
 from tests.rta.test_barrier import FILTER
 from tests.test_main import assert_refused, call
 
-OLDER = {"rta_period": "period", "qp_solver": "qp_solver"}  # of [train], now of [rta]
 NEWER = {"check_every", "candidates", "horizon"}  # of a campaign
 
 
