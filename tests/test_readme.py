@@ -21,7 +21,7 @@ from study.config import Config
 from study.files import ROOT
 from study.verified import fingerprint
 
-SAFETY_LIMITS, COMMANDS_PAGE = "docs/results/safety_limits.md", "docs/reference/commands.md"
+SAFETY, COMMANDS_PAGE = "docs/results/safety.md", "docs/reference/commands.md"
 
 
 def middle(results: dict[str, Any], metric: str) -> float:
@@ -75,14 +75,14 @@ def test_every_campaign_kept_every_limit(name: str) -> None:
     assert not found["violating_episodes"]["any"] and not found["unsolved"]
     assert not found["filter_calls"]["unsolved"]
     if name.startswith(("learned", "u1_learned", "lookahead", "u1_lookahead", "adversarial_")):
-        seconds = 300 if "lookahead" in name else 2000  # as safety_tests.md says
+        seconds = 300 if "lookahead" in name else 2000  # as safety.md says
         assert found["campaign"]["duration"] == seconds
 
 
 def test_what_breaks_the_filter_stands_beside_what_it_held() -> None:
-    """On the front page, as the programs of the other one print it."""
-    beyond = re.findall(r"(?m)^beyond the edge: (-?[\d.]+) m with errors that stay", text(SAFETY_LIMITS))
-    (starts,) = re.findall(r"(?m)^1 s: (\d+) % of [\d,]+ states$", text(SAFETY_LIMITS))
+    """On the front page, as the programs of the page on safety print it."""
+    beyond = re.findall(r"(?m)^beyond the edge: (-?[\d.]+) m with errors that stay", text(SAFETY))
+    (starts,) = re.findall(r"(?m)^1 s: (\d+) % of [\d,]+ states$", text(SAFETY))
     said = " ".join(text("README.md").split())
     checked, unchecked = map(float, beyond)
     assert checked < 0.0 and unchecked < 0.0 and "where the filter checks, they no longer do" in said

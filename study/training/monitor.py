@@ -1,6 +1,6 @@
 """What a training run reports of its environment: one set of scalars per update.
 
-Every tag is explained in docs/reference/tensorboard.md.
+Every tag is explained in docs/reference/commands.md.
 """
 
 import time
