@@ -1,4 +1,4 @@
-"""Writes the rows of the tables on the pages, README.md and docs/, from the files in runs/reference/.
+"""Writes the rows of the tables on the pages, README.md, docs/ and the log of experiments/, from the files in runs/reference/.
 
     python -m docs.tables
 
@@ -25,7 +25,11 @@ from study.paper import PAPER_METRICS, PAPER_VIOLATIONS, Published, Results, mea
 from study.report.tables import of_seeds, over_seeds
 
 REFERENCE = ROOT / "runs/reference"
-PAGES = ("README.md", *sorted(str(page.relative_to(ROOT)) for page in (ROOT / "docs").rglob("*.md")))
+PAGES = (
+    "README.md",
+    "experiments/learning_log.md",
+    *sorted(str(page.relative_to(ROOT)) for page in (ROOT / "docs").rglob("*.md")),
+)
 MARK = "<!-- rows:"
 TABLE = re.compile(rf"(?m)^({MARK} (\w+) -->\n(?:\|.*\n){{2}})(?:\|.*\n)*")  # the mark, the heading; the rows
 

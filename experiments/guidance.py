@@ -1,4 +1,4 @@
-"""Flies the guidance by its names through cases that nobody has seen (docs/results/learning.md).
+"""Flies the guidance by its names through cases that nobody has seen (experiments/learning_log.md).
 
     python -m experiments.guidance --out runs/reference/guidance
 

@@ -2,7 +2,7 @@
 
     python -m experiments.optimum --out runs/reference/optimum
 
-The first common test cases, each by itself and known in advance (docs/reference/optimum.md). *Best found*: for each
+The first common test cases, each by itself and known in advance (experiments/learning_log.md). *Best found*: for each
 time many settings of the guidance that leads the Sun are flown, the best of each case are improved by gradients through
 the motion, and the outcome is flown in the simulator, with attitude and every limit. *Bound*: a mixed-integer linear
 program of the first few of them (`experiments.optimum_bound`). Writes optimum.json and optimum.png; `--draw` only draws

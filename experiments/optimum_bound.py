@@ -1,7 +1,7 @@
 """Proves a lower bound of the fuel with which a case can be inspected in a given time.
 
 A mixed-integer linear program of which every flight that inspects the wanted weight by then gives a feasible point that
-costs no more than the flight (docs/reference/optimum.md has the lemmas by these names):
+costs no more than the flight (experiments/learning_log.md has the lemmas by these names):
 
 - *length*: the body's axes are orthogonal, so |F|_1 along them is at least the length of F, whatever the attitude, and
   that is at least its component in any direction.

@@ -14,12 +14,13 @@ from mkdocs.structure.files import File, Files
 ROOT = Path(__file__).resolve().parents[2]
 PACKAGES = ("inspection", "rta", "ppo", "kernels", "interfaces", "study")
 FOLDERS = ("guides", "reference", "results")
+LOG = "experiments/learning_log.md"
 LINK = re.compile(r"\]\(([^)#\s:]+)(?:#[^)\s]*)?\)")  # those with a scheme lead elsewhere
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
     """All files of the site: in place of those that MkDocs has found in docs, the theme's aside."""
-    pages = [ROOT / name for name in ("README.md", "CONTRIBUTING.md", "CHANGELOG.md")]
+    pages = [ROOT / name for name in ("README.md", "CONTRIBUTING.md", "CHANGELOG.md", LOG)]
     pages += sorted((ROOT / "docs").rglob("*.md"))
     found = dict.fromkeys(pages)  # a set in order
     for page in pages:
@@ -39,9 +40,9 @@ def menu(pages: list[str]) -> list[Any]:
     """What the site's menu lists: the pages by folder, then the API."""
     return [
         {"Front page": "README.md"},
-        {"Five ways in": "docs/readers.md"},
         {"All pages": "docs/README.md"},
         *({name.capitalize(): [page for page in pages if f"docs/{name}/" in page]} for name in FOLDERS),
+        {"Log of experiments": LOG},
         {"API": [{name: f"api/{name}.md"} for name in PACKAGES]},
         {"Changes": "CHANGELOG.md"},
         {"Contributing": "CONTRIBUTING.md"},
