@@ -1,4 +1,4 @@
-"""Compares the project's own simulator with Basilisk: coasting, and agents (docs/results/basilisk.md).
+"""Compares the project's own simulator with Basilisk: coasting, and agents (docs/guides/basilisk.md).
 
     python -m experiments.basilisk --study runs/reference/study --out runs/reference/basilisk
 

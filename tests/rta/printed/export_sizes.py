@@ -2,7 +2,7 @@
 
     python -m tests.rta.printed.export_sizes
 
-prints the rows of this table of docs/guides/filter_in_c.md, in some minutes; gcc, and its compilers for ARM, are
+prints the rows of this table of docs/guides/export.md, in some minutes; gcc, and its compilers for ARM, are
 needed.
 """
 

@@ -48,10 +48,10 @@ CROSS = {
 THOROUGH = pytest.mark.skipif(
     not os.environ.get("RTA_EXPORT_THOROUGH"), reason="takes minutes: set RTA_EXPORT_THOROUGH"
 )
-STATES, STATES_HELD = 4000, 400  # that are compared in every run; docs/guides/filter_in_c.md has more
+STATES, STATES_HELD = 4000, 400  # that are compared in every run; docs/guides/export.md has more
 PARTS = ("safety_filter.h", "safety_filter.c", "example.c")
 LARGEST_STACK = 64_000  # B, of all calls together
-# Of MISRA C:2012 as cppcheck knows it; docs/guides/filter_in_c.md says why each stands.
+# Of MISRA C:2012 as cppcheck knows it; docs/guides/export.md says why each stands.
 DEVIATIONS = ("2.4", "2.5", "8.9", "9.3", "10.3", "10.6", "14.1")
 
 
