@@ -21,8 +21,8 @@ from rta.parameters import RtaParameters
 from rta.printed.vectors import independent
 from rta.qp.programs import Status
 from settings import load
-from study.boundary.limits import barriers, near_limits
 from study.config import Config
+from study.verification.limits import barriers, near_limits
 from study.verification.starts import initial_states
 from tests.rta.test_filter import CONFLICTS, commands, near_the_limits
 
