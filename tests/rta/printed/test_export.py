@@ -374,7 +374,7 @@ def test_the_header_says_what_it_is(exported: Callable[..., Made]) -> None:
     safety_filter, directory = exported("own")
     head = (directory / "safety_filter.h").read_text()
     assert NOT_VERIFIED in head and "SAFETY_FILTER_VERIFIED 0" in head and VERSION in head
-    assert f'VERSION "{VERSION}"' in head and f'version = "{VERSION}"' in Path("pyproject.toml").read_text()
+    assert f'VERSION "{VERSION}"' in head and f"version: {VERSION}" in Path("CITATION.cff").read_text()
     named = re.findall(r"SAFETY_FILTER_H_(\w+) = (\d+)", head)
     assert [(name.lower(), int(i)) for name, i in named] == [
         (re.sub(r"\W", "_", name).lower(), i) for i, name in enumerate(safety_filter.names)
