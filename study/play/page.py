@@ -35,7 +35,6 @@ from study.pages.template import render
 from study.play import agent, printed, wasm, worst
 from study.play.starts import starts
 
-NEEDED = {"ziglang": "a compiler", "trimesh": "which has three.js"}
 HORIZON = 500  # s, of the line ahead
 # by table, what no saved flight depends on: what an agent is shown and rewarded for, and what the page chooses
 IDLE: dict[str, Callable[[str], bool]] = {
@@ -88,9 +87,9 @@ WORDS = {  # by limit: its name for a newcomer, why it is there, what its violat
 
 
 def check() -> None:
-    """Raises InputError where a package is missing that the page is built with."""
-    if missing := [f"{name} ({why})" for name, why in NEEDED.items() if find_spec(name) is None]:
-        raise InputError(f"play needs the packages {', '.join(missing)}: pip install '.[play]'")
+    """Raises InputError where the compiler is missing that the page is built with."""
+    if find_spec("ziglang") is None:
+        raise InputError("play needs the package ziglang (a compiler): pip install '.[play]'")
 
 
 def check_config(config: Config) -> None:

@@ -8,7 +8,6 @@ import shutil
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -18,7 +17,6 @@ from scipy.spatial.transform import Rotation, Slerp
 
 import main
 from inspection.chief.points import fibonacci_sphere, point_weights
-from study.pages import scene
 from study.pages.scene import three
 from study.replay import page as replay
 
@@ -176,20 +174,6 @@ def test_three_js_is_shipped_with_its_licence() -> None:
     head, _, code = library.partition("*/")
     assert "Permission is hereby granted" in head and "three.js authors" in head
     assert '="140"' in code and "TrackballControls" not in code and "</script" not in code
-
-
-@pytest.mark.parametrize("there", [False, True])
-def test_without_three_js_the_command_says_so(
-    there: bool,
-    flown_files: tuple[Path, Path],
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    """Trimesh is not there, or is of a version without it."""
-    spec = SimpleNamespace(submodule_search_locations=[str(tmp_path)]) if there else None
-    monkeypatch.setattr(scene, "find_spec", lambda name: spec)
-    refused([str(flown_files[0])], ["trimesh", "pip install '.[report]'"], tmp_path, capsys)
 
 
 class Browser:
