@@ -848,10 +848,11 @@ STUDY = [
         ("reward = -WEIGHT * h.asinh()", "reward = WEIGHT * h.asinh()"),
     ),
     *faults(
-        "study/export/policy.c.j2",
+        "study/export/policy.c",
         "study/export/test_policy.py",
-        ("layer_0[i] = observation[i] / scale[i];", "layer_0[i] = observation[i] * scale[i];"),
+        ("from[i] = observation[i] / SCALE[i];", "from[i] = observation[i] * SCALE[i];"),
         ("return (action < 0.0) ? -size : size;", "return size;"),
+        ("wanted[i] && (gap > most)", "wanted[i] && (gap < most)"),
     ),
     *faults(
         "study/export/onnx.py",

@@ -1,59 +1,42 @@
-"""An agent as C99: the network in loops, its tables, and a test that replays what PyTorch answers.
+"""An agent as C99: what it observes, its network, and a test that compares it with PyTorch.
 
-The sources stand in `policy*.j2`. The C computes in double precision with the checkpoint's weights, which are in
-single, and is held against PyTorch in double: in single PyTorch itself strays by nearly TOLERANCE.
+By hand are `policy.c` and `policy.h`, to which the tables and the printed observation are added here. The C computes in
+double precision with the checkpoint's weights, which are in single, and is compared with PyTorch in double: in single
+PyTorch itself strays by nearly the tolerance of the test. The page of `play` flies the same C.
 """
 
 import hashlib
+import math
 import shlex
-from collections.abc import Iterable, Iterator, Sequence
+import textwrap
+from collections.abc import Iterable, Sequence
 from copy import deepcopy
 from pathlib import Path
 
 import torch
-from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from torch import Tensor
 
+from inspection.chief.points import LLOYD_ITERATIONS, cluster, nearest_cluster
+from inspection.model.attitude import unit
 from inspection.model.parameters import InspectionParameters
-from inspection.model.state import CONTROL_SIZE, CONTROLS
-from inspection.observation import GROUPS, components, scales
+from inspection.model.state import CONTROL_SIZE, OMEGA, SIZE, THETA_S, E, P, Q, T, V
+from inspection.observation import components, observe, scales
+from inspection.sight import Sight
 from kernels.exported import REFUSES_FAST_MATH, check_directory, check_prefix, prefixed
+from kernels.printer import Printed, printed
 from ppo.network import Policy
+from rta.printed.files import CONTROL, STATE
+from rta.printed.source import define, for_one, table
 from study.config import Config
 from study.errors import refusing
+from study.experiment import check_chief
 from study.files import write_text
 
-TEMPLATES = {  # by file
-    "policy.h": "policy.h.j2",
-    "policy.c": "policy.c.j2",
-    "policy_vectors.h": "policy_vectors.h.j2",
-    "test_policy.c": "policy_test.c.j2",
-    "Makefile": "policy.mk.j2",
-}
 NAME = "policy"  # that files, functions, types and macros begin with
 BUILT = "test_policy"  # by the Makefile
 MARK = "Written by main.py export --c"  # on the first line of each
 VECTORS = 100  # of the test
-TOLERANCE = 1e-6  # of it, in units of the actuators' limits
 WIDTH = 110  # of a line of a table
-FLAGS = "-std=c99 -O2 -Wall -Wextra -Wpedantic -Wconversion -Werror"
-
-# of each group, what is to be observed
-MEANINGS = {
-    "position": "distance of the deputy from the chief's centre; its direction from there",
-    "velocity": "speed in Hill's frame; direction of motion there",
-    "angular_velocity": "rates of the body, relative to {frame}",
-    "energy": "in the battery",
-    "temperature": "of the surface whose limit is kept",
-    "sun": "direction of the Sun; its cosine with the deputy's direction",
-    "priority": "direction around which the chief's points weigh most; its cosine with the deputy's direction",
-    "uninspected": "direction of the nearest cluster of lit points left, 0 if none; its cosine with the deputy's",
-    "score": "weight of the points inspected so far, of 1",
-    "hill": "x axis of Hill's frame, away from the Earth; its y axis, along the orbit",
-    "free_flight": "directions of the closest passes of coasting for {near:g} s and {far:g} s, {radius:g} m / distance "
-    "long, at most 2",
-    "chief": "the chief's own x axis; its y axis; its rate, relative to {frame}",
-}
 
 
 def write(policy: Policy, config: Config, checkpoint: str, directory: Path, prefix: str = NAME) -> str:
@@ -63,9 +46,14 @@ def write(policy: Policy, config: Config, checkpoint: str, directory: Path, pref
         prefix: of all files, functions, types and macros, so that several agents fit into one program.
 
     Raises:
-        InputError: the directory holds anything else, or cannot be written.
+        InputError: the chief's mesh cannot be read, or the directory holds anything else or cannot be written.
     """
-    own = sources(policy, config.inspection, hashlib.sha256(Path(checkpoint).read_bytes()).hexdigest())
+    check_chief(config)
+    own = sources(policy, config, hashlib.sha256(Path(checkpoint).read_bytes()).hexdigest())
+    own |= {
+        "test_policy.c": by_hand("test_policy.c", vectors(policy, config)),
+        "Makefile": by_hand("policy.mk"),
+    }
     with refusing("--prefix", ValueError):
         check_prefix(prefix)
         texts = {prefixed(name, NAME, prefix): prefixed(text, NAME, prefix) for name, text in own.items()}
@@ -75,96 +63,136 @@ def write(policy: Policy, config: Config, checkpoint: str, directory: Path, pref
         directory.mkdir(parents=True, exist_ok=True)
         for name, text in texts.items():
             write_text(directory / name, text)
-    weights = sum(each.numel() for layer in layers(policy) for each in layer)
     test = shlex.join(["make", "-C", str(directory), "test"])
+    weights = len(numbers(policy))
     return f"{directory}: {', '.join(texts)}; {weights:,} weights and {VECTORS} of PyTorch's controls\nNext:\n  {test}"
 
 
-def sources(policy: Policy, c: InspectionParameters, digest: str) -> dict[str, str]:
-    """The text of each file; `digest` is of the checkpoint."""
-    environment = Environment(
-        loader=FileSystemLoader(Path(__file__).parent),
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        keep_trailing_newline=True,
-    )
-    environment.filters |= {"rows": rows, "single": single, "wrapped": wrapped}
-    observation, control = vectors(policy, c)
-    values = {
-        "mark": MARK,
-        "digest": digest,
-        "period": float(c.action_period),
-        "groups": [
-            (meaning(name, c), [(each.name.upper(), each.unit) for each in group])
-            for name, group in GROUPS.items()
-            if name in c.observed
-        ],
-        "controls": [(name.upper(), "N" if name.startswith("thrust") else "N m") for name in CONTROLS],
-        "scales": [each.scale for each in components(c.observed)],
-        "limits": [float(limit) for limit in c.control_limit],
-        "layers": [tuple(each.tolist() for each in layer) for layer in layers(policy)],
-        "linear": policy.is_linear,
-        "power": float(policy.power),
-        "dead_zone": float(policy.dead_zone),
-        "observation": observation.tolist(),
-        "control": control.tolist(),
-        "tolerance": TOLERANCE,
-        "flags": FLAGS,
-        "refuses_fast_math": REFUSES_FAST_MATH.format(name="policy.c"),
-        "built": BUILT,
+def by_hand(name: str, printed_part: str = "") -> str:
+    """Returns a file of this folder with MARK on its first line and the printed part in its place."""
+    text = (Path(__file__).parent / name).read_text(encoding="utf-8")
+    mark = f"# {MARK}." if name.endswith(".mk") else f"/* {MARK}. */"
+    return f"{mark}\n{text.replace('/* PRINTED */', printed_part)}"
+
+
+def sources(policy: Policy, config: Config, digest: str) -> dict[str, str]:
+    """Returns policy.h and policy.c; `digest` is of the checkpoint."""
+    c, sight = config.inspection, Sight(config.chief, config.inspection, 1, torch.device("cpu"))
+    observed = components(c.observed)
+    limits = [
+        f"{CONTROL[name]}, at most {most!r}" for name, most in zip(CONTROL, c.control_limit, strict=True)
+    ]
+    sizes = [*(layer.weight.shape[1] for layer in policy.network.layers), CONTROL_SIZE]
+    constants = [
+        define("POLICY_CHECKPOINT", f'"{digest}"', "SHA-256"),
+        define("POLICY_PERIOD", float(c.action_period), "s between two decisions"),
+        define("POLICY_OBSERVATIONS", f"{len(observed)}U"),
+        define("POLICY_CONTROLS", f"{CONTROL_SIZE}U"),
+        define("POLICY_POINTS", f"{sight.points.shape[1]}U", "of the chief"),
+        define("POLICY_CLUSTERS", f"{sight.centres.shape[1]}U", "of points, at most"),
+        define("POLICY_OBSERVES_CHIEF", int("chief" in c.observed)),
+        "",
+        enumeration("state", STATE, STATE.values()),
+        enumeration("observation", [each.name for each in observed], [each.unit for each in observed]),
+        enumeration("command", CONTROL, limits),
+    ]
+    tables = [
+        REFUSES_FAST_MATH.format(name="policy.c"),
+        define("PER_CLUSTER", f"{c.points_per_cluster}U", "points at most"),
+        define("ITERATIONS", f"{LLOYD_ITERATIONS}U", "of k-means"),
+        define("LAYERS", f"{len(sizes) - 1}U"),
+        define("WIDEST", f"{max(sizes)}U"),
+        define("POWER", float(policy.power)),
+        define("DEAD_ZONE", float(policy.dead_zone)),
+        table("size_t SIZE[LAYERS + 1U]", sizes, "from the observation to the control"),
+        wrapped("double SCALE[POLICY_OBSERVATIONS]", [each.scale for each in observed]),
+        wrapped("double LIMIT[POLICY_CONTROLS]", [float(limit) for limit in c.control_limit]),
+        "/* of each layer, of each of its outputs: the bias, then a weight for each input */",
+        wrapped("float WEIGHT[]", [f"{number:.8e}F" for number in numbers(policy)]),
+        rows("double policy_points[POLICY_POINTS][3]", sight.points).removeprefix("static "),
+        "",
+        for_one([observation(c)]),
+    ]
+    return {
+        "policy.h": by_hand("policy.h", "\n".join(constants)),
+        "policy.c": by_hand("policy.c", "\n".join(tables)),
     }
-    return {name: environment.get_template(template).render(values) for name, template in TEMPLATES.items()}
 
 
-def meaning(group: str, c: InspectionParameters) -> str:
-    """What a group holds, in words."""
-    return MEANINGS[group].format(
-        frame="the stars" if c.hill_rotation else "Hill's frame",
-        near=c.passive_safety_horizon,
-        far=c.free_flight_horizon,
-        radius=c.collision_radius,
+def enumeration(kind: str, names: Iterable[str], meanings: Iterable[str]) -> str:
+    """Returns an enumeration whose members have comments."""
+    members = [
+        f"    POLICY_{kind.upper()}_{name.upper()} /* {meaning} */"
+        for name, meaning in zip(names, meanings, strict=True)
+    ]
+    return "\n".join([f"enum policy_{kind} {{", ",\n".join(members), "};", ""])
+
+
+def numbers(policy: Policy) -> list[float]:
+    """Returns biases and weights in the order of WEIGHT; of the last layer without the log-std's."""
+    found: list[float] = []
+    for layer in policy.network.layers:
+        columns = slice(CONTROL_SIZE if layer is policy.network.layers[-1] else None)
+        found += torch.cat((layer.bias[0, :, columns], layer.weight[0, :, columns])).T.flatten().tolist()
+    return found
+
+
+def observation(c: InspectionParameters) -> Printed:
+    """Prints what is observed, in physical units."""
+    x = torch.ones(SIZE, 1, dtype=torch.float64)
+    chief = {"chief": x[:7]} if "chief" in c.observed else {}
+    given = {"x": x, "priority": x[:3], "uninspected": x[:3], "score": x[0], **chief}
+
+    def run(x: Tensor, priority: Tensor, uninspected: Tensor, score: Tensor, *chief: Tensor) -> list[Tensor]:
+        return [observe(x, priority, uninspected, score, c, *chief)]
+
+    return printed(run, *given.values(), name="observe", names=(list(given), ["o"]))
+
+
+def vectors(policy: Policy, config: Config) -> str:
+    """Returns tables of states and of what PyTorch answers, in the units of policy.h."""
+    c, generator = config.inspection, torch.Generator().manual_seed(0)
+
+    def normal(scale: float, size: int) -> Tensor:
+        return scale * torch.randn(size, VECTORS, generator=generator, dtype=torch.float64)
+
+    def even(size: int) -> Tensor:
+        return torch.rand(size, VECTORS, generator=generator, dtype=torch.float64)
+
+    x = torch.zeros(SIZE, VECTORS, dtype=torch.float64)
+    x[P], x[V], x[Q], x[OMEGA] = normal(100.0, 3), normal(0.5, 3), unit(normal(1.0, 4)), normal(0.02, 3)
+    x[T], x[E], x[THETA_S] = normal(10.0, 1)[0], 10.0 * even(1)[0], 2.0 * math.pi * even(1)[0]
+    priority, score = unit(normal(1.0, 3)), even(1)
+    chief = torch.cat((unit(normal(1.0, 4)), normal(0.01, 3)))
+    sight = Sight(config.chief, c, 1, torch.device("cpu"))
+    points, centres, alive = sight.points.double(), sight.centres.double(), sight.alive
+    wanted = even(points.shape[1]) < even(1)
+    uninspected = torch.zeros_like(priority)
+    for n in range(VECTORS):
+        centres, alive = cluster(points, wanted[:, n : n + 1], centres, alive, c.points_per_cluster)
+        uninspected[:, n] = nearest_cluster(centres, alive, x[P, n : n + 1])[:, 0]
+    observed = observe(x, priority, uninspected, score[0], c, chief)
+    exact = deepcopy(policy).double()
+    action = exact.mean_action((observed / scales(observed, c.observed)).T[None])[0]
+    control = (action * action.new_tensor(c.control_limit)).T
+    shown = [f'"{"".join(str(int(each)) for each in column)}"' for column in wanted.T]
+    tables = {"STATES": x, "PRIORITIES": priority, "SCORES": score, "CHIEFS": chief, "EXPECTED": control}
+    return "\n".join(
+        [
+            define("VECTORS", f"{VECTORS}U"),
+            wrapped("double MOST[POLICY_CONTROLS]", [float(limit) for limit in c.control_limit]),
+            wrapped("char *const WANTED[VECTORS]", shown),
+            *(rows(f"double {name}[VECTORS][{len(values)}]", values) for name, values in tables.items()),
+        ]
     )
 
 
-def layers(policy: Policy) -> Iterator[tuple[Tensor, Tensor]]:
-    """Weight (outputs, inputs) and bias (outputs,) of each layer; of the last one without the log-std's."""
-    found = list(policy.network.layers)
-    for layer in found:
-        columns = slice(CONTROL_SIZE if layer is found[-1] else None)
-        yield layer.weight[0, :, columns].detach().T, layer.bias[0, 0, columns].detach()
+def wrapped(declaration: str, values: Sequence[object]) -> str:
+    """Returns a table of one axis in lines of WIDTH."""
+    text = textwrap.fill(", ".join(map(str, values)), WIDTH, break_long_words=False, break_on_hyphens=False)
+    return f"static const {declaration} = {{\n{textwrap.indent(text, '    ')}\n}};"
 
 
-def vectors(policy: Policy, c: InspectionParameters) -> tuple[Tensor, Tensor]:
-    """Observations (VECTORS, as many as observed) and what PyTorch answers (VECTORS, 6), in physical units.
-
-    Divided by their scales they are of unit variance, but for a first one of zeros and ten that saturate the network.
-    """
-    exact = deepcopy(policy).double()
-    scale = scales(torch.zeros(1).double(), c.observed)[:, 0]
-    drawn = torch.randn(VECTORS, len(scale), generator=torch.Generator().manual_seed(0)).double()
-    drawn[0] = 0.0
-    drawn[-10:] *= 1e3
-    observation = drawn * scale
-    control = exact.mean_action((observation / scale)[None])[0] * scale.new_tensor(c.control_limit)
-    return observation, control
-
-
-def single(values: Iterable[float]) -> list[str]:
-    """Numbers of single precision as exact literals."""
-    return [f"{value:.8e}F" for value in values]
-
-
-def wrapped(words: Sequence[object], indent: int) -> str:
-    """Words or numbers with commas between, in lines of WIDTH."""
-    lines, start = [""], " " * indent
-    for word in map(str, words):
-        if len(start) + len(lines[-1]) + len(word) + 2 > WIDTH:
-            lines.append("")
-        lines[-1] += f"{' ' if lines[-1] else ''}{word},"
-    return "\n".join(start + line for line in lines).removesuffix(",")
-
-
-def rows(table: Sequence[Sequence[object]]) -> str:
-    """The rows of a table as initialisers."""
-    return ",\n".join(f"    {{\n{wrapped(row, 8)}\n    }}" for row in table)
+def rows(declaration: str, values: Tensor) -> str:
+    """Returns a table (columns, rows) with a line for each of its rows."""
+    return table(declaration, values.T.tolist()).replace("{{", "{\n    {").replace("}, {", "},\n    {")

@@ -28,11 +28,12 @@ from rta.parameters import PERIODS
 from settings import InputError
 from study.config import Config
 from study.errors import refusing
+from study.export import policy as agent
 from study.files import write_text
 from study.machine import step
 from study.pages import scene
 from study.pages.template import render
-from study.play import agent, printed, wasm, worst
+from study.play import printed, wasm, worst
 from study.play.starts import starts
 
 HORIZON = 500  # s, of the line ahead
@@ -138,7 +139,7 @@ def write(config: Config, out: Path, policy: Policy | None = None) -> int:
             of_worst = worst.described(config, told)
             sources |= worst.texts(told, config.plant)
         if policy:
-            sources |= agent.texts(policy, config.inspection)
+            sources |= agent.sources(policy, config, "")
     with step("compiling them to WebAssembly, a minute"):
         module = wasm.compiled(sources)
     text = document(config, module, begun, policy is not None, of_worst)

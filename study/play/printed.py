@@ -36,11 +36,6 @@ WORST = (  # the functions of `study.play.worst`
     "void worst_hold(const double *, const double *, double *, double *, double *);",
     "void worst_move(const double *, double *, const double *);",
 )
-AGENT = (  # the functions of `study.play.agent`
-    "void agent_begin(void);",
-    "void agent_look(const double *, const double *, const double *);",
-    "void agent_decide(const double *, const double *, const double *, double *);",
-)
 DRIVER = Path(__file__).parent / "driver"
 
 
@@ -56,7 +51,7 @@ def texts(
 
     Args:
         told: the last filter, of a world whose errors are worst, of which `study.play.worst` has the other sources.
-        has_agent: there is an agent, of which `study.play.agent` has them.
+        has_agent: there is an agent, of which `study.export.policy` has them.
     """
     found = [*nominal, told] if told else nominal
     return {f"filter{i}.c": of_filter(each, i) for i, each in enumerate(found)} | {
@@ -109,7 +104,7 @@ def of_flight(found: Sequence[SafetyFilter], has_agent: bool, has_worst: bool) -
             define("AHEAD_MOST", AHEAD),
             define("LIMITS", len(safety_filter.names)),
             define("AGENT", int(has_agent)),
-            *(AGENT if has_agent else ()),
+            *(['#include "policy.h"'] if has_agent else []),
             define("WORST", int(has_worst)),
             *(WORST if has_worst else ()),
             *declarations(len(found)),

@@ -33,7 +33,8 @@ def compiled(sources: Mapping[str, str]) -> bytes:
         folder = Path(work)
         for name, text in sources.items():
             (folder / name).write_text(text, encoding="utf-8")
-        command = [sys.executable, "-m", "ziglang", "cc", *FLAGS, *sources, "-o", "play.wasm", "-lm"]
+        units = [name for name in sources if name.endswith(".c")]
+        command = [sys.executable, "-m", "ziglang", "cc", *FLAGS, *units, "-o", "play.wasm", "-lm"]
         done = subprocess.run(command, cwd=folder, capture_output=True, text=True, errors="replace")
         if done.returncode:
             said = [line.strip() for line in done.stderr.splitlines() if line.strip()]

@@ -26,6 +26,10 @@ static double acting[6];  /* where `control` is commanded */
 static double plant[20];  /* of the flight, and */
 static double corner[19]; /* where its errors are now: see worst.c */
 static int is_worst;      /* whether there are any */
+#if AGENT
+static struct policy_clusters clusters; /* of points that are lit and left, and */
+static double left[3];                  /* the direction of the nearest */
+#endif
 
 EXPORT(at) double *at(int part)
 {
@@ -51,7 +55,11 @@ EXPORT(look) void look(void)
         score[0] += inspected[i] * weights[i];
     }
 #if AGENT
-    agent_look(state, lit, inspected);
+    bool wanted[POINTS];
+    for (int i = 0; i < POINTS; ++i) {
+        wanted[i] = (lit[i] > 0.0) && !(inspected[i] > 0.0);
+    }
+    policy_look(&clusters, wanted, state, left);
 #endif
 }
 
@@ -71,7 +79,7 @@ EXPORT(begin) void begin_flight(int with_errors)
     worst_begin();
 #endif
 #if AGENT
-    agent_begin();
+    clusters = (struct policy_clusters){0};
 #endif
     look();
     judge();
@@ -154,7 +162,9 @@ EXPORT(guide) void guide(int filter)
 EXPORT(decide) void decide(void)
 {
 #if AGENT
-    agent_decide(seen, priority, score, desired);
+    double observation[POLICY_OBSERVATIONS];
+    policy_observe(seen, priority, left, score, 0, observation);
+    (void)policy_control(observation, desired);
 #endif
 }
 

@@ -22,7 +22,10 @@ SHIPPED = ["--checkpoint", str(ROOT / "runs" / "reference" / "study" / "rta" / "
         ([*SHIPPED, "--c", "full"], ["--c full", "holds no agent but main.c", "name a new directory"]),
         ([*SHIPPED, "--c", "a\0b"], ["--c", "cannot write there"]),
         ([*SHIPPED, "--c", "c", "--out", "o.onnx"], ["--c", "--out", "not allowed"]),
-        (["--checkpoint", "p.pt", "--c", "c", "--rta-period", "5"], ["--c", "no use for --rta-period"]),
+        (
+            ["--checkpoint", "p.pt", "--c", "c", "--rta-period", "5"],
+            ["--config and settings are of --filter"],
+        ),
         (["--checkpoint", "nowhere.pt", "--c", "c"], ["nowhere.pt", "no such checkpoint"]),
         (["--c", "c"], ["--checkpoint F", "--c"]),
         (["--out", "o.onnx"], ["--checkpoint F", "--out"]),

@@ -1,37 +1,41 @@
-/* {{ mark }}: whether policy.c answers as PyTorch does, and refuses what is no number. */
 #include <math.h>
 #include <stddef.h>
 #include <stdio.h>
 #include <stdlib.h>
 
 #include "policy.h"
-#include "policy_vectors.h"
 
-#define TOLERANCE {{ tolerance }} /* in units of the actuators' limits */
+#define TOLERANCE 1e-6 /* in units of the actuators' limits */
 
-static const double most[POLICY_CONTROLS] = {
-{{ limits | wrapped(4) }}
-};
+/* States, and what PyTorch answers, in the units of policy.h. */
+/* PRINTED */
 
 /* The largest difference from what is expected; infinite where either is no number or the answer beyond the limits. */
 static double largest_difference(void)
 {
+    struct policy_clusters clusters = {.alive = {false}};
     double largest = 0.0;
 
     for (size_t n = 0U; n < VECTORS; n++) {
+        bool wanted[POLICY_POINTS];
+        double uninspected[3];
+        double observation[POLICY_OBSERVATIONS];
         double control[POLICY_CONTROLS];
-        const bool fine = policy_control(given[n], control);
+        bool fine;
 
+        for (size_t i = 0U; i < POLICY_POINTS; i++) {
+            wanted[i] = WANTED[n][i] == '1';
+        }
+        policy_look(&clusters, wanted, STATES[n], uninspected);
+        policy_observe(STATES[n], PRIORITIES[n], uninspected, SCORES[n], CHIEFS[n], observation);
+        fine = policy_control(observation, control);
         for (size_t i = 0U; i < POLICY_CONTROLS; i++) {
-            const double difference = fabs(control[i] - expected[n][i]) / most[i];
+            const double difference = fabs(control[i] - EXPECTED[n][i]) / MOST[i];
 
-            if (!fine || !(fabs(control[i]) <= most[i]) || !(difference >= 0.0)) {
+            if (!fine || !(fabs(control[i]) <= MOST[i]) || !(difference >= 0.0)) {
                 largest = HUGE_VAL;
-            } else if (difference > largest) {
-                largest = difference;
-            } else {
-                /* no larger than before */
             }
+            largest = fmax(largest, difference);
         }
     }
     return largest;
@@ -67,7 +71,7 @@ int main(void)
     const unsigned int count = refused();
     const bool passed = (difference <= TOLERANCE) && (count == hostile);
 
-    (void)printf("%s: at most %.1e of the limits from PyTorch over %u observations, ", passed ? "passed" : "FAILED",
+    (void)printf("%s: at most %.1e of the limits from PyTorch over %u states, ", passed ? "passed" : "FAILED",
                  difference, VECTORS);
     (void)printf("%u of %u without a number refused\n", count, hostile);
     return passed ? EXIT_SUCCESS : EXIT_FAILURE;
