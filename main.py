@@ -379,12 +379,12 @@ def run_simulate(given: Namespace) -> None:
     flag("--out", type=to_write(".html"), required=True, metavar="F.html", help="page to write"),
 )
 def run_replay(given: Namespace) -> None:
-    from study.replay import page, scene
+    from study.web import replay
 
     if len(given.runs) > 2:
         raise InputError(f"{len(given.runs)} runs: at most two are shown side by side")
-    size = page.write(given.runs, given.out)
-    print(f"{scene.printable(str(given.out))}: {1e-6 * size:.1f} MB, opens in a browser without a network")
+    size = replay.write(given.runs, given.out)
+    print(f"{given.out}: {1e-6 * size:.1f} MB, opens in a browser without a network")
 
 
 @command(
@@ -394,12 +394,11 @@ def run_replay(given: Namespace) -> None:
     settings=(*FILTER, "plant"),
 )
 def run_play(given: Namespace) -> None:
-    from study.play import page
-    from study.replay.scene import printable
+    from study.web import play
 
     policy, config = agent_and_config(given)
-    size = page.write(filtered(config), given.out, policy)
-    print(f"{printable(str(given.out))}: {1e-6 * size:.1f} MB, opens in a browser without a network")
+    size = play.write(filtered(config), given.out, policy)
+    print(f"{given.out}: {1e-6 * size:.1f} MB, opens in a browser without a network")
 
 
 @command(

@@ -1,6 +1,6 @@
 """The report's page, self-contained: every table and figure of a study, and links to the files behind them.
 
-What it says stands in `page.html.j2`, what every page shares in `study/pages`.
+What it says stands in `page.html.j2`, what every page shares in `study/web`.
 """
 
 import base64
@@ -17,14 +17,14 @@ from study.config import GUIDE
 from study.errors import refusing
 from study.files import write_text
 from study.flight.figures import Episode, effort
-from study.pages.template import render
 from study.paper import PAPER_METRICS, PAPER_VIOLATIONS, Estimate, Results, measured
-from study.replay import page as replay
 from study.report.figures import ARM_LABELS, TRAINING, label
 from study.report.inputs import Inputs
 from study.report.tables import of_seeds, over_seeds, throughput
+from study.web import replay
+from study.web.template import render
 
-REPLAYED_ROWS = 400  # of an episode, about one per action: its page is hardly larger than three.js alone
+REPLAYED_ROWS = 400  # of an episode, about one per action: three.js is most of its page
 MEDIA_TYPES = {".png": "image/png", ".svg": "image/svg+xml"}
 PAPER = PAPER_METRICS | PAPER_VIOLATIONS
 DIGITS = {name: paper.digits for name, paper in PAPER.items()} | {"success": 1}

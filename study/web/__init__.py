@@ -1,1 +1,1 @@
-"""The pages that draw a flight: the scene, and three.js, which draws it."""
+"""The pages: their frame, the scene that draws a flight, the replay of a run, and the page that flies."""

@@ -15,7 +15,7 @@ from settings import InputError
 from study.config import BASELINES
 from study.paper import PAPER_METRICS, PAPER_VIOLATIONS, Estimate
 from study.report import figures, inputs, page, tables
-from tests.study.replay.test_page import Browser, asks_nothing, chromium
+from tests.study.web.browser import Browser, asks_nothing, chromium
 
 __all__ = ["chromium"]  # a fixture
 

@@ -1,4 +1,4 @@
-// What stands around the picture: keys, buttons, limits, numbers; and the clock that drives the flight.
+// What stands around the flight: its picture, keys, buttons, limits, numbers; and the clock that drives it.
 "use strict";
 
 const SPEEDS = [1, 2, 5, 10, 20, 50]; // seconds of the flight in a second
@@ -8,10 +8,6 @@ const KEYS = { // by key: thrust or torque, its axis, its sign
   q: ["torque", 0, -1], e: ["torque", 0, 1], arrowup: ["torque", 1, -1], arrowdown: ["torque", 1, 1],
   arrowleft: ["torque", 2, 1], arrowright: ["torque", 2, -1],
 };
-const ALONG_ORBIT = { w: [1, 1], s: [1, -1], a: [0, -1], d: [0, 1], r: [2, 1], f: [2, -1] }; // axis of Hill's frame, sign
-const STICKS = [["a", "d"], ["w", "s"], ["arrowleft", "arrowright"], ["arrowup", "arrowdown"]]; // of a gamepad, by axis
-const BUTTONS = { 4: "q", 5: "e", 6: "f", 7: "r" }; // of a gamepad; its first one switches the filter
-const AT_REST = 0.15; // of a stick
 const STARTS = { 1: "ram", 2: "leaving", 3: "battery", 4: "random" };
 const ENDS = {
   crash: ["Crash", "The deputy hit the chief."],
@@ -24,18 +20,54 @@ const ENDS = {
 const $ = id => document.getElementById(id);
 const task = JSON.parse($("data").textContent);
 const pressed = new Set();
-const play = { flight: null, scene: null, paused: true, speed: 10, ready: false, begun: 0, pushed: {}, cases: dice(Date.now()) };
+const play = { flight: null, scene: null, paused: true, speed: 10, ready: false, begun: 0 };
 
 function clock(seconds) {
   return `${Math.floor(seconds / 60)}:${String(Math.floor(seconds % 60)).padStart(2, "0")}`;
+}
+
+// the picture of the flight that is flown now
+class Picture extends Scene {
+  constructor(canvas, task) {
+    super(canvas, { ...task, triangles: null, hull: null });
+    this.ahead = this.line(COLOURS.ahead, 0.45, task.places);
+    this.way = this.line(COLOURS.way, 1, task.places, 4);
+    this.trail = this.line(COLOURS.trail, 0.8, task.max_time + 2);
+  }
+
+  begin(flight) {
+    this.flownTo = 0;
+    this.renew(flight);
+  }
+
+  // what changes with each second
+  renew(flight) {
+    const { inspected, lit, state, wasm } = flight;
+    this.colour(Array.from(inspected, (seen, i) => (seen ? "inspected" : lit[i] ? "lit" : "dark")));
+    const trail = this.trail.geometry.attributes.position;
+    if (this.flownTo < trail.count) trail.setXYZ(this.flownTo++, state[0], state[1], state[2]);
+    trail.needsUpdate = true;
+    this.trail.geometry.setDrawRange(0, this.flownTo);
+    wasm.coast(this.task.ahead_steps);
+    this.fill(this.ahead, flight.ahead, this.task.places);
+    this.fill(this.way, flight.way, flight.filtered ? wasm[`rest_${flight.filter}`]() : 0);
+  }
+
+  // a share of the way from the state before to the one now
+  show(flight, share) {
+    const { before: a, state: b, desired, control } = flight;
+    const mixed = i => a[i] + share * (b[i] - a[i]);
+    const q = new THREE.Quaternion(...a.slice(6, 10)).slerp(new THREE.Quaternion(...b.slice(6, 10)), share).toArray();
+    this.draw({ p: [0, 1, 2].map(mixed), q, sun: mixed(15), desired, control });
+  }
 }
 
 // starts and switches
 
 function begin(name = $("start").value) {
   const { starts } = play.flight, cases = starts.filter(each => each.name.startsWith("case"));
-  const start = name === "random" ? cases[Math.floor(play.cases() * cases.length)] : starts.find(each => each.name === name) || cases[0];
-  play.flight.begin(start, task.worst ? play.begun++ % task.worst.plants.length : 0);
+  const start = name === "random" ? cases[Math.floor(Math.random() * cases.length)] : starts.find(each => each.name === name) || cases[0];
+  play.flight.begin(start, play.begun++ % task.worlds[0].plants.length);
   if (play.scene) play.scene.begin(play.flight);
   $("end").hidden = true;
   play.left = 0;
@@ -45,7 +77,7 @@ function begin(name = $("start").value) {
 function set_filter(on) {
   play.flight.filtered = on;
   $("filter").setAttribute("aria-pressed", on);
-  $("filter").innerHTML = on ? "Safety filter ON <kbd>X</kbd>" : "Safety filter OFF <kbd>X</kbd>";
+  $("filter").innerHTML = `Safety filter ${on ? "ON" : "OFF"} <kbd>X</kbd>`;
   show();
 }
 
@@ -53,13 +85,14 @@ function set_filter(on) {
 function set_errors(worst) {
   play.flight.erring = worst;
   $("period").disabled = worst;
-  $("period").value = worst ? task.worst.period : play.flight.period;
+  $("period").value = worst ? task.worlds[1].period : play.flight.period;
   $("about-errors").hidden = !worst;
+  begin();
 }
 
 function pause(still) {
   play.paused = still;
-  $("pause").innerHTML = still ? "Go on <kbd>space</kbd>" : "Pause <kbd>space</kbd>";
+  $("pause").innerHTML = `${still ? "Go on" : "Pause"} <kbd>space</kbd>`;
 }
 
 function set_speed(place) {
@@ -80,75 +113,42 @@ function welcomed() {
   pause(false);
 }
 
-function steer() {
-  const { keys, axes } = play.flight;
-  keys.thrust.fill(0);
-  keys.torque.fill(0);
-  const all = { ...play.pushed, ...Object.fromEntries([...pressed].map(key => [key, 1])) };
-  for (const [key, strength] of Object.entries(all)) {
-    let [kind, axis, sign] = KEYS[key];
-    if (kind === "thrust" && axes === "hill") [axis, sign] = ALONG_ORBIT[key];
-    keys[kind][axis] += sign * strength;
-  }
-  if (Object.keys(all).length && play.flight.pilot !== "you") { // whoever presses a key takes over
-    $("pilot").value = play.flight.pilot = "you";
-  }
-}
-
-// what sticks and buttons of a gamepad ask for, by the key that asks for the same
-function read_gamepad() {
-  const pad = Array.from(navigator.getGamepads ? navigator.getGamepads() : []).find(Boolean), pushed = {};
-  if (!pad && !Object.keys(play.pushed).length) return;
-  if (pad) {
-    STICKS.forEach((sides, i) => {
-      const along = pad.axes[i] || 0;
-      if (Math.abs(along) > AT_REST) pushed[sides[along < 0 ? 0 : 1]] = Math.abs(along);
-    });
-    for (const [i, key] of Object.entries(BUTTONS)) {
-      if (pad.buttons[i] && pad.buttons[i].value > AT_REST) pushed[key] = pad.buttons[i].value;
-    }
-    const switched = Boolean(pad.buttons[0] && pad.buttons[0].pressed);
-    if (switched && !play.switched) set_filter(!play.flight.filtered);
-    play.switched = switched;
-  }
-  if (Object.keys(pushed).length) welcomed();
-  play.pushed = pushed;
-  steer();
-}
-
 function press(key, down) {
   if (!(key in KEYS)) return false;
+  const { keys } = play.flight;
   if (down) pressed.add(key); else pressed.delete(key);
-  steer();
+  keys.thrust.fill(0);
+  keys.torque.fill(0);
+  for (const each of pressed) {
+    const [kind, axis, sign] = KEYS[each];
+    keys[kind][axis] += sign;
+  }
+  if (down) $("pilot").value = play.flight.pilot = "you"; // whoever presses a key takes over
+  if (down) welcomed();
   return true;
 }
 
 function on_key(event) {
-  const key = event.key.toLowerCase(), down = event.type === "keydown";
+  const key = event.key.toLowerCase(), down = event.type === "keydown", flight = play.flight;
   play.pointer = false;
-  const typing = event.target.matches && event.target.matches("select, input, summary, button");
   if (event.ctrlKey || event.metaKey || event.altKey) return;
+  const typing = event.target.matches && event.target.matches("select, input, summary, button");
   if (typing && (key.startsWith("arrow") || key === " " || key === "enter") && $("welcome").hidden) return;
-  if (press(key, down)) {
-    if (down) welcomed();
-    event.preventDefault();
-    return;
-  }
-  if (!down || event.repeat) return;
-  if (!$("welcome").hidden) {
-    if (key === "enter" || key === " " || key === "escape") { welcomed(); event.preventDefault(); }
-    return;
-  }
   const place = Number($("speed").value);
-  if (key === "x") set_filter(!play.flight.filtered);
+  if (press(key, down)) event.preventDefault();
+  if (key in KEYS || !down || event.repeat) return;
+  if (!$("welcome").hidden) {
+    if (![" ", "enter", "escape"].includes(key)) return;
+    welcomed();
+  } else if (key === "x") set_filter(!flight.filtered);
   else if (key === " ") pause(!play.paused);
   else if (key === "n") begin();
-  else if (key === "p") { $("assistant").click(); }
+  else if (key === "p") $("assistant").click();
   else if (key === "c") next("view");
   else if (key === "v") next("pilot");
   else if (key === "+" || key === "=") set_speed(Math.min(place + 1, SPEEDS.length - 1));
   else if (key === "-") set_speed(Math.max(place - 1, 0));
-  else if (key in STARTS) { $("start").value = STARTS[key]; begin(); }
+  else if (key in STARTS) begin($("start").value = STARTS[key]);
   else return;
   event.preventDefault();
 }
@@ -156,29 +156,27 @@ function on_key(event) {
 function listen() {
   addEventListener("keydown", on_key);
   addEventListener("keyup", on_key);
+  addEventListener("blur", () => { for (const key of [...pressed]) press(key, false); });
   // what a pointer has chosen does not keep the keys
   addEventListener("pointerdown", () => { play.pointer = true; });
   addEventListener("change", event => { if (play.pointer) event.target.blur(); });
   addEventListener("click", event => { if (play.pointer && event.target.closest("button")) document.activeElement.blur(); });
-  addEventListener("blur", () => { pressed.clear(); steer(); });
   $("begin").onclick = welcomed;
   $("filter").onclick = () => set_filter(!play.flight.filtered);
   $("pause").onclick = () => pause(!play.paused);
-  $("again").onclick = () => begin();
-  $("start").onchange = () => begin();
+  $("again").onclick = $("start").onchange = () => begin();
   $("pilot").onchange = () => { play.flight.pilot = $("pilot").value; play.flight.held.until = -1; };
   $("period").onchange = () => { play.flight.period = Number($("period").value); };
-  if (task.worst) $("errors").onchange = () => { set_errors($("errors").value === "worst"); begin(); };
-  $("axes").onchange = () => { play.flight.axes = $("axes").value; steer(); };
+  if (task.worlds.length > 1) $("errors").onchange = () => set_errors($("errors").value === "worst");
   $("assistant").onchange = () => { play.flight.assistant = $("assistant").checked; };
   $("speed").oninput = () => set_speed($("speed").value);
   $("view").onchange = () => { if (play.scene) play.scene.view = $("view").value; };
   for (const button of document.querySelectorAll("#pad button")) {
-    button.onpointerdown = event => { welcomed(); press(button.dataset.key, true); event.preventDefault(); };
+    button.onpointerdown = event => { press(button.dataset.key, true); event.preventDefault(); };
     button.onpointerup = button.onpointercancel = button.onpointerleave = () => press(button.dataset.key, false);
     button.oncontextmenu = event => event.preventDefault();
   }
-  $("save-settings").onclick = () => save("flight.toml", play.flight.settings);
+  $("save-settings").onclick = () => save("flight.toml", play.flight.world.settings);
   $("save-state").onclick = () => save("flight.json", play.flight.saved_state());
   $("save-controls").onclick = () => save("flight.npy", play.flight.saved_controls());
 }
@@ -197,7 +195,6 @@ function bars() {
   play.bars = task.limits.map(limit => {
     const bar = document.createElement("div");
     bar.className = "bar";
-    bar.title = limit.why;
     bar.innerHTML = "<p><span></span><span></span></p><i></i>";
     bar.querySelector("span").textContent = limit.title;
     $("bars").append(bar);
@@ -208,34 +205,29 @@ function bars() {
 function show_bars() {
   const { flight } = play;
   task.limits.forEach(({ scale, unit }, i) => {
-    const bar = play.bars[i], h = flight.h[i], full = Math.max(0, Math.min(1, 1 - h / scale));
+    const bar = play.bars[i], h = flight.values[i], full = Math.max(0, Math.min(1, 1 - h / scale));
     bar.style.setProperty("--full", `${(100 * full).toFixed(1)}%`);
     bar.classList.toggle("close", full > 0.8);
     bar.classList.toggle("acts", flight.active[i] > 0);
     bar.classList.toggle("broken", !(h >= 0));
-    bar.querySelectorAll("span")[1].textContent = h >= 0 ? margin(h, unit, full) : "violated";
+    const [size, digits] = unit === "%" ? [100 - 100 * full, 0] : unit === "\u00b0" ? [h * 180 / Math.PI, 0] : [h, h < 10 ? 2 : 0];
+    bar.querySelectorAll("span")[1].textContent = h >= 0 ? `${size.toFixed(digits)} ${unit}` : "violated";
   });
-}
-
-function margin(h, unit, full) {
-  if (unit === "%") return `${(100 - 100 * full).toFixed(0)} %`;
-  const size = unit === "\u00b0" ? h * 180 / Math.PI : h;
-  return `${size.toFixed(size < 10 && unit !== "\u00b0" ? 2 : 0)}${unit === "\u00b0" ? "" : " "}${unit}`;
 }
 
 function show_status() {
   const { flight } = play, [status, , backup] = flight.answer;
   const acting = task.limits.filter((_, i) => flight.active[i] > 0).map(limit => limit.title.toLowerCase());
   const because = acting.length ? ` because of: ${acting.slice(0, 2).join(", ")}` : "";
-  const found = !flight.filtered ? ["off", "The filter is off: every command is flown as it is."]
+  const [kind, text] = !flight.filtered ? ["off", "The filter is off: every command is flown as it is."]
     : flight.missed ? ["corrected", "This call was missed: the last command is still flown."]
     : backup ? ["backup", `Backup: the deputy follows the way ${flight.worst ? "" : "to rest "}that was kept ready.`]
     : status === 0 ? ["", "Untouched: the command is safe and is flown as it is."]
     : status === 1 ? ["corrected", `Corrected${because || " to what the thrusters can do"}.`]
     : status === 2 ? ["backup", `A limit yields${because}.`]
     : ["backup", "No solution: the least bad command is flown."];
-  $("status").className = found[0];
-  $("status").textContent = found[1];
+  $("status").className = kind;
+  $("status").textContent = text;
 }
 
 function show_end() {
@@ -249,7 +241,7 @@ function show_end() {
 }
 
 function show() {
-  const { flight } = play, x = flight.state;
+  const { flight } = play, x = flight.state, calls = flight.calls.reduce((sum, each) => sum + each, 0);
   show_bars();
   show_status();
   show_end();
@@ -258,7 +250,6 @@ function show() {
   $("time").textContent = clock(flight.time);
   $("distance").textContent = Math.hypot(x[0], x[1], x[2]).toFixed(0);
   $("moving").textContent = Math.hypot(x[3], x[4], x[5]).toFixed(2);
-  const calls = flight.calls.reduce((sum, each) => sum + each, 0);
   $("calls").textContent = calls ? `${(100 * (1 - flight.calls[0] / calls)).toFixed(0)} %` : "\u2013";
   const broken = task.limits.filter(({ name }) => name in flight.broken).sort((a, b) => flight.broken[a.name] - flight.broken[b.name]);
   $("broken").replaceChildren(...broken.map(({ name, broken: text }) => {
@@ -266,7 +257,6 @@ function show() {
     item.textContent = `${clock(flight.broken[name])} ${text}`;
     return item;
   }));
-  $("save-settings").hidden = !flight.settings;
   $("command").textContent = flight.command_again();
 }
 
@@ -275,7 +265,6 @@ function show() {
 function frame(now) {
   const { flight, scene } = play, passed = Math.min(0.25, (now - (play.last || now)) / 1000);
   play.last = now;
-  read_gamepad();
   if (!play.paused && !flight.outcome) {
     play.left += passed * play.speed;
     const count = Math.min(Math.floor(play.left), MOST);
@@ -287,26 +276,18 @@ function frame(now) {
     if (count) show();
   }
   if (scene) {
-    const box = $("scene");
-    if (box.clientWidth !== play.width || box.clientHeight !== play.height) {
-      [play.width, play.height] = [box.clientWidth, box.clientHeight];
-      scene.size(play.width, play.height);
-    }
+    const { clientWidth: width, clientHeight: height } = $("scene");
+    if (width !== play.width || height !== play.height) scene.size(play.width = width, play.height = height);
     scene.show(flight, flight.outcome ? 1 : play.left);
   }
   requestAnimationFrame(frame);
 }
 
-// packed, three.js has half the size
-async function draw_with(base64) {
-  const script = document.createElement("script");
-  script.textContent = new TextDecoder().decode(await unpacked(base64));
-  document.head.append(script);
-}
-
 async function main() {
-  await draw_with($("three").textContent);
-  play.flight = new Flight(await loaded($("module").textContent.trim()), task, Date.now());
+  const three = document.createElement("script"); // packed, three.js has half the size
+  three.textContent = new TextDecoder().decode(await unpacked($("three").textContent));
+  document.head.append(three);
+  play.flight = new Flight(await loaded($("module").textContent.trim()), task);
   try {
     play.scene = new Picture($("scene"), task);
   } catch (error) { // no WebGL here
@@ -316,7 +297,6 @@ async function main() {
   listen();
   begin();
   set_filter(true);
-  if (task.worst) set_errors(false);
   set_speed(3);
   pause(true);
   play.ready = true;

@@ -49,25 +49,14 @@ class Scene {
   surroundings() {
     const places = [];
     for (let i = 0; i < 1500; i++) {
-      const z = 2 * scattered(2 * i) - 1, angle = 2 * Math.PI * scattered(2 * i + 1), r = Math.sqrt(1 - z * z);
-      places.push(STAR_DISTANCE * r * Math.cos(angle), STAR_DISTANCE * r * Math.sin(angle), STAR_DISTANCE * z);
+      places.push(...new THREE.Vector3().randomDirection().multiplyScalar(STAR_DISTANCE).toArray());
     }
     const stars = new THREE.BufferGeometry();
     stars.setAttribute("position", new THREE.Float32BufferAttribute(places, 3));
     this.scene.add(new THREE.Points(stars, new THREE.PointsMaterial({ color: linear(0x9aa7b8), size: 1.5, sizeAttenuation: false })));
     this.light = new THREE.DirectionalLight(0xfff3e0, 1.45);
     this.scene.add(this.light, new THREE.AmbientLight(0x8899bb, 0.12));
-    const glow = document.createElement("canvas").getContext("2d");
-    glow.canvas.width = glow.canvas.height = 128;
-    const fade = glow.createRadialGradient(64, 64, 4, 64, 64, 64);
-    for (const [at, colour] of [[0, "#fff"], [0.16, "#fff6dd"], [0.22, "rgba(255,226,160,.45)"], [1, "rgba(255,200,90,0)"]]) {
-      fade.addColorStop(at, colour);
-    }
-    glow.fillStyle = fade;
-    glow.fillRect(0, 0, 128, 128);
-    const map = new THREE.CanvasTexture(glow.canvas);
-    this.sun = new THREE.Sprite(new THREE.SpriteMaterial({ map, transparent: true, depthWrite: false }));
-    this.sun.scale.setScalar(2600);
+    this.sun = this.mesh(new THREE.SphereGeometry(240, 32, 16), 0xfff6dd, {}, THREE.MeshBasicMaterial);
     const earth = this.mesh(new THREE.SphereGeometry(3600, 64, 32), COLOURS.earth, { roughness: 1 });
     earth.position.x = -EARTH_DISTANCE;
     this.scene.add(this.sun, earth);
@@ -128,16 +117,14 @@ class Scene {
     const axis = "xyz".indexOf(this.task.panel_axis[1]), sign = this.task.panel_axis[0] === "-" ? -1 : 1;
     const wing = axis === 1 ? 0 : 1; // the axis along which they stick out
     for (const side of [-1, 1]) {
-      const size = [2.2, 2.2, 2.2], back = [2.2, 2.2, 2.2];
-      size[wing] = back[wing] = 3.4;
-      size[axis] = back[axis] = 0.08;
-      const cells = this.mesh(new THREE.BoxGeometry(...size), 0x1b3f8b, { metalness: 0.5, roughness: 0.35 });
-      const behind = this.mesh(new THREE.BoxGeometry(...back), 0x6d737c, { roughness: 0.9 });
-      for (const [part, shift] of [[cells, 0.09], [behind, 0]]) {
-        const place = [0, 0, 0];
-        place[wing] = side * (DEPUTY / 2 + 1.9);
-        place[axis] = sign * shift;
-        part.position.set(...place);
+      const size = [2.2, 2.2, 2.2], place = [0, 0, 0];
+      size[wing] = 3.4;
+      size[axis] = 0.08;
+      place[wing] = side * (DEPUTY / 2 + 1.9);
+      place[axis] = 0.09 * sign; // the cells are on one side
+      for (const [colour, at] of [[0x1b3f8b, place], [0x6d737c, place.map((each, i) => (i === axis ? 0 : each))]]) {
+        const part = this.mesh(new THREE.BoxGeometry(...size), colour, { roughness: 0.6 });
+        part.position.set(...at);
         body.add(part);
       }
     }
@@ -310,12 +297,6 @@ function of_triangles(corners) {
   shape.setAttribute("position", new THREE.Float32BufferAttribute(corners.flat(), 3));
   shape.computeVertexNormals();
   return shape;
-}
-
-// from 0 to 1, and of no order
-function scattered(i) {
-  const x = 43758.5453 * Math.sin(12.9898 * (i + 1));
-  return x - Math.floor(x);
 }
 
 // a colour as the renderer computes with it

@@ -3,9 +3,6 @@
 
 const data = JSON.parse(document.getElementById("data").textContent);
 const { runs } = data;
-const FRAME = 1000 / 30; // ms between two drawings while playing
-const AXES = { x: 0x0072b2, y: 0xcc79a7, z: 0xf0e442 }; // of the body
-const AXIS = 9; // m, their length
 const FOOT = 0.04; // of a plot's height, where interventions are marked
 const ACROSS = 1000, DOWN = 100; // of a plot, in its own units
 const SVG = "http://www.w3.org/2000/svg"; // a name, which nothing is asked for
@@ -27,15 +24,7 @@ const shortened = (value, decimals) => value.toFixed(decimals).replace(/^-(?=[0.
 const decimals_of = (range) => Math.min(6, Math.max(0, 2 - Math.floor(Math.log10(range))));
 
 // The last row that is not after t.
-function rowAt(run, t) {
-  let [low, high] = [0, run.time.length];
-  while (high - low > 1) {
-    const middle = (low + high) >> 1;
-    if (run.time[middle] <= t) low = middle;
-    else high = middle;
-  }
-  return low;
-}
+const rowAt = (run, t) => Math.max(0, run.time.findLastIndex((each) => each <= t));
 
 // A share of the way from one list of numbers to another.
 const mixed = (a, b, share) => a.map((each, i) => each + share * (b[i] - each));
@@ -52,45 +41,6 @@ class Film extends Scene {
     this.fill(this.whole, Float32Array.from(run.position.flat()), count);
     this.trail = this.line(COLOURS.trail, 0.9, count + 1);
     this.ahead = this.line(COLOURS.ahead, 0.6, run.ahead[0].length);
-    this.pointers();
-  }
-
-  // the body's axes, and where the Sun and the Earth are
-  pointers() {
-    Object.entries(AXES).forEach(([name, colour], i) => {
-      const along = [0, 1, 2].map((j) => (i === j ? AXIS : 0));
-      this.craft.add(this.segment(colour, [0, 0, 0], along));
-    });
-    const [near, far] = [1.3, 2.4].map((times) => times * this.reach());
-    this.toSun = new THREE.Group();
-    this.toSun.add(this.segment(COLOURS.lit, [near, 0, 0], [far, 0, 0]), this.word("Sun", 1.1 * far));
-    this.scene.add(this.toSun, this.segment(COLOURS.earth, [-near, 0, 0], [-far, 0, 0]), this.word("Earth", -1.1 * far));
-  }
-
-  // m from the chief's centre to its farthest point
-  reach() {
-    return Math.max(...this.run.points.map((point) => Math.hypot(...point)));
-  }
-
-  segment(colour, from, to) {
-    const shape = new THREE.BufferGeometry();
-    shape.setAttribute("position", new THREE.Float32BufferAttribute([...from, ...to], 3));
-    return new THREE.Line(shape, new THREE.LineBasicMaterial({ color: linear(colour) }));
-  }
-
-  // a word at x m along an axis, always of the same size
-  word(text, x) {
-    const paper = document.createElement("canvas").getContext("2d");
-    [paper.canvas.width, paper.canvas.height] = [256, 64];
-    paper.font = "44px sans-serif";
-    paper.textAlign = "center";
-    paper.fillStyle = "#c8d0da";
-    paper.fillText(text, 128, 46);
-    const map = new THREE.CanvasTexture(paper.canvas);
-    const word = new THREE.Sprite(new THREE.SpriteMaterial({ map, depthWrite: false, sizeAttenuation: false }));
-    word.scale.set(0.13, 0.0325, 1);
-    word.position.x = x;
-    return word;
   }
 
   // inspected, lit or dark: of each point in a row
@@ -120,7 +70,6 @@ class Film extends Scene {
     this.trail.geometry.attributes.position.setXYZ(row + 1, ...p);
     this.trail.geometry.setDrawRange(0, row + 2);
     this.coast(p, (row + share) / Math.ceil(run.time.length / run.ahead.length));
-    this.toSun.rotation.z = run.sun_angle[row];
     this.draw({
       p,
       q: turned(run.quaternion[row], run.quaternion[next], share),
@@ -148,7 +97,6 @@ function drawScene(run, i) {
   const figure = element("figure", "run", byId("scenes"));
   element("h2", "", figure, label(i) + run.name);
   const canvas = element("canvas", "scene", figure);
-  canvas.tabIndex = 0;
   canvas.setAttribute("aria-label", "The deputy, the chief and the Sun");
   const status = element("figcaption", "status", figure);
   const numbers = data.sections[data.beside].map((panel) => {
@@ -161,7 +109,6 @@ function drawScene(run, i) {
     film = new Film(canvas, run, looks);
     film.view = byId("view").value;
     film.turned = () => show(time);
-    canvas.addEventListener("keydown", (event) => steer(film, event));
     new ResizeObserver(() => {
       if (!canvas.clientWidth) return;
       film.size(canvas.clientWidth, canvas.clientHeight);
@@ -184,16 +131,6 @@ function drawScene(run, i) {
     ].join(" · ");
     if (film) film.show(t);
   };
-}
-
-function steer(film, event) {
-  const turns = { ArrowLeft: [0.1, 0], ArrowRight: [-0.1, 0], ArrowUp: [0, 0.1], ArrowDown: [0, -0.1] };
-  if (event.key in turns) film.turn(...turns[event.key]);
-  else if (event.key === "+" || event.key === "=") film.zoom(0.9);
-  else if (event.key === "-") film.zoom(1 / 0.9);
-  else return;
-  event.preventDefault();
-  event.stopPropagation();
 }
 
 // ---- the plots ----
@@ -287,7 +224,6 @@ function drawSection(title, panels) {
 
 // ---- the clock ----
 
-const title = document.title;
 let time = 0;
 let playing = false;
 let lastFrame = 0;
@@ -312,12 +248,10 @@ function play(wanted) {
 
 function frame(now) {
   if (!playing) return;
-  if (now - lastFrame >= FRAME) {
-    const elapsed = Math.min(now - lastFrame, 250) / 1000; // a tab that was hidden does not jump
-    lastFrame = now;
-    show(time + elapsed * Number(byId("speed").value));
-    if (time >= end) play(false);
-  }
+  const elapsed = Math.min(now - lastFrame, 250) / 1000; // a tab that was hidden does not jump
+  lastFrame = now;
+  show(time + elapsed * Number(byId("speed").value));
+  if (time >= end) play(false);
   nextFrame = requestAnimationFrame(frame);
 }
 
@@ -347,8 +281,3 @@ const views = [
   ...Object.entries(data.sections).flatMap(([name, panels]) => drawSection(name, panels)),
 ];
 show(0);
-// not at every frame: setting it takes a browser longer than the scene does
-setInterval(() => {
-  const now = `${time.toFixed(0)} s · ${title}`;
-  if (document.title !== now) document.title = now;
-}, 1000);

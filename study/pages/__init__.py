@@ -1,1 +1,0 @@
-"""What every page shares: its frame, and how a template becomes a page."""

@@ -1,1 +1,0 @@
-"""The page on which anybody flies the deputy, with the filter on or off."""

@@ -1,1 +1,0 @@
-"""The page that plays simulated episodes."""

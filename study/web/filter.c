@@ -1,0 +1,60 @@
+/* What the page asks of one filter; it follows safety_filter.c, whose functions it calls. NAME gives each the filter's
+ * number.
+ */
+
+/* From `seen` and `desired` to `control`, which rows act, and status, verified, backup. */
+void NAME(ask)(void)
+{
+    struct safety_filter_input in = {.sent_count = sent_count, .left = {1.0, 1.0, 1.0, 1.0, 1.0, 1.0}};
+    struct safety_filter_output out;
+    memcpy(in.state, seen, sizeof in.state);
+    memcpy(in.desired, desired, sizeof in.desired);
+    for (int i = 0; (i < sent_count) && (i < SAFETY_FILTER_SENT_ROOM); ++i) {
+        memcpy(in.sent[i], &sent[6 * i], sizeof in.sent[i]);
+    }
+    safety_filter(&in, &out);
+    memcpy(control, out.control, sizeof out.control);
+    for (int k = 0; k < SAFETY_FILTER_CONSTRAINTS; ++k) {
+        active[k] = out.active[k];
+    }
+    answer[0] = out.status;
+    answer[1] = out.verified;
+    answer[2] = out.backup;
+}
+
+/* Torque that points the camera at the chief, into `desired`. */
+void NAME(assist)(void)
+{
+    assistant(seen, &desired[3]);
+}
+
+/* The classical guidance's control, into `desired`. */
+void NAME(guide)(void)
+{
+    guidance(seen, score, desired);
+}
+
+/* The way to rest behind `control`, into `way`; returns how many places. */
+int NAME(rest)(void)
+{
+    int count = 0;
+#if FLIES
+    static const int none[LIMITS] = {0};
+    double y[16];
+    double u[6];
+    double after[16];
+    double least[LIMITS];
+    int arrived[2] = {0, 0};
+    flown(state, control, y, least);
+    for (int k = 0; (k < FLIGHT_HOLDS) && (count < PLACES) && (arrived[THRUST] == 0); ++k) {
+        memcpy(&way[3 * count], y, 3 * sizeof y[0]);
+        count += 1;
+        have_arrived(y, none, arrived);
+        backup_torque(y, &u[3]);
+        backup_thrust(y, &u[3], u);
+        flown(y, u, after, least);
+        memcpy(y, after, sizeof y);
+    }
+#endif
+    return count;
+}

@@ -1,0 +1,233 @@
+"""The page of `play`: one file, which flies the deputy in a browser and asks no network for anything.
+
+What it says stands in `play.html.j2`; what it does in `flight.js` (the flight), `scene.js` (how it looks) and `play.js`
+(keys, buttons, limits).
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import tomli_w
+import torch
+from torch import Tensor
+
+from inspection.chief.points import fibonacci_sphere
+from inspection.model.attitude import norm, unit
+from inspection.model.draws import key_of
+from inspection.model.orbit import free_flight
+from inspection.model.parameters import InspectionParameters
+from inspection.model.state import SIZE, THETA_S, E, P, Q, T, V
+from inspection.world.parameters import PlantParameters, bounds
+from inspection.world.plant import draw
+from ppo.network import Policy
+from rta.bounds.uncertainty import NOTHING
+from rta.filter import SafetyFilter
+from rta.parameters import PERIODS
+from settings import InputError
+from study.config import TEST_CASES, Config
+from study.errors import refusing
+from study.experiment import plant_numbers, test_cases
+from study.export import policy as agent
+from study.files import write_text
+from study.machine import step
+from study.web import module
+from study.web.template import drawn, embedded, packed, render
+
+HORIZON = 500  # s, of the line ahead
+CASES = 40  # of `evaluate` and `simulate`, the first
+SEEDS = range(8)  # of `simulate`, whose plants are flown in turns
+SETTINGS = ("inspection", "rta", "plant", "uncertainty")  # tables that a saved flight depends on
+MADE = {  # starts: towards the deputy, which is at rest there, and rad from there to the Sun, in the orbital plane
+    "ram": ((0.5, -0.75, 0.45), 0.6),
+    "leaving": ((0.6, 0.75, 0.3), 0.6),
+    "battery": ((-0.8, 0.5, 0.2), 1.9),
+}
+
+
+def check(config: Config) -> None:
+    """Raises InputError where the page cannot fly a configuration, or the compiler is missing."""
+    c, plant, known = config.inspection, config.plant, config.uncertainty
+    steps = 1.0 / min(c.substep, 1.0)
+    refused = {
+        "[chief]: play flies around the paper's chief only": not config.chief.is_the_papers
+        or "chief" in c.observed,
+        "play flies in seconds: substep must divide 1 s, action_period must be whole seconds": (
+            abs(steps - round(steps)) > 1e-9 or c.action_period % 1.0 > 0.0
+        ),
+        "[plant]: play flies its own simulator only, without failures": plant.simulator != "own"
+        or plant.failing != "none",
+        "play flies errors with a filter that is told of them: give [plant] and [uncertainty], or neither": (
+            plant.is_nominal != known.is_nil
+        ),
+        "[plant] latency is above [uncertainty] latency": bounds(plant.latency)[1] > known.latency,
+        "play needs the package ziglang (a compiler): python -m pip install ziglang": find_spec("ziglang")
+        is None,
+    }
+    for reason, holds in refused.items():
+        if holds:
+            raise InputError(reason)
+
+
+def write(config: Config, out: Path, policy: Policy | None = None) -> int:
+    """Writes the page of a configuration, with an agent if there is one; returns its size in bytes.
+
+    Raises:
+        InputError: the configuration does not fit, the compiler is missing, or the page cannot be written.
+    """
+    check(config)
+    c, errs = config.inspection, not config.plant.is_nominal
+    nominal = replace(config, plant=PlantParameters(), uncertainty=NOTHING)
+    erring = replace(config, plant=replace(config.plant, errors="worst"))
+    with step("printing and compiling the filters, two minutes"):
+        with refusing("[rta], [inspection], [plant] and [uncertainty]", ValueError, OverflowError):
+            filters = [SafetyFilter(c, replace(config.rta, period=period)) for period in PERIODS]
+            told = [SafetyFilter(c, config.rta, known=config.uncertainty)] if errs else []
+        worlds = [world(nominal, filters), *(world(erring, told) for _ in told)]
+        own = agent.sources(policy, config, "") if policy else {}
+        compiled = module.compiled([*filters, *told], erring.plant if errs else None, own)
+    text = document(c, compiled, worlds, policy is not None)
+    with refusing(f"--out {out}: cannot write it", OSError):
+        write_text(out, text)
+    return len(text.encode())
+
+
+def document(
+    c: InspectionParameters, compiled: bytes, worlds: Sequence[dict[str, Any]], has_agent: bool
+) -> str:
+    """Returns the whole page; `worlds`: that of the model and, if there is one, that whose errors are worst."""
+    return render(
+        "web/play.html.j2",
+        periods=PERIODS,
+        has_agent=has_agent,
+        has_errors=len(worlds) > 1,
+        module=packed(compiled),
+        data=embedded(task(c) | {"worlds": worlds}),
+    )
+
+
+def world(config: Config, filters: Sequence[SafetyFilter]) -> dict[str, Any]:
+    """Returns what the page is told of a world: starts that all of its filters accept, its settings, and plants.
+
+    Starts have a name, a state [16] and a priority [3]; the cases of `simulate` are named by their number. Plants are
+    by the seed of `simulate`: body [7], thrust [9] and torque [3] as of `Drawn`, and latency in calls.
+
+    Raises:
+        InputError: there is no such case, or no start of another name.
+    """
+    c = config.inspection
+    x, priority, _ = test_cases(config, CASES, TEST_CASES)
+    safe = torch.stack([each.is_safe(x) for each in filters]).all(0)
+    found = {f"case {i}": x[:, i] for i in range(CASES) if safe[i]}
+    for name, (direction, sunlit) in MADE.items():
+        for state in candidates(name, at_rest(c, direction, sunlit), c):  # the hardest first
+            if all(bool(each.is_safe(state)) for each in filters):
+                found[name] = state[:, 0]
+                break
+    if missing := {"case", *MADE} - {name.split()[0] for name in found}:
+        raise InputError(f"[uncertainty], [rta]: the filter accepts no start of the kind {min(missing)!r}")
+    drawn = [draw(config.plant, c, key_of(plant_numbers(1, seed))) for seed in SEEDS]
+    return {
+        "period": config.rta.period,
+        "settings": settings(config),
+        "starts": [
+            {"name": name, "state": state.tolist(), "priority": priority[:, i % CASES].tolist()}
+            for i, (name, state) in enumerate(found.items())
+        ],
+        "plants": [
+            torch.cat([part.flatten() for part in (d.body, d.thrust, d.torque, d.latency)]).tolist()
+            for d in drawn
+        ],
+    }
+
+
+def at_rest(c: InspectionParameters, direction: Sequence[float], sunlit: float) -> Tensor:
+    """Returns a state (16, 1) 1 m from the chief in a direction, at rest, the camera on the chief."""
+    x = torch.zeros(SIZE, 1, dtype=torch.float64)
+    x[P] = unit(x.new_tensor(direction)[:, None])
+    a, b, d = (-x[P, 0]).tolist()
+    x[Q, 0] = unit(x.new_tensor([0.0, -d, b, 1.0 + a]))  # the shortest turn of +x to there, scalar last
+    x[T], x[E] = sum(c.initial_temperature) / 2, c.initial_energy[1]
+    x[THETA_S] = torch.atan2(x[1], x[0]) + sunlit
+    return x
+
+
+def candidates(name: str, rest: Tensor, c: InspectionParameters) -> Iterator[Tensor]:
+    """Yields states (16, 1) of a start, the hardest first, from a state at rest.
+
+    "ram": free flight at 1 m/s hits the chief's centre, the sooner the harder. "leaving": next to the end of the zone
+    and on the way out. "battery": in the dark, with little energy.
+    """
+    one, none = torch.eye(3, dtype=torch.float64), torch.zeros(3, 3, dtype=torch.float64)
+    for k in range(1, 100):
+        x = rest.clone()
+        if name == "ram":
+            t = one.new_tensor(520.0 + 20.0 * k)  # s until it hits; the filter keeps 500 s clear
+            by_speed = free_flight(none, one, t, c.mean_motion)  # m by m/s: the flow is linear
+            x[V] = -torch.linalg.solve(by_speed, free_flight(x[P], none[:, :1], t, c.mean_motion))
+            x[P], x[V] = x[P] / norm(x[V]), unit(x[V])
+        elif name == "leaving":
+            x[P], x[V] = 0.975 * c.max_distance * rest[P], (1.21 - 0.01 * k) * rest[P]
+        else:
+            x[P] = 6.0 * c.collision_radius * rest[P]
+            x[E] = c.min_energy + 0.01 * k * (c.initial_energy[1] - c.min_energy)
+        yield x
+
+
+def settings(config: Config) -> str:
+    """Returns what of a configuration a saved flight depends on, where it differs from the defaults: TOML."""
+    usual = Config()
+    tables = {
+        table: {
+            key: value
+            for key, value in vars(getattr(config, table)).items()
+            if value != getattr(getattr(usual, table), key)
+        }
+        for table in SETTINGS
+    }
+    return tomli_w.dumps(tables)
+
+
+def task(c: InspectionParameters) -> dict[str, Any]:
+    """Returns what the page is told of the task."""
+    return {
+        "periods": list(PERIODS),
+        "limit": list(c.control_limit),
+        "mass": c.mass,
+        "steps": round(1.0 / min(c.substep, 1.0)),
+        "action_period": c.action_period,
+        "success_score": c.success_score,
+        "max_time": c.max_time,
+        "arrays": module.arrays(c),
+        "points": (c.chief_radius * fibonacci_sphere(c.num_points).T).tolist(),
+        "places": module.PLACES,
+        "ahead_steps": round(HORIZON / module.PLACES / min(c.substep, 1.0)),
+        **drawn(c),
+        "limits": limits(c),
+    }
+
+
+def limits(c: InspectionParameters) -> list[dict[str, Any]]:
+    """Returns the limits: name, title for a newcomer, what a violation is, h from which the bar is empty, and unit."""
+    directions = ("away from the Earth", "along the orbit", "across the orbit")
+    turns = (("Roll", "Rolls"), ("Pitch", "Pitches"), ("Yaw", "Yaws"))
+    rows: list[tuple[str, str, str, float, str]] = [
+        ("collision", "Can stop before the chief", "Too fast to stop before the chief", 3.0, "m/s"),
+        ("dynamic_speed", "Speed near the chief", "Too fast so near the chief", 1.0, "m/s"),
+        ("keep_in_zone", "Can stop inside the zone", "Too fast to stop inside the zone", 8.0, "m/s"),
+        ("passive_safety", "Free flight misses the chief", "Would hit it with dead thrusters", 100.0, "m"),
+        *(
+            (f"velocity_{axis}", f"Speed {where}", f"Too fast {where}", c.max_speed**2, "%")
+            for axis, where in zip("xyz", directions, strict=True)
+        ),
+        ("attitude_exclusion", "Camera off the Sun", "Blind: the Sun shines into the camera", 1.5, "°"),
+        ("temperature", "Temperature", "Too hot", 8.0, "°C"),
+        ("battery", "Battery", "Below its limit", c.initial_energy[1] - c.min_energy, "kJ"),
+        *(
+            (f"angular_velocity_{axis}", f"{rate} rate", f"{turns} too fast", c.max_rate**2, "%")
+            for axis, (rate, turns) in zip("xyz", turns, strict=True)
+        ),
+    ]
+    return [dict(zip(("name", "title", "broken", "scale", "unit"), row, strict=True)) for row in rows]
