@@ -64,7 +64,7 @@ def test_a_violation_in_c_is_said_of_the_c_alone(tmp_path: Path, monkeypatch: py
     (tmp_path / "broken.json").write_text(json.dumps(report))
     monkeypatch.setattr(verified, "REPORTS", str(tmp_path))
     assert said_of(Config()).startswith("NOT VERIFIED")
-    assert verified.doubt(Config(), [], None) is None
+    assert verified.doubt(Config()) is None
 
 
 def test_the_campaigns_in_c_violated_nothing() -> None:
