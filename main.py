@@ -698,7 +698,11 @@ def outcome(words: list[str], errors: TextIO | None) -> int:
 def run(given: Namespace) -> None:
     """Calls the command of a call."""
     if getattr(given, "print_config", False):
-        print(to_toml(configured(given, StudyConfig() if given.command == "study" else Config())), end="")
+        if getattr(given, "checkpoint", None):
+            _, config = agent_and_config(given)
+        else:
+            config = configured(given, StudyConfig() if given.command == "study" else Config())
+        print(to_toml(config), end="")
         return
     from ppo.distributed import ranks
     from study.machine import set_threads
