@@ -649,6 +649,9 @@ def with_values(words: Collection[str]) -> list[str]:
 
 def main(argv: list[str] | None = None) -> int:
     """Runs a command and returns the exit code; of many ranks, one speaks for all."""
+    os.environ["MPLBACKEND"] = (
+        "agg"  # figures go to files; a shell below Jupyter may name a backend that is not here
+    )
     first = os.environ.get("RANK", "0") == "0"
     with redirect_stdout(sys.stdout if first else None):
         return outcome(with_values(sys.argv[1:] if argv is None else argv), sys.stderr if first else None)

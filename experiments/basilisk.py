@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 import torch
+from matplotlib.figure import Figure
 from scipy.spatial.transform import Rotation
 from torch import Tensor
 
@@ -26,7 +27,6 @@ from inspection.world.parameters import PlantParameters
 from rta.filter import SafetyFilter
 from settings import Parser, positive_integer
 from study.config import TEST_CASES
-from study.drawing import Figure
 from study.experiment import Experiment
 from study.files import write_json, writing
 from study.flight.evaluation import Episodes, play

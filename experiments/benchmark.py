@@ -18,6 +18,7 @@ from typing import Any, BinaryIO
 from unittest.mock import patch
 
 import torch
+from matplotlib.figure import Figure
 from torch import Tensor
 
 from inspection.closed_loop import Correction
@@ -34,7 +35,6 @@ from rta.qp.programs import Problems, Solver
 from rta.qp.scaled import prepared, problems
 from settings import load, override
 from study.config import Config
-from study.drawing import Figure
 from study.experiment import Experiment, load_policy
 from study.files import ROOT
 from study.machine import compile_or_explain, wants_compile

@@ -15,11 +15,13 @@ from pathlib import Path
 from textwrap import fill
 from typing import Any, NamedTuple
 
+from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
+
 from inspection.world.parameters import PlantParameters
 from rta.constraints.names import CONSTRAINTS
 from settings import InputError, override
 from study.config import Config
-from study.drawing import Figure, Rectangle
 from study.experiment import Experiment
 from study.files import write_json
 from study.flight.figures import GREY, SAFE, UNSAFE

@@ -11,9 +11,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from settings import Parser
-from study.drawing import Figure
 from study.files import write_json, writing
 from study.flight.figures import BLUE, GREEN, ORANGE
 from study.machine import set_threads

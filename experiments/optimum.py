@@ -16,6 +16,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import torch
+from matplotlib.figure import Figure
+from matplotlib.ticker import NullFormatter, StrMethodFormatter
 from torch import Tensor
 
 from experiments.optimum_bound import Task, climbed
@@ -32,7 +34,6 @@ from inspection.orbits import GUIDANCE, Lead, Orbit
 from inspection.reward import stays_clear
 from settings import Parser, positive_integer
 from study.config import ARMS, TEST_CASES, Config
-from study.drawing import Figure, NullFormatter, StrMethodFormatter
 from study.experiment import paper_task, test_cases
 from study.files import ROOT, write_json, writing
 from study.flight.figures import BLUE, GREEN, GREY, ORANGE

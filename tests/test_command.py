@@ -44,3 +44,11 @@ def test_help_does_not_wait_for_pytorch() -> None:
     done = subprocess.run([sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True)
     lines = done.stdout.splitlines()
     assert lines[-2] == "[]" and "torch" in lines[-1], done.stderr
+
+
+def test_figures_do_not_ask_for_the_backend_that_a_notebook_names(tmp_path: Path) -> None:
+    words = ["simulate", "--controller", "zero", "--no-rta", "--duration", "2", "--compile", "off"]
+    words += ["--out", str(tmp_path / "o.npz"), "--figure", str(tmp_path / "o.png")]
+    environment = os.environ | {"MPLBACKEND": "module://matplotlib_inline.nowhere"}
+    done = subprocess.run([sys.executable, main.__file__, *words], env=environment, capture_output=True)
+    assert done.returncode == 0 and (tmp_path / "o.png").exists(), done.stderr

@@ -5,10 +5,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patheffects import withStroke
+from matplotlib.ticker import MaxNLocator, MultipleLocator
+from mpl_toolkits.mplot3d import Axes3D
 
 from inspection.chief.points import fibonacci_sphere
 from inspection.model.parameters import InspectionParameters
-from study.drawing import Axes, Axes3D, Figure, MaxNLocator, MultipleLocator, withStroke
 from study.files import writing
 
 # Colours that differ in lightness too (Okabe and Ito's palette)

@@ -5,9 +5,12 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from matplotlib import rc_context
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 
 from inspection.model.parameters import InspectionParameters
-from study.drawing import Axes, Figure, Line2D, rc_context
 from study.errors import refusing
 from study.files import writing
 from study.flight.figures import (
