@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from inspection.model.state import CONTROL_SIZE
+from inspection.world.plant import Plant
 
 # Who commands: a function of time in s and states (16, B) to desired controls (6, B) in N and N m.
 Controller = Callable[[float, Tensor], Tensor]
@@ -38,7 +39,7 @@ class Safety:
         is_safe: maps states (16, B) to (B,) bool, whether an episode may start there.
         correct: maps states and desired controls (6, B) to a `Correction`; None applies what is desired.
         period: s between two calls of `correct`.
-        informed: `correct` also takes what a world tells it, by name, see `World.tell`.
+        informed: `correct` also takes what a plant tells it, by name, see `inspection.world.plant.Plant.tell`.
     """
 
     names: tuple[str, ...] = ()
@@ -47,31 +48,6 @@ class Safety:
     correct: Callable[[Tensor, Tensor], Correction] | None = None
     period: float = 1.0
     informed: bool = False
-
-
-class World(Protocol):
-    """What lies between the controls and the plant, and between the plant and who looks.
-
-    See `inspection.world.plant.Plant`.
-
-    Times (B,) are those of the episodes, in s.
-    """
-
-    def sense(self, time: Tensor, x: Tensor) -> Tensor:
-        """What states x (16, B) are taken for."""
-        ...
-
-    def tell(self, time: Tensor) -> dict[str, Tensor]:
-        """What a filter is told beside the state, `sent` and `left`, see `rta.filter.SafetyFilter.correct`."""
-        ...
-
-    def hold(self, time: Tensor, u: Tensor) -> tuple[Tensor, Tensor]:
-        """What is held from a call on that wants u (6, B), and (B,) bool where the call is missed."""
-        ...
-
-    def actuate(self, time: Tensor, u: Tensor) -> Tensor:
-        """What acts where u (6, B) is held."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -173,7 +149,7 @@ def closed_loop(
     integrate: Callable[[Tensor, Tensor, float], Tensor],
     clocks: Clocks,
     duration: float,
-    world: World | None = None,
+    plant: Plant | None = None,
     start: Tensor | None = None,
     informed: bool = False,
 ) -> Iterator[Hold]:
@@ -183,9 +159,9 @@ def closed_loop(
         controller: who commands.
         correct: the filter; None applies what is desired.
         integrate: states (16, B) after holding a control (6, B) for some s.
-        world: what differs from the model; None: nothing, states are seen as they are and controls act as they are.
+        plant: what differs from the model; None: nothing, states are seen as they are and controls act as they are.
         start: the episodes' time at the beginning, (B,) s; None: 0 s.
-        informed: the filter also takes what the world tells.
+        informed: the filter also takes what the plant tells.
 
     A call is one of the filter, without a filter a decision. After a missed call the next one is asked for the same.
     """
@@ -196,21 +172,21 @@ def closed_loop(
     for i in range(clocks.count(duration)):
         time, decided = i * hold, i % decisions == 0
         called = i % calls == 0 if correct else decided
-        if world is None:
+        if plant is None:
             seen = x
         elif called:
-            seen = world.sense(start + time, x)
+            seen = plant.sense(start + time, x)
         desired = controller(time, seen) if decided else next_desired
         correction = missed = None
         if called:
-            told = world.tell(start + time) if world and informed else {}
+            told = plant.tell(start + time) if plant and informed else {}
             correction = correct(seen, desired, **told) if correct else None
             # the filter's last control is its next desired one
             applied = next_desired = desired if correction is None else correction.control
-            if world:
-                applied, missed = world.hold(start + time, applied)
+            if plant:
+                applied, missed = plant.hold(start + time, applied)
                 next_desired = torch.where(missed, desired, applied)
-        acting = world.actuate(start + time, applied) if world else applied
+        acting = plant.actuate(start + time, applied) if plant else applied
         after = integrate(x, acting, hold)
         end = (i + 1) * hold
         yield Hold(time, end, hold, x, desired, applied, correction, decided, after, seen, acting, missed)
