@@ -1,8 +1,7 @@
 """How the training of a run begins and goes on: its directory, its lock, its first networks or its checkpoint."""
 
-import shutil
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -65,12 +64,12 @@ def check(config: Config) -> None:
 
 @contextmanager
 def starting(config: Config, directory: Path, init_from: Path | None = None) -> Iterator[Run]:
-    """A fresh run, see `start`, with its directory to itself; leaves no directory where it comes to nothing."""
-    check_empty(directory)  # before anything is left in it
-    new = made(directory)
+    """Starts a fresh run, see `start`, with its directory to itself."""
+    run = built(config, directory, init_from)
+    with refusing(f"--run-dir {directory}: cannot write there", OSError, ValueError):
+        ranks().first_does(lambda: directory.mkdir(parents=True, exist_ok=True))
     with alone_in(directory, "--run-dir"):
-        with taken_away(new):
-            run = start(config, directory, init_from)
+        begin(run, init_from)
         yield run
 
 
@@ -90,57 +89,45 @@ def settings(directory: Path) -> Config:
 
 
 def start(config: Config, directory: Path, init_from: Path | None = None) -> Run:
-    """A fresh run in a directory that holds none; its solver is part of its configuration from here on.
+    """Starts a fresh run in a directory that holds none; its solver is part of its configuration from here on.
 
     Args:
         init_from: the file of an agent to start from, policy.pt or checkpoint.pt; None: from chance.
     """
+    run = built(config, directory, init_from)
+    begin(run, init_from)
+    return run
+
+
+def built(config: Config, directory: Path, init_from: Path | None) -> Run:
+    """Makes a fresh run and writes nothing: what can be refused is refused here."""
     check(config)
+    check_empty(directory)
     config = settled_for_a_seed(config)
     if init_from:  # who has learned something needs no jump start
         config = replace(config, train=replace(config.train, jump_start=0))
-    networks = networks_of(init_from, config) if init_from else {}
-
-    def begin() -> None:
-        check_empty(directory)
-        with refusing(f"--run-dir {directory}: cannot write there", OSError, ValueError):
-            directory.mkdir(parents=True, exist_ok=True)
-            write_settings(config, directory, init_from)
-
-    ranks().first_does(begin)
-    return create(config, directory, networks=networks)
+    return create(config, directory, networks=networks_of(init_from, config) if init_from else {})
 
 
-def made(directory: Path) -> list[Path]:
-    """Makes a directory; returns what was not there, it and those above it."""
-    new: list[Path] = []
+def begin(run: Run, init_from: Path | None) -> None:
+    """Writes what describes a fresh run, then its first checkpoint."""
 
-    def make() -> None:
-        missing = [path for path in (directory, *directory.parents) if not path.exists()]
-        with suppress(FileExistsError):
-            directory.mkdir(parents=True)
-            new.extend(missing)
+    def describe() -> None:
+        check_empty(run.directory)
+        with refusing(f"--run-dir {run.directory}: cannot write there", OSError, ValueError):
+            run.directory.mkdir(parents=True, exist_ok=True)
+            write_settings(run.config, run.directory, init_from)
 
-    with refusing(f"--run-dir {directory}: cannot write there", OSError, ValueError):
-        ranks().first_does(make)
-    return new
+    ranks().first_does(describe)
+    save_first(run)
 
 
-@contextmanager
-def taken_away(new: Sequence[Path]) -> Iterator[None]:
-    """Takes new directories away again, see `made`, where an exception comes before there is an agent.
-
-    To be used while their lock is held: what another process has begun there is not this one's to take away.
-    """
-    try:
-        yield
-    except BaseException:
-        if new and not any((new[0] / name).exists() for name in (CHECKPOINT, "policy.pt")):
-            shutil.rmtree(new[0], ignore_errors=True)
-            with suppress(OSError):  # of the directories above those that hold nothing else
-                for above in new[1:]:
-                    above.rmdir()
-        raise
+def save_first(run: Run) -> None:
+    """Writes the first checkpoint of a run, in the directories of its seeds."""
+    with refusing(f"{run.directory}: cannot write there", OSError):
+        for home in run.homes:
+            home.mkdir(parents=True, exist_ok=True)
+        run.save()
 
 
 def check_empty(directory: Path) -> None:
@@ -162,17 +149,13 @@ def create(
     seeds: Sequence[int] | None = None,
     networks: Mapping[str, dict[str, Any]] | None = None,
 ) -> Run:
-    """A fresh `Run`: starts the episodes and writes the first checkpoint; `networks` are weights to start from."""
+    """Makes a fresh `Run`, its episodes started; `networks` are weights to start from. Nothing is written."""
     run = Run(config, directory, seeds)
     for name, weights in (networks or {}).items():
         with refusing(f"--init-from: its {name} network does not fit this run", *MALFORMED):
             getattr(run.trainer.learner, name).load_state_dict(weights)
     with refusing("[inspection]", RuntimeError):
         run.env.reset()
-    with refusing(f"{directory}: cannot write there", OSError):
-        for home in run.homes:
-            home.mkdir(parents=True, exist_ok=True)
-        run.save()
     return run
 
 

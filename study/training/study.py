@@ -19,7 +19,7 @@ from study.flight.evaluation import Episodes, report
 from study.machine import LOCK, alone_in, write_settings
 from study.paper import Results, tables
 from study.training.run import Run, on_signal, settled_for_a_seed
-from study.training.session import check, create, resume
+from study.training.session import check, create, resume, save_first
 from study.verified import fingerprint, say_doubts
 
 LEFT_BY_A_KILL = (LOCK, "provenance.json", "provenance.json.tmp", "config.toml.tmp")  # at the start
@@ -142,6 +142,8 @@ def train_arm(config: StudyConfig, name: str, directory: Path, again: str) -> Ru
     of_arm = settled_for_a_seed(config.of_arm(name))
     begun = (directory / "checkpoint.pt").exists()
     run = resume(directory, of_arm, config.seeds) if begun else create(of_arm, directory, config.seeds)
+    if not begun:
+        save_first(run)
     print(run, flush=True)
     try:
         run.train()

@@ -254,7 +254,7 @@ def test_states_split_and_joined_are_the_same(size: int, alone: Path, tmp_path: 
     ]
     assert_close(whole, parts[0].join([part.split(whole) for part in parts]), 0.0)
     study = from_toml(STUDY, "test", StudyConfig())
-    training.create(study.of_arm("no_rta"), tmp_path, study.seeds)
+    training.save_first(training.create(study.of_arm("no_rta"), tmp_path, study.seeds))
     whole = state(tmp_path)
     parts = [shard_of_seeds(config.train.num_envs, 3, Ranks(rank, size)) for rank in range(size)]
     assert parts[1].split(whole)["env"]["x"].shape[1] == 6 * len(study.seeds[parts[1].seeds])

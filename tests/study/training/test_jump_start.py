@@ -4,6 +4,7 @@ import os
 import signal
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
@@ -17,6 +18,7 @@ from study.errors import Stopped
 from study.experiment import Experiment
 from study.experiment import test_cases as common_cases
 from study.training import jump_start, session
+from study.training.run import Run
 
 SETTINGS = """
 [train]
@@ -54,6 +56,13 @@ def test_the_guidance_that_teaches_violates_nothing_without_the_filter(orbit: Or
         env.step(guidance, lambda hold: worst.append(env.constraint_values(hold.after).amin(1)))
     held = torch.stack(worst).amin() >= 0.0
     assert held == (orbit == GUIDANCE["following"])
+
+
+def created(*arguments: Any) -> Run:
+    """A fresh run with its first checkpoint."""
+    run = session.create(*arguments)
+    session.save_first(run)
+    return run
 
 
 @pytest.fixture(scope="module")
@@ -116,8 +125,8 @@ def test_each_lesson_is_drawn(run: session.Run) -> None:
 
 def test_seeds_side_by_side_are_taught_what_each_is_alone(tmp_path: Path) -> None:
     short = session.settled_for_a_seed(config(jump_start=8192))
-    both = taught(session.create(short, tmp_path / "both", [3, 4]))
-    alone = taught(session.create(replace(short, train=replace(short.train, seed=4)), tmp_path / "alone"))
+    both = taught(created(short, tmp_path / "both", [3, 4]))
+    alone = taught(created(replace(short, train=replace(short.train, seed=4)), tmp_path / "alone"))
     for name, weight in alone.policy.state_dict().items():
         torch.testing.assert_close(weight[0], both.policy.state_dict()[name][1], rtol=1e-3, atol=1e-4)
 
@@ -188,7 +197,7 @@ SHORT = {"jump_start": 4 * 512, "interactions": 6 * 512, "num_envs": 128, "rollo
 def whole(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> session.Run:
     """A short run that nothing interrupted."""
     short = session.settled_for_a_seed(config(**SHORT))
-    run = session.create(short, tmp_path_factory.mktemp("whole") / "run", request.param)
+    run = created(short, tmp_path_factory.mktemp("whole") / "run", request.param)
     run.train()
     return run
 
@@ -214,7 +223,7 @@ def test_a_run_that_ends_in_its_lessons_goes_on_as_if_it_had_not(
     whole: session.Run, how: str, after: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     seeds = whole.seeds if len(whole.seeds) > 1 else None
-    run = session.create(whole.config, tmp_path / "run", seeds)
+    run = created(whole.config, tmp_path / "run", seeds)
     teach = jump_start.JumpStart.teach
 
     def interrupted(self: jump_start.JumpStart, watch: object) -> dict[str, float]:
@@ -240,7 +249,7 @@ def test_a_run_that_ends_in_its_lessons_goes_on_as_if_it_had_not(
 def test_a_lesson_that_is_lost_is_named(whole: session.Run, tmp_path: Path) -> None:
     if len(whole.seeds) > 1:
         pytest.skip("one is enough")
-    run = session.create(whole.config, tmp_path / "run")
+    run = created(whole.config, tmp_path / "run")
     assert run.lessons
     with run.log.open(0, 1):
         run.be_taught(run.lessons, lambda: run.interactions == 2 * 512)

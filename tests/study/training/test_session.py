@@ -15,7 +15,6 @@ from typing import Any
 
 import pytest
 import torch
-from filelock import FileLock
 
 import main
 from ppo import checkpoint, trainer
@@ -205,60 +204,24 @@ def test_a_study_has_its_directory_to_itself(
     one_line(capsys, f"--study-dir {tmp_path}: is being trained by another process")
 
 
-@pytest.mark.parametrize("moment", ["__init__", "save", "first of save"])
-@pytest.mark.parametrize("there", [False, True])
-def test_an_interrupt_before_the_first_checkpoint_leaves_nothing(
+@pytest.mark.parametrize("moment", ["__init__", "save"])
+def test_an_interrupt_before_the_first_checkpoint_hinders_nobody(
     moment: str,
-    there: bool,
     settings: Path,
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    run = tmp_path / "runs" / "run"
-    if there:
-        run.mkdir(parents=True)
-
     def interrupted(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
-    owner, name = (checkpoint, "save") if moment == "first of save" else (training.Run, moment)
-    arguments = ["train", "--config", str(settings), "--run-dir", str(run)]
+    arguments = ["train", "--config", str(settings), "--run-dir", str(tmp_path / "run")]
     with monkeypatch.context() as patch:
-        patch.setattr(owner, name, interrupted)
+        patch.setattr(training.Run, moment, interrupted)
         assert main.main(arguments) == 130
     assert capsys.readouterr().err == "interrupted\n"
-    assert run.exists() == there and (tmp_path / "runs").exists() == there
-    assert main.main([*arguments, "--interactions", "1"]) == 0  # and what is there hinders nobody
-
-
-def test_what_another_process_has_begun_is_not_taken_away(
-    settings: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """It has come between the making of the directory and its lock."""
-    run, made = tmp_path / "run", training.made
-    theirs = FileLock(run / machine.LOCK)
-
-    def overtaken(directory: Path) -> list[Path]:
-        new = made(directory)
-        theirs.acquire()
-        (directory / "provenance.json").write_text("theirs")
-        return new
-
-    monkeypatch.setattr(training, "made", overtaken)
-    assert main.main(["train", "--config", str(settings), "--run-dir", str(run)]) == 2
-    one_line(capsys, f"--run-dir {run}: is being trained by another process")
-    assert (run / "provenance.json").read_text() == "theirs"
-    theirs.release()
-
-
-def test_a_run_that_has_begun_is_not_taken_away(settings: Path, tmp_path: Path) -> None:
-    run = tmp_path / "run"
-    with pytest.raises(KeyboardInterrupt), training.starting(load(settings, Config()), run):
-        for name in ("checkpoint.pt", "policy.pt"):  # moved elsewhere by a person
-            (run / name).unlink()
-        raise KeyboardInterrupt
-    assert (run / "config.toml").exists()
+    assert (tmp_path / "run").exists() == (moment == "save")  # what can be refused leaves nothing
+    assert main.main([*arguments, "--interactions", "1"]) == 0
 
 
 def test_a_directory_of_other_things_is_refused(
