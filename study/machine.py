@@ -55,10 +55,9 @@ def step(what: str) -> Iterator[None]:
 
 def bar(total: int, unit: str, **options: Any) -> tqdm:
     """Makes a bar on stderr of how many of so many units are done, from PATIENCE on; of many ranks, the first one's."""
-    pace = 1.0 if sys.stderr.isatty() else 10.0  # s between two lines of a log
-    return tqdm(
-        total=total, unit=f" {unit}", delay=PATIENCE, mininterval=pace, disable=not is_first(), **options
-    )
+    if not sys.stderr.isatty():  # a log, which cannot go back in its lines
+        options |= {"mininterval": 10.0, "position": 0}
+    return tqdm(total=total, unit=f" {unit}", delay=PATIENCE, disable=not is_first(), **options)
 
 
 # what computes
