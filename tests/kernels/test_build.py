@@ -5,11 +5,9 @@ import getpass
 import os
 import re
 import shutil
-import signal
 import subprocess
 import sys
 import tempfile
-import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -92,59 +90,8 @@ def test_a_damaged_library_is_built_anew(
     assert works() and not lines(capsys) and len(files(cache)) == 1
 
 
-def test_a_foreign_library_is_not_taken(cache: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Under the name of this one, with a digest that is right, but nothing that can be loaded."""
-    assert works()
-    (path,) = files(cache)
-    text = cache / "text"
-    text.write_text("a list of things to buy")
-    foreign = text.rename(cache / f"{path.name.split('.')[0]}.{build.digest(text)}.so")
-    path.unlink()
-    assert works()
-    (line,) = lines(capsys)
-    assert str(foreign) in line and "compiled anew" in line
-    assert files(cache) == [path]
-
-
-def test_a_directory_of_that_name_is_left(cache: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert works()
-    (path,) = files(cache)
-    path.unlink()
-    foreign = cache / f"{path.name.split('.')[0]}.0.so"
-    foreign.mkdir()
-    assert works()
-    (line,) = lines(capsys)
-    assert str(foreign) in line and files(cache) == [foreign, path]
-
-
 def full(*_: object) -> None:
     raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-
-
-def test_a_full_cache_is_done_without(
-    cache: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(build.os, "replace", full)
-    assert works() and works()
-    (line,) = lines(capsys)
-    assert line == f"{cache}: No space left on device; what is compiled is not kept"
-    assert not files(cache)
-
-
-def test_a_cache_that_fills_up_while_compiling_is_done_without(
-    cache: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    compile_ = build.output
-
-    def output(command: list[str], work: Path | None = None) -> str:
-        if work and work.is_relative_to(cache):
-            raise NoCompilerError("cc failed (1): error: one.o: No space left on device")
-        return compile_(command, work)
-
-    monkeypatch.setattr(build, "output", output)
-    assert works()
-    (line,) = lines(capsys)
-    assert "No space left on device; what is compiled is not kept" in line
 
 
 @pytest.mark.parametrize("kind", ["a file", "below a file", "not writable"])
@@ -157,43 +104,6 @@ def test_a_cache_that_cannot_be_written_is_done_without(
     assert works() and works()
     (line,) = lines(capsys)
     assert line.startswith(f"{where}: ") and line.endswith("; what is compiled is not kept")
-
-
-def test_a_directory_that_may_only_be_read_is_read(
-    cache: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    assert works()
-    for module, name in ((os, "mkdir"), (os, "replace"), (os, "unlink")):
-        monkeypatch.setattr(module, name, full)
-    assert works() and not lines(capsys)
-
-
-def test_without_a_home_nothing_is_kept(
-    cache: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def home() -> Path:
-        raise RuntimeError("Could not determine home directory.")
-
-    for name in (build.VARIABLE, "XDG_CACHE_HOME", "HOME"):
-        monkeypatch.delenv(name, raising=False)
-    monkeypatch.setattr(Path, "home", home)
-    assert works() and works()
-    (line,) = lines(capsys)
-    assert "no home directory" in line and build.VARIABLE in line
-
-
-def test_the_cache_is_the_users_unless_another_is_chosen(
-    cache: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    assert build.cache_dir() == cache
-    monkeypatch.delenv(build.VARIABLE)
-    monkeypatch.setenv("HOME", str(tmp_path))
-    monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
-    assert build.cache_dir() == tmp_path / ".cache" / "rta-inspection"
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "own"))
-    assert build.cache_dir() == tmp_path / "own" / "rta-inspection"
-    monkeypatch.setenv("XDG_CACHE_HOME", "relative")  # the standard has it ignored
-    assert build.cache_dir() is None
 
 
 # processes
@@ -215,28 +125,6 @@ def test_processes_may_build_the_same_at_once(cache: Path) -> None:
     processes = [elsewhere() for _ in range(4)]
     assert [process.communicate(timeout=60) for process in processes] == [("3\n", "")] * 4
     assert len(files(cache)) == 1
-
-
-def test_what_is_left_by_a_process_that_was_killed_is_cleared_away(
-    cache: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    slow = script(
-        tmp_path / "slow", f"[ $1 = --version ] || {{ touch {tmp_path}/begun; sleep 60; }}; exec cc $@"
-    )
-    process = elsewhere(CC=str(slow))
-    for _ in range(600):
-        if (tmp_path / "begun").exists():
-            break
-        time.sleep(0.05)
-    os.killpg(process.pid, signal.SIGKILL)
-    process.communicate(timeout=60)
-    (left,) = files(cache)
-    assert left.name.startswith(build.WORK)
-    assert works() and left.exists()  # it may be another's that is at work
-    os.utime(left, (0.0, 0.0))
-    for path in cache.glob("*.so"):
-        path.unlink()
-    assert works() and not left.exists() and not lines(capsys)
 
 
 # the compiler
@@ -279,36 +167,6 @@ def test_without_any_compiler_those_that_were_looked_for_are_named(
 ) -> None:
     monkeypatch.setenv("PATH", str(tmp_path))
     with pytest.raises(NoCompilerError, match=r"no C compiler was found \(clang, gcc, cc\)"):
-        build.library(SOURCE)
-
-
-@pytest.mark.parametrize("compiler", ["cc -O1", "{tmp}/wrapper cc -DX=1", "{tmp}/a wrapper"])
-def test_a_compiler_may_have_arguments(
-    compiler: str, cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    script(tmp_path / "wrapper", f'touch {tmp_path}/called; exec "$@"')
-    script(tmp_path / "a wrapper", 'exec cc "$@"')
-    monkeypatch.setenv("CC", compiler.format(tmp=tmp_path))
-    assert works() and len(files(cache)) == 1
-    assert (tmp_path / "called").exists() == ("/wrapper" in compiler)
-
-
-def test_a_compiler_that_does_not_know_the_processor_compiles_for_any(
-    cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    refusal = 'case "$*" in *=native*) echo "error: bad value for -march=" >&2; exit 1;; esac; exec cc "$@"'
-    monkeypatch.setenv("CC", str(script(tmp_path / "old", refusal)))
-    assert works()
-
-
-def test_what_cannot_be_loaded_is_no_library(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """As in directories that nothing may be executed in."""
-
-    def cannot(_: str) -> None:
-        raise OSError("failed to map segment from shared object")
-
-    monkeypatch.setattr(build.ctypes, "CDLL", cannot)
-    with pytest.raises(NoCompilerError, match="cannot be loaded: failed to map segment"):
         build.library(SOURCE)
 
 

@@ -138,18 +138,6 @@ def test_an_entry_of_something_else_is_not_taken(
     assert answers(capsys) == ["computed", "-2.0"]
 
 
-@pytest.mark.parametrize("bad", ["file", "missing"])
-def test_without_a_cache_it_is_computed(
-    bad: str, cache: Path, written: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    cache.write_text("a list of things to buy")
-    if bad == "missing":
-        for name in (build.VARIABLE, "XDG_CACHE_HOME"):
-            monkeypatch.delenv(name, raising=False)
-        monkeypatch.setenv("HOME", "nowhere")  # no absolute path
-    assert answers(capsys) == answers(capsys) == ["computed", "-2.0"]
-
-
 def test_what_cannot_be_told_is_not_kept(cache: Path) -> None:
     numbers = iter([1.0, 2.0, 3.0])
     handle = (value for value in numbers)

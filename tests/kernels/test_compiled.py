@@ -1,13 +1,8 @@
 """Compiled code gives what uncompiled code gives, in batches of any size, in any process."""
 
 import math
-import os
-import signal
-import sys
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import fields
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -18,8 +13,7 @@ from torch import Tensor
 from inspection.model.parameters import InspectionParameters
 from kernels import build
 from kernels.build import NoCompilerError
-from kernels.compiled import Compiled, in_shares, with_own_code
-from kernels.printer import printed
+from kernels.compiled import Compiled, in_shares
 from rta.bounds.uncertainty import Uncertainty
 from rta.filter import SafetyFilter
 from rta.parameters import RtaParameters
@@ -90,29 +84,6 @@ def test_what_was_compiled_is_not_compiled_again(cache: Path, monkeypatch: pytes
         Compiled(lambda x, y: [x + 1.5, *polynomial(x, y)], *arguments(1))
 
 
-def test_threads_may_record_at_once() -> None:
-    def cubes(x: Tensor, y: Tensor) -> list[Tensor]:
-        return [x**3, y**3]
-
-    interval = sys.getswitchinterval()
-    sys.setswitchinterval(1e-6)
-    try:
-        with ThreadPoolExecutor(4) as threads:
-            made = threads.map(lambda _: printed(cubes, *arguments(1)).text, range(16))
-            assert len(set(made)) == 1
-    finally:
-        sys.setswitchinterval(interval)
-
-
-def test_what_is_copied_for_its_order_in_memory_is_copied(cache: Path) -> None:
-    def swapped(x: Tensor) -> list[Tensor]:
-        return [x.view(3, 2, -1).transpose(0, 1).reshape(6, -1) * 2.0]
-
-    x = torch.randn(6, 5, dtype=torch.float64, generator=torch.Generator().manual_seed(0))
-    (found,) = Compiled(swapped, x[:, :1], batch=16)(x)
-    assert torch.equal(found, swapped(x)[0])
-
-
 def test_compiled_filter_equals_the_eager_one(
     random_states: Callable[[int], Tensor], generator: torch.Generator, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -176,15 +147,6 @@ def test_without_a_compiler_nothing_is_compiled_and_one_line_says_so(
     assert message.count("\n") == 1 and "compiler" in message
 
 
-def test_the_filter_is_compiled_for_the_device(monkeypatch: pytest.MonkeyPatch) -> None:
-    used, elsewhere = [], torch.device("meta")
-    monkeypatch.setattr(SafetyFilter, "compile", lambda _, device, batch: used.append((device, batch)))
-    monkeypatch.setattr(experiment, "resolve_device", lambda _: elsewhere)
-    monkeypatch.setattr(machine, "finds_compiler", lambda: True)
-    experiment.Experiment(Config(TrainParameters(compile="on")), batch=7)
-    assert used == [(elsewhere, 7)]
-
-
 @pytest.mark.parametrize(
     ("choice", "mass", "calls", "works", "expected"),
     [
@@ -213,63 +175,3 @@ def test_a_filter_is_compiled_where_that_is_repaid(
     config = Config(TrainParameters(compile=choice, rta=True), uncertainty=Uncertainty(mass=mass))
     made = experiment.Experiment(config, 7, float(calls))
     assert done == expected and made.filter_compiled == (works and bool(expected))
-
-
-def test_nothing_comes_of_no_columns(cache: Path) -> None:
-    run = Compiled(lambda x: [2 * x, x[:1]], torch.ones(3, 1))
-    assert [part.shape for part in run(torch.ones(3, 0))] == [(3, 0), (1, 0)]
-
-
-@pytest.mark.skipif(not hasattr(os, "fork"), reason="no processes are forked here")
-def test_a_forked_process_has_threads_of_its_own() -> None:
-    def add_up() -> int:
-        return in_shares(lambda first, last: last - first, 1000, 1.0)
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(torch, "get_num_threads", lambda: 2)
-        assert add_up() == 1000
-        child = os.fork()
-        if not child:
-            signal.alarm(20)
-            os._exit(0 if add_up() == 1000 else 1)
-        assert os.waitpid(child, 0)[1] == 0
-
-
-class Doubling:
-    def of(self, x: Tensor) -> list[Tensor]:
-        return [2.0 * x]
-
-
-@pytest.mark.parametrize(
-    "function", [Doubling().of, partial(lambda by, x: [by * x], 2.0), lambda x: [2.0 * x]]
-)
-def test_methods_and_partials_are_functions_with_code_of_their_own(
-    function: Callable[..., list[Tensor]],
-) -> None:
-    """As `torch.compile` takes them on a GPU, where a method lost its object and a partial had no code."""
-    run, other = with_own_code(function), with_own_code(function)
-    assert torch.equal(run(torch.ones(3))[0], torch.full((3,), 2.0))
-    assert run.__code__ is not other.__code__
-
-
-def test_many_functions_stay_compiled_on_one_device() -> None:
-    """`torch.compile` leaves a function uncompiled after eight recompilations, which it counts by code."""
-    ran: list[int] = []
-
-    def times(factor: float) -> Callable[[Tensor], Tensor]:
-        operation = (torch.sin, torch.cos, torch.exp, torch.abs, torch.neg, torch.tanh)[round(factor) % 6]
-
-        def packed(x: Tensor) -> Tensor:
-            return operation(x) * factor
-
-        return with_own_code(packed)
-
-    def backend(graph: torch.fx.GraphModule, _: list[Tensor]) -> Callable[..., object]:
-        return lambda *given: ran.append(1) or graph.forward(*given)
-
-    functions = [torch.compile(times(float(k)), dynamic=True, backend=backend) for k in range(12)]
-    for columns in (1, 16, 256):
-        for function in functions:
-            function(torch.ones(2, columns))
-    torch.compiler.reset()
-    assert len(ran) == 3 * len(functions)

@@ -6,31 +6,26 @@ measured against 80-bit numbers, but as they compute the same in the same order,
 an arccos begins, h at the zone's edge or towards the Sun: the root of a rounding error of 1e-16 is 1e-8.
 """
 
-import ctypes
 import functools
 import math
 import shutil
 from collections.abc import Callable
 from functools import partial
-from typing import Any
 
 import pytest
 import torch
 from torch import Tensor
 
-from inspection.environment import InspectionEnv
 from inspection.initial_state import InitialStates
 from inspection.model.parameters import InspectionParameters
 from inspection.model.state import CONTROL_SIZE, OMEGA, SIZE, THETA_S, E, P, Q, T, V
 from kernels import build
-from kernels.compiled import Compiled, pointers
-from kernels.printer import Printed, if_long, printed
-from kernels.text import Part
+from kernels.compiled import Compiled
 from rta.filter import SafetyFilter
 from rta.qp.scaled import Prepared
 from tests.kernels.test_long_axis import LONG, OVER_POINTS
 from tests.kernels.test_operations import OF_ONE, OF_TWO, special_pairs, uniform
-from tests.kernels.test_project import env_of, filter_of
+from tests.kernels.test_project import filter_of
 
 FIELDS = Prepared._fields
 
@@ -104,7 +99,13 @@ def states(name: str) -> dict[str, Tensor]:
     return {kind: make(filter_of(name).c) for kind, make in KINDS_OF_STATES.items()}
 
 
-@pytest.mark.parametrize(("name", "held_by"), [("1 s", 0), ("5 s", 0), ("5 s", 1), ("U1", 0), ("U1", 1)])
+@pytest.mark.parametrize(
+    ("name", "held_by"),
+    [
+        ("1 s", 0),
+        *(pytest.param(name, i, marks=pytest.mark.campaign) for name in ("5 s", "U1") for i in (0, 1)),
+    ],
+)
 def test_rows_of_the_filter(name: str, held_by: int) -> None:
     safety = filter_of(name)
     limit = torch.tensor(safety.c.control_limit, dtype=torch.float64)[:, None]
@@ -116,40 +117,6 @@ def test_rows_of_the_filter(name: str, held_by: int) -> None:
         compiled = compiled or Compiled(run, *(part[:, :1] for part in given))
         for i, (found, expected) in enumerate(zip(compiled(*given), run(*given), strict=True)):
             assert_near(found, expected, f"{kind}: {FIELDS[i % len(FIELDS)]}")
-
-
-@pytest.mark.parametrize("name", ["1 s", "U1", "tumbling"])
-def test_what_the_simulator_computes(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """States, observations, constraint values, what is in view, and clusters."""
-    env = env_of(name)
-    env.reset()
-    for _ in range(3):
-        env.step(uniform(-1.0, 1.0, env.num_envs, CONTROL_SIZE))
-    wholes: list[tuple[Tensor, ...]] = []
-
-    def several(
-        self: InspectionEnv, function: Callable[..., list[Tensor]], *examples: Tensor, points: int = 0
-    ) -> Any:
-        compiled = Compiled(
-            function,
-            *(part[..., :1] for part in examples),
-            long=if_long(points or self.sight.points.shape[1]),
-        )
-        wholes.append(examples)
-        x = torch.cat(list(states("1 s").values()), 1)
-        others = x.shape[1] // env.num_envs + 1
-        given = [
-            x if part.shape[:-1] == (SIZE,) else part.repeat(*[1] * (part.dim() - 1), others)
-            for part in examples
-        ]
-        given = [part[..., : x.shape[1]] for part in given]
-        for found, expected in zip(compiled(*given), function(*given), strict=True):
-            assert_near(found, expected, str([tuple(part.shape) for part in given]))
-        return compiled
-
-    monkeypatch.setattr(InspectionEnv, "_several", several)
-    env.compile()
-    assert len(wholes) >= 5
 
 
 # the same bits
@@ -174,51 +141,6 @@ def bits(parts: list[Tensor]) -> list[Tensor]:
     return [of(part) for part in parts]
 
 
-def one_by_one(function: Printed) -> Callable[..., list[Tensor]]:
-    """A printed function called in C for one column after the other, without vectors."""
-    types = {"double": "double", "float": "float", "bool": "uint8_t", "long": "int64_t"}
-    parts = [*function.inputs, *function.outputs]
-
-    def each(count: list[Part], side: str, line: str) -> list[str]:
-        there = "(({0} *){1}[{2}])[k * {1}_step[{2}] + j]"
-        return [
-            f"for (int k = 0; k < {part.size}; k++) "
-            + line.format(f"{part.name}[k]", there.format(types[part.kind], side, i))
-            for i, part in enumerate(count)
-        ]
-
-    lines = [
-        "#include <stdint.h>",
-        "void columns(long count, void *const *in, const long *in_step, void *const *out, const long *out_step)",
-        "{",
-        "for (long j = 0; j < count; j++) {",
-        *(f"{'M' if part.is_mask else 'V'} {part.name}[{part.size}];" for part in parts),
-        *each(function.inputs, "in", "{0} = {1};"),
-        f"{function.name}({', '.join(part.name for part in parts)});",
-        *each(function.outputs, "out", "{1} = {0};"),
-        "}",
-        "}",
-    ]
-    suffix = "" if function.real == "double" else "f"
-    of_math = (*build.QUICK, *build.OF_ONE, *build.OF_TWO, "fabs")
-    names = [f"#define {build.macro(name, function.real)} {name}{suffix}" for name in of_math]
-    functions = [build.header("functions.h")] if function.real == "double" else []
-    head = [*build.numbers(function.real), build.header("scalar.h"), *names, *functions]
-    text = "\n".join([*head, function.text, *lines])
-    run = build.library({"one": text}).columns
-
-    def call(*tensors: Tensor) -> list[Tensor]:
-        batch = tensors[0].shape[-1]
-        found = [
-            torch.empty(*shape, batch, dtype=dtype)
-            for shape, dtype in zip(function.shapes, function.dtypes, strict=True)
-        ]
-        run(ctypes.c_long(batch), *pointers(tensors), *pointers([part for part in found if part.numel()]))
-        return found
-
-    return call
-
-
 @functools.cache
 def compared() -> dict[str, tuple[Callable[..., list[Tensor]], tuple[Tensor, ...], int]]:
     """Functions, their arguments, and the length of the axis that is looped over."""
@@ -241,16 +163,15 @@ def expected_bits(name: str) -> list[Tensor]:
 @pytest.mark.parametrize(
     ("compiler", "width", "name"),
     [
-        *(("gcc", width, name) for width in (0, 16, 32) for name in ("every operation", "rows", "points")),
-        *(("clang", width, name) for width in (0, 64) for name in ("every operation", "rows", "points")),
+        *(("gcc", 16, name) for name in ("every operation", "points")),
+        *(("clang", 64, name) for name in ("every operation", "points")),
+        *(pytest.param(*case, "rows", marks=pytest.mark.campaign) for case in (("gcc", 16), ("clang", 64))),
         ("gcc", 32, "every operation in single precision"),
-        ("clang", 0, "every operation in single precision"),
     ],
 )
 def test_bits_depend_on_neither_width_nor_compiler(
     compiler: str, width: int, name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """0: plain C for one column."""
     if not shutil.which(compiler):
         pytest.skip(f"{compiler} is not installed")
     function, given, long = compared()[name]
@@ -258,14 +179,11 @@ def test_bits_depend_on_neither_width_nor_compiler(
     monkeypatch.setenv("CC", compiler)
     monkeypatch.setattr(build, "vector_bytes", lambda: width)
     examples = [part[..., :1] for part in given]
-    vectors = partial(Compiled, function, *examples, long=long)
-    run = vectors() if width else one_by_one(printed(function, *examples, long=long))
-    for one, other in zip(bits(run(*given)), expected, strict=True):
+    for one, other in zip(bits(Compiled(function, *examples, long=long)(*given)), expected, strict=True):
         assert torch.equal(one, other)
 
 
-@pytest.mark.parametrize("threads", [1, 3])
-@pytest.mark.parametrize("batch", [1, 7, 8, 9, 700])
+@pytest.mark.parametrize(("batch", "threads"), [(1, 1), (9, 3), (700, 3)])
 def test_bits_depend_on_neither_batch_nor_threads(batch: int, threads: int) -> None:
     function, given, _ = compared()["rows"]
     torch.set_num_threads(threads)

@@ -114,16 +114,6 @@ def test_an_argument_may_be_changed_in_a_copy() -> None:
     assert torch.equal(given, kept) and torch.equal(found, halved(given)[0])
 
 
-def test_what_is_written_twice_is_computed_once_and_what_nobody_needs_not_at_all() -> None:
-    def function(x: Tensor, y: Tensor) -> list[Tensor]:
-        unused = x.exp() / y
-        again = torch.stack((x[0] * y[0], y[0] * x[0], -(x[0] * y[0]), (-x[0]) * y[0]))
-        return [again + 0.0 * unused[:1], torch.where(x.new_ones(3, 1) > 2.0, unused, 1.0 * x)]
-
-    found = printed(function, X, 2 * X)
-    assert found.text.count(" * ") == 1 and "EXP" not in found.text and found.text.count("-t") == 1
-
-
 def test_names_are_those_that_are_wanted() -> None:
     found = printed(
         lambda x, y: [x[:2] + 1.0, y > 0.0], X, X, name="area", names=(("state", "other"), ("sum", "up"))

@@ -13,45 +13,23 @@ import torch
 from numpy import ndarray
 from torch import Tensor
 
-from inspection.environment import InspectionEnv
-from inspection.guidance import natural_motion
-from inspection.initial_state import sample_initial_state
 from inspection.model.attitude import body_axis, dot, norm, unit
 from inspection.model.parameters import InspectionParameters
 from inspection.model.state import P, Q
 from rta.barrier import ActuatorGroup, Rows
 from rta.constraints.constraint import ACTUATORS, Constraint
 from rta.constraints.names import CONSTRAINTS
-from rta.filter import SafetyFilter
 from rta.parameters import RtaParameters
-from rta.qp.programs import Status
-from study.flight.fly import Starts
-from study.flight.simulation import simulate
 from tests.rta.constraints import test_constraints as reference
-from tests.rta.constraints.test_constraints import MEAN_MOTION, entries, length, paper, tensor
+from tests.rta.constraints.test_constraints import entries, length, paper, tensor
 from tests.rta.test_lie_derivatives import (
-    PSM,
-    PSM_DRIFT_TOLERANCE,
-    PSM_PUSH_TOLERANCE,
-    ROWS_OF_THRUST,
-    ROWS_OF_TORQUE,
-    THRUST,
-    TORQUE,
     R,
     X,
-    attainable,
     drift,
     held,
     near,
     push,
     slope,
-    thrust_barriers,
-    thrust_fall,
-    thrust_gain,
-    thrust_values,
-    torque_barriers,
-    torque_fall,
-    torque_values,
     turn,
 )
 
@@ -120,79 +98,9 @@ def numpy_psi(x: ndarray, constraint: Constraint, h: Callable[[ndarray], ndarray
     return along + first[0] * (h(x) - constraint.margin)
 
 
-def names_in(names: tuple[str, ...], order: list[int]) -> tuple[str, ...]:
-    return tuple(names[i] for i in order)
-
-
 def assert_equal(rows: Rows, expected: Rows) -> None:
     for name, value in vars(expected).items():
         torch.testing.assert_close(getattr(rows, name), value, rtol=1e-12, atol=1e-12)
-
-
-def joined(*parts: Rows) -> Rows:
-    return Rows(*(torch.cat([getattr(part, name) for part in parts]) for name in vars(parts[0])))
-
-
-def test_uncoupled_entries_come_first_each_kind_in_the_order_given() -> None:
-    own = replace(SPHERE, name="uncoupled", coupled=False), replace(SPHERE, name="ball")
-    given = SPHERE, PAPERS["velocity_y"], own[0], PAPERS["passive_safety"], own[1], PAPERS["collision"], CONE
-    thrust = group(*given)
-    assert thrust.names == ("velocity_y", "uncoupled", "passive_safety", "collision", "sphere", "ball")
-    assert [each.name for each in thrust.of_row] == [
-        "velocity_y", "uncoupled", *["passive_safety"] * 5, "collision", "sphere", "ball",
-    ]  # fmt: skip
-    assert thrust.weights == [1e3, 1e5, *[1e5] * 5, math.inf, 1e5, 1e5]
-    assert thrust.limit == 1.0 and thrust.controls == slice(0, 3)
-    rows = thrust(STATES)
-    assert rows.h.shape == (6, X.shape[1]) and rows.b.shape == (10, X.shape[1])
-    assert_equal(rows, joined(*(group(each)(STATES) for each in thrust.constraints)))
-    torch.testing.assert_close(rows.h[[0, 1, 3, 4, 5]], thrust.values(STATES)[[0, 1, 3, 4, 5]])
-
-
-def test_thrust_rows_in_another_order_equal_finite_differences() -> None:
-    names = ("velocity_z", "passive_safety", "dynamic_speed", "collision")
-    order = [10, *range(11)[PSM], 1, 0]
-    rows, is_psm = group(*(PAPERS[name] for name in names))(STATES), slice(1, 6)
-
-    def psi(x: ndarray) -> ndarray:
-        return thrust_barriers(x)[order]
-
-    def near_rows(actual: Tensor, expected: ndarray, tolerance: float) -> None:
-        near(actual[is_psm], expected[is_psm], tolerance)
-        expected[is_psm] = actual[is_psm]
-        near(actual, expected)
-
-    for axis in range(3):
-        near_rows(rows.a[:, axis], slope(psi, X, push(held(X), axis), 1e-3), PSM_PUSH_TOLERANCE)
-    alpha = thrust_gain(thrust_barriers(X)) * (thrust_barriers(X) - THRUST[1])
-    asked = slope(psi, X, drift(X, C), 3e-4) + (alpha - thrust_fall(X))[order]
-    of_row = names_in(ROWS_OF_THRUST, order)
-    expected = attainable(asked, rows.a.numpy(), thrust_values(X)[order], of_row, 1.0)
-    near_rows(rows.b, expected, PSM_DRIFT_TOLERANCE)
-    near_rows(rows.psi, psi(X), 1e-4)
-    np.testing.assert_allclose(rows.h, paper(X)[[6, 3, 1, 0]], rtol=0, atol=1e-4)
-
-
-def test_torque_rows_of_both_degrees_in_another_order_equal_finite_differences() -> None:
-    names, order = ("angular_velocity_y", "battery", "angular_velocity_x", "attitude_exclusion"), [4, 2, 3, 0]
-    own = replace(CONE, coupled=False)  # whose a does not hold what thrust can do
-    rows = group(CONE, *(PAPERS[name] for name in names))(STATES)
-
-    def psi(x: ndarray) -> ndarray:
-        return torque_barriers(x, C)[order]
-
-    for axis in range(3):
-        near(rows.a[:4, axis], slope(psi, X, turn(X, axis, C), 1e-4))
-    gain, margin = TORQUE[:, order]
-    asked = slope(psi, X, drift(X, C), 1e-3) + gain * (psi(X) - margin) - torque_fall(X, C)[order]
-    h, of_row = torque_values(X, C)[order], names_in(ROWS_OF_TORQUE, order)
-    near(rows.b[:4], attainable(asked, rows.a[:4].numpy(), h, of_row, C.max_torque))
-    near(rows.psi[:4], psi(X) - margin)
-    near(rows.h[:4], paper(X)[[11, 9, 10, 7]])
-    near(rows.h[4], numpy_cone(X))
-    alone = group(own)(STATES)
-    assert torch.equal(alone.a, rows.a[4:])
-    assert (alone.b[0] > rows.b[4]).any() and (alone.b[0] >= rows.b[4]).all()
 
 
 def walls(x: Tensor) -> Tensor:
@@ -224,35 +132,6 @@ def test_entry_with_several_rows_has_those_of_several_entries(both, gains, coupl
     assert torch.equal(rows.h[1], both(STATES).amin(0)) and torch.equal(rows.h, one.values(STATES))
 
 
-def test_result_joins_the_rows_of_an_entry() -> None:
-    """Of a limit of 0.05 m/s per axis, which most states exceed."""
-
-    def slow(x: Tensor) -> Tensor:
-        return 0.05**2 - x[3:6] ** 2
-
-    creeping = Constraint(
-        "creeping",
-        lambda x: slow(x).amin(0),
-        "thrust",
-        (0.2,),
-        0.0,
-        1.0,
-        lambda x: slow,
-        rows=3,
-        coupled=False,
-    )
-    safety = SafetyFilter(C, R, extra=[creeping])
-    answer, rows = safety.correct(STATES, torch.zeros_like(STATES[:6])), safety.rows(STATES)[0]
-    assert answer.h.shape == answer.active.shape == answer.slack.shape == (14, X.shape[1])
-    assert torch.equal(answer.h[13], slow(STATES).amin(0))
-    reached = (rows.a * answer.control[:3]).sum(1) + rows.b_bare
-    slack = (answer.program_status[0] >= Status.SLACK) & ~answer.backup  # of what the rows propose
-    assert slack.sum() > 20
-    expected = (rows.waived - reached)[-3:].clamp(min=0.0).amax(0)
-    torch.testing.assert_close(answer.slack[13, slack], expected[slack], rtol=1e-6, atol=1e-6)
-    assert (answer.slack[13, answer.program_status[0] < Status.SLACK] == 0.0).all()
-
-
 @pytest.mark.parametrize("loss", [0.03, lambda x: 0.001 * x[0].abs()], ids=["number", "function"])
 @pytest.mark.parametrize("name", ["collision", "passive_safety", "sphere", "battery"])
 def test_loss_is_taken_off_both_sides(name: str, loss) -> None:
@@ -273,31 +152,6 @@ def test_gain_doubles_where_the_entry_says_so() -> None:
     gain = (0.2 * (1 + (plain.psi / 30.0) ** 2)).clamp(max=0.5)
     assert (gain > 0.3).any() and (gain < 0.5).any()
     assert_equal(rising, replace(plain, b=plain.b + (gain - 0.2) * plain.psi, b_bare=rising.b))
-
-
-def test_barrier_takes_the_place_of_h_in_the_rows_alone() -> None:
-    half = replace(PAPERS["velocity_x"], barrier=lambda x: lambda y: 0.5 * PAPERS["velocity_x"].h(y)[None])
-    whole, rows = group(PAPERS["velocity_x"])(STATES), group(half)(STATES)
-    assert torch.equal(rows.h, whole.h)
-    torch.testing.assert_close(rows.psi, 0.5 * whole.psi)
-    torch.testing.assert_close(rows.a, 0.5 * whole.a)
-
-
-def test_psi_of_a_slab_is_its_closed_form() -> None:
-    # h = 1e4 - z^2 m^2 with z'' = -n^2 z + F_z / 12, less 50 m^2: Psi_1 = -2 z z' + k1 (h - 50)
-    k1, k2, margin = 0.05, 0.2, 50.0
-    slab = Constraint("slab", lambda x: 1e4 - x[2] ** 2, "thrust", (k1, k2), margin, coupled=False)
-    rows = group(slab)(STATES)
-    z, rate = X[2], X[5]
-    h, fall = 1e4 - z**2, -2 * z * rate
-    psi = fall + k1 * (h - margin)
-    near(rows.h[0], h)
-    near(rows.psi[0], psi)
-    a = np.stack([-2 * z * push(held(X), i)[5] for i in range(3)])
-    near(rows.a[0], a)
-    asked = -2 * rate**2 + 2 * MEAN_MOTION**2 * z**2 + k1 * fall + k2 * psi
-    for b, actual in ((asked, rows.b), (asked + k1 * k2 * margin, rows.b_bare)):
-        near(actual, attainable(b[None], a[None], h[None], ("slab",), 1.0))
 
 
 @pytest.mark.parametrize("name", OWN)
@@ -323,37 +177,6 @@ def test_rows_equal_finite_differences(name: str) -> None:
     assert (worst > 1e-6).any() == (name == "cone")
 
 
-def test_gains_are_capped_as_the_papers() -> None:
-    slow, rapid = (
-        group(Constraint("mine", cone, "torque", gains), c=UNEQUAL, r=RtaParameters(period=5.0))
-        for gains in ((0.1, 0.1), (3.0, 4.0))
-    )
-    for field, expected in vars(slow(STATES)).items():
-        torch.testing.assert_close(getattr(rapid(STATES), field), expected)
-
-
-def test_safe_is_where_h_and_psi_are_not_negative() -> None:
-    constraint, h = OWN["cone"]
-    mine = group(constraint, c=UNEQUAL)
-    safe = ((mine.values(STATES) >= 0).all(0) & mine.keeps(STATES, degree=2)).numpy()
-    fulfilled, holds = h(X) >= 0, numpy_psi(X, constraint, h) >= 0
-    assert 0.5 < safe.mean() < 1.0
-    assert (fulfilled != holds).any()
-    assert (safe == (fulfilled & holds)).all()
-    papers = SafetyFilter(UNEQUAL, R).is_in_safe_set(STATES).numpy()
-    assert (
-        SafetyFilter(UNEQUAL, R, extra=[constraint]).is_in_safe_set(STATES).numpy() == (papers & safe)
-    ).all()
-
-
-def test_weight_is_the_filters_own_unless_given() -> None:
-    mine = (
-        Constraint("mine", cone, "torque", (0.05, 0.2), weight=weight) for weight in (None, 7.0, math.inf)
-    )
-    weights = group(*mine, c=UNEQUAL, r=RtaParameters(slack_weight_critical=2e5)).weights
-    assert weights == [2e5, 7.0, math.inf]
-
-
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
@@ -375,17 +198,3 @@ def test_what_does_not_fit_is_refused(arguments: dict, words: str) -> None:
     given = {"name": "mine", "h": cone, "held_by": "torque", "gains": (0.05, 0.2)}
     with pytest.raises(ValueError, match=f"^mine: .*{words}"):
         group(Constraint(**given | arguments), c=UNEQUAL)
-
-
-def test_simulation_of_one_spacecraft_returns_every_h() -> None:
-    safety = SafetyFilter(UNEQUAL, R, extra=[constraint for constraint, _ in OWN.values()])
-    generator = torch.Generator().manual_seed(0)
-    env = InspectionEnv(1, UNEQUAL, [generator], safety.safety(enabled=False))
-    flight = simulate(
-        env, natural_motion(UNEQUAL), Starts(*sample_initial_state(1, generator, UNEQUAL)), duration=20.0
-    )
-    components = ("position", "velocity", "quaternion", "angular_velocity")
-    x = np.concatenate([flight[name] for name in components], 1).T
-    for name, (_, h) in OWN.items():
-        np.testing.assert_allclose(flight[f"h_{name}"], h(x), rtol=1e-9, atol=1e-12)
-    assert sum(name.startswith("h_") for name in flight) == len(safety.names)

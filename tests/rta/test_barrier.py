@@ -1,8 +1,5 @@
 """What the barriers and their rows promise, in flight: braking in the keep-in zone, and no barrier falls too far."""
 
-import itertools
-from collections.abc import Callable
-
 import numpy as np
 import pytest
 from numpy import ndarray
@@ -13,8 +10,6 @@ from rta.filter import SafetyFilter
 from rta.parameters import RtaParameters
 from tests.rta.constraints.test_constraints import (
     MEAN_MOTION,
-    enforced,
-    entries,
     keep_in_curve,
     length,
     root,
@@ -73,20 +68,6 @@ def flights(count: int, distance: tuple[float, float], speed: tuple[float, float
 # The keep-in barrier
 
 
-def at_the_curve(count: int, value: Callable[[ndarray, ndarray], ndarray]) -> tuple[ndarray, ndarray]:
-    """Positions and velocities within the speed limits that fly outwards at `value` of (distance, speed across)."""
-    rng = np.random.default_rng(0)
-    p, side = rng.standard_normal((2, 3, 40 * count))
-    out = p / length(p)
-    side = np.cross(out, side, axis=0)
-    distance = rng.uniform(500, 799.5, 40 * count)
-    across = rng.uniform(0.6, 1.0, 40 * count) * speed_limit(distance * out)
-    v = out * value(distance, across) + side / length(side) * across
-    p = distance * out
-    slow = (length(v) <= speed_limit(p)) & (np.abs(v) <= 5).all(0)
-    return p[:, slow][:, :count], v[:, slow][:, :count]
-
-
 def braking(distance: ndarray, across: ndarray) -> ndarray:
     """The speed outwards at which the keep-in barrier is zero."""
     return np.sqrt(2 * (C.max_acceleration - across**2 / distance) * (800 - distance))
@@ -114,43 +95,6 @@ def outward(y: ndarray) -> ndarray:
 def zone(y: ndarray) -> ndarray:
     """The paper's keep-in zone."""
     return root(800 - length(y[:3])) - outward(y)
-
-
-def test_keep_in_curve_is_never_above_the_keep_in_zone() -> None:
-    x = flights(5000, (15, 810), (0, 1.2))
-    curve = enforced(entries()["keep_in_zone"], x)[0]
-    inside = length(x[:3]) <= 800
-    assert (curve <= zone(x))[inside].all() and (curve < zone(x))[inside].mean() > 0.9
-
-
-def test_one_newton_inwards_holds_the_keep_in_curve() -> None:
-    p, v = at_the_curve(400, braking)
-    assert np.abs(keep_in_curve(np.vstack((p, v)))).max() < 1e-9
-    lowest = np.array(
-        [keep_in_curve(flown(*y, -y[0] / length(y[0]), 1.0)).min() for y in zip(p.T, v.T, strict=True)]
-    )
-    # a_max counts Coriolis at 5 m/s, the velocity limit per axis; across two axes up to 6.4 m/s are allowed
-    beyond = 2 * MEAN_MOTION * np.maximum(np.hypot(v[0], v[1]) - 5.0, 0.0)
-    assert (lowest >= -beyond - 1e-9).all()
-    assert (lowest[beyond == 0] >= -1e-9).all() and (beyond == 0).sum() > 100
-
-
-def test_on_the_papers_boundary_no_thrust_of_one_newton_outweighs_a_fast_curve() -> None:
-    """The best of all corners, edges and faces of the thrust cube, one of whose axes points at the chief."""
-    p, v = at_the_curve(200, lambda distance, across: root(800 - distance))
-    fast = keep_in_curve(np.vstack((p, v))) < -0.25 * root(800 - length(p))
-    p, v = p[:, fast][:, :12], v[:, fast][:, :12]
-    assert p.shape[1] == 12
-    for position, velocity in zip(p.T, v.T, strict=True):
-        assert zone(np.concatenate((position, velocity))[:, None])[0] >= -1e-9
-        out = position / length(position)
-        side = velocity - out * (out @ velocity)
-        axes = np.stack((out, side / length(side), np.cross(out, side / length(side))), 1)
-        best = max(
-            zone(flown(position, velocity, axes @ np.array(u), 1.0)).min()
-            for u in itertools.product((-1.0, 0.0, 1.0), repeat=3)
-        )
-        assert best < -0.002
 
 
 # The margins: how far a barrier can fall within one period

@@ -17,7 +17,6 @@ from numpy import ndarray
 from scipy.optimize import linprog
 from torch import Tensor
 
-from inspection import initial_state
 from inspection.environment import InspectionEnv
 from inspection.model.attitude import norm
 from inspection.model.parameters import InspectionParameters
@@ -27,7 +26,7 @@ from rta.constraints.names import CONSTRAINTS
 from rta.constraints.thrust import chord
 from rta.filter import SOLVERS, SafetyFilter, make_solver
 from rta.parameters import PERIODS, RtaParameters
-from rta.qp.programs import FEASIBLE, LARGEST_DEMAND, Status
+from rta.qp.programs import FEASIBLE, Status
 from rta.result import FilterResult
 from tests.rta import test_actuator_groups as own
 from tests.rta.constraints.test_constraints import (
@@ -128,12 +127,6 @@ def test_safe_control_is_returned_untouched(conditions: tuple[Rows, Rows], solut
     assert not solution.intervened[safe].any()
 
 
-def test_unsafe_control_is_corrected(conditions: tuple[Rows, Rows], result: FilterResult) -> None:
-    unsafe = (left_hand_sides(conditions, U) < -1e-9).any(0)
-    assert result.intervened[unsafe].all()
-    assert ((result.control - U)[:, unsafe].abs() > 0).any(0).all()
-
-
 def test_corrected_control_satisfies_every_row(conditions: tuple[Rows, Rows], solution: FilterResult) -> None:
     for rows, group in zip(conditions, (THRUST, TORQUE), strict=True):
         bare = (rows.a * solution.control[group]).sum(1) + rows.b_bare
@@ -142,38 +135,7 @@ def test_corrected_control_satisfies_every_row(conditions: tuple[Rows, Rows], so
         ].all()
 
 
-def test_filtering_twice_changes_nothing(programs: SafetyFilter, solution: FilterResult) -> None:
-    again = programs.correct(X, solution.control)
-    hard = solution.status <= Status.HARD  # what is soft gives way a little more each time
-    assert hard.sum() > 300
-    assert ((again.control - solution.control) / LIMIT)[:, hard].abs().max() < 1e-6
-
-
 GAINS = (1.0, 5.0, 50.0, 1e300, math.inf)
-
-
-@pytest.fixture(scope="module")
-def clipped_first(safety: SafetyFilter) -> FilterResult:
-    """What is answered where commands, GAINS times U, are clipped before they are asked for."""
-    asked = torch.cat([gain * U for gain in GAINS], 1)
-    return safety.correct(X.repeat(1, len(GAINS)), torch.minimum(torch.maximum(asked, -LIMIT), LIMIT))
-
-
-@pytest.mark.parametrize("solver", SOLVERS)
-def test_controls_stay_within_the_actuators(clipped_first: FilterResult, solver: str) -> None:
-    """Whatever is asked. What satisfies every row at the limit is applied there."""
-    asked = torch.cat([gain * U for gain in GAINS], 1)
-    answer = SafetyFilter(C, R, make_solver(solver)).correct(X.repeat(1, len(GAINS)), asked)
-    assert (answer.control.abs() <= LIMIT).all()
-    beyond = torch.stack([(asked.abs() > LIMIT)[group].any(0) for group in (THRUST, TORQUE)])
-    for gain, any_beyond in zip(GAINS, beyond.any(0).chunk(len(GAINS)), strict=True):
-        assert any_beyond.any() == (gain > 1.0)
-    assert answer.intervened[beyond.any(0)].all() and (answer.program_status[beyond] >= Status.HARD).all()
-    clipped = torch.minimum(torch.maximum(asked, -LIMIT), LIMIT)
-    for group, status in zip((THRUST, TORQUE), clipped_first.program_status, strict=True):
-        kept = status == Status.UNTOUCHED
-        assert (answer.control[group, kept] == clipped[group, kept]).all()
-    assert (answer.program_status[~beyond] == clipped_first.program_status[~beyond]).all()
 
 
 def best(weights: ndarray, a: ndarray, b: ndarray) -> float:
@@ -208,21 +170,6 @@ def test_the_nearest_control_is_nearest_to_what_is_desired_itself(
         was = clipped.control[group] / LIMIT[group]
         nearer += int(((was - d).norm(dim=0) - (u - d).norm(dim=0) > 1e-3)[corrected].sum())
     assert nearer > 20  # than the projection of what is left within the limits
-
-
-@pytest.mark.parametrize("gain", [3e3, 1e20, 1e300, math.inf])
-def test_a_demand_without_end_gets_as_much_along_it_as_is_permitted(
-    programs: SafetyFilter, conditions: tuple[Rows, Rows], gain: float
-) -> None:
-    answer = programs.correct(X, gain * U)
-    way = U.sign() if gain > 1e30 else U / LIMIT
-    for i, (rows, group) in enumerate(zip(conditions, (THRUST, TORQUE), strict=True)):
-        a, u = rows.a * LIMIT[group], answer.control[group] / LIMIT[group]
-        at_all = ((a * u).sum(1) + rows.b >= -1e-7 * a.norm(dim=1)).all(0)
-        for n in torch.nonzero((answer.program_status[i] == Status.HARD) & at_all).flatten()[:60].tolist():
-            d = way[group, n].numpy() / way[group, n].norm().item()
-            more = best(d, a[..., n].numpy(), rows.b[:, n].numpy()) - float(d @ u[:, n].numpy())
-            assert more <= 0.75 / LARGEST_DEMAND + 1e-6
 
 
 @pytest.mark.parametrize("solver", [*SOLVERS, "C"])
@@ -269,14 +216,6 @@ def test_what_is_not_finite_never_leaves_the_filter(solver: str, value: float) -
     assert answer.intervened.all()
     assert (answer.status[:16] == Status.UNSOLVED).all()
     assert (answer.status[16:] < Status.UNSOLVED).all()
-
-
-def test_every_status_but_unsolved_occurs(result: FilterResult) -> None:
-    assert sorted(result.status.unique().tolist()) == [Status.UNTOUCHED, Status.HARD, Status.SLACK]
-
-
-def test_reported_values_are_the_papers(result: FilterResult) -> None:
-    np.testing.assert_allclose(result.h, paper(X.numpy()), rtol=0, atol=1e-4)
 
 
 def turned_about_z(sun: ndarray) -> ndarray:
@@ -391,14 +330,6 @@ def test_corrections_equal_the_closed_form(safety: SafetyFilter) -> None:
     np.testing.assert_allclose(control.T, [[thrust, 0, 0, torque, 0, 0]], atol=1e-6 * MAX_TORQUE)
 
 
-def test_active_names_the_constraints_that_bind(safety: SafetyFilter) -> None:
-    active = safety.correct(hovering_outward(), LIMIT * tensor(np.array([[1, 0, 0, 1, 0, 0.0]]).T)).active[
-        :, 0
-    ]
-    bound = [name for name, flag in zip(CONSTRAINTS, active, strict=True) if flag]
-    assert bound == ["dynamic_speed", "angular_velocity_x"]
-
-
 @pytest.mark.parametrize("component", [0, 6, 13])
 def test_nan_state_is_unsolved_and_leaves_its_neighbours_alone(
     safety: SafetyFilter, result: FilterResult, component: int
@@ -439,19 +370,6 @@ def test_start_can_brake_where_thrust_can_keep_the_zone(period: float) -> None:
     assert (inside & ~can_brake).any() == (period == 1.0)
 
 
-def test_temperature_is_felt_before_the_surface_is_lit() -> None:
-    x = near_the_limits(5000, seed=2)
-    early, exact = (
-        enforced(entries(C, RtaParameters(incidence_rounding=width))["temperature"], x)[0]
-        for width in (0.3, 0.0)
-    )
-    # the parabola (z + w)^2 / (4 w) is highest above max(z, 0) at z = 0, by w / 4
-    most = 0.3 / 4 * (C.temperature_sun_slope + C.temperature_earth_slope)
-    assert (early <= exact + 1e-12).all() and (early >= exact - most - 1e-12).all()
-    edge = np.abs(exact - (C.max_temperature - x[13])) < 1e-12  # dark on both sides
-    assert (early[edge] < exact[edge]).any()
-
-
 def fly(safety: SafetyFilter, episodes: int, actions: int) -> tuple[Tensor, Tensor]:
     """Random held actions: the lowest value of each constraint and the statuses of all filter calls."""
     generator = torch.Generator().manual_seed(0)
@@ -469,29 +387,6 @@ def fly(safety: SafetyFilter, episodes: int, actions: int) -> tuple[Tensor, Tens
     for _ in range(actions):
         env.step(2 * torch.rand(episodes, 6, generator=generator, dtype=torch.float64) - 1)
     return torch.minimum(lowest, safety.values(env.x).amin(1)), torch.stack(statuses)
-
-
-def test_random_flight_at_1_s_never_leaves_the_safe_set() -> None:
-    safety = SafetyFilter(C, R)
-    safety.compile("cpu", 64)
-    lowest, statuses = fly(safety, episodes=64, actions=20)
-    crossed = {
-        name: value for name, value in zip(CONSTRAINTS, lowest.tolist(), strict=True) if not value >= 0
-    }
-    assert not crossed
-    assert (statuses != Status.UNSOLVED).all()
-
-
-@pytest.mark.parametrize(("period", "calls"), [(5.0, 10), (10.0, 5)])
-def test_slower_filters_solve_every_program(
-    period: float, calls: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(initial_state, "POOL", 64)  # starts drawn at once, at each of which a way is searched
-    safety = SafetyFilter(C, RtaParameters(period=period))
-    safety.compile("cpu", 64)
-    _, statuses = fly(safety, episodes=64, actions=5)
-    assert statuses.shape == (calls, 64)
-    assert (statuses != Status.UNSOLVED).all()
 
 
 def test_own_constraints_come_after_the_papers(programs: SafetyFilter, solution: FilterResult) -> None:
@@ -567,28 +462,6 @@ def test_a_copy_is_the_same_filter(solver: str) -> None:
 def clear_of_a_ball(x: Tensor) -> Tensor:
     """m outside 70 m around a place where episodes start."""
     return norm(torch.stack((x[0], x[1] - 80.0, x[2]))) - 70.0
-
-
-@pytest.mark.parametrize("filtered", [False, True])
-def test_random_flight_violates_an_own_constraint_only_without_the_filter(filtered: bool) -> None:
-    ball = Constraint("ball", clear_of_a_ball, "thrust", (0.05, 0.2), 1.0)
-    safety = SafetyFilter(C, R, extra=[ball])
-    generator = torch.Generator().manual_seed(0)
-    env = InspectionEnv(48, C, [generator], safety.safety(filtered))
-    env.reset()
-    lowest, binds = safety.values(env.x), torch.zeros(48, dtype=torch.bool)
-    assert (lowest >= 0.0).all()
-    for _ in range(5):
-        step = env.step(2 * torch.rand(48, 6, generator=generator, dtype=torch.float64) - 1)
-        lowest = lowest.minimum(safety.values(step.state))
-        for correction in step.corrections:
-            lowest = lowest.minimum(correction.h)
-            binds |= correction.active[-1]
-    if filtered:
-        assert (lowest >= 0.0).all()
-        assert binds.any()
-    else:
-        assert (lowest[-1] < 0.0).sum() >= 5
 
 
 def test_the_same_name_twice_is_refused() -> None:

@@ -13,7 +13,6 @@ import torch
 from inspection.model.attitude import norm
 from inspection.model.state import Q
 from rta.filter import SafetyFilter
-from rta.given import towards_zero
 from rta.qp.programs import Status
 from rta.result import FilterResult
 from tests.rta.test_filter import LIMIT, U, X
@@ -73,13 +72,6 @@ def test_lists_and_integers_are_answered_in_float64(safety: SafetyFilter) -> Non
     assert safety(torch.tensor(state), torch.tensor([9, 0, 0, 0, 0, 0])).control.dtype == torch.float64
 
 
-def test_the_other_byte_order_is_read(safety: SafetyFilter) -> None:
-    x, u = STATE[:, :5], 9 * CONTROL[:, :5]
-    swapped = safety(*(part.astype(part.dtype.newbyteorder()) for part in (x, u)))
-    np.testing.assert_array_equal(swapped.control, safety(x, u).control)
-    assert swapped.control.dtype == float
-
-
 def test_what_is_given_is_not_changed(safety: SafetyFilter) -> None:
     x, u = STATE[:, :5].copy(), 9 * CONTROL[:, :5]
     asked = u.copy()
@@ -88,13 +80,6 @@ def test_what_is_given_is_not_changed(safety: SafetyFilter) -> None:
     assert (x == STATE[:, :5]).all() and (u == asked).all() and (result.control != asked).any()
     gradient = torch.tensor(asked, requires_grad=True)
     assert not safety(torch.from_numpy(x.copy()), gradient).control.requires_grad
-
-
-def test_float32_is_rounded_towards_zero() -> None:
-    x = torch.cat((LIMIT[:, 0], -LIMIT[:, 0], torch.linspace(-1, 1, 1001, dtype=torch.float64)))
-    y = towards_zero(x, torch.float32)
-    assert (y.double().abs() <= x.abs()).all() and (x.float().double().abs() > x.abs()).any()
-    np.testing.assert_allclose(y, x, rtol=2e-7)
 
 
 def changed(**components: float) -> np.ndarray:

@@ -8,13 +8,11 @@ import pytest
 import torch
 from torch import Tensor
 
-from inspection.closed_loop import Safety
 from inspection.environment import InspectionEnv
-from inspection.model.attitude import rotate
 from inspection.model.draws import isotropic, shoemake
 from inspection.model.dynamics import integrate, step
 from inspection.model.parameters import InspectionParameters
-from inspection.model.state import SIZE, THRUST, TORQUE, E, P, Q, T, V
+from inspection.model.state import SIZE, THRUST, TORQUE, E, P, Q, T
 from rta import keep_clear
 from rta.filter import SafetyFilter
 from rta.keep_clear import kept_clear, led
@@ -82,41 +80,24 @@ def test_what_is_led_stays_clear_and_nothing_else_is_changed(period: float) -> N
     assert (asked[TORQUE] == u[TORQUE]).all() and (asked[THRUST].abs() <= C.max_thrust).all()
 
 
-def test_a_little_along_the_track_is_enough() -> None:
-    x = returning(800, 2)
-    u = torch.zeros(6, x.shape[1], dtype=torch.float64)
-    added = rotate(x[Q], (led(x, u, 1.0, C) - u)[THRUST])
-    assert (added[1] != 0.0).sum() > 100
-    assert added[0].abs().max() < 1e-12 and added[2].abs().max() < 1e-12
-    assert 0.0 < added[1].abs().median() <= 0.01  # N, for a second: less than 1 mm/s
-
-
-def test_what_nothing_helps_is_asked_for_as_it_is_desired() -> None:
-    x = torch.zeros(SIZE, 1, dtype=torch.float64)
-    x[P], x[V] = torch.tensor([[30.0], [0.0], [0.0]]), torch.tensor([[-3.0], [0.0], [0.0]])
-    x[Q.stop - 1] = 1.0
-    u = desired(1, 9, 0.1)
-    assert (led(x, u, 1.0, C) == u).all()
-
-
-@pytest.mark.parametrize("steps", [keep_clear.STEPS, []])
+@pytest.mark.parametrize("steps", [keep_clear.STEPS, pytest.param([], marks=pytest.mark.campaign)])
 def test_once_clear_it_stays_clear_whatever_is_desired(
     steps: list[float], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """100 calls of random thrust; by itself it loses a third on the way. Without a step that helps it coasts."""
+    """50 calls of random thrust; by itself it loses some on the way. Without a step that helps it coasts."""
     monkeypatch.setattr(keep_clear, "STEPS", steps)
     x = returning(400, 3)
     nothing = torch.zeros(6, x.shape[1], dtype=torch.float64)
     x = step(x, nothing + torch.tensor([[0.3], [0.2], [0.1], [0.0], [0.0], [0.0]]), 1.0, C)
     x = x[:, keep_clear.is_clear(x, nothing, 1.0, C)][:, :60]
     bare, lost = x, torch.zeros(x.shape[1], dtype=torch.bool)
-    for i in range(100):
+    for i in range(50):
         u = desired(x.shape[1], 10 + i, 0.1)
         x, bare = step(x, led(x, u, 1.0, C), 1.0, C), step(bare, u, 1.0, C)
         lost |= ~keep_clear.is_clear(bare, torch.zeros_like(u), 1.0, C)
-        if i % 10 == 9:
+        if i % 25 == 24:
             assert (nearest(x) >= C.collision_radius).all()
-    assert lost.sum() > 20
+    assert lost.sum() > 10
 
 
 def test_the_filter_has_the_last_word() -> None:
@@ -132,22 +113,7 @@ def test_the_filter_has_the_last_word() -> None:
     assert (answer.intervened == (answer.control != u).any(0)).all() and answer.intervened.any()
 
 
-def test_a_filter_is_told_what_the_world_tells_it() -> None:
-    x = returning(200, 6)
-    u, sent = desired(x.shape[1], 7, 0.01), torch.ones(1, 6, x.shape[1], dtype=torch.float64)
-    told = []
-
-    class Answer:
-        control, intervened, h = u, torch.zeros(x.shape[1], dtype=torch.bool), torch.zeros(1, x.shape[1])
-
-    def correct(x: Tensor, desired: Tensor, sent: Tensor) -> Answer:
-        told.append(sent)
-        return Answer()
-
-    kept_clear(Safety(correct=correct, informed=True), C).correct(x, u, sent=sent)  # type: ignore
-    assert told == [sent]
-
-
+@pytest.mark.campaign
 def test_an_environment_that_ends_anywhere_ends_clear() -> None:
     x = returning(400, 8)
     safety = SafetyFilter(C).safety()

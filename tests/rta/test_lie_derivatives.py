@@ -5,11 +5,9 @@ Rows of relative degree two difference Psi_1, whose own L_f h is an exact comple
 
 import itertools
 import math
-import sys
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
-from typing import Any
 
 import numpy as np
 import pytest
@@ -17,15 +15,12 @@ import torch
 from numpy import ndarray
 from torch import Tensor
 
-from inspection.initial_state import sample_initial_state
-from inspection.model.dynamics import control_matrix
-from inspection.model.dynamics import drift as torch_drift
 from inspection.model.parameters import InspectionParameters
 from rta.barrier import Rows
 from rta.constraints.names import CONSTRAINTS
 from rta.constraints.vehicle import scaled
 from rta.filter import SafetyFilter
-from rta.lie_derivatives import WithoutShapes, lie_derivative, lie_derivatives
+from rta.lie_derivatives import lie_derivative, lie_derivatives
 from rta.parameters import RtaParameters
 from tests.rta.constraints.test_constraints import (
     MEAN_MOTION,
@@ -277,33 +272,6 @@ def near(actual: Tensor, expected: ndarray, tolerance: float = TOLERANCE) -> Non
     np.testing.assert_allclose(actual.numpy(), expected, rtol=0, atol=tolerance)
 
 
-def test_drift_equals_the_papers() -> None:
-    for c in SPACECRAFT.values():
-        near(torch_drift(tensor(X), c), drift(X, c), 1e-12)
-
-
-def test_control_matrix_equals_the_papers() -> None:
-    for c in SPACECRAFT.values():
-        columns = [push(X, i) for i in range(3)] + [turn(X, i, c) for i in range(3)]
-        near(control_matrix(tensor(X), c), np.stack(columns, 1), 1e-12)
-
-
-def test_values_of_thrust_rows_equal_the_papers(case: tuple) -> None:
-    expected = thrust_barriers(X)
-    near(case[1].psi[PSM], expected[PSM], 1e-4)
-    expected[PSM] = case[1].psi[PSM]
-    near(case[1].psi, expected)
-    expected = paper(X)[:7]
-    near(case[1].h[3], expected[3], 1e-4)
-    expected[3] = case[1].h[3]
-    near(case[1].h, expected)
-
-
-def test_values_of_torque_rows_equal_the_papers(case: tuple) -> None:
-    c, _, torque = case
-    near(torque.h, np.concatenate((orientation(X, panel(c)), torque_barriers(X, c)[3:])))
-
-
 @pytest.mark.parametrize("axis", range(3))
 def test_thrust_rows_equal_finite_differences(case: tuple, axis: int) -> None:
     expected = slope(thrust_barriers, X, push(held(X), axis), 1e-3)
@@ -373,33 +341,9 @@ def assert_rows_beyond(
     near(rows.b_bare[chosen], attainable(asked + margin, a, h, names, limit)[chosen])
 
 
-def test_margins_are_what_they_add_to_the_rows(case: tuple) -> None:
-    """Beyond a limit at most: there both are held to what the actuators give."""
-    c, thrust, torque = case
-    kinds = (
-        (thrust, thrust_values(X), thrust_gain(thrust.psi.numpy()), THRUST[1]),
-        (torque, torque_values(X, c), *TORQUE),
-    )
-    for rows, h, gain, margin in kinds:
-        added, expected = (rows.b_bare - rows.b).numpy(), np.broadcast_to(gain * margin, rows.b.shape)
-        np.testing.assert_allclose(added[h >= 0], expected[h >= 0], atol=1e-12)
-        assert ((added >= 0) & (added <= expected + 1e-12))[h < 0].all()
-
-
 def test_first_psi_has_its_margin_spent(case: tuple) -> None:
     c, _, torque = case
     near(torque.psi, torque_barriers(X, c) - TORQUE[1])
-
-
-@pytest.mark.parametrize("held_by", ["thrust", "torque"])
-def test_barriers_ignore_the_other_groups_controls(held_by: str) -> None:
-    c = SPACECRAFT["unequal_moments"]
-    x, group = tensor(X), SafetyFilter(c, before_scaling(c)).groups[held_by == "torque"]
-    psi = group.psi_at(x, group.constraints)
-    _, _, along = lie_derivatives(psi, x, torch_drift(x, c), control_matrix(x, c))
-    others = [i for i in range(6) if i not in range(6)[group.controls]]
-    assert (along[:, others] == 0).all()
-    assert (along[:, group.controls].abs().amax((1, 2)) > 0).all()
 
 
 def double_integrator(y: Tensor) -> Tensor:
@@ -412,12 +356,6 @@ def high_order(y: Tensor) -> Tensor:
     return rate + 3 * h
 
 
-def test_lie_derivative_on_a_double_integrator() -> None:
-    # h = 1 - p^2, p' = v: Psi_1 = -2 p v + 3 (1 - p^2)
-    p, v = y = torch.randn(2, 50, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
-    torch.testing.assert_close(high_order(y), (-2 * p * v + 3 * (1 - p**2))[None])
-
-
 def test_lie_derivatives_of_a_high_order_barrier() -> None:
     # L_f Psi_1 = (-2 v - 6 p) v and L_g Psi_1 = -2 p for v' = u
     p, v = y = torch.randn(2, 50, generator=torch.Generator().manual_seed(1), dtype=torch.float64)
@@ -425,38 +363,6 @@ def test_lie_derivatives_of_a_high_order_barrier() -> None:
     _, along_f, along_g = lie_derivatives(high_order, y, double_integrator(y), g)
     torch.testing.assert_close(along_f, ((-2 * v - 6 * p) * v)[None])
     torch.testing.assert_close(along_g, (-2 * p)[None, None])
-
-
-def asked_of_python(run: Callable[[], Any]) -> tuple[Any, int]:
-    """What comes of a call, and how often PyTorch did an operation of it by functions written in Python."""
-    count = 0
-
-    def seen(frame: Any, event: str, _: Any) -> None:
-        nonlocal count
-        count += event == "call" and frame.f_code.co_filename.endswith("_prims_common/wrappers.py")
-
-    sys.setprofile(seen)
-    try:
-        return run(), count
-    finally:
-        sys.setprofile(None)
-
-
-def test_no_derivative_of_zero_costs_a_call_of_python_or_changes_a_bit(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    safety, u = SafetyFilter(), torch.zeros(6, 3, dtype=torch.float64)
-    x, _ = sample_initial_state(3, torch.Generator().manual_seed(0), safety.c)
-
-    def prepare() -> list[Tensor]:
-        return [part for run, given in safety.propose.parts(x, u) for part in run(*given)]
-
-    prepare()
-    rows, count = asked_of_python(prepare)
-    monkeypatch.setattr(WithoutShapes, "OPERATIONS", {})
-    again, without = asked_of_python(prepare)
-    assert all(torch.equal(one, other) for one, other in zip(rows, again, strict=True))
-    assert count == 0 < 2000 < without
 
 
 @pytest.mark.parametrize("number", [float, torch.tensor])

@@ -66,6 +66,7 @@ def test_every_h_changes_as_its_lie_derivative_says(c: InspectionParameters, ran
     assert (rate - lie_derivative(barriers, x, drift(x, paper))[1]).abs().max() > 1e-5  # what it leaves out
 
 
+@pytest.mark.campaign
 @pytest.mark.parametrize("c", ORBITS, ids=["turning", "two-body", "eccentric"])
 @pytest.mark.parametrize("known", [Uncertainty(), Uncertainty(acceleration=1e-6)], ids=["now", "held"])
 def test_nothing_is_violated_where_the_world_is_the_model(

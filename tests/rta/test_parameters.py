@@ -1,6 +1,5 @@
 """The filter's settings: what is refused, and gains at the filter's period."""
 
-import dataclasses
 import math
 
 import pytest
@@ -46,14 +45,6 @@ def test_gains_are_capped_at_half_the_calls_per_second(period: float) -> None:
         torch.testing.assert_close(added, torch.full_like(added, spent))
 
 
-@pytest.mark.parametrize(
-    "segments", [(), (0.0,), (1.0, 500.0), (0.0, 300.0, 300.0, 500.0), (0.0, 300.0, 200.0, 500.0)]
-)
-def test_passive_safety_segments_must_rise_from_zero(segments: tuple[float, ...]) -> None:
-    with pytest.raises(ValueError, match="passive_safety_segments"):
-        RtaParameters(passive_safety_segments=segments)
-
-
 def test_passive_safety_segments_must_end_at_the_horizon() -> None:
     with pytest.raises(ValueError, match="horizon"):
         SafetyFilter(C, RtaParameters(passive_safety_segments=(0.0, 400.0)))
@@ -64,13 +55,3 @@ def test_the_solver_is_the_one_that_is_named() -> None:
     assert solvers == [PiqpSolver, PiqpSolver, BatchedSolver]
     given = BatchedSolver()
     assert SafetyFilter(C, RtaParameters(qp_solver="piqp"), given).solver is given
-
-
-def test_a_thrust_that_nature_outweighs_is_refused() -> None:
-    with pytest.raises(ValueError, match="must exceed the natural acceleration"):
-        SafetyFilter(dataclasses.replace(C, max_thrust=0.1), R)
-
-
-def test_the_filters_period_is_its_parameters() -> None:
-    safety = SafetyFilter(C, RtaParameters(period=5.0))
-    assert safety.period == safety.safety().period == 5.0

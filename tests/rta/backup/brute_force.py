@@ -1,7 +1,6 @@
 """The limits in NumPy, and dense flights of a law: what the lemmas of the way to rest are compared with."""
 
 import functools
-import math
 from collections.abc import Callable
 
 import numpy as np
@@ -112,16 +111,3 @@ def moved(x: Tensor, u: Tensor, seconds: float, c: InspectionParameters, body: B
     assert not body.saturates
     own = torch.stack((body.mass, *body.inertia, *body.push))
     return stepping(seconds, c, body.in_turning_frame)(x, u, own)[0]
-
-
-def flown(
-    x: Tensor, law: Law, c: InspectionParameters, hold: float, seconds: float, look: float
-) -> list[ndarray]:
-    """The states every `look` s of a flight in which a law's control is held for `hold` s."""
-    path, steps = [x.numpy()], round(hold / look)
-    for _ in range(math.ceil(seconds / hold)):
-        u = law(x)
-        for _ in range(steps):
-            x = moved(x, u, look, c)
-            path.append(x.numpy())
-    return path

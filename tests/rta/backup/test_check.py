@@ -1,7 +1,5 @@
 """Propose, check, commit: whatever is asked for no limit breaks, and each call ends where a way to rest begins."""
 
-import copy
-import pickle
 from dataclasses import replace
 
 import numpy as np
@@ -19,14 +17,13 @@ from rta.backup.told import ToldBackup
 from rta.bounds.uncertainty import Uncertainty
 from rta.filter import SafetyFilter
 from rta.parameters import PERIODS, RtaParameters
-from rta.qp.programs import Status
 from study.verification.adversaries import adversarial
 from tests.rta.backup.brute_force import attitude, hypercube, motion, moved
 from tests.rta.backup.flights import at_the_chief, everywhere, least_of, near_the_zone, opposite, unit
 
 C = InspectionParameters()
 LIMIT = torch.tensor(C.control_limit, dtype=torch.float64)[:, None]
-HOLDS = pytest.mark.parametrize("hold", PERIODS)
+HOLDS = pytest.mark.parametrize("hold", [1.0, pytest.param(5.0, marks=pytest.mark.campaign), 10.0])
 LOOK = 0.5  # s
 ROUNDED = 1e-9
 
@@ -63,14 +60,19 @@ def starts(safety: SafetyFilter, count: int, seed: int) -> Tensor:
     return x[:, safety.is_safe(x)][:, :count]
 
 
-@HOLDS
-def test_no_limit_breaks_whatever_is_asked(filters: dict[float, SafetyFilter], hold: float) -> None:
+@pytest.mark.parametrize(
+    ("hold", "seconds"),
+    [(10.0, 60.0), *(pytest.param(hold, 200.0, marks=pytest.mark.campaign) for hold in PERIODS)],
+)
+def test_no_limit_breaks_whatever_is_asked(
+    filters: dict[float, SafetyFilter], hold: float, seconds: float
+) -> None:
     safety = filters[hold]
     count = 60
     x = starts(safety, count, 1)
     assert x.shape[1] == count
     adversary, asked = adversarial(safety), torch.zeros(CONTROL_SIZE, count, dtype=torch.float64)
-    for call in range(round(200 / hold)):
+    for call in range(round(seconds / hold)):
         if call % round(10 / hold) == 0:
             asked = demands(count, call)
         desired = asked.clone()
@@ -196,7 +198,7 @@ BROKEN = {  # a limit, and what breaks it by little and by much
 }
 
 
-@HOLDS
+@pytest.mark.parametrize("hold", [pytest.param(1.0, marks=pytest.mark.campaign), 10.0])
 @pytest.mark.parametrize("much", [False, True], ids=["barely", "much"])
 @pytest.mark.parametrize("limit", BROKEN)
 def test_a_limit_that_is_broken_leaves_the_others_checked(hold: float, much: bool, limit: str) -> None:
@@ -223,32 +225,6 @@ def moved_by(x: Tensor, u: Tensor, hold: float) -> Tensor:
     for _ in range(round(hold)):
         x = moved(x, u, 1.0, C)
     return x
-
-
-def test_verified_controls_ask_for_no_slack(filters: dict[float, SafetyFilter]) -> None:
-    safety = filters[5.0]
-    x = starts(safety, 500, 13)
-    result = safety.correct(x, demands(500, 14))
-    assert result.verified.all()
-    assert (result.status <= Status.HARD).all() and (result.slack == 0).all()
-
-
-def test_copies_and_other_processes_keep_the_check() -> None:
-    safety = SafetyFilter(C)
-    x, desired = hypercube(20, 15, C), demands(20, 16)
-    expected = safety.correct(x, desired)
-    for other in (copy.copy(safety), copy.deepcopy(safety), pickle.loads(pickle.dumps(safety))):
-        assert isinstance(other.backup, Backup) and other.backup.braking.hold == safety.period
-        assert torch.equal(other.correct(x, desired).control, expected.control)
-
-
-def test_a_single_spacecraft_is_checked_too(filters: dict[float, SafetyFilter]) -> None:
-    safety = SafetyFilter(C)
-    x, desired = starts(filters[1.0], 5, 17), demands(5, 18)
-    for column in range(5):
-        result = safety(x[:, column], desired[:, column])
-        assert result.verified
-    assert safety._for_one.backup is not None
 
 
 def test_where_no_way_is_known_there_is_no_check() -> None:

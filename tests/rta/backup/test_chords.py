@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from inspection.model.parameters import InspectionParameters
 from rta.backup.chords import FreeFlight, Strays, between, strays
 from rta.backup.flight import CELLS
-from tests.rta.backup.brute_force import free_flight, motion
+from tests.rta.backup.brute_force import motion
 from tests.rta.constraints.test_constraints import length, tensor
 
 C = InspectionParameters()
@@ -71,26 +71,6 @@ def test_bounds_of_short_chords_are_near() -> None:
     for row, most in enumerate((0.02, 0.02, 0.02, 1.5, 0.001, 0.001, 0.001)):
         lost = (least - bound)[row][inside[row]]
         assert np.quantile(lost, 0.95) < most, (row, np.quantile(lost, (0.5, 0.95, 1)))
-
-
-def test_norms_of_free_flight_are_those_of_differences() -> None:
-    n, eye = C.mean_motion, np.eye(6)
-    t = np.linspace(0.9, C.passive_safety_horizon, 773)
-
-    def phi(moment: ndarray) -> tuple[ndarray, ndarray]:
-        columns = [free_flight(eye[i, :3], eye[i, 3:], moment, n) for i in range(6)]
-        whole = np.stack(columns, -1).swapaxes(0, 1)  # (times, 3, 6)
-        return whole[:, :, :3], whole[:, :, 3:]
-
-    step = 0.5
-    before, now, after = phi(t - step), phi(t), phi(t + step)
-    bend = [(a - 2 * b + c) / step**2 for a, b, c in zip(before, now, after, strict=True)]
-    largest = [np.linalg.norm(part, 2, axis=(1, 2)) for part in (*now, *bend)]
-    largest[1] = largest[1] / t
-    for told, part in zip(
-        (FREE.position, FREE.velocity, FREE.bend_position, FREE.bend_velocity), largest, strict=True
-    ):
-        assert part.max() <= told <= 1.005 * part.max()
 
 
 @pytest.mark.parametrize("mean_of", ["ends", "hold"])

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from inspection.model.state import OMEGA, P, V
 from rta.backup.cone import Fall, Node, between, way
-from rta.backup.haven import SHARE, Haven, thrust
+from rta.backup.haven import Haven
 from tests.rta.backup.brute_force import hypercube, motion
 from tests.rta.backup.told_world import U1, C, R, World, flown
 from tests.rta.constraints.test_constraints import length, tensor
@@ -50,52 +50,12 @@ def beside(count: int, seed: int) -> Tensor:
     return x
 
 
-def worst_of_recursion(speed: float, seed: int, w: Haven, longest: int = 3) -> tuple[np.ndarray, ...]:
-    """S, |w| and |r| of w+ = w - lambda (w + e) - c where all that is not known turns w the same way: (calls,) each.
-
-    A call old, the law sees w without what the last hold did otherwise.
-    """
-    rng = np.random.default_rng(seed)
-    v, s, off, found = np.array((speed, 0.0)), 1.0, np.zeros(2), [(1.0, speed, 0.0)]
-    while s > 1e-3 and len(found) < 400:
-        e = w.seen * np.array((0.0, -1.0) if seed % 2 else (np.cos(seed), -np.sin(seed))) - off
-        asked = (v + e) * min(w.full / np.linalg.norm(v + e), 1 / w.slow)
-        hold = w.period * (rng.integers(1, longest + 1) if seed % 3 else longest)
-        kappa = (w.low, w.high)[rng.integers(2) if seed % 3 else seed % 2]
-        acts = kappa * (asked - w.across * np.array((asked[1], -asked[0])) * -1.0)
-        off = w.old * (asked - acts)
-        s *= 1 - hold * kappa * np.linalg.norm(asked) / np.linalg.norm(v + e)
-        v = v - hold * acts
-        found.append((s, float(np.linalg.norm(v)), float(np.linalg.norm(v - s * np.array((speed, 0.0))))))
-    return tuple(np.array(found).T)
-
-
 def bounds(s: np.ndarray, speed: float, w: Haven) -> tuple[np.ndarray, np.ndarray]:
     """Bounds of |w| and |r| at S (k,), in one piece."""
     whole = torch.tensor([speed], dtype=torch.float64)
     errors = w.errors(whole, whole * 0 + 300.0, whole * 0 + 301.0)
     fall = Fall.of(torch.ones_like(whole), whole, torch.zeros_like(whole), whole, errors, w)
     return fall.speed(tensor(s)).numpy(), fall.wide(tensor(s)).numpy()
-
-
-@pytest.mark.parametrize("speed", [0.3, 1.0, 5.0])
-def test_no_errors_lead_out_of_the_cone(speed: float) -> None:
-    nearest = np.zeros(2)
-    for seed in range(24):
-        s, swift, wide = worst_of_recursion(speed, seed, HAVEN)
-        most, widest = bounds(s, speed, HAVEN)
-        assert (swift <= most + ROUNDING).all() and (wide <= widest + ROUNDING).all()
-        nearest = np.maximum(nearest, ((wide[1:] / widest[1:]).max(), (swift / most).max()))
-    assert nearest[0] > 0.5 and nearest[1] > 0.95, nearest  # half of the cone would not do
-
-
-def test_a_hold_takes_away_no_more_than_it_may_unless_a_missed_call_is_forgotten() -> None:
-    forgetful = Haven.of(C, R, replace(U1, longest_hold=1.0))
-    most = []
-    for w in (HAVEN, forgetful):
-        falls = [worst_of_recursion(1.0, seed, w)[0] for seed in range(6)]
-        most.append(max((1 - s[1:] / s[:-1]).max() for s in falls))
-    assert most[0] <= SHARE + ROUNDING < most[1]
 
 
 def test_no_state_within_the_strays_is_below_the_bound() -> None:
@@ -146,16 +106,6 @@ def test_without_what_a_way_strays_limits_break() -> None:
     x = torch.cat((edges(hypercube(150, 3, C), trusting), edges(beside(150, 4), trusting)), 1)
     least, _, _ = flown(x, HAVEN, World(x.shape[1], 5, "steady", "always"), 120.0, 20.0)
     assert least.min() < -0.1, least.min(1)
-
-
-def test_another_law_than_that_which_was_checked_breaks_limits() -> None:
-    x = torch.cat((edges(hypercube(100, 3, C)), edges(beside(100, 4))), 1)
-
-    def weak(y: Tensor, torque: Tensor, bound: Tensor) -> Tensor:
-        return 0.3 * thrust(y, torque, HAVEN)
-
-    least, _, _ = flown(x, HAVEN, World(x.shape[1], 5, "worst", "always"), 120.0, 20.0, weak)
-    assert least.min() < 0.0
 
 
 def test_most_states_within_the_limits_have_a_way() -> None:

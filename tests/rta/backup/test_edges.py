@@ -7,17 +7,23 @@ import torch
 from torch import Tensor
 
 from inspection.model.state import OMEGA, THETA_S, E, P, Q, T, V
-from tests.rta.backup.flights import C, anywhere, backup, in_c, least_between, least_of, safety, vehicle
+from tests.rta.backup.flights import (
+    CASES,
+    C,
+    anywhere,
+    backup,
+    in_c,
+    least_between,
+    least_of,
+    safety,
+    vehicle,
+)
 
 COUNT, BISECTIONS, FLIGHT, ROUNDED = 300, 16, 200.0, 1e-9  # states, halvings of what is scaled, s
-CASES = [
-    ("paper", 1.0, True),
-    ("paper", 5.0, True),
-    ("paper", 10.0, True),
-    ("12u", 5.0, False),
-    ("espa", 10.0, False),
-]
-EACH = pytest.mark.parametrize(("name", "hold", "saturates"), CASES)
+EACH = pytest.mark.parametrize(
+    ("name", "hold", "saturates"),
+    [case if case is CASES[2] else pytest.param(*case, marks=pytest.mark.campaign) for case in CASES],
+)
 
 
 def edge(

@@ -4,7 +4,6 @@ In PyTorch, in C for batches and in the exported C; at 1, 5 and 10 s, with rates
 not; from states all over the safe set, from starts that are far out and fast, and from those next to the limits.
 """
 
-import math
 from collections.abc import Callable
 from pathlib import Path
 
@@ -12,19 +11,14 @@ import pytest
 import torch
 from torch import Tensor
 
-from inspection.model.dynamics import step
 from inspection.model.parameters import InspectionParameters
 from inspection.model.state import THRUST, TORQUE
-from rta.constraints.constraint import Constraint
 from rta.filter import SafetyFilter
-from rta.parameters import PERIODS, RtaParameters
 from rta.qp.batched_solver import BatchedSolver
 from rta.result import FilterResult
 from tests.rta.backup.brute_force import moved
 from tests.rta.backup.flights import (
     CASES,
-    C,
-    backup,
     everywhere,
     far_and_fast,
     in_c,
@@ -37,8 +31,8 @@ from tests.rta.backup.flights import (
 )
 from tests.rta.printed.test_driver import Driver
 
-EACH = pytest.mark.parametrize(("name", "period", "saturates"), CASES)
-HOLDS = pytest.mark.parametrize("period", PERIODS)
+SHORT = ("paper", 10.0, True)
+LONG = [pytest.param(*case, marks=pytest.mark.campaign) for case in CASES]
 RATES_HELD = 1e-15  # rad/s, of rounding where the plant holds them at their limit
 Ask = Callable[[int, Tensor], Tensor]  # which call it is, and states, to desired controls
 
@@ -101,14 +95,14 @@ def starts(name: str, period: float, saturates: bool, count: int, seed: int) -> 
     return x[:, torch.randperm(count // 2 * 2, generator=torch.Generator().manual_seed(seed))]
 
 
-@EACH
+@pytest.mark.parametrize(("name", "period", "saturates"), LONG)
 def test_whatever_is_proposed_all_stays_verified_in_c(name: str, period: float, saturates: bool) -> None:
     c, safe = vehicle(name, saturates), safety(name, period, saturates)
     x = starts(name, period, saturates, 120, 1)
     assert fly(safe.correct, x, proposals(name, period, saturates), c, period, 120.0) > 150
 
 
-@pytest.mark.parametrize(("name", "period", "saturates"), [("paper", 10.0, True), ("12u", 5.0, False)])
+@pytest.mark.parametrize(("name", "period", "saturates"), [SHORT, LONG[3]])
 def test_whatever_is_proposed_all_stays_verified_in_pytorch(
     name: str, period: float, saturates: bool
 ) -> None:
@@ -117,7 +111,7 @@ def test_whatever_is_proposed_all_stays_verified_in_pytorch(
     assert fly(safe.correct, x, proposals(name, period, saturates), c, period, 40.0) > 3
 
 
-@pytest.mark.parametrize(("name", "period", "saturates"), [CASES[0], CASES[1], CASES[4]])
+@pytest.mark.parametrize(("name", "period", "saturates"), [LONG[0], LONG[1], LONG[4]])
 def test_whatever_is_proposed_all_stays_verified_in_the_exported_c(
     name: str, period: float, saturates: bool, tmp_path: Path
 ) -> None:
@@ -128,49 +122,3 @@ def test_whatever_is_proposed_all_stays_verified_in_the_exported_c(
         lambda y, u: driver(y, u, None, None), x, proposals(name, period, saturates), c, period, 120.0
     )
     assert changed > 20
-
-
-@HOLDS
-def test_a_limit_of_the_users_own_that_never_yields_takes_none_away(period: float) -> None:
-    """It asks for 0.5 m/s along a direction, or for a turn, where the laws are about to brake."""
-
-    def outwards(y: Tensor) -> Tensor:
-        return 0.6 * y[3] + 0.64 * y[4] - 0.48 * y[5] - 2.0
-
-    def turning(y: Tensor) -> Tensor:
-        return y[10] - 0.5 * C.max_rate
-
-    extra = [
-        Constraint("outwards", outwards, held_by="thrust", gains=(0.5,), weight=math.inf),
-        Constraint("turning", turning, held_by="torque", gains=(0.5,), weight=math.inf),
-    ]
-    safe = SafetyFilter(C, RtaParameters(period=period), extra=extra)
-    safe.compile("cpu", 64)
-    x = starts("paper", period, True, 12, 4)
-    assert fly(safe.correct, x, lambda _, y: torch.zeros_like(y[:6]), C, period, 20.0) > 0
-
-
-@EACH
-def test_the_flight_from_the_next_state_is_the_rest_of_the_one_looked_at(
-    name: str, period: float, saturates: bool
-) -> None:
-    """Bit for bit, and so is what the plant does: in PyTorch, whose columns do not know of each other."""
-    c, b = vehicle(name, saturates), backup(name, period, saturates)
-    x = starts(name, period, saturates, 16, 5)
-    asked = torch.where(random(6, 16, 6).abs() > 2.0, torch.nan, opposite(b.law(x), c))
-    u = safety(name, period, saturates).correct(x, asked).control
-    y, least = b.hold(x, u)
-    flight, limit = [y], [least]
-    for _ in range(6):
-        y, least = b.hold(y, b.law(y))
-        flight.append(y)
-        limit.append(least)
-    plant = x
-    for i, expected in enumerate(flight):
-        for _ in range(round(period / c.substep)):
-            plant = step(plant, u, c.substep, c)
-        assert torch.equal(plant, expected), i
-        again, told = b.hold(plant, b.law(plant))
-        if i + 1 < len(flight):
-            assert torch.equal(again, flight[i + 1]) and torch.equal(told, limit[i + 1])
-        u = b.law(plant)

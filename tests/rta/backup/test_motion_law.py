@@ -5,10 +5,10 @@ import pytest
 import torch
 
 from inspection.model.attitude import rotate
-from inspection.model.state import OMEGA, THETA_S, P, Q, V
-from rta.backup.motion_law import BESIDE, DRIFT, INSIDE, field, planned, thrust_along
+from inspection.model.state import OMEGA, P, Q, V
+from rta.backup.motion_law import BESIDE, DRIFT, INSIDE, field, thrust_along
 from rta.parameters import PERIODS
-from tests.rta.backup.brute_force import free_flight, moved
+from tests.rta.backup.brute_force import moved
 from tests.rta.backup.flights import (
     C,
     anywhere,
@@ -66,27 +66,6 @@ def test_a_body_that_turns_anyhow_comes_to_rest_straight_and_when_expected(hold:
     assert (along < ideal + 0.5).all() and (
         along > ideal - speed * hold / 2 - w.straight * hold**2 - 0.5
     ).all()
-
-
-def test_natural_acceleration_is_cancelled() -> None:
-    """What is given and what acts by the closed form of free flight together are the straight deceleration."""
-    w, x = backup("paper", 1.0).braking, anywhere(200, 5)
-    x[P] = 300.0 * unit(x[P])
-    given = planned(x[P], x[V], x[THETA_S], w)
-    n, step = C.mean_motion, 0.5
-    middle = [free_flight(x[P].numpy(), x[V].numpy(), np.float64(t), n) for t in (0.0, step, 2 * step)]
-    natural = (middle[0] - 2 * middle[1] + middle[2]) / step**2
-    decelerated = given.numpy() + natural
-    expected = -unit(x[V]) * torch.clamp(x[V].norm(dim=0), max=w.straight)
-    assert length(decelerated - expected.numpy()).max() < 5e-4
-    assert length(natural).max() > 2e-3  # it would be seen
-
-
-def test_nothing_that_is_asked_for_is_beyond_what_an_axis_gives() -> None:
-    for hold in PERIODS:
-        w, x = backup("paper", hold).braking, near_the_zone(2000, 3)
-        given = planned(x[P], x[V], x[THETA_S], w)
-        assert (given.norm(dim=0) <= C.max_thrust / C.mass).all()
 
 
 @HOLDS

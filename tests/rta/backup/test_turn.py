@@ -1,30 +1,28 @@
 """The turn to the Sun within bounds, flown in worlds at their corners: exclusion, temperature, battery, rates hold."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
 import torch
 from torch import Tensor
 
-from inspection.model.attitude import rate_in_hill, rotation_matrix, turned_by
+from inspection.model.attitude import rate_in_hill, turned_by
 from inspection.model.dynamics import Body, step, sun_and_earth_in_body
 from inspection.model.parameters import InspectionParameters
-from inspection.model.state import CONTROL_SIZE, OMEGA, SIZE, TORQUE, E, Q, T
-from kernels.compiled import Compiled
+from inspection.model.state import OMEGA, TORQUE, E, Q, T
 from rta.backup.check import Backup
 from rta.backup.told import ToldBackup
-from rta.backup.turn import Spread, beginning, followed, law, verified, wanted
-from rta.backup.turning import Turning, heating
-from rta.bounds.prediction import KINDS, predicted
+from rta.backup.turn import law, wanted
+from rta.backup.turning import heating
+from rta.bounds.prediction import predicted
 from rta.bounds.uncertainty import Uncertainty
 from rta.filter import SafetyFilter
 from rta.parameters import RtaParameters
 from tests.rta.backup.brute_force import attitude, hypercube, moved
-from tests.rta.backup.told_world import committed, is_safe, of_torque
+from tests.rta.backup.told_world import committed, of_torque
 
 C, R = InspectionParameters(), RtaParameters()
 U1 = Uncertainty(
@@ -154,21 +152,27 @@ def at_law(found: ToldBackup) -> Callable[[Tensor, Tensor], Tensor]:
     return lambda x, bound: torch.cat((torch.zeros_like(x[:3]), law(x, found.turning)))
 
 
-CASES = [(U1, R), (replace(U1, latency=0, longest_hold=0.0), R), (Uncertainty(attitude=0.1, rate=0.01), R)]
-
-
-@pytest.mark.parametrize(("known", "r"), CASES, ids=["u1", "each call", "sensors"])
-def test_the_law_keeps_the_limits_from_the_edge_whatever_is_measured(
-    known: Uncertainty, r: RtaParameters
-) -> None:
-    found = backup(known, r)
-    world = World(starts(found, 120, 1), known, r, 2)
+@pytest.mark.parametrize(
+    ("known", "calls"),
+    [
+        (U1, 40),
+        pytest.param(U1, 400, marks=pytest.mark.campaign),
+        pytest.param(replace(U1, latency=0, longest_hold=0.0), 400, marks=pytest.mark.campaign),
+        pytest.param(Uncertainty(attitude=0.1, rate=0.01), 400, marks=pytest.mark.campaign),
+    ],
+    ids=["shortly", "u1", "each call", "sensors"],
+)
+def test_the_law_keeps_the_limits_from_the_edge_whatever_is_measured(known: Uncertainty, calls: int) -> None:
+    found = backup(known)
+    world = World(starts(found, 120, 1), known, R, 2)
     answer = at_law(found)
-    for k in range(400):
+    for k in range(calls):
         u = answer(*world.measured())
         for x in world.fly(u, misses=k > 0):
             least = attitude(x.numpy(), C)
             assert (least >= -ROUNDED).all(), (k, np.argwhere(least < -ROUNDED)[:3], least.min(1))
+    if calls < 400:
+        return
     sun, _ = sun_and_earth_in_body(world.x)
     assert (-sun[0]).min() > math.cos(2.0 * found.turning.angle + 0.1)  # the panels are at the Sun
     before, after = world.x, world.fly(answer(*world.measured()))[-1]
@@ -178,41 +182,13 @@ def test_the_law_keeps_the_limits_from_the_edge_whatever_is_measured(
     ).double().mean() > 0.9  # some still leave the cold attitude that is no place of rest
 
 
-class InC(ToldBackup):
-    """The check, of which what a control leads to is computed in C."""
-
-    def __init__(self, turning: Turning) -> None:
-        super().__init__(None, turning, R)
-        examples = (torch.ones(size, 1, dtype=torch.float64) for size in (SIZE, CONTROL_SIZE, KINDS))
-        self.verified = Compiled(lambda x, u, e: [verified(x, u, e, turning)[None]], *examples)
-
-    def is_safe(self, y: Tensor, u: Tensor, broken: Tensor, asked: Sequence[int] = (0, 1)) -> Tensor:
-        return self.verified(y[:SIZE], u, y[SIZE:])[0].repeat(2, 1) >= 0.0
-
-
-@pytest.fixture(scope="module")
-def in_c() -> ToldBackup:
-    """The check of U1 in C, which answers alike."""
-    told, generator = backup(), torch.Generator().manual_seed(9)
-    found, x = InC(told.turning), hypercube(900, 8, C)
-    x = x[:, told.has_way(x)][:, :90]
-    further = torch.rand(
-        KINDS, 90, generator=generator, dtype=x.dtype
-    )  # than measured, m, m/s, rad and rad/s
-    bound = torch.tensor([0.1, 0.01, 1e-3, 1e-4], dtype=x.dtype)[:, None] * further
-    y, u = torch.cat((x, bound)), torch.zeros(CONTROL_SIZE, 90, dtype=x.dtype)
-    u[TORQUE] = C.max_torque / 2 * (2 * torch.rand(3, 90, generator=generator, dtype=x.dtype) - 1)
-    safe = is_safe(told, 1, y, u)
-    assert 10 < safe.sum() < 80 and torch.equal(is_safe(found, 1, y, u), safe)
-    return found
-
-
-def test_any_torque_is_asked_for_and_no_limit_breaks(in_c: ToldBackup) -> None:
-    found = in_c
+@pytest.mark.parametrize("calls", [10, pytest.param(120, marks=pytest.mark.campaign)])
+def test_any_torque_is_asked_for_and_no_limit_breaks(calls: int) -> None:
+    found = backup()
     world = World(starts(found, 90, 3), U1, R, 4)
     limit, acted = C.max_torque * torch.linspace(0.02, 1.0, 90, dtype=torch.float64), 0
     torque = torch.zeros(3, 90, dtype=torch.float64)
-    for k in range(120):
+    for k in range(calls):
         if k % 5 == 0:
             torque = limit * world.sign(3)
         x, bound = world.measured()
@@ -225,57 +201,7 @@ def test_any_torque_is_asked_for_and_no_limit_breaks(in_c: ToldBackup) -> None:
         for x in world.fly(u, misses=k > 0):
             least = attitude(x.numpy(), C)
             assert (least >= -ROUNDED).all(), (k, np.argwhere(least < -ROUNDED)[:3], least.min(1))
-    assert 1000 < acted < 10_050  # of 10,800
-
-
-BLIND = {"noise": 0.0, "attitude": 0.0, "share": 0.0, "unknown": 0.0, "spin": (0.0, 0.0)}
-
-
-@pytest.mark.parametrize(("defect", "at_law_first"), [({}, False), ({}, True), (BLIND, True)])
-def test_errors_of_rates_stay_below_their_bounds(defect: dict[str, Any], at_law_first: bool) -> None:
-    """Bounds that leave out what is measured amiss, and what the model does not know, are seen to be broken."""
-    found = backup()
-    w = found.turning
-    x = hypercube(300, 5, C)
-    if at_law_first:
-        x[OMEGA] = wanted(x, w) + C.mean_motion * rotation_matrix(x[Q])[2]
-    world = World(x, U1, R, 6)
-    true = x.clone()
-    true[OMEGA] = world.rates()
-    none = torch.zeros_like(x[0])
-    start = beginning(true, Spread(none, none, none, none, none), w)
-    bounds = followed(start, replace(w, **defect)).errors
-    broken, answer = 0, at_law(found)
-    for k, bound in enumerate(bounds):
-        for y in world.fly(answer(*world.measured()), misses=k > 0):
-            true = y.clone()
-            true[OMEGA] = world.rates()
-            z = (wanted(true, w) - true[OMEGA])[1:].norm(dim=0)
-            broken += int((z > bound + ROUNDED).sum())
-    assert (broken > 0) == bool(defect), broken
-
-
-@pytest.mark.parametrize("is_told", [True, False])
-def test_panels_fall_behind_far_from_the_sun(is_told: bool) -> None:
-    """The law turns slower than W beyond 132 deg; a bound that takes W for it is seen to be broken."""
-    known = replace(U1, latency=0, longest_hold=0.0)
-    found = backup(known)
-    w, x = found.turning, hypercube(40_000, 5, C)
-    angle = (-sun_and_earth_in_body(x)[0][0]).arccos()  # of the panels
-    x = x[:, (angle > math.radians(132.0)) & (angle < math.radians(139.5))][:, :400]
-    x[OMEGA] = wanted(x, w) + C.mean_motion * rotation_matrix(x[Q])[2]
-    world = World(x, known, R, 6)
-    world.turning = w
-    true, none = x.clone(), torch.zeros_like(x[0])
-    true[OMEGA] = world.rates()
-    start = beginning(true, Spread(none, none, none, none, none), w)
-    follows, most, broken, answer = followed(start, w), start.delta, 0, at_law(found)
-    for k, (error, pace) in enumerate(zip(follows.errors, follows.paces, strict=True)):
-        world.fly(answer(*world.measured()), misses=k > 0)
-        most = most + (error - (pace if is_told else w.rate)) * R.period
-        sun, _ = sun_and_earth_in_body(world.x)
-        broken += int(((-sun[0]).arccos() > most + ROUNDED).sum())
-    assert (broken == 0) == is_told, broken
+    assert 0.09 < acted / (90 * calls) < (0.93 if calls == 120 else 0.97)
 
 
 @pytest.mark.parametrize("slope", [0.05, 0.16, 0.3])
@@ -317,6 +243,7 @@ def test_bounds_without_a_rest_have_no_check() -> None:
     assert of_torque(replace(C, orbit="two-body", eccentricity=0.1), R, U1) is None
 
 
+@pytest.mark.campaign
 def test_an_attitude_that_is_not_checked_can_break_a_limit() -> None:
     """From a start that is accepted, with torque gains off by 0.5: what was flown elsewhere is no promise."""
     safety = SafetyFilter(C, known=Uncertainty(torque_gain=0.5, rate=0.05))
@@ -332,23 +259,3 @@ def test_an_attitude_that_is_not_checked_can_break_a_limit() -> None:
         x = step(x, gains * safety.correct(x, torch.zeros_like(gains)).control, 1.0, C)
         lowest = lowest.minimum(safety.values(x))
     assert [name for name, h in zip(safety.names, lowest[:, 0], strict=True) if h < 0.0] == ["temperature"]
-
-
-def test_more_is_accepted_where_less_is_unknown() -> None:
-    x = hypercube(1500, 7, C)
-    x = x[:, torch.from_numpy((attitude(x.numpy(), C) >= 0.0).all(0))]
-    shares = [
-        backup(known).has_way(x).double().mean().item()
-        for known in (U1, replace(U1, longest_hold=0.0), Uncertainty(attitude=0.1, rate=0.01))
-    ]
-    assert 0.7 < shares[0] < shares[1] < shares[2], shares
-
-
-def test_what_is_taken_for_the_sun_does_not_turn_the_panels_away() -> None:
-    w = backup().turning
-    x = hypercube(500, 8, C)
-    off = x.clone()
-    off[Q] = turned_by(x[Q], torch.full_like(x[:3], 0.01))
-    change = (wanted(off, w) - wanted(x, w))[1:].norm(dim=0)
-    frame = C.mean_motion * (rotation_matrix(off[Q])[2] - rotation_matrix(x[Q])[2]).norm(dim=0)
-    assert (change <= w.kappa * 0.01 * 3**0.5 + frame + 1e-12).all()

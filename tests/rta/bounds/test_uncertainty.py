@@ -1,9 +1,6 @@
 """What the filter is told of the world's bounds: what is refused, and the worst of them against drawn worlds."""
 
 import dataclasses
-import itertools
-import math
-from dataclasses import fields
 
 import numpy as np
 import pytest
@@ -11,12 +8,10 @@ import torch
 from torch import Tensor
 
 from inspection.model.parameters import InspectionParameters
-from inspection.model.state import THETA_S, E, P, Q, T
 from inspection.world.parameters import PlantParameters
 from rta.bounds.uncertainty import Uncertainty
 from rta.filter import SafetyFilter
-from rta.parameters import PERIODS, RtaParameters
-from rta.qp.programs import Status
+from rta.parameters import RtaParameters
 from tests.inspection.model.test_dynamics import UNEQUAL
 from tests.inspection.world.test_plant import begun, moments
 from tests.rta.constraints.test_constraints import tensor
@@ -58,44 +53,7 @@ def test_a_bound_that_leaves_no_control_is_refused_with_the_limit_that_it_breaks
     assert "\n" not in str(refusal.value)
 
 
-def test_what_is_next_to_a_refusal_is_not_refused() -> None:
-    Uncertainty(longest_hold=5.0).check(C, RtaParameters(period=5.0))
-    Uncertainty(rate=1.95).check(C, R)
-    # 1 / 12 (1 - x) m/s^2 of thrust is what nature and 0.01 m/s^2 need
-    share = 12 * (C.max_acceleration - 0.01)
-    Uncertainty(thrust_gain=share - 1e-6, acceleration=0.01).check(C, R)
-    with pytest.raises(ValueError, match="thrust_gain"):
-        Uncertainty(thrust_gain=share + 1e-6, acceleration=0.01).check(C, R)
-
-
-def test_of_moments_next_to_a_refusal_a_body_at_rest_keeps_its_rates() -> None:
-    """By the rows themselves, of which none gives way."""
-    r = RtaParameters(period=10.0)
-    safety = SafetyFilter(C, r, known=Uncertainty(inertia=0.29))
-    x = torch.zeros(16, 1, dtype=torch.float64)
-    x[P.start], x[Q.stop - 1], x[T], x[E], x[THETA_S] = 100.0, 1.0, 0.0, 10.0, 3.0
-    answer = safety.correct(x, torch.zeros(6, 1, dtype=torch.float64))
-    assert answer.status.item() <= Status.HARD
-    with pytest.raises(ValueError, match=r"0\.297"):
-        SafetyFilter(C, r, known=Uncertainty(inertia=0.297))
-
-
 # which rows
-
-
-def test_rows_are_of_the_rate_of_now_at_1_s_without_bounds_alone() -> None:
-    assert [Uncertainty().holds(RtaParameters(period=period)) for period in PERIODS] == [False, True, True]
-    for name in (field.name for field in fields(Uncertainty)):
-        value = {"saturates_rates": False, "hill_rotation": True, "health": True, "latency": 1}.get(name, 0.5)
-        if name == "longest_hold":
-            value = 1.0
-        told = Uncertainty(**{name: value})
-        assert told.holds(R) and not told.is_nil
-
-
-@pytest.mark.parametrize(("period", "longest"), list(itertools.product(PERIODS, (0.0, 7.0, 10.0))))
-def test_the_hold_is_the_longest_that_is_there(period: float, longest: float) -> None:
-    assert Uncertainty(longest_hold=longest).hold(RtaParameters(period=period)) == max(period, longest)
 
 
 # the worst world, of many drawn by `inspection.world.plant`
@@ -165,27 +123,6 @@ def test_a_max_is_there_in_every_world() -> None:
     assert Uncertainty().max_acceleration(C, R) == C.max_acceleration
 
 
-@pytest.mark.parametrize("misalignment", [1.0, 10.0, 25.0])
-@pytest.mark.parametrize("mass", [0.0, 0.3])
-def test_a_max_is_what_the_worst_attitude_leaves_of_thrust_askew(misalignment: float, mass: float) -> None:
-    told = Uncertainty(thrust_misalignment=misalignment, mass=mass)
-    outwards = np.abs(np.random.default_rng(0).normal(size=(3, 1_000_000)))
-    outwards /= np.linalg.norm(outwards, axis=0)
-    # of each axis: what is along is the least, what is across the most; one that would harm is off
-    angle = np.radians(misalignment)
-    along, across = np.cos(angle) / (1 + mass), np.sin(angle) / (1 - mass)
-    given = np.maximum(along * outwards - across * np.sqrt(1 - outwards**2), 0.0).sum(0).min()
-    there = C.max_acceleration - C.max_thrust / C.mass * (1 - given)
-    second_order = C.max_thrust / C.mass * angle**2
-    assert there - second_order < told.max_acceleration(C, R) <= there
-
-
-def test_a_max_counts_on_what_quanta_give() -> None:
-    told = Uncertainty(thrust_quantum=0.6)
-    lost = 0.4 * C.max_thrust / C.mass
-    assert told.max_acceleration(C, R) == pytest.approx(C.max_acceleration - lost, rel=1e-12)
-
-
 @pytest.mark.parametrize("hill_rotation", [False, True])
 @pytest.mark.parametrize("inertia", [C.inertia, UNEQUAL])
 def test_no_body_within_the_bound_turns_otherwise_by_more(
@@ -215,12 +152,6 @@ def test_no_body_within_the_bound_turns_otherwise_by_more(
     assert off.max() > dataclasses.replace(told, inertia=0.1).angular_acceleration(c)
 
 
-def test_the_model_itself_turns_as_it_says() -> None:
-    assert Uncertainty().angular_acceleration(C) == 0.0
-    c = dataclasses.replace(C, inertia=UNEQUAL)
-    assert Uncertainty().angular_acceleration(c) == 0.0
-
-
 # what thrusters give
 
 
@@ -234,19 +165,3 @@ def test_what_is_given_is_what_the_thrusters_of_the_plant_give() -> None:
             Uncertainty(**{name: value}).given(thrust, C.max_thrust), plant.actuate(moments(500), u)[:3]
         )
     assert torch.equal(Uncertainty().given(thrust, C.max_thrust), thrust)
-
-
-@pytest.mark.parametrize("quantum", [0.05, 0.25, 0.3])
-def test_what_is_given_of_quanta_is_the_nearest_within_the_limit(quantum: float) -> None:
-    told = Uncertainty(thrust_quantum=quantum)
-    thrust = np.random.default_rng(3).uniform(-1, 1, (3, 300))
-    most = math.floor(1.0 / quantum + 1e-9)
-    grid = quantum * np.arange(-most, most + 1)
-    nearest = grid[np.abs(thrust[..., None] - grid).argmin(-1)]
-    np.testing.assert_allclose(told.given(tensor(thrust), 1.0), nearest, rtol=0, atol=1e-12)
-
-
-def test_within_a_dead_band_nothing_is_given() -> None:
-    thrust = tensor([[0.05, -0.05, 0.0, 0.1, -0.7, 1.0]])
-    given = Uncertainty(minimum_thrust=0.1).given(thrust, 1.0)
-    assert given.tolist() == [[0.0, 0.0, 0.0, 0.1, -0.7, 1.0]]

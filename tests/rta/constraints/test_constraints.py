@@ -4,7 +4,6 @@
 with the paper's numbers, and most of it also takes complex states, for derivatives by complex steps.
 """
 
-import functools
 import itertools
 import math
 
@@ -12,14 +11,12 @@ import numpy as np
 import pytest
 import torch
 from numpy import ndarray
-from scipy.optimize import minimize_scalar
 
 from inspection.model.parameters import InspectionParameters
-from rta.constraints import names
 from rta.constraints import thrust as thrust_constraints
 from rta.constraints import torque as torque_constraints
 from rta.constraints.constraint import Constraint
-from rta.constraints.thrust import chord, signed_sqrt
+from rta.constraints.thrust import chord
 from rta.constraints.torque import angle_to, arccos, side
 from rta.filter import SafetyFilter
 from rta.parameters import PERIODS, RtaParameters
@@ -197,12 +194,6 @@ def enforced(each: Constraint, x: ndarray) -> ndarray:
     return each.barrier_at(tensor(x))(tensor(x)).numpy()
 
 
-def test_speed_limit_equals_numpy() -> None:
-    x = states(1000)
-    value = thrust_constraints.speed_limit(tensor(x), C)
-    np.testing.assert_allclose(value, speed_limit(x), rtol=0, atol=2e-12)
-
-
 def at_the_edge(count: int, distance: float, within: float) -> ndarray:
     """(16, count) states no further from a distance from the chief than `within`."""
     x = states(count, seed=8)
@@ -249,10 +240,6 @@ def test_collision_barrier_equals_numpy(period: float) -> None:
         radial = (x[:3] * x[3:6]).sum(0) / length(x[:3])
         expected = root(length(x[:3]) - 15, floor) + radial
         np.testing.assert_allclose(enforced(entries(C, r)["collision"], x)[0], expected, rtol=0, atol=2e-12)
-
-
-def test_names_are_in_the_order_of_table_3() -> None:
-    assert names.CONSTRAINTS == TABLE_3
 
 
 def test_entries_are_in_the_order_of_table_3() -> None:
@@ -303,37 +290,6 @@ def test_infimum_of_each_segment_equals_brute_force() -> None:
     np.testing.assert_allclose(clearance(x), expected, rtol=0, atol=PSM_TOLERANCE)
 
 
-def test_infimum_when_departing_is_the_distance_now() -> None:
-    x = approaching(1.0, 0.0)
-    x[3:6] *= -1
-    np.testing.assert_allclose(clearance(x).min(0), length(x[:3]) - 15, rtol=0, atol=1e-9)
-
-
-def test_reference_infimum_equals_scipys_minimisation() -> None:
-    x = states(40, seed=5)
-    for k, expected in enumerate(passive_safety(x)):
-        t = np.linspace(0, 500, 5001)
-        best = t[length(coast(x[:, k, None], t)).argmin()]
-        nearby = (max(best - 0.1, 0.0), min(best + 0.1, 500.0))
-        squared = functools.partial(lambda state, t: (coast(state, t) ** 2).sum(), x[:, k])
-        found = minimize_scalar(squared, bounds=nearby, options={"xatol": 1e-9}).fun
-        nearest = min(found, *map(squared, nearby))  # scipy stops short of the ends
-        assert math.sqrt(nearest) - 15 == pytest.approx(expected, abs=1e-7)
-
-
-def test_root_of_a_negative_distance_is_odd() -> None:
-    x = states(100)
-    x[:3] *= np.random.default_rng(0).uniform(1, 15, 100) / length(x[:3])
-    x[3:6] = 0
-    expected = [-math.sqrt(2 * A_MAX * (15 - distance)) for distance in length(x[:3])]
-    np.testing.assert_allclose(entries()["collision"].h(tensor(x)), expected, rtol=1e-12)
-
-
-def test_smooth_arccos_is_exact_outside_its_zone() -> None:
-    angle = np.linspace(R.pole_angle, np.pi - R.pole_angle, 1001)
-    np.testing.assert_allclose(arccos(tensor(np.cos(angle)), R.pole_angle), angle, rtol=0, atol=1e-12)
-
-
 @pytest.mark.parametrize("pole", [-1.0, 1.0])
 def test_smooth_arccos_is_the_tangent_inside_its_zone(pole: float) -> None:
     cosine = pole * np.linspace(math.cos(R.pole_angle), 1.0, 1001)
@@ -356,42 +312,6 @@ def test_the_side_on_which_a_direction_leaves_a_pole_has_its_angle(axis: str, fa
     assert leaving.near.all()
     found = angle_to(axis, body, R.pole_angle, leaving)
     torch.testing.assert_close(found, math.pi - off if far else off, rtol=0, atol=1e-9)
-
-
-def test_smooth_arccos_has_a_continuous_slope() -> None:
-    cosine = np.linspace(-1, 1, 2_000_001)
-    slope = np.diff(arccos(tensor(cosine), R.pole_angle).numpy()) / np.diff(cosine)
-    # the largest curvature, 1 / sin(edge)^3 at the edge, over one step; a kink would jump by 1 / sin(edge) = 5
-    assert np.abs(np.diff(slope)).max() < 1.1 * 1e-6 / math.sin(R.pole_angle) ** 3
-
-
-def test_smooth_arccos_strays_most_at_the_pole_by_half_its_zone() -> None:
-    cosine = np.concatenate((np.cos(np.linspace(0, np.pi, 100_001)), [-1.0, 1.0]))
-    error = np.abs(arccos(tensor(cosine), R.pole_angle).numpy() - np.arccos(cosine))
-    assert error.max() == pytest.approx(R.pole_angle - math.tan(R.pole_angle / 2), rel=1e-9)
-
-
-def test_smooth_root_is_exact_outside_its_zone() -> None:
-    z = np.concatenate((np.linspace(-800, -R.distance_floor, 1001), np.linspace(R.distance_floor, 800, 1001)))
-    np.testing.assert_allclose(
-        signed_sqrt(tensor(z), R.distance_floor), np.sign(z) * np.sqrt(np.abs(z)), rtol=1e-14
-    )
-
-
-def test_smooth_root_is_continuous() -> None:
-    z = np.linspace(-0.1, 0.1, 200_001)
-    jump = np.abs(np.diff(signed_sqrt(tensor(z), R.distance_floor).numpy()))
-    assert jump.max() < 1.1 * 1e-6 / math.sqrt(R.distance_floor)
-
-
-def test_smooth_root_never_overstates_a_distance() -> None:
-    z = np.linspace(0, 1, 100_001)
-    assert (signed_sqrt(tensor(z), R.distance_floor).numpy() <= np.sqrt(z) + 1e-15).all()
-
-
-def test_smooth_root_keeps_the_sign() -> None:
-    z = np.linspace(-1, 1, 100_001)
-    assert (np.sign(signed_sqrt(tensor(z), R.distance_floor).numpy()) == np.sign(z)).all()
 
 
 @pytest.mark.parametrize(("row", "margin"), [(8, R.temperature_margin), (9, R.battery_margin)])

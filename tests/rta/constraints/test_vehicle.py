@@ -94,6 +94,7 @@ def test_a_vehicle_that_cannot_hold_a_limit_is_refused_with_the_number(
     check(PAPER)
 
 
+@pytest.mark.campaign
 @pytest.mark.parametrize("path", VEHICLES, ids=lambda path: path.stem)
 @torch.no_grad()
 def test_shipped_vehicles_violate_nothing(path: Path) -> None:

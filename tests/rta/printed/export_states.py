@@ -1,13 +1,6 @@
-"""States for the filter in C and in Python back to back, and what each answers.
-
-    python -m tests.rta.printed.export_states 100000
-
-compares as many at 1, 5 and 10 s and told of U1, in double precision, and says what is found; minutes to an hour.
-"""
+"""States for the filter in C and in Python back to back, and what each answers."""
 
 import subprocess
-import sys
-import time
 from functools import partial
 from pathlib import Path
 from typing import NamedTuple
@@ -174,44 +167,3 @@ def compared(x: Tensor, one: Answers, other: Answers, limit: Tensor) -> Comparis
         (mine & others).any(0) & sound,
         (mine != others).any(0) & sound,
     )
-
-
-def build(directory: Path, program: Path, *command: str) -> list[str | Path]:
-    """Compiles PROGRAM and the filter in a directory."""
-    (program.parent / "program.c").write_text(PROGRAM)
-    source = program.parent / "program.c", directory / "safety_filter.c"
-    subprocess.run([*command, "-I", directory, "-o", program, *source, "-lm"], check=True)
-    return [program]
-
-
-def main(count: int, kinds: list[str]) -> None:
-    """Compares and says what is found."""
-    from rta.printed.files import write
-
-    for kind in kinds:
-        folder = Path("/tmp") / f"rta_back_to_back_{kind}"
-        safety_filter = made(kind)
-        write(safety_filter, folder / "c")
-        program = build(folder / "c", folder / "program", "gcc", "-std=c99", "-O2")
-        x, desired = states(count, seed=1)
-        started = time.perf_counter()
-        found = in_c(program, x, desired)
-        between = time.perf_counter()
-        expected = in_python(safety_filter, x, desired)
-        ended = time.perf_counter()
-        c = compared(x, expected, found, torch.tensor(safety_filter.c.control_limit, dtype=torch.float64))
-        status = expected.program_status.amax(0).bincount(minlength=4).tolist()
-        differ = (c.other_status | (c.control > 1e-9)) & ~c.in_one
-        print(
-            f"{kind}: {count:,} states, by status {status}; {int(c.in_one.sum())} unsolved in one alone, "
-            f"{int(c.unsolved.sum())} in both; of the others {int((differ & c.other_status).sum())} with another "
-            f"status or check, {int(differ.sum())} differ, {int((differ & c.unsolved).sum())} of them unsolved; rest "
-            f"by {c.control[~differ & ~c.in_one].max():.1e}, h of all by {c.h.max():.1e}; C {between - started:.0f} s, "
-            f"Python {ended - between:.0f} s",
-            flush=True,
-        )
-        torch.save((x[:, differ], desired[:, differ]), folder / "differing.pt")
-
-
-if __name__ == "__main__":
-    main(int(sys.argv[1]), sys.argv[2:] or ["1", "5", "10", "u1"])
