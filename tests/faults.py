@@ -311,6 +311,10 @@ CONDITIONS = [
         "rta/test_propose.py",
         ("found = found._replace(control=self.known.given(found.control, group.limit))", "pass"),
         ("found = unless_lost(x, Found", "found = (Found"),
+    ),
+    *faults(
+        "rta/propose.py",
+        "rta/bounds/test_health.py -k late_state",
         ("for u in () if sent is None else sent:", "for u in ():"),
     ),
     *faults(

@@ -34,6 +34,7 @@ PASSED, FAILED, LATE = 0, 1, -1  # exit codes of pytest, and of a run that took 
 VERDICTS = {PASSED: "survived", FAILED: "killed", LATE: "killed, the test does not end"}
 SLOWER, MORE = 4.0, 60.0  # a test may take so many times as long as without a fault, and so many s more
 PYTEST = ("-m", "pytest", "-x", "-rfE", "-p", "no:xdist", "-p", "no:cacheprovider")
+ALL = ("-m", "campaign or not campaign")  # of the tests
 
 
 class Run(NamedTuple):
@@ -103,7 +104,7 @@ def tested(test: str, tree: Path, patience: float | None = None) -> Run:
     No bytecode is kept: a fault of the same length, planted in the same second, would be taken for the file before.
     """
     file, _, names = test.partition(" -k ")
-    command = [sys.executable, *PYTEST, f"tests/{file}", *(["-k", names] if names else [])]
+    command = [sys.executable, *PYTEST, *ALL, f"tests/{file}", *(["-k", names] if names else [])]
     own = {"OMP_NUM_THREADS": "1", "PYTHONDONTWRITEBYTECODE": "1"}
     started = time.perf_counter()
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as cache:

@@ -211,6 +211,7 @@ def test_what_is_put_in_a_parts_place_is_another_filter(
     assert name_of(safety) == before
 
 
+@pytest.mark.campaign
 def test_a_filter_that_is_known_is_not_recorded(cache: Path) -> None:
     found = []
     for _ in range(2):

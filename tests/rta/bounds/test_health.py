@@ -2,6 +2,7 @@
 
 import math
 
+import pytest
 import torch
 from torch import Tensor
 
@@ -81,6 +82,7 @@ def test_a_torque_is_left_alone_where_no_turn_is_needed() -> None:
     assert (~kept(outside, left)).sum() > 20
 
 
+@pytest.mark.campaign
 def test_a_known_dead_thruster_does_not_run_away() -> None:
     """An adversary thrusts outwards and turns the dead axis onto the radius."""
     count, period = 9, 10.0
