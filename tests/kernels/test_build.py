@@ -1,6 +1,5 @@
 """Whatever is wrong with the cache or the compiler, there is a library and one line, or one line and none."""
 
-import errno
 import getpass
 import os
 import re
@@ -88,10 +87,6 @@ def test_a_damaged_library_is_built_anew(
     (line,) = lines(capsys)
     assert "damaged, compiled anew" in line and str(path) in line
     assert works() and not lines(capsys) and len(files(cache)) == 1
-
-
-def full(*_: object) -> None:
-    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
 
 @pytest.mark.parametrize("kind", ["a file", "below a file", "not writable"])

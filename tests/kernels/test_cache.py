@@ -17,9 +17,8 @@ from inspection.model.parameters import InspectionParameters
 from kernels import build
 from kernels.cache import remembered
 from kernels.digest import digest
-from rta.backup import flight, motion_law
+from rta.backup import flight
 from rta.bounds.uncertainty import Uncertainty
-from rta.constraints import thrust
 from rta.filter import SafetyFilter
 from rta.parameters import RtaParameters
 from rta.printed.batch import recorded
@@ -189,26 +188,6 @@ def test_equal_filters_are_recorded_once_and_others_by_themselves() -> None:
     assert len(set(names)) == len(names) and None not in names
     assert names[0] == name_of(SafetyFilter(InspectionParameters(), RtaParameters()))
     assert names[4] == name_of(SafetyFilter(extra=[own["sphere"][0]]))
-
-
-@pytest.mark.parametrize(
-    ("place", "name", "other"),
-    [
-        (motion_law, "DRIFT", 0.03),
-        (flight, "motion_between", lambda *_: None),
-        (thrust, "keep_in_zone", lambda *_: None),
-        (SafetyFilter, "values", lambda *_: None),
-    ],
-)
-def test_what_is_put_in_a_parts_place_is_another_filter(
-    place: object, name: str, other: object, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    safety = SafetyFilter()
-    before = name_of(safety)
-    with monkeypatch.context() as patch:
-        patch.setattr(place, name, other)
-        assert name_of(safety) not in (before, None)
-    assert name_of(safety) == before
 
 
 @pytest.mark.campaign

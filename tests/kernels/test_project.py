@@ -11,9 +11,7 @@ import torch
 from torch import Tensor
 
 import main
-from inspection import environment
 from inspection.chief.hull import beside
-from inspection.environment import InspectionEnv
 from kernels.printer import printed
 from rta.filter import SafetyFilter
 from rta.printed import batch
@@ -86,26 +84,6 @@ def calls_of_filter(name: str, monkeypatch: pytest.MonkeyPatch) -> list[Call]:
     return calls
 
 
-def calls_of_env(name: str, monkeypatch: pytest.MonkeyPatch) -> list[Call]:
-    """What a simulator compiles."""
-    calls: list[Call] = []
-
-    def spy(function: Callable[..., list[Tensor]], *examples: Tensor, batch: int, long: int) -> Any:
-        calls.append(Call(function, examples, {"long": long}, printed(function, *examples, long=long).text))
-        return function
-
-    monkeypatch.setattr(environment, "Compiled", spy)
-    env_of(name).compile()
-    return calls
-
-
-def env_of(name: str) -> InspectionEnv:
-    config = config_of(name)
-    safety = filter_of(name).safety(False)
-    generators = [torch.Generator().manual_seed(0)]
-    return InspectionEnv(16, config.inspection, generators, safety, plant=config.plant, target=config.chief)
-
-
 def other(example: Tensor) -> Tensor:
     """Another column of the same type."""
     generator = torch.Generator().manual_seed(0)
@@ -115,11 +93,6 @@ def other(example: Tensor) -> Tensor:
 @pytest.mark.parametrize("name", ["1 s", *(campaign(name) for name in ("5 s", "U1", "hull", "two-body"))])
 def test_a_filter_is_printed_alike_for_any_example(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     check_prints(calls_of_filter(name, monkeypatch))
-
-
-@pytest.mark.parametrize("name", ["1 s", "U1", campaign("tumbling"), campaign("two-body")])
-def test_a_simulator_is_printed_alike_for_any_example(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    check_prints(calls_of_env(name, monkeypatch))
 
 
 def check_prints(calls: list[Call]) -> None:

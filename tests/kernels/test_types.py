@@ -60,17 +60,3 @@ def test_arguments_and_results_of_all_types() -> None:
         expected = function(*arguments)
         assert found.dtype == expected.dtype, name
         torch.testing.assert_close(found, expected, msg=name)
-
-
-def test_parts_without_components() -> None:
-    x, nothing = uniform(-1.0, 1.0, 3, 5), torch.zeros(0, 4, 5, dtype=torch.float64)
-
-    def parts(x: Tensor, nothing: Tensor) -> list[Tensor]:
-        return [nothing.sum(0) + x[:1], x[:0], nothing.sum(1), torch.cat((nothing[:, 0], x)), x.mean(0)]
-
-    for found, expected in zip(
-        Compiled(parts, x[..., :1], nothing[..., :1])(x, nothing), parts(x, nothing), strict=True
-    ):
-        torch.testing.assert_close(found, expected)
-    (found,) = Compiled(lambda nothing, x: [2.0 * x], nothing[..., :1], x[..., :1])(nothing, x)
-    assert torch.equal(found, 2.0 * x)

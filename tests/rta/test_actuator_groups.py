@@ -180,16 +180,9 @@ def test_rows_equal_finite_differences(name: str) -> None:
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        ({"held_by": "wheels"}, "held_by = 'wheels': must be thrust or torque"),
-        ({"gains": ()}, "one or two positive"),
-        ({"gains": (0.1, -0.1)}, "one or two positive"),
-        ({"margin": math.nan}, "margin"),
-        ({"weight": 0.0}, "weight"),
         ({"gains": (0.1,)}, "torque does not first enter derivative 1"),
         ({"h": slow_turn}, "torque does not first enter derivative 2"),
         ({"h": sphere}, "torque does not first enter derivative 2"),
-        ({"h": lambda x: x[P]}, r"shape \(3, 64\)"),
-        ({"h": lambda x: cone(x) - (x[0] - 1e4).sqrt()}, "h is not finite"),
         ({"h": lambda x: cone(x) - x[0].clamp(min=0.0).sqrt()}, "a derivative of h is not finite"),
         ({"h": over_one_axis}, "must broadcast over all trailing axes"),
     ],

@@ -3,13 +3,11 @@
 import numpy as np
 import pytest
 from numpy import ndarray
-from scipy.integrate import solve_ivp
 
 from inspection.model.parameters import InspectionParameters
 from rta.filter import SafetyFilter
 from rta.parameters import RtaParameters
 from tests.rta.constraints.test_constraints import (
-    MEAN_MOTION,
     keep_in_curve,
     length,
     root,
@@ -66,25 +64,6 @@ def flights(count: int, distance: tuple[float, float], speed: tuple[float, float
 
 
 # The keep-in barrier
-
-
-def braking(distance: ndarray, across: ndarray) -> ndarray:
-    """The speed outwards at which the keep-in barrier is zero."""
-    return np.sqrt(2 * (C.max_acceleration - across**2 / distance) * (800 - distance))
-
-
-def coasting(t: float, y: ndarray, force: ndarray) -> ndarray:
-    """Clohessy and Wiltshire's equations under a constant force (3,)."""
-    n, (x, _, z, vx, vy, vz) = MEAN_MOTION, y
-    natural = np.array([3 * n**2 * x + 2 * n * vy, -2 * n * vx, -(n**2) * z])
-    return np.concatenate(([vx, vy, vz], natural + force / 12))
-
-
-def flown(p: ndarray, v: ndarray, force: ndarray, duration: float) -> ndarray:
-    """(6, 11) states over `duration` s by DOP853."""
-    t = np.linspace(0, duration, 11)
-    y = np.concatenate((p, v))
-    return solve_ivp(coasting, (0, duration), y, "DOP853", t, args=(force,), rtol=1e-10, atol=1e-12).y
 
 
 def outward(y: ndarray) -> ndarray:

@@ -17,7 +17,6 @@ from numpy import ndarray
 from scipy.optimize import linprog
 from torch import Tensor
 
-from inspection.environment import InspectionEnv
 from inspection.model.attitude import norm
 from inspection.model.parameters import InspectionParameters
 from rta.barrier import Rows
@@ -368,25 +367,6 @@ def test_start_can_brake_where_thrust_can_keep_the_zone(period: float) -> None:
     assert (safety.is_safe(tensor(x)) == (inside & can_brake)).all()
     # where rows are of a held control, no barrier of the safe set is negative, the zone's neither
     assert (inside & ~can_brake).any() == (period == 1.0)
-
-
-def fly(safety: SafetyFilter, episodes: int, actions: int) -> tuple[Tensor, Tensor]:
-    """Random held actions: the lowest value of each constraint and the statuses of all filter calls."""
-    generator = torch.Generator().manual_seed(0)
-    lowest, statuses = torch.full((13,), math.inf, dtype=torch.float64), []
-
-    def watched(x: Tensor, desired: Tensor) -> FilterResult:
-        nonlocal lowest
-        lowest = torch.minimum(lowest, safety.values(x).amin(1))
-        answer = safety.correct(x, desired)
-        statuses.append(answer.status)
-        return answer
-
-    env = InspectionEnv(episodes, C, [generator], dataclasses.replace(safety.safety(), correct=watched))
-    env.reset()
-    for _ in range(actions):
-        env.step(2 * torch.rand(episodes, 6, generator=generator, dtype=torch.float64) - 1)
-    return torch.minimum(lowest, safety.values(env.x).amin(1)), torch.stack(statuses)
 
 
 def test_own_constraints_come_after_the_papers(programs: SafetyFilter, solution: FilterResult) -> None:

@@ -85,19 +85,3 @@ def test_nothing_is_violated_where_the_world_is_the_model(
         x = step(x, safety.correct(x, desired).control, 1.0, c)
         smallest = min(smallest, safety.values(x).min().item())
     assert smallest >= 0.0
-
-
-def test_a_model_that_turns_needs_not_be_told_that_hills_frame_does() -> None:
-    told = Uncertainty(hill_rotation=True)
-    paper, turning = InspectionParameters(), InspectionParameters(hill_rotation=True)
-    assert told.rate_offset(paper) == paper.mean_motion and told.rate_offset(turning) == 0.0
-    assert told.angular_acceleration(paper) > 0.0 == told.angular_acceleration(turning)
-
-
-@pytest.mark.parametrize("eccentricity", [0.0, 0.2])
-def test_braking_is_less_where_more_pulls(eccentricity: float) -> None:
-    linear = InspectionParameters()
-    exact = InspectionParameters(orbit="two-body", eccentricity=eccentricity)
-    assert exact.max_acceleration < linear.max_acceleration
-    if not eccentricity:
-        assert linear.max_acceleration - exact.max_acceleration < 1e-6

@@ -62,17 +62,6 @@ def test_no_path_within_the_strays_is_below_the_bound(
     assert (least > 0).any(1).all() and (least < 0).any(1)[[0, 1, 2, 3]].all()  # both sides are met
 
 
-def test_bounds_of_short_chords_are_near() -> None:
-    start, end = nodes(600, 0.05, 0.005, seed=5)
-    none = torch.zeros(600, dtype=torch.float64)
-    bound = between(tensor(start), tensor(end), Strays(none, none, none), C, CLOSE).numpy()
-    least = np.minimum(*(motion(y[:3], y[3:], C, spacing=1.0) for y in (start, end)))
-    inside = least > 0.05
-    for row, most in enumerate((0.02, 0.02, 0.02, 1.5, 0.001, 0.001, 0.001)):
-        lost = (least - bound)[row][inside[row]]
-        assert np.quantile(lost, 0.95) < most, (row, np.quantile(lost, (0.5, 0.95, 1)))
-
-
 @pytest.mark.parametrize("mean_of", ["ends", "hold"])
 @pytest.mark.parametrize("seconds", [1.0, 2.5])
 def test_a_body_that_turns_strays_no_farther(seconds: float, mean_of: str) -> None:

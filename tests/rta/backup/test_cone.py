@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from inspection.model.state import OMEGA, P, V
-from rta.backup.cone import Fall, Node, between, way
+from rta.backup.cone import Node, between, way
 from rta.backup.haven import Haven
 from tests.rta.backup.brute_force import hypercube, motion
 from tests.rta.backup.told_world import U1, C, R, World, flown
@@ -48,14 +48,6 @@ def beside(count: int, seed: int) -> Tensor:
     x[V] *= (C.docking_speed + C.speed_slope * r) / (C.docking_speed + C.speed_slope * x[P].norm(dim=0))
     x[P] *= r / x[P].norm(dim=0)
     return x
-
-
-def bounds(s: np.ndarray, speed: float, w: Haven) -> tuple[np.ndarray, np.ndarray]:
-    """Bounds of |w| and |r| at S (k,), in one piece."""
-    whole = torch.tensor([speed], dtype=torch.float64)
-    errors = w.errors(whole, whole * 0 + 300.0, whole * 0 + 301.0)
-    fall = Fall.of(torch.ones_like(whole), whole, torch.zeros_like(whole), whole, errors, w)
-    return fall.speed(tensor(s)).numpy(), fall.wide(tensor(s)).numpy()
 
 
 def test_no_state_within_the_strays_is_below_the_bound() -> None:

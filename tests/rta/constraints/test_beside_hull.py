@@ -11,7 +11,7 @@ from inspection.chief.hull import beside, clearance
 from inspection.model.dynamics import step
 from inspection.model.parameters import InspectionParameters
 from inspection.model.state import P, Q, V
-from rta.constraints.thrust import collision, passive_safety
+from rta.constraints.thrust import passive_safety
 from rta.filter import SafetyFilter
 from rta.parameters import RtaParameters
 from rta.qp.batched_solver import BatchedSolver
@@ -55,17 +55,6 @@ def test_passive_safety_is_never_above_what_a_flight_keeps(mesh: str) -> None:
         lost.append(true - value)
     assert min(lost) > -0.02, "within what 2 s of flight between samples hide"
     assert np.median(lost) < 1.0 and max(lost) < 5.0
-
-
-def test_the_way_to_brake_before_a_flat_side_is_that_before_a_plane() -> None:
-    """Of a box that faces the deputy: sqrt(2 a d) - v for its distance d and speed v towards it."""
-    chief = hull_of(MESHES[0])
-    c = beside(PAPER, type(chief)(mesh=chief.mesh, collision="hull"))
-    x = torch.zeros(16, 3, dtype=torch.float64)
-    x[0], x[1], x[3] = torch.tensor([8.5, 10.0, 14.0]), 0.3, -0.1
-    gap = x[0] - 3.0 - PAPER.deputy_radius
-    expected = (2 * PAPER.max_acceleration * gap).sqrt() - 0.1
-    torch.testing.assert_close(collision(c, R).h(x), expected, rtol=0, atol=1e-9)
 
 
 @pytest.mark.campaign

@@ -216,23 +216,6 @@ def test_keep_in_curve_equals_numpy(period: float) -> None:
 
 
 @pytest.mark.parametrize("period", PERIODS)
-def test_neither_speed_across_nor_the_way_out_raises_the_keep_in_curve(period: float) -> None:
-    distance, across = np.meshgrid(np.linspace(780, 820, 4001), np.linspace(0, 7, 71), indexing="ij")
-    x = np.zeros((16, *distance.shape))
-    x[0], x[3], x[4] = distance, 0.5, across
-    r = RtaParameters(period=period)
-    zone = entries(C, r)["keep_in_zone"]
-    curve = enforced(zone, x)[0]
-    assert (np.diff(curve, axis=1) <= 1e-12).all()
-    assert (np.diff(curve, axis=0) <= 1e-12).all()
-    assert (curve <= zone.h(tensor(x)).numpy() + 1e-12).all()
-    x = x[:, 0, :2]
-    x[0] = 800, np.nextafter(800, 801)
-    inside, outside = enforced(zone, x)[0]
-    assert inside - outside == pytest.approx(math.sqrt(A_MAX * chord(C, r) / 2), abs=1e-9)
-
-
-@pytest.mark.parametrize("period", PERIODS)
 def test_collision_barrier_equals_numpy(period: float) -> None:
     r = RtaParameters(period=period)
     floor = chord(C, r)

@@ -18,10 +18,8 @@ import torch
 from torch import Tensor
 
 from kernels.build import OF_ONE, OF_TWO, QUICK
-from rta.bounds.uncertainty import Uncertainty
 from rta.constraints.names import CONSTRAINTS
 from rta.filter import SafetyFilter
-from rta.parameters import RtaParameters
 from rta.printed.files import (
     BUILT,
     NOT_VERIFIED,
@@ -168,19 +166,6 @@ def test_no_compiler_has_anything_to_say(kind: str, compiler: str, exported: Cal
     directory = exported(kind).directory
     succeed(compiler, *STRICT, *STRICTER, "-fsyntax-only", directory / "safety_filter.c")
     succeed(compiler, *STRICT, *STRICTER, "-fsyntax-only", directory / "example.c")
-
-
-@pytest.mark.campaign
-@pytest.mark.parametrize("known", [Uncertainty(), Uncertainty(position=0.3)], ids=["model", "told"])
-def test_a_filter_without_rows_has_nothing_that_is_not_used(
-    known: Uncertainty, compiler: str, tmp_path: Path
-) -> None:
-    """Which a compiler says of functions and constants when it compiles, not when it reads."""
-    safety_filter = SafetyFilter(parameters=RtaParameters(rows="none"), known=known)
-    for name, text in sources(safety_filter, only=PARTS).items():
-        (tmp_path / name).write_text(text)
-    source = tmp_path / "safety_filter.c"
-    succeed(compiler, *STRICT, *STRICTER, "-c", source, "-o", tmp_path / "filter.o")
 
 
 @pytest.mark.parametrize("kind", ["1", campaign("own"), campaign("u1"), campaign("10")])

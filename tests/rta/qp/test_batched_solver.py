@@ -115,15 +115,6 @@ def arrays(problems: Problems) -> Arrays:
     )
 
 
-def test_recorded_problems_are_many_and_diverse(flights: tuple[Problems, ...]) -> None:
-    answers = [BatchedSolver().solve(part) for part in flights]
-    status = torch.cat([answer.status for answer in answers])
-    assert (status == Status.SLACK).sum() > 500
-    pairs = zip(answers, flights, strict=True)
-    spent = torch.cat([(left_hand_sides(x.control, p.a, p.b) < -1e-3).any(0) for x, p in pairs])
-    assert ((status == Status.HARD) & spent).sum() > 50  # infeasible with margins
-
-
 def test_hard_programs_equal_piqp(solver: BatchedSolver, every_kind: Problems) -> None:
     ours, piqp = solver.solve(every_kind), PiqpSolver().solve(every_kind)
     solved = piqp.status < Status.UNSOLVED
@@ -179,25 +170,6 @@ def test_what_is_not_solved_accurately_is_piqps(
     assert solver.resolved == 300
     assert (ours.control == piqp.control).all() and (ours.status == piqp.status).all()
     assert (ours.residual == piqp.residual).all()
-
-
-def test_what_piqp_leaves_is_solved_by_steps(
-    solver: BatchedSolver, recorded: Problems, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(batched_solver, "PIQP_FIRST", ("cpu",))
-    sample = recorded[torch.arange(60)]
-    expected = BatchedSolver().solve(sample)
-
-    def gives_up(problems: Problems) -> Solutions:
-        unsolved = torch.full_like(problems.desired[0], Status.UNSOLVED, dtype=torch.int64)
-        return Solutions(problems.desired.clone(), unsolved, problems.desired[0] + math.inf)
-
-    monkeypatch.setattr(solver.fallback, "solve", gives_up)
-    solver._attempt = partial(attempt, steps=0)
-    found = solver.solve(sample)
-    assert (found.status == expected.status).all()
-    assert (found.residual <= ACCURATE)[found.status < Status.UNSOLVED].all()
-    torch.testing.assert_close(found.control, expected.control, rtol=0, atol=1e-6)
 
 
 def synthetic(count: int, rows: int, seed: int) -> Problems:

@@ -299,24 +299,6 @@ def test_unsolvable_program_says_so_and_stays_finite(solver: Solver, rows: list[
     assert (np.abs(control) <= 1).all()
 
 
-@pytest.mark.parametrize("before", ["other_problems", "nan_row", "nan_b", "nan_desired"])
-@pytest.mark.parametrize("outcome", [Status.HARD, Status.SLACK])
-@pytest.mark.parametrize("name", SOLVERS)
-def test_answer_does_not_depend_on_what_was_solved_before(name: str, before: str, outcome: Status) -> None:
-    feasible = dataclasses.replace(feasible_problems(50, 8, 5), weight=WEIGHT)
-    problems = feasible if outcome == Status.HARD else slack_problems(WEIGHT)
-    others = infeasible_problems(100, 8, 6, WEIGHT)
-    faulty = {"nan_row": others.a[:1, 2], "nan_b": others.b_bare[:1, 2], "nan_desired": others.desired[:1]}
-    if before in faulty:
-        faulty[before][:] = np.nan
-    untouched, _ = solve(make_solver(name), problems)
-    used = make_solver(name)
-    solve(used, others)
-    control, status = solve(used, problems)
-    assert (status == outcome).all()
-    assert (control == untouched).all()
-
-
 # u1 + u2 >= 0.4 from the origin with a slack weight of 10: u = lambda (1, 1, 0) and 2 lambda + lambda / 10 = 0.4.
 # The second row, 0.5 >= 0, can do nothing.
 BEST = 0.4 / 2.1
