@@ -20,18 +20,11 @@ from rta.barrier import ActuatorGroup, Rows
 from rta.constraints.constraint import ACTUATORS, Constraint
 from rta.constraints.names import CONSTRAINTS
 from rta.parameters import RtaParameters
-from tests.rta.constraints import test_constraints as reference
-from tests.rta.constraints.test_constraints import entries, length, paper, tensor
-from tests.rta.test_lie_derivatives import (
-    R,
-    X,
-    drift,
-    held,
-    near,
-    push,
-    slope,
-    turn,
-)
+from tests.oracles import EXACT as R
+from tests.oracles import IN_FLIGHT as X
+from tests.oracles import body_axis as hill_axis
+from tests.oracles import drift, entries, held, length, paper, push, slope, tensor, turn
+from tests.rta.test_lie_derivatives import near
 
 C = InspectionParameters()
 UNEQUAL = InspectionParameters(inertia=(0.04, 0.06, 0.09))
@@ -67,7 +60,7 @@ def slow_turn(x: Tensor) -> Tensor:
 
 def numpy_cone(x: ndarray) -> ndarray:
     line = SECOND - x[:3]
-    return math.cos(math.radians(25)) - (reference.body_axis(x[6:10], 0) * line).sum(0) / length(line)
+    return math.cos(math.radians(25)) - (hill_axis(x[6:10], 0) * line).sum(0) / length(line)
 
 
 OWN: dict[str, tuple[Constraint, Callable[[ndarray], ndarray]]] = {

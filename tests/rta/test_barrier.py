@@ -7,14 +7,19 @@ from numpy import ndarray
 from inspection.model.parameters import InspectionParameters
 from rta.filter import SafetyFilter
 from rta.parameters import RtaParameters
-from tests.rta.constraints.test_constraints import (
+from tests.oracles import (
+    drift,
+    held,
     keep_in_curve,
     length,
+    push,
     root,
+    slope,
     speed_limit,
     tensor,
+    thrust_fall,
+    turn,
 )
-from tests.rta.test_lie_derivatives import drift, held, push, slope, thrust_fall, turn
 
 C = InspectionParameters()
 R = RtaParameters()

@@ -27,20 +27,22 @@ from rta.filter import SOLVERS, SafetyFilter, make_solver
 from rta.parameters import PERIODS, RtaParameters
 from rta.qp.programs import FEASIBLE, Status
 from rta.result import FilterResult
-from tests.rta import test_actuator_groups as own
-from tests.rta.constraints.test_constraints import (
+from tests.oracles import (
+    K1,
     PSM_TOLERANCE,
     at_the_edge,
     cosines,
     enforced,
     entries,
+    first_psi,
     keep_in_curve,
     length,
     paper,
     states,
     tensor,
+    thrust_fall,
 )
-from tests.rta.test_lie_derivatives import K1, first_psi, thrust_fall
+from tests.rta import test_actuator_groups as own
 
 C = InspectionParameters()
 R = RtaParameters()

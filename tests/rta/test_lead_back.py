@@ -39,7 +39,7 @@ from rta.parameters import RtaParameters
 from rta.qp.programs import Status
 from study.verification.adversaries import adversarial, held_at_random
 from study.verification.starts import safe_set
-from tests.rta.constraints.test_constraints import entries
+from tests.oracles import entries
 from tests.rta.test_barrier import FILTER
 
 C = InspectionParameters()

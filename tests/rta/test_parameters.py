@@ -11,7 +11,7 @@ from rta.filter import SafetyFilter
 from rta.parameters import PERIODS, QP_SOLVERS, RtaParameters
 from rta.qp.batched_solver import BatchedSolver
 from rta.qp.piqp_solver import PiqpSolver
-from tests.rta.constraints.test_constraints import paper, states, tensor
+from tests.oracles import paper, states, tensor
 
 C = InspectionParameters()
 R = RtaParameters()

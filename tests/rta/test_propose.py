@@ -13,7 +13,7 @@ from rta.bounds.uncertainty import Uncertainty
 from rta.filter import SafetyFilter
 from rta.parameters import RtaParameters
 from rta.qp.programs import Status
-from tests.rta.constraints.test_constraints import tensor
+from tests.oracles import tensor
 from tests.rta.test_filter import LIMIT, commands, near_the_limits
 
 C = InspectionParameters()

@@ -22,7 +22,7 @@ from rta.constraints.thrust import chord, thrust_constraints
 from rta.constraints.torque import torque_constraints
 from rta.parameters import RtaParameters
 from tests.inspection.model.test_dynamics import paper_rate
-from tests.rta.constraints.test_constraints import clearance, keep_in_curve, length, root, speed_limit, tensor
+from tests.oracles import clearance, keep_in_curve, length, root, speed_limit, tensor
 from tests.rta.test_filter import LIMIT, commands, near_the_limits
 
 C = InspectionParameters()

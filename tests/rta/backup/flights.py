@@ -16,8 +16,7 @@ from rta.filter import SafetyFilter
 from rta.parameters import PERIODS, RtaParameters
 from settings import load
 from study.config import Config
-from tests.rta.backup.brute_force import attitude, hypercube, motion, moved
-from tests.rta.constraints.test_constraints import length
+from tests.oracles import attitude, hypercube, length, motion, moved
 
 C = InspectionParameters()
 NAMES = ("paper", "3u", "6u", "12u", "espa")
@@ -154,7 +153,7 @@ def turning(x: Tensor, hold: float, seed: int, c: InspectionParameters = C) -> T
 
 
 def least_of(x: Tensor, c: InspectionParameters, spacing: float | None = None) -> np.ndarray:
-    """The eleven limits (11, B) at states (16, B) by the formulas of `brute_force`."""
+    """The eleven limits (11, B) at states (16, B) by the formulas of `tests.oracles`."""
     y = x.numpy()
     return np.concatenate((motion(y[:3], y[3:6], c, spacing), attitude(y, c)))
 

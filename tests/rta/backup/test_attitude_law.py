@@ -12,7 +12,7 @@ from inspection.model.state import OMEGA, THETA_S, E, Q, T
 from rta.backup.attitude_law import has_rest, slew, wanted
 from rta.backup.check import Backup
 from rta.parameters import PERIODS
-from tests.rta.backup.brute_force import moved
+from tests.oracles import body_axis, moved
 from tests.rta.backup.flights import (
     C,
     anywhere,
@@ -22,7 +22,6 @@ from tests.rta.backup.flights import (
     torque_alone,
     vehicle,
 )
-from tests.rta.constraints.test_constraints import body_axis
 
 CASES = [
     *(("paper", hold) for hold in PERIODS),

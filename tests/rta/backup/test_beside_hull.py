@@ -19,10 +19,9 @@ from rta.filter import SafetyFilter
 from rta.parameters import RtaParameters
 from rta.printed.batch import Flights
 from tests.inspection.chief.test_hull import MESHES, corners, distance, hull_of, some_positions
-from tests.rta.backup.brute_force import attitude, free_flight, hypercube, moved
-from tests.rta.backup.brute_force import motion as beside_sphere
+from tests.oracles import attitude, free_flight, hypercube, length, moved, tensor
+from tests.oracles import motion as beside_sphere
 from tests.rta.backup.flights import limits, opposite, random, unit
-from tests.rta.constraints.test_constraints import length, tensor
 
 C = InspectionParameters()
 HOLDS = pytest.mark.parametrize("hold", [1.0, 10.0])
@@ -36,7 +35,7 @@ def task(mesh: str) -> InspectionParameters:
 
 
 def motion(p: ndarray, v: ndarray, c: InspectionParameters, spacing: float | None) -> ndarray:
-    """`brute_force.motion` with planes in the place of the sphere; p, v (3, B)."""
+    """`oracles.motion` with planes in the place of the sphere; p, v (3, B)."""
     *normals, b = np.array(c.planes).T
     n, b = np.array(normals).T, b[:, None] + c.deputy_radius
     least = beside_sphere(p, v, c, None)

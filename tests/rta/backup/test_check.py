@@ -18,7 +18,7 @@ from rta.bounds.uncertainty import Uncertainty
 from rta.filter import SafetyFilter
 from rta.parameters import PERIODS, RtaParameters
 from study.verification.adversaries import adversarial
-from tests.rta.backup.brute_force import attitude, hypercube, motion, moved
+from tests.oracles import attitude, hypercube, motion, moved
 from tests.rta.backup.flights import at_the_chief, everywhere, least_of, near_the_zone, opposite, unit
 
 C = InspectionParameters()

@@ -9,8 +9,7 @@ from scipy.spatial.transform import Rotation
 from inspection.model.parameters import InspectionParameters
 from rta.backup.chords import FreeFlight, Strays, between, strays
 from rta.backup.flight import CELLS
-from tests.rta.backup.brute_force import motion
-from tests.rta.constraints.test_constraints import length, tensor
+from tests.oracles import length, motion, tensor
 
 C = InspectionParameters()
 FREE, CLOSE = FreeFlight.of(C, *CELLS), FreeFlight.of(C, 29, 1)

@@ -7,7 +7,7 @@ from torch import Tensor
 
 from rta.backup.check import ENDS, KEPT
 from rta.backup.commit import MOTION
-from tests.rta.backup.brute_force import moved
+from tests.oracles import moved
 from tests.rta.backup.flights import CASES, backup, everywhere, in_c, least_of, vehicle
 
 COUNT = 20_000  # states of each case

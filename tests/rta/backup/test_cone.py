@@ -10,9 +10,8 @@ from torch import Tensor
 from inspection.model.state import OMEGA, P, V
 from rta.backup.cone import Node, between, way
 from rta.backup.haven import Haven
-from tests.rta.backup.brute_force import hypercube, motion
+from tests.oracles import hypercube, length, motion, tensor
 from tests.rta.backup.told_world import U1, C, R, World, flown
-from tests.rta.constraints.test_constraints import length, tensor
 
 HAVEN = Haven.of(C, R, U1)
 ROUNDING = 1e-9

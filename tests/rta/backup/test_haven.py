@@ -10,9 +10,8 @@ from scipy.spatial.transform import Rotation
 from inspection.model.state import P, Q, V
 from rta.backup.haven import Haven, NoHavenError
 from rta.bounds.uncertainty import Uncertainty
-from tests.rta.backup.brute_force import motion
+from tests.oracles import length, motion
 from tests.rta.backup.told_world import U1, C, R, World, flown
-from tests.rta.constraints.test_constraints import length
 
 HAVEN = Haven.of(C, R, U1)
 EVERYWHERE = np.array((HAVEN.nearest, 18.0, 20.0, 25.0, 40.0, 80.0, 130.0, 300.0, 560.0, 790.0, 799.5))

@@ -14,7 +14,7 @@ from rta.backup.told import ToldBackup
 from rta.bounds.uncertainty import Uncertainty
 from rta.filter import SafetyFilter
 from study.verification.starts import safe_set
-from tests.rta.backup.brute_force import hypercube
+from tests.oracles import hypercube
 from tests.rta.backup.test_cone import accepts, beside
 from tests.rta.backup.told_world import U1, C, R, World, committed, flown, is_safe, of_thrust
 

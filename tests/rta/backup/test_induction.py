@@ -16,7 +16,7 @@ from inspection.model.state import THRUST, TORQUE
 from rta.filter import SafetyFilter
 from rta.qp.batched_solver import BatchedSolver
 from rta.result import FilterResult
-from tests.rta.backup.brute_force import moved
+from tests.oracles import moved
 from tests.rta.backup.flights import (
     CASES,
     everywhere,

@@ -8,7 +8,7 @@ from inspection.model.attitude import rotate
 from inspection.model.state import OMEGA, P, Q, V
 from rta.backup.motion_law import BESIDE, DRIFT, INSIDE, field, thrust_along
 from rta.parameters import PERIODS
-from tests.rta.backup.brute_force import moved
+from tests.oracles import length, moved
 from tests.rta.backup.flights import (
     C,
     anywhere,
@@ -19,7 +19,6 @@ from tests.rta.backup.flights import (
     turning,
     unit,
 )
-from tests.rta.constraints.test_constraints import length
 
 HOLDS = pytest.mark.parametrize("hold", PERIODS)
 

@@ -14,7 +14,7 @@ from rta.backup.check import Backup
 from rta.backup.motion_law import Braking, field
 from rta.backup.terminal import CALM, NoTerminalSetError, TerminalSet, amiss, cone, leftover, lyapunov
 from rta.parameters import PERIODS
-from tests.rta.backup.brute_force import moved
+from tests.oracles import moved
 from tests.rta.backup.flights import NAMES, C, anywhere, backup, in_c, least_of, random, unit, vehicle
 
 ROUNDED = 1e-9

@@ -21,7 +21,7 @@ from rta.bounds.prediction import predicted
 from rta.bounds.uncertainty import Uncertainty
 from rta.filter import SafetyFilter
 from rta.parameters import RtaParameters
-from tests.rta.backup.brute_force import attitude, hypercube, moved
+from tests.oracles import attitude, hypercube, moved
 from tests.rta.backup.told_world import committed, of_torque
 
 C, R = InspectionParameters(), RtaParameters()

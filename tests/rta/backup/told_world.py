@@ -17,7 +17,7 @@ from rta.backup.told import ToldBackup
 from rta.bounds.prediction import predicted
 from rta.bounds.uncertainty import Uncertainty
 from rta.parameters import RtaParameters
-from tests.rta.backup.brute_force import motion, moved
+from tests.oracles import motion, moved
 
 C, R = InspectionParameters(), RtaParameters()
 U1 = Uncertainty(

@@ -20,7 +20,7 @@ from rta.bounds.prediction import KINDS, predicted
 from rta.bounds.uncertainty import Uncertainty
 from rta.parameters import RtaParameters
 from tests.inspection.world.test_plant import begun, moments
-from tests.rta.constraints.test_constraints import tensor
+from tests.oracles import tensor
 from tests.rta.test_sampled_rows import flown, some_controls, some_states
 
 C = InspectionParameters()

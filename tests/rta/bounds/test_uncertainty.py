@@ -14,7 +14,7 @@ from rta.filter import SafetyFilter
 from rta.parameters import RtaParameters
 from tests.inspection.model.test_dynamics import UNEQUAL
 from tests.inspection.world.test_plant import begun, moments
-from tests.rta.constraints.test_constraints import tensor
+from tests.oracles import tensor
 
 C = InspectionParameters()
 R = RtaParameters()

@@ -13,19 +13,30 @@ import torch
 from numpy import ndarray
 
 from inspection.model.parameters import InspectionParameters
-from rta.constraints import thrust as thrust_constraints
 from rta.constraints import torque as torque_constraints
-from rta.constraints.constraint import Constraint
 from rta.constraints.thrust import chord
 from rta.constraints.torque import angle_to, arccos, side
 from rta.filter import SafetyFilter
 from rta.parameters import PERIODS, RtaParameters
+from tests.oracles import (
+    A_MAX,
+    PSM_TOLERANCE,
+    C,
+    R,
+    at_the_edge,
+    clearance,
+    enforced,
+    entries,
+    keep_in_curve,
+    length,
+    orientation,
+    paper,
+    passive_safety,
+    root,
+    states,
+    tensor,
+)
 
-C = InspectionParameters()
-R = RtaParameters()
-MEAN_MOTION = 0.001027  # rad/s
-# thrust less the tide at 800 m less Coriolis at 5 m/s, below the dynamic speed limit there (spec, decision 6)
-A_MAX = 1 / 12 - 3 * MEAN_MOTION**2 * 800 - 2 * MEAN_MOTION * 5
 TABLE_3 = (
     "collision",
     "dynamic_speed",
@@ -41,129 +52,6 @@ TABLE_3 = (
     "angular_velocity_y",
     "angular_velocity_z",
 )
-PSM_TOLERANCE = 1e-4  # m; measured: at most 1e-5
-
-
-def hamilton(a: ndarray, b: ndarray) -> ndarray:
-    """The Hamilton product of quaternions (4, B), scalar last."""
-    vector = a[3] * b[:3] + b[3] * a[:3] + np.cross(a[:3], b[:3], axis=0)
-    return np.concatenate((vector, (a[3] * b[3] - (a[:3] * b[:3]).sum(0))[None]))
-
-
-def body_axis(q: ndarray, axis: int) -> ndarray:
-    """Hill-frame components (3, B) of a principal axis, H(H(q, n), q*)."""
-    n = np.zeros_like(q)
-    n[axis] = 1.0
-    return hamilton(hamilton(q, n), np.concatenate((-q[:3], q[3:])))[:3]
-
-
-def length(a: ndarray) -> ndarray:
-    return np.sqrt((a * a).sum(0))
-
-
-def positive(a: ndarray) -> ndarray:
-    return np.where(a.real > 0, a, 0.0)
-
-
-def root(z: ndarray, floor: float = 0.0) -> ndarray:
-    """sqrt(2 a_max z), continued oddly to negative distances; nearer to 0 than a floor its chord."""
-    straight = z / math.sqrt(floor or 1.0)
-    return math.sqrt(2 * A_MAX) * np.where(np.abs(z) < floor, straight, np.sign(z) * np.sqrt(np.abs(z)))
-
-
-def cosines(x: ndarray, panel: float = -1.0) -> tuple[ndarray, ndarray, ndarray, ndarray]:
-    """Of boresight and Sun, panel and Sun, the -n_y side and Sun, the -n_y side and Earth."""
-    n_x, n_y = body_axis(x[6:10], 0), body_axis(x[6:10], 1)
-    boresight = n_x[0] * np.cos(x[15]) + n_x[1] * np.sin(x[15])
-    side = -n_y[0] * np.cos(x[15]) - n_y[1] * np.sin(x[15])
-    return boresight, panel * boresight, side, n_y[0]
-
-
-def orientation(x: ndarray, panel: float = -1.0) -> ndarray:
-    """Attitude exclusion in rad, temperature in deg C and battery in kJ, (3, B)."""
-    boresight, on_panel, side_sun, side_earth = cosines(x, panel)
-    exclusion = np.arccos(boresight) - np.pi / 6 - np.pi / 18
-    sun, earth = (positive(np.pi / 2 - np.arccos(cosine)) for cosine in (side_sun, side_earth))
-    return np.stack(
-        (exclusion, 10 - x[13] - 0.05 * sun - 0.01 * earth, x[14] - 1 - 0.05 * np.arccos(on_panel))
-    )
-
-
-def coast(x: ndarray, t: ndarray) -> ndarray:
-    """The paper's free-flight trajectory, (3, ...)."""
-    n, s, c = MEAN_MOTION, np.sin(MEAN_MOTION * t), np.cos(MEAN_MOTION * t)
-    return np.stack(
-        (
-            (4 - 3 * c) * x[0] + s / n * x[3] + 2 / n * (1 - c) * x[4],
-            6 * (s - n * t) * x[0] + x[1] - 2 / n * (1 - c) * x[3] + (4 * s - 3 * n * t) / n * x[4],
-            x[2] * c + x[5] / n * s,
-        )
-    )
-
-
-def speed_limit(x: ndarray) -> ndarray:
-    return 0.2 + 7.5 * MEAN_MOTION * length(x[:3])
-
-
-def keep_in_curve(x: ndarray, floor: float = 0.0) -> ndarray:
-    """sqrt(2 (a_max - v_t^2 / |p|) (800 - |p|)) - v_pr, at least a tenth of a_max left to brake, all of it outside.
-
-    Nearer to 800 m than a floor the root is its chord, outside its tangent.
-    """
-    distance = length(x[:3])
-    radial = (x[:3] * x[3:6]).sum(0) / distance
-    across = np.cross(x[:3], x[3:6], axis=0) / distance
-    braking = np.maximum(A_MAX - (across**2).sum(0) / distance, A_MAX / 10)
-    inside = np.sqrt(braking / A_MAX) * root(800 - distance, floor)
-    tangent = (distance - 800 + floor) / (2 * math.sqrt(floor or 1.0))
-    beyond = math.sqrt(2 * A_MAX) * np.where(distance - 800 < floor, tangent, np.sqrt(np.abs(800 - distance)))
-    return np.where(distance > 800, -beyond, inside) - radial
-
-
-def passive_safety(x: ndarray, start: float = 0.0, end: float = 500.0) -> ndarray:
-    """inf |p(t)| - 15 m over [start, end] s, (B,): dense samples, then ever denser ones about the best."""
-    low, high = np.full(x.shape[1], start), np.full(x.shape[1], end)
-    for count in (501, 41, 41, 41, 41, 41):
-        t = np.linspace(low, high, count)
-        distance = length(coast(x, t))
-        best = distance.argmin(0)
-        low, high = (
-            t[best + i, range(x.shape[1])]
-            for i in (np.where(best > 0, -1, 0), np.where(best < count - 1, 1, 0))
-        )
-    return distance.min(0) - 15
-
-
-def paper(x: ndarray) -> ndarray:
-    """All 13 in the order of Table 3, (13, B)."""
-    distance, speed = length(x[:3]), length(x[3:6])
-    radial = (x[:3] * x[3:6]).sum(0) / distance
-    return np.stack(
-        (
-            root(distance - 15) + radial,
-            speed_limit(x) - speed,
-            root(800 - distance) - radial,
-            passive_safety(x),
-            *(25 - x[3:6] ** 2),
-            *orientation(x),
-            *(np.radians(2) ** 2 - x[10:13] ** 2),
-        )
-    )
-
-
-def states(count: int, seed: int = 0) -> ndarray:
-    """(16, count) with every constraint on both sides of its limit."""
-    rng = np.random.default_rng(seed)
-    p, v = rng.standard_normal((2, 3, count))
-    p *= rng.choice((5.0, 20.0, 100.0, 750.0), count) * rng.uniform(1, 1.2, count) / length(p)
-    v *= rng.choice((0.0, 0.05, 0.5, 6.0), count) / length(v)
-    q = rng.standard_normal((4, count))
-    rest = rng.uniform(-0.05, 0.05, (3, count)), rng.uniform(9, 11, count), rng.uniform(0, 2, count)
-    return np.vstack((p, v, q / length(q), *rest, rng.uniform(0, 2 * np.pi, count)))
-
-
-def tensor(x: ndarray) -> torch.Tensor:
-    return torch.from_numpy(np.ascontiguousarray(x))
 
 
 def approaching(speed: float, miss: float) -> ndarray:
@@ -174,30 +62,6 @@ def approaching(speed: float, miss: float) -> ndarray:
     x[:3] = away * rng.uniform(30, 700, 300)
     path = -x[:3] + side / length(side) * rng.uniform(0, miss, 300)
     x[3:6] = speed * path / length(path)
-    return x
-
-
-def clearance(x: ndarray, segments: tuple[float, ...] = R.passive_safety_segments) -> ndarray:
-    """The constraint's own closest clearance in m per segment."""
-    times = thrust_constraints.closest_passes(tensor(x), segments, C)
-    return thrust_constraints.clearance_at(tensor(x), times, C).numpy()
-
-
-def entries(c: InspectionParameters = C, r: RtaParameters = R) -> dict[str, Constraint]:
-    """The 13 by name."""
-    thrust, torque = thrust_constraints.thrust_constraints(c, r), torque_constraints.torque_constraints(c, r)
-    return {each.name: each for each in (*thrust, *torque)}
-
-
-def enforced(each: Constraint, x: ndarray) -> ndarray:
-    """The barrier, (rows, B)."""
-    return each.barrier_at(tensor(x))(tensor(x)).numpy()
-
-
-def at_the_edge(count: int, distance: float, within: float) -> ndarray:
-    """(16, count) states no further from a distance from the chief than `within`."""
-    x = states(count, seed=8)
-    x[:3] *= (distance + np.linspace(-within, within, count)) / length(x[:3])
     return x
 
 

@@ -30,12 +30,11 @@ from rta.result import FilterResult
 from settings import load
 from study.config import Config
 from study.verification.adversaries import adversarial
+from tests.oracles import projection, tensor
 from tests.rta import test_actuator_groups as own
 from tests.rta.backup.flights import at_the_chief, near_the_zone
 from tests.rta.bounds.test_health import flying_out, without_one_axis
-from tests.rta.constraints.test_constraints import tensor
 from tests.rta.qp.test_batched_solver import ADDED, FIELDS, arrays, synthetic
-from tests.rta.qp.test_programs import projection
 from tests.rta.test_filter import LIMIT, THRUST, TORQUE, C, R, commands, near_the_limits
 
 COMPILERS = [name for name in ("gcc", "clang") if shutil.which(name)]

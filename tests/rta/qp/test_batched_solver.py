@@ -21,9 +21,8 @@ from rta.qp import batched_solver
 from rta.qp.batched_solver import ACCURATE, BatchedSolver, attempt
 from rta.qp.piqp_solver import PiqpSolver
 from rta.qp.programs import Problems, Solutions, Status
-from tests.rta.constraints.test_constraints import tensor
-from tests.rta.qp.test_programs import Problems as Arrays
-from tests.rta.qp.test_programs import feasible, given_slack, projection, with_slack
+from tests.oracles import Problems as Arrays
+from tests.oracles import feasible, given_slack, projection, tensor, with_slack
 from tests.rta.test_filter import C, R, commands, near_the_limits
 
 FIELDS = ("desired", "a", "b", "b_bare")

@@ -1,39 +1,18 @@
 """Both solvers against exact enumeration, optimality certificates and hand-made conflicts of rows."""
 
 import dataclasses
-import itertools
-from dataclasses import dataclass
 
 import numpy as np
 import pytest
 import torch
 from numpy import ndarray
-from scipy.optimize import linprog, nnls
-from scipy.sparse import block_diag
+from scipy.optimize import nnls
 
 from rta.filter import SOLVERS, make_solver
 from rta.qp import programs as qp
 from rta.qp.piqp_solver import lhs
 from rta.qp.programs import FEASIBLE, Solver, Status, least_violating
-
-INF = np.inf
-
-
-@dataclass(frozen=True)
-class Problems:
-    """`qp.Problems` as arrays with the batch first: (N, 3), (N, R, 3), (N, R), (N, R), (R,)."""
-
-    desired: ndarray
-    a: ndarray
-    b: ndarray
-    b_bare: ndarray
-    weight: ndarray
-
-    def tensors(self) -> qp.Problems:
-        parts = (self.desired, self.a, self.b, self.b_bare)
-        return qp.Problems(
-            *(torch.tensor(x).movedim(0, -1).contiguous() for x in parts), torch.tensor(self.weight)
-        )
+from tests.oracles import INF, Problems, given_slack, projection, with_slack
 
 
 @pytest.fixture(params=SOLVERS)
@@ -82,75 +61,6 @@ def infeasible_problems(count: int, rows: int, seed: int, weight: ndarray) -> Pr
     a[:, -1] = -a[:, -2]
     b[:, -1] = -b[:, -2] - rng.uniform(0.1, 1.0, count)
     return Problems(rng.uniform(-1, 1, (count, 3)), a, b, b.copy(), weight)
-
-
-def projection(problems: Problems) -> ndarray:
-    """The nearest feasible points (N, 3), by trying every set of up to three active rows and bounds."""
-    count = len(problems.desired)
-    box = np.concatenate((np.eye(3), -np.eye(3)))[None].repeat(count, 0)
-    a = np.concatenate((problems.a, box), 1)
-    b = np.concatenate((problems.b, np.ones((count, 6))), 1)
-    best, nearest = np.full(count, np.inf), np.full((count, 3), np.nan)
-    for size in range(4):
-        for active in itertools.combinations(range(a.shape[1]), size):
-            normals, short = a[:, active], lhs(problems.desired, a[:, active], b[:, active])
-            gram = normals @ normals.transpose(0, 2, 1)
-            independent = np.abs(np.linalg.det(gram)) > 1e-12
-            gram[~independent] = np.eye(size)
-            shift = np.linalg.solve(gram, short[..., None])
-            u = problems.desired - (normals.transpose(0, 2, 1) @ shift)[..., 0]
-            distance = ((u - problems.desired) ** 2).sum(1)
-            better = independent & (distance < best) & (lhs(u, a, b) >= -1e-10).all(1)
-            best[better], nearest[better] = distance[better], u[better]
-    return nearest
-
-
-def least_distance(desired: ndarray, a: ndarray, b: ndarray, weight: ndarray) -> ndarray:
-    """The control (3,) of one program with slack, by Lawson and Hanson's reduction to non-negative least squares.
-
-    With z = (u - desired, sqrt(weight) delta) the program is: the shortest z with G z >= h.
-    """
-    soft = np.isfinite(weight)
-    relief = np.eye(len(weight))[:, soft] / np.sqrt(weight[soft])
-    box = np.concatenate((np.eye(3), -np.eye(3)))
-    g = np.block([[a, relief], [box, np.zeros((6, soft.sum()))]])
-    h = -np.concatenate((lhs(desired, a, b), 1 + box @ desired))
-    e = np.concatenate((g.T, h[None]))
-    f = np.append(np.zeros(g.shape[1]), 1.0)
-    r = e @ nnls(e, f)[0] - f
-    return desired - r[:3] / r[-1]
-
-
-def feasible(a: ndarray, b: ndarray) -> ndarray:
-    """(N,) bool: some control in the box satisfies a u + b >= 0, (N, R, 3) and (N, R), by linear programming.
-
-    One program for all: the sum of the largest t <= 1 with a u + b >= t.
-    """
-    count = len(b)
-    rows = block_diag(np.concatenate((-a, np.ones((*b.shape, 1))), 2), format="csr")
-    tallest = linprog(
-        np.tile([0, 0, 0, -1], count), rows, b.ravel(), bounds=([(-1, 1)] * 3 + [(None, 1)]) * count
-    )
-    return tallest.x[3::4] >= 0.0
-
-
-def given_slack(problems: Problems) -> ndarray:
-    """Slack weights (N, R), infinite where a row is held: as few of the lowest weights as leave a program feasible."""
-    given = np.full(problems.b.shape, np.nan)
-    for highest in (0.0, *np.unique(problems.weight[np.isfinite(problems.weight)])):
-        left = np.flatnonzero(np.isnan(given[:, 0]))
-        held = problems.weight > highest
-        if left.size and held.any():
-            left = left[feasible(problems.a[left][:, held], problems.b_bare[left][:, held])]
-        given[left] = np.where(held, INF, problems.weight)
-    return given
-
-
-def with_slack(problems: Problems, given: ndarray | None = None) -> ndarray:
-    """The reference's controls (N, 3), with `given_slack` unless that is known."""
-    given = given_slack(problems) if given is None else given
-    programs = zip(problems.desired, problems.a, problems.b_bare, given, strict=True)
-    return np.array([least_distance(*program) for program in programs])
 
 
 WEIGHT = np.array([1e5, 1e5, 1e4, 1e4, 1e3, 1e3, 1e3, 1e3])

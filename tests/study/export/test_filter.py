@@ -14,7 +14,7 @@ from settings import load
 from study import verified
 from study.config import Config
 from study.export.filter import said_of
-from tests.rta.constraints.test_constraints import tensor
+from tests.oracles import tensor
 from tests.rta.test_filter import C, R, commands, near_the_limits
 from tests.test_main import assert_refused, call
 

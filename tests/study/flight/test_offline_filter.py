@@ -19,10 +19,8 @@ from rta.filter import SafetyFilter
 from rta.parameters import RtaParameters
 from rta.qp.programs import Status
 from study.flight.offline_filter import CHUNK, filter_states
-from tests.rta.constraints.test_constraints import paper
-from tests.rta.qp.test_programs import Problems, given_slack
+from tests.oracles import Problems, given_slack, held, paper, thrust_fall
 from tests.rta.test_filter import PRIORITY, commands, near_the_limits
-from tests.rta.test_lie_derivatives import held, thrust_fall
 from tests.test_main import assert_refused, call
 
 C = InspectionParameters()

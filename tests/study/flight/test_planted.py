@@ -24,7 +24,7 @@ from study.flight.fly import Starts
 from study.flight.simulation import simulate
 from study.verification import campaign
 from study.verification.starts import safe_set
-from tests.rta.constraints.test_constraints import PSM_TOLERANCE, paper, tensor
+from tests.oracles import PSM_TOLERANCE, paper, tensor
 from tests.rta.test_barrier import FILTER
 from tests.test_main import STATE, assert_refused, call
 

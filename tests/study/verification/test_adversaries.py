@@ -14,9 +14,8 @@ from rta.filter import SafetyFilter
 from rta.parameters import RtaParameters
 from study.scales import scales
 from study.verification.adversaries import LONGEST_ACTION, Greedy, adversarial, attacked, held_at_random
-from tests.rta.constraints.test_constraints import tensor
+from tests.oracles import held, push, slope, tensor
 from tests.rta.test_barrier import LIMIT, ROWS, flights
-from tests.rta.test_lie_derivatives import held, push, slope
 
 C = InspectionParameters()
 R = RtaParameters()

@@ -17,8 +17,8 @@ from rta.parameters import RtaParameters
 from study.flight.fly import ROUNDING, Limits
 from study.verification.adversaries import held_at_random
 from study.verification.starts import safe_set
+from tests.oracles import PSM_TOLERANCE, paper, tensor
 from tests.rta import test_barrier as test_rows
-from tests.rta.constraints.test_constraints import PSM_TOLERANCE, paper, tensor
 from tests.rta.test_barrier import FILTER, LIMIT
 from tests.study.verification.flown import flown
 

@@ -13,17 +13,18 @@ from inspection.model.parameters import InspectionParameters
 from rta.filter import SafetyFilter
 from rta.parameters import RtaParameters
 from study.verification.starts import initial_states, safe_set
-from tests.rta.constraints.test_constraints import (
+from tests.oracles import (
     PSM_TOLERANCE,
     cosines,
+    drift,
     keep_in_curve,
     length,
     paper,
     positive,
+    slope,
     speed_limit,
 )
 from tests.rta.test_barrier import FILTER, zone
-from tests.rta.test_lie_derivatives import drift, slope
 
 C = InspectionParameters()
 R = RtaParameters()

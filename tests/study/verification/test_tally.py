@@ -11,7 +11,7 @@ from rta.constraints.names import CONSTRAINTS
 from rta.qp.programs import Status
 from study.flight.fly import ROUNDING
 from study.verification import tally
-from tests.rta.constraints.test_constraints import PSM_TOLERANCE, paper, tensor
+from tests.oracles import PSM_TOLERANCE, paper, tensor
 from tests.study.verification.test_flight import DECIDE, SECONDS, lax, recounted, six_episodes
 
 ORIGIN = {"batch_seed": 17, "batch_size": 20}

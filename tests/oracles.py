@@ -1,0 +1,572 @@
+"""What the tests of the filter are compared with: the paper by hand, differences of it, flights, programs solved.
+
+`paper` and what it calls are written from the paper's equations with the paper's numbers, and most of it also takes
+complex states, for derivatives by complex steps.
+"""
+
+import functools
+import itertools
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy import ndarray
+from scipy.optimize import linprog, nnls
+from scipy.sparse import block_diag
+from scipy.stats import qmc
+from torch import Tensor
+
+from inspection.model.dynamics import Body, step
+from inspection.model.parameters import InspectionParameters
+from inspection.model.state import CONTROL_SIZE, SIZE
+from kernels.compiled import Compiled
+from rta.constraints import thrust as thrust_constraints
+from rta.constraints import torque as torque_constraints
+from rta.constraints.constraint import Constraint
+from rta.constraints.names import CONSTRAINTS
+from rta.parameters import RtaParameters
+from rta.qp import programs as qp
+from rta.qp.piqp_solver import lhs
+from study.verification.starts import states_of
+
+# The paper's constraints
+
+C = InspectionParameters()
+R = RtaParameters()
+MEAN_MOTION = 0.001027  # rad/s
+# thrust less the tide at 800 m less Coriolis at 5 m/s, below the dynamic speed limit there (spec, decision 6)
+A_MAX = 1 / 12 - 3 * MEAN_MOTION**2 * 800 - 2 * MEAN_MOTION * 5
+PSM_TOLERANCE = 1e-4  # m; measured: at most 1e-5
+
+
+def hamilton(a: ndarray, b: ndarray) -> ndarray:
+    """The Hamilton product of quaternions (4, B), scalar last."""
+    vector = a[3] * b[:3] + b[3] * a[:3] + np.cross(a[:3], b[:3], axis=0)
+    return np.concatenate((vector, (a[3] * b[3] - (a[:3] * b[:3]).sum(0))[None]))
+
+
+def body_axis(q: ndarray, axis: int) -> ndarray:
+    """Hill-frame components (3, B) of a principal axis, H(H(q, n), q*)."""
+    n = np.zeros_like(q)
+    n[axis] = 1.0
+    return hamilton(hamilton(q, n), np.concatenate((-q[:3], q[3:])))[:3]
+
+
+def length(a: ndarray) -> ndarray:
+    return np.sqrt((a * a).sum(0))
+
+
+def positive(a: ndarray) -> ndarray:
+    return np.where(a.real > 0, a, 0.0)
+
+
+def root(z: ndarray, floor: float = 0.0) -> ndarray:
+    """sqrt(2 a_max z), continued oddly to negative distances; nearer to 0 than a floor its chord."""
+    straight = z / math.sqrt(floor or 1.0)
+    return math.sqrt(2 * A_MAX) * np.where(np.abs(z) < floor, straight, np.sign(z) * np.sqrt(np.abs(z)))
+
+
+def cosines(x: ndarray, panel: float = -1.0) -> tuple[ndarray, ndarray, ndarray, ndarray]:
+    """Of boresight and Sun, panel and Sun, the -n_y side and Sun, the -n_y side and Earth."""
+    n_x, n_y = body_axis(x[6:10], 0), body_axis(x[6:10], 1)
+    boresight = n_x[0] * np.cos(x[15]) + n_x[1] * np.sin(x[15])
+    side = -n_y[0] * np.cos(x[15]) - n_y[1] * np.sin(x[15])
+    return boresight, panel * boresight, side, n_y[0]
+
+
+def orientation(x: ndarray, panel: float = -1.0) -> ndarray:
+    """Attitude exclusion in rad, temperature in deg C and battery in kJ, (3, B)."""
+    boresight, on_panel, side_sun, side_earth = cosines(x, panel)
+    exclusion = np.arccos(boresight) - np.pi / 6 - np.pi / 18
+    sun, earth = (positive(np.pi / 2 - np.arccos(cosine)) for cosine in (side_sun, side_earth))
+    return np.stack(
+        (exclusion, 10 - x[13] - 0.05 * sun - 0.01 * earth, x[14] - 1 - 0.05 * np.arccos(on_panel))
+    )
+
+
+def coast(x: ndarray, t: ndarray) -> ndarray:
+    """The paper's free-flight trajectory, (3, ...)."""
+    n, s, c = MEAN_MOTION, np.sin(MEAN_MOTION * t), np.cos(MEAN_MOTION * t)
+    return np.stack(
+        (
+            (4 - 3 * c) * x[0] + s / n * x[3] + 2 / n * (1 - c) * x[4],
+            6 * (s - n * t) * x[0] + x[1] - 2 / n * (1 - c) * x[3] + (4 * s - 3 * n * t) / n * x[4],
+            x[2] * c + x[5] / n * s,
+        )
+    )
+
+
+def speed_limit(x: ndarray) -> ndarray:
+    return 0.2 + 7.5 * MEAN_MOTION * length(x[:3])
+
+
+def keep_in_curve(x: ndarray, floor: float = 0.0) -> ndarray:
+    """sqrt(2 (a_max - v_t^2 / |p|) (800 - |p|)) - v_pr, at least a tenth of a_max left to brake, all of it outside.
+
+    Nearer to 800 m than a floor the root is its chord, outside its tangent.
+    """
+    distance = length(x[:3])
+    radial = (x[:3] * x[3:6]).sum(0) / distance
+    across = np.cross(x[:3], x[3:6], axis=0) / distance
+    braking = np.maximum(A_MAX - (across**2).sum(0) / distance, A_MAX / 10)
+    inside = np.sqrt(braking / A_MAX) * root(800 - distance, floor)
+    tangent = (distance - 800 + floor) / (2 * math.sqrt(floor or 1.0))
+    beyond = math.sqrt(2 * A_MAX) * np.where(distance - 800 < floor, tangent, np.sqrt(np.abs(800 - distance)))
+    return np.where(distance > 800, -beyond, inside) - radial
+
+
+def passive_safety(x: ndarray, start: float = 0.0, end: float = 500.0) -> ndarray:
+    """inf |p(t)| - 15 m over [start, end] s, (B,): dense samples, then ever denser ones about the best."""
+    low, high = np.full(x.shape[1], start), np.full(x.shape[1], end)
+    for count in (501, 41, 41, 41, 41, 41):
+        t = np.linspace(low, high, count)
+        distance = length(coast(x, t))
+        best = distance.argmin(0)
+        low, high = (
+            t[best + i, range(x.shape[1])]
+            for i in (np.where(best > 0, -1, 0), np.where(best < count - 1, 1, 0))
+        )
+    return distance.min(0) - 15
+
+
+def paper(x: ndarray) -> ndarray:
+    """All 13 in the order of Table 3, (13, B)."""
+    distance, speed = length(x[:3]), length(x[3:6])
+    radial = (x[:3] * x[3:6]).sum(0) / distance
+    return np.stack(
+        (
+            root(distance - 15) + radial,
+            speed_limit(x) - speed,
+            root(800 - distance) - radial,
+            passive_safety(x),
+            *(25 - x[3:6] ** 2),
+            *orientation(x),
+            *(np.radians(2) ** 2 - x[10:13] ** 2),
+        )
+    )
+
+
+def states(count: int, seed: int = 0) -> ndarray:
+    """(16, count) with every constraint on both sides of its limit."""
+    rng = np.random.default_rng(seed)
+    p, v = rng.standard_normal((2, 3, count))
+    p *= rng.choice((5.0, 20.0, 100.0, 750.0), count) * rng.uniform(1, 1.2, count) / length(p)
+    v *= rng.choice((0.0, 0.05, 0.5, 6.0), count) / length(v)
+    q = rng.standard_normal((4, count))
+    rest = rng.uniform(-0.05, 0.05, (3, count)), rng.uniform(9, 11, count), rng.uniform(0, 2, count)
+    return np.vstack((p, v, q / length(q), *rest, rng.uniform(0, 2 * np.pi, count)))
+
+
+def tensor(x: ndarray) -> torch.Tensor:
+    return torch.from_numpy(np.ascontiguousarray(x))
+
+
+def clearance(x: ndarray, segments: tuple[float, ...] = R.passive_safety_segments) -> ndarray:
+    """The constraint's own closest clearance in m per segment."""
+    times = thrust_constraints.closest_passes(tensor(x), segments, C)
+    return thrust_constraints.clearance_at(tensor(x), times, C).numpy()
+
+
+def entries(c: InspectionParameters = C, r: RtaParameters = R) -> dict[str, Constraint]:
+    """The 13 by name."""
+    thrust, torque = thrust_constraints.thrust_constraints(c, r), torque_constraints.torque_constraints(c, r)
+    return {each.name: each for each in (*thrust, *torque)}
+
+
+def enforced(each: Constraint, x: ndarray) -> ndarray:
+    """The barrier, (rows, B)."""
+    return each.barrier_at(tensor(x))(tensor(x)).numpy()
+
+
+def at_the_edge(count: int, distance: float, within: float) -> ndarray:
+    """(16, count) states no further from a distance from the chief than `within`."""
+    x = states(count, seed=8)
+    x[:3] *= (distance + np.linspace(-within, within, count)) / length(x[:3])
+    return x
+
+
+# Rows by central differences along an independent f and g
+
+EXACT = RtaParameters(incidence_rounding=0.0)  # the rows of the paper's own form
+SEGMENTS = tuple(itertools.pairwise(EXACT.passive_safety_segments))
+K1 = np.array([*EXACT.exclusion_gains[:1], *EXACT.temperature_gains[:1], *EXACT.battery_gains[:1]])
+# m/s^2: all thrusters at once, the same with the worst natural acceleration, and how far from the attitude of
+# mid-period a turn at 2 deg/s about each axis, quickened by 1 deg/s^2 about each, takes the thrust in the mean over
+# 1 s: |omega|^2 t^2 / 24 and |alpha| t^2 / 6
+THRUST_MOST = math.sqrt(3) / 12
+MOST = THRUST_MOST + 3 * MEAN_MOTION**2 * 800 + 2 * MEAN_MOTION * 5
+ASTRAY = THRUST_MOST * (3 * math.radians(2) ** 2 / 24 + math.sqrt(3) * 0.017453 / 6)
+# (gain in 1/s, margin, what h can fall in 1 s below its linear prediction) of each row at a period of 1 s; passive
+# safety has one row per segment. At the limit v^2 falls by |a|^2 t^2 + 2 v t times what the thrust goes astray.
+THRUST_ROWS = np.array(
+    [
+        (EXACT.collision_gain, EXACT.collision_margin, ASTRAY),
+        (EXACT.speed_gain, 0.0, ASTRAY),  # and what `speed_fall` adds
+        (
+            EXACT.keep_in_gain,
+            EXACT.keep_in_margin,
+            ASTRAY + (0.2 + 7.5 * MEAN_MOTION * 800) * THRUST_MOST / 800,
+        ),
+        *[(EXACT.passive_safety_gain, EXACT.passive_safety_margin, 0.0)] * 5,
+        *[(EXACT.velocity_gain, 0.0, MOST**2 + 10 * ASTRAY)] * 3,
+    ]
+).T[..., None]
+TORQUE_ROWS = np.array(
+    [
+        (EXACT.exclusion_gains[1], K1[0] * EXACT.exclusion_margin),
+        (EXACT.temperature_gains[1], K1[1] * EXACT.temperature_margin),
+        (EXACT.battery_gains[1], K1[2] * EXACT.battery_margin),
+        *[(EXACT.rate_gain, EXACT.rate_margin)] * 3,
+    ]
+).T[..., None]
+PSM = slice(3, 8)
+ROWS_OF_THRUST = (*CONSTRAINTS[:3], *["passive_safety"] * 5, *CONSTRAINTS[4:7])
+ROWS_OF_TORQUE = CONSTRAINTS[7:]
+
+
+def panel(c: InspectionParameters) -> float:
+    return -1.0 if c.solar_panel_axis == "-x" else 1.0
+
+
+def drift(x: ndarray, c: InspectionParameters) -> ndarray:
+    """The paper's f(x), (16, B)."""
+    n, (q1, q2, q3, q4), (w1, w2, w3), (j1, j2, j3) = MEAN_MOTION, x[6:10], x[10:13], c.inertia
+    _, on_panel, sun, earth = cosines(x, panel(c))
+    view = 0.8 * positive(earth)
+    solar, albedo = 0.13 * 0.03 * 1367 * positive(sun), 0.13 * 0.03 * 1367 * 0.27 * view
+    infrared, rejected = 5.67051e-8 * 0.06 * 0.03 * np.stack((view * 255.0**4, (x[13] + 273.15) ** 4))
+    rates = (
+        *x[3:6],
+        3 * n**2 * x[0] + 2 * n * x[4],
+        -2 * n * x[3],
+        -(n**2) * x[2],
+        (q4 * w1 - q3 * w2 + q2 * w3) / 2,
+        (q3 * w1 + q4 * w2 - q1 * w3) / 2,
+        (-q2 * w1 + q1 * w2 + q4 * w3) / 2,
+        (-q1 * w1 - q2 * w2 - q3 * w3) / 2,
+        (j2 - j3) * w2 * w3 / j1,
+        (j3 - j1) * w1 * w3 / j2,
+        (j1 - j2) * w1 * w2 / j3,
+        (solar + albedo + infrared - rejected) / (2 * 900),
+        (983.3 * 0.77 * 0.03 * positive(on_panel) - 15) / 1000,
+        np.full(x.shape[1], -n),
+    )
+    return np.stack(rates)
+
+
+def push(x: ndarray, axis: int) -> ndarray:
+    """g's column of the thrust along a body axis, (16, B)."""
+    out = np.zeros_like(x)
+    out[3:6] = body_axis(x[6:10], axis) / 12
+    return out
+
+
+def held(x: ndarray) -> ndarray:
+    """The states with the attitude half a second later, along which a thrust held for 1 s acts in the mean."""
+    (q1, q2, q3, q4), (w1, w2, w3) = x[6:10], 0.25 * x[10:13]
+    ahead = x.copy()
+    ahead[6:10] += (
+        q4 * w1 - q3 * w2 + q2 * w3,
+        q3 * w1 + q4 * w2 - q1 * w3,
+        -q2 * w1 + q1 * w2 + q4 * w3,
+        -q1 * w1 - q2 * w2 - q3 * w3,
+    )
+    ahead[6:10] /= length(ahead[6:10])
+    return ahead
+
+
+def turn(x: ndarray, axis: int, c: InspectionParameters) -> ndarray:
+    """g's column of the torque about a body axis, (16, B)."""
+    out = np.zeros_like(x)
+    out[10 + axis] = 1 / c.inertia[axis]
+    return out
+
+
+def slope(h: Callable[[ndarray], ndarray], x: ndarray, direction: ndarray, step: float) -> ndarray:
+    """Central difference of h along a direction."""
+    return (h(x + step * direction) - h(x - step * direction)) / (2 * step)
+
+
+def thrust_values(x: ndarray) -> ndarray:
+    """The paper's h of each row, (11, B), one passive safety row per segment."""
+    h = paper(x)
+    return np.stack((*h[:3], *(passive_safety(x, *span) for span in SEGMENTS), *h[4:7]))
+
+
+def thrust_barriers(x: ndarray) -> ndarray:
+    """(11, B), the keep-in zone by the thrust left."""
+    h = thrust_values(x)
+    h[2] = keep_in_curve(x)
+    return h
+
+
+def thrust_gain(psi: ndarray) -> ndarray:
+    """alpha's factor, (11, B): that of passive safety doubles at 30 m, and none exceeds half a call per second."""
+    rising = np.zeros_like(psi)
+    rising[PSM] = (psi[PSM] / EXACT.passive_safety_doubling) ** 2
+    return np.minimum(THRUST_ROWS[0] * (1 + rising), 0.5)
+
+
+def thrust_fall(x: ndarray) -> ndarray:
+    """(11, B). |v| curves by |a|^2 / (2 |v|); no more of it all counts than half of alpha at rest."""
+    fall = np.broadcast_to(THRUST_ROWS[2], (11, x.shape[1])).copy()
+    fall[1] = np.minimum(fall[1] + MOST**2 / (2 * speed_limit(x)), 0.5 * EXACT.speed_gain * speed_limit(x))
+    return fall
+
+
+def first_psi(x: ndarray, c: InspectionParameters) -> ndarray:
+    """L_f h + alpha(h) without margins, (3, B), of exclusion, temperature and battery at a period of 1 s.
+
+    k1 h, and beyond a limit k2 h, at most half of the rate of a turn, of cooling in the dark, of full charge.
+    """
+    along = orientation(x + 1e-30j * drift(x, c), panel(c)).imag / 1e-30
+    h = orientation(x, panel(c))
+    cooling, charge = 5.67051e-8 * 0.06 * 0.03 * 283.15**4 / 1800, (983.3 * 0.77 * 0.03 - 15) / 1000
+    half = np.array([[math.radians(2)], [cooling], [charge]]) / 2
+    return along + np.where(h < 0, np.maximum(TORQUE_ROWS[0][:3] * h, -half), K1[:, None] * h)
+
+
+def torque_values(x: ndarray, c: InspectionParameters) -> ndarray:
+    """The paper's h, (6, B)."""
+    return np.concatenate((orientation(x, panel(c)), np.radians(2) ** 2 - x[10:13] ** 2))
+
+
+def torque_barriers(x: ndarray, c: InspectionParameters) -> ndarray:
+    """(6, B)."""
+    return np.concatenate((first_psi(x, c), torque_values(x, c)[3:]))
+
+
+def torque_fall(x: ndarray, c: InspectionParameters) -> ndarray:
+    """(6, B): omega^2 bends by alpha^2 t^2 beyond its limit, within it the plant saturates."""
+    fall = np.zeros((6, x.shape[1]))
+    bent = min((c.max_torque / min(c.inertia)) ** 2, 0.5 * EXACT.rate_gain * math.radians(2) ** 2)
+    fall[3:] = np.where(torque_values(x, c)[3:] < 0, bent, 0.0)
+    return fall
+
+
+def attainable(b: ndarray, a: ndarray, h: ndarray, names: tuple[str, ...], limit: float) -> ndarray:
+    """b (EXACT, B), where a row's h (EXACT, B) is negative no lower than what actuators give along a (EXACT, 3, B).
+
+    That is `limit` |a|, at most what the rows of the body rates leave about each axis; for the chief all of that.
+    """
+    room = np.full_like(a, limit)
+    for i, name in enumerate(names):
+        if name.startswith("angular_velocity"):
+            axis = "xyz".index(name[-1])
+            left = np.clip(b[i] / np.abs(a[i, axis]), 0, limit)
+            room[:, axis] = np.where(a[:, axis] * a[i, axis] < 0, left, limit)
+    everything = (np.abs(a) * room).sum(1)
+    along = np.minimum(limit * np.sqrt((a**2).sum(1)), everything)
+    chief = np.array(names)[:, None] == "collision"
+    return np.where(h < 0, np.maximum(b, -np.where(chief, everything, along)), b)
+
+
+def flying(count: int = 100) -> ndarray:
+    """(16, count) states in flight, clear of the kinks of the paper's constraints and of free falls into the centre."""
+    rng = np.random.default_rng(1)
+    p, v, q = rng.standard_normal((3, 4, 10 * count))
+    p, v = (a[:3] / length(a[:3]) for a in (p, v))
+    p *= rng.choice((20.0, 60.0, 300.0, 750.0), 10 * count) * rng.uniform(1, 1.06, 10 * count)
+    v *= rng.choice((0.1, 0.5, 5.0), 10 * count)
+    rest = (
+        rng.uniform(-0.035, 0.035, (3, 10 * count)),
+        rng.uniform((3, 1, 0), (11, 7, 6.28), (10 * count, 3)).T,
+    )
+    x = np.vstack((p, v, q / length(q), *rest))
+    angle = np.abs(cosines(x))
+    clear = (angle > 0.02).all(0) & (angle < 0.97).all(0) & (passive_safety(x) > -13)
+    return x[:, clear][:, :count]
+
+
+IN_FLIGHT = flying()
+
+
+# Limits of any vehicle, and flights of its plant
+
+AXES = {"x": 0, "y": 1, "z": 2}
+
+
+def hypercube(count: int, seed: int, c: InspectionParameters) -> Tensor:
+    """States (16, count) all over the limits and around them."""
+    sampler = qmc.LatinHypercube(17, rng=np.random.default_rng(seed))
+    return states_of(torch.from_numpy(sampler.random(count).T.copy()), c)[0]
+
+
+def free_flight(p: ndarray, v: ndarray, t: ndarray, n: float) -> ndarray:
+    """Clohessy and Wiltshire's closed form, (3, ...)."""
+    s, co = np.sin(n * t), np.cos(n * t)
+    return np.stack(
+        (
+            (4 - 3 * co) * p[0] + s / n * v[0] + 2 / n * (1 - co) * v[1],
+            6 * (s - n * t) * p[0] + p[1] - 2 / n * (1 - co) * v[0] + (4 * s - 3 * n * t) / n * v[1],
+            p[2] * co + v[2] / n * s,
+        )
+    )
+
+
+def free_clearance(p: ndarray, v: ndarray, c: InspectionParameters, spacing: float = 2.0) -> ndarray:
+    """m beyond the sphere in free flight, by a grid of times: never below the infimum."""
+    t = np.arange(0.0, c.passive_safety_horizon + 1e-9, spacing)
+    nearest = np.full(p.shape[1:], np.inf)
+    for moment in t:
+        nearest = np.minimum(nearest, length(free_flight(p, v, moment, c.mean_motion)))
+    return nearest - c.collision_radius
+
+
+def motion(p: ndarray, v: ndarray, c: InspectionParameters, spacing: float | None = 2.0) -> ndarray:
+    """The seven limits of motion by the paper, of velocity v_max - |v_i|; no spacing: not passive safety."""
+    n, fastest = c.mean_motion, min(c.max_speed, c.docking_speed + c.speed_slope * c.max_distance)
+    a_max = c.max_thrust / c.mass - 3 * n**2 * c.max_distance - 2 * n * fastest
+    distance, speed = length(p), length(v)
+    radial = (p * v).sum(0) / distance
+
+    def root(z: ndarray) -> ndarray:
+        return np.sign(z) * np.sqrt(2 * a_max * np.abs(z))
+
+    free = np.full_like(speed, np.inf) if spacing is None else free_clearance(p, v, c, spacing)
+    return np.stack(
+        (
+            root(distance - c.collision_radius) + radial,
+            c.docking_speed + c.speed_slope * distance - speed,
+            root(c.max_distance - distance) - radial,
+            free,
+            *(c.max_speed - np.abs(v)),
+        )
+    )
+
+
+def attitude(x: ndarray, c: InspectionParameters) -> ndarray:
+    """Exclusion in rad, temperature in deg C, battery in kJ, and what is left of the rates in rad/s."""
+    sun = np.stack((np.cos(x[15]), np.sin(x[15]), np.zeros_like(x[15])))
+    earth = np.zeros_like(sun)
+    earth[0] = -1.0
+
+    def angle(axis: str, direction: ndarray) -> ndarray:
+        n = body_axis(x[6:10], AXES[axis[1]]) * (-1.0 if axis[0] == "-" else 1.0)
+        return np.arccos(np.clip((n * direction).sum(0), -1.0, 1.0))
+
+    heated, facing = (np.maximum(np.pi / 2 - angle(c.thermal_axis, r), 0.0) for r in (sun, earth))
+    return np.stack(
+        (
+            angle("+x", sun) - c.field_of_view / 2 - c.exclusion_buffer,
+            c.max_temperature - x[13] - c.temperature_sun_slope * heated - c.temperature_earth_slope * facing,
+            x[14] - c.min_energy - c.energy_sun_slope * angle(c.solar_panel_axis, sun),
+            c.max_rate - np.abs(x[10:13]).max(0),
+        )
+    )
+
+
+@functools.cache
+def stepping(seconds: float, c: InspectionParameters, turns: bool | None) -> Compiled:
+    """`step` in C, with `turns` of bodies: mass, moments and push, (7, B); in a frame that turns, or not."""
+
+    def stepped(x: Tensor, u: Tensor, *bodies: Tensor) -> list[Tensor]:
+        if turns is None:
+            return [step(x, u, seconds, c)]
+        mass, inertia, push = bodies[0].split((1, 3, 3))
+        return [step(x, u, seconds, c, Body(mass[0], list(inertia), list(push), turns, saturates=False))]
+
+    sizes = SIZE, CONTROL_SIZE, *([] if turns is None else [7])
+    return Compiled(stepped, *(torch.ones(size, 1, dtype=torch.float64) for size in sizes))
+
+
+def moved(x: Tensor, u: Tensor, seconds: float, c: InspectionParameters, body: Body | None = None) -> Tensor:
+    """The states (16, B) after controls (6, B) have acted for some s; body: one whose rates nothing saturates."""
+    if body is None:
+        return stepping(seconds, c, None)(x, u)[0]
+    assert not body.saturates
+    own = torch.stack((body.mass, *body.inertia, *body.push))
+    return stepping(seconds, c, body.in_turning_frame)(x, u, own)[0]
+
+
+# Quadratic programs
+
+INF = np.inf
+
+
+@dataclass(frozen=True)
+class Problems:
+    """`qp.Problems` as arrays with the batch first: (N, 3), (N, R, 3), (N, R), (N, R), (R,)."""
+
+    desired: ndarray
+    a: ndarray
+    b: ndarray
+    b_bare: ndarray
+    weight: ndarray
+
+    def tensors(self) -> qp.Problems:
+        parts = (self.desired, self.a, self.b, self.b_bare)
+        return qp.Problems(
+            *(torch.tensor(x).movedim(0, -1).contiguous() for x in parts), torch.tensor(self.weight)
+        )
+
+
+def projection(problems: Problems) -> ndarray:
+    """The nearest feasible points (N, 3), by trying every set of up to three active rows and bounds."""
+    count = len(problems.desired)
+    box = np.concatenate((np.eye(3), -np.eye(3)))[None].repeat(count, 0)
+    a = np.concatenate((problems.a, box), 1)
+    b = np.concatenate((problems.b, np.ones((count, 6))), 1)
+    best, nearest = np.full(count, np.inf), np.full((count, 3), np.nan)
+    for size in range(4):
+        for active in itertools.combinations(range(a.shape[1]), size):
+            normals, short = a[:, active], lhs(problems.desired, a[:, active], b[:, active])
+            gram = normals @ normals.transpose(0, 2, 1)
+            independent = np.abs(np.linalg.det(gram)) > 1e-12
+            gram[~independent] = np.eye(size)
+            shift = np.linalg.solve(gram, short[..., None])
+            u = problems.desired - (normals.transpose(0, 2, 1) @ shift)[..., 0]
+            distance = ((u - problems.desired) ** 2).sum(1)
+            better = independent & (distance < best) & (lhs(u, a, b) >= -1e-10).all(1)
+            best[better], nearest[better] = distance[better], u[better]
+    return nearest
+
+
+def least_distance(desired: ndarray, a: ndarray, b: ndarray, weight: ndarray) -> ndarray:
+    """The control (3,) of one program with slack, by Lawson and Hanson's reduction to non-negative least squares.
+
+    With z = (u - desired, sqrt(weight) delta) the program is: the shortest z with G z >= h.
+    """
+    soft = np.isfinite(weight)
+    relief = np.eye(len(weight))[:, soft] / np.sqrt(weight[soft])
+    box = np.concatenate((np.eye(3), -np.eye(3)))
+    g = np.block([[a, relief], [box, np.zeros((6, soft.sum()))]])
+    h = -np.concatenate((lhs(desired, a, b), 1 + box @ desired))
+    e = np.concatenate((g.T, h[None]))
+    f = np.append(np.zeros(g.shape[1]), 1.0)
+    r = e @ nnls(e, f)[0] - f
+    return desired - r[:3] / r[-1]
+
+
+def feasible(a: ndarray, b: ndarray) -> ndarray:
+    """(N,) bool: some control in the box satisfies a u + b >= 0, (N, R, 3) and (N, R), by linear programming.
+
+    One program for all: the sum of the largest t <= 1 with a u + b >= t.
+    """
+    count = len(b)
+    rows = block_diag(np.concatenate((-a, np.ones((*b.shape, 1))), 2), format="csr")
+    tallest = linprog(
+        np.tile([0, 0, 0, -1], count), rows, b.ravel(), bounds=([(-1, 1)] * 3 + [(None, 1)]) * count
+    )
+    return tallest.x[3::4] >= 0.0
+
+
+def given_slack(problems: Problems) -> ndarray:
+    """Slack weights (N, R), infinite where a row is held: as few of the lowest weights as leave a program feasible."""
+    given = np.full(problems.b.shape, np.nan)
+    for highest in (0.0, *np.unique(problems.weight[np.isfinite(problems.weight)])):
+        left = np.flatnonzero(np.isnan(given[:, 0]))
+        held = problems.weight > highest
+        if left.size and held.any():
+            left = left[feasible(problems.a[left][:, held], problems.b_bare[left][:, held])]
+        given[left] = np.where(held, INF, problems.weight)
+    return given
+
+
+def with_slack(problems: Problems, given: ndarray | None = None) -> ndarray:
+    """The reference's controls (N, 3), with `given_slack` unless that is known."""
+    given = given_slack(problems) if given is None else given
+    programs = zip(problems.desired, problems.a, problems.b_bare, given, strict=True)
+    return np.array([least_distance(*program) for program in programs])
