@@ -23,8 +23,7 @@ from rta.parameters import RtaParameters
 from tests.oracles import EXACT as R
 from tests.oracles import IN_FLIGHT as X
 from tests.oracles import body_axis as hill_axis
-from tests.oracles import drift, entries, held, length, paper, push, slope, tensor, turn
-from tests.rta.test_lie_derivatives import near
+from tests.oracles import drift, entries, held, length, near, paper, push, slope, tensor, turn
 
 C = InspectionParameters()
 UNEQUAL = InspectionParameters(inertia=(0.04, 0.06, 0.09))

@@ -33,6 +33,7 @@ from tests.oracles import (
     flying,
     held,
     length,
+    near,
     push,
     slope,
     tensor,
@@ -70,9 +71,6 @@ def divided(ours: float | tuple[float, ...], own: float | tuple[float, ...]) -> 
     return ours**2 / own
 
 
-# Measured on these states: 4e-8 everywhere but for passive safety, whose time of the closest pass is
-# refined to some ms: 6e-3 m/s per N of at most 41, and 3e-4 m/s along f of at most 6.
-TOLERANCE = 1e-7
 PSM_PUSH_TOLERANCE, PSM_DRIFT_TOLERANCE = 1e-2, 1e-3
 
 
@@ -93,10 +91,6 @@ BEYOND = beyond_the_limits()
 def case(request: pytest.FixtureRequest) -> tuple[InspectionParameters, Rows, Rows]:
     c = SPACECRAFT[request.param]
     return c, *(group(tensor(X)) for group in SafetyFilter(c, before_scaling(c)).groups)
-
-
-def near(actual: Tensor, expected: ndarray, tolerance: float = TOLERANCE) -> None:
-    np.testing.assert_allclose(actual.numpy(), expected, rtol=0, atol=tolerance)
 
 
 @pytest.mark.parametrize("axis", range(3))

@@ -148,7 +148,7 @@ def assert_same(safety_filter: SafetyFilter, x: Tensor, expected: Answers, found
 
 @pytest.mark.parametrize(
     ("kind", "count"),
-    [("1", 1000), campaign("1", 4000), *(campaign(kind, 400) for kind in ("5", "10", "u1"))],
+    [("1", 500), campaign("1", 4000), *(campaign(kind, 400) for kind in ("5", "10", "u1"))],
 )
 def test_c_answers_as_pytorch(
     kind: str, count: int, exported: Callable[..., Made], program: Callable[..., Path]
@@ -157,7 +157,7 @@ def test_c_answers_as_pytorch(
     safety_filter, directory = exported(kind)
     x, desired = states(count, seed=5)
     expected = in_python(safety_filter, x, desired)
-    assert all((expected.program_status.amax(0) == each).sum() > 10 for each in list(Status)[1:])
+    assert all((expected.program_status.amax(0) == each).sum() > 5 for each in list(Status)[1:])
     assert_same(safety_filter, x, expected, in_c([program(directory, *optimised())], x, desired))
 
 
@@ -263,6 +263,7 @@ def test_it_refuses_flags_that_take_nan_away(
     assert done.returncode and "compile it without -ffast-math" in done.stderr
 
 
+@pytest.mark.campaign
 def test_filters_of_two_prefixes_fit_into_one_program(tmp_path: Path) -> None:
     gcc, safety_filter = tool("gcc"), made("1")
     for prefix in ("near", "far_away"):
