@@ -23,7 +23,9 @@ from tests.rta.backup.flights import at_the_chief, everywhere, least_of, near_th
 
 C = InspectionParameters()
 LIMIT = torch.tensor(C.control_limit, dtype=torch.float64)[:, None]
-HOLDS = pytest.mark.parametrize("hold", [1.0, pytest.param(5.0, marks=pytest.mark.campaign), 10.0])
+HOLDS = pytest.mark.parametrize(
+    "hold", [*(pytest.param(hold, marks=pytest.mark.campaign) for hold in (1.0, 5.0)), 10.0]
+)
 LOOK = 0.5  # s
 ROUNDED = 1e-9
 
@@ -87,6 +89,7 @@ def test_no_limit_breaks_whatever_is_asked(
             assert (least >= -ROUNDED).all(), (call, i, np.argwhere(least < -ROUNDED)[:3], least.min(1))
 
 
+@pytest.mark.campaign
 def test_without_the_check_a_limit_breaks(filters: dict[float, SafetyFilter]) -> None:
     alone, lowest = SafetyFilter(C, RtaParameters(period=5.0)), {}
     alone.backup = None
@@ -114,6 +117,7 @@ def test_the_compiled_check_equals_pytorch(filters: dict[float, SafetyFilter], h
     assert one.verified.any() and not one.verified.all()
 
 
+@pytest.mark.campaign
 def test_ways_that_fail_later_are_found_by_the_compiled_check_too(filters: dict[float, SafetyFilter]) -> None:
     """A way may keep the limits for some holds and break one then, under one of a thousand of these controls."""
     safety = filters[1.0]
@@ -199,8 +203,17 @@ BROKEN = {  # a limit, and what breaks it by little and by much
 
 
 @pytest.mark.parametrize("hold", [pytest.param(1.0, marks=pytest.mark.campaign), 10.0])
-@pytest.mark.parametrize("much", [False, True], ids=["barely", "much"])
-@pytest.mark.parametrize("limit", BROKEN)
+@pytest.mark.parametrize(
+    ("limit", "much"),
+    [
+        ("battery", True),
+        *(
+            pytest.param(limit, much, marks=pytest.mark.campaign)
+            for limit in BROKEN
+            for much in (False, True)
+        ),
+    ],
+)
 def test_a_limit_that_is_broken_leaves_the_others_checked(hold: float, much: bool, limit: str) -> None:
     row, breaks, sizes = BROKEN[limit]
     safety = SafetyFilter(C, RtaParameters(period=hold, rows="none"))

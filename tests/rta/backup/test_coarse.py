@@ -56,7 +56,7 @@ def test_what_one_look_accepts_the_flight_accepts(name: str, hold: float, satura
     assert 0.3 * b.holds < longest <= 0.95 * b.holds, (longest, b.holds)
 
 
-@pytest.mark.parametrize("hold", [1.0, 10.0])
+@pytest.mark.parametrize("hold", [pytest.param(1.0, marks=pytest.mark.campaign), 10.0])
 def test_no_limit_is_below_what_one_look_says_on_the_flight(hold: float) -> None:
     """Each limit at the plant's steps of a flight, by formulas of its own: at a path's nodes a chord says too much."""
     c, flight, b = vehicle("paper"), in_c("paper", hold), backup("paper", hold)

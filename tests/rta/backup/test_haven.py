@@ -41,12 +41,19 @@ def test_every_limit_is_kept_in_the_haven() -> None:
     assert (least >= 0.0).all() and least[3] < 3.0, least  # and at its edge there is little to spare
 
 
-@pytest.mark.parametrize(("how", "misses"), [("steady", "random"), ("worst", "always")])
-def test_nothing_leads_out_of_the_haven(how: str, misses: str) -> None:
+@pytest.mark.parametrize(
+    ("how", "misses", "seconds"),
+    [
+        ("worst", "always", 100.0),
+        pytest.param("steady", "random", 1000.0, marks=pytest.mark.campaign),
+        pytest.param("worst", "always", 1000.0, marks=pytest.mark.campaign),
+    ],
+)
+def test_nothing_leads_out_of_the_haven(how: str, misses: str, seconds: float) -> None:
     x = within(HAVEN, 50, 1, at_call=True)
     x[P] *= 1 + 1e-9
     x[P] *= (C.max_distance / x[P].norm(dim=0)).clamp(max=1.0)
-    least, end, states = flown(x, HAVEN, World(50, 2, how, misses), 1000.0, None)
+    least, end, states = flown(x, HAVEN, World(50, 2, how, misses), seconds, None)
     assert (least >= 0.0).all()
     for y in (*states, end):
         r = y[P].norm(dim=0)

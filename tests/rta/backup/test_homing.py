@@ -62,7 +62,7 @@ class Demands:
 @pytest.mark.parametrize(
     ("how", "misses", "seconds"),
     [
-        ("worst", "always", 12.0),
+        ("worst", "always", 6.0),
         pytest.param("steady", "random", 60.0, marks=pytest.mark.campaign),
         pytest.param("worst", "always", 60.0, marks=pytest.mark.campaign),
     ],

@@ -7,7 +7,6 @@ import torch
 from inspection.model.attitude import rotate
 from inspection.model.state import OMEGA, P, Q, V
 from rta.backup.motion_law import BESIDE, DRIFT, INSIDE, field, thrust_along
-from rta.parameters import PERIODS
 from tests.oracles import length, moved
 from tests.rta.backup.flights import (
     C,
@@ -20,7 +19,9 @@ from tests.rta.backup.flights import (
     unit,
 )
 
-HOLDS = pytest.mark.parametrize("hold", PERIODS)
+HOLDS = pytest.mark.parametrize(
+    "hold", [*(pytest.param(hold, marks=pytest.mark.campaign) for hold in (1.0, 5.0)), 10.0]
+)
 
 
 @pytest.mark.parametrize(("hold", "share"), [(1.0, 1e-5), (5.0, 1e-3), (10.0, 5e-3)])

@@ -94,9 +94,10 @@ def test_what_is_not_solved_accurately_is_piqps(
         solver._attempt = partial(attempt, steps=limit["steps"])
     for name in limit.keys() - {"steps"}:
         monkeypatch.setattr(batched_solver, name, limit[name])
-    sample = synthetic(300, 11, seed=8)
+    drawn = synthetic(300, 11, seed=8)
+    sample = drawn[torch.nonzero((BatchedSolver().solve(drawn).control != drawn.desired).any(0)).flatten()]
     ours, piqp = solver.solve(sample), PiqpSolver().solve(sample)
-    assert solver.resolved == 300
+    assert solver.resolved == len(sample.desired[0]) > 250
     assert (ours.control == piqp.control).all() and (ours.status == piqp.status).all()
     assert (ours.residual == piqp.residual).all()
 
