@@ -356,7 +356,9 @@ def test_a_state_is_in_the_safe_set_exactly_where_every_h_and_psi_is() -> None:
     assert (inside[clear] == (lowest[clear] >= 0)).all()
 
 
-@pytest.mark.parametrize("period", PERIODS)
+@pytest.mark.parametrize(
+    "period", [1.0, *(pytest.param(period, marks=pytest.mark.campaign) for period in PERIODS[1:])]
+)
 def test_start_can_brake_where_thrust_can_keep_the_zone(period: float) -> None:
     count = 5000 if period == 1.0 else 250  # a held control is searched for at each
     x, safety = near_the_limits(count, seed=3), SafetyFilter(C, RtaParameters(period=period))
@@ -411,7 +413,9 @@ def restless() -> Iterator[None]:
 
 @pytest.mark.usefixtures("restless")
 @pytest.mark.parametrize("solver", SOLVERS)
-@pytest.mark.parametrize(("is_compiled", "calls"), [(False, 2), (True, 20)])
+@pytest.mark.parametrize(
+    ("is_compiled", "calls"), [pytest.param(False, 2, marks=pytest.mark.campaign), (True, 20)]
+)
 def test_threads_may_share_a_filter(solver: str, is_compiled: bool, calls: int) -> None:
     shared, other = (with_a_ball(solver) for _ in range(2))
     if is_compiled:  # many calls of what keeps tensors between them; the check keeps none
@@ -431,7 +435,7 @@ def test_threads_may_share_a_filter(solver: str, is_compiled: bool, calls: int) 
                 torch.testing.assert_close(control, expected[:, block], rtol=0, atol=1e-9)
 
 
-@pytest.mark.parametrize("solver", SOLVERS)
+@pytest.mark.parametrize("solver", ["piqp", pytest.param("batched", marks=pytest.mark.campaign)])
 def test_a_copy_is_the_same_filter(solver: str) -> None:
     safety = with_a_ball(solver)
     x, u = X[:, :100], U[:, :100]

@@ -170,8 +170,10 @@ def test_of_a_constraint_that_the_other_group_changes_its_worst_comes_off() -> N
     torch.testing.assert_close(row.b[0], b, rtol=1e-5, atol=1e-9)
 
 
-@pytest.mark.parametrize("by", ["thrust", "torque"])
-@pytest.mark.parametrize("draws", [20, pytest.param(300, marks=pytest.mark.campaign)])
+@pytest.mark.parametrize(
+    ("by", "draws"),
+    [("thrust", 20), *(pytest.param(by, 300, marks=pytest.mark.campaign) for by in ("thrust", "torque"))],
+)
 def test_where_no_check_is_known_rows_take_off_what_is_not_known(by: str, draws: int) -> None:
     """The condition in any state and under any thrust or torque within the bounds, where a row of the model sees it."""
     told = {

@@ -31,7 +31,9 @@ def at(limit: str) -> Tensor:
     return x
 
 
-@pytest.mark.parametrize("period", PERIODS)
+@pytest.mark.parametrize(
+    "period", [1.0, *(pytest.param(period, marks=pytest.mark.campaign) for period in PERIODS[1:])]
+)
 def test_the_filter_turns_away_from_a_pole(period: float) -> None:
     """By more than 40 deg, which is the exclusion zone, in a minute; nothing is desired, or full torque in turns."""
     safety, limits = SafetyFilter(C, RtaParameters(period=period)), list(POINTS)
