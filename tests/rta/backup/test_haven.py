@@ -61,6 +61,7 @@ def test_nothing_leads_out_of_the_haven(how: str, misses: str, seconds: float) -
         assert (r >= HAVEN.nearest).all() and (r <= C.max_distance).all()
 
 
+@pytest.mark.campaign
 @pytest.mark.parametrize("coarse", [{"thrust_quantum": 0.1}, {"minimum_thrust": 0.02}], ids=str)
 def test_nothing_leads_out_of_the_haven_of_thrusters_that_give_some_values_only(
     coarse: dict[str, float],

@@ -223,7 +223,13 @@ UNTOLD = {
 }
 
 
-@pytest.mark.parametrize("what", UNTOLD)
+@pytest.mark.parametrize(
+    "what",
+    [
+        "missed calls",
+        *(pytest.param(what, marks=pytest.mark.campaign) for what in ("errors of rates", "inertia")),
+    ],
+)
 def test_a_limit_breaks_where_the_check_is_not_told(what: str) -> None:
     told, true = UNTOLD[what]
     found = backup(told)
