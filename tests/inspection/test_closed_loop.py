@@ -44,13 +44,6 @@ def test_clocks_that_do_not_divide_are_refused_and_both_are_named(clocks: tuple,
     assert str(error.value) == message
 
 
-def test_environment_refuses_a_filter_that_its_steps_would_call_too_often() -> None:
-    short, generator = InspectionParameters(action_period=1.0), torch.Generator()
-    behind = Safety(correct=lambda x, desired: SimpleNamespace(control=desired), period=5.0)
-    with pytest.raises(ValueError, match="the filter's calls every 5 s: must divide 1 s"):
-        InspectionEnv(1, short, [generator], behind)
-
-
 # decision, report, substep and filter in s, and the hold and integration step that follow
 SETTINGS = {
     "agent": ((10.0, 10.0, 1.0, None), (10.0, 1.0)),
@@ -62,23 +55,6 @@ SETTINGS = {
     "reports_slower_than_all": ((4.0, 20.0, 1.0, 2.0), (2.0, 1.0)),
     "parts_of_a_second": ((0.3, 0.6, 0.5, 0.1), (0.1, 0.1)),
 }
-
-
-@pytest.mark.parametrize(("clocks", "expected"), SETTINGS.values(), ids=SETTINGS)
-def test_hold_and_step_are_the_longest_that_fit(clocks: tuple, expected: tuple) -> None:
-    found = Clocks(*clocks)
-    assert (found.hold, found.step) == expected
-    assert found.count(60.0) == round(60.0 / expected[0])
-
-
-@pytest.mark.parametrize("duration", [0.0, 3.0, 5.0, 12.0, 19.999, -10.0])
-def test_duration_that_is_no_multiple_of_the_reports_is_refused(duration: float) -> None:
-    with pytest.raises(ValueError, match=rf"a duration of {duration:g} s: must be a multiple of 10 s"):
-        Clocks(10.0, 10.0, 1.0, 1.0).count(duration)
-    env = InspectionEnv(1, InspectionParameters(), [torch.Generator()])
-    env.start(still(), torch.ones(3, 1, dtype=torch.float64))
-    with pytest.raises(ValueError, match="must be a multiple of 1 s"):  # it reports every second
-        list(env.fly(lambda t, x: x[:6], duration + 0.5))
 
 
 class Watched:
@@ -155,25 +131,6 @@ def test_between_decisions_the_filter_is_given_its_last_control(clocks: tuple) -
     for before, hold in itertools.pairwise(holds):
         assert hold.correction is not None or hold.applied is before.applied
         assert hold.state is before.after and hold.time == before.end
-
-
-def test_controls_of_a_filter_that_halves_by_hand() -> None:
-    """Decisions of 8 and then of 80 every 4 s, the filter every 2 s, a report every second."""
-    clocks, x = Clocks(4.0, 1.0, 1.0, 2.0), torch.zeros(16, 1)
-    flight = closed_loop(
-        x,
-        lambda t, x: torch.full((6, 1), 80.0 if t else 8.0),
-        lambda x, desired: SimpleNamespace(control=desired / 2),
-        lambda x, u, seconds: x + seconds * u[0],
-        clocks,
-        8.0,
-    )
-    holds = list(flight)
-    assert [hold.applied[0].item() for hold in holds] == [4, 4, 2, 2, 40, 40, 20, 20]
-    assert [hold.desired[0].item() for hold in holds] == [8, 4, 4, 2, 80, 40, 40, 20]
-    assert [hold.after[0].item() for hold in holds] == [4, 8, 10, 12, 52, 92, 112, 132]
-    assert [hold.decided for hold in holds] == [True, False, False, False] * 2
-    assert [hold.correction is not None for hold in holds] == [True, False] * 4
 
 
 # The environment's flights

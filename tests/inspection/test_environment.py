@@ -14,7 +14,7 @@ from inspection import initial_state
 from inspection.closed_loop import Safety
 from inspection.environment import InspectionEnv
 from inspection.initial_state import InitialStates
-from inspection.model.state import THETA_S, E, P, Q, T, V
+from inspection.model.state import THETA_S, E, P, T, V
 from inspection.reward import REWARDS, distance_from_track
 from inspection.termination import OUTCOMES
 from inspection.transition import METRICS
@@ -125,17 +125,6 @@ def test_the_first_of_several_ends_names_the_outcome(c):
     assert end.terminated.all() and not end.truncated.any()
 
 
-def test_terminal_rewards_arrive_with_the_end(c):
-    env = started(c, 6)
-    for column, end in enumerate(OUTCOMES):
-        force(env, column, end)
-    terms = coast(env).reward_terms
-    assert terms["crash"].tolist() == [-1, 0, 0, 0, 0, 0]
-    assert terms["distance"].tolist() == [0, -1, 0, 0, 0, 0]
-    assert terms["energy"].tolist() == [0, 0, -1, 0, 0, 0]
-    assert terms["success"].tolist() == [0, 0, 0, 1, 0, 0]
-
-
 def test_final_observation_is_of_the_terminal_state(c):
     endless = replace(c, max_distance=1e6)
     envs = started(c, 2), started(endless, 2)
@@ -223,19 +212,6 @@ def test_terms_of_our_own_are_the_learners_alone(c):
     torch.testing.assert_close(shaped.metrics, plain.metrics)
 
 
-def test_limits_cost_the_learner_the_more_the_nearer_they_are(c):
-    values = torch.tensor([[0.06, 0.03, 0.0, -0.06, -9.0], [6.0, 6.0, 3.0, 99.0, 6.0], 5 * [-1.0]]).double()
-    safety = Safety(names=("dynamic_speed", "passive_safety", "other"), values=lambda x: values)
-    env = started(replace(c, limit_reward=-0.1), 5, safety)
-    step = env.step(torch.zeros(5, 6))
-    torch.testing.assert_close(
-        step.reward_terms["limit"], -0.1 * torch.tensor([0.0, 0.5, 1.5, 2.0, 2.0]).double()
-    )
-    plain = started(c, 5, safety).step(torch.zeros(5, 6))
-    torch.testing.assert_close(step.reward, plain.reward + step.reward_terms["limit"])
-    torch.testing.assert_close(step.metrics, plain.metrics)
-
-
 def test_violations_are_counted_per_constraint_and_together(c):
     safety = Safety(names=("late", "never"), values=lambda x: torch.stack((0.5 - x[14], x[14])))
     env = started(c, 2, safety)
@@ -263,44 +239,6 @@ def test_the_filters_last_control_is_its_next_desired_one(c, period, calls):
     assert end.applied[0].tolist() == pytest.approx([mean, 0.0, 0.0, 0.0, 0.0, -mean])
 
 
-def test_an_action_is_a_control_within_the_actuators_limits(c):
-    control = make(c, 2).control(torch.tensor([[0.5, -1.0, 7.0, 0.0, -0.25, -7.0], [0.0] * 6]))
-    assert control.dtype == torch.float64 and (control[:, 1] == 0.0).all()
-    expected = [0.5, -1.0, 1.0, 0.0, -0.25 * c.max_torque, -c.max_torque]
-    assert control[:, 0].tolist() == pytest.approx(expected)
-
-
-@pytest.mark.parametrize("shape", [(6,), (2, 6), (1, 5), (6, 1)])
-def test_an_action_of_another_shape_is_refused(c, shape):
-    with pytest.raises(ValueError, match=r"action has shape .*: must be \(1, 6\)"):
-        started(c).step(torch.zeros(shape))
-
-
-@pytest.mark.parametrize("decide_every", [None, 5.0, 2.0])
-def test_advancing_asks_the_controller_from_0_s_on_in_every_step(c, decide_every):
-    env, asked = InspectionEnv(1, c, [seeded(0)], decide_every=decide_every), []
-    env.start(*idle(1))
-
-    def controller(t, x):
-        asked.append((t, x[0].item()))
-        return env.limit * torch.tensor([[0.1 * (t + 1), 0, 0, 0, 0, 0]], dtype=torch.float64).T
-
-    first, second = env.step(controller), env.step(controller)
-    times = np.arange(0.0, 10.0, decide_every or 10.0)
-    assert [t for t, _ in asked] == [*times, *times]
-    assert asked[len(times)][1] == first.state[0].item() != 0.0
-    assert second.metrics[2].item() == 20.0
-    spent = 2 * (0.1 * (times + 1) * (decide_every or 10.0)).sum() / 12.0
-    assert second.metrics[3].item() == pytest.approx(spent)
-
-
-def test_a_constant_controller_does_what_its_action_does(c):
-    action, (one, other) = random_actions(1, 3)[0], (started(c, 3) for _ in range(2))
-    step, advanced = one.step(action), other.step(lambda t, x: other.control(action))
-    for name in ("state", "reward", "metrics", "observation"):
-        assert torch.equal(getattr(step, name), getattr(advanced, name))
-
-
 def test_a_flight_looks_at_the_end_of_every_action_period_and_leaves_the_episodes(c, monkeypatch):
     env, looked, flown = started(c), [], []
     monkeypatch.setattr(env.sight, "mark", looked.append)
@@ -316,18 +254,6 @@ def test_a_flight_looks_at_the_end_of_every_action_period_and_leaves_the_episode
     assert torch.equal(later.after, hold.after)
 
 
-def test_points_in_view_at_the_start_are_inspected_at_once(c):
-    x, priority = idle(1)
-    x[Q, 0] = torch.tensor([0.0, 0.0, -math.sqrt(0.5), math.sqrt(0.5)]).double()  # n_x at the chief
-    x[THETA_S] = math.pi / 2
-    env = make(c)
-    start = env.start(x, priority)
-    assert 0.2 < env.sight.score().item() < 0.5 and start[0, 25].item() == pytest.approx(
-        env.sight.score().item()
-    )
-    assert coast(env).reward_terms["points"].item() == 0.0  # nothing new in view
-
-
 def test_observation_points_at_uninspected_lit_points_until_none_is_left(c):
     env = started(c)
     sun = torch.tensor([-1.0, 0.0, 0.0])
@@ -335,23 +261,6 @@ def test_observation_points_at_uninspected_lit_points_until_none_is_left(c):
     env.sight.inspected[:] = True
     env.sight.inspected[env.sight.surface.normals[0] > 0.5] = False  # left, but dark
     assert (coast(env).final_observation[0, 21:25] == 0.0).all()
-
-
-def test_reset_starts_every_column_from_the_distribution(c):
-    env = make(c, 4, seeds=(3,))
-    o = env.reset()
-    assert o.shape == (4, 26) and o.dtype == torch.float32
-    assert torch.equal(env.x, InitialStates(seeded(3), c).take(4)[0])
-
-
-def test_a_transition_keeps_its_values_when_the_env_moves_on(c):
-    safety = Safety(names=("always",), values=lambda x: -torch.ones_like(x[:1]))
-    env = started(replace(c, max_time=30.0), 2, safety)
-    first = env.step(torch.ones(2, 6))
-    tensors = [value for value in vars(first).values() if isinstance(value, torch.Tensor)]
-    kept = [tensor.clone() for tensor in tensors]
-    coast(env, 2)
-    assert all(torch.equal(*pair) for pair in zip(kept, tensors, strict=True))
 
 
 @pytest.fixture

@@ -12,11 +12,10 @@ from scipy.spatial.transform import Rotation
 
 from inspection.model.parameters import OBSERVABLE, OBSERVED
 from inspection.model.state import E, P, Q, V
-from inspection.observation import GROUPS, components, observe, scales
-from inspection.reward import PHASES, REWARDS, distance_from_track, rewards
+from inspection.observation import components, observe, scales
+from inspection.reward import PHASES, distance_from_track, rewards
 from inspection.termination import OUTCOMES, ends, failures
 
-STEP_BY_STEP = ("points", "delta_v", "torque", "orientation", "time")
 AT_THE_END = ("success", "crash", "distance", "energy")
 ENDS = ("crash", "out_of_bounds", "out_of_power", "success", "timeout")
 
@@ -60,34 +59,6 @@ def test_observations_are_the_papers(c, random_states, generator):
     np.testing.assert_allclose(o.T, expected, rtol=1e-12, atol=1e-12)
 
 
-def test_at_rest_the_velocity_is_zero_and_nothing_is_nan(c, random_states, generator):
-    x, *rest = draw(random_states, generator, 3)
-    x[V] = 0.0
-    o = observe(x, *rest, replace(c, observed=OBSERVABLE))
-    assert (o[4:8] == 0.0).all() and o.isfinite().all()
-
-
-def test_no_uninspected_points_are_seen_as_zeros(c, random_states, generator):
-    x, priority, _, score = draw(random_states, generator, 3)
-    assert (observe(x, priority, torch.zeros(3, 3).double(), score, c)[21:25] == 0.0).all()
-
-
-def test_alignment_is_one_where_the_deputy_is_under_the_sun(c, random_states, generator):
-    x, *rest = draw(random_states, generator, 1)
-    x[:3, 0] = 70.0 * torch.tensor([math.cos(x[15]), math.sin(x[15]), 0.0])
-    np.testing.assert_allclose(observe(x, *rest, c)[16], 1.0, rtol=1e-7)
-
-
-def test_names_are_in_the_papers_order():
-    assert tuple(GROUPS) == OBSERVABLE
-    names = [name for name, _, _ in components()]
-    assert len(names) == 26
-    assert names[0] == "position_norm" and names[4] == "velocity_norm"
-    assert names[8:13] == [*(f"angular_velocity_{i}" for i in "xyz"), "energy", "temperature"]
-    alignments = ["sun_alignment", "priority_alignment", "uninspected_alignment"]
-    assert [names[i] for i in (16, 20, 24)] == alignments and names[25] == "inspected_score"
-
-
 def test_units_are_those_of_the_state():
     units = dict.fromkeys((name for name, _, _ in components()), "1")
     units |= {"position_norm": "m", "velocity_norm": "m/s", "energy": "kJ", "temperature": "deg C"}
@@ -98,11 +69,6 @@ def test_units_are_those_of_the_state():
 def test_scales_divide_by_the_size_of_each_quantity():
     divisors = scales(torch.zeros(1, dtype=torch.float64))[:, 0].tolist()
     assert divisors == [100, 1, 1, 1, 0.866, 1, 1, 1, 0.035, 0.035, 0.035, 10, 10] + [1] * 13
-
-
-def test_normalised_observations_of_flight_are_within_a_few_units(c, random_states, generator):
-    o = observe(*draw(random_states, generator, 200), c)
-    assert (o / scales(o)).abs().max() <= 4.0  # at 400 m
 
 
 # The terms of the reward
@@ -136,17 +102,6 @@ def drifting(days):
     A[3, 0], A[3, 4], A[4, 3], A[5, 2] = 3 * n**2, 2 * n, -2 * n, -(n**2)
     state = expm(A * days * 86400.0) @ [0.0, 0.0, 0.0, 0.0, 0.002, 0.0]
     return at(state[:3], state[3:])
-
-
-def test_the_papers_nine_terms_are_there_in_its_order(c):
-    papers = STEP_BY_STEP + AT_THE_END
-    assert tuple(terms(c)) == REWARDS
-    assert tuple(name for name in REWARDS if name in papers) == papers
-
-
-def test_nothing_is_earned_for_nothing(c):
-    earned = terms(c, time=3010.0)  # the boresight points away from the chief
-    assert {earned[name] for name in STEP_BY_STEP + AT_THE_END} == {0.0}
 
 
 def test_points_earn_their_weight(c):
@@ -207,13 +162,6 @@ def test_success_uses_both_radii(c):
     assert terms(replace(c, deputy_radius=4.0), in_track, ended={"success"})["success"] == 1.0
 
 
-def test_success_is_judged_per_column(c):
-    x = torch.cat((at((0.0, 60.0, 0.0)), at((0.0, 0.0, 60.0)), at((0.0, 60.0, 0.0))), 1)
-    zero, no = torch.zeros(3, dtype=torch.float64), torch.zeros(3, dtype=torch.bool)
-    ended = dict.fromkeys(ENDS, no) | {"success": torch.tensor([False, True, True])}
-    assert rewards(x, zero, zero, zero, zero, ended, c)["success"].tolist() == [0.0, -1.0, 1.0]
-
-
 @pytest.mark.parametrize(
     ("term", "end"), [("crash", "crash"), ("distance", "out_of_bounds"), ("energy", "out_of_power")]
 )
@@ -223,31 +171,11 @@ def test_a_failure_costs_one(c, term, end):
     assert sum(failed[name] for name in AT_THE_END) == -1.0
 
 
-def test_a_timeout_costs_nothing(c):
-    assert sum(terms(c, ended={"timeout"})[name] for name in AT_THE_END) == 0.0
-
-
 # The five terminal conditions
 
 
 def test_ends_are_named_in_the_order_of_their_priority():
     assert OUTCOMES == ENDS
-
-
-def test_conditions_hold_from_their_thresholds_on(c):
-    x = torch.zeros(16, 4, dtype=torch.float64)
-    x[1], x[E] = torch.tensor([15.0, 14.999, 800.0, 800.001]), torch.tensor([0.001, 0.0, -0.1, 1.0])
-    score = torch.tensor([0.9499, 0.95, 1.0, 0.0], dtype=torch.float64)
-    time = torch.tensor([12235.0, 12236.0, 12240.0, 0.0], dtype=torch.float64)
-    expected = {
-        "crash": [False, True, False, False],
-        "out_of_bounds": [False, False, False, True],
-        "out_of_power": [False, True, True, False],
-        "success": [False, True, True, False],
-        "timeout": [False, True, True, False],
-    }
-    found = failures(x, c) | ends(score, time, c)
-    assert {name: end.tolist() for name, end in found.items()} == expected
 
 
 @pytest.mark.parametrize(
@@ -269,14 +197,6 @@ def test_thresholds_are_the_tasks_constants(c, changed, end):
     assert not any(found_by(c).values())
     found = found_by(replace(c, **changed))
     assert [name for name, holds in found.items() if holds] == [end]
-
-
-@pytest.mark.parametrize("direction", [(1, 0, 0), (0, -1, 0), (0, 0, 1), (0.6, 0, -0.8)])
-def test_distances_count_in_every_direction(c, direction):
-    x = torch.cat([at([r * i for i in direction]) for r in (14.999, 15.001, 799.999, 800.001)], 1)
-    found = failures(x, c)
-    assert found["crash"].tolist() == [True, False, False, False]
-    assert found["out_of_bounds"].tolist() == [False, False, False, True]
 
 
 def test_free_flight_is_seen_where_an_integrated_one_passes_the_chief(c, random_states, generator):
@@ -344,9 +264,3 @@ def test_the_axes_of_hills_frame_are_seen_in_the_body_frame(c, random_states, ge
     for i, row in enumerate(axes.T.numpy()):
         to_body = Rotation.from_quat(arguments[0][Q, i].numpy()).inv().apply
         np.testing.assert_allclose(row, [*to_body([1, 0, 0]), *to_body([0, 1, 0])], rtol=0, atol=1e-12)
-
-
-@pytest.mark.parametrize("observed", [(), ("sun", "moon")])
-def test_what_nobody_can_observe_is_refused(c, observed):
-    with pytest.raises(ValueError, match=r"observed = .*: must be some of position, velocity, .*, hill"):
-        replace(c, observed=observed)

@@ -108,8 +108,3 @@ def test_what_is_left_is_told_from_the_failure_on() -> None:
         assert torch.equal(told["left"], expected)
         u = torch.full((6, 3), 0.5, dtype=torch.float64)
         assert torch.equal(plant.actuate(moments(3, float(call)), u), told["left"] * u)
-
-
-def test_a_filter_that_is_not_informed_is_told_nothing() -> None:
-    correct, _ = fly(begun(LATE, BATCH), informed=False)
-    assert correct.told == [{}] * CALLS

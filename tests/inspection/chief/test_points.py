@@ -1,7 +1,6 @@
 """Inspection points against ray tracing one point at a time and a loop-based k-means."""
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -100,10 +99,6 @@ def check_against_lloyd(points, wanted, old, centres, alive):
     return new
 
 
-def test_fibonacci_points_are_unit(normals):
-    np.testing.assert_allclose(normals.norm(dim=0), 1.0, rtol=0, atol=1e-15)
-
-
 def test_fibonacci_points_are_nearly_equidistant(normals):
     n = normals.T.numpy()
     gap = np.linalg.norm(n[:, None] - n, axis=-1) + 9.0 * np.eye(POINTS)
@@ -121,24 +116,12 @@ def test_weights_are_the_angles_to_the_opposite_of_priority(normals, generator):
     np.testing.assert_allclose(weights.sum(0), 1.0, rtol=1e-14)
 
 
-def test_weight_is_largest_along_priority_and_smallest_opposite(normals):
-    priority = normals[:, [0, 37, 99]]
-    weights = chief.point_weights(normals, priority)
-    assert weights.argmax(0).tolist() == [0, 37, 99]
-    assert torch.equal(weights.argmin(0), (normals.T @ priority).argmin(0))
-
-
 def test_lit_points_are_those_whose_ray_to_the_sun_is_free(normals):
     theta_s = torch.tensor([0.0, 1.0, 2.5, 4.0, 6.0], dtype=torch.float64)
     lit = chief.illuminated(normals, theta_s)
     for i, angle in enumerate(theta_s.tolist()):
         sun = np.array([math.cos(angle), math.sin(angle), 0.0])
         assert lit[:, i].tolist() == [is_lit(RADIUS * n, sun) for n in normals.T.numpy()]
-
-
-def test_margins_are_positive_where_the_sun_shines(normals, looking, c):
-    lit = chief.in_view(normals, looking, c)[0]
-    assert torch.equal(lit, chief.illuminated(normals, looking[THETA_S]))
 
 
 def test_visible_points_are_those_a_free_ray_reaches_in_the_cone(normals, looking, c):
@@ -149,31 +132,6 @@ def test_visible_points_are_those_a_free_ray_reaches_in_the_cone(normals, lookin
         expected = [is_seen(n, x[P], boresight, sun) for n in normals.T.numpy()]
         assert seen[:, i].tolist() == expected
     assert (seen.sum(0) > 0).sum() > 3 and seen.sum(0).max() < POINTS / 2
-
-
-def camera(distance, theta_s):
-    """One camera on the +x axis that looks at the chief."""
-    x = torch.zeros(16, 1, dtype=torch.float64)
-    x[0], x[THETA_S] = distance, theta_s
-    x[Q, 0] = torch.tensor([0.0, 0.0, 1.0, 0.0])  # n_x along -x
-    return x
-
-
-def test_from_far_in_the_suns_direction_the_whole_near_side_is_seen(normals, c):
-    seen = visible(normals, camera(200.0, 0.0), c)[:, 0]
-    assert torch.equal(seen, normals[0] > RADIUS / 200.0)  # the horizon is where p . n = r
-
-
-def test_nothing_is_seen_against_the_sun(normals, c):
-    assert not visible(normals, camera(200.0, math.pi), c).any()
-
-
-def test_a_narrow_cone_sees_only_what_is_in_front(normals, c):
-    seen = visible(normals, camera(40.0, 0.0), replace(c, field_of_view=math.radians(10.0)))[:, 0]
-    # 5 degrees at 30 to 40 m: at least 2.6 m and at most 3.0 m off the axis
-    off_axis = RADIUS * normals[1:].norm(dim=0)
-    front = normals[0] > 0
-    assert seen[front & (off_axis < 2.6)].all() and not seen[off_axis > 3.0].any() and seen.any()
 
 
 def test_clusters_match_loop_based_lloyd(normals, generator):
@@ -210,21 +168,6 @@ def test_a_cluster_that_lost_its_points_dies_and_is_seeded_anew(normals):
     assert alive.all()
 
 
-def test_settled_clusters_stay_put(normals):
-    points, lit = RADIUS * normals, chief.illuminated(normals, torch.zeros(1, dtype=torch.float64))
-    centres, alive = torch.zeros(3, 6, 1, dtype=torch.float64), torch.zeros(6, 1, dtype=torch.bool)
-    for _ in range(10):
-        centres, alive = chief.cluster(points, lit, centres, alive, PER_CLUSTER)
-    again, _ = chief.cluster(points, lit, centres, alive, PER_CLUSTER)
-    assert torch.equal(again[:, alive[:, 0]], centres[:, alive[:, 0]])
-
-
-def test_there_are_slots_for_every_lit_hemisphere(normals, c):
-    angles = torch.linspace(0.0, 2 * math.pi, 997, dtype=torch.float64)
-    needed = (chief.illuminated(normals, angles).sum(0).max() / PER_CLUSTER).ceil()
-    assert needed <= chief.max_clusters(normals, c) <= needed + 1
-
-
 def test_nearest_cluster_is_the_direction_of_the_living_centre_nearest_to_the_deputy():
     centres = torch.tensor([[9.0, 0.0, 0.0], [0.0, 4.0, 3.0], [-5.0, 0.0, 0.0]]).double().T[..., None]
     alive = torch.tensor([[True], [True], [False]])
@@ -232,15 +175,6 @@ def test_nearest_cluster_is_the_direction_of_the_living_centre_nearest_to_the_de
     for p, expected in cases.items():
         found = chief.nearest_cluster(centres, alive, torch.tensor(p, dtype=torch.float64)[:, None])
         np.testing.assert_allclose(found[:, 0], expected, rtol=0, atol=1e-15)
-
-
-def test_nearest_cluster_is_zero_when_none_is_left():
-    centres, p = torch.ones(3, 4, 2, dtype=torch.float64), torch.ones(3, 2, dtype=torch.float64)
-    alive = torch.zeros(4, 2, dtype=torch.bool)
-    alive[2, 1] = True
-    found = chief.nearest_cluster(centres, alive, p)
-    assert found[:, 0].tolist() == [0.0, 0.0, 0.0]
-    np.testing.assert_allclose(found[:, 1], 1 / math.sqrt(3), rtol=1e-15)
 
 
 @pytest.mark.parametrize("batch", [1, chief.CHUNK, 2 * chief.CHUNK + 3])

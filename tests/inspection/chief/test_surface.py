@@ -1,8 +1,6 @@
 """Meshes: where their points are, and what hides them, against rays cast one by one."""
 
-import itertools
 import re
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -12,8 +10,8 @@ import trimesh
 from scipy.spatial.transform import Rotation
 
 from inspection.chief import points as chief
-from inspection.chief.mesh import faces, is_closed, pinned, read
-from inspection.chief.surface import GROUPS, covered, cuts, in_view, light, surface
+from inspection.chief.mesh import faces, read
+from inspection.chief.surface import covered, in_view, light, surface
 from inspection.environment import InspectionEnv
 from inspection.model.attitude import rotate
 from inspection.model.draws import random_quaternion
@@ -82,12 +80,6 @@ def test_points_are_lit_and_seen_where_no_ray_is_stopped(whole) -> None:
     assert wrong <= 2  # on an edge, to single precision
 
 
-def test_a_surface_that_forgets_a_cone_is_caught(whole) -> None:
-    x, attitude = some_states(25)
-    blind = whole._replace(cones=tuple(group[:, :0] for group in whole.cones))
-    assert in_view(blind, x, attitude, C).sum() > in_view(whole, x, attitude, C).sum() + 50
-
-
 def test_flat_pairs_of_triangles_become_one_face(whole) -> None:
     """Half as many, of the same area."""
     corners = faces(whole.triangles)
@@ -98,53 +90,6 @@ def test_flat_pairs_of_triangles_become_one_face(whole) -> None:
         for each in (halves, whole.triangles)
     ]
     assert torch.allclose(*areas)
-
-
-def test_pairs_that_are_bent_or_hollow_stay_triangles() -> None:
-    def pair(z: float, x: float) -> torch.Tensor:
-        a, b, c, d = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [x, 1 - x, z]])
-        return torch.from_numpy(np.array([[a, b, c], [a, c, d]]))
-
-    assert faces(pair(0.0, 0.0)).shape == (1, 4, 3)
-    assert faces(pair(0.2, 0.0)).shape == (2, 3, 3)  # bent
-    assert faces(pair(0.0, 0.6)).shape == (2, 3, 3)  # d is within the corner at c
-    third = torch.tensor([[[5.0, 5, 5], [6, 5, 5], [5, 6, 5]]], dtype=torch.float64)
-    mixed = faces(torch.cat((pair(0.0, 0.0), third)))
-    assert mixed.shape == (2, 4, 3) and torch.equal(mixed[-1, 2], mixed[-1, 3])
-    # where three faces of four planes take as long as four of three
-    assert faces(torch.cat((pair(0.0, 0.0), third, third + 9.0))).shape == (4, 3, 3)
-
-
-@pytest.mark.parametrize("kind", ["two sides", "sliver first", "sliver last"])
-def test_what_has_no_quadrangle_of_its_own_still_hides(kind: str, tmp_path) -> None:
-    """A plate of two sides, whose triangles have the same corners, and one whose edge is mended by a sliver."""
-    a, b, c, d = np.array([[-3.0, -3, 4], [3, -3, 4], [3, 3, 4], [-3, 3, 4]])
-    m = (a + b) / 2
-    if kind == "two sides":
-        one = [(a, b, c), (a, c, d)]
-        plate = np.array(one + [corners[::-1] for corners in one])
-    else:
-        sliver, others = [(a, m, b)], [(b, a, c), (a, d, c)]
-        plate = np.array(sliver + others if kind == "sliver first" else others + sliver)
-    own = {"points": [[0.0, 0, 0]], "normals": [[0.0, 0, 1]], "areas": [1.0]}
-    np.savez(tmp_path / "plate.npz", triangles=plate, **own)
-    whole = surface(ChiefParameters(mesh=str(tmp_path / "plate.npz")), C)
-    above = torch.tensor([[3.0, -3.0, 0.0, 30.0], [4.0, -2.0, 5.0, 0.0], [20.0, 20.0, 20.0, 9.0]])
-    place = torch.cat((above, torch.ones(1, 4)))
-    assert (covered(whole, place)[0] > 0.0).tolist() == [True, True, True, False]
-
-
-def test_points_are_grouped_so_that_little_fills_up() -> None:
-    assert cuts([0, 0, 0, 5, 5]) == [0, 3, 5]
-    assert cuts([4, 4]) == [0, 2] and cuts([7]) == [0, 1]
-    counts = sorted(np.random.default_rng(1).geometric(0.1, 500).tolist())
-    ends = cuts(counts)
-    assert ends[0] == 0 and ends[-1] == 500 and ends == sorted(set(ends)) and len(ends) == GROUPS + 1
-    equal = np.linspace(0, 500, GROUPS + 1).astype(int).tolist()
-    in_all, in_equal = (
-        sum((b - a) * counts[b - 1] for a, b in itertools.pairwise(each)) for each in (ends, equal)
-    )
-    assert sum(counts) < in_all < 0.95 * in_equal
 
 
 def test_the_sphere_is_seen_as_the_papers(random_states) -> None:
@@ -162,12 +107,6 @@ def test_points_are_spread_evenly(whole) -> None:
     assert torch.allclose(whole.areas.sum() * 150 / whole.points.shape[1], area)
     gaps = (whole.points[:, :, None] - whole.points[:, None]).norm(dim=0).fill_diagonal_(99.0)
     assert gaps.amin(1).median() > 0.4 * float(area / 150) ** 0.5
-
-
-def test_closed_meshes_are_told_from_open_ones(whole) -> None:
-    assert is_closed(whole.triangles)
-    assert not is_closed(whole.triangles[1:])
-    assert not is_closed(whole.triangles.flip(1)[:1])
 
 
 def test_an_open_mesh_hides_from_both_sides(tmp_path) -> None:
@@ -219,28 +158,6 @@ def test_a_mesh_of_triangles_that_are_not_wound_alike_is_refused(tmp_path) -> No
         surface(ChiefParameters(mesh=str(tmp_path / "mixed.npz")), C)
 
 
-def test_a_mesh_that_is_inside_out_is_refused(tmp_path) -> None:
-    np.savez(tmp_path / "inside.npz", triangles=box((-2, -2, -2), (2, 2, 2))[:, ::-1])
-    with pytest.raises(ValueError, match="do its normals point outwards"):
-        surface(ChiefParameters(mesh=str(tmp_path / "inside.npz")), C)
-
-
-def test_points_of_an_open_mesh_in_single_precision_are_kept(tmp_path) -> None:
-    """Rounded, half of them lie below their own triangle, by some 1e-7 m."""
-    turn = Rotation.from_euler("xyz", (20.0, 35.0, 50.0), degrees=True).as_matrix()
-    plate = np.array([[[-4, -4, 2], [4, -4, 2], [4, 4, 2]], [[-4, -4, 2], [4, 4, 2], [-4, 4, 2]]]) @ turn.T
-    inside = np.random.default_rng(0).uniform(-3.5, 3.5, (200, 2))
-    points = np.column_stack((inside, np.full(200, 2.0))) @ turn.T
-    np.savez(
-        tmp_path / "plate.npz",
-        triangles=plate.astype(np.float32),
-        points=points.astype(np.float32),
-        normals=np.tile(turn[:, 2], (200, 1)).astype(np.float32),
-        areas=np.ones(200, np.float32),
-    )
-    assert surface(ChiefParameters(mesh=str(tmp_path / "plate.npz")), C).points.shape == (3, 200)
-
-
 def test_points_weigh_by_their_areas_and_their_angle_to_the_priority(tmp_path) -> None:
     normals = Rotation.random(60, random_state=1).apply([0.0, 0.0, 1.0])
     areas = np.random.default_rng(0).uniform(0.1, 3.0, 60)
@@ -253,31 +170,6 @@ def test_points_weigh_by_their_areas_and_their_angle_to_the_priority(tmp_path) -
         expected = weights[env.sight.inspected[:, i].numpy()].sum() / weights.sum()
         np.testing.assert_allclose(env.sight.weights[:, i], weights / weights.sum(), rtol=1e-9)
         np.testing.assert_allclose(env.sight.score()[i], expected, rtol=1e-9)
-
-
-def test_the_inside_of_a_narrow_tube_is_kept(tmp_path) -> None:
-    tube = trimesh.creation.annulus(r_min=0.15, r_max=0.5, height=16.0)
-    np.savez(tmp_path / "tube.npz", triangles=np.array(tube.triangles))
-    c = InspectionParameters(num_points=300)
-    assert surface(ChiefParameters(mesh=str(tmp_path / "tube.npz")), c).points.shape[1] > 295
-
-
-def test_a_mesh_is_known_by_its_digest(tmp_path) -> None:
-    path = tmp_path / "own.npz"
-    np.savez(path, triangles=box((-2, -2, -2), (2, 2, 2)))
-    name = pinned(str(path))
-    assert name == pinned(name) and surface(ChiefParameters(mesh=name), C).points.shape[0] == 3
-    np.savez(path, triangles=box((-2, -2, -2), (2, 2, 3)))
-    with pytest.raises(ValueError, match="another file by now"):
-        read(name)
-    assert read("configs/chiefs/box.npz")["triangles"].size
-    assert surface(ChiefParameters(mesh=str(path)), C).points[2].max() > 2.5  # read anew
-
-
-@pytest.mark.parametrize("kind", [">f8", "f4", "longdouble", "i8"])
-def test_numbers_of_any_kind_are_read(kind, tmp_path) -> None:
-    np.savez(tmp_path / "own.npz", triangles=box((-2, -2, -2), (2, 2, 2)).astype(kind))
-    assert read(str(tmp_path / "own.npz"))["triangles"].dtype == np.float64
 
 
 @pytest.mark.parametrize(
@@ -307,42 +199,6 @@ def test_what_is_no_mesh_is_refused(content, words, tmp_path) -> None:
     np.savez(tmp_path / "bad.npz", **content)
     with pytest.raises(ValueError, match=re.escape(words)):
         surface(ChiefParameters(mesh=str(tmp_path / "bad.npz")), C)
-
-
-@pytest.mark.parametrize(
-    ("name", "words"), [("no.npz", "no such file"), ("a.txt", "must end in"), ("b.stl", "holds no triangles")]
-)
-def test_a_file_that_is_none_is_refused(name, words, tmp_path) -> None:
-    if name != "no.npz":
-        (tmp_path / name).write_text("nothing", encoding="utf-8")
-    with pytest.raises(ValueError, match=words):
-        surface(ChiefParameters(mesh=str(tmp_path / name)), C)
-
-
-@pytest.mark.parametrize("name", ["meshes", "a.npz"])
-def test_a_directory_is_named_as_one(name, tmp_path) -> None:
-    (tmp_path / name).mkdir()
-    with pytest.raises(ValueError, match=r"is a directory; name a file, such as \.npz or \.stl"):
-        surface(ChiefParameters(mesh=str(tmp_path / name)), C)
-
-
-@pytest.mark.parametrize("mesh", MESHES)
-def test_a_file_that_was_cut_off_is_refused(mesh, tmp_path) -> None:
-    whole = Path(ROOT / mesh).read_bytes()
-    cut = tmp_path / f"cut{Path(mesh).suffix}"
-    for size in (0, 10, len(whole) // 2, len(whole) - 5):
-        cut.write_bytes(whole[:size])
-        with pytest.raises(ValueError, match=r"cannot be read|needs triangles|holds no triangles"):
-            surface(ChiefParameters(mesh=str(cut)), C)
-
-
-@pytest.mark.parametrize("name", ["a.stl", "a.npz"])
-@pytest.mark.parametrize("content", [b"\x89PNG\r\n\x1a\n" + bytes(range(256)) * 8, b"some text\n" * 9])
-def test_another_kind_of_file_is_refused(name, content, tmp_path) -> None:
-    (tmp_path / name).write_bytes(content)
-    with pytest.raises(ValueError, match=r"cannot be read|needs triangles|holds no triangles") as refusal:
-        surface(ChiefParameters(mesh=str(tmp_path / name)), C)
-    assert "pickle" not in str(refusal.value) and "\n" not in str(refusal.value)
 
 
 def stl_text(name: str = "box", end: str = "\n") -> str:
@@ -391,16 +247,3 @@ def test_what_trimesh_reads_is_read(kind: str, tmp_path: Path) -> None:
     triangles = read(str(path))["triangles"]
     volume = np.linalg.det(triangles).sum() / 6.0
     assert len(triangles) == len(BOX) and abs(volume - np.linalg.det(BOX).sum() / 6.0) < 1e-5
-
-
-@pytest.mark.parametrize("name", ["a.zip", "a.step", "a"])
-def test_a_kind_that_trimesh_does_not_read_is_refused(name: str, tmp_path: Path) -> None:
-    (tmp_path / name).write_bytes(stl_binary())
-    with pytest.raises(ValueError, match=r"must end in \.npz, or in what trimesh reads: .*\.obj.*\.stl"):
-        read(str(tmp_path / name))
-
-
-def test_without_trimesh_an_stl_is_refused_in_a_line(monkeypatch) -> None:
-    monkeypatch.setitem(sys.modules, "trimesh", None)
-    with pytest.raises(ValueError, match="pip install trimesh"):
-        surface(ChiefParameters(mesh=MESHES[1]), C)

@@ -1,7 +1,6 @@
 """The chief's orbit against integration in an inertial frame, matrix exponentials and brute force."""
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,7 +10,6 @@ from scipy.linalg import expm
 from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
 
-from inspection.model.attitude import rate_in_hill
 from inspection.model.dynamics import drift, integrate
 from inspection.model.orbit import chief_at, closest_pass, coast, free_flight, sun_angle_after, two_body
 from inspection.model.orbit import kepler as orbit_after
@@ -22,7 +20,7 @@ N, MU = 0.001027, 3.986004418e14
 A = np.zeros((6, 6))  # Clohessy-Wiltshire
 A[:3, 3:] = np.eye(3)
 A[3, 0], A[3, 4], A[4, 3], A[5, 2] = 3 * N**2, 2 * N, -2 * N, -(N**2)
-ECCENTRIC = [0.0, 0.05, 0.3]
+ECCENTRIC = [pytest.param(0.0, marks=pytest.mark.campaign), 0.3]
 SECONDS = 1000.0
 
 
@@ -63,14 +61,6 @@ def test_free_flight_is_the_matrix_exponential(c, random_states):
         np.testing.assert_allclose(path[:, k], (expm(A * t) @ x[:6].numpy())[:3], rtol=1e-9, atol=1e-7)
 
 
-def test_free_flight_is_where_integration_arrives(c, random_states):
-    x = random_states(3)
-    arrival = free_flight(x[P], x[V], torch.tensor(300.0, dtype=torch.float64), c.mean_motion)
-    np.testing.assert_allclose(
-        integrate(x, torch.zeros(6, 3).double(), 1.0, c, 300)[P], arrival, rtol=0, atol=1e-7
-    )
-
-
 def test_clearance_is_the_smallest_distance_of_a_dense_sampling(c, random_states):
     x = random_states(20)
     clearance = closest_pass(x, 3000.0, c).norm(dim=0)
@@ -78,8 +68,8 @@ def test_clearance_is_the_smallest_distance_of_a_dense_sampling(c, random_states
     np.testing.assert_allclose(clearance, brute, rtol=0, atol=0.1)
 
 
-@pytest.mark.parametrize("orbits", [1.0, 1.3, 5.7])
-@pytest.mark.parametrize("drift", [0.0, 1e-5, 1e-4, 1e-3])
+@pytest.mark.parametrize("orbits", [1.0, pytest.param(5.7, marks=pytest.mark.campaign)])
+@pytest.mark.parametrize("drift", [1e-5, 1e-3])
 def test_clearance_over_several_orbits_is_that_of_a_dense_sampling(c, orbits, drift):
     """Slow and quick drifts along the track, towards the chief and away from it."""
     g = torch.Generator().manual_seed(3)
@@ -93,13 +83,6 @@ def test_clearance_over_several_orbits_is_that_of_a_dense_sampling(c, orbits, dr
         later = clearance_by_brute_force(p.numpy(), v.numpy(), horizon + spacing, 1.0)  # the last chord's end
         assert (found < brute + error).all() and (found > later - error).all()
     assert (brute < 15.0).any() and (brute > 30.0).any()
-
-
-def test_the_closest_pass_is_a_point_of_the_free_flight(c):
-    """A cross-track swing through the chief's orbit plane, where it passes 40 m from the chief along the track."""
-    p = torch.tensor([[0.0], [40.0], [60.0]], dtype=torch.float64)
-    found = closest_pass(at(p, torch.zeros_like(p)), 172800.0, c)
-    np.testing.assert_allclose(found[:, 0], [0.0, 40.0, 0.0], rtol=0, atol=0.1)
 
 
 def test_clearance_sees_a_pass_between_two_samples(c):
@@ -250,19 +233,6 @@ def test_attitude_relative_to_hills_frame_is_the_inertial_one_turned_back(random
         assert math.degrees(left) < 2e-5
 
 
-def test_the_papers_frame_does_not_turn(c, random_states):
-    """Without `hill_rotation` an attitude whose rates are zero stays; with it it turns back once an orbit."""
-    x = random_states(4)
-    x[OMEGA] = 0.0
-    turns = replace(c, hill_rotation=True)
-    for model, angle in ((c, 0.0), (turns, SECONDS * N)):
-        end = integrate(x, torch.zeros(6, 4).double(), 1.0, model, round(SECONDS))
-        left = Rotation.from_quat(end[Q].T.numpy()) * Rotation.from_quat(x[Q].T.numpy()).inv()
-        np.testing.assert_allclose(left.as_rotvec(), [[0.0, 0.0, -angle]] * 4, rtol=0, atol=1e-9)
-    relative = torch.stack(rate_in_hill(x[Q], x[OMEGA], N))
-    np.testing.assert_allclose(relative.norm(dim=0), N, rtol=1e-12)
-
-
 def test_the_closest_pass_of_two_bodies_is_that_of_a_dense_sampling(random_states):
     c, x = orbit(0.05), random_states(5)
     x[P] *= 0.3
@@ -274,17 +244,3 @@ def test_the_closest_pass_of_two_bodies_is_that_of_a_dense_sampling(random_state
         ).y
         nearest = np.linalg.norm(dense[6:9] - dense[:3], axis=0).min()
         assert abs(found - nearest) < 0.1
-
-
-@pytest.mark.parametrize(
-    ("settings", "told"),
-    [
-        ({"orbit": "kepler"}, "two-body"),
-        ({"eccentricity": 0.1}, 'needs orbit = "two-body"'),
-        ({"orbit": "two-body", "eccentricity": 0.31}, "0.3"),
-        ({"orbit": "two-body", "eccentricity": math.nan}, "finite"),
-    ],
-)
-def test_orbits_that_are_not_there_are_refused(settings, told):
-    with pytest.raises(ValueError, match=told):
-        InspectionParameters(**settings)
