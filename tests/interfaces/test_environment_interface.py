@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 import torch
 from gymnasium.utils.env_checker import check_env
-from gymnasium.vector import AutoresetMode
 from gymnasium.wrappers.vector import DictInfoToList, RecordEpisodeStatistics
 
 import interfaces
@@ -54,15 +53,6 @@ def test_gymnasium_finds_nothing_to_complain_about():
         warnings.simplefilter("always")
         check_env(env.unwrapped)
     assert [str(warning.message) for warning in caught] == []
-
-
-def test_make_vec_gives_the_batched_form():
-    env = gymnasium.make_vec("Inspection6DoF-v0", num_envs=3)
-    assert type(env).__name__ == "VectorInspection6DoF"
-    assert env.metadata["autoreset_mode"] is AutoresetMode.SAME_STEP
-    assert (env.observation_space.shape, env.action_space.shape) == ((3, 26), (3, 6))
-    assert env.single_observation_space.dtype == env.single_action_space.dtype == np.float32
-    assert env.metadata["constraints"] == CONSTRAINTS and env.metadata["outcomes"] == OUTCOMES
 
 
 @pytest.mark.parametrize("tensors", [False, True])
@@ -138,34 +128,6 @@ def test_the_single_form_has_the_simulators_numbers(short):
     assert 5 in lengths
 
 
-@pytest.mark.parametrize("behind_filter", [False, True])
-def test_episodes_are_truncated_after_the_steps_that_make_vec_is_given(behind_filter):
-    env = gymnasium.make_vec(ID, num_envs=EPISODES, max_episode_steps=3)
-    env = interfaces.VectorRunTimeAssurance(env, period=10.0) if behind_filter else env
-    endless = simulator(Config(), EPISODES)
-    env.reset(seed=SEED), endless.reset()
-    for step in range(1, 8):
-        observation, reward, terminated, truncated, info = env.step(np.zeros((EPISODES, 6)))
-        assert not terminated.any() and truncated.tolist() == [step % 3 == 0] * EPISODES
-        assert ("final_obs" in info) == ("final_info" in info) == (step % 3 == 0)
-        if step <= 3 and not behind_filter:
-            expected = endless.step(torch.zeros(EPISODES, 6))
-            np.testing.assert_array_equal(info.get("final_obs", observation), expected.observation)
-            np.testing.assert_array_equal(reward, expected.reward)
-        if step % 3 == 0:
-            assert info["final_info"]["episode"]["l"].tolist() == [3] * EPISODES
-            assert not np.array_equal(info["final_obs"], observation)
-
-
-@pytest.mark.parametrize(("given", "lasts"), [(None, 5), (-1, 5), (9, 5), (4, 4), (1, 1)])
-def test_the_shorter_of_both_limits_ends_an_episode(c, given, lasts):
-    config = Config(inspection=replace(c, max_time=50.0, success_score=1.0))
-    env = gymnasium.make_vec(ID, num_envs=2, config=config, max_episode_steps=given)
-    env.reset(seed=SEED)
-    ends = [env.step(np.zeros((2, 6)))[3].all() for _ in range(5)]
-    assert ends.index(True) + 1 == lasts
-
-
 def test_every_form_is_truncated_alike():
     options = {"num_envs": 2, "max_episode_steps": 3}
     forms = [gymnasium.make_vec(ID, **options), gymnasium.make_vec(ID, vectorization_mode="sync", **options)]
@@ -204,17 +166,6 @@ def test_gymnasiums_statistics_and_lists_agree_with_the_info(short):
     listed.reset(seed=SEED)
     *_, infos = listed.step(np.zeros((2, 6)))
     assert [set(info["metrics"]) for info in infos] == [set(METRICS)] * 2
-
-
-def test_gymnasiums_statistics_of_one_episode_agree_with_its_metrics(short):
-    env = gymnasium.wrappers.RecordEpisodeStatistics(gymnasium.make(ID, config=short))
-    env.reset(seed=SEED)
-    for action in actions(6):
-        *_, terminated, truncated, info = env.step(action.numpy())
-        if terminated or truncated:
-            break
-    assert info["episode"]["r"] == pytest.approx(info["metrics"]["reward"], rel=1e-12)
-    assert 10.0 * info["episode"]["l"] == info["metrics"]["episode_length_s"]
 
 
 def test_gymnasiums_own_vector_form_takes_the_single_form():

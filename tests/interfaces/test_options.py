@@ -1,15 +1,13 @@
 """The options of `reset`: whom they reach, what they leave alone, and what is refused."""
 
 import math
-from dataclasses import replace
 
 import gymnasium
 import numpy as np
 import pytest
 import torch
-from gymnasium.wrappers.vector import RecordEpisodeStatistics
 
-from inspection.model.state import OMEGA, Q, T, V
+from inspection.model.state import Q, T, V
 from interfaces import RunTimeAssurance, VectorRunTimeAssurance
 from settings import InputError, load
 from study.config import Config
@@ -63,13 +61,6 @@ def test_only_the_episodes_of_the_mask_begin_anew(behind_filter, config):
         assert torch.equal(ours[..., OTHERS], theirs[..., OTHERS]), name
 
 
-def test_a_mask_of_all_is_a_reset_and_a_tensor_will_do():
-    env, other = made(), made()
-    expected = other.reset(seed=SEED)[0]
-    found = env.reset(seed=SEED, options={"reset_mask": torch.ones(EPISODES, dtype=torch.bool)})[0]
-    np.testing.assert_array_equal(found, expected)
-
-
 @pytest.mark.parametrize("behind_filter", [False, True])
 def test_given_starts_are_flown_from(behind_filter):
     x, priority = start()
@@ -81,18 +72,6 @@ def test_given_starts_are_flown_from(behind_filter):
     env.reset(options={"state": torch.from_numpy(x[0]), "priority": priority[0].tolist()})
     np.testing.assert_allclose(simulator.x.T, x[[0] * EPISODES], rtol=0.0, atol=1e-15)
     np.testing.assert_allclose(simulator.sight.priority.T, priority[[0] * EPISODES], rtol=0.0, atol=1e-15)
-
-
-def test_given_starts_reach_the_episodes_of_the_mask_only():
-    x, priority = start()
-    x[OTHERS], priority[OTHERS] = math.nan, 0.0  # which are not asked for
-    env = made()
-    env.reset(seed=SEED)
-    simulator = env.unwrapped.simulator
-    before = simulator.x.clone()
-    env.reset(options={"state": x, "priority": priority, "reset_mask": MIDDLE})
-    np.testing.assert_allclose(simulator.x[:, 1], x[1], rtol=0.0, atol=1e-15)
-    assert torch.equal(simulator.x[:, OTHERS], before[:, OTHERS])
 
 
 @pytest.mark.parametrize("name", ["state", "priority"])
@@ -133,14 +112,6 @@ def test_gymnasiums_own_vector_forms_pass_them_on(mode):
     assert len(state) > 15
     np.testing.assert_array_equal(after[1, state], alike[0, state])
     env.close()
-
-
-def test_gymnasiums_statistics_begin_anew_with_the_mask():
-    env = RecordEpisodeStatistics(made())
-    env.reset(seed=SEED)
-    flown(env)
-    env.reset(options={"reset_mask": MIDDLE})
-    assert env.episode_lengths.tolist() == [2, 0, 2]
 
 
 def test_a_start_that_the_filter_does_not_accept_is_flown_unverified():
@@ -190,17 +161,3 @@ def test_wrong_options_are_refused_in_one_line_and_change_nothing(options, messa
         env.reset(seed=1, options=options)
     assert "\n" not in str(refused.value)
     assert torch.equal(env.unwrapped.simulator.x, before) and env.np_random_seed == SEED
-
-
-def test_others_cannot_go_on_that_never_began():
-    with pytest.raises(gymnasium.error.ResetNeeded, match="without reset_mask first"):
-        made().reset(options={"reset_mask": MIDDLE})
-
-
-def test_a_single_episode_goes_on_after_a_refused_reset(c):
-    env = gymnasium.make(ID, config=Config(inspection=replace(c, max_time=50.0))).unwrapped
-    env.reset(seed=SEED)
-    with pytest.raises(InputError, match="state of shape"):
-        env.reset(seed=1, options={"state": np.zeros(OMEGA.stop)})
-    assert env.running and env.np_random_seed == SEED
-    env.step(np.zeros(6))

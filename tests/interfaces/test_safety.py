@@ -64,7 +64,7 @@ def test_every_call_is_reported_as_the_filter_answers_it(c):
     assert seen.any() and not seen.all()
 
 
-@pytest.mark.parametrize("tensors", [False, True])
+@pytest.mark.parametrize("tensors", [pytest.param(False, marks=pytest.mark.campaign), True])
 def test_the_flight_is_that_of_the_simulator_with_the_filter_in_its_loop(short, tensors):
     generator = torch.Generator().manual_seed(SEED)
     native = InspectionEnv(EPISODES, short.inspection, [generator], direct_filter(short, 1.0).safety())
@@ -100,14 +100,6 @@ def test_the_single_form_reports_without_the_batchs_axis():
     again.reset(seed=SEED)
     *_, repeated = again.step(action)
     np.testing.assert_array_equal(repeated["u_safe"], info["u_safe"])
-
-
-def test_the_simulator_takes_steps_as_short_as_the_period(c):
-    config = Config(inspection=replace(c, substep=2.0))
-    env = gymnasium.make_vec(ID, config=config)
-    assert env.simulator.clocks.step == 2.0
-    VectorRunTimeAssurance(env, period=1.0)
-    assert env.simulator.clocks.step == 1.0
 
 
 def test_what_cannot_be_filtered_is_refused():

@@ -15,8 +15,6 @@ pytest.importorskip(
 from gymnasium.wrappers.vector import RecordEpisodeStatistics
 from stable_baselines3 import PPO
 from stable_baselines3.common.env_checker import check_env
-from stable_baselines3.common.monitor import Monitor
-from stable_baselines3.common.vec_env import VecMonitor, VecNormalize
 
 from interfaces import RunTimeAssurance, VectorRunTimeAssurance
 from interfaces.stable_baselines import StableBaselinesEnv
@@ -26,6 +24,7 @@ from study.config import Config
 ID = "interfaces:Inspection6DoF-v0"
 
 
+@pytest.mark.campaign
 def test_ppo_trains_for_20000_steps():
     env = StableBaselinesEnv(gymnasium.make_vec(ID, num_envs=200))
     learner = PPO("MlpPolicy", env, n_steps=20, batch_size=1000, n_epochs=5, seed=0, device="cpu")
@@ -68,11 +67,6 @@ def test_ends_are_told_as_stable_baselines_wants_them(c):
     assert ended == {False, True}
 
 
-def test_an_environment_of_tensors_is_refused():
-    with pytest.raises(ValueError, match="tensors=True"):
-        StableBaselinesEnv(gymnasium.make_vec(ID, num_envs=2, tensors=True))
-
-
 @pytest.fixture
 def env():
     """Four episodes of three steps behind the filter, with a wrapper around."""
@@ -87,34 +81,6 @@ def test_the_filters_reports_reach_every_info(env):
         assert info["u_safe"].shape == (1, 6)
         for name in ("intervened", "backup", "verified"):
             assert info[name].shape == (1,) and info[name].dtype == bool
-
-
-@pytest.mark.parametrize(("indices", "count"), [(None, 4), (2, 1), ([0, 3], 2), (range(3), 3), ([], 0)])
-def test_as_many_answers_as_indices(env, indices, count):
-    assert env.get_attr("render_mode", indices) == [None] * count
-    assert env.get_attr("filter", indices) == [env.env.env.filter] * count  # through the wrapper around it
-    assert env.env_is_wrapped(VectorRunTimeAssurance, indices) == [True] * count
-    assert env.env_is_wrapped(Monitor, indices) == [False] * count
-    assert env.env_method("__repr__", indices=indices) == [repr(env.env)] * count
-
-
-def test_attributes_are_of_all_episodes(env):
-    env.set_attr("started", False)
-    assert env.get_attr("started") == [False] * 4 and env.env.unwrapped.started is False
-    with pytest.raises(ValueError, match="'started': the episodes share it: indices must be None, or all"):
-        env.set_attr("started", True, indices=[0])
-    for call in (env.get_attr, env.env_method):
-        with pytest.raises(IndexError):
-            call("reset", indices=4)
-    with pytest.raises(AttributeError, match="nothing_like_it"):
-        env.get_attr("nothing_like_it")
-    assert not env.has_attr("nothing_like_it") and env.has_attr("filter")
-
-
-def test_nothing_is_rendered(env):
-    assert env.render_mode is None and list(env.get_images()) == [None] * 4
-    with pytest.warns(UserWarning, match="no `render_mode`"):
-        assert env.render() is None
 
 
 def start(env, seed):
@@ -138,19 +104,6 @@ def test_options_are_the_starts_of_the_next_reset(env):
     np.testing.assert_allclose(simulator.x.T, x[[2] * 4], rtol=0.0, atol=1e-15)
 
 
-def test_episodes_without_options_are_drawn(env):
-    x, priority = start(env, 1)
-    simulator = env.env.unwrapped.simulator
-    env.seed(5)
-    expected = env.reset()
-    env.seed(5)
-    env.set_options([{}, {"state": x[1]}, {"priority": priority[2]}, {}])
-    observation = env.reset()
-    np.testing.assert_array_equal(observation[[0, 3]], expected[[0, 3]])
-    np.testing.assert_allclose(simulator.x[:, 1], x[1], rtol=0.0, atol=1e-15)
-    np.testing.assert_allclose(simulator.sight.priority[:, 2], priority[2], rtol=0.0, atol=1e-15)
-
-
 @pytest.mark.parametrize(
     ("options", "message"),
     [
@@ -164,19 +117,6 @@ def test_wrong_options_are_refused(env, options, message):
     env.set_options(options)
     with pytest.raises(InputError, match=message):
         env.reset()
-
-
-def test_stable_baselines_own_wrappers_go_around_it(env):
-    env.seed(0)
-    wrapped = VecMonitor(VecNormalize(env))
-    wrapped.reset()
-    ended = [wrapped.step(np.zeros((4, 6)))[2:] for _ in range(3)][-1]
-    done, infos = ended
-    assert done.all() and all(info["TimeLimit.truncated"] for info in infos)
-    for info in infos:
-        assert info["terminal_observation"].shape == (26,) and info["episode"]["l"] == 3
-    seeds = env.seed(7)
-    assert seeds == [7, 8, 9, 10]
 
 
 @pytest.mark.filterwarnings("error")

@@ -10,6 +10,8 @@ import pytest
 from study.files import ROOT
 
 PROGRAM = """
+import sys
+
 import gymnasium
 import numpy as np
 import torch
@@ -44,27 +46,33 @@ def flown(mode, wrappers, compile, **options):
 
 if __name__ == "__main__":
     forked, spawned = [{}, {"context": "fork", "shared_memory": False}], {"context": "spawn"}
-    for wrappers, compile, contexts in (
-        ([], False, forked), ([], True, forked), ([behind_filter], False, [*forked, spawned])
-    ):
-        torch.set_num_threads(1)  # two may wait long for each other on a busy machine
-        expected = flown("sync", wrappers, compile)
-        torch.set_num_threads(2)
-        compute()
-        for options in contexts:
-            found = flown("async", wrappers, compile, **options)
-            assert np.array_equal(found, expected), (wrappers, compile, options)
+    wrappers, compile, contexts = {
+        "bare": ([], False, forked[1:]),
+        "compiled": ([], True, forked),
+        "behind the filter": ([behind_filter], False, [*forked, spawned]),
+    }[sys.argv[1]]
+    torch.set_num_threads(1)  # two may wait long for each other on a busy machine
+    expected = flown("sync", wrappers, compile)
+    torch.set_num_threads(2)
+    compute()
+    for options in contexts:
+        found = flown("async", wrappers, compile, **options)
+        assert np.array_equal(found, expected), (wrappers, compile, options)
     print("flown with", torch.get_num_threads())
 """
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="no processes are forked here")
-def test_gymnasiums_processes_fly_as_one_does(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    "form",
+    ["bare", *(pytest.param(form, marks=pytest.mark.campaign) for form in ("compiled", "behind the filter"))],
+)
+def test_gymnasiums_processes_fly_as_one_does(form: str, tmp_path: Path) -> None:
     program = tmp_path / "program.py"
     program.write_text(PROGRAM)
     environment = os.environ | {"PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
     ran = subprocess.run(
-        [sys.executable, str(program)], env=environment, capture_output=True, text=True, timeout=120
+        [sys.executable, str(program), form], env=environment, capture_output=True, text=True, timeout=120
     )
     assert ran.returncode == 0, ran.stderr
     assert ran.stdout.split()[-1] == "2"
