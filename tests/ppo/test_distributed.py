@@ -10,7 +10,6 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 import torch
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
@@ -19,10 +18,10 @@ from torch.distributed import HashStore
 import main
 from inspection import initial_state
 from ppo import checkpoint
-from ppo.distributed import ALONE, Ranks, ranks, shard_of_episodes, shard_of_seeds
+from ppo.distributed import Ranks, ranks
 from ppo.errors import NonFiniteError, RankLostError
 from settings import from_toml, load
-from study.config import Config, StudyConfig
+from study.config import Config
 from study.training import jump_start
 from study.training import session as training
 
@@ -153,6 +152,7 @@ def scalars(directory: Path) -> dict[str, list[float]]:
     return {tag: [event.value for event in events.Scalars(tag)] for tag in tags}
 
 
+@pytest.mark.campaign
 def test_two_ranks_follow_one(done: tuple[Path, str, list[str]], alone: Path) -> None:
     directory = done[0] / "whole"
     one, other = state(alone), state(directory)
@@ -166,16 +166,7 @@ def test_two_ranks_follow_one(done: tuple[Path, str, list[str]], alone: Path) ->
     assert len(ours) == len(theirs)
 
 
-def test_two_ranks_are_taught_what_one_is(
-    done: tuple[Path, str, list[str]], alone: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(jump_start, "LEARNING_RATE", RATE)
-    training.start(from_toml(TAUGHT, "test", Config()), tmp_path / "run").train()
-    assert_close(state(tmp_path / "run"), state(done[0] / "taught"), 1e-5)
-    weights = (next(iter(state(run)["policy"].values())) for run in (alone, tmp_path / "run"))
-    assert not torch.allclose(*weights, rtol=1e-2, atol=1e-3)
-
-
+@pytest.mark.campaign
 def test_a_signal_to_one_rank_stops_all_and_they_continue_bit_for_bit(
     done: tuple[Path, str, list[str]],
 ) -> None:
@@ -185,6 +176,7 @@ def test_a_signal_to_one_rank_stops_all_and_they_continue_bit_for_bit(
     assert scalars(directory / "whole") == scalars(directory / "stopped")
 
 
+@pytest.mark.campaign
 def test_a_lost_rank_leaves_one_line_and_a_checkpoint_that_one_process_continues(
     done: tuple[Path, str, list[str]], alone: Path
 ) -> None:
@@ -200,41 +192,6 @@ def test_a_lost_rank_leaves_one_line_and_a_checkpoint_that_one_process_continues
     assert_close(state(alone), state(run.directory), TOLERANCE)
 
 
-def test_ranks_refuse_in_one_line(done: tuple[Path, str, list[str]]) -> None:
-    directory, _, err = done
-    for words in (
-        "stopped: holds a run already; continue it with --resume",
-        "[train] num_envs = 5: must be a multiple of the 2 ranks",
-        "torchrun: verify runs in one process",
-    ):
-        assert "".join(err).count(words) == 1, err
-    assert not (directory / "odd").exists()
-
-
-def test_a_study_on_two_ranks_is_that_of_one_process(
-    done: tuple[Path, str, list[str]], tmp_path: Path
-) -> None:
-    settings, shared = done[0] / "study.toml", done[0] / "study" / "no_rta"
-    assert main.main(["study", "--config", str(settings), "--study-dir", str(tmp_path)]) == 0
-    own = tmp_path / "no_rta"
-    assert_close(state(own), state(shared), TOLERANCE)
-    one, other = (json.loads((d / "results.json").read_text()) for d in (own, shared))
-    assert (one["seeds"], one["episodes"]) == (other["seeds"], other["episodes"]) == ([0, 1, 2], 6)
-    assert other["wall_clock_s"] == state(shared)["seconds"]
-    one, other = (np.load(d / "episodes.npz") for d in (own, shared))
-    for name in one.files:
-        assert one[name].shape == other[name].shape
-    np.testing.assert_allclose(other["metrics"], one["metrics"], rtol=1e-5, atol=1e-6)
-    lines = [(d / "evaluations.jsonl").read_text().splitlines() for d in (own, shared)]
-    seeds, expected = ([json.loads(line)["config"]["train"]["seed"] for line in each] for each in lines)
-    assert seeds == expected == [0, 1, 2]
-    for folder in (".", "seed0", "seed2"):
-        shown = scalars(shared / folder)
-        assert scalars(own / folder) == {
-            tag: pytest.approx(values, rel=1e-4, abs=1e-5) for tag, values in shown.items()
-        }
-
-
 def test_shares_cover_everything_once() -> None:
     for size in (1, 2, 3, 7):
         shares = [list(range(10))[Ranks(rank, size).share(10)] for rank in range(size)]
@@ -242,38 +199,6 @@ def test_shares_cover_everything_once() -> None:
         assert max(map(len, shares)) - min(map(len, shares)) <= 1
     with pytest.raises(ValueError, match="10 cannot be shared by 11 ranks"):
         Ranks(0, 11).share(10)
-
-
-@pytest.mark.parametrize("size", [2, 3])
-def test_states_split_and_joined_are_the_same(size: int, alone: Path, tmp_path: Path) -> None:
-    config = load(alone / "config.toml", Config())
-    whole = state(alone)
-    parts = [
-        shard_of_episodes(config.train.num_envs, config.ppo.minibatch_size, Ranks(rank, size))
-        for rank in range(size)
-    ]
-    assert_close(whole, parts[0].join([part.split(whole) for part in parts]), 0.0)
-    study = from_toml(STUDY, "test", StudyConfig())
-    training.save_first(training.create(study.of_arm("no_rta"), tmp_path, study.seeds))
-    whole = state(tmp_path)
-    parts = [shard_of_seeds(config.train.num_envs, 3, Ranks(rank, size)) for rank in range(size)]
-    assert parts[1].split(whole)["env"]["x"].shape[1] == 6 * len(study.seeds[parts[1].seeds])
-    assert_close(whole, parts[0].join([part.split(whole) for part in parts]), 0.0)
-
-
-def test_a_study_took_as_long_as_its_slowest_rank(alone: Path) -> None:
-    part = shard_of_seeds(6, 3, Ranks(0, 3))
-    states = [state(alone) | {"seconds": seconds} for seconds in (1.0, 3.0, 2.0)]
-    assert part.join(states)["seconds"] == 3.0
-
-
-def test_too_many_ranks_are_refused() -> None:
-    with pytest.raises(ValueError, match="num_envs = 6: must be a multiple of the 4 ranks"):
-        shard_of_episodes(6, 1024, Ranks(0, 4))
-    with pytest.raises(ValueError, match=r"minibatch_size = 2: .*3 ranks"):
-        shard_of_episodes(6, 2, Ranks(0, 3))
-    with pytest.raises(ValueError, match=r"seeds = 2: .*3 ranks"):
-        shard_of_seeds(6, 2, Ranks(0, 3))
 
 
 def test_the_first_rank_to_notice_an_end_speaks_for_all(
@@ -296,24 +221,6 @@ def test_the_first_rank_to_notice_an_end_speaks_for_all(
     assert [train(rank, RankLostError(f"another rank ended ([::1]:{rank})")) for rank in (0, 1)] == [1, 1]
     signal.signal(signal.SIGTERM, previous)
     assert capsys.readouterr().err == "\nerror: training stopped at update 3: loss is not finite (seed 7)\n"
-
-
-@pytest.mark.parametrize(("rank", "lines"), [(0, 1), (1, 0)])
-def test_a_bad_flag_is_named_once(
-    rank: int, lines: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setenv("TORCHELASTIC_RUN_ID", "test")
-    monkeypatch.setenv("RANK", f"{rank}")
-    assert main.main(["train", "--num-envs", "many"]) == 2
-    assert capsys.readouterr().err.count("\n") == lines
-
-
-def test_a_process_without_torchrun_is_alone() -> None:
-    assert ranks() is ALONE
-    x = torch.zeros(2, 3)
-    assert ALONE.own(x, 1) is x and ALONE.whole(x, 1) is x
-    assert ALONE.turn(5) == (0, 5) and ALONE.most(2.5) == 2.5
-    assert ALONE.collect(x, x.device) == [x] and ALONE.agree(x) is x
 
 
 if __name__ == "__main__":

@@ -52,6 +52,7 @@ def gradients(ppo: PPO) -> list[Tensor]:
     return [weight.grad for module in (ppo.policy, ppo.value) for weight in module.parameters()]
 
 
+@pytest.mark.campaign
 @pytest.mark.skipif(not shutil.which("c++"), reason="torch.compile needs a C++ compiler")
 def test_compiled_updates_equal_the_others() -> None:
     parameters = PPOParameters(epochs=3, minibatch_size=16)
@@ -216,49 +217,3 @@ def test_a_bad_seed_is_named_by_its_number_in_the_study() -> None:
     ppo.policy.network.layers[1].weight.register_hook(lambda gradient: gradient * math.nan)
     with pytest.raises(NonFiniteError, match=r"\(seed 3, minibatch 0"):
         ppo.update(batch_of(ppo), 0.0)
-
-
-def test_weights_spoilt_by_the_last_step_are_named() -> None:
-    ppo = learner((1, 2), PPOParameters(epochs=1, minibatch_size=64, learning_rate=1e300))
-    with pytest.raises(NonFiniteError, match=r"(policy|value)\.network\.layers\.0\.weight is not finite"):
-        ppo.update(batch_of(ppo), 0.0)
-
-
-def test_nan_gradient_names_the_tensor() -> None:
-    ppo = learner((1, 2), ONE_MINIBATCH)
-    ppo.policy.network.layers[1].weight.register_hook(lambda gradient: gradient * math.nan)
-    with pytest.raises(NonFiniteError, match=r"^policy\.network\.layers\.1\.weight is not finite"):
-        ppo.update(batch_of(ppo), 0.0)
-
-
-IMPOSSIBLE = """gamma 1.5, gae_lambda -0.1, epochs 0, epochs 2.5, minibatch_size 1, learning_rate nan, clip 0,
-value_coefficient -1, entropy_coefficient inf, max_grad_norm 0, initial_std 1"""
-
-
-@pytest.mark.parametrize("setting", IMPOSSIBLE.split(","))
-def test_impossible_parameters_are_refused(setting: str) -> None:
-    name, number = setting.split()
-    value = int(number) if number.isdigit() else float(number)
-    with pytest.raises(ValueError, match=f"{name} = {value}"):
-        PPOParameters(**{name: value})
-
-
-def test_numbers_of_seeds_must_agree() -> None:
-    ppo = learner((1, 2), ONE_MINIBATCH)
-    with pytest.raises(ValueError, match="holds 2 seeds, but 1 generators"):
-        PPO(ppo.policy, ppo.value, ONE_MINIBATCH, ppo.generators[:1])
-
-
-def test_solves_a_one_step_bandit() -> None:
-    ppo = learner((1, 2), PPOParameters(learning_rate=3e-3, minibatch_size=128))
-    observation = torch.zeros(2, 512, OBSERVATION)
-    target = torch.tensor([0.6, -0.5])
-    for step in range(30):
-        action, log_prob = ppo.policy.sample(observation, ppo.generators)
-        value = ppo.value(observation).detach()
-        reward = -(action - target).square().sum(-1)
-        data = {"observation": observation, "action": action, "log_prob": log_prob, "value": value}
-        ppo.update(data | {"advantage": reward - value, "return_": reward}, step / 30)
-    mean, log_std = ppo.policy(observation[:, :1])
-    torch.testing.assert_close(mean, target.expand(2, 1, 2), rtol=0.0, atol=0.05)
-    assert log_std.max() < math.log(0.25)

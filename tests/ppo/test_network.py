@@ -84,18 +84,6 @@ def test_initial_std_and_mean_at_zero_observation(std: float) -> None:
     assert not mean.any()
 
 
-def test_outputs_stay_within_their_bounds() -> None:
-    mean, log_std = excited_policy()(1e3 * observations(200))
-    assert mean.abs().max() <= 1.0
-    assert -4.0 <= log_std.min() < -3.9 and -0.1 < log_std.max() <= 0.0
-
-
-@pytest.mark.parametrize(("std", "bounds"), [(1.0, (-4.0, 0.0)), (0.0, (-4.0, 0.0)), (0.5, (0.0, -4.0))])
-def test_impossible_initial_std_is_refused(std: float, bounds: tuple[float, float]) -> None:
-    with pytest.raises(ValueError, match="std"):
-        Policy(26, 6, generators(1), log_std_bounds=bounds, initial_std=std)
-
-
 def shaped(actions: list[float], power: float, dead_zone: float = 0.0) -> list[float]:
     policy = Policy(2, 1, generators(1), power=power, dead_zone=dead_zone)
     return policy.shaped(torch.tensor(actions)).tolist()
