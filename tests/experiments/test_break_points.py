@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from experiments import break_points
-from experiments.break_points import COLUMNS, EFFECTS, Effect, figure, outcome, said, table
+from experiments.break_points import EFFECTS, Effect, figure, outcome, said, table
 from inspection.world.parameters import PlantParameters
 from rta.constraints.names import CONSTRAINTS
 from settings import override
@@ -21,10 +21,6 @@ def world(
     counts = {name: 2 * (name in violated) for name in CONSTRAINTS} | {"any": 2 * bool(violated)}
     found = {"effect": effect, "size": size, "told": told, "violating_episodes": counts}
     return found | {"unchecked": list(unchecked)}
-
-
-def test_every_limit_has_one_column() -> None:
-    assert sorted(name for limits in COLUMNS.values() for name in limits) == sorted(CONSTRAINTS)
 
 
 @pytest.mark.parametrize("effect", EFFECTS)

@@ -4,7 +4,6 @@ import json
 import math
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import pytest
 import torch
@@ -14,8 +13,6 @@ from experiments import optimum
 from experiments.optimum import (
     Cases,
     Flown,
-    best_starts,
-    cheapest,
     cost,
     flown,
     motion,
@@ -27,7 +24,7 @@ from inspection.environment import InspectionEnv
 from inspection.guidance import natural_motion
 from inspection.model.dynamics import integrate
 from inspection.model.parameters import InspectionParameters
-from inspection.model.state import SIZE, THETA_S, P, Q, V
+from inspection.model.state import SIZE, P, Q, V
 from inspection.orbits import GUIDANCE
 from inspection.transition import METRICS
 from rta.filter import SafetyFilter
@@ -120,14 +117,6 @@ def test_the_search_goes_down_a_slope_that_differences_confirm(cases: tuple[Tens
     torch.testing.assert_close(alone, plan[..., :1], rtol=0.0, atol=1e-4)  # of 0.002, in float32
 
 
-def test_suns_of_the_search_are_those_of_the_simulator(cases: tuple[Tensor, Tensor]) -> None:
-    env = flying(2)
-    env.start(*cases)
-    *_, last = env.fly(lambda t, y: y.new_zeros(6, 2), 50.0)
-    angle, sun = last.after[THETA_S], Cases.of(*cases, 5, C).suns[:, -1]
-    assert (sun[0] - angle.cos()).abs().max() < 1e-6 and (sun[1] - angle.sin()).abs().max() < 1e-6
-
-
 def test_only_clean_flights_are_among_the_best() -> None:
     """Of three flights of one case the cheapest is not clean."""
     ones, fuel = torch.ones(3, dtype=torch.float64), torch.tensor([0.1, 0.2, 0.3], dtype=torch.float64)
@@ -135,27 +124,6 @@ def test_only_clean_flights_are_among_the_best() -> None:
     found = Flown(ones > 0, clean, 3000.0 * ones, fuel, 0.6 * fuel, torch.zeros(1, 3, 3))
     assert summary(found, 1)["delta_v_m_s"] == [0.2] and summary(found, 1)["clean_flights"] == 2
     assert summary(found._replace(clean=ones < 0), 1)["delta_v_m_s"] == [None]
-
-
-def test_a_shorter_flight_counts_for_a_longer_time_and_not_the_other_way() -> None:
-    def row(allowed: float, times: list[float | None], fuel: list[float | None]) -> dict[str, Any]:
-        half = [value and value / 2 for value in fuel]
-        return {"allowed_s": allowed, "time_s": times, "delta_v_m_s": fuel, "length_m_s": half}
-
-    found = [
-        row(3600.0, [3500.0, 3550.0, None], [0.5, 0.3, None]),
-        row(3000.0, [2900.0, None, None], [0.4, None, None]),
-    ]
-    assert cheapest(found) == [row(3600.0, [2900.0, 3550.0, None], [0.4, 0.3, None]), found[1]]
-
-
-def test_each_case_keeps_its_own_best_starts(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(optimum, "cost", lambda cases, thrust, c: thrust[0, 0])
-    monkeypatch.setattr(optimum, "AT_ONCE", 4)
-    x, priority = torch.zeros(16, 2, dtype=torch.float64), torch.ones(3, 2, dtype=torch.float64)
-    # settings 0 to 2, cases 0 and 1 of each
-    thrust = torch.tensor([5.0, 1.0, 3.0, 4.0, 4.0, 2.0]).expand(1, 3, 6)
-    assert best_starts(thrust, x, priority, 2)[0, 0].tolist() == [3.0, 1.0, 4.0, 2.0]
 
 
 def test_the_program_writes_what_is_shipped_for_fewer_cases(
@@ -177,9 +145,3 @@ def test_the_program_writes_what_is_shipped_for_fewer_cases(
     quick, theirs = found["guidance"]["quick"], shipped["guidance"]["quick"]
     assert quick["time_s"] == theirs["time_s"][:2] and quick["clean"] == 2
     assert quick["delta_v_m_s"] == pytest.approx(theirs["delta_v_m_s"][:2], abs=1e-4)
-
-
-def test_the_figure_is_drawn_from_the_file(tmp_path: Path) -> None:
-    (tmp_path / "optimum.json").write_bytes((ROOT / "runs/reference/optimum/optimum.json").read_bytes())
-    optimum.main(["--out", str(tmp_path), "--draw"])
-    assert (tmp_path / "optimum.png").read_bytes().startswith(b"\x89PNG")

@@ -136,12 +136,6 @@ def test_a_horizon_that_is_too_high_is_caught(
     assert lower_bound(own, duration, most=5.0, seconds=20.0, windows=5).fuel > least
 
 
-def test_a_time_that_does_not_divide_is_bounded_with_the_next_longer_one_that_does() -> None:
-    own = task(4, 0.75, look=60.0)
-    found = [lower_bound(own, duration, 5.0, 20.0, windows=5).fuel for duration in (650.0, 900.0, 600.0)]
-    assert found[0] == found[1] < found[2]
-
-
 def test_slopes_and_bends_of_the_kernel_are_below_their_bounds() -> None:
     t = torch.linspace(0.0, 7000.0, 1401, dtype=torch.float64)
     near = optimum_bound.kernel(t[:, None] + torch.tensor([0.5, 1.0, 1.5], dtype=torch.float64), N)
