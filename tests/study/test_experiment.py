@@ -7,11 +7,10 @@ import torch
 
 from inspection.environment import InspectionEnv
 from inspection.model.state import SIZE, THRUST, E, P, Q, V
-from settings import InputError, override
+from settings import override
 from study import machine
 from study.config import Config
 from study.experiment import Experiment, paper_task, priced
-from study.experiment import test_cases as common_cases
 from study.flight import evaluation
 from study.flight.controllers import untrained
 
@@ -85,20 +84,6 @@ def test_evaluated_episodes_are_compiled_where_that_is_repaid(
     evaluation.play(untrained(experiment, 0), experiment, 2, 0)
     evaluation.play_controller("quick", experiment, 2, 0)
     assert seen == [True, True] * compiled
-
-
-def test_a_hull_of_what_turns_is_refused_in_a_line() -> None:
-    with pytest.raises(InputError, match="holds still"):
-        made(chief=HULL | {"rate": [0.1, 0.0, 0.0]})
-
-
-def test_test_cases_beside_a_hull_may_be_where_the_sphere_would_be(small_pools) -> None:
-    near = made(
-        chief={"mesh": "configs/chiefs/box.npz", "collision": "hull"},
-        inspection={"initial_radius": [9.5, 14.0]},
-    )
-    x = common_cases(near, 4, 0).x
-    assert (x[:3].norm(dim=0) < near.inspection.collision_radius).all()
 
 
 def test_the_guidance_is_flown_in_the_default_task_without_the_filter_and_with_what_is_asked_for() -> None:

@@ -1,8 +1,6 @@
 """Threads, locks and what takes long: what a person wants, what a run was begun with, else the default."""
 
-import json
 import os
-import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -13,7 +11,7 @@ from filelock import FileLock
 from kernels import compiled
 from settings import InputError
 from study import machine
-from study.machine import alone_in, recorded_threads, set_threads, step
+from study.machine import alone_in, set_threads
 
 
 @pytest.fixture
@@ -48,24 +46,6 @@ def test_the_environment_decides_before_the_default_and_the_load_never(
     assert torch.get_num_threads() == 2 and compiled.most_threads is None
 
 
-@pytest.mark.parametrize(("processors", "wanted"), [(2, 3), (2, 100_000), (None, 2), (64, 20_000)])
-def test_more_threads_than_processors_are_refused(
-    processors: int | None, wanted: int, two_threads: None, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("os.cpu_count", lambda: processors)
-    with pytest.raises(
-        InputError, match=f"--threads {wanted}: must be at most {processors or 1}, .*processors"
-    ):
-        set_threads(wanted)
-    assert torch.get_num_threads() == 2
-
-
-@pytest.mark.parametrize(("written", "read"), [(8, 8), (100_000, None), (0, None), (True, None), ("2", None)])
-def test_a_record_of_impossible_threads_is_none(written: object, read: int | None, tmp_path: Path) -> None:
-    (tmp_path / "provenance.json").write_text(json.dumps({"threads": written}))
-    assert recorded_threads(tmp_path) == read
-
-
 def test_a_directory_is_one_process_s_at_a_time(tmp_path: Path) -> None:
     theirs = FileLock(tmp_path / machine.LOCK)
     theirs.acquire()
@@ -76,14 +56,3 @@ def test_a_directory_is_one_process_s_at_a_time(tmp_path: Path) -> None:
         pass
     with pytest.raises(InputError, match="No such file"), alone_in(tmp_path / "nowhere", "--run-dir"):
         pass
-
-
-def test_a_long_step_says_what_it_does_and_a_short_one_nothing(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    with pytest.raises(ValueError), step("compiling"):
-        raise ValueError
-    monkeypatch.setattr(machine, "PATIENCE", 0.02)
-    with step("compiling, about a minute"):
-        time.sleep(0.3)
-    assert capsys.readouterr().err == "compiling, about a minute ...\n"

@@ -10,10 +10,8 @@ import torch
 from kernels import build
 from rta.filter import SafetyFilter
 from rta.printed.loaded import InC
-from settings import load
 from study import verified
 from study.config import Config
-from study.export.filter import said_of
 from tests.oracles import tensor
 from tests.rta.test_filter import C, R, commands, near_the_limits
 from tests.test_main import assert_refused, call
@@ -51,20 +49,6 @@ def test_a_changed_filter_says_that_it_is_not_verified(
     assert "NOT VERIFIED" in out
     head = (tmp_path / "c" / "safety_filter.h").read_text()
     assert "SAFETY_FILTER_VERIFIED 0" in head and "NOT VERIFIED" in head.splitlines()[2]
-
-
-def test_a_shipped_filter_is_verified_by_its_own_campaigns() -> None:
-    said = said_of(load(Path("configs/plants/u1.toml"), Config()))
-    assert said.startswith("Verified") and "u1_" in said
-
-
-def test_a_violation_in_c_is_said_of_the_c_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    report = json.loads((REPORTS / "in_c_random.json").read_text())
-    report["violating_episodes"]["any"] = 1
-    (tmp_path / "broken.json").write_text(json.dumps(report))
-    monkeypatch.setattr(verified, "REPORTS", str(tmp_path))
-    assert said_of(Config()).startswith("NOT VERIFIED")
-    assert verified.doubt(Config()) is None
 
 
 def test_the_campaigns_in_c_violated_nothing() -> None:

@@ -1,7 +1,6 @@
 """The exported agent: what it answers, what it says of itself, and when the command refuses."""
 
 import json
-import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,13 +14,12 @@ from inspection.environment import InspectionEnv
 from inspection.model.parameters import ChiefParameters, InspectionParameters
 from inspection.observation import observe
 from ppo.network import Policy
-from settings import override, to_toml
+from settings import override
 from study.config import Config
-from study.errors import ExportError
 from study.experiment import load_policy, make_policy
 from study.export import onnx as export
 from study.flight.controllers import agent
-from tests.test_main import assert_refused, call
+from tests.test_main import call
 
 C = InspectionParameters(max_thrust=2.0)
 SHIPPED = Path(main.__file__).parent / "runs" / "reference" / "study" / "rta" / "seed0" / "policy.pt"
@@ -87,26 +85,6 @@ def test_metadata_lead_to_the_chief_that_the_agent_inspected() -> None:
     assert ChiefParameters(**{k: tuple(v) if isinstance(v, list) else v for k, v in table.items()}) == chief
 
 
-def test_metadata_name_every_component() -> None:
-    about = export.metadata(C, ChiefParameters())
-    observed, commanded = json.loads(about["observation"]), json.loads(about["control"])
-    assert [len(observed), len(commanded)] == [26, 6]
-    assert observed[0] == {"name": "position_norm", "unit": "m", "scale": 100.0}
-    assert observed[8] == {"name": "angular_velocity_x", "unit": "rad/s", "scale": 0.035}
-    assert commanded[0] == {"name": "thrust_x", "unit": "N", "scale": 2.0}
-    assert commanded[5] == {"name": "torque_z", "unit": "N m", "scale": pytest.approx(0.0573 * 0.017453)}
-
-
-@pytest.mark.parametrize("flaw", [1e-3, float("nan")])
-def test_another_network_is_not_passed(flaw: float) -> None:
-    policy = untrained(0)
-    model = export.to_onnx(policy, C, ChiefParameters())
-    assert export.check(model, policy) <= 1e-5
-    policy.network.layers[1].weight.data[0, 3, 5] += flaw
-    with pytest.raises(ExportError, match="differ"):
-        export.check(model, policy)
-
-
 def test_a_difference_ends_in_one_line_and_exit_code_1(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -119,28 +97,3 @@ def test_a_difference_ends_in_one_line_and_exit_code_1(
     code, _, err = call(["export", "--checkpoint", str(SHIPPED), "--out", str(out)], capsys)
     assert code == 1 and err.count("\n") == 1 and "differ from PyTorch's" in err
     assert not out.exists()
-
-
-def test_limits_are_those_of_the_checkpoint(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    config = override(Config(), {"inspection": {"max_thrust": 0.5}}, "test")
-    content = {"policy": untrained(0).state_dict(), "config": to_toml(config)}
-    torch.save(content, tmp_path / "policy.pt")
-    out = tmp_path / "policy.onnx"
-    arguments = ["export", "--checkpoint", str(tmp_path / "policy.pt"), "--out", str(out)]
-    code, text, err = call(arguments, capsys)
-    assert code == 0, err
-    assert "policy.onnx" in text and "1,000 observations" in text
-    about = session_of(out.read_bytes()).get_modelmeta().custom_metadata_map
-    assert json.loads(about["control"])[0]["scale"] == 0.5
-
-
-def test_a_missing_package_is_named(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setitem(sys.modules, "onnx", None)
-    monkeypatch.delitem(sys.modules, "study.export.onnx")
-    monkeypatch.delattr("study.export.onnx")
-    out = str(tmp_path / "policy.onnx")
-    assert_refused(
-        ["export", "--checkpoint", str(SHIPPED), "--out", out], ["onnx", "requirements.txt"], capsys
-    )

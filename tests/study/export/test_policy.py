@@ -21,7 +21,6 @@ from study.config import Config
 from study.experiment import load_policy, make_policy
 from study.export import policy as export_policy
 from study.files import ROOT
-from tests.test_main import assert_refused, call
 
 SHIPPED = ROOT / "runs/reference/study/rta/seed0/policy.pt"
 STRICT = [
@@ -36,7 +35,6 @@ STRICT = [
 ]
 STRICTER = ["-Wshadow", "-Wdouble-promotion", "-Wstrict-prototypes", "-Wmissing-prototypes", "-Wcast-qual"]
 SANITIZED = ["-std=c99", "-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
-MATHEMATICS = {"cos", "fmax", "fmin", "memcpy", "memset", "pow", "sin", "sqrt", "tanh"}
 DEVIATIONS = ("2.4", "2.5", "8.9", "9.3")  # of MISRA C:2012; docs/guides/export.md says why each stands
 
 AGENTS: dict[str, Path | dict[str, Any]] = {  # shipped, or the tables of one that is not trained
@@ -175,25 +173,6 @@ def test_sanitizers_find_nothing(exported: Callable[[str], Exported], tmp_path: 
     assert succeed(program).startswith("passed")
 
 
-def test_it_keeps_nothing_and_calls_nothing_but_the_mathematics(
-    exported: Callable[[str], Exported], tmp_path: Path
-) -> None:
-    succeed(
-        tool("gcc"), *STRICT, "-c", exported("shipped").directory / "policy.c", "-o", tmp_path / "policy.o"
-    )
-    symbols = [line.split()[-2:] for line in succeed(tool("nm"), tmp_path / "policy.o").splitlines()]
-    assert {name for kind, name in symbols if kind == "U"} <= MATHEMATICS
-    shown = {"policy_look", "policy_observe", "policy_control", "policy_points"}
-    assert {name for kind, name in symbols if kind.isupper() and kind != "U"} == shown
-    assert {kind for kind, _ in symbols} <= set("UTtRr")  # nothing that can be written
-
-
-@pytest.mark.parametrize("flag", ["-ffast-math", "-Ofast", "-ffinite-math-only"])
-def test_it_refuses_flags_that_take_nan_away(flag: str, exported: Callable[[str], Exported]) -> None:
-    done = run(tool("gcc"), "-std=c99", flag, "-fsyntax-only", exported("shipped").directory / "policy.c")
-    assert done.returncode and "compile it without -ffast-math" in done.stderr
-
-
 def test_it_keeps_misras_rules(exported: Callable[[str], Exported], tmp_path: Path) -> None:
     """But for DEVIATIONS. The printed observation is left out, which takes cppcheck hours."""
     if run(tool("cppcheck"), "--addon=misra", os.devnull).returncode:
@@ -206,27 +185,6 @@ def test_it_keeps_misras_rules(exported: Callable[[str], Exported], tmp_path: Pa
     rules = [f"--suppress=misra-c2012-{rule}" for rule in DEVIATIONS]
     rules += ["--addon=misra", "--suppress=missingIncludeSystem", "--suppress=unusedStructMember"]
     succeed("cppcheck", "--std=c99", "--enable=style", "--error-exitcode=1", *rules, directory / "policy.c")
-
-
-def test_agents_of_two_prefixes_fit_into_one_program(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    names = ("here", "there")
-    calls = [f"{name}_control((double[{name.upper()}_OBSERVATIONS]){{0.0}}, control)" for name in names]
-    lines = [f'#include "{name}/{name}.h"' for name in names]
-    lines.append(f"int main(void) {{ double control[6]; return !({' && '.join(calls)}); }}\n")
-    (tmp_path / "both.c").write_text("\n".join(lines))
-    for name in names:
-        words = ["export", "--checkpoint", str(SHIPPED), "--c", str(tmp_path / name), "--prefix", name]
-        code, _, err = call(words, capsys)
-        assert code == 0, err
-    sources = [tmp_path / "both.c", *(tmp_path / name / f"{name}.c" for name in names)]
-    succeed(tool("gcc"), "-std=c99", "-o", tmp_path / "both", *sources, "-lm")
-    succeed(tmp_path / "both")
-    assert "passed" in succeed(tool("make"), "-C", tmp_path / "there", "test")
-    assert_refused([*words[:-1], "3u"], ["--prefix: '3u': must be a name in C"], capsys)
-    out = ["export", "--checkpoint", str(SHIPPED), "--out", str(tmp_path / "a.onnx"), "--prefix", "a"]
-    assert_refused(out, ["--prefix"], capsys)
 
 
 @pytest.mark.parametrize("agent", AGENTS)
@@ -247,17 +205,3 @@ def test_the_header_names_what_is_observed_and_commanded(
     limits = [float(text.rpartition(" ")[2]) for _, text in members("COMMAND")]
     assert limits == list(config.inspection.control_limit)
     assert "POLICY_PERIOD 10.0 " in header
-
-
-def test_an_older_agent_is_replaced(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    directory = tmp_path / "c"
-    directory.mkdir()
-    for name in ("policy.c", "policy.h.tmp", "test_policy"):  # not begun, left by a kill, built
-        (directory / name).touch()
-    for checkpoint in (AGENTS["beside a chief that tumbles"], SHIPPED, SHIPPED):
-        before = {path.name: path.read_bytes() for path in directory.iterdir()}
-        code, out, err = call(["export", "--checkpoint", str(checkpoint), "--c", str(directory)], capsys)
-        assert code == 0, err
-        weights = "7,046" if checkpoint == SHIPPED else "7,238"
-        assert f"{weights} weights" in out and f"make -C {directory} test" in out
-    assert before == {path.name: path.read_bytes() for path in directory.iterdir()}  # the same once more

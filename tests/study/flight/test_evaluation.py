@@ -1,8 +1,6 @@
 """Evaluation of what is not trained, against the simulation of a single spacecraft."""
 
 import math
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -18,7 +16,6 @@ from study.flight.controllers import agent, classical, untrained
 from study.flight.evaluation import METRICS, play_controller, run_episodes
 from study.flight.fly import Starts
 from study.flight.simulation import Recording, simulate
-from study.training import session as training
 
 SETTINGS = {"inspection": {"max_time": 20.0}, "rta": {"qp_solver": "piqp"}}
 
@@ -61,55 +58,6 @@ def test_a_baseline_is_evaluated_as_it_is_simulated(name: str, every: float, rta
         assert {name: metrics[name] for name in expected} == pytest.approx(expected, rel=1e-6)
         assert name == "zero" or metrics["delta_v_m_s"] > 0.0
     assert record.filter_calls.tolist() == [c.max_time * rta] * 2
-
-
-def test_random_controls_are_the_seeds_and_held_for_an_action(monkeypatch: pytest.MonkeyPatch) -> None:
-    experiment = experiment_of(False, 50)
-    drawn: list[torch.Tensor] = []
-    rand = torch.rand
-
-    def recorded(*shape: Any, **more: Any) -> torch.Tensor:
-        drawn.append(rand(*shape, **more))
-        return drawn[-1]
-
-    records = []
-    for seed in (0, 0, 1):
-        with monkeypatch.context() as patch:
-            patch.setattr(torch, "rand", recorded)
-            drawn.clear()
-            records.append(play_controller("random", experiment, 50, seed))
-            controls = [part for part in drawn if tuple(part.shape) == (6, 50)]
-            drawn.clear()
-            common_cases(experiment.config, 50, seed)
-            starts = torch.cat([part.flatten() for part in drawn[:-1]])  # the last ones number the plants
-        assert len(controls) == 2  # 20 s, an action holds 10 s
-        assert not torch.isin(torch.cat(controls), starts).any()
-    first, again, other = (record.metrics[METRICS.index("delta_v_m_s")] for record in records)
-    assert torch.equal(first, again) and not torch.equal(first, other)
-    assert first.mean().item() == pytest.approx(20.0 * 3 * 0.5 / 12.0, rel=0.1)  # all of them fly for 20 s
-
-
-def test_an_untrained_policy_is_the_one_that_training_begins_with(tmp_path: Path) -> None:
-    train = {"seed": 7, "num_envs": 2, "rollout_steps": 2, "interactions": 4, "device": "cpu", "rta": False}
-    tables = {"train": train, "ppo": {"minibatch_size": 4}}
-    begun = training.start(override(Config(), tables, "test"), tmp_path / "run")
-    ours = untrained(begun.experiment, 7).state_dict()
-    for name, weights in begun.policy.state_dict().items():
-        assert torch.equal(ours[name], weights), name
-
-
-def test_the_bar_counts_episodes_and_shows_the_time_simulated(monkeypatch: pytest.MonkeyPatch) -> None:
-    bars, bar = [], evaluation.bar
-
-    def kept(*arguments: Any, **options: Any) -> Any:
-        bars.append(bar(*arguments, **options))
-        return bars[-1]
-
-    monkeypatch.setattr(evaluation, "bar", kept)
-    play_controller("zero", experiment_of(False, 3), 3, 0)
-    (shown,) = bars
-    assert (shown.n, shown.total, shown.desc) == (3, 3, "flying 3 test cases")
-    assert shown.postfix == "20 s flown of at most 20"
 
 
 def test_a_success_is_clean_that_stays_clear_and_breaks_no_limit_in_any_second(

@@ -21,7 +21,7 @@ from rta.qp.programs import Status
 from study.flight.offline_filter import CHUNK, filter_states
 from tests.oracles import Problems, given_slack, held, paper, thrust_fall
 from tests.rta.test_filter import PRIORITY, commands, near_the_limits
-from tests.test_main import assert_refused, call
+from tests.test_main import assert_refused
 
 C = InspectionParameters()
 LIMIT = np.array(C.control_limit)
@@ -200,41 +200,12 @@ def test_rows_are_the_rates_of_the_papers_constraints(
     np.testing.assert_allclose(left[fast], expected[fast], atol=1e-6)
 
 
-def test_h_is_the_papers(given: dict[str, ndarray], result: dict[str, ndarray]) -> None:
-    np.testing.assert_allclose(result["h"], paper(given["state"].T).T, rtol=0, atol=1e-4)
-
-
 def test_chunks_do_not_show() -> None:
     safety = SafetyFilter(C, RtaParameters())
     x, u = torch.from_numpy(near_the_limits(CHUNK + 3)), commands(CHUNK + 3)
     whole, end = filter_states(safety, x, u), filter_states(safety, x[:, -5:], u[:, -5:])
     for name in ("control_safe", "A_all", "b_all", "status"):
         np.testing.assert_allclose(whole[name][-5:], end[name], rtol=1e-12, atol=1e-12)
-
-
-def test_the_period_caps_the_gains(
-    given: dict[str, ndarray], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    count = 600  # a held control is searched for at each
-    np.savez(tmp_path / "states.npz", **{name: array[:count] for name, array in given.items()})
-    out = tmp_path / "out.npz"
-    arguments = ["filter", "--states", str(tmp_path / "states.npz"), "--out", str(out), "--rta-period", "10"]
-    (tmp_path / "off.toml").write_text("[train]\nrta = false\n")  # this command filters all the same
-    code, text, err = call([*arguments, "--config", str(tmp_path / "off.toml"), "--compile", "off"], capsys)
-    assert code == 0, err
-    assert f"{count:,} states" in text
-    slow = np.load(out)
-    i = CONSTRAINTS.index("angular_velocity_x")
-    h = slow["h"][:, i]
-    torque = slow["A"][:, i]
-    # the nearer of omega_max -+ omega, in a hold of 10 s
-    side, within = np.sign(torque[:, 3]), h >= 0.0
-    np.testing.assert_allclose(torque[:, 3], side / 0.0573, rtol=1e-9, atol=1e-12)
-    psi = C.max_rate + side * given["state"][:count, 10]
-    assert within.mean() > 1 / 3
-    np.testing.assert_allclose(
-        slow["b"][within, i], 0.05 * psi[within], rtol=0, atol=1e-9
-    )  # 0.5 / period, no margin
 
 
 def state(**changes: Any) -> ndarray:
@@ -277,29 +248,3 @@ def test_bad_states_are_refused(
     arguments = ["filter", "--states", str(path), "--out", str(tmp_path / "out.npz")]
     assert_refused(arguments, [str(path), *words], capsys)
     assert not (tmp_path / "out.npz").exists()
-
-
-@pytest.mark.parametrize("damage", ["missing", "text", "truncated", "npy", "directory"])
-def test_unreadable_files_are_refused(
-    damage: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    path = tmp_path / "states.npz"
-    if damage == "text":
-        path.write_text("position")
-    elif damage == "truncated":
-        np.savez(path, state=state(), control_desired=np.zeros((4, 6)))
-        path.write_bytes(path.read_bytes()[:-100])
-    elif damage == "npy":
-        with path.open("wb") as file:
-            np.save(file, state())
-    elif damage == "directory":
-        path.mkdir()
-    arguments = ["filter", "--states", str(path), "--out", str(tmp_path / "out.npz")]
-    assert_refused(arguments, [str(path), "cannot read the states"], capsys)
-
-
-def test_unwritable_output_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    path = tmp_path / "states.npz"
-    np.savez(path, state=state(), control_desired=np.zeros((4, 6)))
-    arguments = ["filter", "--states", str(path), "--out", "nowhere/x.npz"]
-    assert_refused(arguments, ["--out", "cannot write"], capsys)

@@ -26,7 +26,7 @@ from study.verification import campaign
 from study.verification.starts import safe_set
 from tests.oracles import PSM_TOLERANCE, paper, tensor
 from tests.rta.test_barrier import FILTER
-from tests.test_main import STATE, assert_refused, call
+from tests.test_main import STATE, call
 
 pytestmark = pytest.mark.usefixtures("small_pools")
 
@@ -85,25 +85,6 @@ def test_verify_reports_a_filter_that_corrects_nothing(
         assert found["worst_value"][name] < 0.0
         example = np.load(tmp_path / f"report.json.{name}.npz")
         assert (example["control_desired"] == example["control_applied"]).all()
-
-
-@pytest.mark.parametrize(
-    "command",
-    [
-        ["verify", "--episodes", "16", "--duration", "10"],
-        ["simulate", "--controller", "zero", "--duration", "10", "--out", "x.npz"],
-        ["evaluate", "--controller", "natural-motion", "--episodes", "2"],
-    ],
-)
-def test_a_substep_that_does_not_divide_the_clocks_is_refused(
-    command: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    path = tmp_path / "config.toml"
-    path.write_text("[inspection]\nsubstep = 0.4\n")
-    config = ["--compile", "off", "--config", str(path)]
-    assert_refused([*command, *config], ["0.4 s"], capsys)
-    if command[0] != "evaluate":  # whose reports are 10 s apart
-        assert_refused([*command, *config, "--rta-period", "10"], ["0.4 s"], capsys)
 
 
 def simulated(

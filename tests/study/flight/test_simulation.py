@@ -4,7 +4,6 @@ import math
 from pathlib import Path
 
 import numpy as np
-import pytest
 import torch
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
@@ -13,18 +12,15 @@ import main
 from inspection.guidance import recorded
 from inspection.model.dynamics import step as integrate
 from inspection.model.parameters import InspectionParameters
-from inspection.world.plant import Plant
 from rta.filter import SafetyFilter
 from rta.parameters import RtaParameters
 from settings import override
 from study.config import Config
 from study.experiment import Experiment
 from study.experiment import test_cases as common_cases
-from study.flight.evaluation import common_episode, play
 from study.flight.figures import points_of_chief
 from study.flight.fly import Starts
 from study.flight.simulation import simulate
-from tests.test_main import assert_refused
 
 DURATION, DECIDE_EVERY, STEP = 60, 10, 5  # s, with a call of the filter each second
 
@@ -98,19 +94,6 @@ def test_a_chief_tumbles_in_it_as_an_adaptive_integrator_has_it_and_is_seen_as_b
     assert (run["inspected"][-1] != run["inspected"][0]).any()
 
 
-def test_a_later_test_case_has_the_chief_that_it_was_evaluated_with() -> None:
-    experiment = beside_a_chief(
-        {"random_attitude": True, "largest_rate": 5.0}, max_time=60.0, field_of_view=2.5
-    )
-    policy = experiment.policy(experiment.generators([3]))
-    record = play(policy, experiment, 4, 0)
-    scores = record.metrics[0]
-    assert len(set(scores.tolist())) == 4
-    for case in range(4):
-        score = common_episode(policy, experiment, case)["inspected_score"][-1]
-        assert score == pytest.approx(scores[case].item(), rel=1e-14)  # a batch adds up in another order
-
-
 def repeated(rows: np.ndarray, step: int, tmp_path: Path) -> list[str]:
     """What flies rows of controls and corners again, in a world whose thrusters are weak or strong by half."""
     config, actions = (tmp_path / name for name in ("own.toml", "flight.npy"))
@@ -132,33 +115,3 @@ def test_recorded_corners_say_at_which_end_each_error_is(tmp_path: Path) -> None
     given = attitude.inv().apply(np.diff(flown["velocity"], axis=0)) * InspectionParameters().mass
     wanted = [[0.5, 0.5, 0.5], [0.5, 0.5, 0.5], [1.5, 0.5, 0.5], [1.5, 0.5, 0.5]]
     np.testing.assert_allclose(given, wanted, rtol=0, atol=0.05)  # the orbit's acceleration and the turn
-
-
-def test_recorded_corners_last_as_long_as_their_row(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Also where the filter is called between two rows."""
-    rows = np.zeros((3, 25))
-    rows[:, 6:] = np.random.default_rng(0).integers(0, 2, (3, 19))
-    at: list[tuple[float, list[bool]]] = []
-    hold = Plant.hold
-
-    def noted(plant: Plant, time: torch.Tensor, u: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        found = hold(plant, time, u)
-        at.append((time.item(), plant.corner[:18, 0].tolist()))
-        return found
-
-    monkeypatch.setattr(Plant, "hold", noted)
-    assert main.main(repeated(rows, 10, tmp_path)) == 0
-    assert at == [(float(t), (rows[t // 10, 6:24] > 0.0).tolist()) for t in range(30)]
-
-
-@pytest.mark.parametrize("wrong", [math.nan, 0.5, -7.5])
-def test_a_corner_is_0_or_1(wrong: float, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    rows = np.zeros((4, 25))
-    rows[2, 9] = wrong
-    said = [f"row 2, column 9 = {wrong:g}: ", "must be 0 or 1"]
-    assert_refused([*repeated(rows, 1, tmp_path), "--no-rta"], said, capsys)
-
-
-def test_controls_without_all_corners_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    said = ["(4, 24): must be (N, 6), in N and N m, or (N, 25) with corners"]
-    assert_refused([*repeated(np.zeros((4, 24)), 1, tmp_path), "--no-rta"], said, capsys)

@@ -20,13 +20,6 @@ STATE: dict[str, Any] = {
 }
 
 
-def test_a_byte_order_mark_is_read_over(tmp_path: Path) -> None:
-    path = tmp_path / "state.json"
-    path.write_bytes(b"\xef\xbb\xbf" + json.dumps(STATE).encode())
-    x, _ = read_state(str(path), InspectionParameters())
-    assert x[:3, 0].tolist() == STATE["position"]
-
-
 @pytest.mark.parametrize(
     ("change", "said"),
     [

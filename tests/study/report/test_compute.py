@@ -2,20 +2,17 @@
 
 import json
 import shutil
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-import torch
 
 import main
 from inspection.orbits import GUIDANCE
-from settings import InputError, load
-from study.config import Config, StudyConfig
-from study.experiment import Experiment
-from study.report import agents, compute, flights, inputs, tables
+from settings import load
+from study.config import Config
+from study.report import agents, compute, flights
 
 SEEDS = (5, 6)
 CASES = 4
@@ -131,13 +128,6 @@ def test_other_filters_give_what_evaluate_says_of_each_policy(
         assert value == pytest.approx(min(own["worst_constraint_value"][name] for own in alone))
 
 
-def test_the_studys_own_filter_gives_the_studys_own_results(study: Path) -> None:
-    arms = read(study / "results.json")["arms"]
-    cross = read(study / "report" / "cross.json")
-    assert cross["no_rta"]["off"] == arms["no_rta"]
-    assert cross["rta"]["on"] == arms["rta"] == read(study / "report" / "frequency.json")["1"]
-
-
 def test_worlds_are_those_of_evaluate(study: Path, tmp_path: Path) -> None:
     """The robust filter in the harsh plant, each seed alone."""
     found = read(study / "report" / "worlds.json")
@@ -175,79 +165,6 @@ def test_arms_fly_side_by_side_as_they_fly_alone(study: Path) -> None:
     assert together[0]["metrics"] != together[1]["metrics"]
 
 
-def test_only_arms_of_one_task_fly_side_by_side(study: Path) -> None:
-    arms = agents.load(study, None)
-    rta = arms["rta"]
-    others = {
-        "period": {"rta": replace(rta.config.rta, period=5.0)},  # in all worlds it is one second
-        "gain": {"rta": replace(rta.config.rta, speed_gain=0.11)},
-        "task": {"inspection": replace(rta.config.inspection, max_time=10.0)},
-        "price": {"train": replace(rta.config.train, learn_from="penalty")},
-        "network": {"ppo": replace(rta.config.ppo, hidden=(32, 32))},
-    }
-    arms |= {name: replace(rta, config=replace(rta.config, **parts)) for name, parts in others.items()}
-    groups = flights.side_by_side(arms | {"seeds": replace(rta, digests={"seed5": ""})})
-    assert groups == [["no_rta", "rta", "period"], ["gain"], ["task"], ["price"], ["network"], ["seeds"]]
-
-
-def test_the_episode_that_violates_most_is_a_success_that_does(tmp_path: Path) -> None:
-    path = tmp_path / "episodes.npz"
-    outcome = np.array([[0, 1, 1], [1, 1, 0]])  # of two seeds and three cases
-
-    def found(shares: list[list[float]]) -> tuple[int, int] | None:
-        names = {"outcome_names": np.array(["crash", "success"])}
-        np.savez(path, outcome=outcome, violation_seconds=np.array([[[9.0] * 3] * 2, shares]), **names)
-        return flights.worst_success(path)
-
-    assert found([[90.0, 1.0, 2.0], [5.0, 3.0, 80.0]]) == (1, 0)
-    assert found([[90.0, 0.0, 0.0], [0.0, 0.0, 80.0]]) is None
-
-
-def test_the_episode_of_a_seed_and_a_case_is_the_studys(study: Path) -> None:
-    flown = flights.violation(agents.load(study, None)["no_rta"], 1, CASES - 1)
-    assert (int(flown["seed"]), int(flown["case"])) == (SEEDS[1], CASES - 1)
-    with np.load(study / "no_rta" / "episodes.npz") as episodes:
-        metrics = dict(zip(episodes["metric_names"].tolist(), episodes["metrics"], strict=True))
-    assert flown["inspected_score"][-1] == pytest.approx(metrics["inspected_score"][1, CASES - 1])
-
-
-def test_an_older_revisions_study_is_refused(study: Path, tmp_path: Path) -> None:
-    (tmp_path / "config.toml").write_text((study / "config.toml").read_text())
-    results = read(study / "results.json")
-    del results["arms"]["rta"]["outcomes"]["clean_success"]
-    (tmp_path / "results.json").write_text(json.dumps(results))
-    with pytest.raises(InputError, match="rta was evaluated by an older revision"):
-        agents.load(tmp_path, None)
-
-
-def test_every_arm_of_the_shipped_study_can_fly_in_every_world() -> None:
-    config = load(flights.ROOT / "configs" / "study.toml", StudyConfig())
-    told = load(flights.BOUNDS, Config()).uncertainty
-    for name in config.study.arms:
-        own = replace(flights.with_rta(config.of_arm(name), True, flights.FILTER_PERIOD), uncertainty=told)
-        own = replace(own, train=replace(own.train, compile="off"))  # which takes minutes and refuses nothing
-        Experiment(own, 1).env(1, [torch.Generator()])
-
-
-@pytest.mark.parametrize(
-    ("agents", "guided", "kept"), [("a", "g", True), ("b", "g", False), ("a", "h", False)]
-)
-def test_what_was_flown_by_other_agents_or_another_guidance_is_dropped(
-    agents: str, guided: str, kept: bool, tmp_path: Path
-) -> None:
-    todo = {"guidance.json": ("", dict)}
-    compute.begin(tmp_path, {"rta": {"seed0": "a"}, "guidance": {"quick": "g"}}, todo)
-    (tmp_path / "guidance.json").touch()
-    compute.begin(tmp_path, {"rta": {"seed0": agents}, "guidance": {"quick": guided}}, todo)
-    assert (tmp_path / "guidance.json").exists() == kept
-
-
-def test_the_front_is_of_the_guidance_that_leads_the_sun(study: Path) -> None:
-    found = read(study / "report" / "front.json")
-    assert list(found) == ["even", "quick"]
-    assert {each["episodes"] for each in found.values()} == {CASES}
-
-
 def test_progress_ends_at_the_weight_that_the_study_found(study: Path) -> None:
     arms = read(study / "results.json")["arms"]
     found = read(study / "report" / "progress.json")
@@ -257,11 +174,6 @@ def test_progress_ends_at_the_weight_that_the_study_found(study: Path) -> None:
         # every episode lasts one step, and keeps its weight from then on
         last = results["metrics"]["inspected_score"]["iqm"]
         assert found[name]["weight"][1:] == pytest.approx([last, last])
-
-
-def test_guidance_meets_the_common_cases_behind_the_filter(study: Path) -> None:
-    guidance = read(study / "report" / "guidance.json")
-    assert (guidance["episodes"], guidance["seed"], guidance["rta"]["period_s"]) == (CASES, 0, 1.0)
 
 
 @pytest.mark.parametrize("rta", [False, True])
@@ -305,88 +217,3 @@ def test_an_interrupted_report_keeps_what_it_has_computed(
     monkeypatch.setattr(flights, "common_episode", None)
     compute.compute(copy)
     assert contents(report).keys() == whole.keys()
-
-
-def test_other_policies_are_computed_anew(copy: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(flights, "PERIODS", (5.0,))
-    monkeypatch.setattr(flights, "WORLDS", ())
-    before = contents(copy / "report")
-    shutil.copy(copy / "rta" / "seed6" / "policy.pt", copy / "rta" / "seed5" / "policy.pt")
-    compute.compute(copy)
-    after = contents(copy / "report")
-    for name in ("policies.json", "cross.json", "frequency.json", "episode_rta.npz"):
-        assert before[name] != after[name]
-    old, new = (json.loads(files["cross.json"]) for files in (before, after))
-    assert new["no_rta"] == old["no_rta"]
-    old_rate, new_rate = (json.loads(files["frequency.json"])["5"] for files in (before, after))
-    assert new_rate["metrics"] != old_rate["metrics"]
-    assert new["rta"]["off"]["metrics"] != old["rta"]["off"]["metrics"]
-
-
-@pytest.mark.parametrize("arm", ["no_rta", "rta"])
-def test_a_study_of_one_arm_has_a_report_of_one_arm(
-    arm: str, copy: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(flights, "evaluate", lambda arm, rta, period: arm.results)
-    monkeypatch.setattr(flights, "WORLDS", ("nominal",))
-    other = {"no_rta": "rta", "rta": "no_rta"}[arm]
-    for directory in ("report", other):
-        shutil.rmtree(copy / directory)
-    results = {"arms": {arm: read(copy / "results.json")["arms"][arm]}}
-    (copy / "results.json").write_text(json.dumps(results))
-    compute.compute(copy)
-    tables.write(inputs.read(copy))
-    absent = {f"episode_{other}.npz"} | ({"frequency.json"} if arm == "no_rta" else set())
-    assert contents(copy / "report").keys() & FILES == FILES - absent
-    assert set(read(copy / "report" / "cross.json")) == {arm}
-
-
-def damage(directory: Path, name: str) -> None:
-    """Makes one of the ways in which a directory holds no finished study."""
-    if name == "unfinished":
-        (directory / "results.json").unlink()
-    elif name == "not results":
-        (directory / "results.json").write_text('{"arms": {"rta": 1}}')
-    elif name == "no arm":
-        (directory / "results.json").write_text('{"arms": {}}')
-    elif name == "no policy":
-        (directory / "rta" / "seed6" / "policy.pt").unlink()
-    elif name == "occupied":
-        shutil.rmtree(directory / "report")
-        (directory / "report").touch()
-
-
-@pytest.mark.parametrize(
-    ("name", "words"),
-    [
-        ("unfinished", "no finished study there"),
-        ("not results", "not the results of a study"),
-        ("no arm", "holds no finished arm"),
-        ("no policy", "no such checkpoint"),
-        ("occupied", "cannot write there"),
-    ],
-)
-def test_what_is_no_finished_study_is_refused(
-    name: str, words: str, copy: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    damage(copy, name)
-    capsys.readouterr()
-    assert main.main(["report", "--study", str(copy)]) == 2
-    err = capsys.readouterr().err
-    assert err.count("\n") == 1
-    assert words in err
-    assert str(copy) in err
-
-
-def test_an_arm_that_is_not_finished_is_named(copy: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    results = read(copy / "results.json")
-    del results["arms"]["rta"]
-    (copy / "results.json").write_text(json.dumps(results))
-    assert list(compute.load(copy, None)) == ["no_rta"]
-    assert "rta is not finished and is left out" in capsys.readouterr().err
-
-
-def test_a_demonstration_is_flown_as_its_name_says(study: Path) -> None:
-    todo = compute.work(study, compute.load(study, None))
-    flown = {name: make.args[-1] for name, (_, make) in todo.items() if name.startswith("demonstration")}
-    assert flown == {"demonstration_no_rta.npz": False, "demonstration_rta.npz": True}

@@ -3,36 +3,31 @@
 import csv
 from pathlib import Path
 
-import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
 from study.paper import PAPER_METRICS, PAPER_VIOLATIONS
 from study.report import inputs as files
 from study.report.figures import (
-    STYLES,
     TRAINING,
-    behaviour_figure,
     cross_figure,
     front_figure,
-    progress_figure,
     save,
-    style,
     training_panel,
 )
 from study.report.inputs import Inputs
 
 
 @pytest.fixture(scope="module")
-def inputs(made_up_study: Path) -> Inputs:
-    return files.read(made_up_study)
+def inputs(shipped_study: Path) -> Inputs:
+    return files.read(shipped_study)
 
 
 @pytest.mark.parametrize("metric", TRAINING)
-def test_training_curves(made_up_study: Path, inputs: Inputs, metric: str) -> None:
+def test_training_curves(shipped_study: Path, inputs: Inputs, metric: str) -> None:
     ax = Figure().subplots()
     training_panel(ax, inputs.training[metric], metric, inputs.everyone)
-    with (made_up_study / "report/training.csv").open(newline="") as file:
+    with (shipped_study / "report/training.csv").open(newline="") as file:
         rows = [row for row in csv.DictReader(file) if row["metric"] == metric]
     lines = {line.get_label(): line for line in ax.lines}
     for arm, label in (("no_rta", "no RTA"), ("rta", "RTA")):
@@ -43,34 +38,12 @@ def test_training_curves(made_up_study: Path, inputs: Inputs, metric: str) -> No
         assert set(lines[f"paper, {label}"].get_ydata()) == {published.by_arm[arm].value}
 
 
-def test_arms_share_the_behaviour_figure(inputs: Inputs) -> None:
-    figure = behaviour_figure(inputs.episodes, inputs.config.inspection)
-    score, dot, *_ = figure.axes
-    curves = {line.get_label(): line.get_ydata() for line in score.lines}
-    assert (curves["RTA"] == inputs.episodes["rta"]["inspected_score"]).all()
-    assert (np.abs(dot.lines[0].get_ydata()) <= 1.0).all()
-
-
-def test_cross_figure_tells_off_from_on(inputs: Inputs) -> None:
-    reward = cross_figure(inputs.cross).axes[2]
-    dots = [line for line in reward.lines if len(line.get_xdata()) == 1]
-    faces = ["white", STYLES["no_rta"][0], "white", STYLES["rta"][0]]
-    values = [e["metrics"]["reward"]["iqm"] for switches in inputs.cross.values() for e in switches.values()]
-    assert [line.get_markerfacecolor() for line in dots] == faces
-    assert [line.get_ydata()[0] for line in dots] == values
-
-
 def test_equal_figures_are_equal_files(inputs: Inputs, tmp_path: Path) -> None:
     for folder in ("one", "other"):
         (tmp_path / folder).mkdir()
         save(cross_figure(inputs.cross), tmp_path / folder / "cross")
     for name in ("cross.png", "cross.svg"):
         assert (tmp_path / "one" / name).read_bytes() == (tmp_path / "other" / name).read_bytes()
-
-
-def test_every_arm_has_a_style_of_its_own() -> None:
-    arms = ["no_rta", "rta", *(f"own_{i}" for i in range(12))]
-    assert len({style(arm, arms) for arm in arms}) == len(arms)
 
 
 def test_the_front_sets_agents_beside_the_guidance(inputs: Inputs) -> None:
@@ -81,11 +54,4 @@ def test_the_front_sets_agents_beside_the_guidance(inputs: Inputs) -> None:
     flown = [each["metrics"] for each in inputs.front.values()]
     expected = [(each["episode_length_s"]["iqm"], each["delta_v_m_s"]["iqm"]) for each in flown]
     assert drawn["classical guidance"] == expected
-    assert [text.get_text() for text in ax.texts] == ["thrifty", "quick"]
-
-
-def test_progress_is_drawn_over_time(inputs: Inputs) -> None:
-    ax = progress_figure(inputs.progress).axes[0]
-    drawn = {line.get_label(): line.get_ydata() for line in ax.lines}
-    assert list(drawn["agents, no RTA"]) == inputs.progress["no_rta"]["weight"]
-    assert list(drawn["classical guidance"]) == inputs.progress["guidance"]["weight"]
+    assert [text.get_text() for text in ax.texts] == [*inputs.front]

@@ -10,9 +10,7 @@ from inspection.chief import points as chief
 from inspection.model.dynamics import integrate
 from inspection.model.parameters import ChiefParameters, InspectionParameters
 from inspection.model.state import SIZE, THETA_S, P
-from settings import override
-from study.config import Config
-from study.report.sunlight import earliest_success, shortest_episodes
+from study.report.sunlight import earliest_success
 
 
 def by_loop(
@@ -50,22 +48,6 @@ def test_it_is_the_moment_at_which_enough_points_have_been_lit():
     assert (found >= expected - 1e-6).all() and (found <= expected + c.action_period).all()
 
 
-def test_points_of_a_file_count_by_their_areas(tmp_path):
-    c = InspectionParameters(num_points=60)
-    normals, rng = chief.fibonacci_sphere(60).T.numpy(), np.random.default_rng(2)
-    areas = rng.uniform(0.0, 1.0, 60) ** 6  # some of which matter, and most hardly
-    np.savez(tmp_path / "own.npz", points=5.0 * normals, normals=normals, areas=areas)
-    theta, priority = np.linspace(0.0, 6.0, 10), rng.normal(size=(3, 10))
-    priority /= np.linalg.norm(priority, axis=0)
-    target = ChiefParameters(mesh=str(tmp_path / "own.npz"))
-    found = earliest_success(torch.tensor(theta), torch.tensor(priority), c, target).numpy()
-    expected, evenly = (
-        np.array([by_loop(theta[i], priority[:, i], c, each) for i in range(10)]) for each in (areas, None)
-    )
-    assert (found >= expected - 1e-6).all() and (found <= expected + c.action_period).all()
-    assert (abs(expected - evenly) > 50.0).any()
-
-
 def test_on_an_eccentric_orbit_the_sun_is_where_the_simulator_has_it():
     c = InspectionParameters(orbit="two-body", eccentricity=0.3, num_points=40)
     theta, rng = torch.linspace(0.0, 6.0, 10).double(), np.random.default_rng(1)
@@ -82,20 +64,6 @@ def test_on_an_eccentric_orbit_the_sun_is_where_the_simulator_has_it():
         x = integrate(x, torch.zeros(6, 10).double(), 10.0, c, 1)
     found = earliest_success(theta, priority, c)
     assert ((found - expected).abs() <= c.action_period).all() and expected.isfinite().all()
-
-
-def test_what_the_time_does_not_suffice_for_is_infinite():
-    c = replace(InspectionParameters(), max_time=500.0)
-    found = earliest_success(torch.zeros(1).double(), torch.tensor([[1.0], [0.0], [0.0]]).double(), c)
-    assert found.isinf().all()
-
-
-def test_cases_that_are_never_lit_enough_are_counted() -> None:
-    brief = override(Config(), {"inspection": {"max_time": 500.0}}, "test")
-    found = shortest_episodes(brief, 8, 0)
-    assert 0 < found["without"] <= 8
-    assert found["earliest_success_s"]["mean"] <= 500.0
-    assert shortest_episodes(Config(), 8, 0)["without"] == 0
 
 
 def test_a_box_that_stands_straight_is_never_lit_enough_and_one_that_is_tilted_or_turns_is():

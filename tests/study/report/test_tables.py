@@ -10,7 +10,6 @@ import pytest
 
 from inspection.transition import METRICS
 from rta.constraints.names import CONSTRAINTS
-from settings import InputError
 from study.config import StudyConfig
 from study.paper import PAPER_METRICS, PAPER_VIOLATIONS
 from study.report import tables
@@ -192,14 +191,3 @@ def test_the_interval_over_seeds_is_students() -> None:
     assert (low, high) == pytest.approx((-3.353, 9.353), abs=1e-3)
     lone = arm(3.0) | {"per_seed": [evaluation(3.0)]}
     assert all(math.isnan(end) for end in tables.over_seeds(lone, "reward"))
-
-
-def test_training_too_short_for_an_evaluation_has_an_empty_table(tmp_path: Path) -> None:
-    assert tables.training("no_rta", tmp_path / "evaluations.jsonl") == []
-    assert tables.text([], tables.TRAINING) == "interactions,arm,metric,iqm,low,high\n"
-
-
-def test_damaged_results_are_refused(inputs: Inputs) -> None:
-    del inputs.arms["rta"]["metrics"]
-    with pytest.raises(InputError, match="cannot read what its tables are made from"):
-        tables.write(inputs)

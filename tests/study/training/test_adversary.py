@@ -20,7 +20,7 @@ from study.verification.adversaries import learned
 from study.verification.starts import initial_states
 from tests.study.training.test_run import tiny
 from tests.study.verification.test_findings import verify
-from tests.test_main import assert_refused, call
+from tests.test_main import call
 
 pytestmark = pytest.mark.usefixtures("small_pools")
 
@@ -70,7 +70,13 @@ def test_an_adversary_learns_from_its_own_reward(trained: Run) -> None:
     assert torch.cat(rewards).max() < 0.0  # nowhere beyond a limit; the task pays for points
 
 
-@pytest.mark.parametrize("plant", ["", "[plant]\nlatency = 1\nmass_factor = 1.1\nvelocity_noise = 0.01\n"])
+@pytest.mark.parametrize(
+    "plant",
+    [
+        pytest.param("", marks=pytest.mark.campaign),
+        "[plant]\nlatency = 1\nmass_factor = 1.1\nvelocity_noise = 0.01\n",
+    ],
+)
 def test_its_file_flies_behind_the_filter(
     plant: str,
     trained: Run,
@@ -106,14 +112,3 @@ def test_its_controls_are_drawn_by_the_numbers_of_columns(trained: Run) -> None:
     np.testing.assert_allclose(drawn[0], expected.detach(), rtol=1e-5)
     assert torch.equal(drawn[0], drawn[1])
     assert not any(torch.equal(drawn[0], other) for other in drawn[2:])
-
-
-def test_what_is_no_adversary_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    agent = Path(training.__file__).parents[2] / "runs/reference/study/rta/seed0/policy.pt"
-    words = [str(agent), "not trained as an adversary", "checkpoint:F"]
-    assert_refused(["verify", "--policy", f"learned:{agent}"], words, capsys)
-    assert_refused(["verify", "--policy", "learned:nowhere.pt"], ["nowhere.pt", "no such checkpoint"], capsys)
-    assert_refused(["train", "--adversary", "colour"], ["adversary = ['colour']", "keep_in_zone"], capsys)
-    (tmp_path / "c.toml").write_text('[train]\nadversary = ["colour"]\n')
-    words = ["adversary = ['colour']", "keep_in_zone"]
-    assert_refused(["train", "--config", str(tmp_path / "c.toml")], words, capsys)

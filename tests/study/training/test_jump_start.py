@@ -8,11 +8,10 @@ from typing import Any
 
 import pytest
 import torch
-from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from inspection.guidance import natural_motion
 from inspection.orbits import GUIDANCE, Orbit
-from settings import InputError, from_toml
+from settings import from_toml
 from study.config import Config
 from study.errors import Stopped
 from study.experiment import Experiment
@@ -95,13 +94,6 @@ def test_the_copy_does_what_the_guidance_would_in_states_of_its_own(run: session
     assert log_std.exp().mean().item() == pytest.approx(run.config.ppo.initial_std, rel=0.1)
 
 
-def test_the_value_network_knows_what_the_copy_is_worth(run: session.Run) -> None:
-    run.env.reset()
-    flown = jump_start.collect(run.env, run.trainer.learner, 16, run.trainer.generators)
-    unexplained = (flown["return_"] - flown["value"]).var() / flown["return_"].var()
-    assert unexplained < 0.6
-
-
 def test_what_is_flown_counts_as_interactions_and_ppo_does_the_rest(run: session.Run) -> None:
     assert run.interactions == 24_576 and run.trainer.seconds > 0.0
     before = [weight.clone() for weight in run.policy.parameters()]
@@ -110,44 +102,13 @@ def test_what_is_flown_counts_as_interactions_and_ppo_does_the_rest(run: session
     assert not any(torch.equal(*pair) for pair in zip(before, run.policy.parameters(), strict=True))
 
 
-def test_each_lesson_is_drawn(run: session.Run) -> None:
-    events = EventAccumulator(str(run.directory))
-    events.Reload()
-    shown = {tag: events.Scalars(tag) for tag in events.Tags()["scalars"]}
-    batches = [run.config.train.batch * (k + 1) for k in range(6)]
-    for tag in ("losses/lesson_action", "losses/lesson_value", "step_reward/points", "time/learning_s"):
-        assert [event.step for event in shown[tag]] == batches, tag
-    values = [event.value for event in shown["losses/lesson_value"]]
-    assert values[-1] < 0.5 * values[0]
-    # no episode is older than 3,000 s: each step brings the whole reward
-    assert [event.value for event in shown["step_reward/time"]] == pytest.approx([0.001] * 6)
-
-
+@pytest.mark.campaign
 def test_seeds_side_by_side_are_taught_what_each_is_alone(tmp_path: Path) -> None:
     short = session.settled_for_a_seed(config(jump_start=8192))
     both = taught(created(short, tmp_path / "both", [3, 4]))
     alone = taught(created(replace(short, train=replace(short.train, seed=4)), tmp_path / "alone"))
     for name, weight in alone.policy.state_dict().items():
         torch.testing.assert_close(weight[0], both.policy.state_dict()[name][1], rtol=1e-3, atol=1e-4)
-
-
-def test_it_is_evaluated_before_and_after_its_lessons_which_come_once(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    seen: list[int] = []
-    monkeypatch.setattr(session.Run, "evaluate", lambda self: seen.append(self.interactions))
-    run = session.start(config(jump_start=8192, early_evaluations=2), tmp_path / "run")
-    taught(run)
-    assert seen == [0, 8192]
-    other = session.resume(run.directory)
-    taught(other)
-    assert seen == [0, 8192] and other.interactions == 8192
-
-
-def test_who_begins_as_another_agent_is_not_taught(run: session.Run, tmp_path: Path) -> None:
-    other = session.start(config(), tmp_path / "run", run.directory / "policy.pt")
-    assert other.interactions == other.config.train.jump_start == 0
-    assert "jump_start = 0 " in (tmp_path / "run" / "config.toml").read_text()
 
 
 def test_the_guidance_that_is_named_teaches(run: session.Run) -> None:
@@ -167,33 +128,16 @@ def test_the_guidance_that_is_named_teaches(run: session.Run) -> None:
         assert not any(torch.equal(wanted, other) for other in unwanted)
 
 
-def test_each_batch_is_observed_once_before_it_is_flown(
-    run: session.Run, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    env, learner, seen = run.env, run.trainer.learner, []
-    observe = env.observation
-    monkeypatch.setattr(env, "observation", lambda *of, **more: seen.append(more) or observe(*of, **more))
-    lessons = jump_start.JumpStart(env, GUIDANCE["quick"], learner, 2, 3, run.trainer.generators)
-    while not lessons.done:
-        lessons.teach(lambda transition: None)
-    assert seen.count({}) == 3  # what is left is seen by steps
-    assert sum("score" in each for each in seen) == 3 * 2
-
-
-def test_a_run_hands_its_teacher_on(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    seen: list[Orbit] = []
-    made = jump_start.Taught
-    monkeypatch.setattr(
-        jump_start, "Taught", lambda env, policy, orbit: seen.append(orbit) or made(env, policy, orbit)
-    )
-    session.start(config(jump_start=8192, teacher="thrifty"), tmp_path / "run")
-    assert seen == [GUIDANCE["thrifty"]]
-
-
 SHORT = {"jump_start": 4 * 512, "interactions": 6 * 512, "num_envs": 128, "rollout_steps": 4}
 
 
-@pytest.fixture(scope="module", params=[None, [3, 4]], ids=["a seed", "two seeds"])
+@pytest.fixture(
+    scope="module",
+    params=[
+        pytest.param(None, id="a seed"),
+        pytest.param([3, 4], id="two seeds", marks=pytest.mark.campaign),
+    ],
+)
 def whole(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> session.Run:
     """A short run that nothing interrupted."""
     short = session.settled_for_a_seed(config(**SHORT))
@@ -244,29 +188,3 @@ def test_a_run_that_ends_in_its_lessons_goes_on_as_if_it_had_not(
     other = continued(whole, tmp_path / "run")
     assert_same(whole, other)
     assert not (tmp_path / "run" / "lessons").exists()
-
-
-def test_a_lesson_that_is_lost_is_named(whole: session.Run, tmp_path: Path) -> None:
-    if len(whole.seeds) > 1:
-        pytest.skip("one is enough")
-    run = created(whole.config, tmp_path / "run")
-    assert run.lessons
-    with run.log.open(0, 1):
-        run.be_taught(run.lessons, lambda: run.interactions == 2 * 512)
-    (tmp_path / "run" / "lessons" / "1.pt").unlink()
-    with pytest.raises(InputError, match=r"lessons/1\.pt: no such checkpoint file"):
-        session.resume(tmp_path / "run", whole.config)
-
-
-def test_a_teacher_that_there_is_not_is_refused_with_the_names_of_those_there_are() -> None:
-    with pytest.raises(ValueError, match=r"teacher = 'quik': must be natural-motion, .*thrifty, .* or quick"):
-        config(teacher="quik")
-
-
-def test_a_jump_start_is_refused_where_nothing_is_to_be_learned_from_it() -> None:
-    with pytest.raises(ValueError, match="must leave an update, of 4,096 interactions, for PPO"):
-        config(jump_start=24_577)
-    with pytest.raises(ValueError, match="an adversary has no guidance to learn from"):
-        config(adversary=("collision",))
-    with pytest.raises(ValueError, match=r"jump_start = -1: must be an integer, not negative and at most"):
-        config(jump_start=-1)

@@ -114,14 +114,6 @@ def test_an_evaluation_is_a_line_and_a_chart_for_each_seed(
         assert charts(tmp_path)[f"evaluation/{name}"] == [(BATCH, float(iqm(values)))]
 
 
-def test_one_seed_has_no_charts_of_its_own(tmp_path: Path, generator: torch.Generator) -> None:
-    log = Log(tmp_path, [tmp_path / "seed5"], BATCH)
-    with log.open(0, BATCH):
-        log.evaluation(record(1, 2, generator), [{}], BATCH, 0.0)
-    assert "evaluation/reward" in charts(tmp_path)
-    assert not (tmp_path / "seed5").exists()
-
-
 @pytest.fixture
 def killed(tmp_path: Path) -> Log:
     """The log of a run that was killed in the midst of its fourth evaluation."""
@@ -136,20 +128,3 @@ def test_evaluations_after_the_last_checkpoint_are_forgotten(killed: Log, done: 
     before = killed.evaluations.read_text().splitlines()
     killed.forget_evaluations_after(done * BATCH)
     assert killed.evaluations.read_text() == "".join(f"{line}\n" for line in before[:kept])
-
-
-def test_where_nothing_was_evaluated_there_is_nothing_to_forget(tmp_path: Path) -> None:
-    log = Log(tmp_path, [tmp_path], BATCH)
-    log.forget_evaluations_after(0)
-    assert not log.evaluations.exists()
-
-
-def test_charts_drawn_after_the_last_checkpoint_are_drawn_anew(
-    tmp_path: Path, generator: torch.Generator
-) -> None:
-    log, episodes = Log(tmp_path, [tmp_path], BATCH), record(1, 2, generator)
-    for first, last in ((1, 3), (2, 2)):  # killed, and resumed from the checkpoint after the first update
-        with log.open((first - 1) * BATCH, 3 * BATCH):
-            for k in range(first, last + 1):
-                log.evaluation(episodes, [{}], k * BATCH, 0.0)
-    assert [step for step, _ in charts(tmp_path)["evaluation/reward"]] == [BATCH, 2 * BATCH]

@@ -6,9 +6,7 @@ from statistics import fmean
 
 import pytest
 import torch
-from torch import Tensor
 
-from inspection.closed_loop import Safety
 from inspection.termination import OUTCOMES
 from inspection.transition import Transition
 from rta.qp.programs import Status
@@ -128,59 +126,9 @@ def test_scalars_are_those_of_a_count_by_hand(seen: list[Transition]) -> None:
     assert monitor.scalars() == pytest.approx(count(seen[:1]), rel=1e-6)
 
 
-def test_a_dropped_transition_shows(seen: list[Transition]) -> None:
-    assert watching(seen[:-1]).scalars() != pytest.approx(count(seen), rel=1e-6)
-
-
-def test_charts_are_those_of_each_seeds_episodes(seen: list[Transition]) -> None:
-    monitor = watching(seen)
-    for seed in range(SEEDS):
-        assert monitor.episode_means(seed) == pytest.approx(count(seen, seed))
-    assert monitor.episode_means(SEEDS) == {}
-
-
 def test_without_a_filter_or_an_ended_episode_there_is_less_to_show(generator: torch.Generator) -> None:
     quiet = [transition(generator, ending=False, filtered=False)]
     scalars = watching(quiet).scalars()
     assert scalars == pytest.approx(count(quiet), rel=1e-6)
     assert not any(tag.startswith(("episode/", "rta/")) for tag in scalars)
     assert watching(quiet).episode_means(0) == {}
-
-
-def test_two_ranks_together_show_what_one_would(seen: list[Transition]) -> None:
-    whole = watching(seen)
-    parts = [Monitor(NAMES, 1, seed) for seed in range(SEEDS)]
-    for monitor, columns in zip(parts, torch.arange(BATCH).chunk(SEEDS), strict=True):
-        for each in seen:
-            monitor(of_columns(each, columns))
-    parts[0].add(parts[1])
-    for seed in (*range(SEEDS), None):
-        assert parts[0].episode_means(seed) == pytest.approx(whole.episode_means(seed))
-    assert parts[0].scalars() == pytest.approx(whole.scalars(), rel=1e-6)
-
-
-def of_columns(of: Transition, columns: Tensor) -> Transition:
-    """The same of some columns only."""
-    corrections = [
-        FilterResult(**{name: values[..., columns] for name, values in vars(call).items()})
-        for call in of.corrections
-    ]
-    own = {
-        name: getattr(of, name)[..., columns]
-        for name in ("reward", "terminated", "truncated", "violated", "outcome", "metrics")
-    }
-    terms = {name: term[columns] for name, term in of.reward_terms.items()}
-    return replace(of, **own, reward_terms=terms, corrections=corrections)
-
-
-def test_the_filters_time_is_added_up() -> None:
-    monitor = Monitor(NAMES)
-    result = object()
-    safety = monitor.timed(Safety(NAMES, correct=lambda x, desired: result))
-    assert safety.correct(torch.zeros(16, 1), torch.zeros(6, 1)) is result
-    first = monitor.filter_seconds
-    safety.correct(torch.zeros(16, 1), torch.zeros(6, 1))
-    assert 0.0 < first < monitor.filter_seconds
-    monitor.clear()
-    assert monitor.filter_seconds == 0.0
-    assert monitor.timed(Safety(NAMES)).correct is None

@@ -2,7 +2,6 @@
 
 import itertools
 import os
-import re
 import signal
 import subprocess
 import sys
@@ -15,8 +14,8 @@ import torch
 
 from ppo import checkpoint
 from ppo.errors import NonFiniteError
-from settings import from_toml, load, override, to_toml
-from study.config import Config, StudyConfig, StudyParameters
+from settings import override, to_toml
+from study.config import Config
 from study.errors import Stopped
 from study.training import session as training
 
@@ -97,23 +96,6 @@ def test_interrupted_and_resumed_equals_uninterrupted(tmp_path: Path, rta: bool)
     assert torch.equal(whole.env.x, second.env.x)
 
 
-def test_a_run_from_before_meshes_had_digests_goes_on_again_and_again(tmp_path: Path) -> None:
-    mesh = "configs/chiefs/box.npz"
-    config = override(tiny(interactions=32 * 4), {"chief": {"mesh": mesh}}, "test")
-    training.start(config, tmp_path)
-    for name in ("config.toml", "checkpoint.pt"):
-        path = tmp_path / name
-        if name == "config.toml":
-            path.write_text(re.sub(r"#[0-9a-f]{12}", "", path.read_text()))
-            assert f'mesh = "{mesh}"' in path.read_text()
-        else:
-            content = torch.load(path, weights_only=True)
-            content["config"] = re.sub(r"#[0-9a-f]{12}", "", content["config"])
-            torch.save(content, path)
-    for _ in range(2):
-        training.resume(tmp_path).save()
-
-
 def test_same_seed_gives_the_same_weights_and_another_seed_others(tmp_path: Path) -> None:
     configs = [tiny(seed=seed, interactions=2 * 32 * 4) for seed in (3, 3, 4)]
     runs = [training.start(config, tmp_path / str(i)) for i, config in enumerate(configs)]
@@ -122,20 +104,6 @@ def test_same_seed_gives_the_same_weights_and_another_seed_others(tmp_path: Path
     same, other = weights(runs[1]), weights(runs[2])
     assert all(torch.equal(a, b) for a, b in zip(weights(runs[0]), same, strict=True))
     assert not any(torch.equal(a, b) for a, b in zip(weights(runs[0])[::2], other[::2], strict=True))
-
-
-def test_checkpoint_holds_configuration_and_loads_weights_only(tmp_path: Path) -> None:
-    run = training.start(tiny(), tmp_path)
-    content = torch.load(tmp_path / "checkpoint.pt", weights_only=True)
-    assert from_toml(content["config"], "checkpoint", Config()) == run.config
-    assert load(tmp_path / "config.toml", Config()) == run.config
-
-
-def test_provenance_names_versions_and_revision(tmp_path: Path) -> None:
-    training.start(tiny(), tmp_path)
-    text = (tmp_path / "provenance.json").read_text()
-    assert torch.__version__ in text
-    assert "git_revision" in text
 
 
 def test_nan_stops_with_update_tensor_and_last_good_checkpoint(tmp_path: Path) -> None:
@@ -147,32 +115,7 @@ def test_nan_stops_with_update_tensor_and_last_good_checkpoint(tmp_path: Path) -
     assert checkpoint.load(tmp_path / "checkpoint.pt", ("update",))["update"] == 0
 
 
-def test_the_solver_is_settled_for_one_seed_whatever_is_trained_beside_it() -> None:
-    for envs, used in ((2, "piqp"), (31, "piqp"), (32, "batched")):
-        study = StudyConfig(train=tiny(num_envs=envs).train, study=StudyParameters(seeds=40))
-        assert training.settled_for_a_seed(study).rta.qp_solver == used
-    held = tiny(5.0, num_envs=2)  # of which PIQP leaves programs unsolved
-    assert training.settled_for_a_seed(held).rta.qp_solver == "batched"
-    assert training.settled_for_a_seed(tiny(qp_solver="piqp", num_envs=32)).rta.qp_solver == "piqp"
-
-
-def test_a_run_is_described_in_a_line(small_pools: None, tmp_path: Path) -> None:
-    run = training.start(tiny(10.0, minibatch_size=16, rta=True, num_envs=4), tmp_path / "run")
-    assert str(run) == f"{tmp_path / 'run'}: RTA at 10 s by batched, seed 0, 4 episodes at once on cpu"
-    arm = training.Run(tiny(num_envs=4), tmp_path, seeds=(3, 4, 5))
-    assert str(arm) == f"{tmp_path}: no RTA, seeds 3 to 5, 12 episodes at once on cpu"
-
-
-def test_a_signal_in_the_last_evaluation_says_how_to_continue(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    run = training.start(tiny(), tmp_path / "run")
-    monkeypatch.setattr("study.training.run.play_and_record", lambda *_: os.kill(os.getpid(), signal.SIGINT))
-    with pytest.raises(Stopped, match=r"continue with\n.*train --resume") as stopped:
-        run.conclude()
-    assert stopped.value.number == signal.SIGINT
-
-
+@pytest.mark.campaign
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_signal_ends_training_cleanly_and_resume_continues(tmp_path: Path, number: int) -> None:
     config = tmp_path / "tiny.toml"
@@ -187,7 +130,7 @@ def test_a_signal_ends_training_cleanly_and_resume_continues(tmp_path: Path, num
     process.send_signal(number)
     out, err = process.communicate(timeout=60)
     assert process.returncode == 128 + number, err
-    assert out.splitlines()[-1] == f"  python {MAIN} train --resume {run}"
+    assert out.splitlines()[-1] == f"  python main.py train --resume {run}"
     assert "\nstopping" in err
     assert "Traceback" not in err
     assert checkpoint.load(run / "checkpoint.pt", ("update",))["update"] >= 1

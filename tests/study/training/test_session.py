@@ -5,8 +5,6 @@ import json
 import os
 import resource
 import shlex
-import shutil
-import signal
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
@@ -20,7 +18,6 @@ import main
 from ppo import checkpoint, trainer
 from ppo.learner import PPO
 from settings import load
-from study import machine
 from study.config import Config
 from study.experiment import load_policy
 from study.training import session as training
@@ -133,16 +130,6 @@ def test_a_full_disk_ends_training_in_a_line_and_room_lets_it_go_on(
     assert_same(run, whole)
 
 
-def test_a_deleted_directory_ends_training_in_a_line(
-    settings: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    run = tmp_path / "run"
-    after(monkeypatch, 2, shutil.rmtree)
-    assert main.main(["train", "--config", str(settings), "--run-dir", str(run)]) == 2
-    one_line(capsys, str(run), "No such file or directory; no checkpoint is left")
-    assert not run.exists()
-
-
 JOB = """
 import os, signal, subprocess, sys, time
 import torch
@@ -171,6 +158,7 @@ main.main(["train", "--config", settings, "--run-dir", directory])
 """
 
 
+@pytest.mark.campaign
 def test_a_live_run_is_nobody_elses_until_a_kill_in_the_midst_of_a_save(
     settings: Path, whole: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -194,14 +182,6 @@ def test_a_live_run_is_nobody_elses_until_a_kill_in_the_midst_of_a_save(
         os.kill(child, 9)
     assert_same(run, whole)
     assert not list(run.glob("*.tmp"))
-
-
-def test_a_study_has_its_directory_to_itself(
-    settings: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    with machine.alone_in(tmp_path, "--study-dir"):
-        assert main.main(["study", "--config", str(settings), "--study-dir", str(tmp_path)]) == 2
-    one_line(capsys, f"--study-dir {tmp_path}: is being trained by another process")
 
 
 @pytest.mark.parametrize("moment", ["__init__", "save"])
@@ -276,21 +256,6 @@ def test_a_finished_run_goes_on_as_a_longer_one_but_for_the_annealing(
     assert not (tmp_path / "short" / "config.toml.tmp").exists()
 
 
-def test_config_toml_says_how_far_a_run_goes(
-    whole: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    shutil.copytree(whole, tmp_path, dirs_exist_ok=True)
-    path = tmp_path / "config.toml"
-    path.write_text(path.read_text().replace("interactions = 96", "interactions = 128"))
-    run = training.resume(tmp_path)  # as after a kill before the next checkpoint
-    run.train()
-    assert run.interactions == 128
-    assert "learning rate from 0 to 7.5e-05" in str(run)
-    path.write_text(path.read_text().replace("minibatch_size = 8", "minibatch_size = 4"))
-    assert main.main(["train", "--resume", str(tmp_path), "--interactions", "500"]) == 2
-    one_line(capsys, "config.toml is not what checkpoint.pt was trained with")
-
-
 @pytest.mark.parametrize("name", ["policy.pt", "checkpoint.pt"])
 def test_a_run_starts_from_an_agent_and_goes_on_from_there(
     name: str, settings: Path, whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -319,26 +284,6 @@ def test_a_run_starts_from_an_agent_and_goes_on_from_there(
     assert about == {"file": str(source), "sha256": hashlib.sha256(source.read_bytes()).hexdigest()}
 
 
-def test_an_agent_of_other_networks_is_refused(
-    settings: Path, whole: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    wide = tmp_path / "wide.toml"
-    arguments = ["train", "--run-dir", str(tmp_path / "run"), "--config", str(wide), "--init-from"]
-    for ours, words in (
-        ("hidden = [8, 8, 8]", ("[ppo] hidden = [64, 64], not [8, 8, 8]", "--config")),
-        (
-            "hidden = [64, 64]\nlog_std_bounds = [-4.0, 0.0]",
-            ("[ppo] log_std_bounds = [-5.0, 0.0], not [-4.0, 0.0]",),
-        ),
-    ):
-        wide.write_text(SETTINGS.replace("hidden = [64, 64]", ours))
-        assert main.main([*arguments, str(whole / "policy.pt")]) == 2
-        one_line(capsys, str(whole / "policy.pt"), *words)
-    assert main.main([*arguments, str(tmp_path / "none.pt")]) == 2
-    one_line(capsys, "none.pt: no such checkpoint file")
-    assert not (tmp_path / "run").exists()
-
-
 def test_widths_are_keys_from_training_to_export_and_the_last_lines_can_be_pasted(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -363,56 +308,3 @@ def test_widths_are_keys_from_training_to_export_and_the_last_lines_can_be_paste
         shorter = {"1000": "2", "3600": "20"}
         assert main.main([shorter.get(word, word) for word in words[2:]]) == 0
     assert (run / "flight.html").exists()
-
-
-def test_the_threads_that_a_run_computes_with_are_recorded(
-    small_pools: None, settings: Path, tmp_path: Path
-) -> None:
-    before, run = torch.get_num_threads(), tmp_path / "run"
-    train = ["train", "--config", str(settings), "--run-dir", str(run), "--interactions", "16"]
-    try:
-        assert main.main([*train, "--threads", str(before + 1)]) == 0
-        assert machine.recorded_threads(run) == torch.get_num_threads() == before + 1
-    finally:
-        torch.set_num_threads(before)
-
-
-def test_the_threads_of_a_run_are_recorded(whole: Path, tmp_path: Path) -> None:
-    assert machine.recorded_threads(whole) == torch.get_num_threads()
-    assert machine.recorded_threads(tmp_path) is None
-    for text in ("{", "[]", "{}", '{"threads": "two"}', '{"threads": true}', '{"threads": 0}'):
-        (tmp_path / "provenance.json").write_text(text)
-        assert machine.recorded_threads(tmp_path) is None
-
-
-def test_evaluations_come_more_often_at_the_beginning_also_where_a_run_goes_on(
-    settings: Path, tmp_path: Path
-) -> None:
-    text = settings.read_text()
-    often = tmp_path / "often.toml"
-    often.write_text(text.replace("interval = 16\n", "interval = 48\nearly_evaluations = 3\n", 1))
-    runs = tmp_path / "whole", tmp_path / "stopped"
-    train = ["train", "--config", str(often), "--run-dir"]
-    assert main.main([*train, str(runs[0])]) == 0
-    for update, begin in ((0, [*train, str(runs[1])]), (1, ["train", "--resume", str(runs[1])])):
-        with pytest.MonkeyPatch.context() as patch:
-            after(patch, update + 1, lambda _: os.kill(os.getpid(), signal.SIGTERM))
-            assert main.main(begin) == 143
-    assert main.main(["train", "--resume", str(runs[1])]) == 0
-    whole, stopped = (
-        [json.loads(line) for line in (run / "evaluations.jsonl").read_text().splitlines()] for run in runs
-    )
-    assert [line["interactions"] for line in whole] == [0, 16, 32, 48, 96]
-    for line, other in zip(whole, stopped, strict=True):
-        assert (line["interactions"], line["cases"]) == (other["interactions"], other["cases"])
-
-
-def test_more_early_evaluations_than_interactions_are_refused(
-    settings: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    often = tmp_path / "often.toml"
-    often.write_text(
-        settings.read_text().replace("interval = 16\n", "interval = 16\nearly_evaluations = 17\n", 1)
-    )
-    assert main.main(["train", "--config", str(often), "--run-dir", str(tmp_path / "run")]) == 2
-    one_line(capsys, "early_evaluations = 17: must be at most evaluation_interval, 16")

@@ -2,7 +2,6 @@
 
 import json
 import os
-import re
 import signal
 from collections.abc import Callable
 from pathlib import Path
@@ -14,16 +13,12 @@ import torch
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 import main
-from inspection.transition import METRICS
 from ppo import checkpoint
-from settings import load, override
-from study.config import Config, StudyConfig
+from settings import override
 from study.experiment import load_policy
-from study.flight.summary import stratified_summary
 from study.training import study as arms
 from study.training.run import Run
 from study.training.session import RESUMABLE, start
-from tests.test_main import assert_refused
 
 SEEDS = (5, 6, 7)
 SETTINGS = """
@@ -91,7 +86,7 @@ def same(one: Any, other: Any) -> bool:
     return torch.equal(one, other) if isinstance(one, torch.Tensor) else one == other
 
 
-@pytest.mark.parametrize("arm", ["no_rta", "rta"])
+@pytest.mark.parametrize("arm", ["no_rta", pytest.param("rta", marks=pytest.mark.campaign)])
 def test_each_seed_of_an_arm_equals_that_seed_trained_alone(arm: str, whole: Path, tmp_path: Path) -> None:
     config = arms.read_settings(whole).of_arm(arm)
     together = checkpoint.load(whole / arm / "checkpoint.pt", RESUMABLE)
@@ -117,7 +112,7 @@ def test_each_seed_of_an_arm_equals_that_seed_trained_alone(arm: str, whole: Pat
         assert scalars(whole / arm / f"seed{seed}") == scalars(directory)
 
 
-@pytest.mark.parametrize("arm", ["no_rta", "rta"])
+@pytest.mark.parametrize("arm", ["no_rta", pytest.param("rta", marks=pytest.mark.campaign)])
 def test_results_per_seed_are_what_evaluate_says_of_its_policy(arm: str, whole: Path, tmp_path: Path) -> None:
     per_seed = json.loads((whole / arm / "results.json").read_text())["per_seed"]
     assert len(per_seed) == 3
@@ -126,35 +121,6 @@ def test_results_per_seed_are_what_evaluate_says_of_its_policy(arm: str, whole: 
         arguments += ["--qp-solver", "batched", "--episodes", "4", "--json", str(tmp_path / "one.json")]
         assert main.main(arguments) == 0
         assert json.loads((tmp_path / "one.json").read_text()) == expected
-
-
-@pytest.mark.parametrize("arm", ["no_rta", "rta"])
-def test_results_of_an_arm_summarise_its_episodes(arm: str, whole: Path) -> None:
-    results = json.loads((whole / arm / "results.json").read_text())
-    assert json.loads((whole / "results.json").read_text())["arms"][arm] == results
-    assert (results["seeds"], results["interactions"], results["episodes"]) == ([5, 6, 7], 36, 12)
-    assert results["wall_clock_s"] > 0.0
-    assert (results["rta"]["period_s"] is None) == (arm == "no_rta")
-    episodes = np.load(whole / arm / "episodes.npz")
-    assert episodes["metrics"].shape == (6, 3, 4)
-    assert episodes["violations"].shape == (14, 3, 4)
-    assert episodes["min_distance_m"].shape == (3, 4)
-    assert tuple(episodes["metric_names"]) == METRICS
-    for name, scores in zip(METRICS, episodes["metrics"], strict=True):
-        assert results["metrics"][name] == stratified_summary(scores)
-        means = [own["metrics"][name]["mean"] for own in results["per_seed"]]
-        assert means == pytest.approx(scores.mean(1).tolist())
-    violations = dict(zip(episodes["constraint_names"], episodes["violations"].mean((1, 2)), strict=True))
-    assert results["violations_percent"] == pytest.approx(violations)
-
-
-def test_periodic_evaluations_hold_every_case_of_every_seed(whole: Path) -> None:
-    lines = evaluations(whole / "rta")
-    assert [line["interactions"] for line in lines] == [12, 12, 12, 24, 24, 24, 36, 36, 36]
-    for line in lines:
-        for name in METRICS:
-            assert len(line["cases"][name]) == 2
-            assert np.mean(line["cases"][name]) == pytest.approx(line["metrics"][name]["mean"])
 
 
 def kill_after(patch: pytest.MonkeyPatch, owner: Any, name: str, count: int, number: int) -> None:
@@ -172,6 +138,7 @@ def kill_after(patch: pytest.MonkeyPatch, owner: Any, name: str, count: int, num
     patch.setattr(owner, name, killing)
 
 
+@pytest.mark.campaign
 def test_interruptions_change_nothing(
     settings: Path, whole: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -231,16 +198,6 @@ def test_interruptions_change_nothing(
     assert {p.name for p in tmp_path.iterdir()} == {p.name for p in whole.iterdir()}
 
 
-def test_a_finished_study_is_shown_again_without_work(
-    whole: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    before = (whole / "results.json").read_bytes()
-    monkeypatch.setattr(arms, "train_arm", None)
-    assert main.main(["study", "--study-dir", str(whole)]) == 0
-    assert "Table 2" in capsys.readouterr().out
-    assert (whole / "results.json").read_bytes() == before
-
-
 @pytest.mark.parametrize(
     ("flags", "words"),
     [
@@ -259,46 +216,7 @@ def test_other_settings_are_refused(
     assert all(word in refusal for word in ("--study-dir", *words)), refusal
 
 
-def test_directories_of_others_are_refused(
-    settings: Path, whole: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    swapped = tmp_path / "swapped"
-    (swapped / "no_rta").mkdir(parents=True)
-    (swapped / "config.toml").write_bytes((whole / "config.toml").read_bytes())
-    (swapped / "no_rta" / "checkpoint.pt").write_bytes((whole / "rta" / "checkpoint.pt").read_bytes())
-    file = tmp_path / "file"
-    file.touch()
-    shipped = tmp_path / "shipped"
-    (shipped / "seed0").mkdir(parents=True)  # runs of train below, none of them in it
-    for directory, word in (
-        (whole / "rta" / "seed5", "a run of train"),
-        (swapped, "trained with"),
-        (file, "cannot write"),
-        (shipped, "holds no study but seed0"),
-    ):
-        assert main.main(["study", "--config", str(settings), "--study-dir", str(directory)]) == 2
-        refusal = capsys.readouterr().err.splitlines()[-1]
-        assert refusal.startswith("error: ") and word in refusal
-    assert [path.name for path in shipped.iterdir()] == ["seed0"]
-
-
-def test_the_shipped_configurations_are_the_papers_study_and_what_goes_past_it() -> None:
-    configs = Path(main.__file__).parent / "configs"
-    config = load(configs / "study.toml", StudyConfig())
-    assert config.study.seeds == 10
-    arms = {name: config.of_arm(name) for name in config.study.arms}
-    periods = {name: arm.rta.period if arm.train.rta else None for name, arm in arms.items()}
-    assert periods == {"no_rta": None, "rta": 1.0, "rta_5s": 5.0, "rta_10s": 10.0, "robust": 1.0}
-    typical, u1 = (load(configs / f"plants/{name}.toml", Config()) for name in ("typical", "u1"))
-    assert (arms["robust"].plant, arms["robust"].uncertainty) == (typical.plant, u1.uncertainty)
-    paper = load(configs / "paper.toml", StudyConfig())
-    assert paper.study.arms == ("no_rta", "rta")
-    for each, interactions in ((config, 500_000), (paper, 5_000_000)):
-        assert each.train.interactions == interactions and each.train.early_evaluations == 10
-    default = Config()
-    assert (paper.ppo, paper.inspection, paper.rta) == (default.ppo, default.inspection, default.rta)
-
-
+@pytest.mark.campaign
 def test_arms_of_its_own_are_trained_and_shown_side_by_side(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -323,51 +241,3 @@ def test_arms_of_its_own_are_trained_and_shown_side_by_side(
     (tmp_path / "own.toml").write_text(text.replace("2.0", "3.0"))
     assert main.main(words) == 2
     assert "holds a study with [arms] squared = " in capsys.readouterr().err
-
-
-@pytest.mark.parametrize(
-    ("arm", "said"),
-    [
-        ("[arms.own.ppo]\nminibatch_size = 100", "minibatch_size = 100"),
-        ("[arms.own.rta]\nperiod = 10.0", "must divide"),
-        ("[arms.own.train]\nrta = false\nlearn_from = 'applied'", "without the filter"),
-        ("[arms.own.plant]\ndrag = true", "drag: needs --plant basilisk"),
-    ],
-)
-def test_an_arm_is_checked_before_anything_is_trained(
-    arm: str, said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    (tmp_path / "own.toml").write_text(SETTINGS.replace("seeds = 3", 'arms = ["no_rta", "own"]') + arm)
-    directory = tmp_path / "study"
-    assert_refused(
-        ["study", "--config", str(tmp_path / "own.toml"), "--study-dir", str(directory)], [said], capsys
-    )
-    assert not directory.exists()
-
-
-def test_a_study_from_before_meshes_had_digests_goes_on(tmp_path: Path) -> None:
-    config = override(StudyConfig(), {"chief": {"mesh": "configs/chiefs/box.npz"}}, "test")
-    config = arms.settled_for_a_seed(config)
-    arms.begin_or_continue(config, tmp_path)
-    path = tmp_path / "config.toml"
-    path.write_text(re.sub(r"#[0-9a-f]{12}", "", path.read_text()))
-    assert 'box.npz"' in path.read_text()
-    arms.begin_or_continue(config, tmp_path)
-
-
-def test_an_arm_told_of_bounds_is_resumed_with_the_solver_that_it_began_with(tmp_path: Path) -> None:
-    own = """
-[arms.told.train]
-interactions = 12
-[arms.told.rta]
-qp_solver = "auto"
-"""
-    text = (
-        SETTINGS.replace("seeds = 3", 'seeds = 1\narms = ["told"]').replace('qp_solver = "batched"', "") + own
-    )
-    (tmp_path / "own.toml").write_text(text)
-    directory = tmp_path / "study"
-    words = ["study", "--config", str(tmp_path / "own.toml"), "--study-dir", str(directory)]
-    assert main.main(words) == 0
-    (directory / "told" / "results.json").unlink()
-    assert main.main(words) == 0

@@ -8,7 +8,6 @@ from typing import Any
 import pytest
 import torch
 
-from inspection.environment import InspectionEnv
 from rta.constraints.names import CONSTRAINTS
 from rta.filter import SafetyFilter
 from rta.result import FilterResult
@@ -62,17 +61,6 @@ def test_states_are_safe_and_next_to_what_they_were_aimed_at(
     assert len(near.limits[0].unique()) > 7
     pair = near.limits[0] != near.limits[1]
     assert pair.any() and not pair.all()
-
-
-def test_the_distances_to_limits_agree_with_the_filters_own(
-    near: limits.NearLimits, nominal: Experiment
-) -> None:
-    h, enforced, _ = limits.barriers(near.state, nominal.filter).split(len(CONSTRAINTS))
-    torch.testing.assert_close(h, nominal.filter.values(near.state), rtol=0.0, atol=1e-4)
-    for degree in (1, 2):
-        own = [each.degree == degree for each in entries(nominal.filter)]
-        held = torch.stack([group.keeps(near.state, degree) for group in nominal.filter.groups]).all(0)
-        assert ((enforced[torch.tensor(own)] >= 0.0).all(0) == held).all()
 
 
 def entries(safety_filter: SafetyFilter) -> list[Any]:
@@ -132,33 +120,9 @@ def test_what_a_filter_without_effect_leaves_is_violated(
     assert report["violating_draws"]["any"] > 5
 
 
-def test_not_a_number_counts_as_violated(
-    near: limits.NearLimits, nominal: Experiment, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    values = InspectionEnv.constraint_values
-    monkeypatch.setattr(
-        InspectionEnv,
-        "constraint_values",
-        lambda env, x: values(env, x).index_fill(0, torch.tensor(3), torch.nan),
-    )
-    env = nominal.env(BATCH, None, 1.0, boundary.CHECK_BETWEEN)
-    result = tried(env, near.state, torch.zeros(1, 6, BATCH).double(), torch.zeros(BATCH))
-    assert (result.smallest[3] == -torch.inf).all() and (result.smallest[[0, 1, 2]] >= 0.0).all()
-
-
 def test_more_draws_go_on_where_the_report_ends(nominal: Experiment, tmp_path: Path) -> None:
     for path, counts in ((tmp_path / "on.json", (1, 2 * BATCH)), (tmp_path / "once.json", (2 * BATCH,))):
         for draws in counts:
             report_of(nominal, draws, path)
     on, once = ((tmp_path / f"{name}.json").read_bytes() for name in ("on", "once"))
     assert on == once and json.loads(on)["draws"] == 2 * BATCH
-
-
-def test_a_report_of_episodes_is_refused(tmp_path: Path, nominal: Experiment) -> None:
-    path = tmp_path / "report.json"
-    report_of(nominal, 1, path)
-    report = json.loads(path.read_text())
-    report["campaign"]["seed"] = 6
-    path.write_text(json.dumps(report))
-    with pytest.raises(ValueError, match="another campaign"):
-        report_of(nominal, 1, path)

@@ -12,9 +12,8 @@ import pytest
 import torch
 
 from rta.constraints.names import CONSTRAINTS
-from rta.filter import make_solver
 from rta.qp.programs import Problems, Solutions
-from settings import from_toml, override, to_toml
+from settings import override
 from study.config import Config
 from study.experiment import Experiment
 from study.verification import campaign
@@ -24,7 +23,7 @@ from study.verification.starts import initial_states
 from tests.rta.test_barrier import FILTER
 from tests.study.verification.flown import flown as fly
 from tests.study.verification.test_findings import verify
-from tests.test_main import assert_refused, call
+from tests.test_main import call
 
 pytestmark = pytest.mark.usefixtures("small_pools")
 
@@ -67,29 +66,6 @@ def test_a_violation_leaves_a_counter_example_that_flies_again_exactly(
         assert value == pytest.approx(report["worst_value"][name], rel=0, abs=1e-9)
         assert float(words[words.index("most") + 1]) < 1e-6
         assert when == case["time_s"]
-
-
-def test_refly_uses_the_solver_of_the_campaign(
-    violated: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    path = next(violated.parent.glob("*.npz"))
-    assert from_toml(str(np.load(path)["config"]), "it", Config()).rta.qp_solver == "piqp"
-    used = []
-    monkeypatch.setattr(
-        "rta.filter.make_solver", lambda name, held: used.append(name) or make_solver(name, held)
-    )
-    assert call(["refly", str(path)], capsys)[0] == 0
-    assert used == ["piqp"]
-
-
-def test_a_recorded_gpu_is_not_needed_to_fly_it_again(
-    violated: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    example = dict(np.load(next(violated.parent.glob("*.npz"))))
-    config = override(from_toml(str(example["config"]), "it", Config()), {"train": {"device": "cuda"}}, "it")
-    path = tmp_path / "example.npz"
-    np.savez(path, **(example | {"config": np.array(to_toml(config))}))
-    assert call(["refly", str(path)], capsys)[0] == 0
 
 
 @pytest.mark.parametrize("factor", [1 + 1e-6, np.nan, np.inf])
@@ -142,37 +118,3 @@ def test_refly_does_not_depend_on_the_solvers_last_digits(monkeypatch: pytest.Mo
     assert value == pytest.approx(float(example["value"]), abs=1e-9)
     assert -(-when // 10) == len(example["control_desired"])
     assert 0.0 < difference < 1e-6
-
-
-def test_a_damaged_counter_example_is_refused(
-    violated: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    example = dict(np.load(next(violated.parent.glob("*.npz"))))
-    for change in (
-        {"state": np.zeros(3)},
-        {"control_desired": np.zeros((5, 2))},
-        {"control_desired": np.zeros(5)},
-        {"control_applied": np.zeros((5, 2))},
-        {"constraint": np.array("colour")},
-        {"period": np.array([1.0, 2.0])},
-        {"period": np.array(0.0)},
-        {"check_every": np.array(0.3)},
-        {"config": np.array("[")},
-    ):
-        path = tmp_path / "example.npz"
-        np.savez(path, **(example | change))
-        assert_refused(["refly", str(path)], [str(path)], capsys)
-
-
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (["nowhere.npz"], ["nowhere.npz", "no such file"]),
-        ([], ["F.npz", "required"]),
-        (["x.npz", "--rta-period", "1"], ["--rta-period"]),
-    ],
-)
-def test_refly_takes_a_file_and_no_settings(
-    arguments: list[str], words: list[str], capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert_refused(["refly", *arguments], words, capsys)

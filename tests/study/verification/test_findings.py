@@ -10,12 +10,8 @@ import pytest
 from rta.constraints.names import CONSTRAINTS
 from rta.filter import SafetyFilter
 from study.files import ROOT
-from study.verification import campaign, findings
-from study.verification.starts import initial_states
-from tests.rta.test_barrier import FILTER
+from study.verification import campaign
 from tests.test_main import assert_refused, call
-
-NEWER = {"check_every", "candidates", "horizon"}  # of a campaign
 
 
 def verify(path: Path, *more: str) -> list[str]:
@@ -54,15 +50,6 @@ def test_verify_writes_the_promised_json(finished: Path) -> None:
     assert list(finished.parent.iterdir()) == [finished]
 
 
-def test_a_worst_case_is_found_again_from_its_seed(finished: Path) -> None:
-    report = json.loads(finished.read_text())
-    for case in report["worst_case"].values():
-        x, priority, _ = initial_states(case["batch_size"], case["batch_seed"], FILTER)
-        np.testing.assert_array_equal(x[:, case["column"]], case["initial_state"])
-        np.testing.assert_array_equal(priority[:, case["column"]], case["priority"])
-    assert len({case["column"] for case in report["worst_case"].values()}) > 3
-
-
 def test_the_worst_episode_of_every_constraint_is_kept_where_it_is_wanted(
     finished: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -77,27 +64,6 @@ def test_the_worst_episode_of_every_constraint_is_kept_where_it_is_wanted(
     code, out, err = call(["refly", f"{path}.collision.npz"], capsys)
     assert code == 0, err
     assert f"recorded {report['worst_value']['collision']:.12g}" in out
-
-
-def test_a_finished_report_flies_nothing_more(
-    finished: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    before = finished.read_bytes()
-    monkeypatch.setattr(campaign, "fly", lambda *_: pytest.fail("flew"))
-    code, out, err = call(verify(finished), capsys)
-    assert code == 0, err
-    assert "16 episodes, 336 steps" in out
-    assert finished.read_bytes() == before
-
-
-def test_a_report_that_holds_more_than_asked_for_says_so(
-    finished: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    before = finished.read_bytes()
-    code, out, err = call(verify(finished, "--episodes", "8"), capsys)
-    assert code == 0 and "16 episodes" in out
-    assert f"{finished}: holds 16 episodes already, more than asked for" in err
-    assert finished.read_bytes() == before
 
 
 def test_a_longer_campaign_goes_on_where_the_report_ends(
@@ -150,48 +116,3 @@ def test_another_campaigns_report_is_refused(
     before = finished.read_bytes()
     assert_refused(verify(finished, *other), [str(finished), "another campaign"], capsys)
     assert finished.read_bytes() == before
-
-
-@pytest.mark.parametrize("text", ["{", "[]", "{}", "3"])
-def test_what_is_no_report_is_refused(text: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    path = tmp_path / "report.json"
-    path.write_text(text)
-    assert_refused(verify(path), [str(path), "no report"], capsys)
-
-
-def test_the_text_fits_into_100_columns(finished: Path, tmp_path: Path) -> None:
-    """With numbers as they are after many episodes, and all that can stand beside them."""
-    report = json.loads(finished.read_text())
-    large = {name: 123_456_789 for name in (*CONSTRAINTS, "any")}
-    report |= {
-        "violating_steps": large,
-        "violating_episodes": large,
-        "worst_value": dict.fromkeys(CONSTRAINTS, -1.2345e-123),
-        "yielded_calls": large,
-        "steps": 10**12,
-        "episodes": 10**9,
-        "unsolved": 10**9,
-        "backup_calls": 10**9,
-        "filter_calls": dict.fromkeys(report["filter_calls"], 10**12),
-        "slack_together": {"all": {"calls": 10**8, "largest_slack": dict.fromkeys(CONSTRAINTS, 1.2e-123)}},
-    }
-    report["starts_beyond_braking"] |= {
-        name: report[name] for name in ("violating_steps", "violating_episodes", "worst_value")
-    }
-    lines = findings.table(report).splitlines()
-    assert max(map(len, lines)) <= 100
-    assert sum("angular_velocity_z" in line for line in lines) == 3  # nothing is cut off
-
-
-def test_what_next_names_the_report_and_a_counter_example(finished: Path, tmp_path: Path) -> None:
-    report, path = json.loads(finished.read_text()), tmp_path / "my report.json"
-    assert findings.what_next(report, path).splitlines() == [
-        f"Written to {path}; a larger --episodes goes on from there"
-    ]
-    assert "--json F keeps" in findings.what_next(report, None)
-    report["violating_episodes"]["battery"] = 1
-    Path(f"{path}.battery.npz").touch()
-    assert findings.what_next(report, path).splitlines()[1:] == [
-        f"The worst episodes, first those with violations: {path}.CONSTRAINT.npz of battery",
-        f"Fly one again: python main.py refly '{path}.battery.npz'",
-    ]

@@ -11,11 +11,10 @@ import torch
 from torch import Tensor
 
 from inspection.environment import InspectionEnv
-from inspection.world.corners import CORNER, ENDS, MISSED, Recorded
+from inspection.world.corners import CORNER, Recorded
 from settings import override
 from study.config import Config
 from study.experiment import Experiment
-from study.scales import scales
 from study.verification.adversaries import Greedy, attacked, held_at_random
 from study.verification.lookahead import Lookahead
 from study.verification.starts import initial_states
@@ -97,22 +96,6 @@ def test_what_is_tried_is_what_comes(world: bool) -> None:
     np.testing.assert_allclose(promised[0], expected, rtol=1e-9, atol=1e-9)
 
 
-def test_the_worst_candidate_of_each_group_is_flown(monkeypatch: pytest.MonkeyPatch) -> None:
-    here = experiment(False)
-    env, tried = (here.env(count, None, 1.0, 1.0) for count in (3, 3 * 7))
-    env.reset()
-    lookahead = Lookahead(env, tried, 2, torch.Generator(), 3)
-    h = torch.ones(13, 7, 3, dtype=torch.float64)
-    h[0, 2], h[7, 4] = -1.0, -2.0  # collision, exclusion: what the first columns attack
-    given = lookahead.draw()
-    monkeypatch.setattr(lookahead, "draw", lambda: given)
-    monkeypatch.setattr(lookahead, "outcome", lambda *_: h)
-    control = lookahead(0.0, env.x)
-    assert torch.equal(control[:3, :2], given[:3, 2, :2]) and torch.equal(control[3:, :2], given[3:, 4, :2])
-    assert torch.equal(control[:3, 2], given[:3, 0, 2])  # attacks another constraint: goes on as before
-    assert torch.equal(lookahead.last, control)
-
-
 def test_candidates_are_the_last_control_all_vertices_and_random_ones_within_the_limits() -> None:
     here = experiment(False)
     env, tried = (here.env(count, None, 1.0, 1.0) for count in (5, 5 * 40))
@@ -129,31 +112,6 @@ def test_candidates_are_the_last_control_all_vertices_and_random_ones_within_the
         assert len({tuple(vertex) for vertex in group[..., 0].T.tolist()}) == 8 and (group.abs() == 1.0).all()
     assert units[:, 8:].abs().max() < 1.0 and units[:, 8:].unique().numel() == units[:, 8:].numel()
     assert torch.equal(drawn[:, 9:, 2:], other[:, 9:, :3])  # by the column's number
-
-
-def test_every_constraint_is_attacked_alone_and_with_its_group_from_both_kinds_of_starts() -> None:
-    mask = attacked(torch.arange(112))
-    for start in (0, 1):
-        pairs = {tuple(column) for column in mask[:, start::2].T.tolist()}
-        assert len(pairs) == 8 * 7
-        thrust = {pair[:7] for pair in pairs}
-        assert sorted(map(sum, thrust)) == [1] * 7 + [7]
-    assert torch.equal(attacked(torch.arange(9, 20)), mask[:, 9:20])
-
-
-@pytest.mark.parametrize("period", [1.0, 10.0])
-def test_a_scale_is_what_a_constraint_changes_in_a_call(period: float) -> None:
-    """Full controls from the starts of a campaign: hardly ever more, and not far less at the most."""
-    c, safety = Config().inspection, experiment(False).filter
-    env = InspectionEnv(256, c, [torch.Generator().manual_seed(0)], safety.safety(False), period, period)
-    x, priority, _ = initial_states(256, 1, safety)
-    env.start(x, priority)
-    full = env.limit * (2.0 * torch.randint(2, (6, 256), generator=torch.Generator().manual_seed(1)) - 1.0)
-    (hold,) = list(env.fly(lambda t, seen: full, period))[-1:]
-    after, before = (env.constraint_values(state) for state in (hold.after, x))
-    change = (after - before).abs() / torch.tensor(scales(c, period))[:, None]
-    assert (change.quantile(0.95, dim=1) < 1.0).all(), change.quantile(0.95, dim=1)
-    assert (change.amax(1) > 0.2).all(), change.amax(1)
 
 
 def test_the_command_line_flies_and_continues_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -207,22 +165,6 @@ def test_what_is_tried_at_a_corner_is_what_comes() -> None:
     env.plant.adversary = Recorded(corners[:, :, 7], 1.0)
     came = [env.constraint_values(hold.after) for hold in env.fly(lambda t, x: desired[:, 7], 3.0)]
     np.testing.assert_allclose(promised, torch.stack(came).amin(0) / lookahead.scale, rtol=1e-9, atol=1e-9)
-
-
-def test_corners_are_the_last_one_what_goes_on_from_it_and_greedy_ones() -> None:
-    env, lookahead, start = choosing(50, 3)
-    env.plant.adversary = None
-    env.start(*start)
-    lookahead.corner = torch.rand(CORNER, 50, generator=torch.Generator().manual_seed(1)) < 0.5
-    corners = lookahead.draw_corners(env.time, env.x)
-    ends, missed = corners[:, :ENDS], corners[:, MISSED]
-    assert torch.equal(ends[0], ends[1]) and torch.equal(ends[0], ends[2])  # the same in all calls
-    assert torch.equal(ends[0, :, 0], lookahead.corner[:ENDS]) and not missed[:, 0].any()
-    assert 0.4 < missed[:, 1:].double().mean() < 0.6 and not torch.equal(missed[0], missed[1])
-    changed = (ends[0, :, 2::2] != lookahead.corner[:ENDS, None]).double().mean()
-    assert changed == pytest.approx(0.125, abs=0.02)
-    greedy = lookahead.greedy.errors(env.time, env.x)
-    assert torch.equal(ends[0, :12, 1::2], greedy[:, None].expand(-1, CANDIDATES // 2, -1))
 
 
 def test_its_flight_is_flown_again_by_its_controls_and_corners_and_misses_calls() -> None:

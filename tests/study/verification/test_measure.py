@@ -1,8 +1,6 @@
 """What a filter makes of a demand: what is counted, against numbers made by hand, and who demands."""
 
-import json
 import math
-from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
@@ -90,23 +88,7 @@ def test_who_looks_ahead_from_there_breaks_nothing_and_is_corrected() -> None:
     assert found["moved_by_check_percent"] > 0.0
 
 
-def test_a_demand_is_measured(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    path = tmp_path / "found.json"
-    measure.main(["--demand", "waypoints", "--episodes", "8", "--duration", "20", "--json", str(path)])
-    found = json.loads(path.read_text())
-    assert found["calls"] == 160 and found["broken_episodes"] == 0 and found["unverified_percent"] == 0.0
-    assert 0.0 <= found["moved_by_check_percent"] <= found["corrected_percent"] <= 100.0
-    assert "calls moved by the check, %" in capsys.readouterr().out
-
-
 def test_a_filter_that_is_wrong_about_the_mass_is_seen_to_break_limits() -> None:
     """The planted fault: from the edge of the zone, in a world that the filter is not told of."""
     config = override(Config(), {"plant": {"mass_factor": 2.0}}, "test")
     assert measure.measure(config, "full", "edge", 32, 60.0)["broken_episodes"] > 0
-
-
-@pytest.mark.parametrize("words", [["--demand", "agent"], ["--checkpoint", "x.pt"], ["--config", "nowhere"]])
-def test_what_does_not_fit_ends_in_a_line(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit) as end:
-        measure.main(words)
-    assert end.value.code == 2 and capsys.readouterr().err.count("\n") == 1

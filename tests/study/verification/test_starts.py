@@ -22,6 +22,7 @@ from tests.oracles import (
     paper,
     positive,
     slope,
+from study.verification.starts import safe_set
     speed_limit,
 )
 from tests.rta.test_barrier import FILTER, zone
@@ -56,16 +57,6 @@ def start() -> tuple[ndarray, ndarray]:
 def drawn() -> tuple[ndarray, ndarray]:
     x, priority, _ = safe_set(COUNT, 0, Everything())
     return x.numpy(), priority.numpy()
-
-
-def oriented(x: ndarray) -> ndarray:
-    """Attitude exclusion, temperature and battery, (3, B), the light's edge a parabola 2 w wide."""
-    boresight, panel, *side = (np.arccos(cosine.clip(-1, 1)) for cosine in cosines(x))
-    w, height = R.incidence_rounding, [np.pi / 2 - angle for angle in side]
-    sun, earth = (np.where(np.abs(z) < w, (z + w) ** 2 / (4 * w), positive(z)) for z in height)
-    return np.stack(
-        (boresight - np.pi / 6 - np.pi / 18, 10 - x[13] - 0.05 * sun - 0.01 * earth, x[14] - 1 - 0.05 * panel)
-    )
 
 
 def test_every_start_satisfies_every_constraint(start: tuple[ndarray, ndarray]) -> None:
@@ -112,17 +103,6 @@ def test_states_that_only_the_margins_reject_are_counted_up_to_the_last_one_take
     assert abs(rejected - expected - both) <= 1  # a difference across the edge of the light
 
 
-def test_every_start_satisfies_every_first_psi(start: tuple[ndarray, ndarray]) -> None:
-    x = start[0]
-    x = x[:, (np.abs(cosines(x)) < math.cos(R.pole_angle)).all(0)]
-    assert x.shape[1] > COUNT / 2
-    k1 = np.array([[R.exclusion_gains[0]], [R.temperature_gains[0]], [R.battery_gains[0]]])
-    margin = np.array([[R.exclusion_margin], [R.temperature_margin], [R.battery_margin]])
-    psi = slope(oriented, x, drift(x, C), 1e-4) + k1 * (oriented(x) - margin)
-    assert (psi.min(1) >= -1e-6).all()  # a difference across the edge of the light
-    assert ((psi >= 0).mean(1) > 0.999).all()
-
-
 def test_starts_fill_their_ranges_before_rejection(drawn: tuple[ndarray, ndarray]) -> None:
     x, priority = drawn
     sides = np.concatenate((x[:3] / length(x[:3]), x[3:6] / length(x[3:6]), priority))
@@ -137,17 +117,6 @@ def test_starts_fill_their_ranges_before_rejection(drawn: tuple[ndarray, ndarray
     }
     for name, share in shares.items():
         assert kstest(share, "uniform").pvalue > 1e-4, name
-
-
-def test_attitudes_are_uniform_before_rejection(drawn: tuple[ndarray, ndarray]) -> None:
-    q = drawn[0][6:10]
-    angle = 2 * np.arccos(np.abs(q[3]))  # of a uniform rotation: density (1 - cos) / pi
-    assert kstest((angle - np.sin(angle)) / np.pi, "uniform").pvalue > 1e-4
-    for component in q:  # of a uniform 4-D direction: density 2 sqrt(1 - q^2) / pi
-        share = 0.5 + (component * np.sqrt(1 - component**2) + np.arcsin(component)) / np.pi
-        assert kstest(share, "uniform").pvalue > 1e-4
-    second = q @ q.T / q.shape[1]
-    np.testing.assert_allclose(second, np.eye(4) / 4, atol=4 * 0.25 / math.sqrt(q.shape[1]))
 
 
 def test_all_drawn_quantities_are_independent(drawn: tuple[ndarray, ndarray]) -> None:
@@ -173,30 +142,8 @@ def test_rejection_leaves_starts_near_every_limit(start: tuple[ndarray, ndarray]
     assert (np.abs(x[10:13]).max(1) > 0.99 * C.max_rate).all()
 
 
-def test_starts_depend_on_the_seed_alone(start: tuple[ndarray, ndarray]) -> None:
-    again, other = (safe_set(COUNT, seed, Programs())[0].numpy() for seed in (0, 1))
-    np.testing.assert_array_equal(start[0], again)
-    assert not (start[0] == other).all(0).any()
-
-
 def test_starts_of_a_filter_that_knows_a_way_are_the_states_that_have_one() -> None:
     x, _, left_out = safe_set(300, 0, FILTER)
     assert FILTER.is_safe(x).all() and (FILTER.values(x) >= 0.0).all()
     assert 0 < left_out < 60  # that keep every limit, and have none
     assert not FILTER.is_in_safe_set(x).all()
-
-
-def test_an_empty_safe_set_is_refused() -> None:
-    nothing = Everything()
-    nothing.is_in_safe_set = lambda x: torch.zeros(x.shape[1], dtype=torch.bool)
-    with pytest.raises(RuntimeError, match="0 of 1 initial states"):
-        safe_set(1, 0, nothing)
-
-
-def test_half_of_the_starts_are_the_papers() -> None:
-    x, priority, _ = initial_states(101, 0, FILTER)
-    first, second = x[:, ::2], x[:, 1::2]
-    distance = first[:3].norm(dim=0)
-    assert ((distance >= 50) & (distance <= 100)).all() and (first[3:6] == 0).all()
-    assert second.shape == (16, 50) and (second[3:6].norm(dim=0) > 0).all()
-    np.testing.assert_allclose(priority.norm(dim=0), 1.0)

@@ -59,6 +59,7 @@ def flags(config: Path, report: str, episodes: int) -> list[str]:
     return [*verify(config.with_name(report)), *more]
 
 
+@pytest.mark.campaign
 def test_a_campaign_goes_on_and_its_violations_fly_again(
     config: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -115,7 +116,10 @@ def test_what_violates_is_the_true_state() -> None:
 # at the corners of what the filter is told
 
 
-@pytest.mark.parametrize("policy", ["random", "pressing", "lookahead"])
+@pytest.mark.parametrize(
+    "policy",
+    ["random", *(pytest.param(policy, marks=pytest.mark.campaign) for policy in ("pressing", "lookahead"))],
+)
 def test_a_campaign_at_the_worst_goes_on_and_its_violations_fly_again(
     policy: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-import scipy.linalg
 import torch
 from scipy.spatial.transform import Rotation
 
@@ -152,19 +151,6 @@ def test_the_way_to_rest_begins_behind_the_hold_and_stays_clear(
         ).all()
 
 
-def test_free_flight_is_that_of_the_equations(flights: dict[float | str, list[Flight]]) -> None:
-    n = C.inspection.mean_motion
-    a = np.zeros((6, 6))
-    a[:3, 3:] = np.eye(3)
-    a[3, 0], a[3, 4], a[4, 3], a[5, 2] = 3 * n**2, 2 * n, -2 * n, -(n**2)
-    for flight in flights[1.0]:
-        places, there = np.reshape(flight["ahead"], (-1, 3)), np.array(flight["end"][:6])
-        a_place_later = scipy.linalg.expm(a * 500.0 / len(places))
-        for place in places:
-            np.testing.assert_allclose(place, there[:3], rtol=0, atol=1e-6)
-            there = a_place_later @ there
-
-
 def test_the_sensors_err_by_their_bounds_and_a_call_late(flights: dict[float | str, list[Flight]]) -> None:
     """Of each axis, in the direction that the corner says; the rate is the gyro's less that of Hill's frame."""
     for flight in flights["errors"]:
@@ -270,16 +256,3 @@ def test_with_the_filter_on_nothing_is_violated_and_with_it_off_every_flight_is(
     off = [one | {"filtered": False} for one in asked if one.get("period", 1) == 1]
     for one, flight in zip(off, fly(*off), strict=True):
         assert flight["broken"], one
-
-
-def test_a_start_ends_badly_without_a_hand_and_without_the_filter() -> None:
-    ends = {
-        "ram": ("crash", "passive_safety"),
-        "leaving": ("out_of_bounds", "keep_in_zone"),
-        "battery": ("out_of_power", "battery"),
-    }
-    for start, (outcome, limit) in ends.items():
-        free = {"start": start, "pilot": "you", "seconds": 600, "period": 1}
-        off, on = fly(free | {"filtered": False}, free)
-        assert off["outcome"] == outcome and limit in off["broken"] and off["time"] < 600
-        assert on["outcome"] is None and on["broken"] == {}

@@ -2,21 +2,17 @@
 
 import base64
 import gzip
-import json
 import re
 from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
-import torch
 from scipy.spatial.transform import Rotation
 
-from rta.constraints.names import CONSTRAINTS
-from settings import InputError, from_toml, load
+from settings import from_toml, load
 from study.config import Config
 from study.files import ROOT
 from study.web import play
@@ -72,13 +68,6 @@ def test_the_shipped_page_holds_these_files_and_asks_no_network() -> None:
     assert len(TEXT.encode()) < 850_000
 
 
-def test_every_limit_is_explained() -> None:
-    limits = json.loads(inside(TEXT, "data"))["limits"]
-    assert [each["name"] for each in limits] == list(CONSTRAINTS)
-    assert all(each["scale"] > 0 for each in limits)
-    assert len({each["title"] for each in limits}) == len({each["broken"] for each in limits}) == len(limits)
-
-
 @pytest.mark.parametrize(
     ("settings", "said"),
     [
@@ -104,12 +93,6 @@ def test_what_it_cannot_fly_or_build_is_refused(
     words = ["play", "--config", str(tmp_path / "own.toml"), "--out", str(tmp_path / "page.html")]
     assert_refused(words, [said], capsys)
     assert not (tmp_path / "page.html").exists()
-
-
-def test_a_filter_that_accepts_no_start_is_refused() -> None:
-    refuses: Any = SimpleNamespace(is_safe=lambda x: torch.zeros(x.shape[1], dtype=torch.bool))
-    with pytest.raises(InputError, match="accepts no start"):
-        play.world(Config(), [refuses])
 
 
 def test_settings_that_are_not_the_usual_ones_are_saved() -> None:
@@ -168,16 +151,6 @@ def test_a_browser_flies_it_with_the_keyboard_alone(opened: Browser) -> None:
     keyboard.press("x")
 
 
-def test_what_a_pointer_has_chosen_does_not_keep_the_keys(opened: Browser) -> None:
-    opened.page.locator("#filter").click()
-    assert not opened.page.evaluate("() => play.flight.filtered")
-    paused = opened.page.evaluate("() => play.paused")
-    opened.page.keyboard.press("Space")  # would press a button that has the focus
-    assert opened.page.evaluate("() => play.paused") is not paused
-    assert not opened.page.evaluate("() => play.flight.filtered")
-    opened.page.keyboard.press("x")
-
-
 def test_a_browser_flies_errors_at_their_worst(opened: Browser) -> None:
     """In another spacecraft at each start, with a period of the filter's own."""
     about = opened.page.locator("#about-errors")
@@ -217,10 +190,3 @@ def test_a_browser_draws_what_is_flown_and_asks_for_nothing(opened: Browser) -> 
     np.testing.assert_allclose(sun, [np.cos(x[15]), np.sin(x[15]), 0.0], atol=1e-6)
     assert opened.errors == []
     assert len(opened.requests) == 1  # the page itself
-
-
-def test_the_page_fits_a_phone(chromium: Any) -> None:
-    narrow = Browser(chromium, PAGE, 320, 800)
-    narrow.until("play.ready")
-    assert narrow.page.evaluate("document.documentElement.scrollWidth") <= 320
-    assert narrow.errors == []

@@ -3,13 +3,11 @@
 import json
 import math
 import re
-import shutil
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-import scipy.linalg
 import torch
 from scipy.spatial.transform import Rotation, Slerp
 
@@ -20,8 +18,7 @@ from rta.constraints.names import CONSTRAINTS
 from settings import load
 from study.config import Config
 from study.web import replay
-from tests.study.web.browser import Browser, asks_nothing, chromium
-from tests.test_main import assert_refused
+from tests.study.web.browser import Browser, chromium
 
 __all__ = ["chromium"]  # a fixture
 Arrays = dict[str, np.ndarray]
@@ -74,62 +71,7 @@ def test_the_commands_make_a_page(tmp_path: Path, capsys: pytest.CaptureFixture[
     }  # as often as the agent looks
 
 
-@pytest.mark.parametrize(
-    ("change", "words"),
-    [
-        ({"inspected": None}, ["inspected is missing", "older"]),
-        ({"parameters": np.array("[inspection]\nmass = -1.0")}, ["parameters", "mass"]),
-        ({"quaternion": np.zeros((30, 3))}, ["quaternion", "(30, 3)", "(30, 4)"]),
-        ({"inspected": np.zeros((30, 100))}, ["inspected", "float64"]),
-        ({"chief_points": np.zeros((100, 3))}, ["chief_normals"]),
-        ({"energy": np.full(30, np.nan)}, ["energy", "finite"]),
-        ({"position": np.full((30, 3), 1e300)}, ["position", "up to 1e+12"]),
-        ({"time": np.zeros(30)}, ["time", "rise"]),
-    ],
-)
-def test_other_files_and_three_are_refused(
-    change: dict[str, np.ndarray | None],
-    words: list[str],
-    flown: Arrays,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    path, out = tmp_path / "run.npz", tmp_path / "page.html"
-    np.savez(path, **{name: array for name, array in (flown | change).items() if array is not None})
-    assert_refused(["replay", str(path), "--out", str(out)], [str(path), *words], capsys)
-    assert_refused(["replay", *3 * [str(path)], "--out", str(out)], ["3 runs", "at most two"], capsys)
-    assert not out.exists()
-
-
-def test_a_page_names_its_files_and_a_tag_in_a_name_stays_text(flown_files: Files, tmp_path: Path) -> None:
-    run, out = tmp_path / "<!--<script>.npz", tmp_path / "page.html"
-    shutil.copy(flown_files[0], run)
-    replay.write([str(run), str(flown_files[1])], out, rows=5, report="../report.html")
-    page = out.read_text(encoding="utf-8")
-    assert embedded(page)["runs"][0]["name"] == run.name
-    data = re.search(r'id="data">(.*?)</script>', page, re.DOTALL)
-    assert data and "<" not in data[1]
-    assert run.name not in page and "Replay of &lt;!--&lt;script&gt;.npz and two.npz" in page
-    assert str(flown_files[1].parent) not in page and '<a href="../report.html">' in page
-    assert "two.npz: one row in 4 is shown" in page
-    asks_nothing(page)
-    for name in ("three.min.js", "three.LICENSE"):
-        assert Path(replay.__file__).with_name(name).read_text(encoding="utf-8") in page
-
-
 # what is shown
-
-
-def test_free_flight_is_that_of_the_equations(flown: Arrays, shown: dict[str, Any]) -> None:
-    c = Config().inspection
-    n, a = c.mean_motion, np.zeros((6, 6))
-    a[:3, 3:] = np.eye(3)
-    a[3, 0], a[3, 4], a[4, 3], a[5, 2] = 3 * n**2, 2 * n, -2 * n, -(n**2)
-    there = np.concatenate((flown["position"], flown["velocity"]), 1).T
-    a_place_later = scipy.linalg.expm(a * c.passive_safety_horizon / (replay.AHEAD - 1))
-    for places in np.moveaxis(np.array(shown["runs"][0]["ahead"]), 1, 0):
-        np.testing.assert_allclose(places, there[:3].T, rtol=1e-3, atol=0.02)
-        there = a_place_later @ there
 
 
 def test_points_and_interventions_are_when_the_file_says_so(flown: Arrays, shown: dict[str, Any]) -> None:
@@ -180,14 +122,6 @@ def test_a_long_run_is_thinned_but_no_violation_or_intervention_is_lost(
     np.testing.assert_allclose(separation, [block.min() for block in blocks], rtol=1e-3)
 
 
-def test_single_precision_shows_the_same(flown: Arrays, shown: dict[str, Any], tmp_path: Path) -> None:
-    single = {name: a.astype(np.float32) if a.dtype == np.float64 else a for name, a in flown.items()}
-    np.savez(tmp_path / "single.npz", **single)
-    (run,), (expected,) = content(tmp_path / "single.npz")["runs"], shown["runs"]
-    for name in ("time", "position", "quaternion"):
-        np.testing.assert_allclose(run[name], expected[name], rtol=1e-4, atol=1e-4)
-
-
 # a chief of one's own
 
 
@@ -217,24 +151,6 @@ def test_points_in_the_meshs_own_shade_are_not_shown_as_lit(beside: dict[str, Pa
         lit = light(whole, torch.tensor(sun)[:, None].float())[:, 0].numpy() > 0.0
         as_lit = facing & ~np.isin(np.arange(len(facing)), shaded)
         assert (as_lit != lit).mean() < 0.01 and (as_lit != facing).any()
-
-
-def test_a_flight_beside_a_hull_is_shown_beside_one_without(
-    beside: dict[str, Path], flown_files: Files, flown: Arrays
-) -> None:
-    shown, run = content(beside["hull"], flown_files[0]), np.load(beside["hull"])
-    of_hull, of_sphere = shown["runs"]
-    assert len(of_hull["triangles"]) == 3 * len(run["chief_triangles"]) and of_sphere["hull"] is None
-    faces, corners = (np.array(of_hull[name]).reshape(-1, 3, 3) for name in ("hull", "triangles"))
-    for a, b, c in faces:  # all of the chief is on one side of each
-        above = (corners - a) @ np.cross(b - a, c - a) / np.linalg.norm(np.cross(b - a, c - a))
-        assert above.min() > -1e-2 or above.max() < 1e-2
-    hull, sphere = panel(shown, "Clearance")  # of a sphere of 15 m
-    np.testing.assert_allclose(hull, run["clearance"], rtol=1e-3)
-    np.testing.assert_allclose(sphere, np.linalg.norm(flown["position"], axis=1) - 15.0, rtol=1e-3)
-    # points are drawn in front of their faces
-    above = np.array(of_hull["points"]) - run["chief_points"]
-    assert ((above * run["chief_normals"]).sum(1) > 0.05).all()
 
 
 # in a browser
@@ -292,16 +208,6 @@ def one(chromium: Any, flown_files: Files) -> Shown:
     return Shown(chromium, out, 1280, 900)
 
 
-def test_the_page_asks_for_nothing_and_a_request_is_refused(one: Shown, chromium: Any) -> None:
-    """By the page's own policy, whatever asks."""
-    assert one.errors == [] and len(one.requests) == 1  # the page itself
-    asking = Browser(chromium, Path(one.page.url.removeprefix("file://")), 800, 600)
-    script = "() => fetch('https://127.0.0.1:1/').then(() => 'answered', error => error.name)"
-    assert asking.page.evaluate(script) == "TypeError"
-    assert any("Content Security Policy" in each for each in asking.errors)
-    asking.page.close()
-
-
 @pytest.mark.parametrize("row", [7, 21])
 def test_scrubbing_moves_the_scene(row: int, one: Shown, flown: Arrays) -> None:
     """Between two rows, 10 s apart, evenly from one to the other."""
@@ -352,24 +258,6 @@ def test_a_tumbling_mesh_and_a_hull_are_drawn(name: str, chromium: Any, beside: 
     drawn.page.close()
 
 
-def test_without_webgl_the_plots_still_play(chromium: Any, one: Shown) -> None:
-    lost = "HTMLCanvasElement.prototype.getContext = () => null;"
-    flat = Shown(chromium, Path(one.page.url.removeprefix("file://")), 800, 600, lost)
-    assert "draws no WebGL" in flat.page.locator(".missing").inner_text()
-    flat.scrub(50.0)
-    assert flat.clock() == 50.0 and "distance" in flat.page.locator(".status").inner_text()
-    flat.page.close()
-
-
-def test_values_and_filter_at_the_cursor(one: Shown, flown: Arrays) -> None:
-    one.scrub(75.0)
-    assert "filter corrects thrust and torque" in one.page.locator(".status").inner_text()
-    caption = one.page.locator(".panel figcaption", has_text="Energy").inner_text()
-    assert f"{flown['energy'][7]:.1f}" in caption
-    one.scrub(85.0)
-    assert "no correction" in one.page.locator(".status").inner_text()
-
-
 def test_the_keyboard_plays_pauses_steps_and_changes_the_view(one: Shown) -> None:
     one.page.locator("#speed").select_option("60")
     one.page.locator("h1").click()  # the keyboard's focus leaves the list
@@ -393,69 +281,3 @@ def test_the_keyboard_plays_pauses_steps_and_changes_the_view(one: Shown) -> Non
         views.append(one.page.evaluate("() => films[0].view"))
     assert sorted(views) == ["follow", "onboard", "orbit"] and views[-1] == "orbit"
     assert one.errors == []
-
-
-def test_a_turned_scene_stays_turned_and_the_wheel_zooms(one: Shown) -> None:
-    one.scrub(60.0)
-    before, look = one.scene()["camera"], "() => ({ ...looks.orbit })"
-    first = one.page.evaluate(look)
-    box = one.page.locator(".scene").bounding_box()
-    one.page.mouse.move(box["x"] + 0.3 * box["width"], box["y"] + 0.3 * box["height"])
-    one.page.mouse.down()
-    one.page.mouse.move(box["x"] + 0.5 * box["width"], box["y"] + 0.4 * box["height"])
-    one.page.mouse.up()
-    one.page.mouse.wheel(0, 200)
-    one.until("looks.orbit.distance > 0")
-    assert (one.scene()["camera"] != before).any()  # without the clock
-    turned = one.page.evaluate(look)
-    assert turned["yaw"] < first["yaw"] and turned["pitch"] > first["pitch"]
-    assert np.linalg.norm(one.scene()["camera"]) == pytest.approx(turned["distance"])
-    one.scrub(0.0)
-    assert one.page.evaluate(look) == turned
-
-
-def test_a_click_into_a_plot_goes_there(one: Shown) -> None:
-    one.scrub(0.0)
-    plot = one.page.locator(".plot").nth(2)
-    plot.scroll_into_view_if_needed()
-    box = plot.bounding_box()
-    one.page.mouse.click(box["x"] + 0.5 * box["width"], box["y"] + 0.5 * box["height"])
-    assert one.clock() == pytest.approx(145.0, abs=2.0)
-    cursor = one.page.locator(".cursor").nth(2).bounding_box()
-    assert cursor["x"] == pytest.approx(box["x"] + 0.5 * box["width"], abs=2.0)
-
-
-def test_a_curve_is_where_its_axis_says(one: Shown, flown: Arrays) -> None:
-    """The Energy's, by the places of its ticks."""
-    energy_panel = one.page.locator(".panel", has_text="Energy")
-    ticks = energy_panel.locator(".tick.y")
-    values = [
-        (float(ticks.nth(i).inner_text()), float(ticks.nth(i).evaluate("tick => parseFloat(tick.style.top)")))
-        for i in range(ticks.count())
-    ]
-    (a, at_a), (b, at_b) = values[0], values[-1]
-    lines = energy_panel.locator("svg path").evaluate_all(
-        "paths => paths.map(path => path.getAttribute('d'))"
-    )
-    curve = max(lines, key=len)
-    found = np.array([[float(number) for number in pair.split()] for pair in curve[1:].split("L")])
-    energy = a + (found[:, 1] - at_a) * (b - a) / (at_b - at_a)
-    np.testing.assert_allclose(energy, flown["energy"], rtol=1e-2)
-    np.testing.assert_allclose(found[:, 0] * flown["time"][-1] / 1000.0, flown["time"], atol=0.01)
-
-
-def test_two_runs_share_a_clock_on_a_phone(chromium: Any, flown_files: Files) -> None:
-    out = flown_files[0].with_name("both.html")
-    replay.write([str(path) for path in flown_files], out)
-    both = Shown(chromium, out, 390, 844)
-    both.scrub(150.0)
-    first, second = both.scene(0), both.scene(1)
-    np.testing.assert_array_equal(first["deputy"], second["deputy"])
-    np.testing.assert_array_equal(first["camera"], second["camera"])
-    both.scrub(250.0)
-    assert "ends at 190 s" in both.page.locator(".status").nth(1).inner_text()
-    first, second = both.scene(0), both.scene(1)
-    assert (first["deputy"] != second["deputy"]).any()
-    np.testing.assert_array_equal(first["camera"], second["camera"])  # to the same scale
-    assert both.page.evaluate("document.documentElement.scrollWidth") == 390
-    assert both.errors == []
