@@ -1,11 +1,9 @@
-"""Fixtures shared by all tests: the paper's parameters, a seeded generator, random states, a made-up study."""
+"""Fixtures shared by all tests: the paper's constants, random states, a flight, the shipped study."""
 
-import itertools
-import json
 import math
 import os
+import shutil
 from collections.abc import Iterator
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -19,66 +17,18 @@ from scipy.spatial.transform import Rotation
 from inspection import initial_state
 from inspection.model.parameters import InspectionParameters
 from inspection.model.state import OMEGA, SIZE, THETA_S, E, P, Q, T, V
-from inspection.transition import METRICS
-from inspection.world.parameters import PlantParameters
 from kernels import build
 from rta.constraints.names import CONSTRAINTS
 from settings import to_toml
 from study import machine
-from study.config import ARMS, BASELINES, Config, StudyConfig
+from study.config import Config
+from study.files import ROOT
 from tests.optimised import QUICK
-
-# Files that take more than half a minute of a core, the longest first: what begins last must not be long, or one of the
-# workers of pytest-xdist ends minutes after the others. By itself it begins with the files of most tests.
-LONGEST = (
-    "rta/test_filter.py",
-    "rta/printed/test_driver.py",
-    "study/report/test_compute.py",
-    "test_docs.py",
-    "rta/printed/test_export.py",
-    "rta/backup/test_homing.py",
-    "rta/backup/test_turn.py",
-    "study/verification/test_worlds.py",
-    "study/training/test_study.py",
-    "study/training/test_session.py",
-    "kernels/test_numbers.py",
-    "study/flight/test_planted.py",
-    "rta/backup/test_check.py",
-    "study/verification/test_counter_examples.py",
-    "test_install.py",
-    "rta/backup/test_haven.py",
-    "study/web/test_flight.py",
-    "study/web/test_play.py",
-    "kernels/test_project.py",
-    "test_command.py",
-    "study/export/test_filter.py",
-    "experiments/test_break_points.py",
-    "inspection/test_leading_guidance.py",
-    "rta/test_orbits.py",
-    "study/verification/test_findings.py",
-    "inspection/model/test_orbit.py",
-    "inspection/test_guidance.py",
-    "rta/constraints/test_vehicle.py",
-    "ppo/test_distributed.py",
-    "rta/backup/test_slew.py",
-)
 
 torch.set_num_threads(1)
 os.environ["OMP_NUM_THREADS"] = "1"  # of the processes that tests start: nothing to measure, and to say
 settings.register_profile("project", deadline=None, derandomize=True, max_examples=40, database=None)
 settings.load_profile("project")
-
-
-def pytest_configure(config: pytest.Config) -> None:
-    """Has pytest-xdist take the files in the order of `pytest_collection_modifyitems`."""
-    config.option.loadscopereorder = False
-
-
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Puts the files of LONGEST first, where there are several."""
-    tests = Path(__file__).parent
-    place = {tests / name: i for i, name in enumerate(LONGEST)}
-    items.sort(key=lambda item: place.get(item.path, len(place)))
 
 
 @pytest.fixture(scope="session", autouse=True)
@@ -161,27 +111,6 @@ def random_states(generator):
     return draw
 
 
-def made_up_evaluation(rng: np.random.Generator, period: float | None, episodes: int = 300) -> dict[str, Any]:
-    """Random numbers in the form of `evaluate --json`, less what no report shows."""
-
-    def metric() -> dict[str, Any]:
-        low, middle, high = np.sort(rng.uniform(0.5, 30.0, 3)).tolist()
-        return {"iqm": middle, "mean": middle, "ci95": [low, high], "p5": low, "p95": high, "max": high}
-
-    return {
-        "metrics": {name: metric() for name in METRICS},
-        **{
-            kind: {name: rng.uniform(0.001, 9.0) for name in ("any", *CONSTRAINTS)}
-            for kind in ("violations_percent", "violations_percent_of_seconds")
-        },
-        "outcomes": {"success": rng.uniform(0.5, 1.0), "clean_success": rng.uniform(0.1, 0.5)},
-        "config": {"plant": asdict(PlantParameters())},
-        "rta": {"period_s": period, "intervention_percent": rng.uniform(1.0, 99.0), "qp_failures": 0},
-        "episodes": episodes,
-        "digest": "of no interest",
-    }
-
-
 def made_up_episode(rng: np.random.Generator) -> dict[str, np.ndarray]:
     """A tour around the chief in the form of `simulate`, every value within its limit."""
     t = np.arange(0.0, 300.0, 10.0)
@@ -207,54 +136,12 @@ def made_up_episode(rng: np.random.Generator) -> dict[str, np.ndarray]:
 
 
 @pytest.fixture(scope="session")
-def made_up_study(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A directory with every file that a report shows, full of random numbers."""
-    study = tmp_path_factory.mktemp("made_up") / "study"
-    report = study / "report"
-    report.mkdir(parents=True)
-    rng = np.random.default_rng(0)
-    arms = {
-        arm: made_up_evaluation(rng, 1.0 if rta else None)
-        | {"seeds": [0, 1, 2], "interactions": 5_013_504, "wall_clock_s": 4321.0}
-        | {"per_seed": [made_up_evaluation(rng, None) for _ in range(3)]}
-        for arm, rta in ARMS.items()
-    }
-    contents = {
-        "results.json": {"arms": arms},
-        "provenance.json": {"device": "cpu", "ranks": 1, "threads": 2},
-        "report/guidance.json": made_up_evaluation(rng, 1.0, episodes=1000),
-        "report/cross.json": {
-            arm: {"off": made_up_evaluation(rng, None), "on": made_up_evaluation(rng, 1.0)} for arm in ARMS
-        },
-        "report/baselines.json": {
-            name: {"off": made_up_evaluation(rng, None, 100), "on": made_up_evaluation(rng, 1.0, 100)}
-            for name in BASELINES
-        },
-        "report/front.json": {name: made_up_evaluation(rng, 1.0, 100) for name in ("thrifty", "quick")},
-        "report/progress.json": {
-            name: {"time_s": [0.0, 500.0, 1000.0], "weight": np.sort(rng.uniform(size=3)).tolist()}
-            for name in (*ARMS, "guidance")
-        },
-        "report/worlds.json": {
-            plant: {
-                arm: {switch: made_up_evaluation(rng, None, 200) for switch in ("off", "nominal", "robust")}
-                for arm in ARMS
-            }
-            for plant in ("nominal", "harsh")
-        },
-        "report/frequency.json": {f"{period}": made_up_evaluation(rng, period) for period in (1, 5, 10)},
-    }
-    for name, content in contents.items():
-        (study / name).write_text(json.dumps(content))
-    (study / "config.toml").write_text(to_toml(StudyConfig()))
-    lines = ["interactions,arm,metric,iqm,low,high"]
-    for interactions, arm, metric in itertools.product((500_000, 1_000_000, 1_500_000), ARMS, METRICS):
-        low, middle, high = np.sort(rng.uniform(0.0, 5.0, 3))
-        lines.append(f"{interactions},{arm},{metric},{middle},{low},{high}")
-    (report / "training.csv").write_text("\n".join(lines) + "\n")
-    np.savez(report / "violation.npz", **made_up_episode(rng), seed=np.array(2), case=np.array(7))
-    for name, arm in itertools.product(("episode", "demonstration"), ARMS):
-        np.savez(report / f"{name}_{arm}.npz", **made_up_episode(rng))
+def shipped_study(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A copy of the shipped study and its report, without its runs."""
+    source, study = ROOT / "runs/reference/study", tmp_path_factory.mktemp("shipped") / "study"
+    shutil.copytree(source / "report", study / "report")
+    for path in (*source.glob("*.json"), source / "config.toml"):
+        shutil.copy(path, study)
     return study
 
 

@@ -24,7 +24,12 @@ PAGES = sorted(
     for page in (ROOT / "docs").rglob("*.md")
     if "```python" in page.read_text(encoding="utf-8")
 )
-PAGES = [page for page in PAGES if page not in (COMMANDS_PAGE, READERS, EXPORT)]
+LONG = ("results/safety",)  # whose programs fly for half a minute
+PAGES = [
+    pytest.param(page, marks=pytest.mark.campaign) if page in LONG else page
+    for page in PAGES
+    if page not in (COMMANDS_PAGE, READERS, EXPORT)
+]
 NUMBER = re.compile(r"-?\d[\d,]*\.?\d*")
 COMMAND = "python main.py "
 

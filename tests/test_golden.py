@@ -1,9 +1,7 @@
 """The golden numbers that take seconds, and that a comparison says what has moved."""
 
 import copy
-import json
 
-import numpy as np
 import pytest
 
 from inspection.model.parameters import InspectionParameters
@@ -42,24 +40,10 @@ def test_a_control_that_moved_is_reported(planted, column, capsys):
     assert len(lines) == 1 and "control" in lines[0] and "1.0e-06 in thrust_y" in lines[0]
 
 
-def test_what_rounding_moves_is_within_the_tolerance(planted, capsys):
-    planted["h"]["collision"] *= 1.0 + 1e-15
-    assert golden.main([PART]) == 0
-    assert "bits differ, within" in capsys.readouterr().out
-
-
 def test_a_label_that_moved_is_reported(planted, capsys):
     planted["verified"][0] = str(planted["verified"][0] != "True")
     assert golden.main([PART]) == 1
     assert "MOVED" in capsys.readouterr().out
-
-
-def test_one_of_many_numbers_shows_in_its_total():
-    row = np.random.default_rng(0).uniform(-1.0, 1.0, 20_000)
-    other = row.copy()
-    other[12_345] += 1e-6
-    within, said = golden.moved(golden.recorded({"row": row}), golden.recorded({"row": other}), 1e-9)
-    assert not within and "0 of 90 samples moved, 1 of 10 totals moved, by at most 1.0e-06" in said
 
 
 def test_renewing_shows_and_replaces(planted, capsys):
@@ -68,8 +52,3 @@ def test_renewing_shows_and_replaces(planted, capsys):
     assert "BEYOND" in capsys.readouterr().out
     assert golden.main([PART]) == 0
     assert "BEYOND" not in capsys.readouterr().out
-
-
-def test_every_part_is_recorded_in_little_space():
-    assert json.loads(golden.FILE.read_text()).keys() == golden.PARTS.keys()
-    assert golden.FILE.stat().st_size < 200_000

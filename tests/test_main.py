@@ -1,12 +1,9 @@
 """The command line: every bad input ends in one line and exit code 2; good input writes what is promised."""
 
 import json
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
-import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 import torch
@@ -15,7 +12,7 @@ import main
 from inspection.transition import METRICS
 from rta.constraints.names import CONSTRAINTS
 from rta.filter import SOLVERS
-from settings import InputError, configured, from_toml, override
+from settings import configured, from_toml, override
 from study import experiment
 from study.config import Config
 from study.training import session as training
@@ -120,34 +117,6 @@ def test_evaluate_flies_a_classical_controller(tmp_path: Path, capsys: pytest.Ca
     }
 
 
-def test_evaluate_writes_json_to_standard_output(run: Path) -> None:
-    arguments = [
-        "evaluate",
-        "--checkpoint",
-        str(run / "policy.pt"),
-        "--episodes",
-        "2",
-        "--json",
-        "/dev/stdout",
-    ]
-    done = subprocess.run([sys.executable, main.__file__, *arguments], capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
-    tables, _, results = done.stdout.partition("\n{")
-    assert "Table 2" in tables
-    assert json.loads("{" + results)["episodes"] == 2
-
-
-def test_evaluate_is_the_same_for_policy_and_checkpoint_file(
-    run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    texts = []
-    for name in ("policy.pt", "checkpoint.pt"):
-        path = tmp_path / f"{name}.json"
-        call(["evaluate", "--checkpoint", str(run / name), "--episodes", "3", "--json", str(path)], capsys)
-        texts.append(path.read_text())
-    assert texts[0] == texts[1]
-
-
 def test_simulate_replays_recorded_controls_from_a_state(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -193,31 +162,6 @@ def test_simulate_runs_every_classical_controller_within_the_actuators_limits(
     assert (np.abs(np.load(out)["control_desired"]) <= limit * (1 + 1e-9)).all()
 
 
-@pytest.mark.parametrize("controller", ["lqr-pd", "zero"])
-def test_simulate_draws_the_constraints(
-    controller: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    figure = tmp_path / "constraints.png"
-    arguments = ["simulate", "--controller", controller, "--no-rta", "--duration", "20"]
-    code, _, err = call([*arguments, "--out", str(tmp_path / "x.npz"), "--figure", str(figure)], capsys)
-    assert code == 0, err
-    height, width, _ = plt.imread(figure).shape
-    assert (width, height) == (1200, 840)
-
-
-def test_simulate_filters_a_policy_at_the_rta_period(
-    run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    out = tmp_path / "run.npz"
-    arguments = ["simulate", "--controller", "policy", "--checkpoint", str(run / "policy.pt"), "--rta"]
-    arguments += ["--rta-period", "5", "--duration", "20", "--step", "1", "--out", str(out)]
-    code, _, err = call(arguments, capsys)
-    assert code == 0, err
-    applied = np.load(out)["control_applied"]
-    changes = np.flatnonzero((np.diff(applied, axis=0) != 0).any(1)) + 1
-    assert set(changes) <= {5, 10, 15}
-
-
 def test_flags_override_the_file(tmp_path: Path) -> None:
     path = tmp_path / "some.toml"
     path.write_text("[train]\nseed = 5\nnum_envs = 8\n")
@@ -243,28 +187,11 @@ def test_a_run_says_which_solver_it_uses_and_keeps_it(
     assert type(training.resume(directory).experiment.filter.solver) is SOLVERS[used]
 
 
-@pytest.mark.parametrize(("flags", "used"), [([], "auto"), (["--qp-solver", "batched"], "batched")])
-def test_evaluate_chooses_its_solver_however_the_agent_was_trained(flags: list[str], used: str) -> None:
-    trained = override(Config(), {"rta": {"qp_solver": "batched", "period": 5.0}}, "test")
-    arguments = main.build_parser().parse_args(["evaluate", "--checkpoint", "x.pt", *flags])
-    rta = configured(arguments, trained.with_solver("auto")).rta
-    assert (rta.qp_solver, rta.period) == (used, 5.0)
-
-
 def test_test_cases_do_not_depend_on_their_number_or_on_the_filter() -> None:
     few = experiment.test_cases(Config(), 2, 0).x
     gains = {"exclusion_margin": 0.1, "battery_gains": [0.001, 0.1]}
     many = experiment.test_cases(override(Config(), {"rta": gains}, "test"), 300, 0).x
     assert torch.equal(few, many[:, :2])
-
-
-@pytest.mark.parametrize("name", ["free_flight_horizon", "passive_safety_horizon", "chief_radius"])
-def test_an_agent_that_observes_free_flight_is_shown_the_same_of_it(name: str) -> None:
-    trained = override(Config(), {"inspection": {"observed": ["score", "free_flight"]}}, "test")
-    other = override(trained, {"inspection": {name: 7.0}}, "test")
-    experiment.check_observed(trained, trained)
-    with pytest.raises(InputError, match=f"{name} = 7"):
-        experiment.check_observed(other, trained)
 
 
 @pytest.mark.parametrize(

@@ -1,17 +1,15 @@
 """Settings: what is allowed, in the check and in words; files over defaults, and flags over files."""
 
-import argparse
 import math
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import UnionType
 from typing import Any, get_args, get_type_hints
 
-import numpy as np
 import pytest
 
 import main
-from settings import InputError, Settings, configured, literal, override, rules, setting, to_toml
+from settings import InputError, Settings, configured, literal, override, rules, setting
 from study.config import Config, StudyConfig
 
 
@@ -77,18 +75,6 @@ def test_what_is_not_allowed_is_refused_with_what_is(values: dict[str, Any], sai
     with pytest.raises(ValueError) as refusal:
         Table(**values)
     assert str(refusal.value).startswith(said)
-
-
-@pytest.mark.parametrize(
-    "values",
-    [
-        {"offset": -1.0, "share": 0, "norm": math.inf, "count": 1, "axes": (2.0, 1.0)},
-        {"mass": np.float32(3.0), "offset": 1, "count": np.int64(2), "axes": (np.float64(1.0), 3)},
-        {"span": (-1.0, -1.0), "gain": (0.0, 2.0), "widths": (1, 2, 3), "named": ("body", "hill")},
-    ],
-)
-def test_what_is_allowed_is_not_refused(values: dict[str, Any]) -> None:
-    assert replace(Table(), **values) != Table()
 
 
 def test_a_table_below_others_has_their_settings_and_checks() -> None:
@@ -192,26 +178,6 @@ def test_files_go_over_the_base_in_their_order_and_flags_over_them(tmp_path: Pat
     found = configured(main.build_parser().parse_args(["train", *words, "--seed", "6"]), base)
     task = found.inspection
     assert (task.mass, task.max_thrust, task.deputy_radius, found.train.seed) == (30.0, 2.0, 4.0, 6)
-
-
-def test_the_configuration_is_printed_as_toml(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main.main(["train", "--seed", "6", "--print-config"]) == 0
-    printed = capsys.readouterr().out
-    assert printed == to_toml(override(Config(), {"train": {"seed": 6}}, "test"))
-    assert "seed = 6 # of everything random" in printed
-
-
-def flags_of(command: str) -> list[argparse.Action]:
-    parser = main.build_parser()._subparsers._group_actions[0].choices[command]  # type: ignore[union-attr, index]
-    return parser._actions
-
-
-@pytest.mark.parametrize("command", main.COMMANDS)
-def test_help_says_of_every_flag_what_it_is_and_its_default(command: str) -> None:
-    for action in flags_of(command):
-        assert action.help, action.dest
-        if action.help != argparse.SUPPRESS and "." in action.dest:
-            assert "(default: " in action.help
 
 
 @pytest.mark.parametrize(
