@@ -1,5 +1,6 @@
 """Settings: what is allowed, in the check and in words; files over defaults, and flags over files."""
 
+import functools
 import math
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -39,35 +40,24 @@ class Table(Settings):
         ({"mass": math.inf}, "mass = inf: must be finite and positive (kg, of the body)"),
         ({"offset": math.nan}, "offset = nan: must be finite (m)"),
         ({"share": 1.0}, "share = 1.0: must be finite, not negative and below 1 (of the light)"),
-        ({"share": -0.1}, "share = -0.1: must be finite, not negative and below 1 (of the light)"),
         ({"norm": math.nan}, "norm = nan: must be positive (of a gradient)"),
         ({"count": 2.5}, "count = 2.5: must be an integer, positive and at most 1,000 (points)"),
-        ({"count": 1001}, "count = 1001: must be an integer, positive and at most 1,000 (points)"),
         ({"frame": "sun"}, "frame = 'sun': must be hill or body (of the position)"),
         ({"axes": (1.0,)}, "axes = [1.0]: must be 2 numbers, each finite and positive (m)"),
-        ({"axes": (1.0, 0.0)}, "axes = [1.0, 0.0]: must be 2 numbers, each finite and positive (m)"),
         ({"span": (2.0, 1.0)}, "span = [2.0, 1.0]: must be [low, high] with low <= high, finite and at least -1 (s)"),
         ({"gain": (2.0, 1.0)}, "gain = [2.0, 1.0]: must be a value or [low, high] with low <= high, finite, not "
          "negative and at most 2 (no unit)"),
-        ({"gain": (1.0, 3.0)}, "gain = [1.0, 3.0]: must be a value or [low, high]"),
         ({"gain": 3.0}, "gain = 3.0: must be a value or [low, high]"),
         ({"widths": ()}, "widths = []: must be one or more numbers, each an integer and positive (of layers)"),
-        ({"widths": (8, 0)}, "widths = [8, 0]: must be one or more numbers, each an integer and positive (of layers)"),
         ({"mass": "2"}, "mass = '2': must be a number, finite and positive (kg, of the body)"),
-        ({"mass": None}, "mass = None: must be a number, finite and positive (kg, of the body)"),
-        ({"mass": True}, "mass = True: must be a number, finite and positive (kg, of the body)"),
         ({"mass": (2.0,)}, "mass = [2.0]: must be finite and positive (kg, of the body)"),
-        ({"count": "3"}, "count = '3': must be an integer, positive and at most 1,000 (points)"),
         ({"count": True}, "count = True: must be an integer, positive and at most 1,000 (points)"),
-        ({"frame": ["hill"]}, "frame = ['hill']: must be hill or body (of the position)"),
-        ({"axes": ("1", 2.0)}, "axes = ['1', 2.0]: must be 2 numbers, each a number, finite and positive (m)"),
         ({"axes": [1.0, 2.0]}, "axes = [1.0, 2.0]: must be a tuple, 2 numbers, each finite and positive (m)"),
         ({"widths": 8}, "widths = 8: must be one or more numbers, each an integer and positive (of layers)"),
         ({"gain": "1"}, "gain = '1': must be a value or [low, high] with low <= high, a number, finite, not negative "
          "and at most 2 (no unit)"),
         ({"name": 3}, "name = 3: must be a string (anything)"),
         ({"on": "yes"}, "on = 'yes': must be true or false (whether)"),
-        ({"on": 1}, "on = 1: must be true or false (whether)"),
         ({"named": ("hill", "sun")}, "named = ['hill', 'sun']: must be some of hill or body (frames)"),
     ],
 )  # fmt: skip
@@ -130,6 +120,9 @@ def test_every_declared_bound_is_enforced(table: str, key: str) -> None:
             replace(part, **{key: items})
 
 
+parser = functools.cache(main.build_parser)  # which takes a tenth of a second
+
+
 @pytest.mark.parametrize(("table", "key"), EVERY)
 def test_every_setting_has_a_flag_and_a_meaning(table: str, key: str) -> None:
     part = vars(StudyConfig())[table]
@@ -138,7 +131,7 @@ def test_every_setting_has_a_flag_and_a_meaning(table: str, key: str) -> None:
     text = f"--{table}.{key}={literal(value).strip(chr(34))}"
     if isinstance(value, bool):
         text = f"--{'' if value else 'no-'}{table}.{key}"
-    given = main.build_parser().parse_args(["study", text])
+    given = parser().parse_args(["study", text])
     assert f"{table}.{key}" in vars(given)
     assert configured(given, StudyConfig()) == StudyConfig()
 
@@ -163,7 +156,7 @@ def test_every_setting_has_a_flag_and_a_meaning(table: str, key: str) -> None:
     ],
 )
 def test_a_flag_changes_its_setting_and_no_other(words: str, table: str, key: str, value: Any) -> None:
-    given = main.build_parser().parse_args(main.with_values(["train", *words.split()]))
+    given = parser().parse_args(main.with_values(["train", *words.split()]))
     config = configured(given, Config())
     assert getattr(vars(config)[table], key) == value
     assert config == replace(Config(), **{table: replace(vars(Config())[table], **{key: value})})

@@ -28,8 +28,7 @@ def experiment_of(rta: bool, episodes: int) -> Experiment:
 @pytest.mark.parametrize(
     ("name", "every", "rta"),
     [
-        ("natural-motion", 1.0, False),
-        ("natural-motion", 1.0, True),
+        pytest.param("natural-motion", 1.0, True, marks=pytest.mark.campaign),
         ("quick", 1.0, False),
         ("quick", 1.0, True),
         ("zero", 10.0, False),

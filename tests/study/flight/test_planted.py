@@ -160,7 +160,7 @@ def fast_inwards(count: int) -> tuple[torch.Tensor, torch.Tensor]:
     return x[:, chosen], priority[:, chosen]
 
 
-@pytest.mark.parametrize("period", [1.0, 10.0])
+@pytest.mark.parametrize("period", [1.0, pytest.param(10.0, marks=pytest.mark.campaign)])
 def test_evaluate_reports_what_a_weaker_plant_violates(period: float) -> None:
     """Percent of the actions' ends, of all seconds and of the filter's calls, against a simulation of every second."""
     behind, count = experiment(period, 20.0), 3
@@ -198,6 +198,7 @@ def near_the_chief() -> ndarray:
     return x
 
 
+@pytest.mark.campaign
 def test_evaluate_counts_exact_values_at_the_filters_calls() -> None:
     behind = experiment(10.0, 10.0)
     enforced = {each.name: each.barrier_at for each in behind.filter.groups[0].constraints}

@@ -12,7 +12,7 @@ import main
 from inspection.orbits import GUIDANCE
 from settings import load
 from study.config import Config
-from study.report import agents, compute, flights
+from study.report import agents, compute, figures, flights, page
 
 SEEDS = (5, 6)
 CASES = 4
@@ -70,15 +70,31 @@ def brief(small_pools: None, loose_figures: None) -> Any:
         yield
 
 
-@pytest.fixture(scope="module")
-def study(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def reported(settings: str, directory: Path) -> Path:
     """The directory of a study of two updates and its report."""
-    directory = tmp_path_factory.mktemp("study") / "tiny"
-    settings = directory.with_suffix(".toml")
-    settings.write_text(SETTINGS)
-    assert main.main(["study", "--config", str(settings), "--study-dir", str(directory)]) == 0
+    path = directory.with_suffix(".toml")
+    path.write_text(settings)
+    assert main.main(["study", "--config", str(path), "--study-dir", str(directory)]) == 0
     assert main.main(["report", "--study", str(directory)]) == 0
     return directory
+
+
+@pytest.fixture(scope="module")
+def study(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return reported(SETTINGS, tmp_path_factory.mktemp("study") / "tiny")
+
+
+def test_a_report_of_one_seed_has_every_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(flights, "PERIODS", (1.0,))
+    monkeypatch.setattr(flights, "WORLDS", ("nominal",))
+    monkeypatch.setattr(flights, "GUIDANCE", {"even": GUIDANCE["even"]})
+    monkeypatch.setattr(figures, "draw", lambda found: None)
+    monkeypatch.setattr(page, "write", lambda found: None)  # which embeds the figures
+    settings = SETTINGS.replace("seeds = 2", "seeds = 1").replace('compile = "on"', 'compile = "off"')
+    report = reported(settings, tmp_path / "tiny") / "report"
+    assert {path.name for path in report.iterdir()} >= FILES
+    mean = read(report / "cross.json")["rta"]["on"]["metrics"]["reward"]["mean"]
+    assert mean == read(report.parent / "results.json")["arms"]["rta"]["metrics"]["reward"]["mean"]
 
 
 @pytest.fixture
@@ -95,6 +111,7 @@ def contents(directory: Path) -> dict[str, bytes]:
     return {path.name: path.read_bytes() for path in directory.iterdir()}
 
 
+@pytest.mark.campaign
 @pytest.mark.parametrize(
     ("file", "keys", "arm", "flags"),
     [
@@ -128,6 +145,7 @@ def test_other_filters_give_what_evaluate_says_of_each_policy(
         assert value == pytest.approx(min(own["worst_constraint_value"][name] for own in alone))
 
 
+@pytest.mark.campaign
 def test_worlds_are_those_of_evaluate(study: Path, tmp_path: Path) -> None:
     """The robust filter in the harsh plant, each seed alone."""
     found = read(study / "report" / "worlds.json")
@@ -156,15 +174,17 @@ def test_worlds_are_those_of_evaluate(study: Path, tmp_path: Path) -> None:
     assert found["nominal"]["no_rta"]["off"] != found["harsh"]["no_rta"]["off"]
 
 
+@pytest.mark.campaign
 def test_arms_fly_side_by_side_as_they_fly_alone(study: Path) -> None:
     """Bit for bit, in a plant whose errors are drawn by the columns' numbers."""
-    arms = agents.load(study, None)
+    arms = agents.agents_of(study, None)
     told = load(flights.BOUNDS, Config()).uncertainty
     together = flights.in_world(list(arms.values()), "harsh", True, told)
     assert together == [flights.in_world([arm], "harsh", True, told)[0] for arm in arms.values()]
     assert together[0]["metrics"] != together[1]["metrics"]
 
 
+@pytest.mark.campaign
 def test_progress_ends_at_the_weight_that_the_study_found(study: Path) -> None:
     arms = read(study / "results.json")["arms"]
     found = read(study / "report" / "progress.json")
@@ -176,6 +196,7 @@ def test_progress_ends_at_the_weight_that_the_study_found(study: Path) -> None:
         assert found[name]["weight"][1:] == pytest.approx([last, last])
 
 
+@pytest.mark.campaign
 @pytest.mark.parametrize("rta", [False, True])
 def test_episodes_are_those_of_simulate(rta: bool, study: Path, tmp_path: Path) -> None:
     arm = "rta" if rta else "no_rta"
@@ -196,6 +217,7 @@ def test_episodes_are_those_of_simulate(rta: bool, study: Path, tmp_path: Path) 
             np.testing.assert_array_equal(ours[array], kept, array)
 
 
+@pytest.mark.campaign
 def test_an_interrupted_report_keeps_what_it_has_computed(
     copy: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -120,6 +120,7 @@ def test_what_a_filter_without_effect_leaves_is_violated(
     assert report["violating_draws"]["any"] > 5
 
 
+@pytest.mark.campaign
 def test_more_draws_go_on_where_the_report_ends(nominal: Experiment, tmp_path: Path) -> None:
     for path, counts in ((tmp_path / "on.json", (1, 2 * BATCH)), (tmp_path / "once.json", (2 * BATCH,))):
         for draws in counts:

@@ -86,6 +86,7 @@ def rounded(solve: Callable[[Problems], Solutions], asked: Problems) -> Solution
     return replace(answer, control=answer.control + 1e-8)
 
 
+@pytest.mark.campaign
 def test_refly_does_not_depend_on_the_solvers_last_digits(monkeypatch: pytest.MonkeyPatch) -> None:
     """At 10 s the closed loop can multiply any rounding by some 20 per call."""
     first, second = (

@@ -104,10 +104,7 @@ def test_the_reference_reports_can_be_continued(
     "other",
     [
         ["--seed", "1"],
-        ["--policy", "adversarial"],
-        ["--rta-period", "10"],
         ["--duration", "30"],
-        ["--check-every", "0.5"],
     ],
 )
 def test_another_campaigns_report_is_refused(

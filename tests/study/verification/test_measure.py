@@ -81,6 +81,7 @@ def test_beside_states_that_are_barely_starts_there_are_others_that_are_none(per
     assert shares[0] < 0.8 and shares[1] > 0.99, shares
 
 
+@pytest.mark.campaign
 def test_who_looks_ahead_from_there_breaks_nothing_and_is_corrected() -> None:
     config = override(Config(), {"train": {"rta": True}}, "test")
     found = measure.measure(config, "lookahead", "barely", 16, 10.0)
