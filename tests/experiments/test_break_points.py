@@ -76,6 +76,7 @@ def test_a_size_that_is_not_checked_never_holds() -> None:
     assert any("unchecked from 0.3" in text.get_text() for ax in figure(report).axes for text in ax.texts)
 
 
+@pytest.mark.campaign
 def test_worlds_are_flown_once_and_break_where_they_must(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -126,6 +126,7 @@ def test_only_clean_flights_are_among_the_best() -> None:
     assert summary(found._replace(clean=ones < 0), 1)["delta_v_m_s"] == [None]
 
 
+@pytest.mark.campaign
 def test_the_program_writes_what_is_shipped_for_fewer_cases(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -16,6 +16,7 @@ def shipped(name: str) -> Any:
     return json.loads((ROOT / "runs/reference" / name).read_text(encoding="utf-8"))
 
 
+@pytest.mark.campaign
 def test_the_guidance_flies_cases_of_its_own_in_every_way(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
