@@ -5,6 +5,7 @@ import json
 import os
 import resource
 import shlex
+import shutil
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
@@ -222,18 +223,6 @@ def test_a_directory_of_other_things_is_refused(
     (tmp_path / "checkpoint.pt.tmp").write_text("half a")
     assert main.main([*arguments, "--interactions", "1"]) == 0
     assert not list(tmp_path.glob("*.tmp"))
-
-
-@pytest.mark.parametrize("command", ["train", "study"])
-def test_a_minibatch_beyond_the_batch_is_refused(
-    command: str, settings: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    large = tmp_path / "large.toml"
-    large.write_text(SETTINGS.replace("minibatch_size = 8", "minibatch_size = 17"))
-    directory = {"train": "--run-dir", "study": "--study-dir"}[command]
-    assert main.main([command, "--config", str(large), directory, str(tmp_path / "new")]) == 2
-    one_line(capsys, "[ppo] minibatch_size = 17", "num_envs * rollout_steps = 4 * 4 = 16")
-    assert not (tmp_path / "new").exists()
 
 
 def test_a_finished_run_goes_on_as_a_longer_one_but_for_the_annealing(
