@@ -166,6 +166,7 @@ def test_the_sensors_err_by_their_bounds_and_a_call_late(flights: dict[float | s
         np.testing.assert_allclose(np.concatenate(found), error, rtol=0, atol=1e-9)
 
 
+@pytest.mark.campaign
 def test_corners_and_missed_calls_are_those_of_the_adversary(
     flights: dict[float | str, list[Flight]],
 ) -> None:

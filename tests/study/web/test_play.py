@@ -38,6 +38,7 @@ def drawn_with(text: str) -> bytes:
     return gzip.decompress(base64.b64decode(inside(text, "three")))
 
 
+@pytest.mark.campaign
 def test_a_page_is_built_and_the_shipped_one_is_of_this_code(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
