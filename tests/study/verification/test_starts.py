@@ -12,17 +12,14 @@ from torch import Tensor
 from inspection.model.parameters import InspectionParameters
 from rta.filter import SafetyFilter
 from rta.parameters import RtaParameters
-from study.verification.starts import initial_states, safe_set
+from study.verification.starts import safe_set
 from tests.oracles import (
     PSM_TOLERANCE,
-    cosines,
     drift,
     keep_in_curve,
     length,
     paper,
-    positive,
     slope,
-from study.verification.starts import safe_set
     speed_limit,
 )
 from tests.rta.test_barrier import FILTER, zone
