@@ -14,7 +14,7 @@ from inspection import initial_state
 from inspection.closed_loop import Safety
 from inspection.environment import InspectionEnv
 from inspection.initial_state import InitialStates
-from inspection.model.state import THETA_S, E, P, T, V
+from inspection.model.state import THETA_S, E, P, Q, T, V
 from inspection.reward import REWARDS, distance_from_track
 from inspection.termination import OUTCOMES
 from inspection.transition import METRICS
@@ -252,6 +252,18 @@ def test_a_flight_looks_at_the_end_of_every_action_period_and_leaves_the_episode
     assert torch.equal(again[-1].after, hold.after) and len(looked) == 3
     (later,) = list(env.fly(lambda t, x: nothing, 1.0, hold.state))
     assert torch.equal(later.after, hold.after)
+
+
+def test_points_in_view_at_the_start_are_inspected_at_once(c):
+    x, priority = idle(1)
+    x[Q, 0] = torch.tensor([0.0, 0.0, -math.sqrt(0.5), math.sqrt(0.5)]).double()  # n_x at the chief
+    x[THETA_S] = math.pi / 2
+    env = make(c)
+    start = env.start(x, priority)
+    assert 0.2 < env.sight.score().item() < 0.5 and start[0, 25].item() == pytest.approx(
+        env.sight.score().item()
+    )
+    assert coast(env).reward_terms["points"].item() == 0.0  # nothing new in view
 
 
 def test_observation_points_at_uninspected_lit_points_until_none_is_left(c):

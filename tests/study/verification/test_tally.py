@@ -85,3 +85,13 @@ def test_calls_with_slack_are_shown_and_counted(monkeypatch: pytest.MonkeyPatch)
         call, column = int(one["time_s"]), one["column"] - 3
         wanted = flight.applied[call - 1] if call % DECIDE else flight.desired[call]
         np.testing.assert_array_equal(one["control_desired"], wanted[:, column])
+
+
+def test_the_calls_shown_do_not_depend_on_how_episodes_are_divided(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(tally, "SHOWN", 2)
+    whole, parts = added(tally.empty_tally()), tally.empty_tally()
+    for chosen in ([0, 1], [2, 3, 4, 5]):
+        mask = torch.zeros(6, dtype=torch.bool)
+        mask[chosen] = True
+        added(parts, mask)
+    assert whole == parts
