@@ -85,7 +85,8 @@ class Log:
         ]
         if LESSON in statistics:
             latest.insert(0, TAUGHT)
-        self.bar.set_postfix_str(", ".join(latest), refresh=False)
+        if latest or self.bar.postfix == TAUGHT:
+            self.bar.set_postfix_str(", ".join(latest), refresh=False)
         self.bar.update(self.batch)
 
     def evaluation(
