@@ -4,6 +4,7 @@
 Settings come from defaults, then from each --config FILE.toml, then from flags.
 """
 
+import json
 import os
 import re
 import signal
@@ -11,12 +12,13 @@ import sys
 import time
 from argparse import ArgumentTypeError, BooleanOptionalAction, Namespace
 from collections.abc import Callable, Collection
-from contextlib import redirect_stderr, redirect_stdout
+from contextlib import redirect_stderr, redirect_stdout, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO
 
 from inspection.orbits import GUIDANCE
 from ppo.errors import CheckpointError, NonFiniteError, RankLostError
+from ppo.files import is_written_in_place
 from settings import (
     InputError,
     Parser,
@@ -100,8 +102,17 @@ def command(about: str, *flags: Any, settings: Collection[str] = (), one_of: Col
     return declare
 
 
+def name(text: str) -> str:
+    """Returns the name of a file or a directory; an empty one is a mistake, as of a variable that is not set."""
+    if not text:
+        raise ArgumentTypeError("an empty name")
+    return text
+
+
 def flag(*names: str, **options: Any) -> tuple[tuple[str, ...], dict[str, Any]]:
     """Returns the arguments of `add_argument`; the help goes on with the default, if there is one."""
+    if str(options.get("metavar"))[:1] in ("D", "F") and "type" not in options:
+        options["type"] = name
     if options.get("default") is not None:
         shown = {True: "on", False: "off"}.get(options["default"], options["default"])
         text = f"{shown:,}" if isinstance(shown, int) else f"{shown:g}" if isinstance(shown, float) else shown
@@ -113,11 +124,20 @@ def to_write(suffix: str) -> Callable[[str], Path]:
     """Returns what reads the name of a file to write, with this suffix or of something else than a file."""
 
     def read(text: str) -> Path:
-        if not text.endswith(suffix) and (os.path.isfile(text) or not os.path.exists(text)):
+        if not text.endswith(suffix) and not is_written_in_place(Path(text)):
             raise ArgumentTypeError(f"{text[:40]!r}: must end in {suffix}")
         return Path(text)
 
     return read
+
+
+def check_replaced(path: Path | None, key: str) -> None:
+    """Refuses to write results over a file that has something, but no results with this key."""
+    if path and path.is_file() and not is_written_in_place(path) and path.stat().st_size:
+        with suppress(ValueError):
+            if key in json.loads(path.read_text(encoding="utf-8")):
+                return
+        raise InputError(f"--json {path}: holds other things than results of this command; name another file")
 
 
 def count(name: str, default: int | None, text: str) -> Any:
@@ -210,7 +230,7 @@ def run_train(given: Namespace) -> None:
     from study.training import session as training
     from study.verified import say_doubts
 
-    if given.resume:
+    if given.resume is not None:
         changed = {name for name in vars(given) if "." in name} - {"train.interactions"}
         if changed or given.config or given.run_dir or given.init_from:
             raise InputError(
@@ -304,6 +324,7 @@ def run_evaluate(given: Namespace) -> None:
     policy, config = agent_and_config(given)
     experiment = Experiment(config, given.episodes)
     say_doubts(config)
+    check_replaced(given.json, "metrics")
     results = evaluate(policy or given.controller, experiment, given.episodes, given.seed)
     print(tables(results))
     if given.json:  # which may be standard output
@@ -467,6 +488,8 @@ def run_verify(given: Namespace) -> None:
     from study.verification.findings import Campaign, table, what_next
     from study.verified import say_unchecked
 
+    if given.keep_worst and not given.json:
+        raise InputError("--keep-worst keeps episodes beside --json F: name one")
     network, trained = load_commander(given.policy)
     config = filtered(configured(given, (trained or Config()).with_solver("auto")))
     say_unchecked(config)
@@ -562,7 +585,10 @@ def run_refly(given: Namespace) -> None:
 def run_benchmark(given: Namespace) -> None:
     from experiments import benchmark
 
-    config = configured(given, override(Config(), {"train": {"compile": "on"}}, "benchmark"))
+    config = configured(given, Config())
+    if "train.compile" not in vars(given):  # whatever a file says
+        config = override(config, {"train": {"compile": "on"}}, "benchmark")
+    check_replaced(given.json, "closed_loop_us")
     results = benchmark.benchmark(config, given.batches or benchmark.BATCHES)
     print(benchmark.table(results))
     if given.json:

@@ -192,7 +192,7 @@ def load(name: str | Path, base: Configuration) -> Configuration:
 
 def find(name: str) -> Path:
     """Returns the file of that path or, where there is none, the configuration of that name among CONFIGS."""
-    if os.path.isfile(name):
+    if os.path.exists(name) and not os.path.isdir(name):
         return Path(name)
     paths = {path.relative_to(CONFIGS).with_suffix("").as_posix(): path for path in CONFIGS.rglob("*.toml")}
     key = name.removesuffix(".toml").removeprefix(f"{CONFIGS.name}/")
@@ -383,7 +383,8 @@ def add_flags(
             continue
         names = [flag for flag, meant in short.items() if meant == name]
         kind = typing.get_type_hints(type(part))[key]
-        options: dict[str, Any] = {"metavar": "X", "type": partial(read, kind)}
+        among = "{" + ",".join(map(shown, rule.among)) + "}" if 0 < len(rule.among) < 7 else "X"
+        options: dict[str, Any] = {"metavar": "N" if kind is int else among, "type": partial(read, kind)}
         if kind is bool:
             options = {"action": argparse.BooleanOptionalAction}
         text = f"{rule.comment} (default: {literal(getattr(part, key))})"
@@ -407,9 +408,10 @@ def read(kind: Any, text: str) -> Any:
 
 def positive_integer(text: str) -> int:
     """Returns a positive integer from a flag's text."""
-    if not (text.isascii() and text.isdecimal() and 0 < int(text) <= 10**12):
+    digits = text.replace("_", "")
+    if not (digits.isascii() and digits.isdecimal() and 0 < int(digits) <= 10**12):
         raise argparse.ArgumentTypeError(f"{text[:40]!r}: must be a positive integer up to 1,000,000,000,000")
-    return int(text)
+    return int(digits)
 
 
 def positive_number(text: str) -> float:
