@@ -168,7 +168,7 @@ def alone_in(directory: Path, flag: str) -> Iterator[None]:
 
 def git_revision() -> str:
     """Returns the commit of the source tree, marked if modified; "unknown" outside a repository."""
-    if not (ROOT / ".git").exists():  # installed, maybe below somebody else's repository
+    if not (ROOT / ".git").exists():  # an archive of the sources, maybe below another repository
         return "unknown"
     words = ["git", "describe", "--always", "--dirty", "--abbrev=40"]
     try:
