@@ -66,6 +66,11 @@ class Transition:
         return (torch.stack(self.held).mean(0) / self.limit).T
 
     @property
+    def cost(self) -> Tensor:
+        """(B,) 1 where the step ended with a violated limit, else 0."""
+        return self.violated.any(0).to(self.reward.dtype)
+
+    @property
     def done(self) -> Tensor:
         """(B,) bool: the episode ended."""
         return self.terminated | self.truncated

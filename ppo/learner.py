@@ -9,11 +9,14 @@ from torch import Tensor
 
 from ppo.distributed import ALONE, Ranks
 from ppo.errors import NonFiniteError
+from ppo.lagrangian import Multiplier
 from ppo.network import Policy, Value
 from ppo.parameters import PPOParameters
 
 MAX_LOG_RATIO = 20.0  # that e^x is finite, also of actions that no agent draws, see `collect`
 TRAINED_ON = ("observation", "action", "log_prob", "advantage", "return_")
+KEYS = {"reward": "value", "cost": "cost_value"}  # of the networks that predict them, in a checkpoint
+OF_COSTS = ("cost", "cost_advantage", "cost_return")  # in a batch, too, where there is a limit on costs
 
 
 def explained_variance(value: Tensor, return_: Tensor) -> Tensor:
@@ -26,7 +29,8 @@ class PPO:
 
     generators[k] orders the minibatches of seed k. Of many `ranks`, all with equal networks, generators and
     batches, each computes the gradient on its share of every minibatch, and all take the step of the whole.
-    `first_seed` is the number, from 0, by which errors name the first seed.
+    `first_seed` is the number, from 0, by which errors name the first seed. `cost_value` predicts discounted costs:
+    with it, PPO-Lagrangian keeps the mean cost per step at parameters.cost_limit.
     Raises ValueError if the numbers of seeds differ.
     """
 
@@ -38,6 +42,7 @@ class PPO:
         generators: Sequence[torch.Generator],
         ranks: Ranks = ALONE,
         first_seed: int = 0,
+        cost_value: Value | None = None,
     ) -> None:
         self.policy = policy
         self.value = value
@@ -45,8 +50,15 @@ class PPO:
         self.generators = generators
         self.ranks = ranks
         self.first_seed = first_seed
+        self.critics = {"reward": value}  # by what they predict, discounted
+        self.multiplier: Multiplier | None = None
+        if cost_value is not None:
+            self.critics["cost"] = cost_value
+            device = next(cost_value.parameters()).device
+            self.multiplier = Multiplier(parameters.cost_limit, len(generators), device)
         self._named = {f"policy.{name}": weight for name, weight in policy.named_parameters()}
-        self._named |= {f"value.{name}": weight for name, weight in value.named_parameters()}
+        for predicted, critic in self.critics.items():
+            self._named |= {f"{KEYS[predicted]}.{name}": weight for name, weight in critic.named_parameters()}
         for name, weight in self._named.items():
             if len(weight) != len(generators):
                 raise ValueError(f"{name} holds {len(weight)} seeds, but {len(generators)} generators came")
@@ -62,7 +74,7 @@ class PPO:
         compiled = torch.compile(self._loss, dynamic=False)
         first, *_, last = self.policy.network.layers
         shape = (len(self.generators), self._minibatch(samples)[1])
-        rows = {name: first.weight.new_zeros(shape) for name in TRAINED_ON}
+        rows = {name: first.weight.new_zeros(shape) for name in self._trained_on()}
         rows["observation"] = first.weight.new_zeros(*shape, first.weight.shape[1])
         rows["action"] = last.weight.new_zeros(*shape, last.weight.shape[2] // 2)
         compiled(rows)[0].sum().backward()  # compiles now what the first update would
@@ -73,12 +85,14 @@ class PPO:
         """Train on one batch and return per-seed statistics (S,), averaged over the minibatches.
 
         `batch` holds float32 tensors: observation (S, N, observation_size), action (S, N, A), and log_prob,
-        advantage, return_ and value (S, N), the latter four as of the collecting policy. `progress` in [0, 1]
+        advantage, return_ and value (S, N), the latter four as of the collecting policy; with a limit on costs also
+        cost, cost_advantage and cost_return (S, N). `progress` in [0, 1]
         is the share of training done. An epoch is ceil(N / minibatch_size) minibatches of equal size; the
         remainder of that division, fewer samples than there are minibatches, sits that epoch out.
 
         The statistics: policy_loss, value_loss (mean squared error), entropy (nats), approx_kl (nats),
-        clip_fraction, grad_norm (before clipping) and explained_variance (before the update).
+        clip_fraction, grad_norm (before clipping) and explained_variance (before the update);
+        with a limit on costs also cost (mean per step), multiplier and cost_value_loss.
 
         Raises ValueError for a progress outside [0, 1], and NonFiniteError at the end of an update in which a
         loss or gradient was not finite: the weights are then spoilt, and training must restart from a
@@ -87,9 +101,17 @@ class PPO:
         if not 0.0 <= progress <= 1.0:
             raise ValueError(f"progress is {progress}: it must be in [0, 1]")
         self.optimiser.param_groups[0]["lr"] = self.parameters.learning_rate * (1.0 - progress)
-        for name in TRAINED_ON:
+        for name in self._trained_on():
             require_finite(f"the batch's {name}", batch[name], self.first_seed)
-        rows = {name: batch[name].flatten(0, 1) for name in TRAINED_ON}
+        extra = {}
+        if self.multiplier:
+            extra["cost"] = batch["cost"].mean(1)
+            self.multiplier.update(extra["cost"])
+            extra["multiplier"] = self.multiplier.value
+            # the advantage of r - lambda c, which the loss normalises as a whole
+            priced = batch["advantage"] - self.multiplier.value[:, None] * batch["cost_advantage"]
+            batch = batch | {"advantage": priced}
+        rows = {name: batch[name].flatten(0, 1) for name in self._trained_on()}
         history: list[Tensor] = []
         samples = batch["log_prob"].shape[1]
         size = self._minibatch(samples)[1]
@@ -109,21 +131,27 @@ class PPO:
         for name, weight in self._named.items():
             require_finite(name, weight, self.first_seed)
         reported = {name: tensor for name, tensor in mean.items() if name not in self._named}
+        reported |= extra
         return reported | {"explained_variance": explained_variance(batch["value"], batch["return_"])}
 
     def state_dict(self) -> dict[str, Any]:
         """Return all that training changes, except the generators; tensors are shared, as PyTorch's are."""
-        return {
-            "policy": self.policy.state_dict(),
-            "value": self.value.state_dict(),
-            "optimiser": self.optimiser.state_dict(),
-        }
+        return {name: part.state_dict() for name, part in self._parts().items()}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Restore what state_dict returned; training then continues bit for bit."""
-        self.policy.load_state_dict(state["policy"])
-        self.value.load_state_dict(state["value"])
-        self.optimiser.load_state_dict(state["optimiser"])
+        for name, part in self._parts().items():
+            part.load_state_dict(state[name])
+
+    def _parts(self) -> dict[str, Any]:
+        """Return all that has a state, by its key in a checkpoint."""
+        parts: dict[str, Any] = {"policy": self.policy, "optimiser": self.optimiser}
+        parts |= {KEYS[predicted]: critic for predicted, critic in self.critics.items()}
+        return parts | ({"multiplier": self.multiplier} if self.multiplier else {})
+
+    def _trained_on(self) -> tuple[str, ...]:
+        """Return the names of what a batch must hold to be trained on."""
+        return TRAINED_ON + (OF_COSTS if self.multiplier else ())
 
     def _minibatch(self, samples: int) -> tuple[int, int]:
         """Return how many minibatches an epoch has, and the samples of each."""
@@ -156,10 +184,15 @@ class PPO:
             "value_loss": (self.value(own["observation"]) - own["return_"]).square().mean(1),
             "entropy": entropy.mean(1),
         }
+        value_losses = losses["value_loss"]
+        if self.multiplier:
+            predicted = self.critics["cost"](own["observation"])
+            losses["cost_value_loss"] = (predicted - own["cost_return"]).square().mean(1)
+            value_losses = value_losses + losses["cost_value_loss"]
         # L = L_clip + c_v L_value - c_e H   (2017, eq. 9)
         loss = (
             losses["policy_loss"]
-            + self.parameters.value_coefficient * losses["value_loss"]
+            + self.parameters.value_coefficient * value_losses
             - self.parameters.entropy_coefficient * losses["entropy"]
         )
         with torch.no_grad():

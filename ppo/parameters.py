@@ -27,6 +27,11 @@ class PPOParameters(Settings):
     value_coefficient: float = setting(
         0.5, "weight of the mean squared value error in the loss", most=LARGEST_WEIGHT
     )
+    cost_limit: float = setting(
+        1.0,
+        "share of steps that may break a limit; a price that follows it keeps it there (PPO-Lagrangian); 1: no price",
+        most=1,
+    )
     entropy_coefficient: float = setting(0.0, "weight of the entropy bonus, per nat", most=LARGEST_WEIGHT)
     max_grad_norm: float = setting(
         0.5,

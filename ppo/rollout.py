@@ -16,7 +16,7 @@ CHANGED = 1e-5  # of an actuator's limit, beyond rounding
 class Transition(Protocol):
     """One step of a batch of B = S * E episodes with autoreset; final_observation precedes the reset.
 
-    `applied` (B, A) is what acted in the place of the actions given.
+    `applied` (B, A) is what acted in the place of the actions given; `cost` (B,) is what a limit on costs counts.
     """
 
     observation: Tensor
@@ -27,6 +27,8 @@ class Transition(Protocol):
 
     @property
     def applied(self) -> Tensor: ...
+    @property
+    def cost(self) -> Tensor: ...
 
 
 class Environment(Protocol):
@@ -57,29 +59,35 @@ def collect(
     seeds = len(generators)
     kept: list[dict[str, Tensor]] = []
     observation = env.observation().unflatten(0, (seeds, -1))
-    value = learner.value(observation)
+    value = {name: critic(observation) for name, critic in learner.critics.items()}
     for _ in range(steps):
         action, log_prob = learner.policy.sample(observation, generators, learner.ranks)
         transition = env.step(learner.policy.shaped(action).flatten(0, 1))
         following = transition.observation.unflatten(0, (seeds, -1))
-        following_value = learner.value(following)
+        following_value = {name: critic(following) for name, critic in learner.critics.items()}
         done = transition.terminated | transition.truncated
         next_value = following_value
         if done.any():
             final = transition.final_observation.unflatten(0, (seeds, -1))
-            next_value = torch.where(done.unflatten(0, (seeds, -1)), learner.value(final), following_value)
+            next_value = {
+                name: torch.where(done.unflatten(0, (seeds, -1)), critic(final), following_value[name])
+                for name, critic in learner.critics.items()
+            }
         kept.append(
             {
                 "observation": observation,
                 "action": action,
                 "log_prob": log_prob,
-                "value": value,
-                "next_value": next_value,
-                "reward": transition.reward.unflatten(0, (seeds, -1)).float(),
                 "terminated": transition.terminated.unflatten(0, (seeds, -1)),
                 "done": done.unflatten(0, (seeds, -1)),
             }
         )
+        for name in learner.critics:  # reward, and cost where it is limited
+            kept[-1] |= {
+                name: getattr(transition, name).unflatten(0, (seeds, -1)).float(),
+                f"{name}_value": value[name],
+                f"{name}_next_value": next_value[name],
+            }
         if from_applied:
             applied = transition.applied.float().unflatten(0, (seeds, -1))
             kept[-1]["action"] = as_applied(learner.policy, action, applied)
@@ -87,13 +95,18 @@ def collect(
         watch(transition)
         observation, value = following, following_value
     rollout = {name: torch.stack([step[name] for step in kept]) for name in kept[0]}  # (T, S, E, ...)
-    reward, values, next_values, terminated, ended = (
-        rollout[name] for name in ("reward", "value", "next_value", "terminated", "done")
-    )
     gamma, lam = learner.parameters.gamma, learner.parameters.gae_lambda
-    advantage, return_ = generalized_advantage(reward, values, next_values, terminated, ended, gamma, lam)
-    batch = {name: rollout[name] for name in ("observation", "action", "log_prob", "value")}
-    batch |= {"advantage": advantage, "return_": return_}
+    estimates = {}  # (advantage, return) of rewards, and of costs where they are limited
+    for name in learner.critics:
+        signal, before, after = (rollout[f"{name}{which}"] for which in ("", "_value", "_next_value"))
+        ends = rollout["terminated"], rollout["done"]
+        estimates[name] = generalized_advantage(signal, before, after, *ends, gamma, lam)
+    batch = {name: rollout[name] for name in ("observation", "action", "log_prob")}
+    batch |= {"value": rollout["reward_value"]}
+    batch |= dict(zip(("advantage", "return_"), estimates["reward"], strict=True))
+    if "cost" in estimates:
+        batch |= {"cost": rollout["cost"]}
+        batch |= dict(zip(("cost_advantage", "cost_return"), estimates["cost"], strict=True))
     by_seed = {name: tensor.transpose(0, 1) for name, tensor in batch.items()}  # (S, T, E, ...)
     return {name: learner.ranks.whole(tensor, 2).flatten(1, 2) for name, tensor in by_seed.items()}
 

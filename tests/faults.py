@@ -641,11 +641,24 @@ LEARNER = [
         "ppo/rollout.py",
         "ppo/test_rollout.py",
         (
-            "torch.where(done.unflatten(0, (seeds, -1)), learner.value(final), following_value)",
-            "following_value",
+            "torch.where(done.unflatten(0, (seeds, -1)), critic(final), following_value[name])",
+            "following_value[name]",
         ),
         ("torch.where(changed, policy.unshaped(", "torch.where(~changed, policy.unshaped("),
         ('"log_prob": log_prob,', '"log_prob": torch.zeros_like(log_prob),'),
+    ),
+    *faults(
+        "ppo/lagrangian.py",
+        "ppo/test_lagrangian.py",
+        ("INTEGRAL_GAIN * excess).clamp(min=0.0)", "INTEGRAL_GAIN * excess)"),
+        ("(PROPORTIONAL_GAIN * excess + self.integral)", "self.integral"),
+        ("self.integral, self.value = state", "self.value, self.integral = state"),
+    ),
+    *faults(
+        "ppo/learner.py",
+        "ppo/test_lagrangian.py",
+        ('batch["advantage"] - self.multiplier.value', 'batch["advantage"] + self.multiplier.value'),
+        ("value_losses = value_losses + losses", "value_losses = 0.0 * losses"),
     ),
     *faults(
         "ppo/trainer.py",

@@ -98,7 +98,16 @@ class Run:
             starts.turn = self.shard.learners.turn
         self.policy = self.experiment.policy(generators)
         value = self.experiment.value(generators)
-        learner = PPO(self.policy, value, config.ppo, generators, self.shard.learners, self.shard.seeds.start)
+        cost_value = self.experiment.value(generators) if config.ppo.cost_limit < 1.0 else None
+        learner = PPO(
+            self.policy,
+            value,
+            config.ppo,
+            generators,
+            self.shard.learners,
+            self.shard.seeds.start,
+            cost_value,
+        )
         if self.experiment.compiled and self.device.type == "cuda":  # on a CPU it would be no faster
             compile_or_explain("learner", lambda: learner.compile(train.batch))
         env = Adversary(self.env, train.adversary) if train.adversary else self.env

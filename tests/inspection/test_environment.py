@@ -221,6 +221,7 @@ def test_violations_are_counted_per_constraint_and_together(c):
     assert end.violation_steps.tolist() == [[2, 0], [0, 0]]
     assert end.metrics[5].tolist() == [100.0, 0.0]
     assert end.violated.tolist() == [[True, False], [False, False]]
+    assert end.cost.tolist() == [1.0, 0.0]  # of any limit
 
 
 @pytest.mark.parametrize(("period", "calls"), [(0.5, 20), (1.0, 10), (5.0, 2), (10.0, 1)])

@@ -26,7 +26,8 @@ class Step:
 class Counter:
     """Counts the steps of each episode; the observation is the column's number and that count.
 
-    The reward is 1 more than the count before the step, ten times the column, and a part of the action.
+    The reward is 1 more than the count before the step, ten times the column, and a part of the action; every odd step
+    of an episode costs 1.
     """
 
     def __init__(self) -> None:
@@ -49,6 +50,7 @@ class Counter:
             observation=self.observation(),
             final_observation=final,
             reward=reward.double(),
+            cost=(final[:, 1] % 2).double(),
             terminated=ended & true_end,
             truncated=ended & ~true_end,
         )
@@ -76,6 +78,8 @@ def small_learner():
         parameters = PPOParameters(**{"epochs": 1, "minibatch_size": 4} | settings)
         generators = [torch.Generator().manual_seed(seed) for seed in (1, 2)]
         policy = Policy(2, 3, generators, hidden=(8,), initial_std=0.5)
-        return PPO(policy, Value(2, generators, hidden=(8,)), parameters, generators)
+        cost_value = Value(2, generators, hidden=(8,)) if parameters.cost_limit < 1.0 else None
+        value = Value(2, generators, hidden=(8,))
+        return PPO(policy, value, parameters, generators, cost_value=cost_value)
 
     return make

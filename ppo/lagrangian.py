@@ -1,0 +1,37 @@
+"""PPO-Lagrangian: a price on costs that rises until they are as rare as allowed (Ray et al. 2019, sec. 4)."""
+
+import torch
+from torch import Tensor
+
+# The price is in units of reward per cost of one step. A step of the task is worth about 0.01, so that a tenth of all
+# steps beyond the allowed share makes each of them ten times as dear within some ten updates.
+PROPORTIONAL_GAIN = 1.0
+INTEGRAL_GAIN = 0.1  # per update
+
+
+class Multiplier:
+    """Lagrange multiplier of S seeds under PI control (Stooke et al. 2020, algorithm 2, without its derivative).
+
+    Attributes:
+        value: (S,), never negative; 0 at first.
+    """
+
+    def __init__(self, limit: float, seeds: int, device: torch.device) -> None:
+        self.limit = limit
+        self.integral = torch.zeros(seeds, device=device)
+        self.value = torch.zeros(seeds, device=device)
+
+    def update(self, cost: Tensor) -> None:
+        """Answer the mean cost per step (S,) of a batch."""
+        excess = cost - self.limit
+        # I = (I + K_I Delta)^+, lambda = (K_P Delta + I)^+
+        self.integral = (self.integral + INTEGRAL_GAIN * excess).clamp(min=0.0)
+        self.value = (PROPORTIONAL_GAIN * excess + self.integral).clamp(min=0.0)
+
+    def state_dict(self) -> dict[str, Tensor]:
+        """Return what a continued training needs."""
+        return {"integral": self.integral, "value": self.value}
+
+    def load_state_dict(self, state: dict[str, Tensor]) -> None:
+        """Restore `state_dict`."""
+        self.integral, self.value = state["integral"], state["value"]

@@ -1,0 +1,119 @@
+"""PPO-Lagrangian: its price in closed form, its costs step by step, and a problem whose best safe share is known."""
+
+import copy
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+import torch
+
+from ppo.lagrangian import INTEGRAL_GAIN, PROPORTIONAL_GAIN, Multiplier
+from ppo.learner import PPO
+from ppo.network import Policy, Value
+from ppo.parameters import PPOParameters
+from ppo.rollout import collect
+from ppo.trainer import Trainer
+
+LIMIT = 0.2
+
+
+class Bandit:
+    """Each step is an episode that pays a tenth of its action, and costs 1 where that is above 0.
+
+    So the most reward with a cost in `LIMIT` of the steps has costs in just so many; without a limit all steps cost.
+    """
+
+    def observation(self) -> torch.Tensor:
+        return torch.ones(256, 1)
+
+    def step(self, action: torch.Tensor) -> Any:
+        ends = torch.ones(len(action), dtype=torch.bool)
+        seen = self.observation()
+        return SimpleNamespace(
+            observation=seen,
+            final_observation=seen,
+            reward=0.1 * action[:, 0].double(),
+            cost=(action[:, 0] > 0.0).double(),
+            terminated=ends,
+            truncated=~ends,
+        )
+
+
+def trained(cost_limit: float) -> torch.Tensor:
+    """The mean cost (S,) of the last 50 of 150 updates in the bandit."""
+    generators = [torch.Generator().manual_seed(seed) for seed in (3, 4)]
+    parameters = PPOParameters(
+        cost_limit=cost_limit,
+        epochs=4,
+        minibatch_size=256,
+        learning_rate=1e-2,
+        log_std_bounds=(-2.0, 0.0),
+        initial_std=0.5,
+    )
+    policy = Policy(1, 1, generators, hidden=(8,), log_std_bounds=parameters.log_std_bounds, initial_std=0.5)
+    value, cost_value = (Value(1, generators, hidden=(8,)) for _ in range(2))
+    learner = PPO(policy, value, parameters, generators, cost_value=cost_value if cost_limit < 1.0 else None)
+    costs = []
+    env = Bandit()
+    for _ in range(150):
+        batch = collect(env, learner, 2, generators)
+        costs.append((batch["action"][..., 0] > 0.0).float().mean(1))
+        learner.update(batch, 0.0)
+    return torch.stack(costs[-50:]).mean(0)
+
+
+def test_the_price_is_proportional_and_integral_and_never_negative() -> None:
+    multiplier = Multiplier(LIMIT, 2, torch.device("cpu"))
+    for _ in range(5):
+        multiplier.update(torch.tensor([0.5, 0.1]))
+    expected = PROPORTIONAL_GAIN * 0.3 + 5 * INTEGRAL_GAIN * 0.3
+    torch.testing.assert_close(multiplier.value, torch.tensor([expected, 0.0]))
+    multiplier.update(torch.tensor([0.2, 0.3]))  # at its limit the price stays; what was below owes nothing
+    torch.testing.assert_close(
+        multiplier.value,
+        torch.tensor([5 * INTEGRAL_GAIN * 0.3, PROPORTIONAL_GAIN * 0.1 + INTEGRAL_GAIN * 0.1]),
+    )
+
+
+def test_costs_are_returned_as_rewards_are(toy, small_learner) -> None:
+    """Without values and discount, the return of an episode's costs is what is left of them to its end."""
+    learner = small_learner(cost_limit=LIMIT, gamma=1.0, gae_lambda=1.0)
+    for weight in learner.critics["cost"].parameters():
+        weight.data.zero_()
+    batch = collect(toy(), learner, 6, learner.generators)
+    cost, return_ = (batch[name].unflatten(1, (6, 2))[0, :, 0] for name in ("cost", "cost_return"))
+    assert cost.tolist() == [1, 0, 1, 1, 0, 1] and return_.tolist() == [2, 1, 1, 2, 1, 1]
+    torch.testing.assert_close(batch["cost_advantage"], batch["cost_return"])
+
+
+def test_costs_settle_at_their_limit_where_reward_pulls_beyond_it() -> None:
+    assert (trained(LIMIT) - LIMIT).abs().max() < 0.05
+    assert trained(1.0).min() > 0.95
+
+
+def test_without_a_limit_no_costs_are_learned(toy, small_learner) -> None:
+    learner = small_learner()
+    assert "cost" not in collect(toy(), learner, 3, learner.generators)
+    assert learner.multiplier is None and "multiplier" not in learner.state_dict()
+
+
+def test_a_resumed_training_has_its_price(toy, small_learner) -> None:
+    def make() -> Trainer:
+        learner = small_learner(cost_limit=LIMIT, learning_rate=1e-2)
+        return Trainer(toy(), learner, 5, 4, learner.generators)
+
+    whole, first, second = make(), make(), make()
+    whole.run(lambda _: None, lambda _: None, lambda: False)
+    first.run(lambda _: None, lambda _: None, lambda: first.update == 2)
+    second.load_state_dict(copy.deepcopy(first.state_dict()))
+    second.run(lambda _: None, lambda _: None, lambda: False)
+    for part in ("policy", "cost_value", "multiplier"):
+        ours, theirs = (trainer.state_dict()[part] for trainer in (second, whole))
+        assert all(torch.equal(tensor, theirs[name]) for name, tensor in ours.items())
+    assert whole.state_dict()["multiplier"]["value"].min() > 0.0
+
+
+@pytest.mark.parametrize("share", [-0.1, 1.1])
+def test_a_limit_is_a_share(share: float) -> None:
+    with pytest.raises(ValueError, match="cost_limit"):
+        PPOParameters(cost_limit=share)
