@@ -268,7 +268,7 @@ class InspectionEnv:
         terms = rewards(self.x, score - before, delta_v, torque, self.time, ended, c)
         reward = torch.stack([terms[name] for name in REWARDS]).sum(0)
         named = dict(zip(self.safety.names, h, strict=True))
-        own = shaping(self.x, named, self._corrected(holds), c)
+        own = shaping(self.x, named, self._corrected(holds), delta_v, c)
         self.totals += torch.stack((reward, delta_v, torque))
 
         terminated = ended["crash"] | ended["out_of_bounds"] | ended["out_of_power"] | ended["success"]

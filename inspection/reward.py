@@ -83,16 +83,22 @@ def distance_from_track(x: Tensor, c: InspectionParameters) -> Tensor:
     return torch.hypot(path[0], path[2]).amin(0)
 
 
-def shaping(x: Tensor, h: dict[str, Tensor], corrected: Tensor, c: InspectionParameters) -> dict[str, Tensor]:
+def shaping(
+    x: Tensor, h: dict[str, Tensor], corrected: Tensor, delta_v: Tensor, c: InspectionParameters
+) -> dict[str, Tensor]:
     """Our own terms as (B,) for the state x (16, B) after the interaction; none where all weights are 0.
 
     The learner is given them beside the paper's nine, which `rewards` are reported in.
 
     Args:
         h: constraint values (B,) by name.
-        corrected: share of the filter's calls that it corrected.
+        corrected: share of the filter's calls that it corrected; delta_v: of the interaction in m/s.
     """
     terms = {}
+    if c.fuel_reward:
+        terms["fuel"] = c.fuel_reward * delta_v
+    if c.duration_reward:
+        terms["duration"] = torch.full_like(delta_v, c.duration_reward)
     if c.rate_reward:
         terms["rate"] = c.rate_reward * (x[OMEGA] / c.max_rate).square().sum(0)
     if c.correction_reward:

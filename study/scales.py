@@ -42,4 +42,4 @@ def scales(c: Limits, period: float) -> list[float]:
             ("angular_velocity_x", "angular_velocity_y", "angular_velocity_z"), min(spun, c.max_rate**2)
         ),
     }
-    return [found[name] for name in CONSTRAINTS]
+    return [found.get(name, 1.0) for name in CONSTRAINTS]  # a limit of your own: its unit

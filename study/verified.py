@@ -21,6 +21,7 @@ from study.config import Config
 from study.errors import MALFORMED
 from study.experiment import filter_of, ignores_keep_clear
 from study.files import ROOT
+from study.paper import OWN_LIMITS
 
 # Settings that came later: at their defaults they are what was flown before, and its fingerprint stays.
 LATER = {
@@ -77,7 +78,7 @@ def code_digest(config: Config) -> str:
 
 
 def settings_digest(config: Config) -> str:
-    """SHA-256 of `relevant`, less a plant that is the model, bounds that are nil, a sphere, and LATER defaults."""
+    """SHA-256 of `relevant`, less a plant that is the model, bounds that are nil, a sphere, and LATER defaults; with limits that the paper has not."""
     nil = {
         "[plant]": config.plant.is_nominal,
         "[uncertainty]": config.uncertainty.is_nil,
@@ -89,6 +90,8 @@ def settings_digest(config: Config) -> str:
         for name, value in relevant(config).items()
         if not nil.get(name.split()[0]) and not (name in LATER and value == default[name])
     }
+    if OWN_LIMITS:
+        counting["limits"] = OWN_LIMITS
     return hashlib.sha256(json.dumps(counting, sort_keys=True).encode()).hexdigest()
 
 

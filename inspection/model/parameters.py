@@ -258,12 +258,14 @@ class Episode(Settings):
         172800.0, "s, two days of free flight: rewarded at success, and observed", above=0
     )
 
-    rate_reward: float = setting(
+    fuel_reward: float = setting(
         0.0,
-        "per action and axis turning at max_rate, by its square",
+        "per m/s, on top of delta_v_reward",
         note="Our own terms, which the learner is given beside the paper's; the reward that is reported has none",
         least=None,
     )
+    duration_reward: float = setting(0.0, "per action", least=None)
+    rate_reward: float = setting(0.0, "per action and axis turning at max_rate, by its square", least=None)
     correction_reward: float = setting(
         0.0, "per action, where the filter corrects all of its calls", least=None
     )

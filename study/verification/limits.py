@@ -40,7 +40,7 @@ HYPERCUBES = 100  # drawn before the limits count as out of reach
 LIMITS = len(CONSTRAINTS)
 PAIRS = tuple(itertools.combinations(range(LIMITS), 2))
 
-# the moves beyond a constraint, by the keys of `ends`
+# the moves beyond a constraint, by the keys of `ends`; beyond one that is not here (your own) all are tried
 WAYS = {
     "collision": ("nearer",),
     "dynamic_speed": ("faster",),
@@ -186,10 +186,10 @@ def approach(
     """Moves states next to the first or second of their limits; those that do not get there are left out."""
     x, target, gap = near.state, near.targets[which], near.gaps[which]
     every = ends(x, generator, c)
-    names, most = list(every), max(map(len, WAYS.values()))
-    ways = x.new_tensor(
-        [[names.index(way[i * len(way) // most]) for i in range(most)] for way in WAYS.values()]
-    )
+    names = list(every)
+    moves = [WAYS.get(name, tuple(names)) for name in CONSTRAINTS]
+    most = max(map(len, moves))
+    ways = x.new_tensor([[names.index(way[i * len(way) // most]) for i in range(most)] for way in moves])
     choice = (torch.rand(x.shape[1], generator=generator, dtype=torch.float64).to(x) * most).long()
     move = ways[near.limits[which], choice].long()
     end = torch.stack(list(every.values())).gather(0, move.expand(1, SIZE, -1))[0]

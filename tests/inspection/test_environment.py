@@ -190,7 +190,9 @@ def test_terms_of_our_own_are_the_learners_alone(c):
         intervened = torch.stack((torch.tensor(True), desired[0, 1] < 0.4))
         return SimpleNamespace(control=desired + 0.25, intervened=intervened)
 
-    own = replace(c, rate_reward=-0.5, correction_reward=-0.1, drift_reward=-0.2)
+    own = replace(
+        c, fuel_reward=-0.3, duration_reward=-0.7, rate_reward=-0.5, correction_reward=-0.1, drift_reward=-0.2
+    )
     safety = Safety(correct=push, period=5.0)
     ends = []
     for parameters in (c, own):
@@ -198,7 +200,7 @@ def test_terms_of_our_own_are_the_learners_alone(c):
         env.x[10:13, 0] = torch.tensor([0.5, 0.0, -1.0]) * c.max_rate
         ends.append(env.step(torch.tensor([0.2] + 5 * [0.0]).expand(2, 6)))
     plain, shaped = ends
-    assert tuple(shaped.reward_terms) == (*REWARDS, "rate", "correction", "drift")
+    assert tuple(shaped.reward_terms) == (*REWARDS, "fuel", "duration", "rate", "correction", "drift")
     rates = (shaped.state[10:13] / c.max_rate).square().sum(0)
     assert rates[0] > 1.0
     corrected = torch.tensor([1.0, 0.5], dtype=torch.float64)  # of two calls, which want 0.2 N and 0.45 N
@@ -207,7 +209,10 @@ def test_terms_of_our_own_are_the_learners_alone(c):
     near = 1.0 - distance_from_track(shaped.state, c) / 30.0
     assert near.min() > 0.0
     torch.testing.assert_close(shaped.reward_terms["drift"], -0.2 * near)
-    expected = plain.reward - 0.5 * rates - 0.1 * corrected - 0.2 * near
+    fuel = plain.reward_terms["delta_v"] / c.delta_v_reward  # in m/s
+    torch.testing.assert_close(shaped.reward_terms["fuel"], -0.3 * fuel)
+    assert fuel.min() > 0.1
+    expected = plain.reward - 0.3 * fuel - 0.7 - 0.5 * rates - 0.1 * corrected - 0.2 * near
     torch.testing.assert_close(shaped.reward, expected)
     torch.testing.assert_close(shaped.metrics, plain.metrics)
 
