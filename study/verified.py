@@ -78,7 +78,10 @@ def code_digest(config: Config) -> str:
 
 
 def settings_digest(config: Config) -> str:
-    """SHA-256 of `relevant`, less a plant that is the model, bounds that are nil, a sphere, and LATER defaults; with limits that the paper has not."""
+    """SHA-256 of `relevant` and the names of limits that the paper has not.
+
+    Left out are a plant that is the model, bounds that are nil, a sphere, and LATER defaults.
+    """
     nil = {
         "[plant]": config.plant.is_nominal,
         "[uncertainty]": config.uncertainty.is_nil,
