@@ -226,11 +226,11 @@ def each(function: Callable[..., Stacked], *states: Any, axis: int = 0) -> Any:
     """A function of all that has a place per seed or per episode in nested states; of the rest what the first has.
 
     Args:
-        function: of the axis, 0 for seeds or -1 for the episodes of the environment, and what each state has there.
+        function: of the axis, 0 for seeds or -1 for slots of episodes, and what each state has there.
     """
     first, *_ = states
     if isinstance(first, dict):
-        axes = {"env": -1}
+        axes = {"env": -1, "training": -1}
         return {key: each(function, *(s[key] for s in states), axis=axes.get(key, axis)) for key in first}
     if isinstance(first, list) and all(isinstance(item, Tensor) for item in first):
         return function(0, *states)

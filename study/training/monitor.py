@@ -1,4 +1,4 @@
-"""What a training run reports of its environment: one set of scalars per update.
+"""What a training run reports of its environment: one set of scalars per update, and the limits broken in all of it.
 
 Every tag is explained in docs/reference/commands.md.
 """
@@ -15,6 +15,46 @@ from inspection.transition import METRICS, Transition
 from rta.qp.programs import Status
 
 EPISODE = tuple(name.removeprefix("episode_") for name in (*METRICS, "success_percent"))
+
+
+class Exposure:
+    """Counts the limits broken in all of training, with the smallest h, at the ends of steps.
+
+    Attributes:
+        violated: (constraints + 1, B) interactions of each episode slot that ended beyond a limit, the last row any.
+        worst: (constraints, B) smallest h.
+    """
+
+    def __init__(self, constraints: tuple[str, ...], slots: int, device: torch.device) -> None:
+        self.constraints = constraints
+        self.violated = torch.zeros(len(constraints) + 1, slots, dtype=torch.int64, device=device)
+        self.worst = torch.full((len(constraints), slots), torch.inf, dtype=torch.float64, device=device)
+
+    def __call__(self, transition: Transition) -> None:
+        """Takes in one interaction of the batch."""
+        self.violated[:-1] += transition.violated
+        self.violated[-1] += transition.violated.any(0)
+        self.worst = torch.minimum(self.worst, transition.h)
+
+    def state_dict(self) -> dict[str, Tensor]:
+        """Returns what a resumed run needs."""
+        return {"violated": self.violated, "worst": self.worst}
+
+    def load_state_dict(self, state: dict[str, Tensor]) -> None:
+        """Restores `state_dict`."""
+        self.violated, self.worst = state["violated"], state["worst"]
+
+    def report(self, seeds: int, interactions: int) -> list[dict[str, dict[str, float]]]:
+        """Returns for each seed, of so many interactions, the percentage that broke a limit and the smallest h."""
+        percent = 100.0 * self.violated.unflatten(1, (seeds, -1)).sum(2) / max(interactions, 1)
+        worst = self.worst.unflatten(1, (seeds, -1)).amin(2)
+        return [
+            {
+                "violations_percent": dict(zip((*self.constraints, "any"), of_seed, strict=True)),
+                "smallest_h": dict(zip(self.constraints, h, strict=True)),
+            }
+            for of_seed, h in zip(percent.T.tolist(), worst.T.tolist(), strict=True)
+        ]
 
 
 class Monitor:

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from inspection.orbits import GUIDANCE
+from inspection.transition import Transition
 from ppo import checkpoint
 from ppo.distributed import ranks, shard_of_episodes, shard_of_seeds
 from ppo.errors import NonFiniteError, RankLostError
@@ -31,7 +32,7 @@ from study.paper import tables
 from study.training.adversary import Adversary
 from study.training.jump_start import JumpStart
 from study.training.log import Log
-from study.training.monitor import Monitor
+from study.training.monitor import Exposure, Monitor
 
 CHECKPOINT = "checkpoint.pt"
 LESSONS = "lessons"  # the directory of what is taught, a file to a batch, as long as the lessons last
@@ -89,6 +90,8 @@ class Run:
         self.experiment = Experiment(config, num_envs * len(own_seeds), seconds)
         self.config, self.device = self.experiment.config, self.experiment.device
         self.monitor = Monitor(self.experiment.safety.names, len(own_seeds), self.shard.seeds.start)
+        slots = num_envs * len(own_seeds)
+        self.exposure = Exposure(self.experiment.safety.names, slots, self.device)
         self.log = Log(directory, self.homes, train.batch)
 
         generators = self.experiment.generators(own_seeds)
@@ -130,11 +133,16 @@ class Run:
         episodes = len(self.seeds) * config.train.num_envs
         return f"{self.directory}: {arm}, {which}, {episodes} episodes at once on {where}{self.annealing}"
 
+    def watch(self, transition: Transition) -> None:
+        """Takes in one interaction of the batch."""
+        self.monitor(transition)
+        self.exposure(transition)
+
     def be_taught(self, lessons: JumpStart, stopped: Callable[[], bool]) -> None:
         """Lets the guidance teach the policy, in place of the first updates; each lesson is saved."""
         trainer = self.trainer
         while not lessons.done and not stopped():
-            statistics = lessons.teach(self.monitor)
+            statistics = lessons.teach(self.watch)
             trainer.update += 1
             trainer.seconds += statistics["time/rollout_s"] + statistics["time/learning_s"]
             self.show(statistics | self.last_save)
@@ -151,7 +159,7 @@ class Run:
 
     def save(self) -> None:
         """Writes the checkpoint of all ranks and each seed's policy alone."""
-        own = self.trainer.state_dict()
+        own = self.trainer.state_dict() | {"training": self.exposure.state_dict()}
         if self.lessons and self.lessons.taught > 0 and not self.lessons.done:
             own |= {"lessons": self.lessons.state_dict(), "lesson": self.lessons.latest}
         states = self.ranks.collect(own, self.device)
@@ -172,7 +180,10 @@ class Run:
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
         """Restores what `save` has written of training; raises as a checkpoint that does not fit."""
-        self.trainer.load_state_dict(self.shard.split(saved))
+        own = self.shard.split(saved)
+        self.trainer.load_state_dict(own)
+        if "training" in own:  # which older checkpoints lack
+            self.exposure.load_state_dict(own["training"])
         if self.lessons and (state := saved.get("lessons")):
             files = [self.directory / LESSONS / f"{i + 1}.pt" for i in range(int(state["taught"]))]
             batches = [
@@ -228,7 +239,7 @@ class Run:
             with on_signal(react), shown:
                 try:
                     self.begin(stopped)
-                    self.trainer.run(self.monitor, self.after_update, stopped)
+                    self.trainer.run(self.watch, self.after_update, stopped)
                 except (NonFiniteError, RankLostError) as error:
                     where, last = f"update {self.trainer.update + 1}", self.directory / CHECKPOINT
                     raise type(error)(f"{where}: {error}; last good checkpoint: {last}") from None
@@ -296,6 +307,16 @@ class Run:
         """Each seed's episodes in the form of `evaluate --json`."""
         parts = zip(self.seeds, record.split(len(self.seeds)), strict=True)
         return [report(own, self.config_of(trained), seed) for trained, own in parts]
+
+    def violations_in_training(self) -> list[dict[str, dict[str, float]]]:
+        """Returns `Exposure.report` of all ranks, which all have to ask; an empty list except on the first one."""
+        own = {"training": self.exposure.state_dict(), "seconds": self.trainer.seconds}
+        states = self.ranks.collect(own, self.device)
+        if not states:
+            return []
+        everyone = Exposure(self.exposure.constraints, 0, self.device)
+        everyone.load_state_dict(self.shard.join(states)["training"])
+        return everyone.report(len(self.seeds), self.interactions)
 
     def conclude(self) -> str:
         """Evaluates the trained policy, writes evaluation.json and episode.png; returns what a person sees last.

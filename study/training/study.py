@@ -157,9 +157,10 @@ def evaluate_arm(run: Run) -> None:
     """Plays the common test cases with every seed of a trained arm; writes episodes.npz, then results.json.
 
     `interactions` are those of each seed, `wall_clock_s` the rollouts and updates of all of them together, by the
-    rank that took longest.
+    rank that took longest; `training_per_seed` has the limits broken in training.
     """
     record, seconds = run.play(run.config.train.final_episodes, TEST_CASES), run.seconds()
+    training = run.violations_in_training()
     if not record:
         return
     about = {
@@ -167,6 +168,7 @@ def evaluate_arm(run: Run) -> None:
         "interactions": run.interactions,
         "wall_clock_s": seconds,
         "per_seed": run.reports(record, TEST_CASES),
+        "training_per_seed": training,
     }
     together = report(record, run.config, TEST_CASES, len(run.seeds))
     with run.naming_the_checkpoint():

@@ -11,7 +11,7 @@ from inspection.termination import OUTCOMES
 from inspection.transition import Transition
 from rta.qp.programs import Status
 from rta.result import FilterResult
-from study.training.monitor import EPISODE, Monitor
+from study.training.monitor import EPISODE, Exposure, Monitor
 
 NAMES = ("near", "fast", "hot")
 SEEDS, BATCH, CALLS = 2, 6, 3
@@ -132,3 +132,24 @@ def test_without_a_filter_or_an_ended_episode_there_is_less_to_show(generator: t
     assert scalars == pytest.approx(count(quiet), rel=1e-6)
     assert not any(tag.startswith(("episode/", "rta/")) for tag in scalars)
     assert watching(quiet).episode_means(0) == {}
+
+
+def test_the_exposure_counts_every_limit_broken_in_training() -> None:
+    generator = torch.Generator().manual_seed(7)
+    seen = [transition(generator) for _ in range(5)]
+    exposure = Exposure(NAMES, BATCH, torch.device("cpu"))
+    for each in seen[:2]:
+        exposure(each)
+    resumed = Exposure(NAMES, BATCH, torch.device("cpu"))
+    resumed.load_state_dict(exposure.state_dict())
+    for each in seen[2:]:
+        resumed(each)
+    interactions = len(seen) * BATCH // SEEDS
+    for seed, report in enumerate(resumed.report(SEEDS, interactions)):
+        columns = range(seed * BATCH // SEEDS, (seed + 1) * BATCH // SEEDS)
+        for row, name in enumerate(NAMES):
+            h = [step.h[row, column].item() for step in seen for column in columns]
+            assert report["violations_percent"][name] == pytest.approx(100 * sum(v < 0 for v in h) / len(h))
+            assert report["smallest_h"][name] == min(h)
+        any_limit = [bool((step.h[:, column] < 0).any()) for step in seen for column in columns]
+        assert report["violations_percent"]["any"] == pytest.approx(100 * fmean(any_limit))
