@@ -61,6 +61,7 @@ class InspectionEnv:
         sight: what has been seen of the chief.
         clocks: how often what happens.
         plant: of each episode; None: the model.
+        progress: share of a training that is done, see `reward.shaping`.
 
     Raises:
         ValueError: the clocks do not divide, or the plant does not fit the parameters.
@@ -104,6 +105,7 @@ class InspectionEnv:
         ]
         self.num_envs = num_envs
         self.limit = torch.tensor(parameters.control_limit, dtype=torch.float64, device=device)[:, None]
+        self.progress = 1.0
         self.time = zeros()
         self.steps = zeros(dtype=torch.int64)
         self.totals = zeros(3)  # reward, delta v, torque
@@ -268,7 +270,7 @@ class InspectionEnv:
         terms = rewards(self.x, score - before, delta_v, torque, self.time, ended, c)
         reward = torch.stack([terms[name] for name in REWARDS]).sum(0)
         named = dict(zip(self.safety.names, h, strict=True))
-        own = shaping(self.x, named, self._corrected(holds), delta_v, c)
+        own = shaping(self.x, named, self._corrected(holds), delta_v, self.progress, c)
         self.totals += torch.stack((reward, delta_v, torque))
 
         terminated = ended["crash"] | ended["out_of_bounds"] | ended["out_of_power"] | ended["success"]

@@ -84,7 +84,12 @@ def distance_from_track(x: Tensor, c: InspectionParameters) -> Tensor:
 
 
 def shaping(
-    x: Tensor, h: dict[str, Tensor], corrected: Tensor, delta_v: Tensor, c: InspectionParameters
+    x: Tensor,
+    h: dict[str, Tensor],
+    corrected: Tensor,
+    delta_v: Tensor,
+    progress: float,
+    c: InspectionParameters,
 ) -> dict[str, Tensor]:
     """Our own terms as (B,) for the state x (16, B) after the interaction; none where all weights are 0.
 
@@ -93,10 +98,12 @@ def shaping(
     Args:
         h: constraint values (B,) by name.
         corrected: share of the filter's calls that it corrected; delta_v: of the interaction in m/s.
+        progress: share of training that is done, with which the price of fuel grows: noise costs fuel, and an agent
+            that pays all of it from the start learns to stay where it is.
     """
     terms = {}
     if c.fuel_reward:
-        terms["fuel"] = c.fuel_reward * delta_v
+        terms["fuel"] = progress * c.fuel_reward * delta_v
     if c.duration_reward:
         terms["duration"] = torch.full_like(delta_v, c.duration_reward)
     if c.rate_reward:

@@ -260,7 +260,7 @@ class Episode(Settings):
 
     fuel_reward: float = setting(
         0.0,
-        "per m/s, on top of delta_v_reward",
+        "per m/s, on top of delta_v_reward; grows from 0 at the start of training to this at its end",
         note="Our own terms, which the learner is given beside the paper's; the reward that is reported has none",
         least=None,
     )

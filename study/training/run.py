@@ -238,6 +238,7 @@ class Run:
         with self.naming_the_checkpoint():
             with on_signal(react), shown:
                 try:
+                    self.env.progress = self.trainer.update / self.trainer.updates
                     self.begin(stopped)
                     self.trainer.run(self.watch, self.after_update, stopped)
                 except (NonFiniteError, RankLostError) as error:
@@ -276,7 +277,8 @@ class Run:
             self.last_save = {"time/checkpoint_s": seconds_of(self.save)}
 
     def show(self, statistics: dict[str, float]) -> None:
-        """Logs an update or a lesson, of all ranks."""
+        """Logs an update or a lesson, of all ranks; the price of fuel grows for the next one."""
+        self.env.progress = self.trainer.update / self.trainer.updates
         statistics["time/filter_s"] = self.monitor.filter_seconds
         statistics["time/simulation_s"] = statistics["time/rollout_s"] - self.monitor.filter_seconds
         if reports := self.ranks.collect((statistics, self.monitor), self.device):

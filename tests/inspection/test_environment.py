@@ -15,7 +15,7 @@ from inspection.closed_loop import Safety
 from inspection.environment import InspectionEnv
 from inspection.initial_state import InitialStates
 from inspection.model.state import THETA_S, E, P, Q, T, V
-from inspection.reward import REWARDS, distance_from_track
+from inspection.reward import REWARDS, distance_from_track, shaping
 from inspection.termination import OUTCOMES
 from inspection.transition import METRICS
 
@@ -211,6 +211,8 @@ def test_terms_of_our_own_are_the_learners_alone(c):
     torch.testing.assert_close(shaped.reward_terms["drift"], -0.2 * near)
     fuel = plain.reward_terms["delta_v"] / c.delta_v_reward  # in m/s
     torch.testing.assert_close(shaped.reward_terms["fuel"], -0.3 * fuel)
+    priced = shaping(shaped.state, {}, corrected, fuel, 0.25, own)["fuel"]  # a quarter of a training
+    torch.testing.assert_close(priced, 0.25 * -0.3 * fuel)
     assert fuel.min() > 0.1
     expected = plain.reward - 0.3 * fuel - 0.7 - 0.5 * rates - 0.1 * corrected - 0.2 * near
     torch.testing.assert_close(shaped.reward, expected)

@@ -80,6 +80,11 @@ def test_what_it_learns_from_makes_a_difference(tmp_path: Path) -> None:
 @pytest.mark.parametrize("rta", [False, True])
 def test_interrupted_and_resumed_equals_uninterrupted(tmp_path: Path, rta: bool) -> None:
     config = tiny(action_period=1.0, rta=rta, interactions=(2 if rta else 6) * 32 * 4)
+    changing = {
+        "inspection": {"fuel_reward": -0.5},
+        "ppo": {"cost_limit": 0.1},
+    }  # prices that training changes
+    config = override(config, changing, "test")
     whole = training.start(config, tmp_path / "whole")
     whole.train()
 
