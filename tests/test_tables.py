@@ -57,7 +57,7 @@ def test_a_wrong_number_is_found_and_renewed(
     ("right", "wrong", "said"),
     [
         ("<!-- rows: hidden -->", "<!-- rows: absent -->", "absent -->: docs/tables.py has no such table"),
-        ("<!-- rows: hidden -->\n", "<!-- rows: hidden -->\n\n", "12 marks"),
+        ("<!-- rows: hidden -->\n", "<!-- rows: hidden -->\n\n", "10 marks"),
     ],
 )
 def test_a_mark_that_leads_nowhere_is_refused(right: str, wrong: str, said: str) -> None:
