@@ -14,6 +14,7 @@ from inspection.chief.mesh import pinned
 from inspection.model.parameters import ChiefParameters, Limits
 from inspection.world.parameters import PlantParameters
 from ppo.distributed import is_first
+from rta.constraints.names import OWN, PAPERS
 from rta.printed import source
 from rta.printed.files import implementation
 from settings import override, rules
@@ -21,13 +22,14 @@ from study.config import Config
 from study.errors import MALFORMED
 from study.experiment import filter_of, ignores_keep_clear
 from study.files import ROOT
-from study.paper import OWN_LIMITS
 
+LIMITS = "limits of your own"
 # Settings that came later: at their defaults they are what was flown before, and its fingerprint stays.
 LATER = {
     *(f"[inspection] {key}" for key in ("orbit", "eccentricity", "sun_from_perigee", "hill_rotation")),
     "[inspection] gravitational_parameter",
     "[rta] rows",
+    LIMITS,
     *(f"[plant] {key}" for key in ("simulator", "j2", "drag", "actuators", "errors")),
 }
 POLICIES = ("random", "adversarial")  # each has to have flown
@@ -38,8 +40,8 @@ CHECK = "docs/reference/filter.md"
 REPORTS = "runs/verification"  # below the working directory: a person's own; the shipped ones are below runs/reference
 
 
-def relevant(config: Config) -> dict[str, Any]:
-    """What the guarantee depends on: values by their names in a configuration file, "[rta] period".
+def relevant(config: Config, own: Sequence[str] = OWN) -> dict[str, Any]:
+    """What the guarantee depends on: values by their names in a configuration file, "[rta] period"; limits of your own.
 
     Not the episode, nor the solver, whose answers are checked one by one. Of [chief] the hull and its attitude count.
     """
@@ -51,7 +53,8 @@ def relevant(config: Config) -> dict[str, Any]:
         "plant": vars(plant),
         "uncertainty": vars(config.uncertainty),
     }
-    return {f"[{table}] {key}": value for table, part in tables.items() for key, value in part.items()}
+    values = {f"[{table}] {key}": value for table, part in tables.items() for key, value in part.items()}
+    return values | {LIMITS: own}
 
 
 def of_hull(chief: ChiefParameters) -> dict[str, Any]:
@@ -78,23 +81,18 @@ def code_digest(config: Config) -> str:
 
 
 def settings_digest(config: Config) -> str:
-    """SHA-256 of `relevant` and the names of limits that the paper has not.
-
-    Left out are a plant that is the model, bounds that are nil, a sphere, and LATER defaults.
-    """
+    """SHA-256 of `relevant`, less a plant that is the model, bounds that are nil, a sphere, and LATER defaults."""
     nil = {
         "[plant]": config.plant.is_nominal,
         "[uncertainty]": config.uncertainty.is_nil,
         "[chief]": config.chief.collision == "sphere",
     }
-    default = relevant(Config())
+    default = relevant(Config(), ())
     counting = {
         name: value
         for name, value in relevant(config).items()
         if not nil.get(name.split()[0]) and not (name in LATER and value == default[name])
     }
-    if OWN_LIMITS:
-        counting["limits"] = OWN_LIMITS
     return hashlib.sha256(json.dumps(counting, sort_keys=True).encode()).hexdigest()
 
 
@@ -108,8 +106,9 @@ class Flown:
 
     @cached_property
     def relevant(self) -> dict[str, Any]:
-        """See `relevant`."""
-        return relevant(self.config)
+        """See `relevant`; with the limits that were counted."""
+        own = [name for name in self.report["violating_episodes"] if name not in (*PAPERS, "any")]
+        return relevant(self.config, tuple(own))
 
     @property
     def violating(self) -> int:
@@ -142,10 +141,9 @@ def reports(filters: Sequence[str] = ("python",)) -> Iterator[Flown]:
                 yield flown
 
 
-def alike(config: Config, flown: Sequence[Flown]) -> list[Flown]:
-    """The reports of the configuration's plant and filter."""
-    own = relevant(config)
-    return [each for each in flown if each.relevant == own]
+def alike(values: dict[str, Any], flown: Sequence[Flown]) -> list[Flown]:
+    """The reports of the plant and filter of these `relevant` values."""
+    return [each for each in flown if each.relevant == values]
 
 
 def say_doubts(config: Config) -> None:
@@ -178,7 +176,7 @@ def doubt(config: Config) -> str | None:
     It does where there is a report of each of POLICIES on its plant and filter, large and without a violation.
     """
     flown = list(reports())
-    same = alike(config, flown)
+    same = alike(relevant(config), flown)
     if failed := [each for each in same if not each.clean]:
         worst = max(failed, key=lambda each: each.violating)
         said = (
@@ -204,7 +202,7 @@ def difference(config: Config, flown: list[Flown]) -> str:
     def names(other: Flown) -> list[str]:
         return [name for name, value in ours.items() if value != other.relevant[name]]
 
-    trusted = [each for each in flown if verified(alike(each.config, flown))]
+    trusted = [each for each in flown if verified(alike(each.relevant, flown))]
     if not trusted:
         return "no campaign is at hand"
     nearest = min(trusted, key=lambda each: len(names(each)))

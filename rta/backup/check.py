@@ -20,7 +20,7 @@ from rta.backup.commit import ATTITUDE, LIMITS, MOTION, Check
 from rta.backup.flight import Flight, hold
 from rta.backup.motion_law import Braking, brake
 from rta.backup.terminal import NoTerminalSetError, TerminalSet
-from rta.constraints.names import CONSTRAINTS
+from rta.constraints.names import PAPERS
 from rta.qp.programs import pick, put
 
 KEPT = 1e-9  # in the unit of each limit, m/s, m, rad, deg C, kJ: what rounding may take
@@ -29,7 +29,7 @@ GLANCE = 4.0  # s of a flight, between two looks at all that is left of it at on
 # Where a flight ends, by the entries of `TerminalSet.room`, and the limits that, once broken, excuse from each.
 ENDS = {0: (0, 3, 4), 1: (0, 1, 2)}  # of thrust, of torque
 EXCUSED = {
-    entry: tuple(map(CONSTRAINTS.index, names))
+    entry: tuple(map(PAPERS.index, names))
     for entry, names in {
         1: ("temperature",),
         2: ("battery",),

@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 from inspection.model.state import THRUST, TORQUE
-from rta.constraints.names import CONSTRAINTS
+from rta.constraints.names import PAPERS
 from rta.qp.programs import Status, pick, put
 from rta.result import FilterResult
 
@@ -91,13 +91,13 @@ class Check(ABC):
             of_torque: by constraint, torque holds it; else thrust does.
         """
         y = self.seen(x, error_bound)
-        broken, fit = self.fit(y, result.h[: len(CONSTRAINTS)])
+        broken, fit = self.fit(y, result.h[: len(PAPERS)])
         control, safe, changed = self.committed(y, result.control, broken, fit)
         group = torch.tensor(of_torque, device=x.device).long()
         kept = safe[group]
         kept[: MOTION + ATTITUDE] &= ~broken[: MOTION + ATTITUDE]
-        kept[MOTION + ATTITUDE : len(CONSTRAINTS)] &= ~broken[-1]
-        kept[len(CONSTRAINTS) :] = False
+        kept[MOTION + ATTITUDE : len(PAPERS)] &= ~broken[-1]
+        kept[len(PAPERS) :] = False
         slack = result.slack.masked_fill(kept, 0.0)
         yields = torch.stack([(slack[group == i] > SLACK_ROUNDED).any(0) for i in range(2)])
         status = torch.where(changed, result.program_status.clamp(min=Status.HARD), result.program_status)

@@ -1,6 +1,6 @@
 """The limits by name, and the units of their h."""
 
-# In the order of the paper's Table 3: seven that only thrust can influence, six that only torque can.
+# In the order of the paper's table of violations: seven that only thrust can influence, six that only torque can.
 TRANSLATIONAL = (
     "collision",
     "dynamic_speed",
@@ -18,7 +18,9 @@ ATTITUDE = (
     "angular_velocity_y",
     "angular_velocity_z",
 )
-CONSTRAINTS = TRANSLATIONAL + ATTITUDE
+PAPERS = TRANSLATIONAL + ATTITUDE  # which the check keeps
+OWN: tuple[str, ...] = ()  # of your own, those that thrust holds first (docs/guides/your_own_constraint.md)
+CONSTRAINTS = PAPERS + OWN
 UNITS = {  # of h, by limit
     **dict.fromkeys(("collision", "dynamic_speed", "keep_in_zone"), "m/s"),
     "passive_safety": "m",

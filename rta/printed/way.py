@@ -15,7 +15,7 @@ from rta.backup.flight import CELLS
 from rta.backup.flight import turn as turn_in
 from rta.backup.told import ToldBackup
 from rta.bounds.prediction import KINDS
-from rta.constraints.names import CONSTRAINTS
+from rta.constraints.names import PAPERS
 
 if TYPE_CHECKING:
     from rta.filter import SafetyFilter
@@ -132,7 +132,7 @@ def of_flights(backup: Backup) -> dict[str, tuple[int | float | str, str]]:
         "FLIGHT_HOLDS": (backup.holds, "of a flight at most"),
         "GLANCES": (backup.glances, "holds, between two looks at all that is left of a flight"),
     }
-    return own | {f"{name}_LIMIT": (CONSTRAINTS.index(limit), "") for name, limit in names.items()}
+    return own | {f"{name}_LIMIT": (PAPERS.index(limit), "") for name, limit in names.items()}
 
 
 def trials() -> dict[str, tuple[int | float | str, str]]:
@@ -151,7 +151,7 @@ def limits() -> dict[str, tuple[int | float | str, str]]:
         "MOTION_LIMITS": (MOTION, "constraints, the first, that a way keeps by thrust"),
         "ATTITUDE_LIMITS": (ATTITUDE, "the next, by torque"),
         "KEPT_LIMITS": (
-            len(CONSTRAINTS),
+            len(PAPERS),
             "the first, the rates being their last; after these the user's own, which it does not know",
         ),
         "RATES_ROUNDED": (RATES_ROUNDED, "rad^2/s^2, by which rates at their limit may be beyond"),

@@ -8,7 +8,17 @@ from rta.printed.files import NAME, NOT_VERIFIED, write
 from study.config import Config
 from study.errors import refusing
 from study.experiment import check_chief, filter_of
-from study.verified import Flown, alike, fingerprint, reports, settings_digest, shown, unchecked, verified
+from study.verified import (
+    Flown,
+    alike,
+    fingerprint,
+    relevant,
+    reports,
+    settings_digest,
+    shown,
+    unchecked,
+    verified,
+)
 
 
 def export(config: Config, directory: Path, prefix: str = NAME) -> str:
@@ -35,7 +45,7 @@ def export(config: Config, directory: Path, prefix: str = NAME) -> str:
 def said_of(config: Config) -> str:
     """What the filter of a configuration does not check, which campaigns have flown it, and what came out."""
     own = fingerprint(config)
-    same = alike(config, list(reports(("python", "c"))))
+    same = alike(relevant(config), list(reports(("python", "c"))))
     counted = [each for each in same if each.large or not each.clean]
     lines = [of_campaign(each) for each in counted]
     if missing := unchecked(config):

@@ -14,7 +14,7 @@ from inspection.world.corners import ERRORS, displaced
 from kernels.compiled import Compiled
 from kernels.printer import if_long
 from ppo.network import Policy
-from rta.constraints.names import ATTITUDE, TRANSLATIONAL
+from rta.constraints.names import ATTITUDE, OWN, TRANSLATIONAL
 from rta.filter import SafetyFilter
 from study.scales import scales
 
@@ -104,7 +104,7 @@ class Greedy:
     - as a controller it is full control along -dJ/du, of thrust and of torque apart.
 
     Args:
-        attacked: (13, B) bool, the constraints that count in each episode; None: all.
+        attacked: (constraints, B) bool, the constraints that count in each episode; None: all.
     """
 
     def __init__(self, safety_filter: SafetyFilter, attacked: Tensor | None = None) -> None:
@@ -150,10 +150,10 @@ class Greedy:
 
 
 def attacked(column: Tensor) -> Tensor:
-    """(13, B) bool: which constraints are attacked in the columns (B,) of a batch.
+    """(constraints, B) bool: which are attacked in the columns (B,) of a batch.
 
-    One constraint of thrust and one of torque, or all of a group at once, in turns. A body rate is at its limit within
-    seconds and would else be all that is attacked.
+    One constraint of thrust and one of torque, or all of a group at once, in turns; limits of your own always. A body
+    rate is at its limit within seconds and would else be all that is attacked.
     """
     thrust, torque = (rows.stop - rows.start for rows, _ in GROUPS)
     pair = column // 2  # starts of two kinds alternate
@@ -162,4 +162,5 @@ def attacked(column: Tensor) -> Tensor:
         target = number % (count + 1)  # the last one: all
         return (target == torch.arange(count, device=column.device)[:, None]) | (target == count)
 
-    return torch.cat((one_or_all(pair, thrust), one_or_all(pair // (thrust + 1), torque)))
+    own = torch.ones(len(OWN), len(column), dtype=torch.bool, device=column.device)
+    return torch.cat((one_or_all(pair, thrust), one_or_all(pair // (thrust + 1), torque), own))
