@@ -13,6 +13,7 @@ from inspection.model.dynamics import integrate
 from inspection.model.parameters import ChiefParameters, InspectionParameters
 from inspection.model.state import CONTROL_SIZE, SIZE, THRUST, TORQUE
 from inspection.observation import normalised
+from inspection.privileged import privileged
 from inspection.reward import REWARDS, rewards, shaping
 from inspection.sight import EVERYONE, Sight
 from inspection.termination import ends, failures, outcome_of
@@ -78,6 +79,7 @@ class InspectionEnv:
         report_every: float | None = None,
         plant: PlantParameters | None = None,
         target: ChiefParameters | None = None,
+        privileged: bool = False,
     ) -> None:
         self.c, self.safety = parameters, safety or Safety()
         filter_period = self.safety.period if self.safety.correct else None
@@ -103,7 +105,7 @@ class InspectionEnv:
         self.starts = [
             InitialStates(generator, parameters, self.safety.is_safe, numbered) for generator in generators
         ]
-        self.num_envs = num_envs
+        self.num_envs, self.privileged = num_envs, privileged
         self.limit = torch.tensor(parameters.control_limit, dtype=torch.float64, device=device)[:, None]
         self.progress = 1.0
         self.time = zeros()
@@ -220,13 +222,19 @@ class InspectionEnv:
     ) -> Tensor:
         """Normalised observations (k, size) float32 of the given columns, of what has been seen of the chief so far.
 
+        If the environment is `privileged`, what a critic is shown beside them follows.
+
         Args:
             seen: states (16, B) as they are sensed, which a controller is shown; None: the present ones.
             score: `Sight.score` of the columns, if it is known.
         """
         if seen is None:
             seen = self.plant.sense(self.time, self.x) if self.plant else self.x
-        return self._normalised(seen[:, columns], *self.sight.observed(columns, score)).T
+        observed = self._normalised(seen[:, columns], *self.sight.observed(columns, score)).T
+        if not self.privileged:
+            return observed
+        known = privileged(self.x[:, columns], *self.sight.left(columns), self.time[columns], self.c)
+        return torch.cat((observed, known.T.float()), 1)
 
     def control(self, action: Tensor) -> Tensor:
         """An action (B, 6) in units of the actuators' limits as a control (6, B) in N and N m, clipped to them."""

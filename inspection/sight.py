@@ -119,6 +119,13 @@ class Sight:
         """w_p (k,), the inspected weight of the given columns."""
         return torch.where(self.inspected[:, columns], self.weights[:, columns], 0.0).sum(0)
 
+    def left(self, columns: Tensor | slice = EVERYONE) -> tuple[Tensor, Tensor]:
+        """Returns the points in Hill's frame, (3, N, 1) or, where chiefs turn, (3, N, k); (N, k) their weights left."""
+        points = self.surface.points[..., None]
+        if self.tumbling:
+            points = rotate(self.tumbling.attitude[:, None, columns], points)
+        return points, self.weights[:, columns].masked_fill(self.inspected[:, columns], 0.0)
+
     def observed(self, columns: Tensor | slice = EVERYONE, score: Tensor | None = None) -> tuple[Tensor, ...]:
         """What an agent observes beside its state, as `observation.normalised` takes it.
 

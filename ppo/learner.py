@@ -75,7 +75,7 @@ class PPO:
         first, *_, last = self.policy.network.layers
         shape = (len(self.generators), self._minibatch(samples)[1])
         rows = {name: first.weight.new_zeros(shape) for name in self._trained_on()}
-        rows["observation"] = first.weight.new_zeros(*shape, first.weight.shape[1])
+        rows["observation"] = first.weight.new_zeros(*shape, self.value.network.layers[0].weight.shape[1])
         rows["action"] = last.weight.new_zeros(*shape, last.weight.shape[2] // 2)
         compiled(rows)[0].sum().backward()  # compiles now what the first update would
         self.optimiser.zero_grad()

@@ -118,7 +118,8 @@ class Policy(nn.Module):
 
     def forward(self, observation: Tensor) -> tuple[Tensor, Tensor]:
         """Return mean and log-std, each (S, B, A), at observations (S, B, observation_size)."""
-        mean, level = torch.tanh(self.network(observation)).chunk(2, dim=-1)
+        own = observation[..., : self.network.layers[0].weight.shape[1]]  # a critic's may follow
+        mean, level = torch.tanh(self.network(own)).chunk(2, dim=-1)
         low, high = self.log_std_bounds
         # log std = low + (high - low) (1 + tanh) / 2: unlike a clamp, never without gradient
         return mean, low + (high - low) * 0.5 * (1.0 + level)

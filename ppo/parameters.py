@@ -27,6 +27,9 @@ class PPOParameters(Settings):
     value_coefficient: float = setting(
         0.5, "weight of the mean squared value error in the loss", most=LARGEST_WEIGHT
     )
+    privileged: bool = setting(
+        False, "show the value network, beside the observation, what is left to inspect, and the time"
+    )
     cost_limit: float = setting(
         1.0,
         "share of steps that may break a limit; a price that follows it keeps it there (PPO-Lagrangian); 1: no price",

@@ -20,6 +20,7 @@ from inspection.model.draws import uniform
 from inspection.model.parameters import InspectionParameters
 from inspection.model.state import CONTROL_SIZE
 from inspection.observation import components
+from inspection.privileged import PRIVILEGED
 from ppo import checkpoint
 from ppo.errors import CheckpointError
 from ppo.network import Policy, Value
@@ -111,12 +112,13 @@ class Experiment:
         report_every: float | None = None,
         compiled: bool = False,
         safety: Safety | None = None,
+        privileged: bool = False,
     ) -> InspectionEnv:
         """Makes a batch of num_envs episodes per generator, compiled if wanted and possible.
 
         Args:
             decide_every, report_every: as of `InspectionEnv`.
-            safety: in place of the experiment's.
+            safety: in place of the experiment's; privileged: as of `InspectionEnv`.
         """
         with refusing(
             f"[inspection] and [chief], {num_envs:,} episodes",
@@ -134,6 +136,7 @@ class Experiment:
                 report_every,
                 self.config.plant,
                 self.config.chief,
+                privileged,
             )
         if compiled:
             compile_or_explain("simulator", env.compile)
@@ -145,7 +148,9 @@ class Experiment:
 
     def value(self, generators: Sequence[torch.Generator]) -> Value:
         """A freshly initialised value network, one seed per generator."""
-        return Value(len(components(self.config.inspection.observed)), generators, self.config.ppo.hidden)
+        observed = len(components(self.config.inspection.observed))
+        size = observed + (PRIVILEGED if self.config.ppo.privileged else 0)
+        return Value(size, generators, self.config.ppo.hidden)
 
 
 def filter_of(config: Config) -> SafetyFilter:

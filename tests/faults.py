@@ -648,6 +648,18 @@ LEARNER = [
         ('"log_prob": log_prob,', '"log_prob": torch.zeros_like(log_prob),'),
     ),
     *faults(
+        "inspection/privileged.py",
+        "inspection/test_privileged.py",
+        ("sin * turn.cos() - cos * turn.sin()", "sin * turn.cos() + cos * turn.sin()"),
+        ("(height.square() * left)", "(height * left)"),
+        ("vector[1] * theta.cos() - vector[0]", "vector[1] * theta.cos() + vector[0]"),
+    ),
+    *faults(
+        "ppo/network.py",
+        "inspection/test_privileged.py",
+        ("observation[..., : self.network", "observation[..., -self.network"),
+    ),
+    *faults(
         "ppo/lagrangian.py",
         "ppo/test_lagrangian.py",
         ("INTEGRAL_GAIN * excess).clamp(min=0.0)", "INTEGRAL_GAIN * excess)"),

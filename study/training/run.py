@@ -96,7 +96,13 @@ class Run:
 
         generators = self.experiment.generators(own_seeds)
         safety = self.monitor.timed(self.experiment.safety)
-        self.env = self.experiment.env(num_envs, generators, compiled=self.experiment.compiled, safety=safety)
+        self.env = self.experiment.env(
+            num_envs,
+            generators,
+            compiled=self.experiment.compiled,
+            safety=safety,
+            privileged=config.ppo.privileged,
+        )
         for starts in self.env.starts:
             starts.turn = self.shard.learners.turn
         self.policy = self.experiment.policy(generators)
