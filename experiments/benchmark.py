@@ -118,7 +118,7 @@ def filters(config: Config) -> dict[str, Config]:
     A configuration with bounds keeps them.
     """
     at = {f"{period:g}": override(config, {"rta": {"period": period}}, "benchmark") for period in PERIODS}
-    u1 = config if not config.uncertainty.is_nil else load(U1, Config())
+    u1 = config if not config.uncertainty.is_zero else load(U1, Config())
     return at | {"u1": replace(config, uncertainty=u1.uncertainty, plant=u1.plant)}
 
 
@@ -260,7 +260,7 @@ def filter_rate(safety_filter: SafetyFilter, x: Tensor, desired: Tensor, batch: 
 
     Where states may be old the filter is given the controls sent since, all zero: as much to compute as any.
     """
-    sent = desired.new_zeros(safety_filter.known.latency, CONTROL_SIZE, batch)
+    sent = desired.new_zeros(safety_filter.uncertainty.latency, CONTROL_SIZE, batch)
     call = partial(safety_filter.correct, repeated(x, batch), repeated(desired, batch), sent)
     return per_second(call, batch, x.device)
 

@@ -135,7 +135,7 @@ def measure(worlds: Worlds, config: Config, path: Path | None) -> dict[str, Any]
     Raises:
         InputError: the configuration has others, or cannot be flown.
     """
-    if config.plant != PlantParameters() or not config.uncertainty.is_nil:
+    if config.plant != PlantParameters() or not config.uncertainty.is_zero:
         raise InputError("break-points brings its own worlds; leave out [plant] and [uncertainty]")
     # refuses before there is a bar what would refuse every world
     Experiment(replace(config, train=replace(config.train, compile="off")), worlds.episodes)

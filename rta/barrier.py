@@ -24,7 +24,7 @@ from inspection.model.dynamics import attitude_rate, control_matrix, drift, inte
 from inspection.model.parameters import Limits
 from inspection.model.state import CONTROL_SIZE, OMEGA, SIZE, THRUST, TORQUE, P, Q, V
 from rta.bounds.prediction import unsaturated
-from rta.bounds.uncertainty import NOTHING, Uncertainty
+from rta.bounds.uncertainty import NO_UNCERTAINTY, Uncertainty
 from rta.constraints.constraint import ACTUATORS, Constraint, check
 from rta.lie_derivatives import Function, directional, lie_derivative, lie_derivatives
 from rta.parameters import RtaParameters
@@ -77,12 +77,12 @@ class ActuatorGroup:
         constraints: Sequence[Constraint],
         c: Limits,
         r: RtaParameters,
-        known: Uncertainty = NOTHING,
+        uncertainty: Uncertainty = NO_UNCERTAINTY,
         checked: bool = True,
     ) -> None:
-        self.c, self.r, self.known = c, r, known
-        self.doubts = () if checked or known.is_nil else known.doubts(c, r)
-        self.held_by, self.kind, self.hold = held_by, known.rows(r), known.hold(r)
+        self.c, self.r, self.uncertainty = c, r, uncertainty
+        self.doubts = () if checked or uncertainty.is_zero else uncertainty.doubts(c, r)
+        self.held_by, self.kind, self.hold = held_by, uncertainty.rows(r), uncertainty.hold(r)
         self.model = unsaturated(c)  # the rates' own rows hold these: saturated they would have no slope
         self.controls = ACTUATORS[held_by]
         self.limit = c.control_limit[self.controls.start]
@@ -97,7 +97,7 @@ class ActuatorGroup:
 
     def gain(self, value: float) -> float:
         """A gain in 1/s as used."""
-        return self.r.gain(value, self.known.longest_hold)
+        return self.r.gain(value, self.uncertainty.longest_hold)
 
     def values(self, x: Tensor) -> Tensor:
         """Every h, states (16, ...) to (constraints, ...)."""
@@ -270,7 +270,7 @@ class ActuatorGroup:
         """
         if self.held_by == "thrust":
             return control
-        limit = self.c.max_rate - self.known.rate_offset(self.c)
+        limit = self.c.max_rate - self.uncertainty.rate_offset(self.c)
         per_rate = x.new_tensor(self.c.inertia)[:, None] / self.hold
         low, high = per_rate * (-limit - x[OMEGA]), per_rate * (limit - x[OMEGA])
         torque = control[TORQUE].minimum(high.clamp(min=0.0)).maximum(low.clamp(max=0.0))

@@ -30,7 +30,7 @@ from rta.backup.check import Backup
 from rta.backup.commit import Check
 from rta.backup.told import ToldBackup
 from rta.barrier import Rows
-from rta.bounds.uncertainty import NOTHING, Uncertainty
+from rta.bounds.uncertainty import NO_UNCERTAINTY, Uncertainty
 from rta.constraints import vehicle
 from rta.constraints.constraint import Constraint, in_order, joined
 from rta.constraints.thrust import keep_in_zone, thrust_constraints
@@ -60,7 +60,7 @@ class SafetyFilter:
         solver: of the quadratic programs; None: the one that the parameters name, for `auto` PIQP or, where controls
             are held, the batched one.
         extra: constraints of your own.
-        known: what is told about the world's bounds; None: the plant is the model.
+        uncertainty: the bounds of what the model and the measured state may be off by; None: the plant is the model.
 
     Attributes:
         names: of all constraints: Table 3's, then those of your own that thrust holds, then those that torque holds.
@@ -79,26 +79,26 @@ class SafetyFilter:
         parameters: RtaParameters | None = None,
         solver: Solver | None = None,
         extra: Sequence[Constraint] = (),
-        known: Uncertainty | None = None,
+        uncertainty: Uncertainty | None = None,
     ) -> None:
         c, parameters = c or InspectionParameters(), parameters or RtaParameters()
-        known = known or NOTHING
-        vehicle.check(c, None if known.holds(parameters) else parameters.period)
-        known.check(c, parameters)
-        self.c, self.parameters, self.extra, self.known = c, parameters, tuple(extra), known
-        self.holds = known.holds(parameters)
+        uncertainty = uncertainty or NO_UNCERTAINTY
+        vehicle.check(c, None if uncertainty.holds(parameters) else parameters.period)
+        uncertainty.check(c, parameters)
+        self.c, self.parameters, self.extra, self.uncertainty = c, parameters, tuple(extra), uncertainty
+        self.holds = uncertainty.holds(parameters)
         # as fast as PIQP where controls are held, with more rows
         auto = "batched" if self.holds else "piqp"
         self.solver = self._own_solver = solver or make_solver(
             parameters.qp_solver.replace("auto", auto), self.holds
         )
         own = vehicle.scaled(parameters, c)
-        of_paper = (thrust_constraints(c, own, known), torque_constraints(c, own, known))
+        of_paper = (thrust_constraints(c, own, uncertainty), torque_constraints(c, own, uncertainty))
         constraints = (*of_paper[0], *of_paper[1], *extra)
         self.backup: Check | None = (
-            Backup.of(c, parameters.period) if known.is_nil else ToldBackup.of(c, own, known)
+            Backup.of(c, parameters.period) if uncertainty.is_zero else ToldBackup.of(c, own, uncertainty)
         )
-        self.propose = Propose(constraints, c, own, known, self.checked)
+        self.propose = Propose(constraints, c, own, uncertainty, self.checked)
         self.groups = self.propose.groups
         if self.propose.kind == "none" and self.unchecked:
             raise ValueError(
@@ -116,7 +116,7 @@ class SafetyFilter:
         self._is_compiled = False
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return type(self), (self.c, self.parameters, self._given_solver, self.extra, self.known)
+        return type(self), (self.c, self.parameters, self._given_solver, self.extra, self.uncertainty)
 
     @property
     def _given_solver(self) -> Solver | None:
@@ -136,7 +136,11 @@ class SafetyFilter:
     @property
     def unchecked(self) -> list[str]:
         """What is not checked, since no way to rest is known: "motion", "attitude", both or nothing."""
-        return [name for name, known in zip(("motion", "attitude"), self.checked, strict=True) if not known]
+        return [
+            name
+            for name, is_checked in zip(("motion", "attitude"), self.checked, strict=True)
+            if not is_checked
+        ]
 
     @in_full_precision
     def values(self, x: Tensor) -> Tensor:
@@ -165,7 +169,7 @@ class SafetyFilter:
 
     def can_brake(self, x: Tensor) -> Tensor:
         """(B,) bool: in any attitude thrust can keep the zone, see `keep_in_zone`."""
-        zone = keep_in_zone(self.c, self.parameters, self.known)
+        zone = keep_in_zone(self.c, self.parameters, self.uncertainty)
         return (zone.barrier_at(x)(x) >= 0.0).all(0)
 
     @in_full_precision
@@ -259,7 +263,7 @@ class SafetyFilter:
     @cached_property
     def _for_one(self) -> "SafetyFilter":
         """This filter for one spacecraft at a time: compiled, where it can be."""
-        other = SafetyFilter(self.c, self.parameters, self._given_solver, self.extra, self.known)
+        other = SafetyFilter(self.c, self.parameters, self._given_solver, self.extra, self.uncertainty)
         try:
             other.compile("cpu", 1)
         except (NoCompilerError, NotImplementedError) as error:
@@ -286,7 +290,7 @@ class SafetyFilter:
         """
         elsewhere = x.device.type != "cpu" or self.solver is not self._own_solver
         # where a state is younger the first are NaN
-        newest = None if sent is None else sent[max(0, len(sent) - self.known.latency) :]
+        newest = None if sent is None else sent[max(0, len(sent) - self.uncertainty.latency) :]
         if self.compiled is None or elsewhere:
             result = self._correct(x, desired, newest, left)
         else:
@@ -296,7 +300,7 @@ class SafetyFilter:
                 self._correct_again(result, x, desired, newest, left)
         if sent is None:
             return result
-        too_old = (~sent.isnan().any(1)).sum(0) > self.known.latency
+        too_old = (~sent.isnan().any(1)).sum(0) > self.uncertainty.latency
         return replace(
             result,
             verified=result.verified & ~too_old,

@@ -85,12 +85,12 @@ class Propose:
         constraints: Sequence[Constraint],
         c: Limits,
         r: RtaParameters,
-        known: Uncertainty,
+        uncertainty: Uncertainty,
         checked: tuple[bool, bool],
     ) -> None:
-        self.c, self.r, self.known, self.kind = c, r, known, known.rows(r)
+        self.c, self.r, self.uncertainty, self.kind = c, r, uncertainty, uncertainty.rows(r)
         self.groups = tuple(
-            ActuatorGroup(by, constraints, c, r, known, each)
+            ActuatorGroup(by, constraints, c, r, uncertainty, each)
             for by, each in zip(ACTUATORS, checked, strict=True)
         )
         self.rows_of: Sequence[Run] = [partial(self.rows, group) for group in self.groups]
@@ -98,15 +98,15 @@ class Propose:
 
     def parts(self, x: Tensor, u: Tensor) -> list[Part]:
         """Each group's rows and, where a state may be old, `predict`; given a state (16, 1) and a control (6, 1)."""
-        left = (torch.ones_like(u),) if self.known.health else ()
+        left = (torch.ones_like(u),) if self.uncertainty.health else ()
         rows: list[Part] = [(partial(self.rows, group), (x, u, *left)) for group in self.groups]
         ahead: list[Part] = [(self.predict, (x, torch.zeros_like(x[:KINDS]), u))]
-        return (rows if self.kind != "none" else []) + (ahead if self.known.latency else [])
+        return (rows if self.kind != "none" else []) + (ahead if self.uncertainty.latency else [])
 
     def use(self, functions: Sequence[Run]) -> None:
         """Takes the functions of `parts`, compiled, in their place."""
         self.rows_of = functions[:2] if self.kind != "none" else self.rows_of
-        self.ahead = functions[-1] if self.known.latency else self.ahead
+        self.ahead = functions[-1] if self.uncertainty.latency else self.ahead
 
     @staticmethod
     def rows(group: ActuatorGroup, *given: Tensor) -> list[Tensor]:
@@ -115,7 +115,7 @@ class Propose:
 
     def predict(self, x: Tensor, error_bound: Tensor, u: Tensor) -> list[Tensor]:
         """`predicted` by the filter's model, of states (16, B) and (4, B) under controls (6, B)."""
-        return list(predicted(x, error_bound, u, self.c, self.r, self.known))
+        return list(predicted(x, error_bound, u, self.c, self.r, self.uncertainty))
 
     def __call__(
         self, x: Tensor, desired: Tensor, solver: Solver, sent: Tensor | None, left: Tensor | None
@@ -126,7 +126,7 @@ class Propose:
             The states now, as they are predicted (16, B); by how much further than measured they may be off (4, B);
             what is proposed, not verified.
         """
-        left = (torch.ones_like(desired) if left is None else left) if self.known.health else None
+        left = (torch.ones_like(desired) if left is None else left) if self.uncertainty.health else None
         error_bound = torch.zeros_like(x[:KINDS])
         for u in () if sent is None else sent:
             x, error_bound = self.ahead(x, error_bound, u if left is None else left * u)
@@ -177,8 +177,8 @@ class Propose:
                     shortfall(group, rows, found.control if share is None else share * found.control)
                 )
                 found = found._replace(slack=slack, status=with_shortfall(found.status, slack))
-                if self.known.is_coarse and own == THRUST:
-                    found = found._replace(control=self.known.given(found.control, group.limit))
+                if self.uncertainty.is_coarse and own == THRUST:
+                    found = found._replace(control=self.uncertainty.given(found.control, group.limit))
             control = with_own(control, group, found.control)
             both[i] = found
         return control, [both[0], both[1]]
@@ -186,12 +186,12 @@ class Propose:
     def demand(self, x: Tensor, desired: Tensor, left: Tensor | None) -> Demand:
         """What is filtered at states (16, B): what thrusters give, and torque that turns a weak axis away."""
         demand = demanded(desired, self.groups)
-        if not self.known.is_coarse and left is None:
+        if not self.uncertainty.is_coarse and left is None:
             return demand
         control = demand.control.clone()
-        control[THRUST] = self.known.given(control[THRUST], self.c.max_thrust)
+        control[THRUST] = self.uncertainty.given(control[THRUST], self.c.max_thrust)
         if left is not None:
-            control[TORQUE] = slewing(x, control[TORQUE], left, self.c, self.r, self.known)
+            control[TORQUE] = slewing(x, control[TORQUE], left, self.c, self.r, self.uncertainty)
         changed = differ(control, demand.control, self.groups)
         wish = torch.where(changed.repeat_interleave(3, 0), control, demand.wish)
         return Demand(wish, control, torch.where(changed, Status.HARD, demand.status))

@@ -51,7 +51,7 @@ def ignores_keep_clear(config: Config) -> str | None:
     """Why `[train] keep_clear` means nothing in a configuration that asks for it; None: it means something."""
     if config.train.keep_clear and not config.train.rta:
         return "it leads what the filter is asked for, and there is none (--no-rta)"
-    if config.train.keep_clear and not config.uncertainty.is_nil:
+    if config.train.keep_clear and not config.uncertainty.is_zero:
         return "within [uncertainty] no free flight is known"
     return None
 
@@ -89,7 +89,7 @@ class Experiment:
         self.compiled = wants_compile(choice, steps)
         self.task = beside(priced(config), config.chief)
         with refusing("[rta], [inspection] and [uncertainty]", ValueError, OverflowError):
-            self.filter = SafetyFilter(self.task, self.config.rta, known=config.uncertainty)
+            self.filter = SafetyFilter(self.task, self.config.rta, uncertainty=config.uncertainty)
         with refusing("[plant] and [inspection]", ValueError):
             config.plant.check_body(config.inspection)
         if self.filter_compiled:
@@ -156,7 +156,9 @@ class Experiment:
 def filter_of(config: Config) -> SafetyFilter:
     """The filter of a configuration by itself; raises InputError where its parts do not fit together."""
     with refusing("[rta], [inspection] and [uncertainty]", ValueError, OverflowError):
-        return SafetyFilter(beside(config.inspection, config.chief), config.rta, known=config.uncertainty)
+        return SafetyFilter(
+            beside(config.inspection, config.chief), config.rta, uncertainty=config.uncertainty
+        )
 
 
 def paper_task(

@@ -84,7 +84,7 @@ def settings_digest(config: Config) -> str:
     """SHA-256 of `relevant`, less a plant that is the model, bounds that are nil, a sphere, and LATER defaults."""
     nil = {
         "[plant]": config.plant.is_nominal,
-        "[uncertainty]": config.uncertainty.is_nil,
+        "[uncertainty]": config.uncertainty.is_zero,
         "[chief]": config.chief.collision == "sphere",
     }
     default = relevant(Config(), ())

@@ -309,7 +309,7 @@ CONDITIONS = [
     *faults(
         "rta/propose.py",
         "rta/test_propose.py",
-        ("found = found._replace(control=self.known.given(found.control, group.limit))", "pass"),
+        ("found = found._replace(control=self.uncertainty.given(found.control, group.limit))", "pass"),
         ("found = unless_lost(x, Found", "found = (Found"),
     ),
     *faults(
@@ -397,7 +397,7 @@ CHECK = [
     *faults(
         "rta/backup/haven.py",
         "rta/backup/test_haven.py -k some_values",
-        ("acceleration=known.acceleration + rounded", "acceleration=known.acceleration"),
+        ("acceleration=uncertainty.acceleration + rounded", "acceleration=uncertainty.acceleration"),
     ),
     *faults(
         "rta/backup/commit.py",
@@ -465,7 +465,7 @@ CHECK = [
     *faults(
         "rta/backup/haven.py",
         "rta/backup/test_haven.py",
-        ("along / (1 + known.mass), (most + mixed) / (1 - known.mass)", "along, most + mixed"),
+        ("along / (1 + uncertainty.mass), (most + mixed) / (1 - uncertainty.mass)", "along, most + mixed"),
     ),
     *faults(
         "rta/backup/homing.py",

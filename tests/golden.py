@@ -112,7 +112,7 @@ def filtered(count: int, period: float, config: str | None = None) -> Quantities
     """What the compiled filter answers to states, at a period and told of the bounds of a shipped configuration."""
     told = load(config, Config()) if config else Config()
     try:
-        own = SafetyFilter(told.inspection, RtaParameters(period=period), known=told.uncertainty)
+        own = SafetyFilter(told.inspection, RtaParameters(period=period), uncertainty=told.uncertainty)
     except ValueError as error:
         return {"refused": [str(error)]}
     x, desired = states(count, seed=0)

@@ -97,7 +97,7 @@ class Haven:
     """
 
     c: Limits
-    known: Uncertainty
+    uncertainty: Uncertainty
     free: FreeFlight
     period: float
     longest: float
@@ -124,40 +124,40 @@ class Haven:
     nearest: float = 0.0
 
     @classmethod
-    def of(cls, c: Limits, r: RtaParameters, known: Uncertainty) -> "Haven":
+    def of(cls, c: Limits, r: RtaParameters, uncertainty: Uncertainty) -> "Haven":
         """Raises NoHavenError where the bounds leave none.
 
         What thrusters round off the law's thrust is an acceleration that is not known.
         """
-        aslant = 1.0 + math.sqrt(2.0) * math.sin(math.radians(known.thrust_misalignment))
-        rounded = math.sqrt(3.0) * (1 + known.thrust_gain) * aslant * known.rounding(c.max_thrust)
-        rounded /= (1 - known.mass) * c.mass
-        known = replace(known, acceleration=known.acceleration + rounded)
-        holds = math.ceil(known.hold(r) / r.period - 1e-9)
-        longest, old = holds * r.period, known.latency * r.period
+        aslant = 1.0 + math.sqrt(2.0) * math.sin(math.radians(uncertainty.thrust_misalignment))
+        rounded = math.sqrt(3.0) * (1 + uncertainty.thrust_gain) * aslant * uncertainty.rounding(c.max_thrust)
+        rounded /= (1 - uncertainty.mass) * c.mass
+        uncertainty = replace(uncertainty, acceleration=uncertainty.acceleration + rounded)
+        holds = math.ceil(uncertainty.hold(r) / r.period - 1e-9)
+        longest, old = holds * r.period, uncertainty.latency * r.period
         aim = (longest + r.period) / 4
-        turning = math.sqrt(3.0) * c.max_rate + known.unknown_turning(c)  # relative to Hill's frame
-        position, velocity, attitude, rate = known.radii
+        turning = math.sqrt(3.0) * c.max_rate + uncertainty.unknown_turning(c)  # relative to Hill's frame
+        position, velocity, attitude, rate = uncertainty.radii
         # rad, by which the mean attitude of a hold is another than the one predicted for its aim
         quickening = math.sqrt(3.0) * c.max_torque / min(c.inertia)
-        other = known.torque_error * quickening + known.angular_acceleration(c)
+        other = uncertainty.torque_error * quickening + uncertainty.angular_acceleration(c)
         ahead = old + aim
         angle = attitude + rate * ahead + min(other * ahead**2 / 2, 2 * turning * ahead)
-        faster = known.torque[1] * quickening + known.angular_acceleration(c)
+        faster = uncertainty.torque[1] * quickening + uncertainty.angular_acceleration(c)
         faster += math.hypot(*euler((c.max_rate,) * 3, c.inertia))
         hold = [r.period * (i + 1) for i in range(holds)]
         # thrust that sweeps about its mean direction gives less along it
         sweeps = angle + turning * max(math.sqrt(((t - aim) ** 3 + aim**3) / (3 * t)) for t in hold)
         angle += max(astray(t, aim, turning, faster) for t in hold)
         # of thrust in the body: the gains of the axes, and each axis aslant
-        tilt = math.radians(known.thrust_misalignment)
-        least, most = (1 - known.thrust_gain) * math.cos(tilt), 1 + known.thrust_gain
+        tilt = math.radians(uncertainty.thrust_misalignment)
+        least, most = (1 - uncertainty.thrust_gain) * math.cos(tilt), 1 + uncertainty.thrust_gain
         aslant, uneven = math.sqrt(2.0) * math.sin(tilt) * most, (most - least) / 2
         mixed = aslant + angle * (uneven + aslant)
         along = least - mixed - max(angle, sweeps) ** 2 / 2 * most
         if along <= 0.0:
             raise NoHavenError("thrust may act in any direction")
-        low, high = along / (1 + known.mass), (most + mixed) / (1 - known.mass)
+        low, high = along / (1 + uncertainty.mass), (most + mixed) / (1 - uncertainty.mass)
         across = (uneven + aslant + angle * (most + aslant)) / along
         slow = high * longest / SHARE
         fastest = min(c.docking_speed + c.speed_slope * c.max_distance, math.sqrt(3.0) * c.max_speed)
@@ -167,7 +167,7 @@ class Haven:
             raise NoHavenError("the state is too old")
         place = position + velocity * old + math.sqrt(3.0) * c.max_thrust / c.mass * old**2
         w = cls(
-            c, known, FreeFlight.of(c, *CELLS), r.period, longest, old, aim,
+            c, uncertainty, FreeFlight.of(c, *CELLS), r.period, longest, old, aim,
             full=c.max_thrust / c.mass - c.largest_drift(c.max_distance + place, fastest + velocity),
             slow=slow, low=low, high=high, across=across, turning=turning, place=place, seen=velocity,
             lag=old / slow / (1 - before), rounded=rounded,
@@ -266,7 +266,7 @@ class Haven:
         drift = torch.maximum(self.speed(nearest).abs(), self.speed(farthest).abs())
         # what thrust that meets f, and the unknown, did otherwise since the measurement, counts beside the share `late`
         since = self.old * (
-            self.amiss * (3 * n**2 * (farthest + self.place) + 2 * n * drift) + self.known.acceleration
+            self.amiss * (3 * n**2 * (farthest + self.place) + 2 * n * drift) + self.uncertainty.acceleration
         )
         seen = self.seen + steep * self.place + since
         # m/s^2 that are there at any speed: f that is not what thrust was meant to cancel, what is unknown, and the
@@ -275,7 +275,7 @@ class Haven:
             self.amiss * (3 * n**2 * farthest + 2 * n * drift)
             + 3 * n**2 * (self.place + drift * self.longest)
             + 2 * n * (1.0 + self.amiss) * seen / sees
-            + self.known.acceleration
+            + self.uncertainty.acceleration
             + (STEEP + self.rising) * drift
         ) * (1.0 + n * self.longest)
         # s, that a hold is per share that it takes away at most

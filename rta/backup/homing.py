@@ -53,7 +53,7 @@ def may_be_kept(x: Tensor, error_bound: Tensor, w: Haven) -> Tensor:
     States (16, B) may be off by what was measured and (4, B). From a state in which a limit is broken no way begins.
     """
     c = w.c
-    position, velocity, _, _ = w.known.radii
+    position, velocity, _, _ = w.uncertainty.radii
     e_p, e_v = position + error_bound[0], velocity + error_bound[1]
     distance, speed = norm(x[P]), norm(x[V])
     return lowest(
@@ -95,7 +95,8 @@ def held(x: Tensor, u: Tensor, error_bound: Tensor, w: Haven, r: RtaParameters) 
         x, error_bound, least = look(x, u, error_bound, w, r)
         parts.append(least)
         grown.append(error_bound[1])
-        before = call + 1 - w.known.latency  # what happened until then is measured by the law's first call
+        # the law's first call measures what happened until then
+        before = call + 1 - w.uncertainty.latency
         found.x.append(x)
         found.error_bound.append(error_bound)
         found.late.append(error_bound[1] - grown[before] if before >= 0 else error_bound[1])
@@ -128,7 +129,7 @@ def calls(w: Haven) -> int:
 
 def home(x: Tensor, error_bound: Tensor, late: Tensor, w: Haven) -> Tensor:
     """`way` from states (16, B) that may be off by (4, B) more than measured, see `held`."""
-    position, velocity, _, _ = w.known.radii
+    position, velocity, _, _ = w.uncertainty.radii
     return way(x[P], x[V], position + error_bound[0], velocity + error_bound[1], late, w)
 
 
@@ -137,8 +138,8 @@ def look(
 ) -> tuple[Tensor, Tensor, Tensor]:
     """A period of a hold: the states and error bounds after it, and a lower bound of the limits in it, as `held`."""
     c, n, none = w.c, w.c.mean_motion, torch.zeros_like(x[0])
-    position, velocity, _, _ = w.known.radii
-    end, bound = predicted(x, error_bound, u, c, r, w.known)
+    position, velocity, _, _ = w.uncertainty.radii
+    end, bound = predicted(x, error_bound, u, c, r, w.uncertainty)
     # natural acceleration is another at another state
     drift = (3 * n**2 * (position + bound[0]) + 2 * n * (velocity + bound[1])) * w.period
     bound = torch.stack((bound[0] + drift * w.period, bound[1] + drift, bound[2], bound[3]))

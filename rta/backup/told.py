@@ -36,11 +36,11 @@ class ToldBackup(Check):
         self.knows = haven is not None, turning is not None
 
     @classmethod
-    def of(cls, c: Limits, r: RtaParameters, known: Uncertainty) -> "ToldBackup | None":
+    def of(cls, c: Limits, r: RtaParameters, uncertainty: Uncertainty) -> "ToldBackup | None":
         """None: no way is known within the bounds or with this vehicle, or actuators may fail."""
-        if known.is_nil or known.health:
+        if uncertainty.is_zero or uncertainty.health:
             return None
-        check = cls(haven_of(c, r, known), turning_of(c, r, known), r)
+        check = cls(haven_of(c, r, uncertainty), turning_of(c, r, uncertainty), r)
         return check if any(check.knows) else None
 
     def has_way(self, x: Tensor) -> Tensor:
@@ -86,26 +86,26 @@ class ToldBackup(Check):
         return found
 
     def given(self, u: Tensor) -> Tensor:
-        if not (self.haven and self.haven.known.is_coarse):
+        if not (self.haven and self.haven.uncertainty.is_coarse):
             return u
-        return torch.cat((self.haven.known.given(u[THRUST], self.haven.c.max_thrust), u[TORQUE]))
+        return torch.cat((self.haven.uncertainty.given(u[THRUST], self.haven.c.max_thrust), u[TORQUE]))
 
 
-def haven_of(c: Limits, r: RtaParameters, known: Uncertainty) -> Haven | None:
+def haven_of(c: Limits, r: RtaParameters, uncertainty: Uncertainty) -> Haven | None:
     """None: the bounds leave no haven, or none is known: on an ellipse and beside a hull."""
     if c.orbit != "clohessy-wiltshire" or c.hill_rotation or c.planes:
         return None
     try:
-        return Haven.of(c, r, known)
+        return Haven.of(c, r, uncertainty)
     except NoHavenError:
         return None
 
 
-def turning_of(c: Limits, r: RtaParameters, known: Uncertainty) -> Turning | None:
+def turning_of(c: Limits, r: RtaParameters, uncertainty: Uncertainty) -> Turning | None:
     """None: no way to rest is known within the bounds, or with this vehicle."""
     if not (c.is_circular and not c.hill_rotation and has_rest(c)):
         return None
     try:
-        return Turning.of(c, r, known)
+        return Turning.of(c, r, uncertainty)
     except NoRestError:
         return None

@@ -97,11 +97,11 @@ class Turning:
     warmest: float = 0.0
 
     @classmethod
-    def of(cls, c: Limits, r: RtaParameters, known: Uncertainty) -> "Turning":
+    def of(cls, c: Limits, r: RtaParameters, uncertainty: Uncertainty) -> "Turning":
         """Raises NoRestError where no attitude of rest is known within the bounds."""
-        period, lag = r.period, known.latency * r.period
-        holds = math.ceil(known.hold(r) / period - 1e-9)
-        least, most = known.torque
+        period, lag = r.period, uncertainty.latency * r.period
+        holds = math.ceil(uncertainty.hold(r) / period - 1e-9)
+        least, most = uncertainty.torque
         n = c.fastest_orbit_rate
         strongest = c.max_torque / max(c.inertia) - max(
             abs(each) for each in euler((c.max_rate,) * 3, c.inertia)
@@ -112,8 +112,8 @@ class Turning:
         slowest = least / tau
         w = cls(
             c, Flight.of(replace(c, saturate_rates=False), period, 0.0), period, lag, holds, tau, slowest,
-            most / tau, known.torque_error, POINTING * slowest, ROLLING * slowest, spins(c, known, most),
-            math.radians(known.attitude), math.radians(known.rate), n, known.unknown_turning(c),
+            most / tau, uncertainty.torque_error, POINTING * slowest, ROLLING * slowest, spins(c, uncertainty, most),
+            math.radians(uncertainty.attitude), math.radians(uncertainty.rate), n, uncertainty.unknown_turning(c),
             1.0 / math.tan(SATURATED),
         )  # fmt: skip
         at_first = c.max_torque / min(c.inertia)
@@ -274,14 +274,14 @@ def heating(c: Limits) -> tuple[float, float, float]:
     return sun, earth, dark
 
 
-def spins(c: Limits, known: Uncertainty, most: float) -> tuple[float, float]:
+def spins(c: Limits, uncertainty: Uncertainty, most: float) -> tuple[float, float]:
     """Gyroscopic accelerations at most, about the first body axis and across it, with what the law takes for them."""
 
     def worst(i: int) -> float:
         j, k = (i + 1) % 3, (i + 2) % 3
         moments = c.inertia
         nominal = abs(moments[j] - moments[k]) / moments[i]
-        corners = product((1 - known.inertia, 1 + known.inertia), repeat=3)
+        corners = product((1 - uncertainty.inertia, 1 + uncertainty.inertia), repeat=3)
         true = max(abs(f[j] * moments[j] - f[k] * moments[k]) / (f[i] * moments[i]) for f in corners)
         return true + most * nominal
 

@@ -24,7 +24,7 @@ NEAR = math.sin(STEP)  # of the radius, along axes that give nothing, which is l
 
 
 def slewing(
-    x: Tensor, torque: Tensor, left: Tensor, c: Limits, r: RtaParameters, known: Uncertainty
+    x: Tensor, torque: Tensor, left: Tensor, c: Limits, r: RtaParameters, uncertainty: Uncertainty
 ) -> Tensor:
     """The torque (3, B) in N m to be filtered in the place of that which is asked for.
 
@@ -39,15 +39,15 @@ def slewing(
         x: states (16, B); torque: (3, B) as asked for, in N m.
         left: (6, B) the share that each actuator gives.
     """
-    limit, hold = c.max_rate - known.rate_offset(c), known.hold(r)
+    limit, hold = c.max_rate - uncertainty.rate_offset(c), uncertainty.hold(r)
     inertia = x.new_tensor(c.inertia)[:, None]
-    torques = known.torque[0] * left[TORQUE].amin(0) * c.max_torque
+    torques = uncertainty.torque[0] * left[TORQUE].amin(0) * c.max_torque
     t = math.pi / 2 / limit + max(c.inertia) * limit / torques + hold
     natural = c.max_thrust / c.mass - c.max_acceleration
     distance = norm(x[P])
     radial = (x[P] * x[V]).sum(0) / distance
     later = radial + natural * t
-    reached = distance + radial * t + natural * t**2 / 2 + later**2 / (2 * known.max_acceleration(c, r))
+    reached = distance + radial * t + natural * t**2 / 2 + later**2 / (2 * uncertainty.max_acceleration(c, r))
 
     outwards = rotate(conjugate(x[Q]), x[P]) / distance  # in the body's frame
     weakness = (

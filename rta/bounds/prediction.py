@@ -22,7 +22,7 @@ def unsaturated(c: Limits) -> Limits:
 
 
 def predicted(
-    x: Tensor, error_bound: Tensor, u: Tensor, c: Limits, r: RtaParameters, known: Uncertainty
+    x: Tensor, error_bound: Tensor, u: Tensor, c: Limits, r: RtaParameters, uncertainty: Uncertainty
 ) -> tuple[Tensor, Tensor]:
     """The states a period after others, and how much further they may be off than when they were measured.
 
@@ -37,16 +37,16 @@ def predicted(
         States (16, B) and (4, B).
     """
     model, t = unsaturated(c), r.period
-    aside = math.sin(math.radians(known.thrust_misalignment))
-    _, velocity, attitude, rate = known.radii
-    error, most, twist = known.thrust_error, known.thrust[1], known.torque_error
+    aside = math.sin(math.radians(uncertainty.thrust_misalignment))
+    _, velocity, attitude, rate = uncertainty.radii
+    error, most, twist = uncertainty.thrust_error, uncertainty.thrust[1], uncertainty.torque_error
     old = ~u.isnan().any(0)
     u = u.nan_to_num()
     p, v, q, omega = error_bound
-    twisted = twist * norm(u[TORQUE]) / min(c.inertia) + known.angular_acceleration(c)
+    twisted = twist * norm(u[TORQUE]) / min(c.inertia) + uncertainty.angular_acceleration(c)
     angle = attitude + q + (rate + omega) * t / 2 + twisted * t**2 / 6
     off = (error + most * angle) * norm(u[THRUST]) + most * aside * u[THRUST].abs().sum(0)
-    push = off / c.mass + known.acceleration
+    push = off / c.mass + uncertainty.acceleration
     grown = torch.stack(
         (
             p + (velocity + v) * t + push * t**2 / 2,

@@ -73,8 +73,8 @@ class Uncertainty(Settings):
             raise ValueError("minimum_thrust and thrust_quantum: give the one or the other")
 
     @property
-    def is_nil(self) -> bool:
-        """Whether the filter is told of nothing."""
+    def is_zero(self) -> bool:
+        """Whether every bound is zero: the plant is the model."""
         return self == Uncertainty()
 
     @property
@@ -135,7 +135,7 @@ class Uncertainty(Settings):
 
     def holds(self, r: RtaParameters) -> bool:
         """Whether the filter counts on a control being held: for longer than SHORT, or in a world unlike the model."""
-        return self.hold(r) > SHORT or not self.is_nil
+        return self.hold(r) > SHORT or not self.is_zero
 
     def rows(self, r: RtaParameters) -> str:
         """Which rows the filter has, "paper", "sampled" or "none"; see `rta.barrier`."""
@@ -240,4 +240,4 @@ class Uncertainty(Settings):
         return where(thrust.abs() < self.minimum_thrust, 0.0, thrust)
 
 
-NOTHING = Uncertainty()
+NO_UNCERTAINTY = Uncertainty()

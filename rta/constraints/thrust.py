@@ -15,7 +15,7 @@ from inspection.chief.hull import planes_of
 from inspection.model.attitude import dot, norm
 from inspection.model.parameters import Limits
 from inspection.model.state import P, V
-from rta.bounds.uncertainty import NOTHING, Uncertainty
+from rta.bounds.uncertainty import NO_UNCERTAINTY, Uncertainty
 from rta.constraints.constraint import Constraint
 from rta.constraints.passes import clearance_at, closest_passes
 from rta.lie_derivatives import Function
@@ -33,14 +33,16 @@ SEGMENTS = 5  # of the free flight where its infimum is reported
 Entry = partial(Constraint, held_by="thrust", coupled=False)  # which no other actuator changes
 
 
-def thrust_constraints(c: Limits, r: RtaParameters, known: Uncertainty = NOTHING) -> tuple[Constraint, ...]:
+def thrust_constraints(
+    c: Limits, r: RtaParameters, uncertainty: Uncertainty = NO_UNCERTAINTY
+) -> tuple[Constraint, ...]:
     """All seven in the order of Table 3."""
     return (
-        collision(c, r, known),
+        collision(c, r, uncertainty),
         dynamic_speed(c, r),
-        keep_in_zone(c, r, known),
-        passive_safety(c, r, known),
-        *(velocity(i, c, r, known) for i in range(3)),
+        keep_in_zone(c, r, uncertainty),
+        passive_safety(c, r, uncertainty),
+        *(velocity(i, c, r, uncertainty) for i in range(3)),
     )
 
 
@@ -55,12 +57,12 @@ def root_above(z: Tensor, floor: float) -> Tensor:
     return torch.where(z < floor, (z + floor) / (2 * math.sqrt(floor)), z.clamp(min=floor).sqrt())
 
 
-def chord(c: Limits, r: RtaParameters, known: Uncertainty = NOTHING) -> float:
+def chord(c: Limits, r: RtaParameters, uncertainty: Uncertainty = NO_UNCERTAINTY) -> float:
     """The floor in m of the enforced `signed_sqrt`.
 
     The slope of sqrt(2 a z) is then at most sqrt(2 a / floor) = 1 / T, else it could overshoot while a control is held.
     """
-    return max(r.distance_floor, 2 * known.max_acceleration(c, r) * known.hold(r) ** 2)
+    return max(r.distance_floor, 2 * uncertainty.max_acceleration(c, r) * uncertainty.hold(r) ** 2)
 
 
 def radial_speed(x: Tensor) -> Tensor:
@@ -89,7 +91,7 @@ def bend(c: Limits, r: RtaParameters) -> float:
     return acceleration**2 * r.period
 
 
-def collision(c: Limits, r: RtaParameters, known: Uncertainty = NOTHING) -> Constraint:
+def collision(c: Limits, r: RtaParameters, uncertainty: Uncertainty = NO_UNCERTAINTY) -> Constraint:
     """Safe separation: sqrt(2 a_max (|p| - r_d - r_c)) + v_pr, in m/s, the speed from which braking still suffices.
 
     The barrier has the a_max of the worst case. Beside a hull it is the largest over planes n . p = b that touch it, of
@@ -115,7 +117,7 @@ def collision(c: Limits, r: RtaParameters, known: Uncertainty = NOTHING) -> Cons
         best = beside_planes(x, floor, least).argmax(0, keepdim=True)
         return lambda y: beside_planes(y, floor, least, best)
 
-    floor, least = chord(c, r, known), known.max_acceleration(c, r)
+    floor, least = chord(c, r, uncertainty), uncertainty.max_acceleration(c, r)
     return Entry(
         "collision",
         h,
@@ -154,7 +156,7 @@ def dynamic_speed(c: Limits, r: RtaParameters) -> Constraint:
     )
 
 
-def keep_in_zone(c: Limits, r: RtaParameters, known: Uncertainty = NOTHING) -> Constraint:
+def keep_in_zone(c: Limits, r: RtaParameters, uncertainty: Uncertainty = NO_UNCERTAINTY) -> Constraint:
     """sqrt(2 a_max (r_max - |p|)) - v_pr, in m/s."""
 
     def h(x: Tensor) -> Tensor:
@@ -183,19 +185,19 @@ def keep_in_zone(c: Limits, r: RtaParameters, known: Uncertainty = NOTHING) -> C
     # v_t^2 / |p| grows with thrust along v
     fastest = c.docking_speed + c.speed_slope * c.max_distance
     swing = fastest * thrust_acceleration(c) / c.max_distance * r.period
-    floor, least = chord(c, r, known), known.max_acceleration(c, r)
+    floor, least = chord(c, r, uncertainty), uncertainty.max_acceleration(c, r)
     return Entry(
         "keep_in_zone",
         h,
         gains=(r.keep_in_gain,),
-        margin=r.keep_in_margin + (WEAK if known.health else 0.0),
+        margin=r.keep_in_margin + (WEAK if uncertainty.health else 0.0),
         weight=r.slack_weight_critical,
         barrier=lambda x: lambda y: curve(y)[None],
         loss=turn(c, r) + swing,
     )
 
 
-def passive_safety(c: Limits, r: RtaParameters, known: Uncertainty = NOTHING) -> Constraint:
+def passive_safety(c: Limits, r: RtaParameters, uncertainty: Uncertainty = NO_UNCERTAINTY) -> Constraint:
     """inf |p(t)| - r_d - r_c in m over the free flight of the next T_f; a row per time segment of it.
 
     Beside a hull it is the height above the planes around it, see `passes_of_hull`. A control of a second turns a slow
@@ -218,8 +220,8 @@ def passive_safety(c: Limits, r: RtaParameters, known: Uncertainty = NOTHING) ->
     segments = r.passive_safety_segments
     if c.planes:
         segments = (0.0, *(segments[1] / k for k in (8, 4, 2)), *segments[1:])
-    if known.holds(r):  # whose end has a horizon of its own
-        segments = (*segments[:-1], segments[-1] + known.hold(r))
+    if uncertainty.holds(r):  # whose end has a horizon of its own
+        segments = (*segments[:-1], segments[-1] + uncertainty.hold(r))
 
     def barrier(x: Tensor, after: float) -> Function:
         passes = closest_passes(x, tuple(max(edge - after, 0.0) for edge in segments), c)
@@ -234,12 +236,12 @@ def passive_safety(c: Limits, r: RtaParameters, known: Uncertainty = NOTHING) ->
         barrier=barrier,
         looks_ahead=True,
         rows=len(segments) - 1,
-        exact=not known.holds(r),
+        exact=not uncertainty.holds(r),
         doubling=r.passive_safety_doubling,
     )
 
 
-def velocity(axis: int, c: Limits, r: RtaParameters, known: Uncertainty = NOTHING) -> Constraint:
+def velocity(axis: int, c: Limits, r: RtaParameters, uncertainty: Uncertainty = NO_UNCERTAINTY) -> Constraint:
     """v_max^2 - v_i^2 for a Hill axis, in m^2/s^2.
 
     Where a control is held, the margin is what a thruster can take off it in a hold, 2 v_max a T: a call in which the
@@ -249,7 +251,7 @@ def velocity(axis: int, c: Limits, r: RtaParameters, known: Uncertainty = NOTHIN
     def h(x: Tensor) -> Tensor:
         return c.max_speed**2 - x[V.start + axis] ** 2
 
-    kept = 2 * c.max_speed * c.max_thrust / c.mass * known.hold(r) if known.holds(r) else 0.0
+    kept = 2 * c.max_speed * c.max_thrust / c.mass * uncertainty.hold(r) if uncertainty.holds(r) else 0.0
     return Entry(
         f"velocity_{'xyz'[axis]}",
         h,

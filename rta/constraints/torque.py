@@ -17,7 +17,7 @@ from inspection.model.attitude import norm
 from inspection.model.dynamics import cosine_to, energy_rate, sun_and_earth_in_body, temperature_rate
 from inspection.model.parameters import AXES, Limits
 from inspection.model.state import OMEGA, E, T
-from rta.bounds.uncertainty import NOTHING, Uncertainty
+from rta.bounds.uncertainty import NO_UNCERTAINTY, Uncertainty
 from rta.constraints.constraint import Constraint
 from rta.lie_derivatives import Function
 from rta.parameters import RtaParameters
@@ -27,13 +27,15 @@ ON_POLE = 1e-9  # rad, from a pole where no side is nearer
 Entry = partial(Constraint, held_by="torque", coupled=False)  # which no other actuator changes
 
 
-def torque_constraints(c: Limits, r: RtaParameters, known: Uncertainty = NOTHING) -> tuple[Constraint, ...]:
+def torque_constraints(
+    c: Limits, r: RtaParameters, uncertainty: Uncertainty = NO_UNCERTAINTY
+) -> tuple[Constraint, ...]:
     """All six in the order of Table 3."""
     return (
         attitude_exclusion(c, r),
         temperature(c, r),
         battery(c, r),
-        *(angular_velocity(i, c, r, known) for i in range(3)),
+        *(angular_velocity(i, c, r, uncertainty) for i in range(3)),
     )
 
 
@@ -175,7 +177,9 @@ def battery(c: Limits, r: RtaParameters) -> Constraint:
     )
 
 
-def angular_velocity(axis: int, c: Limits, r: RtaParameters, known: Uncertainty = NOTHING) -> Constraint:
+def angular_velocity(
+    axis: int, c: Limits, r: RtaParameters, uncertainty: Uncertainty = NO_UNCERTAINTY
+) -> Constraint:
     """omega_max^2 - omega_i^2 for a body axis, in rad^2/s^2.
 
     Where a control is held for longer than a body needs to stop, or the plant does not saturate, the filter holds the
@@ -191,9 +195,9 @@ def angular_velocity(axis: int, c: Limits, r: RtaParameters, known: Uncertainty 
         rate = x[OMEGA.start + axis]
         return torch.stack((limit - rate, limit + rate))
 
-    unknown = math.radians(known.rate) + known.angular_acceleration(c) * known.hold(r)
-    limit = c.max_rate - known.rate_offset(c) - unknown
-    if known.holds(r):
+    unknown = math.radians(uncertainty.rate) + uncertainty.angular_acceleration(c) * uncertainty.hold(r)
+    limit = c.max_rate - uncertainty.rate_offset(c) - unknown
+    if uncertainty.holds(r):
         return Entry(
             f"angular_velocity_{'xyz'[axis]}",
             h,

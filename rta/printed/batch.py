@@ -43,8 +43,8 @@ class Columns:
     """
 
     def __init__(self, found: ctypes.CDLL, safety_filter: "SafetyFilter", seconds: float) -> None:
-        self.constraints, self.told = len(safety_filter.names), not safety_filter.known.is_nil
-        self.latency, self.seconds = safety_filter.known.latency, seconds
+        self.constraints, self.told = len(safety_filter.names), not safety_filter.uncertainty.is_zero
+        self.latency, self.seconds = safety_filter.uncertainty.latency, seconds
         self.run = over_columns(found, "filter_batch")
         self.run.restype = ctypes.c_long
 
@@ -99,10 +99,10 @@ class BatchFilter(Columns):
         self.statements = sum(part.statements for part in parts)
         many = [
             for_vectors("double"),
-            define("LATENCY", f.known.latency),
+            define("LATENCY", f.uncertainty.latency),
             *(part.text for part in parts),
             *checked(f, ways),
-            define("HEALTH", int(f.known.health)),
+            define("HEALTH", int(f.uncertainty.health)),
             driver_text("batch/batch.c"),
         ]
         one = [source(f, [*own, *ways]), by_column(f)]
@@ -142,7 +142,7 @@ def checked(safety_filter: "SafetyFilter", ways: Sequence[Printed]) -> list[str]
     f = safety_filter
     texts = [
         define("CONSTRAINTS", len(f.names)),
-        define("COARSE", int(f.known.is_coarse)),
+        define("COARSE", int(f.uncertainty.is_coarse)),
         *(define(name, *said) for name, said in constants(f.backup).items()),
     ]
     files = ["batch/batch.h", "batch/columns.c"]
@@ -163,7 +163,7 @@ def recorded(safety_filter: "SafetyFilter") -> tuple[list[Printed], list[Printed
 
 def by_column(safety_filter: "SafetyFilter") -> str:
     """The C function that has a batch's column filtered by the exported filter, whose header stands before."""
-    told = define("TOLD", int(not safety_filter.known.is_nil))
+    told = define("TOLD", int(not safety_filter.uncertainty.is_zero))
     return "\n".join([told, driver_text("batch/batch.h"), driver_text("batch/one.c")])
 
 

@@ -120,8 +120,8 @@ def sources(
         return prefixed(text, NAME, prefix)
 
     source = change(implementation(safety_filter))
-    known = configuration or fingerprint(safety_filter)
-    head = change(header(safety_filter, verified, known, digest(source)))
+    settings = configuration or fingerprint(safety_filter)
+    head = change(header(safety_filter, verified, settings, digest(source)))
     sums = [f"{digest(text)}  {change(name)}" for name, text in zip(NAMES, (head, source), strict=False)]
     texts: dict[str, Callable[[], str]] = {
         "safety_filter.h": lambda: head,
@@ -149,7 +149,7 @@ def fingerprint(safety_filter: "SafetyFilter") -> str:
     """SHA-256 of what a filter is made of; of constraints of one's own the names, gains and weights."""
     f = safety_filter
     own = [(e.name, e.held_by, e.gains, e.margin, e.weight, e.rows) for e in f.extra]
-    parts = [*(dataclasses.asdict(part) for part in (f.c, f.parameters, f.known)), own]
+    parts = [*(dataclasses.asdict(part) for part in (f.c, f.parameters, f.uncertainty)), own]
     return digest(json.dumps(parts, sort_keys=True, default=repr))
 
 
@@ -205,7 +205,7 @@ def header(safety_filter: "SafetyFilter", verified: str, configuration: str, sou
 
 def about(safety_filter: "SafetyFilter") -> str:
     """What a reader of the header is told of its numbers."""
-    saturates = safety_filter.c.saturate_rates and safety_filter.known.saturates_rates
+    saturates = safety_filter.c.saturate_rates and safety_filter.uncertainty.saturates_rates
     relies = (
         " It counts on a spacecraft that itself keeps every body rate within "
         f"{safety_filter.c.max_rate:.6g} rad/s, as the model of the campaigns does: where yours does not, set "
@@ -230,8 +230,8 @@ def folded(text: str) -> list[str]:
 def enumeration(kind: str, prefix: str, members: Sequence[tuple[str, str]]) -> str:
     """An enumeration whose members have comments; ValueError where two have one name in C."""
     members = [(prefix + re.sub(r"\W", "_", name, flags=re.ASCII), text) for name, text in members]
-    known = [name.upper() for name, _ in members]
-    if twice := [name for name in known if known.count(name) > 1]:
+    names = [name.upper() for name, _ in members]
+    if twice := [name for name in names if names.count(name) > 1]:
         raise ValueError(f"two constraints would be {twice[0]} in C: give one of them another name")
     lines = [
         f"    SAFETY_FILTER_{name.upper()} = {i}, /* {text} */" for i, (name, text) in enumerate(members)

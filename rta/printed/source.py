@@ -64,16 +64,16 @@ def driver_files(safety_filter: "SafetyFilter") -> list[str]:
 
 def check_files(safety_filter: "SafetyFilter") -> list[str]:
     """The files of the driver that check one spacecraft, and vectors of them."""
-    return ["commit.c", "flight.c" if safety_filter.known.is_nil else "told.c"]
+    return ["commit.c", "flight.c" if safety_filter.uncertainty.is_zero else "told.c"]
 
 
 def functions(safety_filter: "SafetyFilter") -> list[Printed]:
     """The functions that the driver declares, printed."""
     f, (x, u) = safety_filter, safety_filter.probe("cpu")
-    known, given = f.known, ("x", "control", *(["left"] if f.known.health else []))
+    uncertainty, given = f.uncertainty, ("x", "control", *(["left"] if f.uncertainty.health else []))
     names: list[tuple[str, tuple[str, ...], tuple[str, ...]]]
     names = [(f"{name}_rows", given, Prepared._fields) for name in GROUPS if f.propose.kind != "none"]
-    if known.latency:
+    if uncertainty.latency:
         names.append(("predict", ("x", "error_bound", "u"), ("x_after", "error_bound_after")))
     long = if_long(len(f.c.planes))  # of a hull
     found = [
@@ -82,10 +82,10 @@ def functions(safety_filter: "SafetyFilter") -> list[Printed]:
     ]
     if f.propose.kind == "none":
         found.append(printed(partial(values, f), x, name="values", names=(("x",), ("h",)), long=long))
-    if known.is_coarse:
+    if uncertainty.is_coarse:
         run = partial(given_thrust, f)
         found.append(printed(run, u[THRUST], name="given_thrust", names=(("thrust",), ("given",))))
-    if known.health:
+    if uncertainty.health:
         names_of_turn = ("x", "torque", "left"), ("given",)
         examples = x, u[TORQUE], torch.ones_like(u)
         found.append(
@@ -101,13 +101,13 @@ def values(safety_filter: "SafetyFilter", x: Tensor) -> list[Tensor]:
 
 def given_thrust(safety_filter: "SafetyFilter", thrust: Tensor) -> list[Tensor]:
     """`Uncertainty.given`."""
-    return [safety_filter.known.given(thrust, safety_filter.c.max_thrust)]
+    return [safety_filter.uncertainty.given(thrust, safety_filter.c.max_thrust)]
 
 
 def turn_in_time(safety_filter: "SafetyFilter", x: Tensor, torque: Tensor, left: Tensor) -> list[Tensor]:
     """`slewing`."""
     f = safety_filter
-    return [slewing(x, torque, left, f.c, f.parameters, f.known)]
+    return [slewing(x, torque, left, f.c, f.parameters, f.uncertainty)]
 
 
 def for_one(parts: Sequence[Printed]) -> str:
@@ -142,16 +142,16 @@ def is_needed(line: str, text: str) -> bool:
 
 def interface(safety_filter: "SafetyFilter") -> str:
     """The constants of a filter that who calls it needs, in C."""
-    known = safety_filter.known
+    uncertainty = safety_filter.uncertainty
     return "\n".join(
         [
             define("SAFETY_FILTER_PERIOD", float(safety_filter.period), "s, between two calls"),
             define("SAFETY_FILTER_THRUST", float(safety_filter.groups[0].limit), "N, of each axis at most"),
             define("SAFETY_FILTER_TORQUE", float(safety_filter.groups[1].limit), "N m, of each axis at most"),
             define("SAFETY_FILTER_CONSTRAINTS", len(safety_filter.names)),
-            define("SAFETY_FILTER_LATENCY", known.latency, "periods, age of a state at most"),
-            define("SAFETY_FILTER_SENT_ROOM", max(1, known.latency)),
-            define("SAFETY_FILTER_HEALTH", int(known.health), "1: what is left of actuators is told"),
+            define("SAFETY_FILTER_LATENCY", uncertainty.latency, "periods, age of a state at most"),
+            define("SAFETY_FILTER_SENT_ROOM", max(1, uncertainty.latency)),
+            define("SAFETY_FILTER_HEALTH", int(uncertainty.health), "1: what is left of actuators is told"),
             "",
         ]
     )
@@ -179,7 +179,7 @@ def constants(safety_filter: "SafetyFilter", parts: Sequence[Printed], text: str
         define("CLASSES_MAX", classes, "different weights of rows that have slack"),
         define("LATENCY", "SAFETY_FILTER_LATENCY"),
         define("HEALTH", "SAFETY_FILTER_HEALTH"),
-        define("COARSE", int(safety_filter.known.is_coarse), "1: thrusters give some values only"),
+        define("COARSE", int(safety_filter.uncertainty.is_coarse), "1: thrusters give some values only"),
         define("PROGRAMS", int(safety_filter.propose.kind != "none"), "0: there are no rows"),
         *tolerances(),
         "static const double LIMIT[2] = {SAFETY_FILTER_THRUST, SAFETY_FILTER_TORQUE};",

@@ -66,12 +66,12 @@ def vectors(safety_filter: "SafetyFilter") -> Vectors:
     other = independent(safety_filter)
     x, desired = states(DRAWN, 0, other.c)
     draw = torch.Generator().manual_seed(1)
-    known = other.known
-    sent = desired.flip(1)[None].repeat(known.latency if other.holds else 0, 1, 1)
+    uncertainty = other.uncertainty
+    sent = desired.flip(1)[None].repeat(uncertainty.latency if other.holds else 0, 1, 1)
     sent = torch.minimum(torch.maximum(sent, -sent.new_tensor(other.c.control_limit)[:, None]),
                          sent.new_tensor(other.c.control_limit)[:, None])  # fmt: skip
     left = torch.ones_like(desired)
-    if other.holds and known.health:
+    if other.holds and uncertainty.health:
         left[torch.randint(0, 3, (DRAWN,), generator=draw), range(DRAWN)] = 0.5
     given = [x, desired, sent, left]
     kept = torch.nonzero(is_steady(other, given, draw)).flatten()[:KEPT]
@@ -88,7 +88,7 @@ def independent(safety_filter: "SafetyFilter") -> "SafetyFilter":
     steps = BatchedSolver(STEPS_HELD) if safety_filter.holds else BatchedSolver()
     steps.piqp_first = ()
     f = safety_filter
-    return type(f)(f.c, f.parameters, steps, f.extra, f.known)
+    return type(f)(f.c, f.parameters, steps, f.extra, f.uncertainty)
 
 
 def is_steady(safety_filter: "SafetyFilter", given: list[Tensor], draw: torch.Generator) -> Tensor:

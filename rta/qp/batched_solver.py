@@ -140,7 +140,7 @@ class BatchedSolver:
         status = torch.full_like(control[0], Status.UNSOLVED, dtype=torch.int64)
         residual = torch.full_like(control[0], torch.inf)
         left = finite = torch.nonzero(problems.finite).flatten()
-        known = [problems.desired, torch.zeros_like(control)]
+        candidates = [problems.desired, torch.zeros_like(control)]
         for side, weight, solved in stages(problems):
             if not left.numel():
                 break
@@ -151,11 +151,11 @@ class BatchedSolver:
             put(control, left, u)
             put(status, left, torch.where(accurate, solved, Status.UNSOLVED))
             put(residual, left, torch.where(accurate, error, torch.inf))
-            known.append(torch.full_like(control, torch.nan))
-            put(known[-1], left, u.masked_fill(outcome == INFEASIBLE, torch.nan))
+            candidates.append(torch.full_like(control, torch.nan))
+            put(candidates[-1], left, u.masked_fill(outcome == INFEASIBLE, torch.nan))
             left = left[outcome == INFEASIBLE]
         unsolved = finite[status[finite] == Status.UNSOLVED]
-        put(control, unsolved, least_violating([pick(u, unsolved) for u in known], problems[unsolved]))
+        put(control, unsolved, least_violating([pick(u, unsolved) for u in candidates], problems[unsolved]))
         return Solutions(control, status, residual)
 
 

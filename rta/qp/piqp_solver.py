@@ -73,8 +73,8 @@ class PiqpSolver:
         control[~finite] = 0.0
         device = problems.desired.device
         if (unsolved := np.flatnonzero((status == Status.UNSOLVED) & finite)).size:
-            known = [columns(u[unsolved]).to(device) for u in candidates]
-            last = least_violating(known, problems[torch.from_numpy(unsolved).to(device)])
+            controls = [columns(u[unsolved]).to(device) for u in candidates]
+            last = least_violating(controls, problems[torch.from_numpy(unsolved).to(device)])
             control[unsolved] = last.movedim(-1, 0).cpu().numpy()
         return Solutions(
             columns(control).contiguous().to(device),

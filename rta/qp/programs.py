@@ -43,7 +43,7 @@ class Status(IntEnum):
     UNTOUCHED = 0  # the desired control is within the actuators' limits and satisfies every row
     HARD = 1  # projected into the limits or corrected, every row satisfied, at worst without its margin
     SLACK = 2  # a row is not satisfied, by its slack: they conflict, or a broken limit asks for more than there is
-    UNSOLVED = 3  # no solver call succeeded: the least-violating control known, zero if rows are not finite
+    UNSOLVED = 3  # no solver call succeeded: the least-violating candidate, zero if rows are not finite
 
 
 @dataclass(frozen=True)
@@ -126,8 +126,8 @@ def total(x: Tensor, dim: int) -> Tensor:
     return reduce(torch.add, x.unbind(dim))
 
 
-def least_violating(known: Sequence[Tensor], problems: Problems) -> Tensor:
-    """The last resort: of known controls (3, N) the first that violates the rows without margin least, (3, N).
+def least_violating(candidates: Sequence[Tensor], problems: Problems) -> Tensor:
+    """Returns (3, N), the last resort: of candidate controls the first that violates the rows without margin least.
 
     Rows that must hold decide first, by the sum of d_i^2; then the others, by that of w_i d_i^2, their slack's cost.
     """
@@ -135,7 +135,7 @@ def least_violating(known: Sequence[Tensor], problems: Problems) -> Tensor:
     weight = problems.weight.masked_fill(must, 0.0)[:, None]
     best = torch.zeros_like(problems.desired)
     least, least_soft = torch.full_like(best[:2], torch.inf)
-    for control in known:
+    for control in candidates:
         u = control.clamp(-1.0, 1.0)
         short = (-total(problems.a * u, 1) - problems.b_bare).clamp(min=0.0) ** 2
         hard, soft = total(short * must[:, None], 0), total(short * weight, 0)

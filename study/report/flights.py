@@ -122,8 +122,8 @@ def worlds(arms: dict[str, Arm]) -> dict[str, dict[str, dict[str, Results]]]:
     filters = {"off": (False, Uncertainty()), "nominal": (True, Uncertainty()), "robust": (True, told)}
     found: dict[str, dict[str, dict[str, Results]]] = {plant: {name: {} for name in arms} for plant in WORLDS}
     for names in side_by_side(arms):
-        for plant, (switch, (rta, known)) in product(WORLDS, filters.items()):
-            flown = in_world([arms[name] for name in names], plant, rta, known)
+        for plant, (switch, (rta, uncertainty)) in product(WORLDS, filters.items()):
+            flown = in_world([arms[name] for name in names], plant, rta, uncertainty)
             for name, results in zip(names, flown, strict=True):
                 found[plant][name][switch] = results
     return found
@@ -148,13 +148,13 @@ def side_by_side(arms: dict[str, Arm]) -> list[list[str]]:
     return [names for _, names in groups]
 
 
-def in_world(arms: Sequence[Arm], plant: str, rta: bool, known: Uncertainty) -> list[Results]:
+def in_world(arms: Sequence[Arm], plant: str, rta: bool, uncertainty: Uncertainty) -> list[Results]:
     """The agents of arms that fly side by side in the plant of that file, the filter on or off and told of so much."""
     first = arms[0]
     config = replace(
         with_rta(first.config, rta, FILTER_PERIOD).with_solver("auto"),
         plant=load(PLANTS / f"{plant}.toml", Config()).plant,
-        uncertainty=known,
+        uncertainty=uncertainty,
     )
     seeds = len(first.digests)
     cases = min(WORLDS_CASES, config.train.final_episodes)

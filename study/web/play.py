@@ -23,7 +23,7 @@ from inspection.model.state import SIZE, THETA_S, E, P, Q, T, V
 from inspection.world.parameters import PlantParameters, bounds
 from inspection.world.plant import draw
 from ppo.network import Policy
-from rta.bounds.uncertainty import NOTHING
+from rta.bounds.uncertainty import NO_UNCERTAINTY
 from rta.filter import SafetyFilter
 from rta.parameters import PERIODS
 from settings import InputError
@@ -49,7 +49,7 @@ MADE = {  # starts: towards the deputy, which is at rest there, and rad from the
 
 def check(config: Config) -> None:
     """Raises InputError where the page cannot fly a configuration, or the compiler is missing."""
-    c, plant, known = config.inspection, config.plant, config.uncertainty
+    c, plant, uncertainty = config.inspection, config.plant, config.uncertainty
     steps = 1.0 / min(c.substep, 1.0)
     refused = {
         "[chief]: play flies around the paper's chief only": not config.chief.is_the_papers
@@ -60,9 +60,9 @@ def check(config: Config) -> None:
         "[plant]: play flies its own simulator only, without failures": plant.simulator != "own"
         or plant.failing != "none",
         "play flies errors with a filter that is told of them: give [plant] and [uncertainty], or neither": (
-            plant.is_nominal != known.is_nil
+            plant.is_nominal != uncertainty.is_zero
         ),
-        "[plant] latency is above [uncertainty] latency": bounds(plant.latency)[1] > known.latency,
+        "[plant] latency is above [uncertainty] latency": bounds(plant.latency)[1] > uncertainty.latency,
         "play needs the package ziglang (a compiler): python -m pip install ziglang": find_spec("ziglang")
         is None,
     }
@@ -79,12 +79,12 @@ def write(config: Config, out: Path, policy: Policy | None = None) -> int:
     """
     check(config)
     c, errs = config.inspection, not config.plant.is_nominal
-    nominal = replace(config, plant=PlantParameters(), uncertainty=NOTHING)
+    nominal = replace(config, plant=PlantParameters(), uncertainty=NO_UNCERTAINTY)
     erring = replace(config, plant=replace(config.plant, errors="worst"))
     with step("printing and compiling the filters, two minutes"):
         with refusing("[rta], [inspection], [plant] and [uncertainty]", ValueError, OverflowError):
             filters = [SafetyFilter(c, replace(config.rta, period=period)) for period in PERIODS]
-            told = [SafetyFilter(c, config.rta, known=config.uncertainty)] if errs else []
+            told = [SafetyFilter(c, config.rta, uncertainty=config.uncertainty)] if errs else []
         worlds = [world(nominal, filters), *(world(erring, told) for _ in told)]
         own = agent.sources(policy, config, "") if policy else {}
         compiled = module.compiled([*filters, *told], erring.plant if errs else None, own)

@@ -69,7 +69,7 @@ def test_the_shipped_numbers_are_of_the_filter_that_ships(name: str, shipped: di
 
 def test_the_told_filter_is_measured_in_the_world_that_it_is_told_of() -> None:
     u1, told = load(benchmark.U1, Config()), benchmark.filters(Config())["u1"]
-    assert (told.plant, told.uncertainty) == (u1.plant, u1.uncertainty) and not told.uncertainty.is_nil
+    assert (told.plant, told.uncertainty) == (u1.plant, u1.uncertainty) and not told.uncertainty.is_zero
     own = override(Config(), {"uncertainty": {"mass": 0.1}}, "test")
     assert benchmark.filters(own)["u1"] == own
 

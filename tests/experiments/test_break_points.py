@@ -30,16 +30,16 @@ def test_what_is_told_bounds_what_is_flown(effect: str) -> None:
     for size in own.sizes:
         tables = {"plant": own.plant(size), "uncertainty": own.told(size, 1.0)}
         config = override(Config(), tables, effect)
-        plant, known = config.plant, config.uncertainty
-        assert plant != PlantParameters() and not known.is_nil
+        plant, uncertainty = config.plant, config.uncertainty
+        assert plant != PlantParameters() and not uncertainty.is_zero
         for name, factor in (("mass", plant.mass_factor), ("inertia", plant.inertia_factor)):
             if isinstance(factor, tuple):
-                assert max(factor) - 1 <= getattr(known, name) + 1e-12
+                assert max(factor) - 1 <= getattr(uncertainty, name) + 1e-12
         for kind in ("position", "velocity", "attitude", "rate"):
             most = getattr(plant, f"{kind}_noise") * plant.noise_bound
-            assert most <= getattr(known, kind) + 1e-12
+            assert most <= getattr(uncertainty, kind) + 1e-12
         if plant.missed_calls:
-            assert known.longest_hold == plant.missed_in_a_row + 1
+            assert uncertainty.longest_hold == plant.missed_in_a_row + 1
 
 
 def test_a_break_point_is_the_smallest_size_that_was_violated() -> None:

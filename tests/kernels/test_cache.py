@@ -181,7 +181,7 @@ def test_equal_filters_are_recorded_once_and_others_by_themselves() -> None:
         SafetyFilter(extra=[own["sphere"][0]]),
         SafetyFilter(extra=[own["cone"][0]]),
         SafetyFilter(extra=[replace(own["cone"][0], margin=0.125)]),
-        SafetyFilter(known=Uncertainty(mass=0.1)),
+        SafetyFilter(uncertainty=Uncertainty(mass=0.1)),
         without_check,
     ]
     names = [name_of(each) for each in others]

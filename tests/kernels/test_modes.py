@@ -50,8 +50,8 @@ MODES: dict[str, Callable[[], AbstractContextManager[Any]]] = {
 def episodes(rta: bool, period: float = 1.0, compiled: bool = False, told: bool = False) -> list[Tensor]:
     """Observations, rewards and states of random actions; in an imperfect world where the filter is told of it."""
     c = U1.inspection if told else C
-    known = {"known": U1.uncertainty} if told else {}
-    safety_filter = SafetyFilter(c, RtaParameters(period=period), **known)
+    options = {"uncertainty": U1.uncertainty} if told else {}
+    safety_filter = SafetyFilter(c, RtaParameters(period=period), **options)
     env = InspectionEnv(
         8, c, [torch.Generator().manual_seed(0)], safety_filter.safety(rta), plant=U1.plant if told else None
     )
@@ -140,7 +140,7 @@ class Watching(TorchDispatchMode):
 @pytest.mark.parametrize("told", [False, pytest.param(True, marks=pytest.mark.campaign)])
 def test_the_filter_computes_in_double(told: bool) -> None:
     """A choice between two Python numbers is in PyTorch's default type, in single: bounds within U1 were, once."""
-    safety_filter = SafetyFilter(U1.inspection, known=U1.uncertainty) if told else SafetyFilter(C)
+    safety_filter = SafetyFilter(U1.inspection, uncertainty=U1.uncertainty) if told else SafetyFilter(C)
     x, _ = sample_initial_state(32, torch.Generator().manual_seed(0), safety_filter.c)
     load_forward_mode()
     with Watching() as watching:

@@ -58,7 +58,7 @@ def config_of(name: str) -> Config:
 
 def filter_of(name: str) -> SafetyFilter:
     config = config_of(name)
-    return SafetyFilter(beside(config.inspection, config.chief), config.rta, known=config.uncertainty)
+    return SafetyFilter(beside(config.inspection, config.chief), config.rta, uncertainty=config.uncertainty)
 
 
 def calls_of_filter(name: str, monkeypatch: pytest.MonkeyPatch) -> list[Call]:

@@ -68,11 +68,11 @@ def test_every_h_changes_as_its_lie_derivative_says(c: InspectionParameters, ran
 
 @pytest.mark.campaign
 @pytest.mark.parametrize("c", ORBITS, ids=["turning", "two-body", "eccentric"])
-@pytest.mark.parametrize("known", [Uncertainty(), Uncertainty(acceleration=1e-6)], ids=["now", "held"])
+@pytest.mark.parametrize("uncertainty", [Uncertainty(), Uncertainty(acceleration=1e-6)], ids=["now", "held"])
 def test_nothing_is_violated_where_the_world_is_the_model(
-    c: InspectionParameters, known: Uncertainty
+    c: InspectionParameters, uncertainty: Uncertainty
 ) -> None:
-    safety = SafetyFilter(c, RtaParameters(), BatchedSolver(), known=known)
+    safety = SafetyFilter(c, RtaParameters(), BatchedSolver(), uncertainty=uncertainty)
     x, _, _ = safe_set(48, 1, safety)
     adversary, random = adversarial(safety), torch.Generator().manual_seed(0)
     limit = x.new_tensor(c.control_limit)[:, None]

@@ -41,7 +41,7 @@ def desired(count: int, seed: int = 0) -> Tensor:
 
 
 @pytest.mark.parametrize(
-    ("period", "known", "rows", "kind"),
+    ("period", "uncertainty", "rows", "kind"),
     [
         (1.0, Uncertainty(), "auto", "paper"),
         (1.0, Uncertainty(mass=0.1), "auto", "sampled"),
@@ -52,9 +52,9 @@ def desired(count: int, seed: int = 0) -> Tensor:
     ],
 )
 def test_rows_are_the_papers_at_1_s_without_bounds_unless_others_are_asked_for(
-    period: float, known: Uncertainty, rows: str, kind: str
+    period: float, uncertainty: Uncertainty, rows: str, kind: str
 ) -> None:
-    assert known.rows(RtaParameters(period=period, rows=rows)) == kind
+    assert uncertainty.rows(RtaParameters(period=period, rows=rows)) == kind
 
 
 def test_without_rows_the_check_alone_changes_what_is_within_the_limits() -> None:
@@ -82,7 +82,7 @@ def test_without_rows_nothing_is_done_in_a_state_that_is_none(number: float) -> 
 
 
 @pytest.mark.parametrize(
-    ("c", "known", "unchecked"),
+    ("c", "uncertainty", "unchecked"),
     [
         (C, Uncertainty(health=True), "motion and attitude"),
         (C, Uncertainty(minimum_thrust=0.6), "motion"),
@@ -90,11 +90,11 @@ def test_without_rows_nothing_is_done_in_a_state_that_is_none(number: float) -> 
     ],
 )
 def test_a_filter_without_a_check_needs_rows(
-    c: InspectionParameters, known: Uncertainty, unchecked: str
+    c: InspectionParameters, uncertainty: Uncertainty, unchecked: str
 ) -> None:
     with pytest.raises(ValueError, match=f"would keep the limits of {unchecked}, of which no way"):
-        SafetyFilter(c, RtaParameters(rows="none"), known=known)
-    assert SafetyFilter(c, known=known).unchecked == unchecked.split(" and ")
+        SafetyFilter(c, RtaParameters(rows="none"), uncertainty=uncertainty)
+    assert SafetyFilter(c, uncertainty=uncertainty).unchecked == unchecked.split(" and ")
 
 
 COARSE = [
@@ -107,21 +107,24 @@ COARSE = [
 
 @pytest.mark.parametrize("told", COARSE, ids=str)
 def test_coarse_thrusters_are_asked_for_what_they_give(told: dict[str, float]) -> None:
-    f, fine = SafetyFilter(C, known=Uncertainty(**told)), SafetyFilter(C, known=Uncertainty(mass=1e-9))
+    f, fine = (
+        SafetyFilter(C, uncertainty=Uncertainty(**told)),
+        SafetyFilter(C, uncertainty=Uncertainty(mass=1e-9)),
+    )
     for each in (f, fine):  # the programs alone
         each.backup = None
     x, u = across(400, 0.9999, distance=20.0), desired(400, seed=3)
     given = f.correct(x, u).control[THRUST]
-    torch.testing.assert_close(f.known.given(given, C.max_thrust), given, rtol=0, atol=1e-9)
-    rounded = torch.cat((f.known.given(u[THRUST], C.max_thrust), u[3:]))
+    torch.testing.assert_close(f.uncertainty.given(given, C.max_thrust), given, rtol=0, atol=1e-9)
+    rounded = torch.cat((f.uncertainty.given(u[THRUST], C.max_thrust), u[3:]))
     answered = fine.correct(x, rounded).control[THRUST]
-    near = (f.known.given(answered, C.max_thrust) - given).abs().amax(0) < 1e-6
+    near = (f.uncertainty.given(answered, C.max_thrust) - given).abs().amax(0) < 1e-6
     assert near.double().mean() > 0.98 and ((given - answered).abs() > 1e-3).any()
 
 
 def test_a_filter_that_is_told_of_nothing_is_the_papers_at_1_s() -> None:
     x, u = across(8, 0.97), desired(8)
-    one, other = SafetyFilter(C), SafetyFilter(C, known=Uncertainty())
+    one, other = SafetyFilter(C), SafetyFilter(C, uncertainty=Uncertainty())
     assert not one.holds and not other.holds
     young = torch.full((1, 6, 8), math.nan, dtype=torch.float64)  # no control was sent since
     a, b = one.correct(x, u), other.correct(x, u, sent=young, left=0.5 * u.abs())
@@ -129,5 +132,5 @@ def test_a_filter_that_is_told_of_nothing_is_the_papers_at_1_s() -> None:
         assert torch.equal(getattr(a, field.name), getattr(b, field.name))
     old = other.correct(x, u, sent=torch.zeros_like(young))  # one was: older than it is told
     assert torch.equal(a.control, old.control) and a.verified.all() and not old.verified.any()
-    told = SafetyFilter(C, known=Uncertainty(mass=0.1))
+    told = SafetyFilter(C, uncertainty=Uncertainty(mass=0.1))
     assert told.holds and not torch.equal(told.correct(x, u).control, a.control)

@@ -30,9 +30,9 @@ RATE = math.radians(2.0)
 
 
 def group(by: str, period: float = 10.0, extra: tuple[Constraint, ...] = (), **told: Any) -> ActuatorGroup:
-    r, known = RtaParameters(period=period, rows="sampled"), Uncertainty(**told)
-    constraints = (*thrust_constraints(C, r, known), *torque_constraints(C, r, known), *extra)
-    return ActuatorGroup(by, constraints, C, r, known)
+    r, uncertainty = RtaParameters(period=period, rows="sampled"), Uncertainty(**told)
+    constraints = (*thrust_constraints(C, r, uncertainty), *torque_constraints(C, r, uncertainty), *extra)
+    return ActuatorGroup(by, constraints, C, r, uncertainty)
 
 
 def unsoftened(group: ActuatorGroup, x: Tensor, u: Tensor) -> Rows:
@@ -184,10 +184,10 @@ def test_where_no_check_is_known_rows_take_off_what_is_not_known(by: str, draws:
         "thrust_gain": 0.02,
         "torque_gain": 0.02,
     }
-    known, generator = Uncertainty(**told), np.random.default_rng(0)
+    uncertainty, generator = Uncertainty(**told), np.random.default_rng(0)
     own = group(by, 5.0)
-    tight = ActuatorGroup(by, own.constraints, C, own.r, known, checked=False)
-    model = ActuatorGroup(by, own.constraints, C, own.r, known)
+    tight = ActuatorGroup(by, own.constraints, C, own.r, uncertainty, checked=False)
+    model = ActuatorGroup(by, own.constraints, C, own.r, uncertainty)
     x = tensor(some_states(60))
     u = 0.5 * tensor(commands(60, 3) * LIMIT)
 
@@ -208,10 +208,10 @@ def test_where_no_check_is_known_rows_take_off_what_is_not_known(by: str, draws:
         away = [generator.standard_normal((3, 60)) for _ in range(6)]
         p, v, turn, rate, thrust, torque = (tensor(part / length(part)) for part in away)
         y = x.clone()
-        y[:3] += known.radii[0] * p
-        y[3:6] += known.radii[1] * v
-        y[6:10] = turned_by(x[6:10], known.radii[2] * turn)
-        y[OMEGA] += known.radii[3] * rate
+        y[:3] += uncertainty.radii[0] * p
+        y[3:6] += uncertainty.radii[1] * v
+        y[6:10] = turned_by(x[6:10], uncertainty.radii[2] * turn)
+        y[OMEGA] += uncertainty.radii[3] * rate
         given = u.clone()
         given[THRUST] += 0.02 * u[THRUST].norm(dim=0) * thrust
         given[TORQUE] += 0.02 * u[TORQUE].norm(dim=0) * torque

@@ -83,7 +83,7 @@ def test_the_shipped_plants_can_be_flown(path: Path) -> None:
     assert config.plant.is_nominal == (path.stem == "nominal")
     assert path.read_text(encoding="utf-8").startswith("# ")
     told = path.stem.startswith("u1")
-    assert config.uncertainty.is_nil == (not told)
+    assert config.uncertainty.is_zero == (not told)
     model = Config()
     assert dataclasses.replace(config, plant=model.plant, uncertainty=model.uncertainty) == model
     config.plant.check_body(config.inspection)

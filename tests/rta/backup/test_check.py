@@ -244,5 +244,5 @@ def test_where_no_way_is_known_there_is_no_check() -> None:
     for c in (replace(C, solar_panel_axis="+x"), replace(C, orbit="two-body")):
         assert Backup.of(c, 1.0) is None
         assert SafetyFilter(c).backup is None
-    assert isinstance(SafetyFilter(C, known=Uncertainty(position=0.1)).backup, ToldBackup)
+    assert isinstance(SafetyFilter(C, uncertainty=Uncertainty(position=0.1)).backup, ToldBackup)
     assert SafetyFilter(C).backup is not None

@@ -68,9 +68,9 @@ def test_nothing_leads_out_of_the_haven_of_thrusters_that_give_some_values_only(
 ) -> None:
     """What they round off counts in the haven: one without it they leave."""
     told = Uncertainty(latency=1, longest_hold=1.0, position=0.1, velocity=0.001, thrust_misalignment=1.0)
-    known = replace(told, **coarse)
-    for haven, stays in ((Haven.of(C, R, known), True), (Haven.of(C, R, told), False)):
-        x, world = within(haven, 50, 1, at_call=True), World(50, 2, "worst", "always", known)
+    uncertainty = replace(told, **coarse)
+    for haven, stays in ((Haven.of(C, R, uncertainty), True), (Haven.of(C, R, told), False)):
+        x, world = within(haven, 50, 1, at_call=True), World(50, 2, "worst", "always", uncertainty)
         least, end, states = flown(x, haven, world, 600.0, None)
         calm = torch.stack([haven.calm(y[P].norm(dim=0)) for y in (*states, end)])
         off = torch.stack([(y[V] - haven.field(y[P])).norm(dim=0) for y in (*states, end)])

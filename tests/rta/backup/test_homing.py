@@ -90,24 +90,26 @@ def test_thrusters_that_give_some_values_only_break_no_limit(
     homing = of_thrust(
         C,
         R,
-        known := Uncertainty(
+        uncertainty := Uncertainty(
             latency=1, longest_hold=1.0, position=0.1, velocity=0.001, thrust_misalignment=1.0, **coarse
         ),
     )
-    assert homing and homing.haven and homing.haven.known.acceleration > 0.0
+    assert homing and homing.haven and homing.haven.uncertainty.acceleration > 0.0
     x, proposals = starts(1), Demands(None, 2)
     x, refused = x[:, homing.has_way(x)], 0
     assert x.shape[1] > COUNT / 3
 
     def law(x: Tensor, torque: Tensor, bound: Tensor) -> Tensor:
         nonlocal refused
-        u = torch.cat((known.given(proposals(x, torque, bound), C.max_thrust), torque))
+        u = torch.cat((uncertainty.given(proposals(x, torque, bound), C.max_thrust), torque))
         u, _, changed = committed(homing, 0, x, u, bound)
-        assert torch.equal(known.given(u[THRUST], C.max_thrust), u[THRUST])
+        assert torch.equal(uncertainty.given(u[THRUST], C.max_thrust), u[THRUST])
         refused += int(changed.sum())
         return u[THRUST]
 
-    least, _, _ = flown(x, homing.haven, World(x.shape[1], 3, "worst", "always", known), seconds, 20.0, law)
+    least, _, _ = flown(
+        x, homing.haven, World(x.shape[1], 3, "worst", "always", uncertainty), seconds, 20.0, law
+    )
     assert (least >= 0.0).all(), least.min(1)
     assert refused > 3 * seconds
 
@@ -186,7 +188,7 @@ LEFT_THE_ZONE = [-689.517, -118.445, 35.9689, -3.17297, -0.4764, -3.54167, 0.751
 )
 def test_starts_have_a_way_also_where_only_thrust_is_checked(told: dict[str, float]) -> None:
     """With torque gains off by 0.6 and full thrust outwards a start without one left the zone by 1.9 m."""
-    safety = SafetyFilter(C, R, known=Uncertainty(**told))
+    safety = SafetyFilter(C, R, uncertainty=Uncertainty(**told))
     assert safety.backup and safety.checked == (True, False)
     without_a_way = torch.tensor(LEFT_THE_ZONE, dtype=torch.float64)[:, None]
     assert (safety.values(without_a_way) >= 0.0).all() and not safety.is_safe(without_a_way)

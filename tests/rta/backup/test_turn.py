@@ -40,8 +40,8 @@ SUBSTEP = 0.25  # s
 ROUNDED = 1e-9
 
 
-def backup(known: Uncertainty = U1, r: RtaParameters = R) -> ToldBackup:
-    found = of_torque(C, r, known)
+def backup(uncertainty: Uncertainty = U1, r: RtaParameters = R) -> ToldBackup:
+    found = of_torque(C, r, uncertainty)
     assert found is not None
     return found
 
@@ -63,14 +63,16 @@ class World:
     The errors are steady in every third episode, change now and then in the next, and resist the law in the last.
     """
 
-    def __init__(self, x: Tensor, known: Uncertainty, r: RtaParameters, seed: int) -> None:
+    def __init__(self, x: Tensor, uncertainty: Uncertainty, r: RtaParameters, seed: int) -> None:
         self.generator = torch.Generator().manual_seed(seed)
-        self.x, self.known, self.r = x, known, r
+        self.x, self.uncertainty, self.r = x, uncertainty, r
         count = x.shape[1]
         self.kind = torch.arange(count) % 3
-        moments = INERTIA * (1 + known.inertia * self.sign(3))
+        moments = INERTIA * (1 + uncertainty.inertia * self.sign(3))
         still = [torch.zeros_like(x[0])] * 3
-        self.body = Body(torch.full_like(x[0], C.mass), moments.unbind(), still, known.hill_rotation, False)
+        self.body = Body(
+            torch.full_like(x[0], C.mass), moments.unbind(), still, uncertainty.hill_rotation, False
+        )
         self.angle, self.gyro, self.gain = self.sign(3), self.sign(3), self.sign(3)
         self.missed = torch.zeros(count)
         self.held = torch.zeros(6, count, dtype=x.dtype)
@@ -85,7 +87,7 @@ class World:
 
     def rates(self) -> Tensor:
         """(3, B) of the body relative to Hill's frame."""
-        n = C.mean_motion if self.known.hill_rotation else 0.0
+        n = C.mean_motion if self.uncertainty.hill_rotation else 0.0
         return torch.stack(rate_in_hill(self.x[Q], self.x[OMEGA], n))
 
     def measured(self) -> tuple[Tensor, Tensor]:
@@ -98,19 +100,19 @@ class World:
         behind = (wanted(true, self.turning) - true[OMEGA]).sign()
         self.gyro = torch.where(resists, behind, torch.where(changes[3:], self.sign(3), self.gyro))
         seen = true.clone()
-        seen[Q] = turned_by(true[Q], math.radians(self.known.attitude) * self.angle)
-        seen[OMEGA] = true[OMEGA] + math.radians(self.known.rate) * self.gyro
+        seen[Q] = turned_by(true[Q], math.radians(self.uncertainty.attitude) * self.angle)
+        seen[OMEGA] = true[OMEGA] + math.radians(self.uncertainty.rate) * self.gyro
         none = torch.zeros(4, seen.shape[1], dtype=seen.dtype)
         before, self.seen = self.seen, seen
-        if before is None or not self.known.latency:
+        if before is None or not self.uncertainty.latency:
             return seen, none
-        return predicted(before, none, self.held, C, self.r, self.known)
+        return predicted(before, none, self.held, C, self.r, self.uncertainty)
 
     turning = backup().turning
 
     def fly(self, u: Tensor, misses: bool = True) -> list[Tensor]:
         """The states on the way to the next call, at which u (6, B) is the answer, or missed."""
-        longest = round(self.known.hold(self.r) / self.r.period)
+        longest = round(self.uncertainty.hold(self.r) / self.r.period)
         often = torch.tensor([0.05, 0.5, 0.9])[torch.arange(u.shape[1]) // 3 % 3]
         miss = (self.chance(1)[0] < often) & (self.missed < longest - 1) & misses
         self.missed = torch.where(miss, self.missed + 1, 0)
@@ -121,7 +123,7 @@ class World:
         helps = self.held[TORQUE].sign() * (wanted(true, self.turning) - true[OMEGA]).sign()
         self.gain = torch.where(self.kind == 2, -helps, self.gain)
         acts = self.held.clone()
-        acts[TORQUE] *= 1 + self.known.torque_gain * self.gain
+        acts[TORQUE] *= 1 + self.uncertainty.torque_gain * self.gain
         path = []
         for _ in range(round(self.r.period / SUBSTEP)):
             self.x = moved(self.x, acts, SUBSTEP, C, self.body)
@@ -153,7 +155,7 @@ def at_law(found: ToldBackup) -> Callable[[Tensor, Tensor], Tensor]:
 
 
 @pytest.mark.parametrize(
-    ("known", "calls"),
+    ("uncertainty", "calls"),
     [
         (U1, 40),
         pytest.param(U1, 400, marks=pytest.mark.campaign),
@@ -162,9 +164,11 @@ def at_law(found: ToldBackup) -> Callable[[Tensor, Tensor], Tensor]:
     ],
     ids=["shortly", "u1", "each call", "sensors"],
 )
-def test_the_law_keeps_the_limits_from_the_edge_whatever_is_measured(known: Uncertainty, calls: int) -> None:
-    found = backup(known)
-    world = World(starts(found, 120, 1), known, R, 2)
+def test_the_law_keeps_the_limits_from_the_edge_whatever_is_measured(
+    uncertainty: Uncertainty, calls: int
+) -> None:
+    found = backup(uncertainty)
+    world = World(starts(found, 120, 1), uncertainty, R, 2)
     answer = at_law(found)
     for k in range(calls):
         u = answer(*world.measured())
@@ -254,7 +258,7 @@ def test_bounds_without_a_rest_have_no_check() -> None:
 @pytest.mark.campaign
 def test_an_attitude_that_is_not_checked_can_break_a_limit() -> None:
     """From a start that is accepted, with torque gains off by 0.5: what was flown elsewhere is no promise."""
-    safety = SafetyFilter(C, known=Uncertainty(torque_gain=0.5, rate=0.05))
+    safety = SafetyFilter(C, uncertainty=Uncertainty(torque_gain=0.5, rate=0.05))
     assert safety.unchecked == ["attitude"]
     start = """100 0 0  0 0 0
                0.60185129 0.65051919 -0.05255201 -0.46025873  0.01196009 0.01766524 -0.01720103

@@ -49,19 +49,23 @@ class World:
         misses: calls missed after each: always two, or at random.
     """
 
-    def __init__(self, batch: int, seed: int, how: str, misses: str, known: Uncertainty = U1) -> None:
+    def __init__(self, batch: int, seed: int, how: str, misses: str, uncertainty: Uncertainty = U1) -> None:
         self.generator, self.how, self.misses = torch.Generator().manual_seed(seed), how, misses
-        self.known, self.batch = known, batch
+        self.uncertainty, self.batch = uncertainty, batch
         sign = self.signs
         push = torch.randn(3, batch, generator=self.generator, dtype=torch.float64)
-        push = known.acceleration * push / push.norm(dim=0)
-        inertia = torch.tensor(C.inertia, dtype=torch.float64)[:, None] * (1 + known.inertia * sign(3))
+        push = uncertainty.acceleration * push / push.norm(dim=0)
+        inertia = torch.tensor(C.inertia, dtype=torch.float64)[:, None] * (1 + uncertainty.inertia * sign(3))
         self.body = Body(
-            C.mass * (1 + known.mass * sign(1)[0]), list(inertia), list(push), known.hill_rotation, False
+            C.mass * (1 + uncertainty.mass * sign(1)[0]),
+            list(inertia),
+            list(push),
+            uncertainty.hill_rotation,
+            False,
         )
-        self.gains = 1 + known.thrust_gain * sign(3)
-        self.turns = 1 + known.torque_gain * sign(3)
-        tilt, side = np.radians(known.thrust_misalignment), 2 * np.pi * self.uniform(3)
+        self.gains = 1 + uncertainty.thrust_gain * sign(3)
+        self.turns = 1 + uncertainty.torque_gain * sign(3)
+        tilt, side = np.radians(uncertainty.thrust_misalignment), 2 * np.pi * self.uniform(3)
         self.aslant = torch.zeros(3, 3, batch, dtype=torch.float64)
         for i in range(3):
             j, k = (i + 1) % 3, (i + 2) % 3
@@ -82,7 +86,8 @@ class World:
             # velocity is seen so that the law lets the spacecraft drift to where it must not: nearer, or farther out
             inwards = torch.where(x[P].norm(dim=0) < 400.0, 1.0, -1.0)
             self.errors[:3], self.errors[3:6] = (x[P] * inwards).sign(), (x[P] * inwards).sign()
-        sizes = (torch.tensor(self.known.radii, dtype=torch.float64) / 3.0**0.5).repeat_interleave(3)[:, None]
+        radii = torch.tensor(self.uncertainty.radii, dtype=torch.float64)
+        sizes = (radii / 3.0**0.5).repeat_interleave(3)[:, None]
         return displaced(x, self.errors * sizes)
 
     def asks_torque(self, x: Tensor) -> Tensor:
@@ -97,14 +102,14 @@ class World:
         """What acts (6, B) where u is asked for."""
         if self.how == "worst":
             self.gains = torch.where(self.uniform(3) < 0.5, self.gains, 2 - self.gains)
-        given = self.known.given(u[THRUST], C.max_thrust) if self.known.is_coarse else u[THRUST]
+        given = self.uncertainty.given(u[THRUST], C.max_thrust) if self.uncertainty.is_coarse else u[THRUST]
         force = (self.aslant * (self.gains * given)).sum(1)
         return torch.cat((force, self.turns * u[TORQUE]))
 
     def held_for(self) -> int:
         """Calls that all of them are held for."""
         if self.misses == "always":
-            return round(self.known.longest_hold)
+            return round(self.uncertainty.longest_hold)
         return int(torch.randint(1, 4, (1,), generator=self.generator))
 
 
@@ -123,7 +128,7 @@ def flown(
         states.append(x.clone())
         taken, bound = measured, none
         if sent is not None:
-            taken, bound = predicted(measured, none, sent, C, R, w.known)
+            taken, bound = predicted(measured, none, sent, C, R, w.uncertainty)
         u = torch.zeros(6, x.shape[1], dtype=x.dtype)
         u[TORQUE] = world.asks_torque(taken)
         u[THRUST] = law(taken, u[TORQUE], bound) if law else thrust(taken, u[TORQUE], w)
@@ -137,15 +142,15 @@ def flown(
     return least, x, states
 
 
-def of_thrust(c: InspectionParameters, r: RtaParameters, known: Uncertainty) -> ToldBackup | None:
+def of_thrust(c: InspectionParameters, r: RtaParameters, uncertainty: Uncertainty) -> ToldBackup | None:
     """The check of thrust alone; None: no haven is known."""
-    check = ToldBackup.of(c, r, known)
+    check = ToldBackup.of(c, r, uncertainty)
     return ToldBackup(check.haven, None, r) if check and check.haven else None
 
 
-def of_torque(c: InspectionParameters, r: RtaParameters, known: Uncertainty) -> ToldBackup | None:
+def of_torque(c: InspectionParameters, r: RtaParameters, uncertainty: Uncertainty) -> ToldBackup | None:
     """The check of torque alone; None: no way to rest is known."""
-    check = ToldBackup.of(c, r, known)
+    check = ToldBackup.of(c, r, uncertainty)
     return ToldBackup(None, check.turning, r) if check and check.turning else None
 
 

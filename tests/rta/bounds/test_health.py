@@ -11,7 +11,7 @@ from inspection.model.draws import random_quaternion
 from inspection.model.dynamics import step, sun_and_earth_in_body
 from inspection.model.state import THETA_S, THRUST, E, P, Q, T, V
 from rta.bounds.health import NEAR, slewing
-from rta.bounds.uncertainty import NOTHING, Uncertainty
+from rta.bounds.uncertainty import NO_UNCERTAINTY, Uncertainty
 from rta.filter import SafetyFilter
 from rta.parameters import RtaParameters
 from tests.rta.test_filter import C
@@ -56,7 +56,7 @@ def test_the_body_has_turned_in_the_time_that_is_counted_on() -> None:
     x, left = x[:, ~lit], left[:, ~lit]
     before, nearest = on_radius(x, left), torch.full_like(x[0], -torch.inf)
     for _ in range(math.ceil(LONGEST_TURN)):
-        torque = slewing(x, torch.zeros_like(x[:3]), left, C, RtaParameters(), NOTHING)
+        torque = slewing(x, torch.zeros_like(x[:3]), left, C, RtaParameters(), NO_UNCERTAINTY)
         x = step(x, torch.cat((torch.zeros_like(torque), torque)), 1.0, C)
         nearest = nearest.maximum(sun_and_earth_in_body(x)[0][0])
     assert (before > 0.9).sum() > 5
@@ -70,7 +70,7 @@ def test_a_torque_is_left_alone_where_no_turn_is_needed() -> None:
     left, torque = without_one_axis(32), torch.full((3, 32), 1e-4, dtype=torch.float64)
 
     def kept(x: Tensor, left: Tensor) -> Tensor:
-        return (slewing(x, torque, left, C, RtaParameters(), NOTHING) == torque).all(0)
+        return (slewing(x, torque, left, C, RtaParameters(), NO_UNCERTAINTY) == torque).all(0)
 
     far_in, outside = flying_out(32, 300.0, 1.0, seed=2), flying_out(32, 700.0, 2.0, seed=2)
     returning = torch.cat((outside[P], -outside[V], outside[Q.start :]))
@@ -87,7 +87,7 @@ def test_a_known_dead_thruster_does_not_run_away() -> None:
     """An adversary thrusts outwards and turns the dead axis onto the radius."""
     count, period = 9, 10.0
     x, left = flying_out(count, 660.0, 2.2, seed=3), without_one_axis(count)
-    safety = SafetyFilter(C, RtaParameters(period=period), known=Uncertainty(health=True))
+    safety = SafetyFilter(C, RtaParameters(period=period), uncertainty=Uncertainty(health=True))
     farthest = torch.zeros(count, dtype=torch.float64)
     for _ in range(18):
         out = in_body(x)
@@ -102,7 +102,7 @@ def test_a_known_dead_thruster_does_not_run_away() -> None:
 
 def test_a_late_state_is_predicted_by_what_dead_thrusters_gave() -> None:
     x, left = flying_out(6, 700.0, 2.0, seed=5), without_one_axis(6)
-    safety = SafetyFilter(C, known=Uncertainty(health=True, latency=2))
+    safety = SafetyFilter(C, uncertainty=Uncertainty(health=True, latency=2))
     sent = torch.full((2, 6, 6), 1e-4, dtype=torch.float64)
     sent[:, THRUST] = 1.0
     answer = safety.correct(x, torch.zeros_like(left), sent, left)

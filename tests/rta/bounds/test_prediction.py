@@ -62,11 +62,11 @@ def relative(plant: Plant, x: Tensor) -> Tensor:
     return torch.cat((x[: OMEGA.start], x[OMEGA] - turning, x[OMEGA.stop :]))
 
 
-def now_of(x: Tensor, sent: Tensor, r: RtaParameters, known: Uncertainty) -> tuple[Tensor, Tensor]:
+def now_of(x: Tensor, sent: Tensor, r: RtaParameters, uncertainty: Uncertainty) -> tuple[Tensor, Tensor]:
     """The states of now and their error_bound from those that are as many calls old as controls were sent since."""
     error_bound = torch.zeros_like(x[:KINDS])
     for u in sent:
-        x, error_bound = predicted(x, error_bound, u, C, r, known)
+        x, error_bound = predicted(x, error_bound, u, C, r, uncertainty)
     return x, error_bound
 
 
@@ -80,18 +80,18 @@ def escaped(told: dict[str, Any], period: float, calls: int) -> list[float]:
     for u in sent:
         x = plant.integrate(x, plant.actuate(moments(WORLDS), u), plant.body, 0.5, round(2 * period))
     now = relative(plant, x)
-    r, known = RtaParameters(period=period), Uncertainty(latency=calls, **told)
-    there, error_bound = now_of(seen, sent, r, known)
+    r, uncertainty = RtaParameters(period=period), Uncertainty(latency=calls, **told)
+    there, error_bound = now_of(seen, sent, r, uncertainty)
 
     def beyond(off: Tensor, measured: float) -> Tensor:
         return norm((off.abs() - measured).clamp(min=0.0))
 
     turned = 2 * torch.linalg.vecdot(now[Q].T, there[Q].T).abs().clamp(max=1.0).arccos()
     off = (
-        beyond(now[P] - there[P], known.position),
-        beyond(now[V] - there[V], known.velocity),
-        turned - math.sqrt(3) * math.radians(known.attitude),
-        beyond(now[OMEGA] - there[OMEGA], math.radians(known.rate)),
+        beyond(now[P] - there[P], uncertainty.position),
+        beyond(now[V] - there[V], uncertainty.velocity),
+        turned - math.sqrt(3) * math.radians(uncertainty.attitude),
+        beyond(now[OMEGA] - there[OMEGA], math.radians(uncertainty.rate)),
     )
     return [(each - bound).max().item() for each, bound in zip(off, error_bound, strict=True)]
 
@@ -146,11 +146,11 @@ def test_a_younger_state_is_not_predicted_on() -> None:
     sent = torch.stack((u, u))
     sent[0, :, 1:] = math.nan
     sent[1, :, 2] = math.nan
-    r, known = RtaParameters(), Uncertainty(latency=2, mass=0.1)
-    there, error_bound = now_of(x, sent, r, known)
+    r, uncertainty = RtaParameters(), Uncertainty(latency=2, mass=0.1)
+    there, error_bound = now_of(x, sent, r, uncertainty)
     for column, calls in ((0, 2), (1, 1), (2, 0)):
         own = [part[:, column : column + 1] for part in (x, u)]
-        alone = now_of(own[0], own[1].expand(calls, -1, -1), r, known)
+        alone = now_of(own[0], own[1].expand(calls, -1, -1), r, uncertainty)
         assert torch.equal(there[:, column : column + 1], alone[0])
         assert torch.equal(error_bound[:, column : column + 1], alone[1])
     expected = flown(x.numpy()[:, :1], u.numpy()[:, :1], 2.0)

@@ -48,7 +48,7 @@ def test_a_bound_that_leaves_no_control_is_refused_with_the_limit_that_it_breaks
     told: dict[str, float], period: float, bound: str, limit: str
 ) -> None:
     with pytest.raises(ValueError) as refusal:
-        SafetyFilter(C, RtaParameters(period=period), known=Uncertainty(**told))
+        SafetyFilter(C, RtaParameters(period=period), uncertainty=Uncertainty(**told))
     assert bound in str(refusal.value) and limit in str(refusal.value)
     assert "\n" not in str(refusal.value)
 

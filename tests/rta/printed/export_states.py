@@ -79,7 +79,7 @@ def made(kind: str, **more: object) -> SafetyFilter:
     if kind.isdigit():
         return SafetyFilter(parameters=RtaParameters(period=float(kind)), **more)
     told = load(Path(f"configs/plants/{kind}.toml"), Config())
-    return SafetyFilter(told.inspection, told.rta, known=told.uncertainty, **more)
+    return SafetyFilter(told.inspection, told.rta, uncertainty=told.uncertainty, **more)
 
 
 def states(count: int, seed: int) -> tuple[Tensor, Tensor]:

@@ -201,7 +201,7 @@ class Driver:
 
     def __init__(self, safety: SafetyFilter, folder: Path) -> None:
         self.safety, self.library = safety, compiled(source(safety), folder)
-        count, room, real = len(safety.names), max(1, safety.known.latency), ctypes.c_double
+        count, room, real = len(safety.names), max(1, safety.uncertainty.latency), ctypes.c_double
         given = {"state": 16 * real, "desired": 6 * real, "sent": 6 * room * real}
         given |= {"sent_count": ctypes.c_int, "left": 6 * real}
         truth = ctypes.c_int
@@ -223,8 +223,8 @@ class Driver:
             given.state[:], given.desired[:] = x[:, i].tolist(), desired[:, i].tolist()
             given.left[:] = [1.0] * 6 if left is None else left[:, i].tolist()
             given.sent_count = 0 if sent is None else len(sent)
-            if sent is not None and self.safety.known.latency:
-                given.sent[:] = sent[: self.safety.known.latency, :, i].flatten().tolist()
+            if sent is not None and self.safety.uncertainty.latency:
+                given.sent[:] = sent[: self.safety.uncertainty.latency, :, i].flatten().tolist()
             self.library.safety_filter(ctypes.byref(given), ctypes.byref(found))
             answers.append(found)
 
@@ -267,10 +267,12 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Driver]:
 
     def driver(kind: str) -> Driver:
         if kind not in drivers:
-            period, known, rows = KINDS[kind]
+            period, uncertainty, rows = KINDS[kind]
             extra = [own.OWN[name][0] for name in ("cone", "sphere")] if kind == "own constraints" else []
-            solver = BatchedSolver() if known is None and period == 1.0 else BatchedSolver(STEPS_HELD)
-            safety = SafetyFilter(C, dataclasses.replace(R, period=period, rows=rows), solver, extra, known)
+            solver = BatchedSolver() if uncertainty is None and period == 1.0 else BatchedSolver(STEPS_HELD)
+            safety = SafetyFilter(
+                C, dataclasses.replace(R, period=period, rows=rows), solver, extra, uncertainty
+            )
             drivers[kind] = Driver(safety, tmp_path_factory.mktemp("driver"))
         return drivers[kind]
 
@@ -286,7 +288,7 @@ def assert_same(
     alive = 1.0 if left is None else (left > 0.0).double()
     same = (((expected.control - found.control) * alive / LIMIT).abs() <= 1e-9).all(0)
     # a solution that is a multiple of the quantum but for rounding has others next to it
-    assert (~same).sum() <= (len(same) / 100 if driver.safety.known.thrust_quantum else 0)
+    assert (~same).sum() <= (len(same) / 100 if driver.safety.uncertainty.thrust_quantum else 0)
     for name in ("status", "program_status", "intervened", "verified", "backup"):
         assert (getattr(expected, name) == getattr(found, name)).all(), name
     # the printed rows of a state that is not finite may be: there 0 x is zero, whatever x is
@@ -305,7 +307,7 @@ def assert_same(
 def test_a_filter_in_c_is_that_in_python(made: Callable[[str], Driver], kind: str) -> None:
     """Also where a number of a state or of a control is none."""
     driver, count = made(kind), 400
-    known = driver.safety.known
+    uncertainty = driver.safety.uncertainty
     bad_x, bad_u = tensor(near_the_limits(44, seed=7)), commands(44, seed=7)
     for i, value in enumerate((np.nan, np.inf)):
         for row in range(16):
@@ -314,9 +316,9 @@ def test_a_filter_in_c_is_that_in_python(made: Callable[[str], Driver], kind: st
             bad_u[row, 22 * i + 16 + row] = value
     x = torch.cat((tensor(near_the_limits(count, seed=5)), bad_x), 1)
     u = torch.cat((1.1 * commands(count, seed=5), bad_u), 1)
-    sent = commands(count + 44, seed=6)[None] if known.latency else None
+    sent = commands(count + 44, seed=6)[None] if uncertainty.latency else None
     left = None
-    if known.health:
+    if uncertainty.health:
         rng = np.random.default_rng(0)
         left = torch.ones_like(u)
         left[rng.integers(0, 3, count), range(count)] = tensor(rng.choice([0.0, 0.5, 1.0], count))
@@ -330,8 +332,11 @@ def test_a_filter_in_c_is_that_in_python(made: Callable[[str], Driver], kind: st
 @pytest.mark.campaign
 def test_what_rows_waive_is_said_of_a_batch_as_in_python() -> None:
     """What brakes with all that there is is applied as it is, though a limit that is broken asks for more than that."""
-    known, solver = Uncertainty(health=True), BatchedSolver(STEPS_HELD)  # no check overrules these rows
-    batch, python = SafetyFilter(C, R, solver, known=known), SafetyFilter(C, R, solver, known=known)
+    uncertainty, solver = Uncertainty(health=True), BatchedSolver(STEPS_HELD)  # no check overrules these rows
+    batch, python = (
+        SafetyFilter(C, R, solver, uncertainty=uncertainty),
+        SafetyFilter(C, R, solver, uncertainty=uncertainty),
+    )
     batch.compile("cpu", 64)
     x = tensor(near_the_limits(400, seed=5))
     x[V], x[OMEGA] = 1.5 * x[V], 0.0
@@ -352,11 +357,11 @@ def test_a_state_that_is_too_old_is_unsolved_and_never_verified(
 ) -> None:
     """In Python, compiled or not, and in C; what is next to the limits, and starts, of which all are verified."""
     driver = made(kind)
-    safety, latency = driver.safety, driver.safety.known.latency
+    safety, latency = driver.safety, driver.safety.uncertainty.latency
     starts = sample_initial_state(10, torch.Generator().manual_seed(0), C, SafetyFilter(C).is_safe)[0]
     x, u = torch.cat((tensor(near_the_limits(10, seed=8)), starts), 1), commands(20, seed=8)
     sent = u[None].repeat(latency + 1, 1, 1)
-    compiled_filter = SafetyFilter(C, safety.parameters, known=safety.known)
+    compiled_filter = SafetyFilter(C, safety.parameters, uncertainty=safety.uncertainty)
     compiled_filter.compile("cpu", 20)
     for correct in (driver, safety.correct, compiled_filter.correct):
         result = correct(x, u, sent, None)
@@ -370,7 +375,7 @@ def test_a_state_that_is_too_old_is_unsolved_and_never_verified(
         whole, alone = correct(x, u, younger), correct(x, u, younger[1:])
         assert torch.equal(whole.control[:, ::2], alone.control[:, ::2])
         assert torch.equal(whole.verified[::2], alone.verified[::2])
-    assert safety.unchecked or not safety.known.is_nil or result.verified[10::2].all()
+    assert safety.unchecked or not safety.uncertainty.is_zero or result.verified[10::2].all()
     if latency:
         assert_same(driver, x, u)  # of no age
         assert_same(driver, x, u, torch.full_like(u[None], torch.nan))
@@ -381,7 +386,7 @@ def test_a_dead_axis_is_turned_off_the_radius_as_in_python(made: Callable[[str],
     driver = made("health alone")
     x, left = flying_out(200, 700.0, 2.0, seed=1), without_one_axis(200)
     u = torch.zeros(6, 200, dtype=torch.float64)
-    torque = slewing(x, u[TORQUE], left, C, R, driver.safety.known)
+    torque = slewing(x, u[TORQUE], left, C, R, driver.safety.uncertainty)
     assert (torque != 0.0).any(0).sum() > 100
     assert_same(driver, x, u, left=left)
     generator = torch.Generator().manual_seed(2)  # of bodies that turn already
@@ -403,13 +408,13 @@ def test_thrust_that_is_replaced_is_for_the_torque_that_is_applied(made: Callabl
 
 
 @pytest.mark.parametrize(
-    "known",
+    "uncertainty",
     [Uncertainty(), pytest.param(Uncertainty(position=0.3), marks=pytest.mark.campaign)],
     ids=["model", "told"],
 )
-def test_states_that_are_not_finite_are_never_verified(known: Uncertainty) -> None:
+def test_states_that_are_not_finite_are_never_verified(uncertainty: Uncertainty) -> None:
     """Also where there are no rows, of which a number that is none would show it."""
-    safety = SafetyFilter(C, RtaParameters(rows="none"), known=known)
+    safety = SafetyFilter(C, RtaParameters(rows="none"), uncertainty=uncertainty)
     x = sample_initial_state(16, torch.Generator().manual_seed(0), C, safety.is_safe)[0]
     u, far = torch.zeros(6, 16, dtype=torch.float64), torch.arange(0, 16, 2)
     x[E, far], x[T, far[::2]] = math.inf, -math.inf

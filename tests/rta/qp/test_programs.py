@@ -245,11 +245,11 @@ def test_kkt_residual_measures_what_is_wrong(
     assert found == pytest.approx(expected, abs=1e-15)
 
 
-def last_resort(known: list[list[float]], needed: list[float], weight: list[float]) -> list[float]:
-    """The least-violating of known controls where u_i >= needed_i."""
+def last_resort(candidates: list[list[float]], needed: list[float], weight: list[float]) -> list[float]:
+    """The least-violating of candidate controls where u_i >= needed_i."""
     a, b = np.eye(3)[None, : len(needed)], -np.array([needed])
     problems = Problems(np.zeros((1, 3)), a, b, b, np.array(weight)).tensors()
-    found = least_violating([torch.tensor([u], dtype=torch.float64).T for u in known], problems)
+    found = least_violating([torch.tensor([u], dtype=torch.float64).T for u in candidates], problems)
     return found[:, 0].tolist()
 
 

@@ -88,7 +88,7 @@ def flights() -> dict[float | str, list[Flight]]:
 def filtered(world: float | str) -> SafetyFilter:
     """The page's filter, solved as its C does."""
     if world == "errors":
-        return SafetyFilter(U1.inspection, replace(U1.rta, qp_solver="batched"), known=U1.uncertainty)
+        return SafetyFilter(U1.inspection, replace(U1.rta, qp_solver="batched"), uncertainty=U1.uncertainty)
     return SafetyFilter(C.inspection, replace(C.rta, period=world, qp_solver="batched"))
 
 
