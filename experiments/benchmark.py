@@ -324,12 +324,12 @@ def learner_flops(learner: PPO) -> float:
     return float(flops)
 
 
-def compile_times(bare: Experiment, told: Experiment, batch: int) -> dict[str, float]:
+def compile_times(bare: Experiment, robust: Experiment, batch: int) -> dict[str, float]:
     """Returns the s that compiling filter and simulator takes with an empty cache, and that of a filter with bounds."""
     parts: dict[str, Callable[[], None]] = {
         "filter": partial(bare.filter.compile, bare.device, batch),
         "simulator": bare.env(batch).compile,
-        "filter with [uncertainty]": partial(told.filter.compile, told.device, batch),
+        "filter with [uncertainty]": partial(robust.filter.compile, robust.device, batch),
     }
     with tempfile.TemporaryDirectory() as empty, patch.dict(os.environ, {VARIABLE: empty}):
         return {
@@ -381,13 +381,13 @@ def benchmark(config: Config, batches: tuple[int, ...] = BATCHES) -> dict[str, A
     say("filter")
     typical = nearest(batches, TYPICAL[device.type])
     experiments = {name: built(each, typical if name == "u1" else largest) for name, each in named.items()}
-    experiment, told = experiments["1"], experiments.pop("u1")
+    experiment, robust = experiments["1"], experiments.pop("u1")
     agent = untrained(experiment)
     met = record(experiment, agent)
-    told_met = record(told, agent)  # the other filter leads to states that this one keeps away from
+    robust_met = record(robust, agent)  # the other filter leads to states that this one keeps away from
     single = {
         "single_filter_latency_ms": single_latencies(experiment.filter, *met),
-        "told_filter_latency_ms": single_latencies(told.filter, *told_met),
+        "told_filter_latency_ms": single_latencies(robust.filter, *robust_met),
     }
     flown = {"paper": ("1", "paper"), "edge": ("1", "edge"), "u1": ("u1", "paper")}
     random_us = {name: random_demands(named[own], where) for name, (own, where) in flown.items()}
@@ -406,7 +406,7 @@ def benchmark(config: Config, batches: tuple[int, ...] = BATCHES) -> dict[str, A
                 curves["closed_loop_steps_per_s", name][n] = closed_loop_rate(env, met[0], agent)
         curves["filter_calls_per_s",][n] = filter_rate(experiment.filter, *met, n)
         if n <= typical:
-            curves["told_filter_calls_per_s",][n] = filter_rate(told.filter, *told_met, n)
+            curves["told_filter_calls_per_s",][n] = filter_rate(robust.filter, *robust_met, n)
         for name, spent in parts_of_a_step(experiment, n, met[0], agent).items():
             parts[name][n] = spent
 

@@ -59,7 +59,7 @@ class ActuatorGroup:
     Args:
         held_by: a key of ACTUATORS; others of the constraints are left out.
         constraints: the paper's and your own.
-        checked: its controls are checked within what is told.
+        checked: its controls are checked, see `rta.backup`.
 
     Attributes:
         held_by; controls: its place in a control; limit: of each of its actuators in N or N m.
@@ -204,7 +204,7 @@ class ActuatorGroup:
     def doubted(
         self, x: Tensor, control: Tensor, constraints: Sequence[Constraint], a: Tensor, end: Function
     ) -> Tensor:
-        """What sampled rows lose in the worst of states (16, B) that are told, and of actuators: (R, B).
+        """What sampled rows lose in the worst case within the bounds of states (16, B) and actuators: (R, B).
 
         The worst state of a row is where its slopes lead: as far as may be in place, velocity, attitude and rates each.
 

@@ -26,9 +26,9 @@ from inspection.model.state import CONTROL_SIZE, SIZE, P, Q
 from kernels.build import NoCompilerError, say
 from kernels.compiled import Compiled
 from kernels.modes import in_full_precision
-from rta.backup.check import Backup
 from rta.backup.commit import Check
-from rta.backup.told import ToldBackup
+from rta.backup.nominal_check import NominalBackup
+from rta.backup.robust_check import RobustBackup
 from rta.barrier import Rows
 from rta.bounds.uncertainty import NO_UNCERTAINTY, Uncertainty
 from rta.constraints import vehicle
@@ -65,7 +65,7 @@ class SafetyFilter:
     Attributes:
         names: of all constraints: Table 3's, then those of your own that thrust holds, then those that torque holds.
         propose: the programs, and all that comes before the check; groups: their rows of thrust and of torque.
-        backup: the check of its controls; None: no way to rest is known for this vehicle, or within what it is told.
+        backup: the check of its controls; None: no way to rest is known for this vehicle, or within the bounds.
         compiled: all of it as one C function; None: it is not compiled so.
 
     Raises:
@@ -96,7 +96,9 @@ class SafetyFilter:
         of_paper = (thrust_constraints(c, own, uncertainty), torque_constraints(c, own, uncertainty))
         constraints = (*of_paper[0], *of_paper[1], *extra)
         self.backup: Check | None = (
-            Backup.of(c, parameters.period) if uncertainty.is_zero else ToldBackup.of(c, own, uncertainty)
+            NominalBackup.of(c, parameters.period)
+            if uncertainty.is_zero
+            else RobustBackup.of(c, own, uncertainty)
         )
         self.propose = Propose(constraints, c, own, uncertainty, self.checked)
         self.groups = self.propose.groups
@@ -285,7 +287,7 @@ class SafetyFilter:
             sent: (k, 6, B) the controls held since the states were measured, the oldest first, each for a period; NaN
                 where a state is younger. Of more than `latency` (0 without `Uncertainty`) the state is too old: the
                 status is UNSOLVED, and the control is not verified.
-            left: (6, B) the share that each actuator gives of what it is told; None: all of it. It counts for a filter
+            left: (6, B) the share that each actuator gives of its command; None: all of it. It counts for a filter
                 with `health` in its `Uncertainty`.
         """
         elsewhere = x.device.type != "cpu" or self.solver is not self._own_solver
@@ -323,7 +325,7 @@ class SafetyFilter:
 
         A flight has a hundred holds, each of a thousand operations.
         """
-        if isinstance(self.backup, Backup) and not self._has_tried and x.device.type == "cpu":
+        if isinstance(self.backup, NominalBackup) and not self._has_tried and x.device.type == "cpu":
             self._has_tried = True
             with suppress(NoCompilerError):
                 self.backup.flights = self.backup.flights or Flights(self)

@@ -65,7 +65,7 @@ class Found(NamedTuple):
 # actuators give, or None.
 Settle = Callable[[ActuatorGroup, Prepared, Tensor, Found, Tensor | None], Found]
 # What is computed for every spacecraft, compiled or not: a group's rows at states (16, B) and controls (6, B), and,
-# where it is told, what is left of actuators (6, B); or a prediction.
+# with health, what is left of actuators (6, B); or a prediction.
 Run = Callable[..., list[Tensor]]
 Part = tuple[Run, tuple[Tensor, ...]]  # with an example of what it is given
 
@@ -169,8 +169,8 @@ class Propose:
             if self.kind == "none":
                 found = unless_lost(x, Found.as_desired(control[own], demand.status[i], group.values(x)))
             else:
-                told, share = ([], None) if left is None else ([left], left[own])
-                rows = Prepared(*rows_of[i](x, control, *told))
+                more, share = ([], None) if left is None else ([left], left[own])
+                rows = Prepared(*rows_of[i](x, control, *more))
                 found = Found.as_desired(control[own], demand.status[i], rows.h)
                 found = settle(group, rows, demand.wish[own], found, share)
                 slack = found.slack.maximum(

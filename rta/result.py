@@ -16,7 +16,7 @@ class FilterResult:
         control: (6, B) safe control in N and N m, within the actuators' limits whatever was desired.
         intervened: (B,) bool, another control than the desired one is applied.
         verified: (B,) bool, the control keeps every limit until the next call, and the backup laws' flight from there
-            does (`rta.backup`; docs/reference/proof.md). Of a filter that is told of bounds:
+            does (`rta.backup`; docs/reference/proof.md). With error bounds:
             whatever is true within them, whenever the next call is, and motion comes into a haven. False where no way
             is known of motion or attitude.
         backup: (B,) bool, another control is applied than the programs' solution, for that reason.

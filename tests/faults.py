@@ -406,7 +406,7 @@ CHECK = [
     ),
     *faults(
         "rta/backup/commit.py",
-        "rta/backup/test_check.py -k actuators_give",
+        "rta/backup/test_nominal_check.py -k actuators_give",
         ("best, found = given(there),", "best, found = there.clone(),"),
     ),
     *faults(
@@ -427,12 +427,12 @@ CHECK = [
     ),
     *faults(
         "rta/backup/commit.py",
-        "rta/backup/test_check.py -k first_safe_share",
+        "rta/backup/test_nominal_check.py -k first_safe_share",
         ("for share in (*SHARES, 1.0):", "for share in (*SHARES[::-1], 1.0):"),
     ),
     *faults(
         "rta/backup/commit.py",
-        "rta/backup/test_check.py -k compiled_check and 10.0 or fail_later",
+        "rta/backup/test_nominal_check.py -k compiled_check and 10.0 or fail_later",
         ("put(changed[0], columns, ~again & can)", "put(changed[0], columns, again & can)"),
     ),
     *faults(
@@ -520,7 +520,7 @@ IN_C = [
     ),
     *faults(
         "rta/printed/driver/commit.c",
-        "rta/backup/test_check.py -k compiled_check and 10.0 or fail_later",
+        "rta/backup/test_nominal_check.py -k compiled_check and 10.0 or fail_later",
         (
             "proposed[j] + (ALL(shares[i]) * (law[j] - proposed[j]))",
             "law[j] + (ALL(shares[i]) * (proposed[j] - law[j]))",
@@ -532,12 +532,12 @@ IN_C = [
     ),
     *faults(
         "rta/printed/driver/flight.c",
-        "rta/backup/test_check.py -k compiled_check and 10.0 or fail_later",
+        "rta/backup/test_nominal_check.py -k compiled_check and 10.0 or fail_later",
         ("broken[k] = NOT(h[k] >= 0.0);", "broken[k] = NO;"),
         ("turned(x, u, after, &least[MOTION_LIMITS]);", "turned(x, u, after, least);"),
     ),
     *faults(
-        "rta/printed/driver/told.c",
+        "rta/printed/driver/robust_check.c",
         "rta/printed/test_driver.py -k in_c_is and u1",
         (
             "ends.late[call] = (call + 1 >= LATENCY) ? (bound[1] - grown[call + 1 - LATENCY]) : bound[1];",
@@ -549,7 +549,7 @@ IN_C = [
     ),
     *faults(
         "rta/printed/driver/flight.c",
-        "rta/backup/test_check.py -k flights_in_c and 1.0",
+        "rta/backup/test_nominal_check.py -k flights_in_c and 1.0",
         ("alive[group] = AND(alive[group], fine[group]);", ""),
         ("found[THRUSTS] = AND(inside[0], AND(inside[3], inside[4]));", "found[THRUSTS] = inside[3];"),
     ),
@@ -572,25 +572,25 @@ IN_C = [
     ),
     *faults(
         "rta/printed/driver/batch/commit.c",
-        "rta/backup/test_check.py -k compiled_check and 1.0 or fail_later",
+        "rta/backup/test_nominal_check.py -k compiled_check and 1.0 or fail_later",
         ("truths[0] = other != 0;", "truths[0] = 0;"),
     ),
     *faults(
         "rta/printed/driver/batch/hopeful.c",
-        "rta/backup/test_check.py -k compiled_check and 1.0 or fail_later",
+        "rta/backup/test_nominal_check.py -k compiled_check and 1.0 or fail_later",
         ("const M sure = *hopes & later[0] & later[1];", "const M sure = *hopes & later[0];"),
         ("const M both = flights->found[0] & flights->found[1];", "const M both = flights->found[0];"),
         ("put_waiting(these, lane, these, flights->count - 1);", ""),
     ),
     *faults(
         "rta/printed/driver/batch/flights.c",
-        "rta/backup/test_check.py -k flights_in_c and 1.0",
+        "rta/backup/test_nominal_check.py -k flights_in_c and 1.0",
         ("put_lane(these->y, lane, these->y, last, 16);", ""),
         ("these->holds[lane] >= FLIGHT_HOLDS;", "these->holds[lane] >= GLANCES;"),
     ),
     *faults(
         "rta/printed/driver/batch/batch.c",
-        "rta/backup/test_check.py -k compiled_check and 1.0 or fail_later",
+        "rta/backup/test_nominal_check.py -k compiled_check and 1.0 or fail_later",
         ("look_closely(unsure & ~alone, hopes,", "look_closely(NO, hopes,"),
         ("    finish(&pending, out, out_step);", ""),
     ),

@@ -109,10 +109,10 @@ def states(count: int, seed: int) -> tuple[torch.Tensor, torch.Tensor]:
 
 
 def filtered(count: int, period: float, config: str | None = None) -> Quantities:
-    """What the compiled filter answers to states, at a period and told of the bounds of a shipped configuration."""
-    told = load(config, Config()) if config else Config()
+    """What the compiled filter answers to states, at a period and with the bounds of a shipped configuration."""
+    base = load(config, Config()) if config else Config()
     try:
-        own = SafetyFilter(told.inspection, RtaParameters(period=period), uncertainty=told.uncertainty)
+        own = SafetyFilter(base.inspection, RtaParameters(period=period), uncertainty=base.uncertainty)
     except ValueError as error:
         return {"refused": [str(error)]}
     x, desired = states(count, seed=0)

@@ -2,8 +2,9 @@
 
 The nearest is sought on the way from what is proposed to the backup law's control, in a few steps; at last it is that.
 Torque comes first, since the attitude decides where thrust acts. This order is one for all. What a way is, a check says
-for itself: the flight of both laws in the model (`rta.backup.check`), or, of a filter that is told of bounds, what they
-leave sure of it (`rta.backup.told`). Gurriet et al. 2020, backup barriers; Agrawal, Chen and Panagou 2023, gatekeeper.
+for itself: the flight of both laws in the model (`rta.backup.nominal_check`), or, with error bounds, the worst of all
+flights within them (`rta.backup.robust_check`). Gurriet et al. 2020, backup barriers; Agrawal, Chen and Panagou 2023,
+gatekeeper.
 """
 
 from abc import ABC, abstractmethod

@@ -1,4 +1,4 @@
-"""Motion within bounds that are told: the cone around a braking path, and the limits of motion on it.
+"""Motion with error bounds: the cone around a braking path, and the limits of motion on it.
 
 By the law of `rta.backup.haven` w = S w_0 + r, from call to call. S falls from 1 to 0, and |r| stays below a bound
 R(S), for the law aims anew at every call. So a way is a path of S alone, and what it strays from that:

@@ -1,4 +1,4 @@
-"""Motion within bounds that are told: the law that brakes, what is not known of it, and the haven where it ends.
+"""Motion with error bounds: the braking law, the errors of its execution, and the haven where it ends.
 
 The law is a function of what is measured, as that of `rta.backup.motion_law`. There is a field of velocities v_ref(p):
 outwards beside the chief, inwards at the edge of the zone, none between. With w = v - v_ref(p), thrust is to give, from

@@ -1,4 +1,4 @@
-"""The way to rest of torque where the world differs from the model within bounds that are told.
+"""The way to rest of torque with error bounds: the world differs from the model within them.
 
 The law is that of `rta.backup.attitude_law` in a form that errors do not lead astray: Lipschitz in the attitude, with
 one place of rest, slow enough to be followed. With d the panels' axis, s the direction to the Sun and w the body's rate

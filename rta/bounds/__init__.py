@@ -1,1 +1,1 @@
-"""What the filter is told may be wrong."""
+"""Bounds on the errors of model, measurement and actuators."""

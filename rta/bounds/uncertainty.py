@@ -1,4 +1,4 @@
-"""What the filter is told about the world's bounds, within which it checks its controls.
+"""Bounds on the errors of model, measurement and actuators, within which the filter checks its controls.
 
 The worst of them are taken all at once. All zero: the plant is the model, and the filter that of the paper.
 """
@@ -109,9 +109,9 @@ class Uncertainty(Settings):
                 f"minimum_thrust = {self.minimum_thrust:g}: must be at most max_thrust, {c.max_thrust:g} N"
             )
         if (left := self.max_acceleration(c, r)) <= 0.0:
-            told = ", ".join(f"{name} = {value:g}" for name in BRAKING if (value := getattr(self, name)))
+            bounds = ", ".join(f"{name} = {value:g}" for name in BRAKING if (value := getattr(self, name)))
             raise ValueError(
-                f"{told}: of a braking of {c.max_acceleration:.3g} m/s^2 leave {left:.3g} within "
+                f"{bounds}: of a braking of {c.max_acceleration:.3g} m/s^2 leave {left:.3g} within "
                 f"max_distance = {c.max_distance:g} m: must be above zero for the keep-in zone"
             )
         if self.rate_offset(c) + math.radians(self.rate) >= c.max_rate:

@@ -18,7 +18,7 @@ from kernels.build import for_vectors, library
 from kernels.cache import remembered
 from kernels.compiled import check, in_shares, over_columns, pointers, strided, timed
 from kernels.printer import Printed, if_long, printed
-from rta.backup.check import Backup
+from rta.backup.nominal_check import NominalBackup
 from rta.barrier import ActuatorGroup
 from rta.constraints.constraint import joined
 from rta.printed.source import check_files, define, driver_text, functions, group_of, source
@@ -43,7 +43,7 @@ class Columns:
     """
 
     def __init__(self, found: ctypes.CDLL, safety_filter: "SafetyFilter", seconds: float) -> None:
-        self.constraints, self.told = len(safety_filter.names), not safety_filter.uncertainty.is_zero
+        self.constraints, self.has_bounds = len(safety_filter.names), not safety_filter.uncertainty.is_zero
         self.latency, self.seconds = safety_filter.uncertainty.latency, seconds
         self.run = over_columns(found, "filter_batch")
         self.run.restype = ctypes.c_long
@@ -63,7 +63,7 @@ class Columns:
         check("x", x, torch.float64, (SIZE, columns))
         check("desired", desired, torch.float64, (CONTROL_SIZE, columns))
         given = [strided(x), strided(desired)]
-        if self.told:
+        if self.has_bounds:
             sent, left = self.aged(sent, x), torch.ones_like(desired) if left is None else left
             check("sent", sent, torch.float64, (self.latency, CONTROL_SIZE, columns))
             check("left", left, torch.float64, (CONTROL_SIZE, columns))
@@ -108,14 +108,14 @@ class BatchFilter(Columns):
         one = [source(f, [*own, *ways]), by_column(f)]
         found = library({"one": "\n".join(one), "many": "\n".join(many)})
         super().__init__(found, f, 0.0)
-        if isinstance(f.backup, Backup):
+        if isinstance(f.backup, NominalBackup):
             f.backup.flights = Flights(f, found)
         x, u = (part.expand(-1, PROBED).contiguous() for part in f.probe("cpu"))
         self.seconds = min(timed(self, x, u) for _ in range(3)) / PROBED
 
 
 class Flights:
-    """`Backup.ways` of states on a CPU, by a C function of a library.
+    """`NominalBackup.ways` of states on a CPU, by a C function of a library.
 
     Args:
         found: the library; None: one is made of the filter's check alone. Raises as `kernels.compiled.Compiled`.
@@ -128,7 +128,7 @@ class Flights:
         self.run = over_columns(found, "filter_flights")
 
     def __call__(self, x: Tensor, broken: Tensor, asked: Sequence[int] = (0, 1)) -> Tensor:
-        """As `Backup.ways`."""
+        """As `NominalBackup.ways`."""
         wanted = torch.zeros(2, x.shape[1], dtype=torch.bool)
         wanted[list(asked)] = True
         result = torch.empty(2, x.shape[1], dtype=torch.bool)
@@ -149,7 +149,7 @@ def checked(safety_filter: "SafetyFilter", ways: Sequence[Printed]) -> list[str]
     if f.backup:
         texts += [group_of(f), *(part.text for part in ways)]
         files = ["round.c", *check_files(f), *files]
-        own = ["commit", "flights", "hopeful"] if isinstance(f.backup, Backup) else ["sure"]
+        own = ["commit", "flights", "hopeful"] if isinstance(f.backup, NominalBackup) else ["sure"]
         files += [f"batch/{name}.c" for name in own]
     return [*texts, *map(driver_text, files)]
 
@@ -163,8 +163,8 @@ def recorded(safety_filter: "SafetyFilter") -> tuple[list[Printed], list[Printed
 
 def by_column(safety_filter: "SafetyFilter") -> str:
     """The C function that has a batch's column filtered by the exported filter, whose header stands before."""
-    told = define("TOLD", int(not safety_filter.uncertainty.is_zero))
-    return "\n".join([told, driver_text("batch/batch.h"), driver_text("batch/one.c")])
+    bounds = define("TOLD", int(not safety_filter.uncertainty.is_zero))
+    return "\n".join([bounds, driver_text("batch/batch.h"), driver_text("batch/one.c")])
 
 
 def printed_attempt(safety_filter: "SafetyFilter") -> Printed:

@@ -72,7 +72,7 @@ SECTIONS = {  # by file of the driver
     "round.c": "What thrusters give",
     "commit.c": "What is applied in the place of a control that leaves no way",
     "flight.c": "Whether a control keeps the limits, and the flight of the backup laws after it does",
-    "told.c": "Whether within bounds a control keeps the limits and leaves a way",
+    "robust_check.c": "Whether within bounds a control keeps the limits and leaves a way",
     "commit_one.c": "The check of one spacecraft",
 }
 
@@ -204,7 +204,7 @@ def header(safety_filter: "SafetyFilter", verified: str, configuration: str, sou
 
 
 def about(safety_filter: "SafetyFilter") -> str:
-    """What a reader of the header is told of its numbers."""
+    """Explains the numbers of the header to its reader."""
     saturates = safety_filter.c.saturate_rates and safety_filter.uncertainty.saturates_rates
     relies = (
         " It counts on a spacecraft that itself keeps every body rate within "

@@ -64,7 +64,7 @@ def driver_files(safety_filter: "SafetyFilter") -> list[str]:
 
 def check_files(safety_filter: "SafetyFilter") -> list[str]:
     """The files of the driver that check one spacecraft, and vectors of them."""
-    return ["commit.c", "flight.c" if safety_filter.uncertainty.is_zero else "told.c"]
+    return ["commit.c", "flight.c" if safety_filter.uncertainty.is_zero else "robust_check.c"]
 
 
 def functions(safety_filter: "SafetyFilter") -> list[Printed]:

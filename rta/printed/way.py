@@ -9,11 +9,11 @@ from torch import Tensor
 from inspection.model.state import SIZE, TORQUE
 from kernels.printer import Printed, if_long, printed
 from rta.backup import homing, turn
-from rta.backup.check import KEPT, RATES_ROUNDED, Backup
 from rta.backup.commit import ATTITUDE, LIMITS, MOTION, SHARES, SLACK_ROUNDED, Check
 from rta.backup.flight import CELLS
 from rta.backup.flight import turn as turn_in
-from rta.backup.told import ToldBackup
+from rta.backup.nominal_check import KEPT, RATES_ROUNDED, NominalBackup
+from rta.backup.robust_check import RobustBackup
 from rta.bounds.prediction import KINDS
 from rta.constraints.names import PAPERS
 
@@ -31,9 +31,9 @@ def checks(safety_filter: "SafetyFilter") -> list[Printed]:
     b, (x, u) = safety_filter.backup, safety_filter.probe("cpu")
     if b is None:
         return []
-    if isinstance(b, ToldBackup):
-        return told_checks(b, x, u)
-    assert isinstance(b, Backup)
+    if isinstance(b, RobustBackup):
+        return robust_functions(b, x, u)
+    assert isinstance(b, NominalBackup)
     planes = if_long(len(safety_filter.c.planes))  # of a hull
     holds = all_printed(
         ("flown", lambda x, u: list(b.hold(x, u)), (x, u), ("x", "control"), ("after", "least")),
@@ -55,8 +55,8 @@ def laws(check: Check, x: Tensor, u: Tensor) -> list[Printed]:
     )  # fmt: skip
 
 
-def told_checks(b: ToldBackup, x: Tensor, u: Tensor) -> list[Printed]:
-    """The functions that told.c calls."""
+def robust_functions(b: RobustBackup, x: Tensor, u: Tensor) -> list[Printed]:
+    """The functions that robust_check.c calls."""
     bound, late = torch.zeros(KINDS, 1, dtype=torch.float64), torch.zeros(1, 1, dtype=torch.float64)
     y, least, found = torch.cat((x, bound)), ("least",), []
     if w := b.turning:
@@ -96,17 +96,17 @@ def constants(backup: Check | None) -> dict[str, tuple[int | float | str, str]]:
     found = {
         "CHECKED": (1, "what is proposed is checked"),
         "ALL_CHECKED": (int(all(backup.knows)), "thrust and torque are"),
-        "FLIES": (int(isinstance(backup, Backup)), "by flights of the laws, see flight.c"),
+        "FLIES": (int(isinstance(backup, NominalBackup)), "by flights of the laws, see flight.c"),
         "LIMITS": (LIMITS, "of which the body rates are one, the last"),
         **trials(),
         **limits(),
     }
-    assert isinstance(backup, Backup | ToldBackup)
-    return found | (of_flights(backup) if isinstance(backup, Backup) else of_bounds(backup))
+    assert isinstance(backup, NominalBackup | RobustBackup)
+    return found | (of_flights(backup) if isinstance(backup, NominalBackup) else of_bounds(backup))
 
 
-def of_bounds(backup: ToldBackup) -> dict[str, tuple[int | float | str, str]]:
-    """Of told.c, as `constants`."""
+def of_bounds(backup: RobustBackup) -> dict[str, tuple[int | float | str, str]]:
+    """Of robust_check.c, as `constants`."""
     return {
         "SEEN": (SIZE + KINDS, "numbers: a state, and by how much further than measured it may be off"),
         "TURN": (int(backup.turning is not None), "1: torque is checked"),
@@ -117,7 +117,7 @@ def of_bounds(backup: ToldBackup) -> dict[str, tuple[int | float | str, str]]:
     }
 
 
-def of_flights(backup: Backup) -> dict[str, tuple[int | float | str, str]]:
+def of_flights(backup: NominalBackup) -> dict[str, tuple[int | float | str, str]]:
     """Of flight.c, as `constants`."""
     names = {
         "SEPARATION": "collision",

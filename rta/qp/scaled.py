@@ -38,7 +38,7 @@ def prepared(group: ActuatorGroup, x: Tensor, control: Tensor, left: Tensor | No
     """A group's rows at states (16, B), and what controls (6, B) in N and N m leave of them.
 
     Args:
-        left: (6, B) the share that each actuator gives of what it is told; None: all of it.
+        left: (6, B) the share that each actuator gives of its command; None: all of it.
     """
     limit: Tensor | float = group.limit
     if left is None:

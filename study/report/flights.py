@@ -35,7 +35,7 @@ GUIDANCE_CASES = 1000
 FILTER_PERIOD = 1.0  # s between two calls of the filter
 PLANTS = ROOT / "configs" / "plants"
 WORLDS = ("nominal", "typical", "u1", "harsh")  # files there
-BOUNDS = PLANTS / "u1.toml"  # what the robust filter is told
+BOUNDS = PLANTS / "u1.toml"  # of the robust filter
 WORLDS_CASES = 10  # of each seed in each world
 PROGRESS_UNTIL = 5000.0  # s
 Arrays = dict[str, np.ndarray]
@@ -114,12 +114,12 @@ def guided(names: Sequence[str], config: Config, cases: int) -> dict[str, Result
 
 
 def worlds(arms: dict[str, Arm]) -> dict[str, dict[str, dict[str, Results]]]:
-    """By plant and arm: its agents without filter, behind one that believes the model and behind one that is told.
+    """By plant and arm: its agents without filter, behind one of the model and behind one with error bounds.
 
     The filter is called every second: its bounds are those of a spacecraft that does so.
     """
-    told = load(BOUNDS, Config()).uncertainty
-    filters = {"off": (False, Uncertainty()), "nominal": (True, Uncertainty()), "robust": (True, told)}
+    bounds = load(BOUNDS, Config()).uncertainty
+    filters = {"off": (False, Uncertainty()), "nominal": (True, Uncertainty()), "robust": (True, bounds)}
     found: dict[str, dict[str, dict[str, Results]]] = {plant: {name: {} for name in arms} for plant in WORLDS}
     for names in side_by_side(arms):
         for plant, (switch, (rta, uncertainty)) in product(WORLDS, filters.items()):
@@ -149,7 +149,7 @@ def side_by_side(arms: dict[str, Arm]) -> list[list[str]]:
 
 
 def in_world(arms: Sequence[Arm], plant: str, rta: bool, uncertainty: Uncertainty) -> list[Results]:
-    """The agents of arms that fly side by side in the plant of that file, the filter on or off and told of so much."""
+    """Flies the agents of arms side by side in the plant of a file, the filter on or off and with this uncertainty."""
     first = arms[0]
     config = replace(
         with_rta(first.config, rta, FILTER_PERIOD).with_solver("auto"),

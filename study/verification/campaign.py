@@ -46,10 +46,12 @@ BAR = "{percentage:3.0f}%|{bar}| {n:,.0f}/{total:,} episodes [{elapsed}<{remaini
 def blamed(config: Config) -> str:
     """What leaves no start, where there is none: the bounds, if there are any."""
     nothing = vars(Uncertainty())
-    told = {name: value for name, value in sorted(vars(config.uncertainty).items()) if value != nothing[name]}
-    if not told:
+    bounds = {
+        name: value for name, value in sorted(vars(config.uncertainty).items()) if value != nothing[name]
+    }
+    if not bounds:
         return "[inspection] and [rta]"
-    return f"[uncertainty] {', '.join(f'{name} = {value!r}' for name, value in told.items())}"
+    return f"[uncertainty] {', '.join(f'{name} = {value!r}' for name, value in bounds.items())}"
 
 
 def run(

@@ -62,7 +62,7 @@ def compiled(
     """Returns the module, which asks its surroundings for nothing.
 
     Args:
-        filters: by their numbers; the last one is told of the errors, where there are any.
+        filters: by their numbers; the last one has bounds of the errors, where there are any.
         plant: has the errors; agent: C sources by file, see `study.export.policy`, or none.
 
     Raises:
@@ -154,7 +154,7 @@ def of_filter(safety_filter: SafetyFilter, number: int) -> list[str]:
 
 
 def of_world(safety_filter: SafetyFilter, parameters: PlantParameters) -> list[Printed]:
-    """Prints a world whose errors are worst, and who chooses its corners; `safety_filter` is told of its bounds."""
+    """Prints a world whose errors are worst, and who chooses its corners; `safety_filter` has its bounds."""
     c, (x, u) = safety_filter.c, safety_filter.probe("cpu")
     plant = Plant(replace(parameters, latency=0), c, 1, "cpu")  # what is old by then, the driver keeps
     greedy, now, duration = Greedy(safety_filter), torch.zeros(1), min(c.substep, min(PERIODS))

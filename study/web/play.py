@@ -84,10 +84,10 @@ def write(config: Config, out: Path, policy: Policy | None = None) -> int:
     with step("printing and compiling the filters, two minutes"):
         with refusing("[rta], [inspection], [plant] and [uncertainty]", ValueError, OverflowError):
             filters = [SafetyFilter(c, replace(config.rta, period=period)) for period in PERIODS]
-            told = [SafetyFilter(c, config.rta, uncertainty=config.uncertainty)] if errs else []
-        worlds = [world(nominal, filters), *(world(erring, told) for _ in told)]
+            robust = [SafetyFilter(c, config.rta, uncertainty=config.uncertainty)] if errs else []
+        worlds = [world(nominal, filters), *(world(erring, robust) for _ in robust)]
         own = agent.sources(policy, config, "") if policy else {}
-        compiled = module.compiled([*filters, *told], erring.plant if errs else None, own)
+        compiled = module.compiled([*filters, *robust], erring.plant if errs else None, own)
     text = document(c, compiled, worlds, policy is not None)
     with refusing(f"--out {out}: cannot write it", OSError):
         write_text(out, text)

@@ -67,9 +67,9 @@ def test_the_shipped_numbers_are_of_the_filter_that_ships(name: str, shipped: di
     assert shipped["filter"][name] == ours
 
 
-def test_the_told_filter_is_measured_in_the_world_that_it_is_told_of() -> None:
-    u1, told = load(benchmark.U1, Config()), benchmark.filters(Config())["u1"]
-    assert (told.plant, told.uncertainty) == (u1.plant, u1.uncertainty) and not told.uncertainty.is_zero
+def test_the_robust_filter_is_measured_in_the_world_of_its_bounds() -> None:
+    u1, robust = load(benchmark.U1, Config()), benchmark.filters(Config())["u1"]
+    assert (robust.plant, robust.uncertainty) == (u1.plant, u1.uncertainty) and not robust.uncertainty.is_zero
     own = override(Config(), {"uncertainty": {"mass": 0.1}}, "test")
     assert benchmark.filters(own)["u1"] == own
 

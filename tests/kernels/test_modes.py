@@ -47,20 +47,24 @@ MODES: dict[str, Callable[[], AbstractContextManager[Any]]] = {
 }
 
 
-def episodes(rta: bool, period: float = 1.0, compiled: bool = False, told: bool = False) -> list[Tensor]:
-    """Observations, rewards and states of random actions; in an imperfect world where the filter is told of it."""
-    c = U1.inspection if told else C
-    options = {"uncertainty": U1.uncertainty} if told else {}
+def episodes(rta: bool, period: float = 1.0, compiled: bool = False, robust: bool = False) -> list[Tensor]:
+    """Observations, rewards and states of random actions; in an imperfect world where the filter is robust to it."""
+    c = U1.inspection if robust else C
+    options = {"uncertainty": U1.uncertainty} if robust else {}
     safety_filter = SafetyFilter(c, RtaParameters(period=period), **options)
     env = InspectionEnv(
-        8, c, [torch.Generator().manual_seed(0)], safety_filter.safety(rta), plant=U1.plant if told else None
+        8,
+        c,
+        [torch.Generator().manual_seed(0)],
+        safety_filter.safety(rta),
+        plant=U1.plant if robust else None,
     )
     if compiled:
         safety_filter.compile("cpu", 8)
         env.compile()
     draw = torch.Generator().manual_seed(1)
     found = [env.reset()]
-    for _ in range(1 if told or period > 1.0 else 3):
+    for _ in range(1 if robust or period > 1.0 else 3):
         flown = env.step(2.0 * torch.rand(8, 6, generator=draw, dtype=torch.float32) - 1.0)
         found += [flown.observation, flown.reward, flown.state]
     return found
@@ -93,7 +97,7 @@ COMPUTED: dict[str, Callable[[], list[Tensor]]] = {
     "episodes": partial(episodes, rta=False),
     "episodes behind the filter": partial(episodes, rta=True),
     "episodes behind the filter at 5 s": partial(episodes, rta=True, period=5.0),
-    "episodes in U1": partial(episodes, rta=True, told=True),
+    "episodes in U1": partial(episodes, rta=True, robust=True),
     "compiled episodes behind the filter": partial(episodes, rta=True, compiled=True),
     "the filter as a function": called,
     "an update": learned,
@@ -137,10 +141,10 @@ class Watching(TorchDispatchMode):
         return answer
 
 
-@pytest.mark.parametrize("told", [False, pytest.param(True, marks=pytest.mark.campaign)])
-def test_the_filter_computes_in_double(told: bool) -> None:
+@pytest.mark.parametrize("robust", [False, pytest.param(True, marks=pytest.mark.campaign)])
+def test_the_filter_computes_in_double(robust: bool) -> None:
     """A choice between two Python numbers is in PyTorch's default type, in single: bounds within U1 were, once."""
-    safety_filter = SafetyFilter(U1.inspection, uncertainty=U1.uncertainty) if told else SafetyFilter(C)
+    safety_filter = SafetyFilter(U1.inspection, uncertainty=U1.uncertainty) if robust else SafetyFilter(C)
     x, _ = sample_initial_state(32, torch.Generator().manual_seed(0), safety_filter.c)
     load_forward_mode()
     with Watching() as watching:

@@ -1,4 +1,4 @@
-"""The filter follows the orbit and the turning of Hill's frame that its model is told of."""
+"""The filter follows the orbit and the turning of Hill's frame of its model."""
 
 import math
 

@@ -105,10 +105,10 @@ COARSE = [
 ]
 
 
-@pytest.mark.parametrize("told", COARSE, ids=str)
-def test_coarse_thrusters_are_asked_for_what_they_give(told: dict[str, float]) -> None:
+@pytest.mark.parametrize("bounds", COARSE, ids=str)
+def test_coarse_thrusters_are_asked_for_what_they_give(bounds: dict[str, float]) -> None:
     f, fine = (
-        SafetyFilter(C, uncertainty=Uncertainty(**told)),
+        SafetyFilter(C, uncertainty=Uncertainty(**bounds)),
         SafetyFilter(C, uncertainty=Uncertainty(mass=1e-9)),
     )
     for each in (f, fine):  # the programs alone
@@ -122,7 +122,7 @@ def test_coarse_thrusters_are_asked_for_what_they_give(told: dict[str, float]) -
     assert near.double().mean() > 0.98 and ((given - answered).abs() > 1e-3).any()
 
 
-def test_a_filter_that_is_told_of_nothing_is_the_papers_at_1_s() -> None:
+def test_a_filter_without_error_bounds_is_the_papers_at_1_s() -> None:
     x, u = across(8, 0.97), desired(8)
     one, other = SafetyFilter(C), SafetyFilter(C, uncertainty=Uncertainty())
     assert not one.holds and not other.holds
@@ -130,7 +130,7 @@ def test_a_filter_that_is_told_of_nothing_is_the_papers_at_1_s() -> None:
     a, b = one.correct(x, u), other.correct(x, u, sent=young, left=0.5 * u.abs())
     for field in dataclasses.fields(a):
         assert torch.equal(getattr(a, field.name), getattr(b, field.name))
-    old = other.correct(x, u, sent=torch.zeros_like(young))  # one was: older than it is told
+    old = other.correct(x, u, sent=torch.zeros_like(young))  # one was: older than its latency
     assert torch.equal(a.control, old.control) and a.verified.all() and not old.verified.any()
-    told = SafetyFilter(C, uncertainty=Uncertainty(mass=0.1))
-    assert told.holds and not torch.equal(told.correct(x, u).control, a.control)
+    robust = SafetyFilter(C, uncertainty=Uncertainty(mass=0.1))
+    assert robust.holds and not torch.equal(robust.correct(x, u).control, a.control)

@@ -29,8 +29,8 @@ C = InspectionParameters()
 RATE = math.radians(2.0)
 
 
-def group(by: str, period: float = 10.0, extra: tuple[Constraint, ...] = (), **told: Any) -> ActuatorGroup:
-    r, uncertainty = RtaParameters(period=period, rows="sampled"), Uncertainty(**told)
+def group(by: str, period: float = 10.0, extra: tuple[Constraint, ...] = (), **bounds: Any) -> ActuatorGroup:
+    r, uncertainty = RtaParameters(period=period, rows="sampled"), Uncertainty(**bounds)
     constraints = (*thrust_constraints(C, r, uncertainty), *torque_constraints(C, r, uncertainty), *extra)
     return ActuatorGroup(by, constraints, C, r, uncertainty)
 
@@ -176,7 +176,7 @@ def test_of_a_constraint_that_the_other_group_changes_its_worst_comes_off() -> N
 )
 def test_where_no_check_is_known_rows_take_off_what_is_not_known(by: str, draws: int) -> None:
     """The condition in any state and under any thrust or torque within the bounds, where a row of the model sees it."""
-    told = {
+    bounds = {
         "position": 0.3,
         "velocity": 0.02,
         "attitude": 0.2,
@@ -184,7 +184,7 @@ def test_where_no_check_is_known_rows_take_off_what_is_not_known(by: str, draws:
         "thrust_gain": 0.02,
         "torque_gain": 0.02,
     }
-    uncertainty, generator = Uncertainty(**told), np.random.default_rng(0)
+    uncertainty, generator = Uncertainty(**bounds), np.random.default_rng(0)
     own = group(by, 5.0)
     tight = ActuatorGroup(by, own.constraints, C, own.r, uncertainty, checked=False)
     model = ActuatorGroup(by, own.constraints, C, own.r, uncertainty)
@@ -203,7 +203,7 @@ def test_where_no_check_is_known_rows_take_off_what_is_not_known(by: str, draws:
             sides.append((found.a * given[group.controls]).sum(1) + found.b)
         return torch.cat(sides)
 
-    told_least, lowest = least(tight, x, u, u), torch.full_like(least(model, x, u, u), math.inf)
+    robust_least, lowest = least(tight, x, u, u), torch.full_like(least(model, x, u, u), math.inf)
     for _ in range(draws):
         away = [generator.standard_normal((3, 60)) for _ in range(6)]
         p, v, turn, rate, thrust, torque = (tensor(part / length(part)) for part in away)
@@ -217,8 +217,8 @@ def test_where_no_check_is_known_rows_take_off_what_is_not_known(by: str, draws:
         given[TORQUE] += 0.02 * u[TORQUE].norm(dim=0) * torque
         lowest = lowest.minimum(least(model, y, u, given))
     free = torch.tensor([each.axis is None for each in own.of_row])
-    lost = (least(model, x, u, u) - told_least)[free]
-    missed = (told_least - lowest)[free]
+    lost = (least(model, x, u, u) - robust_least)[free]
+    missed = (robust_least - lowest)[free]
     assert (lost > 0.0).any(1).all()
     # but where a row has a kink: at a limit that is broken, or where a light begins to shine
     seen = (missed <= 0.1 * lost + 1e-9).double().mean(1)

@@ -82,8 +82,8 @@ def test_the_shipped_plants_can_be_flown(path: Path) -> None:
     config = load(path, Config())
     assert config.plant.is_nominal == (path.stem == "nominal")
     assert path.read_text(encoding="utf-8").startswith("# ")
-    told = path.stem.startswith("u1")
-    assert config.uncertainty.is_zero == (not told)
+    robust = path.stem.startswith("u1")
+    assert config.uncertainty.is_zero == (not robust)
     model = Config()
     assert dataclasses.replace(config, plant=model.plant, uncertainty=model.uncertainty) == model
     config.plant.check_body(config.inspection)

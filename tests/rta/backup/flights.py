@@ -10,8 +10,8 @@ from torch import Tensor
 from inspection.model.parameters import InspectionParameters
 from inspection.model.state import OMEGA, SIZE, TORQUE, E, P, T, V
 from kernels.compiled import Compiled
-from rta.backup.check import Backup
 from rta.backup.flight import CELLS
+from rta.backup.nominal_check import NominalBackup
 from rta.filter import SafetyFilter
 from rta.parameters import PERIODS, RtaParameters
 from settings import load
@@ -33,9 +33,9 @@ def vehicle(name: str, saturates: bool = True) -> InspectionParameters:
 
 
 @functools.cache
-def backup(name: str, hold: float, saturates: bool = True) -> Backup:
+def backup(name: str, hold: float, saturates: bool = True) -> NominalBackup:
     """The check of a vehicle, which there has to be."""
-    found = Backup.of(vehicle(name, saturates), hold)
+    found = NominalBackup.of(vehicle(name, saturates), hold)
     assert found is not None
     return found
 

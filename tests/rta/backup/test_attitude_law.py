@@ -10,7 +10,7 @@ from torch import Tensor
 
 from inspection.model.state import OMEGA, THETA_S, E, Q, T
 from rta.backup.attitude_law import has_rest, slew, wanted
-from rta.backup.check import Backup
+from rta.backup.nominal_check import NominalBackup
 from rta.parameters import PERIODS
 from tests.oracles import body_axis, moved
 from tests.rta.backup.flights import (
@@ -131,4 +131,4 @@ def test_the_body_rolls_to_the_nearer_of_both_sides(hold: float) -> None:
 def test_a_vehicle_without_an_attitude_of_rest_has_none() -> None:
     assert has_rest(C)
     for other in (replace(C, solar_panel_axis="+x"), replace(C, thermal_axis="-x")):
-        assert not has_rest(other) and Backup.of(other, 1.0) is None
+        assert not has_rest(other) and NominalBackup.of(other, 1.0) is None

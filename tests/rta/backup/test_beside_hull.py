@@ -12,9 +12,9 @@ from inspection.chief.hull import beside, farthest, reach
 from inspection.model.parameters import InspectionParameters
 from inspection.model.state import CONTROL_SIZE, SIZE, P, V
 from kernels.compiled import Compiled
-from rta.backup.check import KEPT, LIMITS
 from rta.backup.chords import FreeFlight, Strays, between
 from rta.backup.flight import CELLS
+from rta.backup.nominal_check import KEPT, LIMITS
 from rta.filter import SafetyFilter
 from rta.parameters import RtaParameters
 from rta.printed.batch import Flights

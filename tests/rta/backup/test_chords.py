@@ -90,8 +90,8 @@ def test_a_body_that_turns_strays_no_farther(seconds: float, mean_of: str) -> No
             np.linalg.norm(speed - chord[:, 3:], axis=1).max(),
             (np.linalg.norm(speed, axis=1) - np.linalg.norm(chord[:, 3:], axis=1)).max(),
         )
-        for i, (told, found) in enumerate(zip(off, astray, strict=True)):
-            assert found <= told.item() + 1e-8, (i, found, told.item(), turn, push, v)
-            if told.item() > 1e-6:
-                worst[i] = max(worst[i], found / told.item())
+        for i, (bound, found) in enumerate(zip(off, astray, strict=True)):
+            assert found <= bound.item() + 1e-8, (i, found, bound.item(), turn, push, v)
+            if bound.item() > 1e-6:
+                worst[i] = max(worst[i], found / bound.item())
     assert (worst > 0.3).all(), worst  # the bound is no empty one

@@ -5,8 +5,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from rta.backup.check import ENDS, KEPT
 from rta.backup.commit import MOTION
+from rta.backup.nominal_check import ENDS, KEPT
 from tests.oracles import moved
 from tests.rta.backup.flights import CASES, backup, everywhere, in_c, least_of, vehicle
 
@@ -32,8 +32,8 @@ def flights(name: str, hold: float, saturates: bool, x: Tensor) -> tuple[Tensor,
         there = torch.stack([(room[list(ENDS[group])] >= 0.0).all(0) for group in range(2)])
         kept[:, flying] |= alive & there
         holds[:, flying] = torch.where(alive, call, holds[:, flying])
-        x, told, _, _, room = flight(x)
-        alive = alive & ~there & (of_groups(told) >= KEPT)
+        x, bounds, _, _, room = flight(x)
+        alive = alive & ~there & (of_groups(bounds) >= KEPT)
         on = alive.any(0)
         if not on.any():
             break
@@ -61,8 +61,8 @@ def test_no_limit_is_below_what_one_look_says_on_the_flight(hold: float) -> None
     """Each limit at the plant's steps of a flight, by formulas of its own: at a path's nodes a chord says too much."""
     c, flight, b = vehicle("paper"), in_c("paper", hold), backup("paper", hold)
     x = everywhere(4000, 25, c)
-    told = flight(x)[3]
-    accepted = (of_groups(told) >= KEPT).numpy()
+    bounds = flight(x)[3]
+    accepted = (of_groups(bounds) >= KEPT).numpy()
     least = least_of(x, c)
     for call in range(round(b.coarse.arrives / hold)):
         u = flight(x)[2]
@@ -71,6 +71,6 @@ def test_no_limit_is_below_what_one_look_says_on_the_flight(hold: float) -> None
             least = np.minimum(least, least_of(x, c))
         if call == round(100 / hold):  # by then all rest that brake on a straight line
             motion = least[:MOTION].copy()
-    above = told.numpy()[:10] - np.concatenate((motion, least[MOTION:10]))
+    above = bounds.numpy()[:10] - np.concatenate((motion, least[MOTION:10]))
     assert (above[:MOTION, accepted[0]] <= 1e-9).all() and (above[MOTION:, accepted[1]] <= 1e-9).all()
     assert (accepted.mean(1) > 0.1).all()

@@ -11,7 +11,7 @@ from inspection.model.state import OMEGA, P, V
 from rta.backup.cone import Node, between, way
 from rta.backup.haven import Haven
 from tests.oracles import hypercube, length, motion, tensor
-from tests.rta.backup.told_world import U1, C, R, World, flown
+from tests.rta.backup.uncertain_world import U1, C, R, World, flown
 
 HAVEN = Haven.of(C, R, U1)
 ROUNDING = 1e-9
@@ -97,7 +97,7 @@ def test_the_fastest_that_are_accepted_keep_the_limits_of_motion(how: str, misse
 
 
 def test_without_what_a_way_strays_limits_break() -> None:
-    """A check that is told of nothing, and takes thrust for stronger, accepts what the world of U1 does not keep."""
+    """A check without error bounds, which takes thrust for stronger, accepts what the world of U1 does not keep."""
     nothing = {"across": 0.0, "seen": 0.0, "lag": 0.0, "turning": 0.0, "place": 0.0}
     trusting = replace(HAVEN, low=1.0, high=1.0, full=1.3 * HAVEN.full, **nothing)
     x = torch.cat((edges(hypercube(150, 3, C), trusting), edges(beside(150, 4), trusting)), 1)

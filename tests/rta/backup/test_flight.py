@@ -1,4 +1,4 @@
-"""A hold as it is looked at: it ends where the plant is, and nothing between is below the least that is told."""
+"""A hold as it is looked at: it ends where the plant is, and nothing between is below the least that it returns."""
 
 import numpy as np
 import pytest
@@ -57,10 +57,10 @@ def test_no_limit_is_below_its_least_in_a_hold(name: str, period: float, saturat
     x = everywhere(COUNT, 5, c)
     x[OMEGA, ::3] = c.max_rate * random(3, COUNT, 7).sign()[:, ::3]  # full torque may be held at the limit
     u = controls(x, period, c)
-    told, least = hold(x, u, w)[1].numpy(), least_between(x, u, period, c, spacing=5.0, look=0.1)
+    bounds, least = hold(x, u, w)[1].numpy(), least_between(x, u, period, c, spacing=5.0, look=0.1)
     rows = 10 if saturates else 11
-    assert np.isinf(told[rows:]).all()
-    below = told[:rows] - least[:rows]
+    assert np.isinf(bounds[rows:]).all()
+    below = bounds[:rows] - least[:rows]
     assert (below <= ROUNDED).all(), below.max(1)
     lost_by = (0.05, 0.05, 0.05, 3.0, 0.02, 0.02, 0.02, 0.01, 0.01, 0.05, 1e-3)
     for row, most in enumerate(lost_by[:rows]):

@@ -11,7 +11,7 @@ from inspection.model.state import P, Q, V
 from rta.backup.haven import Haven, NoHavenError
 from rta.bounds.uncertainty import Uncertainty
 from tests.oracles import length, motion
-from tests.rta.backup.told_world import U1, C, R, World, flown
+from tests.rta.backup.uncertain_world import U1, C, R, World, flown
 
 HAVEN = Haven.of(C, R, U1)
 EVERYWHERE = np.array((HAVEN.nearest, 18.0, 20.0, 25.0, 40.0, 80.0, 130.0, 300.0, 560.0, 790.0, 799.5))
@@ -67,9 +67,9 @@ def test_nothing_leads_out_of_the_haven_of_thrusters_that_give_some_values_only(
     coarse: dict[str, float],
 ) -> None:
     """What they round off counts in the haven: one without it they leave."""
-    told = Uncertainty(latency=1, longest_hold=1.0, position=0.1, velocity=0.001, thrust_misalignment=1.0)
-    uncertainty = replace(told, **coarse)
-    for haven, stays in ((Haven.of(C, R, uncertainty), True), (Haven.of(C, R, told), False)):
+    bounds = Uncertainty(latency=1, longest_hold=1.0, position=0.1, velocity=0.001, thrust_misalignment=1.0)
+    uncertainty = replace(bounds, **coarse)
+    for haven, stays in ((Haven.of(C, R, uncertainty), True), (Haven.of(C, R, bounds), False)):
         x, world = within(haven, 50, 1, at_call=True), World(50, 2, "worst", "always", uncertainty)
         least, end, states = flown(x, haven, world, 600.0, None)
         calm = torch.stack([haven.calm(y[P].norm(dim=0)) for y in (*states, end)])
@@ -104,7 +104,7 @@ def test_thrust_acts_within_its_shares(hold: float) -> None:
 
 
 @pytest.mark.parametrize(
-    "told",
+    "bounds",
     [
         replace(U1, velocity=0.2),
         replace(U1, thrust_gain=0.6),
@@ -113,6 +113,6 @@ def test_thrust_acts_within_its_shares(hold: float) -> None:
         replace(U1, position=150.0),
     ],
 )
-def test_bounds_that_leave_no_haven_are_refused(told: Uncertainty) -> None:
+def test_bounds_that_leave_no_haven_are_refused(bounds: Uncertainty) -> None:
     with pytest.raises(NoHavenError):
-        Haven.of(C, R, told)
+        Haven.of(C, R, bounds)

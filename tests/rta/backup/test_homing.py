@@ -10,13 +10,13 @@ from torch import Tensor
 from inspection.model.parameters import InspectionParameters
 from inspection.model.state import OMEGA, SIZE, THRUST, P, V
 from rta.backup.homing import calls, may_be_kept
-from rta.backup.told import ToldBackup
+from rta.backup.robust_check import RobustBackup
 from rta.bounds.uncertainty import Uncertainty
 from rta.filter import SafetyFilter
 from study.verification.starts import safe_set
 from tests.oracles import hypercube
 from tests.rta.backup.test_cone import accepts, beside
-from tests.rta.backup.told_world import U1, C, R, World, committed, flown, is_safe, of_thrust
+from tests.rta.backup.uncertain_world import U1, C, R, World, committed, flown, is_safe, of_thrust
 
 HOMING = of_thrust(C, R, U1)
 assert HOMING and HOMING.haven
@@ -39,7 +39,7 @@ class Demands:
         refused, verified, asked: how many demands were, of how many.
     """
 
-    def __init__(self, homing: ToldBackup | None, seed: int) -> None:
+    def __init__(self, homing: RobustBackup | None, seed: int) -> None:
         self.homing, self.generator = homing, torch.Generator().manual_seed(seed)
         self.refused = self.verified = self.asked = 0
 
@@ -162,13 +162,13 @@ def test_a_limit_may_be_kept_as_far_beyond_it_as_a_state_may_be_off() -> None:
 
 
 def test_where_no_haven_is_known_there_is_no_check() -> None:
-    for told in (
+    for bounds in (
         Uncertainty(),
         replace(U1, health=True),
         replace(U1, minimum_thrust=0.02),
         replace(U1, velocity=0.3),
     ):
-        assert of_thrust(C, R, told) is None
+        assert of_thrust(C, R, bounds) is None
     assert of_thrust(InspectionParameters(orbit="two-body"), R, U1) is None
 
 
@@ -177,18 +177,18 @@ LEFT_THE_ZONE = [-689.517, -118.445, 35.9689, -3.17297, -0.4764, -3.54167, 0.751
 
 
 @pytest.mark.parametrize(
-    "told",
+    "bounds",
     [
         {"rate": 0.3},
         *(
-            pytest.param(told, marks=pytest.mark.campaign)
-            for told in ({"torque_gain": 0.6, "rate": 0.2}, {"attitude": 3.0})
+            pytest.param(bounds, marks=pytest.mark.campaign)
+            for bounds in ({"torque_gain": 0.6, "rate": 0.2}, {"attitude": 3.0})
         ),
     ],
 )
-def test_starts_have_a_way_also_where_only_thrust_is_checked(told: dict[str, float]) -> None:
+def test_starts_have_a_way_also_where_only_thrust_is_checked(bounds: dict[str, float]) -> None:
     """With torque gains off by 0.6 and full thrust outwards a start without one left the zone by 1.9 m."""
-    safety = SafetyFilter(C, R, uncertainty=Uncertainty(**told))
+    safety = SafetyFilter(C, R, uncertainty=Uncertainty(**bounds))
     assert safety.backup and safety.checked == (True, False)
     without_a_way = torch.tensor(LEFT_THE_ZONE, dtype=torch.float64)[:, None]
     assert (safety.values(without_a_way) >= 0.0).all() and not safety.is_safe(without_a_way)

@@ -10,8 +10,8 @@ from torch import Tensor
 from inspection.model.attitude import rotation_matrix
 from inspection.model.state import OMEGA, THETA_S, E, P, Q, T, V
 from rta.backup.attitude_law import Pointing, astray
-from rta.backup.check import Backup
 from rta.backup.motion_law import Braking, field
+from rta.backup.nominal_check import NominalBackup
 from rta.backup.terminal import CALM, NoTerminalSetError, TerminalSet, amiss, cone, leftover, lyapunov
 from rta.parameters import PERIODS
 from tests.oracles import moved
@@ -172,7 +172,7 @@ def test_a_larger_set_would_hold_states_that_break_a_limit(what: str, by: float)
         *(pytest.param(name, hold, marks=pytest.mark.campaign) for name in NAMES for hold in PERIODS),
     ],
 )
-def test_a_hold_of_the_law_ends_where_the_form_says_but_for_what_is_told(name: str, hold: float) -> None:
+def test_a_hold_of_the_law_ends_where_the_form_says_but_for_the_bounds(name: str, hold: float) -> None:
     """(a, T w) becomes M (a, T w), but for what is non-linear: the step of the proof that flights alone do not show."""
     c, b = vehicle(name), backup(name, hold)
 
@@ -188,10 +188,10 @@ def test_a_hold_of_the_law_ends_where_the_form_says_but_for_what_is_told(name: s
     of_turn = (turn_after - z * a).norm(dim=0)
     angle = a.norm(dim=0).asin()
     rate = torch.maximum(turn.norm(dim=0) / hold, b.pointing.kappa * angle)
-    told = [amiss(b.pointing, *each)[:2] for each in zip(angle.tolist(), rate.tolist(), strict=True)]
-    shares = torch.stack((of_a, of_turn)) / torch.tensor(told, dtype=torch.float64).T
+    bounds = [amiss(b.pointing, *each)[:2] for each in zip(angle.tolist(), rate.tolist(), strict=True)]
+    shares = torch.stack((of_a, of_turn)) / torch.tensor(bounds, dtype=torch.float64).T
     assert (shares <= 1.0).all(), shares.amax(1)
-    if name == "paper":  # of equal moments: what is told of gyroscopic torque is zero
+    if name == "paper":  # of equal moments: the bound of gyroscopic torque is zero
         assert (shares.amax(1) > torch.tensor([0.2, 0.6])).all(), shares.amax(1)
 
 
@@ -205,7 +205,7 @@ def test_where_the_laws_stay_nowhere_there_is_no_set() -> None:
     ):
         with pytest.raises(NoTerminalSetError, match=match):
             cone(replace(pointing, c=other), *form)
-        assert Backup.of(other, 1.0) is None
+        assert NominalBackup.of(other, 1.0) is None
     small = replace(C, max_distance=60.0)
     with pytest.raises(NoTerminalSetError, match="zone"):
         TerminalSet.of(Pointing.of(small, 1.0), Braking.of(small, 1.0, 0.05))

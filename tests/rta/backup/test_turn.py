@@ -13,8 +13,8 @@ from inspection.model.attitude import rate_in_hill, turned_by
 from inspection.model.dynamics import Body, step, sun_and_earth_in_body
 from inspection.model.parameters import InspectionParameters
 from inspection.model.state import OMEGA, TORQUE, E, Q, T
-from rta.backup.check import Backup
-from rta.backup.told import ToldBackup
+from rta.backup.nominal_check import NominalBackup
+from rta.backup.robust_check import RobustBackup
 from rta.backup.turn import law, wanted
 from rta.backup.turning import heating
 from rta.bounds.prediction import predicted
@@ -22,7 +22,7 @@ from rta.bounds.uncertainty import Uncertainty
 from rta.filter import SafetyFilter
 from rta.parameters import RtaParameters
 from tests.oracles import attitude, hypercube, moved
-from tests.rta.backup.told_world import committed, of_torque
+from tests.rta.backup.uncertain_world import committed, of_torque
 
 C, R = InspectionParameters(), RtaParameters()
 U1 = Uncertainty(
@@ -40,7 +40,7 @@ SUBSTEP = 0.25  # s
 ROUNDED = 1e-9
 
 
-def backup(uncertainty: Uncertainty = U1, r: RtaParameters = R) -> ToldBackup:
+def backup(uncertainty: Uncertainty = U1, r: RtaParameters = R) -> RobustBackup:
     found = of_torque(C, r, uncertainty)
     assert found is not None
     return found
@@ -131,7 +131,7 @@ class World:
         return path
 
 
-def starts(found: ToldBackup, count: int, seed: int) -> Tensor:
+def starts(found: RobustBackup, count: int, seed: int) -> Tensor:
     """States (16, count) from which a way is verified, every other one as hot, or as empty, as is accepted."""
     x = hypercube(6 * count, seed, C)
     x = x[:, found.has_way(x) & torch.from_numpy((attitude(x.numpy(), C) >= 0.0).all(0))][:, :count]
@@ -150,7 +150,7 @@ def starts(found: ToldBackup, count: int, seed: int) -> Tensor:
     return x
 
 
-def at_law(found: ToldBackup) -> Callable[[Tensor, Tensor], Tensor]:
+def at_law(found: RobustBackup) -> Callable[[Tensor, Tensor], Tensor]:
     return lambda x, bound: torch.cat((torch.zeros_like(x[:3]), law(x, found.turning)))
 
 
@@ -222,7 +222,7 @@ def test_the_limit_of_heat_is_least_in_the_end_but_for_light_of_a_dim_sun(slope:
     assert (warmer + slope * angle <= warmer[-1] + slope * w.dim + 1e-4).all()
 
 
-UNTOLD = {
+BEYOND = {
     "missed calls": (replace(U1, longest_hold=0.0), replace(U1, longest_hold=6.0)),
     "errors of rates": (replace(U1, rate=0.0), replace(U1, rate=0.5)),
     "inertia": (replace(U1, inertia=0.0, torque_gain=0.0), replace(U1, inertia=0.5)),
@@ -236,9 +236,9 @@ UNTOLD = {
         *(pytest.param(what, marks=pytest.mark.campaign) for what in ("errors of rates", "inertia")),
     ],
 )
-def test_a_limit_breaks_where_the_check_is_not_told(what: str) -> None:
-    told, true = UNTOLD[what]
-    found = backup(told)
+def test_a_limit_breaks_beyond_the_bounds_of_the_check(what: str) -> None:
+    bounds, true = BEYOND[what]
+    found = backup(bounds)
     world = World(starts(found, 90, 1), true, R, 2)
     least, answer = np.inf, at_law(found)
     for k in range(90):
@@ -248,7 +248,7 @@ def test_a_limit_breaks_where_the_check_is_not_told(what: str) -> None:
 
 
 def test_bounds_without_a_rest_have_no_check() -> None:
-    assert isinstance(SafetyFilter().backup, Backup)
+    assert isinstance(SafetyFilter().backup, NominalBackup)
     for wide in ({"rate": 0.5}, {"attitude": 20.0}, {"torque_gain": 0.9}, {"health": True}):
         assert of_torque(C, R, replace(U1, **wide)) is None
     assert of_torque(replace(C, solar_panel_axis="+x"), R, U1) is None

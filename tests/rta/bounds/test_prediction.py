@@ -41,10 +41,10 @@ U1 = {
 }
 
 
-def world(told: dict[str, Any]) -> PlantParameters:
+def world(bounds: dict[str, Any]) -> PlantParameters:
     """Every world that is within these bounds."""
     given: dict[str, Any] = {"saturate_rates": False, "noise_bound": 1.0}
-    for name, value in told.items():
+    for name, value in bounds.items():
         if name in ("mass", "inertia", "thrust_gain", "torque_gain"):
             given[name if name.endswith("gain") else f"{name}_factor"] = (1 - value, 1 + value)
         elif name in ("position", "velocity", "attitude", "rate"):
@@ -70,9 +70,9 @@ def now_of(x: Tensor, sent: Tensor, r: RtaParameters, uncertainty: Uncertainty) 
     return x, error_bound
 
 
-def escaped(told: dict[str, Any], period: float, calls: int) -> list[float]:
+def escaped(bounds: dict[str, Any], period: float, calls: int) -> list[float]:
     """By how much position, velocity, attitude and rates are off beyond what `predicted` says, at the worst."""
-    plant = begun(world(told), WORLDS, seed=6, c=C)
+    plant = begun(world(bounds), WORLDS, seed=6, c=C)
     x = tensor(some_states(WORLDS, seed=6))
     x[OMEGA] *= 0.3
     sent = torch.stack([tensor(some_controls(WORLDS, seed=7 + i)) for i in range(calls)])
@@ -80,7 +80,7 @@ def escaped(told: dict[str, Any], period: float, calls: int) -> list[float]:
     for u in sent:
         x = plant.integrate(x, plant.actuate(moments(WORLDS), u), plant.body, 0.5, round(2 * period))
     now = relative(plant, x)
-    r, uncertainty = RtaParameters(period=period), Uncertainty(latency=calls, **told)
+    r, uncertainty = RtaParameters(period=period), Uncertainty(latency=calls, **bounds)
     there, error_bound = now_of(seen, sent, r, uncertainty)
 
     def beyond(off: Tensor, measured: float) -> Tensor:
@@ -100,7 +100,7 @@ ROUNDING = (5e-3, 5e-4, 2e-4, 1e-9)  # m, m/s, rad, rad/s: of one step of 10 s
 
 
 @pytest.mark.parametrize(
-    ("told", "kinds"),
+    ("bounds", "kinds"),
     [
         ({"mass": 0.1, "thrust_gain": 0.05}, (0, 1)),
         ({"acceleration": 1e-3}, (0, 1)),
@@ -113,13 +113,13 @@ ROUNDING = (5e-3, 5e-4, 2e-4, 1e-9)  # m, m/s, rad, rad/s: of one step of 10 s
 )
 @pytest.mark.parametrize(("period", "calls"), [(1.0, 1), (1.0, 3), (10.0, 1)])
 def test_the_truth_is_within_what_is_said_of_a_predicted_state(
-    told: dict[str, Any], kinds: tuple[int, ...], period: float, calls: int, monkeypatch: pytest.MonkeyPatch
+    bounds: dict[str, Any], kinds: tuple[int, ...], period: float, calls: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    found = escaped(told, period, calls)
+    found = escaped(bounds, period, calls)
     assert all(found[kind] <= ROUNDING[kind] for kind in kinds)
     # without what is said beyond the measurement's error it is not
     monkeypatch.setattr("tests.rta.bounds.test_prediction.predicted", lambda *given: without_bound(*given))
-    found = escaped(told, period, calls)
+    found = escaped(bounds, period, calls)
     assert all(found[kind] > 0.0 for kind in kinds)
 
 

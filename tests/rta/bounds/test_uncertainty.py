@@ -1,4 +1,4 @@
-"""What the filter is told of the world's bounds: what is refused, and the worst of them against drawn worlds."""
+"""The filter's uncertainty: what is refused, and the worst of them against drawn worlds."""
 
 import dataclasses
 
@@ -24,13 +24,13 @@ MANY = 20_000  # worlds
 # what is refused
 
 
-def test_a_least_impulse_and_a_step_of_thrust_are_not_told_together() -> None:
+def test_a_least_impulse_and_a_step_of_thrust_are_refused_together() -> None:
     with pytest.raises(ValueError, match="minimum_thrust and thrust_quantum"):
         Uncertainty(minimum_thrust=0.02, thrust_quantum=0.05)
 
 
 @pytest.mark.parametrize(
-    ("told", "period", "bound", "limit"),
+    ("bounds", "period", "bound", "limit"),
     [
         ({"longest_hold": 4.0}, 5.0, "longest_hold = 4", "the period, 5 s"),
         ({"mass": 0.9, "thrust_gain": 0.8}, 1.0, "mass = 0.9, thrust_gain = 0.8", "max_distance = 800 m"),
@@ -45,10 +45,10 @@ def test_a_least_impulse_and_a_step_of_thrust_are_not_told_together() -> None:
     ],
 )
 def test_a_bound_that_leaves_no_control_is_refused_with_the_limit_that_it_breaks(
-    told: dict[str, float], period: float, bound: str, limit: str
+    bounds: dict[str, float], period: float, bound: str, limit: str
 ) -> None:
     with pytest.raises(ValueError) as refusal:
-        SafetyFilter(C, RtaParameters(period=period), uncertainty=Uncertainty(**told))
+        SafetyFilter(C, RtaParameters(period=period), uncertainty=Uncertainty(**bounds))
     assert bound in str(refusal.value) and limit in str(refusal.value)
     assert "\n" not in str(refusal.value)
 
@@ -60,7 +60,7 @@ def test_a_bound_that_leaves_no_control_is_refused_with_the_limit_that_it_breaks
 
 
 BOUNDS = {"mass": 0.1, "inertia": 0.2, "thrust_gain": 0.05, "torque_gain": 0.07, "thrust_misalignment": 20.0}
-TOLD = Uncertainty(**BOUNDS, acceleration=0.004)
+UNCERTAINTY = Uncertainty(**BOUNDS, acceleration=0.004)
 WORLD = PlantParameters(
     mass_factor=(0.9, 1.1),
     inertia_factor=(0.85, 1.15),  # more is no body
@@ -71,55 +71,57 @@ WORLD = PlantParameters(
 )
 
 
-def along_axes(u: Tensor, told: int) -> tuple[Tensor, Tensor]:
+def along_axes(u: Tensor, axis: int) -> tuple[Tensor, Tensor]:
     """Accelerations for those of the model, of the thrust and of the torque along one axis, (MANY,) each."""
-    plant = begun(WORLD, MANY, seed=told, c=C)
+    plant = begun(WORLD, MANY, seed=axis, c=C)
     acting = plant.actuate(moments(MANY), u.expand(-1, MANY))
     mass, inertia = plant.body[0], plant.body[1:4]
-    return acting[told] / mass * C.mass, acting[3 + told] / inertia[told] * C.inertia[told]
+    return acting[axis] / mass * C.mass, acting[3 + axis] / inertia[axis] * C.inertia[axis]
 
 
 @pytest.mark.parametrize("axis", [0, 1, 2])
 def test_no_world_gives_less_or_more_along_an_axis(axis: int) -> None:
     u = torch.zeros(6, 1, dtype=torch.float64)
     u[[axis, 3 + axis]] = 1.0
-    for given, (least, most) in zip(along_axes(u, axis), (TOLD.thrust, TOLD.torque), strict=True):
+    for given, (least, most) in zip(
+        along_axes(u, axis), (UNCERTAINTY.thrust, UNCERTAINTY.torque), strict=True
+    ):
         assert (given >= least).all() and (given <= most).all()
         # nearly all of the interval is there
         assert given.min() < least + 0.1 and given.max() > most - 0.12
-    # had the filter been told of less, a world would be beyond
+    # with less uncertainty a world would be beyond
     for name in ("mass", "thrust_gain", "thrust_misalignment"):
-        least, most = dataclasses.replace(TOLD, **{name: 0.0}).thrust
+        least, most = dataclasses.replace(UNCERTAINTY, **{name: 0.0}).thrust
         given, _ = along_axes(u, axis)
         assert (given < least).any() or (given > most).any()
     for name in ("inertia", "torque_gain"):
-        least, most = dataclasses.replace(TOLD, **{name: 0.0}).torque
+        least, most = dataclasses.replace(UNCERTAINTY, **{name: 0.0}).torque
         _, given = along_axes(u, axis)
         assert (given < least).any() or (given > most).any()
 
 
-def braking(told: Uncertainty) -> np.ndarray:
+def braking(bounds: Uncertainty) -> np.ndarray:
     """m/s^2 against the worst flight next to the zone that 1 N along an axis brings, of drawn worlds, (MANY,)."""
     rng = np.random.default_rng(0)
 
     def within(share: float) -> np.ndarray:
         return rng.uniform(1 - share, 1 + share, MANY)
 
-    tilt = np.cos(np.radians(told.thrust_misalignment * rng.uniform(size=MANY)))
-    thrust = C.max_thrust * within(told.thrust_gain) * tilt / (C.mass * within(told.mass))
+    tilt = np.cos(np.radians(bounds.thrust_misalignment * rng.uniform(size=MANY)))
+    thrust = C.max_thrust * within(bounds.thrust_gain) * tilt / (C.mass * within(bounds.mass))
     n, r = C.mean_motion, C.max_distance
     speed = min(C.max_speed, C.docking_speed + C.speed_slope * r)
     angle = rng.uniform(0, 2 * np.pi, MANY)  # of a flight across, which Coriolis turns outwards or inwards
     nature = 3 * n**2 * r + 2 * n * speed * np.cos(angle)
-    return thrust - nature - told.acceleration * rng.uniform(size=MANY)
+    return thrust - nature - bounds.acceleration * rng.uniform(size=MANY)
 
 
 def test_a_max_is_there_in_every_world() -> None:
-    told = dataclasses.replace(TOLD, thrust_misalignment=3.0)
-    found = braking(told).min()
-    assert told.max_acceleration(C, R) <= found < told.max_acceleration(C, R) + 0.006
+    bounds = dataclasses.replace(UNCERTAINTY, thrust_misalignment=3.0)
+    found = braking(bounds).min()
+    assert bounds.max_acceleration(C, R) <= found < bounds.max_acceleration(C, R) + 0.006
     for name in ("mass", "thrust_gain", "acceleration"):
-        assert dataclasses.replace(told, **{name: 0.0}).max_acceleration(C, R) > found
+        assert dataclasses.replace(bounds, **{name: 0.0}).max_acceleration(C, R) > found
     assert Uncertainty().max_acceleration(C, R) == C.max_acceleration
 
 
@@ -129,7 +131,7 @@ def test_no_body_within_the_bound_turns_otherwise_by_more(
     inertia: tuple[float, float, float], hill_rotation: bool
 ) -> None:
     c = dataclasses.replace(C, inertia=inertia)
-    told = Uncertainty(inertia=0.2, hill_rotation=hill_rotation)
+    bounds = Uncertainty(inertia=0.2, hill_rotation=hill_rotation)
     rng = np.random.default_rng(1)
     omega = rng.uniform(-1, 1, (3, MANY)).round() * c.max_rate  # many at the corners
     nominal = np.array(c.inertia)[:, None]
@@ -146,10 +148,10 @@ def test_no_body_within_the_bound_turns_otherwise_by_more(
     # d/dt (w - n z) of a z that stands still in Hill's frame: dz/dt = -(w - n z) x z
     true_rate = gyroscopic(stars, true) + np.cross(relative, turning, axis=0)
     off = np.linalg.norm(true_rate - gyroscopic(relative, nominal), axis=0)
-    bound = told.angular_acceleration(c)
+    bound = bounds.angular_acceleration(c)
     assert off.max() <= bound
     assert off.max() > 0.5 * bound
-    assert off.max() > dataclasses.replace(told, inertia=0.1).angular_acceleration(c)
+    assert off.max() > dataclasses.replace(bounds, inertia=0.1).angular_acceleration(c)
 
 
 # what thrusters give

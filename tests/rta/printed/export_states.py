@@ -78,8 +78,8 @@ def made(kind: str, **more: object) -> SafetyFilter:
     """The filter that is called every so many s, or the one of a file in configs/plants."""
     if kind.isdigit():
         return SafetyFilter(parameters=RtaParameters(period=float(kind)), **more)
-    told = load(Path(f"configs/plants/{kind}.toml"), Config())
-    return SafetyFilter(told.inspection, told.rta, uncertainty=told.uncertainty, **more)
+    config = load(Path(f"configs/plants/{kind}.toml"), Config())
+    return SafetyFilter(config.inspection, config.rta, uncertainty=config.uncertainty, **more)
 
 
 def states(count: int, seed: int) -> tuple[Tensor, Tensor]:

@@ -191,8 +191,8 @@ def test_what_cannot_be_held_gets_the_least_violating_control(solver: ctypes.CDL
     np.testing.assert_allclose(control, expected.control.T, rtol=0, atol=1e-9)
 
 
-def told(name: str, **more: Any) -> Uncertainty:
-    """What a filter is told in one of configs/plants."""
+def uncertainty_of(name: str, **more: Any) -> Uncertainty:
+    """A filter's uncertainty in one of configs/plants."""
     return dataclasses.replace(load(Path(f"configs/plants/{name}.toml"), Config()).uncertainty, **more)
 
 
@@ -237,9 +237,7 @@ class Driver:
         return FilterResult(**parts, intervened=parts["status"] > Status.UNTOUCHED)
 
 
-KINDS: dict[
-    str, tuple[float, Uncertainty | None, str]
-] = {  # of filters: period in s, what they are told, rows
+KINDS: dict[str, tuple[float, Uncertainty | None, str]] = {  # of filters: period in s, uncertainty, rows
     "now": (1.0, None, "auto"),
     "own constraints": (1.0, None, "auto"),
     "sampled at 1 s": (1.0, None, "sampled"),
@@ -247,12 +245,12 @@ KINDS: dict[
     "5 s": (5.0, None, "auto"),
     "paper at 5 s": (5.0, None, "paper"),
     "none at 5 s": (5.0, None, "none"),
-    "U1": (1.0, told("u1"), "auto"),
-    "paper in U1": (1.0, told("u1"), "paper"),
-    "none in U1": (1.0, told("u1"), "none"),
-    "minimum thrust": (1.0, told("u1_minimum_thrust"), "auto"),
-    "quantum": (1.0, told("u1_thrust_quantum"), "auto"),
-    "health": (1.0, told("u1", health=True), "auto"),
+    "U1": (1.0, uncertainty_of("u1"), "auto"),
+    "paper in U1": (1.0, uncertainty_of("u1"), "paper"),
+    "none in U1": (1.0, uncertainty_of("u1"), "none"),
+    "minimum thrust": (1.0, uncertainty_of("u1_minimum_thrust"), "auto"),
+    "quantum": (1.0, uncertainty_of("u1_thrust_quantum"), "auto"),
+    "health": (1.0, uncertainty_of("u1", health=True), "auto"),
     "health alone": (1.0, Uncertainty(health=True), "auto"),
 }
 
@@ -284,7 +282,7 @@ def assert_same(
 ) -> FilterResult:
     """Calls the filter in both languages."""
     expected, found = driver.safety.correct(x, u, sent, left), driver(x, u, sent, left)
-    # a dead thruster is told anything: to rounding all of it is as good
+    # a dead thruster may get any command: to rounding all of it is as good
     alive = 1.0 if left is None else (left > 0.0).double()
     same = (((expected.control - found.control) * alive / LIMIT).abs() <= 1e-9).all(0)
     # a solution that is a multiple of the quantum but for rounding has others next to it
@@ -410,7 +408,7 @@ def test_thrust_that_is_replaced_is_for_the_torque_that_is_applied(made: Callabl
 @pytest.mark.parametrize(
     "uncertainty",
     [Uncertainty(), pytest.param(Uncertainty(position=0.3), marks=pytest.mark.campaign)],
-    ids=["model", "told"],
+    ids=["nominal", "robust"],
 )
 def test_states_that_are_not_finite_are_never_verified(uncertainty: Uncertainty) -> None:
     """Also where there are no rows, of which a number that is none would show it."""

@@ -13,7 +13,7 @@ from scipy.optimize import nnls
 import main
 from inspection.model.dynamics import step
 from inspection.model.parameters import InspectionParameters
-from rta.backup.check import Backup
+from rta.backup.nominal_check import NominalBackup
 from rta.constraints.names import CONSTRAINTS
 from rta.filter import SafetyFilter
 from rta.parameters import RtaParameters
@@ -57,7 +57,7 @@ def result(given: dict[str, ndarray], tmp_path_factory: pytest.TempPathFactory) 
 def solution(given: dict[str, ndarray], tmp_path_factory: pytest.TempPathFactory) -> dict[str, ndarray]:
     """What it writes without the check of its controls, `rta.backup`: what the programs answer."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(Backup, "of", lambda c, period: None)
+        patch.setattr(NominalBackup, "of", lambda c, period: None)
         return written(given, tmp_path_factory.mktemp("programs"))
 
 

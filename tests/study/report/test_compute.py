@@ -152,9 +152,9 @@ def test_worlds_are_those_of_evaluate(study: Path, tmp_path: Path) -> None:
     assert list(found) == ["nominal", "harsh"]
     assert all(list(arms) == ["no_rta", "rta"] for arms in found.values())
     settings = tmp_path / "harsh_and_told.toml"
-    told = (flights.PLANTS / "u1.toml").read_text()
+    bounds = (flights.PLANTS / "u1.toml").read_text()
     plant = (flights.PLANTS / "harsh.toml").read_text()
-    settings.write_text(plant + told[told.index("[uncertainty]") :])
+    settings.write_text(plant + bounds[bounds.index("[uncertainty]") :])
     alone = []
     for seed in SEEDS:
         arguments = ["evaluate", "--checkpoint", str(study / "rta" / f"seed{seed}" / "policy.pt")]
@@ -178,9 +178,9 @@ def test_worlds_are_those_of_evaluate(study: Path, tmp_path: Path) -> None:
 def test_arms_fly_side_by_side_as_they_fly_alone(study: Path) -> None:
     """Bit for bit, in a plant whose errors are drawn by the columns' numbers."""
     arms = agents.agents_of(study, None)
-    told = load(flights.BOUNDS, Config()).uncertainty
-    together = flights.in_world(list(arms.values()), "harsh", True, told)
-    assert together == [flights.in_world([arm], "harsh", True, told)[0] for arm in arms.values()]
+    bounds = load(flights.BOUNDS, Config()).uncertainty
+    together = flights.in_world(list(arms.values()), "harsh", True, bounds)
+    assert together == [flights.in_world([arm], "harsh", True, bounds)[0] for arm in arms.values()]
     assert together[0]["metrics"] != together[1]["metrics"]
 
 

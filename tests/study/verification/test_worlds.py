@@ -113,7 +113,7 @@ def test_what_violates_is_the_true_state() -> None:
     assert (env.plant.sense(env.time, env.x)[P] - env.x[P]).norm(dim=0).min() > 4999.0
 
 
-# at the corners of what the filter is told
+# at the corners of the filter's bounds
 
 
 @pytest.mark.parametrize(

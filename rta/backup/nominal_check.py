@@ -1,4 +1,4 @@
-"""The check of the model: a control is applied if the flight that would follow keeps all limits.
+"""The check without error bounds: a control is applied if the flight that would follow keeps all limits.
 
 A control is held, and after it both backup laws are flown, in the plant's own steps, until the spacecraft is in a set
 that they never leave. If every limit is kept on the way, the control is applied; if not, the nearest that leads to such
@@ -38,7 +38,7 @@ EXCUSED = {
 }
 
 
-class Backup(Check):
+class NominalBackup(Check):
     """The check of a filter whose plant is the model.
 
     Args:
@@ -70,7 +70,7 @@ class Backup(Check):
         self.flights: Callable[[Tensor, Tensor, Sequence[int]], Tensor] | None = None
 
     @classmethod
-    def of(cls, c: Limits, period: float) -> "Backup | None":
+    def of(cls, c: Limits, period: float) -> "NominalBackup | None":
         """None: no set is known in which flights end. It is on a circle, cools and charges."""
         if c.orbit != "clohessy-wiltshire" or c.hill_rotation or not has_rest(c):
             return None

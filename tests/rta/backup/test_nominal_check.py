@@ -9,11 +9,11 @@ from torch import Tensor
 
 from inspection.model.parameters import InspectionParameters
 from inspection.model.state import CONTROL_SIZE, THRUST, TORQUE, P, V
-from rta.backup.check import Backup
 from rta.backup.commit import LIMITS, SHARES, nearest
 from rta.backup.motion_law import field
+from rta.backup.nominal_check import NominalBackup
+from rta.backup.robust_check import RobustBackup
 from rta.backup.terminal import CALM
-from rta.backup.told import ToldBackup
 from rta.bounds.uncertainty import Uncertainty
 from rta.filter import SafetyFilter
 from rta.parameters import PERIODS, RtaParameters
@@ -147,7 +147,7 @@ def test_flights_in_c_keep_the_limits_that_flights_in_pytorch_keep(
 
 @HOLDS
 def test_what_replaces_a_control_is_the_first_safe_share_of_the_way_to_the_law(hold: float) -> None:
-    backup = Backup(C, hold)
+    backup = NominalBackup(C, hold)
     x = hypercube(600, 9, C)
     x = x[:, backup.has_way(x)][:, :100]
     u = opposite(backup.law(x), C)
@@ -242,7 +242,7 @@ def moved_by(x: Tensor, u: Tensor, hold: float) -> Tensor:
 
 def test_where_no_way_is_known_there_is_no_check() -> None:
     for c in (replace(C, solar_panel_axis="+x"), replace(C, orbit="two-body")):
-        assert Backup.of(c, 1.0) is None
+        assert NominalBackup.of(c, 1.0) is None
         assert SafetyFilter(c).backup is None
-    assert isinstance(SafetyFilter(C, uncertainty=Uncertainty(position=0.1)).backup, ToldBackup)
+    assert isinstance(SafetyFilter(C, uncertainty=Uncertainty(position=0.1)).backup, RobustBackup)
     assert SafetyFilter(C).backup is not None

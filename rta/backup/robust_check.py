@@ -1,4 +1,4 @@
-"""The check of a filter that is told of bounds: a control is applied if within them it leaves a way for sure.
+"""The check with error bounds: a control is applied if it leaves a way from every state within them.
 
 States are known within bounds only, and a control may be held for one call or for several. Torque is applied if, from
 every state that may be true, it keeps the attitude's limits while it is held, and a way to rest (`rta.backup.turn`)
@@ -24,8 +24,8 @@ from rta.bounds.uncertainty import Uncertainty
 from rta.parameters import RtaParameters
 
 
-class ToldBackup(Check):
-    """The check within bounds.
+class RobustBackup(Check):
+    """The check with error bounds.
 
     Attributes:
         haven: the law of thrust and what its check depends on; turning: that of torque. None: no way is known.
@@ -36,7 +36,7 @@ class ToldBackup(Check):
         self.knows = haven is not None, turning is not None
 
     @classmethod
-    def of(cls, c: Limits, r: RtaParameters, uncertainty: Uncertainty) -> "ToldBackup | None":
+    def of(cls, c: Limits, r: RtaParameters, uncertainty: Uncertainty) -> "RobustBackup | None":
         """None: no way is known within the bounds or with this vehicle, or actuators may fail."""
         if uncertainty.is_zero or uncertainty.health:
             return None

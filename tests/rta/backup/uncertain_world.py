@@ -13,7 +13,7 @@ from inspection.model.state import OMEGA, THRUST, TORQUE, P, V
 from inspection.world.corners import displaced
 from rta.backup.commit import LIMITS
 from rta.backup.haven import Haven, thrust
-from rta.backup.told import ToldBackup
+from rta.backup.robust_check import RobustBackup
 from rta.bounds.prediction import predicted
 from rta.bounds.uncertainty import Uncertainty
 from rta.parameters import RtaParameters
@@ -142,20 +142,20 @@ def flown(
     return least, x, states
 
 
-def of_thrust(c: InspectionParameters, r: RtaParameters, uncertainty: Uncertainty) -> ToldBackup | None:
+def of_thrust(c: InspectionParameters, r: RtaParameters, uncertainty: Uncertainty) -> RobustBackup | None:
     """The check of thrust alone; None: no haven is known."""
-    check = ToldBackup.of(c, r, uncertainty)
-    return ToldBackup(check.haven, None, r) if check and check.haven else None
+    check = RobustBackup.of(c, r, uncertainty)
+    return RobustBackup(check.haven, None, r) if check and check.haven else None
 
 
-def of_torque(c: InspectionParameters, r: RtaParameters, uncertainty: Uncertainty) -> ToldBackup | None:
+def of_torque(c: InspectionParameters, r: RtaParameters, uncertainty: Uncertainty) -> RobustBackup | None:
     """The check of torque alone; None: no way to rest is known."""
-    check = ToldBackup.of(c, r, uncertainty)
-    return ToldBackup(None, check.turning, r) if check and check.turning else None
+    check = RobustBackup.of(c, r, uncertainty)
+    return RobustBackup(None, check.turning, r) if check and check.turning else None
 
 
 def committed(
-    check: ToldBackup, group: int, x: Tensor, u: Tensor, bound: Tensor
+    check: RobustBackup, group: int, x: Tensor, u: Tensor, bound: Tensor
 ) -> tuple[Tensor, Tensor, Tensor]:
     """What is applied in the place of controls (6, B), and whether those of a group are safe, and others."""
     y = check.seen(x, bound)
@@ -163,6 +163,6 @@ def committed(
     return control, safe[group], changed[group]
 
 
-def is_safe(check: ToldBackup, group: int, y: Tensor, u: Tensor) -> Tensor:
+def is_safe(check: RobustBackup, group: int, y: Tensor, u: Tensor) -> Tensor:
     """(B,) bool: a group of controls (6, B) is."""
     return check.is_safe(y, u, torch.zeros_like(y[:LIMITS], dtype=torch.bool), (group,))[group]
