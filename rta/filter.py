@@ -65,7 +65,7 @@ class SafetyFilter:
     Attributes:
         names: of all constraints: Table 3's, then those of your own that thrust holds, then those that torque holds.
         propose: the programs, and all that comes before the check; groups: their rows of thrust and of torque.
-        backup: the check of its controls; None: no way to rest is known for this vehicle, or within the bounds.
+        backup: the check of its controls; None: no backup trajectory is known of this vehicle, or within the bounds.
         compiled: all of it as one C function; None: it is not compiled so.
 
     Raises:
@@ -104,8 +104,8 @@ class SafetyFilter:
         self.groups = self.propose.groups
         if self.propose.kind == "none" and self.unchecked:
             raise ValueError(
-                f'rows = "none": nothing would keep the limits of {" and ".join(self.unchecked)}, of which no way to '
-                'rest is known with these settings: must be "auto", "paper" or "sampled"'
+                f'rows = "none": nothing would keep the limits of {" and ".join(self.unchecked)}, of which no backup '
+                'trajectory is known with these settings: must be "auto", "paper" or "sampled"'
             )
         thrust, torque = (group.names for group in self.groups)
         self.names = in_order(thrust, torque)
@@ -137,7 +137,7 @@ class SafetyFilter:
 
     @property
     def unchecked(self) -> list[str]:
-        """What is not checked, since no way to rest is known: "motion", "attitude", both or nothing."""
+        """What is not checked, since no backup trajectory is known: "motion", "attitude", both or nothing."""
         return [
             name
             for name, is_checked in zip(("motion", "attitude"), self.checked, strict=True)
@@ -184,7 +184,7 @@ class SafetyFilter:
         kept, (thrust, torque) = (self.values(x) >= 0.0).all(0), self.groups
         if self.backup:
             self._compile_flights(x)
-            kept = narrowed(kept, x, self.backup.has_way)
+            kept = narrowed(kept, x, self.backup.has_backup_trajectory)
         if not self.checked[0]:
             kept = kept & thrust.keeps(x, degree=2) & self.can_brake(x)
         if not self.checked[1]:

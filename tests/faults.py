@@ -395,13 +395,13 @@ CHECK = [
         ("loss = loss + shares[i] * used + (length", "loss = loss + (length"),
     ),
     *faults(
-        "rta/backup/haven.py",
-        "rta/backup/test_haven.py -k some_values",
+        "rta/backup/robust_terminal_set.py",
+        "rta/backup/test_robust_terminal_set.py -k some_values",
         ("acceleration=uncertainty.acceleration + rounded", "acceleration=uncertainty.acceleration"),
     ),
     *faults(
         "rta/backup/commit.py",
-        "rta/backup/test_homing.py -k some_values",
+        "rta/backup/test_robust_motion_check.py -k some_values",
         ("tried = given(tried)", "pass"),
     ),
     *faults(
@@ -463,13 +463,13 @@ CHECK = [
         ),
     ),
     *faults(
-        "rta/backup/haven.py",
-        "rta/backup/test_haven.py",
+        "rta/backup/robust_terminal_set.py",
+        "rta/backup/test_robust_terminal_set.py",
         ("along / (1 + uncertainty.mass), (most + mixed) / (1 - uncertainty.mass)", "along, most + mixed"),
     ),
     *faults(
-        "rta/backup/homing.py",
-        "rta/backup/test_homing.py -k kept",
+        "rta/backup/robust_motion_check.py",
+        "rta/backup/test_robust_motion_check.py -k kept",
         ("distance + e_p - c.collision_radius", "distance - e_p - c.collision_radius"),
     ),
     *faults(

@@ -84,7 +84,7 @@ class Coarse:
         )
 
     def motion(self, x: Tensor) -> Tensor:
-        """The limits of motion on a straight way to rest from states (16, B), at least: (7, B).
+        """The limits of motion on a straight backup trajectory from states (16, B), at least: (7, B).
 
         Place and speed lie on one parabola until the last hold, and on another in it. From the chord they are at most
         as far as the parabolas are from theirs, (v - s)^2 / (8 a) and s T / 8, and as the point where they meet. A hold
@@ -113,7 +113,8 @@ class Coarse:
         e_v = e_v + torch.where(fields, DRIFT, torch.zeros_like(speed))
         e_p = e_v * (holds * t + self.arrives * torch.where(fields, 1.0, torch.full_like(speed, 0.05)))
         limits = between(start, rest, Strays(e_p + sag, e_v, e_v), c, self.free)
-        # where the law takes the way to end, at first and at last: on the way the point moves from the one to the other
+        # where the law takes the trajectory to end, at first and at last: in between the point moves from the one to
+        # the other
         ends = [norm(p + direction * speed * (speed / (2 * w.straight) + late)) for late in (0.0, t / 2)]
         straight = c.max_distance - INSIDE - w.buffer - torch.maximum(*ends) - e_p
         return torch.minimum(limits, straight)

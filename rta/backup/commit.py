@@ -1,10 +1,9 @@
-"""Propose, check, commit: a control is applied if it leaves a way to keep all limits, else the nearest that does.
+"""Propose, check, commit: a control is applied if a backup trajectory keeps all limits after it, else the nearest such.
 
-The nearest is sought on the way from what is proposed to the backup law's control, in a few steps; at last it is that.
-Torque comes first, since the attitude decides where thrust acts. This order is one for all. What a way is, a check says
-for itself: the flight of both laws in the model (`rta.backup.nominal_check`), or, with error bounds, the worst of all
-flights within them (`rta.backup.robust_check`). Gurriet et al. 2020, backup barriers; Agrawal, Chen and Panagou 2023,
-gatekeeper.
+The nearest is sought between the proposed control and the backup law's, in a few steps; at last it is the law's.
+Torque comes first, since the attitude decides where thrust acts. This order is one for all. The backup trajectory is
+that of both laws in the model (`rta.backup.nominal_check`), or, with error bounds, any within them
+(`rta.backup.robust_check`). Gurriet et al. 2020, backup barriers; Agrawal, Chen and Panagou 2023, gatekeeper.
 """
 
 from abc import ABC, abstractmethod
@@ -23,20 +22,20 @@ from rta.result import FilterResult
 MOTION, ATTITUDE = 7, 3
 LIMITS = MOTION + ATTITUDE + 1  # the body rates are one
 SLACK_ROUNDED = 1e-9  # in the unit of slack, up to which it is a solver's rounding
-SHARES = (0.25, 0.5, 0.75)  # of the way from what is proposed to the backup law's control, that are tried
+SHARES = (0.25, 0.5, 0.75)  # tried between the proposed control and the backup law's
 
 
 class Check(ABC):
     """A check of controls; states y (n, B) are what it is given by `seen`.
 
     Attributes:
-        knows: whether a way is known of thrust, and of torque.
+        knows: whether a backup trajectory is known of thrust, and of torque.
     """
 
     knows: tuple[bool, bool]
 
     @abstractmethod
-    def has_way(self, x: Tensor) -> Tensor:
+    def has_backup_trajectory(self, x: Tensor) -> Tensor:
         """(B,) bool: from true states (16, B) the laws that are known keep their limits for good."""
 
     @abstractmethod
@@ -66,7 +65,7 @@ class Check(ABC):
 
     @abstractmethod
     def is_safe(self, y: Tensor, u: Tensor, broken: Tensor, asked: Sequence[int] = (0, 1)) -> Tensor:
-        """(2, B) bool: thrust, torque of controls (6, B) keep their limits while they are held, and leave a way.
+        """(2, B) bool: thrust, torque of controls (6, B) keep their limits in a hold and on the backup trajectory.
 
         Args:
             broken: as of `fit`; asked: the groups that matter; of the other one nothing is said.
@@ -157,7 +156,7 @@ def nearest(
     is_safe: Callable[[Tensor, Tensor], Tensor],
     given: Callable[[Tensor], Tensor],
 ) -> tuple[Tensor, Tensor]:
-    """The first of controls on the way from u (6, M) to the law's (3, M) that is safe, else the law's.
+    """Returns the first safe control between u (6, M) and the law's (3, M), else the law's.
 
     Args:
         own: the controls of a group; is_safe: of indices (k,) of M and controls (6, k), (k,) bool.

@@ -1,13 +1,13 @@
-"""Motion with error bounds: the cone around a braking path, and the limits of motion on it.
+"""Motion with error bounds: the cone around a backup trajectory, and the limits of motion on it.
 
-By the law of `rta.backup.haven` w = S w_0 + r, from call to call. S falls from 1 to 0, and |r| stays below a bound
-R(S), for the law aims anew at every call. So a way is a path of S alone, and what it strays from that:
+By the law of `rta.backup.robust_terminal_set` w = S w_0 + r, from call to call. S falls from 1 to 0, and |r| stays
+below a bound R(S), for the law aims anew at every call. So a backup trajectory is a path of S alone, but for errors:
 
     w   is within R(S) of S w_0
     p   is along w_0 between two distances, as thrust is stronger or weaker, and across it within the integral of R
 
 Each limit has a lower bound on a chord between two values of S, as of `rta.backup.chords`, with strays of each end. The
-way ends in the haven. The derivation is in docs/reference/proof.md, *With bounds: motion*.
+backup trajectory ends in the terminal set. The derivation is in docs/reference/proof.md, *With bounds: motion*.
 """
 
 import math
@@ -20,18 +20,19 @@ from torch import Tensor
 from inspection.model.attitude import dot, norm, unit
 from inspection.model.state import P, V
 from rta.backup.chords import NEAREST, NEVER, flown, lowest, nearer
-from rta.backup.haven import SHARE, Errors, Haven
+from rta.backup.robust_terminal_set import SHARE, Errors, RobustTerminalSet
 
-CHORDS, DENSER = 7, 2.0  # of a way; the power of evenly spaced numbers that S is at their ends
-ARRIVED = 1.1  # of what the errors leave of w, at which a way may end
-ALMOST = 0.8  # of the way from that to what is calm
-# What a way may be off its straight line, which is looked at: m, share of its length, times what it begins with.
+CHORDS, DENSER = 7, 2.0  # of a backup trajectory; the power of evenly spaced numbers that S is at their ends
+ARRIVED = 1.1  # of what the errors leave of w, at which it may end
+ALMOST = 0.8  # of the difference between that and what is calm
+# By what a backup trajectory may be off its straight line, which is looked at: m, share of its length, times what it
+# begins with.
 ALLOWED = (3.0, 0.8, 3.0)
 DEEPER = 1.5  # of its length, that its end may be nearer to the chief for the calm speed there
 
 
 class Node(NamedTuple):
-    """Where a way may be at one value of S, each but y (...).
+    """Bounds of a backup trajectory at one value of S, each but y (...).
 
     Attributes:
         y: (6, ...) position and velocity in its middle.
@@ -64,7 +65,9 @@ class Fall(NamedTuple):
     calm: Tensor
 
     @classmethod
-    def of(cls, s: Tensor, swift: Tensor, wide: Tensor, whole: Tensor, errors: Errors, w: Haven) -> "Fall":
+    def of(
+        cls, s: Tensor, swift: Tensor, wide: Tensor, whole: Tensor, errors: Errors, w: RobustTerminalSet
+    ) -> "Fall":
         """`whole`: |w_0| in m/s at most."""
         slack = errors.share / (1.0 - errors.decay) * whole
         rest = (wide - errors.calm + slack * s).clamp(min=0.0)
@@ -94,13 +97,15 @@ def across(along: Tensor, aside: Tensor) -> Tensor:
     return (along**2 + aside**2).sqrt()
 
 
-def power(share: Tensor, w: Haven) -> Tensor:
-    """The largest k with 1 - share x <= (1 - x)^k for all x up to `Haven.most`: as a hold takes x of S away."""
+def power(share: Tensor, w: RobustTerminalSet) -> Tensor:
+    """Returns the largest k with 1 - share x <= (1 - x)^k for all x up to `w.most`: a hold takes x of S away."""
     return (1.0 - w.most * share).clamp(min=1e-9).log() / math.log(1.0 - w.most)
 
 
-def way(p: Tensor, v: Tensor, e_p: Tensor, e_v: Tensor, first: Tensor, w: Haven) -> Tensor:
-    """A lower bound of the limits of motion on the law's way into the haven, and of whether it comes there: (B,).
+def trajectory_margin(
+    p: Tensor, v: Tensor, e_p: Tensor, e_v: Tensor, first: Tensor, w: RobustTerminalSet
+) -> Tensor:
+    """Returns a lower bound of the limits of motion on the backup trajectory, negative unless it ends in the set: (B,).
 
     From all true positions and velocities within e_p m and e_v m/s of p and v (3, B).
 
@@ -206,7 +211,9 @@ def way(p: Tensor, v: Tensor, e_p: Tensor, e_v: Tensor, first: Tensor, w: Haven)
     return torch.minimum(lowest(torch.cat(parts)), lowest(arrived))
 
 
-def between(start: Node, end: Node, u: Tensor, nearest: Tensor, farthest: Tensor, w: Haven) -> Tensor:
+def between(
+    start: Node, end: Node, u: Tensor, nearest: Tensor, farthest: Tensor, w: RobustTerminalSet
+) -> Tensor:
     """The least of each limit of motion between two nodes, and of the room to two distances in m: (8, ...).
 
     As `rta.backup.chords.between`, with strays that change linearly from node to node.
@@ -260,7 +267,7 @@ def between(start: Node, end: Node, u: Tensor, nearest: Tensor, farthest: Tensor
     )
 
 
-def clearance(ends: Sequence[Node], farthest: Tensor, fastest: Tensor, w: Haven) -> Tensor:
+def clearance(ends: Sequence[Node], farthest: Tensor, fastest: Tensor, w: RobustTerminalSet) -> Tensor:
     """As `rta.backup.chords.clearance`, each node with its own strays: (...) in m."""
     c, free, y = w.c, w.free, ends[0].y
     cell, times = free.times(y, c)

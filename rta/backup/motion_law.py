@@ -7,9 +7,9 @@ With w = v - v_ref(p), of a field of velocities that is zero but beside the chie
 
     straight            A = -w / |w| min(a, |w| / T), a being what is left of thrust where f is strongest. The path is
                         straight, |w| falls by a T in each hold, and is zero after the last.
-    along the zone      where a straight way would end beyond it: inwards as much as keeps r below r_max,
-                        N = v_t^2 / r + v_r^2 / (2 (r_max - r)), what is left of |G| against v_t. N does not rise on the
-                        way: with r'' = v_t^2 / r - N the second term stays as it is, and the first falls with v_t.
+    along the zone      where a straight path would end beyond it: inwards as much as keeps r below r_max,
+                        N = v_t^2 / r + v_r^2 / (2 (r_max - r)), what is left of |G| against v_t. N does not rise on it:
+                        with r'' = v_t^2 / r - N the second term stays as it is, and the first falls with v_t.
 
 The body turns while thrust is held, so commands are of the mean attitude of the hold (`thrust_along`).
 """
@@ -27,8 +27,8 @@ from inspection.model.parameters import Limits
 from inspection.model.rk4 import rk4_step
 from inspection.model.state import OMEGA, THETA_S, P, Q, V
 
-INSIDE = 1.0  # m, of the zone, where a straight way ends at the farthest
-SPARE = 0.997  # of thrust, used along the zone: what f changes by on the way, 2 n a T / 2, may need the rest
+INSIDE = 1.0  # m, of the zone, where a straight path ends at the farthest
+SPARE = 0.997  # of thrust, used along the zone: what f changes by on the path, 2 n a T / 2, may need the rest
 SURPLUS = 1.02  # of N, for what a hold and rounding leave out of it
 DRIFT = 0.02  # m/s, of the field beside the chief and at the edge of the zone
 STEEP = 5e-4  # 1/s, by which it falls off with distance, and rises beyond either limit
@@ -107,7 +107,7 @@ def planned(p: Tensor, v: Tensor, theta_s: Tensor, w: Braking) -> Tensor:
     f = natural(straight)
     f_r, f_t = dot(f, outwards), dot(f, ahead)
     across_both = f - f_r * outwards - f_t * ahead
-    most = ((SPARE * w.thrust) ** 2 - dot(across_both, across_both)).sqrt()  # f is another along another way
+    most = ((SPARE * w.thrust) ** 2 - dot(across_both, across_both)).sqrt()  # f is another along another path
     inwards = torch.minimum(needed + f_r, most)
     left = (most**2 - inwards**2).clamp(min=0.0).sqrt()
     back = torch.minimum(tangential / t + f_t, left)

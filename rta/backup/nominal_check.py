@@ -1,10 +1,10 @@
 """The check without error bounds: a control is applied if the flight that would follow keeps all limits.
 
 A control is held, and after it both backup laws are flown, in the plant's own steps, until the spacecraft is in a set
-that they never leave. If every limit is kept on the way, the control is applied; if not, the nearest that leads to such
-a flight, on the way from it to the law's; at last the laws' own, whose flight was looked at one call ago. The state at
-the next call lies on that flight, so no limit is ever violated in the model (docs/reference/proof.md).
-A limit that is violated already is not asked for; the others are.
+that they never leave. If every limit is kept on this flight, the control is applied; if not, the nearest that leads to
+such a flight, on the way from it to the law's; at last the laws' own, whose flight was looked at one call ago. The
+state at the next call lies on that flight, so no limit is ever violated in the model (docs/reference/proof.md). A limit
+that is violated already is not asked for; the others are.
 """
 
 import math
@@ -109,11 +109,11 @@ class NominalBackup(Check):
         broken = ~torch.cat((h[: MOTION + ATTITUDE] >= 0.0, rates))
         return broken, y.isfinite().all(0).repeat(2, 1)
 
-    def has_way(self, x: Tensor) -> Tensor:
+    def has_backup_trajectory(self, x: Tensor) -> Tensor:
         """(B,) bool: from states (16, B) the laws keep all limits for good."""
-        return self.ways(x, torch.zeros_like(x[:LIMITS], dtype=torch.bool)).all(0)
+        return self.has_trajectories(x, torch.zeros_like(x[:LIMITS], dtype=torch.bool)).all(0)
 
-    def ways(self, x: Tensor, broken: Tensor, asked: Sequence[int] = (0, 1)) -> Tensor:
+    def has_trajectories(self, x: Tensor, broken: Tensor, asked: Sequence[int] = (0, 1)) -> Tensor:
         """`fly`, in C where it can be."""
         flights = self.flights if x.device.type == "cpu" else None
         return (flights or self.fly)(x, broken, asked)
@@ -144,13 +144,13 @@ class NominalBackup(Check):
         return found
 
     def is_safe(self, x: Tensor, u: Tensor, broken: Tensor, asked: Sequence[int] = (0, 1)) -> Tensor:
-        """(2, B) bool: a hold of controls (6, B) and the laws' flight after it keep the limits, as `ways`."""
+        """(2, B) bool: a hold of controls (6, B) and the laws' flight after it keep the limits, as `fly`."""
         end, least = self.hold(x, u)
         kept = self.kept(least, broken)
         columns = torch.nonzero(kept[list(asked)].any(0)).flatten()
         if columns.numel():
-            ways = self.ways(pick(end, columns), pick(broken, columns), asked)
-            put(kept, columns, pick(kept, columns) & ways)
+            found = self.has_trajectories(pick(end, columns), pick(broken, columns), asked)
+            put(kept, columns, pick(kept, columns) & found)
         return kept
 
     @staticmethod
@@ -160,7 +160,7 @@ class NominalBackup(Check):
         return torch.stack((fine[:MOTION].all(0), fine[MOTION:].all(0)))
 
     def arrived(self, x: Tensor, broken: Tensor) -> Tensor:
-        """(2, B) bool: states (16, B) are where the laws stay, of thrust and of torque; `broken` as of `ways`."""
+        """(2, B) bool: states (16, B) are where the laws stay, of thrust and of torque; `broken` as of `fly`."""
         inside = self.terminal.room(x) >= 0.0
         for entry, limits in EXCUSED.items():
             inside[entry] |= broken[list(limits)].any(0)
@@ -171,7 +171,7 @@ class NominalBackup(Check):
         columns = torch.nonzero(changed.any(0) & ~safe.all(0)).flatten()
         if not columns.numel():
             return
-        found = self.ways(pick(x, columns), pick(broken, columns)).all(0)
+        found = self.has_trajectories(pick(x, columns), pick(broken, columns)).all(0)
         columns = columns[found]
         put(u, columns, self.law(pick(x, columns)))
         for part in (safe, changed):

@@ -162,7 +162,7 @@ def leftover(w: Braking, rate: float) -> float:
     """m/s, that a hold in the set leaves of v - v_ref at most, the body turning by so many rad/s relative to the Sun.
 
     What `thrust_along` leaves of G, and Simpson's rule, with an angular acceleration up to 2 w / T; what f changes by
-    where thrust that turns leads astray; and how the field changes on the way.
+    where thrust that turns leads astray; and how the field changes on the path.
     """
     c, t, n = w.c, w.hold, w.c.mean_motion
     turned = (rate + n) * t

@@ -1,4 +1,4 @@
-"""The way to rest of torque with error bounds: the world differs from the model within them.
+"""The backup trajectory of torque with error bounds, to rest.
 
 The law is that of `rta.backup.attitude_law` in a form that errors do not lead astray: Lipschitz in the attitude, with
 one place of rest, slow enough to be followed. With d the panels' axis, s the direction to the Sun and w the body's rate
@@ -9,7 +9,7 @@ relative to the Sun it asks for
 proj shortening what is longer than W / kappa, G the largest gain. At rest the panels face the Sun and the cooled axis e
 is along Hill's z. In a hold the error z = w - w* shrinks by the share g t / tau, between 0 and 1 whenever the hold
 ends, so a missed call does not overshoot. What is left is bounded per axis, call by call (`followed`); its sums are all
-that the limits' bounds need (`way`). Derivation, and what is not proven: docs/reference/proof.md.
+that the limits' bounds need (`trajectory_margin`). Derivation, and what is not proven: docs/reference/proof.md.
 """
 
 import math
@@ -49,7 +49,7 @@ class Spread:
 
 
 class Start(NamedTuple):
-    """Where a way begins; all at most, but for the last two.
+    """Where a backup trajectory begins; all at most, but for the last two.
 
     Attributes:
         delta: (...) rad, of the panels from the Sun; z: (2, ...) rad/s, by which the rates across d are not the law's.
@@ -204,13 +204,13 @@ def followed(start: Start, w: Turning) -> Followed:
     return Followed(sums, paces, least, farthest, maximum(errors[steps : steps + w.holds]).amax(0))
 
 
-def way(x: Tensor, off: Spread, w: Turning) -> Tensor:
-    """A lower bound of the least of the attitude's limits on the way to rest from states (16, B), at a call: (B,)."""
+def trajectory_margin(x: Tensor, off: Spread, w: Turning) -> Tensor:
+    """Returns a lower bound of the attitude's limits on the backup trajectory from states (16, B) at a call: (B,)."""
     return from_here(beginning(x, off, w), w)
 
 
 def beginning(x: Tensor, off: Spread, w: Turning) -> Start:
-    """What the way from states (16, B) depends on."""
+    """Returns what the backup trajectory from states (16, B) depends on."""
     d = vector(w.c.solar_panel_axis, x)
     s, _ = sun_and_earth_in_body(x)
     delta = dot(d, s).clamp(-1.0, 1.0).arccos()
@@ -224,7 +224,7 @@ def beginning(x: Tensor, off: Spread, w: Turning) -> Start:
 
 
 def from_here(start: Start, w: Turning) -> Tensor:
-    """`way` from what it depends on."""
+    """Returns `trajectory_margin` from what it depends on."""
     c, t, delta = w.c, w.period, start.delta
     sums, paces, least, opposite, last = followed(start, w)
     gone, farthest = torch.zeros_like(delta), torch.zeros_like(delta)
@@ -285,7 +285,8 @@ def held(x: Tensor, u: Tensor, error_bound: Tensor, w: Turning) -> tuple[Tensor,
         error_bound: (4, B) by how far the states are off beyond their measurement, see `Propose`.
 
     Returns:
-        The least of the attitude's limits (B,), and where the way begins at the next call, whenever that is.
+        The least of the attitude's limits (B,), and where the backup trajectory begins at the next call, whenever that
+        is.
     """
     c, looks = w.c, math.ceil(w.period / LOOK)
     t = w.period / looks
@@ -357,13 +358,13 @@ def may_be_kept(x: Tensor, error_bound: Tensor, w: Turning) -> Tensor:
 
 
 def verified(x: Tensor, u: Tensor, error_bound: Tensor, w: Turning) -> Tensor:
-    """A lower bound of the least of the limits in a hold of controls (6, B) and on the way after it, as `held`."""
+    """Returns a lower bound of the limits in a hold of controls (6, B) and on the trajectory after it, see `held`."""
     least, start = held(x, u, error_bound, w)
     return torch.minimum(least, from_here(start, w))
 
 
-def has_way(x: Tensor, w: Turning) -> Tensor:
+def has_backup_trajectory(x: Tensor, w: Turning) -> Tensor:
     """(B,) bool: from true states (16, B) whatever is measured the law keeps the attitude's limits."""
     none = torch.zeros_like(x[0])
     # a plant's rate may be one relative to the stars
-    return way(x, Spread(none, none + w.offset, none, none, none), w) >= 0.0
+    return trajectory_margin(x, Spread(none, none + w.offset, none, none, none), w) >= 0.0

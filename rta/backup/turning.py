@@ -1,4 +1,4 @@
-"""What the way to rest of torque within bounds depends on, see `rta.backup.turn`; derived once.
+"""What the backup trajectory of torque with error bounds depends on, see `rta.backup.turn`; derived once.
 
 Errors and the rates that they leave are per body axis. The panels' axis d is the first one, so "about d" is that, and
 "across d" either of the others.
@@ -62,7 +62,7 @@ class Turning:
             Sun and have not come to W yet.
         angle: rad, by which an attitude is taken for another at most.
         lit, facing, rolling: s, of full light by the Sun, of the Earth's beside it, and of the Earth's alone while the
-            body hardly rolls, that heat the surface as much as the way does once the panels slow down.
+            body hardly rolls, that heat the surface as much as the trajectory does once the panels slow down.
         warmest: deg C, that it comes to at rest.
     """
 
@@ -153,7 +153,7 @@ class Turning:
 
     @property
     def dim(self) -> float:
-        """rad from the Sun, down to which a way warms the surface by more than the limit gives way to less light."""
+        """rad from the Sun, down to which a trajectory warms the surface by more than less light allows it."""
         sun, _, _ = heating(self.c)
         return max(math.asin(min(self.c.temperature_sun_slope * self.rate / sun, 1.0)), FULL)
 
@@ -208,7 +208,7 @@ class Turning:
         return math.acos(min((c.power_draw / 1000.0 - c.energy_sun_slope * slow) / self.look.charging, 1.0))
 
     def settled(self) -> "Turning":
-        """With what the surface gains on the last part of the way, and comes to at rest."""
+        """With what the surface gains on the last part of the trajectory, and comes to at rest."""
         c = self.c
         gone = self.rate / self.kappa
 

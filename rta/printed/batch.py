@@ -21,8 +21,8 @@ from kernels.printer import Printed, if_long, printed
 from rta.backup.nominal_check import NominalBackup
 from rta.barrier import ActuatorGroup
 from rta.constraints.constraint import joined
+from rta.printed.check_functions import checks, constants
 from rta.printed.source import check_files, define, driver_text, functions, group_of, source
-from rta.printed.way import checks, constants
 from rta.propose import Found
 from rta.qp.batched_solver import ACCURATE, STEPS, STEPS_HELD, attempt
 from rta.qp.programs import Status
@@ -95,17 +95,17 @@ class BatchFilter(Columns):
 
     def __init__(self, safety_filter: "SafetyFilter") -> None:
         f = safety_filter
-        own, ways, parts = remembered(recorded, copy(f))  # what is compiled has no digest
+        own, check_parts, parts = remembered(recorded, copy(f))  # what is compiled has no digest
         self.statements = sum(part.statements for part in parts)
         many = [
             for_vectors("double"),
             define("LATENCY", f.uncertainty.latency),
             *(part.text for part in parts),
-            *checked(f, ways),
+            *checked(f, check_parts),
             define("HEALTH", int(f.uncertainty.health)),
             driver_text("batch/batch.c"),
         ]
-        one = [source(f, [*own, *ways]), by_column(f)]
+        one = [source(f, [*own, *check_parts]), by_column(f)]
         found = library({"one": "\n".join(one), "many": "\n".join(many)})
         super().__init__(found, f, 0.0)
         if isinstance(f.backup, NominalBackup):
@@ -115,7 +115,7 @@ class BatchFilter(Columns):
 
 
 class Flights:
-    """`NominalBackup.ways` of states on a CPU, by a C function of a library.
+    """`NominalBackup.has_trajectories` of states on a CPU, by a C function of a library.
 
     Args:
         found: the library; None: one is made of the filter's check alone. Raises as `kernels.compiled.Compiled`.
@@ -123,12 +123,14 @@ class Flights:
 
     def __init__(self, safety_filter: "SafetyFilter", found: ctypes.CDLL | None = None) -> None:
         if found is None:
-            ways = remembered(checks, copy(safety_filter))
-            found = library({"flights": "\n".join([for_vectors("double"), *checked(safety_filter, ways)])})
+            check_parts = remembered(checks, copy(safety_filter))
+            found = library(
+                {"flights": "\n".join([for_vectors("double"), *checked(safety_filter, check_parts)])}
+            )
         self.run = over_columns(found, "filter_flights")
 
     def __call__(self, x: Tensor, broken: Tensor, asked: Sequence[int] = (0, 1)) -> Tensor:
-        """As `NominalBackup.ways`."""
+        """As `NominalBackup.has_trajectories`."""
         wanted = torch.zeros(2, x.shape[1], dtype=torch.bool)
         wanted[list(asked)] = True
         result = torch.empty(2, x.shape[1], dtype=torch.bool)
@@ -137,7 +139,7 @@ class Flights:
         return result
 
 
-def checked(safety_filter: "SafetyFilter", ways: Sequence[Printed]) -> list[str]:
+def checked(safety_filter: "SafetyFilter", check_parts: Sequence[Printed]) -> list[str]:
     """What a batch's check is made of in C for vectors of spacecraft; of the model also `Flights`."""
     f = safety_filter
     texts = [
@@ -147,7 +149,7 @@ def checked(safety_filter: "SafetyFilter", ways: Sequence[Printed]) -> list[str]
     ]
     files = ["batch/batch.h", "batch/columns.c"]
     if f.backup:
-        texts += [group_of(f), *(part.text for part in ways)]
+        texts += [group_of(f), *(part.text for part in check_parts)]
         files = ["round.c", *check_files(f), *files]
         own = ["commit", "flights", "hopeful"] if isinstance(f.backup, NominalBackup) else ["sure"]
         files += [f"batch/{name}.c" for name in own]
@@ -156,9 +158,9 @@ def checked(safety_filter: "SafetyFilter", ways: Sequence[Printed]) -> list[str]
 
 def recorded(safety_filter: "SafetyFilter") -> tuple[list[Printed], list[Printed], list[Printed]]:
     """What is printed of a filter: `functions`, `checks`, and what else is for vectors."""
-    own, ways = functions(safety_filter), checks(safety_filter)
+    own, check_parts = functions(safety_filter), checks(safety_filter)
     for_many = [part for part in own if part.name in ("predict", "given_thrust")]
-    return own, ways, [printed_attempt(safety_filter), *for_many]
+    return own, check_parts, [printed_attempt(safety_filter), *for_many]
 
 
 def by_column(safety_filter: "SafetyFilter") -> str:

@@ -250,8 +250,8 @@ def quoted(text: str) -> str:
 
 def implementation(safety_filter: "SafetyFilter") -> str:
     """safety_filter.c: what people read first, printed functions last."""
-    own, ways, _ = remembered(recorded, copy(safety_filter))
-    parts = [*own, *ways]
+    own, check_parts, _ = remembered(recorded, copy(safety_filter))
+    parts = [*own, *check_parts]
     names = ",\n".join(f"    {quoted(name)}" for name in safety_filter.names)
     given = driver_files(safety_filter)
     titles = [

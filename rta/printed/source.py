@@ -20,7 +20,7 @@ from kernels.printer import Printed, if_long, printed
 from rta.barrier import ActuatorGroup
 from rta.bounds.health import AXES, slewing
 from rta.constraints.constraint import in_order, joined
-from rta.printed import way
+from rta.printed import check_functions
 from rta.qp import batched_solver
 from rta.qp import programs as qp
 from rta.qp.scaled import Prepared
@@ -43,7 +43,7 @@ def source(safety_filter: "SafetyFilter", parts: Sequence[Printed] | None = None
     Args:
         parts: what `functions` and `checks` of one print, if it is known.
     """
-    parts = parts or [*functions(safety_filter), *way.checks(safety_filter)]
+    parts = parts or [*functions(safety_filter), *check_functions.checks(safety_filter)]
     drivers, printed_text = map(driver_text, driver_files(safety_filter)), text_of(parts)
     texts = [*drivers, printed_text]
     head = ["#include <math.h>\n", interface(safety_filter), driver_text("filter.h")]
@@ -195,7 +195,7 @@ def constants(safety_filter: "SafetyFilter", parts: Sequence[Printed], text: str
             "in the constraints' order, of each that a group holds",
         ),
     ]
-    lines += [define(name, *said) for name, said in way.constants(safety_filter.backup).items()]
+    lines += [define(name, *said) for name, said in check_functions.constants(safety_filter.backup).items()]
     if safety_filter.backup:
         lines.append(group_of(safety_filter))
     return "\n".join([*lines, operations(text), *map(declared, parts)]) + "\n"

@@ -92,7 +92,7 @@ def test_without_rows_nothing_is_done_in_a_state_that_is_none(number: float) -> 
 def test_a_filter_without_a_check_needs_rows(
     c: InspectionParameters, uncertainty: Uncertainty, unchecked: str
 ) -> None:
-    with pytest.raises(ValueError, match=f"would keep the limits of {unchecked}, of which no way"):
+    with pytest.raises(ValueError, match=f"would keep the limits of {unchecked}, of which no backup"):
         SafetyFilter(c, RtaParameters(rows="none"), uncertainty=uncertainty)
     assert SafetyFilter(c, uncertainty=uncertainty).unchecked == unchecked.split(" and ")
 

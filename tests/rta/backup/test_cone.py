@@ -8,22 +8,22 @@ import torch
 from torch import Tensor
 
 from inspection.model.state import OMEGA, P, V
-from rta.backup.cone import Node, between, way
-from rta.backup.haven import Haven
+from rta.backup.cone import Node, between, trajectory_margin
+from rta.backup.robust_terminal_set import RobustTerminalSet
 from tests.oracles import hypercube, length, motion, tensor
 from tests.rta.backup.uncertain_world import U1, C, R, World, flown
 
-HAVEN = Haven.of(C, R, U1)
+TERMINAL_SET = RobustTerminalSet.of(C, R, U1)
 ROUNDING = 1e-9
 
 
-def accepts(x: Tensor, w: Haven = HAVEN) -> Tensor:
+def accepts(x: Tensor, w: RobustTerminalSet = TERMINAL_SET) -> Tensor:
     none = torch.zeros_like(x[0])
-    return way(x[P], x[V], none, none, none, w) >= 0.0
+    return trajectory_margin(x[P], x[V], none, none, none, w) >= 0.0
 
 
-def edges(x: Tensor, w: Haven = HAVEN) -> Tensor:
-    """The fastest of states (16, B) along their velocities from which a way is accepted."""
+def edges(x: Tensor, w: RobustTerminalSet = TERMINAL_SET) -> Tensor:
+    """The fastest of states (16, B) along their velocities from which a backup trajectory is accepted."""
     fast = 1.6 * x[V]
     x[V] = 0.0
     fit = accepts(x, w)
@@ -62,7 +62,7 @@ def test_no_state_within_the_strays_is_below_the_bound() -> None:
         for a, s in zip(y, sizes, strict=True)
     ]
     far = torch.full((count,), 1e6, dtype=torch.float64)
-    bound = between(nodes[0], nodes[1], tensor(u), -far, far, HAVEN)[:7].numpy()
+    bound = between(nodes[0], nodes[1], tensor(u), -far, far, TERMINAL_SET)[:7].numpy()
     least = np.full_like(bound, np.inf)
     for share in np.linspace(0, 1, 6):
         middle, e = y[0] + share * (y[1] - y[0]), sizes[0] + share * (sizes[1] - sizes[0])
@@ -90,22 +90,24 @@ def test_no_state_within_the_strays_is_below_the_bound() -> None:
 )
 def test_the_fastest_that_are_accepted_keep_the_limits_of_motion(how: str, misses: str) -> None:
     x = torch.cat((edges(hypercube(150, 3, C)), edges(beside(150, 4))), 1)
-    least, end, _ = flown(x, HAVEN, World(x.shape[1], 5, how, misses), 120.0, 20.0)
+    least, end, _ = flown(x, TERMINAL_SET, World(x.shape[1], 5, how, misses), 120.0, 20.0)
     assert (least >= 0.0).all(), least.min(1)
     r = end[P].norm(dim=0)
-    assert ((end[V] - HAVEN.field(end[P])).norm(dim=0) <= HAVEN.calm(r)).all() and (r >= HAVEN.nearest).all()
+    assert ((end[V] - TERMINAL_SET.field(end[P])).norm(dim=0) <= TERMINAL_SET.calm(r)).all() and (
+        r >= TERMINAL_SET.nearest
+    ).all()
 
 
-def test_without_what_a_way_strays_limits_break() -> None:
+def test_without_what_a_trajectory_strays_limits_break() -> None:
     """A check without error bounds, which takes thrust for stronger, accepts what the world of U1 does not keep."""
     nothing = {"across": 0.0, "seen": 0.0, "lag": 0.0, "turning": 0.0, "place": 0.0}
-    trusting = replace(HAVEN, low=1.0, high=1.0, full=1.3 * HAVEN.full, **nothing)
+    trusting = replace(TERMINAL_SET, low=1.0, high=1.0, full=1.3 * TERMINAL_SET.full, **nothing)
     x = torch.cat((edges(hypercube(150, 3, C), trusting), edges(beside(150, 4), trusting)), 1)
-    least, _, _ = flown(x, HAVEN, World(x.shape[1], 5, "steady", "always"), 120.0, 20.0)
+    least, _, _ = flown(x, TERMINAL_SET, World(x.shape[1], 5, "steady", "always"), 120.0, 20.0)
     assert least.min() < -0.1, least.min(1)
 
 
-def test_most_states_within_the_limits_have_a_way() -> None:
+def test_most_states_within_the_limits_have_a_backup_trajectory() -> None:
     x = hypercube(1500, 8, C)
     x = x[:, (tensor(motion(x[:3].numpy(), x[3:6].numpy(), C, 10.0)) >= 0.0).all(0)]
     assert accepts(x).double().mean() > 0.8

@@ -92,4 +92,4 @@ def test_a_turn_that_misses_the_laws_rates_is_not_taken_for_cool() -> None:
     x[Q] /= x[Q].norm()
     x[OMEGA, 0] = torch.tensor([0.029927, 0.019323, -0.031676], dtype=torch.float64)
     keeps = (least_on_the_way(x, "paper", 10.0, True) >= 0.0).all()
-    assert keeps or not backup("paper", 10.0).has_way(x)
+    assert keeps or not backup("paper", 10.0).has_backup_trajectory(x)

@@ -1,4 +1,4 @@
-"""Propose, check, commit: whatever is asked for no limit breaks, and each call ends where a way to rest begins."""
+"""Propose, check, commit: whatever is desired no limit breaks, and each call ends where a backup trajectory begins."""
 
 from dataclasses import replace
 
@@ -57,7 +57,7 @@ def demands(count: int, seed: int) -> Tensor:
 
 
 def starts(safety: SafetyFilter, count: int, seed: int) -> Tensor:
-    """(16, count) from which a way to rest is verified."""
+    """(16, count) from which a backup trajectory is verified."""
     x = hypercube(3 * count, seed, C)
     return x[:, safety.is_safe(x)][:, :count]
 
@@ -80,7 +80,7 @@ def test_no_limit_breaks_whatever_is_asked(
         desired = asked.clone()
         desired[:, ::2] = adversary(call * hold, x)[:, ::2]
         result = safety.correct(x, desired)
-        # what is not verified anew is the way that an earlier call verified
+        # what is not verified anew is the backup trajectory that an earlier call verified
         assert (result.verified | result.backup).all(), (call, x[:, ~result.verified][:, 0].tolist())
         for i in range(round(hold / LOOK)):
             x = moved(x, result.control, LOOK, C)
@@ -118,8 +118,10 @@ def test_the_compiled_check_equals_pytorch(filters: dict[float, SafetyFilter], h
 
 
 @pytest.mark.campaign
-def test_ways_that_fail_later_are_found_by_the_compiled_check_too(filters: dict[float, SafetyFilter]) -> None:
-    """A way may keep the limits for some holds and break one then, under one of a thousand of these controls."""
+def test_trajectories_that_fail_later_are_found_by_the_compiled_check_too(
+    filters: dict[float, SafetyFilter],
+) -> None:
+    """A backup trajectory may keep the limits for some holds and break one then, under one of 1,000 of these."""
     safety = filters[1.0]
     x = torch.cat((near_the_zone(2000, 3), hypercube(2000, 3, C), at_the_chief(2000, 3)), 1)
     desired = adversarial(safety)(0.0, x)
@@ -149,7 +151,7 @@ def test_flights_in_c_keep_the_limits_that_flights_in_pytorch_keep(
 def test_what_replaces_a_control_is_the_first_safe_share_of_the_way_to_the_law(hold: float) -> None:
     backup = NominalBackup(C, hold)
     x = hypercube(600, 9, C)
-    x = x[:, backup.has_way(x)][:, :100]
+    x = x[:, backup.has_backup_trajectory(x)][:, :100]
     u = opposite(backup.law(x), C)
     none = torch.zeros(LIMITS, x.shape[1], dtype=torch.bool)
     control, safe, changed = backup.committed(x, u, none, ~none[:2])
@@ -224,7 +226,9 @@ def test_a_limit_that_is_broken_leaves_the_others_checked(hold: float, much: boo
     h, backup, broken = safety.values(x), safety.backup, torch.zeros(LIMITS, x.shape[1], dtype=torch.bool)
     assert backup and (h[row] < 0.0).all()
     broken[row] = True
-    x = x[:, ((h >= 0.0).sum(0) == 12) & backup.ways(x, broken).all(0)]  # the laws keep all others
+    x = x[
+        :, ((h >= 0.0).sum(0) == 12) & backup.has_trajectories(x, broken).all(0)
+    ]  # the laws keep all others
     assert x.shape[1] > 10
     others = [k for k in range(11) if k != row]
     for _ in range(round(100 / hold)):
@@ -240,7 +244,7 @@ def moved_by(x: Tensor, u: Tensor, hold: float) -> Tensor:
     return x
 
 
-def test_where_no_way_is_known_there_is_no_check() -> None:
+def test_where_no_backup_trajectory_is_known_there_is_no_check() -> None:
     for c in (replace(C, solar_panel_axis="+x"), replace(C, orbit="two-body")):
         assert NominalBackup.of(c, 1.0) is None
         assert SafetyFilter(c).backup is None

@@ -132,9 +132,11 @@ class World:
 
 
 def starts(found: RobustBackup, count: int, seed: int) -> Tensor:
-    """States (16, count) from which a way is verified, every other one as hot, or as empty, as is accepted."""
+    """States (16, count) from which a backup trajectory is verified, every other one as hot or empty as is accepted."""
     x = hypercube(6 * count, seed, C)
-    x = x[:, found.has_way(x) & torch.from_numpy((attitude(x.numpy(), C) >= 0.0).all(0))][:, :count]
+    x = x[:, found.has_backup_trajectory(x) & torch.from_numpy((attitude(x.numpy(), C) >= 0.0).all(0))][
+        :, :count
+    ]
     assert x.shape[1] == count
     for row, bad, which in ((T, C.max_temperature, 0), (E, C.min_energy, 1)):
         columns = torch.arange(count) % 4 == which
@@ -143,7 +145,7 @@ def starts(found: RobustBackup, count: int, seed: int) -> Tensor:
         for _ in range(16):
             share = (low + high) / 2
             y[row] = good + share * (bad - good)
-            fine = found.has_way(y)
+            fine = found.has_backup_trajectory(y)
             low, high = torch.where(fine, share, low), torch.where(fine, high, share)
         y[row] = good + low * (bad - good)
         x[:, columns] = y

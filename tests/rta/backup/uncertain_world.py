@@ -1,4 +1,4 @@
-"""The world of U1 at its worst, and flights in it: what the cone and the haven are compared with."""
+"""The world of U1 at its worst, and flights in it: what the cone and the terminal set are compared with."""
 
 from collections.abc import Callable
 
@@ -12,8 +12,8 @@ from inspection.model.parameters import InspectionParameters
 from inspection.model.state import OMEGA, THRUST, TORQUE, P, V
 from inspection.world.corners import displaced
 from rta.backup.commit import LIMITS
-from rta.backup.haven import Haven, thrust
 from rta.backup.robust_check import RobustBackup
+from rta.backup.robust_terminal_set import RobustTerminalSet, thrust
 from rta.bounds.prediction import predicted
 from rta.bounds.uncertainty import Uncertainty
 from rta.parameters import RtaParameters
@@ -80,7 +80,7 @@ class World:
     def signs(self, count: int) -> Tensor:
         return 2 * self.uniform(count).round() - 1
 
-    def sees(self, x: Tensor, w: Haven) -> Tensor:
+    def sees(self, x: Tensor, w: RobustTerminalSet) -> Tensor:
         """A measurement of true states (16, B), each error at its bound."""
         if self.how == "worst":
             # velocity is seen so that the law lets the spacecraft drift to where it must not: nearer, or farther out
@@ -114,7 +114,12 @@ class World:
 
 
 def flown(
-    x: Tensor, w: Haven, world: World, seconds: float, spacing: float | None, law: Law | None = None
+    x: Tensor,
+    w: RobustTerminalSet,
+    world: World,
+    seconds: float,
+    spacing: float | None,
+    law: Law | None = None,
 ) -> tuple[ndarray, Tensor, list[Tensor]]:
     """The least of the seven limits (7, B) on a flight of the law, the last states, and those of each call.
 
@@ -143,13 +148,13 @@ def flown(
 
 
 def of_thrust(c: InspectionParameters, r: RtaParameters, uncertainty: Uncertainty) -> RobustBackup | None:
-    """The check of thrust alone; None: no haven is known."""
+    """The check of thrust alone; None: there is no invariant set."""
     check = RobustBackup.of(c, r, uncertainty)
-    return RobustBackup(check.haven, None, r) if check and check.haven else None
+    return RobustBackup(check.terminal_set, None, r) if check and check.terminal_set else None
 
 
 def of_torque(c: InspectionParameters, r: RtaParameters, uncertainty: Uncertainty) -> RobustBackup | None:
-    """The check of torque alone; None: no way to rest is known."""
+    """The check of torque alone; None: there is no backup trajectory."""
     check = RobustBackup.of(c, r, uncertainty)
     return RobustBackup(None, check.turning, r) if check and check.turning else None
 

@@ -1,4 +1,4 @@
-"""The law within bounds and its haven, against thrust summed up over holds, densely sampled states and long drifts."""
+"""The law with error bounds and its terminal set, against thrust summed over holds, dense samples and long drifts."""
 
 from dataclasses import replace
 
@@ -8,21 +8,21 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from inspection.model.state import P, Q, V
-from rta.backup.haven import Haven, NoHavenError
+from rta.backup.robust_terminal_set import NoInvariantSetError, RobustTerminalSet
 from rta.bounds.uncertainty import Uncertainty
 from tests.oracles import length, motion
 from tests.rta.backup.uncertain_world import U1, C, R, World, flown
 
-HAVEN = Haven.of(C, R, U1)
-EVERYWHERE = np.array((HAVEN.nearest, 18.0, 20.0, 25.0, 40.0, 80.0, 130.0, 300.0, 560.0, 790.0, 799.5))
+TERMINAL_SET = RobustTerminalSet.of(C, R, U1)
+EVERYWHERE = np.array((TERMINAL_SET.nearest, 18.0, 20.0, 25.0, 40.0, 80.0, 130.0, 300.0, 560.0, 790.0, 799.5))
 
 
 def unit(a: np.ndarray) -> np.ndarray:
     return a / length(a)
 
 
-def within(w: Haven, count: int, seed: int, at_call: bool = False) -> torch.Tensor:
-    """States (16, count) on the edge of the haven: |w| as large as it may be, or at a call, at all distances."""
+def within(w: RobustTerminalSet, count: int, seed: int, at_call: bool = False) -> torch.Tensor:
+    """States (16, count) on the edge of the set: |w| as large as it may be, or at a call, at all distances."""
     rng = np.random.default_rng(seed)
     x = torch.zeros(16, count, dtype=torch.float64)
     r = torch.from_numpy(rng.choice(EVERYWHERE, count))
@@ -35,8 +35,8 @@ def within(w: Haven, count: int, seed: int, at_call: bool = False) -> torch.Tens
     return x
 
 
-def test_every_limit_is_kept_in_the_haven() -> None:
-    x = within(HAVEN, 4000, 0).numpy()
+def test_every_limit_is_kept_in_the_set() -> None:
+    x = within(TERMINAL_SET, 4000, 0).numpy()
     least = motion(x[:3], x[3:6], C, spacing=5.0).min(1)
     assert (least >= 0.0).all() and least[3] < 3.0, least  # and at its edge there is little to spare
 
@@ -49,31 +49,34 @@ def test_every_limit_is_kept_in_the_haven() -> None:
         pytest.param("worst", "always", 1000.0, marks=pytest.mark.campaign),
     ],
 )
-def test_nothing_leads_out_of_the_haven(how: str, misses: str, seconds: float) -> None:
-    x = within(HAVEN, 50, 1, at_call=True)
+def test_nothing_leads_out_of_the_set(how: str, misses: str, seconds: float) -> None:
+    x = within(TERMINAL_SET, 50, 1, at_call=True)
     x[P] *= 1 + 1e-9
     x[P] *= (C.max_distance / x[P].norm(dim=0)).clamp(max=1.0)
-    least, end, states = flown(x, HAVEN, World(50, 2, how, misses), seconds, None)
+    least, end, states = flown(x, TERMINAL_SET, World(50, 2, how, misses), seconds, None)
     assert (least >= 0.0).all()
     for y in (*states, end):
         r = y[P].norm(dim=0)
-        assert ((y[V] - HAVEN.field(y[P])).norm(dim=0) <= HAVEN.calm(r)).all()
-        assert (r >= HAVEN.nearest).all() and (r <= C.max_distance).all()
+        assert ((y[V] - TERMINAL_SET.field(y[P])).norm(dim=0) <= TERMINAL_SET.calm(r)).all()
+        assert (r >= TERMINAL_SET.nearest).all() and (r <= C.max_distance).all()
 
 
 @pytest.mark.campaign
 @pytest.mark.parametrize("coarse", [{"thrust_quantum": 0.1}, {"minimum_thrust": 0.02}], ids=str)
-def test_nothing_leads_out_of_the_haven_of_thrusters_that_give_some_values_only(
+def test_nothing_leads_out_of_the_set_of_thrusters_that_give_some_values_only(
     coarse: dict[str, float],
 ) -> None:
-    """What they round off counts in the haven: one without it they leave."""
+    """What they round off counts in the set: one without it they leave."""
     bounds = Uncertainty(latency=1, longest_hold=1.0, position=0.1, velocity=0.001, thrust_misalignment=1.0)
     uncertainty = replace(bounds, **coarse)
-    for haven, stays in ((Haven.of(C, R, uncertainty), True), (Haven.of(C, R, bounds), False)):
-        x, world = within(haven, 50, 1, at_call=True), World(50, 2, "worst", "always", uncertainty)
-        least, end, states = flown(x, haven, world, 600.0, None)
-        calm = torch.stack([haven.calm(y[P].norm(dim=0)) for y in (*states, end)])
-        off = torch.stack([(y[V] - haven.field(y[P])).norm(dim=0) for y in (*states, end)])
+    for terminal_set, stays in (
+        (RobustTerminalSet.of(C, R, uncertainty), True),
+        (RobustTerminalSet.of(C, R, bounds), False),
+    ):
+        x, world = within(terminal_set, 50, 1, at_call=True), World(50, 2, "worst", "always", uncertainty)
+        least, end, states = flown(x, terminal_set, world, 600.0, None)
+        calm = torch.stack([terminal_set.calm(y[P].norm(dim=0)) for y in (*states, end)])
+        off = torch.stack([(y[V] - terminal_set.field(y[P])).norm(dim=0) for y in (*states, end)])
         assert (off <= calm).all() == stays
         assert not stays or (least >= 0.0).all()
 
@@ -91,15 +94,15 @@ def test_thrust_acts_within_its_shares(hold: float) -> None:
         for i in range(3):
             aside = unit(np.cross(np.eye(3)[i], axis if k % 5 else rng.standard_normal(3)) + 1e-12)
             body[:, i] = body[i, i] * (np.cos(tilt) * np.eye(3)[i] + np.sin(tilt) * aside)
-        seen = np.radians(U1.attitude + U1.rate * (HAVEN.old + HAVEN.aim)) * np.sqrt(3.0)
-        turned = HAVEN.turning * (t - HAVEN.aim)
+        seen = np.radians(U1.attitude + U1.rate * (TERMINAL_SET.old + TERMINAL_SET.aim)) * np.sqrt(3.0)
+        turned = TERMINAL_SET.turning * (t - TERMINAL_SET.aim)
         force = Rotation.from_rotvec((seen + turned)[:, None] * axis).apply(body @ asked)
         mean = np.trapezoid(force, t, axis=0) / hold / (1 + U1.mass * rng.choice((-1.0, 1.0)))
         along = mean @ asked
-        assert HAVEN.low <= along <= HAVEN.high
+        assert TERMINAL_SET.low <= along <= TERMINAL_SET.high
         across = np.linalg.norm(mean - along * asked) / along
-        assert across <= HAVEN.across
-        worst = np.maximum(worst, (across / HAVEN.across, along / HAVEN.high))
+        assert across <= TERMINAL_SET.across
+        worst = np.maximum(worst, (across / TERMINAL_SET.across, along / TERMINAL_SET.high))
     assert (worst > (0.4, 0.95)).all(), worst  # the bounds are not empty
 
 
@@ -113,6 +116,6 @@ def test_thrust_acts_within_its_shares(hold: float) -> None:
         replace(U1, position=150.0),
     ],
 )
-def test_bounds_that_leave_no_haven_are_refused(bounds: Uncertainty) -> None:
-    with pytest.raises(NoHavenError):
-        Haven.of(C, R, bounds)
+def test_bounds_that_leave_no_invariant_set_are_refused(bounds: Uncertainty) -> None:
+    with pytest.raises(NoInvariantSetError):
+        RobustTerminalSet.of(C, R, bounds)

@@ -1,4 +1,4 @@
-"""Motion with error bounds: the braking law, the errors of its execution, and the haven where it ends.
+"""Motion with error bounds: the braking law, the errors of its execution, and its terminal robust invariant set.
 
 The law is a function of what is measured, as that of `rta.backup.motion_law`. There is a field of velocities v_ref(p):
 outwards beside the chief, inwards at the edge of the zone, none between. With w = v - v_ref(p), thrust is to give, from
@@ -13,12 +13,12 @@ f being the natural acceleration. Of what is asked for, the mean over a hold act
 
 where w is seen off by e, |c| <= across lambda |w + e|, and d is what else accelerates. |w| falls to what the errors
 leave of it, and stays there. A spacecraft whose velocity is not known never rests: it drifts. So there is no rest to
-come to, but a *haven*, which it never leaves, whatever is measured,
+come to, but a *terminal robust invariant set*, which it never leaves, whatever is measured,
 
     nearest <= |p| <= max_distance,    |v - v_ref(p)| <= calm(|p|),
 
-since the field is faster than `calm` at both ends. Every limit of motion is kept in it: `Haven.of` certifies that once,
-and raises where it is not so. See docs/reference/proof.md, *With bounds: motion*.
+since the field is faster than `calm` at both ends. Every limit of motion is kept in it: `RobustTerminalSet.of`
+certifies that once, and raises where it is not so. See docs/reference/proof.md, *With bounds: motion*.
 """
 
 import math
@@ -37,26 +37,27 @@ from rta.bounds.prediction import unsaturated
 from rta.bounds.uncertainty import Uncertainty
 from rta.parameters import RtaParameters
 
-# Tuned on U1 for the share of states from which a way is verified.
+# Tuned on U1 for the share of states from which a backup trajectory is verified.
 SHARE = 0.25  # of w, that a hold takes away at most: more leads farther astray, less takes longer
 OUTWARDS, INWARDS = 1.2, 1.3  # of the calm speed, that the field has beside the chief and at the edge
 STEEP = 5e-4  # 1/s, by which the field falls off with distance
-CALMER = 1.5  # of what the errors leave of w, that counts as calm: a way need not come down to it
+# of what the errors leave of w, that counts as calm: a backup trajectory need not come down to it
+CALMER = 1.5
 RISING = 1.8  # of the rate at which that grows with distance
 BESIDE = 4.0 / 3.0  # of the radius of collision, up to which the field leads outwards as fast as anywhere
 EDGE = 1.0  # m inside the zone, from where on the field leads inwards as fast as anywhere
 CELLS = (11, 1)  # of passive safety's horizon, and searches in each; a prime, see `rta.backup.flight`
 ROUNDS = 40  # of the equation for the calm speed, which the field depends on, which it depends on
-GRID = 4000, 100  # distances and times at which the haven is looked at
+GRID = 4000, 100  # distances and times at which the set is looked at
 
 
-class NoHavenError(ValueError):
-    """The bounds leave no haven."""
+class NoInvariantSetError(ValueError):
+    """The bounds leave no robust invariant set."""
 
 
 @dataclass(frozen=True)
 class Errors:
-    """What the law leaves of w on a way, by its errors there, each (...); see `Haven.errors`.
+    """What the law leaves of w on a backup trajectory, by its errors there, each (...); see `RobustTerminalSet.errors`.
 
     Attributes:
         calm: m/s, of |w| in the end.
@@ -77,8 +78,8 @@ class Errors:
 
 
 @dataclass(frozen=True)
-class Haven:
-    """The law, the shares of what is not known of it, and the haven.
+class RobustTerminalSet:
+    """The law, the shares of what is not known of it, and its terminal robust invariant set.
 
     Attributes:
         free: of free flight.
@@ -124,8 +125,8 @@ class Haven:
     nearest: float = 0.0
 
     @classmethod
-    def of(cls, c: Limits, r: RtaParameters, uncertainty: Uncertainty) -> "Haven":
-        """Raises NoHavenError where the bounds leave none.
+    def of(cls, c: Limits, r: RtaParameters, uncertainty: Uncertainty) -> "RobustTerminalSet":
+        """Raises NoInvariantSetError where the bounds leave none.
 
         What thrusters round off the law's thrust is an acceleration that is not known.
         """
@@ -156,7 +157,7 @@ class Haven:
         mixed = aslant + angle * (uneven + aslant)
         along = least - mixed - max(angle, sweeps) ** 2 / 2 * most
         if along <= 0.0:
-            raise NoHavenError("thrust may act in any direction")
+            raise NoInvariantSetError("thrust may act in any direction")
         low, high = along / (1 + uncertainty.mass), (most + mixed) / (1 - uncertainty.mass)
         across = (uneven + aslant + angle * (most + aslant)) / along
         slow = high * longest / SHARE
@@ -164,7 +165,7 @@ class Haven:
         # since a measurement w has fallen by this share at most
         before = SHARE * (old + longest - r.period) / longest if old else 0.0
         if before >= 1.0:
-            raise NoHavenError("the state is too old")
+            raise NoInvariantSetError("the state is too old")
         place = position + velocity * old + math.sqrt(3.0) * c.max_thrust / c.mass * old**2
         w = cls(
             c, uncertainty, FreeFlight.of(c, *CELLS), r.period, longest, old, aim,
@@ -173,11 +174,11 @@ class Haven:
             lag=old / slow / (1 - before), rounded=rounded,
         )  # fmt: skip
         if w.full <= 0.0 or w.late >= 0.5:
-            raise NoHavenError("thrust does too much otherwise")
+            raise NoInvariantSetError("thrust does too much otherwise")
         for _ in range(ROUNDS):
             w = w.with_field()
             if not w.still + w.rising * c.max_distance < c.docking_speed:
-                raise NoHavenError("the errors leave too much of the speed")
+                raise NoInvariantSetError("the errors leave too much of the speed")
         return w.certified()
 
     @property
@@ -205,7 +206,7 @@ class Haven:
         """The share of S that a hold takes away at most."""
         return SHARE * (1.0 + self.stretch)
 
-    def with_field(self) -> "Haven":
+    def with_field(self) -> "RobustTerminalSet":
         """The same, with a field that is faster than this one's calm speed, and with the calm speed in it."""
         c, farthest = self.c, self.c.max_distance
         beside, edge = BESIDE * c.collision_radius, farthest - EDGE
@@ -227,11 +228,11 @@ class Haven:
         return replace(w, still=still, rising=rising)
 
     def calm(self, distance: Tensor) -> Tensor:
-        """m/s, of |w| in the haven at a call at most, at distances (...) in m."""
+        """m/s, of |w| in the set at a call at most, at distances (...) in m."""
         return self.still + self.rising * distance
 
     def wanders(self, distance: Tensor) -> Tensor:
-        """m/s, of |w| in the haven at most, between calls, too."""
+        """m/s, of |w| in the set at most, between calls, too."""
         return self.calm(distance) + self.stray(self.calm(distance), distance)
 
     def stray(self, speed: Tensor, farthest: Tensor) -> Tensor:
@@ -260,7 +261,7 @@ class Haven:
         return torch.where(farthest > self.begins, near.clamp(min=STEEP), near)
 
     def errors(self, fastest: Tensor, nearest: Tensor, farthest: Tensor) -> Errors:
-        """Of ways at |w| up to a speed in m/s, between two distances in m from the chief, (...)."""
+        """Of backup trajectories at |w| up to a speed in m/s, between two distances in m from the chief, (...)."""
         n, late, sees = self.c.mean_motion, self.late, 1.0 - self.late
         steep = self.steepness(nearest, farthest)
         drift = torch.maximum(self.speed(nearest).abs(), self.speed(farthest).abs())
@@ -296,11 +297,11 @@ class Haven:
             seen=seen / sees, late=late / sees, steep=steep, drift=drift,
         )  # fmt: skip
 
-    def certified(self) -> "Haven":
-        """The same, with the nearest distance from which on it is a haven."""
+    def certified(self) -> "RobustTerminalSet":
+        """The same, with the nearest distance from which on the set is invariant."""
         c, count, moments = self.c, *GRID
         if not self.beside < self.ends < self.begins:
-            raise NoHavenError("the zone is too small for the field")
+            raise NoInvariantSetError("the zone is too small for the field")
         r = torch.linspace(c.collision_radius, c.max_distance, count, dtype=torch.float64)
         gap = (r[1] - r[0]).item()
         speed, most = self.speed(r), self.wanders(r)
@@ -317,11 +318,11 @@ class Haven:
         bad = torch.nonzero(~fine[:-1]).flatten()
         first = int(bad.max()) + 1 if bad.numel() else 0
         if r[first] > self.beside or self.out <= most[first] or self.back <= most[-1]:
-            raise NoHavenError("the calm speed is too large")
+            raise NoInvariantSetError("the calm speed is too large")
         return replace(self, nearest=r[first].item())
 
     def clearances(self, r: Tensor, moments: int, gap: float) -> Tensor:
-        """m, by which free flight from the haven at distances (k,) up to a gap apart stays clear at least.
+        """m, by which free flight from the set at distances (k,) up to a gap apart stays clear at least.
 
         It is (Phi_rr + s / r Phi_rv) p + Phi_rv w. The first part is at least its least singular value times r. Between
         moments a flight is off its chord by what it bends.
@@ -375,14 +376,14 @@ def astray(hold: float, aim: float, turning: float, faster: float) -> float:
     return min(kept, (after + before) * turning) / hold
 
 
-def law(x: Tensor, w: Haven) -> Tensor:
+def law(x: Tensor, w: RobustTerminalSet) -> Tensor:
     """G (3, B) in m/s^2 in Hill's frame, at states (16, B) as they are taken for."""
     off = x[V] - w.field(x[P])
     wanted = -off * (w.full / norm(off).clamp(min=1e-30)).clamp(max=1.0 / w.slow)
     return wanted - torch.stack(natural_acceleration(x[P].unbind(), x[V].unbind(), x[THETA_S], w.c))
 
 
-def thrust(x: Tensor, torque: Tensor, w: Haven) -> Tensor:
+def thrust(x: Tensor, torque: Tensor, w: RobustTerminalSet) -> Tensor:
     """The law as thrust (3, B) in N, in the body, at states (16, B) as they are taken for; torque (3, B) is held."""
     aimed = step(x, torch.cat((torch.zeros_like(torque), torque)), w.aim, unsaturated(w.c))
     limit = w.c.max_thrust

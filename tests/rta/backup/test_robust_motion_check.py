@@ -9,8 +9,8 @@ from torch import Tensor
 
 from inspection.model.parameters import InspectionParameters
 from inspection.model.state import OMEGA, SIZE, THRUST, P, V
-from rta.backup.homing import calls, may_be_kept
 from rta.backup.robust_check import RobustBackup
+from rta.backup.robust_motion_check import calls, may_be_kept
 from rta.bounds.uncertainty import Uncertainty
 from rta.filter import SafetyFilter
 from study.verification.starts import safe_set
@@ -18,14 +18,14 @@ from tests.oracles import hypercube
 from tests.rta.backup.test_cone import accepts, beside
 from tests.rta.backup.uncertain_world import U1, C, R, World, committed, flown, is_safe, of_thrust
 
-HOMING = of_thrust(C, R, U1)
-assert HOMING and HOMING.haven
-HAVEN = HOMING.haven
+MOTION_CHECK = of_thrust(C, R, U1)
+assert MOTION_CHECK and MOTION_CHECK.terminal_set
+TERMINAL_SET = MOTION_CHECK.terminal_set
 COUNT = 120
 
 
 def starts(seed: int) -> Tensor:
-    """States (16, COUNT) all over the zone and beside the chief from which a way is verified."""
+    """States (16, COUNT) all over the zone and beside the chief from which a backup trajectory is verified."""
     x = torch.cat((hypercube(2 * COUNT, seed, C), beside(2 * COUNT, seed + 1)), 1)
     x[OMEGA] = 0.0
     x = x[:, accepts(x)]
@@ -39,8 +39,8 @@ class Demands:
         refused, verified, asked: how many demands were, of how many.
     """
 
-    def __init__(self, homing: RobustBackup | None, seed: int) -> None:
-        self.homing, self.generator = homing, torch.Generator().manual_seed(seed)
+    def __init__(self, robust_motion_check: RobustBackup | None, seed: int) -> None:
+        self.robust_motion_check, self.generator = robust_motion_check, torch.Generator().manual_seed(seed)
         self.refused = self.verified = self.asked = 0
 
     def __call__(self, x: Tensor, torque: Tensor, bound: Tensor) -> Tensor:
@@ -52,8 +52,8 @@ class Demands:
             -q[:3], torch.linalg.cross(-q[:3], wanted, dim=0) + q[3] * wanted, dim=0
         )
         u = torch.cat((C.max_thrust * body / body.abs().amax(0).clamp(min=1e-9), torque))
-        if self.homing:
-            u, kept, changed = committed(self.homing, 0, x, u, bound)
+        if self.robust_motion_check:
+            u, kept, changed = committed(self.robust_motion_check, 0, x, u, bound)
             self.refused, self.verified = self.refused + int(changed.sum()), self.verified + int(kept.sum())
         self.asked += count
         return u[THRUST]
@@ -68,8 +68,8 @@ class Demands:
     ],
 )
 def test_no_limit_breaks_whatever_is_asked(how: str, misses: str, seconds: float) -> None:
-    x, demands = starts(1), Demands(HOMING, 2)
-    least, _, _ = flown(x, HAVEN, World(COUNT, 3, how, misses), seconds, 20.0, demands)
+    x, demands = starts(1), Demands(MOTION_CHECK, 2)
+    least, _, _ = flown(x, TERMINAL_SET, World(COUNT, 3, how, misses), seconds, 20.0, demands)
     assert (least >= 0.0).all(), least.min(1)
     assert 0.1 < demands.refused / demands.asked < 0.95 and demands.verified > demands.asked / 4
 
@@ -87,61 +87,74 @@ def test_thrusters_that_give_some_values_only_break_no_limit(
     coarse: dict[str, float], seconds: float
 ) -> None:
     """What is proposed is rounded before it is looked at, and so is what replaces it."""
-    homing = of_thrust(
+    robust_motion_check = of_thrust(
         C,
         R,
         uncertainty := Uncertainty(
             latency=1, longest_hold=1.0, position=0.1, velocity=0.001, thrust_misalignment=1.0, **coarse
         ),
     )
-    assert homing and homing.haven and homing.haven.uncertainty.acceleration > 0.0
+    assert (
+        robust_motion_check
+        and robust_motion_check.terminal_set
+        and robust_motion_check.terminal_set.uncertainty.acceleration > 0.0
+    )
     x, proposals = starts(1), Demands(None, 2)
-    x, refused = x[:, homing.has_way(x)], 0
+    x, refused = x[:, robust_motion_check.has_backup_trajectory(x)], 0
     assert x.shape[1] > COUNT / 3
 
     def law(x: Tensor, torque: Tensor, bound: Tensor) -> Tensor:
         nonlocal refused
         u = torch.cat((uncertainty.given(proposals(x, torque, bound), C.max_thrust), torque))
-        u, _, changed = committed(homing, 0, x, u, bound)
+        u, _, changed = committed(robust_motion_check, 0, x, u, bound)
         assert torch.equal(uncertainty.given(u[THRUST], C.max_thrust), u[THRUST])
         refused += int(changed.sum())
         return u[THRUST]
 
     least, _, _ = flown(
-        x, homing.haven, World(x.shape[1], 3, "worst", "always", uncertainty), seconds, 20.0, law
+        x,
+        robust_motion_check.terminal_set,
+        World(x.shape[1], 3, "worst", "always", uncertainty),
+        seconds,
+        20.0,
+        law,
     )
     assert (least >= 0.0).all(), least.min(1)
     assert refused > 3 * seconds
 
 
 def test_unchecked_the_same_demands_break_limits() -> None:
-    least, _, _ = flown(starts(1), HAVEN, World(COUNT, 3, "steady", "random"), 100.0, 20.0, Demands(None, 2))
+    least, _, _ = flown(
+        starts(1), TERMINAL_SET, World(COUNT, 3, "steady", "random"), 100.0, 20.0, Demands(None, 2)
+    )
     assert (least.min(1)[[1, 2, 3]] < 0.0).all()
 
 
 @pytest.mark.campaign
 def test_a_check_that_forgets_missed_calls_lets_limits_break() -> None:
     forgetful = of_thrust(C, R, replace(U1, longest_hold=1.0))
-    assert forgetful and forgetful.haven and calls(forgetful.haven) == 1
+    assert forgetful and forgetful.terminal_set and calls(forgetful.terminal_set) == 1
     demands = Demands(forgetful, 2)
-    least, _, _ = flown(starts(1), forgetful.haven, World(COUNT, 3, "worst", "always"), 60.0, 20.0, demands)
+    least, _, _ = flown(
+        starts(1), forgetful.terminal_set, World(COUNT, 3, "worst", "always"), 60.0, 20.0, demands
+    )
     assert least.min() < 0.0
 
 
-def test_what_is_verified_ends_where_a_way_begins() -> None:
-    """The true state after a hold that was verified has a way, however long the hold, wherever it began."""
+def test_what_is_verified_ends_where_a_backup_trajectory_begins() -> None:
+    """The true state after a hold that was verified has a backup trajectory, whatever the hold, wherever it began."""
     x, world = starts(4), World(COUNT, 5, "worst", "random")
-    seen, bound = world.sees(x, HAVEN), torch.zeros(4, COUNT, dtype=torch.float64)
+    seen, bound = world.sees(x, TERMINAL_SET), torch.zeros(4, COUNT, dtype=torch.float64)
     demands = Demands(None, 6)
     torque = torch.zeros(3, COUNT, dtype=torch.float64)
     u = torch.cat((demands(seen, torque, bound), torque))
-    safe = is_safe(HOMING, 0, torch.cat((seen, bound)), u)
+    safe = is_safe(MOTION_CHECK, 0, torch.cat((seen, bound)), u)
     assert 10 < safe.sum() < COUNT
     for calls_held in (1, 2, 3):
         world = World(COUNT, 5, "worst", "random")
         world.held_for = lambda count=calls_held: count  # type: ignore[method-assign]
         world.asks_torque = lambda _: torque  # type: ignore[method-assign]
-        _, end, _ = flown(x, HAVEN, world, float(calls_held), None, lambda *_: u[THRUST])
+        _, end, _ = flown(x, TERMINAL_SET, world, float(calls_held), None, lambda *_: u[THRUST])
         assert accepts(end)[safe].all()
 
 
@@ -158,10 +171,10 @@ def test_a_limit_may_be_kept_as_far_beyond_it_as_a_state_may_be_off() -> None:
         ):
             x = torch.zeros(SIZE, 1, dtype=torch.float64)
             x[P.start], x[V.start + 1] = distance, speed
-            assert (may_be_kept(x, further, HAVEN) >= 0.0) == kept, (distance, speed)
+            assert (may_be_kept(x, further, TERMINAL_SET) >= 0.0) == kept, (distance, speed)
 
 
-def test_where_no_haven_is_known_there_is_no_check() -> None:
+def test_where_no_invariant_set_is_known_there_is_no_check() -> None:
     for bounds in (
         Uncertainty(),
         replace(U1, health=True),
@@ -186,11 +199,11 @@ LEFT_THE_ZONE = [-689.517, -118.445, 35.9689, -3.17297, -0.4764, -3.54167, 0.751
         ),
     ],
 )
-def test_starts_have_a_way_also_where_only_thrust_is_checked(bounds: dict[str, float]) -> None:
+def test_starts_have_a_backup_trajectory_also_where_only_thrust_is_checked(bounds: dict[str, float]) -> None:
     """With torque gains off by 0.6 and full thrust outwards a start without one left the zone by 1.9 m."""
     safety = SafetyFilter(C, R, uncertainty=Uncertainty(**bounds))
     assert safety.backup and safety.checked == (True, False)
-    without_a_way = torch.tensor(LEFT_THE_ZONE, dtype=torch.float64)[:, None]
-    assert (safety.values(without_a_way) >= 0.0).all() and not safety.is_safe(without_a_way)
+    without_trajectory = torch.tensor(LEFT_THE_ZONE, dtype=torch.float64)[:, None]
+    assert (safety.values(without_trajectory) >= 0.0).all() and not safety.is_safe(without_trajectory)
     x, _, _ = safe_set(200, 9, safety)
-    assert safety.is_safe(x).all() and safety.backup.has_way(x).all()
+    assert safety.is_safe(x).all() and safety.backup.has_backup_trajectory(x).all()

@@ -1,7 +1,7 @@
-"""What thrust leads to within bounds: from every state that may be true, while it is held, and on a way into the haven.
+"""Checks thrust with error bounds: from every state within them, while it is held, and on the backup trajectory.
 
-A way (`rta.backup.cone`) has to begin at every call that may end the hold (docs/reference/proof.md, *With bounds:
-motion*).
+A backup trajectory (`rta.backup.cone`) has to begin at every call that may end the hold (docs/reference/proof.md, *With
+bounds: motion*).
 """
 
 from collections.abc import Callable
@@ -13,8 +13,8 @@ from torch import Tensor
 from inspection.model.attitude import norm, rotate
 from inspection.model.state import THRUST, P, Q, V
 from rta.backup.chords import lowest, strays
-from rta.backup.cone import Node, between, way
-from rta.backup.haven import Haven
+from rta.backup.cone import Node, between, trajectory_margin
+from rta.backup.robust_terminal_set import RobustTerminalSet
 from rta.bounds.prediction import predicted
 from rta.parameters import RtaParameters
 from rta.qp.programs import pick, put
@@ -22,14 +22,14 @@ from rta.qp.programs import pick, put
 FAR = 1e6  # m, beyond every distance: of a hold nothing is assumed of where it leads
 
 
-def has_way(x: Tensor, w: Haven) -> Tensor:
+def has_backup_trajectory(x: Tensor, w: RobustTerminalSet) -> Tensor:
     """(B,) bool: from true states (16, B) the law keeps the limits of motion, whatever is measured."""
     none = torch.zeros_like(x[0])
-    return way(x[P], x[V], none, none, none, w) >= 0.0
+    return trajectory_margin(x[P], x[V], none, none, none, w) >= 0.0
 
 
-def is_safe(x: Tensor, u: Tensor, error_bound: Tensor, w: Haven, r: RtaParameters) -> Tensor:
-    """(B,) bool: thrust of controls (6, B) keeps the limits, and a way is left; arguments as of `held`."""
+def is_safe(x: Tensor, u: Tensor, error_bound: Tensor, w: RobustTerminalSet, r: RtaParameters) -> Tensor:
+    """(B,) bool: thrust of controls (6, B) keeps the limits, as the backup trajectory does after it; see `held`."""
 
     def looked_at(columns: Tensor) -> Tensor:
         hold = held(pick(x, columns), pick(u, columns), pick(error_bound, columns), w, r)
@@ -38,19 +38,20 @@ def is_safe(x: Tensor, u: Tensor, error_bound: Tensor, w: Haven, r: RtaParameter
     return either(at_a_glance(held(x, u, error_bound, w, r), w), looked_at)
 
 
-def either(least: Tensor, look: Callable[[Tensor], Tensor]) -> Tensor:
+def either(least: Tensor, closer_look: Callable[[Tensor], Tensor]) -> Tensor:
     """(B,) bool: the least of the limits (B,) is not negative at a glance, or a closer look at the columns finds so."""
     safe = least >= 0.0
     columns = torch.nonzero(~safe).flatten()
     if columns.numel():
-        put(safe, columns, look(columns))
+        put(safe, columns, closer_look(columns))
     return safe
 
 
-def may_be_kept(x: Tensor, error_bound: Tensor, w: Haven) -> Tensor:
+def may_be_kept(x: Tensor, error_bound: Tensor, w: RobustTerminalSet) -> Tensor:
     """The most that the least limit of motion but passive safety can be, (B,); below zero one is broken for sure.
 
-    States (16, B) may be off by what was measured and (4, B). From a state in which a limit is broken no way begins.
+    States (16, B) may be off by what was measured and (4, B). From a state in which a limit is broken no backup
+    trajectory begins.
     """
     c = w.c
     position, velocity, _, _ = w.uncertainty.radii
@@ -83,7 +84,7 @@ class Held(NamedTuple):
     late: list[Tensor]
 
 
-def held(x: Tensor, u: Tensor, error_bound: Tensor, w: Haven, r: RtaParameters) -> Held:
+def held(x: Tensor, u: Tensor, error_bound: Tensor, w: RobustTerminalSet, r: RtaParameters) -> Held:
     """A hold of u (6, B).
 
     Args:
@@ -92,7 +93,7 @@ def held(x: Tensor, u: Tensor, error_bound: Tensor, w: Haven, r: RtaParameters) 
     parts, grown = [], [error_bound[1]]
     found = Held(x[0], [], [], [])
     for call in range(calls(w)):
-        x, error_bound, least = look(x, u, error_bound, w, r)
+        x, error_bound, least = hold_period(x, u, error_bound, w, r)
         parts.append(least)
         grown.append(error_bound[1])
         # the law's first call measures what happened until then
@@ -103,8 +104,8 @@ def held(x: Tensor, u: Tensor, error_bound: Tensor, w: Haven, r: RtaParameters) 
     return found._replace(least=lowest(torch.stack(parts)))
 
 
-def at_a_glance(hold: Held, w: Haven) -> Tensor:
-    """A lower bound of the limits in a hold and on all ways after it, (B,): of one that begins wherever it may end."""
+def at_a_glance(hold: Held, w: RobustTerminalSet) -> Tensor:
+    """Returns a lower bound of the limits in a hold and after it, by one trajectory for all its possible ends: (B,)."""
     middle = hold.x[(len(hold.x) - 1) // 2]
     shifted = [
         torch.stack(
@@ -113,28 +114,30 @@ def at_a_glance(hold: Held, w: Haven) -> Tensor:
         for x, bound in zip(hold.x, hold.error_bound, strict=True)
     ]
     widest, late = torch.stack(shifted).amax(0), torch.stack(hold.late).amax(0)
-    return torch.minimum(hold.least, home(middle, widest, late, w))
+    return torch.minimum(hold.least, trajectory_margin_at(middle, widest, late, w))
 
 
-def closely(hold: Held, w: Haven) -> Tensor:
-    """The same, by a look at each way."""
-    ways = [home(*each, w) for each in zip(hold.x, hold.error_bound, hold.late, strict=True)]
-    return lowest(torch.stack((hold.least, *ways)))
+def closely(hold: Held, w: RobustTerminalSet) -> Tensor:
+    """Returns the same, by a look at each backup trajectory."""
+    margins = [
+        trajectory_margin_at(*each, w) for each in zip(hold.x, hold.error_bound, hold.late, strict=True)
+    ]
+    return lowest(torch.stack((hold.least, *margins)))
 
 
-def calls(w: Haven) -> int:
+def calls(w: RobustTerminalSet) -> int:
     """For which a control may be held."""
     return round(w.longest / w.period)
 
 
-def home(x: Tensor, error_bound: Tensor, late: Tensor, w: Haven) -> Tensor:
-    """`way` from states (16, B) that may be off by (4, B) more than measured, see `held`."""
+def trajectory_margin_at(x: Tensor, error_bound: Tensor, late: Tensor, w: RobustTerminalSet) -> Tensor:
+    """Returns `trajectory_margin` from states (16, B) that may be off by (4, B) more than measured, see `held`."""
     position, velocity, _, _ = w.uncertainty.radii
-    return way(x[P], x[V], position + error_bound[0], velocity + error_bound[1], late, w)
+    return trajectory_margin(x[P], x[V], position + error_bound[0], velocity + error_bound[1], late, w)
 
 
-def look(
-    x: Tensor, u: Tensor, error_bound: Tensor, w: Haven, r: RtaParameters
+def hold_period(
+    x: Tensor, u: Tensor, error_bound: Tensor, w: RobustTerminalSet, r: RtaParameters
 ) -> tuple[Tensor, Tensor, Tensor]:
     """A period of a hold: the states and error bounds after it, and a lower bound of the limits in it, as `held`."""
     c, n, none = w.c, w.c.mean_motion, torch.zeros_like(x[0])

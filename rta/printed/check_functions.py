@@ -8,7 +8,7 @@ from torch import Tensor
 
 from inspection.model.state import SIZE, TORQUE
 from kernels.printer import Printed, if_long, printed
-from rta.backup import homing, turn
+from rta.backup import robust_motion_check, turn
 from rta.backup.commit import ATTITUDE, LIMITS, MOTION, SHARES, SLACK_ROUNDED, Check
 from rta.backup.flight import CELLS
 from rta.backup.flight import turn as turn_in
@@ -27,7 +27,7 @@ Named = tuple[str, Callable[..., Sequence[Tensor]], tuple[Tensor, ...], Sequence
 
 
 def checks(safety_filter: "SafetyFilter") -> list[Printed]:
-    """The functions that the driver's check calls; none where the filter knows no way to rest."""
+    """The functions that the driver's check calls; none where the filter knows no backup trajectory."""
     b, (x, u) = safety_filter.backup, safety_filter.probe("cpu")
     if b is None:
         return []
@@ -62,18 +62,18 @@ def robust_functions(b: RobustBackup, x: Tensor, u: Tensor) -> list[Printed]:
     if w := b.turning:
         run = lambda x, u, e: [turn.verified(x, u, e, w)[None]]  # noqa: E731
         found += all_printed(("turn_verified", run, (x, u, bound), GIVEN_BOUND, least))
-    if v := b.haven:
+    if v := b.terminal_set:
 
-        def look(x: Tensor, u: Tensor, error_bound: Tensor) -> list[Tensor]:
-            end, after, least = homing.look(x, u, error_bound, v, b.r)
+        def hold_period(x: Tensor, u: Tensor, error_bound: Tensor) -> list[Tensor]:
+            end, after, least = robust_motion_check.hold_period(x, u, error_bound, v, b.r)
             return [end, after, least[None]]
 
-        def home(x: Tensor, error_bound: Tensor, late: Tensor) -> list[Tensor]:
-            return [homing.home(x, error_bound, late[0], v)[None]]
+        def margin(x: Tensor, error_bound: Tensor, late: Tensor) -> list[Tensor]:
+            return [robust_motion_check.trajectory_margin_at(x, error_bound, late[0], v)[None]]
 
         found += all_printed(
-            ("homing_look", look, (x, u, bound), GIVEN_BOUND, ("after", "bound_after", "least")),
-            ("homing_way", home, (x, bound, late), ("x", "error_bound", "late"), least),
+            ("homing_look", hold_period, (x, u, bound), GIVEN_BOUND, ("after", "bound_after", "least")),
+            ("homing_way", margin, (x, bound, late), ("x", "error_bound", "late"), least),
             long=v.free.cells,
         )
     return (
@@ -111,7 +111,7 @@ def of_bounds(backup: RobustBackup) -> dict[str, tuple[int | float | str, str]]:
         "SEEN": (SIZE + KINDS, "numbers: a state, and by how much further than measured it may be off"),
         "TURN": (int(backup.turning is not None), "1: torque is checked"),
         "HELD_CALLS": (
-            homing.calls(backup.haven) if backup.haven else 0,
+            robust_motion_check.calls(backup.terminal_set) if backup.terminal_set else 0,
             "of a hold; 0: thrust is not checked",
         ),
     }
@@ -146,7 +146,7 @@ def trials() -> dict[str, tuple[int | float | str, str]]:
 
 
 def limits() -> dict[str, tuple[int | float | str, str]]:
-    """Which limits a way keeps, as `constants`."""
+    """Which limits a backup trajectory keeps, as `constants`."""
     return {
         "MOTION_LIMITS": (MOTION, "constraints, the first, that a way keeps by thrust"),
         "ATTITUDE_LIMITS": (ATTITUDE, "the next, by torque"),
