@@ -415,8 +415,8 @@ def effort(holds: Sequence[Hold], mass: Tensor | float, c: InspectionParameters)
     """delta v in m/s and mean torque in N m, |F| and |tau| summed over axes, of an action's holds; (B,) each."""
     acting = torch.stack([hold.acting for hold in holds]).abs()  # (holds, 6, B)
     thrusts, torques = acting[:, THRUST].sum(1), acting[:, TORQUE].sum(1)
-    delta_v, torque = torch.zeros_like(thrusts[0]), torch.zeros_like(torques[0])
-    for hold, thrust, turn in zip(holds, thrusts, torques, strict=True):
+    delta_v, torque_sum = torch.zeros_like(thrusts[0]), torch.zeros_like(torques[0])
+    for hold, thrust, torque in zip(holds, thrusts, torques, strict=True):
         delta_v += thrust / mass * hold.seconds
-        torque += turn * (hold.seconds / c.action_period)
-    return delta_v, torque
+        torque_sum += torque * (hold.seconds / c.action_period)
+    return delta_v, torque_sum

@@ -87,8 +87,8 @@ class InitialStates:
 
     Attributes:
         pool: (16 + 3, k) states and priority vectors not handed out yet; with `numbered` plants a row more.
-        turn: where several supplies with equal generators hand out one row of states in turns, each a part: says for
-            a count how many the supplies before this one hand out first, and all of them together.
+        offset_and_total: where several supplies with equal generators hand out one row of states in turns, each a part:
+            says for a count how many the supplies before this one hand out first, and all of them together.
     """
 
     def __init__(
@@ -100,7 +100,7 @@ class InitialStates:
     ) -> None:
         self.generator, self.c, self.is_safe, self.numbered = generator, c, is_safe, numbered
         self.pool = torch.zeros(SIZE + 3 + numbered, 0, dtype=torch.float64, device=generator.device)
-        self.turn: Callable[[int], tuple[int, int]] = lambda count: (0, count)
+        self.offset_and_total: Callable[[int], tuple[int, int]] = lambda count: (0, count)
 
     def seed(self, seed: int) -> None:
         """Makes the states to come those that follow from a seed (0 to 2^63 - 1)."""
@@ -109,7 +109,7 @@ class InitialStates:
 
     def take(self, count: int) -> tuple[Tensor, ...]:
         """The next `count` states (16, count) and priority vectors (3, count), and numbers (count,) if `numbered`."""
-        before, together = self.turn(count)
+        before, together = self.offset_and_total(count)
         while self.pool.shape[1] < together:
             drawn: tuple[Tensor, ...] = sample_initial_state(POOL, self.generator, self.c, self.is_safe)
             if self.numbered:

@@ -104,8 +104,8 @@ class Ranks:
         for tensor, mean in zip(tensors, flat.split([tensor.numel() for tensor in tensors]), strict=True):
             tensor.copy_(mean.view_as(tensor))
 
-    def turn(self, count: int) -> tuple[int, int]:
-        """How many things in a row the ranks before this one take if it takes `count`, and all ranks together."""
+    def offset_and_total(self, count: int) -> tuple[int, int]:
+        """Returns how many things in a row the ranks before this one take if it takes `count`, and all ranks do."""
         if self.size == 1:
             return 0, count
         counts = [torch.zeros(1, dtype=torch.int64) for _ in range(self.size)]

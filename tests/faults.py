@@ -473,13 +473,13 @@ CHECK = [
         ("distance + e_p - c.collision_radius", "distance - e_p - c.collision_radius"),
     ),
     *faults(
-        "rta/backup/turning.py",
-        "rta/backup/test_turn.py -k heat",
+        "rta/backup/robust_attitude_constants.py",
+        "rta/backup/test_robust_attitude_check.py -k heat",
         ("max(math.asin(min(self.c.temperature_sun_slope * self.rate / sun, 1.0)), FULL)", "FULL"),
     ),
     *faults(
-        "rta/backup/turn.py",
-        "rta/backup/test_turn.py",
+        "rta/backup/robust_attitude_check.py",
+        "rta/backup/test_robust_attitude_check.py",
         ("(wanted(x, w) - x[OMEGA]) / w.tau - torch", "(wanted(x, w) - x[OMEGA]) / w.tau + torch"),
     ),
     *faults(

@@ -104,8 +104,8 @@ def hold(x: Tensor, u: Tensor, w: Flight) -> tuple[Tensor, Tensor]:
     return states[-1], torch.cat((torch.stack(motion).amin(0), attitude_along(states, u, w)))
 
 
-def turn(x: Tensor, u: Tensor, w: Flight) -> tuple[Tensor, Tensor]:
-    """As `hold`, with the limits of attitude alone: (4, B)."""
+def fly_attitude(x: Tensor, u: Tensor, w: Flight) -> tuple[Tensor, Tensor]:
+    """Flies a hold as `hold` does, with the limits of attitude alone: (4, B)."""
     states = path(x, u, w)
     return states[-1], attitude_along(states, u, w)
 

@@ -2,10 +2,10 @@
 
 States are known within bounds only, and a control may be held for one call or for several. Torque is applied if, from
 every state that may be true, it keeps the attitude's limits while it is held, and a backup trajectory to rest
-(`rta.backup.turn`) begins at every call that may end that; thrust likewise with the limits of motion and a backup
-trajectory into the terminal set (`rta.backup.robust_motion_check`). Neither trajectory depends on what the other group
-does. That keeps the limits from every state from which a backup trajectory begins, whatever is measured. So, by
-induction over the true states, none is ever broken (docs/reference/proof.md, *With bounds*).
+(`rta.backup.robust_attitude_check`) begins at every call that may end that; thrust likewise with the limits of motion
+and a backup trajectory into the terminal set (`rta.backup.robust_motion_check`). Neither trajectory depends on what the
+other group does. That keeps the limits from every state from which a backup trajectory begins, whatever is measured.
+So, by induction over the true states, none is ever broken (docs/reference/proof.md, *With bounds*).
 """
 
 from collections.abc import Sequence
@@ -15,11 +15,11 @@ from torch import Tensor
 
 from inspection.model.parameters import Limits
 from inspection.model.state import SIZE, THRUST, TORQUE
-from rta.backup import robust_motion_check, turn
+from rta.backup import robust_attitude_check, robust_motion_check
 from rta.backup.attitude_law import has_rest
 from rta.backup.commit import LIMITS, Check
+from rta.backup.robust_attitude_constants import AttitudeConstants, NoRestError
 from rta.backup.robust_terminal_set import NoInvariantSetError, RobustTerminalSet, thrust
-from rta.backup.turning import NoRestError, Turning
 from rta.bounds.uncertainty import Uncertainty
 from rta.parameters import RtaParameters
 
@@ -28,27 +28,28 @@ class RobustBackup(Check):
     """The check with error bounds.
 
     Attributes:
-        terminal_set: the law of thrust and its terminal set; turning: the law of torque. None: there is no safe one.
+        terminal_set: the law of thrust and its terminal set; attitude: the constants of the law of torque. None: none
+            is safe.
     """
 
     def __init__(
-        self, terminal_set: RobustTerminalSet | None, turning: Turning | None, r: RtaParameters
+        self, terminal_set: RobustTerminalSet | None, attitude: AttitudeConstants | None, r: RtaParameters
     ) -> None:
-        self.terminal_set, self.turning, self.r = terminal_set, turning, r
-        self.knows = terminal_set is not None, turning is not None
+        self.terminal_set, self.attitude, self.r = terminal_set, attitude, r
+        self.knows = terminal_set is not None, attitude is not None
 
     @classmethod
     def of(cls, c: Limits, r: RtaParameters, uncertainty: Uncertainty) -> "RobustBackup | None":
         """Returns None without a backup trajectory within the bounds or of this vehicle, or if actuators may fail."""
         if uncertainty.is_zero or uncertainty.health:
             return None
-        check = cls(terminal_set_of(c, r, uncertainty), turning_of(c, r, uncertainty), r)
+        check = cls(terminal_set_of(c, r, uncertainty), attitude_constants_of(c, r, uncertainty), r)
         return check if any(check.knows) else None
 
     def has_backup_trajectory(self, x: Tensor) -> Tensor:
         found = torch.ones_like(x[0], dtype=torch.bool)
-        if self.turning:
-            found &= turn.has_backup_trajectory(x, self.turning)
+        if self.attitude:
+            found &= robust_attitude_check.has_backup_trajectory(x, self.attitude)
         if self.terminal_set:
             found &= robust_motion_check.has_backup_trajectory(x, self.terminal_set)
         return found
@@ -70,12 +71,14 @@ class RobustBackup(Check):
                 robust_motion_check.may_be_kept(x, error_bound, self.terminal_set)
                 if self.terminal_set
                 else none,
-                turn.may_be_kept(x, error_bound, self.turning) if self.turning else none,
+                robust_attitude_check.may_be_kept(x, error_bound, self.attitude) if self.attitude else none,
             )
         )
 
     def torque(self, y: Tensor) -> Tensor:
-        return turn.law(y[:SIZE], self.turning) if self.turning else torch.zeros_like(y[:3])
+        return (
+            robust_attitude_check.law(y[:SIZE], self.attitude) if self.attitude else torch.zeros_like(y[:3])
+        )
 
     def thrust(self, y: Tensor, torque: Tensor) -> Tensor:
         return thrust(y[:SIZE], torque, self.terminal_set) if self.terminal_set else torch.zeros_like(torque)
@@ -85,8 +88,8 @@ class RobustBackup(Check):
         found = torch.zeros_like(x[:2], dtype=torch.bool)
         if self.terminal_set and 0 in asked:
             found[0] = robust_motion_check.is_safe(x, u, error_bound, self.terminal_set, self.r)
-        if self.turning and 1 in asked:
-            found[1] = turn.verified(x, u, error_bound, self.turning) >= 0.0
+        if self.attitude and 1 in asked:
+            found[1] = robust_attitude_check.verified(x, u, error_bound, self.attitude) >= 0.0
         return found
 
     def given(self, u: Tensor) -> Tensor:
@@ -107,11 +110,11 @@ def terminal_set_of(c: Limits, r: RtaParameters, uncertainty: Uncertainty) -> Ro
         return None
 
 
-def turning_of(c: Limits, r: RtaParameters, uncertainty: Uncertainty) -> Turning | None:
+def attitude_constants_of(c: Limits, r: RtaParameters, uncertainty: Uncertainty) -> AttitudeConstants | None:
     """Returns None without a backup trajectory to rest within the bounds, or of this vehicle."""
     if not (c.is_circular and not c.hill_rotation and has_rest(c)):
         return None
     try:
-        return Turning.of(c, r, uncertainty)
+        return AttitudeConstants.of(c, r, uncertainty)
     except NoRestError:
         return None

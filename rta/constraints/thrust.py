@@ -75,8 +75,8 @@ def thrust_acceleration(c: Limits) -> float:
     return math.sqrt(3.0) * c.max_thrust / c.mass
 
 
-def turn(c: Limits, r: RtaParameters) -> float:
-    """m/s^2 of thrust, averaged over a period, that may act elsewhere than the row says, since it turns with the body.
+def thrust_rotation_error(c: Limits, r: RtaParameters) -> float:
+    """Returns the error in m/s^2 of the mean thrust of a period in a row, since thrust turns with the body.
 
     By alpha_max T^2 / 6 otherwise than the constant rates that `half_a_period_ahead` in `rta.barrier` takes
     into account, and by (omega T)^2 / 8 around the middle.
@@ -125,7 +125,7 @@ def collision(c: Limits, r: RtaParameters, uncertainty: Uncertainty = NO_UNCERTA
         margin=r.collision_margin,
         weight=math.inf,
         barrier=barrier,
-        loss=turn(c, r),
+        loss=thrust_rotation_error(c, r),
     )
 
 
@@ -146,7 +146,7 @@ def dynamic_speed(c: Limits, r: RtaParameters) -> Constraint:
         # at 5 and 10 s it would exceed what a spacecraft at rest can satisfy
         return (turned + bent / (2 * limit)).minimum(0.5 * r.gain(r.speed_gain) * limit)
 
-    turned, bent = turn(c, r), bend(c, r)
+    turned, bent = thrust_rotation_error(c, r), bend(c, r)
     return Entry(
         "dynamic_speed",
         h,
@@ -193,7 +193,7 @@ def keep_in_zone(c: Limits, r: RtaParameters, uncertainty: Uncertainty = NO_UNCE
         margin=r.keep_in_margin + (WEAK if uncertainty.health else 0.0),
         weight=r.slack_weight_critical,
         barrier=lambda x: lambda y: curve(y)[None],
-        loss=turn(c, r) + swing,
+        loss=thrust_rotation_error(c, r) + swing,
     )
 
 
@@ -258,5 +258,5 @@ def velocity(axis: int, c: Limits, r: RtaParameters, uncertainty: Uncertainty = 
         gains=(r.velocity_gain,),
         margin=min(kept, c.max_speed**2 / 2),
         weight=r.slack_weight_motion,
-        loss=bend(c, r) + 2 * c.max_speed * turn(c, r),
+        loss=bend(c, r) + 2 * c.max_speed * thrust_rotation_error(c, r),
     )

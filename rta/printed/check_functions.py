@@ -8,10 +8,9 @@ from torch import Tensor
 
 from inspection.model.state import SIZE, TORQUE
 from kernels.printer import Printed, if_long, printed
-from rta.backup import robust_motion_check, turn
+from rta.backup import robust_attitude_check, robust_motion_check
 from rta.backup.commit import ATTITUDE, LIMITS, MOTION, SHARES, SLACK_ROUNDED, Check
-from rta.backup.flight import CELLS
-from rta.backup.flight import turn as turn_in
+from rta.backup.flight import CELLS, fly_attitude
 from rta.backup.nominal_check import KEPT, RATES_ROUNDED, NominalBackup
 from rta.backup.robust_check import RobustBackup
 from rta.bounds.prediction import KINDS
@@ -40,7 +39,8 @@ def checks(safety_filter: "SafetyFilter") -> list[Printed]:
         long=planes or CELLS[0],
     )
     return holds + laws(b, x, u) + all_printed(
-        ("turned", lambda x, u: list(turn_in(x, u, b.flight)), (x, u), ("x", "control"), ("after", "least")),
+        ("turned", lambda x, u: list(fly_attitude(x, u, b.flight)), (x, u), ("x", "control"),
+         ("after", "least")),
         ("at_once", lambda x: [b.at_once(x)], (x,), ("x",), ("least",)),
         ("terminal_room", lambda x: [b.terminal.room(x)], (x,), ("x",), ("room",)),
         long=planes,
@@ -59,8 +59,8 @@ def robust_functions(b: RobustBackup, x: Tensor, u: Tensor) -> list[Printed]:
     """The functions that robust_check.c calls."""
     bound, late = torch.zeros(KINDS, 1, dtype=torch.float64), torch.zeros(1, 1, dtype=torch.float64)
     y, least, found = torch.cat((x, bound)), ("least",), []
-    if w := b.turning:
-        run = lambda x, u, e: [turn.verified(x, u, e, w)[None]]  # noqa: E731
+    if w := b.attitude:
+        run = lambda x, u, e: [robust_attitude_check.verified(x, u, e, w)[None]]  # noqa: E731
         found += all_printed(("turn_verified", run, (x, u, bound), GIVEN_BOUND, least))
     if v := b.terminal_set:
 
@@ -109,7 +109,7 @@ def of_bounds(backup: RobustBackup) -> dict[str, tuple[int | float | str, str]]:
     """Of robust_check.c, as `constants`."""
     return {
         "SEEN": (SIZE + KINDS, "numbers: a state, and by how much further than measured it may be off"),
-        "TURN": (int(backup.turning is not None), "1: torque is checked"),
+        "TURN": (int(backup.attitude is not None), "1: torque is checked"),
         "HELD_CALLS": (
             robust_motion_check.calls(backup.terminal_set) if backup.terminal_set else 0,
             "of a hold; 0: thrust is not checked",

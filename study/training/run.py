@@ -104,7 +104,7 @@ class Run:
             privileged=config.ppo.privileged,
         )
         for starts in self.env.starts:
-            starts.turn = self.shard.learners.turn
+            starts.offset_and_total = self.shard.learners.offset_and_total
         self.policy = self.experiment.policy(generators)
         value = self.experiment.value(generators)
         cost_value = self.experiment.value(generators) if config.ppo.cost_limit < 1.0 else None

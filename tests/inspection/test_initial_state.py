@@ -83,7 +83,10 @@ def test_supplies_that_take_turns_hand_out_one_row(c, monkeypatch):
     row = InitialStates(seeded(8), c)
     first, second = InitialStates(seeded(8), c), InitialStates(seeded(8), c)
     for one, other in ((3, 2), (0, 4), (9, 0)):
-        first.turn, second.turn = lambda n, k=other: (0, n + k), lambda n, k=one: (k, k + n)
+        first.offset_and_total, second.offset_and_total = (
+            lambda n, k=other: (0, n + k),
+            lambda n, k=one: (k, k + n),
+        )
         taken = torch.cat((torch.cat(first.take(one)), torch.cat(second.take(other))), 1)
         assert torch.equal(taken, torch.cat(row.take(one + other)))
         assert torch.equal(first.generator.get_state(), row.generator.get_state())

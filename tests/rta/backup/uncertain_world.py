@@ -156,7 +156,7 @@ def of_thrust(c: InspectionParameters, r: RtaParameters, uncertainty: Uncertaint
 def of_torque(c: InspectionParameters, r: RtaParameters, uncertainty: Uncertainty) -> RobustBackup | None:
     """The check of torque alone; None: there is no backup trajectory."""
     check = RobustBackup.of(c, r, uncertainty)
-    return RobustBackup(None, check.turning, r) if check and check.turning else None
+    return RobustBackup(None, check.attitude, r) if check and check.attitude else None
 
 
 def committed(

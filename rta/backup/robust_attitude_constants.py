@@ -1,4 +1,4 @@
-"""What the backup trajectory of torque with error bounds depends on, see `rta.backup.turn`; derived once.
+"""Constants of the law of torque with error bounds, see `rta.backup.robust_attitude_check`; derived once.
 
 Errors and the rates that they leave are per body axis. The panels' axis d is the first one, so "about d" is that, and
 "across d" either of the others.
@@ -45,7 +45,7 @@ class Level:
 
 
 @dataclass(frozen=True)
-class Turning:
+class AttitudeConstants:
     """What the law and its check depend on.
 
     Attributes:
@@ -97,7 +97,7 @@ class Turning:
     warmest: float = 0.0
 
     @classmethod
-    def of(cls, c: Limits, r: RtaParameters, uncertainty: Uncertainty) -> "Turning":
+    def of(cls, c: Limits, r: RtaParameters, uncertainty: Uncertainty) -> "AttitudeConstants":
         """Raises NoRestError where no attitude of rest is known within the bounds."""
         period, lag = r.period, uncertainty.latency * r.period
         holds = math.ceil(uncertainty.hold(r) / period - 1e-9)
@@ -207,7 +207,7 @@ class Turning:
         c = self.c
         return math.acos(min((c.power_draw / 1000.0 - c.energy_sun_slope * slow) / self.look.charging, 1.0))
 
-    def settled(self) -> "Turning":
+    def settled(self) -> "AttitudeConstants":
         """With what the surface gains on the last part of the trajectory, and comes to at rest."""
         c = self.c
         gone = self.rate / self.kappa

@@ -14,9 +14,9 @@ from inspection.model.dynamics import Body, step, sun_and_earth_in_body
 from inspection.model.parameters import InspectionParameters
 from inspection.model.state import OMEGA, TORQUE, E, Q, T
 from rta.backup.nominal_check import NominalBackup
+from rta.backup.robust_attitude_check import law, wanted
+from rta.backup.robust_attitude_constants import heating
 from rta.backup.robust_check import RobustBackup
-from rta.backup.turn import law, wanted
-from rta.backup.turning import heating
 from rta.bounds.prediction import predicted
 from rta.bounds.uncertainty import Uncertainty
 from rta.filter import SafetyFilter
@@ -49,7 +49,7 @@ def backup(uncertainty: Uncertainty = U1, r: RtaParameters = R) -> RobustBackup:
 def test_a_body_that_has_the_laws_rates_keeps_them() -> None:
     """The law's torque is then the gyroscopic one alone, which is held for 0.1 s."""
     c = replace(C, inertia=(0.02, 0.04, 0.05))
-    x, w = hypercube(300, 5, c), replace(backup().turning, c=c)
+    x, w = hypercube(300, 5, c), replace(backup().attitude, c=c)
     x[OMEGA], none = wanted(x, w), torch.zeros(3, 300, dtype=torch.float64)
     after = moved(x, torch.cat((none, law(x, w))), 0.1, c)
     by_itself = (moved(x, torch.cat((none, none)), 0.1, c) - x)[OMEGA].norm(dim=0)
@@ -97,7 +97,7 @@ class World:
         resists = (self.kind == 2) & (self.chance(1)[0] < 0.9)
         true = self.x.clone()
         true[OMEGA] = self.rates()
-        behind = (wanted(true, self.turning) - true[OMEGA]).sign()
+        behind = (wanted(true, self.attitude) - true[OMEGA]).sign()
         self.gyro = torch.where(resists, behind, torch.where(changes[3:], self.sign(3), self.gyro))
         seen = true.clone()
         seen[Q] = turned_by(true[Q], math.radians(self.uncertainty.attitude) * self.angle)
@@ -108,7 +108,7 @@ class World:
             return seen, none
         return predicted(before, none, self.held, C, self.r, self.uncertainty)
 
-    turning = backup().turning
+    attitude = backup().attitude
 
     def fly(self, u: Tensor, misses: bool = True) -> list[Tensor]:
         """The states on the way to the next call, at which u (6, B) is the answer, or missed."""
@@ -120,7 +120,7 @@ class World:
         # the gain that helps least, once more in the last kind
         true = self.x.clone()
         true[OMEGA] = self.rates()
-        helps = self.held[TORQUE].sign() * (wanted(true, self.turning) - true[OMEGA]).sign()
+        helps = self.held[TORQUE].sign() * (wanted(true, self.attitude) - true[OMEGA]).sign()
         self.gain = torch.where(self.kind == 2, -helps, self.gain)
         acts = self.held.clone()
         acts[TORQUE] *= 1 + self.uncertainty.torque_gain * self.gain
@@ -153,7 +153,7 @@ def starts(found: RobustBackup, count: int, seed: int) -> Tensor:
 
 
 def at_law(found: RobustBackup) -> Callable[[Tensor, Tensor], Tensor]:
-    return lambda x, bound: torch.cat((torch.zeros_like(x[:3]), law(x, found.turning)))
+    return lambda x, bound: torch.cat((torch.zeros_like(x[:3]), law(x, found.attitude)))
 
 
 @pytest.mark.parametrize(
@@ -180,7 +180,7 @@ def test_the_law_keeps_the_limits_from_the_edge_whatever_is_measured(
     if calls < 400:
         return
     sun, _ = sun_and_earth_in_body(world.x)
-    assert (-sun[0]).min() > math.cos(2.0 * found.turning.angle + 0.1)  # the panels are at the Sun
+    assert (-sun[0]).min() > math.cos(2.0 * found.attitude.angle + 0.1)  # the panels are at the Sun
     before, after = world.x, world.fly(answer(*world.measured()))[-1]
     assert (after[E] > before[E]).all()
     assert (
@@ -199,7 +199,7 @@ def test_any_torque_is_asked_for_and_no_limit_breaks(calls: int) -> None:
             torque = limit * world.sign(3)
         x, bound = world.measured()
         # towards the limit of the rates, or the camera to the Sun
-        away = (x[OMEGA] - wanted(x, found.turning)).sign() * limit
+        away = (x[OMEGA] - wanted(x, found.attitude)).sign() * limit
         asked = torch.where(torch.arange(90) % 2 == 0, torque, away)
         u, verified, changed = committed(found, 1, x, torch.cat((torch.zeros_like(asked), asked)), bound)
         acted += int(changed.sum())
@@ -215,7 +215,7 @@ def test_any_torque_is_asked_for_and_no_limit_breaks(calls: int) -> None:
 @pytest.mark.parametrize("slope", [0.05, 0.16, 0.3])
 def test_the_limit_of_heat_is_least_in_the_end_but_for_light_of_a_dim_sun(slope: float) -> None:
     """At most as much as the surface is warmer where the panels have come to, with light from `dim`."""
-    w = backup().turning
+    w = backup().attitude
     w = replace(w, c=replace(C, temperature_sun_slope=slope))
     angle = torch.linspace(math.pi / 2, 0.0, 20_001, dtype=torch.float64)
     pace = (w.kappa * angle.sin()).clamp(max=w.rate)

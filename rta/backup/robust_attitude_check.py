@@ -26,7 +26,15 @@ from inspection.model.state import OMEGA, TORQUE, E, Q, T
 from rta.backup.attitude_law import across, upright, vector
 from rta.backup.chords import lowest
 from rta.backup.flight import attitude_between, incidence
-from rta.backup.turning import BEGINS, FULL, LOOKAHEAD, ROOT2, ROOT3, Turning, heating
+from rta.backup.robust_attitude_constants import (
+    BEGINS,
+    FULL,
+    LOOKAHEAD,
+    ROOT2,
+    ROOT3,
+    AttitudeConstants,
+    heating,
+)
 
 LOOK = 2.5  # s, between two looks at a hold at most
 
@@ -81,7 +89,7 @@ def maximum(parts: list[Tensor]) -> Tensor:
     return most
 
 
-def wanted(x: Tensor, w: Turning) -> Tensor:
+def wanted(x: Tensor, w: AttitudeConstants) -> Tensor:
     """The law: omega (3, ...) in rad/s, relative to Hill's frame, for states (16, ...)."""
     d, e = vector(w.c.solar_panel_axis, x), vector(w.c.thermal_axis, x)
     s, _ = sun_and_earth_in_body(x)
@@ -93,7 +101,7 @@ def wanted(x: Tensor, w: Turning) -> Tensor:
     return pointing * axis + roll * d - w.c.mean_motion * rotation_matrix(x[Q])[2]
 
 
-def law(x: Tensor, w: Turning) -> Tensor:
+def law(x: Tensor, w: AttitudeConstants) -> Tensor:
     """The law as torque (3, B) in N m at states (16, B), as they are measured."""
     inertia = x.new_tensor(w.c.inertia)[:, None]
     faster = (wanted(x, w) - x[OMEGA]) / w.tau - torch.stack(euler(x[OMEGA], w.c.inertia))
@@ -117,7 +125,7 @@ class Followed(NamedTuple):
     last: Tensor
 
 
-def followed(start: Start, w: Turning) -> Followed:
+def followed(start: Start, w: AttitudeConstants) -> Followed:
     """Bounds of the error of the law's rates, call by call, whichever calls are missed.
 
     In a hold from a call at which an error is z_i it is at most |1 - b| |z_i| + b e + F t with b between g t / tau and
@@ -204,12 +212,12 @@ def followed(start: Start, w: Turning) -> Followed:
     return Followed(sums, paces, least, farthest, maximum(errors[steps : steps + w.holds]).amax(0))
 
 
-def trajectory_margin(x: Tensor, off: Spread, w: Turning) -> Tensor:
+def trajectory_margin(x: Tensor, off: Spread, w: AttitudeConstants) -> Tensor:
     """Returns a lower bound of the attitude's limits on the backup trajectory from states (16, B) at a call: (B,)."""
     return from_here(beginning(x, off, w), w)
 
 
-def beginning(x: Tensor, off: Spread, w: Turning) -> Start:
+def beginning(x: Tensor, off: Spread, w: AttitudeConstants) -> Start:
     """Returns what the backup trajectory from states (16, B) depends on."""
     d = vector(w.c.solar_panel_axis, x)
     s, _ = sun_and_earth_in_body(x)
@@ -223,7 +231,7 @@ def beginning(x: Tensor, off: Spread, w: Turning) -> Start:
     return Start(delta + off.angle, z, rolling, off.command, hot, delta - off.angle, energy)
 
 
-def from_here(start: Start, w: Turning) -> Tensor:
+def from_here(start: Start, w: AttitudeConstants) -> Tensor:
     """Returns `trajectory_margin` from what it depends on."""
     c, t, delta = w.c, w.period, start.delta
     sums, paces, least, opposite, last = followed(start, w)
@@ -278,7 +286,7 @@ def from_here(start: Start, w: Turning) -> Tensor:
     return lowest(torch.stack((exclusion, temperature, battery)))
 
 
-def held(x: Tensor, u: Tensor, error_bound: Tensor, w: Turning) -> tuple[Tensor, Start]:
+def held(x: Tensor, u: Tensor, error_bound: Tensor, w: AttitudeConstants) -> tuple[Tensor, Start]:
     """A hold of controls (6, B), however long, at states (16, B) as they are predicted.
 
     Args:
@@ -314,13 +322,13 @@ def held(x: Tensor, u: Tensor, error_bound: Tensor, w: Turning) -> tuple[Tensor,
     return lowest(torch.stack(parts)), Start.any_of(ends)
 
 
-def off(error_bound: Tensor, w: Turning) -> tuple[Tensor, Tensor]:
+def off(error_bound: Tensor, w: AttitudeConstants) -> tuple[Tensor, Tensor]:
     """By how far an attitude is off, in rad, and a rate of each axis, in rad/s: (B,) each; as `held`."""
     angle = math.sqrt(3.0) * w.attitude + error_bound[2]
     return angle, w.noise + error_bound[3] + w.unknown * angle
 
 
-def room(x: Tensor, angle: Tensor, rate: Tensor, w: Turning) -> Tensor:
+def room(x: Tensor, angle: Tensor, rate: Tensor, w: AttitudeConstants) -> Tensor:
     """rad/s, that rates of states (16, B) are within their limits at least, off by so much."""
     omega = x[OMEGA].abs().amax(0)
     if w.offset:
@@ -329,7 +337,7 @@ def room(x: Tensor, angle: Tensor, rate: Tensor, w: Turning) -> Tensor:
     return w.c.max_rate - omega - rate
 
 
-def within(x: Tensor, angle: Tensor, rate: Tensor, astray: Tensor, w: Turning) -> list[Tensor]:
+def within(x: Tensor, angle: Tensor, rate: Tensor, astray: Tensor, w: AttitudeConstants) -> list[Tensor]:
     """By how much exclusion, temperature, battery and rates of states (16, B) are kept at most.
 
     Each where the states may be off by so many rad and rad/s, and heat and charge by what light that is off does in
@@ -351,19 +359,19 @@ def within(x: Tensor, angle: Tensor, rate: Tensor, astray: Tensor, w: Turning) -
     ]
 
 
-def may_be_kept(x: Tensor, error_bound: Tensor, w: Turning) -> Tensor:
+def may_be_kept(x: Tensor, error_bound: Tensor, w: AttitudeConstants) -> Tensor:
     """Not negative where each of the attitude's limits may be kept now, states (16, B) being off as of `held`: (B,)."""
     angle, rate = off(error_bound, w)
     return lowest(torch.stack(within(x, angle, rate, angle * w.lag, w)))
 
 
-def verified(x: Tensor, u: Tensor, error_bound: Tensor, w: Turning) -> Tensor:
+def verified(x: Tensor, u: Tensor, error_bound: Tensor, w: AttitudeConstants) -> Tensor:
     """Returns a lower bound of the limits in a hold of controls (6, B) and on the trajectory after it, see `held`."""
     least, start = held(x, u, error_bound, w)
     return torch.minimum(least, from_here(start, w))
 
 
-def has_backup_trajectory(x: Tensor, w: Turning) -> Tensor:
+def has_backup_trajectory(x: Tensor, w: AttitudeConstants) -> Tensor:
     """(B,) bool: from true states (16, B) whatever is measured the law keeps the attitude's limits."""
     none = torch.zeros_like(x[0])
     # a plant's rate may be one relative to the stars
