@@ -401,7 +401,7 @@ def benchmark(config: Config, batches: tuple[int, ...] = BATCHES) -> dict[str, A
             curves["gymnasium_steps_per_s", name][n] = rate
         for name, at_period in experiments.items():
             # where controls are held, more at once take a minute and are no faster
-            if not at_period.filter.holds or n <= typical:
+            if not at_period.filter.is_sampled or n <= typical:
                 env = at_period.env(n, compiled=at_period.compiled)
                 curves["closed_loop_steps_per_s", name][n] = closed_loop_rate(env, met[0], agent)
         curves["filter_calls_per_s",][n] = filter_rate(experiment.filter, *met, n)

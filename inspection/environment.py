@@ -295,7 +295,7 @@ class InspectionEnv:
             violated=violated,
             h=h,
             corrections=[hold.correction for hold in holds if hold.correction is not None],
-            held=[hold.applied for hold in holds],
+            applied_controls=[hold.applied for hold in holds],
             limit=self.limit,
             outcome=outcome_of(ended),
             metrics=self._metrics(score),

@@ -25,7 +25,7 @@ class Transition:
             end.
         violated: (constraints, B) bool at the end of the step; h: (constraints, B) the values that say so.
         corrections: the filter's answers, one per filter call of the step; see `calls`.
-        held: (6, B) each control that was applied, in N and N m, all for as long; limit: (6, 1) the actuators' limits.
+        applied_controls: (6, B) each, in N and N m, all for as long; limit: (6, 1) the actuators' limits.
         outcome: (B,) index into OUTCOMES, -1 while running.
         metrics: (6, B) the episode so far in the order of METRICS.
         violation_steps: (constraints, B) and steps (B,): violated and all steps of the episode so far.
@@ -44,7 +44,7 @@ class Transition:
     violated: Tensor
     h: Tensor
     corrections: list[Correction]
-    held: list[Tensor]
+    applied_controls: list[Tensor]
     limit: Tensor
     outcome: Tensor
     metrics: Tensor
@@ -63,7 +63,7 @@ class Transition:
     @property
     def applied(self) -> Tensor:
         """(B, 6) mean of the controls that were applied, in units of the actuators' limits."""
-        return (torch.stack(self.held).mean(0) / self.limit).T
+        return (torch.stack(self.applied_controls).mean(0) / self.limit).T
 
     @property
     def cost(self) -> Tensor:

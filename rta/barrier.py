@@ -54,15 +54,15 @@ class Rows:
 
 
 class ActuatorGroup:
-    """The constraints that one actuator group holds, and the rows of its program.
+    """The constraints of one actuator group, and the rows of its program.
 
     Args:
-        held_by: a key of ACTUATORS; others of the constraints are left out.
+        actuator: a key of ACTUATORS; others of the constraints are left out.
         constraints: the paper's and your own.
         checked: its controls are checked, see `rta.backup`.
 
     Attributes:
-        held_by; controls: its place in a control; limit: of each of its actuators in N or N m.
+        actuator; controls: its place in a control; limit: of each of its actuators in N or N m.
         names: of its constraints; of_row: the constraint of each row; weights: the slack weight of each row.
         kind: of its rows, see `Uncertainty.rows`; hold: s, that sampled ones are of.
 
@@ -73,7 +73,7 @@ class ActuatorGroup:
 
     def __init__(
         self,
-        held_by: str,
+        actuator: str,
         constraints: Sequence[Constraint],
         c: Limits,
         r: RtaParameters,
@@ -82,11 +82,11 @@ class ActuatorGroup:
     ) -> None:
         self.c, self.r, self.uncertainty = c, r, uncertainty
         self.doubts = () if checked or uncertainty.is_zero else uncertainty.doubts(c, r)
-        self.held_by, self.kind, self.hold = held_by, uncertainty.rows(r), uncertainty.hold(r)
+        self.actuator, self.kind, self.hold = actuator, uncertainty.rows(r), uncertainty.hold(r)
         self.model = unsaturated(c)  # the rates' own rows hold these: saturated they would have no slope
-        self.controls = ACTUATORS[held_by]
+        self.controls = ACTUATORS[actuator]
         self.limit = c.control_limit[self.controls.start]
-        own = [each for each in constraints if each.held_by == held_by]
+        own = [each for each in constraints if each.actuator == actuator]
         self.constraints = sorted(own, key=is_coupled)  # in the order of their rows
         self.names = tuple(each.name for each in self.constraints)
         self.of_row = [each for each in self.constraints for _ in range(each.rows)]
@@ -268,7 +268,7 @@ class ActuatorGroup:
 
         Full torque for 10 s would turn a body by 50 deg, of which no tangent says anything about less.
         """
-        if self.held_by == "thrust":
+        if self.actuator == "thrust":
             return control
         limit = self.c.max_rate - self.uncertainty.rate_offset(self.c)
         per_rate = x.new_tensor(self.c.inertia)[:, None] / self.hold
@@ -375,7 +375,7 @@ class ActuatorGroup:
             if too_many or not (at_last[:, self.controls] != 0.0).any():
                 raise ValueError(
                     f"{each.name}: gains = {each.gains!r}: "
-                    f"{each.held_by} does not first enter derivative {each.degree} of h"
+                    f"{each.actuator} does not first enter derivative {each.degree} of h"
                 )
 
 

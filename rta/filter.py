@@ -4,7 +4,7 @@ For thrust and for torque, each within its limits,
 
     minimise |u - u_desired|^2    subject to    a_i u + b_i >= 0 for every row i.
 
-The rows are of one of two kinds (`rta.barrier`): of the rate now, or of what a held control leads to. Where they
+The rows are of one of two kinds (`rta.barrier`): of the rate now, or sampled: of a held control. Where they
 conflict, slack is given class after class of their weights (`rta.qp.programs.stages`). What the programs propose
 (`rta.propose`) is applied if it and the backup laws' flight after it keep the limits (`rta.backup`).
 """
@@ -39,7 +39,7 @@ from rta.given import Given
 from rta.parameters import RtaParameters
 from rta.printed.batch import BatchFilter, Flights
 from rta.propose import Propose
-from rta.qp.batched_solver import STEPS_HELD, BatchedSolver
+from rta.qp.batched_solver import STEPS_SAMPLED, BatchedSolver
 from rta.qp.piqp_solver import PiqpSolver
 from rta.qp.programs import Solver, Status, pick, put
 from rta.result import FilterResult
@@ -57,13 +57,13 @@ class SafetyFilter:
         c: the task's constants; None: the paper's.
         parameters: period, gains, margins and weights for the paper's vehicle, see `rta.constraints.vehicle`; None: the
             defaults.
-        solver: of the quadratic programs; None: the one that the parameters name, for `auto` PIQP or, where controls
-            are held, the batched one.
+        solver: of the quadratic programs; None: the one that the parameters name, for `auto` PIQP or, with sampled
+            rows, the batched one.
         extra: constraints of your own.
         uncertainty: the bounds of what the model and the measured state may be off by; None: the plant is the model.
 
     Attributes:
-        names: of all constraints: Table 3's, then those of your own that thrust holds, then those that torque holds.
+        names: of all constraints: Table 3's, then your own that thrust enforces, then those that torque enforces.
         propose: the programs, and all that comes before the check; groups: their rows of thrust and of torque.
         backup: the check of its controls; None: no backup trajectory is known of this vehicle, or within the bounds.
         compiled: all of it as one C function; None: it is not compiled so.
@@ -83,14 +83,14 @@ class SafetyFilter:
     ) -> None:
         c, parameters = c or InspectionParameters(), parameters or RtaParameters()
         uncertainty = uncertainty or NO_UNCERTAINTY
-        vehicle.check(c, None if uncertainty.holds(parameters) else parameters.period)
+        vehicle.check(c, None if uncertainty.needs_sampled_rows(parameters) else parameters.period)
         uncertainty.check(c, parameters)
         self.c, self.parameters, self.extra, self.uncertainty = c, parameters, tuple(extra), uncertainty
-        self.holds = uncertainty.holds(parameters)
-        # as fast as PIQP where controls are held, with more rows
-        auto = "batched" if self.holds else "piqp"
+        self.is_sampled = uncertainty.needs_sampled_rows(parameters)
+        # as fast as PIQP with sampled rows, of which there are more
+        auto = "batched" if self.is_sampled else "piqp"
         self.solver = self._own_solver = solver or make_solver(
-            parameters.qp_solver.replace("auto", auto), self.holds
+            parameters.qp_solver.replace("auto", auto), self.is_sampled
         )
         own = vehicle.scaled(parameters, c)
         of_paper = (thrust_constraints(c, own, uncertainty), torque_constraints(c, own, uncertainty))
@@ -154,7 +154,7 @@ class SafetyFilter:
         """(B,) bool: every h and every Psi_1 is non-negative."""
         thrust, torque = self.groups
         inside = (self.values(x) >= 0.0).all(0) & thrust.keeps(x, degree=2) & torque.keeps(x, degree=2)
-        return narrowed(inside, x, self.is_holdable) if self.holds else inside
+        return narrowed(inside, x, self.is_holdable) if self.is_sampled else inside
 
     def is_holdable(self, x: Tensor) -> Tensor:
         """(B,) bool: no barrier is negative and a control satisfies every row; of torque if it is not checked."""
@@ -189,14 +189,14 @@ class SafetyFilter:
             kept = kept & thrust.keeps(x, degree=2) & self.can_brake(x)
         if not self.checked[1]:
             kept = kept & torque.keeps(x, degree=2)
-        return narrowed(kept, x, self.is_holdable) if self.holds and self.unchecked else kept
+        return narrowed(kept, x, self.is_holdable) if self.is_sampled and self.unchecked else kept
 
     @in_full_precision
     def compile(self, device: torch.device | str, batch: int) -> None:
         """Compiles the filter for tensors on this device and calls of about so many spacecraft.
 
         On a CPU all of it is one C function, solver included, unless PIQP is asked for; then, and on a GPU, what is
-        computed for every spacecraft. Takes some seconds, up to ten where controls are held, once: what was compiled
+        computed for every spacecraft. Takes some seconds, up to ten with sampled rows, once: what was compiled
         is kept across runs. Raises as `kernels.compiled.Compiled`, and changes nothing then.
         """
         if self._solves_in_c and torch.device(device).type == "cpu":
@@ -207,7 +207,8 @@ class SafetyFilter:
             Compiled(run, *given, batch=batch) for run, given in self.propose.parts(*self.probe(device))
         ]
         rows = max(len(group.weights) for group in self.groups)
-        self.solver.compile([rows, 2 * rows] if self.holds else [rows], batch, device)  # held ones twice
+        counts = [rows, 2 * rows] if self.is_sampled else [rows]  # sampled ones twice
+        self.solver.compile(counts, batch, device)
         self.propose.use(compiled)
         self._is_compiled = True
 
@@ -225,7 +226,7 @@ class SafetyFilter:
             is_safe=self.is_safe,
             correct=self.correct if enabled else None,
             period=self.period,
-            informed=self.holds,
+            informed=self.is_sampled,
         )
 
     @in_full_precision
@@ -238,7 +239,7 @@ class SafetyFilter:
     def __call__(self, x: Any, desired: Any) -> FilterResult:
         """Filters a desired control: of one spacecraft, or of each of a batch.
 
-        Where no control is held the first call for one spacecraft compiles the filter, which takes 3 s the first time.
+        With the paper's rows the first call for one spacecraft compiles the filter, which takes 3 s the first time.
 
         Args:
             x: state (16,) or states (16, B), components in the order of `inspection.model.state`.
@@ -258,7 +259,7 @@ class SafetyFilter:
         given = Given(x, desired)
         for doubt in doubts(given.x, self.c):
             warnings.warn(f"state: {doubt}", stacklevel=3)  # a decorator is between
-        fit = given.single and given.x.device.type == "cpu" and not self.holds and not self._is_compiled
+        fit = given.single and given.x.device.type == "cpu" and not self.is_sampled and not self._is_compiled
         result = (self._for_one if fit else self).correct(given.x, given.desired)
         return FilterResult(*(given.in_kind(getattr(result, field.name)) for field in fields(result)))
 
@@ -350,6 +351,6 @@ def narrowed(chosen: Tensor, x: Tensor, accepts: Callable[[Tensor], Tensor]) -> 
     return chosen
 
 
-def make_solver(name: str, held: bool = False) -> Solver:
-    """A new solver, of rows that are held or not; raises KeyError for a name that is not in SOLVERS."""
-    return BatchedSolver(STEPS_HELD) if held and name == "batched" else SOLVERS[name]()
+def make_solver(name: str, sampled: bool = False) -> Solver:
+    """Makes a new solver, of sampled rows or the paper's; raises KeyError for a name that is not in SOLVERS."""
+    return BatchedSolver(STEPS_SAMPLED) if sampled and name == "batched" else SOLVERS[name]()

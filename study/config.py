@@ -190,7 +190,8 @@ class StudyConfig(Config):
         shared = Config(*(getattr(self, part.name) for part in dataclasses.fields(Config)))
         tables = self.all_arms[name]
         arm = override(shared, tables, f"[arms.{name}]")
-        alike = arm.uncertainty.holds(arm.rta) == shared.uncertainty.holds(shared.rta)
+        one, other = (each.uncertainty.needs_sampled_rows(each.rta) for each in (arm, shared))
+        alike = one == other
         return arm if alike or "qp_solver" in tables.get("rta", {}) else arm.with_solver("auto")
 
 

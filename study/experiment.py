@@ -83,7 +83,7 @@ class Experiment:
         seconds = min(EPISODE, config.inspection.max_time) if seconds is None else seconds
         choice, calls = config.train.compile, seconds / config.rta.period
         steps = seconds / config.inspection.action_period
-        holds = config.uncertainty.holds(config.rta)
+        holds = config.uncertainty.needs_sampled_rows(config.rta)
         self.filter_compiled = config.train.rta and wants_compile(choice, calls, holds)
         self.config = settled(config, batch, self.device, self.filter_compiled)
         self.compiled = wants_compile(choice, steps)
@@ -257,7 +257,7 @@ def settled(config: AnyConfig, batch: int, device: torch.device, compiled: bool 
     if config.rta.qp_solver != "auto":
         return config
     # where controls are held PIQP is no faster, see `SafetyFilter`
-    is_held = config.uncertainty.holds(config.rta)
+    is_held = config.uncertainty.needs_sampled_rows(config.rta)
     suits_piqp = device.type == "cpu" and batch < WORTH_BATCHING and not is_held and not compiled
     solver = "piqp" if suits_piqp else "batched"
     return replace(config, rta=replace(config.rta, qp_solver=solver))

@@ -88,7 +88,7 @@ class Check(ABC):
 
         Args:
             error_bound: (4, B) by how much further than measured the states may be off.
-            of_torque: by constraint, torque holds it; else thrust does.
+            of_torque: by constraint, torque enforces it; else thrust does.
         """
         y = self.seen(x, error_bound)
         broken, fit = self.fit(y, result.h[: len(PAPERS)])

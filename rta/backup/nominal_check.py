@@ -45,7 +45,7 @@ class NominalBackup(Check):
         c: the model and the limits; period: s, that a control is held.
 
     Attributes:
-        holds: of a flight at most; glances: between two looks at all that is left of it at once.
+        max_periods: of a flight at most; glances: between two looks at all that is left of it at once.
         flights: `fly` of states on a CPU, compiled; None: it is not.
 
     Raises:
@@ -66,7 +66,7 @@ class NominalBackup(Check):
         braking = 1.5 * self.braking.fastest / self.braking.straight + self.terminal.leaves
         self.glances = max(1, round(GLANCE / period))
         longest = max(self.coarse.arrives, braking)
-        self.holds = self.glances * math.ceil(longest / (self.glances * period))
+        self.max_periods = self.glances * math.ceil(longest / (self.glances * period))
         self.flights: Callable[[Tensor, Tensor, Sequence[int]], Tensor] | None = None
 
     @classmethod
@@ -128,7 +128,7 @@ class NominalBackup(Check):
         found = torch.zeros_like(x[:2], dtype=torch.bool)
         found[[group for group in range(2) if group not in asked]] = True
         flying, alive = torch.arange(x.shape[1], device=x.device), ~found
-        for k in range(self.holds):
+        for k in range(self.max_periods):
             if not flying.numel():
                 break
             arrived = self.arrived(x, broken)

@@ -132,10 +132,10 @@ def followed(start: Start, w: AttitudeConstants) -> Followed:
     G t / tau: e is what is measured amiss, F what the model does not know and how the law's rates change.
     """
     steps = math.ceil(LOOKAHEAD / (w.slowest * w.period))
-    limit, long = w.c.max_rate + w.unknown, w.holds * w.period
+    limit, long = w.c.max_rate + w.unknown, w.hold_periods * w.period
     none = torch.full_like(start.rolling, -math.inf)
-    errors = [start.z, *[torch.stack((none, none))] * (steps + w.holds)]
-    rolls = [start.rolling, *[none] * (steps + w.holds)]
+    errors = [start.z, *[torch.stack((none, none))] * (steps + w.hold_periods)]
+    rolls = [start.rolling, *[none] * (steps + w.hold_periods)]
     most = max(w.spin) * limit**2 + w.unknown * ROOT3 * limit
     commands = [start.command], [start.command]  # across d, and about it
     unknowns = [torch.full_like(none, most)], [torch.full_like(none, most)]
@@ -156,7 +156,7 @@ def followed(start: Start, w: AttitudeConstants) -> Followed:
         nearest_to = least[i] - ROOT2 * long * limit
         roll = torch.where(nearest_to > BEGINS + w.angle, 0.0, nearest_to.new_tensor(w.roll))
         calls = round(w.lag / w.period)
-        first = max(i - calls - w.holds + 1, 0 if i >= calls else -1) if calls else i - 1
+        first = max(i - calls - w.hold_periods + 1, 0 if i >= calls else -1) if calls else i - 1
         ago = slice(first + 1, i + 1) if calls else slice(0, 1)
 
         def amiss(commands: list[Tensor], unknowns: list[Tensor], ago: slice = ago) -> tuple[Tensor, Tensor]:
@@ -197,7 +197,7 @@ def followed(start: Start, w: AttitudeConstants) -> Followed:
         commands[1].append((rolling + roll + e_d) / w.tau + w.look.gyroscopic)
         unknowns[0].append(w.spin[1] * fast * turned + w.unknown * (fast + turned + w.unknown))
         unknowns[1].append(along)
-        for j in range(1, w.holds + 1):
+        for j in range(1, w.hold_periods + 1):
             t = j * w.period
             less, more = w.slowest * t, w.fastest * t
             ends = [abs(1.0 - b) * z + b * e + change * t for b in (less, more)]
@@ -209,7 +209,7 @@ def followed(start: Start, w: AttitudeConstants) -> Followed:
         opposite = (farthest + sums[i] * w.period).clamp(min=right, max=math.pi)
         paces.append((w.kappa * opposite.sin()).clamp(max=w.rate))
         farthest = (farthest + (sums[i] - paces[i]) * w.period).clamp(min=right)
-    return Followed(sums, paces, least, farthest, maximum(errors[steps : steps + w.holds]).amax(0))
+    return Followed(sums, paces, least, farthest, maximum(errors[steps : steps + w.hold_periods]).amax(0))
 
 
 def trajectory_margin(x: Tensor, off: Spread, w: AttitudeConstants) -> Tensor:
@@ -286,7 +286,7 @@ def from_here(start: Start, w: AttitudeConstants) -> Tensor:
     return lowest(torch.stack((exclusion, temperature, battery)))
 
 
-def held(x: Tensor, u: Tensor, error_bound: Tensor, w: AttitudeConstants) -> tuple[Tensor, Start]:
+def hold_bounds(x: Tensor, u: Tensor, error_bound: Tensor, w: AttitudeConstants) -> tuple[Tensor, Start]:
     """A hold of controls (6, B), however long, at states (16, B) as they are predicted.
 
     Args:
@@ -303,7 +303,7 @@ def held(x: Tensor, u: Tensor, error_bound: Tensor, w: AttitudeConstants) -> tup
     faster = w.share * command + w.worst
     slopes = c.temperature_sun_slope + c.temperature_earth_slope
     parts, ends, y = [room(x, angle, rate, w)], [], x
-    for i in range(1, w.holds * looks + 1):
+    for i in range(1, w.hold_periods * looks + 1):
         z, seconds = step(y, u, t, w.look.c), i * t
         least = attitude_between(y, z, u, t, w.look)
         later = rate + faster * seconds
@@ -323,7 +323,7 @@ def held(x: Tensor, u: Tensor, error_bound: Tensor, w: AttitudeConstants) -> tup
 
 
 def off(error_bound: Tensor, w: AttitudeConstants) -> tuple[Tensor, Tensor]:
-    """By how far an attitude is off, in rad, and a rate of each axis, in rad/s: (B,) each; as `held`."""
+    """By how far an attitude is off, in rad, and a rate of each axis, in rad/s: (B,) each; as `hold_bounds`."""
     angle = math.sqrt(3.0) * w.attitude + error_bound[2]
     return angle, w.noise + error_bound[3] + w.unknown * angle
 
@@ -360,14 +360,14 @@ def within(x: Tensor, angle: Tensor, rate: Tensor, astray: Tensor, w: AttitudeCo
 
 
 def may_be_kept(x: Tensor, error_bound: Tensor, w: AttitudeConstants) -> Tensor:
-    """Not negative where each of the attitude's limits may be kept now, states (16, B) being off as of `held`: (B,)."""
+    """Not negative where each limit of attitude may be kept now, states (16, B) being off as of `hold_bounds`: (B,)."""
     angle, rate = off(error_bound, w)
     return lowest(torch.stack(within(x, angle, rate, angle * w.lag, w)))
 
 
 def verified(x: Tensor, u: Tensor, error_bound: Tensor, w: AttitudeConstants) -> Tensor:
-    """Returns a lower bound of the limits in a hold of controls (6, B) and on the trajectory after it, see `held`."""
-    least, start = held(x, u, error_bound, w)
+    """Returns a lower bound of the limits in a hold of controls (6, B) and on the trajectory after it: (B,)."""
+    least, start = hold_bounds(x, u, error_bound, w)
     return torch.minimum(least, from_here(start, w))
 
 

@@ -50,7 +50,7 @@ class AttitudeConstants:
 
     Attributes:
         look: of a hold, as the model has it, in steps of a period.
-        period, lag: s, between calls, and of a state's age; holds: periods that a control may be held.
+        period, lag: s, between calls, and of a state's age; hold_periods: that a control may be held.
         tau: s; slowest, fastest: 1/s, g / tau and G / tau; share: of a command, that an acceleration is off by.
         kappa, kappa_roll: 1/s; spin: of gyroscopic accelerations about d and across it, in rad/s^2 per (rad/s)^2.
         attitude, noise: rad and rad/s, as they are measured; unknown: rad/s, of Hill's frame; offset: the same, where
@@ -70,7 +70,7 @@ class AttitudeConstants:
     look: Flight
     period: float
     lag: float
-    holds: int
+    hold_periods: int
     tau: float
     slowest: float
     fastest: float
@@ -100,7 +100,7 @@ class AttitudeConstants:
     def of(cls, c: Limits, r: RtaParameters, uncertainty: Uncertainty) -> "AttitudeConstants":
         """Raises NoRestError where no attitude of rest is known within the bounds."""
         period, lag = r.period, uncertainty.latency * r.period
-        holds = math.ceil(uncertainty.hold(r) / period - 1e-9)
+        hold_periods = math.ceil(uncertainty.hold(r) / period - 1e-9)
         least, most = uncertainty.torque
         n = c.fastest_orbit_rate
         strongest = c.max_torque / max(c.inertia) - max(
@@ -108,10 +108,10 @@ class AttitudeConstants:
         )
         if strongest <= 0.0:
             raise NoRestError("the gyroscopic torque")
-        tau = max(most * holds * period / OVERSHOOT, TORQUE_LEFT * c.max_rate / strongest)
+        tau = max(most * hold_periods * period / OVERSHOOT, TORQUE_LEFT * c.max_rate / strongest)
         slowest = least / tau
         w = cls(
-            c, Flight.of(replace(c, saturate_rates=False), period, 0.0), period, lag, holds, tau, slowest,
+            c, Flight.of(replace(c, saturate_rates=False), period, 0.0), period, lag, hold_periods, tau, slowest,
             most / tau, uncertainty.torque_error, POINTING * slowest, ROLLING * slowest, spins(c, uncertainty, most),
             math.radians(uncertainty.attitude), math.radians(uncertainty.rate), n, uncertainty.unknown_turning(c),
             1.0 / math.tan(SATURATED),
@@ -119,10 +119,10 @@ class AttitudeConstants:
         at_first = c.max_torque / min(c.inertia)
         amiss, angle = w.measured(at_first, w.worst)
         excluded = c.field_of_view / 2 + c.exclusion_buffer
-        over = max(w.fastest * holds * period, 1.0)
+        over = max(w.fastest * hold_periods * period, 1.0)
         rates = (
             c.max_rate - w.worst / w.slowest,  # a body that turns at its limit is braked
-            ((2.0 - over) * c.max_rate - w.worst * holds * period)
+            ((2.0 - over) * c.max_rate - w.worst * hold_periods * period)
             / over,  # and does not overshoot the other one
             tau * strongest - c.max_rate,  # torque is never at its limit
         )

@@ -29,13 +29,13 @@ def has_backup_trajectory(x: Tensor, w: RobustTerminalSet) -> Tensor:
 
 
 def is_safe(x: Tensor, u: Tensor, error_bound: Tensor, w: RobustTerminalSet, r: RtaParameters) -> Tensor:
-    """(B,) bool: thrust of controls (6, B) keeps the limits, as the backup trajectory does after it; see `held`."""
+    """(B,) bool: thrust of controls (6, B) keeps the limits, as the backup trajectory does; see `hold_bounds`."""
 
     def looked_at(columns: Tensor) -> Tensor:
-        hold = held(pick(x, columns), pick(u, columns), pick(error_bound, columns), w, r)
+        hold = hold_bounds(pick(x, columns), pick(u, columns), pick(error_bound, columns), w, r)
         return closely(hold, w) >= 0.0
 
-    return either(at_a_glance(held(x, u, error_bound, w, r), w), looked_at)
+    return either(at_a_glance(hold_bounds(x, u, error_bound, w, r), w), looked_at)
 
 
 def either(least: Tensor, closer_look: Callable[[Tensor], Tensor]) -> Tensor:
@@ -69,7 +69,7 @@ def may_be_kept(x: Tensor, error_bound: Tensor, w: RobustTerminalSet) -> Tensor:
     )
 
 
-class Held(NamedTuple):
+class HoldBounds(NamedTuple):
     """What a hold leads to, call by call.
 
     Attributes:
@@ -84,14 +84,16 @@ class Held(NamedTuple):
     late: list[Tensor]
 
 
-def held(x: Tensor, u: Tensor, error_bound: Tensor, w: RobustTerminalSet, r: RtaParameters) -> Held:
+def hold_bounds(
+    x: Tensor, u: Tensor, error_bound: Tensor, w: RobustTerminalSet, r: RtaParameters
+) -> HoldBounds:
     """A hold of u (6, B).
 
     Args:
         x: states (16, B) as predicted; error_bound: (4, B) by how much further than measured they may be off.
     """
     parts, grown = [], [error_bound[1]]
-    found = Held(x[0], [], [], [])
+    found = HoldBounds(x[0], [], [], [])
     for call in range(calls(w)):
         x, error_bound, least = hold_period(x, u, error_bound, w, r)
         parts.append(least)
@@ -104,7 +106,7 @@ def held(x: Tensor, u: Tensor, error_bound: Tensor, w: RobustTerminalSet, r: Rta
     return found._replace(least=lowest(torch.stack(parts)))
 
 
-def at_a_glance(hold: Held, w: RobustTerminalSet) -> Tensor:
+def at_a_glance(hold: HoldBounds, w: RobustTerminalSet) -> Tensor:
     """Returns a lower bound of the limits in a hold and after it, by one trajectory for all its possible ends: (B,)."""
     middle = hold.x[(len(hold.x) - 1) // 2]
     shifted = [
@@ -117,7 +119,7 @@ def at_a_glance(hold: Held, w: RobustTerminalSet) -> Tensor:
     return torch.minimum(hold.least, trajectory_margin_at(middle, widest, late, w))
 
 
-def closely(hold: Held, w: RobustTerminalSet) -> Tensor:
+def closely(hold: HoldBounds, w: RobustTerminalSet) -> Tensor:
     """Returns the same, by a look at each backup trajectory."""
     margins = [
         trajectory_margin_at(*each, w) for each in zip(hold.x, hold.error_bound, hold.late, strict=True)
@@ -131,7 +133,7 @@ def calls(w: RobustTerminalSet) -> int:
 
 
 def trajectory_margin_at(x: Tensor, error_bound: Tensor, late: Tensor, w: RobustTerminalSet) -> Tensor:
-    """Returns `trajectory_margin` from states (16, B) that may be off by (4, B) more than measured, see `held`."""
+    """Returns `trajectory_margin` from states (16, B) that may be off by (4, B) more, see `hold_bounds`."""
     position, velocity, _, _ = w.uncertainty.radii
     return trajectory_margin(x[P], x[V], position + error_bound[0], velocity + error_bound[1], late, w)
 
@@ -139,7 +141,7 @@ def trajectory_margin_at(x: Tensor, error_bound: Tensor, late: Tensor, w: Robust
 def hold_period(
     x: Tensor, u: Tensor, error_bound: Tensor, w: RobustTerminalSet, r: RtaParameters
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """A period of a hold: the states and error bounds after it, and a lower bound of the limits in it, as `held`."""
+    """A period of a hold: states, error bounds after it, and a lower bound of the limits in it; see `hold_bounds`."""
     c, n, none = w.c, w.c.mean_motion, torch.zeros_like(x[0])
     position, velocity, _, _ = w.uncertainty.radii
     end, bound = predicted(x, error_bound, u, c, r, w.uncertainty)

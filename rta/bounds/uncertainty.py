@@ -122,7 +122,7 @@ class Uncertainty(Settings):
         kept = r.gain(r.rate_gain, self.longest_hold) * (
             c.max_rate - self.rate_offset(c) - math.radians(self.rate)
         )
-        if self.holds(r) and (unknown := self.angular_acceleration(c)) >= kept:
+        if self.needs_sampled_rows(r) and (unknown := self.angular_acceleration(c)) >= kept:
             raise ValueError(
                 f"inertia = {self.inertia:g}, hill_rotation = {str(self.hill_rotation).lower()}: turn a body by up to "
                 f"{unknown:.3g} rad/s^2 otherwise than the model, held for {self.hold(r):g} s: must be below "
@@ -133,13 +133,13 @@ class Uncertainty(Settings):
         """s, the longest time that a control is held."""
         return max(r.period, self.longest_hold)
 
-    def holds(self, r: RtaParameters) -> bool:
-        """Whether the filter counts on a control being held: for longer than SHORT, or in a world unlike the model."""
+    def needs_sampled_rows(self, r: RtaParameters) -> bool:
+        """Whether a control is held for longer than SHORT, or in a world unlike the model, so that rows are sampled."""
         return self.hold(r) > SHORT or not self.is_zero
 
     def rows(self, r: RtaParameters) -> str:
         """Which rows the filter has, "paper", "sampled" or "none"; see `rta.barrier`."""
-        return r.rows.replace("auto", "sampled" if self.holds(r) else "paper")
+        return r.rows.replace("auto", "sampled" if self.needs_sampled_rows(r) else "paper")
 
     @property
     def thrust(self) -> tuple[float, float]:

@@ -18,12 +18,12 @@ ACTUATORS = {"thrust": THRUST, "torque": TORQUE}
 
 @dataclass(frozen=True)
 class Constraint:
-    """h(x) >= 0, to be held by one actuator group; functions are written for one spacecraft, (16, ...) to (...).
+    """h(x) >= 0, to be enforced by one actuator group; functions are written for one spacecraft, (16, ...) to (...).
 
     Attributes:
         name: in results.
         h: what is reported, without margin, of operations that PyTorch differentiates forward.
-        held_by: "thrust" or "torque".
+        actuator: "thrust" or "torque", which enforces it.
         gains: class-kappa gains in 1/s: one where these controls change dh/dt (relative degree one), two where
             they change its derivative (HOCBF: Psi_1 = dh/dt + k1 h and dPsi_1/dt + k2 Psi_1 >= 0).
         margin: subtracted from h, in its unit.
@@ -47,7 +47,7 @@ class Constraint:
 
     name: str
     h: Function
-    held_by: str
+    actuator: str
     gains: tuple[float, ...]
     margin: float = 0.0
     weight: float | None = None
@@ -62,8 +62,8 @@ class Constraint:
     axis: int | None = None
 
     def __post_init__(self) -> None:
-        if self.held_by not in ACTUATORS:
-            raise ValueError(f"{self.name}: held_by = {self.held_by!r}: must be {' or '.join(ACTUATORS)}")
+        if self.actuator not in ACTUATORS:
+            raise ValueError(f"{self.name}: actuator = {self.actuator!r}: must be {' or '.join(ACTUATORS)}")
         if not callable(self.h):
             raise ValueError(f"{self.name}: h = {self.h!r}: must be a function of states (16, ...) to (...)")
         if (

@@ -1,4 +1,4 @@
-"""The seven constraints that thrust holds, each with all that the filter knows of it (Sec. Safety Constraints).
+"""The seven constraints that thrust enforces, each with all that the filter knows of it (Sec. Safety Constraints).
 
 Each is a function of the task's constants and the filter's parameters to its entry. States have the component axis
 first; trailing axes are independent spacecraft. Where the paper transforms a constraint to lower its relative degree,
@@ -30,7 +30,7 @@ WEAK = 0.2
 SEGMENTS = 5  # of the free flight where its infimum is reported
 
 
-Entry = partial(Constraint, held_by="thrust", coupled=False)  # which no other actuator changes
+Entry = partial(Constraint, actuator="thrust", coupled=False)  # which no other actuator changes
 
 
 def thrust_constraints(
@@ -220,7 +220,7 @@ def passive_safety(c: Limits, r: RtaParameters, uncertainty: Uncertainty = NO_UN
     segments = r.passive_safety_segments
     if c.planes:
         segments = (0.0, *(segments[1] / k for k in (8, 4, 2)), *segments[1:])
-    if uncertainty.holds(r):  # whose end has a horizon of its own
+    if uncertainty.needs_sampled_rows(r):  # whose end has a horizon of its own
         segments = (*segments[:-1], segments[-1] + uncertainty.hold(r))
 
     def barrier(x: Tensor, after: float) -> Function:
@@ -236,7 +236,7 @@ def passive_safety(c: Limits, r: RtaParameters, uncertainty: Uncertainty = NO_UN
         barrier=barrier,
         looks_ahead=True,
         rows=len(segments) - 1,
-        exact=not uncertainty.holds(r),
+        exact=not uncertainty.needs_sampled_rows(r),
         doubling=r.passive_safety_doubling,
     )
 
@@ -251,7 +251,11 @@ def velocity(axis: int, c: Limits, r: RtaParameters, uncertainty: Uncertainty = 
     def h(x: Tensor) -> Tensor:
         return c.max_speed**2 - x[V.start + axis] ** 2
 
-    kept = 2 * c.max_speed * c.max_thrust / c.mass * uncertainty.hold(r) if uncertainty.holds(r) else 0.0
+    kept = (
+        2 * c.max_speed * c.max_thrust / c.mass * uncertainty.hold(r)
+        if uncertainty.needs_sampled_rows(r)
+        else 0.0
+    )
     return Entry(
         f"velocity_{'xyz'[axis]}",
         h,

@@ -1,4 +1,4 @@
-"""The six constraints that torque holds, each with all that the filter knows of it (Sec. Safety Constraints).
+"""The six constraints that torque enforces, each with all that the filter knows of it (Sec. Safety Constraints).
 
 As in `rta.constraints.thrust`, each is a function of constants and parameters to its entry. The first three are of
 relative degree two. Reported values are exact; in what is enforced, slopes that would be infinite are continued as
@@ -24,7 +24,7 @@ from rta.parameters import RtaParameters
 
 ON_POLE = 1e-9  # rad, from a pole where no side is nearer
 
-Entry = partial(Constraint, held_by="torque", coupled=False)  # which no other actuator changes
+Entry = partial(Constraint, actuator="torque", coupled=False)  # which no other actuator changes
 
 
 def torque_constraints(
@@ -197,7 +197,7 @@ def angular_velocity(
 
     unknown = math.radians(uncertainty.rate) + uncertainty.angular_acceleration(c) * uncertainty.hold(r)
     limit = c.max_rate - uncertainty.rate_offset(c) - unknown
-    if uncertainty.holds(r):
+    if uncertainty.needs_sampled_rows(r):
         return Entry(
             f"angular_velocity_{'xyz'[axis]}",
             h,

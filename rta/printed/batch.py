@@ -24,7 +24,7 @@ from rta.constraints.constraint import joined
 from rta.printed.check_functions import checks, constants
 from rta.printed.source import check_files, define, driver_text, functions, group_of, source
 from rta.propose import Found
-from rta.qp.batched_solver import ACCURATE, STEPS, STEPS_HELD, attempt
+from rta.qp.batched_solver import ACCURATE, STEPS, STEPS_SAMPLED, attempt
 from rta.qp.programs import Status
 from rta.qp.scaled import Prepared, answered, problems
 
@@ -185,7 +185,7 @@ def first_attempt(safety_filter: "SafetyFilter", x: Tensor, desired: Tensor) -> 
     """
     x = x.masked_fill(x.isinf(), torch.nan)  # infinitely safe is no state either
     left = [torch.zeros_like(x[0], dtype=torch.bool)]
-    steps = STEPS_HELD if safety_filter.holds else STEPS
+    steps = STEPS_SAMPLED if safety_filter.is_sampled else STEPS
 
     def settle(
         group: ActuatorGroup, rows: Prepared, wish: Tensor, found: Found, share: Tensor | None

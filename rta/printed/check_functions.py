@@ -129,7 +129,7 @@ def of_flights(backup: NominalBackup) -> dict[str, tuple[int | float | str, str]
     own: dict[str, tuple[int | float | str, str]] = {
         "SEEN": (SIZE, "numbers of a state"),
         "KEPT": (KEPT, "in the unit of each limit: what rounding may take"),
-        "FLIGHT_HOLDS": (backup.holds, "of a flight at most"),
+        "FLIGHT_HOLDS": (backup.max_periods, "of a flight at most"),
         "GLANCES": (backup.glances, "holds, between two looks at all that is left of a flight"),
     }
     return own | {f"{name}_LIMIT": (PAPERS.index(limit), "") for name, limit in names.items()}

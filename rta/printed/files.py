@@ -148,7 +148,7 @@ def digest(text: str) -> str:
 def fingerprint(safety_filter: "SafetyFilter") -> str:
     """SHA-256 of what a filter is made of; of constraints of one's own the names, gains and weights."""
     f = safety_filter
-    own = [(e.name, e.held_by, e.gains, e.margin, e.weight, e.rows) for e in f.extra]
+    own = [(e.name, e.actuator, e.gains, e.margin, e.weight, e.rows) for e in f.extra]
     parts = [*(dataclasses.asdict(part) for part in (f.c, f.parameters, f.uncertainty)), own]
     return digest(json.dumps(parts, sort_keys=True, default=repr))
 

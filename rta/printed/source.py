@@ -202,7 +202,7 @@ def constants(safety_filter: "SafetyFilter", parts: Sequence[Printed], text: str
 
 
 def group_of(safety_filter: "SafetyFilter") -> str:
-    """Which group holds each constraint, in C."""
+    """Which group enforces each constraint, in C."""
     torque = [int(name in safety_filter.groups[1].names) for name in safety_filter.names]
     return table("int GROUP_OF[CONSTRAINTS]", torque, "0: thrust holds it, 1: torque")
 

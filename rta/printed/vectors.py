@@ -9,7 +9,7 @@ from torch import Tensor
 from inspection.model.attitude import unit
 from inspection.model.parameters import Limits
 from inspection.model.state import CONTROL_SIZE, OMEGA, SIZE, THETA_S, E, P, Q, T, V
-from rta.qp.batched_solver import STEPS_HELD, BatchedSolver
+from rta.qp.batched_solver import STEPS_SAMPLED, BatchedSolver
 from rta.qp.programs import Status
 
 if TYPE_CHECKING:
@@ -67,11 +67,11 @@ def vectors(safety_filter: "SafetyFilter") -> Vectors:
     x, desired = states(DRAWN, 0, other.c)
     draw = torch.Generator().manual_seed(1)
     uncertainty = other.uncertainty
-    sent = desired.flip(1)[None].repeat(uncertainty.latency if other.holds else 0, 1, 1)
+    sent = desired.flip(1)[None].repeat(uncertainty.latency if other.is_sampled else 0, 1, 1)
     sent = torch.minimum(torch.maximum(sent, -sent.new_tensor(other.c.control_limit)[:, None]),
                          sent.new_tensor(other.c.control_limit)[:, None])  # fmt: skip
     left = torch.ones_like(desired)
-    if other.holds and uncertainty.health:
+    if other.is_sampled and uncertainty.health:
         left[torch.randint(0, 3, (DRAWN,), generator=draw), range(DRAWN)] = 0.5
     given = [x, desired, sent, left]
     kept = torch.nonzero(is_steady(other, given, draw)).flatten()[:KEPT]
@@ -85,7 +85,7 @@ def vectors(safety_filter: "SafetyFilter") -> Vectors:
 
 def independent(safety_filter: "SafetyFilter") -> "SafetyFilter":
     """The same filter, uncompiled, whose programs are solved as accurately as by the C."""
-    steps = BatchedSolver(STEPS_HELD) if safety_filter.holds else BatchedSolver()
+    steps = BatchedSolver(STEPS_SAMPLED) if safety_filter.is_sampled else BatchedSolver()
     steps.piqp_first = ()
     f = safety_filter
     return type(f)(f.c, f.parameters, steps, f.extra, f.uncertainty)

@@ -54,12 +54,12 @@ class PiqpSolver:
             if not left.size:
                 break
             side, slack_weight = of_stage.movedim(-1, 0).cpu().numpy(), weights.cpu().numpy()
-            held = np.isinf(slack_weight)
+            hard = np.isinf(slack_weight)
             within_box = np.abs(a[left]).sum(2) + side[left] >= 0.0  # some control satisfies the row
-            left = left[within_box[:, held].all(1)]
+            left = left[within_box[:, hard].all(1)]
             u, multiplier = self._solve_all(desired[left], a[left], side[left], slack_weight)
             u = np.clip(u, -1.0, 1.0)
-            feasible = (lhs(u, a[left], side[left])[:, held] >= -FEASIBLE).all(1)
+            feasible = (lhs(u, a[left], side[left])[:, hard] >= -FEASIBLE).all(1)
             kept = feasible & np.isfinite(u).all(1)
             solved = left[kept]
             control[solved] = u[kept]

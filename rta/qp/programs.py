@@ -92,11 +92,11 @@ class Solutions:
 
 def stages(problems: Problems) -> Iterator[tuple[Tensor, Tensor, Status]]:
     """What is tried in turn, until it is feasible: sides b (R, N), slack weights (R,) and what a solution is then."""
-    held = torch.full_like(problems.weight, torch.inf)
-    yield problems.b, held, Status.HARD
-    yield problems.b_bare, held, Status.HARD
+    hard = torch.full_like(problems.weight, torch.inf)
+    yield problems.b, hard, Status.HARD
+    yield problems.b_bare, hard, Status.HARD
     for highest in problems.weight[problems.weight.isfinite()].unique():  # in ascending order
-        yield problems.b_bare, torch.where(problems.weight <= highest, problems.weight, held), Status.SLACK
+        yield problems.b_bare, torch.where(problems.weight <= highest, problems.weight, hard), Status.SLACK
 
 
 class Solver(Protocol):

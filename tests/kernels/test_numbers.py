@@ -100,16 +100,16 @@ def states(name: str) -> dict[str, Tensor]:
 
 
 @pytest.mark.parametrize(
-    ("name", "held_by"),
+    ("name", "group"),
     [
         ("1 s", 0),
         *(pytest.param(name, i, marks=pytest.mark.campaign) for name in ("5 s", "U1") for i in (0, 1)),
     ],
 )
-def test_rows_of_the_filter(name: str, held_by: int) -> None:
+def test_rows_of_the_filter(name: str, group: int) -> None:
     safety = filter_of(name)
     limit = torch.tensor(safety.c.control_limit, dtype=torch.float64)[:, None]
-    run, _ = safety.propose.parts(*safety.probe("cpu"))[held_by]
+    run, _ = safety.propose.parts(*safety.probe("cpu"))[group]
     compiled = None
     for kind, x in states(name).items():
         batch = x.shape[1]

@@ -78,7 +78,7 @@ CONE, SPHERE = OWN["cone"][0], OWN["sphere"][0]
 
 def group(*constraints: Constraint, c: InspectionParameters = C, r: RtaParameters = R) -> ActuatorGroup:
     """The group of the first one's actuators."""
-    return ActuatorGroup(constraints[0].held_by, constraints, c, r)
+    return ActuatorGroup(constraints[0].actuator, constraints, c, r)
 
 
 def numpy_psi(x: ndarray, constraint: Constraint, h: Callable[[ndarray], ndarray]) -> ndarray:
@@ -157,7 +157,7 @@ def test_rows_equal_finite_differences(name: str) -> None:
     rows = group(constraint, c=UNEQUAL)(STATES)
     columns = [push(held(X), i) for i in range(3)] + [turn(X, i, UNEQUAL) for i in range(3)]
     pushed = np.stack([slope(psi, X, column, 1e-3) for column in columns])
-    own = ACTUATORS[constraint.held_by]
+    own = ACTUATORS[constraint.actuator]
     others = [i for i in range(6) if i not in range(6)[own]]
     worst = (np.abs(pushed[others]) * LIMIT[others, None]).sum(0)
     margin = 0.0 if first else constraint.margin
@@ -180,6 +180,6 @@ def test_rows_equal_finite_differences(name: str) -> None:
     ],
 )
 def test_what_does_not_fit_is_refused(arguments: dict, words: str) -> None:
-    given = {"name": "mine", "h": cone, "held_by": "torque", "gains": (0.05, 0.2)}
+    given = {"name": "mine", "h": cone, "actuator": "torque", "gains": (0.05, 0.2)}
     with pytest.raises(ValueError, match=f"^mine: .*{words}"):
         group(Constraint(**given | arguments), c=UNEQUAL)

@@ -78,7 +78,7 @@ def test_nothing_is_violated_where_the_world_is_the_model(
     limit = x.new_tensor(c.control_limit)[:, None]
     desired = torch.zeros_like(x[:CONTROL_SIZE])
     smallest = math.inf
-    for t in range(12 if safety.holds else 30):
+    for t in range(12 if safety.is_sampled else 30):
         if t % 5 == 0:
             desired = limit * (2.0 * torch.rand(desired.shape, generator=random, dtype=x.dtype) - 1.0)
             desired[:, ::2] = adversary(float(t), x)[:, ::2]

@@ -125,7 +125,7 @@ def test_coarse_thrusters_are_asked_for_what_they_give(bounds: dict[str, float])
 def test_a_filter_without_error_bounds_is_the_papers_at_1_s() -> None:
     x, u = across(8, 0.97), desired(8)
     one, other = SafetyFilter(C), SafetyFilter(C, uncertainty=Uncertainty())
-    assert not one.holds and not other.holds
+    assert not one.is_sampled and not other.is_sampled
     young = torch.full((1, 6, 8), math.nan, dtype=torch.float64)  # no control was sent since
     a, b = one.correct(x, u), other.correct(x, u, sent=young, left=0.5 * u.abs())
     for field in dataclasses.fields(a):
@@ -133,4 +133,4 @@ def test_a_filter_without_error_bounds_is_the_papers_at_1_s() -> None:
     old = other.correct(x, u, sent=torch.zeros_like(young))  # one was: older than its latency
     assert torch.equal(a.control, old.control) and a.verified.all() and not old.verified.any()
     robust = SafetyFilter(C, uncertainty=Uncertainty(mass=0.1))
-    assert robust.holds and not torch.equal(robust.correct(x, u).control, a.control)
+    assert robust.is_sampled and not torch.equal(robust.correct(x, u).control, a.control)

@@ -28,7 +28,7 @@ def flights(name: str, hold: float, saturates: bool, x: Tensor) -> tuple[Tensor,
     kept = torch.zeros(2, x.shape[1], dtype=torch.bool)
     holds = torch.zeros(2, x.shape[1], dtype=torch.long)
     flying, alive, room = torch.arange(x.shape[1]), torch.ones_like(kept), terminal.room(x)
-    for call in range(2 * backup(name, hold, saturates).holds):
+    for call in range(2 * backup(name, hold, saturates).max_periods):
         there = torch.stack([(room[list(ENDS[group])] >= 0.0).all(0) for group in range(2)])
         kept[:, flying] |= alive & there
         holds[:, flying] = torch.where(alive, call, holds[:, flying])
@@ -53,7 +53,7 @@ def test_what_one_look_accepts_the_flight_accepts(name: str, hold: float, satura
     assert not missed.any(), x[:, missed.any(0)][:, 0].tolist()
     assert (kept & ~accepted).any(1).all()  # it is a bound of the flight, not the flight
     longest = holds[kept].max()
-    assert 0.3 * b.holds < longest <= 0.95 * b.holds, (longest, b.holds)
+    assert 0.3 * b.max_periods < longest <= 0.95 * b.max_periods, (longest, b.max_periods)
 
 
 @pytest.mark.parametrize("hold", [pytest.param(1.0, marks=pytest.mark.campaign), 10.0])

@@ -67,7 +67,7 @@ def behind_the_filter(period: float) -> tuple[list[bool], list[bool]]:
     def own(y: Tensor) -> Tensor:
         return n[0] * y[3] + n[1] * y[4] + n[2] * y[5] - most
 
-    mine = Constraint("mine", own, held_by="thrust", gains=(0.5,), weight=math.inf)
+    mine = Constraint("mine", own, actuator="thrust", gains=(0.5,), weight=math.inf)
     safety = SafetyFilter(InspectionParameters(), RtaParameters(period=period), extra=[mine])
     safety.compile("cpu", 1)
     x = column(ALONG_THE_ZONE[period])

@@ -17,7 +17,7 @@ def h(x: torch.Tensor) -> torch.Tensor:
 
 
 def of(**changed: Any) -> Constraint:
-    return Constraint(**{"name": SLOW, "h": h, "held_by": "thrust", "gains": (0.2,)} | changed)
+    return Constraint(**{"name": SLOW, "h": h, "actuator": "thrust", "gains": (0.2,)} | changed)
 
 
 @pytest.mark.parametrize(
@@ -33,7 +33,7 @@ def of(**changed: Any) -> Constraint:
         ({"margin": -1.0}, r"margin = -1\.0: must be a finite number, not negative"),
         ({"weight": 0.0}, r"weight = 0\.0: must be a positive number or None"),
         ({"weight": "much"}, "weight = 'much': must be a positive number or None"),
-        ({"held_by": "wheels"}, "held_by = 'wheels': must be thrust or torque"),
+        ({"actuator": "wheels"}, "actuator = 'wheels': must be thrust or torque"),
         ({"h": 3.0}, r"h = 3\.0: must be a function of states"),
     ],
 )

@@ -91,7 +91,7 @@ def test_collision_barrier_equals_numpy(period: float) -> None:
 
 def test_entries_are_in_the_order_of_table_3() -> None:
     assert tuple(entries()) == TABLE_3
-    assert [each.held_by for each in entries().values()] == ["thrust"] * 7 + ["torque"] * 6
+    assert [each.actuator for each in entries().values()] == ["thrust"] * 7 + ["torque"] * 6
 
 
 @pytest.mark.parametrize("name", [name for name in TABLE_3 if name != "passive_safety"])

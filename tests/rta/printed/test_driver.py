@@ -20,7 +20,7 @@ from inspection.model.attitude import conjugate, rotate
 from inspection.model.state import OMEGA, E, Q, T, V
 from rta.bounds.health import slewing
 from rta.bounds.uncertainty import Uncertainty
-from rta.filter import STEPS_HELD, SafetyFilter
+from rta.filter import STEPS_SAMPLED, SafetyFilter
 from rta.parameters import RtaParameters
 from rta.printed.source import driver_text, source, tolerances
 from rta.qp import batched_solver
@@ -267,7 +267,8 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Driver]:
         if kind not in drivers:
             period, uncertainty, rows = KINDS[kind]
             extra = [own.OWN[name][0] for name in ("cone", "sphere")] if kind == "own constraints" else []
-            solver = BatchedSolver() if uncertainty is None and period == 1.0 else BatchedSolver(STEPS_HELD)
+            is_sampled = uncertainty is not None or period > 1.0
+            solver = BatchedSolver(STEPS_SAMPLED) if is_sampled else BatchedSolver()
             safety = SafetyFilter(
                 C, dataclasses.replace(R, period=period, rows=rows), solver, extra, uncertainty
             )
@@ -330,11 +331,8 @@ def test_a_filter_in_c_is_that_in_python(made: Callable[[str], Driver], kind: st
 @pytest.mark.campaign
 def test_what_rows_waive_is_said_of_a_batch_as_in_python() -> None:
     """What brakes with all that there is is applied as it is, though a limit that is broken asks for more than that."""
-    uncertainty, solver = Uncertainty(health=True), BatchedSolver(STEPS_HELD)  # no check overrules these rows
-    batch, python = (
-        SafetyFilter(C, R, solver, uncertainty=uncertainty),
-        SafetyFilter(C, R, solver, uncertainty=uncertainty),
-    )
+    options = {"solver": BatchedSolver(STEPS_SAMPLED), "uncertainty": Uncertainty(health=True)}
+    batch, python = (SafetyFilter(C, R, **options) for _ in range(2))  # no check overrules these rows
     batch.compile("cpu", 64)
     x = tensor(near_the_limits(400, seed=5))
     x[V], x[OMEGA] = 1.5 * x[V], 0.0

@@ -50,7 +50,7 @@ def transition(generator: torch.Generator, ending: bool = True, filtered: bool =
         violated=numbers[3:6] < 0.0,
         h=numbers[3:6],
         corrections=[correction(generator) for _ in range(CALLS)] if filtered else [],
-        held=[torch.zeros(6, BATCH)] * CALLS,
+        applied_controls=[torch.zeros(6, BATCH)] * CALLS,
         limit=torch.ones(6, 1),
         outcome=torch.randint(len(OUTCOMES), (BATCH,), generator=generator),
         metrics=numbers[:6] + 3.0,
