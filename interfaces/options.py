@@ -10,7 +10,7 @@ from torch import Tensor
 from inspection.model.attitude import norm, unit
 from inspection.model.parameters import Limits
 from inspection.model.state import SIZE, P, Q
-from rta.given import numbers
+from rta.filter_input import numbers
 from settings import InputError, instead
 from study.errors import refusing
 from study.flight.state_files import LARGEST, check_states

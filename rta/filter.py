@@ -35,7 +35,7 @@ from rta.constraints import vehicle
 from rta.constraints.constraint import Constraint, in_order, joined
 from rta.constraints.thrust import keep_in_zone, thrust_constraints
 from rta.constraints.torque import torque_constraints
-from rta.given import Given
+from rta.filter_input import FilterInput
 from rta.parameters import RtaParameters
 from rta.printed.batch import BatchFilter, Flights
 from rta.propose import Propose
@@ -256,12 +256,12 @@ class SafetyFilter:
 
         Warns where a state looks like one in other units, see `inspection.model.doubts`.
         """
-        given = Given(x, desired)
-        for doubt in doubts(given.x, self.c):
+        call = FilterInput(x, desired)
+        for doubt in doubts(call.x, self.c):
             warnings.warn(f"state: {doubt}", stacklevel=3)  # a decorator is between
-        fit = given.single and given.x.device.type == "cpu" and not self.is_sampled and not self._is_compiled
-        result = (self._for_one if fit else self).correct(given.x, given.desired)
-        return FilterResult(*(given.in_kind(getattr(result, field.name)) for field in fields(result)))
+        fit = call.single and call.x.device.type == "cpu" and not self.is_sampled and not self._is_compiled
+        result = (self._for_one if fit else self).correct(call.x, call.desired)
+        return FilterResult(*(call.in_kind(getattr(result, field.name)) for field in fields(result)))
 
     @cached_property
     def _for_one(self) -> "SafetyFilter":

@@ -178,7 +178,7 @@ class Propose:
                 )
                 found = found._replace(slack=slack, status=with_shortfall(found.status, slack))
                 if self.uncertainty.is_coarse and own == THRUST:
-                    found = found._replace(control=self.uncertainty.given(found.control, group.limit))
+                    found = found._replace(control=self.uncertainty.quantised(found.control, group.limit))
             control = with_own(control, group, found.control)
             both[i] = found
         return control, [both[0], both[1]]
@@ -189,7 +189,7 @@ class Propose:
         if not self.uncertainty.is_coarse and left is None:
             return demand
         control = demand.control.clone()
-        control[THRUST] = self.uncertainty.given(control[THRUST], self.c.max_thrust)
+        control[THRUST] = self.uncertainty.quantised(control[THRUST], self.c.max_thrust)
         if left is not None:
             control[TORQUE] = slewing(x, control[TORQUE], left, self.c, self.r, self.uncertainty)
         changed = differ(control, demand.control, self.groups)

@@ -309,7 +309,7 @@ CONDITIONS = [
     *faults(
         "rta/propose.py",
         "rta/test_propose.py",
-        ("found = found._replace(control=self.uncertainty.given(found.control, group.limit))", "pass"),
+        ("found = found._replace(control=self.uncertainty.quantised(found.control, group.limit))", "pass"),
         ("found = unless_lost(x, Found", "found = (Found"),
     ),
     *faults(
@@ -369,7 +369,7 @@ CHECK = [
         "rta/backup/motion_law.py",
         "rta/backup/test_motion_law.py",
         ("straight = -off / amiss", "straight = off / amiss"),
-        ("left = 2.0 * given - (mean * body).sum(1)", "left = given"),
+        ("left = 2.0 * acceleration - (mean * body).sum(1)", "left = acceleration"),
         ("needed = SURPLUS * (tangential**2 / distance + radial", "needed = SURPLUS * (radial"),
     ),
     *faults(
@@ -402,12 +402,12 @@ CHECK = [
     *faults(
         "rta/backup/commit.py",
         "rta/backup/test_robust_motion_check.py -k some_values",
-        ("tried = given(tried)", "pass"),
+        ("tried = quantised(tried)", "pass"),
     ),
     *faults(
         "rta/backup/commit.py",
         "rta/backup/test_nominal_check.py -k actuators_give",
-        ("best, found = given(there),", "best, found = there.clone(),"),
+        ("best, found = quantised(there),", "best, found = there.clone(),"),
     ),
     *faults(
         "rta/backup/terminal.py",

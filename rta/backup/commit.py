@@ -71,8 +71,8 @@ class Check(ABC):
             broken: as of `fit`; asked: the groups that matter; of the other one nothing is said.
         """
 
-    def given(self, u: Tensor) -> Tensor:
-        """What actuators do where controls (6, B) are asked for."""
+    def quantised(self, u: Tensor) -> Tensor:
+        """Rounds controls (6, B) to those that the actuators can give."""
         return u
 
     def follow(self, y: Tensor, u: Tensor, safe: Tensor, changed: Tensor, broken: Tensor) -> None:  # noqa: B027
@@ -137,7 +137,7 @@ class Check(ABC):
             ) -> Tensor:
                 return self.is_safe(pick(there, at), tried, pick(others, at), (group,))[group]
 
-            control, found = nearest(asked, own, law, is_safe, self.given)
+            control, found = nearest(asked, own, law, is_safe, self.quantised)
             put(u, columns, control)
             put(safe[group], columns, found)
             if group == 1:  # thrust is looked at again, with the torque that is applied
@@ -154,27 +154,27 @@ def nearest(
     own: slice,
     law: Tensor,
     is_safe: Callable[[Tensor, Tensor], Tensor],
-    given: Callable[[Tensor], Tensor],
+    quantised: Callable[[Tensor], Tensor],
 ) -> tuple[Tensor, Tensor]:
     """Returns the first safe control between u (6, M) and the law's (3, M), else the law's.
 
     Args:
         own: the controls of a group; is_safe: of indices (k,) of M and controls (6, k), (k,) bool.
-        given: what actuators do where controls (6, k) are asked for.
+        quantised: rounds controls (6, k) to those that the actuators can give.
 
     Returns:
         Controls (6, M); (M,) bool: they are safe.
     """
     there = u.clone()
     there[own] = law
-    best, found = given(there), torch.zeros_like(u[0], dtype=torch.bool)
+    best, found = quantised(there), torch.zeros_like(u[0], dtype=torch.bool)
     for share in (*SHARES, 1.0):
         left = torch.nonzero(~found).flatten()
         if not left.numel():
             break
         one, other = pick(u, left), pick(there, left)
         tried = (one + share * (other - one)).clamp(torch.minimum(one, other), torch.maximum(one, other))
-        tried = given(tried)
+        tried = quantised(tried)
         safe = is_safe(left, tried)
         put(best, left[safe], tried[:, safe])
         put(found, left, safe)

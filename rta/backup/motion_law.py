@@ -124,8 +124,8 @@ def brake(x: Tensor, torque: Tensor, w: Braking) -> Tensor:
     return thrust_along(planned(x[P], x[V], x[THETA_S], w), x, torque, w)
 
 
-def thrust_along(given: Tensor, x: Tensor, torque: Tensor, w: Braking) -> Tensor:
-    """The thrust (3, B) in N whose mean over a hold is G (3, B) in m/s^2, while torque (3, B) is held.
+def thrust_along(acceleration: Tensor, x: Tensor, torque: Tensor, w: Braking) -> Tensor:
+    """Returns thrust (3, B) in N whose mean over a hold is an acceleration G (3, B) in m/s^2; torque (3, B) is held.
 
     Of a body that turns over the hold by R(s), with the mean M of Simpson's rule and R_m in the middle, M R_m' is 1 to
     second order. So u = m R_m' (2 - M R_m') G leaves the fourth.
@@ -134,8 +134,8 @@ def thrust_along(given: Tensor, x: Tensor, torque: Tensor, w: Braking) -> Tensor
     end = attitude_after(x, torque, w.hold, w.c)
     first, second, third = (rotation_matrix(q) for q in (x[Q], middle, end))
     mean = (first + 4.0 * second + third) / 6.0
-    body = (second * given[:, None]).sum(0)
-    left = 2.0 * given - (mean * body).sum(1)
+    body = (second * acceleration[:, None]).sum(0)
+    left = 2.0 * acceleration - (mean * body).sum(1)
     limit = w.c.max_thrust
     return (w.c.mass * (second * left[:, None]).sum(0)).clamp(-limit, limit)
 

@@ -92,11 +92,11 @@ class RobustBackup(Check):
             found[1] = robust_attitude_check.verified(x, u, error_bound, self.attitude) >= 0.0
         return found
 
-    def given(self, u: Tensor) -> Tensor:
+    def quantised(self, u: Tensor) -> Tensor:
         if not (self.terminal_set and self.terminal_set.uncertainty.is_coarse):
             return u
         return torch.cat(
-            (self.terminal_set.uncertainty.given(u[THRUST], self.terminal_set.c.max_thrust), u[TORQUE])
+            (self.terminal_set.uncertainty.quantised(u[THRUST], self.terminal_set.c.max_thrust), u[TORQUE])
         )
 
 

@@ -230,8 +230,8 @@ class Uncertainty(Settings):
         """N, by which thrust within its limit is given otherwise along an axis at most."""
         return max(self.minimum_thrust, self.thrust_quantum / 2, limit - self.largest_thrust(limit))
 
-    def given(self, thrust: "Tensor", limit: float) -> "Tensor":
-        """What the thrusters give where thrust in N is asked for, within their limit."""
+    def quantised(self, thrust: "Tensor", limit: float) -> "Tensor":
+        """Rounds thrust in N to what the thrusters can give within their limit."""
         from torch import where
 
         if quantum := self.thrust_quantum:

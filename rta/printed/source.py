@@ -83,7 +83,7 @@ def functions(safety_filter: "SafetyFilter") -> list[Printed]:
     if f.propose.kind == "none":
         found.append(printed(partial(values, f), x, name="values", names=(("x",), ("h",)), long=long))
     if uncertainty.is_coarse:
-        run = partial(given_thrust, f)
+        run = partial(quantised_thrust, f)
         found.append(printed(run, u[THRUST], name="given_thrust", names=(("thrust",), ("given",))))
     if uncertainty.health:
         names_of_turn = ("x", "torque", "left"), ("given",)
@@ -99,9 +99,9 @@ def values(safety_filter: "SafetyFilter", x: Tensor) -> list[Tensor]:
     return [joined(*(group.values(x) for group in safety_filter.groups))]
 
 
-def given_thrust(safety_filter: "SafetyFilter", thrust: Tensor) -> list[Tensor]:
-    """`Uncertainty.given`."""
-    return [safety_filter.uncertainty.given(thrust, safety_filter.c.max_thrust)]
+def quantised_thrust(safety_filter: "SafetyFilter", thrust: Tensor) -> list[Tensor]:
+    """`Uncertainty.quantised`."""
+    return [safety_filter.uncertainty.quantised(thrust, safety_filter.c.max_thrust)]
 
 
 def turn_in_time(safety_filter: "SafetyFilter", x: Tensor, torque: Tensor, left: Tensor) -> list[Tensor]:

@@ -115,10 +115,10 @@ def test_coarse_thrusters_are_asked_for_what_they_give(bounds: dict[str, float])
         each.backup = None
     x, u = across(400, 0.9999, distance=20.0), desired(400, seed=3)
     given = f.correct(x, u).control[THRUST]
-    torch.testing.assert_close(f.uncertainty.given(given, C.max_thrust), given, rtol=0, atol=1e-9)
-    rounded = torch.cat((f.uncertainty.given(u[THRUST], C.max_thrust), u[3:]))
+    torch.testing.assert_close(f.uncertainty.quantised(given, C.max_thrust), given, rtol=0, atol=1e-9)
+    rounded = torch.cat((f.uncertainty.quantised(u[THRUST], C.max_thrust), u[3:]))
     answered = fine.correct(x, rounded).control[THRUST]
-    near = (f.uncertainty.given(answered, C.max_thrust) - given).abs().amax(0) < 1e-6
+    near = (f.uncertainty.quantised(answered, C.max_thrust) - given).abs().amax(0) < 1e-6
     assert near.double().mean() > 0.98 and ((given - answered).abs() > 1e-3).any()
 
 

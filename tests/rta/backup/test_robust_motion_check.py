@@ -105,9 +105,9 @@ def test_thrusters_that_give_some_values_only_break_no_limit(
 
     def law(x: Tensor, torque: Tensor, bound: Tensor) -> Tensor:
         nonlocal refused
-        u = torch.cat((uncertainty.given(proposals(x, torque, bound), C.max_thrust), torque))
+        u = torch.cat((uncertainty.quantised(proposals(x, torque, bound), C.max_thrust), torque))
         u, _, changed = committed(robust_motion_check, 0, x, u, bound)
-        assert torch.equal(uncertainty.given(u[THRUST], C.max_thrust), u[THRUST])
+        assert torch.equal(uncertainty.quantised(u[THRUST], C.max_thrust), u[THRUST])
         refused += int(changed.sum())
         return u[THRUST]
 

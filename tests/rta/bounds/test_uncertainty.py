@@ -164,6 +164,6 @@ def test_what_is_given_is_what_the_thrusters_of_the_plant_give() -> None:
     for name, value in (("minimum_thrust", 0.3), ("thrust_quantum", 0.25), ("thrust_quantum", 0.6)):
         plant = begun(PlantParameters(**{name: value}), 500, c=C)
         assert torch.equal(
-            Uncertainty(**{name: value}).given(thrust, C.max_thrust), plant.actuate(moments(500), u)[:3]
+            Uncertainty(**{name: value}).quantised(thrust, C.max_thrust), plant.actuate(moments(500), u)[:3]
         )
-    assert torch.equal(Uncertainty().given(thrust, C.max_thrust), thrust)
+    assert torch.equal(Uncertainty().quantised(thrust, C.max_thrust), thrust)

@@ -1,4 +1,4 @@
-"""What people hand to the filter: checked once, turned into a batch in float64, and answers in kind."""
+"""Validates the input of the filter: a batch in float64 of it, and answers in its kind."""
 
 import math
 from typing import Any
@@ -17,8 +17,8 @@ ROUNDED = 1e-12  # by which the length of a quaternion in double precision may b
 INTEGERS = (torch.uint8, torch.int8, torch.int16, torch.int32, torch.int64)
 
 
-class Given:
-    """A state and a desired control as they were given.
+class FilterInput:
+    """A state and a desired control, validated.
 
     Attributes:
         x: states (16, B), float64; desired: controls (6, B), float64, both on the desired control's device.
@@ -61,7 +61,7 @@ class Given:
             self.x[Q] = torch.where(off > ROUNDED, self.x[Q] / length, self.x[Q])
 
     def in_kind(self, part: Tensor) -> Any:
-        """A field (..., B) of the filter's answer as the desired control was given."""
+        """Converts a field (..., B) of the filter's answer to the kind of the desired control."""
         if part.dtype != self.dtype and part.is_floating_point():
             part = towards_zero(part, self.dtype)
         kind = part if self.tensors else part.numpy()
