@@ -14,7 +14,7 @@ from inspection.model.state import OMEGA, THETA_S, E, P, Q, T, V
 
 # s between samples of free flight, whose chords stray by |a| spacing^2 / 8: 100 m from the chief and at 1 m/s by 0.2
 # and 3 m, of which 0.03 and 0.4 m at rest
-FINE, COARSE = 25.0, 100.0
+SHORT_SPACING, LONG_SPACING = 25.0, 100.0
 
 
 class Component(NamedTuple):
@@ -100,7 +100,10 @@ def observe(
         "score": lambda: score[None],
         "hill": lambda: torch.cat((rotate(to_body, radial), rotate(to_body, along_track))),
         "free_flight": lambda: torch.cat(
-            (of_free_flight(c.passive_safety_horizon, FINE), of_free_flight(c.free_flight_horizon, COARSE))
+            (
+                of_free_flight(c.passive_safety_horizon, SHORT_SPACING),
+                of_free_flight(c.free_flight_horizon, LONG_SPACING),
+            )
         ),
     }
     if chief is not None:

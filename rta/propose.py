@@ -177,7 +177,7 @@ class Propose:
                     shortfall(group, rows, found.control if share is None else share * found.control)
                 )
                 found = found._replace(slack=slack, status=with_shortfall(found.status, slack))
-                if self.uncertainty.is_coarse and own == THRUST:
+                if self.uncertainty.is_quantised and own == THRUST:
                     found = found._replace(control=self.uncertainty.quantised(found.control, group.limit))
             control = with_own(control, group, found.control)
             both[i] = found
@@ -186,7 +186,7 @@ class Propose:
     def demand(self, x: Tensor, desired: Tensor, left: Tensor | None) -> Demand:
         """What is filtered at states (16, B): what thrusters give, and torque that turns a weak axis away."""
         demand = demanded(desired, self.groups)
-        if not self.uncertainty.is_coarse and left is None:
+        if not self.uncertainty.is_quantised and left is None:
             return demand
         control = demand.control.clone()
         control[THRUST] = self.uncertainty.quantised(control[THRUST], self.c.max_thrust)

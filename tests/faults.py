@@ -417,8 +417,8 @@ CHECK = [
         ("self.hottest - x[T]", "self.hottest + 1.0 - x[T]"),
     ),
     *faults(
-        "rta/backup/coarse.py",
-        "rta/backup/test_coarse.py",
+        "rta/backup/early_accept.py",
+        "rta/backup/test_early_accept.py",
         ("used = (self.stopping + falling)", "used = 0.0 * (self.stopping + falling)"),
         (
             "limits = between(start, rest, Strays(e_p + sag, e_v, e_v)",

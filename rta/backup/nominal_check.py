@@ -15,8 +15,8 @@ from torch import Tensor
 
 from inspection.model.parameters import Limits
 from rta.backup.attitude_law import Pointing, has_rest, slew
-from rta.backup.coarse import Coarse
 from rta.backup.commit import ATTITUDE, LIMITS, MOTION, Check
+from rta.backup.early_accept import EarlyAccept
 from rta.backup.flight import Flight, hold
 from rta.backup.motion_law import Braking, brake
 from rta.backup.terminal import NoTerminalSetError, TerminalSet
@@ -62,10 +62,10 @@ class NominalBackup(Check):
         self.flight = Flight.of(c, period, self.braking.fastest)
         if self.flight.spin * self.flight.seconds * 2 * math.sqrt(3.0) * c.max_rate > 0.2:  # see `peak`
             raise NoTerminalSetError("gyroscopic torque")
-        self.coarse = Coarse.of(self.pointing, self.braking, self.flight, self.terminal)
+        self.early_accept = EarlyAccept.of(self.pointing, self.braking, self.flight, self.terminal)
         braking = 1.5 * self.braking.fastest / self.braking.straight + self.terminal.leaves
         self.glances = max(1, round(GLANCE / period))
-        longest = max(self.coarse.arrives, braking)
+        longest = max(self.early_accept.arrives, braking)
         self.max_periods = self.glances * math.ceil(longest / (self.glances * period))
         self.flights: Callable[[Tensor, Tensor, Sequence[int]], Tensor] | None = None
 
@@ -95,7 +95,7 @@ class NominalBackup(Check):
 
     def at_once(self, x: Tensor) -> Tensor:
         """A lower bound of each limit on the laws' flight from states (16, B), by one look: (11, B)."""
-        return torch.cat((self.coarse.motion(x), self.coarse.attitude(x)))
+        return torch.cat((self.early_accept.motion(x), self.early_accept.attitude(x)))
 
     # the check
 

@@ -93,7 +93,7 @@ class RobustBackup(Check):
         return found
 
     def quantised(self, u: Tensor) -> Tensor:
-        if not (self.terminal_set and self.terminal_set.uncertainty.is_coarse):
+        if not (self.terminal_set and self.terminal_set.uncertainty.is_quantised):
             return u
         return torch.cat(
             (self.terminal_set.uncertainty.quantised(u[THRUST], self.terminal_set.c.max_thrust), u[TORQUE])

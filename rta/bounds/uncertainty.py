@@ -217,7 +217,7 @@ class Uncertainty(Settings):
         return c.fastest_orbit_rate if self.hill_rotation and not c.hill_rotation else 0.0
 
     @property
-    def is_coarse(self) -> bool:
+    def is_quantised(self) -> bool:
         """Whether thrusters give some values only."""
         return self.minimum_thrust > 0.0 or self.thrust_quantum > 0.0
 

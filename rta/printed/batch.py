@@ -144,7 +144,7 @@ def checked(safety_filter: "SafetyFilter", check_parts: Sequence[Printed]) -> li
     f = safety_filter
     texts = [
         define("CONSTRAINTS", len(f.names)),
-        define("COARSE", int(f.uncertainty.is_coarse)),
+        define("COARSE", int(f.uncertainty.is_quantised)),
         *(define(name, *said) for name, said in constants(f.backup).items()),
     ]
     files = ["batch/batch.h", "batch/columns.c"]

@@ -82,7 +82,7 @@ def functions(safety_filter: "SafetyFilter") -> list[Printed]:
     ]
     if f.propose.kind == "none":
         found.append(printed(partial(values, f), x, name="values", names=(("x",), ("h",)), long=long))
-    if uncertainty.is_coarse:
+    if uncertainty.is_quantised:
         run = partial(quantised_thrust, f)
         found.append(printed(run, u[THRUST], name="given_thrust", names=(("thrust",), ("given",))))
     if uncertainty.health:
@@ -179,7 +179,7 @@ def constants(safety_filter: "SafetyFilter", parts: Sequence[Printed], text: str
         define("CLASSES_MAX", classes, "different weights of rows that have slack"),
         define("LATENCY", "SAFETY_FILTER_LATENCY"),
         define("HEALTH", "SAFETY_FILTER_HEALTH"),
-        define("COARSE", int(safety_filter.uncertainty.is_coarse), "1: thrusters give some values only"),
+        define("COARSE", int(safety_filter.uncertainty.is_quantised), "1: thrusters give some values only"),
         define("PROGRAMS", int(safety_filter.propose.kind != "none"), "0: there are no rows"),
         *tolerances(),
         "static const double LIMIT[2] = {SAFETY_FILTER_THRUST, SAFETY_FILTER_TORQUE};",

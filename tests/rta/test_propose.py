@@ -97,7 +97,7 @@ def test_a_filter_without_a_check_needs_rows(
     assert SafetyFilter(c, uncertainty=uncertainty).unchecked == unchecked.split(" and ")
 
 
-COARSE = [
+QUANTISED = [
     {"thrust_quantum": 0.25},
     {"thrust_quantum": 1.0},
     {"minimum_thrust": 0.02},
@@ -105,8 +105,8 @@ COARSE = [
 ]
 
 
-@pytest.mark.parametrize("bounds", COARSE, ids=str)
-def test_coarse_thrusters_are_asked_for_what_they_give(bounds: dict[str, float]) -> None:
+@pytest.mark.parametrize("bounds", QUANTISED, ids=str)
+def test_quantised_thrusters_are_asked_for_what_they_give(bounds: dict[str, float]) -> None:
     f, fine = (
         SafetyFilter(C, uncertainty=Uncertainty(**bounds)),
         SafetyFilter(C, uncertainty=Uncertainty(mass=1e-9)),

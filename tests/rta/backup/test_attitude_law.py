@@ -63,7 +63,7 @@ def test_the_camera_recedes_from_the_sun_once_the_body_has_the_laws_rates(name: 
     x[OMEGA] = wanted(x, w)
     x = x[:, to_the_sun(x, 0, 1.0) > 0.02]
     camera = to_the_sun(x, 0, 1.0)
-    for _ in range(math.ceil(backup(name, hold).coarse.arrives / hold)):
+    for _ in range(math.ceil(backup(name, hold).early_accept.arrives / hold)):
         x = flight(x)[0]
         after = to_the_sun(x, 0, 1.0)
         far = camera > math.pi / 2 + 0.1  # where it rolls, too
@@ -81,7 +81,7 @@ def test_rates_stay_within_their_limits_where_nothing_holds_them(name: str, hold
     x[OMEGA] = wanted(x, w)
     assert (x[OMEGA].abs() <= c.max_rate).all() and x[OMEGA].norm(dim=0).max() <= w.fastest + 1e-12
     fastest = 0.0
-    for _ in range(math.ceil(backup(name, hold).coarse.arrives / hold)):
+    for _ in range(math.ceil(backup(name, hold).early_accept.arrives / hold)):
         x, least, u, *_ = flight(x)
         assert (u[3:].abs() <= c.max_torque).all()
         assert (least[10] >= 0.0).all(), least[10].min()
@@ -94,7 +94,7 @@ def test_at_rest_the_panels_face_the_sun_and_the_surface_is_in_the_dark(name: st
     c, flight = vehicle(name), in_c(name, hold)
     x = anywhere(400, 9, c)
     start = x.clone()
-    for _ in range(math.ceil(backup(name, hold).coarse.arrives / hold)):
+    for _ in range(math.ceil(backup(name, hold).early_accept.arrives / hold)):
         x, before = flight(x)[0], x
     axis, sign = "xyz".index(c.thermal_axis[1]), -1.0 if c.thermal_axis[0] == "-" else 1.0
     assert to_the_sun(x, 0, -1.0).max() < 0.03

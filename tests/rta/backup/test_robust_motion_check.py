@@ -75,7 +75,7 @@ def test_no_limit_breaks_whatever_is_asked(how: str, misses: str, seconds: float
 
 
 @pytest.mark.parametrize(
-    ("coarse", "seconds"),
+    ("quantised", "seconds"),
     [
         ({"thrust_quantum": 0.1}, 4.0),
         pytest.param({"thrust_quantum": 0.1}, 30.0, marks=pytest.mark.campaign),
@@ -84,14 +84,14 @@ def test_no_limit_breaks_whatever_is_asked(how: str, misses: str, seconds: float
     ids=str,
 )
 def test_thrusters_that_give_some_values_only_break_no_limit(
-    coarse: dict[str, float], seconds: float
+    quantised: dict[str, float], seconds: float
 ) -> None:
     """What is proposed is rounded before it is looked at, and so is what replaces it."""
     robust_motion_check = of_thrust(
         C,
         R,
         uncertainty := Uncertainty(
-            latency=1, longest_hold=1.0, position=0.1, velocity=0.001, thrust_misalignment=1.0, **coarse
+            latency=1, longest_hold=1.0, position=0.1, velocity=0.001, thrust_misalignment=1.0, **quantised
         ),
     )
     assert (

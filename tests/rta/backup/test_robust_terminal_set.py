@@ -62,13 +62,13 @@ def test_nothing_leads_out_of_the_set(how: str, misses: str, seconds: float) -> 
 
 
 @pytest.mark.campaign
-@pytest.mark.parametrize("coarse", [{"thrust_quantum": 0.1}, {"minimum_thrust": 0.02}], ids=str)
+@pytest.mark.parametrize("quantised", [{"thrust_quantum": 0.1}, {"minimum_thrust": 0.02}], ids=str)
 def test_nothing_leads_out_of_the_set_of_thrusters_that_give_some_values_only(
-    coarse: dict[str, float],
+    quantised: dict[str, float],
 ) -> None:
     """What they round off counts in the set: one without it they leave."""
     bounds = Uncertainty(latency=1, longest_hold=1.0, position=0.1, velocity=0.001, thrust_misalignment=1.0)
-    uncertainty = replace(bounds, **coarse)
+    uncertainty = replace(bounds, **quantised)
     for terminal_set, stays in (
         (RobustTerminalSet.of(C, R, uncertainty), True),
         (RobustTerminalSet.of(C, R, bounds), False),

@@ -103,7 +103,9 @@ class World:
         if self.how == "worst":
             self.gains = torch.where(self.uniform(3) < 0.5, self.gains, 2 - self.gains)
         given = (
-            self.uncertainty.quantised(u[THRUST], C.max_thrust) if self.uncertainty.is_coarse else u[THRUST]
+            self.uncertainty.quantised(u[THRUST], C.max_thrust)
+            if self.uncertainty.is_quantised
+            else u[THRUST]
         )
         force = (self.aslant * (self.gains * given)).sum(1)
         return torch.cat((force, self.turns * u[TORQUE]))

@@ -64,7 +64,7 @@ def test_no_limit_is_below_what_one_look_says_on_the_flight(hold: float) -> None
     bounds = flight(x)[3]
     accepted = (of_groups(bounds) >= KEPT).numpy()
     least = least_of(x, c)
-    for call in range(round(b.coarse.arrives / hold)):
+    for call in range(round(b.early_accept.arrives / hold)):
         u = flight(x)[2]
         for _ in range(round(hold)):
             x = moved(x, u, 1.0, c)

@@ -2,7 +2,7 @@
 
 It needs what the laws do in the large only, each taken generously: within `arrives` s the attitude is at rest; the
 camera recedes from the Sun once the body has the law's rates; a spacecraft brakes on a straight line. What it accepts
-the flight itself accepts, too (tests/rta/backup/test_coarse.py).
+the flight itself accepts, too (tests/rta/backup/test_early_accept.py).
 """
 
 import math
@@ -26,7 +26,7 @@ SLACK = 0.1  # rad, of every angle, for what is not known of the turn
 
 
 @dataclass(frozen=True)
-class Coarse:
+class EarlyAccept:
     """What the bound depends on.
 
     Attributes:
@@ -44,7 +44,7 @@ class Coarse:
     sunlight: float
 
     @classmethod
-    def of(cls, pointing: Pointing, braking: Braking, flight: Flight, terminal: TerminalSet) -> "Coarse":
+    def of(cls, pointing: Pointing, braking: Braking, flight: Flight, terminal: TerminalSet) -> "EarlyAccept":
         c, w = pointing.c, pointing
         alpha = c.max_torque / max(c.inertia)
         stopping = math.ceil((c.max_rate + w.rate) / (alpha * w.hold) - 1e-9) * w.hold
