@@ -228,7 +228,7 @@ def run_train(given: Namespace) -> None:
     from ppo.distributed import ranks
     from study.machine import recorded_threads, set_threads
     from study.training import session as training
-    from study.verified import say_doubts
+    from study.verified import warn_if_unverified
 
     if given.resume is not None:
         changed = {name for name in vars(given) if "." in name} - {"train.interactions"}
@@ -247,7 +247,7 @@ def run_train(given: Namespace) -> None:
         session = training.starting(config, directory, Path(given.init_from) if given.init_from else None)
     with session as run:
         print(run, flush=True)
-        say_doubts(run.config)
+        warn_if_unverified(run.config)
         run.train()
         if run.ranks.first:
             print(run.conclude())
@@ -319,11 +319,11 @@ def run_evaluate(given: Namespace) -> None:
     from study.experiment import Experiment
     from study.flight.evaluation import evaluate
     from study.paper import tables
-    from study.verified import say_doubts
+    from study.verified import warn_if_unverified
 
     policy, config = agent_and_config(given)
     experiment = Experiment(config, given.episodes)
-    say_doubts(config)
+    warn_if_unverified(config)
     check_replaced(given.json, "metrics")
     results = evaluate(policy or given.controller, experiment, given.episodes, given.seed)
     print(tables(results))
@@ -368,7 +368,7 @@ def run_simulate(given: Namespace) -> None:
     from study.experiment import Experiment
     from study.flight import simulation
     from study.flight.figures import constraint_figure
-    from study.verified import say_doubts
+    from study.verified import warn_if_unverified
 
     if (given.controller == "policy") != bool(given.checkpoint):
         raise InputError("--checkpoint F is needed by --controller policy and by no other")
@@ -377,7 +377,7 @@ def run_simulate(given: Namespace) -> None:
     policy, config = agent_and_config(given)
     simulation.check_rows(given.step, given.duration, config, given.controller)
     experiment = Experiment(config, 1, given.duration)
-    say_doubts(config)
+    warn_if_unverified(config)
     flown = simulation.run(
         experiment,
         given.controller,
@@ -486,13 +486,13 @@ def run_verify(given: Namespace) -> None:
     from study.experiment import check_observed
     from study.verification.campaign import BATCH, digest, load_commander, looking_ahead, verify
     from study.verification.findings import Campaign, table, what_next
-    from study.verified import say_unchecked
+    from study.verified import warn_if_unchecked
 
     if given.keep_worst and not given.json:
         raise InputError("--keep-worst keeps episodes beside --json F: name one")
     network, trained = load_commander(given.policy)
     config = filtered(configured(given, (trained or Config()).with_solver("auto")))
-    say_unchecked(config)
+    warn_if_unchecked(config)
     if network:
         check_observed(config, trained)
     campaign = Campaign(
@@ -520,10 +520,10 @@ def run_verify(given: Namespace) -> None:
 )
 def run_boundary(given: Namespace) -> None:
     from study.verification.boundary import BATCH, Boundary, search, table
-    from study.verified import say_unchecked
+    from study.verified import warn_if_unchecked
 
     config = filtered(configured(given, Config()))
-    say_unchecked(config)
+    warn_if_unchecked(config)
     print(table(search(Boundary(config.rta.period, given.seed, BATCH), given.draws, config, given.json)))
 
 

@@ -24,13 +24,13 @@ from inspection.model.dynamics import attitude_rate, control_matrix, drift, inte
 from inspection.model.parameters import Limits
 from inspection.model.state import CONTROL_SIZE, OMEGA, SIZE, THRUST, TORQUE, P, Q, V
 from rta.bounds.prediction import unsaturated
-from rta.bounds.uncertainty import NO_UNCERTAINTY, Uncertainty
+from rta.bounds.uncertainty import NO_UNCERTAINTY, HoldDisturbance, Uncertainty
 from rta.constraints.constraint import ACTUATORS, Constraint, check
 from rta.lie_derivatives import Function, directional, lie_derivative, lie_derivatives
 from rta.parameters import RtaParameters
 from rta.qp.programs import total
 
-MOST_DOUBTED = 0.9  # share of a control that rows count as an error at most
+LARGEST_ERROR_SHARE = 0.9  # share of a control that rows count as an error at most
 STEP = 2.5  # s, of the steps in which a hold is computed at most
 
 
@@ -81,7 +81,7 @@ class ActuatorGroup:
         checked: bool = True,
     ) -> None:
         self.c, self.r, self.uncertainty = c, r, uncertainty
-        self.doubts = () if checked or uncertainty.is_zero else uncertainty.doubts(c, r)
+        self.disturbance = None if checked or uncertainty.is_zero else uncertainty.hold_disturbance(c, r)
         self.actuator, self.kind, self.hold = actuator, uncertainty.rows(r), uncertainty.hold(r)
         self.model = unsaturated(c)  # the rates' own rows hold these: saturated they would have no slope
         self.controls = ACTUATORS[actuator]
@@ -191,8 +191,9 @@ class ActuatorGroup:
         a = slope / self.hold
         rate = (after[:, 0] - psi) / self.hold - total(a * control[own], 1)
         loss = torch.zeros_like(rate)
-        if any(self.doubts):
-            loss = self.doubted(
+        if self.disturbance and any(self.disturbance):
+            loss = self.disturbance_loss(
+                self.disturbance,
                 x,
                 control,
                 constraints,
@@ -201,8 +202,14 @@ class ActuatorGroup:
             )
         return self.conditions(x, constraints, psi, rate, a, loss)
 
-    def doubted(
-        self, x: Tensor, control: Tensor, constraints: Sequence[Constraint], a: Tensor, end: Function
+    def disturbance_loss(
+        self,
+        d: HoldDisturbance,
+        x: Tensor,
+        control: Tensor,
+        constraints: Sequence[Constraint],
+        a: Tensor,
+        end: Function,
     ) -> Tensor:
         """What sampled rows lose in the worst case within the bounds of states (16, B) and actuators: (R, B).
 
@@ -211,7 +218,8 @@ class ActuatorGroup:
         Args:
             control: (6, B) held; a: (R, 3 or 6, B) slopes by the controls; end: Psi at the end of a hold, of states.
         """
-        radii, shares, unknown = self.doubts[:4], self.doubts[4:6], self.doubts[6:]
+        radii = d.position, d.velocity, d.attitude, d.rate
+        shares, unknown = (d.thrust_share, d.torque_share), (d.force, d.torque)
         now, rows = self.psi_at(x, constraints), [each for each in constraints for _ in range(each.rows)]
 
         def condition(y: Tensor) -> Tensor:
@@ -242,7 +250,7 @@ class ActuatorGroup:
             length = total(part**2, 1).sqrt()
             used = length * total(control[group] ** 2, 0).sqrt()
             if group == self.controls:  # what answers the row is as large as it asks for
-                used = used.maximum(asked / (1.0 - min(shares[i], MOST_DOUBTED)))
+                used = used.maximum(asked / (1.0 - min(shares[i], LARGEST_ERROR_SHARE)))
             loss = loss + shares[i] * used + (length * unknown[i]).masked_fill(is_known, 0.0)
         return loss
 

@@ -20,9 +20,9 @@ import torch
 from torch import Tensor
 
 from inspection.closed_loop import Safety
-from inspection.model.doubts import doubts
 from inspection.model.parameters import InspectionParameters
 from inspection.model.state import CONTROL_SIZE, SIZE, P, Q
+from inspection.model.unit_warnings import unit_warnings
 from kernels.build import NoCompilerError, say
 from kernels.compiled import Compiled
 from kernels.modes import in_full_precision
@@ -254,11 +254,11 @@ class SafetyFilter:
         Raises:
             ValueError: another type or shape, a number that is not finite, or a quaternion that is not of length 1.
 
-        Warns where a state looks like one in other units, see `inspection.model.doubts`.
+        Warns where a state looks like one in other units, see `inspection.model.unit_warnings`.
         """
         call = FilterInput(x, desired)
-        for doubt in doubts(call.x, self.c):
-            warnings.warn(f"state: {doubt}", stacklevel=3)  # a decorator is between
+        for warning in unit_warnings(call.x, self.c):
+            warnings.warn(f"state: {warning}", stacklevel=3)  # a decorator is between
         fit = call.single and call.x.device.type == "cpu" and not self.is_sampled and not self._is_compiled
         result = (self._for_one if fit else self).correct(call.x, call.desired)
         return FilterResult(*(call.in_kind(getattr(result, field.name)) for field in fields(result)))

@@ -146,15 +146,15 @@ def alike(values: dict[str, Any], flown: Sequence[Flown]) -> list[Flown]:
     return [each for each in flown if each.relevant == values]
 
 
-def say_doubts(config: Config) -> None:
-    """Says on stderr what the filter in use does not check, and that it has not been verified, in a line each."""
-    say_unchecked(config)
-    if config.train.rta and is_first() and (reason := doubt(config)):
+def warn_if_unverified(config: Config) -> None:
+    """Warns on stderr of what the filter in use does not check, and that it has not been verified, in a line each."""
+    warn_if_unchecked(config)
+    if config.train.rta and is_first() and (reason := why_unverified(config)):
         print(reason, file=sys.stderr)
 
 
-def say_unchecked(config: Config) -> None:
-    """Says in a line each what the filter does not check, and what is ignored; of many ranks, the first one."""
+def warn_if_unchecked(config: Config) -> None:
+    """Warns in a line each of what the filter does not check, and of what is ignored; of many ranks, the first one."""
     if is_first() and (why := ignores_keep_clear(config)):
         print(f"--keep-clear ([train] keep_clear) is ignored: {why}", file=sys.stderr)
     if config.train.rta and is_first() and (said := unchecked(config)):
@@ -170,7 +170,7 @@ def unchecked(config: Config) -> str | None:
     return f"not checked: {' and '.join(names)}; {why}; see {CHECK}"
 
 
-def doubt(config: Config) -> str | None:
+def why_unverified(config: Config) -> str | None:
     """Says why a configuration does not count as verified, in a line; None where it does.
 
     It does where there is a report of each of POLICIES on its plant and filter, large and without a violation.

@@ -6,7 +6,7 @@ The worst of them are taken all at once. All zero: the plant is the model, and t
 import math
 from dataclasses import dataclass
 from itertools import product
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from inspection.model.parameters import Limits
 from rta.parameters import RtaParameters
@@ -25,6 +25,25 @@ BRAKING = (
     *("attitude", "rate", "inertia", "torque_gain", "longest_hold"),
 )
 SHORT = 1.0  # s, up to which the rate of now, less what it can change by, says what a control does
+
+
+class HoldDisturbance(NamedTuple):
+    """Bounds of what disturbs a hold.
+
+    Attributes:
+        position, velocity, attitude, rate: m, m/s, rad and rad/s, errors of the state at its start.
+        thrust_share, torque_share: errors of the actuators, by the controls' sizes.
+        force, torque: N and N m, that the model does not know.
+    """
+
+    position: float
+    velocity: float
+    attitude: float
+    rate: float
+    thrust_share: float
+    torque_share: float
+    force: float
+    torque: float
 
 
 @dataclass(frozen=True)
@@ -84,19 +103,24 @@ class Uncertainty(Settings):
         angles = (math.radians(root * angle) for angle in (self.attitude, self.rate))
         return root * self.position, root * self.velocity, *angles
 
-    def doubts(self, c: Limits, r: RtaParameters) -> tuple[float, ...]:
-        """What is not known of a hold: m, m/s, rad and rad/s of its state; shares of thrust and torque; N and N m more.
-
-        A state that is old has been moved by what is not known, too.
-        """
+    def hold_disturbance(self, c: Limits, r: RtaParameters) -> HoldDisturbance:
+        """Bounds the disturbance of a hold. A state that is old has been disturbed since, too."""
         position, velocity, attitude, rate = self.radii
         thrust = self.thrust_error + self.thrust[1] * self.thrust_angle(c, r)
         force, twist = c.mass * self.acceleration, max(c.inertia) * self.angular_acceleration(c)
         old = self.latency * r.period
         push = (math.sqrt(3.0) * c.max_thrust * thrust + force) / c.mass * old
         faster = (math.sqrt(3.0) * c.max_torque * self.torque_error + twist) / min(c.inertia) * old
-        position, attitude = position + (velocity + push / 2) * old, attitude + (rate + faster / 2) * old
-        return position, velocity + push, attitude, rate + faster, thrust, self.torque_error, force, twist
+        return HoldDisturbance(
+            position + (velocity + push / 2) * old,
+            velocity + push,
+            attitude + (rate + faster / 2) * old,
+            rate + faster,
+            thrust,
+            self.torque_error,
+            force,
+            twist,
+        )
 
     def check(self, c: Limits, r: RtaParameters) -> None:
         """Raises ValueError where a bound leaves no control that could hold a limit."""

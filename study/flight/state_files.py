@@ -10,9 +10,9 @@ import torch
 from torch import Tensor
 
 from inspection.model.attitude import norm, unit
-from inspection.model.doubts import doubts
 from inspection.model.parameters import Limits
 from inspection.model.state import CONTROL_SIZE, OMEGA, SIZE, THETA_S, E, P, Q, T, V
+from inspection.model.unit_warnings import unit_warnings
 from inspection.world.corners import CORNER
 from settings import InputError, instead
 from study import files
@@ -47,8 +47,8 @@ def check_states(x: Tensor, c: Limits, path: str) -> Tensor:
     for what, (wrong, allowed) in rules.items():
         if wrong.any():
             raise InputError(f"{path}: {what} in row {torch.nonzero(wrong)[0].item()}: {allowed}")
-    for doubt in doubts(x, c):
-        print(f"{path}: {doubt}", file=sys.stderr)
+    for warning in unit_warnings(x, c):
+        print(f"{path}: {warning}", file=sys.stderr)
     return torch.cat((x[: Q.start], unit(x[Q]), x[Q.stop :]))
 
 

@@ -20,7 +20,7 @@ from study.machine import LOCK, alone_in, write_settings
 from study.paper import Results, tables
 from study.training.run import Run, on_signal, settled_for_a_seed
 from study.training.session import check, create, resume, save_first
-from study.verified import fingerprint, say_doubts
+from study.verified import fingerprint, warn_if_unverified
 
 LEFT_BY_A_KILL = (LOCK, "provenance.json", "provenance.json.tmp", "config.toml.tmp")  # at the start
 
@@ -50,7 +50,7 @@ def train_and_evaluate(config: StudyConfig, directory: Path) -> str:
         ranks().first_does(lambda: begin_or_continue(config, directory))
         flown = [config.of_arm(name) for name in config.study.arms]
         for each in {fingerprint(own): own for own in flown if own.train.rta}.values():
-            say_doubts(each)
+            warn_if_unverified(each)
         for name in config.study.arms:
             path = directory / name / "results.json"
             if not ranks().agree(path.exists()):

@@ -100,8 +100,8 @@ def test_it_is_evaluated_and_no_campaign_of_thirteen_speaks_for_it(tree: Path) -
     )  # fmt: skip
     assert "total speed" in said and "nan" not in said
     assert json.loads((tree / "out.json").read_text())["violations_percent"]["total_speed"] == 0.0
-    doubt = "import study.verified as v; print(v.doubt(v.Config()))"
-    doubted = subprocess.check_output([sys.executable, "-c", doubt], cwd=tree, text=True)
+    reason = "import study.verified as v; print(v.why_unverified(v.Config()))"
+    doubted = subprocess.check_output([sys.executable, "-c", reason], cwd=tree, text=True)
     assert doubted.startswith('not verified: limits of your own = ["total_speed"] (verified: [])')
 
 

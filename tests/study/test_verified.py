@@ -13,7 +13,7 @@ from study.config import Config
 from study.export import filter as filter_in_c
 from study.files import ROOT
 from study.verification.findings import Campaign, empty_report
-from study.verified import doubt, fingerprint
+from study.verified import fingerprint, why_unverified
 
 FAST = {"inspection": {"max_rate": 0.3}}
 
@@ -63,7 +63,7 @@ def test_the_shipped_reports_hold_the_fingerprint_of_their_rules(path: Path) -> 
 )
 def test_what_changes_neither_plant_nor_filter_is_silent(tables: dict[str, Any]) -> None:
     assert fingerprint(configured(tables)) == fingerprint(Config())
-    assert doubt(configured(tables)) is None
+    assert why_unverified(configured(tables)) is None
 
 
 @pytest.mark.parametrize(
@@ -76,7 +76,7 @@ def test_what_changes_neither_plant_nor_filter_is_silent(tables: dict[str, Any])
     ],
 )
 def test_what_differs_is_said_with_both_values(tables: dict[str, Any], words: list[str]) -> None:
-    line = doubt(configured(tables))
+    line = why_unverified(configured(tables))
     assert line and "\n" not in line and verified.PAGE in line
     for word in words:
         assert word in line
@@ -95,14 +95,14 @@ def test_what_differs_is_said_with_both_values(tables: dict[str, Any], words: li
 def test_two_large_and_clean_campaigns_are_needed(more: dict[str, Any], trusted: bool) -> None:
     config = configured(FAST)
     put(config, "random")
-    assert doubt(config)
+    assert why_unverified(config)
     put(config, "adversarial", **more)
-    assert (doubt(config) is None) == trusted
+    assert (why_unverified(config) is None) == trusted
 
 
 @pytest.mark.parametrize("period", PERIODS)
 def test_the_shipped_campaigns_verify_every_period(period: float) -> None:
-    assert doubt(configured({"rta": {"period": period}})) is None
+    assert why_unverified(configured({"rta": {"period": period}})) is None
 
 
 @pytest.mark.parametrize(
@@ -119,16 +119,16 @@ def test_what_a_filter_does_not_check_is_said_in_a_line(
     what: str | None, tables: dict[str, Any], capsys: pytest.CaptureFixture[str]
 ) -> None:
     config = configured(tables)
-    verified.say_unchecked(config)
+    verified.warn_if_unchecked(config)
     lines = capsys.readouterr().err.splitlines()
     assert [line.split(";")[0] for line in lines] == [f"not checked: {what}"] * (what is not None)
     assert (filter_in_c.said_of(config).count(lines[0]) if lines else 0) == len(lines)
-    verified.say_unchecked(configured(tables | {"train": {"rta": False}}))
+    verified.warn_if_unchecked(configured(tables | {"train": {"rta": False}}))
     assert capsys.readouterr().err == ""
 
 
 def test_without_the_filter_nothing_is_said(capsys: pytest.CaptureFixture[str]) -> None:
-    verified.say_doubts(configured(FAST | {"train": {"rta": False}}))
+    verified.warn_if_unverified(configured(FAST | {"train": {"rta": False}}))
     assert capsys.readouterr().err == ""
-    verified.say_doubts(configured(FAST))
+    verified.warn_if_unverified(configured(FAST))
     assert capsys.readouterr().err.startswith("not verified: ")

@@ -1,4 +1,4 @@
-"""What of a state is probably in another unit, or in another order, than the state's."""
+"""Warns of states that are probably in other units, or in another order, than they must be."""
 
 from torch import Tensor
 
@@ -9,8 +9,8 @@ HOT = 150.0  # deg C above the limit: less than what 273 K make of a surface tha
 RICH = 200.0  # times what a battery begins with at most; J in place of kJ are a thousand times as many
 
 
-def doubts(x: Tensor, c: Limits) -> list[str]:
-    """A phrase for each thing of states (16, B), finite, that nobody can have meant or hardly anybody has."""
+def unit_warnings(x: Tensor, c: Limits) -> list[str]:
+    """Returns a phrase for each likely mistake in finite states (16, B)."""
     most, least_energy = x.amax(1).tolist(), x[E].amin().item()
     hot, rich, found = c.max_temperature + HOT, RICH * c.initial_energy[1], []
     if most[T] > hot:
