@@ -32,7 +32,7 @@ from rta.parameters import PERIODS
 from rta.propose import demanded
 from rta.qp.batched_solver import BatchedSolver
 from rta.qp.programs import Problems, Solver
-from rta.qp.scaled import prepared, problems
+from rta.qp.scaled import scale_rows, to_qp
 from settings import load, override
 from study.config import Config
 from study.experiment import Experiment, load_policy
@@ -178,12 +178,12 @@ def start(env: InspectionEnv, x: Tensor) -> Tensor:
 
 def programs(safety_filter: SafetyFilter, x: Tensor, desired: Tensor) -> list[Problems]:
     """Returns what must be solved at states (16, B) with desired controls (6, B), by actuator group."""
-    wish, control, _ = demanded(desired, safety_filter.groups)
+    projected, control, _ = demanded(desired, safety_filter.groups)
     found = []
     for group in safety_filter.groups:
-        rows = prepared(group, x, control)
+        rows = scale_rows(group, x, control)
         unsafe = torch.nonzero(~(rows.lowest[0] >= 0.0)).flatten()
-        found.append(problems(group, rows, wish[group.controls] / group.limit)[unsafe])
+        found.append(to_qp(group, rows, projected[group.controls] / group.limit)[unsafe])
     return [part for part in found if part.desired.numel()]
 
 

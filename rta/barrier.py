@@ -1,7 +1,7 @@
 """The barrier conditions a u + b >= 0 of a list of constraints at a batch of states, of one of two kinds.
 
-The paper's are of the rate now, L_f psi + L_g psi u + alpha(psi) >= 0. Sampled ones are of what a control does that is
-held for T, in the simulator's own steps phi_T (discrete-time barriers, Agrawal and Sreenath 2017),
+The paper's are continuous, of the rate now, L_f psi + L_g psi u + alpha(psi) >= 0. Sampled ones are of a control that
+is held for T, in the simulator's own steps phi_T (discrete-time barriers, Agrawal and Sreenath 2017),
 
     (psi(phi_T(x, u)) - psi(x)) / T + alpha(psi(x)) >= 0,
 
@@ -15,6 +15,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import groupby
+from operator import attrgetter
 
 import torch
 from torch import Tensor
@@ -41,7 +42,7 @@ class Rows:
     Attributes:
         psi: (R, B) Psi_1 where the relative degree is two, else the barrier.
         a: (R, 3, B); b: (R, B) with margins; b_bare: (R, B) without.
-        waived: (R, B) by how much b_bare asks for less than the condition does, see `ActuatorGroup.attainable`.
+        waived: (R, B) by how much b_bare asks for less than the condition does, see `attainable`.
         h: (constraints, B) values without margin, exact; where the smallest row is h, at the moments of the rows.
     """
 
@@ -87,7 +88,7 @@ class ActuatorGroup:
         self.controls = ACTUATORS[actuator]
         self.limit = c.control_limit[self.controls.start]
         own = [each for each in constraints if each.actuator == actuator]
-        self.constraints = sorted(own, key=is_coupled)  # in the order of their rows
+        self.constraints = sorted(own, key=attrgetter("coupled"))  # in the order of their rows
         self.names = tuple(each.name for each in self.constraints)
         self.of_row = [each for each in self.constraints for _ in range(each.rows)]
         self.weights = [
@@ -154,25 +155,29 @@ class ActuatorGroup:
         limit = torch.full_like(x[:3], self.limit) if limit is None else limit
         if self.kind == "sampled":
             control = torch.zeros_like(x[:CONTROL_SIZE]) if control is None else control
-            rows_of = partial(self.sampled, x, self.near(x, control))
+            rows_of = partial(self.sampled_rows, x, self.near(x, control))
         else:
-            rows_of = partial(self.paper, x)
+            rows_of = partial(self.continuous_rows, x)
         # the constraints that only this group changes, then those that the other one changes, too
-        parts = [rows_of(list(own), coupled) for coupled, own in groupby(self.constraints, is_coupled)]
+        parts = [
+            rows_of(list(own), coupled) for coupled, own in groupby(self.constraints, attrgetter("coupled"))
+        ]
         return self.attainable(
             Rows(*(torch.cat([getattr(part, name) for part in parts]) for name in vars(parts[0]))), limit
         )
 
-    def paper(self, x: Tensor, constraints: Sequence[Constraint], coupled: bool) -> Rows:
+    def continuous_rows(self, x: Tensor, constraints: Sequence[Constraint], coupled: bool) -> Rows:
         """BC: L_f psi + L_g psi u + alpha(psi) >= 0, less what psi can lose and the worst that others can do."""
         c, r = self.c, self.r
         g = control_matrix(half_a_period_ahead(x, r.period, c), c)
         along = g if coupled else g[:, self.controls]
         psi, lf, a = lie_derivatives(self.psi_at(x, constraints), x, drift(x, c), along)
-        loss = torch.stack([each.loss_at(x) for each in constraints for _ in range(each.rows)])
+        loss = torch.stack([each.intersample_drop_at(x) for each in constraints for _ in range(each.rows)])
         return self.conditions(x, constraints, psi, lf, a, loss)
 
-    def sampled(self, x: Tensor, control: Tensor, constraints: Sequence[Constraint], coupled: bool) -> Rows:
+    def sampled_rows(
+        self, x: Tensor, control: Tensor, constraints: Sequence[Constraint], coupled: bool
+    ) -> Rows:
         """The tangent, at controls (6, B) that are held for T, of (psi(phi_T(x, u)) - psi(x)) / T + alpha(psi(x)) >= 0.
 
         The rate at no control and its slopes by the controls take the places of L_f psi and L_g psi.
@@ -266,9 +271,9 @@ class ActuatorGroup:
             most = a.abs() * x.new_tensor(self.c.control_limit)[:, None]
             a = a[:, self.controls]
             loss = loss + (most.sum(1) - most[:, self.controls].sum(1))
-        gain, margin, inside = self.alpha(psi, [each for each in constraints for _ in range(each.rows)])
+        gain, margin, psi1_margin = self.alpha(psi, [each for each in constraints for _ in range(each.rows)])
         h = self.reported(x, constraints, psi)
-        b, b_bare = rate + gain * (psi - margin) - loss, rate + gain * (psi + inside) - loss
+        b, b_bare = rate + gain * (psi - margin) - loss, rate + gain * (psi + psi1_margin) - loss
         return Rows(psi, a, b, b_bare, torch.zeros_like(b), h)
 
     def near(self, x: Tensor, control: Tensor) -> Tensor:
@@ -285,19 +290,20 @@ class ActuatorGroup:
         return torch.cat((control[THRUST], torque))
 
     def alpha(self, psi: Tensor, rows: Sequence[Constraint]) -> tuple[Tensor, Tensor, Tensor]:
-        """Of rows (R, B): the gain of alpha(psi) = gain psi, what margin takes off psi, and what it took off before.
-
-        The margin of a constraint of relative degree two stands in Psi_1, of which it takes k1 times as much.
+        """Per row: class-K gain (capped at 0.5/T), margin subtracted at degree one, k1 * margin contained in Psi_1 at
+        degree two.
         """
 
         def fixed(values: list[float]) -> Tensor:
             return psi.new_tensor(values)[:, None]
 
         margin = fixed([each.margin if each.degree == 1 else 0.0 for each in rows])
-        inside = fixed([self.gain(each.gains[0]) * each.margin if each.degree == 2 else 0.0 for each in rows])
+        psi1_margin = fixed(
+            [self.gain(each.gains[0]) * each.margin if each.degree == 2 else 0.0 for each in rows]
+        )
         gain = fixed([self.gain(each.gains[-1]) for each in rows])
         gain = gain * (1 + (psi / fixed([each.doubling for each in rows])) ** 2)
-        return gain.clamp(max=self.gain(float("inf"))), margin, inside
+        return gain.clamp(max=self.gain(float("inf"))), margin, psi1_margin
 
     @staticmethod
     def reported(x: Tensor, constraints: Sequence[Constraint], psi: Tensor) -> Tensor:
@@ -320,7 +326,7 @@ class ActuatorGroup:
 
         A row without slack may ask for all of the latter: 1 N may be too late to stay clear of the chief.
 
-        What a row no longer asks for is `waived`, and counts as slack where the control does not give it.
+        What a row no longer asks for is its `waived`, and counts as slack where the control does not give it.
 
         Args:
             limit: (3, B) of the actuators, what is there of it, in N or N m.
@@ -375,7 +381,11 @@ class ActuatorGroup:
         f, g = drift(x, self.c), control_matrix(x, self.c)
         for each in constraints:
             check(each, x)
-            _, _, at_once = lie_derivatives(partial(alone, each.h), x, f, g)
+
+            def row(y: Tensor, each: Constraint = each) -> Tensor:
+                return each.h(y)[None]
+
+            _, _, at_once = lie_derivatives(row, x, f, g)
             _, _, at_last = lie_derivatives(self.psi_at(x, [each]), x, f, g)
             if not (at_once.isfinite().all() and at_last.isfinite().all()):
                 raise ValueError(f"{each.name}: a derivative of h is not finite: must be at every state")
@@ -397,16 +407,6 @@ def deviations(x: Tensor) -> tuple[Tensor, ...]:
     turned = torch.zeros_like(x)[:, None].repeat(1, 3, 1)
     turned[Q] = torch.stack(quaternion_rate(x[Q, None].unbind(), found[2][OMEGA].unbind()))
     return found[0], found[1], turned, found[2]
-
-
-def is_coupled(each: Constraint) -> bool:
-    """Whether the other group's controls change a constraint."""
-    return each.coupled
-
-
-def alone(h: Function, x: Tensor) -> Tensor:
-    """h as the only one of several: states (16, ...) to (1, ...)."""
-    return h(x)[None]
 
 
 def half_a_period_ahead(x: Tensor, period: float, c: Limits) -> Tensor:

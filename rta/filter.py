@@ -204,7 +204,8 @@ class SafetyFilter:
             self._is_compiled = True
             return
         compiled = [
-            Compiled(run, *given, batch=batch) for run, given in self.propose.parts(*self.probe(device))
+            Compiled(run, *given, batch=batch)
+            for run, given in self.propose.batch_functions(*self.probe(device))
         ]
         rows = max(len(group.weights) for group in self.groups)
         counts = [rows, 2 * rows] if self.is_sampled else [rows]  # sampled ones twice
@@ -284,7 +285,7 @@ class SafetyFilter:
         Args:
             x: states (16, B), float64.
             desired: controls (6, B) in N and N m, float64, beyond the actuators' limits, too. Thrust or torque of
-                which a number is NaN is read as no wish, zero, and filtered.
+                which a number is NaN counts as zero, and is filtered.
             sent: (k, 6, B) the controls held since the states were measured, the oldest first, each for a period; NaN
                 where a state is younger. Of more than `latency` (0 without `Uncertainty`) the state is too old: the
                 status is UNSOLVED, and the control is not verified.

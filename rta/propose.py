@@ -1,4 +1,4 @@
-"""What a call proposes: controls of both actuator groups that satisfy their rows, or come as near to it as can be.
+"""Proposes controls of both actuator groups that satisfy their rows, or come as near to it as can be.
 
 The state is predicted where it is old, and thrusters are asked for what they give. Torque comes before thrust, since
 the attitude decides where thrust acts: thrust's sampled rows are with the torque that was found.
@@ -20,23 +20,23 @@ from rta.bounds.uncertainty import Uncertainty
 from rta.constraints.constraint import ACTUATORS, Constraint, joined
 from rta.parameters import RtaParameters
 from rta.qp.programs import ENDLESS, LARGEST_DEMAND, Solver, Status, pick, put
-from rta.qp.scaled import Prepared, answered, prepared, problems, shortfall, with_shortfall
+from rta.qp.scaled import ScaledRows, from_qp, scale_rows, shortfall, to_qp, with_shortfall
 from rta.result import FilterResult
 
-IN_TURN = 1, 0  # of the groups
+TORQUE_THEN_THRUST = 1, 0  # of the groups
 
 
 class Demand(NamedTuple):
     """What is filtered.
 
     Attributes:
-        wish: (6, B) what is projected of what is desired: any size up to LARGEST_DEMAND limits, zero for NaN.
-        control: (6, B) the wish clipped to the actuators' limits. If it satisfies every row this is the projection:
-            none that is permitted is nearer to the wish.
+        projected: (6, B) the desired control as it is projected: up to LARGEST_DEMAND limits large, zero for NaN.
+        control: (6, B) that clipped to the actuators' limits. If it satisfies every row it is the projection: none
+            that is permitted is nearer.
         status: (2, B) of each group: HARD where that is not desired.
     """
 
-    wish: Tensor
+    projected: Tensor
     control: Tensor
     status: Tensor
 
@@ -63,11 +63,11 @@ class Found(NamedTuple):
 
 # Of a group, its rows at the desired control, what is projected (3, B), that control, and the share (3, B) that its
 # actuators give, or None.
-Settle = Callable[[ActuatorGroup, Prepared, Tensor, Found, Tensor | None], Found]
+SolveGroup = Callable[[ActuatorGroup, ScaledRows, Tensor, Found, Tensor | None], Found]
 # What is computed for every spacecraft, compiled or not: a group's rows at states (16, B) and controls (6, B), and,
 # with health, what is left of actuators (6, B); or a prediction.
-Run = Callable[..., list[Tensor]]
-Part = tuple[Run, tuple[Tensor, ...]]  # with an example of what it is given
+BatchFunction = Callable[..., list[Tensor]]
+ExampleCall = tuple[BatchFunction, tuple[Tensor, ...]]  # with an example of what it is given
 
 
 class Propose:
@@ -93,25 +93,25 @@ class Propose:
             ActuatorGroup(by, constraints, c, r, uncertainty, each)
             for by, each in zip(ACTUATORS, checked, strict=True)
         )
-        self.rows_of: Sequence[Run] = [partial(self.rows, group) for group in self.groups]
-        self.ahead: Run = self.predict
+        self.rows_of: Sequence[BatchFunction] = [partial(self.rows, group) for group in self.groups]
+        self.predictor: BatchFunction = self.predict
 
-    def parts(self, x: Tensor, u: Tensor) -> list[Part]:
+    def batch_functions(self, x: Tensor, u: Tensor) -> list[ExampleCall]:
         """Each group's rows and, where a state may be old, `predict`; given a state (16, 1) and a control (6, 1)."""
         left = (torch.ones_like(u),) if self.uncertainty.health else ()
-        rows: list[Part] = [(partial(self.rows, group), (x, u, *left)) for group in self.groups]
-        ahead: list[Part] = [(self.predict, (x, torch.zeros_like(x[:KINDS]), u))]
-        return (rows if self.kind != "none" else []) + (ahead if self.uncertainty.latency else [])
+        rows: list[ExampleCall] = [(partial(self.rows, group), (x, u, *left)) for group in self.groups]
+        prediction: list[ExampleCall] = [(self.predict, (x, torch.zeros_like(x[:KINDS]), u))]
+        return (rows if self.kind != "none" else []) + (prediction if self.uncertainty.latency else [])
 
-    def use(self, functions: Sequence[Run]) -> None:
-        """Takes the functions of `parts`, compiled, in their place."""
+    def use(self, functions: Sequence[BatchFunction]) -> None:
+        """Takes the functions of `batch_functions`, compiled, in their place."""
         self.rows_of = functions[:2] if self.kind != "none" else self.rows_of
-        self.ahead = functions[-1] if self.uncertainty.latency else self.ahead
+        self.predictor = functions[-1] if self.uncertainty.latency else self.predictor
 
     @staticmethod
     def rows(group: ActuatorGroup, *given: Tensor) -> list[Tensor]:
-        """`prepared`."""
-        return list(prepared(group, *given))
+        """Computes `scale_rows` as a list, which compiled functions return."""
+        return list(scale_rows(group, *given))
 
     def predict(self, x: Tensor, error_bound: Tensor, u: Tensor) -> list[Tensor]:
         """`predicted` by the filter's model, of states (16, B) and (4, B) under controls (6, B)."""
@@ -129,8 +129,8 @@ class Propose:
         left = (torch.ones_like(desired) if left is None else left) if self.uncertainty.health else None
         error_bound = torch.zeros_like(x[:KINDS])
         for u in () if sent is None else sent:
-            x, error_bound = self.ahead(x, error_bound, u if left is None else left * u)
-        control, found = self.in_turn(x, desired, left, self.rows_of, partial(solved, solver))
+            x, error_bound = self.predictor(x, error_bound, u if left is None else left * u)
+        control, found = self.torque_then_thrust(x, desired, left, self.rows_of, partial(solved, solver))
         status, no = torch.stack([each.status for each in found]), torch.zeros_like(x[0], dtype=torch.bool)
         return (
             x,
@@ -148,13 +148,13 @@ class Propose:
             ),
         )
 
-    def in_turn(
+    def torque_then_thrust(
         self,
         x: Tensor,
         desired: Tensor,
         left: Tensor | None,
-        rows_of: Sequence[Run],
-        settle: Settle,
+        rows_of: Sequence[BatchFunction],
+        solve_group: SolveGroup,
     ) -> tuple[Tensor, list[Found]]:
         """Controls (6, B) at predicted states (16, B), and what is found for each group, thrust first.
 
@@ -164,15 +164,16 @@ class Propose:
         """
         demand = self.demand(x, desired, left)
         control, both = demand.control, {}
-        for i in IN_TURN:
+        for i in TORQUE_THEN_THRUST:
             group, own = self.groups[i], self.groups[i].controls
             if self.kind == "none":
-                found = unless_lost(x, Found.as_desired(control[own], demand.status[i], group.values(x)))
+                found = Found.as_desired(control[own], demand.status[i], group.values(x))
+                found = zero_if_not_finite(x, found)
             else:
                 more, share = ([], None) if left is None else ([left], left[own])
-                rows = Prepared(*rows_of[i](x, control, *more))
+                rows = ScaledRows(*rows_of[i](x, control, *more))
                 found = Found.as_desired(control[own], demand.status[i], rows.h)
-                found = settle(group, rows, demand.wish[own], found, share)
+                found = solve_group(group, rows, demand.projected[own], found, share)
                 slack = found.slack.maximum(
                     shortfall(group, rows, found.control if share is None else share * found.control)
                 )
@@ -193,22 +194,22 @@ class Propose:
         if left is not None:
             control[TORQUE] = slewing(x, control[TORQUE], left, self.c, self.r, self.uncertainty)
         changed = differ(control, demand.control, self.groups)
-        wish = torch.where(changed.repeat_interleave(3, 0), control, demand.wish)
-        return Demand(wish, control, torch.where(changed, Status.HARD, demand.status))
+        projected = torch.where(changed.repeat_interleave(3, 0), control, demand.projected)
+        return Demand(projected, control, torch.where(changed, Status.HARD, demand.status))
 
 
 def demanded(desired: Tensor, groups: Sequence[ActuatorGroup]) -> Demand:
-    """What is filtered where controls (6, B) are desired; thrust or torque of which a number is NaN is no wish."""
-    wishes, controls = [], []
+    """What is filtered where controls (6, B) are desired; thrust or torque of which a number is NaN counts as zero."""
+    parts, controls = [], []
     for each in groups:
         part = desired[each.controls]
         part = torch.where(part.isnan().any(0), 0.0, part).clamp(-ENDLESS, ENDLESS)
         times = part.abs().amax(0) / each.limit
-        wishes.append(part * (LARGEST_DEMAND / times.clamp(min=LARGEST_DEMAND)))
-        controls.append(wishes[-1].clamp(-each.limit, each.limit))
+        parts.append(part * (LARGEST_DEMAND / times.clamp(min=LARGEST_DEMAND)))
+        controls.append(parts[-1].clamp(-each.limit, each.limit))
     control = torch.cat(controls)
     status = torch.where(differ(control, desired, groups), Status.HARD, Status.UNTOUCHED)
-    return Demand(torch.cat(wishes), control, status)
+    return Demand(torch.cat(parts), control, status)
 
 
 def differ(one: Tensor, other: Tensor, groups: Sequence[ActuatorGroup]) -> Tensor:
@@ -221,8 +222,8 @@ def with_own(control: Tensor, group: ActuatorGroup, own: Tensor) -> Tensor:
     return torch.cat((own, control[TORQUE]) if group.controls == THRUST else (control[THRUST], own))
 
 
-def unless_lost(x: Tensor, found: Found) -> Found:
-    """What is found without a program: nothing is done in a state (16, B) that is none."""
+def zero_if_not_finite(x: Tensor, found: Found) -> Found:
+    """Replaces controls at states (16, B) that are not finite by zero, UNSOLVED."""
     lost = ~x.isfinite().all(0)
     control, status = (
         torch.where(lost, nothing, part)
@@ -232,17 +233,22 @@ def unless_lost(x: Tensor, found: Found) -> Found:
 
 
 def solved(
-    solver: Solver, group: ActuatorGroup, rows: Prepared, wish: Tensor, found: Found, share: Tensor | None
+    solver: Solver,
+    group: ActuatorGroup,
+    rows: ScaledRows,
+    projected: Tensor,
+    found: Found,
+    share: Tensor | None,
 ) -> Found:
-    """What a solver finds, as `Settle`: the answers to the programs of those whose desired control breaks a row."""
+    """Solves the programs of a group where the desired control breaks a row, as `SolveGroup`."""
     unsafe = torch.nonzero(~(rows.lowest[0] >= 0.0)).flatten()  # NaN must not pass
     if not unsafe.numel():
         return found
-    broken = Prepared(*(pick(field, unsafe) for field in rows))
+    broken = ScaledRows(*(pick(field, unsafe) for field in rows))
     share = None if share is None else pick(share, unsafe)
-    asked = problems(group, broken, pick(wish, unsafe) / group.limit, share)
+    asked = to_qp(group, broken, pick(projected, unsafe) / group.limit, share)
     answer = solver.solve(asked)
-    active, slack = answered(group, asked, broken.length, answer.control, answer.status)
+    active, slack = from_qp(group, asked, broken.length, answer.control, answer.status)
     found = Found(*(part.clone() for part in found))
     for whole, part in (
         (found.control, answer.control * group.limit),

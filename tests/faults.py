@@ -310,7 +310,7 @@ CONDITIONS = [
         "rta/propose.py",
         "rta/test_propose.py",
         ("found = found._replace(control=self.uncertainty.quantised(found.control, group.limit))", "pass"),
-        ("found = unless_lost(x, Found", "found = (Found"),
+        ("found = zero_if_not_finite(x, found)", "pass"),
     ),
     *faults(
         "rta/propose.py",
@@ -368,7 +368,7 @@ CHECK = [
     *faults(
         "rta/backup/motion_law.py",
         "rta/backup/test_motion_law.py",
-        ("straight = -off / amiss", "straight = off / amiss"),
+        ("straight = -off / speed_error", "straight = off / speed_error"),
         ("left = 2.0 * acceleration - (mean * body).sum(1)", "left = acceleration"),
         ("needed = SURPLUS * (tangential**2 / distance + radial", "needed = SURPLUS * (radial"),
     ),
@@ -384,8 +384,8 @@ CHECK = [
     *faults(
         "rta/backup/flight.py",
         "rta/backup/test_flight.py",
-        ("- torch.minimum(curved, astray)", ""),
-        ("torch.minimum(*temperature) - slopes * astray", "torch.minimum(*temperature)"),
+        ("- torch.minimum(curved, swept)", ""),
+        ("torch.minimum(*temperature) - slopes * swept", "torch.minimum(*temperature)"),
         ("step(states[-1], u, w.seconds, w.c)", "step(states[-1], u, 0.99 * w.seconds, w.c)"),
     ),
     *faults(
@@ -436,14 +436,14 @@ CHECK = [
         ("put(changed[0], columns, ~again & can)", "put(changed[0], columns, again & can)"),
     ),
     *faults(
-        "rta/backup/chords.py",
-        "rta/backup/test_chords.py",
+        "rta/backup/intersample_bounds.py",
+        "rta/backup/test_intersample_bounds.py",
         ("/ 8 + e_v + fastest * e_p / nearest", "/ 8 + fastest * e_p / nearest"),
         ("a - e_p - c.collision_radius) + r)", "a - c.collision_radius) + r)"),
         ("free.velocity * times[1] * e_v", "free.velocity * times[0] * e_v"),
     ),
     *faults(
-        "rta/backup/chords.py",
+        "rta/backup/intersample_bounds.py",
         "rta/backup/test_beside_hull.py -k strays",
         ("above_planes() - e_v if", "above_planes() if"),
         ("planes.above(y[P][:, None]) - e_p)", "planes.above(y[P][:, None]))"),
@@ -455,8 +455,8 @@ CHECK = [
         (".intersections, axis=1).max()", ".intersections, axis=1).mean()"),
     ),
     *faults(
-        "rta/backup/cone.py",
-        "rta/backup/test_cone.py",
+        "rta/backup/error_tube.py",
+        "rta/backup/test_error_tube.py",
         (
             "braking(c.max_distance - b) - radial - outwards",
             "braking(c.max_distance - b) - radial + outwards",

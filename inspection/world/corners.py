@@ -1,7 +1,8 @@
-"""Worlds at their corners: who says, call by call, at which end of its bounds each error is.
+"""Vertices of the error box: who says, call by call, at which end of its bounds each error is.
 
-A corner is (19, B) bool: which of the sensors' errors along the 12 axes of position, velocity, attitude and rate are
-positive, which gains of the six actuators are at their upper end, and last, whether the call is missed.
+A corner is a vertex of the box of all errors, (19, B) bool: which of the sensors' errors along the 12 axes of position,
+velocity, attitude and rate are positive, which gains of the six actuators are at their upper end, and last, whether the
+call is missed.
 """
 
 from typing import Protocol

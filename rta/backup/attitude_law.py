@@ -22,7 +22,7 @@ from inspection.model.dynamics import euler, sun_and_earth_in_body
 from inspection.model.parameters import AXES, Limits
 from inspection.model.state import OMEGA, Q
 
-FARTHEST = 0.175  # rad, that the law turns in a hold: a fast turn leads thrust that is held astray
+FARTHEST = 0.175  # rad, that the law turns in a hold: a fast turn misdirects thrust that is held
 PER_HOLD = 0.75  # of an angle that is left, that a hold takes away at most
 
 
@@ -78,8 +78,8 @@ def upright(x: Tensor, d: Tensor, s: Tensor) -> Tensor:
     return z - dot(d, z) / (1.0 + dot(d, s)).clamp(min=1e-9) * (s + d)
 
 
-def astray(x: Tensor, c: Limits) -> tuple[Tensor, Tensor, Tensor]:
-    """How far states (16, ...) are from the attitude of rest.
+def rest_deviation(x: Tensor, c: Limits) -> tuple[Tensor, Tensor, Tensor]:
+    """Returns the deviation of states (16, ...) from the attitude of rest.
 
     Returns:
         d x s (3, ...); the sine of the roll that is left about d, to the nearer of z and -z, and cos(delta), (...).
@@ -94,7 +94,7 @@ def astray(x: Tensor, c: Limits) -> tuple[Tensor, Tensor, Tensor]:
 def wanted(x: Tensor, w: Pointing) -> Tensor:
     """The law: omega (3, ...) in rad/s at the end of a hold, for states (16, ...)."""
     d = vector(w.c.solar_panel_axis, x)
-    axis, off, cosine = astray(x, w.c)
+    axis, off, cosine = rest_deviation(x, w.c)
     sine = norm(axis)
     roll = (w.kappa * off).clamp(-w.roll, w.roll) * (4.0 * cosine).clamp(0.0, 1.0)
     middle = axis - (roll * w.hold / 2) * across(d, axis)  # as the body has rolled in the middle of the hold

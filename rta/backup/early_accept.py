@@ -15,8 +15,8 @@ from inspection.model.attitude import norm
 from inspection.model.dynamics import sun_and_earth_in_body, temperature_rate
 from inspection.model.state import OMEGA, E, P, T, V
 from rta.backup.attitude_law import Pointing
-from rta.backup.chords import FreeFlight, Strays, between
 from rta.backup.flight import Flight, incidence
+from rta.backup.intersample_bounds import FreeFlight, Strays, between
 from rta.backup.motion_law import BESIDE, DRIFT, INSIDE, STEEP, Braking
 from rta.backup.terminal import TerminalSet
 
@@ -88,7 +88,7 @@ class EarlyAccept:
 
         Place and speed lie on one parabola until the last hold, and on another in it. From the chord they are at most
         as far as the parabolas are from theirs, (v - s)^2 / (8 a) and s T / 8, and as the point where they meet. A hold
-        leaves astray |G| T of velocity, which none that follows makes larger.
+        leaves mean_error |G| T of velocity, which none that follows makes larger.
         """
         c, w, n = self.pointing.c, self.braking, self.pointing.c.mean_motion
         p, v, t = x[P], x[V], w.hold
@@ -109,7 +109,10 @@ class EarlyAccept:
         fields = (far - length / 2 < BESIDE * c.collision_radius + DRIFT / STEEP + 1.0) | (
             far + length / 2 > c.max_distance - INSIDE - DRIFT / STEEP - 1.0
         )
-        e_v = holds * w.astray * w.thrust * t + (push * turn + 2 * n * w.thrust + 3 * n**2 * speed) * t**2 / 8
+        e_v = (
+            holds * w.mean_error * w.thrust * t
+            + (push * turn + 2 * n * w.thrust + 3 * n**2 * speed) * t**2 / 8
+        )
         e_v = e_v + torch.where(fields, DRIFT, torch.zeros_like(speed))
         e_p = e_v * (holds * t + self.arrives * torch.where(fields, 1.0, torch.full_like(speed, 0.05)))
         limits = between(start, rest, Strays(e_p + sag, e_v, e_v), c, self.free)

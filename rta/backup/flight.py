@@ -19,7 +19,7 @@ from inspection.model.dynamics import (
 )
 from inspection.model.parameters import Limits
 from inspection.model.state import OMEGA, THRUST, TORQUE, E, Q, T, V
-from rta.backup.chords import FreeFlight, between, strays
+from rta.backup.intersample_bounds import FreeFlight, between, strays
 
 LOOK = 3.5  # s, between two looks at motion at most
 # Cells of passive safety's horizon, and searches in each, see `FreeFlight`. In C they are looped over, so that no other
@@ -135,8 +135,8 @@ def attitude_between(start: Tensor, end: Tensor, u: Tensor, t: float, w: Flight)
         warm = c.temperature_sun_slope * lit + c.temperature_earth_slope * facing
         temperature.append(c.max_temperature - x[T] - warm)
         energy.append(x[E] - c.min_energy - c.energy_sun_slope * incidence(c.solar_panel_axis, sun))
-    nearest, astray = torch.minimum(*angle), turn * t / 2
-    curved = (faster + turn**2 * (0.5 + 1.0 / (nearest - astray).clamp(1e-3, FLAT).tan())) * t**2 / 8
+    nearest, swept = torch.minimum(*angle), turn * t / 2
+    curved = (faster + turn**2 * (0.5 + 1.0 / (nearest - swept).clamp(1e-3, FLAT).tan())) * t**2 / 8
     slopes = c.temperature_sun_slope + c.temperature_earth_slope + w.heating * t
     room = torch.full_like(nearest, math.inf)  # of the rates, where the plant holds them
     if not c.saturate_rates:
@@ -144,9 +144,9 @@ def attitude_between(start: Tensor, end: Tensor, u: Tensor, t: float, w: Flight)
         room = c.max_rate - torch.maximum(start[OMEGA].abs(), end[OMEGA].abs()).amax(0) - bent
     return torch.stack(
         (
-            nearest - c.field_of_view / 2 - c.exclusion_buffer - torch.minimum(curved, astray),
-            torch.minimum(*temperature) - slopes * astray,
-            torch.minimum(*energy) - (c.energy_sun_slope + w.charging * t) * astray,
+            nearest - c.field_of_view / 2 - c.exclusion_buffer - torch.minimum(curved, swept),
+            torch.minimum(*temperature) - slopes * swept,
+            torch.minimum(*energy) - (c.energy_sun_slope + w.charging * t) * swept,
             room,
         )
     )

@@ -42,7 +42,7 @@ class Braking:
 
     Attributes:
         hold: T in s; thrust: the largest |G|; straight: a, both in m/s^2.
-        astray: share of |G| by which the mean over a hold differs from the one wanted.
+        mean_error: share of |G| by which the mean over a hold differs from the one wanted.
         buffer: m, of the zone, for how far a path strays in a hold.
         fastest: m/s, that the limits allow anywhere.
     """
@@ -51,7 +51,7 @@ class Braking:
     hold: float
     thrust: float
     straight: float
-    astray: float
+    mean_error: float
     buffer: float
     fastest: float
 
@@ -61,13 +61,13 @@ class Braking:
         half = math.sqrt(3.0) * c.max_rate * hold / 2
         quickening = math.sqrt(3.0) * min(c.max_torque / min(c.inertia), 2 * c.max_rate / hold)
         off_mean = half**2 / 6 + quickening * hold**2 / 24  # |1 - M R_m'|, see `thrust_along`
-        astray = off_mean**2 + (c.mean_motion * hold) ** 2
+        mean_error = off_mean**2 + (c.mean_motion * hold) ** 2
         fastest = min(c.docking_speed + c.speed_slope * c.max_distance, math.sqrt(3.0) * c.max_speed)
         thrust = c.max_thrust / c.mass / (1 + off_mean)
         straight = thrust - c.largest_drift(c.max_distance, fastest)
         turn = slewing + 4 * c.mean_motion
         buffer = straight * hold**2 / 4 + fastest * turn * hold**2 / 12
-        return cls(c, hold, thrust, straight, astray, buffer, fastest)
+        return cls(c, hold, thrust, straight, mean_error, buffer, fastest)
 
 
 def field(p: Tensor, c: Limits) -> Tensor:
@@ -85,8 +85,8 @@ def planned(p: Tensor, v: Tensor, theta_s: Tensor, w: Braking) -> Tensor:
     """The law: G (3, ...) in m/s^2 in Hill's frame, at positions and velocities (3, ...) and the Sun's angle."""
     c, t = w.c, w.hold
     off = v - field(p, c)
-    amiss = norm(off)
-    straight = -off / amiss.clamp(min=1e-30) * (amiss / t).clamp(max=w.straight)
+    speed_error = norm(off)
+    straight = -off / speed_error.clamp(min=1e-30) * (speed_error / t).clamp(max=w.straight)
     middle = p + t / 2 * v
     theta = sun_angle_after(theta_s, t / 2, c)
 

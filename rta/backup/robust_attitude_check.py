@@ -1,6 +1,6 @@
 """The backup trajectory of torque with error bounds, to rest.
 
-The law is that of `rta.backup.attitude_law` in a form that errors do not lead astray: Lipschitz in the attitude, with
+The law is that of `rta.backup.attitude_law` in a form that is robust to errors: Lipschitz in the attitude, with
 one place of rest, slow enough to be followed. With d the panels' axis, s the direction to the Sun and w the body's rate
 relative to the Sun it asks for
 
@@ -24,8 +24,8 @@ from inspection.model.attitude import dot, norm, rotation_matrix
 from inspection.model.dynamics import euler, step, sun_and_earth_in_body, temperature_rate
 from inspection.model.state import OMEGA, TORQUE, E, Q, T
 from rta.backup.attitude_law import across, upright, vector
-from rta.backup.chords import lowest
 from rta.backup.flight import attitude_between, incidence
+from rta.backup.intersample_bounds import lowest
 from rta.backup.robust_attitude_constants import (
     BEGINS,
     FULL,
@@ -129,7 +129,7 @@ def followed(start: Start, w: AttitudeConstants) -> Followed:
     """Bounds of the error of the law's rates, call by call, whichever calls are missed.
 
     In a hold from a call at which an error is z_i it is at most |1 - b| |z_i| + b e + F t with b between g t / tau and
-    G t / tau: e is what is measured amiss, F what the model does not know and how the law's rates change.
+    G t / tau: e is the measurement's error, F what the model does not know and how the law's rates change.
     """
     steps = math.ceil(LOOKAHEAD / (w.slowest * w.period))
     limit, long = w.c.max_rate + w.unknown, w.hold_periods * w.period
@@ -159,13 +159,18 @@ def followed(start: Start, w: AttitudeConstants) -> Followed:
         first = max(i - calls - w.hold_periods + 1, 0 if i >= calls else -1) if calls else i - 1
         ago = slice(first + 1, i + 1) if calls else slice(0, 1)
 
-        def amiss(commands: list[Tensor], unknowns: list[Tensor], ago: slice = ago) -> tuple[Tensor, Tensor]:
+        def measurement_error(
+            commands: list[Tensor], unknowns: list[Tensor], ago: slice = ago
+        ) -> tuple[Tensor, Tensor]:
             """rad/s and rad, what is measured of one axis is off by at most."""
             off = w.share * maximum(commands[ago]) + maximum(unknowns[ago])
             angle = w.attitude + w.lag * w.noise + off * (w.lag**2 / 2)
             return w.noise + w.unknown * ROOT2 * angle + w.lag * off, angle
 
-        (e, angle), (e_d, angle_d) = amiss(commands[0], unknowns[0]), amiss(commands[1], unknowns[1])
+        (e, angle), (e_d, angle_d) = (
+            measurement_error(commands[0], unknowns[0]),
+            measurement_error(commands[1], unknowns[1]),
+        )
         e = e + w.kappa * torch.maximum(angle, angle_d) * ROOT3
         high = overshot(z, e)
         fast = overshot(rolling, roll + e_d) + e_d + most * long
@@ -308,15 +313,17 @@ def hold_bounds(x: Tensor, u: Tensor, error_bound: Tensor, w: AttitudeConstants)
         least = attitude_between(y, z, u, t, w.look)
         later = rate + faster * seconds
         wider = angle + ROOT3 * (rate * seconds + faster * seconds**2 / 2)
-        astray = wider * (w.lag + seconds)
+        light_error = wider * (w.lag + seconds)
         parts += [
             least[0] - wider,
-            least[1] - slopes * wider - w.look.heating * astray,
-            least[2] - c.energy_sun_slope * wider - w.look.charging * astray,
+            least[1] - slopes * wider - w.look.heating * light_error,
+            least[2] - c.energy_sun_slope * wider - w.look.charging * light_error,
             room(z, wider, later, w) - w.look.gyroscopic * t / 2,
         ]
         if i % looks == 0:
-            spread = Spread(wider, later, w.look.heating * astray, w.look.charging * astray, command)
+            spread = Spread(
+                wider, later, w.look.heating * light_error, w.look.charging * light_error, command
+            )
             ends.append(beginning(z, spread, w))
         y = z
     return lowest(torch.stack(parts)), Start.any_of(ends)
@@ -337,11 +344,11 @@ def room(x: Tensor, angle: Tensor, rate: Tensor, w: AttitudeConstants) -> Tensor
     return w.c.max_rate - omega - rate
 
 
-def within(x: Tensor, angle: Tensor, rate: Tensor, astray: Tensor, w: AttitudeConstants) -> list[Tensor]:
+def within(x: Tensor, angle: Tensor, rate: Tensor, light_error: Tensor, w: AttitudeConstants) -> list[Tensor]:
     """By how much exclusion, temperature, battery and rates of states (16, B) are kept at most.
 
     Each where the states may be off by so many rad and rad/s, and heat and charge by what light that is off does in
-    `astray` rad s.
+    `light_error` rad s.
     """
     c = w.c
     sun, earth = sun_and_earth_in_body(x)
@@ -350,11 +357,11 @@ def within(x: Tensor, angle: Tensor, rate: Tensor, astray: Tensor, w: AttitudeCo
     slopes = c.temperature_sun_slope + c.temperature_earth_slope
     return [
         incidence("+x", sun) - c.field_of_view / 2 - c.exclusion_buffer + angle,
-        c.max_temperature - x[T] - warm + slopes * angle + w.look.heating * astray,
+        c.max_temperature - x[T] - warm + slopes * angle + w.look.heating * light_error,
         x[E]
         - c.min_energy
         - c.energy_sun_slope * (incidence(c.solar_panel_axis, sun) - angle)
-        + w.look.charging * astray,
+        + w.look.charging * light_error,
         room(x, -angle, -rate, w),
     ]
 

@@ -117,7 +117,7 @@ class AttitudeConstants:
             1.0 / math.tan(SATURATED),
         )  # fmt: skip
         at_first = c.max_torque / min(c.inertia)
-        amiss, angle = w.measured(at_first, w.worst)
+        rate_error, angle = w.measured(at_first, w.worst)
         excluded = c.field_of_view / 2 + c.exclusion_buffer
         over = max(w.fastest * hold_periods * period, 1.0)
         rates = (
@@ -126,7 +126,7 @@ class AttitudeConstants:
             / over,  # and does not overshoot the other one
             tau * strongest - c.max_rate,  # torque is never at its limit
         )
-        rate = min(min(rates) - n - amiss, math.sin(SATURATED) * w.kappa)
+        rate = min(min(rates) - n - rate_error, math.sin(SATURATED) * w.kappa)
         if rate <= 0.0:
             raise NoRestError("the body rates")
         w = replace(

@@ -1,7 +1,7 @@
 """Checks thrust with error bounds: from every state within them, while it is held, and on the backup trajectory.
 
-A backup trajectory (`rta.backup.cone`) has to begin at every call that may end the hold (docs/reference/proof.md, *With
-bounds: motion*).
+A backup trajectory (`rta.backup.error_tube`) has to begin at every call that may end the hold (docs/reference/proof.md,
+*With bounds: motion*).
 """
 
 from collections.abc import Callable
@@ -12,8 +12,8 @@ from torch import Tensor
 
 from inspection.model.attitude import norm, rotate
 from inspection.model.state import THRUST, P, Q, V
-from rta.backup.chords import lowest, strays
-from rta.backup.cone import Node, between, trajectory_margin
+from rta.backup.error_tube import Node, between, trajectory_margin
+from rta.backup.intersample_bounds import lowest, strays
 from rta.backup.robust_terminal_set import RobustTerminalSet
 from rta.bounds.prediction import predicted
 from rta.parameters import RtaParameters

@@ -32,13 +32,13 @@ from inspection.model.dynamics import euler, step
 from inspection.model.orbit import natural_acceleration
 from inspection.model.parameters import Limits
 from inspection.model.state import THETA_S, P, Q, V
-from rta.backup.chords import FreeFlight, least_stretch
+from rta.backup.intersample_bounds import FreeFlight, least_stretch
 from rta.bounds.prediction import unsaturated
 from rta.bounds.uncertainty import Uncertainty
 from rta.parameters import RtaParameters
 
 # Tuned on U1 for the share of states from which a backup trajectory is verified.
-SHARE = 0.25  # of w, that a hold takes away at most: more leads farther astray, less takes longer
+SHARE = 0.25  # of w, that a hold takes away at most: more leads to larger errors, less takes longer
 OUTWARDS, INWARDS = 1.2, 1.3  # of the calm speed, that the field has beside the chief and at the edge
 STEEP = 5e-4  # 1/s, by which the field falls off with distance
 # of what the errors leave of w, that counts as calm: a backup trajectory need not come down to it
@@ -61,7 +61,7 @@ class Errors:
 
     Attributes:
         calm: m/s, of |w| in the end.
-        share: of |w| that goes astray while it falls; decay: of what went astray, that is taken back meanwhile.
+        share: of |w| that becomes an error while it falls; decay: of this error, that is taken back meanwhile.
         swift: by which |w| itself falls. All three are per share by which w is taken away.
         seen, late: m/s and share, |e| <= seen + late |w|.
         steep, drift: 1/s and m/s, of the field.
@@ -149,7 +149,7 @@ class RobustTerminalSet:
         hold = [r.period * (i + 1) for i in range(holds)]
         # thrust that sweeps about its mean direction gives less along it
         sweeps = angle + turning * max(math.sqrt(((t - aim) ** 3 + aim**3) / (3 * t)) for t in hold)
-        angle += max(astray(t, aim, turning, faster) for t in hold)
+        angle += max(mean_misalignment(t, aim, turning, faster) for t in hold)
         # of thrust in the body: the gains of the axes, and each axis aslant
         tilt = math.radians(uncertainty.thrust_misalignment)
         least, most = (1 - uncertainty.thrust_gain) * math.cos(tilt), 1 + uncertainty.thrust_gain
@@ -187,14 +187,14 @@ class RobustTerminalSet:
         return max(1.0 - self.low, self.high - 1.0)
 
     @property
-    def amiss(self) -> float:
+    def thrust_error(self) -> float:
         """|1 - K| at most, K being what acts of what is asked for."""
         return self.off + self.across * self.high
 
     @property
     def late(self) -> float:
         """The share of w + e by which w is seen off, for what thrust did otherwise since the measurement."""
-        return self.lag * self.amiss
+        return self.lag * self.thrust_error
 
     @property
     def stretch(self) -> float:
@@ -223,7 +223,7 @@ class RobustTerminalSet:
             w.errors(none, none + beside, none + w.ends),
             w.errors(none, none + w.begins, none + farthest),
         )
-        rising = RISING * 3 * c.mean_motion**2 * self.amiss * self.slow / self.low / near.decay.item()
+        rising = RISING * 3 * c.mean_motion**2 * self.thrust_error * self.slow / self.low / near.decay.item()
         still = CALMER * max(near.calm.item(), far.calm.item() - rising * farthest)
         return replace(w, still=still, rising=rising)
 
@@ -267,22 +267,26 @@ class RobustTerminalSet:
         drift = torch.maximum(self.speed(nearest).abs(), self.speed(farthest).abs())
         # what thrust that meets f, and the unknown, did otherwise since the measurement, counts beside the share `late`
         since = self.old * (
-            self.amiss * (3 * n**2 * (farthest + self.place) + 2 * n * drift) + self.uncertainty.acceleration
+            self.thrust_error * (3 * n**2 * (farthest + self.place) + 2 * n * drift)
+            + self.uncertainty.acceleration
         )
         seen = self.seen + steep * self.place + since
         # m/s^2 that are there at any speed: f that is not what thrust was meant to cancel, what is unknown, and the
         # field's own change along it, which is along the radius
         always = (
-            self.amiss * (3 * n**2 * farthest + 2 * n * drift)
+            self.thrust_error * (3 * n**2 * farthest + 2 * n * drift)
             + 3 * n**2 * (self.place + drift * self.longest)
-            + 2 * n * (1.0 + self.amiss) * seen / sees
+            + 2 * n * (1.0 + self.thrust_error) * seen / sees
             + self.uncertainty.acceleration
             + (STEEP + self.rising) * drift
         ) * (1.0 + n * self.longest)
         # s, that a hold is per share that it takes away at most
         lasting = ((fastest + seen) / (sees * self.full)).clamp(min=self.slow) / self.low
-        rate = 2 * n * (self.amiss + late) / sees + 3 * n**2 * self.longest + steep + self.rising
-        growing = lasting * rate + n * (self.longest + 2 * self.old * self.amiss) * (1.0 + self.across) / sees
+        rate = 2 * n * (self.thrust_error + late) / sees + 3 * n**2 * self.longest + steep + self.rising
+        growing = (
+            lasting * rate
+            + n * (self.longest + 2 * self.old * self.thrust_error) * (1.0 + self.across) / sees
+        )
         saturated = (fastest + seen) / sees > self.full * self.slow
         growing = growing + torch.where(saturated, always / (self.full * self.low), 0.0)
 
@@ -343,7 +347,7 @@ class RobustTerminalSet:
         return least.amin(0) - sag - lost - c.collision_radius
 
     def stays(self, r: Tensor) -> Tensor:
-        """(k,) bool: at distances (k,) |w| that is calm stays so, and the bounds of `cone.Fall` hold down to it."""
+        """(k,) bool: at distances (k,) |w| that is calm stays so, and `error_tube.Fall` holds down to it."""
         calm = self.calm(r)
         moved = calm * self.longest + self.out * self.longest
         errors = self.errors(calm / (1.0 - self.most), (r - moved).clamp(min=1.0), r + moved)
@@ -361,7 +365,7 @@ class RobustTerminalSet:
         )
 
 
-def astray(hold: float, aim: float, turning: float, faster: float) -> float:
+def mean_misalignment(hold: float, aim: float, turning: float, faster: float) -> float:
     """rad, by which the mean attitude over a hold is off that at its aim, both in s.
 
     The body turns at `turning` rad/s at most, which changes by `faster` rad/s^2 at most. The mean of the angle from the

@@ -1,7 +1,7 @@
 """The set in which a flight of the backup laws ends, and which they never leave: certified once per configuration.
 
-Attitude: with a = d x s + sin(psi) d of `attitude_law.astray`, and w the body's rate relative to the Sun, a hold takes
-(a, T w) to M (a, T w) and an error, with z = kappa T and
+Attitude: with a = d x s + sin(psi) d of `attitude_law.rest_deviation`, and w the body's rate relative to the Sun, a
+hold takes (a, T w) to M (a, T w) and an error, with z = kappa T and
 
     M = [1 - z / 2, -1/2; z, 0],        M' P M - P = -1,        V = (a, T w)' P (a, T w).
 
@@ -21,8 +21,8 @@ from inspection.model.attitude import dot, norm, rotation_matrix
 from inspection.model.dynamics import energy_rate, euler, temperature_rate
 from inspection.model.parameters import Limits
 from inspection.model.state import OMEGA, E, P, Q, T, V
-from rta.backup.attitude_law import Pointing, astray
-from rta.backup.chords import FreeFlight, least_stretch
+from rta.backup.attitude_law import Pointing, rest_deviation
+from rta.backup.intersample_bounds import FreeFlight, least_stretch
 from rta.backup.motion_law import BESIDE, DRIFT, INSIDE, STEEP, Braking, field
 
 CALM = 2e-3  # m/s
@@ -76,7 +76,7 @@ class TerminalSet:
 
     def room(self, x: Tensor) -> Tensor:
         """Not negative where states (16, ...) are in the set: of the cone, heat, charge, speed and place, (5, ...)."""
-        axis, off, cosine = astray(x, self.c)
+        axis, off, cosine = rest_deviation(x, self.c)
         turn = self.hold * (x[OMEGA] + self.c.mean_motion * rotation_matrix(x[Q])[2])
         d = -turn[0]  # of the panels' axis, -x
         one, mixed, two = self.quadratic
@@ -104,7 +104,7 @@ def lyapunov(z: float) -> tuple[tuple[float, float, float], float]:
     )
 
 
-def amiss(w: Pointing, angle: float, rate: float) -> tuple[float, float, float]:
+def hold_error(w: Pointing, angle: float, rate: float) -> tuple[float, float, float]:
     """By how much a hold's end differs at most from M (a, T w), while |a| <= sin(angle) and |w| <= rate.
 
     Of a; of T w; and of w by what torque does not count on, in rad/s.
@@ -134,7 +134,7 @@ def cone(w: Pointing, quadratic: tuple[float, float, float], contracts: float) -
         far = angle + rate * t
         if far > 0.3:
             continue
-        of_a, of_w, otherwise = amiss(w, angle, rate)
+        of_a, of_w, otherwise = hold_error(w, angle, rate)
         torque = max(c.inertia) * (2 * rate / t + spin * (rate + n) ** 2)
         kept = contracts * radius + math.sqrt(most) * math.hypot(of_w, of_a) <= radius
         kept &= (of_w / t + kappa * angle <= rate) and torque <= c.max_torque
@@ -162,19 +162,21 @@ def leftover(w: Braking, rate: float) -> float:
     """m/s, that a hold in the set leaves of v - v_ref at most, the body turning by so many rad/s relative to the Sun.
 
     What `thrust_along` leaves of G, and Simpson's rule, with an angular acceleration up to 2 w / T; what f changes by
-    where thrust that turns leads astray; and how the field changes on the path.
+    where turning thrust leads to another place; and how the field changes on the path.
     """
     c, t, n = w.c, w.hold, w.c.mean_motion
     turned = (rate + n) * t
-    amiss = (turned**2 / 24 + 2 * turned / 24) ** 2 + (turned**4 + 12 * turned**3 + 12 * turned**2) / 2880
+    mean_error = (turned**2 / 24 + 2 * turned / 24) ** 2 + (
+        turned**4 + 12 * turned**3 + 12 * turned**2
+    ) / 2880
     speed = DRIFT + AROUND * CALM
-    given = CALM / t + c.largest_drift(c.max_distance, speed)
-    astray = given * turned * t / 8  # m/s, in the hold
-    if astray > (AROUND - 1.0) * CALM:
+    acceleration = CALM / t + c.largest_drift(c.max_distance, speed)
+    deviation = acceleration * turned * t / 8  # m/s, in the hold
+    if deviation > (AROUND - 1.0) * CALM:
         raise NoTerminalSetError("a hold strays too far")
-    tide = 3 * n**2 * (given * t**2 / 24 + astray * t) + 2 * n * astray
+    tide = 3 * n**2 * (acceleration * t**2 / 24 + deviation * t) + 2 * n * deviation
     steep = max(STEEP, DRIFT / (BESIDE * c.collision_radius))
-    return given * t * amiss + tide * t + steep * speed * t
+    return acceleration * t * mean_error + tide * t + steep * speed * t
 
 
 def nearest(c: Limits) -> float:

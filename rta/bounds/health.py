@@ -53,14 +53,14 @@ def slewing(
     weakness = (
         left[THRUST].amax(0) - left[THRUST]
     )  # against the strongest axis, which can be turned onto the radius
-    astray = norm(weakness * outwards)
+    misalignment = norm(weakness * outwards)
     turned = math.sqrt(3.0) * limit * hold  # rad, in a hold at most
-    weak = (astray > NEAR - turned) & (weakness.amax(0) > 0.0) & (torques > 0.0)
+    weak = (misalignment > NEAR - turned) & (weakness.amax(0) > 0.0) & (torques > 0.0)
     needed = weak & (later > 0.0) & (reached > c.max_distance)
     sun, _ = sun_and_earth_in_body(x)
     axis, angle = soonest(outwards, sun, weakness, c)
     rate = axis * (limit / axis.abs().amax(0)).minimum(angle / hold)
-    wanted = inertia * (rate * (astray > NEAR) - x[OMEGA]) / hold
+    wanted = inertia * (rate * (misalignment > NEAR) - x[OMEGA]) / hold
     return torch.where(needed, (wanted / left[TORQUE]).clamp(-c.max_torque, c.max_torque), torque)
 
 
@@ -88,11 +88,11 @@ def soonest(outwards: Tensor, sun: Tensor, weakness: Tensor, c: Limits) -> tuple
             across = torch.stack(cross(*torch.broadcast_tensors(n, a)))
             return a * cosine - across * sine + (n * a).sum(0) * n * (1.0 - cosine)
 
-        astray = norm(weakness[:, None, None] * seen(outwards))
+        misalignment = norm(weakness[:, None, None] * seen(outwards))
         dark = seen(sun)[0] <= math.cos(c.field_of_view / 2 + c.exclusion_buffer)
         clear = torch.stack(list(accumulate(dark.unbind(1), torch.logical_and)), 1)  # so far
         time = angles[:, None] * n.abs().amax(0)  # each axis turns at the limit at most
-        too_far = (astray - NEAR).clamp(min=0.0) / NEAR
+        too_far = (misalignment - NEAR).clamp(min=0.0) / NEAR
         return time + (STEP * TURNS + 1.0) * (too_far + torch.where(clear, 0.0, 1.0 / NEAR))
 
     best = axes[:, costs(axes[:, :, None]).amin(1).argmin(0)]

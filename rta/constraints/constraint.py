@@ -32,9 +32,9 @@ class Constraint:
         barrier: what is enforced in h's place, where that differs: maps states (16, B) to the function of states
             (16, ...) to (rows, ...) that is differentiated there.
         rows: how many rows the barrier has.
-        loss: how far Psi (Psi_1 where the relative degree is two, else the barrier) can fall within one period below
-            its linear prediction, over the period: half the period times the largest second derivative. A number
-            or a function of states. Without it a state on the boundary could leave the safe set in one period.
+        intersample_drop: how far Psi (Psi_1 where the relative degree is two, else the barrier) can fall within one
+            period below its linear prediction, over the period: half the period times the largest second derivative. A
+            number or a function of states. Without it a state on the boundary could leave the safe set in one period.
         doubling: the Psi at which the gain has doubled, gain * (1 + (Psi / doubling)^2): alpha is then an odd cubic.
         coupled: the other group's controls change it, too; they are then taken to do their worst.
         recovery: at relative degree two, how fast h is to rise at most on its way back from beyond the limit, in its
@@ -53,7 +53,7 @@ class Constraint:
     weight: float | None = None
     barrier: Callable[..., Function] | None = None
     rows: int = 1
-    loss: float | Function = 0.0
+    intersample_drop: float | Function = 0.0
     doubling: float = math.inf
     coupled: bool = True
     recovery: float | None = None
@@ -90,9 +90,10 @@ class Constraint:
             return lambda y: self.h(y)[None]
         return self.barrier(x, after) if self.looks_ahead else self.barrier(x)
 
-    def loss_at(self, x: Tensor) -> Tensor:
-        """`loss` at states (16, B): (B,)."""
-        return self.loss(x) if callable(self.loss) else x.new_full(x.shape[1:], self.loss)
+    def intersample_drop_at(self, x: Tensor) -> Tensor:
+        """`intersample_drop` at states (16, B): (B,)."""
+        drop = self.intersample_drop
+        return drop(x) if callable(drop) else x.new_full(x.shape[1:], drop)
 
 
 def in_order(thrust: Sequence[Any], torque: Sequence[Any]) -> tuple[Any, ...]:

@@ -57,7 +57,7 @@ def root_above(z: Tensor, floor: float) -> Tensor:
     return torch.where(z < floor, (z + floor) / (2 * math.sqrt(floor)), z.clamp(min=floor).sqrt())
 
 
-def chord(c: Limits, r: RtaParameters, uncertainty: Uncertainty = NO_UNCERTAINTY) -> float:
+def sqrt_floor(c: Limits, r: RtaParameters, uncertainty: Uncertainty = NO_UNCERTAINTY) -> float:
     """The floor in m of the enforced `signed_sqrt`.
 
     The slope of sqrt(2 a z) is then at most sqrt(2 a / floor) = 1 / T, else it could overshoot while a control is held.
@@ -85,7 +85,7 @@ def thrust_rotation_error(c: Limits, r: RtaParameters) -> float:
     return thrust_acceleration(c) * (angular / 6 + c.max_rate**2 / 8) * r.period**2
 
 
-def bend(c: Limits, r: RtaParameters) -> float:
+def speed_curvature(c: Limits, r: RtaParameters) -> float:
     """a^2 T in m^2/s^3 for the largest acceleration a: in a period T, a changes v_i^2 by 2 a v_i T and a^2 T^2."""
     acceleration = thrust_acceleration(c) + (c.max_thrust / c.mass - c.max_acceleration)
     return acceleration**2 * r.period
@@ -117,7 +117,7 @@ def collision(c: Limits, r: RtaParameters, uncertainty: Uncertainty = NO_UNCERTA
         best = beside_planes(x, floor, least).argmax(0, keepdim=True)
         return lambda y: beside_planes(y, floor, least, best)
 
-    floor, least = chord(c, r, uncertainty), uncertainty.max_acceleration(c, r)
+    floor, least = sqrt_floor(c, r, uncertainty), uncertainty.max_acceleration(c, r)
     return Entry(
         "collision",
         h,
@@ -125,7 +125,7 @@ def collision(c: Limits, r: RtaParameters, uncertainty: Uncertainty = NO_UNCERTA
         margin=r.collision_margin,
         weight=math.inf,
         barrier=barrier,
-        loss=thrust_rotation_error(c, r),
+        intersample_drop=thrust_rotation_error(c, r),
     )
 
 
@@ -140,19 +140,19 @@ def dynamic_speed(c: Limits, r: RtaParameters) -> Constraint:
     def h(x: Tensor) -> Tensor:
         return speed_limit(x, c) - (dot(x[V], x[V]) + TINY).sqrt()
 
-    def loss(x: Tensor) -> Tensor:
+    def drop(x: Tensor) -> Tensor:
         """|v| rises by a . v T / |v| and at most a^2 T^2 / (2 |v|), which counts near the limit, for |v| the limit."""
         limit = speed_limit(x, c)
         # at 5 and 10 s it would exceed what a spacecraft at rest can satisfy
-        return (turned + bent / (2 * limit)).minimum(0.5 * r.gain(r.speed_gain) * limit)
+        return (rotation + curvature / (2 * limit)).minimum(0.5 * r.gain(r.speed_gain) * limit)
 
-    turned, bent = thrust_rotation_error(c, r), bend(c, r)
+    rotation, curvature = thrust_rotation_error(c, r), speed_curvature(c, r)
     return Entry(
         "dynamic_speed",
         h,
         gains=(r.speed_gain,),
         weight=r.slack_weight_motion,
-        loss=loss,
+        intersample_drop=drop,
     )
 
 
@@ -185,7 +185,7 @@ def keep_in_zone(c: Limits, r: RtaParameters, uncertainty: Uncertainty = NO_UNCE
     # v_t^2 / |p| grows with thrust along v
     fastest = c.docking_speed + c.speed_slope * c.max_distance
     swing = fastest * thrust_acceleration(c) / c.max_distance * r.period
-    floor, least = chord(c, r, uncertainty), uncertainty.max_acceleration(c, r)
+    floor, least = sqrt_floor(c, r, uncertainty), uncertainty.max_acceleration(c, r)
     return Entry(
         "keep_in_zone",
         h,
@@ -193,7 +193,7 @@ def keep_in_zone(c: Limits, r: RtaParameters, uncertainty: Uncertainty = NO_UNCE
         margin=r.keep_in_margin + (WEAK if uncertainty.health else 0.0),
         weight=r.slack_weight_critical,
         barrier=lambda x: lambda y: curve(y)[None],
-        loss=thrust_rotation_error(c, r) + swing,
+        intersample_drop=thrust_rotation_error(c, r) + swing,
     )
 
 
@@ -262,5 +262,5 @@ def velocity(axis: int, c: Limits, r: RtaParameters, uncertainty: Uncertainty = 
         gains=(r.velocity_gain,),
         margin=min(kept, c.max_speed**2 / 2),
         weight=r.slack_weight_motion,
-        loss=bend(c, r) + 2 * c.max_speed * thrust_rotation_error(c, r),
+        intersample_drop=speed_curvature(c, r) + 2 * c.max_speed * thrust_rotation_error(c, r),
     )

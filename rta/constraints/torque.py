@@ -216,6 +216,6 @@ def angular_velocity(
         gains=(r.rate_gain,),
         margin=r.rate_margin,
         weight=r.slack_weight_motion,
-        loss=lambda x: spin * (h(x) < 0.0).to(x.dtype),  # within it the plant saturates
+        intersample_drop=lambda x: spin * (h(x) < 0.0).to(x.dtype),  # within it the plant saturates
         axis=axis,
     )

@@ -26,7 +26,7 @@ from rta.printed.source import check_files, define, driver_text, functions, grou
 from rta.propose import Found
 from rta.qp.batched_solver import ACCURATE, STEPS, STEPS_SAMPLED, attempt
 from rta.qp.programs import Status
-from rta.qp.scaled import Prepared, answered, problems
+from rta.qp.scaled import ScaledRows, from_qp, to_qp
 
 if TYPE_CHECKING:
     from rta.filter import SafetyFilter
@@ -187,12 +187,12 @@ def first_attempt(safety_filter: "SafetyFilter", x: Tensor, desired: Tensor) -> 
     left = [torch.zeros_like(x[0], dtype=torch.bool)]
     steps = STEPS_SAMPLED if safety_filter.is_sampled else STEPS
 
-    def settle(
-        group: ActuatorGroup, rows: Prepared, wish: Tensor, found: Found, share: Tensor | None
+    def solve_group(
+        group: ActuatorGroup, rows: ScaledRows, projected: Tensor, found: Found, share: Tensor | None
     ) -> Found:
-        asked = problems(group, rows, wish / group.limit, share)
+        asked = to_qp(group, rows, projected / group.limit, share)
         u, residual = attempt(asked.desired, asked.a, asked.b, steps)
-        active, slack = answered(group, asked, rows.length, u, torch.full_like(found.status, Status.HARD))
+        active, slack = from_qp(group, asked, rows.length, u, torch.full_like(found.status, Status.HARD))
         safe = rows.lowest[0] >= 0.0  # NaN is not
         left.append(~(safe | ((residual[0] <= ACCURATE) & asked.b_bare.sum(0).isfinite())))
         control = torch.where(safe, found.control, u * group.limit)
@@ -201,7 +201,7 @@ def first_attempt(safety_filter: "SafetyFilter", x: Tensor, desired: Tensor) -> 
 
     propose = safety_filter.propose
     rows_of = [partial(propose.rows, group) for group in propose.groups]
-    control, found = propose.in_turn(x, desired, None, rows_of, settle)
+    control, found = propose.torque_then_thrust(x, desired, None, rows_of, solve_group)
     slack, h, active = (joined(*(getattr(each, name) for each in found)) for name in ("slack", "h", "active"))
     status = torch.stack([each.status for each in found])
     return [control, slack, h, status, active, torch.stack(left).any(0)[None]]

@@ -23,7 +23,7 @@ from rta.constraints.constraint import in_order, joined
 from rta.printed import check_functions
 from rta.qp import batched_solver
 from rta.qp import programs as qp
-from rta.qp.scaled import Prepared
+from rta.qp.scaled import ScaledRows
 
 if TYPE_CHECKING:
     from rta.filter import SafetyFilter
@@ -72,13 +72,13 @@ def functions(safety_filter: "SafetyFilter") -> list[Printed]:
     f, (x, u) = safety_filter, safety_filter.probe("cpu")
     uncertainty, given = f.uncertainty, ("x", "control", *(["left"] if f.uncertainty.health else []))
     names: list[tuple[str, tuple[str, ...], tuple[str, ...]]]
-    names = [(f"{name}_rows", given, Prepared._fields) for name in GROUPS if f.propose.kind != "none"]
+    names = [(f"{name}_rows", given, ScaledRows._fields) for name in GROUPS if f.propose.kind != "none"]
     if uncertainty.latency:
         names.append(("predict", ("x", "error_bound", "u"), ("x_after", "error_bound_after")))
     long = if_long(len(f.c.planes))  # of a hull
     found = [
         printed(run, *examples, name=name, names=(before, after), long=long)
-        for (run, examples), (name, before, after) in zip(f.propose.parts(x, u), names, strict=True)
+        for (run, examples), (name, before, after) in zip(f.propose.batch_functions(x, u), names, strict=True)
     ]
     if f.propose.kind == "none":
         found.append(printed(partial(values, f), x, name="values", names=(("x",), ("h",)), long=long))

@@ -96,7 +96,8 @@ def stages(problems: Problems) -> Iterator[tuple[Tensor, Tensor, Status]]:
     yield problems.b, hard, Status.HARD
     yield problems.b_bare, hard, Status.HARD
     for highest in problems.weight[problems.weight.isfinite()].unique():  # in ascending order
-        yield problems.b_bare, torch.where(problems.weight <= highest, problems.weight, hard), Status.SLACK
+        weight = torch.where(problems.weight <= highest, problems.weight, hard)
+        yield problems.b_bare, weight, Status.SLACK
 
 
 class Solver(Protocol):

@@ -1,4 +1,4 @@
-"""From one actuator group's rows to its program, in units of the actuators' limits, and from its answer back."""
+"""Converts an actuator group's rows to its program, in units of the actuators' limits, and the answer back."""
 
 from functools import partial, reduce
 from typing import NamedTuple
@@ -14,8 +14,8 @@ from rta.qp.programs import FEASIBLE, HOPELESS, REDUNDANT, Problems, Status, tot
 SHORTEST_ROW = 1e-6
 
 
-class Prepared(NamedTuple):
-    """What is computed for every spacecraft, corrected or not, for one actuator group.
+class ScaledRows(NamedTuple):
+    """Rows of one actuator group with their scale, computed for every spacecraft, corrected or not.
 
     Attributes:
         psi, a, b, b_bare, waived, h: the fields of `Rows`.
@@ -34,8 +34,8 @@ class Prepared(NamedTuple):
     lowest: Tensor
 
 
-def prepared(group: ActuatorGroup, x: Tensor, control: Tensor, left: Tensor | None = None) -> Prepared:
-    """A group's rows at states (16, B), and what controls (6, B) in N and N m leave of them.
+def scale_rows(group: ActuatorGroup, x: Tensor, control: Tensor, left: Tensor | None = None) -> ScaledRows:
+    """Computes a group's rows at states (16, B), and what controls (6, B) in N and N m leave of them.
 
     Args:
         left: (6, B) the share that each actuator gives of its command; None: all of it.
@@ -49,7 +49,7 @@ def prepared(group: ActuatorGroup, x: Tensor, control: Tensor, left: Tensor | No
     a = rows.a * limit
     length = total(a * a, 1).sqrt().clamp(min=SHORTEST_ROW)  # thirty times as fast as Tensor.norm
     within = (total(a * (control[group.controls] / group.limit), 1) + rows.b) / length
-    return Prepared(**vars(rows), length=length, lowest=smallest(within)[None])
+    return ScaledRows(**vars(rows), length=length, lowest=smallest(within)[None])
 
 
 def smallest(rows: Tensor) -> Tensor:
@@ -57,8 +57,8 @@ def smallest(rows: Tensor) -> Tensor:
     return reduce(torch.minimum, rows.unbind())
 
 
-def problems(group: ActuatorGroup, rows: Prepared, desired: Tensor, left: Tensor | None = None) -> Problems:
-    """The programs of rows as prepared, and of desired controls (3, M) in units of the actuators' limits.
+def to_qp(group: ActuatorGroup, rows: ScaledRows, desired: Tensor, left: Tensor | None = None) -> Problems:
+    """Returns the programs of scaled rows and of desired controls (3, M) in units of the actuators' limits.
 
     Args:
         left: (3, M) the share that each of the group's actuators gives; None: all of it.
@@ -69,10 +69,10 @@ def problems(group: ActuatorGroup, rows: Prepared, desired: Tensor, left: Tensor
     return Problems(desired, a, b, b_bare, desired.new_tensor(group.weights))
 
 
-def answered(
+def from_qp(
     group: ActuatorGroup, asked: Problems, length: Tensor, control: Tensor, status: Tensor
 ) -> tuple[Tensor, Tensor]:
-    """By constraint, (constraints, M): whether a row binds the controls (3, M), and how far one falls short."""
+    """Returns by constraint, (constraints, M), whether a row binds the controls (3, M), and how far one falls short."""
     reached = total(asked.a * control, 1)
     with_margins = (reached + asked.b).amin(0) >= -FEASIBLE
     binding = reached + torch.where(with_margins, asked.b, asked.b_bare) <= FEASIBLE
@@ -84,8 +84,8 @@ def answered(
     )
 
 
-def shortfall(group: ActuatorGroup, rows: Prepared, control: Tensor) -> Tensor:
-    """By constraint, (constraints, B): what controls (3, B) in N or N m do not give of what rows waived, at least 0."""
+def shortfall(group: ActuatorGroup, rows: ScaledRows, control: Tensor) -> Tensor:
+    """Returns by constraint, (constraints, B), how far controls (3, B) in N or N m fall short of relaxed rows, or 0."""
     left = total(rows.a * control, 1) + rows.b_bare - rows.waived
     short = (rows.waived > 0.0) & (left < -FEASIBLE * rows.length)
     return group.by_constraint(torch.where(short, -left, 0.0), partial(torch.amax, dim=0))

@@ -22,12 +22,12 @@ from inspection.model.state import CONTROL_SIZE, OMEGA, SIZE, THETA_S, E, P, Q, 
 from kernels import build
 from kernels.compiled import Compiled
 from rta.filter import SafetyFilter
-from rta.qp.scaled import Prepared
+from rta.qp.scaled import ScaledRows
 from tests.kernels.test_long_axis import LONG, OVER_POINTS
 from tests.kernels.test_operations import OF_ONE, OF_TWO, special_pairs, uniform
 from tests.kernels.test_project import filter_of
 
-FIELDS = Prepared._fields
+FIELDS = ScaledRows._fields
 
 
 def flights(c: InspectionParameters, count: int) -> Tensor:
@@ -109,7 +109,7 @@ def states(name: str) -> dict[str, Tensor]:
 def test_rows_of_the_filter(name: str, group: int) -> None:
     safety = filter_of(name)
     limit = torch.tensor(safety.c.control_limit, dtype=torch.float64)[:, None]
-    run, _ = safety.propose.parts(*safety.probe("cpu"))[group]
+    run, _ = safety.propose.batch_functions(*safety.probe("cpu"))[group]
     compiled = None
     for kind, x in states(name).items():
         batch = x.shape[1]
@@ -149,7 +149,7 @@ def compared() -> dict[str, tuple[Callable[..., list[Tensor]], tuple[Tensor, ...
     return {
         "every operation": (mixture, special_pairs(torch.float64), 0),
         "every operation in single precision": (mixture, special_pairs(torch.float32), 0),
-        "rows": (safety.propose.parts(x, u)[0][0], (x, u), 0),
+        "rows": (safety.propose.batch_functions(x, u)[0][0], (x, u), 0),
         "points": (over_points, (uniform(-1.0, 1.0, 3, 50), uniform(-1.0, 1.0, LONG, 50)), LONG),
     }
 

@@ -124,22 +124,22 @@ def test_entry_with_several_rows_has_those_of_several_entries(both, gains, coupl
     assert torch.equal(rows.h[1], both(STATES).amin(0)) and torch.equal(rows.h, one.values(STATES))
 
 
-@pytest.mark.parametrize("loss", [0.03, lambda x: 0.001 * x[0].abs()], ids=["number", "function"])
+@pytest.mark.parametrize("intersample_drop", [0.03, lambda x: 0.001 * x[0].abs()], ids=["number", "function"])
 @pytest.mark.parametrize("name", ["collision", "passive_safety", "sphere", "battery"])
-def test_loss_is_taken_off_both_sides(name: str, loss) -> None:
+def test_the_intersample_drop_is_taken_off_both_sides(name: str, intersample_drop) -> None:
     """Within the limit; beyond it rows are held to what the actuators give."""
-    entry = replace((PAPERS | {"sphere": SPHERE})[name], loss=0.0)
+    entry = replace((PAPERS | {"sphere": SPHERE})[name], intersample_drop=0.0)
     h = length(SECOND - X[:3]) - 50 if name == "sphere" else paper(X)[CONSTRAINTS.index(name)]
     x = STATES[:, torch.from_numpy(h >= 0)]
     assert x.shape[1] >= 90
-    bare, rows = group(entry)(x), group(replace(entry, loss=loss))(x)
-    lost = loss(x) if callable(loss) else torch.full_like(x[0], loss)
+    bare, rows = group(entry)(x), group(replace(entry, intersample_drop=intersample_drop))(x)
+    lost = intersample_drop(x) if callable(intersample_drop) else torch.full_like(x[0], intersample_drop)
     assert (lost > 0).all()
     assert_equal(rows, replace(bare, b=bare.b - lost, b_bare=bare.b_bare - lost))
 
 
 def test_gain_doubles_where_the_entry_says_so() -> None:
-    entry = replace(PAPERS["velocity_x"], doubling=math.inf, loss=0.0)
+    entry = replace(PAPERS["velocity_x"], doubling=math.inf, intersample_drop=0.0)
     plain, rising = group(entry)(STATES), group(replace(entry, doubling=30.0))(STATES)
     gain = (0.2 * (1 + (plain.psi / 30.0) ** 2)).clamp(max=0.5)
     assert (gain > 0.3).any() and (gain < 0.5).any()

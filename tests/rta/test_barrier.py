@@ -85,7 +85,7 @@ def zone(y: ndarray) -> ndarray:
 
 
 def test_speed_and_velocity_fall_no_further_than_their_rows_expect() -> None:
-    """At the speed limit, where the derivation of its `loss` begins."""
+    """At the speed limit, where the derivation of its `intersample_drop` begins."""
     x = flights(8000, (15.2, 795), (1.0, 1.0))
     u = controls(x.shape[1], np.random.default_rng(1))
 

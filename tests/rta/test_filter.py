@@ -22,7 +22,7 @@ from inspection.model.parameters import InspectionParameters
 from rta.barrier import Rows
 from rta.constraints.constraint import Constraint
 from rta.constraints.names import CONSTRAINTS
-from rta.constraints.thrust import chord
+from rta.constraints.thrust import sqrt_floor
 from rta.filter import SOLVERS, SafetyFilter, make_solver
 from rta.parameters import PERIODS, RtaParameters
 from rta.qp.programs import FEASIBLE, Status
@@ -256,7 +256,7 @@ def test_slack_is_the_shortfall_of_the_bare_condition(programs: SafetyFilter, so
     """Of the condition itself, whatever a row beyond its limit asks for."""
     expected = torch.zeros(13, X.shape[1], dtype=torch.float64)
     for group in programs.groups:
-        rows = group.paper(X, group.constraints, coupled=False)
+        rows = group.continuous_rows(X, group.constraints, coupled=False)
         short = -((rows.a * solution.control[group.controls]).sum(1) + rows.b_bare)
         for k, each in enumerate(group.of_row):
             i = CONSTRAINTS.index(each.name)
@@ -362,7 +362,7 @@ def test_a_state_is_in_the_safe_set_exactly_where_every_h_and_psi_is() -> None:
 def test_start_can_brake_where_thrust_can_keep_the_zone(period: float) -> None:
     count = 5000 if period == 1.0 else 250  # a held control is searched for at each
     x, safety = near_the_limits(count, seed=3), SafetyFilter(C, RtaParameters(period=period))
-    curve = keep_in_curve(x, chord(C, safety.parameters))
+    curve = keep_in_curve(x, sqrt_floor(C, safety.parameters))
     can_brake = safety.can_brake(tensor(x))
     assert 0.5 < can_brake.double().mean() < 1.0
     assert (can_brake.numpy() == (curve >= 0)).all()

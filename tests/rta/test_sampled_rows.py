@@ -18,7 +18,7 @@ from inspection.model.state import OMEGA, THRUST, TORQUE
 from rta.barrier import ActuatorGroup, Rows
 from rta.bounds.uncertainty import Uncertainty
 from rta.constraints.constraint import Constraint
-from rta.constraints.thrust import chord, thrust_constraints
+from rta.constraints.thrust import sqrt_floor, thrust_constraints
 from rta.constraints.torque import torque_constraints
 from rta.parameters import RtaParameters
 from tests.inspection.model.test_dynamics import paper_rate
@@ -37,7 +37,7 @@ def group(by: str, period: float = 10.0, extra: tuple[Constraint, ...] = (), **b
 
 def unsoftened(group: ActuatorGroup, x: Tensor, u: Tensor) -> Rows:
     """The tangents before any is softened where a constraint is violated."""
-    return group.sampled(x, u, group.constraints, coupled=False)
+    return group.sampled_rows(x, u, group.constraints, coupled=False)
 
 
 def places(group: ActuatorGroup) -> list[tuple[str, int]]:
@@ -59,7 +59,7 @@ def flown(x: ndarray, u: ndarray, seconds: float) -> ndarray:
 
 def paper_psi(name: str, i: int, x: ndarray, period: float, after: float = 0.0) -> ndarray:
     """The barrier of a row by the paper's numbers, so many s into a hold, (B,)."""
-    floor = chord(C, RtaParameters(period=period))
+    floor = sqrt_floor(C, RtaParameters(period=period))
     if name == "collision":
         return root(length(x[:3]) - 15, floor) + (x[:3] * x[3:6]).sum(0) / length(x[:3])
     if name == "dynamic_speed":
@@ -156,7 +156,7 @@ def test_the_tangent_is_near_what_the_rates_permit() -> None:
 def test_of_a_constraint_that_the_other_group_changes_its_worst_comes_off() -> None:
     nose = Constraint("nose", lambda x: x[6] * x[3] + 9.0 * x[10] * x[4] + x[5], "thrust", (0.02,))
     own, x, u = group("thrust", extra=(nose,)), tensor(some_states(10)), tensor(some_controls(10))
-    row = own.sampled(x, u, [nose], coupled=True)
+    row = own.sampled_rows(x, u, [nose], coupled=True)
     free, limit, hold = replace(C, saturate_rates=False), tensor(LIMIT), own.hold
 
     def after(u: Tensor) -> Tensor:
@@ -199,7 +199,7 @@ def test_where_no_check_is_known_rows_take_off_what_is_not_known(by: str, draws:
         ]  # fmt: skip
         sides = []
         for coupled, constraints in zip((False, True), rows, strict=False):
-            found = group.sampled(x, group.near(x, asked), constraints, coupled)
+            found = group.sampled_rows(x, group.near(x, asked), constraints, coupled)
             sides.append((found.a * given[group.controls]).sum(1) + found.b)
         return torch.cat(sides)
 

@@ -12,8 +12,8 @@ from inspection.chief.hull import beside, farthest, reach
 from inspection.model.parameters import InspectionParameters
 from inspection.model.state import CONTROL_SIZE, SIZE, P, V
 from kernels.compiled import Compiled
-from rta.backup.chords import FreeFlight, Strays, between
 from rta.backup.flight import CELLS
+from rta.backup.intersample_bounds import FreeFlight, Strays, between
 from rta.backup.nominal_check import KEPT, LIMITS
 from rta.filter import SafetyFilter
 from rta.parameters import RtaParameters

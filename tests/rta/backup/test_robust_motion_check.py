@@ -15,7 +15,7 @@ from rta.bounds.uncertainty import Uncertainty
 from rta.filter import SafetyFilter
 from study.verification.starts import safe_set
 from tests.oracles import hypercube
-from tests.rta.backup.test_cone import accepts, beside
+from tests.rta.backup.test_error_tube import accepts, beside
 from tests.rta.backup.uncertain_world import U1, C, R, World, committed, flown, is_safe, of_thrust
 
 MOTION_CHECK = of_thrust(C, R, U1)

@@ -9,10 +9,10 @@ from torch import Tensor
 
 from inspection.model.attitude import rotation_matrix
 from inspection.model.state import OMEGA, THETA_S, E, P, Q, T, V
-from rta.backup.attitude_law import Pointing, astray
+from rta.backup.attitude_law import Pointing, rest_deviation
 from rta.backup.motion_law import Braking, field
 from rta.backup.nominal_check import NominalBackup
-from rta.backup.terminal import CALM, NoTerminalSetError, TerminalSet, amiss, cone, leftover, lyapunov
+from rta.backup.terminal import CALM, NoTerminalSetError, TerminalSet, cone, hold_error, leftover, lyapunov
 from rta.parameters import PERIODS
 from tests.oracles import moved
 from tests.rta.backup.flights import NAMES, C, anywhere, backup, in_c, least_of, random, unit, vehicle
@@ -81,8 +81,8 @@ def inside(name: str, hold: float, saturates: bool, count: int, seed: int) -> Te
     x[P] = distance.clamp(*edges.tolist()) * unit(x[P])
     # towards the end that is nearer, or in any direction
     inwards = -unit(x[P]) * torch.where(distance < 100.0, 1.0, -1.0)
-    astray = torch.where(draw[12] > 0.0, inwards, unit(side))
-    x[V] = field(x[P], c) + (1 - 1e-9) * CALM * astray
+    rest_deviation = torch.where(draw[12] > 0.0, inwards, unit(side))
+    x[V] = field(x[P], c) + (1 - 1e-9) * CALM * rest_deviation
     return x
 
 
@@ -178,7 +178,7 @@ def test_a_hold_of_the_law_ends_where_the_form_says_but_for_the_bounds(name: str
 
     def coordinates(x: Tensor) -> tuple[Tensor, Tensor]:
         """a and T w in the body, (3, B) each."""
-        a, roll, _ = astray(x, c)
+        a, roll, _ = rest_deviation(x, c)
         a[0] -= roll  # about the panels' axis, -x
         return a, hold * (x[OMEGA] + c.mean_motion * rotation_matrix(x[Q])[2])
 
@@ -188,7 +188,7 @@ def test_a_hold_of_the_law_ends_where_the_form_says_but_for_the_bounds(name: str
     of_turn = (turn_after - z * a).norm(dim=0)
     angle = a.norm(dim=0).asin()
     rate = torch.maximum(turn.norm(dim=0) / hold, b.pointing.kappa * angle)
-    bounds = [amiss(b.pointing, *each)[:2] for each in zip(angle.tolist(), rate.tolist(), strict=True)]
+    bounds = [hold_error(b.pointing, *each)[:2] for each in zip(angle.tolist(), rate.tolist(), strict=True)]
     shares = torch.stack((of_a, of_turn)) / torch.tensor(bounds, dtype=torch.float64).T
     assert (shares <= 1.0).all(), shares.amax(1)
     if name == "paper":  # of equal moments: the bound of gyroscopic torque is zero

@@ -14,7 +14,7 @@ from numpy import ndarray
 
 from inspection.model.parameters import InspectionParameters
 from rta.constraints import torque as torque_constraints
-from rta.constraints.thrust import chord
+from rta.constraints.thrust import sqrt_floor
 from rta.constraints.torque import angle_to, arccos, side
 from rta.filter import SafetyFilter
 from rta.parameters import PERIODS, RtaParameters
@@ -69,7 +69,7 @@ def approaching(speed: float, miss: float) -> ndarray:
 def test_keep_in_curve_equals_numpy(period: float) -> None:
     """Which is exact but for a chord inside the edge and a tangent outside."""
     r = RtaParameters(period=period)
-    floor, zone = chord(C, r), entries(C, r)["keep_in_zone"]
+    floor, zone = sqrt_floor(C, r), entries(C, r)["keep_in_zone"]
     assert floor == max(0.05, 2 * A_MAX * period**2)
     for x in (states(1000), at_the_edge(101, 800.0, 1.5 * floor)):
         np.testing.assert_allclose(enforced(zone, x)[0], keep_in_curve(x, floor), rtol=0, atol=2e-12)
@@ -82,7 +82,7 @@ def test_keep_in_curve_equals_numpy(period: float) -> None:
 @pytest.mark.parametrize("period", PERIODS)
 def test_collision_barrier_equals_numpy(period: float) -> None:
     r = RtaParameters(period=period)
-    floor = chord(C, r)
+    floor = sqrt_floor(C, r)
     for x in (states(1000), at_the_edge(101, 15.0, min(1.5 * floor, 14.0))):
         radial = (x[:3] * x[3:6]).sum(0) / length(x[:3])
         expected = root(length(x[:3]) - 15, floor) + radial

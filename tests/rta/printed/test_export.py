@@ -184,7 +184,10 @@ FLAWS = {
     "a sign": ("sum += a[i] * b[i];", "sum -= a[i] * b[i];"),
     "the stages": ("(i < 2) ? HARD : SLACK", "(i < 1) ? HARD : SLACK"),
     "what is no number": ("isinf(in->state[i]) ? NAN", "isinf(in->state[i]) ? 0.0"),
-    "the limits": ("control[j] = clip(wish[j], -LIMIT[group], LIMIT[group]);", "control[j] = wish[j];"),
+    "the limits": (
+        "control[j] = clip(wish[j], -LIMIT[group], LIMIT[group]);",
+        "control[j] = wish[j];",
+    ),
 }
 
 

@@ -135,7 +135,14 @@ def test_random_programs_satisfy_kkt(solver: BatchedSolver, rows: int) -> None:
     assert (answer.control.abs() <= 1.0).all()
     given, with_margins = given_slack(programs), feasible(programs.a, programs.b)
     for i, (u, desired, a, b, b_bare) in enumerate(
-        zip(answer.control.T.numpy(), programs.desired, programs.a, programs.b, programs.b_bare, strict=True)
+        zip(
+            answer.control.T.numpy(),
+            programs.desired,
+            programs.a,
+            programs.b,
+            programs.b_bare,
+            strict=True,
+        )
     ):
         held = np.isinf(given[i])
         assert answer.status[i] == (Status.HARD if held.all() else Status.SLACK)

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from inspection.model.state import OMEGA, P, V
-from rta.backup.cone import Node, between, trajectory_margin
+from rta.backup.error_tube import Node, between, trajectory_margin
 from rta.backup.robust_terminal_set import RobustTerminalSet
 from tests.oracles import hypercube, length, motion, tensor
 from tests.rta.backup.uncertain_world import U1, C, R, World, flown

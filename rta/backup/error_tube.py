@@ -6,8 +6,9 @@ below a bound R(S), for the law aims anew at every call. So a backup trajectory 
     w   is within R(S) of S w_0
     p   is along w_0 between two distances, as thrust is stronger or weaker, and across it within the integral of R
 
-Each limit has a lower bound on a chord between two values of S, as of `rta.backup.chords`, with strays of each end. The
-backup trajectory ends in the terminal set. The derivation is in docs/reference/proof.md, *With bounds: motion*.
+Each limit has a lower bound on a chord between two values of S, as of `rta.backup.intersample_bounds`, with strays of
+each end. The backup trajectory ends in the terminal set. The derivation is in docs/reference/proof.md, *With bounds:
+motion*.
 """
 
 import math
@@ -19,7 +20,7 @@ from torch import Tensor
 
 from inspection.model.attitude import dot, norm, unit
 from inspection.model.state import P, V
-from rta.backup.chords import NEAREST, NEVER, flown, lowest, nearer
+from rta.backup.intersample_bounds import NEAREST, NEVER, flown, lowest, nearer
 from rta.backup.robust_terminal_set import SHARE, Errors, RobustTerminalSet
 
 CHORDS, DENSER = 7, 2.0  # of a backup trajectory; the power of evenly spaced numbers that S is at their ends
@@ -216,7 +217,7 @@ def between(
 ) -> Tensor:
     """The least of each limit of motion between two nodes, and of the room to two distances in m: (8, ...).
 
-    As `rta.backup.chords.between`, with strays that change linearly from node to node.
+    As `rta.backup.intersample_bounds.between`, with strays that change linearly from node to node.
 
     Args:
         u: (3, ...) the direction of w_0, or zero, where strays have none.
@@ -268,7 +269,7 @@ def between(
 
 
 def clearance(ends: Sequence[Node], farthest: Tensor, fastest: Tensor, w: RobustTerminalSet) -> Tensor:
-    """As `rta.backup.chords.clearance`, each node with its own strays: (...) in m."""
+    """As `rta.backup.intersample_bounds.clearance`, each node with its own strays: (...) in m."""
     c, free, y = w.c, w.free, ends[0].y
     cell, times = free.times(y, c)
     corners = []

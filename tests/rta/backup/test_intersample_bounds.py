@@ -7,8 +7,8 @@ from numpy import ndarray
 from scipy.spatial.transform import Rotation
 
 from inspection.model.parameters import InspectionParameters
-from rta.backup.chords import FreeFlight, Strays, between, strays
 from rta.backup.flight import CELLS
+from rta.backup.intersample_bounds import FreeFlight, Strays, between, strays
 from tests.oracles import length, motion, tensor
 
 C = InspectionParameters()
@@ -85,12 +85,12 @@ def test_a_body_that_turns_strays_no_farther(seconds: float, mean_of: str) -> No
         off = strays(given[0], given[1], seconds, given[2], torch.tensor([turn], dtype=torch.float64))
         share = (t / seconds)[:, None]
         chord = start + share * (end - start)
-        astray = (
+        deviation = (
             np.linalg.norm(place - chord[:, :3], axis=1).max(),
             np.linalg.norm(speed - chord[:, 3:], axis=1).max(),
             (np.linalg.norm(speed, axis=1) - np.linalg.norm(chord[:, 3:], axis=1)).max(),
         )
-        for i, (bound, found) in enumerate(zip(off, astray, strict=True)):
+        for i, (bound, found) in enumerate(zip(off, deviation, strict=True)):
             assert found <= bound.item() + 1e-8, (i, found, bound.item(), turn, push, v)
             if bound.item() > 1e-6:
                 worst[i] = max(worst[i], found / bound.item())

@@ -217,7 +217,7 @@ def strays(
 ) -> Strays:
     """Of a hold, from its nodes (6, ...).
 
-    Thrust is fixed in the body. Of a body that turns at w at most, a thrust of a m/s^2 goes astray from its mean over t
+    Thrust is fixed in the body. Of a body that turns at w at most, a thrust of a m/s^2 deviates from its mean over t
     by a w |s - t/2|, across it, and by a w^2 (s - t/2)^2 / 2 along it. So the velocity strays from its chord across
     thrust by e = a w t^2 / 8 and along it by a w^2 t^3 / 60 at most, also where the plant holds the rates on the way,
     and |v| by (e |v across thrust| + e^2 / 2) / |v| and that. A position under a steady acceleration strays from its
