@@ -1,12 +1,12 @@
-"""SafetyFilter: the control next to a desired one that every barrier condition permits (Sec. ASIF, Eq. of the QP).
+"""Corrects a desired control minimally (Sec. Run Time Assurance, box Active Set Invariance Filter).
 
 For thrust and for torque, each within its limits,
 
     minimise |u - u_desired|^2    subject to    a_i u + b_i >= 0 for every row i.
 
-The rows are of one of two kinds (`rta.barrier`): of the rate now, or sampled: of a held control. Where they
-conflict, slack is given class after class of their weights (`rta.qp.programs.stages`). What the programs propose
-(`rta.propose`) is applied if it and the backup laws' flight after it keep the limits (`rta.backup`).
+The rows are of one of two kinds (`rta.barrier`): of the rate now, or sampled: of a held control. Where they conflict,
+slack is given class after class of their weights (`rta.qp.programs.stages`). What the programs propose (`rta.propose`)
+is applied if it and the backup trajectory after it keep the limits (`rta.backup`).
 """
 
 import warnings
@@ -157,7 +157,7 @@ class SafetyFilter:
         return narrowed(inside, x, self.is_holdable) if self.is_sampled else inside
 
     def is_holdable(self, x: Tensor) -> Tensor:
-        """(B,) bool: no barrier is negative and a control satisfies every row; of torque if it is not checked."""
+        """(B,) bool: every psi >= 0 and the hard QP is feasible; torque's rows only count where torque has no check."""
         thrust, torque = self.rows(x)
         certain = (thrust.psi >= 0.0).all(0)
         if not self.checked[1]:
@@ -176,10 +176,10 @@ class SafetyFilter:
 
     @in_full_precision
     def is_safe(self, x: Tensor) -> Tensor:
-        """(B,) bool: a state that may start an episode (docs/reference/proof.md).
+        """Tells which states may start an episode, (B,) bool (docs/reference/proof.md).
 
-        Every h is non-negative and the laws' flight keeps the limits. Where none is known of attitude, or of motion,
-        its Psi_1 are non-negative and a control satisfies every row; of motion thrust can brake, too.
+        True where every h >= 0 and the backup trajectory keeps the limits. For a group without a check: every
+        Psi_1 >= 0 (thrust: also can_brake); with sampled rows also is_holdable.
         """
         kept, (thrust, torque) = (self.values(x) >= 0.0).all(0), self.groups
         if self.backup:

@@ -35,7 +35,8 @@ class Constraint:
         intersample_drop: how far Psi (Psi_1 where the relative degree is two, else the barrier) can fall within one
             period below its linear prediction, over the period: half the period times the largest second derivative. A
             number or a function of states. Without it a state on the boundary could leave the safe set in one period.
-        doubling: the Psi at which the gain has doubled, gain * (1 + (Psi / doubling)^2): alpha is then an odd cubic.
+        doubling: the Psi at which the gain has doubled, gain * (1 + (Psi / doubling)^2): alpha is then an odd cubic,
+            until the gain reaches 0.5 / period.
         coupled: the other group's controls change it, too; they are then taken to do their worst.
         recovery: at relative degree two, how fast h is to rise at most on its way back from beyond the limit, in its
             unit per s; None where the gains may ask for anything.

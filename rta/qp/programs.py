@@ -11,8 +11,9 @@ Rows are first held with margins, then without. Where both are infeasible, slack
 the lowest weight alone, then to those of the next as well, and so on, until some control satisfies the rest. So the
 rows of a weight are held wherever they and those above can be; rows that have slack share it by their weights.
 
-Thrust and torque enter disjoint constraints, so the paper's six-variable program is exactly two of these.
-Rows are scaled to unit length, which makes b and delta multiples of the actuators' limits.
+Thrust and torque enter disjoint constraints, so the paper's six-variable program is exactly two of these for its rows
+without slack. Otherwise not: rows are scaled to unit length, which makes b and delta multiples of the actuators'
+limits, so slack is weighted per unit-length row; and sampled rows of thrust take the torque as given.
 """
 
 from collections.abc import Iterator, Sequence
