@@ -41,16 +41,16 @@ class Rows:
 
     Attributes:
         psi: (R, B) Psi_1 where the relative degree is two, else the barrier.
-        a: (R, 3, B); b: (R, B) with margins; b_bare: (R, B) without.
-        waived: (R, B) by how much b_bare asks for less than the condition does, see `attainable`.
+        a: (R, 3, B); b: (R, B) with margins; b_no_margin: (R, B) without.
+        relaxation: (R, B) by how much b_no_margin asks for less than the condition does, see `attainable`.
         h: (constraints, B) values without margin, exact; where the smallest row is h, at the moments of the rows.
     """
 
     psi: Tensor
     a: Tensor
     b: Tensor
-    b_bare: Tensor
-    waived: Tensor
+    b_no_margin: Tensor
+    relaxation: Tensor
     h: Tensor
 
 
@@ -273,8 +273,8 @@ class ActuatorGroup:
             loss = loss + (most.sum(1) - most[:, self.controls].sum(1))
         gain, margin, psi1_margin = self.alpha(psi, [each for each in constraints for _ in range(each.rows)])
         h = self.reported(x, constraints, psi)
-        b, b_bare = rate + gain * (psi - margin) - loss, rate + gain * (psi + psi1_margin) - loss
-        return Rows(psi, a, b, b_bare, torch.zeros_like(b), h)
+        b, b_no_margin = rate + gain * (psi - margin) - loss, rate + gain * (psi + psi1_margin) - loss
+        return Rows(psi, a, b, b_no_margin, torch.zeros_like(b), h)
 
     def near(self, x: Tensor, control: Tensor) -> Tensor:
         """Controls (6, B) with torque that keeps the rates within their limits over a hold, near which tangents help.
@@ -326,7 +326,7 @@ class ActuatorGroup:
 
         A row without slack may ask for all of the latter: 1 N may be too late to stay clear of the chief.
 
-        What a row no longer asks for is its `waived`, and counts as slack where the control does not give it.
+        What a row no longer asks for is its `relaxation`, and counts as slack where the control does not give it.
 
         Args:
             limit: (3, B) of the actuators, what is there of it, in N or N m.
@@ -336,8 +336,10 @@ class ActuatorGroup:
         hard = rows.a.new_tensor(self.weights).isinf()[:, None]
         least = -torch.where(hard, everything, along)
         beyond = self.beyond(rows)
-        b, b_bare = (torch.where(beyond, side.maximum(least), side) for side in (rows.b, rows.b_bare))
-        return replace(rows, b=b, b_bare=b_bare, waived=b_bare - rows.b_bare)
+        b, b_no_margin = (
+            torch.where(beyond, side.maximum(least), side) for side in (rows.b, rows.b_no_margin)
+        )
+        return replace(rows, b=b, b_no_margin=b_no_margin, relaxation=b_no_margin - rows.b_no_margin)
 
     def room(self, rows: Rows, limit: Tensor) -> Tensor:
         """How much of each actuator can raise each row within the rows that are bounds: (R, 3, B) in N or N m.

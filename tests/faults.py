@@ -263,8 +263,8 @@ CONDITIONS = [
         "rta/barrier.py",
         "rta/test_actuator_groups.py",
         (
-            "b, b_bare = rate + gain * (psi - margin) - loss",
-            "b, b_bare = rate + gain * (psi - margin) + loss",
+            "b, b_no_margin = rate + gain * (psi - margin) - loss",
+            "b, b_no_margin = rate + gain * (psi - margin) + loss",
         ),
         ("loss = loss + (most.sum(1)", "loss = loss - (most.sum(1)"),  # other actuators do their best
         (
@@ -320,7 +320,7 @@ CONDITIONS = [
     *faults(
         "rta/qp/scaled.py",
         "rta/test_filter.py -k waives",
-        ("rows.b_bare - rows.waived", "rows.b_bare + rows.waived"),
+        ("rows.b_no_margin - rows.relaxation", "rows.b_no_margin + rows.relaxation"),
     ),
 ]
 
@@ -503,7 +503,7 @@ IN_C = [
             "x->multiplier[x->row[k]] += length * way->r[k];",
         ),
         ("(p->weight[i] > highest) && (p->weight[i] < next)", "(p->weight[i] > highest)"),
-        ("solve_stage(p, (i == 0) ? p->b : p->b_bare,", "solve_stage(p, p->b_bare,"),
+        ("solve_stage(p, (i == 0) ? p->b : p->b_no_margin,", "solve_stage(p, p->b_no_margin,"),
         ("-way->r[k] / way->z2, way->z, size", "way->r[k] / way->z2, way->z, size"),
         ("= (full <= partial) ? full : partial;", "= full;"),
     ),
@@ -534,7 +534,7 @@ IN_C = [
         "rta/printed/driver/flight.c",
         "rta/backup/test_nominal_check.py -k compiled_check and 10.0 or fail_later",
         ("broken[k] = NOT(h[k] >= 0.0);", "broken[k] = NO;"),
-        ("turned(x, u, after, &least[MOTION_LIMITS]);", "turned(x, u, after, least);"),
+        ("attitude_flown(x, u, after, &least[MOTION_LIMITS]);", "attitude_flown(x, u, after, least);"),
     ),
     *faults(
         "rta/printed/driver/robust_check.c",
@@ -568,7 +568,7 @@ IN_C = [
     *faults(
         "rta/printed/driver/round.c",
         "rta/printed/test_driver.py -k in_c_is and quantum",
-        ("control[j] = given[j];", "given[j] = control[j];"),
+        ("control[j] = quantised[j];", "quantised[j] = control[j];"),
     ),
     *faults(
         "rta/printed/driver/batch/commit.c",

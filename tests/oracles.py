@@ -500,11 +500,11 @@ class Problems:
     desired: ndarray
     a: ndarray
     b: ndarray
-    b_bare: ndarray
+    b_no_margin: ndarray
     weight: ndarray
 
     def tensors(self) -> qp.Problems:
-        parts = (self.desired, self.a, self.b, self.b_bare)
+        parts = (self.desired, self.a, self.b, self.b_no_margin)
         return qp.Problems(
             *(torch.tensor(x).movedim(0, -1).contiguous() for x in parts), torch.tensor(self.weight)
         )
@@ -567,7 +567,7 @@ def given_slack(problems: Problems) -> ndarray:
         left = np.flatnonzero(np.isnan(given[:, 0]))
         held = problems.weight > highest
         if left.size and held.any():
-            left = left[feasible(problems.a[left][:, held], problems.b_bare[left][:, held])]
+            left = left[feasible(problems.a[left][:, held], problems.b_no_margin[left][:, held])]
         given[left] = np.where(held, INF, problems.weight)
     return given
 
@@ -575,5 +575,5 @@ def given_slack(problems: Problems) -> ndarray:
 def with_slack(problems: Problems, given: ndarray | None = None) -> ndarray:
     """The reference's controls (N, 3), with `given_slack` unless that is known."""
     given = given_slack(problems) if given is None else given
-    programs = zip(problems.desired, problems.a, problems.b_bare, given, strict=True)
+    programs = zip(problems.desired, problems.a, problems.b_no_margin, given, strict=True)
     return np.array([least_distance(*program) for program in programs])

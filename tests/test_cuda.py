@@ -45,7 +45,7 @@ def test_an_episode_is_the_same_on_both_devices(rta: bool) -> None:
 
 def test_batched_solver_gives_the_same_answers_on_both_devices() -> None:
     problems = synthetic(300, 11, seed=0)
-    parts = (problems.desired, problems.a, problems.b, problems.b_bare, problems.weight)
+    parts = (problems.desired, problems.a, problems.b, problems.b_no_margin, problems.weight)
     answers = [BatchedSolver().solve(Problems(*(x.to(device) for x in parts))) for device in DEVICES]
     assert answers[1].control.is_cuda
     assert (answers[0].status == answers[1].status.cpu()).all()

@@ -144,7 +144,7 @@ def checked(safety_filter: "SafetyFilter", check_parts: Sequence[Printed]) -> li
     f = safety_filter
     texts = [
         define("CONSTRAINTS", len(f.names)),
-        define("COARSE", int(f.uncertainty.is_quantised)),
+        define("QUANTISED", int(f.uncertainty.is_quantised)),
         *(define(name, *said) for name, said in constants(f.backup).items()),
     ]
     files = ["batch/batch.h", "batch/columns.c"]
@@ -159,13 +159,13 @@ def checked(safety_filter: "SafetyFilter", check_parts: Sequence[Printed]) -> li
 def recorded(safety_filter: "SafetyFilter") -> tuple[list[Printed], list[Printed], list[Printed]]:
     """What is printed of a filter: `functions`, `checks`, and what else is for vectors."""
     own, check_parts = functions(safety_filter), checks(safety_filter)
-    for_many = [part for part in own if part.name in ("predict", "given_thrust")]
+    for_many = [part for part in own if part.name in ("predict", "quantised_thrust")]
     return own, check_parts, [printed_attempt(safety_filter), *for_many]
 
 
 def by_column(safety_filter: "SafetyFilter") -> str:
     """The C function that has a batch's column filtered by the exported filter, whose header stands before."""
-    bounds = define("TOLD", int(not safety_filter.uncertainty.is_zero))
+    bounds = define("HAS_BOUNDS", int(not safety_filter.uncertainty.is_zero))
     return "\n".join([bounds, driver_text("batch/batch.h"), driver_text("batch/one.c")])
 
 
@@ -194,7 +194,7 @@ def first_attempt(safety_filter: "SafetyFilter", x: Tensor, desired: Tensor) -> 
         u, residual = attempt(asked.desired, asked.a, asked.b, steps)
         active, slack = from_qp(group, asked, rows.length, u, torch.full_like(found.status, Status.HARD))
         safe = rows.lowest[0] >= 0.0  # NaN is not
-        left.append(~(safe | ((residual[0] <= ACCURATE) & asked.b_bare.sum(0).isfinite())))
+        left.append(~(safe | ((residual[0] <= ACCURATE) & asked.b_no_margin.sum(0).isfinite())))
         control = torch.where(safe, found.control, u * group.limit)
         status = torch.where(safe, found.status, Status.HARD)
         return found._replace(control=control, status=status, active=active & ~safe, slack=slack)

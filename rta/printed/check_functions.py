@@ -39,7 +39,7 @@ def checks(safety_filter: "SafetyFilter") -> list[Printed]:
         long=planes or CELLS[0],
     )
     return holds + laws(b, x, u) + all_printed(
-        ("turned", lambda x, u: list(fly_attitude(x, u, b.flight)), (x, u), ("x", "control"),
+        ("attitude_flown", lambda x, u: list(fly_attitude(x, u, b.flight)), (x, u), ("x", "control"),
          ("after", "least")),
         ("at_once", lambda x: [b.at_once(x)], (x,), ("x",), ("least",)),
         ("terminal_room", lambda x: [b.terminal.room(x)], (x,), ("x",), ("room",)),
@@ -61,7 +61,7 @@ def robust_functions(b: RobustBackup, x: Tensor, u: Tensor) -> list[Printed]:
     y, least, found = torch.cat((x, bound)), ("least",), []
     if w := b.attitude:
         run = lambda x, u, e: [robust_attitude_check.verified(x, u, e, w)[None]]  # noqa: E731
-        found += all_printed(("turn_verified", run, (x, u, bound), GIVEN_BOUND, least))
+        found += all_printed(("attitude_verified", run, (x, u, bound), GIVEN_BOUND, least))
     if v := b.terminal_set:
 
         def hold_period(x: Tensor, u: Tensor, error_bound: Tensor) -> list[Tensor]:
@@ -72,12 +72,14 @@ def robust_functions(b: RobustBackup, x: Tensor, u: Tensor) -> list[Printed]:
             return [robust_motion_check.trajectory_margin_at(x, error_bound, late[0], v)[None]]
 
         found += all_printed(
-            ("homing_look", hold_period, (x, u, bound), GIVEN_BOUND, ("after", "bound_after", "least")),
-            ("homing_way", margin, (x, bound, late), ("x", "error_bound", "late"), least),
+            ("motion_hold", hold_period, (x, u, bound), GIVEN_BOUND, ("after", "bound_after", "least")),
+            ("motion_trajectory_margin", margin, (x, bound, late), ("x", "error_bound", "late"), least),
             long=v.free.cells,
         )
     return (
-        found + laws(b, x, u) + all_printed(("told_kept", lambda y: [b.may_be_kept(y)], (y,), ("y",), least))
+        found
+        + laws(b, x, u)
+        + all_printed(("may_be_kept", lambda y: [b.may_be_kept(y)], (y,), ("y",), least))
     )
 
 
@@ -109,7 +111,7 @@ def of_bounds(backup: RobustBackup) -> dict[str, tuple[int | float | str, str]]:
     """Of robust_check.c, as `constants`."""
     return {
         "SEEN": (SIZE + KINDS, "numbers: a state, and by how much further than measured it may be off"),
-        "TURN": (int(backup.attitude is not None), "1: torque is checked"),
+        "ATTITUDE_CHECKED": (int(backup.attitude is not None), "1: torque is checked"),
         "HELD_CALLS": (
             robust_motion_check.calls(backup.terminal_set) if backup.terminal_set else 0,
             "of a hold; 0: thrust is not checked",
@@ -141,14 +143,14 @@ def trials() -> dict[str, tuple[int | float | str, str]]:
     return {
         "SLACK_ROUNDED": (SLACK_ROUNDED, "in the unit of slack, up to which it is a solver's rounding"),
         "SHARE_COUNT": (len(SHARES) + 1, ""),
-        "SHARES": ("{" + shares + "}", "of the way from what is proposed to the backup law's control"),
+        "SHARES": ("{" + shares + "}", "tried between the proposed control and the backup law's"),
     }
 
 
 def limits() -> dict[str, tuple[int | float | str, str]]:
     """Which limits a backup trajectory keeps, as `constants`."""
     return {
-        "MOTION_LIMITS": (MOTION, "constraints, the first, that a way keeps by thrust"),
+        "MOTION_LIMITS": (MOTION, "constraints, the first, that a backup trajectory keeps by thrust"),
         "ATTITUDE_LIMITS": (ATTITUDE, "the next, by torque"),
         "KEPT_LIMITS": (
             len(PAPERS),

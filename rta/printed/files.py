@@ -70,9 +70,9 @@ SECTIONS = {  # by file of the driver
     "rows.c": "From rows to programs, and to what is reported",
     "filter.c": "The order of a call",
     "round.c": "What thrusters give",
-    "commit.c": "What is applied in the place of a control that leaves no way",
+    "commit.c": "What is applied in the place of a control that leaves no backup trajectory",
     "flight.c": "Whether a control keeps the limits, and the flight of the backup laws after it does",
-    "robust_check.c": "Whether within bounds a control keeps the limits and leaves a way",
+    "robust_check.c": "Whether with error bounds a control keeps the limits and leaves a backup trajectory",
     "commit_one.c": "The check of one spacecraft",
 }
 

@@ -84,7 +84,7 @@ def functions(safety_filter: "SafetyFilter") -> list[Printed]:
         found.append(printed(partial(values, f), x, name="values", names=(("x",), ("h",)), long=long))
     if uncertainty.is_quantised:
         run = partial(quantised_thrust, f)
-        found.append(printed(run, u[THRUST], name="given_thrust", names=(("thrust",), ("given",))))
+        found.append(printed(run, u[THRUST], name="quantised_thrust", names=(("thrust",), ("quantised",))))
     if uncertainty.health:
         names_of_turn = ("x", "torque", "left"), ("given",)
         examples = x, u[TORQUE], torch.ones_like(u)
@@ -151,7 +151,7 @@ def interface(safety_filter: "SafetyFilter") -> str:
             define("SAFETY_FILTER_CONSTRAINTS", len(safety_filter.names)),
             define("SAFETY_FILTER_LATENCY", uncertainty.latency, "periods, age of a state at most"),
             define("SAFETY_FILTER_SENT_ROOM", max(1, uncertainty.latency)),
-            define("SAFETY_FILTER_HEALTH", int(uncertainty.health), "1: what is left of actuators is told"),
+            define("SAFETY_FILTER_HEALTH", int(uncertainty.health), "1: what is left of actuators is given"),
             "",
         ]
     )
@@ -179,7 +179,9 @@ def constants(safety_filter: "SafetyFilter", parts: Sequence[Printed], text: str
         define("CLASSES_MAX", classes, "different weights of rows that have slack"),
         define("LATENCY", "SAFETY_FILTER_LATENCY"),
         define("HEALTH", "SAFETY_FILTER_HEALTH"),
-        define("COARSE", int(safety_filter.uncertainty.is_quantised), "1: thrusters give some values only"),
+        define(
+            "QUANTISED", int(safety_filter.uncertainty.is_quantised), "1: thrusters give some values only"
+        ),
         define("PROGRAMS", int(safety_filter.propose.kind != "none"), "0: there are no rows"),
         *tolerances(),
         "static const double LIMIT[2] = {SAFETY_FILTER_THRUST, SAFETY_FILTER_TORQUE};",
@@ -192,7 +194,7 @@ def constants(safety_filter: "SafetyFilter", parts: Sequence[Printed], text: str
         table(
             "int PLACE[2][GROUP_CONSTRAINTS_MAX]",
             [[places.index((i, k)) for k in range(len(group.names))] for i, group in enumerate(groups)],
-            "in the constraints' order, of each that a group holds",
+            "in the constraints' order, of each of a group",
         ),
     ]
     lines += [define(name, *said) for name, said in check_functions.constants(safety_filter.backup).items()]
@@ -204,7 +206,7 @@ def constants(safety_filter: "SafetyFilter", parts: Sequence[Printed], text: str
 def group_of(safety_filter: "SafetyFilter") -> str:
     """Which group enforces each constraint, in C."""
     torque = [int(name in safety_filter.groups[1].names) for name in safety_filter.names]
-    return table("int GROUP_OF[CONSTRAINTS]", torque, "0: thrust holds it, 1: torque")
+    return table("int GROUP_OF[CONSTRAINTS]", torque, "0: thrust enforces it, 1: torque")
 
 
 def tolerances() -> list[str]:

@@ -102,8 +102,8 @@ class BatchedSolver:
         """See `Solver`."""
         control, residual = self._attempt(problems.desired, problems.a, problems.b)
         residual = residual[0]
-        # NaN is unsolved; the attempt does not look at b_bare, nor whether what is desired ends
-        solved = (residual <= ACCURATE) & (problems.desired.sum(0) + problems.b_bare.sum(0)).isfinite()
+        # NaN is unsolved; the attempt does not look at b_no_margin, nor whether what is desired ends
+        solved = (residual <= ACCURATE) & (problems.desired.sum(0) + problems.b_no_margin.sum(0)).isfinite()
         status = torch.where(solved, Status.HARD, Status.UNSOLVED)
         left = torch.nonzero(status == Status.UNSOLVED).flatten()
         if left.numel():

@@ -54,25 +54,27 @@ class Problems:
     Attributes:
         desired: (3, N), of any size up to LARGEST_DEMAND.
         a: (R, 3, N) rows, of unit length or shorter.
-        b: (R, N) with the margins; b_bare: (R, N) without, never smaller. Margins are spent before a limit is.
+        b: (R, N) with the margins; b_no_margin: (R, N) without, never smaller. Margins are spent before a limit is.
         weight: (R,) slack weights and priorities, infinite for a row that must hold.
     """
 
     desired: Tensor
     a: Tensor
     b: Tensor
-    b_bare: Tensor
+    b_no_margin: Tensor
     weight: Tensor
 
     def __getitem__(self, columns: Tensor) -> "Problems":
         """The programs at these indices (M,)."""
-        desired, a, b, b_bare = (pick(part, columns) for part in (self.desired, self.a, self.b, self.b_bare))
-        return Problems(desired, a, b, b_bare, self.weight)
+        desired, a, b, b_no_margin = (
+            pick(part, columns) for part in (self.desired, self.a, self.b, self.b_no_margin)
+        )
+        return Problems(desired, a, b, b_no_margin, self.weight)
 
     @property
     def finite(self) -> Tensor:
         """(N,) bool: the program holds neither NaN nor infinity, which every sum would show."""
-        sums = self.desired.sum(0) + self.a.sum((0, 1)) + self.b.sum(0) + self.b_bare.sum(0)
+        sums = self.desired.sum(0) + self.a.sum((0, 1)) + self.b.sum(0) + self.b_no_margin.sum(0)
         return sums.isfinite()
 
 
@@ -95,10 +97,10 @@ def stages(problems: Problems) -> Iterator[tuple[Tensor, Tensor, Status]]:
     """What is tried in turn, until it is feasible: sides b (R, N), slack weights (R,) and what a solution is then."""
     hard = torch.full_like(problems.weight, torch.inf)
     yield problems.b, hard, Status.HARD
-    yield problems.b_bare, hard, Status.HARD
+    yield problems.b_no_margin, hard, Status.HARD
     for highest in problems.weight[problems.weight.isfinite()].unique():  # in ascending order
         weight = torch.where(problems.weight <= highest, problems.weight, hard)
-        yield problems.b_bare, weight, Status.SLACK
+        yield problems.b_no_margin, weight, Status.SLACK
 
 
 class Solver(Protocol):
@@ -139,7 +141,7 @@ def least_violating(candidates: Sequence[Tensor], problems: Problems) -> Tensor:
     least, least_soft = torch.full_like(best[:2], torch.inf)
     for control in candidates:
         u = control.clamp(-1.0, 1.0)
-        short = (-total(problems.a * u, 1) - problems.b_bare).clamp(min=0.0) ** 2
+        short = (-total(problems.a * u, 1) - problems.b_no_margin).clamp(min=0.0) ** 2
         hard, soft = total(short * must[:, None], 0), total(short * weight, 0)
         better = (hard < least) | ((hard == least) & (soft < least_soft))
         best = torch.where(better, u, best)

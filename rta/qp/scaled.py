@@ -18,7 +18,7 @@ class ScaledRows(NamedTuple):
     """Rows of one actuator group with their scale, computed for every spacecraft, corrected or not.
 
     Attributes:
-        psi, a, b, b_bare, waived, h: the fields of `Rows`.
+        psi, a, b, b_no_margin, relaxation, h: the fields of `Rows`.
         length: (R, B) of the rows per actuator limit.
         lowest: (1, B) left-hand side of the scaled rows under the desired control; negative or NaN where it must
             be corrected.
@@ -27,8 +27,8 @@ class ScaledRows(NamedTuple):
     psi: Tensor
     a: Tensor
     b: Tensor
-    b_bare: Tensor
-    waived: Tensor
+    b_no_margin: Tensor
+    relaxation: Tensor
     h: Tensor
     length: Tensor
     lowest: Tensor
@@ -64,9 +64,9 @@ def to_qp(group: ActuatorGroup, rows: ScaledRows, desired: Tensor, left: Tensor 
         left: (3, M) the share that each of the group's actuators gives; None: all of it.
     """
     limit = group.limit if left is None else group.limit * left
-    b, b_bare = ((side / rows.length).clamp(HOPELESS, REDUNDANT) for side in (rows.b, rows.b_bare))
+    b, b_no_margin = ((side / rows.length).clamp(HOPELESS, REDUNDANT) for side in (rows.b, rows.b_no_margin))
     a = rows.a * (limit / rows.length[:, None])
-    return Problems(desired, a, b, b_bare, desired.new_tensor(group.weights))
+    return Problems(desired, a, b, b_no_margin, desired.new_tensor(group.weights))
 
 
 def from_qp(
@@ -75,8 +75,8 @@ def from_qp(
     """Returns by constraint, (constraints, M), whether a row binds the controls (3, M), and how far one falls short."""
     reached = total(asked.a * control, 1)
     with_margins = (reached + asked.b).amin(0) >= -FEASIBLE
-    binding = reached + torch.where(with_margins, asked.b, asked.b_bare) <= FEASIBLE
-    short = -(reached + asked.b_bare).clamp(max=0.0) * length
+    binding = reached + torch.where(with_margins, asked.b, asked.b_no_margin) <= FEASIBLE
+    short = -(reached + asked.b_no_margin).clamp(max=0.0) * length
     short = short.masked_fill(status < Status.SLACK, 0.0)
     return (
         group.by_constraint(binding, partial(torch.any, dim=0)),
@@ -86,8 +86,8 @@ def from_qp(
 
 def shortfall(group: ActuatorGroup, rows: ScaledRows, control: Tensor) -> Tensor:
     """Returns by constraint, (constraints, B), how far controls (3, B) in N or N m fall short of relaxed rows, or 0."""
-    left = total(rows.a * control, 1) + rows.b_bare - rows.waived
-    short = (rows.waived > 0.0) & (left < -FEASIBLE * rows.length)
+    left = total(rows.a * control, 1) + rows.b_no_margin - rows.relaxation
+    short = (rows.relaxation > 0.0) & (left < -FEASIBLE * rows.length)
     return group.by_constraint(torch.where(short, -left, 0.0), partial(torch.amax, dim=0))
 
 

@@ -75,7 +75,7 @@ def enforced(group: ActuatorGroup, rows: Rows, control: Tensor, status: Tensor) 
     length = (rows.a * group.limit).norm(dim=1).clamp(min=SHORTEST_ROW)
     reached = (rows.a * control[group.controls]).sum(1)
     with_margins = ((reached + rows.b) / length >= -FEASIBLE).all(0) & (status < Status.UNSOLVED)
-    b = torch.where(with_margins, rows.b, rows.b_bare)
+    b = torch.where(with_margins, rows.b, rows.b_no_margin)
     a = rows.a.new_zeros(len(b), *control.shape)
     a[:, group.controls] = rows.a
     weight = rows.a.new_tensor(group.weights)[:, None]

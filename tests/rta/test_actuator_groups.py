@@ -118,7 +118,7 @@ def test_entry_with_several_rows_has_those_of_several_entries(both, gains, coupl
     one, two = group(PAPERS["collision"], several), group(PAPERS["collision"], *single)
     rows, expected = one(STATES), two(STATES)
     assert one.names == ("collision", "both") and one.weights == two.weights == [math.inf, 7.0, 7.0]
-    for name in ("psi", "a", "b", "b_bare"):
+    for name in ("psi", "a", "b", "b_no_margin"):
         torch.testing.assert_close(getattr(rows, name), getattr(expected, name), rtol=1e-13, atol=1e-13)
     assert (both(STATES).argmin(0) == 0).any() and (both(STATES).argmin(0) == 1).any()
     assert torch.equal(rows.h[1], both(STATES).amin(0)) and torch.equal(rows.h, one.values(STATES))
@@ -135,7 +135,7 @@ def test_the_intersample_drop_is_taken_off_both_sides(name: str, intersample_dro
     bare, rows = group(entry)(x), group(replace(entry, intersample_drop=intersample_drop))(x)
     lost = intersample_drop(x) if callable(intersample_drop) else torch.full_like(x[0], intersample_drop)
     assert (lost > 0).all()
-    assert_equal(rows, replace(bare, b=bare.b - lost, b_bare=bare.b_bare - lost))
+    assert_equal(rows, replace(bare, b=bare.b - lost, b_no_margin=bare.b_no_margin - lost))
 
 
 def test_gain_doubles_where_the_entry_says_so() -> None:
@@ -143,7 +143,7 @@ def test_gain_doubles_where_the_entry_says_so() -> None:
     plain, rising = group(entry)(STATES), group(replace(entry, doubling=30.0))(STATES)
     gain = (0.2 * (1 + (plain.psi / 30.0) ** 2)).clamp(max=0.5)
     assert (gain > 0.3).any() and (gain < 0.5).any()
-    assert_equal(rising, replace(plain, b=plain.b + (gain - 0.2) * plain.psi, b_bare=rising.b))
+    assert_equal(rising, replace(plain, b=plain.b + (gain - 0.2) * plain.psi, b_no_margin=rising.b))
 
 
 @pytest.mark.parametrize("name", OWN)
@@ -165,7 +165,7 @@ def test_rows_equal_finite_differences(name: str) -> None:
     near(rows.psi[0], psi(X))
     near(rows.a[0], pushed[own])
     near(rows.b[0], slope(psi, X, drift(X, UNEQUAL), 1e-3) + last * (psi(X) - margin) - worst)
-    near((rows.b_bare - rows.b)[0], np.full(X.shape[1], np.prod(constraint.gains) * constraint.margin))
+    near((rows.b_no_margin - rows.b)[0], np.full(X.shape[1], np.prod(constraint.gains) * constraint.margin))
     assert (worst > 1e-6).any() == (name == "cone")
 
 

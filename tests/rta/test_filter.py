@@ -118,7 +118,7 @@ def left_hand_sides(conditions: tuple[Rows, Rows], u: Tensor) -> Tensor:
 
 
 def test_safe_control_is_returned_untouched(conditions: tuple[Rows, Rows], solution: FilterResult) -> None:
-    weakened = torch.cat([rows.waived > 0.0 for rows in conditions]).any(
+    weakened = torch.cat([rows.relaxation > 0.0 for rows in conditions]).any(
         0
     )  # which is slack, however little is asked
     safe = (left_hand_sides(conditions, U) > 1e-9).all(0) & ~weakened
@@ -130,7 +130,7 @@ def test_safe_control_is_returned_untouched(conditions: tuple[Rows, Rows], solut
 
 def test_corrected_control_satisfies_every_row(conditions: tuple[Rows, Rows], solution: FilterResult) -> None:
     for rows, group in zip(conditions, (THRUST, TORQUE), strict=True):
-        bare = (rows.a * solution.control[group]).sum(1) + rows.b_bare
+        bare = (rows.a * solution.control[group]).sum(1) + rows.b_no_margin
         assert (bare >= -FEASIBLE * (rows.a * LIMIT[group]).norm(dim=1))[
             :, solution.status <= Status.HARD
         ].all()
@@ -257,7 +257,7 @@ def test_slack_is_the_shortfall_of_the_bare_condition(programs: SafetyFilter, so
     expected = torch.zeros(13, X.shape[1], dtype=torch.float64)
     for group in programs.groups:
         rows = group.continuous_rows(X, group.constraints, coupled=False)
-        short = -((rows.a * solution.control[group.controls]).sum(1) + rows.b_bare)
+        short = -((rows.a * solution.control[group.controls]).sum(1) + rows.b_no_margin)
         for k, each in enumerate(group.of_row):
             i = CONSTRAINTS.index(each.name)
             expected[i] = torch.maximum(expected[i], short[k])
@@ -273,11 +273,11 @@ def test_what_a_row_waives_beyond_its_limit_is_said(
     said = 0
     for rows, group, status in zip(conditions, safety.groups, result.program_status, strict=True):
         a, u = rows.a * group.limit, result.control[group.controls] / group.limit
-        length, reached = a.norm(dim=1), (a * u).sum(1) + rows.b_bare
+        length, reached = a.norm(dim=1), (a * u).sum(1) + rows.b_no_margin
         satisfied = (reached >= -FEASIBLE * length).all(0)
-        waived = ((rows.waived > 0.0) & (reached - rows.waived < -2 * FEASIBLE * length)).any(0)
-        assert (status[waived] >= Status.SLACK).all()
-        said += int((satisfied & waived).sum())
+        relaxation = ((rows.relaxation > 0.0) & (reached - rows.relaxation < -2 * FEASIBLE * length)).any(0)
+        assert (status[relaxation] >= Status.SLACK).all()
+        said += int((satisfied & relaxation).sum())
     assert said > 50
 
 
@@ -299,7 +299,7 @@ def test_rows_yield_only_where_no_control_holds_their_class(solver: str) -> None
         authority = (rows.a * LIMIT[group]).abs().sum(1)
         authority[authority == 0.0] = 1.0
         a = (rows.a * LIMIT[group] / authority[:, None]).numpy()
-        b = (rows.b_bare / authority).numpy()
+        b = (rows.b_no_margin / authority).numpy()
         for k in range(x.shape[1]):
             reached = a[..., k] @ (control[group] / LIMIT[group])[:, k].numpy() + b[:, k]
             for lowest in (1e3, 1e4, 1e5):
@@ -385,7 +385,7 @@ def test_own_constraints_come_after_the_papers(programs: SafetyFilter, solution:
     assert (safety.is_in_safe_set(X) <= (papers.is_in_safe_set(X) & (h >= 0).all(0))).all()
     torque, hard = safety.rows(X)[1], answer.status <= Status.HARD
     reached = (torque.a[-1] * answer.control[TORQUE]).sum(0)
-    sides = torch.stack((reached + torque.b[-1], reached + torque.b_bare[-1]))
+    sides = torch.stack((reached + torque.b[-1], reached + torque.b_no_margin[-1]))
     assert (sides[1, hard] >= -1e-9).all()
     binds = hard & answer.active[-1]
     assert binds.sum() > 20

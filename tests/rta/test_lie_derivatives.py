@@ -159,7 +159,7 @@ def assert_rows_beyond(
     assert ((h < 0).sum(1) >= 5)[chosen].all()
     near(rows.a[chosen], a[chosen])
     near(rows.b[chosen], attainable(asked, a, h, names, limit)[chosen])
-    near(rows.b_bare[chosen], attainable(asked + margin, a, h, names, limit)[chosen])
+    near(rows.b_no_margin[chosen], attainable(asked + margin, a, h, names, limit)[chosen])
 
 
 def test_first_psi_has_its_margin_spent(case: tuple) -> None:

@@ -41,7 +41,7 @@ def test_gains_are_capped_at_half_the_calls_per_second(period: float) -> None:
         (row,) = own
         within = h[CONSTRAINTS.index(name)] >= 0.0
         assert within.sum() >= 20
-        added = (rows.b_bare - rows.b)[row, within]
+        added = (rows.b_no_margin - rows.b)[row, within]
         torch.testing.assert_close(added, torch.full_like(added, spent))
 
 

@@ -1,8 +1,8 @@
-/* Propose, check, commit: a control is applied if it leaves a way to keep all limits; else the nearest that does, on the
- * way to the laws' control; at last that. What a way is, flight.c or told.c says.
+/* Propose, check, commit: a control is applied if a backup trajectory keeps all limits after it; else the nearest such
+ * between it and the laws' control; at last that. The backup trajectory is that of flight.c or of robust_check.c.
  *
- * The same text checks one spacecraft and vectors of them: V is a number, M a truth value, of each. y: the state and, of a
- * filter that is told of bounds, by how much further than measured it may be off. */
+ * The same text checks one spacecraft and vectors of them: V is a number, M a truth value, of each. y: the state and, with
+ * error bounds, by how much further than measured it may be off. */
 
 enum { THRUSTS = 0, TORQUES = 1 };
 
@@ -16,13 +16,13 @@ static void assign(V *to, const V *from, int count)
 /* Which limits are broken already, and not asked for, and whether controls of each group can be checked. */
 static void are_fit(const V y[SEEN], const V h[CONSTRAINTS], M broken[LIMITS], M fit[2]);
 
-/* Whether a control keeps the limits of each group that is asked for while it is held, and leaves a way. */
+/* Whether a control keeps the limits of each group that is asked for while it is held, and its backup trajectory does. */
 static void are_safe(const V y[SEEN], const V control[6], const M broken[LIMITS], const M asked[2], M found[2]);
 
 /* Has both groups follow their laws where that is known to be safe. Returns where it is. */
 static M follow(const V y[SEEN], M open, const M broken[LIMITS], V control[6]);
 
-/* Of spacecraft whose control is refused the first that is safe on the way to the law's, else that. Returns where it is. */
+/* Of spacecraft whose control is refused the first safe one between it and the law's, else that. Returns where it is. */
 static M go_towards_law(const V y[SEEN], int group, M refused, const M broken[LIMITS], V control[6])
 {
     static const double shares[SHARE_COUNT] = SHARES;
@@ -48,10 +48,10 @@ static M go_towards_law(const V y[SEEN], int group, M refused, const M broken[LI
         M found[2];
         assign(tried, control, 6);
         for (int j = 0; j < 3; ++j) {
-            const V way = proposed[j] + (ALL(shares[i]) * (law[j] - proposed[j]));
+            const V between = proposed[j] + (ALL(shares[i]) * (law[j] - proposed[j]));
             const V low = MIN(proposed[j], law[j]);
             const V high = MAX(proposed[j], law[j]);
-            tried[first + j] = MIN(MAX(way, low), high);
+            tried[first + j] = MIN(MAX(between, low), high);
         }
         round_thrust(tried);
         asked[group] = open;
@@ -115,8 +115,8 @@ static void nothing_yields(const M broken[LIMITS], const M safe[2], const M chan
             }
         }
         const V status = SELECT(changed[group], MAX(program_status[group], ALL(1.0)), program_status[group]);
-        const M held = AND(AND(safe[group], NOT(left > SLACK_ROUNDED)), status == 2.0);
-        program_status[group] = SELECT(held, ALL(1.0), status);
+        const M kept = AND(AND(safe[group], NOT(left > SLACK_ROUNDED)), status == 2.0);
+        program_status[group] = SELECT(kept, ALL(1.0), status);
     }
 }
 

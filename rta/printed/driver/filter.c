@@ -1,23 +1,23 @@
 /* The order of a call: torque first, since the attitude decides where thrust acts. */
 
 /* What is projected of a group's desired control: any size up to LARGEST_DEMAND limits, zero where a number is none. */
-static void wish_of(int group, const double desired[3], double wish[3])
+static void projected_of(int group, const double desired[3], double projected[3])
 {
     double most = LARGEST_DEMAND; /* in units of the actuators' limits */
     int is_none = 0;
     for (int j = 0; j < 3; ++j) {
-        wish[j] = clip(desired[j], -ENDLESS, ENDLESS);
+        projected[j] = clip(desired[j], -ENDLESS, ENDLESS);
         is_none = (isnan(desired[j]) != 0) ? 1 : is_none;
-        most = fmax(most, fabs(wish[j]) / LIMIT[group]);
+        most = fmax(most, fabs(projected[j]) / LIMIT[group]);
     }
     for (int j = 0; j < 3; ++j) {
-        wish[j] = (is_none != 0) ? 0.0 : (wish[j] * (LARGEST_DEMAND / most));
+        projected[j] = (is_none != 0) ? 0.0 : (projected[j] * (LARGEST_DEMAND / most));
     }
 }
 
 /* The state, NaN where it is infinite: infinitely safe is no state either. What is projected of the desired control,
  * and that clipped to the limits. A result that says of every constraint that there is nothing to say. */
-static void begin(const struct safety_filter_input *in, double x[16], double wish[6], double control[6],
+static void begin(const struct safety_filter_input *in, double x[16], double projected[6], double control[6],
                   struct safety_filter_output *out)
 {
     for (int i = 0; i < 16; ++i) {
@@ -33,9 +33,9 @@ static void begin(const struct safety_filter_input *in, double x[16], double wis
     for (int group = THRUST; group <= TORQUE; ++group) {
         out->program_status[group] = UNTOUCHED;
         out->residual[group] = 0.0;
-        wish_of(group, &in->desired[3 * group], &wish[3 * group]);
+        projected_of(group, &in->desired[3 * group], &projected[3 * group]);
         for (int j = 3 * group; j < (3 * (group + 1)); ++j) {
-            control[j] = clip(wish[j], -LIMIT[group], LIMIT[group]);
+            control[j] = clip(projected[j], -LIMIT[group], LIMIT[group]);
             if (!((in->desired[j] >= -LIMIT[group]) && (in->desired[j] <= LIMIT[group]))) {
                 out->program_status[group] = HARD;
             }
@@ -43,7 +43,7 @@ static void begin(const struct safety_filter_input *in, double x[16], double wis
     }
 }
 
-/* The control and the worse status. Nothing is verified of a state that is older than what the filter was told. */
+/* The control and the worse status. Nothing is verified of a state that is older than LATENCY. */
 static void end(const struct safety_filter_input *in, const double control[6], struct safety_filter_output *out)
 {
     if (in->sent_count > LATENCY) {
@@ -86,7 +86,7 @@ static void bring_up_to_date(const struct safety_filter_input *in, const double 
 }
 
 /* Replaces what the thrusters do not give, and torque that would leave a dead axis on the radius: that is projected. */
-static void replace_desired(const double x[16], const double left[6], double wish[6], double control[6],
+static void replace_desired(const double x[16], const double left[6], double projected[6], double control[6],
                             struct safety_filter_output *out)
 {
     double asked[6];
@@ -102,7 +102,7 @@ static void replace_desired(const double x[16], const double left[6], double wis
         if (!((control[j] <= asked[j]) && (control[j] >= asked[j]))) {
             const int first = 3 * (j / 3);
             out->program_status[j / 3] = HARD;
-            copy(&wish[first], &control[first], 3);
+            copy(&projected[first], &control[first], 3);
         }
     }
 }
@@ -112,20 +112,20 @@ static void replace_desired(const double x[16], const double left[6], double wis
 static void rows_of(int group, const double x[16], const double control[6], const double left[6], struct rows *r)
 {
 #if HEALTH
-#define TOLD left,
+#define LEFT left,
 #else
-#define TOLD
+#define LEFT
     (void)left;
 #endif
     if (group == THRUST) {
-        thrust_rows(x, control, TOLD r->psi, r->a, r->b, r->b_bare, r->waived, r->h, r->length, r->lowest);
+        thrust_rows(x, control, LEFT r->psi, r->a, r->b, r->b_no_margin, r->relaxation, r->h, r->length, r->lowest);
     } else {
-        torque_rows(x, control, TOLD r->psi, r->a, r->b, r->b_bare, r->waived, r->h, r->length, r->lowest);
+        torque_rows(x, control, LEFT r->psi, r->a, r->b, r->b_no_margin, r->relaxation, r->h, r->length, r->lowest);
     }
 }
 
 /* A group's controls: as desired where these satisfy its rows, else what its program answers. */
-static void propose(int group, const double x[16], const double left[6], const double wish[6], double control[6],
+static void propose(int group, const double x[16], const double left[6], const double projected[6], double control[6],
                     struct safety_filter_output *out)
 {
     const int first = 3 * group;
@@ -143,7 +143,7 @@ static void propose(int group, const double x[16], const double left[6], const d
     scale(group, &rows, limit, &scaled);
     const int is_corrected = (rows.lowest[0] >= 0.0) ? 0 : 1; /* NaN must not pass */
     for (int j = 0; j < 3; ++j) {
-        u[j] = ((is_corrected != 0) ? wish[first + j] : control[first + j]) / LIMIT[group];
+        u[j] = ((is_corrected != 0) ? projected[first + j] : control[first + j]) / LIMIT[group];
     }
     if (is_corrected != 0) {
         struct program program;
@@ -164,12 +164,12 @@ static void propose(int group, const double x[16], const double left[6], const d
 }
 #else
 /* Without rows: the desired control goes to the check as it is; in a state that is none nothing is done. */
-static void propose(int group, const double x[16], const double left[6], const double wish[6], double control[6],
+static void propose(int group, const double x[16], const double left[6], const double projected[6], double control[6],
                     struct safety_filter_output *out)
 {
     double h[CONSTRAINTS];
     (void)left;
-    (void)wish;
+    (void)projected;
     values(x, h);
     for (int k = 0; k < CONSTRAINTS_OF[group]; ++k) {
         out->h[PLACE[group][k]] = h[PLACE[group][k]];
@@ -189,16 +189,16 @@ void safety_filter(const struct safety_filter_input *in, struct safety_filter_ou
     double x[16];
     double error_bound[4] = {0.0, 0.0, 0.0, 0.0};
     double left[6];
-    double wish[6];
+    double projected[6];
     double control[6];
-    begin(in, x, wish, control, out);
+    begin(in, x, projected, control, out);
     for (int j = 0; j < 6; ++j) {
         left[j] = (HEALTH != 0) ? in->left[j] : 1.0;
     }
     bring_up_to_date(in, left, x, error_bound);
-    replace_desired(x, left, wish, control, out);
-    propose(TORQUE, x, left, wish, control, out);
-    propose(THRUST, x, left, wish, control, out); /* with the torque that is found */
+    replace_desired(x, left, projected, control, out);
+    propose(TORQUE, x, left, projected, control, out);
+    propose(THRUST, x, left, projected, control, out); /* with the torque that is found */
 #if CHECKED
     check_control(x, error_bound, control, out);
 #endif

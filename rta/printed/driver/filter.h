@@ -7,7 +7,7 @@ struct safety_filter_input {
     safety_filter_real sent[SAFETY_FILTER_SENT_ROOM][6]; /* controls held since the state was measured, the oldest
                                          first, each for a period; read where SAFETY_FILTER_LATENCY is not 0 */
     int sent_count;                   /* of them, 0 if there are none; of more than SAFETY_FILTER_LATENCY the state is too old: UNSOLVED */
-    safety_filter_real left[6];       /* share that each actuator gives of what it is told, 0 to 1; read where
+    safety_filter_real left[6];       /* share that each actuator gives of its command, 0 to 1; read where
                                          SAFETY_FILTER_HEALTH is 1 */
 };
 
@@ -17,9 +17,9 @@ struct safety_filter_output {
     safety_filter_real control[6];    /* as desired[6], within the actuators' limits, to be held for a period */
     int status;                       /* enum safety_filter_status, the worse of both below */
     int program_status[2];            /* of thrust, of torque */
-    int verified;                     /* 1: no limit is violated while control is held, and then a way to rest is known
-                                         on which none is; 0: no such way is known, or there is no check */
-    int backup;                       /* 1: the check refused the programs' solution, and control is nearer to that way */
+    int verified;                     /* 1: no limit is violated while control is held, and then on a backup
+                                         trajectory; 0: no such one is known, or there is no check */
+    int backup;                       /* 1: the check refused the programs' solution, and control is nearer to the backup law's */
     int violated;                     /* 1: a limit is broken already, some h is negative, whatever the status */
     safety_filter_real residual[2];   /* of the optimality conditions of a program whose solution is applied, else 0 */
     safety_filter_real h[SAFETY_FILTER_CONSTRAINTS];     /* values of the constraints: negative is a violation */

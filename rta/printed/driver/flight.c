@@ -1,4 +1,4 @@
-/* The check of the model: a way is the flight of both backup laws, until it is where they stay. */
+/* The check without error bounds: the backup trajectory is the flight of both laws, until it is where they stay. */
 
 /* The limits of thrust, and of torque, in the order of the constraints; the body rates are one. */
 static const int FIRST_LIMIT[2] = {0, MOTION_LIMITS};
@@ -62,7 +62,7 @@ static void fly_on(V x[16], const M broken[LIMITS], int holds, M alive[2], M fou
             for (int i = 0; i < MOTION_LIMITS; ++i) {
                 least[i] = ALL(0.0);
             }
-            turned(x, u, after, &least[MOTION_LIMITS]);
+            attitude_flown(x, u, after, &least[MOTION_LIMITS]);
         }
         are_kept(least, broken, fine);
         for (int group = THRUSTS; group <= TORQUES; ++group) {
@@ -73,7 +73,7 @@ static void fly_on(V x[16], const M broken[LIMITS], int holds, M alive[2], M fou
 }
 
 /* Whether the laws' flight keeps the limits of each group that is asked for, and ends. */
-static void have_ways(const V x[16], const M broken[LIMITS], const M asked[2], M found[2])
+static void have_trajectories(const V x[16], const M broken[LIMITS], const M asked[2], M found[2])
 {
     V y[16];
     M alive[2];
@@ -99,7 +99,7 @@ static void are_safe(const V x[16], const V control[6], const M broken[LIMITS], 
     for (int group = THRUSTS; group <= TORQUES; ++group) {
         open[group] = AND(asked[group], kept[group]);
     }
-    have_ways(after, broken, open, found);
+    have_trajectories(after, broken, open, found);
     for (int group = THRUSTS; group <= TORQUES; ++group) {
         found[group] = AND(found[group], kept[group]);
     }
@@ -133,7 +133,7 @@ static M follow(const V y[SEEN], M open, const M broken[LIMITS], V control[6])
     V law[6];
     M found[2];
     const M asked[2] = {open, open};
-    have_ways(y, broken, asked, found);
+    have_trajectories(y, broken, asked, found);
     backup_torque(y, &law[3]);
     backup_thrust(y, &law[3], law);
     const M followed = AND(open, AND(found[THRUSTS], found[TORQUES]));

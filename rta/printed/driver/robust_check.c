@@ -1,5 +1,5 @@
-/* The check of a filter that is told of bounds, of each group apart: torque leaves a way to rest, thrust one into the haven,
- * from every state that may be true and wherever a hold may end. */
+/* The check with error bounds, of each group apart: torque leaves a backup trajectory to rest, thrust one into
+ * the terminal set, from every state that may be true and wherever a hold may end. */
 
 #if HELD_CALLS > 0
 /* Where a hold may end, call by call. */
@@ -18,8 +18,8 @@ static V apart(const V first[3], const V last[3])
     return SQRT(sum);
 }
 
-/* Whether a way begins wherever a hold may end, by one look. */
-static M home_at_a_glance(const struct hold_ends *ends)
+/* Whether a backup trajectory begins wherever a hold may end, by one look. */
+static M has_trajectory_at_a_glance(const struct hold_ends *ends)
 {
     const V *middle = ends->x[(HELD_CALLS - 1) / 2];
     V widest[4];
@@ -35,12 +35,12 @@ static M home_at_a_glance(const struct hold_ends *ends)
         }
         late[0] = (call > 0) ? MAX(late[0], ends->late[call]) : ends->late[call];
     }
-    homing_way(middle, widest, late, least);
+    motion_trajectory_margin(middle, widest, late, least);
     return least[0] >= 0.0;
 }
 
-/* Whether thrust keeps the limits of motion and leaves a way; `closely`: by a look at each end where one is not enough. */
-static M homes(const V y[SEEN], const V control[6], M asked, int closely)
+/* Whether thrust keeps the limits of motion and leaves a backup trajectory; `closely`: by a look at each end where one is not enough. */
+static M keeps_motion(const V y[SEEN], const V control[6], M asked, int closely)
 {
     struct hold_ends ends;
     V grown[HELD_CALLS + 1];
@@ -50,7 +50,7 @@ static M homes(const V y[SEEN], const V control[6], M asked, int closely)
     M found = asked;
     grown[0] = bound[1];
     for (int call = 0; (call < HELD_CALLS) && ANY(found); ++call) {
-        homing_look(now, control, bound, ends.x[call], ends.error_bound[call], least);
+        motion_hold(now, control, bound, ends.x[call], ends.error_bound[call], least);
         found = AND(found, least[0] >= 0.0);
         now = ends.x[call];
         bound = ends.error_bound[call];
@@ -60,34 +60,34 @@ static M homes(const V y[SEEN], const V control[6], M asked, int closely)
     if (!ANY(found)) {
         return found;
     }
-    const M seen = AND(found, home_at_a_glance(&ends));
+    const M seen = AND(found, has_trajectory_at_a_glance(&ends));
     M open = (closely != 0) ? AND(found, NOT(seen)) : NO;
     for (int call = 0; (call < HELD_CALLS) && ANY(open); ++call) {
-        homing_way(ends.x[call], ends.error_bound[call], &ends.late[call], least);
+        motion_trajectory_margin(ends.x[call], ends.error_bound[call], &ends.late[call], least);
         open = AND(open, least[0] >= 0.0);
     }
     return OR(seen, open);
 }
 #endif
 
-/* As are_safe; `closely`: see `homes`. Thrust is not looked at beside torque that is refused: it is with what is applied. */
+/* As are_safe; `closely`: see `keeps_motion`. Thrust is not looked at beside torque that is refused: it is with what is applied. */
 static void are_seen_safe(const V y[SEEN], const V control[6], const M asked[2], int closely, M found[2])
 {
     M alone = asked[THRUSTS];
     found[THRUSTS] = NO;
     found[TORQUES] = NO;
     (void)closely;
-#if TURN
+#if ATTITUDE_CHECKED
     if (ANY(asked[TORQUES])) {
         V least[1];
-        turn_verified(y, control, &y[16], least);
+        attitude_verified(y, control, &y[16], least);
         found[TORQUES] = least[0] >= 0.0;
         alone = AND(alone, OR(found[TORQUES], NOT(asked[TORQUES])));
     }
 #endif
 #if HELD_CALLS > 0
     if (ANY(alone)) {
-        found[THRUSTS] = homes(y, control, alone, closely);
+        found[THRUSTS] = keeps_motion(y, control, alone, closely);
     }
 #endif
     (void)alone;
@@ -99,13 +99,13 @@ static void are_safe(const V y[SEEN], const V control[6], const M broken[LIMITS]
     are_seen_safe(y, control, asked, 1, found);
 }
 
-/* A group is not checked where one of its limits is broken beyond doubt: no way begins there. */
+/* A group is not checked where one of its limits is broken beyond doubt: no backup trajectory begins there. */
 static void are_fit(const V y[SEEN], const V h[CONSTRAINTS], M broken[LIMITS], M fit[2])
 {
     V least[2];
     M finite = YES;
     (void)h;
-    told_kept(y, least);
+    may_be_kept(y, least);
     for (int i = 0; i < SEEN; ++i) {
         finite = AND(finite, FABS(y[i]) < INFINITY);
     }

@@ -5,8 +5,8 @@ struct rows {
     double psi[GROUP_ROWS_MAX];
     double a[GROUP_ROWS_MAX * 3];
     double b[GROUP_ROWS_MAX];
-    double b_bare[GROUP_ROWS_MAX]; /* without margin */
-    double waived[GROUP_ROWS_MAX]; /* by how much that asks for less than the condition does, beyond a limit */
+    double b_no_margin[GROUP_ROWS_MAX]; /* without margin */
+    double relaxation[GROUP_ROWS_MAX]; /* by how much that asks for less than the condition does, beyond a limit */
     double h[GROUP_CONSTRAINTS_MAX];
     double length[GROUP_ROWS_MAX]; /* per actuator limit */
     double lowest[1];              /* scaled left-hand side at the control; negative or NaN: to be corrected */
@@ -16,8 +16,8 @@ struct rows {
 struct scaled {
     double a[GROUP_ROWS_MAX][3];
     double b[GROUP_ROWS_MAX];
-    double b_bare[GROUP_ROWS_MAX];
-    double waived[GROUP_ROWS_MAX]; /* not scaled, as length */
+    double b_no_margin[GROUP_ROWS_MAX];
+    double relaxation[GROUP_ROWS_MAX]; /* not scaled, as length */
     double length[GROUP_ROWS_MAX];
 };
 
@@ -27,8 +27,8 @@ static void scale(int group, const struct rows *rows, const double limit[3], str
     for (int i = 0; i < ROWS[group]; ++i) {
         const double length = rows->length[i];
         scaled->b[i] = clip(rows->b[i] / length, HOPELESS, REDUNDANT);
-        scaled->b_bare[i] = clip(rows->b_bare[i] / length, HOPELESS, REDUNDANT);
-        scaled->waived[i] = rows->waived[i];
+        scaled->b_no_margin[i] = clip(rows->b_no_margin[i] / length, HOPELESS, REDUNDANT);
+        scaled->relaxation[i] = rows->relaxation[i];
         scaled->length[i] = length;
         for (int j = 0; j < 3; ++j) {
             scaled->a[i][j] = rows->a[(3 * i) + j] * (limit[j] / length);
@@ -42,7 +42,7 @@ static void program_of(int group, const struct scaled *scaled, const double desi
     for (int i = 0; i < ROWS[group]; ++i) {
         copy(program->a[program->rows], scaled->a[i], 3);
         program->b[program->rows] = scaled->b[i];
-        program->b_bare[program->rows] = scaled->b_bare[i];
+        program->b_no_margin[program->rows] = scaled->b_no_margin[i];
         program->weight[program->rows] = WEIGHT[group][i];
         program->rows += 1;
     }
@@ -61,18 +61,18 @@ static void say(int group, const struct scaled *scaled, const double u[3], int i
         reached[i] = dot(scaled->a[i], u, 3);
         least = smaller(least, reached[i] + scaled->b[i]);
     }
-    const double *side = (least >= -FEASIBLE) ? scaled->b : scaled->b_bare;
+    const double *side = (least >= -FEASIBLE) ? scaled->b : scaled->b_no_margin;
     for (int i = 0; i < ROWS[group]; ++i) {
         const int place = PLACE[group][CONSTRAINT_OF_ROW[group][i]];
-        const double lack = -(reached[i] + scaled->b_bare[i]) * scaled->length[i];
+        const double lack = -(reached[i] + scaled->b_no_margin[i]) * scaled->length[i];
         if ((is_corrected != 0) && ((reached[i] + side[i]) <= FEASIBLE)) {
             out->active[place] = 1;
         }
         if (status >= SLACK) {
             out->slack[place] = larger(out->slack[place], lack);
         }
-        if ((scaled->waived[i] > 0.0) && ((lack + scaled->waived[i]) > (FEASIBLE * scaled->length[i]))) {
-            out->slack[place] = larger(out->slack[place], lack + scaled->waived[i]);
+        if ((scaled->relaxation[i] > 0.0) && ((lack + scaled->relaxation[i]) > (FEASIBLE * scaled->length[i]))) {
+            out->slack[place] = larger(out->slack[place], lack + scaled->relaxation[i]);
         }
         if ((out->slack[place] > 0.0) && (status < SLACK)) {
             out->program_status[group] = SLACK;

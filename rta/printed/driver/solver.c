@@ -22,7 +22,7 @@ struct program {
     double desired[3];
     double a[ROWS_MAX][3];   /* of unit length or shorter */
     double b[ROWS_MAX];      /* with margins, which are spent before a limit is */
-    double b_bare[ROWS_MAX]; /* without */
+    double b_no_margin[ROWS_MAX]; /* without */
     double weight[ROWS_MAX]; /* of slack, and its priority; INFINITY: the row must hold */
 };
 
@@ -77,7 +77,7 @@ static void begin_program(struct program *p, const double desired[3])
             p->a[i][j] = ((i % 3) != j) ? 0.0 : ((i < 3) ? 1.0 : -1.0);
         }
         p->b[i] = 1.0;
-        p->b_bare[i] = 1.0;
+        p->b_no_margin[i] = 1.0;
         p->weight[i] = INFINITY;
     }
 }
@@ -86,7 +86,7 @@ static int is_finite(const struct program *p)
 {
     double sum = p->desired[0] + p->desired[1] + p->desired[2];
     for (int i = 0; i < p->rows; ++i) {
-        sum += p->a[i][0] + p->a[i][1] + p->a[i][2] + p->b[i] + p->b_bare[i];
+        sum += p->a[i][0] + p->a[i][1] + p->a[i][2] + p->b[i] + p->b_no_margin[i];
     }
     return isfinite(sum) ? 1 : 0;
 }
@@ -331,8 +331,8 @@ static double next_class(const struct program *p, double highest)
     return next;
 }
 
-/* The first of the known controls that violates rows least: those that must hold, then the others by their weights. */
-static void least_violating(const struct program *p, double known[][3], int count, double u[3])
+/* The first of the candidate controls that violates rows least: those that must hold, then the others by their weights. */
+static void least_violating(const struct program *p, double candidates[][3], int count, double u[3])
 {
     double least_must = INFINITY;
     double least_rest = INFINITY;
@@ -340,7 +340,7 @@ static void least_violating(const struct program *p, double known[][3], int coun
         double must = 0.0;
         double rest = 0.0;
         for (int i = 0; i < p->rows; ++i) {
-            const double lack = fmax(0.0, -(dot(p->a[i], known[k], 3) + p->b_bare[i]));
+            const double lack = fmax(0.0, -(dot(p->a[i], candidates[k], 3) + p->b_no_margin[i]));
             if (isinf(p->weight[i]) != 0) {
                 must += lack * lack;
             } else {
@@ -350,33 +350,33 @@ static void least_violating(const struct program *p, double known[][3], int coun
         if ((must < least_must) || ((must <= least_must) && (rest < least_rest))) {
             least_must = must;
             least_rest = rest;
-            copy(u, known[k], 3);
+            copy(u, candidates[k], 3);
         }
     }
 }
 
 /*
  * Solves a program in stages: every row held with its margin, then without; then slack is given class after class, in
- * ascending order of their weights. What no stage solves accurately gets the least-violating control known, and zero
+ * ascending order of their weights. What no stage solves accurately gets the least-violating candidate, and zero
  * control if a number in it is not finite.
  */
 static void solve(const struct program *p, struct answer *answer)
 {
-    double known[2 + STAGES_MAX][3] = {{0.0}}; /* desired, zero, and what stages answered */
+    double candidates[2 + STAGES_MAX][3] = {{0.0}}; /* desired, zero, and what stages answered */
     int count = 2;
     double highest = 0.0;
     const int finite = is_finite(p);
     for (int j = 0; j < 3; ++j) {
-        known[0][j] = clip(p->desired[j], -1.0, 1.0);
+        candidates[0][j] = clip(p->desired[j], -1.0, 1.0);
     }
-    copy(answer->control, known[1], 3);
+    copy(answer->control, candidates[1], 3);
     answer->status = UNSOLVED;
     answer->residual = INFINITY;
     for (int i = 0; (i < STAGES_MAX) && (finite != 0) && (answer->status == UNSOLVED); ++i) {
         highest = (i < 2) ? 0.0 : next_class(p, highest);
         if (isfinite(highest) != 0) {
-            double *u = known[count];
-            const double residual = solve_stage(p, (i == 0) ? p->b : p->b_bare, highest, u);
+            double *u = candidates[count];
+            const double residual = solve_stage(p, (i == 0) ? p->b : p->b_no_margin, highest, u);
             if (residual <= ACCURATE) {
                 answer->status = (i < 2) ? HARD : SLACK;
                 answer->residual = residual;
@@ -389,6 +389,6 @@ static void solve(const struct program *p, struct answer *answer)
         }
     }
     if ((finite != 0) && (answer->status == UNSOLVED)) {
-        least_violating(p, known, count, answer->control);
+        least_violating(p, candidates, count, answer->control);
     }
 }

@@ -50,10 +50,10 @@ SOLVER = """#include <math.h>
 #define PROGRAMS 1
 %s
 %s
-void solve_all(int count, int rows, const double *desired, const double *a, const double *b, const double *b_bare,
+void solve_all(int count, int rows, const double *desired, const double *a, const double *b, const double *b_no_margin,
                const double *weight, double *control, int *status, double *residual);
 
-void solve_all(int count, int rows, const double *desired, const double *a, const double *b, const double *b_bare,
+void solve_all(int count, int rows, const double *desired, const double *a, const double *b, const double *b_no_margin,
                const double *weight, double *control, int *status, double *residual)
 {
     for (int i = 0; i < count; ++i) {
@@ -63,7 +63,7 @@ void solve_all(int count, int rows, const double *desired, const double *a, cons
         for (int j = rows * i; j < (rows * (i + 1)); ++j) {
             copy(program.a[program.rows], &a[3 * j], 3);
             program.b[program.rows] = b[j];
-            program.b_bare[program.rows] = b_bare[j];
+            program.b_no_margin[program.rows] = b_no_margin[j];
             program.weight[program.rows] = weight[j - (rows * i)];
             program.rows += 1;
         }
@@ -167,7 +167,7 @@ def test_a_compiled_filter_reads_only_what_is_there(wrong: str) -> None:
 def test_equal_rows_that_yield_are_all_active(solver: ctypes.CDLL, copies: int) -> None:
     """As often as passes repeat them: together they weigh so many times as much."""
     p = synthetic(300, 22, seed=3)[torch.arange(30)]
-    parts = (part.repeat(copies, *(1,) * (part.dim() - 1)) for part in (p.a, p.b, p.b_bare, p.weight))
+    parts = (part.repeat(copies, *(1,) * (part.dim() - 1)) for part in (p.a, p.b, p.b_no_margin, p.weight))
     assert largest_difference(solver, Problems(p.desired, *parts)) <= 1e-9
 
 

@@ -185,8 +185,8 @@ FLAWS = {
     "the stages": ("(i < 2) ? HARD : SLACK", "(i < 1) ? HARD : SLACK"),
     "what is no number": ("isinf(in->state[i]) ? NAN", "isinf(in->state[i]) ? 0.0"),
     "the limits": (
-        "control[j] = clip(wish[j], -LIMIT[group], LIMIT[group]);",
-        "control[j] = wish[j];",
+        "control[j] = clip(projected[j], -LIMIT[group], LIMIT[group]);",
+        "control[j] = projected[j];",
     ),
 }
 

@@ -23,7 +23,7 @@ from rta.qp.programs import Problems, Solutions, Status
 from tests.oracles import Problems as Arrays
 from tests.oracles import feasible, given_slack, projection, tensor, with_slack
 
-FIELDS = ("desired", "a", "b", "b_bare")
+FIELDS = ("desired", "a", "b", "b_no_margin")
 
 
 @pytest.fixture(autouse=True)
@@ -134,19 +134,19 @@ def test_random_programs_satisfy_kkt(solver: BatchedSolver, rows: int) -> None:
     assert slack.sum() >= 300 and solver.resolved < 10
     assert (answer.control.abs() <= 1.0).all()
     given, with_margins = given_slack(programs), feasible(programs.a, programs.b)
-    for i, (u, desired, a, b, b_bare) in enumerate(
+    for i, (u, desired, a, b, b_no_margin) in enumerate(
         zip(
             answer.control.T.numpy(),
             programs.desired,
             programs.a,
             programs.b,
-            programs.b_bare,
+            programs.b_no_margin,
             strict=True,
         )
     ):
         held = np.isinf(given[i])
         assert answer.status[i] == (Status.HARD if held.all() else Status.SLACK)
-        side = b if with_margins[i] else b_bare
+        side = b if with_margins[i] else b_no_margin
         assert (a @ u + side)[held].min() >= -1e-9
         # a residual that is off by 1e-11 changes the force by that times the weight
         assert force_left(u, desired, a, side, given[i]) <= (1e-8 if held.all() else 1e-11 * 1e5)
@@ -156,7 +156,7 @@ def test_unsolvable_programs_are_proved_to_be(solver: BatchedSolver) -> None:
     problems = synthetic(200, 6, seed=1)
     problems.weight[:] = math.inf  # what was soft must hold
     answer, programs = solver.solve(problems), arrays(problems)
-    expected = feasible(programs.a, programs.b_bare)
+    expected = feasible(programs.a, programs.b_no_margin)
     assert ((answer.status == Status.HARD).numpy() == expected).all()
     unsolved = answer.status == Status.UNSOLVED
     assert solver.resolved == unsolved.sum() > 50
@@ -165,7 +165,7 @@ def test_unsolvable_programs_are_proved_to_be(solver: BatchedSolver) -> None:
 
 def test_zero_row_that_cannot_hold_leaves_the_others_alone(solver: BatchedSolver) -> None:
     problems = synthetic(100, 6, seed=2)
-    problems.a[1], problems.b[1], problems.b_bare[1] = 0.0, -0.5, -0.5
+    problems.a[1], problems.b[1], problems.b_no_margin[1] = 0.0, -0.5, -0.5
     answer = solver.solve(problems)
     assert (answer.status == Status.SLACK).all()
     np.testing.assert_allclose(answer.control.T, with_slack(arrays(problems)), rtol=0, atol=1e-7)

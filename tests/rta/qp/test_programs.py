@@ -76,7 +76,7 @@ SLACK_CASES = {
 def slack_problems(weight: ndarray) -> Problems:
     problems = infeasible_problems(300, 8, 1, weight)
     must = np.isinf(weight)
-    problems.b[:, must] = problems.b_bare[:, must] = np.abs(problems.b[:, must])  # satisfied by u = 0
+    problems.b[:, must] = problems.b_no_margin[:, must] = np.abs(problems.b[:, must])  # satisfied by u = 0
     return problems
 
 
@@ -90,7 +90,7 @@ def case(request: pytest.FixtureRequest) -> tuple[Problems, ndarray, ndarray]:
 
 def test_references_agree() -> None:
     problems = dataclasses.replace(feasible_problems(300, 6, 0), weight=np.full(6, INF))
-    exact = with_slack(dataclasses.replace(problems, b_bare=problems.b))
+    exact = with_slack(dataclasses.replace(problems, b_no_margin=problems.b))
     np.testing.assert_allclose(exact, projection(problems), rtol=0, atol=1e-11)
 
 
@@ -116,7 +116,7 @@ def test_slack_program_satisfies_kkt(solver: Solver, case: tuple[Problems, ndarr
     # that are held; a residual that is off by FEASIBLE changes it by FEASIBLE times the weight
     problems, given, _ = case
     control, _ = solve(solver, problems)
-    programs = zip(control, problems.desired, problems.a, problems.b_bare, given, strict=True)
+    programs = zip(control, problems.desired, problems.a, problems.b_no_margin, given, strict=True)
     for u, desired, a, b, weight in programs:
         soft = np.isfinite(weight)
         rest = lhs(u, a, b)

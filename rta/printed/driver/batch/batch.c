@@ -1,7 +1,7 @@
 /* Attempts all programs, W spacecraft at a time, and has those that are left solved one by one. */
 
-/* The states now, from those that are as old as the controls sent since. Lanes in which something is told that is left to
- * the filter for one spacecraft: that an actuator gives less. */
+/* The states now, from those that are as old as the controls sent since. Returns lanes that are left to the
+ * filter for one spacecraft: an actuator gives less there. */
 static M bring_up_to_date(const void *const *in, const long *in_step, long column, long lanes, V x[SEEN], V error_bound[4])
 {
     M open = NO;
@@ -48,10 +48,10 @@ long filter_batch(long first, long last, const void *const *in, const long *in_s
         M unsure = NO;
         load_block(in[0], in_step[0], column, lanes, 16, y);
         load_block(in[1], in_step[1], column, lanes, 6, desired);
-        const M told = bring_up_to_date(in, in_step, column, lanes, y, error_bound);
+        const M weak = bring_up_to_date(in, in_step, column, lanes, y, error_bound);
         memcpy(&y[16], error_bound, (SEEN - 16) * sizeof(V));
         first_attempt(y, desired, numbers, &numbers[6], &numbers[6 + CONSTRAINTS], program_status, active, open);
-        M alone = open[0] | told; /* filtered one by one */
+        M alone = open[0] | weak; /* filtered one by one */
 #if FLIES
         V after[16];
         M hopes;

@@ -35,7 +35,7 @@ long filter_one(long column, const void *const *in, const long *in_step, void *c
     struct safety_filter_output found;
     column_of(given.state, 16, in[0], in_step[0], column);
     column_of(given.desired, 6, in[1], in_step[1], column);
-#if TOLD
+#if HAS_BOUNDS
     column_of(given.left, 6, in[3], in_step[3], column);
     for (int k = 0; k < SAFETY_FILTER_LATENCY; ++k) {
         safety_filter_real *sent = given.sent[given.sent_count];

@@ -10,7 +10,7 @@ static M are_unsure(const V y[SEEN], V numbers[6 + 2 * CONSTRAINTS], V program_s
     for (int i = 0; i < SEEN; ++i) {
         finite &= FABS(y[i]) < INFINITY;
     }
-    const M unsure = ~finite | ((HELD_CALLS > 0) ? ~safe[THRUSTS] : NO) | (TURN ? ~safe[TORQUES] : NO);
+    const M unsure = ~finite | ((HELD_CALLS > 0) ? ~safe[THRUSTS] : NO) | (ATTITUDE_CHECKED ? ~safe[TORQUES] : NO);
     for (int group = THRUSTS; group <= TORQUES; ++group) {
         safe[group] &= ~unsure;
     }
