@@ -31,7 +31,7 @@ from settings import (
     to_toml,
 )
 from study.config import EVALUATED, TEST_CASES, Config, StudyConfig
-from study.errors import ExportError, ReflyError, Stopped, refusing
+from study.errors import ExportError, ReflyError, Stopped, as_input_error
 from study.files import check_writable, write_json, write_npz, writing
 
 if TYPE_CHECKING:  # help and refusals do not wait for PyTorch, which the commands import
@@ -337,7 +337,7 @@ def run_evaluate(given: Namespace) -> None:
         "--controller",
         required=True,
         choices=("policy", "recorded", "lqr-pd", *EVALUATED),
-        help="who commands the spacecraft",
+        help="the controller",
     ),
     AGENT,
     flag(
@@ -537,7 +537,7 @@ def run_boundary(given: Namespace) -> None:
         "--policy",
         choices=("random", "adversarial", "pressing", "lookahead"),
         default="pressing",
-        help="who commands, see verify",
+        help="the controller, see verify",
     ),
     count("--duration", 300, "whole seconds of each episode"),
     seed(0, "of everything random"),
@@ -740,7 +740,7 @@ def run(given: Namespace) -> None:
         raise InputError(f"torchrun: {given.command} runs in one process; only train and study in many")
     for name, path in vars(given).items():
         if isinstance(path, Path):  # an output, see `to_write`
-            with refusing(f"--{name} {str(path)!r}: cannot write it", OSError, ValueError):
+            with as_input_error(f"--{name} {str(path)!r}: cannot write it", OSError, ValueError):
                 check_writable(path)
     set_threads(given.threads)
     if given.cache_dir:

@@ -240,7 +240,7 @@ def parts_of_a_step(experiment: Experiment, count: int, x: Tensor, agent: Agent)
     env = experiment.env(count, compiled=experiment.compiled, safety=safety)
     start(env, x)
     vars(env)["integrate"] = timed("integration", env.integrate)
-    vars(env.sight)["mark"] = timed("visibility and k-means", env.sight.mark)
+    vars(env.sight)["update_inspected"] = timed("visibility and k-means", env.sight.update_inspected)
     decide = timed("agent", agent)
 
     def play() -> None:

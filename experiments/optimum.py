@@ -24,7 +24,15 @@ from experiments.optimum_bound import Task, climbed
 from inspection.chief.points import fibonacci_sphere, point_weights
 from inspection.closed_loop import Controller
 from inspection.environment import InspectionEnv
-from inspection.guidance import TILT, balanced, limited, look, natural_motion, tilted, watch
+from inspection.guidance import (
+    TILT,
+    balanced,
+    camera_direction,
+    limited,
+    natural_motion,
+    pointing_torque,
+    tilted,
+)
 from inspection.model.attitude import cross, dot, norm, rotate, unit
 from inspection.model.dynamics import sun_direction
 from inspection.model.orbit import clohessy_wiltshire, free_flight
@@ -287,7 +295,7 @@ def planned(start: Tensor, thrust: Tensor, c: InspectionParameters) -> Controlle
         off = reference[i] - torch.cat((x[P], x[V]))
         back = c.mass * (TRACKING**2 * off[:3] + 2.0 * TRACKING * off[3:])
         sun = sun_direction(x[THETA_S])
-        torque = look(x, watch(x, unit(x[P]), sun, c), sun, c, POINTING)
+        torque = pointing_torque(x, camera_direction(x, unit(x[P]), sun, c), sun, c, POINTING)
         return limited(thrust[i // per_action] + back, torque, x, c)
 
     return control

@@ -1,4 +1,4 @@
-"""The one closed loop (Sec. RL Control Loop with RTA): who commands, the filter, the plant, and their clocks."""
+"""The one closed loop (Sec. RL Control Loop with RTA): controller, filter, plant, and their clocks."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -39,7 +39,7 @@ class Safety:
         is_safe: maps states (16, B) to (B,) bool, whether an episode may start there.
         correct: maps states and desired controls (6, B) to a `Correction`; None applies what is desired.
         period: s between two calls of `correct`.
-        informed: `correct` also takes what a plant tells it, by name, see `inspection.world.plant.Plant.tell`.
+        takes_plant_data: `correct` also takes `inspection.world.plant.Plant.filter_inputs`, by name.
     """
 
     names: tuple[str, ...] = ()
@@ -47,7 +47,7 @@ class Safety:
     is_safe: Callable[[Tensor], Tensor] | None = None
     correct: Callable[[Tensor, Tensor], Correction] | None = None
     period: float = 1.0
-    informed: bool = False
+    takes_plant_data: bool = False
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ class Clocks:
     """What happens how often in a closed loop, in s.
 
     Attributes:
-        decision: between two questions to who commands.
+        decision: between two decisions of the controller.
         report: the longest time between two `Hold`s.
         substep: the longest integration step.
         filter: between two calls of the filter; None without one.
@@ -119,11 +119,11 @@ class Hold(NamedTuple):
     Attributes:
         time, end: at which it begins and ends, seconds: how long it is, in s.
         state: (16, B) at its beginning; after: at its end. Both are true.
-        desired: (6, B) who commands, or, between two of its decisions, the filter's last control.
+        desired: (6, B) by the controller, or, between two of its decisions, the filter's last control.
         applied: (6, B) that the actuators are told.
         correction: the filter's answer, where it was called at `time`.
-        decided: who commands was asked at `time`.
-        seen: (16, B) the states as who commands and the filter last saw them.
+        decided: the controller was evaluated at `time`.
+        seen: (16, B) the states as controller and filter last saw them.
         acting: (6, B) what acts on the plant.
         missed: (B,) bool, the call at `time` was missed, so that `applied` is the last control; None: none was.
     """
@@ -151,17 +151,17 @@ def closed_loop(
     duration: float,
     plant: Plant | None = None,
     start: Tensor | None = None,
-    informed: bool = False,
+    takes_plant_data: bool = False,
 ) -> Iterator[Hold]:
     """Flies from states x (16, B) for a duration in s.
 
     Args:
-        controller: who commands.
+        controller: of the desired controls.
         correct: the filter; None applies what is desired.
         integrate: states (16, B) after holding a control (6, B) for some s.
         plant: what differs from the model; None: nothing, states are seen as they are and controls act as they are.
         start: the episodes' time at the beginning, (B,) s; None: 0 s.
-        informed: the filter also takes what the plant tells.
+        takes_plant_data: the filter also takes what the plant tells.
 
     A call is one of the filter, without a filter a decision. After a missed call the next one is asked for the same.
     """
@@ -179,7 +179,7 @@ def closed_loop(
         desired = controller(time, seen) if decided else next_desired
         correction = missed = None
         if called:
-            told = plant.tell(start + time) if plant and informed else {}
+            told = plant.filter_inputs(start + time) if plant and takes_plant_data else {}
             correction = correct(seen, desired, **told) if correct else None
             # the filter's last control is its next desired one
             applied = next_desired = desired if correction is None else correction.control

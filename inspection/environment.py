@@ -15,7 +15,7 @@ from inspection.model.state import CONTROL_SIZE, SIZE, THRUST, TORQUE
 from inspection.observation import normalised
 from inspection.privileged import privileged
 from inspection.reward import REWARDS, rewards, shaping
-from inspection.sight import EVERYONE, Sight
+from inspection.sight import ALL, Sight
 from inspection.termination import ends, failures, outcome_of
 from inspection.transition import Transition
 from inspection.world.basilisk import BasiliskPlant
@@ -218,7 +218,7 @@ class InspectionEnv:
 
     @in_full_precision
     def observation(
-        self, seen: Tensor | None = None, columns: Tensor | slice = EVERYONE, score: Tensor | None = None
+        self, seen: Tensor | None = None, columns: Tensor | slice = ALL, score: Tensor | None = None
     ) -> Tensor:
         """Normalised observations (k, size) float32 of the given columns, of what has been seen of the chief so far.
 
@@ -328,7 +328,7 @@ class InspectionEnv:
             duration,
             self.plant,
             self.time.clone() if time is None else time,
-            self.safety.informed,
+            self.safety.takes_plant_data,
         )
         for hold in holds:
             yield hold

@@ -102,7 +102,7 @@ def lqr_pd(c: Limits) -> Controller:
     return control
 
 
-def watch(x: Tensor, outward: Tensor, sun: Tensor, c: Limits) -> Tensor:
+def camera_direction(x: Tensor, outward: Tensor, sun: Tensor, c: Limits) -> Tensor:
     """Where the camera is to look, a unit vector (3, B): at the chief as far as power allows, and never at the Sun.
 
     From the chief it is turned away from the Sun until the panels on its back make the power drawn, at most by TILT,
@@ -127,7 +127,7 @@ def watch(x: Tensor, outward: Tensor, sun: Tensor, c: Limits) -> Tensor:
 
 
 def tilted(outward: Tensor, sun: Tensor, tilt: Tensor) -> Tensor:
-    """The unit vector (3, ...) to the chief, turned away from the Sun by (...) rad; arguments as of `watch`."""
+    """The unit vector (3, ...) to the chief, turned off the Sun by (...) rad; arguments as of `camera_direction`."""
     across = unit(sun - dot(outward, sun) * outward)
     return -(outward * tilt.cos() + across * tilt.sin())
 
@@ -158,7 +158,7 @@ def roll(x: Tensor, light: Tensor, thrust: Tensor, c: Limits) -> Tensor:
     return share * ALONG * quarter_sine + (1.0 - share) * cross(cold, light)[0]
 
 
-def look(
+def pointing_torque(
     x: Tensor, direction: Tensor, sun: Tensor, c: Limits, frequency: float, thrust: Tensor | None = None
 ) -> Tensor:
     """PD torque (3, B) that turns the camera to a unit vector (3, B), and rolls about it.
@@ -197,7 +197,7 @@ def brightest(c: Limits) -> float:
     return c.panel_performance * c.panel_degradation * c.surface_area
 
 
-def along(p: Tensor, wanted: Tensor, orbit: Orbit, n: float) -> tuple[Tensor, Tensor]:
+def target_along_ellipse(p: Tensor, wanted: Tensor, orbit: Orbit, n: float) -> tuple[Tensor, Tensor]:
     """The point of the ellipse at most `look_ahead` of phase from p (3, B) towards the phase wanted (B,).
 
     Returns:
@@ -214,12 +214,12 @@ def along(p: Tensor, wanted: Tensor, orbit: Orbit, n: float) -> tuple[Tensor, Te
     return position, n * torch.stack((b * sin, -2 * b * cos, -a * cos))
 
 
-def aside(p: Tensor, wanted: Tensor, orbit: Orbit, n: float) -> tuple[Tensor, Tensor]:
+def target_on_great_circle(p: Tensor, wanted: Tensor, orbit: Orbit, n: float) -> tuple[Tensor, Tensor]:
     """The point at most `look_ahead` from p (3, B) on the great circle towards the ellipse's at the phase wanted (B,).
 
     The circle is around the chief where the along-track axis is shrunk by half, which makes the ellipse a circle, too.
     So the way leads over a pole where that is shorter, and depends continuously on where it begins but opposite to its
-    end, which a copy can learn. `along` turns back where the phase is half a turn from the one wanted.
+    end, which a copy can learn. `target_along_ellipse` turns back where the phase is half a turn from the one wanted.
 
     Returns:
         the point and its velocity in a free motion of the ellipse's tilt, each (3, B).
@@ -247,9 +247,10 @@ def natural_motion(
     it costs almost no fuel. With a > 0 it keeps min(a, b) from the whole line through the chief along the track, so
     that no drift along it ends in a collision (D'Amico and Montenbruck 2006: eccentricity and inclination vectors
     apart). Away from the phase wanted the target is a point a little ahead, so that the way leads around the chief:
-    without a lead along the ellipse (`along`), with one on a great circle (`aside`). Without a lead the camera is on
-    the chief where panels on its back then make the power drawn, and elsewhere turned away from the Sun, which charges
-    the battery. With one, `watch` says where it looks, and `look` how it turns there.
+    without a lead along the ellipse (`target_along_ellipse`), with one on a great circle (`target_on_great_circle`).
+    Without a lead the camera is on the chief where panels on its back then make the power drawn, and elsewhere turned
+    away from the Sun, which charges the battery. With one, `camera_direction` says where it looks, and
+    `pointing_torque` how it turns there.
 
     Args:
         every: s for which a control is held, T. The critically damped law, of frequency w, then multiplies angle and
@@ -271,7 +272,9 @@ def natural_motion(
     def control(t: float, x: Tensor) -> Tensor:
         sun, outward = sun_direction(x[THETA_S]), unit(x[P])
         wanted = x[THETA_S] - lead.at(score()) if lead and score else x[THETA_S]
-        position, velocity = (aside if lead else along)(x[P], wanted, orbit, n)
+        position, velocity = (target_on_great_circle if lead else target_along_ellipse)(
+            x[P], wanted, orbit, n
+        )
         error = position - x[P]
         limit = orbit.approach * (c.docking_speed + c.speed_slope * norm(x[P]))
         nearing = error * torch.minimum(limit / norm(error).clamp(min=1e-9), torch.ones_like(limit) * (w / 2))
@@ -279,7 +282,9 @@ def natural_motion(
             2 * w * c.mass * (nearing + velocity - x[V])
         )  # the law w^2 error + 2 w error' up to the limit
         if lead:
-            torque = look(x, watch(x, outward, sun, c), sun, c, pointing, thrust if rolls else None)
+            torque = pointing_torque(
+                x, camera_direction(x, outward, sun, c), sun, c, pointing, thrust if rolls else None
+            )
         else:
             away = torch.where(brightest(c) * dot(outward, sun) > c.power_draw, outward, sun)
             torque = point(x, "+x", -away, c, pointing)

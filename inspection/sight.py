@@ -16,7 +16,7 @@ from inspection.model.state import THETA_S, P
 from kernels.modes import in_full_precision
 from kernels.printer import LEAST_LONG
 
-EVERYONE = slice(None)  # of the batch's columns
+ALL = slice(None)  # of the batch's columns
 
 
 class Sight:
@@ -82,16 +82,16 @@ class Sight:
             getattr(self, name)[..., columns] = 0
         self.priority[:, columns] = priority
         self.weights[:, columns] = chief.point_weights(self.surface.normals, priority, self.surface.areas)
-        self.mark(x, columns)
+        self.update_inspected(x, columns)
 
     @in_full_precision
     def look(self, x: Tensor, time: Tensor) -> None:
         """Looks at every chief from states x (16, B), at the episodes' time (B,) in s."""
         if self.tumbling:
             self.tumbling.at(time, x[THETA_S])
-        self.mark(x)
+        self.update_inspected(x)
 
-    def mark(self, x: Tensor, columns: Tensor | slice = EVERYONE) -> None:
+    def update_inspected(self, x: Tensor, columns: Tensor | slice = ALL) -> None:
         """Marks the points in view from states x (16, k); points r_UPS at the nearest cluster of those lit and left."""
         ((lit, seen),) = self._seen(x, *self._frames(columns))
         inspected = self.inspected[:, columns] | seen
@@ -115,18 +115,18 @@ class Sight:
             direction = chief.nearest_cluster(centres.to(x.dtype), alive, x[P])
         self.uninspected[:, columns] = direction
 
-    def score(self, columns: Tensor | slice = EVERYONE) -> Tensor:
+    def score(self, columns: Tensor | slice = ALL) -> Tensor:
         """w_p (k,), the inspected weight of the given columns."""
         return torch.where(self.inspected[:, columns], self.weights[:, columns], 0.0).sum(0)
 
-    def left(self, columns: Tensor | slice = EVERYONE) -> tuple[Tensor, Tensor]:
+    def left(self, columns: Tensor | slice = ALL) -> tuple[Tensor, Tensor]:
         """Returns the points in Hill's frame, (3, N, 1) or, where chiefs turn, (3, N, k); (N, k) their weights left."""
         points = self.surface.points[..., None]
         if self.tumbling:
             points = rotate(self.tumbling.attitude[:, None, columns], points)
         return points, self.weights[:, columns].masked_fill(self.inspected[:, columns], 0.0)
 
-    def observed(self, columns: Tensor | slice = EVERYONE, score: Tensor | None = None) -> tuple[Tensor, ...]:
+    def observed(self, columns: Tensor | slice = ALL, score: Tensor | None = None) -> tuple[Tensor, ...]:
         """What an agent observes beside its state, as `observation.normalised` takes it.
 
         r_p and r_UPS (3, k) in Hill's frame, w_p (k,) and, if it is observed, the chief's attitude and rate (7, k).
@@ -149,7 +149,7 @@ class Sight:
         Args:
             compiled: `InspectionEnv._several`; x: states (16, B).
         """
-        seen = self._looking(compiled, x, *self._frames(EVERYONE))
+        seen = self._looking(compiled, x, *self._frames(ALL))
         settle = compiled(partial(chief.lloyd, self.points), self.centres, self.inspected, self.alive)
         self._seen, self._settle = seen, partial(settle, times=chief.LLOYD_ITERATIONS)
 

@@ -12,7 +12,7 @@ from inspection.model.parameters import Limits
 from inspection.model.state import SIZE, P, Q
 from rta.filter_input import numbers
 from settings import InputError, instead
-from study.errors import refusing
+from study.errors import as_input_error
 from study.flight.state_files import LARGEST, check_states
 
 MASK = "reset_mask"
@@ -70,7 +70,7 @@ def mask_of(given: Any, batch: int) -> Tensor:
 def rows(name: str, given: Any, batch: int) -> Tensor:
     """One row for all episodes, or one each, as (components, B) float64."""
     size = STARTS[name]
-    with refusing("options", ValueError):
+    with as_input_error("options", ValueError):
         part = numbers(name, given).to("cpu", torch.float64)
     if tuple(part.shape) not in ((size,), (batch, size)):
         raise InputError(

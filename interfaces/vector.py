@@ -22,7 +22,7 @@ from interfaces.options import read
 from rta.constraints.names import CONSTRAINTS
 from settings import InputError, load, override, typed
 from study.config import Config
-from study.errors import refusing
+from study.errors import as_input_error
 from study.experiment import Experiment
 
 ID = "Inspection6DoF-v0"
@@ -116,7 +116,7 @@ class VectorInspection6DoF(VectorEnv):
         if seed is not None:
             for starts in self.simulator.starts:
                 starts.seed(seed % 2**63)  # a random one of NumPy's has 128 bits
-        with refusing("[inspection]", RuntimeError):  # no start within the constraints
+        with as_input_error("[inspection]", RuntimeError):  # no start within the constraints
             device = self.experiment.device
             observation = self.simulator.reset(**{name: each.to(device) for name, each in given.items()})
         self.started = True

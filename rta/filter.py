@@ -227,7 +227,7 @@ class SafetyFilter:
             is_safe=self.is_safe,
             correct=self.correct if enabled else None,
             period=self.period,
-            informed=self.is_sampled,
+            takes_plant_data=self.is_sampled,
         )
 
     @in_full_precision

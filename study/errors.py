@@ -33,7 +33,7 @@ class Stopped(BaseException):
 
 
 @contextmanager
-def refusing(where: str, *exceptions: type[BaseException]) -> Iterator[None]:
+def as_input_error(where: str, *exceptions: type[BaseException]) -> Iterator[None]:
     """Turns the given exceptions into an InputError that begins with `where`."""
     try:
         yield

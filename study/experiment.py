@@ -10,8 +10,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from inspection.chief.hull import beside
-from inspection.chief.mesh import pinned
+from inspection.chief.hull import with_hull
+from inspection.chief.mesh import with_digest
 from inspection.chief.surface import surface
 from inspection.closed_loop import Safety
 from inspection.environment import InspectionEnv, clocks_of
@@ -29,7 +29,7 @@ from rta.keep_clear import kept_clear
 from rta.parameters import RtaParameters
 from settings import InputError, from_toml
 from study.config import AnyConfig, Config
-from study.errors import refusing
+from study.errors import as_input_error
 from study.flight.fly import Starts
 from study.machine import compile_or_explain, resolve_device, step, wants_compile
 
@@ -66,7 +66,7 @@ class Experiment:
 
     Attributes:
         config: with the solver that is used; device; filter.
-        task: `priced`, with the chief's hull where it is that to stay clear of.
+        task: `with_correction_price`, with the chief's hull where it is that to stay clear of.
         safety: constraints, admissible starts and, if the configuration wants it, the filter.
         filter_compiled, compiled: the filter is compiled; simulator and learner are to be.
 
@@ -85,12 +85,12 @@ class Experiment:
         steps = seconds / config.inspection.action_period
         holds = config.uncertainty.needs_sampled_rows(config.rta)
         self.filter_compiled = config.train.rta and wants_compile(choice, calls, holds)
-        self.config = settled(config, batch, self.device, self.filter_compiled)
+        self.config = with_solver(config, batch, self.device, self.filter_compiled)
         self.compiled = wants_compile(choice, steps)
-        self.task = beside(priced(config), config.chief)
-        with refusing("[rta], [inspection] and [uncertainty]", ValueError, OverflowError):
+        self.task = with_hull(with_correction_price(config), config.chief)
+        with as_input_error("[rta], [inspection] and [uncertainty]", ValueError, OverflowError):
             self.filter = SafetyFilter(self.task, self.config.rta, uncertainty=config.uncertainty)
-        with refusing("[plant] and [inspection]", ValueError):
+        with as_input_error("[plant] and [inspection]", ValueError):
             config.plant.check_body(config.inspection)
         if self.filter_compiled:
             self.filter_compiled = compile_or_explain(
@@ -120,7 +120,7 @@ class Experiment:
             decide_every, report_every: as of `InspectionEnv`.
             safety: in place of the experiment's; privileged: as of `InspectionEnv`.
         """
-        with refusing(
+        with as_input_error(
             f"[inspection] and [chief], {num_envs:,} episodes",
             ValueError,
             RuntimeError,
@@ -155,9 +155,9 @@ class Experiment:
 
 def filter_of(config: Config) -> SafetyFilter:
     """The filter of a configuration by itself; raises InputError where its parts do not fit together."""
-    with refusing("[rta], [inspection] and [uncertainty]", ValueError, OverflowError):
+    with as_input_error("[rta], [inspection] and [uncertainty]", ValueError, OverflowError):
         return SafetyFilter(
-            beside(config.inspection, config.chief), config.rta, uncertainty=config.uncertainty
+            with_hull(config.inspection, config.chief), config.rta, uncertainty=config.uncertainty
         )
 
 
@@ -183,12 +183,12 @@ def paper_task(
 
 def test_cases(config: Config, episodes: int, seed: int) -> Starts:
     """Returns the common test cases, the same for every agent and device; none depends on how many there are."""
-    c = beside(config.inspection, config.chief)
+    c = with_hull(config.inspection, config.chief)
     # default gains, so that agents trained behind different filters meet the same cases
     gains = RtaParameters(passive_safety_segments=config.rta.passive_safety_segments)
     starts = InitialStates(torch.Generator().manual_seed(seed), c, SafetyFilter(c, gains).is_safe)
     with (
-        refusing("[inspection]", RuntimeError),
+        as_input_error("[inspection]", RuntimeError),
         step("drawing the test cases, seconds"),
     ):
         x, priority = starts.take(episodes)
@@ -209,11 +209,11 @@ def check_clocks(
 ) -> None:
     """Refuses clocks of an environment that do not divide, before anything is built; `where` begins the message."""
     c, period = config.inspection, config.rta.period if config.train.rta else None
-    with refusing(where, ValueError):
+    with as_input_error(where, ValueError):
         clocks_of(c, period, decide_every, report_every).count(duration or c.action_period)
 
 
-def priced(config: Config) -> InspectionParameters:
+def with_correction_price(config: Config) -> InspectionParameters:
     """The task with a price on corrections where the agent is to learn from one and none is set."""
     c = config.inspection
     wanted = config.train.learn_from == "penalty" and not c.correction_reward
@@ -222,7 +222,7 @@ def priced(config: Config) -> InspectionParameters:
 
 def check_plant(config: Config) -> None:
     """Refuses what the simulator does not have, and Basilisk where it is not installed."""
-    with refusing("[plant]", ValueError):
+    with as_input_error("[plant]", ValueError):
         config.plant.check_simulator()
     if config.plant.simulator == "basilisk" and not find_spec("Basilisk"):
         raise InputError(
@@ -233,26 +233,28 @@ def check_plant(config: Config) -> None:
 def check_chief(config: Config) -> None:
     """Refuses a chief whose mesh cannot be used, before anything is built or written."""
     if config.chief.mesh:
-        with refusing("[chief]", ValueError):
+        with as_input_error("[chief]", ValueError):
             surface(config.chief, config.inspection)
-            beside(config.inspection, config.chief)
+            with_hull(config.inspection, config.chief)
 
 
 def check_cache() -> None:
     """Refuses a compile cache that cannot be made: PyTorch makes it, also where nothing is compiled."""
     if path := os.environ.get("TORCHINDUCTOR_CACHE_DIR"):
-        with refusing(f"TORCHINDUCTOR_CACHE_DIR {path!r}: cannot make this directory", OSError, ValueError):
+        with as_input_error(
+            f"TORCHINDUCTOR_CACHE_DIR {path!r}: cannot make this directory", OSError, ValueError
+        ):
             Path(path).mkdir(parents=True, exist_ok=True)
 
 
-def settled(config: AnyConfig, batch: int, device: torch.device, compiled: bool = False) -> AnyConfig:
+def with_solver(config: AnyConfig, batch: int, device: torch.device, compiled: bool = False) -> AnyConfig:
     """The configuration with the solver and the chief's mesh settled, which determine a run's numbers.
 
     What is compiled solves in C, as the batched solver does.
     """
-    with refusing("[chief]", ValueError):
+    with as_input_error("[chief]", ValueError):
         config = replace(
-            config, chief=replace(config.chief, mesh=config.chief.mesh and pinned(config.chief.mesh))
+            config, chief=replace(config.chief, mesh=config.chief.mesh and with_digest(config.chief.mesh))
         )
     if config.rta.qp_solver != "auto":
         return config
@@ -285,7 +287,7 @@ def load_policy(path: str | Path) -> tuple[Policy, Config]:
         CheckpointError, InputError: the file is missing, damaged or not a checkpoint.
     """
     content = checkpoint.load(path, ("policy", "config"))
-    with refusing(f"{path}: not a checkpoint of this program", AttributeError, TypeError, RuntimeError):
+    with as_input_error(f"{path}: not a checkpoint of this program", AttributeError, TypeError, RuntimeError):
         config = from_toml(content["config"], str(path), Config())
         policy = make_policy(config, [torch.Generator()])
         check_weights(content["policy"], path)

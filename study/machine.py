@@ -144,7 +144,7 @@ def compile_or_explain(what: str, compile: Callable[[], None]) -> bool:
 
 
 @contextmanager
-def alone_in(directory: Path, flag: str) -> Iterator[None]:
+def directory_lock(directory: Path, flag: str) -> Iterator[None]:
     """Keeps every other process out of a directory; of many ranks, the first one does for all.
 
     Raises InputError, naming the flag, where another process has it or there is no such directory.

@@ -10,7 +10,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from inspection.chief.mesh import pinned
+from inspection.chief.mesh import with_digest
 from inspection.model.parameters import ChiefParameters, Limits
 from inspection.world.parameters import PlantParameters
 from ppo.distributed import is_first
@@ -63,7 +63,7 @@ def of_hull(chief: ChiefParameters) -> dict[str, Any]:
         chief = ChiefParameters()
     mesh = chief.mesh
     with suppress(ValueError):  # of a report whose mesh is not here
-        mesh = mesh and pinned(mesh).rpartition("#")[2]
+        mesh = mesh and with_digest(mesh).rpartition("#")[2]
     return {"mesh": mesh, "attitude": chief.attitude, "collision": chief.collision}
 
 

@@ -19,7 +19,7 @@ import onnxruntime
 import torch
 from torch import Tensor
 
-from inspection.chief.hull import beside
+from inspection.chief.hull import with_hull
 from inspection.environment import InspectionEnv
 from inspection.model.parameters import ChiefParameters, InspectionParameters
 from rta.filter import SafetyFilter
@@ -100,7 +100,7 @@ def main(argv: list[str] | None = None) -> None:
     except Exception as error:  # ONNX Runtime's have nothing else in common
         parser.error(f"{arguments.policy}: {str(error).splitlines()[0]}")
     torch.set_num_threads(1)
-    task = beside(*(constants(session, *each) for each in TABLES))
+    task = with_hull(*(constants(session, *each) for each in TABLES))
     safety_filter = SafetyFilter(task, RtaParameters())
     if arguments.compile:
         safety_filter.compile("cpu", 1)

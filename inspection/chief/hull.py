@@ -22,8 +22,8 @@ MOST_FACES = 100  # of the hull, the largest ones: each takes time at every call
 
 
 @dataclass(frozen=True)
-class BesideHull(InspectionParameters):
-    """The task where the chief is what `planes` enclose; made by `beside`, not read from a file."""
+class TaskWithHull(InspectionParameters):
+    """The task where the chief is what `planes` enclose; made by `with_hull`, not read from a file."""
 
     planes: tuple[tuple[float, ...], ...] = ()  # n and b: n . p <= b in m for all of the chief
 
@@ -33,7 +33,7 @@ class BesideHull(InspectionParameters):
         return self.deputy_radius + min(b for *_, b in self.planes)
 
 
-def beside(c: InspectionParameters, chief: ChiefParameters) -> InspectionParameters:
+def with_hull(c: InspectionParameters, chief: ChiefParameters) -> InspectionParameters:
     """The task with what `chief.collision` says to stay clear of.
 
     Raises:
@@ -55,7 +55,7 @@ def beside(c: InspectionParameters, chief: ChiefParameters) -> InspectionParamet
         raise ValueError(f"mesh = {path_of(chief.mesh)!r}: its origin must lie within its hull")
     attitude = unit(torch.tensor(chief.attitude, dtype=torch.float64))[:, None].expand(4, support.numel())
     planes = torch.cat((rotate(attitude, directions), support[None])).T
-    return BesideHull(**vars(c), planes=tuple(map(tuple, planes.tolist())))
+    return TaskWithHull(**vars(c), planes=tuple(map(tuple, planes.tolist())))
 
 
 def faces_of(hull: ConvexHull) -> np.ndarray:

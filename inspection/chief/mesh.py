@@ -76,7 +76,7 @@ def digest_of(content: bytes) -> str:
     return hashlib.sha256(content).hexdigest()[:12]
 
 
-def pinned(mesh: str) -> str:
+def with_digest(mesh: str) -> str:
     """A mesh's path and digest, as `DIGEST`."""
     if DIGEST.search(mesh):
         return mesh

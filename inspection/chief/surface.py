@@ -21,9 +21,9 @@ from inspection.chief.mesh import (
     faces,
     is_closed,
     path_of,
-    pinned,
     read,
     sampled,
+    with_digest,
 )
 from inspection.chief.points import fibonacci_sphere
 from inspection.model.attitude import body_axis, conjugate, dot, norm, rotate, unit
@@ -60,14 +60,14 @@ def surface(chief: ChiefParameters, c: InspectionParameters, device: torch.devic
         areas = torch.ones_like(normals[0])
         none = normals.new_zeros(0, 3, 3)
         return Surface(c.chief_radius * normals, normals, areas, none)
-    *parts, cones = of_mesh(pinned(chief.mesh), c.num_points, c.chief_radius)
+    *parts, cones = of_mesh(with_digest(chief.mesh), c.num_points, c.chief_radius)
     points, normals, areas, triangles = (part.to(device) for part in parts)
     return Surface(points, normals, areas, triangles, tuple(group.to(device) for group in cones))
 
 
 @lru_cache(maxsize=4)  # a large mesh takes minutes; the file's digest is part of the key
 def of_mesh(mesh: str, count: int, largest: float) -> Surface:
-    """Of a file, `pinned`, with so many points where it gives none, within a radius in m; ValueError as `surface`."""
+    """Of a file (`with_digest`), with so many points if it has none, within a radius in m; ValueError as `surface`."""
     arrays = {name: torch.from_numpy(array) for name, array in read(mesh).items()}
     triangles = arrays["triangles"]
     if "points" in arrays:

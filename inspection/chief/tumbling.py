@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 from inspection.model.attitude import quaternion_rate, rate_in_hill, unit
-from inspection.model.draws import hashed, isotropic, key_of, shoemake
+from inspection.model.draws import counter_based_uniform, isotropic, key_of, shoemake
 from inspection.model.dynamics import euler
 from inspection.model.orbit import orbit_rate, sun_angle_after
 from inspection.model.parameters import ChiefParameters, Model
@@ -66,7 +66,7 @@ class Tumbling:
         if p.is_drawn:
             assert number is not None
             key = key_of(number)
-            draws = hashed(key, torch.full_like(key, NUMBERS), 6)
+            draws = counter_based_uniform(key, torch.full_like(key, NUMBERS), 6)
             if p.random_attitude:
                 motion[ATTITUDE, columns] = shoemake(draws[:3])
             if p.largest_rate:

@@ -40,7 +40,7 @@ def conjugate(q: Tensor) -> Tensor:
     return torch.cat((-q[:3], q[3:]))
 
 
-def turned(q: Components, a: Components) -> Vector:
+def rotate_components(q: Components, a: Components) -> Vector:
     """The components of q a q*, from those of q and a.
 
     Expanded Hamilton product: a + 2 q4 (q_v x a) + 2 q_v x (q_v x a).
@@ -53,7 +53,7 @@ def turned(q: Components, a: Components) -> Vector:
 
 def rotate(q: Tensor, a: Tensor) -> Tensor:
     """q a q*: turns a (3, ...) from the body frame into Hill's frame (with q* the other way)."""
-    return torch.stack(turned(q, a))
+    return torch.stack(rotate_components(q, a))
 
 
 def body_axis(q: Components, i: int) -> Vector:
@@ -97,7 +97,7 @@ def quaternion_rate(q: Components, omega: Components) -> tuple[Tensor, ...]:
     )
 
 
-def turned_by(q: Tensor, angle: Tensor) -> Tensor:
+def rotated_by(q: Tensor, angle: Tensor) -> Tensor:
     """The attitude q (4, ...) turned on by a rotation vector (3, ...) in rad, in the body frame."""
     size = norm(angle)
     half = 0.5 * torch.sinc(size / (2.0 * torch.pi)) * angle, (0.5 * size).cos()

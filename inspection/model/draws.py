@@ -1,7 +1,7 @@
 """Random numbers, and the directions and rotations that follow from numbers in [0, 1).
 
-`uniform` and `random_quaternion` take the next numbers of a generator; `hashed` numbers follow from keys and moments
-alone, whatever was drawn before them.
+`uniform` and `random_quaternion` take the next numbers of a generator; those of `counter_based_uniform` follow from
+keys and times alone, whatever was drawn before them.
 """
 
 import math
@@ -25,10 +25,10 @@ def random_quaternion(count: int, generator: torch.Generator, dtype: torch.dtype
     return unit(torch.randn(4, count, generator=generator, device=generator.device, dtype=dtype))
 
 
-def hashed(key: Tensor, moment: Tensor, count: int, first: int = 0) -> Tensor:
-    """Uniform numbers in (0, 1), (count, k), of the rows from `first` on, by keys (k,) and moments (k,) in ms."""
+def counter_based_uniform(key: Tensor, time_ms: Tensor, count: int, first: int = 0) -> Tensor:
+    """Uniform numbers in (0, 1), (count, k), of the rows from `first` on, by keys (k,) and times (k,) in ms."""
     row = torch.arange(first + 1, first + count + 1, device=key.device)[:, None]
-    z = scrambled(scrambled(scrambled(key) + GOLDEN * (moment + 2)) + GOLDEN * row)
+    z = scrambled(scrambled(scrambled(key) + GOLDEN * (time_ms + 2)) + GOLDEN * row)
     return (((z >> 11) & (2**53 - 1)).double() + 0.5) * 2.0**-53
 
 
@@ -40,7 +40,7 @@ def scrambled(z: Tensor) -> Tensor:
 
 
 def key_of(number: Tensor) -> Tensor:
-    """The keys (k,) of `hashed` that follow from episodes' numbers in [0, 1), (k,)."""
+    """The keys (k,) of `counter_based_uniform` that follow from episodes' numbers in [0, 1), (k,)."""
     return (number * 2.0**53).long()
 
 

@@ -13,8 +13,8 @@ from inspection.model.attitude import (
     body_axis,
     quaternion_rate,
     rate_in_hill,
+    rotate_components,
     rotation_matrix,
-    turned,
     unit,
 )
 from inspection.model.orbit import natural_acceleration, orbit_rate
@@ -138,7 +138,7 @@ def derivative(x: Components, u: Components, c: Limits, body: Body | None = None
         rate[V] = [f_i + push_i for f_i, push_i in zip(rate[V], body.push, strict=True)]
         rate[OMEGA] = euler(x[OMEGA], inertia)
         rate[Q] = attitude_rate(x, body.in_turning_frame, c)
-    force, torque = turned(x[Q], u[THRUST]), u[TORQUE]
+    force, torque = rotate_components(x[Q], u[THRUST]), u[TORQUE]
     rate[V] = [f_i + force_i / mass for f_i, force_i in zip(rate[V], force, strict=True)]
     rate[OMEGA] = [f_i + t_i / j_i for f_i, t_i, j_i in zip(rate[OMEGA], torque, inertia, strict=True)]
     return rate

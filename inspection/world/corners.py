@@ -10,15 +10,15 @@ from typing import Protocol
 import torch
 from torch import Tensor
 
-from inspection.model.attitude import turned_by
-from inspection.model.draws import hashed
+from inspection.model.attitude import rotated_by
+from inspection.model.draws import counter_based_uniform
 from inspection.model.state import OMEGA, SIZE, P, Q, V
 
 CORNER, ERRORS, GAINS, MISSED = 19, slice(0, 12), slice(12, 18), 18
 ENDS = GAINS.stop
 LONGEST_END = 60.0  # s that chance leaves an error at one end; as long as the random policy holds an action
 BEFORE = -1  # the time in ms of numbers that an episode draws at its beginning
-FIRST = 48  # of these numbers for corners; those before are of `inspection.world.plant.draw`
+FIRST = 48  # of these numbers for corners; those before are of `inspection.world.plant.sample_plant`
 FIRST_NOW = 13  # of the numbers of a moment; those before are of noise and missed calls
 
 
@@ -62,14 +62,14 @@ class Recorded:
 
 def held_ends(key: Tensor) -> Tensor:
     """(18, k) bool: a corner for the whole episode, by the episodes' keys (k,)."""
-    return hashed(key, torch.full_like(key, BEFORE), ENDS, FIRST) < 0.5
+    return counter_based_uniform(key, torch.full_like(key, BEFORE), ENDS, FIRST) < 0.5
 
 
 def wandering_ends(key: Tensor, time: Tensor) -> Tensor:
     """(18, k) bool: a corner at times (k,) in s, each end drawn anew after a time of its own of up to LONGEST_END."""
-    lasting, phase = hashed(key, torch.full_like(key, BEFORE), 2 * ENDS, FIRST).chunk(2)
+    lasting, phase = counter_based_uniform(key, torch.full_like(key, BEFORE), 2 * ENDS, FIRST).chunk(2)
     turn = (time / (LONGEST_END * lasting) + phase).floor().long()
-    return hashed(key, turn, ENDS, FIRST_NOW) < 0.5
+    return counter_based_uniform(key, turn, ENDS, FIRST_NOW) < 0.5
 
 
 def displaced(x: Tensor, error: Tensor) -> Tensor:
@@ -78,7 +78,7 @@ def displaced(x: Tensor, error: Tensor) -> Tensor:
         (
             x[P] + error[0:3],
             x[V] + error[3:6],
-            turned_by(x[Q], error[6:9]),
+            rotated_by(x[Q], error[6:9]),
             x[OMEGA] + error[9:12],
             x[OMEGA.stop : SIZE],
         )

@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from inspection.model.attitude import rate_in_hill
-from inspection.model.draws import hashed, isotropic, key_of
+from inspection.model.draws import counter_based_uniform, isotropic, key_of
 from inspection.model.dynamics import Body, integrate
 from inspection.model.orbit import orbit_rate
 from inspection.model.parameters import Limits
@@ -33,7 +33,7 @@ from inspection.world.corners import (
 from inspection.world.parameters import PlantParameters, Range, bounds
 
 
-class Drawn(NamedTuple):
+class PlantSample(NamedTuple):
     """What an episode's plant is; last axis the episodes, k.
 
     Attributes:
@@ -61,12 +61,12 @@ class Drawn(NamedTuple):
     misses: Tensor
 
 
-def draw(parameters: PlantParameters, c: Limits, key: Tensor) -> Drawn:
+def sample_plant(parameters: PlantParameters, c: Limits, key: Tensor) -> PlantSample:
     """What follows from the episodes' keys (k,), each quantity from numbers of its own whatever else is set.
 
     At a corner a factor is one end of its range, and a size the largest.
     """
-    rows = iter(hashed(key, torch.full_like(key, BEFORE), FIRST))
+    rows = iter(counter_based_uniform(key, torch.full_like(key, BEFORE), FIRST))
     at_corner = parameters.errors != "drawn"
 
     def within(value: Range) -> Tensor:
@@ -120,7 +120,7 @@ def draw(parameters: PlantParameters, c: Limits, key: Tensor) -> Drawn:
         noise = torch.zeros_like(noise)
     low, high = bounds(p.latency)
     age = factor((0, high - low)) if at_corner else (high - low + 1) * next(rows)
-    return Drawn(
+    return PlantSample(
         body=torch.cat((mass[None], inertia, push)),
         thrust=thrust,
         torque=torque,
@@ -180,7 +180,7 @@ class Plant:
         self.at_corner, self.is_worst = parameters.errors != "drawn", parameters.errors == "worst"
         gains = (bounds(each) for each in (parameters.thrust_gain, parameters.torque_gain) for _ in range(3))
         self.gains = self.held.new_tensor(list(gains))  # (6, 2) low and high
-        self.drawn = draw(parameters, c, self.key)
+        self.drawn = sample_plant(parameters, c, self.key)
         self.true = self.seen = self.held[:0]  # none yet
         self.limit = self.held.new_tensor(c.control_limit)[:, None]
 
@@ -191,7 +191,9 @@ class Plant:
         self.held[:, columns] = 0.0
         self.past[..., columns] = 0.0
         self.missed[columns] = 0
-        for whole, part in zip(self.drawn, draw(self.parameters, self.c, self.key[columns]), strict=True):
+        for whole, part in zip(
+            self.drawn, sample_plant(self.parameters, self.c, self.key[columns]), strict=True
+        ):
             whole[..., columns] = part
         self.true = self.seen = self.held[:0]
 
@@ -205,7 +207,7 @@ class Plant:
             if getattr(self, name).shape != state[name].shape:
                 raise ValueError(f"plant {name} is {tuple(state[name].shape)}")
             setattr(self, name, state[name].clone())
-        self.drawn = draw(self.parameters, self.c, self.key)
+        self.drawn = sample_plant(self.parameters, self.c, self.key)
         self.true = self.seen = self.held[:0]
 
     @property
@@ -262,7 +264,7 @@ class Plant:
         self.true, self.seen = x, seen
         return seen
 
-    def behind(self, x: Tensor) -> Tensor:
+    def true_state_of(self, x: Tensor) -> Tensor:
         """The true states where x is what they were last taken for."""
         return self.true if x is self.seen else x
 
@@ -273,7 +275,9 @@ class Plant:
             error = torch.where(self.corner[ERRORS], self.drawn.bias, -self.drawn.bias)
         else:
             bound = self.parameters.noise_bound
-            noise = torch.special.ndtri(hashed(self.key, milliseconds(time), 12)).clamp(-bound, bound)
+            noise = torch.special.ndtri(counter_based_uniform(self.key, milliseconds(time), 12)).clamp(
+                -bound, bound
+            )
             error = self.drawn.bias + self.drawn.noise * noise
         seen = displaced(x, error)
         if self.turns and not self.c.hill_rotation:  # which the model does not know
@@ -305,7 +309,7 @@ class Plant:
             missed = possible & response[-1]
             self.corner = torch.cat((self.corner[ERRORS], response))
         else:
-            chance = hashed(self.key, milliseconds(time), 1, first=12)[0]
+            chance = counter_based_uniform(self.key, milliseconds(time), 1, first=12)[0]
             missed = possible & (chance < self.drawn.misses)
             self.corner = torch.cat((self.corner[:MISSED], missed[None]))
         self.missed = torch.where(missed, self.missed + 1, 0)
@@ -314,7 +318,7 @@ class Plant:
             self.past = torch.cat((self.past[1:], self.held[None]))
         return self.held, missed
 
-    def tell(self, time: Tensor) -> dict[str, Tensor]:
+    def filter_inputs(self, time: Tensor) -> dict[str, Tensor]:
         """The controls held since the state was measured, NaN where it is younger; what is left of each actuator."""
         age = self.drawn.latency.minimum((time / self.every).round().long())
         last = torch.arange(len(self.past), 0, -1, device=age.device)[:, None]  # how many calls ago

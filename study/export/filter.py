@@ -6,7 +6,7 @@ from pathlib import Path
 from kernels.exported import check_prefix
 from rta.printed.files import NAME, NOT_VERIFIED, write
 from study.config import Config
-from study.errors import refusing
+from study.errors import as_input_error
 from study.experiment import check_chief, filter_of
 from study.verified import (
     Flown,
@@ -30,12 +30,12 @@ def export(config: Config, directory: Path, prefix: str = NAME) -> str:
     Raises:
         InputError: a part of the configuration does not fit, the directory holds anything else, or cannot be written.
     """
-    with refusing("--prefix", ValueError):
+    with as_input_error("--prefix", ValueError):
         check_prefix(prefix)
     check_chief(config)
     safety_filter = filter_of(config)
     said = said_of(config)
-    with refusing(f"--filter {directory}: cannot write there", OSError, ValueError):
+    with as_input_error(f"--filter {directory}: cannot write there", OSError, ValueError):
         texts = write(safety_filter, directory, said, settings_digest(config), prefix)
     lines = texts[f"{prefix}.c"].count("\n")
     test = shlex.join(["make", "-C", str(directory), "test"])

@@ -28,7 +28,7 @@ from ppo.network import Policy
 from rta.printed.files import CONTROL, STATE
 from rta.printed.source import define, for_one, table
 from study.config import Config
-from study.errors import refusing
+from study.errors import as_input_error
 from study.experiment import check_chief
 from study.files import write_text
 
@@ -54,11 +54,11 @@ def write(policy: Policy, config: Config, checkpoint: str, directory: Path, pref
         "test_policy.c": by_hand("test_policy.c", vectors(policy, config)),
         "Makefile": by_hand("policy.mk"),
     }
-    with refusing("--prefix", ValueError):
+    with as_input_error("--prefix", ValueError):
         check_prefix(prefix)
         texts = {prefixed(name, NAME, prefix): prefixed(text, NAME, prefix) for name, text in own.items()}
     built = prefixed(BUILT, NAME, prefix)
-    with refusing(f"--c {directory}: cannot write there", OSError, ValueError):
+    with as_input_error(f"--c {directory}: cannot write there", OSError, ValueError):
         check_directory(directory, "agent", MARK, texts, (*(f"{name}.tmp" for name in texts), built))
         directory.mkdir(parents=True, exist_ok=True)
         for name, text in texts.items():

@@ -16,7 +16,7 @@ from inspection.model.unit_warnings import unit_warnings
 from inspection.world.corners import CORNER
 from settings import InputError, instead
 from study import files
-from study.errors import refusing
+from study.errors import as_input_error
 
 LARGEST = 1e6  # of any number in a state
 MAX_STATES = 10**6
@@ -58,7 +58,7 @@ def read_state(path: str, c: Limits) -> tuple[Tensor, Tensor | None]:
     Raises:
         InputError: unreadable, not JSON, unknown or missing keys, wrong shapes, or see `check_states`.
     """
-    with refusing(f"{path}: cannot read the state file", OSError, ValueError, RecursionError):
+    with as_input_error(f"{path}: cannot read the state file", OSError, ValueError, RecursionError):
         content = json.loads(Path(path).read_text(encoding="utf-8-sig"))
     if not isinstance(content, dict):
         raise InputError(f"{path}: must hold one JSON object with {', '.join(STATE_FIELDS)}")

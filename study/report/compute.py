@@ -11,7 +11,7 @@ import numpy as np
 
 from settings import InputError
 from study.config import ARMS, BASELINES, GUIDE, TEST_CASES
-from study.errors import MALFORMED, refusing
+from study.errors import MALFORMED, as_input_error
 from study.files import write_json, write_npz, write_text
 from study.report import flights, tables
 from study.report.agents import Arm, agents_of
@@ -34,7 +34,7 @@ def compute(study: Path, device: str | None = None) -> None:
     arms = agents_of(study, device)
     directory = study / "report"
     todo = work(study, arms)
-    with refusing(f"--study {study}: cannot write there", OSError):
+    with as_input_error(f"--study {study}: cannot write there", OSError):
         begin(directory, {name: arm.digests for name, arm in arms.items()} | {"guidance": guided_by()}, todo)
         for name, (what, make) in todo.items():
             if not (directory / name).exists():
@@ -118,6 +118,6 @@ def training(study: Path, arms: dict[str, Arm]) -> str:
         arm = arms[name]
         if arm.results["interactions"] >= arm.config.train.evaluation_interval and not path.exists():
             raise InputError(f"{path}: missing, and with it the training curves of {name}")
-    with refusing(f"--study {study}: cannot read its evaluations.jsonl", OSError, *MALFORMED):
+    with as_input_error(f"--study {study}: cannot read its evaluations.jsonl", OSError, *MALFORMED):
         rows = [row for name, path in paths.items() for row in tables.training(name, path)]
     return tables.text(rows, tables.TRAINING)

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from inspection.model.parameters import InspectionParameters
-from study.errors import refusing
+from study.errors import as_input_error
 from study.files import writing
 from study.flight.figures import (
     BLUE,
@@ -67,7 +67,7 @@ def draw(inputs: Inputs) -> None:
     Raises:
         InputError: nothing can be written there.
     """
-    with refusing(f"--study {inputs.study}: cannot write its report", OSError):
+    with as_input_error(f"--study {inputs.study}: cannot write its report", OSError):
         if inputs.training:
             draw_training(inputs)
         draw_episodes(inputs)

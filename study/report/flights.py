@@ -18,8 +18,8 @@ from rta.bounds.uncertainty import Uncertainty
 from rta.parameters import PERIODS
 from settings import load
 from study.config import BASELINES, GUIDE, TEST_CASES, Config
-from study.errors import MALFORMED, refusing
-from study.experiment import Experiment, priced, test_cases
+from study.errors import MALFORMED, as_input_error
+from study.experiment import Experiment, test_cases, with_correction_price
 from study.files import ROOT
 from study.flight.controllers import agent, classical
 from study.flight.evaluation import Episodes, common_episode, play, play_controller, report
@@ -136,7 +136,7 @@ def side_by_side(arms: dict[str, Arm]) -> list[list[str]]:
         config = with_rta(arm.config, True, FILTER_PERIOD).with_solver("auto")
         train, ppo = config.train, config.ppo
         needs = (
-            *(priced(config), config.rta, config.chief, len(arm.digests)),
+            *(with_correction_price(config), config.rta, config.chief, len(arm.digests)),
             *(train.device, train.compile, train.final_episodes),
             *(ppo.hidden, ppo.log_std_bounds, ppo.action_power, ppo.action_dead_zone),
         )
@@ -223,7 +223,10 @@ def episode(arm: Arm) -> Arrays:
 
 def worst_success(path: Path) -> tuple[int, int] | None:
     """Seed's place and case of the success that violates limits for the largest share of its time, if any does."""
-    with refusing(f"{path}: not the episodes of an arm", OSError, *MALFORMED), np.load(path) as episodes:
+    with (
+        as_input_error(f"{path}: not the episodes of an arm", OSError, *MALFORMED),
+        np.load(path) as episodes,
+    ):
         succeeded = episodes["outcome"] == list(episodes["outcome_names"]).index("success")
         share = np.where(succeeded, episodes["violation_seconds"][-1], 0.0)
     place, case = (int(i) for i in np.unravel_index(share.argmax(), share.shape))

@@ -11,7 +11,7 @@ import numpy as np
 
 from settings import load
 from study.config import ARMS, StudyConfig
-from study.errors import MALFORMED, refusing
+from study.errors import MALFORMED, as_input_error
 from study.flight.figures import Episode
 from study.paper import Results
 
@@ -105,7 +105,7 @@ def read(study: Path) -> Inputs:
 
 def read_json(path: Path) -> Any:
     """Content of a JSON file."""
-    with refusing(f"{path}: cannot read it", OSError, ValueError):
+    with as_input_error(f"{path}: cannot read it", OSError, ValueError):
         return json.loads(path.read_text(encoding="utf-8"))
 
 
@@ -117,7 +117,7 @@ def read_json_if_any(path: Path) -> Any:
 def read_arms(study: Path, own: bool = False) -> dict[str, Results]:
     """The final evaluation of each of ARMS that has seeds, in that order, or of each of the study's own."""
     path = study / "results.json"
-    with refusing(f"{path}: not the results of a study", *MALFORMED):
+    with as_input_error(f"{path}: not the results of a study", *MALFORMED):
         arms = read_json(path)["arms"]
         names = [name for name in arms if name not in ARMS] if own else ARMS
         return {name: arms[name] for name in names if name in arms and arms[name]["seeds"]}
@@ -126,7 +126,7 @@ def read_arms(study: Path, own: bool = False) -> dict[str, Results]:
 def read_curves(path: Path) -> Curves:
     """The training curves, from a table with the columns interactions, arm, metric, iqm, low and high."""
     points: dict[str, dict[str, list[list[float]]]] = {}
-    with refusing(f"{path}: not the training curves", OSError, ValueError, KeyError):
+    with as_input_error(f"{path}: not the training curves", OSError, ValueError, KeyError):
         for row in csv.DictReader(path.read_text(encoding="utf-8").splitlines()):
             numbers = [float(row[column]) for column in ("interactions", "iqm", "low", "high")]
             points.setdefault(row["metric"], {}).setdefault(row["arm"], []).append(numbers)
@@ -136,5 +136,5 @@ def read_curves(path: Path) -> Curves:
 def read_episode(path: Path) -> Episode:
     """An episode in the form of `simulate`."""
     damaged = (OSError, ValueError, EOFError, BadZipFile)
-    with refusing(f"{path}: not an episode", *damaged), np.load(path) as arrays:
+    with as_input_error(f"{path}: not an episode", *damaged), np.load(path) as arrays:
         return dict(arrays)

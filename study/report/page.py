@@ -14,7 +14,7 @@ import numpy as np
 
 from inspection.world.parameters import PlantParameters
 from study.config import GUIDE
-from study.errors import refusing
+from study.errors import as_input_error
 from study.files import write_text
 from study.flight.figures import Episode, effort
 from study.paper import PAPER_METRICS, PAPER_VIOLATIONS, Estimate, Results, measured
@@ -39,7 +39,7 @@ def write(inputs: Inputs) -> None:
     if inputs.arms:
         episodes = [str(inputs.directory / f"episode_{arm}.npz") for arm in inputs.arms]
         replay.write(episodes, inputs.directory / "replay.html", REPLAYED_ROWS, report="../report.html")
-    with refusing(f"--study {inputs.study}: cannot write its report", OSError):
+    with as_input_error(f"--study {inputs.study}: cannot write its report", OSError):
         write_text(inputs.study / "report.html", document(inputs))
 
 

@@ -15,7 +15,7 @@ from scipy import stats
 from inspection.transition import METRICS
 from rta.constraints.names import CONSTRAINTS
 from study.config import ARMS
-from study.errors import MALFORMED, refusing
+from study.errors import MALFORMED, as_input_error
 from study.files import write_json, write_text
 from study.flight.summary import summary_of_runs
 from study.paper import PAPER_METRICS, PAPER_VIOLATIONS, Estimate, Published, Results, measured
@@ -31,7 +31,7 @@ def write(inputs: Inputs) -> None:
     Raises:
         InputError: what they are made from is damaged, or they cannot be written.
     """
-    with refusing(f"--study {inputs.study}: cannot read what its tables are made from", *MALFORMED):
+    with as_input_error(f"--study {inputs.study}: cannot read what its tables are made from", *MALFORMED):
         tables = {
             "cross": cross("arm", inputs.cross),
             "throughput": throughput(inputs.everyone, inputs.provenance),
@@ -49,7 +49,7 @@ def write(inputs: Inputs) -> None:
         if inputs.baselines:
             tables["baselines"] = cross("controller", inputs.baselines)
 
-    with refusing(f"--study {inputs.study}: cannot write its tables", OSError):
+    with as_input_error(f"--study {inputs.study}: cannot write its tables", OSError):
         for name, rows in tables.items():
             write_text(inputs.directory / f"{name}.csv", text(rows, rows[0]))
         write_json(inputs.directory / "throughput.json", {row["arm"]: row for row in tables["throughput"]})

@@ -29,7 +29,7 @@ STD_WEIGHT = 0.01  # of the squared error of the log standard deviation, which s
 Batch = dict[str, Tensor]  # observation, action and return_, (S, N, ...)
 
 
-class Taught:
+class ImitationEnv:
     """An `InspectionEnv` as `ppo.rollout.Environment`, in which the guidance says what it would do.
 
     It does not roll to the thrust: copies of that spend no less, and follow the rest worse (docs/results/learning.md).
@@ -84,7 +84,7 @@ class JumpStart:
         batches: int,
         generators: Sequence[torch.Generator],
     ) -> None:
-        self.env = Taught(env, learner.policy, orbit)
+        self.env = ImitationEnv(env, learner.policy, orbit)
         self.learner, self.steps, self.batches, self.generators = learner, steps, batches, generators
         networks = learner.policy, learner.value
         weights = [weight for network in networks for weight in network.parameters()]

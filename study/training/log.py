@@ -38,13 +38,13 @@ class Log:
     """The log of a run in its directory; of several seeds side by side, each also has charts in its own.
 
     Args:
-        homes: the seeds' directories; batch: interactions of each seed in an update.
+        seed_dirs: the seeds' directories; batch: interactions of each seed in an update.
     """
 
-    def __init__(self, directory: Path, homes: Sequence[Path], batch: int) -> None:
+    def __init__(self, directory: Path, seed_dirs: Sequence[Path], batch: int) -> None:
         self.evaluations = directory / "evaluations.jsonl"
-        self.folders = [directory, *homes] if len(homes) > 1 else [directory]
-        self.seeds, self.batch = len(homes), batch
+        self.folders = [directory, *seed_dirs] if len(seed_dirs) > 1 else [directory]
+        self.seeds, self.batch = len(seed_dirs), batch
 
     @contextmanager
     def open(self, interactions: int, total: int) -> Iterator[None]:

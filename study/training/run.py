@@ -21,8 +21,8 @@ from ppo.learner import PPO
 from ppo.trainer import Trainer
 from settings import to_toml
 from study.config import TEST_CASES, AnyConfig, Config
-from study.errors import Stopped, refusing
-from study.experiment import Experiment, settled
+from study.errors import Stopped, as_input_error
+from study.experiment import Experiment, with_solver
 from study.files import write_json
 from study.flight.evaluation import Episodes, play, report
 from study.flight.figures import episode_figure
@@ -63,12 +63,12 @@ class Run:
     Of many ranks, each has a part of the episodes of one seed, or some of several seeds; the first one writes.
 
     Args:
-        config: settled, see `settled_for_a_seed`; directory: where everything is written.
+        config: settled, see `with_solver_for_a_seed`; directory: where everything is written.
         seeds: trained side by side, each with a directory of its own in `directory`; None: the configuration's
             only, in `directory` itself.
 
     Attributes:
-        homes: each seed's own directory.
+        seed_dirs: each seed's own directory.
         shard: what of it is this rank's; experiment, env and trainer are those of this part.
         annealing: what a person is told of the learning rate, if its end has moved.
     """
@@ -79,8 +79,8 @@ class Run:
         train = config.train
         self.directory, self.ranks = directory, ranks()
         self.seeds = (train.seed,) if seeds is None else tuple(seeds)
-        self.homes = [directory] if seeds is None else [directory / f"seed{seed}" for seed in seeds]
-        with refusing("torchrun", ValueError):
+        self.seed_dirs = [directory] if seeds is None else [directory / f"seed{seed}" for seed in seeds]
+        with as_input_error("torchrun", ValueError):
             if seeds is None:
                 self.shard = shard_of_episodes(train.num_envs, config.ppo.minibatch_size, self.ranks)
             else:
@@ -92,7 +92,7 @@ class Run:
         self.monitor = Monitor(self.experiment.safety.names, len(own_seeds), self.shard.seeds.start)
         slots = num_envs * len(own_seeds)
         self.exposure = Exposure(self.experiment.safety.names, slots, self.device)
-        self.log = Log(directory, self.homes, train.batch)
+        self.log = Log(directory, self.seed_dirs, train.batch)
 
         generators = self.experiment.generators(own_seeds)
         safety = self.monitor.timed(self.experiment.safety)
@@ -178,7 +178,7 @@ class Run:
             checkpoint.save(folder / f"{state['lessons']['taught']}.pt", lesson)
         about = {"config": to_toml(self.config)}
         checkpoint.save(self.directory / CHECKPOINT, state | about)
-        for k, (seed, home) in enumerate(zip(self.seeds, self.homes, strict=True)):
+        for k, (seed, home) in enumerate(zip(self.seeds, self.seed_dirs, strict=True)):
             policy = {name: stacked[k : k + 1].clone() for name, stacked in state["policy"].items()}
             checkpoint.save(home / "policy.pt", {"policy": policy, "config": to_toml(self.config_of(seed))})
         if "lessons" not in state:  # they are over, and the checkpoint knows that
@@ -205,7 +205,7 @@ class Run:
 
     def written(self) -> Iterator[Path]:
         """The files that are replaced again and again."""
-        yield from (self.directory / CHECKPOINT, *(home / "policy.pt" for home in self.homes))
+        yield from (self.directory / CHECKPOINT, *(home / "policy.pt" for home in self.seed_dirs))
         yield from (self.directory / "config.toml", self.log.evaluations)
 
     @contextmanager
@@ -373,6 +373,6 @@ def seconds_of(deed: Callable[[], None]) -> float:
     return time.perf_counter() - started
 
 
-def settled_for_a_seed(config: AnyConfig) -> AnyConfig:
+def with_solver_for_a_seed(config: AnyConfig) -> AnyConfig:
     """The configuration with the solver settled for one seed, whatever is trained beside it and on how many ranks."""
-    return settled(config, config.train.num_envs, resolve_device(config.train.device))
+    return with_solver(config, config.train.num_envs, resolve_device(config.train.device))

@@ -11,7 +11,7 @@ from ppo.distributed import ranks
 from ppo.files import naming, temporary_beside
 from settings import InputError, from_toml, load, to_toml
 from study.config import Config
-from study.errors import MALFORMED, refusing
+from study.errors import MALFORMED, as_input_error
 from study.experiment import (
     check_chief,
     check_clocks,
@@ -21,8 +21,8 @@ from study.experiment import (
     load_policy,
 )
 from study.files import write_text
-from study.machine import LOCK, alone_in, resolve_device, write_settings
-from study.training.run import CHECKPOINT, Run, settled_for_a_seed
+from study.machine import LOCK, directory_lock, resolve_device, write_settings
+from study.training.run import CHECKPOINT, Run, with_solver_for_a_seed
 
 # What a run writes first, in this order; before the last one, there is no run yet.
 BEGUN = ("provenance.json", "config.toml", CHECKPOINT)
@@ -66,9 +66,9 @@ def check(config: Config) -> None:
 def starting(config: Config, directory: Path, init_from: Path | None = None) -> Iterator[Run]:
     """Starts a fresh run, see `start`, with its directory to itself."""
     run = built(config, directory, init_from)
-    with refusing(f"--run-dir {directory}: cannot write there", OSError, ValueError):
+    with as_input_error(f"--run-dir {directory}: cannot write there", OSError, ValueError):
         ranks().first_does(lambda: directory.mkdir(parents=True, exist_ok=True))
-    with alone_in(directory, "--run-dir"):
+    with directory_lock(directory, "--run-dir"):
         begin(run, init_from)
         yield run
 
@@ -76,7 +76,7 @@ def starting(config: Config, directory: Path, init_from: Path | None = None) -> 
 @contextmanager
 def resuming(directory: Path, config: Config) -> Iterator[Run]:
     """A run that goes on, see `resume`, with its directory to itself; its `settings` are where `config` comes from."""
-    with alone_in(directory, "--resume"):
+    with directory_lock(directory, "--resume"):
         yield resume(directory, config)
 
 
@@ -103,7 +103,7 @@ def built(config: Config, directory: Path, init_from: Path | None) -> Run:
     """Makes a fresh run and writes nothing: what can be refused is refused here."""
     check(config)
     check_empty(directory)
-    config = settled_for_a_seed(config)
+    config = with_solver_for_a_seed(config)
     if init_from:  # who has learned something needs no jump start
         config = replace(config, train=replace(config.train, jump_start=0))
     return create(config, directory, networks=networks_of(init_from, config) if init_from else {})
@@ -114,7 +114,7 @@ def begin(run: Run, init_from: Path | None) -> None:
 
     def describe() -> None:
         check_empty(run.directory)
-        with refusing(f"--run-dir {run.directory}: cannot write there", OSError, ValueError):
+        with as_input_error(f"--run-dir {run.directory}: cannot write there", OSError, ValueError):
             run.directory.mkdir(parents=True, exist_ok=True)
             write_settings(run.config, run.directory, init_from)
 
@@ -124,15 +124,15 @@ def begin(run: Run, init_from: Path | None) -> None:
 
 def save_first(run: Run) -> None:
     """Writes the first checkpoint of a run, in the directories of its seeds."""
-    with refusing(f"{run.directory}: cannot write there", OSError):
-        for home in run.homes:
+    with as_input_error(f"{run.directory}: cannot write there", OSError):
+        for home in run.seed_dirs:
             home.mkdir(parents=True, exist_ok=True)
         run.save()
 
 
 def check_empty(directory: Path) -> None:
     """Refuses the directory of a new run that holds one, or anything but what a kill at the start left."""
-    with refusing(f"--run-dir {directory}: cannot write there", OSError, ValueError):
+    with as_input_error(f"--run-dir {directory}: cannot write there", OSError, ValueError):
         found = {path.name for path in directory.iterdir()} - {LOCK} if directory.exists() else set()
     if found & {CHECKPOINT, "policy.pt"}:
         raise InputError(f"--run-dir {directory}: holds a run already; continue it with --resume")
@@ -152,9 +152,9 @@ def create(
     """Makes a fresh `Run`, its episodes started; `networks` are weights to start from. Nothing is written."""
     run = Run(config, directory, seeds)
     for name, weights in (networks or {}).items():
-        with refusing(f"--init-from: its {name} network does not fit this run", *MALFORMED):
+        with as_input_error(f"--init-from: its {name} network does not fit this run", *MALFORMED):
             getattr(run.trainer.learner, name).load_state_dict(weights)
-    with refusing("[inspection]", RuntimeError):
+    with as_input_error("[inspection]", RuntimeError):
         run.env.reset()
     return run
 
@@ -168,10 +168,12 @@ def resume(directory: Path, config: Config | None = None, seeds: Sequence[int] |
     config = config or load(directory / "config.toml", Config())
     path = directory / CHECKPOINT
     saved = checkpoint.load(path, RESUMABLE, resolve_device(config.train.device))
-    with refusing(str(path), KeyError, TypeError, ValueError, AttributeError):
+    with as_input_error(str(path), KeyError, TypeError, ValueError, AttributeError):
         trained = from_toml(saved["config"], str(path), Config())
         done, rate = int(saved["update"]), trained.ppo.learning_rate
-    config, trained = (settled_for_a_seed(each) for each in (config, trained))  # which older ones may not be
+    config, trained = (
+        with_solver_for_a_seed(each) for each in (config, trained)
+    )  # which older ones may not be
     before, total = trained.train, config.train.interactions
     moved = seeds is None and total != before.interactions
     if config != (replace(trained, train=replace(before, interactions=total)) if moved else trained):
@@ -187,7 +189,7 @@ def resume(directory: Path, config: Config | None = None, seeds: Sequence[int] |
             f"{rate * (1 - done / config.train.updates):.3g}, since it is annealed to 0 at {total:,} interactions now, "
             f"not at {before.interactions:,}"
         )
-    with refusing(f"{path}: does not fit this run", *MALFORMED):
+    with as_input_error(f"{path}: does not fit this run", *MALFORMED):
         run.load_state_dict(saved)
     if run.ranks.first:
         with run.naming_the_checkpoint():
@@ -223,6 +225,6 @@ def networks_of(path: Path, config: Config) -> dict[str, dict[str, Any]]:
         name: content[name] for name in ("policy", "value") if name in content
     }
     for name, weights in networks.items():
-        with refusing(f"--init-from {path}: its {name} network is damaged", *MALFORMED):
+        with as_input_error(f"--init-from {path}: its {name} network is damaged", *MALFORMED):
             check_weights(weights, path)
     return networks

@@ -13,12 +13,12 @@ from ppo.distributed import ranks
 from rta.constraints.names import CONSTRAINTS
 from settings import InputError, load
 from study.config import TEST_CASES, StudyConfig
-from study.errors import Stopped, refusing
+from study.errors import Stopped, as_input_error
 from study.files import write_json, write_npz
 from study.flight.evaluation import Episodes, report
-from study.machine import LOCK, alone_in, write_settings
+from study.machine import LOCK, directory_lock, write_settings
 from study.paper import Results, tables
-from study.training.run import Run, on_signal, settled_for_a_seed
+from study.training.run import Run, on_signal, with_solver_for_a_seed
 from study.training.session import check, create, resume, save_first
 from study.verified import fingerprint, warn_if_unverified
 
@@ -35,8 +35,8 @@ def train_and_evaluate(config: StudyConfig, directory: Path) -> str:
     """
     for name in config.study.arms:
         check(config.of_arm(name))
-    config = settled_for_a_seed(config)
-    with refusing(f"--study-dir {directory}: cannot write there", OSError, ValueError):
+    config = with_solver_for_a_seed(config)
+    with as_input_error(f"--study-dir {directory}: cannot write there", OSError, ValueError):
         ranks().first_does(lambda: directory.mkdir(parents=True, exist_ok=True))
     results = {}
     again = f"continue with\n  python main.py study --study-dir {shlex.quote(str(directory))}"
@@ -46,7 +46,7 @@ def train_and_evaluate(config: StudyConfig, directory: Path) -> str:
 
     check_directory(directory)  # before anything is left in it
     # signals: outside an update, where nothing half done is kept
-    with alone_in(directory, "--study-dir"), on_signal(stop):
+    with directory_lock(directory, "--study-dir"), on_signal(stop):
         ranks().first_does(lambda: begin_or_continue(config, directory))
         flown = [config.of_arm(name) for name in config.study.arms]
         for each in {fingerprint(own): own for own in flown if own.train.rta}.values():
@@ -57,7 +57,7 @@ def train_and_evaluate(config: StudyConfig, directory: Path) -> str:
                 evaluate_arm(train_arm(config, name, directory / name, again))
             if not ranks().first:
                 continue
-            with refusing(f"{path}: not the results of this program", OSError, ValueError):
+            with as_input_error(f"{path}: not the results of this program", OSError, ValueError):
                 results[name] = json.loads(path.read_text(encoding="utf-8"))
             write_json(directory / "results.json", {"arms": results})  # of the arms so far, for `report`
     shown = [f"{name}\n{tables(arm)}\n" for name, arm in results.items()]
@@ -101,9 +101,9 @@ def overview(results: dict[str, Results]) -> str:
 def begin_or_continue(config: StudyConfig, directory: Path) -> None:
     """Begins a study in its directory; refuses one that holds other things or a study with other settings."""
     before = read_settings(directory)
-    before = before and settled_for_a_seed(before)  # which an older one may not be
+    before = before and with_solver_for_a_seed(before)  # which an older one may not be
     if before is None:
-        with refusing(f"--study-dir {directory}: cannot write there", OSError, ValueError):
+        with as_input_error(f"--study-dir {directory}: cannot write there", OSError, ValueError):
             check_directory(directory)
             write_settings(config, directory)
     elif before != config:
@@ -119,7 +119,7 @@ def check_directory(directory: Path) -> None:
 
 def read_settings(directory: Path) -> StudyConfig | None:
     """The configuration of the study in a directory; None where none was begun."""
-    with refusing(f"--study-dir {directory}: cannot read it", OSError, ValueError):
+    with as_input_error(f"--study-dir {directory}: cannot read it", OSError, ValueError):
         if (directory / "checkpoint.pt").exists() or (directory / "policy.pt").exists():
             raise InputError(f"--study-dir {directory}: holds a run of train, not a study")
         begun = (directory / "config.toml").exists()
@@ -139,7 +139,7 @@ def first_difference(one: StudyConfig, other: StudyConfig) -> str:
 
 def train_arm(config: StudyConfig, name: str, directory: Path, again: str) -> Run:
     """All seeds of an arm, trained to the end from where they were left; `again` says how to continue."""
-    of_arm = settled_for_a_seed(config.of_arm(name))
+    of_arm = with_solver_for_a_seed(config.of_arm(name))
     begun = (directory / "checkpoint.pt").exists()
     run = resume(directory, of_arm, config.seeds) if begun else create(of_arm, directory, config.seeds)
     if not begun:

@@ -28,7 +28,7 @@ from rta.filter import SafetyFilter
 from rta.lie_derivatives import Function
 from rta.qp.programs import Status
 from study.config import Config
-from study.errors import refusing
+from study.errors import as_input_error
 from study.experiment import Experiment, check_clocks
 from study.files import write_json
 from study.flight.fly import with_any
@@ -235,7 +235,7 @@ def run(
     while report["draws"] < draws:
         batch_seed = np.random.SeedSequence((campaign.seed, report["batches"])).generate_state(1)[0]
         of_states, of_controls, of_plants = spawned(int(batch_seed), 3)
-        with refusing(blamed(config), RuntimeError):
+        with as_input_error(blamed(config), RuntimeError):
             near = near_limits(campaign.batch_size, of_states, safety_filter, barriers_at, experiment.device)
         desired = controls(near.state, safety_filter, torch.Generator().manual_seed(of_controls))
         plants = torch.Generator().manual_seed(of_plants)

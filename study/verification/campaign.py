@@ -22,7 +22,7 @@ from rta.constraints.names import CONSTRAINTS
 from rta.printed.loaded import InC
 from settings import InputError
 from study.config import Config
-from study.errors import refusing
+from study.errors import as_input_error
 from study.experiment import Experiment, check_clocks, load_policy
 from study.files import write_json, write_npz
 from study.flight.controllers import agent
@@ -85,7 +85,7 @@ def run(
         batch_seed = np.random.SeedSequence((campaign.seed, number)).generate_state(1)[0]
         seed_of_starts, seed_of_controls, seed_of_plants = spawned(int(batch_seed), 3)
         drawing = step("drawing the starts, some seconds a batch")
-        with refusing(blamed(config), RuntimeError), drawing:
+        with as_input_error(blamed(config), RuntimeError), drawing:
             x, priority, rejected = initial_states(campaign.batch_size, seed_of_starts, experiment.filter)
         held = experiment.filter.can_brake(x)[first:]
         held = held[held.cumsum(0) - held.long() < episodes - report["episodes"]]
@@ -234,7 +234,7 @@ def exported(experiment: Experiment, filter_in: str) -> Safety:
     if experiment.device.type != "cpu":
         raise InputError(f"--filter {filter_in}: runs on a CPU only; add --device cpu")
     with (
-        refusing(f"--filter {filter_in}: cannot be compiled", NoCompilerError),
+        as_input_error(f"--filter {filter_in}: cannot be compiled", NoCompilerError),
         step("compiling it, seconds"),
     ):
         in_c = InC(experiment.filter)

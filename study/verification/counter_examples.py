@@ -16,7 +16,7 @@ from rta.constraints.names import CONSTRAINTS
 from rta.result import FilterResult
 from settings import from_toml, override, to_toml
 from study.config import Config
-from study.errors import MALFORMED, ReflyError, refusing
+from study.errors import MALFORMED, ReflyError, as_input_error
 from study.experiment import Experiment, check_clocks
 from study.files import load_arrays
 from study.flight.fly import Observer, Record, Starts, fly
@@ -126,7 +126,7 @@ def refly_file(path: str) -> str:
         "config",
     )
     example = load_arrays(path, names, "counter-example", where_missing="")
-    with refusing(f"{path}: not a counter-example of verify", *MALFORMED, LookupError, ArithmeticError):
+    with as_input_error(f"{path}: not a counter-example of verify", *MALFORMED, LookupError, ArithmeticError):
         # any machine can fly it: the filter is asked beside the loop
         beside = {"train": {"rta": False, "device": "cpu"}, "rta": {"period": float(example["period"])}}
         config = override(from_toml(str(example["config"]), path, Config()), beside, path)

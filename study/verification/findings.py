@@ -11,7 +11,7 @@ from typing import Any
 from rta.constraints.names import CONSTRAINTS
 from settings import InputError, override
 from study.config import Config
-from study.errors import MALFORMED, refusing
+from study.errors import MALFORMED, as_input_error
 from study.verification.tally import empty_tally
 from study.verification.tape import CHECK_EVERY
 from study.verified import fingerprint
@@ -80,7 +80,7 @@ def report_in(
     fresh = empty(campaign, config)
     if path is None or not path.is_file() or not path.stat().st_size:
         return fresh
-    with refusing(f"--json {path}: holds no report to go on with", OSError, *MALFORMED):
+    with as_input_error(f"--json {path}: holds no report to go on with", OSError, *MALFORMED):
         report = json.loads(path.read_text(encoding="utf-8"))
         if not report["campaign"].keys() <= vars(campaign).keys():
             raise ValueError("it is of another command")

@@ -24,7 +24,7 @@ from scipy.stats import qmc
 from torch import Tensor
 
 from inspection.chief.hull import reach
-from inspection.model.attitude import cross, dot, norm, turned_by, unit
+from inspection.model.attitude import cross, dot, norm, rotated_by, unit
 from inspection.model.dynamics import sun_and_earth_in_body
 from inspection.model.parameters import AXES, Limits
 from inspection.model.state import OMEGA, SIZE, THETA_S, E, P, Q, T, V
@@ -153,7 +153,7 @@ def ends(x: Tensor, generator: torch.Generator, c: Limits) -> dict[str, Tensor]:
         index, sign = AXES[axis]
         body = torch.zeros_like(direction)
         body[index] = sign
-        return turned_by(
+        return rotated_by(
             x[Q], unit(torch.stack(cross(body, direction))) * dot(body, direction).clamp(-1, 1).arccos()
         )
 

@@ -68,7 +68,7 @@ class Lookahead:
 
     def __call__(self, t: float, x: Tensor) -> Tensor:
         if self.greedy is None:
-            self.choose(self.env.time + t, self.env.plant.behind(x) if self.env.plant else x)
+            self.choose(self.env.time + t, self.env.plant.true_state_of(x) if self.env.plant else x)
         return self.last
 
     def errors(self, time: Tensor, x: Tensor) -> Tensor:

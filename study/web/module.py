@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from inspection.chief.points import fibonacci_sphere, in_view, point_weights
-from inspection.guidance import limited, look, natural_motion, pointing_frequency
+from inspection.guidance import limited, natural_motion, pointing_frequency, pointing_torque
 from inspection.model.attitude import unit
 from inspection.model.dynamics import step, sun_direction
 from inspection.model.parameters import InspectionParameters
@@ -131,11 +131,11 @@ def of_flight(safety_filter: SafetyFilter) -> list[Printed]:
 
 
 def of_filter(safety_filter: SafetyFilter, number: int) -> list[str]:
-    """Returns the source of a filter, and of who commands in its rhythm."""
+    """Returns the source of a filter, and of a controller in its rhythm."""
     c, every, (x, u) = safety_filter.c, safety_filter.period, safety_filter.probe("cpu")
 
     def assistant(x: Tensor) -> list[Tensor]:
-        torque = look(x, -unit(x[P]), sun_direction(x[THETA_S]), c, pointing_frequency(every))
+        torque = pointing_torque(x, -unit(x[P]), sun_direction(x[THETA_S]), c, pointing_frequency(every))
         return [limited(torch.zeros_like(torque), torque, x, c)[TORQUE]]
 
     def guidance(x: Tensor, score: Tensor) -> list[Tensor]:

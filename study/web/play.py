@@ -21,14 +21,14 @@ from inspection.model.orbit import free_flight
 from inspection.model.parameters import InspectionParameters
 from inspection.model.state import SIZE, THETA_S, E, P, Q, T, V
 from inspection.world.parameters import PlantParameters, bounds
-from inspection.world.plant import draw
+from inspection.world.plant import sample_plant
 from ppo.network import Policy
 from rta.bounds.uncertainty import NO_UNCERTAINTY
 from rta.filter import SafetyFilter
 from rta.parameters import PERIODS
 from settings import InputError
 from study.config import TEST_CASES, Config
-from study.errors import refusing
+from study.errors import as_input_error
 from study.experiment import plant_numbers, test_cases
 from study.export import policy as agent
 from study.files import write_text
@@ -82,14 +82,14 @@ def write(config: Config, out: Path, policy: Policy | None = None) -> int:
     nominal = replace(config, plant=PlantParameters(), uncertainty=NO_UNCERTAINTY)
     erring = replace(config, plant=replace(config.plant, errors="worst"))
     with step("printing and compiling the filters, two minutes"):
-        with refusing("[rta], [inspection], [plant] and [uncertainty]", ValueError, OverflowError):
+        with as_input_error("[rta], [inspection], [plant] and [uncertainty]", ValueError, OverflowError):
             filters = [SafetyFilter(c, replace(config.rta, period=period)) for period in PERIODS]
             robust = [SafetyFilter(c, config.rta, uncertainty=config.uncertainty)] if errs else []
         worlds = [world(nominal, filters), *(world(erring, robust) for _ in robust)]
         own = agent.sources(policy, config, "") if policy else {}
         compiled = module.compiled([*filters, *robust], erring.plant if errs else None, own)
     text = document(c, compiled, worlds, policy is not None)
-    with refusing(f"--out {out}: cannot write it", OSError):
+    with as_input_error(f"--out {out}: cannot write it", OSError):
         write_text(out, text)
     return len(text.encode())
 
@@ -112,7 +112,7 @@ def world(config: Config, filters: Sequence[SafetyFilter]) -> dict[str, Any]:
     """Returns what the page is told of a world: starts that all of its filters accept, its settings, and plants.
 
     Starts have a name, a state [16] and a priority [3]; the cases of `simulate` are named by their number. Plants are
-    by the seed of `simulate`: body [7], thrust [9] and torque [3] as of `Drawn`, and latency in calls.
+    by the seed of `simulate`: body [7], thrust [9] and torque [3] as of `PlantSample`, and latency in calls.
 
     Raises:
         InputError: there is no such case, or no start of another name.
@@ -128,7 +128,7 @@ def world(config: Config, filters: Sequence[SafetyFilter]) -> dict[str, Any]:
                 break
     if missing := {"case", *MADE} - {name.split()[0] for name in found}:
         raise InputError(f"[uncertainty], [rta]: the filter accepts no start of the kind {min(missing)!r}")
-    drawn = [draw(config.plant, c, key_of(plant_numbers(1, seed))) for seed in SEEDS]
+    drawn = [sample_plant(config.plant, c, key_of(plant_numbers(1, seed))) for seed in SEEDS]
     return {
         "period": config.rta.period,
         "settings": settings(config),

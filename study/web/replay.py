@@ -23,7 +23,7 @@ from inspection.model.state import SIZE, THETA_S, P, V
 from rta.constraints.names import CONSTRAINTS
 from settings import InputError, from_toml
 from study.config import Config
-from study.errors import refusing
+from study.errors import as_input_error
 from study.files import load_arrays, write_text
 from study.flight.figures import Episode, effort, speeds
 from study.web.template import drawn, embedded, render
@@ -96,7 +96,7 @@ def write(paths: Sequence[str], out: Path, rows: int = MAX_ROWS, report: str | N
         InputError: a file is not one of `simulate` or lacks something, or the page cannot be written.
     """
     text = document([read(path, rows) for path in paths], report)
-    with refusing(f"--out {out}: cannot write it", OSError, UnicodeError):
+    with as_input_error(f"--out {out}: cannot write it", OSError, UnicodeError):
         write_text(out, text)
     return len(text.encode())
 

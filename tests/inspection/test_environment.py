@@ -249,7 +249,7 @@ def test_the_filters_last_control_is_its_next_desired_one(c, period, calls):
 
 def test_a_flight_looks_at_the_end_of_every_action_period_and_leaves_the_episodes(c, monkeypatch):
     env, looked, flown = started(c), [], []
-    monkeypatch.setattr(env.sight, "mark", looked.append)
+    monkeypatch.setattr(env.sight, "update_inspected", looked.append)
     x, nothing = env.x, torch.zeros(6, 1).double()
     for hold in env.fly(lambda t, x: nothing, 30.0):
         assert len(looked) == len(flown) // 10  # not before the hold is handed out

@@ -63,7 +63,7 @@ def shrunk(p: torch.Tensor) -> torch.Tensor:
 def test_the_way_leads_along_a_great_circle_to_the_ellipse() -> None:
     orbit, n = GUIDANCE["quick"], C.mean_motion
     p, wanted = around_the_chief(1000)
-    aim, velocity = guidance.aside(p, wanted, orbit, n)
+    aim, velocity = guidance.target_on_great_circle(p, wanted, orbit, n)
     ends = [on_ellipse(orbit, phase, 0.0) for phase in wanted.tolist()]
     end, moving = (torch.cat([x[part] for x in ends], 1) for part in (P, V))
     here, there, to = shrunk(p), shrunk(end), shrunk(aim)
@@ -89,7 +89,7 @@ def seen_from(angle: float, energy: float, sun_to_camera: float = 180.0) -> tupl
     sun = sun_direction(x[THETA_S])
     radians = math.radians(angle)
     outward = torch.tensor([[math.cos(radians)], [0.0], [math.sin(radians)]], dtype=torch.float64)
-    camera = guidance.watch(x, outward, sun, C)
+    camera = guidance.camera_direction(x, outward, sun, C)
     assert camera.norm().item() == pytest.approx(1.0)
     off_chief, off_sun = (
         math.degrees(dot(camera, each).clamp(-1, 1).arccos().item()) for each in (-outward, sun)
@@ -130,7 +130,7 @@ def test_a_camera_that_looks_the_other_way_turns_in_time_and_the_thermal_side_to
     fastest = 0.0
     frequency = min(guidance.POINTING_FREQUENCY, guidance.HELD / every)
     for _ in range(round(600 / every)):
-        u = torch.cat((torch.zeros(3, 1).double(), guidance.look(x, direction, sun, C, frequency)))
+        u = torch.cat((torch.zeros(3, 1).double(), guidance.pointing_torque(x, direction, sun, C, frequency)))
         limit = torch.tensor(C.control_limit, dtype=torch.float64)[:, None]
         u = torch.maximum(torch.minimum(u, limit), -limit)
         for _ in range(round(every)):
@@ -153,7 +153,7 @@ def held(x: torch.Tensor, thrust: torch.Tensor, every: float, times: int) -> tup
     fastest, unsaturated = 0.0, replace(C, saturate_rates=False)
     for _ in range(times):
         frequency = guidance.pointing_frequency(every)
-        torque = guidance.look(x, direction, sun_direction(x[THETA_S]), C, frequency, thrust)
+        torque = guidance.pointing_torque(x, direction, sun_direction(x[THETA_S]), C, frequency, thrust)
         u = torch.maximum(torch.minimum(torch.cat((torch.zeros_like(torque), torque)), limit), -limit)
         for _ in range(math.ceil(every / 5.0)):
             x = step(x, u, every / math.ceil(every / 5.0), unsaturated)
@@ -233,5 +233,5 @@ def test_the_roll_saves_fuel_of_every_lead_and_takes_no_time(
 def test_a_camera_that_never_leaves_the_chief_is_found_to_break_limits(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(guidance, "watch", lambda x, outward, sun, c: -outward)
+    monkeypatch.setattr(guidance, "camera_direction", lambda x, outward, sun, c: -outward)
     assert not flown(4).clean.all()

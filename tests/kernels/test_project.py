@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 import main
-from inspection.chief.hull import beside
+from inspection.chief.hull import with_hull
 from kernels.printer import printed
 from rta.filter import SafetyFilter
 from rta.printed import batch
@@ -58,7 +58,9 @@ def config_of(name: str) -> Config:
 
 def filter_of(name: str) -> SafetyFilter:
     config = config_of(name)
-    return SafetyFilter(beside(config.inspection, config.chief), config.rta, uncertainty=config.uncertainty)
+    return SafetyFilter(
+        with_hull(config.inspection, config.chief), config.rta, uncertainty=config.uncertainty
+    )
 
 
 def calls_of_filter(name: str, monkeypatch: pytest.MonkeyPatch) -> list[Call]:

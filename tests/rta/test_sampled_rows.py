@@ -11,7 +11,7 @@ from numpy import ndarray
 from scipy.integrate import solve_ivp
 from torch import Tensor
 
-from inspection.model.attitude import turned_by
+from inspection.model.attitude import rotated_by
 from inspection.model.dynamics import integrate
 from inspection.model.parameters import InspectionParameters
 from inspection.model.state import OMEGA, THRUST, TORQUE
@@ -210,7 +210,7 @@ def test_where_no_check_is_known_rows_take_off_what_is_not_known(by: str, draws:
         y = x.clone()
         y[:3] += uncertainty.radii[0] * p
         y[3:6] += uncertainty.radii[1] * v
-        y[6:10] = turned_by(x[6:10], uncertainty.radii[2] * turn)
+        y[6:10] = rotated_by(x[6:10], uncertainty.radii[2] * turn)
         y[OMEGA] += uncertainty.radii[3] * rate
         given = u.clone()
         given[THRUST] += 0.02 * u[THRUST].norm(dim=0) * thrust

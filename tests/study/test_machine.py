@@ -11,7 +11,7 @@ from filelock import FileLock
 from kernels import compiled
 from settings import InputError
 from study import machine
-from study.machine import alone_in, set_threads
+from study.machine import directory_lock, set_threads
 
 
 @pytest.fixture
@@ -49,10 +49,10 @@ def test_the_environment_decides_before_the_default_and_the_load_never(
 def test_a_directory_is_one_process_s_at_a_time(tmp_path: Path) -> None:
     theirs = FileLock(tmp_path / machine.LOCK)
     theirs.acquire()
-    with pytest.raises(InputError, match="another process"), alone_in(tmp_path, "--run-dir"):
+    with pytest.raises(InputError, match="another process"), directory_lock(tmp_path, "--run-dir"):
         pass
     theirs.release()
-    with alone_in(tmp_path, "--run-dir"):
+    with directory_lock(tmp_path, "--run-dir"):
         pass
-    with pytest.raises(InputError, match="No such file"), alone_in(tmp_path / "nowhere", "--run-dir"):
+    with pytest.raises(InputError, match="No such file"), directory_lock(tmp_path / "nowhere", "--run-dir"):
         pass

@@ -7,7 +7,7 @@ import pytest
 import torch
 from scipy.optimize import nnls
 
-from inspection.chief.hull import beside, clearance, reach
+from inspection.chief.hull import clearance, reach, with_hull
 from inspection.chief.mesh import read
 from inspection.model.attitude import rotate
 from inspection.model.parameters import ChiefParameters, InspectionParameters
@@ -45,7 +45,7 @@ def some_positions(count: int, low: float, high: float) -> torch.Tensor:
 
 @pytest.mark.parametrize("mesh", MESHES)
 def test_clearance_is_never_above_the_distance_and_hardly_below(mesh: str) -> None:
-    c, body = beside(C, hull_of(mesh)), corners(mesh)
+    c, body = with_hull(C, hull_of(mesh)), corners(mesh)
     p = some_positions(200, 10.0, 60.0)
     true = np.array([distance(each, body) for each in p.T.numpy()]) - C.deputy_radius
     off = true - clearance(p, c).numpy()
@@ -55,13 +55,13 @@ def test_clearance_is_never_above_the_distance_and_hardly_below(mesh: str) -> No
 
 @pytest.mark.parametrize("mesh", MESHES)
 def test_the_chief_is_behind_every_plane_and_touches_it(mesh: str) -> None:
-    body, planes = corners(mesh), np.array(beside(C, hull_of(mesh)).planes)
+    body, planes = corners(mesh), np.array(with_hull(C, hull_of(mesh)).planes)
     np.testing.assert_allclose((body @ planes[:, :3].T).max(0), planes[:, 3], rtol=0, atol=1e-5)
 
 
 @pytest.mark.parametrize("mesh", MESHES)
 def test_reach_is_where_clearance_is_zero(mesh: str) -> None:
-    c, u = beside(C, hull_of(mesh)), some_positions(100, 1.0, 1.0)
+    c, u = with_hull(C, hull_of(mesh)), some_positions(100, 1.0, 1.0)
     there = reach(u, c)
     assert clearance(there * u, c).abs().max() < 1e-9
     assert there.max() <= C.collision_radius / np.cos(0.2) and there.min() < 10.0

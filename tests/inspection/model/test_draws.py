@@ -8,7 +8,14 @@ import torch
 from scipy import stats
 from torch import Tensor
 
-from inspection.model.draws import hashed, isotropic, random_quaternion, shoemake, spherical, uniform
+from inspection.model.draws import (
+    counter_based_uniform,
+    isotropic,
+    random_quaternion,
+    shoemake,
+    spherical,
+    uniform,
+)
 
 COUNT = 100_000
 
@@ -56,7 +63,7 @@ def test_rotations_are_unit_and_uniform(q: Tensor) -> None:
 def test_hashed_numbers_are_uniform_and_independent_of_key_time_and_row() -> None:
     key = (torch.rand(300, generator=seeded(0), dtype=torch.float64) * 2**53).long()
     found = torch.stack(
-        [hashed(key, torch.full_like(key, 1000 * t), 13) for t in range(60)]
+        [counter_based_uniform(key, torch.full_like(key, 1000 * t), 13) for t in range(60)]
     )  # time, row, key
     assert stats.kstest(found.flatten().numpy(), "uniform").pvalue > 1e-3
     for axis in range(3):

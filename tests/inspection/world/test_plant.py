@@ -16,7 +16,7 @@ from torch import Tensor
 from inspection.closed_loop import Clocks, Safety, closed_loop
 from inspection.environment import InspectionEnv
 from inspection.initial_state import sample_initial_state
-from inspection.model.draws import hashed
+from inspection.model.draws import counter_based_uniform
 from inspection.model.parameters import InspectionParameters
 from inspection.model.state import CONTROLS, OMEGA, SIZE, THETA_S, THRUST, TORQUE, E, P, Q, T, V
 from inspection.world.parameters import DETAILS, PlantParameters
@@ -332,7 +332,10 @@ def test_a_missed_call_holds_the_control_and_the_next_one_is_asked_for_the_same(
     )
     missed = [bool(hold.missed) for hold in holds]
     expected = [
-        t > 0 and bool(hashed(plant.key, milliseconds(moments(1, float(t))), 1, first=12)[0, 0] < 0.5)
+        t > 0
+        and bool(
+            counter_based_uniform(plant.key, milliseconds(moments(1, float(t))), 1, first=12)[0, 0] < 0.5
+        )
         for t in range(40)  # there is nothing to hold before the first
     ]
     for t in range(2, 40):  # by hand: the third in a row is made

@@ -8,7 +8,7 @@ import torch
 from numpy import ndarray
 from torch import Tensor
 
-from inspection.chief.hull import beside, farthest, reach
+from inspection.chief.hull import farthest, reach, with_hull
 from inspection.model.parameters import InspectionParameters
 from inspection.model.state import CONTROL_SIZE, SIZE, P, V
 from kernels.compiled import Compiled
@@ -31,7 +31,7 @@ ROUNDING = 1e-9
 
 @functools.cache
 def task(mesh: str) -> InspectionParameters:
-    return beside(C, hull_of(mesh))
+    return with_hull(C, hull_of(mesh))
 
 
 def motion(p: ndarray, v: ndarray, c: InspectionParameters, spacing: float | None) -> ndarray:

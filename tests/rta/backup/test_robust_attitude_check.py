@@ -9,7 +9,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from inspection.model.attitude import rate_in_hill, turned_by
+from inspection.model.attitude import rate_in_hill, rotated_by
 from inspection.model.dynamics import Body, step, sun_and_earth_in_body
 from inspection.model.parameters import InspectionParameters
 from inspection.model.state import OMEGA, TORQUE, E, Q, T
@@ -100,7 +100,7 @@ class World:
         behind = (wanted(true, self.attitude) - true[OMEGA]).sign()
         self.gyro = torch.where(resists, behind, torch.where(changes[3:], self.sign(3), self.gyro))
         seen = true.clone()
-        seen[Q] = turned_by(true[Q], math.radians(self.uncertainty.attitude) * self.angle)
+        seen[Q] = rotated_by(true[Q], math.radians(self.uncertainty.attitude) * self.angle)
         seen[OMEGA] = true[OMEGA] + math.radians(self.uncertainty.rate) * self.gyro
         none = torch.zeros(4, seen.shape[1], dtype=seen.dtype)
         before, self.seen = self.seen, seen

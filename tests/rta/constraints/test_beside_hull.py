@@ -7,7 +7,7 @@ import pytest
 import torch
 from scipy.integrate import solve_ivp
 
-from inspection.chief.hull import beside, clearance
+from inspection.chief.hull import clearance, with_hull
 from inspection.model.dynamics import step
 from inspection.model.parameters import InspectionParameters
 from inspection.model.state import P, Q, V
@@ -24,7 +24,7 @@ N = PAPER.mean_motion
 
 def beside_the_chief(count: int, mesh: str, speed: float) -> tuple[torch.Tensor, InspectionParameters]:
     """States 1 to 40 m from the deputy's touching the hull, with a speed in any direction; and the task."""
-    c = beside(PAPER, hull_of(mesh))
+    c = with_hull(PAPER, hull_of(mesh))
     p = some_positions(40 * count, 7.0, 60.0)
     left = clearance(p, c)
     p = p[:, (left > 1.0) & (left < 40.0)][:, :count]
@@ -84,7 +84,7 @@ def test_a_slow_flight_that_is_turned_stays_clear_of_the_next_corner() -> None:
 
     Found by adversaries that start near the hull.
     """
-    c = beside(PAPER, hull_of(MESHES[0]))
+    c = with_hull(PAPER, hull_of(MESHES[0]))
     safety = SafetyFilter(c, R, BatchedSolver())
     x = torch.zeros(16, 1, dtype=torch.float64)
     x[P, 0] = torch.tensor([-3.78524, -1.05287, -7.57457]).double()

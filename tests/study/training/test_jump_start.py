@@ -104,7 +104,7 @@ def test_what_is_flown_counts_as_interactions_and_ppo_does_the_rest(run: session
 
 @pytest.mark.campaign
 def test_seeds_side_by_side_are_taught_what_each_is_alone(tmp_path: Path) -> None:
-    short = session.settled_for_a_seed(config(jump_start=8192))
+    short = session.with_solver_for_a_seed(config(jump_start=8192))
     both = taught(created(short, tmp_path / "both", [3, 4]))
     alone = taught(created(replace(short, train=replace(short.train, seed=4)), tmp_path / "alone"))
     for name, weight in alone.policy.state_dict().items():
@@ -114,7 +114,7 @@ def test_seeds_side_by_side_are_taught_what_each_is_alone(tmp_path: Path) -> Non
 def test_the_guidance_that_is_named_teaches(run: session.Run) -> None:
     """Without its roll. What it wants depends on the state and on the score, which both change on the way."""
     env, policy = run.env, run.policy
-    taught = jump_start.Taught(env, policy, GUIDANCE["quick"])
+    taught = jump_start.ImitationEnv(env, policy, GUIDANCE["quick"])
     quick, *others = (
         natural_motion(env.c, env.c.action_period, GUIDANCE[name], env.sight.score, rolls)
         for name, rolls in (("quick", False), ("thrifty", False), ("quick", True))
@@ -140,7 +140,7 @@ SHORT = {"jump_start": 4 * 512, "interactions": 6 * 512, "num_envs": 128, "rollo
 )
 def whole(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> session.Run:
     """A short run that nothing interrupted."""
-    short = session.settled_for_a_seed(config(**SHORT))
+    short = session.with_solver_for_a_seed(config(**SHORT))
     run = created(short, tmp_path_factory.mktemp("whole") / "run", request.param)
     run.train()
     return run

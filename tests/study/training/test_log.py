@@ -58,10 +58,10 @@ def quiet() -> Monitor:
 
 
 def test_an_update_is_shown_for_all_and_for_each_seed(tmp_path: Path) -> None:
-    homes = [tmp_path / "seed5", tmp_path / "seed6", tmp_path / "seed7"]
-    for home in homes:
+    seed_dirs = [tmp_path / "seed5", tmp_path / "seed6", tmp_path / "seed7"]
+    for home in seed_dirs:
         home.mkdir()
-    log = Log(tmp_path, homes, BATCH)
+    log = Log(tmp_path, seed_dirs, BATCH)
     two = ended(1, 2.0)
     two.seeds, two.episodes = 2, two.episodes + ended(2, 6.0).episodes
     reports = [
@@ -88,7 +88,7 @@ def test_an_update_is_shown_for_all_and_for_each_seed(tmp_path: Path) -> None:
     assert shown["time/interactions_per_s"][0] == (BATCH, 3 * BATCH / 3.0)  # by the rank that took longest
     assert shown["episode/reward"] == [(BATCH, 3.0)]
     assert shown["violation_percent/near"][0] == (BATCH, 100.0 * 18 / (2 * BATCH))
-    for home, reward in zip(homes, (1.0, 2.0, 6.0), strict=True):
+    for home, reward in zip(seed_dirs, (1.0, 2.0, 6.0), strict=True):
         shown = charts(home)
         assert shown["episode/reward"] == [(BATCH, reward)]
         assert set(shown) == {f"episode/{name}" for name in EPISODE}
@@ -97,14 +97,14 @@ def test_an_update_is_shown_for_all_and_for_each_seed(tmp_path: Path) -> None:
 def test_an_evaluation_is_a_line_and_a_chart_for_each_seed(
     tmp_path: Path, generator: torch.Generator
 ) -> None:
-    homes = [tmp_path / "seed5", tmp_path / "seed6"]
-    for home in homes:
+    seed_dirs = [tmp_path / "seed5", tmp_path / "seed6"]
+    for home in seed_dirs:
         home.mkdir()
-    log, episodes = Log(tmp_path, homes, BATCH), record(2, 4, generator)
+    log, episodes = Log(tmp_path, seed_dirs, BATCH), record(2, 4, generator)
     with log.open(0, BATCH):
         log.evaluation(episodes, [{"seed": 5}, {"seed": 6}], BATCH, 1.5)
     lines = [json.loads(line) for line in log.evaluations.read_text().splitlines()]
-    for k, (home, line) in enumerate(zip(homes, lines, strict=True)):
+    for k, (home, line) in enumerate(zip(seed_dirs, lines, strict=True)):
         own = slice(4 * k, 4 * k + 4)
         assert (line["interactions"], line["seconds"], line["seed"]) == (BATCH, 1.5, 5 + k)
         assert np.array(list(line["cases"].values())) == pytest.approx(episodes.metrics[:, own].numpy())

@@ -27,7 +27,7 @@ class Informed:
         return SimpleNamespace(control=torch.full_like(desired, float(len(self.told))))
 
 
-def fly(plant, calls: int = CALLS, period: float = 1.0, informed: bool = True, start: float = 0.0):
+def fly(plant, calls: int = CALLS, period: float = 1.0, takes_plant_data: bool = True, start: float = 0.0):
     """The filter, and what was held from each call on, (calls, 6, BATCH)."""
     plant.every, correct = period, Informed()
     batch = plant.mass.numel()
@@ -43,7 +43,7 @@ def fly(plant, calls: int = CALLS, period: float = 1.0, informed: bool = True, s
         calls * period,
         plant,
         moments(batch, start),
-        informed,
+        takes_plant_data,
     )
     return correct, torch.stack([hold.applied for hold in holds])
 
@@ -82,7 +82,7 @@ def test_episodes_that_begin_anew_know_of_no_earlier_control() -> None:
     plant.begin(anew, torch.zeros(16, len(anew)), torch.linspace(0.0, 0.9, len(anew), dtype=torch.float64))
     time = moments(BATCH, float(CALLS))
     time[anew] = 0.0
-    sent = plant.tell(time)["sent"]
+    sent = plant.filter_inputs(time)["sent"]
     assert sent[..., anew].isnan().all()
     others = torch.arange(1, BATCH, 2)
     counts = (~sent[:, 0, others].isnan()).sum(0)
