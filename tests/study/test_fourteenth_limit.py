@@ -20,7 +20,7 @@ def total_speed(c: Limits, r: RtaParameters) -> Constraint:
         lambda x: (1.2 * c.max_speed) ** 2 - dot(x[V], x[V]),
         gains=(r.velocity_gain,),
         weight=r.slack_weight_motion,
-        loss=bend(c, r) + 2 * (1.2 * c.max_speed) * turn(c, r),
+        intersample_drop=speed_curvature(c, r) + 2 * (1.2 * c.max_speed) * thrust_rotation_error(c, r),
     )
 '''
 
