@@ -27,6 +27,7 @@ from inspection.model.state import CONTROL_SIZE, OMEGA, SIZE, THRUST, TORQUE, P,
 from rta.bounds.prediction import unsaturated
 from rta.bounds.uncertainty import NO_UNCERTAINTY, HoldDisturbance, Uncertainty
 from rta.constraints.constraint import ACTUATORS, Constraint, check
+from rta.constraints.names import PAPERS
 from rta.lie_derivatives import Function, directional, lie_derivative, lie_derivatives
 from rta.parameters import RtaParameters
 from rta.qp.programs import total
@@ -368,9 +369,16 @@ class ActuatorGroup:
         parts = rows.split([each.rows for each in self.constraints])
         return torch.cat([part if len(part) == 1 else join(part)[None] for part in parts])
 
-    def keeps(self, x: Tensor, degree: int) -> Tensor:
-        """(B,) bool: Psi of every constraint of a relative degree is non-negative at states (16, B)."""
-        constraints = [each for each in self.constraints if each.degree == degree]
+    def keeps(self, x: Tensor, degree: int, only_own: bool = False) -> Tensor:
+        """(B,) bool: Psi of every constraint of a relative degree is non-negative at states (16, B).
+
+        `only_own` leaves out the paper's limits.
+        """
+        constraints = [
+            each
+            for each in self.constraints
+            if each.degree == degree and not (only_own and each.name in PAPERS)
+        ]
         if not constraints:
             return torch.ones_like(x[0], dtype=torch.bool)
         return (self.psi_at(x, constraints)(x) >= 0.0).all(0)

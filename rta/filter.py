@@ -178,17 +178,17 @@ class SafetyFilter:
     def is_safe(self, x: Tensor) -> Tensor:
         """Tells which states may start an episode, (B,) bool (docs/reference/proof.md).
 
-        True where every h >= 0 and the backup trajectory keeps the limits. For a group without a check: every
-        Psi_1 >= 0 (thrust: also can_brake); with sampled rows also is_holdable.
+        True where every h >= 0, every Psi_1 >= 0 of limits of your own, and the backup trajectory keeps the limits.
+        For a group without a check: every Psi_1 >= 0 (thrust: also can_brake); with sampled rows also is_holdable.
         """
-        kept, (thrust, torque) = (self.values(x) >= 0.0).all(0), self.groups
+        kept = (self.values(x) >= 0.0).all(0)
         if self.backup:
             self._compile_flights(x)
             kept = narrowed(kept, x, self.backup.has_backup_trajectory)
         if not self.checked[0]:
-            kept = kept & thrust.keeps(x, degree=2) & self.can_brake(x)
-        if not self.checked[1]:
-            kept = kept & torque.keeps(x, degree=2)
+            kept = kept & self.can_brake(x)
+        for group, is_checked in zip(self.groups, self.checked, strict=True):
+            kept = kept & group.keeps(x, degree=2, only_own=is_checked)
         return narrowed(kept, x, self.is_holdable) if self.is_sampled and self.unchecked else kept
 
     @in_full_precision

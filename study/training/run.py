@@ -90,8 +90,6 @@ class Run:
         self.experiment = Experiment(config, num_envs * len(own_seeds), seconds)
         self.config, self.device = self.experiment.config, self.experiment.device
         self.monitor = Monitor(self.experiment.safety.names, len(own_seeds), self.shard.seeds.start)
-        slots = num_envs * len(own_seeds)
-        self.exposure = Exposure(self.experiment.safety.names, slots, self.device)
         self.log = Log(directory, self.seed_dirs, train.batch)
 
         generators = self.experiment.generators(own_seeds)
@@ -103,6 +101,7 @@ class Run:
             safety=safety,
             privileged=config.ppo.privileged,
         )
+        self.exposure = Exposure(self.env.safety.names, num_envs * len(own_seeds), self.device)
         for starts in self.env.starts:
             starts.offset_and_total = self.shard.learners.offset_and_total
         self.policy = self.experiment.policy(generators)

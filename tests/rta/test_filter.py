@@ -32,6 +32,7 @@ from tests.oracles import (
     PSM_TOLERANCE,
     at_the_edge,
     cosines,
+    drift,
     enforced,
     entries,
     first_psi,
@@ -393,6 +394,20 @@ def test_own_constraints_come_after_the_papers(programs: SafetyFilter, solution:
     alone = sides[0] > 1e-6  # the cone would not have mattered
     assert alone.sum() > 200
     torch.testing.assert_close(answer.control[:, alone], result.control[:, alone], rtol=0, atol=1e-6)
+
+
+def test_starts_keep_psi_1_of_own_limits_though_the_check_does_not_know_them() -> None:
+    cone, _ = own.OWN["cone"]
+    without, safety = SafetyFilter(C, R), SafetyFilter(C, R, extra=(cone,))
+    x, step = tensor(near_the_limits(3000)), 1e-4
+    f = drift(x.numpy(), C)
+    h, before, after = (own.numpy_cone(x.numpy() + shift * f) for shift in (0.0, -step, step))
+    psi_1 = (after - before) / (2 * step) + R.gain(cone.gains[0]) * (h - cone.margin)
+    assert without.backup and all(safety.checked)
+    certain = tensor(np.abs(psi_1) > 1e-6)
+    expected = without.is_safe(x) & tensor((h >= 0.0) & (psi_1 >= 0.0))
+    assert torch.equal(safety.is_safe(x)[certain], expected[certain])
+    assert (without.is_safe(x) & tensor((h >= 0.0) & (psi_1 < 0.0)))[certain].sum() > 3
 
 
 def with_a_ball(solver: str | None = None) -> SafetyFilter:
