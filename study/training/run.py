@@ -374,4 +374,5 @@ def seconds_of(deed: Callable[[], None]) -> float:
 
 def with_solver_for_a_seed(config: AnyConfig) -> AnyConfig:
     """The configuration with the solver settled for one seed, whatever is trained beside it and on how many ranks."""
-    return with_solver(config, config.train.num_envs, resolve_device(config.train.device))
+    device = resolve_device(config.train.device)
+    return with_solver(config, config.train.num_envs, device, config.train.compile == "on")

@@ -14,7 +14,7 @@ from study.config import Config
 from study.errors import MALFORMED, as_input_error
 from study.verification.tally import empty_tally
 from study.verification.tape import CHECK_EVERY
-from study.verified import fingerprint
+from study.verified import fingerprint, of_hull
 
 WIDTH = 100  # of the text
 LISTED = 12  # sets of constraints with slack together that the text lists
@@ -84,9 +84,10 @@ def report_in(
         report = json.loads(path.read_text(encoding="utf-8"))
         if not report["campaign"].keys() <= vars(campaign).keys():
             raise ValueError("it is of another command")
-        same = type(campaign)(**report["campaign"]) == campaign and of_the_same(
-            report["config"], config, path
-        )
+        same = type(campaign)(**report["campaign"]) == campaign
+        same = same and of_the_same(report["config"], config, path)
+        counted = (each.get("violating_episodes", {}).keys() for each in (report, fresh))
+        same = same and len(set(map(frozenset, counted))) == 1  # the same limits
     if not same:
         raise InputError(f"--json {path}: holds another campaign or configuration; name another file")
     for counts in (report, report.get("starts_beyond_braking", {})):
@@ -97,9 +98,9 @@ def report_in(
 def of_the_same(before: dict[str, Any], config: Config, path: Path) -> bool:
     """Whether the tables of a file are of the same plant and filter; what else they hold is of training."""
     held = override(Config(), before, str(path))
-    return all(
-        getattr(held, part) == getattr(config, part) for part in ("inspection", "rta", "plant", "uncertainty")
-    )
+    parts = "inspection", "rta", "plant", "uncertainty"
+    same = all(getattr(held, part) == getattr(config, part) for part in parts)
+    return same and of_hull(held.chief) == of_hull(config.chief)
 
 
 def table(report: dict[str, Any]) -> str:

@@ -105,6 +105,7 @@ def test_the_reference_reports_can_be_continued(
     [
         ["--seed", "1"],
         ["--duration", "30"],
+        ["--config", "chiefs/box", "--config", "chiefs/hull"],
     ],
 )
 def test_another_campaigns_report_is_refused(
@@ -113,3 +114,13 @@ def test_another_campaigns_report_is_refused(
     before = finished.read_bytes()
     assert_refused(verify(finished, *other), [str(finished), "another campaign"], capsys)
     assert finished.read_bytes() == before
+
+
+def test_a_report_of_other_limits_is_refused(
+    finished: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    report = json.loads(finished.read_text())
+    report["violating_episodes"]["total_speed"] = 0
+    path = tmp_path / "report.json"
+    path.write_text(json.dumps(report))
+    assert_refused(verify(path), [str(path), "another campaign"], capsys)
