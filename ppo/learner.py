@@ -203,16 +203,25 @@ class PPO:
         return loss, statistics
 
     def _clip_gradients(self) -> dict[str, Tensor]:
-        """Scale each seed's gradient to at most max_grad_norm; return the norms (S,) before scaling."""
+        """Scale each seed's gradient to at most max_grad_norm; return the norms (S,) before scaling.
+
+        The critic of costs is scaled by itself: a cost of 1 a step is a hundred times a reward, and would take the
+        gradient from the others.
+        """
         norms = {
             name: torch.linalg.vector_norm(gradient_of(weight), dim=(1, 2))
             for name, weight in self._named.items()
         }
-        total = torch.linalg.vector_norm(torch.stack(list(norms.values())), dim=0)
-        scale = (self.parameters.max_grad_norm / (total + 1e-6)).clamp(max=1.0)
-        for weight in self._named.values():
-            gradient_of(weight).mul_(scale[:, None, None])
-        return norms | {"grad_norm": total}
+        of_costs = [name for name in norms if name.startswith(KEYS["cost"])]
+        others = [name for name in norms if name not in of_costs]
+        reported = dict(norms)
+        for names in filter(None, (of_costs, others)):
+            total = torch.linalg.vector_norm(torch.stack([norms[name] for name in names]), dim=0)
+            scale = (self.parameters.max_grad_norm / (total + 1e-6)).clamp(max=1.0)
+            for name in names:
+                gradient_of(self._named[name]).mul_(scale[:, None, None])
+            reported["grad_norm"] = total
+        return reported
 
 
 def gradient_of(weight: Tensor) -> Tensor:

@@ -671,6 +671,7 @@ LEARNER = [
         "ppo/test_lagrangian.py",
         ('batch["advantage"] - self.multiplier.value', 'batch["advantage"] + self.multiplier.value'),
         ("value_losses = value_losses + losses", "value_losses = 0.0 * losses"),
+        ("filter(None, (of_costs, others))", "filter(None, (of_costs + others,))"),
     ),
     *faults(
         "ppo/trainer.py",

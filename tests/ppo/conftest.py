@@ -78,8 +78,8 @@ def small_learner():
         parameters = PPOParameters(**{"epochs": 1, "minibatch_size": 4} | settings)
         generators = [torch.Generator().manual_seed(seed) for seed in (1, 2)]
         policy = Policy(2, 3, generators, hidden=(8,), initial_std=0.5)
-        cost_value = Value(2, generators, hidden=(8,)) if parameters.cost_limit < 1.0 else None
         value = Value(2, generators, hidden=(8,))
+        cost_value = Value(2, generators, hidden=(8,)) if parameters.cost_limit < 1.0 else None
         return PPO(policy, value, parameters, generators, cost_value=cost_value)
 
     return make

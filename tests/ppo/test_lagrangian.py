@@ -91,6 +91,20 @@ def test_costs_settle_at_their_limit_where_reward_pulls_beyond_it() -> None:
     assert trained(1.0).min() > 0.95
 
 
+def test_the_critic_of_costs_takes_no_gradient_from_the_others(toy, small_learner) -> None:
+    """Costs a thousand times as large, at no price, leave policy and value as they would be without costs."""
+    plain, costly = small_learner(max_grad_norm=0.1), small_learner(cost_limit=0.99, max_grad_norm=0.1)
+    batch = collect(toy(), plain, 6, plain.generators)
+    none = torch.zeros_like(batch["return_"])
+    costs = {"cost": none, "cost_advantage": none, "cost_return": none + 1000.0}
+    for learner, more in ((plain, {}), (costly, costs)):
+        for generator in learner.generators:
+            generator.manual_seed(7)
+        learner.update(batch | more, 0.0)
+    for name, weight in plain.policy.state_dict().items():
+        torch.testing.assert_close(costly.policy.state_dict()[name], weight)
+
+
 def test_without_a_limit_no_costs_are_learned(toy, small_learner) -> None:
     learner = small_learner()
     assert "cost" not in collect(toy(), learner, 3, learner.generators)
