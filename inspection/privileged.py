@@ -12,7 +12,7 @@ from inspection.model.parameters import InspectionParameters
 from inspection.model.state import THETA_S, P, V
 
 HARMONICS = 5
-PRIVILEGED = 1 + 2 * HARMONICS + 2 + 11  # numbers
+PRIVILEGED = 3 + 2 * HARMONICS + 3 + 3 + 5  # numbers: weights, their moments, position, velocity, the rest
 
 
 def privileged(x: Tensor, points: Tensor, left: Tensor, time: Tensor, c: InspectionParameters) -> Tensor:
@@ -48,7 +48,7 @@ def privileged(x: Tensor, points: Tensor, left: Tensor, time: Tensor, c: Inspect
         p,
         to_sun(x[V]),
         torch.stack(
-            (p.square().sum(0).sqrt(), torch.atan2(p[1], p[0]), time / 3000.0, theta.cos(), theta.sin())
+            (p.square().sum(0).sqrt(), torch.atan2(p[1], p[0]), time / c.max_time, theta.cos(), theta.sin())
         ),
     )
     return torch.cat(parts)

@@ -3,8 +3,8 @@
 import torch
 from torch import Tensor
 
-# The price is in units of reward per cost of one step. A step of the task is worth about 0.01, so that a tenth of all
-# steps beyond the allowed share makes each of them ten times as dear within some ten updates.
+# The price is in units of reward per cost of one step. A step of the task is worth about 0.01: if a tenth of all steps
+# break limits beyond the allowed share, each costs ten times that at once, and twenty times after ten updates.
 PROPORTIONAL_GAIN = 1.0
 INTEGRAL_GAIN = 0.1  # per update
 

@@ -24,6 +24,7 @@ from inspection.privileged import PRIVILEGED
 from ppo import checkpoint
 from ppo.errors import CheckpointError
 from ppo.network import Policy, Value
+from rta.constraints.names import CONSTRAINTS, OWN, PAPERS
 from rta.filter import SafetyFilter
 from rta.keep_clear import kept_clear
 from rta.parameters import RtaParameters
@@ -89,7 +90,8 @@ class Experiment:
         self.compiled = wants_compile(choice, steps)
         self.task = with_hull(with_correction_price(config), config.chief)
         with as_input_error("[rta], [inspection] and [uncertainty]", ValueError, OverflowError):
-            self.filter = SafetyFilter(self.task, self.config.rta, uncertainty=config.uncertainty)
+            made = SafetyFilter(self.task, self.config.rta, uncertainty=config.uncertainty)
+            self.filter = named_in_order(made)
         with as_input_error("[plant] and [inspection]", ValueError):
             config.plant.check_body(config.inspection)
         if self.filter_compiled:
@@ -156,9 +158,18 @@ class Experiment:
 def filter_of(config: Config) -> SafetyFilter:
     """The filter of a configuration by itself; raises InputError where its parts do not fit together."""
     with as_input_error("[rta], [inspection] and [uncertainty]", ValueError, OverflowError):
-        return SafetyFilter(
-            with_hull(config.inspection, config.chief), config.rta, uncertainty=config.uncertainty
+        task = with_hull(config.inspection, config.chief)
+        return named_in_order(SafetyFilter(task, config.rta, uncertainty=config.uncertainty))
+
+
+def named_in_order(safety_filter: SafetyFilter) -> SafetyFilter:
+    """The filter; raises ValueError where its limits are not those that every report names."""
+    if safety_filter.names != CONSTRAINTS:
+        raise ValueError(
+            f"rta/constraints/names.py: OWN = {list(OWN)}: must be {list(safety_filter.names[len(PAPERS) :])}, "
+            "the limits that thrust.py, then torque.py add to the paper's"
         )
+    return safety_filter
 
 
 def paper_task(

@@ -5,6 +5,7 @@ Every tag is explained in docs/reference/commands.md.
 
 import time
 from dataclasses import replace
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -22,38 +23,47 @@ class Exposure:
 
     Attributes:
         violated: (constraints + 1, B) interactions of each episode slot that ended beyond a limit, the last row any.
-        worst: (constraints, B) smallest h.
+        worst: (constraints, B) smallest h; counted: (B,) interactions.
     """
 
     def __init__(self, constraints: tuple[str, ...], slots: int, device: torch.device) -> None:
         self.constraints = constraints
         self.violated = torch.zeros(len(constraints) + 1, slots, dtype=torch.int64, device=device)
         self.worst = torch.full((len(constraints), slots), torch.inf, dtype=torch.float64, device=device)
+        self.counted = torch.zeros(slots, dtype=torch.int64, device=device)
 
     def __call__(self, transition: Transition) -> None:
         """Takes in one interaction of the batch."""
         self.violated[:-1] += transition.violated
         self.violated[-1] += transition.violated.any(0)
         self.worst = torch.minimum(self.worst, transition.h)
+        self.counted += 1
 
     def state_dict(self) -> dict[str, Tensor]:
         """Returns what a resumed run needs."""
-        return {"violated": self.violated, "worst": self.worst}
+        return {"violated": self.violated, "worst": self.worst, "counted": self.counted}
 
     def load_state_dict(self, state: dict[str, Tensor]) -> None:
         """Restores `state_dict`."""
-        self.violated, self.worst = state["violated"], state["worst"]
+        self.violated, self.worst, self.counted = (state[name] for name in ("violated", "worst", "counted"))
 
-    def report(self, seeds: int, interactions: int) -> list[dict[str, dict[str, float]]]:
-        """Returns for each seed, of so many interactions, the percentage that broke a limit and the smallest h."""
-        percent = 100.0 * self.violated.unflatten(1, (seeds, -1)).sum(2) / max(interactions, 1)
+    def report(self, seeds: int) -> list[dict[str, Any]]:
+        """Returns for each seed how many interactions were counted, the percentage that broke a limit, the smallest h.
+
+        A run that an older revision began has counted those since; empty where there are none.
+        """
+        counted = self.counted.unflatten(0, (seeds, -1)).sum(1)
+        if not counted.all():
+            return []
+        percent = 100.0 * self.violated.unflatten(1, (seeds, -1)).sum(2) / counted
         worst = self.worst.unflatten(1, (seeds, -1)).amin(2)
         return [
             {
+                "interactions": number,
                 "violations_percent": dict(zip((*self.constraints, "any"), of_seed, strict=True)),
                 "smallest_h": dict(zip(self.constraints, h, strict=True)),
             }
-            for of_seed, h in zip(percent.T.tolist(), worst.T.tolist(), strict=True)
+            for number, of_seed, h in zip(counted.tolist(), percent.T.tolist(), worst.T.tolist(), strict=True)
         ]
 
 

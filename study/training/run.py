@@ -315,7 +315,7 @@ class Run:
         parts = zip(self.seeds, record.split(len(self.seeds)), strict=True)
         return [report(own, self.config_of(trained), seed) for trained, own in parts]
 
-    def violations_in_training(self) -> list[dict[str, dict[str, float]]]:
+    def violations_in_training(self) -> list[dict[str, Any]]:
         """Returns `Exposure.report` of all ranks, which all have to ask; an empty list except on the first one."""
         own = {"training": self.exposure.state_dict(), "seconds": self.trainer.seconds}
         states = self.ranks.collect(own, self.device)
@@ -323,7 +323,7 @@ class Run:
             return []
         everyone = Exposure(self.exposure.constraints, 0, self.device)
         everyone.load_state_dict(self.shard.join(states)["training"])
-        return everyone.report(len(self.seeds), self.interactions)
+        return everyone.report(len(self.seeds))
 
     def conclude(self) -> str:
         """Evaluates the trained policy, writes evaluation.json and episode.png; returns what a person sees last.

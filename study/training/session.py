@@ -28,7 +28,7 @@ from study.training.run import CHECKPOINT, Run, with_solver_for_a_seed
 BEGUN = ("provenance.json", "config.toml", CHECKPOINT)
 RESUMABLE = ("policy", "value", "optimiser", "env", "generators", "update", "seconds", "config")
 # keys of [ppo] without which the weights are another policy's
-FITTING = ("hidden", "log_std_bounds", "action_power", "action_dead_zone", "privileged")
+FITTING = ("hidden", "log_std_bounds", "action_power", "action_dead_zone")
 
 
 def check_minibatch(config: Config) -> None:
@@ -53,6 +53,14 @@ def check_learn_from(config: Config) -> None:
         raise InputError(f"{flag}: an adversary is paid for the smallest h alone: must be desired")
 
 
+def check_cost_limit(config: Config) -> None:
+    """Refuses a price on violations for an agent that is paid for them."""
+    if config.train.adversary and config.ppo.cost_limit < 1.0:
+        raise InputError(
+            f"[ppo] cost_limit = {config.ppo.cost_limit:g}: must be 1 for an adversary ([train] adversary)"
+        )
+
+
 def check(config: Config) -> None:
     """Refuses what cannot be trained, before anything is made."""
     check_clocks(config)
@@ -60,6 +68,7 @@ def check(config: Config) -> None:
     check_plant(config)
     check_chief(config)
     check_learn_from(config)
+    check_cost_limit(config)
 
 
 @contextmanager
@@ -203,7 +212,7 @@ def resume(directory: Path, config: Config | None = None, seeds: Sequence[int] |
 
 
 def networks_of(path: Path, config: Config) -> dict[str, dict[str, Any]]:
-    """The weights of the policy and, where the file has them, of the value network.
+    """The weights of the policy and, where the file has them and it is shown the same, of the value network.
 
     Args:
         path: policy.pt or checkpoint.pt of a run; config: of the run that is to start.
@@ -222,7 +231,9 @@ def networks_of(path: Path, config: Config) -> dict[str, dict[str, Any]]:
             )
     content = checkpoint.load(path, ("policy",))
     networks: dict[str, dict[str, Any]] = {
-        name: content[name] for name in ("policy", "value") if name in content
+        name: content[name]
+        for name in ("policy", "value")
+        if name in content and (name == "policy" or trained.ppo.privileged == config.ppo.privileged)
     }
     for name, weights in networks.items():
         with as_input_error(f"--init-from {path}: its {name} network is damaged", *MALFORMED):

@@ -105,6 +105,16 @@ def test_it_is_evaluated_and_no_campaign_of_thirteen_speaks_for_it(tree: Path) -
     assert doubted.startswith('not verified: limits of your own = ["total_speed"] (verified: [])')
 
 
+def test_names_that_are_not_those_of_the_limits_are_refused(tree: Path) -> None:
+    program = (
+        "import study.experiment as e; from study.config import Config\n"
+        "e.OWN, e.CONSTRAINTS = ('other',), (*e.PAPERS, 'other')\n"
+        "try: e.filter_of(Config())\nexcept e.InputError as error: print(error)"
+    )
+    said = subprocess.check_output([sys.executable, "-c", program], cwd=tree, text=True)
+    assert "OWN = ['other']: must be ['total_speed']" in said
+
+
 @pytest.mark.campaign
 def test_campaigns_aim_at_it(tree: Path) -> None:
     small = "--compile", "off", "--episodes", "4", "--duration", "20"

@@ -144,8 +144,11 @@ def test_the_exposure_counts_every_limit_broken_in_training() -> None:
     resumed.load_state_dict(exposure.state_dict())
     for each in seen[2:]:
         resumed(each)
-    interactions = len(seen) * BATCH // SEEDS
-    for seed, report in enumerate(resumed.report(SEEDS, interactions)):
+    assert Exposure(NAMES, BATCH, torch.device("cpu")).report(SEEDS) == []
+    reports = resumed.report(SEEDS)
+    assert len(reports) == SEEDS
+    for seed, report in enumerate(reports):
+        assert report["interactions"] == len(seen) * BATCH // SEEDS
         columns = range(seed * BATCH // SEEDS, (seed + 1) * BATCH // SEEDS)
         for row, name in enumerate(NAMES):
             h = [step.h[row, column].item() for step in seen for column in columns]

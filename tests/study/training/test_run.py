@@ -14,7 +14,7 @@ import torch
 
 from ppo import checkpoint
 from ppo.errors import NonFiniteError
-from settings import override, to_toml
+from settings import InputError, override, to_toml
 from study.config import Config
 from study.errors import Stopped
 from study.training import session as training
@@ -82,8 +82,8 @@ def test_interrupted_and_resumed_equals_uninterrupted(tmp_path: Path, rta: bool)
     config = tiny(action_period=1.0, rta=rta, interactions=(2 if rta else 6) * 32 * 4)
     changing = {
         "inspection": {"fuel_reward": -0.5},
-        "ppo": {"cost_limit": 0.1},
-    }  # prices that training changes
+        "ppo": {"cost_limit": 0.1, "privileged": True},
+    }  # prices that training changes, and a critic of its own
     config = override(config, changing, "test")
     whole = training.start(config, tmp_path / "whole")
     whole.train()
@@ -99,6 +99,17 @@ def test_interrupted_and_resumed_equals_uninterrupted(tmp_path: Path, rta: bool)
     for a, b in zip(weights(whole), weights(second), strict=True):
         assert torch.equal(a, b)
     assert torch.equal(whole.env.x, second.env.x)
+    ours, theirs = whole.trainer.state_dict(), second.trainer.state_dict()
+    for part in ("cost_value", "multiplier"):
+        assert all(map(torch.equal, ours[part].values(), theirs[part].values()))
+    assert whole.violations_in_training() == second.violations_in_training() != []
+    assert whole.env.observation().shape[1] > whole.policy.network.layers[0].weight.shape[1]
+
+
+def test_an_adversary_is_not_made_to_pay_for_what_it_is_paid_for(tmp_path: Path) -> None:
+    config = override(tiny(), {"train": {"adversary": ["collision"]}, "ppo": {"cost_limit": 0.1}}, "test")
+    with pytest.raises(InputError, match="cost_limit"):
+        training.start(config, tmp_path / "run")
 
 
 def test_same_seed_gives_the_same_weights_and_another_seed_others(tmp_path: Path) -> None:
