@@ -660,6 +660,25 @@ LEARNER = [
         ("observation[..., : self.network", "observation[..., -self.network"),
     ),
     *faults(
+        "study/training/run.py",
+        "study/training/test_run.py",
+        ("            privileged=config.ppo.privileged,", "            privileged=False,"),
+        ("if config.ppo.cost_limit < 1.0 else None", "if config.ppo.cost_limit < 0.0 else None"),
+        ("        self.exposure(transition)", "        self.exposure"),
+        ('| {"training": self.exposure.state_dict()}', "| {}"),
+    ),
+    *faults(
+        "study/training/monitor.py",
+        "study/training/test_monitor.py",
+        ("self.counted += 1", "self.counted += 2"),
+        ("torch.minimum(self.worst, transition.h)", "torch.maximum(self.worst, transition.h)"),
+    ),
+    *faults(
+        "inspection/transition.py",
+        "inspection/test_environment.py",
+        ("self.violated.any(0).to(self.reward.dtype)", "self.violated.all(0).to(self.reward.dtype)"),
+    ),
+    *faults(
         "ppo/lagrangian.py",
         "ppo/test_lagrangian.py",
         ("INTEGRAL_GAIN * excess).clamp(min=0.0)", "INTEGRAL_GAIN * excess)"),
