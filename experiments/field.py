@@ -1,0 +1,137 @@
+"""Compares what is done against violations: prices, a Lagrangian, filters in training, after it or both.
+
+    python -m experiments.field --study runs/field --out runs/reference/field
+
+Reads what the arms of a finished study of configs/field.toml broke in training, flies their agents with the filter and
+without, flies the guidance beside them, and draws how they learned (docs/results/field.md). Takes a few minutes.
+"""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from settings import InputError, Parser
+from study.config import TEST_CASES, Config
+from study.experiment import Experiment
+from study.files import write_json, writing
+from study.flight.evaluation import play_controller, report
+from study.machine import set_threads
+from study.report.agents import Arm, agents_of
+from study.report.flights import evaluate, with_rta
+
+KEPT = ("reward", "delta_v_m_s", "episode_length_s")
+CLASSICAL = ("quick", "even")  # settings of the guidance
+SHOWN = {
+    "success": "success (%)",
+    "violations": "steps beyond a limit (%)",
+    "delta_v_m_s": "delta v (m/s)",
+    "reward": "reward",
+}
+
+
+def summary(results: dict[str, Any]) -> dict[str, Any]:
+    """Returns what the page shows of an evaluation."""
+    return {
+        "outcomes": results["outcomes"],
+        "metrics": {name: {key: results["metrics"][name][key] for key in ("iqm", "mean")} for name in KEPT},
+        "violations_percent": results["violations_percent"]["any"],
+        "corrected_percent": results["rta"]["intervention_percent"] if results["rta"] else None,
+    }
+
+
+def exposure(results: dict[str, Any]) -> dict[str, Any]:
+    """Returns what all seeds of an arm broke in training together: steps, those beyond a limit, the smallest h."""
+    seeds = results["training_per_seed"]
+    percent = {
+        name: [seed["violations_percent"][name] for seed in seeds] for name in seeds[0]["violations_percent"]
+    }
+    steps = [seed["interactions"] for seed in seeds]
+    return {
+        "steps": sum(steps),
+        "violated": {name: round(float(np.dot(steps, shares)) / 100.0) for name, shares in percent.items()},
+        "smallest_h": {
+            name: min(seed["smallest_h"][name] for seed in seeds) for name in seeds[0]["smallest_h"]
+        },
+    }
+
+
+def curves(path: Path) -> dict[str, list[Any]]:
+    """Returns the periodic evaluations, each quantity a row per point of time and a column per seed."""
+    lines = [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
+    times = sorted({line["interactions"] for line in lines})
+    rows = [[line for line in lines if line["interactions"] == time] for time in times]
+    return {
+        "interactions": times,
+        "success": [[100.0 * line["outcomes"]["success"] for line in row] for row in rows],
+        "violations": [[line["violations_percent"]["any"] for line in row] for row in rows],
+        "delta_v_m_s": [[line["metrics"]["delta_v_m_s"]["mean"] for line in row] for row in rows],
+        "reward": [[line["metrics"]["reward"]["mean"] for line in row] for row in rows],
+    }
+
+
+def switched(arm: Arm) -> dict[str, Any]:
+    """Returns the summary of an arm's agents with the filter off and on, one of them as they were trained."""
+    period = arm.config.rta.period
+    return {switch: summary(evaluate(arm, rta, period)) for switch, rta in (("off", False), ("on", True))}
+
+
+def guided(name: str, config: Config) -> dict[str, Any]:
+    """Returns the same of the guidance by a name."""
+    episodes, found = config.train.final_episodes, {}
+    for switch, rta in (("off", False), ("on", True)):
+        experiment = Experiment(with_rta(config, rta, config.rta.period), episodes)
+        record = play_controller(name, experiment, episodes, TEST_CASES)
+        found[switch] = summary(report(record, experiment.config, TEST_CASES))
+    return found
+
+
+def figure(results: dict[str, Any], path: Path) -> None:
+    """Draws medians over the seeds of the periodic evaluations, and the range of the middle half of them."""
+    drawn = Figure(figsize=(11, 7), layout="constrained")
+    for axis, (name, text) in zip(drawn.subplots(2, 2).flat, SHOWN.items(), strict=True):
+        for number, (arm, found) in enumerate(results.items()):
+            values, x = np.array(found["curves"][name]), np.array(found["curves"]["interactions"]) / 1e6
+            low, middle, high = np.percentile(values, (25, 50, 75), axis=1)
+            style = "-" if found["filtered"] else "--"
+            axis.plot(x, middle, style, color=f"C{number % 10}", lw=1.5, label=arm)
+            axis.fill_between(x, low, high, color=f"C{number % 10}", alpha=0.15, lw=0)
+        axis.set(xlabel="interactions of a seed (million)", ylabel=text)
+        axis.grid(alpha=0.3)
+    drawn.legend(*drawn.axes[0].get_legend_handles_labels(), loc="outside right center", fontsize=8)
+    with writing(path) as file:
+        drawn.savefig(file, dpi=85, format="png")
+
+
+def main(argv: list[str] | None = None) -> None:
+    parser = Parser(prog="python -m experiments.field", description=__doc__.splitlines()[0])
+    parser.add_argument("--study", type=Path, required=True, help="directory of a finished study")
+    parser.add_argument("--out", type=Path, required=True, help="directory for results.json and figure.png")
+    given = parser.parse_args(argv)
+    set_threads(None)
+    try:
+        arms = agents_of(given.study, "cpu")
+    except InputError as error:
+        parser.error(str(error))
+    found: dict[str, Any] = {
+        name: {
+            "seeds": len(arm.digests),
+            "interactions": arm.results["interactions"],
+            "filtered": arm.config.train.rta,
+            "training": exposure(arm.results),
+            "flown": switched(arm),
+            "curves": curves(given.study / name / "evaluations.jsonl"),
+        }
+        for name, arm in arms.items()
+    }
+    plain = next(iter(arms.values())).config
+    given.out.mkdir(parents=True, exist_ok=True)
+    classical = {name: guided(name, plain) for name in CLASSICAL}
+    write_json(given.out / "results.json", {"arms": found, "guidance": classical})
+    figure(found, given.out / "figure.png")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,53 @@
+"""The field: what an arm broke in training, of all its seeds together, and how it learned."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from experiments import field
+from study.files import ROOT
+
+
+def test_exposure_adds_the_steps_of_seeds_and_keeps_the_smallest_h() -> None:
+    def seed(interactions: int, percent: float, h: float) -> dict[str, object]:
+        return {
+            "interactions": interactions,
+            "violations_percent": {"battery": percent, "any": 2.0 * percent},
+            "smallest_h": {"battery": h},
+        }
+
+    found = field.exposure({"training_per_seed": [seed(1000, 10.0, -3.0), seed(200, 5.0, 0.5)]})
+    assert found == {
+        "steps": 1200,
+        "violated": {"battery": 110, "any": 220},
+        "smallest_h": {"battery": -3.0},
+    }
+
+
+def test_curves_have_a_row_for_a_time_and_a_column_for_a_seed() -> None:
+    path = ROOT / "runs/reference/study/rta/evaluations.jsonl"
+    lines = [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
+    found = field.curves(path)
+    for number, time in enumerate(found["interactions"]):
+        then = [line for line in lines if line["interactions"] == time]
+        assert found["reward"][number] == [line["metrics"]["reward"]["mean"] for line in then]
+        assert found["success"][number] == [100.0 * line["outcomes"]["success"] for line in then]
+        assert found["violations"][number] == [line["violations_percent"]["any"] for line in then]
+    assert len(found["interactions"]) == 4 and len(found["reward"][0]) == 10
+
+
+def test_a_figure_draws_every_arm(tmp_path: Path) -> None:
+    rising = [[0.0, 1.0], [50.0, 60.0]]
+    curves = {"interactions": [0, 1_000_000]} | dict.fromkeys(field.SHOWN, rising)
+    arms = {name: {"curves": curves, "filtered": name == "rta"} for name in ("plain", "rta")}
+    field.figure(arms, tmp_path / "figure.png")
+    assert (tmp_path / "figure.png").stat().st_size > 10_000
+
+
+def test_what_is_no_study_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "results.json").write_text("{}")
+    with pytest.raises(SystemExit) as stopped:
+        field.main(["--study", str(tmp_path), "--out", str(tmp_path / "out")])
+    assert stopped.value.code == 2
+    assert "not the results of a study" in capsys.readouterr().err
