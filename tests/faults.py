@@ -653,6 +653,17 @@ LEARNER = [
         ("sin * turn.cos() - cos * turn.sin()", "sin * turn.cos() + cos * turn.sin()"),
         ("(height.square() * left)", "(height * left)"),
         ("vector[1] * theta.cos() - vector[0]", "vector[1] * theta.cos() + vector[0]"),
+        ("time / c.max_time", "0.0 * time"),
+    ),
+    *faults(
+        "inspection/environment.py",
+        "inspection/test_privileged.py",
+        ("privileged(self.x[:, columns]", "privileged(seen[:, columns]"),
+    ),
+    *faults(
+        "inspection/sight.py",
+        "inspection/test_privileged.py",
+        ("self.tumbling.attitude[:, None, columns], points)", "self.tumbling.attitude[:, None], points)"),
     ),
     *faults(
         "ppo/network.py",

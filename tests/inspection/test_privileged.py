@@ -46,6 +46,22 @@ def test_moments_are_sums_over_the_points_left_in_a_frame_that_faces_the_sun(tur
         assert left[0] == pytest.approx(1.0 - env.sight.score()[column].item())
 
 
+@pytest.mark.parametrize("turns", [False, True])
+def test_columns_are_rows_of_the_whole_and_have_their_own_time(turns: bool) -> None:
+    env = environment(ChiefParameters(rate=(1.0, 2.0, 0.5)) if turns else None)
+    env.time += 10.0 * torch.arange(4.0)
+    whole = env.observation()
+    assert torch.equal(env.observation(columns=torch.tensor([2, 0])), whole[[2, 0]])
+    assert whole[:, -3].tolist() == pytest.approx([(200.0 + 10.0 * k) / C.max_time for k in range(4)])
+
+
+def test_the_critic_is_shown_the_true_state_where_sensors_err() -> None:
+    env = environment()
+    true, sensed = env.observation(), env.observation(seen=env.x + 0.1)
+    assert torch.equal(true[:, -PRIVILEGED:], sensed[:, -PRIVILEGED:])
+    assert not torch.allclose(true[:, :-PRIVILEGED], sensed[:, :-PRIVILEGED])
+
+
 def test_a_scene_turned_about_the_orbits_axis_looks_the_same_but_for_the_suns_azimuth() -> None:
     env, angle = environment(), 0.7
     points, left = env.sight.left()
