@@ -330,6 +330,12 @@ class Parser(argparse.ArgumentParser):
         self.unknown = [
             word for word in words if word[:2] == "--" and word not in self._option_string_actions
         ]
+        if "--print-config" in words and "--print-config" in self._option_string_actions:
+            # what a command needs to run, it does not need to say its settings
+            for action in self._actions:
+                action.required = False
+            for group in self._mutually_exclusive_groups:
+                group.required = False
         found, rest = super().parse_known_args(args, namespace)
         if rest:  # here, where a command's own flags are known
             self.error(f"unrecognized: {' '.join(rest)}{self.meant(rest[0])}")

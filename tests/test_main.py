@@ -170,6 +170,15 @@ def test_flags_override_the_file(tmp_path: Path) -> None:
     assert (train.seed, train.num_envs, train.rta) == (6, 8, False)
 
 
+@pytest.mark.parametrize("command", ["simulate", "verify", "train"])
+def test_settings_are_printed_without_what_a_command_needs_to_run(
+    command: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    code, out, err = call([command, "--print-config", "--rta.speed_gain", "0.4"], capsys)
+    assert (code, err) == (0, "")
+    assert from_toml(out, "test", Config()).rta.speed_gain == 0.4
+
+
 @pytest.mark.parametrize(
     ("envs", "wanted", "used"), [(2, "auto", "piqp"), (512, "auto", "batched"), (2, "batched", "batched")]
 )
