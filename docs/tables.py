@@ -6,6 +6,7 @@ A comment above a table names an entry of TABLES here: `<!-- rows: break_points 
 Prose quotes no number that one of these files has: it points to a table.
 """
 
+import csv
 import functools
 import json
 import math
@@ -212,7 +213,7 @@ def front() -> Rows:
     found = {
         "the paper's learner here, without RTA": arms("paper")["no_rta"],
         "the paper's learner here, with RTA": arms("paper")["rta"],
-        "our agents with RTA": arms()["rta"],
+        "agents taught by the guidance, with RTA": arms()["rta"],
         "classical guidance with RTA": report("baselines")[GUIDE]["on"],
     }
     yield from rows(found, SUCCESS, CLEAN, VIOLATION, REWARD, TIME, FUEL)
@@ -243,9 +244,8 @@ def performance() -> Rows:
     def row(label: str, column: Column, published: Published | None = None) -> Iterator[str]:
         yield label
         for arm in ARMS:
-            yield column(arms()[arm])
+            yield column(arms("paper")[arm])
             yield published.by_arm[arm].text(published.digits) if published else ""
-        yield column(report("guidance"))
 
     for name, published in PAPER_METRICS.items():
         yield row(published.label, interval(name), published)
@@ -257,7 +257,7 @@ def performance() -> Rows:
 
 def violations() -> Rows:
     for name, published in PAPER_VIOLATIONS.items():
-        ours = [f"{arms()[arm]['violations_percent'][name]:.3f}" for arm in ARMS]
+        ours = [f"{arms('paper')[arm]['violations_percent'][name]:.3f}" for arm in ARMS]
         paper = [published.by_arm[arm].text(published.digits) for arm in ARMS]
         yield published.label, ours[0], paper[0], ours[1], paper[1]
 
@@ -273,8 +273,8 @@ def all_arms() -> Rows:
 
 def hidden() -> Rows:
     columns = []
-    for arm in LABELS:
-        with np.load(REFERENCE / "study" / arm / "episodes.npz") as episodes:
+    for arm in ARMS:
+        with np.load(REFERENCE / "paper" / arm / "episodes.npz") as episodes:
             metrics = dict(zip(episodes["metric_names"], episodes["metrics"], strict=True))
             violated = dict(zip(episodes["constraint_names"], episodes["violation_seconds"], strict=True))
             succeeded = episodes["outcome"] == list(episodes["outcome_names"]).index("success")
@@ -286,8 +286,11 @@ def hidden() -> Rows:
                 "last longer than 4,500 s": metrics["episode_length_s"] > 4500.0,
             }
             column = {label: f"{found.sum():,}" for label, found in counts.items()}
-            farthest = f"{episodes['max_distance_m'].max():.2f}"
-            columns.append(column | {"farthest from the chief (m); the limit is 800": farthest})
+            column["most delta v (m/s)"] = f"{metrics['delta_v_m_s'].max():.2f}"
+            column["farthest from the chief (m); the limit is 800"] = (
+                f"{episodes['max_distance_m'].max():.0f}"
+            )
+            columns.append(column)
     return ([label, *(column[label] for column in columns)] for label in columns[0])
 
 
@@ -299,12 +302,18 @@ def dependence() -> Rows:
         yield from agents(found)
 
 
+def papers_dependence() -> Rows:
+    cross = read("paper/report/cross.json")
+    switches = {"without": "off", "with": "on"}
+    return agents(
+        {(LABELS[arm], flown): found[key] for arm, found in cross.items() for flown, key in switches.items()}
+    )
+
+
 def baselines() -> Rows:
     names = {
         "untrained": "untrained agent",
         "random": "random controls",
-        "zero": "no control (coasting)",
-        "natural-motion": "guidance natural-motion",
         GUIDE: f"guidance {GUIDE}",
     }
     found = report("baselines")
@@ -315,7 +324,8 @@ def baselines() -> Rows:
 def worlds() -> Rows:
     for plant in ("u1", "harsh"):
         flown = report("worlds")[plant]
-        for arm, label in LABELS.items():
+        for arm in (*ARMS, "robust"):
+            label = LABELS[arm]
             cells = (f"{SUCCESS(each)}, {VIOLATION(each)}, {REWARD(each)}" for each in flown[arm].values())
             yield plant, label, *cells
 
@@ -348,10 +358,15 @@ def evaluated(study: str, arm: str, interactions: int) -> dict[str, float]:
 
 
 def papers_learner() -> Rows:
-    for when in (0, 65_536, 163_840, 311_296, 507_904, 1_015_808, 2_015_232):
-        found = [evaluated("paper", arm, when) for arm in ARMS]
-        forms = {"success": ".0f", "inspected_score": ".2f", "delta_v_m_s": ".1f"}
-        yield f"{when:,}", *(f"{each[name]:{form}}" for name, form in forms.items() for each in found)
+    with open(REFERENCE / "paper/report/training.csv", newline="", encoding="utf-8") as file:
+        found = {
+            (row["interactions"], row["arm"], row["metric"]): float(row["iqm"])
+            for row in csv.DictReader(file)
+        }
+    forms = {"inspected_score": ".2f", "reward": ".2f", "delta_v_m_s": ".1f", "episode_length_s": ",.0f"}
+    for when in (0, 65_536, 163_840, 311_296, 507_904, 1_015_808, 3_014_656, 5_013_504):
+        cells = (f"{found[f'{when}', arm, name]:{form}}" for name, form in forms.items() for arm in ARMS)
+        yield f"{when:,}", *cells
 
 
 def early() -> Rows:
@@ -566,8 +581,9 @@ TABLES: dict[str, Callable[[], Rows]] = {
     **{
         table.__name__: table
         for table in (
-            *(front, kept, performance, violations, all_arms, hidden, dependence, baselines, worlds),
-            *(panels_on_plus_x, papers_learner, early, learned_from, guidance_flown, how_far, flown),
+            *(front, kept, performance, violations, papers_learner, papers_dependence),
+            *(all_arms, hidden, dependence, baselines, worlds),
+            *(panels_on_plus_x, early, learned_from, guidance_flown, how_far, flown),
             *(adversaries, told_worlds, barely, rows_of_a_filter, break_points, boundary, coasting),
             *(agents_in_basilisk, speed, parts_of_a_step),
         )

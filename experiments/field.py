@@ -3,7 +3,7 @@
     python -m experiments.field --study runs/field --out runs/reference/field
 
 Reads what the arms of a finished study of configs/field.toml broke in training, flies their agents with the filter and
-without, flies the guidance beside them, and draws how they learned (docs/results/field.md). Takes a few minutes.
+without, flies the guidance beside them, and draws how they learned. Takes a few minutes.
 """
 
 import json
