@@ -331,7 +331,7 @@ class Parser(argparse.ArgumentParser):
             word for word in words if word[:2] == "--" and word not in self._option_string_actions
         ]
         if "--print-config" in words and "--print-config" in self._option_string_actions:
-            # what a command needs to run, it does not need to say its settings
+            # a command's settings are printed without the flags that it needs to run
             for action in self._actions:
                 action.required = False
             for group in self._mutually_exclusive_groups:

@@ -1,9 +1,10 @@
 """Compares what is done against violations: prices, a Lagrangian, filters in training, after it or both.
 
+    python main.py study --config configs/from_nothing.toml --config configs/field.toml --study-dir runs/field
     python -m experiments.field --study runs/field --out runs/reference/field
 
-Reads what the arms of a finished study of configs/field.toml broke in training, flies their agents with the filter and
-without, flies the guidance beside them, and draws how they learned. Takes a few minutes.
+Reads what the arms of that study broke in training, flies their agents with the filter and without, flies the guidance
+beside them, and draws how they learned. Takes a few minutes.
 """
 
 import json
@@ -43,8 +44,16 @@ def summary(results: dict[str, Any]) -> dict[str, Any]:
 
 
 def exposure(results: dict[str, Any]) -> dict[str, Any]:
-    """Returns what all seeds of an arm broke in training together: steps, those beyond a limit, the smallest h."""
-    seeds = results["training_per_seed"]
+    """Returns what all seeds of an arm broke in training together: steps, those beyond a limit, the smallest h.
+
+    Raises:
+        InputError: it was not counted.
+    """
+    seeds = results.get("training_per_seed")
+    if not seeds:
+        raise InputError(
+            "an arm was trained by an older revision, which did not count what was broken in training"
+        )
     percent = {
         name: [seed["violations_percent"][name] for seed in seeds] for name in seeds[0]["violations_percent"]
     }
@@ -112,25 +121,35 @@ def main(argv: list[str] | None = None) -> None:
     given = parser.parse_args(argv)
     set_threads(None)
     try:
-        arms = agents_of(given.study, "cpu")
+        write(given.study, given.out)
     except InputError as error:
         parser.error(str(error))
+
+
+def write(study: Path, out: Path) -> None:
+    """Writes results.json and figure.png of a finished study.
+
+    Raises:
+        InputError: there is none, or an older revision trained it.
+    """
+    arms = agents_of(study, "cpu")
+    training = {name: exposure(arm.results) for name, arm in arms.items()}  # first, since it may be refused
     found: dict[str, Any] = {
         name: {
             "seeds": len(arm.digests),
             "interactions": arm.results["interactions"],
             "filtered": arm.config.train.rta,
-            "training": exposure(arm.results),
+            "training": training[name],
             "flown": switched(arm),
-            "curves": curves(given.study / name / "evaluations.jsonl"),
+            "curves": curves(study / name / "evaluations.jsonl"),
         }
         for name, arm in arms.items()
     }
     plain = next(iter(arms.values())).config
-    given.out.mkdir(parents=True, exist_ok=True)
+    out.mkdir(parents=True, exist_ok=True)
     classical = {name: guided(name, plain) for name in CLASSICAL}
-    write_json(given.out / "results.json", {"arms": found, "guidance": classical})
-    figure(found, given.out / "figure.png")
+    write_json(out / "results.json", {"arms": found, "guidance": classical})
+    figure(found, out / "figure.png")
 
 
 if __name__ == "__main__":

@@ -893,6 +893,14 @@ STUDY = [
         ("spawned(int(batch_seed), 3)", "[int(batch_seed)] * 3"),
     ),
     *faults(
+        "experiments/field.py",
+        "experiments/test_field.py",
+        ('min(seed["smallest_h"]', 'max(seed["smallest_h"]'),
+        ("(25, 50, 75)", "(25, 25, 75)"),
+        ('(("off", False), ("on", True))}', '(("off", True), ("on", False))}'),
+        ("if not seeds:", "if seeds == 0:"),
+    ),
+    *faults(
         "experiments/break_points.py",
         "experiments/test_break_points.py -k told or smallest",
         ('"longest_hold": (s + 1.0) * period', '"longest_hold": s * period'),

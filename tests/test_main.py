@@ -170,7 +170,7 @@ def test_flags_override_the_file(tmp_path: Path) -> None:
     assert (train.seed, train.num_envs, train.rta) == (6, 8, False)
 
 
-@pytest.mark.parametrize("command", ["simulate", "verify", "train"])
+@pytest.mark.parametrize("command", ["simulate", "verify", "evaluate"])
 def test_settings_are_printed_without_what_a_command_needs_to_run(
     command: str, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -1,12 +1,15 @@
 """The field: what an arm broke in training, of all its seeds together, and how it learned."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from matplotlib.figure import Figure
 
 from experiments import field
 from study.files import ROOT
+from study.report.agents import load_arm
 
 
 def test_exposure_adds_the_steps_of_seeds_and_keeps_the_smallest_h() -> None:
@@ -37,12 +40,34 @@ def test_curves_have_a_row_for_a_time_and_a_column_for_a_seed() -> None:
     assert len(found["interactions"]) == 4 and len(found["reward"][0]) == 10
 
 
-def test_a_figure_draws_every_arm(tmp_path: Path) -> None:
-    rising = [[0.0, 1.0], [50.0, 60.0]]
+def test_a_figure_draws_every_arm(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    drawn = []
+    monkeypatch.setattr(Figure, "savefig", lambda self, *_, **__: drawn.append(self))
+    rising = [[0.0, 1.0, 5.0], [50.0, 60.0, 90.0]]
     curves = {"interactions": [0, 1_000_000]} | dict.fromkeys(field.SHOWN, rising)
     arms = {name: {"curves": curves, "filtered": name == "rta"} for name in ("plain", "rta")}
     field.figure(arms, tmp_path / "figure.png")
-    assert (tmp_path / "figure.png").stat().st_size > 10_000
+    for axis in drawn[0].axes:
+        assert [line.get_label() for line in axis.lines] == list(arms)
+        assert all(line.get_ydata().tolist() == [1.0, 60.0] for line in axis.lines)  # medians
+
+
+def test_both_switches_and_the_guidance_are_flown(tmp_path: Path) -> None:
+    shipped = ROOT / "runs/reference/study"
+    arm = load_arm(shipped / "rta", json.loads((shipped / "results.json").read_text())["arms"]["rta"], "cpu")
+    few = replace(arm.config, train=replace(arm.config.train, final_episodes=2))
+    lone = replace(arm, config=few, policy=arm.of_seed(0), digests=dict(list(arm.digests.items())[:1]))
+    for found in (field.switched(lone), field.guided("quick", few)):
+        assert found["off"]["outcomes"]["success"] == found["on"]["outcomes"]["success"] == 1.0
+        assert found["on"]["violations_percent"] == 0.0
+        assert not found["off"]["corrected_percent"]
+
+
+def test_a_study_that_did_not_count_is_refused(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    with pytest.raises(SystemExit) as stopped:
+        field.main(["--study", str(ROOT / "runs/reference/study"), "--out", str(tmp_path / "out")])
+    assert stopped.value.code == 2
+    assert "did not count" in capsys.readouterr().err
 
 
 def test_what_is_no_study_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
