@@ -15,13 +15,10 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from settings import InputError, Parser
-from study.config import TEST_CASES, Config
-from study.experiment import Experiment
 from study.files import write_json, writing
-from study.flight.evaluation import play_controller, report
 from study.machine import set_threads
 from study.report.agents import Arm, agents_of
-from study.report.flights import evaluate, with_rta
+from study.report.flights import baselines, evaluate
 
 KEPT = ("reward", "delta_v_m_s", "episode_length_s")
 CLASSICAL = ("quick", "even")  # settings of the guidance
@@ -39,7 +36,7 @@ def summary(results: dict[str, Any]) -> dict[str, Any]:
         "outcomes": results["outcomes"],
         "metrics": {name: {key: results["metrics"][name][key] for key in ("iqm", "mean")} for name in KEPT},
         "violations_percent": results["violations_percent"]["any"],
-        "corrected_percent": results["rta"]["intervention_percent"] if results["rta"] else None,
+        "corrected_percent": results["rta"]["intervention_percent"],
     }
 
 
@@ -78,6 +75,7 @@ def curves(path: Path) -> dict[str, list[Any]]:
         "violations": [[line["violations_percent"]["any"] for line in row] for row in rows],
         "delta_v_m_s": [[line["metrics"]["delta_v_m_s"]["mean"] for line in row] for row in rows],
         "reward": [[line["metrics"]["reward"]["mean"] for line in row] for row in rows],
+        "corrected": [[line["rta"]["intervention_percent"] for line in row] for row in rows],
     }
 
 
@@ -85,16 +83,6 @@ def switched(arm: Arm) -> dict[str, Any]:
     """Returns the summary of an arm's agents with the filter off and on, one of them as they were trained."""
     period = arm.config.rta.period
     return {switch: summary(evaluate(arm, rta, period)) for switch, rta in (("off", False), ("on", True))}
-
-
-def guided(name: str, config: Config) -> dict[str, Any]:
-    """Returns the same of the guidance by a name."""
-    episodes, found = config.train.final_episodes, {}
-    for switch, rta in (("off", False), ("on", True)):
-        experiment = Experiment(with_rta(config, rta, config.rta.period), episodes)
-        record = play_controller(name, experiment, episodes, TEST_CASES)
-        found[switch] = summary(report(record, experiment.config, TEST_CASES))
-    return found
 
 
 def figure(results: dict[str, Any], path: Path) -> None:
@@ -147,7 +135,10 @@ def write(study: Path, out: Path) -> None:
     }
     plain = next(iter(arms.values())).config
     out.mkdir(parents=True, exist_ok=True)
-    classical = {name: guided(name, plain) for name in CLASSICAL}
+    classical = {
+        name: {switch: summary(each) for switch, each in flown.items()}
+        for name, flown in baselines(plain, CLASSICAL).items()
+    }
     write_json(out / "results.json", {"arms": found, "guidance": classical})
     figure(found, out / "figure.png")
 

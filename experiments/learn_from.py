@@ -6,13 +6,13 @@ Flies the agents of a finished study of configs/sweeps/learn_from.toml with the 
 learned. Takes a few minutes.
 """
 
-import json
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
 
+from experiments.field import curves, summary
 from settings import Parser
 from study.files import write_json, writing
 from study.flight.figures import BLUE, GREEN, ORANGE
@@ -20,7 +20,6 @@ from study.machine import set_threads
 from study.report.agents import agents_of
 from study.report.flights import evaluate
 
-KEPT = ("reward", "delta_v_m_s", "episode_length_s")
 ENOUGH = 99.0  # % of a seed's cases, to have learned
 SHOWN = {
     "success": "success (%)",
@@ -28,30 +27,6 @@ SHOWN = {
     "delta_v_m_s": "delta v (m/s)",
     "corrected": "calls corrected (%)",
 }
-
-
-def summary(results: dict[str, Any]) -> dict[str, Any]:
-    """Returns what the page shows of an evaluation."""
-    return {
-        "outcomes": results["outcomes"],
-        "metrics": {name: {key: results["metrics"][name][key] for key in ("iqm", "mean")} for name in KEPT},
-        "violations_percent": results["violations_percent"]["any"],
-        "corrected_percent": results["rta"]["intervention_percent"],
-    }
-
-
-def curves(path: Path) -> dict[str, list[Any]]:
-    """Returns the periodic evaluations, each quantity a row per point of time and a column per seed."""
-    lines = [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
-    times = sorted({line["interactions"] for line in lines})
-    rows = [[line for line in lines if line["interactions"] == time] for time in times]
-    return {
-        "interactions": times,
-        "success": [[100.0 * line["outcomes"]["success"] for line in row] for row in rows],
-        "reward": [[line["metrics"]["reward"]["mean"] for line in row] for row in rows],
-        "delta_v_m_s": [[line["metrics"]["delta_v_m_s"]["mean"] for line in row] for row in rows],
-        "corrected": [[line["rta"]["intervention_percent"] for line in row] for row in rows],
-    }
 
 
 def learned_at(curve: dict[str, list[Any]]) -> list[int | None]:

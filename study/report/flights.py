@@ -1,6 +1,6 @@
 """What a report flies: agents behind other filters and in other worlds, and the guidance."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from itertools import product
 from pathlib import Path
@@ -77,8 +77,8 @@ def flown_with(arm: Arm, config: Config) -> Results:
     return report(record, experiment.config, TEST_CASES, seeds)
 
 
-def baselines(config: Config) -> dict[str, dict[str, Results]]:
-    """Every controller of BASELINES on the study's test cases, without filter and behind it."""
+def baselines(config: Config, names: Iterable[str] = BASELINES) -> dict[str, dict[str, Results]]:
+    """Every controller of these names on the study's test cases, without filter and behind it."""
     episodes = config.train.final_episodes
     experiments = {
         switch: Experiment(with_rta(config, rta, config.rta.period).with_solver("auto"), episodes)
@@ -91,7 +91,7 @@ def baselines(config: Config) -> dict[str, dict[str, Results]]:
 
     return {
         name: {switch: flown(name, experiment) for switch, experiment in experiments.items()}
-        for name in BASELINES
+        for name in names
     }
 
 

@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 from experiments import field
 from study.files import ROOT
 from study.report.agents import load_arm
+from study.report.flights import baselines
 
 
 def test_exposure_adds_the_steps_of_seeds_and_keeps_the_smallest_h() -> None:
@@ -57,7 +58,8 @@ def test_both_switches_and_the_guidance_are_flown(tmp_path: Path) -> None:
     arm = load_arm(shipped / "rta", json.loads((shipped / "results.json").read_text())["arms"]["rta"], "cpu")
     few = replace(arm.config, train=replace(arm.config.train, final_episodes=2))
     lone = replace(arm, config=few, policy=arm.of_seed(0), digests=dict(list(arm.digests.items())[:1]))
-    for found in (field.switched(lone), field.guided("quick", few)):
+    guided = {switch: field.summary(each) for switch, each in baselines(few, ["quick"])["quick"].items()}
+    for found in (field.switched(lone), guided):
         assert found["off"]["outcomes"]["success"] == found["on"]["outcomes"]["success"] == 1.0
         assert found["on"]["violations_percent"] == 0.0
         assert not found["off"]["corrected_percent"]
