@@ -294,20 +294,26 @@ def hidden() -> Rows:
     return ([label, *(column[label] for column in columns)] for label in columns[0])
 
 
+def switched(cross: Mapping[str, Mapping[str, Results]]) -> dict[tuple[str, str], Results]:
+    """Returns the evaluations of arms without and with the filter, by the arm's label and "without" or "with"."""
+    switches = {"without": "off", "with": "on"}
+    return {
+        (LABELS[arm], flown): found[key] for arm, found in cross.items() for flown, key in switches.items()
+    }
+
+
 def dependence() -> Rows:
-    for arm, label in LABELS.items():
-        found = {(label, "without"): report("cross")[arm]["off"], (label, "with"): report("cross")[arm]["on"]}
-        if arm == "rta":
-            found[label, "with, and `keep_clear`"] = read("keep_clear/keep_clear.json")
-        yield from agents(found)
+    for arm, found in report("cross").items():
+        led = (
+            {(LABELS[arm], "with, and `keep_clear`"): read("keep_clear/keep_clear.json")}
+            if arm == "rta"
+            else {}
+        )
+        yield from agents(switched({arm: found}) | led)
 
 
 def papers_dependence() -> Rows:
-    cross = read("paper/report/cross.json")
-    switches = {"without": "off", "with": "on"}
-    return agents(
-        {(LABELS[arm], flown): found[key] for arm, found in cross.items() for flown, key in switches.items()}
-    )
+    return agents(switched(read("paper/report/cross.json")))
 
 
 def baselines() -> Rows:
