@@ -336,15 +336,6 @@ def worlds() -> Rows:
             yield plant, label, *cells
 
 
-def panels_on_plus_x() -> Rows:
-    columns = arms("study_plus_x").values()
-    for name, published in PAPER_METRICS.items():
-        yield f"{published.label} (IQM [95 % interval])", *map(interval(name), columns)
-    yield "Success (%)", *map(SUCCESS, columns)
-    for limit in ("any", "attitude_exclusion", "temperature", "battery", "dynamic_speed", "passive_safety"):
-        yield PAPER_VIOLATIONS[limit].label, *map(number(f"violations_percent/{limit}", ".3f"), columns)
-
-
 def middle_of_cases(seeds: list[Any], name: str) -> float:
     """Returns the interquartile mean over the cases of evaluations."""
     return float(iqm(np.concatenate([seed["cases"][name] for seed in seeds])))
@@ -589,7 +580,7 @@ TABLES: dict[str, Callable[[], Rows]] = {
         for table in (
             *(front, kept, performance, violations, papers_learner, papers_dependence),
             *(all_arms, hidden, dependence, baselines, worlds),
-            *(panels_on_plus_x, early, learned_from, guidance_flown, how_far, flown),
+            *(early, learned_from, guidance_flown, how_far, flown),
             *(adversaries, told_worlds, barely, rows_of_a_filter, break_points, boundary, coasting),
             *(agents_in_basilisk, speed, parts_of_a_step),
         )
