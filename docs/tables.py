@@ -40,8 +40,6 @@ Column = Callable[[Any], str]  # from what a file says of something to a cell
 LABELS = {
     "no_rta": "without RTA",
     "rta": "with RTA",
-    "rta_5s": "with RTA at 5 s",
-    "rta_10s": "with RTA at 10 s",
     "robust": "robust",
 }
 VEHICLES = {"3u": "3U, 4 kg", "12u": "12U, 20 kg", "espa": "ESPA-class, 180 kg"}
@@ -213,6 +211,8 @@ def front() -> Rows:
     found = {
         "the paper's learner here, without RTA": arms("paper")["no_rta"],
         "the paper's learner here, with RTA": arms("paper")["rta"],
+        "ours, from nothing, without RTA": arms("from_nothing")["no_rta"],
+        "ours, from nothing, with RTA": arms("from_nothing")["rta"],
         "agents taught by the guidance, with RTA": arms()["rta"],
         "classical guidance with RTA": report("baselines")[GUIDE]["on"],
     }
@@ -262,19 +262,21 @@ def violations() -> Rows:
         yield published.label, ours[0], paper[0], ours[1], paper[1]
 
 
-def all_arms() -> Rows:
+def spread(found: Mapping[Any, Results]) -> Rows:
+    """Yields: clean success and steps with a violation (%), reward, time and fuel with their spread and tails."""
     worst = lambda each: f"{min(of_seeds(each, 'reward')):.3f}"  # noqa: E731
     tails = {name: metric(name, "{p5} to {p95}, {max}") for name in ("episode_length_s", "delta_v_m_s")}
     columns = [over_the_seeds("reward"), worst]
     for name, tail in tails.items():
         columns += [over_the_seeds(name), tail]
-    return rows({label: arms()[arm] for arm, label in LABELS.items()}, CLEAN, VIOLATION, *columns)
+    return rows(found, CLEAN, VIOLATION, *columns)
 
 
-def hidden() -> Rows:
+def hidden(study: str) -> Rows:
+    """Yields counts over all episodes of a study's two arms."""
     columns = []
     for arm in ARMS:
-        with np.load(REFERENCE / "paper" / arm / "episodes.npz") as episodes:
+        with np.load(REFERENCE / study / arm / "episodes.npz") as episodes:
             metrics = dict(zip(episodes["metric_names"], episodes["metrics"], strict=True))
             violated = dict(zip(episodes["constraint_names"], episodes["violation_seconds"], strict=True))
             succeeded = episodes["outcome"] == list(episodes["outcome_names"]).index("success")
@@ -310,10 +312,6 @@ def dependence() -> Rows:
             else {}
         )
         yield from agents(switched({arm: found}) | led)
-
-
-def papers_dependence() -> Rows:
-    return agents(switched(read("paper/report/cross.json")))
 
 
 def baselines() -> Rows:
@@ -354,14 +352,15 @@ def evaluated(study: str, arm: str, interactions: int) -> dict[str, float]:
     return found | {"reward": float(np.mean([seed["cases"]["reward"] for seed in seeds]))}
 
 
-def papers_learner() -> Rows:
-    with open(REFERENCE / "paper/report/training.csv", newline="", encoding="utf-8") as file:
+def learned(study: str, *times: int) -> Rows:
+    """Yields what the agents of a study's two arms had learned after so many interactions."""
+    with open(REFERENCE / study / "report/training.csv", newline="", encoding="utf-8") as file:
         found = {
             (row["interactions"], row["arm"], row["metric"]): float(row["iqm"])
             for row in csv.DictReader(file)
         }
     forms = {"inspected_score": ".2f", "reward": ".2f", "delta_v_m_s": ".1f", "episode_length_s": ",.0f"}
-    for when in (0, 65_536, 163_840, 311_296, 507_904, 1_015_808, 3_014_656, 5_013_504):
+    for when in times:
         cells = (f"{found[f'{when}', arm, name]:{form}}" for name, form in forms.items() for arm in ARMS)
         yield f"{when:,}", *cells
 
@@ -578,13 +577,24 @@ TABLES: dict[str, Callable[[], Rows]] = {
     **{
         table.__name__: table
         for table in (
-            *(front, kept, performance, violations, papers_learner, papers_dependence),
-            *(all_arms, hidden, dependence, baselines, worlds),
+            *(front, kept, performance, violations, dependence, baselines, worlds),
             *(early, learned_from, guidance_flown, how_far, flown),
             *(adversaries, told_worlds, barely, rows_of_a_filter, break_points, boundary, coasting),
             *(agents_in_basilisk, speed, parts_of_a_step),
         )
     },
+    "papers_learning": lambda: learned(
+        "paper", 0, 65_536, 163_840, 311_296, 507_904, 1_015_808, 3_014_656, 5_013_504
+    ),
+    "our_learning": lambda: learned(
+        "from_nothing", 0, 114_688, 311_296, 507_904, 1_015_808, 2_015_232, 3_014_656, 5_013_504
+    ),
+    "papers_hidden": lambda: hidden("paper"),
+    "our_hidden": lambda: hidden("from_nothing"),
+    "papers_dependence": lambda: agents(switched(read("paper/report/cross.json"))),
+    "our_dependence": lambda: agents(switched(read("from_nothing/report/cross.json"))),
+    "our_spread": lambda: spread({LABELS[arm]: arms("from_nothing")[arm] for arm in ARMS}),
+    "taught": lambda: spread({label: arms()[arm] for arm, label in LABELS.items()}),
     "guidance_front": lambda: agents(report("front")),
     "thrifty_to_quick": lambda: agents({**arms("teachers"), GUIDE: arms()["rta"]}),
     "periods_of_agents": lambda: agents(report("frequency")),

@@ -22,6 +22,7 @@ from study.report.flights import baselines, evaluate
 
 KEPT = ("reward", "delta_v_m_s", "episode_length_s")
 CLASSICAL = ("quick", "even")  # settings of the guidance
+REFERENCE = "even"  # the one whose fuel and reward the figure shows
 SHOWN = {
     "success": "success (%)",
     "violations": "steps beyond a limit (%)",
@@ -85,8 +86,8 @@ def switched(arm: Arm) -> dict[str, Any]:
     return {switch: summary(evaluate(arm, rta, period)) for switch, rta in (("off", False), ("on", True))}
 
 
-def figure(results: dict[str, Any], path: Path) -> None:
-    """Draws medians over the seeds of the periodic evaluations, and the range of the middle half of them."""
+def figure(results: dict[str, Any], guided: dict[str, Any], path: Path) -> None:
+    """Draws medians over the seeds of the periodic evaluations, the middle half of them, and the guidance's means."""
     drawn = Figure(figsize=(11, 7), layout="constrained")
     for axis, (name, text) in zip(drawn.subplots(2, 2).flat, SHOWN.items(), strict=True):
         for number, (arm, found) in enumerate(results.items()):
@@ -95,9 +96,13 @@ def figure(results: dict[str, Any], path: Path) -> None:
             style = "-" if found["filtered"] else "--"
             axis.plot(x, middle, style, color=f"C{number % 10}", lw=1.5, label=arm)
             axis.fill_between(x, low, high, color=f"C{number % 10}", alpha=0.15, lw=0)
+        if name in KEPT:
+            axis.axhline(
+                guided["metrics"][name]["mean"], color="black", ls=":", lw=1.5, label=f"guidance {REFERENCE}"
+            )
         axis.set(xlabel="interactions of a seed (million)", ylabel=text)
         axis.grid(alpha=0.3)
-    drawn.legend(*drawn.axes[0].get_legend_handles_labels(), loc="outside right center", fontsize=8)
+    drawn.legend(*drawn.axes[-1].get_legend_handles_labels(), loc="outside right center", fontsize=8)
     with writing(path) as file:
         drawn.savefig(file, dpi=85, format="png")
 
@@ -140,7 +145,7 @@ def write(study: Path, out: Path) -> None:
         for name, flown in baselines(plain, CLASSICAL).items()
     }
     write_json(out / "results.json", {"arms": found, "guidance": classical})
-    figure(found, out / "figure.png")
+    figure(found, classical[REFERENCE]["on"], out / "figure.png")
 
 
 if __name__ == "__main__":

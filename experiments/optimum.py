@@ -405,7 +405,7 @@ def guided(x: Tensor, priority: Tensor) -> dict[str, Any]:
 
 
 def draw(found: dict[str, Any], path: Path) -> None:
-    """Draws the content of optimum.json: time against fuel, with the agents and the guidance of the shipped study."""
+    """Draws the content of optimum.json: time against fuel, with the shipped agents and guidance."""
 
     def shipped(name: str) -> Any:
         return json.loads((ROOT / "runs/reference" / name).read_text(encoding="utf-8"))
@@ -417,17 +417,20 @@ def draw(found: dict[str, Any], path: Path) -> None:
         return [tuple(np.mean([row[name][case] for case in cases]) for name in FOUND[:2]) for row in rows]
 
     axis = (drawn := Figure(figsize=(8, 6), layout="constrained")).subplots()
-    times, agents = found["times"], shipped("study/results.json")["arms"]
+    times = found["times"]
     fuel = zip(*(flights["delta_v_m_s"] for flights in times), strict=True)
     cases = [
         case for case, of_case in enumerate(fuel) if None not in of_case
     ]  # those that were solved in all times
-    taught = [*shipped("teachers/results.json")["arms"].values(), agents["rta"]]
+    taught = [
+        *shipped("teachers/results.json")["arms"].values(),
+        shipped("study/results.json")["arms"]["rta"],
+    ]
     bounded = [case for case in cases if case < len(times[0]["bound_m_s"])]
     proven = [(row["allowed_s"], np.mean([row["bound_m_s"][case] for case in bounded])) for row in times]
     led = shipped("study/report/front.json").values()
     lines = [
-        (map(middle, taught), "D-", ORANGE, "our agents, by their teacher"),
+        (map(middle, taught), "D-", "#56B4E9", "agents taught by the guidance, with RTA"),
         (map(middle, led), "o--", BLUE, "guidance that leads the Sun, the same cases"),
         (means(found["guidance"].values()), "o-", BLUE, "guidance, the cases of the best found"),
         (means(times), "o-", GREEN, "best found, case known in advance"),
@@ -436,7 +439,12 @@ def draw(found: dict[str, Any], path: Path) -> None:
     for arm, marker, name in zip(ARMS, "sD", ("without RTA", "with RTA"), strict=True):
         papers = [PAPER_METRICS[metric].by_arm[arm].value for metric in ("episode_length_s", "delta_v_m_s")]
         lines.append(([papers], marker, GREY, f"the paper's agents, {name}"))
-        lines.append(([middle(agents[arm])], marker, ORANGE, f"our agents, {name}"))
+        for study, colour, learner in (
+            ("paper", "#CC79A7", "the paper's learner here"),
+            ("from_nothing", ORANGE, "ours, from nothing"),
+        ):
+            agents = shipped(f"{study}/results.json")["arms"][arm]
+            lines.append(([middle(agents)], marker, colour, f"{learner}, {name}"))
     for points, style, colour, label in lines:
         axis.plot(*zip(*points, strict=True), style, color=colour, label=label, ms=8 if style in "sD" else 5)
     axis.set(xlabel="time to success (s)", ylabel="delta v (m/s), logarithmic", yscale="log")

@@ -56,8 +56,8 @@ def test_a_wrong_number_is_found_and_renewed(
 @pytest.mark.parametrize(
     ("right", "wrong", "said"),
     [
-        ("<!-- rows: hidden -->", "<!-- rows: absent -->", "absent -->: docs/tables.py has no such table"),
-        ("<!-- rows: hidden -->\n", "<!-- rows: hidden -->\n\n", "11 marks"),
+        ("<!-- rows: papers_hidden -->", "<!-- rows: absent -->", "absent -->: docs/tables.py has no such table"),
+        ("<!-- rows: papers_hidden -->\n", "<!-- rows: papers_hidden -->\n\n", "15 marks"),
     ],
 )
 def test_a_mark_that_leads_nowhere_is_refused(right: str, wrong: str, said: str) -> None:

@@ -47,10 +47,13 @@ def test_a_figure_draws_every_arm(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     rising = [[0.0, 1.0, 5.0], [50.0, 60.0, 90.0]]
     curves = {"interactions": [0, 1_000_000]} | dict.fromkeys(field.SHOWN, rising)
     arms = {name: {"curves": curves, "filtered": name == "rta"} for name in ("plain", "rta")}
-    field.figure(arms, tmp_path / "figure.png")
-    for axis in drawn[0].axes:
-        assert [line.get_label() for line in axis.lines] == list(arms)
-        assert all(line.get_ydata().tolist() == [1.0, 60.0] for line in axis.lines)  # medians
+    guided = {"metrics": {"reward": {"mean": 7.0}, "delta_v_m_s": {"mean": 7.0}}}
+    field.figure(arms, guided, tmp_path / "figure.png")
+    for axis, name in zip(drawn[0].axes, field.SHOWN, strict=True):
+        learned, beside = axis.lines[:2], axis.lines[2:]
+        assert [line.get_label() for line in learned] == list(arms)
+        assert all(line.get_ydata().tolist() == [1.0, 60.0] for line in learned)  # medians
+        assert [set(line.get_ydata()) for line in beside] == [{7.0}] * (name in guided["metrics"])
 
 
 def test_both_switches_and_the_guidance_are_flown(tmp_path: Path) -> None:

@@ -12,7 +12,7 @@ import pytest
 
 from study.config import ARMS
 from study.paper import PAPER_METRICS
-from study.report import inputs, page, tables
+from study.report import figures, inputs, page, tables
 from tests.study.web.browser import Browser, chromium
 
 __all__ = ["chromium"]  # a fixture
@@ -64,10 +64,11 @@ class Reader(HTMLParser):
 
 @pytest.fixture(scope="module")
 def study(shipped_study: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The shipped study, whose page is written anew."""
+    """The shipped study, whose figures and page are made anew."""
     directory = tmp_path_factory.mktemp("reported") / "study"
     shutil.copytree(shipped_study, directory)
     found = inputs.read(directory)
+    figures.draw(found)
     tables.write(found)
     page.write(found)
     return directory
@@ -178,7 +179,8 @@ def test_what_files_say_stays_text(study: Path, tmp_path: Path) -> None:
     reader = Reader(text)
     assert not any(tag in text for tag in ("<i>", "<b>", "<s>"))
     assert "report/demonstration_<s>.npz" in reader.links
-    assert [row[5] for row in reader.tables[7][1:]] == ["<i>x</i>"] * 5
+    arms = json.loads((study / "results.json").read_text())["arms"]
+    assert [row[5] for row in reader.tables[7][1:]] == ["<i>x</i>"] * len(arms)
     assert "python main.py report --study &#39;" in text
 
 
