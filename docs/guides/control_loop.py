@@ -1,6 +1,6 @@
 """An exported agent and the filter in the control loop of one spacecraft, and how long their calls take.
 
-    python main.py export --checkpoint runs/reference/study/rta/seed0/policy.pt --out runs/policy.onnx
+    python main.py export --checkpoint runs/reference/from_nothing/rta/seed0/policy.pt --out runs/policy.onnx
     python -m docs.guides.control_loop runs/policy.onnx --compile
 
 Without --compile 1,000 calls take about a minute.

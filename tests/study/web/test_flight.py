@@ -25,7 +25,7 @@ from study.files import ROOT
 from study.verification.adversaries import Greedy
 from study.web.module import PILOT
 
-AGENT = ROOT / "runs/reference/study/rta/seed0/policy.pt"
+AGENT = ROOT / "runs/reference/from_nothing/rta/seed0/policy.pt"
 PAGE = ROOT / "runs/reference/play.html"
 C = Config()
 U1 = load("configs/plants/u1.toml", Config())
