@@ -8,11 +8,13 @@ beside them, and draws how they learned. Takes a few minutes.
 """
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.ticker import StrMethodFormatter
 
 from settings import InputError, Parser
 from study.files import write_json, writing
@@ -102,7 +104,11 @@ def figure(results: dict[str, Any], guided: dict[str, Any], path: Path) -> None:
             )
         axis.set(xlabel="interactions of a seed (million)", ylabel=text)
         axis.grid(alpha=0.3)
-    drawn.legend(*drawn.axes[-1].get_legend_handles_labels(), loc="outside right center", fontsize=8)
+        if name == "delta_v_m_s":  # at first many times what it is in the end
+            axis.set(yscale="log", ylim=(0.5, None))
+            axis.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
+    lines = {line.get_label(): line for axis in drawn.axes for line in axis.lines}
+    drawn.legend(lines.values(), lines.keys(), loc="outside right center", fontsize=8)
     with writing(path) as file:
         drawn.savefig(file, dpi=85, format="png")
 
@@ -145,7 +151,9 @@ def write(study: Path, out: Path) -> None:
         for name, flown in baselines(plain, CLASSICAL).items()
     }
     write_json(out / "results.json", {"arms": found, "guidance": classical})
-    figure(found, classical[REFERENCE]["on"], out / "figure.png")
+    cases = replace(plain.train, final_episodes=plain.train.evaluation_episodes)  # those of the curves
+    guided = baselines(replace(plain, train=cases), [REFERENCE])[REFERENCE]["on"]
+    figure(found, guided, out / "figure.png")
 
 
 if __name__ == "__main__":

@@ -6,7 +6,7 @@ The first common test cases, each by itself and known in advance (experiments/le
 time many settings of the guidance that leads the Sun are flown, the best of each case are improved by gradients through
 the motion, and the outcome is flown in the simulator, with attitude and every limit. *Bound*: a mixed-integer linear
 program of the first few of them (`experiments.optimum_bound`). Writes optimum.json and optimum.png; `--draw` only draws
-the figure anew, with the agents of runs/reference/study. Takes an hour on one core.
+the figure anew, with the agents of runs/reference. Takes an hour on one core.
 """
 
 import json
@@ -44,7 +44,7 @@ from settings import Parser, positive_integer
 from study.config import ARMS, TEST_CASES, Config
 from study.experiment import paper_task, test_cases
 from study.files import ROOT, write_json, writing
-from study.flight.figures import BLUE, GREEN, GREY, ORANGE
+from study.flight.figures import BLUE, GREEN, GREY, ORANGE, PURPLE, RED, SKY
 from study.machine import set_threads
 from study.paper import PAPER_METRICS
 
@@ -430,17 +430,17 @@ def draw(found: dict[str, Any], path: Path) -> None:
     proven = [(row["allowed_s"], np.mean([row["bound_m_s"][case] for case in bounded])) for row in times]
     led = shipped("study/report/front.json").values()
     lines = [
-        (map(middle, taught), "D-", "#56B4E9", "agents taught by the guidance, with RTA"),
+        (map(middle, taught), "D-", SKY, "agents taught by the guidance, with RTA"),
         (map(middle, led), "o--", BLUE, "guidance that leads the Sun, the same cases"),
         (means(found["guidance"].values()), "o-", BLUE, "guidance, the cases of the best found"),
         (means(times), "o-", GREEN, "best found, case known in advance"),
-        (proven, "v--", "#D55E00", "nobody needs less: proven"),
+        (proven, "v--", RED, "nobody needs less: proven"),
     ]
     for arm, marker, name in zip(ARMS, "sD", ("without RTA", "with RTA"), strict=True):
         papers = [PAPER_METRICS[metric].by_arm[arm].value for metric in ("episode_length_s", "delta_v_m_s")]
         lines.append(([papers], marker, GREY, f"the paper's agents, {name}"))
         for study, colour, learner in (
-            ("paper", "#CC79A7", "the paper's learner here"),
+            ("paper", PURPLE, "the paper's learner here"),
             ("from_nothing", ORANGE, "ours, from nothing"),
         ):
             agents = shipped(f"{study}/results.json")["arms"][arm]

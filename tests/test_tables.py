@@ -56,7 +56,11 @@ def test_a_wrong_number_is_found_and_renewed(
 @pytest.mark.parametrize(
     ("right", "wrong", "said"),
     [
-        ("<!-- rows: papers_hidden -->", "<!-- rows: absent -->", "absent -->: docs/tables.py has no such table"),
+        (
+            "<!-- rows: papers_hidden -->",
+            "<!-- rows: absent -->",
+            "absent -->: docs/tables.py has no such table",
+        ),
         ("<!-- rows: papers_hidden -->\n", "<!-- rows: papers_hidden -->\n\n", "15 marks"),
     ],
 )

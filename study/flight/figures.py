@@ -17,6 +17,7 @@ from study.files import writing
 
 # Colours that differ in lightness too (Okabe and Ito's palette)
 BLUE, ORANGE, GREEN, GREY = "#0072B2", "#E69F00", "#009E73", "#666666"
+SKY, RED, PURPLE = "#56B4E9", "#D55E00", "#CC79A7"
 SAFE, UNSAFE = "#DDF1E4", "#F2C4B8"
 # small text that stays readable where lines cross it
 OUTLINED: dict[str, Any] = {

@@ -54,6 +54,7 @@ def test_a_figure_draws_every_arm(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
         assert [line.get_label() for line in learned] == list(arms)
         assert all(line.get_ydata().tolist() == [1.0, 60.0] for line in learned)  # medians
         assert [set(line.get_ydata()) for line in beside] == [{7.0}] * (name in guided["metrics"])
+    assert [text.get_text() for text in drawn[0].legends[0].get_texts()] == [*arms, "guidance even"]
 
 
 def test_both_switches_and_the_guidance_are_flown(tmp_path: Path) -> None:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 import torch
+from matplotlib.figure import Figure
 from torch import Tensor
 
 from experiments import optimum
@@ -14,6 +15,7 @@ from experiments.optimum import (
     Cases,
     Flown,
     cost,
+    draw,
     flown,
     motion,
     planned,
@@ -124,6 +126,22 @@ def test_only_clean_flights_are_among_the_best() -> None:
     found = Flown(ones > 0, clean, 3000.0 * ones, fuel, 0.6 * fuel, torch.zeros(1, 3, 3))
     assert summary(found, 1)["delta_v_m_s"] == [0.2] and summary(found, 1)["clean_flights"] == 2
     assert summary(found._replace(clean=ones < 0), 1)["delta_v_m_s"] == [None]
+
+
+def test_the_figure_sets_every_shipped_agent_beside_the_flights(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    figures = []
+    monkeypatch.setattr(Figure, "savefig", lambda self, *_, **__: figures.append(self))
+    draw(json.loads((ROOT / "runs/reference/optimum/optimum.json").read_text()), tmp_path / "optimum.png")
+    (axis,) = figures[0].axes
+    drawn = {line.get_label(): list(zip(*line.get_data(), strict=True)) for line in axis.lines}
+    for study, learner in (("paper", "the paper's learner here"), ("from_nothing", "ours, from nothing")):
+        arms = json.loads((ROOT / f"runs/reference/{study}/results.json").read_text())["arms"]
+        for arm, name in (("no_rta", "without RTA"), ("rta", "with RTA")):
+            time, fuel = (arms[arm]["metrics"][each]["iqm"] for each in ("episode_length_s", "delta_v_m_s"))
+            assert drawn[f"{learner}, {name}"] == [(time, fuel)]
+    assert len(drawn) == 11
 
 
 @pytest.mark.campaign
