@@ -107,8 +107,8 @@ def figure(results: dict[str, Any], guided: dict[str, Any], path: Path) -> None:
         if name == "delta_v_m_s":  # at first many times what it is in the end
             axis.set(yscale="log", ylim=(0.5, None))
             axis.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
-    lines = {line.get_label(): line for axis in drawn.axes for line in axis.lines}
-    drawn.legend(lines.values(), lines.keys(), loc="outside right center", fontsize=8)
+    lines = {str(line.get_label()): line for axis in drawn.axes for line in axis.lines}
+    drawn.legend(list(lines.values()), list(lines), loc="outside right center", fontsize=8)
     with writing(path) as file:
         drawn.savefig(file, dpi=85, format="png")
 
