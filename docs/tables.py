@@ -378,11 +378,19 @@ def early() -> Rows:
 
 
 def field_trained() -> Rows:
-    limits = ("collision", "passive_safety", "keep_in_zone", "attitude_exclusion", "battery")
+    limits = (
+        "battery",
+        "attitude_exclusion",
+        "dynamic_speed",
+        "keep_in_zone",
+        "temperature",
+        "passive_safety",
+    )
     for name, found in read("field/results.json")["arms"].items():
-        steps, broken = found["training"]["steps"], found["training"]["violated"]["any"]
-        worst = (f"{found['training']['smallest_h'][limit]:.2g}" for limit in limits)
-        yield f"`{name}`", f"{broken:,}", f"{100.0 * broken / steps:.3f}", *worst
+        steps, broken = found["training"]["steps"], found["training"]["violated"]
+        shares = (f"{100.0 * broken[limit] / steps:.2f}" for limit in ("any", *limits))
+        worst = (f"{found['training']['smallest_h'][limit]:.2g}" for limit in ("collision", "keep_in_zone"))
+        yield f"`{name}`", f"{broken['any']:,}", *shares, *worst
 
 
 def field_flown() -> Rows:
@@ -390,9 +398,28 @@ def field_flown() -> Rows:
     flown = {f"`{name}`": arm["flown"] for name, arm in found["arms"].items()}
     flown |= {f"guidance `{name}`": each for name, each in found["guidance"].items()}
     switches = {"without": "off", "with": "on"}
+
+    def of_seeds(name: str, form: str, factor: float = 1.0) -> Column:
+        """Returns the column of [least, most] over the seeds."""
+
+        def cell(results: Results) -> str:
+            seeds = [factor * value for value in results["per_seed"][name]]
+            return f"[{min(seeds):{form}}, {max(seeds):{form}}]"
+
+        return cell
+
+    beside = {
+        SUCCESS: of_seeds("success", ".0f", 100.0),
+        number("corrected_percent", ".1f"): of_seeds("corrected_percent", ".1f"),
+        metric("reward", "{iqm} ({mean})"): of_seeds("reward", ".3f"),
+    }
+    success, corrections, reward = (
+        lambda results, value=value, seeds=seeds: f"{value(results)} {seeds(results)}"
+        for value, seeds in beside.items()
+    )
+    broken = number("violating_episodes"), number("violations_percent", ".3f")
     each_way = {(label, way): each[key] for label, each in flown.items() for way, key in switches.items()}
-    shares = number("violations_percent", ".3f"), number("corrected_percent", ".1f")
-    return rows(each_way, SUCCESS, CLEAN, *shares, metric("reward", "{iqm} ({mean})"), TIME, FUEL)
+    return rows(each_way, success, CLEAN, *broken, corrections, reward, TIME, FUEL)
 
 
 def guidance_flown() -> Rows:

@@ -8,7 +8,6 @@ beside them, and draws how they learned. Takes a few minutes.
 """
 
 import json
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,10 +16,13 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import StrMethodFormatter
 
 from settings import InputError, Parser
+from study.config import TEST_CASES, Config
+from study.experiment import Experiment
 from study.files import write_json, writing
+from study.flight.evaluation import Episodes, play, play_controller, report
 from study.machine import set_threads
 from study.report.agents import Arm, agents_of
-from study.report.flights import baselines, evaluate
+from study.report.flights import with_rta
 
 KEPT = ("reward", "delta_v_m_s", "episode_length_s")
 CLASSICAL = ("quick", "even")  # settings of the guidance
@@ -33,13 +35,21 @@ SHOWN = {
 }
 
 
-def summary(results: dict[str, Any]) -> dict[str, Any]:
-    """Returns what the page shows of an evaluation."""
+def summary(record: Episodes, config: Config, seeds: int = 1) -> dict[str, Any]:
+    """Returns what the page shows of the flights of so many seeds, and of each seed the reward and corrections."""
+    results = report(record, config, TEST_CASES, seeds)
+    each = [report(own, config, TEST_CASES) for own in record.split(seeds)]
     return {
         "outcomes": results["outcomes"],
         "metrics": {name: {key: results["metrics"][name][key] for key in ("iqm", "mean")} for name in KEPT},
         "violations_percent": results["violations_percent"]["any"],
+        "violating_episodes": int((record.violation_seconds[-1] > 0.0).sum()),
         "corrected_percent": results["rta"]["intervention_percent"],
+        "per_seed": {
+            "reward": [own["metrics"]["reward"]["iqm"] for own in each],
+            "success": [own["outcomes"]["success"] for own in each],
+            "corrected_percent": [own["rta"]["intervention_percent"] for own in each],
+        },
     }
 
 
@@ -68,42 +78,65 @@ def exposure(results: dict[str, Any]) -> dict[str, Any]:
 
 
 def curves(path: Path) -> dict[str, list[Any]]:
-    """Returns the periodic evaluations, each quantity a row per point of time and a column per seed."""
+    """Returns the periodic evaluations, each quantity a row per point of time and a column per seed.
+
+    Raises:
+        InputError: a seed was not evaluated at each of these times.
+    """
     lines = [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
     times = sorted({line["interactions"] for line in lines})
     rows = [[line for line in lines if line["interactions"] == time] for time in times]
+    if len({len(row) for row in rows}) > 1:
+        raise InputError(f"{path}: not every seed was evaluated at every time; was the study cut off?")
     return {
         "interactions": times,
         "success": [[100.0 * line["outcomes"]["success"] for line in row] for row in rows],
         "violations": [[line["violations_percent"]["any"] for line in row] for row in rows],
         "delta_v_m_s": [[line["metrics"]["delta_v_m_s"]["mean"] for line in row] for row in rows],
         "reward": [[line["metrics"]["reward"]["mean"] for line in row] for row in rows],
-        "corrected": [[line["rta"]["intervention_percent"] for line in row] for row in rows],
     }
 
 
 def switched(arm: Arm) -> dict[str, Any]:
     """Returns the summary of an arm's agents with the filter off and on, one of them as they were trained."""
-    period = arm.config.rta.period
-    return {switch: summary(evaluate(arm, rta, period)) for switch, rta in (("off", False), ("on", True))}
+    seeds, cases = len(arm.digests), arm.config.train.final_episodes
+
+    def flown(rta: bool) -> dict[str, Any]:
+        experiment = Experiment(with_rta(arm.config, rta, arm.config.rta.period), seeds * cases)
+        record = play(arm.policy.to(experiment.device), experiment, cases, TEST_CASES)
+        return summary(record, experiment.config, seeds)
+
+    return {"off": flown(False), "on": flown(True)}
 
 
-def figure(results: dict[str, Any], guided: dict[str, Any], path: Path) -> None:
-    """Draws medians over the seeds of the periodic evaluations, the middle half of them, and the guidance's means."""
+def guided(config: Config, name: str, cases: int) -> dict[str, Any]:
+    """Returns the summary of a guidance with the filter off and on; it decides every second."""
+
+    def flown(rta: bool) -> dict[str, Any]:
+        experiment = Experiment(with_rta(config, rta, config.rta.period).with_solver("auto"), cases)
+        return summary(play_controller(name, experiment, cases, TEST_CASES), experiment.config)
+
+    return {"off": flown(False), "on": flown(True)}
+
+
+def figure(results: dict[str, Any], beside: dict[str, Any], path: Path) -> None:
+    """Draws medians and range over the seeds of the periodic evaluations, and the guidance's means beside them."""
     drawn = Figure(figsize=(11, 7), layout="constrained")
     for axis, (name, text) in zip(drawn.subplots(2, 2).flat, SHOWN.items(), strict=True):
         for number, (arm, found) in enumerate(results.items()):
             values, x = np.array(found["curves"][name]), np.array(found["curves"]["interactions"]) / 1e6
-            low, middle, high = np.percentile(values, (25, 50, 75), axis=1)
+            low, middle, high = np.percentile(values, (0, 50, 100), axis=1)
             style = "-" if found["filtered"] else "--"
             axis.plot(x, middle, style, color=f"C{number % 10}", lw=1.5, label=arm)
             axis.fill_between(x, low, high, color=f"C{number % 10}", alpha=0.15, lw=0)
         if name in KEPT:
             axis.axhline(
-                guided["metrics"][name]["mean"], color="black", ls=":", lw=1.5, label=f"guidance {REFERENCE}"
+                beside["metrics"][name]["mean"], color="black", ls=":", lw=1.5, label=f"guidance {REFERENCE}"
             )
         axis.set(xlabel="interactions of a seed (million)", ylabel=text)
         axis.grid(alpha=0.3)
+        if name == "violations":
+            axis.set_yscale("symlog", linthresh=0.01)
         if name == "delta_v_m_s":  # at first many times what it is in the end
             axis.set(yscale="log", ylim=(0.5, None))
             axis.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
@@ -146,14 +179,11 @@ def write(study: Path, out: Path) -> None:
     }
     plain = next(iter(arms.values())).config
     out.mkdir(parents=True, exist_ok=True)
-    classical = {
-        name: {switch: summary(each) for switch, each in flown.items()}
-        for name, flown in baselines(plain, CLASSICAL).items()
-    }
+    cases = plain.train.final_episodes
+    classical = {name: guided(plain, name, cases) for name in CLASSICAL}
     write_json(out / "results.json", {"arms": found, "guidance": classical})
-    cases = replace(plain.train, final_episodes=plain.train.evaluation_episodes)  # those of the curves
-    guided = baselines(replace(plain, train=cases), [REFERENCE])[REFERENCE]["on"]
-    figure(found, guided, out / "figure.png")
+    beside = guided(plain, REFERENCE, plain.train.evaluation_episodes)["on"]  # the cases of the curves
+    figure(found, beside, out / "figure.png")
 
 
 if __name__ == "__main__":

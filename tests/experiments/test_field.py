@@ -8,8 +8,9 @@ import pytest
 from matplotlib.figure import Figure
 
 from experiments import field
+from settings import InputError
 from study.files import ROOT
-from study.report.agents import load_arm
+from study.report.agents import Arm, load_arm
 from study.report.flights import baselines
 
 
@@ -50,6 +51,7 @@ def test_a_figure_draws_every_arm(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     guided = {"metrics": {"reward": {"mean": 7.0}, "delta_v_m_s": {"mean": 7.0}}}
     field.figure(arms, guided, tmp_path / "figure.png")
     for axis, name in zip(drawn[0].axes, field.SHOWN, strict=True):
+        assert [line.get_linestyle() for line in axis.lines[:2]] == ["--", "-"]  # without and with the filter
         learned, beside = axis.lines[:2], axis.lines[2:]
         assert [line.get_label() for line in learned] == list(arms)
         assert all(line.get_ydata().tolist() == [1.0, 60.0] for line in learned)  # medians
@@ -57,16 +59,59 @@ def test_a_figure_draws_every_arm(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     assert [text.get_text() for text in drawn[0].legends[0].get_texts()] == [*arms, "guidance even"]
 
 
-def test_both_switches_and_the_guidance_are_flown(tmp_path: Path) -> None:
-    shipped = ROOT / "runs/reference/study"
-    arm = load_arm(shipped / "rta", json.loads((shipped / "results.json").read_text())["arms"]["rta"], "cpu")
-    few = replace(arm.config, train=replace(arm.config.train, final_episodes=2))
-    lone = replace(arm, config=few, policy=arm.of_seed(0), digests=dict(list(arm.digests.items())[:1]))
-    guided = {switch: field.summary(each) for switch, each in baselines(few, ["quick"])["quick"].items()}
-    for found in (field.switched(lone), guided):
-        assert found["off"]["outcomes"]["success"] == found["on"]["outcomes"]["success"] == 1.0
-        assert found["on"]["violations_percent"] == 0.0
-        assert not found["off"]["corrected_percent"]
+def test_curves_without_a_seed_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "evaluations.jsonl"
+    lines = (ROOT / "runs/reference/study/rta/evaluations.jsonl").read_text(encoding="utf-8").splitlines()
+    path.write_text("\n".join(lines[:-1]))
+    with pytest.raises(InputError, match="not every seed"):
+        field.curves(path)
+
+
+def few(cases: int, seeds: int) -> Arm:
+    """Agents from nothing, with the filter, that fly few cases."""
+    shipped = ROOT / "runs/reference/from_nothing"
+    results = json.loads((shipped / "results.json").read_text())["arms"]["rta"]
+    arm = load_arm(shipped / "rta", results | {"seeds": results["seeds"][:seeds]}, "cpu")
+    train = replace(arm.config.train, final_episodes=cases, evaluation_episodes=1)
+    return replace(arm, config=replace(arm.config, train=train))
+
+
+def test_each_seed_is_summed_up_apart() -> None:
+    both, lone = field.switched(few(3, seeds=2)), field.switched(few(3, seeds=1))
+    for switch, flown in both.items():
+        reward = flown["per_seed"]["reward"]
+        assert reward[0] == pytest.approx(lone[switch]["per_seed"]["reward"][0], abs=1e-3)
+        assert reward[0] != reward[1] and lone[switch]["metrics"]["reward"]["iqm"] == pytest.approx(
+            lone[switch]["per_seed"]["reward"][0]
+        )
+    assert not both["off"]["corrected_percent"] and both["on"]["corrected_percent"] > 0.0
+    assert both["on"]["violating_episodes"] == 0
+
+
+def test_a_study_is_written_with_the_guidance_on_the_same_cases(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    arm, figures = few(2, seeds=1), []
+    monkeypatch.setattr(field, "agents_of", lambda study, device: {"rta": arm})
+    monkeypatch.setattr(field, "CLASSICAL", ("even",))
+    monkeypatch.setattr(field, "figure", lambda *given: figures.append(given))
+    (tmp_path / "rta").mkdir()
+    line = {
+        "interactions": 0,
+        "outcomes": {"success": 1.0},
+        "violations_percent": {"any": 0.0},
+        "metrics": {"reward": {"mean": 1.0}, "delta_v_m_s": {"mean": 1.0}},
+    }
+    (tmp_path / "rta/evaluations.jsonl").write_text(json.dumps(line))
+    field.write(tmp_path, tmp_path / "out")
+    found = json.loads((tmp_path / "out/results.json").read_text())
+    assert found["arms"]["rta"]["seeds"] == 1 and found["arms"]["rta"]["training"]["violated"]["any"] == 0
+    even = baselines(arm.config, ["even"])["even"]
+    for switch, flown in found["guidance"]["even"].items():
+        assert flown["metrics"]["reward"]["mean"] == even[switch]["metrics"]["reward"]["mean"]
+    ((_, beside, path),) = figures  # on the cases of the curves, of which there is one
+    assert path == tmp_path / "out/figure.png"
+    assert beside["metrics"]["reward"]["mean"] != even["on"]["metrics"]["reward"]["mean"]
 
 
 def test_a_study_that_did_not_count_is_refused(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
