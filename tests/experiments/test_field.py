@@ -88,6 +88,12 @@ def test_each_seed_is_summed_up_apart() -> None:
     assert both["on"]["violating_episodes"] == 0
 
 
+def test_a_controller_is_flown_without_the_filter_and_with_it() -> None:
+    found = field.guided(few(1, seeds=1).config, "random", 1)
+    assert not found["off"]["corrected_percent"] and found["off"]["violating_episodes"] == 1
+    assert found["on"]["corrected_percent"] > 50.0 and found["on"]["violating_episodes"] == 0
+
+
 def test_a_study_is_written_with_the_guidance_on_the_same_cases(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
