@@ -294,22 +294,23 @@ def hidden(study: str) -> Rows:
     return ([label, *(column[label] for column in columns)] for label in columns[0])
 
 
-def switched(cross: Mapping[str, Mapping[str, Results]]) -> dict[tuple[str, str], Results]:
-    """Returns the evaluations of arms without and with the filter, by the arm's label and "without" or "with"."""
-    switches = {"without": "off", "with": "on"}
-    return {
-        (LABELS[arm], flown): found[key] for arm, found in cross.items() for flown, key in switches.items()
-    }
+def switched(found: Mapping[str, Mapping[str, Any]]) -> dict[tuple[str, str], Any]:
+    """Returns what is said of flights with the filter off and on, by label and "without" or "with"."""
+    ways = {"without": "off", "with": "on"}
+    return {(label, way): each[key] for label, each in found.items() for way, key in ways.items()}
+
+
+def of_arms(cross: Mapping[str, Mapping[str, Results]]) -> Rows:
+    """Yields what `agents` does of arms flown without and with the filter."""
+    return agents(switched({LABELS[arm]: found for arm, found in cross.items()}))
 
 
 def dependence() -> Rows:
+    led = {(LABELS["rta"], "with, and `keep_clear`"): read("keep_clear/keep_clear.json")}
     for arm, found in report("cross").items():
-        led = (
-            {(LABELS[arm], "with, and `keep_clear`"): read("keep_clear/keep_clear.json")}
-            if arm == "rta"
-            else {}
-        )
-        yield from agents(switched({arm: found}) | led)
+        yield from of_arms({arm: found})
+        if arm == "rta":
+            yield from agents(led)
 
 
 def baselines() -> Rows:
@@ -319,15 +320,13 @@ def baselines() -> Rows:
         GUIDE: f"guidance {GUIDE}",
     }
     found = report("baselines")
-    switches = {"off": "without", "on": "with"}
-    return agents({(names[name], switches[key]): found[name][key] for name in names for key in switches})
+    return agents(switched({label: found[name] for name, label in names.items()}))
 
 
 def worlds() -> Rows:
     for plant in ("u1", "harsh"):
         flown = report("worlds")[plant]
-        for arm in (*ARMS, "robust"):
-            label = LABELS[arm]
+        for arm, label in LABELS.items():
             cells = (f"{SUCCESS(each)}, {VIOLATION(each)}, {REWARD(each)}" for each in flown[arm].values())
             yield plant, label, *cells
 
@@ -397,7 +396,6 @@ def field_flown() -> Rows:
     found = read("field/results.json")
     flown = {f"`{name}`": arm["flown"] for name, arm in found["arms"].items()}
     flown |= {f"guidance `{name}`": each for name, each in found["guidance"].items()}
-    switches = {"without": "off", "with": "on"}
 
     def of_seeds(name: str, form: str, factor: float = 1.0) -> Column:
         """Returns the column of [least, most] over the seeds."""
@@ -418,8 +416,7 @@ def field_flown() -> Rows:
         for value, seeds in beside.items()
     )
     broken = number("violating_episodes"), number("violations_percent", ".3f")
-    each_way = {(label, way): each[key] for label, each in flown.items() for way, key in switches.items()}
-    return rows(each_way, success, CLEAN, *broken, corrections, reward, TIME, FUEL)
+    return rows(switched(flown), success, CLEAN, *broken, corrections, reward, TIME, FUEL)
 
 
 def guidance_flown() -> Rows:
@@ -625,8 +622,8 @@ TABLES: dict[str, Callable[[], Rows]] = {
     ),
     "papers_hidden": lambda: hidden("paper"),
     "our_hidden": lambda: hidden("from_nothing"),
-    "papers_dependence": lambda: agents(switched(read("paper/report/cross.json"))),
-    "our_dependence": lambda: agents(switched(read("from_nothing/report/cross.json"))),
+    "papers_dependence": lambda: of_arms(read("paper/report/cross.json")),
+    "our_dependence": lambda: of_arms(read("from_nothing/report/cross.json")),
     "our_spread": lambda: spread({LABELS[arm]: arms("from_nothing")[arm] for arm in ARMS}),
     "taught": lambda: spread({label: arms()[arm] for arm, label in LABELS.items()}),
     "guidance_front": lambda: agents(report("front")),

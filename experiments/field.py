@@ -17,16 +17,16 @@ from matplotlib.ticker import StrMethodFormatter
 
 from settings import InputError, Parser
 from study.config import TEST_CASES, Config
-from study.experiment import Experiment
 from study.files import write_json, writing
-from study.flight.evaluation import Episodes, play, play_controller, report
+from study.flight.evaluation import Episodes, play_controller, report
 from study.machine import set_threads
 from study.report.agents import Arm, agents_of
-from study.report.flights import with_rta
+from study.report.flights import flights_with, unlearned, with_rta
 
 KEPT = ("reward", "delta_v_m_s", "episode_length_s")
 CLASSICAL = ("quick", "even")  # settings of the guidance
 REFERENCE = "even"  # the one whose fuel and reward the figure shows
+SWITCHES = {"off": False, "on": True}
 SHOWN = {
     "success": "success (%)",
     "violations": "steps beyond a limit (%)",
@@ -36,7 +36,7 @@ SHOWN = {
 
 
 def summary(record: Episodes, config: Config, seeds: int = 1) -> dict[str, Any]:
-    """Returns what the page shows of the flights of so many seeds, and of each seed the reward and corrections."""
+    """Returns what the page shows of the flights of so many seeds, and of each seed some of it."""
     results = report(record, config, TEST_CASES, seeds)
     each = [report(own, config, TEST_CASES) for own in record.split(seeds)]
     return {
@@ -97,26 +97,16 @@ def curves(path: Path) -> dict[str, list[Any]]:
     }
 
 
-def switched(arm: Arm) -> dict[str, Any]:
-    """Returns the summary of an arm's agents with the filter off and on, one of them as they were trained."""
-    seeds, cases = len(arm.digests), arm.config.train.final_episodes
-
-    def flown(rta: bool) -> dict[str, Any]:
-        experiment = Experiment(with_rta(arm.config, rta, arm.config.rta.period), seeds * cases)
-        record = play(arm.policy.to(experiment.device), experiment, cases, TEST_CASES)
-        return summary(record, experiment.config, seeds)
-
-    return {"off": flown(False), "on": flown(True)}
+def flown(arm: Arm, rta: bool) -> dict[str, Any]:
+    """Returns the summary of an arm's agents with the filter off or on."""
+    record, config = flights_with(arm, with_rta(arm.config, rta, arm.config.rta.period))
+    return summary(record, config, len(arm.digests))
 
 
-def guided(config: Config, name: str, cases: int) -> dict[str, Any]:
-    """Returns the summary of a guidance with the filter off and on; it decides every second."""
-
-    def flown(rta: bool) -> dict[str, Any]:
-        experiment = Experiment(with_rta(config, rta, config.rta.period).with_solver("auto"), cases)
-        return summary(play_controller(name, experiment, cases, TEST_CASES), experiment.config)
-
-    return {"off": flown(False), "on": flown(True)}
+def guided(config: Config, name: str, cases: int, rta: bool) -> dict[str, Any]:
+    """Returns the summary of a guidance, which decides every second, with the filter off or on."""
+    experiment = unlearned(config, rta, cases)
+    return summary(play_controller(name, experiment, cases, TEST_CASES), experiment.config)
 
 
 def figure(results: dict[str, Any], beside: dict[str, Any], path: Path) -> None:
@@ -172,7 +162,7 @@ def write(study: Path, out: Path) -> None:
             "interactions": arm.results["interactions"],
             "filtered": arm.config.train.rta,
             "training": training[name],
-            "flown": switched(arm),
+            "flown": {switch: flown(arm, rta) for switch, rta in SWITCHES.items()},
             "curves": curves(study / name / "evaluations.jsonl"),
         }
         for name, arm in arms.items()
@@ -180,9 +170,12 @@ def write(study: Path, out: Path) -> None:
     plain = next(iter(arms.values())).config
     out.mkdir(parents=True, exist_ok=True)
     cases = plain.train.final_episodes
-    classical = {name: guided(plain, name, cases) for name in CLASSICAL}
+    classical = {
+        name: {switch: guided(plain, name, cases, rta) for switch, rta in SWITCHES.items()}
+        for name in CLASSICAL
+    }
     write_json(out / "results.json", {"arms": found, "guidance": classical})
-    beside = guided(plain, REFERENCE, plain.train.evaluation_episodes)["on"]  # the cases of the curves
+    beside = guided(plain, REFERENCE, plain.train.evaluation_episodes, rta=True)  # the cases of the curves
     figure(found, beside, out / "figure.png")
 
 

@@ -1,6 +1,6 @@
 """What a report flies: agents behind other filters and in other worlds, and the guidance."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from itertools import product
 from pathlib import Path
@@ -71,19 +71,26 @@ def flown_with(arm: Arm, config: Config) -> Results:
     """The arm's agents on the study's test cases with another configuration; with the arm's the study's own results."""
     if config == arm.config:
         return arm.results
-    seeds, episodes = len(arm.digests), config.train.final_episodes
-    experiment = Experiment(config, seeds * episodes)
-    record = play(arm.policy.to(experiment.device), experiment, episodes, TEST_CASES)
-    return report(record, experiment.config, TEST_CASES, seeds)
+    record, config = flights_with(arm, config)
+    return report(record, config, TEST_CASES, len(arm.digests))
 
 
-def baselines(config: Config, names: Iterable[str] = BASELINES) -> dict[str, dict[str, Results]]:
-    """Every controller of these names on the study's test cases, without filter and behind it."""
+def flights_with(arm: Arm, config: Config) -> tuple[Episodes, Config]:
+    """The episodes of the arm's agents on the study's test cases, and the configuration as it was flown."""
     episodes = config.train.final_episodes
-    experiments = {
-        switch: Experiment(with_rta(config, rta, config.rta.period).with_solver("auto"), episodes)
-        for switch, rta in (("off", False), ("on", True))
-    }
+    experiment = Experiment(config, len(arm.digests) * episodes)
+    return play(arm.policy.to(experiment.device), experiment, episodes, TEST_CASES), experiment.config
+
+
+def unlearned(config: Config, rta: bool, episodes: int) -> Experiment:
+    """What flies controllers that are not trained, with the filter off or called as in the study."""
+    return Experiment(with_rta(config, rta, config.rta.period).with_solver("auto"), episodes)
+
+
+def baselines(config: Config) -> dict[str, dict[str, Results]]:
+    """Every controller that is not trained, of BASELINES, on the study's test cases, without filter and behind it."""
+    episodes = config.train.final_episodes
+    experiments = {"off": unlearned(config, False, episodes), "on": unlearned(config, True, episodes)}
 
     def flown(name: str, experiment: Experiment) -> Results:
         record = play_controller(name, experiment, episodes, TEST_CASES)
@@ -91,7 +98,7 @@ def baselines(config: Config, names: Iterable[str] = BASELINES) -> dict[str, dic
 
     return {
         name: {switch: flown(name, experiment) for switch, experiment in experiments.items()}
-        for name in names
+        for name in BASELINES
     }
 
 

@@ -9,9 +9,12 @@ from matplotlib.figure import Figure
 
 from experiments import field
 from settings import InputError
+from study.config import TEST_CASES
+from study.experiment import Experiment
 from study.files import ROOT
+from study.flight.evaluation import evaluate
 from study.report.agents import Arm, load_arm
-from study.report.flights import baselines
+from study.report.flights import with_rta
 
 
 def test_exposure_adds_the_steps_of_seeds_and_keeps_the_smallest_h() -> None:
@@ -77,7 +80,10 @@ def few(cases: int, seeds: int) -> Arm:
 
 
 def test_each_seed_is_summed_up_apart() -> None:
-    both, lone = field.switched(few(3, seeds=2)), field.switched(few(3, seeds=1))
+    both, lone = (
+        {switch: field.flown(few(3, seeds), rta) for switch, rta in field.SWITCHES.items()}
+        for seeds in (2, 1)
+    )
     for switch, flown in both.items():
         reward = flown["per_seed"]["reward"]
         assert reward[0] == pytest.approx(lone[switch]["per_seed"]["reward"][0], abs=1e-3)
@@ -89,7 +95,8 @@ def test_each_seed_is_summed_up_apart() -> None:
 
 
 def test_a_controller_is_flown_without_the_filter_and_with_it() -> None:
-    found = field.guided(few(1, seeds=1).config, "random", 1)
+    config = few(1, seeds=1).config
+    found = {switch: field.guided(config, "random", 1, rta) for switch, rta in field.SWITCHES.items()}
     assert not found["off"]["corrected_percent"] and found["off"]["violating_episodes"] == 1
     assert found["on"]["corrected_percent"] > 50.0 and found["on"]["violating_episodes"] == 0
 
@@ -112,7 +119,10 @@ def test_a_study_is_written_with_the_guidance_on_the_same_cases(
     field.write(tmp_path, tmp_path / "out")
     found = json.loads((tmp_path / "out/results.json").read_text())
     assert found["arms"]["rta"]["seeds"] == 1 and found["arms"]["rta"]["training"]["violated"]["any"] == 0
-    even = baselines(arm.config, ["even"])["even"]
+    even = {
+        switch: evaluate("even", Experiment(with_rta(arm.config, rta, 1.0), 2), 2, TEST_CASES)
+        for switch, rta in field.SWITCHES.items()
+    }
     for switch, flown in found["guidance"]["even"].items():
         assert flown["metrics"]["reward"]["mean"] == even[switch]["metrics"]["reward"]["mean"]
     ((_, beside, path),) = figures  # on the cases of the curves, of which there is one

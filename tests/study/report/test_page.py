@@ -12,7 +12,7 @@ import pytest
 
 from study.config import ARMS
 from study.paper import PAPER_METRICS
-from study.report import figures, inputs, page, tables
+from study.report import inputs, page, tables
 from tests.study.web.browser import Browser, chromium
 
 __all__ = ["chromium"]  # a fixture
@@ -64,11 +64,10 @@ class Reader(HTMLParser):
 
 @pytest.fixture(scope="module")
 def study(shipped_study: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The shipped study, whose figures and page are made anew."""
+    """The shipped study, whose page is written anew."""
     directory = tmp_path_factory.mktemp("reported") / "study"
     shutil.copytree(shipped_study, directory)
     found = inputs.read(directory)
-    figures.draw(found)
     tables.write(found)
     page.write(found)
     return directory
