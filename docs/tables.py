@@ -35,11 +35,7 @@ TABLE = re.compile(rf"(?m)^({MARK} (\w+) -->\n(?:\|.*\n){{2}})(?:\|.*\n)*")  # t
 Rows = Iterable[Iterable[str]]  # of cells
 Column = Callable[[Any], str]  # from what a file says of something to a cell
 # what the pages call the study's arms, vehicles and chiefs
-LABELS = {
-    "no_rta": "without RTA",
-    "rta": "with RTA",
-    "robust": "robust",
-}
+LABELS = {"no_rta": "without RTA", "rta": "with RTA"}
 VEHICLES = {"3u": "3U, 4 kg", "12u": "12U, 20 kg", "espa": "ESPA-class, 180 kg"}
 CHIEFS = {"box": "box between panels, fixed", "satellite": "satellite, tumbling"}
 POLICIES = ("random", "adversarial")  # of the campaigns
@@ -89,11 +85,11 @@ def read(path: str) -> Any:
 
 
 def report(name: str) -> Any:
-    """Returns a file that `report` wrote about the study."""
-    return read(f"study/report/{name}.json")
+    """Returns a file that `report` wrote about the agents from nothing."""
+    return read(f"from_nothing/report/{name}.json")
 
 
-def arms(study: str = "study") -> dict[str, Results]:
+def arms(study: str) -> dict[str, Results]:
     """Returns the results of a study's arms, by their names."""
     return read(f"{study}/results.json")["arms"]
 
@@ -211,7 +207,7 @@ def front() -> Rows:
         "the paper's learner here, with RTA": arms("paper")["rta"],
         "ours, from nothing, without RTA": arms("from_nothing")["no_rta"],
         "ours, from nothing, with RTA": arms("from_nothing")["rta"],
-        "agents taught by the guidance, with RTA": arms()["rta"],
+        "agents taught by the guidance, with RTA": arms("study")["rta"],
         "classical guidance with RTA": report("baselines")[GUIDE]["on"],
     }
     yield from rows(found, SUCCESS, CLEAN, VIOLATION, REWARD, TIME, FUEL)
@@ -305,12 +301,9 @@ def of_arms(cross: Mapping[str, Mapping[str, Results]]) -> Rows:
     return agents(switched({LABELS[arm]: found for arm, found in cross.items()}))
 
 
-def dependence() -> Rows:
-    led = {(LABELS["rta"], "with, and `keep_clear`"): read("keep_clear/keep_clear.json")}
-    for arm, found in report("cross").items():
-        yield from of_arms({arm: found})
-        if arm == "rta":
-            yield from agents(led)
+def our_dependence() -> Rows:
+    yield from of_arms(report("cross"))
+    yield from agents({(LABELS["rta"], "with, and `keep_clear`"): read("keep_clear/keep_clear.json")})
 
 
 def baselines() -> Rows:
@@ -337,11 +330,9 @@ def middle_of_cases(seeds: list[Any], name: str) -> float:
 
 
 def evaluated(study: str, arm: str, interactions: int) -> dict[str, float]:
-    """Returns means over the seeds' evaluations of an arm after so many interactions; nothing where there are none."""
+    """Returns means over the seeds' evaluations of an arm after so many interactions."""
     lines = read(f"{study}/{arm}/evaluations.jsonl")
     seeds = [line for line in lines if line["interactions"] == interactions]
-    if not seeds:
-        return {}
     found = {
         name: middle_of_cases(seeds, name) for name in ("inspected_score", "delta_v_m_s", "episode_length_s")
     }
@@ -365,15 +356,14 @@ def learned(study: str, *times: int) -> Rows:
 def early() -> Rows:
     trained = "{success:.1f}, {reward:.3f}, {delta_v_m_s:.2f}, {episode_length_s:,.0f}"
     for arm, label in LABELS.items():
-        curve, cells = report("progress")[arm], []
+        cells = []
         for when, form in (
             (0, "{inspected_score:.2f}, {success:.1f}"),
             (294_912, trained),
             (507_904, trained),
         ):
-            found = evaluated("study", arm, when)  # the robust agents were evaluated only at the end
-            cells.append(form.format(**found) if found else "")
-        yield label, *cells, f"{np.interp(500.0, curve['time_s'], curve['weight']):.2f}"
+            cells.append(form.format(**evaluated("study", arm, when)))
+        yield label, *cells
 
 
 def field_trained() -> Rows:
@@ -608,7 +598,7 @@ TABLES: dict[str, Callable[[], Rows]] = {
     **{
         table.__name__: table
         for table in (
-            *(front, kept, performance, violations, dependence, baselines, worlds),
+            *(front, kept, performance, violations, our_dependence, baselines, worlds),
             *(early, field_trained, field_flown, guidance_flown, how_far, flown),
             *(adversaries, told_worlds, barely, rows_of_a_filter, break_points, boundary, coasting),
             *(agents_in_basilisk, speed, parts_of_a_step),
@@ -623,11 +613,10 @@ TABLES: dict[str, Callable[[], Rows]] = {
     "papers_hidden": lambda: hidden("paper"),
     "our_hidden": lambda: hidden("from_nothing"),
     "papers_dependence": lambda: of_arms(read("paper/report/cross.json")),
-    "our_dependence": lambda: of_arms(read("from_nothing/report/cross.json")),
     "our_spread": lambda: spread({LABELS[arm]: arms("from_nothing")[arm] for arm in ARMS}),
-    "taught": lambda: spread({label: arms()[arm] for arm, label in LABELS.items()}),
+    "taught": lambda: spread({label: arms("study")[arm] for arm, label in LABELS.items()}),
     "guidance_front": lambda: agents(report("front")),
-    "thrifty_to_quick": lambda: agents({**arms("teachers"), GUIDE: arms()["rta"]}),
+    "thrifty_to_quick": lambda: agents({**arms("teachers"), GUIDE: arms("study")["rta"]}),
     "periods_of_agents": lambda: agents(report("frequency")),
     "periods_of_campaigns": lambda: campaigns(
         {(f"{s}", each): campaign(each, s) for s in (1, 5, 10) for each in (*POLICIES, "lookahead")}

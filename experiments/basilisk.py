@@ -1,6 +1,6 @@
 """Compares the project's own simulator with Basilisk: coasting, and agents (docs/guides/basilisk.md).
 
-    python -m experiments.basilisk --study runs/reference/study --out runs/reference/basilisk
+    python -m experiments.basilisk --study runs/reference/from_nothing --out runs/reference/basilisk
 
 Coasts 100 spacecraft from all over the safe set, and flies all agents of two arms through the same cases in both, each
 beside itself. Needs Basilisk (docs/guides/basilisk.md); takes half an hour.

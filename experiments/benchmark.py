@@ -54,7 +54,7 @@ SAMPLES = 16_384  # of an update, at least
 PARTS_STEPS = 10  # environment steps whose parts are timed
 MATRIX = 1024  # rows and columns
 PARTS = ("total", "filter", "integration", "visibility and k-means", "agent", "rest")
-TRAINED = ROOT / "runs/reference/study/rta/seed0/policy.pt"
+TRAINED = ROOT / "runs/reference/from_nothing/rta/seed0/policy.pt"
 U1 = ROOT / "configs/plants/u1.toml"
 # Okabe and Ito's
 PALETTE = ("#0072B2", "#000000", "#D55E00", "#E69F00", "#CC79A7", "#009E73", "#56B4E9", "#666666", "#F0E442")

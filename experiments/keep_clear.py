@@ -1,6 +1,6 @@
 """Flies a study's agents led to free flights that stay clear of the chief (docs/results/learning.md).
 
-    python -m experiments.keep_clear --study runs/reference/study --out runs/reference/keep_clear
+    python -m experiments.keep_clear --study runs/reference/from_nothing --out runs/reference/keep_clear
 
 All agents of the arm with RTA fly the study's test cases with `[train] keep_clear`; takes ten minutes.
 """

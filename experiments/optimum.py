@@ -428,7 +428,7 @@ def draw(found: dict[str, Any], path: Path) -> None:
     ]
     bounded = [case for case in cases if case < len(times[0]["bound_m_s"])]
     proven = [(row["allowed_s"], np.mean([row["bound_m_s"][case] for case in bounded])) for row in times]
-    led = shipped("study/report/front.json").values()
+    led = shipped("from_nothing/report/front.json").values()
     lines = [
         (map(middle, taught), "D-", SKY, "agents taught by the guidance, with RTA"),
         (map(middle, led), "o--", BLUE, "guidance that leads the Sun, the same cases"),

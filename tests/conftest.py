@@ -138,7 +138,7 @@ def made_up_episode(rng: np.random.Generator) -> dict[str, np.ndarray]:
 @pytest.fixture(scope="session")
 def shipped_study(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A copy of the shipped study and its report, without its runs."""
-    source, study = ROOT / "runs/reference/study", tmp_path_factory.mktemp("shipped") / "study"
+    source, study = ROOT / "runs/reference/from_nothing", tmp_path_factory.mktemp("shipped") / "study"
     shutil.copytree(source / "report", study / "report")
     for path in (*source.glob("*.json"), source / "config.toml"):
         shutil.copy(path, study)

@@ -44,7 +44,7 @@ from study.flight.evaluation import play
 
 ROOT = Path(__file__).parents[1]
 FILE = Path(__file__).with_suffix(".json")
-AGENT = ROOT / "runs/reference/study/rta/seed0/policy.pt"
+AGENT = ROOT / "runs/reference/from_nothing/rta/seed0/policy.pt"
 SAMPLES, BLOCKS = 90, 10  # of a quantity, at least one of each row; of a row
 # By how much a quantity may move, in units of a row's largest magnitude. Other processors and versions of PyTorch round
 # otherwise: with other vector instructions in PyTorch, filters moved by less than 1e-12, campaigns by less than 1e-9,

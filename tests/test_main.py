@@ -27,8 +27,8 @@ STATE: dict[str, Any] = {
     "sun_angle": 3.0,
 }
 
-POLICY = Path(main.__file__).parent / "runs/reference/study/rta/seed0/policy.pt"
-EPISODE = Path(main.__file__).parent / "runs/reference/study/report/episode_rta.npz"
+POLICY = Path(main.__file__).parent / "runs/reference/from_nothing/rta/seed0/policy.pt"
+EPISODE = Path(main.__file__).parent / "runs/reference/from_nothing/report/episode_rta.npz"
 
 
 def write_inputs(directory: Path) -> dict[str, Path]:

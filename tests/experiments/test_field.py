@@ -130,9 +130,14 @@ def test_a_study_is_written_with_the_guidance_on_the_same_cases(
     assert beside["metrics"]["reward"]["mean"] != even["on"]["metrics"]["reward"]["mean"]
 
 
-def test_a_study_that_did_not_count_is_refused(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_a_study_that_did_not_count_is_refused(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    arm = few(1, seeds=1)
+    uncounted = {key: value for key, value in arm.results.items() if key != "training_per_seed"}
+    monkeypatch.setattr(field, "agents_of", lambda study, device: {"rta": replace(arm, results=uncounted)})
     with pytest.raises(SystemExit) as stopped:
-        field.main(["--study", str(ROOT / "runs/reference/study"), "--out", str(tmp_path / "out")])
+        field.main(["--study", str(tmp_path), "--out", str(tmp_path / "out")])
     assert stopped.value.code == 2
     assert "did not count" in capsys.readouterr().err
 

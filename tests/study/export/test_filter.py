@@ -83,5 +83,16 @@ def test_a_campaign_flies_through_the_c(tmp_path: Path, capsys: pytest.CaptureFi
         reports.append(json.loads(path.read_text()))
     assert [each["campaign"]["filter"] for each in reports] == ["python", "c"]
     assert reports[0]["filter_calls"] == reports[1]["filter_calls"]
-    arguments = ["verify", "--episodes", "16", "--duration", "60", "--filter", "c", "--json"]
+    arguments = [
+        "verify",
+        "--episodes",
+        "16",
+        "--duration",
+        "60",
+        "--filter",
+        "c",
+        "--device",
+        "cpu",
+        "--json",
+    ]
     assert_refused([*arguments, str(tmp_path / "python.json")], ["holds another campaign"], capsys)

@@ -140,7 +140,7 @@ def test_table_2(study: Path, reader: Reader) -> None:
             expected += [
                 f"{ours['iqm']:.{digits}f} [{a:.{digits}f}, {b:.{digits}f}]",
                 f"{middle:.{digits}f} [{low:.{digits}f}, {high:.{digits}f}]",
-                f"{ours['iqm'] - middle:+.{digits}f}",
+                f"{ours['iqm'] - middle:+z.{digits}f}",
             ]
         ours, (a, b) = guidance["metrics"][name]["iqm"], guidance["metrics"][name]["ci95"]
         assert rows[published.label] == [*expected, f"{ours:.{digits}f} [{a:.{digits}f}, {b:.{digits}f}]"]
