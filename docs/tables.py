@@ -35,7 +35,12 @@ TABLE = re.compile(rf"(?m)^({MARK} (\w+) -->\n(?:\|.*\n){{2}})(?:\|.*\n)*")  # t
 Rows = Iterable[Iterable[str]]  # of cells
 Column = Callable[[Any], str]  # from what a file says of something to a cell
 # what the pages call the study's arms, vehicles and chiefs
-LABELS = {"no_rta": "without RTA", "rta": "with RTA"}
+LABELS = {
+    "no_rta": "without RTA",
+    "rta": "with RTA",
+    "rta_5s": "with RTA every 5 s",
+    "rta_10s": "with RTA every 10 s",
+}
 VEHICLES = {"3u": "3U, 4 kg", "12u": "12U, 20 kg", "espa": "ESPA-class, 180 kg"}
 CHIEFS = {"box": "box between panels, fixed", "satellite": "satellite, tumbling"}
 POLICIES = ("random", "adversarial")  # of the campaigns
@@ -237,9 +242,10 @@ def kept() -> Rows:
 def performance() -> Rows:
     def row(label: str, column: Column, published: Published | None = None) -> Iterator[str]:
         yield label
-        for arm in ARMS:
-            yield column(arms("paper")[arm])
-            yield published.by_arm[arm].text(published.digits) if published else ""
+        for arm, results in arms("paper").items():
+            yield column(results)
+            if arm in ARMS:
+                yield published.by_arm[arm].text(published.digits) if published else ""
 
     for name, published in PAPER_METRICS.items():
         yield row(published.label, interval(name), published)
@@ -251,9 +257,12 @@ def performance() -> Rows:
 
 def violations() -> Rows:
     for name, published in PAPER_VIOLATIONS.items():
-        ours = [f"{arms('paper')[arm]['violations_percent'][name]:.3f}" for arm in ARMS]
-        paper = [published.by_arm[arm].text(published.digits) for arm in ARMS]
-        yield published.label, ours[0], paper[0], ours[1], paper[1]
+        share = number(f"violations_percent/{name}", ".3f")
+        paper = {arm: [published.by_arm[arm].text(published.digits)] for arm in ARMS}
+        yield (
+            published.label,
+            *(cell for arm, each in arms("paper").items() for cell in [share(each), *paper.get(arm, [])]),
+        )
 
 
 def spread(found: Mapping[Any, Results]) -> Rows:
@@ -267,9 +276,9 @@ def spread(found: Mapping[Any, Results]) -> Rows:
 
 
 def hidden(study: str) -> Rows:
-    """Yields counts over all episodes of a study's two arms."""
+    """Yields counts over all episodes of a study's arms."""
     columns = []
-    for arm in ARMS:
+    for arm in arms(study):
         with np.load(REFERENCE / study / arm / "episodes.npz") as episodes:
             metrics = dict(zip(episodes["metric_names"], episodes["metrics"], strict=True))
             violated = dict(zip(episodes["constraint_names"], episodes["violation_seconds"], strict=True))
@@ -319,9 +328,9 @@ def baselines() -> Rows:
 def worlds() -> Rows:
     for plant in ("u1", "harsh"):
         flown = report("worlds")[plant]
-        for arm, label in LABELS.items():
+        for arm in ARMS:
             cells = (f"{SUCCESS(each)}, {VIOLATION(each)}, {REWARD(each)}" for each in flown[arm].values())
-            yield plant, label, *cells
+            yield plant, LABELS[arm], *cells
 
 
 def middle_of_cases(seeds: list[Any], name: str) -> float:
@@ -355,7 +364,7 @@ def learned(study: str, *times: int) -> Rows:
 
 def early() -> Rows:
     trained = "{success:.1f}, {reward:.3f}, {delta_v_m_s:.2f}, {episode_length_s:,.0f}"
-    for arm, label in LABELS.items():
+    for arm in ARMS:
         cells = []
         for when, form in (
             (0, "{inspected_score:.2f}, {success:.1f}"),
@@ -363,7 +372,7 @@ def early() -> Rows:
             (507_904, trained),
         ):
             cells.append(form.format(**evaluated("study", arm, when)))
-        yield label, *cells
+        yield LABELS[arm], *cells
 
 
 def field_trained() -> Rows:
@@ -613,8 +622,8 @@ TABLES: dict[str, Callable[[], Rows]] = {
     "papers_hidden": lambda: hidden("paper"),
     "our_hidden": lambda: hidden("from_nothing"),
     "papers_dependence": lambda: of_arms(read("paper/report/cross.json")),
-    "our_spread": lambda: spread({LABELS[arm]: arms("from_nothing")[arm] for arm in ARMS}),
-    "taught": lambda: spread({label: arms("study")[arm] for arm, label in LABELS.items()}),
+    "our_spread": lambda: spread({LABELS[arm]: found for arm, found in arms("from_nothing").items()}),
+    "taught": lambda: spread({LABELS[arm]: found for arm, found in arms("study").items()}),
     "guidance_front": lambda: agents(report("front")),
     "thrifty_to_quick": lambda: agents({**arms("teachers"), GUIDE: arms("study")["rta"]}),
     "periods_of_agents": lambda: agents(report("frequency")),
