@@ -34,7 +34,7 @@ TABLE = re.compile(rf"(?m)^({MARK} (\w+) -->\n(?:\|.*\n){{2}})(?:\|.*\n)*")  # t
 
 Rows = Iterable[Iterable[str]]  # of cells
 Column = Callable[[Any], str]  # from what a file says of something to a cell
-# what the pages call the study's arms, vehicles and chiefs
+# what the pages call a study's arms, vehicles and chiefs
 LABELS = {
     "no_rta": "without RTA",
     "rta": "with RTA",
@@ -97,6 +97,11 @@ def report(name: str) -> Any:
 def arms(study: str) -> dict[str, Results]:
     """Returns the results of a study's arms, by their names."""
     return read(f"{study}/results.json")["arms"]
+
+
+def labelled(found: Mapping[str, Any]) -> dict[str, Any]:
+    """Returns what is said of a study's arms by what the pages call these."""
+    return {LABELS[arm]: each for arm, each in found.items()}
 
 
 def campaign(name: str, period: int = 1) -> Any:
@@ -197,13 +202,13 @@ def both(label: str, name: str) -> dict[tuple[str, str], Any]:
 
 
 def front() -> Rows:
-    for arm, label in (("no_rta", "without RTA"), ("rta", "with RTA")):
+    for arm in ARMS:
         reward, time, fuel = (
             PAPER_METRICS[name].by_arm[arm].value for name in ("reward", "episode_length_s", "delta_v_m_s")
         )
         any_limit = f"{PAPER_VIOLATIONS['any'].by_arm[arm].value:.3f}"
         yield (
-            f"*the paper's agents {label}*",
+            f"*the paper's agents {LABELS[arm]}*",
             *("", "", any_limit),
             *(f"{reward:.3f}", f"{time:,.0f}", f"{fuel:.2f}"),
         )
@@ -239,30 +244,28 @@ def kept() -> Rows:
         yield label, violating(*flown), f"{sum(map(calls, flown)) / 1e6:,.1f} million"
 
 
-def performance() -> Rows:
-    def row(label: str, column: Column, published: Published | None = None) -> Iterator[str]:
-        yield label
-        for arm, results in arms("paper").items():
-            yield column(results)
-            if arm in ARMS:
-                yield published.by_arm[arm].text(published.digits) if published else ""
+def beside_the_paper(label: str, column: Column, published: Published | None = None) -> Iterator[str]:
+    """Yields a row of the paper's study: of each arm our number, then the paper's of the arms that it has."""
+    yield label
+    for arm, results in arms("paper").items():
+        yield column(results)
+        if arm in ARMS:
+            yield published.by_arm[arm].text(published.digits) if published else ""
 
+
+def performance() -> Rows:
     for name, published in PAPER_METRICS.items():
-        yield row(published.label, interval(name), published)
-    yield row("Success (%)", SUCCESS)
-    yield row("Clean success (%)", CLEAN)
-    yield row("Any violation (mean % of steps)", VIOLATION, PAPER_VIOLATIONS["any"])
-    yield row("Any violation (mean % of seconds)", number("violations_percent_of_seconds/any", ".3f"))
+        yield beside_the_paper(published.label, interval(name), published)
+    yield beside_the_paper("Success (%)", SUCCESS)
+    yield beside_the_paper("Clean success (%)", CLEAN)
+    yield beside_the_paper("Any violation (mean % of steps)", VIOLATION, PAPER_VIOLATIONS["any"])
+    seconds = number("violations_percent_of_seconds/any", ".3f")
+    yield beside_the_paper("Any violation (mean % of seconds)", seconds)
 
 
 def violations() -> Rows:
     for name, published in PAPER_VIOLATIONS.items():
-        share = number(f"violations_percent/{name}", ".3f")
-        paper = {arm: [published.by_arm[arm].text(published.digits)] for arm in ARMS}
-        yield (
-            published.label,
-            *(cell for arm, each in arms("paper").items() for cell in [share(each), *paper.get(arm, [])]),
-        )
+        yield beside_the_paper(published.label, number(f"violations_percent/{name}", ".3f"), published)
 
 
 def spread(found: Mapping[Any, Results]) -> Rows:
@@ -307,7 +310,7 @@ def switched(found: Mapping[str, Mapping[str, Any]]) -> dict[tuple[str, str], An
 
 def of_arms(cross: Mapping[str, Mapping[str, Results]]) -> Rows:
     """Yields what `agents` does of arms flown without and with the filter."""
-    return agents(switched({LABELS[arm]: found for arm, found in cross.items()}))
+    return agents(switched(labelled(cross)))
 
 
 def our_dependence() -> Rows:
@@ -622,8 +625,8 @@ TABLES: dict[str, Callable[[], Rows]] = {
     "papers_hidden": lambda: hidden("paper"),
     "our_hidden": lambda: hidden("from_nothing"),
     "papers_dependence": lambda: of_arms(read("paper/report/cross.json")),
-    "our_spread": lambda: spread({LABELS[arm]: found for arm, found in arms("from_nothing").items()}),
-    "taught": lambda: spread({LABELS[arm]: found for arm, found in arms("study").items()}),
+    "our_spread": lambda: spread(labelled(arms("from_nothing"))),
+    "taught": lambda: spread(labelled(arms("study"))),
     "guidance_front": lambda: agents(report("front")),
     "thrifty_to_quick": lambda: agents({**arms("teachers"), GUIDE: arms("study")["rta"]}),
     "periods_of_agents": lambda: agents(report("frequency")),
