@@ -32,7 +32,7 @@ def test_every_table_is_on_a_page() -> None:
     [
         ("| 4.426 [4.386, 4.467] |", "| 1.505 [4.386, 4.467] |"),
         ("| PSM | 0.019 | 0.989 |", "| PSM | 0.019 |"),
-        ("| y velocity limit | 0.000 | 0.000 | 0.000 | 0.079 |\n", ""),
+        ("| y velocity limit | 0.000 | 0.000 | 0.000 | 0.079 | 0.000 | 0.000 |\n", ""),
     ],
 )
 def test_a_wrong_number_is_found_and_renewed(
