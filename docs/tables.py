@@ -322,6 +322,7 @@ def baselines() -> Rows:
     names = {
         "untrained": "untrained agent",
         "random": "random controls",
+        "natural-motion": "guidance natural-motion",
         GUIDE: f"guidance {GUIDE}",
     }
     found = report("baselines")
@@ -332,7 +333,10 @@ def worlds() -> Rows:
     for plant in ("u1", "harsh"):
         flown = report("worlds")[plant]
         for arm in ARMS:
-            cells = (f"{SUCCESS(each)}, {VIOLATION(each)}, {REWARD(each)}" for each in flown[arm].values())
+            cells = (
+                f"{SUCCESS(each)}, {CLEAN(each)}, {VIOLATION(each)}, {REWARD(each)}"
+                for each in flown[arm].values()
+            )
             yield plant, LABELS[arm], *cells
 
 
