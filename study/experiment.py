@@ -44,7 +44,9 @@ WORTH_BATCHING = 32
 # what "free_flight" in `observed` depends on
 OF_FREE_FLIGHT = ("passive_safety_horizon", "free_flight_horizon", "deputy_radius", "chief_radius")
 
-PENALTY = -0.003  # [inspection] correction_reward that "penalty" comes with; that of study.toml and from_nothing.toml
+PENALTY = (
+    -0.003
+)  # [inspection] correction_reward that "penalty" comes with; that of study.toml and from_nothing.toml
 LARGEST_WEIGHT = 1e3  # of a policy; training leaves weights of 2 at most
 
 
