@@ -212,11 +212,9 @@ def front() -> Rows:
             *("", "", any_limit),
             *(f"{reward:.3f}", f"{time:,.0f}", f"{fuel:.2f}"),
         )
+    learners = {"paper": "the paper's learner here", "from_nothing": "ours, from nothing"}
     found = {
-        "the paper's learner here, without RTA": arms("paper")["no_rta"],
-        "the paper's learner here, with RTA": arms("paper")["rta"],
-        "ours, from nothing, without RTA": arms("from_nothing")["no_rta"],
-        "ours, from nothing, with RTA": arms("from_nothing")["rta"],
+        **{f"{name}, {LABELS[arm]}": arms(study)[arm] for study, name in learners.items() for arm in ARMS},
         "agents taught by the guidance, with RTA": arms("study")["rta"],
         "classical guidance with RTA": report("baselines")[GUIDE]["on"],
     }
@@ -371,15 +369,9 @@ def learned(study: str, *times: int) -> Rows:
 
 def early() -> Rows:
     trained = "{success:.1f}, {reward:.3f}, {delta_v_m_s:.2f}, {episode_length_s:,.0f}"
+    forms = {0: "{inspected_score:.2f}, {success:.1f}", 294_912: trained, 507_904: trained}
     for arm in ARMS:
-        cells = []
-        for when, form in (
-            (0, "{inspected_score:.2f}, {success:.1f}"),
-            (294_912, trained),
-            (507_904, trained),
-        ):
-            cells.append(form.format(**evaluated("study", arm, when)))
-        yield LABELS[arm], *cells
+        yield LABELS[arm], *(form.format(**evaluated("study", arm, when)) for when, form in forms.items())
 
 
 def field_trained() -> Rows:

@@ -74,25 +74,13 @@ def test_the_c_answers_a_batch_as_the_filter() -> None:
 
 @pytest.mark.usefixtures("compiler")
 def test_a_campaign_flies_through_the_c(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    reports = []
+    flight, reports = ["verify", "--episodes", "16", "--duration", "60", "--device", "cpu"], []
     for form in ("python", "c"):
         path = tmp_path / f"{form}.json"
-        arguments = ["verify", "--episodes", "16", "--duration", "60", "--device", "cpu", "--threads", "1"]
-        code, _, err = call([*arguments, "--filter", form, "--json", str(path)], capsys)
+        code, _, err = call([*flight, "--threads", "1", "--filter", form, "--json", str(path)], capsys)
         assert code == 0, err
         reports.append(json.loads(path.read_text()))
     assert [each["campaign"]["filter"] for each in reports] == ["python", "c"]
     assert reports[0]["filter_calls"] == reports[1]["filter_calls"]
-    arguments = [
-        "verify",
-        "--episodes",
-        "16",
-        "--duration",
-        "60",
-        "--filter",
-        "c",
-        "--device",
-        "cpu",
-        "--json",
-    ]
+    arguments = [*flight, "--filter", "c", "--json"]
     assert_refused([*arguments, str(tmp_path / "python.json")], ["holds another campaign"], capsys)
