@@ -3,14 +3,18 @@
 import torch
 from torch import Tensor
 
-# The price is in units of reward per cost of one step. A step of the task is worth about 0.01: if a tenth of all steps
-# break limits beyond the allowed share, each costs ten times that at once, and twenty times after ten updates.
-PROPORTIONAL_GAIN = 1.0
-INTEGRAL_GAIN = 0.1  # per update
+# The price is in units of reward per cost of one step, of which a step of the task has about 0.01. It changes by at most
+# 0.003 an update, upwards or downwards: beginners break limits a hundred times as often as is allowed, and a price that
+# followed them without a bound would stay for the rest of training.
+PROPORTIONAL_GAIN = 0.03
+INTEGRAL_GAIN = 0.003  # per update
+LEAST_LIMIT = 1e-6  # that an excess is measured in
 
 
 class Multiplier:
     """Lagrange multiplier of S seeds under PI control (Stooke et al. 2020, algorithm 2, without its derivative).
+
+    Its error is the excess of costs in units of their limit, and at most 1.
 
     Attributes:
         value: (S,), never negative; 0 at first.
@@ -23,7 +27,7 @@ class Multiplier:
 
     def update(self, cost: Tensor) -> None:
         """Answer the mean cost per step (S,) of a batch."""
-        excess = cost - self.limit
+        excess = ((cost - self.limit) / max(self.limit, LEAST_LIMIT)).clamp(max=1.0)
         # I = (I + K_I Delta)^+, lambda = (K_P Delta + I)^+
         self.integral = (self.integral + INTEGRAL_GAIN * excess).clamp(min=0.0)
         self.value = (PROPORTIONAL_GAIN * excess + self.integral).clamp(min=0.0)

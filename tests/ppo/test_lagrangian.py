@@ -18,7 +18,7 @@ LIMIT = 0.2
 
 
 class Bandit:
-    """Each step is an episode that pays a tenth of its action, and costs 1 where that is above 0.
+    """Each step is an episode that pays a hundredth of its action, and costs 1 where that is above 0.
 
     So the most reward with a cost in `LIMIT` of the steps has costs in just so many; without a limit all steps cost.
     """
@@ -32,7 +32,7 @@ class Bandit:
         return SimpleNamespace(
             observation=seen,
             final_observation=seen,
-            reward=0.1 * action[:, 0].double(),
+            reward=0.01 * action[:, 0].double(),
             cost=(action[:, 0] > 0.0).double(),
             terminated=ends,
             truncated=~ends,
@@ -65,14 +65,31 @@ def trained(cost_limit: float) -> torch.Tensor:
 def test_the_price_is_proportional_and_integral_and_never_negative() -> None:
     multiplier = Multiplier(LIMIT, 2, torch.device("cpu"))
     for _ in range(5):
-        multiplier.update(torch.tensor([0.5, 0.1]))
-    expected = PROPORTIONAL_GAIN * 0.3 + 5 * INTEGRAL_GAIN * 0.3
+        multiplier.update(LIMIT * torch.tensor([1.5, 0.5]))
+    expected = PROPORTIONAL_GAIN * 0.5 + 5 * INTEGRAL_GAIN * 0.5
     torch.testing.assert_close(multiplier.value, torch.tensor([expected, 0.0]))
-    multiplier.update(torch.tensor([0.2, 0.3]))  # at its limit the price stays; what was below owes nothing
+    multiplier.update(LIMIT * torch.tensor([1.0, 1.5]))  # at its limit the price stays; what was below owes nothing
     torch.testing.assert_close(
         multiplier.value,
-        torch.tensor([5 * INTEGRAL_GAIN * 0.3, PROPORTIONAL_GAIN * 0.1 + INTEGRAL_GAIN * 0.1]),
+        torch.tensor([5 * INTEGRAL_GAIN * 0.5, PROPORTIONAL_GAIN * 0.5 + INTEGRAL_GAIN * 0.5]),
     )
+
+
+@pytest.mark.parametrize("share", [1.0, 2.0 * LIMIT])
+def test_the_price_of_many_violations_falls_as_fast_as_it_rose(share: float) -> None:
+    multiplier = Multiplier(LIMIT, 1, torch.device("cpu"))
+    for _ in range(20):
+        multiplier.update(torch.tensor([share]))
+    torch.testing.assert_close(multiplier.integral, torch.tensor([20 * INTEGRAL_GAIN]))
+    for _ in range(20):
+        multiplier.update(torch.tensor([0.0]))
+    torch.testing.assert_close(multiplier.integral, torch.tensor([0.0]))
+
+
+def test_a_limit_of_nothing_has_a_price_too() -> None:
+    multiplier = Multiplier(0.0, 2, torch.device("cpu"))
+    multiplier.update(torch.tensor([0.0, 0.1]))
+    torch.testing.assert_close(multiplier.value, torch.tensor([0.0, PROPORTIONAL_GAIN + INTEGRAL_GAIN]))
 
 
 def test_costs_are_returned_as_rewards_are(toy, small_learner) -> None:
