@@ -3,9 +3,9 @@
 import torch
 from torch import Tensor
 
-# The price is in units of reward per cost of one step, of which a step of the task has about 0.01. It changes by at most
-# 0.003 an update, upwards or downwards: beginners break limits a hundred times as often as is allowed, and a price that
-# followed them without a bound would stay for the rest of training.
+# The price is in units of reward per cost of one step, where a step of the task has about 0.01. It changes by at most
+# 0.003 an update, up or down. Beginners break limits a hundred times as often as is allowed: a price that followed them
+# without a bound would stay for the rest of training.
 PROPORTIONAL_GAIN = 0.03
 INTEGRAL_GAIN = 0.003  # per update
 LEAST_LIMIT = 1e-6  # that an excess is measured in
