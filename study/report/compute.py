@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from settings import InputError
-from study.config import ARMS, BASELINES, GUIDE, TEST_CASES
+from study.config import ARMS, BASELINES, TEST_CASES
 from study.errors import MALFORMED, as_input_error
 from study.files import write_json, write_npz, write_text
 from study.report import flights, tables
@@ -80,7 +80,6 @@ def work(study: Path, arms: dict[str, Arm]) -> Work:
     config = next(iter(arms.values())).config
     periods = ", ".join(f"{period:g}" for period in flights.PERIODS)
     filtered = f"the agents trained with RTA, the filter called every {periods} s, a few minutes"
-    guided = f"the guidance {GUIDE} with RTA over {flights.GUIDANCE_CASES:,} cases, a few minutes"
     untrained = f"what is not trained ({', '.join(BASELINES)}), a few minutes"
     elsewhere = f"every agent in other worlds ({', '.join(flights.WORLDS)}), a quarter of an hour or more"
     lit = partial(shortest_episodes, config, config.train.final_episodes, TEST_CASES)
@@ -90,7 +89,6 @@ def work(study: Path, arms: dict[str, Arm]) -> Work:
     if "rta" in arms:
         todo["frequency.json"] = (filtered, partial(flights.frequency, arms["rta"]))
     todo["baselines.json"] = (untrained, partial(flights.baselines, config))
-    todo["guidance.json"] = (guided, partial(flights.guidance, config))
     todo["front.json"] = ("the guidance from thrifty to quick, a few minutes", partial(flights.front, config))
     todo["progress.json"] = (
         "what is inspected by when, a few minutes",

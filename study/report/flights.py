@@ -31,7 +31,6 @@ from study.report.agents import Arm, stacked
 
 DEMONSTRATION = ROOT / "configs" / "demonstration.json"
 DEMONSTRATION_DURATION = 2000.0  # s
-GUIDANCE_CASES = 1000
 FILTER_PERIOD = 1.0  # s between two calls of the filter
 PLANTS = ROOT / "configs" / "plants"
 WORLDS = ("nominal", "typical", "u1", "harsh")  # files there
@@ -102,22 +101,16 @@ def baselines(config: Config) -> dict[str, dict[str, Results]]:
     }
 
 
-def guidance(config: Config) -> Results:
-    """The guidance with which agents are compared, behind the filter, on many cases."""
-    return guided([GUIDE], config, GUIDANCE_CASES)[GUIDE]
-
-
 def front(config: Config) -> dict[str, Results]:
-    """By name, each guidance that leads the Sun behind the filter, on the study's test cases."""
-    names = [name for name, orbit in GUIDANCE.items() if orbit.lead]
-    return guided(names, config, config.train.final_episodes)
-
-
-def guided(names: Sequence[str], config: Config, cases: int) -> dict[str, Results]:
-    """What each of these guidances flies behind the filter, deciding as often as that is called."""
+    """By name, each guidance that leads the Sun behind the filter, deciding as often as that is called."""
+    cases = config.train.final_episodes
     experiment = Experiment(with_rta(config, True, FILTER_PERIOD), cases)
-    flown = {name: play_controller(name, experiment, cases, TEST_CASES) for name in names}
-    return {name: report(record, experiment.config, TEST_CASES) for name, record in flown.items()}
+
+    def flown(name: str) -> Results:
+        record = play_controller(name, experiment, cases, TEST_CASES)
+        return report(record, experiment.config, TEST_CASES)
+
+    return {name: flown(name) for name, orbit in GUIDANCE.items() if orbit.lead}
 
 
 def worlds(arms: dict[str, Arm]) -> dict[str, dict[str, dict[str, Results]]]:

@@ -10,7 +10,7 @@ from zipfile import BadZipFile
 import numpy as np
 
 from settings import load
-from study.config import ARMS, StudyConfig
+from study.config import ARMS, GUIDE, StudyConfig
 from study.errors import MALFORMED, as_input_error
 from study.flight.figures import Episode
 from study.paper import Results
@@ -26,7 +26,6 @@ class Inputs:
         arms: final evaluation of each of the paper's arms, with `seeds`, `interactions` and `wall_clock_s`; own: of the
             study's own arms.
         provenance: where they were trained, with `device`, `ranks` and `threads`.
-        guidance: evaluation of the guidance GUIDE behind the filter; empty if there is none.
         front: by name, the guidance behind the filter; empty if it has not been flown.
         worlds: by plant, arm and filter (off, nominal, robust): the agents in worlds that are not the model; empty if
             they have not been flown there.
@@ -45,7 +44,6 @@ class Inputs:
     arms: dict[str, Results]
     own: dict[str, Results]
     provenance: dict[str, Any]
-    guidance: Results
     front: dict[str, Results]
     worlds: dict[str, dict[str, dict[str, Results]]]
     progress: dict[str, dict[str, list[float]]]
@@ -69,6 +67,11 @@ class Inputs:
         return self.arms | self.own
 
     @property
+    def guidance(self) -> Results:
+        """Evaluation of the guidance GUIDE behind the filter; empty if it has not been flown."""
+        return self.front.get(GUIDE, {})
+
+    @property
     def columns(self) -> dict[str, Results]:
         """Those of Tables 2 and 3: the arms and "guidance"."""
         return self.arms | ({"guidance": self.guidance} if self.guidance else {})
@@ -90,7 +93,6 @@ def read(study: Path) -> Inputs:
         provenance=read_json(study / "provenance.json"),
         cross=read_json(report / "cross.json"),
         training=read_curves(report / "training.csv"),
-        guidance=read_json_if_any(report / "guidance.json"),
         front=read_json_if_any(report / "front.json"),
         worlds=read_json_if_any(report / "worlds.json"),
         progress=read_json_if_any(report / "progress.json"),

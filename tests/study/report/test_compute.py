@@ -42,7 +42,6 @@ minibatch_size = 8
 FILES = {
     "cross.json",
     "frequency.json",
-    "guidance.json",
     "baselines.json",
     "front.json",
     "progress.json",
@@ -58,11 +57,10 @@ FILES = {
 
 @pytest.fixture(scope="module", autouse=True)
 def brief(small_pools: None, loose_figures: None) -> Any:
-    """Two periods, short demonstrations and few cases of the guidance."""
+    """Two periods, short demonstrations and few settings of the guidance."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(flights, "PERIODS", (1.0, 5.0))
         patch.setattr(flights, "DEMONSTRATION_DURATION", DURATION)
-        patch.setattr(flights, "GUIDANCE_CASES", CASES)
         patch.setattr(flights, "GUIDANCE", {name: GUIDANCE[name] for name in ("following", "even", "quick")})
         patch.setattr(flights, "WORLDS", ("nominal", "harsh"))
         patch.setattr(flights, "WORLDS_CASES", 1)
