@@ -694,6 +694,8 @@ LEARNER = [
         "ppo/test_lagrangian.py",
         ("INTEGRAL_GAIN * excess).clamp(min=0.0)", "INTEGRAL_GAIN * excess)"),
         ("(PROPORTIONAL_GAIN * excess + self.integral)", "self.integral"),
+        (".clamp(max=1.0)", ""),
+        ("/ max(self.limit, LEAST_LIMIT)", ""),
         ("self.integral, self.value = state", "self.value, self.integral = state"),
     ),
     *faults(
