@@ -276,6 +276,14 @@ def spread(found: Mapping[Any, Results]) -> Rows:
     return rows(found, CLEAN, VIOLATION, *columns)
 
 
+def longer() -> Rows:
+    """Yields what agents from nothing fly with RTA after 5 and after 50 million interactions."""
+    found = {"10 seeds, 5 million": arms("from_nothing")["rta"], "1 seed, 50 million": arms("long")["rta"]}
+    tail = "{iqm}, {p5} to {p95}, {max}"
+    columns = metric("episode_length_s", tail), metric("delta_v_m_s", tail)
+    return rows(found, SUCCESS, CLEAN, metric("reward", "{iqm}, {mean}"), *columns)
+
+
 def hidden(study: str) -> Rows:
     """Yields counts over all episodes of a study's arms."""
     columns = []
@@ -354,16 +362,16 @@ def evaluated(study: str, arm: str, interactions: int) -> dict[str, float]:
     return found | {"reward": float(np.mean([seed["cases"]["reward"] for seed in seeds]))}
 
 
-def learned(study: str, *times: int) -> Rows:
-    """Yields what the agents of a study's two arms had learned after so many interactions."""
+def learned(study: str, *times: int, arms: Iterable[str] = ARMS) -> Rows:
+    """Yields what the agents of a study's arms had learned after so many interactions."""
     with open(REFERENCE / study / "report/training.csv", newline="", encoding="utf-8") as file:
         found = {
             (row["interactions"], row["arm"], row["metric"]): float(row["iqm"])
             for row in csv.DictReader(file)
         }
-    forms = {"inspected_score": ".2f", "reward": ".2f", "delta_v_m_s": ".1f", "episode_length_s": ",.0f"}
+    forms = {"inspected_score": ".2f", "reward": ".3f", "delta_v_m_s": ".2f", "episode_length_s": ",.0f"}
     for when in times:
-        cells = (f"{found[f'{when}', arm, name]:{form}}" for name, form in forms.items() for arm in ARMS)
+        cells = (f"{found[f'{when}', arm, name]:{form}}" for name, form in forms.items() for arm in arms)
         yield f"{when:,}", *cells
 
 
@@ -618,6 +626,19 @@ TABLES: dict[str, Callable[[], Rows]] = {
     "our_learning": lambda: learned(
         "from_nothing", 0, 114_688, 311_296, 507_904, 1_015_808, 2_015_232, 3_014_656, 5_013_504
     ),
+    "our_long": lambda: learned(
+        "long",
+        835_584,
+        2_506_752,
+        5_013_504,
+        10_010_624,
+        20_004_864,
+        30_015_488,
+        40_009_728,
+        50_003_968,
+        arms=["rta"],
+    ),
+    "our_longer": longer,
     "papers_hidden": lambda: hidden("paper"),
     "our_hidden": lambda: hidden("from_nothing"),
     "papers_dependence": lambda: of_arms(read("paper/report/cross.json")),

@@ -445,8 +445,10 @@ def draw(found: dict[str, Any], path: Path) -> None:
         ):
             agents = shipped(f"{study}/results.json")["arms"][arm]
             lines.append(([middle(agents)], marker, colour, f"{learner}, {name}"))
+    long = middle(shipped("long/results.json")["arms"]["rta"])
+    lines.append(([long], "*", ORANGE, "the same, one seed, ten times as long"))
     for points, style, colour, label in lines:
-        axis.plot(*zip(*points, strict=True), style, color=colour, label=label, ms=8 if style in "sD" else 5)
+        axis.plot(*zip(*points, strict=True), style, color=colour, label=label, ms=8 if style in "sD*" else 5)
     axis.set(xlabel="time to success (s)", ylabel="delta v (m/s), logarithmic", yscale="log")
     axis.xaxis.set_major_formatter(StrMethodFormatter("{x:,.0f}"))
     axis.set_yticks([0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0])
