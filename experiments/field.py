@@ -1,13 +1,16 @@
 """Compares what is done against violations: prices, a Lagrangian, filters in training, after it or both.
 
     python main.py study --config configs/from_nothing.toml --config configs/field.toml --study-dir runs/field
-    python -m experiments.field --study runs/field --out runs/reference/field
+    python main.py study --config configs/from_nothing.toml --config configs/field.toml --seeds 10 \\
+        --arms '["plain", "prices", "lagrangian"]' --study-dir runs/field_10
+    python -m experiments.field --study runs/field runs/field_10 --out runs/reference/field
 
-Reads what the arms of that study broke in training, flies their agents with the filter and without, flies the guidance
-beside them, and draws how they learned. Takes a few minutes.
+Reads what the arms of these studies broke in training, flies their agents with the filter and without, flies the
+guidance beside them, and draws how they learned. Takes a few minutes.
 """
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -138,7 +141,13 @@ def figure(results: dict[str, Any], beside: dict[str, Any], path: Path) -> None:
 
 def main(argv: list[str] | None = None) -> None:
     parser = Parser(prog="python -m experiments.field", description=__doc__.splitlines()[0])
-    parser.add_argument("--study", type=Path, required=True, help="directory of a finished study")
+    parser.add_argument(
+        "--study",
+        type=Path,
+        nargs="+",
+        required=True,
+        help="directories of finished studies; a later one's arm replaces one of the same name",
+    )
     parser.add_argument("--out", type=Path, required=True, help="directory for results.json and figure.png")
     given = parser.parse_args(argv)
     set_threads(None)
@@ -148,13 +157,17 @@ def main(argv: list[str] | None = None) -> None:
         parser.error(str(error))
 
 
-def write(study: Path, out: Path) -> None:
-    """Writes results.json and figure.png of a finished study.
+def write(studies: Sequence[Path], out: Path) -> None:
+    """Writes results.json and figure.png of finished studies.
 
     Raises:
-        InputError: there is none, or an older revision trained it.
+        InputError: one is none, or an older revision trained it.
     """
-    arms = agents_of(study, "cpu")
+    arms: dict[str, Arm] = {}
+    evaluations: dict[str, Path] = {}
+    for study in studies:
+        arms |= (own := agents_of(study, "cpu"))
+        evaluations |= {name: study / name / "evaluations.jsonl" for name in own}
     training = {name: exposure(arm.results) for name, arm in arms.items()}  # first, since it may be refused
     found: dict[str, Any] = {
         name: {
@@ -163,7 +176,7 @@ def write(study: Path, out: Path) -> None:
             "filtered": arm.config.train.rta,
             "training": training[name],
             "flown": {switch: flown(arm, rta) for switch, rta in SWITCHES.items()},
-            "curves": curves(study / name / "evaluations.jsonl"),
+            "curves": curves(evaluations[name]),
         }
         for name, arm in arms.items()
     }

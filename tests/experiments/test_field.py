@@ -101,11 +101,14 @@ def test_a_controller_is_flown_without_the_filter_and_with_it() -> None:
     assert found["on"]["corrected_percent"] > 50.0 and found["on"]["violating_episodes"] == 0
 
 
-def test_a_study_is_written_with_the_guidance_on_the_same_cases(
+def test_studies_are_written_with_the_guidance_on_the_same_cases(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    arm, figures = few(2, seeds=1), []
-    monkeypatch.setattr(field, "agents_of", lambda study, device: {"rta": arm})
+    """Of two arms of one name the later study's is flown, and its evaluations are read."""
+    arm, figures, former = few(2, seeds=1), [], tmp_path / "former"
+    monkeypatch.setattr(
+        field, "agents_of", lambda study, device: {"rta": few(1, seeds=2) if study == former else arm}
+    )
     monkeypatch.setattr(field, "CLASSICAL", ("even",))
     monkeypatch.setattr(field, "figure", lambda *given: figures.append(given))
     (tmp_path / "rta").mkdir()
@@ -116,7 +119,7 @@ def test_a_study_is_written_with_the_guidance_on_the_same_cases(
         "metrics": {"reward": {"mean": 1.0}, "delta_v_m_s": {"mean": 1.0}},
     }
     (tmp_path / "rta/evaluations.jsonl").write_text(json.dumps(line))
-    field.write(tmp_path, tmp_path / "out")
+    field.write([former, tmp_path], tmp_path / "out")
     found = json.loads((tmp_path / "out/results.json").read_text())
     assert found["arms"]["rta"]["seeds"] == 1 and found["arms"]["rta"]["training"]["violated"]["any"] == 0
     even = {
