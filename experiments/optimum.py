@@ -446,7 +446,7 @@ def draw(found: dict[str, Any], path: Path) -> None:
             agents = shipped(f"{study}/results.json")["arms"][arm]
             lines.append(([middle(agents)], marker, colour, f"{learner}, {name}"))
     long = middle(shipped("long/results.json")["arms"]["rta"])
-    lines.append(([long], "*", ORANGE, "the same, one seed, ten times as long"))
+    lines.append(([long], "*", ORANGE, "ours, with RTA, one seed, ten times as long"))
     for points, style, colour, label in lines:
         axis.plot(*zip(*points, strict=True), style, color=colour, label=label, ms=8 if style in "sD*" else 5)
     axis.set(xlabel="time to success (s)", ylabel="delta v (m/s), logarithmic", yscale="log")

@@ -3,18 +3,17 @@
 import torch
 from torch import Tensor
 
-# The price is in units of reward per cost of one step, where a step of the task has about 0.01. It changes by at most
-# 0.003 an update, up or down. Beginners break limits a hundred times as often as is allowed: a price that followed them
-# without a bound would stay for the rest of training.
+# The price is in units of reward per cost of one step; a step of the task earns about 0.01. Beginners break limits
+# hundreds of times as often as is allowed. Their excess counts as 1, so that the integral falls as fast as it rose.
 PROPORTIONAL_GAIN = 0.03
 INTEGRAL_GAIN = 0.003  # per update
-LEAST_LIMIT = 1e-6  # that an excess is measured in
+LEAST_LIMIT = 1e-6  # an excess is divided by no less, so that a limit of 0 has a price
 
 
 class Multiplier:
     """Lagrange multiplier of S seeds under PI control (Stooke et al. 2020, algorithm 2, without its derivative).
 
-    Its error is the excess of costs in units of their limit, and at most 1.
+    Its error is the excess of costs in units of their limit, and at most 1. At a limit of 0 the price never falls.
 
     Attributes:
         value: (S,), never negative; 0 at first.

@@ -32,7 +32,7 @@ class PPOParameters(Settings):
     )
     cost_limit: float = setting(
         1.0,
-        "share of steps that may break a limit; a price that follows it keeps it there (PPO-Lagrangian); 1: no price",
+        "share of steps that may break a limit; a price rises above it, falls below it (PPO-Lagrangian); 1: no price",
         most=1,
     )
     entropy_coefficient: float = setting(0.0, "weight of the entropy bonus, per nat", most=LARGEST_WEIGHT)

@@ -22,6 +22,7 @@ Tables = dict[str, dict[str, Any]]
 # The paper's arms: by name, in what an arm of a study differs from the study's own tables. More are in a file's [arms].
 ARMS: dict[str, Tables] = {"no_rta": {"train": {"rta": False}}, "rta": {"train": {"rta": True}}}
 TEST_CASES = 0  # seed of the cases of every final evaluation
+EVALUATION_CASES = 1_000_000  # seed of the cases of evaluations during training
 GUIDE = "quick"  # the guidance with which agents are compared, and which teaches them unless another is named
 BASELINES = (
     "untrained",

@@ -20,7 +20,7 @@ from ppo.errors import NonFiniteError, RankLostError
 from ppo.learner import PPO
 from ppo.trainer import Trainer
 from settings import to_toml
-from study.config import TEST_CASES, AnyConfig, Config
+from study.config import EVALUATION_CASES, TEST_CASES, AnyConfig, Config
 from study.errors import Stopped, as_input_error
 from study.experiment import Experiment, with_solver
 from study.files import write_json
@@ -36,7 +36,6 @@ from study.training.monitor import Exposure, Monitor
 
 CHECKPOINT = "checkpoint.pt"
 LESSONS = "lessons"  # the directory of what is taught, a file to a batch, as long as the lessons last
-EVALUATION_CASES = 1_000_000  # seed of the periodic test cases, apart from those of the final evaluation
 
 
 @contextmanager
