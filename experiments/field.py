@@ -1,9 +1,9 @@
 """Compares what is done against violations: prices, a Lagrangian, filters in training, after it or both.
 
-    python main.py study --config configs/from_nothing.toml --config configs/field.toml --study-dir runs/field
+    python main.py study --config configs/from_nothing.toml --config configs/field.toml --study-dir runs/filtered
     python main.py study --config configs/from_nothing.toml --config configs/field.toml --seeds 10 \\
-        --arms '["plain", "prices", "lagrangian"]' --study-dir runs/field_10
-    python -m experiments.field --study runs/field runs/field_10 --out runs/reference/field
+        --arms plain,prices,lagrangian --study-dir runs/unfiltered
+    python -m experiments.field --study runs/unfiltered runs/filtered --out runs/reference/field
 
 Reads what the arms of these studies broke in training, flies their agents with the filter and without, flies the
 guidance beside them, and draws how they learned. Takes a few minutes.
@@ -19,7 +19,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import StrMethodFormatter
 
 from settings import InputError, Parser
-from study.config import TEST_CASES, Config
+from study.config import EVALUATION_CASES, TEST_CASES, Config
 from study.files import write_json, writing
 from study.flight.evaluation import Episodes, play_controller, report
 from study.machine import set_threads
@@ -43,6 +43,7 @@ def summary(record: Episodes, config: Config, seeds: int = 1) -> dict[str, Any]:
     results = report(record, config, TEST_CASES, seeds)
     each = [report(own, config, TEST_CASES) for own in record.split(seeds)]
     return {
+        "episodes": results["episodes"],
         "outcomes": results["outcomes"],
         "metrics": {name: {key: results["metrics"][name][key] for key in ("iqm", "mean")} for name in KEPT},
         "violations_percent": results["violations_percent"]["any"],
@@ -106,10 +107,10 @@ def flown(arm: Arm, rta: bool) -> dict[str, Any]:
     return summary(record, config, len(arm.digests))
 
 
-def guided(config: Config, name: str, cases: int, rta: bool) -> dict[str, Any]:
+def guided(config: Config, name: str, cases: int, rta: bool, seed: int = TEST_CASES) -> dict[str, Any]:
     """Returns the summary of a guidance, which decides every second, with the filter off or on."""
     experiment = unlearned(config, rta, cases)
-    return summary(play_controller(name, experiment, cases, TEST_CASES), experiment.config)
+    return summary(play_controller(name, experiment, cases, seed), experiment.config)
 
 
 def figure(results: dict[str, Any], beside: dict[str, Any], path: Path) -> None:
@@ -142,11 +143,7 @@ def figure(results: dict[str, Any], beside: dict[str, Any], path: Path) -> None:
 def main(argv: list[str] | None = None) -> None:
     parser = Parser(prog="python -m experiments.field", description=__doc__.splitlines()[0])
     parser.add_argument(
-        "--study",
-        type=Path,
-        nargs="+",
-        required=True,
-        help="directories of finished studies; a later one's arm replaces one of the same name",
+        "--study", type=Path, nargs="+", required=True, help="directories of finished studies"
     )
     parser.add_argument("--out", type=Path, required=True, help="directory for results.json and figure.png")
     given = parser.parse_args(argv)
@@ -161,12 +158,15 @@ def write(studies: Sequence[Path], out: Path) -> None:
     """Writes results.json and figure.png of finished studies.
 
     Raises:
-        InputError: one is none, or an older revision trained it.
+        InputError: one is not finished, has an arm of another one, or was trained by an older revision.
     """
     arms: dict[str, Arm] = {}
     evaluations: dict[str, Path] = {}
     for study in studies:
-        arms |= (own := agents_of(study, "cpu"))
+        own = agents_of(study, "cpu")
+        if twice := [name for name in own if name in arms]:
+            raise InputError(f"--study {study}: its arm {twice[0]} is in a study before it, too")
+        arms |= own
         evaluations |= {name: study / name / "evaluations.jsonl" for name in own}
     training = {name: exposure(arm.results) for name, arm in arms.items()}  # first, since it may be refused
     found: dict[str, Any] = {
@@ -188,7 +188,7 @@ def write(studies: Sequence[Path], out: Path) -> None:
         for name in CLASSICAL
     }
     write_json(out / "results.json", {"arms": found, "guidance": classical})
-    beside = guided(plain, REFERENCE, plain.train.evaluation_episodes, rta=True)  # the cases of the curves
+    beside = guided(plain, REFERENCE, plain.train.evaluation_episodes, rta=True, seed=EVALUATION_CASES)
     figure(found, beside, out / "figure.png")
 
 

@@ -903,6 +903,8 @@ STUDY = [
         ("unlearned(config, rta, cases)", "unlearned(config, not rta, cases)"),
         ("summary(record, config, len(arm.digests))", "summary(record, config)"),
         ("plain.train.evaluation_episodes, rta", "cases, rta"),
+        (", seed=EVALUATION_CASES", ""),
+        ("arms |= own", "arms = own"),
         ("for row in rows}) > 1", "for row in rows}) > 2"),
         ('style = "-" if', 'style = "--" if'),
         ("if not seeds:", "if seeds == 0:"),

@@ -3,13 +3,14 @@
 import json
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 from matplotlib.figure import Figure
 
 from experiments import field
 from settings import InputError
-from study.config import TEST_CASES
+from study.config import EVALUATION_CASES, TEST_CASES
 from study.experiment import Experiment
 from study.files import ROOT
 from study.flight.evaluation import evaluate
@@ -101,36 +102,56 @@ def test_a_controller_is_flown_without_the_filter_and_with_it() -> None:
     assert found["on"]["corrected_percent"] > 50.0 and found["on"]["violating_episodes"] == 0
 
 
-def test_studies_are_written_with_the_guidance_on_the_same_cases(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Of two arms of one name the later study's is flown, and its evaluations are read."""
-    arm, figures, former = few(2, seeds=1), [], tmp_path / "former"
-    monkeypatch.setattr(
-        field, "agents_of", lambda study, device: {"rta": few(1, seeds=2) if study == former else arm}
-    )
+@pytest.fixture
+def studies(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[Path]:
+    """Two studies of an arm of their own, each evaluated once."""
+    arms = {"one": few(2, seeds=1), "two": few(2, seeds=2)}
+    monkeypatch.setattr(field, "agents_of", lambda study, device: {study.name: arms[study.name]})
     monkeypatch.setattr(field, "CLASSICAL", ("even",))
-    monkeypatch.setattr(field, "figure", lambda *given: figures.append(given))
-    (tmp_path / "rta").mkdir()
     line = {
         "interactions": 0,
         "outcomes": {"success": 1.0},
         "violations_percent": {"any": 0.0},
         "metrics": {"reward": {"mean": 1.0}, "delta_v_m_s": {"mean": 1.0}},
     }
-    (tmp_path / "rta/evaluations.jsonl").write_text(json.dumps(line))
-    field.write([former, tmp_path], tmp_path / "out")
+    for name, arm in arms.items():
+        (directory := tmp_path / name / name).mkdir(parents=True)
+        (directory / "evaluations.jsonl").write_text((json.dumps(line) + "\n") * len(arm.digests))
+    return [tmp_path / name for name in arms]
+
+
+def test_studies_are_written_with_the_guidance_beside_them(
+    studies: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    figures: list[Any] = []
+    monkeypatch.setattr(field, "figure", lambda *given: figures.append(given))
+    field.write(studies, tmp_path / "out")
     found = json.loads((tmp_path / "out/results.json").read_text())
-    assert found["arms"]["rta"]["seeds"] == 1 and found["arms"]["rta"]["training"]["violated"]["any"] == 0
-    even = {
-        switch: evaluate("even", Experiment(with_rta(arm.config, rta, 1.0), 2), 2, TEST_CASES)
-        for switch, rta in field.SWITCHES.items()
-    }
-    for switch, flown in found["guidance"]["even"].items():
-        assert flown["metrics"]["reward"]["mean"] == even[switch]["metrics"]["reward"]["mean"]
-    ((_, beside, path),) = figures  # on the cases of the curves, of which there is one
+    assert {name: arm["seeds"] for name, arm in found["arms"].items()} == {"one": 1, "two": 2}
+    for name, arm in found["arms"].items():
+        assert arm["training"]["violated"]["any"] == 0 and arm["curves"]["success"] == [
+            [100.0] * arm["seeds"]
+        ], name
+        assert [flown["episodes"] for flown in arm["flown"].values()] == [2 * arm["seeds"]] * 2
+
+    def flown(rta: bool, cases: int, seed: int) -> float:
+        config = with_rta(few(2, seeds=1).config, rta, 1.0)
+        return evaluate("even", Experiment(config, cases), cases, seed)["metrics"]["reward"]["mean"]
+
+    for switch, guided in found["guidance"]["even"].items():
+        assert guided["metrics"]["reward"]["mean"] == flown(field.SWITCHES[switch], 2, TEST_CASES)
+    ((_, beside, path),) = figures
     assert path == tmp_path / "out/figure.png"
-    assert beside["metrics"]["reward"]["mean"] != even["on"]["metrics"]["reward"]["mean"]
+    assert beside["metrics"]["reward"]["mean"] == flown(True, 1, EVALUATION_CASES)  # the cases of the curves
+
+
+def test_an_arm_of_two_studies_is_refused(
+    studies: list[Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as stopped:
+        field.main(["--study", str(studies[0]), str(studies[0]), "--out", str(tmp_path / "out")])
+    assert stopped.value.code == 2
+    assert "its arm one is in a study before it, too" in capsys.readouterr().err
 
 
 def test_a_study_that_did_not_count_is_refused(
