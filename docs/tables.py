@@ -362,7 +362,7 @@ def evaluated(study: str, arm: str, interactions: int) -> dict[str, float]:
     return found | {"reward": float(np.mean([seed["cases"]["reward"] for seed in seeds]))}
 
 
-def learned(study: str, *times: int, arms: Iterable[str] = ARMS) -> Rows:
+def learned(study: str, *times: int, among: Iterable[str] = ARMS) -> Rows:
     """Yields what the agents of a study's arms had learned after so many interactions."""
     with open(REFERENCE / study / "report/training.csv", newline="", encoding="utf-8") as file:
         found = {
@@ -371,7 +371,7 @@ def learned(study: str, *times: int, arms: Iterable[str] = ARMS) -> Rows:
         }
     forms = {"inspected_score": ".2f", "reward": ".3f", "delta_v_m_s": ".2f", "episode_length_s": ",.0f"}
     for when in times:
-        cells = (f"{found[f'{when}', arm, name]:{form}}" for name, form in forms.items() for arm in arms)
+        cells = (f"{found[f'{when}', arm, name]:{form}}" for name, form in forms.items() for arm in among)
         yield f"{when:,}", *cells
 
 
@@ -395,7 +395,7 @@ def field_trained() -> Rows:
         steps, broken = found["training"]["steps"], found["training"]["violated"]
         shares = (f"{100.0 * broken[limit] / steps:.2f}" for limit in ("any", *limits))
         worst = (f"{found['training']['smallest_h'][limit]:.2g}" for limit in ("collision", "keep_in_zone"))
-        yield f"`{name}`", f"{broken['any']:,}", *shares, *worst
+        yield f"`{name}`", f"{found['seeds']}", f"{broken['any']:,}", *shares, *worst
 
 
 def field_flown() -> Rows:
@@ -421,8 +421,9 @@ def field_flown() -> Rows:
         lambda results, value=value, seeds=seeds: f"{value(results)} {seeds(results)}"
         for value, seeds in beside.items()
     )
-    broken = number("violating_episodes"), number("violations_percent", ".3f")
-    return rows(switched(flown), success, CLEAN, *broken, corrections, reward, TIME, FUEL)
+    broken = lambda results: f"{results['violating_episodes']} of {results['episodes']:,}"  # noqa: E731
+    shares = CLEAN, broken, number("violations_percent", ".3f")
+    return rows(switched(flown), success, *shares, corrections, reward, TIME, FUEL)
 
 
 def guidance_flown() -> Rows:
@@ -636,7 +637,7 @@ TABLES: dict[str, Callable[[], Rows]] = {
         30_015_488,
         40_009_728,
         50_003_968,
-        arms=["rta"],
+        among=["rta"],
     ),
     "our_longer": longer,
     "papers_hidden": lambda: hidden("paper"),
