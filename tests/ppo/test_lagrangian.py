@@ -68,9 +68,8 @@ def test_the_price_is_proportional_and_integral_and_never_negative() -> None:
         multiplier.update(LIMIT * torch.tensor([1.5, 0.5]))
     expected = PROPORTIONAL_GAIN * 0.5 + 5 * INTEGRAL_GAIN * 0.5
     torch.testing.assert_close(multiplier.value, torch.tensor([expected, 0.0]))
-    multiplier.update(
-        LIMIT * torch.tensor([1.0, 1.5])
-    )  # at its limit the price stays; what was below owes nothing
+    # at its limit the price stays; what was below owes nothing
+    multiplier.update(LIMIT * torch.tensor([1.0, 1.5]))
     torch.testing.assert_close(
         multiplier.value,
         torch.tensor([5 * INTEGRAL_GAIN * 0.5, PROPORTIONAL_GAIN * 0.5 + INTEGRAL_GAIN * 0.5]),
