@@ -158,7 +158,8 @@ def write(studies: Sequence[Path], out: Path) -> None:
     """Writes results.json and figure.png of finished studies.
 
     Raises:
-        InputError: one is not finished, has an arm of another one, or was trained by an older revision.
+        InputError: one is not finished, has an arm of another one, flew another number of cases, or was trained by an
+            older revision.
     """
     arms: dict[str, Arm] = {}
     evaluations: dict[str, Path] = {}
@@ -167,6 +168,13 @@ def write(studies: Sequence[Path], out: Path) -> None:
         if twice := [name for name in own if name in arms]:
             raise InputError(f"--study {study}: its arm {twice[0]} is in a study before it, too")
         arms |= own
+        flights = [
+            (arm.config.train.evaluation_episodes, arm.config.train.final_episodes) for arm in arms.values()
+        ]
+        if len(set(flights)) > 1:
+            raise InputError(
+                f"--study {study}: its evaluation_episodes or final_episodes differ from those before it"
+            )
         evaluations |= {name: study / name / "evaluations.jsonl" for name in own}
     training = {name: exposure(arm.results) for name, arm in arms.items()}  # first, since it may be refused
     found: dict[str, Any] = {

@@ -905,6 +905,7 @@ STUDY = [
         ("plain.train.evaluation_episodes, rta", "cases, rta"),
         (", seed=EVALUATION_CASES", ""),
         ("arms |= own", "arms = own"),
+        ("len(set(flights)) > 1", "len(set(flights)) > 2"),
         ("for row in rows}) > 1", "for row in rows}) > 2"),
         ('style = "-" if', 'style = "--" if'),
         ("if not seeds:", "if seeds == 0:"),

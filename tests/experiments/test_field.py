@@ -154,6 +154,20 @@ def test_an_arm_of_two_studies_is_refused(
     assert "its arm one is in a study before it, too" in capsys.readouterr().err
 
 
+def test_a_study_of_other_cases_is_refused(
+    studies: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for cases in ({"final_episodes": 3}, {"evaluation_episodes": 2}):
+        arm = few(2, seeds=1)
+        other = replace(arm, config=replace(arm.config, train=replace(arm.config.train, **cases)))
+        arms = {"one": arm, "two": other}
+        monkeypatch.setattr(
+            field, "agents_of", lambda study, device, arms=arms: {study.name: arms[study.name]}
+        )
+        with pytest.raises(InputError, match="two: its evaluation_episodes or final_episodes differ"):
+            field.write(studies, tmp_path / "out")
+
+
 def test_a_study_that_did_not_count_is_refused(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
