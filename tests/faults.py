@@ -466,6 +466,7 @@ CHECK = [
         "rta/backup/robust_terminal_set.py",
         "rta/backup/test_robust_terminal_set.py",
         ("along / (1 + uncertainty.mass), (most + mixed) / (1 - uncertainty.mass)", "along, most + mixed"),
+        ("for tuning in TUNINGS[:-1]:", "for tuning in TUNINGS[1:]:"),
     ),
     *faults(
         "rta/backup/robust_motion_check.py",

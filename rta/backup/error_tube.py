@@ -21,11 +21,10 @@ from torch import Tensor
 from inspection.model.attitude import dot, norm, unit
 from inspection.model.state import P, V
 from rta.backup.intersample_bounds import NEAREST, NEVER, flown, lowest, nearer
-from rta.backup.robust_terminal_set import SHARE, Errors, RobustTerminalSet
+from rta.backup.robust_terminal_set import Errors, RobustTerminalSet
 
 CHORDS, DENSER = 7, 2.0  # of a backup trajectory; the power of evenly spaced numbers that S is at their ends
-ARRIVED = 1.1  # of what the errors leave of w, at which it may end
-ALMOST = 0.8  # of the difference between that and what is calm
+ALMOST = 0.8  # of the difference between what the errors leave of w and what is calm, at which it may end
 # By what a backup trajectory may be off its straight line, which is looked at: m, share of its length, times what it
 # begins with.
 ALLOWED = (3.0, 0.8, 3.0)
@@ -126,10 +125,10 @@ def trajectory_margin(
     farthest = (torch.maximum(norm(p), norm(p + length * u)) + allowed).clamp(max=w.c.max_distance)
 
     e_w = e_v + w.steepness(nearest, farthest) * e_p
-    late = first * (1.0 + 2 * w.across) * min(1.0, SHARE * max(1.0, w.old / w.period))
+    late = first * (1.0 + 2 * w.across) * min(1.0, w.tuning.share * max(1.0, w.old / w.period))
     whole = size + e_w + late
     final = w.errors(torch.zeros_like(whole), nearest, farthest).calm
-    goal = torch.maximum(ARRIVED * final, w.calm((low - DEEPER * length).maximum(nearest)))
+    goal = torch.maximum(w.tuning.arrived * final, w.calm((low - DEEPER * length).maximum(nearest)))
     fall = power(w.errors(whole, nearest, farthest).swift, w)
     end = (ALMOST * (goal - final) / (whole - final).clamp(min=1e-12)).clamp(max=1.0) ** (1.0 / fall)
 

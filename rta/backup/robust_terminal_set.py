@@ -22,6 +22,7 @@ certifies that once, and raises where it is not so. See docs/reference/proof.md,
 """
 
 import math
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import torch
@@ -37,14 +38,6 @@ from rta.bounds.prediction import unsaturated
 from rta.bounds.uncertainty import Uncertainty
 from rta.parameters import RtaParameters
 
-# Tuned on U1 for the share of states from which a backup trajectory is verified.
-SHARE = 0.25  # of w, that a hold takes away at most: more leads to larger errors, less takes longer
-OUTWARDS, INWARDS = 1.2, 1.3  # of the calm speed, that the field has beside the chief and at the edge
-STEEP = 5e-4  # 1/s, by which the field falls off with distance
-# of what the errors leave of w, that counts as calm: a backup trajectory need not come down to it
-CALMER = 1.5
-RISING = 1.8  # of the rate at which that grows with distance
-BESIDE = 4.0 / 3.0  # of the radius of collision, up to which the field leads outwards as fast as anywhere
 EDGE = 1.0  # m inside the zone, from where on the field leads inwards as fast as anywhere
 CELLS = (11, 1)  # of passive safety's horizon, and searches in each; a prime, see `rta.backup.flight`
 ROUNDS = 40  # of the equation for the calm speed, which the field depends on, which it depends on
@@ -53,6 +46,38 @@ GRID = 4000, 100  # distances and times at which the set is looked at
 
 class NoInvariantSetError(ValueError):
     """The bounds leave no robust invariant set."""
+
+
+@dataclass(frozen=True)
+class Tuning:
+    """How the law and its set are chosen; the set is certified, whatever they are.
+
+    Attributes:
+        share: of w, that a hold takes away at most: more leads to larger errors, less takes longer.
+        outwards, inwards: of the calm speed, that the field has beside the chief and at the edge.
+        steep: 1/s, by which the field falls off with distance.
+        beside: of the radius of collision, up to which the field leads outwards as fast as anywhere.
+        calmer: of what the errors leave of w, that counts as calm: a backup trajectory need not come down to it.
+        rising: of the rate at which that grows with distance.
+        arrived: of what the errors leave of w, to which a backup trajectory comes down at least.
+    """
+
+    share: float
+    outwards: float
+    inwards: float
+    steep: float
+    beside: float
+    calmer: float
+    rising: float
+    arrived: float
+
+
+# Each for the share of states from which a backup trajectory is verified: within U1, and within U1 with a smallest
+# thrust of 0.02 N or quanta of 0.05 N. The first that leaves a set is taken.
+TUNINGS = (
+    Tuning(0.25, outwards=1.2, inwards=1.3, steep=5e-4, beside=4 / 3, calmer=1.5, rising=1.8, arrived=1.1),
+    Tuning(0.3, outwards=1.15, inwards=1.15, steep=2e-3, beside=2.0, calmer=1.03, rising=1.1, arrived=1.02),
+)
 
 
 @dataclass(frozen=True)
@@ -82,6 +107,7 @@ class RobustTerminalSet:
     """The law, the shares of what is not known of it, and its terminal robust invariant set.
 
     Attributes:
+        tuning: how it is chosen.
         free: of free flight.
         period, longest: s, of a call and of a control that is held at most; old: s, of a measurement at most.
         aim: s of a hold, after which the body has the attitude that thrust is meant for.
@@ -99,6 +125,7 @@ class RobustTerminalSet:
 
     c: Limits
     uncertainty: Uncertainty
+    tuning: Tuning
     free: FreeFlight
     period: float
     longest: float
@@ -126,6 +153,16 @@ class RobustTerminalSet:
 
     @classmethod
     def of(cls, c: Limits, r: RtaParameters, uncertainty: Uncertainty) -> "RobustTerminalSet":
+        """Returns the set of the first tuning that has one; raises NoInvariantSetError where the bounds leave none."""
+        for tuning in TUNINGS[:-1]:
+            with suppress(NoInvariantSetError):
+                return cls.tuned(c, r, uncertainty, tuning)
+        return cls.tuned(c, r, uncertainty, TUNINGS[-1])
+
+    @classmethod
+    def tuned(
+        cls, c: Limits, r: RtaParameters, uncertainty: Uncertainty, tuning: Tuning
+    ) -> "RobustTerminalSet":
         """Raises NoInvariantSetError where the bounds leave none.
 
         What thrusters round off the law's thrust is an acceleration that is not known.
@@ -160,15 +197,15 @@ class RobustTerminalSet:
             raise NoInvariantSetError("thrust may act in any direction")
         low, high = along / (1 + uncertainty.mass), (most + mixed) / (1 - uncertainty.mass)
         across = (uneven + aslant + angle * (most + aslant)) / along
-        slow = high * longest / SHARE
+        slow = high * longest / tuning.share
         fastest = min(c.docking_speed + c.speed_slope * c.max_distance, math.sqrt(3.0) * c.max_speed)
         # since a measurement w has fallen by this share at most
-        before = SHARE * (old + longest - r.period) / longest if old else 0.0
+        before = tuning.share * (old + longest - r.period) / longest if old else 0.0
         if before >= 1.0:
             raise NoInvariantSetError("the state is too old")
         place = position + velocity * old + math.sqrt(3.0) * c.max_thrust / c.mass * old**2
         w = cls(
-            c, uncertainty, FreeFlight.of(c, *CELLS), r.period, longest, old, aim,
+            c, uncertainty, tuning, FreeFlight.of(c, *CELLS), r.period, longest, old, aim,
             full=c.max_thrust / c.mass - c.largest_drift(c.max_distance + place, fastest + velocity),
             slow=slow, low=low, high=high, across=across, turning=turning, place=place, seen=velocity,
             lag=old / slow / (1 - before), rounded=rounded,
@@ -204,27 +241,33 @@ class RobustTerminalSet:
     @property
     def most(self) -> float:
         """The share of S that a hold takes away at most."""
-        return SHARE * (1.0 + self.stretch)
+        return self.tuning.share * (1.0 + self.stretch)
+
+    @property
+    def second(self) -> float:
+        """What is taken off |w| across it, to second order, per share that a hold takes away."""
+        return self.across**2 * self.tuning.share / (2 * (1.0 - self.tuning.share))
 
     def with_field(self) -> "RobustTerminalSet":
         """The same, with a field that is faster than this one's calm speed, and with the calm speed in it."""
         c, farthest = self.c, self.c.max_distance
-        beside, edge = BESIDE * c.collision_radius, farthest - EDGE
+        beside, edge = self.tuning.beside * c.collision_radius, farthest - EDGE
         none = torch.zeros((), dtype=torch.float64)
         out, back = (
-            OUTWARDS * self.wanders(none + beside).item(),
-            INWARDS * self.wanders(none + farthest).item(),
+            self.tuning.outwards * self.wanders(none + beside).item(),
+            self.tuning.inwards * self.wanders(none + farthest).item(),
         )
         w = replace(
-            self, out=out, beside=beside, ends=beside + max(out, 1e-6) / STEEP,
-            back=back, begins=edge - max(back, 1e-6) / STEEP, edge=edge,
+            self, out=out, beside=beside, ends=beside + max(out, 1e-6) / self.tuning.steep,
+            back=back, begins=edge - max(back, 1e-6) / self.tuning.steep, edge=edge,
         )  # fmt: skip
         near, far = (
             w.errors(none, none + beside, none + w.ends),
             w.errors(none, none + w.begins, none + farthest),
         )
-        rising = RISING * 3 * c.mean_motion**2 * self.thrust_error * self.slow / self.low / near.decay.item()
-        still = CALMER * max(near.calm.item(), far.calm.item() - rising * farthest)
+        grows = 3 * c.mean_motion**2 * self.thrust_error * self.slow / self.low / near.decay.item()
+        rising = self.tuning.rising * grows
+        still = self.tuning.calmer * max(near.calm.item(), far.calm.item() - rising * farthest)
         return replace(w, still=still, rising=rising)
 
     def calm(self, distance: Tensor) -> Tensor:
@@ -239,7 +282,8 @@ class RobustTerminalSet:
         """m/s, by which w is off its chord in a hold, for thrust turns with the body; |w| and |p| (...)."""
         n, field = self.c.mean_motion, max(self.out, self.back)
         natural = 3 * n**2 * (farthest + self.place) + 2 * n * (speed + field + self.seen)
-        seen = self.seen + max(self.out / self.c.collision_radius, STEEP) * self.place + self.old * natural
+        steep = max(self.out / self.c.collision_radius, self.tuning.steep)
+        seen = self.seen + steep * self.place + self.old * natural
         asked = ((speed * (1.0 + self.late) + seen) / ((1.0 - self.late) * self.slow)).clamp(max=self.full)
         turned = self.high * (1 + self.across) * (asked + natural) + self.rounded
         return turned * self.turning * self.longest**2 / 8
@@ -257,8 +301,8 @@ class RobustTerminalSet:
     def steepness(self, nearest: Tensor, farthest: Tensor) -> Tensor:
         """1/s, the largest slope of the field between two distances (...) in m: along the radius, or across it."""
         out = self.out * ((self.ends - nearest) / (self.ends - self.beside)).clamp(0.0, 1.0)
-        near = torch.where(nearest < self.ends, (out / nearest).clamp(min=STEEP), 0.0)
-        return torch.where(farthest > self.begins, near.clamp(min=STEEP), near)
+        near = torch.where(nearest < self.ends, (out / nearest).clamp(min=self.tuning.steep), 0.0)
+        return torch.where(farthest > self.begins, near.clamp(min=self.tuning.steep), near)
 
     def errors(self, fastest: Tensor, nearest: Tensor, farthest: Tensor) -> Errors:
         """Of backup trajectories at |w| up to a speed in m/s, between two distances in m from the chief, (...)."""
@@ -278,7 +322,7 @@ class RobustTerminalSet:
             + 3 * n**2 * (self.place + drift * self.longest)
             + 2 * n * (1.0 + self.thrust_error) * seen / sees
             + self.uncertainty.acceleration
-            + (STEEP + self.rising) * drift
+            + (self.tuning.steep + self.rising) * drift
         ) * (1.0 + n * self.longest)
         # s, that a hold is per share that it takes away at most
         lasting = ((fastest + seen) / (sees * self.full)).clamp(min=self.slow) / self.low
@@ -294,8 +338,7 @@ class RobustTerminalSet:
         share = (self.across / sees + self.lag * self.across * self.high + late**2 / sees + growing) / own
         decay = 1.0 / (1.0 + self.stretch) - self.stretch / own - share
         error = (seen * (1.0 + self.across) / sees + always * self.slow / self.low) / own
-        second = self.across**2 * SHARE / (2 * (1.0 - SHARE))  # across |w| counts to second order
-        slower = (1.0 + 2 * self.across + 3 * second) * late / sees + second + growing
+        slower = (1.0 + 2 * self.across + 3 * self.second) * late / sees + self.second + growing
         return Errors(
             calm=error / decay.clamp(min=1e-3), share=share, decay=decay, swift=(1.0 - slower) / (1.0 + self.stretch),
             seen=seen / sees, late=late / sees, steep=steep, drift=drift,
@@ -312,7 +355,7 @@ class RobustTerminalSet:
         outwards = (2 * c.max_acceleration * (c.max_distance - r).clamp(min=0.0)).sqrt()
         inwards = (2 * c.max_acceleration * (r - c.collision_radius)).sqrt()
         limit = (c.docking_speed + c.speed_slope * r).clamp(max=c.max_speed)
-        rounded = gap * (STEEP + self.rising)  # of speeds between two distances
+        rounded = gap * (self.tuning.steep + self.rising)  # of speeds between two distances
         fine = (outwards >= most + speed + rounded) & (inwards >= most - speed + rounded)
         fine &= (
             (limit >= speed.abs() + most + rounded)
@@ -342,7 +385,8 @@ class RobustTerminalSet:
         bend = self.free.bend_position * r + self.free.bend_velocity * (speed.abs() + most)
         sag = bend * (times[1] ** 2) / 8
         lost = gap * (
-            self.free.position + self.free.velocity * times[-1] * (2 * STEEP + self.out / self.beside)
+            self.free.position
+            + self.free.velocity * times[-1] * (2 * self.tuning.steep + self.out / self.beside)
         )
         return least.amin(0) - sag - lost - c.collision_radius
 
@@ -351,8 +395,7 @@ class RobustTerminalSet:
         calm = self.calm(r)
         moved = calm * self.longest + self.out * self.longest
         errors = self.errors(calm / (1.0 - self.most), (r - moved).clamp(min=1.0), r + moved)
-        second = self.across**2 * SHARE / (2 * (1.0 - SHARE))
-        left = errors.seen * (1.0 + 2 * self.across + 3 * second) + errors.calm * errors.decay * (
+        left = errors.seen * (1.0 + 2 * self.across + 3 * self.second) + errors.calm * errors.decay * (
             1.0 - self.stretch
         )
         left = left - errors.seen * (1.0 + self.across)
@@ -361,7 +404,7 @@ class RobustTerminalSet:
             (errors.decay > 0.0)
             & (errors.calm <= calm)
             & (left <= errors.swift * (1.0 + self.stretch) * errors.calm)
-            & ((1.0 + 2 * SHARE * self.across) * seen <= errors.calm)
+            & ((1.0 + 2 * self.tuning.share * self.across) * seen <= errors.calm)
         )
 
 

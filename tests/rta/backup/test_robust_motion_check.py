@@ -74,26 +74,30 @@ def test_no_limit_breaks_whatever_is_asked(how: str, misses: str, seconds: float
     assert 0.1 < demands.refused / demands.asked < 0.95 and demands.verified > demands.asked / 4
 
 
+FINE = Uncertainty(latency=1, longest_hold=1.0, position=0.1, velocity=0.001, thrust_misalignment=1.0)
+
+
 @pytest.mark.parametrize(
-    ("quantised", "seconds"),
+    ("uncertainty", "seconds"),
     [
-        ({"thrust_quantum": 0.1}, 4.0),
-        pytest.param({"thrust_quantum": 0.1}, 30.0, marks=pytest.mark.campaign),
-        pytest.param({"minimum_thrust": 0.02}, 30.0, marks=pytest.mark.campaign),
+        (replace(FINE, thrust_quantum=0.1), 4.0),
+        *(
+            pytest.param(uncertainty, 30.0, marks=pytest.mark.campaign)
+            for uncertainty in (
+                replace(FINE, thrust_quantum=0.1),
+                replace(FINE, minimum_thrust=0.02),
+                replace(U1, thrust_quantum=0.05),
+                replace(U1, minimum_thrust=0.02),
+            )
+        ),
     ],
     ids=str,
 )
 def test_thrusters_that_give_some_values_only_break_no_limit(
-    quantised: dict[str, float], seconds: float
+    uncertainty: Uncertainty, seconds: float
 ) -> None:
     """What is proposed is rounded before it is looked at, and so is what replaces it."""
-    robust_motion_check = of_thrust(
-        C,
-        R,
-        uncertainty := Uncertainty(
-            latency=1, longest_hold=1.0, position=0.1, velocity=0.001, thrust_misalignment=1.0, **quantised
-        ),
-    )
+    robust_motion_check = of_thrust(C, R, uncertainty)
     assert (
         robust_motion_check
         and robust_motion_check.terminal_set
@@ -141,21 +145,28 @@ def test_a_check_that_forgets_missed_calls_lets_limits_break() -> None:
     assert least.min() < 0.0
 
 
-def test_what_is_verified_ends_where_a_backup_trajectory_begins() -> None:
+@pytest.mark.parametrize("quantum", [0.0, 0.05])
+def test_what_is_verified_ends_where_a_backup_trajectory_begins(quantum: float) -> None:
     """The true state after a hold that was verified has a backup trajectory, whatever the hold, wherever it began."""
-    x, world = starts(4), World(COUNT, 5, "worst", "random")
-    seen, bound = world.sees(x, TERMINAL_SET), torch.zeros(4, COUNT, dtype=torch.float64)
-    demands = Demands(None, 6)
-    torque = torch.zeros(3, COUNT, dtype=torch.float64)
-    u = torch.cat((demands(seen, torque, bound), torque))
-    safe = is_safe(MOTION_CHECK, 0, torch.cat((seen, bound)), u)
-    assert 10 < safe.sum() < COUNT
+    uncertainty = replace(U1, thrust_quantum=quantum)
+    check = of_thrust(C, R, uncertainty)
+    assert check and check.terminal_set
+    x = starts(4)
+    x = x[:, check.has_backup_trajectory(x)]
+    count = x.shape[1]
+    world = World(count, 5, "worst", "random", uncertainty)
+    seen, bound = world.sees(x, check.terminal_set), torch.zeros(4, count, dtype=torch.float64)
+    torque = torch.zeros(3, count, dtype=torch.float64)
+    asked = Demands(None, 6)(seen, torque, bound)
+    u = torch.cat((uncertainty.quantised(asked, C.max_thrust), torque))
+    safe = is_safe(check, 0, torch.cat((seen, bound)), u)
+    assert 10 < safe.sum() < count
     for calls_held in (1, 2, 3):
-        world = World(COUNT, 5, "worst", "random")
+        world = World(count, 5, "worst", "random", uncertainty)
         world.held_for = lambda count=calls_held: count  # type: ignore[method-assign]
         world.asks_torque = lambda _: torque  # type: ignore[method-assign]
-        _, end, _ = flown(x, TERMINAL_SET, world, float(calls_held), None, lambda *_: u[THRUST])
-        assert accepts(end)[safe].all()
+        _, end, _ = flown(x, check.terminal_set, world, float(calls_held), None, lambda *_: u[THRUST])
+        assert check.has_backup_trajectory(end)[safe].all()
 
 
 def test_a_limit_may_be_kept_as_far_beyond_it_as_a_state_may_be_off() -> None:
@@ -178,7 +189,7 @@ def test_where_no_invariant_set_is_known_there_is_no_check() -> None:
     for bounds in (
         Uncertainty(),
         replace(U1, health=True),
-        replace(U1, minimum_thrust=0.02),
+        replace(U1, minimum_thrust=0.05),
         replace(U1, velocity=0.3),
     ):
         assert of_thrust(C, R, bounds) is None
