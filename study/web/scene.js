@@ -13,7 +13,7 @@ const BODY = 0x9aa0aa; // of the chief
 const DEPUTY = 2.4; // m, of its box where its radius, with the panels, is DRAWN
 const DRAWN = 5; // m
 const MANY = 100; // points, of which more are drawn smaller
-const WIDE_ENOUGH = 1.4; // width to height of a picture whose ends are farther away than its top
+const AROUND = 1.15; // of the distance from which a spacecraft on any side of the chief is still in the picture
 
 // how a view is turned, and from how far: 0, the page's own
 const first_looks = () => ({ follow: { yaw: 0.3, pitch: 0.25, distance: 38 }, orbit: { yaw: -0.9, pitch: 0.4, distance: 0 } });
@@ -232,7 +232,8 @@ class Scene {
       const right = up.clone().cross(back);
       if (right.lengthSq() < 1e-4) right.set(0, 1, 0);
       right.normalize();
-      const over = back.clone().cross(right), r = distance || (camera.aspect > WIDE_ENOUGH ? 1.4 : 2) * from + 35;
+      const half = Math.atan(Math.tan(camera.fov * Math.PI / 360) * Math.min(1, camera.aspect)); // rad, of the picture's shorter side
+      const over = back.clone().cross(right), r = distance || AROUND * from / Math.sin(half);
       const eye = back.multiplyScalar(Math.cos(yaw) * Math.cos(pitch)).addScaledVector(right, Math.sin(yaw) * Math.cos(pitch));
       eye.addScaledVector(over, Math.sin(pitch));
       const target = follow ? p.clone().multiplyScalar(1 - Math.min(16, 0.35 * p.length()) / p.length()) : new THREE.Vector3();
