@@ -173,7 +173,7 @@ def calls(found: Any) -> int:
 def backup(found: Any) -> str:
     """Returns the share of a campaign's calls in which the backup decided, in %."""
     percent = 100.0 * found["backup_calls"] / calls(found)
-    return f"{percent:.1f}" if percent >= 10.0 else f"{percent:.2g}"  # of a small one two digits, of 99.6 % three
+    return f"{percent:.1f}" if percent >= 10.0 else f"{percent:.2g}"
 
 
 TIME, FUEL, REWARD = (metric(name) for name in ("episode_length_s", "delta_v_m_s", "reward"))

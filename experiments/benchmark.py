@@ -487,7 +487,7 @@ def table(results: dict[str, Any]) -> str:
 
 LABELS = {
     "filter_calls_per_s": "filter calls",
-    "told_filter_calls_per_s": "filter calls, told",
+    "told_filter_calls_per_s": "filter calls, U1's bounds",
     "simulator_steps_per_s": "simulator steps",
     "closed_loop_steps_per_s": "closed-loop steps, {} s",
     "learner_samples_per_s": "learner samples",
@@ -510,6 +510,7 @@ def figure(results: dict[str, Any], file: Path | BinaryIO) -> None:
     ax.set(xscale="log", yscale="log", ylabel="per second")
     ax.set_xlabel("at once (episodes, spacecraft, samples, programs)")
     ax.grid(True, which="major", alpha=0.4)
-    ax.set_title(f"{results['device']}, {results['threads']} threads", fontsize=10)
+    threads = "1 thread" if results["threads"] == 1 else f"{results['threads']} threads"
+    ax.set_title(f"{results['device']}, {threads}", fontsize=10)
     drawing.legend(loc="outside right upper", frameon=False, fontsize=9)
     drawing.savefig(file, dpi=120, format="png")

@@ -249,7 +249,7 @@ def table(report: dict[str, Any]) -> str:
 
 def figure(report: dict[str, Any]) -> Figure:
     """Draws two panels, without and with `[uncertainty]`: effects by limits, in each cell the size that broke it."""
-    fig = Figure(figsize=(9.0, 9.5), layout="constrained")
+    fig = Figure(figsize=(11.0, 9.5), layout="constrained")
     effects = list(dict.fromkeys(world["effect"] for world in report["worlds"]))
     for i, (ax, told) in enumerate(zip(fig.subplots(2, 1), (False, True), strict=True)):
         for row, effect in enumerate(effects):
@@ -272,6 +272,8 @@ def figure(report: dict[str, Any]) -> Figure:
         ax.set(xlim=(0, len(COLUMNS)), ylim=(len(effects), 0))
         ax.tick_params(length=0)
         ax.spines[:].set_visible(False)
-        told_of = "told of the effect, as [uncertainty]" if told else "told of nothing"
-        ax.set_title(f"{'ab'[i]}) the filter is {told_of}: smallest size that broke a limit", loc="left")
+        bound = "with" if told else "without"
+        ax.set_title(
+            f"{'ab'[i]}) {bound} its bound in [uncertainty]: smallest size that broke a limit", loc="left"
+        )
     return fig
