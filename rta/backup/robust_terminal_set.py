@@ -9,7 +9,7 @@ each call to the next,
 f being the natural acceleration. Of what is asked for, the mean over a hold acts along it by a share kappa between
 `low` and `high`, and across it by the share `across` of that at most. So from call to call
 
-    w+ = w - lambda (w + e) - c + d,    lambda = kappa hold min(a / |w + e|, 1 / slow) <= SHARE,
+    w+ = w - lambda (w + e) - c + d,    lambda = kappa hold min(a / |w + e|, 1 / slow) <= share,
 
 where w is seen off by e, |c| <= across lambda |w + e|, and d is what else accelerates. |w| falls to what the errors
 leave of it, and stays there. A spacecraft whose velocity is not known never rests: it drifts. So there is no rest to
@@ -50,11 +50,11 @@ class NoInvariantSetError(ValueError):
 
 @dataclass(frozen=True)
 class Tuning:
-    """How the law and its set are chosen; the set is certified, whatever they are.
+    """What the law and its set are tuned by. Any values will do, with `share` below 1: `certified` decides.
 
     Attributes:
         share: of w, that a hold takes away at most: more leads to larger errors, less takes longer.
-        outwards, inwards: of the calm speed, that the field has beside the chief and at the edge.
+        outwards, inwards: the field's speed beside the chief and at the edge, by the calm speed there.
         steep: 1/s, by which the field falls off with distance.
         beside: of the radius of collision, up to which the field leads outwards as fast as anywhere.
         calmer: of what the errors leave of w, that counts as calm: a backup trajectory need not come down to it.
@@ -163,7 +163,7 @@ class RobustTerminalSet:
     def tuned(
         cls, c: Limits, r: RtaParameters, uncertainty: Uncertainty, tuning: Tuning
     ) -> "RobustTerminalSet":
-        """Raises NoInvariantSetError where the bounds leave none.
+        """Returns the set of one tuning; raises NoInvariantSetError where the bounds leave none.
 
         What thrusters round off the law's thrust is an acceleration that is not known.
         """
@@ -355,10 +355,10 @@ class RobustTerminalSet:
         outwards = (2 * c.max_acceleration * (c.max_distance - r).clamp(min=0.0)).sqrt()
         inwards = (2 * c.max_acceleration * (r - c.collision_radius)).sqrt()
         limit = (c.docking_speed + c.speed_slope * r).clamp(max=c.max_speed)
-        rounded = gap * (self.tuning.steep + self.rising)  # of speeds between two distances
-        fine = (outwards >= most + speed + rounded) & (inwards >= most - speed + rounded)
+        between = gap * (self.tuning.steep + self.rising)  # m/s, of speeds between two distances
+        fine = (outwards >= most + speed + between) & (inwards >= most - speed + between)
         fine &= (
-            (limit >= speed.abs() + most + rounded)
+            (limit >= speed.abs() + most + between)
             & (self.clearances(r, moments, gap) >= 0.0)
             & self.stays(r)
         )
@@ -386,14 +386,15 @@ class RobustTerminalSet:
         sag = bend * (times[1] ** 2) / 8
         lost = gap * (
             self.free.position
-            + self.free.velocity * times[-1] * (2 * self.tuning.steep + self.out / self.beside)
+            + self.free.velocity * times[-1] * (2 * self.tuning.steep + self.rising + self.out / self.beside)
         )
         return least.amin(0) - sag - lost - c.collision_radius
 
     def stays(self, r: Tensor) -> Tensor:
         """(k,) bool: at distances (k,) |w| that is calm stays so, and `error_tube.Fall` holds down to it."""
         calm = self.calm(r)
-        moved = calm * self.longest + self.out * self.longest
+        # within a hold, and where it is seen
+        moved = (self.wanders(r) + max(self.out, self.back)) * self.longest + self.place
         errors = self.errors(calm / (1.0 - self.most), (r - moved).clamp(min=1.0), r + moved)
         left = errors.seen * (1.0 + 2 * self.across + 3 * self.second) + errors.calm * errors.decay * (
             1.0 - self.stretch

@@ -16,7 +16,7 @@ from rta.filter import SafetyFilter
 from study.verification.starts import safe_set
 from tests.oracles import hypercube
 from tests.rta.backup.test_error_tube import accepts, beside
-from tests.rta.backup.uncertain_world import U1, C, R, World, committed, flown, is_safe, of_thrust
+from tests.rta.backup.uncertain_world import FINE, U1, C, R, World, committed, flown, is_safe, of_thrust
 
 MOTION_CHECK = of_thrust(C, R, U1)
 assert MOTION_CHECK and MOTION_CHECK.terminal_set
@@ -72,9 +72,6 @@ def test_no_limit_breaks_whatever_is_asked(how: str, misses: str, seconds: float
     least, _, _ = flown(x, TERMINAL_SET, World(COUNT, 3, how, misses), seconds, 20.0, demands)
     assert (least >= 0.0).all(), least.min(1)
     assert 0.1 < demands.refused / demands.asked < 0.95 and demands.verified > demands.asked / 4
-
-
-FINE = Uncertainty(latency=1, longest_hold=1.0, position=0.1, velocity=0.001, thrust_misalignment=1.0)
 
 
 @pytest.mark.parametrize(
@@ -163,7 +160,7 @@ def test_what_is_verified_ends_where_a_backup_trajectory_begins(quantum: float) 
     assert 10 < safe.sum() < count
     for calls_held in (1, 2, 3):
         world = World(count, 5, "worst", "random", uncertainty)
-        world.held_for = lambda count=calls_held: count  # type: ignore[method-assign]
+        world.held_for = lambda held=calls_held: held  # type: ignore[method-assign]
         world.asks_torque = lambda _: torque  # type: ignore[method-assign]
         _, end, _ = flown(x, check.terminal_set, world, float(calls_held), None, lambda *_: u[THRUST])
         assert check.has_backup_trajectory(end)[safe].all()

@@ -36,6 +36,7 @@ U1 = Uncertainty(
     hill_rotation=True,
     saturates_rates=False,
 )
+FINE = Uncertainty(latency=1, longest_hold=1.0, position=0.1, velocity=0.001, thrust_misalignment=1.0)
 LOOK = 0.5  # s
 Law = Callable[[Tensor, Tensor, Tensor], Tensor]  # states, torque and error bounds to thrust
 
