@@ -265,8 +265,8 @@ class RobustTerminalSet:
             w.errors(none, none + beside, none + w.ends),
             w.errors(none, none + w.begins, none + farthest),
         )
-        grows = 3 * c.mean_motion**2 * self.thrust_error * self.slow / self.low / near.decay.item()
-        rising = self.tuning.rising * grows
+        rising = self.tuning.rising * 3 * c.mean_motion**2 * self.thrust_error * self.slow / self.low
+        rising /= near.decay.item()
         still = self.tuning.calmer * max(near.calm.item(), far.calm.item() - rising * farthest)
         return replace(w, still=still, rising=rising)
 
