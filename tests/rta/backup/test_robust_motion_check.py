@@ -16,7 +16,7 @@ from rta.filter import SafetyFilter
 from study.verification.starts import safe_set
 from tests.oracles import hypercube
 from tests.rta.backup.test_error_tube import accepts, beside
-from tests.rta.backup.uncertain_world import FINE, U1, C, R, World, committed, flown, is_safe, of_thrust
+from tests.rta.backup.uncertain_world import ROUNDED, U1, C, R, World, committed, flown, is_safe, of_thrust
 
 MOTION_CHECK = of_thrust(C, R, U1)
 assert MOTION_CHECK and MOTION_CHECK.terminal_set
@@ -77,16 +77,8 @@ def test_no_limit_breaks_whatever_is_asked(how: str, misses: str, seconds: float
 @pytest.mark.parametrize(
     ("uncertainty", "seconds"),
     [
-        (replace(FINE, thrust_quantum=0.1), 4.0),
-        *(
-            pytest.param(uncertainty, 30.0, marks=pytest.mark.campaign)
-            for uncertainty in (
-                replace(FINE, thrust_quantum=0.1),
-                replace(FINE, minimum_thrust=0.02),
-                replace(U1, thrust_quantum=0.05),
-                replace(U1, minimum_thrust=0.02),
-            )
-        ),
+        (ROUNDED[0], 4.0),
+        *(pytest.param(uncertainty, 30.0, marks=pytest.mark.campaign) for uncertainty in ROUNDED),
     ],
     ids=str,
 )

@@ -11,14 +11,9 @@ from inspection.model.state import P, Q, V
 from rta.backup.robust_terminal_set import TUNINGS, NoInvariantSetError, RobustTerminalSet, Tuning
 from rta.bounds.uncertainty import Uncertainty
 from tests.oracles import length, motion
-from tests.rta.backup.uncertain_world import FINE, U1, C, R, World, flown
+from tests.rta.backup.uncertain_world import FINE, ROUNDED, U1, C, R, World, flown
 
 TERMINAL_SET = RobustTerminalSet.of(C, R, U1)
-ROUNDED = [  # bounds, and what thrusters round off
-    *((bounds, {"minimum_thrust": 0.02}) for bounds in (FINE, U1)),
-    (FINE, {"thrust_quantum": 0.1}),
-    (U1, {"thrust_quantum": 0.05}),
-]
 EVERYWHERE = np.array((18.0, 20.0, 25.0, 40.0, 80.0, 130.0, 300.0, 560.0, 790.0, 799.5))  # m from the chief
 
 
@@ -75,12 +70,12 @@ def test_nothing_leads_out_of_the_set(how: str, misses: str, seconds: float) -> 
 
 
 @pytest.mark.campaign
-@pytest.mark.parametrize(("bounds", "quantised"), ROUNDED, ids=str)
+@pytest.mark.parametrize("uncertainty", ROUNDED, ids=str)
 def test_nothing_leads_out_of_the_set_of_thrusters_that_give_some_values_only(
-    bounds: Uncertainty, quantised: dict[str, float]
+    uncertainty: Uncertainty,
 ) -> None:
     """What they round off counts in the set: one without it they leave, unless the other errors are many."""
-    uncertainty = replace(bounds, **quantised)
+    bounds = replace(uncertainty, minimum_thrust=0.0, thrust_quantum=0.0)
     sets = [(RobustTerminalSet.of(C, R, uncertainty), True)]
     if bounds == FINE:
         sets.append((RobustTerminalSet.of(C, R, bounds), False))

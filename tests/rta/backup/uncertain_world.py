@@ -1,6 +1,7 @@
 """The world of U1 at its worst, and flights in it: what the cone and the terminal set are compared with."""
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import torch
@@ -37,6 +38,12 @@ U1 = Uncertainty(
     saturates_rates=False,
 )
 FINE = Uncertainty(latency=1, longest_hold=1.0, position=0.1, velocity=0.001, thrust_misalignment=1.0)
+ROUNDED = (  # with thrusters that give some values only
+    replace(FINE, thrust_quantum=0.1),
+    replace(FINE, minimum_thrust=0.02),
+    replace(U1, thrust_quantum=0.05),
+    replace(U1, minimum_thrust=0.02),
+)
 LOOK = 0.5  # s
 Law = Callable[[Tensor, Tensor, Tensor], Tensor]  # states, torque and error bounds to thrust
 
