@@ -352,8 +352,9 @@ def run_evaluate(given: Namespace) -> None:
     seconds(
         "--step",
         1.0,
-        "seconds between two rows of the output, two decisions of a classical controller and two rows of "
-        "--actions; an agent, trained or not, decides every 10 s",
+        "seconds between two rows of the output, two rows of --actions and two decisions of a classical controller, "
+        "which decides once per call of the filter at most, without it once per second; an agent, trained or not, "
+        "decides every 10 s",
     ),
     flag("--out", type=to_write(".npz"), required=True, metavar="F.npz", help="file to write"),
     flag(

@@ -11,6 +11,8 @@ from torch import Tensor
 from inspection.model.state import CONTROL_SIZE
 from inspection.world.plant import Plant
 
+ROUNDING = 1e-9  # s
+
 # Who commands: a function of time in s and states (16, B) to desired controls (6, B) in N and N m.
 Controller = Callable[[float, Tensor], Tensor]
 
@@ -57,7 +59,7 @@ class Clocks:
     Attributes:
         decision: between two decisions of the controller.
         report: the longest time between two `Hold`s.
-        substep: the longest integration step.
+        substep: the longest step of the plant.
         filter: between two calls of the filter; None without one.
         look: between two looks at what else changes with time; None: nothing is looked at.
 
@@ -91,20 +93,26 @@ class Clocks:
                 f"the filter's calls every {self.filter:g} s: must divide {self.look:g} s, "
                 "the time between the looks at the chief"
             )
-        if not is_multiple(self.hold, self.step):
+        if not is_multiple(self.control, self.step):
+            name = next(name for name, period in rising if period == self.control)
             raise ValueError(
-                f"substep = {self.substep:g} s: must divide {self.hold:g} s, the time between {rising[0][0]}"
+                f"substep = {self.substep:g} s: must divide {self.control:g} s, the time between {name}"
             )
 
     @property
     def hold(self) -> float:
         """The longest time in which nothing but the plant acts."""
-        return min(self.decision, self.report, self.filter or self.decision, self.look or self.decision)
+        return min(self.control, self.decision, self.report)
+
+    @property
+    def control(self) -> float:
+        """The time for which a control is held: a call of the filter gives one, without a filter a decision."""
+        return self.filter or min(self.decision, self.look or self.decision)
 
     @property
     def step(self) -> float:
-        """Of the integration."""
-        return min(self.substep, self.hold)
+        """Of the plant, however often it is looked at."""
+        return min(self.substep, self.control)
 
     def count(self, duration: float) -> int:
         """How many holds fill a duration in s; raises ValueError where the reports do not end with it."""
@@ -118,13 +126,13 @@ class Hold(NamedTuple):
 
     Attributes:
         time, end: at which it begins and ends, seconds: how long it is, in s.
-        state: (16, B) at its beginning; after: at its end. Both are true.
+        state: (16, B) at its beginning; after: at its end. Both are true, and within a step of the plant read.
         desired: (6, B) by the controller, or, between two of its decisions, the filter's last control.
         applied: (6, B) that the actuators are told.
         correction: the filter's answer, where it was called at `time`.
         decided: the controller was evaluated at `time`.
         seen: (16, B) the states as controller and filter last saw them.
-        acting: (6, B) what acts on the plant.
+        acting: (6, B) what acts on the plant, at `time`.
         missed: (B,) bool, the call at `time` was missed, so that `applied` is the last control; None: none was.
     """
 
@@ -158,17 +166,23 @@ def closed_loop(
     Args:
         controller: of the desired controls.
         correct: the filter; None applies what is desired.
-        integrate: states (16, B) after holding a control (6, B) for some s.
+        integrate: states (16, B) after a control (6, B) has acted for a step of the plant, or for less to read them.
         plant: what differs from the model; None: nothing, states are seen as they are and controls act as they are.
         start: the episodes' time at the beginning, (B,) s; None: 0 s.
         takes_plant_data: the filter also takes what the plant tells.
 
     A call is one of the filter, without a filter a decision. After a missed call the next one is asked for the same.
+    The plant moves in steps of its own; what is read within a step is not flown on.
     """
     hold = clocks.hold
     decisions, calls = (max(1, round((every or hold) / hold)) for every in (clocks.decision, clocks.filter))
     applied = next_desired = x.new_zeros(CONTROL_SIZE, *x.shape[1:])
     seen, start = x, torch.zeros_like(x[0]) if start is None else start
+    step, steps, flown = clocks.step, 0, x  # the plant's state after so many steps
+
+    def acts(time: float, u: Tensor) -> Tensor:
+        return plant.actuate(start + time, u) if plant else u
+
     for i in range(clocks.count(duration)):
         time, decided = i * hold, i % decisions == 0
         called = i % calls == 0 if correct else decided
@@ -186,10 +200,15 @@ def closed_loop(
             if plant:
                 applied, missed = plant.hold(start + time, applied)
                 next_desired = torch.where(missed, desired, applied)
-        acting = plant.actuate(start + time, applied) if plant else applied
-        after = integrate(x, acting, hold)
-        end = (i + 1) * hold
-        yield Hold(time, end, hold, x, desired, applied, correction, decided, after, seen, acting, missed)
+        end, acting = (i + 1) * hold, []
+        while (steps + 1) * step < end + ROUNDING:
+            acting.append(acts(steps * step, applied))
+            flown, steps = integrate(flown, acting[-1], step), steps + 1
+        after, left = flown, end - steps * step
+        if left > ROUNDING:  # within a step
+            acting.append(acts(steps * step, applied))
+            after = integrate(flown, acting[-1], left)
+        yield Hold(time, end, hold, x, desired, applied, correction, decided, after, seen, acting[0], missed)
         x = after
 
 

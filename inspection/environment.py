@@ -8,8 +8,9 @@ import torch
 from torch import Tensor
 
 from inspection.closed_loop import Clocks, Controller, Hold, Safety, closed_loop, is_multiple
+from inspection.fixed import Fixed
 from inspection.initial_state import InitialStates
-from inspection.model.dynamics import integrate
+from inspection.model.dynamics import integrate, step
 from inspection.model.parameters import ChiefParameters, InspectionParameters
 from inspection.model.state import CONTROL_SIZE, SIZE, THRUST, TORQUE
 from inspection.observation import normalised
@@ -41,7 +42,7 @@ def clocks_of(
     return Clocks(decide_every or every, report, c.substep, filter_period, look=every)
 
 
-class InspectionEnv:
+class InspectionEnv(Fixed):
     """A batch of inspection episodes.
 
     Seed k owns the columns k E to (k+1) E, and all draws for them come from generators[k], so that its
@@ -53,7 +54,7 @@ class InspectionEnv:
         generators: one per seed, on the device of the batch.
         safety: constraint values, admissible starts and the control filter.
         decide_every: s between two decisions of a controller; None: the action period.
-        report_every: the longest time in s between two holds that are reported; None: the integration step.
+        report_every: the longest time in s between two holds that are reported; None: the plant's step.
         plant: in what the plant differs from `parameters`; None: in nothing.
         target: the chief; None: the paper's.
 
@@ -64,9 +65,13 @@ class InspectionEnv:
         plant: of each episode; None: the model.
         progress: share of a training that is done, see `reward.shaping`.
 
+    The arguments cannot be changed later.
+
     Raises:
         ValueError: the clocks do not divide, or the plant does not fit the parameters.
     """
+
+    FIXED = ("c", "safety", "clocks", "plant", "sight", "num_envs", "privileged", "limit")
 
     @in_full_precision
     def __init__(
@@ -97,7 +102,7 @@ class InspectionEnv:
             self.plant = kind(plant, parameters, batch, device)
             self.plant.every, self.plant.acts_for = (
                 self.clocks.filter or self.clocks.decision,
-                self.clocks.hold,
+                self.clocks.step,
             )
         target = target or ChiefParameters()
         self.sight = Sight(target, parameters, batch, device)
@@ -116,8 +121,10 @@ class InspectionEnv:
         # functions of states column by column, which `compile` replaces
         if self.plant:
             self._integrate = partial(self.plant.integrate, duration=self.clocks.step)
+            self._read: Callable[..., Tensor] = self.plant.read
         else:
             self._integrate = partial(integrate, duration=self.clocks.step, c=parameters)
+            self._read = partial(step, c=parameters)
         self._normalised = partial(normalised, c=parameters)
         self._values = self.safety.values
 
@@ -162,6 +169,8 @@ class InspectionEnv:
         own = {"_normalised": self._compiled(self._normalised, self.x, *self.sight.observed())}
         if not (self.plant and not self.plant.is_recordable):
             own["_integrate"] = self._compiled(self._integrate, self.x, self.x[:CONTROL_SIZE], *self._bodies)
+        if not is_multiple(self.clocks.hold, self.clocks.step):
+            own["_read"] = self._compiled(self._read, self.x, self.x[:CONTROL_SIZE], *self._bodies, self.time)
         if self.safety.values:
             own["_values"] = self._compiled(self.safety.values, self.x, points=len(self.c.planes))
         self.sight.compile(self._several, self.x)
@@ -337,8 +346,10 @@ class InspectionEnv:
 
     @in_full_precision
     def integrate(self, x: Tensor, u: Tensor, seconds: float) -> Tensor:
-        """The states (16, B) after u has acted for some s."""
-        return self._integrate(x, u, *self._bodies, times=round(seconds / self.clocks.step))
+        """The states (16, B) after u has acted for whole steps of the plant, or as they are read within a step."""
+        if is_multiple(seconds, self.clocks.step):
+            return self._integrate(x, u, *self._bodies, times=round(seconds / self.clocks.step))
+        return self._read(x, u, *self._bodies, torch.full_like(x[0], seconds))
 
     @in_full_precision
     def constraint_values(self, x: Tensor) -> Tensor:

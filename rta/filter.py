@@ -20,9 +20,10 @@ import torch
 from torch import Tensor
 
 from inspection.closed_loop import Safety
+from inspection.fixed import Fixed
 from inspection.model.parameters import InspectionParameters
 from inspection.model.state import CONTROL_SIZE, SIZE, P, Q
-from inspection.model.unit_warnings import unit_warnings
+from inspection.model.state_checks import is_state, unit_warnings
 from kernels.build import NoCompilerError, say
 from kernels.compiled import Compiled
 from kernels.modes import in_full_precision
@@ -47,7 +48,7 @@ from rta.result import FilterResult
 SOLVERS: dict[str, type[Solver]] = {"piqp": PiqpSolver, "batched": BatchedSolver}
 
 
-class SafetyFilter:
+class SafetyFilter(Fixed):
     """The minimally invasive correction of a desired control.
 
     Call it as a function; `correct` is the same without its checks, for batches in float64. Any thread may call it. A
@@ -68,9 +69,16 @@ class SafetyFilter:
         backup: the check of its controls; None: no backup trajectory is known of this vehicle, or within the bounds.
         compiled: all of it as one C function; None: it is not compiled so.
 
+    Arguments and attributes are fixed; only `compile` changes one, `compiled`.
+
     Raises:
         ValueError: parameters or constraints that do not fit together.
     """
+
+    FIXED = (
+        *("c", "parameters", "solver", "extra", "uncertainty", "is_sampled"),
+        *("backup", "propose", "groups", "names"),
+    )
 
     @in_full_precision
     def __init__(
@@ -89,9 +97,8 @@ class SafetyFilter:
         self.is_sampled = uncertainty.needs_sampled_rows(parameters)
         # as fast as PIQP with sampled rows, of which there are more
         auto = "batched" if self.is_sampled else "piqp"
-        self.solver = self._own_solver = solver or make_solver(
-            parameters.qp_solver.replace("auto", auto), self.is_sampled
-        )
+        self._given_solver = solver
+        self.solver = solver or make_solver(parameters.qp_solver.replace("auto", auto), self.is_sampled)
         own = vehicle.scaled(parameters, c)
         of_paper = (thrust_constraints(c, own, uncertainty), torque_constraints(c, own, uncertainty))
         constraints = (*of_paper[0], *of_paper[1], *extra)
@@ -111,19 +118,14 @@ class SafetyFilter:
         self.names = in_order(thrust, torque)
         if len(set(self.names)) < len(self.names):
             raise ValueError(f"constraints {', '.join(self.names)}: each name must be there once")
-        self._is_auto = solver is None and parameters.qp_solver == "auto"
-        self._solves_in_c = isinstance(self.solver, BatchedSolver) or self._is_auto
+        is_auto = solver is None and parameters.qp_solver == "auto"
+        self._solves_in_c = isinstance(self.solver, BatchedSolver) or is_auto
         self.compiled: BatchFilter | None = None
         self._has_tried = False
         self._is_compiled = False
 
     def __reduce__(self) -> tuple[Any, ...]:
         return type(self), (self.c, self.parameters, self._given_solver, self.extra, self.uncertainty)
-
-    @property
-    def _given_solver(self) -> Solver | None:
-        """The solver that was given, or has been put in its place; None where `auto` chose it."""
-        return None if self._is_auto and self.solver is self._own_solver else self.solver
 
     @property
     def period(self) -> float:
@@ -153,7 +155,8 @@ class SafetyFilter:
     def is_in_safe_set(self, x: Tensor) -> Tensor:
         """(B,) bool: every h and every Psi_1 is non-negative."""
         thrust, torque = self.groups
-        inside = (self.values(x) >= 0.0).all(0) & thrust.keeps(x, degree=2) & torque.keeps(x, degree=2)
+        inside = is_state(x, self.c) & (self.values(x) >= 0.0).all(0)
+        inside = inside & thrust.keeps(x, degree=2) & torque.keeps(x, degree=2)
         return narrowed(inside, x, self.is_holdable) if self.is_sampled else inside
 
     def is_holdable(self, x: Tensor) -> Tensor:
@@ -178,10 +181,11 @@ class SafetyFilter:
     def is_safe(self, x: Tensor) -> Tensor:
         """Tells which states may start an episode, (B,) bool (docs/reference/proof.md).
 
-        True where every h >= 0, every Psi_1 >= 0 of limits of your own, and the backup trajectory keeps the limits.
+        True where a spacecraft can be in the state (`is_state`), every h >= 0, every Psi_1 >= 0 of limits of your own,
+        and the backup trajectory keeps the limits.
         For a group without a check: every Psi_1 >= 0 (thrust: also can_brake); with sampled rows also is_holdable.
         """
-        kept = (self.values(x) >= 0.0).all(0)
+        kept = is_state(x, self.c) & (self.values(x) >= 0.0).all(0)
         if self.backup:
             self._compile_flights(x)
             kept = narrowed(kept, x, self.backup.has_backup_trajectory)
@@ -253,11 +257,12 @@ class SafetyFilter:
             `desired`. The control is within the actuators' limits in float32, too.
 
         Raises:
-            ValueError: another type or shape, a number that is not finite, or a quaternion that is not of length 1.
+            ValueError: another type or shape, a number that is not finite, a quaternion that is not of length 1, or a
+                temperature below absolute zero.
 
-        Warns where a state looks like one in other units, see `inspection.model.unit_warnings`.
+        Warns where a state looks like one in other units, see `inspection.model.state_checks`.
         """
-        call = FilterInput(x, desired)
+        call = FilterInput(x, desired, self.c)
         for warning in unit_warnings(call.x, self.c):
             warnings.warn(f"state: {warning}", stacklevel=3)  # a decorator is between
         fit = call.single and call.x.device.type == "cpu" and not self.is_sampled and not self._is_compiled
@@ -292,10 +297,9 @@ class SafetyFilter:
             left: (6, B) the share that each actuator gives of its command; None: all of it. It counts for a filter
                 with `health` in its `Uncertainty`.
         """
-        elsewhere = x.device.type != "cpu" or self.solver is not self._own_solver
         # where a state is younger the first are NaN
         newest = None if sent is None else sent[max(0, len(sent) - self.uncertainty.latency) :]
-        if self.compiled is None or elsewhere:
+        if self.compiled is None or x.device.type != "cpu":
             result = self._correct(x, desired, newest, left)
         else:
             answer, unsolved = self.compiled(x, desired, newest, left)

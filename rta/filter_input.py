@@ -8,10 +8,12 @@ import torch
 from torch import Tensor
 
 from inspection.model.attitude import norm
-from inspection.model.state import CONTROL_SIZE, SIZE, Q
+from inspection.model.parameters import Limits
+from inspection.model.state import CONTROL_SIZE, SIZE, Q, T
+from inspection.model.state_checks import OFF_UNIT
 
 # How far a quaternion's length may be from 1: float32 resolves 1e-7, and a state estimate in it drifts by more.
-UNIT = {torch.float32: 1e-4}
+UNIT = {torch.float32: OFF_UNIT}
 UNIT_ELSE = 1e-6
 ROUNDED = 1e-12  # by which the length of a quaternion in double precision may be off
 INTEGERS = (torch.uint8, torch.int8, torch.int16, torch.int32, torch.int64)
@@ -19,6 +21,9 @@ INTEGERS = (torch.uint8, torch.int8, torch.int16, torch.int32, torch.int64)
 
 class FilterInput:
     """A state and a desired control, validated.
+
+    Args:
+        c: the task's constants.
 
     Attributes:
         x: states (16, B), float64; desired: controls (6, B), float64, both on the desired control's device.
@@ -28,7 +33,7 @@ class FilterInput:
         ValueError: see `SafetyFilter.__call__`.
     """
 
-    def __init__(self, x: Any, desired: Any) -> None:
+    def __init__(self, x: Any, desired: Any, c: Limits) -> None:
         state, control = numbers("state", x), numbers("desired control", desired)
         check_shape("state", state, SIZE)
         check_shape("desired control", control, CONTROL_SIZE)
@@ -46,6 +51,11 @@ class FilterInput:
         for name, part in (("state", self.x), ("desired control", self.desired)):
             if not math.isfinite(part.sum()) and not part.isfinite().all():
                 raise ValueError(f"{name} holds NaN or infinity: must be finite")
+        coldest, least = self.x[T].amin().item(), -c.zero_celsius
+        if coldest <= least:
+            raise ValueError(
+                f"temperature {coldest:g} deg C (component {T} of the state): must be above {least:g} deg C"
+            )
         length, tolerance = norm(self.x[Q]), UNIT.get(state.dtype, UNIT_ELSE)
         off = (length - 1.0).abs()
         farthest = off.max().item()

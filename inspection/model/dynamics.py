@@ -144,7 +144,7 @@ def derivative(x: Components, u: Components, c: Limits, body: Body | None = None
     return rate
 
 
-def step(x: Tensor, u: Tensor, duration: float, c: Limits, body: Body | None = None) -> Tensor:
+def step(x: Tensor, u: Tensor, duration: Tensor | float, c: Limits, body: Body | None = None) -> Tensor:
     """One RK4 step of `duration` s with u held; renormalises q and saturates the body rates if asked to."""
     held = u.unbind(0)
     end = rk4_step(lambda components: derivative(components, held, c, body), x.unbind(0), duration)

@@ -12,9 +12,10 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from inspection.fixed import Fixed
 from inspection.model.attitude import rate_in_hill
 from inspection.model.draws import counter_based_uniform, isotropic, key_of
-from inspection.model.dynamics import Body, integrate
+from inspection.model.dynamics import Body, integrate, step
 from inspection.model.orbit import orbit_rate
 from inspection.model.parameters import Limits
 from inspection.model.state import CONTROL_SIZE, CONTROLS, OMEGA, SIZE, THETA_S, THRUST, TORQUE, Q
@@ -136,7 +137,7 @@ def sample_plant(parameters: PlantParameters, c: Limits, key: Tensor) -> PlantSa
     )
 
 
-class Plant:
+class Plant(Fixed):
     """The plants of a batch of episodes, and what stands between them and the controls and the states that are seen.
 
     Args:
@@ -144,7 +145,7 @@ class Plant:
         batch: episodes, B.
 
     Attributes:
-        every, acts_for: s between two calls and that a control acts, set by whose clocks they are.
+        every, acts_for: s between two calls and of a step of the plant, set by whose clocks they are.
         drawn: what each episode's plant is; corner: (19, B) bool, where it is now, see `inspection.world.corners`.
         adversary: who chooses the corner where errors are worst; None: chance.
         held: (6, B) the last control that a call gave; missed: (B,) calls missed since.
@@ -155,6 +156,7 @@ class Plant:
         ValueError: the parameters do not fit the model.
     """
 
+    FIXED = ("parameters", "c")
     STATE: tuple[str, ...] = ("key", "held", "missed", "history", "past")
     is_recordable = True  # `integrate` is of operations that can be recorded
 
@@ -227,11 +229,17 @@ class Plant:
 
     def integrate(self, x: Tensor, u: Tensor, body: Tensor, duration: float, times: int = 1) -> Tensor:
         """The states (16, B) after so many steps of `duration` s under what acts, (6, B), of bodies (7, B)."""
+        return integrate(x, u, duration, self.c, times, self._body(body))
+
+    def read(self, x: Tensor, u: Tensor, body: Tensor, duration: Tensor) -> Tensor:
+        """The states (16, B) so many s (B,) after a step began; the arguments are those of `integrate`."""
+        return step(x, u, duration, self.c, self._body(body))
+
+    def _body(self, body: Tensor) -> Body:
+        """A body (7, B) as the equations of motion take it."""
         mass, *rest = body.unbind(0)
-        p = self.parameters
-        turns = self.turns or self.c.hill_rotation
-        own = Body(mass, rest[:3], rest[3:], turns, self.c.saturate_rates and p.saturate_rates)
-        return integrate(x, u, duration, self.c, times, own)
+        saturates = self.c.saturate_rates and self.parameters.saturate_rates
+        return Body(mass, rest[:3], rest[3:], self.turns or self.c.hill_rotation, saturates)
 
     def actuate(self, time: Tensor, u: Tensor) -> Tensor:
         """What acts from a time of the episodes (B,) on where u (6, B) is commanded."""

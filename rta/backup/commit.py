@@ -13,6 +13,7 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
+from inspection.fixed import Fixed
 from inspection.model.state import THRUST, TORQUE
 from rta.constraints.names import PAPERS
 from rta.qp.programs import Status, pick, put
@@ -25,7 +26,7 @@ SLACK_ROUNDED = 1e-9  # in the unit of slack, up to which it is a solver's round
 SHARES = (0.25, 0.5, 0.75)  # tried between the proposed control and the backup law's
 
 
-class Check(ABC):
+class Check(Fixed, ABC):
     """A check of controls; states y (n, B) are what it is given by `seen`.
 
     Attributes:
@@ -75,7 +76,7 @@ class Check(ABC):
         """Rounds controls (6, B) to those that the actuators can give."""
         return u
 
-    def follow(self, y: Tensor, u: Tensor, safe: Tensor, changed: Tensor, broken: Tensor) -> None:  # noqa: B027
+    def follow(self, y: Tensor, u: Tensor, safe: Tensor, changed: Tensor, broken: Tensor) -> None:
         """Has both groups follow their laws where no other control is safe and that is; arguments as in `committed`."""
 
     def commit(

@@ -14,6 +14,7 @@ import torch
 from torch import Tensor
 
 from inspection.model.parameters import Limits
+from inspection.model.state_checks import is_state
 from rta.backup.attitude_law import Pointing, has_rest, slew
 from rta.backup.commit import ATTITUDE, LIMITS, MOTION, Check
 from rta.backup.early_accept import EarlyAccept
@@ -52,6 +53,7 @@ class NominalBackup(Check):
         NoTerminalSetError: the laws leave every set that is known.
     """
 
+    FIXED = ("c", "pointing", "braking", "terminal", "flight", "early_accept")
     knows = True, True
 
     def __init__(self, c: Limits, period: float) -> None:
@@ -104,10 +106,10 @@ class NominalBackup(Check):
         return x
 
     def fit(self, y: Tensor, h: Tensor) -> tuple[Tensor, Tensor]:
-        """Nothing can be checked where states (16, B) are no numbers. Rates may be at their limit."""
+        """Nothing can be checked where states (16, B) cannot be. Rates may be at their limit."""
         rates = (h[MOTION + ATTITUDE :] >= -RATES_ROUNDED).all(0, keepdim=True)
         broken = ~torch.cat((h[: MOTION + ATTITUDE] >= 0.0, rates))
-        return broken, y.isfinite().all(0).repeat(2, 1)
+        return broken, is_state(y, self.c).repeat(2, 1)
 
     def has_backup_trajectory(self, x: Tensor) -> Tensor:
         """(B,) bool: from states (16, B) the laws keep all limits for good."""

@@ -46,7 +46,9 @@ class Spread:
     Attributes:
         angle: (...) rad, in any direction; rate: (...) rad/s, of each axis.
         temperature, energy: (...) deg C, kJ.
-        command: (...) rad/s^2, of each axis, of what acted since the state was measured that is answered at the call.
+        command: (...) rad/s^2, of each axis, of the torque that was held until the call.
+        late: (2, ...) rad/s and rad, by which the law's first calls see the state farther off: they answer what was
+            measured before that torque acted, so other torque acted since.
     """
 
     angle: Tensor
@@ -54,6 +56,7 @@ class Spread:
     temperature: Tensor
     energy: Tensor
     command: Tensor
+    late: Tensor
 
 
 class Start(NamedTuple):
@@ -61,7 +64,7 @@ class Start(NamedTuple):
 
     Attributes:
         delta: (...) rad, of the panels from the Sun; z: (2, ...) rad/s, by which the rates across d are not the law's.
-        rolling: (...) rad/s, of the rate about d; command: (...) rad/s^2, see `Spread`; hot: (...) deg C.
+        rolling: (...) rad/s, of the rate about d; command, late: see `Spread`; hot: (...) deg C.
         near, energy: (...) rad, delta, and kJ, at least.
     """
 
@@ -69,6 +72,7 @@ class Start(NamedTuple):
     z: Tensor
     rolling: Tensor
     command: Tensor
+    late: Tensor
     hot: Tensor
     near: Tensor
     energy: Tensor
@@ -158,19 +162,13 @@ def followed(start: Start, w: AttitudeConstants) -> Followed:
         calls = round(w.lag / w.period)
         first = max(i - calls - w.hold_periods + 1, 0 if i >= calls else -1) if calls else i - 1
         ago = slice(first + 1, i + 1) if calls else slice(0, 1)
-
-        def measurement_error(
-            commands: list[Tensor], unknowns: list[Tensor], ago: slice = ago
-        ) -> tuple[Tensor, Tensor]:
-            """rad/s and rad, what is measured of one axis is off by at most."""
-            off = w.share * maximum(commands[ago]) + maximum(unknowns[ago])
-            angle = w.attitude + w.lag * w.noise + off * (w.lag**2 / 2)
-            return w.noise + w.unknown * ROOT2 * angle + w.lag * off, angle
-
         (e, angle), (e_d, angle_d) = (
-            measurement_error(commands[0], unknowns[0]),
-            measurement_error(commands[1], unknowns[1]),
+            w.measured(maximum(sent[ago]), maximum(unknown[ago]))
+            for sent, unknown in zip(commands, unknowns, strict=True)
         )
+        if i < calls - 1:  # measured before the hold that the trajectory begins after
+            late, late_angle = start.late[0] + w.unknown * ROOT2 * start.late[1], start.late[1]
+            e, angle, e_d, angle_d = e + late, angle + late_angle, e_d + late, angle_d + late_angle
         e = e + w.kappa * torch.maximum(angle, angle_d) * ROOT3
         high = overshot(z, e)
         fast = overshot(rolling, roll + e_d) + e_d + most * long
@@ -233,7 +231,7 @@ def beginning(x: Tensor, off: Spread, w: AttitudeConstants) -> Start:
         (x[OMEGA.start] + w.unknown * rotation_matrix(x[Q])[2, 0]).abs() + off.rate + w.unknown * off.angle
     )
     hot, energy = x[T] + off.temperature, x[E] - off.energy
-    return Start(delta + off.angle, z, rolling, off.command, hot, delta - off.angle, energy)
+    return Start(delta + off.angle, z, rolling, off.command, off.late, hot, delta - off.angle, energy)
 
 
 def from_here(start: Start, w: AttitudeConstants) -> Tensor:
@@ -294,6 +292,9 @@ def from_here(start: Start, w: AttitudeConstants) -> Tensor:
 def hold_bounds(x: Tensor, u: Tensor, error_bound: Tensor, w: AttitudeConstants) -> tuple[Tensor, Start]:
     """A hold of controls (6, B), however long, at states (16, B) as they are predicted.
 
+    Where a state is more calls old than the hold is long, controls from before it acted since the state was measured.
+    By how much they take the rate and the attitude astray is what the prediction is off by already, `error_bound`.
+
     Args:
         error_bound: (4, B) by how far the states are off beyond their measurement, see `Propose`.
 
@@ -306,6 +307,7 @@ def hold_bounds(x: Tensor, u: Tensor, error_bound: Tensor, w: AttitudeConstants)
     angle, rate = off(error_bound, w)
     command = (u[TORQUE].abs() / x.new_tensor(c.inertia)[:, None]).amax(0)
     faster = w.share * command + w.worst
+    before = torch.stack((error_bound[3], error_bound[2] + w.lag * error_bound[3]))
     slopes = c.temperature_sun_slope + c.temperature_earth_slope
     parts, ends, y = [room(x, angle, rate, w)], [], x
     for i in range(1, w.hold_periods * looks + 1):
@@ -321,9 +323,9 @@ def hold_bounds(x: Tensor, u: Tensor, error_bound: Tensor, w: AttitudeConstants)
             room(z, wider, later, w) - w.look.gyroscopic * t / 2,
         ]
         if i % looks == 0:
-            spread = Spread(
-                wider, later, w.look.heating * light_error, w.look.charging * light_error, command
-            )
+            late = before if seconds < w.lag - t / 2 else torch.zeros_like(before)
+            heat, charge = (rate_of * light_error for rate_of in (w.look.heating, w.look.charging))
+            spread = Spread(wider, later, heat, charge, command, late)
             ends.append(beginning(z, spread, w))
         y = z
     return lowest(torch.stack(parts)), Start.any_of(ends)
@@ -382,4 +384,5 @@ def has_backup_trajectory(x: Tensor, w: AttitudeConstants) -> Tensor:
     """(B,) bool: from true states (16, B) whatever is measured the law keeps the attitude's limits."""
     none = torch.zeros_like(x[0])
     # a plant's rate may be one relative to the stars
-    return trajectory_margin(x, Spread(none, none + w.offset, none, none, none), w) >= 0.0
+    late = torch.zeros_like(x[:2])
+    return trajectory_margin(x, Spread(none, none + w.offset, none, none, none, late), w) >= 0.0

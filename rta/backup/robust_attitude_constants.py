@@ -7,6 +7,7 @@ Errors and the rates that they leave are per body axis. The panels' axis d is th
 import math
 from dataclasses import dataclass, replace
 from itertools import product
+from typing import Any
 
 import torch
 
@@ -161,11 +162,12 @@ class AttitudeConstants:
         """rad/s, at which the panels turn so far from the Sun, in rad."""
         return min(self.kappa * math.sin(delta), self.rate)
 
-    def measured(self, command: float, unknown: float) -> tuple[float, float]:
+    def measured(self, command: Any, unknown: Any) -> tuple[Any, Any]:
         """rad/s and rad, of each axis, by which a rate and an attitude are off when a call answers.
 
         Args:
-            command: rad/s^2, at most, of what was sent since; unknown: rad/s^2, that the model does not know of.
+            command: rad/s^2, at most, of what was sent since; unknown: rad/s^2, unknown to the model. Numbers
+                or tensors.
         """
         off = self.share * command + unknown
         angle = self.attitude + self.lag * self.noise + off * self.lag**2 / 2

@@ -15,6 +15,7 @@ from torch import Tensor
 
 from inspection.model.parameters import Limits
 from inspection.model.state import SIZE, THRUST, TORQUE
+from inspection.model.state_checks import is_state
 from rta.backup import robust_attitude_check, robust_motion_check
 from rta.backup.attitude_law import has_rest
 from rta.backup.commit import LIMITS, Check
@@ -32,10 +33,16 @@ class RobustBackup(Check):
             is safe.
     """
 
+    FIXED = ("terminal_set", "attitude", "c", "r", "knows")
+
     def __init__(
-        self, terminal_set: RobustTerminalSet | None, attitude: AttitudeConstants | None, r: RtaParameters
+        self,
+        terminal_set: RobustTerminalSet | None,
+        attitude: AttitudeConstants | None,
+        c: Limits,
+        r: RtaParameters,
     ) -> None:
-        self.terminal_set, self.attitude, self.r = terminal_set, attitude, r
+        self.terminal_set, self.attitude, self.c, self.r = terminal_set, attitude, c, r
         self.knows = terminal_set is not None, attitude is not None
 
     @classmethod
@@ -43,7 +50,7 @@ class RobustBackup(Check):
         """Returns None without a backup trajectory within the bounds or of this vehicle, or if actuators may fail."""
         if uncertainty.is_zero or uncertainty.health:
             return None
-        check = cls(terminal_set_of(c, r, uncertainty), attitude_constants_of(c, r, uncertainty), r)
+        check = cls(terminal_set_of(c, r, uncertainty), attitude_constants_of(c, r, uncertainty), c, r)
         return check if any(check.knows) else None
 
     def has_backup_trajectory(self, x: Tensor) -> Tensor:
@@ -58,8 +65,12 @@ class RobustBackup(Check):
         return torch.cat((x, error_bound))
 
     def fit(self, y: Tensor, h: Tensor) -> tuple[Tensor, Tensor]:
-        """Leaves a group unchecked where one of its limits is surely broken: no backup trajectory begins there."""
-        found = y.isfinite().all(0).repeat(2, 1) & (self.may_be_kept(y) >= 0.0)
+        """Leaves a group unchecked where one of its limits is surely broken: no backup trajectory begins there.
+
+        Nothing can be checked where states cannot be.
+        """
+        possible = is_state(y[:SIZE], self.c) & y.isfinite().all(0)
+        found = possible & (self.may_be_kept(y) >= 0.0)
         return torch.zeros_like(y[:LIMITS], dtype=torch.bool), found
 
     def may_be_kept(self, y: Tensor) -> Tensor:

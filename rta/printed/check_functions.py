@@ -7,6 +7,7 @@ import torch
 from torch import Tensor
 
 from inspection.model.state import SIZE, TORQUE
+from inspection.model.state_checks import state_room
 from kernels.printer import Printed, if_long, printed
 from rta.backup import robust_attitude_check, robust_motion_check
 from rta.backup.commit import ATTITUDE, LIMITS, MOTION, SHARES, SLACK_ROUNDED, Check
@@ -30,15 +31,16 @@ def checks(safety_filter: "SafetyFilter") -> list[Printed]:
     b, (x, u) = safety_filter.backup, safety_filter.probe("cpu")
     if b is None:
         return []
+    states = all_printed(("state_room", lambda x: [state_room(x, safety_filter.c)], (x,), ("x",), ("room",)))
     if isinstance(b, RobustBackup):
-        return robust_functions(b, x, u)
+        return states + robust_functions(b, x, u)
     assert isinstance(b, NominalBackup)
     planes = if_long(len(safety_filter.c.planes))  # of a hull
     holds = all_printed(
         ("flown", lambda x, u: list(b.hold(x, u)), (x, u), ("x", "control"), ("after", "least")),
         long=planes or CELLS[0],
     )
-    return holds + laws(b, x, u) + all_printed(
+    return states + holds + laws(b, x, u) + all_printed(
         ("attitude_flown", lambda x, u: list(fly_attitude(x, u, b.flight)), (x, u), ("x", "control"),
          ("after", "least")),
         ("at_once", lambda x: [b.at_once(x)], (x,), ("x",), ("least",)),

@@ -201,13 +201,21 @@ def run(
     elif actions:
         commander = recorded(actions, env, step, duration)
     else:
-        commander = classical(controller, env, seed, step)
+        commander = classical(controller, env, seed, decide_every)
     return simulate(env, commander, start, duration)
 
 
 def decides_every(config: Config, controller: str, step: float) -> float:
-    """s between two decisions: of an agent, trained or not, its own; of the others a row of the output."""
-    return config.inspection.action_period if controller in ("policy", "untrained") else step
+    """s between two decisions: of an agent, trained or not, its own; of recorded controls a row of the output.
+
+    A classical controller decides at every row, but not more often than the filter is called or, without it, the plant
+    steps. So more rows of the output change nothing in the flight.
+    """
+    if controller in ("policy", "untrained"):
+        return config.inspection.action_period
+    if controller == "recorded":
+        return step
+    return max(step, config.rta.period if config.train.rta else config.inspection.substep)
 
 
 def described(episode: dict[str, np.ndarray]) -> str:

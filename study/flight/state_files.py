@@ -12,7 +12,7 @@ from torch import Tensor
 from inspection.model.attitude import norm, unit
 from inspection.model.parameters import Limits
 from inspection.model.state import CONTROL_SIZE, OMEGA, SIZE, THETA_S, E, P, Q, T, V
-from inspection.model.unit_warnings import unit_warnings
+from inspection.model.state_checks import unit_warnings
 from inspection.world.corners import CORNER
 from settings import InputError, instead
 from study import files

@@ -26,7 +26,6 @@ from inspection.world.plant import Plant
 from kernels.printer import Printed, printed
 from rta.constraints.names import CONSTRAINTS
 from rta.filter import SafetyFilter
-from rta.parameters import PERIODS
 from rta.printed.files import sources as sources_of_filter
 from rta.printed.source import define, for_one
 from settings import InputError
@@ -118,10 +117,10 @@ def named(
 def of_flight(safety_filter: SafetyFilter) -> list[Printed]:
     """Prints the model, and what `play.c` calls beside it."""
     c, (x, u) = safety_filter.c, safety_filter.probe("cpu")
-    normals, duration = fibonacci_sphere(c.num_points), min(c.substep, min(PERIODS))
+    normals = fibonacci_sphere(c.num_points)
     n = c.num_points
     return [
-        named("model_step", "y", lambda x, u: [step(x, u, duration, c)], x=x, u=u),
+        named("model_step", "y", lambda x, u: [step(x, u, c.substep, c)], x=x, u=u),
         named("constraint_values", "h", lambda x: [safety_filter.values(x)], x=x),
         named("failures", "f", lambda x: [torch.stack([f.double() for f in failures(x, c).values()])], x=x),
         named("in_view", "lit seen", lambda x: [*in_view(normals, x, c).double()], n, x=x),
@@ -157,7 +156,7 @@ def of_world(safety_filter: SafetyFilter, parameters: PlantParameters) -> list[P
     """Prints a world whose errors are worst, and who chooses its corners; `safety_filter` has its bounds."""
     c, (x, u) = safety_filter.c, safety_filter.probe("cpu")
     plant = Plant(replace(parameters, latency=0), c, 1, "cpu")  # what is old by then, the driver keeps
-    greedy, now, duration = Greedy(safety_filter), torch.zeros(1), min(c.substep, min(PERIODS))
+    greedy, now = Greedy(safety_filter), torch.zeros(1)
     ends, gains = (x.new_ones(part.stop - part.start, 1) for part in (ERRORS, GAINS))
 
     def outlook(x: Tensor, error: Tensor, u: Tensor, *along: Tensor) -> list[Tensor]:
@@ -176,7 +175,7 @@ def of_world(safety_filter: SafetyFilter, parameters: PlantParameters) -> list[P
         return [here.actuate(now, u)]
 
     def moved(x: Tensor, acting: Tensor, body: Tensor) -> list[Tensor]:
-        return [plant.integrate(x, acting, body, duration)]
+        return [plant.integrate(x, acting, body, c.substep)]
 
     drawn = plant.drawn
     return [

@@ -15,6 +15,7 @@ import torch
 from torch import Tensor
 
 from inspection.chief.points import fibonacci_sphere
+from inspection.closed_loop import is_multiple
 from inspection.model.attitude import norm, unit
 from inspection.model.draws import key_of
 from inspection.model.orbit import free_flight
@@ -50,12 +51,11 @@ MADE = {  # starts: towards the deputy, which is at rest there, and rad from the
 def check(config: Config) -> None:
     """Raises InputError where the page cannot fly a configuration, or the compiler is missing."""
     c, plant, uncertainty = config.inspection, config.plant, config.uncertainty
-    steps = 1.0 / min(c.substep, 1.0)
     refused = {
         "[chief]: play flies around the paper's chief only": not config.chief.is_the_papers
         or "chief" in c.observed,
         "play flies in seconds: substep must divide 1 s, action_period must be whole seconds": (
-            abs(steps - round(steps)) > 1e-9 or c.action_period % 1.0 > 0.0
+            not is_multiple(1.0, c.substep) or c.action_period % 1.0 > 0.0
         ),
         "[plant]: play flies its own simulator only, without failures": plant.simulator != "own"
         or plant.failing != "none",
@@ -196,14 +196,14 @@ def task(c: InspectionParameters) -> dict[str, Any]:
         "periods": list(PERIODS),
         "limit": list(c.control_limit),
         "mass": c.mass,
-        "steps": round(1.0 / min(c.substep, 1.0)),
+        "steps": round(1.0 / c.substep),
         "action_period": c.action_period,
         "success_score": c.success_score,
         "max_time": c.max_time,
         "arrays": module.arrays(c),
         "points": (c.chief_radius * fibonacci_sphere(c.num_points).T).tolist(),
         "places": module.PLACES,
-        "ahead_steps": round(HORIZON / module.PLACES / min(c.substep, 1.0)),
+        "ahead_steps": round(HORIZON / module.PLACES / c.substep),
         **drawn(c),
         "limits": limits(c),
     }

@@ -16,6 +16,7 @@ from inspection.closed_loop import Clocks, Safety, Smallest, closed_loop
 from inspection.environment import InspectionEnv
 from inspection.model.parameters import InspectionParameters
 from inspection.model.state import OMEGA, E, P, Q, T, V
+from inspection.world.parameters import PlantParameters
 from tests.inspection.model.test_dynamics import UNEQUAL, dop853, still
 
 DECISIONS, REPORTS, CALLS = "the controller's decisions", "the loop's reports", "the filter's calls"
@@ -25,9 +26,11 @@ LOOKS = "the looks at the chief"
 @pytest.mark.parametrize(
     ("clocks", "message"),
     [
-        ((10.0, 1.0, 0.4), f"substep = 0.4 s: must divide 1 s, the time between {REPORTS}"),
+        ((10.0, 1.0, 0.3), f"substep = 0.3 s: must divide 10 s, the time between {DECISIONS}"),
+        ((10.0, 1.0, 2.0, 5.0), f"substep = 2 s: must divide 5 s, the time between {CALLS}"),
+        ((20.0, 1.0, 4.0, None, 10.0), f"substep = 4 s: must divide 10 s, the time between {LOOKS}"),
         ((10.0, 10.0, 3.0, 5.0), f"substep = 3 s: must divide 5 s, the time between {CALLS}"),
-        ((2.0, 12.0, 0.75, 4.0), f"substep = 0.75 s: must divide 2 s, the time between {DECISIONS}"),
+        ((2.0, 12.0, 0.75, 4.0), f"substep = 0.75 s: must divide 4 s, the time between {CALLS}"),
         ((10.0, 30.0, 1.0, 3.0), f"{DECISIONS} every 10 s: must be a multiple of 3 s, the time between {CALLS}"),
         ((10.0, 1.0, 1.0, 3.0), f"{DECISIONS} every 10 s: must be a multiple of 3 s, the time between {CALLS}"),
         ((3.0, 1.0, 1.0, 5.0), f"{CALLS} every 5 s: must be a multiple of 3 s, the time between {DECISIONS}"),
@@ -48,7 +51,9 @@ def test_clocks_that_do_not_divide_are_refused_and_both_are_named(clocks: tuple,
 SETTINGS = {
     "agent": ((10.0, 10.0, 1.0, None), (10.0, 1.0)),
     "agent_behind_the_filter": ((10.0, 10.0, 1.0, 1.0), (1.0, 1.0)),
-    "reported_every_second": ((10.0, 1.0, 5.0, 5.0), (1.0, 1.0)),
+    "reported_every_second": ((10.0, 1.0, 5.0, 5.0), (1.0, 5.0)),
+    "reported_across_steps": ((10.0, 2.5, 1.0, 10.0), (2.5, 1.0)),
+    "reported_within_steps": ((10.0, 0.1, 1.0, 1.0), (0.1, 1.0)),
     "slow_filter": ((10.0, 5.0, 2.5, 10.0), (5.0, 2.5)),
     "unfiltered_decisions": ((2.0, 2.0, 5.0, None), (2.0, 2.0)),
     "filter_slower_than_decisions": ((1.0, 1.0, 0.25, 5.0), (1.0, 0.25)),
@@ -97,6 +102,11 @@ def by_event_times(x: Tensor, clocks: Clocks, duration: float) -> list[dict[str,
         x = watched.integrate(x, applied, row["seconds"])
         rows.append(row | {"applied": applied, "after": x})
     return rows
+
+
+@pytest.mark.parametrize(("clocks", "hold_and_step"), SETTINGS.values(), ids=SETTINGS)
+def test_the_plant_steps_however_often_it_is_looked_at(clocks: tuple, hold_and_step: tuple) -> None:
+    assert (Clocks(*clocks).hold, Clocks(*clocks).step) == hold_and_step
 
 
 @pytest.mark.parametrize("clocks", [clocks for clocks, _ in SETTINGS.values()], ids=SETTINGS)
@@ -178,6 +188,8 @@ FLIGHTS = {  # substep, filter and report in s
     "filter_and_substep_of_5_s_reported_every_second": (5.0, 5.0, 1.0),
     "substep_of_5_s_reported_every_second": (5.0, None, 1.0),
     "filter_every_10_s": (2.5, 10.0, 5.0),
+    "read_within_steps": (2.5, 10.0, 0.5),
+    "read_across_steps": (1.0, 5.0, 2.5),
 }
 
 
@@ -212,6 +224,45 @@ def test_steps_follow_dop853(substep: float, period: float | None, report: float
     halvings = [0.5 ** (k + 1) * period / 10.0 for k in range(round(10.0 / period))] if period else [1.0]
     assert step.metrics[3].item() == pytest.approx(2 * 1.9 / 12.0 * 10.0 * sum(halvings))
     assert step.metrics[4].item() == pytest.approx(2 * 0.045 * env.c.max_torque * sum(halvings))
+
+
+CLAMPED = {  # substep, period and report in s; the last two differ in the report alone
+    "paper": (1.0, 1.0, (None, 0.1, 0.25)),
+    "long_substep": (5.0, 5.0, (None, 1.0, 2.5)),
+    "slow_filter": (1.0, 10.0, (None, 10.0, 0.5)),
+    "unfiltered": (1.0, None, (None, 0.2)),
+}
+WORLD = PlantParameters(
+    mass_factor=1.1,
+    failing="thrust_x",
+    failing_from=7.0,
+    position_noise=0.1,
+    errors="drawn",
+    thrust_gain=(0.9, 1.1),
+)
+
+
+@pytest.mark.parametrize("plant", [None, WORLD], ids=["model", "plant"])
+@pytest.mark.parametrize(("substep", "period", "reports"), CLAMPED.values(), ids=CLAMPED)
+def test_looking_more_often_changes_no_bit_of_a_flight_whose_rates_are_clamped(
+    substep: float, period: float | None, reports: tuple, plant: PlantParameters | None
+) -> None:
+    c = InspectionParameters(inertia=UNEQUAL, substep=substep)
+    safety = Safety(correct=halving, period=period) if period else None
+    flights = []
+    for report in reports:
+        env = InspectionEnv(1, c, [torch.Generator()], safety, report_every=report, plant=plant)
+        fast = tumbling()
+        fast[OMEGA, 0] = 0.999 * c.max_rate * torch.tensor([1.0, -1.0, 1.0], dtype=torch.float64)
+        env.start(fast, torch.tensor([[1.0], [0.0], [0.0]], dtype=torch.float64))
+        control = env.control(torch.tensor([[0.6, -0.9, 0.4, 0.9, -0.9, 0.9]]))
+        holds = list(env.fly(lambda t, x, control=control: control, 20.0))
+        assert all((hold.after[OMEGA].abs() <= c.max_rate).all() for hold in holds)
+        flights.append({round(hold.end, 6): hold.after for hold in holds})
+    for finer in flights[1:]:
+        shared = flights[0].keys() & finer.keys()
+        assert 20.0 in shared
+        assert all(torch.equal(flights[0][time], finer[time]) for time in shared)
 
 
 def test_the_smallest_values_so_far_and_when_and_nan_is_below_all() -> None:

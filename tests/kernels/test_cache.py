@@ -171,7 +171,7 @@ def name_of(safety_filter: SafetyFilter) -> str | None:
 
 def test_equal_filters_are_recorded_once_and_others_by_themselves() -> None:
     without_check = SafetyFilter()
-    without_check.backup = None
+    without_check(without_check)
     own = own_constraints.OWN
     others = [
         SafetyFilter(),

@@ -44,6 +44,7 @@ from tests.oracles import (
     thrust_fall,
 )
 from tests.rta import test_actuator_groups as own
+from tests.support.filters import without_check
 
 C = InspectionParameters()
 R = RtaParameters()
@@ -94,7 +95,7 @@ def result(safety: SafetyFilter) -> FilterResult:
 def programs() -> SafetyFilter:
     """The filter without the check of its controls, `rta.backup`: what its programs answer."""
     alone = SafetyFilter(C, R)
-    alone.backup = None
+    without_check(alone)
     return alone
 
 
@@ -154,7 +155,7 @@ def test_the_nearest_control_is_nearest_to_what_is_desired_itself(
 ) -> None:
     """u is the projection of d exactly where no control v that is permitted has (d - u) . (v - u) > 0."""
     safety = SafetyFilter(C, R, None if solver == "C" else make_solver(solver))
-    safety.backup = None
+    without_check(safety)
     if solver == "C":
         safety.compile("cpu", len(X[0]))
     answer, clipped = safety.correct(X, gain * U), safety.correct(X, (gain * U).clamp(-LIMIT, LIMIT))
@@ -178,7 +179,7 @@ def test_the_nearest_control_is_nearest_to_what_is_desired_itself(
 def test_a_demand_that_is_no_number_is_no_wish_and_filtered(solver: str) -> None:
     """The programs read demands, so that the check has no part in this."""
     safety = SafetyFilter(C, R, None if solver == "C" else make_solver(solver))
-    safety.backup = None
+    without_check(safety)
     if solver == "C":
         safety.compile("cpu", len(X[0]))
     for group in (THRUST, TORQUE):
@@ -367,7 +368,7 @@ def test_start_can_brake_where_thrust_can_keep_the_zone(period: float) -> None:
     can_brake = safety.can_brake(tensor(x))
     assert 0.5 < can_brake.double().mean() < 1.0
     assert (can_brake.numpy() == (curve >= 0)).all()
-    safety.backup = None
+    without_check(safety)
     inside = safety.is_in_safe_set(tensor(x))
     assert (safety.is_safe(tensor(x)) == (inside & can_brake)).all()
     # where rows are of a held control, no barrier of the safe set is negative, the zone's neither
@@ -377,7 +378,7 @@ def test_start_can_brake_where_thrust_can_keep_the_zone(period: float) -> None:
 def test_own_constraints_come_after_the_papers(programs: SafetyFilter, solution: FilterResult) -> None:
     papers, result, (cone, _), (ball, _) = programs, solution, own.OWN["cone"], own.OWN["sphere"]
     safety = SafetyFilter(C, R, extra=(cone, ball))
-    safety.backup = None
+    without_check(safety)
     assert safety.safety().names == (*CONSTRAINTS, "sphere", "cone")
     answer = safety.correct(X, U)
     h = torch.stack((own.sphere(X), tensor(own.numpy_cone(X.numpy()))))
@@ -434,7 +435,8 @@ def restless() -> Iterator[None]:
 def test_threads_may_share_a_filter(solver: str, is_compiled: bool, calls: int) -> None:
     shared, other = (with_a_ball(solver) for _ in range(2))
     if is_compiled:  # many calls of what keeps tensors between them; the check keeps none
-        shared.backup = other.backup = None
+        without_check(shared)
+        without_check(other)
         shared.compile("cpu", 16)
     blocks = [slice(start, start + 16) for start in range(0, 64, 16)]
     expected = shared.correct(X[:, :64], U[:, :64]).control
@@ -458,6 +460,15 @@ def test_a_copy_is_the_same_filter(solver: str) -> None:
     for other in (copy(safety), deepcopy(safety), pickle.loads(pickle.dumps(safety))):
         assert other.names == safety.names and type(other.solver) is type(safety.solver)
         assert torch.equal(other.correct(x, u).control, expected.control)
+
+
+@pytest.mark.parametrize("name", SafetyFilter.FIXED)
+def test_what_a_filter_is_made_of_is_fixed(safety: SafetyFilter, name: str) -> None:
+    """Its compiled copy for one spacecraft would go on with the former value."""
+    before = getattr(safety, name)
+    with pytest.raises(AttributeError, match=f"SafetyFilter.{name} is fixed, .*: make another SafetyFilter"):
+        setattr(safety, name, None)
+    assert getattr(safety, name) is before
 
 
 def clear_of_a_ball(x: Tensor) -> Tensor:

@@ -107,6 +107,7 @@ HALF[9, 2] += 0.1
         (STATE[:, :1], CONTROL[:, 0], "state of shape (16, 1) with desired control of shape (6,)"),
         (changed(i9=3.0), CONTROL[:, 0], "quaternion (components 6 to 9 of the state): must have length 1 to 1e-06"),
         (HALF, CONTROL[:, :4], "quaternion .* in column 2: must have length 1 to 0.0001"),
+        (changed(i13=-273.15), CONTROL[:, 0], "temperature -273.15 deg C (component 13 of the state): must be above"),
         (changed(i3=math.nan), CONTROL[:, 0], "state holds NaN or infinity: must be finite"),
         (STATE[:, 0], [math.inf] * 6, "desired control holds NaN or infinity"),
         (None, CONTROL[:, 0], "state: must be a NumPy array, a PyTorch tensor or a list of numbers"),

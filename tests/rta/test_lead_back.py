@@ -41,13 +41,14 @@ from study.verification.adversaries import adversarial, held_at_random
 from study.verification.starts import safe_set
 from tests.oracles import entries, tensor, thrust_fall, torque_fall
 from tests.rta.test_barrier import FILTER
+from tests.support.filters import without_check
 
 C = InspectionParameters()
 R = RtaParameters()
 ENTRIES = entries(C, R)
 _, TORQUE = FILTER.groups
 PROGRAMS = SafetyFilter(C, R)
-PROGRAMS.backup = None  # states are drawn from the programs' own safe set
+without_check(PROGRAMS)  # states are drawn from the programs' own safe set
 FREE = dataclasses.replace(C, saturate_rates=False)
 COUNT = 200
 SEED = 9  # of the first kind's states, one more for each other: among the last kind's are conflicts
@@ -302,7 +303,7 @@ def flown() -> dict[str, Back]:
     last = torch.tensor([kind.longest for kind in kinds]).repeat_interleave(COLUMNS)
     place = torch.arange(COLUMNS).repeat(len(kinds))
     safety = SafetyFilter(C, R)
-    safety.backup = None  # the programs lead back; once all limits are kept again the check would take over
+    without_check(safety)  # the programs lead back; once all limits are kept again the check would take over
     safety.compile("cpu", x.shape[1])  # as campaigns fly: 4,000 spacecraft for 400 s
     rows = SafetyFilter(C, dataclasses.replace(R, qp_solver="piqp"))
     rows.compile("cpu", x.shape[1])  # which has rows alone compiled, of a filter in one piece they are not

@@ -13,6 +13,18 @@ static void assign(V *to, const V *from, int count)
     }
 }
 
+/* Whether a spacecraft can be in a state: of finite numbers, with a unit quaternion, above absolute zero. */
+static M is_state(const V y[SEEN])
+{
+    V room[2];
+    M found = YES;
+    for (int i = 0; i < SEEN; ++i) {
+        found = AND(found, FABS(y[i]) < INFINITY);
+    }
+    state_room(y, room);
+    return AND(found, AND(room[0] > 0.0, room[1] > 0.0));
+}
+
 /* Which limits are broken already, and not asked for, and whether controls of each group can be checked. */
 static void are_fit(const V y[SEEN], const V h[CONSTRAINTS], M broken[LIMITS], M fit[2]);
 

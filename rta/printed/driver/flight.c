@@ -119,10 +119,7 @@ static void are_broken(const V h[CONSTRAINTS], M broken[LIMITS])
 
 static void are_fit(const V y[SEEN], const V h[CONSTRAINTS], M broken[LIMITS], M fit[2])
 {
-    fit[THRUSTS] = YES;
-    for (int i = 0; i < SEEN; ++i) {
-        fit[THRUSTS] = AND(fit[THRUSTS], FABS(y[i]) < INFINITY);
-    }
+    fit[THRUSTS] = is_state(y);
     fit[TORQUES] = fit[THRUSTS];
     are_broken(h, broken);
 }

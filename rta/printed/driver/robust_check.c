@@ -103,14 +103,11 @@ static void are_safe(const V y[SEEN], const V control[6], const M broken[LIMITS]
 static void are_fit(const V y[SEEN], const V h[CONSTRAINTS], M broken[LIMITS], M fit[2])
 {
     V least[2];
-    M finite = YES;
+    const M possible = is_state(y);
     (void)h;
     may_be_kept(y, least);
-    for (int i = 0; i < SEEN; ++i) {
-        finite = AND(finite, FABS(y[i]) < INFINITY);
-    }
     for (int group = THRUSTS; group <= TORQUES; ++group) {
-        fit[group] = AND(finite, least[group] >= 0.0);
+        fit[group] = AND(possible, least[group] >= 0.0);
     }
     for (int k = 0; k < LIMITS; ++k) {
         broken[k] = NO;

@@ -9,6 +9,7 @@ import pytest
 import torch
 from torch import Tensor
 
+from inspection.environment import InspectionEnv
 from inspection.model.dynamics import step
 from inspection.model.parameters import InspectionParameters
 from inspection.model.state import Q
@@ -90,6 +91,60 @@ def test_a_limit_of_the_users_own_does_not_lead_beyond_the_papers(period: float)
     assert all(kept) or not verified[0]
     assert not any(after < before for before, after in pairwise(verified))
     assert not any(said and not held for said, held in zip(verified, kept, strict=True))
+
+
+# Turning at all limits of the rates, with a control that the check accepts at 10 s. In shorter steps, which the plant
+# does not take, the rates are clamped sooner and the named limit breaks, passive safety by 6.7 m.
+CLAMPED = {
+    "passive_safety": (
+        """108.83062793259712 0.15979367526855467 -102.73916508785312  -0.8563259525965546 0.4816658868905582
+           0.7439023280788077  -0.15142152428167893 -0.25818335406579923 -0.9418566454678843 0.1527044965589766
+           -0.03490658503988659 0.03490658503988659 -0.03490658503988659  9.880520352243419 2.1276257418265305
+           0.5976667226013289""",
+        (-1.0, 1.0, -1.0, -0.0010000569, -0.0010000569, 0.0010000569),
+    ),
+    "keep_in_zone": (
+        """-703.9936283247612 137.98702709696224 -353.48209268822797  -0.9543554533899095 -0.03335470629990248
+           2.1144947978050213  -0.7540743866521811 -0.31890999047413227 -0.30687999289683504 -0.4852761145271464
+           0.03490658503988659 0.03490658503988659 -0.03490658503988659  8.606916396439203 3.848895270780121
+           5.421402165329955""",
+        (-1.0, 1.0, -1.0, 0.0010000569, 0.0010000569, -0.0010000569),
+    ),
+    "velocity_x": (
+        """203.54095655070523 -561.8961221931097 -289.8964444338497  4.5990946030406885 0.46260689913040753
+           1.3193022541390302  -0.13537874352214357 -0.11132118913938814 -0.9842741297740111 0.022014225141295776
+           -0.03490658503988659 0.03490658503988659 -0.03490658503988659  8.816460304908626 3.176202213072499
+           0.07860994372960595""",
+        (-1.0, 1.0, 1.0, -0.0010000569, 0.0010000569, -0.0010000569),
+    ),
+    "dynamic_speed": (
+        """190.36682400828676 347.81999398443486 -425.29336452721407  1.8151405226998063 3.7053942409966543
+           1.304115195672956  0.30300255068844145 0.3095932754845838 0.8999161019625367 -0.04992461797128228
+           0.03490658503988659 -0.03490658503988659 -0.03490658503988659  7.9184429095431375 2.1575254225677196
+           4.8950860213995435""",
+        (-1.0, -1.0, 1.0, 0.0010000569, -0.0010000569, -0.0010000569),
+    ),
+}
+
+
+@pytest.mark.parametrize("limit", CLAMPED)
+def test_a_flight_that_is_looked_at_more_often_is_the_one_that_was_checked(limit: str) -> None:
+    x, desired = column(CLAMPED[limit][0]), torch.tensor(CLAMPED[limit][1], dtype=torch.float64)[:, None]
+    f = SafetyFilter(InspectionParameters(), RtaParameters(period=10.0, rows="none"))
+    assert f.is_safe(x) and f.correct(x, desired).verified
+    flown = []
+    for every in (1.0, 0.1):
+        env = InspectionEnv(1, f.c, [torch.Generator()], f.safety(), decide_every=10.0, report_every=every)
+        env.start(x, torch.tensor([[1.0], [0.0], [0.0]], dtype=torch.float64))
+        holds = list(env.fly(lambda t, x: desired, 10.0))
+        assert len(holds) == round(10.0 / every)
+        assert all((f.values(hold.after) >= -1e-9).all() for hold in holds)
+        flown.append(holds[-1].after)
+    assert torch.equal(*flown)
+    states, control = [x], f.correct(x, desired).control
+    for _ in range(1000):  # what a plant with shorter steps would do
+        states.append(step(states[-1], control, 0.01, f.c))
+    assert f.values(torch.cat(states, 1))[f.names.index(limit)].min() < 0.0
 
 
 def test_a_turn_with_unequal_moments_keeps_the_rates() -> None:

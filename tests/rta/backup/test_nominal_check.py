@@ -20,6 +20,7 @@ from rta.parameters import PERIODS, RtaParameters
 from study.verification.adversaries import adversarial
 from tests.oracles import attitude, hypercube, motion, moved
 from tests.rta.backup.flights import at_the_chief, everywhere, least_of, near_the_zone, opposite, unit
+from tests.support.filters import without_check
 
 C = InspectionParameters()
 LIMIT = torch.tensor(C.control_limit, dtype=torch.float64)[:, None]
@@ -92,7 +93,7 @@ def test_no_limit_breaks_whatever_is_asked(
 @pytest.mark.campaign
 def test_without_the_check_a_limit_breaks(filters: dict[float, SafetyFilter]) -> None:
     alone, lowest = SafetyFilter(C, RtaParameters(period=5.0)), {}
-    alone.backup = None
+    without_check(alone)
     alone.compile("cpu", 64)
     x = starts(filters[5.0], 300, 2)
     for name, safety in (("alone", alone), ("checked", filters[5.0])):

@@ -14,7 +14,7 @@ from inspection.model.dynamics import Body, step, sun_and_earth_in_body
 from inspection.model.parameters import InspectionParameters
 from inspection.model.state import OMEGA, TORQUE, E, Q, T
 from rta.backup.nominal_check import NominalBackup
-from rta.backup.robust_attitude_check import law, wanted
+from rta.backup.robust_attitude_check import followed, hold_bounds, law, wanted
 from rta.backup.robust_attitude_constants import heating
 from rta.backup.robust_check import RobustBackup
 from rta.bounds.prediction import predicted
@@ -154,6 +154,44 @@ def starts(found: RobustBackup, count: int, seed: int) -> Tensor:
 
 def at_law(found: RobustBackup) -> Callable[[Tensor, Tensor], Tensor]:
     return lambda x, bound: torch.cat((torch.zeros_like(x[:3]), law(x, found.attitude)))
+
+
+@pytest.mark.parametrize(("latency", "held"), [(1, 1), (2, 1), (2, 2), (3, 1), (3, 2)])
+def test_what_the_law_first_answers_is_off_by_no_more_than_is_counted(latency: int, held: int) -> None:
+    """Torque from before the hold counts, too, where the answered state was measured before the hold began."""
+    bounds = Uncertainty(torque_gain=0.05, latency=latency, longest_hold=float(held))
+    w, count, none = backup(bounds).attitude, 64, torch.zeros(4, 64, dtype=torch.float64)
+    sent = torch.zeros(latency + held, 6, count, dtype=torch.float64)
+    draws = torch.rand(latency + 1, 3, count, generator=torch.Generator().manual_seed(latency))
+    sent[: latency + 1, TORQUE] = C.max_torque * draws.double().round()
+    sent[latency, :, count // 2 :] = 0.0  # no torque in the hold
+    sent[latency:] = sent[latency]
+    true = [hypercube(count, 3, C)]
+    true[0][OMEGA] *= 0.1
+    for u in sent:  # at the corner of the gains
+        true.append(step(true[-1], 1.05 * u, R.period, replace(C, saturate_rates=False)))
+
+    def taken_for(x: Tensor, controls: Tensor) -> tuple[Tensor, Tensor]:
+        bound = none
+        for u in controls:
+            x, bound = predicted(x, bound, u, C, R, bounds)
+        return x, bound
+
+    x, error_bound = taken_for(true[0], sent[:latency])
+    _, start = hold_bounds(x, sent[latency], error_bound, w)
+    seen, _ = taken_for(true[held], sent[held:])
+    rate, angle = w.measured(start.command, w.worst)
+    late, late_angle = start.late
+    off = (seen - true[-1])[OMEGA].abs().amax(0)
+    turned = 2 * (seen[Q] * true[-1][Q]).sum(0).abs().clamp(max=1.0).arccos()
+    assert (off <= rate + late + ROUNDED).all()
+    assert (turned <= math.sqrt(3) * angle + late_angle + 1e-7).all()
+    own = w.share * start.command * w.lag  # what the torque of the hold takes the rate astray by
+    assert (off > own + ROUNDED).any() == (held < latency)
+    counted, without = (
+        torch.stack(followed(each, w).errors) for each in (start, start._replace(late=0 * start.late))
+    )
+    assert (counted > without).any() == (latency > 1)  # a hold may end at its first call
 
 
 @pytest.mark.parametrize(

@@ -162,13 +162,13 @@ def flown(
 def of_thrust(c: InspectionParameters, r: RtaParameters, uncertainty: Uncertainty) -> RobustBackup | None:
     """The check of thrust alone; None: there is no invariant set."""
     check = RobustBackup.of(c, r, uncertainty)
-    return RobustBackup(check.terminal_set, None, r) if check and check.terminal_set else None
+    return RobustBackup(check.terminal_set, None, check.c, r) if check and check.terminal_set else None
 
 
 def of_torque(c: InspectionParameters, r: RtaParameters, uncertainty: Uncertainty) -> RobustBackup | None:
     """The check of torque alone; None: there is no backup trajectory."""
     check = RobustBackup.of(c, r, uncertainty)
-    return RobustBackup(None, check.attitude, r) if check and check.attitude else None
+    return RobustBackup(None, check.attitude, check.c, r) if check and check.attitude else None
 
 
 def committed(

@@ -36,6 +36,8 @@ from tests.rta.backup.flights import at_the_chief, near_the_zone
 from tests.rta.bounds.test_health import flying_out, without_one_axis
 from tests.rta.qp.test_batched_solver import ADDED, FIELDS, arrays, synthetic
 from tests.rta.test_filter import LIMIT, THRUST, TORQUE, C, R, commands, near_the_limits
+from tests.support.filters import without_check
+from tests.support.states import IMPOSSIBLE, at_rest, impossible
 
 COMPILERS = [name for name in ("gcc", "clang") if shutil.which(name)]
 WARNINGS = ["-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Wshadow", "-Werror"]
@@ -299,6 +301,19 @@ def assert_same(
     return expected
 
 
+@pytest.mark.parametrize("kind", [*IN_THE_SUITE, pytest.param("none in U1", marks=pytest.mark.campaign)])
+def test_nothing_is_verified_of_a_state_that_cannot_be(made: Callable[[str], Driver], kind: str) -> None:
+    driver, x = made(kind), torch.cat([at_rest(), *map(impossible, IMPOSSIBLE)], 1)
+    batch = SafetyFilter(C, driver.safety.parameters, uncertainty=driver.safety.uncertainty)
+    batch.compile("cpu", 32)
+    u = torch.zeros(6, x.shape[1], dtype=torch.float64)
+    expected = [True] + [False] * len(IMPOSSIBLE)
+    assert driver.safety.is_safe(x).tolist() == expected
+    assert driver.safety.correct(x, u).verified.tolist() == expected
+    assert driver(x, u, None, None).verified.tolist() == expected
+    assert batch.correct(x, u).verified.tolist() == expected
+
+
 @pytest.mark.parametrize(
     "kind",
     [kind if kind in IN_THE_SUITE else pytest.param(kind, marks=pytest.mark.campaign) for kind in KINDS],
@@ -396,7 +411,7 @@ def test_thrust_that_is_replaced_is_for_the_torque_that_is_applied(made: Callabl
     x = torch.cat((near_the_zone(800, 3), at_the_chief(800, 3)), 1)
     u = adversarial(driver.safety)(0.0, x)
     unchecked = SafetyFilter(C, driver.safety.parameters, driver.safety.solver)
-    unchecked.backup = None
+    without_check(unchecked)
     checked, proposed = driver.safety.correct(x, u), unchecked.correct(x, u)
     both = torch.stack([(checked.control != proposed.control)[own].any(0) for own in (THRUST, TORQUE)]).all(0)
     assert both.sum() > 10

@@ -23,6 +23,7 @@ from tests.oracles import (
     speed_limit,
 )
 from tests.rta.test_barrier import FILTER, zone
+from tests.support.filters import without_check
 
 C = InspectionParameters()
 R = RtaParameters()
@@ -34,7 +35,7 @@ class Programs(SafetyFilter):
 
     def __init__(self) -> None:
         super().__init__(C, R)
-        self.backup = None
+        without_check(self)
 
 
 class Everything(Programs):

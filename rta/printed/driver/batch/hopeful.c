@@ -18,7 +18,7 @@ static M are_unsure(const V y[SEEN], V numbers[6 + 2 * CONSTRAINTS], V program_s
     flown(y, numbers, after, least);
     are_kept(least, broken, kept);
     const M both[2] = {kept[0] & kept[1], kept[0] & kept[1]};
-    *hopes = is_verified(broken, both);
+    *hopes = is_state(y) & is_verified(broken, both);
     at_once(after, least);
     are_kept(least, broken, later);
     const M sure = *hopes & later[0] & later[1];

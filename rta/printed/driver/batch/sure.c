@@ -5,12 +5,8 @@ static M are_unsure(const V y[SEEN], V numbers[6 + 2 * CONSTRAINTS], V program_s
     const M both[2] = {YES, YES};
     const M none[LIMITS] = {NO};
     M safe[2];
-    M finite = YES;
     are_seen_safe(y, numbers, both, 0, safe);
-    for (int i = 0; i < SEEN; ++i) {
-        finite &= FABS(y[i]) < INFINITY;
-    }
-    const M unsure = ~finite | ((HELD_CALLS > 0) ? ~safe[THRUSTS] : NO) | (ATTITUDE_CHECKED ? ~safe[TORQUES] : NO);
+    const M unsure = ~is_state(y) | ((HELD_CALLS > 0) ? ~safe[THRUSTS] : NO) | (ATTITUDE_CHECKED ? ~safe[TORQUES] : NO);
     for (int group = THRUSTS; group <= TORQUES; ++group) {
         safe[group] &= ~unsure;
     }

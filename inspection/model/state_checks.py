@@ -1,12 +1,25 @@
-"""Warns of states that are probably in other units, or in another order, than they must be."""
+"""Tells which states a spacecraft can be in, and warns of those that are probably in other units or another order."""
 
+import torch
 from torch import Tensor
 
+from inspection.model.attitude import norm
 from inspection.model.parameters import Limits
 from inspection.model.state import E, Q, T
 
+OFF_UNIT = 1e-4  # by which a quaternion's length may be off 1, as that of an estimate in float32 may
 HOT = 150.0  # deg C above the limit: less than what 273 K make of a surface that keeps it
 RICH = 200.0  # times what a battery begins with at most; J in place of kJ are a thousand times as many
+
+
+def is_state(x: Tensor, c: Limits) -> Tensor:
+    """Tells which states (16, B) a spacecraft can be in, (B,) bool: finite, a unit quaternion, above absolute zero."""
+    return x.isfinite().all(0) & (state_room(x, c) > 0.0).all(0)
+
+
+def state_room(x: Tensor, c: Limits) -> Tensor:
+    """Returns (2, B), positive where q is of unit length, and T in deg C above absolute zero."""
+    return torch.stack((OFF_UNIT - (norm(x[Q]) - 1.0).abs(), x[T] + c.zero_celsius))
 
 
 def unit_warnings(x: Tensor, c: Limits) -> list[str]:

@@ -1,0 +1,31 @@
+"""States that tests begin from."""
+
+import math
+
+import torch
+from torch import Tensor
+
+# what a state must not hold: the component, and its number
+IMPOSSIBLE = {
+    "an endless battery": (14, math.inf),
+    "endless cold": (13, -math.inf),
+    "T = -1e150": (13, -1e150),
+    "below absolute zero": (13, -273.2),
+    "no attitude": (9, 0.0),
+    "a long quaternion": (9, 1.001),
+    "no number": (0, math.nan),
+}
+
+
+def at_rest() -> Tensor:
+    """A state (16, 1) at rest, 100 m from the chief, from which nothing is near."""
+    x = torch.zeros(16, 1, dtype=torch.float64)
+    x[[0, 9, 13, 14, 15], 0] = torch.tensor([100.0, 1.0, 5.0, 6.0, 3.1], dtype=torch.float64)
+    return x
+
+
+def impossible(kind: str) -> Tensor:
+    """That state with a number that none can have, (16, 1)."""
+    x, (component, number) = at_rest(), IMPOSSIBLE[kind]
+    x[component] = number
+    return x
