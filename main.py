@@ -4,7 +4,6 @@
 Settings come from defaults, then from each --config FILE.toml, then from flags.
 """
 
-import json
 import os
 import re
 import signal
@@ -31,8 +30,8 @@ from settings import (
     to_toml,
 )
 from study.config import EVALUATED, TEST_CASES, Config, StudyConfig
-from study.errors import ExportError, ReflyError, Stopped, as_input_error
-from study.files import check_writable, write_json, write_npz, writing
+from study.errors import MALFORMED, ExportError, ReflyError, Stopped, as_input_error
+from study.files import check_writable, read_json, write_json, write_npz, writing
 
 if TYPE_CHECKING:  # help and refusals do not wait for PyTorch, which the commands import
     from ppo.network import Policy
@@ -134,8 +133,8 @@ def to_write(suffix: str) -> Callable[[str], Path]:
 def check_replaced(path: Path | None, key: str) -> None:
     """Refuses to write results over a file that has something, but no results with this key."""
     if path and path.is_file() and not is_written_in_place(path) and path.stat().st_size:
-        with suppress(ValueError):
-            if key in json.loads(path.read_text(encoding="utf-8")):
+        with suppress(InputError):
+            if key in read_json(path, "results"):
                 return
         raise InputError(f"--json {path}: holds other things than results of this command; name another file")
 
@@ -283,13 +282,19 @@ def run_study(given: Namespace) -> None:
     ),
 )
 def run_report(given: Namespace) -> None:
+    from jinja2 import UndefinedError  # of what a damaged file lacks
+
     from study.machine import step
     from study.report import figures, inputs, page, tables
     from study.report.compute import compute
 
     directory = Path(given.study)
     compute(directory, given.device)
-    with step("drawing the figures and the page, seconds"):
+    where = f"--study {directory}: cannot read what its report is made from"
+    with (
+        step("drawing the figures and the page, seconds"),
+        as_input_error(where, UndefinedError, *MALFORMED),
+    ):
         found = inputs.read(directory)
         tables.write(found)
         figures.draw(found)

@@ -221,8 +221,9 @@ def from_toml(text: str, source: str, base: Configuration) -> Configuration:
     """
     try:
         tables = tomllib.loads(text)
-    except (tomllib.TOMLDecodeError, RecursionError) as error:
-        raise InputError(f"{source}: not valid TOML: {error}") from None
+    except (ValueError, RecursionError) as error:  # the first also of an integer that is too long to read
+        reason = str(error).partition("; use sys.")[0]
+        raise InputError(f"{source}: not valid TOML: {reason}") from None
     passed_over = {"study", "arms"} - set(vars(base))
     return override(base, {name: table for name, table in tables.items() if name not in passed_over}, source)
 

@@ -139,7 +139,7 @@ def measure(worlds: Worlds, config: Config, path: Path | None) -> dict[str, Any]
         raise InputError("break-points brings its own worlds; leave out [plant] and [uncertainty]")
     # refuses before there is a bar what would refuse every world
     Experiment(replace(config, train=replace(config.train, compile="off")), worlds.episodes)
-    report = report_in(path, worlds, config, empty_report)
+    report = report_in(path, worlds, config, table, empty_report)
     flown = {(world["effect"], world["size"], world["told"]): world for world in report["worlds"]}
     every = [(name, size, told) for name in EFFECTS for size in EFFECTS[name].sizes for told in (False, True)]
     todo = [world for world in every if world not in flown]

@@ -9,7 +9,6 @@ Reads what the arms of these studies broke in training, flies their agents with 
 guidance beside them, and draws how they learned. Takes a few minutes.
 """
 
-import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -20,7 +19,7 @@ from matplotlib.ticker import StrMethodFormatter
 
 from settings import InputError, Parser
 from study.config import EVALUATION_CASES, TEST_CASES, Config
-from study.files import write_json, writing
+from study.files import read_json_lines, write_json, writing
 from study.flight.evaluation import Episodes, play_controller, report
 from study.machine import set_threads
 from study.report.agents import Arm, agents_of
@@ -87,7 +86,7 @@ def curves(path: Path) -> dict[str, list[Any]]:
     Raises:
         InputError: a seed was not evaluated at each of these times.
     """
-    lines = [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
+    lines = read_json_lines(path, "evaluations of a run")
     times = sorted({line["interactions"] for line in lines})
     rows = [[line for line in lines if line["interactions"] == time] for time in times]
     if len({len(row) for row in rows}) > 1:

@@ -9,7 +9,6 @@ program of the first few of them (`experiments.optimum_bound`). Writes optimum.j
 the figure anew, with the agents of runs/reference. Takes an hour on one core.
 """
 
-import json
 import math
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -43,7 +42,7 @@ from inspection.reward import stays_clear
 from settings import Parser, positive_integer
 from study.config import ARMS, TEST_CASES, Config
 from study.experiment import paper_task, test_cases
-from study.files import ROOT, write_json, writing
+from study.files import ROOT, read_json, write_json, writing
 from study.flight.figures import BLUE, GREEN, GREY, ORANGE, PURPLE, RED, SKY
 from study.machine import set_threads
 from study.paper import PAPER_METRICS
@@ -408,7 +407,7 @@ def draw(found: dict[str, Any], path: Path) -> None:
     """Draws the content of optimum.json: time against fuel, with the shipped agents and guidance."""
 
     def shipped(name: str) -> Any:
-        return json.loads((ROOT / "runs/reference" / name).read_text(encoding="utf-8"))
+        return read_json(ROOT / "runs/reference" / name, "results of a study")
 
     def middle(results: dict[str, Any]) -> list[float]:
         return [results["metrics"][name]["iqm"] for name in ("episode_length_s", "delta_v_m_s")]
@@ -484,7 +483,7 @@ def main(argv: list[str] | None = None) -> None:
             "steps": given.steps,
         }
         write_json(path, about | {"times": best, "guidance": guided(x, priority)})
-    draw(json.loads(path.read_text(encoding="utf-8")), given.out / "optimum.png")
+    draw(read_json(path, "flights"), given.out / "optimum.png")
 
 
 if __name__ == "__main__":

@@ -17,6 +17,8 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from pathlib import Path
 
+from kernels.processors import processors
+
 VARIABLE = "RTA_CACHE_DIR"  # the directory of what was built, instead of the user's cache directory
 COMPILERS = ("clang", "gcc", "cc")  # what clang builds takes a tenth less time, with the same bits
 # No product is fused with a sum, so that all vector widths, and plain C, give the same bits. What is printed for one
@@ -165,7 +167,7 @@ def built(sources: Mapping[str, str], work: Path) -> Path:
             return output((*start, *arguments), work)
 
         try:
-            with ThreadPoolExecutor(os.cpu_count() or 1) as threads:
+            with ThreadPoolExecutor(processors()) as threads:
                 list(threads.map(lambda name: call("-c", f"{name}.c", "-o", f"{name}.o"), sources))
             call("-shared", *(f"{name}.o" for name in sources), "-o", result.name, "-lm")
             return result

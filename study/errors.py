@@ -5,7 +5,8 @@ from contextlib import contextmanager
 
 from settings import InputError
 
-MALFORMED = (KeyError, TypeError, ValueError, RuntimeError, AttributeError)  # what damaged contents raise
+# what damaged contents raise
+MALFORMED = (LookupError, TypeError, ValueError, RuntimeError, AttributeError, ArithmeticError)
 LONGEST = 600  # characters of what a library says
 NO_MEMORY = "can't allocate memory", "out of memory"  # in what PyTorch raises on a CPU and on a GPU
 
@@ -44,6 +45,8 @@ def as_input_error(where: str, *exceptions: type[BaseException]) -> Iterator[Non
             reason = error.strerror
         elif isinstance(error, MemoryError) or any(words in str(error) for words in NO_MEMORY):
             reason = "not enough memory"
+        elif isinstance(error, KeyError):
+            reason = f"it lacks {error}"
         else:
-            reason = (str(error) or type(error).__name__).splitlines()[0]
+            reason = (str(error) or type(error).__name__).splitlines()[0].partition("; use sys.")[0]
         raise InputError(f"{where}: {reason[:LONGEST]}") from None

@@ -2,7 +2,7 @@
 
 import json
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -11,12 +11,65 @@ import numpy as np
 
 from ppo.files import is_written_in_place, naming, replacing, temporary_beside
 from settings import InputError
+from study.errors import as_input_error
 
 ROOT = Path(__file__).parent.parent  # of the repository
 
 
+UNREADABLE = OSError, ValueError, RecursionError  # what JSON raises that is none, or nested too deep
+
+
+def read_json(path: str | Path, what: str) -> dict[str, Any]:
+    """Returns the object in a JSON file; errors say `what` it should have been.
+
+    Raises:
+        InputError: there is no such file, it is not JSON, or it holds anything but an object.
+    """
+    with as_input_error(f"{path}: cannot read the {what}", *UNREADABLE):
+        return as_object(Path(path).read_text(encoding="utf-8-sig"))
+
+
+def read_json_lines(path: str | Path, what: str) -> list[dict[str, Any]]:
+    """Returns the objects in a file of JSON, one a line; raises as `read_json`."""
+    with as_input_error(f"{path}: cannot read the {what}", *UNREADABLE):
+        return [as_object(line) for line in Path(path).read_text(encoding="utf-8").splitlines()]
+
+
+def as_object(text: str) -> dict[str, Any]:
+    """Returns the object that JSON text holds; raises ValueError, or RecursionError, where it holds none."""
+    content = json.loads(text)
+    if not isinstance(content, dict):
+        raise ValueError(f"must hold a JSON object, not {kind(content)}")
+    return content
+
+
+def kind(content: Any) -> str:
+    """Says what a value of JSON is."""
+    if isinstance(content, (bool, type(None))):
+        return json.dumps(content)
+    if isinstance(content, int):
+        return "a count" if content >= 0 else "a negative integer"
+    return {dict: "an object", list: "a list", str: "a text"}.get(type(content), "a number")
+
+
+def check_like(content: Any, form: Any, maybe: Collection[str] = (), name: str = "it") -> None:
+    """Raises ValueError where content of JSON has another form than a sample.
+
+    Its objects have all keys of the sample's but those of `maybe`, and may have more. A count stands for any count (an
+    integer, not negative), null for anything, and an empty object or list for any object or list.
+    """
+    allowed = ("a number", "a count", "a negative integer") if isinstance(form, float) else (kind(form),)
+    if form is not None and kind(content) not in allowed:
+        raise ValueError(f"{name}: must be {allowed[0]}, not {kind(content)}")
+    for key, part in form.items() if isinstance(form, dict) else ():
+        if key in content:
+            check_like(content[key], part, maybe, key)
+        elif key not in maybe:
+            raise ValueError(f"{key} is missing")
+
+
 def load_arrays(
-    path: str, names: tuple[str, ...], what: str, where_missing: str, maybe: tuple[str, ...] = ()
+    path: str | Path, names: tuple[str, ...], what: str, where_missing: str, maybe: tuple[str, ...] = ()
 ) -> dict[str, np.ndarray]:
     """The named arrays of a .npz file; errors say `what` it should have been, and `where_missing` of one it lacks.
 
@@ -25,17 +78,26 @@ def load_arrays(
     Raises:
         InputError: there is no such file, it cannot be read, or it lacks an array.
     """
-    try:
-        with np.load(path, allow_pickle=False) as file:
-            found = {name: file[name] for name in (*names, *maybe) if name in file.files}
-    except FileNotFoundError:
-        raise InputError(f"{path}: cannot read the {what}: no such file") from None
-    except Exception:  # numpy reports damage through many exception types
-        raise InputError(f"{path}: cannot read the {what}: not a .npz file of numbers") from None
+    found = read_npz(path, what, (*names, *maybe))
     for name in names:
         if name not in found:
             raise InputError(f"{path}: {name} is missing{where_missing}")
     return found
+
+
+def read_npz(path: str | Path, what: str, names: Collection[str] | None = None) -> dict[str, np.ndarray]:
+    """The arrays of a .npz file, those of these names or all; errors say `what` it should have been.
+
+    Raises:
+        InputError: there is no such file, or it cannot be read.
+    """
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            return {name: file[name] for name in file.files if names is None or name in names}
+    except FileNotFoundError:
+        raise InputError(f"{path}: cannot read the {what}: no such file") from None
+    except Exception:  # numpy reports damage through many exception types
+        raise InputError(f"{path}: cannot read the {what}: not a .npz file of numbers") from None
 
 
 def check_writable(path: Path) -> None:

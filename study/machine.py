@@ -1,9 +1,9 @@
 """The machine that a command runs on: what it shows, device, threads, compiler, locks, and what describes it all."""
 
+import errno
 import functools
 import hashlib
 import importlib.metadata
-import json
 import os
 import platform
 import subprocess
@@ -15,18 +15,24 @@ from threading import Timer
 from typing import Any
 
 import torch
-from filelock import FileLock, Timeout
+from filelock import BaseFileLock, FileLock, SoftFileLock, Timeout
 from tqdm import tqdm
 
 from kernels import compiled
 from kernels.build import NoCompilerError, compiler
+from kernels.processors import processors
 from ppo.distributed import is_first, local_rank, ranks
+from ppo.files import naming
 from settings import InputError, in_one_line, to_toml
 from study.config import Config
-from study.files import ROOT, write_json, write_text
+from study.files import ROOT, read_json, write_json, write_text
 
 PATIENCE = 2.0  # s in which nobody needs to be told what is going on
 LOCK = ".lock"  # in a directory that a process works in
+HELD = ".lock.held"  # beside it where the file system knows no locks: there while a process works
+LOCKS = LOCK, HELD
+NFS_WITHOUT_LOCKS = 524  # Linux' own ENOTSUPP, which the errno module lacks
+WITHOUT_LOCKS = {errno.ENOLCK, errno.ENOSYS, errno.ENOTSUP, errno.EOPNOTSUPP, NFS_WITHOUT_LOCKS}
 # Compiling takes 3 s the first time, which as many filter calls or steps (of a batch each) repay.
 WORTH_COMPILING = 150
 # Where controls are held a call takes 0.5 to 1.4 s (32 to 256 spacecraft), compiled some ms; compiling takes 4 to 10.
@@ -102,11 +108,6 @@ def set_threads(wanted: int | None, recorded: int | None = None) -> None:
         torch.set_num_threads(1)
 
 
-def processors() -> int:
-    """Returns how many processors this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
 def wants_compile(choice: str, calls: float, holds: bool = False) -> bool:
     """Tells whether to compile for --compile auto, on or off.
 
@@ -147,23 +148,42 @@ def compile_or_explain(what: str, compile: Callable[[], None]) -> bool:
 def directory_lock(directory: Path, flag: str) -> Iterator[None]:
     """Keeps every other process out of a directory; of many ranks, the first one does for all.
 
+    Where the file system knows no locks, a file does that is there as long as the process works, and that a later
+    process on the same machine takes over from a dead one.
+
     Raises InputError, naming the flag, where another process has it or there is no such directory.
     """
-    lock = FileLock(directory / LOCK, timeout=0)
+    taken: list[BaseFileLock] = []
 
     def acquire() -> None:
         if not directory.is_dir():
             raise InputError(f"{flag} {directory}: No such file or directory")
         try:
-            lock.acquire()
-        except Timeout:
-            raise InputError(f"{flag} {directory}: is being trained by another process") from None
+            taken.append(locked(directory))
+        except Timeout as held:
+            dead = f"; if none is, delete {held.lock_file}" if held.lock_file.endswith(HELD) else ""
+            raise InputError(f"{flag} {directory}: is being trained by another process{dead}") from None
 
     ranks().first_does(acquire)
     try:
         yield
     finally:
-        lock.release()
+        for lock in taken:
+            lock.release()
+
+
+def locked(directory: Path) -> BaseFileLock:
+    """Returns the lock of a directory, taken; raises Timeout where another process has it."""
+    lock = FileLock(directory / LOCK, timeout=0, fallback_to_soft=False)
+    try:
+        with naming(directory / LOCK):
+            lock.acquire()
+    except OSError as error:
+        if error.errno not in WITHOUT_LOCKS:
+            raise
+        lock = SoftFileLock(directory / HELD, timeout=0)
+        lock.acquire()
+    return lock
 
 
 def git_revision() -> str:
@@ -204,7 +224,7 @@ def write_settings(config: Config, directory: Path, init_from: Path | None = Non
 def recorded_threads(directory: Path) -> int | None:
     """Returns the threads that provenance.json says a run was begun with; None where it does not say."""
     try:
-        recorded = json.loads((directory / "provenance.json").read_text(encoding="utf-8"))["threads"]
-    except (OSError, ValueError, KeyError, TypeError):
+        recorded = read_json(directory / "provenance.json", "provenance").get("threads")
+    except InputError:
         return None
     return recorded if type(recorded) is int and 0 < recorded <= MOST_THREADS else None

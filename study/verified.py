@@ -21,7 +21,7 @@ from settings import override, rules
 from study.config import Config
 from study.errors import MALFORMED
 from study.experiment import filter_of, ignores_keep_clear
-from study.files import ROOT
+from study.files import ROOT, read_json
 
 LIMITS = "limits of your own"
 # Settings that came later: at their defaults they are what was flown before, and its fingerprint stays.
@@ -132,7 +132,7 @@ def reports(filters: Sequence[str] = ("python",)) -> Iterator[Flown]:
     for directory in (reference / "verification", reference / "frequency", Path(REPORTS)):
         for path in sorted(directory.glob("*.json")):
             try:
-                report = json.loads(path.read_text(encoding="utf-8"))
+                report = read_json(path, "report")
                 flown = Flown(path, report, override(Config(), report["config"], str(path)))
                 _ = flown.clean, flown.large, report["campaign"]["policy"]
             except (OSError, *MALFORMED):

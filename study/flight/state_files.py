@@ -1,8 +1,6 @@
 """Files of states and controls from elsewhere, read and checked."""
 
-import json
 import sys
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,7 +14,6 @@ from inspection.model.state_checks import unit_warnings
 from inspection.world.corners import CORNER
 from settings import InputError, instead
 from study import files
-from study.errors import as_input_error
 
 LARGEST = 1e6  # of any number in a state
 MAX_STATES = 10**6
@@ -58,10 +55,7 @@ def read_state(path: str, c: Limits) -> tuple[Tensor, Tensor | None]:
     Raises:
         InputError: unreadable, not JSON, unknown or missing keys, wrong shapes, or see `check_states`.
     """
-    with as_input_error(f"{path}: cannot read the state file", OSError, ValueError, RecursionError):
-        content = json.loads(Path(path).read_text(encoding="utf-8-sig"))
-    if not isinstance(content, dict):
-        raise InputError(f"{path}: must hold one JSON object with {', '.join(STATE_FIELDS)}")
+    content = files.read_json(path, "state file")
     if unknown := content.keys() - STATE_FIELDS.keys() - {"priority_vector"}:
         allowed = (*STATE_FIELDS, "priority_vector")
         raise InputError(f"{path}: unknown key {min(unknown)!r}{instead(min(unknown), allowed)}")

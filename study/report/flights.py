@@ -20,7 +20,7 @@ from settings import load
 from study.config import BASELINES, GUIDE, TEST_CASES, Config
 from study.errors import MALFORMED, as_input_error
 from study.experiment import Experiment, test_cases, with_correction_price
-from study.files import ROOT
+from study.files import ROOT, load_arrays
 from study.flight.controllers import agent, classical
 from study.flight.evaluation import Episodes, common_episode, play, play_controller, report
 from study.flight.fly import Limits, Observer, Starts, fly
@@ -223,10 +223,9 @@ def episode(arm: Arm) -> Arrays:
 
 def worst_success(path: Path) -> tuple[int, int] | None:
     """Seed's place and case of the success that violates limits for the largest share of its time, if any does."""
-    with (
-        as_input_error(f"{path}: not the episodes of an arm", OSError, *MALFORMED),
-        np.load(path) as episodes,
-    ):
+    names = "outcome", "outcome_names", "violation_seconds"
+    episodes = load_arrays(path, names, "episodes of an arm", "")
+    with as_input_error(f"{path}: not the episodes of an arm", *MALFORMED):
         succeeded = episodes["outcome"] == list(episodes["outcome_names"]).index("success")
         share = np.where(succeeded, episodes["violation_seconds"][-1], 0.0)
     place, case = (int(i) for i in np.unravel_index(share.argmax(), share.shape))

@@ -1,20 +1,20 @@
 """What a report shows: the files of a study that `study` and `report` wrote."""
 
 import csv
-import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
-from zipfile import BadZipFile
 
 import numpy as np
 
 from settings import load
 from study.config import ARMS, GUIDE, StudyConfig
 from study.errors import MALFORMED, as_input_error
+from study.files import check_like, read_json, read_npz
 from study.flight.figures import Episode
 from study.paper import Results
 
+RESULTS = "results of a study"
 Curves = dict[str, dict[str, np.ndarray]]  # by metric and arm: (k, 4) interactions, IQM, low, high
 
 
@@ -90,8 +90,8 @@ def read(study: Path) -> Inputs:
         config=load(study / "config.toml", StudyConfig()),
         arms=arms,
         own=read_arms(study, own=True),
-        provenance=read_json(study / "provenance.json"),
-        cross=read_json(report / "cross.json"),
+        provenance=read_json(study / "provenance.json", "provenance"),
+        cross=read_json(report / "cross.json", RESULTS),
         training=read_curves(report / "training.csv"),
         front=read_json_if_any(report / "front.json"),
         worlds=read_json_if_any(report / "worlds.json"),
@@ -105,22 +105,18 @@ def read(study: Path) -> Inputs:
     )
 
 
-def read_json(path: Path) -> Any:
-    """Content of a JSON file."""
-    with as_input_error(f"{path}: cannot read it", OSError, ValueError):
-        return json.loads(path.read_text(encoding="utf-8"))
-
-
-def read_json_if_any(path: Path) -> Any:
-    """Content of a JSON file; an empty object where there is none."""
-    return read_json(path) if path.exists() else {}
+def read_json_if_any(path: Path) -> dict[str, Any]:
+    """Returns the object in a JSON file; an empty object where there is none."""
+    return read_json(path, RESULTS) if path.exists() else {}
 
 
 def read_arms(study: Path, own: bool = False) -> dict[str, Results]:
     """The final evaluation of each of ARMS that has seeds, in that order, or of each of the study's own."""
     path = study / "results.json"
     with as_input_error(f"{path}: not the results of a study", *MALFORMED):
-        arms = read_json(path)["arms"]
+        arms = read_json(path, RESULTS)["arms"]
+        for arm in arms.values():
+            check_like(arm, {"seeds": [], "outcomes": {}, "metrics": {}})
         names = [name for name in arms if name not in ARMS] if own else ARMS
         return {name: arms[name] for name in names if name in arms and arms[name]["seeds"]}
 
@@ -137,6 +133,4 @@ def read_curves(path: Path) -> Curves:
 
 def read_episode(path: Path) -> Episode:
     """An episode in the form of `simulate`."""
-    damaged = (OSError, ValueError, EOFError, BadZipFile)
-    with as_input_error(f"{path}: not an episode", *damaged), np.load(path) as arrays:
-        return dict(arrays)
+    return read_npz(path, "episode")

@@ -2,7 +2,6 @@
 
 import csv
 import io
-import json
 import math
 from collections.abc import Iterable
 from itertools import groupby
@@ -16,7 +15,7 @@ from inspection.transition import METRICS
 from rta.constraints.names import CONSTRAINTS
 from study.config import ARMS
 from study.errors import MALFORMED, as_input_error
-from study.files import write_json, write_text
+from study.files import read_json_lines, write_json, write_text
 from study.flight.summary import summary_of_runs
 from study.paper import PAPER_METRICS, PAPER_VIOLATIONS, Estimate, Published, Results, measured
 from study.report.inputs import Inputs
@@ -48,10 +47,11 @@ def write(inputs: Inputs) -> None:
             ]
         if inputs.baselines:
             tables["baselines"] = cross("controller", inputs.baselines)
+        texts = {name: text(rows, rows[0]) for name, rows in tables.items()}
 
     with as_input_error(f"--study {inputs.study}: cannot write its tables", OSError):
-        for name, rows in tables.items():
-            write_text(inputs.directory / f"{name}.csv", text(rows, rows[0]))
+        for name, content in texts.items():
+            write_text(inputs.directory / f"{name}.csv", content)
         write_json(inputs.directory / "throughput.json", {row["arm"]: row for row in tables["throughput"]})
 
 
@@ -160,7 +160,7 @@ def training(arm: str, path: Path) -> list[Row]:
     """
     if not path.exists():
         return []
-    evaluations = [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
+    evaluations = read_json_lines(path, "evaluations of a run")
     rows = []
     for interactions, of_seeds in groupby(evaluations, key=lambda line: line["interactions"]):
         cases = [line["cases"] for line in of_seeds]

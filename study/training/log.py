@@ -13,7 +13,8 @@ from torch.utils.tensorboard import SummaryWriter
 from inspection.termination import OUTCOMES
 from inspection.transition import METRICS
 from ppo.files import naming
-from study.files import write_text
+from study.errors import MALFORMED, as_input_error
+from study.files import as_object, write_text
 from study.flight.evaluation import Episodes
 from study.flight.summary import iqm
 from study.machine import bar
@@ -117,7 +118,8 @@ class Log:
         if self.evaluations.is_file():
             lines = self.evaluations.read_text(encoding="utf-8").splitlines(keepends=True)
             whole = [line for line in lines if line.endswith("\n")]
-            kept = [line for line in whole if json.loads(line)["interactions"] <= interactions]
+            with as_input_error(f"{self.evaluations}: not the evaluations of a run", *MALFORMED):
+                kept = [line for line in whole if as_object(line)["interactions"] <= interactions]
             kept = kept[: len(kept) // self.seeds * self.seeds]  # of all seeds, or of none
             if kept != lines:
                 write_text(self.evaluations, "".join(kept))

@@ -21,7 +21,7 @@ from study.experiment import (
     load_policy,
 )
 from study.files import write_text
-from study.machine import LOCK, directory_lock, resolve_device, write_settings
+from study.machine import LOCKS, directory_lock, resolve_device, write_settings
 from study.training.run import CHECKPOINT, Run, with_solver_for_a_seed
 
 # What a run writes first, in this order; before the last one, there is no run yet.
@@ -142,7 +142,7 @@ def save_first(run: Run) -> None:
 def check_empty(directory: Path) -> None:
     """Refuses the directory of a new run that holds one, or anything but what a kill at the start left."""
     with as_input_error(f"--run-dir {directory}: cannot write there", OSError, ValueError):
-        found = {path.name for path in directory.iterdir()} - {LOCK} if directory.exists() else set()
+        found = {path.name for path in directory.iterdir()} - set(LOCKS) if directory.exists() else set()
     if found & {CHECKPOINT, "policy.pt"}:
         raise InputError(f"--run-dir {directory}: holds a run already; continue it with --resume")
     left = {*BEGUN, *(f"{name}.tmp" for name in BEGUN)}

@@ -1,6 +1,5 @@
 """The study: all seeds of each arm trained as one batch, evaluated, and continued wherever it was interrupted."""
 
-import json
 import shlex
 from dataclasses import asdict
 from pathlib import Path
@@ -13,16 +12,16 @@ from ppo.distributed import ranks
 from rta.constraints.names import CONSTRAINTS
 from settings import InputError, load
 from study.config import TEST_CASES, StudyConfig
-from study.errors import Stopped, as_input_error
-from study.files import write_json, write_npz
+from study.errors import MALFORMED, Stopped, as_input_error
+from study.files import read_json, write_json, write_npz
 from study.flight.evaluation import Episodes, report
-from study.machine import LOCK, directory_lock, write_settings
+from study.machine import LOCKS, directory_lock, write_settings
 from study.paper import Results, tables
 from study.training.run import Run, on_signal, with_solver_for_a_seed
 from study.training.session import check, create, resume, save_first
 from study.verified import fingerprint, warn_if_unverified
 
-LEFT_BY_A_KILL = (LOCK, "provenance.json", "provenance.json.tmp", "config.toml.tmp")  # at the start
+LEFT_BY_A_KILL = (*LOCKS, "provenance.json", "provenance.json.tmp", "config.toml.tmp")  # at the start
 
 
 def train_and_evaluate(config: StudyConfig, directory: Path) -> str:
@@ -57,12 +56,12 @@ def train_and_evaluate(config: StudyConfig, directory: Path) -> str:
                 evaluate_arm(train_arm(config, name, directory / name, again))
             if not ranks().first:
                 continue
-            with as_input_error(f"{path}: not the results of this program", OSError, ValueError):
-                results[name] = json.loads(path.read_text(encoding="utf-8"))
+            results[name] = read_json(path, "results of this arm")
             write_json(directory / "results.json", {"arms": results})  # of the arms so far, for `report`
-    shown = [f"{name}\n{tables(arm)}\n" for name, arm in results.items()]
-    if len(results) > 1:
-        shown.append(f"{overview(results)}\n")
+    with as_input_error(f"{directory}: results.json of an arm is not of this program", *MALFORMED):
+        shown = [f"{name}\n{tables(arm)}\n" for name, arm in results.items()]
+        if len(results) > 1:
+            shown.append(f"{overview(results)}\n")
     written = f"Written to {directory}: results.json and, for each arm, policies and episodes"
     return "\n".join(
         (*shown, written, f"Next:\n  python main.py report --study {shlex.quote(str(directory))}")

@@ -227,7 +227,7 @@ def run(
     A batch is always drawn whole, so that there may be more draws than asked for.
     """
     config, safety_filter = experiment.config, experiment.filter
-    report = report_in(path, campaign, config, empty_report)
+    report = report_in(path, campaign, config, table, empty_report)
     barriers_at = barriers_of(experiment)
     columns = campaign.batch_size * campaign.tries
     env = experiment.env(columns, None, campaign.period, CHECK_BETWEEN, experiment.filter_compiled)

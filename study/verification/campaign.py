@@ -31,7 +31,7 @@ from study.flight.summary import upper_bound
 from study.machine import bar, step
 from study.verification.adversaries import Greedy, adversarial, attacked, held_at_random, learned
 from study.verification.counter_examples import counter_example
-from study.verification.findings import Campaign, report_in
+from study.verification.findings import Campaign, report_in, table
 from study.verification.lookahead import CANDIDATES, HORIZON, Lookahead
 from study.verification.starts import initial_states, spawned
 from study.verification.tally import add
@@ -78,7 +78,7 @@ def run(
     """
     config, env = experiment.config, None
     decide_every = decides_every(config, network)
-    report = report_in(path, campaign, config)
+    report = report_in(path, campaign, config, table)
     beyond, kept_below = report["starts_beyond_braking"], math.inf if keep_worst else 0.0
     while report["episodes"] < episodes:
         number, first = divmod(report["episodes"] + beyond["episodes"], campaign.batch_size)

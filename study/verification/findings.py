@@ -1,7 +1,6 @@
 """A campaign's report: what it holds, its JSON file and its text."""
 
 import dataclasses
-import json
 import shlex
 from collections.abc import Callable
 from pathlib import Path
@@ -12,6 +11,7 @@ from rta.constraints.names import CONSTRAINTS
 from settings import InputError, override
 from study.config import Config
 from study.errors import MALFORMED, as_input_error
+from study.files import check_like, read_json
 from study.verification.tally import empty_tally
 from study.verification.tape import CHECK_EVERY
 from study.verified import fingerprint, of_hull
@@ -68,11 +68,12 @@ def report_in(
     path: Path | None,
     campaign: Any,
     config: Config,
+    shown: Callable[[dict[str, Any]], str],
     empty: Callable[[Any, Config], dict[str, Any]] = empty_report,
 ) -> dict[str, Any]:
     """The report that a file holds, of this campaign, to go on with, or an empty one.
 
-    The campaign is a dataclass of numbers and strings.
+    The campaign is a dataclass of numbers and strings. What `shown` cannot write as text is no report.
 
     Older files may lack settings or have them by other names; what is written has those of today. From before there
     was a backup they have no `backup_calls`: none.
@@ -80,8 +81,9 @@ def report_in(
     fresh = empty(campaign, config)
     if path is None or not path.is_file() or not path.stat().st_size:
         return fresh
-    with as_input_error(f"--json {path}: holds no report to go on with", OSError, *MALFORMED):
-        report = json.loads(path.read_text(encoding="utf-8"))
+    with as_input_error(f"--json {path}: holds no report to go on with", *MALFORMED):
+        report = read_json(path, "report")
+        check_like(report, {"campaign": {}, "config": {}})
         if not report["campaign"].keys() <= vars(campaign).keys():
             raise ValueError("it is of another command")
         same = type(campaign)(**report["campaign"]) == campaign
@@ -90,8 +92,11 @@ def report_in(
         same = same and len(set(map(frozenset, counted))) == 1  # the same limits
     if not same:
         raise InputError(f"--json {path}: holds another campaign or configuration; name another file")
-    for counts in (report, report.get("starts_beyond_braking", {})):
-        counts.setdefault("backup_calls", 0)
+    with as_input_error(f"--json {path}: holds no report to go on with", *MALFORMED):
+        check_like(report, fresh | {"campaign": {}, "config": {}}, ("backup_calls", "fingerprint"))
+        for counts in (report, report.get("starts_beyond_braking", {})):
+            counts.setdefault("backup_calls", 0)
+        shown(report)
     return report | {name: fresh[name] for name in ("campaign", "fingerprint", "config")}
 
 
