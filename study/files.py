@@ -49,7 +49,8 @@ def kind(content: Any) -> str:
         return json.dumps(content)
     if isinstance(content, int):
         return "a count" if content >= 0 else "a negative integer"
-    return {dict: "an object", list: "a list", str: "a text"}.get(type(content), "a number")
+    names: dict[type, str] = {dict: "an object", list: "a list", str: "a text"}
+    return names.get(type(content), "a number")
 
 
 def check_like(content: Any, form: Any, maybe: Collection[str] = (), name: str = "it") -> None:

@@ -2,6 +2,7 @@
 
 import json
 import sys
+import threading
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -53,16 +54,18 @@ class Log:
         self.charts = [SummaryWriter(str(folder), purge_step=interactions + 1) for folder in self.folders]
         if interactions < total:
             print(MEANING, file=sys.stderr)
-        try:
-            with bar(total, "interactions", initial=interactions) as self.bar:
-                yield
-        finally:
-            for charts in self.charts:
-                charts.close()
+        with leaving_it_to_the_caller():
+            try:
+                with bar(total, "interactions", initial=interactions) as self.bar:
+                    yield
+            finally:
+                for charts in self.charts:
+                    with naming(file_of(charts)):
+                        charts.close()
 
     def draw(self, charts: SummaryWriter, scalars: Mapping[str, float], interactions: int) -> None:
         """Adds a point to each chart."""
-        with naming(charts.log_dir):
+        with naming(file_of(charts)):
             for tag, value in scalars.items():
                 charts.add_scalar(tag, value, interactions)
             charts.flush()
@@ -123,6 +126,27 @@ class Log:
             kept = kept[: len(kept) // self.seeds * self.seeds]  # of all seeds, or of none
             if kept != lines:
                 write_text(self.evaluations, "".join(kept))
+
+
+@contextmanager
+def leaving_it_to_the_caller() -> Iterator[None]:
+    """Keeps TensorBoard's threads from printing what they could not write; the next flush raises it."""
+    usual = threading.excepthook
+
+    def hook(failed: threading.ExceptHookArgs) -> None:
+        if not type(failed.thread).__module__.startswith("tensorboard."):
+            usual(failed)
+
+    threading.excepthook = hook
+    try:
+        yield
+    finally:
+        threading.excepthook = usual
+
+
+def file_of(charts: SummaryWriter) -> str:
+    """Returns the name of the file that charts are written to."""
+    return str(charts.file_writer.event_writer._file_name)
 
 
 def evaluation_scalars(record: Episodes) -> dict[str, float]:

@@ -8,6 +8,7 @@ import shlex
 import shutil
 import subprocess
 import sys
+import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -129,6 +130,24 @@ def test_a_full_disk_ends_training_in_a_line_and_room_lets_it_go_on(
     assert main.main(["train", "--resume", str(run)]) == 0
     assert not list(run.glob("*.tmp"))
     assert_same(run, whole)
+
+
+@pytest.mark.filterwarnings("error::pytest.PytestUnhandledThreadExceptionWarning")
+def test_a_disk_that_charts_fill_ends_training_in_a_line(
+    settings: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], limits: None
+) -> None:
+    run, (_, hard) = tmp_path / "run", resource.getrlimit(resource.RLIMIT_FSIZE)
+
+    def fill(directory: Path) -> None:
+        (charts,) = directory.glob("events.*")
+        resource.setrlimit(resource.RLIMIT_FSIZE, (charts.stat().st_size, hard))
+
+    with pytest.MonkeyPatch.context() as patch:
+        after(patch, 3, fill)
+        assert main.main(["train", "--config", str(settings), "--run-dir", str(run)]) == 2
+    resource.setrlimit(resource.RLIMIT_FSIZE, (hard, hard))
+    one_line(capsys, f"{run}/events.", "File too large", f"last good checkpoint: {run / 'checkpoint.pt'}")
+    assert threading.excepthook.__module__ != "study.training.log"
 
 
 JOB = """
