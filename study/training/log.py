@@ -51,10 +51,10 @@ class Log:
     @contextmanager
     def open(self, interactions: int, total: int) -> Iterator[None]:
         """Shows training from so many interactions of each seed on; what was drawn after them is forgotten."""
-        self.charts = [SummaryWriter(str(folder), purge_step=interactions + 1) for folder in self.folders]
-        if interactions < total:
-            print(MEANING, file=sys.stderr)
         with leaving_it_to_the_caller():
+            self.charts = [charts_in(folder, interactions + 1) for folder in self.folders]
+            if interactions < total:
+                print(MEANING, file=sys.stderr)
             try:
                 with bar(total, "interactions", initial=interactions) as self.bar:
                     yield
@@ -144,9 +144,16 @@ def leaving_it_to_the_caller() -> Iterator[None]:
         threading.excepthook = usual
 
 
+def charts_in(folder: Path, forgotten: int) -> SummaryWriter:
+    """Returns charts in a folder, in which whatever an earlier run drew from so many interactions on is forgotten."""
+    with naming(folder):
+        return SummaryWriter(str(folder), purge_step=forgotten)
+
+
 def file_of(charts: SummaryWriter) -> str:
     """Returns the name of the file that charts are written to."""
-    return str(charts.file_writer.event_writer._file_name)
+    writer: Any = charts.file_writer  # None where it is closed
+    return str(writer.event_writer._file_name)
 
 
 def evaluation_scalars(record: Episodes) -> dict[str, float]:
