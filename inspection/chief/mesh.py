@@ -4,6 +4,7 @@ import hashlib
 import io
 import math
 import re
+from codecs import BOM_UTF8
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +23,7 @@ SHAPES = {  # of what a file holds, each one's and in words
     "normals": ((3,), "(N, 3)"),
     "areas": ((), "(N,)"),
 }
+TEXTS = "stl", "obj", "off", "ply"  # kinds that are text, or may be, or begin with it
 EXACT = 1e-5  # m, as exact as float32 files are
 AT_ONCE = 2_000_000  # pairs of a point and a triangle that are looked at together
 GOLDEN = 0.7548776662466927, 0.5698402909980532  # Roberts' additive sequence, which fills a square evenly
@@ -39,7 +41,19 @@ def triangles_of(content: bytes, kind: str) -> np.ndarray:
 
     if kind not in (kinds := trimesh.exchange.load.mesh_formats()):
         raise KeyError(", ".join(f".{each}" for each in sorted(kinds)))
-    return np.array(trimesh.load_mesh(io.BytesIO(content), file_type=kind).triangles)
+    try:
+        return np.array(trimesh.load_mesh(io.BytesIO(content), file_type=kind).triangles)
+    except Exception:  # among others of a package that guesses how text is encoded
+        plain = in_ascii(content)
+        if kind not in TEXTS or plain == content:
+            raise
+        return np.array(trimesh.load_mesh(io.BytesIO(plain), file_type=kind).triangles)
+
+
+def in_ascii(content: bytes) -> bytes:
+    """A text with "?" for whatever is not ASCII, which can only be in its names and comments; of .ply the header."""
+    text, mark, numbers = content.removeprefix(BOM_UTF8).partition(b"end_header")
+    return text.translate(bytes(range(128)) + b"?" * 128) + mark + numbers
 
 
 def path_of(mesh: str) -> str:

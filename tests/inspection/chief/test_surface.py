@@ -1,6 +1,7 @@
 """Meshes: where their points are, and what hides them, against rays cast one by one."""
 
 import re
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -247,3 +248,40 @@ def test_what_trimesh_reads_is_read(kind: str, tmp_path: Path) -> None:
     triangles = read(str(path))["triangles"]
     volume = np.linalg.det(triangles).sum() / 6.0
     assert len(triangles) == len(BOX) and abs(volume - np.linalg.det(BOX).sum() / 6.0) < 1e-5
+
+
+def with_comment(kind: str, **options: str) -> tuple[bytes, bytes]:
+    """The box as trimesh writes it, in two parts between which a comment may stand."""
+    content = trimesh.Trimesh(BOX.reshape(-1, 3), np.arange(3 * len(BOX)).reshape(-1, 3)).export(
+        file_type=kind, **options
+    )
+    content = content.encode() if isinstance(content, str) else content
+    lines = content.split(b"\n", {"obj": 0, "off": 1, "ply": 2}[kind])
+    return b"".join(line + b"\n" for line in lines[:-1]), lines[-1]
+
+
+FOREIGN = {
+    "stl": ((b"solid ", stl_text().removeprefix("solid box").encode()), ""),
+    "obj": (with_comment("obj"), "# "),
+    "off": (with_comment("off"), "# "),
+    "ply": (with_comment("ply", encoding="ascii"), "comment "),
+    "PLY": (with_comment("ply"), "comment "),
+}
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "latin-1"])
+@pytest.mark.parametrize("kind", FOREIGN)
+def test_names_and_comments_may_be_in_any_encoding(
+    kind: str, encoding: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "charset_normalizer", None)  # which trimesh asks, and we do not require
+    (head, rest), mark = FOREIGN[kind]
+    path = tmp_path / f"a.{kind}"
+    path.write_bytes(head + f"{mark}Gehäuse\n".encode(encoding) + rest)
+    np.testing.assert_allclose(read(str(path))["triangles"], BOX, atol=1e-6)
+
+
+def test_a_mark_of_utf_8_is_passed_over(tmp_path: Path) -> None:
+    path = tmp_path / "a.obj"
+    path.write_bytes(b"".join((b"\xef\xbb\xbf", *with_comment("obj"))))
+    np.testing.assert_allclose(read(str(path))["triangles"], BOX, atol=1e-6)
