@@ -28,7 +28,7 @@ def planted(answers, monkeypatch, tmp_path) -> golden.Quantities:
 
 
 def test_quick_parts_are_as_recorded(planted, capsys):
-    code = golden.main([PART, "agent/quick"])
+    code = golden.main([PART, "network", "training/no_rta"])
     assert code == 0, capsys.readouterr().out
 
 
