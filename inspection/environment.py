@@ -96,14 +96,12 @@ class InspectionEnv(Fixed):
             return torch.zeros(*shape, batch, dtype=dtype, device=device)
 
         self.x = zeros(SIZE)  # first of all: it is refused where there is no room for the others
-        self.plant: Plant | None = None
+        made: Plant | None = None
         if plant is not None and not plant.is_nominal:
             kind = BasiliskPlant if plant.simulator == "basilisk" else Plant
-            self.plant = kind(plant, parameters, batch, device)
-            self.plant.every, self.plant.acts_for = (
-                self.clocks.filter or self.clocks.decision,
-                self.clocks.step,
-            )
+            made = kind(plant, parameters, batch, device)
+            made.every, made.acts_for = self.clocks.filter or self.clocks.decision, self.clocks.step
+        self.plant = made
         target = target or ChiefParameters()
         self.sight = Sight(target, parameters, batch, device)
         numbered = self.plant is not None or target.is_drawn

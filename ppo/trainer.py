@@ -1,5 +1,6 @@
 """The training loop: collect, learn, report; interruptible between updates and resumable bit for bit."""
 
+import math
 import time
 from collections.abc import Callable, Sequence
 from typing import Any, Protocol
@@ -65,6 +66,9 @@ class Trainer:
             self.update += 1
             self.seconds += learned - started
             statistics = {f"losses/{name}": value.mean().item() for name, value in losses.items()}
+            statistics["policy/std"] = standard_deviation(
+                statistics["losses/entropy"], batch["action"].shape[-1]
+            )
             statistics["learner/learning_rate"] = self.learner.optimiser.param_groups[0]["lr"]
             statistics["time/rollout_s"] = collected - started
             statistics["time/learning_s"] = learned - collected
@@ -87,3 +91,8 @@ class Trainer:
             generator.set_state(saved.cpu())
         self.update = int(state["update"])
         self.seconds = float(state["seconds"])
+
+
+def standard_deviation(entropy: float, actions: int) -> float:
+    """Returns the geometric mean of a Gaussian's standard deviations in so many actions, from its entropy in nats."""
+    return math.exp(entropy / actions - 0.5 * (1.0 + math.log(2.0 * math.pi)))

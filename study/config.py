@@ -54,7 +54,7 @@ class TrainParameters(Settings):
     )
     evaluation_interval: int = count(500_000, "interactions between two evaluations")
     early_evaluations: int = count(
-        1, "as many within the first interval; of several, one more before training"
+        5, "as many within the first interval; of several, one more before training"
     )
     evaluation_episodes: int = count(20, "common test cases of each of these evaluations")
     final_episodes: int = count(100, "common test cases of the evaluation after training")

@@ -7,6 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from statistics import fmean
+from textwrap import indent
 from typing import Any
 
 from torch.utils.tensorboard import SummaryWriter
@@ -22,8 +23,9 @@ from study.machine import bar
 from study.training.monitor import EPISODE, Monitor
 
 MEANING = (
-    "an interaction is one decision of the agent; after the count come means over the episodes that ended last (dv: "
-    "delta v, violation: share of their steps that broke a limit); flying test cases: an evaluation of the agent so far"
+    "an interaction is one decision of the agent; once even the longest episodes can have ended, means over those that "
+    "ended last come after the count (dv: delta v, violation: share of their steps that broke a limit); flying test "
+    "cases: an evaluation of the agent so far"
 )
 LESSON = "losses/lesson_action"  # only a lesson of the guidance has it
 TAUGHT = "learning from the guidance"
@@ -49,10 +51,17 @@ class Log:
         self.seeds, self.batch = len(seed_dirs), batch
 
     @contextmanager
-    def open(self, interactions: int, total: int) -> Iterator[None]:
-        """Shows training from so many interactions of each seed on; what was drawn after them is forgotten."""
+    def open(self, interactions: int, total: int, settings: str) -> Iterator[None]:
+        """Shows training from so many interactions of each seed on; what was drawn after them is forgotten.
+
+        Args:
+            settings: of the run, as TOML.
+        """
         with leaving_it_to_the_caller():
             self.charts = [charts_in(folder, interactions + 1) for folder in self.folders]
+            if not interactions:
+                with naming(file_of(self.charts[0])):
+                    self.charts[0].add_text("config", indent(settings, "    "))  # Markdown's code
             if interactions < total:
                 print(MEANING, file=sys.stderr)
             try:
@@ -80,7 +89,7 @@ class Log:
             self.draw(charts, monitor.episode_means(k), interactions)
         statistics = {tag: fmean((part[tag] for part in parts), seeds) for tag in parts[0]}
         slowest = max(part["time/rollout_s"] + part["time/learning_s"] for part in parts)
-        statistics |= monitor.scalars() | {"time/interactions_per_s": self.seeds * self.batch / slowest}
+        statistics |= monitor.scalars() | {"charts/SPS": self.seeds * self.batch / slowest}
         self.draw(self.charts[0], statistics, interactions)
         latest = [
             text.format(statistics[f"episode/{name}"])

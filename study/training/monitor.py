@@ -107,7 +107,7 @@ class Monitor:
     def __call__(self, transition: Transition) -> None:
         """Takes in one interaction of the batch."""
         self.steps += transition.reward.numel()
-        self.count(violated=transition.violated.sum(1))
+        self.count(violated=transition.violated.sum(1), any_violated=transition.violated.any(0).sum())
         self.count(**{f"step_reward/{name}": term.sum() for name, term in transition.reward_terms.items()})
         for answer, answered, true in transition.calls():
             self.count(
@@ -115,7 +115,7 @@ class Monitor:
                 intervention=(answered & answer.intervened).sum(),
                 slack=(answered & (answer.slack.amax(0) > 0.0)).sum(),
                 failures=(answered & (answer.status == Status.UNSOLVED)).sum(),
-                rta_violated=(answered & (true < 0.0)).sum(1),
+                rta_violated=(answered & (true < 0.0).any(0)).sum(),
             )
         done = transition.done
         if done.any():
@@ -136,7 +136,11 @@ class Monitor:
         self.episodes += other.episodes
 
     def episode_means(self, seed: int | None = None) -> dict[str, float]:
-        """Means over the episodes that ended since the last `scalars`, of one seed (counted from 0) or of all."""
+        """Means over the episodes that ended since the last `scalars`, and their count.
+
+        Args:
+            seed: of one seed, counted from 0; None: of all.
+        """
         if not self.episodes:
             return {}
         episodes = torch.cat(self.episodes, 1)
@@ -144,24 +148,28 @@ class Monitor:
             episodes = episodes[:, episodes[-1] == seed]
         if not episodes.numel():
             return {}
-        means = episodes[:-1].mean(1).tolist()
-        return {f"episode/{name}": mean for name, mean in zip(EPISODE, means, strict=True)}
+        means = {
+            f"episode/{name}": mean
+            for name, mean in zip(EPISODE, episodes[:-1].mean(1).tolist(), strict=True)
+        }
+        return means | {"episode/count": float(episodes.shape[1])}
 
     def scalars(self) -> dict[str, float]:
         """Means since the last call: per episode ended, per interaction and per filter call."""
         sums, steps, calls = self.sums, self.steps, int(self.sums.get("calls", 0))
         out = self.episode_means()
         out |= {tag: total.item() / steps for tag, total in sums.items() if tag.startswith("step_reward/")}
-        out |= self.by_constraint("violation_percent/", 100.0 * sums["violated"] / steps)
-        if calls:
+        out["violation_percent/any"] = 100.0 * sums["any_violated"].item() / steps
+        if not calls:  # behind the filter each would be zero
+            violated = (100.0 * sums["violated"] / steps).tolist()
+            out |= {
+                f"violation_percent/{name}": v for name, v in zip(self.constraints, violated, strict=True)
+            }
+        else:
             percent = 100.0 / calls
             out["rta/intervention_percent"] = sums["intervention"].item() * percent
             out["rta/slack_percent"] = sums["slack"].item() * percent
             out["rta/failures"] = sums["failures"].item()
-            out |= self.by_constraint("rta/filter_step_violation_percent_", sums["rta_violated"] * percent)
+            out["rta/filter_step_violation_percent"] = sums["rta_violated"].item() * percent
         self.clear()
         return out
-
-    def by_constraint(self, tag: str, values: Tensor) -> dict[str, float]:
-        """Values (constraints,) under the tag with the constraint's name after it."""
-        return {f"{tag}{name}": v for name, v in zip(self.constraints, values.tolist(), strict=True)}

@@ -238,7 +238,11 @@ class Run:
             return self.ranks.any(bool(stop))
 
         total = self.config.train.updates * self.config.train.batch
-        shown = self.log.open(self.interactions, total) if self.ranks.first else nullcontext()
+        shown = (
+            self.log.open(self.interactions, total, to_toml(self.config))
+            if self.ranks.first
+            else nullcontext()
+        )
         with self.naming_the_checkpoint():
             with on_signal(react), shown:
                 try:
@@ -283,11 +287,24 @@ class Run:
     def show(self, statistics: dict[str, float]) -> None:
         """Logs an update or a lesson, of all ranks; the price of fuel grows for the next one."""
         self.env.progress = self.trainer.update / self.trainer.updates
+        if not self.all_could_end:
+            self.monitor.episodes.clear()
         statistics["time/filter_s"] = self.monitor.filter_seconds
         statistics["time/simulation_s"] = statistics["time/rollout_s"] - self.monitor.filter_seconds
         if reports := self.ranks.collect((statistics, self.monitor), self.device):
             self.log.update(reports, self.interactions)
         self.monitor.clear()
+
+    @property
+    def all_could_end(self) -> bool:
+        """Whether even the longest episodes could end before the last update began.
+
+        All begin together, and after a lesson some begin anew. Until the longest have ended only the short ones are
+        seen, and behind the filter those are successes.
+        """
+        train, c = self.config.train, self.config.inspection
+        updates = self.trainer.update - 1 - train.lessons
+        return updates * train.rollout_steps * c.action_period >= c.max_time
 
     def due(self, interval: int) -> bool:
         """Whether the last update completed so many interactions, once more."""

@@ -5,7 +5,7 @@ import copy
 import pytest
 import torch
 
-from ppo.trainer import Trainer
+from ppo.trainer import Trainer, standard_deviation
 
 STEPS, UPDATES = 5, 4
 
@@ -39,6 +39,12 @@ def test_every_transition_is_watched_and_every_update_reported(make) -> None:
         sum(statistics["time/rollout_s"] + statistics["time/learning_s"] for statistics in log)
     )
     assert all("losses/value_loss" in statistics for statistics in log)
+
+
+def test_the_standard_deviation_is_that_of_a_gaussian_of_this_entropy() -> None:
+    scale = torch.tensor([0.5, 0.2, 0.1], dtype=torch.float64)
+    entropy = torch.distributions.Normal(torch.zeros_like(scale), scale).entropy().sum().item()
+    assert standard_deviation(entropy, 3) == pytest.approx(0.01 ** (1 / 3))
 
 
 def test_it_stops_between_two_updates_and_asks_first(make) -> None:

@@ -42,7 +42,7 @@ def ended(seed: int, reward: float) -> Monitor:
     """A monitor of one seed that saw an episode end."""
     monitor = Monitor(("near",), 1, seed)
     monitor.steps += BATCH
-    monitor.count(violated=torch.tensor([6 * (1 + seed)]))
+    monitor.count(violated=torch.tensor([6 * (1 + seed)]), any_violated=torch.tensor(6 * (1 + seed)))
     metrics = torch.full((len(METRICS) + 2, 1), reward)
     metrics[-2], metrics[-1] = 100.0, seed
     monitor.episodes.append(metrics)
@@ -53,7 +53,7 @@ def quiet() -> Monitor:
     """A monitor that saw no episode end."""
     monitor = Monitor(("near",))
     monitor.steps += BATCH
-    monitor.count(violated=torch.tensor([0]))
+    monitor.count(violated=torch.tensor([0]), any_violated=torch.tensor(0))
     return monitor
 
 
@@ -71,7 +71,7 @@ def test_an_update_is_shown_for_all_and_for_each_seed(tmp_path: Path) -> None:
             two,
         ),  # a rank that trains two seeds
     ]
-    with log.open(0, 2 * BATCH):
+    with log.open(0, 2 * BATCH, "[train]\nseed = 5\n"):
         log.update(reports, BATCH)
         assert (log.bar.n, log.bar.total) == (BATCH, 2 * BATCH)
         expected = "success 100 %, reward 3.00, dv 3.0 m/s, violation 3.0 %"
@@ -85,13 +85,18 @@ def test_an_update_is_shown_for_all_and_for_each_seed(tmp_path: Path) -> None:
         assert not log.bar.postfix
     shown = charts(tmp_path)
     assert shown["losses/x"] == [(BATCH, 3.0)]
-    assert shown["time/interactions_per_s"][0] == (BATCH, 3 * BATCH / 3.0)  # by the rank that took longest
+    assert shown["charts/SPS"][0] == (BATCH, 3 * BATCH / 3.0)  # by the rank that took longest
     assert shown["episode/reward"] == [(BATCH, 3.0)]
+    assert shown["episode/count"] == [(BATCH, 3.0)]
     assert shown["violation_percent/near"][0] == (BATCH, 100.0 * 18 / (2 * BATCH))
+    events = EventAccumulator(str(tmp_path))
+    events.Reload()
+    (settings,) = events.Tensors("config/text_summary")
+    assert settings.tensor_proto.string_val == [b"    [train]\n    seed = 5\n"]
     for home, reward in zip(seed_dirs, (1.0, 2.0, 6.0), strict=True):
         shown = charts(home)
         assert shown["episode/reward"] == [(BATCH, reward)]
-        assert set(shown) == {f"episode/{name}" for name in EPISODE}
+        assert set(shown) == {f"episode/{name}" for name in (*EPISODE, "count")}
 
 
 def test_an_evaluation_is_a_line_and_a_chart_for_each_seed(
@@ -101,7 +106,7 @@ def test_an_evaluation_is_a_line_and_a_chart_for_each_seed(
     for home in seed_dirs:
         home.mkdir()
     log, episodes = Log(tmp_path, seed_dirs, BATCH), record(2, 4, generator)
-    with log.open(0, BATCH):
+    with log.open(0, BATCH, ""):
         log.evaluation(episodes, [{"seed": 5}, {"seed": 6}], BATCH, 1.5)
     lines = [json.loads(line) for line in log.evaluations.read_text().splitlines()]
     for k, (home, line) in enumerate(zip(seed_dirs, lines, strict=True)):

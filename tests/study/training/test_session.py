@@ -15,6 +15,7 @@ from typing import Any
 
 import pytest
 import torch
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 import main
 from ppo import checkpoint, trainer
@@ -32,6 +33,7 @@ interactions = 96
 num_envs = 4
 rollout_steps = 4
 evaluation_interval = 16
+early_evaluations = 1
 evaluation_episodes = 1
 checkpoint_interval = 32
 final_episodes = 2
@@ -73,6 +75,14 @@ def whole(settings: Path) -> Path:
 def nothing_concluded(monkeypatch: pytest.MonkeyPatch) -> None:
     """Spares a run its evaluation and figure, but where a test says otherwise."""
     monkeypatch.setattr(training.Run, "conclude", lambda self: "")
+
+
+def test_no_episode_is_shown_before_the_longest_could_end(whole: Path) -> None:
+    """Each lasts 3 interactions and an update 4, so that those which end in the first update are no fair sample."""
+    events = EventAccumulator(str(whole))
+    events.Reload()
+    steps = {tag: [event.step for event in events.Scalars(tag)] for tag in ("episode/count", "policy/std")}
+    assert steps == {"policy/std": [16, 32, 48, 64, 80, 96], "episode/count": [32, 48, 64, 80, 96]}
 
 
 def weights(directory: Path) -> dict[str, torch.Tensor]:
