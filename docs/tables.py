@@ -214,10 +214,11 @@ def front() -> Rows:
             *(f"{reward:.3f}", f"{time:,.0f}", f"{fuel:.2f}"),
         )
     learners = {"paper": "the paper's learner here", "from_nothing": "ours, from nothing"}
+    ours = {"no_rta": "without RTA", "rta": "with our filter"}
     found = {
-        **{f"{name}, {LABELS[arm]}": arms(study)[arm] for study, name in learners.items() for arm in ARMS},
-        "agents taught by the guidance, with RTA": arms("study")["rta"],
-        "classical guidance with RTA": report("baselines")[GUIDE]["on"],
+        **{f"{name}, {ours[arm]}": arms(study)[arm] for study, name in learners.items() for arm in ARMS},
+        "agents taught by the guidance, with our filter": arms("study")["rta"],
+        "classical guidance with our filter": report("baselines")[GUIDE]["on"],
     }
     yield from rows(found, SUCCESS, CLEAN, VIOLATION, REWARD, TIME, FUEL)
 

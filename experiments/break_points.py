@@ -7,7 +7,6 @@ check both, what was flown says nothing of other flights: that size is unchecked
 """
 
 import dataclasses
-import math
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import replace
@@ -19,7 +18,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
 from inspection.world.parameters import PlantParameters
-from rta.constraints.names import CONSTRAINTS
+from rta.constraints.names import ATTITUDE, CONSTRAINTS, TRANSLATIONAL
 from settings import InputError, override
 from study.config import Config
 from study.experiment import Experiment
@@ -30,6 +29,7 @@ from study.verification.campaign import looking_ahead, run
 from study.verification.findings import WIDTH, Campaign, report_in
 from study.verified import fingerprint
 
+HATCHED: dict[str, Any] = {"fill": False, "hatch": "///", "ec": "0.75", "lw": 0}  # a cell that is not checked
 COLUMNS = {
     "separation": ("collision",),
     "speed": ("dynamic_speed",),
@@ -224,6 +224,19 @@ def outcome(report: dict[str, Any], effect: str, told: bool) -> Outcome:
     return Outcome(held, broken, refused[0] if refused else None, first, which)
 
 
+def unchecked_columns(report: dict[str, Any], effect: str, told: bool) -> set[str]:
+    """Returns the columns whose limits are unchecked, or not flown, at one of the sizes.
+
+    The check of a filter that is told of nothing says nothing of the effect: there flights alone count.
+    """
+    worlds = [world for world in report["worlds"] if (world["effect"], world["told"]) == (effect, told)]
+    if any("refused" in world for world in worlds):
+        return set(COLUMNS)
+    groups = {name for world in worlds if told for name in world["unchecked"]}
+    limits = {*(TRANSLATIONAL if "motion" in groups else ()), *(ATTITUDE if "attitude" in groups else ())}
+    return {name for name, own in COLUMNS.items() if limits & set(own)}
+
+
 def said(report: dict[str, Any], effect: str, told: bool) -> str:
     """Says of an effect the last size that held, from where it is unchecked or refused, and what broke first."""
     found = outcome(report, effect, told)
@@ -248,18 +261,22 @@ def table(report: dict[str, Any]) -> str:
 
 
 def figure(report: dict[str, Any]) -> Figure:
-    """Draws two panels, without and with `[uncertainty]`: effects by limits, in each cell the size that broke it."""
+    """Draws two panels, without and with `[uncertainty]`: effects by limits, in each cell the size that broke it.
+
+    Green cells were checked at every size, hatched ones from some size on were not.
+    """
     fig = Figure(figsize=(11.0, 9.5), layout="constrained")
     effects = list(dict.fromkeys(world["effect"] for world in report["worlds"]))
     for i, (ax, told) in enumerate(zip(fig.subplots(2, 1), (False, True), strict=True)):
         for row, effect in enumerate(effects):
             found, sizes = outcome(report, effect, told), EFFECTS[effect].sizes
-            # from the smallest size on no flight says that it is safe
-            flown = min(found.refused or math.inf, found.unchecked or math.inf) > sizes[0]
+            unchecked = unchecked_columns(report, effect, told)
             for column, name in enumerate(COLUMNS):
                 broken = name in found.broken
-                colour = UNSAFE if broken else SAFE if flown else "white"
+                colour = UNSAFE if broken else "white" if name in unchecked else SAFE
                 ax.add_patch(Rectangle((column, row), 1, 1, facecolor=colour, ec="white"))
+                if colour == "white":
+                    ax.add_patch(Rectangle((column, row), 1, 1, **HATCHED))
                 text = f"{found.broken[name]:g}" if broken else ""
                 ax.text(column + 0.5, row + 0.5, text, ha="center", va="center")
             tried = f"refused from {found.refused:g}" if found.refused else f"to {sizes[-1]:g}"
@@ -273,6 +290,12 @@ def figure(report: dict[str, Any]) -> Figure:
         ax.tick_params(length=0)
         ax.spines[:].set_visible(False)
         bound = "with" if told else "without"
+        key = {UNSAFE: "a limit broke, from this size on", SAFE: "kept at every size"}
+        patches = [Rectangle((0, 0), 1, 1, facecolor=colour, label=text) for colour, text in key.items()]
+        if told:
+            text = "no limit broke, but not checked at every size"
+            patches.append(Rectangle((0, 0), 1, 1, **HATCHED, label=text))
+        ax.legend(handles=patches, loc="upper left", bbox_to_anchor=(0, -0.08), ncols=3, frameon=False)
         ax.set_title(
             f"{'ab'[i]}) {bound} its bound in [uncertainty]: smallest size that broke a limit", loc="left"
         )

@@ -36,6 +36,20 @@ SHOWN = {
     "reward": "reward",
 }
 
+# what a reader of the figure knows an arm by; those of other studies go by their names
+LABELS = {
+    "plain": "no filter",
+    "prices": "no filter, penalty near limits",
+    "lagrangian": "no filter, PPO-Lagrangian",
+    "rta_desired": "filter, learns from the desired action",
+    "rta_applied": "filter, learns from the applied action",
+    "rta_penalty": "filter, penalty on corrections",
+    "rta_sampled": "the same, sampled conditions",
+    "rta_none": "the same, check alone",
+    "rta_5s": "the same as sampled, every 5 s",
+    "rta_10s": "the same as sampled, every 10 s",
+}
+
 
 def summary(record: Episodes, config: Config, seeds: int = 1) -> dict[str, Any]:
     """Returns what the page shows of the flights of so many seeds, and of each seed some of it."""
@@ -120,11 +134,15 @@ def figure(results: dict[str, Any], beside: dict[str, Any], path: Path) -> None:
             values, x = np.array(found["curves"][name]), np.array(found["curves"]["interactions"]) / 1e6
             low, middle, high = np.percentile(values, (0, 50, 100), axis=1)
             style = "-" if found["filtered"] else "--"
-            axis.plot(x, middle, style, color=f"C{number % 10}", lw=1.5, label=arm)
+            axis.plot(x, middle, style, color=f"C{number % 10}", lw=1.5, label=LABELS.get(arm, arm))
             axis.fill_between(x, low, high, color=f"C{number % 10}", alpha=0.15, lw=0)
         if name in KEPT:
             axis.axhline(
-                beside["metrics"][name]["mean"], color="black", ls=":", lw=1.5, label=f"guidance {REFERENCE}"
+                beside["metrics"][name]["mean"],
+                color="black",
+                ls=":",
+                lw=1.5,
+                label=f"guidance ({REFERENCE})",
             )
         axis.set(xlabel="interactions of a seed (million)", ylabel=text)
         axis.grid(alpha=0.3)

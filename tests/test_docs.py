@@ -1,7 +1,9 @@
 """The programs in the pages of docs: each page runs from top to bottom and prints what it says it prints."""
 
 import contextlib
+import importlib
 import io
+import operator
 import re
 import shlex
 from pathlib import Path
@@ -124,3 +126,16 @@ def test_the_control_loop_refuses_in_one_line(
         control_loop.main(arguments)
     assert refusal.value.code == 2
     assert re.fullmatch(r"error: python -m docs\.guides\.control_loop: .+\n", capsys.readouterr().err)
+
+
+def test_every_name_of_the_equation_table_is_in_its_file() -> None:
+    page = ROOT / "docs/reference/differences.md"
+    table = page.read_text(encoding="utf-8").partition("## Where the paper's equations are")[2]
+    links = re.findall(r"\[([^\]]+)\]\(([^)]+\.py)\)", table)
+    assert len(links) > 25
+    for names, target in links:
+        path = (page.parent / target).resolve().relative_to(ROOT)
+        module = importlib.import_module(".".join(path.with_suffix("").parts))
+        for name in names.split(", "):
+            if name != path.name:
+                operator.attrgetter(name)(module)

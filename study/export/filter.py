@@ -55,7 +55,7 @@ def said_of(config: Config) -> str:
     elif verified(same):
         first = (
             f"Verified (fingerprint {own}) by campaigns under random and adversarial controls. "
-            "docs/results/safety.md says what of other kinds broke a filter, and what is wrong with its check."
+            "docs/results/safety.md says what breaks a filter, docs/reference/proof.md what of its check is not proven."
         )
     else:
         first = NOT_VERIFIED.replace("this filter", f"this filter (fingerprint {own}) enough")

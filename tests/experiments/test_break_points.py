@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from experiments import break_points
-from experiments.break_points import EFFECTS, Effect, figure, outcome, said, table
+from experiments.break_points import EFFECTS, Effect, figure, outcome, said, table, unchecked_columns
 from inspection.world.parameters import PlantParameters
 from rta.constraints.names import CONSTRAINTS
 from settings import override
@@ -74,6 +74,12 @@ def test_a_size_that_is_not_checked_never_holds() -> None:
     assert said(report, "mass", told=True) == "holds 0.1, unchecked from 0.3 (motion), breaks at 0.5 (zone)"
     assert said(report, "mass", told=False) == "holds 0.3"
     assert any("unchecked from 0.3" in text.get_text() for ax in figure(report).axes for text in ax.texts)
+    motion = {"separation", "speed", "zone", "passive\nsafety", "velocity"}
+    assert unchecked_columns(report, "mass", told=True) == motion and not unchecked_columns(
+        report, "mass", told=False
+    )
+    hatched = [patch for ax in figure(report).axes for patch in ax.patches if patch.get_hatch()]
+    assert len(hatched) == len(motion) - 1  # the zone broke
 
 
 @pytest.mark.campaign
