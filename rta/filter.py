@@ -40,12 +40,11 @@ from rta.filter_input import FilterInput
 from rta.parameters import RtaParameters
 from rta.printed.batch import BatchFilter, Flights
 from rta.propose import Propose
-from rta.qp.batched_solver import STEPS_SAMPLED, BatchedSolver
-from rta.qp.piqp_solver import PiqpSolver
+from rta.qp.batched_solver import STEPS_SAMPLED, BatchedSolver, PiqpThenSteps
 from rta.qp.programs import Solver, Status, pick, put
 from rta.result import FilterResult
 
-SOLVERS: dict[str, type[Solver]] = {"piqp": PiqpSolver, "batched": BatchedSolver}
+SOLVERS: dict[str, type[Solver]] = {"piqp": PiqpThenSteps, "batched": BatchedSolver}
 
 
 class SafetyFilter(Fixed):

@@ -338,6 +338,16 @@ PROGRAMS = [
     ),
     *faults(
         "rta/qp/batched_solver.py",
+        "rta/test_answers.py -k every_way",
+        ("return completed(super().solve(problems), by_steps, problems)", "return super().solve(problems)"),
+    ),
+    *faults(
+        "rta/propose.py",
+        "rta/test_answers.py -k programs",
+        ("torch.nonzero(~(rows.lowest[0] >= 0.0))", "torch.nonzero(~(rows.lowest[0] >= -0.5))"),
+    ),
+    *faults(
+        "rta/qp/batched_solver.py",
         "rta/qp/test_batched_solver.py -k kkt",
         ("multiplier = multiplier - length * r", "multiplier = multiplier + length * r"),
         ("entering = torch.where(pressure > 0.0, entering, violated_most)", "entering = violated_most"),

@@ -119,44 +119,60 @@ class BatchedSolver:
         piqp_first = problems.desired.device.type in (
             PIQP_FIRST if self.piqp_first is None else self.piqp_first
         )
-        one, other = (self.fallback.solve, self._steps) if piqp_first else (self._steps, self.fallback.solve)
-        answer = one(problems)
-        again = torch.nonzero(problems.finite & (answer.status == Status.UNSOLVED)).flatten()
-        if again.numel():
-            second = other(problems[again])
-            # what neither solves keeps the first one's least-violating control
-            taken = torch.nonzero(second.status != Status.UNSOLVED).flatten()
-            for whole, part in (
-                (answer.control, second.control),
-                (answer.status, second.status),
-                (answer.residual, second.residual),
-            ):
-                put(whole, again[taken], pick(part, taken))
-        return answer
+        one, other = (self.fallback.solve, by_steps) if piqp_first else (by_steps, self.fallback.solve)
+        return completed(one(problems), other, problems)
 
-    def _steps(self, problems: Problems) -> Solutions:
-        """Stage by stage, each until every program is optimal or infeasible."""
-        control = torch.zeros_like(problems.desired)
-        status = torch.full_like(control[0], Status.UNSOLVED, dtype=torch.int64)
-        residual = torch.full_like(control[0], torch.inf)
-        left = finite = torch.nonzero(problems.finite).flatten()
-        candidates = [problems.desired, torch.zeros_like(control)]
-        for side, weight, solved in stages(problems):
-            if not left.numel():
-                break
-            desired, a, b = (pick(x, left) for x in (problems.desired, problems.a, side))
-            u, multiplier, outcome = project(desired, a, b, weight)
-            error = kkt_residual(u, multiplier, desired, a, b, weight)
-            accurate = (outcome == OPTIMAL) & (error <= ACCURATE)
-            put(control, left, u)
-            put(status, left, torch.where(accurate, solved, Status.UNSOLVED))
-            put(residual, left, torch.where(accurate, error, torch.inf))
-            candidates.append(torch.full_like(control, torch.nan))
-            put(candidates[-1], left, u.masked_fill(outcome == INFEASIBLE, torch.nan))
-            left = left[outcome == INFEASIBLE]
-        unsolved = finite[status[finite] == Status.UNSOLVED]
-        put(control, unsolved, least_violating([pick(u, unsolved) for u in candidates], problems[unsolved]))
-        return Solutions(control, status, residual)
+
+class PiqpThenSteps(PiqpSolver):
+    """PIQP, and by steps what it leaves.
+
+    Rows that only a corner of the bounds satisfies have no interior, along which PIQP would find its way.
+    """
+
+    def solve(self, problems: Problems) -> Solutions:
+        """See `Solver`."""
+        return completed(super().solve(problems), by_steps, problems)
+
+
+def completed(answer: Solutions, other: Callable[[Problems], Solutions], problems: Problems) -> Solutions:
+    """Puts another solver's answers, where it has one, in place of what a first one left unsolved."""
+    again = torch.nonzero(problems.finite & (answer.status == Status.UNSOLVED)).flatten()
+    if again.numel():
+        second = other(problems[again])
+        # what neither solves keeps the first one's least-violating control
+        taken = torch.nonzero(second.status != Status.UNSOLVED).flatten()
+        for whole, part in (
+            (answer.control, second.control),
+            (answer.status, second.status),
+            (answer.residual, second.residual),
+        ):
+            put(whole, again[taken], pick(part, taken))
+    return answer
+
+
+def by_steps(problems: Problems) -> Solutions:
+    """Solves stage by stage, each until every program is optimal or infeasible."""
+    control = torch.zeros_like(problems.desired)
+    status = torch.full_like(control[0], Status.UNSOLVED, dtype=torch.int64)
+    residual = torch.full_like(control[0], torch.inf)
+    left = finite = torch.nonzero(problems.finite).flatten()
+    candidates = [problems.desired, torch.zeros_like(control)]
+    for side, weight, solved in stages(problems):
+        if not left.numel():
+            break
+        desired, a, b = (pick(x, left) for x in (problems.desired, problems.a, side))
+        u, multiplier, outcome = project(desired, a, b, weight)
+        error = kkt_residual(u, multiplier, desired, a, b, weight)
+        accurate = (outcome == OPTIMAL) & (error <= ACCURATE)
+        put(control, left, u)
+        put(status, left, torch.where(accurate, solved, Status.UNSOLVED))
+        put(residual, left, torch.where(accurate, error, torch.inf))
+        candidates.append(torch.full_like(control, torch.nan))
+        put(candidates[-1], left, u.masked_fill(outcome == INFEASIBLE, torch.nan))
+        left = left[outcome == INFEASIBLE]
+    unsolved = finite[status[finite] == Status.UNSOLVED]
+    put(control, unsolved, least_violating([pick(u, unsolved) for u in candidates], problems[unsolved]))
+    return Solutions(control, status, residual)
 
 
 def attempt(desired: Tensor, a: Tensor, b: Tensor, steps: int = STEPS) -> list[Tensor]:

@@ -55,7 +55,7 @@ class PiqpSolver:
                 break
             side, slack_weight = of_stage.movedim(-1, 0).cpu().numpy(), weights.cpu().numpy()
             hard = np.isinf(slack_weight)
-            within_box = np.abs(a[left]).sum(2) + side[left] >= 0.0  # some control satisfies the row
+            within_box = np.abs(a[left]).sum(2) + side[left] >= -FEASIBLE  # some control satisfies the row
             left = left[within_box[:, hard].all(1)]
             u, multiplier = self._solve_all(desired[left], a[left], side[left], slack_weight)
             u = np.clip(u, -1.0, 1.0)

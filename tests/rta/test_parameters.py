@@ -9,8 +9,7 @@ from inspection.model.parameters import InspectionParameters
 from rta.constraints.names import CONSTRAINTS
 from rta.filter import SafetyFilter
 from rta.parameters import PERIODS, QP_SOLVERS, RtaParameters
-from rta.qp.batched_solver import BatchedSolver
-from rta.qp.piqp_solver import PiqpSolver
+from rta.qp.batched_solver import BatchedSolver, PiqpThenSteps
 from tests.oracles import paper, states, tensor
 
 C = InspectionParameters()
@@ -52,6 +51,6 @@ def test_passive_safety_segments_must_end_at_the_horizon() -> None:
 
 def test_the_solver_is_the_one_that_is_named() -> None:
     solvers = [type(SafetyFilter(C, RtaParameters(qp_solver=name)).solver) for name in QP_SOLVERS]
-    assert solvers == [PiqpSolver, PiqpSolver, BatchedSolver]
+    assert solvers == [PiqpThenSteps, PiqpThenSteps, BatchedSolver]
     given = BatchedSolver()
     assert SafetyFilter(C, RtaParameters(qp_solver="piqp"), given).solver is given
