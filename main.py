@@ -28,6 +28,7 @@ from settings import (
     positive_integer,
     positive_number,
     to_toml,
+    whole,
 )
 from study.config import EVALUATED, TEST_CASES, Config, StudyConfig
 from study.errors import MALFORMED, ExportError, ReflyError, Stopped, as_input_error
@@ -39,17 +40,12 @@ if TYPE_CHECKING:  # help and refusals do not wait for PyTorch, which the comman
 COMMANDS: dict[str, Callable[[Namespace], None]] = {}
 DECLARED: dict[str, Callable[[Any], None]] = {}  # what adds each command to the parser
 
-# Names of flags beside --table.key, which every setting has.
+# Names of flags beside --table.key, which every setting has; what is changed most often comes first.
 SHORT = {
     "--rta": "train.rta",
-    "--keep-clear": "train.keep_clear",
     "--rta-period": "rta.period",
-    "--qp-solver": "rta.qp_solver",
-    "--solar-panel-axis": "inspection.solar_panel_axis",
-    "--plant": "plant.simulator",
-    "--errors": "plant.errors",
-    "--device": "train.device",
-    "--compile": "train.compile",
+    "--seeds": "study.seeds",
+    "--arms": "study.arms",
     "--seed": "train.seed",
     "--interactions": "train.interactions",
     "--num-envs": "train.num_envs",
@@ -60,40 +56,69 @@ SHORT = {
     "--epochs": "ppo.epochs",
     "--minibatch-size": "ppo.minibatch_size",
     "--learning-rate": "ppo.learning_rate",
+    "--errors": "plant.errors",
+    "--plant": "plant.simulator",
+    "--keep-clear": "train.keep_clear",
     "--learn-from": "train.learn_from",
     "--adversary": "train.adversary",
-    "--seeds": "study.seeds",
-    "--arms": "study.arms",
+    "--device": "train.device",
+    "--compile": "train.compile",
+    "--qp-solver": "rta.qp_solver",
+    "--solar-panel-axis": "inspection.solar_panel_axis",
+}
+# Flags of CleanRL and Stable-Baselines3.
+ELSEWHERE = {
+    "--total-timesteps": "--interactions",
+    "--num-steps": "--rollout-steps",
+    "--n-steps": "--rollout-steps",
 }
 # Which settings the commands' flags reach: tables, or single ones.
 FILTER = ("inspection", "chief", "rta", "uncertainty")
 MACHINE = ("train.device", "train.compile")
 FLOWN = (*FILTER, "plant", *MACHINE)
+CHOSEN_ANEW = ("rta.qp_solver",)  # whatever an agent was trained with
 TRAINED = (*FILTER, "plant", "train", "ppo")
 
 
-def command(about: str, *flags: Any, settings: Collection[str] = (), one_of: Collection[Any] = ()) -> Any:
+def command(
+    about: str,
+    example: str,
+    *flags: Any,
+    settings: Collection[str] = (),
+    one_of: Collection[Any] = (),
+    of_agent: bool = False,
+) -> Any:
     """Makes a function a command of the same name, less "run_".
 
     Args:
-        about: its line in --help.
+        about: its line in --help; example: the words of a call.
         flags: see `flag`; one_of: of these exactly one must be given.
         settings: tables, or settings as "table.key", that flags can set, too.
+        of_agent: an agent's own settings come before the defaults of these.
     """
 
     def declare(function: Callable[[Namespace], None]) -> Callable[[Namespace], None]:
         name = function.__name__.removeprefix("run_").replace("_", "-")
 
         def add_to(commands: Any) -> None:
-            parser = commands.add_parser(name, help=about, description=f"{about[0].upper()}{about[1:]}.")
-            for names, options in (*flags, THREADS, CACHE):
-                parser.add_argument(*names, **options)
+            parser = commands.add_parser(
+                name,
+                help=about,
+                description=f"{about[0].upper()}{about[1:]}.",
+                epilog=f"example: python main.py {name} {example}",
+            )
             if one_of:
                 group = parser.add_mutually_exclusive_group(required=True)
                 for names, options in one_of:
                     group.add_argument(*names, **options)
+            for names, options in flags:
+                parser.add_argument(*names, **options)
             if settings:
-                add_flags(parser, StudyConfig() if "study" in settings else Config(), settings, SHORT)
+                config = StudyConfig() if "study" in settings else Config()
+                add_flags(parser, config, settings, SHORT, CHOSEN_ANEW if of_agent else None)
+            machine = parser.add_argument_group("machine")
+            for names, options in (THREADS, CACHE):
+                machine.add_argument(*names, **options)
 
         COMMANDS[name], DECLARED[name] = function, add_to
         return function
@@ -113,10 +138,21 @@ def flag(*names: str, **options: Any) -> tuple[tuple[str, ...], dict[str, Any]]:
     if str(options.get("metavar"))[:1] in ("D", "F") and "type" not in options:
         options["type"] = name
     if options.get("default") is not None:
-        shown = {True: "on", False: "off"}.get(options["default"], options["default"])
-        text = f"{shown:,}" if isinstance(shown, int) else f"{shown:g}" if isinstance(shown, float) else shown
-        options["help"] += f" (default: {text})"
+        options["help"] += f" (default: {in_words(options['default'])})"
     return names, options
+
+
+def in_words(default: bool | int | float | str) -> str:
+    """Returns a flag's default as --help shows it."""
+    if isinstance(default, bool):
+        return "on" if default else "off"
+    return (
+        f"{default:,}"
+        if isinstance(default, int)
+        else f"{default:g}"
+        if isinstance(default, float)
+        else default
+    )
 
 
 def to_write(suffix: str) -> Callable[[str], Path]:
@@ -156,9 +192,10 @@ def seed(default: int, text: str) -> Any:
 
 def seed_number(text: str) -> int:
     """Returns a seed from its text."""
-    if not (text.isascii() and text.isdecimal() and len(text) < 20) or int(text) >= 2**63:
-        raise ArgumentTypeError(f"{text[:40]!r}: must be an integer from 0 to 2^63 - 1")
-    return int(text)
+    with suppress(ValueError):
+        if 0 <= (number := whole(text)) < 2**63:
+            return number
+    raise ArgumentTypeError(f"{text[:40]!r}: must be an integer from 0 to 2^63 - 1")
 
 
 def counts(text: str) -> tuple[int, ...]:
@@ -210,6 +247,7 @@ def filtered(config: Config) -> Config:
 
 @command(
     "train an agent with or without run time assurance",
+    "--config quickstart --run-dir runs/first",
     flag("--run-dir", metavar="D", help="directory to create (default: runs/<arm>__<seed>__<time>)"),
     flag(
         "--init-from",
@@ -219,7 +257,8 @@ def filtered(config: Config) -> Config:
     flag(
         "--resume",
         metavar="D",
-        help="continue the run in D exactly where it stopped; with --interactions N go on to N",
+        help="continue the run in D exactly where it stopped; with --interactions N go on to N; --final-episodes "
+        "may differ, too",
     ),
     settings=TRAINED,
 )
@@ -230,10 +269,13 @@ def run_train(given: Namespace) -> None:
     from study.verified import warn_if_unverified
 
     if given.resume is not None:
-        changed = {name for name in vars(given) if "." in name} - {"train.interactions"}
+        changed = {name for name in vars(given) if "." in name} - {
+            "train.interactions",
+            "train.final_episodes",
+        }
         if changed or given.config or given.run_dir or given.init_from:
             raise InputError(
-                "--resume takes its settings from the run; only --interactions may stand beside it"
+                "--resume takes its settings from the run; only --interactions and --final-episodes may stand beside it"
             )
         set_threads(given.threads, recorded_threads(Path(given.resume)))
         config = configured(given, training.settings(Path(given.resume)))
@@ -246,6 +288,7 @@ def run_train(given: Namespace) -> None:
         session = training.starting(config, directory, Path(given.init_from) if given.init_from else None)
     with session as run:
         print(run, flush=True)
+        print(run.plan, flush=True)
         warn_if_unverified(run.config)
         run.train()
         if run.ranks.first:
@@ -254,6 +297,7 @@ def run_train(given: Namespace) -> None:
 
 @command(
     "train many seeds of each arm and evaluate them; the same command continues an interrupted study",
+    "--config study --study-dir runs/study",
     flag(
         "--study-dir",
         metavar="D",
@@ -274,6 +318,7 @@ def run_study(given: Namespace) -> None:
 
 @command(
     "write a finished study's results as one page, with its figures and the data behind them",
+    "--study runs/study",
     flag("--study", metavar="D", required=True, help="directory of a finished study"),
     flag(
         "--device",
@@ -305,6 +350,7 @@ def run_report(given: Namespace) -> None:
 
 @command(
     "report an agent or a controller in the metrics of the paper's Tables 2 and 3",
+    "--checkpoint runs/first/policy.pt --episodes 1000",
     count("--episodes", 100, "test cases"),
     seed(TEST_CASES, "of the test cases, of random controls and of an untrained agent"),
     RESULTS,
@@ -319,6 +365,7 @@ def run_report(given: Namespace) -> None:
             f"it every second: {', '.join(GUIDANCE)}",
         ),
     ),
+    of_agent=True,
 )
 def run_evaluate(given: Namespace) -> None:
     from study.experiment import Experiment
@@ -338,6 +385,7 @@ def run_evaluate(given: Namespace) -> None:
 
 @command(
     "simulate one spacecraft and write everything over time",
+    "--controller quick --duration 3600 --out runs/flight.npz",
     flag(
         "--controller",
         required=True,
@@ -369,6 +417,7 @@ def run_evaluate(given: Namespace) -> None:
         help="also draw limits and controls over time there",
     ),
     settings=("train.rta", "train.keep_clear", *FLOWN),
+    of_agent=True,
 )
 def run_simulate(given: Namespace) -> None:
     from study.experiment import Experiment
@@ -402,6 +451,7 @@ def run_simulate(given: Namespace) -> None:
 
 @command(
     "write a page that plays one or two simulated runs in 3-D",
+    "runs/flight.npz --out runs/flight.html",
     flag("runs", nargs="+", metavar="RUN.npz", help="a file of simulate, or two, side by side"),
     flag("--out", type=to_write(".html"), required=True, metavar="F.html", help="page to write"),
 )
@@ -416,9 +466,11 @@ def run_replay(given: Namespace) -> None:
 
 @command(
     "write a page on which anybody flies the spacecraft in a browser, with the filter on or off",
+    "--out runs/play.html",
     AGENT,
     flag("--out", type=to_write(".html"), required=True, metavar="F.html", help="page to write"),
     settings=(*FILTER, "plant"),
+    of_agent=True,
 )
 def run_play(given: Namespace) -> None:
     from study.web import play
@@ -430,6 +482,7 @@ def run_play(given: Namespace) -> None:
 
 @command(
     "filter a batch of states from elsewhere and write out the quadratic programs",
+    "--states states.npz --out filtered.npz",
     flag(
         "--states",
         required=True,
@@ -453,6 +506,7 @@ def run_filter(given: Namespace) -> None:
 
 @command(
     "count violations behind the filter over many random episodes",
+    "--policy adversarial --json runs/verify.json",
     count(
         "--episodes",
         1000,
@@ -487,6 +541,7 @@ def run_filter(given: Namespace) -> None:
         help="keep the worst episode of every constraint beside --json, not only of those violated",
     ),
     settings=FLOWN,
+    of_agent=True,
 )
 def run_verify(given: Namespace) -> None:
     from study.experiment import check_observed
@@ -519,6 +574,7 @@ def run_verify(given: Namespace) -> None:
 
 @command(
     "try single calls of the filter at states next to its limits",
+    "--json runs/boundary.json",
     count("--draws", 4096, "states next to one limit or two, in whole batches"),
     seed(0, "of everything random"),
     REPORT,
@@ -536,6 +592,7 @@ def run_boundary(given: Namespace) -> None:
 @command(
     "find the size at which each effect of [plant] breaks a limit, with and without [uncertainty], its errors at the "
     "corners of their bounds",
+    "--json runs/break_points.json",
     count(
         "--episodes", 96, "of each effect and size, with errors that are steady and as many with the worst"
     ),
@@ -568,6 +625,7 @@ def run_break_points(given: Namespace) -> None:
 
 @command(
     "fly a counter-example of verify again",
+    "runs/verify.json.collision.npz",
     flag("file", metavar="F.npz", help="what verify kept beside --json, with all settings"),
 )
 def run_refly(given: Namespace) -> None:
@@ -578,6 +636,7 @@ def run_refly(given: Namespace) -> None:
 
 @command(
     "measure the speed of simulator, filter, solvers and learner",
+    "--json runs/benchmark.json",
     flag(
         "--batches",
         type=counts,
@@ -606,6 +665,7 @@ def run_benchmark(given: Namespace) -> None:
 
 @command(
     "write an agent as an ONNX file, checked against PyTorch, or as C with a test that does so; or the filter as C",
+    "--filter runs/filter",
     AGENT,
     flag(
         "--prefix",
@@ -659,9 +719,15 @@ def run_export(given: Namespace) -> None:
     )
 
 
+class CommandLine(Parser):
+    """The parser of each command."""
+
+    elsewhere = ELSEWHERE
+
+
 def build_parser() -> Parser:
     """Returns the parser of the whole command line."""
-    parser = Parser(prog="main.py", description=__doc__)
+    parser = CommandLine(prog="main.py", description=__doc__)
     commands = parser.add_subparsers(dest="command", required=True, metavar=" | ".join(COMMANDS))
     for add_to in DECLARED.values():
         add_to(commands)

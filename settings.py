@@ -11,6 +11,7 @@ import os
 import tomllib
 import typing
 from collections.abc import Collection, Iterable, Mapping
+from contextlib import suppress
 from dataclasses import Field, dataclass, field, fields
 from difflib import get_close_matches
 from functools import partial
@@ -290,6 +291,8 @@ def typed(value: Any, wanted: Any, name: str) -> Any:
         return tuple(typed(item, element, name) for item in value)
     if wanted is float and type(value) is int:
         return float(value)
+    if wanted is int and type(value) is float and is_whole(value):  # 1e5
+        return int(value)
     if type(value) is not wanted:
         raise InputError(f"{name} = {value!r}: must be {KINDS[wanted]}")
     return value
@@ -323,6 +326,10 @@ def literal(value: Any) -> str:
 class Parser(argparse.ArgumentParser):
     """Ends bad usage in one line and exit code 2, and names what may have been meant."""
 
+    elsewhere: typing.ClassVar[
+        Mapping[str, str]
+    ] = {}  # flags of other programs, and what they are called here
+
     def __init__(self, **options: Any) -> None:
         super().__init__(**options, allow_abbrev=False)
 
@@ -351,6 +358,8 @@ class Parser(argparse.ArgumentParser):
 
     def meant(self, word: str) -> str:
         flags = self._option_string_actions
+        if (here := self.elsewhere.get(word.partition("=")[0].replace("_", "-"))) in flags:
+            return f"; it is {here} here"
         return instead(word.partition("=")[0], flags) if word.startswith("-") and len(flags) > FEW else ""
 
     def error(self, message: str) -> typing.NoReturn:
@@ -365,14 +374,19 @@ def in_one_line(text: str) -> str:
 
 
 def add_flags(
-    parser: argparse.ArgumentParser, config: Any, reached: Collection[str], short: Mapping[str, str]
+    parser: argparse.ArgumentParser,
+    config: Any,
+    reached: Collection[str],
+    short: Mapping[str, str],
+    chosen_anew: Collection[str] | None = None,
 ) -> None:
     """Adds --config, --print-config and a flag for every setting of `reached`, such as --rta.period 5.
 
     Args:
         config: whose settings the flags set, see `configured`.
         reached: tables, or settings as "table.key".
-        short: short names of flags, with the setting of each. Only these stand in --help.
+        short: short names of flags, with the setting of each. Only these stand in --help, in this order.
+        chosen_anew: settings for which those of an agent do not count; None: there is no agent.
     """
     group = parser.add_argument_group(
         "settings",
@@ -384,8 +398,12 @@ def add_flags(
     add("--config", action="append", default=[], metavar="FILE", help=text)
     add("--print-config", action="store_true", help="print all settings as TOML, with their meaning, and end")
     tables = {table: part for table, part in vars(config).items() if isinstance(part, Settings)}
-    for table, part, (key, rule) in ((t, p, r) for t, p in tables.items() for r in rules(type(p)).items()):
-        name = f"{table}.{key}"
+    every = {
+        f"{t}.{key}": (t, p, key, rule) for t, p in tables.items() for key, rule in rules(type(p)).items()
+    }
+    first = [meant for meant in short.values() if meant in every]
+    for name in dict.fromkeys((*first, *every)):
+        table, part, key, rule = every[name]
         if not {table, name} & set(reached):
             continue
         names = [flag for flag, meant in short.items() if meant == name]
@@ -394,7 +412,10 @@ def add_flags(
         options: dict[str, Any] = {"metavar": "N" if kind is int else among, "type": partial(read, kind)}
         if kind is bool:
             options = {"action": argparse.BooleanOptionalAction}
-        text = f"{rule.comment} (default: {literal(getattr(part, key))})"
+        usual = literal(getattr(part, key))
+        if chosen_anew is not None and name not in chosen_anew:
+            usual = f"the agent's, else {usual}"
+        text = f"{rule.comment} (default: {usual})"
         if names:
             add(*names, dest=name, default=argparse.SUPPRESS, help=text.replace("%", "%%"), **options)
         add(f"--{name}", dest=name, default=argparse.SUPPRESS, help=argparse.SUPPRESS, **options)
@@ -408,17 +429,31 @@ def read(kind: Any, text: str) -> Any:
         words = text.strip("[] ").split(",") if text.strip("[] ") else []
         return [read(typing.get_args(kind)[0], word.strip()) for word in words]
     try:
-        return kind(text.strip("\"'") if kind is str else text)
+        return text.strip("\"'") if kind is str else whole(text) if kind is int else kind(text)
     except ValueError:
         raise argparse.ArgumentTypeError(f"{text[:40]!r}: must be {KINDS[kind]}") from None
 
 
+def whole(text: str) -> int:
+    """Returns an integer from its text, 100_000 or 1e5; raises ValueError where it is none."""
+    with suppress(ValueError):
+        return int(text)
+    if not is_whole(number := float(text)):
+        raise ValueError(text)
+    return int(number)
+
+
+def is_whole(number: float) -> bool:
+    """Tells whether it is an integer, and exact."""
+    return number.is_integer() and abs(number) <= 2**53
+
+
 def positive_integer(text: str) -> int:
     """Returns a positive integer from a flag's text."""
-    digits = text.replace("_", "")
-    if not (digits.isascii() and digits.isdecimal() and 0 < int(digits) <= 10**12):
-        raise argparse.ArgumentTypeError(f"{text[:40]!r}: must be a positive integer up to 1,000,000,000,000")
-    return int(digits)
+    with suppress(ValueError):
+        if 0 < (number := whole(text)) <= 10**12:
+            return number
+    raise argparse.ArgumentTypeError(f"{text[:40]!r}: must be a positive integer up to 1,000,000,000,000")
 
 
 def positive_number(text: str) -> float:

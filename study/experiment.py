@@ -88,7 +88,7 @@ class Experiment:
         steps = seconds / config.inspection.action_period
         holds = config.uncertainty.needs_sampled_rows(config.rta)
         self.filter_compiled = config.train.rta and wants_compile(choice, calls, holds)
-        self.config = with_solver(config, batch, self.device, self.filter_compiled)
+        self.config = with_solver(config, batch, self.device)
         self.compiled = wants_compile(choice, steps)
         self.task = with_hull(with_correction_price(config), config.chief)
         with as_input_error("[rta], [inspection] and [uncertainty]", ValueError, OverflowError):
@@ -260,10 +260,11 @@ def check_cache() -> None:
             Path(path).mkdir(parents=True, exist_ok=True)
 
 
-def with_solver(config: AnyConfig, batch: int, device: torch.device, compiled: bool = False) -> AnyConfig:
+def with_solver(config: AnyConfig, batch: int, device: torch.device) -> AnyConfig:
     """The configuration with the solver and the chief's mesh settled, which determine a run's numbers.
 
-    What is compiled solves in C, as the batched solver does.
+    The solver depends on what a person asks for, not on whether compiling is repaid or there is a compiler: what is
+    compiled solves in C, as the batched solver does.
     """
     with as_input_error("[chief]", ValueError):
         config = replace(
@@ -273,7 +274,9 @@ def with_solver(config: AnyConfig, batch: int, device: torch.device, compiled: b
         return config
     # where controls are held PIQP is no faster, see `SafetyFilter`
     is_held = config.uncertainty.needs_sampled_rows(config.rta)
-    suits_piqp = device.type == "cpu" and batch < WORTH_BATCHING and not is_held and not compiled
+    suits_piqp = (
+        device.type == "cpu" and batch < WORTH_BATCHING and not is_held and config.train.compile == "off"
+    )
     solver = "piqp" if suits_piqp else "batched"
     return replace(config, rta=replace(config.rta, qp_solver=solver))
 

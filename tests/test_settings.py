@@ -1,5 +1,6 @@
 """Settings: what is allowed, in the check and in words; files over defaults, and flags over files."""
 
+import argparse
 import functools
 import math
 from dataclasses import dataclass, replace
@@ -10,7 +11,18 @@ from typing import Any, get_args, get_type_hints
 import pytest
 
 import main
-from settings import InputError, Settings, configured, literal, override, rules, setting
+from settings import (
+    InputError,
+    Settings,
+    configured,
+    literal,
+    load,
+    override,
+    positive_integer,
+    rules,
+    setting,
+    whole,
+)
 from study.config import Config, StudyConfig
 
 
@@ -189,3 +201,37 @@ def test_a_value_of_another_type_is_refused(text: str, said: str, tmp_path: Path
     with pytest.raises(InputError) as refusal:
         configured(main.build_parser().parse_args(["train", "--config", str(path)]), Config())
     assert str(refusal.value) == f"{path}: {said}"
+
+
+@pytest.mark.parametrize(
+    ("text", "number"),
+    [
+        ("100_000", 100_000),
+        ("1e5", 100_000),
+        ("2.5e3", 2500),
+        ("1E0", 1),
+        ("7", 7),
+    ],
+)
+def test_a_whole_number_is_an_integer_wherever_one_is_asked_for(
+    text: str, number: int, tmp_path: Path
+) -> None:
+    assert whole(text) == positive_integer(text) == number
+    path = tmp_path / "c.toml"
+    path.write_text(f"[train]\nseed = {text}\n")
+    seed = load(path, Config()).train.seed
+    assert seed == number and type(seed) is int
+    given = main.build_parser().parse_args(["train", "--seed", text])
+    assert configured(given, Config()).train.seed == number
+    given = main.build_parser().parse_args(
+        ["evaluate", "--controller", "zero", "--seed", text, "--episodes", text]
+    )
+    assert given.seed == given.episodes == number
+
+
+@pytest.mark.parametrize("text", ["1.5", "1e-1", "1e16", "1e400", "nan", "inf", "", "x", "1" * 5000])
+def test_what_is_no_integer_or_not_exactly_one_is_none(text: str) -> None:
+    with pytest.raises(ValueError):
+        whole(text)
+    with pytest.raises(argparse.ArgumentTypeError, match="must be a positive integer"):
+        positive_integer(text)

@@ -137,6 +137,18 @@ class Run:
         episodes = len(self.seeds) * config.train.num_envs
         return f"{self.directory}: {arm}, {which}, {episodes} episodes at once on {where}{self.annealing}"
 
+    @property
+    def plan(self) -> str:
+        """What is to come: how many interactions, since they are made in whole updates, and the flights after them."""
+        train = self.config.train
+        total, size = train.updates * train.batch, f"{train.num_envs:,} * {train.rollout_steps:,}"
+        why = f" ({train.interactions:,} rounded up)" if total > train.interactions else ""
+        done = f"; {self.interactions:,} are done" if self.interactions else ""
+        return (
+            f"{total:,} interactions{why}, in updates of num_envs * rollout_steps = {size} = {train.batch:,}{done}\n"
+            f"then {train.final_episodes:,} test flights, which may take minutes (--final-episodes N changes that)"
+        )
+
     def watch(self, transition: Transition) -> None:
         """Takes in one interaction of the batch."""
         self.monitor(transition)
@@ -391,4 +403,4 @@ def seconds_of(deed: Callable[[], None]) -> float:
 def with_solver_for_a_seed(config: AnyConfig) -> AnyConfig:
     """The configuration with the solver settled for one seed, whatever is trained beside it and on how many ranks."""
     device = resolve_device(config.train.device)
-    return with_solver(config, config.train.num_envs, device, config.train.compile == "on")
+    return with_solver(config, config.train.num_envs, device)

@@ -171,8 +171,8 @@ def create(
 def resume(directory: Path, config: Config | None = None, seeds: Sequence[int] | None = None) -> Run:
     """A `Run` as the directory's checkpoint left it; without a configuration that of its config.toml.
 
-    The configuration of a run of one seed may want other interactions than the checkpoint's: they are then what
-    config.toml wants, too.
+    The configuration of a run of one seed may want other interactions and final episodes than the checkpoint's: they
+    are then what config.toml wants, too.
     """
     config = config or load(directory / "config.toml", Config())
     path = directory / CHECKPOINT
@@ -185,7 +185,10 @@ def resume(directory: Path, config: Config | None = None, seeds: Sequence[int] |
     )  # which older ones may not be
     before, total = trained.train, config.train.interactions
     moved = seeds is None and total != before.interactions
-    if config != (replace(trained, train=replace(before, interactions=total)) if moved else trained):
+    free: dict[str, Any] = (
+        {} if seeds is not None else {"interactions": total, "final_episodes": config.train.final_episodes}
+    )
+    if config != replace(trained, train=replace(before, **free)):
         raise InputError(f"{directory}: config.toml is not what {path.name} was trained with")
     if moved and config.train.updates <= done:
         raise InputError(
@@ -206,7 +209,7 @@ def resume(directory: Path, config: Config | None = None, seeds: Sequence[int] |
                 with naming(file):
                     temporary_beside(file).unlink(missing_ok=True)
             run.log.forget_evaluations_after(run.interactions)
-            if moved:  # from here on, config.toml alone says so
+            if config != trained:  # from here on, config.toml alone says so
                 write_text(directory / "config.toml", to_toml(config))
     return run
 

@@ -119,8 +119,14 @@ def test_what_programs_call_solved_satisfies_every_row(way: str, count: int) -> 
     check(safety, x, desired, answer, torch.zeros(2, count, dtype=torch.bool))
 
 
-@pytest.mark.parametrize("way", WAYS)
-@pytest.mark.parametrize("count", [4000, pytest.param(100_000, marks=pytest.mark.campaign)])
+@pytest.mark.parametrize(
+    ("way", "count"),
+    [
+        *((way, 4000) for way in WAYS),
+        *(pytest.param(way, 20_000, marks=pytest.mark.campaign) for way in SOLVERS),
+        pytest.param("C", 100_000, marks=pytest.mark.campaign),
+    ],
+)
 def test_what_the_filter_calls_solved_satisfies_every_row_or_the_check(way: str, count: int) -> None:
     safety = filter_of(way, C)
     x, desired = near_and_beyond(count, 2)

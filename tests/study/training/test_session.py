@@ -274,6 +274,42 @@ def test_a_finished_run_goes_on_as_a_longer_one_but_for_the_annealing(
     assert not (tmp_path / "short" / "config.toml.tmp").exists()
 
 
+def test_a_run_says_beforehand_how_long_it_is_and_what_comes_after_it(
+    settings: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    said: list[str] = []
+    train = training.Run.train
+    monkeypatch.setattr(
+        training.Run, "train", lambda self: (said.append(capsys.readouterr().out), train(self))[1]
+    )
+    run = tmp_path / "run"
+    assert main.main(["train", "--config", str(settings), "--run-dir", str(run), "--interactions", "17"]) == 0
+    assert (
+        "\n32 interactions (17 rounded up), in updates of num_envs * rollout_steps = 4 * 4 = 16\n" in said[0]
+    )
+    assert "\nthen 2 test flights, which may take minutes (--final-episodes N changes that)\n" in said[0]
+    assert checkpoint.load(run / "checkpoint.pt", ("update",))["update"] == 2
+    assert main.main(["train", "--resume", str(run), "--interactions", "48", "--final-episodes", "3"]) == 0
+    assert "\n48 interactions, in updates of num_envs * rollout_steps = 4 * 4 = 16; 32 are done\n" in said[1]
+
+
+def test_a_finished_run_takes_other_final_episodes(
+    settings: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(training.Run, "conclude", CONCLUDE)
+    run = tmp_path / "run"
+    train = ["train", "--config", str(settings), "--run-dir", str(run), "--interactions", "16"]
+    assert main.main(train) == 0
+    for words, episodes in (([], 2), (["--final-episodes", "3"], 3), ([], 3)):
+        assert main.main(["train", "--resume", str(run), *words]) == 0
+        results = json.loads((run / "evaluation.json").read_text())
+        assert results["episodes"] == episodes
+        assert load(run / "config.toml", Config()).train.final_episodes == episodes
+        assert f"then {episodes} test flights" in capsys.readouterr().out
+    assert main.main(["train", "--resume", str(run), "--evaluation-episodes", "3"]) == 2
+    one_line(capsys, "only --interactions and --final-episodes may stand beside it")
+
+
 @pytest.mark.parametrize("name", ["policy.pt", "checkpoint.pt"])
 def test_a_run_starts_from_an_agent_and_goes_on_from_there(
     name: str, settings: Path, whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
