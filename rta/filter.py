@@ -24,6 +24,7 @@ from inspection.fixed import Fixed
 from inspection.model.parameters import InspectionParameters
 from inspection.model.state import CONTROL_SIZE, SIZE, P, Q
 from inspection.model.state_checks import is_state, unit_warnings
+from inspection.model.tensors import check_tensors
 from kernels.build import NoCompilerError, say
 from kernels.compiled import Compiled
 from kernels.modes import in_full_precision
@@ -148,11 +149,13 @@ class SafetyFilter(Fixed):
     @in_full_precision
     def values(self, x: Tensor) -> Tensor:
         """Every constraint's h, the 13 exactly as in the paper: (16, B) to (constraints, B)."""
+        check_tensors(x=x)
         return joined(*(group.values(x) for group in self.groups))
 
     @in_full_precision
     def is_in_safe_set(self, x: Tensor) -> Tensor:
         """(B,) bool: every h and every Psi_1 is non-negative."""
+        check_tensors(x=x)
         thrust, torque = self.groups
         inside = is_state(x, self.c) & (self.values(x) >= 0.0).all(0)
         inside = inside & thrust.keeps(x, degree=2) & torque.keeps(x, degree=2)
@@ -173,6 +176,7 @@ class SafetyFilter(Fixed):
 
     def can_brake(self, x: Tensor) -> Tensor:
         """(B,) bool: in any attitude thrust can keep the zone, see `keep_in_zone`."""
+        check_tensors(x=x)
         zone = keep_in_zone(self.c, self.parameters, self.uncertainty)
         return (zone.barrier_at(x)(x) >= 0.0).all(0)
 
@@ -184,6 +188,7 @@ class SafetyFilter(Fixed):
         and the backup trajectory keeps the limits.
         For a group without a check: every Psi_1 >= 0 (thrust: also can_brake); with sampled rows also is_holdable.
         """
+        check_tensors(x=x)
         kept = is_state(x, self.c) & (self.values(x) >= 0.0).all(0)
         if self.backup:
             self._compile_flights(x)
@@ -236,6 +241,7 @@ class SafetyFilter(Fixed):
     @in_full_precision
     def rows(self, x: Tensor, control: Tensor | None = None) -> tuple[Rows, Rows]:
         """The conditions on thrust and on torque at states (16, B), as tangents at controls (6, B), None: at zero."""
+        check_tensors(x=x)
         thrust, torque = self.groups
         return thrust(x, control), torque(x, control)
 
@@ -296,6 +302,7 @@ class SafetyFilter(Fixed):
             left: (6, B) the share that each actuator gives of its command; None: all of it. It counts for a filter
                 with `health` in its `Uncertainty`.
         """
+        check_tensors(x=x, desired=desired)
         # where a state is younger the first are NaN
         newest = None if sent is None else sent[max(0, len(sent) - self.uncertainty.latency) :]
         if self.compiled is None or x.device.type != "cpu":

@@ -9,6 +9,8 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
+from inspection.model.tensors import check_tensors
+
 Vector = tuple[Tensor, Tensor, Tensor]
 Components = Sequence[Tensor] | Tensor  # one after the other, or as the first axis
 
@@ -30,13 +32,15 @@ def cross(a: Components, b: Components) -> Vector:
 
 
 def unit(a: Tensor) -> Tensor:
-    """a / |a|, zero where a is zero: (k, ...) to (k, ...)."""
+    """a / |a|, zero where a is zero: (k, ...) to (k, ...); TypeError: a is no tensor."""
+    check_tensors(a=a)
     length = norm(a)
     return a / torch.where(length > 0, length, torch.ones_like(length))
 
 
 def conjugate(q: Tensor) -> Tensor:
-    """Inverse rotation of a unit quaternion: (4, ...) to (4, ...)."""
+    """Inverse rotation of a unit quaternion: (4, ...) to (4, ...); TypeError: q is no tensor."""
+    check_tensors(q=q)
     return torch.cat((-q[:3], q[3:]))
 
 
@@ -52,7 +56,8 @@ def rotate_components(q: Components, a: Components) -> Vector:
 
 
 def rotate(q: Tensor, a: Tensor) -> Tensor:
-    """q a q*: turns a (3, ...) from the body frame into Hill's frame (with q* the other way)."""
+    """q a q*: turns a (3, ...) from the body frame into Hill's (with q* the other way); TypeError: one is no tensor."""
+    check_tensors(q=q, a=a)
     return torch.stack(rotate_components(q, a))
 
 
@@ -71,8 +76,10 @@ def rotation_matrix(q: Tensor) -> Tensor:
     """R (3, 3, ...) with R a = q a q*: columns are the body axes in Hill's frame, rows Hill's in the body's.
 
     R = (q4^2 - |q_v|^2) 1 + 2 q_v q_v' + 2 q4 [q_v x], by components of a few tensors: it is differentiated twice at
-    every call of the filter, and a contraction with coefficients would mostly multiply by zero.
+    every call of the filter, and a contraction with coefficients would mostly multiply by zero. TypeError: q is no
+    tensor.
     """
+    check_tensors(q=q)
     vector = q[:3]
     next_one, one_after = torch.cat((q[1:3], q[:1])), torch.cat((q[2:3], q[:2]))
     along, aside = next_one * one_after, vector * q[3]

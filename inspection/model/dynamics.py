@@ -21,6 +21,7 @@ from inspection.model.orbit import natural_acceleration, orbit_rate
 from inspection.model.parameters import AXES, Limits
 from inspection.model.rk4 import rk4_step
 from inspection.model.state import CONTROL_SIZE, OMEGA, THETA_S, THRUST, TORQUE, P, Q, T, V
+from inspection.model.tensors import check_tensors
 
 
 class Body(NamedTuple):
@@ -47,6 +48,7 @@ def sun_direction(theta_s: Tensor) -> Tensor:
 
 def sun_and_earth_in_body(x: Tensor) -> tuple[Tensor, Tensor]:
     """Unit vectors to the Sun and to the Earth (-x in Hill's frame), in the body frame: (16, ...) to (3, ...)."""
+    check_tensors(x=x)
     hill_x, hill_y, _ = rotation_matrix(x[Q])
     theta_s = x[THETA_S]
     return theta_s.cos() * hill_x + theta_s.sin() * hill_y, -hill_x
@@ -117,12 +119,14 @@ def natural_rates(x: Components, c: Limits) -> list[Tensor]:
 
 
 def drift(x: Tensor, c: Limits) -> Tensor:
-    """f(x), (16, ...) to (16, ...) in the state's units per second."""
+    """f(x), (16, ...) to (16, ...) in the state's units per second; TypeError: x is no tensor."""
+    check_tensors(x=x)
     return torch.stack(natural_rates(x.unbind(0), c))
 
 
 def control_matrix(x: Tensor, c: Limits) -> Tensor:
-    """g(x), (16, ...) to (16, 6, ...): thrust through the attitude, torque through the inertia."""
+    """g(x), (16, ...) to (16, 6, ...): thrust through the attitude, torque through the inertia; raises as `drift`."""
+    check_tensors(x=x)
     g = x.new_zeros(x.shape[0], CONTROL_SIZE, *x.shape[1:])
     g[V, THRUST] = rotation_matrix(x[Q]) / c.mass
     for i, moment in enumerate(c.inertia):
@@ -145,7 +149,15 @@ def derivative(x: Components, u: Components, c: Limits, body: Body | None = None
 
 
 def step(x: Tensor, u: Tensor, duration: Tensor | float, c: Limits, body: Body | None = None) -> Tensor:
-    """One RK4 step of `duration` s with u held; renormalises q and saturates the body rates if asked to."""
+    """One RK4 step of `duration` s with u held; renormalises q and saturates the body rates if asked to.
+
+    Args:
+        x: states (16, ...); u: controls (6, ...) in N and N m.
+
+    Raises:
+        TypeError: x or u is no tensor.
+    """
+    check_tensors(x=x, u=u)
     held = u.unbind(0)
     end = rk4_step(lambda components: derivative(components, held, c, body), x.unbind(0), duration)
     if body.saturates if body else c.saturate_rates:
