@@ -135,7 +135,7 @@ def name(text: str) -> str:
 
 def flag(*names: str, **options: Any) -> tuple[tuple[str, ...], dict[str, Any]]:
     """Returns the arguments of `add_argument`; the help goes on with the default, if there is one."""
-    if str(options.get("metavar"))[:1] in ("D", "F") and "type" not in options:
+    if re.fullmatch(r"(D|DIR|F)(\.\w+)?", str(options.get("metavar"))) and "type" not in options:
         options["type"] = name
     if options.get("default") is not None:
         options["help"] += f" (default: {in_words(options['default'])})"

@@ -28,7 +28,7 @@ class VectorRunTimeAssurance(VectorWrapper):
         intervened: (B, calls) bool, u_safe is a correction,
         backup: (B, calls) bool, u_safe is not what the programs answered, which could not be verified,
         verified: (B, calls) bool, u_safe keeps every limit in the model, see `rta.result.FilterResult`,
-        active: (B, calls, 13) bool, a row of the constraint binds it,
+        active: (B, calls, constraints) bool, a row of the constraint binds it,
         status: (B, calls), `rta.qp.programs.Status` of the solver.
 
     Args:

@@ -16,7 +16,7 @@ CHANGED = 1e-5  # of an actuator's limit, beyond rounding
 class Transition(Protocol):
     """One step of a batch of B = S * E episodes with autoreset; final_observation precedes the reset.
 
-    `applied` (B, A) is what acted in the place of the actions given; `cost` (B,) is what a limit on costs counts.
+    `applied` (B, A) is what acted in the place of the actions given. Where costs are limited there is also `cost` (B,).
     """
 
     observation: Tensor
@@ -27,8 +27,6 @@ class Transition(Protocol):
 
     @property
     def applied(self) -> Tensor: ...
-    @property
-    def cost(self) -> Tensor: ...
 
 
 class Environment(Protocol):

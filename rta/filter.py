@@ -4,7 +4,8 @@ For thrust and for torque, each within its limits,
 
     minimise |u - u_desired|^2    subject to    a_i u + b_i >= 0 for every row i.
 
-The rows are of one of two kinds (`rta.barrier`): of the rate now, or sampled: of a held control. Where they conflict,
+The rows are of one of two kinds (`rta.barrier`), of the rate now or sampled, of a held control; or there are none, and
+what is desired, within the limits, is proposed. Where rows conflict,
 slack is given class after class of their weights (`rta.qp.programs.stages`). What the programs propose (`rta.propose`)
 is applied if it and the backup trajectory after it keep the limits (`rta.backup`).
 """
@@ -65,6 +66,8 @@ class SafetyFilter(Fixed):
 
     Attributes:
         names: of all constraints: Table 3's, then your own that thrust enforces, then those that torque enforces.
+        is_sampled: rows are; is_held: controls are held for longer than the paper's rows see, or the world is not the
+            model, so that `correct` takes what the plant tells.
         propose: the programs, and all that comes before the check; groups: their rows of thrust and of torque.
         backup: the check of its controls; None: no backup trajectory is known of this vehicle, or within the bounds.
         compiled: all of it as one C function; None: it is not compiled so.
@@ -76,7 +79,7 @@ class SafetyFilter(Fixed):
     """
 
     FIXED = (
-        *("c", "parameters", "solver", "extra", "uncertainty", "is_sampled"),
+        *("c", "parameters", "solver", "extra", "uncertainty", "is_sampled", "is_held"),
         *("backup", "propose", "groups", "names"),
     )
 
@@ -94,7 +97,8 @@ class SafetyFilter(Fixed):
         vehicle.check(c, None if uncertainty.needs_sampled_rows(parameters) else parameters.period)
         uncertainty.check(c, parameters)
         self.c, self.parameters, self.extra, self.uncertainty = c, parameters, tuple(extra), uncertainty
-        self.is_sampled = uncertainty.needs_sampled_rows(parameters)
+        self.is_held = uncertainty.needs_sampled_rows(parameters)
+        self.is_sampled = uncertainty.rows(parameters) == "sampled"
         # as fast as PIQP with sampled rows, of which there are more
         auto = "batched" if self.is_sampled else "piqp"
         self._given_solver = solver
@@ -159,7 +163,7 @@ class SafetyFilter(Fixed):
         thrust, torque = self.groups
         inside = is_state(x, self.c) & (self.values(x) >= 0.0).all(0)
         inside = inside & thrust.keeps(x, degree=2) & torque.keeps(x, degree=2)
-        return narrowed(inside, x, self.is_holdable) if self.is_sampled else inside
+        return narrowed(inside, x, self.is_holdable) if self.is_held else inside
 
     def is_holdable(self, x: Tensor) -> Tensor:
         """(B,) bool: every psi >= 0 and the hard QP is feasible; torque's rows only count where torque has no check."""
@@ -197,7 +201,7 @@ class SafetyFilter(Fixed):
             kept = kept & self.can_brake(x)
         for group, is_checked in zip(self.groups, self.checked, strict=True):
             kept = kept & group.keeps(x, degree=2, only_own=is_checked)
-        return narrowed(kept, x, self.is_holdable) if self.is_sampled and self.unchecked else kept
+        return narrowed(kept, x, self.is_holdable) if self.is_held and self.unchecked else kept
 
     @in_full_precision
     def compile(self, device: torch.device | str, batch: int) -> None:
@@ -235,7 +239,7 @@ class SafetyFilter(Fixed):
             is_safe=self.is_safe,
             correct=self.correct if enabled else None,
             period=self.period,
-            takes_plant_data=self.is_sampled,
+            takes_plant_data=self.is_held,
         )
 
     @in_full_precision

@@ -160,7 +160,7 @@ class Propose:
 
         Args:
             left: (6, B) the share that each actuator gives; None: all of it.
-            rows_of: each group; settle: finds its controls.
+            rows_of: computes the rows of each group; solve_group: finds the controls of one.
         """
         demand = self.demand(x, desired, left)
         control, both = demand.control, {}

@@ -18,7 +18,7 @@ class FilterResult:
         verified: (B,) bool, the control keeps every limit until the next call, and the backup laws' flight from there
             does (`rta.backup`; docs/reference/proof.md). With error bounds:
             whatever is true within them, whenever the next call is, and motion comes into an invariant set. False where
-            no backup trajectory is known of motion or attitude.
+            no backup trajectory is known of motion or attitude. Limits of your own are not checked, and do not count.
         backup: (B,) bool, another control is applied than the programs' solution, for that reason.
         active: (constraints, B) bool, a row of the constraint binds a corrected control.
         slack: (constraints, B) shortfall of the barrier condition without margin, in h's unit per s (per s^2 where

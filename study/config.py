@@ -186,12 +186,12 @@ class StudyConfig(Config):
     def of_arm(self, name: str) -> Config:
         """Returns the configuration of a training run of the arm's first seed.
 
-        Where only the arm has a filter that holds controls, or only the rest, its solver is to be chosen for itself.
+        Where only the arm has a filter with sampled rows, or only the rest, its solver is to be chosen for itself.
         """
         shared = Config(*(getattr(self, part.name) for part in dataclasses.fields(Config)))
         tables = self.all_arms[name]
         arm = override(shared, tables, f"[arms.{name}]")
-        one, other = (each.uncertainty.needs_sampled_rows(each.rta) for each in (arm, shared))
+        one, other = (each.uncertainty.rows(each.rta) == "sampled" for each in (arm, shared))
         alike = one == other
         return arm if alike or "qp_solver" in tables.get("rta", {}) else arm.with_solver("auto")
 

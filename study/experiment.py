@@ -272,10 +272,10 @@ def with_solver(config: AnyConfig, batch: int, device: torch.device) -> AnyConfi
         )
     if config.rta.qp_solver != "auto":
         return config
-    # where controls are held PIQP is no faster, see `SafetyFilter`
-    is_held = config.uncertainty.needs_sampled_rows(config.rta)
+    # with sampled rows PIQP is no faster, see `SafetyFilter`
+    is_sampled = config.uncertainty.rows(config.rta) == "sampled"
     suits_piqp = (
-        device.type == "cpu" and batch < WORTH_BATCHING and not is_held and config.train.compile == "off"
+        device.type == "cpu" and batch < WORTH_BATCHING and not is_sampled and config.train.compile == "off"
     )
     solver = "piqp" if suits_piqp else "batched"
     return replace(config, rta=replace(config.rta, qp_solver=solver))

@@ -97,3 +97,20 @@ def test_what_is_changed_daily_comes_first_and_the_machine_last() -> None:
         "--checkpoint",
         "--controller",
     ]
+
+
+@pytest.mark.parametrize(
+    ("metavar", "is_name"),
+    [
+        ("F", True),
+        ("F.npz", True),
+        ("D", True),
+        ("DIR", True),
+        ("DEG", False),
+        ("FACTOR", False),
+        ("N", False),
+    ],
+)
+def test_names_of_files_are_known_by_what_they_are_called(metavar: str, is_name: bool) -> None:
+    _, options = main.flag("--x", metavar=metavar, help="x")
+    assert (options.get("type") is main.name) == is_name

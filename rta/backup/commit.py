@@ -77,7 +77,7 @@ class Check(Fixed, ABC):
         return u
 
     def follow(self, y: Tensor, u: Tensor, safe: Tensor, changed: Tensor, broken: Tensor) -> None:
-        """Has both groups follow their laws where no other control is safe and that is; arguments as in `committed`."""
+        """Puts both laws' controls where no other control is safe, if the laws' are; arguments as in `committed`."""
 
     def commit(
         self, x: Tensor, error_bound: Tensor, desired: Tensor, result: FilterResult, of_torque: Sequence[bool]

@@ -169,7 +169,7 @@ class NominalBackup(Check):
         return torch.stack([inside[list(ENDS[group])].all(0) for group in range(2)])
 
     def follow(self, x: Tensor, u: Tensor, safe: Tensor, changed: Tensor, broken: Tensor) -> None:
-        """Has both groups follow their laws where that is safe and no other control is: it was flown a call ago."""
+        """Puts both laws' controls where no other control is safe, if the laws' are: a call ago they were flown."""
         columns = torch.nonzero(changed.any(0) & ~safe.all(0)).flatten()
         if not columns.numel():
             return

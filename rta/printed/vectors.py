@@ -67,11 +67,11 @@ def vectors(safety_filter: "SafetyFilter") -> Vectors:
     x, desired = states(DRAWN, 0, other.c)
     draw = torch.Generator().manual_seed(1)
     uncertainty = other.uncertainty
-    sent = desired.flip(1)[None].repeat(uncertainty.latency if other.is_sampled else 0, 1, 1)
+    sent = desired.flip(1)[None].repeat(uncertainty.latency if other.is_held else 0, 1, 1)
     sent = torch.minimum(torch.maximum(sent, -sent.new_tensor(other.c.control_limit)[:, None]),
                          sent.new_tensor(other.c.control_limit)[:, None])  # fmt: skip
     left = torch.ones_like(desired)
-    if other.is_sampled and uncertainty.health:
+    if other.is_held and uncertainty.health:
         left[torch.randint(0, 3, (DRAWN,), generator=draw), range(DRAWN)] = 0.5
     given = [x, desired, sent, left]
     kept = torch.nonzero(is_steady(other, given, draw)).flatten()[:KEPT]

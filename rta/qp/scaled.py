@@ -86,9 +86,9 @@ def from_qp(
 
 def shortfall(group: ActuatorGroup, rows: ScaledRows, control: Tensor) -> Tensor:
     """Returns by constraint, (constraints, B), how far controls (3, B) in N or N m fall short of relaxed rows, or 0."""
-    left = total(rows.a * control, 1) + rows.b_no_margin - rows.relaxation
-    short = (rows.relaxation > 0.0) & (left < -FEASIBLE * rows.length)
-    return group.by_constraint(torch.where(short, -left, 0.0), partial(torch.amax, dim=0))
+    reached = total(rows.a * control, 1) + rows.b_no_margin - rows.relaxation
+    short = (rows.relaxation > 0.0) & (reached < -FEASIBLE * rows.length)
+    return group.by_constraint(torch.where(short, -reached, 0.0), partial(torch.amax, dim=0))
 
 
 def with_shortfall(status: Tensor, slack: Tensor) -> Tensor:

@@ -38,13 +38,13 @@ class Episodes:
 
     Attributes:
         metrics: (6, episodes) in the order of METRICS.
-        violations: (13 + 1, episodes) percent of its steps, "any" last.
+        violations: (constraints + 1, episodes) percent of its steps, "any" last.
         violation_seconds: the same, percent of its integration steps.
         outcome: (episodes,) index into OUTCOMES.
         clear: (episodes,) bool, it succeeded and two days of free flight stay clear of the chief.
         filter_calls, interventions, failures, backup_calls: (episodes,) counts.
-        filter_violations: (13, episodes) filter calls at which the constraint was violated.
-        worst: (13, episodes) smallest constraint value, at the start or after an integration step.
+        filter_violations: (constraints, episodes) filter calls at which the constraint was violated.
+        worst: (constraints, episodes) smallest constraint value, at the start or after an integration step.
         extremes: (8, episodes) smallest `raw_quantities` after an integration step.
     """
 

@@ -46,13 +46,13 @@ class Starts(NamedTuple):
 
 
 class Limits:
-    """How the constraints fared at the start and after every hold; last axis the episodes, "any" last of 13 + 1.
+    """How the constraints fared at the start and after every hold; last axis the episodes, one each, "any" last.
 
     Attributes:
-        before, h: (13, B) the values at the beginning and at the end of the last hold.
-        violating: (14, B) states at which the constraint was negative, out of checked: (B,); at_start: (14, B) those
-            at the start.
-        worst: (13, B) the smallest value, when: (13, B) s; NaN counts as minus infinity.
+        before, h: (constraints, B) the values at the beginning and at the end of the last hold.
+        violating: (constraints + 1, B) states at which the constraint was negative, out of checked: (B,).
+        at_start: (constraints + 1, B) those at the start.
+        worst: (constraints, B) the smallest value, when: (constraints, B) s; NaN counts as minus infinity.
     """
 
     def __init__(self, env: InspectionEnv) -> None:
@@ -100,8 +100,8 @@ class Calls(Observer):
 
     Attributes:
         status: (4, B) calls by `Status`; intervened, backup: (B,) calls.
-        violated: (13, B) calls at whose true state the constraint was negative.
-        yielded: (13, B) calls at which a row had slack; slack: (13, B) its largest.
+        violated: (constraints, B) calls at whose true state the constraint was negative.
+        yielded: (constraints, B) calls at which a row had slack; slack: (constraints, B) its largest.
         excess: (B,) the largest control in units of its actuator's limit.
     """
 
@@ -138,7 +138,7 @@ class Ends(Observer):
 
     Attributes:
         metrics: (6, B) in the order of METRICS; outcome: (B,) index into OUTCOMES.
-        violations: (13 + 1, B) percent of the episode's steps, "any" last.
+        violations: (constraints + 1, B) percent of the episode's steps, "any" last.
         clear: (B,) bool, it succeeded and two days of free flight stay clear of the chief.
     """
 

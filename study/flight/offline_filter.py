@@ -39,16 +39,17 @@ def filter_states(safety_filter: SafetyFilter, x: Tensor, desired: Tensor) -> di
     a group beyond LARGEST_DEMAND limits is shortened to that first, see `rta.propose.demanded`.
 
     Returns:
+        Of N states, H constraints and R rows:
         control_safe: (N, 6).
-        h: (N, 13) constraint values, exactly as in the paper.
-        A: (N, 13, 6), b: (N, 13) barrier conditions A u + b >= 0, one per constraint: where the filter has several
+        h: (N, H) constraint values, exactly as in the paper.
+        A: (N, H, 6), b: (N, H) barrier conditions A u + b >= 0, one per constraint: where the filter has several
             rows (passive safety, one per time segment), that with the smallest A control_safe + b.
-        active: (N, 13) bool, a row of the constraint binds a corrected control.
-        slack: (N, 13) delta <= 0 of A control_safe + b >= delta, zero where a program held without slack.
+        active: (N, H) bool, a row of the constraint binds a corrected control.
+        slack: (N, H) delta <= 0 of A control_safe + b >= delta, zero where a program held without slack.
         status: (N,) `Status`, the worse of the thrust and the torque program.
         verified, backup: (N,) bool, see `FilterResult`. Where backup is set, control_safe is not that u. Slack of a
             program whose control is verified is not said: its status is HARD, slack zero, slack_weight infinite.
-        constraints: (13,) names.
+        constraints: (H,) names.
         A_all: (N, R, 6), b_all: (N, R) every row as it was finally enforced. b contains the margin if its program
             held with all margins, and does not if they had to be given up.
         constraint_of_row: (R,) index into constraints.
@@ -102,7 +103,7 @@ def filter_chunk(safety_filter: SafetyFilter, x: Tensor, desired: Tensor) -> dic
     left = (every["A_all"] * result.control).sum(1) + every["b_all"]  # (R, N)
     of_row = np.array(names_of_rows(safety_filter))
     own = (torch.from_numpy(np.flatnonzero(of_row == name)).to(x.device) for name in CONSTRAINTS)
-    binding = torch.stack([rows[left[rows].argmin(0)] for rows in own])  # (13, N) row of each constraint
+    binding = torch.stack([rows[left[rows].argmin(0)] for rows in own])  # (H, N) row of each constraint
     columns = torch.arange(x.shape[1], device=x.device)
     by_state = {
         "control_safe": result.control,

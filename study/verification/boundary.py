@@ -77,8 +77,8 @@ class Tried(NamedTuple):
     """What came of a batch of draws; last axis the draws.
 
     Attributes:
-        smallest: (13, B) h within the period, under the worst of the controls for each.
-        desired, applied: (13, 6, B) those controls, and what the filter made of them.
+        smallest: (constraints, B) h within the period, under the worst of the controls for each.
+        desired, applied: (constraints, 6, B) those controls, and what the filter made of them.
         unsolved: filter calls, of `calls`; backup: those in which the backup law decided.
     """
 

@@ -127,7 +127,7 @@ class Lookahead:
         return numbers[..., self.first : self.first + self.last.shape[1]].to(self.last)
 
     def outcome(self, time: Tensor, x: Tensor, desired: Tensor, corners: Tensor | None = None) -> Tensor:
-        """The smallest h (13, K, B), in filter calls, over the checks after true states x (16, B) at times (B,)."""
+        """The smallest h (constraints, K, B) in filter calls, over the checks after true x (16, B) at times (B,)."""
         env, tried, control = self.env, self.tried, desired.flatten(1)
         x, time = x.repeat(1, self.candidates), time.repeat(self.candidates)
         if env.plant and tried.plant:

@@ -21,8 +21,8 @@ class Conflicts(NamedTuple):
     """Filter calls with slack, in the order of time; last axis the calls.
 
     Attributes:
-        column: (N,) the episode's number; time: (N,) s; state: (16, N) as seen; desired: (6, N); slack: (13, N).
-        h: (13, N) of the true state.
+        column: (N,) the episode's number; time: (N,) s; state: (16, N) as seen; desired: (6, N).
+        slack: (constraints, N); h: (constraints, N) of the true state.
     """
 
     column: Tensor

@@ -54,3 +54,23 @@ def test_the_solver_is_the_one_that_is_named() -> None:
     assert solvers == [PiqpThenSteps, PiqpThenSteps, BatchedSolver]
     given = BatchedSolver()
     assert SafetyFilter(C, RtaParameters(qp_solver="piqp"), given).solver is given
+
+
+@pytest.mark.parametrize(
+    ("period", "rows", "is_sampled", "is_held"),
+    [
+        (1.0, "auto", False, False),
+        (1.0, "sampled", True, False),
+        (1.0, "none", False, False),
+        (10.0, "auto", True, True),
+        (10.0, "paper", False, True),
+        (10.0, "none", False, True),
+    ],
+)
+def test_rows_are_sampled_where_they_are_and_not_where_a_control_is_held(
+    period: float, rows: str, is_sampled: bool, is_held: bool
+) -> None:
+    safety = SafetyFilter(C, RtaParameters(period=period, rows=rows))
+    assert (safety.is_sampled, safety.is_held) == (is_sampled, is_held)
+    assert safety.safety().takes_plant_data == is_held
+    assert type(safety.solver) is (BatchedSolver if is_sampled else PiqpThenSteps)
