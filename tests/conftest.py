@@ -23,10 +23,10 @@ from settings import to_toml
 from study import machine
 from study.config import Config
 from study.files import ROOT
-from tests.optimised import QUICK
+from tests.optimised import LONG, QUICK
 
-torch.set_num_threads(1)
-os.environ["OMP_NUM_THREADS"] = "1"  # of the processes that tests start: nothing to measure, and to say
+os.environ.setdefault("OMP_NUM_THREADS", "1")  # of the processes that tests start, too
+torch.set_num_threads(int(os.environ["OMP_NUM_THREADS"]))
 settings.register_profile("project", deadline=None, derandomize=True, max_examples=40, database=None)
 settings.load_profile("project")
 
@@ -45,6 +45,14 @@ def kernels_cache(pytestconfig: pytest.Config, tmp_path_factory: pytest.TempPath
         patch.setenv(build.VARIABLE, str(directory))
         patch.setattr(build, "FLAGS", QUICK)
         yield directory
+
+
+@pytest.fixture(scope="module")
+def long_flights(kernels_cache: Path) -> Iterator[None]:
+    """Libraries that are optimised a little, where flights take longer than the compiler."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(build, "FLAGS", LONG)
+        yield
 
 
 @pytest.fixture(autouse=True)
