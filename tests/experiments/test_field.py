@@ -72,12 +72,13 @@ def test_curves_without_a_seed_are_refused(tmp_path: Path) -> None:
 
 
 def few(cases: int, seeds: int) -> Arm:
-    """Agents from nothing, with the filter, that fly few cases."""
+    """Agents from nothing, with the filter, that fly few cases, and not to their ends."""
     shipped = ROOT / "runs/reference/from_nothing"
     results = json.loads((shipped / "results.json").read_text())["arms"]["rta"]
     arm = load_arm(shipped / "rta", results | {"seeds": results["seeds"][:seeds]}, "cpu")
-    train = replace(arm.config.train, final_episodes=cases, evaluation_episodes=1)
-    return replace(arm, config=replace(arm.config, train=train))
+    train = replace(arm.config.train, final_episodes=cases, evaluation_episodes=1, compile="on")
+    inspection = replace(arm.config.inspection, max_time=600.0)  # s
+    return replace(arm, config=replace(arm.config, train=train, inspection=inspection))
 
 
 def test_each_seed_is_summed_up_apart() -> None:

@@ -292,49 +292,42 @@ class Back(NamedTuple):
 
 
 @functools.cache
-@torch.no_grad()
-def flown() -> dict[str, Back]:
-    """All kinds at once, each for its longest time, at most until each h that can rise has risen."""
-    kinds = list(ALL.values())
-    own = [[CONSTRAINTS.index(each) for each in kind.own] for kind in kinds]
-    x = torch.cat([states(kind.put, own[k], SEED + k).repeat(1, 2) for k, kind in enumerate(kinds)], 1)
-    start = x
-    free = torch.tensor([not kind.plant.saturate_rates for kind in kinds]).repeat_interleave(COLUMNS)
-    last = torch.tensor([kind.longest for kind in kinds]).repeat_interleave(COLUMNS)
-    place = torch.arange(COLUMNS).repeat(len(kinds))
+def filters() -> tuple[SafetyFilter, SafetyFilter]:
+    """That which leads back, compiled, and that whose rows the adversary looks at."""
     safety = SafetyFilter(C, R)
     without_check(safety)  # the programs lead back; once all limits are kept again the check would take over
-    safety.compile("cpu", x.shape[1])  # as campaigns fly: 4,000 spacecraft for 400 s
+    safety.compile("cpu", COLUMNS)
     rows = SafetyFilter(C, dataclasses.replace(R, qp_solver="piqp"))
-    rows.compile("cpu", x.shape[1])  # which has rows alone compiled, of a filter in one piece they are not
-    random = held_at_random(C, torch.Generator().manual_seed(0), x.shape[1])
+    rows.compile("cpu", COLUMNS)  # which has rows alone compiled, of a filter in one piece they are not
+    return safety, rows
+
+
+@functools.cache
+@torch.no_grad()
+def flown(name: str) -> Back:
+    """A kind for its longest time, at most until each h that can rise has risen."""
+    kind, (safety, rows) = ALL[name], filters()
+    own = [CONSTRAINTS.index(each) for each in kind.own]
+    start = x = states(kind.put, own, SEED + list(ALL).index(name)).repeat(1, 2)
+    place = torch.arange(COLUMNS)
+    random = held_at_random(C, torch.Generator().manual_seed(0), COLUMNS)
     adversary, push = adversarial(rows), torch.zeros_like(x[:CONTROL_SIZE])
-    mine = torch.zeros(len(CONSTRAINTS), x.shape[1], dtype=torch.bool)
-    for k, i in enumerate(own):
-        columns = slice(k * COLUMNS, (k + 1) * COLUMNS)
-        mine[i, columns] = safety.values(x[:, columns])[i] < 0.0
-    h, status, up = [], [], torch.zeros_like(free)
-    for t in range(int(last.max()) + 1):
-        flying = torch.nonzero(t <= last).flatten()
+    mine = torch.zeros(len(CONSTRAINTS), COLUMNS, dtype=torch.bool)
+    mine[own] = safety.values(x)[own] < 0.0
+    attacked = (place >= COUNT) & (place % 2 == 1)
+    h, status, up = [], [], torch.zeros(COLUMNS, dtype=torch.bool)
+    for t in range(kind.longest + 1):
         if t % 2 == 0:
-            attacked = flying[(place[flying] >= COUNT) & (place[flying] % 2 == 1)]
             push[:, attacked] = adversary(float(t), x[:, attacked])
         pushed = torch.where(place % 2 == 0, random(float(t), x), push)
-        desired = torch.where(place < COUNT, 0.0, pushed)
-        result = safety.correct(x[:, flying], desired[:, flying])
-        h.append(torch.full_like(mine, torch.nan, dtype=x.dtype).index_copy(1, flying, result.h))
-        status.append(torch.full_like(mine[:2], Status.UNSOLVED, dtype=torch.int64))
-        status[-1][:, flying] = result.program_status
-        up |= (torch.where(mine, h[-1], torch.inf).amin(0) >= 0.0) | (t >= last)
+        result = safety.correct(x, torch.where(place < COUNT, 0.0, pushed))
+        h.append(result.h)
+        status.append(result.program_status)
+        up |= torch.where(mine, result.h, torch.inf).amin(0) >= 0.0
         if up.all():
             break
-        after = step(x[:, flying], result.control, 1.0, FREE), step(x[:, flying], result.control, 1.0, C)
-        x = x.index_copy(1, flying, torch.where(free[flying], *after))
-    found = [part.split(COLUMNS, -1) for part in (start, torch.stack(h), mine, torch.stack(status))]
-    return {
-        name: Back(x_0, h[: kind.longest + 1], own, status[: kind.longest + 1])
-        for (name, kind), x_0, h, own, status in zip(ALL.items(), *found, strict=True)
-    }
+        x = step(x, result.control, 1.0, kind.plant)
+    return Back(start, torch.stack(h), mine, torch.stack(status))
 
 
 RISING = [name for name in KINDS if name != "temperature"]
@@ -348,7 +341,7 @@ def first_of(names: Iterable[str]) -> list[Any]:
 
 @pytest.mark.parametrize("name", first_of(RISING))
 def test_the_violated_h_rises_to_zero_in_the_time_that_the_actuators_need(name: str) -> None:
-    back = flown()[name]
+    back = flown(name)
     up = back.violated >= 0.0
     assert up.any(0).all()
     longest, _ = KINDS[name].due(back.start, back.violated[0])
@@ -358,7 +351,7 @@ def test_the_violated_h_rises_to_zero_in_the_time_that_the_actuators_need(name: 
 @pytest.mark.campaign
 def test_too_hot_by_a_degree_cools_at_the_rate_that_is_asked_for() -> None:
     # the whole way takes an hour; its last 0.01 deg C are flown above
-    h = flown()["temperature"].violated
+    h = flown("temperature").violated
     turned = math.ceil(TURN)
     rate = (h[-1] - h[turned]) / (len(h) - 1 - turned)
     assert (rate > 0.0).all()
@@ -367,7 +360,7 @@ def test_too_hot_by_a_degree_cools_at_the_rate_that_is_asked_for() -> None:
 
 @pytest.mark.parametrize("name", first_of(KINDS))
 def test_the_violated_h_falls_no_deeper_than_momentum_takes_it(name: str) -> None:
-    back = flown()[name]
+    back = flown(name)
     _, sinks = KINDS[name].due(back.start, back.violated[0])
     assert (back.violated.amin(0) >= back.violated[0] + sinks - ROUNDING).all()
 
@@ -375,7 +368,7 @@ def test_the_violated_h_falls_no_deeper_than_momentum_takes_it(name: str) -> Non
 @pytest.mark.parametrize("name", first_of(KINDS))
 def test_no_other_limit_is_crossed_on_the_way_but_by_priority(name: str) -> None:
     """Of the lowest class alone, in a flight of a hundred at most, and only after its program found a conflict."""
-    back = flown()[name]
+    back = flown(name)
     crossed = torch.where(back.own, torch.inf, back.h) < -ROUNDING  # (seconds, 13, COLUMNS)
     motion = torch.tensor([ENTRIES[each].weight == R.slack_weight_motion for each in CONSTRAINTS])
     assert not crossed[:, ~motion].any()
@@ -390,13 +383,13 @@ def test_no_other_limit_is_crossed_on_the_way_but_by_priority(name: str) -> None
 
 @pytest.mark.parametrize("name", first_of(KINDS))
 def test_every_program_is_solved(name: str) -> None:
-    assert (flown()[name].status < Status.UNSOLVED).all()
+    assert (flown(name).status < Status.UNSOLVED).all()
 
 
 @pytest.mark.campaign
 def test_without_saturation_only_rates_yield_and_only_to_another_limit_of_a_higher_class() -> None:
     """In a few flights temperature and battery ask for opposite turns; else the turn stays within the rates."""
-    back = flown()["battery_without_saturation"]
+    back = flown("battery_without_saturation")
     crossed = torch.where(back.own, torch.inf, back.h) < -ROUNDING  # (seconds, 13, COLUMNS)
     assert not crossed[:, : ORIENTATION.stop].any()
     crossing = crossed.any(1)

@@ -10,6 +10,8 @@ from rta.backup.nominal_check import ENDS, KEPT
 from tests.oracles import moved
 from tests.rta.backup.flights import CASES, backup, everywhere, in_c, least_of, vehicle
 
+pytestmark = pytest.mark.usefixtures("long_flights")
+
 COUNT = 20_000  # states of each case
 EACH = pytest.mark.parametrize(
     ("name", "hold", "saturates"),

@@ -19,6 +19,8 @@ from tests.rta.backup.flights import (
     vehicle,
 )
 
+pytestmark = pytest.mark.usefixtures("long_flights")
+
 COUNT, BISECTIONS, FLIGHT, ROUNDED = 300, 16, 200.0, 1e-9  # states, halvings of what is scaled, s
 EACH = pytest.mark.parametrize(
     ("name", "hold", "saturates"),

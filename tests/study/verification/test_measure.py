@@ -16,6 +16,8 @@ from study.config import Config
 from study.verification import measure
 from study.verification.measure import Counted, accepted, full, starts
 
+pytestmark = pytest.mark.usefixtures("long_flights")
+
 C = InspectionParameters()
 
 
@@ -67,12 +69,12 @@ def test_starts_are_accepted_and_where_they_should_be(where: str) -> None:
     assert 0.9 < accepted(safety_filter, 0) < 1.0
 
 
-@pytest.mark.parametrize("period", [1.0, 10.0])
+@pytest.mark.parametrize("period", [1.0, pytest.param(10.0, marks=pytest.mark.campaign)])
 def test_beside_states_that_are_barely_starts_there_are_others_that_are_none(period: float) -> None:
     safety_filter = SafetyFilter(C, RtaParameters(period=period))
     shares = []
     for where in ("barely", "safe-set"):
-        x, _ = starts(where, 200, 0, safety_filter)
+        x, _ = starts(where, 100, 0, safety_filter)
         assert safety_filter.is_safe(x).all() and (safety_filter.values(x) >= 0.0).all()
         beside = x.clone()
         beside[P] += 1e-6

@@ -220,7 +220,13 @@ def test_a_saved_flight_is_flown_again(
         assert flight["deltaV"] == pytest.approx(thrust)
 
 
-@pytest.mark.parametrize(("pilot", "controller"), [("agent", f"policy {AGENT}"), ("guide", f"{PILOT} --rta")])
+@pytest.mark.parametrize(
+    ("pilot", "controller"),
+    [
+        ("agent", f"policy {AGENT}"),
+        pytest.param("guide", f"{PILOT} --rta", marks=pytest.mark.campaign),
+    ],
+)
 def test_a_whole_episode_is_flown_as_in_python(pilot: str, controller: str, tmp_path: Path) -> None:
     """The network is of single precision there and of double here."""
     (flight,) = fly({"start": "case 0", "pilot": pilot, "seconds": 6000, "period": 1, "calls": True})
