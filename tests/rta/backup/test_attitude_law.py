@@ -23,6 +23,8 @@ from tests.rta.backup.flights import (
     vehicle,
 )
 
+pytestmark = pytest.mark.usefixtures("long_flights")
+
 CASES = [
     *(("paper", hold) for hold in PERIODS),
     ("3u", 1.0),

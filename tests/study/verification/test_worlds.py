@@ -151,6 +151,7 @@ def test_a_campaign_at_the_worst_goes_on_and_its_violations_fly_again(
 ERROR = 0.6  # m, of each axis; U1's
 
 
+@pytest.mark.campaign
 def test_a_position_error_that_stays_at_its_bound_does_not_lead_out_of_the_zone() -> None:
     """Full thrust outwards from 700 m, each axis taken to be nearer to the chief than it is, in twelve directions."""
     tables = {
