@@ -163,13 +163,15 @@ def by_steps(problems: Problems) -> Solutions:
         desired, a, b = (pick(x, left) for x in (problems.desired, problems.a, side))
         u, multiplier, outcome = project(desired, a, b, weight)
         error = kkt_residual(u, multiplier, desired, a, b, weight)
-        accurate = (outcome == OPTIMAL) & (error <= ACCURATE)
+        # infeasible ones, too: of a row that only a corner of the bounds satisfies a last digit may be missed
+        accurate = (outcome != RUNNING) & (error <= ACCURATE)
         put(control, left, u)
         put(status, left, torch.where(accurate, solved, Status.UNSOLVED))
         put(residual, left, torch.where(accurate, error, torch.inf))
         candidates.append(torch.full_like(control, torch.nan))
-        put(candidates[-1], left, u.masked_fill(outcome == INFEASIBLE, torch.nan))
-        left = left[outcome == INFEASIBLE]
+        infeasible = (outcome == INFEASIBLE) & ~accurate
+        put(candidates[-1], left, u.masked_fill(infeasible, torch.nan))
+        left = left[infeasible]
     unsolved = finite[status[finite] == Status.UNSOLVED]
     put(control, unsolved, least_violating([pick(u, unsolved) for u in candidates], problems[unsolved]))
     return Solutions(control, status, residual)

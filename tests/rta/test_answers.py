@@ -15,9 +15,11 @@ from inspection.model.state import OMEGA, SIZE, THETA_S, E, P, Q, T, V
 from kernels.build import NoCompilerError, compiler
 from rta.filter import SOLVERS, SafetyFilter
 from rta.parameters import RtaParameters
+from rta.qp import batched_solver
 from rta.qp.programs import FEASIBLE, Status
 from rta.qp.scaled import SHORTEST_ROW
 from rta.result import FilterResult
+from tests import golden
 
 C = InspectionParameters()
 UNCHECKED = InspectionParameters(
@@ -151,3 +153,16 @@ def test_every_way_gives_the_same_answer_beyond_several_limits(way: str) -> None
     assert ours.status[0] == Status.SLACK
     corner = C.max_thrust * torch.tensor([-1.0, 1.0, -1.0], dtype=torch.float64)
     torch.testing.assert_close(ours.control[:3, 0], corner, rtol=0.0, atol=1e-6)
+
+
+def test_no_state_that_is_finite_is_left_open(monkeypatch: pytest.MonkeyPatch) -> None:
+    x, u = golden.states(6000, 0)
+    finite = x.isfinite().all(0)
+    in_c = filter_of("C", C)
+    _, unsolved = in_c.compiled(x, u, None, None)  # type: ignore[misc]  # it is compiled
+    assert unsolved == (~finite).sum() > 100
+    batched = SafetyFilter(C, RtaParameters(qp_solver="batched"))
+    monkeypatch.setattr(batched_solver, "PIQP_FIRST", ())
+    monkeypatch.setattr(batched.solver.fallback, "solve", lambda problems: pytest.fail("PIQP was asked"))
+    answer = batched.propose(x[:, finite], u[:, finite], batched.solver, None, None)[2]
+    assert (answer.program_status < Status.UNSOLVED).all()
