@@ -1,6 +1,6 @@
 """Runs the tests that rounding could move as other processors round: with other kernels and numbers of threads.
 
-    python -m tests.processors                                      # every setting, a quarter of an hour
+    python -m tests.processors                                      # every setting, twenty minutes
     python -m tests.processors COMPATIBLE/default/1 AVX2/default/2  # these
 
 MKL and PyTorch choose their kernels by the processor, and can be told to take those of another. A setting is
