@@ -343,7 +343,7 @@ PROGRAMS = [
     ),
     *faults(
         "rta/qp/batched_solver.py",
-        "rta/test_answers.py -k every_way",
+        "rta/test_answers.py -k interior",
         ("return completed(super().solve(problems), by_steps, problems)", "return super().solve(problems)"),
     ),
     *faults(

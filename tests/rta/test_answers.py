@@ -3,6 +3,7 @@
 States are in flight and far beyond several limits at once; demands are up to three times the actuators' limits.
 """
 
+import math
 from functools import cache
 
 import pytest
@@ -16,7 +17,7 @@ from kernels.build import NoCompilerError, compiler
 from rta.filter import SOLVERS, SafetyFilter
 from rta.parameters import RtaParameters
 from rta.qp import batched_solver
-from rta.qp.programs import FEASIBLE, Status
+from rta.qp.programs import FEASIBLE, Problems, Status
 from rta.qp.scaled import SHORTEST_ROW
 from rta.result import FilterResult
 from tests import golden
@@ -166,3 +167,33 @@ def test_no_state_that_is_finite_is_left_open(monkeypatch: pytest.MonkeyPatch) -
     monkeypatch.setattr(batched.solver.fallback, "solve", lambda problems: pytest.fail("PIQP was asked"))
     answer = batched.propose(x[:, finite], u[:, finite], batched.solver, None, None)[2]
     assert (answer.program_status < Status.UNSOLVED).all()
+
+
+# Beyond several limits; the first row, which must hold, asks for a corner of the bounds, so that there is no interior.
+# Rows of a and weight, and what each asks for, with its margin and without.
+WITHOUT_INTERIOR = (
+    (0.9499074248880147, -0.0014983893184662977, 0.31252782111689015, math.inf, *2 * (-1.2639336353233712,)),
+    (0.8047616097831535, -0.520899211146139, 0.28464497755371954, 1e3, -1.0, -1.0),
+    (-0.08163156109736867, -0.9965989801763601, 0.011258816289717574, 1e5, -0.40361125228311107, -0.40187052173747473),
+    (0.5067756944388433, 0.8536244704562893, 0.12043113785166977, 1e5, -0.635168435177102, -0.5782960197340102),
+    (-0.7611576974496058, 0.5843199393655661, -0.281441233782535, 1e5, 1.0885197827840936, 1.1080745172013977),
+    (-0.795016926040678, 0.5356048255307431, -0.28473770065977166, 1e5, 2.0, 2.0),
+    (-0.8156003190858001, 0.5115725647041756, -0.27035093961207746, 1e5, 2.0, 2.0),
+    (-0.8339420949714172, 0.49484510065711373, -0.24427220183707946, 1e5, 2.0, 2.0),
+    (0.9671025055536298, -0.19831311671230714, 0.15932561467555195, 1e3, 2.0, 2.0),
+    (-0.07744620081424915, 0.36705412672846904, 0.9269699855071037, 1e3, 2.0, 2.0),
+    (-0.2423114312848872, -0.9088141591059482, 0.33962036817190094, 1e3, 2.0, 2.0),
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("name", SOLVERS)
+def test_a_program_without_an_interior_is_solved(name: str) -> None:
+    table = torch.tensor(WITHOUT_INTERIOR, dtype=torch.float64)
+    desired = torch.tensor(
+        [[-6.318003975758726], [-4.388510483327086], [-5.022443459685187]], dtype=torch.float64
+    )
+    a, weight, b, b_no_margin = table[:, :3, None], table[:, 3], table[:, 4:5], table[:, 5:]
+    answer = SOLVERS[name]().solve(Problems(desired, a, b, b_no_margin, weight))
+    assert answer.status == Status.SLACK
+    corner = torch.tensor([[1.0], [-1.0], [1.0]], dtype=torch.float64)
+    torch.testing.assert_close(answer.control, corner, rtol=0.0, atol=1e-6)
