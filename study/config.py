@@ -52,9 +52,9 @@ class TrainParameters(Settings):
         "compile filter and simulator with the C compiler, on a GPU the learner, too; auto: where that is repaid",
         among=("auto", "on", "off"),
     )
-    evaluation_interval: int = count(500_000, "interactions between two evaluations")
+    evaluation_interval: int = count(250_000, "interactions between two evaluations")
     early_evaluations: int = count(
-        5, "as many within the first interval; of several, one more before training"
+        1, "as many within the first interval; of several, one more before training"
     )
     evaluation_episodes: int = count(20, "common test cases of each of these evaluations")
     final_episodes: int = count(100, "common test cases of the evaluation after training")

@@ -50,10 +50,11 @@ FILE = Path(__file__).with_suffix(".json")
 AGENT = ROOT / "runs/reference/from_nothing/rta/seed0/policy.pt"
 SAMPLES, BLOCKS = 90, 10  # of a quantity, at least one of each row; of a row
 # By how much a quantity may move, in units of a row's largest magnitude. Other processors and versions of PyTorch round
-# otherwise. Of MKL's kernels (MKL_CBWR unset, COMPATIBLE, AVX2 and AVX512, on a processor with AVX-512) any two are
-# apart by as much as stands behind each. A flight of an agent, whose network computes in single precision, multiplies
-# that: case by case up to a seventh, so that means of twenty cases count, and outcomes. Training multiplies it faster
-# still: two short updates count. Labels may not move.
+# otherwise. Behind each stands by how much it did on a processor with AVX-512: network, training and agent between any
+# two of MKL's kernels (MKL_CBWR unset, COMPATIBLE, AVX2, AVX512), filter and campaign from the recording to the
+# default. A flight of an agent, whose network computes in single precision, multiplies that: case by case up to a
+# seventh, so that means of twenty cases count, and outcomes. Training multiplies it faster still: two short updates
+# count. Labels may not move.
 TOLERANCES = {
     "filter": 1e-9,  # 4e-15
     "network": 1e-5,  # 4e-7

@@ -57,10 +57,14 @@ def test_a_figure_draws_every_arm(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     for axis, name in zip(drawn[0].axes, field.SHOWN, strict=True):
         assert [line.get_linestyle() for line in axis.lines[:2]] == ["--", "-"]  # without and with the filter
         learned, beside = axis.lines[:2], axis.lines[2:]
-        assert [line.get_label() for line in learned] == list(arms)
+        assert [line.get_label() for line in learned] == ["no filter", "rta"]
         assert all(line.get_ydata().tolist() == [1.0, 60.0] for line in learned)  # medians
         assert [set(line.get_ydata()) for line in beside] == [{7.0}] * (name in guided["metrics"])
-    assert [text.get_text() for text in drawn[0].legends[0].get_texts()] == [*arms, "guidance even"]
+    assert [text.get_text() for text in drawn[0].legends[0].get_texts()] == [
+        "no filter",
+        "rta",
+        "guidance (even)",
+    ]
 
 
 def test_curves_without_a_seed_are_refused(tmp_path: Path) -> None:

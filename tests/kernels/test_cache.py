@@ -23,6 +23,7 @@ from rta.filter import SafetyFilter
 from rta.parameters import RtaParameters
 from rta.printed.batch import recorded
 from tests.rta import test_actuator_groups as own_constraints
+from tests.support.filters import without_check
 
 ROOT = Path(__file__).parents[2]
 OWN = {
@@ -170,8 +171,7 @@ def name_of(safety_filter: SafetyFilter) -> str | None:
 
 
 def test_equal_filters_are_recorded_once_and_others_by_themselves() -> None:
-    without_check = SafetyFilter()
-    without_check(without_check)
+    proposals = without_check(SafetyFilter())
     own = own_constraints.OWN
     others = [
         SafetyFilter(),
@@ -182,7 +182,7 @@ def test_equal_filters_are_recorded_once_and_others_by_themselves() -> None:
         SafetyFilter(extra=[own["cone"][0]]),
         SafetyFilter(extra=[replace(own["cone"][0], margin=0.125)]),
         SafetyFilter(uncertainty=Uncertainty(mass=0.1)),
-        without_check,
+        proposals,
     ]
     names = [name_of(each) for each in others]
     assert len(set(names)) == len(names) and None not in names

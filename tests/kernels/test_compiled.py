@@ -124,7 +124,7 @@ def test_optimisation_changes_no_bit_of_a_filter(monkeypatch: pytest.MonkeyPatch
         safety = SafetyFilter(C, RtaParameters())
         safety.compile("cpu", 64)
         found.append(safety.correct(*states(2000, 3, C)))
-    assert found[0].status.unique().tolist() == list(Status) and found[0].backup.any()
+    assert found[0].status.unique().tolist() == list(Status)[: Status.UNSOLVED] and found[0].backup.any()
     for field in fields(FilterResult):
         parts = (getattr(each, field.name) for each in found)
         torch.testing.assert_close(*parts, rtol=0, atol=0, equal_nan=True)

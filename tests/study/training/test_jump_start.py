@@ -71,7 +71,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> session.Run:
 
 
 def taught(run: session.Run) -> session.Run:
-    with run.log.open(0, run.config.train.interactions):
+    with run.log.open(0, run.config.train.interactions, ""):
         run.begin(lambda: False)
     return run
 

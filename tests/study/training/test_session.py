@@ -33,7 +33,6 @@ interactions = 96
 num_envs = 4
 rollout_steps = 4
 evaluation_interval = 16
-early_evaluations = 1
 evaluation_episodes = 1
 checkpoint_interval = 32
 final_episodes = 2

@@ -30,7 +30,6 @@ num_envs = 3
 rollout_steps = 4
 interactions = 36
 evaluation_interval = 12
-early_evaluations = 1
 evaluation_episodes = 2
 final_episodes = 4
 compile = "off"
