@@ -373,10 +373,10 @@ def run_evaluate(given: Namespace) -> None:
     from study.paper import tables
     from study.verified import warn_if_unverified
 
+    check_replaced(given.json, "metrics")
     policy, config = agent_and_config(given)
     experiment = Experiment(config, given.episodes)
     warn_if_unverified(config)
-    check_replaced(given.json, "metrics")
     results = evaluate(policy or given.controller, experiment, given.episodes, given.seed)
     print(tables(results))
     if given.json:  # which may be standard output
@@ -406,8 +406,8 @@ def run_evaluate(given: Namespace) -> None:
         "--step",
         1.0,
         "seconds between two rows of the output, two rows of --actions and two decisions of a classical controller, "
-        "which decides once per call of the filter at most, without it once per second; an agent, trained or not, "
-        "decides every 10 s",
+        "which decides once per call of the filter at most, without it once per [inspection] substep; an agent, "
+        "trained or not, decides every 10 s",
     ),
     flag("--out", type=to_write(".npz"), required=True, metavar="F.npz", help="file to write"),
     flag(

@@ -126,13 +126,14 @@ class Hold(NamedTuple):
 
     Attributes:
         time, end: at which it begins and ends, seconds: how long it is, in s.
-        state: (16, B) at its beginning; after: at its end. Both are true, and within a step of the plant read.
+        state: (16, B) at its beginning; after: at its end. Both are true states. Within a step of the plant they are
+            read by a shorter step, which is not flown on.
         desired: (6, B) by the controller, or, between two of its decisions, the filter's last control.
         applied: (6, B) that the actuators are told.
         correction: the filter's answer, where it was called at `time`.
         decided: the controller was evaluated at `time`.
         seen: (16, B) the states as controller and filter last saw them.
-        acting: (6, B) what acts on the plant, at `time`.
+        acting: (6, B) what acts on the plant, the mean over the time.
         missed: (B,) bool, the call at `time` was missed, so that `applied` is the last control; None: none was.
     """
 
@@ -200,16 +201,28 @@ def closed_loop(
             if plant:
                 applied, missed = plant.hold(start + time, applied)
                 next_desired = torch.where(missed, desired, applied)
-        end, acting = (i + 1) * hold, []
-        while (steps + 1) * step < end + ROUNDING:
-            acting.append(acts(steps * step, applied))
-            flown, steps = integrate(flown, acting[-1], step), steps + 1
-        after, left = flown, end - steps * step
-        if left > ROUNDING:  # within a step
-            acting.append(acts(steps * step, applied))
-            after = integrate(flown, acting[-1], left)
-        yield Hold(time, end, hold, x, desired, applied, correction, decided, after, seen, acting[0], missed)
+        end, moment, acted = (i + 1) * hold, time, []
+        while moment < end - ROUNDING:
+            begun = steps * step
+            until, acting = min(begun + step, end), acts(begun, applied)
+            if begun + step < end + ROUNDING:
+                after = flown = integrate(flown, acting, step)
+                steps += 1
+            else:  # read within a step
+                after = integrate(flown, acting, end - begun)
+            acted.append((acting, until - moment))
+            moment = until
+        acting = mean(acted)
+        yield Hold(time, end, hold, x, desired, applied, correction, decided, after, seen, acting, missed)
         x = after
+
+
+def mean(parts: list[tuple[Tensor, float]]) -> Tensor:
+    """Returns the mean over time of tensors that hold for so many s each."""
+    if len(parts) == 1:
+        return parts[0][0]
+    total = sum(seconds for _, seconds in parts)
+    return torch.stack([part * (seconds / total) for part, seconds in parts]).sum(0)
 
 
 class Smallest:

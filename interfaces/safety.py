@@ -12,6 +12,7 @@ from torch import Tensor
 
 from interfaces.environment import Inspection6DoF
 from interfaces.vector import VectorInspection6DoF, in_kind
+from rta.filter import SafetyFilter
 from rta.result import FilterResult
 from settings import override
 from study.experiment import Experiment
@@ -49,10 +50,15 @@ class VectorRunTimeAssurance(VectorWrapper):
         own = {"train": {"rta": True}, "rta": {} if period is None else {"period": period}}
         config = override(base.config, own, "RunTimeAssurance")
         experiment = Experiment(config, base.num_envs)
-        self.filter = experiment.filter
+        self._filter = experiment.filter
         self.calls: list[tuple[Tensor, FilterResult]] = []
         experiment.safety = replace(experiment.safety, correct=self.correct)
         base.begin(experiment)
+
+    @property
+    def filter(self) -> SafetyFilter:
+        """The filter, which cannot be changed: starts and limits are its own, too."""
+        return self._filter
 
     def correct(self, x: Tensor, desired: Tensor, **told: Tensor) -> FilterResult:
         """Calls the filter and keeps what it was asked and what it answered."""

@@ -24,13 +24,14 @@ class RtaParameters(Settings):
     period: float = setting(1.0, "s between two calls of the filter", among=PERIODS)
     qp_solver: str = setting(
         "auto",
-        "solver of the quadratic programs; auto: piqp for a few spacecraft that nothing is compiled for, else batched",
+        "solver of the quadratic programs; auto: piqp for a few spacecraft with --compile off, else batched",
         among=QP_SOLVERS,
     )
     rows: str = setting(
         "auto",
-        "conditions of the programs: paper (of the rate now, at 5 and 10 s and with bounds with the allowances of a "
-        "hold), sampled (of a hold) or none (the check alone); auto: the paper's at 1 s without bounds, else sampled",
+        "conditions of the programs: paper (of the rate now; at 5 and 10 s and with bounds they allow for what happens "
+        "in a hold), sampled (of a hold) or none (the check alone); auto: the paper's at 1 s without bounds, else "
+        "sampled",
         among=ROWS,
     )
 

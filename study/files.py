@@ -16,7 +16,11 @@ from study.errors import as_input_error
 ROOT = Path(__file__).parent.parent  # of the repository
 
 
-UNREADABLE = OSError, ValueError, RecursionError  # what JSON raises that is none, or nested too deep
+UNREADABLE = (
+    OSError,
+    ValueError,
+    RecursionError,
+)  # what reading a file raises that is not JSON, or nested too deep
 
 
 def read_json(path: str | Path, what: str) -> dict[str, Any]:

@@ -24,8 +24,9 @@ from study import machine
 from study.config import Config
 from study.files import ROOT
 from tests.optimised import LONG, QUICK
+from tests.processors import THREADS
 
-os.environ.setdefault("OMP_NUM_THREADS", "1")  # of the processes that tests start, too
+os.environ["OMP_NUM_THREADS"] = os.environ.get(THREADS, "1")  # of the processes that tests start, too
 torch.set_num_threads(int(os.environ["OMP_NUM_THREADS"]))
 settings.register_profile("project", deadline=None, derandomize=True, max_examples=40, database=None)
 settings.load_profile("project")

@@ -560,7 +560,7 @@ IN_C = [
             "ends.late[call] = bound[1];",
         ),
         ("return OR(seen, open);", "return seen;"),
-        ("fit[group] = AND(finite, least[group] >= 0.0);", "fit[group] = finite;"),
+        ("fit[group] = AND(possible, least[group] >= 0.0);", "fit[group] = possible;"),
         ("bound[1] += apart(&ends->x[call][3], &middle[3]);", ""),
     ),
     *faults(
@@ -692,7 +692,7 @@ LEARNER = [
         ("            privileged=config.ppo.privileged,", "            privileged=False,"),
         ("if config.ppo.cost_limit < 1.0 else None", "if config.ppo.cost_limit < 0.0 else None"),
         ("        self.exposure(transition)", "        self.exposure"),
-        ('| {"training": self.exposure.state_dict()}', "| {}"),
+        ('| {"training": training}', "| {}"),
     ),
     *faults(
         "study/training/monitor.py",

@@ -35,11 +35,12 @@ SENSITIVE = (
 MKL = ("unset", "COMPATIBLE", "AVX2", *(["AVX512"] if "avx512f" in processor().split() else []))
 SETTINGS = ["/".join(each) for each in itertools.product(MKL, ("default", "avx2"), "12")]
 CORES = 2
+THREADS = "TEST_THREADS"  # of each process of tests, one unless this variable says otherwise
 
 
 def environment(setting: str) -> dict[str, str]:
     """The variables of a process that computes under a setting; its threads do not wait for each other by spinning."""
-    names = "MKL_CBWR", "ATEN_CPU_CAPABILITY", "OMP_NUM_THREADS"
+    names = "MKL_CBWR", "ATEN_CPU_CAPABILITY", THREADS
     own = dict(zip(names, setting.split("/"), strict=True)) | {"OMP_WAIT_POLICY": "passive"}
     return {name: value for name, value in (os.environ | own).items() if value != "unset"}
 

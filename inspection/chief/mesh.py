@@ -44,16 +44,14 @@ def triangles_of(content: bytes, kind: str) -> np.ndarray:
     try:
         return np.array(trimesh.load_mesh(io.BytesIO(content), file_type=kind).triangles)
     except Exception:  # among others of a package that guesses how text is encoded
-        plain = in_ascii(content)
-        if kind not in TEXTS or plain == content:
+        text, mark, numbers = content.removeprefix(BOM_UTF8).partition(
+            b"end_header"
+        )  # of .ply; of others all is text
+        if kind not in TEXTS or b"\0" in text or content.isascii():
             raise
+        # what is not ASCII can only be in names and comments
+        plain = text.translate(bytes(range(128)) + b"?" * 128) + mark + numbers
         return np.array(trimesh.load_mesh(io.BytesIO(plain), file_type=kind).triangles)
-
-
-def in_ascii(content: bytes) -> bytes:
-    """A text with "?" for whatever is not ASCII, which can only be in its names and comments; of .ply the header."""
-    text, mark, numbers = content.removeprefix(BOM_UTF8).partition(b"end_header")
-    return text.translate(bytes(range(128)) + b"?" * 128) + mark + numbers
 
 
 def path_of(mesh: str) -> str:

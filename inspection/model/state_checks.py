@@ -7,14 +7,18 @@ from inspection.model.attitude import norm
 from inspection.model.parameters import Limits
 from inspection.model.state import E, Q, T
 
+LARGEST = 1e6  # of any number in a state, in its unit
 OFF_UNIT = 1e-4  # by which a quaternion's length may be off 1, as that of an estimate in float32 may
 HOT = 150.0  # deg C above the limit: less than what 273 K make of a surface that keeps it
 RICH = 200.0  # times what a battery begins with at most; J in place of kJ are a thousand times as many
 
 
 def is_state(x: Tensor, c: Limits) -> Tensor:
-    """Tells which states (16, B) a spacecraft can be in, (B,) bool: finite, a unit quaternion, above absolute zero."""
-    return x.isfinite().all(0) & (state_room(x, c) > 0.0).all(0)
+    """Tells which states (16, B) a spacecraft can be in, (B,) bool.
+
+    Numbers are finite, at most LARGEST in size, the quaternion is of unit length, and T above absolute zero.
+    """
+    return (x.abs() <= LARGEST).all(0) & (state_room(x, c) > 0.0).all(0)
 
 
 def state_room(x: Tensor, c: Limits) -> Tensor:

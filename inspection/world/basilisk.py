@@ -225,7 +225,8 @@ class BasiliskPlant(Plant):
         wheels: (3, B) rad/s, of the reaction wheels relative to the body.
         rates: (2, B) of temperature and energy where the states are.
 
-    `integrate` moves these on with the states; `state_dict` has them.
+    `integrate` moves these on with the states; `state_dict` has them. Within a step the states are read by our
+    equations, without perturbations, wheels and pulses, from where Basilisk left them: see `Plant.read`.
 
     Raises:
         ImportError: Basilisk is not installed; ValueError: the parameters do not fit the model or the Earth.

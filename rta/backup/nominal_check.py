@@ -53,7 +53,7 @@ class NominalBackup(Check):
         NoTerminalSetError: the laws leave every set that is known.
     """
 
-    FIXED = ("c", "pointing", "braking", "terminal", "flight", "early_accept")
+    FIXED = ("c", "pointing", "braking", "terminal", "flight", "early_accept", "max_periods", "glances")
     knows = True, True
 
     def __init__(self, c: Limits, period: float) -> None:
@@ -106,7 +106,7 @@ class NominalBackup(Check):
         return x
 
     def fit(self, y: Tensor, h: Tensor) -> tuple[Tensor, Tensor]:
-        """Nothing can be checked where states (16, B) cannot be. Rates may be at their limit."""
+        """States (16, B) that are not possible cannot be checked. Rates may be at their limit."""
         rates = (h[MOTION + ATTITUDE :] >= -RATES_ROUNDED).all(0, keepdim=True)
         broken = ~torch.cat((h[: MOTION + ATTITUDE] >= 0.0, rates))
         return broken, is_state(y, self.c).repeat(2, 1)

@@ -15,7 +15,7 @@ from torch import Tensor
 
 from inspection.model.parameters import Limits
 from inspection.model.state import SIZE, THRUST, TORQUE
-from inspection.model.state_checks import is_state
+from inspection.model.state_checks import LARGEST, is_state
 from rta.backup import robust_attitude_check, robust_motion_check
 from rta.backup.attitude_law import has_rest
 from rta.backup.commit import LIMITS, Check
@@ -67,9 +67,9 @@ class RobustBackup(Check):
     def fit(self, y: Tensor, h: Tensor) -> tuple[Tensor, Tensor]:
         """Leaves a group unchecked where one of its limits is surely broken: no backup trajectory begins there.
 
-        Nothing can be checked where states cannot be.
+        States that are not possible cannot be checked.
         """
-        possible = is_state(y[:SIZE], self.c) & y.isfinite().all(0)
+        possible = is_state(y[:SIZE], self.c) & (y[SIZE:] <= LARGEST).all(0)
         found = possible & (self.may_be_kept(y) >= 0.0)
         return torch.zeros_like(y[:LIMITS], dtype=torch.bool), found
 

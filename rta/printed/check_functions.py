@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 from inspection.model.state import SIZE, TORQUE
-from inspection.model.state_checks import state_room
+from inspection.model.state_checks import LARGEST, state_room
 from kernels.printer import Printed, if_long, printed
 from rta.backup import robust_attitude_check, robust_motion_check
 from rta.backup.commit import ATTITUDE, LIMITS, MOTION, SHARES, SLACK_ROUNDED, Check
@@ -99,6 +99,7 @@ def constants(backup: Check | None) -> dict[str, tuple[int | float | str, str]]:
         return {"CHECKED": (0, ""), "FLIES": (0, ""), "ALL_CHECKED": (0, ""), "SEEN": (SIZE, "")}
     found = {
         "CHECKED": (1, "what is proposed is checked"),
+        "LARGEST": (LARGEST, "of any number in a state, in its unit"),
         "ALL_CHECKED": (int(all(backup.knows)), "thrust and torque are"),
         "FLIES": (int(isinstance(backup, NominalBackup)), "by flights of the laws, see flight.c"),
         "LIMITS": (LIMITS, "of which the body rates are one, the last"),

@@ -209,7 +209,7 @@ def decides_every(config: Config, controller: str, step: float) -> float:
     """s between two decisions: of an agent, trained or not, its own; of recorded controls a row of the output.
 
     A classical controller decides at every row, but not more often than the filter is called or, without it, the plant
-    steps. So more rows of the output change nothing in the flight.
+    steps. So rows that are closer than that change nothing in the flight.
     """
     if controller in ("policy", "untrained"):
         return config.inspection.action_period

@@ -10,12 +10,11 @@ from torch import Tensor
 from inspection.model.attitude import norm, unit
 from inspection.model.parameters import Limits
 from inspection.model.state import CONTROL_SIZE, OMEGA, SIZE, THETA_S, E, P, Q, T, V
-from inspection.model.state_checks import unit_warnings
+from inspection.model.state_checks import LARGEST, unit_warnings
 from inspection.world.corners import CORNER
 from settings import InputError, instead
 from study import files
 
-LARGEST = 1e6  # of any number in a state
 MAX_STATES = 10**6
 
 STATE_FIELDS: dict[str, tuple[Any, int]] = {

@@ -23,8 +23,8 @@ from study.machine import bar
 from study.training.monitor import EPISODE, Monitor
 
 MEANING = (
-    "an interaction is one decision of the agent; once even the longest episodes can have ended, means over those that "
-    "ended last come after the count (dv: delta v, violation: share of their steps that broke a limit); flying test "
+    "an interaction is one decision of the agent; once all episodes that began together have ended, means over the "
+    "last ones come after the count (dv: delta v, violation: share of their steps that broke a limit); flying test "
     "cases: an evaluation of the agent so far"
 )
 LESSON = "losses/lesson_action"  # only a lesson of the guidance has it

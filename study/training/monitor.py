@@ -67,6 +67,44 @@ class Exposure:
         ]
 
 
+class LatestEpisodes:
+    """Keeps the last episode that each slot has ended, whose means the charts show once every slot has ended one.
+
+    All episodes of a run begin together. The first to end are the short ones, which behind the filter are successes, so
+    that means over whatever ended in an update say too much of these. One episode of each slot is a fair sample.
+
+    Attributes:
+        metrics: (7, B) in the order of EPISODE, NaN before a slot's first end; ended: (B,) ends since the last `shown`.
+    """
+
+    def __init__(self, slots: int, device: torch.device) -> None:
+        self.metrics = torch.full((len(EPISODE), slots), torch.nan, dtype=torch.float64, device=device)
+        self.ended = torch.zeros(slots, dtype=torch.float64, device=device)
+
+    def __call__(self, transition: Transition) -> None:
+        """Takes in one interaction of the batch."""
+        success = 100.0 * (transition.outcome == OUTCOMES.index("success"))
+        now = torch.cat((transition.metrics, success[None]))
+        self.metrics = torch.where(transition.done, now, self.metrics)
+        self.ended += transition.done
+
+    def state_dict(self) -> dict[str, Tensor]:
+        """Returns what a resumed run needs."""
+        return {"episodes": self.metrics}
+
+    def load_state_dict(self, state: dict[str, Tensor]) -> None:
+        """Restores `state_dict`; a run that an older revision began has none, and waits for all slots anew."""
+        self.metrics = state.get("episodes", self.metrics)
+
+    def shown(self, seeds: int, first_seed: int) -> Tensor:
+        """Returns (9, B): the metrics, the ends since the last call, and the number of the slot's seed."""
+        slots = self.ended.numel()
+        owner = first_seed + torch.arange(slots, device=self.ended.device) * seeds // slots
+        shown = torch.cat((self.metrics, self.ended[None], owner[None]))
+        self.ended = torch.zeros_like(self.ended)
+        return shown
+
+
 class Monitor:
     """Accumulates transitions; `scalars` empties it. Tags are TensorBoard's.
 
@@ -87,7 +125,7 @@ class Monitor:
         self.filter_seconds = 0.0
         self.steps = 0  # interactions
         self.sums: dict[str, Tensor] = {}  # numbers, or a place per constraint
-        self.episodes: list[Tensor] = []  # (8, k) of those that ended: EPISODE and the seed's number
+        self.episodes: list[Tensor] = []  # of `LatestEpisodes.shown`
 
     def timed(self, safety: Safety) -> Safety:
         """The same with a filter, if there is one, whose time is added to `filter_seconds`."""
@@ -117,12 +155,6 @@ class Monitor:
                 failures=(answered & (answer.status == Status.UNSOLVED)).sum(),
                 rta_violated=(answered & (true < 0.0).any(0)).sum(),
             )
-        done = transition.done
-        if done.any():
-            success = 100.0 * (transition.outcome == OUTCOMES.index("success"))
-            columns = torch.arange(done.numel(), device=done.device)
-            owner = self.first_seed + columns * self.seeds // done.numel()
-            self.episodes.append(torch.cat((transition.metrics, success[None], owner[None]))[:, done])
 
     def count(self, **more: Tensor) -> None:
         """Adds to the sums of these names."""
@@ -136,23 +168,21 @@ class Monitor:
         self.episodes += other.episodes
 
     def episode_means(self, seed: int | None = None) -> dict[str, float]:
-        """Means over the episodes that ended since the last `scalars`, and their count.
+        """Means over the last episode of each slot, once each has ended one, and how many ended since then.
 
         Args:
-            seed: of one seed, counted from 0; None: of all.
+            seed: of one seed's slots, counted from 0; None: of all.
         """
         if not self.episodes:
             return {}
         episodes = torch.cat(self.episodes, 1)
         if seed is not None:
             episodes = episodes[:, episodes[-1] == seed]
-        if not episodes.numel():
+        if not episodes.numel() or episodes.isnan().any():
             return {}
-        means = {
-            f"episode/{name}": mean
-            for name, mean in zip(EPISODE, episodes[:-1].mean(1).tolist(), strict=True)
-        }
-        return means | {"episode/count": float(episodes.shape[1])}
+        *metrics, ended, _ = episodes
+        means = {f"episode/{name}": row.mean().item() for name, row in zip(EPISODE, metrics, strict=True)}
+        return means | {"episode/count": ended.sum().item()}
 
     def scalars(self) -> dict[str, float]:
         """Means since the last call: per episode ended, per interaction and per filter call."""
@@ -160,12 +190,10 @@ class Monitor:
         out = self.episode_means()
         out |= {tag: total.item() / steps for tag, total in sums.items() if tag.startswith("step_reward/")}
         out["violation_percent/any"] = 100.0 * sums["any_violated"].item() / steps
-        if not calls:  # behind the filter each would be zero
-            violated = (100.0 * sums["violated"] / steps).tolist()
-            out |= {
-                f"violation_percent/{name}": v for name, v in zip(self.constraints, violated, strict=True)
-            }
-        else:
+        violated = zip(self.constraints, (100.0 * sums["violated"] / steps).tolist(), strict=True)
+        # behind the filter nearly all are zero
+        out |= {f"violation_percent/{name}": percent for name, percent in violated if percent or not calls}
+        if calls:
             percent = 100.0 / calls
             out["rta/intervention_percent"] = sums["intervention"].item() * percent
             out["rta/slack_percent"] = sums["slack"].item() * percent

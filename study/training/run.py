@@ -32,7 +32,7 @@ from study.paper import tables
 from study.training.adversary import Adversary
 from study.training.jump_start import JumpStart
 from study.training.log import Log
-from study.training.monitor import Exposure, Monitor
+from study.training.monitor import Exposure, LatestEpisodes, Monitor
 
 CHECKPOINT = "checkpoint.pt"
 LESSONS = "lessons"  # the directory of what is taught, a file to a batch, as long as the lessons last
@@ -101,6 +101,7 @@ class Run:
             privileged=config.ppo.privileged,
         )
         self.exposure = Exposure(self.env.safety.names, num_envs * len(own_seeds), self.device)
+        self.latest = LatestEpisodes(num_envs * len(own_seeds), self.device)
         for starts in self.env.starts:
             starts.offset_and_total = self.shard.learners.offset_and_total
         self.policy = self.experiment.policy(generators)
@@ -153,6 +154,7 @@ class Run:
         """Takes in one interaction of the batch."""
         self.monitor(transition)
         self.exposure(transition)
+        self.latest(transition)
 
     def be_taught(self, lessons: JumpStart, stopped: Callable[[], bool]) -> None:
         """Lets the guidance teach the policy, in place of the first updates; each lesson is saved."""
@@ -175,7 +177,8 @@ class Run:
 
     def save(self) -> None:
         """Writes the checkpoint of all ranks and each seed's policy alone."""
-        own = self.trainer.state_dict() | {"training": self.exposure.state_dict()}
+        training = self.exposure.state_dict() | self.latest.state_dict()
+        own = self.trainer.state_dict() | {"training": training}
         if self.lessons and self.lessons.taught > 0 and not self.lessons.done:
             own |= {"lessons": self.lessons.state_dict(), "lesson": self.lessons.latest}
         states = self.ranks.collect(own, self.device)
@@ -200,6 +203,7 @@ class Run:
         self.trainer.load_state_dict(own)
         if "training" in own:  # which older checkpoints lack
             self.exposure.load_state_dict(own["training"])
+            self.latest.load_state_dict(own["training"])
         if self.lessons and (state := saved.get("lessons")):
             files = [self.directory / LESSONS / f"{i + 1}.pt" for i in range(int(state["taught"]))]
             batches = [
@@ -299,24 +303,12 @@ class Run:
     def show(self, statistics: dict[str, float]) -> None:
         """Logs an update or a lesson, of all ranks; the price of fuel grows for the next one."""
         self.env.progress = self.trainer.update / self.trainer.updates
-        if not self.all_could_end:
-            self.monitor.episodes.clear()
+        self.monitor.episodes.append(self.latest.shown(self.monitor.seeds, self.monitor.first_seed))
         statistics["time/filter_s"] = self.monitor.filter_seconds
         statistics["time/simulation_s"] = statistics["time/rollout_s"] - self.monitor.filter_seconds
         if reports := self.ranks.collect((statistics, self.monitor), self.device):
             self.log.update(reports, self.interactions)
         self.monitor.clear()
-
-    @property
-    def all_could_end(self) -> bool:
-        """Whether even the longest episodes could end before the last update began.
-
-        All begin together, and after a lesson some begin anew. Until the longest have ended only the short ones are
-        seen, and behind the filter those are successes.
-        """
-        train, c = self.config.train, self.config.inspection
-        updates = self.trainer.update - 1 - train.lessons
-        return updates * train.rollout_steps * c.action_period >= c.max_time
 
     def due(self, interval: int) -> bool:
         """Whether the last update completed so many interactions, once more."""

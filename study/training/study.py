@@ -144,6 +144,7 @@ def train_arm(config: StudyConfig, name: str, directory: Path, again: str) -> Ru
     if not begun:
         save_first(run)
     print(run, flush=True)
+    print(run.plan, flush=True)
     try:
         run.train()
     except Stopped as stopped:

@@ -13,7 +13,7 @@ from numpy import ndarray
 from torch import Tensor
 
 from inspection.closed_loop import Clocks, Safety, Smallest, closed_loop
-from inspection.environment import InspectionEnv
+from inspection.environment import InspectionEnv, effort
 from inspection.model.parameters import InspectionParameters
 from inspection.model.state import OMEGA, E, P, Q, T, V
 from inspection.world.parameters import PlantParameters
@@ -249,7 +249,7 @@ def test_looking_more_often_changes_no_bit_of_a_flight_whose_rates_are_clamped(
 ) -> None:
     c = InspectionParameters(inertia=UNEQUAL, substep=substep)
     safety = Safety(correct=halving, period=period) if period else None
-    flights = []
+    flights, counted = [], []
     for report in reports:
         env = InspectionEnv(1, c, [torch.Generator()], safety, report_every=report, plant=plant)
         fast = tumbling()
@@ -259,6 +259,9 @@ def test_looking_more_often_changes_no_bit_of_a_flight_whose_rates_are_clamped(
         holds = list(env.fly(lambda t, x, control=control: control, 20.0))
         assert all((hold.after[OMEGA].abs() <= c.max_rate).all() for hold in holds)
         flights.append({round(hold.end, 6): hold.after for hold in holds})
+        counted.append(torch.stack(effort(holds, 12.0, c)))
+    for spent in counted:
+        torch.testing.assert_close(spent, counted[0], rtol=1e-12, atol=0.0)
     for finer in flights[1:]:
         shared = flights[0].keys() & finer.keys()
         assert 20.0 in shared

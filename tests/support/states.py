@@ -14,6 +14,8 @@ IMPOSSIBLE = {
     "no attitude": (9, 0.0),
     "a long quaternion": (9, 1.001),
     "no number": (0, math.nan),
+    "a battery beyond all": (14, 1e150),
+    "a Sun that turned too often": (15, 1e300),
 }
 
 

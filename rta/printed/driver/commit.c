@@ -13,13 +13,13 @@ static void assign(V *to, const V *from, int count)
     }
 }
 
-/* Whether a spacecraft can be in a state: of finite numbers, with a unit quaternion, above absolute zero. */
+/* Whether a spacecraft can be in a state: of numbers up to LARGEST, with a unit quaternion, above absolute zero. */
 static M is_state(const V y[SEEN])
 {
     V room[2];
     M found = YES;
     for (int i = 0; i < SEEN; ++i) {
-        found = AND(found, FABS(y[i]) < INFINITY);
+        found = AND(found, FABS(y[i]) <= LARGEST);
     }
     state_room(y, room);
     return AND(found, AND(room[0] > 0.0, room[1] > 0.0));

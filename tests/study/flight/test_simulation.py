@@ -13,7 +13,6 @@ from inspection.guidance import recorded
 from inspection.model.dynamics import step as integrate
 from inspection.model.parameters import InspectionParameters
 from rta.filter import SafetyFilter
-from rta.parameters import RtaParameters
 from settings import override
 from study.config import Config
 from study.experiment import Experiment
@@ -34,7 +33,7 @@ def test_intervened_tells_which_calls_since_the_row_changed_the_control_they_wer
     decisions = recorded(draws * c.control_limit, DECIDE_EVERY)
     run = simulate(env, decisions, Starts(x, priority), DURATION)
 
-    correct = SafetyFilter(c, RtaParameters())
+    correct = SafetyFilter(c, experiment.config.rta)
     changed, applied = np.zeros((DURATION, 2), dtype=bool), x.new_zeros(6, 1)
     for t in range(DURATION):
         given = decisions(t, x) if t % DECIDE_EVERY == 0 else applied

@@ -43,8 +43,8 @@ def ended(seed: int, reward: float) -> Monitor:
     monitor = Monitor(("near",), 1, seed)
     monitor.steps += BATCH
     monitor.count(violated=torch.tensor([6 * (1 + seed)]), any_violated=torch.tensor(6 * (1 + seed)))
-    metrics = torch.full((len(METRICS) + 2, 1), reward)
-    metrics[-2], metrics[-1] = 100.0, seed
+    metrics = torch.full((len(METRICS) + 3, 1), reward)
+    metrics[-3], metrics[-2], metrics[-1] = 100.0, 1.0, seed
     monitor.episodes.append(metrics)
     return monitor
 

@@ -11,7 +11,7 @@ from inspection.termination import OUTCOMES
 from inspection.transition import Transition
 from rta.qp.programs import Status
 from rta.result import FilterResult
-from study.training.monitor import EPISODE, Exposure, Monitor
+from study.training.monitor import EPISODE, Exposure, LatestEpisodes, Monitor
 
 NAMES = ("near", "fast", "hot")
 SEEDS, BATCH, CALLS = 2, 6, 3
@@ -64,21 +64,15 @@ def seen(generator: torch.Generator) -> list[Transition]:
     return [transition(generator) for _ in range(5)]
 
 
-def count(transitions: list[Transition], seed: int | None = None) -> dict[str, float]:
-    """The scalars, counted by hand; of one seed only the episodes' charts."""
-    episodes, shares = defaultdict(list), defaultdict(list)
+def count(transitions: list[Transition]) -> dict[str, float]:
+    """The scalars, counted by hand, without those of episodes."""
+    shares = defaultdict(list)
     for each in transitions:
         for column in range(BATCH):
-            own = seed is None or column // (BATCH // SEEDS) == seed
-            if own and (each.terminated[column] or each.truncated[column]):
-                for i, name in enumerate(EPISODE[:-1]):
-                    episodes[f"episode/{name}"].append(float(each.metrics[i, column]))
-                successful = OUTCOMES[each.outcome[column]] == "success"
-                episodes["episode/success_percent"].append(100.0 * successful)
             for name, term in each.reward_terms.items():
                 shares[f"step_reward/{name}"].append(float(term[column]))
             shares["violation_percent/any"].append(100.0 * bool(each.violated[:, column].any()))
-            for i, name in enumerate(NAMES if not each.corrections else ()):
+            for i, name in enumerate(NAMES):
                 shares[f"violation_percent/{name}"].append(100.0 * bool(each.violated[i, column]))
             for call in each.corrections:
                 shares["rta/intervention_percent"].append(100.0 * (call.status[column] > Status.UNTOUCHED))
@@ -86,13 +80,9 @@ def count(transitions: list[Transition], seed: int | None = None) -> dict[str, f
                 shares["rta/failures"].append(float(call.status[column] == Status.UNSOLVED))
                 violated = bool((call.h[:, column] < 0.0).any())
                 shares["rta/filter_step_violation_percent"].append(100.0 * violated)
-    counted = {tag: fmean(values) for tag, values in episodes.items()}
-    if episodes:
-        counted["episode/count"] = len(episodes["episode/reward"])
-    if seed is None:
-        counted |= {tag: fmean(values) for tag, values in shares.items()}
-        if "rta/failures" in counted:
-            counted["rta/failures"] = sum(shares["rta/failures"])
+    counted = {tag: fmean(values) for tag, values in shares.items()}
+    if "rta/failures" in counted:
+        counted["rta/failures"] = sum(shares["rta/failures"])
     return counted
 
 
@@ -133,6 +123,51 @@ def test_without_a_filter_or_an_ended_episode_there_is_less_to_show(generator: t
     assert scalars == pytest.approx(count(quiet), rel=1e-6)
     assert not any(tag.startswith(("episode/", "rta/")) for tag in scalars)
     assert watching(quiet).episode_means(0) == {}
+
+
+def test_behind_the_filter_only_limits_that_broke_are_named(generator: torch.Generator) -> None:
+    kept = replace(
+        transition(generator), violated=torch.tensor([[True] * BATCH, [False] * BATCH, [False] * BATCH])
+    )
+    tags = {tag for tag in watching([kept]).scalars() if tag.startswith("violation_percent/")}
+    assert tags == {"violation_percent/any", "violation_percent/near"}
+
+
+def ending(*columns: int, outcome: str, reward: float) -> Transition:
+    """An interaction after which these episodes ended."""
+    done = torch.zeros(BATCH, dtype=torch.bool).index_fill(0, torch.tensor(columns, dtype=torch.int64), True)
+    return replace(
+        transition(torch.Generator().manual_seed(0), filtered=False),
+        terminated=done,
+        truncated=torch.zeros_like(done),
+        outcome=torch.full((BATCH,), OUTCOMES.index(outcome)),
+        metrics=torch.full((6, BATCH), reward, dtype=torch.float64),
+    )
+
+
+def test_episodes_are_shown_once_every_slot_has_ended_one_and_then_the_last_of_each() -> None:
+    """Four slots succeed at once, again and again; two time out much later: a third of all episodes that began."""
+    latest = LatestEpisodes(BATCH, torch.device("cpu"))
+
+    def shown(seed: int | None = None) -> dict[str, float]:
+        monitor = Monitor(NAMES, SEEDS, first_seed=5)
+        monitor.episodes.append(latest.shown(SEEDS, 5))
+        return monitor.episode_means(seed)
+
+    for reward in (1.0, 2.0, 3.0):
+        latest(ending(0, 1, 3, 4, outcome="success", reward=reward))
+    assert shown() == shown(5) == shown(6) == {}
+    latest(ending(2, outcome="timeout", reward=0.0))
+    assert shown(5)["episode/success_percent"] == pytest.approx(200 / 3) and shown() == {}
+    resumed = LatestEpisodes(BATCH, torch.device("cpu"))
+    resumed.load_state_dict(latest.state_dict())
+    latest = resumed
+    latest(ending(5, outcome="timeout", reward=0.0))
+    means = shown()
+    assert means.keys() == {f"episode/{name}" for name in (*EPISODE, "count")}
+    assert means["episode/success_percent"] == pytest.approx(200 / 3)
+    assert means["episode/reward"] == pytest.approx(4 * 3.0 / 6) and means["episode/count"] == 1.0
+    assert shown()["episode/count"] == 0.0
 
 
 def test_the_exposure_counts_every_limit_broken_in_training() -> None:

@@ -15,7 +15,6 @@ from typing import Any
 
 import pytest
 import torch
-from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 import main
 from ppo import checkpoint, trainer
@@ -74,14 +73,6 @@ def whole(settings: Path) -> Path:
 def nothing_concluded(monkeypatch: pytest.MonkeyPatch) -> None:
     """Spares a run its evaluation and figure, but where a test says otherwise."""
     monkeypatch.setattr(training.Run, "conclude", lambda self: "")
-
-
-def test_no_episode_is_shown_before_the_longest_could_end(whole: Path) -> None:
-    """Each lasts 3 interactions and an update 4, so that those which end in the first update are no fair sample."""
-    events = EventAccumulator(str(whole))
-    events.Reload()
-    steps = {tag: [event.step for event in events.Scalars(tag)] for tag in ("episode/count", "policy/std")}
-    assert steps == {"policy/std": [16, 32, 48, 64, 80, 96], "episode/count": [32, 48, 64, 80, 96]}
 
 
 def weights(directory: Path) -> dict[str, torch.Tensor]:
