@@ -174,6 +174,19 @@ TASK = [
         "inspection/test_closed_loop.py",
         ("called = i % calls == 0 if correct else decided", "called = True"),
         ("torch.where(values.isnan(), -torch.inf, values)", "torch.where(values.isnan(), torch.inf, values)"),
+        (
+            "after = integrate(flown, acting, end - begun)",
+            "after = flown = integrate(flown, acting, end - begun)",
+        ),
+        ("acting = mean(acted)", "acting = acted[0][0]"),
+        ("return min(self.substep, self.control)", "return min(self.substep, self.hold)"),
+    ),
+    *faults(
+        "inspection/model/state_checks.py",
+        "inspection/model/test_state_checks.py",
+        ("OFF_UNIT - (norm(x[Q]) - 1.0).abs()", "OFF_UNIT - (1.0 - norm(x[Q]))"),
+        ("x[T] + c.zero_celsius", "x[T].abs() + c.zero_celsius"),
+        ("(x.abs() <= LARGEST).all(0) & ", ""),
     ),
     *faults(
         "inspection/closed_loop.py",
@@ -497,6 +510,8 @@ CHECK = [
         "rta/backup/robust_attitude_check.py",
         "rta/backup/test_robust_attitude_check.py",
         ("(wanted(x, w) - x[OMEGA]) / w.tau - torch", "(wanted(x, w) - x[OMEGA]) / w.tau + torch"),
+        ("if i < calls - 1:", "if i < calls - 2:"),
+        ("late = before if", "late = 0 * before if"),
     ),
     *faults(
         "rta/keep_clear.py",
@@ -599,6 +614,16 @@ IN_C = [
         ("put_waiting(these, lane, these, flights->count - 1);", ""),
     ),
     *faults(
+        "rta/printed/driver/batch/hopeful.c",
+        "rta/printed/test_driver.py -k cannot_be and now",
+        ("*hopes = is_state(y) & is_verified(broken, both);", "*hopes = is_verified(broken, both);"),
+    ),
+    *faults(
+        "rta/printed/driver/flight.c",
+        "rta/printed/test_driver.py -k cannot_be and now",
+        ("fit[THRUSTS] = is_state(y);", "fit[THRUSTS] = YES;"),
+    ),
+    *faults(
         "rta/printed/driver/batch/flights.c",
         "rta/backup/test_nominal_check.py -k flights_in_c and 1.0",
         ("put_lane(these->y, lane, these->y, last, 16);", ""),
@@ -699,6 +724,16 @@ LEARNER = [
         "study/training/test_monitor.py",
         ("self.counted += 1", "self.counted += 2"),
         ("torch.minimum(self.worst, transition.h)", "torch.maximum(self.worst, transition.h)"),
+        ("or episodes.isnan().any()", ""),
+        ('return {"episodes": self.metrics}', "return {}"),
+    ),
+    *faults(
+        "inspection/fixed.py",
+        "rta/test_filter.py -k fixed",
+        (
+            "if name in self.FIXED and name in vars(self):",
+            "if name in self.FIXED and name not in vars(self):",
+        ),
     ),
     *faults(
         "inspection/transition.py",
