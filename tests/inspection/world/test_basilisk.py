@@ -141,6 +141,22 @@ def test_j2_is_that_of_an_adaptive_integrator(random_states) -> None:
 
 
 @needs_basilisk
+def test_a_state_read_within_a_step_is_near_basilisks_and_moves_nothing(random_states) -> None:
+    """Of a whole second; J2 is not in what is read."""
+    x = random_states(8)
+    plant = begun(replace(FREE, j2=True), x)
+    u = nothing(x) + x.new_tensor([0.9, -0.5, 0.3, 5e-4, -3e-4, 2e-4])[:, None]
+    before = plant.state_dict()
+    read = plant.read(x, u, plant.body, torch.ones_like(x[0]))
+    assert all(torch.equal(before[name], now) for name, now in plant.state_dict().items())
+    there = plant.integrate(x, u, plant.body, 1.0)
+    assert (read - there)[P].norm(dim=0).max() < 1e-4 and (read - there)[V].norm(dim=0).max() < 1e-4
+    assert (read - there)[OMEGA].norm(dim=0).max() < 1e-6
+    turned = Rotation.from_quat(read[Q].T.numpy()).inv() * Rotation.from_quat(there[Q].T.numpy())
+    assert math.degrees(turned.magnitude().max()) < 1e-3
+
+
+@needs_basilisk
 def test_velocity_is_the_change_of_position_in_a_frame_that_j2_tilts(random_states) -> None:
     """By central differences over two seconds; the frame's small turn about x comes to a thousand times more."""
     x = random_states(20)
