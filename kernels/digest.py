@@ -54,37 +54,37 @@ class Reached:
 def digest(*things: Any) -> str | None:
     """Of functions and what they are given, the same in every process; None where it cannot be told what they reach."""
     versions = platform.python_version(), torch.__version__, np.__version__, torch.get_default_dtype()
-    found = hashlib.sha256()
+    found: list[str] = []
     places: dict[Any, int] = {}
     kept, left = [], [*versions, *things]  # kept, so that no other thing is given its id
     try:
         while left:
             thing = left.pop()
-            if not isinstance(thing, PLAIN):
-                key = (id(thing.module), thing.names) if isinstance(thing, Reached) else id(thing)
-                if key in places:
-                    found.update(f"{places[key]};".encode())
-                    continue
-                places[key] = len(places)
-                kept.append(thing)
+            kind: Any = type(thing)
+            parts_of = of_kind(kind)
+            if parts_of is None:
+                found += (kind.__qualname__, "(0);", repr(thing))
+                continue
+            key = (id(thing.module), thing.names) if kind is Reached else id(thing)
+            if key in places:
+                found.append(f"{places[key]};")
+                continue
+            places[key] = len(places)
+            kept.append(thing)
             parts = list(parts_of(thing))
-            found.update(f"{type(thing).__qualname__}({len(parts)});".encode())
-            if isinstance(thing, PLAIN):
-                found.update(repr(thing).encode())
+            found.append(f"{kind.__qualname__}({len(parts)});")
             left += reversed(parts)
+        return hashlib.sha256("".join(found).encode()).hexdigest()[:32]
     except Exception:  # of what is no function, no data and no object of these
         return None
-    return found.hexdigest()[:32]
 
 
-def parts_of(thing: Any) -> Iterable[Any]:
-    """What tells a thing from others of its type."""
-    if isinstance(thing, PLAIN):
-        return ()
-    for kinds, parts in PARTS:
-        if isinstance(thing, kinds):
-            return parts(thing)
-    return of_object(thing)
+@functools.cache
+def of_kind(kind: type) -> Callable[[Any], Iterable[Any]] | None:
+    """What tells a thing of a type from others of it; None: its text."""
+    if issubclass(kind, PLAIN):
+        return None
+    return next((parts for kinds, parts in PARTS if issubclass(kind, kinds)), of_object)
 
 
 def is_library(module: str | None) -> bool:
