@@ -401,13 +401,14 @@ def add_flags(
     every = {
         f"{t}.{key}": (t, p, key, rule) for t, p in tables.items() for key, rule in rules(type(p)).items()
     }
+    hints = {table: typing.get_type_hints(type(part)) for table, part in tables.items()}
     first = [meant for meant in short.values() if meant in every]
     for name in dict.fromkeys((*first, *every)):
         table, part, key, rule = every[name]
         if not {table, name} & set(reached):
             continue
         names = [flag for flag, meant in short.items() if meant == name]
-        kind = typing.get_type_hints(type(part))[key]
+        kind = hints[table][key]
         among = "{" + ",".join(map(shown, rule.among)) + "}" if 0 < len(rule.among) < 7 else "X"
         options: dict[str, Any] = {"metavar": "N" if kind is int else among, "type": partial(read, kind)}
         if kind is bool:
