@@ -29,7 +29,7 @@ SENSITIVE = (
     "study/training/test_jump_start.py::test_the_copy_does_what_the_guidance_would_in_states_of_its_own",
     "study/training/test_run.py",
     "study/training/test_study.py::test_each_seed_of_an_arm_equals_that_seed_trained_alone",
-    "study/web/test_flight.py::test_a_whole_episode_is_flown_as_in_python",
+    "study/web/test_flight.py::test_an_episode_is_flown_as_in_python",
     "test_docs.py::test_a_page_prints_what_it_says[guides/your_own_policy]",
 )
 MKL = ("unset", "COMPATIBLE", "AVX2", *(["AVX512"] if "avx512f" in processor().split() else []))

@@ -17,6 +17,8 @@ from study.flight.evaluation import evaluate
 from study.report.agents import Arm, load_arm
 from study.report.flights import with_rta
 
+pytestmark = pytest.mark.usefixtures("small_pools")
+
 
 def test_exposure_adds_the_steps_of_seeds_and_keeps_the_smallest_h() -> None:
     def seed(interactions: int, percent: float, h: float) -> dict[str, object]:
@@ -81,7 +83,7 @@ def few(cases: int, seeds: int) -> Arm:
     results = json.loads((shipped / "results.json").read_text())["arms"]["rta"]
     arm = load_arm(shipped / "rta", results | {"seeds": results["seeds"][:seeds]}, "cpu")
     train = replace(arm.config.train, final_episodes=cases, evaluation_episodes=1, compile="on")
-    inspection = replace(arm.config.inspection, max_time=600.0)  # s
+    inspection = replace(arm.config.inspection, max_time=200.0)  # s
     return replace(arm, config=replace(arm.config, train=train, inspection=inspection))
 
 

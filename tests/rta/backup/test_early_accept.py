@@ -62,7 +62,7 @@ def test_what_one_look_accepts_the_flight_accepts(name: str, hold: float, satura
 def test_no_limit_is_below_what_one_look_says_on_the_flight(hold: float) -> None:
     """Each limit at the plant's steps of a flight, by formulas of its own: at a path's nodes a chord says too much."""
     c, flight, b = vehicle("paper"), in_c("paper", hold), backup("paper", hold)
-    x = everywhere(4000, 25, c)
+    x = everywhere(1000, 25, c)
     bounds = flight(x)[3]
     accepted = (of_groups(bounds) >= KEPT).numpy()
     least = least_of(x, c)

@@ -9,6 +9,7 @@ import torch
 
 from kernels import build
 from rta.filter import SafetyFilter
+from rta.printed import files
 from rta.printed.loaded import InC
 from study import verified
 from study.config import Config
@@ -27,6 +28,13 @@ def compiler() -> None:
         pytest.skip(str(error))
 
 
+@pytest.fixture
+def no_vectors(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nothing that the C is compared with, which takes seconds; `tests.rta.printed.test_export` runs it."""
+    monkeypatch.setattr(files, "vectors_header", lambda safety_filter: "")
+
+
+@pytest.mark.usefixtures("no_vectors")
 def test_the_header_names_the_campaigns_of_its_configuration(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -39,6 +47,7 @@ def test_the_header_names_the_campaigns_of_its_configuration(
     assert "make -C" in out and "Verified" in out
 
 
+@pytest.mark.usefixtures("no_vectors")
 def test_a_changed_filter_says_that_it_is_not_verified(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -62,7 +71,7 @@ def test_the_campaigns_in_c_violated_nothing() -> None:
 @pytest.mark.usefixtures("compiler")
 def test_the_c_answers_a_batch_as_the_filter() -> None:
     safety_filter = SafetyFilter(C, R)
-    x, u = tensor(near_the_limits(2000, seed=3)), 1.1 * commands(2000, seed=3)
+    x, u = tensor(near_the_limits(500, seed=3)), 1.1 * commands(500, seed=3)
     expected, found = safety_filter.correct(x, u), InC(safety_filter).correct(x, u)
     assert torch.equal(expected.status, found.status) and torch.equal(expected.active, found.active)
     off = (expected.control - found.control)[:, expected.status < 2].abs() / tensor(C.control_limit)[:, None]

@@ -18,7 +18,8 @@ from rta.constraints.names import CONSTRAINTS
 from rta.filter import SafetyFilter
 from rta.parameters import RtaParameters
 from rta.qp.programs import Status
-from study.flight.offline_filter import CHUNK, filter_states
+from study.flight import offline_filter
+from study.flight.offline_filter import filter_states
 from tests.oracles import Problems, given_slack, held, paper, thrust_fall
 from tests.rta.test_filter import PRIORITY, commands, near_the_limits
 from tests.test_main import assert_refused
@@ -200,9 +201,10 @@ def test_rows_are_the_rates_of_the_papers_constraints(
     np.testing.assert_allclose(left[fast], expected[fast], atol=1e-6)
 
 
-def test_chunks_do_not_show() -> None:
+def test_chunks_do_not_show(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(offline_filter, "CHUNK", 200)
     safety = SafetyFilter(C, RtaParameters())
-    x, u = torch.from_numpy(near_the_limits(CHUNK + 3)), commands(CHUNK + 3)
+    x, u = torch.from_numpy(near_the_limits(203)), commands(203)
     whole, end = filter_states(safety, x, u), filter_states(safety, x[:, -5:], u[:, -5:])
     for name in ("control_safe", "A_all", "b_all", "status"):
         np.testing.assert_allclose(whole[name][-5:], end[name], rtol=1e-12, atol=1e-12)

@@ -69,7 +69,9 @@ def verified(
 
 
 @pytest.mark.usefixtures("small_batches")
-@pytest.mark.parametrize(("substep", "period"), [(1.0, "1"), (5.0, "5")])
+@pytest.mark.parametrize(
+    ("substep", "period"), [(1.0, "1"), pytest.param(5.0, "5", marks=pytest.mark.campaign)]
+)
 def test_verify_reports_a_filter_that_corrects_nothing(
     substep: float,
     period: str,

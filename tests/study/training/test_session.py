@@ -52,6 +52,8 @@ missed_calls = 0.3
 """
 CONCLUDE = training.Run.conclude
 
+pytestmark = pytest.mark.usefixtures("small_pools")
+
 
 @pytest.fixture(scope="module")
 def settings(tmp_path_factory: pytest.TempPathFactory) -> Path:
@@ -62,7 +64,7 @@ def settings(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def whole(settings: Path) -> Path:
+def whole(settings: Path, small_pools: None) -> Path:
     """The directory of that run, which nothing interrupted."""
     directory = settings.parent / "whole"
     assert main.main(["train", "--config", str(settings), "--run-dir", str(directory)]) == 0

@@ -21,6 +21,8 @@ from study.training.run import Run
 from study.training.session import RESUMABLE, start
 
 SEEDS = (5, 6, 7)
+
+pytestmark = pytest.mark.usefixtures("small_pools")
 SETTINGS = """
 [study]
 seeds = 3
@@ -55,7 +57,7 @@ def settings(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def whole(settings: Path) -> Path:
+def whole(settings: Path, small_pools: None) -> Path:
     """The directory of a study that nothing interrupted."""
     directory = settings.parent / "whole"
     assert main.main(["study", "--config", str(settings), "--study-dir", str(directory)]) == 0

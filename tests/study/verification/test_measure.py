@@ -94,4 +94,4 @@ def test_who_looks_ahead_from_there_breaks_nothing_and_is_corrected() -> None:
 def test_a_filter_that_is_wrong_about_the_mass_is_seen_to_break_limits() -> None:
     """The planted fault: from the edge of the zone, in a world beyond the filter's bounds."""
     config = override(Config(), {"plant": {"mass_factor": 2.0}}, "test")
-    assert measure.measure(config, "full", "edge", 32, 60.0)["broken_episodes"] > 0
+    assert measure.measure(config, "full", "edge", 16, 60.0)["broken_episodes"] > 0
