@@ -197,7 +197,7 @@ def flown(cases: int) -> Episodes:
     return run_episodes(env, control, common_cases(config, cases, UNSEEN).repeat(len(LEADING)))
 
 
-@pytest.fixture(scope="module", params=[4, pytest.param(32, marks=pytest.mark.campaign)])
+@pytest.fixture(scope="module", params=[2, pytest.param(32, marks=pytest.mark.campaign)])
 def record(request: pytest.FixtureRequest) -> Episodes:
     return flown(request.param)
 

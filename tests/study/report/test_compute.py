@@ -86,9 +86,11 @@ def test_a_report_of_one_seed_has_every_file(tmp_path: Path, monkeypatch: pytest
     monkeypatch.setattr(flights, "PERIODS", (1.0,))
     monkeypatch.setattr(flights, "WORLDS", ("nominal",))
     monkeypatch.setattr(flights, "GUIDANCE", {"even": GUIDANCE["even"]})
+    monkeypatch.setattr(flights, "BASELINES", ("even",))
     monkeypatch.setattr(figures, "draw", lambda found: None)
     monkeypatch.setattr(page, "write", lambda found: None)  # which embeds the figures
     settings = SETTINGS.replace("seeds = 2", "seeds = 1").replace('compile = "on"', 'compile = "off"')
+    settings = settings.replace(f"final_episodes = {CASES}", "final_episodes = 1")
     report = reported(settings, tmp_path / "tiny") / "report"
     assert {path.name for path in report.iterdir()} >= FILES
     mean = read(report / "cross.json")["rta"]["on"]["metrics"]["reward"]["mean"]

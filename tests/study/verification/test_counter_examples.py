@@ -36,10 +36,10 @@ def violated(small_pools: None, tmp_path_factory: pytest.TempPathFactory) -> Pat
     path = tmp_path_factory.mktemp("violated") / "report.json"
     config = path.with_name("weak.toml")
     config.write_text("[inspection]\nmax_thrust = 1.05\n[plant]\nmass_factor = 2.0\n")
-    arguments = ["--policy", "adversarial", "--rta-period", "10", "--duration", "30", "--episodes", "64"]
+    arguments = ["--policy", "adversarial", "--rta-period", "10", "--duration", "30", "--episodes", "24"]
     arguments += ["--qp-solver", "piqp"]
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(campaign, "BATCH", 64)  # it draws the starts of no more episodes than it flies
+        patch.setattr(campaign, "BATCH", 24)  # it draws the starts of no more episodes than it flies
         assert main.main(verify(path, *arguments, "--config", str(config))) == 0
     return path
 
