@@ -43,7 +43,8 @@ def as_object(text: str) -> dict[str, Any]:
     """Returns the object that JSON text holds; raises ValueError, or RecursionError, where it holds none."""
     content = json.loads(text)
     if not isinstance(content, dict):
-        raise ValueError(f"must hold a JSON object, not {kind(content)}")
+        found = "a number" if type(content) is int else kind(content)
+        raise ValueError(f"must hold a JSON object, not {found}")
     return content
 
 

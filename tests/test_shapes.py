@@ -56,8 +56,8 @@ def test_json_of_another_shape_is_refused(words: str, here: Path, capsys: pytest
 
 def test_what_a_json_file_must_hold_is_said(here: Path) -> None:
     for text, said in (
-        ("3", "must hold a JSON object, not a count"),
-        ("-3", "not a negative integer"),
+        ("3", "must hold a JSON object, not a number"),
+        ("-3", "not a number"),
         ("[]", "not a list"),
         ("null", "not null"),
         ("1" * 5000, "the limit (4300 digits)"),

@@ -23,9 +23,9 @@ from study.machine import bar
 from study.training.monitor import EPISODE, Monitor
 
 MEANING = (
-    "an interaction is one decision of the agent; once all episodes that began together have ended, means over the "
-    "last ones come after the count (dv: delta v, violation: share of their steps that broke a limit); flying test "
-    "cases: an evaluation of the agent so far"
+    "an interaction is one decision of the agent; once each of the parallel episodes has ended, the bar shows means "
+    "over the latest ones (dv: delta v, violation: share of their steps that broke a limit); flying test cases: an "
+    "evaluation of the agent so far"
 )
 LESSON = "losses/lesson_action"  # only a lesson of the guidance has it
 TAUGHT = "learning from the guidance"
@@ -59,9 +59,8 @@ class Log:
         """
         with leaving_it_to_the_caller():
             self.charts = [charts_in(folder, interactions + 1) for folder in self.folders]
-            if not interactions:
-                with naming(file_of(self.charts[0])):
-                    self.charts[0].add_text("config", indent(settings, "    "))  # Markdown's code
+            with naming(file_of(self.charts[0])):
+                self.charts[0].add_text("config", indent(settings, "    "), interactions)  # Markdown's code
             if interactions < total:
                 print(MEANING, file=sys.stderr)
             try:

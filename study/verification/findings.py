@@ -135,8 +135,8 @@ def table(report: dict[str, Any]) -> str:
             for name, count in beyond["violating_steps"].items()
             if count and name != "any"
         ),
-        f"{report['starts_rejected_by_margin']:,} states that keep every limit are no starts: the filter does not "
-        "accept them",
+        f"of all starts drawn for these batches the filter refused {report['starts_rejected_by_margin']:,} that keep "
+        "every limit",
     ]
     together = sorted(report["slack_together"].values(), key=lambda same: -same["calls"])
     if together:
@@ -153,7 +153,7 @@ def what_next(report: dict[str, Any], path: Path | None) -> str:
     """Where the report and its worst episodes are, and how to fly one of them again."""
     if path is None:
         return (
-            "Nothing was kept: --json F keeps the report, and the worst episode of every constraint violated"
+            "Nothing was saved: --json F saves the report, and the worst episode of every constraint violated"
         )
     lines = [f"Written to {path}; a larger --episodes goes on from there"]
     examples = [name for name in CONSTRAINTS if Path(f"{path}.{name}.npz").is_file()]
