@@ -148,7 +148,7 @@ def scalars(directory: Path) -> dict[str, list[float]]:
     """What TensorBoard shows, but for the time it took."""
     events = EventAccumulator(str(directory))
     events.Reload()
-    tags = [tag for tag in events.Tags()["scalars"] if not tag.startswith("time/")]
+    tags = [tag for tag in events.Tags()["scalars"] if not tag.startswith(("charts/", "time/"))]
     return {tag: [event.value for event in events.Scalars(tag)] for tag in tags}
 
 

@@ -151,8 +151,8 @@ def test_flights_in_c_keep_the_limits_that_flights_in_pytorch_keep(
 @HOLDS
 def test_what_replaces_a_control_is_the_first_safe_share_of_the_way_to_the_law(hold: float) -> None:
     backup = NominalBackup(C, hold)
-    x = hypercube(300, 9, C)
-    x = x[:, backup.has_backup_trajectory(x)][:, :40]
+    x = hypercube(600, 9, C)
+    x = x[:, backup.has_backup_trajectory(x)][:, :100]
     u = opposite(backup.law(x), C)
     none = torch.zeros(LIMITS, x.shape[1], dtype=torch.bool)
     control, safe, changed = backup.committed(x, u, none, ~none[:2])

@@ -187,7 +187,8 @@ def test_a_live_run_is_nobody_elses_until_a_kill_in_the_midst_of_a_save(
     run = tmp_path / "run"
     pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.DEVNULL}
     job = subprocess.Popen([sys.executable, "-c", JOB, str(settings), str(run)], cwd=ROOT, text=True, **pipes)
-    job.stdout.readline()  # what is trained
+    for _ in range(3):  # what is trained, and what is to come
+        job.stdout.readline()
     child = int(job.stdout.readline())
     try:
         before = {path.name: path.read_bytes() for path in run.iterdir()}
