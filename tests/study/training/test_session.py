@@ -157,9 +157,11 @@ import os, signal, subprocess, sys, time
 import torch
 import main
 from pathlib import Path
+from inspection import initial_state
 from study.training import session as training
 
 torch.set_num_threads(1)
+initial_state.POOL = 64  # as `small_pools` has it
 settings, directory = sys.argv[1:]
 original, update = os.fsync, training.Run.after_update
 
