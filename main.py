@@ -27,6 +27,7 @@ from settings import (
     override,
     positive_integer,
     positive_number,
+    shown,
     to_toml,
     whole,
 )
@@ -138,21 +139,10 @@ def flag(*names: str, **options: Any) -> tuple[tuple[str, ...], dict[str, Any]]:
     if re.fullmatch(r"(D|DIR|F)(\.\w+)?", str(options.get("metavar"))) and "type" not in options:
         options["type"] = name
     if options.get("default") is not None:
-        options["help"] += f" (default: {in_words(options['default'])})"
+        default = options["default"]
+        text = ("on" if default else "off") if isinstance(default, bool) else shown(default)
+        options["help"] += f" (default: {text})"
     return names, options
-
-
-def in_words(default: bool | int | float | str) -> str:
-    """Returns a flag's default as --help shows it."""
-    if isinstance(default, bool):
-        return "on" if default else "off"
-    return (
-        f"{default:,}"
-        if isinstance(default, int)
-        else f"{default:g}"
-        if isinstance(default, float)
-        else default
-    )
 
 
 def to_write(suffix: str) -> Callable[[str], Path]:
