@@ -1,6 +1,6 @@
 """What the agent observes, all vectors in the body frame (Sec. State and Observation)."""
 
-from collections.abc import Callable, Collection
+from collections.abc import Callable
 from typing import NamedTuple
 
 import torch
@@ -9,7 +9,7 @@ from torch import Tensor
 from inspection.model.attitude import conjugate, dot, norm, rotate, rotation_matrix, unit
 from inspection.model.dynamics import sun_direction
 from inspection.model.orbit import closest_pass
-from inspection.model.parameters import OBSERVED, InspectionParameters
+from inspection.model.parameters import InspectionParameters
 from inspection.model.state import OMEGA, THETA_S, E, P, Q, T, V
 
 # s between samples of free flight, whose chords stray by |a| spacing^2 / 8: 100 m from the chief and at 1 m/s by 0.2
@@ -30,30 +30,34 @@ def vector(name: str, unit: str = "1", scale: float = 1.0) -> list[Component]:
     return [Component(f"{name}_{i}", unit, scale) for i in "xyz"]
 
 
-# By what they are of, in the paper's order, 26 in all, and three groups beyond it. "hill": the paper's observations
-# tell the Sun's direction, but not radial from along-track, so that an agent cannot know whether its flight drifts.
-# "free_flight": where coasting passes the chief next, within the horizons of passive safety and of the reward of
-# success, which a small network does not work out. "chief": two of the axes of a chief that turns, and its rate.
-# (decision: the paper does not give its scales)
-GROUPS: dict[str, list[Component]] = {
-    "position": [Component("position_norm", "m", 100.0), *vector("position")],
-    "velocity": [Component("velocity_norm", "m/s", 0.866), *vector("velocity")],
-    "angular_velocity": vector("angular_velocity", "rad/s", 0.035),
-    "energy": [Component("energy", "kJ", 10.0)],
-    "temperature": [Component("temperature", "deg C", 10.0)],
-    "sun": [*vector("sun"), Component("sun_alignment", "1", 1.0)],
-    "priority": [*vector("priority"), Component("priority_alignment", "1", 1.0)],
-    "uninspected": [*vector("uninspected"), Component("uninspected_alignment", "1", 1.0)],
-    "score": [Component("inspected_score", "1", 1.0)],
-    "hill": [*vector("radial"), *vector("along_track")],
-    "free_flight": [*vector("next_pass"), *vector("later_pass")],
-    "chief": [*vector("chief_x"), *vector("chief_y"), *vector("chief_rate", "rad/s", 0.035)],
-}
+def groups(c: InspectionParameters) -> dict[str, list[Component]]:
+    """Returns all components by what they are of, in the paper's order, 26 in all, and three groups beyond it.
+
+    "hill": the paper's observations tell the Sun's direction, but not radial from along-track, so that an agent cannot
+    know whether its flight drifts. "free_flight": where coasting passes the chief next, within the horizons of passive
+    safety and of the reward of success, which a small network does not work out. "chief": two of the axes of a chief
+    that turns, and its rate.
+    """
+    position, velocity, rate = c.observation_scales
+    return {
+        "position": [Component("position_norm", "m", position), *vector("position")],
+        "velocity": [Component("velocity_norm", "m/s", velocity), *vector("velocity")],
+        "angular_velocity": vector("angular_velocity", "rad/s", rate),
+        "energy": [Component("energy", "kJ", 10.0)],
+        "temperature": [Component("temperature", "deg C", 10.0)],
+        "sun": [*vector("sun"), Component("sun_alignment", "1", 1.0)],
+        "priority": [*vector("priority"), Component("priority_alignment", "1", 1.0)],
+        "uninspected": [*vector("uninspected"), Component("uninspected_alignment", "1", 1.0)],
+        "score": [Component("inspected_score", "1", 1.0)],
+        "hill": [*vector("radial"), *vector("along_track")],
+        "free_flight": [*vector("next_pass"), *vector("later_pass")],
+        "chief": [*vector("chief_x"), *vector("chief_y"), *vector("chief_rate", "rad/s", rate)],
+    }
 
 
-def components(observed: Collection[str] = OBSERVED) -> list[Component]:
-    """The components of the given groups, in the order of GROUPS."""
-    return [component for name, group in GROUPS.items() if name in observed for component in group]
+def components(c: InspectionParameters) -> list[Component]:
+    """Returns the components that are observed."""
+    return [component for name, group in groups(c).items() if name in c.observed for component in group]
 
 
 def nearness(closest: Tensor, c: InspectionParameters) -> Tensor:
@@ -113,9 +117,9 @@ def observe(
     return torch.cat([row() for name, row in rows.items() if name in c.observed])
 
 
-def scales(like: Tensor, observed: Collection[str] = OBSERVED) -> Tensor:
-    """Divisors (components, 1) on the device and in the precision of `like`."""
-    return like.new_tensor([scale for _, _, scale in components(observed)])[:, None]
+def scales(like: Tensor, c: InspectionParameters) -> Tensor:
+    """Returns divisors (components, 1) on the device and in the precision of `like`."""
+    return like.new_tensor([scale for _, _, scale in components(c)])[:, None]
 
 
 def normalised(
@@ -123,4 +127,4 @@ def normalised(
 ) -> Tensor:
     """`observe` divided by `scales`, in float32 for the network."""
     o = observe(x, priority, uninspected, score, c, *chief)
-    return (o / scales(o, c.observed)).float()
+    return (o / scales(o, c)).float()

@@ -73,7 +73,7 @@ class VectorInspection6DoF(VectorEnv):
         config = override(base, {"train": here, "inspection": end}, ID)
         self.tensors = typed(tensors, bool, f"{ID}: tensors")
         self.num_envs = num_envs
-        size = len(components(config.inspection.observed))
+        size = len(components(config.inspection))
         self.single_observation_space = spaces.Box(-LARGEST, LARGEST, (size,), np.float32)
         self.single_action_space = spaces.Box(-1.0, 1.0, (CONTROL_SIZE,), np.float32)
         self.observation_space = batch_space(self.single_observation_space, num_envs)

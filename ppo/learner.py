@@ -8,14 +8,16 @@ import torch
 from torch import Tensor
 
 from ppo.distributed import ALONE, Ranks
+from ppo.divergence import KLPrice, divergence
 from ppo.errors import NonFiniteError
 from ppo.lagrangian import Multiplier
-from ppo.network import Policy, Value
+from ppo.network import Policy, Value, gaussian_entropy, gaussian_log_prob
 from ppo.parameters import PPOParameters
 
 MAX_LOG_RATIO = 20.0  # that e^x is finite, also of actions that no agent draws, see `collect`
 TRAINED_ON = ("observation", "action", "log_prob", "advantage", "return_")
 KEYS = {"reward": "value", "cost": "cost_value"}  # of the networks that predict them, in a checkpoint
+OF_KL = ("mean", "log_std")  # of the collecting policy, where the divergence from it has a price
 OF_COSTS = ("cost", "cost_advantage", "cost_return")  # in a batch, too, where there is a limit on costs
 
 
@@ -56,6 +58,10 @@ class PPO:
             self.critics["cost"] = cost_value
             device = next(cost_value.parameters()).device
             self.multiplier = Multiplier(parameters.cost_limit, len(generators), device)
+        self.kl_price: KLPrice | None = None
+        if parameters.kl_price:
+            device = next(policy.parameters()).device
+            self.kl_price = KLPrice(parameters.kl_price, parameters.kl_target, len(generators), device)
         self._named = {f"policy.{name}": weight for name, weight in policy.named_parameters()}
         for predicted, critic in self.critics.items():
             self._named |= {f"{KEYS[predicted]}.{name}": weight for name, weight in critic.named_parameters()}
@@ -76,7 +82,8 @@ class PPO:
         shape = (len(self.generators), self._minibatch(samples)[1])
         rows = {name: first.weight.new_zeros(shape) for name in self._trained_on()}
         rows["observation"] = first.weight.new_zeros(*shape, self.value.network.layers[0].weight.shape[1])
-        rows["action"] = last.weight.new_zeros(*shape, last.weight.shape[2] // 2)
+        for name in {"action", *OF_KL} & set(rows):
+            rows[name] = last.weight.new_zeros(*shape, last.weight.shape[2] // 2)
         compiled(rows)[0].sum().backward()  # compiles now what the first update would
         self.optimiser.zero_grad()
         self._loss = compiled  # type: ignore[method-assign]
@@ -92,7 +99,8 @@ class PPO:
 
         The statistics: policy_loss, value_loss (mean squared error), entropy (nats), approx_kl (nats),
         clip_fraction, grad_norm (before clipping) and explained_variance (before the update);
-        with a limit on costs also cost (mean per step), multiplier and cost_value_loss.
+        with a limit on costs also cost (mean per step), multiplier and cost_value_loss; with a price on the
+        divergence also kl (nats) and kl_price.
 
         Raises ValueError for a progress outside [0, 1], and NonFiniteError at the end of an update in which a
         loss or gradient was not finite: the weights are then spoilt, and training must restart from a
@@ -100,7 +108,11 @@ class PPO:
         """
         if not 0.0 <= progress <= 1.0:
             raise ValueError(f"progress is {progress}: it must be in [0, 1]")
-        self.optimiser.param_groups[0]["lr"] = self.parameters.learning_rate * (1.0 - progress)
+        rate = self.parameters.learning_rate * (1.0 - progress if self.parameters.anneal else 1.0)
+        self.optimiser.param_groups[0]["lr"] = rate
+        if self.kl_price:
+            with torch.no_grad():
+                batch = batch | dict(zip(OF_KL, self.policy(batch["observation"]), strict=True))
         for name in self._trained_on():
             require_finite(f"the batch's {name}", batch[name], self.first_seed)
         extra = {}
@@ -131,6 +143,9 @@ class PPO:
         for name, weight in self._named.items():
             require_finite(name, weight, self.first_seed)
         reported = {name: tensor for name, tensor in mean.items() if name not in self._named}
+        if self.kl_price:
+            reported["kl_price"] = self.kl_price.value
+            self.kl_price.update(reported["kl"])
         reported |= extra
         return reported | {"explained_variance": explained_variance(batch["value"], batch["return_"])}
 
@@ -147,11 +162,12 @@ class PPO:
         """Return all that has a state, by its key in a checkpoint."""
         parts: dict[str, Any] = {"policy": self.policy, "optimiser": self.optimiser}
         parts |= {KEYS[predicted]: critic for predicted, critic in self.critics.items()}
-        return parts | ({"multiplier": self.multiplier} if self.multiplier else {})
+        parts |= {"multiplier": self.multiplier} if self.multiplier else {}
+        return parts | ({"kl_price": self.kl_price} if self.kl_price else {})
 
     def _trained_on(self) -> tuple[str, ...]:
         """Return the names of what a batch must hold to be trained on."""
-        return TRAINED_ON + (OF_COSTS if self.multiplier else ())
+        return TRAINED_ON + (OF_KL if self.kl_price else ()) + (OF_COSTS if self.multiplier else ())
 
     def _minibatch(self, samples: int) -> tuple[int, int]:
         """Return how many minibatches an epoch has, and the samples of each."""
@@ -172,17 +188,19 @@ class PPO:
         """Return the loss (S,) and statistics (S,), which carry no gradient, of this rank's share of a minibatch."""
         clip = self.parameters.clip
         own = {name: self.ranks.own(tensor, 1) for name, tensor in batch.items()}
-        log_prob, entropy = self.policy.log_prob_and_entropy(own["observation"], own["action"])
+        mean_action, log_std = self.policy(own["observation"])
+        log_prob = gaussian_log_prob(own["action"], mean_action, log_std)
         log_ratio = (log_prob - own["log_prob"]).clamp(max=MAX_LOG_RATIO)
         ratio = log_ratio.exp()
         variance, mean = torch.var_mean(batch["advantage"], dim=1, correction=0, keepdim=True)
         advantage = self.ranks.own((batch["advantage"] - mean) / (variance.sqrt() + 1e-8), 1)
         # L_clip = -E[min(ratio A, clip(ratio, 1 - epsilon, 1 + epsilon) A)]   (2017, eq. 7)
         surrogate = torch.minimum(ratio * advantage, ratio.clamp(1.0 - clip, 1.0 + clip) * advantage)
+        value_error = (self.value(own["observation"]) - own["return_"]).square()
         losses = {
             "policy_loss": -surrogate.mean(1),
-            "value_loss": (self.value(own["observation"]) - own["return_"]).square().mean(1),
-            "entropy": entropy.mean(1),
+            "value_loss": value_error.clamp(max=self.parameters.value_clip).mean(1),
+            "entropy": gaussian_entropy(log_std).mean(1),
         }
         value_losses = losses["value_loss"]
         if self.multiplier:
@@ -195,6 +213,9 @@ class PPO:
             + self.parameters.value_coefficient * value_losses
             - self.parameters.entropy_coefficient * losses["entropy"]
         )
+        if self.kl_price:  # + beta KL(old || new)   (2017, eq. 8)
+            losses["kl"] = divergence(own["mean"], own["log_std"], mean_action, log_std).mean(1)
+            loss = loss + self.kl_price.value * losses["kl"]
         with torch.no_grad():
             statistics = {name: tensor.detach() for name, tensor in losses.items()}
             # KL(old || new) = E[(ratio - 1) - log ratio], unbiased and never negative

@@ -83,10 +83,17 @@ def gaussian_log_prob(action: Tensor, mean: Tensor, log_std: Tensor) -> Tensor:
     return (-0.5 * z.square() - log_std - 0.5 * math.log(2.0 * math.pi)).sum(-1)
 
 
+def gaussian_entropy(log_std: Tensor) -> Tensor:
+    """Return the differential entropy (S, B) in nats of Gaussians, summed over A."""
+    # H = sum over controls of log sigma + (1 + log(2 pi)) / 2
+    return (log_std + 0.5 * (1.0 + math.log(2.0 * math.pi))).sum(-1)
+
+
 class Policy(nn.Module):
     """Diagonal Gaussian policy with state-dependent mean in (-1, 1) and log-std within `log_std_bounds`.
 
-    Every layer, the last included, ends in a tanh. `initial_std` is the standard deviation that the untrained
+    Every layer, the last included, ends in a tanh; without `tanh_outputs` the last one is linear, and its log-std is
+    cut off at the bounds, its mean action at -1 and 1. `initial_std` is the standard deviation that the untrained
     policy gives a zero observation; `power` and `dead_zone` shape what the environment is given, see `shaped`. Raises
     ValueError if `initial_std` is not inside the bounds.
     """
@@ -101,10 +108,11 @@ class Policy(nn.Module):
         initial_std: float = 0.03,
         power: float = 1.0,
         dead_zone: float = 0.0,
+        tanh_outputs: bool = True,
     ) -> None:
         super().__init__()
-        bias = log_std_bias(initial_std, log_std_bounds)
-        self.log_std_bounds = log_std_bounds
+        bias = log_std_bias(initial_std, log_std_bounds) if tanh_outputs else math.log(initial_std)
+        self.log_std_bounds, self.tanh_outputs = log_std_bounds, tanh_outputs
         self.power, self.dead_zone = power, dead_zone
         gains = [HIDDEN_GAIN] * len(hidden) + [POLICY_GAIN]
         self.network = StackedMLP((observation_size, *hidden, 2 * action_size), generators, gains)
@@ -119,8 +127,11 @@ class Policy(nn.Module):
     def forward(self, observation: Tensor) -> tuple[Tensor, Tensor]:
         """Return mean and log-std, each (S, B, A), at observations (S, B, observation_size)."""
         own = observation[..., : self.network.layers[0].weight.shape[1]]  # a critic's may follow
-        mean, level = torch.tanh(self.network(own)).chunk(2, dim=-1)
         low, high = self.log_std_bounds
+        if not self.tanh_outputs:
+            mean, log_std = self.network(own).chunk(2, dim=-1)
+            return mean, log_std.clamp(low, high)
+        mean, level = torch.tanh(self.network(own)).chunk(2, dim=-1)
         # log std = low + (high - low) (1 + tanh) / 2: unlike a clamp, never without gradient
         return mean, low + (high - low) * 0.5 * (1.0 + level)
 
@@ -142,9 +153,7 @@ class Policy(nn.Module):
     def log_prob_and_entropy(self, observation: Tensor, action: Tensor) -> tuple[Tensor, Tensor]:
         """Return log-probability and differential entropy in nats, each (S, B), of actions (S, B, A)."""
         mean, log_std = self(observation)
-        # H = sum over controls of log sigma + (1 + log(2 pi)) / 2
-        entropy = (log_std + 0.5 * (1.0 + math.log(2.0 * math.pi))).sum(-1)
-        return gaussian_log_prob(action, mean, log_std), entropy
+        return gaussian_log_prob(action, mean, log_std), gaussian_entropy(log_std)
 
     @property
     def is_linear(self) -> bool:
@@ -171,8 +180,8 @@ class Policy(nn.Module):
 
     @torch.no_grad()
     def mean_action(self, observation: Tensor) -> Tensor:
-        """Return the deterministic action (S, B, A), shaped from the mean; carries no gradient."""
-        return self.shaped(self(observation)[0])
+        """Return the deterministic action (S, B, A), shaped from the mean, in [-1, 1]; carries no gradient."""
+        return self.shaped(self(observation)[0].clamp(-1.0, 1.0))
 
 
 class Value(nn.Module):

@@ -20,13 +20,19 @@ class PPOParameters(Settings):
     )
     epochs: int = setting(4, "passes over each batch", above=0)
     minibatch_size: int = setting(1024, "largest number of samples of a gradient step, per seed", least=2)
-    learning_rate: float = setting(
-        3e-4, "Adam's step size at the start, annealed linearly to 0 at the end", above=0
-    )
+    learning_rate: float = setting(3e-4, "Adam's step size at the start", above=0)
+    anneal: bool = setting(True, "whether the learning rate falls linearly, to 0 at the end")
     clip: float = setting(0.2, "largest rewarded change of the probability ratio from 1", above=0, below=1)
     value_coefficient: float = setting(
         0.5, "weight of the mean squared value error in the loss", most=LARGEST_WEIGHT
     )
+    value_clip: float = setting(
+        math.inf, "squared value error beyond which a sample teaches nothing", above=0, most=math.inf
+    )
+    kl_price: float = setting(
+        0.0, "first price of the divergence of the policy in an update, per nat", most=LARGEST_WEIGHT
+    )
+    kl_target: float = setting(0.01, "nats; the price rises where an update moves further", above=0)
     privileged: bool = setting(
         False, "show the value network, beside the observation, what is left to inspect, and the time"
     )
@@ -46,6 +52,9 @@ class PPOParameters(Settings):
     log_std_bounds: tuple[float, float] = setting(
         (-5.0, 0.0), "range of the log standard deviation, in nats", least=None
     )
+    tanh_outputs: bool = setting(
+        True, "whether a tanh bounds mean and log standard deviation; if not, they are cut off at their bounds"
+    )
     action_power: float = setting(
         1.0, "k of u = sign(a) |a|^k, what is commanded for an action a; 1 is the paper's", least=1, most=10
     )
@@ -60,7 +69,7 @@ class PPOParameters(Settings):
 
 
 def log_std_bias(std: float, log_std_bounds: Sequence[float]) -> float:
-    """Return the output bias b at which the bounded log-std equals log(std).
+    """Return the output bias b at which the log-std that a tanh bounds equals log(std).
 
     Raises ValueError unless the bounds are finite and exp(low) < std < exp(high).
     """

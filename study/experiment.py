@@ -152,7 +152,7 @@ class Experiment:
 
     def value(self, generators: Sequence[torch.Generator]) -> Value:
         """A freshly initialised value network, one seed per generator."""
-        observed = len(components(self.config.inspection.observed))
+        observed = len(components(self.config.inspection))
         size = observed + (PRIVILEGED if self.config.ppo.privileged else 0)
         return Value(size, generators, self.config.ppo.hidden)
 
@@ -285,7 +285,7 @@ def make_policy(config: Config, generators: Sequence[torch.Generator]) -> Policy
     """A freshly initialised policy, one seed per generator."""
     ppo = config.ppo
     return Policy(
-        len(components(config.inspection.observed)),
+        len(components(config.inspection)),
         CONTROL_SIZE,
         generators,
         ppo.hidden,
@@ -293,6 +293,7 @@ def make_policy(config: Config, generators: Sequence[torch.Generator]) -> Policy
         ppo.initial_std,
         ppo.action_power,
         ppo.action_dead_zone,
+        ppo.tanh_outputs,
     )
 
 
@@ -316,11 +317,16 @@ def check_observed(config: Config, trained: Config) -> None:
     ours, theirs = (list(each.inspection.observed) for each in (config, trained))
     if set(ours) != set(theirs):
         raise InputError(f"[inspection] observed = {ours}: the agent was trained with {theirs}")
+    scales, trained_with = (list(each.inspection.observation_scales) for each in (config, trained))
+    if scales != trained_with:
+        raise InputError(
+            f"[inspection] observation_scales = {scales}: the agent was trained with {trained_with}"
+        )
     for name in OF_FREE_FLIGHT if "free_flight" in ours else ():
-        value, trained_with = (getattr(each.inspection, name) for each in (config, trained))
-        if value != trained_with:
+        value, before = (getattr(each.inspection, name) for each in (config, trained))
+        if value != before:
             raise InputError(
-                f"[inspection] {name} = {value:g}: the agent observes free flight and was trained with {trained_with:g}"
+                f"[inspection] {name} = {value:g}: the agent observes free flight and was trained with {before:g}"
             )
 
 

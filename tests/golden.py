@@ -155,7 +155,7 @@ def decided(cases: int) -> Quantities:
     env = experiment.env(cases)
     env.start(*common_cases(experiment.config, cases, TEST_CASES))
     seen = env.step(2.0 * torch.rand(cases, 6, generator=torch.Generator().manual_seed(0)) - 1.0)
-    observed = components(experiment.config.inspection.observed)
+    observed = components(experiment.config.inspection)
     action = policy.mean_action(seen.final_observation[None])[0]
     return {
         "observation": rows(tuple(each.name for each in observed), seen.final_observation.T),

@@ -241,6 +241,11 @@ class Episode(Settings):
     success_score: float = setting(0.95, "inspected score, 0 to 1, that ends an episode", above=0, most=1)
     action_period: float = setting(10.0, "s between two actions of the agent", above=0)
     observed: tuple[str, ...] = setting(OBSERVED, "by the agent; by default the paper's", among=OBSERVABLE)
+    observation_scales: tuple[float, float, float] = setting(
+        (100.0, 0.866, 0.035),
+        "(decision) m, m/s and rad/s by which distance, speed and body rates are divided for the network",
+        above=0,
+    )
     max_time: float = setting(12236.0, "s, an episode at its longest: two orbits", above=0)
     initial_radius: tuple[float, float] = setting(
         (50.0, 100.0), "m, range of the first distance", above=0, ordered=True

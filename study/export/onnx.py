@@ -78,7 +78,7 @@ def metadata(c: InspectionParameters, chief: ChiefParameters) -> dict[str, str]:
         for name, limit in zip(CONTROLS, c.control_limit, strict=True)
     ]
     return {
-        "observation": json.dumps([component._asdict() for component in components(c.observed)]),
+        "observation": json.dumps([component._asdict() for component in components(c)]),
         "control": json.dumps([component._asdict() for component in controls]),
         "inspection": json.dumps(asdict(c)),
         "chief": json.dumps(asdict(chief)),

@@ -159,7 +159,7 @@ bool policy_control(const double observation[POLICY_OBSERVATIONS], double contro
                 sum += (double)WEIGHT[n] * from[j];
                 n++;
             }
-            to[i] = tanh(sum);
+            to[i] = (TANH_OUTPUTS || ((layer + 1U) < LAYERS)) ? tanh(sum) : sum;
         }
         for (size_t i = 0U; i < SIZE[layer + 1U]; i++) {
             from[i] = to[i];

@@ -78,7 +78,7 @@ def by_hand(name: str, printed_part: str = "") -> str:
 def sources(policy: Policy, config: Config, digest: str) -> dict[str, str]:
     """Returns policy.h and policy.c; `digest` is of the checkpoint."""
     c, sight = config.inspection, Sight(config.chief, config.inspection, 1, torch.device("cpu"))
-    observed = components(c.observed)
+    observed = components(c)
     limits = [
         f"{CONTROL[name]}, at most {most!r}" for name, most in zip(CONTROL, c.control_limit, strict=True)
     ]
@@ -102,6 +102,7 @@ def sources(policy: Policy, config: Config, digest: str) -> dict[str, str]:
         define("ITERATIONS", f"{LLOYD_ITERATIONS}U", "of k-means"),
         define("LAYERS", f"{len(sizes) - 1}U"),
         define("WIDEST", f"{max(sizes)}U"),
+        define("TANH_OUTPUTS", int(policy.tanh_outputs), "of the last layer, too"),
         define("POWER", float(policy.power)),
         define("DEAD_ZONE", float(policy.dead_zone)),
         table("size_t SIZE[LAYERS + 1U]", sizes, "from the observation to the control"),
@@ -173,7 +174,7 @@ def vectors(policy: Policy, config: Config) -> str:
         uninspected[:, n] = nearest_cluster(centres, alive, x[P, n : n + 1])[:, 0]
     observed = observe(x, priority, uninspected, score[0], c, chief)
     exact = deepcopy(policy).double()
-    action = exact.mean_action((observed / scales(observed, c.observed)).T[None])[0]
+    action = exact.mean_action((observed / scales(observed, c)).T[None])[0]
     control = (action * action.new_tensor(c.control_limit)).T
     shown = [f'"{"".join(str(int(each)) for each in column)}"' for column in wanted.T]
     tables = {"STATES": x, "PRIORITIES": priority, "SCORES": score, "CHIEFS": chief, "EXPECTED": control}

@@ -59,16 +59,18 @@ def test_observations_are_the_papers(c, random_states, generator):
     np.testing.assert_allclose(o.T, expected, rtol=1e-12, atol=1e-12)
 
 
-def test_units_are_those_of_the_state():
-    units = dict.fromkeys((name for name, _, _ in components()), "1")
+def test_units_are_those_of_the_state(c):
+    units = dict.fromkeys((name for name, _, _ in components(c)), "1")
     units |= {"position_norm": "m", "velocity_norm": "m/s", "energy": "kJ", "temperature": "deg C"}
     units |= {f"angular_velocity_{i}": "rad/s" for i in "xyz"}
-    assert {name: unit for name, unit, _ in components()} == units
+    assert {name: unit for name, unit, _ in components(c)} == units
 
 
-def test_scales_divide_by_the_size_of_each_quantity():
-    divisors = scales(torch.zeros(1, dtype=torch.float64))[:, 0].tolist()
-    assert divisors == [100, 1, 1, 1, 0.866, 1, 1, 1, 0.035, 0.035, 0.035, 10, 10] + [1] * 13
+@pytest.mark.parametrize("position, velocity, rate", [(100, 0.866, 0.035), (175, 1, 0.05)])
+def test_scales_divide_by_the_size_of_each_quantity(c, position, velocity, rate):
+    c = replace(c, observation_scales=(float(position), float(velocity), rate))
+    divisors = scales(torch.zeros(1, dtype=torch.float64), c)[:, 0].tolist()
+    assert divisors == [position, 1, 1, 1, velocity, 1, 1, 1, rate, rate, rate, 10, 10] + [1] * 13
 
 
 # The terms of the reward
@@ -247,15 +249,15 @@ def test_the_distance_from_the_track_is_that_of_three_integrated_orbits(c, rando
 def test_groups_are_left_out_or_added_whatever_order_they_are_named_in(c, random_states, generator):
     arguments = draw(random_states, generator, 4)
     groups = tuple(group for group in OBSERVABLE if group != "chief")  # which is of a chief that turns
-    names = [name for name, _, _ in components(groups)]
+    names = [name for name, _, _ in components(replace(c, observed=groups))]
     everything = dict(zip(names, observe(*arguments, replace(c, observed=groups)), strict=True))
     chosen = ("hill", "score", "sun")
-    few = [name for name, _, _ in components(chosen)]
+    few = [name for name, _, _ in components(replace(c, observed=chosen))]
     assert few == ["sun_x", "sun_y", "sun_z", "sun_alignment", "inspected_score", *names[-12:-6]]
     for row, name in zip(observe(*arguments, replace(c, observed=chosen)), few, strict=True):
         assert torch.equal(row, everything[name])
     assert torch.equal(observe(*arguments, c), torch.stack(list(everything.values())[:26]))
-    assert scales(arguments[0], chosen).shape == (11, 1) and set(OBSERVED) < set(OBSERVABLE)
+    assert scales(arguments[0], replace(c, observed=chosen)).shape == (11, 1) and set(OBSERVED) < set(OBSERVABLE)
 
 
 def test_the_axes_of_hills_frame_are_seen_in_the_body_frame(c, random_states, generator):

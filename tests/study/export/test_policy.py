@@ -109,7 +109,7 @@ def test_c_answers_as_pytorch(agent: str, exported: Callable[[str], Exported], t
     succeed(tool("gcc"), "-shared", "-fPIC", directory / "policy.c", "-o", tmp_path / "policy.so", "-lm")
     library = ctypes.CDLL(str(tmp_path / "policy.so"))
     library.policy_control.restype = ctypes.c_bool
-    scale = scales(torch.zeros(1).double(), config.inspection.observed)[:, 0]
+    scale = scales(torch.zeros(1).double(), config.inspection)[:, 0]
     given = torch.randn(1000, len(scale), generator=torch.Generator().manual_seed(1)).double()
     answer = np.zeros((1000, 6))
     for observation, control in zip((given * scale).numpy(), answer, strict=True):
@@ -197,7 +197,7 @@ def test_the_header_names_what_is_observed_and_commanded(
     def members(kind: str) -> list[tuple[str, str]]:
         return re.findall(rf"(?m)^    POLICY_{kind}_(\w+) /\* (.+) \*/,?$", header)
 
-    observed = components(config.inspection.observed)
+    observed = components(config.inspection)
     assert [(name.lower(), unit) for name, unit in members("OBSERVATION")] == [
         (each.name, each.unit) for each in observed
     ]
