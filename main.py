@@ -44,6 +44,7 @@ DECLARED: dict[str, Callable[[Any], None]] = {}  # what adds each command to the
 # Names of flags beside --table.key, which every setting has; what is changed most often comes first.
 SHORT = {
     "--rta": "train.rta",
+    "--rta-filter": "rta.filter",
     "--rta-period": "rta.period",
     "--seeds": "study.seeds",
     "--arms": "study.arms",

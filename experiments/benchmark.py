@@ -327,9 +327,9 @@ def learner_flops(learner: PPO) -> float:
 def compile_times(bare: Experiment, robust: Experiment, batch: int) -> dict[str, float]:
     """Returns the s that compiling filter and simulator takes with an empty cache, and that of a filter with bounds."""
     parts: dict[str, Callable[[], None]] = {
-        "filter": partial(bare.filter.compile, bare.device, batch),
+        "filter": partial(bare.checked_filter.compile, bare.device, batch),
         "simulator": bare.env(batch).compile,
-        "filter with [uncertainty]": partial(robust.filter.compile, robust.device, batch),
+        "filter with [uncertainty]": partial(robust.checked_filter.compile, robust.device, batch),
     }
     with tempfile.TemporaryDirectory() as empty, patch.dict(os.environ, {VARIABLE: empty}):
         return {
@@ -386,8 +386,8 @@ def benchmark(config: Config, batches: tuple[int, ...] = BATCHES) -> dict[str, A
     met = record(experiment, agent)
     robust_met = record(robust, agent)  # the other filter leads to states that this one keeps away from
     single = {
-        "single_filter_latency_ms": single_latencies(experiment.filter, *met),
-        "told_filter_latency_ms": single_latencies(robust.filter, *robust_met),
+        "single_filter_latency_ms": single_latencies(experiment.checked_filter, *met),
+        "told_filter_latency_ms": single_latencies(robust.checked_filter, *robust_met),
     }
     flown = {"paper": ("1", "paper"), "edge": ("1", "edge"), "u1": ("u1", "paper")}
     random_us = {name: random_demands(named[own], where) for name, (own, where) in flown.items()}
@@ -401,26 +401,28 @@ def benchmark(config: Config, batches: tuple[int, ...] = BATCHES) -> dict[str, A
             curves["gymnasium_steps_per_s", name][n] = rate
         for name, at_period in experiments.items():
             # where controls are held, more at once take a minute and are no faster
-            if not at_period.filter.is_sampled or n <= typical:
+            if not at_period.checked_filter.is_sampled or n <= typical:
                 env = at_period.env(n, compiled=at_period.compiled)
                 curves["closed_loop_steps_per_s", name][n] = closed_loop_rate(env, met[0], agent)
-        curves["filter_calls_per_s",][n] = filter_rate(experiment.filter, *met, n)
+        curves["filter_calls_per_s",][n] = filter_rate(experiment.checked_filter, *met, n)
         if n <= typical:
-            curves["told_filter_calls_per_s",][n] = filter_rate(robust.filter, *robust_met, n)
+            curves["told_filter_calls_per_s",][n] = filter_rate(robust.checked_filter, *robust_met, n)
         for name, spent in parts_of_a_step(experiment, n, met[0], agent).items():
             parts[name][n] = spent
 
     say("solvers")
     flights = met, record(*trained(experiment))
     asked = [
-        part for x, u in flights for part in programs(experiment.filter, x[:, :RECORDED], u[:, :RECORDED])
+        part
+        for x, u in flights
+        for part in programs(experiment.checked_filter, x[:, :RECORDED], u[:, :RECORDED])
     ]
     onboard = override(named["1"], {"rta": {"qp_solver": "piqp"}}, "benchmark")
     batched = BatchedSolver()
     if compiled:
-        rows = max(len(group.weights) for group in experiment.filter.groups)
+        rows = max(len(group.weights) for group in experiment.checked_filter.groups)
         compile_or_explain("solver", partial(batched.compile, [rows], TYPICAL_PROGRAMS, device))
-    solvers: dict[str, Solver] = {"piqp": built(onboard, 1).filter.solver, "batched": batched}
+    solvers: dict[str, Solver] = {"piqp": built(onboard, 1).checked_filter.solver, "batched": batched}
     for name, solver in solvers.items():
         for n in PROGRAMS:
             curves["qp_us", name][n] = us(solver_rate(solver, asked, n))

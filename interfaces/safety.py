@@ -12,10 +12,9 @@ from torch import Tensor
 
 from interfaces.environment import Inspection6DoF
 from interfaces.vector import VectorInspection6DoF, in_kind
-from rta.filter import SafetyFilter
 from rta.result import FilterResult
 from settings import override
-from study.experiment import Experiment
+from study.experiment import AnyFilter, Experiment
 
 
 class VectorRunTimeAssurance(VectorWrapper):
@@ -56,7 +55,7 @@ class VectorRunTimeAssurance(VectorWrapper):
         base.begin(experiment)
 
     @property
-    def filter(self) -> SafetyFilter:
+    def filter(self) -> AnyFilter:
         """The filter, which cannot be changed: starts and limits are its own, too."""
         return self._filter
 

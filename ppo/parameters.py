@@ -53,7 +53,8 @@ class PPOParameters(Settings):
         (-5.0, 0.0), "range of the log standard deviation, in nats", least=None
     )
     tanh_outputs: bool = setting(
-        True, "whether a tanh bounds mean and log standard deviation; if not, they are cut off at their bounds"
+        True,
+        "whether a tanh bounds mean and log standard deviation; if not, they are cut off at their bounds",
     )
     action_power: float = setting(
         1.0, "k of u = sign(a) |a|^k, what is commanded for an action a; 1 is the paper's", least=1, most=10

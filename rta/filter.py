@@ -10,7 +10,6 @@ slack is given class after class of their weights (`rta.qp.programs.stages`). Wh
 is applied if it and the backup trajectory after it keep the limits (`rta.backup`).
 """
 
-import warnings
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import fields, replace
@@ -23,8 +22,8 @@ from torch import Tensor
 from inspection.closed_loop import Safety
 from inspection.fixed import Fixed
 from inspection.model.parameters import InspectionParameters
-from inspection.model.state import CONTROL_SIZE, SIZE, P, Q
-from inspection.model.state_checks import is_state, unit_warnings
+from inspection.model.state import CONTROL_SIZE
+from inspection.model.state_checks import is_state
 from inspection.model.tensors import check_tensors
 from kernels.build import NoCompilerError, say
 from kernels.compiled import Compiled
@@ -38,7 +37,7 @@ from rta.constraints import vehicle
 from rta.constraints.constraint import Constraint, in_order, joined
 from rta.constraints.thrust import keep_in_zone, thrust_constraints
 from rta.constraints.torque import torque_constraints
-from rta.filter_input import FilterInput
+from rta.filter_input import FilterInput, probe
 from rta.parameters import RtaParameters
 from rta.printed.batch import BatchFilter, Flights
 from rta.propose import Propose
@@ -227,9 +226,7 @@ class SafetyFilter(Fixed):
 
     def probe(self, device: torch.device | str) -> tuple[Tensor, Tensor]:
         """A state (16, 1) and a control (6, 1) to try functions of the batch with."""
-        x = torch.zeros(SIZE, 1, dtype=torch.float64, device=device)
-        x[P.start], x[Q.stop - 1] = self.c.max_distance / 2, 1.0
-        return x, torch.zeros_like(x[:CONTROL_SIZE])
+        return probe(self.c, device)
 
     def safety(self, enabled: bool = True) -> Safety:
         """What the environment needs: constraint values, admissible starts and, if enabled, this filter."""
@@ -272,11 +269,9 @@ class SafetyFilter(Fixed):
         Warns where a state looks like one in other units, see `inspection.model.state_checks`.
         """
         call = FilterInput(x, desired, self.c)
-        for warning in unit_warnings(call.x, self.c):
-            warnings.warn(f"state: {warning}", stacklevel=3)  # a decorator is between
+        call.warn()
         fit = call.single and call.x.device.type == "cpu" and not self.is_sampled and not self._is_compiled
-        result = (self._for_one if fit else self).correct(call.x, call.desired)
-        return FilterResult(*(call.in_kind(getattr(result, field.name)) for field in fields(result)))
+        return call.answer((self._for_one if fit else self).correct(call.x, call.desired))
 
     @cached_property
     def _for_one(self) -> "SafetyFilter":

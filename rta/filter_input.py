@@ -1,6 +1,8 @@
 """Validates the input of the filter: a batch in float64 of it, and answers in its kind."""
 
 import math
+import warnings
+from dataclasses import fields
 from typing import Any
 
 import numpy as np
@@ -9,8 +11,9 @@ from torch import Tensor
 
 from inspection.model.attitude import norm
 from inspection.model.parameters import Limits
-from inspection.model.state import CONTROL_SIZE, SIZE, Q, T
-from inspection.model.state_checks import OFF_UNIT
+from inspection.model.state import CONTROL_SIZE, SIZE, P, Q, T
+from inspection.model.state_checks import OFF_UNIT, unit_warnings
+from rta.result import FilterResult
 
 # How far a quaternion's length may be from 1: float32 resolves 1e-7, and a state estimate in it drifts by more.
 UNIT = {torch.float32: OFF_UNIT}
@@ -42,6 +45,7 @@ class FilterInput:
                 f"state of shape {shown(state)} with desired control of shape {shown(control)}: "
                 "must be of equally many spacecraft"
             )
+        self.c = c
         self.single = control.ndim == 1
         self.tensors = torch.is_tensor(desired)
         self.dtype = control.dtype if control.dtype == torch.float32 else torch.float64
@@ -70,12 +74,28 @@ class FilterInput:
             self.x = self.x.clone()
             self.x[Q] = torch.where(off > ROUNDED, self.x[Q] / length, self.x[Q])
 
+    def warn(self) -> None:
+        """Warns, where the filter was called, of a state that looks like one in other units."""
+        for warning in unit_warnings(self.x, self.c):
+            warnings.warn(f"state: {warning}", stacklevel=4)  # a decorator is between
+
+    def answer(self, result: FilterResult) -> FilterResult:
+        """Converts the filter's answer to the kind of the desired control."""
+        return FilterResult(*(self.in_kind(getattr(result, field.name)) for field in fields(result)))
+
     def in_kind(self, part: Tensor) -> Any:
         """Converts a field (..., B) of the filter's answer to the kind of the desired control."""
         if part.dtype != self.dtype and part.is_floating_point():
             part = towards_zero(part, self.dtype)
         kind = part if self.tensors else part.numpy()
         return kind[..., 0][()] if self.single else kind
+
+
+def probe(c: Limits, device: torch.device | str) -> tuple[Tensor, Tensor]:
+    """Returns a state (16, 1) and a control (6, 1) to try functions of the batch with."""
+    x = torch.zeros(SIZE, 1, dtype=torch.float64, device=device)
+    x[P.start], x[Q.stop - 1] = c.max_distance / 2, 1.0
+    return x, torch.zeros_like(x[:CONTROL_SIZE])
 
 
 def numbers(name: str, given: Any) -> Tensor:

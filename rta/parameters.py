@@ -1,11 +1,12 @@
 """Gains, margins and weights of the filter. The paper publishes none of them for 6-DoF; each has its reason here."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from itertools import pairwise
 
 from settings import Settings, setting
 
+FILTERS = ("checked", "paper")
 PERIODS = (1.0, 5.0, 10.0)
 QP_SOLVERS = ("auto", "piqp", "batched")
 ROWS = ("auto", "paper", "sampled", "none")
@@ -21,10 +22,17 @@ class RtaParameters(Settings):
     own rounding, and for passive safety the shift of the closest time).
     """
 
+    filter: str = setting(
+        "checked",
+        "which filter (checked: a control is applied only after its check; paper: the paper's program alone, which can "
+        "fail)",
+        among=FILTERS,
+    )
     period: float = setting(1.0, "s between two calls of the filter", among=PERIODS)
     qp_solver: str = setting(
         "auto",
-        "solver of the quadratic programs; auto: piqp for a few spacecraft with --compile off, else batched",
+        "solver of the quadratic programs; auto: piqp for the paper's filter, and for a few spacecraft with --compile "
+        "off; else batched",
         among=QP_SOLVERS,
     )
     rows: str = setting(
@@ -124,9 +132,23 @@ class RtaParameters(Settings):
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        if self.filter == "paper":
+            self._check_that_paper_has_all()
         segments = self.passive_safety_segments
         if len(segments) < 2 or segments[0] != 0 or any(a >= b for a, b in pairwise(segments)):
             raise ValueError(f"passive_safety_segments = {segments!r}: must rise from 0 s to the horizon")
+
+    def _check_that_paper_has_all(self) -> None:
+        """Refuses what the paper's filter does not have; its gains and weights are in `rta.limits`."""
+        if self.qp_solver == "batched":
+            raise ValueError('qp_solver = "batched": must be "piqp" or "auto" with filter = "paper"')
+        for part in fields(self):
+            value = getattr(self, part.name)
+            if part.name not in ("filter", "period", "qp_solver") and value != part.default:
+                raise ValueError(
+                    f"{part.name} = {value!r}: the paper's filter has no such setting; must be the default with "
+                    'filter = "paper", whose gains and weights are in rta/limits.py'
+                )
 
     def gain(self, value: float, hold: float = 0.0) -> float:
         """A gain in 1/s as used at the period, or where a control may be held for longer, s."""

@@ -186,14 +186,16 @@ class StudyConfig(Config):
     def of_arm(self, name: str) -> Config:
         """Returns the configuration of a training run of the arm's first seed.
 
-        Where only the arm has a filter with sampled rows, or only the rest, its solver is to be chosen for itself.
+        Where its filter is not of the kind that the rest has, its solver is to be chosen for itself.
         """
         shared = Config(*(getattr(self, part.name) for part in dataclasses.fields(Config)))
         tables = self.all_arms[name]
+        rta = tables.get("rta", {})
+        if rta.get("filter", shared.rta.filter) != shared.rta.filter:
+            tables = {**tables, "rta": {"qp_solver": "auto", **rta}}
         arm = override(shared, tables, f"[arms.{name}]")
         one, other = (each.uncertainty.rows(each.rta) == "sampled" for each in (arm, shared))
-        alike = one == other
-        return arm if alike or "qp_solver" in tables.get("rta", {}) else arm.with_solver("auto")
+        return arm if one == other or "qp_solver" in rta else arm.with_solver("auto")
 
 
 AnyConfig = TypeVar("AnyConfig", bound=Config)

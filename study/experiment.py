@@ -26,6 +26,7 @@ from ppo.errors import CheckpointError
 from ppo.network import Policy, Value
 from rta.constraints.names import CONSTRAINTS, OWN, PAPERS
 from rta.filter import SafetyFilter
+from rta.flown_paper import FlownPaperFilter
 from rta.keep_clear import kept_clear
 from rta.parameters import RtaParameters
 from settings import InputError, from_toml
@@ -33,6 +34,8 @@ from study.config import AnyConfig, Config
 from study.errors import as_input_error
 from study.flight.fly import Starts
 from study.machine import compile_or_explain, resolve_device, step, wants_compile
+
+AnyFilter = SafetyFilter | FlownPaperFilter
 
 EPISODE = 3600  # s, about as long as an agent takes
 
@@ -86,14 +89,12 @@ class Experiment:
         seconds = min(EPISODE, config.inspection.max_time) if seconds is None else seconds
         choice, calls = config.train.compile, seconds / config.rta.period
         steps = seconds / config.inspection.action_period
-        holds = config.uncertainty.needs_sampled_rows(config.rta)
+        holds = config.rta.filter == "checked" and config.uncertainty.needs_sampled_rows(config.rta)
         self.filter_compiled = config.train.rta and wants_compile(choice, calls, holds)
         self.config = with_solver(config, batch, self.device)
         self.compiled = wants_compile(choice, steps)
         self.task = with_hull(with_correction_price(config), config.chief)
-        with as_input_error("[rta], [inspection] and [uncertainty]", ValueError, OverflowError):
-            made = SafetyFilter(self.task, self.config.rta, uncertainty=config.uncertainty)
-            self.filter = named_in_order(made)
+        self.filter = filter_of(self.config)
         with as_input_error("[plant] and [inspection]", ValueError):
             config.plant.check_body(config.inspection)
         if self.filter_compiled:
@@ -103,6 +104,13 @@ class Experiment:
         self.safety = self.filter.safety(config.train.rta)
         if config.train.keep_clear and not ignores_keep_clear(config):
             self.safety = kept_clear(self.safety, self.task)
+
+    @property
+    def checked_filter(self) -> SafetyFilter:
+        """The filter, where it has a check; raises InputError where it has none."""
+        check_is_checked(self.config)
+        assert isinstance(self.filter, SafetyFilter)
+        return self.filter
 
     def generators(self, seeds: Sequence[int] = (0,)) -> list[torch.Generator]:
         """One per seed, on the device."""
@@ -157,21 +165,43 @@ class Experiment:
         return Value(size, generators, self.config.ppo.hidden)
 
 
-def filter_of(config: Config) -> SafetyFilter:
-    """The filter of a configuration by itself; raises InputError where its parts do not fit together."""
+def filter_of(config: Config) -> AnyFilter:
+    """Returns the filter that a configuration asks for; raises InputError where its parts do not fit together."""
+    if config.rta.filter == "checked":
+        return checked_filter(config)
+    if config.chief.collision == "hull":
+        raise InputError('[rta] filter = "paper": keeps clear of a sphere; must be "checked" beside a hull')
+    if not config.uncertainty.is_zero:
+        raise InputError(
+            '[rta] filter = "paper": knows no [uncertainty]; must be "checked" with error bounds'
+        )
+    if OWN:
+        raise InputError(
+            f'[rta] filter = "paper": has the paper\'s limits alone, not {", ".join(OWN)}; must be "checked"'
+        )
+    return FlownPaperFilter(config.inspection, config.rta.period)
+
+
+def check_is_checked(config: Config) -> None:
+    """Raises InputError where a configuration asks for a filter without a check."""
+    if config.rta.filter != "checked":
+        raise InputError(
+            f'[rta] filter (--rta-filter) = "{config.rta.filter}": must be "checked" for this command'
+        )
+
+
+def checked_filter(config: Config) -> SafetyFilter:
+    """Returns the filter with a check; raises InputError where the configuration asks for another one or is wrong."""
+    check_is_checked(config)
     with as_input_error("[rta], [inspection] and [uncertainty]", ValueError, OverflowError):
         task = with_hull(config.inspection, config.chief)
-        return named_in_order(SafetyFilter(task, config.rta, uncertainty=config.uncertainty))
-
-
-def named_in_order(safety_filter: SafetyFilter) -> SafetyFilter:
-    """The filter; raises ValueError where its limits are not those that every report names."""
-    if safety_filter.names != CONSTRAINTS:
-        raise ValueError(
-            f"rta/constraints/names.py: OWN = {list(OWN)}: must be {list(safety_filter.names[len(PAPERS) :])}, "
-            "the limits that thrust.py, then torque.py add to the paper's"
-        )
-    return safety_filter
+        made = SafetyFilter(task, config.rta, uncertainty=config.uncertainty)
+        if made.names != CONSTRAINTS:
+            raise ValueError(
+                f"rta/constraints/names.py: OWN = {list(OWN)}: must be {list(made.names[len(PAPERS) :])}, "
+                "the limits that thrust.py, then torque.py add to the paper's"
+            )
+    return made
 
 
 def paper_task(
@@ -272,6 +302,8 @@ def with_solver(config: AnyConfig, batch: int, device: torch.device) -> AnyConfi
         )
     if config.rta.qp_solver != "auto":
         return config
+    if config.rta.filter == "paper":
+        return replace(config, rta=replace(config.rta, qp_solver="piqp"))
     # with sampled rows PIQP is no faster, see `SafetyFilter`
     is_sampled = config.uncertainty.rows(config.rta) == "sampled"
     suits_piqp = (

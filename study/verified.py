@@ -20,7 +20,7 @@ from rta.printed.files import implementation
 from settings import override, rules
 from study.config import Config
 from study.errors import MALFORMED
-from study.experiment import filter_of, ignores_keep_clear
+from study.experiment import checked_filter, ignores_keep_clear
 from study.files import ROOT, read_json
 
 LIMITS = "limits of your own"
@@ -29,6 +29,7 @@ LATER = {
     *(f"[inspection] {key}" for key in ("orbit", "eccentricity", "sun_from_perigee", "hill_rotation")),
     "[inspection] gravitational_parameter",
     "[rta] rows",
+    "[rta] filter",
     LIMITS,
     *(f"[plant] {key}" for key in ("simulator", "j2", "drag", "actuators", "errors")),
 }
@@ -74,7 +75,7 @@ def fingerprint(config: Config) -> str:
 
 def code_digest(config: Config) -> str:
     """The first 12 hexadecimal digits of the SHA-256 of a configuration's filter as C, for one and for vectors."""
-    safety_filter = filter_of(config)
+    safety_filter = checked_filter(config)
     vectors = sorted((Path(source.__file__).parent / "driver" / "batch").iterdir())
     texts = [implementation(safety_filter), *(path.read_text(encoding="utf-8") for path in vectors)]
     return hashlib.sha256("".join(texts).encode()).hexdigest()[:12]
@@ -163,7 +164,9 @@ def warn_if_unchecked(config: Config) -> None:
 
 def unchecked(config: Config) -> str | None:
     """What the filter of a configuration does not check, in a line; None: it checks everything."""
-    names = filter_of(config).unchecked
+    if config.rta.filter == "paper":
+        return f"not checked: motion and attitude; the paper's filter has no check; see {CHECK}"
+    names = checked_filter(config).unchecked
     if not names:
         return None
     why = "with these settings the filter knows no way to rest, so it corrects without a check"

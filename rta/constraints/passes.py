@@ -6,11 +6,10 @@ import torch
 from torch import Tensor
 
 from inspection.chief.hull import Planes, planes_of
-from inspection.model.attitude import dot, norm
-from inspection.model.orbit import coast
+from inspection.model.attitude import norm
+from inspection.model.orbit import closest_times, coast
 from inspection.model.parameters import Limits
 
-PASSES = 13  # grid points per segment of the free flight: at most 12 s apart in the default segments
 GRID, HALVINGS = 5, 10  # beside a hull: points per segment, and by how much they are refined, to 0.1 s
 
 
@@ -28,27 +27,6 @@ class Passes(NamedTuple):
 def closest_passes(x: Tensor, segments: tuple[float, ...], c: Limits) -> Passes:
     """Of states (16, ...)."""
     return passes_of_hull(x, segments, c) if c.planes else Passes(closest_times(x, segments, c))
-
-
-def closest_times(x: Tensor, segments: tuple[float, ...], c: Limits) -> Tensor:
-    """When the free flight is nearest to the chief's centre within each segment: (16, ...) to (segments, ...) s.
-
-    The best of a grid, refined by the parabola of |p(t)|^2 through it and its neighbours (exact for a
-    straight path, which the path is over two grid steps to a few centimetres).
-    """
-    edges = x.new_tensor(segments)
-    start, spacing = edges[:-1], edges.diff() / (PASSES - 1)
-    shape = (-1, *(1,) * (x.dim() - 1))
-    grid = start[:, None] + spacing[:, None] * torch.arange(PASSES, dtype=x.dtype, device=x.device)
-    times = grid.reshape(*grid.shape, *shape[1:])
-    path = coast(x, times, c)
-    squared = dot(path, path)  # (segments, PASSES, ...)
-    best = squared.argmin(1, keepdim=True)
-    centre = best.clamp(1, PASSES - 2)
-    before, middle, after = (squared.gather(1, centre + i)[:, 0] for i in (-1, 0, 1))
-    bend = before - 2 * middle + after
-    offset = torch.where(bend > 0, 0.5 * (before - after) / bend, (best - centre)[:, 0].to(x.dtype))
-    return start.reshape(shape) + spacing.reshape(shape) * (centre[:, 0] + offset.clamp(-1.0, 1.0))
 
 
 def passes_of_hull(x: Tensor, segments: tuple[float, ...], c: Limits) -> Passes:

@@ -1,8 +1,8 @@
-"""The seven constraints that thrust enforces, each with all that the filter knows of it (Sec. Safety Constraints).
+"""The seven constraints that thrust enforces, each with all that the filter knows of it.
 
-Each is a function of the task's constants and the filter's parameters to its entry. States have the component axis
-first; trailing axes are independent spacecraft. Where the paper transforms a constraint to lower its relative degree,
-h is the transformed, final form.
+Each is a function of the task's constants and the filter's parameters to its entry. Its h is that of `rta.limits`, or
+beside a hull one of its own; what is enforced in its place follows here. States have the component axis first; trailing
+axes are independent spacecraft.
 """
 
 import math
@@ -15,19 +15,19 @@ from inspection.chief.hull import planes_of
 from inspection.model.attitude import dot, norm
 from inspection.model.parameters import Limits
 from inspection.model.state import P, V
+from rta import limits
 from rta.bounds.uncertainty import NO_UNCERTAINTY, Uncertainty
 from rta.constraints.constraint import Constraint
 from rta.constraints.passes import clearance_at, closest_passes
 from rta.lie_derivatives import Function
+from rta.limits import PARTS, radial_speed
 from rta.parameters import RtaParameters
 
 LEAST_BRAKING = (
     0.1  # share of a_max that is left for braking across; `rta.constraints.vehicle` refuses who would need it
 )
-TINY = 1e-24  # m^2/s^2, keeps the slope of a speed finite at rest, far below any that matters
 # m/s, kept of the zone's barrier where thrusters may be dead: nothing checks how much a hold turns of what is left away
 WEAK = 0.2
-SEGMENTS = 5  # of the free flight where its infimum is reported
 
 
 Entry = partial(Constraint, actuator="thrust", coupled=False)  # which no other actuator changes
@@ -46,9 +46,8 @@ def thrust_constraints(
     )
 
 
-def signed_sqrt(z: Tensor, floor: float = 0.0) -> Tensor:
+def signed_sqrt(z: Tensor, floor: float) -> Tensor:
     """sign(z) sqrt(|z|), where |z| is below `floor` the chord through 0 (also for negative distances)."""
-    floor = max(floor, 1e-300)
     return torch.where(z.abs() < floor, z / math.sqrt(floor), z.sign() * z.abs().clamp(min=floor).sqrt())
 
 
@@ -63,11 +62,6 @@ def sqrt_floor(c: Limits, r: RtaParameters, uncertainty: Uncertainty = NO_UNCERT
     The slope of sqrt(2 a z) is then at most sqrt(2 a / floor) = 1 / T, else it could overshoot while a control is held.
     """
     return max(r.distance_floor, 2 * uncertainty.max_acceleration(c, r) * uncertainty.hold(r) ** 2)
-
-
-def radial_speed(x: Tensor) -> Tensor:
-    """v_pr = <v, p> / |p| in m/s."""
-    return dot(x[V], x[P]) / norm(x[P])
 
 
 def thrust_acceleration(c: Limits) -> float:
@@ -92,35 +86,38 @@ def speed_curvature(c: Limits, r: RtaParameters) -> float:
 
 
 def collision(c: Limits, r: RtaParameters, uncertainty: Uncertainty = NO_UNCERTAINTY) -> Constraint:
-    """Safe separation: sqrt(2 a_max (|p| - r_d - r_c)) + v_pr, in m/s, the speed from which braking still suffices.
+    """Safe separation: from this speed braking still suffices.
 
-    The barrier has the a_max of the worst case. Beside a hull it is the largest over planes n . p = b that touch it, of
+    The barrier has the a_max of the worst case. Beside a hull h is the largest over planes n . p = b that touch it, of
     sqrt(2 a_max (n . p - b - r_d)) + n . v: one plane from which braking still suffices is enough. The barrier is that
     of the best plane now, and h in a period's end can only be more.
     """
 
-    def h(x: Tensor, floor: float = 0.0, braking: float = c.max_acceleration) -> Tensor:
-        if c.planes:
-            return beside_planes(x, floor, braking).amax(0)
-        distance = norm(x[P]) - c.collision_radius
-        return math.sqrt(2 * braking) * signed_sqrt(distance, floor) + radial_speed(x)
+    def beside_hull(x: Tensor) -> Tensor:
+        planes = planes_of(c, x)
+        height, speed = planes.above(x[P][:, None]), planes.along(x[V][:, None])
+        return (limits.root(2 * c.max_acceleration * height) + speed).amax(0)
 
-    def beside_planes(x: Tensor, floor: float, braking: float, which: Tensor | None = None) -> Tensor:
+    def beside_planes(x: Tensor, which: Tensor | None = None) -> Tensor:
         """Of every plane, (planes, ...), or of `which` alone."""
         planes = planes_of(c, x) if which is None else planes_of(c, x).those(which)
         height, speed = planes.above(x[P][:, None]), planes.along(x[V][:, None])
-        return math.sqrt(2 * braking) * signed_sqrt(height, floor) + speed
+        return math.sqrt(2 * least) * signed_sqrt(height, floor) + speed
+
+    def beside_sphere(x: Tensor) -> Tensor:
+        distance = norm(x[P]) - c.collision_radius
+        return (math.sqrt(2 * least) * signed_sqrt(distance, floor) + radial_speed(x))[None]
 
     def barrier(x: Tensor) -> Function:
         if not c.planes:
-            return lambda y: h(y, floor, least)[None]
-        best = beside_planes(x, floor, least).argmax(0, keepdim=True)
-        return lambda y: beside_planes(y, floor, least, best)
+            return beside_sphere
+        best = beside_planes(x).argmax(0, keepdim=True)
+        return lambda y: beside_planes(y, best)
 
     floor, least = sqrt_floor(c, r, uncertainty), uncertainty.max_acceleration(c, r)
     return Entry(
         "collision",
-        h,
+        beside_hull if c.planes else partial(limits.safe_separation, c=c),
         gains=(r.collision_gain,),
         margin=r.collision_margin,
         weight=math.inf,
@@ -135,10 +132,7 @@ def speed_limit(x: Tensor, c: Limits) -> Tensor:
 
 
 def dynamic_speed(c: Limits, r: RtaParameters) -> Constraint:
-    """nu_0 + nu_1 |p| - |v|, in m/s."""
-
-    def h(x: Tensor) -> Tensor:
-        return speed_limit(x, c) - (dot(x[V], x[V]) + TINY).sqrt()
+    """The dynamic speed limit, which is h itself."""
 
     def drop(x: Tensor) -> Tensor:
         """|v| rises by a . v T / |v| and at most a^2 T^2 / (2 |v|), which counts near the limit, for |v| the limit."""
@@ -149,7 +143,7 @@ def dynamic_speed(c: Limits, r: RtaParameters) -> Constraint:
     rotation, curvature = thrust_rotation_error(c, r), speed_curvature(c, r)
     return Entry(
         "dynamic_speed",
-        h,
+        partial(limits.dynamic_speed, c=c),
         gains=(r.speed_gain,),
         weight=r.slack_weight_motion,
         intersample_drop=drop,
@@ -157,11 +151,7 @@ def dynamic_speed(c: Limits, r: RtaParameters) -> Constraint:
 
 
 def keep_in_zone(c: Limits, r: RtaParameters, uncertainty: Uncertainty = NO_UNCERTAINTY) -> Constraint:
-    """sqrt(2 a_max (r_max - |p|)) - v_pr, in m/s."""
-
-    def h(x: Tensor) -> Tensor:
-        distance = c.max_distance - norm(x[P])
-        return math.sqrt(2 * c.max_acceleration) * signed_sqrt(distance) - radial_speed(x)
+    """The keep-in zone, held by a curve that thrust can follow."""
 
     def curve(x: Tensor) -> Tensor:
         """The zone as thrust can hold it, never above h, in m/s: with a_max - v_t^2 / |p|.
@@ -188,7 +178,7 @@ def keep_in_zone(c: Limits, r: RtaParameters, uncertainty: Uncertainty = NO_UNCE
     floor, least = sqrt_floor(c, r, uncertainty), uncertainty.max_acceleration(c, r)
     return Entry(
         "keep_in_zone",
-        h,
+        partial(limits.keep_in_zone, c=c),
         gains=(r.keep_in_gain,),
         margin=r.keep_in_margin + (WEAK if uncertainty.health else 0.0),
         weight=r.slack_weight_critical,
@@ -198,9 +188,9 @@ def keep_in_zone(c: Limits, r: RtaParameters, uncertainty: Uncertainty = NO_UNCE
 
 
 def passive_safety(c: Limits, r: RtaParameters, uncertainty: Uncertainty = NO_UNCERTAINTY) -> Constraint:
-    """inf |p(t)| - r_d - r_c in m over the free flight of the next T_f; a row per time segment of it.
+    """Passive safety; a row per time segment of the free flight.
 
-    Beside a hull it is the height above the planes around it, see `passes_of_hull`. A control of a second turns a slow
+    Beside a hull h is the height above the planes around it, see `passes_of_hull`. A control of a second turns a slow
     flight by much, from one corner of the hull to another. The row of the one, with n . dv t >= -alpha(h), lets the
     other lose as much times the ratio of their times, which segments that double bound.
 
@@ -212,9 +202,9 @@ def passive_safety(c: Limits, r: RtaParameters, uncertainty: Uncertainty = NO_UN
             f"passive_safety_segments end at {r.passive_safety_segments[-1]} s: "
             f"must be the passive_safety_horizon, {c.passive_safety_horizon} s"
         )
-    reported = tuple(c.passive_safety_horizon * i / SEGMENTS for i in range(SEGMENTS + 1))
+    reported = tuple(c.passive_safety_horizon * i / PARTS for i in range(PARTS + 1))
 
-    def h(x: Tensor) -> Tensor:
+    def beside_hull(x: Tensor) -> Tensor:
         return clearance_at(x, closest_passes(x, reported, c), c).amin(0)
 
     segments = r.passive_safety_segments
@@ -229,7 +219,7 @@ def passive_safety(c: Limits, r: RtaParameters, uncertainty: Uncertainty = NO_UN
 
     return Entry(
         "passive_safety",
-        h,
+        beside_hull if c.planes else partial(limits.passive_safety, c=c),
         gains=(r.passive_safety_gain,),
         margin=r.passive_safety_margin,
         weight=r.slack_weight_critical,
@@ -242,14 +232,11 @@ def passive_safety(c: Limits, r: RtaParameters, uncertainty: Uncertainty = NO_UN
 
 
 def velocity(axis: int, c: Limits, r: RtaParameters, uncertainty: Uncertainty = NO_UNCERTAINTY) -> Constraint:
-    """v_max^2 - v_i^2 for a Hill axis, in m^2/s^2.
+    """The limit of the velocity along a Hill axis.
 
     Where a control is held, the margin is what a thruster can take off it in a hold, 2 v_max a T: a call in which the
     zone needs all thrust then costs margin, not the limit. Without, one in 400,000 random calls at 5 s broke it.
     """
-
-    def h(x: Tensor) -> Tensor:
-        return c.max_speed**2 - x[V.start + axis] ** 2
 
     kept = (
         2 * c.max_speed * c.max_thrust / c.mass * uncertainty.hold(r)
@@ -258,7 +245,7 @@ def velocity(axis: int, c: Limits, r: RtaParameters, uncertainty: Uncertainty = 
     )
     return Entry(
         f"velocity_{'xyz'[axis]}",
-        h,
+        partial(limits.axial_velocity, c=c, axis=axis),
         gains=(r.velocity_gain,),
         margin=min(kept, c.max_speed**2 / 2),
         weight=r.slack_weight_motion,

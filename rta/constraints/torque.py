@@ -1,8 +1,8 @@
-"""The six constraints that torque enforces, each with all that the filter knows of it (Sec. Safety Constraints).
+"""The six constraints that torque enforces, each with all that the filter knows of it.
 
 As in `rta.constraints.thrust`, each is a function of constants and parameters to its entry. The first three are of
-relative degree two. Reported values are exact; in what is enforced, slopes that would be infinite are continued as
-constants, and the slope of a broken limit does not vanish at the pole where it is worst (`Side`).
+relative degree two. Their h is that of `rta.limits`, which is exact; in what is enforced, slopes that would be infinite
+are continued as constants, and the slope of a broken limit does not vanish at the pole where it is worst (`Side`).
 """
 
 import math
@@ -17,6 +17,7 @@ from inspection.model.attitude import norm
 from inspection.model.dynamics import cosine_to, energy_rate, sun_and_earth_in_body, temperature_rate
 from inspection.model.parameters import AXES, Limits
 from inspection.model.state import OMEGA, E, T
+from rta import limits
 from rta.bounds.uncertainty import NO_UNCERTAINTY, Uncertainty
 from rta.constraints.constraint import Constraint
 from rta.lie_derivatives import Function
@@ -39,7 +40,7 @@ def torque_constraints(
     )
 
 
-def arccos(cosine: Tensor, pole: float = 0.0) -> Tensor:
+def arccos(cosine: Tensor, pole: float) -> Tensor:
     """arccos, nearer than `pole` in rad to 0 or pi the tangent that starts there."""
     edge = math.cos(pole)
     inside = cosine.clamp(-edge, edge)
@@ -77,18 +78,16 @@ def side(axis: str, body: Tensor, broken: Tensor, pole: float, far: bool = False
     return Side(broken & ((-cosine if far else cosine) > math.cos(pole)), unit, far)
 
 
-def angle_to(axis: str, body: Tensor, pole: float = 0.0, leaving: Side | None = None) -> Tensor:
+def angle_to(axis: str, body: Tensor, pole: float, leaving: Side) -> Tensor:
     """The angle of directions (3, ...) to a body axis in rad: `arccos`, or along the side to which it is left."""
     angle = arccos(cosine_to(axis, body), pole)
-    if leaving is None:
-        return angle
     x, y, z = leaving.across  # of states; body may have an axis of directions before theirs
     along = x * body[0] + y * body[1] + z * body[2]
     aside = math.pi / 2 - along.clamp(-0.5, 0.5).arccos()  # arcsin
     return torch.where(leaving.near, math.pi - aside if leaving.far else aside, angle)
 
 
-def positive_part(angle: Tensor, width: float = 0.0) -> Tensor:
+def positive_part(angle: Tensor, width: float) -> Tensor:
     """max(angle, 0), within w = `width` of zero the parabola (angle + w)^2 / (4 w), which continues its slopes."""
     if width == 0.0:
         return angle.clamp(min=0.0)
@@ -97,16 +96,18 @@ def positive_part(angle: Tensor, width: float = 0.0) -> Tensor:
 
 
 def attitude_exclusion(c: Limits, r: RtaParameters) -> Constraint:
-    """theta_EZ - alpha_FOV / 2 - beta in rad: the camera's boresight +n_x and the Sun."""
+    """The camera's boresight +x and the Sun."""
 
-    def h(x: Tensor, pole: float = 0.0, leaving: Side | None = None) -> Tensor:
+    def enforced(x: Tensor, leaving: Side) -> Tensor:
         sun, _ = sun_and_earth_in_body(x)
-        return angle_to("+x", sun, pole, leaving) - c.field_of_view / 2 - c.exclusion_buffer
+        return angle_to("+x", sun, r.pole_angle, leaving) - c.field_of_view / 2 - c.exclusion_buffer
 
     def barrier(x: Tensor) -> Function:
         sun, _ = sun_and_earth_in_body(x)
         leaving = side("+x", sun, h(x) < 0.0, r.pole_angle)
-        return lambda y: h(y, r.pole_angle, leaving)[None]
+        return lambda y: enforced(y, leaving)[None]
+
+    h = partial(limits.attitude_exclusion, c=c)
 
     return Entry(
         "attitude_exclusion",
@@ -120,24 +121,20 @@ def attitude_exclusion(c: Limits, r: RtaParameters) -> Constraint:
 
 
 def temperature(c: Limits, r: RtaParameters) -> Constraint:
-    """T_max - T - delta_0 (pi/2 - theta_SI)^+ - delta_1 (pi/2 - theta_EI)^+ in deg C.
+    """The warmth of the thermal side, which Sun and Earth heat."""
 
-    Incidence angles are defined on [0, pi/2], hence the positive parts.
-    """
-
-    def h(
-        x: Tensor, pole: float = 0.0, width: float = 0.0, leaving: Sequence[Side | None] = (None, None)
-    ) -> Tensor:
+    def enforced(x: Tensor, leaving: Sequence[Side]) -> Tensor:
         both = zip(sun_and_earth_in_body(x), leaving, strict=True)
-        angles = torch.stack([angle_to(c.thermal_axis, body, pole, to) for body, to in both])
-        sun, earth = positive_part(math.pi / 2 - angles, width)
+        angles = torch.stack([angle_to(c.thermal_axis, body, r.pole_angle, to) for body, to in both])
+        sun, earth = positive_part(math.pi / 2 - angles, r.incidence_rounding)
         return c.max_temperature - x[T] - c.temperature_sun_slope * sun - c.temperature_earth_slope * earth
 
     def barrier(x: Tensor) -> Function:
         hot = h(x) < 0.0
         leaving = [side(c.thermal_axis, body, hot, r.pole_angle) for body in sun_and_earth_in_body(x)]
-        return lambda y: h(y, r.pole_angle, r.incidence_rounding, leaving)[None]
+        return lambda y: enforced(y, leaving)[None]
 
+    h = partial(limits.temperature, c=c)
     none, hot = torch.tensor((0.0, c.max_temperature), dtype=torch.float64)
     cooling = -temperature_rate(none, none, hot, c).item()  # in the dark
 
@@ -153,17 +150,19 @@ def temperature(c: Limits, r: RtaParameters) -> Constraint:
 
 
 def battery(c: Limits, r: RtaParameters) -> Constraint:
-    """E - E_min - delta_2 theta_SI in kJ: the solar panels and the Sun."""
+    """The charge of the battery, which panels in the Sun keep up."""
 
-    def h(x: Tensor, pole: float = 0.0, leaving: Side | None = None) -> Tensor:
+    def enforced(x: Tensor, leaving: Side) -> Tensor:
         sun, _ = sun_and_earth_in_body(x)
-        return x[E] - c.min_energy - c.energy_sun_slope * angle_to(c.solar_panel_axis, sun, pole, leaving)
+        angle = angle_to(c.solar_panel_axis, sun, r.pole_angle, leaving)
+        return x[E] - c.min_energy - c.energy_sun_slope * angle
 
     def barrier(x: Tensor) -> Function:
         sun, _ = sun_and_earth_in_body(x)
         leaving = side(c.solar_panel_axis, sun, h(x) < 0.0, r.pole_angle, far=True)
-        return lambda y: h(y, r.pole_angle, leaving)[None]
+        return lambda y: enforced(y, leaving)[None]
 
+    h = partial(limits.battery, c=c)
     charging = energy_rate(torch.ones((), dtype=torch.float64), c).item()  # in full light
 
     return Entry(
@@ -180,7 +179,7 @@ def battery(c: Limits, r: RtaParameters) -> Constraint:
 def angular_velocity(
     axis: int, c: Limits, r: RtaParameters, uncertainty: Uncertainty = NO_UNCERTAINTY
 ) -> Constraint:
-    """omega_max^2 - omega_i^2 for a body axis, in rad^2/s^2.
+    """The limit of the rate about a body axis.
 
     Where a control is held for longer than a body needs to stop, or the plant does not saturate, the filter holds the
     rates itself: by omega_max -+ omega_i, which are linear, less what a rate may be measured wrong and turn otherwise
@@ -188,13 +187,11 @@ def angular_velocity(
     resources.
     """
 
-    def h(x: Tensor) -> Tensor:
-        return c.max_rate**2 - x[OMEGA.start + axis] ** 2
-
     def both(x: Tensor) -> Tensor:
         rate = x[OMEGA.start + axis]
         return torch.stack((limit - rate, limit + rate))
 
+    h = partial(limits.angular_velocity, c=c, axis=axis)
     unknown = math.radians(uncertainty.rate) + uncertainty.angular_acceleration(c) * uncertainty.hold(r)
     limit = c.max_rate - uncertainty.rate_offset(c) - unknown
     if uncertainty.needs_sampled_rows(r):

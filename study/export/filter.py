@@ -7,7 +7,7 @@ from kernels.exported import check_prefix
 from rta.printed.files import NAME, NOT_VERIFIED, write
 from study.config import Config
 from study.errors import as_input_error
-from study.experiment import check_chief, filter_of
+from study.experiment import check_chief, checked_filter
 from study.verified import (
     Flown,
     alike,
@@ -33,7 +33,7 @@ def export(config: Config, directory: Path, prefix: str = NAME) -> str:
     with as_input_error("--prefix", ValueError):
         check_prefix(prefix)
     check_chief(config)
-    safety_filter = filter_of(config)
+    safety_filter = checked_filter(config)
     said = said_of(config)
     with as_input_error(f"--filter {directory}: cannot write there", OSError, ValueError):
         texts = write(safety_filter, directory, said, settings_digest(config), prefix)

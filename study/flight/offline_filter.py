@@ -7,10 +7,11 @@ from torch import Tensor
 from rta.barrier import ActuatorGroup, Rows
 from rta.constraints.names import CONSTRAINTS
 from rta.filter import SafetyFilter
+from rta.flown_paper import FlownPaperFilter
 from rta.qp.programs import FEASIBLE, Status
 from rta.qp.scaled import SHORTEST_ROW
 from study.config import Config
-from study.experiment import Experiment
+from study.experiment import AnyFilter, Experiment
 from study.flight.state_files import read_states
 from study.machine import bar
 
@@ -25,7 +26,7 @@ def run(config: Config, states: str) -> dict[str, np.ndarray]:
     return filter_states(experiment.filter, x.to(experiment.device), desired.to(experiment.device))
 
 
-def filter_states(safety_filter: SafetyFilter, x: Tensor, desired: Tensor) -> dict[str, np.ndarray]:
+def filter_states(safety_filter: AnyFilter, x: Tensor, desired: Tensor) -> dict[str, np.ndarray]:
     """Filters states (16, N) and desired controls (6, N) in N and N m.
 
     Constraints are in the order of CONSTRAINTS, rows in that of the filter, thrust before torque. Units are SI:
@@ -36,7 +37,8 @@ def filter_states(safety_filter: SafetyFilter, x: Tensor, desired: Tensor) -> di
 
     subject to A_all u + b_all >= delta and |u| <= limit, with delta = 0 where slack_weight is infinite. That it is in a
     class of rows, equal in weight, wherever some control holds the class and those of larger weight. What is desired of
-    a group beyond LARGEST_DEMAND limits is shortened to that first, see `rta.propose.demanded`.
+    a group beyond LARGEST_DEMAND limits is shortened to that first, see `rta.propose.demanded`. The paper's filter has
+    a row for each limit, no margins, and its one weight wherever there may be slack.
 
     Returns:
         Of N states, H constraints and R rows:
@@ -59,15 +61,22 @@ def filter_states(safety_filter: SafetyFilter, x: Tensor, desired: Tensor) -> di
     """
     parts = list(zip(x.split(CHUNK, 1), desired.split(CHUNK, 1), strict=True))
     shown = bar(len(parts), f"times {CHUNK:,} states", iterable=parts, leave=False)
-    chunks = [filter_chunk(safety_filter, *part) for part in shown]
+    chunks = [
+        paper_chunk(safety_filter, *part)
+        if isinstance(safety_filter, FlownPaperFilter)
+        else filter_chunk(safety_filter, *part)
+        for part in shown
+    ]
     result = {name: torch.cat([chunk[name] for chunk in chunks]).cpu().numpy() for name in chunks[0]}
     result["constraints"] = np.array(CONSTRAINTS)
     result["constraint_of_row"] = np.array([CONSTRAINTS.index(name) for name in names_of_rows(safety_filter)])
     return result
 
 
-def names_of_rows(safety_filter: SafetyFilter) -> list[str]:
+def names_of_rows(safety_filter: AnyFilter) -> list[str]:
     """The constraint of every row, thrust before torque."""
+    if isinstance(safety_filter, FlownPaperFilter):
+        return list(safety_filter.names)
     return [each.name for group in safety_filter.groups for each in group.of_row]
 
 
@@ -89,6 +98,30 @@ def enforced(group: ActuatorGroup, rows: Rows, control: Tensor, status: Tensor) 
         "delta": torch.where(soft, (reached + b).clamp(max=0.0), 0.0),
         "with_margins": with_margins[None],
     }
+
+
+def paper_chunk(paper: FlownPaperFilter, x: Tensor, desired: Tensor) -> dict[str, Tensor]:
+    """`filter_chunk` of the paper's filter."""
+    result, (a, b, _) = paper.correct(x, desired), paper.conditions(x)
+    weights = [torch.inf if limit.weight is None else limit.weight for limit in paper.limits.values()]
+    by_state = {
+        "control_safe": result.control,
+        "h": result.h,
+        "A": a,
+        "b": b,
+        "active": result.active,
+        "slack": -result.slack,
+        "status": result.status,
+        "violated": result.violated,
+        "verified": result.verified,
+        "backup": result.backup,
+        "shortfall": result.slack,
+        "A_all": a,
+        "b_all": b,
+        "slack_weight": x.new_tensor(weights)[:, None].expand_as(b),
+        "with_margins": torch.ones_like(result.program_status, dtype=torch.bool),
+    }
+    return {name: array.movedim(-1, 0) for name, array in by_state.items()}
 
 
 def filter_chunk(safety_filter: SafetyFilter, x: Tensor, desired: Tensor) -> dict[str, Tensor]:

@@ -130,7 +130,8 @@ class Run:
     def __str__(self) -> str:
         """The first lines a person sees."""
         config, experiment = self.config, self.experiment
-        arm = f"RTA at {config.rta.period:g} s by {config.rta.qp_solver}" if config.train.rta else "no RTA"
+        kind = "the paper's RTA" if config.rta.filter == "paper" else "RTA"
+        arm = f"{kind} at {config.rta.period:g} s by {config.rta.qp_solver}" if config.train.rta else "no RTA"
         arm += ", compiled" if experiment.compiled or experiment.filter_compiled else ""
         first, *rest = self.seeds
         which = f"seeds {first} to {rest[-1]}" if rest else f"seed {first}"

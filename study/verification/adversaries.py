@@ -15,7 +15,8 @@ from kernels.compiled import Compiled
 from kernels.printer import if_long
 from ppo.network import Policy
 from rta.constraints.names import ATTITUDE, OWN, TRANSLATIONAL
-from rta.filter import SafetyFilter
+from rta.flown_paper import FlownPaperFilter
+from study.experiment import AnyFilter
 from study.scales import scales
 
 NEXT_TO_NOTHING = 1e-9  # m, m/s, rad, rad/s; PyTorch has no derivative by a rotation vector at zero
@@ -64,29 +65,33 @@ def learned(
     return control
 
 
-def adversarial(safety_filter: SafetyFilter) -> Controller:
+def adversarial(safety_filter: AnyFilter) -> Controller:
     """Full control along the steepest descent of the worst thrust row and of the worst torque row.
 
     The worst row is the one that zero control comes closest to breaking, in units of the actuators' limits.
     """
 
     def of_states(x: Tensor) -> list[Tensor]:
+        if isinstance(safety_filter, FlownPaperFilter):
+            a, b, _ = safety_filter.conditions(x)
+            return [part for rows, own in GROUPS for part in (a[rows, own], b[rows])]
         thrust, torque = safety_filter.rows(x)
         return [thrust.a, thrust.b, torque.a, torque.b]
 
     rows_at: Callable[[Tensor], list[Tensor]] = of_states
-    if safety_filter.compiled:
+    if safety_filter.compiled and not isinstance(safety_filter, FlownPaperFilter):
         long = if_long(len(safety_filter.c.planes))  # of a hull
         rows_at = Compiled(of_states, safety_filter.probe("cpu")[0], long=long)
+    limits = safety_filter.c.max_thrust, safety_filter.c.max_torque
 
     def control(t: float, x: Tensor) -> Tensor:
         halves = []
         rows = rows_at(x)
-        for group, a, b in zip(safety_filter.groups, rows[::2], rows[1::2], strict=True):
-            a = a * group.limit
+        for limit, a, b in zip(limits, rows[::2], rows[1::2], strict=True):
+            a = a * limit
             worst = (b / a.norm(dim=1).clamp(min=1e-9)).argmin(0)
             descent = -a.gather(0, worst.expand(1, 3, -1))[0]
-            halves.append(group.limit * descent / descent.abs().amax(0).clamp(min=1e-12))
+            halves.append(limit * descent / descent.abs().amax(0).clamp(min=1e-12))
         return torch.cat(halves)
 
     return control
@@ -107,7 +112,7 @@ class Greedy:
         attacked: (constraints, B) bool, the constraints that count in each episode; None: all.
     """
 
-    def __init__(self, safety_filter: SafetyFilter, attacked: Tensor | None = None) -> None:
+    def __init__(self, safety_filter: AnyFilter, attacked: Tensor | None = None) -> None:
         self.filter, self.attacked = safety_filter, attacked
         self.scale = scales(safety_filter.c, safety_filter.period)
         self.last: Tensor | None = None

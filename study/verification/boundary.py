@@ -29,7 +29,7 @@ from rta.lie_derivatives import Function
 from rta.qp.programs import Status
 from study.config import Config
 from study.errors import as_input_error
-from study.experiment import Experiment, check_clocks
+from study.experiment import Experiment, check_clocks, check_is_checked
 from study.files import write_json
 from study.flight.fly import with_any
 from study.flight.summary import upper_bound
@@ -207,7 +207,7 @@ def table(report: dict[str, Any]) -> str:
 
 def barriers_of(experiment: Experiment) -> Function:
     """`barriers` of the experiment's filter; compiled with it, which halves the time of a draw."""
-    safety_filter, compiled = experiment.filter, []
+    safety_filter, compiled = experiment.checked_filter, []
 
     def compile() -> None:
         bare = copy(safety_filter)  # not compiled: compiled code cannot be recorded
@@ -226,7 +226,7 @@ def run(
 
     A batch is always drawn whole, so that there may be more draws than asked for.
     """
-    config, safety_filter = experiment.config, experiment.filter
+    config, safety_filter = experiment.config, experiment.checked_filter
     report = report_in(path, campaign, config, table, empty_report)
     barriers_at = barriers_of(experiment)
     columns = campaign.batch_size * campaign.tries
@@ -254,6 +254,7 @@ def search(campaign: Boundary, draws: int, config: Config, path: Path | None) ->
     """
     period = campaign.period
     check_clocks(config, period, CHECK_BETWEEN, period, f"boundary, checked every {CHECK_BETWEEN:g} s")
+    check_is_checked(config)
     experiment = Experiment(config, BATCH * TRIES, seconds=-(-draws // BATCH) * CALLS * period)
     reports = run(campaign, draws, experiment, path)
     report = next(reports)  # refuses before there is a bar

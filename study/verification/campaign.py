@@ -33,7 +33,7 @@ from study.verification.adversaries import Greedy, adversarial, attacked, held_a
 from study.verification.counter_examples import counter_example
 from study.verification.findings import Campaign, report_in, table
 from study.verification.lookahead import CANDIDATES, HORIZON, Lookahead
-from study.verification.starts import initial_states, spawned
+from study.verification.starts import holdable, initial_states, spawned
 from study.verification.tally import add
 from study.verification.tape import CHECK_EVERY, Tape, Teller
 
@@ -87,7 +87,7 @@ def run(
         drawing = step("drawing the starts, some seconds a batch")
         with as_input_error(blamed(config), RuntimeError), drawing:
             x, priority, rejected = initial_states(campaign.batch_size, seed_of_starts, experiment.filter)
-        held = experiment.filter.can_brake(x)[first:]
+        held = holdable(x, experiment.filter)[first:]
         held = held[held.cumsum(0) - held.long() < episodes - report["episodes"]]
         count = held.numel()
         if env is None or env.time.numel() != count:
@@ -237,7 +237,7 @@ def exported(experiment: Experiment, filter_in: str) -> Safety:
         as_input_error(f"--filter {filter_in}: cannot be compiled", NoCompilerError),
         step("compiling it, seconds"),
     ):
-        in_c = InC(experiment.filter)
+        in_c = InC(experiment.checked_filter)
     return dataclasses.replace(experiment.safety, correct=in_c.correct)
 
 

@@ -15,6 +15,8 @@ from inspection.model.draws import isotropic, shoemake
 from inspection.model.parameters import Limits
 from inspection.model.state import OMEGA, SIZE, THETA_S, E, P, Q, T, V
 from rta.filter import SafetyFilter
+from rta.flown_paper import FlownPaperFilter
+from study.experiment import AnyFilter
 
 INSIDE = 5.0  # m, within max_distance, where the safe set's initial states are at the farthest
 NUMBERS = 17  # from which a start follows
@@ -47,7 +49,7 @@ def states_of(s: Tensor, c: Limits) -> tuple[Tensor, Tensor]:
     return x, isotropic(s[15:17])
 
 
-def safe_set(count: int, seed: int, safety_filter: SafetyFilter) -> tuple[Tensor, Tensor, int]:
+def safe_set(count: int, seed: int, safety_filter: AnyFilter) -> tuple[Tensor, Tensor, int]:
     """Initial states from the whole safe set: those that the filter takes for safe (`SafetyFilter.is_safe`).
 
     A Latin hypercube over distance up to INSIDE of the zone, speed up to the limit there, all directions and attitudes,
@@ -64,8 +66,9 @@ def safe_set(count: int, seed: int, safety_filter: SafetyFilter) -> tuple[Tensor
         RuntimeError: fewer were found in HYPERCUBES hypercubes.
     """
     c, left_out = safety_filter.c, safely(safety_filter)
-    knows_no_way = safety_filter.unchecked == ["motion", "attitude"]
-    accepts = safety_filter.is_in_safe_set if knows_no_way else safety_filter.is_safe
+    accepts = safety_filter.is_safe
+    if isinstance(safety_filter, SafetyFilter) and safety_filter.unchecked == ["motion", "attitude"]:
+        accepts = safety_filter.is_in_safe_set
     sampler = qmc.LatinHypercube(NUMBERS, rng=np.random.default_rng(seed))
     kept, rejected = torch.zeros(SIZE + 3, 0, dtype=torch.float64), 0
     for _ in range(HYPERCUBES):
@@ -81,9 +84,9 @@ def safe_set(count: int, seed: int, safety_filter: SafetyFilter) -> tuple[Tensor
     raise RuntimeError(f"only {kept.shape[1]} of {count} initial states found in the safe set")
 
 
-def safely(safety_filter: SafetyFilter) -> Callable[[Tensor], Tensor]:
+def safely(safety_filter: AnyFilter) -> Callable[[Tensor], Tensor]:
     """What says of states (16, B) that are left out whether they are safe, (B,) bool; see `safe_set`."""
-    if safety_filter.backup:
+    if isinstance(safety_filter, FlownPaperFilter) or safety_filter.backup:
         return lambda x: (safety_filter.values(x) >= 0.0).all(0)
     without_margins = dataclasses.replace(
         safety_filter.parameters,
@@ -96,7 +99,14 @@ def safely(safety_filter: SafetyFilter) -> Callable[[Tensor], Tensor]:
     return SafetyFilter(safety_filter.c, without_margins).is_in_safe_set
 
 
-def initial_states(count: int, seed: int, safety_filter: SafetyFilter) -> tuple[Tensor, Tensor, int]:
+def holdable(x: Tensor, safety_filter: AnyFilter) -> Tensor:
+    """Tells which starts (16, B) count, (B,) bool: none beyond the keep-in barrier of a filter that has its own."""
+    if isinstance(safety_filter, FlownPaperFilter):
+        return torch.ones_like(x[0], dtype=torch.bool)
+    return safety_filter.can_brake(x)
+
+
+def initial_states(count: int, seed: int, safety_filter: AnyFilter) -> tuple[Tensor, Tensor, int]:
     """The paper's distribution and the safe set in turns; returns as `safe_set`."""
     first, second = spawned(seed, 2)
     generator = torch.Generator().manual_seed(first)

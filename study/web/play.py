@@ -52,6 +52,7 @@ def check(config: Config) -> None:
     """Raises InputError where the page cannot fly a configuration, or the compiler is missing."""
     c, plant, uncertainty = config.inspection, config.plant, config.uncertainty
     refused = {
+        "[rta] filter: play flies the checked one only": config.rta.filter != "checked",
         "[chief]: play flies around the paper's chief only": not config.chief.is_the_papers
         or "chief" in c.observed,
         "play flies in seconds: substep must divide 1 s, action_period must be whole seconds": (

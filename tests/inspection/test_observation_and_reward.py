@@ -257,7 +257,9 @@ def test_groups_are_left_out_or_added_whatever_order_they_are_named_in(c, random
     for row, name in zip(observe(*arguments, replace(c, observed=chosen)), few, strict=True):
         assert torch.equal(row, everything[name])
     assert torch.equal(observe(*arguments, c), torch.stack(list(everything.values())[:26]))
-    assert scales(arguments[0], replace(c, observed=chosen)).shape == (11, 1) and set(OBSERVED) < set(OBSERVABLE)
+    assert scales(arguments[0], replace(c, observed=chosen)).shape == (11, 1) and set(OBSERVED) < set(
+        OBSERVABLE
+    )
 
 
 def test_the_axes_of_hills_frame_are_seen_in_the_body_frame(c, random_states, generator):

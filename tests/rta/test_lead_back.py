@@ -33,8 +33,9 @@ from inspection.model.orbit import free_flight
 from inspection.model.parameters import InspectionParameters
 from inspection.model.state import CONTROL_SIZE, OMEGA, THETA_S, E, P, Q, T, V
 from rta.constraints.names import CONSTRAINTS
-from rta.constraints.thrust import radial_speed, speed_limit
+from rta.constraints.thrust import speed_limit
 from rta.filter import SafetyFilter
+from rta.limits import radial_speed
 from rta.parameters import RtaParameters
 from rta.qp.programs import Status
 from study.verification.adversaries import adversarial, held_at_random

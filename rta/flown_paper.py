@@ -1,0 +1,97 @@
+"""The paper's filter in a closed loop: called every so many seconds, its rows compiled, its input checked."""
+
+from functools import cached_property
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from inspection.closed_loop import Safety
+from inspection.model.parameters import InspectionParameters
+from inspection.model.state_checks import is_state
+from inspection.model.tensors import check_tensors
+from kernels.build import NoCompilerError, say
+from kernels.compiled import Compiled
+from kernels.modes import in_full_precision
+from rta.filter_input import FilterInput, probe
+from rta.paper import Conditions, PaperFilter
+from rta.result import FilterResult
+
+
+class FlownPaperFilter(PaperFilter):
+    """`PaperFilter` with what commands ask of a filter. Call it as a function, of one spacecraft or of many.
+
+    Args:
+        c: the task's constants; period: s between two calls, of which no row knows.
+
+    Attributes:
+        unchecked: all that it enforces, since nothing is checked.
+        compiled: its conditions and its h; None: they are not. PIQP solves the programs all the same.
+    """
+
+    unchecked = ["motion", "attitude"]  # noqa: RUF012
+
+    def __init__(self, c: InspectionParameters, period: float) -> None:
+        super().__init__(c)
+        self.c: InspectionParameters = c
+        self.period = period
+        self.compiled: tuple[Compiled, Compiled] | None = None
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), (self.c, self.period)
+
+    @in_full_precision
+    def compile(self, device: torch.device | str, batch: int) -> None:
+        """Compiles the rows for tensors on this device and calls of about so many spacecraft.
+
+        Takes some seconds, once: what was compiled is kept across runs. Raises as `kernels.compiled.Compiled`, and
+        changes nothing then.
+        """
+
+        x = probe(self.c, device)[0]
+        conditions = Compiled(lambda x: list(PaperFilter.conditions(self, x)), x, batch=batch)
+        values = Compiled(lambda x: [PaperFilter.values(self, x)], x, batch=batch)
+        self.compiled = conditions, values
+
+    @in_full_precision
+    def conditions(self, x: Tensor) -> Conditions:
+        """Returns `barrier_conditions`."""
+        if not self.compiled:
+            return super().conditions(x)
+        a, b, psi = self.compiled[0](x)
+        return a, b, psi
+
+    @in_full_precision
+    def values(self, x: Tensor) -> Tensor:
+        """Returns every h: states (16, B) to (13, B)."""
+        check_tensors(x=x)
+        return self.compiled[1](x)[0] if self.compiled else super().values(x)
+
+    @in_full_precision
+    def is_safe(self, x: Tensor) -> Tensor:
+        """Tells which states (16, B) may start an episode, (B,) bool: every h >= 0 and every Psi_1 >= 0."""
+        kept = (self.values(x) >= 0.0).all(0) & (self.conditions(x)[2] >= 0.0).all(0)
+        return is_state(x, self.c) & kept
+
+    @in_full_precision
+    def __call__(self, x: Any, desired: Any) -> FilterResult:
+        """Filters a desired control of one spacecraft, or of each of a batch; as `SafetyFilter.__call__`."""
+        call = FilterInput(x, desired, self.c)
+        call.warn()
+        fit = call.single and call.x.device.type == "cpu" and not self.compiled
+        return call.answer((self._for_one if fit else self).correct(call.x, call.desired))
+
+    @cached_property
+    def _for_one(self) -> "FlownPaperFilter":
+        """This filter, compiled where it can be."""
+        other = FlownPaperFilter(self.c, self.period)
+        try:
+            other.compile("cpu", 1)
+        except (NoCompilerError, NotImplementedError) as error:
+            say(f"{error}: the filter is not compiled, which makes it slower")
+        return other
+
+    def safety(self, enabled: bool = True) -> Safety:
+        """Returns what the environment needs; `enabled`: this filter, too."""
+        correct = self.correct if enabled else None
+        return Safety(self.names, self.values, self.is_safe, correct, self.period)

@@ -1,0 +1,121 @@
+"""The paper's filter (Sec. Run Time Assurance, box Active Set Invariance Filter), as it stands there.
+
+    u_act = argmin |u_des - u|^2 + sum_i w_i delta_i^2
+            s.t.   L_f Psi_i + L_g Psi_i u + alpha(Psi_i) + delta_i >= 0,   |u_j| <= u_max
+
+Psi_i is h_i, or the last of its high-order barrier functions that no control changes at once. Each spacecraft has one
+program, of six controls and all slack, solved by PIQP. Nothing is checked: it can fail. `rta.filter` is verified.
+"""
+
+from collections.abc import Mapping
+
+import numpy as np
+import piqp
+import torch
+from torch import Tensor
+
+from inspection.model.dynamics import control_matrix, drift
+from inspection.model.parameters import Limits
+from inspection.model.state import CONTROL_SIZE
+from rta.lie_derivatives import Function, lie_derivative, lie_derivatives
+from rta.limits import PAPER, Limit
+from rta.qp.programs import Status
+from rta.result import FilterResult
+
+NEVER = 3.0  # a row of length 1 with b above sqrt(6) cannot be broken, however large b is
+GIVEN = 1e-7  # slack, in the unit of its condition, that is more than rounding
+TOLERANCE = 1e-12  # of PIQP; beside slack with a weight of 1e12 the controls are a small part of the cost
+
+
+Conditions = tuple[Tensor, Tensor, Tensor]  # a (R, 6, B) and b (R, B) of BC = a u + b, and Psi (R, B)
+
+
+def hocbf(limit: Limit, c: Limits) -> Function:
+    """Psi_{d-1} of a limit of relative degree d: Psi_0 = h, Psi_j = dPsi_{j-1}/dt + k_j Psi_{j-1} (Eq. HOCBF)."""
+
+    def psi(x: Tensor, j: int = len(limit.gains) - 1) -> Tensor:
+        if j == 0:
+            return limit.h(x, c)
+        before, rate = lie_derivative(lambda y: psi(y, j - 1), x, drift(x, c))
+        return rate + limit.gains[j - 1] * before
+
+    return psi
+
+
+def barrier_conditions(x: Tensor, c: Limits, limits: Mapping[str, Limit] = PAPER) -> Conditions:
+    """BC = L_f Psi + L_g Psi u + alpha(Psi) of every limit at states (16, B) (Eq. BC), with u in N and N m."""
+    each_psi = [hocbf(limit, c) for limit in limits.values()]
+    f, g = drift(x, c), control_matrix(x, c)
+    psi, along_f, along_g = lie_derivatives(lambda y: torch.stack([each(y) for each in each_psi]), x, f, g)
+    gain = psi.new_tensor([limit.gains[-1] for limit in limits.values()])[:, None]
+    return along_g, along_f + gain * psi, psi
+
+
+def asif(a: Tensor, b: Tensor, desired: Tensor, weights: list[float | None]) -> list[Tensor]:
+    """Solves the programs a (R, 6, n), b (R, n), desired (6, n) of n spacecraft; None: a row has no slack.
+
+    Returns controls (6, n), slack (R, n) and `Status` (n,); of an unsolved program zeros. Controls are in units of the
+    actuators' limits. PIQP's variables are controls and sqrt(w) delta, so that its cost is the identity.
+    """
+    soft = [i for i, weight in enumerate(weights) if weight is not None]
+    unit = np.array([weight**-0.5 for weight in weights if weight is not None])
+    rows, low, wanted = (part.movedim(-1, 0).cpu().numpy() for part in (a, -b, desired))
+    (n, m), size = low.shape, CONTROL_SIZE + len(soft)
+    g, cost, answer = np.zeros((n, size, m)), np.zeros((n, size)), np.zeros((n, size))
+    g[:, :CONTROL_SIZE], cost[:, :CONTROL_SIZE] = rows.swapaxes(1, 2), -wanted
+    g[:, range(CONTROL_SIZE, size), soft] = unit
+    length = np.sqrt((g**2).sum(1))
+    g, low = g / length[:, None], (low / length).clip(min=-NEVER)
+    box = np.array([1.0] * CONTROL_SIZE + [1e30] * len(soft))  # which is PIQP's infinity
+    solver = piqp.DenseSolver()
+    solver.settings.preconditioner_iter = 0  # rows are scaled already
+    for name in ("abs", "rel", "duality_gap_abs", "duality_gap_rel"):
+        setattr(solver.settings, f"eps_{name}", TOLERANCE)
+    solver.setup(np.eye(size), np.ones(size), None, None, np.ones((m, size)), np.zeros(m), None, -box, box)
+    status = np.full(n, int(Status.UNSOLVED))
+    # a number that is not finite would stay in PIQP
+    for i in np.flatnonzero(np.isfinite(g.sum((1, 2)) + low.sum(1) + cost.sum(1))):
+        solver.update(c=cost[i], G=g[i].T, h_l=low[i])
+        if solver.solve() == piqp.PIQP_SOLVED:
+            answer[i], status[i] = solver.result.x, Status.HARD
+    slack = np.zeros((n, m))
+    slack[:, soft] = answer[:, CONTROL_SIZE:] * unit
+    slack[slack <= GIVEN] = 0.0
+    status[slack.any(1)] = Status.SLACK
+    found = answer[:, :CONTROL_SIZE].clip(-1.0, 1.0), slack, status
+    return [torch.from_numpy(part.T).to(a.device) for part in found]
+
+
+class PaperFilter:
+    """The filter of a task's constants; `names` are those of the limits."""
+
+    def __init__(self, c: Limits, limits: Mapping[str, Limit] = PAPER) -> None:
+        self.c, self.limits, self.names = c, limits, tuple(limits)
+
+    def values(self, x: Tensor) -> Tensor:
+        """Returns every h: states (16, B) to (R, B)."""
+        return torch.stack([limit.h(x, self.c) for limit in self.limits.values()])
+
+    def conditions(self, x: Tensor) -> Conditions:
+        """Returns `barrier_conditions`."""
+        return barrier_conditions(x, self.c, self.limits)
+
+    @torch.no_grad()
+    def correct(self, x: Tensor, desired: Tensor) -> FilterResult:
+        """Filters desired controls (6, B) in N and N m at states (16, B), float64.
+
+        What is desired, clipped to the actuators' limits, is the solution where it satisfies every condition.
+        """
+        (a, b, _), h = self.conditions(x), self.values(x)
+        limit = x.new_tensor(self.c.control_limit)[:, None]
+        a, wanted = a * limit, desired / limit
+        control, slack = wanted.clamp(-1.0, 1.0), torch.zeros_like(b)
+        status = torch.where((control != wanted).any(0), Status.HARD, Status.UNTOUCHED)
+        broken = torch.nonzero(~((a * control).sum(1) + b >= 0.0).all(0)).flatten()
+        weights = [limit.weight for limit in self.limits.values()]
+        solved = asif(a[..., broken], b[:, broken], wanted[:, broken], weights)
+        control[:, broken], slack[:, broken], status[broken] = solved
+        changed, no = status > Status.UNTOUCHED, torch.zeros_like(status, dtype=torch.bool)
+        active = ((a * control).sum(1) + b <= GIVEN) & changed
+        control = torch.where(changed, control * limit, desired)
+        return FilterResult(control, changed, no, no, active, slack, status, status.expand(2, -1), h)
